@@ -1,4 +1,4 @@
-"""Rotations and small vectors, written so that reverse and forward mode stay finite everywhere.
+"""Rotations and small vectors, with finite derivatives everywhere in reverse and forward mode.
 
 Transforms are named `a_from_b`: `p_a = a_from_b @ p_b`. Quaternions are `wxyz`.
 
@@ -18,14 +18,14 @@ from jax_aero.types import Array
 
 
 def skew(v: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
-    """Matrix `S(v)` with `S(v) u = v × u`."""
+    """Return the matrix `S(v)` with `S(v) u = v × u`."""
     x, y, z = v[..., 0], v[..., 1], v[..., 2]
     o = jnp.zeros_like(x)
     return jnp.stack([jnp.stack([o, -z, y], -1), jnp.stack([z, o, -x], -1), jnp.stack([-y, x, o], -1)], -2)
 
 
 def multiply(a: Float[Array, "*#batch 3 3"], b: Float[Array, "*#batch 3 3"]) -> Float[Array, "*#batch 3 3"]:
-    """Multiply 3×3 matrices as sums of products, which XLA fuses; small dots it calls one by one."""
+    """Multiply 3×3 matrices as sums of products, which XLA fuses, unlike many small dot products."""
     return sum_of_three(a[..., :, k, None] * b[..., None, k, :] for k in range(3))
 
 
@@ -40,7 +40,7 @@ def rotate_back(a: Float[Array, "*#batch 3 3"], v: Float[Array, "*#batch 3"]) ->
 
 
 def sum_of_three(terms: Iterable[Float[Array, " *#batch"]]) -> Float[Array, " *#batch"]:
-    """Sum without starting from a Python zero."""
+    """Sum the terms without starting from a Python zero."""
     a, b, c = terms
     return a + b + c
 
@@ -53,14 +53,14 @@ def cross(a: Float[Array, "*#batch 3"], b: Float[Array, "*#batch 3"]) -> Float[A
 
 
 def vee_of_skew_part(a: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3"]:
-    """Vector of the antisymmetric part, `sk(A)^∨` with `sk(A) = (A − Aᵀ)/2`; inverse of `skew`."""
+    """Return the vector of the antisymmetric part, `sk(A)^∨` with `sk(A) = (A − Aᵀ)/2`; inverse of `skew`."""
     return 0.5 * jnp.stack([a[..., 2, 1] - a[..., 1, 2], a[..., 0, 2] - a[..., 2, 0], a[..., 1, 0] - a[..., 0, 1]], -1)
 
 
 def exp_so3(phi: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
-    """Rotation by the vector `phi` [rad]: `exp(S(φ)) = I + A S + B S²`.
+    """Return the rotation by the vector `phi` [rad]: `exp(S(φ)) = I + A S + B S²`.
 
-    `A = sin θ/θ` and `B = (1 − cos θ)/θ²` are even in θ, so they are functions of `θ²` and smooth at zero.
+    `A = sin θ/θ` and `B = (1 − cos θ)/θ²` are even in θ, and thus smooth functions of `θ²`, also at zero.
     """
     square = jnp.sum(phi * phi, -1)[..., None, None]
     a, b = _sinc_and_cosc(square)
@@ -69,9 +69,9 @@ def exp_so3(phi: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
 
 
 def _sinc_and_cosc(square: Array) -> tuple[Array, Array]:
-    """`sin θ/θ` and `(1 − cos θ)/θ²` as functions of `θ²`."""
+    """Return `sin θ/θ` and `(1 − cos θ)/θ²` as functions of `θ²`."""
     is_small = square < 1e-2
-    # `where` alone is not enough: both branches are differentiated, and d√u/du is infinite at 0.
+    # `where` alone is not enough, since both branches are differentiated and d√u/du is infinite at 0.
     theta = jnp.sqrt(jnp.where(is_small, 1.0, square))
     half = jnp.sin(0.5 * theta) / (0.5 * theta)
     u = square
@@ -81,38 +81,38 @@ def _sinc_and_cosc(square: Array) -> tuple[Array, Array]:
 
 
 def axis_angle(axis: Float[Array, "*#batch 3"], angle: Float[Array, " *#batch"]) -> Float[Array, "*#batch 3 3"]:
-    """Rotation about a unit axis by an angle [rad]."""
+    """Return the rotation about a unit axis by an angle [rad]."""
     s, c = jnp.sin(angle)[..., None, None], jnp.cos(angle)[..., None, None]
     outer = axis[..., :, None] * axis[..., None, :]
     return c * jnp.eye(3, dtype=axis.dtype) + s * skew(axis) + (1.0 - c) * outer
 
 
 def safe_norm(v: Float[Array, "*batch _"]) -> Float[Array, " *batch"]:
-    """Length over the last axis, with gradient zero where the vector is zero."""
+    """Return the length over the last axis, with gradient zero for the zero vector."""
     square = jnp.sum(v * v, -1)
     is_zero = square == 0.0
     return jnp.where(is_zero, 0.0, jnp.sqrt(jnp.where(is_zero, 1.0, square)))
 
 
 def rotation_angle(r: Float[Array, "*batch 3 3"]) -> Float[Array, " *batch"]:
-    """Angle of a rotation [rad], in [0, π]; exact near both ends (no `acos`)."""
+    """Return the angle of a rotation [rad], in [0, π]; accurate near both ends, since it avoids `acos`."""
     return jnp.arctan2(safe_norm(vee_of_skew_part(r)), 0.5 * (jnp.trace(r, axis1=-2, axis2=-1) - 1.0))
 
 
 def log_so3(r: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3"]:
-    """Rotation vector of a rotation by less than half a turn: inverse of `exp_so3`."""
+    """Return the rotation vector [rad] of a rotation by less than 180°, the inverse of `exp_so3`."""
     v = vee_of_skew_part(r)
     square, cosine = jnp.sum(v * v, -1), 0.5 * (jnp.trace(r, axis1=-2, axis2=-1) - 1.0)
-    # There θ/sin θ = 1 + sin²θ/6 to the last bit. At half a turn sin θ may be zero too, and the axis is lost.
+    # For small θ, θ/sin θ = 1 + sin²θ/6 to the last bit. At 180° sin θ may be zero, and the axis is undefined.
     is_small = (cosine > 0.0) & (square < np.finfo(r.dtype).eps) | (square == 0.0)
     sine = jnp.sqrt(jnp.where(is_small, 1.0, square))
     factor = jnp.where(is_small, 1.0 + square / 6.0, jnp.arctan2(sine, cosine) / sine)
     return factor[..., None] * v
 
 
-@jax.jit  # outside a compiled function each of its operations would be compiled alone
+@jax.jit  # otherwise each operation would be compiled separately
 def rotation_from_rpy(rpy: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
-    """`Rz(yaw) Ry(pitch) Rx(roll)` for `rpy = (roll, pitch, yaw)` [rad]."""
+    """Return `Rz(yaw) Ry(pitch) Rx(roll)` for `rpy = (roll, pitch, yaw)` [rad]."""
     (sr, sp, sy), (cr, cp, cy) = jnp.moveaxis(jnp.sin(rpy), -1, 0), jnp.moveaxis(jnp.cos(rpy), -1, 0)
     return jnp.stack(
         [
@@ -125,14 +125,14 @@ def rotation_from_rpy(rpy: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3
 
 
 def rpy_from_rotation(r: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3"]:
-    """Inverse of `rotation_from_rpy`, pitch in [−π/2, π/2].
+    """Return roll, pitch and yaw [rad] of a rotation, with pitch in [−π/2, π/2]; inverse of `rotation_from_rpy`.
 
-    At gimbal lock (pitch within √ε of ±π/2) only the sum or difference of roll and yaw is defined; roll is then zero.
-    All derivatives are finite.
+    At gimbal lock (pitch within √ε of ±π/2) only the sum or difference of roll and yaw is defined, and roll is set to
+    zero. All derivatives are finite.
     """
     cos_pitch = safe_norm(jnp.stack([r[..., 0, 0], r[..., 1, 0]], -1))
     pitch = jnp.arctan2(-r[..., 2, 0], cos_pitch)
-    # There rounding moves roll and yaw by as much as the attitude moves without them.
+    # At gimbal lock rounding would change roll and yaw by as much as setting roll to zero changes the attitude.
     is_locked = cos_pitch < np.sqrt(np.finfo(r.dtype).eps)
     roll = jnp.arctan2(jnp.where(is_locked, 0.0, r[..., 2, 1]), jnp.where(is_locked, 1.0, r[..., 2, 2]))
     sine, cosine = jnp.where(is_locked, -r[..., 0, 1], r[..., 1, 0]), jnp.where(is_locked, r[..., 1, 1], r[..., 0, 0])
@@ -140,14 +140,14 @@ def rpy_from_rotation(r: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3"]
 
 
 def is_rotation(matrix: Float[Array, "3 3"]) -> Bool[Array, ""]:
-    """Return whether a matrix is a rotation to six digits; one that holds a NaN is none."""
+    """Return whether a matrix is a rotation to six digits; a matrix with NaN is not."""
     error = jnp.abs(multiply(matrix.T, matrix) - jnp.eye(3, dtype=matrix.dtype)).max()
     tolerance = 1e-6 if matrix.dtype == jnp.float64 else 1e-4
     return (error < tolerance) & (jnp.dot(cross(matrix[:, 0], matrix[:, 1]), matrix[:, 2]) > 0.0)
 
 
 def project_to_so3(near: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3 3"]:
-    """Nearest rotation to a matrix that is already close to one: two Newton–Schulz steps `R ← R (3 I − RᵀR)/2`."""
+    """Return the nearest rotation to a matrix close to one, by two Newton–Schulz steps `R ← R (3 I − RᵀR)/2`."""
     r = near
     for _ in range(2):
         r = 0.5 * r @ (3.0 * jnp.eye(3, dtype=r.dtype) - jnp.swapaxes(r, -1, -2) @ r)
@@ -155,7 +155,7 @@ def project_to_so3(near: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3 3
 
 
 def rotation_from_wxyz(wxyz: Float[Array, "*batch 4"]) -> Float[Array, "*batch 3 3"]:
-    """Rotation of a quaternion `wxyz`, normalised first."""
+    """Return the rotation of a quaternion `wxyz`, which is normalised first."""
     q = wxyz / jnp.linalg.norm(wxyz, axis=-1, keepdims=True)
     w, v = q[..., 0, None, None], q[..., 1:]
     s = skew(v)
@@ -164,9 +164,9 @@ def rotation_from_wxyz(wxyz: Float[Array, "*batch 4"]) -> Float[Array, "*batch 3
 
 
 def wxyz_from_rotation(r: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 4"]:
-    """Quaternion `wxyz` of a rotation, with `w ≥ 0`.
+    """Return the quaternion `wxyz` of a rotation, with `w ≥ 0`.
 
-    Of the four expressions that each divide by one component, the one with the largest divisor is taken.
+    Of four expressions that each divide by one component, the one with the largest divisor is used.
     """
     m = r
     trace = jnp.trace(m, axis1=-2, axis2=-1)

@@ -1,6 +1,6 @@
-"""Figures of merit of a flight's log, the same as the Rust crate's.
+"""Figures of merit of a flight's log, equal to the Rust crate's.
 
-log ──condense──► the few signals that figures are made of ──figures──► figures of merit
+log ──condense──► the few signals needed for the figures ──figures──► figures of merit
 
 Equation M81 of `docs/model.md`.
 """
@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 SETTLING_TIME = 3.0
-"""Time that a flight takes to settle after it starts out of equilibrium [s]."""
+"""Settling time after the start of a flight, which begins out of equilibrium [s]."""
 
 LEANING = np.pi / 4
-"""Rotation error beyond which a robot that still flies counts as leaning [rad]."""
+"""Rotation error beyond which a flying robot counts as leaning [rad]."""
 
 
 def condense(log: Mapping[str, Any], joint_setpoint: Any) -> dict[str, Any]:
-    """Return what `figures` needs of a log, or of one tick of it. Arrays of NumPy or of JAX."""
+    """Return the signals that `figures` needs, from a log or from one tick of it, as NumPy or JAX arrays."""
     same = (
         "time",
         "com_position",
@@ -42,7 +42,7 @@ def condense(log: Mapping[str, Any], joint_setpoint: Any) -> dict[str, Any]:
 
 
 def figures(signals: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
-    """Extremes and means of condensed signals; the first axis is time. What has no tick to be of is NaN."""
+    """Return extremes and means of condensed signals; the first axis is time. A figure without ticks is NaN."""
     time, com_error, rotation_error = signals["time"], signals["com_error"], signals["rotation_error"]
     settled = time >= SETTLING_TIME
     com_error = com_error[settled]
@@ -50,7 +50,7 @@ def figures(signals: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
     simulated, estimated = signals["simulated"], signals["estimated"]
     tick = float(time[1]) if time.size > 1 else 0.0
     kkt = signals["qp_kkt"][np.isfinite(signals["qp_kkt"])]
-    # The greater of both QPs; NaN where there is neither.
+    # The greater value of both QPs; NaN without either.
     status, iterations = (np.fmax.reduce(signals[name], axis=1) for name in ("qp_status", "qp_iterations"))
     found = {
         "max_com_error": _greatest_of(distance),
@@ -78,20 +78,20 @@ def figures(signals: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
 
 
 def _ticks_above(values: NDArray[np.float64], limit: float) -> float:
-    """Count the ticks with a greater value; NaN if one is NaN."""
+    """Return the number of ticks with a greater value; NaN if one is NaN."""
     return float(np.sum(np.where(np.isnan(values), np.nan, values > limit)))
 
 
 def _greatest(values: NDArray[np.float64]) -> float:
-    """Greatest of values that are not negative; zero if there are none."""
+    """Return the greatest of values that are not negative; zero if there are none."""
     return float(np.max(values, initial=0.0))
 
 
 def _greatest_of(values: NDArray[np.float64]) -> float:
-    """Greatest of values that are not negative; NaN if there are none."""
+    """Return the greatest of values that are not negative; NaN if there are none."""
     return float(np.max(values)) if values.size else np.nan
 
 
 def _root_mean_square(values: NDArray[np.float64]) -> float:
-    """NaN if there are no values."""
+    """Return the root mean square of the values; NaN if there are none."""
     return float(np.sqrt(np.mean(values**2))) if values.size else np.nan

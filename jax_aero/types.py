@@ -1,7 +1,7 @@
-"""The structures that pass between modules, each for one sample; `vmap` adds the batch axis in front.
+"""Structures passed between modules, each for one sample; `vmap` adds the batch axis in front.
 
-SI units and radians; vectors and Jacobians in inertial axes unless a suffix says otherwise. The axes that shapes name
-are listed in `docs/conventions.md`.
+SI units and radians; vectors and Jacobians are in inertial axes unless a suffix says otherwise. The axes named in
+shapes are listed in `docs/conventions.md`.
 
 Equation M7 of `docs/model.md`.
 """
@@ -23,21 +23,21 @@ if TYPE_CHECKING:
     Array: TypeAlias = jax.Array
 else:
     Array = jax.Array | np.ndarray | np.generic
-"""An array; before it enters a traced function it may as well be a NumPy array, which keeps its 64 bits."""
+"""An array; outside traced functions it may be a NumPy array, which keeps its 64 bits."""
 
 T = TypeVar("T")
 Tree = TypeVar("Tree")
 
 Static: TypeAlias = Annotated[T, "static"]
-"""A field of a `pytree` that is structure, not a leaf: a name, switch or length, fixed when a function is compiled."""
+"""A field of a `pytree` that is structure, not a leaf: a name, switch or length, fixed at compilation."""
 
 COMPUTED_FROM = ("time_step",)
-"""Fields that others were computed from, wherever they stand; a class names more of its own in `computed_from`."""
+"""Fields, anywhere in a tree, from which others were computed; a class adds its own in `computed_from`."""
 
 
 @dataclass_transform(frozen_default=True)
 def pytree(cls: type[T]) -> type[T]:
-    """Make a frozen dataclass whose fields are leaves or subtrees, but for those annotated `Static[...]`."""
+    """Make a frozen dataclass whose fields are leaves or subtrees, except those annotated `Static[...]`."""
     made: Any = dataclass(frozen=True)(cls)
     names = [item.name for item in fields(made)]
     static = [item.name for item in fields(made) if _is_static(item.type)]
@@ -47,22 +47,22 @@ def pytree(cls: type[T]) -> type[T]:
 
 
 def _is_static(annotation: Any) -> bool:
-    """Whether a field is structure; with postponed annotations its type is a text."""
+    """Return whether a field is structure; with postponed annotations its type is a string."""
     return "static" in getattr(annotation, "__metadata__", ()) or str(annotation).startswith("Static[")
 
 
 def leaf(value: Any) -> Shaped[Array, "..."]:
-    """Return a number of a configuration, or a list of them, as a leaf: double precision, and no weak type."""
+    """Return a number, or a list of them, as a leaf in double precision and without weak type."""
     return value if isinstance(value, jax.Array) else cast(Array, np.asarray(value, dtype=np.float64))
 
 
 def leaves(cls: type[T], settings: Any) -> T:
-    """Return a pytree whose fields are all leaves, from the values of these names in a table of a configuration."""
+    """Return a pytree of leaves only, with the values of the same names in a table of a configuration."""
     return cls(**{item.name: leaf(getattr(settings, item.name)) for item in fields(cast(Any, cls))})
 
 
 class State(NamedTuple):
-    """Where the robot is and how it moves.
+    """Pose and velocity of the robot.
 
     Velocities are *mixed*: `ν = (v_B, ω_B, ṡ)` with the velocity of the base origin and the angular velocity of the
     base, both in inertial axes.
@@ -73,7 +73,7 @@ class State(NamedTuple):
     base_rotation: Float[Array, "3 3"]
     """Rotation `inertial_from_base`."""
     joint_position: Float[Array, " n"]
-    """[rad]."""
+    """Joint positions [rad]."""
     velocity: Float[Array, " N"]
     """Mixed velocity `ν` [m/s, rad/s, rad/s]."""
 
@@ -86,17 +86,17 @@ class Kinematics(NamedTuple):
     body_positions: Float[Array, "nb 3"]
     """Origins of the bodies [m]."""
     joint_linear: Float[Array, "n 3"]
-    """Velocity that a unit rate of a joint gives its child's origin: a prismatic joint's axis, else zero."""
+    """Velocity of the child's origin per unit rate of a joint: the axis of a prismatic joint, otherwise zero."""
     joint_angular: Float[Array, "n 3"]
-    """Angular velocity that a unit rate of a joint gives its child: a revolute joint's axis, else zero."""
+    """Angular velocity of the child per unit rate of a joint: the axis of a revolute joint, otherwise zero."""
     com: Float[Array, "3"]
     """Centre of mass [m]."""
     angular_velocities: Float[Array, "nb 3"]
-    """[rad/s]."""
+    """Angular velocities of the bodies [rad/s]."""
     linear_velocities: Float[Array, "nb 3"]
     """Velocities of the bodies' origins [m/s]."""
     joint_position: Float[Array, " n"]
-    """Joint positions these are the kinematics of [rad]."""
+    """Joint positions of these kinematics [rad]."""
 
 
 class Dynamics(NamedTuple):
@@ -115,51 +115,51 @@ class Dynamics(NamedTuple):
 
 
 class LinkForces(NamedTuple):
-    """Aerodynamic state of every link."""
+    """Aerodynamic quantities of every link."""
 
     axes: Float[Array, "L 3"]
     """Unit axes of symmetry."""
     v_air: Float[Array, "L 3"]
-    """Velocity of the air relative to each link [m/s]; a network computes with that relative to the base origin."""
+    """Velocity of the air relative to each link [m/s]; a network uses that relative to the base origin instead."""
     arm_points: Float[Array, "L 3"]
-    """Points at which moments are formed [m]."""
+    """Points about whose position moments are formed [m]."""
     jacobian_points: Float[Array, "L 3"]
     """Points whose Jacobians carry the forces [m]."""
     forces: Float[Array, "L 3"]
-    """[N]."""
+    """Forces on the links [N]."""
 
 
 class Setpoint(NamedTuple):
-    """What the controller follows at one tick. Angular quantities are in axes of the desired base."""
+    """Set-point of the controller at one tick. Angular quantities are in axes of the desired base."""
 
     com_position: Float[Array, "3"]
-    """[m]."""
+    """Position of the centre of mass [m]."""
     com_velocity: Float[Array, "3"]
-    """[m/s]."""
+    """Velocity of the centre of mass [m/s]."""
     com_acceleration: Float[Array, "3"]
-    """[m/s²]."""
+    """Acceleration of the centre of mass [m/s²]."""
     com_jerk: Float[Array, "3"]
-    """[m/s³]."""
+    """Jerk of the centre of mass [m/s³]."""
     rotation: Float[Array, "3 3"]
     """Desired `inertial_from_base`."""
     angular_velocity: Float[Array, "3"]
-    """[rad/s]."""
+    """Angular velocity [rad/s]."""
     angular_acceleration: Float[Array, "3"]
-    """[rad/s²]."""
+    """Angular acceleration [rad/s²]."""
     angular_jerk: Float[Array, "3"]
-    """[rad/s³]."""
+    """Angular jerk [rad/s³]."""
 
 
 def where(condition: Bool[Array, ""], yes: Tree, no: Tree) -> Tree:
-    """Return `yes` where the condition holds and `no` elsewhere, leaf by leaf."""
+    """Return `yes` if the condition holds and `no` otherwise, for every leaf."""
     chosen: Tree = jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
     return chosen
 
 
 def joined(*parts: Float[Array, " _"]) -> Float[Array, " _"]:
-    """Return vectors one after the other.
+    """Return the concatenated vectors.
 
-    Empty ones are left out: jaxlib 0.10 compiles a slice of an empty last one to something else, or ends the process.
+    Empty ones are left out, since jaxlib 0.10 miscompiles a slice of an empty last one, or crashes.
     """
     return jnp.concatenate([part for part in parts if part.size])
 
@@ -167,13 +167,13 @@ def joined(*parts: Float[Array, " _"]) -> Float[Array, " _"]:
 def changed(tree: Tree, values: Mapping[str, Any]) -> Tree:
     """Return a scenario, or a part of it, with other numbers at dotted names such as `controller.momentum.c0`.
 
-    A number keeps the shape that it had, so that nothing compiles again.
+    A number keeps its shape, so nothing is compiled again.
 
     Raises
     ------
     ValueError
-        Naming the part that a name does not lead to, a name or value that is no number or array, the shape or type
-        that was expected, or what others were computed from: they would stay as they are.
+        If a name does not exist; if it or its value is not a number or array; if shape or type are wrong; or if other
+        leaves were computed from it, since those would not change. The message names it.
     """
     for name, value in values.items():
         tree = _changed(tree, name.split("."), name, value)
@@ -193,7 +193,7 @@ def _changed(node: Any, path: list[str], name: str, value: Any) -> Any:
 
 
 def _like(before: Any, name: str, value: Any) -> Array:
-    """Return a value as a leaf of the shape and kind of another."""
+    """Return a value as a leaf with the shape and type of another."""
     if not isinstance(before, Array | int | float):
         raise ValueError(f"`{name}` is {type(before).__name__}; expected the name of a number or an array")
     try:
@@ -209,7 +209,7 @@ def _like(before: Any, name: str, value: Any) -> Array:
 
 
 def with_dtype(tree: Tree, dtype: Any) -> Tree:
-    """Return the tree with every floating-point leaf in this precision."""
+    """Return the tree with every floating-point leaf in a precision."""
 
     def convert(leaf: Any) -> Any:
         array = np.asarray(leaf) if isinstance(leaf, float) else leaf

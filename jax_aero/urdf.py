@@ -1,6 +1,6 @@
-"""Builds a tree of bodies from a URDF: fixed and locked joints merged, names resolved, numbers checked.
+"""Construction of a tree of bodies from a URDF: fixed and locked joints merged, names resolved, numbers checked.
 
-Reads files once with NumPy in double precision; nothing here is traced.
+Files are read once, with NumPy in double precision; nothing here is traced.
 
 Equation M6 of `docs/model.md`.
 """
@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_DEPTH = 64
-"""Deepest nesting of tags, as in the crate."""
+"""Greatest nesting depth of tags, as in the crate."""
 
 Vector: TypeAlias = NDArray[np.float64]
 
 GREATEST = 1e100
-"""Largest number that is read: products of three are finite."""
+"""Largest number that is accepted, so that products of three are finite."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ IDENTITY = Pose(np.eye(3), np.zeros(3))
 
 @dataclass(frozen=True)
 class Body:
-    """A rigid body, fixed links merged; the inertia is about its centre of mass, in body axes."""
+    """A rigid body with fixed links merged; the inertia is about its centre of mass, in body axes."""
 
     name: str
     parent: int
@@ -53,7 +53,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint with one degree of freedom, and what the URDF limits it to; `None` where it does not."""
+    """A joint with one degree of freedom and its limits in the URDF; `None` if not limited there."""
 
     name: str
     is_prismatic: bool
@@ -62,16 +62,16 @@ class Joint:
     axis: Vector
     """Unit axis in child axes."""
     limits: tuple[float, float] | None
-    """Lower and upper [rad, m]."""
+    """Lower and upper limit [rad, m]."""
     torque_max: float | None
-    """[N m, N]"""
+    """Greatest torque or force [N m, N]."""
     velocity_max: float | None
-    """[rad/s, m/s]"""
+    """Greatest velocity [rad/s, m/s]."""
 
 
 @dataclass(frozen=True)
 class BodyTree:
-    """Bodies, base first (its parent is −1), the joints that move the others, and where every link is."""
+    """Bodies, base first (its parent is −1), the joints that move the others, and the pose of every link."""
 
     bodies: list[Body]
     joints: list[Joint]
@@ -86,12 +86,12 @@ class _Part:
 
 
 def read_tree(urdf_text: str, base_link: str, order: Sequence[str], locked: Mapping[str, float]) -> BodyTree:
-    """Build the tree whose moving joints are those of `order`; `locked` ones stay at their position [rad, m].
+    """Build the tree whose moving joints are those of `order`; `locked` ones are fixed at their position [rad, m].
 
     Raises
     ------
     ValueError
-        Naming the link or joint that cannot be.
+        If a link or joint is invalid; the message names it.
     """
     root = root_of(urdf_text)
     links = {attribute(element, "name"): element for element in root.iter("link")}
@@ -154,11 +154,11 @@ def read_tree(urdf_text: str, base_link: str, order: Sequence[str], locked: Mapp
 
 
 def root_of(urdf_text: str) -> ElementTree.Element:
-    """Return the root of a URDF's tags; what is none, or nests more than `MAX_DEPTH` deep, is a `ValueError`."""
+    """Return the root element of a URDF; raise `ValueError` for other texts and for nesting beyond `MAX_DEPTH`."""
     depth, root = 0, ElementTree.Element("")
     try:
         for event, element in ElementTree.iterparse(io.StringIO(urdf_text), ("start", "end")):
-            root = element  # the last one to end
+            root = element  # the last element to end
             depth += 1 if event == "start" else -1
             if depth > MAX_DEPTH:
                 raise ValueError(f"tags nest more than {MAX_DEPTH} deep")
@@ -203,7 +203,7 @@ def _child(element: ElementTree.Element, tag: str) -> ElementTree.Element:
 
 
 def attribute(element: ElementTree.Element, key: str) -> str:
-    """Return an attribute of a tag; a `ValueError` names both where it is missing."""
+    """Return an attribute of a tag; if it is missing, raise a `ValueError` that names both."""
     found = element.attrib.get(key)
     if found is None:
         raise ValueError(f"a <{element.tag}> has no `{key}`")
@@ -211,7 +211,7 @@ def attribute(element: ElementTree.Element, key: str) -> str:
 
 
 def numbers(element: ElementTree.Element, key: str, count: int, default: str | None = None) -> Vector:
-    """Read so many numbers of an attribute, none beyond `GREATEST`; a `ValueError` names tag, key and text."""
+    """Return `count` numbers of an attribute, at most `GREATEST`; a `ValueError` names tag, key and text."""
     text = attribute(element, key) if default is None else element.attrib.get(key, default)
     try:
         found = np.array([float(word) for word in text.split()])
@@ -290,7 +290,7 @@ def _parts(link: ElementTree.Element, body_from_link: Pose) -> list[_Part]:
 
 
 def _merge(name: str, parent: int, parts: Sequence[_Part]) -> Body:
-    """One body of several parts: `I = Σ I_k + m_k (d_k² 1 − d_k d_kᵀ)`, `d_k = c_k − c`."""
+    """Return one body of several parts: `I = Σ I_k + m_k (d_k² 1 − d_k d_kᵀ)`, `d_k = c_k − c`."""
     mass = sum(part.mass for part in parts)
     if mass <= 0.0:
         raise ValueError(f"mass of body `{name}` is {mass}; expected a positive mass in kg")

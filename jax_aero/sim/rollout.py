@@ -42,18 +42,18 @@ from jax_aero.types import Array
 Kept = TypeVar("Kept")
 
 CHECKPOINT_EVERY = 50
-"""Ticks between the states that reverse mode stores; those between are computed again."""
+"""Ticks between the states that reverse mode stores; intermediate states are recomputed."""
 
 CHUNK = 250
-"""Ticks that `fly` flies between two looks at the fall and at the keyboard."""
+"""Ticks that `fly` computes between checks for a loss and for Ctrl-C."""
 
 COMPILER_OPTIONS = {"xla_cpu_use_fusion_emitters": False}
-"""For `jax.jit(..., compiler_options=COMPILER_OPTIONS)` of flights: on a CPU, XLA's older generator of code for fused
-operations compiles them faster, and they run no slower (`docs/benchmarks.md`)."""
+"""Options for `jax.jit(..., compiler_options=COMPILER_OPTIONS)` of flights: on a CPU, XLA's older code generator for
+fused operations compiles them faster, and they run no slower (`docs/benchmarks.md`)."""
 
 
 def everything(row: FlightRow) -> FlightRow:
-    """Keep the whole row."""
+    """Return the whole row, for `keep` of `rollout`."""
     return row
 
 
@@ -65,15 +65,15 @@ def rollout(
     first_tick: Int[Array, ""] | int = 0,
     checkpoint_every: int = CHECKPOINT_EVERY,
 ) -> tuple[FlightState, Kept]:
-    """Fly `n_ticks` ticks; return the state after them and, tick by tick, what `keep` takes from every row.
+    """Fly `n_ticks` ticks; return the final state and, for every tick, the part of the row that `keep` returns.
 
-    Pure: `jit`, `vmap` and `grad` it. Reverse mode stores one state in `checkpoint_every` ticks and what `keep` takes,
-    so its memory does not grow with all that happens within a tick.
+    Pure, for `jit`, `vmap` and `grad`. Reverse mode only stores one state per `checkpoint_every` ticks and the results
+    of `keep`, so its memory does not depend on the intermediate values of a tick.
 
     Raises
     ------
     ValueError
-        For a negative `n_ticks`, and for `checkpoint_every` below one.
+        For a negative `n_ticks` and for `checkpoint_every` below one.
     """
     for name, value, least in (("n_ticks", n_ticks, 0), ("checkpoint_every", checkpoint_every, 1)):
         if value < least:
@@ -104,7 +104,7 @@ def rollout(
 def fly_chunk(
     scenario: Scenario, state: FlightState, first_tick: Int[Array, ""], n_ticks: int
 ) -> tuple[FlightState, FlightRow]:
-    """Fly some ticks forwards, with the whole log."""
+    """Fly some ticks with the whole log, without derivatives."""
     ticks = first_tick + jnp.arange(n_ticks, dtype=jnp.int32)
     return jax.lax.scan(partial(step, scenario), state, ticks)
 
@@ -112,21 +112,21 @@ def fly_chunk(
 def fly(
     config: ScenarioConfig | Mapping[str, Any], progress: Progress | None = None, *, dtype: Any = np.float64
 ) -> FlightResult:
-    """Fly one configuration from start to end, or until it is lost, as `rust.fly` does and with the same result.
+    """Fly one configuration to its end or until the flight is lost, with the result of `rust.fly`.
 
-    Works in double precision by default, whatever the setting of JAX.
+    Computes in double precision by default, independent of JAX's setting.
     """
     with jax.enable_x64(True):
         return run(*prepare(config, dtype=dtype), progress)
 
 
 def run(scenario: Scenario, state: FlightState, progress: Progress | None = None) -> FlightResult:
-    """Fly a scenario from this state to its end, or until it is lost; as `fly` does with one of its own."""
+    """Fly a scenario from this state to its end or until the flight is lost, as `fly` does."""
     n_ticks = int(scenario.n_ticks)
     posture = np.asarray(state.posture, np.float64)
     rows: list[FlightRow] = []
     for first in range(0, n_ticks + 1, CHUNK):
-        # Chunks are of one length, so that they compile once; the last one flies beyond the end.
+        # Chunks have equal length, so that they compile once; the last one flies beyond the end.
         state, chunk = fly_chunk(scenario, state, jnp.array(first, jnp.int32), CHUNK)
         rows.append(jax.device_get(chunk))
         if progress is not None:
@@ -142,7 +142,7 @@ def run(scenario: Scenario, state: FlightState, progress: Progress | None = None
 
 
 class Ending(NamedTuple):
-    """How a flight was lost, as in `FlightState`, and the position error up to which it is on course [m]."""
+    """Loss of a flight, as in `FlightState`, and the greatest position error of a flight on course [m]."""
 
     loss: int
     size: float
@@ -153,12 +153,12 @@ class Ending(NamedTuple):
 def finished(
     signals: Mapping[str, Any], posture: Any, ending: Ending, n_ticks: int, *, is_whole_log: bool = True
 ) -> FlightResult:
-    """Return the flight of these signals: whole rows, or condensed ones without a log. Ticks beyond its end are cut."""
+    """Return the flight of whole or condensed rows, the latter without a log, without the ticks after its end."""
     is_lost = 0 <= ending.tick <= n_ticks
     signals = {name: signal[: (ending.tick if is_lost else n_ticks) + 1] for name, signal in signals.items()}
     has_diverged = is_lost and ending.loss >= NOT_FINITE
     condensed = condense(signals, posture) if is_whole_log else signals
-    # Numbers that physics excludes are in the log, but no merit of the flight.
+    # The row that exceeds the divergence limits is in the log, but not in the figures of merit.
     summary = figures({name: signal[:-1] for name, signal in condensed.items()} if has_diverged else condensed)
     flown: Outcome = "off_course" if summary["max_com_error"] > ending.course_error else "completed"
     return FlightResult(
@@ -172,7 +172,7 @@ def finished(
 
 
 def lost_reason(loss: int, size: float) -> str:
-    """Say in words why a flight was lost, as the crate does."""
+    """Return the reason for a loss in words, as the crate does."""
     limit = np.format_float_positional(size, trim="-")
     return {
         BY_ROTATION: f"rotation error {np.rad2deg(size):.1f} deg",

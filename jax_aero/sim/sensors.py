@@ -5,7 +5,7 @@ truth ──► delay ──► + bias + noise ──► measured state and thru
 joints ──► delay ──► steps of the encoder ──► differences ──► low pass
 ```
 
-Noise is drawn before the flight. Whether encoders differentiate, and all sizes, are numbers; the length of the delay
+Noise is drawn before the flight. All sizes, and whether encoders differentiate, are numbers; the length of the delay
 line is structure.
 
 Equations M88 to M90 of `docs/model.md`.
@@ -31,43 +31,43 @@ STREAM = 2
 
 @pytree
 class Sensors:
-    """Errors of the sensors of one flight."""
+    """Errors of the sensors in one flight."""
 
     bias: Float[Array, "4 3"]
-    """Of base position, rotation, linear and angular velocity [m, rad, m/s, rad/s]."""
+    """Bias of base position, rotation, linear and angular velocity [m, rad, m/s, rad/s]."""
     noise_std: Float[Array, "4"]
-    """Of the same."""
+    """Standard deviations of the noise of the same quantities."""
     age: Int[Array, "6"]
-    """In ticks, of the same, of joints and thrusts."""
+    """Ages of the same quantities, of joints and of thrusts [ticks]."""
     noise: Float[Array, "ticks drawn"]
-    """Of standard deviation one: four sensors of three axes, then jets."""
+    """Noise of unit standard deviation: four sensors with three axes, then jets."""
     resolution: Float[Array, ""]
-    """Step of joint positions [rad, m]; zero for none."""
+    """Resolution of joint positions [rad, m]; zero for exact ones."""
     is_difference: Bool[Array, ""]
-    """Whether joint velocities are differences of positions."""
+    """Whether joint velocities are computed by differences of positions."""
     share: Float[Array, ""]
-    """Share of the way that their low pass goes per tick."""
+    """Share of a change that the low pass of joint velocities follows per tick."""
     thrust_bias: Float[Array, ""]
-    """[N]."""
+    """Bias of thrusts [N]."""
     thrust_noise_std: Float[Array, ""]
-    """[N]."""
+    """Standard deviation of the noise of thrusts [N]."""
     time_step: Float[Array, ""]
-    """[s]."""
+    """Time step [s]."""
     line: Static[int]
-    """Ticks in the delay line: the present one, and as many as the greatest age."""
+    """Length of the delay line: greatest age plus one [ticks]."""
 
 
 class SensorState(NamedTuple):
-    """Sensors from one tick to the next."""
+    """State of the sensors between two ticks."""
 
     line: Reading
-    """The last ticks, the latest first: one more axis in front."""
+    """True values of the last ticks, the latest first, along an additional first axis."""
     said: Reading
-    """Of the last tick."""
+    """Output of the last tick."""
 
 
 def sensors(config: SensorsConfig, time_step: Float[Array, ""], ticks: int, jets: int) -> Sensors:
-    """Sensors of a flight of so many ticks. Outside loops: noise is drawn here."""
+    """Return the sensors of a flight of `ticks` ticks. Call it outside loops, since it draws noise."""
     base = (config.base_position, config.base_rotation, config.base_linear_velocity, config.base_angular_velocity)
     delays = [*(sensor.delay for sensor in base), config.joints.delay, config.thrust.delay]
     age = np.floor(np.asarray(delays) / np.asarray(time_step) + 0.5).astype(np.int32)  # half a tick rounds up
@@ -89,12 +89,12 @@ def sensors(config: SensorsConfig, time_step: Float[Array, ""], ticks: int, jets
 
 
 def start(errors: Sensors, first: Reading) -> SensorState:
-    """Sensors that have seen this reading for as long as they look back."""
+    """Return sensors whose delay lines are filled with this reading."""
     return SensorState(jax.tree.map(lambda x: jnp.stack([jnp.asarray(x)] * errors.line), first), first)
 
 
 def read(errors: Sensors, before: SensorState, truth: Reading, tick: Int[Array, ""]) -> tuple[SensorState, Reading]:
-    """Read all sensors; the state of the next tick, and what they say."""
+    """Return the sensors' next state and their output for the true values of this tick."""
     line = jax.tree.map(lambda old, new: jnp.concatenate([new[None], old[:-1]]), before.line, truth)
 
     def then(sensor: int) -> State:
@@ -108,7 +108,7 @@ def read(errors: Sensors, before: SensorState, truth: Reading, tick: Int[Array, 
     gyro = turning.base_rotation.T @ turning.velocity[3:6] + angular
 
     joints, last = then(4), before.said.state
-    # Not divided by the resolution: XLA makes a multiplication of that, and ties must round alike in both languages.
+    # Multiplied by the reciprocal explicitly, as XLA does: ties must round equally in both languages.
     steps = joints.joint_position * (1.0 / jnp.where(errors.resolution > 0.0, errors.resolution, 1.0))
     rounded = errors.resolution * jnp.sign(steps) * jnp.floor(jnp.abs(steps) + 0.5)  # halves away from zero
     joint_position = jnp.where(errors.resolution > 0.0, rounded, joints.joint_position)

@@ -1,4 +1,4 @@
-"""Wind as a function of time: the velocity of the air in inertial axes, the same everywhere.
+"""Wind as a function of time: the velocity of the air in inertial axes, uniform in space.
 
 Equations M36 to M38 of `docs/model.md`.
 """
@@ -19,76 +19,76 @@ from jax_aero.types import Array, leaf, leaves, pytree
 
 @pytree
 class ConstantWind:
-    """The same all the time."""
+    """A wind that is constant in time."""
 
     velocity: Float[Array, "3"]
-    """[m/s]."""
+    """Velocity [m/s]."""
 
 
 @pytree
 class RampWind:
-    """Still, then rising linearly to a constant: the published profile."""
+    """Still air, then a linear rise to a constant wind: the published profile."""
 
     velocity: Float[Array, "3"]
-    """After the ramp [m/s]."""
+    """Velocity after the ramp [m/s]."""
     ramp_start: Float[Array, ""]
-    """[s]."""
+    """Start of the ramp [s]."""
     ramp_end: Float[Array, ""]
-    """[s]."""
+    """End of the ramp [s]."""
 
 
 @pytree
 class GustWind:
-    """A steady wind with one "1 − cos" gust on top."""
+    """A steady wind with one additional "1 − cos" gust."""
 
     velocity: Float[Array, "3"]
-    """[m/s]."""
+    """Steady velocity [m/s]."""
     gust: Float[Array, "3"]
-    """Added at the peak [m/s]."""
+    """Additional velocity at the peak [m/s]."""
     start: Float[Array, ""]
-    """[s]."""
+    """Start of the gust [s]."""
     duration: Float[Array, ""]
-    """[s]."""
+    """Duration of the gust [s]."""
 
 
 @pytree
 class RecordedWind:
-    """A recorded wind: linear between samples, constant outside."""
+    """A recorded wind: linear between samples, constant before and after them."""
 
     times: Float[Array, " k"]
-    """[s], increasing."""
+    """Times [s], increasing."""
     velocities: Float[Array, "k 3"]
-    """[m/s]."""
+    """Velocities [m/s]."""
 
 
 @pytree
 class TurbulentWind:
-    """A ramp with turbulence on top, which rises with it: a sum of waves with the spectrum of a Gauss–Markov process.
+    """A ramp with turbulence that rises with it: a sum of sines with the spectrum of a Gauss–Markov process.
 
-    Its random numbers are drawn when it is built, so that they are numbers like all others.
+    The random numbers are drawn when the wind is built and are leaves like all other numbers.
     """
 
     mean: RampWind
     std: Float[Array, "3"]
     """Standard deviation of the turbulence [m/s]."""
     time_scale: Float[Array, ""]
-    """[s]."""
+    """Time scale τ of the turbulence [s]."""
     places: Float[Array, "3 24"]
-    """Where in the spectrum each wave stands, in bands of equal variance."""
+    """Position of each sine in the spectrum, in bands of equal variance."""
     phases: Float[Array, "3 24"]
-    """[rad]."""
+    """Phases [rad]."""
 
 
 Wind: TypeAlias = ConstantWind | RampWind | GustWind | RecordedWind | TurbulentWind
 """A wind as a function of time."""
 
 WAVES = 24
-"""Waves of turbulence per axis."""
+"""Number of sines per axis."""
 TURBULENCE_STREAM = 2
 
 
 def wind_model(settings: config.WindConfig) -> Wind:
-    """Build the wind that the configuration asks for. Outside loops: files are read and waves drawn here."""
+    """Return the configured wind. Call it outside loops, since it reads files and draws random numbers."""
     match settings:
         case config.ConstantWindConfig():
             return leaves(ConstantWind, settings)
@@ -111,15 +111,15 @@ def wind_model(settings: config.WindConfig) -> Wind:
 
 
 def _waves(seed: int) -> tuple[Array, Array]:
-    """Draw the waves of turbulence: axis by axis, a place in every band and a phase."""
+    """Draw the sines of turbulence: axis by axis, a position in every band and a phase."""
     draws = noise.uniforms(seed, TURBULENCE_STREAM, 3 * WAVES * 2).reshape(3, WAVES, 2)
-    # Not up to the edge of a band: the last one has none.
+    # The edges of bands are excluded, since the upper edge of the last band has infinite frequency.
     places = (np.arange(WAVES) + 0.25 + 0.5 * draws[..., 0]) / WAVES
     return leaf(places), leaf(2.0 * np.pi * draws[..., 1])
 
 
 def wind_velocity(wind: Wind, time: Float[Array, ""]) -> Float[Array, "3"]:
-    """Velocity of the air at `time` [s]: m/s, inertial axes."""
+    """Return the velocity of the air at `time` [s] [m/s, inertial axes]."""
     match wind:
         case ConstantWind():
             return jnp.asarray(wind.velocity)
@@ -140,7 +140,7 @@ def wind_velocity(wind: Wind, time: Float[Array, ""]) -> Float[Array, "3"]:
 
 
 def _risen(wind: RampWind, time: Array) -> Array:
-    """How far the wind has risen, from 0 to 1."""
+    """Return the fraction of the ramp that has passed, from 0 to 1."""
     has_length = wind.ramp_end > wind.ramp_start
     length = jnp.where(has_length, wind.ramp_end - wind.ramp_start, 1.0)
     risen = jnp.where(time >= wind.ramp_end, 1.0, jnp.maximum((time - wind.ramp_start) / length, 0.0))
@@ -148,7 +148,7 @@ def _risen(wind: RampWind, time: Array) -> Array:
 
 
 def _turbulence(wind: TurbulentWind, time: Array) -> Array:
-    """Velocity (3,) [m/s] added to the mean: on every axis a sum of waves of equal variance.
+    """Return the velocity (3,) [m/s] added to the mean: on every axis a sum of sines of equal variance.
 
     ```text
     Σ √(2/n) σ sin(ω t + φ),   ω τ = tan(π/2 · place)      whose spectrum is  S(ω) ∝ σ² τ / (1 + ω² τ²)

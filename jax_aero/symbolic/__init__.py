@@ -1,7 +1,7 @@
-"""The third derivation of the model: from energy, momentum and their symbolic derivatives, in CasADi.
+"""A third, independent derivation of the model: from energy, momentum and their symbolic derivatives, in CasADi.
 
-Nothing here is translated from Rust or JAX. The three share numbers (TOML, URDF) and never an expression,
-so that a sign that is wrong has to be wrong three times to pass `tests/parity`.
+Nothing here is translated from Rust or JAX. The three implementations share numbers (TOML, URDF) but no expressions,
+so that a sign error passes `tests/parity` only if it is made three times.
 
     robot (numbers) ► spatial ► kinematics (tree) ► dynamics (energy) ► aero ► momentum ► contact, trim, trajectory
 

@@ -1,4 +1,4 @@
-"""Aerodynamic force on a link from the velocity it has relative to the air, after the paper.
+"""Aerodynamic force on a link from its velocity relative to the air, following the paper.
 
 Equations M19 to M22 of `docs/model.md`.
 """
@@ -18,13 +18,13 @@ from jax_aero.symbolic.robot import AeroLink, Robot
 from jax_aero.symbolic.spatial import SX
 
 ANGLE_EPSILON = 1e-9
-"""Added to the speed where the angle of attack is formed [m/s]. Source: the published controller."""
+"""Added to the speed in the angle of attack [m/s]. Source: the published controller."""
 
 ROOT_FLOOR = 1e-24
-"""Added under the root of the speed [m²/s²]: too small to show, it makes derivatives at rest finite. Ours."""
+"""Added under the root of the speed [m²/s²]: negligible, but it makes derivatives at rest finite. Ours."""
 
 LinkForce = Callable[[int, SX, SX], Any]
-"""Force (`SX`) [N] on link `i` with this unit axis and this velocity relative to the air [m/s], inertial axes."""
+"""Force (`SX`) [N] on link `i`, from its unit axis and its velocity relative to the air [m/s], inertial axes."""
 
 
 def load_aero(path: str | Path) -> dict[str, Any]:
@@ -33,7 +33,7 @@ def load_aero(path: str | Path) -> dict[str, Any]:
 
 
 def link_force(config: Mapping[str, Any], robot: Robot) -> LinkForce:
-    """Return the model of a table of `configs/aero`."""
+    """Return the model that a table of `configs/aero` describes."""
     match config["model"]:
         case "off":
             return lambda _link, _axis, _v_a: ca.SX.zeros(3)
@@ -48,7 +48,7 @@ def link_force(config: Mapping[str, Any], robot: Robot) -> LinkForce:
 def _attack(axis: SX, v_a: SX) -> tuple[SX, SX, SX, SX]:
     """Return |v_a|, cos α, sin α and (v_a × k̂) × v_a, with α the angle between v_a and the axis k̂.
 
-    The epsilon of the published cosine keeps it below 1, so the root of sin α has a derivative for wind along the axis.
+    The published epsilon keeps the cosine below 1, so the root in sin α has a derivative for wind along the axis.
     """
     speed = ca.sqrt(ca.dot(v_a, v_a) + ROOT_FLOOR)
     cos = ca.dot(axis, v_a) / (speed + ANGLE_EPSILON)
@@ -72,10 +72,10 @@ def _axisymmetric(config: Mapping[str, Any], robot: Robot) -> LinkForce:
 
 
 def _sphere_cylinder(config: Mapping[str, Any], links: Sequence[AeroLink]) -> LinkForce:
-    """Spheres and finite cylinders with the drag of the literature; M21 and M22 of `docs/model.md`.
+    """Spheres and finite cylinders with drag from the literature; M21 and M22 of `docs/model.md`.
 
-    With ρ|v|d/μ the Reynolds number, C₉₀ the drag of a cylinder across the wind (on d l, finite length) and C₀ that
-    along its axis, the drag is C₀ + (C₉₀ − C₀) sin³ α and the normal force C₉₀ sin² α cos α, then divided by sin α.
+    With the Reynolds number ρ|v|d/μ, the crosswind drag C₉₀ of a finite cylinder (on d l) and the axial drag C₀, the
+    drag is C₀ + (C₉₀ − C₀) sin³ α and the normal force C₉₀ sin² α cos α, which is then divided by sin α.
     """
     rho, mu = config["air_density"], config["dynamic_viscosity"]
     cylinder, sphere = config["cylinder"], config["sphere"]
@@ -87,7 +87,7 @@ def _sphere_cylinder(config: Mapping[str, Any], links: Sequence[AeroLink]) -> Li
     first = sphere["reynolds"][0]
 
     def sphere_drag(re: SX) -> SX:
-        # Brown and Lawler (2003) up to the table. Both branches are differentiated: none may see Re = 0.
+        # Brown and Lawler (2003) up to the table. Both branches are differentiated, so Re = 0 must be avoided.
         re = ca.fmax(re, 1e-6)
         formula = 24 / re * (1 + 0.150 * re**0.681) + 0.407 / (1 + 8710 / re)
         low = ca.if_else(re < 10, sphere["drag_below_reynolds_10"], formula)
@@ -101,7 +101,7 @@ def _sphere_cylinder(config: Mapping[str, Any], links: Sequence[AeroLink]) -> Li
         if link.is_sphere:
             return -0.5 * rho * (np.pi / 4 * d * length) * sphere_drag(re) * speed * v_a
         c90 = crosswind(re) * float(finite(d / length)) / max(cylinder["finite_length_drag"])
-        # On the area d l instead of π d²/4.
+        # Referred to the area d l instead of π d²/4.
         c0 = np.pi / 4 * d / length * float(axial(length / d)) / max(cylinder["axial_drag"]) * crosswind(re) / reference
         drag = c0 + (c90 - c0) * sin**3
         return 0.5 * rho * d * length * (c90 * sin * cos * normal - speed * drag * v_a)
@@ -110,9 +110,9 @@ def _sphere_cylinder(config: Mapping[str, Any], links: Sequence[AeroLink]) -> Li
 
 
 def _table(x: Sequence[float], y: Sequence[float]) -> Callable[[SX], SX]:
-    """Return SciPy's PCHIP through a table as an expression, constant outside it.
+    """Return SciPy's PCHIP through a table as an expression, constant beyond its ends.
 
-    A sum of what every piece of the curve adds on the way to the value: no piece is evaluated outside its own interval.
+    It is the sum of the increments of all pieces up to the argument; no piece is evaluated outside its own interval.
     """
     pieces = PchipInterpolator(x, y).c.T
 

@@ -1,4 +1,4 @@
-"""Distance of the jets' axes from the body: exhausts as segments, links as capsules."""
+"""Distance of the jets' axes from the body, with exhausts as segments and links as capsules."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from jax_aero.symbolic.kinematics import Kinematics
 from jax_aero.symbolic.spatial import SX
 
 TINY = 1e-12
-"""Keeps quotients finite where a segment is a point or two are parallel [m², m⁴]."""
+"""Keeps quotients finite if a segment is a point or two segments are parallel [m², m⁴]."""
 
 
 class Pair(NamedTuple):
-    """One exhaust and one link that it must not touch."""
+    """An exhaust and a link that must keep clear of each other."""
 
     jet: str
     link: str
     distance: SX
-    """From the axis of the jet to the surface of the link [m]; negative where the axis enters the link."""
+    """Distance from the axis of the jet to the surface of the link [m]; negative if the axis enters the link."""
 
 
 def pairs(tree: Kinematics, plume_length: float) -> list[Pair]:
-    """Return every jet with every aerodynamic link except its own turbine, and with every sole.
+    """Return all pairs of a jet with an aerodynamic link other than its own turbine, or with a sole.
 
-    The exhaust is the segment of `plume_length` [m] that leaves the nozzle, the jet frame's origin, against the thrust.
-    A link is the capsule around its cylinder (centre, axis, length, diameter); a sole the capsule along its rectangle.
+    The exhaust is the segment of `plume_length` [m] from the nozzle, the jet frame's origin, opposite to the thrust. A
+    link is the capsule around its cylinder (centre, axis, length, diameter); a sole the capsule along its rectangle.
     """
     robot = tree.robot
     found = []
@@ -52,10 +52,10 @@ def pairs(tree: Kinematics, plume_length: float) -> list[Pair]:
 
 
 def segment_distance(first: tuple[SX, SX], second: tuple[SX, SX]) -> SX:
-    """Return the distance of two segments, each given by its start and the vector to its end [m].
+    """Return the distance of two segments [m], each given by its start and the vector to its end [m].
 
-    Nearest points of two lines, the parameters clamped one after the other, as in Ericson, Real-Time Collision
-    Detection (2005), section 5.1.9. The gradient is right wherever the nearest points are unique.
+    Computes the nearest points of two lines with parameters clamped in turn, as in Ericson, Real-Time Collision
+    Detection (2005), section 5.1.9. The gradient is correct wherever the nearest points are unique.
     """
     (start_1, d_1), (start_2, d_2) = first, second
     between = start_1 - start_2

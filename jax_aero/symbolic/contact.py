@@ -1,8 +1,8 @@
-"""Contribution of feet that carry load to the momentum balance: constant wrenches, and the motion of the soles.
+"""Contribution of supporting feet to the momentum balance: constant wrenches, and the motion of the soles.
 
-A wrench (f, m) about the origin p of a sole enters the momentum rate with (f ; (p − p_G) × f + m). Differentiating that
-gives A_c by the wrench and Λ_c by the coordinates; differentiating the soles' velocities (ṗ, ω) gives J_c by ν, and
-J̇_c ν along the motion.
+A wrench (f, m) about the origin p of a sole contributes (f ; (p − p_G) × f + m) to the momentum rate. Differentiation
+with respect to the wrench gives A_c, with respect to the coordinates Λ_c. Differentiation of the soles' velocities
+(ṗ, ω) with respect to ν gives J_c, and along the motion J̇_c ν.
 
 Equations M54 and M73 of `docs/model.md`.
 """
@@ -22,7 +22,7 @@ from jax_aero.symbolic.robot import Array, Robot
 
 
 class ContactTerms(NamedTuple):
-    """Terms of one state; inertial axes, six rows or columns a foot: force or linear velocity first."""
+    """Terms of one state, inertial axes; six rows or columns per foot, force or linear velocity first."""
 
     a_c: Array
     """(6, 6 feet) momentum rate per wrench."""
@@ -35,7 +35,7 @@ class ContactTerms(NamedTuple):
 
 
 class ContactModel:
-    """Expressions of the feet of one robot, by the names of their sole frames, in the order given."""
+    """Expressions of the feet of one robot, in the order of the given names of sole frames."""
 
     def __init__(self, robot: Robot, soles: Sequence[str]) -> None:
         tree = Kinematics(robot)
@@ -66,7 +66,7 @@ class ContactModel:
         velocity: ArrayLike,
         wrenches: ArrayLike,
     ) -> ContactTerms:
-        """Evaluate every term at one state; `wrenches` (feet, 6) [N, N m]."""
+        """Return every term at one state; `wrenches` is (feet, 6) [N, N m]."""
         state = (base_position, base_rotation, joint_position, velocity)
         a_c, lambda_c, jacobian, product = self._function(*state, np.transpose(wrenches))
         return ContactTerms(a_c.full(), lambda_c.full(), jacobian.full(), product.full()[:, 0])

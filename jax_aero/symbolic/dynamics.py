@@ -23,14 +23,14 @@ class Dynamics:
 
         M = ∂²T/∂q̇²,    h = ∂²T/∂q̇∂q q̇ − ∂T/∂q + ∂V/∂q,    A_G = ∂(l, k)/∂q̇
 
-    `momentum`, `kinetic` and `potential` hold φ still; the other attributes are at φ = 0.
+    `momentum`, `kinetic` and `potential` are expressions with symbolic φ; the other attributes are at φ = 0.
     """
 
     def __init__(self, tree: Kinematics) -> None:
         robot = tree.robot
         centres = [tree.poses[part.link].point(part.centre) for part in robot.inertials]
         turns = [tree.poses[part.link].rotation for part in robot.inertials]
-        # One sweep through the tree for all rates.
+        # All rates in one pass through the tree.
         rates = tree.rate(ca.vertcat(*centres, *(ca.vec(turn) for turn in turns)))
         count = len(centres)
         centre_rates = [rates[3 * i : 3 * i + 3] for i in range(count)]
@@ -48,12 +48,12 @@ class Dynamics:
             linear += part.mass * v
             arm = centre - self.com
             scatter += part.mass * ca.mtimes(arm, arm.T) + ca.mtimes([turn, ca.DM(part.scatter), turn.T])
-            # Σ r × ṙ of points with Σ ṙ rᵀ = A is the axial vector of A − Aᵀ.
+            # The angular momentum Σ r × ṙ of points with Σ ṙ rᵀ = A is the axial vector of A − Aᵀ.
             angular += part.mass * ca.cross(arm, v) + 2 * ca.inv_skew(ca.mtimes(carried, turn.T))
         self.kinetic = kinetic
         self.potential = mass * robot.gravity * self.com[2]
         self.momentum = ca.vertcat(linear, angular)
-        # Turning all points together, ∫ r × (ω × r) dm = (tr(P) 1 − P) ω with P = ∫ r rᵀ dm.
+        # For a common rotation of all points, ∫ r × (ω × r) dm = (tr(P) 1 − P) ω with P = ∫ r rᵀ dm.
         self.locked_inertia = ca.trace(scatter) * ca.SX.eye(3) - scatter
 
         q, nu = tree.q, tree.velocity

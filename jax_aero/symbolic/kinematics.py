@@ -1,4 +1,4 @@
-"""The tree of links as transforms of the coordinates; velocities are derivatives along the motion.
+"""The tree of links as transforms that depend on the coordinates; velocities are derivatives along the motion.
 
 Equations M7 and M8 of `docs/model.md`.
 """
@@ -12,11 +12,11 @@ from jax_aero.symbolic.spatial import SX, Pose, small_turn, turn_about, turn_fro
 
 
 class Kinematics:
-    """Where every link is, as functions of the coordinates q = (p_B, φ, s).
+    """Pose of every link as a function of the coordinates q = (p_B, φ, s).
 
-    The base has the rotation `small_turn(φ) R_B`, so that with φ = 0, where everything is evaluated in the end, q̇ is
-    the mixed velocity ν = (v_B, ω_B, ṡ) of `docs/conventions.md` and q̈ its derivative. Derivatives are taken before φ
-    is set to zero; `here` sets it.
+    The base has the rotation `small_turn(φ) R_B`. At φ = 0, where everything is finally evaluated, q̇ is the mixed
+    velocity ν = (v_B, ω_B, ṡ) of `docs/conventions.md` and q̈ its derivative. Derivatives are taken before φ is set to
+    zero by `here`.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -48,5 +48,5 @@ class Kinematics:
         return ca.jtimes(expression, self.q, self.velocity)
 
     def here(self, *expressions: SX) -> list[SX]:
-        """Return expressions at the base rotation itself, φ = 0."""
+        """Return expressions at φ = 0, that is, at the base rotation itself."""
         return list(ca.substitute(list(expressions), [self._phi], [ca.SX.zeros(3)]))

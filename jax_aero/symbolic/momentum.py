@@ -2,9 +2,9 @@
 
     L̇ = Σ_i T_i (a_i ; r_i × a_i) + Σ_j (f_j ; r_j × f_j) − m g e₃    r: arm from the centre of mass
 
-Differentiating it along q̇ gives M50 to M53 of `docs/model.md`: what changes with the thrusts is A_T, what changes
-with the place and direction of the jets is Λ_T, what changes with the place of the link forces, these held constant, is
-Λ_a. What is then left over is the change of the link forces themselves, which the paper neglects: `force_rate`.
+Differentiation along q̇ gives M50 to M53 of `docs/model.md`: A_T from the change of the thrusts, Λ_T from the change of
+the jets' positions and directions, and Λ_a from the change of the points at which the link forces act, with the forces
+held constant. The remainder is the change of the link forces themselves, which the paper neglects: `force_rate`.
 
 Equations M9, M18, M27 and M56 of `docs/model.md`.
 """
@@ -27,7 +27,7 @@ from jax_aero.symbolic.spatial import SX
 
 
 class Terms(NamedTuple):
-    """Every term of one state; inertial axes, n = 6 + joints, momenta linear first."""
+    """Every term of one state, inertial axes; n = 6 + joints, momenta with linear part first."""
 
     com_position: Array
     """(3,) [m]."""
@@ -67,15 +67,15 @@ class ForceRate(NamedTuple):
     lambda_a: Array
     """Λ_a ν."""
     attitude: Array
-    """Link forces change because links turn and, turning, move: ∂f/∂q ν."""
+    """Change of link forces due to rotation of the links and the resulting motion: ∂f/∂q ν."""
     acceleration: Array
-    """Link forces change because links accelerate: ∂f/∂ν ν̇."""
+    """Change of link forces due to acceleration of the links: ∂f/∂ν ν̇."""
     wind: Array
-    """Link forces change because the wind does: ∂f/∂w ẇ."""
+    """Change of link forces due to change of the wind: ∂f/∂w ẇ."""
 
 
 class MomentumModel:
-    """Expressions of one robot in one model of the air, compiled to functions on first use."""
+    """Expressions of one robot with one aerodynamic model, compiled to functions on first use."""
 
     def __init__(self, robot: Robot, aero: Mapping[str, Any]) -> None:
         self.robot = robot
@@ -93,7 +93,7 @@ class MomentumModel:
         self.link_forces = [
             model(i, axis, velocities[3 * i : 3 * i + 3] - self.wind) for i, axis in enumerate(self.link_axes)
         ]
-        # Stand-ins for the link forces where these are to be held constant.
+        # Symbols that replace the link forces where these are held constant.
         self._held = ca.SX.sym("f", 3, len(robot.aero_links))
         self._forces = ca.horzcat(ca.SX(3, 0), *self.link_forces)
 
@@ -107,11 +107,11 @@ class MomentumModel:
         self.momentum_rate[2] -= robot.mass * robot.gravity
 
     def _with_forces(self, expression: SX) -> SX:
-        """Put the link forces in the place of their stand-ins."""
+        """Substitute the link forces for their symbols."""
         return ca.substitute(expression, self._held, self._forces)
 
     def generalised_forces(self) -> tuple[SX, SX]:
-        """Return Σ Jᵀ f of the jets and of the link forces: gradients of the work of forces held constant."""
+        """Return Σ Jᵀ f of the jets and of the link forces, as gradients of the work of constant forces."""
         tree = self.tree
         direction = ca.SX.sym("a", 3, len(self.robot.jets))
         jets = zip(ca.vertsplit(self.thrust), ca.horzsplit(direction), self.jet_points, strict=True)
@@ -123,12 +123,12 @@ class MomentumModel:
 
     @property
     def inputs(self) -> list[SX]:
-        """State, thrusts and wind: what every function of a state starts with."""
+        """State, thrusts and wind: the first arguments of every function of a state."""
         tree = self.tree
         return [tree.base_position, tree.base_rotation, tree.joint_position, tree.velocity, self.thrust, self.wind]
 
     def function(self, name: str, outputs: Sequence[SX], extra: Sequence[SX] = ()) -> Any:
-        """Return the function of `inputs` and `extra`."""
+        """Return the function of `inputs` and `extra` with these outputs."""
         return ca.Function(name, [*self.inputs, *extra], self.tree.here(*outputs))
 
     def terms(
@@ -140,7 +140,7 @@ class MomentumModel:
         thrust: ArrayLike,
         wind: ArrayLike,
     ) -> Terms:
-        """Evaluate every term at one state; arguments as in `docs/conventions.md`."""
+        """Return every term at one state; arguments as in `docs/conventions.md`."""
         values = self._terms(base_position, base_rotation, joint_position, velocity, thrust, wind)
         flat = {0, 2, 4, 7, 8, 12}
         arrays = [np.array(value.full()) for value in values]
@@ -180,9 +180,9 @@ class MomentumModel:
         thrust_rate: ArrayLike,
         wind_rate: ArrayLike,
     ) -> ForceRate:
-        """Split L̈ of one state that moves with ν̇, Ṫ and ẇ into its parts.
+        """Return the parts of L̈ at one state with the rates ν̇, Ṫ and ẇ.
 
-        Many states at once are columns: the parts then have a column for each.
+        Several states can be given as columns; the parts then have one column for each.
         """
         state = (base_position, base_rotation, joint_position, velocity, thrust, wind)
         parts = self._force_rate(*state, acceleration, thrust_rate, wind_rate)

@@ -1,4 +1,4 @@
-"""The numbers of a robot as its TOML and URDF files state them, without merging or derived values."""
+"""The numbers of a robot as stated in its TOML and URDF files, without merging or derived values."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Inertial:
-    """Mass of one URDF link, as a cloud of points: its mass, its centre, and how the points scatter about it."""
+    """Mass distribution of one URDF link as a cloud of points: total mass, centre and second moment about it."""
 
     link: str
     mass: float
-    """[kg]"""
+    """Mass [kg]."""
     centre: Array
     """(3,) centre of mass in link axes [m]."""
     scatter: Array
@@ -30,7 +30,7 @@ class Inertial:
 
 @dataclass(frozen=True)
 class Joint:
-    """A URDF joint. `index` is its place in the joint vector, or `None` for one that stays at `locked_at`."""
+    """A URDF joint. `index` is its index in the joint vector, or `None` for one that is locked at `locked_at`."""
 
     parent: str
     child: str
@@ -41,25 +41,25 @@ class Joint:
     axis: Array
     """(3,) unit axis in child axes."""
     is_prismatic: bool
-    """Whether the child slides along the axis [m] instead of turning about it [rad]."""
+    """Whether the child translates along the axis [m] instead of rotating about it [rad]."""
     index: int | None
     locked_at: float
 
 
 @dataclass(frozen=True)
 class Jet:
-    """An engine that pushes along `axis` of its frame, at the frame's origin; the exhaust leaves along −`axis`."""
+    """An engine with thrust along `axis` of its frame, at the frame's origin; the exhaust leaves along −`axis`."""
 
     name: str
     frame: str
     axis: Array
     thrust_max: float
-    """[N]"""
+    """Greatest thrust [N]."""
 
 
 @dataclass(frozen=True)
 class AeroLink:
-    """A link in the wind: where its force acts, along which axis it is symmetric, how big it is."""
+    """An aerodynamic link: the point at which its force acts, its axis of symmetry and its size."""
 
     name: str
     frame: str
@@ -82,20 +82,20 @@ class Robot:
     joint_limits: Array
     """(n, 2) lower and upper limits that the controller respects [rad]."""
     joint_torque_max: Array
-    """(n,) [N m]."""
+    """(n,) greatest torques [N m]."""
     joints: tuple[Joint, ...]
-    """All URDF joints, a parent before its children."""
+    """All URDF joints, parents before their children."""
     inertials: tuple[Inertial, ...]
     jets: tuple[Jet, ...]
     aero_links: tuple[AeroLink, ...]
     coefficients: Mapping[str, Mapping[str, Mapping[str, Any]]]
-    """By set, then by link family: `cda` (5) and `cna` [m²]."""
+    """Coefficients by set and link family: `cda` (5) and `cna` [m²]."""
     soles: Mapping[str, Array]
-    """By sole frame: (k, 3) corners in sole axes [m]."""
+    """(k, 3) corners of the soles in sole axes [m], by sole frame."""
 
     @property
     def n_joints(self) -> int:
-        """Number of joints that move."""
+        """Number of moving joints."""
         return len(self.joint_names)
 
     @property
@@ -110,7 +110,7 @@ class Robot:
 
     @property
     def hover_thrust(self) -> Array:
-        """(jets,) the weight shared among the jets in proportion to their strength [N]."""
+        """(jets,) thrusts that share the weight in proportion to the greatest thrusts [N]."""
         return np.asarray(self.mass * self.gravity * self.thrust_max / self.thrust_max.sum())
 
 
@@ -154,7 +154,7 @@ def load_robot(path: str | Path) -> Robot:
 
 
 def _joints(urdf: ET.Element, base: str, names: Sequence[str], locked: Mapping[str, float]) -> tuple[Joint, ...]:
-    """Return the joints in an order in which every parent is known before its children."""
+    """Return the joints in an order in which every parent precedes its children."""
     waiting = {element.get("name", ""): element for element in urdf.iter("joint")}
     known = {base}
     joints: list[Joint] = []

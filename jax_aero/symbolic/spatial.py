@@ -1,4 +1,4 @@
-"""Rotations and rigid transforms as expressions.
+"""Rotations and rigid transforms as symbolic expressions.
 
 Equations M2 and M3 of `docs/model.md`.
 """
@@ -28,10 +28,10 @@ def turn_from_rpy(rpy: SX) -> SX:
 
 
 def small_turn(phi: SX) -> SX:
-    """Return Cayley's rotation (1 − S(φ)/2)⁻¹ (1 + S(φ)/2).
+    """Return the Cayley rotation (1 − S(φ)/2)⁻¹ (1 + S(φ)/2).
 
-    It agrees with exp S(φ) up to second order. So at φ = 0 the rate of φ is the angular velocity and its second
-    derivative is the angular acceleration: coordinates of rotations near any given one, free of singularities there.
+    It agrees with exp S(φ) to second order. At φ = 0 the rate of φ is therefore the angular velocity and its second
+    derivative the angular acceleration: φ are local coordinates of rotations, free of singularities at φ = 0.
     """
     s = ca.skew(phi)
     return ca.SX.eye(3) + (s + 0.5 * ca.mtimes(s, s)) / (1 + 0.25 * ca.dot(phi, phi))
@@ -49,9 +49,9 @@ class Pose:
         return Pose(ca.mtimes(self.rotation, other.rotation), self.point(other.position))
 
     def point(self, point_b: SX | Array) -> SX:
-        """Take a point from frame b to frame a."""
+        """Transform a point from frame b to frame a."""
         return self.position + self.direction(point_b)
 
     def direction(self, vector_b: SX | Array) -> SX:
-        """Take a direction from frame b to frame a."""
+        """Rotate a direction from frame b to frame a."""
         return ca.mtimes(self.rotation, ca.SX(ca.DM(vector_b)) if isinstance(vector_b, np.ndarray) else vector_b)

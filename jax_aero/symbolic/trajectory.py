@@ -1,4 +1,4 @@
-"""Optimal flight from one hover to another: centroidal dynamics with aerodynamics, transcribed by collocation."""
+"""Optimal flight between two hovers: centroidal dynamics with aerodynamics, transcribed by collocation."""
 
 from __future__ import annotations
 
@@ -31,76 +31,76 @@ IPOPT: dict[str, Any] = {
 
 
 SMOOTHER = 5.0
-"""How much more effort and posture weigh in the first of two solutions. Ours."""
+"""Factor on the weights of effort and posture in the first of two solutions. Ours."""
 
 
 class Consumption(tables.Table, frozen=True):
-    """Fuel that a jet burns, linear in its thrust, through two points."""
+    """Fuel consumption of a jet, linear in its thrust, through two points."""
 
     thrust: tables.Interval
-    """[N]"""
+    """Thrusts [N]."""
     consumption: tuple[tables.NonNegative, tables.NonNegative]
-    """[l/min]"""
+    """Consumption at these thrusts [l/min]."""
 
 
 class TrajectoryConfig(tables.Table, frozen=True):
-    """An optimal flight from one point to another: what is minimised, and within which limits."""
+    """An optimal flight between two points: objective and limits."""
 
     title: str
     goal: Literal["min_time", "min_fuel"]
     flight: Path
-    """The experiment that gives robot, air, posture and wind, and that the plan is compared with."""
+    """Experiment that defines robot, aerodynamics, posture and wind, and with which the plan is compared."""
     start_time: tables.NonNegative
-    """When the flight begins to move [s]."""
+    """Time at which the motion begins [s]."""
     hold_time: tables.NonNegative
-    """Hovering after arrival [s]."""
+    """Duration of the final hover [s]."""
     start: tuple[float, float, float]
-    """Centre of mass where it hovers first [m]."""
+    """Centre of mass at the initial hover [m]."""
     end: tuple[float, float, float]
-    """Centre of mass where it hovers last [m]."""
+    """Centre of mass at the final hover [m]."""
     free_groups: tuple[str, ...]
     """Joint groups that vector the thrust."""
     yaw_deg: float
     yaw_slack_deg: tables.NonNegative
-    """How far yaw may leave its value [deg]."""
+    """Largest deviation of yaw from its initial value [deg]."""
     roll_limits_deg: tables.Interval
     pitch_limits_deg: tables.Interval
     angular_velocity_max_deg: tables.Positive
-    """Of each of roll, pitch and yaw [deg/s]."""
+    """Greatest rate of roll, pitch and yaw [deg/s]."""
     moment_max: tables.Positive
-    """Net moment about each axis through the centre of mass [N m]: what attitude feedback could not follow."""
+    """Greatest net moment about each axis through the centre of mass [N m], since attitude feedback is limited."""
     acceleration_max: tables.Positive
-    """Along each axis [m/s²]."""
+    """Greatest acceleration along each axis [m/s²]."""
     speed_max: tables.Positive
-    """[m/s]"""
+    """Greatest speed [m/s]."""
     sideways_max: tables.Positive
-    """How far the centre of mass may leave the range of y between start and end [m]."""
+    """Largest distance of the centre of mass from the range of y between start and end [m]."""
     height_min: float
-    """Of the centre of mass [m]."""
+    """Least height of the centre of mass [m]."""
     thrust_reserve: tables.Fraction
-    """Fraction of its greatest that every thrust keeps away from 0 and from its greatest, left to feedback."""
+    """Margin of every thrust from 0 and from its greatest value, as a fraction of the latter, left to feedback."""
     thrust_rate_max: tables.Positive
-    """[N/s]"""
+    """Greatest thrust rate [N/s]."""
     joint_velocity_max_deg: tables.Positive
-    """[deg/s]"""
+    """Greatest joint velocity [deg/s]."""
     duration_range: tables.Interval
-    """[s]"""
+    """Least and greatest duration [s]."""
     intervals: tables.Count
-    """Collocation intervals."""
+    """Number of collocation intervals."""
     degree: tables.Count
-    """Radau points in each interval."""
+    """Number of Radau points per interval."""
     effort_weight: tables.NonNegative
-    """On the squared thrust rates and joint velocities, each relative to its limit, integrated over time."""
+    """Weight of the squared thrust rates and joint velocities, each relative to its limit, integrated over time."""
     posture_weight: tables.NonNegative
-    """On |s − s₀|²/n, integrated over time [1/rad²]: the controller pulls joints back to the posture too."""
+    """Weight of |s − s₀|²/n, integrated over time [1/rad²]; the controller also pulls joints back to the posture."""
     sample_time: tables.Positive
-    """Between samples of the solved flight [s]."""
+    """Time between samples of the solved flight [s]."""
     fuel: dict[str, Consumption]
-    """By jet."""
+    """Fuel consumption by jet."""
 
 
 def fuel_lines(fuel: Mapping[str, Consumption], robot: Robot) -> tuple[Array, Array]:
-    """Return the consumption at zero thrust [l/s] and its slope [l/(s N)] of each jet."""
+    """Return the consumption of each jet at zero thrust [l/s] and its slope [l/(s N)]."""
     names = [jet.name for jet in robot.jets]
     if set(fuel) != set(names):
         raise Refused(f"`fuel` has {', '.join(fuel)}; expected one table for each jet: {', '.join(names)}")
@@ -115,19 +115,19 @@ def fuel_lines(fuel: Mapping[str, Consumption], robot: Robot) -> tuple[Array, Ar
 
 @dataclass(frozen=True)
 class Trajectory:
-    """A solved flight, sampled evenly; inertial axes."""
+    """A solved flight, evenly sampled; inertial axes."""
 
     success: bool
     message: str
-    """The solver's word, with the worst constraint where it failed."""
+    """Message of the solver, with the most violated constraint if it failed."""
     duration: float
-    """[s]"""
+    """Duration [s]."""
     fuel: float
-    """[l]"""
+    """Fuel burnt [l]."""
     time: Array
     """(k,) [s]."""
     com: Array
-    """(k, 4, 3) position, velocity, acceleration and jerk of the centre of mass."""
+    """(k, 4, 3) position, velocity, acceleration and jerk of the centre of mass [m, m/s, m/s², m/s³]."""
     base_rpy: Array
     """(k, 3) [rad]."""
     angular_momentum: Array
@@ -141,7 +141,7 @@ class Trajectory:
     joint_velocity: Array
     """(k, n) [rad/s]."""
     defect: float
-    """Largest violation of a constraint at the answer, in the scaled units of the problem."""
+    """Largest constraint violation of the solution, in the scaled units of the problem."""
     iterations: int
     build_time: float
     solve_time: float
@@ -153,7 +153,7 @@ class CentroidalFlight:
         x = (p_G, v_G, rpy, k, T, s)      centre of mass, its velocity, base attitude, angular momentum, thrusts, joints
         u = (Ṫ, ṡ)
 
-    The angular velocity is what makes the momentum of the tree, A_ω ω + A_s ṡ, equal k. Only the free joints appear.
+    The angular velocity ω satisfies A_ω ω + A_s ṡ = k. Only the free joints appear.
     """
 
     def __init__(self, model: MomentumModel, posture: Array, free_joints: tuple[int, ...]) -> None:
@@ -168,7 +168,7 @@ class CentroidalFlight:
         if free:
             s[free], s_dot[free] = s_free, s_dot_free
 
-        # Momentum is linear in (ω, ṡ): what turning as one body gives, and what the joints alone give.
+        # Momentum is linear in (ω, ṡ): a part from the rotation of the whole body and a part from the joints alone.
         dynamics = model.dynamics
         of_body = model.function("of_body", [dynamics.locked_inertia, dynamics.com])
         of_motion = model.function("of_motion", [dynamics.momentum])
@@ -188,7 +188,7 @@ class CentroidalFlight:
 
 
 def _angular_velocity_matrix(rpy: SX) -> SX:
-    """Return W with ω = W d(rpy)/dt: S(ω) = Ṙ Rᵀ, differentiated."""
+    """Return W with ω = W d(rpy)/dt, from S(ω) = Ṙ Rᵀ."""
     rate, turn = ca.SX.sym("rate", 3), turn_from_rpy(rpy)
     spin = ca.mtimes(ca.reshape(ca.jtimes(ca.vec(turn), rpy, rate), 3, 3), turn.T)
     return ca.jacobian(ca.vertcat(spin[2, 1], spin[0, 2], spin[1, 0]), rate)
@@ -202,19 +202,19 @@ def _inverse(a: SX) -> SX:
 
 
 class TrajectoryProblem:
-    """Radau collocation of a `CentroidalFlight` between two hovers, of free duration.
+    """Radau collocation of a `CentroidalFlight` of free duration between two hovers.
 
-    States are polynomials on every interval and continuous; inputs are continuous and linear on every interval, so
-    acceleration is continuous too. Both ends are equilibria with no input: v = 0, k = 0, v̇ = 0, k̇ = 0, u = 0, upright.
+    States are continuous, polynomial on every interval; inputs are continuous and linear on every interval, so
+    acceleration is continuous too. Both ends are upright equilibria without input: v = 0, k = 0, v̇ = 0, k̇ = 0, u = 0.
 
     Parameters
     ----------
     wind
         (3,) steady wind [m/s].
     posture
-        (n,) joint positions of the joints that stay, and of the rest to begin with [rad].
+        (n,) positions of the fixed joints, and initial positions of the free ones [rad].
     free_joints
-        Joints that vector the thrust: those of `config.free_groups`.
+        Joints that vector the thrust, from `config.free_groups`.
     """
 
     def __init__(
@@ -278,7 +278,7 @@ class TrajectoryProblem:
         effort = ca.mtimes(ca.sum1((u_inner / limits) ** 2), shares) * h
         fuel = ca.mtimes(burn, shares) * h
         self._fuel = ca.Function("fuel", [inner, duration], [fuel])
-        # Fuel as the time that a hover could last on it: effort, in seconds, weighs the same in both goals.
+        # Fuel as the duration of a hover that burns as much, so that effort has equal weight in both objectives.
         weights = ca.MX.sym("weights", 4)
         hover_burn = float(self.fuel_idle.sum() + self.fuel_slope @ model.robot.hover_thrust)
         cost = weights[0] * duration + weights[1] * fuel / hover_burn + weights[2] * effort
@@ -325,7 +325,7 @@ class TrajectoryProblem:
         return np.concatenate(lower), np.concatenate(upper)
 
     def _guess(self) -> Array:
-        """Return a minimum-jerk motion along the line, upright, the weight shared by strength of the jets."""
+        """Return an initial guess: minimum-jerk motion along the line, upright, weight shared by greatest thrust."""
         config, robot = self.config, self.model.robot
         count = config.intervals
         duration = 0.5 * (config.duration_range.lower + config.duration_range.upper)
@@ -342,10 +342,10 @@ class TrajectoryProblem:
         return np.concatenate([x.ravel(), np.zeros(self.system.nu * (count + 1)), [duration]])
 
     def solve(self) -> Trajectory:
-        """Solve and sample.
+        """Solve the problem twice and sample the second solution.
 
-        Twice: first for time and with `SMOOTHER` times the weights of effort and posture, so that both goals start from
-        the same smooth flight and end in the same local minimum; then as configured.
+        The first solution minimises time with `SMOOTHER` times the weights of effort and posture, so that both
+        objectives start from the same smooth flight and reach the same local minimum; the second is as configured.
         """
         config = self.config
         regular = np.array([config.effort_weight, config.posture_weight])
@@ -417,7 +417,7 @@ class TrajectoryProblem:
 
 
 def _lagrange(points: Array, at: float) -> Array:
-    """Return the values at one place of the polynomials that are 1 at one point and 0 at the others."""
+    """Return the values at one abscissa of the Lagrange polynomials of the points."""
     gaps = points[:, None] - points[None, :]
     np.fill_diagonal(gaps, 1.0)
     factors = np.tile(at - points, (points.size, 1))
@@ -426,7 +426,7 @@ def _lagrange(points: Array, at: float) -> Array:
 
 
 def _lagrange_derivatives(points: Array) -> Array:
-    """Return the slope of polynomial i at point j."""
+    """Return the derivative of Lagrange polynomial i at point j."""
     powers = np.polynomial.polynomial.polyvander(points, points.size - 1)
     coefficients = np.linalg.inv(powers)
     slopes = np.polynomial.polynomial.polyder(coefficients, axis=0)
@@ -434,7 +434,7 @@ def _lagrange_derivatives(points: Array) -> Array:
 
 
 def _radau_weights(points: Array) -> Array:
-    """Return the weights of the inner points that integrate polynomials over [0, 1]."""
+    """Return the weights of the inner points for the integration of polynomials over [0, 1]."""
     inner = points[1:]
     moments = 1.0 / np.arange(1, inner.size + 1)
     return np.asarray(np.linalg.solve(np.vander(inner, increasing=True).T, moments), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Trim: attitude, joints and thrusts with which the robot hovers, or flies straight, in a steady wind."""
+"""Trim: attitude, joint positions and thrusts for hovering or flying straight in a steady wind."""
 
 from __future__ import annotations
 
@@ -29,81 +29,81 @@ IPOPT: dict[str, Any] = {
     "error_on_fail": False,
     "show_eval_warnings": False,
 }
-"""Quiet, to the last digit, and without a raised exception: `Trim.solve` judges the answer itself."""
+"""Options of the solver: silent, to full precision, without exceptions, since `Trim.solve` checks the answer."""
 
 TOLERANCE = 1e-5
-"""Up to which a scaled constraint holds, and, over its span, an unknown is at a limit."""
+"""Tolerance of a scaled constraint and, relative to its range, of an unknown at a limit."""
 
 
 @dataclass(frozen=True)
 class TrimSettings:
-    """What a trim may use; SI units and radians. `configs/trim` has the sources."""
+    """Degrees of freedom and limits of a trim; SI units and radians. `configs/trim` gives the sources."""
 
     posture: Array
-    """(n,) joint positions it starts from and, with little weight, stays near [rad]."""
+    """(n,) initial joint positions, near which the trim is kept with a small weight [rad]."""
     free_joints: tuple[int, ...]
-    """Joints that may leave the posture."""
+    """Joints that may deviate from the posture."""
     roll: tuple[float, float]
     pitch: tuple[float, float]
     yaw: float
-    """Attitude of the base: limits of roll and pitch, and the yaw it keeps [rad]."""
+    """Attitude of the base: limits of roll and pitch, and the fixed yaw [rad]."""
     margin_min: float
-    """Least distance of every thrust from both its limits, as a fraction of its greatest."""
+    """Least distance of every thrust from both its limits, as a fraction of its greatest value."""
     torque_max: Array
-    """(n,) of every joint [N m]."""
+    """(n,) greatest joint torques [N m]."""
     clearance_min: float
-    """From the axis of a jet to the surface of a link [m]."""
+    """Least distance from the axis of a jet to the surface of a link [m]."""
     plume_length: float
-    """Length of a jet's axis that counts [m]."""
+    """Length of a jet's axis for which this is required [m]."""
     posture_weight: float
-    """Weight of the mean squared distance from the posture [1/rad²], against thrust over weight or margin."""
+    """Weight of the mean squared deviation from the posture [1/rad²], relative to thrust over weight or margin."""
     spread_weight: float
-    """Weight of Σ (T/T_max)²: it makes one answer of many with the same total thrust."""
+    """Weight of Σ (T/T_max)², which makes the solution unique if several have the same total thrust."""
 
 
 class Violation(NamedTuple):
-    """A constraint that cannot be met, and by how much it is missed where all are missed by as little as can be."""
+    """A constraint that cannot be met, and its violation at the least total violation of all constraints."""
 
     constraint: str
     missed_by: float
     unit: str
 
     def __str__(self) -> str:
-        """Say it in words."""
+        """Return the violation in words."""
         return f"{self.constraint} missed by {self.missed_by:.3g} {self.unit}"
 
 
 @dataclass(frozen=True)
 class TrimResult:
-    """An equilibrium, or the nearest there is to one and what stands in its way."""
+    """An equilibrium, or the state nearest to one with the constraints that prevent it."""
 
     feasible: bool
     message: str
-    """The solver's word, or the violated constraints."""
+    """Message of the solver, or the violated constraints."""
     violations: tuple[Violation, ...]
     at_limit: tuple[str, ...]
-    """Thrusts, joints and angles that stand at a limit."""
+    """Thrusts, joints and angles that are at a limit."""
     cost: float
-    """What the objective is worth, or, without a trim, by how much constraints are missed in all."""
+    """Value of the objective, or without a trim the total violation of constraints."""
     base_rpy: Array
     joint_position: Array
     thrust: Array
     joint_torque: Array
     margin: float
-    """Least distance of a thrust from a limit, as a fraction of its greatest."""
+    """Least distance of a thrust from a limit, as a fraction of its greatest value."""
     residual: Array
-    """(6,) momentum rate that is left [N, N m]."""
+    """(6,) remaining momentum rate [N, N m]."""
     aero_force: Array
-    """(3,) total [N]."""
+    """(3,) total force [N]."""
     aero_moment: Array
-    """(3,) about the centre of mass [N m]."""
+    """(3,) total moment about the centre of mass [N m]."""
     clearance: float
     """Least distance from the axis of a jet to the surface of a link [m]."""
     closest: str
-    """Which jet and link that is."""
+    """Jet and link with the least distance."""
     iterations: int
     solve_time: float
-    """[s]"""
+    """Time to solve [s]."""
 
     @property
     def total_thrust(self) -> float:
@@ -112,7 +112,7 @@ class TrimResult:
 
 
 class _Row(NamedTuple):
-    """One constraint: a name for it, its unit, its size in that unit where it counts as one."""
+    """One constraint: its name, its unit, and its scale in that unit."""
 
     name: str
     unit: str
@@ -123,13 +123,13 @@ class _Row(NamedTuple):
 
 
 class Trim:
-    """The trim problem of one robot in one model of the air, built once and solved for many winds.
+    """The trim problem of one robot with one aerodynamic model, built once and solved for many winds.
 
     Unknowns: roll, pitch, yaw of the base, joint positions s, thrusts T and the margin μ.
 
         minimise    w_T Σ T/(m g) − w_μ μ + w_s |s − s₀|²/n + w_e Σ (T/T_max)²
         subject to  L̇ = 0                                     six rows: no net force, no net moment
-                    |τ| ≤ τ_max,  τ = ∂V/∂s − Σ J_sᵀ f        the joints hold still
+                    |τ| ≤ τ_max,  τ = ∂V/∂s − Σ J_sᵀ f        joints at rest
                     μ T_max ≤ T ≤ (1 − μ) T_max
                     distance(jet axis, link) ≥ d_min
                     limits of attitude, joints and thrusts
@@ -139,7 +139,7 @@ class Trim:
         started = time.perf_counter()
         self.model, self.settings = model, settings
         self.lost: int | None = None
-        """The jet that has no thrust; attitude is free then, and thrusts keep no margin."""
+        """Index of a jet without thrust; attitude is then free, and thrusts need no margin."""
         robot = model.robot
         n, jets = robot.n_joints, len(robot.jets)
         rpy, s = ca.SX.sym("rpy", 3), ca.SX.sym("s", n)
@@ -169,7 +169,7 @@ class Trim:
         problem: dict[str, Any] = {"x": self._x, "p": self._p, "f": objective, "g": constraints}
         self._solver = ca.nlpsol("trim", "ipopt", problem, IPOPT)
 
-        # The elastic problem: constraints may be violated at an L1 cost, which leaves as few violated as possible.
+        # The elastic problem: constraints may be violated at an L1 cost, so that few are violated.
         over, under = (ca.SX.sym(name, len(rows)) for name in ("over", "under"))
         elastic: dict[str, Any] = {
             "x": ca.vertcat(self._x, over, under),
@@ -211,20 +211,20 @@ class Trim:
         settings, robot = self.settings, self.model.robot
         lower, upper = robot.joint_limits.T.copy()
         held = np.setdiff1d(np.arange(robot.n_joints), settings.free_joints)
-        # A posture may stand a hair outside a limit: the published knees do, by 0.0004 rad.
+        # A posture may be slightly outside a limit: the published knees are, by 0.0004 rad.
         lower[held] = upper[held] = settings.posture[held]
         top = robot.thrust_max
         low = [settings.roll[0], settings.pitch[0], settings.yaw, *lower, *(0.0 * top), settings.margin_min]
         high = [settings.roll[1], settings.pitch[1], settings.yaw, *upper, *top, 0.5]
         if self.lost is not None:
-            # No thrust can keep a margin that one of them lacks; any attitude short of gimbal lock will do.
+            # A jet without thrust has no margin, so none is required; attitude is only kept away from gimbal lock.
             high[3 + robot.n_joints + self.lost] = 0.0
             low[-1] = high[-1] = 0.0
             low[:2], high[:2] = [-np.pi / 2] * 2, [np.pi / 2] * 2
         return np.array(low), np.array(high)
 
     def guess(self) -> Array:
-        """Return the posture with the weight shared among the jets in proportion to their strength."""
+        """Return an initial guess: the posture, with the weight shared in proportion to the greatest thrusts."""
         settings, thrust = self.settings, self.model.robot.hover_thrust
         start = np.array([0.0, 0.0, settings.yaw, *settings.posture, *thrust, settings.margin_min])
         low, high = self.bounds()
@@ -239,7 +239,7 @@ class Trim:
     ) -> TrimResult:
         """Find the trim in a wind [m/s] at a flight velocity [m/s], both in inertial axes.
 
-        `start` is a trim nearby, to start from.
+        `start` is a nearby trim used as the initial guess.
         """
         weights = (1.0, 0.0) if objective == "min_thrust" else (0.0, 1.0)
         parameters = np.array([*np.asarray(wind), *np.asarray(velocity), *weights])
@@ -250,7 +250,7 @@ class Trim:
         iterations = int(stats["iter_count"])
         violations: tuple[Violation, ...] = ()
         if not stats["success"]:
-            # Is there no trim, or did the solver not find it? The elastic problem always has an answer.
+            # Either there is no trim or the solver failed; the elastic problem, which is always feasible, decides.
             x, cost, missed, elastic = self._nearest(parameters, low, high)
             iterations += int(elastic["iter_count"])
             violations = self._violations(missed)
@@ -266,7 +266,7 @@ class Trim:
         return np.array(answer["x"].full())[:, 0], float(answer["f"]), solver.stats()
 
     def _nearest(self, p: Array, low: Array, high: Array) -> tuple[Array, float, Array, dict[str, Any]]:
-        """Return the point that misses the constraints by least, and by how much it misses each."""
+        """Return the point of least total violation, that violation, and the violation of each constraint."""
         count, size = len(self._names), low.size
         start = np.concatenate([self.guess(), np.full(2 * count, 0.1)])
         low = np.concatenate([low, np.zeros(2 * count)])

@@ -1,9 +1,9 @@
 """Training of the network of link forces: plain JAX, single precision.
 
-    Dataset ──samples──► Samples ──fit──► Network ──distil──► a smaller Network;   checkpoint keeps a run that stops
+    Dataset ──samples──► Samples ──fit──► Network ──distil──► a smaller Network;   checkpoint stores interrupted runs
 
-A run is a function of its settings, its samples and its seed: random numbers come from the number of the epoch, so a
-run that was stopped and taken up again ends with the same bits as one that was not.
+A run is a function of its settings, samples and seed. Random numbers depend on the number of the epoch, so a run that
+was interrupted and resumed ends with the same bits as an uninterrupted one.
 """
 
 from jax_aero.train.baselines import baseline_errors

@@ -1,4 +1,4 @@
-"""Baselines for a network: the axisymmetric models, the nearest rows, and a linear map."""
+"""Baselines for a network: the axisymmetric models, nearest neighbours, and a linear map."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NEIGHBOURS = 4
 
 
 def baseline_errors(robot: RobotModel, training: Dataset, validation: Dataset) -> dict[str, float]:
-    """Mean squared errors [m⁴] over the 13 × 3 components of the validation rows, by model.
+    """Return mean squared errors [m⁴] over the 13 × 3 components of the validation rows, by model.
 
     `nearest` is the mean of the four nearest training rows, weighted by the inverse distance in wind (unit vector) and
     joints (degrees / 180); `linear` is a least-squares map from the same 22 numbers.

@@ -17,20 +17,20 @@ KIND = "checkpoint"
 
 
 class Checkpoint(NamedTuple):
-    """A run after some epochs."""
+    """State of a run after some epochs."""
 
     digest: str
-    """Of settings and samples: another run's checkpoint is refused."""
+    """Digest of settings and samples; the checkpoint of another run is refused."""
     epoch: int
-    """Epochs done."""
+    """Number of completed epochs."""
     state: Any
-    """Weights, moments of Adam, best weights so far: any tree of arrays."""
+    """Weights, moments of Adam, best weights so far: any pytree of arrays."""
     facts: dict[str, Any]
-    """Loss curves and the state of early stopping; goes through JSON."""
+    """Loss curves and the state of early stopping, stored as JSON."""
 
 
 def save_checkpoint(path: str | PathLike[str], checkpoint: Checkpoint) -> None:
-    """Write a checkpoint; the file appears complete or not at all."""
+    """Write a checkpoint; the file is written completely or not at all."""
     leaves = {f"leaf_{i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(checkpoint.state))}
     meta = json.dumps({"digest": checkpoint.digest, "epoch": checkpoint.epoch, "facts": checkpoint.facts})
     stream = io.BytesIO()
@@ -39,7 +39,7 @@ def save_checkpoint(path: str | PathLike[str], checkpoint: Checkpoint) -> None:
 
 
 def load_checkpoint(path: str | PathLike[str], like: Any, digest: str) -> Checkpoint | None:
-    """Read a checkpoint of the same run, or `None` where there is none; `like` is a tree of the same shapes.
+    """Read the checkpoint of the same run, or return `None` if there is none; `like` is a pytree of the same shapes.
 
     Raises
     ------

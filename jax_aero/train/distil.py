@@ -1,4 +1,4 @@
-"""Distillation: one network that approximates the mean of several, at the cost of one evaluation."""
+"""Distillation: one network that approximates the mean of several at the cost of one evaluation."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ def distil_samples(
     seed: int,
     with_totals: bool = False,
 ) -> Samples:
-    """Return samples answered by the mean of the teachers: the dataset's rows and `count` made-up ones.
+    """Return samples whose targets are the teachers' mean, for the dataset's rows and `count` synthetic ones.
 
-    Made up are postures between two of the dataset's, joint by joint in the same proportion, with normal deviations of
-    `spread_deg`, in winds from anywhere. What was measured does not enter: a student sees no noise of the data.
+    Synthetic postures lie between two of the dataset's, in the same proportion for every joint, with normal deviations
+    of `spread_deg` [deg]; their winds have random directions. The data's own targets and their noise are not used.
     """
     rng = np.random.default_rng(seed)
     postures = np.unique(dataset.joint_position_deg, axis=0)
@@ -44,7 +44,7 @@ def distil_samples(
 def made_up(
     rng: np.random.Generator, postures: Float[np.ndarray, "k s"], count: int, spread_deg: float
 ) -> tuple[Float[np.ndarray, "count s"], Float[np.ndarray, "count 3"]]:
-    """Return joint angles [deg] between those of postures, and unit winds."""
+    """Return synthetic joint angles [deg] between those of postures, and unit winds."""
     first, second = rng.integers(len(postures), size=(2, count))
     part = rng.uniform(size=(count, 1))
     joints = part * postures[first] + (1.0 - part) * postures[second]
@@ -54,7 +54,7 @@ def made_up(
 
 
 def mean_output(networks: Sequence[Network], x: Float[np.ndarray, "B x"]) -> Float[np.ndarray, "B y"]:
-    """Return the mean of the raw outputs of networks of one frame and layout."""
+    """Return the mean of the raw outputs of networks with equal frame and layout [m²]."""
     total = np.zeros((len(x), networks[0].scale.shape[0]))
     for network in networks:
         total += np.concatenate([np.asarray(_raw_rows(network, rows))[:count] for count, (rows,) in chunks(x)])

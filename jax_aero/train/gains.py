@@ -1,4 +1,4 @@
-"""Tunes gains and weights of a flight controller by gradients through short flights in many worlds.
+"""Tuning of a flight controller's gains and weights by gradients through short flights in many worlds.
 
 ```text
 θ     logarithms of the factors on the tuned values
@@ -6,11 +6,11 @@ c     1/n Σ ( |e|²/e₀² + φ²/φ₀² + mean(Ṫ²)/Ṫ₀² )     of a fli
 J     mean of log c over the worlds of a batch
 ```
 
-The logarithm gives every world the same weight, however hard it is. A flight that is about to be lost has a gradient
-that is larger by orders of magnitude and says nothing of the others': worlds whose gradient is longer than
-`gradient_max`, or not finite, are left out of a step, and counted. Nothing then holds the values back where flights
-begin to be lost, so unseen worlds do: a validation that is not better than the best so far takes the values back there,
-and halves the rate.
+The logarithm gives every world the same weight, whatever its difficulty. The gradient of a flight that is about to be
+lost is larger by orders of magnitude and dominates the others, so worlds whose gradient is longer than `gradient_max`,
+or not finite, are left out of a step, and counted. Since nothing else then keeps the values away from where flights are
+lost, validation does: if its cost is not less than the least so far, the values return to the best ones and the rate is
+halved.
 """
 
 from __future__ import annotations
@@ -42,37 +42,37 @@ PLACES = {
     "torque": "torque",
     "weights": "tasks",
 }
-"""Where the numbers of a table of the controller's configuration stand in `MomentumController`."""
+"""Place of the numbers of each table of the controller's configuration in `MomentumController`."""
 
 
 class Cost(tables.Table, frozen=True):
-    """Errors and efforts that cost one each."""
+    """Errors and efforts of unit cost."""
 
     position: tables.Positive
-    """Of the centre of mass [m]."""
+    """Error of the centre of mass, e₀ [m]."""
     rotation_deg: tables.Positive
-    """[deg]."""
+    """Rotation error, φ₀ [deg]."""
     thrust_rate: tables.Positive
-    """Root mean square over the jets [N/s]."""
+    """Root mean square thrust rate over the jets, Ṫ₀ [N/s]."""
     lost: tables.Positive
-    """Cost of a tick after the robot is lost."""
+    """Cost of each tick after the loss of a flight."""
 
 
 class Steps(tables.Table, frozen=True):
-    """How gains are improved."""
+    """Settings of the optimisation."""
 
     count: tables.Count
-    """Steps of Adam."""
+    """Number of Adam steps."""
     batch: tables.Count
-    """Worlds of a step; none is seen twice."""
+    """Worlds per step; none is used twice."""
     learning_rate: tables.Positive
-    """Of the logarithms, at first."""
+    """Initial learning rate of the logarithms."""
     gradient_max: tables.Positive
-    """Worlds with a longer gradient are left out of a step."""
+    """Length of a world's gradient beyond which it is left out of a step."""
     validation: tables.Count
-    """Worlds by which the answer is chosen, none of which is trained on: a multiple of `batch`."""
+    """Number of worlds that select the answer and are not trained on: a multiple of `batch`."""
     validate_every: tables.Count
-    """Steps."""
+    """Steps between validations."""
 
     def __post_init__(self) -> None:
         if self.validation % self.batch:
@@ -80,29 +80,29 @@ class Steps(tables.Table, frozen=True):
 
 
 Sample: TypeAlias = Callable[[Array, int], tuple[Array, Array]]
-"""Costs (B,) and their gradients (B, k) of the worlds of a step, or, counted from −1 down, of a part of those that
-validate."""
+"""Costs (B,) and their gradients (B, k) for the worlds of a step, numbered from 0, or for a part of the validation's
+worlds, numbered from −1 downwards."""
 
 
 class Validated(NamedTuple):
-    """A look at the worlds that are not trained on."""
+    """Result of a validation."""
 
     step: int
     cost: float
-    """Mean of log c."""
+    """Mean of log c over the validation's worlds."""
     logarithms: tuple[float, ...]
     """θ at that step."""
 
 
 class Tuned(NamedTuple):
-    """What a run has found."""
+    """Result of a run."""
 
     logarithms: Float[Array, " k"]
-    """θ of the least validation cost."""
+    """θ with the least validation cost."""
     costs: tuple[float, ...]
-    """Mean of log c of every step's worlds."""
+    """Mean of log c over the worlds of every step."""
     left_out: tuple[int, ...]
-    """Worlds of every step that were left out."""
+    """Number of worlds left out of every step."""
     validations: tuple[Validated, ...]
 
 
@@ -115,12 +115,12 @@ class _State:
 
 
 def tune(sample: Sample, size: int, steps: Steps, *, checkpoint: Path, digest: str) -> Tuned:
-    """Improve `size` numbers from zero, or from where the checkpoint stands.
+    """Optimise `size` logarithms from zero, or resume from the checkpoint.
 
     Raises
     ------
     ValueError
-        If the checkpoint belongs to another run, by its digest.
+        If the checkpoint's digest is that of another run.
     """
     theta = jnp.zeros(size)
     state, step = _State(theta, adam_start(theta), theta, jnp.asarray(steps.learning_rate)), 0
@@ -148,7 +148,7 @@ def tune(sample: Sample, size: int, steps: Steps, *, checkpoint: Path, digest: s
         state = look(state)
     while step < steps.count:
         values, gradients = sample(state.logarithms, step)
-        is_sound = jnp.linalg.norm(gradients, axis=1) <= steps.gradient_max  # not of NaN
+        is_sound = jnp.linalg.norm(gradients, axis=1) <= steps.gradient_max  # false for NaN
         mean = jnp.sum(jnp.where(is_sound[:, None], gradients, 0.0), axis=0) / jnp.maximum(jnp.sum(is_sound), 1)
         adam, theta = adam_step(state.adam, state.logarithms, mean, state.rate)
         state, step = replace(state, logarithms=theta, adam=adam), step + 1
@@ -196,12 +196,12 @@ def log_cost(scenario: Scenario, state: FlightState, cost: Cost, n_ticks: int) -
 
 
 def scaled(scenario: Scenario, keys: Sequence[str], logarithms: Float[Array, " k"]) -> Scenario:
-    """Return the scenario with the controller's values of these keys times the exponentials.
+    """Return the scenario with the controller's values at these keys multiplied by the exponentials of θ.
 
     Raises
     ------
     ValueError
-        Naming a key of which the controller has no number.
+        If the controller has no number for a key; the message names it.
     """
     values = {}
     for key, logarithm in zip(keys, logarithms, strict=True):
@@ -214,7 +214,7 @@ def scaled(scenario: Scenario, keys: Sequence[str], logarithms: Float[Array, " k
 
 
 def _place(key: str) -> str:
-    """Return where the value of a key of the controller's configuration stands in a scenario."""
+    """Return the dotted name in a scenario of the value at a key of the controller's configuration."""
     first, _, rest = key.partition(".")
     if first not in PLACES:
         raise ValueError(f"`{key}` cannot be tuned{did_you_mean(first, PLACES)}")

@@ -19,11 +19,11 @@ def batch_output(
     key: Key[Array, ""] | None = None,
     dropout: float = 0.0,
 ) -> Float[Array, "m B y"]:
-    """Output of all members, before scaling.
+    """Return the outputs of all members before scaling.
 
-    With a key, each unit of the hidden layers but the first is dropped with probability `dropout` and the others are
-    scaled up, as in the published network, which drops behind its nine square layers. Without one nothing is dropped:
-    that is how a network is validated and flown.
+    With a key, each unit of the hidden layers except the first is dropped with probability `dropout` and the others are
+    scaled up, as in the published network, which has dropout after its nine square layers. Without a key nothing is
+    dropped, as in validation and in flight.
     """
     act = ACTIVATIONS[activation]
     h = jnp.broadcast_to(x, (layers[0].weight.shape[0], *x.shape))
@@ -41,11 +41,11 @@ def batch_output(
 def total_error(
     output: Float[Array, "m B y"], y: Float[Array, "B y"], totals: Float[Array, "B 6 y"], weights: Float[Array, "6"]
 ) -> Float[Array, ""]:
-    """Mean over members and rows of `Σ_i w_i (T (output − y))_i²`, T to total force and moment; M96."""
+    """Return the mean over members and rows of `Σ_i w_i (T (output − y))_i²`, T to total force and moment; M96."""
     wrench = jnp.einsum("bij,mbj->mbi", totals, output - y)
     return jnp.mean(jnp.sum(weights * wrench**2, axis=-1))
 
 
 def mean_squared_error(output: Float[Array, "m B y"], y: Float[Array, "B y"]) -> Float[Array, ""]:
-    """Mean over members, rows and components of `(output − y)²`."""
+    """Return the mean over members, rows and components of `(output − y)²`."""
     return jnp.mean((output - y) ** 2)

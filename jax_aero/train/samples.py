@@ -27,30 +27,30 @@ from jax_aero.robot import RobotModel
 from jax_aero.types import Array
 
 CHUNK = 1024
-"""Rows that are evaluated together."""
+"""Rows evaluated together."""
 POSTURES = 32
-"""Postures whose geometry is worked out together."""
+"""Postures whose geometry is computed together."""
 
 
 class Samples(NamedTuple):
-    """What a network sees, and what it should answer, in single precision."""
+    """Inputs and targets of a network, in single precision."""
 
     x: Float[np.ndarray, "B x"]
     y: Float[np.ndarray, "B y"]
-    """Force areas in the network's frame and layout, less the baseline [m²]."""
+    """Force areas in the network's frame and layout, minus the baseline [m²]."""
     totals: Float[np.ndarray, "B 6 y"] | None = None
-    """From such areas to the total force [m²] and the total moment about the centre of mass [m³], base
-    axes; M96. Only where the loss asks for it."""
+    """Matrices from these areas to total force [m²] and total moment about the centre of mass [m³], base axes; M96.
+    `None` unless the loss uses them."""
 
     def take(self, rows: Any) -> Samples:
-        """Return some of the rows."""
+        """Return the selected rows."""
         return Samples(self.x[rows], self.y[rows], None if self.totals is None else self.totals[rows])
 
 
 def samples_of(network: Network, robot: RobotModel, dataset: Dataset, *, with_totals: bool = False) -> Samples:
-    """Return features and targets of all rows, and what they add up to if asked.
+    """Return features and targets of all rows, with the matrices of the totals if `with_totals`.
 
-    Turning the targets into link axes keeps sums of squares, so the error of a sample is that of the force areas.
+    Rotating targets into link axes preserves sums of squares, so the error of a sample is that of the force areas.
     """
     posed = (dataset.joint_position_deg, dataset.wind_b)
     samples = make_samples(network, robot, *posed, dataset.force_area_b)
@@ -64,7 +64,7 @@ def make_samples(
     wind_b: Float[np.ndarray, "B 3"],
     force_area_b: Float[np.ndarray, "B L 3"] | None,
 ) -> Samples:
-    """Return features of joint angles [deg] and winds, and targets of areas if there are."""
+    """Return the features of joint angles [deg] and winds, and the targets of force areas [m²] if given."""
     areas = np.zeros((len(wind_b), robot.aero_links.count, 3)) if force_area_b is None else force_area_b
     with jax.enable_x64(True):
         x, y = _in_chunks(_sample_rows, network, robot, joint_position_deg, wind_b, areas)
@@ -74,7 +74,7 @@ def make_samples(
 def totals_of(
     network: Network, robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"], wind_b: Float[np.ndarray, "B 3"]
 ) -> Float[np.ndarray, "B 6 y"]:
-    """Return the map from a network's outputs to total force and moment about the centre of mass; M96."""
+    """Return the matrices from a network's outputs to total force and moment about the centre of mass; M96."""
     arms = link_arms(robot, joint_position_deg)
     with jax.enable_x64(True):
         (totals,) = _in_chunks(_total_rows, network, robot, joint_position_deg, wind_b, arms)
@@ -82,13 +82,13 @@ def totals_of(
 
 
 def predict_areas(network: Network, robot: RobotModel, dataset: Dataset) -> Float[np.ndarray, "B L 3"]:
-    """Return the network's force areas [m²] for the rows of a dataset, base axes; weights as they are."""
+    """Return the network's force areas [m²] for the rows of a dataset, base axes, in its present precision."""
     with jax.enable_x64(True):
         (areas,) = _in_chunks(_area_rows, network, robot, dataset.joint_position_deg, dataset.wind_b)
     return np.asarray(areas, dtype=np.float64)
 
 
-# Compiled once per architecture: rows come in chunks of one size, postures too.
+# Compiled once per architecture, since rows and postures come in chunks of fixed size.
 
 
 @jax.jit
@@ -128,7 +128,7 @@ def _geometries(robot: RobotModel, angles: Array) -> LinkGeometry:
 def posture_geometry(
     robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"]
 ) -> tuple[LinkGeometry, Int[np.ndarray, " B"]]:
-    """Return the geometry of the different postures among rows [deg], and each row's place among them."""
+    """Return the geometry of the distinct postures among rows [deg], and each row's index among them."""
     postures, number = np.unique(joint_position_deg, axis=0, return_inverse=True)
     parts = []
     with jax.enable_x64(True):
@@ -142,7 +142,7 @@ def posture_geometry(
 
 
 def chunks(*arrays: Any) -> Iterator[tuple[int, list[Any]]]:
-    """Yield pieces of `CHUNK` rows and how many of them count; the last is filled up with copies of its first row."""
+    """Yield chunks of `CHUNK` rows with the number of valid rows; the last is padded with copies of its first row."""
     for start in range(0, len(arrays[0]), CHUNK):
         pieces = [array[start : start + CHUNK] for array in arrays]
         count = len(pieces[0])

@@ -1,6 +1,6 @@
-"""Comparison of the Rust crate with JAX, on the same states and through the same flight.
+"""Comparison of the Rust crate with JAX, on the same states and in the same flight.
 
-Kernels are compared relative to the largest entry of the crate's answers, flights by the absolute difference of every
+Kernels are compared relative to the largest entry of the crate's results, flights by the absolute difference of every
 logged signal. `jax_aero.verify.command` is the command line.
 """
 
@@ -20,10 +20,10 @@ QP_TOLERANCE = 1e-8
 FLIGHT_TOLERANCE = 1e-6
 
 TRUSTED_WHEN_LOST = 8.0
-"""A lost flight is chaotic before its end: its traces are compared up to this time [s], its outcome as a whole."""
+"""Time up to which the signals of a lost flight are compared [s], since it is chaotic before its end."""
 
 SOLUTIONS = {"thrust_rate", "joint_velocity_command", "unlimited_torque", "joint_torque"}
-"""Quantities that a QP solved for, or that follow from one."""
+"""Quantities that are solutions of a QP or follow from one."""
 
 
 @dataclass
@@ -38,28 +38,28 @@ class Row:
     absolute: float = 0.0
     """Greatest difference."""
     scale: float = 0.0
-    """Greatest entry of the crate's answers; one sample may be a small difference of large numbers."""
+    """Greatest entry of the crate's results over all samples, since in one sample it may be a small difference."""
 
     @property
     def relative(self) -> float:
-        """Greatest difference over greatest entry."""
+        """Greatest difference divided by the greatest entry."""
         return self.absolute / self.scale if self.scale > 0.0 else self.absolute
 
     @property
     def agrees(self) -> bool:
-        """Whether the difference is within the tolerance; NaN is not."""
+        """Whether the difference is within the tolerance; false for NaN."""
         return bool((self.relative if self.is_relative else self.absolute) <= self.tolerance)
 
 
 class Comparison:
-    """Collects the worst difference of every quantity."""
+    """Collection of the greatest difference of every quantity."""
 
     def __init__(self) -> None:
         self._rows: dict[tuple[str, str], Row] = {}
 
     @property
     def rows(self) -> list[Row]:
-        """One row for every quantity, in the order they were first seen."""
+        """Rows of all quantities, in order of their first comparison."""
         return list(self._rows.values())
 
     def add(
@@ -68,7 +68,7 @@ class Comparison:
         """Record the difference between `ours` and `theirs`."""
         ours, theirs = np.asarray(ours, np.float64), np.asarray(theirs, np.float64)
         row = self._rows.setdefault((group, quantity), Row(group, quantity, tolerance, relative))
-        # NaN must win; `max` would drop it.
+        # `np.maximum` propagates NaN; `max` would drop it.
         row.absolute = float(np.maximum(row.absolute, np.max(np.abs(ours - theirs), initial=0.0)))
         row.scale = max(row.scale, float(np.max(np.abs(theirs), initial=0.0)))
 
@@ -143,7 +143,7 @@ def verify_ticks(config: Mapping[str, Any], samples: Sequence[Sample], group: st
 
 
 def tick_quantities(command: Any, terms: Any) -> dict[str, Any]:
-    """Give every value of a tick the name it has in `rust.Tick`."""
+    """Return every value of a tick by its name in `rust.Tick`."""
     link, momentum, attitude = terms.link_forces, terms.momentum, terms.attitude
     shaping, following = terms.momentum_qp, terms.torque_qp
     return {
@@ -188,7 +188,7 @@ def crate_quantity(tick: rust.Tick, name: str) -> Any:
 def verify_flight(
     config: Mapping[str, Any], comparison: Comparison, backend: str = "tree"
 ) -> tuple[rust.FlightResult, rust.FlightResult]:
-    """Compare a whole flight, signal by signal and tick by tick; return the crate's and ours."""
+    """Compare a whole flight, signal by signal and tick by tick; return the results of the crate and of JAX."""
     from jax_aero.sim import fly
 
     expected = rust.fly(config)
@@ -197,14 +197,14 @@ def verify_flight(
     trusted = expected["time"] <= (TRUSTED_WHEN_LOST if expected.lost_time is not None else np.inf)
     last = min(np.count_nonzero(trusted), len(ours["time"]))
     for name, signal in expected.log.items():
-        if name not in ("qp_iterations", "qp_kkt"):  # those belong to the solver, not to the solution
+        if name not in ("qp_iterations", "qp_kkt"):  # properties of the solver, not of the solution
             same = _same_branch(name, ours[name][:last], signal[:last])
             comparison.add("flight", name, same, signal[:last], FLIGHT_TOLERANCE, relative=False)
     return expected, ours
 
 
 def _same_branch(name: str, ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Take, of the numbers that mean the same rotation, those next to the crate's: this robot starts at a yaw of π."""
+    """Return, of equivalent angles, those nearest to the crate's, since this robot starts at a yaw of π."""
     if name == "base_quaternion":
         return np.asarray(ours * np.where(np.sum(ours * theirs, axis=1) < 0.0, -1.0, 1.0)[:, None])
     if name == "base_rpy_setpoint":
@@ -212,12 +212,12 @@ def _same_branch(name: str, ours: NDArray[np.float64], theirs: NDArray[np.float6
     return ours
 
 
-# --- where it is compared ------------------------------------------------------------------------------------------
+# --- samples -------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Sample:
-    """Measurement and set-point of a tick, and posture, first inertia and integral of the state before it."""
+    """Measurement and set-point of a tick; posture, initial inertia and integral of the state before it."""
 
     state: rust.State
     thrust: NDArray[np.float64]
@@ -227,7 +227,7 @@ class Sample:
 
 
 def random_states(rng: np.random.Generator, limits: NDArray[np.float64], count: int) -> Iterator[rust.State]:
-    """States with the base anywhere, fast, and the joints within their limits."""
+    """Yield states with random base poses, high velocities, and joints within their limits."""
     for _ in range(count):
         wxyz = rng.normal(size=4)
         joints = rng.uniform(limits[:, 0], limits[:, 1])
@@ -236,7 +236,7 @@ def random_states(rng: np.random.Generator, limits: NDArray[np.float64], count: 
 
 
 def random_samples(config: Mapping[str, Any], count: int, seed: int = 0) -> list[Sample]:
-    """Ticks far from any flight: thrusts up to their limits, strong wind, far set-points."""
+    """Return ticks unlike any flight: thrusts up to their limits, strong wind, distant set-points."""
     rng, robot = np.random.default_rng(seed), rust.Robot(config["robot"])
     n_joints, n_jets = len(robot.joint_names), len(robot.jet_names)
     samples = []
@@ -254,7 +254,7 @@ def random_samples(config: Mapping[str, Any], count: int, seed: int = 0) -> list
 
 
 def recorded_samples(config: Mapping[str, Any], flight: rust.FlightResult, count: int) -> list[Sample]:
-    """Ticks of a recorded flight, evenly spread; memory and set-point as they were, the integral at zero."""
+    """Return evenly spaced ticks of a recorded flight, with its state and set-point but an integral of zero."""
     robot, log = rust.Robot(config["robot"]), flight.log
 
     def state_at(tick: int) -> rust.State:
@@ -276,7 +276,7 @@ def recorded_samples(config: Mapping[str, Any], flight: rust.FlightResult, count
 
 
 def in_double_precision(config: dict[str, Any]) -> dict[str, Any]:
-    """Return the configuration with its networks in double precision: in single, both round differently."""
+    """Return the configuration with networks in double precision, since in single both would round differently."""
     for part in ("simulator", "controller"):
         if config[part]["aero"]["model"] == "network":
             config[part]["aero"]["precision"] = "f64"

@@ -1,4 +1,4 @@
-"""Comparison of the Rust crate with JAX. Both are run on the same states and through the same flight.
+"""Comparison of the Rust crate with JAX, on the same states and in the same flight.
 
     jax-aero verify                                    # TEST2: random and recorded states, whole flight
     jax-aero verify --config test2_published --set wind.velocity=[0,-12,0]
@@ -6,8 +6,8 @@
     jax-aero verify --robot my_robot.toml              # another robot: its kinematics and dynamics
     jax-aero verify --config test4                     # the network, in double precision
 
-Prints a table, writes it beside a figure, and exits with 1 if anything disagrees. Kernels are compared relative to the
-largest entry of the crate's answers, flights by the absolute difference of every logged signal.
+Prints a table, writes it with a figure, and exits with status 1 if anything disagrees. Kernels are compared relative to
+the largest entry of the crate's results, flights by the absolute difference of every logged signal.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from jax_aero.verify import (
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Compare, print and write; 0 if everything agrees, 1 if not, 2 for a mistake in the arguments."""
+    """Compare, print and write; return 0 if everything agrees, 1 if not, 2 for invalid arguments."""
     options = _parse(arguments)
     return exit_status(lambda: _compare(options))
 
@@ -97,7 +97,7 @@ def _config(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def table(rows: Sequence[Row]) -> str:
-    """Write the rows as a Markdown table."""
+    """Return the rows as a Markdown table."""
     head = f"| {'group':8} | {'quantity':26} | max abs  | max rel  | tolerance     | verdict   |"
     rule = f"|{'-' * 10}|{'-' * 28}|---------:|---------:|---------------|-----------|"
     lines = [
@@ -113,7 +113,7 @@ def _verdict(row: Row) -> str:
 
 
 def draw(rows: Sequence[Row], path: Path) -> bool:
-    """Draw every difference beside its tolerance; `False` without matplotlib."""
+    """Draw every difference beside its tolerance; return `False` without matplotlib."""
     try:
         from matplotlib.figure import Figure
     except ImportError:
@@ -134,7 +134,7 @@ def draw(rows: Sequence[Row], path: Path) -> bool:
 
 
 def write(rows: Sequence[Row], folder: Path, facts: Mapping[str, Any]) -> list[Path]:
-    """Write table, numbers and figure; return what was written."""
+    """Write table, numbers and figure; return the paths written."""
     text, numbers, figure = folder / "verify.md", folder / "verify.json", folder / "verify.png"
     heading = "\n".join(f"{name}: {value}" for name, value in facts.items())
     write_text(text, f"# Rust against JAX\n\n{heading}\n\n{table(rows)}\n")

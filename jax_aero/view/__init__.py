@@ -1,9 +1,9 @@
-"""See a flight: `python -m jax_aero view` in a browser, `video` and `snapshot` as files.
+"""Viewing of flights: `python -m jax_aero view` in a browser, `video` and `snapshot` as files.
 
 ```
 run.nc or rust.FlightResult ► Recording ► Instant ► drawing ► page (viser) or offscreen (MuJoCo) ► video, snapshot
 ```
-Nothing here is imported by the rest of the library; what it needs besides is the extra `view`.
+The rest of the library does not import this package; its own dependencies are the extra `view`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from jax_aero.command import Refused as Refused
 
 
 def require(modules: Iterable[str], purpose: str) -> None:
-    """Raise `Refused`, with how to install them, unless these modules can be imported."""
+    """Raise `Refused`, with instructions to install them, if these modules cannot be imported."""
     for module in modules:
         try:
             importlib.import_module(module)
@@ -25,7 +25,7 @@ def require(modules: Iterable[str], purpose: str) -> None:
 
 
 def check_out(out: Path, *suffixes: str) -> None:
-    """Raise `Refused` where `out` has another ending or would lie in no folder: before any work is done."""
+    """Raise `Refused` if `out` has a wrong suffix or its folder does not exist; call it before any work."""
     if out.suffix not in suffixes:
         raise Refused(f"`{out}` does not end in {' or '.join(suffixes)}; expected a file like flight{suffixes[0]}")
     if not out.parent.is_dir():

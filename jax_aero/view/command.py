@@ -24,8 +24,8 @@ def view(words: Sequence[str]) -> int:
         "with other wind, controller, aerodynamics. Without RESULT the baseline is flown.",
     )
     parser.add_argument("results", nargs="*", metavar="RESULT", help=f"{RESULT}; at most two")
-    parser.add_argument("--robot", metavar="FILE", help="TOML file of the robot, where a result does not lead to it")
-    parser.add_argument("--host", default="127.0.0.1", help="where to listen (default: this machine alone)")
+    parser.add_argument("--robot", metavar="FILE", help="TOML file of the robot, if a result does not name it")
+    parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: this machine only)")
     parser.add_argument("--port", type=int, default=8080, help="port; the next free one if it is taken (default 8080)")
     given = parser.parse_args(words)
     return exit_status(lambda: _serve(given))
@@ -53,7 +53,7 @@ def _serve(given: Any) -> int:
 
 
 def _check_address(host: str, port: int) -> None:
-    """Refuse what cannot be listened on; what is merely taken is left to the server, which tries the next port."""
+    """Refuse an invalid address; if a port is in use, the server tries the next one."""
     if not 0 <= port <= 65535:
         raise Refused(f"port is {port}; expected 0 (any) to 65535")
     try:
@@ -71,8 +71,8 @@ def video(words: Sequence[str]) -> int:
     parser.add_argument("--ghost", metavar="RESULT", help="another flight, drawn translucent beside it")
     parser.add_argument("--fps", type=float, default=30.0, help="pictures per second (default 30)")
     parser.add_argument("--speed", type=float, default=1.0, help="flight seconds per second of video (default 1)")
-    parser.add_argument("--start", type=float, default=0.0, metavar="S", help="where to begin [s]")
-    parser.add_argument("--end", type=float, metavar="S", help="where to stop [s] (default: the end of the flight)")
+    parser.add_argument("--start", type=float, default=0.0, metavar="S", help="start time [s]")
+    parser.add_argument("--end", type=float, metavar="S", help="end time [s] (default: the end of the flight)")
     given = parser.parse_args(words)
 
     def work() -> int:
@@ -103,7 +103,7 @@ def snapshot(words: Sequence[str]) -> int:
     parser = Parser("snapshot", "Draw one moment of a flight, or several in one picture.")
     _common(parser, Path("flight.png"), "1920x1080")
     parser.add_argument(
-        "--at", type=float, nargs="+", default=[], metavar="S", help="moments [s] (default: six, evenly spread)"
+        "--at", type=float, nargs="+", default=[], metavar="S", help="times [s] (default: six, evenly spaced)"
     )
     given = parser.parse_args(words)
 
@@ -147,9 +147,9 @@ def export(words: Sequence[str]) -> int:
 
 def _files(parser: Parser, out: Path) -> None:
     parser.add_argument("result", metavar="RESULT", help=RESULT)
-    parser.add_argument("--out", type=Path, default=out, metavar="FILE", help=f"what to write (default {out})")
-    parser.add_argument("--overwrite", action="store_true", help="replace a file that is there")
-    parser.add_argument("--robot", metavar="FILE", help="TOML file of the robot, where the result does not lead to it")
+    parser.add_argument("--out", type=Path, default=out, metavar="FILE", help=f"file to write (default {out})")
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
+    parser.add_argument("--robot", metavar="FILE", help="TOML file of the robot, if the result does not name it")
 
 
 def _common(parser: Parser, out: Path, size: str) -> None:
@@ -172,7 +172,7 @@ def _size(text: str) -> tuple[int, int]:
 
 
 class _Bar:
-    """A progress bar, where tqdm is installed and the output is a terminal."""
+    """A progress bar, if tqdm is installed and the output is a terminal."""
 
     def __init__(self, unit: str) -> None:
         self.unit = unit

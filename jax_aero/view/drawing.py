@@ -1,6 +1,6 @@
 """Drawing of one time of a flight, in the browser and in files: colours, scales, arrows, plumes, meshes.
 
-Colours are those Okabe and Ito chose to stay distinct for colour-blind readers.
+The colours are from the palette of Okabe and Ito, which colour-blind readers can distinguish.
 """
 
 from __future__ import annotations
@@ -37,32 +37,32 @@ ROLES: dict[Role, Colour] = {
 
 @dataclass(frozen=True)
 class Scales:
-    """Lengths that quantities are drawn with."""
+    """Lengths of arrows and plumes per unit of the quantity drawn."""
 
     force: float = 0.15
-    """[m/N]"""
+    """Length per force [m/N]."""
     thrust: float = 0.0036
-    """[m/N]"""
+    """Length per thrust [m/N]."""
     wind: float = 0.08
-    """[m per m/s]"""
+    """Length per wind speed [m per m/s]."""
 
     @property
     def reference_force(self) -> float:
-        """A round force whose arrow is about 0.3 m long [N]: what a legend shows."""
+        """Round value of a force whose arrow is about 0.3 m long [N], for a legend."""
         wanted = 0.3 / self.force
         power = 10.0 ** np.floor(np.log10(wanted))
         return float(power * max(step for step in (1.0, 2.0, 5.0) if step <= 1.0001 * wanted / power))
 
 
 class Placed(NamedTuple):
-    """Where things are: (n, 3) positions [m] and (n, 3, 3) rotations, inertial axes."""
+    """Poses: (n, 3) positions [m] and (n, 3, 3) rotations, inertial axes."""
 
     positions: Vector
     rotations: Vector
 
 
 def place(shapes: Sequence[Shape], instant: Instant) -> Placed:
-    """Return centres and axes of primitives."""
+    """Return positions and rotations of shapes at an instant."""
     bodies = [shape.body for shape in shapes]
     offsets = np.array([shape.body_from_shape.position for shape in shapes])
     turns = np.array([shape.body_from_shape.rotation for shape in shapes])
@@ -71,7 +71,7 @@ def place(shapes: Sequence[Shape], instant: Instant) -> Placed:
 
 
 def force_arrows(look: Look, instant: Instant, scales: Scales) -> Vector:
-    """Tail and tip of the aerodynamic force on every link, where it acts, (links, 2, 3)."""
+    """Return tail and tip of the arrow of each link's aerodynamic force, at its point of action, (links, 2, 3) [m]."""
     if not look.links:
         return np.zeros((0, 2, 3))
     bodies = [link.body for link in look.links]
@@ -81,7 +81,7 @@ def force_arrows(look: Look, instant: Instant, scales: Scales) -> Vector:
 
 
 class Plumes(NamedTuple):
-    """Cones of exhaust: nozzle [m], direction as z axis, length [m] in proportion to thrust; first axis jets."""
+    """Cones of exhaust, one per jet: nozzle [m], direction as z axis, length [m] proportional to thrust."""
 
     positions: Vector
     rotations: Vector
@@ -89,7 +89,7 @@ class Plumes(NamedTuple):
 
 
 PLUME_RADIUS = 0.042  # m
-OVERHEAD = 0.82  # m, height of the wind's arrow over the centre of mass
+OVERHEAD = 0.82  # m, height of the wind's arrow above the centre of mass
 
 
 def plumes(look: Look, instant: Instant, scales: Scales) -> Plumes:
@@ -104,7 +104,7 @@ def plumes(look: Look, instant: Instant, scales: Scales) -> Plumes:
 
 
 def wind_arrow(instant: Instant, scales: Scales) -> Vector | None:
-    """Tail and tip of an arrow over the robot, (2, 3); `None` in still air."""
+    """Return tail and tip of an arrow above the robot, (2, 3) [m]; `None` in still air."""
     speed = float(np.linalg.norm(instant.wind))
     if speed < 0.1:
         return None
@@ -114,14 +114,14 @@ def wind_arrow(instant: Instant, scales: Scales) -> Vector | None:
 
 
 def cylinder() -> Mesh:
-    """Radius and height 1, about the origin, edges slightly rounded."""
+    """Return a cylinder of radius and height 1 about the origin, with slightly rounded edges."""
     flat, side = (0.93, 0.5), (1.0, 0.47)
     bottom, rise = (0.93, -0.5), (1.0, -0.47)
     return revolve([(0.0, -0.5), bottom, bottom, rise, rise, side, side, flat, flat, (0.0, 0.5)])
 
 
 def sphere() -> Mesh:
-    """Radius 1, about the origin."""
+    """Return a sphere of radius 1 about the origin."""
     angles = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 15)
     return revolve([(max(float(np.cos(a)), 0.0) if abs(a) < 1.57 else 0.0, float(np.sin(a))) for a in angles])
 

@@ -1,4 +1,4 @@
-"""Text on pictures (Pillow): title, numbers, outcome, scale, and elapsed time."""
+"""Text in pictures (Pillow): title, numbers, outcome, scale, and elapsed time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PAPER: Colour = (255, 255, 255)
 
 @functools.lru_cache
 def font(size: int) -> Any:
-    """Pillow's own font at a size in pixels: nothing has to be installed."""
+    """Return Pillow's own font at a size in pixels, which needs no installation."""
     return ImageFont.load_default(size=size)
 
 
@@ -35,7 +35,7 @@ def letter_video(
     *,
     ended: Sequence[Recording],
 ) -> Any:
-    """Put everything a frame of a video says onto it, with outcomes of `ended` flights; (h, w, 3) in and out."""
+    """Add all text to a frame of a video, with the outcomes of `ended` flights; (h, w, 3) in and out."""
     picture = Image.fromarray(pixels)
     draw = ImageDraw.Draw(picture, "RGBA")
     width, height = picture.size
@@ -72,7 +72,7 @@ def letter_video(
 def text(
     draw: ImageDraw.ImageDraw, place: tuple[float, float], words: str, size: int, colour: Colour, anchor: str = "la"
 ) -> None:
-    """Write with a light rim, so that it reads on any ground."""
+    """Write text with a light outline, legible on any background."""
     draw.text(
         place, words, font=font(size), fill=colour, anchor=anchor, stroke_width=max(size // 12, 1), stroke_fill=PAPER
     )
@@ -81,7 +81,7 @@ def text(
 def legend(
     draw: ImageDraw.ImageDraw, place: tuple[float, float], size: int, scales: Scales, pixels_per_metre: float
 ) -> None:
-    """Draw what the colours mean, from the bottom line upwards; the bars are as long as the quantity they name."""
+    """Draw the legend of colours, upwards from the bottom line, with bars of the length of the named quantity."""
     force = scales.reference_force
     rows: list[tuple[Colour, float, str]] = [
         (drawing.TRAIL, 0.2, "its path"),
@@ -107,7 +107,7 @@ def badge(
     anchor: str,
     words: str | None = None,
 ) -> None:
-    """Draw the outcome, or other words of it, on its colour."""
+    """Draw the outcome, or `words` instead, on a background of the outcome's colour."""
     words = recording.verdict if words is None else words
     colour = drawing.COMPLETED if recording.outcome == "completed" else drawing.FELL
     left, top, right, bottom = draw.textbbox(place, words, font=font(size), anchor=anchor)
@@ -119,7 +119,7 @@ def badge(
 def profile(
     draw: ImageDraw.ImageDraw, box: tuple[int, int, int, int], recording: Recording, times: list[float], size: int
 ) -> None:
-    """Draw the path from the side, or from above where it turns, with the instants marked and numbered."""
+    """Draw the path from the side, or from above if it turns, with the times marked and numbered."""
     s = recording.signals
     left, top, right, bottom = box
     turns = float(np.ptp(s["com_setpoint"][:, 1])) > 2.0
@@ -161,7 +161,7 @@ def profile(
 
 
 def _ticks(low: float, high: float, about: int) -> list[float]:
-    """Round numbers between two."""
+    """Return round numbers between two limits."""
     coarse = (high - low) / about
     power = 10.0 ** np.floor(np.log10(coarse))
     step = power * min((f for f in (1.0, 2.0, 5.0, 10.0) if f >= coarse / power), default=10.0)

@@ -16,15 +16,15 @@ from jax_aero.view.recording import Instant, Recording
 from jax_aero.view.shapes import Look
 
 LIT = {drawing.FORCE: (0, 78, 170), drawing.WIND: (60, 160, 240), drawing.PLUME: (248, 140, 0)}
-"""Colours that come out as those of the legend under the lights of the page, which turn them towards green."""
+"""Colours that appear as those of the legend under the page's lights, which shift them towards green."""
 
 MESHES = {"cylinder": drawing.cylinder, "sphere": drawing.sphere, "box": box}
 
 
 class RobotNodes:
-    """One robot in the scene: primitives, and for a solid one its forces and plumes.
+    """One robot in the scene: its shapes, and for a solid robot its forces and plumes.
 
-    Everything hangs on a frame at the centre of mass, so that instances stay near their node's origin.
+    All nodes are children of a frame at the centre of mass, so that instances stay near their node's origin.
     """
 
     def __init__(self, server: viser.ViserServer, name: str, look: Look, *, ghost: bool) -> None:
@@ -57,7 +57,7 @@ class RobotNodes:
             )
 
     def show(self, instant: Instant, scales: Scales) -> None:
-        """Move everything to where it is at an instant."""
+        """Move everything to its pose at an instant."""
         self.root.position = tuple(instant.com)
         for shapes, handle in self.groups:
             _move(handle, drawing.place(shapes, instant), instant.com)
@@ -71,7 +71,7 @@ class RobotNodes:
             self.arrows.points = (arrows - instant.com).astype(np.float32)
 
     def remove(self) -> None:
-        """Take the robot out of the scene."""
+        """Remove the robot from the scene."""
         self.root.remove()
 
 
@@ -100,14 +100,14 @@ def _move(handle: Any, placed: Placed, origin: Any) -> None:
 
 
 def sky() -> Any:
-    """Return a picture behind the scene that fades from light blue to white at the horizon, (h, w, 3)."""
+    """Return a background picture that fades from light blue to white at the horizon, (h, w, 3)."""
     share = np.clip(np.linspace(0.0, 3.0, 240), 0.0, 1.0)[:, None, None]
     image = (1.0 - share) * np.array([205.0, 224.0, 242.0]) + share * 255.0
     return np.broadcast_to(image.astype(np.uint8), (240, 8, 3))
 
 
 def thinned(recording: Recording, name: str, until: float) -> Any:
-    """Return a path up to a time, ten points a second and the last one, (n, 3)."""
+    """Return a path up to a time, with ten points per second and the last one, (n, 3) [m]."""
     t = recording.signals["time"]
     end = max(int(np.searchsorted(t, until + 1e-9)), 1)
     step = max(round(0.1 / (t[1] - t[0])), 1) if t.size > 1 else 1
@@ -115,6 +115,6 @@ def thinned(recording: Recording, name: str, until: float) -> Any:
 
 
 def segments(path: Any) -> Any:
-    """Return lines between neighbours, (n, 2, 3); one of no length where there is a single point."""
+    """Return the lines between neighbouring points, (n, 2, 3); for a single point a line of zero length."""
     path = path if len(path) > 1 else np.repeat(path, 2, axis=0)
     return np.stack([path[:-1], path[1:]], axis=1).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Pictures of a flight by MuJoCo's offscreen renderer, in software or on a GPU, without a window."""
+"""Pictures of a flight from MuJoCo's offscreen renderer, in software or on a GPU, without a window."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ Image = NDArray[np.uint8]
 
 BACKENDS = ("egl", "osmesa")
 FIELD_OF_VIEW_DEG = 38.0
-GROUND = 400.0  # m, half an edge
-SUN = (0.25, 0.35, -1.0)  # direction of its light
+GROUND = 400.0  # m, half the edge length
+SUN = (0.25, 0.35, -1.0)  # direction of the sunlight
 SHADOW: Colour = (92, 96, 106)
 
 Viewpoint = Literal["chase", "side"]
 
 
 class Camera(NamedTuple):
-    """Where the picture is taken from: a point looked at [m], and angles and distance [m] from there.
+    """Viewpoint of a picture: the point looked at [m], and the camera's angles [deg] and distance [m] from it.
 
     `azimuth_deg` is the direction of view about +z from +x, `elevation_deg` negative from above.
     """
@@ -53,9 +53,9 @@ mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
 
 @functools.lru_cache
 def find_backend() -> str:
-    """Name the first way to draw without a window that works here: `MUJOCO_GL` if set, else EGL, else OSMesa.
+    """Return the first working offscreen backend: `MUJOCO_GL` if set, otherwise EGL, then OSMesa.
 
-    Tried in processes of their own: a library that cannot be used may take the process with it.
+    Each is tried in a separate process, since an unusable library may crash it.
 
     Raises
     ------
@@ -81,14 +81,14 @@ def find_backend() -> str:
 
 
 class Studio:
-    """Takes pictures of a recording, and of a ghost in the same scene; a context manager: it holds an OpenGL context.
+    """Renderer of a recording, and of a ghost in the same scene; a context manager, since it holds an OpenGL context.
 
     Parameters
     ----------
     recording
-        What to show.
+        Flight to show.
     width, height
-        Of the pictures [pixels].
+        Size of the pictures [pixels].
     ghost
         Another flight, drawn translucent.
     """
@@ -116,7 +116,7 @@ class Studio:
         self.data = mujoco.MjData(self.model)
         flights = [flight for flight in (recording, ghost) if flight is not None]
         orders = [mujoco_model.order_of(str(f.robot_path), tuple(f.robot.joint_names)) for f in flights]
-        # The ghost's positions stand behind the robot's: seven of its base, and its joints.
+        # The ghost's positions follow the robot's: seven of its base, then its joints.
         starts = (0, 7 + len(recording.robot.joint_names))
         self._flights = list(zip(flights, starts, [order.joints for order in orders], strict=False))
         self._cone = self.model.mesh("cone").id
@@ -126,7 +126,7 @@ class Studio:
         self._scene = mujoco.MjvScene(self.model, maxgeom=6000)
         self._option = mujoco.MjvOption()
         self._option.sitegroup[:] = 0
-        # Last, as what has a context must be closed.
+        # Last, since everything with a context must be closed.
         self._context = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
         self._context.make_current()
         self._drawer = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_100)
@@ -137,11 +137,11 @@ class Studio:
 
     def __exit__(self, *_: object) -> None:
         self._drawer.free()
-        # It frees itself when it is dropped; at the end of the process it would be too late.
+        # Freed here explicitly, since at the end of the process it would be too late.
         del self._drawer, self._context
 
     def picture(self, time: float, camera: Camera, *, trail: bool = True) -> Image:
-        """Draw one moment [s], (height, width, 3), without any text."""
+        """Return the picture at a time [s], (height, width, 3), without text."""
         mj, scene = self._mj, self._scene
         instant = self.recording.at(time)
         self._pose(time)
@@ -165,7 +165,7 @@ class Studio:
         return np.ascontiguousarray(pixels[::-1])
 
     def pixels_per_metre(self, camera: Camera) -> float:
-        """Scale of the picture at the distance of what the camera looks at."""
+        """Return the scale of the picture at the distance of the point looked at [pixels/m]."""
         return float(0.5 * self.height / np.tan(0.5 * np.deg2rad(FIELD_OF_VIEW_DEG)) / camera.distance)
 
     def _pose(self, time: float) -> None:
@@ -205,7 +205,7 @@ class Studio:
     def _cone_at(
         self, base: Vector, rotation: Vector, radius: float, height: float, colour: Colour, opacity: float = 1.0
     ) -> None:
-        # A mesh has one size, but the matrix of a geom may stretch it. MuJoCo keeps meshes in their principal axes.
+        # A mesh has one size, but the matrix of a geom can scale it. MuJoCo keeps meshes in their principal axes.
         stretched = rotation * np.array([radius, radius, height])
         offset, turn = self._cone_from_mesh
         geom = self._geom(
@@ -216,7 +216,7 @@ class Studio:
             geom.dataid = 2 * self._cone
 
     def _add_shadow(self) -> None:
-        """Lay every shape flat on the ground, along the light, as thin as a sheet of paper."""
+        """Draw every shape projected onto the ground along the light, with negligible thickness."""
         flatten = np.array([[1.0, 0.0, -SUN[0] / SUN[2]], [0.0, 1.0, -SUN[1] / SUN[2]], [0.0, 0.0, 1e-3]])
         for number, shape in enumerate(self.look.shapes):
             own = self.model.geom(f"shape_{number}").id
@@ -250,7 +250,7 @@ class Studio:
             self._path("com_position", instant.time, drawing.TRAIL, 0.009)
 
     def _path(self, name: str, until: float, colour: Colour, radius: float) -> None:
-        """Draw a signal between 20 s ago and `until`, as far as it moves."""
+        """Draw the path of a signal over the last 20 s before `until`, if it moves."""
         t = self.recording.signals["time"]
         first, last = np.searchsorted(t, [until - 20.0, until])
         points = self.recording.signals[name][first : max(last, first + 1) : 10]
@@ -268,9 +268,9 @@ class Studio:
 
 
 def display_model(recording: Recording, width: int, height: int, ghost: Recording | None = None) -> Any:
-    """MuJoCo's model of the robot as `mujoco_model` builds it, dressed for pictures: it has no geometry of its own.
+    """Return MuJoCo's model of the robot from `mujoco_model`, which has no geometry, with shapes for pictures.
 
-    A ghost is a second robot in it, whose names begin with `ghost_`.
+    A ghost is a second robot in it, with names that begin with `ghost_`.
     """
     spec = _robot_spec(recording, is_ghost=False)
     if ghost is not None:
@@ -283,7 +283,7 @@ def display_model(recording: Recording, width: int, height: int, ghost: Recordin
 
 
 def _robot_spec(recording: Recording, *, is_ghost: bool) -> Any:
-    """Return a robot with the shapes of its look, in the colours of their roles or in a ghost's."""
+    """Return a robot with the shapes of its look, coloured by role or as a ghost."""
     import mujoco
 
     from jax_aero import mujoco_model
@@ -338,7 +338,7 @@ def _mujoco_size(shape: Shape) -> list[float]:
 
 
 def _add_world(spec: Any, width: int, height: int) -> None:
-    """Ground with lines every metre, sky, sun."""
+    """Add a ground with lines every metre, sky and sun."""
     import mujoco
 
     spec.add_texture(
@@ -386,7 +386,7 @@ def _add_world(spec: Any, width: int, height: int) -> None:
     spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
     spec.visual.global_.fovy = FIELD_OF_VIEW_DEG
     spec.visual.quality.offsamples = 4
-    # Relative to the extent, which the huge ground would otherwise set.
+    # Relative to this extent, which would otherwise be that of the large ground.
     spec.stat.extent = 2.0
     spec.stat.center = [0.0, 0.0, 1.0]
     spec.visual.map.znear, spec.visual.map.zfar = 0.02, 200.0
@@ -394,9 +394,9 @@ def _add_world(spec: Any, width: int, height: int) -> None:
 
 
 def camera_at(recording: Recording, time: float, viewpoint: Viewpoint, distance: float = 3.3) -> Camera:
-    """Return a camera that goes with the centre of mass: from behind and above, or from the robot's right.
+    """Return a camera that follows the centre of mass: from behind and above, or from the robot's right.
 
-    It turns with the reference heading, so that a tumbling robot does not turn the world.
+    It rotates with the reference heading, so that the picture stays upright when the robot tumbles.
     """
     s = recording.signals
     yaw = np.rad2deg(np.unwrap(s["base_rpy_setpoint"][:, 2]))

@@ -1,4 +1,4 @@
-"""Connections that the page accepts: those of its own tab, and of programs that are not browsers."""
+"""Connections that the page accepts: from its own browser tab and from programs other than browsers."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from typing import Any
 import websockets.asyncio.server
 
 ADDRESS = r"\d+\.\d+\.\d+\.\d+|\[[0-9a-fA-F:.]+\]"
-"""An address instead of a name: no other site can stand behind it that is not at that address."""
+"""An address instead of a name; only the site at that address can use it."""
 
 
 def allowed(host: str) -> list[Any]:
-    """Return what the header `Origin` of a connection may be, for a page that listens on `host`.
+    """Return the accepted values of a connection's header `Origin`, for a page that listens on `host`.
 
-    A browser sends the site that a script came from. Scripts of other sites, which could otherwise read and steer the
-    page, name themselves there; so do foreign names that resolve to this machine.
+    A browser sends the origin of the script. Scripts of other sites, which could otherwise read and control the page,
+    are thus recognised, also under foreign names that resolve to this machine.
     """
     return [None, re.compile(rf"https?://{_host(host)}")]
 
 
 def _host(host: str) -> str:
-    """Pattern of a page's own host, with or without port."""
+    """Return a pattern of a page's own host, with or without port."""
     names = "|".join(re.escape(name) for name in {"localhost", host, socket.gethostname()})
     return rf"({names}|{ADDRESS})(:\d+)?"
 
 
 def _of_own_host(host: str, answer: Any) -> Any:
-    """Wrap `answer`, which serves files: a request to another name gets 403.
+    """Wrap `answer`, which serves files, to answer requests to other host names with 403.
 
-    That name may belong to a site that lets it point to this machine, and whose scripts would then be of one origin
-    with the page (DNS rebinding).
+    Another name may belong to a site that resolves it to this machine, whose scripts would then have the same origin as
+    the page (DNS rebinding).
     """
     own = re.compile(_host(host))
 
@@ -50,7 +50,7 @@ def _of_own_host(host: str, answer: Any) -> Any:
 
 @contextmanager
 def own_origins(host: str) -> Iterator[None]:
-    """Let a server that is started inside accept connections of its own page alone."""
+    """Make servers that are started inside the block accept connections from their own page only."""
     module: Any = websockets.asyncio.server
     serve = module.serve
 

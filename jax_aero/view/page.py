@@ -1,4 +1,4 @@
-"""The page in the browser: scene, panel, playback, and flights flown while it is open (viser)."""
+"""The page in the browser: scene, panel, playback, and flights computed while it is open (viser)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from jax_aero.view.recording import Recording, from_flight
 from jax_aero.view.settings import ARMS, CONTROLLERS, MODELS, Settings, apply, can_change_wind, settings_of
 
 FRAME_RATE = 30.0  # pictures per second of playback
-NUMBERS_RATE = 5.0  # how often numbers and plot follow
+NUMBERS_RATE = 5.0  # updates of numbers and plot per second
 STRONGEST_WIND = 30.0  # m/s
 STRONGEST_FEEDBACK = 2.0
 SPEEDS = {"¼×": 0.25, "1×": 1.0, "2×": 2.0, "5×": 5.0}
@@ -31,16 +31,16 @@ NO_GHOST = "none"
 
 
 class Page:
-    """What is served: one solid flight, at most one ghost, controls that repeat the solid flight.
+    """The page: one solid flight, at most one ghost, and controls that repeat the solid flight.
 
     Parameters
     ----------
     recordings
-        Results to look at: the first is solid, a second one the ghost. None: TEST1 is flown.
+        Results to show: the first is solid, a second one the ghost. If empty, TEST1 is flown.
     config
-        What the controls change; the first result's where that has one.
+        Configuration that the controls change; by default the first result's, if it has one.
     host, port
-        Where to listen; port 0 lets the system choose.
+        Address to listen on; for port 0 the system chooses one.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class Page:
         self.lock = threading.RLock()
         self.wake = threading.Condition()
         self.ended = threading.Event()
-        # It prints its address, whatever `verbose` says.
+        # Viser prints its address even if `verbose` is off.
         with contextlib.redirect_stdout(io.StringIO()), own_origins(host):
             self.server = viser.ViserServer(host=host, port=port, label="jax-aero", verbose=False)
         try:
@@ -83,12 +83,12 @@ class Page:
 
     @property
     def url(self) -> str:
-        """Where the page is."""
+        """Address of the page."""
         host = self.server.get_host()
         return f"http://{'localhost' if host in ('127.0.0.1', '0.0.0.0') else host}:{self.server.get_port()}"
 
     def close(self) -> None:
-        """Stop playing, flying and serving."""
+        """Stop playback, flights and server."""
         self.ended.set()
         with self.wake:
             self.wake.notify_all()
@@ -106,7 +106,7 @@ class Page:
         scene.configure_default_lights(enabled=True, cast_shadow=True)
         scene.add_light_hemisphere("/sky", sky_color=(255, 255, 255), ground_color=(190, 190, 195), intensity=2.1)
         scene.set_background_image(sky())
-        # Following moves the scene instead of the camera, which the user controls.
+        # The scene moves instead of the camera, which the user controls.
         self.world = scene.add_frame("/world", show_axes=False)
         self.ground = scene.add_grid(
             "/world/ground",
@@ -143,7 +143,7 @@ class Page:
         self.server.initial_camera.look_at = (0.0, 0.0, 0.75)
 
     def _show_flights(self) -> None:
-        """Set up everything that depends on which flights are shown."""
+        """Build everything that depends on the flights shown."""
         with self.lock, self.server.atomic():
             for nodes in (self.robot, self.ghost_robot):
                 if nodes is not None:
@@ -156,7 +156,7 @@ class Page:
             self._show_or_hide()
 
     def _new_flight(self) -> None:
-        """Set up what depends on the flights, but not on their robots."""
+        """Build what depends on the flights but not on their robots."""
         with self.lock, self.server.atomic():
             reference_path = thinned(self.solid, "com_setpoint", self.solid.duration)
             self.path.points = segments(reference_path)
@@ -167,14 +167,14 @@ class Page:
             self._go(min(self.now, self._duration()))
 
     def _show_plot(self) -> None:
-        """Plot the chosen signal of the flights that are shown."""
+        """Plot the selected signal of the flights shown."""
         with self.lock, self.server.atomic():
             self.chart = panel.Chart(self.solid, self.ghost, self.signal.value)
             self.plot.series, self.plot.scales, self.plot.axes = self.chart.series, self.chart.scales, self.chart.axes
             self.plot.data = self.chart.data(self.now)
 
     def _go(self, time_s: float) -> None:
-        """Go to a moment: robot, time field, numbers and plot."""
+        """Go to a time [s]: robot, time field, numbers and plot."""
         with self.lock, self.server.atomic():
             self._show(time_s)
             self.time.value = round(time_s, 2)
@@ -202,7 +202,7 @@ class Page:
         return max(flight.duration for flight in (self.solid, self.ghost) if flight is not None)
 
     def _show(self, time_s: float) -> None:
-        """Show one moment."""
+        """Show the robot at a time [s]."""
         with self.lock, self.server.atomic():
             self.now = time_s
             instant = self.solid.at(time_s)
@@ -212,7 +212,7 @@ class Page:
                 self.ghost_robot.show(self.ghost.at(time_s), self.scales)
             if self.follow.value:
                 self.world.position = (-instant.com[0], -instant.com[1], 0.75 - instant.com[2])
-            else:  # the camera stands, and turns towards the robot
+            else:  # the camera stays and turns towards the robot
                 for client in self.server.get_clients().values():
                     client.camera.look_at = tuple(np.asarray(self.world.position) + instant.com)
             arrow = drawing.wind_arrow(instant, self.scales)
@@ -238,7 +238,7 @@ class Page:
         gui.configure_theme(
             control_width="large",
             show_logo=False,
-            show_share_button=False,  # it would tunnel the page to the internet
+            show_share_button=False,  # sharing would expose the page to the internet
             brand_color=drawing.FORCE,
         )
         gui.set_panel_label("jax-aero")
@@ -349,7 +349,7 @@ class Page:
             self._show_flights()
 
     def _pin(self) -> None:
-        """Make the flight that is shown the ghost of those that follow."""
+        """Make the flight shown the ghost of the following ones."""
         with self.lock:
             if not any(self.solid is one for one in self.results):
                 self.results.append(self.solid)
@@ -358,7 +358,7 @@ class Page:
             self.compare.value = labels[next(i for i, one in enumerate(self.results) if one is self.solid)]
 
     def _scrubbed(self, event: Any) -> None:
-        if event.client is None:  # playback moved it
+        if event.client is None:  # moved by playback
             return
         self._show(float(self.time.value))
         self._show_numbers()
@@ -407,7 +407,7 @@ class Page:
                     self._show_numbers()
 
     def _fly(self) -> None:
-        """Fly the latest settings; settings changed meanwhile are skipped."""
+        """Fly with the latest settings; settings changed in the meantime are skipped."""
         while True:
             with self.wake:
                 self.wake.wait_for(lambda: self.wanted is not None or self.ended.is_set())
@@ -429,7 +429,7 @@ class Page:
 
 
 def _labels(recordings: Sequence[Recording]) -> list[str]:
-    """Return a different short name for every recording."""
+    """Return a distinct short name for every recording."""
     labels: list[str] = []
     for recording in recordings:
         label, number = recording.title, 1

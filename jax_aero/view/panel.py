@@ -17,7 +17,7 @@ from jax_aero.view import drawing
 from jax_aero.view.drawing import Colour, Scales
 from jax_aero.view.recording import Recording
 
-POINTS = 600  # of the plot
+POINTS = 600  # in the plot
 ROTATION_ERROR = "rotation error"
 """Angle between base and set-point."""
 LEAN = "lean"
@@ -32,12 +32,12 @@ COLOURS = [_hex(one) for one in (drawing.FELL, drawing.FORCE, drawing.PLUME, dra
 
 
 def note(text: str) -> str:
-    """Return a sentence."""
+    """Return a text as a highlighted note in HTML."""
     return f'<div style="padding:0.4em 1em;font-size:0.85em;color:{_hex(drawing.FELL)}">{html.escape(text)}</div>'
 
 
 def card(solid: Recording, ghost: Recording | None) -> str:
-    """How the flights ended and what they achieved, as a table with a column each."""
+    """Return outcomes and figures of merit as a table with one column per flight."""
     flights = [solid] if ghost is None else [solid, ghost]
     heads = "".join(
         f'<th style="text-align:left;font-weight:600;padding:0.15em 0.4em;vertical-align:bottom">'
@@ -77,7 +77,7 @@ def _badge(flight: Recording) -> str:
 
 
 def numbers(flight: Recording, time: float) -> str:
-    """Return the moment in one or two lines."""
+    """Return the numbers at a time [s] in one or two lines."""
     now, jets = flight.at(time), flight.robot.jet_names
     parts = [
         f"rotation error {np.rad2deg(now.rotation_error):.1f}°",
@@ -97,7 +97,7 @@ def numbers(flight: Recording, time: float) -> str:
 
 @dataclass(frozen=True)
 class Chart:
-    """What is plotted over time: of the solid flight, and dashed of a ghost.
+    """A plot over time: solid flight as a line, ghost dashed.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class Chart:
     signal: str
 
     def data(self, now: float) -> tuple[Any, ...]:
-        """Return times [s], every curve, and a spike at `now`."""
+        """Return times [s], every curve, and a spike at time `now` [s]."""
         times = np.linspace(0.0, self._end, POINTS)
         curves = [curve for flight in self._flights for curve in _curves(flight, self.signal, times)]
         place = int(np.searchsorted(times, now))
@@ -123,12 +123,12 @@ class Chart:
 
     @property
     def scales(self) -> dict[str, uplot.Scale]:
-        """Ranges: NaN, after a fall, would spoil what the plot finds itself."""
+        """Return the axis ranges, since the plot's own choice fails with NaN after a fall."""
         return {"x": uplot.Scale(time=False, range=(0.0, self._end)), "y": uplot.Scale(range=self._range)}
 
     @property
     def series(self) -> tuple[uplot.Series, ...]:
-        """Lines, in the order of `data`."""
+        """Return the lines, in the order of `data`."""
         lines = [uplot.Series(label="time [s]")]
         for flight in self._flights:
             is_ghost = flight is not self.solid
@@ -141,7 +141,7 @@ class Chart:
 
     @property
     def axes(self) -> tuple[uplot.Axis, ...]:
-        """Axes with their units; which signal it is stands over the plot."""
+        """Return the axes with units; the signal's name is above the plot."""
         unit = "°" if self.signal in (ROTATION_ERROR, LEAN) else rust.signals()[self.signal].unit.split(" (")[0]
         return (
             uplot.Axis(label="time [s]", labelSize=18, size=26),
@@ -166,7 +166,7 @@ class Chart:
 
 
 def signals(flights: Sequence[Recording]) -> list[str]:
-    """Return what can be plotted of all these flights."""
+    """Return the signals that all these flights have."""
     others = [name for name in rust.signals() if name not in ("time", "rotation_error")]
     return [ROTATION_ERROR, LEAN] + [name for name in others if all(name in flight.signals for flight in flights)]
 
@@ -191,7 +191,7 @@ def _curves(flight: Recording, signal: str, times: Any) -> list[Any]:
 
 
 def legend(scales: Scales) -> str:
-    """Return what the colours are, and how long a newton is."""
+    """Return the meaning of the colours and the length of a newton."""
     rows = [
         (drawing.FORCE, f"aerodynamic force on a link: {100 * scales.force:.0f} cm per N"),
         (drawing.PLUME, f"thrust: {100 * scales.thrust * 100:.0f} cm per 100 N"),

@@ -1,4 +1,4 @@
-"""A flight to be viewed: read from a result of `python -m experiments`, or just flown."""
+"""A flight to view: read from a result of `python -m experiments`, or just flown."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from jax_aero.view.shapes import Look, look_of
 RUN_FILE, MANIFEST_FILE = "run.nc", "manifest.json"
 
 MAX_SIZE = 2 << 30
-"""Of all signals together [bytes]; the crate logs no more."""
+"""Greatest size of all signals together [bytes]; the crate logs no more."""
 
 SIGNALS = (
     "time",
@@ -40,16 +40,16 @@ SIGNALS = (
     "wind",
     "aero_force_sim",
 )
-"""What `run.nc` must hold; `rust.signals` declares units and meaning of these and of the others."""
+"""Signals that `run.nc` must contain; `rust.signals` declares units and meaning of all signals."""
 
 
 class Instant(NamedTuple):
-    """One moment of a flight; inertial axes.
+    """One time of a flight; inertial axes.
 
     Attributes
     ----------
     time
-        [s]
+        Time [s].
     body_positions, body_rotations
         Origins [m], (bodies, 3), and `i_from_b`, (bodies, 3, 3), in the order of `Robot.body_names`.
     com, com_velocity, com_setpoint
@@ -57,7 +57,7 @@ class Instant(NamedTuple):
     rotation_error
         Angle between the base and its reference [rad].
     thrust
-        [N], (jets,).
+        Thrusts [N], (jets,).
     wind
         Velocity of the air [m/s], (3,).
     aero_force
@@ -83,39 +83,39 @@ class Instant(NamedTuple):
 
 @dataclass(frozen=True)
 class Merit:
-    """What a flight achieved."""
+    """Figures of merit of a flight."""
 
     rotation_error: float
-    """Greatest [rad]."""
+    """Greatest rotation error [rad]."""
     com_error: float
-    """Greatest after the start-up [m]."""
+    """Greatest position error after the start-up [m]."""
     thrust_min: float
     thrust_max: float
-    """Extremes over all jets [N]."""
+    """Least and greatest thrust over all jets [N]."""
     aero_force: float
-    """Greatest sum over the links [N]."""
+    """Greatest sum of the forces on the links [N]."""
     distance: float
-    """Over ground, along the reference as far as it was flown [m]."""
+    """Distance over ground along the flown part of the reference [m]."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """Signals of one flight, the robot that flew it, and how it ended.
+    """Signals of one flight, the robot that flew it, and its outcome.
 
     Attributes
     ----------
     title
-        One line.
+        Title in one line.
     signals
-        The arrays of `SIGNALS`, and what else was logged; first axis time.
+        Arrays of `SIGNALS` and of other logged signals; the first axis is time.
     robot
-        What gives poses to the signals.
+        Robot model that computes poses from the signals.
     robot_path
         The robot's TOML file.
     outcome, lost_time, lost_reason
         As in `rust.FlightResult`.
     config
-        Resolved configuration, ready to be flown again; `None` if the file does not say.
+        Resolved configuration, which can be flown again; `None` if the file has none.
     """
 
     title: str
@@ -134,22 +134,22 @@ class Recording:
 
     @cached_property
     def look(self) -> Look:
-        """What the robot looks like."""
+        """Shapes of the robot."""
         return look_of(self.robot, self.robot_path)
 
     def names(self, signal: str) -> list[str]:
-        """Return names of the entries of a signal's rows, in the order of `rows`; none where it is a number."""
+        """Return the names of the entries of a signal's rows, in the order of `rows`; empty for a scalar signal."""
         places = labels_of(self.robot)
         labels = [places[dim] for dim in rust.signals()[signal].dims[1:]]
         return [" ".join(words) for words in itertools.product(*labels)] if labels else []
 
     def rows(self, signal: str) -> Vector:
-        """Return a signal with its entries side by side, (n, k)."""
+        """Return a signal with its entries flattened, (n, k)."""
         return np.reshape(self.signals[signal], (self.signals["time"].size, -1))
 
     @property
     def verdict(self) -> str:
-        """The outcome in words: `completed`, or `fell at 21.4 s (rotation error 90.1 deg)`."""
+        """Outcome in words: `completed`, or `fell at 21.4 s (rotation error 90.1 deg)`."""
         return ending(self.outcome, self.lost_time, self.lost_reason)
 
     @cached_property
@@ -168,7 +168,7 @@ class Recording:
         )
 
     def at(self, time: float) -> Instant:
-        """Return the moment `time` [s], between two samples linearly; outside the flight its first or last."""
+        """Return the instant at `time` [s], interpolated linearly; outside the flight, its first or last sample."""
         t = self.signals["time"]
         time = float(np.clip(time, t[0], t[-1]))
         after = int(np.clip(np.searchsorted(t, time), 1, t.size - 1)) if t.size > 1 else 0
@@ -180,7 +180,7 @@ class Recording:
             return np.asarray((1.0 - share) * signal[before] + share * signal[after])
 
         first, second = self.signals["base_quaternion"][[before, after]]
-        # q and −q are one rotation: blend along the short way.
+        # q and −q are the same rotation: interpolate along the shorter way.
         wxyz = (1.0 - share) * first + share * (second if first @ second >= 0.0 else -second)
         joints = value("joint_position")
         pose = rust.dynamics(
@@ -226,21 +226,21 @@ def read(result: str | Path, robot: str | Path | None = None) -> Recording:
     Parameters
     ----------
     result
-        Where `python -m experiments NAME` wrote.
+        Folder that `python -m experiments NAME` wrote.
     robot
-        TOML file of the robot, where the result does not lead to it.
+        TOML file of the robot, if the result does not name it.
 
     Raises
     ------
     Refused
-        Naming the file and what was expected, whatever is wrong with it.
+        If the result is invalid; the message names the file and what was expected.
     """
     path = _run_file(Path(result))
     try:
         return _read(path, robot)
     except Refused:
         raise
-    except Exception as reason:  # HDF5, JSON and paths fail in many ways on what is no result
+    except Exception as reason:  # HDF5, JSON and paths raise many types for invalid results
         raise Refused(f"`{path}` is damaged ({type(reason).__name__}: {reason}); {EXPECTED}") from reason
 
 

@@ -20,16 +20,16 @@ MODELS = {
     "spheres and cylinders": AERO / "sphere_cylinder.toml",
     "no air": AERO / "off.toml",
 } | {f"network {card.stem}": card for card in sorted((AERO / "networks").glob("**/*.json")) if card.stem != "ensemble"}
-"""Aerodynamic models by the name a person reads, and their file: a table, or the card of a network."""
+"""Files of the aerodynamic models by displayed name: a table, or the card of a network."""
 
 AS_GIVEN = "as in the result"
-"""Stands for an aerodynamic table that is none of `MODELS`."""
+"""Name for an aerodynamic table that is not in `MODELS`."""
 
 CONTROLLERS = ("baseline", "aware")
 ARMS = ("corrected", "published")
 
-# What distinguishes configs/simulator/flight_published.toml and configs/control/aero_aware_published.toml from the
-# physically correct ones, coefficients aside.
+# Differences of configs/simulator/flight_published.toml and configs/control/aero_aware_published.toml from the
+# physically correct files, except coefficients.
 SIMULATOR_ARMS = {
     "corrected": {"lever_arm": "rotated", "integrator": "semi_implicit_euler", "joint_stops": True},
     "published": {"lever_arm": "unrotated", "integrator": "explicit_euler", "joint_stops": False},
@@ -39,29 +39,29 @@ CONTROLLER_ARMS = {
     "published": {"lever_arm": "unrotated", "jacobian_offset": "base_rotation", "link_velocity": "shifted_twice"},
 }
 
-# As published, one torque limit replaces those of the robot's joints [N m].
+# As published, one torque limit replaces the limits of the robot's joints [N m].
 CONTROLLER_TORQUE: dict[str, dict[str, float]] = {"corrected": {}, "published": {"torque_max": 50.0}}
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What the page offers to change.
+    """Settings on the page.
 
     Attributes
     ----------
     wind_speed
-        [m/s]
+        Speed [m/s].
     wind_direction_deg
-        Where the wind comes from: 0 from ahead (+x), 90 from the robot's left (+y).
+        Direction that the wind comes from [deg]: 0 from ahead (+x), 90 from the robot's left (+y).
     controller
         `baseline`, without an aerodynamic model, or `aware`.
     model
-        Aerodynamic model of the simulator, and of an aware controller; a key of `MODELS`,
+        Aerodynamic model of the simulator and of an aware controller: a key of `MODELS`,
         the path of a network's card, or `AS_GIVEN`.
     arms
         Convention of the lever arms, in simulator and controller: `corrected` or `published`.
     feedback_scale
-        Factor on every force the controller estimates.
+        Factor on every force that the controller estimates.
     """
 
     wind_speed: float = 10.0
@@ -73,18 +73,18 @@ class Settings:
 
     @property
     def title(self) -> str:
-        """One line that identifies this flight."""
+        """Title that identifies this flight, in one line."""
         scale = "" if self.controller == "baseline" or self.feedback_scale == 1.0 else f" × {self.feedback_scale:g}"
         return f"{self.controller}{scale}, {self.wind_speed:g} m/s from {self.wind_direction_deg:g}°, {self.arms} arms"
 
 
 def default_config() -> rust.Config:
-    """TEST1: the flight to start from when no result is given."""
+    """Return the configuration of TEST1, which is used if no result is given."""
     return rust.load_config("test1")
 
 
 def settings_of(config: rust.Config) -> Settings:
-    """Read the settings that come closest to a configuration."""
+    """Return the settings nearest to a configuration."""
     velocity = config["wind"].get("velocity", [0.0, 0.0, 0.0])
     speed, direction = speed_and_direction(velocity) if any(velocity[:2]) else (0.0, 90.0)
     is_baseline = config["controller"]["aero"]["model"] == "off"
@@ -107,14 +107,14 @@ def _model_of(aero: dict[str, Any]) -> str:
 
 
 def can_change_wind(config: rust.Config) -> bool:
-    """Whether the configuration's wind has a velocity; a recorded wind has none."""
+    """Return whether the configuration's wind has a velocity; a recorded wind has none."""
     return "velocity" in config["wind"]
 
 
 def apply(base: rust.Config, settings: Settings) -> rust.Config:
-    """Return `base` with the settings that differ from its own.
+    """Return `base`, changed where the settings differ from its own.
 
-    Other values stay untouched, so the settings of a configuration give that same configuration.
+    Other values are kept, so applying a configuration's own settings returns the same configuration.
     """
     before = settings_of(base)
     config = copy.deepcopy(base)
@@ -123,7 +123,7 @@ def apply(base: rust.Config, settings: Settings) -> rust.Config:
     if can_change_wind(base) and wind != wind_before:
         config["wind"]["velocity"] = wind
         if before.wind_speed == 0.0 and config["wind"]["profile"] == "constant":
-            # Still air says nothing of how a wind would rise: as in the paper's flights.
+            # Still air does not define how a wind rises: use the profile of the paper's flights.
             config["wind"] |= {"profile": "ramp", "ramp_start": 5.0, "ramp_end": 10.0}
     if settings.arms != before.arms:
         simulator |= SIMULATOR_ARMS[settings.arms]
@@ -143,7 +143,7 @@ def apply(base: rust.Config, settings: Settings) -> rust.Config:
 
 
 def aero_table(model: str) -> dict[str, Any]:
-    """Read the table of a model, with the files it builds on: a key of `MODELS`, or the path of a network's card."""
+    """Return the table of a model, including its base files: a key of `MODELS`, or the path of a network's card."""
     file = MODELS.get(model, Path(model))
     if file.suffix == ".json":
         return io.resolve(AERO / "network.toml", io.AERO) | {"card": str(file)}

@@ -23,23 +23,23 @@ Role = Literal["shell", "engine", "sole", "strut"]
 
 @dataclass(frozen=True)
 class Shape:
-    """One primitive or mesh on one body.
+    """One primitive or mesh on a body.
 
     Attributes
     ----------
     name
-        The link it belongs to.
+        Link that it belongs to.
     kind, size
         `cylinder`: radius, radius, length along z; `sphere`: radius three times; `box`: edges [m]; `mesh`: factors on
         its vertices.
     role
-        What it is, which is how it is coloured.
+        Role that determines its colour.
     body
-        Place of its body in `Robot.body_names`.
+        Index of its body in `Robot.body_names`.
     body_from_shape
-        Where its centre is, or a mesh's origin, and its axes.
+        Pose of its centre, or of a mesh's origin.
     mesh
-        Of the kind `mesh` alone.
+        Mesh of the kind `mesh`, otherwise `None`.
     """
 
     name: str
@@ -53,19 +53,19 @@ class Shape:
 
 @dataclass(frozen=True)
 class Mount:
-    """A point on a body, with a direction: a jet (direction of its exhaust) or an aerodynamic link (its axis)."""
+    """A point with a direction on a body: a jet (direction of its exhaust) or an aerodynamic link (its axis)."""
 
     name: str
     body: int
     position: Vector
-    """[m], body axes."""
+    """Position [m], body axes."""
     axis: Vector
     """Unit vector, body axes."""
 
 
 @dataclass(frozen=True)
 class Look:
-    """Everything of a robot that can be drawn."""
+    """Everything of a robot that is drawn."""
 
     shapes: tuple[Shape, ...]
     jets: tuple[Mount, ...]
@@ -73,7 +73,7 @@ class Look:
     parents: tuple[int, ...]
     """Parent of each body; −1 for the base."""
     missing: tuple[str, ...] = ()
-    """Why a link's mesh is not drawn, link by link; those with aerodynamics are drawn as their models have them."""
+    """Reason why a link's mesh is missing, link by link; aerodynamic links are drawn as in their models instead."""
 
 
 Solid = tuple[Kind, tuple[float, float, float], Mesh | None]
@@ -81,9 +81,9 @@ Solid = tuple[Kind, tuple[float, float, float], Mesh | None]
 
 
 def look_of(robot: rust.Robot, path: Path | None = None) -> Look:
-    """Read what a robot looks like from its own TOML and URDF text.
+    """Return the look of a robot from its own TOML and URDF text.
 
-    `path` is its TOML file, from which the URDF's meshes are found; without it they are missing.
+    `path` is its TOML file, relative to which the URDF's meshes are found; without it they are missing.
     """
     table = tomllib.loads(robot.toml_text)
     tree = read_tree(robot.urdf_text, table["base_link"], robot.joint_names, table.get("locked", {}))
@@ -125,7 +125,7 @@ def look_of(robot: rust.Robot, path: Path | None = None) -> Look:
 
 
 def _seen_by_air(entry: dict[str, Any]) -> tuple[Solid, Pose]:
-    """Sphere or cylinder of an aerodynamic link, and where it is in the link's axes."""
+    """Return the sphere or cylinder of an aerodynamic link, and its pose in link axes."""
     radius = 0.5 * entry["diameter"]
     axis = np.asarray(entry["axis"], dtype=np.float64)
     pose = Pose(rotation_onto(axis / np.linalg.norm(axis)), np.asarray(entry["centre"], dtype=np.float64))
@@ -158,13 +158,13 @@ def _three(element: ElementTree.Element, key: str, default: str | None = None) -
 
 
 def _struts(tree: BodyTree, shapes: list[Shape]) -> list[Shape]:
-    """Thin cylinders from every body's origin to its joints and primitives: what holds them together without meshes."""
+    """Return thin cylinders from every body's origin to its joints and primitives, for robots without meshes."""
     meshed = {shape.body for shape in shapes if shape.kind == "mesh"}
     ends = [
         (tree.bodies[i + 1].parent, joint.parent_from_child.position, tree.bodies[i + 1].name)
         for i, joint in enumerate(tree.joints)
     ]
-    # Not quite to the middle: a thin primitive such as a sole would be pierced.
+    # Not quite to the centre, since a thin primitive such as a sole would be pierced.
     ends += [(shape.body, 0.85 * shape.body_from_shape.position, shape.name) for shape in shapes]
     struts = []
     for body, end, name in ends:

@@ -1,4 +1,4 @@
-"""`jax-aero video` and `snapshot`: a flight as a film, or several of its times in one picture."""
+"""`jax-aero video` and `snapshot`: a flight as a video, or several of its times in one picture."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from jax_aero.view.drawing import Scales
 from jax_aero.view.offscreen import Studio, Viewpoint, camera_at
 from jax_aero.view.recording import Recording
 
-HOLD = 1.5  # s the last picture stays, so that the outcome can be read
-PANELS = 6  # moments of a snapshot that names none
+HOLD = 1.5  # s for which the last picture stays, to read the outcome
+PANELS = 6  # number of times in a snapshot by default
 
 Progress = Callable[[int, int], None]
 """Called with (pictures drawn, pictures in all)."""
 
 
 def frame_times(duration: float, fps: float, speed: float, start: float, end: float) -> list[float]:
-    """Moments [s] of the frames of a video from `start` to `end`, which stays where the `duration` [s] ends."""
+    """Return the times [s] of a video's frames from `start` to `end`, limited to the flight's `duration` [s]."""
     step = speed / fps
     times = [start + i * step for i in range(int((end - start) / step + 1e-9) + 1)]
     if end >= duration:
@@ -47,14 +47,14 @@ def write_video(
     end: float | None = None,
     progress: Progress | None = None,
 ) -> int:
-    """Draw and encode a video, of two flights if there is a ghost; the camera goes with the first.
+    """Draw and encode a video, of two flights if there is a ghost; the camera follows the first.
 
-    `out` appears when it is complete, or not at all. Returns the number of frames.
+    `out` is written completely or not at all. Returns the number of frames.
 
     Raises
     ------
     Refused
-        If there is no way to draw or encode here, or a number makes no sense.
+        If drawing or encoding is impossible on this machine, or if a number is invalid.
     """
     duration = max(flight.duration for flight in (recording, ghost) if flight is not None)
     end = duration if end is None else min(end, duration)
@@ -70,7 +70,7 @@ def write_video(
 def _frames(
     recording: Recording, studio: Studio, times: Sequence[float], viewpoint: Viewpoint, progress: Progress | None
 ) -> Iterator[Any]:
-    """Yield the pixels (h, w, 3) of every frame; a moment that stays is drawn once."""
+    """Yield the pixels (h, w, 3) of every frame; repeated times are drawn once."""
     from jax_aero.view.labels import letter_video
 
     flights = [flight for flight in (recording, studio.ghost) if flight is not None]
@@ -101,11 +101,11 @@ def _encode_mp4(draft: Path, frames: Iterator[Any], fps: float, size: tuple[int,
 
 
 def _encode_gif(draft: Path, frames: Iterator[Any], fps: float, _size: tuple[int, int]) -> None:
-    """Write 256 colours a frame, which repeats for ever; a GIF counts time in hundredths of a second."""
+    """Write a GIF that repeats, with 256 colours per frame; GIF times are hundredths of a second."""
     from PIL import Image
 
     pictures = [Image.fromarray(pixels).quantize(256) for pixels in frames]
-    # Each frame ends at the nearest hundredth, so that the whole keeps its time; players show none under two.
+    # Each frame ends at the nearest hundredth, so that the total time is right; players ignore durations below two.
     ends = [round(100.0 * number / fps) for number in range(len(pictures) + 1)]
     durations = [10 * max(end - start, 2) for start, end in pairwise(ends)]
     pictures[0].save(
@@ -140,12 +140,12 @@ def write_snapshot(
     viewpoint: Viewpoint = "chase",
     progress: Progress | None = None,
 ) -> None:
-    """Draw one moment, or several side by side above the path, as in the paper's Fig. 5a; `out` is a PNG.
+    """Draw one time, or several side by side above the path as in the paper's Fig. 5a; `out` is a PNG.
 
     Raises
     ------
     Refused
-        If there is no way to draw here, or a time lies outside the flight.
+        If drawing is impossible on this machine, or if a time is outside the flight.
     """
     check_out(out, ".png")
     if any(not 64 <= edge <= 8192 for edge in size):
@@ -180,7 +180,7 @@ def _single(
 def _strip(
     recording: Recording, times: list[float], size: tuple[int, int], viewpoint: Viewpoint, progress: Progress | None
 ) -> Any:
-    """Moments side by side, numbered; below them the path from the side, with the same numbers."""
+    """Return numbered pictures side by side; below them the path from the side with the same numbers."""
     from PIL import Image, ImageDraw
 
     from jax_aero.view import labels
@@ -192,7 +192,7 @@ def _strip(
     sheet = Image.new("RGB", size, labels.PAPER)
     with Studio(recording, *panel) as studio:
         for i, time in enumerate(times):
-            # Narrow panels are seen from further away, so that the robot fits in with its plumes.
+            # Narrow panels use a larger distance, so that the robot fits in with its plumes.
             distance = 2.9 * max(1.0, 0.7 * panel[1] / panel[0])
             camera = camera_at(recording, time, viewpoint, distance)
             sheet.paste(Image.fromarray(studio.picture(time, camera)), (i * panel[0], top))

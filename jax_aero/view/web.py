@@ -20,19 +20,19 @@ TEMPLATE = Path(__file__).with_name("flight.html")
 """The page without a flight, which `make lab` builds."""
 
 RATE = 50.0
-"""Moments of a flight in the page [1/s]."""
+"""Samples of a flight in the page [1/s]."""
 
 PLACE = "/*FLIGHTS*/null"
-"""Where the template has its data."""
+"""Text in the template that is replaced by the data."""
 
 
 def write_page(recordings: Sequence[Recording], out: Path) -> None:
-    """Write one HTML file that plays a flight, and a second one as its ghost; `out` appears complete or not at all.
+    """Write one HTML file that plays a flight, with a second one as its ghost; written completely or not at all.
 
     Raises
     ------
     Refused
-        If the page is not built, or `out` is no `.html` in a folder that is there.
+        If the page is not built, or if `out` is not an `.html` file in an existing folder.
     """
     check_out(out, ".html")
     if not TEMPLATE.is_file():
@@ -48,7 +48,7 @@ def write_page(recordings: Sequence[Recording], out: Path) -> None:
 
 
 def look_table(look: Look) -> dict[str, Any]:
-    """Return shapes, jets, links, colours and scales."""
+    """Return shapes, jets, links, colours and scales as plain tables."""
     names = ("FORCE", "WIND", "REFERENCE", "TRAIL", "PLUME", "GHOST", "FELL", "COMPLETED")
     scales = drawing.Scales()
     return {
@@ -64,7 +64,7 @@ def look_table(look: Look) -> dict[str, Any]:
 
 
 def flight_table(recording: Recording) -> dict[str, Any]:
-    """Return a flight's signals and the poses of its bodies, `RATE` times a second in single precision."""
+    """Return a flight's signals and the poses of its bodies at `RATE` samples per second, in single precision."""
     times = recording.signals["time"]
     step = max(round(1.0 / RATE / (times[1] - times[0])), 1) if times.size > 1 else 1
     shown = np.arange(0, times.size, step)
