@@ -1,4 +1,4 @@
-"""Run flights by name and say how they ended.
+"""Fly experiments by name and print their outcomes.
 
 A result goes to `results/flight/NAME/`; with --set, the folder's name states the changes, e.g.
 `test1--wind.velocity=0_-12_0`. With --out DIR it goes to `DIR/NAME/`, whatever was set.
@@ -19,7 +19,7 @@ from jax_aero.command import exit_status
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run `python -m experiments WORD ...`, where the word is a command of `jax-aero`, or the name of a flight."""
+    """Run `python -m experiments WORD ...`, where WORD is a command of `jax-aero` or the name of a flight."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     first = words[0].replace("_", "-") if words else ""
     if first in cli.COMMANDS:
@@ -62,7 +62,7 @@ def _parser() -> argparse.ArgumentParser:
     which.add_argument("--all", action="store_true", help="every experiment of configs/experiments")
     parser.add_argument("--engine", choices=sorted(MODULES), help="engine (default: that of the configuration)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/flight)")
-    parser.add_argument("--overwrite", action="store_true", help="fly again and replace a result that is there")
+    parser.add_argument("--overwrite", action="store_true", help="fly again and replace an existing result")
     parser.add_argument("--list", action="store_true", help="list the experiments and stop")
     return parser
 

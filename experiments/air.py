@@ -1,13 +1,13 @@
-"""Force and moment of the whole robot and of each link, against angle and posture, of any aerodynamic model.
+"""Force and moment of the whole robot and of each link against angle and posture, for any aerodynamic model.
 
-The angles are those of the wind tunnel: alpha is the robot's vertical above the horizontal wind (90: upright), beta
-its yaw about the tunnel's vertical. Drag points along the wind, lift up, side along lift x drag; moments are about the
-centre of mass, in base axes. One angle may be a range, FROM:TO:STEP.
+The angles are those of the wind tunnel: alpha is the angle of the robot's vertical axis above the horizontal wind (90:
+upright), beta its yaw about the tunnel's vertical. Drag is along the wind, lift up, side along lift x drag; moments are
+about the centre of mass, in base axes. One angle may be a range, FROM:TO:STEP.
 
     jax-aero air --posture hovering --alpha 0:180:5 --beta 0
     jax-aero air --posture hovering --alpha 90 --beta -90:90:10 --model network sphere_cylinder --beside wind_tunnel
 
-Writes a CSV file with every number and a figure, to results/air/, whose names state robot, models, posture and wind.
+Writes a CSV file with all numbers and a figure to results/air/; the names state robot, models, posture and wind.
 """
 
 from __future__ import annotations
@@ -38,19 +38,19 @@ from jax_aero.tables import LARGEST, read
 from jax_aero.types import Array, State
 
 DENSITY = 1.225
-"""By which forces become areas [kg/m³]."""
+"""Air density in the conversion of forces to areas [kg/m³]."""
 
 MAX_ANGLES = 10_000
-"""Of a range."""
+"""Greatest number of angles in a range."""
 
 ROBOT = "robot"
-"""Stands for the sum over all links."""
+"""Name of the sum over all links."""
 
 COLUMNS = ("drag_n", "side_n", "lift_n", "roll_nm", "pitch_nm", "yaw_nm", "cda_m2", "csa_m2", "cla_m2")
 
 
 class Loads(NamedTuple):
-    """Loads of W winds on L links."""
+    """Loads of L links in W winds."""
 
     forces: Floats
     """(W, L, 3) drag, side, lift [N]."""
@@ -59,7 +59,7 @@ class Loads(NamedTuple):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print, write and draw; return the exit status."""
+    """Run the command line: print, write and draw; return the exit status."""
     given = _parser().parse_args(arguments)
     return exit_status(lambda: _compute(given))
 
@@ -97,26 +97,26 @@ def _compute(given: argparse.Namespace) -> None:
 def _parser() -> Parser:
     parser = Parser("air", __doc__)
     parser.add_argument(
-        "--posture", default="hovering", metavar="NAME", help="as in configs/tables/postures.toml, or zero"
+        "--posture", default="hovering", metavar="NAME", help="a posture of configs/tables/postures.toml, or zero"
     )
     parser.add_argument("--alpha", default="90", metavar="DEG", help="angle or FROM:TO:STEP (default 90)")
     parser.add_argument("--beta", default="0", metavar="DEG", help="angle or FROM:TO:STEP (default 0)")
-    parser.add_argument("--speed", type=float, default=10.0, metavar="M/S", help="of the wind (default 10)")
+    parser.add_argument("--speed", type=float, default=10.0, metavar="M/S", help="wind speed (default 10)")
     models = parser.add_argument(
         "--model", nargs="+", default=["axisymmetric_corrected"], metavar="NAME", help="names in configs/aero, or paths"
     )
     completes(models, lambda: places.names("aero"))
     parser.add_argument(
-        "--beside", nargs="+", default=[], choices=["cfd_tunnel", "wind_tunnel"], help="measurements of configs/tables"
+        "--beside", nargs="+", default=[], choices=["cfd_tunnel", "wind_tunnel"], help="tables of configs/tables"
     )
-    robots = parser.add_argument("--robot", default="ironcub_mk1", metavar="NAME", help="name or path of its file")
+    robots = parser.add_argument("--robot", default="ironcub_mk1", metavar="NAME", help="name or path of a robot file")
     completes(robots, lambda: places.names("robot"))
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the files (default results/air)")
     return parser
 
 
 def angles(option: str, text: str) -> Floats:
-    """Return the angles [deg] of `FROM:TO:STEP`, both ends included, or of one number."""
+    """Return the angles [deg] of `FROM:TO:STEP`, including both ends, or of one number."""
     try:
         numbers = [float(part) for part in text.split(":")]
     except ValueError:
@@ -136,7 +136,7 @@ def angles(option: str, text: str) -> Floats:
 
 
 def posture(robot: RobotModel, name: str) -> Floats:
-    """Return the joint positions (n,) [rad] of a named posture; joints that tables do not name are straight."""
+    """Return the joint positions (n,) [rad] of a named posture; joints not in the tables are zero."""
     if name == "zero":
         return np.zeros(robot.n_joints)
     known = known_postures()
@@ -148,7 +148,7 @@ def posture(robot: RobotModel, name: str) -> Floats:
 
 
 def loads(robot: RobotModel, aero: AeroModel, joints: Floats, alphas: Floats, betas: Floats, speed: float) -> Loads:
-    """Return the loads at every angle, at rest in a wind [m/s]; in double precision, inside `enable_x64`."""
+    """Return the loads at every angle, at rest in a wind [m/s]; call it inside `enable_x64` for double precision."""
     turned = tunnel_from_base(alphas, betas)
     forces, moments = _all_loads(robot, aero, jnp.asarray(joints), jnp.asarray(speed * turned[:, 0]))
     return Loads(np.einsum("wij,wlj->wli", turned, np.asarray(forces)), np.asarray(moments))
@@ -167,9 +167,9 @@ def _all_loads(robot: RobotModel, aero: AeroModel, joints: Array, winds: Array) 
 
 
 def points(table: str, name: str, alphas: Floats, betas: Floats) -> list[dict[str, Any]]:
-    """Return what a table of `configs/tables` holds of this posture, along the angle that varies.
+    """Return the points of a table of `configs/tables` for this posture, along the angle that varies.
 
-    Runs without `alpha_deg` are of the upright robot, runs without `beta_deg` face the wind.
+    Runs without `alpha_deg` are of the upright robot, runs without `beta_deg` without sideslip.
     """
     document = read(places.CONFIGS / "tables" / f"{table}.toml")
     found = []

@@ -1,8 +1,8 @@
-"""What follows from the logs of flights: the fuel that is burnt, and how far jets stay from the body.
+"""Quantities computed from flight logs: fuel burnt, and clearance between jets and body.
 
-`python -m experiments along` reads `results/flight/NAME/`. Fuel is a straight line in the thrust of every
-jet, as in `configs/trajectory/min_time.toml`; the clearance is that of `configs/trim/hover_posture.toml`: from the axis
-of an exhaust to the surface of a link, soles included. The result goes to `results/along/flights/`;
+`python -m experiments along` reads `results/flight/NAME/`. Fuel consumption is linear in the thrust of every jet, as in
+`configs/trajectory/min_time.toml`; the clearance is that of `configs/trim/hover_posture.toml`, from the axis of an
+exhaust to the surface of a link, including soles. The result goes to `results/along/flights/`;
 `python -m paper_figs along` draws it.
 """
 
@@ -28,13 +28,13 @@ from jax_aero.symbolic.kinematics import Kinematics
 from jax_aero.symbolic.trajectory import Consumption, fuel_lines
 
 STEP = 0.1
-"""Between the moments that are looked at [s]."""
+"""Time between evaluated samples [s]."""
 
 Array = NDArray[np.float64]
 
 
 class Along(tables.Table, frozen=True):
-    """Which flights are read, and which files have the numbers."""
+    """Flights to read, and files with the parameters."""
 
     flights: tuple[str, ...] = (
         "test2",
@@ -46,16 +46,16 @@ class Along(tables.Table, frozen=True):
         "no_wind",
     )
     plan: Path = places.CONFIGS / "trajectory" / "min_time.toml"
-    """Has the consumption of the jets."""
+    """File with the fuel consumption of the jets."""
     trim: Path = places.CONFIGS / "trim" / "hover_posture.toml"
-    """Has the length of a plume."""
+    """File with the length of a plume."""
 
     def __post_init__(self) -> None:
         tables.check_levels(self, "flights")
 
 
 def compute(_: str, asked: Along) -> Findings:
-    """Read the flights."""
+    """Read the flights and compute fuel and clearance."""
     runs = {name: _read(name) for name in asked.flights}
     consumption = tables.read(asked.plan)["fuel"]
     fuel = {jet: tables.convert(points, Consumption, asked.plan.name) for jet, points in consumption.items()}
@@ -87,7 +87,7 @@ def _read(name: str) -> xr.Dataset:
 
 
 def of_runs(runs: dict[str, xr.Dataset], fuel: dict[str, Consumption], plume_length: float) -> xr.Dataset:
-    """Return fuel burnt and clearance of every flight up to its loss, on common times."""
+    """Return fuel burnt [l] and clearance [m] of every flight up to its loss, on common times."""
     robot = load_robot(ROBOT)
     for name, run in runs.items():
         if tuple(run["joint"].values) != tuple(robot.joint_names):
@@ -121,7 +121,7 @@ def of_runs(runs: dict[str, xr.Dataset], fuel: dict[str, Consumption], plume_len
 
 
 def clearance_of(robot: Any, plume_length: float) -> tuple[ca.Function, list[str]]:
-    """Return how far every jet's exhaust is from the nearest link [m], a function of the joints, and the jets."""
+    """Return the distance of every jet's exhaust to the nearest link [m] as a function of the joints, and the jets."""
     tree = Kinematics(robot)
     found = pairs(tree, plume_length)
     jets = [jet.name for jet in robot.jets]
@@ -133,7 +133,7 @@ def clearance_of(robot: Any, plume_length: float) -> tuple[ca.Function, list[str
 
 
 def figures(dataset: xr.Dataset) -> dict[str, dict[str, float]]:
-    """Return fuel, its mass in five minutes at the mean rate, and the least clearance, by flight."""
+    """Return, by flight, fuel, fuel mass for five minutes at the mean rate, and least clearance."""
     found = {}
     for name in dataset["flight"].values.tolist():
         one = dataset.sel(flight=name)

@@ -1,7 +1,7 @@
-"""Flights with other engines in the arms: P160, as the published flights have them, and P100, as the paper's text does.
+"""Flights with other engines in the arms: P160, as in the published flights, and P100, as in the paper's text.
 
-`python -m experiments arm-engines` changes engine and greatest thrust of the arms in a copy of the robot's file, and
-flies missions with both, with ideal jets and with identified ones. The result goes to `results/arm_engines/paper/`.
+`python -m experiments arm-engines` changes engine and greatest thrust of the arms in a copy of the robot's file and
+flies missions with both, with ideal and with identified jets. The result goes to `results/arm_engines/paper/`.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from jax_aero import rust, tables
 from jax_aero.places import ROBOT
 
 ENGINES = {"P160": 160.0, "P100": 100.0}
-"""Greatest thrust of each arm [N]: of the published flights, and of the published balancing experiments."""
+"""Greatest thrust of each arm [N]: in the published flights, and in the published balancing experiments."""
 QUANTITIES = {"arm_thrust_max": "N", "chest_thrust_max": "N", "rotation_error": "deg", "com_error": "m"}
 
 
 class ArmEngines(tables.Table, frozen=True):
-    """Which missions are flown."""
+    """Missions to fly."""
 
     experiments: tuple[str, ...] = ("no_wind", "test1", "test2", "test4", "head_wind", "second_order_jets")
 
@@ -75,7 +75,7 @@ def with_arms(robot: str, engine: str, limit: float) -> str:
 
 
 def outcome_of(result: rust.FlightResult) -> dict[str, Any]:
-    """Return how a flight ended, and its extremes."""
+    """Return the outcome of a flight and its extremes."""
     thrust = result.log["thrust"]
     return {
         "outcome": result.outcome,

@@ -1,8 +1,8 @@
-"""Measure the crate beside Pinocchio, DAQP and Clarabel in one run: `python -m experiments.bench`.
+"""Measure the crate, Pinocchio, DAQP and Clarabel in one run: `python -m experiments.bench`.
 
-All work on the same states and problems, which the crate's benchmark `side_by_side` writes to `target/side_by_side`.
-Natively every contender is a compiled program of its own, and these take turns; then each is called from Python.
-Prints Markdown: `docs/benchmarks.md` is made of it.
+All use the same states and problems, which the crate's benchmark `side_by_side` writes to `target/side_by_side`.
+Natively each is a separate compiled program, and these run in turns; then each is called from Python.
+Prints the Markdown tables of `docs/benchmarks.md`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from jax_aero.rust import QpProblem, State
 
 Array = NDArray[np.float64]
 Rows = Iterator[tuple[str, str, float]]
-"""What, by whom, nanoseconds."""
+"""Operation, library, time [ns]."""
 
 DYNAMICS = ("dynamics, without Jacobians", "dynamics, with 17 frame Jacobians")
 
@@ -35,8 +35,8 @@ DYNAMICS = ("dynamics, without Jacobians", "dynamics, with 17 frame Jacobians")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     parser = argparse.ArgumentParser(prog="python -m experiments.bench", description=__doc__)
-    parser.add_argument("--turns", type=int, default=5, help="how often every native program runs (default 5)")
-    parser.add_argument("--native", action="store_true", help="compile all for this processor, not for any x86-64")
+    parser.add_argument("--turns", type=int, default=5, help="number of runs of every native program (default 5)")
+    parser.add_argument("--native", action="store_true", help="compile for this processor, not any x86-64")
     given = parser.parse_args(arguments)
     try:
         _print_machine(native=given.native)
@@ -143,7 +143,7 @@ def _clarabel_rows(n: int, problems: Sequence[QpProblem]) -> Iterator[tuple[str,
 
 
 def _per_item(work: Callable[[Any], Any], items: Sequence[Any], seconds: float = 0.4) -> float:
-    """Return the median over rounds of the mean time per item [ns], after one round to warm up."""
+    """Return the median over rounds of the mean time per item [ns], after one warm-up round."""
     for item in items:
         work(item)
     times: list[float] = []
@@ -227,13 +227,13 @@ def _microseconds(ns: float) -> str:
 
 
 def _best(times: Times, names: Sequence[str]) -> float | None:
-    """Return the time of the fastest ways of all these together, or `None` where one of them has none."""
+    """Return the sum of the shortest times of these operations, or `None` if one has no time."""
     ways = [[ns for way, ns in times.items() if way.startswith(name)] for name in names]
     return sum(map(min, ways)) if all(ways) else None
 
 
 def _print_targets(ours: Times, others: Times, tick: str) -> None:
-    """Print the targets and whether they are met, always against the fastest way of the other."""
+    """Print the targets and whether they are met, relative to the shortest times of the other libraries."""
     print("\n## Targets\n\n| | measured | target | met |\n|---|---|---|---|")
     warm = [f"{name}, warm" for name in QPS]
     by_case = {case: [name for name in warm if case in name] for case in ("calm", "saturated")}

@@ -1,8 +1,8 @@
-"""Measure JAX beside plain MJX and jaxsim on the same robot in one run: `python -m experiments.bench_jax`.
+"""Measure JAX, plain MJX and jaxsim with the same robot in one run: `python -m experiments.bench_jax`.
 
-Times are per sample of a batch, in double precision unless said, on whatever device JAX finds; a compile is cold or
-comes from JAX's persistent cache. States are those of TEST2 hovering in the full wind. Prints Markdown, which
-`docs/benchmarks.md` is made of.
+Times are per sample of a batch, in double precision unless stated, on JAX's default device; compilation is cold or from
+JAX's persistent cache. States are those of TEST2 hovering in the full wind. Prints the Markdown tables of
+`docs/benchmarks.md`.
 """
 
 from __future__ import annotations
@@ -37,46 +37,44 @@ from jax_aero.sim.rollout import fly_chunk
 from jax_aero.types import State, with_dtype
 
 untyped: Any = jax
-"""The parts of JAX that carry no types."""
+"""JAX, for the parts of it that have no types."""
 
 EXPERIMENTS = places.CONFIGS / "experiments"
 HOVER = 1000
 """Tick of TEST2 at which the states are taken: hovering in the full wind."""
 TICKS = 20
-"""Ticks of a measured rollout."""
+"""Ticks per measured rollout."""
 
 
 FLIGHT_TICKS = 5001
-"""Ticks of a flight of 50 s, which throughput is also given in."""
+"""Ticks of a flight of 50 s, for throughput in flights."""
 
 
 class Case(NamedTuple):
-    """A function of one sample, and one sample for it."""
+    """A function of one sample, with a sample."""
 
     name: str
     function: Callable[..., Any]
     shared: Any
-    """First argument, the same for the whole batch."""
+    """First argument, shared by the whole batch."""
     sample: Any
-    """Second argument; the batch varies its State."""
+    """Second argument; the State in it varies over the batch."""
     divide_by: int = 1
-    """Parts of a sample that count on their own, such as the ticks of a rollout."""
+    """Number of units in a sample, such as the ticks of a rollout."""
     is_slow: bool = False
-    """Whether it compiles for long; left out of a quick run."""
+    """Whether compilation is slow; left out of a quick run."""
     in_pieces: bool = False
-    """Whether a CPU must be given few samples at a time: it calls LAPACK in a way that can wait for itself for ever."""
+    """Whether a CPU must evaluate few samples at a time, since the function calls LAPACK in a way that can deadlock."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     parser = argparse.ArgumentParser(prog="python -m experiments.bench_jax", description=__doc__)
     parser.add_argument("--batch", type=int, nargs="+", help="batch sizes (default 1 64 1024; quick: 1 64)")
-    parser.add_argument("--only", nargs="+", metavar="TEXT", help="measure only what has one of these in its name")
-    parser.add_argument("--seconds", type=float, help="time spent on one figure, about (default 1; quick: 0.3)")
-    parser.add_argument(
-        "--quick", action="store_true", help="a few minutes: fewer sizes, nothing that compiles for long"
-    )
-    parser.add_argument("--out", type=Path, metavar="FILE", help="write the tables there, too")
+    parser.add_argument("--only", nargs="+", metavar="TEXT", help="measure only cases whose names have one of these")
+    parser.add_argument("--seconds", type=float, help="approximate time per figure (default 1; quick: 0.3)")
+    parser.add_argument("--quick", action="store_true", help="a few minutes: fewer sizes, no slow compilation")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="also write the tables to this file")
     given = parser.parse_args(arguments)
     sizes = given.batch or ([1, 64] if given.quick else [1, 64, 1024])
     seconds = given.seconds or (0.3 if given.quick else 1.0)
@@ -86,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     def say(line: str) -> None:
         print(line, flush=True)
         lines.append(line)
-        if given.out is not None:  # after every line: a run that is interrupted leaves what it has
+        if given.out is not None:  # after every line, so that an interrupted run leaves its results
             given.out.parent.mkdir(parents=True, exist_ok=True)
             given.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
@@ -151,7 +149,7 @@ def _in_pieces(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _throughput(scenario: Any, hover: Any, seconds: float, *, quick: bool) -> Iterator[str]:
-    """Fly batches that grow fourfold, until a larger one brings less than a tenth."""
+    """Fly batches of fourfold growing size, until the throughput rises by less than a tenth."""
     start = 16 if jax.devices()[0].platform == "cpu" else 256
     for name, dtype in (("float64", jnp.float64), ("float32", jnp.float32))[: 1 if quick else 2]:
         best, size = 0.0, start
@@ -168,7 +166,7 @@ def _throughput(scenario: Any, hover: Any, seconds: float, *, quick: bool) -> It
 
 
 def _median(call: Callable[[], Any], seconds: float) -> float:
-    """Median time of a call, after one that warms up."""
+    """Return the median time of a call [s], after one warm-up call."""
     call()
     times: list[float] = []
     while sum(times) < seconds or len(times) < 3:
@@ -179,7 +177,7 @@ def _median(call: Callable[[], Any], seconds: float) -> float:
 
 
 def _spread(sample: Any, size: int) -> Any:
-    """Repeat a sample, with small differences in every State within it."""
+    """Repeat a sample, with small differences in every State it contains."""
     rng = np.random.default_rng(0)
 
     def vary(leaf: Any) -> Any:
@@ -192,18 +190,18 @@ def _spread(sample: Any, size: int) -> Any:
     return jax.tree.map(vary, sample, is_leaf=lambda x: isinstance(x, State))
 
 
-# --- what is measured ----------------------------------------------------------------------------------------------
+# --- cases ----------------------------------------------------------------------------------------------------------
 
 
 def _hovering() -> tuple[Any, Any]:
-    """TEST2, and its state where it hovers in the full wind."""
+    """Return the scenario TEST2 and its state while hovering in the full wind."""
     config = scenario_config(rust.load_config(EXPERIMENTS / "test2.toml"))
     scenario, start = sim.prepare(config)
     return scenario, fly_chunk(scenario, start, jnp.array(0, jnp.int32), HOVER)[0]
 
 
 def cases(scenario: Any, hover: Any, say: Callable[[str], None]) -> Iterator[Case]:
-    """Everything that is measured, ours first."""
+    """Yield all cases to measure, our own first."""
     robot, state = scenario.plant.robot, hover.plant.robot
     wind = jnp.array([0.0, -10.0, 0.0])
     yield from _dynamics_cases(robot, state)
@@ -289,7 +287,7 @@ def _control_cases(scenario: Any, hover: Any, wind: Any) -> Iterator[Case]:
 
 
 def _mjx_cases(robot: RobotModel, state: State) -> Iterator[Case]:
-    """Plain MJX on the same URDF: as it comes, with its joint limits, and with constraints disabled."""
+    """Yield the cases of plain MJX on the same URDF: unchanged, with its joint limits, and without constraints."""
     from jax_aero.mujoco_model import mujoco_spec, to_mujoco
 
     mjx: Any = importlib.import_module("mujoco.mjx")
@@ -311,7 +309,7 @@ def _mjx_cases(robot: RobotModel, state: State) -> Iterator[Case]:
                 after = function(model, load(state))
                 return after.qpos, after.qacc
 
-            # MJX factors matrices with jaxlib's batched kernels; see `jax_aero.linalg`.
+            # MJX factorises matrices with jaxlib's batched kernels; see `jax_aero.linalg`.
             yield Case(f"mjx.{function.__name__}{name}", run, mjx_model, state, in_pieces=True)
 
 

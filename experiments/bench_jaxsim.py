@@ -1,7 +1,7 @@
-"""Jaxsim on our robot, for `experiments.bench_jax`: the lumped tree written as SDF, and what is measured of it.
+"""Jaxsim with our robot, for `experiments.bench_jax`: the tree of merged bodies as SDF, and the measured functions.
 
-Jaxsim reads a URDF only with the tools of Gazebo; an SDF it reads itself. It is no dependency of this package:
-`pip install jaxsim` (which switches JAX to double precision when it is imported).
+Jaxsim needs the tools of Gazebo to read a URDF, but reads SDF by itself. It is not a dependency of this package:
+`pip install jaxsim` (importing it switches JAX to double precision).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from jax_aero.types import State
 
 
 def lumped_sdf(robot: RobotModel) -> str:
-    """Write the tree of moving bodies as SDF: bodies by the names of their joints, origins and axes as ours."""
+    """Return the tree of moving bodies as SDF, with bodies named after their joints and our origins and axes."""
     sdf = ElementTree.Element("sdf", version="1.7")
     model = ElementTree.SubElement(sdf, "model", name="robot", canonical_link="base")
     links = ["base", *(f"{joint}_body" for joint in robot.joint_names)]
@@ -62,12 +62,12 @@ def _numbers(values: Any) -> str:
 
 
 def functions(robot: RobotModel) -> tuple[Any, dict[str, Callable[[Any, State], Any]]]:
-    """Jaxsim's model of the robot, and by name what is measured, as functions of (model, our state).
+    """Return jaxsim's model of the robot, and the measured functions of (model, our state) by name.
 
     Raises
     ------
     ImportError
-        Without jaxsim.
+        If jaxsim is not installed.
     """
     api: Any = importlib.import_module("jaxsim.api")
     with tempfile.TemporaryDirectory() as folder:

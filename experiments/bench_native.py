@@ -1,6 +1,6 @@
-"""The native contenders of `experiments.bench`: compile them here, and let them take turns.
+"""The native programs of `experiments.bench`: compilation, and runs in turns.
 
-Pinocchio is the library of the `pin` wheel, DAQP is compiled from the source of its package; both need a C++ compiler.
+Pinocchio is the library of the `pin` wheel, DAQP is compiled from its source package; both need a C++ compiler.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from experiments import Refused
 from jax_aero import places
 
 Times = dict[str, float]
-"""What was measured to nanoseconds: the median over rounds, in the fastest turn.
+"""Times by name [ns]: the median over rounds of the fastest run.
 
-A virtual machine may run at two paces, one half as fast again as the other. Of a few turns each, two medians may be of
-different paces; the fastest turns are most likely of one."""
+A virtual machine may alternate between two speeds that differ by a factor of 1.5. With few runs, medians over runs may
+be of different speeds; the fastest runs are most likely of the same one."""
 
 FOLDER = places.HOME / "target" / "side_by_side"
 SOURCES = places.HOME / "rust" / "sim" / "benches" / "native"
 URDF = places.CONFIGS / "robot" / "ironcub_mk1.urdf"
 QPS = tuple(f"{name} QP, {case}" for name in ("momentum", "torque") for case in ("calm", "saturated"))
-EIGEN = "cmeel-eigen==3.4.1"  # the headers that Pinocchio was compiled with are not in its wheel
-# What the configuration of Pinocchio requires.
+EIGEN = "cmeel-eigen==3.4.1"  # headers that Pinocchio was compiled with, not in its wheel
+# Definitions required by Pinocchio's configuration.
 PINOCCHIO_DEFINES = (
     "-DBOOST_MPL_LIMIT_LIST_SIZE=30",
     "-DBOOST_MPL_LIMIT_VECTOR_SIZE=30",
@@ -41,7 +41,7 @@ PINOCCHIO_DEFINES = (
 
 @dataclass
 class Programs:
-    """Command lines of the native contenders, and why one is missing; `tick` prints a table."""
+    """Command lines of the native programs, and reasons for missing ones; `tick` prints a table."""
 
     ours: list[str]
     tick: list[str]
@@ -50,13 +50,13 @@ class Programs:
 
 
 def cargo(*, native: bool) -> list[str]:
-    """Return the command that benchmarks start with; `native` compiles for this processor alone."""
+    """Return the command that benchmarks start with; `native` compiles for this processor only."""
     flags = ["env", "RUSTFLAGS=-C target-cpu=native", "CARGO_TARGET_DIR=target/native"] if native else []
     return [*flags, "cargo", "bench", "--locked", "--quiet"]
 
 
 def build(*, native: bool) -> Programs:
-    """Write states and problems, and compile whatever can be compiled here."""
+    """Write states and problems, and compile the programs that can be compiled on this machine."""
     FOLDER.mkdir(parents=True, exist_ok=True)
     ours = [*cargo(native=native), "--bench", "side_by_side"]
     run([*ours, "--", "--dump", str(FOLDER)])
@@ -75,7 +75,7 @@ def _compile_pinocchio(*, native: bool) -> list[str]:
     model.saveToBinary(str(FOLDER / "model.bin"))
     prefix = Path(pin.__file__).resolve().parents[4]
     eigen = _fetch(EIGEN, "*.whl") / "cmeel.prefix" / "include" / "eigen3"
-    # As shipped, the algorithms are those of the wheel's library; for this processor they are compiled here.
+    # By default the algorithms are those of the wheel's library; with `native` they are compiled here.
     flags = ["-march=native"] if native else ["-DPINOCCHIO_ENABLE_TEMPLATE_INSTANTIATION"]
     libraries = [f"-L{prefix / 'lib'}", f"-Wl,-rpath,{prefix / 'lib'}", "-lboost_serialization"]
     libraries += [] if native else ["-lpinocchio_default"]
@@ -91,7 +91,7 @@ def _compile_pinocchio(*, native: bool) -> list[str]:
 def _compile_daqp(*, native: bool) -> list[str]:
     version = importlib.metadata.version("daqp")
     source = _fetch(f"daqp=={version}", "*.tar.gz", "--no-binary=:all:") / f"daqp-{version}" / "csrc"
-    # The flags of its own package, without its clock.
+    # Flags of DAQP's own package, without its timer.
     flags = ["-O3", "-fassociative-math", "-fno-signed-zeros", "-fno-trapping-math"]
     flags += ["-march=native"] if native else []
     program = FOLDER / ("daqp-native" if native else "daqp")
@@ -108,7 +108,7 @@ def _compile_daqp(*, native: bool) -> list[str]:
 
 
 def _fetch(requirement: str, pattern: str, *options: str) -> Path:
-    """Download and unpack a package once; return the folder it is in."""
+    """Download and unpack a package once; return its folder."""
     folder = FOLDER / requirement.replace("==", "-")
     if not folder.is_dir():
         download = FOLDER / "download"
@@ -131,7 +131,7 @@ def _is_newer(program: Path, *sources: Path) -> bool:
 
 
 def run(command: Sequence[str]) -> str:
-    """Run a program to its end and return what it printed, or refuse with what it complained of."""
+    """Run a program and return its output, or refuse with its error message."""
     try:
         done = subprocess.run(command, cwd=places.HOME, capture_output=True, text=True, check=True)
     except FileNotFoundError:
@@ -143,7 +143,7 @@ def run(command: Sequence[str]) -> str:
 
 
 def take_turns(programs: Programs, turns: int) -> tuple[Times, Times, str]:
-    """Run all contenders one after the other, again and again; return times of ours and of others, and ticks."""
+    """Run all programs in turns; return our times, those of others, and the table of ticks."""
     ours: Times = {}
     others: Times = {}
     ticks: list[str] = []

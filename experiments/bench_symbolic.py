@@ -2,8 +2,8 @@
 
 It prints a Markdown table for `docs/benchmarks.md`.
 
-What a user waits for, wall time and processor time: import, building expressions, evaluating them, a trim. Optimal
-trajectories take a minute or more; their times stand in the manifests of `results/trajectory/`.
+Measures wall time and processor time of import, construction and evaluation of expressions, and a trim. Optimal
+trajectories take a minute or more; their times are in the manifests of `results/trajectory/`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from jax_aero.symbolic.aero import load_aero
 
 
 class Time(NamedTuple):
-    """Median over repetitions [s]."""
+    """Wall time and processor time: medians over repetitions [s]."""
 
     wall: float
     processor: float

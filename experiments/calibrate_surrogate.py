@@ -1,9 +1,10 @@
 """Calibrate the panel model on published data: `python -m experiments calibrate-surrogate`.
 
-Published drag curves of the links, and the whole robot's force in the typed tables of wind tunnel and CFD, but for the
-postures flight50 and flight60, which judge the result beside the axisymmetric model. The penalties are those that do
-best on calibration postures left out in turn. The result goes to `results/calibrate_surrogate/calibration/`,
-the coefficients as `surrogate.toml` in it, copied to `configs/aero/panels/`; `python -m paper_figs surrogate` draws it.
+The data are published drag curves of the links, and the whole robot's force in the typed tables of wind tunnel and CFD
+except the postures flight50 and flight60, on which the result is compared with the axisymmetric model. The penalties
+have the smallest error on calibration postures left out in turn. The result goes to
+`results/calibrate_surrogate/calibration/`, with the coefficients as `surrogate.toml`, which is copied to
+`configs/aero/panels/`; `python -m paper_figs surrogate` draws it.
 """
 
 from __future__ import annotations
@@ -28,12 +29,12 @@ from jax_aero.robot import RobotModel, load_robot
 TUNNEL, CFD = (places.CONFIGS / "tables" / name for name in ("wind_tunnel.toml", "cfd_tunnel.toml"))
 
 JUDGES = ("flight50", "flight60")
-"""Postures that no coefficient has seen."""
+"""Postures that are not used for the calibration."""
 LARGEST_SIDESLIP = 20.0
-"""Beyond it the support stands in the wind [deg]."""
+"""Sideslip beyond which the support is exposed to the wind [deg]."""
 MESH, TURBULENCE = "953C", "SST k-omega"
 CURVES = "corrected"
-"""Coefficient set with the published drag curves, the head's misprint corrected."""
+"""Coefficient set of the published drag curves, with the misprint of the head corrected."""
 COMPARED = ("corrected", "signed", "refit")
 
 PANELS = {"spacing": 0.045, "cluster_size": 0.12}
@@ -53,11 +54,11 @@ class Row(NamedTuple):
 
 
 class CalibrationConfig(tables.Table, frozen=True):
-    """A calibration has no settings."""
+    """Configuration of a calibration, which has no settings."""
 
 
 def compute(_name: str, _config: CalibrationConfig) -> Findings:
-    """Calibrate and judge."""
+    """Calibrate and evaluate."""
     robot = load_robot(ROBOT)
     rows = list(table_rows())
     learned = records([row for row in rows if row.posture not in JUDGES])
@@ -89,7 +90,7 @@ main = STUDY.main
 
 
 def table_rows() -> Iterator[Row]:
-    """Yield the records of the typed tables that a model of the robot alone may be compared with."""
+    """Yield the records of the typed tables that can be compared with a model of the robot alone."""
     tunnel = tables.read(TUNNEL)
     for table in tunnel["hovering"]:
         for yaw, *areas in zip(table["beta_deg"], *_areas(table), strict=True):
@@ -123,7 +124,7 @@ def records(rows: Sequence[Row]) -> Records:
 
 
 def axisymmetric(robot: RobotModel, name: str, table: Records) -> Floats:
-    """Return the whole robot's force area (n, 3), base axes, of one coefficient set."""
+    """Return the whole robot's force area (n, 3) [m²], base axes, for one coefficient set."""
     axes = link_axes(robot, table.joint_position_deg)
     areas = fit.predicted_areas(np.asarray(robot.aero_links.coefficients[name]), axes, table.wind_b)
     total: Floats = areas.sum(axis=1)
@@ -131,7 +132,7 @@ def axisymmetric(robot: RobotModel, name: str, table: Records) -> Floats:
 
 
 def figures(table: Records, models: Mapping[str, Floats]) -> dict[str, float]:
-    """Return the rms vector error of every model, posture by posture, and of the drag alone."""
+    """Return the rms vector error of every model by posture, and of the drag alone."""
     names = np.array(table.posture)
     found = {}
     for posture in dict.fromkeys(table.posture):
@@ -144,7 +145,7 @@ def figures(table: Records, models: Mapping[str, Floats]) -> dict[str, float]:
 
 
 def toml(weights: Floats, about: Sequence[str]) -> str:
-    """Return the file that `load_surrogate` reads: coefficients (8, 12) by family, and lines that say what they are."""
+    """Return the text of a file for `load_surrogate`: coefficients (8, 12) by family, with comment lines `about`."""
     lines = [
         *(f"# {line}" for line in ("The panel model of jax_aero/aero/surrogate.py.", *about)),
         "",
@@ -164,7 +165,7 @@ def toml(weights: Floats, about: Sequence[str]) -> str:
 
 
 def sources_of(settings: Settings) -> list[str]:
-    """Return lines that say what the coefficients were fitted to."""
+    """Return comment lines on the data that the coefficients were fitted to."""
     return [
         "Our fit to published data alone: drag curves of the links, wind tunnel and CFD of configs/tables without",
         "flight50 and flight60, by python -m experiments calibrate-surrogate",
@@ -173,7 +174,7 @@ def sources_of(settings: Settings) -> list[str]:
 
 
 def to_dataset(table: Records, models: Mapping[str, Floats]) -> xr.Dataset:
-    """Label what the figure shows."""
+    """Return the data of the figure with labels."""
     variables: dict[str, Any] = {
         "measured": (("record", "component"), table.force_area_w, {"units": "m2", "long_name": "wind tunnel"}),
         "predicted": (("model", "record", "component"), np.stack(list(models.values())), {"units": "m2"}),

@@ -1,7 +1,7 @@
-"""Independent jobs over a Ray cluster: every job is a task, and this process alone writes files.
+"""Independent jobs on a Ray cluster: every job is a task, and only this process writes files.
 
-The nodes need this repository at the same path, with its environment. Without an address, and without one in
-`RAY_ADDRESS`, a cluster of `workers` processes is started here and stopped at the end.
+The nodes need this repository and its environment at the same path. Without an address, given or in `RAY_ADDRESS`, a
+local cluster of `workers` processes is started and stopped at the end.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ Job = TypeVar("Job")
 Answer = TypeVar("Answer")
 
 QUEUED_PER_CPU = 2
-"""Tasks under way or waiting, per processor: so many answers can be in memory at once, and no more."""
+"""Submitted tasks per processor, which limits the number of answers in memory."""
 
 
 def add_options(parser: argparse.ArgumentParser, jobs: str, workers: str) -> None:
-    """Add `--workers`, `--cluster` and `--address`; `jobs` names what is spread, `workers` what is counted."""
+    """Add `--workers`, `--cluster` and `--address`; `jobs` names the jobs, `workers` the unit of `--workers`."""
     parser.add_argument("--workers", type=count, metavar="N", help=f"{workers} (default: one per core)")
     parser.add_argument("--cluster", choices=["ray"], help=f"spread {jobs} over a cluster")
     parser.add_argument("--address", metavar="ADDRESS", help="of the cluster (default: RAY_ADDRESS, or a local one)")
@@ -42,7 +42,7 @@ class Ray:
 
     @classmethod
     def of(cls, given: argparse.Namespace) -> Ray | None:
-        """Return the cluster that the options of `add_options` ask for."""
+        """Return the cluster chosen by the options of `add_options`, or `None`."""
         if given.address and not given.cluster:
             raise Refused(f"--address is {given.address}; expected --cluster ray beside it")
         return cls(given.address, given.workers) if given.cluster else None
@@ -55,16 +55,16 @@ class Ray:
         modules: tuple[str, ...],
         cpus: int = 1,
     ) -> Iterator[tuple[Key, Answer]]:
-        """Yield the answers `task(shared, job)` by the keys of their jobs, as they end.
+        """Yield the answers `task(shared, job)` with the keys of their jobs, in order of completion.
 
         Parameters
         ----------
         task
-            A function of a module that the nodes can import.
+            A function in a module that the nodes can import.
         modules
-            Modules whose code, with all that they import, makes the answers: a node must have the same.
+            Modules whose code, including imports, determines the answers; it must be the same on every node.
         cpus
-            Processors that a task takes.
+            Processors per task.
         """
         try:
             import ray
@@ -77,7 +77,7 @@ class Ray:
         if started:
             _connect(ray, address, self.workers)
         try:
-            # What all share travels once.
+            # Shared data are transferred once.
             common = ray.put(pickle.dumps((task, shared, modules, sources.code_hash(*modules))))
             yield from _spread(ray, common, jobs, cpus)
         finally:
@@ -86,7 +86,7 @@ class Ray:
 
 
 def _connect(ray: Any, address: str | None, workers: int | None) -> None:
-    # The driver's folder is not on the path of its workers when it was started as `python -m`.
+    # The driver's folder is not on the workers' path if it was started as `python -m`.
     environment = {"env_vars": {"PYTHONPATH": str(places.HOME)}}
     quiet = {"log_to_driver": False, "logging_level": "error", "runtime_env": environment}
     if address:
@@ -95,7 +95,7 @@ def _connect(ray: Any, address: str | None, workers: int | None) -> None:
     local = {"num_cpus": workers or os.cpu_count() or 1, "include_dashboard": False, **quiet}
     try:
         ray.init(**local)
-    except Exception:  # Ray gives its processes 30 s to start, which a busy machine may need the first time
+    except Exception:  # Ray's time-out of 30 s may be too short on a busy machine
         ray.shutdown()
         ray.init(**local)
 
@@ -120,7 +120,7 @@ def _spread(ray: Any, common: Any, jobs: Mapping[Key, Any], cpus: int) -> Iterat
             if isinstance(error.cause, Refused):
                 raise Refused(str(error.cause)) from None
             raise
-        except ray.exceptions.RayError as reason:  # its process was killed, again and again
+        except ray.exceptions.RayError as reason:  # its process was killed repeatedly
             raise Refused(f"job {key} did not come back ({reason}); the same command goes on with it") from None
 
 

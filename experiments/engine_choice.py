@@ -1,6 +1,6 @@
 """Why jets and not electric fans: the paper's comparison of battery and fuel for a hovering robot.
 
-A hovering robot of mass m needs a thrust of its own weight, and consumption is proportional to thrust (the paper's
+A hovering robot of mass m needs a thrust equal to its weight, and consumption is proportional to thrust (the paper's
 assumptions). A battery keeps its mass, fuel is burnt:
 
 ```text
@@ -28,46 +28,46 @@ from jax_aero.places import ROBOT
 from jax_aero.tables import Positive
 
 PAPER_BATTERY, PAPER_FUEL = 26.31, 4.61
-"""What the paper prints [kg]."""
+"""Values printed in the paper [kg]."""
 
 
 class Choice(tables.Table, frozen=True):
     """The paper's numbers."""
 
     robot_mass: Positive = 40.0
-    """[kg]"""
+    """Mass of the robot without energy storage [kg]."""
     minutes: Positive = 5.0
     fan_thrust: Positive = 15.0
-    """Of the electric fan [kg]."""
+    """Thrust of the electric fan [kg]."""
     fan_power: Positive = 13.0
-    """[kW]"""
+    """Power of the electric fan [kW]."""
     specific_energy: Positive = 210.0
-    """Of LiPo batteries [Wh/kg]."""
+    """Specific energy of LiPo batteries [Wh/kg]."""
     jet_thrust: Positive = 22.0
-    """Of the jet engine [kg]."""
+    """Thrust of the jet engine [kg]."""
     jet_consumption: Positive = 0.6
-    """[l/min]"""
+    """Fuel consumption of the jet engine [l/min]."""
     fuel_density: Positive = 0.8
-    """[kg/l]"""
+    """Density of the fuel [kg/l]."""
 
     def battery(self, power_per_thrust: float | None = None) -> float:
-        """Return the battery that carries itself as well [kg]; power per thrust in kW/kg, if not the fan's."""
+        """Return the mass of a battery that carries itself too [kg]; power per thrust [kW/kg], by default the fan's."""
         power = self.fan_power / self.fan_thrust if power_per_thrust is None else power_per_thrust
         share = 1e3 * power * (self.minutes / 60.0) / self.specific_energy
         return self.robot_mass * share / (1.0 - share) if share < 1.0 else math.inf
 
     def power_per_thrust_for(self, battery: float) -> float:
-        """Return the power per thrust [kW/kg] that makes a battery of this mass [kg] just enough."""
+        """Return the power per thrust [kW/kg] for which a battery of this mass [kg] is just sufficient."""
         share = battery / (self.robot_mass + battery)
         return share * self.specific_energy / (self.minutes / 60.0) / 1e3
 
     def fuel(self) -> float:
-        """Return the fuel that is burnt to the last drop [kg]."""
+        """Return the mass of fuel that is completely burnt in flight [kg]."""
         per_minute = self.jet_consumption * self.fuel_density / self.jet_thrust
         return self.robot_mass * (math.exp(per_minute * self.minutes) - 1.0)
 
     def fuel_carried(self) -> float:
-        """Return the fuel if none of its mass were ever lost [kg]."""
+        """Return the mass of fuel if burning did not reduce the robot's mass [kg]."""
         share = self.jet_consumption * self.fuel_density / self.jet_thrust * self.minutes
         return self.robot_mass * share / (1.0 - share) if share < 1.0 else math.inf
 
@@ -86,7 +86,7 @@ def results(choice: Choice) -> dict[str, Any]:
 
 
 def engines() -> list[dict[str, Any]]:
-    """Return the robot's jets: thrust limit, engine and its steady throttle range."""
+    """Return the robot's jets: thrust limit, engine and steady throttle range."""
     robot = tables.read(ROBOT)
     return [
         {

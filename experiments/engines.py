@@ -1,7 +1,7 @@
-"""Engines that fly a configuration: `engine = "rust"`, `"jax"` or `"mujoco"`, in a file or with --engine.
+"""Engines that fly a configuration: `engine = "rust"`, `"jax"` or `"mujoco"` in a file, or --engine.
 
-An engine turns a resolved configuration into the same `rust.FlightResult`. A flight of a batch that cannot be flown
-gives a `Failure` in its place, so that it is recorded and the others go on.
+An engine computes a `rust.FlightResult` from a resolved configuration. A flight of a batch that cannot be computed is
+replaced by a `Failure`, so that it is recorded and the other flights continue.
 """
 
 from __future__ import annotations
@@ -19,33 +19,33 @@ Config = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Failure:
-    """A flight that has no result, and why."""
+    """A flight without a result, and the reason."""
 
     reason: str
 
 
 MODULES = {"rust": "jax_aero.rust", "jax": "jax_aero.sim", "mujoco": "jax_aero.mujoco_ground"}
-"""Where each engine is."""
+"""Module of each engine."""
 
 
 @dataclass(frozen=True)
 class Engine:
-    """One way to fly: a module with `fly` and, if it flies many at once, `fly_batch`."""
+    """A module with the function `fly` and, optionally, `fly_batch`."""
 
     name: str
     module: Any
 
     def fly(self, config: Config, progress: rust.Progress | None = None) -> rust.FlightResult:
-        """Fly one configuration, with its whole log."""
+        """Fly one configuration, with the whole log."""
         flown: rust.FlightResult = self.module.fly(config, progress)
         return flown
 
     def fly_batch(
         self, configs: Sequence[Config], threads: int | None = None, progress: rust.Progress | None = None
     ) -> list[rust.FlightResult | Failure]:
-        """Fly many; where one is refused, fly the others without it. The order is that of `configs`.
+        """Fly many configurations, in their order; if one is refused, fly the others without it.
 
-        Only outcomes and summaries are sure to be there. `threads` are for the crate: JAX keeps its own.
+        Only outcomes and summaries are guaranteed. `threads` applies to the crate, since JAX has its own.
         """
         together: Callable[..., list[rust.FlightResult]] | None = getattr(self.module, "fly_batch", None)
         more = {"threads": threads} if self.name == "rust" else {}
@@ -53,7 +53,7 @@ class Engine:
             try:
                 return list(together(configs, progress=progress, **more))
             except ValueError:
-                progress = None  # it may have counted flights already
+                progress = None  # some flights may already be counted
         flights: list[rust.FlightResult | Failure] = []
         for config in configs:
             try:
@@ -66,7 +66,7 @@ class Engine:
 
 
 def engine(name: str) -> Engine:
-    """Return the engine of a name."""
+    """Return the engine with this name."""
     if name not in MODULES:
         raise Refused(f"engine = {name!r}; expected one of {', '.join(MODULES)}")
     try:

@@ -1,8 +1,9 @@
 """Fit the paper's axisymmetric model to a dataset: `python -m experiments fit-aero [NAME]`.
 
-Lasso chooses terms, least squares fits them, family by family. Beside that: the published terms refitted, what the
-published normal-force coefficients are fits of, and how well every coefficient set of the robot explains the data. The
-result goes to `results/fit_aero/NAME/`, with the new coefficients as TOML; `python -m paper_figs fig4_fit` draws it.
+Lasso selects terms and least squares fits them, family by family. In addition, the published terms are refitted, the
+origin of the published normal-force coefficients is tested, and every coefficient set of the robot is evaluated on the
+data. The result goes to `results/fit_aero/NAME/`, with the new coefficients as TOML; `python -m paper_figs fig4_fit`
+draws it.
 """
 
 from __future__ import annotations
@@ -23,18 +24,18 @@ from jax_aero.places import ROBOT
 from jax_aero.robot import RobotModel, load_robot
 
 PRINTED, RIGHT = "published", "corrected"
-"""Sets of the robot with the coefficients as printed, and with the head's."""
+"""Coefficient sets of the robot: as printed, and with the head's misprint corrected."""
 
 
 class FitConfig(tables.Table, frozen=True):
-    """A fit."""
+    """Settings of a fit."""
 
     dataset: Path | None = None
-    """What import-cfd wrote; without it, `results/datasets/NAME.nc`, or else the shipped one of that name."""
+    """Dataset from import-cfd; by default `results/datasets/NAME.nc`, or else the shipped one of that name."""
 
 
 def compute(name: str, config: FitConfig) -> Findings:
-    """Fit and compare."""
+    """Fit and compare the models."""
     path = config.dataset or dataset_of(name)
     computed = load(path)
     computed = computed.take(~computed.is_mirrored)
@@ -73,33 +74,33 @@ main = STUDY.main
 
 
 def dataset_of(name: str) -> Path:
-    """Return the dataset of a name: our own of `results/datasets`, or else a shipped one."""
+    """Return the dataset of a name: one in `results/datasets`, or else a shipped one."""
     own, shipped = (folder / f"{name}.nc" for folder in (places.RESULTS / "datasets", places.CONFIGS / "aero/datasets"))
     return shipped if shipped.is_file() and not own.is_file() else own
 
 
 def variants_of(robot: RobotModel, fits: Mapping[str, fit.FamilyFit]) -> dict[str, Floats]:
-    """Coefficients (13, 6) of every variant: the robot's sets, and the new fit."""
+    """Return the coefficients (13, 6) of every variant: the robot's sets and the new fit."""
     wanted = (PRINTED, RIGHT, "signed", "alternative")
     sets = {name: np.asarray(robot.aero_links.coefficients[name]) for name in wanted}
     return {**sets, "refit": fit.coefficients_of(fits)}
 
 
 class Refitted(NamedTuple):
-    """The published model of one family, and its terms refitted."""
+    """Published model of one family, with its terms refitted."""
 
     printed: Floats
-    """(5,) drag weights, the head's misprint corrected [m²]."""
+    """(5,) published drag weights, the head's misprint corrected [m²]."""
     found: Floats
-    """(5,) weights of the same terms [m²]."""
+    """(5,) refitted weights of the same terms [m²]."""
     spread: Floats
-    """(5,) standard errors of what was found, from leaving postures out [m²]."""
+    """(5,) standard errors of the refitted weights, by leaving postures out [m²]."""
     printed_cna: float
-    """[m²]"""
+    """Published normal-force coefficient [m²]."""
 
 
 def published_terms(robot: RobotModel, dataset: Dataset, axes: Floats) -> dict[str, Refitted]:
-    """Fit the terms that the published model has, and no others."""
+    """Fit exactly the terms of the published model."""
     printed = np.asarray(robot.aero_links.coefficients[RIGHT])
     geometry = fit.angles(axes, dataset.wind_b)
     force = fit.parts(dataset.force_area_b, geometry.wind)
@@ -119,7 +120,7 @@ def published_terms(robot: RobotModel, dataset: Dataset, axes: Floats) -> dict[s
 
 
 def same_digits(found: float, printed: float, digits: int, slack: int = 0) -> bool:
-    """Whether two numbers agree when both are rounded to significant digits, the last off by at most `slack`."""
+    """Return whether two numbers rounded to significant digits agree, with the last digit off by at most `slack`."""
     step = 10.0 ** (np.floor(np.log10(abs(printed))) - digits + 1)
     return bool(abs(round(found / step) - round(printed / step)) <= slack)
 
@@ -153,7 +154,7 @@ def figures(
 def report(
     quality: Mapping[str, fit.Quality], fits: Mapping[str, fit.FamilyFit], refitted: Mapping[str, Refitted]
 ) -> str:
-    """Return the tables that are printed."""
+    """Return the printed tables."""
     lines = ["variant        link MSE [m4]     R2   drag rms   across rms [m2]"]
     lines += [
         f"{name:<14} {q.mse:13.3g} {q.r2:6.2f} {100 * q.drag_rms:8.1f} % {q.lift_side_rms:12.4f}"
@@ -174,7 +175,7 @@ def report(
 
 
 def toml(fits: Mapping[str, fit.FamilyFit], source: str) -> str:
-    """Return the coefficient set as it stands in a robot's file."""
+    """Return the coefficient set in the format of a robot's file."""
     lines = [f"# Our fit of {source}: python -m experiments fit-aero", "[coefficients.refit]"]
     for family, kept in fits.items():
         cda = ", ".join(f"{weight:.5f}" if weight else "0.0" for weight in kept.cda)
@@ -185,10 +186,10 @@ def toml(fits: Mapping[str, fit.FamilyFit], source: str) -> str:
 def to_dataset(
     dataset: Dataset, axes: Floats, variants: Mapping[str, Floats], refitted: Mapping[str, Refitted]
 ) -> xr.Dataset:
-    """Label what the figure shows: every row as a point over the angle of attack, and the coefficients."""
+    """Return the data of the figure with labels: every row over the angle of attack, and the coefficients."""
     geometry = fit.angles(axes, dataset.wind_b)
     force = fit.parts(dataset.force_area_b, geometry.wind)
-    # At the poles there is no normal direction; the force across is then all there is.
+    # At the poles the normal direction is undefined; the whole force across the wind is used.
     length = np.maximum(geometry.sin, 1e-6)
     signed = np.sum(force.across * geometry.normal, axis=-1) / length
     points = {

@@ -1,9 +1,9 @@
-"""How large is what the paper's controller neglects: the rate of the aerodynamic forces, along a flight.
+"""Size of the rate of aerodynamic forces along a flight, which the paper's controller neglects.
 
-`python -m experiments force-rate [NAME]` flies an experiment (default test2) and splits the second derivative of the
-centroidal momentum at every tick, with the derivatives of the symbolic implementation, into what the controller's QP
-models (A_T Ṫ, Λ_T ν, Λ_a ν) and what it leaves out (link forces that change as links turn, as they accelerate, as the
-wind changes). The result goes to `results/force_rate/NAME/`.
+`python -m experiments force-rate [NAME]` flies an experiment (default test2) and decomposes the second derivative of
+the centroidal momentum at every tick, by derivatives of the symbolic implementation, into the terms in the controller's
+QP (A_T Ṫ, Λ_T ν, Λ_a ν) and those neglected (change of link forces due to rotation and acceleration of links and to
+change of the wind). The result goes to `results/force_rate/NAME/`.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ NEGLECTED = ("attitude", "acceleration", "wind")
 
 
 class ForceRateConfig(tables.Table, frozen=True):
-    """The experiment that names the study, and how long it is flown."""
+    """Experiment of the study, and its duration."""
 
     experiment: Path
     duration: tables.Positive | None = None
-    """Instead of the experiment's own [s]."""
+    """Duration that replaces the experiment's own [s]."""
 
 
 def compute(name: str, settings: ForceRateConfig) -> Findings:
-    """Fly and split."""
+    """Fly and decompose."""
     overrides = {} if settings.duration is None else {"simulator.duration": settings.duration}
     config = rust.load_config(settings.experiment, overrides)
     model = MomentumModel(load_robot(config["robot"]), config["simulator"]["aero"])
@@ -60,11 +60,11 @@ main = STUDY.main
 
 
 def split(model: MomentumModel, log: Mapping[str, Any]) -> tuple[ForceRate, float]:
-    """Return the parts of L̈ at every tick but the first and last, (6, ticks) each, and how well they add up.
+    """Return the parts of L̈ at every tick except the first and last, (6, ticks) each, and the error of their sum.
 
-    Rates are central differences of the log. The parts are compared with the central difference of the logged momentum
-    rate, which the crate computed: rms of the difference over the settled flight, relative to the rms of L̈. Where a
-    command jumps, central differences see half of it.
+    Rates are central differences of the log. The sum is compared with the central difference of the logged momentum
+    rate, which the crate computed: rms difference over the settled flight, relative to the rms of L̈. If a command
+    jumps, central differences contain half of the jump.
     """
     t = log["time"]
     dt = t[1] - t[0]
@@ -92,7 +92,7 @@ def split(model: MomentumModel, log: Mapping[str, Any]) -> tuple[ForceRate, floa
 
 
 def to_dataset(t: Any, parts: ForceRate) -> xr.Dataset:
-    """Label the parts."""
+    """Return the parts as a labelled dataset."""
     units = "N s-1 (linear), N m s-1 (angular)"
     meaning = {
         "thrust_rate": "A_T times thrust rate",

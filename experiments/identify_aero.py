@@ -1,10 +1,10 @@
-"""A worked example of differentiability: find a robot's aerodynamic coefficients from the log of one flight.
+"""A worked example of differentiability: identification of aerodynamic coefficients from the log of one flight.
 
-`python -m experiments identify-aero` flies TEST2 with a robot whose force areas are not those of its file, writes down
-what sensors would (positions, velocities with noise, thrusts and torques as commanded, the wind), and finds which areas
-explain the log. From many logged states it simulates the next 0.1 s under the logged commands, compares the velocities,
-and follows the gradient through that simulation. The controller is not involved. The result is validated on
-the forces of another flight, in head wind.
+`python -m experiments identify-aero` flies TEST2 with force areas that differ from those in the robot's file, records
+what sensors would measure (positions, velocities with noise, commanded thrusts and torques, the wind), and identifies
+the areas that explain the log. Starting at many logged states, it simulates the next 0.1 s under the logged commands,
+compares the velocities and descends along the gradient through the simulation. The controller is not involved. The
+result is validated on the forces of another flight, in head wind.
 
     minimise  Σ ((ν_simulated − ν_logged)/σ)² / 2  +  Σ (θ/0.3)² / 2      areas = (1 + θ) · those of the file
 
@@ -33,28 +33,28 @@ from jax_aero.sim.rollout import fly_chunk
 
 FLIGHT, VALIDATION = "test2", "head_wind"
 SPREAD = 0.3
-"""True areas lie within this share of those of the file; also the width of the prior."""
+"""Greatest relative deviation of the true areas from those of the file, and width of the prior."""
 NOISE = {"base": 2e-3, "joints": 5e-3}
 """Standard deviation of the logged velocities [m/s and rad/s, rad/s]."""
 HORIZON = 10
-"""Ticks that are simulated from every logged state."""
+"""Ticks simulated from every logged state."""
 FIRST_TICK, N_STARTS = 600, 240
-"""From when on there is wind, and from how many states the log is simulated."""
+"""First tick used, after which there is wind, and number of initial states."""
 
 
 class IdentifyConfig(tables.Table, frozen=True):
-    """An identification."""
+    """Settings of an identification."""
 
     seed: tables.Natural = 1
-    """Of the true areas and of the noise."""
+    """Seed of the true areas and of the noise."""
     steps: tables.Count = 150
-    """Of the descent."""
+    """Number of steps of the descent."""
     rate: tables.Positive = 0.03
-    """Step length of the descent."""
+    """Step size of the descent."""
 
 
 def compute(_: str, settings: IdentifyConfig) -> Findings:
-    """Fly, identify, validate."""
+    """Fly, identify and validate."""
     config = rust.load_config(FLIGHT)
     validation = rust.load_config(VALIDATION, {"simulator.duration": 20.0})
     with jax.enable_x64(True):
@@ -94,7 +94,7 @@ main = STUDY.main
 
 
 def with_noise(log: Mapping[str, NDArray[np.float64]], rng: np.random.Generator) -> dict[str, NDArray[np.float64]]:
-    """Return the log as sensors would give it."""
+    """Return the log with the noise of sensors."""
     scale = {"base_velocity": NOISE["base"], "joint_velocity": NOISE["joints"]}
     noisy = {name: log[name] + rng.normal(scale=std, size=log[name].shape) for name, std in scale.items()}
     return dict(log) | noisy
@@ -110,7 +110,7 @@ def to_dataset(
     links: Sequence[str],
     member: NDArray[np.int64],
 ) -> xr.Dataset:
-    """Label the areas of every model, the descent, and the forces in the validation flight."""
+    """Return areas of every model, descent, and forces in the validation flight as a labelled dataset."""
     names = [
         " ".join(link for link, own in zip(links, member, strict=True) if own == family)
         for family in range(len(families))
@@ -133,7 +133,7 @@ def to_dataset(
 
 
 def figures(dataset: xr.Dataset) -> dict[str, float]:
-    """Figures of merit: how wrong forces and moments of the validation flight are, before and after."""
+    """Return the errors of forces and moments in the validation flight, before and after the identification."""
     force, moment = slice(0, 3), slice(3, 6)
 
     def error(model: str, part: slice) -> float:

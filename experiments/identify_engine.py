@@ -1,14 +1,14 @@
-"""Identify a second-order engine (M32) from a log of a test bench, validate it on another log, tune its estimator.
+"""Identify a second-order engine (M32) from a test bench log, validate it on another log, tune its estimator.
 
-`python -m experiments identify-engine P220` makes two logs of an engine of the robot's file, as a bench would write
-them: time, throttle and thrust with noise, 100 times a second. `--set train=FILE --set test=FILE` reads real ones: CSV
+`python -m experiments identify-engine P220` generates two logs of an engine in the robot's file, in the format of a
+bench: time, throttle and thrust with noise, at 100 Hz. `--set train=FILE --set test=FILE` reads real logs: CSV files
 with the columns `time_s,throttle_percent,thrust_n`.
 
-1. Local cubics smooth thrust and its two derivatives; linear least squares give all coefficients but b_uu.
-2. Output error: segments of a second are simulated (M33) from their smoothed start, then segments of 20 s, and
-   Levenberg-Marquardt moves all ten coefficients until thrusts agree.
-3. The other log is simulated as a whole from its first sample.
-4. Of the estimator (M35), R follows from the noise that is left, Q from the likelihood of its innovations.
+1. Local cubics smooth thrust and give its two derivatives; linear least squares give all coefficients except b_uu.
+2. Output error: segments of 1 s are simulated (M33) from their smoothed initial states, then segments of 20 s, and
+   Levenberg-Marquardt adjusts all ten coefficients to match the thrusts.
+3. The whole other log is simulated from its first sample.
+4. For the estimator (M35), R follows from the residual noise, Q from the likelihood of the innovations.
 
 The result goes to `results/identify_engine/NAME/`; `python -m paper_figs engine` draws it.
 """
@@ -37,29 +37,29 @@ from jax_aero.robot import ENGINE_KEYS
 
 COLUMNS = ("time_s", "throttle_percent", "thrust_n")
 STEP = 0.01
-"""Of a log, and of the simulated controller [s]."""
+"""Sampling time of a log and of the simulated controller [s]."""
 FINE = 10
-"""Steps of the generator between two samples: the bench is no discrete model."""
+"""Integration steps of the generator per sample, since a real engine is not a discrete model."""
 NOISE = 1.0
-"""Standard deviation of the generated thrust [N]."""
+"""Standard deviation of the noise on the generated thrust [N]."""
 WINDOW = 10
-"""Samples on either side that a local cubic is fitted to."""
+"""Number of samples on either side in the fit of a local cubic."""
 SEGMENTS = (100, 2000)
-"""Samples of a simulated segment: short ones converge from far away, in long ones the start no longer matters."""
+"""Samples per simulated segment: short ones converge from far away, long ones are insensitive to the initial state."""
 PUBLISHED_Q, PUBLISHED_R = np.array([[10.0, 1.0], [1.0, 10.0]]), 1.0
 
 Array = NDArray[np.float64]
 
 
 class Log(NamedTuple):
-    """A test on the bench."""
+    """Log of a test on the bench."""
 
     time: Array
-    """[s], equally spaced."""
+    """Times [s], equally spaced."""
     throttle: Array
-    """[%]"""
+    """Throttle [%]."""
     thrust: Array
-    """Measured [N]."""
+    """Measured thrust [N]."""
 
 
 class Smoothed(NamedTuple):
@@ -71,7 +71,7 @@ class Smoothed(NamedTuple):
 
 
 class EngineLogs(tables.Table, frozen=True):
-    """Logs to identify an engine from and to validate it on; without them they are made of one of the robot's file."""
+    """Logs for identification and validation; without them they are generated from an engine of the robot's file."""
 
     train: Path | None = None
     test: Path | None = None
@@ -82,7 +82,7 @@ class EngineLogs(tables.Table, frozen=True):
 
 
 def compute(name: str, logs: EngineLogs) -> Findings:
-    """Make or read logs, identify, validate, tune."""
+    """Generate or read logs, identify, validate and tune."""
     table = tables.read(ROBOT)["engines"]
     if name not in table:
         raise Refused(f"no engine `{name}`; there are {', '.join(table)}")
@@ -112,9 +112,9 @@ main = STUDY.main
 
 
 def bench_log(engine: Array, seed: int, seconds: float = 60.0) -> Log:
-    """Return the log of a test: throttle in steps and ramps between 25 and 100 %, thrust with noise.
+    """Return a generated log of a test: throttle in steps and ramps between 25 and 100 %, thrust with noise.
 
-    The engine is integrated ten times as finely as the log is written; `seed` draws throttle and noise.
+    The engine is integrated with ten steps per sample; `seed` determines throttle and noise.
     """
     rng = np.random.default_rng(seed)
     n = round(seconds / STEP) + 1
@@ -130,7 +130,7 @@ def bench_log(engine: Array, seed: int, seconds: float = 60.0) -> Log:
 
 
 def profile(rng: np.random.Generator, n: int) -> Array:
-    """Return a throttle [%]: levels that last 1 to 4 s, reached at once or by a ramp of up to 2 s."""
+    """Return a throttle profile [%]: levels of 1 to 4 s, reached at once or by a ramp of up to 2 s."""
     throttle, level = np.empty(n), 50.0
     start = 0
     while start < n:
@@ -145,7 +145,7 @@ def profile(rng: np.random.Generator, n: int) -> Array:
 
 
 def steady_start(engine: Array, throttle: float) -> float:
-    """Return the thrust [N] at which the engine rests, by letting it run for a minute."""
+    """Return the steady thrust [N] at a throttle [%], by simulating one minute."""
     thrust, rate = 50.0, 0.0
     for _ in range(6000):
         thrust, rate = advanced(thrust, rate, acceleration_of(engine, thrust, rate, throttle), STEP)
@@ -153,7 +153,7 @@ def steady_start(engine: Array, throttle: float) -> float:
 
 
 def acceleration_of(e: Array, thrust: float, rate: float, throttle: float) -> float:
-    """Return M32 [N/s²]."""
+    """Return the thrust acceleration of M32 [N/s²]."""
     v = throttle * (1.0 + e[8] * throttle)
     drift = thrust * (e[0] + e[1] * thrust + e[4] * rate) + rate * (e[2] + e[3] * rate) + e[9]
     return float(drift + (e[5] + e[6] * thrust + e[7] * rate) * v)
@@ -165,12 +165,12 @@ def advanced(thrust: Any, rate: Any, acceleration: Any, step: float) -> tuple[An
 
 
 def read_log(path: Path) -> Log:
-    """Read the log of a bench.
+    """Read a log of a test bench.
 
     Raises
     ------
     Refused
-        Naming the file, and what was expected.
+        If the file is invalid; the message names it and what was expected.
     """
     try:
         with path.open(encoding="utf-8", newline="") as file:
@@ -188,7 +188,7 @@ def read_log(path: Path) -> Log:
 
 
 def log_text(log: Log) -> str:
-    """Return a log as `read_log` reads it."""
+    """Return a log in the format of `read_log`."""
     rows = "\n".join(f"{t:.2f},{u:.4f},{thrust:.4f}" for t, u, thrust in zip(*log, strict=True))
     return f"{','.join(COLUMNS)}\n{rows}\n"
 
@@ -202,7 +202,7 @@ def smooth(thrust: Array) -> Smoothed:
 
 
 def regression(log: Log) -> Array:
-    """Return the ten coefficients by linear least squares on smoothed derivatives, b_uu zero."""
+    """Return the ten coefficients by linear least squares on smoothed derivatives, with b_uu = 0."""
     t, d, a = smooth(log.thrust)
     u = log.throttle
     inner = slice(2 * WINDOW, -2 * WINDOW)
@@ -213,11 +213,11 @@ def regression(log: Log) -> Array:
 
 
 def identify(log: Log, limits: Array) -> Array:
-    """Return the twelve numbers of an engine, `limits` those of its throttle [%]."""
+    """Return the twelve numbers of an engine, including the `limits` of its throttle [%]."""
     found = regression(log)
     for segment in SEGMENTS:
         residual = residual_of(log, limits, segment)
-        # Coefficients differ by orders of magnitude; one that starts at zero has the size that b_uu has.
+        # Scales of the coefficients, which differ by orders of magnitude; a zero gets the typical size of b_uu.
         scale = np.where(found == 0.0, 1e-3, np.abs(found))
         slope = jax.jit(jax.jacfwd(residual))
         found = least_squares(jax.jit(residual), found, slope, method="lm", x_scale=scale).x
@@ -225,7 +225,7 @@ def identify(log: Log, limits: Array) -> Array:
 
 
 def residual_of(log: Log, limits: Array, segment: int) -> Callable[[Any], Any]:
-    """Return the differences between simulated segments and the log [N], as a function of the ten coefficients."""
+    """Return the difference between simulated segments and the log [N] as a function of the ten coefficients."""
     n = (log.time.size - 1) // segment
     smoothed = smooth(log.thrust)
     firsts = segment * np.arange(n)
@@ -241,7 +241,7 @@ def residual_of(log: Log, limits: Array, segment: int) -> Callable[[Any], Any]:
             return jnp.stack(after, axis=-1), after[0]
 
         _, thrusts = jax.lax.scan(step, start, throttle.T)
-        # A bad guess may diverge: bounded, its error still says which way is better.
+        # A bad guess may diverge; its error is bounded so that it still indicates the better direction.
         return jnp.clip(thrusts.T - seen, -1e3, 1e3).ravel()
 
     return residual
@@ -252,7 +252,7 @@ def _step(engine: Engines, thrust: Any, rate: Any, throttle: Any) -> tuple[Any, 
 
 
 def simulate(engine: Array, throttle: Array, smoothed: Smoothed) -> Array:
-    """Return the thrust [N] of the whole log from its first sample alone."""
+    """Return the thrust [N] of the whole log, simulated from its first sample."""
     e = Engines(*engine)
 
     def step(state: Any, u: Any) -> Any:
@@ -266,7 +266,7 @@ def simulate(engine: Array, throttle: Array, smoothed: Smoothed) -> Array:
 
 
 def estimate(engine: Array, log: Log, q: Array, r: float) -> tuple[Array, float]:
-    """Return estimated thrust and rate (n, 2) of M35, and the log likelihood of its innovations, up to a constant."""
+    """Return thrust and rate (n, 2) estimated by M35, and the log likelihood of the innovations up to a constant."""
     model = SecondOrderJets(
         engines=Engines(*(jnp.array([value]) for value in engine)),
         rate_gain_p=jnp.array(0.0),
@@ -293,13 +293,13 @@ def estimate(engine: Array, log: Log, q: Array, r: float) -> tuple[Array, float]
 
 
 def tune(engine: Array, log: Log) -> tuple[Array, float]:
-    """Return Q and R: R from the noise about the smoothed thrust, Q diagonal, the likeliest of a grid.
+    """Return Q and R: R from the noise about the smoothed thrust, Q diagonal with the greatest likelihood on a grid.
 
-    The noise about a cubic through 2 w + 1 samples is less by what the cubic takes up: its share at the middle.
+    The residual of a cubic through 2 w + 1 samples is smaller than the noise, by the weight of the middle sample.
     """
     taken = savgol_coeffs(2 * WINDOW + 1, 3)[WINDOW]
     left = log.thrust - smooth(log.thrust).thrust
-    # The median is not disturbed by the edges of steps, where a cubic does not follow.
+    # The median is insensitive to the edges of steps, which a cubic does not follow.
     variance = (np.median(np.abs(left)) / 0.6745) ** 2 / (1.0 - taken)
     r = float(variance * STEP)
     grid = [np.diag([a, b]) for a in 10.0 ** np.arange(-4.0, 2.0) for b in 10.0 ** np.arange(-2.0, 4.0)]
@@ -312,7 +312,7 @@ def tune(engine: Array, log: Log) -> tuple[Array, float]:
 def to_dataset(
     log: Log, found: Array, truth: Array, whole: Array, of_file: Array, estimates: Mapping[str, Array]
 ) -> xr.Dataset:
-    """Label the held-out log, what the models make of it, and what the estimators do."""
+    """Return the validation log, the models' thrusts and the estimates as a labelled dataset."""
     smoothed = smooth(log.thrust)
     variables: dict[str, Any] = {
         "throttle": (("time",), log.throttle, {"units": "%"}),
@@ -331,7 +331,7 @@ def to_dataset(
 
 
 def figures(dataset: xr.Dataset) -> dict[str, float]:
-    """Return rms errors on the held-out log."""
+    """Return rms errors on the validation log [N]."""
     span = float(dataset["thrust_smoothed"].max() - dataset["thrust_smoothed"].min())
     inner = slice(50, -50)
 
@@ -343,7 +343,7 @@ def figures(dataset: xr.Dataset) -> dict[str, float]:
         error = rms(dataset[name] - dataset["thrust_smoothed"])
         found[f"thrust simulated, {label}: rms error [N]"] = error
         found[f"thrust simulated, {label}: rms error [% of range]"] = 100.0 * error / span
-    # Of a log that was made the truth is known; of a real one the smoothed log is the best there is.
+    # For a generated log the truth is known; for a real one the smoothed log is the best substitute.
     true_thrust = np.asarray(dataset["thrust_file" if dataset.attrs["made"] else "thrust_smoothed"])
     for label in ("tuned", "published"):
         state = np.asarray(dataset[f"estimate_{label}"])

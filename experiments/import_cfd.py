@@ -1,8 +1,8 @@
-"""Turn free-stream simulations into a dataset of this project: `python -m experiments import-cfd --table FILE`.
+"""Convert free-stream simulations into a dataset of this project: `python -m experiments import-cfd --table FILE`.
 
-The public table is in the history of https://github.com/ami-iit/element_cfd-simulation, from before that repository
-had a licence, so it is not shipped here: get it there, as a file (`--table`) or as a clone (`--clone`). The authors'
-training file (`--mat`) is read too. What was checked is printed, and kept in the dataset.
+The public table is in the history of https://github.com/ami-iit/element_cfd-simulation, in a commit without a licence,
+so it is not shipped here: get it there, as a file (`--table`) or as a clone (`--clone`). The authors' training file
+can be read too (`--mat`). The results of the checks are printed and stored in the dataset.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ OUT = places.RESULTS / "datasets"
 
 COMMIT = "0d43057"
 TABLE_PATH = "simulations/ironcub-automatic-cfd/auto-cfd-sim/data/outputParameters.csv"
-"""Where the public table stands in the history of the public repository."""
+"""Path of the public table in the history of the public repository."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -51,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def keep(dataset: Dataset, out: Path) -> None:
-    """Write a dataset and print what it is."""
+    """Write a dataset and print its description."""
     save(dataset, out)
     print(summary(dataset))
     print(f"{out}: sha256 {dataset.sha256}")
@@ -72,7 +72,7 @@ def _read(given: argparse.Namespace) -> Dataset:
 
 
 def known_postures(sections: Sequence[str] | None = None) -> dict[str, Floats]:
-    """Return the joint angles (19,) [deg] of the named postures, of all sections or of some."""
+    """Return the joint angles (19,) [deg] of the named postures, of some or all sections."""
     table = tables.read(POSTURES)
     if (order := tuple(table.pop("joints"))) != JOINTS:
         raise Refused(f"joints of {POSTURES} are {list(order)}; expected {list(JOINTS)}")
@@ -87,7 +87,7 @@ def known_postures(sections: Sequence[str] | None = None) -> dict[str, Floats]:
 
 
 def from_clone(clone: Path, commit: str) -> str:
-    """Return the table out of the history of a clone; nothing is checked out."""
+    """Return the table from the history of a clone, without checking anything out."""
     try:
         answer = subprocess.run(
             ["git", "-C", str(clone), "show", f"{commit}:{TABLE_PATH}"], capture_output=True, check=True, timeout=60
@@ -105,7 +105,7 @@ def from_clone(clone: Path, commit: str) -> str:
 
 
 def summary(dataset: Dataset) -> str:
-    """Return what was imported and what was checked."""
+    """Return a description of a dataset and the results of its checks."""
     lines = [f"{len(dataset)} rows of {len(dataset.postures)} postures: {', '.join(dataset.postures[:20])}"]
     lines += [f"  {name:<62} {value:.4g}" for name, value in dataset.checks.items()]
     return "\n".join(lines)

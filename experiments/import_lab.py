@@ -1,7 +1,7 @@
-"""A flight of the flight lab as a result folder: `run.json`, which the page exports, to `run.nc` and `manifest.json`.
+"""Import a flight of the flight lab: from the page's `run.json` to a result folder with `run.nc` and `manifest.json`.
 
-The configuration is checked and hashed as that of any flight, so that `python -m experiments` and the viewer take the
-folder for what it is.
+The configuration is checked and hashed like that of any flight, so that `python -m experiments` and the viewer accept
+the folder.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from jax_aero.command import exit_status
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     parser = cli.Parser("import-lab", __doc__)
-    parser.add_argument("run", type=Path, help="run.json, as the lab exports it")
+    parser.add_argument("run", type=Path, help="run.json exported by the lab")
     parser.add_argument("--name", default="lab", help="name of the result (default: lab)")
-    parser.add_argument("--out", type=Path, default=flight.RESULTS, help="folder of the result folder")
+    parser.add_argument("--out", type=Path, default=flight.RESULTS, help="folder that will hold the result folder")
     parser.add_argument("--overwrite", action="store_true", help="replace a result of that name")
     given = parser.parse_args(arguments)
 
@@ -58,5 +58,5 @@ def read(path: Path, folder: Path, *, overwrite: bool = False) -> dict[str, Any]
         dataset = record.to_dataset(flown, rust.Robot(config["robot"]), title=document["title"], config_digest=digest)
         record.write_run(folder, dataset, written, replace=overwrite)
     manifest_of_folder = record.read_manifest(folder)
-    assert manifest_of_folder is not None  # it was written, or was there
+    assert manifest_of_folder is not None  # just written, or existing
     return manifest_of_folder

@@ -1,10 +1,10 @@
-"""Turn wind-tunnel balance files into a dataset: `jax-aero import-tunnel --clone DIR`.
+"""Convert wind-tunnel balance files into a dataset: `jax-aero import-tunnel --clone DIR`.
 
 The files are the `data_GVPM/TID_*.GVP` of the three campaigns in the public repository
-https://github.com/ami-iit/element_cfd-simulation (BSD-3-Clause); nothing of it is shipped here. A table of points with
-the balance's six components is read too (`--table`). All six components are reduced to force areas and moment volumes
+https://github.com/ami-iit/element_cfd-simulation (BSD-3-Clause), none of which is shipped here. A table of points with
+the balance's six components can be read too (`--table`). All components are reduced to force areas and moment volumes
 about the balance centre, the hip-pitch axis and the centre of mass, with an uncertainty budget; gravity sweeps
-(`.tara`) say where the centre of gravity is from the balance centre. The result is a NetCDF file for each robot.
+(`.tara`) give the position of the centre of gravity relative to the balance centre. Writes one NetCDF file per robot.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from jax_aero.robot import load_robot
 
 TESTS = places.CONFIGS / "tables" / "tunnel_tests.toml"
 ROOTS = ("wind-tunnel", "wind-tunnel-data")
-"""Folders of the campaigns in a clone, at different commits."""
+"""Folders of the campaigns in a clone, which differ between commits."""
 SIDES = ("below", "above")
 
 
@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     source.add_argument("--clone", type=Path, metavar="DIR", help="a local clone of element_cfd-simulation")
     source.add_argument("--table", type=Path, metavar="FILE", help="a table of points of one robot (CSV)")
     parser.add_argument(
-        "--side", choices=SIDES, default="below", help="where Mk1's balance centre is from the hip axis (default below)"
+        "--side", choices=SIDES, default="below", help="side of Mk1's balance centre from the hip axis (default below)"
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for tunnel_ROBOT.nc (default results/datasets)")
     given = parser.parse_args(arguments)
@@ -61,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def known_tests() -> dict[tuple[str, str], Test]:
-    """Return what is known of every test, by campaign and name."""
+    """Return the entries of the table of tests, by campaign and name."""
     found = {}
     for campaign in tables.read(TESTS)["campaign"]:
         marks = campaign.get("marks", {})
@@ -106,7 +106,7 @@ def from_clone(clone: Path) -> Iterator[Points]:
     for campaign, folder in folders(clone).items():
         for path in sorted(folder.glob("TID_*.GVP")):
             if (about := tests.get((campaign, path.stem))) is None:
-                continue  # trials and aborted runs, which the lists of tests do not name
+                continue  # trials and aborted runs, not in the list of tests
             gvp = tunnel.read_gvp(path.read_text(encoding="utf-8", errors="replace"), f"{campaign}/{path.name}")
             parts.setdefault(about.robot, []).append(tunnel.points_of(path.stem, about, gvp))
     if not parts:
@@ -121,7 +121,7 @@ def from_table(path: Path) -> Points:
 
 
 def reduced(points: Points, side: str) -> xr.Dataset:
-    """Reduce points about the hip and centre of mass of the robot's model."""
+    """Reduce points about the hip and the centre of mass of the robot's model."""
     joints: dict[str, Floats] = {}
     coms: dict[str, Floats] = {}
     if points.robot == "mk1":
@@ -133,7 +133,7 @@ def reduced(points: Points, side: str) -> xr.Dataset:
 
 
 def gravity_sweeps(clone: Path) -> dict[str, dict[str, tuple[Floats, Floats]]]:
-    """Return the centre of gravity from the balance centre, balance axes, by campaign and sweep."""
+    """Return the centre of gravity relative to the balance centre [m], balance axes, by campaign and sweep."""
     found: dict[str, dict[str, tuple[Floats, Floats]]] = {}
     for campaign, folder in folders(clone).items():
         for path in sorted(folder.glob("TID_*.tara")):
@@ -143,7 +143,7 @@ def gravity_sweeps(clone: Path) -> dict[str, dict[str, tuple[Floats, Floats]]]:
 
 
 def sweeps_text(sweeps: Mapping[str, Mapping[str, tuple[Floats, Floats]]]) -> str:
-    """Return a line for each gravity sweep."""
+    """Return one line of text per gravity sweep."""
     lines = ["centre of gravity from the balance centre, balance axes [m], by gravity sweep"]
     for campaign, entries in sweeps.items():
         for name, (place, deviation) in entries.items():
@@ -153,7 +153,7 @@ def sweeps_text(sweeps: Mapping[str, Mapping[str, tuple[Floats, Floats]]]) -> st
 
 
 def summary(data: xr.Dataset) -> str:
-    """Return what was read."""
+    """Return a description of a dataset."""
     tests = len(set(zip(data["campaign"].values, data["test"].values, strict=True)))
     postures = len(set(data["posture"].values))
     alone = int(data["robot_only"].sum())

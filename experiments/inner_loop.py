@@ -1,10 +1,10 @@
-"""How late and how noisy measurements may be: the hovering loop, linearised tick by tick.
+"""Admissible delay and noise of measurements, from the hovering loop linearised at every tick.
 
-`python -m experiments inner-loop` takes the robot that hovers in still air under the published weights and under those
-of the observer, without an observer, and forms the Jacobian of one tick: of the world by the model's equations of
-motion, of the controller by differences of its ticks, both about the same state. A measurement that is D ticks late is
-a row of the state of D ticks ago. Printed are, for every measurement, the greatest delay up to which no mode grows, in
-ticks of 2 ms; how fast the open loop grows; and what noise makes of the commanded joint rates.
+`python -m experiments inner-loop` considers the robot hovering in still air without an observer, under the published
+weights and under those of the observer's controller, and forms the Jacobian of one tick about the same state: of the
+plant from the model's equations of motion, of the controller by differences of its ticks. A measurement delayed by D
+ticks is a row of the state of D ticks ago. For every measurement it prints the greatest delay at which no mode grows,
+in ticks of 2 ms; the growth rate of the open loop; and the effect of noise on the commanded joint rates.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from jax_aero.cli import Parser
 Matrix = NDArray[np.float64]
 
 WEIGHTS = (10.0, 30.0)
-"""Of joint velocities: published, and with the observer."""
+"""Weights of joint velocities: published, and with the observer."""
 STEP = 1e-6
-"""Of the differences, in SI units."""
+"""Step of the finite differences, in SI units."""
 SETTLING = 15.0
-"""Until the robot hovers [s]."""
+"""Time after which the robot hovers [s]."""
 LONGEST = 0.03
-"""Delays that are tried [s]."""
+"""Greatest delay that is tried [s]."""
 NOISE = {"base position": 5e-3, "base rotation": 2e-3, "base velocity": 0.02, "gyroscopes": 0.01, "thrust": 0.5}
 """Standard deviations of measurements [m, rad, m/s, rad/s, N]."""
 
 
 class Loop(NamedTuple):
-    """A linear loop of n joints: x the deviation of the state, i the integral of the joint velocity error."""
+    """A linear loop with n joints: x the deviation of the state, i the integral of the joint velocity error."""
 
     world: Matrix
     """∂x⁺/∂x."""
@@ -53,7 +53,7 @@ class Loop(NamedTuple):
     joint_rate: Matrix
     """∂ṡ*/∂y."""
     channels: dict[str, Sequence[int]]
-    """Places of each measurement in y."""
+    """Indices of each measurement in y."""
     time_step: float
 
 
@@ -74,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def linearised(weight: float, time_step: float) -> Loop:
-    """Return the loop of the robot that hovers in still air."""
+    """Return the loop linearised about hovering in still air."""
     settings = {"simulator.time_step": time_step, "controller.weights.joint_velocity": weight}
     config = rust.load_config(flight.find("no_wind"), {**settings, "mission": {}, "simulator.duration": 2 * SETTLING})
     plant, controller = rust.Plant(config), rust.Controller(config)
@@ -139,7 +139,7 @@ def linearised(weight: float, time_step: float) -> Loop:
 
 
 def closed(loop: Loop, ages: Matrix) -> Matrix:
-    """Return the Jacobian of a tick of the closed loop, each measurement so many ticks old."""
+    """Return the Jacobian of a tick of the closed loop, with measurements of these ages [ticks]."""
     n, oldest, joints = len(loop.world), int(ages.max()), len(loop.integral)
     size = n * (oldest + 1) + joints
     seen = np.zeros((n, size))
@@ -154,17 +154,17 @@ def closed(loop: Loop, ages: Matrix) -> Matrix:
 
 
 def growth(jacobian: Matrix, time_step: float) -> float:
-    """Return the greatest growth of a mode [1/s]."""
+    """Return the greatest growth rate of a mode [1/s]."""
     return float(np.log(np.abs(np.linalg.eigvals(jacobian)).max()) / time_step)
 
 
 def greatest_delay(loop: Loop, name: str) -> float:
-    """Return the greatest delay [s] of a measurement, or of everything, up to which no mode grows."""
+    """Return the greatest delay [s] of a measurement, or of all, at which no mode grows."""
     ages = np.zeros(len(loop.world), dtype=int)
 
     def is_stable(late: int) -> bool:
         ages[loop.channels.get(name, slice(None))] = late
-        return growth(closed(loop, ages), loop.time_step) < 0.01  # a mode at zero is the position of the set-point
+        return growth(closed(loop, ages), loop.time_step) < 0.01  # the position of the set-point is a mode at zero
 
     low, high = 0, round(LONGEST / loop.time_step) + 1
     while high - low > 1:
@@ -174,21 +174,21 @@ def greatest_delay(loop: Loop, name: str) -> float:
 
 
 def joint_rates(loop: Loop, name: str, std: float) -> float:
-    """Return the greatest standard deviation of a commanded joint rate [rad/s] under noise of a measurement."""
+    """Return the greatest standard deviation of a commanded joint rate [rad/s] due to noise of a measurement."""
     noise = np.zeros(len(loop.world))
     noise[loop.channels[name]] = std**2
     jacobian = closed(loop, np.zeros(len(loop.world), dtype=int))
     entering = np.vstack([loop.acting @ loop.answer, loop.integral])
-    # Hardly less than one for each mode: those that do not move at all are not excited.
+    # Slightly less than one, since the equation is singular with marginal modes, which are not excited.
     state = solve_discrete_lyapunov((1.0 - 1e-5) * jacobian, entering * noise @ entering.T)
     seen = state[: len(noise), : len(noise)] + np.diag(noise)
     return float(np.sqrt(np.diag(loop.joint_rate @ seen @ loop.joint_rate.T).max()))
 
 
 def _stepped(tick: rust.Tick, at: Matrix, rotation: Matrix, hovering: Matrix, u: Matrix, time_step: float) -> Matrix:
-    """State after a semi-implicit step from `at` (M78) under thrust rates and torques u.
+    """Return the state after a semi-implicit step from `at` (M78) under thrust rates and torques u.
 
-    `rotation` is the base's; what it differs from the hovering one is a vector in base axes.
+    `rotation` is that of the base; its deviation from the hovering one is a vector in base axes.
     """
     n, jets = len(tick.velocity_error_integral), len(tick.thrust_rate)
     velocity, thrust = at[6 + n : 12 + 2 * n], at[12 + 2 * n :]

@@ -1,4 +1,4 @@
-"""What a result has to say about itself: configuration, code, versions, machine; no path of this machine."""
+"""Record of how a result was made: configuration, code, versions, machine; without paths of this machine."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def build(
 ) -> dict[str, Any]:
     """Return the manifest of one result, ready for JSON.
 
-    `code` are the modules that made it, and `more` entries of its kind alone.
+    `code` are the modules that computed it, and `more` are entries specific to its kind.
     """
     return {
         "name": name,
@@ -52,7 +52,7 @@ def build(
 
 
 def version_of(package: str) -> dict[str, str]:
-    """Return the version of a package by its name; nothing of one that is not here."""
+    """Return the version of a package by its name; empty if it is not installed."""
     try:
         return {package: importlib.metadata.version(package)}
     except importlib.metadata.PackageNotFoundError:
@@ -60,7 +60,7 @@ def version_of(package: str) -> dict[str, str]:
 
 
 def portable(value: Any) -> Any:
-    """Return `value` with absolute paths made relative to the repository, or cut to the bare name outside it."""
+    """Return `value` with absolute paths made relative to the repository, or outside it reduced to their names."""
     if isinstance(value, Mapping):
         return {key: portable(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -75,7 +75,7 @@ def portable(value: Any) -> Any:
 
 
 def _portable_word(word: str) -> str:
-    """Return a word of a command line with the absolute paths in it made portable: also of `--set KEY="PATH"`."""
+    """Return a word of a command line with portable paths, also within `--set KEY="PATH"`."""
     return re.sub(r"(^|[=\"'\[{,]\s*)(/[^\"',\]}]*)", lambda found: found[1] + str(portable(found[2])), word)
 
 
@@ -89,7 +89,7 @@ def seeds(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, in
 
 
 def git_state() -> dict[str, Any]:
-    """Return commit and whether the working tree differs from it; nulls outside a git checkout."""
+    """Return the commit and whether the working tree differs from it; nulls outside a git checkout."""
     if not places.IS_CHECKOUT:  # the package may be installed below a folder of another repository
         return {"commit": None, "dirty": None}
     commit = _git("rev-parse", "HEAD")
@@ -99,7 +99,7 @@ def git_state() -> dict[str, Any]:
 
 def _git(*arguments: str) -> str | None:
     try:
-        # Without a lock: an ended process would leave it behind, and a commit under way must not fail of this one.
+        # Without a lock, which a killed process would leave behind and which could make a concurrent commit fail.
         command = ["git", "--no-optional-locks", *arguments]
         answer = subprocess.run(command, cwd=places.HOME, capture_output=True, text=True, check=True, timeout=10)
     except (OSError, subprocess.SubprocessError):
@@ -108,7 +108,7 @@ def _git(*arguments: str) -> str | None:
 
 
 def versions(engine: str) -> dict[str, str]:
-    """Return the versions a number in the result could depend on, that of the package of its engine included."""
+    """Return the versions that a result may depend on, including that of the engine's package."""
     found = {"python": platform.python_version(), "flight-core": rust.__version__}
     for package in ("jax-aero", "numpy", "scipy", "xarray", "h5netcdf", "pyarrow"):
         found |= version_of(package) or {package: "not installed as a package"}
@@ -116,7 +116,7 @@ def versions(engine: str) -> dict[str, str]:
 
 
 def device() -> dict[str, Any]:
-    """Return processor and system, without the machine's name."""
+    """Return processor and system, without the name of the machine."""
     return {"cpu": _cpu_model(), "cores": os.cpu_count(), "system": f"{platform.system()} {platform.machine()}"}
 
 

@@ -1,9 +1,9 @@
-"""How fast a moment may grow with the attitude before the robot turns over: predicted and flown.
+"""Greatest growth of a moment with the attitude before the robot turns over: predicted and flown.
 
-`python -m experiments observer-limit` lets a moment M = k_a θ act about one axis of the hovering robot, θ its rotation
-about that axis, without any wind or aerodynamic model. The greatest k_a that is held is found twice for every gain of
-the observer: from the eigenvalues of the linearised loop, whose Jacobian CasADi derives, and by flights of the crate's
-plant and controller. The result goes to `results/observer_limit/hover/`.
+`python -m experiments observer-limit` applies a moment M = k_a θ about one axis of the hovering robot, with θ its
+rotation about that axis, without wind or aerodynamic model. The greatest k_a that is held is determined in two ways for
+every gain of the observer: from the eigenvalues of the linearised loop, whose Jacobian CasADi derives, and by flights
+with the crate's plant and controller. The result goes to `results/observer_limit/hover/`.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from experiments.study import Findings, Study
 from jax_aero import rust, tables
 
 AXES = {"roll": 0, "yaw": 2}
-"""Places in base axes."""
+"""Indices of the axes in base axes."""
 EXPERIMENT = "test1_observer"
 SETTINGS = {"mission": {}, "simulator.initial.free_fall_tick": False}
 PUSH, PUSHED = 0.1, 0.3
-"""Moment that begins the motion, and how long it acts [N m, s]."""
+"""Initial moment and its duration [N m, s]."""
 LOST = 0.5
-"""A rotation whose sine is beyond this does not come back."""
+"""Sine of the rotation beyond which the robot does not recover."""
 SEARCH = (0.2, 200.0)
-"""Where the limit is sought [N m/rad]."""
+"""Interval of the search [N m/rad]."""
 
 
 class ObserverLimit(tables.Table, frozen=True):
-    """Which limits are sought."""
+    """Settings of the search."""
 
     gains: tuple[tables.NonNegative, ...] = (0.0, 1.0, 2.0, 3.0, 5.0, 10.0)
     """K_o [1/s]; zero is the published controller."""
     axes: tuple[Literal["roll", "yaw"], ...] = ("roll", "yaw")
     duration: Annotated[float, msgspec.Meta(ge=0.03)] = 12.0
-    """Of a flight, whose last two thirds are compared [s]."""
+    """Duration of a flight, whose last two thirds are compared [s]."""
 
     def __post_init__(self) -> None:
         tables.check_levels(self, "gains", "axes")
@@ -74,7 +74,7 @@ main = STUDY.main
 
 
 def loop(inertia: float, c0: float, c1: float, gain: float, slope: float) -> NDArray[np.float64]:
-    """Jacobian of the loop of one axis: rotation θ, rate ω, moment M of the jets, observed moment ŵ."""
+    """Return the Jacobian of the loop of one axis: rotation θ, rate ω, jets' moment M, observed moment ŵ."""
     x = ca.SX.sym("x", 4)
     angle, rate, moment, observed = ca.vertsplit(x)
     known = moment + observed  # k̇ as the controller estimates it, M59
@@ -85,23 +85,23 @@ def loop(inertia: float, c0: float, c1: float, gain: float, slope: float) -> NDA
 
 
 def predicted_limit(config: Mapping[str, Any], inertia: float, gain: float) -> float:
-    """Return the greatest slope [N m/rad] whose linear loop has no growing mode."""
+    """Return the greatest slope [N m/rad] for which no mode of the linear loop grows."""
     gains = config["controller"]["momentum"]
 
     def is_held(slope: float) -> bool:
         modes = np.linalg.eigvals(loop(inertia, gains["c0"], gains["c1"], gain, slope))
-        return bool(modes.real.max() < 1e-9)  # an observer that does not move is a mode at zero
+        return bool(modes.real.max() < 1e-9)  # an observer with zero gain is a mode at zero
 
     return _limit(is_held, 1e-4)
 
 
 def flown_limit(config: Mapping[str, Any], axis: int, gain: float, duration: float) -> float:
-    """Return the greatest slope [N m/rad] with which the robot comes back."""
+    """Return the greatest slope [N m/rad] with which the robot recovers."""
     return _limit(lambda slope: comes_back(config, axis, gain, slope, duration), 0.02)
 
 
 def comes_back(config: Mapping[str, Any], axis: int, gain: float, slope: float, duration: float) -> bool:
-    """Push a hovering robot about one axis of its base, with a moment that grows with the rotation about it."""
+    """Return whether the robot recovers from a push about one base axis, with a moment proportional to the rotation."""
     settings = rust.load_config(EXPERIMENT, {**SETTINGS, "controller.observer.gain_moment": gain})
     plant, controller = rust.Plant(settings), rust.Controller(settings)
     measured = plant.reset()
@@ -130,7 +130,7 @@ def hovering_inertia(config: Mapping[str, Any]) -> NDArray[np.float64]:
 
 
 def couple(tick: rust.Tick, moment: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the least link forces that add up to no force and this moment about the centre of mass."""
+    """Return the smallest link forces with zero sum and this moment about the centre of mass [N]."""
     arms = tick.link_arm_points - tick.com_position
     rows = np.vstack([np.hstack([np.eye(3)] * len(arms)), np.concatenate(np.cross(np.eye(3), arms[:, None]), axis=1)])
     found, *_ = np.linalg.lstsq(rows, np.concatenate([np.zeros(3), moment]), rcond=None)
@@ -147,6 +147,6 @@ def _limit(is_held: Callable[[float], bool], accuracy: float) -> float:
 
 
 def _rotation_about(axis: int, error: NDArray[np.float64]) -> float:
-    """Sine of a rotation about one axis, as the attitude law has it (M59)."""
+    """Return the sine of the rotation about one axis, as in the attitude law (M59)."""
     before, after = (axis + 1) % 3, (axis + 2) % 3
     return float(error[after, before] - error[before, after]) / 2.0

@@ -1,7 +1,7 @@
-"""`--set key=value`: from the command line to values, and to the name of a folder.
+"""`--set key=value`: values from the command line, and the name of the resulting folder.
 
-Whatever is changed by `--set`, a flight, study, training or CFD design, has a result of its own: `NAME--key=value`
-beside the `NAME` of the plain one, unless --out says where it goes.
+A flight, study, training or CFD design changed by `--set` has a separate result, `NAME--key=value` beside the unchanged
+`NAME`, unless --out gives another place.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ __all__ = ["folder_suffix", "options", "parse"]
 
 
 def folder_suffix(overrides: Mapping[str, Any]) -> str:
-    """Return what distinguishes a run with overrides from the plain one, fit for a folder name.
+    """Return the suffix of a folder name that distinguishes a run with overrides from the unchanged one.
 
-    `{"wind.velocity": [0, -12, 0]}` becomes `--wind.velocity=0_-12_0`; long ones, and texts with characters that no
-    name of a folder should have, end in a digest.
+    `{"wind.velocity": [0, -12, 0]}` becomes `--wind.velocity=0_-12_0`; long ones, and those with characters unsuited to
+    folder names, end in a digest.
     """
     return places.addition("".join(f"--{key}={_flat(value)}" for key, value in sorted(overrides.items())))
 
 
 def options(changes: Mapping[str, Any]) -> list[str]:
-    """Return the words of a command line that make these changes."""
+    """Return the command line options that make these changes."""
     assignments = (f"{key}={tables.toml_value(value)}" for key, value in changes.items())
     return [word for assignment in assignments for word in ("--set", assignment)]
 

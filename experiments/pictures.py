@@ -1,8 +1,8 @@
-"""Pictures that figures of the paper need: a hovering flight in the wind, and the postures of the campaigns.
+"""Pictures for figures of the paper: a hovering flight in the wind, and the postures of the campaigns.
 
-`python -m experiments pictures` draws with MuJoCo's offscreen renderer (the viewer's) and writes pixels, and the links
-of the hovering posture as capsules, to `results/pictures/paper/`; `python -m paper_figs fig5a postures fig2_setup` show
-them. The flight is `results/flight/test2`.
+`python -m experiments pictures` renders with MuJoCo's offscreen renderer, as the viewer does, and writes pixels, and
+the links of the hovering posture as capsules, to `results/pictures/paper/`. `python -m paper_figs fig5a postures
+fig2_setup` draws the figures. The flight is `results/flight/test2`.
 """
 
 from __future__ import annotations
@@ -27,26 +27,26 @@ from jax_aero.view.offscreen import Camera, Studio, camera_at
 
 FLIGHT_SIZE, POSTURE_SIZE = (960, 720), (240, 320)
 """Width and height [pixels]."""
-FACING_X = np.array([0.0, 0.0, 0.0, 1.0])  # w, x, y, z: yaw of 180 degrees, the base's x axis points backwards
+FACING_X = np.array([0.0, 0.0, 0.0, 1.0])  # w, x, y, z: yaw of 180°, since the base's x axis points backwards
 
 Array = NDArray[np.float64]
 
 
 class Pictures(tables.Table, frozen=True):
-    """What Fig. 5 a shows."""
+    """Settings of Fig. 5 a."""
 
     flight: Path = places.RESULTS / "flight" / "test2" / record.RUN_FILE
     moment: tables.NonNegative = 14.0
-    """Hovering while the wind blows [s]."""
+    """Time at which the robot hovers in the wind [s]."""
 
 
 def compute(_: str, asked: Pictures) -> Findings:
-    """Draw everything."""
+    """Render all pictures."""
     flown = recording.read(asked.flight.parent)
     with Studio(flown, *FLIGHT_SIZE) as studio:
         flight = studio.picture(asked.moment, camera_at(flown, asked.moment, "chase", 2.5), trail=False)
     robot = rust.Robot(str(ROBOT))
-    # The postures of the public table and of the tunnel.
+    # Postures of the public table and of the tunnel.
     named = known_postures(["free_stream", "tunnel"])
     pictures = [posture_picture(robot, joints) for joints in named.values()]
     starts, ends, diameters = capsules(in_robot_order(robot.joint_names, named["hovering"]))
@@ -73,9 +73,9 @@ main = STUDY.main
 
 
 def posture_picture(robot: rust.Robot, joints_deg: Array) -> NDArray[np.uint8]:
-    """Draw the robot in a posture, without wind and jets, from its left in front."""
+    """Render the robot in a posture, without wind and jets, from its front left."""
     jets, links = len(robot.jet_names), len(robot.aero_link_names)
-    far = np.array([[0.0, 0.0, -50.0]])  # the cross of the set-point is out of sight
+    far = np.array([[0.0, 0.0, -50.0]])  # keeps the cross of the set-point out of the picture
     height = np.array([[0.0, 0.0, 0.72]])
     still = recording.Recording(
         title="posture",
@@ -104,7 +104,7 @@ def posture_picture(robot: rust.Robot, joints_deg: Array) -> NDArray[np.uint8]:
 
 
 def capsules(joints: Array) -> tuple[Array, Array, Array]:
-    """Return start and end [m, base axes] and diameter [m] of the cylinder that stands for every aerodynamic link."""
+    """Return start and end [m, base axes] and diameter [m] of the cylinder of every aerodynamic link."""
     described = load_robot(ROBOT)
     tree = Kinematics(described)
     points = []

@@ -1,9 +1,8 @@
-"""Write what follows from the types of the configuration: `python -m experiments schema`.
+"""Generate the files that follow from the configuration's types: `python -m experiments schema`.
 
-The crate's types are the description of a flight and of a robot. From their JSON Schemas are made: the schemas of
-`configs/schema/`, by which editors complete keys; the Python types of `jax_aero/config.py`; and the page
-`docs/reference/configuration.md`. The schemas of studies, sweeps and trainings come from the Python types that read
-them.
+The crate's types define flights and robots. Their JSON Schemas yield the schemas of `configs/schema/`, with which
+editors complete keys; the Python types of `jax_aero/config.py`; and the page `docs/reference/configuration.md`. The
+schemas of studies, sweeps and trainings come from the Python types that read them.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ STUDIES: dict[str, Any] = {
     "tune": tune.TuneConfig,
     "waypoints": waypoints.Waypoints,
 }
-"""What Python alone reads, by the name of its schema."""
+"""Types that only Python reads, by the name of their schema."""
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 MADE = "by `python -m experiments schema` from the crate's types"
@@ -64,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def files() -> dict[Path, str]:
-    """Return the text of every file that follows from the types."""
+    """Return the text of every generated file."""
     crate = rust.schemas()
     found = {name: schema if name == "robot" else of_parts(schema) for name, schema in crate.items()}
     found |= {name: {"$schema": DIALECT, **tables.schema(kind)} for name, kind in STUDIES.items()}
@@ -82,7 +81,7 @@ def _json(schema: Node) -> str:
 
 
 def _plain(node: Any) -> Any:
-    """Return a schema without what editors do not support: formats of numbers, brackets escaped for rustdoc."""
+    """Return a schema without parts that editors do not support: number formats, and brackets escaped for rustdoc."""
     if isinstance(node, dict):
         kept = {key: _plain(value) for key, value in node.items() if key != "format" or value == "path"}
         if isinstance(kept.get("description"), str):
@@ -108,7 +107,7 @@ def of_parts(schema: Node) -> Node:
 
 
 def _with_files(schema: Node) -> Node:
-    """Return the schema of sweeps, in which a file may stand for a table."""
+    """Return the schema of sweeps, in which a file may replace a table."""
     changed = copy.deepcopy(schema)
     path = {"type": "string", "format": "path"}
     instead = {"type": "object", "properties": {"file": path}, "required": ["file"], "additionalProperties": False}
@@ -128,19 +127,19 @@ def _nodes(node: Any) -> Iterator[Node]:
             yield from _nodes(entry)
 
 
-# --- what a schema says ------------------------------------------------------------------------------------------
+# --- content of a schema -----------------------------------------------------------------------------------------
 
 
 class Tagged(NamedTuple):
-    """Tables of several kinds, with the key that says which kind one is."""
+    """Tables of several kinds, with the key that distinguishes them."""
 
     tag: str
     kinds: dict[str, Node]
-    """By the value of that key; without it among the properties."""
+    """Schemas by the value of that key, without the key itself."""
 
 
 def _present(node: Node) -> tuple[Node, bool]:
-    """Return a node without the alternative of nothing, and whether there is one."""
+    """Return a node without the null alternative, and whether there was one."""
     if isinstance(node.get("type"), list):
         return {**node, "type": node["type"][0]}, "null" in node["type"]
     if options := node.get("anyOf"):
@@ -150,7 +149,7 @@ def _present(node: Node) -> tuple[Node, bool]:
 
 
 def _tagged(node: Node) -> Tagged | None:
-    """Return the kinds of a table that has several."""
+    """Return the kinds of a table, if there are several."""
     options = [option for option in node.get("oneOf", ()) if "properties" in option]
     if not options:
         return None
@@ -164,7 +163,7 @@ def _tagged(node: Node) -> Tagged | None:
 
 
 def _choices(node: Node) -> dict[str, str] | None:
-    """Return the names that may stand here, with their meaning."""
+    """Return the names allowed at a node, with their meaning."""
     if "enum" in node:
         return dict.fromkeys(node["enum"], "")
     found = {option["const"]: option.get("description", "") for option in node.get("oneOf", ()) if "const" in option}
@@ -172,7 +171,7 @@ def _choices(node: Node) -> dict[str, str] | None:
 
 
 def _length(node: Node) -> int | None:
-    """Return the number of items of a list, if it is fixed."""
+    """Return the number of items of a list of fixed length."""
     return node.get("minItems") if node.get("minItems") == node.get("maxItems") else None
 
 
@@ -182,7 +181,7 @@ def _items(node: Node) -> Node:
 
 
 def _definitions(schemas: Mapping[str, Node]) -> dict[str, Node]:
-    """Return every named type of flights and robots, the two themselves last."""
+    """Return every named type of flights and robots, with these two last."""
     found: dict[str, Node] = {}
     for name in ("experiments", "robot"):
         schema = schemas[name]
@@ -192,7 +191,7 @@ def _definitions(schemas: Mapping[str, Node]) -> dict[str, Node]:
 
 
 def _named(node: Node) -> str | None:
-    """Return the name of the type that a node refers to."""
+    """Return the name of the type that a node refers to, if any."""
     reference = _present(node)[0].get("$ref")
     return None if reference is None else str(reference).removeprefix("#/$defs/")
 
@@ -225,7 +224,7 @@ from jax_aero.tables import NonNegative, Positive, Table
 RANGES = {"minimum": "ge", "exclusiveMinimum": "gt", "maximum": "le", "exclusiveMaximum": "lt"}
 KEYWORDS = ("lambda",)
 MOST = 80
-"""Longest type on one line."""
+"""Greatest length of a type on one line [characters]."""
 
 
 def python_types(schemas: Mapping[str, Node]) -> str:
@@ -302,7 +301,7 @@ def _python_value(value: Any) -> str:
 
 
 def _annotation(node: Node) -> tuple[str, bool]:
-    """Return the Python type of a node, and whether it may be nothing."""
+    """Return the Python type of a node, and whether it may be null."""
     node, nullable = _present(node)
     if reference := _named(node):
         kind = reference
@@ -385,7 +384,7 @@ def reference(schemas: Mapping[str, Node]) -> str:
 
 
 def _places(root: str, definitions: Mapping[str, Node]) -> dict[str, list[str]]:
-    """Return the tables below a root, each with the dotted keys where it stands."""
+    """Return the tables below a root, each with the dotted keys at which it occurs."""
     found: dict[str, list[str]] = {root: [""]}
 
     def walk(node: Node, key: str) -> None:

@@ -1,7 +1,7 @@
-"""Which code and which files make a number: hashes of both, the same on every machine.
+"""Hashes of the code and of the files that determine a result, equal on every machine.
 
-Code is the modules that are imported, the compiled crate, and the versions of the packages. Modules are followed from
-file to file, without importing any, so that the answer does not depend on what a process has loaded.
+Code comprises the imported modules, the compiled crate, and the versions of packages. Imports are followed from file to
+file without executing them, so that the hash does not depend on what a process has loaded.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from jax_aero import tables
 from jax_aero.command import Refused
 
 FOLDERS = {"jax_aero": Path(jax_aero.__file__).parent, "experiments": Path(__file__).parent}
-"""Packages that are followed."""
+"""Packages whose imports are followed."""
 
 COMPILED = "jax_aero._core"
 
 NUMERICAL = ("casadi", "jax", "mujoco", "numpy", "pyarrow", "scipy")
-"""Packages whose version counts where they are imported."""
+"""Packages whose version counts if they are imported."""
 
 
 @functools.cache
 def code_hash(*roots: str) -> str:
-    """Return a hash of some modules and of all that they import: numbers of different hashes do not mix.
+    """Return a hash of some modules and of all that they import; results with different hashes must not be mixed.
 
     Raises
     ------
@@ -52,10 +52,10 @@ def code_hash(*roots: str) -> str:
 
 
 def closure(*roots: str) -> tuple[dict[str, Path], set[str]]:
-    """Return the files of some modules and of all that they import, by module, and the packages that count."""
+    """Return, for some modules and all that they import, the files by module, and the packages that count."""
     files: dict[str, Path] = {}
     packages: set[str] = set()
-    # A module that was started with `python -m` is called `__main__`.
+    # A module started with `python -m` is called `__main__`.
     started = sys.modules["__main__"].__spec__
     waiting = [started.name if root == "__main__" and started else root for root in roots]
     while waiting:
@@ -92,10 +92,10 @@ def _imports(path: Path) -> Iterator[str]:
 
 
 def file_hash(path: Path) -> str:
-    """Return a hash of a file and of every file that it names in turn.
+    """Return a hash of a file and, recursively, of every file that it names.
 
-    A TOML or JSON file names what is a file from its folder: the URDF of a robot, the `base` of a flight, the weights
-    of a card. Where files lie does not count.
+    In a TOML or JSON file, a text that is the path of a file relative to its folder counts as a name: the URDF of a
+    robot, the `base` of a flight, the weights of a card. The location of the files has no influence.
     """
     total = hashlib.sha256()
     for file in _with_named(path.resolve(), set()):
@@ -109,12 +109,12 @@ def _with_named(path: Path, seen: set[Path]) -> Iterator[Path]:
     seen.add(path)
     yield path
     for text in _texts(_table(path)):
-        if os.path.isfile(path.parent / text):  # noqa: PTH113 - `Path` raises where a text is too long for a name
+        if os.path.isfile(path.parent / text):  # noqa: PTH113 - `Path` raises for texts too long for a name
             yield from _with_named((path.parent / text).resolve(), seen)
 
 
 def _table(path: Path) -> Any:
-    """Return what a TOML or JSON file holds; a damaged one is refused by whoever uses it, and names nothing here."""
+    """Return the content of a TOML or JSON file; empty if it is damaged, which its user will report."""
     try:
         if path.suffix == ".toml":
             return tables.read(path)

@@ -1,9 +1,9 @@
-"""Studies: results that are no flight, such as a trim or an optimal trajectory. One folder each, like a flight's.
+"""Studies: results other than flights, such as a trim or an optimal trajectory. One folder each, like a flight's.
 
-A kind of study is a type of configuration and a function from it to findings. The keys stand in a TOML file of
-`configs/KIND/`, paths in it relative to that file, or, where the kind has no such folder, in the type's defaults; --set
-changes them, for a result of its own (`experiments.overrides`). Keys, flights and every file named count towards the
-digest, so that an outdated result is recognised.
+A kind of study consists of a type of configuration and a function from it to findings. The configuration is a TOML file
+of `configs/KIND/`, with paths relative to that file, or, if the kind has no such folder, the defaults of the type. Keys
+changed by --set give a separate result (`experiments.overrides`). Keys, flights and every file named enter the digest,
+by which an outdated result is recognised.
 """
 
 from __future__ import annotations
@@ -33,26 +33,26 @@ C = TypeVar("C", bound=tables.Table)
 
 @dataclass(frozen=True)
 class Findings:
-    """What a study has found."""
+    """Result of a study."""
 
     title: str
     dataset: xr.Dataset
     summary: Mapping[str, Any]
-    """Printed, and kept in the manifest; `None` where there is no number."""
+    """Figures that are printed and stored in the manifest; `None` for a missing number."""
     flights: Mapping[str, rust.Config] = field(default_factory=dict)
-    """Resolved configurations that it depends on."""
+    """Resolved configurations that the result depends on."""
     results: Mapping[str, str] = field(default_factory=dict)
-    """Digests of the configurations of flights whose results it reads, by name."""
+    """Digests of the configurations of flights whose results are read, by name."""
     inputs: Mapping[str, Any] = field(default_factory=dict)
-    """What else it depends on."""
+    """Other inputs that the result depends on."""
     files: Sequence[Path] = ()
-    """Files that it depends on, beside those that the configuration names and the study reads."""
+    """Files that the result depends on, besides those named in the configuration and read by the study."""
     texts: Mapping[str, str] = field(default_factory=dict)
-    """Further files of the result, by name."""
+    """Additional files of the result, by name."""
     timings: Mapping[str, float] = field(default_factory=dict)
-    """Wall times of parts [s]."""
+    """Wall times of parts of the study [s]."""
     report: str = ""
-    """Printed instead of the summary."""
+    """Text that is printed instead of the summary."""
 
 
 @dataclass(frozen=True)
@@ -60,39 +60,39 @@ class Study(Generic[C]):
     """One kind of study."""
 
     kind: str
-    """Folder of configurations and of results."""
+    """Name of the folders of configurations and of results."""
     about: str | None
     config: type[C]
     compute: Any
-    """Function of name and configuration, and of the file of a study under way where there is `progress`, which returns
-    `Findings`."""
+    """Function that returns `Findings`, from name and configuration, and with `progress` also the path of the file of
+    an unfinished study."""
     names: Sequence[str]
-    """Studies that are made where none is named."""
+    """Studies that are computed if none is named."""
     engine: str = "casadi"
-    """Package that does the work."""
+    """Package that does the computation."""
     interrupted: str = "nothing was written"
-    """Printed after Ctrl-C."""
+    """Message after Ctrl-C."""
     options: Sequence[str] = ()
-    """Further words of the command line that makes it."""
+    """Additional words of its command line."""
     experiments: bool = False
-    """Whether its names are those of experiments: it has no configurations of its own, but a key `experiment`."""
+    """Whether it is named after experiments: it then has no configuration files, but a key `experiment`."""
     reads: Callable[[str, C], Sequence[Path]] = lambda *_: ()
-    """Function of name and configuration: files that the study reads, beside those that the configuration names."""
+    """Function from name and configuration to the files that the study reads, besides those named in the latter."""
     progress: str = ""
-    """Ending of the file of a study under way, which lies beside the result and goes when that is there."""
+    """Suffix of the file of an unfinished study, beside the result, which is removed at the end; empty for none."""
 
     @property
     def command(self) -> str:
-        """Return how the command line calls it."""
+        """Return the study's command."""
         return self.kind.replace("_", "-")
 
     @property
     def named(self) -> str:
-        """Return the kind of the configurations that name it."""
+        """Return the kind of configurations that name it."""
         return "experiments" if self.experiments else self.kind
 
     def progress_of(self, folder: Path) -> Path:
-        """Return the file of a study under way, by the folder of its result."""
+        """Return the file of an unfinished study, given the folder of its result."""
         return folder.with_name(f".{folder.name}{self.progress}")
 
     def main(self, arguments: Sequence[str] | None = None) -> int:
@@ -116,7 +116,7 @@ class Study(Generic[C]):
         return f"a file stem in configs/{self.named}, or a path{default}" if folder.is_dir() else f"a name{default}"
 
     def read(self, name: str, changes: Mapping[str, Any] | None = None) -> tuple[str, C]:
-        """Return the name and the configuration of a study that is given by name or path."""
+        """Return name and configuration of a study given by name or path."""
         table: dict[str, Any] = {}
         if (places.CONFIGS / self.named).is_dir():
             path = find(self.named, name)
@@ -129,10 +129,10 @@ class Study(Generic[C]):
         return name, tables.convert(table, self.config, self.command)
 
     def run(self, name: str, changes: Mapping[str, Any] | None = None, *, overwrite: bool = False) -> dict[str, Any]:
-        """Compute, write, print; return the manifest.
+        """Compute, write and print a study; return the manifest.
 
-        A result of the same keys and files is made anew: on which flights it rests is known when it is computed. One of
-        others is only replaced with `overwrite`.
+        A result of the same keys and files is computed anew, since the flights that it depends on are known only after
+        the computation. A result of others is replaced only with `overwrite`.
         """
         started = time.perf_counter()
         command = ["jax-aero", self.command, name, *self.options, *overrides.options(changes or {})]
@@ -176,13 +176,13 @@ class Study(Generic[C]):
 
 
 def _is_of(config: tables.Table, files: Sequence[Path], kept: Mapping[str, Any]) -> bool:
-    """Whether a result, by its manifest, is that of these keys and of these files as they are now."""
+    """Return whether a manifest is that of a result with these keys and with these files in their present state."""
     same_files = file_hashes(files).items() <= kept.get("sources", {}).get("files", {}).items()
     return same_files and bool(kept.get("config") == manifest.portable(tables.plain(config)))
 
 
 def file_hashes(files: Iterable[Path]) -> dict[str, str]:
-    """Return the hashes of files by their paths; those of one name outside the repository share an entry."""
+    """Return the hashes of files by path; files of one name outside the repository share an entry."""
     found: dict[str, set[str]] = {}
     for path in files:
         found.setdefault(manifest.portable(path), set()).add(file_hash(path))
@@ -190,7 +190,7 @@ def file_hashes(files: Iterable[Path]) -> dict[str, str]:
 
 
 def listing(summary: Mapping[str, Any]) -> str:
-    """Return the figures of a summary, one in a line."""
+    """Return the figures of a summary, one per line."""
     width = max((len(key) for key in summary), default=0)
     shown = {key: format(value, ".5g") if isinstance(value, int | float) else value for key, value in summary.items()}
     return "\n".join(f"  {key:<{width}}  {value}" for key, value in shown.items())
@@ -208,7 +208,7 @@ def add_overwrite(parser: argparse.ArgumentParser) -> None:
 
 
 def find(kind: str, name: str) -> Path:
-    """Return the configuration of a kind by its name, or by its path."""
+    """Return the configuration of a kind, given by name or path."""
     path = places.find(kind, name)
     if not path.is_file():
         raise Refused(f"there is no file {path}")
@@ -216,9 +216,9 @@ def find(kind: str, name: str) -> Path:
 
 
 def result_name(kind: str, path: Path, named: str | None = None) -> str:
-    """Return the name of the result of a configuration of a kind, which is not that of another, shipped one.
+    """Return the name of a configuration's result; refuse that of another, shipped configuration.
 
-    It is that of the file, unless the file itself gives one (`named`).
+    It is the name of the file, unless the file gives one itself (`named`).
     """
     name = path.stem if named is None else named
     shipped = places.CONFIGS / kind / f"{name}.toml"
@@ -228,7 +228,7 @@ def result_name(kind: str, path: Path, named: str | None = None) -> str:
 
 
 def print_titles(kind: str) -> None:
-    """Print name and title of every file of `configs/KIND`; of one that cannot be read, why."""
+    """Print name and title of every file of `configs/KIND`, or the error if it cannot be read."""
     names = places.names(kind)
     width = max(map(len, names), default=0)
     for name in names:
@@ -240,12 +240,12 @@ def print_titles(kind: str) -> None:
 
 
 def schema_of(kind: str, folder: Path) -> str:
-    """Return the path of the schema of a kind of file, from a folder."""
+    """Return the path of the schema for a kind of file, relative to a folder."""
     return os.path.relpath(places.CONFIGS / "schema" / f"{kind}.schema.json", folder.resolve())
 
 
 def digest(config: Mapping[str, Any], files: Sequence[Path]) -> str:
-    """SHA-256 over a configuration and some files, with those that they name; the same on every machine."""
+    """Return the SHA-256 of a configuration and of files, with those that they name; equal on every machine."""
     hashes = [file_hash(file) for file in files]
     text = json.dumps([manifest.portable(config), hashes], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()

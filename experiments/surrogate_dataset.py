@@ -1,7 +1,7 @@
-"""Compute a full dataset with the panel model, where no free-stream CFD is at hand: `surrogate-dataset --out FILE`.
+"""Compute a full dataset with the panel model, if no free-stream CFD is available: `surrogate-dataset --out FILE`.
 
-Postures times 19 pitch and 18 yaw angles, as in the paper's campaign, then mirrored. Every posture is kept as soon as
-it is computed, so an interrupted run goes on with the same command.
+Postures times 19 pitch and 18 yaw angles, as in the paper's campaign, then mirrored. Every posture is stored as soon as
+it is computed, so the same command resumes an interrupted run.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ YAWS = np.arange(-160.0, 181.0, 20.0)
 """Angles of the paper's campaign [deg]."""
 SYMMETRIC = ("hovering", "flight30", "flight60")
 COUNTS = (24, 30)
-"""Postures of the paper's dataset and of its simulations."""
+"""Numbers of postures in the paper's dataset and in its simulations."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -58,12 +58,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def parts_of(out: Path) -> Path:
-    """Return the folder that holds finished postures of a run under way."""
+    """Return the folder of the finished postures of an incomplete run."""
     return out.with_name(f".{out.name}.parts")
 
 
 def posture_names(count: int) -> list[str]:
-    """Return the three symmetric postures and as many others as are wanted, in the order of the typed table."""
+    """Return the three symmetric postures and others up to `count`, in the order of the table."""
     free, listed = known_postures(sections=["free_stream"]), known_postures(sections=["listed"])
     others = [name for name in (*free, *listed) if name not in SYMMETRIC]
     return [*SYMMETRIC, *others[: count - len(SYMMETRIC)]]

@@ -1,4 +1,4 @@
-"""Outcomes of flights as a table of text, from their manifests."""
+"""Outcomes of flights as a text table, from their manifests."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ HEADINGS = ("flight", "outcome", "max CoM error [m]", "max rotation error [deg]"
 
 
 def outcome_table(manifests: Iterable[Mapping[str, Any]]) -> str:
-    """Return one line per flight: how it ended, when and why, largest errors, thrust range."""
+    """Return one line per flight: outcome, time and reason of a loss, largest errors, thrust range."""
     rows = [HEADINGS, *(_row(manifest) for manifest in manifests)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(HEADINGS))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]

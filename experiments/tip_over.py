@@ -1,9 +1,9 @@
-"""The wind speed that tips a standing robot over, when the measured wind is the real one, and when it is zero.
+"""Find the wind speed that tips a standing robot over, if the measured wind is the true one and if it is zero.
 
-`python -m experiments tip-over [NAME]` reads `configs/tip_over/NAME.toml` (default ground), and seeks for every
-direction of the wind, by halving the interval, the speed from which on the robot does not stand to the end of a trial.
-A trial that was made is kept beside the result until the study is finished: an interrupted study goes on where it
-stopped. The result goes to `results/tip_over/NAME/`; `python -m paper_figs tip_over` draws it.
+`python -m experiments tip-over [NAME]` reads `configs/tip_over/NAME.toml` (default ground) and finds by bisection, for
+every direction of the wind, the speed from which on the robot does not stand to the end of a trial. Trials are stored
+beside the result until the study is finished, so an interrupted study can be resumed. The result goes to
+`results/tip_over/NAME/`; `python -m paper_figs tip_over` draws it.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ from jax_aero.wind_direction import wind_from
 
 
 class TipOverConfig(tables.Table, frozen=True):
-    """Winds that tip a standing robot over: which are tried, and how finely."""
+    """Winds that tip a standing robot over: conditions and resolution of the search."""
 
     title: str
     experiment: Path
-    """Robot, ground and controller."""
+    """Experiment with robot, ground and controller."""
     duration: tables.Positive
-    """Of each trial [s]."""
+    """Duration of each trial [s]."""
     ramp: tables.Interval
     """Start and end of the rise of the wind [s]."""
     directions_deg: tuple[float, ...]
-    """0 blows from ahead, 90 from the robot's left [deg]."""
+    """Directions that the wind comes from: 0 from ahead, 90 from the robot's left [deg]."""
     speeds: tables.Interval
-    """Between which the limit is sought [m/s]."""
+    """Interval in which the limit is searched [m/s]."""
     resolution: tables.Positive
-    """[m/s]"""
+    """Resolution of the limit [m/s]."""
     friction: tuple[tables.Positive, ...]
-    """Coefficients of the soles."""
+    """Friction coefficients of the soles."""
 
     def __post_init__(self) -> None:
         tables.check_levels(self, "directions_deg", "friction")
@@ -53,7 +53,7 @@ STILL = {"profile": "constant", "velocity": [0.0, 0.0, 0.0]}
 
 
 def compute(_: str, config: TipOverConfig, under_way: Path) -> Findings:
-    """Make every trial that is not made yet."""
+    """Make every missing trial."""
     base = rust.load_config(config.experiment)
     trials = Trials(under_way)
     low, high = config.speeds.lower, config.speeds.upper
@@ -93,7 +93,7 @@ main = STUDY.main
 
 
 class Trials:
-    """The trials of a study made so far, by the digests of configuration and code."""
+    """Completed trials of a study, by the digests of configuration and code."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -102,7 +102,7 @@ class Trials:
             self._made = read_json(path)
 
     def make(self, config: rust.Config) -> dict[str, Any]:
-        """Return how a trial ended; make it if it was not made."""
+        """Return the outcome of a trial, which is simulated if it is new."""
         key = f"{rust.config_digest(config)} {code_hash(__name__)}"
         if key not in self._made:
             self._made[key] = _outcome(mujoco_ground.fly(config))
@@ -146,20 +146,20 @@ def _outcome(flight: rust.FlightResult) -> dict[str, Any]:
 
 
 SLIP = 0.02
-"""A sole that has moved further than this along the ground before the robot tips has slipped [m]."""
+"""Displacement of a sole along the ground before the robot tips, beyond which it has slipped [m]."""
 
 
 def _slip(log: Mapping[str, Any]) -> float:
-    """Greatest way of a sole along the ground while both carry their share [m]."""
+    """Return the greatest displacement of a sole along the ground while both carry load [m]."""
     shift = np.linalg.norm((log["sole_position"] - log["sole_position"][0])[:, :, :2], axis=2).max(axis=1)
     both = (log["foot_wrench"][:, :, 2] > 20.0).all(axis=1)
     return float(shift[both].max(initial=0.0))
 
 
 def seek(stands: Any, low: float, high: float, resolution: float) -> dict[str, Any]:
-    """Halve the interval between a speed that is stood and one that is not; the answer is the greatest that is stood.
+    """Return the greatest speed at which the robot stands, by bisection between one that it stands and one it does not.
 
-    NaN where even the lowest tips the robot; the highest tried where nothing does.
+    NaN if the robot tips at the lowest speed; the highest speed tried if it never tips.
     """
     lost = stands(high)
     held = stands(low)
@@ -178,7 +178,7 @@ def seek(stands: Any, low: float, high: float, resolution: float) -> dict[str, A
 
 
 def to_dataset(config: TipOverConfig, limit: Any, slips: Any, force: Any) -> xr.Dataset:
-    """Label the limits."""
+    """Return the limits as a labelled dataset."""
     dims = ("feedback", "friction", "direction")
     return xr.Dataset(
         {
@@ -197,7 +197,7 @@ def to_dataset(config: TipOverConfig, limit: Any, slips: Any, force: Any) -> xr.
 
 
 def figures(dataset: xr.Dataset) -> dict[str, float]:
-    """Return the limits by name; NaN where even the lowest speed tips the robot."""
+    """Return the limits by name; NaN if the robot tips at the lowest speed."""
     limits = dataset["speed"].stack(cell=dataset["speed"].dims)
     return {
         f"{feedback}, friction {friction:g}, from {direction:g} deg [m/s]": float(value)

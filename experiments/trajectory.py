@@ -1,9 +1,9 @@
 """Optimal flights: `python -m experiments trajectory [NAME ...]` plans, exports, flies and compares with the paper's.
 
-A plan is solved on the centroidal model (`jax_aero/symbolic/trajectory.py`), written as a reference that the
-controllers fly (`mission = { file = "reference.csv" }`), and flown in closed loop by the Rust engine, in the same wind
-as the paper's flight, which is flown beside it. Results go to `results/trajectory/NAME/`: `run.nc` holds the plan,
-the flown flight and the paper's; `reference.csv` the reference, of which `configs/mission/` holds a copy.
+A plan is solved with the centroidal model (`jax_aero/symbolic/trajectory.py`), written as a reference that the
+controllers can fly (`mission = { file = "reference.csv" }`), and flown in closed loop by the Rust engine in the wind of
+the paper's flight, which is flown for comparison. Results go to `results/trajectory/NAME/`: `run.nc` holds the plan,
+its flight and the paper's; `reference.csv` the reference, of which `configs/mission/` holds a copy.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from jax_aero.symbolic.robot import Robot
 from jax_aero.symbolic.trajectory import Trajectory, TrajectoryConfig, TrajectoryProblem, fuel_lines
 
 ARRIVED = 0.05
-"""A flight has arrived when it stays this near to its end [m]. Ours."""
+"""Distance to the end within which a flight must stay to have arrived [m]. Ours."""
 
 
 def compute(name: str, config: TrajectoryConfig) -> Findings:
-    """Plan, fly, compare."""
+    """Plan, fly and compare."""
     base = rust.load_config(config.flight)
     robot = load_robot(base["robot"])
     plan = problem_of(config, base, robot).solve()
@@ -56,7 +56,7 @@ main = STUDY.main
 
 
 def problem_of(config: TrajectoryConfig, base: Mapping[str, Any], robot: Robot) -> TrajectoryProblem:
-    """Return the problem in the air, the wind and the posture of the flight `base`."""
+    """Return the problem with aerodynamics, wind and posture of the flight `base`."""
     groups = rust.Robot(base["robot"]).joint_groups
     if unknown := set(config.free_groups) - set(groups):
         raise Refused(f"free_groups names `{min(unknown)}`; the robot has {', '.join(groups)}")
@@ -67,19 +67,19 @@ def problem_of(config: TrajectoryConfig, base: Mapping[str, Any], robot: Robot) 
 
 
 def fuel_burnt(times: Any, thrust: Any, idle: Any, slope: Any) -> Any:
-    """Return the fuel burnt until each time [l]: the integral of idle + slope T over jets, by trapezoids."""
+    """Return the fuel burnt up to each time [l]: the integral of idle + slope T over all jets, by trapezoids."""
     return cumulative_trapezoid(idle.sum() + thrust @ slope, times, initial=0)
 
 
 def csv_of(plan: Trajectory, start_time: float, about: str) -> str:
-    """Return the reference as CSV: derivatives of the centre of mass included, angles in rad."""
+    """Return the reference as CSV, including derivatives of the centre of mass, angles in rad."""
     com = plan.com
     rows = np.hstack([start_time + plan.time[:, None], com[:, 0], plan.base_rpy, com[:, 1], com[:, 2], com[:, 3]])
     return reference_text(rows, about, 7)
 
 
 def fly(base: Mapping[str, Any], text: str, duration: float) -> rust.FlightResult:
-    """Fly a reference in closed loop, everything else as in the flight `base`."""
+    """Fly a reference in closed loop, with everything else as in the flight `base`."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "reference.csv"
         file.write_text(text, encoding="utf-8")
@@ -95,9 +95,9 @@ def to_dataset(
     robot: Robot,
     config: TrajectoryConfig,
 ) -> xr.Dataset:
-    """Put plan, flown flight and the paper's flight beside each other, each with a time of its own.
+    """Return plan, flown flight and the paper's flight in one dataset, each with its own time.
 
-    Time zero is when each begins to move.
+    Time zero is the beginning of the motion.
     """
     offset = config.start_time
     quantities: dict[str, tuple[str, str, str]] = {
@@ -170,7 +170,7 @@ def to_dataset(
 
 
 def _arrival(dataset: xr.Dataset, name: str) -> float:
-    """Return when one of the three flights is at its end to stay [s]; NaN if it is not there when its log ends."""
+    """Return when one of the three flights arrives [s]; NaN if it has not when its log ends."""
     t = dataset[f"time_{name}"].values
     away = np.linalg.norm(dataset[f"com_position_{name}"].values - dataset.attrs["end"], axis=1) > ARRIVED
     late = int(np.flatnonzero(away)[-1]) + 1 if away.any() else 0
@@ -178,10 +178,10 @@ def _arrival(dataset: xr.Dataset, name: str) -> float:
 
 
 def figures(label: str, dataset: xr.Dataset, name: str) -> dict[str, float | str]:
-    """Return duration, fuel and errors of one of the three flights; NaN for both of the first if it does not arrive."""
+    """Return duration, fuel and errors of one of the three flights; the first two are NaN if it does not arrive."""
     t = dataset[f"time_{name}"].values
     arrived = float(dataset.attrs[f"arrival_{name}"])
-    moving = (t >= 0.0) & ~(t > arrived)  # of one that does not arrive, to its end
+    moving = (t >= 0.0) & ~(t > arrived)  # if it does not arrive, to its end
     thrust = dataset[f"thrust_{name}"].values[moving]
     found: dict[str, float | str] = {
         f"{label}: arrives within {100 * ARRIVED:.0f} cm after [s]": arrived,

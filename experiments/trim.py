@@ -1,7 +1,7 @@
 """Trim: `python -m experiments trim [NAME] --wind X Y Z`, or `--map` for all winds of the configuration.
 
-A wind or flight velocity in, attitude, joints and thrusts in equilibrium out; or the constraint that stands in the way.
-Without --map the answer is printed; with it, results go to `results/trim/NAME/`.
+Finds attitude, joint positions and thrusts in equilibrium for a wind or flight velocity, or the constraint that
+prevents it. Without --map the answer is printed; with it, results go to `results/trim/NAME/`.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ STILL = [0.0, 0.0, 0.0]
 
 
 class WindMap(tables.Table, frozen=True):
-    """Winds that a map holds."""
+    """Winds of a map."""
 
     speeds: tuple[tables.NonNegative, ...]
-    """[m/s]"""
+    """Wind speeds [m/s]."""
     directions_deg: tuple[float, ...]
-    """Where the wind comes from: 0 from ahead (+x), 90 from the left (+y) [deg]."""
+    """Directions that the wind comes from: 0 from ahead (+x), 90 from the left (+y) [deg]."""
 
     def __post_init__(self) -> None:
         tables.check_levels(self, "speeds", "directions_deg")
 
 
 class TrimConfig(tables.Table, frozen=True):
-    """A trim: what is free, within which limits, and what is preferred."""
+    """A trim: free joints, limits and objective."""
 
     title: str
     robot: Path
-    """The robot's TOML file, which gives limits of joints, torques and thrusts."""
+    """The robot's TOML file, with limits of joints, torques and thrusts."""
     aero: Path
     """An aerodynamic model of `configs/aero/`."""
     posture: Path
@@ -57,15 +57,15 @@ class TrimConfig(tables.Table, frozen=True):
     roll_limits_deg: tables.Interval
     pitch_limits_deg: tables.Interval
     margin_min: tables.Fraction
-    """Least distance of a thrust from zero and from its greatest, over its greatest."""
+    """Least distance of a thrust from zero and from its greatest value, relative to the latter."""
     clearance_min: tables.NonNegative
     """Least distance from the axis of a jet to the surface of a link [m]."""
     plume_length: tables.Positive
-    """Length of a jet's axis that counts [m]."""
+    """Length of a jet's axis for which this is required [m]."""
     posture_weight: tables.NonNegative
-    """On the mean square of s - s0 [1/rad²]."""
+    """Weight of the mean square of s - s0 [1/rad²]."""
     spread_weight: tables.NonNegative
-    """On the sum of (T/T_max)²."""
+    """Weight of the sum of (T/T_max)²."""
     map: WindMap
     """Winds of `--map`."""
 
@@ -106,7 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _jet(trim: Trim, name: str | None) -> int | None:
-    """Return the place of a jet that is named."""
+    """Return the index of a named jet."""
     names = [jet.name for jet in trim.model.robot.jets]
     if name is not None and name not in names:
         raise Refused(f"--without is `{name}`; {trim.model.robot.name} has {', '.join(names)}")
@@ -139,7 +139,7 @@ def build(config: TrimConfig) -> Trim:
 
 
 def report(trim: Trim, result: TrimResult) -> str:
-    """Say what a trim is, or what is in its way."""
+    """Return a description of a trim, or of the constraints that prevent it."""
     robot = trim.model.robot
     degrees = np.degrees(result.base_rpy)
     effort = f"{result.iterations} iterations, {result.solve_time:.2f} s; problem built in {trim.build_time:.1f} s"
@@ -171,12 +171,12 @@ def report(trim: Trim, result: TrimResult) -> str:
 
 
 def compute(name: str, config: TrimConfig) -> Findings:
-    """Solve every wind of a configuration for both objectives."""
+    """Solve for both objectives in every wind of a configuration."""
     trim = build(config)
     speeds, directions = config.map.speeds, config.map.directions_deg
     found: dict[tuple[str, int, int], TrimResult] = {}
     there = [(objective, d, s) for objective in OBJECTIVES for d in range(len(directions)) for s in range(len(speeds))]
-    # There are many local minima: solve the map forwards from solved neighbours, then backwards, and keep the best.
+    # There are many local minima: solve forwards from solved neighbours, then backwards, and keep the better solution.
     with tqdm(total=2 * len(there), desc=name, unit="wind", disable=not sys.stderr.isatty(), leave=False) as bar:
         for cells, step in ((there, -1), (there[::-1], 1)):
             for objective, d, s in cells:
@@ -192,7 +192,7 @@ def compute(name: str, config: TrimConfig) -> Findings:
                 bar.update()
     dataset = _map_dataset(trim, found, speeds, directions)
     trims = [result for result in found.values() if result.feasible]
-    # A map without a trim is an answer too; it has no residual and no time.
+    # A map without a trim is also a valid result, without residual and time.
     summary = {
         "trims requested": len(found),
         "trims found": len(trims),

@@ -1,9 +1,9 @@
 """Improve gains and weights of a controller by gradients through short flights in many worlds.
 
-A file of `configs/tune/` names a controller, the keys whose values are tuned, and a sweep of a sampled design, whose
-cells are the worlds: wind, noise, errors of the controller's model. Every step flies worlds of its own; the answer is
-chosen on worlds that no step sees. The result holds the tuned controller, a file that builds on the original one.
-An interrupted run goes on with the same command. Compiling takes minutes, once if JAX_COMPILATION_CACHE_DIR is set.
+A file of `configs/tune/` names a controller, the keys whose values are tuned, and a sweep of sampled design whose cells
+are the worlds: wind, noise, errors of the controller's model. Every step uses new worlds; the answer is chosen on
+worlds that no step uses. The result contains the tuned controller, a file based on the original one. An interrupted
+run is resumed by the same command. Compilation takes minutes, once if JAX_COMPILATION_CACHE_DIR is set.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ class TuneConfig(tables.Table, frozen=True):
 
     title: str
     controller: Path
-    """Whose values are tuned."""
+    """Controller whose values are tuned."""
     worlds: Path
-    """A sweep of a sampled design: each world is a cell, perturbed by draws of its own."""
+    """A sweep of sampled design: each world is a cell with its own perturbation."""
     keys: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
-    """Values of the controller, numbers or lists or tables of numbers that it has as one array (`posture_gain`,
-    `weights.thrust_rate`); each is multiplied by a factor, all entries of a list or table by the same."""
+    """Values of the controller: numbers, or lists or tables of numbers that it holds as one array (`posture_gain`,
+    `weights.thrust_rate`); each is multiplied by one factor, common to all entries of a list or table."""
     duration: tables.Positive
-    """Of a flight [s]."""
+    """Duration of a flight [s]."""
     cost: Cost
     steps: Steps
     seed: tables.Natural = 1
-    """Of the worlds; those that validate have the next."""
+    """Seed of the worlds; those of the validation use the next one."""
 
     def __post_init__(self) -> None:
         if len(set(self.keys)) < len(self.keys):
@@ -54,7 +54,7 @@ class TuneConfig(tables.Table, frozen=True):
 
 
 def compute(name: str, config: TuneConfig, checkpoint: Path) -> Findings:
-    """Tune, from where an interrupted run stands."""
+    """Tune, resuming an interrupted run."""
     controller = io.resolve(config.controller, io.CONTROLLER)
     for key in config.keys:
         if keys.get(controller, key) is None:
@@ -130,7 +130,7 @@ def _sample(config: TuneConfig, controller: Mapping[str, Any], worlds: spec.Spec
 def tuned_controller(
     config: TuneConfig, controller: Mapping[str, Any], factors: Mapping[str, float], folder: Path
 ) -> str:
-    """Return the file of the tuned controller, which stands in this folder and builds on the original one."""
+    """Return the file of the tuned controller, for this folder and based on the original one."""
     table: dict[str, Any] = {}
     for key, factor in factors.items():
         keys.set_key(table, key, _times(keys.get(controller, key), factor))
@@ -143,7 +143,7 @@ def tuned_controller(
 
 
 def _times(value: Any, factor: float) -> Any:
-    """Return a value times a factor, of four digits."""
+    """Return a value times a factor, rounded to four digits."""
     if isinstance(value, Mapping):
         return {name: _times(entry, factor) for name, entry in value.items()}
     if isinstance(value, Sequence):
@@ -152,7 +152,7 @@ def _times(value: Any, factor: float) -> Any:
 
 
 def to_dataset(config: TuneConfig, found: Tuned) -> xr.Dataset:
-    """Label costs and factors along the run."""
+    """Return costs and factors along the run as a labelled dataset."""
     looks = found.validations
     return xr.Dataset(
         {

@@ -1,8 +1,8 @@
-"""Correct a model's links by total forces and moments that the wind tunnel measured.
+"""Correction of a model's link forces by total forces and moments measured in the wind tunnel.
 
 Left and right links share three numbers: factors on drag and on normal force, and an offset of the centre of force
-along the link's axis. Totals are linear in them, to first order, so ridge regression finds them; its strength is the
-one that predicts postures left out best. What is reported is the error on postures that neither had.
+along the link's axis. To first order totals are linear in them, so they are found by ridge regression with the penalty
+that predicts left-out postures best. Reported is the error on postures used for neither.
 """
 
 from __future__ import annotations
@@ -27,35 +27,35 @@ FAMILIES: dict[str, tuple[str, ...]] = {
 }
 KINDS = ("drag", "normal", "offset")
 SIZES = np.array([0.2, 0.2, 0.05])
-"""What ridge regression takes as equally large: factors [1], offset [m]."""
+"""Sizes that ridge regression treats as equally large: factors [1], offset [m]."""
 STRENGTHS = np.logspace(-3.0, 3.0, 13)
-"""Of the ridge, over the mean square of a point's normalised error."""
+"""Penalties of the ridge regression, relative to the mean square of a point's normalised error."""
 
 
 class Points(NamedTuple):
-    """What a correction is found from; six components are total force area [m²] and moment volume [m³]."""
+    """Data of a correction; the six components are total force area [m²] and moment volume [m³]."""
 
     columns: Floats
-    """(N, 6, K) what each number adds to the totals, times its size."""
+    """(N, 6, K) contribution of each number to the totals, times its size."""
     missing: Floats
-    """(N, 6) measured less modelled."""
+    """(N, 6) measured minus modelled totals."""
     posture: Any
-    """(N,) names."""
+    """(N,) names of the postures."""
 
     def take(self, rows: Any) -> Points:
-        """Return some of the points."""
+        """Return the selected points."""
         return Points(self.columns[rows], self.missing[rows], self.posture[rows])
 
 
 def columns(robot: RobotModel, joint_position_deg: Floats, wind_b: Floats, areas: Floats) -> Floats:
-    """Return what each family's numbers add to the totals (N, 6, 3 F).
+    """Return the contribution of each family's numbers to the totals (N, 6, 3 F).
 
     Parameters
     ----------
     joint_position_deg
-        (N, 19), order of `JOINTS`.
+        (N, 19) [deg], order of `JOINTS`.
     wind_b
-        (N, 3) unit vectors along which the air moves, base axes.
+        (N, 3) unit vectors of the air's motion, base axes.
     areas
         (N, 13, 3) the model's force areas, base axes [m²].
     """
@@ -71,7 +71,7 @@ def columns(robot: RobotModel, joint_position_deg: Floats, wind_b: Floats, areas
 
 
 def numbers(points: Points) -> Floats:
-    """Return the correction (K,), over `SIZES`, with the strength that predicts left-out postures best."""
+    """Return the correction (K,) in units of `SIZES`, with the penalty that predicts left-out postures best."""
     size = _size(points)
     rows, right = points.columns / size[:, None], points.missing / size
     error = np.zeros(len(STRENGTHS))
@@ -84,7 +84,7 @@ def numbers(points: Points) -> Floats:
 
 
 def held_out(points: Points, group: Any) -> Floats:
-    """Return the errors (N, 6) of the corrected model, each group's with the numbers that the others give."""
+    """Return the errors (N, 6) of the corrected model, each group's with the correction from the other groups."""
     error = points.missing.copy()
     for name in np.unique(group):
         out = group == name
@@ -93,7 +93,7 @@ def held_out(points: Points, group: Any) -> Floats:
 
 
 def _size(points: Points) -> Floats:
-    """Return the root mean square of what is missing (6,), of force and of moment: what normalises errors."""
+    """Return the root mean square of the missing totals (6,), for force and moment, by which errors are normalised."""
     square = np.mean(points.missing**2, axis=0).reshape(2, 3).mean(axis=1)
     return np.repeat(np.sqrt(square), 3)
 
@@ -108,7 +108,7 @@ def _ridge(rows: Floats, right: Floats) -> Floats:
 
 
 def rms_by_posture(errors: Sequence[Floats], posture: Any, draws: int, seed: int) -> Floats:
-    """Return rms vectors' lengths of errors (M, N, 3) when postures are drawn with replacement, (draws, M)."""
+    """Return the rms length of error vectors (M, N, 3) for postures drawn with replacement, (draws, M)."""
     names, number = np.unique(posture, return_inverse=True)
     square = np.sum(np.stack(list(errors)) ** 2, axis=-1)
     sums = np.stack([np.bincount(number, one) for one in square])

@@ -1,10 +1,10 @@
-"""Make a mission of waypoints: forward, aside, climb, turn, hold; from rest to rest, smooth to the third derivative.
+"""Generate a mission of waypoints: forward, sideways, climb, turn, hold; from rest to rest, smooth to third order.
 
     jax-aero waypoints box
     jax-aero fly results/waypoints/box/box.toml
 
-A file of configs/waypoints names the experiment that it changes, a speed, and steps, one motion each. The result is a
-recorded reference, which every engine follows, and an experiment that flies it.
+A file of configs/waypoints names the experiment that it changes, a speed, and steps with one motion each. The result is
+a recorded reference, which every engine can follow, and an experiment that flies it.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from jax_aero.tables import Positive, Table
 Array = NDArray[np.float64]
 
 SAMPLE = 0.05
-"""Between rows of the reference [s]."""
+"""Time between rows of the reference [s]."""
 PEAK = 35.0 / 16.0
-"""Greatest speed of a motion over its mean speed."""
+"""Greatest speed of a motion relative to its mean speed."""
 
 COLUMNS = "time,x,y,z,roll,pitch,yaw,vx,vy,vz,ax,ay,az,jx,jy,jz"
 """Header of a recorded reference, as the crate's `control/recorded.rs` reads it."""
@@ -42,19 +42,19 @@ class Step(Table, frozen=True, kw_only=True):
     """One motion; exactly one of its keys is given, besides `speed`."""
 
     forward: float | None = None
-    """Along the heading, backwards if negative [m]."""
+    """Distance along the heading, negative for backwards [m]."""
     left: float | None = None
-    """Across the heading [m]."""
+    """Distance to the left of the heading [m]."""
     climb: float | None = None
-    """Upwards [m]."""
+    """Distance upwards [m]."""
     climb_to: float | None = None
     """Height of the centre of mass above that of the start [m]."""
     turn_deg: float | None = None
-    """To the left [deg]."""
+    """Angle to the left [deg]."""
     hold: Positive | None = None
-    """Stay [s]."""
+    """Duration of a hover [s]."""
     speed: Positive | None = None
-    """Greatest speed of this motion [m/s, or deg/s for a turn]; that of the file if missing."""
+    """Greatest speed of this motion [m/s, or deg/s for a turn]; by default that of the file."""
 
     def __post_init__(self) -> None:
         if len(self.motions) != 1:
@@ -62,7 +62,7 @@ class Step(Table, frozen=True, kw_only=True):
 
     @property
     def motions(self) -> dict[str, float]:
-        """Return the motions that are given, by their key."""
+        """Return the motions that are given, by key."""
         given = msgspec.structs.asdict(self)
         return {name: value for name, value in given.items() if name != "speed" and value is not None}
 
@@ -71,16 +71,16 @@ class Waypoints(Table, frozen=True, kw_only=True):
     """A mission of waypoints; one file of `configs/waypoints`."""
 
     experiment: Path
-    """What is flown, but for its mission and duration."""
+    """Experiment that is flown, with its mission and duration replaced."""
     title: str
     start: Annotated[float, msgspec.Meta(ge=0.0)] = 3.0
-    """When the first motion begins [s]."""
+    """Time at which the first motion begins [s]."""
     speed: Positive = 2.0
     """Greatest speed [m/s]."""
     turn_speed_deg: Positive = 30.0
     """Greatest rate of a turn [deg/s]."""
     settling: Annotated[float, msgspec.Meta(ge=0.0)] = 5.0
-    """Flown after the last motion [s]."""
+    """Time flown after the last motion [s]."""
     steps: Annotated[tuple[Step, ...], msgspec.Meta(min_length=1)]
 
 
@@ -116,7 +116,7 @@ def write(path: Path, points: Waypoints, folder: Path) -> list[Path]:
     config = rust.load_config(points.experiment)
     com, rpy, forward = start_of(config)
     duration = points.start + sum(motion.duration for motion in motions(points, com, forward)) + points.settling
-    # Before samples of that time take memory.
+    # Checked before samples of this duration use memory.
     rust.check_config({**config, "simulator": {**config["simulator"], "duration": duration}})
     found = reference(points, com, forward)
     rows = np.column_stack(
@@ -134,7 +134,7 @@ def write(path: Path, points: Waypoints, folder: Path) -> list[Path]:
         write_text(Path(draft) / mission.name, text)
         rust.check_config({**config, "mission": {"file": str(Path(draft) / mission.name)}})
     write_text(mission, text)
-    # Tables of a base stay where nothing replaces them: its commands would be beside the reference.
+    # Base tables are merged, so the base's commands would remain beside the reference unless they are replaced.
     without = "".join(
         f", {name} = []" for name, value in config["mission"].items() if isinstance(value, list) and value
     )
@@ -165,22 +165,22 @@ def start_of(config: rust.Config) -> tuple[Array, Array, Array]:
 
 
 class Motion(NamedTuple):
-    """A step at its place."""
+    """A step with its initial position and heading."""
 
     place: Array
-    """Where it begins (3,) [m]."""
+    """Initial position of the centre of mass (3,) [m]."""
     heading: float
-    """With which it begins [rad]."""
+    """Initial heading [rad]."""
     shift: Array
-    """(3,) [m]"""
+    """Displacement (3,) [m]."""
     turn: float
-    """[rad]"""
+    """Turn to the left [rad]."""
     duration: float
-    """[s]"""
+    """Duration [s]."""
 
 
 def motions(points: Waypoints, com: Array, forward: Array) -> list[Motion]:
-    """Return the steps from a start; one that moves by nothing takes no time."""
+    """Return the motions of the steps from an initial state; a motion by zero takes no time."""
     found: list[Motion] = []
     place, heading = np.array(com, dtype=np.float64), 0.0
     for step in points.steps:
@@ -190,7 +190,7 @@ def motions(points: Waypoints, com: Array, forward: Array) -> list[Motion]:
 
 
 def reference(points: Waypoints, com: Array, forward: Array) -> Reference:
-    """Return the samples of the steps from a start."""
+    """Return the samples of the steps from an initial state."""
     at_rest = np.stack([com, *np.zeros((3, 3))])[:, None]
     times, com_rows, headings = [np.array([points.start])], [at_rest], [np.zeros(1)]
     now = points.start
@@ -210,7 +210,7 @@ def reference(points: Waypoints, com: Array, forward: Array) -> Reference:
 
 
 def _motion(points: Waypoints, step: Step, place: Array, heading: float, com: Array, forward: Array) -> Motion:
-    """Return one step at its place."""
+    """Return one step from its initial position and heading."""
     ((kind, value),) = step.motions.items()
     if kind == "hold":
         return Motion(place, heading, np.zeros(3), 0.0, value)
@@ -231,6 +231,6 @@ def _motion(points: Waypoints, step: Step, place: Array, heading: float, com: Ar
 
 
 def _blend(s: Array, duration: float) -> Array:
-    """Rise from 0 to 1 at s = t/T, and its time derivatives, (4, k): `35 s⁴ − 84 s⁵ + 70 s⁶ − 20 s⁷`."""
+    """Return a rise from 0 to 1 at s = t/T with three time derivatives, (4, k): `35 s⁴ − 84 s⁵ + 70 s⁶ − 20 s⁷`."""
     rise = np.polynomial.Polynomial([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
     return np.stack([rise.deriv(order)(s) / duration**order if order else rise(s) for order in range(4)])

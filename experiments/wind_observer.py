@@ -1,10 +1,10 @@
-"""How well the wind is known from the wrench: `python -m experiments wind-observer`.
+"""Accuracy of the wind estimated from the wrench: `python -m experiments wind-observer`.
 
-Perturbed flights of TEST2 in turbulent winds from everywhere are flown by a controller that is given the wind of its
-wind observer: in the air of its own model, axisymmetric or network, and with the axisymmetric model in the network's
-air; where `worlds` names it, in the air of its own axisymmetric model with realistic sensors, too. Of each wind it
-keeps the root mean square of the horizontal error, and the share of the time that each horizontal component is within
-its 90 % interval, from 8 s on. The result goes to `results/wind_observer/turbulence/`.
+Perturbed flights of TEST2 in turbulent winds from all directions are flown by a controller that uses the wind of its
+wind observer: in worlds with the controller's own model, axisymmetric or network; with the axisymmetric model in the
+network's world; and, if `worlds` names it, with the axisymmetric model in its own world with realistic sensors. For
+each wind it records the root mean square of the horizontal error, and the share of time for which each horizontal
+component is within its 90 % interval, from 8 s on. The result goes to `results/wind_observer/turbulence/`.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from experiments.sweep.perturbation import Perturbation
 from jax_aero import keys, places, rust, tables
 
 DURATION, KNOWN = 20.0, 8.0
-"""Of a flight, and from when on it is judged [s]."""
+"""Duration of a flight, and time from which on it is judged [s]."""
 TURBULENCE = 0.1
-"""Standard deviation of the wind over its speed."""
+"""Standard deviation of the wind relative to its speed."""
 PERTURBATION = places.CONFIGS / "perturbation" / "flight.toml"
 QUANTILE = 1.645
-"""Of the normal distribution, for 90 %."""
+"""Quantile of the normal distribution for a 90 % interval."""
 World = Literal["axisymmetric", "network", "axisymmetric in the network's air", "realistic sensors"]
 WORLDS: dict[World, tuple[str, str | None]] = {
     "axisymmetric": ("test2_observer", None),
@@ -36,27 +36,27 @@ WORLDS: dict[World, tuple[str, str | None]] = {
     "axisymmetric in the network's air": ("robustness_observer", None),
     "realistic sensors": ("test2_sensors", None),
 }
-"""Experiment of each, and the key of the controller's model of the air where it is not the experiment's own."""
+"""Experiment of each world, and the key that gives the controller's aerodynamic model if not the experiment's own."""
 
 
 class WindEstimate(tables.Table, frozen=True):
-    """Which flights are flown."""
+    """Flights of the study."""
 
     worlds: tuple[World, ...] = ("axisymmetric", "network", "axisymmetric in the network's air")
-    """In which worlds."""
+    """Worlds in which the flights are flown."""
     speeds: tuple[tables.Positive, ...] = (6.0, 8.0, 10.0, 14.0, 18.0)
-    """Of the wind [m/s]."""
+    """Wind speeds [m/s]."""
     flights: tables.Count = 12
-    """Of each speed and world."""
+    """Flights for each speed and world."""
     seed: tables.Natural = 2
-    """Of the perturbation; the observer's numbers were chosen with seed 1."""
+    """Seed of the perturbation; the observer's numbers were chosen with seed 1."""
 
     def __post_init__(self) -> None:
         tables.check_levels(self, "worlds", "speeds")
 
 
 def compute(_: str, asked: WindEstimate) -> Findings:
-    """Fly and judge."""
+    """Fly and judge the estimates."""
     found: dict[str, dict[str, float]] = {}
     for world in asked.worlds:
         for speed in asked.speeds:
@@ -124,7 +124,7 @@ def configurations(world: World, speed: float, flights: int, seed: int) -> Itera
 
 
 def judged(log: Mapping[str, NDArray[np.float64]]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the length of the horizontal error in every tick, and which components are inside their interval."""
+    """Return the length of the horizontal error in every tick, and which components are within their interval."""
     known = log["time"] >= KNOWN
     error = (log["measured_wind"] - log["wind"])[known, :2]
     return np.linalg.norm(error, axis=1), np.abs(error) < QUANTILE * log["measured_wind_std"][known, :2]

@@ -1,9 +1,9 @@
-"""The files of an OpenFOAM case: steady incompressible flow, k-ω SST with wall functions, one mesh for all winds.
+"""Files of an OpenFOAM case: steady incompressible flow, k-ω SST with wall functions, one mesh for all winds.
 
     ∇·u = 0,   ∇·(u u) = −∇p + ∇·(ν + ν_t)(∇u + ∇uᵀ),   k_∞ = 3/2 (I V)²,   ω_∞ = k_∞ / (r ν)
 
-with p over density, the turbulence intensity I and the viscosity ratio r of the free stream. The wind turns, not the
-mesh: all sides of the cube let the air in or out, whichever way it goes there.
+with the kinematic pressure p, the turbulence intensity I and the viscosity ratio r of the free stream. The wind
+direction varies, not the mesh: every side of the cube is inlet or outlet, depending on the local flow direction.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from jax_aero.aero.dataset import Floats
 from jax_aero.files import write_text
 
 FAR = "far"
-"""The patch of the cube's sides."""
+"""Name of the patch on the sides of the cube."""
 BODY = "body"
-"""Name of the geometry; its patches are named as the links, and belong to the group `wall`."""
+"""Name of the geometry; its patches have the names of the links and belong to the group `wall`."""
 
 Entry = Any
-"""A value of a dictionary: a number, a word, a text that stands as it is, a sequence, or a mapping."""
+"""A value of a dictionary: a number, a word, verbatim text, a sequence, or a mapping."""
 
 
 def write_mesh_case(folder: Path, surfaces: Mapping[str, Surface], mesh: Mesh) -> None:
-    """Write what `blockMesh` and `snappyHexMesh` need."""
+    """Write the input of `blockMesh` and `snappyHexMesh`."""
     write_stl(surfaces, folder / "constant" / "triSurface" / f"{BODY}.stl")
     write_control(folder, end=1, functions={})
     write_schemes(folder, is_upwind=True)
@@ -42,7 +42,7 @@ def write_mesh_case(folder: Path, surfaces: Mapping[str, Surface], mesh: Mesh) -
 
 
 def write_wind_case(folder: Path, wind_b: Floats, settings: Settings) -> None:
-    """Write fields and properties of one wind, a unit vector along which the air moves, into a meshed case."""
+    """Write fields and properties of one wind, a unit vector of the air's motion, into a meshed case."""
     _write(folder, "constant/transportProperties", {"transportModel": "Newtonian", "nu": settings.air.viscosity})
     model = {"RASModel": "kOmegaSST", "turbulence": "on", "printCoeffs": "off"}
     _write(folder, "constant/turbulenceProperties", {"simulationType": "RAS", "RAS": model})
@@ -60,7 +60,7 @@ def write_wind_case(folder: Path, wind_b: Floats, settings: Settings) -> None:
 
 
 def write_control(folder: Path, *, end: int, functions: Mapping[str, Entry]) -> None:
-    """Write until which iteration the solver goes, and what it reports."""
+    """Write the last iteration of the solver, and its reports."""
     control = {
         "application": "simpleFoam",
         "startFrom": "latestTime",
@@ -79,7 +79,7 @@ def write_control(folder: Path, *, end: int, functions: Mapping[str, Entry]) -> 
 
 
 def write_schemes(folder: Path, *, is_upwind: bool) -> None:
-    """Write the discretisation; convection of the velocity is of first or of second order."""
+    """Write the discretisation, with first- or second-order convection of the velocity."""
     convection = "bounded Gauss upwind" if is_upwind else "bounded Gauss linearUpwindV grad(U)"
     schemes = {
         "ddtSchemes": {"default": "steadyState"},
@@ -100,9 +100,9 @@ def write_schemes(folder: Path, *, is_upwind: bool) -> None:
 
 
 def forces_of(surfaces: Mapping[str, Surface], air: Air, solver: Solver, end: int) -> dict[str, Entry]:
-    """Return what reports force and couple of every link in the window before iteration `end`, and y+ at the end.
+    """Return reports of force and couple of every link in the window before iteration `end`, and of y+ at the end.
 
-    Every report computes the stress in all cells: outside of the window it would cost time for nothing.
+    Every report computes the stress in all cells, so none is made outside the window.
     """
     found: dict[str, Entry] = {
         name: {
@@ -129,7 +129,7 @@ def _fields(air: Air, wind_b: Floats) -> dict[str, Entry]:
     velocity = tuple(air.speed * wind_b)
     k = 1.5 * (air.turbulence_intensity * air.speed) ** 2
     omega = k / (air.viscosity_ratio * air.viscosity)
-    # Inside, the flow starts viscous: ν_t about V times a millimetre.
+    # Inside, the flow starts with high viscosity: ν_t is about V times a millimetre.
     start_k, start_omega = 8.3e-4 * air.speed**2, 30.0
 
     def field(dimensions: str, inside: Entry, far: Mapping[str, Entry], wall: Mapping[str, Entry]) -> Entry:
@@ -177,7 +177,7 @@ def _block(mesh: Mesh) -> Entry:
 def _snappy(surfaces: Mapping[str, Surface], mesh: Mesh) -> Entry:
     level = mesh.surface_level
     shells = [(shell.distance, shell.level) for shell in mesh.shells]
-    # Outside of every body, and on no face of a cell.
+    # Outside every body and on no face of a cell.
     beside = tuple(0.9 * mesh.half_width * np.array([0.9871, 0.9773, 0.9637]))
     geometry = {"type": "triSurfaceMesh", "name": BODY, "regions": {name: {"name": name} for name in surfaces}}
     return {
@@ -231,7 +231,7 @@ LAYERS: Entry = {
     "nBufferCellsNoExtrude": 0,
     "nLayerIter": 50,
 }
-"""Without layers the mesher reads them all the same."""
+"""Parameters of layers, which the mesher requires even without layers."""
 
 QUALITY: Entry = {
     "maxNonOrtho": 65,
@@ -249,7 +249,7 @@ QUALITY: Entry = {
     "nSmoothScale": 4,
     "errorReduction": 0.75,
 }
-"""As in the example cases of OpenFOAM."""
+"""Mesh quality limits from OpenFOAM's example cases."""
 
 _SMOOTH: Entry = {"solver": "smoothSolver", "smoother": "symGaussSeidel", "tolerance": 1e-9, "relTol": 0.1}
 SOLUTION: Entry = {
@@ -261,11 +261,11 @@ SOLUTION: Entry = {
     "relaxationFactors": {"fields": {"p": 1}, "equations": {"U": 0.85, '"(k|omega)"': 0.7}},
     "cache": dict.fromkeys(("grad(U)", "grad(p)", "grad(k)", "grad(omega)"), ""),
 }
-"""SIMPLEC; gradients that are kept until their field changes take 40 % off the time, and change no bit."""
+"""SIMPLEC; caching gradients until their field changes saves 40 % of the time without changing a bit."""
 
 
 def _write(folder: Path, path: str, entries: Mapping[str, Entry], kind: str = "dictionary") -> None:
-    """Write one file in OpenFOAM's notation."""
+    """Write one file in OpenFOAM's format."""
     header = {"version": 2.0, "format": "ascii", "class": kind, "object": Path(path).name}
     write_text(folder / path, "\n".join([*_lines({"FoamFile": header}), *_lines(entries)]) + "\n")
 
@@ -283,5 +283,5 @@ def _lines(entries: Mapping[str, Entry]) -> list[str]:
 def _value(value: Entry) -> str:
     if isinstance(value, Sequence) and not isinstance(value, str):
         return f"({' '.join(_value(item) for item in value)})"
-    # Adding zero makes -0 equal to 0.
+    # Adding zero converts -0 to 0.
     return f"{value + 0.0:.9g}" if isinstance(value, float) else str(value)

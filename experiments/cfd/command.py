@@ -1,11 +1,11 @@
-"""Compute forces and couples of the air on the links with OpenFOAM: `jax-aero cfd NAME`.
+"""Compute aerodynamic forces and couples on the links with OpenFOAM: `jax-aero cfd NAME`.
 
-A design (configs/cfd/NAME.toml) names postures, winds and settings. A posture is meshed once for all of its winds;
-every case is kept in `results/cfd/NAME/cases/` as soon as it is computed, so an interrupted run goes on with the same
-command. At the end `dataset.nc` holds what was accepted, in the format of `import-cfd`, and `manifest.json` what was
-refused and why. Needs OpenFOAM: apt-get install openfoam.
-`--cluster ray` computes several postures at a time; of each, the cases are kept when all of its winds are there.
-Cases of other code are kept when they are all there; with some of them missing the folder is refused.
+A design (configs/cfd/NAME.toml) names postures, winds and settings. A posture is meshed once for all of its winds.
+Every case is stored in `results/cfd/NAME/cases/` as soon as it is computed, so the same command resumes an interrupted
+run. Finally `dataset.nc` is written with the accepted cases, in the format of `import-cfd`, and `manifest.json` with
+the refused ones and the reasons. Needs OpenFOAM: apt-get install openfoam.
+`--cluster ray` computes several postures at a time; the cases of a posture are stored when all its winds are computed.
+A complete set of cases from other code is kept; a folder with an incomplete one is refused.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from jax_aero.files import locked, write_json
 
 RESULTS = places.RESULTS / KIND
 MODULES = geometry.__name__, simulate.__module__
-"""Whose code, with all that they import, makes a case."""
+"""Modules whose code, including imports, determines a case."""
 Simulate = Callable[[Mapping[str, Surface], Iterable[Floats], Settings, Path], Iterator[Result]]
 
 
@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     study.add_set(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/cfd)")
     add_options(parser, "postures", "processes of a local cluster")
-    parser.add_argument("--finish", action="store_true", help="compute nothing; collect the cases that are there")
+    parser.add_argument("--finish", action="store_true", help="compute nothing; collect the existing cases")
     given = parser.parse_args(arguments)
 
     def work() -> None:
@@ -83,7 +83,7 @@ def dataset_of(name: str) -> Path:
 
 
 def compute(design: Design, folder: Path, simulator: Simulate = simulate, cluster: Ray | None = None) -> None:
-    """Compute the cases of a design that are not there yet: here, or over a cluster, where a posture is a task."""
+    """Compute the missing cases of a design, on this machine or on a cluster, where each posture is a task."""
     settings, surfaces = design.spec.settings, design.surfaces
     with locked(folder), tqdm(desc=design.name, unit="case", file=sys.stderr, disable=None) as bar:
         bar.reset(total=sum(1 for _ in design))
@@ -109,11 +109,11 @@ class Job(NamedTuple):
 
     surfaces: Mapping[str, Surface]
     winds: list[Floats]
-    """Unit vectors along which the air moves, base axes."""
+    """Unit vectors of the air's motion, base axes."""
 
 
 def _solved(simulator: Simulate, settings: Settings, job: Job) -> Iterator[Result]:
-    """Yield the results of a posture, one by one as they are computed."""
+    """Yield the results of a posture, one at a time."""
     with tempfile.TemporaryDirectory(prefix="jax-aero-cfd-") as scratch:
         yield from simulator(*job, settings, Path(scratch))
 
@@ -123,7 +123,7 @@ def _remotely(shared: tuple[Simulate, Settings], job: Job) -> list[Result]:
 
 
 def _begin(design: Design, folder: Path, *, is_whole: bool) -> None:
-    """Mark the folder as this design's, or refuse one that holds cases of another, or of other code and not all."""
+    """Mark the folder as this design's; refuse one with cases of another design, or an incomplete set of other code."""
     about = {"digest": design.digest, "code_hash": code_hash(*MODULES)}
     found, shown = _about(design, folder), os.path.relpath(folder)
     if not found:
@@ -135,7 +135,7 @@ def _begin(design: Design, folder: Path, *, is_whole: bool) -> None:
 
 
 def _about(design: Design, folder: Path) -> dict[str, Any]:
-    """Return what the folder says of its cases, which must be the design's; nothing where there are none."""
+    """Return the description of a folder's cases, which must be the design's; empty without cases."""
     if not any((folder / "cases").glob("*.json")):
         return {}
     found = dict(json.loads((folder / "design.json").read_text(encoding="utf-8")))
@@ -145,7 +145,7 @@ def _about(design: Design, folder: Path) -> dict[str, Any]:
 
 
 def collect(design: Design, folder: Path) -> str:
-    """Write the dataset of the accepted cases and the manifest; return what there is to say."""
+    """Write the dataset of the accepted cases and the manifest; return a message."""
     about = _about(design, folder)
     found = {case: _read(_path(folder, case)) for case in design if _path(folder, case).is_file()}
     accepted = {case: result for case, result in found.items() if not result.reason}
@@ -172,7 +172,7 @@ def collect(design: Design, folder: Path) -> str:
         refused=refused,
         dataset=dataset.sha256,
     )
-    # Of the code that computed the cases, which may be older.
+    # The hash of the code that computed the cases, which may be older.
     write_json(folder / "manifest.json", document | {"code_hash": about["code_hash"]})
     lines = [f"{design.spec.title}: " + ", ".join(f"{count} {what}" for what, count in summary.items())]
     lines += [f"  {name}: {reason}" for name, reason in refused.items()]
@@ -181,7 +181,7 @@ def collect(design: Design, folder: Path) -> str:
 
 
 def to_dataset(design: Design, accepted: Mapping[Case, Result]) -> Dataset:
-    """Return the rows of accepted cases."""
+    """Return the accepted cases as a dataset."""
     n = len(accepted)
     air = design.spec.settings.air
     results = list(accepted.values())

@@ -1,7 +1,7 @@
-"""The panel model, corrected by simulations.
+"""Correction of the panel model by simulations.
 
-The force area of a link is linear in the twelve coefficients b of its family, F = G b. Those of the panel model, b₀,
-are moved towards the simulations, family by family:
+The force area of a link is linear in the twelve coefficients b of its family, F = G b. The coefficients of the panel
+model, b₀, are corrected towards the simulations, family by family:
 
     minimise  Σ |G b − F|² + λ s |b − b₀|²,      s = tr(G'G)/12
 """
@@ -18,11 +18,11 @@ from jax_aero.aero.surrogate import TERMS, Features, Surrogate, force_areas
 from jax_aero.aero.surrogate_fit import FAMILY_OF, N_FAMILIES
 
 PENALTIES = tuple(10.0**power for power in range(-6, 2))
-"""Values of λ that are tried."""
+"""Candidate values of λ."""
 
 
 class Sums(NamedTuple):
-    """Normal equations of some postures, P, and families, K."""
+    """Normal equations of P postures and K families."""
 
     matrix: Float[np.ndarray, "P K 12 12"]
     """G'G [m⁴]."""
@@ -30,23 +30,23 @@ class Sums(NamedTuple):
     """G'F [m⁴]."""
 
     def some(self, postures: Floats) -> Sums:
-        """Return those of some of the postures, of which a mask (P,) is given."""
+        """Return the sums over the postures selected by a mask (P,)."""
         return Sums(self.matrix[postures], self.right[postures])
 
 
 class Corrected(NamedTuple):
-    """What was found."""
+    """Result of a correction."""
 
     coefficients: Float[np.ndarray, "K 12"]
-    """From all rows, by family."""
+    """Coefficients by family, from all rows."""
     penalty: float
-    """λ of these."""
+    """λ of these coefficients."""
     left_out_b: Float[np.ndarray, "B L 3"]
-    """Force areas [m²], base axes, by coefficients that no row of the same posture entered."""
+    """Force areas [m²], base axes, from coefficients fitted without the row's posture."""
 
 
 def corrected(panels: Surrogate, features: Features, data: Dataset) -> Corrected:
-    """Correct the panel model; every posture is left out once, λ chosen by leaving out those that remain, each once."""
+    """Correct the panel model, also with each posture left out; λ is chosen by leave-one-out on the remaining ones."""
     rows = features(data.joint_position_deg, data.wind_b)
     postures = np.unique(data.family)
     sums = sums_of(rows, data, postures)
@@ -74,7 +74,7 @@ def sums_of(features: Float[np.ndarray, "B L 12 3"], data: Dataset, postures: Fl
 
 
 def solve(sums: Sums, start: Float[np.ndarray, "K 12"], penalty: float) -> Float[np.ndarray, "K 12"]:
-    """Return the coefficients that all postures together give."""
+    """Return the coefficients fitted to all postures together."""
     matrix, right = sums.matrix.sum(axis=0), sums.right.sum(axis=0)
     ridge = penalty * np.trace(matrix, axis1=1, axis2=2)[:, None] / len(TERMS)
     found: Floats = (
@@ -87,14 +87,14 @@ def solve(sums: Sums, start: Float[np.ndarray, "K 12"], penalty: float) -> Float
 
 
 def _chosen(sums: Sums, start: Floats) -> tuple[Floats, float]:
-    """Return coefficients and λ with the least squared error on postures left out."""
+    """Return coefficients and λ with the least squared error on left-out postures."""
 
     def error(penalty: float) -> float:
         off = 0.0
         for number in range(len(sums.right)):
             own = np.arange(len(sums.right)) == number
             b = solve(sums.some(~own), start, penalty)
-            # |G b − F|² without |F|², which no coefficient changes.
+            # |G b − F|² without the constant |F|².
             off += np.einsum("ki,kij,kj->", b, sums.matrix[number], b) - 2.0 * np.sum(b * sums.right[number])
         return off
 

@@ -27,19 +27,19 @@ KIND = "cfd"
 
 
 class Winds(tables.Table, frozen=True):
-    """Directions of the wind, as pitch and yaw of the robot in the tunnel [deg]."""
+    """Directions of the wind, given as pitch and yaw of the robot in the tunnel [deg]."""
 
     design: Literal["grid", "list", "sobol"]
-    """All combinations, pairs, or directions that fill the sphere, other ones for every posture."""
+    """All combinations, pairs, or quasi-random directions on the sphere that differ between postures."""
     pitch_deg: tuple[float, ...] = ()
-    """Vertical axis of the robot above the horizontal, 0 to 180, of a grid or list."""
+    """Angle of the robot's vertical axis above the horizontal, 0 to 180, for a grid or list."""
     yaw_deg: tuple[float, ...] = ()
-    """About the vertical of the tunnel, −180 to 180, of a grid or list."""
+    """Yaw about the vertical of the tunnel, −180 to 180, for a grid or list."""
     samples: tables.Natural = 0
-    """Of every posture, in a sobol design."""
+    """Number of directions per posture in a sobol design."""
     seed: tables.Natural = 1
     steps_deg: tuple[tables.Positive, tables.Positive] | None = None
-    """To which a sobol design rounds pitch and yaw, so that its points are some of a grid's."""
+    """Steps to which a sobol design rounds pitch and yaw, so that its points belong to a grid."""
 
     def __post_init__(self) -> None:
         if self.design == "sobol":
@@ -57,7 +57,7 @@ class Winds(tables.Table, frozen=True):
                 raise ValueError(f"`{name}` has {outside[0]:g}; expected {low:g} to {high:g}")
 
     def of(self, posture: int) -> list[tuple[float, float]]:
-        """Return pitch and yaw of every wind of a posture, given by its place in the table of postures."""
+        """Return pitch and yaw of every wind for a posture, given its index in the table of postures."""
         if self.design == "grid":
             return list(itertools.product(self.pitch_deg, self.yaw_deg))
         if self.design == "list":
@@ -71,25 +71,25 @@ class Winds(tables.Table, frozen=True):
 
 
 def _on_sphere(u: float, v: float) -> tuple[float, float]:
-    """Pitch and yaw [deg] of a point of the unit square, such that directions are uniform on the sphere."""
+    """Map a point of the unit square to pitch and yaw [deg], such that directions are uniform on the sphere."""
     yaw = np.degrees(np.arcsin(2.0 * u - 1.0))
-    turn = 360.0 * v - 180.0  # of the wind in the base's x-z plane
+    turn = 360.0 * v - 180.0  # angle of the wind in the base's x-z plane
     if abs(turn) <= 90.0:
         return 90.0 + turn, float(yaw)
-    # Behind, the same direction is that of a robot turned round.
+    # Wind from behind is equivalent to the robot yawed by 180°.
     return 90.0 + turn - np.copysign(180.0, turn), float(np.copysign(180.0, yaw) - yaw)
 
 
 class Spec(tables.Table, frozen=True):
-    """What is computed."""
+    """Settings of a design."""
 
     title: str
     postures: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
-    """Names of `configs/tables/postures.toml`, or of `joints`."""
+    """Names in `configs/tables/postures.toml` or in `joints`."""
     winds: Winds
     robot: Path
     geometry: Literal["primitives", "meshes"] = "primitives"
-    """What stands for the robot: primitives of its URDF, or its meshes too, which are looked for from the URDF."""
+    """Geometry of the robot: primitives of its URDF, or also its meshes, found relative to the URDF."""
     joints: Path | None = None
     """Joint angles by posture, in the CSV that `import-cfd --joints` reads."""
     settings: Settings = Settings()
@@ -104,27 +104,27 @@ class Case(NamedTuple):
 
     @property
     def wind_b(self) -> Floats:
-        """Return the unit vector along which the air moves, base axes."""
+        """Return the unit vector of the air's motion, base axes."""
         return wind_direction(self.pitch_deg, self.yaw_deg)
 
     @property
     def file(self) -> str:
-        """Return the name of its file."""
+        """Return the name of the case's file."""
         return f"{self.posture}_{self.pitch_deg:g}_{self.yaw_deg:g}.json"
 
 
 @dataclass(frozen=True)
 class Design:
-    """A design with its robot and postures read."""
+    """A design with its robot and postures."""
 
     name: str
     spec: Spec
     changes: Mapping[str, Any] = field(default_factory=dict)
-    """Keys that are not as in the file."""
+    """Changed keys and their values."""
 
     @classmethod
     def read(cls, name: str, changes: Mapping[str, Any]) -> Design:
-        """Read a file of `configs/cfd/` by name, or any by its path."""
+        """Read a file of `configs/cfd/` by name, or any file by path."""
         path = study.find(KIND, name)
         return cls(study.result_name(KIND, path), tables.load(path, Spec, changes), changes)
 
@@ -135,7 +135,7 @@ class Design:
 
     @cached_property
     def known(self) -> dict[str, Floats]:
-        """Return the joint angles (19,) [deg] of all postures there are."""
+        """Return the joint angles (19,) [deg] of all known postures."""
         return read_postures(self.spec.joints) if self.spec.joints else known_postures()
 
     @cached_property
@@ -154,7 +154,7 @@ class Design:
 
     @property
     def meshes_of(self) -> Path | None:
-        """Return the robot's file if its meshes are wanted."""
+        """Return the robot's file if its meshes are used, otherwise `None`."""
         return self.spec.robot if self.spec.geometry == "meshes" else None
 
     @cached_property
@@ -167,7 +167,7 @@ class Design:
 
     @property
     def digest(self) -> str:
-        """Return a hash of what decides the result of a case; a design may grow by postures and winds."""
+        """Return a hash of everything that determines a case's result; postures and winds can be added to a design."""
         settings = tables.plain(self.spec.settings)
         settings["solver"].pop("ranks")
         text = json.dumps(settings, sort_keys=True) + self.robot.urdf_text + self.robot.toml_text

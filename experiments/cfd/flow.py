@@ -1,7 +1,8 @@
-"""Keep the flow of one case for pictures: `jax-aero cfd-flow NAME`, NAME a file of `configs/cfd_flow/`.
+"""Store the flow of one case for pictures: `jax-aero cfd-flow NAME`, with NAME a file of `configs/cfd_flow/`.
 
-Pressure on the robot, streamlines around it, and speed, pressure and turbulent viscosity in its plane of symmetry, as
-in the paper's Fig. 3 c to f; `jax-aero figures cfd_flow cfd_meshes` draws them. Needs OpenFOAM; PyVista reads its case.
+Stores pressure on the robot, streamlines around it, and speed, pressure and turbulent viscosity in its plane of
+symmetry, as in the paper's Fig. 3 c to f; `jax-aero figures cfd_flow cfd_meshes` draws them. Needs OpenFOAM and
+PyVista, which reads its cases.
 """
 
 from __future__ import annotations
@@ -32,11 +33,11 @@ FIELDS = {
     "viscosity": "turbulent over molecular viscosity",
 }
 BESIDE, EVERY, LENGTH = 0.02, 80, 1.2
-"""Every so many points of the surface a streamline passes so far from it [m], this long before and behind [m]."""
+"""Streamlines: distance from the surface [m], number of surface points per line, length before and behind [m]."""
 
 
 def compute(_name: str, config: FlowConfig) -> Findings:
-    """Simulate and sample."""
+    """Simulate and sample the flow."""
     foam.environment()
     known = known_postures()
     if config.posture not in known:
@@ -72,7 +73,7 @@ def compute(_name: str, config: FlowConfig) -> Findings:
 
 
 def read_case(folder: Path, ranks: int, air: Air) -> tuple[pyvista.UnstructuredGrid, pyvista.PolyData]:
-    """Return the air's cells and the surface of the links at the last iteration, with `FIELDS` in cells and points."""
+    """Return the cells of the air and the surface of the links at the last iteration, with `FIELDS` in both."""
     path = folder / "case.foam"
     path.touch()
     reader = pyvista.POpenFOAMReader(path)
@@ -83,17 +84,17 @@ def read_case(folder: Path, ranks: int, air: Air) -> tuple[pyvista.UnstructuredG
     blocks = reader.read()
     cells, wall = blocks["internalMesh"], pyvista.merge([*blocks["boundary"]])
     for data in (cells.cell_data, wall.cell_data):
-        data["pressure"] = data["p"] / (0.5 * air.speed**2)  # the solver's pressure is over density
+        data["pressure"] = data["p"] / (0.5 * air.speed**2)  # the solver's pressure is divided by density
         data["speed"] = np.linalg.norm(data["U"], axis=1) / air.speed
         data["viscosity"] = data["nut"] / air.viscosity
     return cells.cell_data_to_point_data(pass_cell_data=True), wall.cell_data_to_point_data(pass_cell_data=True)
 
 
 def streamlines(cells: pyvista.UnstructuredGrid, wall: pyvista.PolyData) -> pyvista.PolyData:
-    """Return lines along the air's velocity that pass close to the surface."""
+    """Return streamlines that pass close to the surface."""
     outwards = wall.compute_normals(consistent_normals=False, flip_normals=True).point_data["Normals"]
     seeds = pyvista.PolyData((wall.points + BESIDE * outwards)[::EVERY])
-    # By its nearest points, VTK's default, velocity would be found within the bodies too.
+    # With VTK's default, the nearest points, velocity would be interpolated inside the bodies too.
     found: pyvista.PolyData = cells.streamlines_from_source(
         seeds, vectors="U", max_length=LENGTH, interpolator_type="cell"
     )
@@ -101,10 +102,10 @@ def streamlines(cells: pyvista.UnstructuredGrid, wall: pyvista.PolyData) -> pyvi
 
 
 def as_dataset(wall: pyvista.PolyData, plane: pyvista.PolyData, lines: pyvista.PolyData) -> xr.Dataset:
-    """Return the points of triangles and lines with what is drawn of `FIELDS` there; base axes."""
+    """Return the points of triangles and lines with the `FIELDS` drawn there; base axes."""
     found: dict[str, Any] = {}
     for name, part, fields in (("wall", wall, ["pressure"]), ("plane", plane, [*FIELDS]), ("line", lines, ["speed"])):
-        point, single = f"{name}_point", "f4"  # pictures need no more
+        point, single = f"{name}_point", "f4"  # sufficient for pictures
         found[f"{name}_position"] = (point, "xyz"), part.points.astype(single), {"units": "m"}
         for field in fields:
             about = {"units": "1", "long_name": FIELDS[field]}

@@ -1,4 +1,4 @@
-"""OpenFOAM as an external program: found or named as missing, run, and read."""
+"""OpenFOAM as an external program: detection, execution, and reading of its output."""
 
 from __future__ import annotations
 
@@ -18,39 +18,39 @@ from jax_aero.aero.dataset import Floats
 
 PROGRAMS = ("blockMesh", "snappyHexMesh", "checkMesh", "simpleFoam")
 DEBIAN = Path("/usr/share/openfoam")
-"""Where Debian's package keeps what elsewhere WM_PROJECT_DIR says."""
+"""Folder of Debian's package that corresponds to WM_PROJECT_DIR elsewhere."""
 MISSING = "OpenFOAM is not here (no `{}` on the path); install it with: apt-get install openfoam"
 
 
 STOPPED = (signal.SIGINT, signal.SIGKILL, signal.SIGTERM)
-"""Signals by which a program is ended from outside: no result of the flow."""
+"""Signals by which a program is stopped from outside, which is not a result of the flow."""
 
 
 class Failed(Exception):
-    """A program ended with an error; the message has its last words."""
+    """A program ended with an error; the message contains its last output."""
 
 
 def environment() -> dict[str, str]:
-    """Return the variables that OpenFOAM's programs need, or refuse when they are not installed."""
+    """Return the environment variables of OpenFOAM's programs; refuse if OpenFOAM is not installed."""
     for program in PROGRAMS:
         if shutil.which(program) is None:
             raise Refused(MISSING.format(program))
     found = dict(os.environ)
     if "WM_PROJECT_DIR" not in found and DEBIAN.is_dir():
         found["WM_PROJECT_DIR"] = str(DEBIAN)
-    # Open MPI refuses the root user of a container otherwise.
+    # Without these, Open MPI refuses to run as root in a container.
     return found | {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "FOAM_SIGFPE": "false"}
 
 
 def run(command: list[str], folder: Path, ranks: int = 1) -> str:
-    """Run one program in the folder of a case; return what it printed.
+    """Run one program in the folder of a case; return its output.
 
     Raises
     ------
     Failed
-        If it ends with an error.
+        If the program ends with an error.
     Refused
-        If it was interrupted.
+        If it is interrupted.
     """
     words = command
     if ranks > 1:
@@ -59,7 +59,7 @@ def run(command: list[str], folder: Path, ranks: int = 1) -> str:
         words, cwd=folder, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False
     )
     said = answer.stdout.decode(errors="replace")
-    # A negative status is a signal; a shell, or MPI, adds 128 to it.
+    # A negative status is a signal; a shell or MPI reports 128 plus the signal.
     if any(answer.returncode in (-number, 128 + number) for number in STOPPED):
         raise Refused(f"{command[0]} was ended by a signal; the same command goes on with this case")
     if answer.returncode:
@@ -68,20 +68,20 @@ def run(command: list[str], folder: Path, ranks: int = 1) -> str:
 
 
 class MeshFacts(NamedTuple):
-    """What there is to say about a mesh."""
+    """Properties of a mesh."""
 
     cells: int
     regions: int
     finest_cells: int
-    """Cells of the highest level."""
+    """Number of cells of the highest level."""
     finest_level: int
     max_non_orthogonality: float
-    """[deg]"""
+    """Greatest non-orthogonality [deg]."""
     max_skewness: float
     seconds: float
-    """That it took."""
+    """Meshing time [s]."""
     release: float
-    """Of OpenFOAM, as 1912; 0 where it does not say."""
+    """OpenFOAM's release, such as 1912; 0 if unknown."""
 
 
 def mesh_facts(mesher: str, checker: str, seconds: float) -> MeshFacts:
@@ -104,26 +104,26 @@ def mesh_facts(mesher: str, checker: str, seconds: float) -> MeshFacts:
 
 
 class History(NamedTuple):
-    """Forces on one link while the solver goes on; S samples, base axes."""
+    """Forces on one link over the iterations of the solver; S samples, base axes."""
 
     iteration: Floats
     """(S,)"""
     pressure: Floats
-    """(S, 3) force of the pressure [N]."""
+    """(S, 3) pressure force [N]."""
     viscous: Floats
-    """(S, 3) force of the friction [N]."""
+    """(S, 3) friction force [N]."""
     couple: Floats
     """(S, 3) moment about the link's centre [N m]."""
 
     @property
     def force(self) -> Floats:
-        """(S, 3) [N]."""
+        """(S, 3) total force [N]."""
         total: Floats = self.pressure + self.viscous
         return total
 
 
 def read_histories(folder: Path, links: Mapping[str, object]) -> dict[str, History]:
-    """Read the forces of every link, over all restarts of the solver."""
+    """Read the forces on every link, over all restarts of the solver."""
     return {name: _history(folder / "postProcessing" / name) for name in links}
 
 
@@ -131,7 +131,7 @@ def _history(folder: Path) -> History:
     starts = sorted(folder.iterdir(), key=lambda path: float(path.name))
     force = np.concatenate([_numbers(start / "force.dat") for start in starts])
     moment = np.concatenate([_numbers(start / "moment.dat") for start in starts])
-    # Columns: time, then total, pressure and viscous part.
+    # Columns: time, then total, pressure part and viscous part.
     return History(force[:, 0], force[:, 4:7], force[:, 7:10], moment[:, 1:4])
 
 
@@ -142,7 +142,7 @@ def _numbers(path: Path) -> Floats:
 
 
 def read_y_plus(folder: Path) -> tuple[float, float]:
-    """Return mean over the links, and largest y+ of the wall's cells."""
+    """Return the mean over the links and the maximum of y+ in the wall's cells."""
     reports = (folder / "postProcessing" / "yPlus").iterdir()
     path = max(reports, key=lambda path: float(path.name)) / "yPlus.dat"
     rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
@@ -151,7 +151,7 @@ def read_y_plus(folder: Path) -> tuple[float, float]:
 
 
 def last_residual(solver: str, field: str) -> float:
-    """Return the initial residual of a field in the last iteration that was printed."""
+    """Return the initial residual of a field in the last printed iteration."""
     found = re.findall(rf"Solving for {field}, Initial residual = ([^\s,]+)", solver)
     return float(found[-1]) if found else float("nan")
 

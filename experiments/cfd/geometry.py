@@ -1,4 +1,4 @@
-"""The surface of the robot in a posture, in base axes: closed bodies of triangles, grouped by aerodynamic link."""
+"""Surface of the robot in a posture, in base axes: closed bodies of triangles, grouped by aerodynamic link."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from jax_aero.urdf import Pose
 from jax_aero.view.shapes import Kind, Look, Mount, Shape, look_of
 
 SEGMENTS = 48
-"""Of a circle; its polygon is 0.3 % smaller in area than the circle, so it is drawn at the radius of equal area."""
+"""Segments per circle; the polygon's area would be 0.3 % too small, so its radius is increased to equal area."""
 
 MARGIN = np.radians(2.01)
-"""Beyond a joint's stops: the robot in the wind tunnel stood with 12 degrees where its URDF stops at 10."""
+"""Margin beyond joint stops [rad]: in the wind tunnel the robot had 12° at a joint whose URDF limit is 10°."""
 
 
 def triangles_of(kind: Kind, size: tuple[float, float, float]) -> Floats:
-    """Return the triangles (T, 3, 3) [m] of a primitive about its centre, with outward normals by the right hand."""
+    """Return the triangles (T, 3, 3) [m] of a primitive about its centre, with outward normals."""
     if kind == "box":
         return _triangles_of_mesh(box(), size)
     radius, _, length = size
@@ -39,9 +39,9 @@ def triangles_of(kind: Kind, size: tuple[float, float, float]) -> Floats:
 
 
 def is_closed(triangles: Floats) -> bool:
-    """Return whether triangles run along every edge equally often in both directions, so that there is no hole.
+    """Return whether every edge is used equally often in both directions, so that the surface has no hole.
 
-    Usually one each way; where two parts of a body touch in an edge, two.
+    Usually once in each direction; where two parts of a body touch along an edge, twice.
     """
     _, corner = np.unique(np.round(triangles.reshape(-1, 3), 9), axis=0, return_inverse=True)
     faces = corner.reshape(-1, 3)
@@ -51,41 +51,41 @@ def is_closed(triangles: Floats) -> bool:
 
 
 def volume(triangles: Floats) -> float:
-    """Return the volume that closed triangles enclose [m³], by Gauss's theorem: `Σ a·(b × c)/6`."""
+    """Return the volume enclosed by closed triangles [m³], by Gauss's theorem: `Σ a·(b × c)/6`."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
 
 def placed(triangles: Floats, pose: Pose) -> Floats:
-    """Return triangles in the axes that `pose` leads to."""
+    """Return triangles transformed by `pose`."""
     moved: Floats = triangles @ pose.rotation.T + pose.position
     return moved
 
 
 class Surface(NamedTuple):
-    """What the air meets of one link."""
+    """Surface of one link."""
 
     triangles: Floats
-    """(T, 3, 3) corners [m], outward normals by the right hand; bodies may overlap, each is closed."""
+    """(T, 3, 3) corners [m], outward normals by the right-hand rule; bodies may overlap, each is closed."""
     centre: Floats
-    """(3,) point about which the couple is counted [m]."""
+    """(3,) reference point of the couple [m]."""
 
 
 def robot_surfaces(robot: rust.Robot, joint_position_deg: Floats, meshes_of: Path | None = None) -> dict[str, Surface]:
     """Return the surface of every link of `LINKS` in base axes, at joint angles (19,) [deg], order of `JOINTS`.
 
-    Parts of other links count to one of these. The centre of a link is that of its aerodynamics.
+    Parts of other links are assigned to one of these. The centre of a link is its aerodynamic centre.
 
     Parameters
     ----------
     meshes_of
-        The robot's TOML file, from which the meshes of its URDF are found. Without it, links of meshes alone are the
-        spheres and cylinders of their aerodynamics.
+        The robot's TOML file, relative to which the meshes of its URDF are found. Without it, links that only have
+        meshes are the spheres and cylinders of their aerodynamic model.
 
     Raises
     ------
     Refused
-        If a joint is beyond its stops, if a mesh is missing, if a body does not close, or if a link has none.
+        If a joint is beyond its stops, a mesh is missing, a body is not closed, or a link has no surface.
     """
     poses = body_poses(robot, joint_position_deg)
     look = look_of(robot, meshes_of)
@@ -108,19 +108,19 @@ def robot_surfaces(robot: rust.Robot, joint_position_deg: Floats, meshes_of: Pat
 
 
 def _triangles_of_mesh(mesh: Mesh, factors: tuple[float, float, float]) -> Floats:
-    """Return the triangles (T, 3, 3) [m] of a mesh with factors on its vertices, one of which may mirror it."""
+    """Return the triangles (T, 3, 3) [m] of a mesh with scaled vertices; a negative factor mirrors it."""
     triangles: Floats = mesh.vertices[mesh.faces] * np.array(factors)
     return triangles if np.prod(factors) > 0.0 else triangles[:, ::-1]
 
 
 def check_closed(name: str, triangles: Floats) -> None:
-    """Refuse a body without an inside."""
+    """Refuse a body that is not closed."""
     if not is_closed(triangles) or volume(triangles) <= 0.0:
         raise Refused(f"the surface of `{name}` does not close; expected outward triangles that share every edge")
 
 
 def body_poses(robot: rust.Robot, joint_position_deg: Floats) -> list[Pose]:
-    """Return the poses of the bodies from the base at joint angles (19,) [deg]; other joints are at zero."""
+    """Return the poses of the bodies relative to the base at joint angles (19,) [deg]; other joints are at zero."""
     joints = in_robot_order(robot.joint_names, joint_position_deg)
     for name in JOINTS:
         place = robot.joint_names.index(name)
@@ -134,10 +134,10 @@ def body_poses(robot: rust.Robot, joint_position_deg: Floats) -> list[Pose]:
 
 
 def _link_of(shape: Shape, links: dict[str, Mount], look: Look, robot: rust.Robot) -> str:
-    """Return the aerodynamic link that a shape counts to.
+    """Return the aerodynamic link that a shape is assigned to.
 
-    It is the link of the shape's own name, or else that of its body; bodies without a link count to the next one
-    outwards along the tree (torso to chest, shoulder to upper arm), at its ends inwards (foot to lower leg).
+    It is the link of the shape's own name, or otherwise that of its body. A body without a link is assigned to the next
+    one outwards along the tree (torso to chest, shoulder to upper arm), or at its ends inwards (foot to lower leg).
     """
     if shape.name in links:
         return shape.name
@@ -154,13 +154,13 @@ def _inward(body: int, parents: tuple[int, ...]) -> list[int]:
 
 
 def write_stl(surfaces: Mapping[str, Surface], path: Path) -> None:
-    """Write every surface as a solid of its own name."""
+    """Write every surface as a solid with its name."""
     lines = []
     for name, surface in surfaces.items():
         a, b, c = np.moveaxis(surface.triangles, 1, 0)
         normals = np.cross(b - a, c - a)
         lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-        normals /= np.where(lengths > 0.0, lengths, 1.0)  # a mesh may have triangles without area
+        normals /= np.where(lengths > 0.0, lengths, 1.0)  # a mesh may have degenerate triangles
         lines.append(f"solid {name}")
         for normal, corners in zip(normals, surface.triangles, strict=True):
             lines += [f"facet normal {_numbers(normal)}", "outer loop"]

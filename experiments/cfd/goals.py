@@ -1,4 +1,4 @@
-"""What errors of the open solver were to be at most, and whether they are."""
+"""Error goals of the open solver, and whether they are met."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ GOALS = {
     "links, mean square [m4]": 1.5e-5,
     "drag coefficient, relative error": 0.15,
 }
-"""By the name of the error, which may follow what it is of; the last of a sphere and a cylinder."""
+"""Goals by name of the error, which a subject may precede; the last one is for a sphere and a cylinder."""
 
 
 def verdicts(errors: Mapping[str, float]) -> dict[str, str]:
-    """Return, of every error that has a goal, whether it meets it; NaN does not."""
+    """Return whether every error with a goal meets it; NaN does not."""
     found = {}
     for name, error in errors.items():
         if (goal := GOALS.get(name.rpartition(": ")[2])) is not None:

@@ -1,4 +1,4 @@
-"""Numbers of a simulation: mesh, solver, air, and the tests that a result must pass."""
+"""Settings of a simulation: mesh, solver, air, and acceptance criteria of a result."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from jax_aero.tables import Count, Fraction, Natural, Positive
 
 
 class Shell(tables.Table, frozen=True):
-    """Cells within a distance of the surface are at least of this level."""
+    """Cells within a distance of the surface have at least this level."""
 
     distance: Positive
-    """[m]"""
+    """Distance from the surface [m]."""
     level: Count
 
 
 class Mesh(tables.Table, frozen=True):
-    """A cube of cubes, halved towards the surface: a cell of level n has the edge `base / 2^n`.
+    """A cube of cubic cells, halved towards the surface: a cell of level n has the edge `base / 2^n`.
 
-    The mesher finds the surface by lines from cell centre to cell centre, which miss a body that is thinner than the
-    first cells. Shells find it whatever its size, if the n-th reaches half the diagonal of a cell of level n − 1.
+    The mesher finds the surface along lines between cell centres, which miss a body thinner than the first cells.
+    Shells find every body, if the n-th shell reaches half the diagonal of a cell of level n − 1.
     """
 
     half_width: Positive = 5.0
-    """Of the cube [m]."""
+    """Half the edge of the cube [m]."""
     base: Positive = 0.72
-    """Edge of a cell of level 0, at most [m]."""
+    """Greatest edge of a cell of level 0 [m]."""
     surface_level: Count = 6
-    """Of the cells at the surface."""
+    """Level of the cells at the surface."""
     shells: tuple[Shell, ...] = (
         Shell(distance=0.023, level=6),
         Shell(distance=0.05, level=5),
@@ -49,11 +49,11 @@ class Mesh(tables.Table, frozen=True):
 
     @property
     def cells_across(self) -> int:
-        """Return the number of cells of level 0 along an edge of the cube."""
-        return math.ceil(2.0 * self.half_width / self.base - 1e-9)  # a base that divides the cube is kept
+        """Return the number of level-0 cells along an edge of the cube."""
+        return math.ceil(2.0 * self.half_width / self.base - 1e-9)  # keeps a base that divides the cube
 
     def edge(self, level: int) -> float:
-        """Return the edge of a cell of a level [m]."""
+        """Return the edge of a cell of this level [m]."""
         return 2.0 * self.half_width / self.cells_across * 0.5**level
 
     @property
@@ -66,31 +66,31 @@ class Air(tables.Table, frozen=True):
     """The free stream."""
 
     speed: Positive = 17.0
-    """[m/s]; of the public simulations."""
+    """Speed [m/s], as in the public simulations."""
     density: Positive = 1.225
-    """[kg/m³]"""
+    """Density [kg/m³]."""
     viscosity: Positive = 1.469e-5
-    """Kinematic [m²/s]."""
+    """Kinematic viscosity [m²/s]."""
     turbulence_intensity: Positive = 1e-3
     viscosity_ratio: Positive = 1.0
-    """Turbulent over molecular viscosity far away."""
+    """Turbulent over molecular viscosity in the free stream."""
 
 
 class Solver(tables.Table, frozen=True):
-    """Iterations of SIMPLEC."""
+    """Iterations of the SIMPLEC solver."""
 
     upwind_iterations: Natural = 16
-    """The first ones, with first-order convection: a start from rest would diverge without."""
+    """Initial iterations with first-order convection, without which a start from rest diverges."""
     iterations: Count = 100
-    """All of them, without extensions."""
+    """Number of all iterations, without extensions."""
     window: Count = 40
-    """The last ones, over which forces are averaged."""
+    """Number of last iterations over which forces are averaged."""
     sampling: Count = 4
     """Iterations between two samples of the forces."""
     extensions: Natural = 0
-    """How often a solve that is not steady goes on by the length of a window, over which it is then judged anew."""
+    """Greatest number of extensions by one window; after each, an unsteady solution is judged again."""
     ranks: Count = 1
-    """Processes of one solve (MPI)."""
+    """Processes per solution (MPI)."""
 
     def __post_init__(self) -> None:
         if self.upwind_iterations + self.window > self.iterations:
@@ -103,18 +103,18 @@ class Solver(tables.Table, frozen=True):
 
 
 class Accept(tables.Table, frozen=True):
-    """What a result must keep to; one that does not is left out of the dataset, with the reason in its file."""
+    """Acceptance criteria of a result; a refused one is left out of the dataset, with the reason in its file."""
 
     drift: Fraction = 0.02
-    """Mean force of the window's second half less that of its first, over the size of the mean."""
+    """Difference of the mean forces in the two halves of the window, relative to the mean."""
     oscillation: Fraction = 0.05
-    """Standard deviation of the force in the window, over the size of the mean."""
+    """Standard deviation of the force in the window, relative to the mean."""
     finest_share: Fraction = 0.5
-    """Cells of the surface's level, over surface area / (edge of such a cell)²."""
+    """Number of cells of the surface's level, relative to the surface area / (edge of such a cell)²."""
 
 
 class Settings(tables.Table, frozen=True):
-    """Everything that decides the result of a posture and a wind, but for the robot."""
+    """Everything except the robot that determines the result of a posture and a wind."""
 
     mesh: Mesh = Mesh()
     air: Air = Air()
@@ -122,13 +122,14 @@ class Settings(tables.Table, frozen=True):
     accept: Accept = Accept()
 
 
+# Defined here, since the schema must not need the packages of `flow.py`.
 class FlowConfig(tables.Table, frozen=True):
-    """A flow that is kept for pictures; here, as the schema of files must not need the packages of `flow.py`."""
+    """A flow stored for pictures."""
 
     title: str
     posture: str
-    """A name of `configs/tables/postures.toml`."""
+    """A name in `configs/tables/postures.toml`."""
     pitch_deg: float
-    """Of the robot's vertical axis above the horizontal wind."""
+    """Angle of the robot's vertical axis above the horizontal wind."""
     yaw_deg: float = 0.0
     settings: Settings = Settings()

@@ -1,9 +1,9 @@
-"""Surfaces in winds: one mesh, then a solve for each wind, and what the solver says of each.
+"""Simulation of surfaces in winds: one mesh, then a solution for each wind, and acceptance of both.
 
     force   F̄ = mean of F over the last `window` iterations        drift   |F̄(second half) − F̄(first half)| / |F̄|
     oscillation   √(mean |F − F̄|²) / |F̄|          with F the total force on all links
 
-A mesh that leaks, falls apart or misses its level is refused, and so is a solve that diverges, drifts or oscillates.
+A mesh is refused if it leaks, is disconnected or misses its level; a solution if it diverges, drifts or oscillates.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ from jax_aero.aero.dataset import Floats
 
 
 class Result(msgspec.Struct, frozen=True):
-    """One wind: forces and couples of the links over dynamic pressure, or why there are none."""
+    """Result for one wind: forces and couples of the links divided by dynamic pressure, or the reason for refusal."""
 
     reason: str = ""
-    """Why it is refused; empty where it is accepted."""
+    """Reason for refusal; empty if accepted."""
     force_area_b: dict[str, tuple[float, float, float]] = msgspec.field(default_factory=dict)
-    """By link [m²], base axes."""
+    """Force areas by link [m²], base axes."""
     couple_volume_b: dict[str, tuple[float, float, float]] = msgspec.field(default_factory=dict)
-    """By link, about its centre [m³], base axes."""
+    """Couples by link about its centre, divided by dynamic pressure [m³], base axes."""
     quality: dict[str, float] = msgspec.field(default_factory=dict)
-    """What the mesher and the solver reported, by name with unit."""
+    """Reports of the mesher and the solver, by name with unit."""
 
 
 class Unfit(Exception):
-    """A mesh that no flow is computed on; the message says why."""
+    """A mesh that is refused; the message states the reason."""
 
 
 def simulate(
     surfaces: Mapping[str, Surface], winds: Iterable[Floats], settings: Settings, folder: Path
 ) -> Iterator[Result]:
-    """Mesh once, and yield the result of every wind (3,), a unit vector along which the air moves, base axes."""
+    """Mesh once, and yield the result of every wind (3,), a unit vector of the air's motion, base axes."""
     try:
         facts = make_mesh(surfaces, settings, folder)
     except (foam.Failed, Unfit) as reason:
@@ -55,7 +55,7 @@ def simulate(
 
 
 def make_mesh(surfaces: Mapping[str, Surface], settings: Settings, folder: Path) -> foam.MeshFacts:
-    """Mesh the air around the surfaces; raise `Unfit` if the mesh is not what was asked for."""
+    """Mesh the air around the surfaces; raise `Unfit` if the mesh does not meet its settings."""
     case.write_mesh_case(folder, surfaces, settings.mesh)
     started = time.perf_counter()
     foam.run(["blockMesh"], folder)
@@ -66,7 +66,7 @@ def make_mesh(surfaces: Mapping[str, Surface], settings: Settings, folder: Path)
 
 
 def check_mesh(facts: foam.MeshFacts, area: float, mesh: Mesh, accept: Accept) -> None:
-    """Raise `Unfit` unless a mesh around a surface of this area [m²] reaches its level everywhere, in one piece."""
+    """Raise `Unfit` unless a mesh around a surface of this area [m²] is connected and has its level everywhere."""
     if facts.regions != 1:
         raise Unfit(f"the mesh has {facts.regions} separate regions; expected 1: the air around the robot")
     wanted = area / mesh.finest**2
@@ -78,7 +78,7 @@ def check_mesh(facts: foam.MeshFacts, area: float, mesh: Mesh, accept: Accept) -
 
 
 def area_of(surfaces: Mapping[str, Surface]) -> float:
-    """Return the area of all triangles [m²], hidden parts included."""
+    """Return the area of all triangles [m²], including hidden parts."""
     corners = [surface.triangles for surface in surfaces.values()]
     a, b, c = np.moveaxis(np.concatenate(corners), 1, 0)
     return float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
@@ -91,7 +91,7 @@ def solve(
     folder: Path,
     facts: foam.MeshFacts,
 ) -> Result:
-    """Solve one wind on a mesh that is there, and judge it."""
+    """Compute and judge the solution for one wind on an existing mesh."""
     for path in (*folder.glob("[0-9]*"), *folder.glob("processor*"), folder / "postProcessing"):
         shutil.rmtree(path, ignore_errors=True)
     case.write_wind_case(folder, wind_b, settings)
@@ -133,7 +133,7 @@ def solve(
 
 
 def reduce(histories: Mapping[str, foam.History], quality: Mapping[str, float], settings: Settings) -> Result:
-    """Average the histories of all links over the window, and judge the total."""
+    """Average the histories of all links over the window and judge the total force."""
     pressure = 0.5 * settings.air.density * settings.air.speed**2
     total = np.sum([history.force for history in histories.values()], axis=0)
     iteration = next(iter(histories.values())).iteration
@@ -158,7 +158,7 @@ def reduce(histories: Mapping[str, foam.History], quality: Mapping[str, float], 
 
 
 def steadiness(total: Floats) -> tuple[float, float, float]:
-    """Return size of the mean, drift and oscillation of the total force (S, 3) within the window."""
+    """Return magnitude of the mean [N], drift and oscillation of the total force (S, 3) within the window."""
     mean = total.mean(axis=0)
     size = float(np.linalg.norm(mean))
     half = len(total) // 2
@@ -173,7 +173,7 @@ def _mean(values: Floats) -> tuple[float, float, float]:
 
 
 def _pressure_share(histories: Mapping[str, foam.History], late: Any) -> float:
-    """Return the part of the total force that is the pressure's, along the total."""
+    """Return the share of the pressure in the total force, along its direction."""
     total = np.sum([history.force[late].mean(axis=0) for history in histories.values()], axis=0)
     pressure = np.sum([history.pressure[late].mean(axis=0) for history in histories.values()], axis=0)
     return float(pressure @ total / (total @ total))

@@ -1,13 +1,13 @@
-"""Verify the open solver on bodies with a known drag, and on the robot: `jax-aero cfd-verify NAME`.
+"""Verify the open solver on bodies of known drag and on the robot: `jax-aero cfd-verify NAME`.
 
 NAME is `sphere`, `cylinder` (free ends, five diameters long, across the wind), both at a Reynolds number of 1e5, or a
-posture, in head wind at the pitch that it flies at. Three meshes, each about `ratio` times finer than the one before
-(a cube has a whole number of cells), then the coarsest with twice the iterations and in a larger cube of the same
-cells. With cells of the edges h at the surface, order p and limit C_∞ are those of Richardson,
+posture, in head wind at the pitch at which it flies. Simulated are three meshes, each about `ratio` times finer than
+the one before (a cube has a whole number of cells), then the coarsest with twice the iterations and in a larger cube of
+the same cells. With edges h of the cells at the surface, order p and limit C_∞ follow from Richardson extrapolation,
 
     C = C_∞ + K h^p,      (C₁ − C₂)/(C₂ − C₃) = (h₁^p − h₂^p)/(h₂^p − h₃^p)
 
-and are given only where there is a p > 0. Needs OpenFOAM.
+and are given only if there is a solution p > 0. Needs OpenFOAM.
 """
 
 from __future__ import annotations
@@ -36,35 +36,35 @@ from jax_aero.aero.dataset import Floats, wind_direction
 from jax_aero.places import ROBOT
 
 DIAMETER = 0.0864
-"""Of sphere and cylinder [m]: a Reynolds number of 1e5 at 17 m/s; about that of an arm."""
+"""Diameter of sphere and cylinder [m], for a Reynolds number of 1e5 at 17 m/s; about that of an arm."""
 FLIES_AT = {"flight30": 30.0, "flight50": 50.0, "flight60": 60.0}
-"""Pitch of the postures of forward flight [deg]; others hover at 90."""
+"""Pitch of the postures of forward flight [deg]; others hover at 90°."""
 
 
 class Subject(NamedTuple):
-    """What is simulated."""
+    """Body to simulate."""
 
     surfaces: Mapping[str, Surface]
     wind_b: Floats
     area: float
-    """Over which the drag area is a coefficient [m²]."""
+    """Reference area of the drag coefficient [m²]."""
     literature: float | None
     source: str
     mesh: Mesh
-    """The coarsest."""
+    """Settings of the coarsest mesh."""
 
 
 class VerifyConfig(tables.Table, frozen=True):
-    """A verification."""
+    """Settings of a verification."""
 
     ratio: tables.Positive = 4.0 / 3.0
-    """Between the edges of cells of two meshes, about."""
+    """Approximate ratio of the cell edges of successive meshes."""
     iterations: tables.Count = 160
-    """Of every solve."""
+    """Iterations of every solution."""
 
 
 def subject_of(name: str) -> Subject:
-    """Return what a name stands for."""
+    """Return the body of a name."""
     around = Mesh(
         half_width=2.0,
         base=0.42,
@@ -136,22 +136,22 @@ def compute(name: str, config: VerifyConfig) -> Findings:
 
 
 def coefficient(result: Result, subject: Subject) -> float:
-    """Return the drag over the reference area; nan where there is none."""
+    """Return the drag coefficient on the reference area; NaN if refused."""
     return float(link_areas(result, subject).sum(axis=0) @ subject.wind_b / subject.area)
 
 
 def link_areas(result: Result, subject: Subject) -> Floats:
-    """Return the force areas (L, 3) [m²], base axes; nan where there are none."""
+    """Return the force areas (L, 3) [m²], base axes; NaN if refused."""
     return np.array([result.force_area_b.get(name, (np.nan,) * 3) for name in subject.surfaces])
 
 
 def extrapolated(values: Floats, edges: Floats) -> dict[str, float | str]:
-    """Return observed order and limit of the values (3,) of meshes of these edges, or that there is none."""
+    """Return observed order and limit of values (3,) on meshes with these edges, or that there is none."""
     first, second = values[0] - values[1], values[1] - values[2]
     coarse, fine = np.log(edges[[0, 2]] / edges[1])
     ratio = first / second if second else np.nan
     spread = {"finest and middle mesh differ by": float(abs(second / values[2]))}
-    if not ratio > -coarse / fine:  # the limit of p = 0
+    if not ratio > -coarse / fine:  # the limit for p → 0
         return {**spread, "observed order": "none: the three values do not converge"}
 
     def lack(p: float) -> float:

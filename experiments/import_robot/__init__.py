@@ -1,1 +1,1 @@
-"""From a URDF to a robot that flies: description, trim, initial state, hover."""
+"""From a URDF to a flying robot: description, trim, initial state, hover."""

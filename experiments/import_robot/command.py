@@ -1,8 +1,8 @@
-"""Bring in a robot: `python -m experiments import-robot URDF --jet FRAME[:AXIS]:MAX ... [--out DIR]`.
+"""Import a robot: `python -m experiments import-robot URDF --jet FRAME[:AXIS]:MAX ... [--out DIR]`.
 
-From the URDF a description of the robot is written (base, joints in tree order with limits, groups by chain, jets,
-aerodynamic links of the size of the geometry, feet), checked, trimmed in still air, and flown: a hover of ten seconds
-and, with --mission, the paper's flight in 10 m/s of lateral wind. All files stand in DIR and are the user's to refine:
+Writes a description of the robot from the URDF (base, joints in tree order with limits, groups by chain, jets,
+aerodynamic links sized by the geometry, feet), checks it, trims the robot in still air, and flies it: a hover of ten
+seconds and, with --mission, the paper's flight in 10 m/s of lateral wind. The user can refine all files in DIR:
 
     robot.toml  controller.toml  hover.toml  mission.toml      fly again with `python -m experiments DIR/hover.toml`
 """
@@ -37,7 +37,7 @@ HOVER, MISSION = "hover", "in_line"
 
 @dataclass(frozen=True)
 class Imported:
-    """What became of a robot."""
+    """Files and flights of an imported robot."""
 
     folder: Path
     trim: TrimResult
@@ -85,7 +85,7 @@ def _parser() -> Parser:
 
 
 def thruster(text: str) -> skeleton.Thruster:
-    """Read FRAME[:AXIS]:MAX; the axis is the direction of the force on the robot, -z if it is not given."""
+    """Parse FRAME[:AXIS]:MAX; the axis is the direction of the force on the robot, by default -z."""
     parts = re.fullmatch(r"([^:]+)(?::(-?[xyz]))?:(\d+\.?\d*)", text)
     if parts is None or float(parts[3]) == 0.0:
         expected = f"FRAME[:AXIS]:MAX with an axis of {', '.join(skeleton.AXES)} and a thrust > 0 in N"
@@ -94,7 +94,7 @@ def thruster(text: str) -> skeleton.Thruster:
 
 
 def angle(text: str) -> tuple[str, float]:
-    """Read JOINT=DEG; of a prismatic joint JOINT=M."""
+    """Parse JOINT=DEG, or for a prismatic joint JOINT=M."""
     joint, _, value = text.partition("=")
     with suppress(ValueError):
         if abs(degrees := float(value)) <= tables.LARGEST:
@@ -113,7 +113,7 @@ def import_robot(
     forward: str = "x",
     fly_mission: bool = False,
 ) -> Imported:
-    """Write a robot's files into `folder`, which must be new or empty, and fly it; a refusal leaves no file there."""
+    """Write a robot's files into `folder`, which must be new or empty, and fly it; a refusal leaves no files there."""
     if folder.exists() and any(folder.iterdir()):
         raise Refused(f"{folder} is not empty; choose another --out")
     with complete_folder(folder) as draft:
@@ -131,7 +131,7 @@ def import_robot(
             forward=forward,
         )
         path = _write(draft / "robot.toml", "robot", text)
-        rust.Robot(path)  # both loaders check it
+        rust.Robot(path)  # checked by both loaders
         load_twin(path)
         robot = load_robot(path)
         trim = _trim(robot, posture_deg or {}, forward)
@@ -148,7 +148,7 @@ def import_robot(
 
 
 def _trim(robot: Robot, posture_deg: dict[str, float], forward: str) -> TrimResult:
-    """Find the attitude and posture nearest to the given ones in which thrusts carry the robot in still air."""
+    """Find the attitude and posture nearest to the given ones in which the thrusts balance the weight in still air."""
     if unknown := set(posture_deg) - set(robot.joint_names):
         raise Refused(f"`{min(unknown)}` is no joint of {robot.name}: {', '.join(robot.joint_names)}")
     wanted = np.zeros(robot.n_joints)
@@ -156,7 +156,7 @@ def _trim(robot: Robot, posture_deg: dict[str, float], forward: str) -> TrimResu
         if joint.index is not None:
             unit = 1.0 if joint.is_prismatic else np.pi / 180.0
             wanted[joint.index] = unit * posture_deg.get(robot.joint_names[joint.index], 0.0)
-    # The base is turned so that the robot faces +x.
+    # The base is rotated so that the robot faces +x.
     yaw = -float(np.arctan2(skeleton.AXES[forward][1], skeleton.AXES[forward][0]))
     settings = TrimSettings(
         posture=np.clip(wanted, *robot.joint_limits.T),
@@ -166,10 +166,10 @@ def _trim(robot: Robot, posture_deg: dict[str, float], forward: str) -> TrimResu
         yaw=yaw,
         margin_min=0.05,
         torque_max=robot.joint_torque_max,
-        clearance_min=-1.0,  # the boxes around links say little about plumes
+        clearance_min=-1.0,  # boxes around links are too coarse for the clearance of plumes
         plume_length=1.0,
         posture_weight=1.0,
-        spread_weight=1.0,  # even thrusts keep a reserve for the wind
+        spread_weight=1.0,  # equal thrusts leave a reserve for the wind
     )
     return Trim(MomentumModel(robot, load_aero(places.CONFIGS / "aero" / "sphere_cylinder.toml")), settings).solve(
         (0.0, 0.0, 0.0)
@@ -177,7 +177,7 @@ def _trim(robot: Robot, posture_deg: dict[str, float], forward: str) -> TrimResu
 
 
 def _inertia(path: Path, trim: TrimResult) -> float:
-    """Trace of the centroidal inertia in the trim [kg m²]."""
+    """Return the trace of the centroidal inertia in the trim [kg m²]."""
     joints = np.asarray(trim.joint_position)
     state = rust.State(np.zeros(3), rotation_of(np.asarray(trim.base_rpy)), joints, np.zeros(6 + joints.size))
     return float(np.trace(rust.dynamics(rust.Robot(path), state).centroidal_inertia))
@@ -191,13 +191,13 @@ def _fly(
 
 
 def _write(path: Path, kind: str, text: str) -> Path:
-    """Write a file whose first line names the schema of its kind, by which editors complete keys."""
+    """Write a file whose first line names the schema of its kind, with which editors complete keys."""
     path.write_text(f"#:schema {study.schema_of(kind, path.parent)}\n{text}", encoding="utf-8")
     return path
 
 
 def report(result: Imported) -> str:
-    """Say what became of the robot."""
+    """Return a report on the import."""
     trim = result.trim
     lines = [
         f"files                {result.folder}",

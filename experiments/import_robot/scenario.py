@@ -1,4 +1,4 @@
-"""The files that let an imported robot fly: its controller and its scenarios."""
+"""Files with which an imported robot flies: its controller and its scenarios."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from jax_aero.symbolic.robot import Robot
 from jax_aero.symbolic.trim import TrimResult
 
 INERTIA_OF_PUBLISHED_GAINS = 6.66
-"""Trace of the centroidal inertia of iRonCub-Mk1 when it hovers, for which c0 and c1 were published [kg m²]."""
+"""Trace of the centroidal inertia of the hovering iRonCub-Mk1, for which c0 and c1 were published [kg m²]."""
 
 
 def controller_text(robot: Robot, groups: Sequence[str], inertia: float, folder: Path) -> str:
-    """Return the published controller for another robot: its jets and groups, attitude gains scaled by its inertia."""
+    """Return the published controller for another robot: its jets and groups, attitude gains scaled by inertia."""
     table = tables.read(places.CONFIGS / "control" / "aero_aware.toml")
     reach = {jet.name: 0.5 * jet.thrust_max for jet in robot.jets}
     table["aero"] = {"base": _relative(places.CONFIGS / "aero" / "sphere_cylinder.toml", folder)}
@@ -26,17 +26,17 @@ def controller_text(robot: Robot, groups: Sequence[str], inertia: float, folder:
     table["posture_gain"] = dict.fromkeys(groups, 20.0)
     pairs = [[name, _mirrored(name)] for name in reach if name != _mirrored(name) in reach and name < _mirrored(name)]
     table["weights"] |= {"thrust_rate": dict.fromkeys(reach, 0.01), "symmetric_jets": pairs}
-    # Slower joints than published, for a robot that is not tuned yet.
+    # Slower joints than published, since the robot is not tuned yet.
     table["weights"]["joint_velocity"] = 40.0
     table["torque"] |= {"kd": 10.0, "kp": 25.0}
-    # Half the greatest thrust in a second; at a limit a rate fades out within as much thrust as one tick can change.
+    # Half the greatest thrust per second; near a limit the rate fades out over the thrust that one tick can change.
     table["bounds"] |= {"thrust_rate_max": reach, "thrust_steepness": 100.0 / max(reach.values(), default=100.0)}
     about = "# Controller: configs/control/aero_aware.toml for the robot's jets and joints."
     return f"{about}\n{tables.toml(table)}\n"
 
 
 def scenario_text(robot: Robot, trim: TrimResult, folder: Path, *, mission: str, wind: str, duration: float) -> str:
-    """Return a flight from the trim, in the project's own mission and wind of these names."""
+    """Return a flight that starts in the trim, with the project's mission and wind of these names."""
     joints = ", ".join(repr(float(value)) for value in trim.joint_position)
     thrust = ", ".join(repr(float(value)) for value in trim.thrust)
     attitude = ", ".join(repr(float(value)) for value in np.degrees(trim.base_rpy))

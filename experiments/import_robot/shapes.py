@@ -1,4 +1,4 @@
-"""How large the links of a URDF are: boxes around their geometry, meshes included."""
+"""Sizes of the links of a URDF: boxes around their geometry, including meshes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Box:
-    """A box around a link's geometry: its pose in link axes and its edges [m]."""
+    """A box around a link's geometry: pose in link axes and edges [m]."""
 
     pose: Pose
     size: Array
@@ -32,7 +32,7 @@ class Box:
 
 
 def boxes(urdf: ET.Element, folder: Path) -> dict[str, Box]:
-    """Return the box of every link with geometry; meshes are found from the URDF's `folder`."""
+    """Return the box of every link with geometry; mesh paths are relative to the URDF's `folder`."""
     found = {}
     for link in urdf.iter("link"):
         elements = link.findall("visual") or link.findall("collision")

@@ -1,4 +1,4 @@
-"""From a URDF to the text of a robot's TOML file, for its user to check and refine."""
+"""Text of a robot's TOML file from a URDF, for the user to check and refine."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ AXES = {
 """Directions by name: x, y, z, -x, -y, -z."""
 
 SMALLEST_LINK = 0.1
-"""Links whose longest edge is below this are left out of the aerodynamics [m]."""
+"""Longest edge below which a link has no aerodynamics [m]."""
 PLACEHOLDER = 1e4
-"""Efforts and velocities from here on are no motor's: exporters write them where they have none."""
+"""Effort or velocity from which on it is a placeholder, as exporters write if they know no value."""
 
 
 @dataclass(frozen=True)
 class Thruster:
-    """A jet as the command line names it."""
+    """A jet given on the command line."""
 
     frame: str
     axis: str
     thrust_max: float
-    """[N]"""
+    """Greatest thrust [N]."""
 
 
 @dataclass(frozen=True)
@@ -48,18 +48,18 @@ class Joint:
     child: str
     origin: Pose
     effort: float
-    """Greatest force or torque [N, N m]; 0 where the URDF has none."""
+    """Greatest force or torque [N, N m]; 0 if not given in the URDF."""
     velocity: float
     """Greatest velocity [m/s, rad/s]; 0 where the URDF has none."""
 
     @property
     def moves(self) -> bool:
-        """Whether it has a degree of freedom."""
+        """Whether the joint has a degree of freedom."""
         return self.kind != "fixed"
 
 
 class Tree:
-    """Links and joints of a URDF, walked from the root."""
+    """Links and joints of a URDF, in order from the root."""
 
     def __init__(self, urdf: ET.Element) -> None:
         self.links = [attribute(link, "name") for link in urdf.findall("link")]
@@ -73,11 +73,11 @@ class Tree:
             raise Refused("a link of the URDF is the child of more than one joint")
 
     def below(self, link: str) -> list[Joint]:
-        """Joints that hang from a link."""
+        """Return the joints whose parent is this link."""
         return [joint for joint in self.joints if joint.parent == link]
 
     def chains(self, held: Sequence[str]) -> list[list[Joint]]:
-        """Cut the moving joints, in tree order, where the tree branches; `held` ones do not count."""
+        """Return the moving joints except `held` ones, in tree order, split into chains where the tree branches."""
         chains: list[list[Joint]] = []
 
         def walk(link: str, chain: list[Joint]) -> None:
@@ -100,7 +100,7 @@ class Tree:
                 yield from self._next(joint.child, held)
 
     def rigid_part(self, link: str) -> dict[str, Pose]:
-        """Links that fixed joints join to one, and their poses in its axes."""
+        """Return the links joined rigidly to this one, with their poses in its axes."""
         placed = {link: IDENTITY}
         waiting = [link]
         while waiting:
@@ -148,7 +148,7 @@ def write(
     held: Sequence[str],
     forward: str,
 ) -> str:
-    """Return the text of the TOML file that stands in `folder`."""
+    """Return the text of the TOML file in `folder`."""
     for kind, frames in (("jet", [jet.frame for jet in jets]), ("foot", feet)):
         if unknown := [frame for frame in frames if frame not in tree.links]:
             raise Refused(f"{kind} frame `{unknown[0]}` is no link of the URDF; there are {', '.join(tree.links)}")
@@ -187,12 +187,12 @@ def _row(values: Array | Sequence[float]) -> str:
 
 
 def _quoted(name: str, *keys: str) -> list[str]:
-    """Return lines that give each of the keys a name of the URDF."""
+    """Return lines that assign a name of the URDF to each of the keys."""
     return [f"{key} = {toml_value(name)}" for key in keys]
 
 
 def group_name(chain: Sequence[Joint]) -> str:
-    """Name a chain after its first joint."""
+    """Return a name for a chain, derived from its first joint."""
     return f"{chain[0].name}_chain"
 
 
@@ -218,12 +218,12 @@ def _joint_entry(joint: Joint) -> list[str]:
 
 
 def _cylinder(box: Box) -> tuple[Array, float, float, bool]:
-    """Axis in link axes, diameter, length, and whether it is better taken as a sphere."""
+    """Return axis in link axes, diameter [m], length [m], and whether a sphere is a better model."""
     edges = np.sort(box.size)
     if box.is_sphere or edges[2] < 1.2 * edges[0]:
         diameter = float(np.cbrt(np.prod(edges)))
         return np.asarray(box.pose.rotation[:, 2]), diameter, diameter, True
-    # The edge that differs most from the other two is the axis: the long one of a limb, the short one of a plate.
+    # The axis is the edge that differs most from the other two: the long one of a limb, the short one of a plate.
     axis = int(np.argmax(box.size)) if edges[2] / edges[1] >= edges[1] / edges[0] else int(np.argmin(box.size))
     across = np.delete(box.size, axis)
     return np.asarray(box.pose.rotation[:, axis]), float(np.sqrt(np.prod(across))), float(box.size[axis]), False
@@ -263,12 +263,12 @@ def _jets(jets: Sequence[Thruster]) -> list[str]:
 
 
 def _engine(thrust_max: float) -> str:
-    """Return the name of an engine, as a TOML string: of each greatest thrust one."""
+    """Return the name of the engine for a greatest thrust [N], as a TOML string."""
     return f'"linear_{thrust_max!r}"'
 
 
 def _foot(tree: Tree, boxes: dict[str, Box], frame: str) -> list[str]:
-    """Take as a rectangle the corners of the foot's boxes within 5 cm above the lowest, in axes of the frame."""
+    """Return a rectangle around the corners of the foot's boxes within 5 cm above the lowest, in axes of the frame."""
     part = tree.rigid_part(frame)
     corners = [boxes[link].corners @ pose.rotation.T + pose.position for link, pose in part.items() if link in boxes]
     if not corners:

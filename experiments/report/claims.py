@@ -1,6 +1,6 @@
-"""The paper's claims, and ours, what we measured, and whether they agree. Verdicts are computed, not written.
+"""Claims of the paper and of this project, with our measurements and verdicts. Verdicts are computed, not written.
 
-A claim whose measurement is not there says which command makes it. `docs/claims.json` keeps what was measured once, for
+A claim without a measurement names the command that makes it. `docs/claims.json` stores earlier measurements for
 `docs/paper.md`.
 """
 
@@ -22,7 +22,7 @@ RIGHT, HEAD, PUBLISHED = (
     "corrected arms, 18 m/s from ahead",
     "published arms, 10 m/s from the side",
 )
-"""Levels of the axis `world` of the ablations, as named in configs/sweeps/axes/worlds.toml."""
+"""Levels of the axis `world` of the ablations, as in configs/sweeps/axes/worlds.toml."""
 
 LEAST_FIRST = (
     "total moment only",
@@ -33,22 +33,22 @@ LEAST_FIRST = (
     "without Λ_a",
     "without J_aᵀ f_a",
 )
-"""Levels of the ablation of terms, from no feedback to all of it."""
+"""Levels of the ablation of terms, from no feedback to all feedback."""
 
 MOSTLY = 0.95
-"""Share of a flight's perturbed neighbours that complete, from which on the flight counts as flown."""
+"""Least share of a flight's perturbed repetitions that complete for the flight to count as flown."""
 
 LEANING = 45.0
-"""Rotation error beyond which a flight that completes does not count as balanced [deg]."""
+"""Rotation error beyond which a completed flight does not count as balanced [deg]."""
 
 ARMS = {"corrected": "", "published": "_published"}
-"""Endings of the names of flights, by their lever arms."""
+"""Suffixes of the names of flights, by lever arms."""
 
 STANDING = ("balancing_front", "balancing_lateral")
 """The ground experiments of Fig. 6."""
 
 VISIBLE_SHIFT = 2e-3
-"""A CoM that moved less than this did not move [m]."""
+"""Displacement of the CoM below which it counts as not moved [m]."""
 
 
 @dataclass(frozen=True)
@@ -61,11 +61,11 @@ class Claim:
     measured: str
     verdict: str
     command: str
-    """What makes the measurement; empty where committed files alone do."""
+    """Command that makes the measurement; empty if committed files suffice."""
     figure: str
-    """Name of the figure of `paper_figs` that shows it; empty without one."""
+    """Name of the figure of `paper_figs` that shows it, or empty."""
     commit: str | None = None
-    """At which the last of the results was made that it was measured on; none where files alone are."""
+    """Commit at which the latest of the results used was made; `None` if only files are used."""
 
 
 def all_claims(results: Results) -> list[Claim]:
@@ -74,7 +74,7 @@ def all_claims(results: Results) -> list[Claim]:
 
 
 Judge: TypeAlias = Callable[[Results], tuple[str, str]]
-"""From results to what was measured, and a verdict."""
+"""Function from results to the measurement and a verdict, both as text."""
 
 
 @dataclass(frozen=True)
@@ -86,12 +86,12 @@ class _Claim:
     flights: tuple[str, ...] = ()
     sweep: str = ""
     figure: str = ""
-    """Of `paper_figs`; if empty, that of the first sweep."""
+    """Figure of `paper_figs`; if empty, that of the first sweep."""
     study: str = ""
 
     @property
     def command(self) -> str:
-        """Return what makes the measurement."""
+        """Return the command that makes the measurement."""
         words = (" ".join(self.flights), f"sweep {self.sweep}" if self.sweep else "", self.study)
         return "; ".join(f"python -m experiments {word}" for word in words if word)
 
@@ -105,7 +105,7 @@ def _ground(key: str, where: str, claim: str, judge: Judge) -> _Claim:
 
 
 def _ours(key: str, claim: str, judge: Judge, *, sweep: str = "", study: str = "") -> _Claim:
-    """Return a claim of which the paper says nothing, of the recommended controller."""
+    """Return a claim of ours about the recommended controller, which the paper does not contain."""
     return _Claim(key, "ours", claim, judge, sweep=sweep, study=study)
 
 
@@ -141,7 +141,7 @@ def _agreement(corrected: bool, published: bool) -> str:
 
 
 def _pair(results: Results, test: str) -> tuple[str, list[Mapping[str, float]]]:
-    """How a test ends with corrected and with published lever arms, and how often its perturbed flights complete."""
+    """Return outcomes of a test with corrected and published lever arms, and its perturbed flights that complete."""
     cells = results.sweep("paper_tests")
     name = test.upper() if test.startswith("test") else test
     texts, shares = [], []
@@ -156,12 +156,12 @@ def _pair(results: Results, test: str) -> tuple[str, list[Mapping[str, float]]]:
 
 
 def _mostly(share: Mapping[str, float]) -> bool:
-    """Return whether a flight and its neighbours complete: `MOSTLY` of them, and surely more than 80 %."""
+    """Return whether a flight and its repetitions complete: at least `MOSTLY`, and with confidence more than 80 %."""
     return share["completed"] >= MOSTLY * share["flights"] and share["completed_low"] > 0.8
 
 
 def _undecided(shares: Sequence[Mapping[str, float]]) -> str:
-    """Return where more flights could turn a verdict on what is claimed to complete; empty if nowhere."""
+    """Return for which lever arms more flights could change a verdict on completion; empty if for none."""
     pairs = zip(ARMS, shares, strict=True)
     arms = [arms for arms, share in pairs if share["completed_low"] < MOSTLY < share["completed_high"]]
     inside = f"{100 * MOSTLY:.0f} % is within the interval"
@@ -221,7 +221,7 @@ def _robustness(results: Results) -> tuple[str, str]:
 
 
 def _model_pairs(results: Results) -> tuple[str, str]:
-    """How many winds are flown on course with the simulator's own model, with another's, without, and observed."""
+    """Count the winds flown on course with the simulator's model, another, none, and none but an observer."""
     sweep = results.sweep("model_pairs")
     worlds = sweep.levels("world")
     texts, shares = [], []
@@ -280,9 +280,9 @@ def _minimum(results: Results) -> tuple[str, str]:
 
 
 def answer(results: Results) -> str:
-    """Say what the least aerodynamic information is that still flies, from the ablation of terms.
+    """Return the least aerodynamic information with which the robot still flies, from the ablation of terms.
 
-    A level is as good as everything in a world if its success rate reaches the low end of everything's interval.
+    A level is as good as all feedback in a world if its success rate reaches the lower end of the latter's interval.
     """
     cells = results.sweep("ablation_terms")
     worlds = cells.levels("world")

@@ -39,7 +39,7 @@ PARTS = {
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Write the report from what results there are."""
+    """Write the report from the results that exist."""
     parser = Parser("report", __doc__)
     parser.add_argument(
         "--results",
@@ -52,7 +52,7 @@ def main(arguments: Sequence[str]) -> int:
         "--claims",
         type=Path,
         metavar="FILE",
-        help="where the claims go for `docs/paper.md` (default claims.json beside the report)",
+        help="file of the claims for `docs/paper.md` (default claims.json beside the report)",
     )
     given = parser.parse_args(arguments)
 
@@ -74,10 +74,10 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def claims_json(stated: Sequence[claims.Claim], kept: Path) -> str:
-    """Return the claims as they were measured, each with its commit.
+    """Return the claims as JSON with their measurements, each with its commit.
 
-    What is not flown here, or with another configuration than today's, stays as it was kept. The commit is that of the
-    results, which may be older than the code that judges them.
+    A claim that is not flown here, or with an outdated configuration, keeps its stored measurement. The commit is that
+    of the results, which may be older than the code that judges them.
     """
     older = read_json(kept)["claims"] if kept.is_file() else {}
     here = manifest.git_state()["commit"]
@@ -134,7 +134,7 @@ def build(results: Results, stated: Sequence[claims.Claim]) -> Page:
 
 
 def _counted(stated: Sequence[claims.Claim]) -> str:
-    """Return how many claims got each verdict; one that agrees in part counts as such."""
+    """Return the number of claims with each verdict; one that agrees in part is counted separately."""
     words = ("agrees", "agrees in part", "differs", "out of reach", NOT_FLOWN, OUTDATED)
     found = dict.fromkeys(words, 0)
     for claim in stated:
@@ -254,7 +254,7 @@ def _sweep(page: Page, results: Results, name: str, sweep: Sweep) -> None:
 
 
 def _edge(sweep: Sweep) -> str:
-    """Return the largest value of one number up to which all flights succeed, for each level of `world`."""
+    """Return the largest value of the sweep's number up to which all flights succeed, for each level of `world`."""
     document = sweep.document
     if document["drawing"] != "curve" or not document["panels"]:
         return ""

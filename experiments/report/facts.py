@@ -1,6 +1,6 @@
 """Claims that follow from committed files alone: robot, engines, tables of tunnel and CFD.
 
-Each function returns what was measured and the verdict.
+Each function returns the measurement and the verdict.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ NETWORK = CONFIGS / "aero" / "networks" / "default.json"
 GRAVITY = 9.81
 
 AIR_DENSITY, AIR_VISCOSITY = 1.225, 1.8e-5
-"""[kg/m³] and [kg/(m s)], as in the sphere/cylinder model of the published controller."""
+"""Density [kg/m³] and viscosity [kg/(m s)] in the sphere and cylinder model of the published controller."""
 SPEED_OF_SOUND = 340.3
-"""At sea level in the standard atmosphere [m/s]."""
+"""Speed of sound at sea level in the standard atmosphere [m/s]."""
 TUNNEL_SECTION = (4.0, 3.84)
 """Width and height of the low-turbulence test section [m]. Source: paper, Methods."""
 TUNNEL_SPEED = 17.0
-"""Of the tests of flight postures [m/s]."""
+"""Speed in the tests of flight postures [m/s]."""
 ERGAL_STRENGTH = 572.0
-"""Ultimate tensile strength of aluminium 7075-T6 ("Ergal") [MPa]. Source: MIL-HDBK-5, bar; other tempers have less."""
+"""Ultimate tensile strength of aluminium 7075-T6 ("Ergal") [MPa]. Source: MIL-HDBK-5, bar; lower for other tempers."""
 STRESSES = {"jetpack": 57.0, "forearm": 77.0}
-"""What the paper's finite elements find [MPa]."""
+"""Stresses that the paper computes by finite elements [MPa]."""
 
 
 def table(name: str) -> dict[str, Any]:
@@ -47,18 +47,18 @@ def robot() -> dict[str, Any]:
 
 
 def steady_thrust(engine: Mapping[str, float], throttle: float) -> float:
-    """Return the thrust [N] at which M32 rests under a throttle [%], NaN where it does not."""
+    """Return the steady thrust [N] of M32 at a throttle [%]; NaN if there is none."""
     v = throttle * (1.0 + engine["b_uu"] * throttle)
     a, b, c = engine["k_tt"], engine["k_t"] + engine["b_t"] * v, engine["c"] + engine["b_u"] * v
     inside = b * b - 4.0 * a * c
-    # Of a quadratic; with k_tt < 0 the greater root is the one where more thrust means less acceleration.
+    # Root of a quadratic; for k_tt < 0 the greater root is the stable one, where more thrust decreases acceleration.
     return (-b - math.sqrt(inside)) / (2.0 * a) if inside >= 0.0 else math.nan
 
 
 def silhouette() -> float:
-    """Return an upper bound of the area that the links show to the wind [m²], whatever their attitude.
+    """Return an upper bound of the links' projected area [m²], independent of their attitude.
 
-    A cylinder shows `d l sin α + (π/4) d² cos α`, at most the root of the squares; links do not hide each other.
+    A cylinder's is `d l sin α + (π/4) d² cos α`, at most the root of the sum of squares; links do not hide each other.
     """
     area = 0.0
     for link in robot()["aero_links"]:
@@ -75,14 +75,14 @@ def mass() -> tuple[str, str]:
 
 
 def added_mass() -> tuple[str, str]:
-    """Judge what the conversion added."""
+    """Judge the mass that the conversion to a flying robot added."""
     return "the model lumps engines, jetpack and forearms into their links", out_of_reach(
         "no model of iCub v2.7 is here"
     )
 
 
 def lift() -> tuple[str, str]:
-    """Judge carry 40 kg."""
+    """Judge whether the jets can carry 40 kg."""
     chest = [jet["thrust_max"] for jet in robot()["jets"] if "chest" in jet["name"]]
     return f"{len(chest)} chest jets, {sum(chest):.0f} N, carry {sum(chest) / GRAVITY:.1f} kg", (
         judged(sum(chest) > 40.0 * GRAVITY > max(chest), "one would do, or two do not")
@@ -104,7 +104,7 @@ def chest_engine() -> tuple[str, str]:
 
 
 def arm_engine() -> tuple[str, str]:
-    """Judge what the arms fly."""
+    """Judge the engines of the arms."""
     names = sorted({jet["engine"] for jet in robot()["jets"] if "arm" in jet["name"]})
     steady = {name: steady_thrust(robot()["engines"][name], 100.0) for name in ("P100", "P160")}
     text = f"{', '.join(names)}; steady at 100 %: " + ", ".join(f"{n} {t:.1f} N" for n, t in steady.items())
@@ -112,7 +112,7 @@ def arm_engine() -> tuple[str, str]:
 
 
 def battery() -> tuple[str, str]:
-    """Judge the battery of the engine choice, in both readings."""
+    """Judge the battery of the engine choice, in two interpretations."""
     found = engine_choice.results(engine_choice.Choice())
     printed, other = found["battery_kg"], found["battery_at_1_kW_per_kg_kg"]
     text = f"{printed:.2f} kg from the printed 13 kW for 15 kg; {other:.2f} kg from 1 kW per kg of thrust"
@@ -127,10 +127,10 @@ def fuel() -> tuple[str, str]:
 
 
 def stress() -> tuple[str, str]:
-    """Turn the forearm's stress round: how thick a bar has it."""
+    """Compute the diameter of a bar with the stress that the paper gives for the forearm."""
     thrust = max(jet["thrust_max"] for jet in robot()["jets"] if "arm" in jet["name"])
     offset = forearm_offset()
-    # σ = M / W with W = π d³/32 of a solid round bar, M = T a: the thrust acts beside the elbow's axis.
+    # σ = M / W with W = π d³/32 of a solid round bar, and M = T a with the arm a of the thrust about the elbow's axis.
     diameter = (32.0 * thrust * offset / (math.pi * 1e6 * STRESSES["forearm"])) ** (1.0 / 3.0)
     text = (
         f"{thrust:.0f} N at {1e3 * offset:.0f} mm from the elbow's axis bend by {thrust * offset:.1f} N m: "
@@ -142,7 +142,7 @@ def stress() -> tuple[str, str]:
 def forearm_offset() -> float:
     """Return the distance of an arm jet's axis from the origin of the elbow [m].
 
-    Joint angles do not matter: a fixed joint of the URDF holds the jet on the body that the elbow moves.
+    Joint angles do not matter, since a fixed joint of the URDF attaches the jet to the body that the elbow moves.
     """
     jet = next(jet for jet in robot()["jets"] if jet["name"].startswith("l_arm"))
     joints = ElementTree.parse(CONFIGS / "robot" / robot()["urdf"]).iter("joint")
@@ -161,7 +161,7 @@ def strength() -> tuple[str, str]:
 
 
 def ranges() -> tuple[str, str]:
-    """Judge the angles of the tests that the tables hold."""
+    """Judge the angles of the tests in the tables."""
     tunnel = table("tables/wind_tunnel.toml")
     beta = [angle for test in tunnel["hovering"] for angle in test["beta_deg"]]
     alpha = [angle for test in tunnel["flight"] for angle in test["alpha_deg"]]
@@ -171,7 +171,7 @@ def ranges() -> tuple[str, str]:
 
 
 def campaign() -> tuple[str, str]:
-    """Judge how much of the campaign the tables hold."""
+    """Judge which part of the campaign the tables contain."""
     tunnel = table("tables/wind_tunnel.toml")
     tests = [*tunnel["hovering"], *tunnel["flight"]]
     points = sum(len(test["cda"]) for test in tests)
@@ -182,7 +182,7 @@ def campaign() -> tuple[str, str]:
 
 
 def blockage() -> tuple[str, str]:
-    """Judge the share of the test section that the robot fills, at most."""
+    """Judge the greatest share of the test section that the robot can block."""
     area, section = silhouette(), TUNNEL_SECTION[0] * TUNNEL_SECTION[1]
     share = area / section
     text = (
@@ -210,7 +210,7 @@ def mach() -> tuple[str, str]:
 
 
 def boundary() -> tuple[str, str]:
-    """Judge whether the printed turbulence at the boundary is consistent in itself."""
+    """Judge whether the printed turbulence at the boundary is self-consistent."""
     k, epsilon, omega = 2.89e-6, 0.0236e-6, 8.17
     intensity = math.sqrt(2.0 * k / 3.0) / TUNNEL_SPEED
     text = (
@@ -222,7 +222,7 @@ def boundary() -> tuple[str, str]:
 
 
 def postures() -> tuple[str, str]:
-    """Count the simulations of the dataset from its own factors."""
+    """Compute the number of simulations in the dataset from its own factors."""
     known = table("tables/postures.toml")
     count = 24 * 19 * 18
     text = (
@@ -249,7 +249,7 @@ def _errors() -> tuple[float, float, float, float]:
 
 
 def network_error() -> tuple[str, str]:
-    """Judge the network's error on data that it has not seen."""
+    """Judge the network's error on unseen data."""
     random, grouped, nearest, _ = _errors()
     text = (
         f"{random:.1e} m⁴ on random rows, where the nearest training rows alone give {nearest:.1e}; "
@@ -277,7 +277,7 @@ def network_size() -> tuple[str, str]:
 
 
 def misprint() -> tuple[str, str]:
-    """Judge the coefficients of Suppl. Table 2, as the published controller has them."""
+    """Judge the coefficients of Suppl. Table 2, in comparison with the published controller's."""
     sets = robot()["coefficients"]
     printed, refit = (sets[name]["head"]["cda"][4] for name in ("published", "refit"))
     families = len(sets["published"])
@@ -290,7 +290,7 @@ def misprint() -> tuple[str, str]:
 
 
 def robot_table() -> list[list[str]]:
-    """List the links that meet the air, for Fig. 1: sizes of the cylinder or sphere that stands for each."""
+    """Return the aerodynamic links for Fig. 1, with the sizes of their cylinders or spheres."""
     rows = [["link", "form", "diameter [mm]", "length [mm]", "coefficients of"]]
     for link in robot()["aero_links"]:
         form = "sphere" if link.get("is_sphere") else "cylinder"
@@ -301,7 +301,7 @@ def robot_table() -> list[list[str]]:
 
 
 def engine_table() -> list[list[str]]:
-    """List Suppl. Table 1: what the identified engines do, and where they sit."""
+    """Return Suppl. Table 1: data of the identified engines, and their positions."""
     jets = robot()["jets"]
     rows = [["engine", "jets of the published flights", "limit [N]", "rest at 50, 100, 120 % throttle [N]"]]
     for name, engine in robot()["engines"].items():
@@ -320,7 +320,7 @@ def engine_table() -> list[list[str]]:
 
 
 def coefficient_table() -> list[list[str]]:
-    """List Suppl. Table 2: the printed coefficients, and ours from the public table."""
+    """Return Suppl. Table 2: the printed coefficients, and ours from the public table."""
     rows = [["family", "set", "w₀", "w₁", "w₂", "w₃", "w₄", "w₅"]]
     for family in robot()["coefficients"]["published"]:
         for name in ("published", "refit"):
@@ -330,7 +330,7 @@ def coefficient_table() -> list[list[str]]:
 
 
 def mesh_table() -> list[list[str]]:
-    """List Suppl. Table 3, as far as it is public: sizes of the meshes of flight30."""
+    """Return the public part of Suppl. Table 3: sizes of the meshes of flight30."""
     rows = [["mesh", "cells", "turbulence models", "attitudes"]]
     runs = [run for run in table("tables/cfd_tunnel.toml")["run"] if run["posture"] == "flight30"]
     for name in sorted({run["mesh"] for run in runs}):
@@ -346,4 +346,4 @@ TABLES = {
     "coefficients": coefficient_table,
     "meshes": mesh_table,
 }
-"""Tables of `docs/paper.md`, the first row the headings."""
+"""Tables of `docs/paper.md`; the first row holds the headings."""

@@ -16,9 +16,9 @@ from jax_aero.result import ending
 
 GRAVITY = 9.81
 VISIBLE = 1e-3
-"""Way of the CoM that one can see in a figure [m]."""
+"""Least displacement of the CoM that is visible in a figure [m]."""
 CALM = 3.0
-"""Length of the calm before the wind, and of the end, that means are taken over [s]."""
+"""Duration of the calm before the wind, and of the end, over which means are taken [s]."""
 
 Vector = NDArray[np.float64]
 
@@ -32,24 +32,24 @@ class Ground:
     ending: str
     always_carried: bool
     shift: Vector
-    """(3,) way of the CoM from before the wind to the end [m]."""
+    """(3,) displacement of the CoM from before the wind to the end [m]."""
     force: Vector
-    """(3,) total force the controller assumes at the end [N]."""
+    """(3,) total force that the controller assumes at the end [N]."""
     left_leg: dict[str, float]
-    """Way of each joint of the left leg, without its side [deg]."""
+    """Displacement of each joint of the left leg, by name without side [deg]."""
     rate_peak: float
-    """Greatest horizontal momentum rate the controller estimates, once the wind rises [N]."""
+    """Greatest horizontal momentum rate that the controller estimates after the wind begins to rise [N]."""
     rate_end: float
     onset: float
-    """From the start of the ramp to the first visible motion of the CoM [s]; NaN without one."""
+    """Time from the start of the ramp to the first visible motion of the CoM [s]; NaN if there is none."""
     identity: float
     """Greatest violation of "rate = foot forces + aerodynamic forces − weight" [N]."""
     vertical: tuple[float, float]
-    """Vertical foot forces f_c* less the weight, and less the weight and the aerodynamic lift, at the end [N]."""
+    """Vertical foot forces f_c* minus the weight, and minus weight and aerodynamic lift, at the end [N]."""
 
 
 def read(folder: Path, config: Mapping[str, Any], mass: float) -> Ground | None:
-    """Return the numbers of a flight's result, or `None` where no robot stood first in calm and then in wind."""
+    """Return the metrics of a result, or `None` unless a robot stands first in calm and then in wind."""
     wind = config.get("disturbances", {}).get("controller_wind")
     if wind is None:
         return None
@@ -63,7 +63,7 @@ def read(folder: Path, config: Mapping[str, Any], mass: float) -> Ground | None:
 
 
 def measure(name: str, run: xr.Dataset, ramp_start: float, mass: float) -> Ground:
-    """Return the numbers of a run whose wind starts to rise at `ramp_start` [s]."""
+    """Return the metrics of a run whose wind begins to rise at `ramp_start` [s]."""
     time: Vector = run["time"].values
     calm = (time >= ramp_start - CALM) & (time < ramp_start)
     end, windy = time >= time[-1] - CALM, time >= ramp_start

@@ -1,4 +1,4 @@
-"""What a report says about one flight, from its `run.nc`."""
+"""Metrics of one flight in a report, from its `run.nc`."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from jax_aero.result import ending
 from jax_aero.summary import SETTLING_TIME
 
 WINDY = 3.0
-"""Slowest relative wind whose direction means something [m/s]."""
+"""Least relative wind whose direction is meaningful [m/s]."""
 FINAL = 3.0
-"""Length of the end of a flight, at rest in the paper's mission [s]."""
+"""Duration of the end of a flight, at rest in the paper's mission [s]."""
 
 Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Metrics:
-    """One flight in numbers; angles in degrees, for people."""
+    """Metrics of one flight, with angles in degrees."""
 
     name: str
     title: str
     ending: str
     com_error: float
-    """After settling [m]; NaN of a flight that ended before."""
+    """Greatest position error after settling [m]; NaN if the flight ended before."""
     rotation_error: float
     joint_errors: dict[str, float]
     """Greatest sum of absolute joint errors, by group [deg]."""
     joint_error_at_end: float
-    """Sum over all joints, mean of the last seconds [deg]."""
+    """Sum of joint errors over all joints, mean of the last seconds [deg]."""
     joint_error_max: float
     thrust: tuple[float, float]
     asymmetry: tuple[float, float]
-    """Greatest difference of left and right thrust after settling: arms, chest [N]."""
+    """Greatest difference between left and right thrust after settling: arms, chest [N]."""
     force: float
     """Greatest total aerodynamic force [N]."""
     force_difference: float
@@ -51,11 +51,11 @@ class Metrics:
 def read(folder: Path) -> Metrics:
     """Return the metrics of a flight's result."""
     with record.opened(folder / record.RUN_FILE) as opened:
-        return measure(folder.name, opened)  # which loads what it asks for
+        return measure(folder.name, opened)  # which loads the signals it needs
 
 
 def measure(name: str, run: xr.Dataset) -> Metrics:
-    """Return the metrics of a flight, up to its fall; as in its summary, without the row in which it diverged."""
+    """Return the metrics of a flight up to its loss; as in its summary, without the row in which it diverged."""
     if run.attrs["outcome"] == "diverged":
         run = run.isel(time=slice(-1))
     time: Vector = run["time"].values

@@ -1,6 +1,6 @@
-"""What we claim of the recommended controller, judged from its sweeps. The paper says nothing of it.
+"""Claims of ours on the recommended controller, judged from its sweeps; the paper does not contain them.
 
-An error of many flights is given as median, 90 % quantile and worst.
+An error over many flights is given as median, 90 % quantile and maximum.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from experiments.report.verdicts import judged
 from experiments.sweep.table import wilson
 
 OUTAGE_SPEED = 10.0
-"""Wind of the claims on outages, the paper's [m/s]."""
+"""Wind speed of the claims on outages, that of the paper [m/s]."""
 
 
 def _errors(cell: Cell) -> str:
@@ -26,7 +26,7 @@ def _judged_by(bad: list[str]) -> str:
 
 
 def _beyond(cells: Iterable[tuple[str, Cell]], error: str, limit: float) -> list[str]:
-    """Return what falls, and whose error is beyond a limit [deg]."""
+    """Return the cells in which flights are lost or the error exceeds a limit [deg]."""
     found = []
     for name, cell in cells:
         if cell["completed"] < cell["flights"]:
@@ -64,7 +64,7 @@ def _pooled(cells: list[dict[str, Any]]) -> str:
 
 
 def fast_wind(results: Results) -> tuple[str, str]:
-    """Judge 26 m/s from everywhere."""
+    """Judge flights in winds of 26 m/s from all directions."""
     sweep = results.sweep("observer_wind")
     texts, bad = [], []
     for controller in sweep.levels("controller"):
@@ -90,7 +90,7 @@ def every_wind(results: Results) -> tuple[str, str]:
 
 
 def model_errors(results: Results) -> tuple[str, str]:
-    """Judge a robot that is not the model's."""
+    """Judge flights of robots that differ from the controller's model."""
     sweep = results.sweep("observer_errors")
     named = ("mass +10 %", "CoM 4 cm", "left arm jet -10 %")
     errors = [name for name in sweep.levels("model_error") if any(word in name for word in named)]
@@ -108,7 +108,7 @@ def sensors(results: Results) -> tuple[str, str]:
 
 
 def false_alarms(results: Results) -> tuple[str, str]:
-    """Judge how often a channel is predicted or an engine limited in flights in which nothing fails."""
+    """Judge how often a channel is predicted or an engine limited in flights without failures."""
     cells = results.sweep("observer_tests").cells + results.sweep("sensors_tests").select(
         controller="observer and estimator"
     )
@@ -130,17 +130,17 @@ def _outages(results: Results, what: Mapping[str, tuple[float, ...]]) -> tuple[s
 
 
 def lost_for_ever(results: Results) -> tuple[str, str]:
-    """Judge flights without wind or thrust sensors."""
+    """Judge flights that lose wind or thrust sensors for good."""
     return _outages(results, {"wind": (60.0,), "all thrusts": (60.0,)})
 
 
 def lost_for_a_while(results: Results) -> tuple[str, str]:
-    """Judge flights without base rotation, velocity or position."""
+    """Judge flights that temporarily lose base rotation, velocity or position."""
     return _outages(results, dict.fromkeys(("rotation", "velocity", "position"), (0.3, 1.0)))
 
 
 def lost_engines(results: Results) -> tuple[str, str]:
-    """Judge engines that fade, stop or keep their thrust while the robot hovers."""
+    """Judge hovering flights in which an engine fades, stops or keeps its thrust."""
     sweep = results.sweep("engine_loss")
     cells = [
         (failure.removesuffix(" at 18 s"), sweep.cell(engines="found, descends", failure=failure))
@@ -151,7 +151,7 @@ def lost_engines(results: Results) -> tuple[str, str]:
 
 
 def wind_estimate(results: Results) -> tuple[str, str]:
-    """Judge the wind that is estimated from the wrench."""
+    """Judge the wind estimated from the wrench."""
     found = results.study("wind_observer", "turbulence")
     worlds: dict[str, list[Mapping[str, float]]] = {}
     for name, figures in found.items():

@@ -1,7 +1,7 @@
-"""Which results were made with another configuration than their name stands for today, and what differs.
+"""Detection of results made with a configuration that differs from the present one of their name.
 
-The digest of a result says whether, and the configuration that it keeps says which keys; where no key differs, a file
-that it names does. A name that is not shipped, as that of one's own file, stands for nothing.
+The digest of a result shows whether it differs, and its stored configuration which keys; if no key differs, a file
+named in it does. A name that is not shipped, such as that of a user's file, is not checked.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from experiments.sweep.design import Design
 from jax_aero import places, rust, tables
 
 MOST = 4
-"""Keys that are named, of those that differ."""
+"""Greatest number of differing keys that are named."""
 
 WITH_FILES = {"cfd_flow": FlowConfig}
-"""Types of the studies of the report whose configurations are files of `configs/KIND/`."""
+"""Types of the report's studies whose configurations are files of `configs/KIND/`."""
 
 
 def flight(name: str, digest: str | None, kept: Mapping[str, Any] | None) -> str:
-    """Return what differs from the experiment of a name; empty if nothing.
+    """Return the difference from the experiment of this name; empty if there is none.
 
-    A result has the digest of the configuration that was flown, and mostly the configuration (`kept`).
+    A result has the digest of the configuration that was flown, and usually the configuration (`kept`).
     """
     if name not in places.names("experiments"):
         return ""
@@ -39,7 +39,7 @@ def flight(name: str, digest: str | None, kept: Mapping[str, Any] | None) -> str
 
 
 def sweep(name: str, document: Mapping[str, Any]) -> str:
-    """Return what differs from the sweep of a name, by the description of a result; empty if nothing."""
+    """Return the difference of a result's description from the sweep of this name; empty if there is none."""
     if name not in places.names("sweeps"):
         return ""
     today = spec.load(name)
@@ -51,7 +51,7 @@ def sweep(name: str, document: Mapping[str, Any]) -> str:
 
 
 def study(kind: str, name: str, document: Mapping[str, Any]) -> str:
-    """Return what differs of a study's configuration, flights and files, by its manifest; empty if nothing."""
+    """Return the difference of a study's manifest in configuration, flights and files; empty if there is none."""
     config, sources = document["config"], document.get("sources")
     if sources is None:
         return "it does not say which flights and files it was made of"

@@ -1,4 +1,4 @@
-"""A page as a list of blocks, written as Markdown and as HTML: both say the same."""
+"""A page as a list of blocks, written as Markdown and as HTML with the same content."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ code { background: #f2f2f2; padding: 0 0.2rem; }
 
 @dataclass(frozen=True)
 class Heading:
-    """A title of a level from 1."""
+    """A heading with a level from 1."""
 
     level: int
     text: str
@@ -34,7 +34,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows below their headings."""
+    """A table: rows below their headings."""
 
     headings: Sequence[str]
     rows: Sequence[Sequence[str]]
@@ -53,13 +53,13 @@ Block = Heading | Text | Table | Picture
 
 @dataclass
 class Page:
-    """Blocks in their order."""
+    """A page: blocks in order."""
 
     title: str
     blocks: list[Block] = field(default_factory=list)
 
     def add(self, *blocks: Block) -> None:
-        """Put blocks at the end."""
+        """Append blocks."""
         self.blocks.extend(blocks)
 
     def markdown(self) -> str:
@@ -67,7 +67,7 @@ class Page:
         return "\n\n".join([f"# {self.title}", *(_markdown(block) for block in self.blocks)]) + "\n"
 
     def html(self) -> str:
-        """Return the page as one HTML file; pictures stay beside it."""
+        """Return the page as one HTML file, with pictures as separate files."""
         body = "\n".join([f"<h1>{html.escape(self.title)}</h1>", *(_html(block) for block in self.blocks)])
         return (
             f'<!DOCTYPE html>\n<html lang="en">\n<head><meta charset="utf-8"><title>{html.escape(self.title)}</title>\n'

@@ -1,4 +1,4 @@
-"""Everything a report is made from, read once: flights, ground experiments, sweeps."""
+"""Data of a report, read once: flights, ground experiments, sweeps."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Flown = TypeVar("Flown")
 
 
 class NotFlownError(Exception):
-    """A measurement is missing; the message names the command."""
+    """A measurement is missing; the message names the command that makes it."""
 
 
 @dataclass(frozen=True)
@@ -30,10 +30,10 @@ class Sweep:
     document: dict[str, Any]
     cells: list[dict[str, Any]]
     differs: str = ""
-    """What of its configuration is not as it is today."""
+    """Difference of its configuration from the present one; empty if there is none."""
 
     def cell(self, **labels: object) -> Cell:
-        """Return the one cell with these levels."""
+        """Return the only cell with these levels."""
         (found,) = self.select(**labels)
         return found
 
@@ -42,18 +42,18 @@ class Sweep:
         return [cell for cell in self.cells if all(cell[name] == label for name, label in labels.items())]
 
     def levels(self, axis: str) -> list[Any]:
-        """Return the levels of an axis, in their order."""
+        """Return the levels of an axis, in order."""
         return list(dict.fromkeys(cell[axis] for cell in self.cells))
 
 
 class Made(NamedTuple):
-    """How a result was made."""
+    """Origin of a result."""
 
     created: str
-    """When; empty where it is not said."""
+    """Time of creation; empty if unknown."""
     commit: str | None
     differs: str
-    """What of its configuration is not as it is today."""
+    """Difference of its configuration from the present one; empty if there is none."""
 
 
 @dataclass(frozen=True)
@@ -62,16 +62,16 @@ class Results:
 
     folder: Path
     made: dict[str, Made] = field(default_factory=dict)
-    """How the results were made that were asked for, by name."""
+    """Origins of the results that were used, by name."""
 
     def note(self, name: str, document: Mapping[str, Any], differs: str) -> None:
-        """Remember how a result was made."""
+        """Record the origin of a result."""
         created = document.get("finished", document).get("created", "")
         self.made[name] = Made(created, (document.get("git") or {}).get("commit"), differs)
 
     @cached_property
     def manifests(self) -> dict[str, dict[str, Any]]:
-        """Return the manifests of plain flights, by name; those with --set are not the paper's."""
+        """Return the manifests of flights without --set, by name; others are not the paper's."""
         found = {}
         for path in sorted((self.folder / "flight").glob(f"[!.]*/{record.MANIFEST_FILE}")):
             if "--" not in path.parent.name:
@@ -81,7 +81,7 @@ class Results:
 
     @cached_property
     def differing(self) -> dict[str, str]:
-        """Return what of the configuration of every plain flight is not as it is today, by name."""
+        """Return the difference of every such flight's configuration from the present one, by name."""
         return {
             name: outdated.flight(name, document.get("config_digest"), document.get("config"))
             for name, document in self.manifests.items()
@@ -89,12 +89,12 @@ class Results:
 
     @cached_property
     def flights(self) -> dict[str, metrics.Metrics]:
-        """Return every plain flight, by name."""
+        """Return the metrics of every flight without --set, by name."""
         return {name: metrics.read(self.folder / "flight" / name) for name in self.manifests}
 
     @cached_property
     def standing(self) -> dict[str, ground.Ground]:
-        """Return every plain ground experiment, by name."""
+        """Return the metrics of every ground experiment without --set, by name."""
         mass = rust.Robot(str(places.ROBOT)).mass
         read = (
             ground.read(self.folder / "flight" / name, document.get("config", {}), mass)
@@ -115,11 +115,11 @@ class Results:
         return found
 
     def flight(self, name: str) -> metrics.Metrics:
-        """Return a plain flight."""
+        """Return the metrics of a flight without --set."""
         return self._flown(self.flights, name)
 
     def stood(self, name: str) -> ground.Ground:
-        """Return a plain ground experiment."""
+        """Return the metrics of a ground experiment without --set."""
         return self._flown(self.standing, name)
 
     def _flown(self, found: Mapping[str, Flown], name: str) -> Flown:
@@ -129,7 +129,7 @@ class Results:
         return found[name]
 
     def sweep(self, name: str) -> Sweep:
-        """Return a finished sweep, all of whose flights were flown."""
+        """Return a finished sweep without failed flights."""
         if name not in self.sweeps:
             raise NotFlownError(f"`python -m experiments sweep {name}` has not been run")
         found = self.sweeps[name]
@@ -148,7 +148,7 @@ class Results:
         return dict(document["summary"])
 
     def figures(self, name: str) -> dict[str, str]:
-        """Return the paths beside the report of a figure as it was drawn, by the runs that fill it: "" its own."""
+        """Return the paths of a figure, relative to the report, by the runs it shows; "" for its default runs."""
         drawn = [self.folder / "figures" / f"{name}.png", *sorted(self.folder.glob(f"figures/{name}--*.png"))]
         return {
             path.stem.removeprefix(name).removeprefix("--"): f"figures/{path.name}" for path in drawn if path.is_file()
@@ -161,6 +161,6 @@ def _require_whole(folder: Path, document: Mapping[str, Any]) -> None:
 
 
 def count(cell: Cell) -> str:
-    """Return "39 of 40 (87 to 100 %)": how many complete, and its 95 % interval."""
+    """Return "39 of 40 (87 to 100 %)": the number that complete, and its 95 % interval."""
     low, high = (100.0 * cell[f"completed_{end}"] for end in ("low", "high"))
     return f"{cell['completed']} of {cell['flights']} ({low:.0f} to {high:.0f} %)"

@@ -1,29 +1,29 @@
-"""The words of a verdict: agrees, differs (by how much), out of reach (why), not flown here; outdated, before them."""
+"""Texts of verdicts: agrees, differs (by how much), out of reach (why), not flown here; preceded by outdated."""
 
 AGREES = "agrees"
 NOT_FLOWN = "not flown here"
 OUTDATED = "outdated"
 ANOTHER = "made with another configuration than today's"
-"""Why a verdict is outdated; what differs follows."""
+"""Reason why a verdict is outdated, followed by the difference."""
 
 
 def differs(how: str) -> str:
-    """Return the verdict of a figure that is another one, and how."""
+    """Return the verdict for a value that differs, and how."""
     return f"differs: {how}"
 
 
 def judged(holds: bool, how: str = "it does not hold") -> str:
-    """Return whether a claim holds, else how it differs."""
+    """Return whether a claim holds, or how it differs."""
     return AGREES if holds else differs(how)
 
 
 def out_of_reach(why: str) -> str:
-    """Return the verdict of what cannot be made here, and why."""
+    """Return the verdict for a measurement that is impossible here, and why."""
     return f"out of reach: {why}"
 
 
 def within(value: float, low: float, high: float, unit: str) -> str:
-    """Return whether a value lies between two bounds, else by how much it misses the nearer one."""
+    """Return whether a value lies between two bounds, or by how much it misses the nearer one."""
     if low <= value <= high:
         return AGREES
     return differs(f"{value - (low if value < low else high):+.3g} {unit}".rstrip())

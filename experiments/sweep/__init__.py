@@ -4,5 +4,5 @@
 spec (TOML) ──► cells (design) ──► rows: cells x repeats, perturbed ──► chunks ──► table.parquet, cells.parquet
 ```
 
-A row is made from its number alone, so any process can fly any chunk, in any order, with the same result.
+A row is determined by its number alone, so any process can fly any chunk, in any order, with the same result.
 """

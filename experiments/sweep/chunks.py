@@ -1,7 +1,7 @@
-"""Finished chunks of a sweep under way, each in a file with a checksum.
+"""Finished chunks of an incomplete sweep, each in a file with a checksum.
 
-A file is a table (Parquet), sealed with the sweep's digest, the code's and the chunk's number. So a file that is cut
-short, empty, changed, or of another chunk, sweep or code, does not count.
+A file is a table (Parquet), sealed with the sweep's digest, the code's and the chunk's number. A file that is
+truncated, empty, changed, or of another chunk, sweep or code, is therefore ignored.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from jax_aero.files import sealed, unsealed, write_bytes
 
 @dataclass(frozen=True)
 class Chunks:
-    """The chunks of one sweep, flown by one code."""
+    """Chunks of one sweep, flown with one version of the code."""
 
     folder: Path
     identity: str
@@ -32,22 +32,22 @@ class Chunks:
         return self.folder / f"{chunk:06}.chunk"
 
     def write(self, chunk: int, table: pa.Table) -> None:
-        """Put a chunk on the disk."""
+        """Write a chunk to the disk."""
         write_bytes(self.path(chunk), sealed(parquet(table), self._what(chunk)))
 
     def read(self, chunk: int) -> pa.Table:
-        """Return a chunk that was there whole."""
+        """Read a complete chunk."""
         content = self._content(chunk)
         if content is None:
             raise Refused(f"{self.path(chunk)} has changed meanwhile; the same command flies it again")
         return pq.read_table(io.BytesIO(content))
 
     def whole(self, count: int) -> set[int]:
-        """Return which of the first `count` chunks are there whole."""
+        """Return which of the first `count` chunks are complete."""
         return {chunk for chunk in range(count) if self._content(chunk) is not None}
 
     def remove(self, but: Iterable[int] = ()) -> list[str]:
-        """Remove all files of chunks but some; return their names."""
+        """Remove the files of all chunks except `but`; return their names."""
         kept = {self.path(chunk) for chunk in but}
         others = sorted(set(self.folder.glob("*.chunk")) - kept)
         for path in others:
@@ -55,7 +55,7 @@ class Chunks:
         return [path.name for path in others]
 
     def clear(self) -> None:
-        """Remove all files of chunks, and the folder unless something else is in it."""
+        """Remove the files of all chunks, and the folder if it is then empty."""
         self.remove()
         with suppress(OSError):
             self.folder.rmdir()

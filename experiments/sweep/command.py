@@ -1,7 +1,7 @@
 """Fly sweeps by name: grids, lists, Latin hypercubes and Sobol sequences of perturbed flights.
 
-A sweep goes to `results/sweeps/NAME/`. One that was stopped goes on where it was left, with the same result to the
-last byte; a finished one is only replaced with --overwrite.
+A sweep goes to `results/sweeps/NAME/`. An interrupted one is resumed with the same result to the last byte; a finished
+one is only replaced with --overwrite.
 """
 
 from __future__ import annotations
@@ -44,7 +44,9 @@ def _parser() -> Parser:
     completes(named, lambda: places.names("sweeps"))
     which.add_argument("--all", action="store_true", help="every sweep of configs/sweeps")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/sweeps)")
-    parser.add_argument("--overwrite", action="store_true", help="start from the beginning, and replace a result")
+    parser.add_argument(
+        "--overwrite", action="store_true", help="start from the beginning, and replace an existing result"
+    )
     cluster.add_options(parser, "chunks", "threads, or processes of a local cluster")
     parser.add_argument("--list", action="store_true", help="list the sweeps and stop")
     return parser

@@ -1,4 +1,4 @@
-"""From a sweep's axes to its cells, and from a row's number to its configuration."""
+"""The cells of a sweep from its axes, and the configuration of a row from its number."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from jax_aero import rust, tables
 
 @dataclass(frozen=True)
 class Design:
-    """A sweep with its base flights read: everything a process needs to fly any row."""
+    """A sweep with its base flights: everything needed to fly any row."""
 
     spec: Spec
 
@@ -31,7 +31,7 @@ class Design:
 
     @cached_property
     def cells(self) -> list[tuple[Level, ...]]:
-        """Return the level of every axis, cell by cell; the last axis varies fastest."""
+        """Return the level of every axis for each cell; the last axis varies fastest."""
         axes = self.spec.axis
         if self.spec.design == "grid":
             return list(itertools.product(*(axis.levels for axis in axes)))
@@ -40,7 +40,7 @@ class Design:
         points = unit_points(self.spec.design, len(axes), self.spec.samples, self.spec.seed)
         return [
             tuple(
-                # Ten digits are plenty for a sample, and read well in a table.
+                # Ten digits suffice for a sample, and are readable in a table.
                 axis.sampled(float(f"{axis.ends[0] + (axis.ends[1] - axis.ends[0]) * x:.10g}"))
                 for axis, x in zip(axes, point, strict=True)
             )
@@ -58,12 +58,12 @@ class Design:
         return -(-self.n_rows // self.spec.chunk)
 
     def chunk(self, index: int) -> range:
-        """Return the rows of a chunk."""
+        """Return the row numbers of a chunk."""
         return range(index * self.spec.chunk, min((index + 1) * self.spec.chunk, self.n_rows))
 
     @cached_property
     def bases(self) -> dict[str, rust.Config]:
-        """Return the flights that cells start from, by name."""
+        """Return the flights that cells are based on, by name."""
         names = {self.spec.base, *(level.base for axis in self.spec.axis for level in axis.levels if level.base)}
         return {name: _load(self.spec.name, name) for name in sorted(names)}
 
@@ -85,7 +85,7 @@ class Design:
         return config
 
     def row_config(self, row: int) -> rust.Config:
-        """Return the configuration of a row: its cell's, perturbed by its repeat's draws."""
+        """Return the configuration of a row: its cell's, perturbed by the random numbers of its repeat."""
         cell, repeat = divmod(row, self.spec.repeats)
         config = self.cell_config(cell)
         self.perturb(config, repeat)
@@ -97,7 +97,7 @@ class Design:
 
     @cached_property
     def digest(self) -> str:
-        """Return a hash of all that decides the result, but for the code: every cell, and every file it names."""
+        """Return a hash of everything except code that determines the result: every cell and every file named in it."""
         ensemble = self.spec.perturbation.ensemble
         what = {
             "axes": [axis.name for axis in self.spec.axis],
@@ -110,7 +110,7 @@ class Design:
         return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
 
     def check(self) -> None:
-        """Refuse a sweep with a cell that cannot fly, or that is there twice, before the first flight."""
+        """Refuse, before the first flight, a sweep with duplicate cells or with cells that cannot be flown."""
         firsts: dict[tuple[str | float, ...], int] = {}
         for cell, levels in enumerate(self.cells):
             config = self.cell_config(cell)
@@ -121,13 +121,13 @@ class Design:
                     raise Refused(
                         f"`engine` of the flight is {engine!r}; expected {self.spec.engine!r}, as of the sweep"
                     )
-                rust.check_config(config)  # first as it is written: only then can it be perturbed
+                rust.check_config(config)  # unperturbed first, since only a valid one can be perturbed
                 self.perturb(config, 0)
                 rust.check_config(config)
 
     @contextmanager
     def _naming(self, cell: int) -> Iterator[None]:
-        """Name the sweep and the cell in a refusal."""
+        """Add the names of sweep and cell to a refusal."""
         try:
             yield
         except ValueError as reason:
@@ -142,7 +142,7 @@ def unit_points(design: str, dimensions: int, samples: int, seed: int) -> Sequen
 
     if design == "sobol":
         sampler = qmc.Sobol(dimensions, rng=seed)
-        # All of a power of two, cut: Sobol's points are balanced only as a whole.
+        # A whole power of two, truncated, since only complete sets of Sobol points are balanced.
         points = sampler.random_base2(max(0, (samples - 1).bit_length()))[:samples]
     else:
         points = qmc.LatinHypercube(dimensions, rng=seed).random(samples)

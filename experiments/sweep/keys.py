@@ -21,7 +21,7 @@ def set_all(config: dict[str, Any], *layers: Mapping[str, Any]) -> None:
     Raises
     ------
     ValueError
-        Naming a key that cannot be set, or what it was to change, with its value and what was expected.
+        If a key cannot be set; the message names the key, its value and what was expected.
     """
     polar: dict[str, Any] = {}
     for settings in layers:
@@ -42,9 +42,9 @@ def set_all(config: dict[str, Any], *layers: Mapping[str, Any]) -> None:
 
 
 def replaced(key: str, earlier: Mapping[str, Any]) -> str | None:
-    """Return the first of earlier settings that is lost, whole or in part, where `key` is set; `None` without one."""
+    """Return the first earlier setting that is overwritten, in whole or part, by setting `key`; `None` if none is."""
     for other, value in earlier.items():
-        # Speed and direction of the wind outlast what sets the wind, as they come last.
+        # Speed and direction of the wind are not overwritten by the wind, since they are set last.
         if key == other or (other not in POLAR and any(_within(part, key) for part, _ in parts(value, other))):
             return other
     return None

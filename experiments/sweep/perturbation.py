@@ -1,6 +1,6 @@
-"""Flights that are alike but not equal: start, wind and coefficients drawn around their nominal values.
+"""Perturbed flights: initial state, wind and coefficients drawn around their nominal values.
 
-Repeat number r is perturbed the same way in every cell, so cells are compared on the same draws.
+Repeat r has the same random numbers in every cell, so that cells are compared on the same draws.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ CHANCE = {
     "disturbances.jets.measurement_noise": (),
     "simulator.sensors": (),
 }
-"""Tables that get a seed of their own in every repeat, and the keys without which one has no random numbers."""
+"""Tables that get a new seed in every repeat, and the keys that they need to have random numbers at all."""
 
 STREAMS = (
     "joint_position",
@@ -37,16 +37,16 @@ STREAMS = (
     "seeds",
     "ensemble",
 )
-"""Each kind of draw has a random stream, numbered by its place here; a new kind goes to the end."""
+"""Kinds of draws; the index is the number of the random stream, so new kinds are appended at the end."""
 
 
 class Perturbation(tables.Table, frozen=True):
-    """Half widths of uniform distributions, and an ensemble to draw from; nothing is perturbed by default."""
+    """Half widths of uniform distributions, and an ensemble to draw from; by default nothing is perturbed."""
 
     joint_position: tables.NonNegative = 0.0
-    """Of every initial joint position [rad]."""
+    """Half width for every initial joint position [rad]."""
     base_rpy_deg: tables.NonNegative = 0.0
-    """Of the initial roll, pitch and yaw [deg]."""
+    """Half width for the initial roll, pitch and yaw [deg]."""
     base_velocity: tables.NonNegative = 0.0
     """Of every initial velocity of the base [m/s, rad/s]."""
     thrust: tables.NonNegative = 0.0
@@ -54,13 +54,13 @@ class Perturbation(tables.Table, frozen=True):
     wind_speed: tables.NonNegative = 0.0
     """Of the wind speed, relative."""
     wind_direction_deg: tables.NonNegative = 0.0
-    """Of the direction of the wind, about the vertical [deg]."""
+    """Half width for the direction of the wind about the vertical [deg]."""
     drag: tables.NonNegative = 0.0
-    """Of the drag of all links in the simulator, relative."""
+    """Half width for the drag of all links in the simulator, relative."""
     normal: tables.NonNegative = 0.0
-    """Of the normal force of all links in the simulator, relative."""
+    """Half width for the normal force of all links in the simulator, relative."""
     link: tables.NonNegative = 0.0
-    """Of the force of each link in the simulator, relative."""
+    """Half width for the force on each link in the simulator, relative."""
     ensemble: Path | None = None
     """`ensemble.json` of train-ensemble: the network of `simulator.aero` is one of its members, all equally often."""
 
@@ -109,7 +109,7 @@ class Perturbation(tables.Table, frozen=True):
 
 @cache
 def members(ensemble: Path) -> tuple[Path, ...]:
-    """Return the cards of an ensemble's networks."""
+    """Return the cards of an ensemble's members."""
     try:
         cards = tuple(ensemble.with_name(name) for name in json.loads(ensemble.read_bytes())["members"])
     except (ValueError, KeyError, TypeError):
@@ -121,7 +121,7 @@ def members(ensemble: Path) -> tuple[Path, ...]:
 
 
 def _draw(aero: dict[str, Any], cards: Sequence[Path], seed: int, repeat: int) -> None:
-    """Draw the simulator's network: members take turns in random order, a new order for every turn."""
+    """Select the simulator's network: all members in random order, then all again in a new order."""
     if aero["model"] != "network":
         wanted = 'expected "network", as `perturbation.ensemble` draws its card'
         raise tables.ConfigError(f'`simulator.aero.model` is "{aero["model"]}"; {wanted}')
@@ -131,7 +131,7 @@ def _draw(aero: dict[str, Any], cards: Sequence[Path], seed: int, repeat: int) -
 
 
 def _seed(config: dict[str, Any], stream: np.random.Generator) -> None:
-    """Give every table of random numbers a seed of this repeat."""
+    """Set the seeds of all tables with random numbers for this repeat."""
     for key, marks in CHANCE.items():
         drawn = int(stream.integers(2**31))
         table = keys.get(config, key)

@@ -1,4 +1,4 @@
-"""How far a sweep is and when it will be done: one line that moves, or a line now and then in a file."""
+"""Progress of a sweep and its expected end: one updated line on a terminal, occasional lines in a file."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import time
 from types import TracebackType
 
 LINE_INTERVAL = 15.0
-"""Between two lines where the output is not a terminal [s]."""
+"""Time between two lines if the output is not a terminal [s]."""
 MOVE_INTERVAL = 0.2
 
 
 class Progress:
-    """Counts flights; those of earlier runs count as done but not into the rate."""
+    """Counter of flights; those of earlier runs count as done but are not used for the rate."""
 
     def __init__(self, name: str, total: int, done: int) -> None:
         self._name, self._total, self._done, self._before = name, total, done, done
@@ -32,12 +32,12 @@ class Progress:
             print(file=sys.stderr)
 
     def within_chunk(self, done: int, _: int) -> None:
-        """Note how many flights of the present chunk have ended."""
+        """Set the number of flights that have ended in the present chunk."""
         self._within = done
         self._show(MOVE_INTERVAL if self._moves else LINE_INTERVAL)
 
     def chunk_done(self, flights: int) -> None:
-        """Note that a chunk is on disk."""
+        """Count the flights of a chunk that is on the disk."""
         self._within = 0
         self._done += flights
         last = self._done >= self._total
@@ -51,7 +51,7 @@ class Progress:
         print(self.line(now - self._begin), end="\r" if self._moves else "\n", file=sys.stderr, flush=True)
 
     def line(self, seconds: float) -> str:
-        """Return what there is to say after some seconds of flying."""
+        """Return the progress in words after some seconds of flying."""
         done = self._done + self._within
         rate = (done - self._before) / seconds if seconds > 0.0 else 0.0
         left = (self._total - done) / rate if rate else None

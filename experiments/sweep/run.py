@@ -1,8 +1,8 @@
-"""Fly a sweep: chunk by chunk, from where it was left, into `results/sweeps/NAME/`.
+"""Fly a sweep chunk by chunk, or resume it, into `results/sweeps/NAME/`.
 
 ```text
-sweep.json       what is flown, and by what; at the end also how long it took, and checksums
-chunks/          finished chunks of a sweep under way, with checksums
+sweep.json       sweep and code; at the end also duration and checksums
+chunks/          finished chunks of an incomplete sweep, with checksums
 table.parquet    every flight       cells.parquet    every cell
 ```
 """
@@ -37,7 +37,7 @@ from jax_aero.result import Outcome
 RESULTS = places.RESULTS / "sweeps"
 
 PRESENTATION = ("title", "description", "drawing", "panels", "axes")
-"""What `SWEEP_FILE` holds of a sweep for its figure alone: a finished one takes it from its file, too."""
+"""Keys of `SWEEP_FILE` that only affect the figure; a finished sweep takes them from its present file."""
 
 SWEEP_FILE, TABLES = "sweep.json", ("table.parquet", "cells.parquet")
 
@@ -45,9 +45,9 @@ SWEEP_FILE, TABLES = "sweep.json", ("table.parquet", "cells.parquet")
 def _flown(
     design: Design, chunks: list[int], workers: int | None, cluster: Ray | None, progress: Progress
 ) -> Iterator[tuple[int, Any]]:
-    """Yield number and table of every chunk: here, a flight per thread, or over a cluster, a chunk per processor."""
+    """Yield number and table of every chunk: here, one flight per thread, or on a cluster, one chunk per processor."""
     if cluster:
-        # Read and resolved: nodes read nothing but the robot's files.
+        # The sweep is read and resolved here; nodes only read the robot's files.
         yield from cluster.spread(_fly, (design.spec, design.bases), {n: n for n in chunks}, modules_of(design))
         return
     engine = engines.engine(design.spec.engine)
@@ -83,7 +83,7 @@ def run(
     out: Path | None = None,
     overwrite: bool = False,
 ) -> Path:
-    """Fly what is missing of a sweep, here or over a cluster; return its folder."""
+    """Fly the missing chunks of a sweep, here or on a cluster; return its folder."""
     folder = (out or RESULTS) / design.spec.name
     with locked(folder):
         _run(design, workers, cluster, folder.resolve(), overwrite=overwrite)
@@ -94,10 +94,10 @@ def _run(design: Design, workers: int | None, cluster: Ray | None, folder: Path,
     document = _document(design)
     found, shown = {} if overwrite else _found(folder, document), os.path.relpath(folder)
     chunks = Chunks(folder / "chunks", f"{document['config_hash']} {document['code_hash']}")
-    for draft in folder.rglob(".*.draft.*"):  # of a process that was killed
+    for draft in folder.rglob(".*.draft.*"):  # left by a process that was killed
         draft.unlink()
     if "finished" in found:
-        chunks.clear()  # which that process may have had no time for
+        chunks.clear()  # in case a process was killed before this
         if found != (shown_anew := found | {key: document[key] for key in PRESENTATION}):
             write_json(folder / SWEEP_FILE, shown_anew)
         other = "" if found["code_hash"] == document["code_hash"] else ", flown by other code"
@@ -105,7 +105,7 @@ def _run(design: Design, workers: int | None, cluster: Ray | None, folder: Path,
         return
     design.check()
     engines.engine(design.spec.engine)
-    if overwrite and folder.exists():  # now that nothing refuses the new one any more
+    if overwrite and folder.exists():  # only after all checks of the new one
         _clear(folder)
     chunks.folder.mkdir(parents=True, exist_ok=True)
     whole = chunks.whole(design.n_chunks)
@@ -124,7 +124,7 @@ def _run(design: Design, workers: int | None, cluster: Ray | None, folder: Path,
 
 
 def _finish(folder: Path, design: Design, document: dict[str, Any], chunks: Chunks, flown: int, seconds: float) -> None:
-    """Join the chunks; the description is written last and says that all is there."""
+    """Join the chunks; the description is written last and marks the sweep as complete."""
     whole = pa.concat_tables(chunks.read(chunk) for chunk in range(design.n_chunks))
     for name, content in (("table.parquet", whole), ("cells.parquet", table.cells(design, whole))):
         write_bytes(folder / name, parquet(content))
@@ -156,7 +156,7 @@ def _document(design: Design) -> dict[str, Any]:
 
 
 def described(spec: Spec) -> dict[str, Any]:
-    """Return what `SWEEP_FILE` holds of the file of a sweep."""
+    """Return the part of `SWEEP_FILE` that comes from the file of a sweep."""
     return {
         "name": spec.name,
         "title": spec.title,
@@ -184,17 +184,17 @@ def described(spec: Spec) -> dict[str, Any]:
 
 
 def code_hash(design: Design) -> str:
-    """Return a hash of the code that flies a sweep: rows flown by two do not belong into one table."""
+    """Return a hash of the code that flies a sweep; rows of different code must not be in one table."""
     return sources.code_hash(*modules_of(design))
 
 
 def modules_of(design: Design) -> tuple[str, ...]:
-    """Return the modules that make the rows of a sweep."""
+    """Return the modules that determine the rows of a sweep."""
     return __name__, engines.MODULES[design.spec.engine]
 
 
 def _found(folder: Path, document: dict[str, Any]) -> dict[str, Any]:
-    """Return what a folder says of itself; refuse another sweep, one begun by other code, and damaged tables."""
+    """Return the description in a folder; refuse another sweep, one begun with other code, and damaged tables."""
     path, shown = folder / SWEEP_FILE, os.path.relpath(folder)
     if not path.exists():
         return {}
@@ -213,7 +213,7 @@ def _found(folder: Path, document: dict[str, Any]) -> dict[str, Any]:
 
 
 def _clear(folder: Path) -> None:
-    """Remove a sweep, or nothing where something else lies there."""
+    """Remove a sweep's folder; do nothing if it is something else."""
     own = re.compile(rf"{SWEEP_FILE}|{'|'.join(TABLES)}|chunks/\d+\.(chunk|parquet)|(chunks/)?\.\w+\.\d+\.draft\.\w+")
     files = [path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir()]
     if others := sorted(name for name in files if not own.fullmatch(name)):

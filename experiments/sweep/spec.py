@@ -1,4 +1,4 @@
-"""The file of a sweep, read and checked: what varies, around which flight, how often."""
+"""The file of a sweep: what varies, around which flight, how often."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from experiments.sweep.perturbation import Perturbation
 from jax_aero import places, tables
 
 MAX_FILES = 128
-"""How many files one sweep may consist of; files that name one another are as deep in calls."""
+"""Greatest number of files in a sweep; nested files are as deep in recursive calls."""
 
 PATHS = ("card", "ensemble", "file", "path", "robot")
-"""Last parts of the keys that are paths."""
+"""Last parts of keys whose values are paths."""
 
 
 class Level(tables.Table, frozen=True):
-    """One value of an axis: a label, the keys it sets, and perhaps another flight to start from."""
+    """One value of an axis: a label, the keys it sets, and optionally another base flight."""
 
     label: str | float
     set: dict[str, Any] = msgspec.field(default_factory=dict)
-    """Values of dotted keys of the flight."""
+    """Values by dotted key of the flight."""
     base: str | None = None
-    """Name or path of an experiment to start from instead of the sweep's."""
+    """Name or path of an experiment that replaces the sweep's base."""
 
 
 class Range(tables.Table, frozen=True):
-    """Evenly spaced values, both ends included."""
+    """Evenly spaced values, including both ends."""
 
     start: float
     stop: float
@@ -40,23 +40,23 @@ class Range(tables.Table, frozen=True):
 
 
 class Axis(tables.Table, frozen=True):
-    """One thing that varies: levels, values of keys, or, for a sampled design, an interval of values."""
+    """An axis of a sweep: levels, values of keys, or, for a sampled design, an interval of values."""
 
     name: Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z_]\w*$")]
     label: str = ""
     unit: str = ""
     key: str | None = None
-    """Dotted key of the flight that every value is written to."""
+    """Dotted key of the flight that is set to every value."""
     keys: tuple[str, ...] = ()
     """Several such keys."""
     values: tuple[float, ...] = ()
     range: Range | None = None
-    """Instead of `values`."""
+    """Range that replaces `values`."""
     low: float | None = None
-    """Of a sampled axis, with `high`."""
+    """Lower end of a sampled axis, whose upper end is `high`."""
     high: float | None = None
     level: tuple[Level, ...] = ()
-    """Instead of keys and values."""
+    """Levels that replace keys and values."""
 
     def __post_init__(self) -> None:
         if sum(map(bool, (self.key, self.keys, self.level))) != 1:
@@ -72,12 +72,12 @@ class Axis(tables.Table, frozen=True):
 
     @property
     def written(self) -> tuple[str, ...]:
-        """Return the keys that values are written to."""
+        """Return the keys that are set to the values."""
         return self.keys or ((self.key,) if self.key else ())
 
     @property
     def is_sampled(self) -> bool:
-        """Return whether a design chooses the values from an interval."""
+        """Return whether values are sampled from an interval."""
         return self.low is not None
 
     @property
@@ -94,16 +94,16 @@ class Axis(tables.Table, frozen=True):
         if self.range is not None:
             step = (self.range.stop - self.range.start) / (self.range.num - 1)
             values = tuple(self.range.start + step * index for index in range(self.range.num))
-        # Fifteen digits: 0.1 + 0.2 is 0.3 in a table.
+        # Fifteen digits, so that 0.1 + 0.2 is 0.3 in a table.
         return tuple(self.sampled(float(f"{value:.15g}")) for value in values)
 
     @property
     def settings(self) -> tuple[dict[str, Any], ...]:
-        """Return what its levels set; those of values alike."""
+        """Return the settings of all levels; of an axis of values, those of one."""
         return tuple(level.set for level in self.level) or (dict.fromkeys(self.written, 0.0),)
 
     def sampled(self, value: float) -> Level:
-        """Return the level of one value; a whole one is set as an integer, which stands for a number, too."""
+        """Return the level of one value; a whole number becomes an integer, which is also accepted as a float."""
         return Level(label=value, set=dict.fromkeys(self.written, int(value) if value.is_integer() else value))
 
 
@@ -113,22 +113,22 @@ class Spec(tables.Table, frozen=True):
     title: str
     description: str
     base: str
-    """Name or path of the experiment that is varied."""
+    """Name or path of the base experiment."""
     axis: Annotated[tuple[Axis, ...], msgspec.Meta(min_length=1)]
     name: Annotated[str, msgspec.Meta(pattern=r"^\w[^/\x00-\x1f\x7f]*$")] = ""
-    """Of the result's folder; without it, that of the file."""
+    """Name of the result's folder; by default that of the file."""
     design: Literal["grid", "list", "latin_hypercube", "sobol"] = "grid"
-    """Which cells are flown: all combinations, the axes walked together, or a quasi-random sample."""
+    """Cells that are flown: all combinations, the axes in parallel, or a quasi-random sample."""
     samples: tables.Natural = 0
-    """Of a quasi-random design."""
+    """Number of cells of a quasi-random design."""
     set: dict[str, Any] = msgspec.field(default_factory=dict)
-    """Values of dotted keys, in every cell."""
+    """Values by dotted key, set in every cell."""
     engine: Literal["rust", "jax", "mujoco"] = "rust"
     seed: tables.Natural = 1
     repeats: tables.Count = 1
-    """Flights in each cell, each perturbed by draws of its own."""
+    """Flights in each cell, each with its own perturbation."""
     chunk: tables.Count = 48
-    """Flights that are computed, and stored, together."""
+    """Flights that are computed and stored together."""
     perturbation: Perturbation = Perturbation()
     drawing: Literal["levels", "curve", "map", "scatter", "matrix"] = "curve"
     panels: str = ""
@@ -160,26 +160,26 @@ class Spec(tables.Table, frozen=True):
 
     @property
     def is_sampled(self) -> bool:
-        """Return whether a quasi-random design chooses the cells."""
+        """Return whether the design is quasi-random."""
         return self.design in ("latin_hypercube", "sobol")
 
 
 def load(name: str) -> Spec:
-    """Read the sweep of a name or of a path."""
+    """Read the sweep given by name or path."""
     path = study.find("sweeps", name)
     table = _with_files(tables.read(path), path.parent, iter(range(MAX_FILES)))
     return from_table(study.result_name("sweeps", path, table.get("name")), table)
 
 
 def from_table(name: str, table: Mapping[str, Any]) -> Spec:
-    """Return the checked sweep of a table."""
+    """Return the checked sweep described by a table."""
     return tables.convert({"name": name, **table}, Spec, f"sweep {name}")
 
 
 def _with_files(value: Any, folder: Path, count: Iterator[int]) -> Any:
-    """Return `value` with every table `{ file = "..." }` in it replaced by that file's table, while `count` lasts.
+    """Return `value` with every table `{ file = "..." }` replaced by that file's table, while `count` lasts.
 
-    Paths start at the file that names them, also those of flights in place of their names.
+    Paths, including those that replace names of flights, are relative to the file that contains them.
     """
     if isinstance(value, Mapping):
         if value.keys() == {"file"}:

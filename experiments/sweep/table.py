@@ -1,6 +1,6 @@
-"""What a sweep leaves behind: one row per flight, one row per cell, both Parquet.
+"""Tables of a sweep: one row per flight and one row per cell, both in Parquet.
 
-Nothing in these tables depends on when, where or in which order flights were flown.
+The tables do not depend on when, where or in which order the flights were flown.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ if TYPE_CHECKING:
     from experiments.sweep.design import Design
 
 SUMMARY = tuple(name for name, figure in rust.figures().items() if not figure.is_of_ground)
-"""Figures of merit of a flight that tables keep."""
+"""Figures of merit of a flight that are stored in the tables."""
 
 ON_COURSE_ROTATION = math.radians(15.0)
 ON_COURSE_COM = 0.25
-"""A completed flight that was never this far off [rad, m] counts as on course, a stricter word than completed.
+"""Greatest errors [rad, m] of a completed flight that counts as on course, which is stricter than completed.
 
-One that ends within its start-up has no error of position to tell, and does not count.
+A flight that ends within its start-up has no position error and does not count.
 """
 
 
 PLACE = [("row", pa.int64()), ("cell", pa.int64()), ("repeat", pa.int64())]
 DRAWN = ("member", pa.string())
-"""Column of the network that a sweep drew from an ensemble."""
+"""Column of the network that was drawn from an ensemble."""
 FLIGHT = [
     ("config_hash", pa.string()),
     ("outcome", pa.string()),
@@ -47,7 +47,7 @@ FLIGHT = [
     ("error", pa.string()),
     *((name, pa.float64()) for name in SUMMARY),
 ]
-"""Columns of a sweep's flights, before and after those of its axes."""
+"""Columns of the table of flights, before and after those of the axes."""
 
 QUANTITIES = {
     "rotation_error_deg": ("max_rotation_error", math.degrees(1.0)),
@@ -58,13 +58,13 @@ QUANTITIES = {
     "lost_time": ("lost_time", 1.0),
     "time_above_45_deg": ("time_above_45_deg", 1.0),
 }
-"""Columns of the table of cells: of which summary, times what."""
+"""Columns of the table of cells: figure of the summary, and factor."""
 
 QUANTILES = {"low": 0.1, "median": 0.5, "high": 0.9, "worst": 1.0}
 
 
 def schema(design: Design) -> pa.Schema:
-    """Return the columns of a sweep's flights."""
+    """Return the columns of the table of flights."""
     drawn = [DRAWN] if design.spec.perturbation.ensemble else []
     return pa.schema([*PLACE, *_axis_columns(design), *drawn, *FLIGHT])
 
@@ -101,13 +101,13 @@ def rows(
 
 
 def cells(design: Design, table: pa.Table) -> pa.Table:
-    """Return a sweep's cells: counts with their intervals, quantiles of the errors."""
+    """Return the table of cells: counts with their intervals, and quantiles of the errors."""
     repeats = design.spec.repeats
     records = []
     for cell, levels in enumerate(design.cells):
         record: dict[str, Any] = {"cell": cell}
         record |= {axis.name: level.label for axis, level in zip(design.spec.axis, levels, strict=True)}
-        # Rows stand in order, the repeats of a cell together.
+        # Rows are in order, with the repeats of a cell together.
         mine = table.slice(cell * repeats, repeats)
         records.append(record | _cell({name: mine[name].to_numpy(zero_copy_only=False) for name in mine.column_names}))
     axis_columns = dict(_axis_columns(design))
@@ -145,14 +145,14 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
     share, spread = successes / trials, z * z / trials
     centre = (share + spread / 2.0) / (1.0 + spread)
     half = z / (1.0 + spread) * math.sqrt(share * (1.0 - share) / trials + spread / (4.0 * trials))
-    # Where all or none succeed an end is exactly 1 or 0, which rounding would miss.
+    # If all or none succeed, one end is exactly 1 or 0, which rounding would miss.
     return (0.0 if successes == 0 else centre - half), (1.0 if successes == trials else centre + half)
 
 
 def config_hash(config: Mapping[str, Any]) -> str:
-    """Return a short hash of a configuration and, in the place of its path, of every file; the same on every machine.
+    """Return a short hash of a configuration, with files instead of their paths; equal on every machine.
 
-    Of any configuration: `rust.config_digest` refuses one that cannot fly, which has a row, too.
+    It accepts any configuration, whereas `rust.config_digest` refuses invalid ones, which also have a row.
     """
     hashed = copy.deepcopy(dict(config))
     for part, key in io.paths(hashed):
@@ -161,4 +161,4 @@ def config_hash(config: Mapping[str, Any]) -> str:
 
 
 COLUMNS = {name for name, _ in (*PLACE, DRAWN, *FLIGHT)} | set(_cell({name: np.zeros(0) for name, _ in FLIGHT}))
-"""Names that no axis may have."""
+"""Names that are not allowed for axes."""

@@ -1,1 +1,1 @@
-"""Training runs: a file of `configs/training/`, a dataset, and the errors on what was held out."""
+"""Training runs: a file of `configs/training/`, a dataset, and the errors on held-out rows."""

@@ -1,9 +1,9 @@
-"""Train a network of link forces and say how far it is off: `python -m experiments train NAME --dataset FILE`.
+"""Train a network of link forces and report its errors: `python -m experiments train NAME --dataset FILE`.
 
 A file of `configs/training/` is trained once per fold of whole postures (`grouped`), once on a random split, which
-leaks (`random`), and once on everything; errors are those of held-out rows, beside simpler models on the same rows.
-A run that was stopped goes on with the same command; a finished one is only replaced with --overwrite.
-`--write` also puts the weights where flights find them.
+leaks information (`random`), and once on all rows; errors are those on held-out rows, beside those of simpler models.
+An interrupted run is resumed by the same command; a finished one is only replaced with --overwrite.
+`--write` also copies the weights to where flights find them.
 """
 
 from __future__ import annotations
@@ -43,20 +43,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     study.add_set(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="result folder (default results/training/NAME)")
-    parser.add_argument("--write", type=Path, metavar="CARD", help="write weights and card there too (…/NAME.json)")
-    parser.add_argument("--overwrite", action="store_true", help="train again and replace a result that is there")
-    parser.add_argument("--restart", action="store_true", help="throw away what an unfinished run left")
+    parser.add_argument("--write", type=Path, metavar="CARD", help="also write weights and card there (…/NAME.json)")
+    parser.add_argument("--overwrite", action="store_true", help="train again and replace an existing result")
+    parser.add_argument("--restart", action="store_true", help="discard an unfinished run")
     given = parser.parse_args(arguments)
     return exit_status(lambda: print(table(run(given))), interrupted="the same command goes on where this one stopped")
 
 
 def run(given: argparse.Namespace) -> dict[str, Any]:
-    """Train all parts, write the result, unless it is there; return the errors of the splits."""
+    """Train all parts and write the result, unless it exists; return the errors of the splits."""
     path = study.find("training", given.name)
     changes = overrides.parse(given.set)
     training, document = config.read(path, changes)
     if given.write:
-        card_path(given.write)  # refused before the training
+        card_path(given.write)  # a wrong path is refused before the training
         if not training.final:
             raise Refused(f"{path.name}: final is false, so there are no weights to --write")
     if training.stops_early:
@@ -158,7 +158,7 @@ def _train(
                 bar.set_postfix(shown, refresh=False)
                 bar.update()
 
-            # The last part is trained again if need be: its weights are what is wanted.
+            # The last part is trained again if needed, since its weights are required.
             done = parts.recall(work, part) if part.split != "final" else None
             if done is None:
                 done, network = parts.run(part, training, robot, dataset, work, on_epoch)
@@ -183,7 +183,7 @@ def _work_folder(folder: Path, digest: str, *, restart: bool) -> Path:
     if restart and work.exists():
         shutil.rmtree(work)
     mark = work / "digest"
-    # Without a checkpoint there is nothing to finish: the run was refused.
+    # Without a checkpoint there is nothing to resume, since the run was refused.
     if any(work.glob("*.checkpoint")) and mark.is_file() and mark.read_text(encoding="utf-8") != digest:
         raise Refused(
             f"{work.name} holds an unfinished run with other settings, data or code; finish that one, or add --restart"
@@ -194,7 +194,7 @@ def _work_folder(folder: Path, digest: str, *, restart: bool) -> Path:
 
 
 def table(errors: dict[str, Any]) -> str:
-    """Return the errors as a table: both splits beside each other, never one without the other."""
+    """Return the errors as a table that always shows both splits."""
     names = list(next(iter(errors.values()))["baselines"]) if errors else []
     splits: list[str] = [split for split in ("random", "grouped") if split in errors]
     found = [errors[split] for split in splits]

@@ -1,4 +1,4 @@
-"""A training run's configuration: TOML in, typed settings out."""
+"""Configuration of a training run: typed settings from a TOML file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from jax_aero.train import Settings
 
 
 class NetworkConfig(tables.Table, frozen=True):
-    """Shape of a network."""
+    """Structure of a network."""
 
     features: Annotated[tuple[Block, ...], Meta(min_length=1)]
     """Blocks of input features."""
@@ -27,43 +27,43 @@ class NetworkConfig(tables.Table, frozen=True):
     """Widths of the hidden layers."""
     activation: Activation
     frame: Frame
-    """Axes of the answer."""
+    """Axes of the output."""
     layout: Layout
-    """What the answer is of."""
+    """Layout of the output."""
     mirror: bool
     """Whether the network is symmetric by construction."""
     baseline: str
     """Coefficient set that the network corrects, or `none`."""
     start: Literal["published", "unit"]
-    """Distribution of the first weights."""
+    """Distribution of the initial weights."""
 
     def __post_init__(self) -> None:
         known = ("none", *robot().aero_links.coefficients)
         if self.baseline not in known:
             raise ValueError(f"`baseline` is {self.baseline!r}; expected one of {', '.join(known)}")
         check_output(self.frame, self.layout)
-        tables.check_levels(self, "features")  # which a card has once each
+        tables.check_levels(self, "features")  # a card has each block once
 
 
 class Ensemble(tables.Table, frozen=True):
-    """Several networks with other random numbers."""
+    """Several networks with different random numbers."""
 
     members: tables.Count
     keep: Literal["mean", "student"]
-    """What becomes of them: their mean, or one network that learns from it."""
+    """Final network: the mean of the members, or one network distilled from it."""
 
 
 class Distillation(tables.Table, frozen=True):
-    """How one network learns from the mean of several."""
+    """Distillation of one network from the mean of several."""
 
     samples: tables.Count
     spread_deg: tables.NonNegative
-    """Of the postures about those of the dataset [deg]."""
+    """Standard deviation of the postures about those of the dataset [deg]."""
     training: Settings
 
 
 class Validation(tables.Table, frozen=True):
-    """What is held out."""
+    """Rows that are held out."""
 
     fraction: Annotated[float, Meta(gt=0.0, lt=1.0)]
     random_seeds: tuple[tables.Natural, ...]
@@ -88,15 +88,15 @@ class Training(tables.Table, frozen=True):
     mirrored: bool
     """Whether mirror images are added to the rows."""
     final: bool
-    """Whether a network is trained on all rows in the end."""
+    """Whether a network is finally trained on all rows."""
     chosen_on: tuple[str, ...]
-    """Postures whose errors were looked at when these settings were chosen."""
+    """Postures whose errors were used to choose these settings."""
     network: NetworkConfig
     training: Settings
     ensemble: Ensemble
     validation: Validation
     distillation: Distillation | None = None
-    """With `ensemble.keep = "student"`."""
+    """Settings for `ensemble.keep = "student"`."""
 
     def __post_init__(self) -> None:
         if (self.ensemble.keep == "student") != (self.distillation is not None):
@@ -104,14 +104,14 @@ class Training(tables.Table, frozen=True):
 
     @property
     def epochs(self) -> int:
-        """Epochs of one part, all members and the student together."""
+        """Epochs of one part, summed over members and student."""
         return self.ensemble.members * self.training.epochs + (
             self.distillation.training.epochs if self.distillation else 0
         )
 
     @property
     def stops_early(self) -> bool:
-        """Whether rows held out choose the weights that are kept."""
+        """Whether held-out rows select the weights that are kept."""
         return self.training.patience > 0 or (self.distillation is not None and self.distillation.training.patience > 0)
 
     def start(self, robot: RobotModel, seed: int) -> Network:
@@ -133,7 +133,7 @@ class Training(tables.Table, frozen=True):
 
 
 def read(path: Path, changes: Mapping[str, Any] | None = None) -> tuple[Training, dict[str, Any]]:
-    """Read and check a file, with some keys changed; return it typed, and as a table."""
+    """Read and check a file, with some keys changed; return it as typed settings and as a table."""
     table = tables.read(path)
     for key, value in (changes or {}).items():
         set_key(table, key, value)

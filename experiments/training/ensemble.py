@@ -1,10 +1,10 @@
 """Train independent networks and calibrate their total force and moment: `jax-aero train-ensemble`.
 
-Eight small networks differ in start, inputs, widths, axisymmetric part and in the postures they saw. Each fold of whole
-postures is predicted by networks that saw none of it; the spread of the networks and a conformal factor give intervals
-for total force and total moment about the centre of mass, whose coverage is measured posture by posture with the factor
-of the other postures. The result goes to `results/training/ensemble/`; `--write DIR` puts weights, cards and
-`ensemble.json` there. A run that was stopped goes on with the same command.
+Eight small networks differ in initial weights, inputs, widths, axisymmetric part and in the postures of their training.
+Each fold of whole postures is predicted by networks trained without it. The spread of the networks and a conformal
+factor give intervals for total force and total moment about the centre of mass, whose coverage is measured for each
+posture with the factor of the other postures. The result goes to `results/training/ensemble/`; `--write DIR` writes
+weights, cards and `ensemble.json` to DIR. An interrupted run is resumed by the same command.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ BASE = places.CONFIGS / "training" / "compact.toml"
 FOLDS = 5
 COVERAGE = 0.9
 SEED = 100
-"""Of the first network."""
+"""Seed of the first network."""
 JOINT_NOISE = {"wind": 0.05, "joints": 0.02, "link_shadow": 0.03}
 
 MEMBERS: tuple[Mapping[str, Any], ...] = (
@@ -48,14 +48,14 @@ MEMBERS: tuple[Mapping[str, Any], ...] = (
     {"hidden": [96, 96, 96], "features": ["wind", "joints", "link_shadow"]},
     {"hidden": [64, 96, 64], "baseline": "none"},
 )
-"""What differs from `compact.toml`."""
+"""Differences of each network from `compact.toml`."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     parser = Parser("train-ensemble", __doc__)
     parser.add_argument("--dataset", type=Path, required=True, metavar="FILE", help="from import-cfd")
-    parser.add_argument("--epochs", type=count, default=60, metavar="N", help="of every network (default 60)")
+    parser.add_argument("--epochs", type=count, default=60, metavar="N", help="epochs of every network (default 60)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="result folder (default results/training/ensemble)")
     parser.add_argument("--overwrite", action="store_true", help="replace the result of another ensemble")
     parser.add_argument("--write", type=Path, metavar="DIR", help="write weights, cards and ensemble.json there")
@@ -71,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run(path: Path, epochs: int, folder: Path, write: Path | None, *, overwrite: bool = False) -> dict[str, Any]:
-    """Train, calibrate, write; return the manifest."""
+    """Train, calibrate and write; return the manifest."""
     started = time.perf_counter()
     robot, dataset = config.robot(), load(path).mirrored()
     trainings = [member_training(changes, epochs) for changes in MEMBERS]
@@ -137,28 +137,28 @@ def member_training(changes: Mapping[str, Any], epochs: int) -> config.Training:
 
 
 def train_member(number: int, training: config.Training, rows: Dataset) -> Network:
-    """Train one network from a start of its own."""
+    """Train one network from random initial weights."""
     seed = SEED + number
     start = training.start(config.robot(), seed)
     return fit(start, samples_of(start, config.robot(), rows), None, training.training, seed).network
 
 
 def without_one(dataset: Dataset, rows: Indices, number: int) -> Indices:
-    """Return rows without those of one posture and its mirror image, another for every number."""
+    """Return rows without those of one posture and its mirror image, which differ between numbers."""
     families = np.unique(dataset.family[rows])
     kept: Indices = rows[dataset.family[rows] != families[number % len(families)]]
     return kept
 
 
 def intervals(predicted: Floats, truth: Floats, family: Indices) -> dict[str, Any]:
-    """Return a conformal factor k, so that |error| ≤ k √(s² + s₀²) with the networks' spread s, and its coverage.
+    """Return a conformal factor k such that |error| ≤ k √(s² + s₀²) with the networks' spread s, and its coverage.
 
     Parameters
     ----------
     predicted
-        (members, N, 3), every row by networks that did not see its posture.
+        (members, N, 3), every row by networks trained without its posture.
     family
-        (N,) number of the posture, mirror images together.
+        (N,) number of the posture, equal for mirror images.
     """
     error = np.linalg.norm(predicted.mean(axis=0) - truth, axis=1)
     spread = np.sqrt(predicted.var(axis=0, ddof=1).sum(axis=1))
@@ -183,16 +183,16 @@ def intervals(predicted: Floats, truth: Floats, family: Indices) -> dict[str, An
 
 
 def link_half_width(moment: Mapping[str, float], of_links: Floats) -> float:
-    """Return h, so that draws of a network and of factors 1 ± h on its links' forces err as the networks do.
+    """Return h such that a random network with random factors 1 ± h on its links' forces has the networks' error.
 
-    Uniform, independent factors add a variance of h²/3 Σ_l |m_l|² to the total moment; rms² − s₀² is missing, with the
-    error and the spread of the networks on unseen postures.
+    Uniform, independent factors add a variance of h²/3 Σ_l |m_l|² to the total moment, which must equal rms² − s₀²,
+    from error and spread of the networks on unseen postures.
 
     Parameters
     ----------
     moment
         Error `rms` and spread `spread_rms` of the total moment [m³], of `intervals`.
-    of_links
+        Error `rms` and spread `spread_rms` of the total moment [m³], from `intervals`.
         (N, L, 3) moment volumes of the links about the centre of mass [m³].
     """
     missing = moment["rms"] ** 2 - moment["spread_rms"] ** 2
@@ -200,7 +200,7 @@ def link_half_width(moment: Mapping[str, float], of_links: Floats) -> float:
 
 
 def summarise(predicted: Any, dataset: Dataset, found: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
-    """Return the figures of a card: errors on unseen postures, and how the intervals cover them."""
+    """Return the figures of a card: errors on unseen postures, and coverage of the intervals."""
     mean = predicted.mean(axis=0) - dataset.force_area_b
     single = [float(np.mean((one - dataset.force_area_b) ** 2)) for one in predicted]
     summary = {
@@ -230,7 +230,7 @@ def write_members(
     summary: Mapping[str, float],
     source: str,
 ) -> None:
-    """Write weights and cards of networks trained on all postures but one each, and what calibrates them."""
+    """Write weights and cards of networks trained on all postures but one each, and their calibration."""
     robot = config.robot()
     everything = np.arange(len(dataset), dtype=np.int64)
     for number, training in enumerate(trainings):
@@ -266,7 +266,7 @@ def write_members(
 
 
 def to_dataset(dataset: Dataset, totals: Sequence[Any], truth: Any, digest: str) -> xr.Dataset:
-    """Label what the networks said of postures that they had not seen."""
+    """Return the predictions for unseen postures as a labelled dataset."""
     row = ("member", "row", "xyz")
     variables: dict[str, Any] = {
         "force_area": (("row", "xyz"), truth.force_area, {"units": "m2"}),

@@ -1,4 +1,4 @@
-"""One part of a training run: train on some rows, predict the held-out ones, keep both until the run is complete."""
+"""One part of a training run: train on some rows, predict the held-out ones, store both until the run is complete."""
 
 from __future__ import annotations
 
@@ -37,20 +37,20 @@ OnEpoch = Callable[[float, float | None], None]
 
 @dataclass(frozen=True)
 class Part:
-    """What one part trains on and holds out."""
+    """Rows that one part trains on and holds out."""
 
     name: str
     split: str
     """`random`, `grouped` or `final`."""
     seed: int
-    """Of the split; the network's random numbers depend on it too."""
+    """Seed of the split, which also determines the network's random numbers."""
     train: Indices
     held_out: Indices
 
 
 @dataclass(frozen=True)
 class Finished:
-    """A part that is done."""
+    """A finished part."""
 
     part: Part
     errors: Mapping[str, Any]
@@ -58,7 +58,7 @@ class Finished:
     areas: npt.NDArray[np.float32]
     """(held out, 13, 3) predictions, base axes."""
     curves: Mapping[str, list[list[float | None]]]
-    """Loss curves by name of the network: rows of epoch, training, validation."""
+    """Loss curves by name of the network, as rows of epoch, training loss, validation loss."""
 
 
 def parts(training: Training, dataset: Dataset) -> Iterator[Part]:
@@ -83,7 +83,7 @@ def parts(training: Training, dataset: Dataset) -> Iterator[Part]:
 def run(
     part: Part, training: Training, robot: RobotModel, dataset: Dataset, work: Path, on_epoch: OnEpoch
 ) -> tuple[Finished, Network]:
-    """Train one part, from where its checkpoints stand."""
+    """Train one part, resuming from its checkpoints."""
     started = time.perf_counter()
     rows, held_out = dataset.take(part.train), dataset.take(part.held_out)
     model = training.start(robot, training.seed)
@@ -140,7 +140,7 @@ def run(
 
 
 def mean_of(members: list[Network]) -> Network:
-    """Return one network whose members are those of several: their mean, as it can be flown."""
+    """Return one network with the members of several, whose output is their mean."""
     layers = tuple(
         Layer(*(np.concatenate([getattr(net.layers[i], name) for net in members]) for name in ("weight", "bias")))  # type: ignore[arg-type]  # NumPy arrays are leaves too
         for i in range(len(members[0].layers))
@@ -165,7 +165,7 @@ def _errors(robot: RobotModel, predicted: Floats, held_out: Dataset) -> dict[str
 
 
 def keep(work: Path, finished: Finished) -> None:
-    """Write a part that is done; its checkpoints are not needed any more."""
+    """Store a finished part and delete its checkpoints."""
     name, facts = finished.part.name, {"errors": finished.errors, "curves": finished.curves}
     save_checkpoint(work / f"{name}.checkpoint", Checkpoint(name, 0, finished.areas, facts))
     for path in work.glob(f"{name}-*.checkpoint"):
@@ -173,7 +173,7 @@ def keep(work: Path, finished: Finished) -> None:
 
 
 def recall(work: Path, part: Part) -> Finished | None:
-    """Return a part that an earlier call finished."""
+    """Return a part that was finished earlier, or `None`."""
     areas = np.zeros((len(part.held_out), len(LINKS), 3), np.float32)
     found = load_checkpoint(work / f"{part.name}.checkpoint", areas, part.name)
     return Finished(part, areas=np.asarray(found.state), **found.facts) if found else None

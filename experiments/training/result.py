@@ -1,4 +1,4 @@
-"""What a training run leaves behind: predictions of held-out rows, loss curves, errors, what a card says."""
+"""Result of a training run: predictions of held-out rows, loss curves, errors, facts for a card."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ OPEN_NOTE = (
 )
 OTHER_NOTE = "Trained on data that are no part of this project; `dataset` and `dataset_sha256` say which."
 NOTES = {"surrogate": SURROGATE_NOTE, "openfoam": OPEN_NOTE, COMMIT: FREESTREAM_NOTE}
-"""What a card says of its data, by a word of their provenance."""
+"""Text of a card about its data, by a word in their provenance."""
 
 
 def summarise(finished: Sequence[Finished], chosen_on: Sequence[str]) -> dict[str, Any]:
     """Return the errors of each split: mean over rows, spread over folds, and the baselines on the same rows.
 
-    Settings that were chosen by looking at some postures are judged by the others too: `elsewhere_mse`.
+    Settings that were chosen by looking at some postures are also judged on the other ones: `elsewhere_mse`.
     """
     found: dict[str, Any] = {}
     for split in ("random", "grouped"):
@@ -86,7 +86,7 @@ def summarise(finished: Sequence[Finished], chosen_on: Sequence[str]) -> dict[st
 
 
 def to_dataset(robot: RobotModel, dataset: Dataset, finished: Sequence[Finished], title: str) -> xr.Dataset:
-    """Label predictions of the first seed of each split, those of the axisymmetric model, and all loss curves."""
+    """Return predictions of the first seed of each split, those of the axisymmetric model, and all loss curves."""
     areas = dataset.force_area_b.astype(np.float32)
     axes = link_axes(robot, dataset.joint_position_deg)
     corrected = np.asarray(robot.aero_links.coefficients["corrected"])
@@ -149,7 +149,7 @@ def _unit(text: str) -> dict[str, str]:
 def card_facts(
     dataset: Dataset, errors: Mapping[str, Any], *, epochs: int, seed: int, source: str, held_out: str
 ) -> dict[str, Any]:
-    """Return what a card says about its training: nothing of this machine."""
+    """Return the facts about the training for a card, without any about this machine."""
     baselines = {split: errors[split]["baselines"] for split in errors}
     plain = {
         split: {key: value for key, value in found.items() if key not in ("baselines", "by_link")}
@@ -171,11 +171,11 @@ def card_facts(
 
 
 def check_rows(network: Network, robot: RobotModel, dataset: Dataset) -> list[dict[str, Any]]:
-    """Return a few answers of the network, by which a reader checks that it reads the weights correctly.
+    """Return some outputs of the network, with which readers check that they read the weights correctly.
 
-    The last row is made up: no posture of the data, and a wind off the grid.
+    The last row is synthetic: a posture that is not in the data, and a wind off the grid.
     """
-    # What flies are the single-precision weights; what they are compared in is double precision.
+    # Weights are in single precision, as in flight; outputs are compared in double precision.
     some = dataset.take(np.array([0, len(dataset) // 3, len(dataset) // 3]))
     joints = some.joint_position_deg.copy()
     wind = some.wind_b.copy()
