@@ -1,4 +1,4 @@
-"""Draw figures from finished flights and sweeps, as PDF and PNG; what has not been flown is named and left out."""
+"""Draw figures of finished flights and sweeps as PDF and PNG; missing results are named and their figures left out."""
 
 from __future__ import annotations
 
@@ -74,12 +74,12 @@ def _draw(name: str, given: argparse.Namespace) -> tuple[Figure, dict[str, str]]
     if name in FIGURES:
         return FIGURES[name].drawn(given.results, given.runs or ())
     sweep = sweeps.load(given.sweeps, name)
-    with plt.rc_context({"text.parse_math": False}):  # its texts are those of a file, where $ is a character
+    with plt.rc_context({"text.parse_math": False}):  # texts come from files, in which $ is an ordinary character
         return DRAWINGS[sweep.document["drawing"]](sweep), sweep.hashes
 
 
 def _file_name(name: str, chosen: Sequence[str] | None) -> str:
-    """Return the name of a figure's files: of other results than its own it is another figure, and called so."""
+    """Return the file name of a figure, with a suffix if it shows other results than its own."""
     if not chosen or tuple(chosen) == FIGURES[name].runs:
         return name
     return name + places.addition("--" + "_".join(run.replace("/", "-") for run in chosen))
@@ -96,15 +96,15 @@ def _parser() -> argparse.ArgumentParser:
         f"  {name:<18}{entry.shows}; {' '.join(entry.runs) or 'none'}" for name, entry in FIGURES.items()
     )
     parser = cli.Parser("figures", __doc__, epilog=listed)
-    named = parser.add_argument("names", nargs="*", metavar="FIGURE", help="figures or sweeps (default: all there are)")
+    named = parser.add_argument("names", nargs="*", metavar="FIGURE", help="figures or sweeps (default: all)")
     cli.completes(named, lambda: [*FIGURES, *SWEEPS, "all"])
     parser.add_argument("--index", action="store_true", help="print the page docs/paper.md: the paper, item by item")
-    parser.add_argument("--runs", nargs="+", metavar="RUN", help="which runs fill the figure, in its order")
+    parser.add_argument("--runs", nargs="+", metavar="RUN", help="runs that the figure shows, in its order")
     parser.add_argument(
-        "--results", type=Path, default=places.RESULTS / "flight", metavar="DIR", help="where flights lie"
+        "--results", type=Path, default=places.RESULTS / "flight", metavar="DIR", help="folder of flights"
     )
     parser.add_argument(
-        "--sweeps", type=Path, default=places.RESULTS / "sweeps", metavar="DIR", help="where sweeps lie"
+        "--sweeps", type=Path, default=places.RESULTS / "sweeps", metavar="DIR", help="folder of sweeps"
     )
     parser.add_argument("--out", type=Path, default=places.RESULTS / "figures", metavar="DIR", help="where figures go")
     return parser

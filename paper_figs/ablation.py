@@ -1,7 +1,7 @@
-"""One thing varied, its effect: share of flights that complete, rotation error, position error.
+"""Effect of one variable on the share of flights that complete, the rotation error and the position error.
 
-Named levels stand as dots in rows, numbers as lines. A panel's level (world, controller) has one colour and marker
-everywhere; in between, both identify it.
+Named levels are drawn as dots in rows, numbers as lines. A panel's level (world, controller) has the same colour and
+marker everywhere.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def _groups(cells: pd.DataFrame, axes: Sequence[dict[str, Any]]) -> list[tuple[s
 
 
 def spread(cells: pd.DataFrame, quantity: str) -> tuple[Any, Any, Any]:
-    """Return centre, low and high of a quantity, cell by cell."""
+    """Return centre, lower and upper end of a quantity for each cell."""
     if quantity == "completed":
         share = 100.0 * cells["completed"] / cells["flights"].clip(lower=1)
         return share, 100.0 * cells["completed_low"], 100.0 * cells["completed_high"]
@@ -113,7 +113,7 @@ def _curves(sweep: Sweep, axis: dict[str, Any], groups: list[tuple[str, pd.DataF
 
 
 def _is_geometric(values: pd.Series) -> bool:
-    """Return whether positive values span more than one would draw on a linear axis."""
+    """Return whether positive values span too wide a range for a linear axis."""
     places = np.unique(values)
     steps, positive = np.diff(places), places[places > 0.0]
     even = bool(np.allclose(steps, steps[0])) if len(steps) else True
@@ -121,7 +121,7 @@ def _is_geometric(values: pd.Series) -> bool:
 
 
 def _legend(figure: Figure, axes: Axes, title: str, groups: list[tuple[str, pd.DataFrame]]) -> None:
-    """Put the title and, below it, what the colours mean above the panels."""
+    """Draw the title above the panels and, below it, the meaning of the colours."""
     handles, labels = axes.get_legend_handles_labels() if len(groups) > 1 else ([], [])
     columns = 2 if len(groups) > 3 else len(groups)
     legend = figure.legend(handles, labels, loc="outside upper left", ncols=columns, fontsize=7, title=title)

@@ -1,4 +1,4 @@
-"""The flow around the robot by the open solver: pressure on the surface, streamlines, and fields in a plane."""
+"""Flow around the robot from the open solver: pressure on the surface, streamlines, and fields in a plane."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from paper_figs import style
 from paper_figs.runs import MissingRun
 
 VIEW = 0.9
-"""Half the height of the pictures of the plane [m]."""
+"""Half the height of the pictures in the plane [m]."""
 SCALES = {"pressure": (-1.0, 1.0, "RdBu_r"), "speed": (0.0, 1.3, "viridis"), "viscosity": (0.0, 1000.0, "magma")}
-"""Lowest and highest value, and colours."""
+"""Lowest and highest value, and colour map."""
 PIXELS = (2160, 900)
 TUBE = 0.0025
 """Radius of a streamline [m]."""
 
 
 def draw(study: xr.Dataset) -> Figure:
-    """Draw one case, the wind from the left."""
+    """Draw one case, with the wind from the left."""
     figure = plt.figure(figsize=(style.FULL_WIDTH, 6.0), layout="constrained")
     grid = figure.subplot_mosaic("AAA;bcd", height_ratios=(1.2, 1.0))
     grid["A"].imshow(picture(study))
@@ -46,7 +46,7 @@ def draw(study: xr.Dataset) -> Figure:
 
 
 def meshes(*studies: xr.Dataset) -> Figure:
-    """Draw the speed in the plane of symmetry on several meshes, the wind from the left."""
+    """Draw the speed in the plane of symmetry on several meshes, with the wind from the left."""
     size = style.FULL_WIDTH, 3.4
     figure, (row,) = plt.subplots(1, len(studies), figsize=size, layout="constrained", sharey=True, squeeze=False)
     for mark, axes, study in zip(ascii_lowercase, row, studies, strict=False):
@@ -60,13 +60,13 @@ def meshes(*studies: xr.Dataset) -> Figure:
 
 
 def _upright(wind: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotation (2, 2) that turns the plane of symmetry, (x, z) of the base, such that the wind blows to the right."""
+    """Return the rotation (2, 2) of the plane of symmetry, (x, z) of the base, that turns the wind to the right."""
     along = np.array([wind[0], wind[2]]) / np.hypot(wind[0], wind[2])
     return np.array([along, [-along[1], along[0]]])
 
 
 def _plane(axes: Axes, study: xr.Dataset, turn: NDArray[np.float64], field: str) -> ScalarMappable:
-    """One field in the plane of symmetry; the robot's parts that it cuts are grey."""
+    """Draw one field in the plane of symmetry, with the cut parts of the robot in grey."""
     x, y = turn @ study["plane_position"].values[:, [0, 2]].T
     low, high, colours = SCALES[field]
     triangles = Triangulation(x, y, study["plane_triangle"].values)
@@ -79,7 +79,7 @@ def _plane(axes: Axes, study: xr.Dataset, turn: NDArray[np.float64], field: str)
 
 
 def picture(study: xr.Dataset) -> NDArray[np.uint8]:
-    """Render the surface, coloured by pressure, and streamlines, coloured by speed, from the robot's left in front."""
+    """Render the surface, coloured by pressure, and streamlines, coloured by speed, from the robot's front left."""
     view = plotter()
     import pyvista
 
@@ -104,14 +104,14 @@ def picture(study: xr.Dataset) -> NDArray[np.uint8]:
 
 
 def plotter() -> Any:
-    """Return what renders off screen, or say what is missing."""
+    """Return an off-screen plotter; refuse if something is missing."""
     try:
         import pyvista
     except ModuleNotFoundError as missing:
         raise MissingRun(f"it needs the package `{missing.name}`: pip install 'jax-aero[flow]'") from None
-    with pyvista.vtk_verbosity("error"):  # it warns of each kind of window that is not to be had
+    with pyvista.vtk_verbosity("error"):  # VTK warns of every unavailable kind of window
         found = pyvista.Plotter(off_screen=True, window_size=PIXELS, lighting="three lights")
-    # The window that VTK tries last: without its library it would end the process.
+    # The last kind that VTK tries; without its library it would end the process.
     if found.render_window.GetClassName() == "vtkOSOpenGLRenderWindow" and find_library("OSMesa") is None:
         raise MissingRun(
             "there is no off-screen OpenGL; install EGL or OSMesa, e.g. the Debian packages `libegl1 libgl1-mesa-dri` "

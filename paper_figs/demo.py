@@ -1,4 +1,4 @@
-"""What aerodynamic feedback is for: three controllers, with corrected and with published lever arms."""
+"""The use of aerodynamic feedback: three controllers, with corrected and with published lever arms."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def draw(*runs: Run) -> Figure:
     for row, columns in ((0, 1), (2, 2), (5, 3)):
         style.legend(grid[row, 0], ncols=columns)
     for axes in grid[:2, 0]:
-        axes.set_ylim(bottom=0.0)  # last, and shared along the row: it ends autoscaling
+        axes.set_ylim(bottom=0.0)  # last, since it disables autoscaling, for the whole row
     grid[0, 0].set_xlim(0.0, max(float(run.data["time"][-1]) for run in runs))
     return figure
 

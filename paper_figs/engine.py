@@ -1,4 +1,4 @@
-"""An engine identified from one log of a test bench, on another log: throttle, thrust, and what is left of both."""
+"""An engine identified from one log of a test bench, on another log: throttle, thrust, and errors."""
 
 from __future__ import annotations
 

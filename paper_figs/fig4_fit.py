@@ -1,4 +1,4 @@
-"""Fig. 4 d and e: the axisymmetric model over the simulations it was fitted to, and what was fitted."""
+"""Fig. 4 d and e: the axisymmetric model over the simulations it was fitted to, and the coefficients."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NORMAL = r"$C_N A$ [m$^2$]"
 
 
 def draw(study: xr.Dataset) -> Figure:
-    """Draw the lower leg as the paper does; below it the head's misprint and the chest's sign."""
+    """Draw the lower leg as in the paper; below it the head's misprint and the chest's sign."""
     figure, grid = plt.subplots(2, 2, figsize=(style.FULL_WIDTH, 5.6), layout="constrained")
     drag_of_leg, normal_of_leg, drag_of_head, normal_of_chest = grid.ravel()
     _drag(drag_of_leg, study, ["l_lower_leg", "r_lower_leg"], {"published": style.VERMILION, "refit": style.BLUE})
@@ -46,7 +46,7 @@ def _drag(axes: Axes, study: xr.Dataset, links: list[str], variants: dict[str, s
         w = study["coefficients"].sel(variant=variant, link=links[0]).values
         curve = w[0] + w[1] * c + w[2] * s**2 + w[3] * s**3 + w[4] * c**3
         dash = {"published": "--", "corrected": ":"}.get(variant, "-")
-        # The printed curves on top: where they agree, both are seen.
+        # The printed curves are drawn on top, so that both are visible where they agree.
         order = 3 if variant == "refit" else 4
         axes.plot(np.degrees(alpha), curve, dash, color=colour, linewidth=1.5, label=variant, zorder=order)
     axes.set_ylabel(DRAG)
@@ -75,7 +75,7 @@ def _normal(axes: Axes, study: xr.Dataset, links: list[str]) -> None:
 
 def _points(axes: Axes, study: xr.Dataset, links: list[str], name: str, colour: str, label: str) -> None:
     chosen = study.sel(link=links)
-    # Thousands of points: a picture inside the PDF, not thousands of paths.
+    # Thousands of points, rasterised inside the PDF.
     axes.plot(
         chosen["angle_of_attack"].values.ravel(),
         chosen[name].values.ravel(),

@@ -1,6 +1,6 @@
-"""Fig. 4 a-c: the head's drag area over the local angle of attack, as computed, as predicted, and the error.
+"""Fig. 4 a-c: drag area of the head over the local angle of attack, as computed, as predicted, and the error.
 
-Above, rows drawn at random are predicted, as in the paper; below, whole postures that no training row shares.
+The upper row predicts randomly held-out rows, as in the paper; the lower row whole postures without a training row.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from paper_figs import style
 LINK = "head"
 SPLITS = (("random", "random rows held out"), ("grouped", "whole postures held out"))
 LIMIT = 0.01
-"""Of the errors shown [m²]; what lies beyond is drawn at the edge."""
+"""Limit of the errors shown [m²]; larger ones are drawn at the edge."""
 
 Values = npt.NDArray[np.float64]
 
@@ -45,7 +45,7 @@ def draw(study: xr.Dataset) -> Figure:
         middle.sharey(left)
         for axes in (middle, right):
             style.legend_above(axes, columns=2)
-            for handle in axes.get_legend().legend_handles:  # dots of a cloud are too small for a legend
+            for handle in axes.get_legend().legend_handles:  # the dots of the data are too small for a legend
                 handle.set(alpha=1.0, markersize=5.0)
     for axes, title in zip(grid[0], ("data", "prediction", "error [$10^{-3}$ m$^2$]"), strict=True):
         axes.set_title(title, pad=16)
@@ -57,7 +57,7 @@ def draw(study: xr.Dataset) -> Figure:
 
 
 def _drag(study: xr.Dataset, name: str) -> Values:
-    """Return the part along the wind [m²]."""
+    """Return the component along the wind [m²]."""
     return np.asarray((study[name] * study["wind"]).sum("xyz", skipna=False), dtype=np.float64)
 
 

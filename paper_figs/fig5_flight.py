@@ -3,7 +3,7 @@
 b  smoothed CoM reference    c  wind
 d, g  joint errors by group    e, h  total aerodynamic force    f, i  thrusts
 
-Panel a of the paper is a snapshot of a viewer; it is not drawn here.
+Panel a of the paper is a picture of a viewer; `fig5a` draws it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from paper_figs.runs import Run
 
 
 def draw(first: Run, second: Run) -> Figure:
-    """Draw the figure from two runs: the first fills d to f, the second g to i."""
+    """Draw the figure from two runs: the first in panels d to f, the second in g to i."""
     figure = plt.figure(figsize=(style.FULL_WIDTH, 7.4), layout="constrained")
     top, upper, lower = figure.subfigures(3, 1, height_ratios=(1.0, 1.15, 1.22), squeeze=False)[:, 0]
 

@@ -1,7 +1,7 @@
-"""Fig. 6: the ground experiments, a to f in frontal and g to l in a lateral measured wind that does not blow.
+"""Fig. 6: the ground experiments, a to f in a frontal and g to l in a lateral measured wind; the true wind is zero.
 
-a, g  wind    b, h  total aerodynamic force the controller assumes    c, i  CoM error
-d, j  joints of the left leg    e, k  their torques as commanded    f, l  as they reach the joints
+a, g  wind    b, h  total aerodynamic force assumed by the controller    c, i  CoM error
+d, j  joints of the left leg    e, k  their commanded torques    f, l  torques on the joints
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ LEG = (
     ("ankle_pitch", style.ORANGE, "-"),
     ("ankle_roll", style.BLUE, "-"),
 )
-"""Joints of a leg, how they are drawn."""
+"""Joints of a leg, with colours and dashes."""
 
 
 def draw(*runs: Run) -> Figure:
-    """Draw the figure from two runs: the first fills a to f, the second g to l."""
+    """Draw the figure from two runs: the first in panels a to f, the second in g to l."""
     figure = plt.figure(figsize=(style.FULL_WIDTH, 8.6), layout="constrained")
     parts = figure.subfigures(2, 1, squeeze=False)[:, 0]
     for part, run, letters in zip(parts, runs, ("abcdef", "ghijkl"), strict=True):

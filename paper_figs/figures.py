@@ -1,4 +1,4 @@
-"""Figures of single flights, studies and tables, and what each of them shows."""
+"""Figures of single flights, studies and tables, with the results they show."""
 
 from __future__ import annotations
 
@@ -39,27 +39,27 @@ from paper_figs import (
 
 @dataclass(frozen=True)
 class Entry:
-    """A figure: what draws it, what it shows, and of which results."""
+    """A figure: its drawing function and the results it shows."""
 
     draw: Callable[..., Figure]
-    """Takes the results one after another: a `Run` each of flights, a dataset each of studies; or else the tables."""
+    """Function of the results in order, a `Run` for each flight or a dataset for each study; or else of the tables."""
     shows: str
     kind: str = ""
-    """Of the results: "flight", or a kind of study; empty without."""
+    """Kind of the results: "flight" or a kind of study; empty without results."""
     runs: tuple[str, ...] = ()
-    """Names of the results that are shown unless others are asked for."""
+    """Names of the results that are shown by default."""
     tables: tuple[str, ...] = ()
-    """Files of `configs/tables` that are shown where there are no results."""
+    """Files of `configs/tables` that are shown if there are no results."""
 
     @property
     def command(self) -> str:
-        """Return what makes the results; empty where committed tables are shown."""
+        """Return the command that makes the results; empty if committed tables are shown."""
         if self.kind == "flight":
             return f"python -m experiments {' '.join(self.runs)}"
         return "; ".join(studies.command(self.kind, name) for name in self.runs)
 
     def drawn(self, results: Path, names: Sequence[str] = ()) -> tuple[Figure, dict[str, str]]:
-        """Return the figure, and the hash of every result or table it shows."""
+        """Return the figure, and the hash of every result or table that it shows."""
         try:
             return self._drawn(results, names or self.runs)
         except KeyError as missing:
@@ -162,4 +162,4 @@ FIGURES: Mapping[str, Entry] = {
 """Figures of single flights, studies and tables."""
 
 SWEEPS: Sequence[str] = places.names("sweeps")
-"""Sweeps that `all` expects; others are drawn too where their results are."""
+"""Sweeps that `all` expects; others are also drawn if their results exist."""

@@ -1,4 +1,4 @@
-"""What the paper's controller neglects: the rate of the aerodynamic forces, beside what it models, along a flight."""
+"""Rate of the aerodynamic forces along a flight, which the paper's controller neglects, beside the terms it models."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NEGLECTED = (
 
 
 def draw(study: xr.Dataset) -> Figure:
-    """Draw sizes of known and neglected parts above, the neglected ones by cause below."""
+    """Draw magnitudes of modelled and neglected terms above, the neglected ones by cause below."""
     data = study.sel(time=slice(study.attrs["settling_time"], None))
     figure, grid = plt.subplots(2, 2, figsize=(style.FULL_WIDTH, 4.6), layout="constrained", sharex=True)
     for column, (rows, title, unit) in enumerate(

@@ -14,7 +14,7 @@ MODELS = (("file", "of the file", style.VERMILION), ("identified", "identified",
 
 
 def draw(study: xr.Dataset) -> Figure:
-    """Draw the descent, the drag areas at 90° before and after, and the error in a flight that was not used."""
+    """Draw the descent, drag areas at 90° before and after, and errors in the validation flight."""
     figure, grid = plt.subplots(2, 2, figsize=(style.FULL_WIDTH, 4.6), layout="constrained")
     _descent(grid[0, 0], study)
     _areas(grid[0, 1], study)
@@ -41,7 +41,7 @@ def _descent(axes: Axes, study: xr.Dataset) -> None:
 
 
 def _areas(axes: Axes, study: xr.Dataset) -> None:
-    """Draw drag areas at an angle of attack of 90°, where `C_D A = w₀ + w₂ + w₃`, over the true ones."""
+    """Draw drag areas at an angle of attack of 90°, `C_D A = w₀ + w₂ + w₃`, relative to the true ones."""
     drag = {
         name: study[f"areas_{name}"].isel(coefficient=[0, 2, 3]).sum("coefficient")
         for name in ("file", "true", "identified")

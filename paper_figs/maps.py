@@ -1,4 +1,4 @@
-"""Two things varied: a map of the share of completed flights, and one of the worst errors, per panel."""
+"""Effect of two variables: maps of the share of completed flights and of the largest errors, per panel."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ROWS = (
     ("rotation_error_deg_worst", "worst rotation error [deg]", "cividis_r", 90.0),
     ("com_error_cm_worst", "worst CoM error [cm]", "cividis_r", 100.0),
 )
-"""Column of the cells, its title, colours, and the value at which they end."""
+"""Column of the cells, its title, colour map, and greatest value of the colours."""
 
 
 def draw(sweep: Sweep) -> Figure:
@@ -68,7 +68,7 @@ def _map(
         completed=100.0 * cells["completed"] / cells["flights"].clip(lower=1),
         com_error_cm_worst=100.0 * cells["com_error_worst"],
     )
-    # Not `pivot_table`, which drops a level that has no number anywhere and so moves the others.
+    # Not `pivot_table`, which drops a level without numbers and thereby shifts the others.
     values = table.pivot(index=names[0], columns=names[1], values=quantity)
     norm = Normalize(0.0, most)
     image = axes.imshow(values, cmap=colours, norm=norm, aspect="auto", origin="lower")
@@ -78,7 +78,7 @@ def _map(
     for y, x in np.ndindex(values.shape):
         value = float(values.iloc[y, x])
         shade = norm(min(value, most)) if colours == "cividis" else 1.0 - norm(min(value, most))
-        # Behind a fall numbers lose their meaning.
+        # Values after a fall are not meaningful.
         text = "–" if np.isnan(value) else f">{most:g}" if value > most else f"{value:.0f}"
         axes.text(x, y, text, ha="center", va="center", fontsize=5.8, color="white" if shade < 0.55 else "black")
     return image

@@ -1,4 +1,4 @@
-"""Every model in the simulator against every model in the controller: how many winds it flies, and how far it leans."""
+"""Every model in the simulator against every model in the controller: winds flown in balance, and rotation error."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from paper_figs import style
 from paper_figs.sweeps import Sweep
 
 BALANCED = 45.0
-"""A flight that completes counts as balanced up to this rotation error [deg]."""
+"""Greatest rotation error of a completed flight that counts as balanced [deg]."""
 
 
 def draw(sweep: Sweep) -> Figure:

@@ -1,4 +1,4 @@
-"""The greatest moment per angle that the robot holds, against the gain of the observer: predicted and flown."""
+"""Greatest moment per angle that the robot holds against the gain of the observer, predicted and flown."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ COLOURS = {"roll": style.VERMILION, "yaw": style.BLUE}
 
 
 def draw(study: xr.Dataset) -> Figure:
-    """Draw a line for the linearised loop and dots for flights, by axis."""
+    """Draw a line for the linearised loop and dots for flights, for each axis."""
     figure, axes = plt.subplots(figsize=(0.6 * style.FULL_WIDTH, 2.8), layout="constrained")
     for axis in study["axis"].values:
         colour = COLOURS[str(axis)]

@@ -1,4 +1,4 @@
-"""Panels several figures share: one function draws one panel into the axes it is given."""
+"""Panels used by several figures; each function draws one panel into the given axes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from paper_figs import style
 from paper_figs.runs import Run, Series
 
 SIDES = {"l": "left", "r": "right"}
-SILENT = ("jet", "turbine")  # words a legend of jets need not repeat
+SILENT = ("jet", "turbine")  # words left out in legends of jets
 
 
 Panel = Callable[[Axes, Run], None]
@@ -45,7 +45,7 @@ def joint_errors(axes: Axes, run: Run) -> None:
 
 
 def aero_force(axes: Axes, run: Run, *, control: bool) -> None:
-    """Draw the sum of aerodynamic forces over the links; with `control`, also what the controller assumes."""
+    """Draw the sum of aerodynamic forces over the links; with `control`, also the one that the controller assumes."""
     label = "aerodynamic force [N]"
     components(axes, run.flown["aero_force_sim"].sum("link"), label)
     if control:
@@ -60,7 +60,7 @@ def aero_force_difference(axes: Axes, run: Run) -> None:
 
 
 def aero_force_key() -> list[Line2D]:
-    """Return legend entries: axes by colour, models by dash, in columns of two."""
+    """Return legend entries, in columns of two: axes by colour, models by dash."""
     x, y, z = (Line2D([], [], color=colour, label=axis) for axis, colour in style.AXES_COLOURS.items())
     simulator = Line2D([], [], color=style.GREY, label="simulator")
     controller = Line2D([], [], color=style.GREY, label="controller", linestyle="--")
@@ -77,7 +77,7 @@ def thrusts(axes: Axes, run: Run) -> None:
 
 
 def row(figure: FigureBase, run: Run, letters: str, *, control: bool = False, last: Panel = thrusts) -> None:
-    """Draw joint errors, total force and a last panel beside each other; the last ones have the letters."""
+    """Draw joint errors, total force and a last panel side by side; the panels have the given letters."""
     title(figure, run)
     errors, force, third = panels = figure.subplots(1, 3)
     joint_errors(errors, run)

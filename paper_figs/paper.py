@@ -1,7 +1,7 @@
-"""Everything the paper shows, item by item: `python -m paper_figs --index` prints the page `docs/paper.md`.
+"""All items of the paper: `python -m paper_figs --index` prints the page `docs/paper.md`.
 
-`SECTIONS` is the one table of what there is, but for sweeps of ours, which their files name. What we measured, and the
-verdict, come from the typed tables of tunnel and CFD and from `docs/claims.json`, which
+`SECTIONS` is the only table of items, except our sweeps, which their files name. Measurements and verdicts come from
+the tables of tunnel and CFD and from `docs/claims.json`, which
 `python -m experiments report --claims docs/claims.json` writes from results.
 """
 
@@ -25,22 +25,22 @@ HEADINGS = ("item", "ours", "command", "paper", "measured", "verdict")
 
 @dataclass(frozen=True)
 class Item:
-    """One item of the paper, or one of ours beyond it."""
+    """One item of the paper, or one of this project beyond it."""
 
     name: str
     shows: str
     figure: str = ""
-    """A figure or sweep of `paper_figs`."""
+    """Name of a figure or sweep of `paper_figs`."""
     links: tuple[str, ...] = ()
     """Pages of `docs`, and files of the repository."""
     claims: tuple[str, ...] = ()
     """Keys of `docs/claims.json`."""
     tunnel: Callable[[], Sequence[tunnel.Claim]] | None = None
-    """Figures from the typed tables of tunnel and CFD."""
+    """Figures from the tables of tunnel and CFD."""
     verdict: str = ""
-    """Where there is no figure to compare: the verdict as we see it."""
+    """Our verdict, if there is no figure to compare."""
     command: str = ""
-    """What makes it, where that is not `python -m paper_figs FIGURE`."""
+    """Command that makes it, if not `python -m paper_figs FIGURE`."""
 
 
 def _tunnel(claims: Callable[..., list[tunnel.Claim]], *, with_cfd: bool) -> Callable[[], list[tunnel.Claim]]:
@@ -283,7 +283,7 @@ SECTIONS: Mapping[str, Sequence[Item]] = {
     "Supplement": SUPPLEMENT,
     "Beyond the paper": BEYOND,
 }
-"""What is typed here; `sections` has the rest."""
+"""Items written here; `sections` adds the others."""
 
 TABLES = {
     "The robot": ("robot", "Aerodynamic links, for Fig. 1 and Suppl. Fig. 6: `configs/robot/ironcub_mk1.toml`."),
@@ -294,7 +294,7 @@ TABLES = {
 
 
 def sections(claims: Mapping[str, Any]) -> dict[str, Sequence[Item]]:
-    """Return all items by section: to those typed here come sweeps, by their own titles, and our claims of them."""
+    """Return all items by section: those written here, sweeps by their own titles, and our claims about them."""
     shown = {item.figure for items in SECTIONS.values() for item in items}
     swept = []
     for name in SWEEPS:
@@ -306,7 +306,7 @@ def sections(claims: Mapping[str, Any]) -> dict[str, Sequence[Item]]:
 
 
 def page() -> str:
-    """Return the page."""
+    """Return the page as Markdown."""
     record = json.loads(CLAIMS.read_text(encoding="utf-8"))
     about = (
         "This page compares every figure, table, equation and claim of the paper with what we measured. A verdict is "
@@ -327,7 +327,7 @@ def page() -> str:
 
 
 def command_of(item: Item, claims: Mapping[str, Any]) -> str:
-    """Return what makes an item: its results first, then the figure."""
+    """Return the commands that make an item: its results first, then the figure."""
     if item.command:
         return item.command
     made = [word for key in item.claims for word in claims[key]["command"].split("; ")]
@@ -344,7 +344,7 @@ def _rows(item: Item, claims: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
     command = "; ".join(f"`{word}`" for word in command_of(item, claims).split("; ") if word)
     found = [(claims[key]["claim"], claims[key]["measured"], claims[key]["verdict"]) for key in item.claims]
     if item.tunnel:
-        # A claim of which the paper says nothing has no verdict.
+        # A claim that the paper does not make has no verdict.
         found += [(f"{c.what}: {c.paper}", f"{100 * c.value:.1f} %", c.verdict) for c in item.tunnel() if c.verdict]
     for number, (paper, measured, verdict) in enumerate(found or [("", "", item.verdict)]):
         first = (f"{item.name}: {item.shows}", ours, command) if number == 0 else ("", "", "")

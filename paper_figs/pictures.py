@@ -1,4 +1,4 @@
-"""Rendered pictures: Fig. 5 a and the postures, and the set-up in the wind tunnel as a drawing."""
+"""Rendered pictures: Fig. 5 a and the postures; and a drawing of the set-up in the wind tunnel."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from paper_figs import style
 
 COLUMNS = 8
 WIDTH, HEIGHT = 4.0, 3.84
-"""Of the test section [m]. Source: paper, Methods."""
+"""Width and height of the test section [m]. Source: paper, Methods."""
 CENTRE = 1.9
 """Height of the robot's base above the ground in the drawing [m]; the real one is not public."""
 LEAN, TURN = 45.0, 40.0
-"""Angle of attack and sideslip that are drawn [deg]."""
+"""Angle of attack and sideslip in the drawing [deg]."""
 
 Array = npt.NDArray[np.float64]
 
 
 def flight(study: xr.Dataset) -> Figure:
-    """Show the flight: forces and wind as arrows, exhausts as cones, the set-point of the CoM as a cross."""
+    """Show the flight: forces and wind as arrows, exhausts as cones, set-point of the CoM as a cross."""
     picture = study["flight"].values
     figure, axes = plt.subplots(figsize=(4.8, 4.8 * picture.shape[0] / picture.shape[1]), layout="constrained")
     axes.imshow(picture)
@@ -34,7 +34,7 @@ def flight(study: xr.Dataset) -> Figure:
 
 
 def postures(study: xr.Dataset) -> Figure:
-    """Show every posture by its name."""
+    """Show every posture with its name."""
     labels = study["posture"].values.tolist()
     rows = -(-len(labels) // COLUMNS)
     figure, grid = plt.subplots(rows, COLUMNS, figsize=(style.FULL_WIDTH, 1.45 * rows), layout="constrained")
@@ -69,7 +69,7 @@ def setup(study: xr.Dataset) -> Figure:
 
 
 def _turned(spans: Array, lean_deg: float, turn_deg: float) -> Array:
-    """Turn points from base to tunnel axes: first about y by α − 90°, then about z by β; the wind blows along +x."""
+    """Rotate points from base to tunnel axes, about y by α − 90°, then about z by β; the wind blows along +x."""
     pitch, yaw = np.radians(lean_deg - 90.0), np.radians(turn_deg)
     about_y = np.array([[np.cos(pitch), 0.0, np.sin(pitch)], [0.0, 1.0, 0.0], [-np.sin(pitch), 0.0, np.cos(pitch)]])
     about_z = np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])

@@ -1,4 +1,4 @@
-"""Result folders as the figures see them: read, never written."""
+"""Result folders of flights, read for figures; never written."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ Series = xr.DataArray
 
 
 class NotDrawn(Exception):
-    """A figure cannot be drawn; the message says why, and what to do."""
+    """A figure cannot be drawn; the message states the reason and the remedy."""
 
 
 class MissingRun(NotDrawn):
-    """A figure lacks a flight, or a package, that it is drawn with; the message says which, and how to get it."""
+    """A figure lacks a flight or a package; the message names it and how to get it."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """One flight, up to its end or its loss."""
+    """One flight, up to its end or loss."""
 
     name: str
     data: xr.Dataset
 
     @property
     def title(self) -> str:
-        """Return what the run calls itself in the paper's words."""
+        """Return the title of the run, in the paper's terms."""
         return as_written(self.data.attrs["title"])
 
     @property
     def config_hash(self) -> str:
-        """Return the digest of the configuration that was flown."""
+        """Return the digest of the flown configuration."""
         return str(self.data.attrs["config_hash"])
 
     @property
@@ -47,12 +47,12 @@ class Run:
 
     @property
     def ending(self) -> str:
-        """Return how the flight was lost, and when: "fell at 21.4 s"."""
+        """Return the outcome in words: "fell at 21.4 s"."""
         return f"{self.data.attrs['outcome']} at {self.lost_time:.1f} s"
 
     @cached_property
     def flown(self) -> xr.Dataset:
-        """Return the log up to its loss: behind it numbers lose their meaning, and their bounds."""
+        """Return the log up to its loss, after which values are not meaningful and may be unbounded."""
         return self.data if self.lost_time is None else self.data.sel(time=slice(None, self.lost_time))
 
     def joint_error_deg(self) -> Series:
@@ -76,12 +76,12 @@ class Run:
 
 
 def as_written(text: object) -> str:
-    """Return a text of a file so that Matplotlib writes `$` as it is, and does not read mathematics between two."""
+    """Escape `$` in a text, so that Matplotlib does not interpret it as mathematics."""
     return str(text).replace("$", r"\$")
 
 
 def load(results: Path, name: str) -> Run:
-    """Read the run of one name."""
+    """Read the run of this name."""
     path = results / name / "run.nc"
     if not path.is_file():
         elsewhere = "" if results.resolve() == (RESULTS / "flight").resolve() else f" --out {results}"
@@ -92,14 +92,14 @@ def load(results: Path, name: str) -> Run:
 
 
 def as_typed(name: str, options: str = "") -> str:
-    """Return the words that make a result: `test2--wind.seed=3` is `test2` with something set."""
+    """Return the command line words that make a result: `test2--wind.seed=3` is `test2` with an override."""
     stem, changed, _ = name.partition("--")
     return f"{stem}{options}" + (" --set ... (the changes in its name)" if changed else "")
 
 
 def read(path: Path) -> xr.Dataset:
-    """Read a result file; what is damaged counts as missing."""
+    """Read a result file; a damaged one counts as missing."""
     try:
         return xr.load_dataset(path, engine="h5netcdf")
-    except Exception as reason:  # HDF5 fails in many ways on a damaged file
+    except Exception as reason:  # HDF5 raises many types for damaged files
         raise MissingRun(f"{path} is damaged ({reason}); remove its folder and make it again") from reason

@@ -1,4 +1,4 @@
-"""Many things varied at once: which of them an error goes with, and how often flights complete along each."""
+"""Effect of many variables at once: rank correlations with an error, and completed flights along each variable."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ def draw(sweep: Sweep) -> Figure:
 
 
 def correlations(sweep: Sweep, flights: pd.DataFrame, quantity: str) -> dict[str, float]:
-    """Return Spearman's rank correlation of a quantity with the size of every input's departure from its middle.
+    """Return Spearman's rank correlation of a quantity with the distance of every input from its middle.
 
-    A bias hurts to both sides, so inputs whose middle is nominal count by their distance from it. Flights without the
-    quantity, since they were lost before it counts, are left out.
+    A bias has effects of either sign, so inputs with a nominal middle count by their distance from it. Flights without
+    the quantity, since they were lost before, are left out.
     """
     found = {}
     known = flights[quantity].notna()

@@ -1,4 +1,4 @@
-"""Results of studies as the figures see them: folders beside that of the flights, read and never written."""
+"""Results of studies, read for figures from folders beside that of the flights; never written."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from paper_figs.runs import MissingRun, as_typed, read
 
 
 def load(results: Path, kind: str, name: str) -> xr.Dataset:
-    """Read the study of a kind, with its name as an attribute; `results` is the folder of flights beside it."""
+    """Read a study of a kind, with its name as an attribute; `results` is the folder of flights beside it."""
     path = results.parent / kind / name / "run.nc"
     if not path.is_file():
         raise MissingRun(f"no study `{name}` in {path.parents[1]}; make it with: {command(kind, name)}")
@@ -18,7 +18,7 @@ def load(results: Path, kind: str, name: str) -> xr.Dataset:
 
 
 def command(kind: str, name: str) -> str:
-    """Return what makes the study of a kind."""
+    """Return the command that makes a study."""
     word = "train" if kind == "training" else kind.replace("_", "-")
     options = {"training": " --dataset FILE", "trim": " --map"}.get(kind, "")
     return f"python -m experiments {word} {as_typed(name, options)}"

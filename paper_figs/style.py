@@ -1,7 +1,7 @@
-"""How every figure looks, and how it is saved.
+"""Appearance of all figures, and saving.
 
-The colours are those Okabe and Ito chose to stay distinct for colour-blind readers; line styles
-repeat the distinction where lines cross or the page is printed grey.
+The colours are from the palette of Okabe and Ito, which colour-blind readers can distinguish; line styles repeat the
+distinction where lines cross or the page is printed in grey.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ SETTINGS: dict[str, Any] = {
     "legend.edgecolor": "none",
     "legend.handlelength": 1.6,
     "lines.linewidth": 1.1,
-    "pdf.fonttype": 42,  # embed outlines that stay editable text
+    "pdf.fonttype": 42,  # embed fonts, so that text remains editable
     "savefig.dpi": 200,
     "xtick.labelsize": 7.5,
     "ytick.labelsize": 7.5,
@@ -61,18 +61,18 @@ SETTINGS: dict[str, Any] = {
 
 
 def use() -> None:
-    """Make every figure from here on follow this file, drawn to files only."""
+    """Apply this style to all following figures, drawn to files only."""
     mpl.use("agg")
     mpl.style.use(SETTINGS)
 
 
 def letter(axes: Axes, text: str) -> None:
-    """Put a bold panel letter above the left corner of the axes."""
+    """Draw a bold panel letter above the left corner of the axes."""
     axes.text(-0.08, 1.04, text, transform=axes.transAxes, fontweight="bold", fontsize=10, ha="right", va="bottom")
 
 
 def letters(panels: Iterable[Axes], marks: str = ascii_lowercase) -> None:
-    """Put panel letters above panels, one after another."""
+    """Draw consecutive letters above the panels."""
     for axes, mark in zip(panels, marks, strict=False):
         letter(axes, mark)
 
@@ -109,7 +109,7 @@ def legend_above(axes: Axes, columns: int, handles: Sequence[Artist] | None = No
 
 
 def mark_fall(axes: Axes, time: float, label: str | None = None) -> None:
-    """Draw the moment of a fall as a vertical line with a cross at its foot."""
+    """Draw the time of a fall as a vertical line with a cross at its foot."""
     axes.axvline(time, color=GREY, linewidth=0.9, linestyle=":")
     axes.plot(time, 0.0, "X", color=VERMILION, markersize=6, transform=axes.get_xaxis_transform(), clip_on=False)
     if label:
@@ -126,11 +126,11 @@ def mark_fall(axes: Axes, time: float, label: str | None = None) -> None:
 
 
 def save(figure: Figure, name: str, out: Path, hashes: Mapping[str, str]) -> list[Path]:
-    """Write NAME.pdf and NAME.png, carrying the configuration hash of every run shown."""
+    """Write NAME.pdf and NAME.png with the configuration hash of every run shown."""
     out.mkdir(parents=True, exist_ok=True)
     runs = "; ".join(f"{run} config {digest}" for run, digest in hashes.items())
     paths = [out / f"{name}.pdf", out / f"{name}.png"]
-    # No dates: the same results give the same bytes.
+    # Without dates, so that equal results give equal bytes.
     figure.savefig(paths[0], metadata={"Title": name, "Subject": runs, "CreationDate": None, "ModDate": None})
     figure.savefig(paths[1], metadata={"Title": name, "Description": runs})
     return paths

@@ -1,4 +1,4 @@
-"""Supplementary Fig. 7: joint errors, total force and thrusts of the tests, and how far two models are apart.
+"""Supplementary Fig. 7: joint errors, total force and thrusts of the tests, and the difference of two models.
 
 a–c TEST1    d–f TEST2    g–i TEST3    j robustness: simulator's minus controller's total force
 """
@@ -13,7 +13,7 @@ from paper_figs.runs import Run
 
 
 def draw(*runs: Run) -> Figure:
-    """Draw the figure from four runs: the first fills a to c, the second d to f, the third g to i, the fourth j."""
+    """Draw the figure from four runs, in panels a to c, d to f, g to i, and j."""
     figure = plt.figure(figsize=(style.FULL_WIDTH, 9.6), layout="constrained")
     *tests, lower = figure.subfigures(4, 1, squeeze=False)[:, 0]
     for part, run, letters in zip(tests, runs[:3], ("abc", "def", "ghi"), strict=True):

@@ -1,4 +1,4 @@
-"""The panel model beside the wind tunnel: drag and lift of two postures it has not seen, and its error everywhere."""
+"""The panel model and the wind tunnel: drag and lift of two postures not used in its fit, and errors of all."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sweep folders as the figures see them: cells with their counts and intervals; read, never written."""
+"""Sweep folders, read for figures: cells with counts and intervals; never written."""
 
 from __future__ import annotations
 
@@ -38,17 +38,17 @@ class Sweep:
 
     @property
     def hashes(self) -> dict[str, str]:
-        """Return the hash that a figure carries."""
+        """Return the hash stored in a figure."""
         return {f"sweep {self.name}": str(self.document["config_hash"])}
 
     @property
     def axes(self) -> list[dict[str, Any]]:
-        """Return name, label, unit and levels of what varies within a panel."""
+        """Return name, label, unit and levels of the variables within a panel."""
         return [axis for axis in self.document["axes"] if axis["name"] != self.document["panels"]]
 
     @property
     def panel_axis(self) -> dict[str, Any] | None:
-        """Return the axis whose levels are panels or lines, if there is one."""
+        """Return the axis whose levels are panels or lines, or `None`."""
         panels = self.document["panels"]
         return next((axis for axis in self.document["axes"] if axis["name"] == panels), None)
 
@@ -57,7 +57,7 @@ class Sweep:
         return bool(pd.api.types.is_float_dtype(self.cells[axis["name"]]))
 
     def require(self, suits: bool, expected: str) -> None:
-        """Refuse to draw a sweep whose axes do not suit its drawing."""
+        """Refuse to draw a sweep with unsuitable axes."""
         if not suits:
             names = ", ".join(axis["name"] for axis in self.document["axes"])
             panels = f" and panels {self.document['panels']}" if self.document["panels"] else ""
@@ -67,7 +67,7 @@ class Sweep:
             )
 
     def footnote(self) -> str:
-        """Return how many flights stand behind a point, and how they differ."""
+        """Return the number of flights per point, and how they differ."""
         n = self.document["repeats"]
         perturbed = any(self.document["perturbation"].values())
         each = "one flight each" if n == 1 else f"{n} flights each"
@@ -81,7 +81,7 @@ def is_finished(folder: Path) -> bool:
 
 
 def load(results: Path, name: str) -> Sweep:
-    """Read the sweep of one name."""
+    """Read the sweep of this name."""
     folder = results / name
     if not is_finished(folder):
         raise MissingRun(f"no finished sweep `{name}`; fly it with: python -m experiments sweep {name}")
@@ -95,7 +95,7 @@ def load(results: Path, name: str) -> Sweep:
 def _read(path: Path) -> pd.DataFrame:
     try:
         return pd.read_parquet(path)
-    except Exception as reason:  # whatever the reader says about a damaged file
+    except Exception as reason:  # the readers raise many types for damaged files
         raise MissingRun(f"{path} is damaged ({reason}); --overwrite flies it again") from reason
 
 

@@ -1,4 +1,4 @@
-"""Take-off and landing: height, load of jets and feet, attitude, along one flight from standing to standing."""
+"""Take-off and landing: height, load of jets and feet, and attitude in a flight that starts and ends on the ground."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def draw(run: Run) -> Figure:
     load_.plot(time, jets, color=style.VERMILION, label="sum of thrusts")
     load_.plot(time, feet, color=style.GREEN, label="vertical force of the feet", linewidth=0.9)
     load_.set_ylabel("load [N]")
-    load_.set_ylim(0.0, 1.3 * float(jets.max()))  # the impact of the landing is a spike of a tick
+    load_.set_ylim(0.0, 1.3 * float(jets.max()))  # excludes the spike of one tick at the landing
     panels.thrusts(thrust, run)
     attitude.plot(time, run.rotation_error_deg(), color=style.BLUE)
     attitude.set_ylabel("rotation error [deg]")

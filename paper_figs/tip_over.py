@@ -1,4 +1,4 @@
-"""What wind tips the standing robot over: greatest speed and force it stands, against the direction of the wind."""
+"""Greatest wind speed and force at which the standing robot does not tip, against the direction of the wind."""
 
 from __future__ import annotations
 

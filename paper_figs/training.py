@@ -1,4 +1,4 @@
-"""Loss curves of a training run: every network that was trained, on the rows it saw and on those held out."""
+"""Loss curves of all networks of a training run, on training rows and on held-out rows."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ KINDS = (
 
 
 def draw(study: xr.Dataset) -> Figure:
-    """Draw members on the left, students on the right where there are any."""
+    """Draw members on the left, and students, if any, on the right."""
     curves = [str(name) for name in study["curve"].values]
     panels = [("member", "networks trained on data")]
     if any("student" in name for name in curves):

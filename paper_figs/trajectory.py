@@ -1,4 +1,4 @@
-"""Optimal flights beside the paper's: the same two places, the same side wind, the same controller."""
+"""Optimal flights beside the paper's: with the same start and end, side wind and controller."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ OFFSETS = {"paper's mission": (-70, -2), "minimum time": (6, -12), "minimum fuel
 
 
 def draw(*studies: xr.Dataset) -> Figure:
-    """Draw way, height, speed, pitch, error and fuel of all flights, and the thrusts of the optimal ones."""
+    """Draw distance, height, speed, pitch, error and fuel of all flights, and the thrusts of the optimal ones."""
     rows = 3 + math.ceil(len(studies) / 2)
     figure, grid = plt.subplots(rows, 2, figsize=(style.FULL_WIDTH, 2.0 * rows), layout="constrained")
     panels_of_thrusts = grid[3:].ravel()
@@ -69,7 +69,7 @@ def draw(*studies: xr.Dataset) -> Figure:
 
 
 def _curves(study: xr.Dataset, of: str) -> Sequence[tuple[xr.DataArray, xr.DataArray]]:
-    """Return x and y of one flight since the motion began, in the order of `LABELS`."""
+    """Return x and y of one flight from the beginning of the motion, in the order of `LABELS`."""
     data = study.sel({f"time_{of}": slice(0.0, None)})
     time = data[f"time_{of}"]
     way, height = (data[f"com_position_{of}"].sel(xyz=axis) for axis in "xz")

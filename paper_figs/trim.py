@@ -1,4 +1,4 @@
-"""Which steady winds the robot can hang still in, and what thrust is left: maps over direction and speed."""
+"""Steady winds in which the robot can hover, and the remaining thrust: maps over direction and speed."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ Array = NDArray[np.float64]
 
 TITLES = ("posture held", "joints free")
 MEASURED = 24.0
-"""The fastest air of the wind tunnel [m/s]: beyond it the model of the air is extrapolated."""
+"""Greatest speed in the wind tunnel [m/s], beyond which the aerodynamic model is extrapolated."""
 
 
 def draw(*studies: xr.Dataset) -> Figure:
-    """Draw two maps of two studies: the greatest margin of all thrusts, and the least total thrust."""
+    """Draw two maps for each of two studies: the greatest margin of all thrusts, and the least total thrust."""
     figure, grid = plt.subplots(1, 4, figsize=(style.FULL_WIDTH, 3.9), layout="constrained")
     margins = [100 * study["margin"].sel(objective="max_margin") for study in studies]
     thrusts = [study["total_thrust"].sel(objective="min_thrust") / study["weight"] for study in studies]
@@ -52,10 +52,10 @@ def draw(*studies: xr.Dataset) -> Figure:
 
 
 def _half_disc(axes: Axes, data: xr.DataArray, norm: Normalize, colours: str) -> QuadMesh:
-    """Draw the winds of one side, head wind at the top."""
+    """Draw the winds from one side, with head wind at the top."""
     edges = _edges(np.radians(data["direction"].values), np.pi)
     speeds = _edges(data["speed"].values)
-    # Fine sectors, so that their arcs look round.
+    # Fine sectors, so that their arcs are round.
     fine = np.concatenate([np.linspace(a, b, 9)[:-1] for a, b in itertools.pairwise(edges)] + [edges[-1:]])
     values = np.repeat(data.transpose("speed", "direction").values, 8, axis=1)
     x, y = -speeds[:, None] * np.sin(fine), speeds[:, None] * np.cos(fine)
@@ -77,7 +77,7 @@ def _half_disc(axes: Axes, data: xr.DataArray, norm: Normalize, colours: str) ->
 
 
 def _edges(centres: Array, highest: float | None = None) -> Array:
-    """Return the edges of cells around samples, the first at zero."""
+    """Return the edges of cells around samples, with the first at zero."""
     middle = 0.5 * (centres[1:] + centres[:-1])
     top = centres[-1] + 0.5 * (centres[-1] - centres[-2]) if highest is None else highest
     return np.concatenate([[0.0], middle, [top]])

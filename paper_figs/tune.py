@@ -1,4 +1,4 @@
-"""How tuning by gradient went: costs of the worlds of each step and of unseen ones, and the factors."""
+"""Course of a tuning by gradient: costs of the worlds of each step and of the validation, and the factors."""
 
 from __future__ import annotations
 

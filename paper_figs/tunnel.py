@@ -1,6 +1,6 @@
-"""Figures 2d, 2e, 3a and 3b and the mesh study, from the typed tables of `configs/tables`; no run is needed.
+"""Figures 2d, 2e, 3a and 3b and the mesh study, from the tables of `configs/tables`; no run is needed.
 
-Beside each figure stands what its points say about the paper's claims; `paper_figs` prints it.
+Each figure comes with an evaluation of the paper's claims on its points, which `paper_figs` prints.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ TURBULENCE = {OMEGA: (style.BLUE, "s", "SST k-ω"), EPSILON: (style.VERMILION, "
 RELIABLE_SPEED = 15.0
 """Below it the paper suspects the balance's calibration [m/s]."""
 ALMOST_20 = (0.15, 0.22)
-"""What we count as almost 20 %."""
+"""Share that counts as almost 20 %."""
 SYMMETRIC = ("flight30", "flight50", "flight60")
 COLOURS = (style.BLUE, style.VERMILION, style.GREEN, style.ORANGE, style.SKY, style.PURPLE, style.BLACK, style.GREY)
 MARKERS = "osD^v<>p"
@@ -41,17 +41,17 @@ Table = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Claim:
-    """One figure of ours beside what the paper says of it."""
+    """One of our figures with the paper's claim about it."""
 
     what: str
     value: float
     paper: str
     agreeing: tuple[float, float] | None = None
-    """Between which values it agrees with the paper; `None` where the paper says nothing."""
+    """Interval of values that agree with the paper; `None` if the paper makes no claim."""
 
     @property
     def verdict(self) -> str:
-        """Return whether it agrees, or by how much it differs; empty where the paper says nothing."""
+        """Return whether the value agrees, or by how much it differs; empty if the paper makes no claim."""
         if self.agreeing is None:
             return ""
         low, high = self.agreeing
@@ -69,7 +69,7 @@ def read(name: str) -> dict[str, Any]:
 
 
 def hashes(*names: str) -> dict[str, str]:
-    """Return the digest of each table, to be kept in the figure."""
+    """Return the digest of each table, which is stored in the figure."""
     return {f"tables/{name}": hashlib.sha256((TABLES / name).read_bytes()).hexdigest() for name in names}
 
 
@@ -148,12 +148,12 @@ def _mesh_errors(axes: Axes, record: Table, runs: Sequence[Table]) -> None:
 
 
 def print_claims(title: str, claims: Sequence[Claim]) -> None:
-    """Print figures beside the paper's."""
+    """Print our figures beside the paper's."""
     print("\n".join([title, *(str(claim) for claim in claims)]))
 
 
 def hovering(tables: Table) -> dict[float, dict[int, float]]:
-    """Return drag area by sideslip [deg], by rounded speed [m/s]; where two tests meet, their mean."""
+    """Return drag area by rounded speed [m/s] and sideslip [deg]; the mean where two tests overlap."""
     found: dict[float, dict[int, list[float]]] = {}
     for table in tables["hovering"]:
         curve = found.setdefault(float(round(table["speed"])), {})
@@ -180,13 +180,13 @@ def meshes(runs: Sequence[Table]) -> list[str]:
 
 
 def spread(values: Array) -> Array:
-    """Return largest minus smallest over the mean, along the first axis."""
+    """Return (largest − smallest)/mean along the first axis."""
     ratio: Array = (values.max(axis=0) - values.min(axis=0)) / values.mean(axis=0)
     return ratio
 
 
 def speed_claims(tables: Table) -> list[Claim]:
-    """Compare speeds at the sideslips that all have."""
+    """Compare the speeds at the sideslips common to all."""
     curves = hovering(tables)
     common = sorted(set.intersection(*(set(curve) for curve in curves.values())))
     areas = {speed: np.array([curve[beta] for beta in common]) for speed, curve in curves.items()}

@@ -1,4 +1,4 @@
-"""Models' moments about the centre of mass beside the wind tunnel, with intervals and both lever arms."""
+"""Models' moments about the centre of mass and those of the wind tunnel, with intervals and both lever arms."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from paper_figs import style
 
 NEWTON_METRES = 61.25
-"""Of one cubic metre at 10 m/s [N m]."""
+"""Moment per moment volume of 1 m³ at 10 m/s [N m]."""
 SHOWN = {
     "axisymmetric, corrected": style.BLUE,
     "spheres and cylinders": style.GREEN,
@@ -21,9 +21,9 @@ SHOWN = {
 SIDES = {"below": "o", "above": "^"}
 CAMPAIGNS = {"exp_2022_03_21": "March", "exp_2022_11_03": "November"}
 SIGMAS = 2.0
-"""Half the length of an error bar."""
+"""Half the length of an error bar in standard deviations."""
 EXPOSED = 20.5
-"""Sideslip beyond which the support stands in the wind [deg]."""
+"""Sideslip beyond which the support is exposed to the wind [deg]."""
 
 
 def draw(study: xr.Dataset) -> Figure:
@@ -40,7 +40,7 @@ def draw(study: xr.Dataset) -> Figure:
 
 
 def _angles(axes: Axes, study: xr.Dataset) -> None:
-    """Pitching moment of flight30 without sideslip."""
+    """Draw the pitching moment of flight30 without sideslip."""
     rows = (study["posture"] == "flight30") & (study["robot_only"] == 1)
     points = study.isel(point=rows.values).sortby("pitch")
     _measured(axes, points, points["pitch"], "y")
@@ -51,7 +51,7 @@ def _angles(axes: Axes, study: xr.Dataset) -> None:
 
 
 def _sideslip(axes: Axes, study: xr.Dataset, axis: str, name: str) -> None:
-    """Moment of the hovering posture against sideslip, the support in the wind beyond 20 degrees."""
+    """Draw the moment of the hovering posture against sideslip; beyond 20° the support is exposed to the wind."""
     rows = (study["posture"] == "hovering") & ~study["marks"].str.contains("doubtful|outlier")
     points = study.isel(point=rows.values).sortby("yaw")
     axes.axvspan(EXPOSED, 92.0, color=style.LIGHT, alpha=0.5, linewidth=0)
@@ -87,7 +87,7 @@ def _models(axes: Axes, points: xr.Dataset, x: np.ndarray, axis: str) -> None:
 
 
 def _errors(axes: Axes, study: xr.Dataset) -> None:
-    """Rms error over the points of hovering postures that are of the robot alone."""
+    """Draw the rms error over the points of hovering postures with the robot alone."""
     names = [str(name) for name in study["model"].values]
     colours = (style.BLUE, style.VERMILION)
     for row, name in enumerate(names):
