@@ -1,7 +1,7 @@
-"""Result folders: what they hold and how they are written; the interface between runs and figures.
+"""Result folders, their content and writing: the interface between runs and figures.
 
-A folder holds `run.nc` (every signal, with unit and named coordinates) and `manifest.json` (what
-was flown, by which code, on what machine, and the checksum of every other file). It appears complete or not at all.
+A folder holds `run.nc` (every signal, with unit and named coordinates) and `manifest.json` (the configuration, the
+code, the machine, and the checksum of every other file). It is written completely or not at all.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MANIFEST_FILE = "manifest.json"
 def to_dataset(
     flight: FlightResult, robot: RobotNames, *, title: str, config_digest: str, engine: str = "rust"
 ) -> xr.Dataset:
-    """Label a flight's log with dimensions, coordinates and units."""
+    """Return a flight's log as a dataset with dimensions, coordinates and units."""
     variables: dict[str, Any] = {}
     values = {**flight.log, "joint_setpoint": np.asarray(flight.joint_setpoint)}
     declared = rust.signals()
@@ -50,7 +50,7 @@ def to_dataset(
     facts: dict[str, str | float] = {
         "title": title,
         "outcome": flight.outcome,
-        # NetCDF attributes have no null: NaN and the empty text stand for "was not lost".
+        # NetCDF attributes have no null, so NaN and the empty text are used for a flight that was not lost.
         "lost_time": np.nan if flight.lost_time is None else flight.lost_time,
         "lost_reason": flight.lost_reason or "",
         "engine": engine,
@@ -85,7 +85,7 @@ def write_run(
     texts: Mapping[str, str] | None = None,
     more: Callable[[Path], object] = lambda _: None,
 ) -> None:
-    """Write a whole result folder at once; `texts` are further files by name, and `more` writes others into it."""
+    """Write a whole result folder at once; `texts` are additional files by name, and `more` writes others into it."""
     with complete_folder(folder, replace=replace) as draft:
         write_dataset(dataset, draft / RUN_FILE)
         for name, text in (texts or {}).items():
@@ -98,7 +98,7 @@ def write_run(
 
 
 def read_manifest(folder: Path) -> dict[str, Any] | None:
-    """Return the manifest of a finished result, or `None` where there is none to read."""
+    """Return the manifest of a finished result, or `None` if there is none."""
     try:
         manifest = json.loads((folder / MANIFEST_FILE).read_text(encoding="utf-8"))
     except (OSError, ValueError):

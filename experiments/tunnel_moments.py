@@ -1,10 +1,10 @@
 """Compare every model's moments with the wind tunnel: `jax-aero tunnel-moments`.
 
-Each model is evaluated at the measured points of iRonCub-Mk1, with the forces at the links' centres and where the
-published code has them, and compared with the measured moment about the centre of mass, for both sides on which the
-balance centre may be. Intervals draw postures with replacement, and the balance centre within its tolerance once for
-each campaign and mount. Two models are also corrected by the points of the robot alone
-(`experiments.tunnel_correction`) and judged on postures, and on a mount, that the correction did not have. The result
+Each model is evaluated at the measured points of iRonCub-Mk1, with the forces at the links' centres and at the points
+of the published code, and compared with the measured moment about the centre of mass, for both possible sides of the
+balance centre. Intervals are computed by drawing postures with replacement, and the balance centre within its tolerance
+once for each campaign and mount. Two models are also corrected by the points of the robot alone
+(`experiments.tunnel_correction`) and tested on postures, and on a mount, that the correction did not use. The result
 goes to `results/tunnel_moments/mk1/`; `jax-aero figures tunnel_moments` draws it. Needs
 `results/datasets/tunnel_mk1.nc` of `import-tunnel`.
 """
@@ -47,24 +47,24 @@ MODELS = {
     "network, shipped": "network",
 }
 MODEL_FILES = (ROBOT, PANELS, *(AERO / f"{name}.toml" for name in MODELS.values()))
-"""What the forces of all models follow from, with the files that these name."""
+"""Files that determine the forces of all models, together with the files that these name."""
 PANEL_MODEL, NOTHING = "panels", "no moment"
 CORRECTED = ("axisymmetric, corrected", "network, shipped")
-"""Models that the tunnel corrects."""
+"""Models that are corrected by the tunnel."""
 ARMS, SIDES = ("corrected arms", "published arms"), ("below", "above")
 GROUPS = ("hovering", "flight", "all")
 NEWTON_METRES = 0.5 * 1.225 * 10.0**2
-"""Of one cubic metre, at 10 m/s [N m]."""
+"""Moment per moment volume of 1 m³ at 10 m/s [N m]."""
 DRAWS, SEED = 1000, 1
 ENDS = (0.025, 0.975)
 ADDED = ("2.5 %", "97.5 %", "share above zero")
 
 
 class MomentsConfig(tables.Table, frozen=True):
-    """A comparison."""
+    """Settings of a comparison."""
 
     dataset: Path = OUT / "tunnel_mk1.nc"
-    """From import-tunnel."""
+    """Dataset from import-tunnel."""
 
 
 def compute(_: str, config: MomentsConfig) -> Findings:
@@ -133,7 +133,7 @@ def model_areas(robot: RobotModel, data: xr.Dataset) -> dict[str, Floats]:
 
 
 def evaluated(robot: RobotModel, table: Mapping[str, Any], joints: Floats, air: Floats) -> Floats:
-    """Return the force areas (N, 13, 3) of a model at rest in air that moves with (N, 3) [m/s], base axes."""
+    """Return the force areas (N, 13, 3) [m²] of a model at rest in air of velocity (N, 3) [m/s], base axes."""
     with jax.enable_x64(True):
         model = aero_model(io.aero_config(table), robot)
         links = robot.aero_links
@@ -152,8 +152,8 @@ def evaluated(robot: RobotModel, table: Mapping[str, Any], joints: Floats, air: 
 def moments(robot: RobotModel, data: xr.Dataset, areas: Floats) -> Floats:
     """Return moment volumes about the centre of mass (2, N, 3) [m³], base axes, by lever arm.
 
-    The published arm adds a link's offset without turning it into inertial axes; the robot stands as in flight, pitched
-    in a wind that comes from the side, not yawed.
+    The published arm adds a link's offset without rotating it into inertial axes; the robot has the attitude of flight,
+    pitched in a lateral wind instead of yawed.
     """
     joints = data["joint_position"].values
     shapes, shape_of = np.unique(joints, axis=0, return_inverse=True)
@@ -167,7 +167,7 @@ def moments(robot: RobotModel, data: xr.Dataset, areas: Floats) -> Floats:
 
 
 def moment_about_com(data: xr.Dataset, side: str, more: Callable[[str, str], Floats] | None = None) -> Floats:
-    """Return the measured moment volumes about the centre of mass (N, 3), base axes, on one side.
+    """Return the measured moment volumes about the centre of mass (N, 3) [m³], base axes, for one side.
 
     `more(campaign, kind)` is added to the offset, balance axes [m].
     """
@@ -185,10 +185,10 @@ def moment_about_com(data: xr.Dataset, side: str, more: Callable[[str, str], Flo
 
 
 def compare(data: xr.Dataset, volumes: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return rms errors at 10 m/s (model, arms, side, group), their 95 % intervals, and that of what the arms add.
+    """Return rms errors at 10 m/s (model, arms, side, group), their 95 % intervals, and that of the arms' effect.
 
-    The last is (model, side, group, 3): 2.5 and 97.5 % of the published arms' rms error less that of the corrected
-    ones, and the share of draws in which it is positive.
+    The last is (model, side, group, 3): 2.5 and 97.5 % quantiles of the published arms' rms error minus that of the
+    corrected ones, and the share of draws in which it is positive.
     """
     alone = data["robot_only"].values == 1
     data, volumes = data.isel(point=alone), volumes[:, :, alone]
@@ -229,7 +229,7 @@ def _offsets(rng: np.random.Generator, side: str) -> Callable[[str, str], Floats
 
 
 def _resampled(rng: np.random.Generator, cluster: Any, rows: Any) -> Floats:
-    """Weights of the points when their postures are drawn with replacement."""
+    """Return weights of the points for postures drawn with replacement."""
     names, number = np.unique(cluster[rows], return_inverse=True)
     count = np.bincount(rng.integers(len(names), size=len(names)), minlength=len(names))
     weight = np.zeros(len(cluster))
@@ -238,7 +238,7 @@ def _resampled(rng: np.random.Generator, cluster: Any, rows: Any) -> Floats:
 
 
 def summary(result: xr.Dataset) -> dict[str, float]:
-    """Return rms errors with their intervals, what the published arms add, and hovering in wind from the side."""
+    """Return rms errors with their intervals, the effect of the published arms, and hovering in lateral wind."""
     found: dict[str, float] = {}
     alone = result["robot_only"] == 1
     for group in GROUPS:
@@ -272,7 +272,7 @@ def summary(result: xr.Dataset) -> dict[str, float]:
 
 
 def corrections(robot: RobotModel, data: xr.Dataset, areas: Mapping[str, Floats]) -> dict[str, float]:
-    """Return errors of models, and of models corrected by the tunnel where the correction had no part of it."""
+    """Return errors of models, and of models corrected by the tunnel on points that the correction did not use."""
     alone = data["robot_only"].values == 1
     data = data.isel(point=alone)
     posture, kind = data["posture"].values, data["kind"].values
@@ -307,7 +307,7 @@ def corrections(robot: RobotModel, data: xr.Dataset, areas: Mapping[str, Floats]
 
 
 def lever_columns(data: xr.Dataset) -> Floats:
-    """Return what a standard deviation of the balance centre, by mount and axis, takes off the errors (N, 6, 6)."""
+    """Return how a one-sigma error of the balance centre, by mount and axis, changes the errors (N, 6, 6)."""
     kinds, force = data["kind"].values, data["force_area"].values
     found = np.zeros((len(kinds), 6, 6))
     for place, kind in enumerate(("hovering", "flight")):

@@ -8,10 +8,10 @@
 >>> states.obs.shape, states.reward.shape
 ((8, 65), (8,))
 
-An action of as many numbers between −1 and 1 as there are jets and joints is a residual on the controller's thrust
-rates and joint velocities, or takes their place (`env_task.Task.steering`). An episode ends when the robot is lost; how
-long it may last, and how finished ones start anew, is the trainer's: `episode_length` says what the task intends.
-`jax_aero.env_gym` is the same task for Gymnasium, over the crate.
+An action has one number between −1 and 1 for each jet and joint. It is a residual on the controller's thrust rates and
+joint velocities, or replaces them (`env_task.Task.steering`). An episode ends when the robot is lost; the trainer
+decides on its greatest length, for which `episode_length` gives the task's own, and on restarts. `jax_aero.env_gym` is
+the same task for Gymnasium, based on the crate.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ __all__ = ["EnvState", "FlightEnv", "Task"]
 
 
 class EnvState(NamedTuple):
-    """An environment between two steps."""
+    """State of the environment between two steps."""
 
     flight: FlightState
     tick: Int[Array, ""]
@@ -50,27 +50,27 @@ class EnvState(NamedTuple):
     obs: Float[Array, " o"]
     reward: Float[Array, ""]
     done: Float[Array, ""]
-    """1 where the robot is lost."""
+    """1 if the robot is lost."""
     metrics: dict[str, Float[Array, ""]]
-    """Parts of the reward, and the errors of attitude [rad] and position [m]; zero where the robot is lost."""
+    """Parts of the reward, and the errors of attitude [rad] and position [m]; zero if the robot is lost."""
     info: dict[str, Any]
-    """For wrappers; left as it is."""
+    """For wrappers; not changed here."""
 
 
 @pytree
 class Steered:
-    """The flight controller with an action laid over its answer."""
+    """The flight controller, with its answer modified by an action."""
 
     inner: MomentumController
     action: Float[Array, " u"]
     task: Static[Task]
 
     def init(self, robot: RobotModel, state: RobotState) -> Any:
-        """Start the controller."""
+        """Return the initial state of the controller."""
         return self.inner.init(robot, state)
 
     def step(self, robot: RobotModel, state: Any, measurement: Measurement) -> tuple[Any, Command]:
-        """One tick, and what the action changes of it."""
+        """Compute one tick of the controller and modify its command by the action."""
         inner = self.inner
         memory, command = inner.step(robot, state, measurement)
         terms = command.terms
@@ -93,16 +93,16 @@ class Steered:
 
 
 class FlightEnv:
-    """Hover in a wind that every episode draws anew; `reset` and `step` are pure, to `jit` and `vmap`.
+    """Hover in a wind drawn anew for every episode; `reset` and `step` are pure, for `jit` and `vmap`.
 
     Parameters
     ----------
     task
-        What there is to learn.
+        The task to learn.
     changes
-        Dotted keys of the configuration to change, as in `load_config`.
+        Changes of the configuration by dotted key, as in `load_config`.
     dtype
-        Precision of the simulation; by default JAX's own (`jax.enable_x64`).
+        Precision of the simulation; by default that of JAX (`jax.enable_x64`).
     """
 
     def __init__(self, task: Task | None = None, changes: Mapping[str, Any] | None = None, dtype: Any = None) -> None:
@@ -119,7 +119,7 @@ class FlightEnv:
         self.episode_length = self.task.ticks(self.dt)
 
     def reset(self, key: Key[Array, ""]) -> EnvState:
-        """Begin an episode: draw its wind."""
+        """Begin an episode in a random wind."""
         speed_key, direction_key = jax.random.split(key)
         dtype = self._start.plant.robot.velocity.dtype
         speed = jax.random.uniform(speed_key, (), dtype, 0.0, self.task.wind_max)

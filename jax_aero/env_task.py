@@ -1,6 +1,6 @@
 """The task of both environments: hovering in a wind that is drawn anew, with its observation and reward.
 
-Functions are given `numpy` or `jax.numpy`, so that the environment of JAX and that of the crate agree.
+Functions take `numpy` or `jax.numpy` as an argument, so that the environments of JAX and of the crate agree.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from numbers import Real
 from typing import Any, Literal, NamedTuple, get_args
 
 Steering = Literal["residual", "rates"]
-"""What an action is: added to the controller's answer, or in its place."""
+"""Meaning of an action: added to the controller's answer, or its replacement."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """What there is to learn: to stay where the episode begins.
+    """The task to learn: to hover where the episode begins.
 
     The set-point is the centre of mass, the attitude and the posture of the simulated robot at the first tick. A
     controller with an error in its model or its sensors holds a slightly different one; the difference is part of the
@@ -28,15 +28,15 @@ class Task:
     """Robot, simulator and controller: an experiment by name or path. Its mission and wind are replaced."""
     steering: Steering = "residual"
     duration: float = 10.0
-    """Of an episode [s]."""
+    """Duration of an episode [s]."""
     wind_max: float = 12.0
     """Greatest wind [m/s]; speed and horizontal direction are drawn uniformly."""
     ramp: float = 1.0
     """Time in which the wind rises [s]."""
     thrust_rate: float = 20.0
-    """Of an action of 1 [N/s]."""
+    """Thrust rate of an action of 1 [N/s]."""
     joint_velocity: float = 0.5
-    """Of an action of 1 [rad/s]."""
+    """Joint velocity of an action of 1 [rad/s]."""
 
     def __post_init__(self) -> None:
         if self.steering not in (known := get_args(Steering)):
@@ -51,7 +51,7 @@ class Task:
         Raises
         ------
         ValueError
-            For a duration that is none.
+            If the duration is invalid.
         """
         if (ticks := round(self.duration / time_step)) < 1:
             raise ValueError(f"`duration` is {self.duration}; expected at least one time step of {time_step} s")
@@ -63,7 +63,7 @@ class Task:
         Raises
         ------
         ValueError
-            For an experiment whose controller is given the mean of the wind.
+            If the experiment's controller measures the mean of the wind.
         """
         if (config.get("disturbances", {}).get("wind_estimate") or {}).get("mean_only"):
             expected = "expected false: no mean of a wind is known before it is drawn"
@@ -79,7 +79,7 @@ def _check(name: str, value: Any, least: float, expected: str) -> None:
 
 
 class Seen(NamedTuple):
-    """The state that is observed and rewarded; inertial axes unless a suffix says otherwise."""
+    """State for observation and reward, in inertial axes unless a suffix says otherwise."""
 
     rotation: Any
     """`inertial_from_base` (3, 3)."""
@@ -90,7 +90,7 @@ class Seen(NamedTuple):
     thrust: Any
     """(j,) [N]; the estimated one where `jets.feedback` is "estimated"."""
     com_error: Any
-    """Centre of mass from its set-point (3,) [m]."""
+    """Centre of mass relative to its set-point (3,) [m]."""
     setpoint_rotation: Any
     """Desired `inertial_from_base` (3, 3)."""
     posture: Any
@@ -98,9 +98,9 @@ class Seen(NamedTuple):
 
 
 def observation(xp: Any, seen: Seen, thrust_max: Any) -> Any:
-    """Return what an agent sees, of order one: (15 + 2 n + j,).
+    """Return the observation of an agent, of order one: (15 + 2 n + j,).
 
-    The direction of gravity in base axes, the rotation from the set-point, and errors and velocities in base axes.
+    Direction of gravity in base axes, rotation from the set-point, and errors and velocities in base axes.
     """
     base = seen.rotation
     error = seen.setpoint_rotation.T @ base
@@ -119,9 +119,9 @@ def observation(xp: Any, seen: Seen, thrust_max: Any) -> Any:
 
 
 def rewards(xp: Any, seen: Seen, action: Any) -> dict[str, Any]:
-    """Return the parts of the reward of one tick, each at most what perfect hovering gives; their sum is at most 1.
+    """Return the parts of the reward of one tick, each at most its value for perfect hovering; the sum is at most 1.
 
-    `action` is as `within` returns it.
+    `action` is as returned by `within`.
     """
     error = seen.setpoint_rotation.T @ seen.rotation
     # 1 − cos of the angle between base and set-point.
@@ -134,7 +134,7 @@ def rewards(xp: Any, seen: Seen, action: Any) -> dict[str, Any]:
 
 
 def is_lost(xp: Any, seen: Seen, limits: Any) -> Any:
-    """Return whether the robot has fallen, by the limits of `simulator.fall`; one whose state is no number has."""
+    """Return whether the robot has fallen, by the limits of `simulator.fall`; a state with NaN counts as fallen."""
     cosine = 0.5 * (xp.trace(seen.setpoint_rotation.T @ seen.rotation) - 1.0)
     turned = xp.degrees(xp.arccos(xp.clip(cosine, -1.0, 1.0)))
     is_near = xp.sum(seen.com_error**2) <= limits.com_error**2
@@ -142,12 +142,12 @@ def is_lost(xp: Any, seen: Seen, limits: Any) -> Any:
 
 
 def within(xp: Any, action: Any, size: int, dtype: Any) -> Any:
-    """Return an action between −1 and 1.
+    """Return an action limited to −1 to 1.
 
     Raises
     ------
     ValueError
-        For one of another shape than (size,).
+        If the shape is not (size,).
     """
     if (shape := xp.shape(action)) != (size,):
         raise ValueError(f"`action` has shape {shape}; expected {(size,)}")
@@ -155,7 +155,7 @@ def within(xp: Any, action: Any, size: int, dtype: Any) -> Any:
 
 
 def steering(task: Task, action: Any, thrust_rate: Any, joint_velocity: Any) -> tuple[Any, Any]:
-    """Return thrust rates and joint velocities that an action between −1 and 1 asks for, given the controller's own."""
+    """Return the thrust rates and joint velocities of an action between −1 and 1, given the controller's own."""
     j = thrust_rate.shape[0]
     rates, velocities = task.thrust_rate * action[:j], task.joint_velocity * action[j:]
     if task.steering == "residual":
@@ -164,9 +164,9 @@ def steering(task: Task, action: Any, thrust_rate: Any, joint_velocity: Any) -> 
 
 
 def added_torque(xp: Any, hessian: Any, gain: Any, weight: Any, kd: Any, velocity: Any) -> Any:
-    """Return the torque that follows a joint velocity [rad/s] added to the command, where no bound is met.
+    """Return the torque due to a joint velocity [rad/s] added to the command, if no bound is active.
 
-    The torque QP minimises with the Hessian `H` and the gradient term `w G (s̈_free − s̈*)`, whose `s̈*` holds
+    The torque QP minimises with the Hessian `H` and the gradient term `w G (s̈_free − s̈*)`, in which `s̈*` contains
     `kd` times the commanded velocity.
     """
     return xp.linalg.solve(hessian, weight * gain @ (kd * velocity))

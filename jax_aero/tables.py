@@ -1,6 +1,6 @@
-"""Typed values from TOML files: a `Table` declares keys, types and ranges, and `load` refuses everything else.
+"""Typed values from TOML files: a `Table` declares keys, types and ranges; `load` refuses everything else.
 
-A refusal names file, key and value, and says what was expected:
+A refusal names file, key and value, and what was expected:
 
 >>> class Wind(Table, frozen=True):
 ...     speeds: tuple[Positive, ...]
@@ -38,22 +38,22 @@ from jax_aero.keys import refuse_dates, set_key
 T = TypeVar("T")
 
 MAX_FILE_SIZE = 4 * 1024 * 1024
-"""Longest configuration file that is read [bytes]."""
+"""Greatest size of a configuration file [bytes]."""
 
 LARGEST = 1e9
-"""Greatest magnitude of any number, as in the crate's schema."""
+"""Greatest magnitude of a number, as in the crate's schema."""
 
 Positive: TypeAlias = Annotated[float, msgspec.Meta(gt=0.0)]
 NonNegative: TypeAlias = Annotated[float, msgspec.Meta(ge=0.0)]
 Fraction: TypeAlias = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 Count: TypeAlias = Annotated[int, msgspec.Meta(ge=1, le=1_000_000)]
-"""A number of things, at least one."""
+"""A number of items, at least one."""
 Natural: TypeAlias = Annotated[int, msgspec.Meta(ge=0)]
-"""A number of things, or none."""
+"""A number of items, possibly zero."""
 
 
 class ConfigError(Refused):
-    """A configuration that is refused; the message names file, key and value, and says what was expected."""
+    """A configuration that is refused; the message names file, key and value, and what was expected."""
 
 
 class Interval(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
@@ -68,15 +68,15 @@ class Interval(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fiel
 
     @property
     def radians(self) -> tuple[float, float]:
-        """Both ends of an interval of angles in degrees [rad]."""
+        """Return both ends of an interval of angles given in degrees [rad]."""
         return math.radians(self.lower), math.radians(self.upper)
 
 
 class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A table of a configuration file: its fields are the keys, nothing else is accepted.
+    """A table of a configuration file: its fields are the only accepted keys.
 
-    A field of type `Path` is a file that exists; it stands in the file relative to that file. A `__post_init__` that
-    raises `ValueError` refuses combinations of values; its message begins with the field in backticks.
+    A field of type `Path` is an existing file, given relative to the configuration file. `__post_init__` may refuse
+    combinations of values by a `ValueError` whose message begins with the field in backticks.
     """
 
 
@@ -99,7 +99,7 @@ def load(path: Path, kind: type[T], changes: Mapping[str, Any] | None = None) ->
 
 
 def convert(table: Mapping[str, Any], kind: type[T], origin: str, folder: Path = Path()) -> T:
-    """Turn a plain table into its type; `origin` names it in refusals, and paths in it start at `folder`."""
+    """Convert a plain table to its type; `origin` names it in refusals, and its paths are relative to `folder`."""
     try:
         built: T = _build(table, inspect.type_info(kind), "", folder)
     except _Refusal as refusal:
@@ -108,7 +108,7 @@ def convert(table: Mapping[str, Any], kind: type[T], origin: str, folder: Path =
 
 
 def files(config: Any) -> Iterator[Path]:
-    """Yield every file that a configuration names."""
+    """Yield every file named in a configuration."""
     if isinstance(config, Path):
         yield config
     elif isinstance(config, msgspec.Struct | Mapping | tuple | list):
@@ -118,7 +118,7 @@ def files(config: Any) -> Iterator[Path]:
 
 
 def check_levels(table: Table, *names: str) -> None:
-    """Refuse keys whose list is empty or has a value twice: what is computed for each value is named by it."""
+    """Refuse keys with an empty list or repeated values, since results are named by the values."""
     for name in names:
         if not (values := getattr(table, name)) or len(set(values)) < len(values):
             raise ValueError(str(_refusal(name, values, "one value or more, each once")))
@@ -157,7 +157,7 @@ def _as_in_a_file(value: Any) -> Any:
 
 
 def toml(table: Mapping[str, Any], section: str = "") -> str:
-    """Return a table as TOML: numbers, texts, truth, lists of these, and tables as sections; no list of tables."""
+    """Return a table as TOML: numbers, strings, booleans, lists of these, tables as sections; no lists of tables."""
     own = [f"{toml_key(key)} = {toml_value(value)}" for key, value in table.items() if not isinstance(value, Mapping)]
     head = [f"[{section}]"] if section and (own or not table) else []
     inner = [toml(value, _join(section, toml_key(key))) for key, value in table.items() if isinstance(value, Mapping)]
@@ -165,12 +165,12 @@ def toml(table: Mapping[str, Any], section: str = "") -> str:
 
 
 def toml_key(name: str) -> str:
-    """Return a key as TOML: quoted, unless it is a bare one."""
+    """Return a key as TOML, quoted if necessary."""
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else toml_value(name)
 
 
 def toml_value(value: Any) -> str:
-    """Return a number, a text, truth, or a list or table of these as TOML in one line."""
+    """Return a number, string, boolean, or a list or table of these as TOML in one line."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{toml_key(key)} = {toml_value(entry)}" for key, entry in value.items()) + "}"
     if isinstance(value, list | tuple):
@@ -187,15 +187,15 @@ def _path_schema(_: type) -> dict[str, Any]:
     return {"type": "string", "format": "path"}
 
 
-# --- from plain values to their types, and what is refused -------------------------------------------------------
+# --- conversion of plain values to their types ---------------------------------------------------------------------
 
 
 class _Refusal(Exception):
-    """Key, value and what was expected, in the words of the crate."""
+    """Key, value and what was expected, worded as by the crate."""
 
 
 def _build(value: Any, kind: inspect.Type, key: str, folder: Path) -> Any:
-    """Return a value as its type; `key` says where it stands."""
+    """Return a value converted to its type; `key` is its place."""
     match kind:
         case inspect.UnionType():
             return _build_one_of(value, kind.types, key, folder)
@@ -224,7 +224,7 @@ def _build(value: Any, kind: inspect.Type, key: str, folder: Path) -> Any:
         case inspect.StrType() if isinstance(value, str) and (not kind.pattern or re.fullmatch(kind.pattern, value)):
             return value
         case inspect.CustomType() if isinstance(value, str | Path):
-            with suppress(OSError):  # a name that no file can have
+            with suppress(OSError):  # not a possible file name
                 path = (folder / value).resolve()
                 if path.is_file():
                     return path
@@ -234,7 +234,7 @@ def _build(value: Any, kind: inspect.Type, key: str, folder: Path) -> Any:
 
 
 def _build_one_of(value: Any, options: Sequence[inspect.Type], key: str, folder: Path) -> Any:
-    # A key that has no value is left out: `null` is no value.
+    # A key without a value is left out, so `null` is not accepted.
     there = [option for option in options if not isinstance(option, inspect.NoneType)]
     tagged = {option.tag: option for option in there if isinstance(option, inspect.StructType) and option.tag_field}
     if not tagged:
@@ -270,7 +270,7 @@ def _build_table(value: Any, kind: inspect.StructType, key: str, folder: Path) -
 
 
 def _made(cls: type, parts: dict[str, Any], key: str, value: Any) -> Any:
-    """Return the table of these values; what its own check refuses stands below `key`."""
+    """Return the table of these values; a refusal of its own check is reported below `key`."""
     try:
         return cls(**parts)
     except ValueError as reason:
@@ -290,7 +290,7 @@ LIMITS = {"ge": ("≥", operator.ge), "gt": (">", operator.gt), "le": ("≤", op
 
 
 def _is_finite(value: float) -> bool:
-    # Also of an integer that no float can hold.
+    # Also for integers too large for a float.
     return abs(value) <= sys.float_info.max
 
 
@@ -300,7 +300,7 @@ def _in_range(value: float, kind: inspect.IntType | inspect.FloatType) -> bool:
 
 
 def _expected(kind: inspect.Type, value: Any) -> str:
-    """Say what a type accepts."""
+    """Return a description of the values that a type accepts."""
     match kind:
         case inspect.IntType() | inspect.FloatType():
             words = "an integer" if isinstance(kind, inspect.IntType) else "a number"

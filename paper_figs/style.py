@@ -31,7 +31,7 @@ AXES_COLOURS = {"x": VERMILION, "y": GREEN, "z": BLUE}
 GROUP_COLOURS = (BLACK, ORANGE, SKY, GREEN, PURPLE, BLUE, VERMILION, GREY)
 JET_COLOURS = (VERMILION, BLUE, ORANGE, GREEN, PURPLE, SKY, BLACK, GREY)
 JET_DASHES = ("-", "--")
-"""Looks of groups of joints and of jets, in the robot's order; where there are more, they begin again."""
+"""Colours and dashes of groups of joints and of jets, in the robot's order; repeated if there are more."""
 
 FULL_WIDTH = 7.2  # inches: two columns of a journal page
 

@@ -1,10 +1,10 @@
-"""Compare our simulations with models, those of others, and the tunnel: `jax-aero cfd-compare NAME`.
+"""Compare our simulations with models, with those of others, and with the tunnel: `jax-aero cfd-compare NAME`.
 
-NAME is a design of `jax-aero cfd`. Models of this project are judged by its rows, and so are, on postures left out, the
-panel model corrected by the rows (`panels.toml` in the result, for `surrogate-dataset --model`) and the network that
-`train NAME` made of them. With `--set table=FILE`, a dataset of `import-cfd`, all are compared in rows of equal posture
-and wind too; beside the tunnel's typed points stands the open solver alone. Cases and mirror images that are one case
-are averaged first, in both datasets.
+NAME is a design of `jax-aero cfd`. Its rows are compared with the project's models and, on left-out postures, with the
+panel model corrected by the rows (`panels.toml` in the result, for `surrogate-dataset --model`) and with the network
+that `train NAME` made of them. With `--set table=FILE`, a dataset of `import-cfd`, all are also compared on rows of
+equal posture and wind; with the points of the tunnel only the open solver is compared. Cases and mirror images that are
+one case are averaged first, in both datasets.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from jax_aero.robot import RobotModel, load_robot
 
 OPEN = "open solver"
 SHOWN = ("axisymmetric, corrected", tunnel_moments.PANEL_MODEL, "network, shipped")
-"""Of the project's models."""
+"""Models of the project that are shown."""
 NEAR = 1.0
-"""How far the angles of a point of the tunnel may be from those of a case [deg]."""
+"""Greatest difference in angle between a point of the tunnel and a case [deg]."""
 
 
 class CompareConfig(tables.Table, frozen=True):
-    """A comparison."""
+    """Settings of a comparison."""
 
     dataset: Path | None = None
-    """Of the design; without it, `results/cfd/NAME/dataset.nc`."""
+    """Dataset of the design; by default `results/cfd/NAME/dataset.nc`."""
     table: Path | None = None
     """Dataset of `import-cfd` to compare with."""
 
@@ -101,7 +101,7 @@ main = STUDY.main
 
 
 def symmetrised(data: Dataset) -> Dataset:
-    """Return the rows, each averaged with all that are one case with it, mirror images included."""
+    """Return the rows, each averaged with all rows of the same case, including mirror images."""
     both = data.mirrored()
     count = np.bincount(both.group)
 
@@ -116,7 +116,7 @@ def symmetrised(data: Dataset) -> Dataset:
 
 
 def judged(robot: RobotModel, models: Mapping[str, Floats], truth: Dataset, where: str) -> dict[str, float]:
-    """Return the errors of all models, named by model and by what they are compared with."""
+    """Return the errors of all models, by model and reference."""
     return {
         f"{model}, {where}: {key}": value
         for model, areas in models.items()
@@ -141,7 +141,7 @@ def held_out_network(name: str, data: Dataset) -> Floats | None:
 
 
 def matched(ours: Dataset, table: Dataset) -> tuple[Dataset, Dataset, Indices]:
-    """Return the rows of ours that the table has, directly or as mirror image, those of the table, and their places."""
+    """Return the rows of ours that the table contains, also as mirror images, those of the table, and their indices."""
     there = table.mirrored()
     place = {key: row for row, key in reversed(list(enumerate(_keys(there))))}
     pairs = [(row, place[key]) for row, key in enumerate(_keys(ours)) if key in place]
@@ -156,7 +156,7 @@ def _keys(data: Dataset) -> list[tuple[float, ...]]:
 
 
 def errors(robot: RobotModel, areas: Floats, there: Dataset) -> dict[str, float]:
-    """Return errors of force areas (N, 13, 3) [m²], base axes, against the rows of a table."""
+    """Return the errors of force areas (N, 13, 3) [m²], base axes, relative to the rows of a table."""
     off = areas - there.force_area_b
     drag, right = (np.einsum("nla,na->n", part, there.wind_b) for part in (areas, there.force_area_b))
     wrench = total_wrench(robot, there.joint_position_deg, off)
@@ -170,7 +170,7 @@ def errors(robot: RobotModel, areas: Floats, there: Dataset) -> dict[str, float]
 
 
 def models_at(robot: RobotModel, data: Dataset) -> dict[str, Floats]:
-    """Return the force areas (N, 13, 3) of the project's models in the same cases."""
+    """Return the force areas (N, 13, 3) [m²] of the project's models in the same cases."""
     points = xr.Dataset(
         {
             "joint_position": (("point", "joint"), data.joint_position_deg),
@@ -183,7 +183,7 @@ def models_at(robot: RobotModel, data: Dataset) -> dict[str, Floats]:
 
 
 def couples(robot: RobotModel, data: Dataset) -> dict[str, float]:
-    """Return how much of the moment is couples on links, which no table of forces has."""
+    """Return the part of the moment due to couples on links, which tables of forces lack."""
     if data.couple_volume_b is None:
         return {}
     volumes = data.couple_volume_b.sum(axis=1)
@@ -196,7 +196,7 @@ def couples(robot: RobotModel, data: Dataset) -> dict[str, float]:
 
 
 def beside_tunnel(data: Dataset) -> dict[str, float]:
-    """Return drag, side and lift area beside the typed points of tunnel, and of simulations with its support.
+    """Return drag, side and lift area beside the points of the tunnel, and of simulations with its support.
 
     Points of several tests are averaged.
     """
@@ -217,7 +217,7 @@ def beside_tunnel(data: Dataset) -> dict[str, float]:
 
 
 def as_rows(models: Mapping[str, Floats], there: Dataset) -> xr.Dataset:
-    """Return the force areas of all models and of what they are compared with, row by row."""
+    """Return the force areas of all models and of the reference, row by row."""
     areas = np.stack([*models.values(), there.force_area_b])
     return xr.Dataset(
         {"force_area_b": (("model", "row", "link", "xyz"), areas, {"units": "m2"})},

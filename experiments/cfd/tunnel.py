@@ -1,9 +1,9 @@
 """Compare our simulations with the wind tunnel, point by point: `jax-aero cfd-tunnel NAME --set tunnel=FILE`.
 
-NAME is a design of `jax-aero cfd`, FILE a dataset of `import-tunnel`. Beside each case stand the points of its posture,
-speed and wind; where the posture is its own mirror image, those of the mirrored wind too, mirrored back. Points with a
-mark against them are left out, except where the support stands in the wind: these are named apart, as no run of the
-support alone exists.
+NAME is a design of `jax-aero cfd`, FILE a dataset of `import-tunnel`. Each case is compared with the points of its
+posture, speed and wind and, if the posture is its own mirror image, with the mirrored points of the mirrored wind.
+Doubtful points are left out, except where the support is exposed to the wind: these are listed separately, since there
+is no test of the support alone.
 """
 
 from __future__ import annotations
@@ -27,36 +27,36 @@ from jax_aero.places import ROBOT
 from jax_aero.robot import RobotModel, load_robot
 
 NEAR = 1.0
-"""How far the wind of a point may be from that of a case [deg]."""
+"""Greatest angle between the wind of a point and that of a case [deg]."""
 SPEED = 1.0
-"""How far its speed may be [m/s]."""
+"""Greatest difference of their speeds [m/s]."""
 SUPPORT = "support"
 
 
 class TunnelConfig(tables.Table, frozen=True):
-    """A comparison."""
+    """Settings of a comparison."""
 
     tunnel: Path
     """Dataset of `import-tunnel`."""
     robot: Path = ROBOT
     """Robot of the design, for its forward axis and its centre of mass."""
     dataset: Path | None = None
-    """Of the design; without it, `results/cfd/NAME/dataset.nc`."""
+    """Dataset of the design; by default `results/cfd/NAME/dataset.nc`."""
 
 
 class Row(NamedTuple):
-    """A case and the points beside it, base axes."""
+    """A case and its points in the tunnel, base axes."""
 
     case: int
     """Row of the dataset."""
     is_alone: bool
-    """Whether the support is out of the wind."""
+    """Whether the support is not exposed to the wind."""
     force_area: Floats
     """(P, 3) of the points [m²]."""
     moment_com: Floats
-    """(P, 3) about the centre of mass [m³]; nan where the robot's place on the balance is not known."""
+    """(P, 3) of the points about the centre of mass [m³]; NaN if the robot's position on the balance is unknown."""
     moment_std: Floats
-    """(P, 3) standard deviation of it, by the budget of `import-tunnel`, base axes [m³]."""
+    """(P, 3) standard deviations of the moments, from the budget of `import-tunnel` [m³]."""
 
 
 def compute(name: str, config: TunnelConfig) -> Findings:
@@ -94,7 +94,7 @@ def beside(ours: Dataset, points: xr.Dataset, axes: Floats) -> Iterator[Row]:
     alone = marks == ""
     winds = wind_direction(points["pitch"].values, points["yaw"].values) @ axes.T
     forces, moments = (points[key].values @ axes.T for key in ("force_area", "moment_com"))
-    deviations = points["u_total"].values @ np.abs(axes).T  # of axes that differ by quarter turns
+    deviations = points["u_total"].values @ np.abs(axes).T  # for axes that differ by rotations of 90°
     images = mirrored_joints(ours.joint_position_deg)
     for case in range(len(ours)):
         same = (points["posture"].values == ours.posture[case]) & (alone | (marks == SUPPORT))
@@ -103,7 +103,7 @@ def beside(ours: Dataset, points: xr.Dataset, axes: Floats) -> Iterator[Row]:
         found = [(forces[near], moments[near], deviations[near])]
         if np.allclose(images[case], ours.joint_position_deg[case]):
             twin = same & ~near & _is_near(winds, ours.wind_b[case] * MIRROR_AXES)
-            # Of an axial vector the mirror turns the other components round.
+            # A mirrored axial vector changes the sign of the other components.
             found.append((forces[twin] * MIRROR_AXES, -moments[twin] * MIRROR_AXES, deviations[twin]))
             near = near | twin
         if near.any():
@@ -115,7 +115,7 @@ def _is_near(winds: Floats, wind: Floats) -> Floats:
 
 
 def compared(robot: RobotModel, ours: Dataset, rows: list[Row]) -> xr.Dataset:
-    """Return force and moment of every case, and mean, least and greatest of its points."""
+    """Return force and moment of every case, and mean, minimum and maximum over its points."""
     data = ours.take(np.array([row.case for row in rows]))
     volume = np.full((len(rows), 3), np.nan)
     measured = np.stack([row.moment_com.mean(axis=0) for row in rows])
@@ -148,9 +148,9 @@ def compared(robot: RobotModel, ours: Dataset, rows: list[Row]) -> xr.Dataset:
 
 
 def summary(data: xr.Dataset) -> dict[str, float | str]:
-    """Return the errors of every case, and their root mean squares with the support out of the wind and in it.
+    """Return the errors of every case, and their root mean squares without and with the support in the wind.
 
-    Goals are those of the robot alone.
+    Goals apply to the robot alone.
     """
     drag, measured = ((data[key] * data["wind"]).sum("xyz").values for key in ("force_area", "force_area_tunnel"))
     off = np.linalg.norm((data["force_area"] - data["force_area_tunnel"]).values, axis=1)

@@ -3,8 +3,8 @@
 A file of `configs/training_search/` names a training file and ranges for some of its keys. A trial trains one network
 per inner fold of whole postures, without members or students, and is judged by the mean error of the rows held out:
 of the weights that are kept, with patience the best ones.
-Trials are kept in a SQLite file, so a search goes on where it stopped, and several processes can share one. A trial
-whose process was killed has failed.
+Trials are stored in a SQLite file, so a search can be resumed and shared by several processes. A trial whose process
+was killed counts as failed.
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ from jax_aero.train import fit, samples_of
 RESULTS = places.RESULTS / "training_search"
 
 SEED = "seed"
-"""Attribute of a trial: of the sampler that drew it."""
+"""Attribute of a trial: seed of the sampler that drew it."""
 
 
 class Range(tables.Table, frozen=True):
-    """Where one key is searched: among choices, or between two numbers."""
+    """Range of one key in a search: choices, or an interval."""
 
     choices: Annotated[tuple[Any, ...], msgspec.Meta(min_length=1)] | None = None
     low: float | None = None
     high: float | None = None
     log: bool = False
-    """Whether the logarithm is searched evenly."""
+    """Whether the search is uniform in the logarithm."""
 
     def __post_init__(self) -> None:
         numbers = [number is not None for number in (self.low, self.high)]
@@ -63,7 +63,7 @@ class Range(tables.Table, frozen=True):
 
 
 class SearchConfig(tables.Table, frozen=True):
-    """A search for settings of training."""
+    """A search for training settings."""
 
     base: Path
     """The training file that trials start from."""
@@ -74,7 +74,7 @@ class SearchConfig(tables.Table, frozen=True):
     """Inner folds of whole postures."""
     folds_run: tables.Count
     space: dict[str, Range]
-    """By the dotted key of the training file."""
+    """Ranges by dotted key of the training file."""
 
     def __post_init__(self) -> None:
         if self.folds_run > self.folds:
@@ -148,7 +148,7 @@ def _digest_in(folder: Path) -> str | None:
 
 
 def _fail_killed(search: optuna.Study, out: Path) -> None:
-    """Mark trials as failed whose process was killed: whoever has one under way holds the lock of its seed."""
+    """Mark trials of killed processes as failed; a process with a running trial holds the lock of its seed."""
     for trial in search.get_trials(states=(optuna.trial.TrialState.RUNNING,)):
         if SEED in trial.user_attrs:
             with suppress(Refused), _lock_of(trial.user_attrs[SEED], out):
@@ -156,9 +156,9 @@ def _fail_killed(search: optuna.Study, out: Path) -> None:
 
 
 def _take_seed(search: optuna.Study, first: int, out: Path, held: ExitStack) -> int:
-    """Return the first seed that no trial has but failed ones, and hold its lock: what was interrupted is drawn again.
+    """Lock and return the first seed that only failed trials have, so that interrupted ones are drawn again.
 
-    Processes that share a search draw with different seeds.
+    Processes that share a search use different seeds.
     """
     taken = {trial.user_attrs.get(SEED) for trial in search.trials if trial.state != optuna.trial.TrialState.FAIL}
     seed = first

@@ -16,18 +16,18 @@ from jax_aero.types import Array, leaf, pytree
 
 @pytree
 class Weighted:
-    """Another model, its forces stronger or weaker by factors."""
+    """Another model with its forces scaled by factors."""
 
     model: AeroModel
     drag: Float[Array, ""]
-    """On the part along `v_air`."""
+    """Factor on the component along `v_air`."""
     normal: Float[Array, ""]
-    """On the part across it."""
+    """Factor on the component across `v_air`."""
     links: Float[Array, " L"]
-    """On the whole force of a link."""
+    """Factors on the whole force on each link."""
 
     def forces(self, links: LinksInAir) -> Float[Array, "L 3"]:
-        """Force on each link [N].
+        """Return the force on each link [N], inertial axes.
 
         F ← w_link ( w_drag F_∥ + w_normal (F − F_∥) ),   F_∥ = (F · v̂) v̂,   v̂ = v_air / |v_air|
         """
@@ -40,7 +40,7 @@ class Weighted:
 
 
 def weighted(model: AeroModel, factors: ForceFactorsConfig, robot: RobotModel, table: str) -> AeroModel:
-    """Return the model with factors on its forces, without any the model itself; errors name the `table`."""
+    """Return the model with factors on its forces, or the model itself without any; errors name the `table`."""
     if factors == ForceFactorsConfig():
         return model
     names = robot.aero_links.names

@@ -1,6 +1,6 @@
-"""Forces on all links of the robot: the axes, points and velocities that a model is evaluated with.
+"""Forces on all links of the robot, with the axes, points and velocities for which a model is evaluated.
 
-The published code misplaces the points: each way of doing so is one switch, with the physically correct way as default.
+The published code misplaces the points. Each of its errors is a switch; the physically correct way is the default.
 
 Equations M18 and M27 of `docs/model.md`.
 """
@@ -21,7 +21,7 @@ from jax_aero.types import Array, Kinematics, LinkForces
 
 
 class LinkConventions(NamedTuple):
-    """How points are placed: one value for the simulator, one for the controller."""
+    """Conventions for the placement of points, one value for the simulator and one for the controller."""
 
     lever_arm: LeverArm = "rotated"
     jacobian_offset: JacobianOffset = "link_rotation"
@@ -31,7 +31,7 @@ class LinkConventions(NamedTuple):
 def link_forces(
     model: AeroModel, robot: RobotModel, kin: Kinematics, conventions: LinkConventions, wind: Float[Array, "3"]
 ) -> LinkForces:
-    """Place every link in the wind [m/s, inertial axes] and evaluate the model."""
+    """Evaluate the model for every link in a wind [m/s, inertial axes]."""
     links = robot.aero_links
     rotations, origins = frame_poses(kin, links)
     centres = origins + rotate(rotations, links.centres)
@@ -48,7 +48,7 @@ def link_forces(
 
 
 def wrench_about(link: LinkForces, point: Float[Array, "3"]) -> Float[Array, "6"]:
-    """Sum of the forces [N], then of their moments about `point` [N m]."""
+    """Return the sum of the forces [N], then of their moments about `point` [N m], inertial axes."""
     moments = cross(link.arm_points - point, link.forces)
     return jnp.concatenate([link.forces.sum(0), moments.sum(0)])
 
@@ -56,5 +56,5 @@ def wrench_about(link: LinkForces, point: Float[Array, "3"]) -> Float[Array, "6"
 def generalised_aero_force(
     robot: RobotModel, kin: Kinematics, link: LinkForces, points: Float[Array, "L 3"]
 ) -> Float[Array, " N"]:
-    """`Σ J_jᵀ f_j` with the forces acting at `points`, `arm_points` or `jacobian_points`."""
+    """Return `Σ J_jᵀ f_j` for forces acting at `points` [m], which are `arm_points` or `jacobian_points`."""
     return generalised_force(robot, kin, robot.aero_links.bodies, points, link.forces)

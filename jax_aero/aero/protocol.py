@@ -12,14 +12,14 @@ from jax_aero.types import Array, Kinematics
 
 
 class LinksInAir(NamedTuple):
-    """The links of a robot as they stand in the air; inertial axes. A model uses what it needs."""
+    """The links of a robot in the air; inertial axes. A model uses the fields it needs."""
 
     axes: Float[Array, "L 3"]
     """Unit axes of symmetry."""
     v_air: Float[Array, "L 3"]
     """Velocity of the air relative to each link [m/s]."""
     wind: Float[Array, "3"]
-    """Velocity of the air [m/s]."""
+    """Velocity of the air [m/s], without the motion of the links."""
     robot: RobotModel
     kinematics: Kinematics
 
@@ -41,12 +41,12 @@ class AeroModel(Protocol):
 
 
 def forces_of(model: AeroModel, links: LinksInAir) -> Float[Array, "L 3"]:
-    """Return the force on each link [N] that a model answers.
+    """Return the force on each link [N] from a model, after a check of its shape.
 
     Raises
     ------
     ValueError
-        For an answer of another shape, as soon as it is traced: it would be spread over the links.
+        If the shape is wrong, which broadcasting would hide; raised when the model is traced.
     """
     forces = model.forces(links)
     if (shape := np.shape(forces)) != (expected := np.shape(links.v_air)):

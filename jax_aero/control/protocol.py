@@ -20,28 +20,28 @@ S = TypeVar("S")
 
 
 class Measurement(NamedTuple):
-    """What a controller is given at a tick."""
+    """Input of a controller at a tick."""
 
     time: Float[Array, ""]
-    """Since the flight began [s]."""
+    """Time since the flight began [s]."""
     state: State
     thrust: Float[Array, " j"]
-    """[N]."""
+    """Measured thrusts [N]."""
     wind: Float[Array, "3"]
     """Measured velocity of the air [m/s, inertial axes]."""
 
 
 class Terms(NamedTuple):
-    """All intermediate values of a tick of the momentum controller."""
+    """Intermediate values of a tick of the momentum controller."""
 
     given: Measurement
-    """What the estimators made of the measurement."""
+    """Output of the estimators; without estimators the measurement."""
     seen: Seen
-    """The measurement as it was used: predicted where it is not measured."""
+    """Usable measurement, with predictions of missing values."""
     wind_std: Float[Array, "3"]
     """Standard deviation of the wind in `given` [m/s]; zero without a wind observer."""
     state: State
-    """That kinematics and dynamics are of: the given one itself where none is predicted."""
+    """State of kinematics and dynamics: the given one itself if nothing is predicted."""
     kinematics: Kinematics
     dynamics: Dynamics
     link_forces: LinkForces
@@ -55,14 +55,14 @@ class Terms(NamedTuple):
 
 
 class Command(NamedTuple):
-    """What a controller asks of the robot, held until the next tick. Entries that are `None` are NaN in the log."""
+    """Command of a controller, held until the next tick. Entries that are `None` are NaN in the log."""
 
     thrust_rate: Float[Array, " j"]
     """`Ṫ*` [N/s]."""
     joint_torque: Float[Array, " n"]
-    """[N m]."""
+    """Joint torques [N m]."""
     setpoint: Setpoint | None = None
-    """What the controller follows. Without it a flight is lost only by numbers that physics excludes."""
+    """Set-point that the controller follows. Without it a flight is lost only by exceeding the divergence limits."""
     joint_velocity: Float[Array, " n"] | None = None
     """`ṡ*` [rad/s]."""
     momentum_qp: QpAnswer | None = None
@@ -74,12 +74,12 @@ class Command(NamedTuple):
     terms: Terms | None = None
 
     def check(self, robot: RobotModel) -> None:
-        """Refuse shapes that are not those of this robot: they would be spread over its jets and joints.
+        """Refuse shapes that do not fit this robot, which broadcasting over its jets and joints would hide.
 
         Raises
         ------
         ValueError
-            Naming entry, shape and what was expected.
+            If a shape is wrong; the message names the entry, its shape and what was expected.
         """
         joints = (robot.n_joints,)
         parts: list[tuple[str, Any, tuple[int, ...]]] = [
@@ -116,9 +116,9 @@ class Controller(Protocol[S]):
     """
 
     def init(self, robot: RobotModel, state: State) -> S:
-        """Return the state of the controller at its first tick, the robot being in `state`."""
+        """Return the state of the controller at its first tick, with the robot in `state`."""
         ...
 
     def step(self, robot: RobotModel, state: S, measurement: Measurement) -> tuple[S, Command]:
-        """One tick: the state of the controller at the next one, and the command."""
+        """Compute one tick; return the next state of the controller and the command."""
         ...

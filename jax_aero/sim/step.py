@@ -7,7 +7,7 @@ At tick k, t = k h:
     record    and stop if the flight is lost
     advance   x_{k+1} from x_k, T_k and the torques;  T_{k+1} = T_k + h Ṫ*
 
-as in the Rust crate. A lost flight stays where it was lost: its status is sticky, and later rows repeat.
+as in the Rust crate. A lost flight keeps the state in which it was lost: its status is permanent and later rows repeat.
 
 Equations M77 and M80 of `docs/model.md`.
 """
@@ -56,17 +56,17 @@ from jax_aero.types import Array, Static, leaf, leaves, pytree, where, with_dtyp
     BY_JOINT_POSITION,
     BY_THRUST,
 ) = range(9)
-"""Codes of `FlightState.loss`: robots fall by errors of rotation and position, from `NOT_FINITE` on flights diverge."""
+"""Codes of `FlightState.loss`: falls by rotation and position errors first, divergence from `NOT_FINITE` on."""
 
 LARGEST_NUMBER = 1e9
-"""A state of larger numbers, in SI units, counts as not finite: a step from there may leave the range of numbers."""
+"""Limit in SI units beyond which a state counts as not finite, since the next step may overflow."""
 
 Tree = TypeVar("Tree")
 
 
 @pytree
 class FallLimits:
-    """When a robot counts as fallen."""
+    """Criteria of a fall."""
 
     rotation_error_deg: Float[Array, ""]
     """Greatest rotation between base and set-point [deg]."""
@@ -76,56 +76,57 @@ class FallLimits:
 
 @pytree
 class DivergenceLimits:
-    """What physics excludes: a flight whose numbers go beyond has diverged."""
+    """Limits beyond which physics is violated; a flight that exceeds them has diverged."""
 
     speed: Float[Array, ""]
-    """Of base and air [m/s]."""
+    """Greatest speed of base and air [m/s]."""
     angular_velocity: Float[Array, ""]
-    """Of the base [rad/s]."""
+    """Greatest angular velocity of the base [rad/s]."""
     joint_velocity: Float[Array, ""]
-    """[rad/s, m/s]."""
+    """Greatest joint velocity [rad/s, m/s]."""
     joint_excess: Float[Array, ""]
-    """Of a joint beyond its stops [rad, m]."""
+    """Greatest displacement of a joint beyond its stops [rad, m]."""
     thrust_ratio: Float[Array, ""]
-    """Of a thrust to the jet's greatest."""
+    """Greatest ratio of a thrust to the jet's greatest thrust."""
 
 
 @pytree
 class Scenario:
-    """Everything that does not change in a flight. Every number is a leaf: batch and differentiate what you like.
+    """Everything that is constant in a flight. Every number is a leaf, for batches and derivatives.
 
-    Another controller, aerodynamic model or jet dynamics is set by `prepare`, or by `dataclasses.replace`. Other leaves
-    were computed from the time step, and from the wind where its mean is measured: `changed` refuses these. Limits are
-    the controller's: `controller.torque_max`, a copy of `plant.robot.joint_torque_max`, limits the torques. The state
-    holds centre of mass and inertia of the robot that it began with: after a change of them, `begin` anew.
+    Another controller, aerodynamic model or jet dynamics is set by `prepare`, or by `dataclasses.replace`. Some leaves
+    were computed from the time step or, if its mean is measured, from the wind: `changed` refuses changes of these.
+    Limits are the controller's: torques are limited by `controller.torque_max`, a copy of
+    `plant.robot.joint_torque_max`. The state holds centre of mass and inertia of the initial robot: after changing
+    them, call `begin` again.
     """
 
     plant: Plant
     controller: Controller[Any]
-    """What to do, the mission included."""
+    """Controller, including its mission."""
     wind: Wind
     fall: FallLimits
     divergence: DivergenceLimits
     course_error: Float[Array, ""]
     """Greatest position error of a flight that is on course [m]."""
     controller_model: RobotModel | None
-    """The robot as the controller models it; `None` if that is the robot that flies."""
+    """The controller's model of the robot; `None` if it is the robot that flies."""
     controller_wind: Wind | None
-    """Wind that the controller measures in place of the one that blows."""
+    """Wind that the controller measures instead of the true one."""
     wind_estimate: WindEstimate | None
-    """Errors of the measured wind; `None` if it is measured exactly."""
+    """Errors of the measured wind; `None` if exact."""
     sensors: Sensors | None
-    """Errors of what is measured of the robot; `None` if its state is known exactly."""
+    """Errors of the robot's sensors; `None` if exact."""
     outages: tuple[Outage, ...]
-    """Measurements that fail."""
+    """Temporary failures of measurements."""
     n_ticks: Int[Array, ""]
     """Number of ticks after the one at time zero."""
     precision: Static[str]
-    """Name of the floating-point type of all numbers, so that a change of type is never silent."""
+    """Name of the floating-point type of all numbers, so that its change cannot go unnoticed."""
 
     @property
     def computed_from(self) -> tuple[str, ...]:
-        """Return which wind the mean is of, unless it is known not to be measured: of a traced switch it is not."""
+        """Return the wind whose mean is used, unless it is known not to be; a traced switch is not known."""
         is_mean = False if self.wind_estimate is None else self.wind_estimate.is_mean
         if not isinstance(is_mean, jax.core.Tracer) and not np.asarray(is_mean).any():
             return ()
@@ -133,31 +134,31 @@ class Scenario:
 
 
 class FlightState(NamedTuple):
-    """The state of a flight from one tick to the next."""
+    """State of a flight between two ticks."""
 
     plant: PlantState
     controller: Any
     """State of the controller."""
     measured_wind: Float[Array, "3"]
-    """Of the last tick [m/s]."""
+    """Measured wind of the last tick [m/s]."""
     sensors: SensorState | None
-    """`None` where sensors are exact."""
+    """State of the sensors; `None` if exact."""
     outages: tuple[Held, ...]
-    """What was measured when each outage began."""
+    """Measurements at the start of each outage."""
     posture: Float[Array, " n"]
-    """Joint positions that were measured at the first tick [rad]."""
+    """Joint positions measured at the first tick [rad]."""
     loss: Int[Array, ""]
-    """`FLYING`, or by which criterion the flight was lost."""
+    """`FLYING`, or the criterion by which the flight was lost."""
     loss_size: Float[Array, ""]
-    """The error of a fall, the limit that a diverged flight exceeded, in the criterion's unit."""
+    """Error of a fall, or the limit exceeded by a diverged flight, in the criterion's unit."""
     loss_tick: Int[Array, ""]
     """Tick at which the flight was lost, −1 while it flies."""
 
 
 class FlightRow(NamedTuple):
-    """One tick of the log; the same signals as the Rust crate's, named alike.
+    """One tick of the log, with the signals and names of the Rust crate.
 
-    Signals that a controller does not compute are NaN, and so is what follows from a state that is not finite.
+    Signals that a controller does not compute are NaN, as is everything that follows from a state that is not finite.
     """
 
     time: Float[Array, ""]
@@ -205,7 +206,7 @@ def prepare(
     dtype: Any = np.float64,
     read_network: ReadNetwork = load_network,
 ) -> tuple[Scenario, FlightState]:
-    """Build a scenario and its state at the first tick. Outside loops: tables and noise are made here.
+    """Return a scenario and its state at the first tick. Call it outside loops, since it computes tables and noise.
 
     Parameters
     ----------
@@ -215,19 +216,19 @@ def prepare(
     robot
         The robot that flies, if it is loaded already.
     controller
-        Flies in place of the configured controller.
+        Replaces the configured controller.
     aero, jets
-        Aerodynamics and jets of the simulator, in place of the configured ones.
+        Aerodynamics and jets of the simulator, replacing the configured ones.
     dtype
-        Precision of all numbers. The controller's QPs have condition numbers near 1e8: single precision is for
-        throughput where that is known to suffice.
+        Precision of all numbers. The controller's QPs have condition numbers near 1e8, so use single precision only
+        for throughput where it is known to suffice.
     read_network
-        Reads the networks that the configuration names.
+        Function that reads the networks named in the configuration.
 
     Raises
     ------
     ValueError
-        Naming what in the configuration does not fit the robot; or where JAX does not compute in this precision.
+        If the configuration does not fit the robot; or if JAX does not compute in this precision.
     """
     if np.dtype(dtype) == np.float64 and jnp.result_type(float) != np.float64:
         raise ValueError(
@@ -274,18 +275,18 @@ def typed(config: ScenarioConfig | Mapping[str, Any]) -> ScenarioConfig:
 
 
 def in_precision(scenario: Scenario, state: FlightState, dtype: Any) -> tuple[Scenario, FlightState]:
-    """Return both with all numbers of this floating-point type."""
+    """Return both with all numbers in this floating-point type."""
     return with_dtype((replace(scenario, precision=np.dtype(dtype).name), state), dtype)
 
 
 def _winds(wind: Wind, ticks: int, time_step: Array) -> Array:
-    """Wind at every tick of a flight (ticks + 1, 3) [m/s]."""
+    """Return the wind at every tick of a flight (ticks + 1, 3) [m/s]."""
     winds: Array = jax.jit(jax.vmap(wind_velocity, in_axes=(None, 0)))(wind, jnp.arange(ticks + 1) * time_step)
     return winds
 
 
 def controller_model(config: ScenarioConfig, robot: RobotModel) -> RobotModel | None:
-    """Return the controller's model of the robot; `None` if it is the one that flies."""
+    """Return the controller's model of the robot; `None` if it is the robot that flies."""
     error, faults = config.disturbances.model_error, config.disturbances.jets
     model = robot
     if faults.limit_is_known and faults.thrust_limit_scale is not None:
@@ -300,9 +301,9 @@ def controller_model(config: ScenarioConfig, robot: RobotModel) -> RobotModel | 
 
 @jax.jit
 def begin(scenario: Scenario, plant: PlantState) -> FlightState:
-    """Start the controller of a flight whose plant is in this state."""
+    """Start the controller for a plant in this state."""
     robot = scenario.plant.robot if scenario.controller_model is None else scenario.controller_model
-    # A state that physics excludes is lost at once, and must not spoil derivatives before that.
+    # A state beyond the divergence limits is lost at once, and must not make derivatives infinite before that.
     divergence, _ = _divergence(scenario, plant, jnp.zeros_like(plant.robot.velocity[:3]))
     first = where(divergence == FLYING, plant, world.at_rest(plant))
     seen, before = Reading(first.robot, scenario.plant.jets.feedback(first.jets)), None
@@ -335,7 +336,7 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
     plant = scenario.plant
     time = tick * plant.time_step
     wind = wind_velocity(scenario.wind, time)
-    # Both branches of `where` are differentiated: what physics excludes must not enter the computation at all.
+    # Both branches of `where` are differentiated, so values beyond the limits must not enter the computation.
     divergence, limit = _divergence(scenario, state.plant, wind)
     is_sound = divergence == FLYING
     at_rest = world.at_rest(state.plant)
@@ -359,7 +360,7 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
         given, wind_std = command.terms.given, command.terms.wind_std
     seen = _observe(scenario, now, command, air)
 
-    # Without a set-point there is no error to judge.
+    # Without a set-point there is no error of a fall.
     fall, error = jnp.full_like(divergence, FLYING), jnp.zeros_like(limit)
     rotation_error = jnp.full_like(limit, jnp.nan)
     if command.setpoint is not None:
@@ -381,7 +382,7 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
     loss, size = jnp.where(is_sound, fall, divergence), jnp.where(is_sound, error, limit)
     lost_now = (state.loss == FLYING) & (loss != FLYING)
     goes_on = (state.loss == FLYING) & (loss == FLYING)
-    # A flight that is lost may leave the range of numbers in its next step.
+    # The next step of a lost flight may overflow.
     moved = world.advance(plant, where(goes_on, now, at_rest), seen, command.joint_torque, command.thrust_rate, air)
     after = FlightState(
         plant=where(goes_on, moved, state.plant),
@@ -409,7 +410,7 @@ def _check_precision(scenario: Scenario) -> None:
 
 
 def _all_in_range(tree: Any) -> Array:
-    """Whether all numbers are finite, and so are the products of several of them that a tick forms."""
+    """Return whether all numbers, and the products of several of them that a tick forms, are finite."""
     return jnp.all(jnp.stack([jnp.all(jnp.abs(leaf) < LARGEST_NUMBER) for leaf in jax.tree.leaves(tree)]))
 
 
@@ -422,9 +423,9 @@ def _nan_unless(condition: Array, tree: Tree) -> Tree:
 
 
 def _observe(scenario: Scenario, state: PlantState, command: Command, wind: Array) -> Observation:
-    """Observe the plant; what the controller computed for the same robot in the same state is not computed again."""
+    """Observe the plant; reuse what the controller computed for the same robot in the same state."""
     plant, terms = scenario.plant, command.terms
-    # Sensors, outages, estimators and predictions, also those within another controller, are of another object.
+    # With sensors, outages, estimators or predictions, also within a wrapped controller, the state is another object.
     is_known = terms is not None and terms.state is state.robot and scenario.controller_model is None
     if terms is None or not is_known or plant.backend != "tree":
         return world.observe(plant, state, wind)
@@ -432,7 +433,7 @@ def _observe(scenario: Scenario, state: PlantState, command: Command, wind: Arra
 
 
 def _divergence(scenario: Scenario, state: PlantState, wind: Array) -> tuple[Array, Array]:
-    """By which number of the world's state a flight has diverged, `FLYING` if by none, and the limit of that number."""
+    """Return the criterion by which the plant has diverged, `FLYING` if by none, and its limit."""
     robot, limits, now = scenario.plant.robot, scenario.divergence, state.robot
     lower, upper = jnp.asarray(robot.joint_stops).T
     joints, thrust = now.joint_position, state.jets.thrust
@@ -456,7 +457,7 @@ def _divergence(scenario: Scenario, state: PlantState, wind: Array) -> tuple[Arr
 
 
 def _judge(limits: FallLimits, rotation_error: Array, com_error: Array) -> tuple[Array, Array]:
-    """Whether and why the robot has fallen, and by how much."""
+    """Return whether and why the robot has fallen, and the error."""
     over_rotated = rotation_error > jnp.deg2rad(limits.rotation_error_deg)
     is_far = com_error > limits.com_error
     is_finite = jnp.isfinite(rotation_error) & jnp.isfinite(com_error)

@@ -25,39 +25,39 @@ from jax_aero.train.samples import Samples, chunks
 from jax_aero.types import Array, pytree
 
 MATMUL = {"float32": "float32", "tf32": "tensorfloat32", "bf16": "bfloat16"}
-"""Precision of the matrix products of a training step, by the name in a configuration; a CPU may be more exact."""
+"""Precision of the matrix products of a training step, by its name in a configuration; a CPU may be more exact."""
 
 BLOCK_SIZES = {"wind": 3, "joints": 19, "link_wind": 39, "link_position": 39, "link_shadow": 13}
 
 
 class Settings(tables.Table, frozen=True):
-    """How a network is trained; one table of a file in `configs/training/`."""
+    """Settings of the training of a network; one table of a file in `configs/training/`."""
 
     epochs: tables.Count
     learning_rate: tables.Positive
     batch: tables.Natural = 0
-    """Rows per step; 0 takes all of them. Rows that do not fill a batch wait for another epoch's order."""
+    """Rows per step; 0 for all rows. Rows that do not fill a batch are left to other epochs, with other orders."""
     schedule: Literal["constant", "cosine"] = "constant"
-    """Whether the rate stays, or falls to zero along half a cosine."""
+    """Whether the learning rate is constant, or falls to zero along half a cosine."""
     warm_up: tables.Natural = 0
-    """Steps over which the rate rises from zero."""
+    """Steps over which the learning rate rises from zero."""
     beta2: Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)] = 0.999
     weight_decay: tables.NonNegative = 0.0
     dropout: Annotated[float, msgspec.Meta(ge=0.0, lt=1.0)] = 0.0
     noise: dict[str, tables.NonNegative] = msgspec.field(default_factory=dict)
-    """Standard deviation of noise on the features, by block, so that nearby postures get nearly the same answer."""
+    """Standard deviation of noise on the features, by block, so that similar postures have similar outputs."""
     matmul: Literal["float32", "tf32", "bf16"] = "float32"
-    """Precision of matrix products; a processor without the lower ones computes in float32."""
+    """Precision of matrix products; a processor without the lower ones uses float32."""
     scale_output: bool = True
-    """Whether the network answers in units of the spread of its targets, about their mean."""
+    """Whether outputs are scaled by the spread of the targets, about their mean."""
     total_force: tables.NonNegative = 0.0
-    """Weight of the mean square error of the total force beside that of the links."""
+    """Weight of the mean squared error of the total force, relative to that of the links."""
     total_moment: tables.NonNegative = 0.0
-    """Weight of that of the total moment about the centre of mass [1/m²]."""
+    """Weight of the mean squared error of the total moment about the centre of mass [1/m²]."""
     validate_every: tables.Count = 1
-    """Epochs."""
+    """Epochs between validations."""
     patience: tables.Natural = 0
-    """Epochs without a better validation after which training stops, with the best weights; 0 never stops."""
+    """Epochs without a better validation after which training stops, with the best weights; 0 for never."""
 
     def __post_init__(self) -> None:
         if unknown := set(self.noise) - set(BLOCK_SIZES):
@@ -69,30 +69,30 @@ class Settings(tables.Table, frozen=True):
         return self.total_force > 0.0 or self.total_moment > 0.0
 
     def __hash__(self) -> int:
-        # Settings are a static argument of compiled functions.
+        # Settings are a static, therefore hashed, argument of compiled functions.
         return hash(msgspec.json.encode(self))
 
 
 Curve: TypeAlias = tuple[int, float, float | None]
-"""Epochs done, training loss (with dropout and noise, mean over the epoch), validation loss [m⁴] if there is one."""
+"""Completed epochs, training loss (with dropout and noise, mean over the epoch), validation loss [m⁴] if any."""
 
 
 class Fitted(NamedTuple):
-    """A trained network, and how it came about."""
+    """Result of a training."""
 
     network: Network
     error: float | None
-    """Its validation loss [m⁴]; without validation `None`."""
+    """Validation loss of the network [m⁴]; `None` without validation."""
     curves: tuple[Curve, ...]
     """Loss curves, one entry per validation."""
     epochs: int
-    """Epochs done."""
+    """Number of completed epochs."""
     seconds_per_epoch: float
-    """Of this call; the first epoch, which compiles, is left out when there are more."""
+    """Seconds per epoch of this call, without the first epoch, which compiles, if there are more."""
 
 
 class Interrupted(KeyboardInterrupt):
-    """Training was stopped by hand; the checkpoint holds the last whole epoch."""
+    """Training was interrupted by the user; the checkpoint holds the last complete epoch."""
 
 
 @pytree
@@ -103,7 +103,7 @@ class _State:
 
 
 class _Now(NamedTuple):
-    """Where a run stands after a whole epoch."""
+    """State of a run after a complete epoch."""
 
     state: _State
     epoch: int
@@ -123,24 +123,24 @@ def fit(
     checkpoint_seconds: float = 30.0,
     on_epoch: Callable[[int, float, float | None], None] | None = None,
 ) -> Fitted:
-    """Train a network, from where its checkpoint stands if there is one.
+    """Train a network, resuming from its checkpoint if there is one.
 
     Parameters
     ----------
     network
-        Its weights are the start; scale and offset are set from the training samples, if the settings say so.
+        Network with the initial weights; scale and offset are set from the training samples if the settings say so.
     training, validation
-        Mirror images are the caller's affair. Without validation there is no early stopping.
+        Samples, with mirror images if wanted. Without validation there is no early stopping.
     seed
-        Of the order of rows, dropout and noise.
+        Seed of the order of rows, dropout and noise.
     on_epoch
         Called with epochs done, training and validation loss.
 
     Raises
     ------
     ValueError
-        For settings that no file could hold, by key; if the checkpoint belongs to another run, or a batch is larger
-        than the data.
+        If a setting is invalid, naming its key; if the checkpoint belongs to another run; or if a batch is larger than
+        the data.
     Interrupted
         On Ctrl-C, after the checkpoint is written.
     """
@@ -178,7 +178,7 @@ def fit(
                 is_due = (now.epoch + 1) % settings.validate_every == 0 or now.epoch + 1 == settings.epochs
                 if validation is not None and is_due:
                     error = validation_error(replace(network, layers=layers), validation)
-                # One assignment: an interruption leaves the last whole epoch.
+                # One assignment, so that an interruption leaves the last complete epoch.
                 now = _after(now, layers, adam, train_error, error, is_due=is_due)
                 times.append(time.perf_counter() - started)
                 if on_epoch is not None:
@@ -200,7 +200,7 @@ def fit(
 
 
 def _is_stuck(settings: Settings, now: _Now) -> bool:
-    # Judged by the last validation: between two of them nothing can have become better.
+    # Judged by the last validation, since nothing can have improved between two of them.
     return settings.patience > 0 and now.best_epoch > 0 and now.curves[-1][0] - now.best_epoch >= settings.patience
 
 
@@ -220,9 +220,9 @@ def _keep(path: Path, digest: str, now: _Now) -> None:
 
 
 def validation_error(network: Network, samples: Samples) -> float:
-    """Mean squared error [m⁴] of the network as it flies: no dropout, no noise, symmetrised if it is symmetric.
+    """Return the mean squared error [m⁴] of the network as in flight: without dropout and noise, symmetrised if it is.
 
-    Matrix products are as precise as in flight, whatever precision training uses.
+    Matrix products have the precision of flight, whatever precision training uses.
     """
     with jax.default_matmul_precision("highest"):
         total = sum(float(_sum_of_squares(network, x, y, count)) for count, (x, y) in chunks(samples.x, samples.y))
@@ -231,7 +231,7 @@ def validation_error(network: Network, samples: Samples) -> float:
 
 @jax.jit
 def _sum_of_squares(network: Network, x: Array, y: Array, count: int) -> Array:
-    """Sum over the first `count` rows."""
+    """Return the sum of squared errors over the first `count` rows."""
     squares = jnp.sum((jax.vmap(functools.partial(raw_output, network))(x) - y) ** 2, axis=1)
     return jnp.sum(jnp.where(jnp.arange(len(squares)) < count, squares, 0.0))
 
@@ -248,7 +248,7 @@ def _epoch(
     seed: Array,
     epoch: Array,
 ) -> tuple[tuple[Layer, ...], AdamState, Array]:
-    """One pass over the data; its random numbers depend on seed and epoch alone."""
+    """Train on all data once; random numbers depend only on seed and epoch."""
     x, y, totals = data
     weights = jnp.repeat(jnp.array([settings.total_force, settings.total_moment], jnp.float32), 3) / 3.0
     steps = x.shape[0] // batch
@@ -289,7 +289,7 @@ def _rate(settings: Settings, count: Array, steps_per_epoch: int) -> Array:
 
 
 def _scaled(network: Network, training: Samples) -> Network:
-    """Answer in units of the spread of all targets, about the mean of each."""
+    """Return the network with its output scaled by the spread of all targets, about the mean of each."""
     offset = training.y.mean(axis=0)
     scale = np.full_like(offset, training.y.std())
     return replace(network, scale=jnp.asarray(scale), offset=jnp.asarray(offset))
