@@ -4,33 +4,33 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
-# The module with what flying and drawing need, and the packages that everything else needs.
+# Stamps of the set-up: the module with the packages for flying and drawing, and all other packages.
 MODULE := $(VENV)/.module
 PACKAGES := $(VENV)/.packages
 RUST_SOURCES := Cargo.toml Cargo.lock $(shell find rust -name '*.rs' -o -name Cargo.toml)
 DEMO := test1 test2 test1_observer test1_published test2_published test1_published_observer
 
-# How long `make fuzz` goes on.
+# Duration of `make fuzz`.
 MINUTES ?= 60
 
-# Where the Rust tests write what they measured, for the summary that pytest prints.
+# Folder to which the Rust tests write their measurements, for pytest's summary.
 MEASURED := $(abspath target/measured)
 
-# Test processes, for two cores: many tests wait for a browser or for processes of their own. Each takes up to 2.5 GB.
-# Idle ones take tests from the end of another's list.
+# Test processes of up to 2.5 GB each, for two cores: many tests wait for a browser or for subprocesses. An idle one
+# takes tests from the end of another's list.
 WORKERS ?= 3
 PARALLEL := --numprocesses $(WORKERS) --dist worksteal
 
-# What XLA has compiled, shared by the test processes and kept for their next run.
+# XLA's compilation cache, shared by the test processes and kept for their next run.
 JAX_CACHE := JAX_COMPILATION_CACHE_DIR=$(abspath target/jax) JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS=0 \
 	JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES=-1
 
-# Compiling takes most of the time of JAX's tests: with the least optimisation of XLA, and a function in one piece instead
-# of many that compile in parallel, they take half as long. `make portability` runs the numerical ones with all of it.
+# Compilation takes most of the time of JAX's tests; XLA's lowest optimisation level, and functions compiled in one piece
+# instead of many in parallel, halve it. `make portability` runs the numerical ones with full optimisation.
 LEAST_OPTIMISED := XLA_FLAGS="--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false \
 	--xla_cpu_parallel_codegen_split_count=1"
 
-# Another processor: no AVX in the C library's functions, in what XLA compiles, in OpenBLAS or in NumPy.
+# Emulation of another processor: no AVX in the C library's functions, in what XLA compiles, in OpenBLAS or in NumPy.
 OTHER_PROCESSOR = $(JAX_CACHE) GLIBC_TUNABLES=glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F,-AVX512VL,-AVX512DQ \
 	XLA_FLAGS=--xla_cpu_max_isa=SSE4_2 OPENBLAS_CORETYPE=Nehalem NPY_DISABLE_CPU_FEATURES="$(NUMPY_FEATURES)"
 NUMPY_FEATURES = $(shell $(BIN)/python -c 'import numpy; \
@@ -125,7 +125,7 @@ TRAINING := $(DATA)
 endif
 CARD := $(abspath results/training/$(TRAINING)/$(TRAINING).json)
 
-# What the paper's claims are judged by. SWEEPS=--all flies those of ours, too: 34,000 flights.
+# Sweeps for the paper's claims. SWEEPS=--all also flies those of ours: 34,000 flights.
 SWEEPS := paper_tests ablation_terms model_pairs
 
 reproduce: $(PACKAGES) ## fly, train, draw and judge what the paper has, write results/report.md and .html (36 minutes of processor time)
@@ -183,13 +183,13 @@ clean: ## remove what set-up and builds made; results stay
 	rm -rf target site dist $(VENV) $(LAB_PAGE)/node_modules jax_aero/_core*.so .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# Stamps: a second `make demo` starts at once.
+# Stamps, so that a second `make demo` starts at once.
 $(BIN)/python:
 	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed; name one with PYTHON=..."; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 
-# Packages are those of requirements.lock, by their hashes; what flying and drawing need stands first. Python compiles a
-# module when it is first imported: to compile all of them here would be 60 MB more.
+# The packages of requirements.lock, by their hashes; those for flying and drawing come first. Modules are not compiled
+# here, which would need 60 MB, but when Python first imports them.
 $(VENV)/.first: requirements.hashed | $(BIN)/python
 	@echo "set-up 1 of 2: build tool, and what flying and drawing need (a minute)"
 	sed '/^# ---/q' $< > $@.txt
