@@ -228,15 +228,15 @@ def update(
     def of_all(entries: Array) -> Array:
         return jnp.all(entries[None, :] | ~owners, axis=1)
 
+    is_plausible = of_all(jnp.abs(now) <= limits.greatest) & ~memory.is_distrusted
+    is_plausible = is_plausible.at[ROTATION].set(is_plausible[ROTATION] & is_rotation(state.base_rotation))
     # The first measurement is what it is compared with.
-    is_first = ~memory.is_begun & of_all(jnp.isfinite(now))[owner]
+    is_first = (~memory.is_begun & is_plausible)[owner]
     memory = memory._replace(predicted=jnp.where(is_first, now, memory.predicted))
     predicted = jnp.where(memory.is_begun, _predict(limits, memory, jets, n, dt), memory.predicted)
 
     is_same = memory.is_begun & of_all(now == memory.last)
     same = jnp.where(is_same, memory.same + 1, 0)
-    is_plausible = of_all(jnp.abs(now) <= limits.greatest) & ~memory.is_distrusted
-    is_plausible = is_plausible.at[ROTATION].set(is_plausible[ROTATION] & is_rotation(state.base_rotation))
 
     def judge(predicted: Array) -> tuple[Array, Array]:
         """Return whether each channel is accepted as measured, and whether it is frozen."""

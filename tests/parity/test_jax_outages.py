@@ -94,6 +94,29 @@ def test_a_flight_with_outages_of_every_kind(measured):
         measured(name, difference, 1e-9, because="rounding, as in flights without outages")
 
 
+@pytest.mark.parametrize("estimator", [None, {"thrust": {"delay": 0.02}}])
+def test_a_flight_begins_without_what_is_not_accepted(estimator, measured):
+    """A first thrust and a first wind beyond the greatest count as none: the robot's weight is all that acts."""
+    changes = {
+        "simulator.duration": 0.05,
+        "simulator.sensors": {"thrust": {"bias": 3000.0}},
+        "disturbances.controller_wind": {"profile": "constant", "velocity": [0.0, -500.0, 0.0]},
+    }
+    if estimator is not None:
+        changes["controller.estimator"] = estimator
+    table = rust.load_config(EXPERIMENTS / "test2.toml", changes)
+    theirs = rust.fly(table)
+    [ours] = sim.fly_batch([table], full_log=True)
+    robot = rust.Robot(table["robot"])
+    first = theirs.log["momentum_rate_estimate"][0, :3]
+    # The air of a robot that has fallen for a tick, at 0.1 m/s: 0.006 N on 1 m².
+    np.testing.assert_allclose(first, [0.0, 0.0, -robot.mass * robot.gravity], atol=0.05)
+    for name in ("momentum_rate_estimate", "thrust_rate", "joint_torque", "degraded_modes"):
+        scale = max(1.0, np.abs(theirs.log[name]).max())
+        difference = np.abs(ours.log[name] - theirs.log[name]).max() / scale
+        measured(name, difference, 1e-9, because="rounding, as in flights without outages")
+
+
 def test_the_defaults_are_the_crates():
     """A controller that is configured without channels has them, in both languages alike."""
     table = rust.load_config(EXPERIMENTS / "test2.toml")

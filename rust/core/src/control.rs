@@ -249,7 +249,8 @@ impl Controller {
         let estimator = self.estimator.as_ref();
         let joints = self.model.joints.len();
         Ok(ControllerState {
-            estimator: estimator.map(|estimator| estimator.start(measurement.state, measurement.thrust)),
+            estimator: estimator
+                .map(|estimator| estimator.start(measurement.state, self.channels.thrust(&channels))),
             wind: self.wind_observer.as_ref().map(WindObserver::start),
             channels,
             setpoint: self.setpoint_generator.start(com, rotation),

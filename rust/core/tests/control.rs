@@ -209,6 +209,33 @@ fn a_flight_begins_without_a_wind() {
     assert_eq!(second.tick(&mut controller).status, CommandStatus::Nominal);
 }
 
+/// First thrusts and a first wind that are not accepted count as none, in the law as in an estimator.
+#[test]
+fn a_flight_begins_without_what_is_not_accepted() {
+    let late = uniform_estimator(ChannelConfig { delay: 3.0 * TIME_STEP, time_constant: 0.0 });
+    for estimator in [None, Some(late)] {
+        let mut config = experiment("test2");
+        config.controller.law.estimator = estimator;
+        let good = Sample::start(&config);
+        // Before the late one is the latest, what it says is used for nothing else.
+        let commands = |thrust: f64, wind: f64| {
+            let mut controller = controller(&config);
+            let first = Sample { thrust: vec![thrust; 4], wind: Vector3::y() * wind, ..good.clone() };
+            let first = first.tick(&mut controller).clone();
+            let mut all = vec![first.clone()];
+            for tick in 1..=3 {
+                let next = Sample { time: f64::from(tick) * TIME_STEP, ..good.clone() };
+                all.push(next.tick(&mut controller).clone());
+            }
+            (first.modes, all.iter().map(numbers).collect::<Vec<_>>())
+        };
+        let (modes, found) = commands(2201.0, -301.0);
+        let (_, expected) = commands(0.0, 0.0);
+        assert!(modes.contains(Modes::WIND_HELD) && modes.contains(Modes::THRUST_MODELLED));
+        assert_eq!(found, expected);
+    }
+}
+
 /// A base rotation that is none, a time before the flight or in a million years, a set-point that is none.
 #[test]
 fn what_is_no_rotation_or_time_is_predicted() {

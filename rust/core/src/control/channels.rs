@@ -556,6 +556,12 @@ impl Channels {
         state.last.len() == self.layout.len() && state.channels.len() == self.entries.len()
     }
 
+    /// Thrusts of the last tick, or of the start, as far as they were accepted; predicted ones elsewhere \[N\].
+    #[must_use]
+    pub fn thrust<'a>(&self, state: &'a ChannelsState) -> &'a [f64] {
+        &state.predicted[self.layout.thrust.clone()]
+    }
+
     /// The state before the first tick.
     ///
     /// # Errors
@@ -580,6 +586,13 @@ impl Channels {
         }
         if !is_rotation(&measurement.state.base.rotation) {
             return Err(BadStart::NoRotation);
+        }
+        // Where wind, thrusts or foot wrenches cannot be accepted: none, until they are.
+        for Entry { range, .. } in self.entries.iter().filter(|entry| !entry.is_vital) {
+            let numbers = &mut self.now[range.clone()];
+            if !is_within(numbers, &self.greatest[range.clone()]) {
+                numbers.fill(0.0);
+            }
         }
         Ok(ChannelsState {
             channels: vec![Channel::default(); self.entries.len()],
@@ -630,10 +643,8 @@ impl Channels {
         if state.is_begun {
             state.predict(&self.layout, &self.greatest, dt);
         }
-        let predicted = &state.predicted[self.layout.thrust.clone()];
-        for ((to, now), predicted) in
-            seen.thrust_innovation.iter_mut().zip(&self.now[self.layout.thrust.clone()]).zip(predicted)
-        {
+        let now = &self.now[self.layout.thrust.clone()];
+        for ((to, now), predicted) in seen.thrust_innovation.iter_mut().zip(now).zip(self.thrust(state)) {
             // Over an unknown time it says nothing.
             *to = if is_step && state.is_begun { now - predicted } else { 0.0 };
         }
@@ -652,10 +663,9 @@ impl Channels {
                 entries.all(|((now, predicted), jump)| (now - predicted).abs() <= gate * jump)
             };
             let (now, predicted) = (&self.now[range.clone()], &state.predicted[range.clone()]);
-            let mut accepted = now.iter().zip(&self.greatest[range.clone()]);
             let is_rotation = entry.mode != Modes::ROTATION_PREDICTED || is_rotation(&rotation_of(now));
             let is_sound =
-                accepted.all(|(x, most)| x.abs() <= *most) && is_rotation && is_near(now, predicted, gate);
+                is_within(now, &self.greatest[range.clone()]) && is_rotation && is_near(now, predicted, gate);
             let leaves = channel.same >= self.config.frozen_ticks && !is_near(now, predicted, FROZEN_SHARE);
             channel.is_frozen = is_same && (channel.is_frozen || leaves);
 
@@ -747,7 +757,7 @@ impl Channels {
         let Reading { state, thrust } = &*estimate;
         let (time, wind, foot_wrenches) = (seen.time, seen.wind, &seen.foot_wrenches);
         self.read(&Measurement { time, state, thrust, wind, foot_wrenches });
-        if self.now.iter().zip(&self.greatest).all(|(number, most)| number.abs() <= *most) {
+        if is_within(&self.now, &self.greatest) {
             seen.state.copy_from(state);
             seen.thrust.copy_from_slice(thrust);
         } else {
@@ -841,6 +851,11 @@ impl ChannelsState {
         self.channels[first_channel + jet].is_distrusted = true;
         self.predicted[first_entry + jet] -= deviation;
     }
+}
+
+/// Whether numbers are in `[−greatest, greatest]`.
+fn is_within(numbers: &[f64], greatest: &[f64]) -> bool {
+    numbers.iter().zip(greatest).all(|(number, most)| number.abs() <= *most)
 }
 
 /// Brings numbers into `[−greatest, greatest]`.
