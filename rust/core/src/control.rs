@@ -134,7 +134,8 @@ pub struct Controller {
     setpoint_generator: SetpointGenerator,
     terms: Terms,
     command: Command,
-    force: DVector<f64>,
+    /// `ν̇` without torques and foot wrenches.
+    free_acceleration: DVector<f64>,
     acceleration: DVector<f64>,
     velocity_error: DVector<f64>,
     solution: DVector<f64>,
@@ -222,7 +223,7 @@ impl Controller {
                 modes: Modes::default(),
             },
             acceleration: DVector::zeros(n),
-            force: DVector::zeros(n),
+            free_acceleration: DVector::zeros(n),
             velocity_error: DVector::zeros(joints),
             model,
             config,
@@ -270,11 +271,11 @@ impl Controller {
     /// One tick, which follows the mission.
     ///
     /// What of the measurement is missing or cannot be right is predicted from what is known ([`channels`]); the command
-    /// says what. A measurement that is not of this robot moves nothing but the time and the set-point: thrust rates
+    /// says what. Of a measurement that is not of this robot everything is missing, and the command holds: thrust rates
     /// and joint velocities are zero, torques stay.
     pub fn tick(&mut self, state: &mut ControllerState, measurement: &Measurement) -> &Command {
         if !self.fits(state) {
-            return self.hold_command(CommandStatus::BadState);
+            return self.hold_command(CommandStatus::BadState, Modes::default());
         }
         let is_seen = self.see(state, measurement);
         let setpoint = if state.channels.is_descending {
@@ -295,7 +296,7 @@ impl Controller {
         setpoint: &Setpoint,
     ) -> &Command {
         if !self.fits(state) {
-            return self.hold_command(CommandStatus::BadState);
+            return self.hold_command(CommandStatus::BadState, Modes::default());
         }
         let is_seen = self.see(state, measurement);
         let is_valid = setpoint.is_valid();
@@ -376,41 +377,42 @@ impl Controller {
             given.reading.copy(measurement.state, measurement.thrust);
             let measurement = Measurement { wind: given.wind, ..*measurement };
             self.channels.update(&mut state.channels, &measurement, seen);
-            if let (Some(estimator), Some(memory)) = (&mut self.estimator, &mut state.estimator) {
-                self.channels.accepted(&state.channels, &mut given.reading);
-                if seen.pause > 0.0 {
-                    memory.restart();
-                }
-                estimator.update(memory, &mut given.reading, seen.elapsed, &mut seen.thrust_innovation);
-                self.channels.replace(&mut given.reading, seen);
-            }
         } else {
-            self.channels.update_clock(&mut state.channels, measurement.time, seen);
-            state.observer.hold();
-            if let Some(wind) = &mut state.wind {
-                wind.hold();
+            self.channels.update_unmeasured(&mut state.channels, measurement.time, seen);
+        }
+        if let (Some(estimator), Some(memory)) = (&mut self.estimator, &mut state.estimator) {
+            self.channels.accepted(&state.channels, &mut given.reading);
+            if seen.pause > 0.0 {
+                memory.restart();
             }
+            estimator.update(memory, &mut given.reading, seen.elapsed, &mut seen.thrust_innovation);
+            self.channels.replace(&mut given.reading, seen);
         }
         is_seen
     }
 
-    /// Observes, then solves the momentum QP and the torque QP.
+    /// Observes, then solves the momentum QP and the torque QP, or holds where the measurement is not of this robot.
     fn act(&mut self, state: &mut ControllerState, is_seen: bool, setpoint: &Setpoint) -> &Command {
         self.terms.setpoint = *setpoint;
         self.command.joint_torque.copy_from(&state.joint_torque);
-        if !is_seen {
-            return self.hold_command(CommandStatus::BadMeasurement);
-        }
         self.observe(state);
-        self.command.modes = self.terms.seen.modes;
+        let modes = self.terms.seen.modes;
+        self.command.modes = modes;
         let descent = self.config.engines.as_ref().and_then(|config| config.descent).filter(|descent| {
             let mut engines = state.engines.iter().zip(&self.model.jets);
             engines.any(|(engine, jet)| engine.is_lost(descent, jet.thrust_max))
         });
         state.channels.is_descending |= descent.is_some();
         let descent = descent.filter(|_| !state.contact.is_active);
-        self.solve_momentum_qp(state, descent.as_ref());
-        self.solve_torque_qp(state, descent.as_ref());
+        self.update_free_acceleration();
+        self.terms.contact.force_of_torques.copy_from(&state.contact.force);
+        if is_seen {
+            self.solve_momentum_qp(state, descent.as_ref());
+            self.solve_torque_qp(state, descent.as_ref());
+        } else {
+            self.hold_command(CommandStatus::BadMeasurement, modes);
+        }
+        self.predict_acceleration(state);
         if let (Some(observer), Some(memory)) = (&mut self.wind_observer, &mut state.wind) {
             observer.update(memory, &self.terms);
         }
@@ -578,37 +580,35 @@ impl Controller {
         contact.store_rate(&mut state.contact, &u[unknowns.force_rate.clone()]);
     }
 
+    /// Acceleration without torques and foot wrenches, `M⁻¹ (Σ Jᵀ T a + J_aᵀ f_a − h)`.
+    fn update_free_acceleration(&mut self) {
+        let Terms { kinematics, dynamics, inverse_mass, momentum, .. } = &mut self.terms;
+        let force = &mut self.free_acceleration;
+        force.copy_from(&dynamics.bias);
+        force.neg_mut();
+        momentum.thrusts.add_generalised_force(kinematics, force);
+        if self.config.aero_feedback.torque {
+            momentum.aero.add_generalised_force(kinematics, force);
+        }
+        inverse_mass.update(&dynamics.mass_matrix);
+        if inverse_mass.is_known {
+            inverse_mass.multiply_in_place(force);
+        }
+    }
+
     /// Torques that let the joints follow the commanded velocities.
     fn solve_torque_qp(&mut self, state: &mut ControllerState, descent: Option<&DescentConfig>) {
-        let Terms {
-            seen: measurement,
-            kinematics,
-            dynamics,
-            inverse_mass,
-            momentum,
-            torque_qp,
-            contact,
-            unlimited_torque,
-            ..
-        } = &mut self.terms;
-        // Σ Jᵀ T a + J_aᵀ f_a − h
-        self.force.copy_from(&dynamics.bias);
-        self.force.neg_mut();
-        momentum.thrusts.add_generalised_force(kinematics, &mut self.force);
-        if self.config.aero_feedback.torque {
-            momentum.aero.add_generalised_force(kinematics, &mut self.force);
-        }
+        let Terms { seen: measurement, inverse_mass, torque_qp, contact, unlimited_torque, .. } =
+            &mut self.terms;
         for (joint, velocity) in measurement.state.joint_velocity().iter().enumerate() {
             self.velocity_error[joint] = velocity - self.command.joint_velocity[joint];
         }
-
-        inverse_mass.update(&dynamics.mass_matrix);
         let answer = if inverse_mass.is_known {
             torque_qp.update(
                 contact,
                 &state.contact,
                 inverse_mass,
-                &mut self.force,
+                &self.free_acceleration,
                 &self.velocity_error,
                 &state.velocity_error_integral,
             );
@@ -617,7 +617,6 @@ impl Controller {
             QpAnswer::refused(QpStatus::NotPositiveDefinite)
         };
         self.command.torque_qp = answer;
-        contact.force_of_torques.copy_from(&state.contact.force);
         if answer.status == QpStatus::Solved {
             let (forces, torques) = self.torque_solver.x().split_at(torque_qp.foot_force.end);
             if state.contact.is_active {
@@ -649,7 +648,6 @@ impl Controller {
                 *integral = (*integral + self.time_step * error).clamp(-INTEGRAL_LIMIT, INTEGRAL_LIMIT);
             }
         }
-        self.predict_acceleration(state);
     }
 
     /// What the command makes of the robot, for the channels of the next tick:
@@ -672,8 +670,7 @@ impl Controller {
                 kinematics.add_generalised_wrench(body, &sole.position, &wrench, acceleration);
             }
             inverse_mass.multiply_in_place(acceleration);
-            // The torque QP left the free acceleration here.
-            *acceleration += &self.force;
+            *acceleration += &self.free_acceleration;
         }
         state.channels.acceleration.copy_from(acceleration);
         state.channels.commanded_in.copy_from(&seen.state);
@@ -704,13 +701,13 @@ impl Controller {
     }
 
     /// The command of a tick that cannot act: nothing moves, torques stay.
-    fn hold_command(&mut self, status: CommandStatus) -> &Command {
+    fn hold_command(&mut self, status: CommandStatus, modes: Modes) -> &Command {
         self.command.thrust_rate.fill(0.0);
         self.command.joint_velocity.fill(0.0);
         self.command.momentum_qp = QpAnswer::refused(QpStatus::NonFinite);
         self.command.torque_qp = QpAnswer::refused(QpStatus::NonFinite);
         self.command.status = status;
-        self.command.modes = Modes::default();
+        self.command.modes = modes;
         &self.command
     }
 

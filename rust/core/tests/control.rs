@@ -10,7 +10,7 @@ use crate::common::{
 };
 use crate::setpoint::distance_to_rest;
 use flight_core::control::bounds::LimitedValues;
-use flight_core::control::channels::Modes;
+use flight_core::control::channels::{Jumps, Modes};
 use flight_core::control::config::{Fallback, RateFeedback, Solver};
 use flight_core::control::setpoint::Setpoint;
 use flight_core::control::torque::limit_rate;
@@ -348,6 +348,50 @@ fn time_goes_on_without_a_measurement() {
         let bad = Measurement { time, thrust: &[], ..good.measurement() };
         assert_eq!(controller.tick(&bad).status, CommandStatus::BadMeasurement);
         assert_eq!(controller.state().time(), expected);
+    }
+}
+
+/// While measurements are of another robot both predictions go on, under rates of zero and the last torques: what is
+/// measured afterwards is no jump, and what is not is known.
+#[test]
+fn predictions_go_on_while_measurements_are_bad() {
+    let blind = uniform_estimator(ChannelConfig { delay: 0.0, time_constant: 1e9 });
+    for estimator in [None, Some(blind)] {
+        let mut config = experiment("test2");
+        config.simulator.joint_stops = false;
+        config.simulator.initial.base_velocity[0] = 7.5;
+        config.controller.law.channels.jump = Some(Jumps::default());
+        config.controller.law.estimator = estimator;
+        let mut world = Loop::new(&config);
+        world.run(0.1, |_| wind());
+        let next = |world: &mut Loop| {
+            world.advance(&wind());
+            world.plant.observe(&wind());
+            let (plant, time) = (&world.plant, world.tick as f64 * TIME_STEP);
+            Sample {
+                time,
+                state: plant.state().clone(),
+                thrust: plant.jets().thrust().to_vec(),
+                wind: wind(),
+            }
+        };
+        let begin = world.plant.state().base.position;
+        for _ in 0..10 {
+            let sample = next(&mut world);
+            let bad = Measurement { thrust: &[], ..sample.measurement() };
+            assert_eq!(world.controller.tick(&bad).status, CommandStatus::BadMeasurement);
+        }
+        let mut sample = next(&mut world);
+        let moved = (sample.state.base.position - begin).norm();
+        assert!(moved > 2.0 * Jumps::default().position, "{moved} m");
+        sample.thrust.fill(f64::NAN);
+        assert_eq!(world.controller.tick(&sample.measurement()).modes, Modes::THRUST_MODELLED);
+        let (seen, truth) = (&world.controller.terms().seen, world.plant.state());
+        for (seen, truth) in seen.thrust.iter().zip(world.plant.jets().thrust()) {
+            assert_within!((seen - truth).abs(), 1e-9);
+        }
+        // Velocities near 10 rad/s, by a mass matrix with a condition of 1e4.
+        assert_within!((&seen.state.velocity - &truth.velocity).amax(), 1e-9);
     }
 }
 

@@ -611,7 +611,7 @@ impl Channels {
     }
 
     /// Moves the time on with that of a measurement \[s\]: M108. Whether the time since the last tick is known.
-    pub fn update_clock(&self, state: &mut ChannelsState, measured: f64, seen: &mut Seen) -> bool {
+    fn update_clock(&self, state: &mut ChannelsState, measured: f64, seen: &mut Seen) -> bool {
         let next = state.time + self.time_step;
         let is_known = time_is_plausible(measured);
         let time = if is_known { measured - state.clock_offset } else { next };
@@ -635,9 +635,20 @@ impl Channels {
 
     /// Takes in a measurement that fits and makes `seen` of it.
     pub fn update(&mut self, state: &mut ChannelsState, measurement: &Measurement, seen: &mut Seen) {
-        let is_step = self.update_clock(state, measurement.time, seen);
         self.read(measurement);
         self.fill_joint_velocity();
+        self.take_in(state, measurement.time, seen);
+    }
+
+    /// As [`Self::update`], for a measurement at `time` \[s\] that does not fit: nothing is measured.
+    pub fn update_unmeasured(&mut self, state: &mut ChannelsState, time: f64, seen: &mut Seen) {
+        self.now.fill(f64::NAN);
+        self.take_in(state, time, seen);
+    }
+
+    /// Judges the numbers in `now` and makes `seen` of them.
+    fn take_in(&mut self, state: &mut ChannelsState, time: f64, seen: &mut Seen) {
+        let is_step = self.update_clock(state, time, seen);
         let mut modes = seen.modes;
         let dt = seen.elapsed;
         if state.is_begun {

@@ -81,14 +81,13 @@ impl TorqueQp {
         }
     }
 
-    /// Builds the QP. `force` holds `Σ Jᵀ T a + J_aᵀ f_a − h` and is overwritten with the free
-    /// accelerations of base and joints.
+    /// Builds the QP. `free` are the accelerations of base and joints without `u`, `M⁻¹ (Σ Jᵀ T a + J_aᵀ f_a − h)`.
     pub fn update(
         &mut self,
         contact: &Contact,
         contact_state: &ContactState,
-        inverse_mass: &mut InverseMass,
-        force: &mut DVector<f64>,
+        inverse_mass: &InverseMass,
+        free: &DVector<f64>,
         velocity_error: &DVector<f64>,
         velocity_error_integral: &DVector<f64>,
     ) {
@@ -97,12 +96,11 @@ impl TorqueQp {
         self.acceleration_desired.copy_from(velocity_error);
         self.acceleration_desired.axpy(-kp, velocity_error_integral, -kd);
 
-        inverse_mass.multiply_in_place(force);
         let (mut free_feet, mut free_joints) =
             self.acceleration_free.rows_range_pair_mut(0..forces, forces..);
         free_feet.copy_from(&contact.velocity_product);
-        free_feet.gemv_tr(1.0, &contact.jacobian_transposed, force, 1.0);
-        free_joints.copy_from(&force.rows(6, joints));
+        free_feet.gemv_tr(1.0, &contact.jacobian_transposed, free, 1.0);
+        free_joints.copy_from(&free.rows(6, joints));
 
         self.weighted_error.copy_from(&self.acceleration_free);
         let mut of_joints = self.weighted_error.rows_mut(forces, joints);
