@@ -657,7 +657,7 @@ class JetFaultsConfig(Table, frozen=True, kw_only=True):
     lag: NonNegative = 0.0
     """Time constant with which the commanded thrust rate takes effect [s]; zero for at once."""
     limit_is_known: bool = False
-    """Whether the controller's own limits are scaled as well."""
+    """Whether the controller's own limits are scaled as well, by `thrust_limit_scale`."""
     measurement_noise: MeasurementNoise | None = None
     """Noise on the thrust that the estimators of second-order jets measure."""
     thrust_limit_scale: Positive | None = None

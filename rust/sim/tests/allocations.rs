@@ -171,7 +171,7 @@ fn a_tick_of_a_flight_does_not_allocate() {
         start: 0.02,
         duration: Some(0.1),
         kind: OutageKind::Missing,
-        error: 0.0,
+        error: 1.0,
     };
     let channels =
         [OutageChannel::Wind, OutageChannel::Thrust, OutageChannel::Joints, OutageChannel::BasePosition];

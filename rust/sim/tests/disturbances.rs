@@ -5,8 +5,8 @@
 
 use crate::common::{assert_within, experiment, fly, robot};
 use flight_sim::disturbances::{
-    FailureKind, JetFailure, JetFaults, JetFaultsConfig, MeasurementNoise, ModelError, WindEstimateConfig,
-    WindEstimator,
+    FailureKind, JetFailure, JetFaults, JetFaultsConfig, MeasurementNoise, ModelError, Outage, OutageChannel,
+    OutageKind, WindEstimateConfig, WindEstimator,
 };
 use flight_sim::jets::{Jets, JetsConfig, SecondOrderConfig};
 use flight_sim::noise::Noise;
@@ -412,6 +412,30 @@ fn what_makes_no_sense_is_refused_by_name() {
         config.disturbances.jets.failure.as_mut().unwrap().jet = "tail".to_owned();
     });
     assert!(jet.contains("failure.jet") && jet.contains("`tail`") && jet.contains("r_arm_jet"), "{jet}");
+    let decay = message(&|config| config.disturbances.jets = failure(FailureKind::Stuck, 0.5));
+    assert!(
+        decay.contains("disturbances.jets.failure.decay is 0.5; expected 0: a jet that is stuck"),
+        "{decay}"
+    );
+    let known = message(&|config| config.disturbances.jets.limit_is_known = true);
+    assert!(known.contains("disturbances.jets.limit_is_known is true; expected false without"), "{known}");
+    for kind in [OutageKind::Missing, OutageKind::Nan, OutageKind::Frozen] {
+        let error = message(&|config| {
+            let outage = Outage {
+                channel: OutageChannel::Wind,
+                jet: None,
+                start: 1.0,
+                duration: None,
+                kind,
+                error: 0.5,
+            };
+            config.disturbances.outages = vec![outage];
+        });
+        assert!(
+            error.contains("disturbances.outages[0].error is 0.5; expected none, but for the kind wrong"),
+            "{error}"
+        );
+    }
     let std = message(&|config| {
         config.wind = WindConfig::Turbulent {
             velocity: [0.0; 3],

@@ -26,7 +26,7 @@ pub struct JetFaultsConfig {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub thrust_limit_scale: Option<f64>,
-    /// Whether the controller's own limits are scaled as well.
+    /// Whether the controller's own limits are scaled as well, by `thrust_limit_scale`.
     pub limit_is_known: bool,
     /// Time constant with which the commanded thrust rate takes effect \[s\]; zero for at once.
     #[schemars(range(min = 0))]
@@ -89,9 +89,16 @@ impl JetFaultsConfig {
             index_of("failure.jet", &failure.jet, jets)?;
             table.check("failure.time", failure.time, |t| t >= 0.0, "seconds ≥ 0")?;
             table.check("failure.decay", failure.decay, |t| t >= 0.0, "seconds ≥ 0")?;
+            if failure.kind == FailureKind::Stuck {
+                let expected = "0: a jet that is stuck keeps its thrust";
+                table.check("failure.decay", failure.decay, |t| t == 0.0, expected)?;
+            }
         }
         if let Some(scale) = self.thrust_limit_scale {
             table.check("thrust_limit_scale", scale, |x| x > 0.0, "a positive factor")?;
+        } else if self.limit_is_known {
+            let expected = "false without disturbances.jets.thrust_limit_scale";
+            return Err(BuildError::bad_value("disturbances.jets.limit_is_known", true, expected));
         }
         if let Some(noise) = &self.measurement_noise {
             table.check("measurement_noise.std", noise.std, |x| x >= 0.0, "newtons ≥ 0")?;

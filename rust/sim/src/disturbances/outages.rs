@@ -87,6 +87,10 @@ impl Outage {
             check(&key("duration"), duration, |t| t > 0.0, "seconds > 0")?;
         }
         check(&key("error"), self.error, |_| true, "a finite number")?;
+        if self.kind != OutageKind::Wrong {
+            let expected = "none, but for the kind wrong";
+            check(&key("error"), self.error, |error| error.total_cmp(&one()).is_eq(), expected)?;
+        }
         if let Some(name) = &self.jet {
             if self.channel != OutageChannel::Thrust {
                 return Err(BuildError::bad_value(key("jet"), name, "none, but for the channel thrust"));

@@ -186,11 +186,12 @@ fn disturb(rng: &mut ChaCha8Rng, scenario: &mut ScenarioConfig, robot: &RobotMod
         }
     }
     if rng.random_bool(0.3) && !robot.jets.is_empty() {
+        let kind = if rng.random_bool(0.5) { FailureKind::Off } else { FailureKind::Stuck };
         scenario.disturbances.jets.failure = Some(JetFailure {
             jet: robot.jets[rng.random_range(0..robot.jets.len())].name.clone(),
             time: rng.random_range(0.0..5.0),
-            kind: if rng.random_bool(0.5) { FailureKind::Off } else { FailureKind::Stuck },
-            decay: rng.random_range(0.0..1.0),
+            kind,
+            decay: if kind == FailureKind::Off { rng.random_range(0.0..1.0) } else { 0.0 },
         });
     }
     if rng.random_bool(0.3) {
@@ -204,13 +205,16 @@ fn random_outages(rng: &mut ChaCha8Rng) -> Vec<Outage> {
     use OutageChannel::{BasePosition, BaseRotation, BaseVelocity, Joints, Thrust, Wind};
     use OutageKind::{Frozen, Missing, Nan, Wrong};
     let count = [0, 0, 1, 4][rng.random_range(0..4)];
-    let outage = |_| Outage {
-        channel: [Wind, Thrust, Joints, BasePosition, BaseRotation, BaseVelocity][rng.random_range(0..6)],
-        jet: None,
-        start: rng.random_range(0.01..8.0),
-        duration: rng.random_bool(0.8).then(|| factor(rng, 1.0)),
-        kind: [Missing, Nan, Frozen, Wrong][rng.random_range(0..4)],
-        error: rng.random_range(-3.0..3.0),
+    let outage = |_| {
+        let kind = [Missing, Nan, Frozen, Wrong][rng.random_range(0..4)];
+        Outage {
+            channel: [Wind, Thrust, Joints, BasePosition, BaseRotation, BaseVelocity][rng.random_range(0..6)],
+            jet: None,
+            start: rng.random_range(0.01..8.0),
+            duration: rng.random_bool(0.8).then(|| factor(rng, 1.0)),
+            kind,
+            error: if kind == Wrong { rng.random_range(-3.0..3.0) } else { 1.0 },
+        }
     };
     (0..count).map(outage).collect()
 }

@@ -74,9 +74,9 @@ fn blind_for_a_second_it_completes() {
         (OutageChannel::BaseVelocity, Modes::VELOCITY_PREDICTED),
     ] {
         for duration in [0.3, 1.0] {
-            for kind in [OutageKind::Missing, OutageKind::Wrong] {
-                // Beyond every jump.
-                completes(Outage { error: 3.0, ..outage(channel, duration, kind) }, mode.bits(), 5.0);
+            // An error beyond every jump.
+            for (kind, error) in [(OutageKind::Missing, 1.0), (OutageKind::Wrong, 3.0)] {
+                completes(Outage { error, ..outage(channel, duration, kind) }, mode.bits(), 5.0);
             }
         }
     }
@@ -149,8 +149,8 @@ fn with_a_wrong_thrust_sensor_it_completes() {
         ("l_arm_jet", OutageKind::Wrong, -40.0),
         ("chest_r_jet", OutageKind::Wrong, 20.0),
         ("chest_r_jet", OutageKind::Wrong, -90.0),
-        ("l_arm_jet", OutageKind::Frozen, 0.0),
-        ("chest_r_jet", OutageKind::Frozen, 0.0),
+        ("l_arm_jet", OutageKind::Frozen, 1.0),
+        ("chest_r_jet", OutageKind::Frozen, 1.0),
     ] {
         let lost = outage(OutageChannel::Thrust, FOR_EVER, kind);
         completes(Outage { jet: Some(jet.into()), error, ..lost }, Modes::THRUST_MODELLED.bits(), 30.0);
