@@ -143,6 +143,7 @@ def read_tree(urdf_text: str, base_link: str, order: Sequence[str], locked: Mapp
                 to_visit.append((child, place + 1, IDENTITY))
             elif motion == "locked":
                 axis, position = _axis(joint), locked[name]
+                _check_position(joint, position)
                 shifted, turned = Pose(np.eye(3), axis * position), Pose(_rotation_about(axis, position), np.zeros(3))
                 to_visit.append((child, body, body_from_joint @ (shifted if _is_prismatic(joint) else turned)))
             else:
@@ -172,7 +173,7 @@ def root_of(urdf_text: str) -> ElementTree.Element:
 def _motion(joint: ElementTree.Element, order: Sequence[str], locked: Mapping[str, float]) -> str:
     """Say whether a joint is `fixed`, `locked` or `moving`; refuse what cannot be either."""
     name, kind = joint.attrib["name"], joint.attrib.get("type")
-    mimic = joint.find("mimic")
+    mimic = _find(joint, "mimic")
     if mimic is not None:
         raise ValueError(
             f"joint `{name}` is a mimic of `{mimic.attrib.get('joint')}`; expected a joint that moves on its own"
@@ -195,11 +196,24 @@ def _refuse_unknown(item: str, names: Iterable[str], known: Sequence[str]) -> No
             raise ValueError(f"{item}: unknown name `{name}`; the URDF has {', '.join(known)}")
 
 
+def _find(element: ElementTree.Element, tag: str) -> ElementTree.Element | None:
+    """Return the tag of this name within another, where there is one."""
+    found = element.findall(tag)
+    if len(found) > 1:
+        raise ValueError(f"{_named(element)} has more than one <{tag}>")
+    return found[0] if found else None
+
+
 def _child(element: ElementTree.Element, tag: str) -> ElementTree.Element:
-    found = element.find(tag)
+    found = _find(element, tag)
     if found is None:
-        raise ValueError(f"{element.tag} `{element.attrib.get('name')}` has no <{tag}>")
+        raise ValueError(f"{_named(element)} has no <{tag}>")
     return found
+
+
+def _named(element: ElementTree.Element) -> str:
+    name = element.attrib.get("name")
+    return f"an <{element.tag}>" if name is None else f"{element.tag} `{name}`"
 
 
 def attribute(element: ElementTree.Element, key: str) -> str:
@@ -231,7 +245,7 @@ def _number(element: ElementTree.Element, key: str, default: str | None = None) 
 
 def origin_of(element: ElementTree.Element) -> Pose:
     """Pose a URDF element gives by its <origin>; the identity where it has none."""
-    origin = element.find("origin")
+    origin = _find(element, "origin")
     if origin is None:
         return IDENTITY
     roll, pitch, yaw = numbers(origin, "rpy", 3, "0 0 0")
@@ -240,7 +254,7 @@ def origin_of(element: ElementTree.Element) -> Pose:
 
 
 def _axis(joint: ElementTree.Element) -> Vector:
-    element = joint.find("axis")
+    element = _find(joint, "axis")
     axis = numbers(element, "xyz", 3) if element is not None else np.array([1.0, 0.0, 0.0])
     length = np.linalg.norm(axis)
     if abs(length - 1.0) > 1e-6:
@@ -257,13 +271,26 @@ def _limits(joint: ElementTree.Element) -> tuple[float, float] | None:
     return _number(limit, "lower"), _number(limit, "upper")
 
 
+def _check_position(joint: ElementTree.Element, position: float) -> None:
+    """Refuse a position [rad, m] beyond the limits of a joint that has some."""
+    limit = _find(joint, "limit")
+    if limit is None or joint.attrib["type"] == "continuous":
+        return
+    lower, upper = _number(limit, "lower", "0"), _number(limit, "upper", "0")
+    if lower < upper and not lower <= position <= upper:
+        raise ValueError(
+            f"position of locked joint `{joint.attrib['name']}` is {position:g}; "
+            f"expected a number from {lower:g} to {upper:g}, the limits of the URDF"
+        )
+
+
 def _is_prismatic(joint: ElementTree.Element) -> bool:
     return joint.attrib["type"] == "prismatic"
 
 
 def _greatest(joint: ElementTree.Element, key: str) -> float | None:
     """Read a limit of effort or velocity; `None` where the URDF says 0 or nothing."""
-    limit = joint.find("limit")
+    limit = _find(joint, "limit")
     value = 0.0 if limit is None else _number(limit, key, "0")
     if value < 0.0:
         raise ValueError(
@@ -279,7 +306,7 @@ def _rotation_about(axis: Vector, angle: float) -> Vector:
 
 
 def _parts(link: ElementTree.Element, body_from_link: Pose) -> list[_Part]:
-    inertial = link.find("inertial")
+    inertial = _find(link, "inertial")
     if inertial is None:
         return []
     mass = _number(_child(inertial, "mass"), "value")

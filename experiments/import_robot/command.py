@@ -77,7 +77,7 @@ def _parser() -> Parser:
     add("--out", type=Path, help="folder for the files (default: results/robot/URDF)")
     add("--jet", action="append", required=True, type=thruster, metavar="FRAME[:AXIS]:MAX", help="greatest thrust [N]")
     add("--foot", action="append", default=[], metavar="FRAME", help="sole frame, z up")
-    add("--hold", action="append", default=[], metavar="JOINT", help="a joint that stays at zero")
+    add("--hold", action="append", default=[], metavar="JOINT", help="a joint that stays as near to zero as it can")
     add("--posture", action="append", default=[], type=angle, metavar="JOINT=DEG", help="where the trim starts")
     add("--forward", choices=["x", "y", "-x", "-y"], default="x", help="forward axis of the base")
     add("--mission", action="store_true", help="fly the paper's mission in 10 m/s of lateral wind as well")

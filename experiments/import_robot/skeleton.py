@@ -51,6 +51,8 @@ class Joint:
     """Greatest force or torque [N, N m]; 0 if not given in the URDF."""
     velocity: float
     """Greatest velocity [m/s, rad/s]; 0 where the URDF has none."""
+    nearest_zero: float
+    """Position within its limits that is nearest to zero [m, rad]."""
 
     @property
     def moves(self) -> bool:
@@ -121,18 +123,20 @@ class Tree:
 def _joint(element: ET.Element) -> Joint:
     ends = [element.find(tag) for tag in ("parent", "child")]
     parent, child = ("" if end is None else end.get("link", "") for end in ends)
-    limit = element.find("limit")
-    effort, velocity = (
-        0.0 if limit is None else float(numbers(limit, key, 1, "0")[0]) for key in ("effort", "velocity")
+    limit = ET.Element("limit") if (found := element.find("limit")) is None else found
+    effort, velocity, lower, upper = (
+        float(numbers(limit, key, 1, "0")[0]) for key in ("effort", "velocity", "lower", "upper")
     )
+    kind = element.get("type", "")
     return Joint(
         element.get("name", ""),
-        element.get("type", ""),
+        kind,
         parent,
         child,
         origin_of(element),
         effort,
         velocity,
+        0.0 if kind == "continuous" or lower >= upper else min(max(0.0, lower), upper),
     )
 
 
@@ -165,7 +169,8 @@ def write(
     if forward != "x":
         lines.append(f"forward_axis = {_row(AXES[forward])}")
     if held:
-        lines.append(f"locked = {{ {', '.join(f'{toml_key(joint)} = 0.0' for joint in held)} }}")
+        places = {joint.name: joint.nearest_zero for joint in tree.joints if joint.name in held}
+        lines.append(f"locked = {toml_value(places)}")
     lines += ["", "# --- joints, in tree order, a group for each chain ---", *_groups(tree.chains(held))]
     links = {link: box for link, box in boxes.items() if box.size.max() >= SMALLEST_LINK}
     lines += ["", "# --- aerodynamic links: cylinders and spheres of the size of the geometry (?) ---"]

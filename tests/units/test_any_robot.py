@@ -171,6 +171,13 @@ def test_the_legs_of_mk1_have_the_torques_of_their_motors():
         ('effort="80"', "", ["torque_max of joint `stroke`", "missing"]),
         ('type="prismatic"', 'type="planar"', ["joint `rail`", "planar"]),
         ('<axis xyz="1 0 0"/>', '<axis xyz="1 0 0"/><mimic joint="rail"/>', ["joint `hinge`", "mimic", "`rail`"]),
+        ('<axis xyz="1 0 0"/>', '<axis xyz="1 0 0"/><axis xyz="0 1 0"/>', ["joint `hinge` has more than one <axis>"]),
+        ("<inertial>", "<inertial/><inertial>", ["link `", "` has more than one <inertial>"]),
+        (
+            "hatch_rail = 0.04",
+            "hatch_rail = 0.11",
+            ["locked joint `hatch_rail` is 0.11; expected a number from -0.1 to 0.1, the limits of the URDF"],
+        ),
     ],
 )
 def test_joints_that_cannot_be_are_refused_in_both_languages(tmp_path, old, new, words):

@@ -97,6 +97,21 @@ def test_names_may_hold_what_is_no_bare_key(tmp_path):
     assert table["locked"] == {name("neck"): 0.0}
 
 
+@pytest.mark.parametrize(
+    ("limit", "position"),
+    [
+        ('lower="-0.5" upper="0.5"', 0.0),
+        ('lower="0.1" upper="0.5"', 0.1),
+        ('lower="-0.5" upper="-0.1"', -0.1),
+        ("", 0.0),  # no range
+    ],
+)
+def test_a_joint_is_held_as_near_to_zero_as_it_can_be(limit, position):
+    urdf = (ROBOTS / "sparrow.urdf").read_text().replace('lower="-0.5" upper="0.5"', limit)
+    (neck,) = (joint for joint in skeleton.Tree(ET.fromstring(urdf)).joints if joint.name == "neck")
+    assert neck.nearest_zero == position
+
+
 def box_of(*parts):
     """Return the box of a link with some `<visual>` parts."""
     text = "".join(f"<visual>{part}</visual>" for part in parts)

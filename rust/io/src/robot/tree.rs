@@ -72,6 +72,7 @@ pub(super) fn build(
             match motions[joint_index] {
                 Motion::Fixed => to_visit.push((child, body, body_from_joint)),
                 Motion::Locked(kind, position) => {
+                    joint.check_position(position)?;
                     let axis = joint.axis()?.into_inner();
                     let moved = match kind {
                         JointKind::Revolute => {

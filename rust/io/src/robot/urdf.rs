@@ -87,14 +87,15 @@ fn link(node: Node<'_, '_>) -> Result<Link, String> {
     };
     Ok(Link {
         name: attribute(node, "name")?.to_owned(),
-        inertial: child(node, "inertial").map(inertial).transpose()?,
+        inertial: child(node, "inertial")?.map(inertial).transpose()?,
     })
 }
 
 fn joint(node: Node<'_, '_>) -> Result<Joint, String> {
     let linked = |tag| required(node, tag).and_then(|end| attribute(end, "link")).map(str::to_owned);
-    let limit = |key| child(node, "limit").map_or(Ok(0.0), |limit| number(limit, key, Some(0.0)));
-    let mimic = child(node, "mimic").map(|mimic| attribute(mimic, "joint").map(str::to_owned));
+    let limit = child(node, "limit")?;
+    let limit = |key| limit.map_or(Ok(0.0), |limit| number(limit, key, Some(0.0)));
+    let mimic = child(node, "mimic")?.map(|mimic| attribute(mimic, "joint").map(str::to_owned));
     Ok(Joint {
         name: attribute(node, "name")?.to_owned(),
         origin: origin(node)?,
@@ -104,25 +105,30 @@ fn joint(node: Node<'_, '_>) -> Result<Joint, String> {
         effort: limit("effort")?,
         velocity: limit("velocity")?,
         kind: attribute(node, "type")?.to_owned(),
-        axis: child(node, "axis").map_or(Ok([1.0, 0.0, 0.0]), |axis| numbers(axis, "xyz", None))?,
+        axis: child(node, "axis")?.map_or(Ok([1.0, 0.0, 0.0]), |axis| numbers(axis, "xyz", None))?,
         lower: limit("lower")?,
         upper: limit("upper")?,
     })
 }
 
 fn origin(node: Node<'_, '_>) -> Result<Origin, String> {
-    child(node, "origin").map_or(Ok(Origin::default()), |origin| {
+    child(node, "origin")?.map_or(Ok(Origin::default()), |origin| {
         let at = |key| numbers(origin, key, Some([0.0; 3]));
         Ok(Origin { xyz: at("xyz")?, rpy: at("rpy")? })
     })
 }
 
-fn child<'a, 'i>(node: Node<'a, 'i>, tag: &str) -> Option<Node<'a, 'i>> {
-    node.children().find(|child| child.has_tag_name(tag))
+/// The tag of this name within another, where there is one.
+fn child<'a, 'i>(node: Node<'a, 'i>, tag: &str) -> Result<Option<Node<'a, 'i>>, String> {
+    let mut found = node.children().filter(|child| child.has_tag_name(tag));
+    match (found.next(), found.next()) {
+        (_, Some(_)) => Err(format!("{} has more than one <{tag}>", named(node))),
+        (found, None) => Ok(found),
+    }
 }
 
 fn required<'a, 'i>(node: Node<'a, 'i>, tag: &str) -> Result<Node<'a, 'i>, String> {
-    child(node, tag).ok_or_else(|| format!("{} has no <{tag}>", named(node)))
+    child(node, tag)?.ok_or_else(|| format!("{} has no <{tag}>", named(node)))
 }
 
 fn attribute<'a>(node: Node<'a, '_>, key: &str) -> Result<&'a str, String> {
@@ -192,6 +198,15 @@ impl Joint {
     pub(super) fn greatest(&self, key: &str, value: f64) -> Result<Option<f64>, BuildError> {
         let item = format!("URDF {key} limit of joint `{}`", self.name);
         check_number(&item, value, |x| x >= 0.0, "a number ≥ 0").map(|x| (x > 0.0).then_some(x))
+    }
+
+    /// Refuses a position \[rad, m\] beyond the limits of a joint that has some.
+    pub(super) fn check_position(&self, position: f64) -> Result<(), BuildError> {
+        let (lower, upper) = (self.lower, self.upper);
+        let has_limits = self.kind != "continuous" && lower < upper;
+        let item = format!("position of locked joint `{}`", self.name);
+        let expected = format!("a number from {lower} to {upper}, the limits of the URDF");
+        check_number(&item, position, |x| !has_limits || (lower <= x && x <= upper), &expected).map(|_| ())
     }
 
     /// The limits of the joint \[rad, m\]; a continuous one has none.

@@ -62,6 +62,7 @@ fn impossible_toml_is_refused_by_name_and_value() {
         spoil("{ neck = 0.2 }", "{ neck = 0.2, l_hip = 0.0 }", &["joint `l_hip`", "more than once"]),
         spoil("{ neck = 0.2 }", "{ neck = 0.2, l_ankle = 0.0 }", &["joint `l_ankle`", "fixed"]),
         spoil("locked = { neck = 0.2 }", "", &["joint `neck`", "neither in the joint order nor locked"]),
+        spoil("{ neck = 0.2 }", "{ neck = -0.6 }", &["locked joint `neck` is -0.6; ", "from -0.5 to 0.5"]),
         // Values.
         spoil("base_link =", "gravity = -9.81\nbase_link =", &["gravity", "-9.81"]),
         spoil("base_link =", "gravity = inf\nbase_link =", &["gravity", "inf"]),
@@ -134,6 +135,22 @@ fn impossible_urdf_is_refused_by_name_and_value() {
         spoil("<link name=\"head\">", "<link>", &["the <link> of robot `sparrow` has no `name`"]),
         spoil("<mass value=\"2.5\"/>", "", &["the <inertial> of link `pelvis` has no <mass>"]),
         spoil("ixx=\"0.010417\"", "", &["the <inertia> of link `pelvis` has no `ixx`"]),
+        // What is there twice.
+        spoil(
+            "<mass value=\"2.5\"/>",
+            "<mass value=\"2.5\"/><mass value=\"3\"/>",
+            &["the <inertial> of link `pelvis` has more than one <mass>"],
+        ),
+        spoil(
+            "<inertial>",
+            "<inertial/><inertial>",
+            &["sparrow.urdf", "link `pelvis` has more than one <inertial>"],
+        ),
+        spoil(
+            "<axis xyz=\"0 0.8 0.6\"/>",
+            "<axis xyz=\"0 0.8 0.6\"/><axis xyz=\"0 1 0\"/>",
+            &["joint `l_shoulder` has more than one <axis>"],
+        ),
         spoil(
             "upper=\"1.5\"",
             "upper=\"1.5 m\"",
