@@ -104,7 +104,7 @@ def configurations(world: World, speed: float, flights: int, seed: int) -> Itera
     table = rust.load_config(flight.find(name), settings)
     if model is not None:
         table["controller"]["aero"] = copy.deepcopy(keys.get(table, model))
-    links = rust.Robot(table["robot"]).aero_link_names
+    robot = rust.Robot(table["robot"])
     perturbation = tables.load(PERTURBATION, Perturbation)
     for repeat in range(flights):
         config = copy.deepcopy(table)
@@ -119,7 +119,7 @@ def configurations(world: World, speed: float, flights: int, seed: int) -> Itera
             "time_scale": 2.0,
             "seed": 0,
         }
-        perturbation.apply(config, seed, repeat, links)
+        perturbation.apply(config, seed, repeat, robot)
         yield config
 
 

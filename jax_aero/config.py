@@ -865,7 +865,7 @@ class InitialConfig(Table, frozen=True, kw_only=True):
     joint_position: tuple[float, ...]
     """Joint positions in the robot's order [rad]."""
     thrust: tuple[NonNegative, ...]
-    """Thrusts in the robot's order [N]."""
+    """Thrusts in the robot's order, each at most the jet's greatest [N]."""
 
 
 Integrator: TypeAlias = Literal["semi_implicit_euler", "explicit_euler"]

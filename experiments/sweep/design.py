@@ -9,7 +9,7 @@ import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 from experiments import Refused, flight, manifest
 from experiments.sources import file_hash
@@ -67,11 +67,6 @@ class Design:
         names = {self.spec.base, *(level.base for axis in self.spec.axis for level in axis.levels if level.base)}
         return {name: _load(self.spec.name, name) for name in sorted(names)}
 
-    @cached_property
-    def links(self) -> list[str]:
-        """Return the aerodynamic links of the robot."""
-        return list(rust.Robot(self.bases[self.spec.base]["robot"]).aero_link_names)
-
     def cell_config(self, cell: int) -> rust.Config:
         """Return the unperturbed configuration of a cell."""
         levels = self.cells[cell]
@@ -93,7 +88,7 @@ class Design:
 
     def perturb(self, config: rust.Config, repeat: int) -> None:
         """Perturb a configuration in place by the draws of a repeat."""
-        self.spec.perturbation.apply(config, self.spec.seed, repeat, self.links)
+        self.spec.perturbation.apply(config, self.spec.seed, repeat, _robot(config["robot"]))
 
     @cached_property
     def digest(self) -> str:
@@ -148,6 +143,11 @@ def unit_points(design: str, dimensions: int, samples: int, seed: int) -> Sequen
         points = qmc.LatinHypercube(dimensions, rng=seed).random(samples)
     found: list[list[float]] = points.tolist()
     return found
+
+
+@cache
+def _robot(path: str) -> rust.Robot:
+    return rust.Robot(path)
 
 
 def _load(sweep: str, name: str) -> rust.Config:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from jax_aero import keys, tables
+from jax_aero.rust import Robot
 
 CHANCE = {
     "wind": ("time_scale",),
@@ -50,7 +51,7 @@ class Perturbation(tables.Table, frozen=True):
     base_velocity: tables.NonNegative = 0.0
     """Of every initial velocity of the base [m/s, rad/s]."""
     thrust: tables.NonNegative = 0.0
-    """Of every initial thrust [N]."""
+    """Of every initial thrust, which stays between 0 and the jet's greatest [N]."""
     wind_speed: tables.NonNegative = 0.0
     """Of the wind speed, relative."""
     wind_direction_deg: tables.NonNegative = 0.0
@@ -64,8 +65,8 @@ class Perturbation(tables.Table, frozen=True):
     ensemble: Path | None = None
     """`ensemble.json` of train-ensemble: the network of `simulator.aero` is one of its members, all equally often."""
 
-    def apply(self, config: dict[str, Any], seed: int, repeat: int, links: Sequence[str]) -> None:
-        """Perturb a configuration in place."""
+    def apply(self, config: dict[str, Any], seed: int, repeat: int, robot: Robot) -> None:
+        """Perturb a configuration of this robot in place."""
         # Every number is drawn whether it is used or not, and each kind from a stream of its own: a perturbation that
         # is switched on leaves the others as they were.
         draws = {kind: np.random.default_rng([seed, repeat, number]) for number, kind in enumerate(STREAMS)}
@@ -79,9 +80,10 @@ class Perturbation(tables.Table, frozen=True):
             if getattr(self, name):
                 initial[name] = around(name, initial[name])
         if self.thrust:
-            initial["thrust"] = [max(0.0, thrust) for thrust in initial["thrust"]]
+            pairs = zip(initial["thrust"], robot.thrust_max, strict=True)
+            initial["thrust"] = [min(max(0.0, thrust), greatest) for thrust, greatest in pairs]
         self._blow(config["wind"], around)
-        self._reshape(config, around, links)
+        self._reshape(config, around, robot.aero_link_names)
         if self.ensemble:
             _draw(config["simulator"]["aero"], members(self.ensemble), seed, repeat)
         _seed(config, draws["seeds"])

@@ -321,6 +321,15 @@ def test_each_kind_perturbs_its_own_numbers_within_its_size(kind, size):
     assert np.all(apart <= size)
 
 
+def test_no_thrust_is_drawn_that_its_jet_cannot_give():
+    made = design(repeats=8, perturbation={"thrust": 300.0})
+    drawn = np.array([made.row_config(row)["simulator"]["initial"]["thrust"] for row in range(8)])
+    greatest = np.array(rust.Robot(made.row_config(0)["robot"]).thrust_max)
+    assert np.all((drawn >= 0.0) & (drawn <= greatest))
+    assert np.any(drawn == 0.0)
+    assert np.any(drawn == greatest)
+
+
 def test_the_digest_follows_perturbations_and_weights(tmp_path):
     card = tmp_path / "card.json"
     axis = {

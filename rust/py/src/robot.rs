@@ -120,6 +120,12 @@ impl Robot {
         self.model.jets.iter().map(|jet| jet.name.clone()).collect()
     }
 
+    /// Greatest thrust of every jet [N].
+    #[getter]
+    fn thrust_max(&self) -> Vec<f64> {
+        self.model.jets.iter().map(|jet| jet.thrust_max).collect()
+    }
+
     #[getter]
     fn foot_names(&self) -> Vec<String> {
         self.model.feet.iter().map(|foot| foot.name.clone()).collect()

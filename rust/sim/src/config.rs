@@ -225,7 +225,7 @@ pub struct InitialConfig {
     /// Velocity of the base origin, then angular velocity, inertial axes \[m/s, rad/s\].
     #[serde(default)]
     pub base_velocity: [f64; 6],
-    /// Thrusts in the robot's order \[N\].
+    /// Thrusts in the robot's order, each at most the jet's greatest \[N\].
     #[schemars(inner(range(min = 0)))]
     pub thrust: Vec<f64>,
     /// Whether the first physics step has neither thrust nor torque, as the delays of the published
@@ -339,7 +339,6 @@ impl SimulatorConfig {
         each("base_rpy_deg", &initial.base_rpy_deg, |_| true, "finite numbers")?;
         each("base_velocity", &initial.base_velocity, |_| true, "finite numbers")?;
         each("joint_position", &initial.joint_position, |_| true, "finite numbers")?;
-        each("thrust", &initial.thrust, |t| t >= 0.0, "newtons ≥ 0")?;
         let length = |name: &str, found: usize, expected: usize, of: &str| {
             if found == expected {
                 Ok(())
@@ -352,7 +351,12 @@ impl SimulatorConfig {
             }
         };
         length("joint_position", initial.joint_position.len(), robot.joints.len(), "joint")?;
-        length("thrust", initial.thrust.len(), robot.jets.len(), "jet")
+        length("thrust", initial.thrust.len(), robot.jets.len(), "jet")?;
+        initial.thrust.iter().zip(&robot.jets).try_for_each(|(thrust, jet)| {
+            let (name, most) = (&jet.name, jet.thrust_max);
+            let expected = format!("newtons from 0 to {most}, the greatest of jet `{name}`");
+            table.check("initial.thrust", *thrust, |thrust| (0.0..=most).contains(&thrust), &expected)
+        })
     }
 
     /// Number of ticks after the one at time zero.

@@ -182,7 +182,7 @@ fn disturb(rng: &mut ChaCha8Rng, scenario: &mut ScenarioConfig, robot: &RobotMod
         initial.base_rpy_deg = [30.0, 30.0, 180.0].map(|range| rng.random_range(-range..range));
         initial.base_velocity = [(); 6].map(|()| rng.random_range(-2.0..2.0));
         for (thrust, jet) in initial.thrust.iter_mut().zip(&robot.jets) {
-            *thrust = rng.random_range(0.0..1.2) * jet.thrust_max;
+            *thrust = rng.random_range(0.0..1.0) * jet.thrust_max;
         }
     }
     if rng.random_bool(0.3) && !robot.jets.is_empty() {

@@ -435,9 +435,12 @@ fn numbers_that_physics_excludes_diverge() {
             "joint more than 6 rad beyond its stop",
         ),
         (
-            |c| c.simulator.initial.thrust[2] = 2201.0,
-            LossReason::Thrust(10.0),
-            "thrust above 10 times its greatest",
+            |c| {
+                c.simulator.divergence.thrust_ratio = 0.9;
+                c.simulator.initial.thrust[2] = 199.0;
+            },
+            LossReason::Thrust(0.9),
+            "thrust above 0.9 times its greatest",
         ),
         (
             |c| c.simulator.divergence.joint_velocity = 1e-6,
@@ -478,7 +481,8 @@ fn numbers_that_physics_allows_fly() {
     assert!(run(&fast).loss.is_none());
     let at_its_limits = with(fast, |config| {
         config.simulator.initial.base_velocity = [300.0, 0.0, 0.0, 0.0, 0.0, 100.0];
-        config.simulator.initial.thrust[2] = 2200.0;
+        config.simulator.divergence.thrust_ratio = 1.0;
+        config.simulator.initial.thrust[2] = 220.0;
         config.simulator.initial.free_fall_tick = false;
     });
     let mut flight = Scenario::new(&at_its_limits).unwrap().begin();
@@ -531,7 +535,7 @@ fn a_controller_with_feet_flies() {
 #[test]
 #[rustfmt::skip]
 fn bad_simulators_are_refused_by_name() {
-    let refusals: [Refusal; 30] = [
+    let refusals: [Refusal; 31] = [
         ("simulator.duration", |c| c.simulator.duration = 0.0, "is 0"),
         ("simulator.duration", |c| c.simulator.duration = -5.0, "is -5"),
         ("simulator.duration", |c| c.simulator.duration = f64::NAN, "is NaN"),
@@ -560,6 +564,7 @@ fn bad_simulators_are_refused_by_name() {
         ("simulator.initial.joint_position", |c| c.simulator.initial.joint_position[7] = f64::NAN, "is NaN"),
         ("simulator.initial.thrust", |c| c.simulator.initial.thrust[3] = -1.0, "is -1"),
         ("simulator.initial.thrust", |c| c.simulator.initial.thrust[3] = f64::NAN, "is NaN"),
+        ("simulator.initial.thrust", |c| c.simulator.initial.thrust[1] = 160.5, "is 160.5; expected newtons from 0 to 160, the greatest of jet `r_arm_jet`"),
         ("length of simulator.initial.joint_position", |c| { c.simulator.initial.joint_position.pop(); }, "is 22; expected 23"),
         ("length of simulator.initial.thrust", |c| c.simulator.initial.thrust.push(0.0), "is 5; expected 4"),
         ("coefficients", |c| c.simulator.aero = serde_json::from_str(r#"{"model": "axisymmetric", "coefficients": "nobodys", "air_density": 1.2}"#).unwrap(), "nobodys"),
