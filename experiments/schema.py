@@ -93,10 +93,11 @@ def _plain(node: Any) -> Any:
 def of_parts(schema: Node) -> Node:
     """Return the schema of files in which any table may leave keys to the file that it names as its `base`.
 
-    What is missing then is refused when the files have been merged.
+    What is missing then is refused when the files have been merged. A key that may be absent is removed by `false`.
     """
     partial = copy.deepcopy(schema)
     for node in _nodes(partial):
+        _say_absent(node)
         if "properties" in node:
             node.pop("required", None)
             text = "File whose table is read first; the keys beside `base` are laid over it."
@@ -104,6 +105,16 @@ def of_parts(schema: Node) -> Node:
         if any("properties" in option for option in node.get("oneOf", ())):
             node["anyOf"] = node.pop("oneOf")  # without its kind, a table may be several
     return partial
+
+
+def _say_absent(node: Node) -> None:
+    """Put `false` in the place of the `null` of a key that may be absent, which no file can hold."""
+    absent = {"const": False, "description": "Nothing, whatever the file below says."}
+    if isinstance(node.get("type"), list) and "null" in node["type"]:
+        kept = {key: node.pop(key) for key in list(node) if key not in ("description", "default")}
+        node["anyOf"] = [{**kept, "type": next(kind for kind in kept["type"] if kind != "null")}, absent]
+    elif {"type": "null"} in node.get("anyOf", ()):
+        node["anyOf"] = [absent if option == {"type": "null"} else option for option in node["anyOf"]]
 
 
 def _with_files(schema: Node) -> Node:
@@ -359,6 +370,7 @@ was expected. This page is made {MADE}.
 
 Any table of a flight may name another file as its `base`: that file's table is read first, and the keys beside `base`
 are laid over it, table by table; a table of another kind (another `profile`, `model` or `dynamics`) replaces it whole.
+A key whose default is none is removed by `false`, as in `sensors = false`.
 Paths start at the file that names them. Keys without a default are required.
 
 The first line of a file, such as `#:schema ../schema/experiments.schema.json`, names its schema, so that an editor

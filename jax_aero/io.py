@@ -1,8 +1,9 @@
 """Reading of a TOML file as one resolved table or as types of `jax_aero.config`, without the compiled crate.
 
 A table may name another file as its `base`: that file's table is read first, and the keys beside `base` are laid over
-it, table by table. Paths start at the file that names them. Which keys are paths, and which tables are of several
-kinds, the types say; no key is judged before all files are merged.
+it, table by table. A key that may be absent is removed by `false`. Paths start at the file that names them. Which keys
+are paths or may be absent, and which tables are of several kinds, the types say; no key is judged before all files are
+merged.
 
 >>> table = load_config("test2", {"wind.velocity": [0.0, -12.0, 0.0]})
 >>> table["wind"]["profile"]
@@ -54,7 +55,7 @@ def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None =
 
 
 def override(table: Table, key: str, value: Any) -> None:
-    """Set a dotted key. There is no file at which its paths could start, so they start at the current folder."""
+    """Set a dotted key, or remove it. Its paths start at the current folder: there is no file at which they could."""
     *parents, last = key.split(".")
     place: inspect.Type | None = FLIGHT
     for part in parents:
@@ -63,6 +64,17 @@ def override(table: Table, key: str, value: Any) -> None:
     for inner, name in paths(entry, place):
         inner[name] = str(Path(inner[name]).resolve())
     set_key(table, key, entry[last])
+    drop_absent(table)
+
+
+def drop_absent(table: Table, place: inspect.Type | None = FLIGHT) -> None:
+    """Remove the keys of a table that are to be absent: those that are `false` and that may be."""
+    for key, value in list(table.items()):
+        below = _below(place, key)
+        if value is False and any(isinstance(option, inspect.NoneType) for option in _alternatives(below)):
+            del table[key]
+        elif isinstance(value, dict):
+            drop_absent(value, below)
 
 
 def scenario_config(table: Mapping[str, Any]) -> ScenarioConfig:
@@ -138,7 +150,9 @@ def resolve(path: str | PathLike[str], kind: inspect.Type | None = FLIGHT) -> Ta
             raise tables.ConfigError(f"`base` in {folder} is {base!r}; expected the path of a TOML file")
         return _lay_over(read(folder / base, place, depth + 1), place, table)
 
-    return read(Path(path), kind, 0)
+    table = read(Path(path), kind, 0)
+    drop_absent(table, kind)
+    return table
 
 
 def _lay_over(under: Table, place: inspect.Type | None, over: Table) -> Table:

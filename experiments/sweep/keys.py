@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from jax_aero import tables
+from jax_aero.io import drop_absent
 from jax_aero.keys import get, parts, set_key
 from jax_aero.wind_direction import speed_and_direction, wind_from
 
@@ -14,7 +15,7 @@ POLAR = ("wind.speed", "wind.direction_deg")
 
 
 def set_all(config: dict[str, Any], *layers: Mapping[str, Any]) -> None:
-    """Set every key in place, layer by layer; a number as a part of a key is an index into a list.
+    """Set or remove every key in place, layer by layer; a number as a part of a key is an index into a list.
 
     Speed and direction of the wind come last, whatever their order, unless a later layer sets the wind itself.
 
@@ -39,6 +40,7 @@ def set_all(config: dict[str, Any], *layers: Mapping[str, Any]) -> None:
         speed, direction = speed_and_direction(velocity["wind.velocity"])
         *horizontal, _ = wind_from(given.get(POLAR[0], speed), given.get(POLAR[1], direction))
         config["wind"]["velocity"] = [*horizontal, velocity["wind.velocity"][2]]
+    drop_absent(config)
 
 
 def replaced(key: str, earlier: Mapping[str, Any]) -> str | None:

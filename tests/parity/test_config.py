@@ -182,6 +182,17 @@ def test_null_is_no_value(key):
     assert said == words(rust.check_config, config)
 
 
+@pytest.mark.parametrize("key", list(optional(inspect.type_info(ScenarioConfig))))
+def test_false_removes_what_may_be_absent(key):
+    """On the command line as in a file; other keys keep it as their value."""
+    table = {}
+    for value, expected in ((1.0, 1.0), (False, None), (False, None)):
+        io.override(table, key, value)
+        assert get(table, key) == expected
+    io.override(table, "simulator.joint_stops", value=False)
+    assert table["simulator"]["joint_stops"] is False
+
+
 def written(table):
     """A configuration as the crate writes it: lists, and no key for what is not there."""
     if isinstance(table, dict):
@@ -210,6 +221,7 @@ def test_required_keys_are_those_of_the_crate():
 FILES = {
     "sub/weak.toml": "model = 'axisymmetric'\ncoefficients = 'published'\nair_density = 1.0\n",
     "sub/none.toml": "model = 'off'\n",
+    "sub/weak_jets.toml": "thrust_limit_scale = 0.9\nlag = 0.1\n",
     "sub/ramp.toml": "profile = 'ramp'\nvelocity = [1.0, 0.0, 0.0]\nramp_start = 1.0\nramp_end = 2.0\n",
     "sub/recorded.toml": "profile = 'file'\npath = 'wind.csv'\n",
     "sub/wind.csv": "time,x,y,z\n0,1,2,3\n",
@@ -224,6 +236,7 @@ CASES = {
     "another model": "controller.aero = { base = 'sub/none.toml' }\nsimulator.aero = { base = 'sub/weak.toml' }\n",
     "lists are replaced": "[mission]\nup = [[1, 2]]\n",
     "a name is no kind": "[disturbances.aero_estimate.links]\nhead = 0.5\n",
+    "false removes": "[disturbances.jets]\nbase = 'sub/weak_jets.toml'\nthrust_limit_scale = false\n",
 }
 
 

@@ -257,6 +257,15 @@ def test_an_axis_may_vary_an_integer(values):
         design(axis=[{"name": "substeps", "key": "simulator.substeps", "values": [1.5]}]).check()
 
 
+def test_a_level_removes_what_may_be_absent():
+    levels = [{"label": "with", "set": {}}, {"label": "without", "set": {"controller.engines": False}}]
+    made = design(base="test2_observer", axis=[{"name": "engines", "level": levels}])
+    with_them, without = (made.cell_config(cell)["controller"] for cell in range(2))
+    assert with_them.pop("engines")
+    assert with_them == without
+    made.check()
+
+
 def test_flights_that_a_sweep_names_by_their_paths_start_at_the_file(tmp_path, monkeypatch):
     """Wherever it is flown from, also where a file of it names them; what is kept of it names no folder."""
     flight = (places.CONFIGS / "experiments" / "test2.toml").read_text().replace('"../', f'"{places.CONFIGS}/')

@@ -85,6 +85,15 @@ impl<'a> Node<'a> {
         })
     }
 
+    /// Whether a key of this table may be absent, with nothing in its place.
+    pub(crate) fn may_lack(self, key: &str) -> bool {
+        let is_null = |node: &Value| node == "null" || node["type"] == "null";
+        self.alternatives().filter_map(|option| option.properties()?.get(key)).any(|node| {
+            let lists = ["type", "anyOf"].into_iter().filter_map(|list| node.get(list)?.as_array());
+            lists.flatten().any(is_null)
+        })
+    }
+
     /// Whether the keys of the table here are names that the schema does not know.
     pub(crate) fn is_of_names(self) -> bool {
         self.node.get("additionalProperties").is_some_and(Value::is_object)

@@ -1,11 +1,11 @@
 //! Resolves a TOML file and its base files to one table.
 //!
 //! A table may name another file as its `base`: that file's table is read first, and the keys beside
-//! `base` are laid over it, table by table. Paths start at the file that names them. Where keys are names of the robot's
-//! parts, a `base` that is no text is such a name.
+//! `base` are laid over it, table by table. A key that may be absent is removed by `false`. Paths start at the file
+//! that names them. Where keys are names of the robot's parts, a `base` that is no text is such a name.
 //!
 //! ```toml
-//! controller = { base = "../control/aero_aware.toml", momentum = { c0 = 60.0 } }
+//! controller = { base = "../control/observer.toml", momentum = { c0 = 60.0 }, engines = false }
 //! ```
 
 use crate::files::{absolute, read_text};
@@ -84,7 +84,7 @@ fn json(value: ::toml::Value, key: &str) -> Result<Value, String> {
 /// # Errors
 /// [`BuildError`] naming the file that cannot be read or parsed, or that refers to itself.
 pub fn resolve(path: &Path, schema: &Schema) -> Result<Value, BuildError> {
-    Reader { files: 0 }.read(path, Some(schema.root()), 0).map(Value::Object)
+    Reader { files: 0 }.read(path, Some(schema.root()), 0).map(|table| without_absent(table, schema))
 }
 
 /// As [`resolve`], for a table that is no file yet; its paths start at `folder`.
@@ -92,7 +92,23 @@ pub fn resolve(path: &Path, schema: &Schema) -> Result<Value, BuildError> {
 /// # Errors
 /// As [`resolve`].
 pub fn resolve_table(table: Map<String, Value>, folder: &Path, schema: &Schema) -> Result<Value, BuildError> {
-    Reader { files: 0 }.resolve_table(table, Some(schema.root()), folder, 0).map(Value::Object)
+    let resolved = Reader { files: 0 }.resolve_table(table, Some(schema.root()), folder, 0);
+    resolved.map(|table| without_absent(table, schema))
+}
+
+/// A resolved table without the keys that are to be absent.
+fn without_absent(mut table: Map<String, Value>, schema: &Schema) -> Value {
+    drop_absent(&mut table, schema.root());
+    Value::Object(table)
+}
+
+fn drop_absent(table: &mut Map<String, Value>, node: Node<'_>) {
+    table.retain(|key, value| *value != false || !node.may_lack(key));
+    for (key, value) in table {
+        if let (Value::Object(inner), Some(node)) = (value, node.key(key)) {
+            drop_absent(inner, node);
+        }
+    }
 }
 
 /// What is read for one configuration.

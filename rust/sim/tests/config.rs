@@ -104,6 +104,35 @@ fn another_kind_replaces_the_table() {
     }
 }
 
+/// `false` removes a key that may be absent, at any depth, and a file above may set it again; of other keys it is a value.
+#[test]
+fn what_may_be_absent_is_removed_by_false() {
+    let folder = tempdir().unwrap();
+    write(
+        &folder,
+        "bottom.toml",
+        "[sensors.joints]\nvelocity_time_constant = 0.1\n[motors]\nfriction = 1.0\n",
+    );
+    let middle = "base = 'bottom.toml'\nground = false\nmotors = false\nsensors.joints.velocity_time_constant = false\n";
+    let middle = write(&folder, "middle.toml", &format!("{middle}joint_stops = false\njets = false\n"));
+    let top = write(&folder, "top.toml", "base = 'middle.toml'\nmotors = { damping = 2.0 }\n");
+    let resolve = |file| flight_io::resolve(file, &Schema::of::<SimulatorConfig>()).unwrap();
+    let expected = json!({"sensors": {"joints": {}}, "joint_stops": false, "jets": false});
+    assert_eq!(resolve(&middle), expected);
+    assert_eq!(resolve(&top)["motors"], json!({"damping": 2.0}));
+    let flight = write(
+        &folder,
+        "flight.toml",
+        &format!(
+            "base = {:?}\ncontroller = {{ engines = false }}\n",
+            configs("experiments/test2_observer.toml").canonicalize().unwrap()
+        ),
+    );
+    let (found, mut expected) = (load_scenario(&flight).unwrap(), experiment("test2_observer"));
+    assert!(expected.controller.law.engines.take().is_some());
+    assert_eq!(found, expected);
+}
+
 /// Where the keys of a table are names of the robot's parts, `base` may be one of them.
 #[test]
 fn base_may_be_a_name() {
