@@ -28,7 +28,7 @@ pub enum FlightStatus {
     FlightNominal = 0,
     /// The measurement is not of this robot: thrust rates and joint velocities are zero, torques stay.
     FlightBadMeasurement = 1,
-    /// A number of the set-point is beyond 10⁶ (m, rad, s) or its rotation is none: the robot brakes from the motion of the last one.
+    /// The set-point is beyond what is accepted of a robot (`channels.greatest`) or its rotation is none: the robot brakes from the motion of the last one.
     FlightBadSetpoint = 2,
     /// The momentum QP has no answer: thrust rates and joint velocities are as near to zero as their bounds allow.
     FlightMomentumHeld = 3,

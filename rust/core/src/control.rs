@@ -299,7 +299,7 @@ impl Controller {
             return self.hold_command(CommandStatus::BadState, Modes::default());
         }
         let is_seen = self.see(state, measurement);
-        let is_valid = setpoint.is_valid();
+        let is_valid = setpoint.is_valid(&self.config.channels.greatest);
         let followed = if state.channels.is_descending {
             self.setpoint_generator.descend(&mut state.setpoint, self.terms.contact.stays(&state.contact))
         } else if is_valid {

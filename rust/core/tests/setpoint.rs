@@ -5,6 +5,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
 use crate::common::{TIME_STEP, assert_within, configs, experiment, random_vector, rng, tick_at};
+use flight_core::control::channels::Greatest;
 use flight_core::control::minimum_jerk::{FilterState, MinimumJerkFilter};
 use flight_core::control::mission::{Commands, Mission};
 use flight_core::control::recorded::RecordedMotion;
@@ -14,7 +15,7 @@ use flight_core::spatial::{
 };
 use flight_io::load_robot;
 use flight_sim::Plant;
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use std::f64::consts::{PI, TAU};
 
 fn config() -> SetpointConfig {
@@ -668,4 +669,29 @@ fn what_was_given_comes_to_rest_ahead() {
     }
     let distance = velocity / 5.0 * distance_to_rest(5.0, 0.02);
     assert_within!((state.raw().position - first_com() - distance).norm(), 1e-11);
+}
+
+/// A set-point is one as far as what is accepted of a robot's own place and speeds, and of a second's acceleration.
+#[test]
+fn a_set_point_no_robot_can_be_at_is_none() {
+    let greatest = Greatest { position: 50.0, velocity: 20.0, angular_velocity: 7.0, ..Greatest::default() };
+    let limits = [50.0, 20.0, 20.0, 1e6, 7.0, 1e6, 1e6];
+    for (place, limit) in limits.into_iter().enumerate() {
+        for (number, is_valid) in [(limit, true), (-1.001 * limit, false), (f64::NAN, false)] {
+            let mut setpoint = Setpoint::hold(Vector3::zeros(), Matrix3::identity());
+            let vectors = [
+                &mut setpoint.com_position,
+                &mut setpoint.com_velocity,
+                &mut setpoint.com_acceleration,
+                &mut setpoint.com_jerk,
+                &mut setpoint.angular_velocity_b,
+                &mut setpoint.angular_acceleration_b,
+                &mut setpoint.angular_jerk_b,
+            ];
+            vectors.into_iter().nth(place).unwrap().y = number;
+            assert_eq!(setpoint.is_valid(&greatest), is_valid, "{number} at {place}");
+        }
+    }
+    let turned = Setpoint::hold(Vector3::zeros(), Matrix3::identity() * 1.1);
+    assert!(!turned.is_valid(&greatest));
 }

@@ -75,8 +75,8 @@ pub enum CommandStatus {
     BadMeasurement,
     /// The state is one of another controller: as for a bad measurement.
     BadState,
-    /// A number of the given set-point is beyond 10⁶ (m, rad, s) or its rotation is none: the command of the control law,
-    /// which brakes from the motion of the last one.
+    /// The given set-point is beyond what is accepted of a robot (`channels.greatest`), or its rotation is none: the command
+    /// of the control law, which brakes from the motion of the last one.
     BadSetpoint,
     /// The momentum QP has no answer: thrust rates and joint velocities are zero, or as near to zero
     /// as their bounds allow; torques brake the joints.

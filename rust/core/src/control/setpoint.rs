@@ -7,6 +7,7 @@
 //! Equations M43, M44, M47, M48, M107 and M115 of `docs/model.md`. Source: the published flight-control library, whose
 //! steps per tick of 10 ms are speeds here.
 
+use super::channels::Greatest;
 use super::minimum_jerk::{FilterState, MinimumJerkFilter};
 use super::mission::{AutopilotCommand, Mission};
 use super::recorded::RecordedMotion;
@@ -141,11 +142,15 @@ impl Setpoint {
         Self { com_position: *com, com_acceleration: zero, com_jerk: zero, ..*self }
     }
 
-    /// Whether no number is beyond 10⁶ (m, rad, s), which no robot reaches, and the rotation is one.
+    /// Whether a robot whose state is accepted up to `greatest` can be where it says: its place and speeds are within that,
+    /// its acceleration makes no greater speed in a second, no other derivative is beyond 10⁶ (m, rad, s), and its
+    /// rotation is one.
     #[must_use]
-    pub fn is_valid(&self) -> bool {
-        self.vectors().iter().all(|vector| vector.iter().all(|x| x.abs() <= GREATEST))
-            && is_rotation(&self.rotation)
+    pub fn is_valid(&self, greatest: &Greatest) -> bool {
+        let Greatest { position, velocity, angular_velocity, .. } = *greatest;
+        let limits = [position, velocity, velocity, GREATEST, angular_velocity, GREATEST, GREATEST];
+        let mut vectors = self.vectors().into_iter().zip(limits);
+        vectors.all(|(vector, most)| vector.iter().all(|x| x.abs() <= most)) && is_rotation(&self.rotation)
     }
 
     /// Position of the centre of mass and its derivatives, then angular velocity and its derivatives.
