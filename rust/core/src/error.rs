@@ -128,6 +128,16 @@ impl Table<'_> {
         self.check(key, value, |x| x > 0.0, "a positive number")
     }
 
+    /// Refuses a gain \[1/s\] that is negative, or so high that a single tick of `time_step` \[s\] decides.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the key.
+    pub fn gain(self, key: &str, gain: f64, time_step: f64) -> Result<(), BuildError> {
+        let greatest = 1.0 / time_step;
+        let expected = format!("a number from 0 to {greatest}, 1 / time step of {time_step} s");
+        self.check(key, gain, |gain| (0.0..=greatest * (1.0 + 1e-9)).contains(&gain), &expected)
+    }
+
     /// Refuses a number that is negative or not finite.
     ///
     /// # Errors

@@ -87,10 +87,8 @@ impl WindObserverConfig {
     /// [`BuildError::BadValue`] naming the key.
     pub fn check(&self, time_step: f64) -> Result<(), BuildError> {
         let table = Table("controller.wind_observer");
-        let greatest = 1.0 / time_step;
-        let expected = format!("a positive number up to {greatest}, 1 / time step of {time_step} s");
-        let is_gain = |gain: f64| 0.0 < gain && gain <= greatest * (1.0 + 1e-9);
-        table.check("gain", self.gain, is_gain, &expected)?;
+        table.positive("gain", self.gain)?;
+        table.gain("gain", self.gain, time_step)?;
         table.positive("walk", self.walk)?;
         table.positive("vertical_std", self.vertical_std)?;
         table.positive("vertical_time", self.vertical_time)?;

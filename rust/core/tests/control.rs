@@ -1145,7 +1145,7 @@ type Refusal = (&'static str, fn(&mut ScenarioConfig), &'static str);
 #[rustfmt::skip]
 fn bad_numbers_are_refused_by_key() {
     const NAN: f64 = f64::NAN;
-    let refusals: [Refusal; 60] = [
+    let refusals: [Refusal; 61] = [
         ("controller.weights.symmetric_jets", |c| c.controller.law.weights.symmetric_jets[0][1] = c.controller.law.weights.symmetric_jets[0][0].clone(), "two jets"),
         ("controller.engines", |c| c.controller.law.engines = experiment("test2_observer").controller.law.engines, "controller.observer"),
         ("disturbances.aero_estimate.scale", |c| c.disturbances.aero_estimate.scale = NAN, "NaN"),
@@ -1191,6 +1191,7 @@ fn bad_numbers_are_refused_by_key() {
         ("controller.setpoint.turbo_rate", |c| c.controller.law.setpoint.turbo_rate = 0.0, "0"),
         ("controller.setpoint.turbo_boost", |c| c.controller.law.setpoint.turbo_boost = -9.0, "-9"),
         ("controller.setpoint.attitude_gain", |c| c.controller.law.setpoint.attitude_gain = -1.0, "-1"),
+        ("controller.setpoint.attitude_gain", |c| c.controller.law.setpoint.attitude_gain = 101.0, "101; expected a number from 0 to 100"),
         ("controller.setpoint.speed", |c| c.controller.law.setpoint.speed[1] = NAN, "NaN"),
         ("controller.setpoint.attitude_rate_deg", |c| c.controller.law.setpoint.attitude_rate_deg[0] = -0.3, "-0.3"),
         ("controller.setpoint.nose_down_limits_deg[0]", |c| c.controller.law.setpoint.nose_down_limits_deg = [1.0, 0.0], "is 1"),

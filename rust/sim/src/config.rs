@@ -301,6 +301,16 @@ impl SimulatorConfig {
         table.positive("divergence.thrust_ratio", self.divergence.thrust_ratio)?;
         let angle = self.fall.rotation_error_deg;
         table.check("fall.rotation_error_deg", angle, |x| 0.0 < x && x <= 180.0, "degrees in (0, 180]")?;
+        if let JetsConfig::SecondOrder(jets) = &self.jets {
+            let most = 2.0 / self.time_step;
+            let expected = format!("a number from 0 to below {most}, 2 / time step of {} s", self.time_step);
+            table.check(
+                "jets.rate_gain_p",
+                jets.rate_gain_p,
+                |gain| (0.0..most).contains(&gain),
+                &expected,
+            )?;
+        }
         if let Some(sensors) = &self.sensors {
             sensors.check()?;
         }

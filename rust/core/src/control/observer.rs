@@ -42,12 +42,9 @@ impl ObserverConfig {
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
     pub fn check(&self, time_step: f64) -> Result<(), BuildError> {
-        let (table, greatest) = (Table("controller.observer"), 1.0 / time_step);
-        for (key, gain) in [("gain_force", self.gain_force), ("gain_moment", self.gain_moment)] {
-            let expected = format!("a number from 0 to {greatest}, 1 / time step of {time_step} s");
-            let accepted = |gain: f64| (0.0..=greatest * (1.0 + 1e-9)).contains(&gain);
-            table.check(key, gain, accepted, &expected)?;
-        }
+        let table = Table("controller.observer");
+        table.gain("gain_force", self.gain_force, time_step)?;
+        table.gain("gain_moment", self.gain_moment, time_step)?;
         table.non_negative("force_max", self.force_max)?;
         table.non_negative("moment_max", self.moment_max)
     }

@@ -70,18 +70,18 @@ fn deceleration_of_the_boost() -> f64 {
 }
 
 impl SetpointConfig {
-    /// Refuses times, speeds and gains that mean nothing.
+    /// Refuses times, speeds and gains that mean nothing at ticks of `time_step` \[s\].
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
-    pub fn check(&self) -> Result<(), BuildError> {
+    pub fn check(&self, time_step: f64) -> Result<(), BuildError> {
         let table = Table("controller.setpoint");
         table.positive("position_smoothing", self.position_smoothing)?;
         table.positive("acceleration_smoothing", self.acceleration_smoothing)?;
         table.positive("angular_velocity_smoothing", self.angular_velocity_smoothing)?;
         table.positive("turbo_rate", self.turbo_rate)?;
         table.non_negative("turbo_boost", self.turbo_boost)?;
-        table.non_negative("attitude_gain", self.attitude_gain)?;
+        table.gain("attitude_gain", self.attitude_gain, time_step)?;
         table.non_negative("descent_speed", self.descent_speed)?;
         table.positive("deceleration", self.deceleration)?;
         for speed in self.speed {
@@ -243,7 +243,7 @@ impl SetpointGenerator {
         forward_axis_b: &Vector3<f64>,
         time_step: f64,
     ) -> Result<Self, BuildError> {
-        config.check()?;
+        config.check(time_step)?;
         if let Mission::Commands(commands) = &mission {
             commands.check()?;
         }

@@ -535,7 +535,7 @@ fn a_controller_with_feet_flies() {
 #[test]
 #[rustfmt::skip]
 fn bad_simulators_are_refused_by_name() {
-    let refusals: [Refusal; 31] = [
+    let refusals: [Refusal; 32] = [
         ("simulator.duration", |c| c.simulator.duration = 0.0, "is 0"),
         ("simulator.duration", |c| c.simulator.duration = -5.0, "is -5"),
         ("simulator.duration", |c| c.simulator.duration = f64::NAN, "is NaN"),
@@ -552,6 +552,7 @@ fn bad_simulators_are_refused_by_name() {
         ("simulator.duration / simulator.time_step", |c| c.simulator.duration = 1e300, "at most ten million"),
         ("simulator.substeps", |c| c.simulator.substeps = 0, "is 0"),
         ("simulator.substeps", |c| c.simulator.substeps = 1001, "is 1001"),
+        ("simulator.jets.rate_gain_p", |c| c.simulator.jets = serde_json::from_str(r#"{"dynamics": "second_order", "rate_gain_p": 200.0}"#).unwrap(), "is 200; expected a number from 0 to below 200"),
         ("simulator.fall.rotation_error_deg", |c| c.simulator.fall.rotation_error_deg = 0.0, "is 0"),
         ("simulator.fall.rotation_error_deg", |c| c.simulator.fall.rotation_error_deg = 181.0, "is 181"),
         ("simulator.fall.com_error", |c| c.simulator.fall.com_error = 0.0, "is 0"),
