@@ -439,6 +439,12 @@ def test_a_folder_of_other_settings_is_refused(small, tmp_path):
         command.collect(other, tmp_path)
 
 
+def test_the_designs_have_one_recipe():
+    """What the tunnel says of the anchors holds for the shipped dataset."""
+    anchors, shipped = (design.Design.read(name, {}).spec.settings for name in ("anchors", "open"))
+    assert anchors == shipped
+
+
 def test_a_design_with_other_keys_has_a_folder_and_a_command_of_its_own(tmp_path):
     plain, changed = design.Design.read("anchors", {}), design.Design.read("anchors", {"settings.solver.ranks": 2})
     assert command.folder_of(plain) == command.RESULTS / "anchors"
