@@ -160,6 +160,7 @@ def collect(design: Design, folder: Path) -> str:
         "not computed": sum(1 for _ in design) - len(found),
         "postures": len(dataset.postures),
     }
+    quality = {name: float(np.median(values)) for name, values in dataset.quality.items()}
     document = manifest.build(
         design.name,
         design.spec.title,
@@ -170,13 +171,14 @@ def collect(design: Design, folder: Path) -> str:
         engine="openfoam",
         code=MODULES,
         refused=refused,
+        quality=quality,
         dataset=dataset.sha256,
     )
     # The hash of the code that computed the cases, which may be older.
     write_json(folder / "manifest.json", document | {"code_hash": about["code_hash"]})
     lines = [f"{design.spec.title}: " + ", ".join(f"{count} {what}" for what, count in summary.items())]
     lines += [f"  {name}: {reason}" for name, reason in refused.items()]
-    lines += [f"  {name:<34} {np.median(values):.4g}" for name, values in dataset.quality.items()]
+    lines += [f"  {name:<34} {median:.4g}" for name, median in quality.items()]
     return "\n".join([*lines, os.path.relpath(folder / "dataset.nc")])
 
 

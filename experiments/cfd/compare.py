@@ -54,7 +54,7 @@ def compute(name: str, config: CompareConfig) -> Findings:
     cases, robot = load(path), load_robot(ROBOT)
     ours = symmetrised(cases)
     summary: dict[str, Any] = {"cases": len(ours), "postures": len(ours.postures)}
-    summary |= couples(robot, ours) | beside_tunnel(ours)
+    summary |= asymmetry(robot, cases) | couples(robot, ours) | beside_tunnel(ours)
     models = models_at(robot, ours)
     texts, files = {}, [*tunnel_moments.MODEL_FILES, POSTURES, TUNNEL, CFD]
     if len(np.unique(ours.family)) > 2:
@@ -113,6 +113,18 @@ def symmetrised(data: Dataset) -> Dataset:
 
     couples = None if both.couple_volume_b is None else mean(both.couple_volume_b)
     return replace(data, force_area_b=mean(both.force_area_b), couple_volume_b=couples)
+
+
+def asymmetry(robot: RobotModel, data: Dataset) -> dict[str, float]:
+    """Return the differences between cases that are mirror images of each other."""
+    both, count = data.mirrored(), len(data)
+    mirrored, direct = np.nonzero(both.group[count:, None] == both.group[:count])
+    is_pair = mirrored < direct
+    if not is_pair.any():
+        return {}
+    found = errors(robot, data.force_area_b[direct[is_pair]], both.take(count + mirrored[is_pair]))
+    named = {f"mirror images: {key}": value for key, value in found.items()}
+    return {"mirror images: pairs": int(is_pair.sum()), **named}
 
 
 def judged(robot: RobotModel, models: Mapping[str, Floats], truth: Dataset, where: str) -> dict[str, float]:

@@ -21,7 +21,15 @@ from experiments.cfd.goals import verdicts
 from experiments.study import Findings, Study
 from experiments.tunnel_moments import NEWTON_METRES
 from jax_aero import tables
-from jax_aero.aero.dataset import MIRROR_AXES, Dataset, Floats, load, mirrored_joints, wind_direction
+from jax_aero.aero.dataset import (
+    MIRROR_AXES,
+    Dataset,
+    Floats,
+    load,
+    mirrored_joints,
+    tunnel_from_base,
+    wind_direction,
+)
 from jax_aero.aero.posture import total_wrench
 from jax_aero.places import ROBOT
 from jax_aero.robot import RobotModel, load_robot
@@ -153,7 +161,9 @@ def summary(data: xr.Dataset) -> dict[str, float | str]:
     Goals apply to the robot alone.
     """
     drag, measured = ((data[key] * data["wind"]).sum("xyz").values for key in ("force_area", "force_area_tunnel"))
-    off = np.linalg.norm((data["force_area"] - data["force_area_tunnel"]).values, axis=1)
+    difference = (data["force_area"] - data["force_area_tunnel"]).values
+    off = np.linalg.norm(difference, axis=1)
+    across = np.einsum("nij,nj->ni", tunnel_from_base(data["pitch"].values, data["yaw"].values), difference)
     turned = NEWTON_METRES * np.linalg.norm((data["moment_com"] - data["moment_com_tunnel"]).values, axis=1)
     unsure = NEWTON_METRES * np.linalg.norm(data["moment_std_tunnel"].values, axis=1)
     alone = data["is_alone"].values == 1
@@ -166,6 +176,8 @@ def summary(data: xr.Dataset) -> dict[str, float | str]:
             found[f"{name}: drag in the tunnel, {end} [m2]"] = float(data[f"drag_tunnel_{end}"].values[place])
         found |= {
             f"{name}: drag, relative error": drag[place] / measured[place] - 1.0,
+            f"{name}: side less that in the tunnel [m2]": across[place, 1],
+            f"{name}: lift less that in the tunnel [m2]": across[place, 2],
             f"{name}: total force, distance [m2]": off[place],
             f"{name}: moment, distance [N m at 10 m/s]": turned[place],
             f"{name}: moment, standard deviation of the tunnel's [N m at 10 m/s]": unsure[place],

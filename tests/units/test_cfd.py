@@ -403,7 +403,9 @@ def test_a_design_that_was_killed_goes_on_and_says_what_it_refused(small, tmp_pa
     np.testing.assert_allclose(data.force_area_b[0, 3], 0.01 * data.wind_b[0])
     both = data.mirrored()
     np.testing.assert_allclose(both.couple_volume_b[4:], -both.couple_volume_b[:4] * ds.MIRROR_AXES)
-    assert json.loads((tmp_path / "manifest.json").read_text())["summary"]["accepted"] == 4
+    written = json.loads((tmp_path / "manifest.json").read_text())
+    assert written["summary"]["accepted"] == 4
+    assert written["quality"] == {"cells": 7.0}
     command.compute(small, tmp_path, Fake(lives=0))  # nothing is left to do
 
 
@@ -435,6 +437,12 @@ def test_a_folder_of_other_settings_is_refused(small, tmp_path):
         command.compute(other, tmp_path, Fake())
     with pytest.raises(Refused, match="holds cases of other settings; choose another --out"):
         command.collect(other, tmp_path)
+
+
+def test_the_designs_have_one_recipe():
+    """What the tunnel says of the anchors holds for the shipped dataset."""
+    anchors, shipped = (design.Design.read(name, {}).spec.settings for name in ("anchors", "open"))
+    assert anchors == shipped
 
 
 def test_a_design_with_other_keys_has_a_folder_and_a_command_of_its_own(tmp_path):
@@ -557,6 +565,21 @@ def test_errors_are_those_of_a_model_that_is_a_tenth_off(collected, agree):
     rms = [np.sqrt(np.mean(np.sum(part**2, axis=1))) for part in (wrench.force_area, wrench.moment_volume)]
     expected = [0.0, 0.1, 0.1 * rms[0], 0.01 * np.mean(collected.force_area_b**2), 0.1 * 61.25 * rms[1]]
     agree("errors", list(found.values()), expected, 1e-12)
+
+
+def test_mirror_images_are_compared_with_each_other(collected, agree):
+    """The force of every second image is a tenth greater."""
+    described, half = load_robot(ROBOT), collected.take(collected.posture == "Config5")
+    assert compare.asymmetry(described, half) == {}
+    both = half.mirrored()
+    scale = np.where(both.is_mirrored, 1.1, 1.0)[:, None, None]
+    none = np.zeros(len(both), dtype=bool)
+    both = dataclasses.replace(both, is_mirrored=none, force_area_b=scale * both.force_area_b)
+    found = compare.asymmetry(described, both)
+    assert found["mirror images: pairs"] == len(half)
+    agree("drag", found["mirror images: drag, relative error, mean"], 0.1, 1e-12)
+    expected = 0.01 * np.mean(half.force_area_b**2)
+    agree("links", found["mirror images: links, mean square [m4]"], expected, 1e-12)
 
 
 def test_cases_are_compared_with_models_and_with_rows_of_a_table(collected, tmp_path, monkeypatch, agree):

@@ -92,6 +92,23 @@ def test_points_are_turned_into_the_axes_of_the_robot(cases):
     np.testing.assert_allclose(row.force_area, [[-0.1, -0.2, 0.3]])
 
 
+def test_side_and_lift_are_across_the_wind_of_the_tunnel(cases, agree):
+    axes = ds.tunnel_from_base(60.0, 20.0)
+    ours, measured = np.array([0.13, 0.05, 0.07]) @ axes, np.array([0.1, 0.02, 0.03]) @ axes
+    one = dataclasses.replace(
+        cases.take(slice(1)),
+        wind_b=axes[:1],
+        pitch_deg=np.array([60.0]),
+        yaw_deg=np.array([20.0]),
+        force_area_b=np.tile(ours / len(ds.LINKS), (1, len(ds.LINKS), 1)),
+    )
+    row = tunnel.Row(0, True, measured[None], np.zeros((1, 3)), np.zeros((1, 3)))
+    found = tunnel.summary(tunnel.compared(load_robot(ROBOT), one, [row]))
+    agree("side", found["hovering 60/20: side less that in the tunnel [m2]"], 0.03, 1e-12)
+    agree("lift", found["hovering 60/20: lift less that in the tunnel [m2]"], 0.04, 1e-12)
+    agree("drag", found["hovering 60/20: drag, relative error"], 0.3, 1e-12)
+
+
 def test_errors_beside_the_tunnel_are_of_the_mean_of_its_points(cases, tmp_path, agree):
     """Links push with 0.13 m² in all; the points with 0.10 m², and 0.02 across on one of two."""
     points = points_of(
