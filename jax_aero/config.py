@@ -19,17 +19,17 @@ class CylinderTables(Table, frozen=True, kw_only=True):
     """Measured drag coefficients of circular cylinders."""
 
     axial_drag: tuple[float, ...]
-    """Drag coefficient along the axis, on the area `π d²/4`; only its ratio to its maximum counts."""
+    """Axial drag coefficient, on the area `π d²/4`; only its ratio to its maximum is used."""
     crosswind_drag: tuple[float, ...]
-    """Drag coefficient across the wind, infinite length, on the area `d l`."""
+    """Crosswind drag coefficient of a cylinder of infinite length, on the area `d l`."""
     diameter_over_length: tuple[float, ...]
-    """Ratios diameter over length of `finite_length_drag`."""
+    """Ratios of diameter to length for `finite_length_drag`."""
     finite_length_drag: tuple[float, ...]
-    """Drag coefficient across the wind of a finite cylinder; only its ratio to its maximum counts."""
+    """Crosswind drag coefficient of a finite cylinder; only its ratio to its maximum is used."""
     length_over_diameter: tuple[float, ...]
-    """Ratios length over diameter of `axial_drag`."""
+    """Ratios of length to diameter for `axial_drag`."""
     reference_reynolds: Positive
-    """Reynolds number, on the diameter, at which the axial coefficients count unscaled."""
+    """Reynolds number, on the diameter, at which the axial coefficients apply without scaling."""
     reynolds: tuple[float, ...]
     """Reynolds numbers of `crosswind_drag`."""
 
@@ -38,18 +38,18 @@ class SphereTables(Table, frozen=True, kw_only=True):
     """Measured drag coefficients of spheres, on the area `π d²/4`."""
 
     drag: tuple[float, ...]
-    """Drag coefficient."""
+    """Drag coefficient at each of `reynolds`."""
     drag_below_reynolds_10: Positive
     """Drag coefficient below Reynolds number 10."""
     reynolds: tuple[float, ...]
-    """Reynolds numbers of `drag`; between 10 and the first one a correlation is used."""
+    """Reynolds numbers of `drag`; a correlation is used between 10 and the first of them."""
 
 
 Precision: TypeAlias = Literal["f32", "f64"]
-"""Precision of the weighted sums; everything around them is double.
+"""Precision of the weighted sums; all other computations are in double precision.
 
-f32: Single, as networks are trained.
-f64: Double: the same weights widened, to compare implementations with.
+f32: Single precision, as networks are trained.
+f64: Double precision with the same weights, for comparison of implementations.
 """
 
 
@@ -58,16 +58,16 @@ class OffAeroConfig(Table, frozen=True, kw_only=True, tag_field="model", tag="of
 
 
 class AxisymmetricAeroConfig(Table, frozen=True, kw_only=True, tag_field="model", tag="axisymmetric"):
-    """Fitted force areas of axisymmetric links."""
+    """Axisymmetric links with fitted force areas."""
 
     air_density: Positive
     """Density of the air [kg/m³]."""
     coefficients: str
-    """Name of a coefficient set that every link of the robot has."""
+    """Name of the coefficient set; every link of the robot needs a set of this name."""
 
 
 class SphereCylinderAeroConfig(Table, frozen=True, kw_only=True, tag_field="model", tag="sphere_cylinder"):
-    """Literature drag of spheres and finite cylinders."""
+    """Spheres and finite cylinders with drag coefficients from the literature."""
 
     air_density: Positive
     """Density of the air [kg/m³]."""
@@ -80,57 +80,57 @@ class SphereCylinderAeroConfig(Table, frozen=True, kw_only=True, tag_field="mode
 
 
 class NetworkAeroConfig(Table, frozen=True, kw_only=True, tag_field="model", tag="network"):
-    """A neural network of wind and posture."""
+    """A neural network whose inputs are wind and posture."""
 
     air_density: Positive
     """Density of the air [kg/m³]."""
     card: Path
-    """The network's JSON card; the weights lie beside it."""
+    """The network's JSON card; the weights are in the same folder."""
     precision: Precision = "f32"
     """Precision of the weighted sums."""
 
 
 AeroConfig: TypeAlias = OffAeroConfig | AxisymmetricAeroConfig | SphereCylinderAeroConfig | NetworkAeroConfig
-"""Which aerodynamic model, and its numbers: one file of `configs/aero/`."""
+"""Selection and parameters of an aerodynamic model: one file of `configs/aero/`."""
 
 
 RateFeedback: TypeAlias = Literal["wrench", "force", "moment", "none"]
-"""What of the total aerodynamic wrench about the centre of mass the estimated momentum rate holds.
+"""Part of the total aerodynamic wrench about the centre of mass in the estimated momentum rate.
 
 wrench: Force and moment.
-force: The force alone.
-moment: The moment alone.
+force: The force only.
+moment: The moment only.
 none: Nothing.
 """
 
 
 class AeroFeedback(Table, frozen=True, kw_only=True):
-    """Where the estimated aerodynamic forces enter the controller; each can be left out for an ablation."""
+    """Where the estimated aerodynamic forces enter the controller; each place can be switched off for an ablation."""
 
     lambda_: bool = field(default=True, name="lambda")
     """Whether `Λ_a` enters the derivative of the momentum rate."""
     momentum_rate: RateFeedback = "wrench"
-    """What of `A_a f_a` enters the estimated momentum rate."""
+    """Part of `A_a f_a` in the estimated momentum rate."""
     torque: bool = True
     """Whether `J_aᵀ f_a` enters the torque law."""
 
 
 AeroKinematics: TypeAlias = Literal["current", "frozen"]
-"""Which kinematics place the links in the wind.
+"""Kinematics used for the aerodynamic forces.
 
-current: Those of the robot now.
-frozen: Those of the first tick for the whole flight (published): axes, points and Jacobians stay, only velocities
-are current.
+current: Those of the present state.
+frozen: Those of the first tick for the whole flight (published): axes, points and Jacobians are constant, only
+velocities are current.
 """
 
 
 class BoundsConfig(Table, frozen=True, kw_only=True):
-    """Bounds of the momentum QP: rates fade out, as a tanh, where the value meets its own limit."""
+    """Bounds of the momentum QP: the bound on a rate decreases as a tanh where the value approaches its limit."""
 
     joint_steepness: Positive
     """Steepness at the joint limits [1/rad, 1/m]."""
     joint_velocity_max_deg: Positive | None = None
-    """Greatest velocity of revolute joints in place of the robot's own limits [deg/s]."""
+    """Greatest velocity of revolute joints [deg/s], in place of the robot's own limits."""
     thrust_rate_max: dict[str, float]
     """Greatest thrust rate, by jet [N/s]."""
     thrust_steepness: Positive
@@ -141,13 +141,13 @@ class ChannelConfig(Table, frozen=True, kw_only=True):
     """One kind of measurement."""
 
     delay: Annotated[float, Meta(ge=0, le=0.2)] = 0.0
-    """Age of the measurement when it comes, rounded to ticks [s]."""
+    """Age of the measurement on arrival, rounded to ticks [s]."""
     time_constant: NonNegative = 0.0
-    """Time in which the estimate follows it [s]; zero takes it as it comes."""
+    """Time constant with which the estimate follows the measurement [s]; zero uses the measurement unchanged."""
 
 
 class Greatest(Table, frozen=True, kw_only=True):
-    """Greatest values that are accepted; by default those of a simulated flight that has not diverged."""
+    """Greatest accepted magnitudes; by default those of a simulated flight that has not diverged."""
 
     angular_velocity: Positive = 100.0
     """Angular velocity of the base [rad/s]."""
@@ -170,7 +170,7 @@ class Greatest(Table, frozen=True, kw_only=True):
 
 
 class Jumps(Table, frozen=True, kw_only=True):
-    """Greatest differences to the predicted value that are accepted. Wind, thrusts and feet may jump."""
+    """Greatest accepted differences from the prediction. Wind, thrusts and feet have no limit."""
 
     angular_velocity: Positive = 2.0
     """Angular velocity of the base [rad/s]."""
@@ -187,81 +187,81 @@ class Jumps(Table, frozen=True, kw_only=True):
 
 
 class ChannelsConfig(Table, frozen=True, kw_only=True):
-    """Which measurements are accepted, and what happens without them."""
+    """Which measurements are accepted, and what replaces the others."""
 
     descend_after: NonNegative = 3.0
-    """Age of a channel of joints or base from which on the robot levels and descends, and does so to the end [s]."""
+    """Age of a channel of joints or base above which the robot levels and descends, to the end of the flight [s]."""
     frozen_ticks: Annotated[int, Meta(ge=1, le=100000)] = 5
-    """Number of ticks with the same bits after which a value can be frozen."""
+    """Number of ticks with the same bits after which a value may count as frozen."""
     greatest: Greatest = Greatest()
-    """Greatest values that are accepted, of each component."""
+    """Greatest accepted magnitude of each component."""
     jump: Jumps | None = None
-    """Greatest differences to the predicted value that are accepted, of each component; without it all of them, and no
+    """Greatest accepted difference of each component from the prediction. Without it all differences are accepted, no
     value counts as frozen and no time step as wrong.
     """
     velocity_gain: NonNegative = 100.0
     """Gain with which a base velocity that is not measured follows the differences of the pose [1/s]."""
     widening: NonNegative = 1.0
-    """Growth of `jump` with the age of a channel, as a share of itself [1/s]."""
+    """Relative growth of `jump` with the age of a channel [1/s]."""
     wind_fade: Positive = 2.0
-    """Time in which it then fades to zero [s]."""
+    """Time in which the wind fades to zero after `wind_hold` [s]."""
     wind_hold: NonNegative = 1.0
-    """How long the last wind is held [s]."""
+    """Time for which the last wind is held [s]."""
 
 
 class LoadTransfer(Table, frozen=True, kw_only=True):
-    """How load passes between feet and jets. A robot whose feet carry takes off towards a set-point above its centre
-    of mass: the feet are relieved. Otherwise, and on its way down, it stands: the jets are relieved.
+    """Transfer of the load between feet and jets. A robot whose feet carry load takes off if its set-point is above
+    its centre of mass: the feet are unloaded. Otherwise, and during a descent, it stands: the jets are unloaded.
     """
 
     gain: Positive
-    """Gain with which the load of feet or jets falls [1/s]."""
+    """Gain with which the load of the unloaded side (feet or jets) decreases [1/s]."""
     height: Positive
-    """Height of the set-point above the centre of mass beyond which the robot takes off; a robot that stands has its
-    set-point at most as far below [m].
+    """Height of the set-point over the centre of mass beyond which the robot takes off [m]; the set-point of a
+    standing robot is limited to the same distance below the centre of mass.
     """
     hold_time: NonNegative
-    """Time for which feet of a robot that stands may lose contact and still count as carrying [s]."""
+    """Time for which the feet of a standing robot may lose contact and still count as carrying load [s]."""
     measured_gain: NonNegative
-    """Gain with which `f_c*` of a robot that stands follows the measured wrenches [1/s]."""
+    """Gain with which `f_c*` of a standing robot follows the measured wrenches [1/s]."""
     unmodelled_force_max: Positive | None = None
-    """Greatest vertical force on the robot that the controller's model may leave unexplained [N]: beyond it measured
-    wrenches of the feet are wrong, and feet in the air carry if the set-point is below the centre of mass by
-    `height`. Needs `controller.observer`; without it foot sensors are believed, and feet that are not measured do
-    not begin to carry.
+    """Greatest vertical force on the robot that the controller's model may leave unexplained [N]. Above it, measured
+    foot wrenches are judged wrong, and feet in the air count as carrying load if the set-point is below the centre
+    of mass by `height`. Needs `controller.observer`; without it foot sensors are trusted, and feet that are not
+    measured do not start to carry load.
     """
 
 
 class WrenchLimits(Table, frozen=True, kw_only=True):
-    """What the wrench of every foot may be, in sole axes about the sole's origin."""
+    """Limits of the wrench of every foot, in sole axes about the sole's origin."""
 
     centre_of_pressure_margin: float = 0.0
-    """How far the centre of pressure stays inside the extent of the sole's corners [m]; the published one may be
-    outside, where it is negative.
+    """Least distance of the centre of pressure from the edges of the rectangle around the sole's corners [m], positive
+    inside. A negative value allows it outside, as published.
     """
     friction: Positive
-    """Friction `|f_xy| ≤ μ f_z`, as the regular polygon of twelve corners inside the circle."""
+    """Friction coefficient of `|f_xy| ≤ μ f_z`, approximated by the regular twelve-sided polygon inside the circle."""
     torsional_friction: NonNegative
-    """Torsion `|m_z| ≤ κ f_z` [m]."""
+    """Torsional friction coefficient of `|m_z| ≤ κ f_z` [m]."""
     vertical_force_min: NonNegative
     """Least vertical force [N]."""
 
 
 class ContactConfig(Table, frozen=True, kw_only=True):
-    """What a controller needs to stand; without it, it flies."""
+    """Configuration of standing on the ground; without it the controller only flies."""
 
     feet: tuple[str, ...]
-    """Names of the feet to stand on; the robot's other feet are no contacts."""
+    """Names of the feet to stand on; other feet of the robot are ignored."""
     force_rate_dead_zone: NonNegative
     """Rates below this are not integrated [N/s, N m/s]."""
     force_rate_max: Positive
     """Greatest rate of every component of `f_c*` [N/s, N m/s]."""
     load_transfer: LoadTransfer | None = None
-    """How the robot takes off and lands; without it, it stays where it is."""
+    """Take-off and landing; without it the robot does neither."""
     start_with_moment: bool
-    """Whether `f_c*` starts with the measured moment about y besides the vertical force."""
+    """Whether `f_c*` starts with the measured moment about y in addition to the vertical force."""
     vertical_force_min: Positive
-    """Vertical force beyond which a foot carries [N]; all of `feet` have to."""
+    """Vertical force above which a foot carries load [N]; all of `feet` have to exceed it."""
     weight_foot_acceleration: NonNegative
     """Weight of `J_c ν̇ + J̇_c ν = 0` in the torque QP."""
     weight_foot_velocity: NonNegative
@@ -271,7 +271,7 @@ class ContactConfig(Table, frozen=True, kw_only=True):
     weight_force_rate: NonNegative
     """Weight of `ḟ_c → 0` in the momentum QP."""
     wrench: WrenchLimits
-    """What the wrench of a foot may be."""
+    """Limits of the wrench of a foot."""
 
 
 class MomentumGains(Table, frozen=True, kw_only=True):
@@ -290,33 +290,35 @@ class MomentumGains(Table, frozen=True, kw_only=True):
 
 
 class DescentConfig(Table, frozen=True, kw_only=True):
-    """The law of a robot that has lost an engine: the attitude first, no place to hold, and fast joints."""
+    """Descent without an engine: attitude has priority, the position is not held, and joints are fast."""
 
     joint_velocity_max_deg: Positive
-    """Greatest joint velocity, of revolute joints whose own is less [deg/s]."""
+    """Greatest joint velocity during the descent [deg/s], for revolute joints whose own limit is lower."""
     momentum: MomentumGains
     """Gains in place of `controller.momentum`."""
     range_share_min: Positive
-    """An engine is lost whose least and greatest thrust are closer together than this share of the jet's greatest."""
+    """An engine is lost if its least and greatest thrust differ by less than this fraction of the jet's greatest
+    thrust.
+    """
     torque_rate_max: Positive
-    """Greatest rate of a joint torque, of revolute joints whose own is less [N m/s]."""
+    """Greatest rate of a joint torque during the descent [N m/s], for revolute joints whose own limit is lower."""
 
 
 class EnginesConfig(Table, frozen=True, kw_only=True):
-    """When an engine does not reach its thrust, and when it counts as lost."""
+    """When an engine counts as not reaching its thrust, and when as lost."""
 
     confirmation: NonNegative
-    """How long it has to be exceeded [s]."""
+    """Time for which `deviation_max` has to be exceeded [s]."""
     descent: DescentConfig | None = None
-    """How the robot levels and descends when an engine is lost; without it the mission goes on."""
+    """Levelling and descent after the loss of an engine; without it the mission continues."""
     deviation_max: Positive
     """Greatest deviation of a thrust from the commanded one [N]."""
     time_constant: Positive
-    """Time constant with which deviations of the thrust are forgotten [s]."""
+    """Time constant with which deviations of the thrust decay [s]."""
 
 
 class EstimatorConfig(Table, frozen=True, kw_only=True):
-    """How old the measurements are, and how much they count."""
+    """Delay and time constant of each kind of measurement."""
 
     base_angular_velocity: ChannelConfig = ChannelConfig()
     """Gyroscopes."""
@@ -327,9 +329,9 @@ class EstimatorConfig(Table, frozen=True, kw_only=True):
     base_rotation: ChannelConfig = ChannelConfig()
     """Rotation of the base."""
     joint_observer: Positive | None = None
-    """Time constant of an observer that finds velocities of the joints, and accelerations that the model does not
-    explain, from their positions alone [s], in place of `joint_velocity` and the time constant of `joint_position`.
-    Joint velocities then need not be measured.
+    """Time constant [s] of an observer that estimates joint velocities, and joint accelerations that the model does
+    not explain, from the joint positions alone. It replaces `joint_velocity` and the time constant of
+    `joint_position`; joint velocities then need not be measured.
     """
     joint_position: ChannelConfig = ChannelConfig()
     """Joint positions."""
@@ -340,23 +342,23 @@ class EstimatorConfig(Table, frozen=True, kw_only=True):
 
 
 JacobianOffset: TypeAlias = Literal["link_rotation", "base_rotation"]
-"""Which point's Jacobian carries a link's force in the controller's `Λ_a` and torque law.
+"""Point whose Jacobian maps a link's force in the controller's `Λ_a` and torque law.
 
 link_rotation: The aerodynamic centre, `p + R c`.
-base_rotation: `p + R_B c`: the offset is turned with the base instead of the link (published).
+base_rotation: `p + R_B c`: the offset is rotated with the base instead of the link (published).
 """
 
 
 LeverArm: TypeAlias = Literal["rotated", "unrotated"]
-"""Where a link's force acts when its moment is formed.
+"""Point at which a link's force acts when its moment is formed.
 
 rotated: At the aerodynamic centre, `p + R c`.
-unrotated: At `p + c`: the offset is added without turning it into inertial axes (published).
+unrotated: At `p + c`: the offset is added without rotation into inertial axes (published).
 """
 
 
 LinkVelocity: TypeAlias = Literal["at_centre", "shifted_twice"]
-"""Which point's velocity the controller takes for the link's own motion through the air.
+"""Point whose velocity the controller subtracts from the wind to get a link's relative wind.
 
 at_centre: The aerodynamic centre.
 shifted_twice: The point of `JacobianOffset` shifted once more by the unrotated offset (published).
@@ -364,7 +366,7 @@ shifted_twice: The point of `JacobianOffset` shifted once more by the unrotated 
 
 
 class ObserverConfig(Table, frozen=True, kw_only=True):
-    """How fast the observer follows, and the greatest wrench that it estimates."""
+    """Gains of the observer, and the greatest wrench that it estimates."""
 
     force_max: NonNegative
     """Greatest observed force along each axis [N]."""
@@ -377,28 +379,28 @@ class ObserverConfig(Table, frozen=True, kw_only=True):
 
 
 Fallback: TypeAlias = Literal["hold", "clarabel"]
-"""What happens when the first solver gives no certified answer.
+"""Action when the first solver returns no certified answer.
 
-hold: Thrusts and joints stop, torques stay. Nothing allocates.
-clarabel: Clarabel (allocates); hold if it fails too.
+hold: Thrust rates and joint velocities are zero, torques keep their values. No allocation.
+clarabel: Clarabel (allocates); as `hold` if it fails too.
 """
 
 
 Solver: TypeAlias = Literal["active_set", "clarabel"]
-"""Which solver answers first.
+"""Solver that is tried first.
 
-active_set: The active-set methods: no allocation, a few microseconds.
+active_set: Active-set methods: no allocation, a few microseconds.
 clarabel: Clarabel: allocates, hundreds of microseconds.
 """
 
 
 class QpConfig(Table, frozen=True, kw_only=True):
-    """How QPs are solved."""
+    """Solution of the QPs."""
 
     fallback: Fallback = "hold"
-    """What to do without an answer."""
+    """Action without a certified answer."""
     solver: Solver = "active_set"
-    """The solver of every tick."""
+    """Solver of every tick."""
 
 
 class SetpointConfig(Table, frozen=True, kw_only=True):
@@ -413,9 +415,9 @@ class SetpointConfig(Table, frozen=True, kw_only=True):
     attitude_rate_deg: tuple[NonNegative, NonNegative]
     """Rates of raw pitch and yaw [deg/s]."""
     deceleration: Positive = 1.5
-    """Deceleration with which the velocity becomes that of the descent, or zero without a valid set-point [m/s²]."""
+    """Deceleration to the velocity of the descent, or to rest without a valid set-point [m/s²]."""
     descent_speed: NonNegative = 0.5
-    """Speed of the descent where the mission cannot be followed any more [m/s]."""
+    """Speed of the descent after the mission has been abandoned [m/s]."""
     nose_down_limits_deg: tuple[float, float]
     """Least and greatest raw pitch, positive nose down [deg]."""
     position_smoothing: Positive
@@ -423,7 +425,7 @@ class SetpointConfig(Table, frozen=True, kw_only=True):
     speed: tuple[NonNegative, NonNegative]
     """Forward and vertical speed of the raw position [m/s]."""
     turbo_boost: NonNegative
-    """The forward speed grows to `1 + turbo_boost` times itself."""
+    """Relative increase of the forward speed by the turbo command: it grows to `1 + turbo_boost` times the speed."""
     turbo_rate: Positive
     """Growth of the boost [1/s]."""
 
@@ -438,9 +440,9 @@ class TorqueConfig(Table, frozen=True, kw_only=True):
     regularisation: Positive
     """Added to the diagonal of the Hessian."""
     torque_max: Positive | None = None
-    """Greatest torque of revolute joints in place of the robot's own limits [N m]."""
+    """Greatest torque of revolute joints [N m], in place of the robot's own limits."""
     torque_rate_max: Positive | None = None
-    """Greatest rate of the torque of revolute joints in place of the robot's own limits [N m/s]."""
+    """Greatest torque rate of revolute joints [N m/s], in place of the robot's own limits."""
     weight_acceleration: NonNegative
     """Weight of the joint acceleration task."""
     weight_torque: NonNegative
@@ -453,7 +455,7 @@ class MomentumWeights(Table, frozen=True, kw_only=True):
     angular_momentum: NonNegative
     """Angular-momentum constraint task."""
     joint_velocity: NonNegative
-    """Joint velocities towards zero."""
+    """Minimisation of joint velocities."""
     momentum: NonNegative
     """Momentum and attitude tasks."""
     posture: NonNegative
@@ -461,34 +463,32 @@ class MomentumWeights(Table, frozen=True, kw_only=True):
     regularisation: Positive
     """Added to the diagonal of the Hessian."""
     symmetric_jets: tuple[tuple[str, str], ...]
-    """Pairs of jets meant to act alike."""
+    """Pairs of jets with equal thrust rates."""
     symmetry: NonNegative
     """Equal thrust rates within each pair of `symmetric_jets`."""
     thrust_rate: dict[str, float]
-    """Thrust rates towards zero, by jet."""
+    """Minimisation of thrust rates, by jet."""
 
 
 class WindObserverConfig(Table, frozen=True, kw_only=True):
-    """How the wind is estimated."""
+    """Parameters of the wind estimation."""
 
     force_noise: tuple[Positive, Positive, Positive] = (0.3, 0.3, 4.0)
     """Standard deviation of the noise of the observed force, by axis [N]."""
     force_std: NonNegative = 0.1
-    """Standard deviation of errors of the force that last: of mass, thrusts and attitude [N]."""
+    """Standard deviation of lasting errors of the force: of mass, thrusts and attitude [N]."""
     gain: Positive = 10.0
-    """How fast the acting force is observed, `K_o` [1/s]."""
+    """Gain `K_o` with which the acting force is observed [1/s]."""
     moment_arm: Positive = 0.25
-    """Lever arm of the model's errors: over it the moment that the model does not explain is a force that it does not
-    explain either [m].
-    """
+    """Lever arm that converts an unexplained moment to an unexplained force of the model [m]."""
     relative_std: NonNegative = 0.045
-    """The same of the model's force, as a fraction of the observed one."""
+    """Standard deviation of lasting errors of the aerodynamic model, as a fraction of the observed force."""
     vertical_std: Positive = 1.0
     """Standard deviation of vertical winds [m/s]."""
     vertical_time: Positive = 2.0
-    """Time over which vertical winds are like themselves [s]."""
+    """Correlation time of vertical winds [s]."""
     walk: Positive = 0.6
-    """How fast a horizontal wind changes: standard deviation after one second [m/s]."""
+    """Rate of change of a horizontal wind: standard deviation after one second [m/s]."""
 
 
 class ControllerSection(Table, frozen=True, kw_only=True):
@@ -497,27 +497,27 @@ class ControllerSection(Table, frozen=True, kw_only=True):
     aero: AeroConfig
     """The controller's own aerodynamic model; `off` is the baseline controller."""
     aero_feedback: AeroFeedback = AeroFeedback()
-    """Where the aerodynamic estimate enters."""
+    """Terms of the controller that contain the estimated aerodynamic forces."""
     bounds: BoundsConfig
     """Bounds of the momentum QP."""
     channels: ChannelsConfig = ChannelsConfig()
-    """Which measurements are accepted, and what happens without them."""
+    """Which measurements are accepted, and what replaces the others."""
     contact: ContactConfig | None = None
-    """What it takes to stand on the ground; without it the controller has no feet."""
+    """Standing on the ground; without it the controller has no feet."""
     engines: EnginesConfig | None = None
     """When an engine counts as lost; without it, never."""
     estimator: EstimatorConfig | None = None
-    """Estimates the state from what is measured; without it the law is given the measurements."""
+    """State estimator; without it the control law uses the measurements."""
     jacobian_offset: JacobianOffset = "link_rotation"
-    """Point whose Jacobian carries link forces (in `Λ_a` and the torque law)."""
+    """Point whose Jacobian maps link forces (in `Λ_a` and the torque law)."""
     lever_arm: LeverArm = "rotated"
     """Point at which moments of link forces are formed (in `A_a`)."""
     link_velocity: LinkVelocity = "at_centre"
-    """Point whose velocity makes the relative wind."""
+    """Point whose velocity enters the relative wind."""
     momentum: MomentumGains
     """Gains of the momentum and attitude tasks."""
     observer: ObserverConfig | None = None
-    """What observes the wrench that is in no model; without it there is none."""
+    """Observer of the wrench that no model of the controller contains; without it this wrench is taken as zero."""
     posture_gain: dict[str, float]
     """Posture gain `K_s` by joint group [1/s]."""
     qp: QpConfig = QpConfig()
@@ -527,64 +527,66 @@ class ControllerSection(Table, frozen=True, kw_only=True):
     torque: TorqueConfig
     """The joint torque controller."""
     use_jets: bool = True
-    """Whether thrusts are known of and asked for."""
+    """Whether the controller uses the jets; without them it neither reads thrusts nor commands thrust rates."""
     weights: MomentumWeights
     """Weights of the momentum QP."""
     wind_observer: WindObserverConfig | None = None
-    """Estimates the wind from the force that acts on the robot; without it the law is given the measured wind."""
+    """Wind observer, which estimates the wind from the force on the robot; without it the control law uses the
+    measured wind.
+    """
 
 
 class ForceFactorsConfig(Table, frozen=True, kw_only=True):
-    """Factors on the force of every link; all one unless said otherwise."""
+    """Factors on the force of every link; the default is 1."""
 
     drag: float = 1.0
     """Factor on the part along the air's velocity relative to the link."""
     links: dict[str, float] = field(default_factory=dict)
     """Factor on the whole force of a link, by its name; links that are not named keep theirs."""
     normal: float = 1.0
-    """Factor on the part across it."""
+    """Factor on the part across the air's velocity relative to the link."""
     scale: float = 1.0
     """Factor on all forces."""
 
 
 class ConstantWindConfig(Table, frozen=True, kw_only=True, tag_field="profile", tag="constant"):
-    """The same all the time."""
+    """Constant velocity."""
 
     velocity: tuple[float, float, float]
     """Velocity of the air [m/s]."""
 
 
 class RampWindConfig(Table, frozen=True, kw_only=True, tag_field="profile", tag="ramp"):
-    """Still, then rising linearly to a constant: the published profile."""
+    """Zero, then a linear rise to a constant: the published profile."""
 
     ramp_end: float
-    """When it has risen [s]."""
+    """End of the rise [s]."""
     ramp_start: float
-    """When the wind starts to rise [s]."""
+    """Start of the rise [s]."""
     velocity: tuple[float, float, float]
     """Velocity after the ramp [m/s]."""
 
 
 class GustWindConfig(Table, frozen=True, kw_only=True, tag_field="profile", tag="gust"):
-    """A steady wind with one "1 − cos" gust on top."""
+    """A steady wind with one "1 − cos" gust."""
 
     duration: Positive
-    """How long it lasts [s]."""
+    """Duration of the gust [s]."""
     gust: tuple[float, float, float]
     """Velocity added at the peak of the gust [m/s]."""
     start: float
-    """When the gust begins [s]."""
+    """Start of the gust [s]."""
     velocity: tuple[float, float, float]
     """Steady velocity [m/s]."""
 
 
 class TurbulentWindConfig(Table, frozen=True, kw_only=True, tag_field="profile", tag="turbulent"):
-    """The published profile with turbulence on top, which rises with it."""
+    """The published profile with turbulence that rises in proportion."""
 
     ramp_end: float
-    """When it has risen [s]."""
+    """End of the rise [s]."""
     ramp_start: float
-    """When the wind starts to rise [s]."""
+    """Start of the rise [s]."""
     seed: Annotated[int, Meta(ge=0)] = 0
     """Seed of the turbulence."""
     std: tuple[NonNegative, NonNegative, NonNegative]
@@ -596,14 +598,14 @@ class TurbulentWindConfig(Table, frozen=True, kw_only=True, tag_field="profile",
 
 
 class FileWindConfig(Table, frozen=True, kw_only=True, tag_field="profile", tag="file"):
-    """A recorded wind: a CSV file with header `time,x,y,z`, linear in between, constant outside."""
+    """A recorded wind: a CSV file with header `time,x,y,z`; linear between samples, constant outside."""
 
     path: Path
     """The file; relative paths start at the configuration file."""
 
 
 class SamplesWindConfig(Table, frozen=True, kw_only=True, tag_field="profile", tag="samples"):
-    """A recorded wind that stands here: linear in between, constant outside."""
+    """A recorded wind, given here; linear between samples, constant outside."""
 
     samples: tuple[tuple[float, float, float, float], ...]
     """Time [s], increasing, and velocity along x, y and z [m/s]."""
@@ -612,14 +614,14 @@ class SamplesWindConfig(Table, frozen=True, kw_only=True, tag_field="profile", t
 WindConfig: TypeAlias = (
     ConstantWindConfig | RampWindConfig | GustWindConfig | TurbulentWindConfig | FileWindConfig | SamplesWindConfig
 )
-"""A wind profile; all velocities in m/s, inertial axes, all times in s."""
+"""A wind profile; velocities in m/s, inertial axes, times in s."""
 
 
 FailureKind: TypeAlias = Literal["off", "stuck"]
-"""What a failed jet does.
+"""Kind of a jet failure.
 
-off: Its thrust goes.
-stuck: Its thrust stays where it is.
+off: The thrust decays to zero.
+stuck: The thrust stays constant.
 """
 
 
@@ -627,17 +629,17 @@ class JetFailure(Table, frozen=True, kw_only=True):
     """A jet that no longer follows its command."""
 
     decay: NonNegative = 0.0
-    """Time constant with which a jet that is off loses its thrust [s]; zero for at once."""
+    """Time constant with which the thrust of a jet that is off decays [s]; zero for at once."""
     jet: str
     """Name of the jet."""
     kind: FailureKind
-    """How."""
+    """Kind of the failure."""
     time: NonNegative
-    """When it fails [s]."""
+    """Time of the failure [s]."""
 
 
 class MeasurementNoise(Table, frozen=True, kw_only=True):
-    """White noise on measured thrusts."""
+    """White noise of measured thrusts."""
 
     seed: Annotated[int, Meta(ge=0)] = 0
     """Seed."""
@@ -651,36 +653,34 @@ class JetFaultsConfig(Table, frozen=True, kw_only=True):
     failure: JetFailure | None = None
     """One jet that fails."""
     force_scale: dict[str, float] = field(default_factory=dict)
-    """Force that a jet exerts, over the thrust that it seems to have, by its name; jets that are not named exert their
-    thrust.
-    """
+    """Ratio of the force that a jet exerts to its thrust, by name; it is 1 for jets that are not named."""
     lag: NonNegative = 0.0
-    """Time constant with which the commanded thrust rate takes effect [s]; zero for at once."""
+    """Time constant of a first-order lag of the commanded thrust rate [s]; zero for none."""
     limit_is_known: bool = False
     """Whether the controller's own limits are scaled as well, by `thrust_limit_scale`."""
     measurement_noise: MeasurementNoise | None = None
-    """Noise on the thrust that the estimators of second-order jets measure."""
+    """Noise of the measured thrust, which only the estimators of second-order jets use."""
     thrust_limit_scale: Positive | None = None
-    """Thrust stays below this times the robot's greatest thrust; without it nothing but the controller limits it, as
-    published.
+    """Limit of the thrust as a fraction of the robot's greatest thrust; without it only the controller limits the
+    thrust, as published.
     """
 
 
 class ModelError(Table, frozen=True, kw_only=True):
-    """How the controller's robot differs from the one that flies; not at all by default."""
+    """Differences between the controller's robot and the simulated one; none by default."""
 
     com_offset: tuple[
         Annotated[float, Meta(ge=-10, le=10)],
         Annotated[float, Meta(ge=-10, le=10)],
         Annotated[float, Meta(ge=-10, le=10)],
     ] = (0.0, 0.0, 0.0)
-    """Added to the base body's centre of mass in the controller's robot [m, base axes]."""
+    """Offset of the base body's centre of mass in the controller's robot [m, base axes]."""
     mass_scale: Annotated[float, Meta(ge=0.01, le=100)] = 1.0
     """Factor on all masses and inertias of the controller's robot."""
 
 
 OutageChannel: TypeAlias = Literal["wind", "thrust", "joints", "base_position", "base_rotation", "base_velocity"]
-"""What is not measured.
+"""Channel that fails.
 
 wind: Velocity of the air.
 thrust: Thrust of one jet or of all.
@@ -692,96 +692,98 @@ base_velocity: Velocity of the base, linear and angular.
 
 
 OutageKind: TypeAlias = Literal["missing", "nan", "frozen", "wrong"]
-"""What is measured instead.
+"""What is measured during an outage.
 
 missing: Nothing: every component is NaN.
 nan: The first component is NaN.
-frozen: What was measured when it began.
-wrong: Something else, by `error`.
+frozen: The value at the start of the outage.
+wrong: A value with the error `error`.
 """
 
 
 class Outage(Table, frozen=True, kw_only=True):
-    """A channel that fails for a while."""
+    """A temporary failure of one channel."""
 
     channel: OutageChannel
-    """What is not measured."""
+    """Channel that fails."""
     duration: Positive | None = None
-    """How long it lasts [s]; without it, for ever."""
+    """Duration of the outage [s]; without it, to the end of the flight."""
     error: float = 1.0
-    """Of a wrong value: added to every component, or the angle by which a rotation is turned about inertial x [the
-    channel's units].
+    """Error of a wrong value [unit of the channel]: added to every component; for a rotation, an angle about inertial
+    x.
     """
     jet: str | None = None
-    """Name of the jet whose thrust it is; without it, of all jets."""
+    """Name of the jet whose thrust fails; without it, all jets."""
     kind: OutageKind
     """What is measured instead."""
     start: Positive
-    """When it begins [s]; a flight begins with everything measured."""
+    """Start of the outage [s]; the first measurement of a flight is complete."""
 
 
 class WindEstimateConfig(Table, frozen=True, kw_only=True):
-    """Errors of the wind estimate; none by default."""
+    """Errors of the measured wind; none by default."""
 
     bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Added to the wind [m/s, inertial axes]."""
+    """Bias of the wind [m/s, inertial axes]."""
     delay: Annotated[float, Meta(ge=0, le=1000)] = 0.0
-    """Age of the wind that is given, rounded to ticks [s]."""
+    """Age of the wind, rounded to ticks [s]."""
     mean_only: bool = False
-    """Whether only the mean over the flight is given."""
+    """Whether the controller receives the mean over the flight only."""
     noise_std: NonNegative = 0.0
-    """Standard deviation of white noise on every axis, drawn anew each tick [m/s]."""
+    """Standard deviation of white noise on every axis, drawn in every tick [m/s]."""
     seed: Annotated[int, Meta(ge=0)] = 0
     """Seed of the noise."""
     time_constant: NonNegative = 0.0
-    """Time constant of a first-order low pass behind all other errors [s]; zero for none."""
+    """Time constant of a first-order low pass after all other errors [s]; zero for none."""
 
 
 class Disturbances(Table, frozen=True, kw_only=True):
     """Disturbances of a flight; none by default."""
 
     aero: ForceFactorsConfig = ForceFactorsConfig()
-    """Factors on the simulated aerodynamic forces: coefficients that are not what they are thought to be."""
+    """Factors on the simulated aerodynamic forces, for errors of the coefficients."""
     aero_estimate: ForceFactorsConfig = ForceFactorsConfig()
-    """Factors on the forces that the controller estimates: information that is wrong or left out."""
+    """Factors on the forces that the controller estimates, for parts that are wrong or omitted."""
     controller_wind: WindConfig | None = None
-    """A wind that the controller is given in place of the one that blows."""
+    """A wind that the controller receives in place of the simulated one."""
     jets: JetFaultsConfig = JetFaultsConfig()
-    """What is wrong with the jets."""
+    """Faults of the jets."""
     model_error: ModelError = ModelError()
-    """How the controller's robot differs from the one that flies."""
+    """Differences between the controller's robot and the simulated one."""
     outages: tuple[Outage, ...] = ()
-    """Measurements that fail to reach the controller, or reach it wrong."""
+    """Measurements that are lost or corrupted on the way to the controller."""
     wind_estimate: WindEstimateConfig | None = None
-    """Errors of the wind that the controller is given; without them it is the true one."""
+    """Errors of the controller's measured wind; without them it is the true wind."""
 
 
 class DivergenceConfig(Table, frozen=True, kw_only=True):
-    """What physics excludes: a flight whose numbers go beyond has diverged. A state that is not finite always has."""
+    """Limits of physically possible values; a flight that exceeds them, or has a state that is not finite, has
+    diverged.
+    """
 
     angular_velocity: Positive = 100.0
-    """Angular velocity of the base [rad/s]; by default 16 turns a second."""
+    """Angular velocity of the base [rad/s]; by default 16 turns per second."""
     joint_excess: Positive = 6.0
-    """How far a joint is beyond its stops [rad, m]; by default about a turn."""
+    """Distance of a joint beyond its stops [rad, m]; by default about one turn."""
     joint_velocity: Positive = 100.0
-    """Velocity of a joint [rad/s, m/s]; by default ten times what motors of such robots do."""
+    """Velocity of a joint [rad/s, m/s]; by default ten times that of motors of such robots."""
     speed: Positive = 300.0
-    """Speed of base and air [m/s]; by default near that of sound, where no aerodynamic model here holds."""
+    """Speed of base and air [m/s]; by default near the speed of sound, where no aerodynamic model here is valid."""
     thrust_ratio: Positive = 10.0
-    """Thrust as a multiple of the jet's greatest."""
+    """Ratio of a thrust to the jet's greatest."""
 
 
 DynamicsBackend: TypeAlias = Literal["tree", "mjx"]
-"""What computes mass matrix and bias.
+"""Implementation that computes mass matrix and bias.
 
 tree: The tree of bodies of this project.
-mjx: MuJoCo's JAX implementation, for `engine = "jax"` alone.
+mjx: MuJoCo's JAX implementation, for `engine = "jax"` only.
 """
 
 
 class EkfConfig(Table, frozen=True, kw_only=True):
-    """Numbers of the estimator, in the letters of its equations; the defaults are the published ones, but for the
-    initial state.
+    """Parameters of the filter, with the symbols of its equations. Except for the initial state, the defaults are the
+    published values.
     """
 
     Q: tuple[tuple[float, float], tuple[float, float]] = ((10.0, 1.0), (1.0, 10.0))
@@ -791,8 +793,8 @@ class EkfConfig(Table, frozen=True, kw_only=True):
     init_P: tuple[tuple[float, float], tuple[float, float]] = ((1.0, 0.1), (0.1, 1.0))
     """`P(0)`: covariance of the initial state."""
     init_state: tuple[float, float] | None = None
-    """`x̂(0) = (T, Ṫ)` [N, N/s]; without it `(initial thrust, 0)`. The published value is (0, 0), which makes the
-    throttle loop act on too small a thrust for the first two seconds.
+    """`x̂(0) = (T, Ṫ)` [N, N/s]; without it `(initial thrust, 0)`. The published value is (0, 0), with which the
+    throttle loop uses too small a thrust for the first two seconds.
     """
 
 
@@ -800,12 +802,12 @@ class EncoderConfig(Table, frozen=True, kw_only=True):
     """Encoders of the joints."""
 
     delay: Annotated[float, Meta(ge=0, le=1)] = 0.0
-    """Age of what is measured, rounded to ticks [s]."""
+    """Age of the measurement, rounded to ticks [s]."""
     resolution: NonNegative = 0.0
-    """Step of the positions [rad, m]; zero for none."""
+    """Quantisation step of the positions [rad, m]; zero for none."""
     velocity_time_constant: NonNegative | None = None
-    """Velocities are differences of positions behind a first-order low pass of this time constant [s]; without it they
-    are measured as such.
+    """Time constant [s] of a first-order low pass of position differences, from which velocities are measured; without
+    it velocities are measured directly.
     """
 
 
@@ -814,12 +816,12 @@ Engine: TypeAlias = Literal["rust", "jax", "mujoco"]
 
 rust: This crate.
 jax: The batched, differentiable simulation in Python.
-mujoco: MuJoCo, in Python: the one with a ground.
+mujoco: MuJoCo, in Python; the only engine with ground.
 """
 
 
 class FallConfig(Table, frozen=True, kw_only=True):
-    """When a robot counts as fallen."""
+    """Limits beyond which a robot counts as fallen."""
 
     com_error: Positive
     """Greatest distance between centre of mass and set-point [m]."""
@@ -828,29 +830,29 @@ class FallConfig(Table, frozen=True, kw_only=True):
 
 
 class LegOdometryConfig(Table, frozen=True, kw_only=True):
-    """The state of a standing robot as its legs measure it: the pose of the base from the first of the controller's
-    feet, its velocity from all of them, as if they stayed where they are.
+    """State measurement by the legs: pose of the base from the first of the controller's feet, velocity from all of
+    them, assuming that the feet rest.
     """
 
     velocity_time_constant: NonNegative
-    """Time constant of the first-order low pass of the joint velocities that the controller gets [s]."""
+    """Time constant of the first-order low pass of the joint velocities for the controller [s]."""
 
 
 class GroundConfig(Table, frozen=True, kw_only=True):
-    """The plane z = 0 under the robot's feet. Only engines that simulate contact fly a world that has it."""
+    """The ground, plane z = 0. Only engines that simulate contact can fly a configuration with ground."""
 
     contact_time: Positive
-    """Time in which a touching corner comes to rest [s]: softer with a longer one."""
+    """Time constant of the contact: time in which a touching corner comes to rest [s]; longer is softer."""
     friction: Positive
-    """Coulomb friction of soles on the ground."""
+    """Coulomb friction coefficient of soles on the ground."""
     leg_odometry: LegOdometryConfig | None = None
-    """How the robot measures its own state while it stands; without it the state is measured as it is."""
+    """State measurement of the standing robot by its legs; without it the true state is measured."""
     settling: NonNegative
-    """How long stiff joints hold the initial posture before the controller takes over at time zero [s]."""
+    """Time for which stiff joints hold the initial posture before the controller starts at time zero [s]."""
 
 
 class InitialConfig(Table, frozen=True, kw_only=True):
-    """State at the beginning of a flight."""
+    """Initial state of a flight."""
 
     base_position: tuple[float, float, float]
     """Position of the base origin [m]."""
@@ -859,8 +861,8 @@ class InitialConfig(Table, frozen=True, kw_only=True):
     base_velocity: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     """Velocity of the base origin, then angular velocity, inertial axes [m/s, rad/s]."""
     free_fall_tick: bool = False
-    """Whether the first physics step has neither thrust nor torque, as the delays of the published model make it: the
-    controller first gets a robot that has fallen for one tick.
+    """Whether the first physics step has neither thrust nor torque, as with the delays of the published model: the
+    controller starts with a robot that has fallen for one tick.
     """
     joint_position: tuple[float, ...]
     """Joint positions in the robot's order [rad]."""
@@ -869,15 +871,16 @@ class InitialConfig(Table, frozen=True, kw_only=True):
 
 
 Integrator: TypeAlias = Literal["semi_implicit_euler", "explicit_euler"]
-"""How a physics step is taken.
+"""Integrator of a physics step.
 
-semi_implicit_euler: Velocity first, pose with the new velocity: feeds no energy into fast joint motion.
-explicit_euler: Pose and velocity both advance with the old velocity and acceleration (published).
+semi_implicit_euler: Velocity first, then the pose with the new velocity: adds no energy to fast joint motion.
+explicit_euler: Pose and velocity both advance with the velocity and acceleration at the start of the step
+(published).
 """
 
 
 ThrustFeedback: TypeAlias = Literal["measured", "estimated"]
-"""Which thrust the flight controller gets.
+"""Thrust that the flight controller receives.
 
 measured: The true thrust, without noise.
 estimated: The estimate of the `ThrustEkf`.
@@ -889,14 +892,14 @@ class IdealJetsConfig(Table, frozen=True, kw_only=True, tag_field="dynamics", ta
 
 
 class SecondOrderJetsConfig(Table, frozen=True, kw_only=True, tag_field="dynamics", tag="second_order"):
-    """Identified second-order engines behind a throttle loop."""
+    """Identified second-order engines with a throttle loop."""
 
     ekf: EkfConfig = EkfConfig()
     """The thrust estimator."""
     engines: tuple[str, ...] | None = None
-    """Engine of each jet, by name; without it, those of the robot."""
+    """Engine of each jet, by name; by default those of the robot."""
     feedback: ThrustFeedback = "measured"
-    """What the flight controller is given as thrust; the throttle loop always uses the estimate."""
+    """Thrust that the flight controller receives; the throttle loop always uses the estimate."""
     rate_gain_i: NonNegative = 0.0
     """Integral gain of the thrust-rate loop [1/s²]."""
     rate_gain_p: NonNegative = 150.0
@@ -904,7 +907,7 @@ class SecondOrderJetsConfig(Table, frozen=True, kw_only=True, tag_field="dynamic
 
 
 JetsConfig: TypeAlias = IdealJetsConfig | SecondOrderJetsConfig
-"""How thrust follows the commanded thrust rate."""
+"""Dynamics of the thrust under a commanded thrust rate."""
 
 
 class MissionConfig(Table, frozen=True, kw_only=True):
@@ -913,11 +916,11 @@ class MissionConfig(Table, frozen=True, kw_only=True):
     down: tuple[tuple[float, float], ...] = ()
     """Descend [s]."""
     file: Path | None = None
-    """A recorded reference to fly instead of any command. Relative paths start at the configuration file."""
+    """CSV file of a recorded reference, in place of commands. Relative paths start at the configuration file."""
     forward: tuple[tuple[float, float], ...] = ()
-    """Fly forwards at the plain speed [s]."""
+    """Fly forwards at normal speed [s]."""
     forward_turbo: tuple[tuple[float, float], ...] = ()
-    """Fly forwards with boosted speed, nose down [s]."""
+    """Fly forwards at increased speed, nose down [s]."""
     pitch_up: tuple[tuple[float, float], ...] = ()
     """Raise the nose [s]."""
     up: tuple[tuple[float, float], ...] = ()
@@ -927,123 +930,123 @@ class MissionConfig(Table, frozen=True, kw_only=True):
 
 
 class MotorsConfig(Table, frozen=True, kw_only=True):
-    """What stands between a motor's torque and its joint."""
+    """Friction, stiffness and inertia between a motor's torque and its joint."""
 
     damping: NonNegative
     """Viscous friction of every joint [N m s]."""
     friction: NonNegative
     """Dry friction of every joint [N m]."""
     friction_of: dict[str, float] = field(default_factory=dict)
-    """Dry friction of joints that have another, by name [N m]."""
+    """Dry friction of joints that differ from `friction`, by name [N m]."""
     inertia: NonNegative
-    """Rotor inertia seen at every joint [kg m²]."""
+    """Rotor inertia reflected to every joint [kg m²]."""
     stiffness: NonNegative = 0.0
-    """Stiffness with which every drive holds the posture that the robot starts in [N m/rad]."""
+    """Stiffness with which every drive holds the initial posture [N m/rad]."""
 
 
 class SensorConfig(Table, frozen=True, kw_only=True):
-    """A sensor with three axes, in the unit of what it measures."""
+    """A three-axis sensor; values are in the unit of its measurement."""
 
     bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Added to every measurement."""
+    """Bias of every measurement."""
     delay: Annotated[float, Meta(ge=0, le=1)] = 0.0
-    """Age of what is measured, rounded to ticks [s]."""
+    """Age of the measurement, rounded to ticks [s]."""
     noise_std: NonNegative = 0.0
-    """Standard deviation of white noise on every axis, drawn anew each tick."""
+    """Standard deviation of white noise on every axis, drawn in every tick."""
 
 
 class ThrustSensorConfig(Table, frozen=True, kw_only=True):
-    """Thrust sensors, all alike."""
+    """Thrust sensors, equal for all jets."""
 
     bias: float = 0.0
-    """Added to every measurement [N]."""
+    """Bias of every measurement [N]."""
     delay: Annotated[float, Meta(ge=0, le=1)] = 0.0
-    """Age of what is measured, rounded to ticks [s]."""
+    """Age of the measurement, rounded to ticks [s]."""
     noise_std: NonNegative = 0.0
-    """Standard deviation of white noise on every jet, drawn anew each tick [N]."""
+    """Standard deviation of white noise on every jet, drawn in every tick [N]."""
 
 
 class SensorsConfig(Table, frozen=True, kw_only=True):
     """Sensors of the robot's own state; those without settings are exact."""
 
     base_angular_velocity: SensorConfig = SensorConfig()
-    """Gyroscopes [rad/s, base axes]; the measured rotation turns them into inertial axes."""
+    """Gyroscopes [rad/s, base axes]; the measured rotation transforms them to inertial axes."""
     base_linear_velocity: SensorConfig = SensorConfig()
     """Velocity of the base origin [m/s, inertial axes]."""
     base_position: SensorConfig = SensorConfig()
     """Position of the base origin [m, inertial axes]."""
     base_rotation: SensorConfig = SensorConfig()
-    """Rotation of the base; bias and noise turn it about its own axes [rad]."""
+    """Rotation of the base; bias and noise rotate it about its own axes [rad]."""
     joints: EncoderConfig = EncoderConfig()
     """Joints."""
     seed: Annotated[int, Meta(ge=0)] = 0
-    """Seed of all their noise."""
+    """Seed of the noise of all sensors."""
     thrust: ThrustSensorConfig = ThrustSensorConfig()
     """Thrust of every jet."""
 
 
 class SimulatorConfig(Table, frozen=True, kw_only=True):
-    """The world the robot flies in."""
+    """Configuration of the simulated robot and its environment."""
 
     aero: AeroConfig
-    """Aerodynamics of the world."""
+    """Simulated aerodynamic model."""
     course_error: Positive = 0.5
-    """Greatest distance of the centre of mass from its set-point, after the start-up, of a flight that is not
+    """Greatest distance of the centre of mass from its set-point after the start-up; a flight that exceeds it is
     `off_course` [m].
     """
     divergence: DivergenceConfig = DivergenceConfig()
-    """What physics excludes."""
+    """Limits beyond which a flight counts as diverged."""
     duration: Positive
     """Length of the flight [s]."""
     dynamics: DynamicsBackend = "tree"
-    """What computes mass matrix and bias."""
+    """Implementation that computes mass matrix and bias."""
     fall: FallConfig
-    """When a robot counts as fallen."""
+    """Limits beyond which a robot counts as fallen."""
     ground: GroundConfig | None = None
-    """The ground, where there is one."""
+    """The ground, if there is one."""
     initial: InitialConfig
-    """State at the beginning."""
+    """Initial state."""
     integrator: Integrator = "semi_implicit_euler"
-    """How a physics step is taken."""
+    """Integrator of a physics step."""
     jets: JetsConfig
-    """How thrust follows the command."""
+    """Dynamics of the thrust under a commanded thrust rate."""
     joint_stops: bool = True
-    """Whether joints meet the stops of the robot's URDF, widened to the range of the controller."""
+    """Whether joints have the stops of the URDF, widened to the range of the controller."""
     kinematics: AeroKinematics = "current"
-    """Which kinematics place the links in the wind."""
+    """Kinematics used for the aerodynamic forces."""
     lever_arm: LeverArm = "rotated"
     """Point at which link forces act."""
     motors: MotorsConfig | None = None
-    """Friction and inertia of the motors; without them, ideal torques."""
+    """Friction and inertia of the motors; without them torques are ideal."""
     sensors: SensorsConfig | None = None
-    """Sensors of the robot's own state; without them the controller is given the state itself."""
+    """Sensors of the robot's own state; without them the controller receives the true state."""
     substeps: Annotated[int, Meta(ge=1, le=1000)] = 1
-    """Physics steps within a tick; forces that depend on the state follow it, commands are held."""
+    """Physics steps in a tick; state-dependent forces are evaluated in each, commands are constant."""
     time_step: Annotated[float, Meta(ge=0.0002, le=1)]
     """Tick of controller and physics [s]."""
 
 
 class ScenarioConfig(Table, frozen=True, kw_only=True):
-    """One flight: which robot, in which simulator and wind, under which controller, on which mission."""
+    """One flight: robot, simulator, controller, mission, wind and disturbances."""
 
     controller: ControllerSection
     """The controller."""
     description: str = ""
-    """What the flight is for."""
+    """Purpose of the flight."""
     disturbances: Disturbances = Disturbances()
-    """What is done to robot and controller."""
+    """Disturbances of robot and controller."""
     engine: Engine = "rust"
-    """Which engine flies it. This crate is one of them and reads the files of all."""
+    """Engine that simulates the flight. This crate is one of them and reads the files of all."""
     mission: MissionConfig
-    """What the autopilot demands, and when."""
+    """Commands of the autopilot, or a recorded reference."""
     robot: Path
     """The robot's TOML file."""
     simulator: SimulatorConfig
-    """The world."""
+    """The simulated robot and its environment."""
     title: str = ""
-    """What people read in tables and figures."""
+    """Title in tables and figures."""
     wind: WindConfig
-    """The wind that blows; the controller is given it too, unless `disturbances` say otherwise."""
+    """The simulated wind; the controller also receives it, unless `disturbances` states otherwise."""
 
 
 class AeroEntry(Table, frozen=True, kw_only=True):
@@ -1052,7 +1055,7 @@ class AeroEntry(Table, frozen=True, kw_only=True):
     axis: tuple[float, float, float]
     """Axis of symmetry in link axes, a unit vector."""
     centre: tuple[float, float, float]
-    """Where the force acts, in link axes [m]."""
+    """Point where the force acts, in link axes [m]."""
     diameter: Positive
     """Diameter [m]."""
     family: str
@@ -1060,11 +1063,11 @@ class AeroEntry(Table, frozen=True, kw_only=True):
     frame: str
     """Link of the URDF."""
     is_sphere: bool = False
-    """Whether the link is a sphere to the sphere/cylinder model."""
+    """Whether the sphere and cylinder model treats the link as a sphere."""
     length: Positive
     """Length along the axis [m]."""
     name: str
-    """Name of the link in tables and plots."""
+    """Name of the link in tables and figures."""
 
 
 class AxisymmetricCoefficients(Table, frozen=True, kw_only=True):
@@ -1077,12 +1080,12 @@ class AxisymmetricCoefficients(Table, frozen=True, kw_only=True):
 
 
 class EngineCoefficients(Table, frozen=True, kw_only=True):
-    """Second-order model of an engine: thrust `T` [N] under throttle `u` in percent."""
+    """Second-order model of an engine with thrust `T` [N] and throttle `u` in percent."""
 
     b_d: float
-    """Gain that grows with the thrust rate [1/s per percent]."""
+    """Gain proportional to the thrust rate [1/s per percent]."""
     b_t: float
-    """Gain that grows with thrust [1/s² per percent]."""
+    """Gain proportional to thrust [1/s² per percent]."""
     b_u: float
     """Gain of the throttle [N/s² per percent]."""
     b_uu: float
@@ -1096,7 +1099,7 @@ class EngineCoefficients(Table, frozen=True, kw_only=True):
     k_t: float
     """Stiffness [1/s²]."""
     k_td: float
-    """Damping that grows with thrust [1/(N s)]."""
+    """Damping proportional to thrust [1/(N s)]."""
     k_tt: float
     """Quadratic stiffness [1/(N s²)]."""
     throttle_max: float
@@ -1109,7 +1112,7 @@ class FootEntry(Table, frozen=True, kw_only=True):
     """A foot: a sole and the corners that can touch the ground."""
 
     frame: str
-    """Link of the URDF: the sole."""
+    """Link of the URDF that is the sole."""
     name: str
     """Name of the foot."""
     vertices: tuple[tuple[float, float, float], ...]
@@ -1120,28 +1123,28 @@ class JointEntry(Table, frozen=True, kw_only=True):
     """A joint that moves."""
 
     limits: tuple[float, float] | None = None
-    """Of a prismatic joint [m]; without them, the limits of the URDF hold."""
+    """Limits of a prismatic joint [m]; by default those of the URDF."""
     limits_deg: tuple[float, float] | None = None
-    """Of a revolute joint [deg]; without them, the limits of the URDF hold."""
+    """Limits of a revolute joint [deg]; by default those of the URDF."""
     name: str
     """Name of the joint in the URDF."""
     torque_max: Positive | None = None
-    """In place of the URDF's effort [N m, N]."""
+    """Greatest torque or force [N m, N]; by default the URDF's effort."""
     torque_rate_max: Positive | None = None
-    """Without it, nothing limits the rate [N m/s, N/s]."""
+    """Greatest rate of the torque or force [N m/s, N/s]; unlimited by default."""
     velocity_max: Positive | None = None
-    """Of a prismatic joint, in place of the URDF's velocity [m/s]."""
+    """Greatest velocity of a prismatic joint [m/s]; by default that of the URDF."""
     velocity_max_deg: Positive | None = None
-    """Of a revolute joint, in place of the URDF's velocity [deg/s]."""
+    """Greatest velocity of a revolute joint [deg/s]; by default that of the URDF."""
 
 
 class GroupEntry(Table, frozen=True, kw_only=True):
-    """Joints that are treated and plotted together."""
+    """Joints that share a posture gain and a figure."""
 
     joints: tuple[JointEntry, ...]
     """Its joints."""
     name: str
-    """Name of the group, as posture gains and plots name it."""
+    """Name of the group in posture gains and figures."""
 
 
 class JetEntry(Table, frozen=True, kw_only=True):
@@ -1165,7 +1168,7 @@ class RobotFile(Table, frozen=True, kw_only=True):
     aero_links: tuple[AeroEntry, ...] = ()
     """Links on which aerodynamic force acts."""
     base_link: str
-    """Link of the URDF whose body floats."""
+    """Link of the URDF that is the floating base."""
     coefficients: dict[str, dict[str, AxisymmetricCoefficients]] = field(default_factory=dict)
     """Coefficients by set, then by link family."""
     engines: dict[str, EngineCoefficients] = field(default_factory=dict)
@@ -1179,9 +1182,9 @@ class RobotFile(Table, frozen=True, kw_only=True):
     jets: tuple[JetEntry, ...] = ()
     """Jet engines on the robot."""
     joint_groups: tuple[GroupEntry, ...] = ()
-    """Joints that move, in groups; their order is that of every joint vector."""
+    """Joints that move, in groups; every joint vector has their order."""
     locked: dict[str, float] = field(default_factory=dict)
-    """Joints held at a position [rad, m]."""
+    """Joints that are fixed at a position [rad, m]."""
     name: str
     """Name of the robot."""
     urdf: Path

@@ -10,65 +10,66 @@
 #include <stddef.h>
 #include <stdint.h>
 
-// How a call ended.
+// Outcome of a call.
 typedef enum FlightStatus {
-  // The command is the one that the control law gives: both QPs solved and certified.
+  // The command is that of the control law: both QPs are solved and certified.
   FLIGHT_NOMINAL = 0,
-  // The measurement is not of this robot: thrust rates and joint velocities are zero, torques stay.
+  // The measurement is not of this robot: thrust rates and joint velocities are zero, torques keep their values.
   FLIGHT_BAD_MEASUREMENT = 1,
   // The set-point is beyond what is accepted of a robot (`channels.greatest`) or its rotation is none: the robot brakes from the motion of the last one.
   FLIGHT_BAD_SETPOINT = 2,
   // The momentum QP has no answer: thrust rates and joint velocities are as near to zero as their bounds allow.
   FLIGHT_MOMENTUM_HELD = 3,
-  // The torque QP has no answer: torques stay.
+  // The torque QP has no answer: torques keep their values.
   FLIGHT_TORQUE_HELD = 4,
   // Neither QP has an answer.
   FLIGHT_BOTH_HELD = 5,
-  // The command of the control law for a measurement of which something had to be predicted (NaN stands for what is
-  // not measured), or on the way down.
+  // The command is that of the control law, but part of the measurement is predicted (NaN marks what is not
+  // measured) or the robot descends.
   FLIGHT_DEGRADED = 6,
-  // No flight has been started, or it cannot begin with this measurement. No command is written.
+  // No flight has been started, or none can start with this measurement. No command is written.
   FLIGHT_NOT_STARTED = -1,
-  // A pointer that must not be null is. No command is written.
+  // A required pointer is null. No command is written.
   FLIGHT_NULL_POINTER = -2,
-  // An error of the library. Thrust rates and joint velocities are zero, torques stay as the caller has them.
+  // Internal error of the library. Thrust rates and joint velocities are zero; the torques in the command are
+  // unchanged.
   FLIGHT_PANICKED = -3,
-  // A replaced command holds a number that is not finite. Nothing changes.
+  // A replaced command contains a number that is not finite. Nothing changes.
   FLIGHT_BAD_COMMAND = -4,
 } FlightStatus;
 
-// A controller and the flight it is in. One thread at a time may use it.
+// A controller with its flight. Not to be used by several threads at the same time.
 typedef struct FlightController FlightController;
 
-// What is measured at a tick.
+// Measurement of a tick.
 typedef struct FlightMeasurement {
-  // Time since the flight began [s].
+  // Time since the start of the flight [s].
   double time;
-  // Origin of the base [m].
+  // Position of the base origin [m, inertial axes].
   double base_position[3];
   // Rotation from base to inertial axes, by rows.
   double base_rotation[9];
-  // Velocity of the base's origin [m/s, inertial axes].
+  // Velocity of the base origin [m/s, inertial axes].
   double base_linear_velocity[3];
   // Angular velocity of the base [rad/s, inertial axes].
   double base_angular_velocity[3];
   // Joint positions [rad], one per joint.
   const double *joint_position;
-  // Joint velocities [rad/s], one per joint; NaN where they are not measured, which
-  // `controller.estimator.joint_observer` makes up for.
+  // Joint velocities [rad/s], one per joint; NaN where they are not measured, which requires
+  // `controller.estimator.joint_observer`.
   const double *joint_velocity;
   // Thrusts [N], one per jet.
   const double *thrust;
-  // Velocity of the air [m/s, inertial axes]; NaN where it is not measured. Zero is still air, as if
-  // measured: without a wind sensor use `controller.wind_observer`, or a controller without aerodynamic model.
+  // Velocity of the air [m/s, inertial axes]; NaN if it is not measured. Zero means measured still air: without a
+  // wind sensor use `controller.wind_observer`, or a controller without aerodynamic model.
   double wind[3];
-  // Wrench on each foot about the origin of its sole, force first [N, N m, inertial axes], six per
-  // foot, in the order of `controller.contact.feet`. NaN where they are not measured; null is no load on any foot, as if
-  // measured.
+  // Wrench on each foot about the origin of its sole, force first [N, N m, inertial axes], six per foot, in the
+  // order of `controller.contact.feet`. NaN where it is not measured; null means that no load is measured on any
+  // foot.
   const double *foot_wrenches;
 } FlightMeasurement;
 
-// What the robot is to do, for a program that plans by itself.
+// Set-point of a tick, for programs with their own planner.
 typedef struct FlightSetpoint {
   // Centre of mass [m].
   double com_position[3];
@@ -88,7 +89,7 @@ typedef struct FlightSetpoint {
   double angular_jerk[3];
 } FlightSetpoint;
 
-// Where a tick writes its command, which holds until the next tick. The arrays are the caller's.
+// Arrays of the caller to which a tick writes its command, which is valid until the next tick.
 typedef struct FlightCommand {
   // Thrust rates [N/s], one per jet.
   double *thrust_rate;
@@ -102,14 +103,16 @@ typedef struct FlightCommand {
 extern "C" {
 #endif // __cplusplus
 
-// Creates the controller of a flight's configuration: a file as in `configs/experiments/`.
+// Creates the controller of a flight configuration, a file as in `configs/experiments/`.
 //
-// Returns null if it cannot be made; `message`, unless null, then holds the reason: at most
-// `message_size` bytes, the last of them zero. Allocates.
+// Returns null on failure; `message`, unless null, then contains the reason in at most `message_size` bytes, the last
+// of which is zero. Allocates.
 //
 // # Safety
-// `path` is a string that ends with a zero byte, or null; `message` has space for `message_size` bytes.
-struct FlightController *flight_controller_create(const char *path, char *message, size_t message_size);
+// `path` is a zero-terminated string, or null; `message` has space for `message_size` bytes.
+struct FlightController *flight_controller_create(const char *path,
+                                                  char *message,
+                                                  size_t message_size);
 
 // Frees a controller; null is allowed.
 //
@@ -129,61 +132,61 @@ size_t flight_joint_count(const struct FlightController *controller);
 // As for `flight_joint_count`.
 size_t flight_jet_count(const struct FlightController *controller);
 
-// Number of feet that the controller stands on, `controller.contact.feet`; zero for null.
+// Number of feet on which the controller stands, `controller.contact.feet`; zero for null.
 //
 // # Safety
 // As for `flight_joint_count`.
 size_t flight_foot_count(const struct FlightController *controller);
 
-// Name of a joint, which lives as long as the controller; null beyond the last.
+// Name of a joint, valid as long as the controller exists; null beyond the last joint.
 //
 // # Safety
 // As for `flight_joint_count`.
 const char *flight_joint_name(const struct FlightController *controller, size_t index);
 
-// Name of a jet, which lives as long as the controller; null beyond the last.
+// Name of a jet, valid as long as the controller exists; null beyond the last jet.
 //
 // # Safety
 // As for `flight_joint_count`.
 const char *flight_jet_name(const struct FlightController *controller, size_t index);
 
-// Seconds between two ticks; zero for null.
+// Time between two ticks [s]; zero for null.
 //
 // # Safety
 // As for `flight_joint_count`.
 double flight_time_step(const struct FlightController *controller);
 
-// In which ways the last tick differs from one that measures everything, as a sum: the wind is 1 held, 2 lost; 4 a thrust,
-// 8 the joints, 16 base position, 32 its rotation, 64 its velocity, 128 the wrenches on the feet are predicted;
-// 256 the clock is predicted; 512 on the way down; 1024 an engine does not reach its thrust. Zero for null.
+// Ways in which the last tick differs from one with complete measurements, as a sum: wind held 1 or lost 2; predicted
+// thrust 4, joints 8, base position 16, base rotation 32, base velocity 64, foot wrenches 128, clock 256; descent 512;
+// an engine does not reach its thrust 1024. Zero for null.
 //
 // # Safety
 // As for `flight_joint_count`.
 uint32_t flight_modes(const struct FlightController *controller);
 
-// Begins a flight: position, attitude and posture of this measurement are those to keep. Allocates, so
-// it is called before the loop; a flight under way ends.
+// Starts a flight, in place of the present one if any: position, attitude and posture of this measurement become the
+// reference. Allocates, so call it before the control loop.
 //
 // # Safety
-// `measurement` is null or points to one whose arrays have the lengths that are stated there.
+// `measurement` is null or points to one whose arrays have the documented lengths.
 enum FlightStatus flight_start(struct FlightController *controller,
                                const struct FlightMeasurement *measurement);
 
-// One tick, which follows the mission of the configuration, or `setpoint` where it is not null.
+// Computes one tick, which follows the mission of the configuration, or `setpoint` unless it is null.
 //
 // # Safety
-// The pointers are null or point to what their types say; the arrays of `measurement` and `command` have
-// the lengths that are stated there.
+// The pointers are null or point to objects of their types; the arrays of `measurement` and `command` have the
+// documented lengths.
 enum FlightStatus flight_tick(struct FlightController *controller,
                               const struct FlightMeasurement *measurement,
                               const struct FlightSetpoint *setpoint,
                               const struct FlightCommand *command);
 
-// Reports after a tick other thrust rates and joint torques that act until the next one: those of a safety layer, or of a
-// motor at its limit. What the controller predicts follows them; joint velocities are not read.
+// Reports after a tick that other thrust rates and joint torques act until the next one, such as those of a safety
+// layer or of a motor at its limit. The controller's predictions use them; joint velocities are not read.
 //
 // # Safety
-// The pointers are null or point to what their types say; the arrays of `command` have the lengths that are stated there.
+// The pointers are null or point to objects of their types; the arrays of `command` have the documented lengths.
 enum FlightStatus flight_replace_command(struct FlightController *controller,
                                          const struct FlightCommand *command);
 

@@ -1,10 +1,10 @@
-//! The controller for C and C++: create it from the file that was simulated, start it, tick it.
+//! The controller for C and C++: create it from the simulated configuration, start it, tick it.
 //!
-//! `include/flight.h` is made from this file by cbindgen. Only `flight_controller_create`,
-//! `flight_controller_free` and `flight_start` allocate. A panic does not cross the interface: the call answers
-//! `FLIGHT_PANICKED`, and so does every later one of that controller.
+//! `include/flight.h` is generated from this file by cbindgen. Only `flight_controller_create`,
+//! `flight_controller_free` and `flight_start` allocate. A panic does not leave the library: the call returns
+//! `FLIGHT_PANICKED`, and so does every later call for that controller.
 
-// The attribute that exports a symbol and the pointers of C are unsafe; each block says what it relies on.
+// Exporting symbols and using C pointers is unsafe; each block states its assumptions.
 #![allow(unsafe_code, reason = "C has pointers")]
 
 use flight_core::control::setpoint::Setpoint;
@@ -20,66 +20,67 @@ use std::path::Path;
 use std::ptr::null;
 use std::slice;
 
-/// How a call ended.
+/// Outcome of a call.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FlightStatus {
-    /// The command is the one that the control law gives: both QPs solved and certified.
+    /// The command is that of the control law: both QPs are solved and certified.
     FlightNominal = 0,
-    /// The measurement is not of this robot: thrust rates and joint velocities are zero, torques stay.
+    /// The measurement is not of this robot: thrust rates and joint velocities are zero, torques keep their values.
     FlightBadMeasurement = 1,
     /// The set-point is beyond what is accepted of a robot (`channels.greatest`) or its rotation is none: the robot brakes from the motion of the last one.
     FlightBadSetpoint = 2,
     /// The momentum QP has no answer: thrust rates and joint velocities are as near to zero as their bounds allow.
     FlightMomentumHeld = 3,
-    /// The torque QP has no answer: torques stay.
+    /// The torque QP has no answer: torques keep their values.
     FlightTorqueHeld = 4,
     /// Neither QP has an answer.
     FlightBothHeld = 5,
-    /// The command of the control law for a measurement of which something had to be predicted (NaN stands for what is
-    /// not measured), or on the way down.
+    /// The command is that of the control law, but part of the measurement is predicted (NaN marks what is not
+    /// measured) or the robot descends.
     FlightDegraded = 6,
-    /// No flight has been started, or it cannot begin with this measurement. No command is written.
+    /// No flight has been started, or none can start with this measurement. No command is written.
     FlightNotStarted = -1,
-    /// A pointer that must not be null is. No command is written.
+    /// A required pointer is null. No command is written.
     FlightNullPointer = -2,
-    /// An error of the library. Thrust rates and joint velocities are zero, torques stay as the caller has them.
+    /// Internal error of the library. Thrust rates and joint velocities are zero; the torques in the command are
+    /// unchanged.
     FlightPanicked = -3,
-    /// A replaced command holds a number that is not finite. Nothing changes.
+    /// A replaced command contains a number that is not finite. Nothing changes.
     FlightBadCommand = -4,
 }
 
-/// What is measured at a tick.
+/// Measurement of a tick.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct FlightMeasurement {
-    /// Time since the flight began [s].
+    /// Time since the start of the flight [s].
     pub time: f64,
-    /// Origin of the base [m].
+    /// Position of the base origin [m, inertial axes].
     pub base_position: [f64; 3],
     /// Rotation from base to inertial axes, by rows.
     pub base_rotation: [f64; 9],
-    /// Velocity of the base's origin [m/s, inertial axes].
+    /// Velocity of the base origin [m/s, inertial axes].
     pub base_linear_velocity: [f64; 3],
     /// Angular velocity of the base [rad/s, inertial axes].
     pub base_angular_velocity: [f64; 3],
     /// Joint positions [rad], one per joint.
     pub joint_position: *const f64,
-    /// Joint velocities [rad/s], one per joint; NaN where they are not measured, which
-    /// `controller.estimator.joint_observer` makes up for.
+    /// Joint velocities [rad/s], one per joint; NaN where they are not measured, which requires
+    /// `controller.estimator.joint_observer`.
     pub joint_velocity: *const f64,
     /// Thrusts [N], one per jet.
     pub thrust: *const f64,
-    /// Velocity of the air [m/s, inertial axes]; NaN where it is not measured. Zero is still air, as if
-    /// measured: without a wind sensor use `controller.wind_observer`, or a controller without aerodynamic model.
+    /// Velocity of the air [m/s, inertial axes]; NaN if it is not measured. Zero means measured still air: without a
+    /// wind sensor use `controller.wind_observer`, or a controller without aerodynamic model.
     pub wind: [f64; 3],
-    /// Wrench on each foot about the origin of its sole, force first [N, N m, inertial axes], six per
-    /// foot, in the order of `controller.contact.feet`. NaN where they are not measured; null is no load on any foot, as if
-    /// measured.
+    /// Wrench on each foot about the origin of its sole, force first [N, N m, inertial axes], six per foot, in the
+    /// order of `controller.contact.feet`. NaN where it is not measured; null means that no load is measured on any
+    /// foot.
     pub foot_wrenches: *const f64,
 }
 
-/// What the robot is to do, for a program that plans by itself.
+/// Set-point of a tick, for programs with their own planner.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct FlightSetpoint {
@@ -101,7 +102,7 @@ pub struct FlightSetpoint {
     pub angular_jerk: [f64; 3],
 }
 
-/// Where a tick writes its command, which holds until the next tick. The arrays are the caller's.
+/// Arrays of the caller to which a tick writes its command, which is valid until the next tick.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct FlightCommand {
@@ -113,7 +114,7 @@ pub struct FlightCommand {
     pub joint_torque: *mut f64,
 }
 
-/// A controller and the flight it is in. One thread at a time may use it.
+/// A controller with its flight. Not to be used by several threads at the same time.
 #[derive(Debug)]
 pub struct FlightController {
     controller: Controller,
@@ -121,7 +122,7 @@ pub struct FlightController {
     time_step: f64,
     joint_names: Vec<CString>,
     jet_names: Vec<CString>,
-    /// The measurement, in the types of the crate.
+    /// The measurement in the types of the crate.
     robot_state: RobotState,
     thrust: Vec<f64>,
     foot_wrenches: Vec<Vector6<f64>>,
@@ -154,10 +155,10 @@ impl FlightController {
         })
     }
 
-    /// Copies a measurement into the types of the crate; `None` if one of its arrays is null.
+    /// Converts a measurement to the types of the crate; `None` if one of its arrays is null.
     ///
     /// # Safety
-    /// The arrays of `given` have the lengths that their documentation states.
+    /// The arrays of `given` have the documented lengths.
     unsafe fn read(&mut self, given: &FlightMeasurement) -> Option<()> {
         let joints = self.robot_state.n_joints();
         let missing = |pointer: *const f64, length: usize| pointer.is_null() && length > 0;
@@ -175,7 +176,7 @@ impl FlightController {
         let velocity = state.velocity.as_mut_slice();
         velocity[..3].copy_from_slice(&given.base_linear_velocity);
         velocity[3..6].copy_from_slice(&given.base_angular_velocity);
-        // SAFETY: not null where not empty, and of these lengths by this function's contract.
+        // SAFETY: not null unless empty, and of these lengths by this function's contract.
         unsafe {
             copy_in(given.joint_position, state.joint_position.as_mut_slice());
             copy_in(given.joint_velocity, &mut velocity[6..]);
@@ -192,7 +193,7 @@ impl FlightController {
         Some(())
     }
 
-    /// The controller, its flight, and the measurement last read.
+    /// The controller, its flight, and the last measurement.
     fn parts(
         &mut self,
         given: &FlightMeasurement,
@@ -207,10 +208,10 @@ impl FlightController {
         (&mut self.controller, &mut self.flight, measurement)
     }
 
-    /// Runs `work`, unless this or an earlier call panics.
+    /// Runs `work`, unless it panics or an earlier call has panicked.
     fn guarded(&mut self, work: impl FnOnce(&mut Self) -> FlightStatus) -> FlightStatus {
         if !self.has_panicked {
-            // After a panic nothing of this controller is used again.
+            // After a panic no data of this controller are used again.
             if let Ok(status) = catch_unwind(AssertUnwindSafe(|| work(self))) {
                 return status;
             }
@@ -220,7 +221,7 @@ impl FlightController {
     }
 }
 
-/// An array of C.
+/// View of a C array.
 ///
 /// # Safety
 /// `source` holds `length` numbers for as long as the slice is used, or is null and `length` is zero.
@@ -229,7 +230,7 @@ unsafe fn view<'a>(source: *const f64, length: usize) -> &'a [f64] {
     if length > 0 { unsafe { slice::from_raw_parts(source, length) } } else { &[] }
 }
 
-/// Fills `values` from an array of C.
+/// Fills `values` from a C array.
 ///
 /// # Safety
 /// `source` holds as many numbers as `values`, or is null and `values` is empty.
@@ -238,7 +239,7 @@ unsafe fn copy_in(source: *const f64, values: &mut [f64]) {
     values.copy_from_slice(unsafe { view(source, values.len()) });
 }
 
-/// Writes `values` to an array of C.
+/// Writes `values` to a C array.
 ///
 /// # Safety
 /// `target` has space for as many numbers as `values`, or is null and `values` is empty.
@@ -254,7 +255,7 @@ fn status_of(command: &Command) -> FlightStatus {
         CommandStatus::Nominal => FlightStatus::FlightNominal,
         CommandStatus::Degraded => FlightStatus::FlightDegraded,
         CommandStatus::BadMeasurement => FlightStatus::FlightBadMeasurement,
-        // A state of another controller cannot be handed in.
+        // Cannot occur, because a caller cannot pass the state of another controller.
         CommandStatus::BadState => FlightStatus::FlightNotStarted,
         CommandStatus::BadSetpoint => FlightStatus::FlightBadSetpoint,
         CommandStatus::MomentumHeld => FlightStatus::FlightMomentumHeld,
@@ -263,13 +264,13 @@ fn status_of(command: &Command) -> FlightStatus {
     }
 }
 
-/// Creates the controller of a flight's configuration: a file as in `configs/experiments/`.
+/// Creates the controller of a flight configuration, a file as in `configs/experiments/`.
 ///
-/// Returns null if it cannot be made; `message`, unless null, then holds the reason: at most
-/// `message_size` bytes, the last of them zero. Allocates.
+/// Returns null on failure; `message`, unless null, then contains the reason in at most `message_size` bytes, the last
+/// of which is zero. Allocates.
 ///
 /// # Safety
-/// `path` is a string that ends with a zero byte, or null; `message` has space for `message_size` bytes.
+/// `path` is a zero-terminated string, or null; `message` has space for `message_size` bytes.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn flight_controller_create(
     path: *const c_char,
@@ -280,7 +281,7 @@ pub unsafe extern "C" fn flight_controller_create(
         if path.is_null() {
             return Err("the path is null; expected that of a TOML file".to_owned());
         }
-        // SAFETY: not null, and ends with a zero byte by this function's contract.
+        // SAFETY: not null, and zero-terminated by this function's contract.
         let path = unsafe { CStr::from_ptr(path) };
         let path = path.to_str().map_err(|_| "the path is not UTF-8".to_owned())?;
         FlightController::load(Path::new(path)).map_err(|reason| reason.to_string())
@@ -336,7 +337,7 @@ pub unsafe extern "C" fn flight_jet_count(controller: *const FlightController) -
     unsafe { controller.as_ref() }.map_or(0, |controller| controller.jet_names.len())
 }
 
-/// Number of feet that the controller stands on, `controller.contact.feet`; zero for null.
+/// Number of feet on which the controller stands, `controller.contact.feet`; zero for null.
 ///
 /// # Safety
 /// As for `flight_joint_count`.
@@ -346,7 +347,7 @@ pub unsafe extern "C" fn flight_foot_count(controller: *const FlightController) 
     unsafe { controller.as_ref() }.map_or(0, |controller| controller.foot_wrenches.len())
 }
 
-/// Name of a joint, which lives as long as the controller; null beyond the last.
+/// Name of a joint, valid as long as the controller exists; null beyond the last joint.
 ///
 /// # Safety
 /// As for `flight_joint_count`.
@@ -360,7 +361,7 @@ pub unsafe extern "C" fn flight_joint_name(
     controller.and_then(|controller| controller.joint_names.get(index)).map_or(null(), |name| name.as_ptr())
 }
 
-/// Name of a jet, which lives as long as the controller; null beyond the last.
+/// Name of a jet, valid as long as the controller exists; null beyond the last jet.
 ///
 /// # Safety
 /// As for `flight_joint_count`.
@@ -371,7 +372,7 @@ pub unsafe extern "C" fn flight_jet_name(controller: *const FlightController, in
     controller.and_then(|controller| controller.jet_names.get(index)).map_or(null(), |name| name.as_ptr())
 }
 
-/// Seconds between two ticks; zero for null.
+/// Time between two ticks [s]; zero for null.
 ///
 /// # Safety
 /// As for `flight_joint_count`.
@@ -381,9 +382,9 @@ pub unsafe extern "C" fn flight_time_step(controller: *const FlightController) -
     unsafe { controller.as_ref() }.map_or(0.0, |controller| controller.time_step)
 }
 
-/// In which ways the last tick differs from one that measures everything, as a sum: the wind is 1 held, 2 lost; 4 a thrust,
-/// 8 the joints, 16 base position, 32 its rotation, 64 its velocity, 128 the wrenches on the feet are predicted;
-/// 256 the clock is predicted; 512 on the way down; 1024 an engine does not reach its thrust. Zero for null.
+/// Ways in which the last tick differs from one with complete measurements, as a sum: wind held 1 or lost 2; predicted
+/// thrust 4, joints 8, base position 16, base rotation 32, base velocity 64, foot wrenches 128, clock 256; descent 512;
+/// an engine does not reach its thrust 1024. Zero for null.
 ///
 /// # Safety
 /// As for `flight_joint_count`.
@@ -393,11 +394,11 @@ pub unsafe extern "C" fn flight_modes(controller: *const FlightController) -> u3
     unsafe { controller.as_ref() }.map_or(0, |controller| controller.controller.command().modes.bits())
 }
 
-/// Begins a flight: position, attitude and posture of this measurement are those to keep. Allocates, so
-/// it is called before the loop; a flight under way ends.
+/// Starts a flight, in place of the present one if any: position, attitude and posture of this measurement become the
+/// reference. Allocates, so call it before the control loop.
 ///
 /// # Safety
-/// `measurement` is null or points to one whose arrays have the lengths that are stated there.
+/// `measurement` is null or points to one whose arrays have the documented lengths.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn flight_start(
     controller: *mut FlightController,
@@ -419,11 +420,11 @@ pub unsafe extern "C" fn flight_start(
     })
 }
 
-/// One tick, which follows the mission of the configuration, or `setpoint` where it is not null.
+/// Computes one tick, which follows the mission of the configuration, or `setpoint` unless it is null.
 ///
 /// # Safety
-/// The pointers are null or point to what their types say; the arrays of `measurement` and `command` have
-/// the lengths that are stated there.
+/// The pointers are null or point to objects of their types; the arrays of `measurement` and `command` have the
+/// documented lengths.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn flight_tick(
     controller: *mut FlightController,
@@ -472,11 +473,11 @@ pub unsafe extern "C" fn flight_tick(
     status
 }
 
-/// Reports after a tick other thrust rates and joint torques that act until the next one: those of a safety layer, or of a
-/// motor at its limit. What the controller predicts follows them; joint velocities are not read.
+/// Reports after a tick that other thrust rates and joint torques act until the next one, such as those of a safety
+/// layer or of a motor at its limit. The controller's predictions use them; joint velocities are not read.
 ///
 /// # Safety
-/// The pointers are null or point to what their types say; the arrays of `command` have the lengths that are stated there.
+/// The pointers are null or point to objects of their types; the arrays of `command` have the documented lengths.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn flight_replace_command(
     controller: *mut FlightController,
@@ -492,7 +493,7 @@ pub unsafe extern "C" fn flight_replace_command(
     }
     controller.guarded(|controller| {
         let Some(flight) = &mut controller.flight else { return FlightStatus::FlightNotStarted };
-        // SAFETY: not null where not empty, and of these lengths by this function's contract.
+        // SAFETY: not null unless empty, and of these lengths by this function's contract.
         let (rates, torques) =
             unsafe { (view(command.thrust_rate, jets), view(command.joint_torque, joints)) };
         match controller.controller.replace_command(flight, rates, torques) {

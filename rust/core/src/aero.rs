@@ -4,11 +4,10 @@
 //! coefficients, RobotModel ──new──► AeroModel;   LinksInAir ──link_forces──► forces_i
 //! ```
 //!
-//! The simulator's model and the controller's model are two values of [`AeroModel`]: which one is
-//! simulated and which one is compensated is configuration. `v_air_i` is everywhere the velocity of
-//! the *air* relative to the link (wind − link velocity), the negative of the paper's `v_a`, so drag
-//! points along `+v_air_i`. Forces act at the link's aerodynamic centre; no model gives a moment
-//! about it.
+//! The simulator's and the controller's model are two values of [`AeroModel`]; the configuration selects
+//! each. `v_air_i` is always the velocity of the *air* relative to the link (wind − link velocity), the
+//! negative of the paper's `v_a`, so drag points along `+v_air_i`. Forces act at the link's aerodynamic
+//! centre; no model gives a moment about it.
 //!
 //! Equation M19 of `docs/model.md`.
 
@@ -33,20 +32,20 @@ use nalgebra::Vector3;
 /// A checked aerodynamic model of one robot.
 #[derive(Debug, Clone)]
 pub enum AeroModel {
-    /// No aerodynamic force: what the baseline controller assumes.
+    /// No aerodynamic force, as the baseline controller assumes.
     Off,
-    /// Fitted force areas of axisymmetric links.
+    /// Axisymmetric links with fitted force areas.
     Axisymmetric(Axisymmetric),
-    /// Literature drag of spheres and finite cylinders.
+    /// Spheres and finite cylinders with drag coefficients from the literature.
     SphereCylinder(SphereCylinder),
-    /// A neural network of wind and posture.
+    /// A neural network whose inputs are wind and posture.
     Network(Box<Network>),
-    /// Another model, its forces stronger or weaker by factors.
+    /// Another model whose forces are multiplied by factors.
     Weighted(Box<AeroModel>, ForceFactors),
 }
 
 impl AeroModel {
-    /// Whether it has no force at all.
+    /// Whether the model gives no force at all.
     #[must_use]
     pub fn is_off(&self) -> bool {
         match self {
@@ -56,7 +55,7 @@ impl AeroModel {
         }
     }
 
-    /// This model with factors on its forces; `table` is named in errors.
+    /// Returns this model with factors on its forces; `table` is named in errors.
     ///
     /// # Errors
     /// As [`ForceFactors::new`].
@@ -74,8 +73,9 @@ impl AeroModel {
 
     /// Writes the force on each link \[N\], inertial axes, acting at its aerodynamic centre.
     ///
-    /// Zero at rest; finite for wind along an axis. Total: slices of different length are served up to the
-    /// shortest, and a force without a link is zero. Speeds beyond 1e150 m/s overflow.
+    /// Zero at zero relative wind, and finite for wind along an axis. Slices of different length do not
+    /// panic: links up to the shortest are evaluated, the other forces are zero. Speeds above 1e150 m/s
+    /// overflow.
     pub fn link_forces(&mut self, links: &LinksInAir, forces_i: &mut [Vector3<f64>]) {
         match self {
             Self::Off => forces_i.fill(Vector3::zeros()),
@@ -90,7 +90,8 @@ impl AeroModel {
     }
 }
 
-/// Evaluates a model of single links: a force from the number, axis and air of each.
+/// Evaluates a model that treats each link alone: `force` receives a link's index, axis and relative air
+/// velocity.
 fn by_link(
     links: &LinksInAir,
     forces_i: &mut [Vector3<f64>],
@@ -106,12 +107,12 @@ fn by_link(
 /// Added to the speed in the cosine of the angle of attack \[m/s\]; the published value.
 const SPEED_EPSILON: f64 = 1e-9;
 
-/// Angle of attack of a link: between its axis and the *upstream* direction, as cosine and sine.
+/// Angle of attack of a link, between its axis and the *upstream* direction, as cosine and sine.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Attack {
     /// Speed of the air relative to the link \[m/s\].
     pub speed: f64,
-    /// `cos α`; 1 when the air comes from where the axis points.
+    /// `cos α`; 1 when the air comes from the direction of the axis.
     pub cos: f64,
     /// `sin α ≥ 0`.
     pub sin: f64,
@@ -124,10 +125,10 @@ impl Attack {
     /// cos α = −k̂·v / (|v| + ε),   sin α = √(|v × k̂|² + ε (2|v| + ε)) / (|v| + ε),   ε = 1e-9 m/s
     /// ```
     ///
-    /// Source: the published controller, `α = acos(k̂·(−v)/(|v| + ε))`. The sine is the same number
-    /// written without the cancellation of `1 − cos²`: `(|v| + ε)² − (k̂·v)²` by Lagrange's identity.
-    /// The ε that keeps the quotient finite at rest also keeps the root's argument positive, so both
-    /// are smooth for wind along the axis; at rest α = 90°.
+    /// Source: the published controller, `α = acos(k̂·(−v)/(|v| + ε))`. The sine is that of the same angle
+    /// without the cancellation of `1 − cos²`: by Lagrange's identity the root is `√((|v| + ε)² − (k̂·v)²)`.
+    /// ε keeps the quotient finite at rest and the argument of the root positive, so both are smooth for wind
+    /// along the axis; at rest α = 90°.
     #[must_use]
     pub fn new(axis_i: &Vector3<f64>, v_air_i: &Vector3<f64>) -> Self {
         let speed = v_air_i.norm();
@@ -136,19 +137,19 @@ impl Attack {
         Self {
             speed,
             cos: (-axis_i.dot(v_air_i) / regular).clamp(-1.0, 1.0),
-            // Rounding of a unit axis can push either past one by an ulp.
+            // The axis has unit length up to rounding, so either value can exceed one by an ulp.
             sin: (across.sqrt() / regular).min(1.0),
         }
     }
 }
 
-/// `(v × k̂) × v = |v|² k̂ − (v·k̂) v`: across the wind, towards the axis, of length `|v|² sin α`.
+/// `(v × k̂) × v = |v|² k̂ − (v·k̂) v`: perpendicular to the wind, towards the axis, of length `|v|² sin α`.
 fn normal_direction(axis_i: &Vector3<f64>, v_air_i: &Vector3<f64>) -> Vector3<f64> {
-    // The double cross product, not the difference: no cancellation when wind and axis align.
+    // Unlike the difference, the double cross product has no cancellation when wind and axis are parallel.
     v_air_i.cross(axis_i).cross(v_air_i)
 }
 
-/// Refuses what is no density of a fluid \[kg/m³\]; ten times that of water is the most.
+/// Checks the density of the fluid \[kg/m³\]: positive, at most ten times that of water.
 fn check_air_density(density: f64) -> Result<f64, BuildError> {
     check("air_density", density, |rho| 0.0 < rho && rho <= 1e4, "a positive density up to 10000 kg/m³")
 }

@@ -1,18 +1,18 @@
 //! The flight controller: one tick, from a measurement to thrust rates and joint torques.
 //!
-//! [`Controller::tick`] reads top to bottom as the controller does: state estimate, set-point, kinematics and
-//! dynamics, aerodynamic forces, momentum, tasks, QP, torques, wind estimate. Each step fills one plain struct that
-//! the next reads; after a tick all of them are open to inspection in [`Controller::terms`].
+//! [`Controller::tick`] follows the order of the computation: state estimate, set-point, kinematics and dynamics,
+//! aerodynamic forces, momentum, tasks, QP, torques, wind estimate. Each step fills one plain struct that the next
+//! reads; after a tick [`Controller::terms`] gives access to all of them.
 //!
-//! [`Controller::start`] makes the [`ControllerState`], the one value that a tick changes and the next
-//! tick needs. A clone of it, restored later, continues to the same bits.
+//! [`Controller::start`] returns the [`ControllerState`], the only value that is changed by a tick and needed by the
+//! next. A clone of it that is restored later continues with the same bits.
 //!
-//! A tick does not allocate, does not panic and ends after a bounded number of iterations. (Clarabel
-//! allocates, where the configuration chooses it.)
+//! A tick does not allocate, does not panic and ends after a bounded number of iterations. (Clarabel allocates, if the
+//! configuration selects it.)
 //!
-//! Equations: `docs/model.md`, the integral of M68 and M101 here. Unknowns `u = (Ṫ, ṡ)`: thrust rates and joint velocities. With
-//! `contact` in its configuration the same controller stands on its feet as well: `u = (Ṫ, ḟ_c, ṡ)`, and
-//! torques and foot wrenches are found together.
+//! Equations: `docs/model.md`; this file has the integral of M68, and M101. Unknowns `u = (Ṫ, ṡ)`: thrust rates and
+//! joint velocities. With `contact` in its configuration the same controller also stands on its feet:
+//! `u = (Ṫ, ḟ_c, ṡ)`, and torques and foot wrenches are determined together.
 
 pub mod attitude;
 pub mod bounds;
@@ -58,10 +58,10 @@ use setpoint::{Setpoint, SetpointGenerator};
 use std::sync::Arc;
 use torque::{TorqueQp, limit_rate};
 
-/// Least time between two ticks \[s\]: the longest delay, of a wind estimate, is then five million ticks.
+/// Least time between two ticks \[s\]; the longest delay, that of a wind estimate, is then five million ticks.
 const TIME_STEP_MIN: f64 = 2e-4;
 
-/// Refuses a time between two ticks \[s\] that no flight has; `item` names it.
+/// Checks the time between two ticks \[s\]; `item` is named in errors.
 ///
 /// # Errors
 /// [`BuildError::BadValue`].
@@ -70,10 +70,10 @@ pub fn check_time_step(item: &str, time_step: f64) -> Result<(), BuildError> {
     Ok(())
 }
 
-/// Where the published integrator of the joint velocity error saturates \[rad\]; no flight comes near.
+/// Limit of the published integrator of the joint velocity error \[rad\]; no flight comes near it.
 const INTEGRAL_LIMIT: f64 = 20.0;
 
-/// What the estimators made of a measurement: what the control law is given.
+/// Input of the control law: the measurement after the estimators.
 #[derive(Debug, Clone)]
 pub struct Given {
     /// Pose, velocity and thrusts.
@@ -87,9 +87,9 @@ pub struct Given {
 /// All intermediate values of the last tick.
 #[derive(Debug, Clone)]
 pub struct Terms {
-    /// The last measurement of this robot, as the estimators hand it on.
+    /// The last measurement of this robot, after the estimators.
     pub given: Given,
-    /// The measurement as it was used: predicted where it is not measured.
+    /// The measurement as used: predicted where it is not measured.
     pub seen: Seen,
     /// Poses, velocities, centre of mass.
     pub kinematics: Kinematics,
@@ -101,7 +101,7 @@ pub struct Terms {
     pub link_forces: LinkForces,
     /// `A_T`, `Λ`, `L̇`.
     pub momentum: MomentumModel,
-    /// Set-point followed.
+    /// Set-point that is followed.
     pub setpoint: Setpoint,
     /// Demand of the attitude law.
     pub attitude: AttitudeDemand,
@@ -109,13 +109,13 @@ pub struct Terms {
     pub momentum_qp: MomentumQp,
     /// The torque QP.
     pub torque_qp: TorqueQp,
-    /// What is computed of the feet; none for a controller that only flies.
+    /// Contact quantities; empty for a controller that only flies.
     pub contact: Contact,
     /// Torques before the rate limiter \[N m\].
     pub unlimited_torque: DVector<f64>,
 }
 
-/// The controller of one robot: its model, its laws and the space they work in.
+/// The controller of one robot: model, control laws and workspace.
 #[derive(Debug)]
 pub struct Controller {
     /// Model of the robot; without jets if the controller does not use them.
@@ -123,11 +123,11 @@ pub struct Controller {
     /// Number of jets of the robot, used or not.
     n_jets: usize,
     config: ControllerConfig,
-    /// What estimates the state before the law, where there is something.
+    /// State estimator, if configured.
     estimator: Option<Estimator>,
-    /// What estimates the wind after it, for the next tick.
+    /// Wind observer, if configured; the next tick uses its estimate.
     wind_observer: Option<WindObserver>,
-    /// What a tick takes the measurement to be.
+    /// Channels of the measurement.
     channels: Channels,
     time_step: f64,
     aero: AeroModel,
@@ -144,11 +144,11 @@ pub struct Controller {
 }
 
 impl Controller {
-    /// A controller for `robot` that ticks every `time_step` \[s\]. `aero` makes its aerodynamic model once `config` is
-    /// checked, so that gains of another robot are named before its missing coefficients.
+    /// Builds a controller for `robot` with the tick `time_step` \[s\]. `aero` builds its aerodynamic model after
+    /// `config` has been checked, so that gains for another robot are reported before missing coefficients.
     ///
     /// # Errors
-    /// [`BuildError`] naming what in the configuration does not fit the robot or the time step.
+    /// [`BuildError`] naming the part of the configuration that does not match the robot or the time step.
     pub fn new(
         robot: RobotModel,
         aero: impl FnOnce(&RobotModel) -> Result<AeroModel, BuildError>,
@@ -231,11 +231,11 @@ impl Controller {
         })
     }
 
-    /// The state of a controller whose first tick is the one of `measurement`: its position, attitude and
-    /// posture are those that the controller keeps.
+    /// State of a controller whose first tick is that of `measurement`; position, attitude and posture of this
+    /// measurement become its reference.
     ///
     /// # Errors
-    /// [`BadStart`] for a measurement that a tick would refuse, or whose inertia or centre of mass overflow.
+    /// [`BadStart`] for a measurement that a tick would not accept, or whose inertia or centre of mass overflow.
     pub fn start(&mut self, measurement: &Measurement) -> Result<ControllerState, BadStart> {
         let channels = self.channels.start(measurement)?;
         let Terms { kinematics, dynamics, contact, .. } = &mut self.terms;
@@ -286,9 +286,9 @@ impl Controller {
         self.act(state, is_seen, &setpoint)
     }
 
-    /// One tick that follows a given set-point instead of the mission. One that is not valid has the status
-    /// [`CommandStatus::BadSetpoint`]: the robot brakes from the motion of the last one that was, M115. On the
-    /// way down none is followed.
+    /// One tick that follows the given set-point instead of the mission. An invalid set-point results in the status
+    /// [`CommandStatus::BadSetpoint`], and the robot brakes from the motion of the last valid one (M115). During a
+    /// descent set-points are ignored.
     pub fn tick_towards(
         &mut self,
         state: &mut ControllerState,
@@ -315,13 +315,13 @@ impl Controller {
         &self.command
     }
 
-    /// Reports what acts until the next tick instead of the last command: that of a safety layer, of a residual.
-    /// What the channels and the estimator predict follows it; while the feet carry, its thrust rates alone, as other
-    /// torques change what the feet carry more than how the robot moves. The control law's own torques stay as they
-    /// were: its rate limiter goes on from them.
+    /// Reports that other thrust rates and torques act until the next tick in place of the last command, such as those
+    /// of a safety layer or of a learned residual. The predictions of channels and estimator use them. While the feet
+    /// carry load, the predictions use the thrust rates only, because other torques change the load on the feet more
+    /// than the motion of the robot. The rate limiter continues from the control law's own torques.
     ///
     /// # Errors
-    /// [`BadCommand`], and nothing changes.
+    /// [`BadCommand`]; the state is then unchanged.
     pub fn replace_command(
         &mut self,
         state: &mut ControllerState,
@@ -342,8 +342,8 @@ impl Controller {
         } = self;
         let last = &mut state.channels;
         if !state.contact.is_active {
-            // ν̇ is linear in the torques: it changes by M⁻¹ S (τ′ − τ). The state may be of another tick than the last
-            // one of this controller.
+            // ν̇ is linear in the torques: it changes by M⁻¹ S (τ′ − τ). The state may be that of another tick than the
+            // controller's last one.
             kinematics.update(model, &last.commanded_in);
             dynamics.update(model, &last.commanded_in, kinematics);
             inverse_mass.update(&dynamics.mass_matrix);
@@ -367,7 +367,7 @@ impl Controller {
         Ok(())
     }
 
-    /// Takes a measurement in and moves the time on; whether it is one of this robot.
+    /// Processes a measurement and advances the time; returns whether the measurement has the sizes of this robot.
     fn see(&mut self, state: &mut ControllerState, measurement: &Measurement) -> bool {
         let is_seen = self.channels.fit(measurement);
         let Terms { given, seen, .. } = &mut self.terms;
@@ -424,7 +424,7 @@ impl Controller {
         &self.command
     }
 
-    /// Everything that depends on the measurement alone.
+    /// Computes all quantities that depend on the measurement and the set-point only.
     fn observe(&mut self, state: &mut ControllerState) {
         let Terms {
             seen: measurement, kinematics, dynamics, link_forces, momentum, contact, setpoint, ..
@@ -440,10 +440,10 @@ impl Controller {
         let thrust = &measurement.thrust[..self.model.jets.len()];
         let feedback = &self.config.aero_feedback;
         momentum.update(&self.model, kinematics, dynamics, thrust, link_forces, feedback);
-        // What the observer compares with: the feet as measured, not as desired.
+        // Momentum rate for the observer: with the feet as measured, not as desired.
         let mut rate = momentum.rate_estimate;
         let climb = setpoint.com_position.z - kinematics.com.z;
-        // A robot on its way down does not take off.
+        // During a descent the robot must not take off.
         let climb = if state.channels.is_descending { climb.min(0.0) } else { climb };
         let observer = &mut state.observer;
         let are_measured = !measurement.modes.contains(Modes::FEET_PREDICTED);
@@ -451,7 +451,7 @@ impl Controller {
         let carry_unknown =
             contact.carry_unknown(&mut state.contact, are_measured, climb, unmodelled, measurement.elapsed);
         if carry_unknown {
-            // What it has observed is theirs.
+            // The observed wrench is the load of the feet.
             *observer = ObserverState::default();
             if are_measured {
                 state.channels.reject_feet(measurement);
@@ -468,7 +468,7 @@ impl Controller {
             carry_unknown,
             self.time_step,
         );
-        // What feet that carry predict is no measurement of what acts on the robot.
+        // Predicted wrenches of loaded feet are not a measurement of the acting forces.
         measurement.has_momentum &=
             !(state.contact.is_active && measurement.modes.contains(Modes::FEET_PREDICTED));
         contact.add_measured(&measurement.foot_wrenches, &kinematics.com, &mut rate);
@@ -509,7 +509,7 @@ impl Controller {
         }
     }
 
-    /// Thrust rates and joint velocities that shape momentum and attitude.
+    /// Computes thrust rates and joint velocities that control momentum and attitude.
     fn solve_momentum_qp(&mut self, state: &mut ControllerState, descent: Option<&DescentConfig>) {
         let Terms {
             seen: measurement,
@@ -552,7 +552,7 @@ impl Controller {
             gains,
         };
         momentum_qp.update(&inputs);
-        // The others take the share of an engine that does not reach its thrust.
+        // If an engine does not reach its thrust, the others take over its share.
         let thrust_ranges = self.model.jets.iter().zip(&state.engines).map(|(jet, engine)| {
             let greatest = engine.range.1.min(jet.thrust_max);
             (engine.range.0.min(greatest), greatest)
@@ -569,12 +569,12 @@ impl Controller {
             if self.command.modes.is_empty() { CommandStatus::Nominal } else { CommandStatus::Degraded };
         if answer.status != QpStatus::Solved {
             self.command.status = CommandStatus::MomentumHeld;
-            // Nothing moves, as far as the bounds allow.
+            // Zero rates, as far as the bounds allow.
             self.solution.fill(0.0);
             momentum_qp.problem.clamp(self.solution.as_mut_slice());
         }
         let (jets, unknowns, u) = (self.model.jets.len(), &momentum_qp.unknowns, self.solution.as_slice());
-        self.command.thrust_rate.fill(0.0); // also of jets that are not used: another rate may have acted
+        self.command.thrust_rate.fill(0.0); // also of unused jets, whose rates may have been replaced
         self.command.thrust_rate.as_mut_slice()[..jets].copy_from_slice(&u[unknowns.thrust_rate.clone()]);
         self.command.joint_velocity.copy_from_slice(&u[unknowns.joint_velocity.clone()]);
         contact.store_rate(&mut state.contact, &u[unknowns.force_rate.clone()]);
@@ -640,8 +640,8 @@ impl Controller {
                 _ => CommandStatus::TorqueHeld,
             };
         }
-        // Forward Euler: used first, advanced after. A tick without a commanded velocity has no error to
-        // integrate, and one with held torques would integrate an error that no torque answers.
+        // Forward Euler: used first, advanced after. Without a commanded velocity there is no error to integrate; with
+        // held torques the integral would grow without effect on the torques.
         if matches!(self.command.status, CommandStatus::Nominal | CommandStatus::Degraded) {
             let integral = state.velocity_error_integral.iter_mut();
             for (integral, error) in integral.zip(&self.velocity_error) {
@@ -650,8 +650,8 @@ impl Controller {
         }
     }
 
-    /// What the command makes of the robot, for the channels of the next tick:
-    /// `ν̇ = M⁻¹ (Σ Jᵀ T a + J_aᵀ f_a + J_cᵀ f_c + S τ + ŵ − h)`, the observed wrench `ŵ` on the base.
+    /// Predicts the acceleration under the command, for the channels of the next tick (M101):
+    /// `ν̇ = M⁻¹ (Σ Jᵀ T a + J_aᵀ f_a + J_cᵀ f_c + S τ + ŵ − h)`, with the observed wrench `ŵ` on the base.
     fn predict_acceleration(&mut self, state: &mut ControllerState) {
         let Terms { seen, kinematics, inverse_mass, momentum, contact, .. } = &mut self.terms;
         let acceleration = &mut self.acceleration;
@@ -663,7 +663,7 @@ impl Controller {
             acceleration.fixed_rows_mut::<3>(0).copy_from(&force);
             acceleration.fixed_rows_mut::<3>(3).copy_from(&(moment + arm.cross(&force)));
             acceleration.rows_mut(6, self.command.joint_torque.len()).copy_from(&self.command.joint_torque);
-            // The wrenches with which the feet stay: those of an impact do not last for a tick.
+            // The wrenches that keep the feet at rest, because those of an impact last for less than a tick.
             let wrenches = contact.force_of_torques.as_slice().chunks_exact(WRENCH);
             for ((foot, sole), wrench) in self.model.feet.iter().zip(&contact.soles).zip(wrenches) {
                 let (body, wrench) = (foot.frame.body, Vector6::from_column_slice(wrench));
@@ -679,7 +679,7 @@ impl Controller {
         state.channels.foot_wrenches.copy_from(&contact.force_of_torques);
     }
 
-    /// Adds an objective of one's own to the momentum QP; not in a tick.
+    /// Adds a user-defined objective to the momentum QP; not to be called in a tick.
     ///
     /// # Errors
     /// As [`MomentumQp::add`].
@@ -687,7 +687,7 @@ impl Controller {
         self.terms.momentum_qp.add(task)
     }
 
-    /// Whether a state is of a controller of this shape.
+    /// Whether a state has the sizes of this controller.
     fn fits(&self, state: &ControllerState) -> bool {
         state.posture.len() == self.model.joints.len()
             && state.momentum_start.len() == self.solution.len()

@@ -5,9 +5,9 @@
 //! L = A_G(q) ν                             L = (l, k), momentum about the centre of mass
 //! ```
 //!
-//! Everything is in inertial axes about the origin of the base, so that one set of composite
-//! inertias, summed from the tips to the base, gives `M`, `A_G`, the centre-of-mass Jacobian
-//! `l / m` and the centroidal inertia together.
+//! All quantities are in inertial axes about the base origin, so that one set of composite inertias, summed
+//! from the tips to the base, gives `M`, `A_G`, the centre-of-mass Jacobian `l / m` and the centroidal
+//! inertia.
 //!
 //! Equations M11 to M17 of `docs/model.md`.
 
@@ -35,7 +35,7 @@ impl std::ops::AddAssign for Composite {
     }
 }
 
-/// Rigid-body dynamics of one state; preallocated, refilled by [`Dynamics::update`].
+/// Rigid-body dynamics of one state; preallocated, recomputed by [`Dynamics::update`].
 #[derive(Debug, Clone)]
 pub struct Dynamics {
     /// Mass matrix `M` (n × n, n = 6 + joints), symmetric, both triangles filled.
@@ -55,7 +55,7 @@ pub struct Dynamics {
 }
 
 impl Dynamics {
-    /// Space for the dynamics of `robot`.
+    /// Allocates for the dynamics of `robot`.
     #[must_use]
     pub fn new(robot: &RobotModel) -> Self {
         let n = 6 + robot.joints.len();
@@ -74,7 +74,7 @@ impl Dynamics {
         }
     }
 
-    /// Recomputes everything; `kinematics` must belong to `state`.
+    /// Recomputes all quantities; `kinematics` must belong to `state`.
     pub fn update(&mut self, robot: &RobotModel, state: &RobotState, kinematics: &Kinematics) {
         self.update_composites(robot, kinematics);
         self.update_mass_and_momentum_matrix(kinematics);
@@ -82,8 +82,8 @@ impl Dynamics {
         self.update_bias(robot, state, kinematics);
     }
 
-    /// `J̇ ν` of the point of `body` that is at `point_i` now: its linear and angular acceleration with
-    /// ν̇ = 0 \[m/s², rad/s²\]. Belongs to the last [`Dynamics::update`].
+    /// `J̇ ν` of the point of `body` that is now at `point_i`: its linear and angular acceleration for ν̇ = 0
+    /// \[m/s², rad/s²\]. Refers to the state of the last [`Dynamics::update`].
     #[must_use]
     pub fn velocity_product(
         &self,
@@ -119,12 +119,12 @@ impl Dynamics {
         }
     }
 
-    /// Composite rigid-body algorithm.
+    /// Composite rigid-body algorithm (M12).
     ///
-    /// A unit velocity of joint j moves its subtree with `ω` and, at the base origin o, with `v_o`
-    /// (revolute: `a` and `(p − o) × a`; prismatic: zero and `a`); the momentum of the subtree about o is
-    /// `l = m v_o + ω × s`, `k = I ω + s × v_o` (s: first moment). Then `M_ij = ω_i·k_j + v_o,i·l_j` for
-    /// every joint i between j and the base.
+    /// A unit velocity of joint j moves its subtree with the angular velocity `ω` and, at the base origin o,
+    /// the velocity `v_o` (revolute: `a` and `(p − o) × a`; prismatic: zero and `a`). The momentum of the
+    /// subtree about o is `l = m v_o + ω × s`, `k = I ω + s × v_o` with the first moment s. Then
+    /// `M_ij = ω_i·k_j + v_o,i·l_j` for every joint i between j and the base.
     fn update_mass_and_momentum_matrix(&mut self, kinematics: &Kinematics) {
         let whole = self.composites[0];
         let com = whole.first_moment / whole.mass;
@@ -177,7 +177,7 @@ impl Dynamics {
     fn update_bias(&mut self, robot: &RobotModel, state: &RobotState, kinematics: &Kinematics) {
         let gravity = Vector3::new(0.0, 0.0, -robot.gravity);
         let joint_velocity = state.joint_velocity();
-        // (linear acceleration of the body origin, angular acceleration), outwards.
+        // (linear acceleration of the body origin, angular acceleration), from the base outwards.
         self.accelerations[0] = (Vector3::zeros(), Vector3::zeros());
         for index in 1..robot.bodies.len() {
             let parent = robot.bodies[index].parent.unwrap_or(0);
@@ -195,7 +195,7 @@ impl Dynamics {
                 alpha_parent + omega.cross(&motion.joint_angular_i) * rate,
             );
         }
-        // (force, moment about the base origin) that each body needs, then summed inwards.
+        // (force, moment about the base origin) that each body requires, summed from the tips to the base.
         let origin = kinematics.bodies[0].i_from_b.position;
         for (index, body) in robot.bodies.iter().enumerate() {
             let motion = &kinematics.bodies[index];
@@ -227,23 +227,23 @@ impl Dynamics {
 
 /// Cholesky factor of a mass matrix, `M = K Kᵀ`; preallocated.
 ///
-/// The base comes first in `ν`, so the trailing block `K_s` of the factor belongs to the joints with
-/// a freely floating base: `(M⁻¹)_ss = K_s⁻ᵀ K_s⁻¹`.
+/// The base comes first in `ν`, so the trailing block `K_s` of the factor belongs to the joints on a freely
+/// floating base: `(M⁻¹)_ss = K_s⁻ᵀ K_s⁻¹`.
 #[derive(Debug, Clone)]
 pub struct MassFactor {
-    /// Lower triangle of `K`; the upper triangle is left over and meaningless.
+    /// Lower triangle of `K`; the upper triangle is undefined.
     pub factor: DMatrix<f64>,
 }
 
 impl MassFactor {
-    /// Space for a matrix of order `n`.
+    /// Allocates for a matrix of order `n`.
     #[must_use]
     pub fn new(n: usize) -> Self {
         Self { factor: DMatrix::zeros(n, n) }
     }
 
-    /// Factorises `mass_matrix`; `false` if it is not positive definite (never, for a finite state
-    /// of a checked robot).
+    /// Factorises `mass_matrix`; `false` if it is not positive definite, which cannot happen for a finite
+    /// state of a checked robot.
     #[must_use]
     pub fn factorise(&mut self, mass_matrix: &DMatrix<f64>) -> bool {
         self.factor.as_mut_slice().copy_from_slice(mass_matrix.as_slice());
@@ -251,7 +251,7 @@ impl MassFactor {
         linalg::cholesky_in_place(self.factor.as_mut_slice(), n, n, n)
     }
 
-    /// Solves `M x = b` in place: with `b = Σ generalised forces − h`, x is the forward dynamics ν̇.
+    /// Solves `M x = b` in place: for `b = Σ generalised forces − h`, x is the forward dynamics ν̇.
     pub fn solve_in_place(&self, b: &mut DVector<f64>) {
         let n = self.factor.nrows();
         linalg::solve_lower_in_place(self.factor.as_slice(), n, n, b.as_mut_slice());
@@ -259,7 +259,7 @@ impl MassFactor {
     }
 }
 
-/// The inverse of a mass matrix where its joint block `G` is wanted as a matrix; preallocated.
+/// Inverse of a mass matrix, with its joint block `G` as a matrix; preallocated.
 ///
 /// ```text
 /// M = K Kᵀ,   K = [K_b 0; C K_s],   (M⁻¹)_ss = G = K_s⁻ᵀ K_s⁻¹
@@ -270,15 +270,15 @@ pub struct InverseMass {
     pub factor: MassFactor,
     /// `K_s⁻ᵀ`.
     pub joint_factor: DMatrix<f64>,
-    /// `G`, joint acceleration per unit of torque \[1/(kg m²)\].
+    /// `G`: joint acceleration per unit of torque \[1/(kg m²)\].
     pub joint_gain: DMatrix<f64>,
-    /// Whether the last mass matrix could be inverted, as for [`MassFactor::factorise`].
+    /// Whether the last mass matrix was inverted, as for [`MassFactor::factorise`].
     pub is_known: bool,
     forces: DVector<f64>,
 }
 
 impl InverseMass {
-    /// Space for a robot with so many joints.
+    /// Allocates for a robot with `joints` joints.
     #[must_use]
     pub fn new(joints: usize) -> Self {
         Self {
@@ -290,7 +290,7 @@ impl InverseMass {
         }
     }
 
-    /// Inverts `mass_matrix`, if it can be.
+    /// Inverts `mass_matrix` if it is positive definite.
     pub fn update(&mut self, mass_matrix: &DMatrix<f64>) {
         self.is_known = self.factor.factorise(mass_matrix);
         if !self.is_known {
@@ -302,7 +302,8 @@ impl InverseMass {
         linalg::invert_symmetric(joint_block, joints, n, inverse, gain);
     }
 
-    /// [`MassFactor::solve_in_place`] without long substitutions, whose every entry waits for the one before:
+    /// [`MassFactor::solve_in_place`] without its long substitutions, in which each entry depends on the one
+    /// before:
     ///
     /// ```text
     /// y = K_b⁻¹ b_b,   x_s = G (b_s − C y),   x_b = K_b⁻ᵀ (y − Cᵀ x_s)

@@ -1,28 +1,28 @@
-//! Errors of construction, and the checks of numbers that return them.
+//! Errors of construction, and checks of numbers that return them.
 //!
 //! Every module refuses bad input when it is *built*, with an error that names the item, its value and what was
-//! expected. Nothing in flight returns these: a tick has a status.
+//! expected. A tick does not return these errors; it has a status.
 
 use std::path::PathBuf;
 use thiserror::Error;
 
-/// Something that was read or passed in cannot be used.
+/// Reason why something that was read or passed in cannot be used.
 #[derive(Debug, Error)]
 pub enum BuildError {
-    /// A value is outside what is physically or numerically meaningful.
+    /// A value is physically or numerically invalid.
     #[error("{item} is {value}; expected {expected}")]
     BadValue {
-        /// Full name of the offending item, e.g. ``mass of link `chest` ``.
+        /// Full name of the item, e.g. ``mass of link `chest` ``.
         item: String,
-        /// The value as it was read.
+        /// The value as read.
         value: String,
-        /// What would have been accepted.
+        /// What is accepted.
         expected: String,
     },
-    /// A name is not one of those that exist.
+    /// A name that does not exist.
     #[error("{item} names `{name}`, which does not exist; known: {known}")]
     UnknownName {
-        /// The item that holds the reference.
+        /// The item that contains the name.
         item: String,
         /// The unknown name.
         name: String,
@@ -37,17 +37,17 @@ pub enum BuildError {
         /// The operating system's reason.
         source: std::io::Error,
     },
-    /// A file or text does not parse, or has unknown or missing keys.
+    /// A file or text cannot be parsed, or has unknown or missing keys.
     #[error("{origin}: {message}")]
     Malformed {
-        /// File or section the text came from.
+        /// File or section from which the text was read.
         origin: String,
         /// The parser's message, with line or key.
         message: String,
     },
 }
 
-// Callers hand over a number or an error they have no further use for.
+// Callers pass a number or an error that they do not use afterwards.
 #[allow(clippy::needless_pass_by_value)]
 impl BuildError {
     /// Shorthand for [`BuildError::BadValue`].
@@ -71,7 +71,7 @@ impl BuildError {
     }
 }
 
-/// Refuses a value that is not finite or not accepted by `accept`.
+/// Checks that a value is finite and accepted by `accept`.
 ///
 /// # Errors
 /// [`BuildError::BadValue`] naming `item` and `expected`.
@@ -88,7 +88,7 @@ pub fn check(
     }
 }
 
-/// Place of a name among those that are known.
+/// Index of a name in the list of known names.
 ///
 /// # Errors
 /// [`BuildError::UnknownName`] naming `item`.
@@ -101,12 +101,12 @@ pub fn place_of<S: AsRef<str>>(
     place.ok_or_else(|| BuildError::unknown_name(item, name, known))
 }
 
-/// A table of a configuration, by its full name: checks of its numbers, which errors name by their keys.
+/// Checks of the numbers in one table of a configuration; errors name table and key.
 #[derive(Debug, Clone, Copy)]
 pub struct Table<'a>(pub &'a str);
 
 impl Table<'_> {
-    /// As [`check`], for the number of a key.
+    /// As [`check`], for the value of a key.
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming the key and `expected`.
@@ -120,7 +120,7 @@ impl Table<'_> {
         check(&format!("{}.{key}", self.0), value, accept, expected).map(|_| ())
     }
 
-    /// Refuses a number that is not positive and finite.
+    /// Checks that a number is positive and finite.
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.

@@ -2,13 +2,13 @@
 //! present.
 //!
 //! ```text
-//! measured at age d ──► wait until all are of one age D ──► correct x̂(t − D)
-//! x̂(t − D) ──► D ticks of the model under the commands that were given ──► x̂(t), for the controller
+//! measurements of age d ──► stored until all have the greatest age D ──► correct x̂(t − D)
+//! x̂(t − D) ──► D ticks of the model under the commands given then ──► x̂(t), for the controller
 //! ```
 //!
-//! The controller's law assumes measurements that are neither late nor noisy; this gives it such ones. Forces that are
-//! not in the model enter as the controller's observed wrench. With no age and no time constants what comes out is
-//! what went in.
+//! The control law assumes measurements without delay and noise; the estimator provides them. Forces that are not in
+//! the model enter through the controller's observed wrench. Without delays and time constants the estimate equals the
+//! measurement.
 //!
 //! Equations M91 to M93 of `docs/model.md`.
 
@@ -23,10 +23,10 @@ use crate::spatial::{GREATEST, exp_so3, log_so3, parts, project_to_so3};
 use nalgebra::{DVector, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 
-/// Greatest age of a measurement \[s\]: every tick of it costs an evaluation of the model.
+/// Greatest age of a measurement \[s\]: every tick of age costs one evaluation of the model.
 const MAX_DELAY: f64 = 0.2;
 
-/// How old the measurements are, and how much they count.
+/// Delay and time constant of each kind of measurement.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
@@ -45,9 +45,9 @@ pub struct EstimatorConfig {
     pub joint_velocity: ChannelConfig,
     /// Thrusts.
     pub thrust: ChannelConfig,
-    /// Time constant of an observer that finds velocities of the joints, and accelerations that the model does not explain,
-    /// from their positions alone \[s\], in place of `joint_velocity` and the time constant of `joint_position`. Joint
-    /// velocities then need not be measured.
+    /// Time constant \[s\] of an observer that estimates joint velocities, and joint accelerations that the model does
+    /// not explain, from the joint positions alone. It replaces `joint_velocity` and the time constant of
+    /// `joint_position`; joint velocities then need not be measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub joint_observer: Option<f64>,
@@ -58,10 +58,10 @@ pub struct EstimatorConfig {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct ChannelConfig {
-    /// Age of the measurement when it comes, rounded to ticks \[s\].
+    /// Age of the measurement on arrival, rounded to ticks \[s\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0, max = 0.2)))]
     pub delay: f64,
-    /// Time in which the estimate follows it \[s\]; zero takes it as it comes.
+    /// Time constant with which the estimate follows the measurement \[s\]; zero uses the measurement unchanged.
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub time_constant: f64,
 }
@@ -79,7 +79,7 @@ impl EstimatorConfig {
         ]
     }
 
-    /// Refuses numbers that mean nothing.
+    /// Checks that every value is in its range.
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
@@ -97,7 +97,7 @@ impl EstimatorConfig {
     }
 }
 
-/// What is known of a robot's state, measured or estimated.
+/// State and thrusts of a robot, measured or estimated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reading {
     /// Pose and velocity of the robot.
@@ -107,7 +107,7 @@ pub struct Reading {
 }
 
 impl Reading {
-    /// Nothing moves, nothing blows, of a robot with so many joints and jets.
+    /// A robot at rest without thrust.
     #[must_use]
     pub fn zero(joints: usize, jets: usize) -> Self {
         Self { state: RobotState::zero(joints), thrust: vec![0.0; jets] }
@@ -127,7 +127,7 @@ impl Reading {
         self.state.is_finite() && self.thrust.iter().all(|thrust| thrust.is_finite())
     }
 
-    /// Numbers that can be in what is measured are taken over.
+    /// Copies the numbers of `measured` that are plausible and keeps the others.
     fn take_over(&mut self, measured: &Self) {
         let (Self { state: to, thrust: to_thrust }, Self { state, thrust }) = (self, measured);
         let take = |to: &mut f64, measured| *to = known(measured, *to);
@@ -141,20 +141,20 @@ impl Reading {
     }
 }
 
-/// What acts on the robot from one tick to the next.
+/// Inputs of the model from one tick to the next.
 #[derive(Debug, Clone, PartialEq)]
 struct Order {
     torque: Vec<f64>,
     thrust_rate: Vec<f64>,
     unmodelled: Vector6<f64>,
     wind_i: Vector3<f64>,
-    /// With which the feet stay, foot after foot.
+    /// Wrenches that keep the feet at rest, foot after foot.
     foot_wrenches: Vec<f64>,
-    /// How long it acts \[s\]; known when the next tick comes.
+    /// Duration of the input \[s\]; known when the next tick starts.
     duration: f64,
 }
 
-/// The robot's model and the space it works in.
+/// The robot's model and its workspace.
 #[derive(Debug, Clone)]
 struct Model {
     robot: RobotModel,
@@ -167,7 +167,8 @@ struct Model {
 }
 
 impl Model {
-    /// One tick on under an order and accelerations of the joints that the model does not explain, semi-implicit.
+    /// Advances the model by one tick with semi-implicit Euler (M92); `disturbance` holds joint accelerations that the
+    /// model does not explain.
     fn advance(&mut self, reading: &mut Reading, order: &Order, disturbance: &DVector<f64>) {
         let Self { robot, aero, kinematics, dynamics, link_forces, mass_factor, acceleration } = self;
         let Reading { state, thrust } = reading;
@@ -189,8 +190,8 @@ impl Model {
             return;
         }
         mass_factor.solve_in_place(acceleration);
-        // What is in no model moves the whole robot: where on it that acts is not known. What moves joints besides is
-        // internal, and leaves the momentum as it is.
+        // The unmodelled wrench moves the robot as one body, because the point where it acts is unknown. Unexplained
+        // joint accelerations are internal and must not change the momentum.
         let mut wrench = order.unmodelled;
         for (joint, extra) in disturbance.iter().enumerate() {
             acceleration[6 + joint] += extra;
@@ -214,7 +215,7 @@ impl Model {
     }
 }
 
-/// The estimator of one robot, and the space it works in; its state is an [`EstimatorState`].
+/// State estimator of one robot, with its workspace; its state is an [`EstimatorState`].
 #[derive(Debug, Clone)]
 pub struct Estimator {
     model: Model,
@@ -223,23 +224,24 @@ pub struct Estimator {
     oldest: usize,
     /// Age of each channel in ticks, in the order of the configuration.
     ages: [usize; 7],
-    /// Share of each channel's innovation that is used.
+    /// Fraction of each channel's innovation that corrects the estimate.
     shares: [f64; 7],
-    /// Shares of the joint positions' innovation that correct velocities, per tick, and accelerations, per tick squared.
+    /// Fractions of the joint position innovation that correct velocities, per tick, and accelerations, per tick
+    /// squared.
     by_position: [f64; 2],
-    /// Share of a moment that is in no model that the estimated momentum shows per tick: that of a lag as long as the
-    /// greatest age and the time constant of the angular velocity.
+    /// Fraction of an unmodelled moment that appears in the estimated momentum per tick: that of a lag with the
+    /// greatest age plus the time constant of the angular velocity.
     pub momentum_share: f64,
 }
 
-/// The estimator from one tick to the next.
+/// State of the estimator, kept from tick to tick.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EstimatorState {
-    /// The last measurements, a ring as long as the greatest age and one.
+    /// The last measurements: a ring buffer of the greatest age plus one.
     line: Vec<Reading>,
-    /// The last commands, in the same places.
+    /// The inputs that followed them, at the same positions.
     orders: Vec<Order>,
-    /// Ticks that have been taken in.
+    /// Number of measurements processed.
     ticks: usize,
     /// Estimate at the greatest age.
     then: Reading,
@@ -248,7 +250,7 @@ pub struct EstimatorState {
 }
 
 impl Estimator {
-    /// An estimator with a model of the robot and of the air, updated every `time_step` \[s\].
+    /// Builds an estimator with models of the robot and of its aerodynamics, updated every `time_step` \[s\].
     ///
     /// # Errors
     /// As [`EstimatorConfig::check`].
@@ -266,7 +268,7 @@ impl Estimator {
         let mut shares = channels.map(|channel| share(channel.time_constant));
         let mut by_position = [0.0; 2];
         if let Some(time) = config.joint_observer {
-            // Three poles at e^(-Δt/T).
+            // Observer gains that place all three poles at e^(-Δt/T).
             let (left, pole) = (share(time), 1.0 - share(time));
             (ages[5], shares[4], shares[5]) = (0, 1.0 - pole * pole * pole, 0.0);
             by_position = [left * left * (1.0 + 2.0 * pole), left * left * left];
@@ -286,7 +288,7 @@ impl Estimator {
         Ok(Self { model, time_step, oldest, ages, shares, by_position, momentum_share: share(lag) })
     }
 
-    /// The state before the first measurement, for a flight that begins with this state of the robot and thrusts \[N\].
+    /// State before the first measurement, for a flight that starts from `state` and `thrust` \[N\].
     #[must_use]
     pub fn start(&self, state: &RobotState, thrust: &[f64]) -> EstimatorState {
         let (joints, jets) = (self.model.robot.joints.len(), self.model.robot.jets.len());
@@ -308,7 +310,7 @@ impl Estimator {
         }
     }
 
-    /// Whether a state is of this estimator.
+    /// Whether a state has the sizes of this estimator.
     #[must_use]
     pub fn fits(&self, state: &EstimatorState) -> bool {
         let robot = &self.model.robot;
@@ -317,13 +319,14 @@ impl Estimator {
             && state.then.thrust.len() == robot.jets.len()
     }
 
-    /// Puts the estimate of now in the place of a measurement of this robot. No allocation.
+    /// Replaces the measurement `now` by the estimate at the present time. Does not allocate.
     ///
-    /// The first one begins the flight: it is taken for what had been before it, as far as it can be. Numbers that cannot
-    /// be correct nothing: the estimate of them is the model's. One that is not finite begins anew with what is measured.
+    /// The first measurement starts the flight: its plausible numbers also stand for the time before it. Implausible
+    /// numbers correct nothing; the model's prediction replaces them. An estimate that is not finite restarts from the
+    /// measurement.
     ///
-    /// `elapsed` is the time since the last measurement \[s\], of which whole time steps count; ages count measurements.
-    /// `thrust_innovation` becomes by how much the measurement corrects each thrust \[N\].
+    /// `elapsed` is the time since the last measurement \[s\], rounded to whole time steps; delays count measurements.
+    /// `thrust_innovation` returns the correction of each thrust by the measurement \[N\].
     pub fn update(
         &mut self,
         memory: &mut EstimatorState,
@@ -335,7 +338,7 @@ impl Estimator {
         let Self { model, ages, by_position, .. } = self;
         let EstimatorState { line, orders, ticks, then, disturbance } = memory;
         let (oldest, length) = (self.oldest, line.len());
-        // Of the step that leads to `then`.
+        // Duration of the step that leads to `then`.
         let step = orders[*ticks % length].duration;
         if *ticks == 0 {
             for reading in line.iter_mut() {
@@ -351,7 +354,7 @@ impl Estimator {
             then.copy_from(now);
             disturbance.fill(0.0);
         }
-        // Measurements that came early wait for the others.
+        // Measurements with a smaller age wait for those with the greatest.
         let aligned = ages.map(|age| &line[(*ticks + length - (oldest - age)) % length]);
         let [of_velocity, of_acceleration] = *by_position;
         for joint in 0..disturbance.len() {
@@ -374,12 +377,12 @@ impl Estimator {
 }
 
 impl EstimatorState {
-    /// Lets the next measurement begin anew: it is not known how long the last command has acted.
+    /// Restarts from the next measurement: it is not known how long the last command has acted.
     pub(crate) fn restart(&mut self) {
         self.ticks = 0;
     }
 
-    /// Takes a deviation \[N\] out of the thrust of a jet, that of its sensor, whose measurements are used no more.
+    /// Subtracts the error `deviation` \[N\] of a jet's sensor from its thrust; its stored measurements are discarded.
     pub(crate) fn correct_thrust(&mut self, jet: usize, deviation: f64) {
         self.then.thrust[jet] -= deviation;
         for reading in &mut self.line {
@@ -387,9 +390,9 @@ impl EstimatorState {
         }
     }
 
-    /// What acts from this tick to the next: the command, the wrench that the controller observes, the wind that it
-    /// uses \[m/s\], which is finite whatever is measured, and the wrenches with which the robot's feet stay, foot after
-    /// foot about their soles \[N, N m, inertial axes\].
+    /// Stores the inputs from this tick to the next: the command, the observed wrench, the wind that the controller
+    /// uses \[m/s\] (finite whatever is measured), and the wrenches that keep the feet at rest, foot after foot about
+    /// their soles \[N, N m, inertial axes\].
     pub fn command(
         &mut self,
         command: &Command,
@@ -404,7 +407,7 @@ impl EstimatorState {
         order.foot_wrenches.copy_from_slice(foot_wrenches);
     }
 
-    /// Another command acts from this tick to the next.
+    /// Replaces the command that acts from this tick to the next.
     pub fn replace_command(&mut self, thrust_rate: &[f64], joint_torque: &[f64]) {
         let order = self.last_order();
         order.torque.copy_from_slice(joint_torque);
@@ -417,12 +420,12 @@ impl EstimatorState {
     }
 }
 
-/// What is measured, or the estimate where no robot can be measured so.
+/// The measurement, or the estimate if the measurement is implausible.
 fn known(measured: f64, estimate: f64) -> f64 {
     if measured.abs() <= GREATEST { measured } else { estimate }
 }
 
-/// Moves an estimate towards measurements of its time, each by its share.
+/// Corrects an estimate by measurements of its time, each with its fraction (M91).
 fn correct(estimate: &mut Reading, measured: [&Reading; 7], shares: &[f64; 7]) {
     let [position, rotation, linear, angular, joints, joint_velocities, thrusts] = measured;
     let Reading { state, thrust } = estimate;

@@ -1,14 +1,14 @@
-//! The exponential and the hyperbolic tangent, without branches or calls: loops over them vectorise, and every
-//! processor computes the same bits.
+//! Exponential and hyperbolic tangent without branches or calls: loops over them vectorise, and every processor
+//! computes the same bits.
 //!
 //! ```text
 //! x = n ln 2 + r,   |r| ≤ ln 2 / 2,   eˣ = 2ⁿ (1 + r + … + rᵏ/k!)
 //! ```
 //!
-//! The term after `k` is below rounding, and ln 2 is split so that `n ln 2` loses nothing. Arguments whose exponential
-//! would not be a normal number give the value at the last that is; a NaN stays one.
+//! The first omitted term is below rounding, and ln 2 is split so that subtracting `n ln 2` loses no digits. Arguments
+//! are clamped to the range in which the exponential is a normal number; a NaN remains NaN.
 
-/// 3/2 · 2²³: adding it rounds to an integer that stands in the lowest bits.
+/// 3/2 · 2²³: adding it rounds to an integer, which is then in the lowest bits.
 const ROUND_F32: f32 = 1.5 / f32::EPSILON;
 /// 3/2 · 2⁵².
 const ROUND_F64: f64 = 1.5 / f64::EPSILON;
@@ -63,7 +63,7 @@ pub(crate) fn exp_f64(x: f64) -> f64 {
     sum * f64::from_bits(exponent << 52)
 }
 
-/// `tanh x`, odd to the bit; its error is a few units in the last place of one.
+/// `tanh x`, exactly odd; its error is a few units in the last place of one.
 #[inline(always)]
 pub(crate) fn tanh_f64(x: f64) -> f64 {
     (1.0 - 2.0 / (1.0 + exp_f64(2.0 * x.abs()))).copysign(x)
@@ -73,8 +73,8 @@ pub(crate) fn tanh_f64(x: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Two units in the last place, over all arguments that do not overflow. In double precision the library is as far
-    /// from the truth, half a unit, and `x` itself counts: two more units.
+    /// Two units in the last place, over all arguments that do not overflow. In double precision two more, for the
+    /// library's own error of half a unit and for the reduction of `x`.
     #[test]
     fn the_exponential_is_that_of_the_library() {
         for step in -8700..=8700 {
@@ -89,7 +89,7 @@ mod tests {
         }
     }
 
-    /// The exponential is wrong by 1e-15 of itself, the quotient by at most a half of that, and its difference to one
+    /// The exponential has a relative error of 1e-15, the quotient at most half of that, and its difference from one
     /// is rounded.
     #[test]
     fn the_hyperbolic_tangent_is_that_of_the_library() {

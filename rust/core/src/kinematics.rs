@@ -1,12 +1,12 @@
-//! Poses, velocities, centre of mass and Jacobians of a state.
+//! Poses, velocities, centre of mass and Jacobians of a state of the robot.
 //!
 //! Velocities are *mixed*: `ν = (v_B, ω_B, ṡ)`, where `v_B` is the velocity of the base origin and
 //! `ω_B` the angular velocity of the base, both in inertial axes. A Jacobian has one column for each
 //! entry of `ν`.
 //!
-//! The lever-arm errors of the published code (`docs/deviations.md`) put a force at a wrong point in space.
-//! That is why Jacobians are asked for as "the point `p` moving with body `b`": right and published
-//! lever arms differ in nothing but the point.
+//! A Jacobian is requested as "the point `p`, moving with body `b`". The lever-arm errors of the published code
+//! (`docs/deviations.md`) apply a force at a wrong point in space, so correct and published lever arms differ in this
+//! point only.
 //!
 //! Equations M7 to M10 of `docs/model.md`.
 
@@ -14,7 +14,7 @@ use crate::robot::{Frame, JointKind, RobotModel};
 use crate::spatial::{Pose, axis_angle, exp_so3, parts};
 use nalgebra::{DVector, Matrix3, Matrix3xX, Vector3, Vector6};
 
-/// Where the robot is and how it moves.
+/// Pose, joint positions and velocity of a robot.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RobotState {
     /// Pose of the base in inertial axes.
@@ -69,7 +69,7 @@ impl RobotState {
             && self.velocity.iter().all(|x| x.is_finite())
     }
 
-    /// Moves the pose on by `step` \[s\] at the present velocity: M78.
+    /// Advances the pose by `step` \[s\] at the present velocity (M78).
     pub fn advance_pose(&mut self, step: f64) {
         self.base.position += self.base_linear_velocity() * step;
         self.base.rotation = exp_so3(&(self.base_angular_velocity() * step)) * self.base.rotation;
@@ -78,7 +78,7 @@ impl RobotState {
         }
     }
 
-    /// Copies another state of the same robot without allocating.
+    /// Copies another state of the same robot; does not allocate.
     pub fn copy_from(&mut self, other: &Self) {
         self.base = other.base;
         self.joint_position.copy_from(&other.joint_position);
@@ -86,7 +86,7 @@ impl RobotState {
     }
 }
 
-/// Pose and velocity of one body, and the axis of the joint that moves it.
+/// Pose and velocity of one body, with the effect of its joint.
 #[derive(Debug, Clone, Copy)]
 pub struct BodyMotion {
     /// Pose of the body in inertial axes.
@@ -95,31 +95,31 @@ pub struct BodyMotion {
     pub linear_velocity: Vector3<f64>,
     /// Angular velocity of the body \[rad/s, inertial axes\].
     pub angular_velocity: Vector3<f64>,
-    /// Velocity that a unit rate of the body's joint gives the body's origin, inertial axes: the axis of a
-    /// prismatic joint, zero for a revolute one and for the base.
+    /// Velocity of the body's origin per unit rate of its joint, inertial axes: the axis of a prismatic joint, zero
+    /// for a revolute one and for the base.
     pub joint_linear_i: Vector3<f64>,
-    /// Angular velocity that a unit rate of the body's joint gives, inertial axes: the axis of a revolute
-    /// joint, zero for a prismatic one and for the base.
+    /// Angular velocity of the body per unit rate of its joint, inertial axes: the axis of a revolute joint, zero for
+    /// a prismatic one and for the base.
     pub joint_angular_i: Vector3<f64>,
-    /// Velocity that a unit rate of the body's joint gives the body's point at the origin of the base, inertial axes.
+    /// Velocity of the body's point at the base origin per unit rate of its joint, inertial axes.
     pub joint_linear_at_base_i: Vector3<f64>,
 }
 
 impl BodyMotion {
-    /// Velocity of the point of the body that is at `point_i` now \[m/s, inertial axes\].
+    /// Velocity of the point of the body that is now at `point_i` \[m/s, inertial axes\].
     #[must_use]
     pub fn velocity_at(&self, point_i: &Vector3<f64>) -> Vector3<f64> {
         self.linear_velocity + self.angular_velocity.cross(&(point_i - self.i_from_b.position))
     }
 
-    /// Velocity that a unit rate of the body's joint gives the point at `point_i` if it moves with the body.
+    /// Velocity of the point at `point_i`, moving with the body, per unit rate of the body's joint.
     #[must_use]
     pub fn joint_velocity_at(&self, point_i: &Vector3<f64>) -> Vector3<f64> {
         self.joint_linear_i + self.joint_angular_i.cross(&(point_i - self.i_from_b.position))
     }
 }
 
-/// A body at the origin that does not move.
+/// A body at the origin, at rest.
 const AT_REST: BodyMotion = BodyMotion {
     i_from_b: Pose { rotation: ROTATION, position: ZERO },
     linear_velocity: ZERO,
@@ -131,22 +131,22 @@ const AT_REST: BodyMotion = BodyMotion {
 const ZERO: Vector3<f64> = Vector3::new(0.0, 0.0, 0.0);
 const ROTATION: Matrix3<f64> = Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0);
 
-/// Kinematics of one state; preallocated, refilled by [`Kinematics::update`].
+/// Kinematics of one state; preallocated, recomputed by [`Kinematics::update`].
 #[derive(Debug, Clone)]
 pub struct Kinematics {
     /// Motion of every body; body 0 is the base, body `i + 1` is moved by joint `i`.
     pub bodies: Vec<BodyMotion>,
     /// Centre of mass \[m, inertial axes\].
     pub com: Vector3<f64>,
-    /// Joint positions these are the kinematics of \[rad\].
+    /// Joint positions of this state \[rad\].
     pub joint_position: Vec<f64>,
-    /// For every body the joints between it and the base, base side first.
+    /// For every body, the joints between it and the base, from the base outwards.
     chains: Vec<Vec<usize>>,
     mass: f64,
 }
 
 impl Kinematics {
-    /// Space for the kinematics of `robot`, at its zero state.
+    /// Allocates for the kinematics of `robot`, with its zero state.
     #[must_use]
     pub fn new(robot: &RobotModel) -> Self {
         let mut chains: Vec<Vec<usize>> = Vec::with_capacity(robot.bodies.len());
@@ -168,7 +168,7 @@ impl Kinematics {
         kinematics
     }
 
-    /// Recomputes everything for `state`.
+    /// Recomputes all quantities for `state`.
     pub fn update(&mut self, robot: &RobotModel, state: &RobotState) {
         self.bodies[0] = BodyMotion {
             i_from_b: state.base,
@@ -183,7 +183,7 @@ impl Kinematics {
             let parent = &before[robot.bodies[index + 1].parent.unwrap_or(0)];
             let axis_b = joint.axis_b.into_inner();
             let mut i_from_b = parent.i_from_b * joint.parent_from_child;
-            // The axis is the same vector in the child and in the joint frame.
+            // The axis has the same components in the child frame and in the joint frame.
             let axis_i = i_from_b.rotation * axis_b;
             let position = state.joint_position[index];
             let (joint_linear_i, joint_angular_i) = match joint.kind {
@@ -218,7 +218,7 @@ impl Kinematics {
         self.mass
     }
 
-    /// Length of `ν`: six for the base and one for each joint.
+    /// Length of `ν`: 6 + number of joints.
     #[must_use]
     pub fn n_velocities(&self) -> usize {
         self.bodies.len() + 5
@@ -230,17 +230,17 @@ impl Kinematics {
         self.bodies[frame.body].i_from_b * frame.body_from_frame
     }
 
-    /// Joints between a body and the base, base side first. Only their columns and the six of the
-    /// base are non-zero in a Jacobian of that body.
+    /// Joints between a body and the base, from the base outwards. In a Jacobian of that body only their columns and
+    /// the six of the base are non-zero.
     #[must_use]
     pub fn chain(&self, body: usize) -> &[usize] {
         &self.chains[body]
     }
 
-    /// Visits the columns of the Jacobian of the point of `body` that is at `point_i` now that are
-    /// not zero: `visit(column, linear, angular)`.
+    /// Visits the non-zero columns of the Jacobian of the point of `body` that is now at `point_i`:
+    /// `visit(column, linear, angular)`.
     ///
-    /// Base translation gives `(e_k, 0)`, base rotation `(e_k × r, e_k)`, a joint at `o_j` with the axis a
+    /// Base translation gives `(e_k, 0)`, base rotation `(e_k × r, e_k)`; a joint at `o_j` with axis a gives
     /// `(a × (p − o_j), a)` if it is revolute and `(a, 0)` if it is prismatic.
     pub fn visit_jacobian_columns(
         &self,
@@ -261,8 +261,8 @@ impl Kinematics {
         }
     }
 
-    /// Linear and angular Jacobian (each 3 × [`Self::n_velocities`]) of the point of `body` that is at
-    /// `point_i` now. Allocates: for inspection and tests; a tick visits the columns instead.
+    /// Linear and angular Jacobian (each 3 × [`Self::n_velocities`]) of the point of `body` that is now at `point_i`.
+    /// Allocates, so only for inspection and tests; a tick uses [`Self::visit_jacobian_columns`].
     #[must_use]
     pub fn jacobian(&self, body: usize, point_i: &Vector3<f64>) -> (Matrix3xX<f64>, Matrix3xX<f64>) {
         let mut linear = Matrix3xX::zeros(self.n_velocities());
@@ -274,7 +274,7 @@ impl Kinematics {
         (linear, angular)
     }
 
-    /// Adds `Jᵀ f`, the generalised force of a force `force_i` \[N\] on `body` at `point_i`.
+    /// Adds `Jᵀ f`, the generalised force of the force `force_i` \[N\] on `body` at `point_i`.
     pub fn add_generalised_force(
         &self,
         body: usize,
@@ -292,7 +292,7 @@ impl Kinematics {
         }
     }
 
-    /// Adds the generalised forces of the jets of `robot`, each with its force along its axis \[N\].
+    /// Adds the generalised forces of the jets of `robot`; `thrusts` are forces along the jet axes \[N\].
     pub fn add_thrusts(
         &self,
         robot: &RobotModel,

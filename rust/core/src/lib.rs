@@ -1,15 +1,15 @@
-//! Aerodynamics, rigid-body dynamics and momentum-based flight control of a jet-powered humanoid
-//! robot: one tick of the controller, and what it needs. No files, threads, clocks or logs.
+//! Aerodynamics, rigid-body dynamics and momentum-based flight control of a jet-powered humanoid robot: one
+//! tick of the controller with all that it needs. No files, threads, clocks or logs.
 //!
 //! ```text
 //! RobotState, wind ► Kinematics ► LinkForces ► MomentumModel ► MomentumQp ► Command ► torques
 //! ```
 //!
-//! Each arrow is one plain struct, filled once per tick and passed on. Modules, each using only those
-//! before it: [`error`] · [`spatial`] · [`linalg`] · [`robot`] · [`kinematics`] · [`subtree`] ·
-//! [`dynamics`] · [`aero`] · [`jets`] · [`qp`] · [`control`] · [`estimator`] · [`wind_observer`].
+//! Each arrow is one plain struct, computed once per tick and passed on. Modules, each using only those
+//! before it: [`error`] · [`spatial`] · [`linalg`] · [`robot`] · [`kinematics`] · [`subtree`] · [`dynamics`]
+//! · [`aero`] · [`jets`] · [`qp`] · [`control`] · [`estimator`] · [`wind_observer`].
 //!
-//! SI units and radians; vectors and Jacobians in inertial axes unless a suffix says otherwise.
+//! SI units and radians; vectors and Jacobians are in inertial axes unless a suffix states otherwise.
 
 #![forbid(unsafe_code)]
 

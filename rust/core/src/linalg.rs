@@ -1,17 +1,17 @@
-//! Small dense linear algebra on slices: the mass matrix and the QPs, 20 to 64 rows.
+//! Dense linear algebra on slices for the mass matrix and the QPs, 20 to 64 rows.
 //!
-//! Matrices are column-major: entry `(i, j)` is `a[i + j·ld]` with leading dimension `ld ≥ n`, so a
-//! leading block of a larger buffer is a matrix too. Nothing allocates.
+//! Matrices are column-major: entry `(i, j)` is `a[i + j·ld]` with leading dimension `ld ≥ n`, so a leading block
+//! of a larger buffer is a matrix too. Nothing allocates.
 //!
-//! The kernels of matrices are written for vectors of at least [`WIDE`] numbers and run with those that [`Arch`]
-//! finds at run time, of eight or four. They take a tile at a time, a vector of rows by up to [`WIDE`] columns,
-//! whose sums stay in registers. Where fewer rows than a vector are left the tile begins earlier, and what is
-//! computed twice gets the same value twice; a matrix with fewer than [`WIDE`] rows takes them one by one.
+//! The matrix kernels are written for vectors of at least `WIDE` numbers and use the vectors of eight or four
+//! numbers that [`Arch`] detects at run time. They work by tiles, a vector of rows by up to `WIDE` columns, whose
+//! sums stay in registers. If fewer rows than a vector remain, the last tile starts earlier and computes some
+//! entries twice, with the same result. In a matrix with fewer than `WIDE` rows, each row is computed alone.
 //!
-//! Every processor computes the same bits: an entry's sum has one order whatever the vectors, and multiplication
-//! and addition round separately, for not every processor has them fused.
+//! Every processor computes the same bits: the terms of a sum have one order for all vector lengths, and
+//! multiplication and addition are rounded separately, because not every processor has a fused multiply-add.
 //!
-//! The caller guarantees sizes, as for slice indexing: a slice that is too short panics.
+//! The caller guarantees the sizes, as with slice indexing: a slice that is too short panics.
 
 #![allow(clippy::needless_range_loop, reason = "indices are those of the equations, and of constant range")]
 
@@ -20,7 +20,8 @@ use pulp::{Arch, Scalar, Scalar256b, Simd, WithSimd};
 /// Columns of a tile.
 const WIDE: usize = 4;
 
-/// Runs plain loops compiled for the vector instructions of this processor. What they call must be inlined.
+/// Runs plain loops, compiled for the vector instructions of this processor. Functions that they call must be
+/// inlined.
 #[inline(always)]
 pub(crate) fn dispatch_plain<R>(loops: impl FnOnce() -> R) -> R {
     Arch::new().dispatch(loops)
@@ -32,13 +33,13 @@ pub(crate) fn dispatch<K: WithSimd>(kernel: K) -> K::Output {
     dispatch_to(Arch::new(), kernel)
 }
 
-/// [`dispatch`] to given instructions.
+/// [`dispatch`] with a given instruction set.
 #[inline(always)]
 fn dispatch_to<K: WithSimd>(arch: Arch, kernel: K) -> K::Output {
     match arch {
         #[cfg(target_arch = "x86_64")]
         Arch::V3(_) | Arch::V4(_) => arch.dispatch(kernel),
-        // It is left to the compiler what becomes of four numbers at once.
+        // The compiler decides how to compute four numbers at once.
         _ => kernel.with_simd(Scalar256b),
     }
 }
@@ -49,18 +50,18 @@ fn run<K: Kernel>(kernel: K) -> K::Output {
     dispatch(Fitted(kernel))
 }
 
-/// What can run with any vectors that are not longer than its columns, single numbers or at least [`WIDE`].
+/// A kernel that can use any vectors not longer than its columns: single numbers, or at least [`WIDE`].
 trait Kernel {
     type Output;
 
-    /// Rows of its matrix.
+    /// Number of rows of its matrix.
     fn rows(&self) -> usize;
 
     /// Runs with vectors of `S::F64_LANES` numbers.
     fn with_vectors<S: Simd>(self, simd: S) -> Self::Output;
 }
 
-/// A kernel whose vectors are as long as its columns allow.
+/// A kernel with vectors of the length that its columns allow.
 struct Fitted<K>(K);
 
 impl<K: Kernel> WithSimd for Fitted<K> {
@@ -76,19 +77,19 @@ impl<K: Kernel> WithSimd for Fitted<K> {
     }
 }
 
-/// Reads the vector of a column that begins at `top`.
+/// Reads the vector that starts at row `top` of a column.
 #[inline(always)]
 fn load<S: Simd>(_: S, column: &[f64], top: usize) -> S::f64s {
     S::as_simd_f64s(&column[top..top + S::F64_LANES]).0[0]
 }
 
-/// Writes it.
+/// Writes the vector that starts at row `top` of a column.
 #[inline(always)]
 fn store<S: Simd>(_: S, column: &mut [f64], top: usize, vector: S::f64s) {
     S::as_mut_simd_f64s(&mut column[top..top + S::F64_LANES]).0[0] = vector;
 }
 
-/// Reads the tile of C columns that begins at row `top`.
+/// Reads the tile of C columns that starts at row `top`.
 #[inline(always)]
 fn load_columns<S: Simd, const C: usize>(simd: S, columns: &[f64], ld: usize, top: usize) -> [S::f64s; C] {
     let mut tile = [simd.splat_f64s(0.0); C];
@@ -98,13 +99,13 @@ fn load_columns<S: Simd, const C: usize>(simd: S, columns: &[f64], ld: usize, to
     tile
 }
 
-/// `a b + c`, rounded twice.
+/// `a b + c` with two roundings.
 #[inline(always)]
 fn add_product<S: Simd>(simd: S, a: S::f64s, b: S::f64s, c: S::f64s) -> S::f64s {
     simd.add_f64s(simd.mul_f64s(a, b), c)
 }
 
-/// `c − a b`, rounded twice.
+/// `c − a b` with two roundings.
 #[inline(always)]
 fn subtract_product<S: Simd>(simd: S, a: S::f64s, b: S::f64s, c: S::f64s) -> S::f64s {
     simd.sub_f64s(c, simd.mul_f64s(a, b))
@@ -119,13 +120,13 @@ fn differences<S: Simd, const C: usize>(simd: S, mut a: [S::f64s; C], b: [S::f64
     a
 }
 
-/// Where the tiles over the rows `first..n` begin.
+/// First rows of the tiles over the rows `first..n`.
 #[inline(always)]
 fn tops<S: Simd>(_: S, first: usize, n: usize) -> impl Iterator<Item = usize> {
     (first..n).step_by(S::F64_LANES).map(move |row| row.min(n - S::F64_LANES))
 }
 
-/// Where the last tile begins.
+/// First row of the last tile.
 #[inline(always)]
 fn last_top<S: Simd>(_: S, n: usize) -> usize {
     n - S::F64_LANES
@@ -153,7 +154,8 @@ fn outer_sums<S: Simd, const C: usize>(
     sums
 }
 
-/// Runs `$panel` over `0..$n` by as many columns as a vector has rows, at most [`WIDE`], fewer at the end.
+/// Runs `$panel` over `0..$n` in panels of at most [`WIDE`] columns, not more than a vector has rows; the last may
+/// be smaller.
 macro_rules! for_panels {
     ($self:ident.$panel:ident::<$S:ident>($simd:ident, $n:expr)) => {
         let width = WIDE.min($S::F64_LANES);
@@ -172,10 +174,10 @@ macro_rules! for_panels {
     };
 }
 
-/// Inner product `xᵀ y` of two vectors of one length.
+/// Inner product `xᵀ y` of two vectors of equal length.
 ///
-/// Summed in four interleaved parts: a single running sum cannot be vectorised, because floating
-/// addition does not associate.
+/// Summed in four interleaved parts: the compiler cannot vectorise a single sum, because floating-point addition is
+/// not associative.
 #[must_use]
 pub fn dot(x: &[f64], y: &[f64]) -> f64 {
     let (x_blocks, x_rest) = x.as_chunks::<4>();
@@ -190,11 +192,11 @@ pub fn dot(x: &[f64], y: &[f64]) -> f64 {
     (sums[0] + sums[2]) + (sums[1] + sums[3]) + rest
 }
 
-/// Largest absolute value; zero for no entries. A NaN counts for nothing.
+/// Largest absolute value; zero for no entries. NaNs are ignored.
 #[must_use]
 pub fn max_abs(x: &[f64]) -> f64 {
     let (blocks, rest) = x.as_chunks::<4>();
-    // A bare comparison is one instruction; `f64::max` is four, to get NaN right on both sides.
+    // A bare comparison is one instruction; `f64::max` is four, because it handles NaN on both sides.
     let larger = |a: f64, b: f64| if b > a { b } else { a };
     let mut lanes = [0.0; 4];
     for block in blocks {
@@ -206,7 +208,7 @@ pub fn max_abs(x: &[f64]) -> f64 {
     lanes.into_iter().fold(rest, larger)
 }
 
-/// `y ← y + factor · x` over the shorter length.
+/// `y ← y + factor · x` up to the shorter length.
 pub fn add_scaled(y: &mut [f64], factor: f64, x: &[f64]) {
     for (y, x) in y.iter_mut().zip(x) {
         *y += factor * x;
@@ -221,7 +223,7 @@ pub fn add_mat_vec(y: &mut [f64], a: &[f64], ld: usize, x: &[f64]) {
     run(AddMatVec { y, a, ld, x });
 }
 
-/// [`add_mat_vec`].
+/// Kernel of [`add_mat_vec`].
 struct AddMatVec<'a> {
     y: &'a mut [f64],
     a: &'a [f64],
@@ -243,11 +245,11 @@ impl Kernel for AddMatVec<'_> {
         if n == 0 {
             return;
         }
-        // Before the tile above it changes some of its rows.
+        // Read before the tile above it changes some of its rows.
         let last_y = load(simd, y, last_top(simd, n));
         let (blocks, rest) = x.as_chunks::<WIDE>();
         for top in tops(simd, 0, n) {
-            // Sums of their own: additions need not wait for one another.
+            // Separate sums, so that additions do not wait for each other.
             let mut sums = [simd.splat_f64s(0.0); WIDE];
             for (block, factors) in blocks.iter().enumerate() {
                 for c in 0..WIDE {
@@ -267,8 +269,7 @@ impl Kernel for AddMatVec<'_> {
     }
 }
 
-/// Writes `w_i A_ij w_j`, with as many rows and columns as there are weights, into a matrix of leading
-/// dimension `ld_to`.
+/// Writes `w_i A_ij w_j` into a matrix of leading dimension `ld_to`; its order is the number of weights.
 ///
 /// # Panics
 /// If a slice does not hold its matrix.
@@ -276,7 +277,7 @@ pub fn scale_symmetric(a: &[f64], ld: usize, weights: &[f64], to: &mut [f64], ld
     run(ScaleSymmetric { a, ld, weights, to, ld_to });
 }
 
-/// [`scale_symmetric`].
+/// Kernel of [`scale_symmetric`].
 struct ScaleSymmetric<'a> {
     a: &'a [f64],
     ld: usize,
@@ -305,21 +306,21 @@ impl Kernel for ScaleSymmetric<'_> {
     }
 }
 
-/// Factors a symmetric positive definite matrix, `A = L Lᵀ`, over its own lower triangle; `false` if
-/// it is not positive definite to working precision (or holds a NaN).
+/// Factorises a symmetric positive definite matrix, `A = L Lᵀ`, in its lower triangle; `false` if it is not
+/// positive definite to working precision or contains a NaN.
 ///
-/// The matrix has `n` columns and `rows ≥ n` rows: what stands below the square becomes `B L⁻ᵀ`, so a
-/// right-hand side that is kept there as a row comes out as `L⁻¹ b`.
+/// The matrix has `n` columns and `rows ≥ n` rows. Rows below the square become `B L⁻ᵀ`, so a right-hand side
+/// stored there as a row becomes `L⁻¹ b`.
 ///
-/// The diagonal receives the **reciprocals** `1/L_jj`: every later substitution multiplies by them,
-/// and a division costs ten multiplications. The strict upper triangle does not matter and is left
-/// without meaning, like everything after `false`.
+/// The diagonal receives the **reciprocals** `1/L_jj`, because later substitutions multiply by them and a division
+/// costs ten multiplications. The strict upper triangle is not read, and is undefined afterwards; after `false` the
+/// whole matrix is.
 ///
-/// A pivot must exceed `n ε a_jj`: below that it consists of rounding. The test is relative to each
+/// A pivot must exceed `n ε a_jj`, below which it consists of rounding errors. The test is relative to each
 /// diagonal entry, so rows may have different units.
 ///
-/// Left-looking by panels of [`WIDE`] columns. Within a panel the columns wait for nothing but a division
-/// each: the square roots are taken beside it, `L_ij = u_ij / √d_j` with `d_j = u_jj`.
+/// Left-looking, by panels of `WIDE` columns. Within a panel each column depends on the one before only through a
+/// division; the square roots are computed in parallel, `L_ij = u_ij / √d_j` with `d_j = u_jj`.
 ///
 /// # Panics
 /// If `a` does not hold that matrix.
@@ -328,7 +329,7 @@ pub fn cholesky_in_place(a: &mut [f64], n: usize, rows: usize, ld: usize) -> boo
     run(Cholesky { a, n, rows, ld })
 }
 
-/// [`cholesky_in_place`].
+/// Kernel of [`cholesky_in_place`].
 struct Cholesky<'a> {
     a: &'a mut [f64],
     n: usize,
@@ -350,16 +351,16 @@ impl Kernel for Cholesky<'_> {
 }
 
 impl Cholesky<'_> {
-    /// Columns `j..j + C` of the factor, given those before; C is at most the length of a vector.
+    /// Computes columns `j..j + C` of the factor from those before; C is at most the length of a vector.
     #[inline(always)]
     fn panel<S: Simd, const C: usize>(&mut self, simd: S, j: usize) -> bool {
         let (rows, ld) = (self.rows, self.ld);
         let relative = self.n as f64 * f64::EPSILON;
         let (left, panel) = self.a.split_at_mut(j * ld);
-        // Before the tile above it changes some of its rows.
+        // Read before the tile above it changes some of its rows.
         let last = last_top(simd, rows);
         let last_old = load_columns::<S, C>(simd, panel, ld, last);
-        // The first tile has the square on the diagonal: u_c, column c before it is divided by √d_c.
+        // The first tile contains the square on the diagonal: u_c, column c before its division by √d_c.
         let first = j.min(last);
         let sums = outer_sums::<S, C>(simd, (left, ld, first), (left, ld, j), (0, j));
         let first_u = differences(simd, load_columns::<S, C>(simd, panel, ld, first), sums);
@@ -374,7 +375,7 @@ impl Cholesky<'_> {
         let mut roots = [0.0; C];
         for c in 0..C {
             let pivot = square[c][c];
-            // NaN must fail too, and so must an infinite entry, whose least pivot is infinite.
+            // A NaN fails, and so does an infinite entry, whose least pivot is infinite.
             if pivot.is_nan() || pivot <= least[c] {
                 return false;
             }
@@ -408,16 +409,16 @@ impl Cholesky<'_> {
     }
 }
 
-/// Solves `L X = B` in place, `L` as [`cholesky_in_place`] leaves it; `b` holds the right-hand sides
-/// one after the other, `n` entries each.
+/// Solves `L X = B` in place, with `L` from [`cholesky_in_place`]; `b` holds the right-hand sides one after the
+/// other, `n` entries each.
 ///
 /// # Panics
 /// If `l` does not hold an `n × n` matrix.
 pub fn solve_lower_in_place(l: &[f64], n: usize, ld: usize, b: &mut [f64]) {
     for b in b.chunks_exact_mut(n.max(1)) {
         let mut j = 0;
-        // Two columns a pass: half as many trips through `b`, and its chain of dependent operations
-        // is what limits a right-hand side.
+        // Two columns per pass: this halves the passes through `b`, whose chain of dependent operations limits the
+        // speed.
         while j + 2 <= n {
             let (c0, c1) = (&l[j * ld + j..][..n - j], &l[(j + 1) * ld + j..][..n - j]);
             let b = &mut b[j..];
@@ -436,8 +437,8 @@ pub fn solve_lower_in_place(l: &[f64], n: usize, ld: usize, b: &mut [f64]) {
     }
 }
 
-/// Solves `Lᵀ X = B` in place, `L` as [`cholesky_in_place`] leaves it; `b` holds the right-hand sides
-/// one after the other, `n` entries each.
+/// Solves `Lᵀ X = B` in place, with `L` from [`cholesky_in_place`]; `b` holds the right-hand sides one after the
+/// other, `n` entries each.
 ///
 /// # Panics
 /// If `l` does not hold an `n × n` matrix.
@@ -448,7 +449,7 @@ pub fn solve_lower_transposed_in_place(l: &[f64], n: usize, ld: usize, b: &mut [
             j -= 1;
             b[j] *= l[j * ld + j];
         }
-        // Two rows a pass, from the end: their inner products run side by side.
+        // Two rows per pass, from the end, so that their inner products are computed in parallel.
         while j >= 2 {
             j -= 2;
             let (c0, c1) = (&l[j * ld + j..][..n - j], &l[(j + 1) * ld + j..][..n - j]);
@@ -460,8 +461,8 @@ pub fn solve_lower_transposed_in_place(l: &[f64], n: usize, ld: usize, b: &mut [
     }
 }
 
-/// Writes `L⁻ᵀ`, `L` as [`cholesky_in_place`] leaves it, into the `n × n` matrix `inverse`: a plain upper
-/// triangle, zeros below it.
+/// Writes `L⁻ᵀ`, with `L` from [`cholesky_in_place`], into the `n × n` matrix `inverse`, with zeros below its upper
+/// triangle.
 ///
 /// ```text
 /// U = L⁻ᵀ,   U_JJ = L_JJ⁻ᵀ,   U_TJ = −(U_TT L_JTᵀ) U_JJ        panels J first to last, T above J
@@ -473,7 +474,7 @@ pub fn invert_lower_transposed(l: &[f64], n: usize, ld: usize, inverse: &mut [f6
     run(InvertLower { l, n, ld, inverse });
 }
 
-/// [`invert_lower_transposed`].
+/// Kernel of [`invert_lower_transposed`].
 struct InvertLower<'a> {
     l: &'a [f64],
     n: usize,
@@ -496,7 +497,7 @@ impl Kernel for InvertLower<'_> {
 }
 
 impl InvertLower<'_> {
-    /// Columns `j..j + C` of `L⁻ᵀ`, given those before.
+    /// Computes columns `j..j + C` of `L⁻ᵀ` from those before.
     #[inline(always)]
     fn panel<S: Simd, const C: usize>(&mut self, simd: S, j: usize) -> bool {
         let (l, n, ld) = (self.l, self.n, self.ld);
@@ -515,7 +516,7 @@ impl InvertLower<'_> {
         }
         let (left, panel) = self.inverse.split_at_mut(j * n);
         for first in (0..j).step_by(S::F64_LANES) {
-            // Rows of the tile below j get zeros: so far U ends at column j.
+            // Rows of the tile below j get zeros, because U ends at column j so far.
             let top = first.min(last_top(simd, n));
             let sums = outer_sums::<S, C>(simd, (left, n, top), (l, ld, j), (top, j));
             for c in 0..C {
@@ -533,8 +534,8 @@ impl InvertLower<'_> {
     }
 }
 
-/// Writes the inverse `L⁻ᵀ L⁻¹` of the symmetric matrix whose factor `L` is (as [`cholesky_in_place`]
-/// leaves it). `work` is space for an `n × n` matrix.
+/// Writes the inverse `L⁻ᵀ L⁻¹` of a symmetric matrix from its factor `L` of [`cholesky_in_place`]. `work` is an
+/// `n × n` workspace.
 ///
 /// # Panics
 /// If a slice does not hold its matrix.
@@ -543,7 +544,7 @@ pub fn invert_symmetric(l: &[f64], n: usize, ld: usize, work: &mut [f64], invers
     run(TimesTranspose { a: work, n, is_upper: true, product: inverse });
 }
 
-/// Writes `A Aᵀ` of a matrix with n rows and as many columns as `a` holds; exactly symmetric.
+/// Writes `A Aᵀ`, exactly symmetric, for a matrix with n rows and as many columns as `a` holds.
 ///
 /// # Panics
 /// If `product` does not hold an `n × n` matrix.
@@ -551,13 +552,13 @@ pub fn times_transpose(a: &[f64], n: usize, product: &mut [f64]) {
     run(TimesTranspose { a, n, is_upper: false, product });
 }
 
-/// [`times_transpose`].
+/// Kernel of [`times_transpose`].
 ///
-/// The lower triangle; the upper one is its copy.
+/// Computes the lower triangle; the upper one is its copy.
 struct TimesTranspose<'a> {
     a: &'a [f64],
     n: usize,
-    /// Whether row i is zero before column i.
+    /// Whether the entries of row i before column i are zero.
     is_upper: bool,
     product: &'a mut [f64],
 }
@@ -576,7 +577,7 @@ impl Kernel for TimesTranspose<'_> {
 }
 
 impl TimesTranspose<'_> {
-    /// Columns `j..j + C` of the product.
+    /// Computes columns `j..j + C` of the product.
     #[inline(always)]
     fn panel<S: Simd, const C: usize>(&mut self, simd: S, j: usize) -> bool {
         let (a, n) = (self.a, self.n);
@@ -587,7 +588,7 @@ impl TimesTranspose<'_> {
                 store(simd, &mut self.product[(j + c) * n..], top, sums[c]);
             }
         }
-        // The upper triangle.
+        // Copies to the upper triangle.
         let (left, right) = self.product.split_at_mut((j + C) * n);
         let columns: [&[f64]; C] = std::array::from_fn(|c| &left[(j + c) * n..][..n]);
         for (row, to) in (j + C..n).zip(right.chunks_exact_mut(n)) {
@@ -602,7 +603,7 @@ mod tests {
     use super::*;
     use nalgebra::{DMatrix, DVector};
 
-    /// Every set of instructions that this processor has, the least one included.
+    /// All instruction sets of this processor, with the least one.
     fn levels() -> Vec<Arch> {
         #[cfg(target_arch = "x86_64")]
         let more = [pulp::x86::V3::try_new().map(Arch::V3), pulp::x86::V4::try_new().map(Arch::V4)];
@@ -611,8 +612,8 @@ mod tests {
         std::iter::once(Arch::Scalar).chain(more.into_iter().flatten()).collect()
     }
 
-    /// All kernels with all instructions, on matrices shorter and longer than a vector: near nalgebra, and the same
-    /// bits as with the least instructions.
+    /// All kernels with all instruction sets, on matrices shorter and longer than a vector: close to nalgebra, and
+    /// equal to the bit with the least instruction set.
     #[test]
     fn every_level_agrees_with_nalgebra_and_to_the_bit_with_the_first() {
         for n in 1..=29 {
@@ -621,7 +622,7 @@ mod tests {
                 let b = DMatrix::from_fn(n, n + 2, |i, j| ((7 * i + 3 * j + i * j) as f64).sin());
                 let a = &b * b.transpose() + DMatrix::identity(n, n);
                 let x = DVector::from_fn(n, |i, _| (i as f64).cos());
-                // Sums of n + 2 terms below 1, and a condition below 1e3.
+                // Sums of n + 2 terms below 1, and a condition number below 1e3.
                 let tolerance = 1e-11;
 
                 let mut l = a.clone();

@@ -4,16 +4,16 @@
 //! minimise  ½ xᵀ H x + gᵀ x   subject to   lower ≤ x ≤ upper,   Cᵀ x ≤ limit,     H symmetric positive definite
 //! ```
 //!
-//! Without rows `C` this is the box problem of a flying robot; a standing one has rows for its feet.
+//! Without rows `C` this is the box-constrained problem of flight; standing adds rows for the feet.
 //!
-//! * [`PrimalActiveSet`]: boxes; warm started, exact, without allocation. The method of a flying tick.
-//! * [`DualActiveSet`]: boxes and rows; from scratch, exact, without allocation. The method of a standing
-//!   tick, and the second one for boxes.
-//! * `ClarabelSolver` (feature `clarabel`): an interior-point method that shares nothing with them but the
-//!   data. It allocates; tests compare with it, and a configuration may choose it.
+//! * [`PrimalActiveSet`]: boxes; warm started, exact, without allocation. Used in flight.
+//! * [`DualActiveSet`]: boxes and rows; cold start, exact, without allocation. Used while standing, and second
+//!   for boxes.
+//! * `ClarabelSolver` (feature `clarabel`): an interior-point method, independent of the other two. It
+//!   allocates; tests compare with it, and a configuration may select it.
 //!
-//! Every answer is checked: each [`QpAnswer`] carries its [`kkt_residual`], computed from the problem
-//! alone, and a [`QpChain`] tries its methods in order until one of them is certified.
+//! Every answer is checked: each [`QpAnswer`] has its [`kkt_residual`], computed from the problem alone, and a
+//! [`QpChain`] tries its methods in order until one gives a certified answer.
 
 mod certificate;
 mod chain;
@@ -32,14 +32,15 @@ pub use dual::DualActiveSet;
 pub use primal::{PASSES_PER_VARIABLE, PrimalActiveSet, WarmStart};
 pub use problem::QpProblem;
 
-/// A method that solves problems of one size.
+/// A solver for problems of one size.
 pub trait QpSolver {
     /// Solves `qp`; the minimiser is then in [`QpSolver::x`].
     ///
-    /// Total: any data give a status. `x` keeps its value where the status says that there is no answer.
+    /// Any data result in a status without a panic. `x` keeps its value if the status says that there is no
+    /// answer.
     fn solve(&mut self, qp: &QpProblem) -> QpAnswer;
 
-    /// The last answer, inside the bounds of its problem. Zero before the first solve.
+    /// The last answer, within the bounds of its problem; zero before the first solve.
     fn x(&self) -> &[f64];
 
     /// Multipliers of the rows in the last answer.

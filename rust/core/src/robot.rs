@@ -1,7 +1,8 @@
 //! The robot: a tree of rigid bodies with named frames, checked when it is read and constant from then on.
 //!
-//! Body 0 is the floating base; joint `i` moves body `i + 1`. Every joint stands after its ancestors:
-//! then a loop over bodies goes from the base outwards, and the same loop backwards from the tips inwards. [`check`] holds what the numbers of a robot must satisfy.
+//! Body 0 is the floating base; joint `i` moves body `i + 1`. Every joint comes after its ancestors, so a loop over the
+//! bodies proceeds from the base to the tips, and in reverse from the tips to the base. [`check`] has the conditions on
+//! a robot's numbers.
 
 pub mod check;
 
@@ -21,7 +22,7 @@ pub struct RobotModel {
     pub bodies: Vec<Body>,
     /// Joints, in the order of every joint vector.
     pub joints: Vec<Joint>,
-    /// Groups of joints; together they hold every joint once, in order.
+    /// Groups of joints; together they contain every joint once, in order.
     pub groups: Vec<JointGroup>,
     /// Links on which aerodynamic force acts, in the order of every aerodynamic table.
     pub aero_links: Vec<AeroLink>,
@@ -31,7 +32,7 @@ pub struct RobotModel {
     pub feet: Vec<Foot>,
     /// Engine models by name, also those that no jet uses.
     pub engines: BTreeMap<String, EngineCoefficients>,
-    /// Strength of gravity, a positive number \[m/s²\]; it pulls along −z of the inertial frame.
+    /// Magnitude of gravity \[m/s²\]; it acts along −z of the inertial frame.
     pub gravity: f64,
 }
 
@@ -42,20 +43,20 @@ impl RobotModel {
         self.bodies.iter().map(|body| body.mass).sum()
     }
 
-    /// Place of a joint in every joint vector.
+    /// Index of a joint in every joint vector.
     #[must_use]
     pub fn joint_index(&self, name: &str) -> Option<usize> {
         self.joints.iter().position(|joint| joint.name == name)
     }
 
-    /// Place of a body in [`RobotModel::bodies`].
+    /// Index of a body in [`RobotModel::bodies`].
     #[must_use]
     pub fn body_index(&self, name: &str) -> Option<usize> {
         self.bodies.iter().position(|body| body.name == name)
     }
 }
 
-/// A rigid body: everything a joint moves, fixed links merged.
+/// A rigid body: all links that one joint moves, with fixed links merged.
 #[derive(Debug, Clone)]
 pub struct Body {
     /// Name of the link at the body's origin.
@@ -70,36 +71,36 @@ pub struct Body {
     pub inertia_b: Matrix3<f64>,
 }
 
-/// How a joint moves its child.
+/// Type of a joint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum JointKind {
-    /// Turns it about the axis; positions in rad, torques in N m.
+    /// Rotation about the axis; positions in rad, torques in N m.
     Revolute,
-    /// Shifts it along the axis; positions in m, "torques" are forces in N.
+    /// Translation along the axis; positions in m, "torques" are forces in N.
     Prismatic,
 }
 
 /// A joint with one degree of freedom; its child frame is the frame of the body it moves.
 ///
-/// Units below are those of a revolute joint; of a prismatic one m stands for rad and N for N m.
+/// Units below are those of a revolute joint; for a prismatic joint replace rad by m and N m by N.
 #[derive(Debug, Clone)]
 pub struct Joint {
     /// Name.
     pub name: String,
-    /// How it moves its child.
+    /// Revolute or prismatic.
     pub kind: JointKind,
     /// Pose of the child body in the parent body at joint position zero.
     pub parent_from_child: Pose,
-    /// Axis of the motion in child axes (the same in both at position zero).
+    /// Axis of motion in child axes; at position zero it has the same direction in the parent body.
     pub axis_b: Unit<Vector3<f64>>,
-    /// Limits the controller respects, `(lower, upper)` \[rad\].
+    /// Limits that the controller observes, `(lower, upper)` \[rad\].
     pub limits: (f64, f64),
-    /// Where the joint meets its stops \[rad\]: the range of the URDF, widened to that of the controller;
-    /// infinite where it has none.
+    /// Positions of the mechanical stops \[rad\]: the range of the URDF, widened to that of the controller; infinite if
+    /// there are none.
     pub stops: (f64, f64),
     /// Greatest torque \[N m\].
     pub torque_max: f64,
-    /// Greatest rate of the torque \[N m/s\]; infinite where nothing limits it.
+    /// Greatest rate of the torque \[N m/s\]; infinite if there is no limit.
     pub torque_rate_max: f64,
     /// Greatest velocity \[rad/s\].
     pub velocity_max: f64,
@@ -130,7 +131,7 @@ pub struct AxisymmetricCoefficients {
 /// A link on which aerodynamic force acts.
 #[derive(Debug, Clone)]
 pub struct AeroLink {
-    /// Name of the link, as in plots and tables.
+    /// Name of the link, as in figures and tables.
     pub name: String,
     /// Its frame.
     pub frame: Frame,
@@ -142,7 +143,7 @@ pub struct AeroLink {
     pub diameter: f64,
     /// Length along the axis \[m\].
     pub length: f64,
-    /// Whether the link is a sphere to the sphere/cylinder model.
+    /// Whether the sphere and cylinder model treats the link as a sphere.
     pub is_sphere: bool,
     /// Coefficient sets by name (`published`, `corrected`, `signed`, `alternative`, ...).
     pub coefficients: BTreeMap<String, AxisymmetricCoefficients>,
@@ -163,7 +164,7 @@ pub struct Jet {
     pub engine: String,
 }
 
-/// Second-order model of an engine: thrust `T` \[N\] under throttle `u` in percent.
+/// Second-order model of an engine with thrust `T` \[N\] and throttle `u` in percent.
 ///
 /// ```text
 /// T̈ = k_t T + k_tt T² + k_d Ṫ + k_dd Ṫ² + k_td T Ṫ + c + (b_u + b_t T + b_d Ṫ)(u + b_uu u²)
@@ -180,13 +181,13 @@ pub struct EngineCoefficients {
     pub k_d: f64,
     /// Quadratic damping \[1/N\].
     pub k_dd: f64,
-    /// Damping that grows with thrust \[1/(N s)\].
+    /// Damping proportional to thrust \[1/(N s)\].
     pub k_td: f64,
     /// Gain of the throttle \[N/s² per percent\].
     pub b_u: f64,
-    /// Gain that grows with thrust \[1/s² per percent\].
+    /// Gain proportional to thrust \[1/s² per percent\].
     pub b_t: f64,
-    /// Gain that grows with the thrust rate \[1/s per percent\].
+    /// Gain proportional to the thrust rate \[1/s per percent\].
     pub b_d: f64,
     /// Curvature of the throttle \[1/percent\].
     pub b_uu: f64,
@@ -220,7 +221,7 @@ impl Foot {
     }
 }
 
-/// Joints plotted together, as indices.
+/// Joints that are plotted together.
 #[derive(Debug, Clone)]
 pub struct JointGroup {
     /// Name of the group.

@@ -1,13 +1,13 @@
 //! Rotations, poses and the small matrices of rigid-body kinematics.
 //!
-//! Transforms are named `a_from_b`: `p_a = a_from_b * p_b`. Frames are a suffix: `_i` inertial,
-//! `_b` body. The order of a quaternion is `wxyz` everywhere, and used in this file alone.
+//! Transforms are named `a_from_b`: `p_a = a_from_b * p_b`. Suffixes name frames: `_i` inertial, `_b` body.
+//! Quaternions have the order `wxyz` and are used in this file only.
 //!
 //! Equations M1 to M5 of `docs/model.md`.
 
 use nalgebra::{Matrix3, Quaternion, Rotation3, Unit, UnitQuaternion, Vector3, Vector6};
 
-/// Beyond this no number of a robot's motion or thrust is one, measured or wanted \[m, rad, s, N\].
+/// Greatest magnitude of a plausible position, velocity, time or thrust, measured or commanded \[m, rad, s, N\].
 pub(crate) const GREATEST: f64 = 1e6;
 
 /// A rigid transform `a_from_b`: rotation of frame b in frame a, and b's origin in a \[m\].
@@ -20,7 +20,7 @@ pub struct Pose {
 }
 
 impl Pose {
-    /// The transform that changes nothing.
+    /// The identity transform.
     #[must_use]
     pub fn identity() -> Self {
         Self { rotation: Matrix3::identity(), position: Vector3::zeros() }
@@ -41,7 +41,7 @@ impl std::ops::Mul for Pose {
     }
 }
 
-/// Linear and angular part of six numbers: of a wrench, force and moment.
+/// Linear and angular part of a six-vector; for a wrench, force and moment.
 #[must_use]
 pub fn parts(six: &Vector6<f64>) -> (Vector3<f64>, Vector3<f64>) {
     (six.fixed_rows::<3>(0).into(), six.fixed_rows::<3>(3).into())
@@ -66,14 +66,14 @@ pub fn exp_so3(phi: &Vector3<f64>) -> Matrix3<f64> {
     if angle > 0.0 { axis_angle(&(phi / angle), angle) } else { Matrix3::identity() }
 }
 
-/// Angle of a rotation \[rad\], in `[0, π]`; exact near both ends (no `acos`).
+/// Angle of a rotation \[rad\], in `[0, π]`; accurate near both ends, because it does not use `acos`.
 #[must_use]
 pub fn rotation_angle(r: &Matrix3<f64>) -> f64 {
     libm::atan2(vee_of_skew_part(r).norm(), 0.5 * (r.trace() - 1.0))
 }
 
-/// Rotation vector \[rad\] of a rotation by less than half a turn: inverse of [`exp_so3`]. Exact near the
-/// identity, where an `acos` leaves half of the digits.
+/// Rotation vector \[rad\] of a rotation by less than half a turn: inverse of [`exp_so3`]. Accurate near the
+/// identity, where `acos` would lose half of the digits.
 #[must_use]
 pub fn log_so3(r: &Matrix3<f64>) -> Vector3<f64> {
     let along = vee_of_skew_part(r);
@@ -124,17 +124,17 @@ pub fn rotation_from_rpy(rpy: &Vector3<f64>) -> Matrix3<f64> {
 pub fn rpy_from_rotation(r: &Matrix3<f64>) -> Vector3<f64> {
     let cos_pitch = libm::hypot(r.m11, r.m21);
     let pitch = libm::atan2(-r.m31, cos_pitch);
-    // There rounding moves roll and yaw by as much as the attitude moves without them.
+    // Here the rounding errors of roll and yaw are as large as the error of setting roll to zero.
     if cos_pitch < f64::EPSILON.sqrt() {
         return Vector3::new(0.0, pitch, libm::atan2(-r.m12, r.m22));
     }
     Vector3::new(libm::atan2(r.m32, r.m33), pitch, libm::atan2(r.m21, r.m11))
 }
 
-/// Nearest rotation to a matrix that is already close to one.
+/// Projects a matrix that is close to a rotation onto SO(3).
 ///
-/// Two Newton–Schulz steps `R ← R (3 I − RᵀR)/2` towards the polar factor: an orthonormality error
-/// ε becomes O(ε⁴).
+/// Two Newton–Schulz steps `R ← R (3 I − RᵀR)/2` towards the polar factor: an orthonormality error ε becomes
+/// O(ε⁴).
 #[must_use]
 pub fn project_to_so3(near: &Matrix3<f64>) -> Matrix3<f64> {
     let mut r = *near;
@@ -144,7 +144,7 @@ pub fn project_to_so3(near: &Matrix3<f64>) -> Matrix3<f64> {
     r
 }
 
-/// Rotation of a quaternion `wxyz`, normalised first.
+/// Rotation of a quaternion `wxyz`, which is normalised first.
 #[must_use]
 pub fn rotation_from_wxyz(wxyz: &[f64; 4]) -> Matrix3<f64> {
     let q = Quaternion::new(wxyz[0], wxyz[1], wxyz[2], wxyz[3]);
@@ -159,13 +159,13 @@ pub fn wxyz_from_rotation(r: &Matrix3<f64>) -> [f64; 4] {
     [sign * q.w, sign * q.i, sign * q.j, sign * q.k]
 }
 
-/// Largest deviation of `RᵀR` from the identity: how far a matrix is from a rotation.
+/// Largest deviation of `RᵀR` from the identity.
 #[must_use]
 pub fn orthonormality_error(r: &Matrix3<f64>) -> f64 {
     (r.transpose() * r - Matrix3::identity()).amax()
 }
 
-/// Whether a matrix is a rotation to six digits; a matrix that holds a NaN is none.
+/// Whether a matrix is a rotation to six digits; false if it contains a NaN.
 #[must_use]
 pub fn is_rotation(r: &Matrix3<f64>) -> bool {
     r.iter().all(|x| x.is_finite()) && orthonormality_error(r) < 1e-6 && r.determinant() > 0.0

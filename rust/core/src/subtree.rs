@@ -1,13 +1,13 @@
-//! Forces at points of bodies, summed over the subtree that each joint moves.
+//! Forces at points of bodies, summed over the subtree of each joint.
 //!
-//! One pass from the tips to the base gives what would otherwise take a Jacobian for each point. With `r` from the
-//! origin of the base, `F = Σ f` and `E = Σ r fᵀ` over a subtree, and `M = Σ r × f` from the antisymmetric part of `E`,
-//! a unit rate of its joint, which moves it with `ω` and, at the origin of the base, with `v_o`, gives
+//! One pass from the tips to the base replaces a Jacobian for each point. With `r` from the base origin, `F = Σ f`,
+//! `E = Σ r fᵀ` and `M = Σ r × f` (from the antisymmetric part of `E`) are sums over a subtree. A unit rate of its
+//! joint moves the subtree with the angular velocity `ω` and, at the base origin, the velocity `v_o`; then
 //!
 //! ```text
 //! Σ f · v              = F · v_o + M · ω                      Jᵀ f
-//! Σ f × v              = F × v_o + tr(E) ω − E ω              a force that keeps its direction moves
-//! Σ f × v + r × (f × ω) = F × v_o + M × ω                      a force that turns with its body moves
+//! Σ f × v              = F × v_o + tr(E) ω − E ω              moving force of constant direction
+//! Σ f × v + r × (f × ω) = F × v_o + M × ω                      moving force that turns with its body
 //! ```
 //!
 //! Equations M27, M51 and M52 of `docs/model.md`.
@@ -22,33 +22,33 @@ use nalgebra::{DVector, Matrix3, Vector3};
 pub struct Load {
     /// `F = Σ f` \[N\].
     pub force: Vector3<f64>,
-    /// `E = Σ r fᵀ` about the origin of the base \[N m\].
+    /// `E = Σ r fᵀ` about the base origin \[N m\].
     pub dyad: Matrix3<f64>,
 }
 
 impl Load {
-    /// `M = Σ r × f` about the origin of the base \[N m\].
+    /// `M = Σ r × f` about the base origin \[N m\].
     #[must_use]
     pub fn moment(&self) -> Vector3<f64> {
         -2.0 * vee_of_skew_part(&self.dyad)
     }
 }
 
-/// The loads of all subtrees; preallocated, refilled by [`SubtreeLoads::update`].
+/// The loads of all subtrees; preallocated, recomputed by [`SubtreeLoads::update`].
 #[derive(Debug, Clone)]
 pub struct SubtreeLoads {
-    /// By the body that a subtree begins with.
+    /// Indexed by the first body of the subtree.
     loads: Vec<Load>,
 }
 
 impl SubtreeLoads {
-    /// Space for the subtrees of `robot`.
+    /// Allocates for the subtrees of `robot`.
     #[must_use]
     pub fn new(robot: &RobotModel) -> Self {
         Self { loads: vec![Load::default(); robot.bodies.len()] }
     }
 
-    /// Sums forces, each on a body at a point: `(body, point_i, force_i)` \[m, N, inertial axes\].
+    /// Sums forces `(body, point_i, force_i)`, each on a body at a point \[m, N, inertial axes\].
     pub fn update(
         &mut self,
         robot: &RobotModel,
@@ -76,7 +76,7 @@ impl SubtreeLoads {
         &self.loads[0]
     }
 
-    /// Visits every entry of ν with what it moves: `visit(column, load, v_o, ω)`.
+    /// Visits every entry of ν with the load that it moves: `visit(column, load, v_o, ω)`.
     #[inline]
     pub fn visit(
         &self,

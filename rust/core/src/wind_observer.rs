@@ -1,16 +1,16 @@
 //! Wind estimate from the wrench that acts on the robot, by inverting an aerodynamic model.
 //!
 //! ```text
-//! dẑ/dt = K_o (L̇ − A_T T − A_c f_c + m g e₃ − ẑ)         the wrench of everything but jets, feet and weight
+//! dẑ/dt = K_o (L̇ − A_T T − A_c f_c + m g e₃ − ẑ)         wrench without jets, feet and weight
 //! ẑ_f = Σ f_j(v_w) + noise + e,  dv_w = random walk       an extended Kalman filter, e constant
 //! ```
 //!
-//! Errors `e` that last do not average out: they are no unknowns of the filter, but considered in what it says of its
-//! uncertainty, as far as the estimate depends on them (Schmidt's filter). How large those of the model are is seen in
-//! the moment, which no wind of the estimate explains.
+//! The lasting errors `e` do not average out. They are not estimated, but the uncertainty of the estimate includes
+//! their effect on it (Schmidt's filter). The magnitude of the model's errors follows from the part of the moment that
+//! the estimated wind does not explain.
 //!
-//! It reads what a tick computed, and the next tick is given its wind. A robot that
-//! stands upright gets little force from a vertical wind, which is therefore held near zero by what is known of winds.
+//! The observer reads the results of a tick, and the next tick uses its wind. On an upright robot a vertical wind
+//! causes little force; the vertical component is therefore held near zero by the prior of vertical winds.
 //!
 //! Equations M94 and M110 of `docs/model.md`.
 
@@ -23,44 +23,43 @@ use crate::spatial::parts;
 use nalgebra::{Matrix3, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 
-/// Step of the differences that make the Jacobian \[m/s\]: large against the rounding of a network, small against winds
-/// that matter.
+/// Step of the differences for the Jacobian \[m/s\]: large compared with the rounding of a network, small compared with
+/// relevant winds.
 const DIFFERENCE: f64 = 0.1;
 
 /// Time over which the unexplained moment is averaged \[s\].
 const MEMORY: f64 = 2.0;
 
-/// Greatest wrench that is estimated from \[N, N m\].
+/// Greatest magnitude of the observed wrench \[N, N m\].
 const GREATEST: f64 = 1e4;
 
-/// How the wind is estimated.
+/// Parameters of the wind estimation.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct WindObserverConfig {
-    /// How fast the acting force is observed, `K_o` \[1/s\].
+    /// Gain `K_o` with which the acting force is observed \[1/s\].
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub gain: f64,
-    /// How fast a horizontal wind changes: standard deviation after one second \[m/s\].
+    /// Rate of change of a horizontal wind: standard deviation after one second \[m/s\].
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub walk: f64,
     /// Standard deviation of vertical winds \[m/s\].
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub vertical_std: f64,
-    /// Time over which vertical winds are like themselves \[s\].
+    /// Correlation time of vertical winds \[s\].
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub vertical_time: f64,
     /// Standard deviation of the noise of the observed force, by axis \[N\].
     #[cfg_attr(feature = "schema", schemars(extend("items" = { "type": "number", "format": "double", "exclusiveMinimum": 0 })))]
     pub force_noise: [f64; 3],
-    /// Standard deviation of errors of the force that last: of mass, thrusts and attitude \[N\].
+    /// Standard deviation of lasting errors of the force: of mass, thrusts and attitude \[N\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub force_std: f64,
-    /// The same of the model's force, as a fraction of the observed one.
+    /// Standard deviation of lasting errors of the aerodynamic model, as a fraction of the observed force.
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub relative_std: f64,
-    /// Lever arm of the model's errors: over it the moment that the model does not explain is a force that it does not
-    /// explain either \[m\].
+    /// Lever arm that converts an unexplained moment to an unexplained force of the model \[m\].
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub moment_arm: f64,
 }
@@ -81,7 +80,7 @@ impl Default for WindObserverConfig {
 }
 
 impl WindObserverConfig {
-    /// Refuses numbers that mean nothing.
+    /// Checks that every value is in its range.
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
@@ -99,7 +98,7 @@ impl WindObserverConfig {
     }
 }
 
-/// Estimates the wind, in the space it works in; its state is a [`WindState`].
+/// Observer of the wind, with its workspace; its state is a [`WindState`].
 #[derive(Debug, Clone)]
 pub struct WindObserver {
     config: WindObserverConfig,
@@ -108,26 +107,26 @@ pub struct WindObserver {
     link_forces: LinkForces,
 }
 
-/// The estimate from one tick to the next.
+/// State of the wind estimate, kept from tick to tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WindState {
     wrench: ObserverState,
     wind: Vector3<f64>,
-    /// Of the estimate, without errors that last.
+    /// Covariance of the estimate, without lasting errors.
     covariance: Matrix3<f64>,
-    /// What a newton of force that lasts does to the estimate \[m/s/N\].
+    /// Sensitivity of the estimate to a lasting force \[m/s/N\].
     sensitivity: Matrix3<f64>,
-    /// Variance of the errors that last \[N²\].
+    /// Variance of the lasting errors \[N²\].
     lasting: f64,
-    /// Mean square of the moment that the model does not explain \[N² m²\].
+    /// Mean square of the unexplained moment \[N² m²\].
     unexplained: f64,
 }
 
 impl WindObserver {
-    /// An estimator with a model of the robot and of the air, updated about every `time_step` \[s\].
+    /// Builds an observer with models of the robot and of its aerodynamics, updated about every `time_step` \[s\].
     ///
     /// # Errors
-    /// As [`WindObserverConfig::check`]; also for a model of the air without forces.
+    /// As [`WindObserverConfig::check`]; also for an aerodynamic model without forces.
     pub fn new(
         config: &WindObserverConfig,
         robot: RobotModel,
@@ -142,8 +141,8 @@ impl WindObserver {
         Ok(Self { config: *config, link_forces: LinkForces::new(&robot), robot, aero })
     }
 
-    /// The state before the first tick: no wind, give or take what a second of the random walk and the vertical winds
-    /// make of it.
+    /// State before the first tick: zero wind, with the covariance of one second of the random walk and of the vertical
+    /// winds.
     #[must_use]
     pub fn start(&self) -> WindState {
         let Self { config, .. } = self;
@@ -158,7 +157,7 @@ impl WindObserver {
         }
     }
 
-    /// Takes in what a tick of the controller computed. Where the momentum was not measured nothing is corrected.
+    /// Updates the estimate with the results of a tick; there is no correction if the momentum is not measured.
     pub fn update(&mut self, state: &mut WindState, terms: &Terms) {
         let step = terms.seen.elapsed;
         self.predict(state, step);
@@ -180,7 +179,7 @@ impl WindObserver {
         self.correct(state, terms, &observed, step);
     }
 
-    /// Horizontal winds wander, vertical ones return.
+    /// Prediction: random walk of the horizontal wind, decay of the vertical wind.
     fn predict(&self, state: &mut WindState, step: f64) {
         let config = &self.config;
         let kept = libm::exp(-step / config.vertical_time);
@@ -208,7 +207,7 @@ impl WindObserver {
         let lasting = config.force_std * config.force_std
             + config.relative_std * config.relative_std * observed.0.norm_squared()
             + unexplained / (config.moment_arm * config.moment_arm);
-        // So many measurements as a time constant of the observer are one.
+        // The ticks of one time constant of the observer count as one measurement.
         let together = (1.0 / (config.gain * step)).max(1.0);
         let error = Vector3::from(config.force_noise).map(|std| together * std * std);
         let innovation = jacobian * state.covariance * jacobian.transpose() + Matrix3::from_diagonal(&error);
@@ -218,7 +217,7 @@ impl WindObserver {
         let gain = state.covariance * jacobian.transpose() * inverse;
         let wind = state.wind + gain * (observed.0 - modelled.0);
         let kept = Matrix3::identity() - gain * jacobian;
-        // Joseph's form: symmetric and positive whatever rounding does.
+        // Joseph's form remains symmetric and positive semidefinite under rounding.
         let covariance = kept * state.covariance * kept.transpose()
             + gain * Matrix3::from_diagonal(&error) * gain.transpose();
         let sensitivity = kept * state.sensitivity + gain;
@@ -229,7 +228,7 @@ impl WindObserver {
         }
     }
 
-    /// Force and moment about the centre of mass of the air in a wind.
+    /// Aerodynamic force and moment about the centre of mass in a wind.
     fn wrench_in(&mut self, terms: &Terms, wind_i: &Vector3<f64>) -> (Vector3<f64>, Vector3<f64>) {
         let Self { robot, aero, link_forces, .. } = self;
         link_forces.update(robot, &terms.kinematics, LinkConventions::default(), aero, wind_i);
@@ -238,18 +237,18 @@ impl WindObserver {
 }
 
 impl WindState {
-    /// A tick whose momentum is not measured: there is nothing to compare the next one with.
+    /// Discards the last sample: for a tick whose momentum is not measured.
     pub(crate) fn hold(&mut self) {
         self.wrench.hold();
     }
 
-    /// The wind \[m/s, inertial axes\].
+    /// Estimated wind \[m/s, inertial axes\].
     #[must_use]
     pub fn wind(&self) -> Vector3<f64> {
         self.wind
     }
 
-    /// Its standard deviation along each axis \[m/s\].
+    /// Standard deviation of the estimate along each axis \[m/s\].
     #[must_use]
     pub fn std(&self) -> Vector3<f64> {
         let considered = self.covariance + self.lasting * self.sensitivity * self.sensitivity.transpose();

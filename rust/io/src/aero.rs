@@ -9,26 +9,26 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
-/// Which aerodynamic model, and its numbers: one file of `configs/aero/`.
+/// Selection and parameters of an aerodynamic model: one file of `configs/aero/`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "model", rename_all = "snake_case", deny_unknown_fields)]
 pub enum AeroConfig {
     /// No aerodynamic force.
-    // Braces, because serde lets unknown keys pass beside a bare name.
+    // With braces, because serde accepts unknown keys after a unit variant.
     Off {},
-    /// Fitted force areas of axisymmetric links.
+    /// Axisymmetric links with fitted force areas.
     Axisymmetric(AxisymmetricConfig),
-    /// Literature drag of spheres and finite cylinders.
+    /// Spheres and finite cylinders with drag coefficients from the literature.
     SphereCylinder(Box<SphereCylinderConfig>),
-    /// A neural network of wind and posture.
+    /// A neural network whose inputs are wind and posture.
     Network(NetworkConfig),
 }
 
-/// Which network, and how it is evaluated.
+/// Selection of a network and its evaluation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NetworkConfig {
-    /// The network's JSON card; the weights lie beside it.
+    /// The network's JSON card; the weights are in the same folder.
     #[schemars(extend("format" = "path"))]
     pub card: PathBuf,
     /// Precision of the weighted sums.
@@ -39,7 +39,7 @@ pub struct NetworkConfig {
     pub air_density: f64,
 }
 
-/// The model that `config` asks for, for the links of `robot`.
+/// Builds the configured model for the links of `robot`.
 ///
 /// # Errors
 /// [`BuildError`] naming the link, table or file, the value, and what was expected.

@@ -12,15 +12,15 @@ use serde::{Deserialize, Serialize};
 pub struct ControllerSection {
     /// The controller's own aerodynamic model; `off` is the baseline controller.
     pub aero: AeroConfig,
-    /// The control law; its keys stand beside `aero`.
+    /// The control law; its keys are at the same level as `aero`.
     #[serde(flatten)]
     pub law: ControllerConfig,
 }
 
-/// A controller of `robot` that ticks every `time_step` \[s\].
+/// Builds a controller of `robot` with the tick `time_step` \[s\].
 ///
 /// # Errors
-/// [`BuildError`] naming the file, or what does not fit the robot.
+/// [`BuildError`] naming the file, or the item that does not match the robot.
 pub fn load_controller(
     robot: RobotModel,
     controller: &ControllerSection,

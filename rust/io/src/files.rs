@@ -1,18 +1,18 @@
-//! Reads all files: first those held in memory, then those on the disk.
+//! Reads all files: from memory if held there, otherwise from the disk.
 //!
-//! A program without a disk (a page in a browser) holds every file it needs under a relative path.
+//! A program without a disk (a web page) holds every file it needs under a relative path.
 
 use flight_core::BuildError;
 use std::collections::BTreeMap;
 use std::path::{Component, Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
 
-/// Longest file that is read \[bytes\].
+/// Greatest length of a file \[bytes\].
 const MAX_LENGTH: u64 = 64 * 1024 * 1024;
 
 static HELD: RwLock<BTreeMap<PathBuf, Arc<[u8]>>> = RwLock::new(BTreeMap::new());
 
-/// Holds a file in memory, for the whole program and as long as it runs; it is found instead of one on the disk.
+/// Holds a file in memory until the program ends; it takes precedence over one on the disk.
 pub fn hold(path: &Path, bytes: Vec<u8>) {
     HELD.write().unwrap_or_else(PoisonError::into_inner).insert(normal(path), bytes.into());
 }
@@ -21,10 +21,10 @@ fn held(path: &Path) -> Option<Arc<[u8]>> {
     HELD.read().unwrap_or_else(PoisonError::into_inner).get(&normal(path)).cloned()
 }
 
-/// Bytes of a regular file.
+/// Returns the bytes of a regular file.
 ///
 /// # Errors
-/// [`BuildError`] naming the file, also for a device, a pipe, or more than 64 MiB.
+/// [`BuildError`] naming the file, also for a device, a pipe, or a file of more than 64 MiB.
 pub fn read_bytes(path: &Path) -> Result<Arc<[u8]>, BuildError> {
     if let Some(bytes) = held(path) {
         return Ok(bytes);
@@ -37,16 +37,16 @@ pub fn read_bytes(path: &Path) -> Result<Arc<[u8]>, BuildError> {
     std::fs::read(path).map(Arc::from).map_err(|source| unreadable(path, source))
 }
 
-/// Text of a file, as [`read_bytes`].
+/// Returns the text of a file, as [`read_bytes`].
 ///
 /// # Errors
-/// [`BuildError`] naming the file, also where it is no UTF-8.
+/// [`BuildError`] naming the file, also if it is not UTF-8.
 pub fn read_text(path: &Path) -> Result<String, BuildError> {
     String::from_utf8(read_bytes(path)?.to_vec())
         .map_err(|error| BuildError::malformed(path.display().to_string(), error))
 }
 
-/// The path by which a file is known wherever it is named.
+/// Canonical path, which identifies a file wherever it is named.
 ///
 /// # Errors
 /// [`BuildError`] naming a file that does not exist.

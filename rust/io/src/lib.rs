@@ -1,12 +1,12 @@
-//! Files of a flight: each `load_*` function turns paths and tables into the values that
-//! [`flight_core`] is built from.
+//! Files of a flight: each `load_*` function converts paths and tables to the values from which
+//! [`flight_core`] is built.
 //!
 //! ```text
 //! robot.toml + URDF ──load_robot──► RobotModel        AeroConfig ──load_aero──► AeroModel
 //! MissionConfig ──load_mission──► Mission             all of them ──load_controller──► Controller
 //! ```
 //!
-//! [`toml`] reads the TOML files and what they build on; [`files`] reads whatever is read.
+//! [`toml`] reads TOML files with their base files; [`files`] reads the bytes of every file.
 
 #![forbid(unsafe_code)]
 

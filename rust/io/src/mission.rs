@@ -1,7 +1,7 @@
 //! Missions: tables of commands, and recorded references read from CSV files.
 //!
-//! A file has a header line and one line per sample: the first 7, 10, 13 or 16 of the names in
-//! [`COLUMNS`]. Derivatives that are left out are differences of what is there.
+//! A file has a header line and one line for each sample: the first 7, 10, 13 or 16 of the names in [`COLUMNS`].
+//! Missing derivatives are computed by differences.
 
 use crate::read_text;
 use flight_core::BuildError;
@@ -11,8 +11,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// Names of the columns: time, centre of mass, attitude of the base, and then, where they are known,
-/// velocity, acceleration and jerk of the centre of mass.
+/// Names of the columns: time, centre of mass, attitude of the base and, optionally, velocity, acceleration and
+/// jerk of the centre of mass.
 pub const COLUMNS: [&str; 16] =
     ["time", "x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "ax", "ay", "az", "jx", "jy", "jz"];
 
@@ -20,20 +20,20 @@ pub const COLUMNS: [&str; 16] =
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MissionConfig {
-    /// When the autopilot commands what.
+    /// Times of the autopilot's commands.
     #[serde(flatten)]
     pub commands: Commands,
-    /// A recorded reference to fly instead of any command. Relative paths start at the configuration
-    /// file.
+    /// CSV file of a recorded reference, in place of commands. Relative paths start at the configuration file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("format" = "path"))]
     pub file: Option<PathBuf>,
 }
 
-/// The mission of a table; reads its file, if it has one. Commands are checked where set-points are made of them.
+/// Builds the mission of a table and reads its file, if it names one. Commands are checked by the set-point
+/// generator.
 ///
 /// # Errors
-/// [`BuildError`] naming commands beside a file, or the file, the line and what was expected.
+/// [`BuildError`] if there are commands and a file, or naming the file, the line and what was expected.
 pub fn load_mission(config: &MissionConfig) -> Result<Mission, BuildError> {
     let Some(file) = &config.file else { return Ok(Mission::Commands(config.commands.clone())) };
     let mut lists = config.commands.lists().into_iter();
@@ -55,7 +55,7 @@ pub fn load_recording(path: &Path) -> Result<Recording, BuildError> {
     parse_recording(&read_text(path)?, &path.display().to_string())
 }
 
-/// Reads the text of a recorded reference; `origin` is named in errors.
+/// Parses the text of a recorded reference; `origin` is named in errors.
 ///
 /// # Errors
 /// As [`load_recording`].

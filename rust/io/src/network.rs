@@ -9,18 +9,18 @@ use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// The `format` of every card.
+/// Value of `format` in every card.
 const FORMAT: &str = "flight-aero-network";
-/// The `version` understood here.
+/// Supported value of `version`.
 const VERSION: u32 = 1;
 
-/// A JSON card as it is read; unknown keys are refused.
+/// Content of a JSON card; unknown keys are refused.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct CardFile {
     format: String,
     version: u32,
-    /// What people read in tables and figures.
+    /// Name in tables and figures; not used here.
     #[serde(rename = "name")]
     _name: String,
     #[serde(rename = "description")]
@@ -29,16 +29,16 @@ struct CardFile {
     inputs: Inputs,
     output: Output,
     architecture: Architecture,
-    /// How it was trained; for people.
+    /// Record of the training; not used here.
     #[serde(rename = "training")]
     _training: serde_json::Map<String, serde_json::Value>,
 }
 
-/// The file with the numbers.
+/// File of the weights.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Weights {
-    /// Name of the safetensors file beside the card.
+    /// Name of the safetensors file, in the folder of the card.
     file: PathBuf,
     /// SHA-256 of that file in hexadecimal digits.
     sha256: String,
@@ -81,8 +81,8 @@ impl CardFile {
 }
 
 impl Weights {
-    /// The bytes of the weights file beside the card at `card`, if they are those the card was written
-    /// for, and where they were found.
+    /// Reads the weights file in the folder of `card` and checks its hash; returns its path and its
+    /// bytes.
     fn read(&self, card: &Path) -> Result<(PathBuf, Arc<[u8]>), BuildError> {
         let file = card.with_file_name(&self.file);
         let bytes = read_bytes(&file)?;

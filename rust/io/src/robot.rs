@@ -1,9 +1,9 @@
-//! Loads a [`RobotModel`] from a robot's files: names become indices, degrees radians, and unknown keys are refused.
-//! Every value is checked once: its range by the schema of the file, its relation to other values here.
+//! Loads a [`RobotModel`] from a robot's files: names become indices, degrees become radians, and unknown keys are
+//! refused. Every value is checked once: its range by the schema of the file, its relation to other values here.
 //!
-//! The URDF says what the robot is made of; the TOML file beside it says what it is used for: the
-//! order of the joints, where aerodynamic forces and thrusts act, the geometry of the feet. `tree` finds what
-//! moves, `merge` joins what does not, `urdf` converts single values.
+//! The URDF describes the mechanism; the TOML file beside it adds the order of the joints, the points where
+//! aerodynamic forces and thrusts act, and the geometry of the feet. `tree` finds the moving bodies, `merge` merges
+//! links without relative motion, `urdf` converts single values.
 
 mod joints;
 mod merge;
@@ -35,7 +35,7 @@ pub struct RobotFile {
     /// URDF file, relative to this one.
     #[schemars(extend("format" = "path"))]
     urdf: String,
-    /// Link of the URDF whose body floats.
+    /// Link of the URDF that is the floating base.
     base_link: String,
     /// Forward direction in base axes, a unit vector orthogonal to z.
     #[serde(default = "default_forward_axis")]
@@ -44,10 +44,10 @@ pub struct RobotFile {
     #[serde(default = "default_gravity")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     gravity: f64,
-    /// Joints that move, in groups; their order is that of every joint vector.
+    /// Joints that move, in groups; every joint vector has their order.
     #[serde(default)]
     joint_groups: Vec<GroupEntry>,
-    /// Joints held at a position \[rad, m\].
+    /// Joints that are fixed at a position \[rad, m\].
     #[serde(default)]
     locked: BTreeMap<String, f64>,
     /// Links on which aerodynamic force acts.
@@ -67,21 +67,21 @@ pub struct RobotFile {
     feet: Vec<FootEntry>,
 }
 
-/// Forward is base x, as robotics has it by convention (REP 103).
+/// Forward is base x, the convention of robotics (REP 103).
 fn default_forward_axis() -> [f64; 3] {
     [1.0, 0.0, 0.0]
 }
 
-/// Gravity of a robot that does not say \[m/s²\].
+/// Default of gravity \[m/s²\].
 fn default_gravity() -> f64 {
     9.81
 }
 
-/// Joints that are treated and plotted together.
+/// Joints that share a posture gain and a figure.
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct GroupEntry {
-    /// Name of the group, as posture gains and plots name it.
+    /// Name of the group in posture gains and figures.
     name: String,
     /// Its joints.
     joints: Vec<JointEntry>,
@@ -93,20 +93,20 @@ struct GroupEntry {
 struct JointEntry {
     /// Name of the joint in the URDF.
     name: String,
-    /// Of a revolute joint \[deg\]; without them, the limits of the URDF hold.
+    /// Limits of a revolute joint \[deg\]; by default those of the URDF.
     limits_deg: Option<[f64; 2]>,
-    /// Of a prismatic joint \[m\]; without them, the limits of the URDF hold.
+    /// Limits of a prismatic joint \[m\]; by default those of the URDF.
     limits: Option<[f64; 2]>,
-    /// In place of the URDF's effort \[N m, N\].
+    /// Greatest torque or force \[N m, N\]; by default the URDF's effort.
     #[schemars(extend("exclusiveMinimum" = 0))]
     torque_max: Option<f64>,
-    /// Without it, nothing limits the rate \[N m/s, N/s\].
+    /// Greatest rate of the torque or force \[N m/s, N/s\]; unlimited by default.
     #[schemars(extend("exclusiveMinimum" = 0))]
     torque_rate_max: Option<f64>,
-    /// Of a revolute joint, in place of the URDF's velocity \[deg/s\].
+    /// Greatest velocity of a revolute joint \[deg/s\]; by default that of the URDF.
     #[schemars(extend("exclusiveMinimum" = 0))]
     velocity_max_deg: Option<f64>,
-    /// Of a prismatic joint, in place of the URDF's velocity \[m/s\].
+    /// Greatest velocity of a prismatic joint \[m/s\]; by default that of the URDF.
     #[schemars(extend("exclusiveMinimum" = 0))]
     velocity_max: Option<f64>,
 }
@@ -115,7 +115,7 @@ struct JointEntry {
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct AeroEntry {
-    /// Name of the link in tables and plots.
+    /// Name of the link in tables and figures.
     name: String,
     /// Link of the URDF.
     frame: String,
@@ -123,7 +123,7 @@ struct AeroEntry {
     family: String,
     /// Axis of symmetry in link axes, a unit vector.
     axis: [f64; 3],
-    /// Where the force acts, in link axes \[m\].
+    /// Point where the force acts, in link axes \[m\].
     centre: [f64; 3],
     /// Diameter \[m\].
     #[schemars(extend("exclusiveMinimum" = 0))]
@@ -131,7 +131,7 @@ struct AeroEntry {
     /// Length along the axis \[m\].
     #[schemars(extend("exclusiveMinimum" = 0))]
     length: f64,
-    /// Whether the link is a sphere to the sphere/cylinder model.
+    /// Whether the sphere and cylinder model treats the link as a sphere.
     #[serde(default)]
     is_sphere: bool,
 }
@@ -159,13 +159,13 @@ struct JetEntry {
 struct FootEntry {
     /// Name of the foot.
     name: String,
-    /// Link of the URDF: the sole.
+    /// Link of the URDF that is the sole.
     frame: String,
     /// Corners that can touch the ground, in sole axes \[m\].
     vertices: Vec<[f64; 3]>,
 }
 
-/// The texts of a robot's files, as they were read: a manifest hashes them.
+/// Texts of a robot's files as read; a manifest has their hashes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RobotFiles {
     /// The TOML file.
@@ -193,17 +193,17 @@ impl RobotFiles {
         Ok((Self { toml, urdf, origin }, file))
     }
 
-    /// The robot they describe.
+    /// Builds the robot that they describe.
     ///
     /// # Errors
-    /// [`BuildError`] naming the item and its value, for a file that does not parse and for a robot that
-    /// cannot be.
+    /// [`BuildError`] naming the item and its value, for a file that cannot be parsed and for a robot that is
+    /// physically impossible.
     pub fn model(&self) -> Result<RobotModel, BuildError> {
         robot_from_text(&self.toml, &self.urdf, &self.origin)
     }
 }
 
-/// The robot of a TOML text and a URDF text; `origin` is named in errors.
+/// Builds a robot from the texts of its TOML and URDF file; `origin` is named in errors.
 ///
 /// # Errors
 /// As [`RobotFiles::model`].
@@ -211,7 +211,7 @@ pub fn robot_from_text(toml: &str, urdf: &str, origin: &str) -> Result<RobotMode
     build(parse_toml(toml, origin)?, urdf, origin)
 }
 
-/// The robot of a TOML file and the URDF file it names.
+/// Loads a robot from its TOML file and the URDF file that it names.
 ///
 /// # Errors
 /// As [`RobotFiles::read`] and [`RobotFiles::model`].

@@ -1,25 +1,25 @@
-//! JSON Schemas of the configuration, derived from its types, and the validation by them.
+//! JSON Schemas of the configuration, derived from its types, and validation against them.
 //!
-//! The types are the only description of a configuration: an editor completes keys from the schema, the
-//! reference pages are made of it, and [`Schema::check`] names the whole key, the value and what was
-//! expected for everything that does not match. `format = "path"` marks files; the property with a constant
-//! in each alternative says which alternative a table is.
+//! The types are the only definition of a configuration: editors complete keys from the schema, the reference pages
+//! are generated from it, and [`Schema::check`] names full key, value and expectation of everything that does not
+//! match. `format = "path"` marks files. The property that is constant in each alternative determines the
+//! alternative of a table.
 
 use flight_core::BuildError;
 use schemars::JsonSchema;
 use serde_json::{Map, Value};
 
-/// Greatest magnitude of any number: nothing in a flight is so large in its SI unit, and its fourth power, as in the
-/// certificate of a QP, is far from overflow.
+/// Greatest magnitude of any number: all SI values of a flight are smaller, and its fourth power, which occurs in
+/// the certificate of a QP, does not overflow.
 const LARGEST: f64 = 1e9;
 
-/// The schema of one kind of file.
+/// Schema of one kind of file.
 #[derive(Debug, Clone)]
 pub struct Schema {
     root: Value,
 }
 
-/// A place in a schema, with its references followed.
+/// A node of a schema, with references resolved.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Node<'a> {
     root: &'a Value,
@@ -27,13 +27,13 @@ pub(crate) struct Node<'a> {
 }
 
 impl Schema {
-    /// The schema of a type.
+    /// Schema of a type.
     #[must_use]
     pub fn of<T: JsonSchema>() -> Self {
         Self { root: schemars::schema_for!(T).to_value() }
     }
 
-    /// The schema as JSON.
+    /// Schema as JSON.
     #[must_use]
     pub fn json(&self) -> &Value {
         &self.root
@@ -43,7 +43,7 @@ impl Schema {
         Node { root: &self.root, node: &self.root }.followed()
     }
 
-    /// Refuses what does not match.
+    /// Checks that a value matches the schema.
     ///
     /// # Errors
     /// [`BuildError`] naming `origin`, the key, its value and what was expected.
@@ -53,7 +53,7 @@ impl Schema {
 }
 
 impl<'a> Node<'a> {
-    /// This place without references and without `null` beside it.
+    /// Resolves references, and removes `null` alternatives.
     fn followed(self) -> Self {
         let at = |node| Self { root: self.root, node }.followed();
         if let Some(target) = self.node.get("$ref").and_then(Value::as_str) {
@@ -76,7 +76,7 @@ impl<'a> Node<'a> {
         self.node.get("properties").and_then(Value::as_object)
     }
 
-    /// The place of a key of this table, whichever alternative has it.
+    /// Node of a key of this table, in whichever alternative has it.
     pub(crate) fn key(self, key: &str) -> Option<Self> {
         self.alternatives().find_map(|option| {
             let named = option.properties().and_then(|properties| properties.get(key));
@@ -99,18 +99,18 @@ impl<'a> Node<'a> {
         self.node.get("additionalProperties").is_some_and(Value::is_object)
     }
 
-    /// The place of the items of this list, which are of one type.
+    /// Node of the items of this list, which have one type.
     pub(crate) fn item(self) -> Option<Self> {
         let of_tuple = || self.node.get("prefixItems").and_then(|items| items.get(0));
         self.node.get("items").or_else(of_tuple).map(|node| Self { root: self.root, node }.followed())
     }
 
-    /// Whether the text here is a path.
+    /// Whether a text here is a path.
     pub(crate) fn is_path(self) -> bool {
         self.node.get("format").is_some_and(|format| format == "path")
     }
 
-    /// The key that says which alternative a table is, if there are several.
+    /// Key that determines the alternative of a table, if there are several.
     pub(crate) fn discriminant(self) -> Option<&'a str> {
         let first = self.alternatives().next()?.properties()?;
         self.node.get("oneOf")?;
@@ -124,7 +124,7 @@ impl<'a> Node<'a> {
         }
     }
 
-    /// The alternative that a table is.
+    /// Alternative to which a table belongs.
     fn chosen(self, discriminant: &str, value: &Value, key: &str) -> Result<Self, String> {
         let Some(table) = value.as_object() else { return Err(refusal(key, value, "a table")) };
         let place = join(key, discriminant);
@@ -158,7 +158,7 @@ impl<'a> Node<'a> {
             "boolean" => value.is_boolean(),
             "integer" => value.is_i64() || value.is_u64(),
             "number" => value.is_number(),
-            _ => false, // `null`, beside another type: a key that has no value is left out
+            _ => false, // `null` beside another type: a key without value is omitted
         };
         if !kinds.iter().any(matches) {
             return Err(refusal(key, value, &self.expected(kinds[0])));
@@ -185,7 +185,7 @@ impl<'a> Node<'a> {
         }
     }
 
-    /// The names that stand here, if nothing else may.
+    /// The allowed texts, if only these are allowed.
     fn names(self) -> Vec<&'a Value> {
         match self.node.get("enum").and_then(Value::as_array) {
             Some(names) => names.iter().collect(),
@@ -222,7 +222,7 @@ impl<'a> Node<'a> {
         list.iter().enumerate().try_for_each(|(index, value)| item.check(value, &format!("{key}[{index}]")))
     }
 
-    /// What the schema accepts, in words.
+    /// Description of what the schema accepts.
     fn expected(self, kind: &str) -> String {
         let limit = |name: &str| self.node.get(name).filter(|limit| !limit.is_null());
         let words = match kind {
@@ -245,7 +245,7 @@ impl<'a> Node<'a> {
     }
 }
 
-/// A key below another.
+/// Full name of a key in a table.
 pub(crate) fn join(key: &str, name: &str) -> String {
     if key.is_empty() { name.to_owned() } else { format!("{key}.{name}") }
 }
@@ -270,7 +270,7 @@ fn show(value: &Value) -> String {
     value.as_str().map_or_else(|| value.to_string(), str::to_owned)
 }
 
-/// A value as it is shown in a refusal.
+/// A value as displayed in errors.
 fn shortened(value: &Value) -> String {
     let text = value.to_string();
     if text.chars().count() > 80 { text.chars().take(79).chain(['…']).collect() } else { text }

@@ -1,4 +1,4 @@
-//! Reading a safetensors file: eight bytes of length, a JSON table of tensors, then their bytes.
+//! Parser for safetensors files: eight bytes of length, a JSON table of tensors, then their bytes.
 
 use flight_core::BuildError;
 use flight_core::aero::network::{Tensor, Tensors};
@@ -6,24 +6,25 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// A header longer than this is no header.
+/// Greatest length of the header \[bytes\].
 const MAX_HEADER: usize = 1 << 24;
 
-/// What the table says of one tensor.
+/// Entry of the table for one tensor.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Entry {
     dtype: String,
     shape: Vec<usize>,
-    /// First byte, and one past the last, counted from the end of the table.
+    /// First byte, and one past the last, relative to the end of the table.
     data_offsets: [usize; 2],
 }
 
 /// Reads float32 tensors from `bytes`, the content of `path`.
 ///
 /// # Errors
-/// [`BuildError`] for bytes that are no safetensors file, where tensors overlap, leave gaps, or end
-/// elsewhere than the file, and for a tensor of another type or of another size than its shape says.
+/// [`BuildError`] for bytes that are not a safetensors file; for tensors that overlap, leave gaps,
+/// or do not end with the file; and for a tensor of another type than float32, or whose size does
+/// not match its shape.
 pub fn parse(path: &Path, bytes: &[u8]) -> Result<Tensors, BuildError> {
     let origin = path.display().to_string();
     let malformed = |message: String| BuildError::malformed(&origin, message);

@@ -16,12 +16,12 @@ use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 use std::path::Path;
 
-/// How deep `base` files may refer to one another.
+/// Greatest depth of references between `base` files.
 const MAX_DEPTH: usize = 16;
-/// How many files one configuration may consist of.
+/// Greatest number of files of one configuration.
 const MAX_FILES: usize = 256;
 
-/// Reads a file of one kind, and everything it builds on.
+/// Reads a file of one kind with its base files.
 ///
 /// # Errors
 /// [`BuildError`] naming the file that cannot be read or parsed, or the key, its value and what was expected.
@@ -29,7 +29,7 @@ pub fn load<T: DeserializeOwned + JsonSchema>(path: &Path) -> Result<T, BuildErr
     from_value(resolve(path, &Schema::of::<T>())?, &path.display().to_string())
 }
 
-/// A typed configuration from a resolved table; `origin` is named in errors.
+/// Converts a resolved table to a typed configuration; `origin` is named in errors.
 ///
 /// # Errors
 /// [`BuildError::Malformed`] naming the key, its value and what was expected.
@@ -38,15 +38,15 @@ pub fn from_value<T: DeserializeOwned + JsonSchema>(value: Value, origin: &str) 
     serde_json::from_value(value).map_err(|error| BuildError::malformed(origin, error))
 }
 
-/// A typed configuration from the JSON text of a resolved table; `origin` is named in errors.
+/// Converts the JSON text of a resolved table to a typed configuration; `origin` is named in errors.
 ///
 /// # Errors
-/// As [`from_value`], or naming the place where the text is no JSON.
+/// As [`from_value`], or naming the position at which the text is not JSON.
 pub fn from_json<T: DeserializeOwned + JsonSchema>(text: &str, origin: &str) -> Result<T, BuildError> {
     from_value(serde_json::from_str(text).map_err(|error| BuildError::malformed(origin, error))?, origin)
 }
 
-/// Reads a TOML text; numbers that are not finite are refused.
+/// Parses a TOML text; numbers that are not finite are refused.
 ///
 /// # Errors
 /// [`BuildError::Malformed`] naming `origin`, and the line or the key.
@@ -78,8 +78,7 @@ fn json(value: ::toml::Value, key: &str) -> Result<Value, String> {
     })
 }
 
-/// Reads a TOML file and resolves every `base` and path in it, as a schema declares them. Keys are not
-/// judged here.
+/// Reads a TOML file and resolves every `base` and path in it, as declared by a schema. Keys are not checked.
 ///
 /// # Errors
 /// [`BuildError`] naming the file that cannot be read or parsed, or that refers to itself.
@@ -87,7 +86,7 @@ pub fn resolve(path: &Path, schema: &Schema) -> Result<Value, BuildError> {
     Reader { files: 0 }.read(path, Some(schema.root()), 0).map(|table| without_absent(table, schema))
 }
 
-/// As [`resolve`], for a table that is no file yet; its paths start at `folder`.
+/// As [`resolve`], for a table that is not in a file; its paths start at `folder`.
 ///
 /// # Errors
 /// As [`resolve`].
@@ -111,7 +110,7 @@ fn drop_absent(table: &mut Map<String, Value>, node: Node<'_>) {
     }
 }
 
-/// What is read for one configuration.
+/// Reader of the files of one configuration.
 struct Reader {
     files: usize,
 }
@@ -171,10 +170,9 @@ impl Reader {
     }
 }
 
-/// Writes `over` onto `under`; tables merge, everything else is replaced.
+/// Merges `over` into `under`: tables are merged, other values are replaced.
 ///
-/// A table that brings a discriminant of its own replaces the one below it: keys of another alternative
-/// would not be known.
+/// A table with its own discriminant replaces the one below it, because keys of another alternative would be unknown.
 fn lay_over(under: &mut Map<String, Value>, over: Map<String, Value>, node: Option<Node<'_>>) {
     let discriminant = node.and_then(Node::discriminant);
     let kinds = discriminant.map(|key| (under.get(key), over.get(key)));

@@ -1,4 +1,4 @@
-//! Flights by number, and the questions that a page has.
+//! Flights by number, and the requests of a page.
 
 use flight_core::error::BuildError;
 use flight_core::kinematics::{Kinematics, RobotState};
@@ -9,24 +9,24 @@ use serde::Deserialize;
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
-/// Where paths of a page's configuration start.
+/// Folder from which paths in a page's configuration start.
 const FOLDER: &str = "configs/experiments";
 
-/// What a page may ask.
+/// Requests of a page.
 #[derive(Deserialize)]
 #[serde(tag = "ask", rename_all = "snake_case", deny_unknown_fields)]
 enum Question {
-    /// A new flight of a configuration, which may build on the files that are held.
+    /// Creates a flight from a configuration, which may use the files in memory as base files.
     Begin { config: Map<String, Value> },
-    /// Another wind, from the next tick on.
+    /// Changes the wind from the next tick on.
     Wind { flight: usize, wind: Value },
-    /// How a flight ended; before its end, as if it ended now.
+    /// Returns the outcome of a flight; before its end, as if it ended now.
     Result { flight: usize },
-    /// Gives a flight's memory back.
+    /// Frees the memory of a flight.
     End { flight: usize },
 }
 
-/// A flight and what its pose is computed in.
+/// A flight, with the kinematics for its poses.
 struct Held {
     flight: Flight,
     state: RobotState,
@@ -34,14 +34,14 @@ struct Held {
     poses: Vec<f64>,
 }
 
-/// All flights; a flight's number is its place.
+/// All flights; the number of a flight is its index.
 #[derive(Default)]
 pub struct Flights {
     held: Vec<Option<Held>>,
 }
 
 impl Flights {
-    /// The answer to a question: an object, with `refused` in it if there is none.
+    /// Returns the answer to a request: an object, which has `refused` if the request failed.
     pub fn answer(&mut self, question: &[u8]) -> String {
         let question =
             serde_json::from_slice(question).map_err(|error| BuildError::malformed("question", error));
@@ -102,7 +102,7 @@ impl Flights {
         Ok(about)
     }
 
-    /// Flies up to `ticks` ticks; the number of rows in the log.
+    /// Flies up to `ticks` ticks; returns the number of rows in the log.
     pub fn advance(&mut self, flight: usize, ticks: usize) -> usize {
         let Ok(Held { flight, .. }) = self.of(flight) else { return 0 };
         for _ in 0..ticks {

@@ -1,8 +1,8 @@
-//! [`flight_sim`] for a page in a browser: flights that are flown tick by tick.
+//! [`flight_sim`] for a web page: flights that advance tick by tick.
 //!
-//! WebAssembly functions take and return numbers alone. Text and files go through [`reserve`], questions and answers are
-//! JSON ([`ask`], [`answer`]), and signals are read where they lie ([`series`], [`pose`]). A pointer holds until the next
-//! call. `rust/lab/page/lab.js` is the other side.
+//! WebAssembly functions take and return only numbers. Text and files go through [`reserve`], requests and answers are
+//! JSON ([`ask`], [`answer`]), and signals are read in place ([`series`], [`pose`]). A pointer is valid until the next
+//! call. `rust/lab/page/lab.js` is the counterpart.
 
 mod flights;
 
@@ -16,7 +16,7 @@ thread_local! {
     static ANSWER: RefCell<String> = RefCell::default();
 }
 
-/// Where to write `length` bytes of input.
+/// Returns the address at which to write `length` bytes of input.
 #[unsafe(no_mangle)]
 pub extern "C" fn reserve(length: usize) -> *mut u8 {
     INPUT.with_borrow_mut(|input| {
@@ -26,7 +26,7 @@ pub extern "C" fn reserve(length: usize) -> *mut u8 {
     })
 }
 
-/// Holds a file: the input is its path, `path_length` bytes of it, then its content.
+/// Holds a file in memory: the input is its path, of `path_length` bytes, then its content.
 #[unsafe(no_mangle)]
 pub extern "C" fn hold(path_length: usize) {
     INPUT.with_borrow(|input| {
@@ -35,7 +35,7 @@ pub extern "C" fn hold(path_length: usize) {
     });
 }
 
-/// Takes the input as a question and returns the length of its answer.
+/// Processes the input as a request and returns the length of its answer.
 #[unsafe(no_mangle)]
 pub extern "C" fn ask() -> usize {
     let said = INPUT.with_borrow(|input| FLIGHTS.with_borrow_mut(|flights| flights.answer(input)));
@@ -44,26 +44,26 @@ pub extern "C" fn ask() -> usize {
     length
 }
 
-/// Where the last answer lies.
+/// Returns the address of the last answer.
 #[unsafe(no_mangle)]
 pub extern "C" fn answer() -> *const u8 {
     ANSWER.with_borrow(|answer| answer.as_ptr())
 }
 
-/// Flies up to `ticks` ticks; the number of rows in the log. A flight that has ended stays as it is.
+/// Flies up to `ticks` ticks and returns the number of rows in the log. No effect on a flight that has ended.
 #[unsafe(no_mangle)]
 pub extern "C" fn advance(flight: usize, ticks: usize) -> usize {
     FLIGHTS.with_borrow_mut(|flights| flights.advance(flight, ticks))
 }
 
-/// Where the rows of a signal lie, one after the other; null if there is no such signal.
+/// Returns the address of the rows of a signal, which are contiguous; null if there is no such signal.
 #[unsafe(no_mangle)]
 pub extern "C" fn series(flight: usize, index: usize) -> *const f64 {
     FLIGHTS.with_borrow(|flights| flights.series(flight, index).map_or(std::ptr::null(), <[f64]>::as_ptr))
 }
 
-/// Where the poses of all bodies at a row of the log lie: rotation by columns, then position, inertial axes; null if there
-/// is no such row.
+/// Returns the address of the poses of all bodies at a row of the log: rotation by columns, then position, inertial
+/// axes; null if there is no such row.
 #[unsafe(no_mangle)]
 pub extern "C" fn pose(flight: usize, row: usize) -> *const f64 {
     FLIGHTS.with_borrow_mut(|flights| flights.pose(flight, row).map_or(std::ptr::null(), <[f64]>::as_ptr))

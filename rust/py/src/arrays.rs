@@ -1,4 +1,4 @@
-//! NumPy arrays to vectors and back: shape and dtype are checked here and nowhere else.
+//! Conversion between NumPy arrays and vectors; shape and dtype are checked only here.
 
 use nalgebra::{Dim, Matrix, Matrix3, RawStorage, Vector3};
 use numpy::ndarray::{ArrayD, IxDyn};
@@ -11,12 +11,12 @@ pub type Input<'py> = PyReadonlyArrayDyn<'py, f64>;
 /// A float64 array result.
 pub type Output<'py> = Bound<'py, PyArrayDyn<f64>>;
 
-/// Errors of the crates are `ValueError`s with the same text.
+/// Converts an error of the crates to a `ValueError` with the same text.
 pub fn value_error(error: impl std::fmt::Display) -> PyErr {
     PyValueError::new_err(error.to_string())
 }
 
-/// The entries in row-major order, if the array has `shape`.
+/// Entries of `array` in row-major order, if it has the given shape.
 pub fn entries(name: &str, array: &Input<'_>, shape: &[usize]) -> PyResult<Vec<f64>> {
     let view = array.as_array();
     if view.shape() != shape {
@@ -28,23 +28,23 @@ pub fn entries(name: &str, array: &Input<'_>, shape: &[usize]) -> PyResult<Vec<f
     Ok(view.iter().copied().collect())
 }
 
-/// A vector of three.
+/// Converts to a vector with three entries.
 pub fn vector3(name: &str, array: &Input<'_>) -> PyResult<Vector3<f64>> {
     Ok(Vector3::from_column_slice(&entries(name, array, &[3])?))
 }
 
-/// A 3 × 3 matrix.
+/// Converts to a 3 × 3 matrix.
 pub fn matrix3(name: &str, array: &Input<'_>) -> PyResult<Matrix3<f64>> {
     Ok(Matrix3::from_row_slice(&entries(name, array, &[3, 3])?))
 }
 
-/// A row-major array of the given shape; `data` must fill it.
+/// Row-major array of the given shape, whose size must be the length of `data`.
 pub fn array<'py>(py: Python<'py>, shape: &[usize], data: Vec<f64>) -> PyResult<Output<'py>> {
     let array = ArrayD::from_shape_vec(IxDyn(shape), data).map_err(value_error)?;
     Ok(array.into_pyarray(py))
 }
 
-/// A matrix of any storage as a two-dimensional array.
+/// Converts a matrix of any storage to a two-dimensional array.
 pub fn matrix<'py, R: Dim, C: Dim, S: RawStorage<f64, R, C>>(
     py: Python<'py>,
     matrix: &Matrix<f64, R, C, S>,
@@ -53,12 +53,12 @@ pub fn matrix<'py, R: Dim, C: Dim, S: RawStorage<f64, R, C>>(
     array(py, &[matrix.nrows(), matrix.ncols()], rows)
 }
 
-/// Numbers as a one-dimensional array.
+/// Converts a slice to a one-dimensional array.
 pub fn vector<'py>(py: Python<'py>, values: &[f64]) -> PyResult<Output<'py>> {
     array(py, &[values.len()], values.to_vec())
 }
 
-/// Vectors of three as the rows of an array.
+/// Array whose rows are the given vectors.
 pub fn vectors<'py>(py: Python<'py>, values: &[Vector3<f64>]) -> PyResult<Output<'py>> {
     array(py, &[values.len(), 3], values.iter().flatten().copied().collect())
 }

@@ -1,4 +1,4 @@
-//! The controller, one tick at a time, with every intermediate value by name.
+//! The controller, one tick at a time, with all intermediate values by name.
 
 use crate::arrays::{Input, array, entries, matrix, matrix3, value_error, vector, vector3, vectors};
 use crate::flight::parse;
@@ -16,7 +16,7 @@ use pyo3::exceptions::{PyKeyError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-/// What Python calls [`Setpoint::vectors`].
+/// Python's names of [`Setpoint::vectors`].
 const SETPOINT_VECTORS: [&str; 7] = [
     "com_position",
     "com_velocity",
@@ -27,14 +27,14 @@ const SETPOINT_VECTORS: [&str; 7] = [
     "angular_jerk",
 ];
 
-/// The flight controller of a configuration, and the state of the flight it is in.
+/// The flight controller of a configuration, with the state of its flight.
 #[pyclass(module = "jax_aero._core")]
 pub struct Controller {
     controller: flight_core::Controller,
     state: Option<State>,
 }
 
-/// Everything that a controller carries from one tick to the next.
+/// State of a controller that is kept from tick to tick.
 #[pyclass(module = "jax_aero._core", frozen)]
 #[derive(Clone)]
 pub struct ControllerState {
@@ -43,8 +43,7 @@ pub struct ControllerState {
 
 #[pymethods]
 impl ControllerState {
-    /// The same state with another posture (n), inertia_0_b (3, 3) and integral of the joint velocity
-    /// error (n).
+    /// Returns this state with another posture (n), inertia_0_b (3, 3) and integral of the joint velocity error (n).
     fn with_posture_control(
         &self,
         posture: Input<'_>,
@@ -59,13 +58,13 @@ impl ControllerState {
         state.map(|state| Self { state }).map_err(value_error)
     }
 
-    /// Whether all numbers are the same; a NaN, as of a measurement that was missing, equals nothing.
+    /// Whether all numbers are equal; a NaN, such as that of a missing measurement, is not equal to itself.
     fn __eq__(&self, other: &Self) -> bool {
         self.state == other.state
     }
 }
 
-/// A measurement as it comes from Python, owned.
+/// An owned measurement from Python.
 struct Measured {
     time: f64,
     state: RobotState,
@@ -101,13 +100,13 @@ impl Controller {
         self.state.clone().map(|state| ControllerState { state })
     }
 
-    /// Continues from a state that was recorded; a state of another robot makes the next tick hold.
+    /// Continues from a recorded state; with the state of another robot the next tick holds.
     #[setter]
     fn set_state(&mut self, state: &ControllerState) {
         self.state = Some(state.state.clone());
     }
 
-    /// Begins a flight: position, attitude and posture of this measurement are those to keep.
+    /// Start a flight: position, attitude and posture of this measurement become the reference.
     #[pyo3(signature = (time, base_position, base_rotation, joint_position, velocity, thrust, wind, foot_wrenches = None))]
     #[allow(clippy::too_many_arguments)]
     fn start(
@@ -127,9 +126,9 @@ impl Controller {
         Ok(())
     }
 
-    /// One tick; returns every intermediate value and the command by name. The first one begins the flight.
-    /// With `setpoint` (a dict with the keys of the result's `setpoint`) the mission is not followed.
-    /// `foot_wrenches` (feet, 6) is the wrench on each foot, force first, about the origin of its sole.
+    /// Compute one tick; returns every intermediate value and the command by name. The first tick starts the flight.
+    /// `setpoint` (a dict with the keys of the result's `setpoint`) replaces that of the mission. `foot_wrenches`
+    /// (feet, 6) is the wrench on each foot, force first, about the origin of its sole.
     #[pyo3(signature = (time, base_position, base_rotation, joint_position, velocity, thrust, wind, setpoint = None, foot_wrenches = None))]
     #[allow(clippy::too_many_arguments)]
     fn tick<'py>(
@@ -159,7 +158,7 @@ impl Controller {
         self.last_tick(py)
     }
 
-    /// Reports after a tick other thrust rates (jets) [N/s] and joint torques (n) [N m] that act until the next one.
+    /// Report after a tick that other thrust rates (jets) [N/s] and joint torques (n) [N m] act until the next one.
     fn replace_command(&mut self, thrust_rate: Input<'_>, joint_torque: Input<'_>) -> PyResult<()> {
         let rates = entries("thrust_rate", &thrust_rate, &[self.controller.n_jets()])?;
         let torques = entries("joint_torque", &joint_torque, &[self.controller.model().joints.len()])?;
@@ -173,7 +172,7 @@ impl Controller {
 }
 
 impl Controller {
-    /// The measurement that Python's arrays hold: position and rotation of the base, joint positions, velocity.
+    /// Builds a measurement from position and rotation of the base, joint positions and velocity.
     fn measured(
         &self,
         time: f64,
@@ -191,7 +190,7 @@ impl Controller {
         })
     }
 
-    /// Wrenches of the feet; zero where none are given.
+    /// Wrenches of the feet; zero by default.
     fn foot_wrenches(&self, given: Option<Input<'_>>) -> PyResult<Vec<Vector6<f64>>> {
         let feet = self.controller.model().feet.len();
         let Some(wrenches) = given else { return Ok(vec![Vector6::zeros(); feet]) };
@@ -273,7 +272,7 @@ impl Controller {
     }
 }
 
-/// The feet of a controller that can stand.
+/// Contact quantities of a controller that can stand.
 fn contact_dict<'py>(py: Python<'py>, terms: &Terms, state: &ContactState) -> PyResult<Bound<'py, PyDict>> {
     let (out, contact) = (PyDict::new(py), &terms.contact);
     let wrenches = |forces: &DVector<f64>| array(py, &[forces.len() / 6, 6], forces.as_slice().to_vec());
@@ -296,7 +295,7 @@ fn setpoint_to_dict<'py>(py: Python<'py>, setpoint: &Setpoint) -> PyResult<Bound
     Ok(out)
 }
 
-/// What the estimators made of the measurement.
+/// Measurement as used by the control law, after the estimators.
 fn given_to_dict<'py>(py: Python<'py>, given: &Given) -> PyResult<Bound<'py, PyDict>> {
     let (out, state) = (PyDict::new(py), &given.reading.state);
     out.set_item("base_position", vector(py, state.base.position.as_slice())?)?;
@@ -330,8 +329,8 @@ fn setpoint_from_dict(given: &Bound<'_, PyDict>) -> PyResult<Setpoint> {
     })
 }
 
-/// The set-points of a whole flight as arrays, for a robot that starts with its centre of mass at `com` and
-/// its base at `rotation`: raw and smoothed signals at every tick from 0 to duration.
+/// Set-points of a whole flight as arrays, for a robot that starts with its centre of mass at `com` and its base
+/// rotation `rotation`: raw and smoothed signals at every tick from 0 to `duration`.
 #[pyfunction]
 pub fn setpoint_trajectory<'py>(
     py: Python<'py>,

@@ -15,10 +15,10 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-/// How often progress is reported to Python, which may interrupt.
+/// Interval of the progress reports to Python, at which it can interrupt.
 const REPORT_INTERVAL: Duration = Duration::from_millis(50);
 
-/// A flight configuration from JSON.
+/// Parses a flight configuration from JSON.
 pub fn parse(config_json: &str) -> PyResult<ScenarioConfig> {
     from_json(config_json, "configuration").map_err(value_error)
 }
@@ -27,7 +27,7 @@ fn to_value(config: &ScenarioConfig) -> PyResult<serde_json::Value> {
     serde_json::to_value(config).map_err(|error| PyRuntimeError::new_err(error.to_string()))
 }
 
-/// Read a flight configuration file and everything it builds on; JSON with every default written out.
+/// Read a flight configuration with its base files; return JSON that states every default.
 #[pyfunction]
 pub fn resolve_config(path: PathBuf) -> PyResult<String> {
     let config = load_scenario(&path).map_err(value_error)?;
@@ -54,7 +54,7 @@ pub fn figures() -> String {
     serde_json::json!(flight_sim::figures()).to_string()
 }
 
-/// Raise ValueError unless this configuration can fly.
+/// Raise ValueError if this configuration cannot be flown.
 #[pyfunction]
 pub fn check_config(config_json: &str) -> PyResult<()> {
     Scenario::check(&parse(config_json)?).map_err(value_error)
@@ -66,7 +66,7 @@ pub fn config_digest(config_json: &str) -> PyResult<String> {
     let config = parse(config_json)?;
     let robot = RobotFiles::read(&config.robot).map_err(value_error)?;
     let mut value = to_value(&config)?;
-    // Where files lie says nothing about the flight; what is in them does.
+    // The location of the files does not affect the flight, their content does.
     value["robot"] = file_name(&config.robot).into();
     let mut hash = Sha256::new();
     let controller_wind = config.disturbances.controller_wind.as_ref();
@@ -85,7 +85,7 @@ pub fn config_digest(config_json: &str) -> PyResult<String> {
     for (part, aero) in [("simulator", &config.simulator.aero), ("controller", &config.controller.aero)] {
         if let AeroConfig::Network(NetworkConfig { card, .. }) = aero {
             value[part]["aero"]["card"] = file_name(card).into();
-            hash.update(read_bytes(card).map_err(value_error)?); // which holds the hash of the weights
+            hash.update(read_bytes(card).map_err(value_error)?); // the card contains the hash of the weights
         }
     }
     hash.update(value.to_string());
@@ -95,7 +95,7 @@ pub fn config_digest(config_json: &str) -> PyResult<String> {
     Ok(digest.iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}")))
 }
 
-/// Velocity (times, 3) [m/s, inertial axes] of a wind profile, given as JSON, at times [s].
+/// Velocity (times, 3) [m/s, inertial axes] of the wind of a profile in JSON, at times [s].
 #[pyfunction]
 pub fn wind_velocity<'py>(py: Python<'py>, wind_json: &str, times: Input<'py>) -> PyResult<Output<'py>> {
     let wind = from_json(wind_json, "wind").and_then(|config| Wind::new(&config)).map_err(value_error)?;
@@ -108,8 +108,8 @@ fn file_name(path: &Path) -> String {
     path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// Fly one configuration to the end or until it is lost. `progress(tick, n_ticks)` is called about 20 times a
-/// second; what it raises ends the flight.
+/// Fly one configuration until it ends or is lost. `progress(tick, n_ticks)` is called about 20 times a
+/// second; an exception in it ends the flight.
 #[pyfunction]
 #[pyo3(signature = (config_json, progress = None))]
 pub fn fly<'py>(
@@ -131,8 +131,9 @@ pub fn fly<'py>(
     }
 }
 
-/// Fly many configurations over threads. Results stand in the order given and do not depend on the number
-/// of threads. `progress(done, total)` is called as flights end. Without `full_log` the logs are empty.
+/// Fly many configurations on several threads. Results are in the order of the configurations and do not
+/// depend on the number of threads. `progress(done, total)` is called as flights end. Without `full_log` the
+/// logs are empty.
 #[pyfunction]
 #[pyo3(signature = (config_jsons, threads = None, progress = None, full_log = false))]
 pub fn fly_batch(
@@ -164,13 +165,13 @@ pub fn fly_batch(
         done.store(finished, Ordering::Relaxed);
         go_on()
     };
-    // All are built before one flies: a refusal costs no flight that is flown.
+    // All scenarios are built first, so that an invalid one is refused before any flight.
     let fly = || {
         check_batch(&configs, threads, go_on)?;
         fly_rust_batch(&configs, threads, keep, count)
     };
-    // Python handles signals only in the thread that called this function, so that thread waits and checks for
-    // them while another one flies. A flight under way at an interrupt is the last of its thread.
+    // Python handles signals only in the thread that called this function. This thread therefore waits and
+    // checks for them while others fly. After an interrupt, each thread completes its present flight.
     let results = py
         .detach(|| {
             std::thread::scope(|scope| {
@@ -212,7 +213,7 @@ fn refused(index: usize, reason: &dyn std::fmt::Display) -> PyErr {
     value_error(format_args!("flight {index} of the batch: {reason}"))
 }
 
-/// Calls Python's progress callback now and then, and keeps the exception it raised.
+/// Calls Python's progress callback at intervals, and stores its exception.
 struct Reporter {
     progress: Option<Py<PyAny>>,
     last: Instant,
@@ -224,7 +225,7 @@ impl Reporter {
         Self { progress, last: Instant::now(), raised: None }
     }
 
-    /// Reports if it is time again.
+    /// Reports if the interval has passed.
     fn report(&mut self, done: usize, total: usize) -> ControlFlow<()> {
         if self.last.elapsed() < REPORT_INTERVAL {
             ControlFlow::Continue(())
@@ -233,7 +234,7 @@ impl Reporter {
         }
     }
 
-    /// Reports now.
+    /// Reports immediately.
     fn force(&mut self, done: usize, total: usize) -> ControlFlow<()> {
         self.last = Instant::now();
         let outcome = Python::attach(|py| {

@@ -1,11 +1,11 @@
 //! Python bindings of the crates, compiled as `jax_aero._core`.
 //!
-//! Nothing is computed here: arguments are checked and converted, the crate is called, results are
-//! converted back. Files mirror those of the crate. Long calls release the interpreter lock.
+//! Bindings compute nothing: they check and convert arguments, call the crate, and convert results.
+//! Files have the names of the crate's. Long calls release the interpreter lock.
 
-// Arguments arrive from Python by value; that is how PyO3 hands them over.
+// PyO3 passes arguments from Python by value.
 #![allow(clippy::needless_pass_by_value)]
-// Comments on exported items are docstrings: Python names in them are not links.
+// Comments on exported items are docstrings, in which Python names are not links.
 #![allow(clippy::doc_markdown)]
 
 mod arrays;
@@ -38,7 +38,8 @@ mod _core {
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
-        // A panic is an error of this program, no wish to end it: `except Exception` catches it.
+        // A panic is an error of this program, not a request to exit, so `except Exception` must
+        // catch it.
         let panic = module.py().get_type::<PanicException>();
         panic.setattr("__bases__", (module.py().get_type::<PyRuntimeError>(),))?;
         module.add("PanicException", panic)?;

@@ -1,4 +1,4 @@
-//! The simulated robot, one tick at a time, for a control loop of one's own.
+//! The simulated robot, one tick at a time, for control loops written in Python.
 
 use crate::arrays::{Input, entries, matrix, value_error, vector, vectors};
 use crate::flight::parse;
@@ -13,7 +13,7 @@ use pyo3::types::PyDict;
 #[pyclass(module = "jax_aero._core")]
 pub struct Plant {
     current: flight_sim::Plant,
-    /// As it was at the beginning.
+    /// Its initial state.
     start: flight_sim::Plant,
     wind: Wind,
     time_step: f64,
@@ -53,8 +53,9 @@ impl Plant {
         Ok(out)
     }
 
-    /// Advance one tick under held torques (n) [N m] and commanded thrust rates (jets) [N/s]; return the
-    /// aerodynamic forces (links, 3) [N, inertial axes] at its beginning. With `link_forces` these act.
+    /// Advance by one tick with constant torques (n) [N m] and commanded thrust rates (jets) [N/s];
+    /// return the aerodynamic forces (links, 3) [N, inertial axes] at the start of the tick.
+    /// `link_forces` replaces these forces.
     fn step<'py>(
         &mut self,
         py: Python<'py>,
@@ -85,7 +86,7 @@ impl Plant {
     }
 }
 
-/// As [`entries`], which must be finite.
+/// As [`entries`]; all entries must be finite.
 pub fn finite(name: &str, array: &Input<'_>, shape: &[usize]) -> PyResult<Vec<f64>> {
     let values = entries(name, array, shape)?;
     match values.iter().find(|value| !value.is_finite()) {

@@ -1,4 +1,4 @@
-//! The box QP solvers.
+//! Solvers for box-constrained QPs.
 
 use crate::arrays::{Input, Output, entries, vector};
 use flight_core::qp::{
@@ -9,7 +9,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-/// Most variables of a problem: its matrices then take some hundred megabytes.
+/// Greatest number of variables; the matrices then take some hundred megabytes.
 const MAX_VARIABLES: usize = 4096;
 
 /// A box QP solver for problems of one size: `min ½ xᵀHx + gᵀx`, `lower ≤ x ≤ upper`.
@@ -36,7 +36,7 @@ fn problem(
     Ok(problem)
 }
 
-/// A solver's answer, as a dict: status (text), status_code, iterations, kkt, active.
+/// Answer of a solver as a dict: status (text), status_code, iterations, kkt, active.
 pub fn answer<'py>(py: Python<'py>, answer: &QpAnswer) -> PyResult<Bound<'py, PyDict>> {
     let out = PyDict::new(py);
     out.set_item("status", format!("{:?}", answer.status))?;
@@ -68,7 +68,7 @@ impl BoxQpSolver {
         Ok(Self { n, method })
     }
 
-    /// Solve one problem; returns (x, its answer).
+    /// Solve one problem; returns (x, answer).
     fn solve<'py>(
         &mut self,
         py: Python<'py>,
@@ -82,7 +82,7 @@ impl BoxQpSolver {
         Ok((vector(py, self.method.x())?, answer(py, &outcome)?))
     }
 
-    /// Forget the last answer: the next solve starts cold.
+    /// Discard the last answer, so that the next solve starts cold.
     fn reset(&mut self) {
         if let Method::Primal(solver) = &mut self.method {
             solver.reset();
@@ -90,7 +90,7 @@ impl BoxQpSolver {
     }
 }
 
-/// Scaled KKT residual of `x`, the certificate that every answer is judged by.
+/// Scaled KKT residual of `x`, by which every answer is certified.
 #[pyfunction]
 pub fn kkt_residual(
     h: Input<'_>,

@@ -15,7 +15,7 @@ use pyo3::types::PyDict;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-/// A robot, read from its TOML file and the URDF named there.
+/// A robot, read from its TOML file and the URDF that it names.
 #[pyclass(frozen, module = "jax_aero._core")]
 pub struct Robot {
     files: RobotFiles,
@@ -28,7 +28,7 @@ pub fn state(joints: usize, arrays: [&Input<'_>; 4]) -> PyResult<RobotState> {
     measured_state(joints, arrays)
 }
 
-/// A rotation, which must be one to 1e-6.
+/// Converts to a rotation; it must be one to 1e-6.
 pub fn rotation(name: &str, array: &Input<'_>) -> PyResult<Matrix3<f64>> {
     let rotation = matrix3(name, array)?;
     if is_rotation(&rotation) {
@@ -41,7 +41,7 @@ pub fn rotation(name: &str, array: &Input<'_>) -> PyResult<Matrix3<f64>> {
     )))
 }
 
-/// The same as it is measured, which a controller judges.
+/// As `state`, without checks of the values, which the controller judges.
 pub fn measured_state(
     joints: usize,
     [base_position, base_rotation, joint_position, velocity]: [&Input<'_>; 4],
@@ -85,7 +85,7 @@ impl Robot {
         self.model.joints.iter().map(|joint| joint.name.clone()).collect()
     }
 
-    /// Limits that the controller respects [rad], a (lower, upper) pair for each joint.
+    /// Limits that the controller observes [rad], a (lower, upper) pair for each joint.
     #[getter]
     fn joint_limits(&self) -> Vec<(f64, f64)> {
         self.model.joints.iter().map(|joint| joint.limits).collect()
@@ -97,7 +97,7 @@ impl Robot {
         self.model.joints.iter().map(|joint| joint.stops).collect()
     }
 
-    /// Names of the joints that are plotted together.
+    /// Names of the joints in each group.
     #[getter]
     fn joint_groups(&self) -> BTreeMap<String, Vec<String>> {
         let names =
@@ -245,8 +245,8 @@ impl Robot {
     }
 }
 
-/// Forces (links, 3) [N] of an aerodynamic model, given as JSON, on a robot's links: unit axes and air
-/// velocities (links, 3), inertial axes.
+/// Forces (links, 3) [N] of an aerodynamic model, given as JSON, on a robot's links, from unit vectors of
+/// their axes and relative air velocities (links, 3), inertial axes.
 #[pyfunction]
 pub fn aero_forces<'py>(
     py: Python<'py>,
@@ -277,7 +277,7 @@ pub fn aero_forces<'py>(
     vectors(py, &forces)
 }
 
-/// Forces (links, 3) [N] of an aerodynamic model, given as JSON, on a robot in a state and a wind [m/s],
+/// Forces (links, 3) [N] of an aerodynamic model, given as JSON, on a robot in a state and in a wind [m/s],
 /// inertial axes.
 #[pyfunction]
 #[allow(clippy::too_many_arguments)] // a state is four arrays

@@ -1,5 +1,5 @@
-//! Aerodynamic forces on the 13 links: the analytic models alone and with the placing of the links,
-//! networks with it.
+//! Aerodynamic forces on the 13 links: analytic models alone and with the kinematics of the links,
+//! networks with these kinematics.
 
 mod common;
 #[path = "../tests/common/network.rs"]
@@ -28,7 +28,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .measurement_time(Duration::from_secs(1))
         .configure_from_args();
     let mut group = criterion.benchmark_group("aero");
-    // That flight simulates one model and compensates the other.
+    // This flight simulates one model and controls with the other.
     let models = [("axisymmetric", &config.simulator.aero), ("sphere and cylinder", &config.controller.aero)];
     for (name, config) in models {
         let mut model = load_aero(config, robot)?;
@@ -48,7 +48,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         });
     }
     let shipped = common::configuration("test4")?.simulator.aero;
-    // What a network costs depends on its shape, not on its weights: the others' are random.
+    // The cost of a network depends on its shape, not on its weights, so the other networks have
+    // random weights.
     let folder = tempfile::tempdir()?;
     let random = |name, hidden, precision| {
         network::random_network(folder.path(), robot, &network::paper(hidden), name, precision)

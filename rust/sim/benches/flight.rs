@@ -14,7 +14,7 @@ fn main() -> Result<(), BuildError> {
     let mut group = criterion.benchmark_group("flight");
     for name in ["test2", "test2_published"] {
         let config = common::configuration(name)?;
-        // Whatever makes it fail would fail here first.
+        // Any refusal of the configuration occurs here.
         Scenario::new(&config)?;
         group.bench_function(format!("{name}, 50 s"), |b| {
             b.iter_batched(

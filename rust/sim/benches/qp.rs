@@ -1,6 +1,6 @@
-//! Both QPs on consecutive ticks of a calm and of a failing flight, ours and Clarabel.
+//! Both QPs on consecutive ticks of a calm and of a failing flight, with our solvers and Clarabel.
 //!
-//! Times are for a whole sequence of 201 ticks: divide by 201.
+//! Times are for a sequence of 201 ticks: divide by 201.
 
 mod common;
 

@@ -1,15 +1,16 @@
-//! Our side of the comparison with Pinocchio, DAQP and Clarabel: `python -m experiments.bench` runs it.
+//! Our part of the comparison with Pinocchio, DAQP and Clarabel, run by `python -m experiments.bench`.
 //!
-//! Every line is `what <tab> median <tab> minimum`, nanoseconds per state or problem over rounds of 201. With
-//! `--dump DIR` the states and problems are written there first, for the others to work on, each file a list
-//! of f64: count, size, then row by row
+//! Every line is `name <tab> median <tab> minimum`, in nanoseconds per state or problem over rounds of 201. With
+//! `--dump DIR` the states and problems are first written there as input of the other programs. Each file is a
+//! list of f64: count, size, then row by row
 //!
 //! ```text
 //! states.f64      base position (3), rotation (9, row-major), joints, velocity (6 + joints)
 //! NAME.f64        H, g, lower, upper, and our x
 //! ```
 //!
-//! `joints.txt` and `frames.txt` hold names; `check.f64` holds what the dynamics must come to.
+//! `joints.txt` and `frames.txt` hold names; `check.f64` holds the results with which those of the dynamics are
+//! compared.
 
 mod common;
 
@@ -103,7 +104,7 @@ impl Bundle {
         let links = robot.aero_links.iter().map(|link| &link.frame);
         for (frame, out) in links.chain(robot.jets.iter().map(|jet| &jet.frame)).zip(&mut self.jacobians) {
             let point = self.kinematics.frame_pose(frame).position;
-            // Columns that are zero for this frame stay zero.
+            // Columns that are zero for this frame remain zero.
             self.kinematics.visit_jacobian_columns(frame.body, &point, |column, linear, angular| {
                 let mut out = out.column_mut(column);
                 out.fixed_rows_mut::<3>(0).copy_from(&linear);
@@ -112,7 +113,7 @@ impl Bundle {
         }
     }
 
-    /// Squares of the Frobenius norms: the same in every velocity convention.
+    /// Squares of Frobenius norms, which are equal in every velocity convention.
     fn check(&self) -> [f64; 3] {
         let jacobians = self.jacobians.iter().map(Matrix6xX::norm_squared).sum();
         [self.dynamics.mass_matrix.norm_squared(), self.dynamics.momentum_matrix.norm_squared(), jacobians]
@@ -167,7 +168,7 @@ fn plain_clarabel(qp: &QpProblem) -> Option<f64> {
     Some(solver.solution.obj_val)
 }
 
-/// Times `rounds` rounds of `count` states or problems each, after one to warm up.
+/// Times `rounds` rounds of `count` states or problems each, after one warm-up round.
 fn report(what: &str, rounds: usize, count: usize, mut round: impl FnMut()) {
     round();
     let mut times: Vec<f64> = (0..rounds)

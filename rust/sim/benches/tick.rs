@@ -1,6 +1,6 @@
-//! The whole controller tick, timed one by one along recorded flights, and a step of the plant.
+//! The complete controller tick, timed individually along recorded flights, and a step of the plant.
 //!
-//! `cargo test` runs it too, with few ticks, so that it does not fall behind the configurations.
+//! `cargo test` runs it too, with few ticks, so that it stays consistent with the configurations.
 
 mod common;
 
@@ -12,10 +12,10 @@ use std::hint::black_box;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-/// Times of the same things \[µs\], replay by replay.
+/// Times of the same items \[µs\], one list for each replay.
 type Replays = Vec<Vec<f64>>;
 
-/// How many ticks are timed per flight, and how often a flight is replayed, at least.
+/// Least number of ticks timed per flight, and of replays of a flight.
 fn least() -> (usize, usize) {
     if std::env::args().any(|argument| argument == "--bench") { (20_000, 7) } else { (1, 1) }
 }
@@ -63,7 +63,7 @@ fn tick_times(config: &ScenarioConfig) -> Result<Replays, BuildError> {
     })
 }
 
-/// Replays a robot that stands.
+/// Replays the measurements of a standing robot.
 fn standing_tick_times() -> Result<Replays, BuildError> {
     let config = common::configuration("balancing_lateral")?;
     let ticks = common::standing()?;
@@ -87,7 +87,7 @@ fn standing_tick_times() -> Result<Replays, BuildError> {
     })
 }
 
-/// The torque QPs of a robot that stands, by our solver and by Clarabel.
+/// Solves the torque QPs of a standing robot with our solver and with Clarabel.
 fn standing_qp_times() -> Result<(Replays, Replays), BuildError> {
     let ticks = common::standing()?;
     let Some(first) = ticks.first() else { return Ok(Default::default()) };
@@ -102,7 +102,7 @@ fn standing_qp_times() -> Result<(Replays, Replays), BuildError> {
     Ok((ours, vec![once.collect()]))
 }
 
-/// Observes and advances a plant under zero torque and held thrust for 50 ticks.
+/// Observes and advances a plant with zero torque and constant thrust for 50 ticks.
 fn plant_times() -> Result<Replays, BuildError> {
     let config = common::configuration("test2")?;
     let robot = load_robot(&config.robot)?;
@@ -120,7 +120,7 @@ fn plant_times() -> Result<Replays, BuildError> {
     })
 }
 
-/// Calls `times_of_all`, which times `items` things that are always the same, as often as [`least`] asks or more.
+/// Calls `times_of_all`, which times `items` constant items, at least as often as [`least`] states.
 fn replay(
     items: usize,
     mut times_of_all: impl FnMut(&mut Vec<f64>) -> Result<(), BuildError>,
@@ -141,8 +141,8 @@ fn microseconds<T>(work: impl FnOnce() -> T) -> f64 {
     1e6 * begin.elapsed().as_secs_f64()
 }
 
-/// Prints quantiles over all times, which hold what interrupts the program, and over the median time of each thing,
-/// which does not: an interruption does not come at the same tick of every replay.
+/// Prints quantiles over all times, which include interruptions of the program, and over the median time of each
+/// item, which do not: an interruption rarely occurs at the same tick of every replay.
 fn report(what: &str, replays: &[Vec<f64>]) {
     let mut times = replays.concat();
     let mut medians: Vec<f64> = (0..replays.first().map_or(0, Vec::len))

@@ -1,4 +1,4 @@
-//! Flies configuration files and prints what became of each flight.
+//! Flies configuration files and prints the outcome of each flight.
 //!
 //! ```text
 //! cargo run --release --example fly -- configs/experiments/test1.toml configs/experiments/test2.toml

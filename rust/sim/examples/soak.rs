@@ -1,12 +1,12 @@
-//! Ticks the controller through random flights and counts what must not happen.
+//! Ticks the controller through random flights and counts violations of its guarantees.
 //!
 //! ```text
-//! cargo run --release --example soak -- --ticks 100000000                  # goes on where it was stopped
+//! cargo run --release --example soak -- --ticks 100000000                  # resumes where it was stopped
 //! cargo run --release --example soak -- --ticks 1000000 --real-time        # SCHED_FIFO and locked memory, if allowed
-//! cargo run --release --example soak -- --episode 4711                     # one flight again, tick by tick
+//! cargo run --release --example soak -- --episode 4711                     # repeats one flight, tick by tick
 //! ```
 //!
-//! Each flight follows from the seed and its number alone. The state file is replaced as a whole every few seconds.
+//! Each flight depends on the seed and its number only. The state file is replaced as a whole every few seconds.
 
 #![allow(unsafe_code, reason = "an allocator and the scheduler of the system")]
 #![allow(clippy::unwrap_used, reason = "a measurement that cannot go on ends")]
@@ -31,24 +31,24 @@ use std::time::{Duration, Instant};
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Ticks of a flight.
+/// Ticks per flight.
 const TICKS: u64 = 1000;
 
-/// Findings that are kept one by one; beyond them only their number is.
+/// Greatest number of findings that are stored individually; the others are only counted.
 const KEPT: usize = 1000;
 
-/// Time between two writes of the state.
+/// Interval of writing the state file.
 const PERIOD: Duration = Duration::from_secs(10);
 
-/// Last panic, for the flight in which it happened.
+/// Message of the last panic, for the report of its flight.
 static PANIC: Mutex<String> = Mutex::new(String::new());
 
-/// Durations of ticks in steps of a 32nd of an octave, 2 %.
+/// Histogram of tick durations with bins of a 32nd of an octave, 2 %.
 #[derive(Debug, Default, Serialize, Deserialize)]
 struct Histogram {
     counts: BTreeMap<u32, u64>,
     worst_ns: u64,
-    /// Flight and tick of the worst one.
+    /// Flight and tick of the longest duration.
     worst_at: (u64, u64),
 }
 
@@ -66,7 +66,7 @@ impl Histogram {
         self.counts.values().sum()
     }
 
-    /// Time that a share of the ticks does not exceed \[µs\].
+    /// Duration that the fraction `share` of the ticks does not exceed \[µs\].
     fn quantile(&self, share: f64) -> f64 {
         let mut left = share * self.ticks() as f64;
         for (step, count) in &self.counts {
@@ -79,7 +79,7 @@ impl Histogram {
     }
 }
 
-/// Something that must not happen, and where it did.
+/// A violation, with its flight and tick.
 #[derive(Debug, Serialize, Deserialize)]
 struct Event {
     episode: u64,
@@ -87,11 +87,11 @@ struct Event {
     what: String,
 }
 
-/// What a run leaves behind and goes on from.
+/// State of a run, stored in the file from which it resumes.
 #[derive(Debug, Serialize, Deserialize)]
 struct State {
     seed: u64,
-    /// Flights begun, and those whose configuration or first measurement was refused.
+    /// Flights started, and those whose configuration or first measurement was refused.
     episodes: u64,
     refused: u64,
     ticks: u64,
@@ -100,7 +100,7 @@ struct State {
     /// Number of events by kind.
     found: BTreeMap<String, u64>,
     events: Vec<Event>,
-    /// By the conditions under which they were measured.
+    /// By the conditions of the measurement.
     durations: BTreeMap<String, Histogram>,
 }
 
@@ -144,7 +144,7 @@ impl State {
                 self.refused += 1;
                 return;
             };
-            // Looked up once: the entry exists from then on.
+            // Added to the totals at the end of the flight.
             let mut statuses = BTreeMap::<String, u64>::new();
             while tick < TICKS {
                 let ticked = episode.tick();
@@ -189,9 +189,9 @@ impl State {
     }
 }
 
-/// Asks for memory that stays and a priority above other programs; says what was granted.
+/// Requests locked memory and real-time priority; returns a description of what was granted.
 fn real_time() -> String {
-    // SAFETY: neither call touches memory of ours but the struct that is passed.
+    // SAFETY: the calls access only the struct that is passed.
     let (locked, fifo) = unsafe {
         let priority = libc::sched_param { sched_priority: 80 };
         (

@@ -14,7 +14,7 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// A file or folder of `configs/`.
+/// Path of a file or folder in `configs/`.
 fn configs(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs").join(name)
 }
@@ -22,7 +22,7 @@ fn configs(name: &str) -> PathBuf {
 // --8<-- [start:hover]
 fn hover() -> Result<ScenarioConfig, Box<dyn Error>> {
     let mut config = load_scenario(&configs("experiments/test2.toml"))?;
-    config.mission = MissionConfig::default(); // no commands: stay where the flight starts
+    config.mission = MissionConfig::default(); // no commands: hold the initial position
     config.wind = WindConfig::Constant { velocity: [0.0, 0.0, 0.0] };
     config.simulator.duration = 10.0;
 
@@ -53,14 +53,14 @@ fn wind(mut aware: ScenarioConfig) -> Result<(), Box<dyn Error>> {
 fn own_loop(config: &ScenarioConfig) -> Result<(), Box<dyn Error>> {
     let robot = load_robot(&config.robot)?;
     let time_step = config.simulator.time_step;
-    let mut plant = Plant::new(robot.clone(), &config.simulator, &config.disturbances)?; // your robot stands here
+    let mut plant = Plant::new(robot.clone(), &config.simulator, &config.disturbances)?; // replace by your robot
     let mut controller = load_controller(robot, &config.controller, &config.mission, time_step)?;
     let wind = Vector3::new(0.0, -5.0, 0.0);
     let measure =
         |plant: &Plant, time| (time, plant.state().clone(), plant.jets().thrust_feedback().to_vec());
     let (time, robot_state, thrust) = measure(&plant, 0.0);
     let first = Measurement { time, state: &robot_state, thrust: &thrust, wind, foot_wrenches: &[] };
-    let mut state = controller.start(&first)?; // position, attitude and posture to keep
+    let mut state = controller.start(&first)?; // position, attitude and posture become the reference
 
     for tick in 0..200 {
         plant.observe(&wind);
@@ -75,7 +75,7 @@ fn own_loop(config: &ScenarioConfig) -> Result<(), Box<dyn Error>> {
 // --8<-- [end:own_loop]
 
 // --8<-- [start:own_task]
-/// Asks one joint to turn at a velocity: `ṡ_j − v = 0`, an equation of one unknown.
+/// Demands a velocity of one joint: `ṡ_j − v = 0`, an equation with one unknown.
 #[derive(Debug)]
 struct KeepVelocity {
     unknown: usize,
@@ -117,7 +117,7 @@ fn own_task(config: &ScenarioConfig) -> Result<(), Box<dyn Error>> {
 // --8<-- [end:own_task]
 
 // --8<-- [start:own_aero]
-/// Flat plates across the wind: `0.5 ρ A |v| v` on every link.
+/// Flat plates perpendicular to the wind: `0.5 ρ A |v| v` on every link.
 fn own_aero(config: &ScenarioConfig) -> Result<(), Box<dyn Error>> {
     let mut plant = Plant::new(load_robot(&config.robot)?, &config.simulator, &config.disturbances)?;
     let (wind, area) = (Vector3::new(0.0, -5.0, 0.0), 0.05);
@@ -139,7 +139,7 @@ fn own_robot() -> Result<(), Box<dyn Error>> {
     let robot = load_robot(&configs("robot/sparrow.toml"))?;
     println!("{}: {} joints, {} jets", robot.name, robot.joints.len(), robot.jets.len());
 
-    // A controller is tuned to a robot: its gains name joint groups and jets.
+    // A controller is tuned for a robot: its gains refer to joint groups and jets by name.
     let config = load_scenario(&configs("experiments/test2.toml"))?;
     match load_controller(robot, &config.controller, &config.mission, 0.01) {
         Ok(_) => Err("gains of another robot were accepted".into()),

@@ -1,4 +1,4 @@
-//! Many flights at once.
+//! Batches of flights on several threads.
 
 use crate::config::ScenarioConfig;
 use crate::log::FlightResult;
@@ -9,13 +9,13 @@ use std::ops::ControlFlow;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-/// Why a flight of a batch has no result.
+/// Reason why a flight of a batch has no result.
 #[derive(Debug, thiserror::Error)]
 pub enum BatchError {
     /// Its configuration could not be built.
     #[error(transparent)]
     Build(#[from] BuildError),
-    /// The configuration of this number could not be built.
+    /// The configuration with this index could not be built.
     #[error("flight {0} of the batch: {1}")]
     Refused(usize, BuildError),
     /// The batch was stopped.
@@ -26,7 +26,7 @@ pub enum BatchError {
     NoThreads(String),
 }
 
-/// Builds every configuration without flying it, `threads` at a time: before a batch of which all flights are needed.
+/// Builds every configuration without flying it, `threads` at a time, for a batch of which every flight is needed.
 ///
 /// # Errors
 /// [`BatchError::Refused`] for the first that cannot be built, [`BatchError::Interrupted`] if `go_on` breaks.
@@ -45,14 +45,14 @@ pub fn check_batch(
     found.map_or(Ok(()), Err)
 }
 
-/// Flies every configuration, `threads` at a time (`None`: one per core). Results stand in the order
-/// of the configurations and do not depend on the number of threads: flights share nothing.
+/// Flies every configuration, `threads` at a time (`None`: one per core). Results are in the order of the
+/// configurations and do not depend on the number of threads, because flights share no data.
 ///
-/// `progress(done, total)` is called as flights end, from the thread that ended one, never two at a
-/// time; it may stop the batch.
+/// `progress(done, total)` is called as flights end, in the thread of the flight and never concurrently; it can stop
+/// the batch.
 ///
 /// # Errors
-/// For the whole batch only [`BatchError::NoThreads`]; every flight has its own result.
+/// [`BatchError::NoThreads`] for the whole batch; every flight has its own result.
 pub fn fly_batch<T: Send>(
     configs: &[ScenarioConfig],
     threads: Option<usize>,

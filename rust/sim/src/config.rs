@@ -26,40 +26,40 @@ use std::path::{Path, PathBuf};
 /// Greatest size of a log in memory \[bytes\].
 const MAX_LOG: usize = 2 << 30;
 
-/// One flight: which robot, in which simulator and wind, under which controller, on which mission.
+/// One flight: robot, simulator, controller, mission, wind and disturbances.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ScenarioConfig {
-    /// What people read in tables and figures.
+    /// Title in tables and figures.
     #[serde(default)]
     pub title: String,
-    /// What the flight is for.
+    /// Purpose of the flight.
     #[serde(default)]
     pub description: String,
-    /// Which engine flies it. This crate is one of them and reads the files of all.
+    /// Engine that simulates the flight. This crate is one of them and reads the files of all.
     #[serde(default)]
     pub engine: Engine,
     /// The robot's TOML file.
     #[schemars(extend("format" = "path"))]
     pub robot: PathBuf,
-    /// The world.
+    /// The simulated robot and its environment.
     pub simulator: SimulatorConfig,
     /// The controller.
     pub controller: ControllerSection,
-    /// What the autopilot demands, and when.
+    /// Commands of the autopilot, or a recorded reference.
     pub mission: MissionConfig,
-    /// The wind that blows; the controller is given it too, unless `disturbances` say otherwise.
+    /// The simulated wind; the controller also receives it, unless `disturbances` states otherwise.
     pub wind: WindConfig,
-    /// What is done to robot and controller.
+    /// Disturbances of robot and controller.
     #[serde(default)]
     pub disturbances: Disturbances,
 }
 
 impl ScenarioConfig {
-    /// The controller of this flight of `robot`, with the models of it and of the air that `disturbances` say.
+    /// Builds the controller of this flight for `robot`, with the errors that `disturbances` gives its models.
     ///
     /// # Errors
-    /// [`BuildError`] naming what in the configuration cannot be used.
+    /// [`BuildError`] naming the invalid part of the configuration.
     pub fn controller(&self, robot: RobotModel) -> Result<Controller, BuildError> {
         let ControllerSection { aero, law, .. } = &self.controller;
         let robot = self.disturbances.controller_robot(robot)?;
@@ -74,15 +74,15 @@ impl ScenarioConfig {
 /// Reads a flight configuration file.
 ///
 /// # Errors
-/// As [`load`], for unknown, missing or ill-typed keys.
+/// As [`load`], for unknown, missing or mistyped keys.
 pub fn load_scenario(path: &Path) -> Result<ScenarioConfig, BuildError> {
     load(path)
 }
 
-/// A flight configuration from a resolved value; `origin` is named in errors.
+/// Converts a resolved value to a flight configuration; `origin` is named in errors.
 ///
 /// # Errors
-/// [`BuildError::Malformed`] for unknown, missing or ill-typed keys.
+/// [`BuildError::Malformed`] for unknown, missing or mistyped keys.
 pub fn scenario_from_value(value: Value, origin: &str) -> Result<ScenarioConfig, BuildError> {
     from_value(value, origin)
 }
@@ -110,11 +110,11 @@ pub enum Engine {
     Rust,
     /// The batched, differentiable simulation in Python.
     Jax,
-    /// MuJoCo, in Python: the one with a ground.
+    /// MuJoCo, in Python; the only engine with ground.
     Mujoco,
 }
 
-/// The world the robot flies in.
+/// Configuration of the simulated robot and its environment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SimulatorConfig {
@@ -124,48 +124,48 @@ pub struct SimulatorConfig {
     /// Tick of controller and physics \[s\].
     #[schemars(range(min = 0.0002, max = 1))]
     pub time_step: f64,
-    /// Physics steps within a tick; forces that depend on the state follow it, commands are held.
+    /// Physics steps in a tick; state-dependent forces are evaluated in each, commands are constant.
     #[serde(default = "one")]
     #[schemars(range(min = 1, max = 1000))]
     pub substeps: u32,
-    /// How a physics step is taken.
+    /// Integrator of a physics step.
     #[serde(default)]
     pub integrator: Integrator,
-    /// What computes mass matrix and bias.
+    /// Implementation that computes mass matrix and bias.
     #[serde(default)]
     pub dynamics: DynamicsBackend,
-    /// Aerodynamics of the world.
+    /// Simulated aerodynamic model.
     pub aero: AeroConfig,
     /// Point at which link forces act.
     #[serde(default)]
     pub lever_arm: LeverArm,
-    /// Which kinematics place the links in the wind.
+    /// Kinematics used for the aerodynamic forces.
     #[serde(default)]
     pub kinematics: AeroKinematics,
-    /// How thrust follows the command.
+    /// Dynamics of the thrust under a commanded thrust rate.
     pub jets: JetsConfig,
-    /// Sensors of the robot's own state; without them the controller is given the state itself.
+    /// Sensors of the robot's own state; without them the controller receives the true state.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sensors: Option<SensorsConfig>,
-    /// The ground, where there is one.
+    /// The ground, if there is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ground: Option<GroundConfig>,
-    /// Friction and inertia of the motors; without them, ideal torques.
+    /// Friction and inertia of the motors; without them torques are ideal.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motors: Option<MotorsConfig>,
-    /// Whether joints meet the stops of the robot's URDF, widened to the range of the controller.
+    /// Whether joints have the stops of the URDF, widened to the range of the controller.
     #[serde(default = "yes")]
     pub joint_stops: bool,
-    /// State at the beginning.
+    /// Initial state.
     pub initial: InitialConfig,
-    /// When a robot counts as fallen.
+    /// Limits beyond which a robot counts as fallen.
     pub fall: FallConfig,
-    /// Greatest distance of the centre of mass from its set-point, after the start-up, of a flight that is not
-    /// `off_course` \[m\].
+    /// Greatest distance of the centre of mass from its set-point after the start-up; a flight that exceeds it
+    /// is `off_course` \[m\].
     #[serde(default = "half_a_metre")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub course_error: f64,
-    /// What physics excludes.
+    /// Limits beyond which a flight counts as diverged.
     #[serde(default)]
     pub divergence: DivergenceConfig,
 }
@@ -178,41 +178,41 @@ fn half_a_metre() -> f64 {
     0.5
 }
 
-/// What computes mass matrix and bias.
+/// Implementation that computes mass matrix and bias.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum DynamicsBackend {
     /// The tree of bodies of this project.
     #[default]
     Tree,
-    /// MuJoCo's JAX implementation, for `engine = "jax"` alone.
+    /// MuJoCo's JAX implementation, for `engine = "jax"` only.
     Mjx,
 }
 
-/// How a physics step is taken.
+/// Integrator of a physics step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Integrator {
-    /// Velocity first, pose with the new velocity: feeds no energy into fast joint motion.
+    /// Velocity first, then the pose with the new velocity: adds no energy to fast joint motion.
     #[default]
     SemiImplicitEuler,
-    /// Pose and velocity both advance with the old velocity and acceleration (published).
+    /// Pose and velocity both advance with the velocity and acceleration at the start of the step (published).
     ExplicitEuler,
 }
 
-/// Which kinematics place the links in the wind.
+/// Kinematics used for the aerodynamic forces.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum AeroKinematics {
-    /// Those of the robot now.
+    /// Those of the present state.
     #[default]
     Current,
-    /// Those of the first tick for the whole flight (published): axes, points and Jacobians stay,
-    /// only velocities are current.
+    /// Those of the first tick for the whole flight (published): axes, points and Jacobians are constant, only
+    /// velocities are current.
     Frozen,
 }
 
-/// State at the beginning of a flight.
+/// Initial state of a flight.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct InitialConfig {
@@ -228,8 +228,8 @@ pub struct InitialConfig {
     /// Thrusts in the robot's order, each at most the jet's greatest \[N\].
     #[schemars(inner(range(min = 0)))]
     pub thrust: Vec<f64>,
-    /// Whether the first physics step has neither thrust nor torque, as the delays of the published
-    /// model make it: the controller first gets a robot that has fallen for one tick.
+    /// Whether the first physics step has neither thrust nor torque, as with the delays of the published model:
+    /// the controller starts with a robot that has fallen for one tick.
     #[serde(default)]
     pub free_fall_tick: bool,
 }
@@ -238,23 +238,25 @@ fn yes() -> bool {
     true
 }
 
-/// What physics excludes: a flight whose numbers go beyond has diverged. A state that is not finite always has.
+/// Limits of physically possible values; a flight that exceeds them, or has a state that is not finite, has
+/// diverged.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct DivergenceConfig {
-    /// Speed of base and air \[m/s\]; by default near that of sound, where no aerodynamic model here holds.
+    /// Speed of base and air \[m/s\]; by default near the speed of sound, where no aerodynamic model here is
+    /// valid.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub speed: f64,
-    /// Angular velocity of the base \[rad/s\]; by default 16 turns a second.
+    /// Angular velocity of the base \[rad/s\]; by default 16 turns per second.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub angular_velocity: f64,
-    /// Velocity of a joint \[rad/s, m/s\]; by default ten times what motors of such robots do.
+    /// Velocity of a joint \[rad/s, m/s\]; by default ten times that of motors of such robots.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub joint_velocity: f64,
-    /// How far a joint is beyond its stops \[rad, m\]; by default about a turn.
+    /// Distance of a joint beyond its stops \[rad, m\]; by default about one turn.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub joint_excess: f64,
-    /// Thrust as a multiple of the jet's greatest.
+    /// Ratio of a thrust to the jet's greatest.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub thrust_ratio: f64,
 }
@@ -271,7 +273,7 @@ impl Default for DivergenceConfig {
     }
 }
 
-/// When a robot counts as fallen.
+/// Limits beyond which a robot counts as fallen.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FallConfig {
@@ -284,7 +286,7 @@ pub struct FallConfig {
 }
 
 impl SimulatorConfig {
-    /// Refuses numbers that do not make a world for `robot`.
+    /// Checks that the values are valid for `robot`.
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming key, value and expectation.

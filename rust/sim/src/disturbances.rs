@@ -1,5 +1,5 @@
-//! Disturbances of robot and controller: errors of the controller's inputs and faults of its actuators. None of them is
-//! part of the controller.
+//! Disturbances: errors of the controller's inputs and model, and faults of its actuators. None is part of the
+//! controller.
 
 pub mod jet_faults;
 pub mod model_error;
@@ -20,27 +20,27 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Disturbances {
-    /// Errors of the wind that the controller is given; without them it is the true one.
+    /// Errors of the controller's measured wind; without them it is the true wind.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub wind_estimate: Option<WindEstimateConfig>,
-    /// A wind that the controller is given in place of the one that blows.
+    /// A wind that the controller receives in place of the simulated one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub controller_wind: Option<WindConfig>,
-    /// How the controller's robot differs from the one that flies.
+    /// Differences between the controller's robot and the simulated one.
     pub model_error: ModelError,
-    /// Factors on the simulated aerodynamic forces: coefficients that are not what they are thought to be.
+    /// Factors on the simulated aerodynamic forces, for errors of the coefficients.
     pub aero: ForceFactorsConfig,
-    /// Factors on the forces that the controller estimates: information that is wrong or left out.
+    /// Factors on the forces that the controller estimates, for parts that are wrong or omitted.
     pub aero_estimate: ForceFactorsConfig,
-    /// What is wrong with the jets.
+    /// Faults of the jets.
     pub jets: JetFaultsConfig,
-    /// Measurements that fail to reach the controller, or reach it wrong.
+    /// Measurements that are lost or corrupted on the way to the controller.
     pub outages: Vec<Outage>,
 }
 
 impl Disturbances {
-    /// The controller's model of `robot`: with errors, and with the limits of weak jets where they are
-    /// known.
+    /// Returns the controller's model of `robot`: with model errors, and with the limits of weak jets if the controller
+    /// knows them.
     ///
     /// # Errors
     /// As [`ModelError::check`] and [`JetFaultsConfig::check`].

@@ -1,4 +1,4 @@
-//! The ground and the motors of a simulation in which the robot stands.
+//! The ground and the motors of simulations with a standing robot.
 
 use flight_core::error::{BuildError, Table, place_of};
 use flight_core::robot::RobotModel;
@@ -6,58 +6,58 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// The plane z = 0 under the robot's feet. Only engines that simulate contact fly a world that has it.
+/// The ground, plane z = 0. Only engines that simulate contact can fly a configuration with ground.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct GroundConfig {
-    /// Coulomb friction of soles on the ground.
+    /// Coulomb friction coefficient of soles on the ground.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub friction: f64,
-    /// Time in which a touching corner comes to rest \[s\]: softer with a longer one.
+    /// Time constant of the contact: time in which a touching corner comes to rest \[s\]; longer is softer.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub contact_time: f64,
-    /// How long stiff joints hold the initial posture before the controller takes over at time zero \[s\].
+    /// Time for which stiff joints hold the initial posture before the controller starts at time zero \[s\].
     #[schemars(range(min = 0))]
     pub settling: f64,
-    /// How the robot measures its own state while it stands; without it the state is measured as it is.
+    /// State measurement of the standing robot by its legs; without it the true state is measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub leg_odometry: Option<LegOdometryConfig>,
 }
 
-/// The state of a standing robot as its legs measure it: the pose of the base from the first of the controller's feet,
-/// its velocity from all of them, as if they stayed where they are.
+/// State measurement by the legs: pose of the base from the first of the controller's feet, velocity from all of them,
+/// assuming that the feet rest.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LegOdometryConfig {
-    /// Time constant of the first-order low pass of the joint velocities that the controller gets \[s\].
+    /// Time constant of the first-order low pass of the joint velocities for the controller \[s\].
     #[schemars(range(min = 0))]
     pub velocity_time_constant: f64,
 }
 
-/// What stands between a motor's torque and its joint.
+/// Friction, stiffness and inertia between a motor's torque and its joint.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MotorsConfig {
     /// Dry friction of every joint \[N m\].
     #[schemars(range(min = 0))]
     pub friction: f64,
-    /// Dry friction of joints that have another, by name \[N m\].
+    /// Dry friction of joints that differ from `friction`, by name \[N m\].
     #[serde(default)]
     pub friction_of: BTreeMap<String, f64>,
     /// Viscous friction of every joint \[N m s\].
     #[schemars(range(min = 0))]
     pub damping: f64,
-    /// Stiffness with which every drive holds the posture that the robot starts in \[N m/rad\].
+    /// Stiffness with which every drive holds the initial posture \[N m/rad\].
     #[serde(default)]
     #[schemars(range(min = 0))]
     pub stiffness: f64,
-    /// Rotor inertia seen at every joint \[kg m²\].
+    /// Rotor inertia reflected to every joint \[kg m²\].
     #[schemars(range(min = 0))]
     pub inertia: f64,
 }
 
 impl GroundConfig {
-    /// Refuses numbers that are no ground.
+    /// Checks that every value is in its range.
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
@@ -74,7 +74,7 @@ impl GroundConfig {
 }
 
 impl MotorsConfig {
-    /// Refuses numbers that are no motors, and joints that `robot` does not have.
+    /// Checks that every value is in its range and that `robot` has the joints.
     ///
     /// # Errors
     /// [`BuildError`] naming the key.

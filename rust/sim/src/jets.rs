@@ -4,8 +4,8 @@
 //! thrust_rate_command ──Jets::advance──► thrust (physics),  thrust_feedback (controller)
 //! ```
 //!
-//! Two dynamics: `ideal` follows the command exactly, as in every published flight; `second_order` is
-//! the identified engine, with the throttle loop and the estimator that the real robot needs.
+//! Two dynamics: `ideal` follows the command exactly, as in every published flight; `second_order` is the
+//! identified engine with the throttle loop and thrust estimator that the real robot needs.
 //!
 //! Thrust is never negative.
 //!
@@ -19,18 +19,18 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// How thrust follows the commanded thrust rate.
+/// Dynamics of the thrust under a commanded thrust rate.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "dynamics", rename_all = "snake_case", deny_unknown_fields)]
 pub enum JetsConfig {
     /// Thrust is the integral of the command.
-    // Braces, because serde lets unknown keys pass beside a bare name.
+    // With braces, because serde accepts unknown keys after a unit variant.
     Ideal {},
-    /// Identified second-order engines behind a throttle loop.
+    /// Identified second-order engines with a throttle loop.
     SecondOrder(SecondOrderConfig),
 }
 
-/// Numbers of the second-order engines; the defaults are the published ones.
+/// Parameters of the second-order engines; the defaults are the published ones.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SecondOrderConfig {
@@ -42,9 +42,9 @@ pub struct SecondOrderConfig {
     pub rate_gain_i: f64,
     /// The thrust estimator.
     pub ekf: EkfConfig,
-    /// What the flight controller is given as thrust; the throttle loop always uses the estimate.
+    /// Thrust that the flight controller receives; the throttle loop always uses the estimate.
     pub feedback: ThrustFeedback,
-    /// Engine of each jet, by name; without it, those of the robot.
+    /// Engine of each jet, by name; by default those of the robot.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub engines: Option<Vec<String>>,
 }
@@ -61,7 +61,7 @@ impl Default for SecondOrderConfig {
     }
 }
 
-/// Which thrust the flight controller gets.
+/// Thrust that the flight controller receives.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ThrustFeedback {
@@ -72,7 +72,7 @@ pub enum ThrustFeedback {
     Estimated,
 }
 
-/// One second-order jet: the engine, and what steers it.
+/// One second-order jet: the engine, its throttle loop and its estimator.
 #[derive(Debug, Clone)]
 struct ThrottledEngine {
     engine: EngineDynamics,
@@ -80,7 +80,7 @@ struct ThrottledEngine {
     ekf: ThrustEkf,
 }
 
-/// What moves the thrusts.
+/// Dynamics of the thrusts.
 #[derive(Debug, Clone)]
 enum Dynamics {
     Ideal,
@@ -94,17 +94,16 @@ pub struct Jets {
     faults: JetFaults,
     thrust: Vec<f64>,
     thrust_rate: Vec<f64>,
-    /// Empty under ideal dynamics.
+    /// Empty for ideal dynamics.
     estimate: Vec<f64>,
 }
 
 impl Jets {
-    /// Jets at `initial_thrust` \[N\] with thrust rate zero, in the order of `jets`.
+    /// Jets at `initial_thrust` \[N\], in the order of `jets`, with thrust rate zero.
     ///
     /// # Errors
-    /// A thrust per jet is missing or not finite; under second-order dynamics also an engine that
-    /// does not exist, a gain that is negative, or numbers that [`EngineModel::new`] or
-    /// [`ThrustEkf::new`] refuse.
+    /// The thrust of a jet is missing or not finite; for second-order dynamics also an engine that does not
+    /// exist, a negative gain, or values that [`EngineModel::new`] or [`ThrustEkf::new`] refuse.
     pub fn new(
         config: &JetsConfig,
         jets: &[Jet],
@@ -150,10 +149,10 @@ impl Jets {
         Ok(new)
     }
 
-    /// The same jets with these faults.
+    /// Returns these jets with faults.
     ///
     /// # Errors
-    /// As [`JetFaultsConfig::check`]; also measurement noise without an estimator to measure it.
+    /// As [`JetFaultsConfig::check`]; also measurement noise without an estimator that uses the measurement.
     pub fn with_faults(mut self, config: &JetFaultsConfig, jets: &[Jet]) -> Result<Self, BuildError> {
         if config.measurement_noise.is_some() && matches!(self.dynamics, Dynamics::Ideal) {
             return Err(BuildError::bad_value(
@@ -166,12 +165,11 @@ impl Jets {
         Ok(self)
     }
 
-    /// Moves every jet on by `dt` \[s\] under the commanded thrust rates \[N/s\], held constant.
+    /// Advances every jet by `dt` \[s\] with constant commanded thrust rates \[N/s\].
     ///
-    /// Ideal: `T ← max(0, T + Ṫ* dt)`: upper bounds are the controller's. Second
-    /// order: throttle from the present estimate, then estimator and engine over `dt`. Total: a jet
-    /// without a command stays as it is. No allocation. Faults change the command before and the
-    /// thrust after.
+    /// Ideal: `T ← max(0, T + Ṫ* dt)`; upper bounds are left to the controller. Second order: throttle from the
+    /// present estimate, then estimator and engine over `dt`. Faults act on the command before and on the thrust
+    /// after. A jet without a command does not change. Does not allocate.
     pub fn advance(&mut self, thrust_rate_command: &[f64], dt: f64) {
         let commands = self.faults.response.delayed(thrust_rate_command, dt);
         match &mut self.dynamics {
@@ -179,7 +177,7 @@ impl Jets {
                 let jets = self.thrust.iter_mut().zip(&mut self.thrust_rate);
                 for ((thrust, thrust_rate), &command) in jets.zip(commands) {
                     let next = *thrust + dt * command;
-                    // A comparison, as `f64::max` would hide what is no number.
+                    // A comparison, because `f64::max` would hide a NaN.
                     (*thrust, *thrust_rate) = if next < 0.0 { (0.0, 0.0) } else { (next, command) };
                 }
             }
@@ -211,7 +209,7 @@ impl Jets {
         }
     }
 
-    /// True thrust \[N\], per jet.
+    /// True thrust \[N\] of each jet.
     #[must_use]
     pub fn thrust(&self) -> &[f64] {
         &self.thrust
@@ -223,7 +221,7 @@ impl Jets {
         self.thrust[jet] * self.faults.force_scale(jet)
     }
 
-    /// Thrust that the flight controller is given \[N\], per jet.
+    /// Thrust that the flight controller receives \[N\], of each jet.
     #[must_use]
     pub fn thrust_feedback(&self) -> &[f64] {
         match self.dynamics {
@@ -232,14 +230,14 @@ impl Jets {
         }
     }
 
-    /// True thrust rate \[N/s\], per jet; under ideal dynamics the last command, or zero where no thrust is left.
+    /// True thrust rate \[N/s\] of each jet; for ideal dynamics the last command, or zero at zero thrust.
     #[must_use]
     pub fn thrust_rate(&self) -> &[f64] {
         &self.thrust_rate
     }
 
-    /// Throttle of the last step \[%\], per jet; at first the one that holds the initial thrust.
-    /// Empty under ideal dynamics, which have no throttle.
+    /// Throttle of the last step \[%\] of each jet; initially that which holds the initial thrust. Empty for
+    /// ideal dynamics, which have no throttle.
     #[must_use]
     pub fn throttle(&self) -> Vec<f64> {
         match &self.dynamics {
@@ -249,7 +247,7 @@ impl Jets {
     }
 }
 
-/// Refuses a list that does not have one entry per jet.
+/// Checks that a list has one entry for each jet.
 fn one_per_jet(item: &str, count: usize, jets: &[Jet]) -> Result<(), BuildError> {
     if count == jets.len() {
         return Ok(());

@@ -1,4 +1,4 @@
-//! The log of a flight: every signal, tick by tick.
+//! The log of a flight: every signal at every tick.
 
 use crate::plant::Plant;
 use crate::scenario::{Loss, Outcome};
@@ -10,10 +10,10 @@ use flight_core::qp::QpAnswer;
 use flight_core::robot::RobotModel;
 use nalgebra::Vector3;
 
-/// One signal: a row of `width` numbers for each tick, rows one after the other.
+/// Values of one signal: one row of `width` numbers for each tick, contiguous.
 #[derive(Debug, Clone)]
 pub struct Series {
-    /// What it is.
+    /// Declaration of the signal.
     pub signal: &'static Signal,
     /// Shape of one row.
     pub row_shape: Vec<usize>,
@@ -28,7 +28,7 @@ impl PartialEq for Series {
 }
 
 impl Series {
-    /// Space for `n_ticks` rows.
+    /// Reserves memory for `n_ticks` rows.
     fn new(signal: &'static Signal, robot: &RobotModel, n_ticks: usize) -> Self {
         let row_shape = signal.row_shape(robot).collect();
         Self { signal, row_shape, data: Vec::with_capacity(signal.row_len(robot) * n_ticks) }
@@ -48,19 +48,19 @@ impl Series {
     }
 }
 
-/// Everything the log can be asked for at one tick.
+/// Values from which all signals of one tick are read.
 pub struct LogRow<'a> {
     /// Time \[s\].
     pub time: f64,
     /// Velocity of the air \[m/s\].
     pub wind: Vector3<f64>,
-    /// The world.
+    /// The simulated robot and its environment.
     pub plant: &'a Plant,
     /// The controller's intermediate values.
     pub terms: &'a Terms,
     /// The controller's command.
     pub command: &'a Command,
-    /// Errors against the set-point.
+    /// Errors with respect to the set-point.
     pub errors: TrackingErrors,
 }
 
@@ -71,7 +71,7 @@ impl LogRow<'_> {
     }
 }
 
-/// How far the robot is from its set-point.
+/// Errors of the robot with respect to its set-point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrackingErrors {
     /// Angle between base and desired base \[rad\].
@@ -81,7 +81,7 @@ pub struct TrackingErrors {
 }
 
 impl TrackingErrors {
-    /// Errors of a plant against a set-point.
+    /// Errors of a plant with respect to a set-point.
     #[must_use]
     pub fn new(plant: &Plant, setpoint: &Setpoint) -> Self {
         let error = setpoint.rotation.transpose() * plant.state().base.rotation;
@@ -92,18 +92,18 @@ impl TrackingErrors {
     }
 }
 
-/// The log of one flight: the signals of [`SIGNALS`] that have rows here. SI units, inertial axes,
-/// quaternions `wxyz`.
+/// The log of one flight: those signals of [`SIGNALS`] that have a row per tick here. SI units,
+/// inertial axes, quaternions `wxyz`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FlightLog {
-    /// All signals, in the order of their declaration.
+    /// All signals, in the order of [`SIGNALS`].
     pub series: Vec<Series>,
-    /// Posture that joint errors are measured against \[rad\].
+    /// Reference posture for joint errors \[rad\].
     pub joint_setpoint: Vec<f64>,
 }
 
 impl FlightLog {
-    /// Space for `n_ticks` rows of a robot's signals.
+    /// Reserves memory for `n_ticks` rows of a robot's signals.
     #[must_use]
     pub fn new(robot: &RobotModel, n_ticks: usize) -> Self {
         let logged = SIGNALS.iter().filter(|signal| signal.read.is_some());
@@ -123,7 +123,7 @@ impl FlightLog {
         self.len() == 0
     }
 
-    /// A signal by name.
+    /// The signal of this name.
     #[must_use]
     pub fn series(&self, name: &str) -> Option<&Series> {
         self.series.iter().find(|series| series.signal.name == name)
@@ -142,12 +142,12 @@ impl FlightLog {
 /// A finished flight.
 #[derive(Debug, Clone)]
 pub struct FlightResult {
-    /// How it ended.
+    /// Outcome of the flight.
     pub outcome: Outcome,
-    /// When and why it ended early, if it did.
+    /// Time and reason of an early end, if any.
     pub loss: Option<Loss>,
     /// All signals.
     pub log: FlightLog,
-    /// Figures of merit; the row in which a flight diverged is left out.
+    /// Figures of merit, without the row in which a flight diverged.
     pub summary: Summary,
 }

@@ -1,13 +1,13 @@
-//! Repeatable noise: the same seed gives the same numbers on every run and every number of threads.
+//! Repeatable noise: a seed gives the same numbers in every run and for every number of threads.
 //!
 //! Equation M42 of `docs/model.md`.
 
 use std::f64::consts::TAU;
 
-/// A stream of random numbers: PCG-XSH-RR with 64 bits of state.
+/// Random number generator PCG-XSH-RR with 64 bits of state.
 ///
 /// Source: M. E. O'Neill, "PCG: A Family of Simple Fast Space-Efficient Statistically Good
-/// Algorithms for Random Number Generation", 2014. Drawing allocates nothing.
+/// Algorithms for Random Number Generation", 2014. Does not allocate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Noise {
     state: u64,
@@ -16,7 +16,7 @@ pub struct Noise {
 }
 
 impl Noise {
-    /// Stream number `stream` of a seed; streams of one seed are independent of each other.
+    /// Stream number `stream` of a seed; the streams of a seed are independent of each other.
     #[must_use]
     pub fn new(seed: u64, stream: u64) -> Self {
         let mut noise = Self { state: 0, increment: (stream << 1) | 1, spare: None };
@@ -29,7 +29,7 @@ impl Noise {
     fn next(&mut self) -> u32 {
         let old = self.state;
         self.state = old.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(self.increment);
-        // Truncation is the algorithm's: the middle bits, turned by the top five.
+        // The truncation is part of the algorithm: the middle bits, rotated by the top five.
         #[allow(clippy::cast_possible_truncation)]
         let (bits, turn) = ((((old >> 18) ^ old) >> 27) as u32, (old >> 59) as u32);
         bits.rotate_right(turn)
@@ -40,7 +40,7 @@ impl Noise {
         (f64::from(self.next()) + 0.5) / 4_294_967_296.0
     }
 
-    /// Normal with mean 0 and standard deviation 1 (Box and Muller).
+    /// Normally distributed with mean 0 and standard deviation 1 (Box and Muller).
     pub fn normal(&mut self) -> f64 {
         if let Some(spare) = self.spare.take() {
             return spare;

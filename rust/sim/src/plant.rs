@@ -4,7 +4,7 @@
 //! M(q) ν̇ = S τ + Σ Jᵀ T a + w_aero − h(q, ν)
 //! ```
 //!
-//! There is no ground, no joint friction and no motor inertia; joint stops act unless they are switched off.
+//! Without ground, joint friction and motor inertia; joint stops act unless they are disabled.
 //!
 //! Equations M78, M79 and M87 of `docs/model.md`; what a step adds to the momentum is M85.
 
@@ -19,14 +19,14 @@ use flight_core::robot::RobotModel;
 use flight_io::load_aero;
 use nalgebra::{DVector, Vector3};
 
-/// Stiffness of a joint's stop \[N m/rad, N/m\]: 50 N m press half a milliradian into it.
+/// Stiffness of a joint stop \[N m/rad, N/m\]: 50 N m deflect it by half a milliradian.
 const STOP_STIFFNESS: f64 = 1e5;
 
-/// Damping of a joint's stop \[N m s/rad, N s/m\]: against the stiffness it acts for 2 ms, so that a limb of
-/// 0.1 kg m² hits the stop without bouncing back at any step.
+/// Damping of a joint stop \[N m s/rad, N s/m\]: its time constant with the stiffness is 2 ms, so that a limb
+/// of 0.1 kg m² stops without bouncing at any step.
 const STOP_DAMPING: f64 = 200.0;
 
-/// The simulated robot in its wind.
+/// The simulated robot in the wind.
 #[derive(Debug, Clone)]
 pub struct Plant {
     robot: RobotModel,
@@ -40,21 +40,21 @@ pub struct Plant {
     kinematics: Kinematics,
     dynamics: Dynamics,
     link_forces: LinkForces,
-    /// Act in place of those of the model, inertial axes \[N\].
+    /// Forces that replace those of the model, inertial axes \[N\].
     given_forces: Option<Vec<Vector3<f64>>>,
-    /// First-tick pose with current velocities, where the aerodynamics is frozen.
+    /// First-tick pose with current velocities, if the aerodynamic kinematics are frozen.
     frozen: Option<(RobotState, Kinematics)>,
     mass_factor: MassFactor,
-    /// Generalised force less the bias.
+    /// Generalised force minus the bias.
     force: DVector<f64>,
     acceleration: DVector<f64>,
 }
 
 impl Plant {
-    /// A robot in its initial state; the configuration is checked here.
+    /// Builds a robot in its initial state and checks the configuration.
     ///
     /// # Errors
-    /// [`BuildError`] naming what does not fit.
+    /// [`BuildError`] naming the item that is invalid.
     pub fn new(
         robot: RobotModel,
         config: &SimulatorConfig,
@@ -106,13 +106,13 @@ impl Plant {
         Ok(plant)
     }
 
-    /// The robot that flies.
+    /// The simulated robot.
     #[must_use]
     pub fn robot(&self) -> &RobotModel {
         &self.robot
     }
 
-    /// Pose and velocity.
+    /// State of the robot.
     #[must_use]
     pub fn state(&self) -> &RobotState {
         &self.state
@@ -130,8 +130,8 @@ impl Plant {
         &self.kinematics
     }
 
-    /// Momentum and mass matrix of the last [`Self::observe`]; until the next one, stops that act in
-    /// [`Self::advance`] add to the mass matrix.
+    /// Momentum and mass matrix of the last [`Self::observe`]; [`Self::advance`] adds active joint stops to
+    /// the mass matrix.
     #[must_use]
     pub fn dynamics(&self) -> &Dynamics {
         &self.dynamics
@@ -143,7 +143,7 @@ impl Plant {
         &self.link_forces
     }
 
-    /// Evaluates everything that depends on the state, in the given wind \[m/s\].
+    /// Evaluates all quantities that depend on the state, in the given wind \[m/s\].
     pub fn observe(&mut self, wind_i: &Vector3<f64>) {
         self.kinematics.update(&self.robot, &self.state);
         self.dynamics.update(&self.robot, &self.state, &self.kinematics);
@@ -161,11 +161,11 @@ impl Plant {
         }
     }
 
-    /// Lets these forces \[N, inertial axes\], one for each link, act in place of those of the model, from the
-    /// next [`Self::observe`] on; `None` returns to the model.
+    /// Replaces the aerodynamic forces by `forces_i` \[N, inertial axes\], one for each link, from the next
+    /// [`Self::observe`] on; `None` returns to the model.
     ///
     /// # Errors
-    /// [`BuildError::BadValue`] for another number of forces than there are links.
+    /// [`BuildError::BadValue`] if the number of forces is not that of the links.
     pub fn replace_link_forces(&mut self, forces_i: Option<Vec<Vector3<f64>>>) -> Result<(), BuildError> {
         let links = self.robot.aero_links.len();
         match &forces_i {
@@ -178,8 +178,8 @@ impl Plant {
         Ok(())
     }
 
-    /// Advances one tick of `time_step` \[s\] under held torques and commanded thrust rates. The
-    /// forces of the first sub-step are those of the last [`Self::observe`].
+    /// Advances by one tick of `time_step` \[s\] with constant torques and commanded thrust rates. The forces
+    /// of the first sub-step are those of the last [`Self::observe`].
     pub fn advance(
         &mut self,
         torque: &[f64],
@@ -210,13 +210,13 @@ impl Plant {
         self.kinematics.add_thrusts(&self.robot, thrusts, force);
         let placed = self.frozen.as_ref().map_or(&self.kinematics, |(_, kinematics)| kinematics);
         for (index, link) in self.robot.aero_links.iter().enumerate() {
-            // One point for moment and Jacobian: for a rigid body both give the same.
+            // Moment and Jacobian use the same point, which is exact for a rigid body.
             let point = &self.link_forces.arm_points_i[index];
             placed.add_generalised_force(link.frame.body, point, &self.link_forces.forces_i[index], force);
         }
     }
 
-    /// The first step of the published model: gravity alone.
+    /// First step of the published model, with gravity only (M79).
     fn fall_freely(&mut self, time_step: f64) {
         self.kinematics.update(&self.robot, &self.state);
         self.dynamics.update(&self.robot, &self.state, &self.kinematics);
@@ -226,14 +226,16 @@ impl Plant {
     }
 
     /// Adds the stops of joints that this acceleration takes out of their range: springs and dampers, implicit
-    /// in the velocity after the step, so that they are stable at every step. Whether there are some.
+    /// in the velocity after the step, so that they are stable at every step (M87). Returns whether a stop is
+    /// active.
     fn add_stops(&mut self, step: f64) -> bool {
         let is_explicit = self.integrator == Integrator::ExplicitEuler;
         let mut is_stopped = false;
         for (index, joint) in self.robot.joints.iter().enumerate() {
             let place = 6 + index;
             let velocity = self.state.velocity[place];
-            // Where the velocity after the step moves on from: with explicit Euler, from the end of the step.
+            // Position that the velocity after the step is added to: with explicit Euler, that at the end of
+            // the step.
             let position = self.state.joint_position[index] + if is_explicit { step * velocity } else { 0.0 };
             let ahead = position + step * (velocity + step * self.acceleration[place]);
             let (lower, upper) = joint.stops;
@@ -258,12 +260,12 @@ impl Plant {
         if self.mass_factor.factorise(&self.dynamics.mass_matrix) {
             self.mass_factor.solve_in_place(&mut self.acceleration);
         } else {
-            // Only a state that is not finite gets here; the flight ends on it.
+            // Only for a state that is not finite; the flight ends with it.
             self.acceleration.fill(f64::NAN);
         }
     }
 
-    /// Turns the gathered forces into accelerations and takes one Euler step.
+    /// Converts the gathered forces to accelerations and takes one Euler step.
     fn integrate(&mut self, step: f64) {
         self.accelerate();
         if self.has_stops && self.add_stops(step) {

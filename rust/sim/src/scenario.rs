@@ -9,8 +9,8 @@
 //! advance   x_{k+1} from x_k, T_k and the torques;  T_{k+1} = T_k + h Ṫ*
 //! ```
 //!
-//! which is the published order of execution with its unit delays written out: its physics block runs
-//! first in a tick, on what the tick before left in the delays. Equation M77 of `docs/model.md`, the end of a flight M80.
+//! This is the published order of execution with its unit delays written out: the published physics block is first in a
+//! tick and uses the outputs of the tick before. Equation M77 of `docs/model.md`; the end of a flight is M80.
 
 use crate::config::{
     AeroKinematics, DivergenceConfig, DynamicsBackend, Engine, FallConfig, Integrator, ScenarioConfig,
@@ -31,22 +31,21 @@ use serde_json::{Value, json};
 use std::fmt;
 use std::ops::ControlFlow;
 
-/// How a flight ended.
+/// Outcome of a flight.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Outcome {
-    /// It flew to its end, on course.
+    /// The mission was flown to its end, on course.
     Completed,
-    /// It flew to its end, but after the start-up was further from its set-point than
-    /// `simulator.course_error`.
+    /// The mission was flown to its end, but after the start-up the errors exceeded `simulator.course_error`.
     OffCourse,
-    /// It was lost: the robot tipped over or left its set-point behind.
+    /// The robot fell: its rotation error or position error passed its limit.
     Fell,
-    /// Its numbers are none, or such that physics excludes them: what a simulation says then means nothing.
+    /// The computation diverged: numbers are not finite or physically impossible, so the result has no meaning.
     Diverged,
 }
 
 impl Outcome {
-    /// Its name in result files.
+    /// Name in result files.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -58,33 +57,33 @@ impl Outcome {
     }
 }
 
-/// When and why a flight ended early.
+/// Time and reason of an early end.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Loss {
     /// Time \[s\].
     pub time: f64,
-    /// What was exceeded.
+    /// The quantity that exceeded its limit.
     pub reason: LossReason,
 }
 
-/// Why a flight ended early: the first two are falls, by the others it diverged, with the limit.
+/// Reason of an early end, with the limit: the first two are falls, the others a divergence.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum LossReason {
-    /// Base and desired base are this far apart \[rad\].
+    /// Angle between base and desired base \[rad\].
     RotationError(f64),
-    /// Centre of mass and reference are this far apart \[m\].
+    /// Distance of the centre of mass from its set-point \[m\].
     ComError(f64),
-    /// The state holds a number that is not finite.
+    /// The state contains a number that is not finite.
     NotFinite,
-    /// Base or air move faster than this \[m/s\].
+    /// Speed of base or air \[m/s\].
     Speed(f64),
-    /// The base turns faster than this \[rad/s\].
+    /// Angular velocity of the base \[rad/s\].
     AngularVelocity(f64),
-    /// A joint moves faster than this \[rad/s, m/s\].
+    /// Velocity of a joint \[rad/s, m/s\].
     JointVelocity(f64),
-    /// A joint is further beyond its stops than this \[rad, m\].
+    /// Distance of a joint beyond its stops \[rad, m\].
     JointPosition(f64),
-    /// A thrust is more than this times the jet's greatest.
+    /// Ratio of a thrust to the jet's greatest.
     Thrust(f64),
 }
 
@@ -120,17 +119,17 @@ pub struct Scenario {
     plant: Plant,
     controller: Controller,
     wind: Wind,
-    /// What the controller is given in its place.
+    /// Wind that the controller receives in place of the simulated one.
     controller_wind: Option<Wind>,
-    /// Between the wind and the controller; `None` without errors.
+    /// Errors of the measured wind; `None` without errors.
     wind_estimator: Option<WindEstimator>,
-    /// Between the robot's state and the controller; `None` where they are exact.
+    /// Sensors of the robot's state; `None` if they are exact.
     sensors: Option<Sensors>,
-    /// Between everything that is measured and the controller.
+    /// Outages of all measurements.
     outages: Outages,
-    /// What is measured at a tick.
+    /// Measurement of a tick.
     sample: Sample,
-    /// Of the controller's feet: nothing, as there is no ground.
+    /// Wrenches of the controller's feet: zero, because there is no ground.
     foot_wrenches: Vec<Vector6<f64>>,
     time_step: f64,
     n_ticks: usize,
@@ -139,7 +138,7 @@ pub struct Scenario {
     course_error: f64,
 }
 
-/// A flight that was stopped from outside.
+/// A flight was stopped by the caller.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("interrupted")]
 pub struct Interrupted;
@@ -148,16 +147,16 @@ impl Scenario {
     /// Builds plant and controller.
     ///
     /// # Errors
-    /// [`BuildError`] naming what in the configuration cannot be used.
+    /// [`BuildError`] naming the invalid part of the configuration.
     pub fn new(config: &ScenarioConfig) -> Result<Self, BuildError> {
         let robot = load_robot(&config.robot)?;
         Self::with_robot(config, robot)
     }
 
-    /// Builds a flight of a robot that is loaded already; the configuration's own path is not read.
+    /// Builds a flight with a robot that is already loaded; the path in the configuration is not read.
     ///
     /// # Errors
-    /// [`BuildError`] naming what in the configuration cannot be used.
+    /// [`BuildError`] naming the invalid part of the configuration.
     pub fn with_robot(config: &ScenarioConfig, robot: RobotModel) -> Result<Self, BuildError> {
         let time_step = config.simulator.time_step;
         let disturbances = &config.disturbances;
@@ -201,14 +200,14 @@ impl Scenario {
         })
     }
 
-    /// Refuses a configuration that its own engine cannot fly; reads the robot's files.
+    /// Checks that the configuration can be flown by its own engine; reads the robot's files.
     ///
     /// # Errors
-    /// [`BuildError`] naming what cannot be used.
+    /// [`BuildError`] naming the invalid part.
     pub fn check(config: &ScenarioConfig) -> Result<(), BuildError> {
         if config.engine == Engine::Jax {
             let mut config = config.clone();
-            config.simulator.dynamics = DynamicsBackend::Tree; // it flies either
+            config.simulator.dynamics = DynamicsBackend::Tree; // both can be flown
             return Self::new(&config).map(|_| ());
         }
         if config.engine == Engine::Rust {
@@ -246,7 +245,7 @@ impl Scenario {
         let robot = load_robot(&config.robot)?;
         config.simulator.check(&robot)?;
         let mut config = config.clone();
-        (config.simulator.ground, config.simulator.motors) = (None, None); // MuJoCo has what the plant lacks
+        (config.simulator.ground, config.simulator.motors) = (None, None); // simulated by MuJoCo only
         Self::with_robot(&config, robot).map(|_| ())
     }
 
@@ -256,11 +255,11 @@ impl Scenario {
         self.n_ticks
     }
 
-    /// Flies to the end, or until the flight is lost. `progress(tick, n_ticks)` is called every tick and may stop
-    /// the flight.
+    /// Flies to the end, or until the flight is lost. `progress(tick, n_ticks)` is called every tick and can stop the
+    /// flight.
     ///
     /// # Errors
-    /// [`Interrupted`] if `progress` said so.
+    /// [`Interrupted`] if `progress` stopped the flight.
     pub fn run(
         self,
         mut progress: impl FnMut(usize, usize) -> ControlFlow<()>,
@@ -282,7 +281,7 @@ impl Scenario {
         Flight { scenario: self, log, state: None, loss: None, tick: 0 }
     }
 
-    /// Why a flight is lost now, if it is.
+    /// Reason why the flight is lost at this tick, if it is.
     fn lost(&self, wind: &Vector3<f64>, errors: &TrackingErrors) -> Option<LossReason> {
         self.divergence(wind).or_else(|| {
             if !errors.rotation.is_finite() || !errors.com.is_finite() {
@@ -297,7 +296,7 @@ impl Scenario {
         })
     }
 
-    /// What about the state of the world physics excludes, if something.
+    /// Reason why the state is physically impossible, if it is.
     fn divergence(&self, wind: &Vector3<f64>) -> Option<LossReason> {
         let (state, thrusts, robot) = (self.plant.state(), self.plant.jets().thrust(), self.plant.robot());
         let limits = &self.divergence;
@@ -330,20 +329,20 @@ impl Scenario {
     }
 }
 
-/// A flight under way.
+/// A flight in progress.
 #[derive(Debug)]
 pub struct Flight {
     scenario: Scenario,
     log: FlightLog,
-    /// From the first tick on.
+    /// `None` before the first tick.
     state: Option<ControllerState>,
     loss: Option<Loss>,
-    /// The next one.
+    /// Index of the next tick.
     tick: usize,
 }
 
 impl Flight {
-    /// Flies one tick; `false` if the flight is lost in it, or had ended before.
+    /// Flies one tick; `false` if the flight is lost in it or had ended before.
     pub fn step(&mut self) -> bool {
         if self.has_ended() {
             return false;
@@ -403,7 +402,7 @@ impl Flight {
         true
     }
 
-    /// Whether its last tick is flown, or it is lost.
+    /// Whether the last tick has been flown or the flight is lost.
     #[must_use]
     pub fn has_ended(&self) -> bool {
         self.loss.is_some() || self.tick > self.scenario.n_ticks
@@ -415,38 +414,38 @@ impl Flight {
         self.scenario.n_ticks
     }
 
-    /// What was flown so far.
+    /// Log of the ticks flown so far.
     #[must_use]
     pub fn log(&self) -> &FlightLog {
         &self.log
     }
 
-    /// The robot that flies.
+    /// The simulated robot.
     #[must_use]
     pub fn robot(&self) -> &RobotModel {
         self.scenario.plant.robot()
     }
 
-    /// From the next tick on, this wind blows. With `mean_only` the mean stays that of the configured one.
+    /// Changes the wind from the next tick on. With `mean_only` the mean remains that of the configured wind.
     pub fn set_wind(&mut self, wind: Wind) {
         self.scenario.wind = wind;
     }
 
-    /// When and why it was lost, if it was.
+    /// Time and reason of the loss, if the flight was lost.
     #[must_use]
     pub fn loss(&self) -> Option<Loss> {
         self.loss
     }
 
-    /// Figures of merit of what was flown so far.
+    /// Figures of merit of the ticks flown so far.
     #[must_use]
     pub fn summary(&self) -> Summary {
-        // Numbers that physics excludes are in the log, but no merit of the flight.
+        // Physically impossible numbers are in the log, but not in the figures of merit.
         let is_excluded = self.loss.is_some_and(|loss| loss.reason.outcome() == Outcome::Diverged);
         Summary::new(&self.log, self.log.len().saturating_sub(usize::from(is_excluded)))
     }
 
-    /// How it ended; before its end, as if it ended now.
+    /// Outcome of the flight; before its end, as if it ended now.
     #[must_use]
     pub fn outcome(&self, summary: &Summary) -> Outcome {
         let is_off_course = summary.max_com_error > self.scenario.course_error;
@@ -454,7 +453,7 @@ impl Flight {
         self.loss.map_or(flown, |loss| loss.reason.outcome())
     }
 
-    /// What it leaves behind.
+    /// Result of the flight.
     #[must_use]
     pub fn result(self) -> FlightResult {
         let summary = self.summary();

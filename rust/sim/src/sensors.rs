@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! truth ──► delay ──► + bias + noise ──► Measurement::{state, thrust}
-//! joints ──► delay ──► steps of the encoder ──► differences ──► low pass
+//! joints ──► delay ──► quantisation of the encoder ──► differences ──► low pass
 //! ```
 //!
 //! Equations M88 to M90 of `docs/model.md`.
@@ -16,10 +16,10 @@ use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Stream of the noise: that of turbulence too. Measured wind and thrust estimators have others.
+/// Stream of the noise, the same as that of turbulence; measured wind and thrust estimators have others.
 const STREAM: u64 = 2;
 
-/// Longest delay \[s\]: the delay line is kept in memory.
+/// Greatest delay \[s\], because the delay line is kept in memory.
 const MAX_DELAY: f64 = 1.0;
 
 /// Sensors of the robot's own state; those without settings are exact.
@@ -28,30 +28,30 @@ const MAX_DELAY: f64 = 1.0;
 pub struct SensorsConfig {
     /// Position of the base origin \[m, inertial axes\].
     pub base_position: SensorConfig,
-    /// Rotation of the base; bias and noise turn it about its own axes \[rad\].
+    /// Rotation of the base; bias and noise rotate it about its own axes \[rad\].
     pub base_rotation: SensorConfig,
     /// Velocity of the base origin \[m/s, inertial axes\].
     pub base_linear_velocity: SensorConfig,
-    /// Gyroscopes \[rad/s, base axes\]; the measured rotation turns them into inertial axes.
+    /// Gyroscopes \[rad/s, base axes\]; the measured rotation transforms them to inertial axes.
     pub base_angular_velocity: SensorConfig,
     /// Joints.
     pub joints: EncoderConfig,
     /// Thrust of every jet.
     pub thrust: ThrustSensorConfig,
-    /// Seed of all their noise.
+    /// Seed of the noise of all sensors.
     pub seed: u64,
 }
 
-/// A sensor with three axes, in the unit of what it measures.
+/// A three-axis sensor; values are in the unit of its measurement.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SensorConfig {
-    /// Added to every measurement.
+    /// Bias of every measurement.
     pub bias: [f64; 3],
-    /// Standard deviation of white noise on every axis, drawn anew each tick.
+    /// Standard deviation of white noise on every axis, drawn in every tick.
     #[schemars(range(min = 0))]
     pub noise_std: f64,
-    /// Age of what is measured, rounded to ticks \[s\].
+    /// Age of the measurement, rounded to ticks \[s\].
     #[schemars(range(min = 0, max = 1))]
     pub delay: f64,
 }
@@ -60,35 +60,35 @@ pub struct SensorConfig {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct EncoderConfig {
-    /// Step of the positions \[rad, m\]; zero for none.
+    /// Quantisation step of the positions \[rad, m\]; zero for none.
     #[schemars(range(min = 0))]
     pub resolution: f64,
-    /// Velocities are differences of positions behind a first-order low pass of this time constant \[s\]; without
-    /// it they are measured as such.
+    /// Time constant \[s\] of a first-order low pass of position differences, from which velocities are measured;
+    /// without it velocities are measured directly.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 0))]
     pub velocity_time_constant: Option<f64>,
-    /// Age of what is measured, rounded to ticks \[s\].
+    /// Age of the measurement, rounded to ticks \[s\].
     #[schemars(range(min = 0, max = 1))]
     pub delay: f64,
 }
 
-/// Thrust sensors, all alike.
+/// Thrust sensors, equal for all jets.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ThrustSensorConfig {
-    /// Added to every measurement \[N\].
+    /// Bias of every measurement \[N\].
     pub bias: f64,
-    /// Standard deviation of white noise on every jet, drawn anew each tick \[N\].
+    /// Standard deviation of white noise on every jet, drawn in every tick \[N\].
     #[schemars(range(min = 0))]
     pub noise_std: f64,
-    /// Age of what is measured, rounded to ticks \[s\].
+    /// Age of the measurement, rounded to ticks \[s\].
     #[schemars(range(min = 0, max = 1))]
     pub delay: f64,
 }
 
 impl SensorsConfig {
-    /// Refuses numbers that mean nothing.
+    /// Checks that every value is in its range.
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
@@ -123,21 +123,21 @@ impl SensorsConfig {
     }
 }
 
-/// A delay \[s\] in ticks.
+/// Converts a delay \[s\] to ticks.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked: 0 to 1 s
 fn age(delay: f64, time_step: f64) -> usize {
     (delay / time_step).round() as usize
 }
 
-/// The sensors in time; read once per tick.
+/// The sensors with their state; read once per tick.
 #[derive(Debug, Clone)]
 pub struct Sensors {
     config: SensorsConfig,
     time_step: f64,
-    /// Share of the way that the low pass of joint velocities goes per tick.
+    /// Fraction of the difference that the low pass of joint velocities corrects per tick.
     share: f64,
     noise: Noise,
-    /// The last ticks, a ring; `now` is the latest.
+    /// The last ticks, a ring buffer; `now` is the latest.
     line: Vec<Reading>,
     now: usize,
     is_started: bool,
@@ -145,7 +145,7 @@ pub struct Sensors {
 }
 
 impl Sensors {
-    /// Sensors of a robot with so many joints and jets that are read every `time_step` \[s\].
+    /// Sensors of a robot with the given numbers of joints and jets, read every `time_step` \[s\].
     ///
     /// # Errors
     /// As [`SensorsConfig::check`].
@@ -177,9 +177,9 @@ impl Sensors {
         })
     }
 
-    /// Reads all sensors in this state of the robot. No allocation.
+    /// Reads all sensors in this state of the robot. Does not allocate.
     ///
-    /// Before a delay has passed, the first state is measured; the joints' low pass starts settled.
+    /// Until a delay has passed, the first state is measured; the low pass of the joints starts in its steady state.
     pub fn read(&mut self, state: &RobotState, thrust: &[f64]) -> &Reading {
         let Self { config, time_step, line, reading, noise, .. } = self;
         self.now = (self.now + 1) % line.len();
@@ -212,7 +212,8 @@ impl Sensors {
         let velocities = &mut reading.state.velocity.as_mut_slice()[6..];
         for (joint, velocity) in velocities.iter_mut().enumerate() {
             let (before, position) = (reading.state.joint_position[joint], joints.joint_position[joint]);
-            // Not divided by `step`: XLA makes a multiplication of that, and ties must round alike in both languages.
+            // Not divided by `step`, which XLA would replace by a multiplication: ties must be rounded alike in both
+            // languages.
             let step = config.joints.resolution;
             let position = if step > 0.0 { step * (position * (1.0 / step)).round() } else { position };
             reading.state.joint_position[joint] = position;

@@ -1,13 +1,13 @@
 //! The signals of a flight's log, each declared once: name, dimensions, unit, meaning, and how it is read.
 //!
-//! The log, the Python bindings, result files and plots take all of it from here.
+//! Log, Python bindings, result files and figures use these declarations.
 
 use crate::log::LogRow;
 use flight_core::robot::RobotModel;
 use flight_core::spatial::{rpy_from_rotation, wxyz_from_rotation};
 use serde::Serialize;
 
-/// What an index of a signal counts.
+/// Dimension of a signal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Dimension {
@@ -15,11 +15,11 @@ pub enum Dimension {
     Time,
     /// Axes.
     Xyz,
-    /// Parts of a quaternion.
+    /// Components of a quaternion.
     Wxyz,
     /// Roll, pitch, yaw.
     Rpy,
-    /// Linear, then angular axes.
+    /// Linear axes, then angular axes.
     Six,
     /// Joints of the robot.
     Joint,
@@ -34,7 +34,7 @@ pub enum Dimension {
 }
 
 impl Dimension {
-    /// Entries in one row of the log of a robot.
+    /// Length of the dimension in one row of the log of a robot.
     #[must_use]
     pub fn len(self, robot: &RobotModel) -> usize {
         match self {
@@ -51,25 +51,25 @@ impl Dimension {
     }
 }
 
-/// Appends one row of a signal.
+/// Appends one row of a signal to the data.
 pub type Read = fn(&LogRow, &mut Vec<f64>);
 
 /// The declaration of a signal.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct Signal {
-    /// Name, as in result files.
+    /// Name in result files.
     pub name: &'static str,
-    /// Dimensions; without time, the signal has one value for the flight.
+    /// Dimensions; a signal without time has one value per flight.
     pub dims: &'static [Dimension],
-    /// Unit, as UDUNITS writes it.
+    /// Unit in UDUNITS notation.
     pub unit: &'static str,
     /// Meaning.
     pub meaning: &'static str,
-    /// Whether its values are whole numbers.
+    /// Whether its values are integers.
     pub is_integer: bool,
-    /// Whether only an engine with ground has it.
+    /// Whether only engines with ground log it.
     pub is_of_ground: bool,
-    /// How this engine reads it; `None` for what others log, and for what has no row.
+    /// How this engine reads it; `None` for signals that others log, and for those without rows.
     #[serde(skip)]
     pub read: Option<Read>,
 }
@@ -85,7 +85,7 @@ const fn signal(
     Signal { name, dims, unit, meaning, is_integer: false, is_of_ground: false, read: Some(read) }
 }
 
-/// A signal that only an engine with ground logs.
+/// A signal that only engines with ground log.
 const fn of_ground(
     name: &'static str,
     dims: &'static [Dimension],
@@ -128,8 +128,8 @@ const MOMENTUM: &str = "kg m s-1 (linear), kg m2 s-1 (angular)";
 const MOMENTUM_RATE: &str = "N (linear), N m (angular)";
 const WRENCH: &str = "N (force), N m (moment)";
 
-/// Every signal. Joint quantities are those of revolute joints: of prismatic ones m stands for rad and N for
-/// N m.
+/// All signals. Joint quantities are in the units of revolute joints; for prismatic ones replace rad by m
+/// and N m by N.
 pub static SIGNALS: [Signal; 41] = [
     signal("time", TIME, "s", "time", |row, out| out.push(row.time)),
     signal("base_position", XYZ, "m", "position of the base origin, inertial frame", |row, out| {

@@ -9,13 +9,13 @@ use serde::Serialize;
 /// The declaration of a figure of merit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Figure {
-    /// Name, as in result files.
+    /// Name in result files.
     pub name: &'static str,
-    /// Unit, as UDUNITS writes it.
+    /// Unit in UDUNITS notation.
     pub unit: &'static str,
     /// Meaning.
     pub meaning: &'static str,
-    /// Whether only an engine with ground has it.
+    /// Whether only engines with ground have it.
     pub is_of_ground: bool,
 }
 
@@ -25,8 +25,8 @@ const fn figure(name: &'static str, unit: &'static str, meaning: &'static str) -
 
 macro_rules! figures {
     ($($name:ident [$unit:literal] $meaning:literal;)*) => {
-        /// Figures of merit of a flight. Each is NaN if a number is that it is made of, or if there is no tick that it is
-        /// of: those after settling, if the flight ended before.
+        /// Figures of merit of a flight. Each is NaN if a number from which it is computed is NaN, or if there is no
+        /// tick to compute it from; for figures after settling, if the flight ended before.
         #[derive(Debug, Clone, Copy, PartialEq)]
         pub struct Summary {
             $(#[doc = concat!($meaning, " \\[", $unit, "\\]")] pub $name: f64,)*
@@ -35,7 +35,7 @@ macro_rules! figures {
         const OF_FLIGHTS: &[Figure] = &[$(figure(stringify!($name), $unit, $meaning)),*];
 
         impl Summary {
-            /// The figures of no tick.
+            /// Figures without any tick.
             const NONE: Self = Self { $($name: f64::NAN),* };
 
             /// The figures, in the order of [`figures`].
@@ -70,7 +70,7 @@ figures! {
     degraded_time ["s"] "time in which a channel is not measured, an engine is limited or the robot descends";
 }
 
-/// Every figure of merit: those of [`Summary`], and those of engines with ground.
+/// All figures of merit: those of [`Summary`], and those of engines with ground.
 #[must_use]
 pub fn figures() -> Vec<Figure> {
     let of_ground = [
@@ -85,10 +85,10 @@ pub fn figures() -> Vec<Figure> {
     OF_FLIGHTS.iter().copied().chain(of_ground).collect()
 }
 
-/// Rotation error beyond which a robot that still flies counts as leaning.
+/// Rotation error above which a robot in flight counts as leaning \[rad\].
 pub const LEANING: f64 = std::f64::consts::FRAC_PI_4;
 
-/// Time that a flight takes to settle after it starts out of equilibrium \[s\].
+/// Time that a flight needs to settle after its start out of equilibrium \[s\].
 pub const SETTLING_TIME: f64 = 3.0;
 
 impl Summary {
@@ -152,14 +152,14 @@ impl Summary {
     }
 }
 
-/// Sum of the forces on all links, tick by tick \[N\].
+/// Sum of the forces on all links at every tick \[N\].
 fn total_forces(log: &FlightLog, name: &str, ticks: usize) -> Vec<Vector3<f64>> {
     let Some(series) = log.series(name) else { return Vec::new() };
     let total = |row: &[f64]| row.chunks_exact(3).map(Vector3::from_column_slice).sum();
     (0..log.len().min(ticks)).map(|tick| total(series.row(tick))).collect()
 }
 
-/// The greater number, or NaN if one is NaN; `f64::max` would hide it.
+/// The greater number, or NaN if one is NaN, which `f64::max` would hide.
 fn greater(a: f64, b: f64) -> f64 {
     if a.is_nan() || a > b { a } else { b }
 }
@@ -169,12 +169,12 @@ fn lesser(a: f64, b: f64) -> f64 {
     if a.is_nan() || a < b { a } else { b }
 }
 
-/// Greatest of values that are not negative; zero if there are none.
+/// Greatest of non-negative values; zero if there are none.
 fn greatest(values: impl Iterator<Item = f64>) -> f64 {
     values.fold(0.0, greater)
 }
 
-/// Greatest of values that are not negative; NaN if there are none.
+/// Greatest of non-negative values; NaN if there are none.
 fn greatest_of(values: impl Iterator<Item = f64>) -> f64 {
     values.reduce(greater).unwrap_or(f64::NAN)
 }
@@ -184,7 +184,7 @@ fn least(values: impl Iterator<Item = f64>) -> f64 {
     values.fold(f64::INFINITY, lesser)
 }
 
-/// NaN if there are no values.
+/// Root mean square; NaN if there are no values.
 fn root_mean_square(values: impl Iterator<Item = f64>) -> f64 {
     let (count, sum) = values.fold((0.0_f64, 0.0), |(count, sum), x| (count + 1.0, sum + x * x));
     (sum / count).sqrt()

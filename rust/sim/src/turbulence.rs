@@ -1,4 +1,4 @@
-//! Turbulent wind as a function of time: a sum of waves, so that it needs no state and no table.
+//! Turbulent wind as a function of time: a sum of waves, which needs no state and no table.
 //!
 //! Equation M38 of `docs/model.md`.
 
@@ -9,7 +9,7 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 /// Waves per axis.
 const WAVES: usize = 24;
 
-/// One axis' wave.
+/// A wave along one axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Wave {
     frequency: f64,
@@ -22,8 +22,8 @@ struct Wave {
 /// S(ω) ∝ σ² τ / (1 + ω² τ²)
 /// ```
 ///
-/// Every wave stands for the same share of the variance, at a random frequency within its band and
-/// with a random phase. Source: ours; the longitudinal Dryden spectrum has this form.
+/// Every wave has the same part of the variance, at a random frequency within its band and with a
+/// random phase. Source: ours; the longitudinal Dryden spectrum has this form.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Turbulence {
     amplitude: Vector3<f64>,
@@ -31,12 +31,12 @@ pub struct Turbulence {
 }
 
 impl Turbulence {
-    /// Turbulence of a standard deviation per axis \[m/s\] and a time scale τ \[s\].
+    /// Turbulence with a standard deviation for each axis \[m/s\] and a time scale τ \[s\].
     #[must_use]
     pub fn new(std: &Vector3<f64>, time_scale: f64, seed: u64) -> Self {
         let mut noise = Noise::new(seed, 2);
         let mut wave = |band: usize| {
-            // Not up to the edge of the band: the last one has none.
+            // Not up to the edge of the band, because the last band has no upper edge.
             let place = band as f64 + 0.25 + 0.5 * noise.uniform();
             Wave {
                 frequency: libm::tan(FRAC_PI_2 * place / WAVES as f64) / time_scale,
@@ -49,7 +49,7 @@ impl Turbulence {
         }
     }
 
-    /// Velocity added to the mean wind at `time` \[s\]: m/s, inertial axes.
+    /// Velocity to be added to the mean wind at `time` \[s\], in m/s, inertial axes.
     #[must_use]
     pub fn velocity(&self, time: f64) -> Vector3<f64> {
         Vector3::from_fn(|axis, _| {

@@ -1,4 +1,4 @@
-//! Wind as a function of time: the velocity of the air in inertial axes, the same everywhere.
+//! Wind as a function of time: velocity of the air in inertial axes, uniform in space.
 //!
 //! Equations M36 and M37 of `docs/model.md`.
 
@@ -11,43 +11,43 @@ use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
 
-/// A wind profile; all velocities in m/s, inertial axes, all times in s.
+/// A wind profile; velocities in m/s, inertial axes, times in s.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "profile", rename_all = "snake_case", deny_unknown_fields)]
 pub enum WindConfig {
-    /// The same all the time.
+    /// Constant velocity.
     Constant {
         /// Velocity of the air \[m/s\].
         velocity: [f64; 3],
     },
-    /// Still, then rising linearly to a constant: the published profile.
+    /// Zero, then a linear rise to a constant: the published profile.
     Ramp {
         /// Velocity after the ramp \[m/s\].
         velocity: [f64; 3],
-        /// When the wind starts to rise \[s\].
+        /// Start of the rise \[s\].
         ramp_start: f64,
-        /// When it has risen \[s\].
+        /// End of the rise \[s\].
         ramp_end: f64,
     },
-    /// A steady wind with one "1 − cos" gust on top.
+    /// A steady wind with one "1 − cos" gust.
     Gust {
         /// Steady velocity \[m/s\].
         velocity: [f64; 3],
         /// Velocity added at the peak of the gust \[m/s\].
         gust: [f64; 3],
-        /// When the gust begins \[s\].
+        /// Start of the gust \[s\].
         start: f64,
-        /// How long it lasts \[s\].
+        /// Duration of the gust \[s\].
         #[schemars(extend("exclusiveMinimum" = 0))]
         duration: f64,
     },
-    /// The published profile with turbulence on top, which rises with it.
+    /// The published profile with turbulence that rises in proportion.
     Turbulent {
         /// Mean velocity after the ramp \[m/s\].
         velocity: [f64; 3],
-        /// When the wind starts to rise \[s\].
+        /// Start of the rise \[s\].
         ramp_start: f64,
-        /// When it has risen \[s\].
+        /// End of the rise \[s\].
         ramp_end: f64,
         /// Standard deviation of the turbulence on each axis \[m/s\].
         #[schemars(inner(range(min = 0)))]
@@ -59,20 +59,21 @@ pub enum WindConfig {
         #[serde(default)]
         seed: u64,
     },
-    /// A recorded wind: a CSV file with header `time,x,y,z`, linear in between, constant outside.
+    /// A recorded wind: a CSV file with header `time,x,y,z`; linear between samples, constant
+    /// outside.
     File {
         /// The file; relative paths start at the configuration file.
         #[schemars(extend("format" = "path"))]
         path: PathBuf,
     },
-    /// A recorded wind that stands here: linear in between, constant outside.
+    /// A recorded wind, given here; linear between samples, constant outside.
     Samples {
         /// Time \[s\], increasing, and velocity along x, y and z \[m/s\].
         samples: Vec<[f64; 4]>,
     },
 }
 
-/// A checked wind profile.
+/// A wind profile after its checks.
 #[derive(Debug, Clone)]
 pub enum Wind {
     /// Velocity times a factor that rises from 0 to 1.
@@ -88,16 +89,16 @@ pub enum Wind {
         velocity: Vector3<f64>,
         /// Start and end of the rise \[s\].
         ramp: (f64, f64),
-        /// What is added after the rise.
+        /// Turbulence at full rise.
         turbulence: Box<Turbulence>,
     },
-    /// Steady wind and one gust.
+    /// Steady wind with one gust.
     Gust {
         /// Steady velocity \[m/s\].
         velocity: Vector3<f64>,
         /// Added velocity at the peak \[m/s\].
         gust: Vector3<f64>,
-        /// Begin \[s\].
+        /// Start \[s\].
         start: f64,
         /// Duration \[s\].
         duration: f64,
@@ -107,7 +108,7 @@ pub enum Wind {
 }
 
 impl Wind {
-    /// Checks a profile and reads its file, if it has one.
+    /// Checks a profile and reads its file, if it names one.
     ///
     /// # Errors
     /// [`BuildError`] naming the key or the file and line.
@@ -115,7 +116,7 @@ impl Wind {
         Self::of_table(config, "wind")
     }
 
-    /// As [`Wind::new`], for a profile that errors call `table`.
+    /// As [`Wind::new`]; errors name the profile `table`.
     ///
     /// # Errors
     /// As [`Wind::new`].
@@ -166,7 +167,7 @@ impl Wind {
         })
     }
 
-    /// Velocity of the air at `time` \[s\]: m/s, inertial axes.
+    /// Velocity of the air at `time` \[s\], in m/s, inertial axes.
     #[must_use]
     pub fn velocity(&self, time: f64) -> Vector3<f64> {
         match self {
@@ -192,12 +193,12 @@ impl Wind {
     }
 }
 
-/// How far a rise has come, from 0 to 1.
+/// Fraction of a rise at `time`, from 0 to 1.
 fn risen((start, end): &(f64, f64), time: f64) -> f64 {
     if time >= *end { 1.0 } else { ((time - start) / (end - start)).max(0.0) }
 }
 
-/// Samples in order of time; `item` holds them, and `place` says where one of them stands.
+/// Checks that samples are in order of time; errors name `item` and the sample's `place`.
 fn in_order(
     samples: &[[f64; 4]],
     item: &str,

@@ -8,33 +8,32 @@ use crate::robot::{AeroLink, AxisymmetricCoefficients};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-/// Numbers of the axisymmetric model.
+/// Parameters of the axisymmetric model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct AxisymmetricConfig {
-    /// Name of a coefficient set that every link of the robot has.
+    /// Name of the coefficient set; every link of the robot needs a set of this name.
     pub coefficients: String,
     /// Density of the air \[kg/m³\].
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub air_density: f64,
 }
 
-/// The axisymmetric model, checked.
+/// The axisymmetric model after its checks.
 #[derive(Debug, Clone)]
 pub struct Axisymmetric {
     /// `k_a = ρ/2` \[kg/m³\].
     k_a: f64,
-    /// One set per link, in the order of the links.
+    /// One set for each link, in the order of the links.
     coefficients: Vec<AxisymmetricCoefficients>,
 }
 
 impl Axisymmetric {
-    /// Picks the configured coefficient set of every link.
+    /// Selects the configured coefficient set of every link.
     ///
     /// # Errors
-    /// A set that a link does not have, a coefficient that is not finite, a density that is not
-    /// positive.
+    /// A link without this set, a coefficient that is not finite, a density that is not positive.
     pub fn new(config: &AxisymmetricConfig, links: &[AeroLink]) -> Result<Self, BuildError> {
         let air_density = super::check_air_density(config.air_density)?;
         let coefficients =
@@ -42,7 +41,7 @@ impl Axisymmetric {
         Ok(Self { k_a: 0.5 * air_density, coefficients })
     }
 
-    /// Force on link number `link` \[N\], inertial axes; zero if there is no such link.
+    /// Force on the link with index `link` \[N\], inertial axes; zero if there is no such link.
     #[must_use]
     pub fn link_force(&self, link: usize, axis_i: &Vector3<f64>, v_air_i: &Vector3<f64>) -> Vector3<f64> {
         self.coefficients
@@ -58,10 +57,10 @@ impl Axisymmetric {
 /// F = k_a ( |v| C_D A v + w₅ sin α cos α (v × k̂) × v ),   k_a = ρ/2,   v = v_air_i
 /// ```
 ///
-/// Source: paper, Methods, eq. `aero-force-model`, with `C_N A = w₅ sin² α cos α` and the printed
-/// division by sin α cancelled: finite for wind along the axis, zero at rest. The paper's `v_a` is
-/// `−v`: its drag term changes sign with it, its normal term does not. The triple product is read
-/// as `(v × k̂) × v`, as the published controller computes it.
+/// Source: paper, Methods, eq. `aero-force-model`, with `C_N A = w₅ sin² α cos α`. The printed division by
+/// sin α is carried out, so the force is finite for wind along the axis and zero at rest. The paper's `v_a`
+/// is `−v`; the drag term changes sign with it, the normal term does not. The triple product is
+/// `(v × k̂) × v`, as the published controller computes it.
 #[must_use]
 pub fn axisymmetric_force(
     areas: &AxisymmetricCoefficients,
@@ -76,7 +75,7 @@ pub fn axisymmetric_force(
     k_a * (speed * drag_area * v_air_i + areas.cna * sin * cos * normal)
 }
 
-/// The set called `name` of one link, every number finite.
+/// Looks up the set `name` of one link and checks that every number is finite.
 fn coefficients_of(link: &AeroLink, name: &str) -> Result<AxisymmetricCoefficients, BuildError> {
     let set = link.coefficients.get(name).ok_or_else(|| {
         BuildError::unknown_name(

@@ -1,7 +1,8 @@
-//! Factors on the aerodynamic forces of a model: along the relative wind, across it, and by link.
+//! Factors on the aerodynamic forces of a model: parallel to the relative wind, perpendicular to it, and by
+//! link.
 //!
-//! The simulator's forces get factors to stand for coefficients that are not known exactly, the
-//! controller's estimates get them to leave parts of the information out.
+//! In the simulator they represent errors of the coefficients; in the controller they remove parts of the
+//! estimated forces.
 //!
 //! Equation M40 of `docs/model.md`.
 
@@ -11,7 +12,7 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Factors on the force of every link; all one unless said otherwise.
+/// Factors on the force of every link; the default is 1.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -20,7 +21,7 @@ pub struct ForceFactorsConfig {
     pub scale: f64,
     /// Factor on the part along the air's velocity relative to the link.
     pub drag: f64,
-    /// Factor on the part across it.
+    /// Factor on the part across the air's velocity relative to the link.
     pub normal: f64,
     /// Factor on the whole force of a link, by its name; links that are not named keep theirs.
     pub links: BTreeMap<String, f64>,
@@ -40,17 +41,17 @@ impl ForceFactorsConfig {
     }
 }
 
-/// Checked factors, in the order of the links.
+/// Factors after their checks, in the order of the links.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ForceFactors {
     drag: f64,
     normal: f64,
-    /// Those of the links times that of all forces.
+    /// Factor of each link times the factor on all forces.
     links: Vec<f64>,
 }
 
 impl ForceFactors {
-    /// Factors for `links`; `table` is named in errors.
+    /// Builds the factors for `links`; `table` is named in errors.
     ///
     /// # Errors
     /// A factor that is not finite, a link that does not exist.
@@ -69,7 +70,7 @@ impl ForceFactors {
         })
     }
 
-    /// Changes every force in place.
+    /// Multiplies every force by its factors, in place.
     ///
     /// ```text
     /// F ← w w_link ( w_drag F_∥ + w_normal (F − F_∥) ),   F_∥ = (F · v̂) v̂,   v̂ = v_air / |v_air|

@@ -1,7 +1,7 @@
-//! Forces on all links of the robot: the axes, points and velocities that a model is evaluated with.
+//! Forces on all links of the robot, with the axes, points and velocities at which a model is evaluated.
 //!
-//! The published code misplaces the points (`docs/deviations.md`): each way of doing so is one enum
-//! here, with the physically right way as the default.
+//! The published code misplaces the points (`docs/deviations.md`). Each way of doing so has an enum here,
+//! whose default is physically correct.
 //!
 //! Equations M18 and M27 of `docs/model.md`.
 
@@ -11,7 +11,7 @@ use crate::robot::RobotModel;
 use nalgebra::{DVector, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Where a link's force acts when its moment is formed.
+/// Point at which a link's force acts when its moment is formed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
@@ -19,11 +19,11 @@ pub enum LeverArm {
     /// At the aerodynamic centre, `p + R c`.
     #[default]
     Rotated,
-    /// At `p + c`: the offset is added without turning it into inertial axes (published).
+    /// At `p + c`: the offset is added without rotation into inertial axes (published).
     Unrotated,
 }
 
-/// Which point's Jacobian carries a link's force in the controller's `Λ_a` and torque law.
+/// Point whose Jacobian maps a link's force in the controller's `Λ_a` and torque law.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
@@ -31,11 +31,11 @@ pub enum JacobianOffset {
     /// The aerodynamic centre, `p + R c`.
     #[default]
     LinkRotation,
-    /// `p + R_B c`: the offset is turned with the base instead of the link (published).
+    /// `p + R_B c`: the offset is rotated with the base instead of the link (published).
     BaseRotation,
 }
 
-/// Which point's velocity the controller takes for the link's own motion through the air.
+/// Point whose velocity the controller subtracts from the wind to get a link's relative wind.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
@@ -47,25 +47,25 @@ pub enum LinkVelocity {
     ShiftedTwice,
 }
 
-/// How points are placed: one value for the simulator, one for the controller.
+/// Conventions for these points: one value for the simulator, one for the controller.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct LinkConventions {
     /// Point at which the moment is formed.
     pub lever_arm: LeverArm,
     /// Point whose Jacobian maps the force to the joints.
     pub jacobian_offset: JacobianOffset,
-    /// Point whose velocity makes the relative wind.
+    /// Point whose velocity enters the relative wind.
     pub link_velocity: LinkVelocity,
 }
 
-/// The links of a robot as they stand in the air, inertial axes: what a model is evaluated with.
+/// Inputs of an aerodynamic model: the robot's links and the air around them, inertial axes.
 #[derive(Debug, Clone, Copy)]
 pub struct LinksInAir<'a> {
     /// The robot.
     pub robot: &'a RobotModel,
-    /// Its pose and motion.
+    /// Its kinematics.
     pub kinematics: &'a Kinematics,
-    /// Unit symmetry axes, in the order of the links.
+    /// Unit vectors of the symmetry axes, in the order of the links.
     pub axes_i: &'a [Vector3<f64>],
     /// Velocity of the air relative to each link \[m/s\].
     pub v_air_i: &'a [Vector3<f64>],
@@ -73,7 +73,7 @@ pub struct LinksInAir<'a> {
     pub wind_i: &'a Vector3<f64>,
 }
 
-/// Aerodynamic state of every link in one tick; preallocated, refilled by [`LinkForces::update`].
+/// Aerodynamic state of every link in one tick; preallocated, recomputed by [`LinkForces::update`].
 #[derive(Debug, Clone)]
 pub struct LinkForces {
     /// Symmetry axes (unit, inertial axes).
@@ -82,14 +82,14 @@ pub struct LinkForces {
     pub v_air_i: Vec<Vector3<f64>>,
     /// Points at which moments are formed \[m, inertial axes\], see [`LeverArm`].
     pub arm_points_i: Vec<Vector3<f64>>,
-    /// Points whose Jacobians carry the forces \[m, inertial axes\], see [`JacobianOffset`].
+    /// Points whose Jacobians map the forces \[m, inertial axes\], see [`JacobianOffset`].
     pub jacobian_points_i: Vec<Vector3<f64>>,
     /// Forces \[N, inertial axes\].
     pub forces_i: Vec<Vector3<f64>>,
 }
 
 impl LinkForces {
-    /// Space for the links of `robot`, all forces zero.
+    /// Allocates for the links of `robot`; all forces are zero.
     #[must_use]
     pub fn new(robot: &RobotModel) -> Self {
         let zeros = vec![Vector3::zeros(); robot.aero_links.len()];
@@ -102,7 +102,7 @@ impl LinkForces {
         }
     }
 
-    /// Places every link in the wind and evaluates the model.
+    /// Recomputes axes, points and relative wind of every link, and evaluates the model.
     pub fn update(
         &mut self,
         robot: &RobotModel,

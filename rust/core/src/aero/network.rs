@@ -5,9 +5,9 @@
 //! features ► Evaluator (mlp) ► scale, offset ► mean with the mirrored sample ► base axes ► + baseline
 //! ```
 //!
-//! `card` says what the weights mean, `tensors` holds the weights, `mirror` the robot's symmetry; `mlp`
-//! evaluates. Everything that card or weights can get wrong is refused here, once; evaluating is
-//! total and allocates nothing.
+//! `card` describes inputs and outputs of the weights, `tensors` holds the weights, `mirror` the robot's symmetry;
+//! `mlp` evaluates. Card and weights are checked once, when the network is built; the evaluation neither panics nor
+//! allocates.
 //!
 //! Equations M23, M24 and M26 of `docs/model.md`.
 
@@ -30,24 +30,24 @@ use mlp::{Evaluator, Pair};
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// `ℓ` \[m\]: over this distance a link passes from before another to behind it.
+/// `ℓ` \[m\]: distance over which a link passes from upstream of another link to its wake.
 const SHADOW_LENGTH: f64 = 0.05;
-/// `w` \[m\]: standard deviation of a link's shadow.
+/// `w` \[m\]: standard deviation of a link's shadow across the wind.
 const SHADOW_RADIUS: f64 = 0.10;
 
-/// Precision of the weighted sums; everything around them is double.
+/// Precision of the weighted sums; all other computations are in double precision.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Precision {
-    /// Single, as networks are trained.
+    /// Single precision, as networks are trained.
     #[default]
     F32,
-    /// Double: the same weights widened, to compare implementations with.
+    /// Double precision with the same weights, for comparison of implementations.
     F64,
 }
 
-/// A network for one robot, checked, with the space to evaluate it in.
+/// A network for one robot after its checks, with its workspace.
 #[derive(Debug, Clone)]
 pub struct Network {
     /// `k_a = ρ/2` \[kg/m³\].
@@ -55,7 +55,7 @@ pub struct Network {
     features: Vec<Feature>,
     frame: OutputFrame,
     layout: Layout,
-    /// Joints that are features, as indices of the robot.
+    /// Indices of the robot's joints that are inputs.
     joints: Vec<usize>,
     mirror: Option<Mirror>,
     baseline: Option<Vec<AxisymmetricCoefficients>>,
@@ -65,26 +65,26 @@ pub struct Network {
     inputs: Vec<Pair>,
     outputs: Vec<Pair>,
     links: Vec<PlacedLink>,
-    /// An entry for each pair of links.
+    /// One entry for each pair of links.
     pairs: Vec<[f64; 2]>,
 }
 
-/// One link as seen from the base, and what the network makes of it.
+/// Pose of one link in the base frame, and the network's output for it.
 #[derive(Debug, Clone, Copy)]
 struct PlacedLink {
-    /// Axes of the link in those of the base.
+    /// Rotation, base from link.
     b_from_l: Matrix3<f64>,
-    /// Aerodynamic centre from the base origin \[m, base axes\].
+    /// Aerodynamic centre relative to the base origin \[m, base axes\].
     centre_b: Vector3<f64>,
-    /// How far it stands in the wake of the others; only where that is a feature.
+    /// Shadow of the other links on this one (M24); computed only if it is an input.
     shadow: f64,
     /// Force area \[m², base axes\].
     area_b: Vector3<f64>,
 }
 
 impl Network {
-    /// Checks card and weights against each other and the robot; the weights are read once the card is checked, for
-    /// those of another robot say less about what is wrong.
+    /// Checks card and weights against each other and against the robot. The weights are read after the card has
+    /// been checked, because the card of another robot gives the clearer error.
     ///
     /// # Errors
     /// [`BuildError`] naming key or tensor, the value found and what was expected.
@@ -130,15 +130,14 @@ impl Network {
         })
     }
 
-    /// Writes the force on every link \[N, inertial axes\]. Zero in still air.
+    /// Writes the force on every link \[N, inertial axes\]; zero in still air.
     ///
     /// ```text
     /// F_j = k_a |v|² R_B c_j(û, s),   v = v_wind − v_B,   û = R_Bᵀ v / |v|
     /// ```
     ///
-    /// The velocity is that of the *base origin* for all links: what the network was trained on has
-    /// one wind for the whole robot. Source: the published simulator and training, see
-    /// `docs/deviations.md`.
+    /// The velocity is that of the *base origin* for all links, because the network was trained with one wind for
+    /// the whole robot. Source: the published simulator and training, see `docs/deviations.md`.
     pub fn link_forces(&mut self, links: &LinksInAir, forces_i: &mut [Vector3<f64>]) {
         let LinksInAir { robot, kinematics, wind_i, .. } = *links;
         let base = &kinematics.bodies[0];
@@ -167,7 +166,7 @@ impl Network {
         }
     }
 
-    /// The input, and beside every number that of the mirrored input.
+    /// Writes the input vector and, as second sample, the mirrored input.
     fn fill_inputs(&mut self, wind_b: &Vector3<f64>, joint_position: &[f64]) {
         let mut first = 0;
         for feature in &self.features {
@@ -222,7 +221,7 @@ impl Network {
         }
     }
 
-    /// From the output, and the output of the mirrored input, to force areas in base axes.
+    /// Converts the outputs of the input and of its mirror image to force areas in base axes (M25).
     fn read_areas(&mut self, wind_b: &Vector3<f64>) {
         for ((output, scale), offset) in self.outputs.iter_mut().zip(&self.scale).zip(&self.offset) {
             for y in output {
@@ -231,7 +230,7 @@ impl Network {
         }
         let n = self.links.len();
         let (frame, layout, outputs) = (self.frame, self.layout, &self.outputs);
-        // Along, across and up, or x, y and z.
+        // Component order: along the wind, sideways and up, or x, y and z.
         let read = |sample: usize, link: usize| match layout {
             Layout::Component => {
                 Vector3::new(outputs[link][sample], outputs[2 * n + link][sample], outputs[n + link][sample])
@@ -244,7 +243,7 @@ impl Network {
             if let Some(mirror) = &self.mirror {
                 let (image, _) = mirror.links[index];
                 let of_image = read(1, image);
-                // Along, across and up mirror like x, y and z.
+                // A reflection reverses the sideways component in tunnel axes as it does y in base axes.
                 area += match frame {
                     OutputFrame::Link => mirror.links[image].1 * of_image,
                     OutputFrame::Base | OutputFrame::Wind => reflect(&of_image),
@@ -268,20 +267,20 @@ impl Network {
     }
 }
 
-/// Writes a vector of one sample to place `index` of a block of vectors.
+/// Writes a vector of one sample to position `index` of a block of vectors.
 fn write(block: &mut [Pair], sample: usize, index: usize, v: &Vector3<f64>) {
     for (slot, x) in block[3 * index..].iter_mut().zip(v.iter()) {
         slot[sample] = *x;
     }
 }
 
-/// How far every link stands in the wake of the others.
+/// Computes the shadow of the other links on every link: how far the link is in their wake (M24).
 ///
 /// ```text
 /// S_j = Σ_k≠j exp(−r² / 2w²) / (1 + exp(−d·û / ℓ)),   d = x_j − x_k,   r² = |d|² − (d·û)²
 /// ```
 ///
-/// `pairs` receives `exp(−d·û / ℓ)` and `exp(−r² / 2w²)` of link j and those before it.
+/// Scratch space `pairs` receives `exp(−d·û / ℓ)` and `exp(−r² / 2w²)` for link j and each link before it.
 fn shade(links: &mut [PlacedLink], wind_b: &Vector3<f64>, pairs: &mut [[f64; 2]]) {
     let mut exponents = pairs.iter_mut();
     for (index, link) in links.iter().enumerate() {
@@ -315,14 +314,14 @@ fn shade(links: &mut [PlacedLink], wind_b: &Vector3<f64>, pairs: &mut [[f64; 2]]
     }
 }
 
-/// Axes of the wind tunnel (along the air, sideways, up) in those of the base, from the unit vector of
-/// the air's velocity.
+/// Rotation from wind-tunnel axes (along the wind, sideways, up) to base axes, from the unit vector of the air's
+/// velocity (M26).
 ///
 /// ```text
 /// û = (cos p cos y, −sin y, sin p cos y)   with cos y ≥ 0;   up = (−sin p, 0, cos p)
 /// ```
 ///
-/// Air along the base's y axis leaves p open: zero.
+/// For air along the base's y axis p is undetermined and set to zero.
 fn b_from_tunnel(wind_b: &Vector3<f64>) -> Matrix3<f64> {
     let cos_y = libm::hypot(wind_b.x, wind_b.z);
     let (cos_p, sin_p) = if cos_y < 1e-12 { (1.0, 0.0) } else { (wind_b.x / cos_y, wind_b.z / cos_y) };

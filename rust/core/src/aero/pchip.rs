@@ -2,7 +2,7 @@
 
 use crate::error::BuildError;
 
-/// One point of the table and the slope of the curve there.
+/// One point of the table and the slope of the interpolant there.
 #[derive(Debug, Clone, Copy)]
 struct Knot {
     x: f64,
@@ -10,24 +10,24 @@ struct Knot {
     slope: f64,
 }
 
-/// Piecewise cubic Hermite interpolant (PCHIP): monotone wherever the table is, constant outside it.
+/// Piecewise cubic Hermite interpolant (PCHIP): monotone where the table is monotone, constant outside it.
 ///
-/// Slopes inside are the weighted harmonic mean of the neighbouring secants, zero where these change
-/// sign; slopes at the ends are the three-point formula, limited so as not to overshoot.
+/// Interior slopes are the weighted harmonic mean of the neighbouring secants, or zero where these change
+/// sign. Slopes at the ends are the three-point formula, limited to prevent overshoot.
 ///
-/// Source: Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5 (1984), the method of MATLAB's and
-/// scipy's `pchip`. These continue the end cubics outside the table; here the end values hold.
+/// Source: Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5 (1984), the method of MATLAB's and scipy's
+/// `pchip`. These extrapolate the end cubics outside the table; here the end values are held.
 #[derive(Debug, Clone)]
 pub struct Pchip {
     knots: Vec<Knot>,
 }
 
 impl Pchip {
-    /// Checks the table and computes the slopes; the item names appear in the errors.
+    /// Checks the table and computes the slopes; `x_item` and `y_item` name its columns in errors.
     ///
     /// # Errors
-    /// Fewer than two points, lengths that differ, a value that is not finite, abscissae that do
-    /// not increase strictly.
+    /// Fewer than two points, columns of different length, a value that is not finite, abscissae that do not
+    /// increase strictly.
     pub fn new(x_item: &str, x: &[f64], y_item: &str, y: &[f64]) -> Result<Self, BuildError> {
         if x.len() < 2 {
             let count = format!("{} points long", x.len());
@@ -57,19 +57,19 @@ impl Pchip {
         Ok(Self { knots })
     }
 
-    /// Value at `x`; beyond an end of the table, the value of that end. NaN for NaN.
+    /// Interpolated value at `x`; outside the table, the value of the nearer end. NaN for NaN.
     #[must_use]
     pub fn at(&self, x: f64) -> f64 {
         self.between(x, hermite)
     }
 
-    /// Value at `x` of the straight line between neighbouring points; constant outside the table.
+    /// Linear interpolation at `x`; constant outside the table.
     #[must_use]
     pub fn linear_at(&self, x: f64) -> f64 {
         self.between(x, |a, b, x| a.y + (b.y - a.y) * (x - a.x) / (b.x - a.x))
     }
 
-    /// What `curve` gives between the points around `x`; beyond an end of the table, the value of that end.
+    /// Evaluates `curve` on the two points around `x`; outside the table, the value of the nearer end.
     fn between(&self, x: f64, curve: impl Fn(&Knot, &Knot, f64) -> f64) -> f64 {
         if x.is_nan() {
             return x;
@@ -89,7 +89,7 @@ impl Pchip {
         (x(self.knots.first()), x(self.knots.last()))
     }
 
-    /// Greatest ordinate of the table.
+    /// Greatest value of the table.
     #[must_use]
     pub fn max(&self) -> f64 {
         self.knots.iter().map(|knot| knot.y).fold(f64::NEG_INFINITY, f64::max)
@@ -106,7 +106,7 @@ fn hermite(a: &Knot, b: &Knot, x: f64) -> f64 {
     a.y + s * (a.slope + s * (c2 + s * c3))
 }
 
-/// Slopes at the points of a table of at least two.
+/// Slopes at the points of a table of two points or more.
 fn slopes(x: &[f64], y: &[f64]) -> Vec<f64> {
     let h: Vec<f64> = x.windows(2).map(|x| x[1] - x[0]).collect();
     let secant: Vec<f64> = h.iter().zip(y.windows(2)).map(|(h, y)| (y[1] - y[0]) / h).collect();
@@ -131,7 +131,7 @@ fn inner_slope(h_left: f64, h_right: f64, left: f64, right: f64) -> f64 {
     (w_left + w_right) / (w_left / left + w_right / right)
 }
 
-/// Three-point slope at an end, kept on the side of the nearest secant and within three times it.
+/// Three-point slope at an end, limited to the sign of the nearest secant and to three times its magnitude.
 fn end_slope(h_near: f64, h_next: f64, near: f64, next: f64) -> f64 {
     let slope = ((2.0 * h_near + h_next) * near - h_near * next) / (h_near + h_next);
     if slope * near <= 0.0 {

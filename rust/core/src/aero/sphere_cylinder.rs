@@ -1,4 +1,5 @@
-//! Links as spheres and finite cylinders, with the drag of the literature at their Reynolds number.
+//! Links as spheres and finite cylinders, with drag coefficients from the literature at the link's Reynolds
+//! number.
 //!
 //! Equations M21 and M22 of `docs/model.md`.
 
@@ -9,7 +10,7 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::FRAC_PI_4;
 
-/// Numbers of the sphere and cylinder model.
+/// Parameters of the sphere and cylinder model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -31,20 +32,20 @@ pub struct SphereCylinderConfig {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct CylinderTables {
-    /// Reynolds number, on the diameter, at which the axial coefficients count unscaled.
+    /// Reynolds number, on the diameter, at which the axial coefficients apply without scaling.
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub reference_reynolds: f64,
     /// Reynolds numbers of `crosswind_drag`.
     pub reynolds: Vec<f64>,
-    /// Drag coefficient across the wind, infinite length, on the area `d l`.
+    /// Crosswind drag coefficient of a cylinder of infinite length, on the area `d l`.
     pub crosswind_drag: Vec<f64>,
-    /// Ratios diameter over length of `finite_length_drag`.
+    /// Ratios of diameter to length for `finite_length_drag`.
     pub diameter_over_length: Vec<f64>,
-    /// Drag coefficient across the wind of a finite cylinder; only its ratio to its maximum counts.
+    /// Crosswind drag coefficient of a finite cylinder; only its ratio to its maximum is used.
     pub finite_length_drag: Vec<f64>,
-    /// Ratios length over diameter of `axial_drag`.
+    /// Ratios of length to diameter for `axial_drag`.
     pub length_over_diameter: Vec<f64>,
-    /// Drag coefficient along the axis, on the area `π d²/4`; only its ratio to its maximum counts.
+    /// Axial drag coefficient, on the area `π d²/4`; only its ratio to its maximum is used.
     pub axial_drag: Vec<f64>,
 }
 
@@ -56,17 +57,17 @@ pub struct SphereTables {
     /// Drag coefficient below Reynolds number 10.
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub drag_below_reynolds_10: f64,
-    /// Reynolds numbers of `drag`; between 10 and the first one a correlation is used.
+    /// Reynolds numbers of `drag`; a correlation is used between 10 and the first of them.
     pub reynolds: Vec<f64>,
-    /// Drag coefficient.
+    /// Drag coefficient at each of `reynolds`.
     pub drag: Vec<f64>,
 }
 
-/// What a link is to this model.
+/// Shape by which a link is modelled.
 #[derive(Debug, Clone, Copy)]
 enum Shape {
     Sphere,
-    /// Crosswind and axial drag coefficient on the area `d l`, over that of an infinite cylinder.
+    /// Crosswind and axial drag coefficient on the area `d l`, relative to an infinite cylinder's.
     Cylinder {
         crosswind: f64,
         axial: f64,
@@ -78,12 +79,12 @@ enum Shape {
 struct LinkConstants {
     /// `ρ A / 2` \[kg/m\].
     half_density_area: f64,
-    /// `ρ d / μ` \[s/m\]: Reynolds number per speed.
+    /// `ρ d / μ` \[s/m\]: Reynolds number divided by speed.
     reynolds_per_speed: f64,
     shape: Shape,
 }
 
-/// The sphere and cylinder model, checked.
+/// The sphere and cylinder model after its checks.
 #[derive(Debug, Clone)]
 pub struct SphereCylinder {
     links: Vec<LinkConstants>,
@@ -93,10 +94,10 @@ pub struct SphereCylinder {
 }
 
 impl SphereCylinder {
-    /// Checks the tables and works out the constants of every link.
+    /// Checks the tables and computes the constants of every link.
     ///
     /// # Errors
-    /// A density, viscosity, drag coefficient or link size that is not positive, a table that does
+    /// A density, viscosity, drag coefficient or link size that is not positive, a table whose abscissae do
     /// not increase, a reference Reynolds number outside its table.
     pub fn new(config: &SphereCylinderConfig, links: &[AeroLink]) -> Result<Self, BuildError> {
         let positive = |value: f64| value > 0.0;
@@ -120,7 +121,7 @@ impl SphereCylinder {
         )?;
         let s = &config.sphere;
         let sphere = drag_table("sphere.reynolds", &s.reynolds, "sphere.drag", &s.drag)?;
-        // Below 10 the constant holds, from 10 to the table a formula: the table begins after both.
+        // The table must begin where the constant (below 10) and the correlation (from 10) end.
         check("sphere.reynolds[0]", sphere.domain().0, |re| re >= 10.0, "at least 10")?;
         let drag = "a positive drag coefficient";
         let drag_below_reynolds_10 =
@@ -150,7 +151,7 @@ impl SphereCylinder {
                     (Shape::Sphere, FRAC_PI_4 * l * d)
                 } else {
                     let crosswind = finite.at(d / l) / finite.max();
-                    // π/4 d/l takes the axial coefficient from the area π d²/4 to d l.
+                    // π/4 d/l converts the axial coefficient from the area π d²/4 to d l.
                     let axial = axial.at(l / d) / axial.max() * FRAC_PI_4 * (d / l) / reference_drag;
                     (Shape::Cylinder { crosswind, axial }, l * d)
                 };
@@ -164,7 +165,7 @@ impl SphereCylinder {
         Ok(Self { links, cylinder, sphere, drag_below_reynolds_10 })
     }
 
-    /// Force on link number `link` \[N\], inertial axes; zero if there is no such link.
+    /// Force on the link with index `link` \[N\], inertial axes; zero if there is no such link.
     ///
     /// ```text
     /// cylinder: C90 = C_cyl(Re) φ(d/l),   C0 = π/4 d/l χ(l/d) C_cyl(Re)/C_cyl(Re_ref)
@@ -173,10 +174,9 @@ impl SphereCylinder {
     /// Re = ρ |v| d/μ
     /// ```
     ///
-    /// φ and χ are the finite-length and axial tables over their maxima. Source: the published
-    /// controller, its alternative to the axisymmetric model; tables after Wieselsberger (1922),
-    /// Kritzinger (2004) and Achenbach (1972). Beyond a table its end value holds.
-    /// Zero at rest.
+    /// φ and χ are the finite-length and axial tables divided by their maxima. Source: the published
+    /// controller, as its alternative to the axisymmetric model; tables after Wieselsberger (1922),
+    /// Kritzinger (2004) and Achenbach (1972). Outside a table the value at its end is used. Zero at rest.
     #[must_use]
     pub fn link_force(&self, link: usize, axis_i: &Vector3<f64>, v_air_i: &Vector3<f64>) -> Vector3<f64> {
         let Some(link) = self.links.get(link) else {
@@ -196,7 +196,7 @@ impl SphereCylinder {
         }
     }
 
-    /// Drag coefficient of an infinite cylinder across the wind, on the area `d l`.
+    /// Crosswind drag coefficient of an infinite cylinder, on the area `d l`.
     #[must_use]
     pub fn cylinder_drag(&self, reynolds: f64) -> f64 {
         self.cylinder.at(reynolds)
@@ -208,8 +208,9 @@ impl SphereCylinder {
     /// C = 24/Re (1 + 0.150 Re^0.681) + 0.407/(1 + 8710/Re)   from Re = 10 to the table
     /// ```
     ///
-    /// Source: Brown and Lawler (2003); below 10 a constant, so that the force vanishes at rest like
-    /// the square of the speed; above, the table of Achenbach (1972) and then its last value.
+    /// Source: Brown and Lawler (2003). Below Re = 10 the coefficient is constant, so that the force vanishes
+    /// at rest as the square of the speed. Above the correlation: the table of Achenbach (1972), then its
+    /// last value.
     #[must_use]
     pub fn sphere_drag(&self, reynolds: f64) -> f64 {
         if reynolds < 10.0 {
@@ -222,7 +223,7 @@ impl SphereCylinder {
     }
 }
 
-/// A table of positive drag coefficients; the item names appear in the errors.
+/// Builds a table of positive drag coefficients; the item names appear in errors.
 fn drag_table(x_item: &str, x: &[f64], drag_item: &str, drag: &[f64]) -> Result<Pchip, BuildError> {
     let table = Pchip::new(x_item, x, drag_item, drag)?;
     for (index, value) in drag.iter().enumerate() {

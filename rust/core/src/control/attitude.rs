@@ -1,7 +1,7 @@
-//! The attitude task: the angular momentum that turns the base onto its set-point.
+//! The attitude task: demand on the angular momentum that rotates the base towards its set-point.
 //!
-//! Everything is in body coordinates. With `R` the base rotation, `w = Rᵀ ω_B`, `I₀` the centroidal
-//! inertia in body axes *at the first tick* (held constant) and `I_b` the one now:
+//! All quantities are in body axes. With the base rotation `R`, `w = Rᵀ ω_B`, the centroidal inertia in body
+//! axes `I₀` *at the first tick* (held constant) and `I_b` now:
 //!
 //! ```text
 //! k = I₀ w,   k̇ = Rᵀ L̇_ang − w × k,   E = R_dᵀ R,   e = sk(E)^∨,   ė = sk(E S(w) − S(ω_d) E)^∨
@@ -9,8 +9,8 @@
 //! σ  = R ( w × (w × k) + 2 w × k̇ + (I₀⁻¹ k̇) × k )
 //! ```
 //!
-//! The task asks `Rᵀ (L̈_ang − σ) = k̈*`. There is no integral action: a constant moment `d` that is not
-//! in the controller's model settles at `e = (1 + I₀/c₀) d`.
+//! The task demands `Rᵀ (L̈_ang − σ) = k̈*`. It has no integral action: a constant moment `d` that is not in
+//! the controller's model causes the steady-state error `e = (1 + I₀/c₀) d`.
 //!
 //! Equations M59 to M61 and, for the last sentence, M67 of `docs/model.md`.
 
@@ -19,7 +19,7 @@ use super::setpoint::Setpoint;
 use crate::spatial::{skew, vee_of_skew_part};
 use nalgebra::{Matrix3, Vector3};
 
-/// What the attitude task asks for.
+/// Demand of the attitude task.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AttitudeDemand {
     /// Desired second derivative of the body angular momentum, `k̈*` \[N m/s, body axes\].
@@ -28,7 +28,7 @@ pub struct AttitudeDemand {
     pub sigma_i: Vector3<f64>,
 }
 
-/// Evaluates the attitude law. `inertia_0_b` must be invertible (checked when it is recorded).
+/// Evaluates the attitude law. `inertia_0_b` must be invertible, which is checked when it is recorded.
 #[must_use]
 pub fn attitude_demand(
     gains: &MomentumGains,

@@ -1,18 +1,18 @@
-//! Bounds of the momentum QP that keep thrusts and joints inside their own limits.
+//! Bounds on the unknowns of the momentum QP that keep thrusts and joint positions within their limits.
 
 use crate::exponential::tanh_f64;
 use crate::linalg::dispatch_plain;
 
-/// Values that have limits themselves, by their place among the unknowns: lists, so that all bounds are computed side
-/// by side.
+/// Limited quantities whose rates are unknowns of the QP, by index of the unknown. Stored as separate arrays so that
+/// the loop over all bounds vectorises.
 ///
 /// ```text
 /// −r tanh(ε (x − x_min)) ≤ ẋ ≤ r tanh(ε (x_max − x))
 /// ```
 ///
-/// Far from the limits this is ±r; at a limit the rate towards it must vanish; beyond a limit the
-/// bound changes sign and demands a way back. `lower ≤ upper` holds for every x, since
-/// `tanh a + tanh b` has the sign of `a + b = ε (x_max − x_min) ≥ 0`.
+/// Far from the limits the bounds are ±r. At a limit the rate towards it must vanish; beyond a limit the bound
+/// changes sign and demands a return. `lower ≤ upper` holds for every x, because `tanh a + tanh b` has the sign of
+/// `a + b = ε (x_max − x_min) ≥ 0`.
 ///
 /// Equation M65 of `docs/model.md` (paper: "bounds on the input and its integral").
 #[derive(Debug, Clone)]
@@ -30,7 +30,7 @@ pub struct LimitedValues {
 }
 
 impl LimitedValues {
-    /// So many values without limits, whose rates have none either.
+    /// `count` quantities without limits on value or rate.
     #[must_use]
     pub fn new(count: usize) -> Self {
         Self {
@@ -42,7 +42,7 @@ impl LimitedValues {
         }
     }
 
-    /// Writes the bounds on the rates.
+    /// Writes the bounds on the rates (M65).
     pub fn write_bounds(&self, lower: &mut [f64], upper: &mut [f64]) {
         let limits = self.least.iter().zip(&self.greatest).zip(self.value.iter().zip(&self.steepness));
         for ((lower, upper), ((least, greatest), (value, steepness))) in

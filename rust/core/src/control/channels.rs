@@ -1,18 +1,18 @@
-//! Measurements with missing or implausible channels replaced by predictions.
+//! Channels of the measurement: missing or implausible values are replaced by predictions.
 //!
-//! The model moves the last value of every channel on to this tick ([`ChannelsState::predict`]). The measured value is
-//! used if it is finite, within its accepted range and, of joints and base, near its predicted value and not frozen,
-//! that is, the same to the bit for several ticks while what is predicted moves away. Else the predicted value is used,
-//! and the channel's age grows.
+//! The model advances the last value of every channel to this tick (`ChannelsState::predict`). A measured value is
+//! used if it is finite and within its accepted range; for joints and base it must also be near the prediction and not
+//! frozen, that is, with the same bits for several ticks while the prediction moves away. Otherwise the prediction is
+//! used, and the age of the channel grows.
 //!
 //! ```text
 //! wind              its last value, which fades to zero
-//! feet              the wrenches with which the model keeps them at rest
+//! feet              the wrenches that keep them at rest in the model
 //! thrusts           T ← max(0, T + Δt Ṫ*)
-//! joints and base   the model's own step with the last torques and the observed wrench
+//! joints and base   a step of the model with the last torques and the observed wrench
 //! ```
 //!
-//! Base velocity that is not measured follows the differences of the pose, where these are measured.
+//! A base velocity that is not measured follows the differences of the pose, if the pose is measured.
 //!
 //! Equations M101 to M103 of `docs/model.md`.
 
@@ -26,50 +26,50 @@ use nalgebra::{DVector, Matrix3, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
-/// Longest time between two ticks, in ticks. Half a tick is for rounding.
+/// Longest time between two ticks, in ticks. Half a tick absorbs rounding.
 const GAP_MAX: f64 = 10.5;
 
-/// Longest time without ticks that counts as a pause of the controller \[s\]: beyond it a clock has jumped.
+/// Longest time without ticks that can be a pause of the controller \[s\]; if it is longer, the clock has jumped.
 const PAUSE_MAX: f64 = 1.0;
 
-/// Longest flight \[s\]: beyond it ticks of milliseconds are rounding errors of the time.
+/// Longest flight \[s\]; for larger times, ticks of milliseconds are lost in rounding.
 const TIME_MAX: f64 = 1e9;
 
-/// A frozen value differs from one that stands still by this share of [`Jumps`].
+/// Fraction of [`Jumps`] by which a value must differ from the prediction to count as frozen.
 const FROZEN_SHARE: f64 = 0.02;
 
-/// Which measurements are accepted, and what happens without them.
+/// Which measurements are accepted, and what replaces the others.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct ChannelsConfig {
-    /// How long the last wind is held \[s\].
+    /// Time for which the last wind is held \[s\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub wind_hold: f64,
-    /// Time in which it then fades to zero \[s\].
+    /// Time in which the wind fades to zero after `wind_hold` \[s\].
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub wind_fade: f64,
-    /// Number of ticks with the same bits after which a value can be frozen.
+    /// Number of ticks with the same bits after which a value may count as frozen.
     #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 100_000)))]
     pub frozen_ticks: u32,
-    /// Growth of `jump` with the age of a channel, as a share of itself \[1/s\].
+    /// Relative growth of `jump` with the age of a channel \[1/s\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub widening: f64,
     /// Gain with which a base velocity that is not measured follows the differences of the pose \[1/s\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub velocity_gain: f64,
-    /// Age of a channel of joints or base from which on the robot levels and descends, and does so to the end \[s\].
+    /// Age of a channel of joints or base above which the robot levels and descends, to the end of the flight \[s\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub descend_after: f64,
-    /// Greatest values that are accepted, of each component.
+    /// Greatest accepted magnitude of each component.
     pub greatest: Greatest,
-    /// Greatest differences to the predicted value that are accepted, of each component; without it all of them, and no
+    /// Greatest accepted difference of each component from the prediction. Without it all differences are accepted, no
     /// value counts as frozen and no time step as wrong.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub jump: Option<Jumps>,
 }
 
-/// Greatest values that are accepted; by default those of a simulated flight that has not diverged.
+/// Greatest accepted magnitudes; by default those of a simulated flight that has not diverged.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -103,7 +103,7 @@ pub struct Greatest {
     pub foot_moment: f64,
 }
 
-/// Greatest differences to the predicted value that are accepted. Wind, thrusts and feet may jump.
+/// Greatest accepted differences from the prediction. Wind, thrusts and feet have no limit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -160,7 +160,7 @@ impl Default for Greatest {
 }
 
 impl Jumps {
-    /// Everything may jump.
+    /// No limits.
     const NONE: Self = Self {
         joint_position: f64::INFINITY,
         joint_velocity: f64::INFINITY,
@@ -185,7 +185,7 @@ impl Default for Jumps {
 }
 
 impl ChannelsConfig {
-    /// Refuses numbers that mean nothing.
+    /// Checks that every value is in its range.
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
@@ -225,39 +225,39 @@ impl ChannelsConfig {
     }
 }
 
-/// In which ways a tick differs from one with every measurement: a set, one bit each.
+/// Set of the ways in which a tick differs from one with complete measurements, one bit each.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Modes(u32);
 
 impl Modes {
-    /// The wind is the last one that was measured, or fading.
+    /// The wind is the last measured one, held or fading.
     pub const WIND_HELD: Self = Self(1);
-    /// The wind was lost for so long that none is assumed.
+    /// The wind has been missing for so long that still air is assumed.
     pub const WIND_LOST: Self = Self(1 << 1);
-    /// A thrust is that of the jet's model.
+    /// A thrust is predicted by the model of the jet.
     pub const THRUST_MODELLED: Self = Self(1 << 2);
-    /// The joints are predicted from the model.
+    /// Joint positions and velocities are predicted by the model.
     pub const JOINTS_PREDICTED: Self = Self(1 << 3);
-    /// The base position is.
+    /// The base position is predicted by the model.
     pub const POSITION_PREDICTED: Self = Self(1 << 4);
-    /// The base rotation is.
+    /// The base rotation is predicted by the model.
     pub const ROTATION_PREDICTED: Self = Self(1 << 5);
-    /// The base velocity is.
+    /// The base velocity is predicted by the model, or follows the pose.
     pub const VELOCITY_PREDICTED: Self = Self(1 << 6);
-    /// The wrenches on the feet are those with which the model keeps them at rest.
+    /// The foot wrenches are those that keep the feet at rest in the model.
     pub const FEET_PREDICTED: Self = Self(1 << 7);
-    /// The time is the controller's own, or a step of it is none.
+    /// The time is the controller's own, because the clock is missing or has jumped.
     pub const CLOCK_PREDICTED: Self = Self(1 << 8);
     /// The robot levels and descends instead of following its mission.
     pub const DESCENDING: Self = Self(1 << 9);
-    /// An engine does not reach the thrust it is commanded.
+    /// An engine does not reach its commanded thrust.
     pub const ENGINE_LIMITED: Self = Self(1 << 10);
 
-    /// Ticks of these modes do not measure the momentum.
+    /// Modes in which a tick does not measure the momentum.
     const WITHOUT_MOMENTUM: Self =
         Self(Self::JOINTS_PREDICTED.0 | Self::ROTATION_PREDICTED.0 | Self::VELOCITY_PREDICTED.0);
 
-    /// Every mode and its name.
+    /// All modes with their names.
     pub const NAMES: [(Self, &'static str); 11] = [
         (Self::WIND_HELD, "wind_held"),
         (Self::WIND_LOST, "wind_lost"),
@@ -278,105 +278,105 @@ impl Modes {
         self.0
     }
 
-    /// Whether none of them is there.
+    /// Whether the set is empty.
     #[must_use]
     pub fn is_empty(self) -> bool {
         self.0 == 0
     }
 
-    /// Whether all of `other` are there.
+    /// Whether all modes of `other` are in the set.
     #[must_use]
     pub fn contains(self, other: Self) -> bool {
         self.0 & other.0 == other.0
     }
 
-    /// Whether some of `other` are there.
+    /// Whether at least one mode of `other` is in the set.
     #[must_use]
     pub fn intersects(self, other: Self) -> bool {
         self.0 & other.0 != 0
     }
 
-    /// Adds those of `other`.
+    /// Adds the modes of `other`.
     pub fn insert(&mut self, other: Self) {
         self.0 |= other.0;
     }
 
-    /// Names of those that are there.
+    /// Names of the modes in the set.
     pub fn names(self) -> impl Iterator<Item = &'static str> {
         Self::NAMES.into_iter().filter_map(move |(mode, name)| self.contains(mode).then_some(name))
     }
 }
 
-/// What is remembered of a channel.
+/// State of one channel.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 struct Channel {
-    /// Time since it was last measured \[s\].
+    /// Time since its last accepted measurement \[s\].
     age: f64,
-    /// Number of ticks in which it had the bits of the tick before.
+    /// Number of successive ticks in which its bits have not changed.
     same: u32,
-    /// Whether it is frozen: until its bits change.
+    /// Whether it counts as frozen, until its bits change.
     is_frozen: bool,
-    /// Whether it is no longer accepted.
+    /// Whether its measurements are permanently rejected.
     is_distrusted: bool,
 }
 
-/// What the channels remember from one tick to the next.
+/// State of the channels, kept from tick to tick.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChannelsState {
     channels: Vec<Channel>,
     /// The measurement of the last tick.
     last: Vec<f64>,
-    /// What the model makes of the last values that were measured.
+    /// Prediction from the last accepted values.
     predicted: Vec<f64>,
     /// Acceleration `ν̇` that the last command causes in the state `commanded_in`.
     pub acceleration: DVector<f64>,
-    /// State of the robot as the last tick that commanded saw it.
+    /// State of the robot in the last tick that computed a command.
     pub commanded_in: RobotState,
-    /// Torques of the last command, or those that act in their place \[N m, N\].
+    /// Torques of the last command, or those that replaced them \[N m, N\].
     pub joint_torque: DVector<f64>,
-    /// Thrust rates likewise \[N/s\].
+    /// Thrust rates of the last command, or those that replaced them \[N/s\].
     pub thrust_rate: DVector<f64>,
-    /// Wrenches with which its feet stay, foot after foot \[N, N m\].
+    /// Wrenches that keep the feet at rest, foot after foot \[N, N m\].
     pub foot_wrenches: DVector<f64>,
-    /// Time of the last tick, M108 \[s\].
+    /// Time of the last tick (M108) \[s\].
     pub time: f64,
-    /// By how much the clock of the measurements is ahead of it \[s\].
+    /// Offset of the measurement's clock from this time \[s\].
     clock_offset: f64,
-    /// Whether there was a tick.
+    /// Whether there has been a tick.
     is_begun: bool,
     /// Whether the robot descends.
     pub is_descending: bool,
 }
 
-/// A measurement that a tick can use.
+/// The measurement as used by a tick.
 #[derive(Debug, Clone)]
 pub struct Seen {
-    /// Time of the controller, M108: that of the measurement, but for jumps of its clock \[s\].
+    /// Time of the controller (M108): that of the measurement, corrected for jumps of its clock \[s\].
     pub time: f64,
     /// Pose and velocity of the robot.
     pub state: RobotState,
     /// Thrust of every jet \[N\].
     pub thrust: Vec<f64>,
-    /// By how much each thrust is not the predicted one, or by how much an estimator corrects it; zero where it is not
+    /// Difference of each thrust from its prediction, or its correction by the estimator; zero where the thrust is not
     /// measured \[N\].
     pub thrust_innovation: Vec<f64>,
-    /// Time since the last tick \[s\]; a time step where that is not known.
+    /// Time since the last tick \[s\]; one time step if it is unknown.
     pub elapsed: f64,
-    /// How far the measurement's clock went on where the time since the last tick is not known: either the clock has
-    /// jumped or the controller has paused. Zero where it is known, or cannot be a pause \[s\].
+    /// Advance of the measurement's clock if the time since the last tick is unknown, because either the clock has
+    /// jumped or the controller has paused. Zero if the time is known or cannot be a pause \[s\].
     pub pause: f64,
-    /// Whether the momentum is that of measurements, and its rate that of the time since the last tick.
+    /// Whether the momentum is measured and the time since the last tick is known.
     pub has_momentum: bool,
     /// Velocity of the air \[m/s, inertial axes\].
     pub wind: Vector3<f64>,
     /// Wrench on each foot \[N, N m, inertial axes\].
     pub foot_wrenches: Vec<Vector6<f64>>,
-    /// What of it is not measured.
+    /// Which parts are not measured.
     pub modes: Modes,
 }
 
 impl Seen {
-    /// Zeros, for a robot that ticks every `time_step` \[s\].
+    /// Zeros, for a robot with the tick `time_step` \[s\].
     #[must_use]
     pub fn new(robot: &RobotModel, time_step: f64) -> Self {
         let jets = robot.jets.len();
@@ -395,7 +395,7 @@ impl Seen {
     }
 }
 
-/// Where the numbers of a channel are, in one vector of all numbers of a measurement.
+/// Positions of the channels in the vector of all numbers of a measurement.
 #[derive(Debug, Clone)]
 struct Layout {
     wind: Range<usize>,
@@ -444,7 +444,7 @@ impl Layout {
         self.linear_velocity.start..self.angular_velocity.end
     }
 
-    /// What a number is called in a measurement.
+    /// Field of the measurement that contains a number.
     fn name(&self, index: usize) -> &'static str {
         let names = [
             (self.wind.end, "wind"),
@@ -460,12 +460,12 @@ impl Layout {
     }
 }
 
-/// A channel's numbers, and how a tick without them is called.
+/// Numbers of a channel, and the mode of a tick without it.
 #[derive(Debug, Clone)]
 struct Entry {
     range: Range<usize>,
     mode: Modes,
-    /// Whether the robot descends without it.
+    /// Whether the robot descends if it is missing.
     is_vital: bool,
 }
 
@@ -478,14 +478,14 @@ pub struct Channels {
     entries: Vec<Entry>,
     greatest: Vec<f64>,
     jump: Vec<f64>,
-    /// Whether joint velocities must be measured: an observer of the joints finds them from positions.
+    /// Whether joint velocities must be measured; a joint observer estimates them from positions.
     needs_joint_velocity: bool,
     now: Vec<f64>,
 }
 
 impl Channels {
-    /// The channels of `robot` with its jets, joints and feet, at a tick of `time_step` \[s\]. Joint velocities that are
-    /// not needed count as zero where they are not measured.
+    /// Channels of the jets, joints and feet of `robot`, at the tick `time_step` \[s\]. Joint velocities that are
+    /// neither needed nor measured count as zero.
     #[must_use]
     pub fn new(
         config: &ChannelsConfig,
@@ -540,7 +540,7 @@ impl Channels {
         }
     }
 
-    /// Whether a measurement is of this robot.
+    /// Whether a measurement has the sizes of this robot.
     #[must_use]
     pub fn fit(&self, measurement: &Measurement) -> bool {
         let (joints, feet) = (self.layout.joint_position.len(), self.layout.feet.len() / 6);
@@ -550,7 +550,7 @@ impl Channels {
             && (feet == 0 || measurement.foot_wrenches.len() == feet)
     }
 
-    /// Whether a state is of these channels.
+    /// Whether a state has the sizes of these channels.
     #[must_use]
     pub fn fit_state(&self, state: &ChannelsState) -> bool {
         state.last.len() == self.layout.len() && state.channels.len() == self.entries.len()
@@ -579,7 +579,7 @@ impl Channels {
         self.fill_joint_velocity();
         let wind = &mut self.now[self.layout.wind.clone()];
         if !wind.iter().all(|x| x.is_finite()) {
-            wind.fill(0.0); // not measured: still air, until it is
+            wind.fill(0.0); // not measured: still air until it is
         }
         if let Some((index, value)) = self.now.iter().enumerate().find(|(_, x)| !x.is_finite()) {
             return bad(self.layout.name(index), *value, "a finite number");
@@ -633,7 +633,7 @@ impl Channels {
         is_step
     }
 
-    /// Takes in a measurement that fits and makes `seen` of it.
+    /// Processes a measurement of matching size and writes the result to `seen`.
     pub fn update(&mut self, state: &mut ChannelsState, measurement: &Measurement, seen: &mut Seen) {
         self.read(measurement);
         self.fill_joint_velocity();
@@ -659,9 +659,9 @@ impl Channels {
             // Over an unknown time it says nothing.
             *to = if is_step && state.is_begun { now - predicted } else { 0.0 };
         }
-        // What happened in a pause is no jump, and the first measurement has nothing to jump from.
+        // Changes during a pause are not jumps, and the first measurement has no predecessor.
         let missed_ticks = if state.is_begun { seen.pause / self.time_step } else { f64::INFINITY };
-        // Of the pose: whether this tick and the last one measured it, and anew.
+        // Whether the pose has been measured in this tick and the last one, with different bits.
         let mut is_fresh = is_step;
         for (entry, channel) in self.entries.iter().zip(&mut state.channels) {
             let range = entry.range.clone();
@@ -683,7 +683,7 @@ impl Channels {
             let was_measured = channel.age == 0.0;
             if is_sound && !channel.is_frozen && !channel.is_distrusted {
                 channel.age = 0.0;
-                // Of joints and base the predicted value moves on, to be compared with one that may be frozen.
+                // For joints and base the prediction continues, to be compared with a value that may be frozen.
                 if !is_same || !entry.is_vital {
                     state.predicted[range.clone()].copy_from_slice(&self.now[range.clone()]);
                 }
@@ -695,7 +695,7 @@ impl Channels {
                 is_fresh &= was_measured && was_new && channel.age == 0.0 && !is_same && state.is_begun;
             }
             if entry.mode == Modes::VELOCITY_PREDICTED {
-                // The pose integrates the velocity of this tick, measured or not.
+                // The predicted pose integrates the velocity of this tick, measured or not.
                 let velocity = if channel.age > 0.0 {
                     &state.predicted[range.clone()]
                 } else {
@@ -722,7 +722,7 @@ impl Channels {
                 *velocity += share * (found - *velocity);
             }
         }
-        // What was measured is remembered, what is used takes its place.
+        // The measured values are stored; then predictions replace those that were not accepted.
         state.last.copy_from_slice(&self.now);
         for (entry, channel) in
             self.entries.iter().zip(&state.channels).filter(|(_, channel)| channel.age > 0.0)
@@ -751,8 +751,8 @@ impl Channels {
         self.write(seen);
     }
 
-    /// What an estimator may follow of the measurement that was taken in last: NaN stands for what was not accepted, but
-    /// a base velocity that was not is the one that follows the pose.
+    /// Writes the measurement for an estimator: NaN for values that were not accepted, except for a base velocity,
+    /// which then follows the pose.
     pub fn accepted(&mut self, state: &ChannelsState, reading: &mut Reading) {
         for (entry, channel) in self.entries.iter().zip(&state.channels) {
             if channel.age > 0.0 && entry.mode != Modes::VELOCITY_PREDICTED {
@@ -762,8 +762,8 @@ impl Channels {
         self.write_reading(&mut reading.state, &mut reading.thrust);
     }
 
-    /// Puts an estimate in the place of what is seen; what is seen in its place where a number of it could not have
-    /// been accepted.
+    /// Replaces the state and thrusts of `seen` by an estimate; if a number of the estimate is outside the accepted
+    /// range, replaces the estimate by `seen`.
     pub fn replace(&mut self, estimate: &mut Reading, seen: &mut Seen) {
         let Reading { state, thrust } = &*estimate;
         let (time, wind, foot_wrenches) = (seen.time, seen.wind, &seen.foot_wrenches);
@@ -776,7 +776,7 @@ impl Channels {
         }
     }
 
-    /// The numbers of a measurement that fits.
+    /// Reads the numbers of a measurement of matching size.
     fn read(&mut self, measurement: &Measurement) {
         let (layout, now) = (&self.layout, &mut self.now);
         let RobotState { base, joint_position, velocity } = measurement.state;
@@ -792,7 +792,7 @@ impl Channels {
         }
     }
 
-    /// Zero for joint velocities that are neither measured nor needed.
+    /// Sets joint velocities that are neither needed nor measured to zero.
     fn fill_joint_velocity(&mut self) {
         if !self.needs_joint_velocity {
             let velocities = &mut self.now[self.layout.joint_velocity.clone()];
@@ -800,7 +800,7 @@ impl Channels {
         }
     }
 
-    /// The other way round: state and thrusts.
+    /// Inverse of `read` for state and thrusts.
     fn write_reading(&self, state: &mut RobotState, thrust: &mut [f64]) {
         let (layout, now) = (&self.layout, &self.now);
         thrust.copy_from_slice(&now[layout.thrust.clone()]);
@@ -813,7 +813,7 @@ impl Channels {
         };
     }
 
-    /// The other way round: everything.
+    /// Inverse of `read` for all channels.
     fn write(&self, seen: &mut Seen) {
         let (layout, now) = (&self.layout, &self.now);
         self.write_reading(&mut seen.state, &mut seen.thrust);
@@ -825,8 +825,9 @@ impl Channels {
 }
 
 impl ChannelsState {
-    /// Moves every value but the pose on by `dt` \[s\]: M78 for joints and base, M31 for thrusts. None leaves what is
-    /// accepted of a measurement, or a robot without one for long would be predicted to move ever faster.
+    /// Advances all values except the pose by `dt` \[s\]: joints and base by M78, thrusts by M31. Values stay within
+    /// the accepted range, because otherwise the predicted velocity could grow without limit while a measurement is
+    /// missing.
     fn predict(&mut self, layout: &Layout, greatest: &[f64], dt: f64) {
         let Self { predicted, acceleration, thrust_rate, foot_wrenches, .. } = self;
         predicted[layout.feet.clone()].copy_from_slice(foot_wrenches.as_slice());
@@ -845,7 +846,7 @@ impl ChannelsState {
         bound(predicted, greatest);
     }
 
-    /// Uses the measured wrenches of the feet no more, nor those of this tick.
+    /// Rejects the measured foot wrenches from now on, including those of this tick.
     pub(super) fn reject_feet(&mut self, seen: &mut Seen) {
         if let Some(feet) = self.channels.last_mut() {
             feet.is_distrusted = true;
@@ -856,9 +857,9 @@ impl ChannelsState {
         seen.modes.insert(Modes::FEET_PREDICTED);
     }
 
-    /// Uses the measured thrust of a jet no more, which was measured too large by `deviation` \[N\].
+    /// Rejects the measured thrust of a jet from now on; it was too large by `deviation` \[N\].
     pub(super) fn reject_sensor(&mut self, jet: usize, deviation: f64) {
-        let (first_entry, first_channel) = (3, 1); // behind the wind
+        let (first_entry, first_channel) = (3, 1); // after the wind
         self.channels[first_channel + jet].is_distrusted = true;
         self.predicted[first_entry + jet] -= deviation;
     }
@@ -876,7 +877,7 @@ fn bound(numbers: &mut [f64], greatest: &[f64]) {
     }
 }
 
-/// Moves the pose on by `dt` \[s\] with a velocity of the base: M78.
+/// Advances the pose by `dt` \[s\] with a velocity of the base (M78).
 fn integrate_pose(predicted: &mut [f64], layout: &Layout, velocity: &Vector6<f64>, dt: f64) {
     for (position, velocity) in predicted[layout.position.clone()].iter_mut().zip(velocity) {
         *position += dt * velocity;
@@ -886,17 +887,17 @@ fn integrate_pose(predicted: &mut [f64], layout: &Layout, velocity: &Vector6<f64
     predicted[layout.rotation.clone()].copy_from_slice(rotation.as_slice());
 }
 
-/// Three numbers as a vector.
+/// Converts three numbers to a vector.
 fn vector(numbers: &[f64]) -> Vector3<f64> {
     Vector3::from_column_slice(numbers)
 }
 
-/// Nine numbers as a matrix, column by column.
+/// Converts nine numbers, column by column, to a matrix.
 fn rotation_of(numbers: &[f64]) -> Matrix3<f64> {
     Matrix3::from_column_slice(numbers)
 }
 
-/// Whether a time is that of a flight.
+/// Whether a time is in the range of a flight.
 fn time_is_plausible(time: f64) -> bool {
     (0.0..=TIME_MAX).contains(&time)
 }

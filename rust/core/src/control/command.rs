@@ -5,10 +5,10 @@ use crate::kinematics::RobotState;
 use crate::qp::QpAnswer;
 use nalgebra::{DVector, Vector3, Vector6};
 
-/// What is measured at a tick.
+/// Measurement of a tick.
 #[derive(Debug, Clone, Copy)]
 pub struct Measurement<'a> {
-    /// Time since the flight began \[s\].
+    /// Time since the start of the flight \[s\].
     pub time: f64,
     /// Pose and velocity of the robot.
     pub state: &'a RobotState,
@@ -16,15 +16,15 @@ pub struct Measurement<'a> {
     pub thrust: &'a [f64],
     /// Velocity of the air \[m/s, inertial axes\].
     pub wind: Vector3<f64>,
-    /// Wrench on each foot about the origin of its sole, force first \[N, N m, inertial axes\], in the
-    /// order of the robot's feet. Only a controller with `contact` reads it; others accept an empty slice.
+    /// Wrench on each foot about the origin of its sole, force first \[N, N m, inertial axes\], in the order of the
+    /// robot's feet. Only a controller with `contact` reads it; others accept an empty slice.
     pub foot_wrenches: &'a [Vector6<f64>],
 }
 
-/// A measurement that no flight can begin with, and why.
+/// Reason why a flight cannot start with a measurement.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum BadStart {
-    /// It has other numbers of joints, thrusts or feet.
+    /// Numbers of joints, thrusts or feet differ from the robot's.
     #[error(
         "a flight cannot begin with a measurement of another robot; expected {joints} joints, {jets} thrusts, {feet} feet"
     )]
@@ -36,58 +36,58 @@ pub enum BadStart {
         /// Number of feet whose wrenches are measured.
         feet: usize,
     },
-    /// One of its numbers cannot be right.
+    /// A number is missing or implausible.
     #[error("a flight cannot begin: `{name}` holds {value}; expected {expected}")]
     BadValue {
-        /// The field of the measurement.
+        /// Field of the measurement.
         name: &'static str,
         /// The number.
         value: f64,
-        /// What could be right.
+        /// What is accepted.
         expected: &'static str,
     },
-    /// The base rotation is none.
+    /// The base rotation is not a rotation.
     #[error(
         "a flight cannot begin: `base_rotation` is not a rotation; expected orthonormal columns, right-handed, to 1e-6"
     )]
     NoRotation,
-    /// In this posture the robot has no inertia that can be inverted, or no centre of mass.
+    /// In this posture the centroidal inertia cannot be inverted, or inertia or centre of mass overflow.
     #[error("a flight cannot begin: in this posture the inertia of the robot cannot be inverted")]
     SingularInertia,
 }
 
-/// A command that no robot of this controller can follow.
+/// A command with a number that is not finite, or of the wrong size.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
     "this command cannot act; expected a finite number for every thrust rate and joint torque of this robot"
 )]
 pub struct BadCommand;
 
-/// Whether a command is the one that the control law gives.
+/// Whether a command is that of the control law.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CommandStatus {
-    /// Both QPs solved and certified.
+    /// Both QPs are solved and certified.
     Nominal,
-    /// Both QPs solved and certified, for a measurement of which something had to be predicted, or on the way down:
-    /// [`Command::modes`] says what.
+    /// Both QPs are solved and certified, but part of the measurement is predicted or the robot descends: see
+    /// [`Command::modes`].
     Degraded,
-    /// The measurement is not of this robot: thrust rates and joint velocities are zero, torques stay.
+    /// The measurement is not of this robot: thrust rates and joint velocities are zero, torques keep their values.
     BadMeasurement,
-    /// The state is one of another controller: as for a bad measurement.
+    /// The state belongs to another controller; the command is as for a bad measurement.
     BadState,
     /// The given set-point is beyond what is accepted of a robot (`channels.greatest`), or its rotation is none: the command
     /// of the control law, which brakes from the motion of the last one.
     BadSetpoint,
-    /// The momentum QP has no answer: thrust rates and joint velocities are zero, or as near to zero
-    /// as their bounds allow; torques brake the joints.
+    /// The momentum QP has no answer: thrust rates and joint velocities are zero, or as near to zero as their bounds
+    /// allow; the torques brake the joints.
     MomentumHeld,
-    /// The torque QP has no answer: torques stay.
+    /// The torque QP has no answer: torques keep their values.
     TorqueHeld,
     /// Neither QP has an answer.
     BothHeld,
 }
 
-/// What the controller commands, held until the next tick.
+/// Command of the controller, held until the next tick.
 #[derive(Debug, Clone)]
 pub struct Command {
     /// Thrust rates `Ṫ*` \[N/s\].
@@ -100,8 +100,8 @@ pub struct Command {
     pub momentum_qp: QpAnswer,
     /// Answer of the torque QP.
     pub torque_qp: QpAnswer,
-    /// Whether this is the command that the control law gives.
+    /// Whether this is the command of the control law.
     pub status: CommandStatus,
-    /// In which ways this tick differs from one that measures everything.
+    /// Ways in which this tick differs from one with complete measurements.
     pub modes: Modes,
 }

@@ -18,21 +18,21 @@ use std::collections::BTreeMap;
 
 const CONTROLLER: Table = Table("controller");
 
-/// The control law: everything that makes a controller besides robot, aerodynamic model and mission.
+/// Configuration of the control law: the complete controller except robot, aerodynamic model and mission.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ControllerConfig {
-    /// Where the aerodynamic estimate enters.
+    /// Terms of the controller that contain the estimated aerodynamic forces.
     #[serde(default)]
     pub aero_feedback: AeroFeedback,
     /// Point at which moments of link forces are formed (in `A_a`).
     #[serde(default)]
     pub lever_arm: LeverArm,
-    /// Point whose Jacobian carries link forces (in `Λ_a` and the torque law).
+    /// Point whose Jacobian maps link forces (in `Λ_a` and the torque law).
     #[serde(default)]
     pub jacobian_offset: JacobianOffset,
-    /// Point whose velocity makes the relative wind.
+    /// Point whose velocity enters the relative wind.
     #[serde(default)]
     pub link_velocity: LinkVelocity,
     /// Gains of the momentum and attitude tasks.
@@ -45,25 +45,26 @@ pub struct ControllerConfig {
     pub bounds: BoundsConfig,
     /// The joint torque controller.
     pub torque: TorqueConfig,
-    /// What it takes to stand on the ground; without it the controller has no feet.
+    /// Standing on the ground; without it the controller has no feet.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub contact: Option<ContactConfig>,
-    /// Estimates the state from what is measured; without it the law is given the measurements.
+    /// State estimator; without it the control law uses the measurements.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub estimator: Option<EstimatorConfig>,
-    /// Estimates the wind from the force that acts on the robot; without it the law is given the measured wind.
+    /// Wind observer, which estimates the wind from the force on the robot; without it the control law uses the
+    /// measured wind.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wind_observer: Option<WindObserverConfig>,
-    /// What observes the wrench that is in no model; without it there is none.
+    /// Observer of the wrench that no model of the controller contains; without it this wrench is taken as zero.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub observer: Option<ObserverConfig>,
-    /// Which measurements are accepted, and what happens without them.
+    /// Which measurements are accepted, and what replaces the others.
     #[serde(default)]
     pub channels: ChannelsConfig,
     /// When an engine counts as lost; without it, never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub engines: Option<EnginesConfig>,
-    /// Whether thrusts are known of and asked for.
+    /// Whether the controller uses the jets; without them it neither reads thrusts nor commands thrust rates.
     #[serde(default = "yes")]
     pub use_jets: bool,
     /// How QPs are solved.
@@ -73,12 +74,12 @@ pub struct ControllerConfig {
     pub setpoint: SetpointConfig,
 }
 
-/// Where the estimated aerodynamic forces enter the controller; each can be left out for an ablation.
+/// Where the estimated aerodynamic forces enter the controller; each place can be switched off for an ablation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct AeroFeedback {
-    /// What of `A_a f_a` enters the estimated momentum rate.
+    /// Part of `A_a f_a` in the estimated momentum rate.
     pub momentum_rate: RateFeedback,
     /// Whether `Λ_a` enters the derivative of the momentum rate.
     pub lambda: bool,
@@ -92,7 +93,7 @@ impl Default for AeroFeedback {
     }
 }
 
-/// What of the total aerodynamic wrench about the centre of mass the estimated momentum rate holds.
+/// Part of the total aerodynamic wrench about the centre of mass in the estimated momentum rate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
@@ -100,9 +101,9 @@ pub enum RateFeedback {
     /// Force and moment.
     #[default]
     Wrench,
-    /// The force alone.
+    /// The force only.
     Force,
-    /// The moment alone.
+    /// The moment only.
     Moment,
     /// Nothing.
     None,
@@ -135,7 +136,7 @@ pub struct MomentumGains {
 }
 
 impl MomentumGains {
-    /// Refuses numbers that mean nothing; `table` is where they stand.
+    /// Checks that every gain is in its range; `table` is the TOML table named in errors.
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
@@ -164,22 +165,22 @@ pub struct MomentumWeights {
     /// Posture task.
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub posture: f64,
-    /// Joint velocities towards zero.
+    /// Minimisation of joint velocities.
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub joint_velocity: f64,
-    /// Thrust rates towards zero, by jet.
+    /// Minimisation of thrust rates, by jet.
     pub thrust_rate: BTreeMap<String, f64>,
     /// Equal thrust rates within each pair of [`Self::symmetric_jets`].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub symmetry: f64,
-    /// Pairs of jets meant to act alike.
+    /// Pairs of jets with equal thrust rates.
     pub symmetric_jets: Vec<[String; 2]>,
     /// Added to the diagonal of the Hessian.
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub regularisation: f64,
 }
 
-/// Bounds of the momentum QP: rates fade out, as a tanh, where the value meets its own limit.
+/// Bounds of the momentum QP: the bound on a rate decreases as a tanh where the value approaches its limit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -189,7 +190,7 @@ pub struct BoundsConfig {
     /// Steepness at the thrust limits \[1/N\].
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub thrust_steepness: f64,
-    /// Greatest velocity of revolute joints in place of the robot's own limits \[deg/s\].
+    /// Greatest velocity of revolute joints \[deg/s\], in place of the robot's own limits.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub joint_velocity_max_deg: Option<f64>,
@@ -218,53 +219,53 @@ pub struct TorqueConfig {
     /// Added to the diagonal of the Hessian.
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub regularisation: f64,
-    /// Greatest torque of revolute joints in place of the robot's own limits \[N m\].
+    /// Greatest torque of revolute joints \[N m\], in place of the robot's own limits.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub torque_max: Option<f64>,
-    /// Greatest rate of the torque of revolute joints in place of the robot's own limits \[N m/s\].
+    /// Greatest torque rate of revolute joints \[N m/s\], in place of the robot's own limits.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub torque_rate_max: Option<f64>,
 }
 
-/// Which solver answers first.
+/// Solver that is tried first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Solver {
-    /// The active-set methods: no allocation, a few microseconds.
+    /// Active-set methods: no allocation, a few microseconds.
     #[default]
     ActiveSet,
     /// Clarabel: allocates, hundreds of microseconds.
     Clarabel,
 }
 
-/// What happens when the first solver gives no certified answer.
+/// Action when the first solver returns no certified answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Fallback {
-    /// Thrusts and joints stop, torques stay. Nothing allocates.
+    /// Thrust rates and joint velocities are zero, torques keep their values. No allocation.
     #[default]
     Hold,
-    /// Clarabel (allocates); hold if it fails too.
+    /// Clarabel (allocates); as `hold` if it fails too.
     Clarabel,
 }
 
-/// How QPs are solved.
+/// Solution of the QPs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct QpConfig {
-    /// The solver of every tick.
+    /// Solver of every tick.
     pub solver: Solver,
-    /// What to do without an answer.
+    /// Action without a certified answer.
     pub fallback: Fallback,
 }
 
 impl QpConfig {
-    /// Refuses a solver that this build does not have.
+    /// Checks that this build contains the solver.
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
@@ -281,8 +282,8 @@ impl QpConfig {
         Ok(())
     }
 
-    /// The methods for `n` variables and `rows` rows, in order. Of the active-set ones the primal one, for boxes, is the
-    /// first, and behind it the dual one, which starts from scratch.
+    /// Returns the solvers for `n` variables and `rows` rows in their order: the primal active-set method, for boxes,
+    /// then the dual one, which starts from scratch, then Clarabel where configured.
     #[must_use]
     pub fn chain(&self, n: usize, rows: usize) -> QpChain {
         let mut methods = Vec::new();
@@ -299,7 +300,7 @@ impl QpConfig {
 }
 
 impl ControllerConfig {
-    /// Refuses numbers and names that do not make a controller for `robot`.
+    /// Checks that the configuration is valid for `robot`.
     ///
     /// # Errors
     /// [`BuildError`] naming the key, its value and what was expected.
@@ -362,13 +363,13 @@ impl ControllerConfig {
         Ok(())
     }
 
-    /// Refuses bounds that make the thrusts or joints oscillate from tick to tick. At a limit the bound of
-    /// the rate is `r ε` per unit of distance, so the distance is multiplied by `1 − h r ε` each tick.
+    /// Checks that the rate bounds do not make thrusts or joints oscillate from tick to tick. At a limit the bound of
+    /// the rate is `r ε` per unit of distance, so each tick multiplies the distance by `1 − h r ε`.
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
     pub fn check_rate_bounds(&self, robot: &RobotModel, time_step: f64) -> Result<(), BuildError> {
-        // The published numbers lie on the edge: 1 − 0.01 · 100 · 2 = −1.
+        // The published values are at the limit: 1 − 0.01 · 100 · 2 = −1.
         let stable = |key: &str, rate_max: f64, steepness: f64| {
             let greatest = 2.0 / (rate_max * time_step);
             let expected = format!("at most {greatest}, 2 / (greatest rate · time step of {time_step} s)");
@@ -387,8 +388,8 @@ impl ControllerConfig {
         Ok(())
     }
 
-    /// The robot as this controller uses it: with its own limits of revolute joints where it has some, and
-    /// with the feet it stands on, in its order.
+    /// Returns the robot as this controller uses it: with the configured limits of revolute joints and only the
+    /// configured feet, in the configured order.
     #[must_use]
     pub fn restrict(&self, mut robot: RobotModel) -> RobotModel {
         let named = self.contact.iter().flat_map(|contact| &contact.feet);
@@ -403,7 +404,7 @@ impl ControllerConfig {
         robot
     }
 
-    /// Posture gain `K_s` of every joint \[1/s\]; zero for joints of no group.
+    /// Posture gain `K_s` of every joint \[1/s\]; zero for joints in no group.
     #[must_use]
     pub fn posture_gains(&self, robot: &RobotModel) -> Vec<f64> {
         let mut gains = vec![0.0; robot.joints.len()];
@@ -415,7 +416,7 @@ impl ControllerConfig {
         gains
     }
 
-    /// Indices of the pairs of [`MomentumWeights::symmetric_jets`].
+    /// Jet indices of the pairs of [`MomentumWeights::symmetric_jets`].
     ///
     /// # Errors
     /// [`BuildError::UnknownName`] for a jet the robot does not have.
@@ -426,7 +427,7 @@ impl ControllerConfig {
     }
 }
 
-/// Numbers by jet in the order of the robot's jets; zero for those that the table does not name.
+/// Values of `table` in the order of the robot's jets; zero for jets that it does not name.
 pub(super) fn per_jet(table: &BTreeMap<String, f64>, robot: &RobotModel) -> Vec<f64> {
     jet_names(robot).map(|jet| table.get(jet).copied().unwrap_or(0.0)).collect()
 }
@@ -435,7 +436,7 @@ fn jet_names(robot: &RobotModel) -> impl Iterator<Item = &str> + Clone {
     robot.jets.iter().map(|jet| jet.name.as_str())
 }
 
-/// A table with exactly one number ≥ 0 for each of the robot's names.
+/// Checks that a table has exactly one number ≥ 0 for each of the robot's names.
 fn per_name<'a>(
     table: &str,
     values: &BTreeMap<String, f64>,

@@ -1,4 +1,4 @@
-//! Feet on the ground: when they carry load, their wrenches, and the limits of these wrenches.
+//! Contact of the feet with the ground: whether they carry load, their wrenches, and the limits of these wrenches.
 //!
 //! ```text
 //! carrying        the vertical force on every foot exceeds a threshold
@@ -6,9 +6,9 @@
 //! f_c*            ∫ ḟ_c* dt, from the measured wrenches when they began to carry
 //! ```
 //!
-//! `f_c*` is the integral of the momentum QP's own answer, not a measurement: it is the estimate in the
-//! momentum rate and the reference of the torque QP alike. Wrenches are about the sole's origin, force
-//! first, inertial axes. Equations M54, M74, M75, M82, M111, M112 and M114 of `docs/model.md`.
+//! `f_c*` is the integral of the momentum QP's own answer, not a measurement; the estimated momentum rate and the
+//! torque QP both use it. Wrenches are about the sole's origin, force first, inertial axes. Equations M54, M74, M75,
+//! M82, M111, M112 and M114 of `docs/model.md`.
 
 use crate::dynamics::Dynamics;
 use crate::error::{BuildError, Table, place_of};
@@ -18,30 +18,30 @@ use crate::spatial::Pose;
 use nalgebra::{DMatrix, DVector, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 
-/// Numbers of a wrench: force and moment.
+/// Entries of a wrench: force and moment.
 pub const WRENCH: usize = 6;
 
-/// Corners of the friction polygon, four to a quadrant with its ends.
+/// Sides of the friction polygon.
 const FRICTION_SIDES: usize = 12;
 
-/// Time after which an unexplained force is none of an impact \[s\]. For half of it what the feet measure at one time is not
-/// what they exert during a tick (`take_off`, winds up to 10 m/s).
+/// Time after which an unexplained force cannot be that of an impact \[s\]. For half of this time after an impact, the
+/// wrenches measured at one instant are not those exerted during a tick (`take_off`, winds up to 10 m/s).
 const IMPACT_TIME: f64 = 0.1;
 
 /// Inequalities on the wrench of one foot: friction, torsion, unilateral, centre of pressure.
 pub const WRENCH_ROWS: usize = FRICTION_SIDES + 2 + 1 + 4;
 
-/// What a controller needs to stand; without it, it flies.
+/// Configuration of standing on the ground; without it the controller only flies.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ContactConfig {
-    /// Names of the feet to stand on; the robot's other feet are no contacts.
+    /// Names of the feet to stand on; other feet of the robot are ignored.
     pub feet: Vec<String>,
-    /// Vertical force beyond which a foot carries \[N\]; all of `feet` have to.
+    /// Vertical force above which a foot carries load \[N\]; all of `feet` have to exceed it.
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub vertical_force_min: f64,
-    /// Whether `f_c*` starts with the measured moment about y besides the vertical force.
+    /// Whether `f_c*` starts with the measured moment about y in addition to the vertical force.
     pub start_with_moment: bool,
     /// Greatest rate of every component of `f_c*` \[N/s, N m/s\].
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
@@ -61,63 +61,63 @@ pub struct ContactConfig {
     /// Weight of `f_c → f_c*` in the torque QP.
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub weight_force: f64,
-    /// What the wrench of a foot may be.
+    /// Limits of the wrench of a foot.
     pub wrench: WrenchLimits,
-    /// How the robot takes off and lands; without it, it stays where it is.
+    /// Take-off and landing; without it the robot does neither.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub load_transfer: Option<LoadTransfer>,
 }
 
-/// How load passes between feet and jets. A robot whose feet carry takes off towards a set-point above its centre of
-/// mass: the feet are relieved. Otherwise, and on its way down, it stands: the jets are relieved.
+/// Transfer of the load between feet and jets. A robot whose feet carry load takes off if its set-point is above its
+/// centre of mass: the feet are unloaded. Otherwise, and during a descent, it stands: the jets are unloaded.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct LoadTransfer {
-    /// Gain with which the load of feet or jets falls \[1/s\].
+    /// Gain with which the load of the unloaded side (feet or jets) decreases \[1/s\].
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub gain: f64,
-    /// Gain with which `f_c*` of a robot that stands follows the measured wrenches \[1/s\].
+    /// Gain with which `f_c*` of a standing robot follows the measured wrenches \[1/s\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub measured_gain: f64,
-    /// Height of the set-point above the centre of mass beyond which the robot takes off; a robot that stands has its
-    /// set-point at most as far below \[m\].
+    /// Height of the set-point over the centre of mass beyond which the robot takes off \[m\]; the set-point of a
+    /// standing robot is limited to the same distance below the centre of mass.
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub height: f64,
-    /// Time for which feet of a robot that stands may lose contact and still count as carrying \[s\].
+    /// Time for which the feet of a standing robot may lose contact and still count as carrying load \[s\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub hold_time: f64,
-    /// Greatest vertical force on the robot that the controller's model may leave unexplained \[N\]: beyond it measured
-    /// wrenches of the feet are wrong, and feet in the air carry if the set-point is below the centre of mass by `height`.
-    /// Needs `controller.observer`; without it foot sensors are believed, and feet that are not measured do not begin to
-    /// carry.
+    /// Greatest vertical force on the robot that the controller's model may leave unexplained \[N\]. Above it, measured
+    /// foot wrenches are judged wrong, and feet in the air count as carrying load if the set-point is below the centre
+    /// of mass by `height`. Needs `controller.observer`; without it foot sensors are trusted, and feet that are not
+    /// measured do not start to carry load.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub unmodelled_force_max: Option<f64>,
 }
 
-/// What the wrench of every foot may be, in sole axes about the sole's origin.
+/// Limits of the wrench of every foot, in sole axes about the sole's origin.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct WrenchLimits {
-    /// Friction `|f_xy| ≤ μ f_z`, as the regular polygon of twelve corners inside the circle.
+    /// Friction coefficient of `|f_xy| ≤ μ f_z`, approximated by the regular twelve-sided polygon inside the circle.
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub friction: f64,
-    /// Torsion `|m_z| ≤ κ f_z` \[m\].
+    /// Torsional friction coefficient of `|m_z| ≤ κ f_z` \[m\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub torsional_friction: f64,
     /// Least vertical force \[N\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub vertical_force_min: f64,
-    /// How far the centre of pressure stays inside the extent of the sole's corners \[m\]; the published one may be
-    /// outside, where it is negative.
+    /// Least distance of the centre of pressure from the edges of the rectangle around the sole's corners \[m\],
+    /// positive inside. A negative value allows it outside, as published.
     #[serde(default)]
     pub centre_of_pressure_margin: f64,
 }
 
 impl ContactConfig {
-    /// Refuses numbers that mean nothing, and a robot without feet.
+    /// Checks that every value is in its range and that the robot has the feet.
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
@@ -168,7 +168,7 @@ impl WrenchLimits {
     pub fn rows(&self, foot: &Foot) -> [(Vector6<f64>, f64); WRENCH_ROWS] {
         let mut rows = [(Vector6::zeros(), 0.0); WRENCH_ROWS];
         let half_side = std::f64::consts::PI / FRICTION_SIDES as f64;
-        // A side lies between two corners of the circle, so cos(half side) nearer than they.
+        // Sides of the polygon are nearer to its centre than its corners by the factor cos(half side).
         let reach = self.friction * libm::cos(half_side);
         for (side, (row, _)) in rows.iter_mut().take(FRICTION_SIDES).enumerate() {
             let (sin, cos) = libm::sincos(half_side * (2 * side + 1) as f64);
@@ -189,23 +189,23 @@ impl WrenchLimits {
     }
 }
 
-/// Whether the feet carry, and their desired wrenches, from one tick to the next.
+/// Contact state: whether the feet carry load, and their desired wrenches; kept from tick to tick.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ContactState {
-    /// Whether all feet carry.
+    /// Whether all feet carry load.
     pub is_active: bool,
-    /// `f_c*`, foot after foot; zero while the feet do not carry.
+    /// `f_c*`, foot after foot; zero while the feet do not carry load.
     pub force: DVector<f64>,
-    /// `ḟ_c*` of the last tick, integrated when the next one begins; zero while the feet do not carry.
+    /// `ḟ_c*` of the last tick, integrated at the start of the next; zero while the feet do not carry load.
     pub force_rate: DVector<f64>,
-    /// For how long one of the feet has not carried \[s\].
+    /// Time since all feet last carried load \[s\].
     unloaded_time: f64,
-    /// For how long the model has not explained the vertical force \[s\].
+    /// Time for which the model has not explained the vertical force \[s\].
     unknown_time: f64,
 }
 
 impl ContactState {
-    /// Feet that carry nothing.
+    /// Feet that do not carry load.
     #[must_use]
     pub fn new(feet: usize) -> Self {
         let nothing = DVector::zeros(WRENCH * feet);
@@ -219,24 +219,24 @@ impl ContactState {
     }
 }
 
-/// What a tick computes of the feet, none for a controller that only flies; preallocated.
+/// Contact quantities computed in a tick; without feet they are empty. Preallocated.
 #[derive(Debug, Clone)]
 pub struct Contact {
-    /// Whether feet that carry are to be relieved.
+    /// Whether feet that carry load are to be unloaded.
     pub takes_off: bool,
-    /// `f_c` of the torque QP's answer, or `f_c*` where it has none; zero while the feet do not carry.
+    /// `f_c` of the torque QP's answer, or `f_c*` if it has none; zero while the feet do not carry load.
     pub force_of_torques: DVector<f64>,
     /// Poses of the soles.
     pub soles: Vec<Pose>,
-    /// `J_cᵀ` (n × 6 feet): linear rows of each foot first; zero while the feet do not carry.
+    /// `J_cᵀ` (n × 6 feet), linear columns of each foot first; zero while the feet do not carry load.
     pub jacobian_transposed: DMatrix<f64>,
-    /// `J̇_c ν` (6 feet); zero while the feet do not carry.
+    /// `J̇_c ν` (6 feet); zero while the feet do not carry load.
     pub velocity_product: DVector<f64>,
     config: ContactConfig,
 }
 
 impl Contact {
-    /// Space for the feet of `robot`, which carry nothing yet.
+    /// Allocates for the feet of `robot`, which carry no load yet.
     #[must_use]
     pub fn new(config: &ContactConfig, robot: &RobotModel) -> Self {
         let feet = robot.feet.len();
@@ -251,11 +251,13 @@ impl Contact {
         }
     }
 
-    /// Advances `f_c*` of `state` by the last tick's rate, decides from the `measured` wrench of each foot whether the
-    /// feet carry (when that changes, `f_c*` starts anew), and recomputes what depends on the state. The set-point is
-    /// `climb` \[m\] above the centre of mass; jets and air leave the vertical force `left` \[N\] to the feet. They
-    /// carry as well, and `f_c*` starts anew, where that `is_found`.
-    #[allow(clippy::too_many_arguments)] // each is computed elsewhere in the tick
+    /// Advances `f_c*` of `state` by the last tick's rate, decides from the `measured` foot wrenches whether the feet
+    /// carry load, and recomputes all quantities that depend on the robot's state.
+    ///
+    /// The set-point is `climb` \[m\] above the centre of mass; jets and aerodynamic forces leave the vertical force
+    /// `left` \[N\] to the feet. `is_found` is the result of [`Self::carry_unknown`]: the feet then carry load whatever
+    /// is measured. `f_c*` restarts if it is true, and whenever the contact changes.
+    #[allow(clippy::too_many_arguments)] // all are computed elsewhere in the tick
     pub fn update(
         &mut self,
         state: &mut ContactState,
@@ -268,7 +270,7 @@ impl Contact {
         is_found: bool,
         time_step: f64,
     ) {
-        // Forward Euler: a rate is used in its own tick and integrated into the next.
+        // Forward Euler: a rate is used in its own tick and integrated in the next.
         state.force.axpy(time_step, &state.force_rate, 1.0);
         state.force_rate.fill(0.0);
         let threshold = self.config.vertical_force_min;
@@ -309,8 +311,9 @@ impl Contact {
         }
     }
 
-    /// Whether the feet carry something else than is known of them (M114): the set-point is `climb` \[m\] above the centre
-    /// of mass, and the model does not explain the vertical force `unmodelled` \[N\], `elapsed` \[s\] after the last tick.
+    /// Whether the feet carry a load that the measurement does not show, or a load other than the measured one (M114).
+    /// The set-point is `climb` \[m\] above the centre of mass, the model does not explain the vertical force
+    /// `unmodelled` \[N\], and the last tick was `elapsed` \[s\] ago.
     pub fn carry_unknown(
         &self,
         state: &mut ContactState,
@@ -328,23 +331,23 @@ impl Contact {
             unmodelled > greatest && (climb < -transfer.height || carried_just_now)
         };
         state.unknown_time = if is_unknown { state.unknown_time + elapsed } else { 0.0 };
-        // Half a tick is for rounding.
+        // Half a tick absorbs rounding.
         is_unknown && (!are_measured || state.unknown_time > IMPACT_TIME + 0.5 * elapsed)
     }
 
-    /// Whether the feet carry a robot that can neither take off nor land.
+    /// Whether the feet carry load and the controller can neither take off nor land.
     #[must_use]
     pub fn stays(&self, state: &ContactState) -> bool {
         state.is_active && self.config.load_transfer.is_none()
     }
 
-    /// How far below the centre of mass the set-point of a robot that stands may be \[m\].
+    /// Greatest distance of a standing robot's set-point below its centre of mass \[m\].
     #[must_use]
     pub fn stand_height(&self) -> Option<f64> {
         self.config.load_transfer.as_ref().map(|transfer| transfer.height)
     }
 
-    /// Adds `A_c f_c` of the `measured` wrenches to a momentum rate.
+    /// Adds `A_c f_c` of the `measured` wrenches to a momentum rate, about the centre of mass `com`.
     pub fn add_measured(&self, measured: &[Vector6<f64>], com: &Vector3<f64>, rate: &mut Vector6<f64>) {
         for (sole, wrench) in self.soles.iter().zip(measured) {
             *rate += wrench;
@@ -353,7 +356,8 @@ impl Contact {
         }
     }
 
-    /// `f_c*` of a robot that takes off is what is measured; while it stands, what is measured draws it.
+    /// Sets `f_c*` to the measured wrenches during take-off; while the robot stands, `f_c*` follows them with a gain
+    /// (M112).
     fn follow(&self, state: &mut ContactState, measured: &[Vector6<f64>], time_step: f64) {
         let Some(transfer) = self.config.load_transfer.as_ref().filter(|_| state.is_active) else { return };
         let part = if self.takes_off { 1.0 } else { (transfer.measured_gain * time_step).min(1.0) };
@@ -365,8 +369,9 @@ impl Contact {
         }
     }
 
-    /// Without load transfer vertical force and, where configured, moment about y, of each foot as measured; with it
-    /// equal parts of the vertical force that jets and air leave, for a measurement would be that of the impact.
+    /// Restarts `f_c*`. Without load transfer: measured vertical force and, where configured, moment about y of each
+    /// foot. With load transfer: equal parts of the vertical force that jets and aerodynamic forces leave (M112),
+    /// because a measured wrench would be that of the impact.
     fn restart(&self, state: &mut ContactState, measured: &[Vector6<f64>], left: f64) {
         state.force.fill(0.0);
         if !state.is_active {
@@ -386,7 +391,7 @@ impl Contact {
         }
     }
 
-    /// Stores the rate of the momentum QP's answer; feet that carry nothing have none.
+    /// Stores the rate of the momentum QP's answer; without load on the feet there is none.
     pub fn store_rate(&self, state: &mut ContactState, rate: &[f64]) {
         if state.is_active {
             for (to, rate) in state.force_rate.iter_mut().zip(rate) {

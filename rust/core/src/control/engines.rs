@@ -1,14 +1,14 @@
-//! Detection of engines that do not follow their commands, and of wrong thrust sensors.
+//! Detection of engines that do not follow their commands, and of faulty thrust sensors.
 //!
 //! ```text
-//! d ← e^{−Δt/τ} d + (T_k − T̂_k)              how far a thrust has left the commanded one, T̂ by M31
-//! d̄ ← d after lags of τ_e and τ_n             the same, as late as the momentum is known
-//! n ← n + (1 − e^{−Δt/τ_n}) (w − ŵ − n)       what the momentum says beside the observed wrench
+//! d ← e^{−Δt/τ} d + (T_k − T̂_k)              deviation of the thrust from the commanded one, T̂ by M31
+//! d̄ ← d after lags of τ_e and τ_n             the deviation, delayed as the momentum is
+//! n ← n + (1 − e^{−Δt/τ_n}) (w − ŵ − n)       residual of the momentum with respect to the observed wrench
 //! ```
 //!
-//! Where `|d̄|` stays above its limit for a while, either the engine does not reach the thrust it is commanded or its
-//! sensor is wrong. A wrong sensor puts a wrench of `−d` times the jet's column of `A_T` into the momentum that no thrust
-//! explains; an engine puts none. The thrust that an engine stops at bounds what is commanded from then on, and an engine
+//! If `|d̄|` stays above its limit for a confirmation time, either the engine does not reach its commanded thrust or
+//! its sensor is wrong. A wrong sensor adds `−d` times the jet's column of `A_T` to the residual of the momentum; an
+//! engine adds nothing. The thrust at which an engine stops becomes a bound on its commanded thrust, and an engine
 //! whose bounds are close together is lost. Equations M105 and M106 of `docs/model.md`.
 
 use super::config::MomentumGains;
@@ -18,49 +18,50 @@ use crate::robot::{Joint, JointKind};
 use nalgebra::{Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 
-/// Least lever arm about the centre of mass of a jet whose sensor can be judged \[m\]: a deviation of 10 N has a moment of
-/// 0.1 N m there, as much as the residual's noise.
+/// Least lever arm of a jet about the centre of mass for which its sensor can be judged \[m\]: with it, a deviation of
+/// 10 N has a moment of 0.1 N m, as large as the noise of the residual.
 const LEAST_ARM: f64 = 0.01;
 
-/// When an engine does not reach its thrust, and when it counts as lost.
+/// When an engine counts as not reaching its thrust, and when as lost.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EnginesConfig {
-    /// Time constant with which deviations of the thrust are forgotten \[s\].
+    /// Time constant with which deviations of the thrust decay \[s\].
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub time_constant: f64,
     /// Greatest deviation of a thrust from the commanded one \[N\].
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub deviation_max: f64,
-    /// How long it has to be exceeded \[s\].
+    /// Time for which `deviation_max` has to be exceeded \[s\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub confirmation: f64,
-    /// How the robot levels and descends when an engine is lost; without it the mission goes on.
+    /// Levelling and descent after the loss of an engine; without it the mission continues.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub descent: Option<DescentConfig>,
 }
 
-/// The law of a robot that has lost an engine: the attitude first, no place to hold, and fast joints.
+/// Descent without an engine: attitude has priority, the position is not held, and joints are fast.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct DescentConfig {
-    /// An engine is lost whose least and greatest thrust are closer together than this share of the jet's greatest.
+    /// An engine is lost if its least and greatest thrust differ by less than this fraction of the jet's greatest
+    /// thrust.
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub range_share_min: f64,
     /// Gains in place of `controller.momentum`.
     pub momentum: MomentumGains,
-    /// Greatest joint velocity, of revolute joints whose own is less \[deg/s\].
+    /// Greatest joint velocity during the descent \[deg/s\], for revolute joints whose own limit is lower.
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub joint_velocity_max_deg: f64,
-    /// Greatest rate of a joint torque, of revolute joints whose own is less \[N m/s\].
+    /// Greatest rate of a joint torque during the descent \[N m/s\], for revolute joints whose own limit is lower.
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub torque_rate_max: f64,
 }
 
 impl DescentConfig {
-    /// Greatest velocity of a joint on the way down \[rad/s, m/s\].
+    /// Greatest velocity of a joint during the descent \[rad/s, m/s\].
     #[must_use]
     pub fn velocity_max(&self, joint: &Joint) -> f64 {
         match joint.kind {
@@ -69,7 +70,7 @@ impl DescentConfig {
         }
     }
 
-    /// Greatest rate of its torque \[N m/s, N/s\].
+    /// Greatest torque rate of a joint during the descent \[N m/s, N/s\].
     #[must_use]
     pub fn torque_rate_max(&self, joint: &Joint) -> f64 {
         match joint.kind {
@@ -80,7 +81,7 @@ impl DescentConfig {
 }
 
 impl EnginesConfig {
-    /// Refuses numbers that mean nothing.
+    /// Checks that every value is in its range.
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
@@ -97,16 +98,16 @@ impl EnginesConfig {
     }
 }
 
-/// What is known of an engine.
+/// Monitor state of one engine.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EngineState {
     /// `d` \[N\].
     pub deviation: f64,
     /// `d` after the first lag and after both, `d̄` \[N\].
     late: [f64; 2],
-    /// How long it has been too large \[s\].
+    /// Time for which `|d̄|` has exceeded its limit \[s\].
     suspected: f64,
-    /// Least and greatest thrust that it reaches, as far as that was found \[N\].
+    /// Least and greatest thrust that the engine has been found to reach \[N\].
     pub range: (f64, f64),
 }
 
@@ -117,24 +118,25 @@ impl Default for EngineState {
 }
 
 impl EngineState {
-    /// Whether it does not reach every thrust.
+    /// Whether a limit of the engine's thrust has been found.
     #[must_use]
     pub fn is_limited(&self) -> bool {
         self.range != Self::default().range
     }
 
-    /// Whether its thrust, of a jet that gives up to `thrust_max` \[N\], can change too little to fly with.
+    /// Whether the thrust range is too small for flight; `thrust_max` is the greatest thrust of the jet \[N\].
     #[must_use]
     pub fn is_lost(&self, descent: &DescentConfig, thrust_max: f64) -> bool {
         self.range.1 - self.range.0 < descent.range_share_min * thrust_max
     }
 
-    /// Takes in the thrust of this tick \[N\] and by how much it is not the predicted one, after `dt` \[s\]; whether the
-    /// sensor is wrong. If it is not, but the engine does not reach its thrust, its range is narrowed.
+    /// Updates the monitor with the thrust of this tick \[N\] and its difference from the prediction (`innovation`),
+    /// `dt` \[s\] after the last tick. Returns whether the sensor is wrong; if instead the engine does not reach its
+    /// thrust, its range is narrowed.
     ///
-    /// `momentum_share` is the share of a change that the estimated momentum follows per tick, 1 where it is measured;
-    /// `sensor_error` is what the momentum says of the sensor, [`sensor_error`]. Without it nothing is judged: lags and
-    /// confirmation begin anew.
+    /// `momentum_share` is the fraction of a change that appears in the estimated momentum per tick, 1 where it is
+    /// measured; `sensor_error` is the sensor error that the momentum indicates, see [`sensor_error`]. Without it
+    /// nothing is judged, and lags and confirmation time restart.
     pub fn update(
         &mut self,
         config: &EnginesConfig,
@@ -157,7 +159,7 @@ impl EngineState {
             return false;
         }
         self.suspected += dt;
-        // Half a tick is for rounding.
+        // Half a tick absorbs rounding.
         if self.suspected < config.confirmation + 0.5 * dt {
             return false;
         }
@@ -170,11 +172,12 @@ impl EngineState {
     }
 }
 
-/// By how much the sensor of a jet would have to be wrong to explain the residual `n` of the momentum \[N\]; `column` is
-/// the jet's one of `A_T`.
+/// Error of a jet's thrust sensor that would explain the residual `n` of the momentum \[N\]; `column` is the jet's
+/// column of `A_T`.
 ///
-/// Moments alone are compared: gyroscopes are less noisy than velocities, and forces of the air change more than their
-/// moments. Of a jet through the centre of mass nothing is known: zero, for an engine that fails is the worse of both.
+/// Only moments are compared: gyroscopes are less noisy than velocities, and aerodynamic forces change more than their
+/// moments. For a jet through the centre of mass the error cannot be determined; it is zero, so that the engine counts
+/// as failing, the worse of the two cases.
 #[must_use]
 pub fn sensor_error(column: &Vector6<f64>, residual: &Vector6<f64>) -> f64 {
     let moment = |wrench: &Vector6<f64>| Vector3::new(wrench[3], wrench[4], wrench[5]);

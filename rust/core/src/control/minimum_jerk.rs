@@ -1,16 +1,16 @@
-//! The minimum-jerk filter that smooths references.
+//! The minimum-jerk filter, which smooths references.
 //!
 //! Equations M45 and M46 of `docs/model.md`.
 
 use nalgebra::{Matrix3, Vector3};
 
-// Coefficients of the linear minimum-jerk trajectory generator of the iCub control library; the
-// denominator has one real pole of multiplicity three at −5.3223/T.
+// Coefficients of the linear minimum-jerk trajectory generator of the iCub control library; the denominator has one
+// real pole of multiplicity three at −5.3223/T.
 const A: f64 = 150.765_868_956_161;
 const B: f64 = 84.981_281_946_953_8;
 const C: f64 = 15.966_961_070_938_4;
 
-/// Three-axis low-pass filter with unit gain whose step response is nearly a minimum-jerk motion.
+/// Three-axis low-pass filter of unit gain whose step response is nearly a minimum-jerk motion.
 ///
 /// ```text
 /// H(s) = (A/T³) / (s³ + (C/T) s² + (B/T²) s + A/T³)
@@ -36,13 +36,13 @@ pub struct FilterState {
 }
 
 impl FilterState {
-    /// In equilibrium at a constant input.
+    /// State of equilibrium at a constant input.
     #[must_use]
     pub fn at_rest(input: Vector3<f64>) -> Self {
         Self::moving([input, Vector3::zeros(), Vector3::zeros()], input)
     }
 
-    /// State with these outputs (value, first and second derivative) after a last `input`.
+    /// State with these outputs (value, first and second derivative) and the given last input.
     #[must_use]
     pub fn moving(outputs: [Vector3<f64>; 3], input: Vector3<f64>) -> Self {
         Self {
@@ -71,14 +71,14 @@ impl FilterState {
 }
 
 impl MinimumJerkFilter {
-    /// Filter with smoothing time `smoothing_time` \[s\] at tick `time_step` \[s\]. Both times must be
-    /// positive (the configuration checks them).
+    /// Filter with smoothing time `smoothing_time` \[s\] at tick `time_step` \[s\]. Both must be positive, which
+    /// the configuration checks.
     #[must_use]
     pub fn new(smoothing_time: f64, time_step: f64) -> Self {
         let t = smoothing_time;
         let half = 0.5 * time_step;
         let continuous = Matrix3::new(0.0, 1.0, 0.0, 0.0, 0.0, 1.0, -A / t.powi(3), -B / t.powi(2), -C / t);
-        // I − hA/2 has determinant > 1 for every h, T > 0 (all coefficients of H are positive).
+        // I − hA/2 is invertible: all coefficients of H are positive, so its determinant is > 1 for every h, T > 0.
         let inverse = (Matrix3::identity() - continuous * half).try_inverse().unwrap_or_else(Matrix3::zeros);
         Self {
             transition: inverse * (Matrix3::identity() + continuous * half),
@@ -87,15 +87,15 @@ impl MinimumJerkFilter {
         }
     }
 
-    /// The input, and its rate, that the filter follows with these outputs (value, first and second derivative) and
-    /// without jerk: `u = y + (T B/A) ẏ + (T² C/A) ÿ`.
+    /// Input, and its rate, for which the filter has these outputs (value, first and second derivative) without
+    /// jerk: `u = y + (T B/A) ẏ + (T² C/A) ÿ`.
     #[must_use]
     pub fn input_of(&self, [value, rate, acceleration]: [Vector3<f64>; 3]) -> (Vector3<f64>, Vector3<f64>) {
         let [first, second] = self.lags;
         (value + rate * first + acceleration * second, rate + acceleration * first)
     }
 
-    /// Takes the input of this tick; `state` then holds the outputs of this tick.
+    /// Advances the filter with the input of this tick; `state` then holds the outputs of this tick.
     pub fn update(&self, state: &mut FilterState, input: &Vector3<f64>) {
         let drive = self.input_gain * (state.previous_input + input).transpose();
         state.derivatives = self.transition * state.derivatives + drive;

@@ -4,19 +4,19 @@ use super::recorded::Recording;
 use crate::error::{BuildError, check};
 use serde::{Deserialize, Serialize};
 
-/// What a controller is to fly.
+/// Mission of a controller.
 #[derive(Debug, Clone)]
 pub enum Mission {
     /// Commands of an autopilot.
     Commands(Commands),
-    /// Recorded set-points, followed as they are.
+    /// Recorded set-points, followed without smoothing.
     Recorded(Recording),
 }
 
 /// Time interval `(start, end)` \[s\], open at both ends.
 pub type Interval = (f64, f64);
 
-/// When the autopilot commands what: lists of open intervals, each of which may be empty or absent.
+/// Times of the autopilot's commands: lists of open intervals; a list may be empty or absent.
 ///
 /// Source: the published autopilot; `configs/mission/*.toml` hold its three missions.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -27,9 +27,9 @@ pub struct Commands {
     pub up: Vec<Interval>,
     /// Descend \[s\].
     pub down: Vec<Interval>,
-    /// Fly forwards at the plain speed \[s\].
+    /// Fly forwards at normal speed \[s\].
     pub forward: Vec<Interval>,
-    /// Fly forwards with boosted speed, nose down \[s\].
+    /// Fly forwards at increased speed, nose down \[s\].
     pub forward_turbo: Vec<Interval>,
     /// Raise the nose \[s\].
     pub pitch_up: Vec<Interval>,
@@ -37,7 +37,7 @@ pub struct Commands {
     pub yaw_left: Vec<Interval>,
 }
 
-/// Commands of one tick: −1, 0 or 1 in forward, left, up axes of the robot.
+/// Commands of one tick: −1, 0 or 1 along or about the robot's forward, left and up axes.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct AutopilotCommand {
     /// Along the robot's forward axis.
@@ -48,12 +48,12 @@ pub struct AutopilotCommand {
     pub nose_down: i8,
     /// To the left; a rotation about the vertical.
     pub yaw: i8,
-    /// Whether the forward speed is boosted.
+    /// Whether the forward speed is increased.
     pub turbo: bool,
 }
 
 impl Commands {
-    /// Refuses intervals that are not finite or do not end after they start.
+    /// Checks that intervals are finite and end after they start.
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming the list and the interval.
@@ -68,7 +68,7 @@ impl Commands {
         Ok(())
     }
 
-    /// Every list under its key.
+    /// All lists with their keys.
     #[must_use]
     pub fn lists(&self) -> [(&'static str, &[Interval]); 6] {
         [
@@ -84,8 +84,8 @@ impl Commands {
     /// The command at `time` \[s\].
     #[must_use]
     pub fn command(&self, time: f64) -> AutopilotCommand {
-        // A tick that falls on an end of an interval is outside; the margin keeps rounding of
-        // k · 0.01 from moving it inside.
+        // A tick at an end of an interval is outside; the margin prevents rounding of k · 0.01 from moving it
+        // inside.
         const MARGIN: f64 = 1e-9;
         let active = |intervals: &[Interval]| {
             intervals.iter().any(|&(start, end)| time > start + MARGIN && time < end - MARGIN)

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! L̇ = A_T T + Σ_j (f_j, r_j × f_j) − m g e₃                     estimated momentum rate
-//! L̈ = A_T Ṫ + (Λ_T + Λ_a) ν                                     what the controller shapes
+//! L̈ = A_T Ṫ + (Λ_T + Λ_a) ν                                     its derivative, controlled by the QP
 //! on the ground also  A_c f_c*  and  A_c ḟ_c + Λ_c ν;  with an observer L̇ also  ŵ
 //! ```
 //!
@@ -29,26 +29,26 @@ pub struct MomentumModel {
     pub jet_points_i: Vec<Vector3<f64>>,
     /// `A_T = (a_i ; r_i × a_i)` (6 × jets).
     pub a_t: Matrix6xX<f64>,
-    /// `A_c = (1 0 ; S(r_k) 1)` for each foot (6 × 6 feet); zero while the feet do not carry.
+    /// `A_c = (1 0 ; S(r_k) 1)` for each foot (6 × 6 feet); zero while the feet do not carry load.
     pub a_c: Matrix6xX<f64>,
-    /// `Λ_T`: momentum acceleration per unit of ν due to turning and moving thrusts (6 × n).
+    /// `Λ_T`: momentum acceleration per unit of ν due to rotation and translation of the thrusts (6 × n).
     pub lambda_t: Matrix6xX<f64>,
-    /// `Λ_a`: the same due to moving aerodynamic forces, their own change neglected (6 × n).
+    /// `Λ_a`: the same for the aerodynamic forces, neglecting their own change (6 × n).
     pub lambda_a: Matrix6xX<f64>,
     /// `Λ = Λ_T + Λ_a` (6 × n).
     pub lambda: Matrix6xX<f64>,
     /// Estimated momentum rate `L̇` \[N, N m\].
     pub rate_estimate: Vector6<f64>,
-    /// Observed wrench that is in no model, `ŵ`, part of the rate; zero without an observer \[N, N m\].
+    /// Observed wrench `ŵ` that no model contains, part of the rate; zero without an observer \[N, N m\].
     pub unmodelled_wrench: Vector6<f64>,
-    /// Thrusts, by the subtrees that they push.
+    /// Thrusts, summed by subtrees.
     pub thrusts: SubtreeLoads,
-    /// Forces on the links at the points of their Jacobians, by subtrees.
+    /// Aerodynamic forces at the points of their Jacobians, summed by subtrees.
     pub aero: SubtreeLoads,
 }
 
 impl MomentumModel {
-    /// Space for the terms of `robot`.
+    /// Allocates the terms of `robot`.
     #[must_use]
     pub fn new(robot: &RobotModel) -> Self {
         let n = 6 + robot.joints.len();
@@ -68,7 +68,7 @@ impl MomentumModel {
         }
     }
 
-    /// Recomputes all terms; `feedback` says which of them contain the link forces.
+    /// Recomputes all terms; `feedback` selects which of them contain the link forces.
     pub fn update(
         &mut self,
         robot: &RobotModel,
@@ -113,7 +113,7 @@ impl MomentumModel {
         self.rate_estimate += wrench;
     }
 
-    /// Adds the feet that carry, their soles and `f_c*`: `A_c f_c*` to the momentum rate, `Λ_c` to its derivative.
+    /// Adds the feet that carry load: `A_c f_c*` to the momentum rate, `Λ_c` to its derivative.
     ///
     /// ```text
     /// Λ_c = (0 ; −Σ_k S(f_k) (J_k − J_G))
@@ -196,7 +196,7 @@ impl MomentumModel {
     }
 }
 
-/// The part `+ Σ S(f) J_G` that all forces share: arms shorten when the centre of mass follows.
+/// Adds the part `+ Σ S(f) J_G` common to all forces: their arms change as the centre of mass moves.
 fn add_com_motion(lambda: &mut Matrix6xX<f64>, dynamics: &Dynamics, force_per_mass: &Vector3<f64>) {
     for (mut lambda, momentum) in lambda.column_iter_mut().zip(dynamics.momentum_matrix.column_iter()) {
         let mut moment = lambda.fixed_rows_mut::<3>(3);

@@ -1,20 +1,20 @@
-//! The momentum QP: a stack of tasks over named blocks of unknowns, with bounds.
+//! The momentum QP: a stack of tasks on named blocks of unknowns, with bounds.
 //!
 //! ```text
-//! u = (Ṫ, ḟ_c, ṡ),   task k asks  A_k u + b_k = 0  with weights W_k
+//! u = (Ṫ, ḟ_c, ṡ),   task k demands  A_k u + b_k = 0  with weights W_k
 //! H = Σ A_kᵀ W_k A_k,   g = Σ A_kᵀ W_k b_k
 //! ```
 //!
-//! Tasks with rows make `H` of low rank, those without, whose matrix is the identity on some unknowns, make it
-//! diagonal. The controller's own tasks are in [`super::tasks`]; [`super::Controller::add_task`] adds another one:
+//! Tasks with rows contribute low-rank terms to `H`; tasks whose matrix is the identity on some unknowns contribute to
+//! its diagonal. The controller's own tasks are in [`super::tasks`]; [`super::Controller::add_task`] adds another:
 //!
 //! ```
 //! use flight_core::control::momentum_qp::{Equations, Layout, Task, TaskInputs};
 //!
-//! /// Asks one joint to turn at a velocity: `ṡ_j − v = 0`.
+//! /// Demands a velocity of one joint: `ṡ_j − v = 0`.
 //! #[derive(Debug)]
 //! struct KeepVelocity {
-//!     /// Its place among the unknowns, `momentum_qp.unknowns.joint_velocity.start + joint`.
+//!     /// Index of its velocity among the unknowns, `momentum_qp.unknowns.joint_velocity.start + joint`.
 //!     unknown: usize,
 //!     velocity: f64,
 //!     weight: f64,
@@ -53,7 +53,7 @@ use std::fmt::Debug;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// The blocks of unknowns, as ranges of columns; a block may be empty.
+/// The blocks of unknowns as ranges of columns; a block may be empty.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Unknowns {
     /// `Ṫ`, thrust rates of the jets \[N/s\].
@@ -65,7 +65,7 @@ pub struct Unknowns {
 }
 
 impl Unknowns {
-    /// Those of a robot with its jets, feet and joints.
+    /// Blocks for the jets, feet and joints of `robot`.
     #[must_use]
     pub fn new(robot: &RobotModel) -> Self {
         let jets = robot.jets.len();
@@ -80,86 +80,87 @@ impl Unknowns {
         self.joint_velocity.end
     }
 
-    /// Whether there is nothing to decide.
+    /// Whether there are no unknowns.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 }
 
-/// What the tasks of a tick are made from.
+/// Inputs of the tasks in one tick.
 #[derive(Debug)]
 pub struct TaskInputs<'a> {
-    /// The measured state.
+    /// State of the robot.
     pub state: &'a RobotState,
-    /// The measured thrusts \[N\].
+    /// Thrusts \[N\].
     pub thrust: &'a [f64],
-    /// Its kinematics.
+    /// Kinematics of the state.
     pub kinematics: &'a Kinematics,
-    /// Its dynamics.
+    /// Dynamics of the state.
     pub dynamics: &'a Dynamics,
-    /// How forces change the momentum.
+    /// Effect of thrusts and joint motion on the momentum.
     pub momentum: &'a MomentumModel,
-    /// What to follow.
+    /// Set-point.
     pub setpoint: &'a Setpoint,
-    /// What the attitude law asks for.
+    /// Demand of the attitude law.
     pub attitude: &'a AttitudeDemand,
     /// Centroidal inertia in body axes at the first tick \[kg m²\].
     pub inertia_0_b: &'a Matrix3<f64>,
     /// Desired posture `s_d` \[rad\].
     pub posture: &'a DVector<f64>,
-    /// What the tick computed of the feet.
+    /// Contact quantities of this tick.
     pub contact: &'a Contact,
-    /// Whether the feet carry, and their desired wrenches.
+    /// Whether the feet carry load, and their desired wrenches.
     pub contact_state: &'a ContactState,
-    /// Gains of momentum and attitude.
+    /// Gains of the momentum and attitude tasks.
     pub gains: &'a MomentumGains,
 }
 
-/// Shape and weights of a task; they do not change from tick to tick.
+/// Shape and weights of a task; constant over time.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Layout {
     /// One row over all unknowns for each of these weights.
     Rows(Vec<f64>),
-    /// The identity on as many unknowns as there are weights.
+    /// The identity on as many consecutive unknowns as there are weights.
     Diagonal {
-        /// The first of them.
+        /// Index of the first of them.
         first: usize,
-        /// Weight of each.
+        /// Weight of each unknown.
         weights: Vec<f64>,
     },
 }
 
-/// Matrix and offset of a task: it asks `matrixᵀ u + offset = 0`. They hold what the tick before wrote, zeros at first.
+/// Matrix and offset of a task, `matrixᵀ u + offset = 0`. Before `update` they hold the values of the tick before,
+/// zeros at first.
 #[derive(Debug)]
 pub struct Equations<'a> {
-    /// The *transposed* matrix: each row of the task is a column. Without columns for [`Layout::Diagonal`].
+    /// The *transposed* matrix: each row of the task is a column. It has no columns for [`Layout::Diagonal`].
     pub matrix: MatrixViewMut<'a, f64, Dyn, Dyn, U1, Dyn>,
-    /// An entry for each weight.
+    /// One entry for each weight.
     pub offset: DVectorViewMut<'a, f64>,
-    /// Where the blocks of unknowns are.
+    /// Blocks of unknowns.
     pub unknowns: &'a Unknowns,
 }
 
-/// An objective of the momentum QP. `update` runs in the tick: it must not allocate, and has no state.
+/// An objective of the momentum QP. `update` runs in every tick: it must not allocate and must not keep state.
 pub trait Task: Debug + Send + Sync {
-    /// What it is called; no two tasks of a controller are called the same.
+    /// Name of the task, unique within a controller.
     fn name(&self) -> &'static str;
-    /// Its shape and weights; asked for once.
+    /// Shape and weights; queried once.
     fn layout(&self) -> Layout;
-    /// Writes its equations of this tick.
+    /// Writes the equations of this tick.
     fn update(&self, inputs: &TaskInputs, equations: &mut Equations);
 }
 
-/// A task and where its equations are.
+/// A task and the location of its equations.
 #[derive(Debug, Clone)]
 struct Entry {
     task: Arc<dyn Task>,
-    /// Its rows among those of all tasks; empty for a diagonal one.
+    /// Its rows among those of all tasks; empty for a diagonal task.
     rows: Range<usize>,
-    /// Its entries among the offsets of all tasks.
+    /// Its entries in the offsets of all tasks.
     offsets: Range<usize>,
-    /// First unknown of a diagonal task.
+    /// Index of the first unknown of a diagonal task.
     first: usize,
 }
 
@@ -168,22 +169,22 @@ struct Entry {
 pub struct MomentumQp {
     /// The QP handed to the solver.
     pub problem: QpProblem,
-    /// Where the blocks of unknowns are.
+    /// Blocks of unknowns.
     pub unknowns: Unknowns,
     stack: Vec<Entry>,
-    /// Rows of all tasks, each a column; first those of [`super::tasks::MOMENTUM_ROWS`].
+    /// Rows of all tasks, stored as columns; those of [`super::tasks::MOMENTUM_ROWS`] come first.
     pub matrix: DMatrix<f64>,
-    /// Offsets of all tasks, in their order.
+    /// Offsets of all tasks, in the order of the tasks.
     pub offset: DVector<f64>,
     weights: DVector<f64>,
     /// `√W`.
     roots: DVector<f64>,
     /// `√W A` of the rows.
     weighted: DMatrix<f64>,
-    /// The diagonal part of `H`.
+    /// Contribution of the diagonal tasks to `H`.
     diagonal: DVector<f64>,
     limited: LimitedValues,
-    /// Greatest rate of the wrenches of feet that carry \[N/s, N m/s\].
+    /// Greatest rate of the wrenches of feet that carry load \[N/s, N m/s\].
     force_rate_max: f64,
 }
 
@@ -223,10 +224,10 @@ impl MomentumQp {
         Ok(qp)
     }
 
-    /// Adds a task; not in a tick.
+    /// Adds a task; not to be called in a tick.
     ///
     /// # Errors
-    /// [`BuildError::BadValue`] for a name that is taken, unknowns that do not exist, and weights that are no weights.
+    /// [`BuildError::BadValue`] for a name that is in use, unknowns that do not exist, and invalid weights.
     pub fn add(&mut self, task: Arc<dyn Task>) -> Result<(), BuildError> {
         let (item, n) = (format!("task `{}`", task.name()), self.unknowns.len());
         if self.stack.iter().any(|entry| entry.task.name() == task.name()) {
@@ -264,8 +265,8 @@ impl MomentumQp {
         Ok(())
     }
 
-    /// Matrix (an unknown a column), offset and weights of a task; `None` if there is none of this name. Allocates:
-    /// for tests and reports.
+    /// Matrix (one column for each unknown), offset and weights of a task; `None` if there is none of this name.
+    /// Allocates, so only for tests and reports.
     #[must_use]
     pub fn task(&self, name: &str) -> Option<(DMatrix<f64>, DVector<f64>, DVector<f64>)> {
         let entry = self.stack.iter().find(|entry| entry.task.name() == name)?;
@@ -279,7 +280,7 @@ impl MomentumQp {
         Some((matrix, self.offset.rows(first, count).into(), self.weights.rows(first, count).into()))
     }
 
-    /// Builds tasks and cost of one tick.
+    /// Updates tasks and cost for this tick.
     pub fn update(&mut self, inputs: &TaskInputs) {
         for Entry { task, rows, offsets, .. } in &self.stack {
             let mut equations = Equations {
@@ -315,8 +316,9 @@ impl MomentumQp {
         }
     }
 
-    /// Builds the bounds of one tick: thrusts stay within these ranges \[N\], joints within their limits by these
-    /// greatest velocities \[rad/s, m/s\]. Wrenches of feet that do not carry are fixed, so that the solver leaves them out.
+    /// Updates the bounds for this tick. They keep thrusts within the given ranges \[N\], and joints within their
+    /// position limits and the given greatest velocities \[rad/s, m/s\]. Wrench rates of feet without load are fixed at
+    /// zero, which removes them from the solver's free variables.
     pub fn update_bounds(
         &mut self,
         inputs: &TaskInputs,

@@ -1,14 +1,14 @@
 //! Observer of the wrench that the controller's model does not contain, from the centroidal momentum alone.
 //!
 //! ```text
-//! w    = L̇ − r,   r = A_T T + A_a f_a + A_c f_c − m g e₃           what is not in the model
-//! dŵ/dt = K_o (w − ŵ)                                               what is observed
+//! w    = L̇ − r,   r = A_T T + A_a f_a + A_c f_c − m g e₃           the unmodelled wrench
+//! dŵ/dt = K_o (w − ŵ)                                               the observed wrench
 //! ŵ   += (1 − exp(−K_o Δt)) ((L_k − L_{k−1})/Δt − r_{k−1} − ŵ)      per measurement, then clamped
 //! ```
 //!
-//! `f_c` is the wrench that the feet measure, whether they carry or not, so that the ground is part of the model and
-//! the law is the same in flight and standing. `Δt` is the time between the two measurements. Inertial axes, about
-//! the centre of mass, force first. Equations M82 to M84 and M106 of `docs/model.md`.
+//! `f_c` is the wrench that the feet measure, whether they carry load or not, so the ground is part of the model and
+//! the law is the same in flight and standing. `Δt` is the time between the two measurements. Inertial axes, about the
+//! centre of mass, force first. Equations M82 to M84 and M106 of `docs/model.md`.
 
 use crate::error::{BuildError, Table};
 use nalgebra::Vector6;
@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 /// Time constant of the residual \[s\].
 const RESIDUAL_TIME: f64 = 0.02;
 
-/// How fast the observer follows, and the greatest wrench that it estimates.
+/// Gains of the observer, and the greatest wrench that it estimates.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -37,7 +37,7 @@ pub struct ObserverConfig {
 }
 
 impl ObserverConfig {
-    /// Refuses negative numbers, and gains so high that a single tick decides.
+    /// Checks that no value is negative, and that a gain is at most 1 / time step.
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
@@ -50,30 +50,31 @@ impl ObserverConfig {
     }
 }
 
-/// What is measured, and what the model makes of it.
+/// Measured momentum and its modelled rate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sample {
     /// Centroidal momentum `L` \[kg m/s, kg m²/s\].
     pub momentum: Vector6<f64>,
-    /// Its rate as modelled, `r` \[N, N m\].
+    /// Modelled momentum rate `r` \[N, N m\].
     pub rate: Vector6<f64>,
 }
 
-/// The observer from one tick to the next; at first nothing is observed.
+/// State of the observer, kept from tick to tick; initially the observed wrench is zero.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct ObserverState {
     /// `ŵ` \[N, N m\].
     pub(super) wrench: Vector6<f64>,
-    /// What was found beside it in the last hundredths of a second, `n` of M106 \[N, N m\].
+    /// Residual: unmodelled wrench of the last hundredths of a second that `ŵ` does not yet contain, `n` of M106 \[N, N
+    /// m\].
     pub residual: Vector6<f64>,
-    /// The last measurement that was accepted.
+    /// The last accepted sample.
     pub(super) last: Option<Sample>,
 }
 
 impl ObserverState {
-    /// Takes in a measurement `elapsed` \[s\] after the last one, and returns `ŵ`.
+    /// Updates the observer with a sample `elapsed` \[s\] after the last one, and returns `ŵ`.
     ///
-    /// Without a last one there is nothing to compare: `ŵ` stays, as it does where numbers overflow.
+    /// `ŵ` does not change without a last sample, or if numbers overflow.
     pub fn update(&mut self, config: &ObserverConfig, elapsed: f64, sample: Sample) -> Vector6<f64> {
         if let Some(last) = self.last.replace(sample) {
             let (force, moment) = (share(config.gain_force, elapsed), share(config.gain_moment, elapsed));
@@ -90,8 +91,8 @@ impl ObserverState {
         self.wrench
     }
 
-    /// A tick whose momentum is not measured, or long after the last one: `ŵ` stays, and there is nothing to compare the
-    /// next one with.
+    /// Keeps `ŵ` and discards the last sample: for a tick whose momentum is not measured, or that is too long after the
+    /// last one.
     pub fn hold(&mut self) -> Vector6<f64> {
         self.last = None;
         self.residual.fill(0.0);
@@ -104,7 +105,7 @@ fn share(gain: f64, elapsed: f64) -> f64 {
     -libm::expm1(-gain * elapsed)
 }
 
-/// Share of an innovation that the residual takes in after `elapsed` \[s\].
+/// Fraction of an innovation that the residual receives after `elapsed` \[s\].
 pub(super) fn residual_share(elapsed: f64) -> f64 {
     share(1.0 / RESIDUAL_TIME, elapsed)
 }

@@ -1,4 +1,4 @@
-//! A precomputed reference: samples in time, and interpolation between them.
+//! A recorded reference: samples in time, and interpolation between them.
 //!
 //! Equation M49 of `docs/model.md`.
 
@@ -6,13 +6,14 @@ use crate::error::BuildError;
 use crate::spatial::{GREATEST, exp_so3, log_so3, rotation_from_rpy};
 use nalgebra::{Matrix3, Vector3};
 
-/// Numbers that every sample has: time, position, attitude.
+/// Columns that every sample has: time, position, attitude.
 pub const REQUIRED: usize = 7;
 
-/// Greatest turn from one sample to the next \[rad\]: of half a turn the axis is rounding.
+/// Greatest rotation between successive samples \[rad\]: the axis of half a turn would be determined by
+/// rounding.
 const MAX_TURN: f64 = 179.0 * std::f64::consts::PI / 180.0;
 
-/// Where the reference is at one time.
+/// The reference at one time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RecordedMotion {
     /// Position of the centre of mass and its first three derivatives \[m, m/s, m/s², m/s³\].
@@ -24,25 +25,25 @@ pub struct RecordedMotion {
 }
 
 impl RecordedMotion {
-    /// Standing still here.
+    /// The same position and attitude, at rest.
     fn held(&self) -> Self {
         let zero = Vector3::zeros();
         Self { com: [self.com[0], zero, zero, zero], angular_velocity_b: zero, ..*self }
     }
 }
 
-/// A recorded reference, checked: samples in order of time.
+/// A recorded reference after its checks: samples in order of time.
 #[derive(Debug, Clone)]
 pub struct Recording {
     times: Vec<f64>,
     motions: Vec<RecordedMotion>,
-    /// Rotation vector from each sample to the next, in axes of the former \[rad\].
+    /// Rotation vector from each sample to the next, in body axes of the earlier sample \[rad\].
     turns_b: Vec<Vector3<f64>>,
 }
 
 impl Recording {
-    /// A recording of samples in order of time, row by row: time, position, roll, pitch and yaw \[rad\], and
-    /// then, where they are known, velocity, acceleration and jerk. `origin` and `place` name the whole and
+    /// Builds a recording from samples in order of time. Each row has time, position, roll, pitch and yaw
+    /// \[rad\] and, optionally, velocity, acceleration and jerk. `origin` and `place` name the recording and
     /// a row in errors.
     ///
     /// # Errors
@@ -113,7 +114,7 @@ impl Recording {
             .map(|sample| RecordedMotion {
                 com: [com[0][sample], com[1][sample], com[2][sample], com[3][sample]],
                 rotation: rotations[sample],
-                // Mean of the turns before and after; at an end there is only one.
+                // Mean of the rotations before and after; the first and the last sample have only one.
                 angular_velocity_b: 0.5
                     * (rates[sample.saturating_sub(1)] + rates[sample.min(rates.len() - 1)]),
             })
@@ -127,16 +128,17 @@ impl Recording {
         (self.times[0], self.times[self.times.len() - 1])
     }
 
-    /// The reference at `time` \[s\]: before the first sample and after the last one it stands still there.
+    /// The reference at `time` \[s\]; before the first and after the last sample, that sample at rest.
     ///
-    /// Between samples position, velocity and acceleration each follow the cubic that has the next derivative
-    /// as its slope at both samples; jerk and angular velocity are linear, the base turns at a constant rate.
+    /// Position, velocity and acceleration are each interpolated by the cubic whose slopes at both samples
+    /// are the next derivative; jerk and angular velocity are linear, the attitude turns at a constant rate
+    /// (M49).
     #[must_use]
     pub fn at(&self, time: f64) -> RecordedMotion {
         let next = self.times.partition_point(|sample| *sample <= time);
         let Some(before) = next.checked_sub(1) else { return self.motions[0].held() };
         let (a, Some(b)) = (&self.motions[before], self.motions.get(next)) else {
-            // The last sample itself is still part of the recording.
+            // The last sample itself is part of the recording.
             let last = &self.motions[before];
             return if time > self.times[before] { last.held() } else { *last };
         };
@@ -152,7 +154,7 @@ impl Recording {
     }
 }
 
-/// Cubic through `value_a` and `value_b` with the given slopes, over a length `h`, at the fraction `s` of it.
+/// Cubic Hermite interpolation over the length `h`, at the fraction `s` of it.
 fn hermite([value_a, slope_a, value_b, slope_b]: [Vector3<f64>; 4], h: f64, s: f64) -> Vector3<f64> {
     let r = 1.0 - s;
     value_a * (r * r * (1.0 + 2.0 * s))
@@ -160,7 +162,8 @@ fn hermite([value_a, slope_a, value_b, slope_b]: [Vector3<f64>; 4], h: f64, s: f
         + (slope_a * r - slope_b * s) * (h * s * r)
 }
 
-/// Slopes at the samples: of the parabola through each sample and its neighbours, of the line at both ends.
+/// Slopes at the samples: of the parabola through a sample and its neighbours; at both ends, of the straight
+/// line.
 fn differences(times: &[f64], values: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
     let steps: Vec<f64> = times.windows(2).map(|t| t[1] - t[0]).collect();
     let slopes: Vec<Vector3<f64>> =

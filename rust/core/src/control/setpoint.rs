@@ -1,8 +1,9 @@
-//! From autopilot commands to smooth set-points for centre of mass, attitude and their derivatives.
+//! Set-point generation: from autopilot commands to smooth set-points of centre of mass and attitude, with
+//! derivatives.
 //!
-//! Commands move a raw set-point at constant speeds; minimum-jerk filters smooth its position, a
-//! first-order law its attitude. The raw attitude is that of the *heading frame*: forward, left, up,
-//! fixed to the base by the robot's forward axis. Its pitch is positive nose down.
+//! Commands move a raw set-point at constant speeds. Minimum-jerk filters smooth its position, a first-order law its
+//! attitude. The raw attitude is that of the *heading frame*: forward, left, up, fixed to the base by the robot's
+//! forward axis. Its pitch is positive nose down.
 //!
 //! Equations M43, M44, M47, M48, M107 and M115 of `docs/model.md`. Source: the published flight-control library, whose
 //! steps per tick of 10 ms are speeds here.
@@ -32,7 +33,7 @@ pub struct SetpointConfig {
     pub attitude_rate_deg: [f64; 2],
     /// Least and greatest raw pitch, positive nose down \[deg\].
     pub nose_down_limits_deg: [f64; 2],
-    /// The forward speed grows to `1 + turbo_boost` times itself.
+    /// Relative increase of the forward speed by the turbo command: it grows to `1 + turbo_boost` times the speed.
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub turbo_boost: f64,
     /// Growth of the boost \[1/s\].
@@ -47,11 +48,11 @@ pub struct SetpointConfig {
     /// Smoothing time of the angular velocity \[s\].
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub angular_velocity_smoothing: f64,
-    /// Speed of the descent where the mission cannot be followed any more \[m/s\].
+    /// Speed of the descent after the mission has been abandoned \[m/s\].
     #[serde(default = "half_a_metre_per_second")]
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub descent_speed: f64,
-    /// Deceleration with which the velocity becomes that of the descent, or zero without a valid set-point \[m/s²\].
+    /// Deceleration to the velocity of the descent, or to rest without a valid set-point \[m/s²\].
     #[serde(default = "deceleration_of_the_boost")]
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub deceleration: f64,
@@ -64,7 +65,7 @@ fn half_a_metre_per_second() -> f64 {
     0.5
 }
 
-/// `speed` times `turbo_rate` of the published flight, which ends its boost so.
+/// `speed` times `turbo_rate` of the published flight, the deceleration at the end of its boost.
 fn deceleration_of_the_boost() -> f64 {
     1.5
 }
@@ -118,7 +119,7 @@ pub struct Setpoint {
 }
 
 impl Setpoint {
-    /// Standing still at a position and rotation.
+    /// A set-point at rest at a position and rotation.
     #[must_use]
     pub fn hold(com_position: Vector3<f64>, rotation: Matrix3<f64>) -> Self {
         let zero = Vector3::zeros();
@@ -134,7 +135,7 @@ impl Setpoint {
         }
     }
 
-    /// That of a robot that cannot hold its place, with its centre of mass \[m\]: it moves as demanded wherever it is
+    /// Set-point without position control: the centre of mass is the present one \[m\], without acceleration or jerk
     /// (M107 of `docs/model.md`).
     #[must_use]
     pub fn without_place(&self, com: &Vector3<f64>) -> Self {
@@ -167,7 +168,7 @@ impl Setpoint {
         ]
     }
 
-    /// Its motion, as far as a recording has it.
+    /// Its motion, without the derivatives that a recording does not have.
     #[must_use]
     pub fn motion(&self) -> RecordedMotion {
         RecordedMotion {
@@ -178,7 +179,7 @@ impl Setpoint {
     }
 }
 
-/// Raw set-point, before any smoothing: moves at constant speeds, brakes, or is ahead of a motion that is given.
+/// Raw set-point before smoothing. It moves at constant speeds, brakes, or leads a given motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RawSetpoint {
     /// Position of the centre of mass \[m\].
@@ -187,7 +188,7 @@ pub struct RawSetpoint {
     pub velocity: Vector3<f64>,
     /// Roll, pitch (nose down) and yaw of the heading frame \[rad\].
     pub rpy: Vector3<f64>,
-    /// Number of ticks by which the boost has grown.
+    /// Boost, in ticks of growth.
     turbo_ticks: u32,
 }
 
@@ -210,21 +211,21 @@ impl SetpointState {
         &self.raw
     }
 
-    /// Raises the raw position to a height \[m\] if it is below: the ground is in the way.
+    /// Raises the raw position to a height \[m\] if it is lower, because of the ground.
     pub(super) fn keep_above(&mut self, height: f64) {
         self.raw.position.z = self.raw.position.z.max(height);
     }
 }
 
-/// Turns the commands of a mission into a [`Setpoint`] every tick; its state is a [`SetpointState`].
+/// Converts the commands of a mission to a [`Setpoint`] every tick; its state is a [`SetpointState`].
 #[derive(Debug, Clone)]
 pub struct SetpointGenerator {
     config: SetpointConfig,
     mission: Mission,
     time_step: f64,
-    /// Base axes from heading axes: columns forward, left, up.
+    /// Rotation, base from heading: its columns are forward, left, up.
     base_from_heading: Matrix3<f64>,
-    /// Number of ticks in which the boost grows to its full size.
+    /// Number of ticks in which the boost grows to its full value.
     full_boost: u32,
     position_filter: MinimumJerkFilter,
     acceleration_filter: MinimumJerkFilter,
@@ -232,8 +233,8 @@ pub struct SetpointGenerator {
 }
 
 impl SetpointGenerator {
-    /// A generator of set-points every `time_step` \[s\] for a robot whose forward direction is
-    /// `forward_axis_b`, a unit vector orthogonal to base z.
+    /// Builds a generator with the tick `time_step` \[s\] for a robot whose forward direction is `forward_axis_b`, a
+    /// unit vector orthogonal to base z.
     ///
     /// # Errors
     /// As [`SetpointConfig::check`] and [`Commands::check`](super::mission::Commands::check).
@@ -262,7 +263,7 @@ impl SetpointGenerator {
         })
     }
 
-    /// State of a mission that starts at the centre of mass and the base rotation of a robot.
+    /// State of a mission that starts at the given centre of mass and base rotation.
     #[must_use]
     pub fn start(&self, com: Vector3<f64>, rotation: &Matrix3<f64>) -> SetpointState {
         let rest = FilterState::at_rest(Vector3::zeros());
@@ -282,11 +283,11 @@ impl SetpointGenerator {
 
     /// Set-point of the tick at `time` \[s\].
     ///
-    /// The smoothed attitude follows the raw one by `ω = −K sk(R_rawᵀ R)^∨`, forward Euler on the
-    /// matrix; its projection back onto SO(3) every tick removes the drift of that step.
+    /// The smoothed attitude follows the raw one by `ω = −K sk(R_rawᵀ R)^∨`, integrated by forward Euler on the
+    /// matrix; its projection onto SO(3) in every tick removes the drift.
     ///
-    /// A recording is followed as it is; only its angular velocity passes through the filter, whose
-    /// outputs are the derivatives that a recording does not have.
+    /// A recording is followed directly; only its angular velocity passes through the filter, which provides the
+    /// derivatives that a recording does not have.
     #[must_use]
     pub fn update(&self, state: &mut SetpointState, time: f64) -> Setpoint {
         match &self.mission {
@@ -312,7 +313,7 @@ impl SetpointGenerator {
         }
     }
 
-    /// Moves the state along with a motion that is given: where coming to rest or a descent would begin.
+    /// Sets the state to that of a given motion, from which a stop or a descent would start.
     pub fn follow(&self, state: &mut SetpointState, motion: &RecordedMotion) {
         let [position, velocity, acceleration, jerk] = motion.com;
         let outputs = [position, velocity, acceleration];
@@ -329,8 +330,8 @@ impl SetpointGenerator {
         state.acceleration = FilterState::moving([acceleration, jerk, Vector3::zeros()], acceleration);
     }
 
-    /// Set-point of a tick of the way down instead of the mission: level, and with a velocity that becomes that of the
-    /// descent, or zero where the robot `stays` (M115).
+    /// Set-point of a tick of the descent, which replaces the mission: level, with a velocity that approaches that of
+    /// the descent, or zero if the robot `stays` (M115).
     #[must_use]
     pub fn descend(&self, state: &mut SetpointState, stays: bool) -> Setpoint {
         let raw = &mut state.raw;
@@ -343,14 +344,14 @@ impl SetpointGenerator {
         self.smooth(state)
     }
 
-    /// Set-point of a tick without a given one: it comes to rest (M115).
+    /// Set-point of a tick without a valid one: the robot comes to rest (M115).
     #[must_use]
     pub fn stop(&self, state: &mut SetpointState) -> Setpoint {
         self.approach(&mut state.raw, &Vector3::zeros());
         self.smooth(state)
     }
 
-    /// Moves the raw position on with a velocity that becomes another one.
+    /// Advances the raw position with a velocity that approaches `velocity`.
     fn approach(&self, raw: &mut RawSetpoint, velocity: &Vector3<f64>) {
         raw.turbo_ticks = 0;
         raw.velocity += (velocity - raw.velocity).cap_magnitude(self.config.deceleration * self.time_step);
@@ -364,10 +365,9 @@ impl SetpointGenerator {
 
     /// One tick of the published autopilot mapping, in flight (no foot on the ground).
     ///
-    /// While the boost is commanded or left over, all other motions are ignored and the nose goes down.
-    /// The published boost is a floating-point sum that ends at a rounding residue above zero, so
-    /// that one more step is taken; the counter here takes that step by moving as long as boost was
-    /// left *before* the tick.
+    /// While the boost is commanded or has not decayed, all other motions are ignored and the nose goes down. The
+    /// published boost is a floating-point sum that ends at a rounding residue above zero, which adds one more step.
+    /// The counter here takes this step by moving as long as boost was left *before* the tick.
     fn advance_raw(&self, raw: &mut RawSetpoint, command: AutopilotCommand) {
         let config = &self.config;
         let mut forward = f64::from(command.forward);
@@ -392,7 +392,7 @@ impl SetpointGenerator {
         raw.position += raw.velocity * self.time_step;
     }
 
-    /// The smooth set-point that follows the raw one.
+    /// Computes the smooth set-point that follows the raw one.
     fn smooth(&self, state: &mut SetpointState) -> Setpoint {
         self.position_filter.update(&mut state.position, &state.raw.position);
         self.acceleration_filter.update(&mut state.acceleration, &state.position.acceleration());

@@ -1,4 +1,4 @@
-//! The state of a controller from one tick to the next.
+//! State of a controller that is kept from tick to tick.
 
 use super::channels::ChannelsState;
 use super::contact::ContactState;
@@ -11,20 +11,20 @@ use crate::qp::WarmStart;
 use crate::wind_observer::WindState;
 use nalgebra::{DVector, Matrix3};
 
-/// The state of a controller, made by [`super::Controller::start`] and changed by every tick.
+/// State of a controller, created by [`super::Controller::start`] and changed by every tick.
 ///
-/// Nothing else that a tick reads changes: a clone, restored at any later time, continues to the same bits.
+/// A tick reads nothing else that changes: a clone that is restored later continues with the same bits.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ControllerState {
-    /// The state estimator; none where the law is given the measurements.
+    /// State estimator; `None` if the control law uses the measurements.
     pub(super) estimator: Option<EstimatorState>,
-    /// The estimate of the wind; none where the law is given the measured one.
+    /// Wind estimate; `None` if the control law uses the measured wind.
     pub(super) wind: Option<WindState>,
-    /// What is known of the channels of the measurement.
+    /// Predictions and acceptance of the measurement's channels.
     pub(super) channels: ChannelsState,
     /// State of the set-point generator.
     pub(super) setpoint: SetpointState,
-    /// Posture to return to, `s_d`: the joint positions of the first tick \[rad\].
+    /// Reference posture `s_d`: the joint positions of the first tick \[rad\].
     pub(super) posture: DVector<f64>,
     /// Centroidal inertia in body axes at the first tick \[kg m²\].
     pub(super) inertia_0_b: Matrix3<f64>,
@@ -32,17 +32,17 @@ pub struct ControllerState {
     pub(super) velocity_error_integral: DVector<f64>,
     /// Torques of the last command \[N m\].
     pub(super) joint_torque: DVector<f64>,
-    /// Whether the rate limiter has a torque to start from.
+    /// Whether the rate limiter has a previous torque.
     pub(super) torque_is_known: bool,
-    /// Whether the feet carry, and their desired wrenches.
+    /// Whether the feet carry load, and their desired wrenches.
     pub(super) contact: ContactState,
-    /// What is known of each engine.
+    /// Monitor state of each engine.
     pub(super) engines: Vec<EngineState>,
-    /// The observed wrench, and the measurement that the next one is compared with.
+    /// State of the observer: the observed wrench, its residual and the last accepted measurement.
     pub(super) observer: ObserverState,
-    /// Where the momentum QP begins.
+    /// Warm start of the momentum QP.
     pub(super) momentum_start: WarmStart,
-    /// Where the torque QP begins.
+    /// Warm start of the torque QP.
     pub(super) torque_start: WarmStart,
 }
 
@@ -53,7 +53,7 @@ impl ControllerState {
         self.channels.time
     }
 
-    /// The estimate of the wind; none where the law is given the measured one.
+    /// Wind estimate; `None` if the control law uses the measured wind.
     #[must_use]
     pub fn wind(&self) -> Option<&WindState> {
         self.wind.as_ref()
@@ -65,13 +65,13 @@ impl ControllerState {
         &self.setpoint
     }
 
-    /// Whether the feet carry, and their desired wrenches.
+    /// Whether the feet carry load, and their desired wrenches.
     #[must_use]
     pub fn contact(&self) -> &ContactState {
         &self.contact
     }
 
-    /// Posture to return to, `s_d` \[rad\].
+    /// Reference posture `s_d` \[rad\].
     #[must_use]
     pub fn posture(&self) -> &DVector<f64> {
         &self.posture
@@ -89,16 +89,16 @@ impl ControllerState {
         &self.velocity_error_integral
     }
 
-    /// Whether the rate limiter has a torque to start from.
+    /// Whether the rate limiter has a previous torque.
     #[must_use]
     pub fn torque_is_known(&self) -> bool {
         self.torque_is_known
     }
 
-    /// The same state with another posture, inertia and integral: a tick that was recorded elsewhere.
+    /// Returns this state with another posture, inertia and integral, to reproduce a tick recorded elsewhere.
     ///
     /// # Errors
-    /// [`BuildError::BadValue`] for a length that does not fit, a number that is not finite, or an inertia
+    /// [`BuildError::BadValue`] for a length that does not match, a number that is not finite, or an inertia
     /// that is not symmetric positive definite.
     pub fn with_posture_control(
         self,

@@ -4,12 +4,12 @@
 //! linear momentum    A_T Ṫ + A_c ḟ_c + (Λ_s + K A_s) ṡ + (Λ_b + K A_b) ν_B
 //!                       − K L_d − L̈_d + (K_D + 1)(L̇ − L̇_d) + K_P I_L = 0       three rows, inertial axes
 //! attitude           Rᵀ (A_T Ṫ + A_c ḟ_c + Λ_s ṡ + Λ_b ν_B − σ) − k̈* = 0       three rows, base axes
-//! angular momentum   Rᵀ A_s,ang ṡ + (I_b − I₀) w = 0                              what the limbs may carry
-//! feet               J_c,s ṡ + J_c,b ν_B = 0                                      feet that carry stay
+//! angular momentum   Rᵀ A_s,ang ṡ + (I_b − I₀) w = 0                              so that k = I₀ w
+//! feet               J_c,s ṡ + J_c,b ν_B = 0                                      feet that carry load rest
 //! symmetric jets     Ṫ_a − Ṫ_b = 0                                                for each pair
 //! posture            ṡ + K_s (s − s_d) = 0
-//! rates              Ṫ + κ_T T = 0,   ḟ_c + κ_f f_c* = 0      κ > 0 for the side that is relieved of its load
-//! and ṡ and all unknowns towards zero
+//! rates              Ṫ + κ_T T = 0,   ḟ_c + κ_f f_c* = 0                          κ > 0 for the unloaded side
+//! and minimisation of ṡ and of all unknowns
 //! ```
 //!
 //! with `K = K_P + K_D + K_O⁻¹`. The linear task is `e⃛ + 8.75 ë + 22.8 ė + 15 e = 0` in the position
@@ -24,7 +24,7 @@ use nalgebra::Vector3;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Rows of the momentum (3), attitude (3) and angular-momentum (3) tasks, which come first.
+/// Rows of the momentum (3), attitude (3) and angular-momentum (3) tasks, which precede all others.
 pub const MOMENTUM_ROWS: usize = 9;
 
 /// The tasks of a controller with this configuration.
@@ -78,7 +78,7 @@ fn towards_zero(name: &'static str, unknowns: &Range<usize>, weight: f64) -> Arc
     Arc::new(TowardsZero { name, first: unknowns.start, weights: vec![weight; unknowns.len()] })
 }
 
-/// The linear momentum follows the set-point (M57).
+/// Linear momentum follows the set-point (M57).
 #[derive(Debug, Clone)]
 struct LinearMomentum {
     weight: f64,
@@ -119,7 +119,7 @@ impl Task for LinearMomentum {
     }
 }
 
-/// The angular momentum follows the attitude law (M61).
+/// Angular momentum follows the attitude law (M61).
 #[derive(Debug, Clone)]
 struct Attitude {
     weight: f64,
@@ -151,7 +151,7 @@ impl Task for Attitude {
     }
 }
 
-/// The limbs carry no more angular momentum than the change of inertia leaves them (M62).
+/// The angular momentum of the limbs compensates the change of inertia, so that `k = I₀ w` (M62).
 #[derive(Debug, Clone)]
 struct AngularMomentum {
     weight: f64,
@@ -181,7 +181,7 @@ impl Task for AngularMomentum {
     }
 }
 
-/// Feet that carry stay (M73); while they do not, their Jacobian is zero and so is the task.
+/// Feet that carry load rest (M73). Without load their Jacobian is zero, and so is the task.
 #[derive(Debug, Clone)]
 struct Feet {
     rows: usize,
@@ -205,7 +205,7 @@ impl Task for Feet {
     }
 }
 
-/// Jets of a pair act alike.
+/// Jets of a pair have equal thrust rates.
 #[derive(Debug, Clone)]
 struct SymmetricJets {
     pairs: Vec<(usize, usize)>,
@@ -228,7 +228,7 @@ impl Task for SymmetricJets {
     }
 }
 
-/// Joints return to the desired posture (M63).
+/// Joints return to the reference posture (M63).
 #[derive(Debug, Clone)]
 struct Posture {
     joints: Range<usize>,
@@ -254,14 +254,15 @@ impl Task for Posture {
     }
 }
 
-/// What carries the robot.
+/// Side that carries the robot's weight.
 #[derive(Debug, Clone, Copy)]
 enum Side {
     Jets,
     Feet,
 }
 
-/// Thrusts or foot wrenches change slowly; those of the side that is relieved of its load fall to zero (M111).
+/// Rates of thrusts or foot wrenches are small; those of the side that is being unloaded let its load decay to
+/// zero (M111).
 #[derive(Debug, Clone)]
 struct LoadRate {
     side: Side,
@@ -296,7 +297,7 @@ impl Task for LoadRate {
     }
 }
 
-/// Some unknowns are small.
+/// Minimises some of the unknowns.
 #[derive(Debug, Clone)]
 struct TowardsZero {
     name: &'static str,

@@ -1,5 +1,5 @@
-//! The torque QP: joint torques, and the wrenches of feet that carry, whose accelerations follow the commanded joint
-//! velocities while the feet stay.
+//! The torque QP: joint torques, and foot wrenches under load, with which the joint accelerations follow the commanded
+//! joint velocities while the feet rest.
 //!
 //! ```text
 //! s̈* = −K_D (ṡ − ṡ*) − K_P ∫(ṡ − ṡ*)
@@ -9,10 +9,11 @@
 //! subject to |τ| ≤ τ_max and, foot by foot, the rows of `WrenchLimits`
 //! ```
 //!
-//! followed by a rate limiter. One matrix gives both accelerations, because what is measured (feet, joints) is what
-//! is pushed. In flight `f_c` is empty. The robot floats: the joint block of `P` is `G`, the joint block of the inverse
-//! mass matrix ([`InverseMass`]), not the inverse of the joint block. Equations M68 to M72, M75 and M76 of `docs/model.md` (the paper
-//! prints `τ = b̄ − M̄⁻¹ s̈**`, which contradicts its own `M̄ s̈ + b̄ = τ`; see `docs/deviations.md`).
+//! A rate limiter follows. One matrix gives both accelerations, because forces act on the same coordinates (feet,
+//! joints) as are controlled. In flight `f_c` is empty. The base floats, so the joint block of `P` is `G`, the joint
+//! block of the inverse mass matrix ([`InverseMass`]), not the inverse of the joint block. Equations M68 to M72, M75
+//! and M76 of `docs/model.md` (the paper prints `τ = b̄ − M̄⁻¹ s̈**`, which contradicts its own `M̄ s̈ + b̄ = τ`; see
+//! `docs/deviations.md`).
 
 use super::config::TorqueConfig;
 use super::contact::{Contact, ContactConfig, ContactState, WRENCH, WRENCH_ROWS};
@@ -33,7 +34,7 @@ pub struct TorqueQp {
     pub joint_torque: Range<usize>,
     /// Desired joint accelerations `s̈*` \[rad/s²\].
     pub acceleration_desired: DVector<f64>,
-    /// `c_free`: accelerations of feet and joints without `u` \[m/s², rad/s²\].
+    /// `c_free`: accelerations of feet and joints for `u = 0` \[m/s², rad/s²\].
     pub acceleration_free: DVector<f64>,
     /// The QP handed to the solver.
     pub problem: QpProblem,
@@ -52,7 +53,7 @@ pub struct TorqueQp {
 }
 
 impl TorqueQp {
-    /// Space for `robot`, whose torque limits do not change.
+    /// Allocates for `robot`, whose torque limits are constant.
     #[must_use]
     pub fn new(config: &TorqueConfig, contact: &ContactConfig, robot: &RobotModel) -> Self {
         let (joints, forces) = (robot.joints.len(), WRENCH * robot.feet.len());
@@ -112,7 +113,7 @@ impl TorqueQp {
         self.update_limits(&contact.soles, contact_state.is_active);
     }
 
-    /// `P W^½`, with `(M⁻¹ J_cᵀ)_s = K_s⁻ᵀ (K⁻¹ J_cᵀ)_s`, which is zero for feet that do not carry.
+    /// `P W^½`, with `(M⁻¹ J_cᵀ)_s = K_s⁻ᵀ (K⁻¹ J_cᵀ)_s`, which is zero for feet without load.
     fn update_gain(&mut self, contact: &Contact, carries: bool, inverse_mass: &InverseMass) {
         let (forces, joints) = (self.foot_force.len(), self.joint_torque.len());
         for (joint, column) in inverse_mass.joint_gain.column_iter().enumerate() {
@@ -158,8 +159,8 @@ impl TorqueQp {
         }
     }
 
-    /// Rows in sole axes, turned into inertial ones: `c · (Rᵀ f, Rᵀ m) = (R c_f, R c_m) · (f, m)`. They limit only
-    /// feet that carry; the wrenches of others are fixed at zero, and the problem is a box.
+    /// Transforms the rows from sole axes to inertial axes: `c · (Rᵀ f, Rᵀ m) = (R c_f, R c_m) · (f, m)`. They limit
+    /// only feet under load; other wrenches are fixed at zero, and the problem has box constraints only.
     fn update_limits(&mut self, soles: &[Pose], carries: bool) {
         let QpProblem { normals, limit, lower, upper, .. } = &mut self.problem;
         let bound = if carries { f64::INFINITY } else { 0.0 };
@@ -182,7 +183,7 @@ impl TorqueQp {
     }
 }
 
-/// Moves every torque towards its target by at most its `rate_max · time_step`.
+/// Moves every torque towards its target by at most `rate_max · time_step`.
 pub fn limit_rate(
     torque: &mut DVector<f64>,
     target: &[f64],

@@ -1,4 +1,4 @@
-//! Estimates thrust and thrust rate of one engine from its measured thrust.
+//! Extended Kalman filter for thrust and thrust rate of one engine, from its measured thrust.
 //!
 //! Equation M35 of `docs/model.md`.
 
@@ -7,14 +7,14 @@ use crate::error::{BuildError, check};
 use nalgebra::{Matrix2, Vector2};
 use serde::{Deserialize, Serialize};
 
-/// Numbers of the estimator, in the letters of its equations; the defaults are the published ones,
-/// but for the initial state.
+/// Parameters of the filter, with the symbols of its equations. Except for the initial state, the defaults are
+/// the published values.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct EkfConfig {
-    /// `x̂(0) = (T, Ṫ)` \[N, N/s\]; without it `(initial thrust, 0)`. The published value is (0, 0),
-    /// which makes the throttle loop act on too small a thrust for the first two seconds.
+    /// `x̂(0) = (T, Ṫ)` \[N, N/s\]; without it `(initial thrust, 0)`. The published value is (0, 0), with which
+    /// the throttle loop uses too small a thrust for the first two seconds.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub init_state: Option<[f64; 2]>,
     /// `P(0)`: covariance of the initial state.
@@ -35,15 +35,15 @@ impl Default for EkfConfig {
     }
 }
 
-/// Extended Kalman filter of one engine: a measurement of variance `R/dt`, then a step of `dt`.
+/// Extended Kalman filter of one engine: an update with measurement variance `R/dt`, then a prediction over `dt`.
 ///
 /// ```text
 /// K = P Cᵀ (C P Cᵀ + R/dt)⁻¹,   x̂ ← x̂ + K (y − T̂),   P ← P − K C P,   C = (1 0)
 /// x̂ ← x̂ + dt ( Ṫ, T̈(x̂, u) ),   P ← Φ P Φᵀ + dt Q,   Φ = 1 + dt A,   A = ∂(Ṫ, T̈)/∂x at (x̂, u)
 /// ```
 ///
-/// The published estimator integrates the continuous-time equations, which these become for small `dt`, by
-/// forward Euler, and diverges where `dt P₁₁/R` is above 1; here P stays a covariance for every R.
+/// The published filter integrates the continuous-time equations, the limit of these for small `dt`, by forward
+/// Euler; it diverges for `dt P₁₁/R` above 1. Here P remains a covariance for every R.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ThrustEkf {
     model: EngineModel,
@@ -54,7 +54,8 @@ pub struct ThrustEkf {
 }
 
 impl ThrustEkf {
-    /// An estimator of `model`, that starts from the given thrust \[N\] unless the configuration has another one.
+    /// Builds the filter of `model`; it starts from the given thrust \[N\] unless the configuration states an
+    /// initial state.
     ///
     /// # Errors
     /// A matrix that is not symmetric and positive semidefinite, an `R` that is not positive, a
@@ -98,8 +99,8 @@ impl ThrustEkf {
         Matrix2::new(0.0, 1.0, by_thrust, by_rate)
     }
 
-    /// Moves the estimate on by `dt` \[s\], with the thrust measured now \[N\] and the throttle \[%\]
-    /// held from now on.
+    /// Advances the estimate by `dt` \[s\], with the thrust measured now \[N\] and the throttle held from now on
+    /// \[%\].
     pub fn update(&mut self, measured_thrust: f64, throttle: f64, dt: f64) {
         let column = self.covariance.column(0).into_owned();
         let gain = column / (column.x + self.r / dt);
@@ -114,7 +115,7 @@ impl ThrustEkf {
     }
 }
 
-/// A 2×2 matrix that can be a covariance.
+/// Checks that a 2×2 matrix is a covariance.
 fn covariance(item: &str, rows: &[[f64; 2]; 2]) -> Result<Matrix2<f64>, BuildError> {
     let [[a, b], [c, d]] = *rows;
     for (index, value) in [a, b, c, d].into_iter().enumerate() {

@@ -1,14 +1,14 @@
-//! The identified second-order jet engine, and the throttle loop that makes it follow a thrust rate.
+//! The identified second-order jet engine, and the throttle loop that tracks a thrust rate.
 //!
 //! Equations M32 to M34 of `docs/model.md`.
 
 use crate::error::{BuildError, check};
 use crate::robot::EngineCoefficients;
 
-/// Input gains below this \[N/s² per %\] cannot steer: the throttle loop then holds.
+/// Input gain below which the throttle does not control the thrust and the loop holds it \[N/s² per %\].
 const MIN_INPUT_GAIN: f64 = 1e-9;
 
-/// The equations of one engine: thrust acceleration, affine in a function of the throttle.
+/// Equations of one engine: its thrust acceleration is affine in a function of the throttle.
 ///
 /// ```text
 /// T̈ = f(T, Ṫ) + g(T, Ṫ) v(u)
@@ -24,10 +24,10 @@ pub struct EngineModel {
 }
 
 impl EngineModel {
-    /// Takes coefficients that are finite and whose `v(u)` increases between the throttle limits.
+    /// Checks that coefficients are finite and that `v(u)` increases between the throttle limits.
     ///
     /// # Errors
-    /// Otherwise, naming `engine` and the coefficient.
+    /// [`BuildError`] naming `engine` and the coefficient.
     pub fn new(engine: &str, coefficients: EngineCoefficients) -> Result<Self, BuildError> {
         let k = &coefficients;
         for (name, value) in [
@@ -48,7 +48,7 @@ impl EngineModel {
         let above = format!("a throttle above throttle_min = {} %", k.throttle_min);
         let item = format!("throttle_max of engine `{engine}`");
         check(&item, k.throttle_max, |max| max > k.throttle_min, &above)?;
-        // dv/du = 1 + 2 B_UU u is linear in u: positive at both ends means positive between them.
+        // dv/du = 1 + 2 B_UU u is linear in u, so it is positive between the ends if it is positive at both.
         let increases =
             |b_uu: f64| [k.throttle_min, k.throttle_max].iter().all(|u| 1.0 + 2.0 * b_uu * u > 0.0);
         let expected = "such that u + b_uu u² increases between the throttle limits";
@@ -56,7 +56,7 @@ impl EngineModel {
         Ok(Self { coefficients })
     }
 
-    /// Drift `f(T, Ṫ)` \[N/s²\]: thrust acceleration with `v = 0`.
+    /// Drift `f(T, Ṫ)` \[N/s²\]: thrust acceleration for `v = 0`.
     #[must_use]
     pub fn drift(&self, thrust: f64, thrust_rate: f64) -> f64 {
         let k = &self.coefficients;
@@ -72,7 +72,7 @@ impl EngineModel {
         k.b_u + k.b_t * thrust + k.b_d * thrust_rate
     }
 
-    /// Input `v(u) = u + B_UU u²` \[%\] of a throttle \[%\].
+    /// Input `v(u) = u + B_UU u²` \[%\] for a throttle \[%\].
     #[must_use]
     pub fn input(&self, throttle: f64) -> f64 {
         throttle * (1.0 + self.coefficients.b_uu * throttle)
@@ -84,31 +84,32 @@ impl EngineModel {
     /// u = 2 v / (1 + √(1 + 4 B_UU v)),   −1/(2 B_UU) where the root is not real
     /// ```
     ///
-    /// The published `(−1 + √…)/(2 B_UU)` with the root moved below: also right at `B_UU = 0`. Where
-    /// no throttle reaches `input`, the one at the parabola's top, so that the answer stays continuous.
+    /// The published `(−1 + √…)/(2 B_UU)` with the root in the denominator, which is also correct for
+    /// `B_UU = 0`. Where no throttle gives `input`, the throttle at the vertex of the parabola, which keeps
+    /// the function continuous.
     #[must_use]
     pub fn throttle_from_input(&self, input: f64) -> f64 {
         let b_uu = self.coefficients.b_uu;
         let discriminant = 1.0 + 4.0 * b_uu * input;
-        // Past the top the formula with its root moved below would grow with v.
+        // Beyond the vertex, with a root of zero, the formula would continue to increase with v.
         if discriminant < 0.0 { -0.5 / b_uu } else { 2.0 * input / (1.0 + discriminant.sqrt()) }
     }
 
-    /// A throttle \[%\] within the engine's limits.
+    /// Limits a throttle \[%\] to the engine's range.
     #[must_use]
     pub fn limit_throttle(&self, throttle: f64) -> f64 {
         throttle.clamp(self.coefficients.throttle_min, self.coefficients.throttle_max)
     }
 
-    /// An input `v` \[%\] within `v` of the throttle limits.
+    /// Limits an input `v` \[%\] to the values of `v` at the throttle limits.
     #[must_use]
     pub fn limit_input(&self, input: f64) -> f64 {
         let k = &self.coefficients;
         input.clamp(self.input(k.throttle_min), self.input(k.throttle_max))
     }
 
-    /// Throttle \[%\] that holds a thrust: `f(T, 0) + g(T, 0) v(u) = 0`, within the limits. If the
-    /// throttle does not act on the thrust there, the lowest.
+    /// Throttle \[%\] that holds a thrust: `f(T, 0) + g(T, 0) v(u) = 0`, within the limits; the least throttle
+    /// if the throttle does not act on the thrust there.
     #[must_use]
     pub fn steady_throttle(&self, thrust: f64) -> f64 {
         let gain = self.input_gain(thrust, 0.0);
@@ -118,7 +119,7 @@ impl EngineModel {
         self.limit_throttle(self.throttle_from_input(self.limit_input(-self.drift(thrust, 0.0) / gain)))
     }
 
-    /// Thrust acceleration `T̈` \[N/s²\] at a throttle \[%\], which is limited first.
+    /// Thrust acceleration `T̈` \[N/s²\] for a throttle \[%\], which is limited first.
     #[must_use]
     pub fn thrust_acceleration(&self, thrust: f64, thrust_rate: f64, throttle: f64) -> f64 {
         self.drift(thrust, thrust_rate)
@@ -137,7 +138,7 @@ impl EngineModel {
     }
 }
 
-/// One engine in time.
+/// State of one engine.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EngineDynamics {
     model: EngineModel,
@@ -160,14 +161,14 @@ impl EngineDynamics {
         &self.model
     }
 
-    /// Moves on by `dt` \[s\] at a constant throttle \[%\], limited to what the engine has.
+    /// Advances the engine by `dt` \[s\] at a constant throttle \[%\], limited to the engine's range.
     ///
     /// ```text
     /// T ← T + Ṫ dt + T̈ dt²/2,   Ṫ ← Ṫ + T̈ dt,   T̈ at the start of the step
     /// ```
     ///
-    /// Source: the published simulator. An engine without thrust does not pull: where the step would end below
-    /// zero, `T ← 0` and `Ṫ ← max(0, Ṫ)`. A NaN throttle shows as NaN.
+    /// Source: the published simulator. Thrust is never negative: where the step would end below zero, `T ← 0`
+    /// and `Ṫ ← max(0, Ṫ)`. A NaN throttle results in NaN.
     pub fn step(&mut self, throttle: f64, dt: f64) {
         let acceleration = self.model.thrust_acceleration(self.thrust, self.thrust_rate, throttle);
         self.thrust += dt * (self.thrust_rate + 0.5 * dt * acceleration);
@@ -190,7 +191,7 @@ pub struct ThrustRateController {
 }
 
 impl ThrustRateController {
-    /// A loop with gains `k_p` \[1/s\] and `k_i` \[1/s²\], and the throttle \[%\] it stands at.
+    /// A loop with gains `k_p` \[1/s\] and `k_i` \[1/s²\], and the initial throttle \[%\].
     ///
     /// # Errors
     /// A gain that is negative or not finite.
@@ -207,15 +208,15 @@ impl ThrustRateController {
         self.throttle
     }
 
-    /// New throttle \[%\] for a commanded thrust rate \[N/s\], to be held for `dt` \[s\].
+    /// Returns the throttle \[%\] for a commanded thrust rate \[N/s\], to be held for `dt` \[s\].
     ///
     /// ```text
     /// v = −( k_p (Ṫ − Ṫ*) + f(T, Ṫ) + k_i ∫(Ṫ − Ṫ*) ) / g(T, Ṫ),   u = v⁻¹(clamp v)
     /// ```
     ///
-    /// Source: the published controller, `k_p = 150`, `k_i = 0`. The error decays only if `k_p dt < 2`;
-    /// the published 1.5 alternates in sign and halves every tick. Where `g` is zero or a number is
-    /// not finite the throttle holds, instead of a division by zero. No anti-windup, as published.
+    /// Source: the published controller, `k_p = 150`, `k_i = 0`. The error decays only if `k_p dt < 2`; with
+    /// the published 1.5 it changes sign and halves every tick. Where `g` is zero or a number is not finite
+    /// the throttle is held, instead of a division by zero. No anti-windup, as published.
     pub fn update(
         &mut self,
         model: &EngineModel,

@@ -1,15 +1,16 @@
-//! The solution of a solver, and the residual by which it is accepted: equation M66 of `docs/model.md`.
+//! Result of a solver, and the residual by which it is accepted: equation M66 of `docs/model.md`.
 
 use super::QpProblem;
 use crate::linalg;
 
-/// Largest [`kkt_residual`] of an answer that may call itself [`QpStatus::Solved`]: `√ε ≈ 1.5e-8`.
+/// Largest [`kkt_residual`] of an answer with status [`QpStatus::Solved`]: `√ε ≈ 1.5e-8`.
 ///
-/// The residual is a backward error: `x` is the exact minimiser for a `g` that differs from the given one
-/// by that fraction of its largest scaled entry, which is below the resolution of single precision (6e-8), and so of
-/// any measurement that g was made of. What follows for `x`, of 60 problems of 2 to 30 variables each, units from 1e-6
-/// to 1e6, none to all bounds active, their minimisers known from residuals in twice the precision
-/// (`cargo test -p flight-core --test main certificate -- --nocapture`; errors are those of `y`, in parts of `size`):
+/// The residual is a backward error: `x` is the exact minimiser for a `g` that differs from the given one by this
+/// fraction of its largest scaled entry. This is below the resolution of single precision (6e-8), and so of any
+/// measurement from which `g` is computed. The consequences for `x`, over 60 problems of 2 to 30 variables for each
+/// condition, with units from 1e-6 to 1e6, none to all bounds active, and minimisers computed with residuals in twice
+/// the precision (`cargo test -p flight-core --test main certificate -- --nocapture`; errors are those of `y`,
+/// relative to `size`):
 ///
 /// ```text
 /// condition of the scaled H         1        1e3      1e6      1e9      1e12
@@ -17,68 +18,70 @@ use crate::linalg;
 /// residual, dual method             4e-16    2e-15    1e-12    3e-13    7e-16
 /// error, primal method              3e-16    1e-14    2e-11    1e-8     2e-5
 /// worst error that is accepted      2e-8     5e-6     3e-3     0.4      0.8
-/// and what it costs / size²         6e-16    1e-13    7e-11    8e-9     2e-9
+/// and its excess cost / size²       6e-16    1e-13    7e-11    8e-9     2e-9
 /// ```
 ///
-/// The methods stay four decades below the limit, so it refuses no answer of theirs; where the dual method fails
-/// (4 problems in 60 at 1e9, 12 at 1e12) its residual says so. The momentum QP in flight has a condition of 2e5, the
-/// torque QP of 2e4, on the ground of 5e8: in flight an answer at the limit would be wrong by a thousandth of the
-/// largest step, at a cost of 1e-11. Refusing it would command nothing at all, so a finer limit would be no safer.
+/// The residuals of both methods are four decades below the limit, so their answers are accepted; where the dual
+/// method fails (4 problems in 60 at 1e9, 12 at 1e12) its residual shows it. The condition is 2e5 for the momentum QP
+/// in flight, 2e4 for the torque QP, and 5e8 for the torque QP on the ground. In flight an answer at the limit would
+/// be wrong by a thousandth of the largest step, at an excess cost of 1e-11. Without this answer there would be no
+/// command at all, so a lower limit would not be safer.
 pub const KKT_TOLERANCE: f64 = 1.490_116_119_384_765_6e-8;
 
-/// How a solve ended. The codes of [`QpStatus::code`] are for logs and never change meaning.
+/// Outcome of a solve. The codes of [`QpStatus::code`] are for logs and never change their meaning.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[repr(u8)]
 pub enum QpStatus {
     /// `x` is the minimiser: its [`kkt_residual`] is at most [`KKT_TOLERANCE`].
     Solved = 0,
-    /// Iterations ran out; `x` is feasible and no worse than the point the solver started from, or, after the
-    /// dual method, unchanged.
+    /// Iteration limit reached; `x` is feasible and not worse than the starting point or, after the dual method,
+    /// unchanged.
     IterationLimit = 1,
-    /// `H` is not positive definite, to working precision, on a set of variables that were free.
+    /// `H` is not positive definite, to working precision, on a set of free variables.
     NotPositiveDefinite = 2,
-    /// Some `lower > upper`, or bounds and rows leave no finite value; `x` is unchanged.
+    /// Some `lower > upper`, or bounds and rows exclude every finite value; `x` is unchanged.
     InfeasibleBounds = 3,
-    /// NaN or infinity in the data (bounds may be infinite outwards), or overflow; do not use `x`.
+    /// NaN or infinity in the data (infinite bounds are allowed in the unbounded direction), or overflow; do not use
+    /// `x`.
     NonFinite = 4,
-    /// The solver finished, but its `x` misses [`KKT_TOLERANCE`].
+    /// The solver finished, but its `x` does not meet [`KKT_TOLERANCE`].
     Inaccurate = 5,
     /// Problem and solver have different numbers of variables or rows; `x` is unchanged.
     SizeMismatch = 6,
-    /// The interior-point method gave up for a reason of its own (numerical error, no progress).
+    /// The interior-point method failed for another reason (numerical error, no progress).
     Breakdown = 7,
 }
 
 impl QpStatus {
-    /// Stable number for logs: 0 is solved.
+    /// Code for logs; 0 is solved.
     #[must_use]
     pub fn code(self) -> u8 {
         self as u8
     }
 }
 
-/// What a solver says about its `x`.
+/// Status and certificate of a solver's answer `x`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct QpAnswer {
-    /// How the solve ended.
+    /// Outcome of the solve.
     pub status: QpStatus,
     /// Factorisations (primal), changes of the active set (dual) or interior-point iterations (Clarabel).
     pub iterations: u32,
-    /// [`kkt_residual`] of `x`; NaN where there is no answer to judge.
+    /// [`kkt_residual`] of `x`; NaN without an answer.
     pub kkt: f64,
-    /// Variables that sit on a bound, fixed ones included, and rows with a multiplier.
+    /// Number of variables at a bound, with fixed ones, and of rows with a multiplier.
     pub active: u32,
 }
 
 impl QpAnswer {
-    /// An answer without an `x`.
+    /// Status of a solve without an answer `x`.
     #[must_use]
     pub fn refused(status: QpStatus) -> Self {
         Self { status, iterations: 0, kkt: f64::NAN, active: 0 }
     }
 
-    /// Judges `x` and the multipliers of the rows by their residual alone. `otherwise` is the status where it does not
-    /// pass.
+    /// Accepts or rejects `x` and the multipliers of the rows by their residual alone. `otherwise` is the status if
+    /// they are rejected.
     pub(super) fn judged(
         qp: &QpProblem,
         x: &[f64],
@@ -103,8 +106,7 @@ impl QpAnswer {
     }
 }
 
-/// How far `x` with multipliers `u ≥ 0` of the rows is from satisfying the optimality conditions,
-/// without units.
+/// Dimensionless residual of the optimality conditions at `x`, with multipliers `u ≥ 0` of the rows.
 ///
 /// ```text
 /// y_i = √H_ii x_i,   q_i = (H x + g + C u)_i / √H_ii,   d_k = |(C_ik / √H_ii)_i|
@@ -112,15 +114,14 @@ impl QpAnswer {
 ///            max_k | min(d_k u_k, (limit_k − c_kᵀ x) / d_k) | )  /  size
 /// ```
 ///
-/// Zero exactly at the minimiser: there a free variable has `q_i = 0`, one at its lower bound `q_i ≥ 0`,
-/// one at its upper bound `q_i ≤ 0`; a row is satisfied, its multiplier is not negative, and one of the two
-/// vanishes. `d_k` is the length of row k in the scaled variables, so all entries have the unit of y. `size`
-/// is the largest of 1, `|g/√H_ii|`, `|y|` and `|d u|`. NaN for data that are not finite, for a diagonal
-/// that is not positive, for parts that do not fit together. Reads the problem, `x` and `u` only, so it
-/// judges any solver.
+/// Zero exactly at the minimiser: there a free variable has `q_i = 0`, one at its lower bound `q_i ≥ 0`, one at its
+/// upper bound `q_i ≤ 0`; rows are satisfied, their multipliers are not negative, and of slack and multiplier one
+/// vanishes. `d_k` is the length of row k in the scaled variables, so all entries have the unit of y. `size` is the
+/// largest of 1, `|g/√H_ii|`, `|y|` and `|d u|`. NaN for data that are not finite, for a diagonal that is not
+/// positive, and for sizes that do not match. Depends on the problem, `x` and `u` only, so it applies to any solver.
 #[must_use]
 pub fn kkt_residual(qp: &QpProblem, x: &[f64], multipliers: &[f64]) -> f64 {
-    /// Variables treated at a time, on the stack.
+    /// Number of variables processed at a time, on the stack.
     const BLOCK: usize = 32;
     let n = qp.len();
     let is_complete = multipliers.len() == qp.rows() || (multipliers.is_empty() && qp.is_box());
@@ -139,7 +140,7 @@ pub fn kkt_residual(qp: &QpProblem, x: &[f64], multipliers: &[f64]) -> f64 {
                 linalg::add_scaled(&mut gradient[..count], *multiplier, &normals[k * n + first..]);
             }
         }
-        // Entries first, their maxima afterwards, and no branch, so that the loop vectorises.
+        // All entries first, then their maxima, without branches, so that the loop vectorises.
         let (mut roots, mut distances, mut scaled_g, mut y) =
             ([0.0; BLOCK], [0.0; BLOCK], [0.0; BLOCK], [0.0; BLOCK]);
         for (root, i) in roots.iter_mut().zip(first..first + count) {
@@ -155,7 +156,7 @@ pub fn kkt_residual(qp: &QpProblem, x: &[f64], multipliers: &[f64]) -> f64 {
             y[i] = root * x[i];
             scaled_g[i] = g[i] * inverse;
             distances[i] = y[i] - (y[i] - q).max(root * lower[i]).min(root * upper[i]);
-            // `max` and `min` drop NaN, so it is looked for separately.
+            // `max` and `min` ignore NaN, so it is tested separately.
             finite &= q.is_finite() & y[i].is_finite() & !lower[i].is_nan() & !upper[i].is_nan();
         }
         residual = residual.max(linalg::max_abs(&distances));
@@ -172,7 +173,7 @@ pub fn kkt_residual(qp: &QpProblem, x: &[f64], multipliers: &[f64]) -> f64 {
             residual = residual.max(slack.min(pressure).abs());
             size = size.max(pressure.abs());
         } else {
-            // 0 ≤ limit: true or false whatever x is.
+            // A row of zeros: 0 ≤ limit holds or not, independently of x.
             residual = residual.max(multiplier.abs()).max(-limit.min(0.0));
         }
     }

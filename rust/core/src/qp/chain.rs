@@ -4,7 +4,7 @@
 use super::ClarabelSolver;
 use super::{DualActiveSet, PrimalActiveSet, QpAnswer, QpProblem, QpSolver, QpStatus, WarmStart};
 
-/// One of the methods.
+/// A solver of the chain.
 #[derive(Debug, Clone)]
 pub enum Method {
     /// Boxes only.
@@ -45,23 +45,23 @@ impl QpSolver for Method {
     }
 }
 
-/// A first method and those that follow where it has no certified answer.
+/// Solvers in the order in which they are tried until one gives a certified answer.
 #[derive(Debug, Clone)]
 pub struct QpChain {
     methods: Vec<Method>,
-    /// Place of the method that answered last.
+    /// Index of the method that answered last.
     answered: usize,
 }
 
 impl QpChain {
-    /// A chain of `methods`, first to last.
+    /// A chain of `methods`, in this order.
     #[must_use]
     pub fn new(methods: Vec<Method>) -> Self {
         Self { methods, answered: 0 }
     }
 
-    /// Solves `qp`. A primal method that is the first begins at `start`, and its next solve would begin at what that is
-    /// afterwards; the other methods start from scratch.
+    /// Solves `qp`. A primal method in the first place starts from `start` and updates it for its next solve; the other
+    /// methods start from scratch.
     pub fn solve_from(&mut self, start: &mut WarmStart, qp: &QpProblem) -> QpAnswer {
         if let Some(Method::Primal(solver)) = self.methods.first_mut() {
             solver.set_start(start);

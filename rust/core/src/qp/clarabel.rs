@@ -8,31 +8,32 @@ use clarabel::solver::{
 };
 use nalgebra::{DMatrix, DVector};
 
-/// Duality gap (absolute and relative) and feasibility asked of Clarabel.
+/// Duality gap (absolute and relative) and feasibility required of Clarabel.
 const TOLERANCE: f64 = 1e-12;
 
-/// Added to the diagonal of Clarabel's equations. With its own 1e-8 two of three flight problems end in
-/// lack of progress at 1e-5 of the objective: iterative refinement cannot take back a regularisation
-/// that is large beside the small diagonals of `H`. `H` is definite, so hardly any is needed.
+/// Added to the diagonal of Clarabel's equations. With its default of 1e-8, two of three flight problems end
+/// in lack of progress at 1e-5 of the objective, because iterative refinement cannot correct a regularisation
+/// that is large relative to the small diagonal entries of `H`. `H` is positive definite, so hardly any is
+/// needed.
 const REGULARISATION: f64 = 1e-14;
 
-/// Interior-point iterations allowed. Flight problems take 10 to 20.
+/// Limit of interior-point iterations. Flight problems take 10 to 20.
 const ITERATION_LIMIT: u32 = 100;
 
-/// Corrections of the set of active constraints by the polish; one is usual.
+/// Limit of corrections of the active set in the polish; one is usual.
 const POLISH_ROUNDS: usize = 4;
 
-/// Solves of the equations of one active set, each from the residual of the last.
+/// Solutions of the equations of one active set, each from the residual of the last.
 const CORRECTIONS: usize = 3;
 
-/// The interior-point method of Clarabel: slow (hundreds of µs) and **allocating**, but with nothing in
-/// common with the active-set methods.
+/// Clarabel's interior-point method: slow (hundreds of µs) and **allocating**, but independent of the
+/// active-set methods.
 ///
-/// An interior point approaches the bounds without reaching them. On our condition numbers (2e8) that is
-/// exact in the objective, to the gap, but not in the single coordinate. So its answer is **polished**:
-/// the constraints it presses on are held and the equations of the other variables are solved directly.
-/// The polished point replaces Clarabel's only if its [`kkt_residual`] is lower, and the one that remains
-/// is judged like every other answer.
+/// An interior point approaches the bounds without reaching them. At our condition numbers (2e8) the
+/// objective is exact up to the duality gap, but single coordinates are not. The answer is therefore
+/// **polished**: its active constraints are held, and the equations of the other variables are solved
+/// directly. The polished point replaces Clarabel's only if its [`kkt_residual`] is lower, and the result is
+/// judged like every other answer.
 #[derive(Debug, Clone)]
 pub struct ClarabelSolver {
     x: Vec<f64>,
@@ -41,13 +42,13 @@ pub struct ClarabelSolver {
 }
 
 impl ClarabelSolver {
-    /// A solver for problems in `n` variables with `rows` rows besides the bounds.
+    /// A solver for problems in `n` variables with `rows` rows in addition to the bounds.
     #[must_use]
     pub fn new(n: usize, rows: usize) -> Self {
         Self { x: vec![0.0; n], multipliers: vec![0.0; rows], polish: true }
     }
 
-    /// Leaves the answer as Clarabel gives it, for comparisons; expect [`QpStatus::Inaccurate`] often.
+    /// Disables the polish, for comparisons; the status is then often [`QpStatus::Inaccurate`].
     #[must_use]
     pub fn without_polish(mut self) -> Self {
         self.polish = false;
@@ -56,7 +57,7 @@ impl ClarabelSolver {
 }
 
 impl QpSolver for ClarabelSolver {
-    /// Starts from scratch. `H` must be positive definite as a whole. `x` is unchanged for `NonFinite`,
+    /// Solves from scratch. The whole of `H` must be positive definite. `x` is unchanged for `NonFinite`,
     /// `InfeasibleBounds`, `NotPositiveDefinite` and `SizeMismatch`.
     fn solve(&mut self, qp: &QpProblem) -> QpAnswer {
         let n = self.x.len();
@@ -69,7 +70,7 @@ impl QpSolver for ClarabelSolver {
         if qp.is_empty() {
             return QpAnswer::judged(qp, &self.x, &self.multipliers, 0, QpStatus::Inaccurate);
         }
-        // An indefinite problem has stationary points, and an interior point can settle on one.
+        // An indefinite problem has stationary points, to which an interior-point method can converge.
         if !linalg::cholesky_in_place(&mut qp.h.as_slice().to_vec(), n, n, n) {
             return QpAnswer::refused(QpStatus::NotPositiveDefinite);
         }
@@ -103,13 +104,13 @@ impl QpSolver for ClarabelSolver {
     }
 }
 
-/// What Clarabel gets to see of the constraints; this is also the order of its rows.
+/// Constraints in the form and the row order of Clarabel.
 struct Constraints {
     /// Fixed variables: equations.
     fixed: Vec<usize>,
     upper: Vec<usize>,
     lower: Vec<usize>,
-    /// Rows with a limit.
+    /// Rows with a finite limit.
     rows: Vec<usize>,
 }
 
@@ -130,7 +131,7 @@ impl Constraints {
     }
 }
 
-/// `None` if Clarabel refuses the data.
+/// `None` if Clarabel rejects the data.
 fn run_clarabel(qp: &QpProblem, constraints: &Constraints) -> Option<DefaultSolution<f64>> {
     let n = qp.len();
     let (mut p_rows, mut p_columns, mut p_values) = (Vec::new(), Vec::new(), Vec::new());
@@ -179,14 +180,14 @@ fn run_clarabel(qp: &QpProblem, constraints: &Constraints) -> Option<DefaultSolu
     Some(solver.solution)
 }
 
-/// What a point is called that misses the certificate.
+/// Status of a point that does not meet the certificate.
 fn unless_certified(status: SolverStatus) -> QpStatus {
     match status {
         SolverStatus::Solved | SolverStatus::AlmostSolved => QpStatus::Inaccurate,
         SolverStatus::MaxIterations => QpStatus::IterationLimit,
-        // The first two happen at the edge of double precision; the point is often good and the
-        // certificate decides. The rest cannot happen with finite data, checked bounds, a definite
-        // H, no time limit and no callback: a wrong claim is a breakdown too.
+        // The first two occur at the limit of double precision; the point is often good, and the certificate
+        // decides. The others cannot occur with finite data, checked bounds, a definite H, no time limit and
+        // no callback, so a false report also counts as a breakdown.
         SolverStatus::InsufficientProgress
         | SolverStatus::NumericalError
         | SolverStatus::Unsolved
@@ -199,8 +200,8 @@ fn unless_certified(status: SolverStatus) -> QpStatus {
     }
 }
 
-/// The point moved to the minimiser of the constraints it presses on, if that lowers its residual. A weakly
-/// active constraint may be misjudged; the next round starts from the point corrected so far.
+/// Moves a point to the minimiser for its active constraints, if that lowers the residual. A weakly active
+/// constraint may be misjudged; the next round starts from the point corrected so far.
 fn polish(qp: &QpProblem, mut x: Vec<f64>, mut multipliers: Vec<f64>) -> (Vec<f64>, Vec<f64>) {
     let mut best_kkt = kkt_residual(qp, &x, &multipliers);
     let mut best = (x.clone(), multipliers.clone());
@@ -218,15 +219,15 @@ fn polish(qp: &QpProblem, mut x: Vec<f64>, mut multipliers: Vec<f64>) -> (Vec<f6
     best
 }
 
-/// Guesses which bounds and rows hold and solves the equations of the free variables `F` and the held rows,
-/// in scaled units; `None` if they have no single answer.
+/// Estimates the active bounds and rows, and solves the equations of the free variables `F` and the active
+/// rows in scaled units; `None` if they have no unique solution.
 ///
 /// ```text
 /// H_FF x_F + C_F u = −(g_F + H_FA x_A),   C_Fᵀ x_F = limit − C_Aᵀ x_A
 /// ```
 ///
-/// A bound holds if a step of its coordinate alone, `x_i − gradient_i/H_ii`, ends beyond it, a row if its
-/// multiplier outweighs its slack, both in scaled units.
+/// A bound is active if a step of its coordinate alone, `x_i − gradient_i/H_ii`, ends beyond it; a row is
+/// active if its multiplier exceeds its slack, both in scaled units.
 fn solve_active(qp: &QpProblem, x: &[f64], multipliers: &[f64]) -> Option<(Vec<f64>, Vec<f64>)> {
     let mut gradient = vec![0.0; qp.len()];
     write_gradient(qp, x, multipliers, &mut gradient);
@@ -244,7 +245,7 @@ fn solve_active(qp: &QpProblem, x: &[f64], multipliers: &[f64]) -> Option<(Vec<f
     }
     let roots: Vec<f64> = (0..qp.len()).map(|i| qp.h[(i, i)].sqrt()).collect();
     let point = DVector::from_column_slice(x);
-    // Rows that hold, each with its length in scaled variables.
+    // Active rows, each with its length in scaled variables.
     let mut held = Vec::new();
     for (k, multiplier) in multipliers.iter().enumerate() {
         let normal = qp.normals.column(k);

@@ -1,35 +1,36 @@
 //! A dual active-set method for bounds and general rows (Goldfarb and Idnani, 1983).
 //!
-//! It starts from the minimiser without constraints and makes the violated ones active one after the
-//! other, keeping all multipliers non-negative: each point on the way is the minimiser for its active
-//! set, and the objective rises from one to the next. So no active set returns and the method ends, also
-//! at degenerate corners, where steps in the dual alone let constraints go.
+//! It starts from the unconstrained minimiser and adds violated constraints one after the other to the active
+//! set, keeping all multipliers non-negative. Each intermediate point is the minimiser for its active set,
+//! and the objective increases from one to the next. So no active set recurs and the method terminates, even
+//! at degenerate corners, where steps in the dual variables alone remove constraints.
 //!
-//! With `H = L Lᵀ` and the active normals `N`, it keeps `J = L⁻ᵀ Q` and the triangle R of
-//! `Jᵀ N = (R; 0)`: the first columns of J span what the active set fixes, the others what it leaves
-//! free. One constraint more is one reflection of the free columns; one less, rotations of the others.
+//! With `H = L Lᵀ` and the active normals `N`, it keeps `J = L⁻ᵀ Q` and the triangle R of `Jᵀ N = (R; 0)`:
+//! the first columns of J span the directions fixed by the active set, the others the free ones. Adding a
+//! constraint takes one reflection of the free columns; removing one takes rotations of the others.
 //!
-//! On our condition numbers the way there costs digits, so the last active set is solved once more from
-//! the data, with the residual corrected until it stops falling, before the certificate judges it.
+//! At our condition numbers the iteration loses digits. The final active set is therefore solved again from
+//! the data, with iterative refinement until the residual no longer decreases, before the certificate is
+//! evaluated.
 
 use super::scaled::Scaled;
 use super::{QpAnswer, QpProblem, QpSolver, QpStatus};
 use crate::linalg;
 
-/// Changes of the active set allowed per constraint and variable. A calm tick needs one for each active
+/// Limit of changes of the active set per constraint and variable. A calm tick needs one for each active
 /// constraint.
 const CHANGES_PER_CONSTRAINT: usize = 6;
 
-/// A constraint counts as violated beyond this much, relative to its terms: below it is rounding.
+/// Relative size above which a violation counts; below it is rounding.
 const VIOLATION: f64 = 1e-12;
 
-/// Corrections of the last point from the data; two reach rounding on our problems.
+/// Limit of refinements of the final point; two reach rounding error on our problems.
 const CORRECTIONS: usize = 3;
 
-/// How often the corrected point may show another violated or pulling constraint.
+/// Limit of rounds in which the corrected point shows another violated constraint or a negative multiplier.
 const ROUNDS: usize = 4;
 
-/// The method of a standing tick: exact, no allocation after [`DualActiveSet::new`].
+/// The method for standing: exact, without allocation after [`DualActiveSet::new`].
 ///
 /// Works in `y_i = x_i / s_i` with powers of two `s_i ≈ 1/√H_ii`, as the box solver does.
 #[derive(Debug, Clone)]
@@ -41,13 +42,13 @@ pub struct DualActiveSet {
     scaled: Scaled,
     /// Scaled normals of the rows, n entries each.
     normals: Vec<f64>,
-    /// Length of each scaled normal; zero for a row that says nothing.
+    /// Length of each scaled normal; zero for a row of zeros.
     lengths: Vec<f64>,
     limits: Vec<f64>,
     factor: Vec<f64>,
-    /// `J`, columns of n.
+    /// `J`, column-major, n entries each.
     j: Vec<f64>,
-    /// `R`, column k has its k + 1 entries at the front.
+    /// `R`, column-major; column k starts with its k + 1 entries.
     r: Vec<f64>,
     active: Vec<Constraint>,
     pressure: Vec<f64>,
@@ -70,7 +71,7 @@ enum Constraint {
     Row(usize),
 }
 
-/// How an attempt to make a constraint active ended.
+/// Outcome of an attempt to add a constraint.
 enum Added {
     Yes,
     Infeasible,
@@ -79,7 +80,7 @@ enum Added {
 }
 
 impl QpSolver for DualActiveSet {
-    /// Starts from scratch. `x` is unchanged unless the status is `Solved` or `Inaccurate`.
+    /// Solves from scratch. `x` is unchanged unless the status is `Solved` or `Inaccurate`.
     fn solve(&mut self, qp: &QpProblem) -> QpAnswer {
         let loaded = qp.check(self.n, self.rows).and_then(|()| self.load(qp));
         if let Err(status) = loaded {
@@ -117,7 +118,7 @@ impl QpSolver for DualActiveSet {
 }
 
 impl DualActiveSet {
-    /// Space for problems in `n` variables with `rows` inequalities besides the bounds.
+    /// Allocates for problems in `n` variables with `rows` inequalities in addition to the bounds.
     #[must_use]
     pub fn new(n: usize, rows: usize) -> Self {
         let zeros = || vec![0.0; n];
@@ -144,7 +145,7 @@ impl DualActiveSet {
         }
     }
 
-    /// Scales the problem, factors it and goes to the minimiser without constraints.
+    /// Scales and factorises the problem, and computes the unconstrained minimiser.
     fn load(&mut self, qp: &QpProblem) -> Result<(), QpStatus> {
         let n = self.n;
         self.scaled.load(qp)?;
@@ -182,7 +183,7 @@ impl DualActiveSet {
         Ok(())
     }
 
-    /// Makes violated constraints active until none is left and the corrected point agrees.
+    /// Adds violated constraints until none is left and the corrected point agrees.
     fn ascend(&mut self, limit: usize, changes: &mut usize) -> QpStatus {
         for _ in 0..ROUNDS {
             while let Some(constraint) = self.most_violated() {
@@ -223,7 +224,7 @@ impl DualActiveSet {
         }
     }
 
-    /// The constraint that is violated most, as a distance in scaled variables.
+    /// The most violated constraint, by distance in scaled variables.
     fn most_violated(&self) -> Option<Constraint> {
         let size = 1.0 + linalg::max_abs(&self.y);
         let mut worst = (VIOLATION * size, None);
@@ -244,7 +245,7 @@ impl DualActiveSet {
         worst.1
     }
 
-    /// `d = −Jᵀ normal`: the sign turns `normal · y ≤ limit` into the textbook's `≥`.
+    /// `d = −Jᵀ normal`; the sign converts `normal · y ≤ limit` to the textbook's `≥`.
     fn project_normal(&mut self, constraint: Constraint) {
         let n = self.n;
         match constraint {
@@ -278,7 +279,7 @@ impl DualActiveSet {
         }
     }
 
-    /// One constraint more, with as many dual steps before it as it takes.
+    /// Adds one constraint, preceded by as many dual steps as necessary.
     fn add(&mut self, constraint: Constraint, limit: usize, changes: &mut usize) -> Added {
         let n = self.n;
         let mut own_pressure = 0.0;
@@ -293,7 +294,7 @@ impl DualActiveSet {
             let whole: f64 = linalg::dot(&self.d, &self.d);
             Self::solve_triangle(n, &self.r, q, &self.d, &mut self.dual_step);
             let dependent = q == n || free <= (n as f64 * f64::EPSILON).powi(2) * whole;
-            // How far until a multiplier would turn negative.
+            // Step length up to which all multipliers stay non-negative.
             let mut leaving = None;
             let mut dual_limit = f64::INFINITY;
             for (k, (pressure, rate)) in self.pressure.iter().zip(&self.dual_step[..q]).enumerate() {
@@ -333,7 +334,7 @@ impl DualActiveSet {
         }
     }
 
-    /// Turns the free columns of J so that `d` has one entry left among them: column q of R.
+    /// Reflects the free columns of J so that `d` has one entry left among them, which becomes column q of R.
     fn reflect(&mut self, q: usize) {
         let n = self.n;
         let length = linalg::dot(&self.d[q..], &self.d[q..]).sqrt();
@@ -356,7 +357,7 @@ impl DualActiveSet {
         self.r[q * n..][..=q].copy_from_slice(&self.d[..=q]);
     }
 
-    /// One constraint less: its column leaves R, rotations make the rest triangular again.
+    /// Removes one constraint: its column leaves R, and rotations restore the triangle.
     fn remove(&mut self, k: usize) {
         let n = self.n;
         let q = self.active.len();
@@ -387,13 +388,13 @@ impl DualActiveSet {
         }
     }
 
-    /// Solves the equations of the active set again, residuals fresh from the data:
-    /// `H y + g + Σ u n = 0`, `n · y = limit`.
+    /// Solves the equations of the active set again, with residuals from the data: `H y + g + Σ u n = 0`,
+    /// `n · y = limit`.
     fn correct(&mut self) {
         let n = self.n;
         let q = self.active.len();
         for _ in 0..CORRECTIONS {
-            // step ← −(H y + g + Σ u n), work ← what the active constraints lack.
+            // step ← −(H y + g + Σ u n), work ← residuals of the active constraints.
             for (step, g) in self.step.iter_mut().zip(&self.scaled.g) {
                 *step = -g;
             }
@@ -436,7 +437,7 @@ impl DualActiveSet {
         }
     }
 
-    /// Lets go of constraints that the corrected multipliers would pull on; `false` if there are none.
+    /// Removes constraints whose corrected multipliers are negative; `false` if there are none.
     fn drop_pulling(&mut self, changes: &mut usize) -> bool {
         let size = linalg::max_abs(&self.pressure).max(1.0);
         let mut any = false;

@@ -1,37 +1,37 @@
-//! A monotone primal active-set method for boxes.
+//! A monotone primal active-set method for box constraints.
 //!
-//! Every pass holds a *working set* of variables at their bounds and computes the Newton step `d` of the
-//! free ones. Then it follows the step **bent at the bounds**, `y(t) = clamp(y + t d)`, to the first
-//! minimum of the objective along that path: a variable that meets its bound stays there and the rest
-//! go on, so many bounds are found for one factorisation. Once the whole step fits, the point is the
-//! minimiser for its working set, and all bounds that only hold the point back are let go.
+//! Every pass holds a *working set* of variables at their bounds and computes the Newton step `d` of the free ones.
+//! It then follows the step **projected onto the box**, `y(t) = clamp(y + t d)`, to the first minimum of the
+//! objective along this path: a variable that reaches its bound stays there and the others continue, so one
+//! factorisation can find many bounds. When the whole step is feasible, the point is the minimiser for its working
+//! set, and all bounds with a multiplier of the wrong sign are released.
 //!
-//! Why it ends: along the path the objective falls, also just after a release (a released variable whose
-//! step points back out is dropped at once, and dropping it only steepens the descent, because its
-//! gradient and its step have the same sign). So each such minimiser lies strictly below the last, no
-//! working set returns, and between two of them the working set only grows: at most n passes.
-//! Block pivoting and projected Newton have no such argument and do fail on saturated problems.
+//! Termination: the objective decreases along the path, also after a release. (A released variable whose step points
+//! out of the box is held again at once, which only steepens the descent, because its gradient and its step have the
+//! same sign.) So each such minimiser is strictly below the last, no working set recurs, and between two minimisers
+//! the working set only grows: at most n passes. Block pivoting and projected Newton have no such proof and do fail
+//! on saturated problems.
 
 use super::scaled::Scaled;
 use super::{QpAnswer, QpProblem, QpSolver, QpStatus};
 use crate::linalg;
 
-/// Passes allowed per variable. A calm tick needs one in all; the worst of four million fuzzed problems
+/// Limit of passes per variable. A calm tick needs one pass in total; the worst of four million fuzzed problems
 /// needed 3.3 per variable.
 pub const PASSES_PER_VARIABLE: u32 = 10;
 
-/// How often the final refinement may change the working set. By then it is a matter of rounding, and
-/// bounds that rounding takes and gives back must not go on for ever.
+/// Limit of changes of the working set by the final refinement. They are due to rounding, and could otherwise add and
+/// release bounds without end.
 const CORRECTION_LIMIT: u32 = 4;
 
-/// Least pivot of a factor whose answer is not refined: rounding moves it by about `ε / PIVOT_MIN = 2e-12` of its
-/// size.
+/// Least pivot of a factor whose solution is not refined: its rounding error is about `ε / PIVOT_MIN = 2e-12`,
+/// relative.
 const PIVOT_MIN: f64 = 1e-4;
 
-/// Where a variable is held.
+/// Whether and at which bound a variable is held.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Side {
-    /// Not held; it may still happen to touch a bound.
+    /// Not held; it may touch a bound by chance.
     Free,
     /// At its lower bound.
     Lower,
@@ -39,18 +39,18 @@ enum Side {
     Upper,
 }
 
-/// How far a step was followed.
+/// Extent to which a step was followed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Followed {
-    /// To its end, or until nothing is left to gain but rounding.
+    /// To its end, or until the remaining decrease is rounding.
     Whole,
-    /// To the first minimum on it; more variables are held.
+    /// To the first minimum along it; more variables are held.
     Part,
     /// Not at all: the data are not finite.
     NotFinite,
 }
 
-/// Where a solve begins: the last answer and its working set.
+/// Starting point of a solve: the last answer and its working set.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WarmStart {
     x: Vec<f64>,
@@ -58,7 +58,7 @@ pub struct WarmStart {
 }
 
 impl WarmStart {
-    /// Begins at `clamp(0)` with nothing held, in `n` variables.
+    /// Start at `clamp(0)` with no variable held, in `n` variables.
     #[must_use]
     pub fn cold(n: usize) -> Self {
         Self { x: vec![0.0; n], side: vec![Side::Free; n] }
@@ -76,7 +76,7 @@ impl WarmStart {
         self.x.is_empty()
     }
 
-    /// Copies another one of as many variables without allocating.
+    /// Copies a warm start of the same size; does not allocate.
     fn copy_from(&mut self, other: &Self) {
         if other.len() == self.len() {
             self.x.copy_from_slice(&other.x);
@@ -85,43 +85,44 @@ impl WarmStart {
     }
 }
 
-/// The method of a flying tick: exact, warm started, no allocation after [`PrimalActiveSet::new`].
+/// The method for flight: exact, warm started, without allocation after [`PrimalActiveSet::new`].
 ///
-/// Works in `y_i = x_i / s_i`, `s_i ≈ 1/√H_ii` rounded to a power of two, so that thrust rates and joint
-/// velocities weigh the same and the scaling itself rounds nothing.
+/// Works in `y_i = x_i / s_i`, with `s_i ≈ 1/√H_ii` rounded to a power of two, so that thrust rates and joint
+/// velocities have similar scale and the scaling is free of rounding.
 #[derive(Debug, Clone)]
 pub struct PrimalActiveSet {
     n: usize,
     iteration_limit: u32,
-    /// The answer, in the units of the problem, and the working set: the next solve begins there.
+    /// The answer, in the units of the problem, and the working set, from which the next solve starts.
     warm: WarmStart,
     scaled: Scaled,
-    /// Current point, always inside the bounds.
+    /// Current point, always within the bounds.
     y: Vec<f64>,
     /// `y` in the units of the problem.
     candidate: Vec<f64>,
     /// `H y + g`.
     gradient: Vec<f64>,
-    /// Where the Newton step leads: `y` where a variable is held.
+    /// End of the Newton step; equal to `y` for held variables.
     target: Vec<f64>,
-    /// Newton step, zero where a variable is held.
+    /// Newton step, zero for held variables.
     step: Vec<f64>,
     /// `H · step`.
     h_step: Vec<f64>,
-    /// Multiple of `step` at which a variable meets its bound; infinite where it does not.
+    /// Multiple of `step` at which a variable reaches its bound; infinite if it does not.
     meets: Vec<f64>,
     /// The free variables.
     free: Vec<usize>,
-    /// Cholesky factor of their part of H, and below it the right-hand side as one more row; leading dimension n + 1.
+    /// Cholesky factor of their block of H, and below it the right-hand side as one more row; leading dimension n +
+    /// 1.
     factor: Vec<f64>,
-    /// An entry for each free variable.
+    /// One entry for each free variable.
     work: Vec<f64>,
 }
 
 impl QpSolver for PrimalActiveSet {
-    /// Starts from the last answer and its working set. `x` is unchanged for `NonFinite`, `InfeasibleBounds`
-    /// and `SizeMismatch`, which a problem with rows that limit something is; for the other failures it is the best
-    /// feasible point that was reached.
+    /// Starts from the last answer and its working set. `x` is unchanged for `NonFinite`, `InfeasibleBounds` and
+    /// `SizeMismatch`, which is also the status for a problem with active rows; for the other failures it is the best
+    /// feasible point reached.
     fn solve(&mut self, qp: &QpProblem) -> QpAnswer {
         let rows = if qp.is_box() { qp.rows() } else { 0 };
         let loaded = qp.check(self.n, rows).and_then(|()| self.scaled.load(qp));
@@ -156,7 +157,7 @@ impl QpSolver for PrimalActiveSet {
 }
 
 impl PrimalActiveSet {
-    /// Space for problems in `n` variables. The first solve starts from `clamp(0)`, nothing held.
+    /// Allocates for problems in `n` variables. The first solve starts from `clamp(0)` with no variable held.
     #[must_use]
     pub fn new(n: usize) -> Self {
         let zeros = || vec![0.0; n];
@@ -185,23 +186,23 @@ impl PrimalActiveSet {
         self
     }
 
-    /// Begins the next solve at `start`; without effect for another number of variables.
+    /// Starts the next solve from `start`; no effect if its size differs.
     pub(super) fn set_start(&mut self, start: &WarmStart) {
         self.warm.copy_from(start);
     }
 
-    /// Stores where the next solve would begin; without effect for another number of variables.
+    /// Stores the starting point of the next solve; no effect if its size differs.
     pub(super) fn store_start(&self, start: &mut WarmStart) {
         start.copy_from(&self.warm);
     }
 
-    /// Forgets the last answer and its working set: the next solve starts cold.
+    /// Discards the last answer and its working set: the next solve starts cold.
     pub fn reset(&mut self) {
         self.warm.x.fill(0.0);
         self.warm.side.fill(Side::Free);
     }
 
-    /// Puts `y` where the last solve ended, as far as the new bounds allow.
+    /// Sets `y` to the last answer, clamped to the new bounds.
     fn start(&mut self) {
         let Scaled { inverse_s, lower, upper, .. } = &self.scaled;
         let bounds = lower.iter().zip(upper);
@@ -223,7 +224,7 @@ impl PrimalActiveSet {
         }
     }
 
-    /// The active-set loop. `Solved` means that it found the right working set.
+    /// The active-set loop. `Solved` means that it found the correct working set.
     fn descend(&mut self, iterations: &mut u32) -> QpStatus {
         let mut corrections = 0;
         loop {
@@ -231,8 +232,8 @@ impl PrimalActiveSet {
                 return QpStatus::IterationLimit;
             }
             *iterations += 1;
-            // The first pass needs no gradient, if its step fits. The others ask for what is left of one, and
-            // so end at rounding.
+            // The first pass needs no gradient if its step is feasible. The others solve for the remaining gradient,
+            // so that they converge to rounding error.
             let is_first = *iterations == 1;
             if !is_first {
                 self.update_gradient();
@@ -247,7 +248,7 @@ impl PrimalActiveSet {
                 Followed::Part => continue,
                 Followed::NotFinite => return QpStatus::NonFinite,
             }
-            // Where nothing is held there is nothing to let go of.
+            // Without held variables there is nothing to release.
             if self.free.len() < self.n {
                 self.update_gradient();
                 if self.release() {
@@ -257,10 +258,9 @@ impl PrimalActiveSet {
             if self.is_well_conditioned() {
                 return QpStatus::Solved;
             }
-            // One step of iterative refinement: same factor, gradient fresh from the data. Not even an answer
-            // that is certified to 2 ε goes without: where H is ill-conditioned x would be wrong by 1e-7 of its
-            // bounds. On an ill-conditioned face the step can reach a bound, which then has to be held like any
-            // other.
+            // One step of iterative refinement with the same factor and a gradient from the data. Even an answer that
+            // is certified to 2 ε needs it: with an ill-conditioned H, x would be wrong by 1e-7 of its bounds. On an
+            // ill-conditioned face the step can reach a bound, which is then held as usual.
             self.update_gradient();
             self.correct();
             if corrections == CORRECTION_LIMIT {
@@ -274,15 +274,15 @@ impl PrimalActiveSet {
         }
     }
 
-    /// `gradient = H y + g`, from the data every time: running updates would keep their rounding.
+    /// `gradient = H y + g`, from the data every time, because incremental updates would accumulate rounding errors.
     fn update_gradient(&mut self) {
         self.gradient.copy_from_slice(&self.scaled.g);
         self.scaled.add_hessian_times(&self.y, &mut self.gradient);
     }
 
-    /// Lets go of every bound whose multiplier has the wrong sign; `false` if there is none.
+    /// Releases every bound whose multiplier has the wrong sign; `false` if there is none.
     fn release(&mut self) -> bool {
-        // Below this a multiplier is rounding of the gradient.
+        // Below this value a multiplier is rounding error of the gradient.
         let size = linalg::max_abs(&self.scaled.g).max(linalg::max_abs(&self.y));
         let tolerance = self.n as f64 * f64::EPSILON * size;
         let Scaled { lower, upper, .. } = &self.scaled;
@@ -302,8 +302,8 @@ impl PrimalActiveSet {
         any
     }
 
-    /// Sets the target to the minimiser over the free variables, the others where they are; `false` if H is
-    /// not positive definite on them.
+    /// Sets the target to the minimiser over the free variables with the others fixed; `false` if H is not positive
+    /// definite on the free ones.
     ///
     /// ```text
     /// H_FF y_F = −(g_F + H_FB y_B),   given the gradient   H_FF (y_F − y_F,now) = −gradient_F
@@ -319,8 +319,8 @@ impl PrimalActiveSet {
                 linalg::add_scaled(&mut self.gradient, self.y[j], self.scaled.column(j));
             }
         }
-        // From the last variable that is held on, the matrix moves up as one piece, which H and its factor allow as
-        // their columns have the same length.
+        // The columns beyond the last held variable are moved in one piece, which is possible because H and its
+        // factor have columns of equal length.
         let m = self.free.len();
         let rest = self.warm.side.iter().rposition(|side| *side != Side::Free).map_or(0, |held| held + 1);
         let first = m - (n - rest);
@@ -349,13 +349,13 @@ impl PrimalActiveSet {
         true
     }
 
-    /// Whether no pivot of the factor, out of a diagonal between 1 and 4, is below [`PIVOT_MIN`].
+    /// Whether all pivots of the factor are at least [`PIVOT_MIN`]; the diagonal entries are between 1 and 4.
     fn is_well_conditioned(&self) -> bool {
         let mut reciprocals = self.factor.iter().step_by(self.n + 2).take(self.free.len());
         reciprocals.all(|reciprocal| reciprocal * reciprocal <= 1.0 / PIVOT_MIN)
     }
 
-    /// Sets the target to `y − H_FF⁻¹ gradient_F`, with the factor at hand.
+    /// Sets the target to `y − H_FF⁻¹ gradient_F` with the present factor.
     fn correct(&mut self) {
         let (m, ld) = (self.free.len(), self.n + 1);
         let steps = &mut self.work[..m];
@@ -370,7 +370,7 @@ impl PrimalActiveSet {
         }
     }
 
-    /// Goes to the target; the clamp takes back no more than rounding.
+    /// Moves to the target; the clamp changes it by rounding only.
     fn take_target(&mut self) {
         let bounds = self.scaled.lower.iter().zip(&self.scaled.upper);
         for ((y, target), (lower, upper)) in self.y.iter_mut().zip(&self.target).zip(bounds) {
@@ -378,9 +378,9 @@ impl PrimalActiveSet {
         }
     }
 
-    /// Follows the bent step to the first minimum of the objective on it, and holds the variables that
-    /// met a bound. The whole of it if the target is inside the bounds: `y` is then the minimiser for its
-    /// working set. Also if nothing is left to gain but rounding, so that no pass leaves everything as it was.
+    /// Follows the projected step to the first minimum of the objective along it, and holds the variables that
+    /// reached a bound. The result is `Whole` if the target is within the bounds, so that `y` is the minimiser for
+    /// its working set, and also if the remaining decrease is rounding, so that no pass leaves everything unchanged.
     fn follow(&mut self, is_gradient_known: bool) -> Followed {
         let bounds = self.scaled.lower.iter().zip(&self.scaled.upper);
         // No branch in the loop, so that it vectorises.
@@ -409,7 +409,7 @@ impl PrimalActiveSet {
         self.scaled.add_hessian_times(&self.step, &mut self.h_step);
         let mut t = 0.0;
         let mut met_any = false;
-        // Each turn but the last holds one more variable.
+        // Each iteration but the last holds one more variable.
         for _ in 0..=self.n {
             let slope = linalg::dot(&self.gradient, &self.step);
             let curvature = linalg::dot(&self.step, &self.h_step);
@@ -424,7 +424,7 @@ impl PrimalActiveSet {
                     (met, t_next) = (Some(i), t_i);
                 }
             }
-            // A degenerate bound is met at t = 0; rounding may say a little earlier.
+            // A degenerate bound is reached at t = 0; rounding may give a slightly negative t.
             let dt = (t_next - t).max(0.0);
             linalg::add_scaled(&mut self.y, dt, &self.step);
             linalg::add_scaled(&mut self.gradient, dt, &self.h_step);

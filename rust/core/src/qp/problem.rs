@@ -3,10 +3,10 @@
 use super::QpStatus;
 use nalgebra::{DMatrix, DVector};
 
-/// Data of one problem, allocated once and overwritten every tick.
+/// Data of one problem, allocated once and overwritten in every tick.
 #[derive(Debug, Clone, PartialEq)]
 pub struct QpProblem {
-    /// Hessian `H`. Solvers take it to be exactly symmetric and do not check it.
+    /// Hessian `H`. Solvers assume that it is exactly symmetric and do not check it.
     pub h: DMatrix<f64>,
     /// Linear term `g`.
     pub g: DVector<f64>,
@@ -14,14 +14,14 @@ pub struct QpProblem {
     pub lower: DVector<f64>,
     /// Upper bounds; `+inf` where there is none. May equal the lower one, which fixes the variable.
     pub upper: DVector<f64>,
-    /// `C`: one *column* for each row of constraints, so that each lies in one piece.
+    /// `C`: one *column* for each row of constraints, so that a row is contiguous in memory.
     pub normals: DMatrix<f64>,
     /// Right-hand sides of the rows; `+inf` where there is none.
     pub limit: DVector<f64>,
 }
 
 impl QpProblem {
-    /// The problem `½ |x|²` in `n` variables without bounds, with `rows` rows that limit nothing.
+    /// The problem `½ |x|²` in `n` variables without bounds, with `rows` rows of infinite limit.
     #[must_use]
     pub fn new(n: usize, rows: usize) -> Self {
         Self {
@@ -34,7 +34,7 @@ impl QpProblem {
         }
     }
 
-    /// The box problem of these parts.
+    /// A box-constrained problem without rows.
     #[must_use]
     pub fn without_rows(h: DMatrix<f64>, g: DVector<f64>, lower: DVector<f64>, upper: DVector<f64>) -> Self {
         let normals = DMatrix::zeros(g.len(), 0);
@@ -47,25 +47,25 @@ impl QpProblem {
         self.g.len()
     }
 
-    /// True for the problem without variables, whose answer is the empty vector.
+    /// Whether the problem has no variables; its answer is the empty vector.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Number of rows besides the bounds.
+    /// Number of rows in addition to the bounds.
     #[must_use]
     pub fn rows(&self) -> usize {
         self.limit.len()
     }
 
-    /// Whether no row limits anything.
+    /// Whether no row has a finite limit.
     #[must_use]
     pub fn is_box(&self) -> bool {
         self.limit.iter().all(|limit| *limit == f64::INFINITY)
     }
 
-    /// Objective `½ xᵀ H x + gᵀ x`; allocates, for tests and reports. NaN if `x` has another length.
+    /// Objective `½ xᵀ H x + gᵀ x`; NaN if `x` has another length. Allocates, so only for tests and reports.
     #[must_use]
     pub fn objective(&self, x: &[f64]) -> f64 {
         if x.len() != self.len() || !self.sizes_agree() {
@@ -75,7 +75,8 @@ impl QpProblem {
         0.5 * x.dot(&(&self.h * &x)) + self.g.dot(&x)
     }
 
-    /// Brings `x` inside the bounds; a NaN stays one. With comparisons, as `f64::max` would turn a NaN into a bound.
+    /// Clamps `x` to the bounds. A NaN remains NaN, because comparisons are used; `f64::max` would turn it into a
+    /// bound.
     pub(crate) fn clamp(&self, x: &mut [f64]) {
         let bounds = self.lower.as_slice().iter().zip(self.upper.as_slice());
         for (x, (lower, upper)) in x.iter_mut().zip(bounds) {
@@ -84,8 +85,8 @@ impl QpProblem {
         }
     }
 
-    /// Every part fits a solver of `n` variables and `rows` rows, and there may be an answer: else the
-    /// status that says why not.
+    /// Checks that all sizes match a solver of `n` variables and `rows` rows and that an answer may exist; the error
+    /// is the corresponding status.
     pub(super) fn check(&self, n: usize, rows: usize) -> Result<(), QpStatus> {
         if self.len() != n || self.rows() != rows || !self.sizes_agree() {
             return Err(QpStatus::SizeMismatch);
@@ -111,7 +112,7 @@ impl QpProblem {
         }
     }
 
-    /// Every part is of the order `g` has.
+    /// Whether all sizes match the length of `g`.
     pub(super) fn sizes_agree(&self) -> bool {
         let n = self.len();
         self.h.shape() == (n, n)

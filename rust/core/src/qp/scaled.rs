@@ -1,15 +1,16 @@
-//! The problem scaled to a diagonal near one.
+//! The problem scaled to a Hessian diagonal of order one.
 
 use super::{QpProblem, QpStatus};
 use crate::linalg;
 
 /// Hessian `s_i H_ij s_j`, linear term and bounds in `y_i = x_i / s_i` with `s_i ≈ 1/√H_ii` (Jacobi scaling), so
-/// that thrust rates and joint velocities weigh the same. `s` is a power of two: the scaling itself rounds nothing.
+/// that thrust rates and joint velocities have similar scale. `s` is a power of two, so the scaling is free of
+/// rounding.
 #[derive(Debug, Clone)]
 pub(super) struct Scaled {
     pub s: Vec<f64>,
     pub inverse_s: Vec<f64>,
-    /// Columns of `ld` entries.
+    /// Column-major, with columns of `ld` entries.
     pub h: Vec<f64>,
     ld: usize,
     pub g: Vec<f64>,
@@ -18,7 +19,7 @@ pub(super) struct Scaled {
 }
 
 impl Scaled {
-    /// Space for `n` variables, whose Hessian has leading dimension `ld`.
+    /// Allocates for `n` variables and a Hessian of leading dimension `ld`.
     pub fn new(n: usize, ld: usize) -> Self {
         let zeros = || vec![0.0; n];
         Self {
@@ -32,7 +33,7 @@ impl Scaled {
         }
     }
 
-    /// Scales `qp`; refuses a diagonal that is not positive.
+    /// Scales `qp`; fails if a diagonal entry is not positive.
     pub fn load(&mut self, qp: &QpProblem) -> Result<(), QpStatus> {
         let n = self.g.len();
         let (h, g) = (qp.h.as_slice(), qp.g.as_slice());
@@ -65,7 +66,7 @@ impl Scaled {
         linalg::add_mat_vec(product, &self.h, self.ld, y);
     }
 
-    /// From `y` to `x` in the units of the problem, inside its bounds.
+    /// Converts `y` to `x` in the units of the problem, clamped to its bounds.
     pub fn unscale(&self, qp: &QpProblem, y: &[f64], x: &mut [f64]) {
         for ((x, y), s) in x.iter_mut().zip(y).zip(&self.s) {
             *x = y * s;
@@ -74,12 +75,12 @@ impl Scaled {
     }
 }
 
-/// `2^-⌊e/2⌋` and its reciprocal for a positive `value` with binary exponent e: `value · s²` lies in
+/// `2^-⌊e/2⌋` and its reciprocal for a positive `value` with binary exponent e, so that `value · s²` is in
 /// `[1, 4)`.
 fn inverse_root_power_of_two(value: f64) -> (f64, f64) {
     const BIAS: u64 = 1023;
     const MANTISSA_BITS: u32 = 52;
-    // With the exponent stored as e + 1023, this is ⌊e/2⌋ + 512.
+    // The exponent is stored as e + 1023, so this is ⌊e/2⌋ + 512.
     let half = (value.to_bits() >> MANTISSA_BITS).div_ceil(2);
     let power = |biased: u64| f64::from_bits(biased << MANTISSA_BITS);
     (power(BIAS + 512 - half), power(BIAS + half - 512))

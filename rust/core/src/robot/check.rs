@@ -1,14 +1,14 @@
-//! Conditions on a robot's numbers. Every error names the item and shows the value.
+//! Checks of a robot's numbers. Every error names the item and states the value.
 
 use crate::error::BuildError;
 use crate::spatial::unit_vector;
 use nalgebra::{Matrix3, Unit, Vector3};
 
-/// How far moments of inertia may stray from what is possible, relative to the largest: published
-/// figures carry six digits, so a flat plate's may miss by that much.
+/// Tolerance of the conditions on moments of inertia, relative to the largest: published values have six
+/// digits, so those of a flat plate may violate them by that much.
 const ROUNDING_OF_MOMENTS: f64 = 1e-6;
 
-/// Refuses a name that occurs twice.
+/// Checks that no name occurs twice.
 ///
 /// # Errors
 /// [`BuildError::BadValue`] naming it.
@@ -26,7 +26,7 @@ pub fn unique<'a>(kind: &str, names: impl IntoIterator<Item = &'a str>) -> Resul
     Ok(())
 }
 
-/// Refuses a vector that is not finite.
+/// Checks that a vector is finite.
 ///
 /// # Errors
 /// [`BuildError::BadValue`] naming `item`.
@@ -38,7 +38,7 @@ pub fn finite(item: &str, v: &[f64; 3]) -> Result<Vector3<f64>, BuildError> {
     }
 }
 
-/// Refuses a direction that is not of length 1.
+/// Checks that a direction has length 1.
 ///
 /// # Errors
 /// [`BuildError::BadValue`] naming `item`.
@@ -46,7 +46,7 @@ pub fn unit(item: &str, v: &[f64; 3]) -> Result<Unit<Vector3<f64>>, BuildError> 
     unit_vector(finite(item, v)?).ok_or_else(|| BuildError::bad_value(item, show(v), "a vector of length 1"))
 }
 
-/// Refuses limits that leave nothing between them, or that are not finite.
+/// Checks that limits are finite and that the lower one is less than the upper one.
 ///
 /// # Errors
 /// [`BuildError::BadValue`] naming `item`.
@@ -62,10 +62,10 @@ pub fn interval(item: &str, lower: f64, upper: f64) -> Result<(f64, f64), BuildE
     }
 }
 
-/// Refuses an inertia about a centre of mass that no distribution of mass has.
+/// Checks that an inertia about a centre of mass is physically possible.
 ///
-/// Its principal moments must not be negative, and none may exceed the sum of the other two. Symmetry
-/// needs no check: a robot's file writes each product of inertia once.
+/// Principal moments must not be negative, and none may exceed the sum of the other two. Symmetry needs no
+/// check, because a robot's file states each product of inertia once.
 ///
 /// # Errors
 /// [`BuildError::BadValue`] naming `item`.
@@ -82,8 +82,8 @@ pub fn inertia(item: &str, inertia: &Matrix3<f64>) -> Result<(), BuildError> {
     Ok(())
 }
 
-/// As [`inertia`], and refuses a body that does not resist rotation about every axis: a joint could
-/// spin it without effort, and the mass matrix would be singular.
+/// As [`inertia`], and checks that the body resists rotation about every axis; otherwise the mass matrix
+/// could be singular.
 ///
 /// # Errors
 /// [`BuildError::BadValue`] naming `item`.
@@ -95,9 +95,9 @@ pub fn inertia_of_moving_body(item: &str, matrix: &Matrix3<f64>) -> Result<(), B
     inertia(item, matrix)
 }
 
-/// Principal moments in rising order.
+/// Principal moments in ascending order.
 fn principal_moments(item: &str, inertia: &Matrix3<f64>) -> Result<[f64; 3], BuildError> {
-    // The eigenvalue iteration does not return on NaN.
+    // The eigenvalue iteration does not terminate for NaN.
     if !inertia.iter().all(|x| x.is_finite()) {
         return Err(BuildError::bad_value(item, show(inertia.as_slice()), "finite numbers"));
     }

@@ -1,4 +1,4 @@
-//! Limits of each joint: from the URDF, unless the robot's TOML file overrides them.
+//! Limits of each joint: those of the URDF, unless the robot's TOML file overrides them.
 
 use super::tree::{Tree, TreeJoint};
 use super::{JointEntry, RobotFile};
@@ -12,7 +12,7 @@ pub(super) fn joints(file: &RobotFile, tree: &Tree) -> Result<Vec<Joint>, BuildE
 }
 
 fn joint(entry: &JointEntry, in_urdf: &TreeJoint) -> Result<Joint, BuildError> {
-    // Keys of the other kind of joint are refused, so that no unit is taken for another.
+    // Keys of the other kind of joint are refused, so that units cannot be confused.
     let (limits_key, velocity_key, per_unit, given, other) = match in_urdf.kind {
         JointKind::Revolute => (
             "limits_deg",

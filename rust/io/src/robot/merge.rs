@@ -1,4 +1,4 @@
-//! Merges links that no joint moves with the body that carries them.
+//! Merges links without relative motion into one body.
 //!
 //! Equation M6 of `docs/model.md`.
 
@@ -8,7 +8,7 @@ use flight_core::robot::{Body, check};
 use flight_core::spatial::Pose;
 use nalgebra::{Matrix3, Vector3};
 
-/// The mass of a link, seen from the body that carries it.
+/// Mass properties of a link in the axes of its body.
 #[derive(Clone)]
 pub(super) struct Part {
     mass: f64,
@@ -17,7 +17,7 @@ pub(super) struct Part {
     inertia_b: Matrix3<f64>,
 }
 
-/// A link's mass in its body; `None` for a link that is only a frame.
+/// Mass properties of a link in the axes of its body; `None` for a link without mass.
 pub(super) fn part(link: &Link, body_from_link: &Pose) -> Result<Option<Part>, BuildError> {
     let Some(inertial) = &link.inertial else { return Ok(None) };
     let mass_item = format!("mass of link `{}`", link.name);
@@ -39,13 +39,13 @@ pub(super) fn part(link: &Link, body_from_link: &Pose) -> Result<Option<Part>, B
     Ok(Some(Part { mass, com_b: body_from_inertial.position, inertia_b: r * inertia * r.transpose() }))
 }
 
-/// One body of several parts.
+/// Merges parts into one body.
 ///
 /// ```text
 /// I = Σ I_k + m_k (d_k² 1 − d_k d_kᵀ),   d_k = c_k − c
 /// ```
 pub(super) fn merge(name: String, parent: Option<usize>, parts: &[Part]) -> Result<Body, BuildError> {
-    // From 0.0, not `sum`, whose empty sum is −0 and reads oddly in an error.
+    // Starts at 0.0, because `sum` of nothing is −0, which is confusing in an error.
     let total = parts.iter().fold(0.0, |total, part| total + part.mass);
     let mass = check_number(&format!("mass of body `{name}`"), total, |m| m > 0.0, "a positive mass, in kg")?;
     let com_b = parts.iter().map(|part| part.mass * part.com_b).sum::<Vector3<f64>>() / mass;
@@ -57,7 +57,7 @@ pub(super) fn merge(name: String, parent: Option<usize>, parts: &[Part]) -> Resu
                 + part.mass * (Matrix3::from_diagonal_element(d.norm_squared()) - d * d.transpose())
         })
         .sum();
-    // Rotating a part leaves a last-digit asymmetry.
+    // Rotation of a part causes an asymmetry in the last digit.
     let inertia_b = 0.5 * (about_com + about_com.transpose());
     check::inertia_of_moving_body(&format!("inertia of body `{name}`"), &inertia_b)?;
     Ok(Body { name, parent, mass, com_b, inertia_b })

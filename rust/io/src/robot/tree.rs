@@ -1,4 +1,4 @@
-//! Builds a tree of moving bodies from a URDF's links and joints.
+//! Builds the tree of moving bodies from the links and joints of a URDF.
 
 use super::merge::{merge, part};
 use super::urdf::{Joint, Urdf};
@@ -8,22 +8,22 @@ use flight_core::spatial::{Pose, axis_angle};
 use nalgebra::{Unit, Vector3};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// A URDF robot, its fixed and locked joints gone.
+/// A URDF robot without its fixed and locked joints.
 pub(super) struct Tree {
-    /// Base first, then the body moved by each joint of the order.
+    /// The base, then the body of each joint in the joint order.
     pub(super) bodies: Vec<Body>,
-    /// One for each joint of the order.
+    /// One for each joint, in the joint order.
     pub(super) joints: Vec<TreeJoint>,
-    /// The body that carries each link, and the link's pose in it.
+    /// Body of each link, and the link's pose in it.
     places: BTreeMap<String, (usize, Pose)>,
 }
 
-/// What the URDF says about a joint.
+/// Data of a joint in the URDF.
 pub(super) struct TreeJoint {
     pub(super) kind: JointKind,
     pub(super) parent_from_child: Pose,
     pub(super) axis_b: Unit<Vector3<f64>>,
-    /// Limits of the URDF \[rad, m\]; a continuous joint has none.
+    /// Limits of the URDF \[rad, m\]; `None` for a continuous joint.
     pub(super) limits: Option<(f64, f64)>,
     /// Greatest torque of the URDF \[N m, N\].
     pub(super) torque_max: Option<f64>,
@@ -32,7 +32,7 @@ pub(super) struct TreeJoint {
 }
 
 impl Tree {
-    /// The frame of a link; `item` names the entry that refers to it.
+    /// Frame of a link; `item` names the entry that refers to it.
     pub(super) fn frame(&self, item: &str, link: &str) -> Result<Frame, BuildError> {
         let (body, body_from_frame) =
             *self.places.get(link).ok_or_else(|| BuildError::unknown_name(item, link, self.places.keys()))?;
@@ -40,7 +40,8 @@ impl Tree {
     }
 }
 
-/// Builds the tree whose moving joints are those of `order`; `locked` ones stay at their position \[rad, m\].
+/// Builds the tree whose moving joints are those of `order`; `locked` joints have a fixed position \[rad,
+/// m\].
 pub(super) fn build(
     urdf: &Urdf,
     base_link: &str,
@@ -108,17 +109,17 @@ pub(super) fn build(
         .zip(parts)
         .map(|((name, parent), parts)| merge(name, parent, &parts))
         .collect::<Result<_, _>>()?;
-    // Every joint of the order exists and every link was reached, so none is missing.
+    // Every joint of the order exists and every link has been reached, so none is missing.
     Ok(Tree { bodies, joints: joints.into_iter().flatten().collect(), places })
 }
 
-/// What a URDF joint does here.
+/// Role of a URDF joint in the tree.
 #[derive(Clone, Copy)]
 enum Motion {
     Fixed,
-    /// Held at a position \[rad, m\].
+    /// Fixed at a position \[rad, m\].
     Locked(JointKind, f64),
-    /// Moves, at this place in the joint order.
+    /// Moving, with this index in the joint order.
     Moving(JointKind, usize),
 }
 
@@ -157,7 +158,7 @@ fn motions(urdf: &Urdf, order: &[&str], locked: &BTreeMap<String, f64>) -> Resul
     urdf.joints.iter().map(motion).collect()
 }
 
-/// For each link, the joints whose parent it is and their child links.
+/// For each link, its child joints with their child links.
 fn children_of_links(urdf: &Urdf) -> Result<Vec<Vec<(usize, usize)>>, BuildError> {
     let index_of: BTreeMap<&str, usize> =
         urdf.links.iter().enumerate().map(|(i, link)| (link.name.as_str(), i)).collect();
@@ -181,7 +182,7 @@ fn children_of_links(urdf: &Urdf) -> Result<Vec<Vec<(usize, usize)>>, BuildError
     Ok(children)
 }
 
-/// The link nothing carries, which must be the base.
+/// Index of the link without a parent, which must be the base.
 fn base_index(urdf: &Urdf, children: &[Vec<(usize, usize)>], base_link: &str) -> Result<usize, BuildError> {
     let names = || urdf.links.iter().map(|link| link.name.as_str());
     let base = place_of("base_link", base_link, names())?;
@@ -198,7 +199,7 @@ fn base_index(urdf: &Urdf, children: &[Vec<(usize, usize)>], base_link: &str) ->
     }
 }
 
-/// With one root, a link that is not reached belongs to a cycle or descends from one.
+/// With one root, a link that is not reached is part of a cycle or below one.
 fn check_all_reached(
     urdf: &Urdf,
     places: &BTreeMap<String, (usize, Pose)>,

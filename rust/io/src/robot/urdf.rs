@@ -1,4 +1,4 @@
-//! The parts of a URDF that define a robot. Tags and attributes that do not concern bodies and joints are not read.
+//! Parser for those tags and attributes of a URDF that concern bodies and joints.
 
 use flight_core::error::{BuildError, check as check_number};
 use flight_core::robot::{JointKind, check};
@@ -6,10 +6,10 @@ use flight_core::spatial::{Pose, rotation_from_rpy};
 use nalgebra::{Matrix3, Unit, Vector3};
 use roxmltree::{Document, Node};
 
-/// Deepest nesting of tags, as in the JAX twin.
+/// Greatest depth of nested tags, as in the JAX twin.
 const MAX_DEPTH: usize = 64;
 
-/// The links and joints of a URDF, in its order.
+/// Links and joints of a URDF, in the order of the file.
 pub(super) struct Urdf {
     pub(super) links: Vec<Link>,
     pub(super) joints: Vec<Joint>,
@@ -21,7 +21,7 @@ pub(super) struct Link {
     pub(super) inertial: Option<Inertial>,
 }
 
-/// The mass of a link, its centre of mass, and its inertia about it.
+/// Mass of a link, its centre of mass, and the inertia about it.
 pub(super) struct Inertial {
     pub(super) origin: Origin,
     /// \[kg\]
@@ -30,20 +30,20 @@ pub(super) struct Inertial {
     pub(super) inertia: Matrix3<f64>,
 }
 
-/// A pose as a URDF writes it: position \[m\], and angles about fixed x, y and z \[rad\].
+/// A pose in the URDF's form: position \[m\], and angles about fixed x, y and z \[rad\].
 #[derive(Clone, Copy, Default)]
 pub(super) struct Origin {
     xyz: [f64; 3],
     rpy: [f64; 3],
 }
 
-/// A joint. Numbers that are not given have the URDF's defaults.
+/// A joint; missing numbers have the URDF's defaults.
 pub(super) struct Joint {
     pub(super) name: String,
     pub(super) origin: Origin,
     pub(super) parent: String,
     pub(super) child: String,
-    /// The joint that this one follows, if it does.
+    /// The joint that this one mimics, if any.
     pub(super) mimic: Option<String>,
     /// Greatest effort \[N m, N\] and velocity \[rad/s, m/s\].
     pub(super) effort: f64,
@@ -55,10 +55,10 @@ pub(super) struct Joint {
 }
 
 impl Urdf {
-    /// Reads a URDF; the error says what is no XML, missing, or no number.
+    /// Reads a URDF; the error states what is missing or invalid.
     pub(super) fn read(text: &str) -> Result<Self, String> {
         let document = Document::parse(text).map_err(|error| error.to_string())?;
-        // A tag has its ancestors, itself and the document.
+        // The count includes the tag itself and the document.
         if document.descendants().any(|node| node.is_element() && node.ancestors().count() > MAX_DEPTH + 1) {
             return Err(format!("tags nest more than {MAX_DEPTH} deep"));
         }
@@ -135,7 +135,7 @@ fn attribute<'a>(node: Node<'a, '_>, key: &str) -> Result<&'a str, String> {
     node.attribute(key).ok_or_else(|| format!("{} has no `{key}`", named(node)))
 }
 
-/// A tag, with the name of the link or joint that it belongs to.
+/// A tag, with the name of its link or joint.
 fn named(node: Node<'_, '_>) -> String {
     let tag = node.tag_name().name();
     match node.ancestors().find_map(|node| node.attribute("name").map(|name| (node.tag_name().name(), name)))
@@ -146,7 +146,7 @@ fn named(node: Node<'_, '_>) -> String {
     }
 }
 
-/// So many numbers of an attribute, or `default` where it is not given.
+/// The `N` numbers of an attribute, or `default` if it is missing.
 fn numbers<const N: usize>(
     node: Node<'_, '_>,
     key: &str,
@@ -168,7 +168,7 @@ fn number(node: Node<'_, '_>, key: &str, default: Option<f64>) -> Result<f64, St
 }
 
 impl Origin {
-    /// The pose; `item` says whose.
+    /// Converts to a pose; `item` names its owner in errors.
     pub(super) fn pose(&self, item: &str) -> Result<Pose, BuildError> {
         let position = check::finite(&format!("origin xyz of {item}"), &self.xyz)?;
         let rpy = check::finite(&format!("origin rpy of {item}"), &self.rpy)?;
@@ -181,7 +181,7 @@ impl Joint {
         check::unit(&format!("axis of joint `{}`", self.name), &self.axis)
     }
 
-    /// How the joint moves its child; `None` for one that does not.
+    /// Type of the joint; `None` for a fixed one.
     pub(super) fn kind(&self) -> Result<Option<JointKind>, BuildError> {
         match self.kind.as_str() {
             "fixed" => Ok(None),
@@ -194,7 +194,7 @@ impl Joint {
         }
     }
 
-    /// A limit of effort or velocity; `None` where the URDF says 0 or nothing.
+    /// Limit of effort or velocity; `None` if it is zero or missing in the URDF.
     pub(super) fn greatest(&self, key: &str, value: f64) -> Result<Option<f64>, BuildError> {
         let item = format!("URDF {key} limit of joint `{}`", self.name);
         check_number(&item, value, |x| x >= 0.0, "a number ≥ 0").map(|x| (x > 0.0).then_some(x))

@@ -1,5 +1,5 @@
-//! Ticks of real flights to measure on.
-#![allow(dead_code)] // each benchmark uses a part
+//! Ticks of recorded flights as input of the benchmarks.
+#![allow(dead_code)] // each benchmark uses a part of it
 
 use flight_core::control::ControllerState;
 use flight_core::kinematics::RobotState;
@@ -17,7 +17,7 @@ pub struct Tick {
     pub state: RobotState,
     pub thrust: Vec<f64>,
     pub wind: Vector3<f64>,
-    /// Wrenches on the feet that the controller can stand on: none.
+    /// Wrenches of the feet on which the controller can stand; empty.
     pub feet: Vec<Vector6<f64>>,
     pub momentum_qp: QpProblem,
     pub torque_qp: QpProblem,
@@ -39,7 +39,7 @@ pub fn repository() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
 }
 
-/// A flight of `configs/experiments/`.
+/// Loads a flight of `configs/experiments/`.
 pub fn configuration(name: &str) -> Result<ScenarioConfig, BuildError> {
     load_scenario(&repository().join(format!("configs/experiments/{name}.toml")))
 }
@@ -49,7 +49,7 @@ pub fn controller(config: &ScenarioConfig) -> Result<Controller, BuildError> {
     config.controller(robot)
 }
 
-/// Flies a configuration and keeps the ticks of a span of time \[s\].
+/// Flies a configuration and records the ticks in a span of time \[s\].
 pub fn record(config: &ScenarioConfig, span: &RangeInclusive<f64>) -> Result<Vec<Tick>, BuildError> {
     let mut controller = controller(config)?;
     let mut plant = Plant::new(load_robot(&config.robot)?, &config.simulator, &config.disturbances)?;
@@ -87,7 +87,7 @@ pub fn record(config: &ScenarioConfig, span: &RangeInclusive<f64>) -> Result<Vec
     Ok(ticks)
 }
 
-/// The state of a flight, which begins with its first measurement; `None` if it cannot.
+/// State of a flight that starts with its first measurement; `None` if it cannot start.
 pub fn started<'a>(
     controller: &mut Controller,
     state: &'a mut Option<ControllerState>,
@@ -104,12 +104,13 @@ pub fn calm() -> Result<Vec<Tick>, BuildError> {
     record(&configuration("test2")?, &(10.0..=12.0))
 }
 
-/// The last two seconds of TEST1 with the published lever arms: about to fall, many bounds active.
+/// The last two seconds of TEST1 with the published lever arms: shortly before the fall, many bounds
+/// active.
 pub fn saturated() -> Result<Vec<Tick>, BuildError> {
     record(&configuration("test1_published")?, &(19.0..=21.0))
 }
 
-/// A tick of a robot that stands, and the torque QP it makes.
+/// A tick of a standing robot, with its torque QP.
 pub struct StandingTick {
     pub state: RobotState,
     pub wind: Vector3<f64>,
@@ -117,8 +118,8 @@ pub struct StandingTick {
     pub torque_qp: QpProblem,
 }
 
-/// Ten seconds of standing in a side wind that rises to 15 m/s and that only the controller is given. There
-/// is no ground here: the joints sway by a degree, the measured weight shifts from one foot to the other.
+/// Ten seconds of standing in a side wind that rises to 15 m/s and that only the controller receives. There
+/// is no ground: the joints sway by a degree, and the measured weight shifts from one foot to the other.
 pub fn standing() -> Result<Vec<StandingTick>, BuildError> {
     let config = configuration("balancing_lateral")?;
     let mut controller = controller(&config)?;
@@ -148,7 +149,7 @@ pub fn standing() -> Result<Vec<StandingTick>, BuildError> {
 /// The p-quantile of sorted times.
 pub fn quantile(sorted: &[f64], p: f64) -> f64 {
     let last = sorted.len().saturating_sub(1);
-    // Truncation is meant: the nearest rank, never past the end.
+    // The nearest rank is at most `last`, so the conversion to an index is exact.
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
     let rank = (p * last as f64).round() as usize;
     sorted.get(rank).copied().unwrap_or(f64::NAN)

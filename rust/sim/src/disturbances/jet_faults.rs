@@ -1,6 +1,6 @@
-//! Faults of jets: a slow response, too little thrust, a dead engine.
+//! Faults of jets: slow response, weak thrust, failed engine.
 //!
-//! Kept apart from [`crate::jets::JetsConfig`], so that every fault goes with every kind of dynamics.
+//! Separate from [`crate::jets::JetsConfig`], so that every fault can be combined with all thrust dynamics.
 //!
 //! Equation M41 of `docs/model.md`.
 
@@ -21,21 +21,20 @@ pub struct JetFaultsConfig {
     /// One jet that fails.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub failure: Option<JetFailure>,
-    /// Thrust stays below this times the robot's greatest thrust; without it nothing but the controller
-    /// limits it, as published.
+    /// Limit of the thrust as a fraction of the robot's greatest thrust; without it only the controller limits the
+    /// thrust, as published.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub thrust_limit_scale: Option<f64>,
     /// Whether the controller's own limits are scaled as well, by `thrust_limit_scale`.
     pub limit_is_known: bool,
-    /// Time constant with which the commanded thrust rate takes effect \[s\]; zero for at once.
+    /// Time constant of a first-order lag of the commanded thrust rate \[s\]; zero for none.
     #[schemars(range(min = 0))]
     pub lag: f64,
-    /// Noise on the thrust that the estimators of second-order jets measure.
+    /// Noise of the measured thrust, which only the estimators of second-order jets use.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub measurement_noise: Option<MeasurementNoise>,
-    /// Force that a jet exerts, over the thrust that it seems to have, by its name; jets that are not named
-    /// exert their thrust.
+    /// Ratio of the force that a jet exerts to its thrust, by name; it is 1 for jets that are not named.
     pub force_scale: BTreeMap<String, f64>,
 }
 
@@ -45,28 +44,28 @@ pub struct JetFaultsConfig {
 pub struct JetFailure {
     /// Name of the jet.
     pub jet: String,
-    /// When it fails \[s\].
+    /// Time of the failure \[s\].
     #[schemars(range(min = 0))]
     pub time: f64,
-    /// How.
+    /// Kind of the failure.
     pub kind: FailureKind,
-    /// Time constant with which a jet that is off loses its thrust \[s\]; zero for at once.
+    /// Time constant with which the thrust of a jet that is off decays \[s\]; zero for at once.
     #[serde(default)]
     #[schemars(range(min = 0))]
     pub decay: f64,
 }
 
-/// What a failed jet does.
+/// Kind of a jet failure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum FailureKind {
-    /// Its thrust goes.
+    /// The thrust decays to zero.
     Off,
-    /// Its thrust stays where it is.
+    /// The thrust stays constant.
     Stuck,
 }
 
-/// White noise on measured thrusts.
+/// White noise of measured thrusts.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MeasurementNoise {
@@ -79,7 +78,7 @@ pub struct MeasurementNoise {
 }
 
 impl JetFaultsConfig {
-    /// Refuses names and numbers that mean nothing for `jets`.
+    /// Checks that names and values are valid for `jets`.
     ///
     /// # Errors
     /// [`BuildError`] naming the key, its value and what was expected.
@@ -110,7 +109,7 @@ impl JetFaultsConfig {
         table.check("lag", self.lag, |t| t >= 0.0, "seconds ≥ 0")
     }
 
-    /// Scales the limits of the controller's model, where they are known.
+    /// Scales the limits of the controller's model, if it knows them.
     pub fn apply_known_limits(&self, jets: &mut [Jet]) {
         if let (true, Some(scale)) = (self.limit_is_known, self.thrust_limit_scale) {
             for jet in jets {
@@ -120,26 +119,26 @@ impl JetFaultsConfig {
     }
 }
 
-/// Place of a jet in every thrust vector.
+/// Index of a jet in every thrust vector.
 fn index_of(key: &str, name: &str, jets: &[Jet]) -> Result<usize, BuildError> {
     place_of(format!("disturbances.jets.{key}"), name, jets.iter().map(|jet| &jet.name))
 }
 
-/// Faults in time.
+/// State of the faults.
 #[derive(Debug, Clone)]
 pub struct JetFaults {
-    /// Between the command and the jets.
+    /// Lag between the command and the jets.
     pub response: Response,
-    /// Between the jets and their estimators.
+    /// Noise between the jets and their estimators.
     pub sensor: Sensor,
     /// Greatest thrust of each jet \[N\]; infinite without a limit.
     limits: Vec<f64>,
-    /// Force of each jet over its thrust.
+    /// Ratio of each jet's force to its thrust.
     force_scale: Vec<f64>,
     failing: Option<Failing>,
 }
 
-/// A thrust rate that takes effect late.
+/// A lag of the thrust rate.
 #[derive(Debug, Clone)]
 pub struct Response {
     lag: f64,
@@ -147,7 +146,7 @@ pub struct Response {
 }
 
 impl Response {
-    /// Thrust rates \[N/s\] that reach the jets when these are commanded for the next `dt` \[s\], as many as these.
+    /// Thrust rates \[N/s\] that reach the jets if `command` is commanded for the next `dt` \[s\].
     pub fn delayed(&mut self, command: &[f64], dt: f64) -> &[f64] {
         for (delayed, command) in self.command.iter_mut().zip(command) {
             let share = if self.lag > 0.0 { -libm::expm1(-dt / self.lag) } else { 1.0 };
@@ -165,7 +164,7 @@ pub struct Sensor {
 }
 
 impl Sensor {
-    /// What is measured of a thrust \[N\].
+    /// Measured value of a thrust \[N\].
     pub fn measured(&mut self, thrust: f64) -> f64 {
         if self.std > 0.0 { thrust + self.std * self.noise.normal() } else { thrust }
     }
@@ -176,14 +175,14 @@ struct Failing {
     jet: usize,
     kind: FailureKind,
     decay: f64,
-    /// Time until the failure \[s\]; negative behind it.
+    /// Time until the failure \[s\]; negative afterwards.
     left: f64,
     /// Thrust at the failure \[N\].
     thrust: Option<f64>,
 }
 
 impl JetFaults {
-    /// Checked faults of `jets`.
+    /// Checks the faults and prepares them for `jets`.
     ///
     /// # Errors
     /// As [`JetFaultsConfig::check`].
@@ -212,13 +211,13 @@ impl JetFaults {
         })
     }
 
-    /// Force that a jet exerts over its thrust.
+    /// Ratio of the force that a jet exerts to its thrust.
     #[must_use]
     pub fn force_scale(&self, jet: usize) -> f64 {
         self.force_scale[jet]
     }
 
-    /// What a jet really gives after a step of `dt` \[s\] to `thrust` \[N\] and `thrust_rate` \[N/s\].
+    /// Limits thrust \[N\] and thrust rate \[N/s\] of a jet after a step of `dt` \[s\], and applies its failure.
     /// Call once per step and jet.
     pub fn limited(&mut self, jet: usize, thrust: f64, thrust_rate: f64, dt: f64) -> (f64, f64) {
         let (mut thrust, mut thrust_rate) = (thrust, thrust_rate);
@@ -230,7 +229,7 @@ impl JetFaults {
             return (thrust, thrust_rate);
         };
         failing.left -= dt;
-        // Half a step of slack: the sum of many steps is not exact.
+        // Half a step absorbs rounding in the sum of the steps.
         if failing.left > -0.5 * dt {
             return (thrust, thrust_rate);
         }

@@ -5,14 +5,14 @@ use flight_core::robot::RobotModel;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-/// How the controller's robot differs from the one that flies; not at all by default.
+/// Differences between the controller's robot and the simulated one; none by default.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct ModelError {
     /// Factor on all masses and inertias of the controller's robot.
     #[schemars(range(min = 0.01, max = 100))]
     pub mass_scale: f64,
-    /// Added to the base body's centre of mass in the controller's robot \[m, base axes\].
+    /// Offset of the base body's centre of mass in the controller's robot \[m, base axes\].
     #[schemars(inner(range(min = -10, max = 10)))]
     pub com_offset: [f64; 3],
 }
@@ -24,7 +24,7 @@ impl Default for ModelError {
 }
 
 impl ModelError {
-    /// Refuses numbers that do not make a robot.
+    /// Checks that every value is in its range.
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
@@ -47,7 +47,7 @@ impl ModelError {
         Ok(())
     }
 
-    /// The robot with these errors.
+    /// Returns the robot with these errors.
     #[must_use]
     pub fn apply(&self, mut robot: RobotModel) -> RobotModel {
         for body in &mut robot.bodies {

@@ -10,26 +10,26 @@ use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// A channel that fails for a while.
+/// A temporary failure of one channel.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Outage {
-    /// What is not measured.
+    /// Channel that fails.
     pub channel: OutageChannel,
-    /// Name of the jet whose thrust it is; without it, of all jets.
+    /// Name of the jet whose thrust fails; without it, all jets.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub jet: Option<String>,
-    /// When it begins \[s\]; a flight begins with everything measured.
+    /// Start of the outage \[s\]; the first measurement of a flight is complete.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub start: f64,
-    /// How long it lasts \[s\]; without it, for ever.
+    /// Duration of the outage \[s\]; without it, to the end of the flight.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub duration: Option<f64>,
     /// What is measured instead.
     pub kind: OutageKind,
-    /// Of a wrong value: added to every component, or the angle by which a rotation is turned about inertial x
-    /// \[the channel's units\].
+    /// Error of a wrong value \[unit of the channel\]: added to every component; for a rotation, an angle
+    /// about inertial x.
     #[serde(default = "one")]
     pub error: f64,
 }
@@ -38,7 +38,7 @@ fn one() -> f64 {
     1.0
 }
 
-/// What is not measured.
+/// Channel that fails.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum OutageChannel {
@@ -56,7 +56,7 @@ pub enum OutageChannel {
     BaseVelocity,
 }
 
-/// What is measured instead.
+/// What is measured during an outage.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum OutageKind {
@@ -64,14 +64,14 @@ pub enum OutageKind {
     Missing,
     /// The first component is NaN.
     Nan,
-    /// What was measured when it began.
+    /// The value at the start of the outage.
     Frozen,
-    /// Something else, by `error`.
+    /// A value with the error `error`.
     Wrong,
 }
 
 impl Outage {
-    /// Refuses times and names that mean nothing for `jets`; `index` is its place in the list.
+    /// Checks that times and names are valid for `jets`; `index` is the position of the outage in the list.
     ///
     /// # Errors
     /// [`BuildError`] naming the key, its value and what was expected.
@@ -100,14 +100,14 @@ impl Outage {
         Ok(())
     }
 
-    /// Whether it is going on at `time` \[s\]. Half a microsecond is for the rounding of times.
+    /// Whether the outage is active at `time` \[s\]. Half a microsecond absorbs the rounding of times.
     fn is_on(&self, time: f64) -> bool {
         let since = time - self.start + 5e-7;
         since >= 0.0 && self.duration.is_none_or(|duration| since < duration)
     }
 }
 
-/// What is measured at a tick.
+/// Measurement of a tick.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sample {
     /// Pose and velocity of the robot.
@@ -118,15 +118,15 @@ pub struct Sample {
     pub wind: Vector3<f64>,
 }
 
-/// Outages in time.
+/// State of all outages.
 #[derive(Debug, Clone)]
 pub struct Outages {
-    /// Each with the jets that it concerns, and what was measured when it began.
+    /// Each with its jets, and the measurement at its start.
     outages: Vec<(Outage, Vec<usize>, Option<Sample>)>,
 }
 
 impl Outages {
-    /// Checked outages of a robot with these jets.
+    /// Checks the outages and prepares them for a robot with these jets.
     ///
     /// # Errors
     /// As [`Outage::check`].
@@ -140,7 +140,7 @@ impl Outages {
         Ok(Self { outages: outages.iter().enumerate().map(place).collect::<Result<_, _>>()? })
     }
 
-    /// Spoils what is measured at `time` \[s\].
+    /// Applies the outages to the measurement at `time` \[s\].
     pub fn spoil(&mut self, time: f64, sample: &mut Sample) {
         for (outage, jets, held) in &mut self.outages {
             if !outage.is_on(time) {

@@ -11,32 +11,32 @@ use flight_core::error::{BuildError, Table};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-/// Longest delay \[s\]: the delay line is kept in memory.
+/// Greatest delay \[s\], because the delay line is kept in memory.
 const MAX_DELAY: f64 = 1000.0;
 
-/// Errors of the wind estimate; none by default.
+/// Errors of the measured wind; none by default.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct WindEstimateConfig {
-    /// Added to the wind \[m/s, inertial axes\].
+    /// Bias of the wind \[m/s, inertial axes\].
     pub bias: [f64; 3],
-    /// Standard deviation of white noise on every axis, drawn anew each tick \[m/s\].
+    /// Standard deviation of white noise on every axis, drawn in every tick \[m/s\].
     #[schemars(range(min = 0))]
     pub noise_std: f64,
-    /// Age of the wind that is given, rounded to ticks \[s\].
+    /// Age of the wind, rounded to ticks \[s\].
     #[schemars(range(min = 0, max = 1000))]
     pub delay: f64,
-    /// Time constant of a first-order low pass behind all other errors \[s\]; zero for none.
+    /// Time constant of a first-order low pass after all other errors \[s\]; zero for none.
     #[schemars(range(min = 0))]
     pub time_constant: f64,
-    /// Whether only the mean over the flight is given.
+    /// Whether the controller receives the mean over the flight only.
     pub mean_only: bool,
     /// Seed of the noise.
     pub seed: u64,
 }
 
 impl WindEstimateConfig {
-    /// Refuses numbers that mean nothing.
+    /// Checks that every value is in its range.
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
@@ -51,26 +51,28 @@ impl WindEstimateConfig {
     }
 }
 
-/// The estimate in time; call once per tick.
+/// State of the measured wind; update once per tick.
 #[derive(Debug, Clone)]
 pub struct WindEstimator {
-    /// Given instead of the wind, if anything is.
+    /// Replaces the wind if `mean_only` is set.
     mean: Option<Vector3<f64>>,
     bias: Vector3<f64>,
     noise_std: f64,
     noise: Noise,
-    /// Age of the wind that is given, in ticks.
+    /// Age of the wind in ticks.
     age: usize,
-    /// The last winds, a ring as long as the age when it is full; `next` is then the oldest.
+    /// The last winds: when full, a ring buffer as long as the age, with the oldest entry at
+    /// `next`.
     line: Vec<Vector3<f64>>,
     next: usize,
-    /// Share of the way that the low pass goes per tick.
+    /// Fraction of the difference that the low pass corrects per tick.
     step: f64,
     filtered: Option<Vector3<f64>>,
 }
 
 impl WindEstimator {
-    /// An estimator that is updated every `time_step` \[s\]; `mean` is the mean wind of the flight.
+    /// Builds the estimator, which is updated every `time_step` \[s\]; `mean` is the mean wind of
+    /// the flight.
     ///
     /// # Errors
     /// As [`WindEstimateConfig::check`].
@@ -95,16 +97,17 @@ impl WindEstimator {
         })
     }
 
-    /// Estimate of this tick, from the true wind of this tick \[m/s, inertial axes\].
+    /// Measured wind of this tick, from the true wind of this tick \[m/s, inertial axes\].
     ///
-    /// Before the delay has passed, the first wind is given; the low pass starts settled.
+    /// Until the delay has passed, it is that of the first wind; the low pass starts in its steady
+    /// state.
     pub fn update(&mut self, wind_i: &Vector3<f64>) -> Vector3<f64> {
         let mut estimate = self.delayed(&self.mean.unwrap_or(*wind_i)) + self.bias;
         if self.noise_std > 0.0 {
             estimate += self.noise_std * Vector3::from_fn(|_, _| self.noise.normal());
         }
         let before = self.filtered.unwrap_or(estimate);
-        // Without a filter to the last bit: a difference that is added back is not.
+        // Without a filter the value must be exact; adding a difference back is not.
         let filtered = if self.step < 1.0 { before + (estimate - before) * self.step } else { estimate };
         self.filtered = Some(filtered);
         filtered

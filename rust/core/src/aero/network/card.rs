@@ -1,27 +1,27 @@
-//! The card of a network: inputs, outputs and origin of its weights.
+//! The card of a network: inputs, outputs and architecture of its weights.
 
 use crate::error::{BuildError, check, place_of};
 use crate::robot::{AxisymmetricCoefficients, RobotModel};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
-/// Widest layer and greatest number of layers or members; far beyond what can be flown.
+/// Upper limit of layer width and of the number of layers or members, far above any practical network.
 const MAX_SIZE: usize = 1 << 16;
 
-/// What the weights of a network mean.
+/// Description of the weights of a network.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Card {
-    /// Where the card comes from; named in errors.
+    /// File or source of the card; named in errors.
     pub origin: String,
-    /// What goes in.
+    /// Inputs.
     pub inputs: Inputs,
-    /// What comes out.
+    /// Outputs.
     pub output: Output,
-    /// What lies between.
+    /// Layers and ensemble.
     pub architecture: Architecture,
 }
 
-/// What goes in.
+/// Inputs of a network.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Inputs {
@@ -33,24 +33,24 @@ pub struct Inputs {
     pub links: Vec<String>,
 }
 
-/// One block of the input vector. `û` is the unit vector of the air's velocity relative to the base
-/// origin, the x axis of the base in still air.
+/// One block of the input vector. `û` is the unit vector of the air's velocity relative to the base origin;
+/// in still air it is the x axis of the base.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Feature {
     /// `û` in base axes.
     Wind,
-    /// Joint angles in degrees over 180.
+    /// Joint angles in degrees, divided by 180.
     Joints,
     /// `û` in the axes of every link, link by link.
     LinkWind,
-    /// Every link's aerodynamic centre from the base origin \[m, base axes\], link by link.
+    /// Aerodynamic centre of every link relative to the base origin \[m, base axes\], link by link.
     LinkPosition,
-    /// How far every link stands in the wake of the others; one number each.
+    /// Shadow of the other links on every link (M24), one number each.
     LinkShadow,
 }
 
-/// What comes out: a force area for each link.
+/// Output of a network: a force area for each link.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Output {
@@ -58,7 +58,7 @@ pub struct Output {
     pub frame: OutputFrame,
     /// Order of the numbers.
     pub layout: Layout,
-    /// Always `m^2`.
+    /// Unit of the areas; always `m^2`.
     pub unit: String,
 }
 
@@ -84,23 +84,23 @@ pub enum Layout {
     Link,
 }
 
-/// What lies between.
+/// Architecture of a network.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Architecture {
     /// Widths of the hidden layers.
     pub hidden: Vec<usize>,
-    /// After every hidden layer.
+    /// Activation after every hidden layer.
     pub activation: Activation,
-    /// Networks of this shape whose outputs are averaged.
+    /// Number of networks of this shape whose outputs are averaged.
     pub members: usize,
-    /// Whether the output of the mirrored input is mirrored and averaged in.
+    /// Whether the output of the mirrored input is mirrored and averaged with the output.
     pub mirror: bool,
-    /// What the network's output is added to.
+    /// Model to whose force areas the output is added.
     pub baseline: Option<Baseline>,
 }
 
-/// After every hidden layer.
+/// Activation after every hidden layer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Activation {
@@ -112,13 +112,13 @@ pub enum Activation {
     Silu,
 }
 
-/// What the network's output is added to.
+/// Model to whose force areas the network's output is added.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Baseline {
     /// The axisymmetric model, evaluated with the network's wind.
     Axisymmetric {
-        /// Coefficients by link.
+        /// Coefficients of each link.
         links: BTreeMap<String, AxisymmetricCoefficients>,
     },
 }
@@ -139,15 +139,15 @@ impl Card {
             .sum()
     }
 
-    /// Numbers of the baseline in the order of the links.
+    /// Coefficients of the baseline in the order of the links.
     #[must_use]
     pub fn baseline_coefficients(&self) -> Option<Vec<AxisymmetricCoefficients>> {
         let Baseline::Axisymmetric { links } = self.architecture.baseline.as_ref()?;
-        // Every link is there: `check` has seen to it.
+        // `check` has ensured that every link is present.
         Some(self.inputs.links.iter().filter_map(|link| links.get(link).copied()).collect())
     }
 
-    /// Refuses a card that makes no sense, or not for `robot`.
+    /// Checks that the card is consistent and matches `robot`.
     ///
     /// # Errors
     /// [`BuildError`] naming the card, the key, its value and what was expected.

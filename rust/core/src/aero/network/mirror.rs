@@ -1,4 +1,4 @@
-//! Mirror symmetry of a robot: the image of every joint and link, found from the robot itself.
+//! Mirror symmetry of a robot: the image of every joint and link, determined from the robot's model.
 //!
 //! Equation M25 of `docs/model.md`.
 
@@ -7,7 +7,8 @@ use crate::kinematics::Kinematics;
 use crate::robot::RobotModel;
 use nalgebra::{Matrix3, Vector3};
 
-/// How far images may be from where the mirror shows them \[m\], and joint axes from parallel.
+/// Greatest distance between a mirrored link and its image \[m\]; for joint axes, greatest deviation of the
+/// cosine from ±1.
 const TOLERANCE: f64 = 0.02;
 
 /// Reflection about the x-z plane of the base.
@@ -19,9 +20,10 @@ pub fn reflect(v: &Vector3<f64>) -> Vector3<f64> {
 /// The mirror image of every joint and link.
 #[derive(Debug, Clone)]
 pub struct Mirror {
-    /// For every joint that is an input the place of its image among them, and the sign of its angle there.
+    /// For every joint that is an input: the index of its image among the inputs, and the sign of the image's
+    /// angle.
     pub joints: Vec<(usize, f64)>,
-    /// For every link its image, and the map from its axes to those of the image:
+    /// For every link: the index of its image, and the map from the link's axes to those of the image:
     ///
     /// ```text
     /// T_l = R_l'ᵀ S R_l   at zero joints, S = diag(1, −1, 1)
@@ -30,13 +32,13 @@ pub struct Mirror {
 }
 
 impl Mirror {
-    /// Finds the image of every link, and of every joint in `joints` (indices of the robot).
+    /// Finds the image of every link, and of every joint in `joints` (indices of the robot's joints).
     ///
-    /// Names pair left and right; kinematics at zero joints says which way images turn and whether
-    /// they are images at all.
+    /// Left and right are paired by name. The kinematics at zero joint positions give the signs and verify
+    /// the symmetry.
     ///
     /// # Errors
-    /// A joint or link whose image is absent, somewhere else, or turns about another axis.
+    /// A joint or link whose image is absent, is at another place, or turns about another axis.
     pub fn new(robot: &RobotModel, joints: &[usize]) -> Result<Self, BuildError> {
         let kinematics = Kinematics::new(robot);
         let names: Vec<&str> = joints.iter().map(|&joint| robot.joints[joint].name.as_str()).collect();
@@ -44,7 +46,8 @@ impl Mirror {
             let image = place_of_image(&names, name, "joint")?;
             let motion = &kinematics.bodies[joint + 1];
             let other = &kinematics.bodies[joints[image] + 1];
-            // A direction is mirrored by the reflection, an axis of rotation against it, as a torque is.
+            // The reflection maps polar vectors; axial vectors, such as axes of rotation, change sign in
+            // addition.
             let cosine = other.joint_linear_i.dot(&reflect(&motion.joint_linear_i))
                 - other.joint_angular_i.dot(&reflect(&motion.joint_angular_i));
             if cosine.abs() < 1.0 - TOLERANCE {
@@ -75,7 +78,8 @@ impl Mirror {
     }
 }
 
-/// Where the image of `name` stands among `names`: left for right, itself in the middle.
+/// Index of the image of `name` among `names`: `l` and `r` are exchanged; a name without them is its own
+/// image.
 fn place_of_image(names: &[&str], name: &str, kind: &str) -> Result<usize, BuildError> {
     let swapped: Vec<&str> = name
         .split('_')

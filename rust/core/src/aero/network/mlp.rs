@@ -1,9 +1,9 @@
-//! Multilayer perceptrons, one sample or a mirrored pair at a time.
+//! Multilayer perceptrons, evaluated for one sample or for a sample and its mirror image.
 //!
-//! A matrix is stored in panels of rows, entry by entry of the input: the sums of one panel stay in registers
-//! while its weights are read once, for both samples of a pair. The vectors are those that
-//! `linalg::dispatch` finds. They multiply and add in two steps everywhere, so that every processor computes
-//! the same bits.
+//! A matrix is stored in panels of rows, column by column: the sums of one panel stay in registers while its
+//! weights are read once, for both samples of a pair. `linalg::dispatch` selects the vector length of the
+//! processor. Multiplication and addition are rounded separately, so that every processor computes the same
+//! bits.
 
 use super::card::{Activation, Architecture};
 use super::tensors::Tensors;
@@ -13,20 +13,20 @@ use crate::linalg::{dispatch, dispatch_plain};
 use pulp::{Simd, WithSimd};
 use std::fmt::Debug;
 
-/// Two samples that are evaluated at once, the second being the mirrored one. Unused where nothing is mirrored.
+/// Values of two samples that are evaluated together; the second is the mirrored one, unused without mirroring.
 pub type Pair = [f64; 2];
 
-/// A floating-point type that weights are widened to.
+/// Floating-point type that the weights are converted to.
 trait Real: Copy + Debug + Default + 'static {
-    /// Numbers in the longest vectors there are, of 64 bytes.
+    /// Numbers in a vector of 64 bytes, the longest supported.
     const LANES: usize = 64 / size_of::<Self>();
-    /// A vector of them.
+    /// A vector of these numbers.
     type Vector<S: Simd>: Copy;
-    /// The whole vectors of a slice.
+    /// The complete vectors of a slice.
     fn vectors<S: Simd>(x: &[Self]) -> &[Self::Vector<S>];
     fn vectors_mut<S: Simd>(x: &mut [Self]) -> &mut [Self::Vector<S>];
     fn splat<S: Simd>(simd: S, x: Self) -> Self::Vector<S>;
-    /// `a + b c`, rounded twice.
+    /// `a + b c` with two roundings.
     fn add_product<S: Simd>(
         simd: S,
         a: Self::Vector<S>,
@@ -68,7 +68,7 @@ impl Real for f32 {
         x
     }
 
-    #[allow(clippy::cast_possible_truncation)] // to single precision, as configured
+    #[allow(clippy::cast_possible_truncation)] // single precision is configured
     fn from_f64(x: f64) -> Self {
         x as Self
     }
@@ -77,7 +77,7 @@ impl Real for f32 {
         f64::from(self)
     }
 
-    // Comparisons this way round let a NaN through, and are one instruction.
+    // Written so that a NaN is returned unchanged; compiles to one instruction.
     #[inline(always)]
     fn relu(self) -> Self {
         if self < 0.0 { 0.0 } else { self }
@@ -145,9 +145,9 @@ impl Real for f64 {
 /// One layer: `W x + b`.
 #[derive(Debug, Clone)]
 struct Layer<T> {
-    /// Panel by panel, input by input, V vectors of 64 bytes each; rows past the last are zero.
+    /// By panel, then input, V vectors of 64 bytes each; padding rows are zero.
     weights: Vec<T>,
-    /// Filled up to whole panels with zeros.
+    /// Padded with zeros to complete panels.
     bias: Vec<T>,
     inputs: usize,
 }
@@ -168,7 +168,7 @@ impl<T: Real> Layer<T> {
         }
     }
 
-    /// Writes `activate(W x + b)` to `out`, sample by sample, panels filled up.
+    /// Writes `activate(W x + b)` to `out` for every sample, including the padding rows.
     fn apply<const V: usize, const B: usize>(
         &self,
         x: &[Vec<T>; B],
@@ -190,7 +190,7 @@ impl<T: Real> Layer<T> {
     }
 }
 
-/// `W x + b` of a layer, for every sample.
+/// Computation of `W x + b` of a layer for every sample.
 struct Sums<'a, T, const V: usize, const B: usize> {
     layer: &'a Layer<T>,
     x: &'a [Vec<T>; B],
@@ -204,7 +204,7 @@ impl<T: Real, const V: usize, const B: usize> WithSimd for Sums<'_, T, V, B> {
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { layer: Layer { weights, bias, inputs }, x, out } = self;
         let height = V * T::LANES;
-        // Vectors of this processor in a panel, V at a time.
+        // A panel holds this many vectors of the processor; V of them are summed at a time.
         let vectors = T::vectors::<S>(&bias[..height.min(bias.len())]).len();
         for (panel, bias) in bias.chunks_exact(height).enumerate() {
             let weights = &weights[panel * height * inputs..][..height * inputs];
@@ -232,7 +232,7 @@ impl<T: Real, const V: usize, const B: usize> WithSimd for Sums<'_, T, V, B> {
     }
 }
 
-/// Networks of one shape and the space to evaluate them in: panels of `V` vectors, `B` samples at once.
+/// Networks of one shape and their workspace: panels of `V` vectors, `B` samples at once.
 #[derive(Debug, Clone)]
 struct Mlp<T, const V: usize, const B: usize> {
     members: Vec<Vec<Layer<T>>>,
@@ -273,7 +273,7 @@ impl<T: Real, const V: usize, const B: usize> Mlp<T, V, B> {
         })
     }
 
-    /// Mean of the members' outputs.
+    /// Writes the mean of the members' outputs.
     fn evaluate(&mut self, inputs: &[Pair], outputs: &mut [Pair]) {
         for (b, x) in self.input.iter_mut().enumerate() {
             for (x, input) in x.iter_mut().zip(inputs) {
@@ -306,8 +306,8 @@ impl<T: Real, const V: usize, const B: usize> Mlp<T, V, B> {
     }
 }
 
-/// The networks, in the configured precision and for one or two samples. The eight sums of
-/// a pass hide the latency of an addition, and fill half of sixteen vector registers.
+/// The networks in the configured precision, for one or two samples. The eight sums of a pass hide the latency
+/// of an addition and use half of sixteen vector registers.
 #[derive(Debug, Clone)]
 pub struct Evaluator(Kind);
 
@@ -320,10 +320,10 @@ enum Kind {
 }
 
 impl Evaluator {
-    /// Takes the weights of all members.
+    /// Takes the weights of all members from `tensors`.
     ///
     /// # Errors
-    /// [`BuildError`] naming the tensor that is absent, misshapen or not finite.
+    /// [`BuildError`] naming the tensor that is absent, has the wrong shape or is not finite.
     pub fn load(
         tensors: &mut Tensors,
         architecture: &Architecture,
@@ -338,8 +338,7 @@ impl Evaluator {
         }))
     }
 
-    /// Writes the mean of the members' outputs for both samples; the second stays zero where nothing is
-    /// mirrored.
+    /// Writes the mean of the members' outputs for both samples; the second stays zero without mirroring.
     pub fn evaluate(&mut self, inputs: &[Pair], outputs: &mut [Pair]) {
         match &mut self.0 {
             Kind::Single(mlp) => mlp.evaluate(inputs, outputs),
@@ -354,7 +353,7 @@ impl Evaluator {
 mod tests {
     use super::*;
 
-    /// A layer without inputs is its bias.
+    /// A layer without inputs returns its bias.
     #[test]
     fn a_layer_without_inputs_is_its_bias() {
         let bias: Vec<f32> = (0..40_u8).map(|row| 0.5 - f32::from(row)).collect();
@@ -364,7 +363,7 @@ mod tests {
         assert!(out.iter().all(|out| out[..bias.len()] == bias[..]));
     }
 
-    /// Saturation, and a NaN that stays one.
+    /// Activations saturate, and a NaN remains NaN.
     #[test]
     fn activations_are_total() {
         assert_eq!((Real::tanh(1e30_f32), Real::tanh(-1e30_f32)), (1.0, -1.0));

@@ -1,18 +1,18 @@
-//! The weights of a network: tensors by name, each taken once.
+//! The weights of a network: tensors by name, each of which is taken once.
 
 use crate::error::BuildError;
 use std::collections::BTreeMap;
 
-/// Numbers in a shape, row-major.
+/// A row-major array.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tensor {
     /// Length of every axis.
     pub shape: Vec<usize>,
-    /// As many numbers as the product of the shape.
+    /// Values; their number is the product of the shape.
     pub values: Vec<f32>,
 }
 
-/// Tensors by name, until each is taken.
+/// Tensors that have not been taken yet, by name.
 #[derive(Debug, Clone)]
 pub struct Tensors {
     origin: String,
@@ -26,11 +26,11 @@ impl Tensors {
         Self { origin, entries }
     }
 
-    /// Takes a tensor of the given shape, every number finite.
+    /// Removes and returns a tensor of the given shape whose numbers are all finite.
     ///
     /// # Errors
-    /// [`BuildError`] naming the tensor, for one that is absent, of another shape, or that holds a number
-    /// that is not finite.
+    /// [`BuildError`] naming the tensor, if it is absent, has another shape or contains a number that is not
+    /// finite.
     pub fn take(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f32>, BuildError> {
         let item = |what: &str| format!("{what} of tensor `{name}` in {}", self.origin);
         let Some(Tensor { shape: found, values }) = self.entries.remove(name) else {
@@ -47,10 +47,10 @@ impl Tensors {
         Ok(values)
     }
 
-    /// Refuses tensors that were not taken.
+    /// Checks that every tensor has been taken.
     ///
     /// # Errors
-    /// [`BuildError::Malformed`] naming the first of them.
+    /// [`BuildError::Malformed`] naming the first tensor that was not taken.
     pub fn finish(self) -> Result<(), BuildError> {
         match self.entries.keys().next() {
             None => Ok(()),
