@@ -136,7 +136,7 @@ def given(config: Table) -> dict[str, Any]:
     """Return what a file of this configuration would hold: as `plain`, without the keys that have no value."""
 
     def whole(value: Any) -> Any:
-        if isinstance(value, list):
+        if isinstance(value, list | tuple):
             return [whole(item) for item in value]
         if isinstance(value, dict):
             return {key: whole(item) for key, item in value.items() if item is not None}

@@ -180,7 +180,7 @@ SPOILT = {
     "angular velocity": {"simulator.initial.base_velocity": [0.0, 0.0, 0.0, 0.0, -101.0, 0.0]},
     "joint velocity": {"simulator.divergence.joint_velocity": 1e-6},
     "joint more": {"simulator.divergence.joint_excess": 0.25, "simulator.joint_stops": False},
-    "thrust": {"simulator.initial.thrust": [98.0, 98.0, 2201.0, 113.0]},
+    "thrust": {"simulator.divergence.thrust_ratio": 0.5},
 }
 
 

@@ -101,7 +101,7 @@ def test_weights_that_are_a_device_or_huge_are_not_read(tmp_path):
         rust.check_config(config)
 
 
-@pytest.mark.parametrize("key", ["wind.velocity", "simulator.initial.thrust", "controller.momentum.c0"])
+@pytest.mark.parametrize("key", ["wind.velocity", "simulator.initial.base_velocity", "controller.momentum.c0"])
 def test_a_number_that_nothing_has_is_refused_in_both_languages(key):
     config = rust.load_config("test2")
     *parents, last = key.split(".")
