@@ -57,7 +57,7 @@ def _parser() -> argparse.ArgumentParser:
     which = parser.add_mutually_exclusive_group()
     known = "one of --list, or the path of a TOML file"
     named = which.add_argument("names", nargs="*", default=[], metavar="NAME", help=known)
-    cli.completes(named, lambda: places.names("experiments"))
+    cli.complete_with(named, lambda: places.names("experiments"))
     study.add_set(parser)
     which.add_argument("--all", action="store_true", help="every experiment of configs/experiments")
     parser.add_argument("--engine", choices=sorted(MODULES), help="engine (default: that of the configuration)")

@@ -27,8 +27,8 @@ from matplotlib.figure import Figure
 from experiments.import_cfd import known_postures
 from jax_aero import air, places
 from jax_aero.aero import AeroModel, LinkConventions, aero_model, link_forces
-from jax_aero.aero.dataset import JOINTS, Floats, in_robot_order, tunnel_from_base
-from jax_aero.cli import Parser, completes
+from jax_aero.aero.dataset import JOINTS, Floats, reorder_joints, tunnel_from_base
+from jax_aero.cli import Parser, complete_with
 from jax_aero.command import exit_status
 from jax_aero.files import complete_file
 from jax_aero.kinematics import kinematics
@@ -105,12 +105,12 @@ def _parser() -> Parser:
     models = parser.add_argument(
         "--model", nargs="+", default=["axisymmetric_corrected"], metavar="NAME", help="names in configs/aero, or paths"
     )
-    completes(models, lambda: places.names("aero"))
+    complete_with(models, lambda: places.names("aero"))
     parser.add_argument(
         "--beside", nargs="+", default=[], choices=["cfd_tunnel", "wind_tunnel"], help="tables of configs/tables"
     )
     robots = parser.add_argument("--robot", default="ironcub_mk1", metavar="NAME", help="name or path of a robot file")
-    completes(robots, lambda: places.names("robot"))
+    complete_with(robots, lambda: places.names("robot"))
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the files (default results/air)")
     return parser
 
@@ -144,7 +144,7 @@ def posture(robot: RobotModel, name: str) -> Floats:
         raise ValueError(f"--posture is `{name}`{places.did_you_mean(name, ['zero', *known])}")
     if not set(JOINTS) <= set(robot.joint_names):
         raise ValueError(f"{robot.name} has not the joints of the named postures; expected --posture zero")
-    return in_robot_order(robot.joint_names, known[name])
+    return reorder_joints(robot.joint_names, known[name])
 
 
 def loads(robot: RobotModel, aero: AeroModel, joints: Floats, alphas: Floats, betas: Floats, speed: float) -> Loads:
@@ -159,11 +159,11 @@ def _all_loads(robot: RobotModel, aero: AeroModel, joints: Array, winds: Array) 
     still = State(jnp.zeros(3), jnp.eye(3), joints, jnp.zeros(6 + joints.shape[0]))
     kin = kinematics(robot, still)
 
-    def one(wind: Array) -> tuple[Array, Array]:
+    def loads_in_wind(wind: Array) -> tuple[Array, Array]:
         link = link_forces(aero, robot, kin, LinkConventions(), wind)
         return link.forces, cross(link.arm_points - kin.com, link.forces)
 
-    return jax.vmap(one)(winds)
+    return jax.vmap(loads_in_wind)(winds)
 
 
 def points(table: str, name: str, alphas: Floats, betas: Floats) -> list[dict[str, Any]]:

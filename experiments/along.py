@@ -59,7 +59,7 @@ def compute(_: str, asked: Along) -> Findings:
     runs = {name: _read(name) for name in asked.flights}
     consumption = tables.read(asked.plan)["fuel"]
     fuel = {jet: tables.convert(points, Consumption, asked.plan.name) for jet, points in consumption.items()}
-    data = of_runs(runs, fuel, float(tables.read(asked.trim)["plume_length"]))
+    data = fuel_and_clearance(runs, fuel, float(tables.read(asked.trim)["plume_length"]))
     summary = figures(data)
     report = "\n".join(
         f"  {name:<26} " + ", ".join(f"{key} {value:.4g}" for key, value in found.items())
@@ -82,11 +82,11 @@ def _read(name: str) -> xr.Dataset:
     path = _file(name)
     if not path.is_file():
         raise Refused(f"no flight `{name}`; fly it with: python -m experiments {name}")
-    with record.opened(path) as opened:
+    with record.open_result(path) as opened:
         return opened[["joint_position", "thrust"]].load().assign_attrs(opened.attrs)
 
 
-def of_runs(runs: dict[str, xr.Dataset], fuel: dict[str, Consumption], plume_length: float) -> xr.Dataset:
+def fuel_and_clearance(runs: dict[str, xr.Dataset], fuel: dict[str, Consumption], plume_length: float) -> xr.Dataset:
     """Return fuel burnt [l] and clearance [m] of every flight up to its loss, on common times."""
     robot = load_robot(ROBOT)
     for name, run in runs.items():
@@ -126,7 +126,7 @@ def clearance_of(robot: Any, plume_length: float) -> tuple[ca.Function, list[str
     found = pairs(tree, plume_length)
     jets = [jet.name for jet in robot.jets]
     least = [ca.mmin(ca.vertcat(*(pair.distance for pair in found if pair.jet == jet))) for jet in jets]
-    (here,) = tree.here(ca.vertcat(*least))
+    (here,) = tree.evaluate_at_base(ca.vertcat(*least))
     origin = ca.SX(ca.DM([0.0, 0.0, 0.0, *np.eye(3).ravel(order="F")]))
     placed = ca.substitute(here, ca.vertcat(tree.base_position, ca.vec(tree.base_rotation)), origin)
     return ca.Function("clearance", [tree.joint_position], [placed]), jets

@@ -42,7 +42,7 @@ def compute(_: str, asked: ArmEngines) -> Findings:
         shutil.copy(ROBOT.with_suffix(".urdf"), folder)
         for engine, limit in ENGINES.items():
             path = Path(folder) / f"{engine}.toml"
-            path.write_text(with_arms(ROBOT.read_text(encoding="utf-8"), engine, limit), encoding="utf-8")
+            path.write_text(replace_arm_engines(ROBOT.read_text(encoding="utf-8"), engine, limit), encoding="utf-8")
             for name, config in flights.items():
                 found[f"{name} {engine}"] = outcome_of(rust.fly({**config, "robot": str(path)}))
     rows = [[found[f"{name} {engine}"] for engine in ENGINES] for name in flights]
@@ -64,7 +64,7 @@ STUDY = Study("arm_engines", __doc__, ArmEngines, compute, ("paper",), engine="r
 main = STUDY.main
 
 
-def with_arms(robot: str, engine: str, limit: float) -> str:
+def replace_arm_engines(robot: str, engine: str, limit: float) -> str:
     """Return the text of a robot's file with another engine and thrust limit [N] in both arms."""
     parts = robot.split("[[jets]]")
     for index, part in enumerate(parts):

@@ -83,7 +83,7 @@ def _pinocchio_rows(robot: rust.Robot, states: Sequence[State]) -> Rows:
     data = model.createData()
     place = np.array([model.joints[model.getJointId(name)].idx_v - 6 for name in robot.joint_names])
 
-    def converted(state: State) -> tuple[Array, Array]:
+    def convert_state(state: State) -> tuple[Array, Array]:
         rotation, velocity = np.asarray(state.base_rotation), np.asarray(state.velocity)
         q, v = np.zeros(model.nq), np.zeros(model.nv)
         q[:3], q[3:7] = state.base_position, pin.Quaternion(rotation).coeffs()
@@ -97,7 +97,7 @@ def _pinocchio_rows(robot: rust.Robot, states: Sequence[State]) -> Rows:
         pin.nonLinearEffects(model, data, q, v)
         pin.ccrba(model, data, q, v)
 
-    converted_states = [converted(state) for state in states]
+    converted_states = [convert_state(state) for state in states]
     trivial = _per_item(lambda _: pin.checkVersionAtLeast(1, 0, 0), states)
     yield "a call that does nothing", "Pinocchio, `checkVersionAtLeast`", trivial
     yield DYNAMICS[0], "Pinocchio, three calls", _per_item(terms, converted_states)
@@ -117,11 +117,11 @@ def _daqp_rows(n: int, problems: Sequence[QpProblem]) -> Iterator[tuple[str, flo
     first = problems[0]
     model.setup(first.h, first.g, none, first.upper, first.lower, sense)
 
-    def again(qp: QpProblem) -> None:
+    def solve_again(qp: QpProblem) -> None:
         model.update(H=qp.h, f=qp.g, bupper=qp.upper, blower=qp.lower)
         model.solve()
 
-    yield "DAQP, `Model.update` and `solve`, warm", _per_item(again, problems)
+    yield "DAQP, `Model.update` and `solve`, warm", _per_item(solve_again, problems)
 
 
 def _clarabel_rows(n: int, problems: Sequence[QpProblem]) -> Iterator[tuple[str, float]]:
@@ -226,7 +226,7 @@ def _microseconds(ns: float) -> str:
     return f"{ns / 1e3:.2f} µs" if ns < 1e6 else f"{ns / 1e9:.3f} s"
 
 
-def _best(times: Times, names: Sequence[str]) -> float | None:
+def _best_time(times: Times, names: Sequence[str]) -> float | None:
     """Return the sum of the shortest times of these operations, or `None` if one has no time."""
     ways = [[ns for way, ns in times.items() if way.startswith(name)] for name in names]
     return sum(map(min, ways)) if all(ways) else None
@@ -241,24 +241,24 @@ def _print_targets(ours: Times, others: Times, tick: str) -> None:
     targets += [(f"{name} / DAQP", [name], 1.0) for name in warm]
     targets += [(f"both QPs of a tick, {case} / DAQP", names, 1.0) for case, names in by_case.items()]
     for what, names, target in targets:
-        if (other := _best(others, names)) is None:
+        if (other := _best_time(others, names)) is None:
             print(f"| {what} | not measured | {target} | ? |")
         else:
             ratio = sum(ours[name] for name in names) / other
-            print(f"| {what} | {ratio:.2f} | {target} | {_met(ratio <= target)} |")
+            print(f"| {what} | {ratio:.2f} | {target} | {_yes_or_no(ratio <= target)} |")
     p50, p999, own_p999 = tick_times(tick)
-    if (other := _best(others, [DYNAMICS[1], *by_case["calm"]])) is not None:
+    if (other := _best_time(others, [DYNAMICS[1], *by_case["calm"]])) is not None:
         ratio = 1e3 * p50 / other
-        print(f"| whole tick, p50 / (Pinocchio + DAQP + DAQP) | {ratio:.2f} | 0.8 | {_met(ratio <= 0.8)} |")
+        print(f"| whole tick, p50 / (Pinocchio + DAQP + DAQP) | {ratio:.2f} | 0.8 | {_yes_or_no(ratio <= 0.8)} |")
     for what, tail in (("", own_p999), (", interruptions of the program included", p999)):
-        print(f"| whole tick, p99.9 / p50{what} | {tail / p50:.2f} | 2.5 | {_met(tail <= 2.5 * p50)} |")
+        print(f"| whole tick, p99.9 / p50{what} | {tail / p50:.2f} | 2.5 | {_yes_or_no(tail <= 2.5 * p50)} |")
     network = ours["shipped network, links placed"] / 1e3
-    print(f"| shipped network, links placed | {network:.1f} µs | 6 µs | {_met(network <= 6)} |")
+    print(f"| shipped network, links placed | {network:.1f} µs | 6 µs | {_yes_or_no(network <= 6)} |")
     flight = ours["flight of 50 s"] / 1e9
-    print(f"| flight of 50 s, one core | {flight:.3f} s | 0.25 s | {_met(flight <= 0.25)} |")
+    print(f"| flight of 50 s, one core | {flight:.3f} s | 0.25 s | {_yes_or_no(flight <= 0.25)} |")
 
 
-def _met(yes: bool) -> str:
+def _yes_or_no(yes: bool) -> str:
     return "yes" if yes else "**no**"
 
 

@@ -92,7 +92,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         untyped.config.update("jax_compilation_cache_dir", cache)
         untyped.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         say(_machine())
-        flight, hover = _hovering()
+        flight, hover = _hovering_flight()
         heads = "".join(f" batch {size} |" for size in sizes)
         say(f"| what | {heads} compile, cold | cached |\n|---|{'---|' * (len(sizes) + 2)}")
         for case in cases(flight, hover, say):
@@ -136,16 +136,16 @@ def _compile(case: Case, sample: Any) -> tuple[Any, float]:
     started = time.perf_counter()
     batched: Any = jax.vmap(case.function, in_axes=(None, 0))
     if case.in_pieces and jax.devices()[0].platform == "cpu":
-        batched = _in_pieces(case.function)
+        batched = _map_in_pieces(case.function)
     compiled = jax.jit(batched).lower(case.shared, sample).compile()
     return compiled, time.perf_counter() - started
 
 
-def _in_pieces(function: Callable[..., Any]) -> Callable[..., Any]:
-    def batched(shared: Any, samples: Any) -> Any:
+def _map_in_pieces(function: Callable[..., Any]) -> Callable[..., Any]:
+    def map_samples(shared: Any, samples: Any) -> Any:
         return jax.lax.map(lambda sample: function(shared, sample), samples, batch_size=CHUNK)
 
-    return batched
+    return map_samples
 
 
 def _throughput(scenario: Any, hover: Any, seconds: float, *, quick: bool) -> Iterator[str]:
@@ -153,7 +153,7 @@ def _throughput(scenario: Any, hover: Any, seconds: float, *, quick: bool) -> It
     start = 16 if jax.devices()[0].platform == "cpu" else 256
     for name, dtype in (("float64", jnp.float64), ("float32", jnp.float32))[: 1 if quick else 2]:
         best, size = 0.0, start
-        flying, hovering = sim.in_precision(scenario, hover, dtype)
+        flying, hovering = sim.convert_precision(scenario, hover, dtype)
         while size <= (64 if quick else 65536):
             case = Case("", _rollout, flying, _spread(hovering, size))
             compiled, cold = _compile(case, case.sample)
@@ -193,7 +193,7 @@ def _spread(sample: Any, size: int) -> Any:
 # --- cases ----------------------------------------------------------------------------------------------------------
 
 
-def _hovering() -> tuple[Any, Any]:
+def _hovering_flight() -> tuple[Any, Any]:
     """Return the scenario TEST2 and its state while hovering in the full wind."""
     config = scenario_config(rust.load_config(EXPERIMENTS / "test2.toml"))
     scenario, start = sim.prepare(config)
@@ -208,7 +208,7 @@ def cases(scenario: Any, hover: Any, say: Callable[[str], None]) -> Iterator[Cas
     yield from _aero_cases(robot, state, wind)
     yield from _control_cases(scenario, hover, wind)
     for name, dtype in (("", jnp.float64), (", float32", jnp.float32)):
-        flying, hovering = sim.in_precision(scenario, hover, dtype)
+        flying, hovering = sim.convert_precision(scenario, hover, dtype)
         yield Case(f"closed-loop tick, of a rollout of {TICKS}{name}", _rollout, flying, hovering, TICKS)
     yield Case(f"its gradient by the aerodynamic areas, of {TICKS}", _gradient, scenario, hover, TICKS, is_slow=True)
     yield from _mjx_cases(robot, state)

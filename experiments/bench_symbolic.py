@@ -37,7 +37,7 @@ def main() -> int:
     argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     print("| what | wall time | processor time |\n|---|---|---|")
     for what, spent in _rows():
-        print(f"| {what} | {_readable(spent.wall)} | {_readable(spent.processor)} |")
+        print(f"| {what} | {_format_time(spent.wall)} | {_format_time(spent.processor)} |")
     return 0
 
 
@@ -45,7 +45,7 @@ def _rows() -> Iterator[tuple[str, Time]]:
     code = "import time; a = time.perf_counter(), time.process_time(); import {}; print(time.perf_counter() - a[0], "
     code += "time.process_time() - a[1])"
     for module in ("casadi", "jax_aero.symbolic"):
-        yield f"import {module}", _imported(code.format(module))
+        yield f"import {module}", _time_import(code.format(module))
 
     robot = load_robot(places.CONFIGS / "robot/ironcub_mk1.toml")
     aero = load_aero(places.CONFIGS / "aero/axisymmetric_corrected.toml")
@@ -74,7 +74,7 @@ def _rows() -> Iterator[tuple[str, Time]]:
             yield f"{step} the trajectory, {document['title'].lower()} (manifest)", Time(wall, float("nan"))
 
 
-def _imported(code: str) -> Time:
+def _time_import(code: str) -> Time:
     runs = []
     for _ in range(5):
         said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
@@ -92,7 +92,7 @@ def _median(work: Callable[[], object], times: int) -> Time:
     return Time(statistics.median(walls), statistics.median(processors))
 
 
-def _readable(seconds: float) -> str:
+def _format_time(seconds: float) -> str:
     if np.isnan(seconds):
         return "–"
     return f"{seconds:.2f} s" if seconds >= 1.0 else f"{1000 * seconds:.3g} ms"

@@ -41,7 +41,7 @@ class Ray:
     workers: int | None = None
 
     @classmethod
-    def of(cls, given: argparse.Namespace) -> Ray | None:
+    def from_options(cls, given: argparse.Namespace) -> Ray | None:
         """Return the cluster chosen by the options of `add_options`, or `None`."""
         if given.address and not given.cluster:
             raise Refused(f"--address is {given.address}; expected --cluster ray beside it")
@@ -101,7 +101,7 @@ def _connect(ray: Any, address: str | None, workers: int | None) -> None:
 
 
 def _spread(ray: Any, common: Any, jobs: Mapping[Key, Any], cpus: int) -> Iterator[tuple[Key, Any]]:
-    task = ray.remote(num_cpus=cpus, max_retries=2)(_remotely)
+    task = ray.remote(num_cpus=cpus, max_retries=2)(_run_remotely)
     available = int(ray.cluster_resources().get("CPU", 1))
     if cpus > available:
         raise Refused(f"a task takes {cpus} processors, and the cluster has {available}")
@@ -124,7 +124,7 @@ def _spread(ray: Any, common: Any, jobs: Mapping[Key, Any], cpus: int) -> Iterat
             raise Refused(f"job {key} did not come back ({reason}); the same command goes on with it") from None
 
 
-def _remotely(common: bytes, job: Any) -> Any:
+def _run_remotely(common: bytes, job: Any) -> Any:
     task, shared, modules, expected = pickle.loads(common)
     if (found := sources.code_hash(*modules)) != expected:
         raise Refused(f"a node has other code ({found}, here {expected})")

@@ -75,7 +75,7 @@ class Choice(tables.Table, frozen=True):
 def results(choice: Choice) -> dict[str, Any]:
     """Return every figure of the comparison."""
     return {
-        "inputs": tables.plain(choice),
+        "inputs": tables.to_builtins(choice),
         "battery_kg": choice.battery(),
         "battery_at_1_kW_per_kg_kg": choice.battery(1.0),
         "power_per_thrust_behind_the_printed_battery_kW_per_kg": choice.power_per_thrust_for(PAPER_BATTERY),
@@ -102,7 +102,7 @@ def engines() -> list[dict[str, Any]]:
 def main(arguments: Sequence[str]) -> int:
     """Print the comparison and the engines; write both beside the other results."""
     parser = Parser("engine-choice", __doc__.split("\n", 1)[0])
-    for name, value in tables.plain(Choice()).items():
+    for name, value in tables.to_builtins(Choice()).items():
         parser.add_argument(f"--{name.replace('_', '-')}", type=float, default=value, metavar="X")
     parser.add_argument("--out", type=Path, default=places.RESULTS, metavar="DIR", help="folder of engine_choice.json")
     given = vars(parser.parse_args(arguments))

@@ -39,7 +39,7 @@ def compute(name: str, config: FitConfig) -> Findings:
     path = config.dataset or dataset_of(name)
     computed = load(path)
     computed = computed.take(~computed.is_mirrored)
-    dataset = computed.mirrored()
+    dataset = computed.add_mirror_images()
     robot = load_robot(ROBOT)
     axes = link_axes(robot, dataset.joint_position_deg)
     fits = fit.fit(dataset, axes)
@@ -86,7 +86,7 @@ def variants_of(robot: RobotModel, fits: Mapping[str, fit.FamilyFit]) -> dict[st
     return {**sets, "refit": fit.coefficients_of(fits)}
 
 
-class Refitted(NamedTuple):
+class RefittedLink(NamedTuple):
     """Published model of one family, with its terms refitted."""
 
     printed: Floats
@@ -99,7 +99,7 @@ class Refitted(NamedTuple):
     """Published normal-force coefficient [m²]."""
 
 
-def published_terms(robot: RobotModel, dataset: Dataset, axes: Floats) -> dict[str, Refitted]:
+def published_terms(robot: RobotModel, dataset: Dataset, axes: Floats) -> dict[str, RefittedLink]:
     """Fit exactly the terms of the published model."""
     printed = np.asarray(robot.aero_links.coefficients[RIGHT])
     geometry = fit.angles(axes, dataset.wind_b)
@@ -112,21 +112,21 @@ def published_terms(robot: RobotModel, dataset: Dataset, axes: Floats) -> dict[s
         terms = [fit.MODEL_TERMS[index] for index in used]
         matrix = fit.columns_of(terms, geometry.cos[:, links].ravel(), geometry.sin[:, links].ravel())
         target, posture = force.drag[:, links].ravel(), np.repeat(dataset.family, len(links))
-        table = Refitted(weights, np.zeros(5), np.zeros(5), float(printed[links[0], 5]))
+        table = RefittedLink(weights, np.zeros(5), np.zeros(5), float(printed[links[0], 5]))
         table.found[used] = fit.least_squares(matrix, target)
         table.spread[used] = fit.spread(matrix, target, posture)
         found[family] = table
     return found
 
 
-def same_digits(found: float, printed: float, digits: int, slack: int = 0) -> bool:
+def has_same_digits(found: float, printed: float, digits: int, slack: int = 0) -> bool:
     """Return whether two numbers rounded to significant digits agree, with the last digit off by at most `slack`."""
     step = 10.0 ** (np.floor(np.log10(abs(printed))) - digits + 1)
     return bool(abs(round(found / step) - round(printed / step)) <= slack)
 
 
 def figures(
-    quality: Mapping[str, fit.Quality], fits: Mapping[str, fit.FamilyFit], refitted: Mapping[str, Refitted]
+    quality: Mapping[str, fit.Quality], fits: Mapping[str, fit.FamilyFit], refitted: Mapping[str, RefittedLink]
 ) -> dict[str, float]:
     """Return the figures of the comparison."""
     found: dict[str, float] = {}
@@ -141,8 +141,8 @@ def figures(
         for i in np.flatnonzero(table.printed)
     ]
     found["drag coefficients of the published model"] = len(pairs)
-    found["of these, refitted equal to two digits"] = sum(same_digits(a, b, 2) for a, b, _ in pairs)
-    found["of these, with the second digit off by at most 1"] = sum(same_digits(a, b, 2, 1) for a, b, _ in pairs)
+    found["of these, refitted equal to two digits"] = sum(has_same_digits(a, b, 2) for a, b, _ in pairs)
+    found["of these, with the second digit off by at most 1"] = sum(has_same_digits(a, b, 2, 1) for a, b, _ in pairs)
     found["of these, refitted within 5 %"] = sum(abs(a / b - 1.0) <= 0.05 for a, b, _ in pairs)
     found["of these, refitted within two standard errors"] = sum(abs(a - b) <= 2.0 * s for a, b, s in pairs)
     for family, kept in fits.items():
@@ -152,7 +152,7 @@ def figures(
 
 
 def report(
-    quality: Mapping[str, fit.Quality], fits: Mapping[str, fit.FamilyFit], refitted: Mapping[str, Refitted]
+    quality: Mapping[str, fit.Quality], fits: Mapping[str, fit.FamilyFit], refitted: Mapping[str, RefittedLink]
 ) -> str:
     """Return the printed tables."""
     lines = ["variant        link MSE [m4]     R2   drag rms   across rms [m2]"]
@@ -164,7 +164,7 @@ def report(
     for family, table in refitted.items():
         for index in np.flatnonzero(table.printed):
             printed, found, spread = (values[index] for values in table[:3])
-            mark = "" if same_digits(found, printed, 2) else "  differs"
+            mark = "" if has_same_digits(found, printed, 2) else "  differs"
             lines.append(f"  {family:<12} w{index}                  {printed:10.5f} {found:10.5f}  {spread:.5f}{mark}")
     lines += ["", "normal-force coefficient      printed  of magnitude   signed   terms that Lasso keeps"]
     for family, kept in fits.items():
@@ -184,7 +184,7 @@ def toml(fits: Mapping[str, fit.FamilyFit], source: str) -> str:
 
 
 def to_dataset(
-    dataset: Dataset, axes: Floats, variants: Mapping[str, Floats], refitted: Mapping[str, Refitted]
+    dataset: Dataset, axes: Floats, variants: Mapping[str, Floats], refitted: Mapping[str, RefittedLink]
 ) -> xr.Dataset:
     """Return the data of the figure with labels: every row over the angle of attack, and the coefficients."""
     geometry = fit.angles(axes, dataset.wind_b)

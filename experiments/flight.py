@@ -14,7 +14,7 @@ from tqdm import tqdm
 from experiments import Refused, engines, manifest, overrides, record, study
 from experiments.sources import code_hash
 from jax_aero import places, rust
-from jax_aero.files import computing
+from jax_aero.files import lock_work
 
 RESULTS = places.RESULTS / "flight"
 
@@ -41,8 +41,8 @@ def run(
     folder = (out or RESULTS) / name
     digest, engine = rust.config_digest(config), engines.engine_of(config)
     code = (__name__, engines.MODULES[engine])
-    with computing(folder):
-        finished = record.existing(folder, digest, code_hash(*code), overwrite=overwrite)
+    with lock_work(folder):
+        finished = record.find_existing(folder, digest, code_hash(*code), overwrite=overwrite)
         if finished is not None:
             return finished
         started = time.perf_counter()
@@ -62,7 +62,7 @@ def run(
             outcome=flight.outcome,
             lost_time=flight.lost_time,
             lost_reason=flight.lost_reason,
-            overrides=manifest.portable(changes),
+            overrides=manifest.make_portable(changes),
             seed=dict(manifest.seeds(config)) or None,
             wall_time_s=round(time.perf_counter() - started, 3),
         )

@@ -62,7 +62,7 @@ class Log(NamedTuple):
     """Measured thrust [N]."""
 
 
-class Smoothed(NamedTuple):
+class SmoothedThrust(NamedTuple):
     """Thrust and its derivatives from local cubics."""
 
     thrust: Array
@@ -125,7 +125,7 @@ def bench_log(engine: Array, seed: int, seconds: float = 60.0) -> Log:
         measured[tick] = thrust
         for _ in range(FINE):
             acceleration = acceleration_of(engine, thrust, rate, throttle[tick])
-            thrust, rate = advanced(thrust, rate, acceleration, STEP / FINE)
+            thrust, rate = advance_thrust(thrust, rate, acceleration, STEP / FINE)
     return Log(np.linspace(0.0, seconds, n), throttle, measured + rng.normal(scale=NOISE, size=n))
 
 
@@ -148,7 +148,7 @@ def steady_start(engine: Array, throttle: float) -> float:
     """Return the steady thrust [N] at a throttle [%], by simulating one minute."""
     thrust, rate = 50.0, 0.0
     for _ in range(6000):
-        thrust, rate = advanced(thrust, rate, acceleration_of(engine, thrust, rate, throttle), STEP)
+        thrust, rate = advance_thrust(thrust, rate, acceleration_of(engine, thrust, rate, throttle), STEP)
     return thrust
 
 
@@ -159,7 +159,7 @@ def acceleration_of(e: Array, thrust: float, rate: float, throttle: float) -> fl
     return float(drift + (e[5] + e[6] * thrust + e[7] * rate) * v)
 
 
-def advanced(thrust: Any, rate: Any, acceleration: Any, step: float) -> tuple[Any, Any]:
+def advance_thrust(thrust: Any, rate: Any, acceleration: Any, step: float) -> tuple[Any, Any]:
     """Return thrust and rate after a step of M33."""
     return thrust + step * (rate + 0.5 * step * acceleration), rate + step * acceleration
 
@@ -196,9 +196,11 @@ def log_text(log: Log) -> str:
 # --- identification
 
 
-def smooth(thrust: Array) -> Smoothed:
+def smooth(thrust: Array) -> SmoothedThrust:
     """Return thrust and two derivatives by least-squares cubics over `2 WINDOW + 1` samples."""
-    return Smoothed(*(savgol_filter(thrust, 2 * WINDOW + 1, 3, order, STEP, mode="nearest") for order in range(3)))
+    return SmoothedThrust(
+        *(savgol_filter(thrust, 2 * WINDOW + 1, 3, order, STEP, mode="nearest") for order in range(3))
+    )
 
 
 def regression(log: Log) -> Array:
@@ -248,10 +250,10 @@ def residual_of(log: Log, limits: Array, segment: int) -> Callable[[Any], Any]:
 
 
 def _step(engine: Engines, thrust: Any, rate: Any, throttle: Any) -> tuple[Any, Any]:
-    return advanced(thrust, rate, thrust_acceleration(engine, thrust, rate, throttle), STEP)
+    return advance_thrust(thrust, rate, thrust_acceleration(engine, thrust, rate, throttle), STEP)
 
 
-def simulate(engine: Array, throttle: Array, smoothed: Smoothed) -> Array:
+def simulate(engine: Array, throttle: Array, smoothed: SmoothedThrust) -> Array:
     """Return the thrust [N] of the whole log, simulated from its first sample."""
     e = Engines(*engine)
 

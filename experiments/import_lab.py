@@ -39,17 +39,17 @@ def read(path: Path, folder: Path, *, overwrite: bool = False) -> dict[str, Any]
     try:
         document = json.loads(text)
         flown = result.from_lab(document)
-        config = io.at_home(document["config"])
+        config = io.make_paths_absolute(document["config"])
         digest = rust.config_digest(config)
     except KeyError as missing:
         raise Refused(f"{path} is no run of the lab: {missing} is missing") from None
     except (ValueError, TypeError) as reason:
         raise Refused(f"{path} is no run of the lab: {reason}") from None
-    if record.existing(folder, digest, None, overwrite=overwrite) is None:
+    if record.find_existing(folder, digest, None, overwrite=overwrite) is None:
         written = {
             **{key: value for key, value in document.items() if key not in ("format", "version", "log", "has_ended")},
             "name": folder.name,
-            "config": manifest.portable(config),
+            "config": manifest.make_portable(config),
             "config_digest": digest,
             "overrides": {},
             "seed": dict(manifest.seeds(config)) or None,

@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     def work() -> None:
         found = list(from_clone(given.clone) if given.clone else [from_table(given.table)])
         for points in found:
-            data = reduced(points, given.side)
+            data = reduce_moments(points, given.side)
             path = out / f"tunnel_{points.robot}.nc"
             record.write_dataset(data, path)
             print(summary(data), path, sep="\n")
@@ -120,7 +120,7 @@ def from_table(path: Path) -> Points:
     return tunnel.read_reduced(path.read_text(encoding="utf-8"), known_tests(), path.name)
 
 
-def reduced(points: Points, side: str) -> xr.Dataset:
+def reduce_moments(points: Points, side: str) -> xr.Dataset:
     """Reduce points about the hip and the centre of mass of the robot's model."""
     joints: dict[str, Floats] = {}
     coms: dict[str, Floats] = {}

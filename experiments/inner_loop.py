@@ -61,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     Parser("inner-loop", __doc__).parse_args(arguments)
     for weight in WEIGHTS:
-        fine, flown = linearised(weight, 0.002), linearised(weight, 0.01)
+        fine, flown = linearise(weight, 0.002), linearise(weight, 0.01)
         print(f"weight of joint velocities {weight:g}")
         print(f"  open loop: fastest growth {growth(fine.world, fine.time_step):.1f} 1/s")
         for name in (*fine.channels, "everything"):
@@ -73,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def linearised(weight: float, time_step: float) -> Loop:
+def linearise(weight: float, time_step: float) -> Loop:
     """Return the loop linearised about hovering in still air."""
     settings = {"simulator.time_step": time_step, "controller.weights.joint_velocity": weight}
     config = rust.load_config(flight.find("no_wind"), {**settings, "mission": {}, "simulator.duration": 2 * SETTLING})
@@ -92,27 +92,27 @@ def linearised(weight: float, time_step: float) -> Loop:
     n, jets = len(before), len(measured.thrust)
     velocity, thrust = slice(6 + n, 12 + 2 * n), slice(12 + 2 * n, None)
 
-    def ticked(x: Matrix, integral: Matrix) -> rust.Tick:
+    def run_tick(x: Matrix, integral: Matrix) -> rust.Tick:
         at = now + x
         state = rust.State(at[:3], turned @ _rotation(x[3:6]), at[6 : 6 + n], at[velocity])
         controller.state = memory.with_posture_control(tick.posture, tick.inertia_0_b, before + integral)
         return controller.tick(state, at[thrust], np.zeros(3), measured.time)
 
-    def answered(x: Matrix, integral: Matrix) -> Matrix:
-        found = ticked(x, integral)
+    def read_command(x: Matrix, integral: Matrix) -> Matrix:
+        found = run_tick(x, integral)
         change = found.velocity_error_integral - before
         return np.concatenate([found.thrust_rate, found.unlimited_torque, change, found.joint_velocity_command])
 
     zero, none = np.zeros(len(now)), np.zeros(n)
-    held = answered(zero, none)[: jets + n]
+    held = read_command(zero, none)[: jets + n]
 
-    def moved(x: Matrix, extra: Matrix) -> Matrix:
+    def step_from(x: Matrix, extra: Matrix) -> Matrix:
         rotation = turned @ _rotation(x[3:6])
-        after: Matrix = _stepped(ticked(x, none), now + x, rotation, turned, held + extra, time_step) - now
+        after: Matrix = _step_state(run_tick(x, none), now + x, rotation, turned, held + extra, time_step) - now
         return after
 
-    by_state = _jacobian(lambda x: answered(x, none), len(now))
-    by_integral = _jacobian(lambda i: answered(zero, i), n)
+    by_state = _jacobian(lambda x: read_command(x, none), len(now))
+    by_integral = _jacobian(lambda i: read_command(zero, i), n)
     u, i = slice(0, jets + n), slice(jets + n, jets + 2 * n)
     s = 12 + n
     channels = {
@@ -126,8 +126,8 @@ def linearised(weight: float, time_step: float) -> Loop:
         "thrust": range(s + n, s + n + jets),
     }
     return Loop(
-        world=_jacobian(lambda x: moved(x, np.zeros(jets + n)), len(now)),
-        acting=_jacobian(lambda extra: moved(zero, extra), jets + n),
+        world=_jacobian(lambda x: step_from(x, np.zeros(jets + n)), len(now)),
+        acting=_jacobian(lambda extra: step_from(zero, extra), jets + n),
         answer=by_state[u],
         answer_integral=by_integral[u],
         integral=by_state[i],
@@ -138,7 +138,7 @@ def linearised(weight: float, time_step: float) -> Loop:
     )
 
 
-def closed(loop: Loop, ages: Matrix) -> Matrix:
+def close_loop(loop: Loop, ages: Matrix) -> Matrix:
     """Return the Jacobian of a tick of the closed loop, with measurements of these ages [ticks]."""
     n, oldest, joints = len(loop.world), int(ages.max()), len(loop.integral)
     size = n * (oldest + 1) + joints
@@ -164,7 +164,7 @@ def greatest_delay(loop: Loop, name: str) -> float:
 
     def is_stable(late: int) -> bool:
         ages[loop.channels.get(name, slice(None))] = late
-        return growth(closed(loop, ages), loop.time_step) < 0.01  # the position of the set-point is a mode at zero
+        return growth(close_loop(loop, ages), loop.time_step) < 0.01  # the position of the set-point is a mode at zero
 
     low, high = 0, round(LONGEST / loop.time_step) + 1
     while high - low > 1:
@@ -177,7 +177,7 @@ def joint_rates(loop: Loop, name: str, std: float) -> float:
     """Return the greatest standard deviation of a commanded joint rate [rad/s] due to noise of a measurement."""
     noise = np.zeros(len(loop.world))
     noise[loop.channels[name]] = std**2
-    jacobian = closed(loop, np.zeros(len(loop.world), dtype=int))
+    jacobian = close_loop(loop, np.zeros(len(loop.world), dtype=int))
     entering = np.vstack([loop.acting @ loop.answer, loop.integral])
     # Slightly less than one, since the equation is singular with marginal modes, which are not excited.
     state = solve_discrete_lyapunov((1.0 - 1e-5) * jacobian, entering * noise @ entering.T)
@@ -185,7 +185,7 @@ def joint_rates(loop: Loop, name: str, std: float) -> float:
     return float(np.sqrt(np.diag(loop.joint_rate @ seen @ loop.joint_rate.T).max()))
 
 
-def _stepped(tick: rust.Tick, at: Matrix, rotation: Matrix, hovering: Matrix, u: Matrix, time_step: float) -> Matrix:
+def _step_state(tick: rust.Tick, at: Matrix, rotation: Matrix, hovering: Matrix, u: Matrix, time_step: float) -> Matrix:
     """Return the state after a semi-implicit step from `at` (M78) under thrust rates and torques u.
 
     `rotation` is that of the base; its deviation from the hovering one is a vector in base axes.

@@ -15,7 +15,7 @@ from typing import Any
 
 from experiments.sources import code_hash
 from jax_aero import places, rust
-from jax_aero.files import finite
+from jax_aero.files import replace_infinite
 
 
 def build(
@@ -37,9 +37,9 @@ def build(
     return {
         "name": name,
         "title": title,
-        "summary": finite(summary),
+        "summary": replace_infinite(summary),
         "config_digest": digest,
-        "config": portable(config),
+        "config": make_portable(config),
         "code_hash": code_hash(*code),
         "command": shlex.join(map(_portable_word, command)),
         "engine": engine,
@@ -59,12 +59,12 @@ def version_of(package: str) -> dict[str, str]:
         return {}
 
 
-def portable(value: Any) -> Any:
+def make_portable(value: Any) -> Any:
     """Return `value` with absolute paths made relative to the repository, or outside it reduced to their names."""
     if isinstance(value, Mapping):
-        return {key: portable(item) for key, item in value.items()}
+        return {key: make_portable(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [portable(item) for item in value]
+        return [make_portable(item) for item in value]
     if isinstance(value, PurePath):
         value = str(value)
     if isinstance(value, str) and Path(value).is_absolute():
@@ -76,7 +76,7 @@ def portable(value: Any) -> Any:
 
 def _portable_word(word: str) -> str:
     """Return a word of a command line with portable paths, also within `--set KEY="PATH"`."""
-    return re.sub(r"(^|[=\"'\[{,]\s*)(/[^\"',\]}]*)", lambda found: found[1] + str(portable(found[2])), word)
+    return re.sub(r"(^|[=\"'\[{,]\s*)(/[^\"',\]}]*)", lambda found: found[1] + str(make_portable(found[2])), word)
 
 
 def seeds(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, int]]:

@@ -22,7 +22,7 @@ def folder_suffix(overrides: Mapping[str, Any]) -> str:
     `{"wind.velocity": [0, -12, 0]}` becomes `--wind.velocity=0_-12_0`; long ones, and those with characters unsuited to
     folder names, end in a digest.
     """
-    return places.addition("".join(f"--{key}={_flat(value)}" for key, value in sorted(overrides.items())))
+    return places.addition("".join(f"--{key}={_flatten(value)}" for key, value in sorted(overrides.items())))
 
 
 def options(changes: Mapping[str, Any]) -> list[str]:
@@ -31,11 +31,11 @@ def options(changes: Mapping[str, Any]) -> list[str]:
     return [word for assignment in assignments for word in ("--set", assignment)]
 
 
-def _flat(value: Any) -> str:
+def _flatten(value: Any) -> str:
     if isinstance(value, Mapping):
-        return "_".join(f"{key}={_flat(item)}" for key, item in value.items())
+        return "_".join(f"{key}={_flatten(item)}" for key, item in value.items())
     if isinstance(value, list):
-        return "_".join(_flat(item) for item in value)
+        return "_".join(_flatten(item) for item in value)
     text = str(value).lower() if isinstance(value, bool) else str(value)
     plain = re.sub(r"[^\w.+=-]", "-", text)
     return plain if plain == text else plain + places.mark(text)

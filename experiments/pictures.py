@@ -18,7 +18,7 @@ from experiments import record
 from experiments.import_cfd import POSTURES, known_postures
 from experiments.study import Findings, Study
 from jax_aero import places, rust, tables
-from jax_aero.aero.dataset import in_robot_order
+from jax_aero.aero.dataset import reorder_joints
 from jax_aero.places import ROBOT
 from jax_aero.symbolic import load_robot
 from jax_aero.symbolic.kinematics import Kinematics
@@ -49,7 +49,7 @@ def compute(_: str, asked: Pictures) -> Findings:
     # Postures of the public table and of the tunnel.
     named = known_postures(["free_stream", "tunnel"])
     pictures = [posture_picture(robot, joints) for joints in named.values()]
-    starts, ends, diameters = capsules(in_robot_order(robot.joint_names, named["hovering"]))
+    starts, ends, diameters = capsules(reorder_joints(robot.joint_names, named["hovering"]))
     data = xr.Dataset(
         {
             "flight": (("row", "column", "colour"), flight, {"long_name": f"{flown.title}, {asked.moment:g} s"}),
@@ -84,7 +84,7 @@ def posture_picture(robot: rust.Robot, joints_deg: Array) -> NDArray[np.uint8]:
             "base_position": height,
             "base_quaternion": FACING_X[None],
             "base_rpy_setpoint": np.zeros((1, 3)),
-            "joint_position": in_robot_order(robot.joint_names, joints_deg)[None],
+            "joint_position": reorder_joints(robot.joint_names, joints_deg)[None],
             "com_position": height,
             "com_velocity": np.zeros((1, 3)),
             "com_setpoint": far,
@@ -111,7 +111,7 @@ def capsules(joints: Array) -> tuple[Array, Array, Array]:
     for link in described.aero_links:
         pose, half = tree.poses[link.frame], 0.0 if link.is_sphere else 0.5 * link.length
         points += [pose.point(link.centre - half * link.axis), pose.point(link.centre + half * link.axis)]
-    here = tree.here(*points)
+    here = tree.evaluate_at_base(*points)
     at = ca.Function("at", [tree.base_position, tree.base_rotation, tree.joint_position], [ca.horzcat(*here)])
     placed = at(np.zeros(3), np.eye(3), joints).full().T
     return placed[0::2], placed[1::2], np.array([link.diameter for link in described.aero_links])

@@ -17,7 +17,7 @@ import xarray as xr
 
 from experiments import Refused
 from jax_aero import rust
-from jax_aero.files import checksums, complete_folder, damaged, write_json, write_netcdf, write_text
+from jax_aero.files import checksums, complete_folder, find_damaged, write_json, write_netcdf, write_text
 from jax_aero.result import FlightResult, RobotNames, labels_of
 
 RUN_FILE = "run.nc"
@@ -106,7 +106,7 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
     return manifest if isinstance(manifest, dict) and (folder / RUN_FILE).is_file() else None
 
 
-def opened(path: Path) -> xr.Dataset:
+def open_result(path: Path) -> xr.Dataset:
     """Open the NetCDF file of a result; a damaged one is refused by its name."""
     try:
         return xr.open_dataset(path, engine="h5netcdf")
@@ -114,13 +114,13 @@ def opened(path: Path) -> xr.Dataset:
         raise Refused(f"{path} is damaged ({reason}); remove its folder and make it again") from None
 
 
-def loaded(path: Path) -> xr.Dataset:
+def load_result(path: Path) -> xr.Dataset:
     """Read the whole NetCDF file of a result; a damaged one is refused by its name."""
-    with opened(path) as found:
+    with open_result(path) as found:
         return found.load()
 
 
-def existing(folder: Path, digest: str, code: str | None, *, overwrite: bool) -> dict[str, Any] | None:
+def find_existing(folder: Path, digest: str, code: str | None, *, overwrite: bool) -> dict[str, Any] | None:
     """Return the manifest of an equal finished result; refuse to touch anything else that is there.
 
     A result of other code (`code`, where that is known) is kept too, and its age printed.
@@ -130,7 +130,7 @@ def existing(folder: Path, digest: str, code: str | None, *, overwrite: bool) ->
         check_replaceable(folder, lambda _: False, overwrite=overwrite)
         return None
     shown = os.path.relpath(folder)
-    if name := damaged(folder, finished.get("files", {})):
+    if name := find_damaged(folder, finished.get("files", {})):
         raise Refused(f"{shown}/{name} is not what was written there; --overwrite makes it again")
     commit = (finished.get("git") or {}).get("commit") or "unknown"
     other = "" if code in (None, finished.get("code_hash")) else ", made by other code"

@@ -65,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def files() -> dict[Path, str]:
     """Return the text of every generated file."""
     crate = rust.schemas()
-    found = {name: schema if name == "robot" else of_parts(schema) for name, schema in crate.items()}
+    found = {name: schema if name == "robot" else allow_parts(schema) for name, schema in crate.items()}
     found |= {name: {"$schema": DIALECT, **tables.schema(kind)} for name, kind in STUDIES.items()}
     found["sweeps"] = _with_files(found["sweeps"])
     folder, docs = places.CONFIGS / "schema", places.HOME / "docs"
@@ -77,20 +77,20 @@ def files() -> dict[Path, str]:
 
 
 def _json(schema: Node) -> str:
-    return json.dumps(_plain(schema), indent=1, ensure_ascii=False, sort_keys=True) + "\n"
+    return json.dumps(_simplify(schema), indent=1, ensure_ascii=False, sort_keys=True) + "\n"
 
 
-def _plain(node: Any) -> Any:
+def _simplify(node: Any) -> Any:
     """Return a schema without parts that editors do not support: number formats, and brackets escaped for rustdoc."""
     if isinstance(node, dict):
-        kept = {key: _plain(value) for key, value in node.items() if key != "format" or value == "path"}
+        kept = {key: _simplify(value) for key, value in node.items() if key != "format" or value == "path"}
         if isinstance(kept.get("description"), str):
             kept["description"] = _prose(kept["description"])
         return kept
-    return [_plain(entry) for entry in node] if isinstance(node, list) else node
+    return [_simplify(entry) for entry in node] if isinstance(node, list) else node
 
 
-def of_parts(schema: Node) -> Node:
+def allow_parts(schema: Node) -> Node:
     """Return the schema of files in which any table may leave keys to the file that it names as its `base`.
 
     What is missing then is refused when the files have been merged. A key that may be absent is removed by `false`.
@@ -141,7 +141,7 @@ def _nodes(node: Any) -> Iterator[Node]:
 # --- content of a schema -----------------------------------------------------------------------------------------
 
 
-class Tagged(NamedTuple):
+class TaggedTable(NamedTuple):
     """Tables of several kinds, with the key that distinguishes them."""
 
     tag: str
@@ -149,7 +149,7 @@ class Tagged(NamedTuple):
     """Schemas by the value of that key, without the key itself."""
 
 
-def _present(node: Node) -> tuple[Node, bool]:
+def _remove_null(node: Node) -> tuple[Node, bool]:
     """Return a node without the null alternative, and whether there was one."""
     if isinstance(node.get("type"), list):
         return {**node, "type": node["type"][0]}, "null" in node["type"]
@@ -159,7 +159,7 @@ def _present(node: Node) -> tuple[Node, bool]:
     return node, False
 
 
-def _tagged(node: Node) -> Tagged | None:
+def _find_tags(node: Node) -> TaggedTable | None:
     """Return the kinds of a table, if there are several."""
     options = [option for option in node.get("oneOf", ()) if "properties" in option]
     if not options:
@@ -170,7 +170,7 @@ def _tagged(node: Node) -> Tagged | None:
         rest = {key: value for key, value in option["properties"].items() if key != tag}
         required = [key for key in option["required"] if key != tag]
         kinds[option["properties"][tag]["const"]] = {**option, "properties": rest, "required": required}
-    return Tagged(tag, kinds)
+    return TaggedTable(tag, kinds)
 
 
 def _choices(node: Node) -> dict[str, str] | None:
@@ -201,9 +201,9 @@ def _definitions(schemas: Mapping[str, Node]) -> dict[str, Node]:
     return found
 
 
-def _named(node: Node) -> str | None:
+def _type_name(node: Node) -> str | None:
     """Return the name of the type that a node refers to, if any."""
-    reference = _present(node)[0].get("$ref")
+    reference = _remove_null(node)[0].get("$ref")
     return None if reference is None else str(reference).removeprefix("#/$defs/")
 
 
@@ -261,9 +261,9 @@ def _python_type(name: str, node: Node) -> str:
     text = _docstring(node, 0)
     if choices := _choices(node):
         listed = "".join(f"\n{key}: {_prose(meaning)}" for key, meaning in choices.items() if meaning)
-        text = _quoted(_prose(node.get("description", "")) + ("\n" + listed if listed else ""), 0)
+        text = _quote(_prose(node.get("description", "")) + ("\n" + listed if listed else ""), 0)
         return f"\n\n{name}: TypeAlias = Literal[{', '.join(map(json.dumps, choices))}]\n{text}"
-    if tagged := _tagged(node):
+    if tagged := _find_tags(node):
         names = {kind: f"{''.join(map(str.title, kind.split('_')))}{name}" for kind in tagged.kinds}
         classes = [
             _class(names[kind], option, f', tag_field="{tagged.tag}", tag="{kind}"')
@@ -297,7 +297,7 @@ def _field(key: str, node: Node, required: bool) -> str:
         assert nullable, key
         return f"{name}: {kind} = None"
     if isinstance(default, dict):
-        reference = _named(node)
+        reference = _type_name(node)
         value = f"{reference}()" if reference else "field(default_factory=dict)"
         return f"{name}: {kind} = {value}"
     value = _python_value(default)
@@ -313,8 +313,8 @@ def _python_value(value: Any) -> str:
 
 def _annotation(node: Node) -> tuple[str, bool]:
     """Return the Python type of a node, and whether it may be null."""
-    node, nullable = _present(node)
-    if reference := _named(node):
+    node, nullable = _remove_null(node)
+    if reference := _type_name(node):
         kind = reference
     elif node["type"] == "array":
         inner, length = _annotation(_items(node))[0], _length(node)
@@ -343,10 +343,10 @@ def _annotation(node: Node) -> tuple[str, bool]:
 
 def _docstring(node: Node, indent: int, otherwise: str = "") -> str:
     text = _prose(node.get("description", "")) or (f"`{otherwise}`." if otherwise else "")
-    return _quoted(text, indent) if text else ""
+    return _quote(text, indent) if text else ""
 
 
-def _quoted(text: str, indent: int) -> str:
+def _quote(text: str, indent: int) -> str:
     space = " " * indent
     parts = [textwrap.fill(part, 116 - indent, break_long_words=False) for part in text.split("\n")]
     whole = "\n".join(parts)
@@ -400,30 +400,30 @@ def _places(root: str, definitions: Mapping[str, Node]) -> dict[str, list[str]]:
     found: dict[str, list[str]] = {root: [""]}
 
     def walk(node: Node, key: str) -> None:
-        node = _present(node)[0]
-        if (name := _named(node)) and not _choices(definitions[name]):
+        node = _remove_null(node)[0]
+        if (name := _type_name(node)) and not _choices(definitions[name]):
             known = found.setdefault(name, [])
             if key not in known:
                 known.append(key)
-                inside(definitions[name], key)
+                walk_inside(definitions[name], key)
         elif node.get("type") == "array":
             walk(_items(node), f"{key}[]")
         elif isinstance(node.get("additionalProperties"), dict):
             walk(node["additionalProperties"], f"{key}.NAME")
 
-    def inside(node: Node, key: str) -> None:
-        tagged = _tagged(node)
+    def walk_inside(node: Node, key: str) -> None:
+        tagged = _find_tags(node)
         for option in tagged.kinds.values() if tagged else [node]:
             for name, inner in option["properties"].items():
                 walk(inner, f"{key}.{name}".lstrip("."))
 
-    inside(definitions[root], "")
+    walk_inside(definitions[root], "")
     return found
 
 
 def _section(node: Node, definitions: Mapping[str, Node]) -> str:
     text = f"\n{_markdown(node.get('description', ''))[0]}\n"
-    tagged = _tagged(node)
+    tagged = _find_tags(node)
     if tagged is None:
         return f"{text}\n{COLUMNS}{_rows(node, definitions)}"
     for kind, option in tagged.kinds.items():
@@ -444,7 +444,7 @@ def _row(key: str, node: Node, required: bool, definitions: Mapping[str, Node]) 
     kind, limits, choices = _kind(node, definitions)
     default = node.get("default")
     if isinstance(default, dict):
-        written = "its own" if _named(node) else "none"
+        written = "its own" if _type_name(node) else "none"
     else:
         written = "" if required else "none" if default is None else f"`{json.dumps(default, ensure_ascii=False)}`"
     listed = "; ".join(f"`{name}`: {_prose(text).rstrip('.')}" for name, text in choices.items() if text)
@@ -455,8 +455,8 @@ def _row(key: str, node: Node, required: bool, definitions: Mapping[str, Node]) 
 
 def _kind(node: Node, definitions: Mapping[str, Node]) -> tuple[str, str, dict[str, str]]:
     """Return type and range of a node in words, and its choices with their meaning."""
-    node = _present(node)[0]
-    if name := _named(node):
+    node = _remove_null(node)[0]
+    if name := _type_name(node):
         if choices := _choices(definitions[name]):
             return " or ".join(f"`{choice}`" for choice in choices), "", choices
         return f"[table](#{name})", "", {}

@@ -98,19 +98,19 @@ def file_hash(path: Path) -> str:
     robot, the `base` of a flight, the weights of a card. The location of the files has no influence.
     """
     total = hashlib.sha256()
-    for file in _with_named(path.resolve(), set()):
+    for file in _find_named(path.resolve(), set()):
         total.update(hashlib.sha256(file.read_bytes()).digest())
     return total.hexdigest()
 
 
-def _with_named(path: Path, seen: set[Path]) -> Iterator[Path]:
+def _find_named(path: Path, seen: set[Path]) -> Iterator[Path]:
     if path in seen:
         return
     seen.add(path)
     yield path
     for text in _texts(_table(path)):
         if os.path.isfile(path.parent / text):  # noqa: PTH113 - `Path` raises for texts too long for a name
-            yield from _with_named((path.parent / text).resolve(), seen)
+            yield from _find_named((path.parent / text).resolve(), seen)
 
 
 def _table(path: Path) -> Any:

@@ -23,9 +23,9 @@ import xarray as xr
 from experiments import Refused, manifest, overrides, record
 from experiments.sources import file_hash
 from jax_aero import places, rust, tables
-from jax_aero.cli import Parser, completes
+from jax_aero.cli import Parser, complete_with
 from jax_aero.command import exit_status
-from jax_aero.files import computing
+from jax_aero.files import lock_work
 from jax_aero.keys import set_key
 
 C = TypeVar("C", bound=tables.Table)
@@ -87,7 +87,7 @@ class Study(Generic[C]):
         return self.kind.replace("_", "-")
 
     @property
-    def named(self) -> str:
+    def config_kind(self) -> str:
         """Return the kind of configurations that name it."""
         return "experiments" if self.experiments else self.kind
 
@@ -99,7 +99,7 @@ class Study(Generic[C]):
         """Run the command line; return its exit status."""
         parser = Parser(self.command, self.about)
         named = parser.add_argument("names", nargs="*", default=self.names, metavar="NAME", help=self._about_names())
-        completes(named, lambda: places.names(self.named))
+        complete_with(named, lambda: places.names(self.config_kind))
         add_set(parser)
         add_overwrite(parser)
         given = parser.parse_args(arguments)
@@ -112,15 +112,17 @@ class Study(Generic[C]):
 
     def _about_names(self) -> str:
         default = f" (default {' '.join(self.names)})"
-        folder = places.CONFIGS / self.named
-        return f"a file stem in configs/{self.named}, or a path{default}" if folder.is_dir() else f"a name{default}"
+        folder = places.CONFIGS / self.config_kind
+        return (
+            f"a file stem in configs/{self.config_kind}, or a path{default}" if folder.is_dir() else f"a name{default}"
+        )
 
     def read(self, name: str, changes: Mapping[str, Any] | None = None) -> tuple[str, C]:
         """Return name and configuration of a study given by name or path."""
         table: dict[str, Any] = {}
-        if (places.CONFIGS / self.named).is_dir():
-            path = find(self.named, name)
-            name = result_name(self.named, path)
+        if (places.CONFIGS / self.config_kind).is_dir():
+            path = find(self.config_kind, name)
+            name = result_name(self.config_kind, path)
             if not self.experiments:
                 return name, tables.load(path, self.config, changes)
             table["experiment"] = path
@@ -138,7 +140,7 @@ class Study(Generic[C]):
         command = ["jax-aero", self.command, name, *self.options, *overrides.options(changes or {})]
         name, config = self.read(name, changes)
         folder = places.RESULTS / self.kind / (places.name_of(name) + overrides.folder_suffix(changes or {}))
-        with computing(folder):
+        with lock_work(folder):
             read = [*tables.files(config), *self.reads(name, config)]
             record.check_replaceable(folder, lambda kept: _is_of(config, read, kept), overwrite=overwrite)
             under_way = [self.progress_of(folder)] if self.progress else []
@@ -147,7 +149,7 @@ class Study(Generic[C]):
             flights = {key: rust.config_digest(flight) for key, flight in findings.flights.items()}
             flights |= findings.results
             files = [*read, *findings.files]
-            table, inputs = tables.plain(config), findings.inputs
+            table, inputs = tables.to_builtins(config), findings.inputs
             digested = digest({"config": table, "inputs": inputs, "flights": flights}, files)
             document = manifest.build(
                 folder.name,
@@ -159,9 +161,9 @@ class Study(Generic[C]):
                 engine=self.engine,
                 code=[self.compute.__module__],
                 sources={
-                    "inputs": manifest.portable(inputs),
+                    "inputs": manifest.make_portable(inputs),
                     "flights": flights,
-                    "configurations": manifest.portable(findings.flights),
+                    "configurations": manifest.make_portable(findings.flights),
                     "files": file_hashes(files),
                 },
                 timings_s={key: round(seconds, 4) for key, seconds in timings.items()},
@@ -171,21 +173,21 @@ class Study(Generic[C]):
             for path in under_way:
                 path.unlink(missing_ok=True)
         print(f"{findings.title}\n{findings.report or listing(findings.summary)}")
-        print(f"{manifest.portable(folder)}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
+        print(f"{manifest.make_portable(folder)}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
         return document
 
 
 def _is_of(config: tables.Table, files: Sequence[Path], kept: Mapping[str, Any]) -> bool:
     """Return whether a manifest is that of a result with these keys and with these files in their present state."""
     same_files = file_hashes(files).items() <= kept.get("sources", {}).get("files", {}).items()
-    return same_files and bool(kept.get("config") == manifest.portable(tables.plain(config)))
+    return same_files and bool(kept.get("config") == manifest.make_portable(tables.to_builtins(config)))
 
 
 def file_hashes(files: Iterable[Path]) -> dict[str, str]:
     """Return the hashes of files by path; files of one name outside the repository share an entry."""
     found: dict[str, set[str]] = {}
     for path in files:
-        found.setdefault(manifest.portable(path), set()).add(file_hash(path))
+        found.setdefault(manifest.make_portable(path), set()).add(file_hash(path))
     return {path: " ".join(sorted(hashes)) for path, hashes in found.items()}
 
 
@@ -247,5 +249,5 @@ def schema_of(kind: str, folder: Path) -> str:
 def digest(config: Mapping[str, Any], files: Sequence[Path]) -> str:
     """Return the SHA-256 of a configuration and of files, with those that they name; equal on every machine."""
     hashes = [file_hash(file) for file in files]
-    text = json.dumps([manifest.portable(config), hashes], sort_keys=True)
+    text = json.dumps([manifest.make_portable(config), hashes], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()

@@ -25,7 +25,7 @@ from jax_aero.aero.dataset import Dataset, Floats, wind_direction
 from jax_aero.aero.surrogate import batched_features, force_areas, load_surrogate
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
-from jax_aero.files import complete_file, computing
+from jax_aero.files import complete_file, lock_work
 from jax_aero.places import ROBOT
 from jax_aero.robot import load_robot
 
@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parts = parts_of(given.out)
 
     def work() -> None:
-        with computing(given.out):
+        with lock_work(given.out):
             keep(compute(given.only or posture_names(given.postures), given.model, parts), given.out)
             shutil.rmtree(parts, ignore_errors=True)
 
@@ -106,5 +106,5 @@ def compute(names: Sequence[str], model: Path, parts: Path) -> Dataset:
             "model_sha256": hashlib.sha256(model.read_bytes()).hexdigest(),
             "layout": f"{len(names)} postures, {len(PITCHES)} pitch and {len(YAWS)} yaw angles, mirrored",
         },
-    ).mirrored()
+    ).add_mirror_images()
     return replace(dataset, checks=checks(dataset))

@@ -64,14 +64,14 @@ def compute(_: str, config: TipOverConfig, under_way: Path) -> Findings:
     steps = int(np.ceil(np.log2((high - low) / config.resolution)))
     with tqdm(total=len(cells) * (steps + 2), unit="trial", disable=not sys.stderr.isatty()) as bar:
 
-        def stands(cell: tuple[int, ...], speed: float) -> dict[str, Any]:
+        def fly_cell(cell: tuple[int, ...], speed: float) -> dict[str, Any]:
             bar.update()
             feedback, friction, direction = cell
             direction_deg, mu = config.directions_deg[direction], config.friction[friction]
             return trials.make(trial(base, config, speed, direction_deg, mu, is_measured=feedback == 0))
 
         for cell in cells:
-            found = seek(partial(stands, cell), low, high, config.resolution)
+            found = seek(partial(fly_cell, cell), low, high, config.resolution)
             limit[cell] = found["speed"]
             slips[cell] = found["slipped"]
             force[cell] = found["force"]

@@ -198,7 +198,7 @@ def compute(name: str, config: TrimConfig) -> Findings:
         "trims found": len(trims),
         "largest residual of a trim [N, N m]": max((np.abs(r.residual).max() for r in trims), default=None),
         "median solve time of a trim [s]": float(np.median([r.solve_time for r in trims])) if trims else None,
-        "strongest wind with a trim from every direction [m/s]": _everywhere(dataset),
+        "strongest wind with a trim from every direction [m/s]": _feasible_speed(dataset),
     }
     urdf = config.robot.parent / tables.read(config.robot)["urdf"]
     text = "" if trims else f"NO TRIM in any of these winds\n{study.listing(summary)}"
@@ -208,7 +208,7 @@ def compute(name: str, config: TrimConfig) -> Findings:
 MAP = Study("trim", __doc__, TrimConfig, compute, ("free_joints",), options=["--map"])
 
 
-def _everywhere(dataset: xr.Dataset) -> float:
+def _feasible_speed(dataset: xr.Dataset) -> float:
     feasible = dataset["feasible"].sel(objective="max_margin").all("direction").values
     reached = int(np.argmin(feasible)) if not feasible.all() else feasible.size
     return float(dataset["speed"].values[reached - 1]) if reached else float("nan")

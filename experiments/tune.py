@@ -26,8 +26,8 @@ from experiments.sweep import spec
 from experiments.sweep.design import Design
 from jax_aero import io, keys, places, rust, tables
 from jax_aero.command import Refused
-from jax_aero.sim.batch import Group, grouped
-from jax_aero.train.gains import Cost, Sample, Steps, Tuned, gradients, tune
+from jax_aero.sim.batch import Group, group_flights
+from jax_aero.train.gains import Cost, Sample, Steps, TuningResult, gradients, tune
 
 
 class TuneConfig(tables.Table, frozen=True):
@@ -63,7 +63,7 @@ def compute(name: str, config: TuneConfig, checkpoint: Path) -> Findings:
     if not worlds.is_sampled:
         raise Refused(f"{config.worlds.name} is a {worlds.design}; expected a sampled design")
     base = rust.load_config(worlds.base)
-    digest = study.digest({**tables.plain(config), "base": rust.config_digest(base)}, [*tables.files(config)])
+    digest = study.digest({**tables.to_builtins(config), "base": rust.config_digest(base)}, [*tables.files(config)])
     with jax.enable_x64(True):
         found = tune(
             _sample(config, controller, worlds),
@@ -110,16 +110,16 @@ def world(worlds: Design, number: int, controller: Mapping[str, Any], duration: 
 def _sample(config: TuneConfig, controller: Mapping[str, Any], worlds: spec.Spec) -> Sample:
     steps = config.steps
 
-    def drawn(samples: int, seed: int) -> Design:
+    def draw_design(samples: int, seed: int) -> Design:
         return Design(msgspec.structs.replace(worlds, samples=samples, seed=seed))
 
-    training = drawn(steps.count * steps.batch, config.seed)
-    unseen = drawn(steps.validation, config.seed + 1)
+    training = draw_design(steps.count * steps.batch, config.seed)
+    unseen = draw_design(steps.validation, config.seed + 1)
 
     def group(step: int) -> Group:
         design, first = (training, step) if step >= 0 else (unseen, -1 - step)
         numbers = range(first * steps.batch, (first + 1) * steps.batch)
-        groups = grouped(world(design, number, controller, config.duration) for number in numbers)
+        groups = group_flights(world(design, number, controller, config.duration) for number in numbers)
         if len(groups) > 1:
             raise Refused(f"{config.worlds.name}: its worlds differ in more than numbers; expected one structure")
         return groups[0]
@@ -151,7 +151,7 @@ def _times(value: Any, factor: float) -> Any:
     return float(f"{value * factor:.4g}")
 
 
-def to_dataset(config: TuneConfig, found: Tuned) -> xr.Dataset:
+def to_dataset(config: TuneConfig, found: TuningResult) -> xr.Dataset:
     """Return costs and factors along the run as a labelled dataset."""
     looks = found.validations
     return xr.Dataset(

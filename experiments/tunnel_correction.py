@@ -83,7 +83,7 @@ def numbers(points: Points) -> Floats:
     return best
 
 
-def held_out(points: Points, group: Any) -> Floats:
+def held_out_errors(points: Points, group: Any) -> Floats:
     """Return the errors (N, 6) of the corrected model, each group's with the correction from the other groups."""
     error = points.missing.copy()
     for name in np.unique(group):

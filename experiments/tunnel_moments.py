@@ -23,15 +23,15 @@ import xarray as xr
 from experiments import Refused, record
 from experiments.import_cfd import OUT
 from experiments.study import Findings, Study
-from experiments.tunnel_correction import Points, columns, held_out, rms_by_posture
+from experiments.tunnel_correction import Points, columns, held_out_errors, rms_by_posture
 from jax_aero import io, places, tables
 from jax_aero.aero import tunnel
-from jax_aero.aero.dataset import Floats, in_robot_order, tunnel_from_base, wind_direction
+from jax_aero.aero.dataset import Floats, reorder_joints, tunnel_from_base, wind_direction
 from jax_aero.aero.model import aero_model
 from jax_aero.aero.posture import centres_of_mass, link_frames, total_wrench, vector_rms
 from jax_aero.aero.protocol import LinksInAir
 from jax_aero.aero.surrogate import batched_features, force_areas, load_surrogate
-from jax_aero.kinematics import standing
+from jax_aero.kinematics import kinematics_at_rest
 from jax_aero.places import ROBOT
 from jax_aero.robot import RobotModel, load_robot
 from jax_aero.spatial import rotate
@@ -71,7 +71,7 @@ def compute(_: str, config: MomentsConfig) -> Findings:
     """Evaluate and compare."""
     data, robot = read(config.dataset), load_robot(ROBOT)
     areas = model_areas(robot, data)
-    result = compared(robot, data, areas)
+    result = compare_moments(robot, data, areas)
     figures = summary(result) | corrections(robot, data, areas)
     inputs = {"draws": DRAWS, "seed": SEED, "points": result.sizes["point"]}
     return Findings("Models' moments beside the wind tunnel", result, figures, inputs=inputs, files=MODEL_FILES)
@@ -85,10 +85,10 @@ def read(path: Path) -> xr.Dataset:
     """Return the points of the tunnel."""
     if not path.is_file():
         raise Refused(f"no {path.name}; make it with: jax-aero import-tunnel --clone DIR")
-    return record.loaded(path)
+    return record.load_result(path)
 
 
-def compared(robot: RobotModel, data: xr.Dataset, areas: Mapping[str, Floats]) -> xr.Dataset:
+def compare_moments(robot: RobotModel, data: xr.Dataset, areas: Mapping[str, Floats]) -> xr.Dataset:
     """Return the moments of all models beside the measured ones, and their errors."""
     predicted = {name: moments(robot, data, of_links) for name, of_links in areas.items()}
     names = [NOTHING, *predicted]
@@ -125,27 +125,27 @@ def model_areas(robot: RobotModel, data: xr.Dataset) -> dict[str, Floats]:
     found = {}
     for name, file in MODELS.items():
         table = io.resolve(AERO / f"{file}.toml", io.AERO)
-        found[name] = evaluated(robot, table, joints, wind * data["speed"].values[:, None])
+        found[name] = evaluate_areas(robot, table, joints, wind * data["speed"].values[:, None])
     panels = load_surrogate(PANELS, robot)
     features = batched_features(robot, panels.panels, panels.wake)
     found[PANEL_MODEL] = force_areas(panels.coefficients, features(joints, wind))
     return found
 
 
-def evaluated(robot: RobotModel, table: Mapping[str, Any], joints: Floats, air: Floats) -> Floats:
+def evaluate_areas(robot: RobotModel, table: Mapping[str, Any], joints: Floats, air: Floats) -> Floats:
     """Return the force areas (N, 13, 3) [m²] of a model at rest in air of velocity (N, 3) [m/s], base axes."""
     with jax.enable_x64(True):
         model = aero_model(io.aero_config(table), robot)
         links = robot.aero_links
 
-        def one(position: Any, wind: Any) -> Any:
-            kin = standing(robot, position)
+        def areas_in_wind(position: Any, wind: Any) -> Any:
+            kin = kinematics_at_rest(robot, position)
             rotations = kin.body_rotations[np.array(links.bodies)] @ links.rotations
             axes = rotate(rotations, links.axes)
             forces = model.forces(LinksInAir(axes, jnp.broadcast_to(wind, axes.shape), wind, robot, kin))
             return forces / (0.5 * float(table["air_density"]) * jnp.sum(wind**2))
 
-        areas = jax.jit(jax.vmap(one))(in_robot_order(robot.joint_names, joints), air)
+        areas = jax.jit(jax.vmap(areas_in_wind))(reorder_joints(robot.joint_names, joints), air)
         return np.asarray(areas, dtype=np.float64)
 
 
@@ -205,7 +205,7 @@ def compare(data: xr.Dataset, volumes: Floats) -> tuple[Floats, Floats, Floats]:
         for draw in range(DRAWS):
             square = _squares(volumes, moment_about_com(data, side, _offsets(rng, side)))
             for g, rows in enumerate(chosen):
-                weight = _resampled(rng, cluster, rows)
+                weight = _resample(rng, cluster, rows)
                 drawn[draw, ..., s, g] = np.sqrt(square @ weight / weight.sum())
     intervals = np.moveaxis(np.quantile(drawn, ENDS, axis=0), 0, -1) * NEWTON_METRES
     more = (drawn[:, :, 1] - drawn[:, :, 0]) * NEWTON_METRES
@@ -221,14 +221,14 @@ def _squares(volumes: Floats, measured: Floats) -> Floats:
 def _offsets(rng: np.random.Generator, side: str) -> Callable[[str, str], Floats]:
     """Draw one error of the offset for each campaign and mount."""
 
-    def more(_campaign: str, kind: str) -> Floats:
+    def draw_offset(_campaign: str, kind: str) -> Floats:
         drawn: Floats = rng.normal(size=3) * np.array(tunnel.LEVERS[kind, side].deviation)
         return drawn
 
-    return more
+    return draw_offset
 
 
-def _resampled(rng: np.random.Generator, cluster: Any, rows: Any) -> Floats:
+def _resample(rng: np.random.Generator, cluster: Any, rows: Any) -> Floats:
     """Return weights of the points for postures drawn with replacement."""
     names, number = np.unique(cluster[rows], return_inverse=True)
     count = np.bincount(rng.integers(len(names), size=len(names)), minlength=len(names))
@@ -287,9 +287,9 @@ def corrections(robot: RobotModel, data: xr.Dataset, areas: Mapping[str, Floats]
             points = Points(steps, measured - modelled, posture)
             errors = {
                 "as it is": points.missing,
-                "corrected by other postures": held_out(points, posture),
-                "corrected by the other mount": held_out(points, kind),
-                "balance centre moved instead": held_out(points._replace(columns=lever_columns(data)), posture),
+                "corrected by other postures": held_out_errors(points, posture),
+                "corrected by the other mount": held_out_errors(points, kind),
+                "balance centre moved instead": held_out_errors(points._replace(columns=lever_columns(data)), posture),
             }
             for group in GROUPS:
                 rows = np.ones(len(kind), dtype=bool) if group == "all" else kind == group

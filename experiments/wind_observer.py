@@ -61,7 +61,7 @@ def compute(_: str, asked: WindEstimate) -> Findings:
     for world in asked.worlds:
         for speed in asked.speeds:
             results = rust.fly_batch(list(configurations(world, speed, asked.flights, asked.seed)), full_log=True)
-            errors, inside = zip(*(judged(result.log) for result in results), strict=True)
+            errors, inside = zip(*(wind_errors(result.log) for result in results), strict=True)
             found[f"{world}, {speed:g} m/s"] = {
                 "rms": float(np.sqrt(np.mean(np.concatenate(errors) ** 2))),
                 "inside": float(np.mean(np.concatenate(inside))),
@@ -123,7 +123,7 @@ def configurations(world: World, speed: float, flights: int, seed: int) -> Itera
         yield config
 
 
-def judged(log: Mapping[str, NDArray[np.float64]]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def wind_errors(log: Mapping[str, NDArray[np.float64]]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return the length of the horizontal error in every tick, and which components are within their interval."""
     known = log["time"] >= KNOWN
     error = (log["measured_wind"] - log["wind"])[known, :2]

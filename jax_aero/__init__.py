@@ -6,10 +6,10 @@
 'completed'
 
 `load`, `fly` and `fly_batch` call the Rust crate, which is the reference for physics and control (`jax_aero.rust` has
-its other functions). `prepare` and `rollout` compute the same flight in JAX, for `jit`, `vmap` and `grad`; `changed`
-replaces numbers in what `prepare` returns (`jax_aero.sim` has the other functions). `air` gives aerodynamic forces to
-other simulators, and `env` is the flight as a reinforcement-learning environment. Packages of the extras are imported
-on first use.
+its other functions). `prepare` and `rollout` compute the same flight in JAX, for `jit`, `vmap` and `grad`;
+`replace_values` replaces numbers in what `prepare` returns (`jax_aero.sim` has the other functions). `air` gives
+aerodynamic forces to other simulators, and `env` is the flight as a reinforcement-learning environment. Packages of the
+extras are imported on first use.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from jax_aero.rust import load_config
     from jax_aero.sim.rollout import rollout as rollout
     from jax_aero.sim.step import prepare as prepare
-    from jax_aero.types import changed as changed
+    from jax_aero.types import replace_values as replace_values
 
     load = load_config
 
 _PLACES = {
     "__version__": "jax_aero.rust:__version__",
     "air": "jax_aero.air",
-    "changed": "jax_aero.types:changed",
+    "replace_values": "jax_aero.types:replace_values",
     "env": "jax_aero.env",
     "fly": "jax_aero.rust:fly",
     "fly_batch": "jax_aero.rust:fly_batch",

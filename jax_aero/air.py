@@ -5,7 +5,7 @@
 >>> arm = '''<mujoco><worldbody><body name="arm"><joint axis="0 1 0"/>
 ...     <geom type="capsule" fromto="0 0 0 0 0 -0.5" size="0.03"/></body></worldbody></mujoco>'''
 >>> model = mujoco.MjModel.from_xml_string(arm)
->>> wind = air.of_links(model, [air.Link("arm", diameter=0.06, length=0.5, centre=(0.0, 0.0, -0.25))])
+>>> wind = air.from_links(model, [air.Link("arm", diameter=0.06, length=0.5, centre=(0.0, 0.0, -0.25))])
 >>> mujoco.set_mjcb_control(wind.callback([8.0, 0.0, 0.0]))
 >>> data = mujoco.MjData(model)
 >>> mujoco.mj_step(model, data)
@@ -13,9 +13,9 @@
 True
 >>> mujoco.set_mjcb_control(None)
 
-Links come from one of our robot files (`of_robot`) or are declared (`of_links`); models are those of `configs/aero`.
-The forces are those of `jax_aero.aero.link_forces` with physically correct points: each acts at its link's aerodynamic
-centre and depends on the wind relative to it.
+Links come from one of our robot files (`from_robot`) or are declared (`from_links`); models are those of
+`configs/aero`. The forces are those of `jax_aero.aero.link_forces` with physically correct points: each acts at its
+link's aerodynamic centre and depends on the wind relative to it.
 """
 
 from __future__ import annotations
@@ -149,13 +149,13 @@ class Air:
         def apply(model: Any, data: Any) -> None:  # noqa: ARG001 - the signature is MuJoCo's
             now = wind(data.time) if callable(wind) else wind
             with jax.enable_x64(True):
-                given = _Seen(*(np.array(getattr(data, name)) for name in _Seen._fields))
+                given = _MujocoState(*(np.array(getattr(data, name)) for name in _MujocoState._fields))
                 data.xfrc_applied[rows] = np.asarray(_xfrc(air, given, jnp.asarray(now, jnp.float64)))[rows]
 
         return apply
 
 
-class _Seen(NamedTuple):
+class _MujocoState(NamedTuple):
     """Fields of MuJoCo's data that the forces depend on."""
 
     xpos: Any
@@ -167,7 +167,7 @@ class _Seen(NamedTuple):
 
 
 @jax.jit
-def _xfrc(air: Air, data: _Seen, wind: Array) -> Array:
+def _xfrc(air: Air, data: _MujocoState, wind: Array) -> Array:
     return air.xfrc(data, wind)
 
 
@@ -176,7 +176,7 @@ def settings(name: str) -> config.AeroConfig:
     return io.aero_config(io.resolve(places.find("aero", name), io.AERO))
 
 
-def of_robot(
+def from_robot(
     model: Any, robot: str = "ironcub_mk1", aero: str | AeroModel = "axisymmetric_corrected", prefix: str = ""
 ) -> Air:
     """Return the air around one of our robots in a MuJoCo model whose bodies and joints have the names of its URDF.
@@ -200,11 +200,11 @@ def of_robot(
     ours = load_robot(places.find("robot", robot))
     chosen = aero_model(settings(aero), ours) if isinstance(aero, str) else aero
     bodies = [_body(model, prefix + name) for name in ours.body_names]
-    joints = [model.joint(_known(model, "joint", prefix + name)).qposadr[0] for name in ours.joint_names]
+    joints = [model.joint(_check_name(model, "joint", prefix + name)).qposadr[0] for name in ours.joint_names]
     return _air(model, chosen, ours, bodies, joints)
 
 
-def of_links(model: Any, links: Sequence[Link], aero: str = "sphere_cylinder") -> Air:
+def from_links(model: Any, links: Sequence[Link], aero: str = "sphere_cylinder") -> Air:
     """Return the air around declared links of a `mujoco.MjModel`.
 
     `aero` is a sphere and cylinder model of `configs/aero`; links with coefficients use the axisymmetric model.
@@ -255,10 +255,10 @@ def _air(model: Any, aero: AeroModel, robot: RobotModel, bodies: list[int], join
 
 
 def _body(model: Any, name: str) -> int:
-    return int(model.body(_known(model, "body", name)).id)
+    return int(model.body(_check_name(model, "body", name)).id)
 
 
-def _known(model: Any, kind: str, name: str) -> str:
+def _check_name(model: Any, kind: str, name: str) -> str:
     count, of = (model.nbody, model.body) if kind == "body" else (model.njnt, model.joint)
     names = [of(index).name for index in range(count)]
     if name not in names:

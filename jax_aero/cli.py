@@ -141,7 +141,7 @@ def count(text: str) -> int:
     return int(text)
 
 
-def completes(action: argparse.Action, words: Callable[[], Iterable[str]]) -> None:
+def complete_with(action: argparse.Action, words: Callable[[], Iterable[str]]) -> None:
     """Offer these words for Tab completion of an argument."""
     setattr(action, "completer", lambda **_: words())  # noqa: B010 - an attribute that argcomplete reads
 

@@ -27,13 +27,13 @@ from jaxtyping import Float, Int, Key
 
 from jax_aero.control.protocol import Command, Measurement
 from jax_aero.control.tick import MomentumController, replace_command
-from jax_aero.env_task import Seen, Task, added_torque, is_lost, observation, rewards, steering, within
+from jax_aero.env_task import Task, TaskState, added_torque, is_lost, limit_action, observation, rewards, steer
 from jax_aero.io import load_config
 from jax_aero.kinematics import kinematics
 from jax_aero.robot import RobotModel
 from jax_aero.sim.step import FLYING, FlightState, Scenario, prepare, step
 from jax_aero.spatial import rotation_angle
-from jax_aero.types import Array, Static, changed, pytree
+from jax_aero.types import Array, Static, pytree, replace_values
 from jax_aero.types import State as RobotState
 
 __all__ = ["EnvState", "FlightEnv", "Task"]
@@ -58,7 +58,7 @@ class EnvState(NamedTuple):
 
 
 @pytree
-class Steered:
+class SteeredController:
     """The flight controller, with its answer modified by an action."""
 
     inner: MomentumController
@@ -76,7 +76,7 @@ class Steered:
         terms = command.terms
         assert terms is not None
         assert command.joint_velocity is not None
-        rates, velocities = steering(self.task, self.action, command.thrust_rate, command.joint_velocity)
+        rates, velocities = steer(self.task, self.action, command.thrust_rate, command.joint_velocity)
         bounds, j = terms.momentum_qp.problem, rates.shape[0]
         rates = jnp.clip(rates, bounds.lower[:j], bounds.upper[:j])
         more = added_torque(
@@ -150,17 +150,17 @@ class FlightEnv:
         """Fly one tick with an action between −1 and 1."""
         inner = self._scenario.controller
         assert isinstance(inner, MomentumController)
-        action = within(jnp, action, self.action_size, state.wind.dtype)
-        scenario: Scenario = changed(self._scenario, {"wind.velocity": state.wind})
-        scenario = replace(scenario, controller=Steered(inner, action, self.task))
+        action = limit_action(jnp, action, self.action_size, state.wind.dtype)
+        scenario: Scenario = replace_values(self._scenario, {"wind.velocity": state.wind})
+        scenario = replace(scenario, controller=SteeredController(inner, action, self.task))
         flight, _ = step(scenario, state.flight, state.tick)
         state = state._replace(flight=flight, tick=state.tick + 1)
-        seen, obs = self._observe(state)
-        parts = rewards(jnp, seen, action)
-        lost = (flight.loss != FLYING) | is_lost(jnp, seen, scenario.fall)
+        task_state, obs = self._observe(state)
+        parts = rewards(jnp, task_state, action)
+        lost = (flight.loss != FLYING) | is_lost(jnp, task_state, scenario.fall)
         errors = {
-            "attitude_error": rotation_angle(seen.setpoint_rotation.T @ seen.rotation),
-            "position_error": jnp.linalg.norm(seen.com_error),
+            "attitude_error": rotation_angle(task_state.setpoint_rotation.T @ task_state.rotation),
+            "position_error": jnp.linalg.norm(task_state.com_error),
         }
         # The numbers of a lost robot need not be finite.
         metrics = {
@@ -173,9 +173,9 @@ class FlightEnv:
             metrics=metrics,
         )
 
-    def _observe(self, state: EnvState) -> tuple[Seen, Array]:
+    def _observe(self, state: EnvState) -> tuple[TaskState, Array]:
         robot, now, first = self._scenario.plant.robot, state.flight.plant, self._start.plant.robot
-        seen = Seen(
+        task_state = TaskState(
             rotation=now.robot.base_rotation,
             velocity=now.robot.velocity,
             joint_position=now.robot.joint_position,
@@ -184,5 +184,5 @@ class FlightEnv:
             setpoint_rotation=first.base_rotation,
             posture=first.joint_position,
         )
-        obs: Array = observation(jnp, seen, robot.jets.thrust_max)
-        return seen, obs
+        obs: Array = observation(jnp, task_state, robot.jets.thrust_max)
+        return task_state, obs

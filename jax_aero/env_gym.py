@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero import rust, tables
-from jax_aero.env_task import Seen, Task, added_torque, is_lost, observation, rewards, steering, within
+from jax_aero.env_task import Task, TaskState, added_torque, is_lost, limit_action, observation, rewards, steer
 
 LARGEST = 1e6
 """Bound that no observation reaches before the flight counts as lost."""
@@ -73,9 +73,9 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Fly one tick."""
         now, law = self._measurement, self._config["controller"]["torque"]
-        clipped = within(np, action, self._thrust_max.size + self._posture.size, np.float64)
+        clipped = limit_action(np, action, self._thrust_max.size + self._posture.size, np.float64)
         tick = self._controller.tick(now.state, now.thrust, now.wind, now.time)
-        rates, velocities = steering(self.task, clipped, tick.thrust_rate, tick.joint_velocity_command)
+        rates, velocities = steer(self.task, clipped, tick.thrust_rate, tick.joint_velocity_command)
         j = rates.shape[0]
         rates = np.clip(rates, tick.momentum_qp.lower[:j], tick.momentum_qp.upper[:j])
         more = added_torque(
@@ -90,9 +90,9 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._controller.replace_command(rates, torque)
         self._measurement = self._plant.step(rates, torque)
         self._ticks += 1
-        seen, obs = self._observe()
-        parts = {name: float(value) for name, value in rewards(np, seen, clipped).items()}
-        lost = bool(is_lost(np, seen, self._fall))
+        task_state, obs = self._observe()
+        parts = {name: float(value) for name, value in rewards(np, task_state, clipped).items()}
+        lost = bool(is_lost(np, task_state, self._fall))
         return obs, 0.0 if lost else sum(parts.values()), lost, self._ticks >= self._last_tick, parts
 
     def _begin(self, wind: list[float]) -> None:
@@ -105,9 +105,9 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._posture: NDArray[np.float64] = np.array(state.joint_position)
         self._com = rust.dynamics(self._robot, state).com_position
 
-    def _observe(self) -> tuple[Seen, NDArray[np.float32]]:
+    def _observe(self) -> tuple[TaskState, NDArray[np.float32]]:
         state = self._measurement.state
-        seen = Seen(
+        task_state = TaskState(
             rotation=np.asarray(state.base_rotation),
             velocity=np.asarray(state.velocity),
             joint_position=np.asarray(state.joint_position),
@@ -116,5 +116,5 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             setpoint_rotation=self._upright,
             posture=self._posture,
         )
-        obs: NDArray[np.float32] = observation(np, seen, self._thrust_max)
-        return seen, obs
+        obs: NDArray[np.float32] = observation(np, task_state, self._thrust_max)
+        return task_state, obs

@@ -78,7 +78,7 @@ def _check(name: str, value: Any, least: float, expected: str) -> None:
         raise ValueError(f"`{name}` is {value!r}; expected {expected}")
 
 
-class Seen(NamedTuple):
+class TaskState(NamedTuple):
     """State for observation and reward, in inertial axes unless a suffix says otherwise."""
 
     rotation: Any
@@ -97,51 +97,51 @@ class Seen(NamedTuple):
     """Joint positions of the first tick (n,) [rad]."""
 
 
-def observation(xp: Any, seen: Seen, thrust_max: Any) -> Any:
+def observation(xp: Any, state: TaskState, thrust_max: Any) -> Any:
     """Return the observation of an agent, of order one: (15 + 2 n + j,).
 
     Direction of gravity in base axes, rotation from the set-point, and errors and velocities in base axes.
     """
-    base = seen.rotation
-    error = seen.setpoint_rotation.T @ base
+    base = state.rotation
+    error = state.setpoint_rotation.T @ base
     skewed = 0.5 * xp.stack([error[2, 1] - error[1, 2], error[0, 2] - error[2, 0], error[1, 0] - error[0, 1]])
     parts = [
         -base[2],
         skewed,
-        base.T @ seen.com_error,
-        base.T @ seen.velocity[:3],
-        base.T @ seen.velocity[3:6],
-        seen.joint_position - seen.posture,
-        0.1 * seen.velocity[6:],
-        seen.thrust / thrust_max,
+        base.T @ state.com_error,
+        base.T @ state.velocity[:3],
+        base.T @ state.velocity[3:6],
+        state.joint_position - state.posture,
+        0.1 * state.velocity[6:],
+        state.thrust / thrust_max,
     ]
     return xp.concatenate(parts).astype(xp.float32)
 
 
-def rewards(xp: Any, seen: Seen, action: Any) -> dict[str, Any]:
+def rewards(xp: Any, state: TaskState, action: Any) -> dict[str, Any]:
     """Return the parts of the reward of one tick, each at most its value for perfect hovering; the sum is at most 1.
 
-    `action` is as returned by `within`.
+    `action` is as returned by `limit_action`.
     """
-    error = seen.setpoint_rotation.T @ seen.rotation
+    error = state.setpoint_rotation.T @ state.rotation
     # 1 − cos of the angle between base and set-point.
     angle = 0.5 * (3.0 - xp.trace(error))
     return {
         "attitude": 0.5 * xp.exp(-20.0 * angle),
-        "position": 0.5 * xp.exp(-20.0 * xp.sum(seen.com_error**2)),
+        "position": 0.5 * xp.exp(-20.0 * xp.sum(state.com_error**2)),
         "effort": -0.01 * xp.sum(action**2) / max(action.size, 1),
     }
 
 
-def is_lost(xp: Any, seen: Seen, limits: Any) -> Any:
+def is_lost(xp: Any, state: TaskState, limits: Any) -> Any:
     """Return whether the robot has fallen, by the limits of `simulator.fall`; a state with NaN counts as fallen."""
-    cosine = 0.5 * (xp.trace(seen.setpoint_rotation.T @ seen.rotation) - 1.0)
+    cosine = 0.5 * (xp.trace(state.setpoint_rotation.T @ state.rotation) - 1.0)
     turned = xp.degrees(xp.arccos(xp.clip(cosine, -1.0, 1.0)))
-    is_near = xp.sum(seen.com_error**2) <= limits.com_error**2
+    is_near = xp.sum(state.com_error**2) <= limits.com_error**2
     return ~((turned <= limits.rotation_error_deg) & is_near)
 
 
-def within(xp: Any, action: Any, size: int, dtype: Any) -> Any:
+def limit_action(xp: Any, action: Any, size: int, dtype: Any) -> Any:
     """Return an action limited to −1 to 1.
 
     Raises
@@ -154,7 +154,7 @@ def within(xp: Any, action: Any, size: int, dtype: Any) -> Any:
     return xp.clip(xp.asarray(action, dtype), -1.0, 1.0)
 
 
-def steering(task: Task, action: Any, thrust_rate: Any, joint_velocity: Any) -> tuple[Any, Any]:
+def steer(task: Task, action: Any, thrust_rate: Any, joint_velocity: Any) -> tuple[Any, Any]:
     """Return the thrust rates and joint velocities of an action between −1 and 1, given the controller's own."""
     j = thrust_rate.shape[0]
     rates, velocities = task.thrust_rate * action[:j], task.joint_velocity * action[j:]

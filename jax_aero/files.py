@@ -56,7 +56,7 @@ def complete_folder(target: Path, *, replace: bool = False) -> Iterator[Path]:
     """
     target = target.resolve()
     draft, retired = (target.with_name(f".{target.name}.{word}") for word in ("draft", "old"))
-    with locked(target):
+    with lock(target):
         if retired.exists() and not target.exists():
             retired.rename(target)
         for left in (draft, retired):
@@ -80,7 +80,7 @@ def complete_folder(target: Path, *, replace: bool = False) -> Iterator[Path]:
 
 
 @contextmanager
-def locked(target: Path) -> Iterator[None]:
+def lock(target: Path) -> Iterator[None]:
     """Hold the lock of a file or folder for the duration of the block: `.NAME.lock` beside it, naming this process.
 
     The system releases a lock when its process ends for any reason, and the next process takes it over. Only a lock of
@@ -111,9 +111,9 @@ def locked(target: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def computing(target: Path) -> AbstractContextManager[None]:
+def lock_work(target: Path) -> AbstractContextManager[None]:
     """Hold the lock for computing a result, which covers intermediate files beside it before its folder is written."""
-    return locked(target.resolve().with_name(f".{target.resolve().name}.work"))
+    return lock(target.resolve().with_name(f".{target.resolve().name}.work"))
 
 
 def _take(descriptor: int, path: Path, target: Path) -> None:
@@ -153,7 +153,7 @@ def checksums(folder: Path) -> dict[str, str]:
     return {path.relative_to(folder).as_posix(): _sha256(path) for path in paths}
 
 
-def damaged(folder: Path, checksums: Mapping[str, str]) -> str | None:
+def find_damaged(folder: Path, checksums: Mapping[str, str]) -> str | None:
     """Return the first file that differs from its checksum, or `None`."""
 
     def is_whole(name: str, checksum: str) -> bool:
@@ -167,15 +167,15 @@ def _sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def sealed(content: bytes, what: str) -> bytes:
+def seal(content: bytes, what: str) -> bytes:
     """Return the content of a file, preceded by the SHA-256 of the content and its kind `what`."""
     return hashlib.sha256(what.encode() + content).digest() + content
 
 
-def unsealed(file: bytes, what: str) -> bytes | None:
-    """Return content written by `sealed`, or `None` if it is empty, truncated, changed or of another kind."""
+def unseal(file: bytes, what: str) -> bytes | None:
+    """Return content written by `seal`, or `None` if it is empty, truncated, changed or of another kind."""
     content = file[hashlib.sha256().digest_size :]
-    return content if file == sealed(content, what) else None
+    return content if file == seal(content, what) else None
 
 
 MAX_SIZE = 64 * 1024 * 1024
@@ -222,10 +222,10 @@ def write_json(path: Path, document: Any) -> None:
     write_text(path, json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
-def finite(value: Any) -> Any:
+def replace_infinite(value: Any) -> Any:
     """Return a value, or nested values, for JSON, with infinity (possible for errors of a fall) and NaN as null."""
     if isinstance(value, Mapping):
-        return {key: finite(item) for key, item in value.items()}
+        return {key: replace_infinite(item) for key, item in value.items()}
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

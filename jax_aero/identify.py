@@ -54,7 +54,7 @@ def segments_of(
     starts = np.linspace(first_tick, len(log["time"]) - horizon - 1, count, dtype=int)
     ticks = starts[:, None] + np.arange(horizon)
 
-    def blowing(tick: Array) -> Array:
+    def wind_at(tick: Array) -> Array:
         return wind_velocity(wind, tick * plant.time_step)
 
     return Segments(
@@ -62,7 +62,7 @@ def segments_of(
         thrust=jnp.asarray(log["thrust"][starts]),
         torque=jnp.asarray(log["joint_torque"][ticks]),
         thrust_rate=jnp.asarray(log["thrust_rate"][ticks]),
-        wind=jax.vmap(jax.vmap(blowing))(jnp.asarray(ticks)),
+        wind=jax.vmap(jax.vmap(wind_at))(jnp.asarray(ticks)),
         velocity=states_of(log, starts + horizon).velocity,
     )
 
@@ -143,11 +143,11 @@ def wrenches_along(
     """Return each model's total force and moment about the centre of mass [N, N m] along a log, inertial axes."""
 
     @jax.jit
-    def along(model: Axisymmetric) -> Array:
-        def one(state: State, wind: Array) -> Array:
+    def evaluate(model: Axisymmetric) -> Array:
+        def wrench_in_wind(state: State, wind: Array) -> Array:
             kin = kinematics(robot, state)
             return wrench_about(link_forces(model, robot, kin, LinkConventions(), wind), kin.com)
 
-        return jax.vmap(one)(states_of(log, slice(None)), jnp.asarray(log["wind"]))
+        return jax.vmap(wrench_in_wind)(states_of(log, slice(None)), jnp.asarray(log["wind"]))
 
-    return {name: np.asarray(along(model)) for name, model in models.items()}
+    return {name: np.asarray(evaluate(model)) for name, model in models.items()}

@@ -59,8 +59,8 @@ def override(table: Table, key: str, value: Any) -> None:
     *parents, last = key.split(".")
     place: inspect.Type | None = FLIGHT
     for part in parents:
-        place = _below(place, part)
-    entry = {last: tables.plain(value)}
+        place = _place_of_key(place, part)
+    entry = {last: tables.to_builtins(value)}
     for inner, name in paths(entry, place):
         inner[name] = str(Path(inner[name]).resolve())
     set_key(table, key, entry[last])
@@ -70,7 +70,7 @@ def override(table: Table, key: str, value: Any) -> None:
 def drop_absent(table: Table, place: inspect.Type | None = FLIGHT) -> None:
     """Remove the keys of a table that are to be absent: those that are `false` and that may be."""
     for key, value in list(table.items()):
-        below = _below(place, key)
+        below = _place_of_key(place, key)
         if value is False and any(isinstance(option, inspect.NoneType) for option in _alternatives(below)):
             del table[key]
         elif isinstance(value, dict):
@@ -85,7 +85,7 @@ def scenario_config(table: Mapping[str, Any]) -> ScenarioConfig:
     ValueError
         If a value is invalid; the message names the key, its value and what was expected.
     """
-    return tables.convert(tables.plain(table), ScenarioConfig, "configuration")
+    return tables.convert(tables.to_builtins(table), ScenarioConfig, "configuration")
 
 
 def check_config(table: Mapping[str, Any]) -> None:
@@ -99,21 +99,21 @@ def check_config(table: Mapping[str, Any]) -> None:
 
 def aero_config(table: Mapping[str, Any]) -> AeroConfig:
     """Return the typed configuration of an aerodynamic model."""
-    found: AeroConfig = tables.convert(tables.plain(table), AeroConfig, "aerodynamic model")  # type: ignore[arg-type]
+    found: AeroConfig = tables.convert(tables.to_builtins(table), AeroConfig, "aerodynamic model")  # type: ignore[arg-type]
     return found
 
 
 def paths(table: Table, place: inspect.Type | None = FLIGHT) -> Iterator[tuple[Table, str]]:
     """Yield every path in a resolved table, as the table that holds it and its key."""
     for key, value in table.items():
-        below = _below(place, key)
+        below = _place_of_key(place, key)
         if isinstance(value, dict):
             yield from paths(value, below)
         elif isinstance(value, str) and _is_path(below):
             yield table, key
 
 
-def at_home(config: Mapping[str, Any]) -> Table:
+def make_paths_absolute(config: Mapping[str, Any]) -> Table:
     """Return a configuration with absolute paths, from one with paths relative to the repository, as in a manifest."""
     placed = copy.deepcopy(dict(config))
     for table, key in paths(placed):
@@ -131,19 +131,19 @@ def resolve(path: str | PathLike[str], kind: inspect.Type | None = FLIGHT) -> Ta
             raise tables.ConfigError(f"{path}: `base` files refer to one another more than {MAX_DEPTH} deep")
         if next(count, None) is None:
             raise tables.ConfigError(f"{path}: more than {MAX_FILES} `base` files are read")
-        return resolved(tables.read(path), place, path.parent, depth)
+        return resolve_table(tables.read(path), place, path.parent, depth)
 
-    def resolved(table: Table, place: inspect.Type | None, folder: Path, depth: int) -> Table:
+    def resolve_table(table: Table, place: inspect.Type | None, folder: Path, depth: int) -> Table:
         # In a table with names of robot parts as keys, a `base` that is not a string is such a name.
         has_names = any(isinstance(option, inspect.DictType) for option in _alternatives(place))
         is_name = has_names and not isinstance(table.get("base"), str)
         base = None if is_name else table.pop("base", None)
         for key, value in table.items():
-            below = _below(place, key)
+            below = _place_of_key(place, key)
             if isinstance(value, dict):
-                table[key] = resolved(value, below, folder, depth)
+                table[key] = resolve_table(value, below, folder, depth)
             elif isinstance(value, str) and _is_path(below):
-                table[key] = _absolute(folder / value)
+                table[key] = _absolute_path(folder / value)
         if base is None:
             return table
         if not isinstance(base, str):
@@ -167,11 +167,11 @@ def _lay_over(under: Table, place: inspect.Type | None, over: Table) -> Table:
     for key, value in over.items():
         before = merged.get(key)
         is_pair = isinstance(before, dict) and isinstance(value, dict)
-        merged[key] = _lay_over(before or {}, _below(place, key), value) if is_pair else value
+        merged[key] = _lay_over(before or {}, _place_of_key(place, key), value) if is_pair else value
     return merged
 
 
-def _absolute(path: Path) -> str:
+def _absolute_path(path: Path) -> str:
     try:
         return str(path.resolve(strict=True))
     except OSError as reason:
@@ -186,7 +186,7 @@ def _alternatives(place: inspect.Type | None) -> tuple[inspect.Type, ...]:
     return place.types if isinstance(place, inspect.UnionType) else () if place is None else (place,)
 
 
-def _below(place: inspect.Type | None, key: str) -> inspect.Type | None:
+def _place_of_key(place: inspect.Type | None, key: str) -> inspect.Type | None:
     """Return the place of a key of a table, from the alternative that has the key."""
     for option in _alternatives(place):
         if isinstance(option, inspect.DictType):

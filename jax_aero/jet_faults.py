@@ -103,7 +103,7 @@ def _sensor_noise(settings: JetFaultsConfig, n_ticks: int, jets: int) -> Array:
     return jnp.asarray(found.std) * drawn.reshape(-1, jets)
 
 
-def delayed(
+def delay_rates(
     faults: JetFaults, state: FaultState, command: Float[Array, " j"], dt: Float[Array, ""]
 ) -> Float[Array, " j"]:
     """Return the thrust rates [N/s] that reach the jets under these commands for the next `dt` [s]."""
@@ -112,14 +112,14 @@ def delayed(
     return jnp.where(has_lag, state.command + (command - state.command) * share, command)
 
 
-def measured(faults: JetFaults, state: FaultState, thrust: Float[Array, " j"]) -> Float[Array, " j"]:
+def measure_thrust(faults: JetFaults, state: FaultState, thrust: Float[Array, " j"]) -> Float[Array, " j"]:
     """Return the thrusts measured for the estimators [N]."""
     if faults.sensor_noise is None:
         return thrust
     return thrust + faults.sensor_noise[jnp.minimum(state.tick, faults.sensor_noise.shape[0] - 1)]
 
 
-def limited(
+def limit_thrust(
     faults: JetFaults,
     state: FaultState,
     thrust: Float[Array, " j"],

@@ -38,7 +38,7 @@ def kinematics(robot: RobotModel, state: State) -> Kinematics:
     return Kinematics(rotations, positions, joint_linear, joint_angular, com, angular, linear, state.joint_position)
 
 
-def standing(robot: RobotModel, joint_position: Float[Array, " n"]) -> Kinematics:
+def kinematics_at_rest(robot: RobotModel, joint_position: Float[Array, " n"]) -> Kinematics:
     """Return the kinematics at rest with base axes equal to inertial axes, at joint positions [rad]."""
     zero = jnp.zeros(robot.n_velocities, joint_position.dtype)
     return kinematics(robot, State(zero[:3], jnp.eye(3, dtype=zero.dtype), joint_position, zero))

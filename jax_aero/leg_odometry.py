@@ -39,7 +39,7 @@ class LegOdometry:
         self._data = mujoco.MjData(model)
         position, rotation, joints, velocity = (np.asarray(part) for part in first)
         self._velocity = velocity[6:].copy()
-        self._look(joints)
+        self._evaluate(joints)
         sole_rotation_b, sole_position_b = self._sole()
         self._rotation = rotation @ sole_rotation_b
         self._position = position + rotation @ sole_position_b
@@ -47,7 +47,7 @@ class LegOdometry:
     def measure(self, truth: rust.State) -> rust.State:
         """Return the state estimated from joints and soles; call once per tick. Only the joints of `truth` are used."""
         joints, rates = np.asarray(truth.joint_position), np.asarray(truth.velocity)[6:]
-        self._look(joints)
+        self._evaluate(joints)
         sole_rotation_b, sole_position_b = self._sole()
         rotation = self._rotation @ sole_rotation_b.T
         jacobian = np.vstack([self._jacobian(sole) for sole in self._soles])
@@ -58,7 +58,7 @@ class LegOdometry:
         velocity = np.concatenate([rotation @ velocity_b[:3], rotation @ velocity_b[3:], self._velocity])
         return rust.State(self._position - rotation @ sole_position_b, rotation, joints, velocity)
 
-    def _look(self, joint_position: Float[np.ndarray, " n"]) -> None:
+    def _evaluate(self, joint_position: Float[np.ndarray, " n"]) -> None:
         """Evaluate MuJoCo's kinematics at joint positions [rad], with the base at the origin."""
         self._data.qpos[:] = 0.0
         self._data.qpos[3] = 1.0

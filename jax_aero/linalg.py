@@ -78,19 +78,19 @@ def with_batch_rule(one: Callable[..., Any], batch: Callable[..., Any]) -> Calla
     return chosen
 
 
-def in_chunks(
+def map_in_chunks(
     one: Callable[..., Any], inputs: Any, out: Any, order: Int[Array, " k"], count: Int[Array, ""] | int
 ) -> Any:
     """Replace the rows `order[:count]` of `out` by `one(*inputs, out)` of the same rows, `CHUNK` rows at a time."""
     chunk = min(CHUNK, order.shape[0])
 
-    def some(k: Array, out: Any) -> Any:
+    def map_chunk(k: Array, out: Any) -> Any:
         # The last slice is shifted to fit, so it may repeat earlier rows or include rows beyond `count`.
         rows = lax.dynamic_slice(order, (k * chunk,), (chunk,))
         new = jax.vmap(one)(*jax.tree.map(lambda leaf: leaf[rows], (*inputs, out)))
         return jax.tree.map(lambda leaf, part: leaf.at[rows].set(part), out, new)
 
-    return lax.fori_loop(0, (count + chunk - 1) // chunk, some, out)
+    return lax.fori_loop(0, (count + chunk - 1) // chunk, map_chunk, out)
 
 
 def _solve_one(a: Array, b: Array) -> Array:
@@ -99,7 +99,7 @@ def _solve_one(a: Array, b: Array) -> Array:
 
 def _solve_batch(a: Array, b: Array) -> Array:
     def chunks(a: Array, b: Array) -> Array:
-        x: Array = in_chunks(lambda a, b, _: _solve_one(a, b), (a, b), b, jnp.arange(a.shape[0]), a.shape[0])
+        x: Array = map_in_chunks(lambda a, b, _: _solve_one(a, b), (a, b), b, jnp.arange(a.shape[0]), a.shape[0])
         return x
 
     solved: Array = lax.platform_dependent(a, b, cpu=chunks, default=jax.vmap(_solve_one))

@@ -37,7 +37,7 @@ HOLD_STIFFNESS, HOLD_DAMPING = 4000.0, 60.0
 """Stiffness and damping of the joints while the robot is put down [N m/rad, N m s/rad]."""
 
 
-class Observed(NamedTuple):
+class Observation(NamedTuple):
     """State of the simulation at a tick."""
 
     state: rust.State
@@ -123,13 +123,13 @@ class GroundPlant:
         self.data.ctrl[:] = held
         mujoco.mj_forward(model, self.data)
 
-    def observe(self, wind: Float[np.ndarray, "3"]) -> Observed:
+    def observe(self, wind: Float[np.ndarray, "3"]) -> Observation:
         """Return the state at this tick, and hold the forces of a wind [m/s, inertial axes] until the next."""
         data = self.data
         mujoco.mj_forward(self.model, data)
         state = self._state()
         torque = (data.qfrc_actuator + data.qfrc_passive + self._dry_friction())[self._order.dofs[6:]]
-        return Observed(
+        return Observation(
             state=state,
             measured=state if self._odometry is None else self._odometry.measure(state),
             foot_wrenches=self._foot_wrenches(),
@@ -303,19 +303,19 @@ def _times(simulator: Mapping[str, Any]) -> Array:
 
 
 def _row(
-    plant: GroundPlant, seen: Observed, tick: rust.Tick, time: float, thrust: Array, wind: Array
+    plant: GroundPlant, seen: Observation, tick: rust.Tick, time: float, thrust: Array, wind: Array
 ) -> dict[str, Any]:
     """Return every signal of one tick."""
     truth = rust.dynamics(plant.robot, seen.state)
     position, rotation, joints, nu = (np.asarray(part) for part in seen.state)
     desired = np.asarray(tick.setpoint.rotation)
-    given = tick.given
+    given = tick.estimates
     given_position, given_rotation, _, given_nu = (np.asarray(part) for part in given.state)
     contact = tick.contact
     if contact is None:
         raise ValueError("`controller.contact` is absent; expected a table: without feet the controller cannot stand")
 
-    def of_all_feet(named: Array) -> Array:
+    def expand_feet(named: Array) -> Array:
         every = np.zeros_like(seen.foot_wrenches)
         every[plant.named] = named
         return every
@@ -358,9 +358,9 @@ def _row(
         "foot_wrench": seen.foot_wrenches,
         "sole_position": seen.soles,
         "feet_carry": float(contact.is_active),
-        "contact_force": of_all_feet(contact.force),
-        "contact_force_rate": of_all_feet(contact.force_rate),
-        "contact_force_torque": of_all_feet(contact.force_of_torques),
+        "contact_force": expand_feet(contact.force),
+        "contact_force_rate": expand_feet(contact.force_rate),
+        "contact_force_torque": expand_feet(contact.force_of_torques),
     }
 
 

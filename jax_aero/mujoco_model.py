@@ -117,7 +117,7 @@ def mass_matrix_and_bias(robot: RobotModel, state: State) -> tuple[Float[Array, 
     """
     order = order_of(robot.source, robot.joint_names)
     model = _mjx_model(robot, state.velocity.dtype)
-    data = _smooth(robot, model, *to_mujoco(robot, state))
+    data = _smooth_dynamics(robot, model, *to_mujoco(robot, state))
     m = mjx.full_m(model, data)[order.dofs[:, None], order.dofs]
     r = state.base_rotation
     rows = jnp.concatenate([m[:3], r @ m[3:6], m[6:]])
@@ -126,7 +126,7 @@ def mass_matrix_and_bias(robot: RobotModel, state: State) -> tuple[Float[Array, 
     return mass_matrix, jnp.concatenate([bias[:3], r @ bias[3:6], bias[6:]])
 
 
-def _smooth(robot: RobotModel, model: Any, qpos: Array, qvel: Array) -> Any:
+def _smooth_dynamics(robot: RobotModel, model: Any, qpos: Array, qvel: Array) -> Any:
     """Return MJX data with the mass matrix and bias of a state."""
     with jax.ensure_compile_time_eval():
         data = mjx.make_data(mujoco_model(robot.source))

@@ -45,7 +45,7 @@ class Outage:
     """Error of a wrong value, in the unit of the channel."""
 
 
-class Held(NamedTuple):
+class OutageState(NamedTuple):
     """Measurements at the start of an outage."""
 
     is_begun: Bool[Array, ""]
@@ -80,15 +80,15 @@ def outages_of(settings: Sequence[OutageConfig], robot: RobotModel) -> tuple[Out
     )
 
 
-def begin(outages: Sequence[Outage], state: State, thrust: Float[Array, " j"]) -> tuple[Held, ...]:
+def begin(outages: Sequence[Outage], state: State, thrust: Float[Array, " j"]) -> tuple[OutageState, ...]:
     """Return the state of outages that have not begun."""
     nothing = Sample(state, thrust, jnp.zeros_like(state.base_position))
-    return tuple(Held(jnp.array(False), nothing) for _ in outages)
+    return tuple(OutageState(jnp.array(False), nothing) for _ in outages)
 
 
 def spoil(
-    outages: Sequence[Outage], held: Sequence[Held], time: Float[Array, ""], sample: Sample
-) -> tuple[tuple[Held, ...], Sample]:
+    outages: Sequence[Outage], held: Sequence[OutageState], time: Float[Array, ""], sample: Sample
+) -> tuple[tuple[OutageState, ...], Sample]:
     """Apply the outages to the measurement at `time` [s]."""
     after = []
     for outage, memory in zip(outages, held, strict=True):
@@ -96,13 +96,13 @@ def spoil(
         since = time - outage.start + 5e-7
         is_on = (since >= 0.0) & (since < outage.duration)
         first = where(is_on & ~memory.is_begun, sample, memory.sample)
-        after.append(Held(memory.is_begun | is_on, first))
-        sample = where(is_on, _spoilt(outage, sample, first), sample)
+        after.append(OutageState(memory.is_begun | is_on, first))
+        sample = where(is_on, _spoil_sample(outage, sample, first), sample)
     return tuple(after), sample
 
 
-def _spoilt(outage: Outage, sample: Sample, before: Sample) -> Sample:
-    def instead(numbers: Array, then: Array) -> Array:
+def _spoil_sample(outage: Outage, sample: Sample, before: Sample) -> Sample:
+    def replace_numbers(numbers: Array, then: Array) -> Array:
         match outage.kind:
             case "missing":
                 return jnp.full_like(numbers, jnp.nan)
@@ -116,24 +116,24 @@ def _spoilt(outage: Outage, sample: Sample, before: Sample) -> Sample:
     state, then = sample.state, before.state
     match outage.channel:
         case "wind":
-            return sample._replace(wind=instead(sample.wind, before.wind))
+            return sample._replace(wind=replace_numbers(sample.wind, before.wind))
         case "thrust":
-            each = jax.vmap(lambda now, was: instead(now[None], was[None])[0])(sample.thrust, before.thrust)
+            each = jax.vmap(lambda now, was: replace_numbers(now[None], was[None])[0])(sample.thrust, before.thrust)
             return sample._replace(thrust=jnp.where(outage.jets, each, sample.thrust))
         case "joints":
-            position = instead(state.joint_position, then.joint_position)
-            velocity = state.velocity.at[6:].set(instead(state.velocity[6:], then.velocity[6:]))
+            position = replace_numbers(state.joint_position, then.joint_position)
+            velocity = state.velocity.at[6:].set(replace_numbers(state.velocity[6:], then.velocity[6:]))
             return sample._replace(state=state._replace(joint_position=position, velocity=velocity))
         case "base_position":
-            position = instead(state.base_position, then.base_position)
+            position = replace_numbers(state.base_position, then.base_position)
             return sample._replace(state=state._replace(base_position=position))
         case "base_rotation":
             if outage.kind == "wrong":
                 turn = axis_angle(jnp.array([1.0, 0.0, 0.0], sample.wind.dtype), outage.error)
                 rotation = multiply(turn, state.base_rotation)
             else:
-                rotation = instead(state.base_rotation, then.base_rotation)
+                rotation = replace_numbers(state.base_rotation, then.base_rotation)
             return sample._replace(state=state._replace(base_rotation=rotation))
         case _:
-            velocity = state.velocity.at[:6].set(instead(state.velocity[:6], then.velocity[:6]))
+            velocity = state.velocity.at[:6].set(replace_numbers(state.velocity[:6], then.velocity[:6]))
             return sample._replace(state=state._replace(velocity=velocity))

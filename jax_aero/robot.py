@@ -251,7 +251,7 @@ def _forward_axis(value: tuple[float, ...]) -> Array:
     return axis
 
 
-def _unit(of: str, value: tuple[float, ...]) -> Any:
+def _unit_vector(of: str, value: tuple[float, ...]) -> Any:
     length = np.linalg.norm(value)
     if abs(length - 1.0) > 1e-6:
         raise ValueError(f"axis of {of} is {list(value)}; expected a vector of length 1")
@@ -274,7 +274,7 @@ def _limits(entry: JointEntry, joint: Joint) -> tuple[float, ...]:
     if not limits[0] < limits[1]:
         raise ValueError(f"limits of joint `{entry.name}` are {tuple(limits)}; expected lower below upper")
 
-    def greatest(key: str, unit: float, urdf: float | None) -> float:
+    def read_greatest(key: str, unit: float, urdf: float | None) -> float:
         value: float | None = getattr(entry, key)
         if value is None and urdf is None:
             raise ValueError(f"{key} of joint `{entry.name}` is missing; expected a positive number: the URDF has none")
@@ -282,9 +282,9 @@ def _limits(entry: JointEntry, joint: Joint) -> tuple[float, ...]:
 
     return (
         *limits,
-        greatest("torque_max", 1.0, joint.torque_max),
-        greatest("torque_rate_max", 1.0, np.inf),
-        greatest(keys[1], unit, joint.velocity_max),
+        read_greatest("torque_max", 1.0, joint.torque_max),
+        read_greatest("torque_rate_max", 1.0, np.inf),
+        read_greatest(keys[1], unit, joint.velocity_max),
     )
 
 
@@ -310,7 +310,7 @@ def _jets(file: RobotFile, tree: BodyTree) -> Jets:
         engines=tuple(entry.engine for entry in file.jets),
         rotations=rotations,
         positions=positions,
-        axes=leaf(np.reshape([_unit(f"jet `{entry.name}`", entry.axis) for entry in file.jets], (-1, 3))),
+        axes=leaf(np.reshape([_unit_vector(f"jet `{entry.name}`", entry.axis) for entry in file.jets], (-1, 3))),
         thrust_max=leaf([entry.thrust_max for entry in file.jets]),
     )
 
@@ -334,7 +334,7 @@ def _aero_links(file: RobotFile, tree: BodyTree) -> AeroLinks:
         is_sphere=tuple(entry.is_sphere for entry in entries),
         rotations=rotations,
         positions=positions,
-        axes=leaf(np.reshape([_unit(f"link `{entry.name}`", entry.axis) for entry in entries], (-1, 3))),
+        axes=leaf(np.reshape([_unit_vector(f"link `{entry.name}`", entry.axis) for entry in entries], (-1, 3))),
         centres=leaf(np.reshape([entry.centre for entry in entries], (-1, 3))),
         diameters=leaf([entry.diameter for entry in entries]),
         lengths=leaf([entry.length for entry in entries]),

@@ -252,7 +252,7 @@ class ContactTick:
 
 
 @dataclass(frozen=True)
-class Given:
+class Estimates:
     """Outputs of the controller's estimators; without estimators, the measurement.
 
     Attributes
@@ -360,7 +360,7 @@ class Tick:
         Part of the controller's state after the tick, see `Controller.state`.
     setpoint
         The set-point that was followed.
-    given
+    estimates
         Outputs of the controller's estimators, or without estimators the measurement; missing values are not yet
         predicted.
     contact
@@ -407,7 +407,7 @@ class Tick:
     inertia_0_b: Array
     velocity_error_integral: Array
     setpoint: Setpoint
-    given: Given
+    estimates: Estimates
     contact: ContactTick | None = None
 
 
@@ -482,7 +482,7 @@ class Controller:
         given = None if setpoint is None else {name: _array(value) for name, value in vars(setpoint).items()}
         feet = None if foot_wrenches is None else _array(foot_wrenches)
         raw = self._core.tick(time, *_arrays(state), _array(thrust), _array(wind), given, feet)
-        contact, given = raw.pop("contact", None), raw.pop("given")
+        contact, estimates = raw.pop("contact", None), raw.pop("estimates")
         momentum = QpProblem(raw.pop("h"), raw.pop("g"), raw.pop("lower"), raw.pop("upper"))
         kind = QpProblem if contact is None else RowProblem
         torque = kind(*(raw.pop(f"torque_{part}") for part in kind._fields))
@@ -492,7 +492,7 @@ class Controller:
             momentum_qp=momentum,
             torque_qp=torque,
             setpoint=Setpoint(**raw.pop("setpoint")),
-            given=Given(State(*(given.pop(part) for part in State._fields)), **given),
+            estimates=Estimates(State(*(estimates.pop(part) for part in State._fields)), **estimates),
             contact=None if contact is None else ContactTick(**contact),
             **raw,
         )
@@ -753,7 +753,7 @@ def _suggestion(config: Config, key: str) -> str:
 
 
 def _to_json(config: Mapping[str, Any]) -> str:
-    plain = tables.plain(config)
+    plain = tables.to_builtins(config)
     try:
         return json.dumps(plain, allow_nan=False)
     except ValueError:

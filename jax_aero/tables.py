@@ -124,29 +124,29 @@ def check_levels(table: Table, *names: str) -> None:
             raise ValueError(str(_refusal(name, values, "one value or more, each once")))
 
 
-def plain(config: Any) -> Any:
+def to_builtins(config: Any) -> Any:
     """Return a copy of a configuration as a file would hold it.
 
     Types become tables, every default written out; arrays, NumPy's numbers and paths become lists, numbers and texts.
     """
-    return msgspec.to_builtins(config, enc_hook=_as_in_a_file)
+    return msgspec.to_builtins(config, enc_hook=_to_builtin)
 
 
-def given(config: Table) -> dict[str, Any]:
-    """Return what a file of this configuration would hold: as `plain`, without the keys that have no value."""
+def to_table(config: Table) -> dict[str, Any]:
+    """Return what a file of this configuration would hold: as `to_builtins`, without the keys that have no value."""
 
-    def whole(value: Any) -> Any:
+    def drop_absent(value: Any) -> Any:
         if isinstance(value, list | tuple):
-            return [whole(item) for item in value]
+            return [drop_absent(item) for item in value]
         if isinstance(value, dict):
-            return {key: whole(item) for key, item in value.items() if item is not None}
+            return {key: drop_absent(item) for key, item in value.items() if item is not None}
         return value
 
-    found: dict[str, Any] = whole(plain(config))
+    found: dict[str, Any] = drop_absent(to_builtins(config))
     return found
 
 
-def _as_in_a_file(value: Any) -> Any:
+def _to_builtin(value: Any) -> Any:
     if isinstance(value, PathLike):
         return fspath(value)
     if hasattr(type(value), "tolist"):
@@ -204,7 +204,7 @@ def _build(value: Any, kind: inspect.Type, key: str, folder: Path) -> Any:
         case inspect.StructType() if isinstance(value, list | tuple) and len(value) == len(kind.fields):
             pairs = zip(kind.fields, value, strict=True)
             parts = {field.name: _build(part, field.type, key, folder) for field, part in pairs}
-            return _made(kind.cls, parts, key, value)
+            return _build_checked(kind.cls, parts, key, value)
         case inspect.DictType() if isinstance(value, Mapping):
             return {name: _build(entry, kind.value_type, _join(key, name), folder) for name, entry in value.items()}
         case inspect.TupleType() if isinstance(value, list | tuple) and len(value) == len(kind.item_types):
@@ -216,10 +216,10 @@ def _build(value: Any, kind: inspect.Type, key: str, folder: Path) -> Any:
             return value
         case inspect.BoolType() if isinstance(value, bool):
             return value
-        case inspect.IntType() if isinstance(value, int) and not isinstance(value, bool) and _in_range(value, kind):
+        case inspect.IntType() if isinstance(value, int) and not isinstance(value, bool) and _is_in_range(value, kind):
             return value
         case inspect.FloatType() if _is_number(value):
-            if _is_finite(value) and _in_range(value, kind) and abs(value) <= LARGEST:
+            if _is_finite(value) and _is_in_range(value, kind) and abs(value) <= LARGEST:
                 return float(value)
         case inspect.StrType() if isinstance(value, str) and (not kind.pattern or re.fullmatch(kind.pattern, value)):
             return value
@@ -230,7 +230,7 @@ def _build(value: Any, kind: inspect.Type, key: str, folder: Path) -> Any:
                     return path
         case inspect.AnyType():
             return value
-    raise _refusal(key, value, _expected(kind, value))
+    raise _refusal(key, value, _expectation(kind, value))
 
 
 def _build_one_of(value: Any, options: Sequence[inspect.Type], key: str, folder: Path) -> Any:
@@ -266,10 +266,10 @@ def _build_table(value: Any, kind: inspect.StructType, key: str, folder: Path) -
     for name, field in known.items():
         if field.required and name not in value:
             raise _Refusal(f"`{_join(key, name)}` is missing")
-    return _made(kind.cls, built, key, value)
+    return _build_checked(kind.cls, built, key, value)
 
 
-def _made(cls: type, parts: dict[str, Any], key: str, value: Any) -> Any:
+def _build_checked(cls: type, parts: dict[str, Any], key: str, value: Any) -> Any:
     """Return the table of these values; a refusal of its own check is reported below `key`."""
     try:
         return cls(**parts)
@@ -294,19 +294,19 @@ def _is_finite(value: float) -> bool:
     return abs(value) <= sys.float_info.max
 
 
-def _in_range(value: float, kind: inspect.IntType | inspect.FloatType) -> bool:
+def _is_in_range(value: float, kind: inspect.IntType | inspect.FloatType) -> bool:
     given = [(accepts, getattr(kind, name)) for name, (_, accepts) in LIMITS.items()]
     return all(limit is None or accepts(value, limit) for accepts, limit in given)
 
 
-def _expected(kind: inspect.Type, value: Any) -> str:
+def _expectation(kind: inspect.Type, value: Any) -> str:
     """Return a description of the values that a type accepts."""
     match kind:
         case inspect.IntType() | inspect.FloatType():
             words = "an integer" if isinstance(kind, inspect.IntType) else "a number"
             if isinstance(value, int | float) and not _is_finite(value):
                 return "a finite number"
-            if isinstance(kind, inspect.FloatType) and _is_number(value) and _in_range(value, kind):
+            if isinstance(kind, inspect.FloatType) and _is_number(value) and _is_in_range(value, kind):
                 return "a number from -1e9 to 1e9"
             given = [(sign, getattr(kind, name)) for name, (sign, _) in LIMITS.items()]
             limits = " and ".join(f"{sign} {limit:g}" for sign, limit in given if limit is not None)

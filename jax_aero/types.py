@@ -156,7 +156,7 @@ def where(condition: Bool[Array, ""], yes: Tree, no: Tree) -> Tree:
     return chosen
 
 
-def joined(*parts: Float[Array, " _"]) -> Float[Array, " _"]:
+def join(*parts: Float[Array, " _"]) -> Float[Array, " _"]:
     """Return the concatenated vectors.
 
     Empty ones are left out, since jaxlib 0.10 miscompiles a slice of an empty last one, or crashes.
@@ -164,7 +164,7 @@ def joined(*parts: Float[Array, " _"]) -> Float[Array, " _"]:
     return jnp.concatenate([part for part in parts if part.size])
 
 
-def changed(tree: Tree, values: Mapping[str, Any]) -> Tree:
+def replace_values(tree: Tree, values: Mapping[str, Any]) -> Tree:
     """Return a scenario, or a part of it, with other numbers at dotted names such as `controller.momentum.c0`.
 
     A number keeps its shape, so nothing is compiled again.
@@ -176,11 +176,11 @@ def changed(tree: Tree, values: Mapping[str, Any]) -> Tree:
         leaves were computed from it, since those would not change. The message names it.
     """
     for name, value in values.items():
-        tree = _changed(tree, name.split("."), name, value)
+        tree = _replace_value(tree, name.split("."), name, value)
     return tree
 
 
-def _changed(node: Any, path: list[str], name: str, value: Any) -> Any:
+def _replace_value(node: Any, path: list[str], name: str, value: Any) -> Any:
     first, *rest = path
     known = {item.name for item in fields(node)} if is_dataclass(node) else set(getattr(node, "_fields", ()))
     if first not in known:
@@ -188,11 +188,11 @@ def _changed(node: Any, path: list[str], name: str, value: Any) -> Any:
     if first in (*COMPUTED_FROM, *getattr(node, "computed_from", ())):
         raise ValueError(f"`{name}` is what others were computed from; expected `prepare` with another configuration")
     before = getattr(node, first)
-    after = _changed(before, rest, name, value) if rest else _like(before, name, value)
+    after = _replace_value(before, rest, name, value) if rest else _convert_like(before, name, value)
     return cast(Any, replace if is_dataclass(node) else type(node)._replace)(node, **{first: after})
 
 
-def _like(before: Any, name: str, value: Any) -> Array:
+def _convert_like(before: Any, name: str, value: Any) -> Array:
     """Return a value as a leaf with the shape and type of another."""
     if not isinstance(before, Array | int | float):
         raise ValueError(f"`{name}` is {type(before).__name__}; expected the name of a number or an array")

@@ -72,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _draw(name: str, given: argparse.Namespace) -> tuple[Figure, dict[str, str]]:
     if name in FIGURES:
-        return FIGURES[name].drawn(given.results, given.runs or ())
+        return FIGURES[name].draw_from_results(given.results, given.runs or ())
     sweep = sweeps.load(given.sweeps, name)
     with plt.rc_context({"text.parse_math": False}):  # texts come from files, in which $ is an ordinary character
         return DRAWINGS[sweep.document["drawing"]](sweep), sweep.hashes
@@ -97,7 +97,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser = cli.Parser("figures", __doc__, epilog=listed)
     named = parser.add_argument("names", nargs="*", metavar="FIGURE", help="figures or sweeps (default: all)")
-    cli.completes(named, lambda: [*FIGURES, *SWEEPS, "all"])
+    cli.complete_with(named, lambda: [*FIGURES, *SWEEPS, "all"])
     parser.add_argument("--index", action="store_true", help="print the page docs/paper.md: the paper, item by item")
     parser.add_argument("--runs", nargs="+", metavar="RUN", help="runs that the figure shows, in its order")
     parser.add_argument(

@@ -35,7 +35,7 @@ def draw(study: xr.Dataset) -> Figure:
     grid["A"].set_axis_off()
     grid["A"].set_title("surface in the colours of b, streamlines in those of c")
     style.letter(grid["A"], "a")
-    turn = _upright(study.attrs["wind"])
+    turn = _upright_rotation(study.attrs["wind"])
     for mark, field in zip("bcd", SCALES, strict=True):
         shown = _plane(grid[mark], study, turn, field)
         label = study[f"plane_{field}"].attrs["long_name"]
@@ -50,7 +50,7 @@ def meshes(*studies: xr.Dataset) -> Figure:
     size = style.FULL_WIDTH, 3.4
     figure, (row,) = plt.subplots(1, len(studies), figsize=size, layout="constrained", sharey=True, squeeze=False)
     for mark, axes, study in zip(ascii_lowercase, row, studies, strict=False):
-        shown = _plane(axes, study, _upright(study.attrs["wind"]), "speed")
+        shown = _plane(axes, study, _upright_rotation(study.attrs["wind"]), "speed")
         axes.set_title(f"{1e3 * study.attrs['edge']:.1f} mm, {1e-3 * study.attrs['cells']:.0f} thousand cells")
         style.letter(axes, mark)
     row[0].set_ylabel("across the wind [m]")
@@ -59,7 +59,7 @@ def meshes(*studies: xr.Dataset) -> Figure:
     return figure
 
 
-def _upright(wind: NDArray[np.float64]) -> NDArray[np.float64]:
+def _upright_rotation(wind: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the rotation (2, 2) of the plane of symmetry, (x, z) of the base, that turns the wind to the right."""
     along = np.array([wind[0], wind[2]]) / np.hypot(wind[0], wind[2])
     return np.array([along, [-along[1], along[0]]])

@@ -37,7 +37,7 @@ def draw(*runs: Run) -> Figure:
 def _experiment(figure: FigureBase, run: Run, letters: str) -> None:
     panels.title(figure, run)
     grid = figure.subplots(2, 3, sharex=True)
-    flown = run.flown
+    flown = run.log_to_loss
     panels.components(grid[0, 0], flown["measured_wind"], "measured wind [m/s]")
     panels.components(grid[0, 1], flown["aero_force_control"].sum("link"), "aerodynamic force [N]")
     panels.components(grid[0, 2], 1e3 * (flown["com_position"] - flown["com_setpoint"]), "CoM error [mm]")

@@ -58,15 +58,15 @@ class Entry:
             return f"python -m experiments {' '.join(self.runs)}"
         return "; ".join(studies.command(self.kind, name) for name in self.runs)
 
-    def drawn(self, results: Path, names: Sequence[str] = ()) -> tuple[Figure, dict[str, str]]:
+    def draw_from_results(self, results: Path, names: Sequence[str] = ()) -> tuple[Figure, dict[str, str]]:
         """Return the figure, and the hash of every result or table that it shows."""
         try:
-            return self._drawn(results, names or self.runs)
+            return self._load_and_draw(results, names or self.runs)
         except KeyError as missing:
             what = str(missing.args[0]).partition(". ")[0]
             raise runs.NotDrawn(f"{what}: other code made the result; make it again: {self.command}") from None
 
-    def _drawn(self, results: Path, names: Sequence[str]) -> tuple[Figure, dict[str, str]]:
+    def _load_and_draw(self, results: Path, names: Sequence[str]) -> tuple[Figure, dict[str, str]]:
         if self.tables:
             return self.draw(*map(tunnel.read, self.tables)), tunnel.hashes(*self.tables)
         if self.kind == "flight":

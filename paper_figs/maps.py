@@ -50,12 +50,12 @@ def draw(sweep: Sweep) -> Figure:
     grid[-1, 0].set_xlabel(axis_label(across), loc="left")  # once: beside each other labels overlap
     columns = "" if panel is None else f"; columns: {panel['label']}"
     style.title(figure, sweep.title + columns)
-    n, least = sweep.document["repeats"], _least(sweep.cells)
+    n, least = sweep.document["repeats"], _least_share(sweep.cells)
     style.footnote(figure, f"{sweep.footnote()}; a cell of {n} of {n} stands for at least {least:.0f} % (Wilson 95 %)")
     return figure
 
 
-def _least(cells: pd.DataFrame) -> float:
+def _least_share(cells: pd.DataFrame) -> float:
     """Return the low end of the interval of a cell in which every flight completed [%]."""
     full = cells[cells["completed"] == cells["flights"]]
     return 100.0 * float(full["completed_low"].min()) if len(full) else 0.0

@@ -38,8 +38,8 @@ def joint_errors(axes: Axes, run: Run) -> None:
     """Draw the sum of absolute joint errors of each group."""
     errors = run.joint_error_deg()
     for group, colour in zip(errors["group"].values.tolist(), cycle(style.GROUP_COLOURS), strict=False):
-        dash = "--" if "right" in readable(group) else "-"
-        axes.plot(errors["time"], errors.sel(group=group), dash, color=colour, label=readable(group))
+        dash = "--" if "right" in readable_name(group) else "-"
+        axes.plot(errors["time"], errors.sel(group=group), dash, color=colour, label=readable_name(group))
     axes.set_ylabel("joint error Δs [deg]")
     axes.set_ylim(bottom=0.0)
 
@@ -47,14 +47,14 @@ def joint_errors(axes: Axes, run: Run) -> None:
 def aero_force(axes: Axes, run: Run, *, control: bool) -> None:
     """Draw the sum of aerodynamic forces over the links; with `control`, also the one that the controller assumes."""
     label = "aerodynamic force [N]"
-    components(axes, run.flown["aero_force_sim"].sum("link"), label)
+    components(axes, run.log_to_loss["aero_force_sim"].sum("link"), label)
     if control:
-        components(axes, run.flown["aero_force_control"].sum("link"), label, dash="--", labelled=False)
+        components(axes, run.log_to_loss["aero_force_control"].sum("link"), label, dash="--", labelled=False)
 
 
 def aero_force_difference(axes: Axes, run: Run) -> None:
     """Draw the simulator's total aerodynamic force minus the controller's."""
-    flown = run.flown
+    flown = run.log_to_loss
     difference = flown["aero_force_sim"].sum("link") - flown["aero_force_control"].sum("link")
     components(axes, difference, "force difference [N]")
 
@@ -69,10 +69,10 @@ def aero_force_key() -> list[Line2D]:
 
 def thrusts(axes: Axes, run: Run) -> None:
     """Draw the thrust of each jet."""
-    thrust = run.flown["thrust"]
+    thrust = run.log_to_loss["thrust"]
     looks = zip(cycle(style.JET_COLOURS), cycle(style.JET_DASHES), strict=False)
     for name, (colour, dash) in zip(thrust["jet"].values.tolist(), looks, strict=False):
-        axes.plot(thrust["time"], thrust.sel(jet=name), dash, color=colour, label=readable(name))
+        axes.plot(thrust["time"], thrust.sel(jet=name), dash, color=colour, label=readable_name(name))
     axes.set_ylabel("thrust [N]")
 
 
@@ -93,7 +93,7 @@ def row(figure: FigureBase, run: Run, letters: str, *, control: bool = False, la
     style.legend_above(third, columns=2 if last is thrusts else 3)
 
 
-def readable(name: str) -> str:
+def readable_name(name: str) -> str:
     """Return the name of a jet or of a group of joints in words: `l_arm_jet` is the "left arm"."""
     words = [SIDES.get(word, word) for word in name.split("_") if word not in SILENT] or name.split("_")
     return " ".join(sorted(words, key=lambda word: word not in SIDES.values()))

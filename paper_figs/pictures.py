@@ -52,12 +52,12 @@ def setup(study: xr.Dataset) -> Figure:
     widths = study["link_diameter"].values
     figure, (side, top) = plt.subplots(1, 2, figsize=(style.FULL_WIDTH, 3.7), layout="constrained")
     for lean, colour in ((LEAN, style.LIGHT), (90.0, style.BLUE)):
-        _robot(side, _turned(spans, lean, 0.0) + np.array([0.0, 0.0, CENTRE]), widths, (0, 2), colour)
+        _robot(side, _turn_points(spans, lean, 0.0) + np.array([0.0, 0.0, CENTRE]), widths, (0, 2), colour)
     _support(side)
     side.add_patch(Arc((0.0, CENTRE), 1.5, 1.5, theta1=90.0, theta2=180.0 - LEAN, color=style.BLACK))
     side.text(-0.42, CENTRE + 0.83, "90° − α", ha="center", fontsize=7.5)
     for turn, colour in ((TURN, style.LIGHT), (0.0, style.BLUE)):
-        _robot(top, _turned(spans, 90.0, turn), widths, (0, 1), colour)
+        _robot(top, _turn_points(spans, 90.0, turn), widths, (0, 1), colour)
     top.add_patch(Arc((0.0, 0.0), 1.3, 1.3, theta1=180.0, theta2=180.0 + TURN, color=style.BLACK))
     top.text(-0.85, -0.3, "β", ha="center", fontsize=7.5)
     top.add_patch(Circle((0.0, 0.0), 0.9, fill=False, linestyle=":", color=style.GREY))
@@ -68,7 +68,7 @@ def setup(study: xr.Dataset) -> Figure:
     return figure
 
 
-def _turned(spans: Array, lean_deg: float, turn_deg: float) -> Array:
+def _turn_points(spans: Array, lean_deg: float, turn_deg: float) -> Array:
     """Rotate points from base to tunnel axes, about y by α − 90°, then about z by β; the wind blows along +x."""
     pitch, yaw = np.radians(lean_deg - 90.0), np.radians(turn_deg)
     about_y = np.array([[np.cos(pitch), 0.0, np.sin(pitch)], [0.0, 1.0, 0.0], [-np.sin(pitch), 0.0, np.cos(pitch)]])

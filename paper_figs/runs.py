@@ -32,7 +32,7 @@ class Run:
     @property
     def title(self) -> str:
         """Return the title of the run, in the paper's terms."""
-        return as_written(self.data.attrs["title"])
+        return escape_text(self.data.attrs["title"])
 
     @property
     def config_hash(self) -> str:
@@ -51,14 +51,14 @@ class Run:
         return f"{self.data.attrs['outcome']} at {self.lost_time:.1f} s"
 
     @cached_property
-    def flown(self) -> xr.Dataset:
+    def log_to_loss(self) -> xr.Dataset:
         """Return the log up to its loss, after which values are not meaningful and may be unbounded."""
         return self.data if self.lost_time is None else self.data.sel(time=slice(None, self.lost_time))
 
     def joint_error_deg(self) -> Series:
         """Return the sum of absolute joint errors of each group [deg], dims time and group."""
-        error = abs(self.flown["joint_position"] - self.flown["joint_setpoint"]) * (180.0 / np.pi)
-        group_of = self.flown["joint_group"].values
+        error = abs(self.log_to_loss["joint_position"] - self.log_to_loss["joint_setpoint"]) * (180.0 / np.pi)
+        group_of = self.log_to_loss["joint_group"].values
         groups = list(dict.fromkeys(group_of.tolist()))  # in the robot's order
         sums = np.zeros((len(error["time"]), len(groups)))
         for column, group in enumerate(groups):
@@ -67,15 +67,15 @@ class Run:
 
     def rotation_error_deg(self) -> Series:
         """Return the angle between the base's rotation and its reference [deg]."""
-        return self.flown["rotation_error"] * (180.0 / np.pi)
+        return self.log_to_loss["rotation_error"] * (180.0 / np.pi)
 
     def com_error(self) -> Series:
         """Return the distance of the centre of mass from its reference [m]."""
-        offset = self.flown["com_position"] - self.flown["com_setpoint"]
+        offset = self.log_to_loss["com_position"] - self.log_to_loss["com_setpoint"]
         return (offset**2).sum("xyz") ** 0.5
 
 
-def as_written(text: object) -> str:
+def escape_text(text: object) -> str:
     """Escape `$` in a text, so that Matplotlib does not interpret it as mathematics."""
     return str(text).replace("$", r"\$")
 
@@ -86,12 +86,12 @@ def load(results: Path, name: str) -> Run:
     if not path.is_file():
         elsewhere = "" if results.resolve() == (RESULTS / "flight").resolve() else f" --out {results}"
         raise MissingRun(
-            f"no flight `{name}` in {results}; fly it with: python -m experiments {as_typed(name, elsewhere)}"
+            f"no flight `{name}` in {results}; fly it with: python -m experiments {result_words(name, elsewhere)}"
         )
     return Run(name, read(path))
 
 
-def as_typed(name: str, options: str = "") -> str:
+def result_words(name: str, options: str = "") -> str:
     """Return the command line words that make a result: `test2--wind.seed=3` is `test2` with an override."""
     stem, changed, _ = name.partition("--")
     return f"{stem}{options}" + (" --set ... (the changes in its name)" if changed else "")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import xarray as xr
 
-from paper_figs.runs import MissingRun, as_typed, read
+from paper_figs.runs import MissingRun, read, result_words
 
 
 def load(results: Path, kind: str, name: str) -> xr.Dataset:
@@ -21,4 +21,4 @@ def command(kind: str, name: str) -> str:
     """Return the command that makes a study."""
     word = "train" if kind == "training" else kind.replace("_", "-")
     options = {"training": " --dataset FILE", "trim": " --map"}.get(kind, "")
-    return f"python -m experiments {word} {as_typed(name, options)}"
+    return f"python -m experiments {word} {result_words(name, options)}"

@@ -11,7 +11,7 @@ from paper_figs.runs import Run
 
 def draw(run: Run) -> Figure:
     """Draw one flight that starts and ends on the ground."""
-    flown = run.flown
+    flown = run.log_to_loss
     time, airborne = flown["time"], flown["feet_carry"].values == 0.0
     figure, grid = plt.subplots(4, 1, figsize=(style.FULL_WIDTH, 6.4), layout="constrained", sharex=True)
     height, load_, thrust, attitude = grid

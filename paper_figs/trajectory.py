@@ -37,7 +37,7 @@ def draw(*studies: xr.Dataset) -> Figure:
     flights = [(studies[0], "paper", PAPER, "paper's mission")]
     for study in studies:
         colour = COLOURS.get(study.attrs["name"], style.BLACK)
-        flights.append((study, "flown", colour, runs.as_written(study.attrs["title"]).lower()))
+        flights.append((study, "flown", colour, runs.escape_text(study.attrs["title"]).lower()))
     for study, of, colour, label in flights:
         look = {"color": colour, "label": label, "linestyle": DASHES.get(label, "-")}
         curves = _curves(study, of)
@@ -103,5 +103,5 @@ def _arrival(axes: Axes, time: float, fuel: float, colour: str, label: str) -> N
 def _thrusts(axes: Axes, study: xr.Dataset) -> None:
     flown, plan = study["thrust_flown"], study["thrust_plan"]
     for jet, colour in zip(flown["jet"].values.tolist(), cycle(style.JET_COLOURS), strict=False):
-        axes.plot(flown["time_flown"], flown.sel(jet=jet), color=colour, label=panels.readable(jet))
+        axes.plot(flown["time_flown"], flown.sel(jet=jet), color=colour, label=panels.readable_name(jet))
         axes.plot(plan["time_plan"], plan.sel(jet=jet), ":", color=colour)

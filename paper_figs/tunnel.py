@@ -76,7 +76,7 @@ def hashes(*names: str) -> dict[str, str]:
 def fig2(tables: Table) -> Figure:
     """Draw the drag area against sideslip at three speeds, and against the angle of attack for eight postures."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(style.FULL_WIDTH, 3.2), layout="constrained")
-    for (speed, curve), colour, marker in zip(hovering(tables).items(), COLOURS, MARKERS, strict=False):
+    for (speed, curve), colour, marker in zip(hovering_drag(tables).items(), COLOURS, MARKERS, strict=False):
         left.plot(
             list(curve), list(curve.values()), marker=marker, markersize=3.5, color=colour, label=f"{speed:.0f} m/s"
         )
@@ -152,7 +152,7 @@ def print_claims(title: str, claims: Sequence[Claim]) -> None:
     print("\n".join([title, *(str(claim) for claim in claims)]))
 
 
-def hovering(tables: Table) -> dict[float, dict[int, float]]:
+def hovering_drag(tables: Table) -> dict[float, dict[int, float]]:
     """Return drag area by rounded speed [m/s] and sideslip [deg]; the mean where two tests overlap."""
     found: dict[float, dict[int, list[float]]] = {}
     for table in tables["hovering"]:
@@ -187,7 +187,7 @@ def spread(values: Array) -> Array:
 
 def speed_claims(tables: Table) -> list[Claim]:
     """Compare the speeds at the sideslips common to all."""
-    curves = hovering(tables)
+    curves = hovering_drag(tables)
     common = sorted(set.intersection(*(set(curve) for curve in curves.values())))
     areas = {speed: np.array([curve[beta] for beta in common]) for speed, curve in curves.items()}
     fast = np.stack([area for speed, area in areas.items() if speed > RELIABLE_SPEED])
@@ -210,7 +210,7 @@ def posture_claims(tables: Table) -> list[Claim]:
     ]
 
 
-def measured(record: Table, key: str, run: Table) -> Array:
+def measured_area(record: Table, key: str, run: Table) -> Array:
     """Return a force area of the tunnel at the angles of attack of a simulation."""
     areas = dict(zip(record["alpha_deg"], record[key], strict=True))
     return np.array([areas[alpha] for alpha in run["alpha_deg"]])
@@ -218,14 +218,14 @@ def measured(record: Table, key: str, run: Table) -> Array:
 
 def drag_error(record: Table, run: Table) -> float:
     """Return the rms difference of the drag area over its mean in the tunnel."""
-    tunnel = measured(record, "cda", run)
+    tunnel = measured_area(record, "cda", run)
     return float(np.sqrt(np.mean((np.array(run["cda"]) - tunnel) ** 2)) / tunnel.mean())
 
 
 def size_error(record: Table, run: Table) -> float:
     """Return the mean relative error of the magnitude of the force area."""
     keys = ("cda", "cla", "csa")
-    tunnel = np.linalg.norm([measured(record, key, run) for key in keys], axis=0)
+    tunnel = np.linalg.norm([measured_area(record, key, run) for key in keys], axis=0)
     simulated = np.linalg.norm([run[key] for key in keys], axis=0)
     return float(np.mean(np.abs(simulated / tunnel - 1.0)))
 
@@ -249,6 +249,6 @@ def mesh_claims(tables: Table, runs: Sequence[Table]) -> list[Claim]:
     claims = []
     for name in meshes(runs):
         run = run_of(runs, name, OMEGA)
-        worst = float(np.abs(np.array(run["cda"]) / measured(record, "cda", run) - 1.0).max())
+        worst = float(np.abs(np.array(run["cda"]) / measured_area(record, "cda", run) - 1.0).max())
         claims.append(Claim(f"drag, mesh {name}: largest error", worst, "at most 15 %", (0.0, 0.15)))
     return claims

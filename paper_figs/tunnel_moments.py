@@ -43,7 +43,7 @@ def _angles(axes: Axes, study: xr.Dataset) -> None:
     """Draw the pitching moment of flight30 without sideslip."""
     rows = (study["posture"] == "flight30") & (study["robot_only"] == 1)
     points = study.isel(point=rows.values).sortby("pitch")
-    _measured(axes, points, points["pitch"], "y")
+    _draw_measured(axes, points, points["pitch"], "y")
     _models(axes, points, points["pitch"].values, "y")
     axes.set_xlabel(r"angle of attack $\alpha$ [deg]")
     axes.set_ylabel("pitching moment at 10 m/s [N m]")
@@ -58,7 +58,7 @@ def _sideslip(axes: Axes, study: xr.Dataset, axis: str, name: str) -> None:
     axes.axvspan(-92.0, -EXPOSED, color=style.LIGHT, alpha=0.5, linewidth=0)
     for (campaign, label), fill in zip(CAMPAIGNS.items(), ("none", style.BLACK), strict=True):
         own = points.isel(point=(points["campaign"] == campaign).values)
-        _measured(axes, own, own["yaw"], axis, label=label, fill=fill)
+        _draw_measured(axes, own, own["yaw"], axis, label=label, fill=fill)
     _models(axes, points, points["yaw"].values, axis)
     axes.set_xlim(-92.0, 92.0)
     axes.set_xlabel(r"sideslip $\beta$ [deg]")
@@ -66,7 +66,7 @@ def _sideslip(axes: Axes, study: xr.Dataset, axis: str, name: str) -> None:
     axes.set_title("hovering; grey: the support in the wind")
 
 
-def _measured(
+def _draw_measured(
     axes: Axes, points: xr.Dataset, x: xr.DataArray, axis: str, *, label: str = "tunnel", fill: str = style.BLACK
 ) -> None:
     for side, marker in SIDES.items():

@@ -63,15 +63,15 @@ def start() -> Iterator[Callable[..., subprocess.Popen[Any]]]:
 @pytest.fixture
 def stopped_sweep(monkeypatch: pytest.MonkeyPatch) -> Callable[[Design, int, Path], None]:
     """Fly a sweep into a folder until some of its chunks are there."""
-    flown = run._flown
+    flown = run._fly_chunks
 
     def stop(design: Design, count: int, out: Path) -> None:
-        def stopping(design: Design, chunks: list[int], *where: Any) -> Iterator[Any]:
+        def fly_and_stop(design: Design, chunks: list[int], *where: Any) -> Iterator[Any]:
             yield from flown(design, chunks[:count], *where)
             raise KeyboardInterrupt
 
         with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
-            patched.setattr(run, "_flown", stopping)
+            patched.setattr(run, "_fly_chunks", fly_and_stop)
             run.run(design, workers=1, out=out)
 
     return stop

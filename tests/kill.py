@@ -25,7 +25,7 @@ import xarray as xr
 from experiments import record
 from experiments.sweep import run, spec
 from experiments.sweep.design import Design
-from jax_aero.files import checksums, damaged
+from jax_aero.files import checksums, find_damaged
 
 SWEEP = {
     "title": "killed",
@@ -37,7 +37,7 @@ SWEEP = {
 }
 
 
-def killed_after(seconds: float, work: Callable[[], object]) -> bool:
+def kill_after(seconds: float, work: Callable[[], object]) -> bool:
     """Run work in a process of its own and kill it; return whether it had not ended by itself."""
     child = os.fork()
     if child == 0:
@@ -71,7 +71,7 @@ def kill_sweeps(trials: int, folder: Path, chance: random.Random) -> str:
     duration = time.perf_counter() - started
     killed, finished, out = 0, 0, folder / "0"
     while killed < trials:
-        in_time = killed_after(chance.uniform(0.0, 0.6 * duration), functools.partial(fly, out))
+        in_time = kill_after(chance.uniform(0.0, 0.6 * duration), functools.partial(fly, out))
         killed += in_time
         if not in_time or killed == trials or chance.random() < 0.2:  # some are killed once, some many times
             assert fly(out) == whole, f"another result after {killed} kills"
@@ -98,11 +98,11 @@ def kill_replacements(trials: int, folder: Path, chance: random.Random) -> str:
     duration = time.perf_counter() - started
     number = 1
     for _ in range(trials):
-        assert killed_after(chance.uniform(0.0, 4.0 * duration), functools.partial(write_all, number + 1))
+        assert kill_after(chance.uniform(0.0, 4.0 * duration), functools.partial(write_all, number + 1))
         with record.complete_folder(folder / "result", replace=True) as draft:  # which puts back what is left over
             manifest = record.read_manifest(result)
             assert manifest is not None, "the result is lost"
-            assert damaged(result, manifest["files"]) is None, "the result is damaged"
+            assert find_damaged(result, manifest["files"]) is None, "the result is damaged"
             assert set(checksums(result)) == {record.RUN_FILE, record.MANIFEST_FILE}
             assert number <= manifest["number"]
             number = manifest["number"]

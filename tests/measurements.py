@@ -142,7 +142,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
 # --- the summary --------------------------------------------------------------------------------------------------
 
 
-def _of_rust() -> Iterator[Measurement]:
+def _read_rust() -> Iterator[Measurement]:
     """Yield what the Rust tests wrote into the folder `MEASURED`, one file for each process."""
     folder = os.environ.get("MEASURED")
     for file in sorted(Path(folder).glob("*.tsv")) if folder else ():
@@ -169,7 +169,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     for (module, what), figure in sorted(_figures.items(), key=lambda row: row[0][0]):
         text = figure if isinstance(figure, str) else f"{figure:.1e}"
         terminalreporter.write_line(f"{module:<{widths[0]}}  {what:<{widths[1]}}  {text}")
-    everything = _worst([*_of_rust(), *_measurements])
+    everything = _worst([*_read_rust(), *_measurements])
     close = [one for one in everything if not one.used <= CLOSE]
     if everything:
         title = f"{len(close)} of {len(everything)} measurements use more than {CLOSE:.0%} of their tolerance"

@@ -154,10 +154,10 @@ class Marks(ast.NodeTransformer):
         super().generic_visit(node)
         for name in ("body", "orelse", "finalbody") if self.depth else ():
             if isinstance(statements := getattr(node, name, None), list):
-                setattr(node, name, [part for statement in statements for part in self._marked(statement)])
+                setattr(node, name, [part for statement in statements for part in self._mark(statement)])
         return node
 
-    def _marked(self, statement: ast.stmt) -> list[ast.stmt]:
+    def _mark(self, statement: ast.stmt) -> list[ast.stmt]:
         if isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant):
             return [statement]
         return [*ast.parse(f"__seen__.add(({self.file!r}, {statement.lineno}))").body, statement]
@@ -170,7 +170,7 @@ def module_of(path: Path) -> str:
 
 
 @functools.cache
-def imported(path: Path) -> set[str]:
+def find_imports(path: Path) -> set[str]:
     """Return the modules that a file names in its imports."""
     found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -259,7 +259,7 @@ class Chosen:
         )
 
 
-def in_child(work: Callable[[], int], limit: float) -> int | None:
+def run_in_child(work: Callable[[], int], limit: float) -> int | None:
     """Return the exit status of a child of this process that does something, or None if it takes too long."""
     if (child := os.fork()) == 0:
         try:
@@ -299,7 +299,7 @@ def record(sources: Sequence[Path], tests: Sequence[Path], limit: float) -> None
     RECORD.parent.mkdir(exist_ok=True)
     for path in tests:
         name, begun = str(path.relative_to(ROOT)), time.monotonic()
-        answer = in_child(functools.partial(work, name), limit)
+        answer = run_in_child(functools.partial(work, name), limit)
         print(f"{name}: {time.monotonic() - begun:.0f} s{'' if answer == 0 else ', not recorded'}", flush=True)
 
 
@@ -308,7 +308,7 @@ def tests_of(
 ) -> list[str]:
     """Return the tests that execute a statement, file by file: the namesake of the module first, then the quickest."""
     files = {module_of(source): str(source.relative_to(ROOT)) for source in sources}
-    sought, imports = {module_of(path)}, {module_of(source): imported(source) for source in sources}
+    sought, imports = {module_of(path)}, {module_of(source): find_imports(source) for source in sources}
     while True:
         names = {files[name] for name in sought}
         if line is None:
@@ -335,7 +335,7 @@ def run(path: Path, place: int, tests: Sequence[str], limit: float) -> str:
         sys.meta_path.insert(0, Importer([path], lambda _file: Mutation(place)))
         return run_tests(list(dict.fromkeys(test.split("::")[0] for test in tests)), Chosen(tests), "-x")
 
-    answer = in_child(work, limit)
+    answer = run_in_child(work, limit)
     return {None: "timeout", 0: "survived", int(pytest.ExitCode.NO_TESTS_COLLECTED): "untested"}.get(answer, "killed")
 
 

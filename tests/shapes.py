@@ -11,7 +11,7 @@ from jaxtyping import install_import_hook
 KINDS = ("Float[", "Int[", "Bool[", "Key[", "Shaped[")
 
 
-def checked(function: Callable[..., Any]) -> Callable[..., Any]:
+def check_shapes(function: Callable[..., Any]) -> Callable[..., Any]:
     """Check arrays alone: a protocol is no class, and a field has one more axis while a batch is put together."""
     hints = function.__annotations__
     function.__annotations__ = {name: hint for name, hint in hints.items() if states_shape(hint)}
@@ -23,4 +23,4 @@ def states_shape(hint: Any) -> bool:
     return any(kind in str(hint) for kind in KINDS)
 
 
-install_import_hook("jax_aero", "tests.shapes.checked")
+install_import_hook("jax_aero", "tests.shapes.check_shapes")

@@ -50,14 +50,14 @@ UNSTATED = {"cmeel-qhull": "Qhull", "jax-aero": "BSD-3-Clause"}
 
 def write_lock() -> None:
     """Write requirements.hashed: the packages of `make demo` first, then all others."""
-    needed = set(_stanzas(_compiled("pyproject.toml", "-", "--extra", "figs", given="maturin\n")))
-    stanzas = _stanzas(_compiled(str(LOCK), "--no-deps"))
+    needed = set(_stanzas(_compile_requirements("pyproject.toml", "-", "--extra", "figs", given="maturin\n")))
+    stanzas = _stanzas(_compile_requirements(str(LOCK), "--no-deps"))
     first, others = ([text for name, text in stanzas.items() if (name in needed) is is_in] for is_in in (True, False))
     head = "# Made of requirements.lock by `python -m tests.supply_chain lock`: the same versions, with hashes.\n"
     HASHED.write_text(f"{head}{''.join(first)}{BETWEEN}\n{''.join(others)}", encoding="utf-8")
 
 
-def _compiled(*arguments: str, given: str = "") -> str:
+def _compile_requirements(*arguments: str, given: str = "") -> str:
     uv = shutil.which("uv") or sys.exit("uv is missing: pip install uv")
     options = ["--quiet", "--constraint", str(LOCK), "--generate-hashes", "--no-annotate", "--no-header"]
     command = [uv, "pip", "compile", *options, *arguments]
@@ -67,10 +67,10 @@ def _compiled(*arguments: str, given: str = "") -> str:
 def _stanzas(text: str) -> dict[str, str]:
     """Return the entries of a file of requirements by `name==version`, with their hashes."""
     found = re.findall(r"^([\w.-]+==\S+)( \\\n(?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+)", text, re.MULTILINE)
-    return {normal(name): name + hashes for name, hashes in found}
+    return {normalise(name): name + hashes for name, hashes in found}
 
 
-def normal(requirement: str) -> str:
+def normalise(requirement: str) -> str:
     """Return `name==version` as every index spells the name."""
     name, _, version = requirement.partition("==")
     return f"{re.sub(r'[-_.]+', '-', name).lower()}=={version}"
@@ -175,7 +175,7 @@ def sbom() -> dict[str, Any]:
         }
         for each in crates()
     ]
-    for requirement in map(normal, LOCK.read_text(encoding="utf-8").split()):
+    for requirement in map(normalise, LOCK.read_text(encoding="utf-8").split()):
         name, _, pinned = requirement.partition("==")
         purl = f"pkg:pypi/{name}@{pinned}"
         components.append(

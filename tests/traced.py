@@ -88,13 +88,13 @@ def trace_flight() -> None:
     model = robot.load_robot(config.robot)
     scenario, state = sim.prepare(config, model, controller=Checked(momentum_controller(config, model)))
 
-    def flown(state: sim.FlightState) -> sim.FlightRow:
+    def fly(state: sim.FlightState) -> sim.FlightRow:
         after, row = sim.step(scenario, state, jnp.array(1))
         for part in (scenario, state, after, row):
             agree(part, sizes_of(model))
         return row
 
-    rows = jax.eval_shape(jax.vmap(flown), jax.tree.map(lambda x: np.stack([x, x]), state))
+    rows = jax.eval_shape(jax.vmap(fly), jax.tree.map(lambda x: np.stack([x, x]), state))
     assert rows.com_position.shape == (2, 3)
     problem = qp.BoxQp(jnp.eye(4), jnp.ones(4), -jnp.ones(4), jnp.ones(4))
     jax.eval_shape(jax.grad(lambda problem: qp.solve(problem).x.sum()), problem)

@@ -74,7 +74,7 @@ class Policy(GaussianMixin, Model):
     @nn.compact
     def __call__(self, inputs: dict[str, Any], _: str = "") -> tuple[jax.Array, dict[str, Any]]:
         """Return means and logarithms of standard deviations."""
-        hidden = nn.tanh(nn.Dense(32)(scaled(inputs["observations"])))
+        hidden = nn.tanh(nn.Dense(32)(scale_observations(inputs["observations"])))
         mean = nn.Dense(self.num_actions, kernel_init=nn.initializers.zeros)(hidden)
         return mean, {"log_std": self.param("log_std", lambda _: jnp.full(self.num_actions, -0.7))}
 
@@ -89,11 +89,11 @@ class Value(DeterministicMixin, Model):
     @nn.compact
     def __call__(self, inputs: dict[str, Any], _: str = "") -> tuple[jax.Array, dict[str, Any]]:
         """Return values (batch, 1)."""
-        hidden = nn.tanh(nn.Dense(64)(nn.tanh(nn.Dense(64)(scaled(inputs["observations"])))))
+        hidden = nn.tanh(nn.Dense(64)(nn.tanh(nn.Dense(64)(scale_observations(inputs["observations"])))))
         return nn.Dense(1)(hidden), {}
 
 
-def scaled(observations: jax.Array) -> jax.Array:
+def scale_observations(observations: jax.Array) -> jax.Array:
     """Return observations with rotation, position and velocity errors scaled to order one."""
     factors = np.ones(observations.shape[-1], np.float32)
     factors[3:15] = np.repeat([10.0, 5.0, 2.0, 2.0], 3)
@@ -138,7 +138,7 @@ def train(ticks: int, environments: int, seed: int) -> Callable[[np.ndarray], np
     return lambda obs: np.asarray(mean(obs))
 
 
-def nothing(_: np.ndarray) -> np.ndarray:
+def zero_residual(_: np.ndarray) -> np.ndarray:
     """Return the residual that changes nothing (4,)."""
     return np.zeros(JETS, np.float32)
 
@@ -177,7 +177,7 @@ def main() -> None:
     processor = spent.user + spent.system + spent.children_user + spent.children_system
     print(f"{given.ticks} ticks: {processor:.0f} s of processor time in {time.perf_counter() - started:.0f} s")
     winds = unseen_winds(given.winds)
-    without, with_residual = mean_rewards(nothing, winds), mean_rewards(residual, winds)
+    without, with_residual = mean_rewards(zero_residual, winds), mean_rewards(residual, winds)
     gain = with_residual - without
     draws = np.random.default_rng(1).choice(gain, (10_000, len(gain))).mean(axis=1)
     low, high = np.percentile(draws, [2.5, 97.5])

@@ -34,9 +34,9 @@ from experiments.sources import code_hash
 from jax_aero import places, tables
 from jax_aero.aero.cfd_import import checks
 from jax_aero.aero.dataset import LINKS, Dataset, Floats, save
-from jax_aero.cli import Parser, completes
+from jax_aero.cli import Parser, complete_with
 from jax_aero.command import exit_status
-from jax_aero.files import locked, write_json
+from jax_aero.files import lock, write_json
 
 RESULTS = places.RESULTS / KIND
 MODULES = geometry.__name__, simulate.__module__
@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     parser = Parser(KIND, __doc__)
     named = parser.add_argument("names", nargs="+", metavar="NAME", help="a file stem in configs/cfd, or a path")
-    completes(named, lambda: places.names(KIND))
+    complete_with(named, lambda: places.names(KIND))
     study.add_set(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/cfd)")
     add_options(parser, "postures", "processes of a local cluster")
@@ -60,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             design = Design.read(name, overrides.parse(given.set))
             folder = folder_of(design, given.out)
             if not given.finish:
-                cluster = Ray.of(given)
+                cluster = Ray.from_options(given)
                 if cluster is None:
                     foam.environment()
                 compute(design, folder, cluster=cluster)
@@ -85,7 +85,7 @@ def dataset_of(name: str) -> Path:
 def compute(design: Design, folder: Path, simulator: Simulate = simulate, cluster: Ray | None = None) -> None:
     """Compute the missing cases of a design, on this machine or on a cluster, where each posture is a task."""
     settings, surfaces = design.spec.settings, design.surfaces
-    with locked(folder), tqdm(desc=design.name, unit="case", file=sys.stderr, disable=None) as bar:
+    with lock(folder), tqdm(desc=design.name, unit="case", file=sys.stderr, disable=None) as bar:
         bar.reset(total=sum(1 for _ in design))
         left = {
             name: [case for case in cases if not _path(folder, case).is_file()] for name, cases in design.cases.items()
@@ -95,12 +95,14 @@ def compute(design: Design, folder: Path, simulator: Simulate = simulate, cluste
         bar.update(bar.total - sum(map(len, missing.values())))
         jobs = {name: Job(surfaces[name], [case.wind_b for case in cases]) for name, cases in missing.items()}
         shared = simulator, settings
-        solved: Iterable[tuple[str, Iterable[Result]]] = ((name, _solved(*shared, job)) for name, job in jobs.items())
+        solved: Iterable[tuple[str, Iterable[Result]]] = (
+            (name, _solve_posture(*shared, job)) for name, job in jobs.items()
+        )
         if cluster:
-            solved = cluster.spread(_remotely, shared, jobs, (__name__,), settings.solver.ranks)
+            solved = cluster.spread(_solve_remotely, shared, jobs, (__name__,), settings.solver.ranks)
         for name, results in solved:
             for case, result in zip(missing[name], results, strict=True):
-                write_json(_path(folder, case), tables.plain(result))
+                write_json(_path(folder, case), tables.to_builtins(result))
                 bar.update()
 
 
@@ -112,29 +114,29 @@ class Job(NamedTuple):
     """Unit vectors of the air's motion, base axes."""
 
 
-def _solved(simulator: Simulate, settings: Settings, job: Job) -> Iterator[Result]:
+def _solve_posture(simulator: Simulate, settings: Settings, job: Job) -> Iterator[Result]:
     """Yield the results of a posture, one at a time."""
     with tempfile.TemporaryDirectory(prefix="jax-aero-cfd-") as scratch:
         yield from simulator(*job, settings, Path(scratch))
 
 
-def _remotely(shared: tuple[Simulate, Settings], job: Job) -> list[Result]:
-    return list(_solved(*shared, job))
+def _solve_remotely(shared: tuple[Simulate, Settings], job: Job) -> list[Result]:
+    return list(_solve_posture(*shared, job))
 
 
 def _begin(design: Design, folder: Path, *, is_whole: bool) -> None:
     """Mark the folder as this design's; refuse one with cases of another design, or an incomplete set of other code."""
     about = {"digest": design.digest, "code_hash": code_hash(*MODULES)}
-    found, shown = _about(design, folder), os.path.relpath(folder)
+    found, shown = _read_header(design, folder), os.path.relpath(folder)
     if not found:
-        write_json(folder / "design.json", {**about, "settings": tables.plain(design.spec.settings)})
+        write_json(folder / "design.json", {**about, "settings": tables.to_builtins(design.spec.settings)})
     elif found.get("code_hash") != about["code_hash"]:
         if not is_whole:
             raise Refused(f"{shown} holds cases that were computed by other code; choose another --out, or remove them")
         print(f"{shown} has all cases already, computed by other code")
 
 
-def _about(design: Design, folder: Path) -> dict[str, Any]:
+def _read_header(design: Design, folder: Path) -> dict[str, Any]:
     """Return the description of a folder's cases, which must be the design's; empty without cases."""
     if not any((folder / "cases").glob("*.json")):
         return {}
@@ -146,7 +148,7 @@ def _about(design: Design, folder: Path) -> dict[str, Any]:
 
 def collect(design: Design, folder: Path) -> str:
     """Write the dataset of the accepted cases and the manifest; return a message."""
-    about = _about(design, folder)
+    about = _read_header(design, folder)
     found = {case: _read(_path(folder, case)) for case in design if _path(folder, case).is_file()}
     accepted = {case: result for case, result in found.items() if not result.reason}
     if not accepted:
@@ -164,7 +166,7 @@ def collect(design: Design, folder: Path) -> str:
     document = manifest.build(
         design.name,
         design.spec.title,
-        tables.plain(design.spec),
+        tables.to_builtins(design.spec),
         design.digest,
         summary=summary,
         command=["jax-aero", KIND, design.name, *overrides.options(design.changes)],
@@ -202,7 +204,7 @@ def to_dataset(design: Design, accepted: Mapping[Case, Result]) -> Dataset:
         provenance={
             "source": f"OpenFOAM (simpleFoam, k-omega SST) around {design.spec.geometry} of the URDF; jax-aero cfd",
             "design": design.name,
-            "settings": json.dumps(tables.plain(design.spec.settings), sort_keys=True),
+            "settings": json.dumps(tables.to_builtins(design.spec.settings), sort_keys=True),
             "robot_sha256": design.digest,
         },
     )

@@ -20,7 +20,7 @@ import xarray as xr
 from experiments import Refused, record, tunnel_moments
 from experiments.calibrate_surrogate import CFD, TUNNEL, Row, table_rows, toml
 from experiments.cfd.command import dataset_of
-from experiments.cfd.correct import corrected
+from experiments.cfd.correct import correct_panels
 from experiments.cfd.goals import verdicts
 from experiments.import_cfd import POSTURES
 from experiments.study import Findings, Study
@@ -52,14 +52,14 @@ def compute(name: str, config: CompareConfig) -> Findings:
     """Compare."""
     path = config.dataset or dataset_of(name)
     cases, robot = load(path), load_robot(ROBOT)
-    ours = symmetrised(cases)
+    ours = symmetrise(cases)
     summary: dict[str, Any] = {"cases": len(ours), "postures": len(ours.postures)}
     summary |= asymmetry(robot, cases) | couples(robot, ours) | beside_tunnel(ours)
     models = models_at(robot, ours)
     texts, files = {}, [*tunnel_moments.MODEL_FILES, POSTURES, TUNNEL, CFD]
     if len(np.unique(ours.family)) > 2:
         panels = load_surrogate(PANELS, robot)
-        fixed = corrected(panels, batched_features(robot, panels.panels, panels.wake), ours)
+        fixed = correct_panels(panels, batched_features(robot, panels.panels, panels.wake), ours)
         models[f"{tunnel_moments.PANEL_MODEL}, corrected by postures other than the row's"] = fixed.left_out_b
         texts["panels.toml"] = toml(
             fixed.coefficients, [f"Corrected by {path.name}, {len(ours)} cases; λ = {fixed.penalty:g}."]
@@ -67,14 +67,14 @@ def compute(name: str, config: CompareConfig) -> Findings:
     if (trained := held_out_network(name, cases)) is not None:
         models["network, trained on postures other than the row's"] = trained
         files.append(training_of(name))
-    summary |= judged(robot, models, ours, f"beside the {OPEN}")
-    result = as_rows(models, ours)
+    summary |= model_errors(robot, models, ours, f"beside the {OPEN}")
+    result = to_rows(models, ours)
     if config.table:
-        here, there, rows = matched(ours, symmetrised(load(config.table)))
+        here, there, rows = match_cases(ours, symmetrise(load(config.table)))
         summary["cases with a counterpart in the table"] = len(rows)
         all_models = {OPEN: ours.force_area_b, **models}
         at_rows = {model: areas[rows] for model, areas in all_models.items()}
-        beside_table = judged(robot, at_rows, there, "beside the table")
+        beside_table = model_errors(robot, at_rows, there, "beside the table")
         own = {name: error for name, error in beside_table.items() if name.startswith(OPEN)}
         summary |= beside_table | verdicts(own)
         for posture in here.postures:
@@ -84,7 +84,7 @@ def compute(name: str, config: CompareConfig) -> Findings:
         off = np.sqrt(np.mean(np.sum((here.force_area_b - there.force_area_b) ** 2, axis=2), axis=0))
         names = [f"{OPEN}, beside the table: {link}, rms [m2]" for link in LINKS]
         summary |= dict(zip(names, off.tolist(), strict=True))
-        result = as_rows(at_rows, there)
+        result = to_rows(at_rows, there)
     return Findings(f"Open CFD `{name}` beside others", result, summary, files=files, texts=texts)
 
 
@@ -100,9 +100,9 @@ STUDY = Study(
 main = STUDY.main
 
 
-def symmetrised(data: Dataset) -> Dataset:
+def symmetrise(data: Dataset) -> Dataset:
     """Return the rows, each averaged with all rows of the same case, including mirror images."""
-    both = data.mirrored()
+    both = data.add_mirror_images()
     count = np.bincount(both.group)
 
     def mean(values: Floats) -> Floats:
@@ -117,7 +117,7 @@ def symmetrised(data: Dataset) -> Dataset:
 
 def asymmetry(robot: RobotModel, data: Dataset) -> dict[str, float]:
     """Return the differences between cases that are mirror images of each other."""
-    both, count = data.mirrored(), len(data)
+    both, count = data.add_mirror_images(), len(data)
     mirrored, direct = np.nonzero(both.group[count:, None] == both.group[:count])
     is_pair = mirrored < direct
     if not is_pair.any():
@@ -127,7 +127,7 @@ def asymmetry(robot: RobotModel, data: Dataset) -> dict[str, float]:
     return {"mirror images: pairs": int(is_pair.sum()), **named}
 
 
-def judged(robot: RobotModel, models: Mapping[str, Floats], truth: Dataset, where: str) -> dict[str, float]:
+def model_errors(robot: RobotModel, models: Mapping[str, Floats], truth: Dataset, where: str) -> dict[str, float]:
     """Return the errors of all models, by model and reference."""
     return {
         f"{model}, {where}: {key}": value
@@ -146,15 +146,15 @@ def held_out_network(name: str, data: Dataset) -> Floats | None:
     path = training_of(name)
     if (found := record.read_manifest(path.parent)) is None:
         return None
-    if found["dataset"] not in (data.sha256, data.mirrored().sha256):
+    if found["dataset"] not in (data.sha256, data.add_mirror_images().sha256):
         raise Refused(f"{path} is of another dataset; train again on this one, or move it away")
-    run = record.loaded(path)
+    run = record.load_result(path)
     return np.asarray(run["area_grouped"].values[run["is_mirrored"].values == 0], dtype=np.float64)
 
 
-def matched(ours: Dataset, table: Dataset) -> tuple[Dataset, Dataset, Indices]:
+def match_cases(ours: Dataset, table: Dataset) -> tuple[Dataset, Dataset, Indices]:
     """Return the rows of ours that the table contains, also as mirror images, those of the table, and their indices."""
-    there = table.mirrored()
+    there = table.add_mirror_images()
     place = {key: row for row, key in reversed(list(enumerate(_keys(there))))}
     pairs = [(row, place[key]) for row, key in enumerate(_keys(ours)) if key in place]
     if not pairs:
@@ -228,7 +228,7 @@ def beside_tunnel(data: Dataset) -> dict[str, float]:
     return found
 
 
-def as_rows(models: Mapping[str, Floats], there: Dataset) -> xr.Dataset:
+def to_rows(models: Mapping[str, Floats], there: Dataset) -> xr.Dataset:
     """Return the force areas of all models and of the reference, row by row."""
     areas = np.stack([*models.values(), there.force_area_b])
     return xr.Dataset(

@@ -29,12 +29,12 @@ class Sums(NamedTuple):
     right: Float[np.ndarray, "P K 12"]
     """G'F [m⁴]."""
 
-    def some(self, postures: Floats) -> Sums:
+    def select(self, postures: Floats) -> Sums:
         """Return the sums over the postures selected by a mask (P,)."""
         return Sums(self.matrix[postures], self.right[postures])
 
 
-class Corrected(NamedTuple):
+class Correction(NamedTuple):
     """Result of a correction."""
 
     coefficients: Float[np.ndarray, "K 12"]
@@ -45,7 +45,7 @@ class Corrected(NamedTuple):
     """Force areas [m²], base axes, from coefficients fitted without the row's posture."""
 
 
-def corrected(panels: Surrogate, features: Features, data: Dataset) -> Corrected:
+def correct_panels(panels: Surrogate, features: Features, data: Dataset) -> Correction:
     """Correct the panel model, also with each posture left out; λ is chosen by leave-one-out on the remaining ones."""
     rows = features(data.joint_position_deg, data.wind_b)
     postures = np.unique(data.family)
@@ -53,11 +53,11 @@ def corrected(panels: Surrogate, features: Features, data: Dataset) -> Corrected
     start = np.array([panels.coefficients[family == FAMILY_OF][0] for family in range(N_FAMILIES)])
     areas = np.zeros_like(data.force_area_b)
     for posture in postures:
-        found, _ = _chosen(sums.some(postures != posture), start)
+        found, _ = _choose_penalty(sums.select(postures != posture), start)
         own = data.family == posture
         areas[own] = force_areas(found[FAMILY_OF], rows[own])
-    coefficients, penalty = _chosen(sums, start)
-    return Corrected(coefficients, penalty, areas)
+    coefficients, penalty = _choose_penalty(sums, start)
+    return Correction(coefficients, penalty, areas)
 
 
 def sums_of(features: Float[np.ndarray, "B L 12 3"], data: Dataset, postures: Floats) -> Sums:
@@ -86,14 +86,14 @@ def solve(sums: Sums, start: Float[np.ndarray, "K 12"], penalty: float) -> Float
     return found
 
 
-def _chosen(sums: Sums, start: Floats) -> tuple[Floats, float]:
+def _choose_penalty(sums: Sums, start: Floats) -> tuple[Floats, float]:
     """Return coefficients and λ with the least squared error on left-out postures."""
 
     def error(penalty: float) -> float:
         off = 0.0
         for number in range(len(sums.right)):
             own = np.arange(len(sums.right)) == number
-            b = solve(sums.some(~own), start, penalty)
+            b = solve(sums.select(~own), start, penalty)
             # |G b − F|² without the constant |F|².
             off += np.einsum("ki,kij,kj->", b, sums.matrix[number], b) - 2.0 * np.sum(b * sums.right[number])
         return off

@@ -56,21 +56,21 @@ class Winds(tables.Table, frozen=True):
             if outside := [value for value in values if not low <= value <= high]:
                 raise ValueError(f"`{name}` has {outside[0]:g}; expected {low:g} to {high:g}")
 
-    def of(self, posture: int) -> list[tuple[float, float]]:
+    def directions(self, posture: int) -> list[tuple[float, float]]:
         """Return pitch and yaw of every wind for a posture, given its index in the table of postures."""
         if self.design == "grid":
             return list(itertools.product(self.pitch_deg, self.yaw_deg))
         if self.design == "list":
             return list(zip(self.pitch_deg, self.yaw_deg, strict=True))
         points = unit_points("sobol", 2, self.samples * (posture + 1), self.seed)
-        angles = [_on_sphere(*point) for point in points[self.samples * posture :]]
+        angles = [_direction_on_sphere(*point) for point in points[self.samples * posture :]]
         if self.steps_deg:
             by_pitch, by_yaw = self.steps_deg
             angles = [(by_pitch * round(pitch / by_pitch), by_yaw * round(yaw / by_yaw)) for pitch, yaw in angles]
         return list(dict.fromkeys((pitch, -180.0 if yaw == 180.0 else yaw) for pitch, yaw in angles))
 
 
-def _on_sphere(u: float, v: float) -> tuple[float, float]:
+def _direction_on_sphere(u: float, v: float) -> tuple[float, float]:
     """Map a point of the unit square to pitch and yaw [deg], such that directions are uniform on the sphere."""
     yaw = np.degrees(np.arcsin(2.0 * u - 1.0))
     turn = 360.0 * v - 180.0  # angle of the wind in the base's x-z plane
@@ -134,14 +134,14 @@ class Design:
         return rust.Robot(self.spec.robot)
 
     @cached_property
-    def known(self) -> dict[str, Floats]:
+    def known_postures(self) -> dict[str, Floats]:
         """Return the joint angles (19,) [deg] of all known postures."""
         return read_postures(self.spec.joints) if self.spec.joints else known_postures()
 
     @cached_property
     def joints(self) -> dict[str, Floats]:
         """Return joint angles (19,) [deg] by posture."""
-        known = self.known
+        known = self.known_postures
         if unknown := sorted(set(self.spec.postures) - set(known)):
             raise Refused(f"no posture {', '.join(unknown)}; there are {', '.join(known)}")
         return {name: known[name] for name in self.spec.postures}
@@ -149,8 +149,8 @@ class Design:
     @cached_property
     def cases(self) -> dict[str, list[Case]]:
         """Return the cases of every posture."""
-        winds, places = self.spec.winds, list(self.known)
-        return {name: [Case(name, *pair) for pair in winds.of(places.index(name))] for name in self.joints}
+        winds, places = self.spec.winds, list(self.known_postures)
+        return {name: [Case(name, *pair) for pair in winds.directions(places.index(name))] for name in self.joints}
 
     @property
     def meshes_of(self) -> Path | None:
@@ -168,7 +168,7 @@ class Design:
     @property
     def digest(self) -> str:
         """Return a hash of everything that determines a case's result; postures and winds can be added to a design."""
-        settings = tables.plain(self.spec.settings)
+        settings = tables.to_builtins(self.spec.settings)
         settings["solver"].pop("ranks")
         text = json.dumps(settings, sort_keys=True) + self.robot.urdf_text + self.robot.toml_text
         found = hashlib.sha256(text.encode() + (self.spec.joints or POSTURES).read_bytes())

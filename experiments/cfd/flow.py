@@ -56,7 +56,7 @@ def compute(_name: str, config: FlowConfig) -> Findings:
             raise Refused(result.reason)
         cells, wall = read_case(folder, settings.solver.ranks, settings.air)
     plane = cells.slice("y", generate_triangles=True)
-    data = as_dataset(wall.triangulate(), plane, streamlines(cells, wall))
+    data = to_dataset(wall.triangulate(), plane, streamlines(cells, wall))
     area, ratio = plane.compute_cell_sizes()["Area"], plane.cell_data["viscosity"]
     wake = plane.cell_data["speed"] < 0.5
     wake_area = float(area[wake].sum())
@@ -101,7 +101,7 @@ def streamlines(cells: pyvista.UnstructuredGrid, wall: pyvista.PolyData) -> pyvi
     return found
 
 
-def as_dataset(wall: pyvista.PolyData, plane: pyvista.PolyData, lines: pyvista.PolyData) -> xr.Dataset:
+def to_dataset(wall: pyvista.PolyData, plane: pyvista.PolyData, lines: pyvista.PolyData) -> xr.Dataset:
     """Return the points of triangles and lines with the `FIELDS` drawn there; base axes."""
     found: dict[str, Any] = {}
     for name, part, fields in (("wall", wall, ["pressure"]), ("plane", plane, [*FIELDS]), ("line", lines, ["speed"])):

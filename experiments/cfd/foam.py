@@ -92,14 +92,14 @@ def mesh_facts(mesher: str, checker: str, seconds: float) -> MeshFacts:
     levels = [tuple(map(int, line.split())) for line in tables[-1].strip().splitlines()]
     level, count = max(pair for pair in levels if pair[1] > 0)
     return MeshFacts(
-        cells=int(_found(r"\bcells:\s*(\d+)", checker) or 0),
-        regions=int(_found(r"Number of regions:\s*(\d+)", checker) or 0),
+        cells=int(_find_text(r"\bcells:\s*(\d+)", checker) or 0),
+        regions=int(_find_text(r"Number of regions:\s*(\d+)", checker) or 0),
         finest_cells=count,
         finest_level=level,
-        max_non_orthogonality=float(_found(r"non-orthogonality Max:\s*(\S+)", checker) or np.nan),
-        max_skewness=float(_found(r"Max skewness = ([^\s,]+)", checker) or np.nan),
+        max_non_orthogonality=float(_find_text(r"non-orthogonality Max:\s*(\S+)", checker) or np.nan),
+        max_skewness=float(_find_text(r"Max skewness = ([^\s,]+)", checker) or np.nan),
         seconds=seconds,
-        release=float(_found(r"OPENFOAM=(\d+)", mesher) or 0.0),
+        release=float(_find_text(r"OPENFOAM=(\d+)", mesher) or 0.0),
     )
 
 
@@ -156,6 +156,6 @@ def last_residual(solver: str, field: str) -> float:
     return float(found[-1]) if found else float("nan")
 
 
-def _found(pattern: str, text: str) -> str | None:
+def _find_text(pattern: str, text: str) -> str | None:
     match = re.search(pattern, text)
     return match.group(1) if match else None

@@ -10,7 +10,7 @@ import numpy as np
 
 from experiments import Refused
 from jax_aero import rust
-from jax_aero.aero.dataset import JOINTS, LINKS, Floats, in_robot_order
+from jax_aero.aero.dataset import JOINTS, LINKS, Floats, reorder_joints
 from jax_aero.files import write_text
 from jax_aero.mesh import Mesh, box, revolve
 from jax_aero.urdf import Pose
@@ -56,7 +56,7 @@ def volume(triangles: Floats) -> float:
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
 
-def placed(triangles: Floats, pose: Pose) -> Floats:
+def transform_triangles(triangles: Floats, pose: Pose) -> Floats:
     """Return triangles transformed by `pose`."""
     moved: Floats = triangles @ pose.rotation.T + pose.position
     return moved
@@ -96,7 +96,9 @@ def robot_surfaces(robot: rust.Robot, joint_position_deg: Floats, meshes_of: Pat
     for shape in look.shapes:
         triangles = _triangles_of_mesh(shape.mesh, shape.size) if shape.mesh else triangles_of(shape.kind, shape.size)
         check_closed(shape.name, triangles)
-        parts[_link_of(shape, links, look, robot)].append(placed(triangles, poses[shape.body] @ shape.body_from_shape))
+        parts[_link_of(shape, links, look, robot)].append(
+            transform_triangles(triangles, poses[shape.body] @ shape.body_from_shape)
+        )
     if missing := [name for name in LINKS if not parts.get(name)]:
         raise Refused(f"the robot has no aerodynamic link with a body named {', '.join(missing)}")
     return {
@@ -121,7 +123,7 @@ def check_closed(name: str, triangles: Floats) -> None:
 
 def body_poses(robot: rust.Robot, joint_position_deg: Floats) -> list[Pose]:
     """Return the poses of the bodies relative to the base at joint angles (19,) [deg]; other joints are at zero."""
-    joints = in_robot_order(robot.joint_names, joint_position_deg)
+    joints = reorder_joints(robot.joint_names, joint_position_deg)
     for name in JOINTS:
         place = robot.joint_names.index(name)
         angle, (low, high) = joints[place], robot.joint_stops[place]
@@ -143,14 +145,14 @@ def _link_of(shape: Shape, links: dict[str, Mount], look: Look, robot: rust.Robo
         return shape.name
     carried = {link.body: name for name, link in reversed(links.items())}
     carried |= {robot.body_names.index(name): name for name in links if name in robot.body_names}
-    inward = _inward(shape.body, look.parents)
-    outward = [body for body in range(len(look.parents)) if shape.body in _inward(body, look.parents)]
+    inward = _path_to_base(shape.body, look.parents)
+    outward = [body for body in range(len(look.parents)) if shape.body in _path_to_base(body, look.parents)]
     return next(carried[body] for body in (*outward, *inward) if body in carried)
 
 
-def _inward(body: int, parents: tuple[int, ...]) -> list[int]:
+def _path_to_base(body: int, parents: tuple[int, ...]) -> list[int]:
     """Return a body and its ancestors, the base last."""
-    return [body, *_inward(parents[body], parents)] if parents[body] >= 0 else [body]
+    return [body, *_path_to_base(parents[body], parents)] if parents[body] >= 0 else [body]
 
 
 def write_stl(surfaces: Mapping[str, Surface], path: Path) -> None:

@@ -71,10 +71,10 @@ def compute(name: str, config: TunnelConfig) -> Findings:
     """Compare."""
     path = config.dataset or dataset_of(name)
     ours, robot = load(path), load_robot(config.robot)
-    rows = list(beside(ours, record.loaded(config.tunnel), axes_of(robot)))
+    rows = list(pair_cases(ours, record.load_result(config.tunnel), axes_of(robot)))
     if not rows:
         raise Refused(f"{config.tunnel} has no point of posture, wind and speed of a case of {path}")
-    result = compared(robot, ours, rows)
+    result = compare_cases(robot, ours, rows)
     return Findings(f"Open CFD `{name}` beside the wind tunnel", result, summary(result))
 
 
@@ -96,7 +96,7 @@ def axes_of(robot: RobotModel) -> Floats:
     return np.stack([-forward, np.cross(forward, up), up], axis=1)
 
 
-def beside(ours: Dataset, points: xr.Dataset, axes: Floats) -> Iterator[Row]:
+def pair_cases(ours: Dataset, points: xr.Dataset, axes: Floats) -> Iterator[Row]:
     """Yield every case that was measured, with its points."""
     marks = points["marks"].values.astype(str)
     alone = marks == ""
@@ -122,7 +122,7 @@ def _is_near(winds: Floats, wind: Floats) -> Floats:
     return np.asarray(winds @ wind > np.cos(np.radians(NEAR)))
 
 
-def compared(robot: RobotModel, ours: Dataset, rows: list[Row]) -> xr.Dataset:
+def compare_cases(robot: RobotModel, ours: Dataset, rows: list[Row]) -> xr.Dataset:
     """Return force and moment of every case, and mean, minimum and maximum over its points."""
     data = ours.take(np.array([row.case for row in rows]))
     volume = np.full((len(rows), 3), np.nan)

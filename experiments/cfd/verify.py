@@ -118,7 +118,7 @@ def compute(name: str, config: VerifyConfig) -> Findings:
     summary |= {f"{label}: refused": result.reason for label, result in found.items() if result.reason}
     is_refused = any(result.reason for result in [*found.values()][:3])
     none = {"observed order": "none: a mesh has no steady solution"}
-    summary |= none if is_refused else extrapolated(values[:3], np.array([mesh.finest for mesh in meshes]))
+    summary |= none if is_refused else extrapolate(values[:3], np.array([mesh.finest for mesh in meshes]))
     summary["twice the iterations change it by"] = float(values[3] / values[0] - 1.0)
     summary["the larger cube changes it by"] = float(values[4] / values[0] - 1.0)
     if subject.literature is not None:
@@ -145,7 +145,7 @@ def link_areas(result: Result, subject: Subject) -> Floats:
     return np.array([result.force_area_b.get(name, (np.nan,) * 3) for name in subject.surfaces])
 
 
-def extrapolated(values: Floats, edges: Floats) -> dict[str, float | str]:
+def extrapolate(values: Floats, edges: Floats) -> dict[str, float | str]:
     """Return observed order and limit of values (3,) on meshes with these edges, or that there is none."""
     first, second = values[0] - values[1], values[1] - values[2]
     coarse, fine = np.log(edges[[0, 2]] / edges[1])

@@ -36,7 +36,7 @@ HOVER, MISSION = "hover", "in_line"
 
 
 @dataclass(frozen=True)
-class Imported:
+class ImportResult:
     """Files and flights of an imported robot."""
 
     folder: Path
@@ -112,7 +112,7 @@ def import_robot(
     posture_deg: dict[str, float] | None = None,
     forward: str = "x",
     fly_mission: bool = False,
-) -> Imported:
+) -> ImportResult:
     """Write a robot's files into `folder`, which must be new or empty, and fly it; a refusal leaves no files there."""
     if folder.exists() and any(folder.iterdir()):
         raise Refused(f"{folder} is not empty; choose another --out")
@@ -136,7 +136,7 @@ def import_robot(
         robot = load_robot(path)
         trim = _trim(robot, posture_deg or {}, forward)
         if not trim.feasible:
-            return Imported(folder, trim, None, None)
+            return ImportResult(folder, trim, None, None)
         groups = [skeleton.group_name(chain) for chain in tree.chains(held)]
         text = scenario.controller_text(robot, groups, _inertia(path, trim), draft)
         _write(draft / "controller.toml", "control", text)
@@ -144,7 +144,7 @@ def import_robot(
         mission = None
         if fly_mission:
             mission = _fly(draft, robot, trim, "mission", mission=MISSION, wind="lateral_ramp", duration=50.0)
-        return Imported(folder, trim, hover, mission)
+        return ImportResult(folder, trim, hover, mission)
 
 
 def _trim(robot: Robot, posture_deg: dict[str, float], forward: str) -> TrimResult:
@@ -196,7 +196,7 @@ def _write(path: Path, kind: str, text: str) -> Path:
     return path
 
 
-def report(result: Imported) -> str:
+def report(result: ImportResult) -> str:
     """Return a report on the import."""
     trim = result.trim
     lines = [

@@ -20,11 +20,15 @@ def controller_text(robot: Robot, groups: Sequence[str], inertia: float, folder:
     """Return the published controller for another robot: its jets and groups, attitude gains scaled by inertia."""
     table = tables.read(places.CONFIGS / "control" / "aero_aware.toml")
     reach = {jet.name: 0.5 * jet.thrust_max for jet in robot.jets}
-    table["aero"] = {"base": _relative(places.CONFIGS / "aero" / "sphere_cylinder.toml", folder)}
+    table["aero"] = {"base": _relative_path(places.CONFIGS / "aero" / "sphere_cylinder.toml", folder)}
     for key in ("c0", "c1"):
         table["momentum"][key] *= inertia / INERTIA_OF_PUBLISHED_GAINS
     table["posture_gain"] = dict.fromkeys(groups, 20.0)
-    pairs = [[name, _mirrored(name)] for name in reach if name != _mirrored(name) in reach and name < _mirrored(name)]
+    pairs = [
+        [name, _mirror_name(name)]
+        for name in reach
+        if name != _mirror_name(name) in reach and name < _mirror_name(name)
+    ]
     table["weights"] |= {"thrust_rate": dict.fromkeys(reach, 0.01), "symmetric_jets": pairs}
     # Slower joints than published, since the robot is not tuned yet.
     table["weights"]["joint_velocity"] = 40.0
@@ -42,7 +46,7 @@ def scenario_text(robot: Robot, trim: TrimResult, folder: Path, *, mission: str,
     attitude = ", ".join(repr(float(value)) for value in np.degrees(trim.base_rpy))
 
     def path_of(kind: str, name: str) -> str:
-        return tables.toml_value(_relative(places.CONFIGS / kind / f"{name}.toml", folder))
+        return tables.toml_value(_relative_path(places.CONFIGS / kind / f"{name}.toml", folder))
 
     return f"""title = {tables.toml_value(f"{robot.name}: {mission} in wind {wind}")}
 description = "Starts in the trim that import-robot found."
@@ -67,10 +71,10 @@ free_fall_tick = false
 """
 
 
-def _mirrored(name: str) -> str:
+def _mirror_name(name: str) -> str:
     """Swap left and right in a name."""
     return "_".join({"l": "r", "r": "l", "left": "right", "right": "left"}.get(part, part) for part in name.split("_"))
 
 
-def _relative(path: Path, folder: Path) -> str:
+def _relative_path(path: Path, folder: Path) -> str:
     return os.path.relpath(path.resolve(), folder.resolve())

@@ -38,11 +38,11 @@ def boxes(urdf: ET.Element, folder: Path) -> dict[str, Box]:
         elements = link.findall("visual") or link.findall("collision")
         parts = [_box(element, folder) for element in elements if element.find("geometry") is not None]
         if parts:
-            found[attribute(link, "name")] = parts[0] if len(parts) == 1 else _around(parts)
+            found[attribute(link, "name")] = parts[0] if len(parts) == 1 else _bounding_box(parts)
     return found
 
 
-def _around(parts: list[Box]) -> Box:
+def _bounding_box(parts: list[Box]) -> Box:
     corners = np.concatenate([part.corners for part in parts])
     low, high = corners.min(axis=0), corners.max(axis=0)
     return Box(Pose(np.eye(3), (low + high) / 2), high - low)

@@ -55,7 +55,7 @@ class Joint:
     """Position within its limits that is nearest to zero [m, rad]."""
 
     @property
-    def moves(self) -> bool:
+    def is_movable(self) -> bool:
         """Whether the joint has a degree of freedom."""
         return self.kind != "fixed"
 
@@ -74,7 +74,7 @@ class Tree:
         if len(carried) < len(self.joints):
             raise Refused("a link of the URDF is the child of more than one joint")
 
-    def below(self, link: str) -> list[Joint]:
+    def child_joints(self, link: str) -> list[Joint]:
         """Return the joints whose parent is this link."""
         return [joint for joint in self.joints if joint.parent == link]
 
@@ -95,8 +95,8 @@ class Tree:
         return chains
 
     def _next(self, link: str, held: Sequence[str]) -> Iterator[Joint]:
-        for joint in self.below(link):
-            if joint.moves and joint.name not in held:
+        for joint in self.child_joints(link):
+            if joint.is_movable and joint.name not in held:
                 yield joint
             else:
                 yield from self._next(joint.child, held)
@@ -108,7 +108,7 @@ class Tree:
         while waiting:
             here = waiting.pop()
             for joint in self.joints:
-                if joint.moves:
+                if joint.is_movable:
                     continue
                 if joint.parent == here and joint.child not in placed:
                     placed[joint.child] = placed[here] @ joint.origin
@@ -191,7 +191,7 @@ def _row(values: Array | Sequence[float]) -> str:
     return "[" + ", ".join(repr(round(float(value), 6) + 0.0) for value in values) + "]"
 
 
-def _quoted(name: str, *keys: str) -> list[str]:
+def _quote_name(name: str, *keys: str) -> list[str]:
     """Return lines that assign a name of the URDF to each of the keys."""
     return [f"{key} = {toml_value(name)}" for key in keys]
 
@@ -236,7 +236,7 @@ def _cylinder(box: Box) -> tuple[Array, float, float, bool]:
 
 def _aero_link(link: str, box: Box) -> list[str]:
     axis, diameter, length, is_sphere = _cylinder(box)
-    lines = ["", "[[aero_links]]", *_quoted(link, "name", "frame", "family")]
+    lines = ["", "[[aero_links]]", *_quote_name(link, "name", "frame", "family")]
     exact = "[" + ", ".join(repr(float(value) + 0.0) for value in axis) + "]"
     lines += [f"axis = {exact}", f"centre = {_row(box.pose.position)}"]
     lines += [f"diameter = {diameter:.4g}", f"length = {length:.4g}"]
@@ -256,7 +256,7 @@ def _areas(link: str, box: Box) -> str:
 def _jets(jets: Sequence[Thruster]) -> list[str]:
     lines = []
     for jet in jets:
-        lines += ["", "[[jets]]", *_quoted(jet.frame, "name", "frame"), f"axis = {_row(AXES[jet.axis])}"]
+        lines += ["", "[[jets]]", *_quote_name(jet.frame, "name", "frame"), f"axis = {_row(AXES[jet.axis])}"]
         lines += [f"thrust_max = {jet.thrust_max!r}", f"engine = {_engine(jet.thrust_max)}"]
     for greatest in sorted({jet.thrust_max for jet in jets}):
         lines += ["", "# Linear, critically damped at 3 rad/s, full thrust at full throttle (?)."]
@@ -283,4 +283,4 @@ def _foot(tree: Tree, boxes: dict[str, Box], frame: str) -> list[str]:
     (x_min, y_min), (x_max, y_max) = low_points[:, :2].min(axis=0), low_points[:, :2].max(axis=0)
     vertices = [[x_min, y_max, 0.0], [x_max, y_max, 0.0], [x_max, y_min, 0.0], [x_min, y_min, 0.0]]
     rows = ", ".join(_row(vertex) for vertex in vertices)
-    return ["", "[[feet]]", *_quoted(frame, "name", "frame"), f"vertices = [{rows}]"]
+    return ["", "[[feet]]", *_quote_name(frame, "name", "frame"), f"vertices = [{rows}]"]

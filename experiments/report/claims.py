@@ -15,7 +15,16 @@ from experiments.report import facts, observer
 from experiments.report.ground import Ground
 from experiments.report.metrics import FINAL
 from experiments.report.results import NotFlownError, Results, count
-from experiments.report.verdicts import AGREES, ANOTHER, NOT_FLOWN, OUTDATED, differs, judged, out_of_reach, within
+from experiments.report.verdicts import (
+    AGREES,
+    ANOTHER,
+    NOT_FLOWN,
+    OUTDATED,
+    explain_absence,
+    explain_difference,
+    judge,
+    judge_range,
+)
 
 RIGHT, HEAD, PUBLISHED = (
     "corrected arms, 10 m/s from the side",
@@ -70,7 +79,7 @@ class Claim:
 
 def all_claims(results: Results) -> list[Claim]:
     """Return every claim, in the paper's order."""
-    return [_stated(claim, results) for claim in CLAIMS]
+    return [_judge_claim(claim, results) for claim in CLAIMS]
 
 
 Judge: TypeAlias = Callable[[Results], tuple[str, str]]
@@ -104,12 +113,12 @@ def _ground(key: str, where: str, claim: str, judge: Judge) -> _Claim:
     return _Claim(key, where, claim, judge, STANDING, figure="fig6")
 
 
-def _ours(key: str, claim: str, judge: Judge, *, sweep: str = "", study: str = "") -> _Claim:
+def _own_claim(key: str, claim: str, judge: Judge, *, sweep: str = "", study: str = "") -> _Claim:
     """Return a claim of ours about the recommended controller, which the paper does not contain."""
     return _Claim(key, "ours", claim, judge, sweep=sweep, study=study)
 
 
-def _stated(claim: _Claim, results: Results) -> Claim:
+def _judge_claim(claim: _Claim, results: Results) -> Claim:
     results.made.clear()
     try:
         measured, verdict = claim.judge(results)
@@ -125,8 +134,8 @@ def _stated(claim: _Claim, results: Results) -> Claim:
     return Claim(claim.key, claim.where, claim.claim, measured, verdict, claim.command, figure, commit)
 
 
-def _stood(results: Results) -> tuple[Ground, Ground]:
-    front, lateral = map(results.stood, STANDING)
+def _ground_experiments(results: Results) -> tuple[Ground, Ground]:
+    front, lateral = map(results.ground_experiment, STANDING)
     return front, lateral
 
 
@@ -137,7 +146,7 @@ def _agreement(corrected: bool, published: bool) -> str:
         return f"{AGREES} with published lever arms, differs with corrected ones: it does not hold there"
     if corrected:
         return f"{AGREES} with corrected lever arms, differs with published ones: it does not hold there"
-    return differs("it does not hold")
+    return explain_difference("it does not hold")
 
 
 def _pair(results: Results, test: str) -> tuple[str, list[Mapping[str, float]]]:
@@ -155,12 +164,12 @@ def _pair(results: Results, test: str) -> tuple[str, list[Mapping[str, float]]]:
     return "; ".join(texts), shares
 
 
-def _mostly(share: Mapping[str, float]) -> bool:
+def _is_mostly_complete(share: Mapping[str, float]) -> bool:
     """Return whether a flight and its repetitions complete: at least `MOSTLY`, and with confidence more than 80 %."""
     return share["completed"] >= MOSTLY * share["flights"] and share["completed_low"] > 0.8
 
 
-def _undecided(shares: Sequence[Mapping[str, float]]) -> str:
+def _explain_undecided(shares: Sequence[Mapping[str, float]]) -> str:
     """Return for which lever arms more flights could change a verdict on completion; empty if for none."""
     pairs = zip(ARMS, shares, strict=True)
     arms = [arms for arms, share in pairs if share["completed_low"] < MOSTLY < share["completed_high"]]
@@ -168,7 +177,7 @@ def _undecided(shares: Sequence[Mapping[str, float]]) -> str:
     return f"; with {' and '.join(arms)} lever arms not decided: {inside}" if arms else ""
 
 
-def _fails(test: str) -> Judge:
+def _judge_fall(test: str) -> Judge:
     def judge(results: Results) -> tuple[str, str]:
         text, (right, published) = _pair(results, test)
         return text, _agreement(right["completed_high"] < 0.5, published["completed_high"] < 0.5)
@@ -176,10 +185,10 @@ def _fails(test: str) -> Judge:
     return judge
 
 
-def _flies(test: str) -> Judge:
+def _judge_flight(test: str) -> Judge:
     def judge(results: Results) -> tuple[str, str]:
         text, shares = _pair(results, test)
-        return text, _agreement(*map(_mostly, shares)) + _undecided(shares)
+        return text, _agreement(*map(_is_mostly_complete, shares)) + _explain_undecided(shares)
 
     return judge
 
@@ -193,13 +202,13 @@ def _joint_errors(results: Results) -> tuple[str, str]:
         f"{FINAL:g} s; TEST1, published arms: at most {baseline.joint_error_max:.0f}°, "
         f"{baseline.joint_error_at_end:.0f}° over the {FINAL:g} s before the fall"
     )
-    return text, judged(bounded and grows)
+    return text, judge(bounded and grows)
 
 
-def _aligned(results: Results) -> tuple[str, str]:
+def _force_alignment(results: Results) -> tuple[str, str]:
     median, greatest = results.flight("test2").force_angle
     text = f"TEST2: angle between total force and relative wind {median:.1f}° in the median, {greatest:.1f}° at most"
-    return text, judged(median < 15.0)
+    return text, judge(median < 15.0)
 
 
 def _asymmetry(results: Results) -> tuple[str, str]:
@@ -208,16 +217,16 @@ def _asymmetry(results: Results) -> tuple[str, str]:
         f"left and right differ by up to {wind.asymmetry[0]:.1f} N (arms) and {wind.asymmetry[1]:.1f} N (chest) "
         f"in the side wind, by {still.asymmetry[0]:.1f} N and {still.asymmetry[1]:.1f} N without wind"
     )
-    return text, judged(max(wind.asymmetry) > 1.5 * max(still.asymmetry))
+    return text, judge(max(wind.asymmetry) > 1.5 * max(still.asymmetry))
 
 
 def _robustness(results: Results) -> tuple[str, str]:
     text, shares = _pair(results, "robustness")
-    verdict = _agreement(*map(_mostly, shares))
+    verdict = _agreement(*map(_is_mostly_complete, shares))
     leaning = max(results.flight(f"robustness{end}").rotation_error for end in ARMS.values())
     if verdict.startswith(AGREES) and leaning > LEANING:
         verdict += f", but the robot leans by up to {leaning:.0f}°"
-    return text, verdict + _undecided(shares)
+    return text, verdict + _explain_undecided(shares)
 
 
 def _model_pairs(results: Results) -> tuple[str, str]:
@@ -252,14 +261,14 @@ def _transitions(results: Results) -> tuple[str, str]:
     return "greatest difference, " + "; ".join(texts), verdict
 
 
-def _thrusts_alike(results: Results) -> tuple[str, str]:
+def _thrust_difference(results: Results) -> tuple[str, str]:
     axisymmetric, network = (results.flight(name).thrust for name in ("test2", "test4"))
     text = (
         f"TEST2 {axisymmetric[0]:.1f} to {axisymmetric[1]:.1f} N, TEST4 {network[0]:.1f} to {network[1]:.1f} N; "
         "corrected arms"
     )
     apart = max(abs(one - other) for one, other in zip(axisymmetric, network, strict=True))
-    return text, judged(apart < 10.0)
+    return text, judge(apart < 10.0)
 
 
 def _lambda(results: Results) -> tuple[str, str]:
@@ -272,11 +281,11 @@ def _lambda(results: Results) -> tuple[str, str]:
             f"{without['rotation_error_deg_median']:.1f}° without"
         )
         same.append(abs(whole["rotation_error_deg_median"] - without["rotation_error_deg_median"]) < 1.0)
-    return "median rotation error " + "; ".join(texts), judged(all(same), "not in every world")
+    return "median rotation error " + "; ".join(texts), judge(all(same), "not in every world")
 
 
 def _minimum(results: Results) -> tuple[str, str]:
-    return answer(results), out_of_reach("the paper's own ablation is not public to us; this answer is ours")
+    return answer(results), explain_absence("the paper's own ablation is not public to us; this answer is ours")
 
 
 def answer(results: Results) -> str:
@@ -287,7 +296,7 @@ def answer(results: Results) -> str:
     cells = results.sweep("ablation_terms")
     worlds = cells.levels("world")
 
-    def as_good(what: str) -> list[str]:
+    def equal_feedbacks(what: str) -> list[str]:
         good = []
         for feedback in cells.levels("feedback"):
             pairs = [
@@ -297,31 +306,31 @@ def answer(results: Results) -> str:
                 good.append(feedback)
         return good
 
-    def by_world(level: str, quantity: str, form: str) -> str:
+    def tabulate(level: str, quantity: str, form: str) -> str:
         return ", ".join(format(cells.cell(world=w, feedback=level)[f"{quantity}_median"], form) for w in worlds)
 
-    completes, stays = as_good("completed"), as_good("on_course")
+    completes, stays = equal_feedbacks("completed"), equal_feedbacks("on_course")
     least = next((name for name in LEAST_FIRST if name in stays), "nothing short of everything")
     moment, force = "total moment only", "total force only"
     return (
         f"The least that stays on course as often as with everything, in every world: **{least}**. "
         f"As good in staying on course: {', '.join(stays)}. As good in completing: {', '.join(completes)}. "
-        f"With the moment alone the median rotation error is {by_world(moment, 'rotation_error_deg', '.0f')}° and the "
-        f"median CoM error {by_world(moment, 'com_error', '.2f')} m, world by world; with the force alone "
-        f"{by_world(force, 'rotation_error_deg', '.0f')}° and {by_world(force, 'com_error', '.2f')} m."
+        f"With the moment alone the median rotation error is {tabulate(moment, 'rotation_error_deg', '.0f')}° and the "
+        f"median CoM error {tabulate(moment, 'com_error', '.2f')} m, world by world; with the force alone "
+        f"{tabulate(force, 'rotation_error_deg', '.0f')}° and {tabulate(force, 'com_error', '.2f')} m."
     )
 
 
-def _stands(results: Results) -> tuple[str, str]:
-    runs = _stood(results)
+def _balance(results: Results) -> tuple[str, str]:
+    runs = _ground_experiments(results)
     text = "; ".join(
         f"{run.name}: {run.ending}, feet carry {'' if run.always_carried else 'not '}all the time" for run in runs
     )
-    return text, judged(all(run.completed and run.always_carried for run in runs))
+    return text, judge(all(run.completed and run.always_carried for run in runs))
 
 
-def _against(results: Results) -> tuple[str, str]:
-    runs, axes = _stood(results), (0, 1)
+def _motion_against_wind(results: Results) -> tuple[str, str]:
+    runs, axes = _ground_experiments(results), (0, 1)
     text = "; ".join(
         f"{run.name}: CoM {1e3 * run.shift[axis]:+.1f} mm along {'xy'[axis]}, force {run.force[axis]:+.1f} N, "
         f"off the axis {1e3 * run.shift[1 - axis]:+.1f} mm"
@@ -332,19 +341,19 @@ def _against(results: Results) -> tuple[str, str]:
         and abs(run.shift[axis]) > max(VISIBLE_SHIFT, 5.0 * abs(run.shift[1 - axis]))
         for run, axis in zip(runs, axes, strict=True)
     )
-    return text, judged(all(opposed))
+    return text, judge(all(opposed))
 
 
 def _ankle_pitch(results: Results) -> tuple[str, str]:
-    front, _ = _stood(results)
+    front, _ = _ground_experiments(results)
     first = max(front.left_leg, key=lambda joint: abs(front.left_leg[joint]))
-    return _leg(front), judged(first == "ankle_pitch")
+    return _leg(front), judge(first == "ankle_pitch")
 
 
-def _rolls(results: Results) -> tuple[str, str]:
-    _, lateral = _stood(results)
+def _roll_joints(results: Results) -> tuple[str, str]:
+    _, lateral = _ground_experiments(results)
     order = sorted(lateral.left_leg, key=lambda joint: -abs(lateral.left_leg[joint]))
-    return _leg(lateral), judged(set(order[:2]) == {"hip_roll", "ankle_roll"})
+    return _leg(lateral), judge(set(order[:2]) == {"hip_roll", "ankle_roll"})
 
 
 def _leg(run: Ground) -> str:
@@ -352,7 +361,7 @@ def _leg(run: Ground) -> str:
 
 
 def _momentum_rate(results: Results) -> tuple[str, str]:
-    runs = _stood(results)
+    runs = _ground_experiments(results)
     text = "; ".join(
         f"{run.name}: estimated rate {run.rate_peak:.1f} N at its peak, {run.rate_end:.1f} N at the end, "
         f"under {abs(run.force).max():.1f} N of assumed force"
@@ -361,32 +370,32 @@ def _momentum_rate(results: Results) -> tuple[str, str]:
     shares = [run.rate_end / abs(run.force).max() for run in runs]
     falls = max(shares) < 0.25 and all(run.rate_end < run.rate_peak for run in runs)
     how = "it falls, but not to zero: the CoM error holds it" if falls else "it does not fall"
-    return text, judged(falls and max(shares) < 0.01, how)
+    return text, judge(falls and max(shares) < 0.01, how)
 
 
 def _identities(results: Results) -> tuple[str, str]:
-    runs = _stood(results)
+    runs = _ground_experiments(results)
     text = "; ".join(
         f"{run.name}: rate less its terms at most {run.identity:.0e} N; vertical f_c* less the weight "
         f"{run.vertical[0]:+.2f} N, with the assumed lift {run.vertical[1]:+.2f} N"
         for run in runs
     )
     exact = all(run.identity < 1e-9 and abs(run.vertical[1]) < 0.5 for run in runs)
-    return text, judged(exact)
+    return text, judge(exact)
 
 
 def _onset(results: Results) -> tuple[str, str]:
-    runs = _stood(results)
+    runs = _ground_experiments(results)
     text = "; ".join(f"{run.name}: CoM has moved 1 mm after {run.onset:.1f} s" for run in runs)
     near = all(abs(run.onset - 2.0) < 1.0 for run in runs)
-    return text, judged(near, "not when the real robot does: our drives are chosen, not measured")
+    return text, judge(near, "not when the real robot does: our drives are chosen, not measured")
 
 
-def _fuel_flown(results: Results) -> tuple[str, str]:
+def _mission_fuel(results: Results) -> tuple[str, str]:
     flown = results.study("along", "flights")["no_wind"]
     mass = flown["five_minutes_kg"]
     text = f"{mass:.2f} kg at the mean rate of the mission without wind ({flown['fuel_l']:.2f} l in 50 s)"
-    return text, judged(
+    return text, judge(
         abs(mass - PAPER_FUEL) < 0.25, f"{mass - PAPER_FUEL:+.2f} kg; the engines burn more, and idle counts"
     )
 
@@ -400,7 +409,7 @@ def _arm_engines(results: Results) -> tuple[str, str]:
         for name, cell in weak.items()
     )
     same = all(cell["outcome"] == found[f"{name} P160"]["outcome"] for name, cell in weak.items())
-    return text, judged(same, "not every flight ends alike")
+    return text, judge(same, "not every flight ends alike")
 
 
 def _clearance(results: Results) -> tuple[str, str]:
@@ -411,12 +420,12 @@ def _clearance(results: Results) -> tuple[str, str]:
         return text, AGREES
     hit = ", ".join(name for name, distance in found.items() if distance <= 0.0)
     kept = f"{AGREES} with an aware controller; " if min(aware.values()) > 0.0 else ""
-    return text, kept + differs(f"an exhaust meets the body in {hit}")
+    return text, kept + explain_difference(f"an exhaust meets the body in {hit}")
 
 
 def _pressure_share(results: Results) -> tuple[str, str]:
     share = 100.0 * results.study("cfd_flow", "flight30")["pressure share of the force"]
-    return f"{share:.1f} % of the force, by an open solver around primitives", within(share, 94.0, 96.0, "points")
+    return f"{share:.1f} % of the force, by an open solver around primitives", judge_range(share, 94.0, 96.0, "points")
 
 
 def _wake_viscosity(results: Results) -> tuple[str, str]:
@@ -427,7 +436,7 @@ def _wake_viscosity(results: Results) -> tuple[str, str]:
         f"at most {greatest:.0f} in the plane of symmetry, above 100 in {part:.0f} % of the area there in which the "
         "air is slower than half the wind"
     )
-    return text, judged(part > 99.0, f"not in {100.0 - part:.0f} % of it")
+    return text, judge(part > 99.0, f"not in {100.0 - part:.0f} % of it")
 
 
 def _wake_meshes(results: Results) -> tuple[str, str]:
@@ -439,7 +448,7 @@ def _wake_meshes(results: Results) -> tuple[str, str]:
         f"{', '.join(f'{area:.2f}' for area in areas)} m²"
     )
     change = areas[1] / areas[2] - 1.0
-    return text, judged(abs(change) < 0.1, f"{100.0 * change:+.0f} % from the finest to that of the recipe")
+    return text, judge(abs(change) < 0.1, f"{100.0 * change:+.0f} % from the finest to that of the recipe")
 
 
 _TESTS = "paper_tests"
@@ -454,7 +463,7 @@ CLAIMS = (
         "fuel_flown",
         "Actuators selection",
         "Five minutes need 4.61 kg of fuel: the same from a flight",
-        _fuel_flown,
+        _mission_fuel,
         ("no_wind",),
         figure="along",
         study="along",
@@ -528,7 +537,7 @@ CLAIMS = (
         "test1",
         "TEST1",
         "The baseline controller fails to complete the mission: the robot falls due to imbalances",
-        _fails("test1"),
+        _judge_fall("test1"),
         ("test1", "test1_published"),
         _TESTS,
         "suppl7_published",
@@ -537,7 +546,7 @@ CLAIMS = (
         "test2",
         "TEST2",
         "The aerodynamic-aware controller keeps balance throughout all manoeuvres",
-        _flies("test2"),
+        _judge_flight("test2"),
         ("test2", "test2_published"),
         _TESTS,
         "suppl7",
@@ -546,7 +555,7 @@ CLAIMS = (
         "test3",
         "TEST3",
         "With the network as simulator the baseline fails",
-        _fails("test3"),
+        _judge_fall("test3"),
         ("test3", "test3_published"),
         _TESTS,
         "suppl7_published",
@@ -555,7 +564,7 @@ CLAIMS = (
         "test4",
         "TEST4",
         "With the network as simulator and feedback the aware controller completes",
-        _flies("test4"),
+        _judge_flight("test4"),
         ("test4", "test4_published"),
         _TESTS,
         "fig5_robustness",
@@ -572,7 +581,7 @@ CLAIMS = (
         "aligned",
         "Suppl. Fig. 7 e",
         "The axisymmetric model's total force is largely aligned with the relative wind",
-        _aligned,
+        _force_alignment,
         ("test2",),
         figure="suppl7",
     ),
@@ -588,7 +597,7 @@ CLAIMS = (
         "thrusts_alike",
         "Flight simulations",
         "The thrusts are comparable, whatever the aerodynamic model of the simulation",
-        _thrusts_alike,
+        _thrust_difference,
         ("test2", "test4"),
         figure="fig5_robustness",
     ),
@@ -623,10 +632,10 @@ CLAIMS = (
         _lambda,
         sweep="ablation_terms",
     ),
-    _ground("stands", "Fig. 6", "The standing robot keeps its balance when the measured wind does not blow", _stands),
-    _ground("against", "Fig. 6 c, i", "The CoM moves against the aerodynamic force", _against),
+    _ground("stands", "Fig. 6", "The standing robot keeps its balance when the measured wind does not blow", _balance),
+    _ground("against", "Fig. 6 c, i", "The CoM moves against the aerodynamic force", _motion_against_wind),
     _ground("ankle_pitch", "Fig. 6 d", "In frontal wind it moves mainly by the ankle pitch joints", _ankle_pitch),
-    _ground("rolls", "Fig. 6 j", "In lateral wind it moves by the hip and ankle roll joints", _rolls),
+    _ground("rolls", "Fig. 6 j", "In lateral wind it moves by the hip and ankle roll joints", _roll_joints),
     _ground(
         "momentum_rate", "Ground experiments", "The motion minimises the estimated linear momentum rate", _momentum_rate
     ),
@@ -644,62 +653,62 @@ CLAIMS = (
         _minimum,
         sweep="ablation_terms",
     ),
-    _ours(
+    _own_claim(
         "observer_corrected",
         "Without an aerodynamic model the observer flies TEST1 and TEST3 within 5° (corrected arms)",
         observer.tests("corrected", 5.0),
         sweep="observer_tests",
     ),
-    _ours(
+    _own_claim(
         "observer_published",
         "Without an aerodynamic model the observer flies TEST1 and TEST3 within 7° (published arms)",
         observer.tests("published", 7.0),
         sweep="observer_tests",
     ),
-    _ours(
+    _own_claim(
         "observer_26",
         "Winds of 26 m/s from everywhere are flown, within 12° in the median",
         observer.fast_wind,
         sweep="observer_wind",
     ),
-    _ours("observer_40", "Winds of up to 40 m/s are flown", observer.every_wind, sweep="observer_wind"),
-    _ours(
+    _own_claim("observer_40", "Winds of up to 40 m/s are flown", observer.every_wind, sweep="observer_wind"),
+    _own_claim(
         "observer_errors",
         "Mass +10 %, CoM 4 cm, an arm jet -10 %: flown, within 10° in the median",
         observer.model_errors,
         sweep="observer_errors",
     ),
-    _ours(
+    _own_claim(
         "sensors",
         "With realistic sensors observer and estimator fly within 12°",
         observer.sensors,
         sweep="sensors_tests",
     ),
-    _ours(
+    _own_claim(
         "false_alarms",
         "Where nothing fails, no channel and no engine is found to fail",
         observer.false_alarms,
         sweep="observer_tests sensors_tests",
     ),
-    _ours(
+    _own_claim(
         "outages_lasting",
         "Without wind or thrust sensors for good the flight completes",
-        observer.lost_for_ever,
+        observer.permanent_outages,
         sweep="outages_observer",
     ),
-    _ours(
+    _own_claim(
         "outages_short",
         "Without base rotation, velocity or position for 0.3 and 1 s the flight completes",
-        observer.lost_for_a_while,
+        observer.temporary_outages,
         sweep="outages_observer",
     ),
-    _ours(
+    _own_claim(
         "engines_lost",
         "Without one engine the robot flies to the ground",
         observer.lost_engines,
         sweep="engine_loss",
     ),
-    _ours(
+    _own_claim(
         "wind_estimate",
         "The wind is known to 1.5 m/s above 6 m/s, its 90 % interval covers 85 to 95 %",
         observer.wind_estimate,

@@ -111,11 +111,18 @@ def build(results: Results, stated: Sequence[claims.Claim]) -> Page:
             "*published arms* where the published code has them (`docs/deviations.md`)."
         ),
         Heading(2, "Claims"),
-        Text(_counted(stated)),
+        Text(_count_verdicts(stated)),
         Table(
             ("where", "claim", "measured", "verdict", "figure", "command"),
             [
-                (c.where, c.claim, c.measured, f"**{c.verdict}**", _linked(results, c.figure), _coded(c.command))
+                (
+                    c.where,
+                    c.claim,
+                    c.measured,
+                    f"**{c.verdict}**",
+                    _link_figure(results, c.figure),
+                    _format_command(c.command),
+                )
                 for c in stated
             ],
         ),
@@ -129,11 +136,11 @@ def build(results: Results, stated: Sequence[claims.Claim]) -> Page:
         for name, sweep in chosen.items():
             _sweep(page, results, name, sweep)
     _engines(page)
-    _speed(page, results)
+    _add_speed(page, results)
     return page
 
 
-def _counted(stated: Sequence[claims.Claim]) -> str:
+def _count_verdicts(stated: Sequence[claims.Claim]) -> str:
     """Return the number of claims with each verdict; one that agrees in part is counted separately."""
     words = ("agrees", "agrees in part", "differs", "out of reach", NOT_FLOWN, OUTDATED)
     found = dict.fromkeys(words, 0)
@@ -143,12 +150,12 @@ def _counted(stated: Sequence[claims.Claim]) -> str:
     return f"{len(stated)} claims: " + ", ".join(f"**{n}** {word}" for word, n in found.items() if n) + "."
 
 
-def _linked(results: Results, figure: str) -> str:
+def _link_figure(results: Results, figure: str) -> str:
     path = results.figures(figure).get("") if figure else None
     return f"[{figure}]({path})" if path else figure
 
 
-def _coded(command: str) -> str:
+def _format_command(command: str) -> str:
     return f"`{command}`" if command else "committed files"
 
 
@@ -170,7 +177,7 @@ def _minimum(page: Page, results: Results) -> None:
     ]
     page.add(
         Heading(2, "The minimum aerodynamic information that still flies"),
-        Text(claims.answer(results) + _outdated(sweep.differs)),
+        Text(claims.answer(results) + _mark_outdated(sweep.differs)),
         Text(
             "Per world: flights completed, flights that also stayed within 15° and 0.25 m of their set-point, "
             "median of the greatest rotation error."
@@ -207,14 +214,14 @@ def _runs(page: Page, results: Results) -> None:
         )
 
 
-def _outdated(differs: str) -> str:
+def _mark_outdated(differs: str) -> str:
     return f" **{ANOTHER[0].upper()}{ANOTHER[1:]}: {differs}.**" if differs else ""
 
 
 def _run(results: Results, name: str) -> Sequence[str]:
     flight = results.flights[name]
     return (
-        f"`{flight.name}` {flight.title}{_outdated(results.differing[name])}",
+        f"`{flight.name}` {flight.title}{_mark_outdated(results.differences[name])}",
         flight.ending,
         "–" if math.isnan(flight.com_error) else f"{flight.com_error:.3f}",
         f"{flight.rotation_error:.1f}",
@@ -247,7 +254,7 @@ def _sweep(page: Page, results: Results, name: str, sweep: Sweep) -> None:
         Heading(3, document["title"]),
         Text(
             f"{document['description']} {document['rows']} flights: {counted}{failed}. {_edge(sweep)}".strip()
-            + _outdated(sweep.differs)
+            + _mark_outdated(sweep.differs)
         ),
     )
     page.add(*_pictures(results, [(name, f"`{name}`")]))
@@ -323,7 +330,7 @@ def _engines(page: Page) -> None:
     )
 
 
-def _speed(page: Page, results: Results) -> None:
+def _add_speed(page: Page, results: Results) -> None:
     rows, flights, seconds = [], 0, 0.0
     for name, sweep in results.sweeps.items():
         finished = sweep.document["finished"]

@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from experiments import engine_choice
-from experiments.report.verdicts import judged, out_of_reach, within
+from experiments.report.verdicts import explain_absence, judge, judge_range
 from jax_aero import rust, tables
 from jax_aero.places import CONFIGS, ROBOT
 from jax_aero.urdf import origin_of
@@ -71,12 +71,12 @@ def silhouette() -> float:
 def mass() -> tuple[str, str]:
     """Judge the robot's mass."""
     found = rust.Robot(str(ROBOT)).mass
-    return f"{found:.2f} kg in the model", within(found, 43.25, 43.35, "kg")
+    return f"{found:.2f} kg in the model", judge_range(found, 43.25, 43.35, "kg")
 
 
 def added_mass() -> tuple[str, str]:
     """Judge the mass that the conversion to a flying robot added."""
-    return "the model lumps engines, jetpack and forearms into their links", out_of_reach(
+    return "the model lumps engines, jetpack and forearms into their links", explain_absence(
         "no model of iCub v2.7 is here"
     )
 
@@ -85,7 +85,7 @@ def lift() -> tuple[str, str]:
     """Judge whether the jets can carry 40 kg."""
     chest = [jet["thrust_max"] for jet in robot()["jets"] if "chest" in jet["name"]]
     return f"{len(chest)} chest jets, {sum(chest):.0f} N, carry {sum(chest) / GRAVITY:.1f} kg", (
-        judged(sum(chest) > 40.0 * GRAVITY > max(chest), "one would do, or two do not")
+        judge(sum(chest) > 40.0 * GRAVITY > max(chest), "one would do, or two do not")
     )
 
 
@@ -98,8 +98,8 @@ def chest_engine() -> tuple[str, str]:
         f"limit {jet['thrust_max']:.0f} N ({jet['thrust_max'] / GRAVITY:.1f} kg), steady at 100 % throttle "
         f"{steady:.1f} N ({steady / GRAVITY:.1f} kg), {burnt:g} l/min"
     )
-    thrust = judged(abs(jet["thrust_max"] / GRAVITY - 22.0) < 0.5)
-    consumption = judged(abs(burnt / 0.6 - 1.0) < 0.05, f"{100.0 * (burnt / 0.6 - 1.0):+.0f} %")
+    thrust = judge(abs(jet["thrust_max"] / GRAVITY - 22.0) < 0.5)
+    consumption = judge(abs(burnt / 0.6 - 1.0) < 0.05, f"{100.0 * (burnt / 0.6 - 1.0):+.0f} %")
     return text, f"{thrust} on thrust; consumption {consumption}"
 
 
@@ -108,7 +108,7 @@ def arm_engine() -> tuple[str, str]:
     names = sorted({jet["engine"] for jet in robot()["jets"] if "arm" in jet["name"]})
     steady = {name: steady_thrust(robot()["engines"][name], 100.0) for name in ("P100", "P160")}
     text = f"{', '.join(names)}; steady at 100 %: " + ", ".join(f"{n} {t:.1f} N" for n, t in steady.items())
-    return text, judged(names == ["P100"], "the published flights put P160 there, so do ours")
+    return text, judge(names == ["P100"], "the published flights put P160 there, so do ours")
 
 
 def battery() -> tuple[str, str]:
@@ -117,13 +117,13 @@ def battery() -> tuple[str, str]:
     printed, other = found["battery_kg"], found["battery_at_1_kW_per_kg_kg"]
     text = f"{printed:.2f} kg from the printed 13 kW for 15 kg; {other:.2f} kg from 1 kW per kg of thrust"
     off = printed - engine_choice.PAPER_BATTERY
-    return text, judged(abs(off) < 0.005, f"{off:+.2f} kg; the printed figure belongs to 1 kW per kg")
+    return text, judge(abs(off) < 0.005, f"{off:+.2f} kg; the printed figure belongs to 1 kW per kg")
 
 
 def fuel() -> tuple[str, str]:
     """Judge the fuel of the engine choice."""
     found = engine_choice.results(engine_choice.Choice())["fuel_kg"]
-    return f"{found:.2f} kg, burnt on the way", within(found, 4.605, 4.615, "kg")
+    return f"{found:.2f} kg, burnt on the way", judge_range(found, 4.605, 4.615, "kg")
 
 
 def stress() -> tuple[str, str]:
@@ -136,7 +136,7 @@ def stress() -> tuple[str, str]:
         f"{thrust:.0f} N at {1e3 * offset:.0f} mm from the elbow's axis bend by {thrust * offset:.1f} N m: "
         f"{STRESSES['forearm']:.0f} MPa in a solid round bar of {1e3 * diameter:.0f} mm"
     )
-    return text, out_of_reach("sections of jetpack and forearm are not public; the bar is of a plausible size")
+    return text, explain_absence("sections of jetpack and forearm are not public; the bar is of a plausible size")
 
 
 def forearm_offset() -> float:
@@ -157,7 +157,7 @@ def strength() -> tuple[str, str]:
     text = f"{ERGAL_STRENGTH:.0f} MPa (7075-T6) over the paper's stresses: " + ", ".join(
         f"{part} {factor:.1f}" for part, factor in factors.items()
     )
-    return text, judged(min(factors.values()) >= 5.0, f"{min(factors.values()):.1f}")
+    return text, judge(min(factors.values()) >= 5.0, f"{min(factors.values()):.1f}")
 
 
 def ranges() -> tuple[str, str]:
@@ -167,7 +167,7 @@ def ranges() -> tuple[str, str]:
     alpha = [angle for test in tunnel["flight"] for angle in test["alpha_deg"]]
     text = f"hovering β {min(beta)}° to {max(beta)}°, flight α {min(alpha)}° to {max(alpha)}°"
     same = (min(beta), max(beta), min(alpha), max(alpha)) == (-90, 90, 25, 65)
-    return text, judged(same, "other angles")
+    return text, judge(same, "other angles")
 
 
 def campaign() -> tuple[str, str]:
@@ -178,7 +178,7 @@ def campaign() -> tuple[str, str]:
     text = (
         f"{points} measurements of {len(tests)} tests are in `configs/tables/wind_tunnel.toml`: those of Fig. 2 and 3"
     )
-    return text, out_of_reach("the whole campaign is public (BSD-3-Clause) and not shipped here")
+    return text, explain_absence("the whole campaign is public (BSD-3-Clause) and not shipped here")
 
 
 def blockage() -> tuple[str, str]:
@@ -189,7 +189,7 @@ def blockage() -> tuple[str, str]:
         f"at most {100.0 * share:.1f} %: the links' largest projections, {area:.2f} m² in all, over {section:.1f} m²; "
         "without support"
     )
-    return text, within(100.0 * share, 0.0, 3.0, "%")
+    return text, judge_range(100.0 * share, 0.0, 3.0, "%")
 
 
 def reynolds() -> tuple[str, str]:
@@ -197,7 +197,7 @@ def reynolds() -> tuple[str, str]:
     sizes = [link["diameter"] for link in robot()["aero_links"]]
     low, high = (AIR_DENSITY * TUNNEL_SPEED * size / AIR_VISCOSITY for size in (min(sizes), max(sizes)))
     text = f"{low:.1e} to {high:.1e} over the links' diameters at {TUNNEL_SPEED:g} m/s"
-    return text, out_of_reach("Note 1's reference length is not public to us")
+    return text, explain_absence("Note 1's reference length is not public to us")
 
 
 def mach() -> tuple[str, str]:
@@ -205,7 +205,7 @@ def mach() -> tuple[str, str]:
     speed = max(test["speed"] for test in table("tables/wind_tunnel.toml")["hovering"])
     number = speed / SPEED_OF_SOUND
     return f"{number:.3f} at {speed:g} m/s, density changes by {50.0 * number * number:.2f} %", (
-        judged(number < 0.3, "compressible")
+        judge(number < 0.3, "compressible")
     )
 
 
@@ -218,7 +218,7 @@ def boundary() -> tuple[str, str]:
         f"intensity at {TUNNEL_SPEED:g} m/s {100.0 * intensity:.4f} %, below the tunnel's 0.1 %"
     )
     factor = f"the printed ε and ω are a factor of {omega * k / epsilon:.0f} apart; results hardly depend on either"
-    return text, judged(math.isclose(epsilon, omega * k, rel_tol=0.1), factor)
+    return text, judge(math.isclose(epsilon, omega * k, rel_tol=0.1), factor)
 
 
 def postures() -> tuple[str, str]:
@@ -229,7 +229,7 @@ def postures() -> tuple[str, str]:
         f"24 × 19 × 18 = {count}; `configs/tables/postures.toml` names {len(known['free_stream'])} postures of "
         f"the public table and {len(known['listed'])} that are not"
     )
-    agreed = judged(abs(count - 8500) < 500)
+    agreed = judge(abs(count - 8500) < 500)
     return text, f"{agreed} with 24 configurations; 30, as printed elsewhere, would be {30 * 19 * 18}"
 
 
@@ -238,7 +238,7 @@ def cells() -> tuple[str, str]:
     reduction = 1.0 - 0.33 / 9.53
     sizes = sorted({run["elements"] for run in table("tables/cfd_tunnel.toml")["run"]})
     text = f"{100.0 * reduction:.1f} % from 9.53e6 to 0.33e6; tables hold {', '.join(f'{size:.2g}' for size in sizes)}"
-    return text, within(100.0 * reduction, 96.0, 97.5, "%")
+    return text, judge_range(100.0 * reduction, 96.0, 97.5, "%")
 
 
 def _errors() -> tuple[float, float, float, float]:
@@ -255,7 +255,7 @@ def network_error() -> tuple[str, str]:
         f"{random:.1e} m⁴ on random rows, where the nearest training rows alone give {nearest:.1e}; "
         f"{grouped:.1e} on whole postures"
     )
-    on_random, on_postures = (judged(error <= 3e-6, f"{error / 3e-6:.1f} times") for error in (random, grouped))
+    on_random, on_postures = (judge(error <= 3e-6, f"{error / 3e-6:.1f} times") for error in (random, grouped))
     return text, f"{on_random} on random rows; on whole postures {on_postures}"
 
 
@@ -263,7 +263,7 @@ def order_of_magnitude() -> tuple[str, str]:
     """Compare the axisymmetric model with the network."""
     _, grouped, _, axisymmetric = _errors()
     ratio = axisymmetric / grouped
-    return f"{axisymmetric:.1e} over {grouped:.1e} m⁴ on whole postures: {ratio:.1f} times", within(
+    return f"{axisymmetric:.1e} over {grouped:.1e} m⁴ on whole postures: {ratio:.1f} times", judge_range(
         ratio, 5.0, 20.0, ""
     )
 
@@ -273,7 +273,7 @@ def network_size() -> tuple[str, str]:
     hidden = table("training/paper.toml")["network"]["hidden"]
     text = f"`configs/training/paper.toml`: {len(hidden)} layers of {hidden[0]}, 22 inputs, 39 outputs"
     same = list(hidden) == 9 * [1048]
-    return text, judged(same, "its text says 1048, its code 1024, as ours; what flies is a smaller network of ours")
+    return text, judge(same, "its text says 1048, its code 1024, as ours; what flies is a smaller network of ours")
 
 
 def misprint() -> tuple[str, str]:
@@ -286,7 +286,7 @@ def misprint() -> tuple[str, str]:
         "public table"
     )
     same = math.isclose(printed, refit, rel_tol=0.5)
-    return text, judged(same, "one coefficient is a misprint; the supplement's own table is not public to us")
+    return text, judge(same, "one coefficient is a misprint; the supplement's own table is not public to us")
 
 
 def robot_table() -> list[list[str]]:

@@ -53,7 +53,7 @@ def read(folder: Path, config: Mapping[str, Any], mass: float) -> Ground | None:
     wind = config.get("disturbances", {}).get("controller_wind")
     if wind is None:
         return None
-    with record.opened(folder / record.RUN_FILE) as opened:
+    with record.open_result(folder / record.RUN_FILE) as opened:
         if "contact_force" not in opened:
             return None
         start = float(wind.get("ramp_start", 0.0))
@@ -68,7 +68,7 @@ def measure(name: str, run: xr.Dataset, ramp_start: float, mass: float) -> Groun
     calm = (time >= ramp_start - CALM) & (time < ramp_start)
     end, windy = time >= time[-1] - CALM, time >= ramp_start
 
-    def way(signal: Vector) -> Vector:
+    def mean_change(signal: Vector) -> Vector:
         return np.asarray(signal[end].mean(axis=0) - signal[calm].mean(axis=0))
 
     com = (run["com_position"] - run["com_setpoint"]).values
@@ -79,7 +79,7 @@ def measure(name: str, run: xr.Dataset, ramp_start: float, mass: float) -> Groun
     expected = feet + force - np.array([0.0, 0.0, mass * GRAVITY])
     horizontal = np.linalg.norm(rate[:, :2], axis=1)
     joints = [str(joint) for joint in run["joint"].values]
-    turned = np.degrees(way(run["joint_position"].values))
+    turned = np.degrees(mean_change(run["joint_position"].values))
     outcome = str(run.attrs["outcome"])
     vertical = float((feet[end, 2] - mass * GRAVITY).mean())
     return Ground(
@@ -89,7 +89,7 @@ def measure(name: str, run: xr.Dataset, ramp_start: float, mass: float) -> Groun
         if run.attrs["lost_reason"]
         else "stands to the end",
         always_carried=bool((run["feet_carry"].values == 1).all()),
-        shift=way(com),
+        shift=mean_change(com),
         force=np.asarray(force[end].mean(axis=0)),
         left_leg={
             joint.removeprefix("l_"): float(turned[index])

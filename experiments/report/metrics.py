@@ -50,7 +50,7 @@ class Metrics:
 
 def read(folder: Path) -> Metrics:
     """Return the metrics of a flight's result."""
-    with record.opened(folder / record.RUN_FILE) as opened:
+    with record.open_result(folder / record.RUN_FILE) as opened:
         return measure(folder.name, opened)  # which loads the signals it needs
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from experiments.report.results import Cell, Results, count
-from experiments.report.verdicts import judged
+from experiments.report.verdicts import judge
 from experiments.sweep.table import wilson
 
 OUTAGE_SPEED = 10.0
@@ -21,11 +21,11 @@ def _errors(cell: Cell) -> str:
     return f"{count(cell)} complete, rotation error {low:.1f}, {high:.1f}, {worst:.1f}°"
 
 
-def _judged_by(bad: list[str]) -> str:
-    return judged(not bad, ", ".join(bad))
+def _judge_list(bad: list[str]) -> str:
+    return judge(not bad, ", ".join(bad))
 
 
-def _beyond(cells: Iterable[tuple[str, Cell]], error: str, limit: float) -> list[str]:
+def _list_failures(cells: Iterable[tuple[str, Cell]], error: str, limit: float) -> list[str]:
     """Return the cells in which flights are lost or the error exceeds a limit [deg]."""
     found = []
     for name, cell in cells:
@@ -36,9 +36,11 @@ def _beyond(cells: Iterable[tuple[str, Cell]], error: str, limit: float) -> list
     return found
 
 
-def _all_within(cells: Sequence[tuple[str, Cell]], error: str, limit: float) -> tuple[str, str]:
+def _judge_errors(cells: Sequence[tuple[str, Cell]], error: str, limit: float) -> tuple[str, str]:
     """Return the errors of named cells, and whether all complete within a limit [deg]."""
-    return "; ".join(f"{name}: {_errors(cell)}" for name, cell in cells), _judged_by(_beyond(cells, error, limit))
+    return "; ".join(f"{name}: {_errors(cell)}" for name, cell in cells), _judge_list(
+        _list_failures(cells, error, limit)
+    )
 
 
 def tests(arms: str, limit: float) -> Callable[[Results], tuple[str, str]]:
@@ -47,12 +49,12 @@ def tests(arms: str, limit: float) -> Callable[[Results], tuple[str, str]]:
     def judge(results: Results) -> tuple[str, str]:
         sweep = results.sweep("observer_tests")
         cells = [(test, sweep.cell(test=f"{test}, {arms} arms")) for test in ("TEST1", "TEST3")]
-        return _all_within(cells, "worst", limit)
+        return _judge_errors(cells, "worst", limit)
 
     return judge
 
 
-def _pooled(cells: list[dict[str, Any]]) -> str:
+def _pool_cells(cells: list[dict[str, Any]]) -> str:
     flights = sum(cell["flights"] for cell in cells)
     lost = flights - sum(cell["completed"] for cell in cells)
     worst = max(cell["rotation_error_deg_worst"] for cell in cells)
@@ -69,9 +71,9 @@ def fast_wind(results: Results) -> tuple[str, str]:
     texts, bad = [], []
     for controller in sweep.levels("controller"):
         cells = sweep.select(controller=controller, speed=26.0)
-        texts.append(f"{controller}: {_pooled(cells)}")
-        bad += _beyond(((f"{controller} from {cell['direction']:g}°", cell) for cell in cells), "median", 12.0)
-    return "; ".join(texts), _judged_by(bad)
+        texts.append(f"{controller}: {_pool_cells(cells)}")
+        bad += _list_failures(((f"{controller} from {cell['direction']:g}°", cell) for cell in cells), "median", 12.0)
+    return "; ".join(texts), _judge_list(bad)
 
 
 def every_wind(results: Results) -> tuple[str, str]:
@@ -83,10 +85,10 @@ def every_wind(results: Results) -> tuple[str, str]:
             cells = sweep.select(controller=controller, speed=speed)
             lost = sum(cell["flights"] - cell["completed"] for cell in cells)
             if speed > 26.0:
-                texts.append(f"{controller}, {speed:g} m/s: {_pooled(cells)}")
+                texts.append(f"{controller}, {speed:g} m/s: {_pool_cells(cells)}")
             if lost:
                 bad.append(f"{controller} at {speed:g} m/s: {lost} of {sum(cell['flights'] for cell in cells)}")
-    return "; ".join(texts), _judged_by(bad)
+    return "; ".join(texts), _judge_list(bad)
 
 
 def model_errors(results: Results) -> tuple[str, str]:
@@ -95,7 +97,7 @@ def model_errors(results: Results) -> tuple[str, str]:
     named = ("mass +10 %", "CoM 4 cm", "left arm jet -10 %")
     errors = [name for name in sweep.levels("model_error") if any(word in name for word in named)]
     cells = [(error, sweep.cell(controller="observer and model", model_error=error)) for error in errors]
-    return _all_within(cells, "median", 10.0)
+    return _judge_errors(cells, "median", 10.0)
 
 
 def sensors(results: Results) -> tuple[str, str]:
@@ -104,7 +106,7 @@ def sensors(results: Results) -> tuple[str, str]:
     cells = [
         (flight, sweep.cell(controller="observer and estimator", flight=flight)) for flight in sweep.levels("flight")
     ]
-    return _all_within(cells, "worst", 12.0)
+    return _judge_errors(cells, "worst", 12.0)
 
 
 def false_alarms(results: Results) -> tuple[str, str]:
@@ -115,7 +117,7 @@ def false_alarms(results: Results) -> tuple[str, str]:
     flights, alarmed = (sum(cell[name] for cell in cells) for name in ("flights", "degraded"))
     low, high = wilson(alarmed, flights)
     text = f"{alarmed} of {flights} flights, {1000.0 * low:.1f} to {1000.0 * high:.1f} of 1000 (95 %)"
-    return text, judged(not alarmed, f"{alarmed} false alarms")
+    return text, judge(not alarmed, f"{alarmed} false alarms")
 
 
 def _outages(results: Results, what: Mapping[str, tuple[float, ...]]) -> tuple[str, str]:
@@ -126,15 +128,15 @@ def _outages(results: Results, what: Mapping[str, tuple[float, ...]]) -> tuple[s
         for duration in durations
         for cell in sweep.select(channel=channel, duration=duration, speed=OUTAGE_SPEED)
     ]
-    return _all_within(cells, "worst", 90.0)
+    return _judge_errors(cells, "worst", 90.0)
 
 
-def lost_for_ever(results: Results) -> tuple[str, str]:
+def permanent_outages(results: Results) -> tuple[str, str]:
     """Judge flights that lose wind or thrust sensors for good."""
     return _outages(results, {"wind": (60.0,), "all thrusts": (60.0,)})
 
 
-def lost_for_a_while(results: Results) -> tuple[str, str]:
+def temporary_outages(results: Results) -> tuple[str, str]:
     """Judge flights that temporarily lose base rotation, velocity or position."""
     return _outages(results, dict.fromkeys(("rotation", "velocity", "position"), (0.3, 1.0)))
 
@@ -147,7 +149,7 @@ def lost_engines(results: Results) -> tuple[str, str]:
         for failure in sweep.levels("failure")
         if failure.endswith("at 18 s")
     ]
-    return _all_within(cells, "worst", 90.0)
+    return _judge_errors(cells, "worst", 90.0)
 
 
 def wind_estimate(results: Results) -> tuple[str, str]:
@@ -168,4 +170,4 @@ def wind_estimate(results: Results) -> tuple[str, str]:
             "interval too narrow": min(inside) < 0.85,
         }
         bad += [f"{world}: {how}" for how, holds in wrong.items() if holds]
-    return f"{speeds[0]} to {speeds[-1]} m/s; " + "; ".join(texts), _judged_by(bad)
+    return f"{speeds[0]} to {speeds[-1]} m/s; " + "; ".join(texts), _judge_list(bad)

@@ -35,7 +35,7 @@ def flight(name: str, digest: str | None, kept: Mapping[str, Any] | None) -> str
         return ""
     if kept is None:
         return "its configuration"
-    return _listed(_differing(kept, manifest.portable(today))) or "a file that it names"
+    return _list_keys(_differing_keys(kept, manifest.make_portable(today))) or "a file that it names"
 
 
 def sweep(name: str, document: Mapping[str, Any]) -> str:
@@ -45,9 +45,9 @@ def sweep(name: str, document: Mapping[str, Any]) -> str:
     today = spec.load(name)
     if Design(today).digest == document.get("config_hash"):
         return ""
-    described = run.described(today)
+    described = run.describe(today)
     kept = {key: document.get(key) for key in described}
-    return _listed(_differing(kept, described)) or "the flights of its cells, or a file that they name"
+    return _list_keys(_differing_keys(kept, described)) or "the flights of its cells, or a file that they name"
 
 
 def study(kind: str, name: str, document: Mapping[str, Any]) -> str:
@@ -57,8 +57,8 @@ def study(kind: str, name: str, document: Mapping[str, Any]) -> str:
         return "it does not say which flights and files it was made of"
     found = []
     if kind in WITH_FILES and name in places.names(kind):
-        today = tables.plain(tables.load(places.find(kind, name), WITH_FILES[kind]))
-        found.append(_listed(_differing(config, manifest.portable(today))))
+        today = tables.to_builtins(tables.load(places.find(kind, name), WITH_FILES[kind]))
+        found.append(_list_keys(_differing_keys(config, manifest.make_portable(today))))
     for one, digest in sources["flights"].items():
         differs = flight(one, digest, sources.get("configurations", {}).get(one))
         found.append(f"{one}: {differs}" if differs else "")
@@ -68,17 +68,17 @@ def study(kind: str, name: str, document: Mapping[str, Any]) -> str:
     return "; ".join(filter(None, found))
 
 
-def _differing(kept: Mapping[str, Any], today: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+def _differing_keys(kept: Mapping[str, Any], today: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
     """Yield the dotted keys whose values differ."""
     for key in sorted(kept.keys() | today.keys()):
         one, other = kept.get(key), today.get(key)
         if isinstance(one, Mapping) and isinstance(other, Mapping):
-            yield from _differing(one, other, f"{prefix}{key}.")
+            yield from _differing_keys(one, other, f"{prefix}{key}.")
         elif one != other:
             yield prefix + key
 
 
-def _listed(keys: Iterator[str]) -> str:
+def _list_keys(keys: Iterator[str]) -> str:
     first = [f"`{key}`" for key in keys]
     more = [f"{len(first) - MOST} more"] if len(first) > MOST else []
     return ", ".join(first[:MOST] + more)

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 from experiments import Refused, record
 from experiments.report import ground, metrics, outdated
 from jax_aero import places, rust
-from jax_aero.files import damaged, read_json
+from jax_aero.files import find_damaged, read_json
 
 Cell = Mapping[str, Any]
 Flown = TypeVar("Flown")
@@ -46,7 +46,7 @@ class Sweep:
         return list(dict.fromkeys(cell[axis] for cell in self.cells))
 
 
-class Made(NamedTuple):
+class Origin(NamedTuple):
     """Origin of a result."""
 
     created: str
@@ -61,13 +61,13 @@ class Results:
     """A results folder."""
 
     folder: Path
-    made: dict[str, Made] = field(default_factory=dict)
+    made: dict[str, Origin] = field(default_factory=dict)
     """Origins of the results that were used, by name."""
 
     def note(self, name: str, document: Mapping[str, Any], differs: str) -> None:
         """Record the origin of a result."""
         created = document.get("finished", document).get("created", "")
-        self.made[name] = Made(created, (document.get("git") or {}).get("commit"), differs)
+        self.made[name] = Origin(created, (document.get("git") or {}).get("commit"), differs)
 
     @cached_property
     def manifests(self) -> dict[str, dict[str, Any]]:
@@ -80,7 +80,7 @@ class Results:
         return found
 
     @cached_property
-    def differing(self) -> dict[str, str]:
+    def differences(self) -> dict[str, str]:
         """Return the difference of every such flight's configuration from the present one, by name."""
         return {
             name: outdated.flight(name, document.get("config_digest"), document.get("config"))
@@ -93,7 +93,7 @@ class Results:
         return {name: metrics.read(self.folder / "flight" / name) for name in self.manifests}
 
     @cached_property
-    def standing(self) -> dict[str, ground.Ground]:
+    def ground_experiments(self) -> dict[str, ground.Ground]:
         """Return the metrics of every ground experiment without --set, by name."""
         mass = rust.Robot(str(places.ROBOT)).mass
         read = (
@@ -116,16 +116,16 @@ class Results:
 
     def flight(self, name: str) -> metrics.Metrics:
         """Return the metrics of a flight without --set."""
-        return self._flown(self.flights, name)
+        return self._find(self.flights, name)
 
-    def stood(self, name: str) -> ground.Ground:
+    def ground_experiment(self, name: str) -> ground.Ground:
         """Return the metrics of a ground experiment without --set."""
-        return self._flown(self.standing, name)
+        return self._find(self.ground_experiments, name)
 
-    def _flown(self, found: Mapping[str, Flown], name: str) -> Flown:
+    def _find(self, found: Mapping[str, Flown], name: str) -> Flown:
         if name not in found:
             raise NotFlownError(f"`python -m experiments {name}` has not been run")
-        self.note(name, self.manifests[name], self.differing[name])
+        self.note(name, self.manifests[name], self.differences[name])
         return found[name]
 
     def sweep(self, name: str) -> Sweep:
@@ -156,7 +156,7 @@ class Results:
 
 
 def _require_whole(folder: Path, document: Mapping[str, Any]) -> None:
-    if name := damaged(folder, document.get("files") or {}):
+    if name := find_damaged(folder, document.get("files") or {}):
         raise Refused(f"{folder / name} is not what was written there; --overwrite flies it again")
 
 

@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from jax_aero.command import Refused
-from jax_aero.files import sealed, unsealed, write_bytes
+from jax_aero.files import seal, unseal, write_bytes
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Chunks:
 
     def write(self, chunk: int, table: pa.Table) -> None:
         """Write a chunk to the disk."""
-        write_bytes(self.path(chunk), sealed(parquet(table), self._what(chunk)))
+        write_bytes(self.path(chunk), seal(parquet(table), self._label(chunk)))
 
     def read(self, chunk: int) -> pa.Table:
         """Read a complete chunk."""
@@ -42,7 +42,7 @@ class Chunks:
             raise Refused(f"{self.path(chunk)} has changed meanwhile; the same command flies it again")
         return pq.read_table(io.BytesIO(content))
 
-    def whole(self, count: int) -> set[int]:
+    def find_whole(self, count: int) -> set[int]:
         """Return which of the first `count` chunks are complete."""
         return {chunk for chunk in range(count) if self._content(chunk) is not None}
 
@@ -62,9 +62,9 @@ class Chunks:
 
     def _content(self, chunk: int) -> bytes | None:
         path = self.path(chunk)
-        return unsealed(path.read_bytes(), self._what(chunk)) if path.is_file() else None
+        return unseal(path.read_bytes(), self._label(chunk)) if path.is_file() else None
 
-    def _what(self, chunk: int) -> str:
+    def _label(self, chunk: int) -> str:
         return f"{self.identity} {chunk} "
 
 

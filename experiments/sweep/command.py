@@ -14,7 +14,7 @@ from experiments import cluster, study
 from experiments.sweep import run, spec
 from experiments.sweep.design import Design
 from jax_aero import places
-from jax_aero.cli import Parser, completes
+from jax_aero.cli import Parser, complete_with
 from jax_aero.command import exit_status
 
 
@@ -27,7 +27,7 @@ def main(arguments: Sequence[str]) -> int:
         return 0 if given.list else 2
 
     def work() -> None:
-        ray = cluster.Ray.of(given)
+        ray = cluster.Ray.from_options(given)
         for design in [Design(spec.load(name)) for name in names]:
             folder = run.run(design, workers=given.workers, cluster=ray, out=given.out, overwrite=given.overwrite)
             flown = f"{design.n_rows} flights in {len(design.cells)} cells"
@@ -41,7 +41,7 @@ def _parser() -> Parser:
     which = parser.add_mutually_exclusive_group()
     known = "one of --list, or the path of a TOML file"
     named = which.add_argument("names", nargs="*", default=[], metavar="NAME", help=known)
-    completes(named, lambda: places.names("sweeps"))
+    complete_with(named, lambda: places.names("sweeps"))
     which.add_argument("--all", action="store_true", help="every sweep of configs/sweeps")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/sweeps)")
     parser.add_argument(

@@ -41,7 +41,7 @@ class Design:
         return [
             tuple(
                 # Ten digits suffice for a sample, and are readable in a table.
-                axis.sampled(float(f"{axis.ends[0] + (axis.ends[1] - axis.ends[0]) * x:.10g}"))
+                axis.level_at(float(f"{axis.ends[0] + (axis.ends[1] - axis.ends[0]) * x:.10g}"))
                 for axis, x in zip(axes, point, strict=True)
             )
             for point in points
@@ -70,7 +70,7 @@ class Design:
     def cell_config(self, cell: int) -> rust.Config:
         """Return the unperturbed configuration of a cell."""
         levels = self.cells[cell]
-        with self._naming(cell):
+        with self._name_cell(cell):
             base, *others = {level.base for level in levels if level.base} or {self.spec.base}
             if others:
                 raise Refused(f"its levels have the `base` {' and '.join(sorted([base, *others]))}; expected one")
@@ -99,7 +99,7 @@ class Design:
             "labels": [[level.label for level in levels] for levels in self.cells],
             "cells": [table.config_hash(self.cell_config(cell)) for cell in range(len(self.cells))],
             "networks": [[card.name, file_hash(card)] for card in members(ensemble)] if ensemble else [],
-            "perturbation": manifest.portable(tables.plain(self.spec.perturbation)),
+            "perturbation": manifest.make_portable(tables.to_builtins(self.spec.perturbation)),
             "numbers": [self.spec.seed, self.spec.repeats, self.spec.chunk, self.spec.engine],
         }
         return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
@@ -109,7 +109,7 @@ class Design:
         firsts: dict[tuple[str | float, ...], int] = {}
         for cell, levels in enumerate(self.cells):
             config = self.cell_config(cell)
-            with self._naming(cell):
+            with self._name_cell(cell):
                 if (first := firsts.setdefault(tuple(level.label for level in levels), cell)) < cell:
                     raise Refused(f"cell {first} has the same levels; expected each combination once")
                 if (engine := config.get("engine", self.spec.engine)) != self.spec.engine:
@@ -121,7 +121,7 @@ class Design:
                 rust.check_config(config)
 
     @contextmanager
-    def _naming(self, cell: int) -> Iterator[None]:
+    def _name_cell(self, cell: int) -> Iterator[None]:
         """Add the names of sweep and cell to a refusal."""
         try:
             yield

@@ -43,14 +43,14 @@ def set_all(config: dict[str, Any], *layers: Mapping[str, Any]) -> None:
     drop_absent(config)
 
 
-def replaced(key: str, earlier: Mapping[str, Any]) -> str | None:
+def find_replaced(key: str, earlier: Mapping[str, Any]) -> str | None:
     """Return the first earlier setting that is overwritten, in whole or part, by setting `key`; `None` if none is."""
     for other, value in earlier.items():
         # Speed and direction of the wind are not overwritten by the wind, since they are set last.
-        if key == other or (other not in POLAR and any(_within(part, key) for part, _ in parts(value, other))):
+        if key == other or (other not in POLAR and any(_is_within(part, key) for part, _ in parts(value, other))):
             return other
     return None
 
 
-def _within(key: str, table: str) -> bool:
+def _is_within(key: str, table: str) -> bool:
     return f"{key}.".startswith(f"{table}.")

@@ -71,19 +71,19 @@ class Perturbation(tables.Table, frozen=True):
         # is switched on leaves the others as they were.
         draws = {kind: np.random.default_rng([seed, repeat, number]) for number, kind in enumerate(STREAMS)}
 
-        def around(name: str, values: Sequence[float]) -> list[float]:
+        def draw_around(name: str, values: Sequence[float]) -> list[float]:
             offsets = draws[name].uniform(-1.0, 1.0, len(values)) * getattr(self, name)
             return [float(value + offset) for value, offset in zip(values, offsets, strict=True)]
 
         initial = config["simulator"]["initial"]
         for name in ("joint_position", "base_rpy_deg", "base_velocity", "thrust"):
             if getattr(self, name):
-                initial[name] = around(name, initial[name])
+                initial[name] = draw_around(name, initial[name])
         if self.thrust:
             pairs = zip(initial["thrust"], robot.thrust_max, strict=True)
             initial["thrust"] = [min(max(0.0, thrust), greatest) for thrust, greatest in pairs]
-        self._blow(config["wind"], around)
-        self._reshape(config, around, robot.aero_link_names)
+        self._blow(config["wind"], draw_around)
+        self._reshape(config, draw_around, robot.aero_link_names)
         if self.ensemble:
             _draw(config["simulator"]["aero"], members(self.ensemble), seed, repeat)
         _seed(config, draws["seeds"])

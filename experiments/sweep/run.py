@@ -31,7 +31,7 @@ from experiments.sweep.design import Design
 from experiments.sweep.progress import Progress
 from experiments.sweep.spec import Spec
 from jax_aero import places, rust, tables
-from jax_aero.files import checksums, damaged, locked, write_bytes, write_json
+from jax_aero.files import checksums, find_damaged, lock, write_bytes, write_json
 from jax_aero.result import Outcome
 
 RESULTS = places.RESULTS / "sweeps"
@@ -42,20 +42,22 @@ PRESENTATION = ("title", "description", "drawing", "panels", "axes")
 SWEEP_FILE, TABLES = "sweep.json", ("table.parquet", "cells.parquet")
 
 
-def _flown(
+def _fly_chunks(
     design: Design, chunks: list[int], workers: int | None, cluster: Ray | None, progress: Progress
 ) -> Iterator[tuple[int, Any]]:
     """Yield number and table of every chunk: here, one flight per thread, or on a cluster, one chunk per processor."""
     if cluster:
         # The sweep is read and resolved here; nodes only read the robot's files.
-        yield from cluster.spread(_fly, (design.spec, design.bases), {n: n for n in chunks}, modules_of(design))
+        yield from cluster.spread(
+            _fly_remotely, (design.spec, design.bases), {n: n for n in chunks}, modules_of(design)
+        )
         return
     engine = engines.engine(design.spec.engine)
     for chunk in chunks:
         yield chunk, fly_chunk(design, chunk, engine, workers, progress.within_chunk)
 
 
-def _fly(shared: tuple[Spec, Any], chunk: int) -> Any:
+def _fly_remotely(shared: tuple[Spec, Any], chunk: int) -> Any:
     spec, bases = shared
     design = Design(spec)
     vars(design)["bases"] = bases
@@ -85,14 +87,14 @@ def run(
 ) -> Path:
     """Fly the missing chunks of a sweep, here or on a cluster; return its folder."""
     folder = (out or RESULTS) / design.spec.name
-    with locked(folder):
+    with lock(folder):
         _run(design, workers, cluster, folder.resolve(), overwrite=overwrite)
     return folder
 
 
 def _run(design: Design, workers: int | None, cluster: Ray | None, folder: Path, *, overwrite: bool) -> None:
     document = _document(design)
-    found, shown = {} if overwrite else _found(folder, document), os.path.relpath(folder)
+    found, shown = {} if overwrite else _read_document(folder, document), os.path.relpath(folder)
     chunks = Chunks(folder / "chunks", f"{document['config_hash']} {document['code_hash']}")
     for draft in folder.rglob(".*.draft.*"):  # left by a process that was killed
         draft.unlink()
@@ -108,7 +110,7 @@ def _run(design: Design, workers: int | None, cluster: Ray | None, folder: Path,
     if overwrite and folder.exists():  # only after all checks of the new one
         _clear(folder)
     chunks.folder.mkdir(parents=True, exist_ok=True)
-    whole = chunks.whole(design.n_chunks)
+    whole = chunks.find_whole(design.n_chunks)
     if damaged := chunks.remove(but=whole):
         print(f"{shown}: {', '.join(damaged)}: damaged, or no chunk of this sweep; flown again", file=sys.stderr)
     write_json(folder / SWEEP_FILE, document)
@@ -117,7 +119,7 @@ def _run(design: Design, workers: int | None, cluster: Ray | None, folder: Path,
     flown = sum(len(design.chunk(chunk)) for chunk in missing)
     started = time.perf_counter()
     with Progress(design.spec.name, design.n_rows, design.n_rows - flown) as progress:
-        for chunk, part in _flown(design, missing, workers, cluster, progress):
+        for chunk, part in _fly_chunks(design, missing, workers, cluster, progress):
             chunks.write(chunk, part)
             progress.chunk_done(len(design.chunk(chunk)))
     _finish(folder, design, document, chunks, flown, time.perf_counter() - started)
@@ -145,7 +147,7 @@ def _finish(folder: Path, design: Design, document: dict[str, Any], chunks: Chun
 
 def _document(design: Design) -> dict[str, Any]:
     return {
-        **described(design.spec),
+        **describe(design.spec),
         "rows": design.n_rows,
         "config_hash": design.digest,
         "code_hash": code_hash(design),
@@ -155,7 +157,7 @@ def _document(design: Design) -> dict[str, Any]:
     }
 
 
-def described(spec: Spec) -> dict[str, Any]:
+def describe(spec: Spec) -> dict[str, Any]:
     """Return the part of `SWEEP_FILE` that comes from the file of a sweep."""
     return {
         "name": spec.name,
@@ -173,9 +175,9 @@ def described(spec: Spec) -> dict[str, Any]:
             }
             for axis in spec.axis
         ],
-        "base": manifest.portable(spec.base),
-        "set": manifest.portable(dict(spec.set)),
-        "perturbation": manifest.portable(tables.plain(spec.perturbation)),
+        "base": manifest.make_portable(spec.base),
+        "set": manifest.make_portable(dict(spec.set)),
+        "perturbation": manifest.make_portable(tables.to_builtins(spec.perturbation)),
         "seed": spec.seed,
         "repeats": spec.repeats,
         "chunk": spec.chunk,
@@ -193,7 +195,7 @@ def modules_of(design: Design) -> tuple[str, ...]:
     return __name__, engines.MODULES[design.spec.engine]
 
 
-def _found(folder: Path, document: dict[str, Any]) -> dict[str, Any]:
+def _read_document(folder: Path, document: dict[str, Any]) -> dict[str, Any]:
     """Return the description in a folder; refuse another sweep, one begun with other code, and damaged tables."""
     path, shown = folder / SWEEP_FILE, os.path.relpath(folder)
     if not path.exists():
@@ -207,7 +209,7 @@ def _found(folder: Path, document: dict[str, Any]) -> dict[str, Any]:
         raise Refused(f"{shown} holds another sweep of this name; choose another --out, or --overwrite it")
     if not is_finished and code != document["code_hash"]:
         raise Refused(f"{shown} was begun by other code; --overwrite starts from the beginning")
-    if is_finished and (name := damaged(folder, found["finished"].get("files", {}))):
+    if is_finished and (name := find_damaged(folder, found["finished"].get("files", {}))):
         raise Refused(f"{shown}/{name} is not what was written there; --overwrite flies it again")
     return dict(found)
 

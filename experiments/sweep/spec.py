@@ -71,7 +71,7 @@ class Axis(tables.Table, frozen=True):
             raise ValueError(f"`low` is {self.low}, `high` is {self.high}; expected low < high")
 
     @property
-    def written(self) -> tuple[str, ...]:
+    def written_keys(self) -> tuple[str, ...]:
         """Return the keys that are set to the values."""
         return self.keys or ((self.key,) if self.key else ())
 
@@ -95,16 +95,16 @@ class Axis(tables.Table, frozen=True):
             step = (self.range.stop - self.range.start) / (self.range.num - 1)
             values = tuple(self.range.start + step * index for index in range(self.range.num))
         # Fifteen digits, so that 0.1 + 0.2 is 0.3 in a table.
-        return tuple(self.sampled(float(f"{value:.15g}")) for value in values)
+        return tuple(self.level_at(float(f"{value:.15g}")) for value in values)
 
     @property
     def settings(self) -> tuple[dict[str, Any], ...]:
         """Return the settings of all levels; of an axis of values, those of one."""
-        return tuple(level.set for level in self.level) or (dict.fromkeys(self.written, 0.0),)
+        return tuple(level.set for level in self.level) or (dict.fromkeys(self.written_keys, 0.0),)
 
-    def sampled(self, value: float) -> Level:
+    def level_at(self, value: float) -> Level:
         """Return the level of one value; a whole number becomes an integer, which is also accepted as a float."""
-        return Level(label=value, set=dict.fromkeys(self.written, int(value) if value.is_integer() else value))
+        return Level(label=value, set=dict.fromkeys(self.written_keys, int(value) if value.is_integer() else value))
 
 
 class Spec(tables.Table, frozen=True):
@@ -152,7 +152,7 @@ class Spec(tables.Table, frozen=True):
         for earlier, later in itertools.combinations(self.axis, 2):
             for before, after in itertools.product(earlier.settings, later.settings):
                 for key in after:
-                    if lost := keys.replaced(key, before):
+                    if lost := keys.find_replaced(key, before):
                         raise ValueError(
                             f"axis {later.name} sets `{key}`, which replaces `{lost}` of axis {earlier.name}; "
                             "expected axes that set different keys"

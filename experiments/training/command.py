@@ -22,14 +22,14 @@ from tqdm import tqdm
 from experiments import Refused, manifest, overrides, record, study
 from experiments.sources import code_hash
 from experiments.training import config, parts, result
-from experiments.training.parts import Finished
+from experiments.training.parts import FinishedPart
 from jax_aero import places
 from jax_aero.aero.dataset import Dataset, load
 from jax_aero.aero.network import Network
 from jax_aero.aero.network_card import card_path, copy_network, save_network
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
-from jax_aero.files import computing
+from jax_aero.files import lock_work
 
 RESULTS = places.RESULTS / "training"
 
@@ -65,22 +65,22 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
         )
     dataset = load(given.dataset)
     if training.mirrored:
-        dataset = dataset.mirrored()
+        dataset = dataset.add_mirror_images()
     named = given.out or RESULTS / (study.result_name("training", path) + overrides.folder_suffix(changes))
     folder: Path = named.resolve()
     digest = hashlib.sha256(f"{study.digest(document, [config.ROBOT])}{dataset.sha256}".encode()).hexdigest()
-    with computing(folder):
-        found = record.existing(folder, digest, code_hash(__name__), overwrite=given.overwrite)
+    with lock_work(folder):
+        found = record.find_existing(folder, digest, code_hash(__name__), overwrite=given.overwrite)
         if found is None:
-            found = _trained(given, training, document, digest, dataset, folder)
+            found = _train_parts(given, training, document, digest, dataset, folder)
     if given.write:
         copy_network(folder / f"{folder.name}.json", given.write)
     summary = found["summary"]
-    print(f"{manifest.portable(folder)}: {summary['parameters']} parameters")
+    print(f"{manifest.make_portable(folder)}: {summary['parameters']} parameters")
     return dict(summary["errors"])
 
 
-def _trained(
+def _train_parts(
     given: argparse.Namespace,
     training: config.Training,
     table: dict[str, Any],
@@ -103,7 +103,7 @@ def _trained(
                 epochs=training.epochs,
                 seed=training.seed,
                 source=given.dataset.name,
-                held_out=f"final weights: all rows; errors: {_held_out(training)}",
+                held_out=f"final weights: all rows; errors: {_describe_validation(training)}",
             ) | {"check": result.check_rows(network, config.robot(), dataset)}
             card = draft / f"{folder.name}.json"
             save_network(card, network, config.robot(), description=training.description, training=facts)
@@ -133,7 +133,7 @@ def _trained(
     return document
 
 
-def _held_out(training: config.Training) -> str:
+def _describe_validation(training: config.Training) -> str:
     held = training.validation
     folds = f"{held.folds_run} of {held.folds}" if held.folds_run < held.folds else f"{held.folds}"
     return (
@@ -144,9 +144,9 @@ def _held_out(training: config.Training) -> str:
 
 def _train(
     training: config.Training, dataset: Dataset, todo: Sequence[parts.Part], work: Path
-) -> tuple[list[Finished], Network | None]:
+) -> tuple[list[FinishedPart], Network | None]:
     robot = config.robot()
-    finished: list[Finished] = []
+    finished: list[FinishedPart] = []
     network = None
     is_quiet = not sys.stderr.isatty()
     with tqdm(total=len(todo) * training.epochs, unit="epoch", disable=is_quiet, dynamic_ncols=True) as bar:

@@ -28,7 +28,7 @@ from jax_aero.aero.network_card import save_network
 from jax_aero.aero.posture import link_arms, total_wrench, vector_rms
 from jax_aero.cli import Parser, count
 from jax_aero.command import exit_status
-from jax_aero.files import computing, write_json
+from jax_aero.files import lock_work, write_json
 from jax_aero.train import Checkpoint, fit, load_checkpoint, predict_areas, samples_of, save_checkpoint
 
 BASE = places.CONFIGS / "training" / "compact.toml"
@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     folder = (given.out or places.RESULTS / "training" / "ensemble").resolve()
 
     def work() -> None:
-        with computing(folder):
+        with lock_work(folder):
             found = run(given.dataset, given.epochs, folder, given.write, overwrite=given.overwrite)
         print(study.listing(found["summary"]))
 
@@ -73,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def run(path: Path, epochs: int, folder: Path, write: Path | None, *, overwrite: bool = False) -> dict[str, Any]:
     """Train, calibrate and write; return the manifest."""
     started = time.perf_counter()
-    robot, dataset = config.robot(), load(path).mirrored()
+    robot, dataset = config.robot(), load(path).add_mirror_images()
     trainings = [member_training(changes, epochs) for changes in MEMBERS]
     digest = study.digest({"members": list(MEMBERS), "epochs": epochs, "data": dataset.sha256}, [config.ROBOT, BASE])
     record.check_replaceable(folder, lambda kept: kept.get("config_digest") == digest, overwrite=overwrite)
@@ -85,7 +85,7 @@ def run(path: Path, epochs: int, folder: Path, write: Path | None, *, overwrite:
             file = work / f"fold-{fold}-member-{number}.checkpoint"
             kept = load_checkpoint(file, predicted[number, held_out], digest)
             if kept is None:
-                network = train_member(number, training, dataset.take(without_one(dataset, train, fold + number)))
+                network = train_member(number, training, dataset.take(leave_one_out(dataset, train, fold + number)))
                 areas = predict_areas(network, robot, dataset.take(held_out)).astype(np.float32)
                 kept = Checkpoint(digest, epochs, areas, {})
                 save_checkpoint(file, kept)
@@ -143,7 +143,7 @@ def train_member(number: int, training: config.Training, rows: Dataset) -> Netwo
     return fit(start, samples_of(start, config.robot(), rows), None, training.training, seed).network
 
 
-def without_one(dataset: Dataset, rows: Indices, number: int) -> Indices:
+def leave_one_out(dataset: Dataset, rows: Indices, number: int) -> Indices:
     """Return rows without those of one posture and its mirror image, which differ between numbers."""
     families = np.unique(dataset.family[rows])
     kept: Indices = rows[dataset.family[rows] != families[number % len(families)]]
@@ -234,7 +234,7 @@ def write_members(
     robot = config.robot()
     everything = np.arange(len(dataset), dtype=np.int64)
     for number, training in enumerate(trainings):
-        rows = dataset.take(without_one(dataset, everything, number))
+        rows = dataset.take(leave_one_out(dataset, everything, number))
         network = train_member(number, training, rows)
         left_out = sorted(set(dataset.postures) - set(rows.postures))
         facts = result.card_facts(

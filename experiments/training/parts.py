@@ -20,7 +20,7 @@ from jax_aero.aero.posture import total_wrench, vector_rms
 from jax_aero.robot import RobotModel
 from jax_aero.train import (
     Checkpoint,
-    Fitted,
+    FitResult,
     Samples,
     Settings,
     baseline_errors,
@@ -49,7 +49,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Finished:
+class FinishedPart:
     """A finished part."""
 
     part: Part
@@ -82,7 +82,7 @@ def parts(training: Training, dataset: Dataset) -> Iterator[Part]:
 
 def run(
     part: Part, training: Training, robot: RobotModel, dataset: Dataset, work: Path, on_epoch: OnEpoch
-) -> tuple[Finished, Network]:
+) -> tuple[FinishedPart, Network]:
     """Train one part, resuming from its checkpoints."""
     started = time.perf_counter()
     rows, held_out = dataset.take(part.train), dataset.take(part.held_out)
@@ -92,7 +92,7 @@ def run(
     curves: dict[str, list[list[float | None]]] = {}
     first = training.seed + 1000 * part.seed
 
-    def fitted(name: str, samples: Samples, settings: Settings, seed: int) -> Fitted:
+    def fit_part(name: str, samples: Samples, settings: Settings, seed: int) -> FitResult:
         found = fit(
             training.start(robot, seed),
             samples,
@@ -106,7 +106,7 @@ def run(
         return found
 
     found = [
-        fitted(f"member-{member}", samples, training.training, first + member)
+        fit_part(f"member-{member}", samples, training.training, first + member)
         for member in range(training.ensemble.members)
     ]
     members = [one.network for one in found]
@@ -121,7 +121,7 @@ def run(
             seed=first + len(members),
             with_totals=how.training.has_totals,
         )
-        network = fitted("student", taught, how.training, first + len(members)).network
+        network = fit_part("student", taught, how.training, first + len(members)).network
     errors: dict[str, Any] = {
         "train_mse": float(np.mean((predict_areas(network, robot, rows) - rows.force_area_b) ** 2)),
         "seconds": time.perf_counter() - started,
@@ -136,7 +136,7 @@ def run(
         areas = predicted.astype(np.float32)
         errors |= _errors(robot, predicted, held_out) | {"baselines": baseline_errors(robot, rows, held_out)}
         errors["ensemble_mse"] = float(np.mean((teachers - held_out.force_area_b) ** 2))
-    return Finished(part, errors, areas, curves), network
+    return FinishedPart(part, errors, areas, curves), network
 
 
 def mean_of(members: list[Network]) -> Network:
@@ -164,7 +164,7 @@ def _errors(robot: RobotModel, predicted: Floats, held_out: Dataset) -> dict[str
     }
 
 
-def keep(work: Path, finished: Finished) -> None:
+def keep(work: Path, finished: FinishedPart) -> None:
     """Store a finished part and delete its checkpoints."""
     name, facts = finished.part.name, {"errors": finished.errors, "curves": finished.curves}
     save_checkpoint(work / f"{name}.checkpoint", Checkpoint(name, 0, finished.areas, facts))
@@ -172,8 +172,8 @@ def keep(work: Path, finished: Finished) -> None:
         path.unlink()
 
 
-def recall(work: Path, part: Part) -> Finished | None:
+def recall(work: Path, part: Part) -> FinishedPart | None:
     """Return a part that was finished earlier, or `None`."""
     areas = np.zeros((len(part.held_out), len(LINKS), 3), np.float32)
     found = load_checkpoint(work / f"{part.name}.checkpoint", areas, part.name)
-    return Finished(part, areas=np.asarray(found.state), **found.facts) if found else None
+    return FinishedPart(part, areas=np.asarray(found.state), **found.facts) if found else None

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 
 from experiments.import_cfd import COMMIT
-from experiments.training.parts import Finished
+from experiments.training.parts import FinishedPart
 from jax_aero.aero import fit
 from jax_aero.aero.dataset import JOINTS, LINKS, Dataset
 from jax_aero.aero.network import Network, with_precision
@@ -37,7 +37,7 @@ NOTES = {"surrogate": SURROGATE_NOTE, "openfoam": OPEN_NOTE, COMMIT: FREESTREAM_
 """Text of a card about its data, by a word in their provenance."""
 
 
-def summarise(finished: Sequence[Finished], chosen_on: Sequence[str]) -> dict[str, Any]:
+def summarise(finished: Sequence[FinishedPart], chosen_on: Sequence[str]) -> dict[str, Any]:
     """Return the errors of each split: mean over rows, spread over folds, and the baselines on the same rows.
 
     Settings that were chosen by looking at some postures are also judged on the other ones: `elsewhere_mse`.
@@ -85,7 +85,7 @@ def summarise(finished: Sequence[Finished], chosen_on: Sequence[str]) -> dict[st
     return found
 
 
-def to_dataset(robot: RobotModel, dataset: Dataset, finished: Sequence[Finished], title: str) -> xr.Dataset:
+def to_dataset(robot: RobotModel, dataset: Dataset, finished: Sequence[FinishedPart], title: str) -> xr.Dataset:
     """Return predictions of the first seed of each split, those of the axisymmetric model, and all loss curves."""
     areas = dataset.force_area_b.astype(np.float32)
     axes = link_axes(robot, dataset.joint_position_deg)

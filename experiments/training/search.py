@@ -32,7 +32,7 @@ from jax_aero import places, tables
 from jax_aero.aero.dataset import Dataset, load
 from jax_aero.cli import Parser, count
 from jax_aero.command import exit_status
-from jax_aero.files import locked, read_text, write_json, write_text
+from jax_aero.files import lock, read_text, write_json, write_text
 from jax_aero.keys import set_key
 from jax_aero.train import fit, samples_of
 
@@ -102,9 +102,9 @@ def run(given: argparse.Namespace) -> None:
     dataset = load(given.dataset)
     out: Path = (given.out or RESULTS / study.result_name("training_search", path)).resolve()
     # One study per question: another dataset, space or code must not be mixed in.
-    digest = study.digest({"table": tables.plain(settings), "base": base, "data": dataset.sha256}, [])
+    digest = study.digest({"table": tables.to_builtins(settings), "base": base, "data": dataset.sha256}, [])
     if (out / record.RUN_FILE).exists() or _digest_in(out) not in (None, digest):
-        raise Refused(f"{manifest.portable(out)} holds another result; choose another --out, or remove it")
+        raise Refused(f"{manifest.make_portable(out)} holds another result; choose another --out, or remove it")
     out.mkdir(parents=True, exist_ok=True)
     optuna.logging.set_verbosity(optuna.logging.ERROR)  # with warnings it prints a traceback after Ctrl-C
     search = optuna.create_study(
@@ -117,24 +117,24 @@ def run(given: argparse.Namespace) -> None:
 
     def objective(trial: optuna.Trial) -> float:
         trial.set_user_attr(SEED, seed)
-        return error_of(changed(path, base, suggestions(trial, settings.space)), dataset, settings)
+        return error_of(replace_keys(path, base, suggestions(trial, settings.space)), dataset, settings)
 
     def say(_: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
         seconds = trial.duration.total_seconds() if trial.duration else 0.0
         print(
-            f"trial {_complete(search)} of {wanted}: {trial.value:.3e} m4 (best {search.best_value:.3e}) "
+            f"trial {_count_complete(search)} of {wanted}: {trial.value:.3e} m4 (best {search.best_value:.3e}) "
             f"in {seconds:.0f} s: {trial.params}",
             flush=True,
         )
 
     _fail_killed(search, out)
-    while _complete(search) < wanted:
+    while _count_complete(search) < wanted:
         with ExitStack() as held:
             seed = _take_seed(search, settings.seed, out, held)
             search.sampler = optuna.samplers.TPESampler(seed=seed)
             search.optimize(objective, n_trials=1, callbacks=[say])
-    _write(out, search, {**tables.plain(settings), "base": base}, digest, dataset.sha256)
-    print(f"best of {_complete(search)}: {search.best_value:.3e} m4 with {search.best_params}")
+    _write(out, search, {**tables.to_builtins(settings), "base": base}, digest, dataset.sha256)
+    print(f"best of {_count_complete(search)}: {search.best_value:.3e} m4 with {search.best_params}")
 
 
 def _digest_in(folder: Path) -> str | None:
@@ -171,10 +171,10 @@ def _take_seed(search: optuna.Study, first: int, out: Path, held: ExitStack) -> 
 
 
 def _lock_of(seed: int, out: Path) -> AbstractContextManager[None]:
-    return locked(out / f"seed_{seed}")
+    return lock(out / f"seed_{seed}")
 
 
-def _complete(search: optuna.Study) -> int:
+def _count_complete(search: optuna.Study) -> int:
     return sum(trial.state == optuna.trial.TrialState.COMPLETE for trial in search.trials)
 
 
@@ -190,7 +190,7 @@ def suggestions(trial: optuna.Trial, space: Mapping[str, Range]) -> dict[str, An
     return chosen
 
 
-def changed(path: Path, base: Mapping[str, Any], changes: Mapping[str, Any]) -> config.Training:
+def replace_keys(path: Path, base: Mapping[str, Any], changes: Mapping[str, Any]) -> config.Training:
     """Return the base file with some keys changed; noise of features that a trial lacks is left out."""
     table = copy.deepcopy(dict(base))
     for key, value in changes.items():
@@ -202,7 +202,7 @@ def changed(path: Path, base: Mapping[str, Any], changes: Mapping[str, Any]) -> 
 
 def error_of(training: config.Training, dataset: Dataset, settings: SearchConfig) -> float:
     """Return the mean error over the inner folds [m⁴]; infinite where a network diverges."""
-    rows = dataset.mirrored() if training.mirrored else dataset
+    rows = dataset.add_mirror_images() if training.mirrored else dataset
     robot = config.robot()
     errors = []
     for train, held_out in rows.grouped_folds(settings.fold_seed, settings.folds)[: settings.folds_run]:
@@ -233,7 +233,7 @@ def _write(out: Path, search: optuna.Study, table: Mapping[str, Any], digest: st
         "Search for training settings",
         table,
         digest,
-        summary={"best_error_m4": search.best_value, "best": search.best_params, "trials": _complete(search)},
+        summary={"best_error_m4": search.best_value, "best": search.best_params, "trials": _count_complete(search)},
         command=["python", "-m", "experiments", "train-search", *sys.argv[2:]],
         engine="optuna",
         code=[__name__],

@@ -8,7 +8,7 @@ aerodynamic centre, where the force acts. `AeroModel` is a protocol: any pytree 
 """
 
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
-from jax_aero.aero.factors import Weighted, weighted
+from jax_aero.aero.factors import WeightedModel, weight_forces
 from jax_aero.aero.link_forces import LinkConventions, generalised_aero_force, link_forces, wrench_about
 from jax_aero.aero.model import NetworkModel, NoAero, ReadNetwork, aero_model
 from jax_aero.aero.protocol import AeroModel, LinksInAir
@@ -23,12 +23,12 @@ __all__ = [
     "NoAero",
     "ReadNetwork",
     "SphereCylinder",
-    "Weighted",
+    "WeightedModel",
     "aero_model",
     "axisymmetric_forces",
     "generalised_aero_force",
     "link_forces",
     "sphere_cylinder_forces",
-    "weighted",
+    "weight_forces",
     "wrench_about",
 ]

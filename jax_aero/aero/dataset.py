@@ -52,17 +52,17 @@ QUALITY = "quality: "
 """Prefix of the variables of `Dataset.quality` in a file."""
 
 
-def _twin(name: str) -> str:
+def _mirror_name(name: str) -> str:
     if name.startswith(("l_", "r_")):
         return ("r_" if name[0] == "l" else "l_") + name[2:]
     return name.replace("_l_", "_#_").replace("_r_", "_l_").replace("_#_", "_r_")
 
 
-JOINT_TWINS = np.array([JOINTS.index(_twin(name)) for name in JOINTS])
+JOINT_TWINS = np.array([JOINTS.index(_mirror_name(name)) for name in JOINTS])
 """Index of the joint on the opposite side."""
 JOINT_SIGNS = np.where(np.isin(JOINTS, ("torso_roll", "torso_yaw")), -1.0, 1.0)
 """Sign of each joint angle in the mirror image: limbs are built as mirror images, torso roll and yaw change sign."""
-LINK_TWINS = np.array([LINKS.index(_twin(name)) for name in LINKS])
+LINK_TWINS = np.array([LINKS.index(_mirror_name(name)) for name in LINKS])
 """Index of the link on the opposite side."""
 MIRROR_AXES = np.array([1.0, -1.0, 1.0])
 """Signs of a vector's components when mirrored about the base's x-z plane."""
@@ -80,7 +80,7 @@ def mirrored_areas(force_area_b: Float[np.ndarray, "*batch L 3"]) -> Float[np.nd
     return flipped
 
 
-def in_robot_order(
+def reorder_joints(
     joint_names: Sequence[str], joint_position_deg: Float[np.ndarray, "*batch s"]
 ) -> Float[np.ndarray, "*batch n"]:
     """Return the robot's joint positions [rad] from a table's joint angles [deg]; joints not in the table are zero."""
@@ -209,7 +209,7 @@ class Dataset:
             raise ValueError(f"no posture {', '.join(missing)}; there are {', '.join(self.postures)}")
         return self.take(np.isin(self.posture, list(postures)))
 
-    def mirrored(self) -> Dataset:
+    def add_mirror_images(self) -> Dataset:
         """Return the rows followed by their mirror images; unchanged if the dataset already holds mirror images."""
         if self.is_mirrored.any():
             return self
@@ -217,19 +217,19 @@ class Dataset:
         both = self.take(np.tile(np.arange(n), 2))
         is_twin = np.repeat([False, True], n)
 
-        def second(values: Floats, images: Floats) -> Floats:
+        def append_images(values: Floats, images: Floats) -> Floats:
             return np.concatenate([values[:n], images[n:]])
 
         couples = both.couple_volume_b
         return replace(
             both,
             is_mirrored=is_twin,
-            joint_position_deg=second(both.joint_position_deg, mirrored_joints(both.joint_position_deg)),
-            wind_b=second(both.wind_b, both.wind_b * MIRROR_AXES),
-            yaw_deg=second(both.yaw_deg, -both.yaw_deg),
-            force_area_b=second(both.force_area_b, mirrored_areas(both.force_area_b)),
+            joint_position_deg=append_images(both.joint_position_deg, mirrored_joints(both.joint_position_deg)),
+            wind_b=append_images(both.wind_b, both.wind_b * MIRROR_AXES),
+            yaw_deg=append_images(both.yaw_deg, -both.yaw_deg),
+            force_area_b=append_images(both.force_area_b, mirrored_areas(both.force_area_b)),
             # Moments are axial vectors, whose mirror image has the opposite sign.
-            couple_volume_b=None if couples is None else second(couples, -mirrored_areas(couples)),
+            couple_volume_b=None if couples is None else append_images(couples, -mirrored_areas(couples)),
         )
 
     def random_split(self, seed: int, fraction: float = 0.2) -> tuple[Int[np.ndarray, " _"], Int[np.ndarray, " _"]]:

@@ -15,7 +15,7 @@ from jax_aero.types import Array, leaf, pytree
 
 
 @pytree
-class Weighted:
+class WeightedModel:
     """Another model with its forces scaled by factors."""
 
     model: AeroModel
@@ -39,7 +39,7 @@ class Weighted:
         return self.links[:, None] * (self.drag * along + self.normal * (forces - along))
 
 
-def weighted(model: AeroModel, factors: ForceFactorsConfig, robot: RobotModel, table: str) -> AeroModel:
+def weight_forces(model: AeroModel, factors: ForceFactorsConfig, robot: RobotModel, table: str) -> AeroModel:
     """Return the model with factors on its forces, or the model itself without any; errors name the `table`."""
     if factors == ForceFactorsConfig():
         return model
@@ -47,4 +47,4 @@ def weighted(model: AeroModel, factors: ForceFactorsConfig, robot: RobotModel, t
     if unknown := set(factors.links) - set(names):
         raise ValueError(f"{table}.links names {sorted(unknown)}; {robot.name} has {', '.join(names)}")
     by_link = factors.scale * leaf([factors.links.get(name, 1.0) for name in names])
-    return Weighted(model, leaf(factors.drag), leaf(factors.normal), by_link)
+    return WeightedModel(model, leaf(factors.drag), leaf(factors.normal), by_link)

@@ -24,7 +24,7 @@ from jaxtyping import Float, Key
 from scipy.linalg import block_diag
 
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
-from jax_aero.kinematics import frame_poses, standing
+from jax_aero.kinematics import frame_poses, kinematics_at_rest
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import rotate, rotate_back, safe_norm
 from jax_aero.types import Array, Kinematics, Static, pytree, with_dtype
@@ -120,7 +120,7 @@ def network_joints(robot: RobotModel) -> tuple[int, ...]:
 
 def link_geometry(robot: RobotModel, joint_position: Float[Array, " n"]) -> LinkGeometry:
     """Return the geometry of the links at joint positions [rad], base axes."""
-    return geometry_from_kinematics(robot, standing(robot, joint_position))
+    return geometry_from_kinematics(robot, kinematics_at_rest(robot, joint_position))
 
 
 _geometry = jax.jit(link_geometry)
@@ -191,11 +191,11 @@ def mirror_of(robot: RobotModel, blocks: Sequence[str], layout: str, frame: str)
     with jax.enable_x64(True):
         rotations = np.asarray(_geometry(robot, np.zeros(robot.n_joints)).rotations)
     s = np.diag([1.0, -1.0, 1.0])
-    opposite_link = _opposite(robot.aero_links.names)
+    opposite_link = _opposite_indices(robot.aero_links.names)
     turns = [rotations[other].T @ s @ rotations[link] for link, other in enumerate(opposite_link)]
     names = [robot.joint_names[joint] for joint in network_joints(robot)]
     joints = np.zeros((len(names), len(names)))
-    for joint, other in enumerate(_opposite(names)):
+    for joint, other in enumerate(_opposite_indices(names)):
         joints[other, joint] = -1.0 if names[joint] in ODD_JOINTS else 1.0
     links_by_turn, links_by_s = _blocks(opposite_link, turns), _blocks(opposite_link, [s] * len(turns))
     swap = np.eye(len(opposite_link))[opposite_link]
@@ -211,7 +211,7 @@ def mirror_of(robot: RobotModel, blocks: Sequence[str], layout: str, frame: str)
     return Mirror(cast(Array, block_diag(*(parts[block] for block in blocks))), cast(Array, output))
 
 
-def _opposite(names: Sequence[str]) -> list[int]:
+def _opposite_indices(names: Sequence[str]) -> list[int]:
     swapped = {"l_": "r_", "r_": "l_", "chest_l_": "chest_r_", "chest_r_": "chest_l_"}
     found = []
     for name in names:

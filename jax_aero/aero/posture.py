@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jax_aero.aero.dataset import JOINTS, LINKS, Floats, in_robot_order
-from jax_aero.kinematics import frame_poses, standing
+from jax_aero.aero.dataset import JOINTS, LINKS, Floats, reorder_joints
+from jax_aero.kinematics import frame_poses, kinematics_at_rest
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import rotate
 from jax_aero.types import Array
@@ -38,14 +38,14 @@ def link_frames(robot: RobotModel, joint_position_deg: Float[np.ndarray, "k s"])
     if robot.aero_links.names != LINKS or not set(JOINTS).issubset(robot.joint_names):
         raise ValueError(f"{robot.name} has not the links and joints of the tables: {', '.join(LINKS)}")
     with jax.enable_x64(True):
-        rotations, positions = _frames(robot, in_robot_order(robot.joint_names, joint_position_deg))
+        rotations, positions = _frames(robot, reorder_joints(robot.joint_names, joint_position_deg))
     return LinkFrames(np.asarray(rotations), np.asarray(positions))
 
 
 @jax.jit
 @partial(jax.vmap, in_axes=(None, 0))
 def _frames(robot: RobotModel, joints: Array) -> tuple[Array, Array]:
-    return frame_poses(standing(robot, joints), robot.aero_links)
+    return frame_poses(kinematics_at_rest(robot, joints), robot.aero_links)
 
 
 class Wrench(NamedTuple):
@@ -72,14 +72,16 @@ def vector_rms(vectors: Float[np.ndarray, "B 3"]) -> float:
 
 def link_arms(robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"]) -> Float[np.ndarray, "B L 3"]:
     """Return the links' aerodynamic centres relative to the centre of mass [m], base axes; rows may repeat."""
-    return _by_posture(_arms, robot, joint_position_deg)
+    return _evaluate_by_posture(_arms, robot, joint_position_deg)
 
 
-def _by_posture(of: Callable[[RobotModel, Array], Array], robot: RobotModel, joint_position_deg: Floats) -> Floats:
+def _evaluate_by_posture(
+    of: Callable[[RobotModel, Array], Array], robot: RobotModel, joint_position_deg: Floats
+) -> Floats:
     """Evaluate a function of joint positions (M, n) [rad] once per distinct posture among the rows (N, 19) [deg]."""
     shapes, shape_of = np.unique(joint_position_deg, axis=0, return_inverse=True)
     with jax.enable_x64(True):
-        values = np.asarray(of(robot, jnp.asarray(in_robot_order(robot.joint_names, shapes))))
+        values = np.asarray(of(robot, jnp.asarray(reorder_joints(robot.joint_names, shapes))))
     found: Floats = values[shape_of.reshape(-1)]
     return found
 
@@ -87,20 +89,20 @@ def _by_posture(of: Callable[[RobotModel, Array], Array], robot: RobotModel, joi
 @jax.jit
 @partial(jax.vmap, in_axes=(None, 0))
 def _arms(robot: RobotModel, joints: Array) -> Array:
-    kin, links = standing(robot, joints), robot.aero_links
+    kin, links = kinematics_at_rest(robot, joints), robot.aero_links
     rotations, positions = frame_poses(kin, links)
     return positions + rotate(rotations, links.centres) - kin.com
 
 
 def centres_of_mass(robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"]) -> Float[np.ndarray, "B 3"]:
     """Return the centre of mass relative to the base origin [m], base axes, at joint angles [deg]."""
-    return _by_posture(_coms, robot, joint_position_deg)
+    return _evaluate_by_posture(_coms, robot, joint_position_deg)
 
 
 @jax.jit
 @partial(jax.vmap, in_axes=(None, 0))
 def _coms(robot: RobotModel, joints: Array) -> Array:
-    return standing(robot, joints).com
+    return kinematics_at_rest(robot, joints).com
 
 
 def link_axes(robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"]) -> Float[np.ndarray, "B L 3"]:

@@ -24,7 +24,7 @@ from msgspec.structs import astuple
 from jax_aero.config import ControllerSection, DivergenceConfig, Greatest, Jumps
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import exp_so3, is_rotation, multiply, vee_of_skew_part
-from jax_aero.types import Array, State, Static, joined, leaf, pytree, where
+from jax_aero.types import Array, State, Static, join, leaf, pytree, where
 
 GAP_MAX = 10.5
 """Longest time between two ticks, in time steps; half a time step allows for rounding."""
@@ -114,7 +114,7 @@ class ChannelsState(NamedTuple):
     is_descending: Bool[Array, ""]
 
 
-class Seen(NamedTuple):
+class UsedMeasurement(NamedTuple):
     """A measurement without missing values, ready for use by a tick."""
 
     time: Float[Array, ""]
@@ -177,7 +177,7 @@ def start(robot: RobotModel, state: State) -> ChannelsState:
     owners = _owners(jets, n)
     channels = owners.shape[0]
     none = jnp.zeros(jets, like.dtype)
-    numbers = _flat(state, none, jnp.zeros(3, like.dtype))
+    numbers = _flatten(state, none, jnp.zeros(3, like.dtype))
     return ChannelsState(
         age=jnp.zeros(channels, like.dtype),
         same=jnp.zeros(channels, jnp.int32),
@@ -202,7 +202,7 @@ def update(
     state: State,
     thrust: Float[Array, " j"],
     wind: Float[Array, "3"],
-) -> tuple[ChannelsState, Seen]:
+) -> tuple[ChannelsState, UsedMeasurement]:
     """Process a measurement at `time` [s] by its clock: return the channels' state and the usable measurement."""
     if not limits.needs_joint_velocity:
         joints = state.velocity[6:]
@@ -210,7 +210,7 @@ def update(
     jets, n = thrust.shape[0], state.joint_position.shape[0]
     owners = _owners(jets, n)
     owner = owners.argmax(axis=0)
-    now = _flat(state, thrust, wind)
+    now = _flatten(state, thrust, wind)
 
     is_known = (time >= 0.0) & (time <= TIME_MAX)
     following = memory.time + time_step
@@ -225,17 +225,17 @@ def update(
     clock_offset = jnp.where(has_jumped, time - following, memory.clock_offset)
     modes = jnp.where(is_known & ~has_jumped, 0, MODES["clock_predicted"])
 
-    def of_all(entries: Array) -> Array:
+    def all_entries(entries: Array) -> Array:
         return jnp.all(entries[None, :] | ~owners, axis=1)
 
-    is_plausible = of_all(jnp.abs(now) <= limits.greatest) & ~memory.is_distrusted
+    is_plausible = all_entries(jnp.abs(now) <= limits.greatest) & ~memory.is_distrusted
     is_plausible = is_plausible.at[ROTATION].set(is_plausible[ROTATION] & is_rotation(state.base_rotation))
     # The first measurement is what it is compared with.
     is_first = (~memory.is_begun & is_plausible)[owner]
     memory = memory._replace(predicted=jnp.where(is_first, now, memory.predicted))
     predicted = jnp.where(memory.is_begun, _predict(limits, memory, jets, n, dt), memory.predicted)
 
-    is_same = memory.is_begun & of_all(now == memory.last)
+    is_same = memory.is_begun & all_entries(now == memory.last)
     same = jnp.where(is_same, memory.same + 1, 0)
 
     def judge(predicted: Array) -> tuple[Array, Array]:
@@ -245,8 +245,8 @@ def update(
         distance = jnp.abs(now - predicted)
         # A change during a pause does not count as a jump.
         gate = 1.0 + limits.widening * memory.age + pause / time_step
-        is_near = of_all(distance <= gate[owner] * limits.jump)
-        leaves = (same >= limits.frozen_ticks) & ~of_all(distance <= FROZEN_SHARE * limits.jump)
+        is_near = all_entries(distance <= gate[owner] * limits.jump)
+        leaves = (same >= limits.frozen_ticks) & ~all_entries(distance <= FROZEN_SHARE * limits.jump)
         is_frozen = is_same & (memory.is_frozen | leaves)
         return is_plausible & is_near & ~is_frozen, is_frozen
 
@@ -295,30 +295,30 @@ def update(
         age=age,
         same=same,
         is_frozen=is_frozen,
-        last=_flat(state, thrust, wind),
+        last=_flatten(state, thrust, wind),
         predicted=predicted,
         is_begun=jnp.array(True),
         is_descending=is_descending,
     )
     seen, thrusts = _parts(used, jets, n)
     modes = modes.astype(jnp.int32)
-    return after, Seen(now_time, seen, thrusts, used[:3], modes, innovation, dt, pause, has_momentum)
+    return after, UsedMeasurement(now_time, seen, thrusts, used[:3], modes, innovation, dt, pause, has_momentum)
 
 
-def accepted(memory: ChannelsState, seen: Seen) -> tuple[State, Float[Array, " j"]]:
+def select_accepted(memory: ChannelsState, used: UsedMeasurement) -> tuple[State, Float[Array, " j"]]:
     """Return the state and thrusts of the last measurement for an estimator, with NaN for rejected values.
 
     A rejected base velocity is replaced by the one that follows the pose.
     """
-    jets, n = seen.thrust.shape[0], seen.state.joint_position.shape[0]
+    jets, n = used.thrust.shape[0], used.state.joint_position.shape[0]
     is_accepted = (memory.age == 0.0).at[VELOCITY].set(True)[_owners(jets, n).argmax(axis=0)]
-    return _parts(jnp.where(is_accepted, _flat(seen.state, seen.thrust, seen.wind), jnp.nan), jets, n)
+    return _parts(jnp.where(is_accepted, _flatten(used.state, used.thrust, used.wind), jnp.nan), jets, n)
 
 
-def replaced(limits: ChannelLimits, state: State, thrust: Float[Array, " j"], seen: Seen) -> Seen:
+def replace(limits: ChannelLimits, state: State, thrust: Float[Array, " j"], used: UsedMeasurement) -> UsedMeasurement:
     """Replace the measurement by an estimate, unless the estimate has values outside the accepted range."""
-    is_plausible = jnp.all(jnp.abs(_flat(state, thrust, seen.wind)) <= limits.greatest)
-    return where(is_plausible, seen._replace(state=state, thrust=thrust), seen)
+    is_plausible = jnp.all(jnp.abs(_flatten(state, thrust, used.wind)) <= limits.greatest)
+    return where(is_plausible, used._replace(state=state, thrust=thrust), used)
 
 
 def reject_sensor(memory: ChannelsState, is_wrong: Bool[Array, " j"], deviation: Float[Array, " j"]) -> ChannelsState:
@@ -336,20 +336,20 @@ def _owners(jets: int, n: int) -> np.ndarray:
     return np.repeat(np.eye(len(sizes), dtype=bool), sizes, axis=1)
 
 
-def _flat(state: State, thrust: Array, wind: Array) -> Array:
+def _flatten(state: State, thrust: Array, wind: Array) -> Array:
     joints = (state.joint_position, state.velocity[6:])
     base = (state.velocity[:6], state.base_position, state.base_rotation.reshape(9))
     return jnp.concatenate([wind, thrust, *joints, *base])
 
 
 def _parts(numbers: Array, jets: int, n: int) -> tuple[State, Array]:
-    """Return state and thrusts from the vector of entries, the inverse of `_flat`."""
+    """Return state and thrusts from the vector of entries, the inverse of `_flatten`."""
     joints = numbers[3 + jets : 3 + jets + 2 * n]
     state = State(
         base_position=numbers[-12:-9],
         base_rotation=numbers[-9:].reshape(3, 3),
         joint_position=joints[:n],
-        velocity=joined(numbers[-18:-12], joints[n:]),
+        velocity=join(numbers[-18:-12], joints[n:]),
     )
     return state, numbers[3 : 3 + jets]
 

@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float
 from jax_aero.config import EnginesConfig
 from jax_aero.control.attitude import TaskGains
 from jax_aero.control.observer import residual_share
-from jax_aero.control.tasks import in_place_of
+from jax_aero.control.tasks import choose_limits
 from jax_aero.robot import RobotModel
 from jax_aero.types import Array, leaf, leaves, pytree
 
@@ -94,8 +94,8 @@ def engine_limits(config: EnginesConfig, robot: RobotModel) -> EngineLimits:
         else Descent(
             range_min=leaf(descent.range_share_min * np.asarray(robot.jets.thrust_max)),
             momentum=leaves(TaskGains, descent.momentum),
-            joint_velocity_max=in_place_of(none, np.deg2rad(descent.joint_velocity_max_deg), robot),
-            torque_rate_max=in_place_of(none, descent.torque_rate_max, robot),
+            joint_velocity_max=choose_limits(none, np.deg2rad(descent.joint_velocity_max_deg), robot),
+            torque_rate_max=choose_limits(none, descent.torque_rate_max, robot),
         ),
     )
 

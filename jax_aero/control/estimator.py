@@ -25,7 +25,7 @@ from jax_aero.dynamics import dynamics, forward_dynamics
 from jax_aero.kinematics import frame_poses, generalised_force, kinematics
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import cross, exp_so3, log_so3, multiply, project_to_so3, rotate
-from jax_aero.types import Array, State, Static, joined, leaf, pytree, where
+from jax_aero.types import Array, State, Static, join, leaf, pytree, where
 
 GREATEST = 1e6
 """Largest absolute value that is accepted as a measurement [m, m/s, rad/s, N]."""
@@ -125,17 +125,17 @@ def estimator(config: EstimatorConfig, time_step: Float[Array, ""]) -> Estimator
 def start(settings: Estimator, state: State, jets: int) -> EstimatorState:
     """Return the state before the first measurement, which replaces the given state and the thrusts of zero."""
 
-    def often(x: Array) -> Array:
+    def repeat(x: Array) -> Array:
         return jnp.stack([x] * (settings.greatest_age + 1))
 
     rest = jnp.zeros_like(state.velocity)
     nothing = Reading(jax.tree.map(jnp.asarray, state), jnp.zeros(jets, rest.dtype))
     order = Order(rest[6:], nothing.thrust, rest[:6], rest[:3], jnp.asarray(settings.time_step))
-    line, orders = jax.tree.map(often, (nothing, order))
+    line, orders = jax.tree.map(repeat, (nothing, order))
     return EstimatorState(line, orders, nothing, rest[6:], jnp.array(0, jnp.int32))
 
 
-def restarted(state: EstimatorState, has_paused: Bool[Array, ""]) -> EstimatorState:
+def restart(state: EstimatorState, has_paused: Bool[Array, ""]) -> EstimatorState:
     """Restart at the next measurement after a pause, since it is unknown how long the last command has acted."""
     return state._replace(ticks=jnp.where(has_paused, 0, state.ticks))
 
@@ -158,7 +158,7 @@ def update(
     """
     # Selected before the computation, so that values and derivatives of the first tick do not depend on `start`.
     always = jax.tree.map(lambda old, new: jnp.broadcast_to(new, old.shape), before.line, measured)
-    first = (always, _known(measured, before.then))
+    first = (always, _prefer_measured(measured, before.then))
     line, then = where(before.ticks == 0, first, (before.line, before.then))
     line = jax.tree.map(lambda old, new: jnp.concatenate([new[None], old[:-1]]), line, measured)
     oldest = before.orders.torque.shape[0] - 1
@@ -173,7 +173,9 @@ def update(
 
     # Younger measurements wait for the oldest.
     waiting = oldest - settings.age
-    aligned = [_known(jax.tree.map(lambda x, ticks=waiting[channel]: x[ticks], line), then) for channel in range(7)]
+    aligned = [
+        _prefer_measured(jax.tree.map(lambda x, ticks=waiting[channel]: x[ticks], line), then) for channel in range(7)
+    ]
     step, (of_velocity, of_acceleration) = last.duration, settings.by_position
     innovation = aligned[4].state.joint_position - then.state.joint_position
     disturbance = unexplained + of_acceleration / step**2 * innovation
@@ -182,12 +184,12 @@ def update(
     velocity = corrected.state.velocity.at[6:].add(of_velocity / step * innovation)
     then = corrected._replace(state=corrected.state._replace(velocity=velocity))
 
-    def ahead(now: Reading, acting: tuple[Order, Array]) -> tuple[Reading, None]:
+    def predict(now: Reading, acting: tuple[Order, Array]) -> tuple[Reading, None]:
         order, age = acting
         return where(before.ticks > age, advance(robot, aero, now, order, disturbance), now), None
 
     orders = jax.tree.map(lambda x: x[:oldest][::-1], given)
-    now, _ = jax.lax.scan(ahead, then, (orders, jnp.arange(oldest)[::-1]))
+    now, _ = jax.lax.scan(predict, then, (orders, jnp.arange(oldest)[::-1]))
     return EstimatorState(line, given, then, disturbance, before.ticks + 1), now, innovation_of_thrust
 
 
@@ -254,7 +256,7 @@ def advance(
     return Reading(moved, jnp.maximum(reading.thrust + step * order.thrust_rate, 0.0))
 
 
-def _known(measured: Reading, estimate: Reading) -> Reading:
+def _prefer_measured(measured: Reading, estimate: Reading) -> Reading:
     """Return the measurement, with invalid values replaced by the estimate."""
     known: Reading = jax.tree.map(lambda said, own: jnp.where(jnp.abs(said) <= GREATEST, said, own), measured, estimate)
     return known
@@ -271,17 +273,17 @@ def _correct(share: Array, estimate: Reading, measured: list[Reading]) -> Readin
     base_rotation = project_to_so3(multiply(now.base_rotation, exp_so3(share[1] * turn)))
     gyros = gyro(now) + share[3] * (gyro(angular.state) - gyro(now))
 
-    def moved(channel: int, found: Array, said: Array) -> Array:
+    def correct_channel(channel: int, found: Array, said: Array) -> Array:
         return found + share[channel] * (said - found)
 
     state = State(
-        base_position=moved(0, now.base_position, position.state.base_position),
+        base_position=correct_channel(0, now.base_position, position.state.base_position),
         base_rotation=base_rotation,
-        joint_position=moved(4, now.joint_position, joints.state.joint_position),
-        velocity=joined(
-            moved(2, now.velocity[:3], linear.state.velocity[:3]),
+        joint_position=correct_channel(4, now.joint_position, joints.state.joint_position),
+        velocity=join(
+            correct_channel(2, now.velocity[:3], linear.state.velocity[:3]),
             base_rotation @ gyros,
-            moved(5, now.velocity[6:], joint_velocities.state.velocity[6:]),
+            correct_channel(5, now.velocity[6:], joint_velocities.state.velocity[6:]),
         ),
     )
-    return Reading(state, jnp.maximum(moved(6, estimate.thrust, thrusts.thrust), 0.0))
+    return Reading(state, jnp.maximum(correct_channel(6, estimate.thrust, thrusts.thrust), 0.0))

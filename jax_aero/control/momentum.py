@@ -45,7 +45,7 @@ class MomentumModel(NamedTuple):
     unmodelled_wrench: Float[Array, "6"]
     """Observed unmodelled wrench `ŵ`, included in the rate; zero without an observer [N, N m]."""
 
-    def with_unmodelled(self, wrench: Float[Array, "6"]) -> MomentumModel:
+    def add_unmodelled(self, wrench: Float[Array, "6"]) -> MomentumModel:
         """Return the same model with the observed wrench `ŵ` added to the momentum rate."""
         return self._replace(rate_estimate=self.rate_estimate + wrench, unmodelled_wrench=wrench)
 

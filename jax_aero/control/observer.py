@@ -70,10 +70,10 @@ def update(
 
     `ŵ` is unchanged if there is no last measurement or if numbers overflow.
     """
-    shares = -jnp.expm1(-elapsed * _sixfold(gains.gain_force, gains.gain_moment))
+    shares = -jnp.expm1(-elapsed * _repeat_axes(gains.gain_force, gains.gain_moment))
     innovation = (momentum - last.momentum) / elapsed - last.rate - last.wrench
     moved = last.wrench + shares * innovation
-    limits = _sixfold(gains.force_max, gains.moment_max)
+    limits = _repeat_axes(gains.force_max, gains.moment_max)
     is_used = last.is_known & jnp.all(jnp.isfinite(moved))
     wrench = jnp.where(is_used, jnp.clip(moved, -limits, limits), last.wrench)
     newer = last.residual + residual_share(elapsed) * (innovation - last.residual)
@@ -91,5 +91,5 @@ def hold(last: ObserverState) -> ObserverState:
     return last._replace(residual=jnp.zeros_like(last.residual), is_known=jnp.array(False))
 
 
-def _sixfold(force: Array, moment: Array) -> Array:
+def _repeat_axes(force: Array, moment: Array) -> Array:
     return jnp.repeat(jnp.stack([jnp.asarray(force), jnp.asarray(moment)]), 3)

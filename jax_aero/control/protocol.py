@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jax_aero.control.attitude import AttitudeDemand
-from jax_aero.control.channels import Seen
+from jax_aero.control.channels import UsedMeasurement
 from jax_aero.control.momentum import MomentumModel
 from jax_aero.control.qp import QpAnswer
 from jax_aero.control.tasks import MomentumQp
@@ -34,12 +34,12 @@ class Measurement(NamedTuple):
 class Terms(NamedTuple):
     """Intermediate values of a tick of the momentum controller."""
 
-    given: Measurement
+    estimates: Measurement
     """Output of the estimators; without estimators the measurement."""
-    seen: Seen
+    measurement: UsedMeasurement
     """Usable measurement, with predictions of missing values."""
     wind_std: Float[Array, "3"]
-    """Standard deviation of the wind in `given` [m/s]; zero without a wind observer."""
+    """Standard deviation of the wind in `estimates` [m/s]; zero without a wind observer."""
     state: State
     """State of kinematics and dynamics: the given one itself if nothing is predicted."""
     kinematics: Kinematics

@@ -28,7 +28,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float, Int
 
-from jax_aero.linalg import cholesky, dot, in_chunks, solve_factored, solve_positive_definite, with_batch_rule
+from jax_aero.linalg import cholesky, dot, map_in_chunks, solve_factored, solve_positive_definite, with_batch_rule
 from jax_aero.types import Array
 
 Dtype: TypeAlias = np.dtype[Any] | type[np.floating[Any]]
@@ -159,7 +159,7 @@ def _minimise_jvp(primals, tangents):  # type: ignore[no-untyped-def]
     right = jnp.where(free, -(d_qp.g + dot(d_qp.h, x) + dot(qp.h, d_held)), 0.0)
     # Scaling by the diagonal makes the factor as accurate as that of the solution.
     scale = jnp.where(free, lax.rsqrt(jnp.where(free, jnp.diagonal(qp.h), 1.0)), 1.0)
-    reduced = _reduced(qp.h * scale[:, None] * scale, free)
+    reduced = _mask_hessian(qp.h * scale[:, None] * scale, free)
     d_x = d_held + scale * solve_positive_definite(reduced, (scale * right)[:, None])[:, 0]
     none = partial(np.zeros, dtype=jax.dtypes.float0)
     return out, (d_x, none(side.shape), none(status.shape), none(iterations.shape))
@@ -186,7 +186,7 @@ def _fault(qp: BoxQp) -> Array:
     return jnp.where(finite, status, NON_FINITE)
 
 
-def _reduced(h: Array, free: Array) -> Array:
+def _mask_hessian(h: Array, free: Array) -> Array:
     """Return H on the free rows and columns, and the identity elsewhere."""
     return jnp.where(free[:, None] & free, h, jnp.eye(h.shape[0], dtype=h.dtype))
 
@@ -211,17 +211,17 @@ def _begin(qp: BoxQp, start: WarmStart, status: Array) -> _Search:
     return _Search(y, side, status.astype(jnp.int32), jnp.zeros((), jnp.int32))
 
 
-def _under_way(search: _Search) -> Array:
+def _is_unfinished(search: _Search) -> Array:
     return (search.status == ITERATION_LIMIT) & (search.iterations < PASSES_PER_VARIABLE * search.y.shape[-1])
 
 
 def _search_up_to(limit: Array | float, qp: BoxQp, search: _Search) -> _Search:
     """Take passes until the search has ended or a total of `limit` passes is reached."""
 
-    def goes_on(search: _Search) -> Array:
-        return _under_way(search) & (search.iterations < limit)
+    def is_running(search: _Search) -> Array:
+        return _is_unfinished(search) & (search.iterations < limit)
 
-    end: _Search = lax.while_loop(goes_on, partial(_pass, qp), search)
+    end: _Search = lax.while_loop(is_running, partial(_pass, qp), search)
     return end
 
 
@@ -235,8 +235,8 @@ def _search_batch(qp: BoxQp, search: _Search) -> _Search:
     def chunks(qp: BoxQp, search: _Search) -> _Search:
         def one_round(index: Array, search: _Search) -> _Search:
             limit = jnp.where(index == 0, 1.0, jnp.inf)
-            pending = _under_way(search)
-            ended: _Search = in_chunks(
+            pending = _is_unfinished(search)
+            ended: _Search = map_in_chunks(
                 partial(_search_up_to, limit), (qp,), search, jnp.argsort(~pending), jnp.sum(pending)
             )
             return ended
@@ -261,7 +261,7 @@ def _pass(qp: BoxQp, search: _Search) -> _Search:
     """
     y, side = search.y, search.side
     free = side == 0
-    factor = cholesky(_reduced(qp.h, free))
+    factor = cholesky(_mask_hessian(qp.h, free))
 
     def newton(gradient: Array) -> Array:
         return jnp.where(free, -solve_factored(factor, jnp.where(free, gradient, 0.0)[:, None])[:, 0], 0.0)

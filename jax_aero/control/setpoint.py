@@ -71,18 +71,18 @@ def autopilot_command(mission: Commands, time: Float[Array, ""]) -> AutopilotCom
     # A tick at the end of an interval is outside; the margin prevents rounding of k · 0.01 from moving it inside.
     margin = jnp.maximum(1e-9, 4.0 * float(np.finfo(time.dtype).eps) * jnp.abs(time))
 
-    def active(intervals: Array) -> Array:
+    def is_active(intervals: Array) -> Array:
         return jnp.any((time > intervals[:, 0] + margin) & (time < intervals[:, 1] - margin))
 
-    def one(intervals: Array) -> Array:
-        return active(intervals).astype(time.dtype)
+    def flag(intervals: Array) -> Array:
+        return is_active(intervals).astype(time.dtype)
 
-    turbo = active(mission.forward_turbo)
+    turbo = is_active(mission.forward_turbo)
     return AutopilotCommand(
-        forward=(turbo | active(mission.forward)).astype(time.dtype),
-        vertical=one(mission.up) - one(mission.down),
-        nose_down=-one(mission.pitch_up),
-        yaw=one(mission.yaw_left),
+        forward=(turbo | is_active(mission.forward)).astype(time.dtype),
+        vertical=flag(mission.up) - flag(mission.down),
+        nose_down=-flag(mission.pitch_up),
+        yaw=flag(mission.yaw_left),
         turbo=turbo,
     )
 
@@ -249,7 +249,7 @@ def update(
     projection onto SO(3) at every tick removes the drift of that step.
     """
     if isinstance(mission, Recording):
-        return _recorded(params, mission, state, time)
+        return _follow_recording(params, mission, state, time)
     return _smooth(params, state, _advance_raw(params, state.raw, autopilot_command(mission, time)))
 
 
@@ -320,7 +320,7 @@ def _smooth(params: SetpointParams, state: SetpointState, raw: RawSetpoint) -> t
     return SetpointState(raw, position, acceleration, angular, turned), setpoint
 
 
-def _recorded(
+def _follow_recording(
     params: SetpointParams, recording: Recording, state: SetpointState, time: Array
 ) -> tuple[SetpointState, Setpoint]:
     """Follow a recording unfiltered, except its angular velocity, filtered to obtain the missing derivatives."""

@@ -82,14 +82,14 @@ def task_params(config: ControllerSection, robot: RobotModel, time_step: float) 
         For a name that the robot does not have, and for bounds with which thrusts or joints would oscillate.
     """
     weights, bounds = config.weights, config.bounds
-    gains = _by_name("posture_gain", config.posture_gain, [name for name, _ in robot.joint_groups], robot)
+    gains = _values_by_name("posture_gain", config.posture_gain, [name for name, _ in robot.joint_groups], robot)
     counts = [len(joints) for _, joints in robot.joint_groups]
     common = bounds.joint_velocity_max_deg
-    velocity_max = in_place_of(robot.joint_velocity_max, None if common is None else np.deg2rad(common), robot)
-    thrust_rate_max = _by_name("bounds.thrust_rate_max", bounds.thrust_rate_max, robot.jets.names, robot)
+    velocity_max = choose_limits(robot.joint_velocity_max, None if common is None else np.deg2rad(common), robot)
+    thrust_rate_max = _values_by_name("bounds.thrust_rate_max", bounds.thrust_rate_max, robot.jets.names, robot)
     descent = None if config.engines is None else config.engines.descent
     none = leaf(np.zeros(robot.n_joints))
-    fast = none if descent is None else in_place_of(none, np.deg2rad(descent.joint_velocity_max_deg), robot)
+    fast = none if descent is None else choose_limits(none, np.deg2rad(descent.joint_velocity_max_deg), robot)
     _check_steepness("thrust_steepness", bounds.thrust_steepness, thrust_rate_max, time_step)
     _check_steepness("joint_steepness", bounds.joint_steepness, jnp.maximum(velocity_max, fast), time_step)
     return TaskParams(
@@ -97,7 +97,7 @@ def task_params(config: ControllerSection, robot: RobotModel, time_step: float) 
         angular_momentum=leaf(weights.angular_momentum),
         posture=leaf(weights.posture),
         joint_velocity=leaf(weights.joint_velocity),
-        thrust_rate=leaf(_by_name("weights.thrust_rate", weights.thrust_rate, robot.jets.names, robot)),
+        thrust_rate=leaf(_values_by_name("weights.thrust_rate", weights.thrust_rate, robot.jets.names, robot)),
         symmetry=leaf(weights.symmetry),
         regularisation=leaf(weights.regularisation),
         posture_gain=leaf(np.repeat(gains, counts)),
@@ -124,7 +124,7 @@ def _check_steepness(key: str, steepness: float, rate_max: ArrayLike, time_step:
         )
 
 
-def _by_name(table: str, values: Mapping[str, float], names: Sequence[str], robot: RobotModel) -> list[float]:
+def _values_by_name(table: str, values: Mapping[str, float], names: Sequence[str], robot: RobotModel) -> list[float]:
     """Return the value of every name, in the order of `names`."""
     for name in {*values, *names}:
         if name not in names:
@@ -134,7 +134,7 @@ def _by_name(table: str, values: Mapping[str, float], names: Sequence[str], robo
     return [values[name] for name in names]
 
 
-def in_place_of(
+def choose_limits(
     own: Float[Array, " n"], common: Float[Array, ""] | float | None, robot: RobotModel
 ) -> Float[Array, " n"]:
     """Return the joint limits: the robot's own, or for revolute joints the common one if given."""
@@ -229,7 +229,7 @@ def momentum_qp(
         *momentum,
         symmetric_jets(params, pairs, inputs),
         posture(params, inputs),
-        *towards_zero(params, inputs),
+        *keep_small(params, inputs),
         *(task.equations(inputs) for task in others),
     ]
     h, g = _cost(tasks, params.thrust_rate.shape[0] + inputs.posture.shape[0])
@@ -284,7 +284,7 @@ def posture(params: TaskParams, inputs: TaskInputs) -> Diagonal:
     return Diagonal(inputs.joints, offset, jnp.broadcast_to(params.posture, offset.shape))
 
 
-def towards_zero(params: TaskParams, inputs: TaskInputs) -> tuple[Diagonal, ...]:
+def keep_small(params: TaskParams, inputs: TaskInputs) -> tuple[Diagonal, ...]:
     """Return the tasks that keep thrust rates, joint velocities and all unknowns small."""
     jets, joints = jnp.zeros_like(inputs.thrust), jnp.zeros_like(inputs.posture)
     everything = jnp.concatenate([jets, joints])

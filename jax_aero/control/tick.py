@@ -26,7 +26,7 @@ from jax_aero.aero import (
     aero_model,
     generalised_aero_force,
     link_forces,
-    weighted,
+    weight_forces,
 )
 from jax_aero.aero.network_card import load_network
 from jax_aero.config import MissionConfig, RateFeedback, ScenarioConfig
@@ -34,7 +34,7 @@ from jax_aero.control import channels, engines, estimator, observer, qp, wind_ob
 from jax_aero.control import setpoint as generator
 from jax_aero.control.attitude import TaskGains, attitude_demand
 from jax_aero.control.bounds import rate_bounds
-from jax_aero.control.channels import ChannelLimits, ChannelsState, Seen, channel_limits
+from jax_aero.control.channels import ChannelLimits, ChannelsState, UsedMeasurement, channel_limits
 from jax_aero.control.engines import EngineLimits, EngineState
 from jax_aero.control.estimator import Estimator, EstimatorState, Order, Reading
 from jax_aero.control.momentum import momentum_model
@@ -43,7 +43,15 @@ from jax_aero.control.protocol import Command, Measurement, Terms
 from jax_aero.control.qp import WarmStart
 from jax_aero.control.recorded import Recording, read_reference, recording
 from jax_aero.control.setpoint import Commands, SetpointParams, SetpointState
-from jax_aero.control.tasks import Task, TaskInputs, TaskParams, in_place_of, momentum_qp, symmetric_pairs, task_params
+from jax_aero.control.tasks import (
+    Task,
+    TaskInputs,
+    TaskParams,
+    choose_limits,
+    momentum_qp,
+    symmetric_pairs,
+    task_params,
+)
 from jax_aero.control.torque import TorqueParams, limit_rate, torque_qp
 from jax_aero.control.wind_observer import WindObserver, WindState
 from jax_aero.dynamics import dynamics, forward_dynamics
@@ -178,14 +186,14 @@ def momentum_controller(
             torque=feedback.torque,
             symmetric_pairs=symmetric_pairs(controller, robot),
         ),
-        aero=weighted(aero, config.disturbances.aero_estimate, robot, "disturbances.aero_estimate"),
+        aero=weight_forces(aero, config.disturbances.aero_estimate, robot, "disturbances.aero_estimate"),
         rate_feedback=_components(feedback.momentum_rate),
         momentum=leaves(TaskGains, controller.momentum),
         tasks=task_params(controller, robot, config.simulator.time_step),
         other_tasks=tasks,
         torque=leaves(TorqueParams, controller.torque),
-        torque_max=in_place_of(robot.joint_torque_max, controller.torque.torque_max, robot),
-        torque_rate_max=in_place_of(robot.joint_torque_rate_max, controller.torque.torque_rate_max, robot),
+        torque_max=choose_limits(robot.joint_torque_max, controller.torque.torque_max, robot),
+        torque_rate_max=choose_limits(robot.joint_torque_rate_max, controller.torque.torque_rate_max, robot),
         setpoint=generator.setpoint_params(controller.setpoint, robot.forward_axis, time_step),
         channels=channel_limits(controller, robot, config.simulator.divergence),
         estimator=None if estimates is None else estimator.estimator(estimates, time_step),
@@ -254,30 +262,30 @@ def tick(
         if memory.wind is not None:
             wind, wind_std = memory.wind.wind, memory.wind.std
         given = Measurement(time, state, thrust, wind)
-        known, seen = channels.update(params.channels, memory.channels, params.time_step, *given)
+        known, used = channels.update(params.channels, memory.channels, params.time_step, *given)
         memory = memory._replace(channels=known)
         if params.estimator is not None and memory.estimator is not None:
-            measured = Reading(*channels.accepted(known, seen))
-            before = estimator.restarted(memory.estimator, seen.pause > 0.0)
+            measured = Reading(*channels.select_accepted(known, used))
+            before = estimator.restart(memory.estimator, used.pause > 0.0)
             estimating, estimate, innovation = estimator.update(
-                params.estimator, robot, params.aero, before, measured, seen.elapsed
+                params.estimator, robot, params.aero, before, measured, used.elapsed
             )
             memory = memory._replace(estimator=estimating)
-            seen = channels.replaced(params.channels, *estimate, seen)._replace(thrust_innovation=innovation)
-            given = given._replace(state=seen.state, thrust=seen.thrust)
+            used = channels.replace(params.channels, *estimate, used)._replace(thrust_innovation=innovation)
+            given = given._replace(state=used.state, thrust=used.thrust)
         if setpoint is None:
-            along = generator.update(params.setpoint, params.mission, memory.setpoint, seen.time)
+            along = generator.update(params.setpoint, params.mission, memory.setpoint, used.time)
         else:
             along = generator.follow(params.setpoint, memory.setpoint, generator.motion_of(setpoint)), setpoint
         down = generator.descend(params.setpoint, memory.setpoint)
         moved, followed = where(known.is_descending, down, along)
-        after, command, terms = _act(params, robot, memory._replace(setpoint=moved), given, seen, wind_std, followed)
+        after, command, terms = _act(params, robot, memory._replace(setpoint=moved), given, used, wind_std, followed)
         if params.wind_observer is not None and after.wind is not None:
             blowing = wind_observer.update(params.wind_observer, robot, params.aero, after.wind, terms)
             after = after._replace(wind=blowing)
         if after.estimator is not None:
             unmodelled = terms.momentum.unmodelled_wrench
-            order = Order(command.joint_torque, command.thrust_rate, unmodelled, seen.wind, params.time_step)
+            order = Order(command.joint_torque, command.thrust_rate, unmodelled, used.wind, params.time_step)
             after = after._replace(estimator=estimator.command(after.estimator, order))
         return after, command, terms
 
@@ -309,13 +317,13 @@ def _act(
     robot: RobotModel,
     memory: ControllerState,
     given: Measurement,
-    seen: Seen,
+    used: UsedMeasurement,
     wind_std: Array,
     setpoint: Setpoint,
 ) -> tuple[ControllerState, Command, Terms]:
     """Compute the tick from a usable measurement."""
     switches = params.switches
-    _, state, thrust, wind, modes, innovation, elapsed, _, has_momentum = seen
+    _, state, thrust, wind, modes, innovation, elapsed, _, has_momentum = used
     known = memory.channels
     kin = kinematics(robot, state)
     dyn = dynamics(robot, state, kin)
@@ -328,7 +336,7 @@ def _act(
         rate = momentum.rate_estimate
         compared = observer.update(params.observer, elapsed, observed, dyn.momentum, rate)
         observed = where(has_momentum, compared, observer.hold(observed))
-        momentum = momentum.with_unmodelled(observed.wrench)
+        momentum = momentum.add_unmodelled(observed.wrench)
     gains, tasks, torque_rate_max = params.momentum, params.tasks, params.torque_rate_max
     before = memory.engines
     turning = before
@@ -439,5 +447,5 @@ def _act(
         torque_start=pushed.warm_start,
     )
     of = state if params.channels.may_predict else given.state
-    terms = Terms(given, seen, wind_std, of, kin, dyn, link, momentum, setpoint, attitude, shaping, following, pushed.x)
+    terms = Terms(given, used, wind_std, of, kin, dyn, link, momentum, setpoint, attitude, shaping, following, pushed.x)
     return after, command, terms

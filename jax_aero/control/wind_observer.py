@@ -95,8 +95,8 @@ def update(
     terms: Terms,
 ) -> WindState:
     """Process the values of a controller tick. Without measured momentum nothing is corrected."""
-    step, has_momentum = terms.seen.elapsed, terms.seen.has_momentum
-    rate = jnp.sum(terms.momentum.a_t * terms.seen.thrust, axis=1).at[2].add(-robot.mass * robot.gravity)
+    step, has_momentum = terms.measurement.elapsed, terms.measurement.has_momentum
+    rate = jnp.sum(terms.momentum.a_t * terms.measurement.thrust, axis=1).at[2].add(-robot.mass * robot.gravity)
     greatest = jnp.full_like(settings.gain, GREATEST)
     gains = ObserverGains(settings.gain, settings.gain, greatest, greatest)
     wrench = observer.update(gains, step, before.wrench, terms.dynamics.momentum, rate)

@@ -7,8 +7,8 @@ The compiled crate is not needed.
 from jax_aero.control import Command, Controller, Measurement
 from jax_aero.result import FlightResult
 from jax_aero.sim.batch import fly_batch
-from jax_aero.sim.rollout import COMPILER_OPTIONS, everything, fly, rollout, run
-from jax_aero.sim.step import FlightRow, FlightState, Scenario, begin, in_precision, prepare, step
+from jax_aero.sim.rollout import COMPILER_OPTIONS, fly, keep_row, rollout, run
+from jax_aero.sim.step import FlightRow, FlightState, Scenario, begin, convert_precision, prepare, step
 
 __all__ = [
     "COMPILER_OPTIONS",
@@ -20,10 +20,10 @@ __all__ = [
     "Measurement",
     "Scenario",
     "begin",
-    "everything",
+    "convert_precision",
     "fly",
     "fly_batch",
-    "in_precision",
+    "keep_row",
     "prepare",
     "rollout",
     "run",

@@ -22,8 +22,8 @@ from jax_aero.aero.network_card import load_network
 from jax_aero.config import ScenarioConfig
 from jax_aero.result import FlightResult, Progress
 from jax_aero.robot import RobotModel, load_robot
-from jax_aero.sim.rollout import CHUNK, COMPILER_OPTIONS, Ending, finished
-from jax_aero.sim.step import FLYING, FlightState, Scenario, prepare, step, typed
+from jax_aero.sim.rollout import CHUNK, COMPILER_OPTIONS, Ending, make_result
+from jax_aero.sim.step import FLYING, FlightState, Scenario, prepare, read_config, step
 from jax_aero.summary import condense
 from jax_aero.types import Array
 
@@ -56,7 +56,7 @@ class Group(NamedTuple):
         """Return the `vmap` axis of each stacked leaf."""
         return tuple(None if shared else 0 for shared in self.is_shared)
 
-    def stacked(self, rows: Sequence[int]) -> tuple[tuple[Any, ...], FlightState]:
+    def stack(self, rows: Sequence[int]) -> tuple[tuple[Any, ...], FlightState]:
         """Return leaves and initial states of the flights `rows`, with an additional first axis where they differ."""
         leaves = tuple(
             of_flights[0] if is_shared else np.stack([of_flights[row] for row in rows])
@@ -91,7 +91,7 @@ def fly_batch(
         workers = tuple(jax.devices() if devices is None else devices)
         together = most_together or MOST_TOGETHER.get(workers[0].platform, MOST_ELSEWHERE)
         # All configurations are read before the first flight is prepared, so that errors are reported at once.
-        groups = grouped(configs, dtype)
+        groups = group_flights(configs, dtype)
         total = sum(len(group.places) for group in groups)
         flights: dict[int, FlightResult] = {}
         for group in groups:
@@ -109,12 +109,12 @@ def fly_batch(
     return [flights[place] for place in range(total)]
 
 
-def grouped(configs: Iterable[ScenarioConfig | Mapping[str, Any]], dtype: Any = np.float64) -> list[Group]:
+def group_flights(configs: Iterable[ScenarioConfig | Mapping[str, Any]], dtype: Any = np.float64) -> list[Group]:
     """Prepare flights and group them by structure, robot and networks; within a group they keep their order."""
     found: dict[Any, Group] = {}
-    for place, (scenario, state) in enumerate(_prepared(list(_typed(configs)), dtype)):
+    for place, (scenario, state) in enumerate(_prepare_flights(list(_read_configs(configs)), dtype)):
         leaves, structure = jax.tree.flatten(scenario)
-        is_shared = tuple(jax.tree.leaves(_shared(scenario)))
+        is_shared = tuple(jax.tree.leaves(_mark_shared(scenario)))
         common = tuple(leaf.tobytes() for leaf, shared in zip(leaves, is_shared, strict=True) if shared)
         shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
         n_ticks = int(scenario.n_ticks)
@@ -135,13 +135,13 @@ def batch_size(flights: int, devices: int, most: int) -> int:
     return devices * min(filled, most)
 
 
-def _typed(configs: Iterable[ScenarioConfig | Mapping[str, Any]]) -> Iterator[ScenarioConfig]:
+def _read_configs(configs: Iterable[ScenarioConfig | Mapping[str, Any]]) -> Iterator[ScenarioConfig]:
     for index, config in enumerate(configs):
-        with _naming(index):
-            yield typed(config)
+        with _name_flight(index):
+            yield read_config(config)
 
 
-def _prepared(configs: Iterable[ScenarioConfig], dtype: Any) -> Iterator[tuple[Scenario, FlightState]]:
+def _prepare_flights(configs: Iterable[ScenarioConfig], dtype: Any) -> Iterator[tuple[Scenario, FlightState]]:
     read_robot = cache(load_robot)
     networks: dict[tuple[str, str], Network] = {}
 
@@ -150,20 +150,20 @@ def _prepared(configs: Iterable[ScenarioConfig], dtype: Any) -> Iterator[tuple[S
         return networks.get(key) or networks.setdefault(key, load_network(card, robot))
 
     for index, config in enumerate(configs):
-        with _naming(index):
+        with _name_flight(index):
             ready = prepare(config, read_robot(config.robot), dtype=dtype, read_network=read_network)
         yield jax.device_get(ready)
 
 
 @contextmanager
-def _naming(index: int) -> Iterator[None]:
+def _name_flight(index: int) -> Iterator[None]:
     try:
         yield
     except ValueError as reason:
         raise ValueError(f"flight {index} of the batch: {reason}") from None
 
 
-def _shared(scenario: Scenario) -> Any:
+def _mark_shared(scenario: Scenario) -> Any:
     """Return a tree of booleans that marks the leaves shared by a group's flights: the robot's and the networks'."""
 
     def mark(path: Any, node: Any) -> Any:
@@ -176,7 +176,7 @@ def _shared(scenario: Scenario) -> Any:
 def _fly_together(group: Group, size: int, full_log: bool, devices: tuple[jax.Device, ...]) -> list[FlightResult]:
     # Always `size` flights, padded with copies of the last.
     rows = [min(row, len(group.places) - 1) for row in range(size)]
-    stacked, state = group.stacked(rows)
+    stacked, state = group.stack(rows)
     posture = np.asarray(state.posture)
     # Numbers are transferred to the devices once, not with every chunk.
     mesh = Mesh(np.array(devices), ("flights",))
@@ -186,7 +186,7 @@ def _fly_together(group: Group, size: int, full_log: bool, devices: tuple[jax.De
         for leaf, is_shared in zip(stacked, group.is_shared, strict=True)
     )
     state = jax.device_put(state, split)
-    fly = _compiled(group.structure, group.axes, full_log, mesh)
+    fly = _compile_chunk(group.structure, group.axes, full_log, mesh)
     kept: list[dict[str, Any]] = []
     for first in range(0, group.n_ticks + 1, CHUNK):
         state, chunk = fly(leaves, state, jnp.array(first, jnp.int32))
@@ -200,27 +200,27 @@ def _fly_together(group: Group, size: int, full_log: bool, devices: tuple[jax.De
         own = {name: signal[row] for name, signal in signals.items()}
         ending = Ending(int(losses[row]), float(sizes[row]), int(ticks[row]), group.course_errors[row])
         first_posture = posture[row].astype(np.float64)
-        flights.append(finished(own, first_posture, ending, group.n_ticks, is_whole_log=full_log))
+        flights.append(make_result(own, first_posture, ending, group.n_ticks, is_whole_log=full_log))
     return flights
 
 
 @lru_cache(maxsize=64)
-def _compiled(
+def _compile_chunk(
     structure: Any, axes: tuple[int | None, ...], full_log: bool, mesh: Mesh
 ) -> Callable[..., tuple[FlightState, dict[str, Array]]]:
     """Return the compiled function that flies a chunk of ticks for flights of one structure."""
 
-    def some(leaves: tuple[Array, ...], state: FlightState, first: Array) -> tuple[FlightState, dict[str, Array]]:
+    def fly_ticks(leaves: tuple[Array, ...], state: FlightState, first: Array) -> tuple[FlightState, dict[str, Array]]:
         scenario = jax.tree.unflatten(structure, leaves)
 
-        def one(state: FlightState, tick: Array) -> tuple[FlightState, dict[str, Array]]:
+        def fly_tick(state: FlightState, tick: Array) -> tuple[FlightState, dict[str, Array]]:
             state, row = step(scenario, state, tick)
             signals = row._asdict()
             return state, signals if full_log else condense(signals, state.posture)
 
-        return jax.lax.scan(one, state, first + jnp.arange(CHUNK, dtype=jnp.int32))
+        return jax.lax.scan(fly_tick, state, first + jnp.arange(CHUNK, dtype=jnp.int32))
 
-    together = jax.vmap(some, in_axes=(axes, 0, None))
+    together = jax.vmap(fly_ticks, in_axes=(axes, 0, None))
     if mesh.size > 1:
         split, whole = PartitionSpec("flights"), PartitionSpec()  # type: ignore[no-untyped-call]
         together = jax.shard_map(

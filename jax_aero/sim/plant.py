@@ -24,7 +24,7 @@ from jax_aero.aero import (
     aero_model,
     generalised_aero_force,
     link_forces,
-    weighted,
+    weight_forces,
 )
 from jax_aero.aero.network_card import load_network
 from jax_aero.config import (
@@ -37,7 +37,7 @@ from jax_aero.config import (
     SimulatorConfig,
 )
 from jax_aero.dynamics import dynamics, forward_dynamics
-from jax_aero.jet_faults import FaultState, JetFaults, delayed, limited, measured, start_faults
+from jax_aero.jet_faults import FaultState, JetFaults, delay_rates, limit_thrust, measure_thrust, start_faults
 from jax_aero.jets import JetDynamics, JetsState, jet_dynamics
 from jax_aero.kinematics import frame_poses, generalised_force, kinematics
 from jax_aero.robot import RobotModel
@@ -120,7 +120,7 @@ def start_plant(
         faults, fault_state = start_faults(disturbances.jets, config.jets, robot, n_ticks(config))
     plant = Plant(
         robot=robot,
-        aero=weighted(
+        aero=weight_forces(
             aero or aero_model(config.aero, robot, read_network), disturbances.aero, robot, "disturbances.aero"
         ),
         jets=jets,
@@ -154,7 +154,7 @@ def _check(initial: InitialConfig, robot: RobotModel) -> None:
             raise ValueError(f"`simulator.initial.{name}` has {len(value)} entries; {robot.name} needs {count}")
 
 
-def at_rest(state: PlantState) -> PlantState:
+def zero_state(state: PlantState) -> PlantState:
     """Return a zero state of the same structure, for computing in place of a state that is not finite."""
     zero: PlantState = jax.tree.map(jnp.zeros_like, state)
     rotation = jnp.eye(3, dtype=state.robot.velocity.dtype)
@@ -206,9 +206,9 @@ def _advance_jets(plant: Plant, state: PlantState, command: Array) -> tuple[Jets
     dt, wrong, faults = plant.time_step, plant.jet_faults, state.faults
     if wrong is None or faults is None:
         return plant.jets.advance(state.jets, command, dt), None
-    arriving = delayed(wrong, faults, command, dt)
-    jets = plant.jets.advance(state.jets, arriving, dt, measured(wrong, faults, state.jets.thrust))
-    thrust, thrust_rate, faults = limited(wrong, faults, jets.thrust, jets.thrust_rate, dt)
+    arriving = delay_rates(wrong, faults, command, dt)
+    jets = plant.jets.advance(state.jets, arriving, dt, measure_thrust(wrong, faults, state.jets.thrust))
+    thrust, thrust_rate, faults = limit_thrust(wrong, faults, jets.thrust, jets.thrust_rate, dt)
     return jets._replace(thrust=thrust, thrust_rate=thrust_rate), faults._replace(command=arriving)
 
 

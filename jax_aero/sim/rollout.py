@@ -52,7 +52,7 @@ COMPILER_OPTIONS = {"xla_cpu_use_fusion_emitters": False}
 fused operations compiles them faster, and they run no slower (`docs/benchmarks.md`)."""
 
 
-def everything(row: FlightRow) -> FlightRow:
+def keep_row(row: FlightRow) -> FlightRow:
     """Return the whole row, for `keep` of `rollout`."""
     return row
 
@@ -79,22 +79,22 @@ def rollout(
         if value < least:
             raise ValueError(f"`{name}` is {value}; expected at least {least}")
 
-    def one(state: FlightState, tick: Array) -> tuple[FlightState, Kept]:
+    def fly_tick(state: FlightState, tick: Array) -> tuple[FlightState, Kept]:
         state, row = step(scenario, state, tick)
         return state, keep(row)
 
     @partial(jax.checkpoint, prevent_cse=False)
-    def several(state: FlightState, ticks: Array) -> tuple[FlightState, Kept]:
-        return jax.lax.scan(one, state, ticks)
+    def fly_ticks(state: FlightState, ticks: Array) -> tuple[FlightState, Kept]:
+        return jax.lax.scan(fly_tick, state, ticks)
 
     ticks = first_tick + jnp.arange(n_ticks, dtype=jnp.int32)
     whole = n_ticks // checkpoint_every
     parts: list[Kept] = []
     if whole:
-        state, rows = jax.lax.scan(several, state, ticks[: whole * checkpoint_every].reshape(whole, checkpoint_every))
+        state, rows = jax.lax.scan(fly_ticks, state, ticks[: whole * checkpoint_every].reshape(whole, checkpoint_every))
         parts.append(jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), rows))
     if n_ticks % checkpoint_every or not whole:
-        state, rows = several(state, ticks[whole * checkpoint_every :])
+        state, rows = fly_ticks(state, ticks[whole * checkpoint_every :])
         parts.append(rows)
     kept: Kept = jax.tree.map(lambda *x: jnp.concatenate(x), *parts)
     return state, kept
@@ -138,7 +138,7 @@ def run(scenario: Scenario, state: FlightState, progress: Progress | None = None
         for name in FlightRow._fields
     }
     ending = Ending(int(state.loss), float(state.loss_size), int(state.loss_tick), float(scenario.course_error))
-    return finished(log, posture, ending, n_ticks)
+    return make_result(log, posture, ending, n_ticks)
 
 
 class Ending(NamedTuple):
@@ -150,7 +150,7 @@ class Ending(NamedTuple):
     course_error: float
 
 
-def finished(
+def make_result(
     signals: Mapping[str, Any], posture: Any, ending: Ending, n_ticks: int, *, is_whole_log: bool = True
 ) -> FlightResult:
     """Return the flight of whole or condensed rows, the latter without a log, without the ticks after its end."""

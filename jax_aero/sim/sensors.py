@@ -24,7 +24,7 @@ from jax_aero import noise
 from jax_aero.config import SensorsConfig
 from jax_aero.control.estimator import Reading
 from jax_aero.spatial import exp_so3, multiply
-from jax_aero.types import Array, State, Static, joined, leaf, pytree
+from jax_aero.types import Array, State, Static, join, leaf, pytree
 
 STREAM = 2
 
@@ -97,17 +97,17 @@ def read(errors: Sensors, before: SensorState, truth: Reading, tick: Int[Array, 
     """Return the sensors' next state and their output for the true values of this tick."""
     line = jax.tree.map(lambda old, new: jnp.concatenate([new[None], old[:-1]]), before.line, truth)
 
-    def then(sensor: int) -> State:
+    def past_state(sensor: int) -> State:
         past: State = jax.tree.map(lambda x: x[errors.age[sensor]], line.state)
         return past
 
     drawn = errors.noise[jnp.minimum(tick, errors.noise.shape[0] - 1)]
     position, rotation, linear, angular = errors.bias + errors.noise_std[:, None] * drawn[:12].reshape(4, 3)
-    base_rotation = multiply(then(1).base_rotation, exp_so3(rotation))
-    turning = then(3)
+    base_rotation = multiply(past_state(1).base_rotation, exp_so3(rotation))
+    turning = past_state(3)
     gyro = turning.base_rotation.T @ turning.velocity[3:6] + angular
 
-    joints, last = then(4), before.said.state
+    joints, last = past_state(4), before.said.state
     # Multiplied by the reciprocal explicitly, as XLA does: ties must round equally in both languages.
     steps = joints.joint_position * (1.0 / jnp.where(errors.resolution > 0.0, errors.resolution, 1.0))
     rounded = errors.resolution * jnp.sign(steps) * jnp.floor(jnp.abs(steps) + 0.5)  # halves away from zero
@@ -118,10 +118,10 @@ def read(errors: Sensors, before: SensorState, truth: Reading, tick: Int[Array, 
 
     said = Reading(
         State(
-            base_position=then(0).base_position + position,
+            base_position=past_state(0).base_position + position,
             base_rotation=base_rotation,
             joint_position=joint_position,
-            velocity=joined(then(2).velocity[:3] + linear, base_rotation @ gyro, joint_velocity),
+            velocity=join(past_state(2).velocity[:3] + linear, base_rotation @ gyro, joint_velocity),
         ),
         line.thrust[errors.age[5]] + errors.thrust_bias + errors.thrust_noise_std * drawn[12:],
     )

@@ -34,7 +34,7 @@ from jax_aero.control.tick import momentum_controller
 from jax_aero.control.wind_estimate import WindEstimate, measured_wind, wind_estimate
 from jax_aero.io import check_config, scenario_config
 from jax_aero.jets import JetDynamics
-from jax_aero.outages import Held, Outage, Sample, outages_of, spoil
+from jax_aero.outages import Outage, OutageState, Sample, outages_of, spoil
 from jax_aero.outages import begin as begin_outages
 from jax_aero.robot import RobotModel, load_robot
 from jax_aero.sim import plant as world
@@ -95,8 +95,8 @@ class Scenario:
     """Everything that is constant in a flight. Every number is a leaf, for batches and derivatives.
 
     Another controller, aerodynamic model or jet dynamics is set by `prepare`, or by `dataclasses.replace`. Some leaves
-    were computed from the time step or, if its mean is measured, from the wind: `changed` refuses changes of these.
-    Limits are the controller's: torques are limited by `controller.torque_max`, a copy of
+    were computed from the time step or, if its mean is measured, from the wind: `replace_values` refuses changes of
+    these. Limits are the controller's: torques are limited by `controller.torque_max`, a copy of
     `plant.robot.joint_torque_max`. The state holds centre of mass and inertia of the initial robot: after changing
     them, call `begin` again.
     """
@@ -143,7 +143,7 @@ class FlightState(NamedTuple):
     """Measured wind of the last tick [m/s]."""
     sensors: SensorState | None
     """State of the sensors; `None` if exact."""
-    outages: tuple[Held, ...]
+    outages: tuple[OutageState, ...]
     """Measurements at the start of each outage."""
     posture: Float[Array, " n"]
     """Joint positions measured at the first tick [rad]."""
@@ -235,7 +235,7 @@ def prepare(
             "dtype is float64, but JAX computes in single precision here; "
             "expected a call inside `with jax.enable_x64(True):`, or dtype=np.float32"
         )
-    config = typed(config)
+    config = read_config(config)
     if robot is None:
         robot = load_robot(config.robot)
     for key, table in (("ground", config.simulator.ground), ("motors", config.simulator.motors)):
@@ -264,17 +264,17 @@ def prepare(
         precision="",
     )
     scenario, flight_state = jax.device_put((scenario, begin(scenario, state)))
-    return in_precision(scenario, flight_state, dtype)
+    return convert_precision(scenario, flight_state, dtype)
 
 
-def typed(config: ScenarioConfig | Mapping[str, Any]) -> ScenarioConfig:
+def read_config(config: ScenarioConfig | Mapping[str, Any]) -> ScenarioConfig:
     """Return a checked configuration, from its resolved table if that is given."""
-    table = tables.given(config) if isinstance(config, ScenarioConfig) else config
+    table = tables.to_table(config) if isinstance(config, ScenarioConfig) else config
     check_config(table)
     return scenario_config(table)
 
 
-def in_precision(scenario: Scenario, state: FlightState, dtype: Any) -> tuple[Scenario, FlightState]:
+def convert_precision(scenario: Scenario, state: FlightState, dtype: Any) -> tuple[Scenario, FlightState]:
     """Return both with all numbers in this floating-point type."""
     return with_dtype((replace(scenario, precision=np.dtype(dtype).name), state), dtype)
 
@@ -305,7 +305,7 @@ def begin(scenario: Scenario, plant: PlantState) -> FlightState:
     robot = scenario.plant.robot if scenario.controller_model is None else scenario.controller_model
     # A state beyond the divergence limits is lost at once, and must not make derivatives infinite before that.
     divergence, _ = _divergence(scenario, plant, jnp.zeros_like(plant.robot.velocity[:3]))
-    first = where(divergence == FLYING, plant, world.at_rest(plant))
+    first = where(divergence == FLYING, plant, world.zero_state(plant))
     seen, before = Reading(first.robot, scenario.plant.jets.feedback(first.jets)), None
     if scenario.sensors is not None:
         before = sensing.start(scenario.sensors, seen)
@@ -339,7 +339,7 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
     # Both branches of `where` are differentiated, so values beyond the limits must not enter the computation.
     divergence, limit = _divergence(scenario, state.plant, wind)
     is_sound = divergence == FLYING
-    at_rest = world.at_rest(state.plant)
+    at_rest = world.zero_state(state.plant)
     now, air = where(is_sound, (state.plant, wind), (at_rest, jnp.zeros_like(wind)))
 
     wind_measured = air if scenario.controller_wind is None else wind_velocity(scenario.controller_wind, time)
@@ -357,7 +357,7 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
     command.check(plant.robot)
     given, wind_std = measurement, jnp.zeros_like(wind)
     if command.terms is not None:
-        given, wind_std = command.terms.given, command.terms.wind_std
+        given, wind_std = command.terms.estimates, command.terms.wind_std
     seen = _observe(scenario, now, command, air)
 
     # Without a set-point there is no error of a fall.
@@ -367,7 +367,7 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
         rotation_error = rotation_angle(multiply(command.setpoint.rotation.T, now.robot.base_rotation))
         com_error = safe_norm(seen.kinematics.com - command.setpoint.com_position)
         fall, error = _judge(scenario.fall, rotation_error, com_error)
-    row = _nan_unless(is_sound, _row(time, wind, now, given, wind_std, command, seen, rotation_error))
+    row = _mask_unless(is_sound, _row(time, wind, now, given, wind_std, command, seen, rotation_error))
     robot = state.plant.robot
     row = row._replace(
         time=time,
@@ -409,12 +409,12 @@ def _check_precision(scenario: Scenario) -> None:
         )
 
 
-def _all_in_range(tree: Any) -> Array:
+def _is_in_range(tree: Any) -> Array:
     """Return whether all numbers, and the products of several of them that a tick forms, are finite."""
     return jnp.all(jnp.stack([jnp.all(jnp.abs(leaf) < LARGEST_NUMBER) for leaf in jax.tree.leaves(tree)]))
 
 
-def _nan_unless(condition: Array, tree: Tree) -> Tree:
+def _mask_unless(condition: Array, tree: Tree) -> Tree:
     def choose(leaf: Array) -> Array:
         return jnp.where(condition, leaf, jnp.nan) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
 
@@ -440,7 +440,7 @@ def _divergence(scenario: Scenario, state: PlantState, wind: Array) -> tuple[Arr
     speed = jnp.maximum(jnp.linalg.norm(now.velocity[:3]), jnp.linalg.norm(wind))
     excess = jnp.max(jnp.maximum(lower - joints, joints - upper), initial=-jnp.inf)
     criteria = {
-        NOT_FINITE: (~_all_in_range((state, wind)), jnp.zeros_like(speed)),
+        NOT_FINITE: (~_is_in_range((state, wind)), jnp.zeros_like(speed)),
         BY_SPEED: (speed > limits.speed, limits.speed),
         BY_ANGULAR_VELOCITY: (jnp.linalg.norm(now.velocity[3:6]) > limits.angular_velocity, limits.angular_velocity),
         BY_JOINT_VELOCITY: (
@@ -481,7 +481,7 @@ def _row(
     setpoint, terms = command.setpoint, command.terms
     answers = (command.momentum_qp, command.torque_qp)
 
-    def of_qps(name: str, dtype: Any) -> Array:
+    def stack_answers(name: str, dtype: Any) -> Array:
         values = [jnp.nan if answer is None else getattr(answer, name) for answer in answers]
         return jnp.stack([jnp.asarray(value, dtype) for value in values])
 
@@ -523,8 +523,8 @@ def _row(
         measured_thrust=given.thrust,
         measured_wind=given.wind,
         measured_wind_std=wind_std,
-        qp_status=of_qps("status", time.dtype),
-        qp_kkt=of_qps("kkt", time.dtype),
-        qp_iterations=of_qps("iterations", time.dtype),
+        qp_status=stack_answers("status", time.dtype),
+        qp_kkt=stack_answers("kkt", time.dtype),
+        qp_iterations=stack_answers("iterations", time.dtype),
         degraded_modes=jnp.asarray(jnp.nan if command.degraded_modes is None else command.degraded_modes, time.dtype),
     )

@@ -124,9 +124,9 @@ def wind_velocity(wind: Wind, time: Float[Array, ""]) -> Float[Array, "3"]:
         case ConstantWind():
             return jnp.asarray(wind.velocity)
         case RampWind():
-            return _risen(wind, time) * wind.velocity
+            return _ramp_fraction(wind, time) * wind.velocity
         case TurbulentWind():
-            return _risen(wind.mean, time) * (wind.mean.velocity + _turbulence(wind, time))
+            return _ramp_fraction(wind.mean, time) * (wind.mean.velocity + _turbulence(wind, time))
         case GustWind():
             phase = (time - wind.start) / wind.duration
             is_blowing = (phase >= 0.0) & (phase <= 1.0)
@@ -139,7 +139,7 @@ def wind_velocity(wind: Wind, time: Float[Array, ""]) -> Float[Array, "3"]:
             assert_never(wind)
 
 
-def _risen(wind: RampWind, time: Array) -> Array:
+def _ramp_fraction(wind: RampWind, time: Array) -> Array:
     """Return the fraction of the ramp that has passed, from 0 to 1."""
     has_length = wind.ramp_end > wind.ramp_start
     length = jnp.where(has_length, wind.ramp_end - wind.ramp_start, 1.0)

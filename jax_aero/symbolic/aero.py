@@ -116,11 +116,11 @@ def _table(x: Sequence[float], y: Sequence[float]) -> Callable[[SX], SX]:
     """
     pieces = PchipInterpolator(x, y).c.T
 
-    def at(value: SX) -> SX:
+    def interpolate(value: SX) -> SX:
         result = ca.SX(y[0])
         for left, right, (c3, c2, c1, _) in zip(x[:-1], x[1:], pieces, strict=True):
             step = ca.fmin(ca.fmax(value, left), right) - left
             result += step * (c1 + step * (c2 + step * c3))
         return result
 
-    return at
+    return interpolate

@@ -56,7 +56,7 @@ class ContactModel:
             tree.rate(motion),
         ]
         inputs = [tree.base_position, tree.base_rotation, tree.joint_position, tree.velocity, wrenches]
-        self._function: Any = ca.Function("contact", inputs, tree.here(*outputs))
+        self._function: Any = ca.Function("contact", inputs, tree.evaluate_at_base(*outputs))
 
     def terms(
         self,

@@ -60,5 +60,5 @@ class Dynamics:
         mass_matrix, impulse = ca.hessian(kinetic, nu)
         bias = ca.jtimes(impulse, q, nu) - ca.gradient(kinetic, q) + ca.gradient(self.potential, q)
         momentum_matrix = ca.jacobian(self.momentum, nu)
-        self.mass_matrix, self.bias, self.momentum_matrix = tree.here(mass_matrix, bias, momentum_matrix)
+        self.mass_matrix, self.bias, self.momentum_matrix = tree.evaluate_at_base(mass_matrix, bias, momentum_matrix)
         self.centroidal_inertia = self.momentum_matrix[3:, 3:6]

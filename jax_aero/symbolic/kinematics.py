@@ -16,7 +16,7 @@ class Kinematics:
 
     The base has the rotation `small_turn(φ) R_B`. At φ = 0, where everything is finally evaluated, q̇ is the mixed
     velocity ν = (v_B, ω_B, ṡ) of `docs/conventions.md` and q̈ its derivative. Derivatives are taken before φ is set to
-    zero by `here`.
+    zero by `evaluate_at_base`.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -47,6 +47,6 @@ class Kinematics:
         """Return the time derivative of a function of the coordinates."""
         return ca.jtimes(expression, self.q, self.velocity)
 
-    def here(self, *expressions: SX) -> list[SX]:
+    def evaluate_at_base(self, *expressions: SX) -> list[SX]:
         """Return expressions at φ = 0, that is, at the base rotation itself."""
         return list(ca.substitute(list(expressions), [self._phi], [ca.SX.zeros(3)]))

@@ -129,7 +129,7 @@ class MomentumModel:
 
     def function(self, name: str, outputs: Sequence[SX], extra: Sequence[SX] = ()) -> Any:
         """Return the function of `inputs` and `extra` with these outputs."""
-        return ca.Function(name, [*self.inputs, *extra], self.tree.here(*outputs))
+        return ca.Function(name, [*self.inputs, *extra], self.tree.evaluate_at_base(*outputs))
 
     def terms(
         self,

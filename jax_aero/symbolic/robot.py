@@ -133,14 +133,15 @@ def load_robot(path: str | Path) -> Robot:
         joints=joints,
         inertials=tuple(_inertials(urdf)),
         jets=tuple(
-            Jet(row["name"], row["frame"], _unit(row["axis"]), row["thrust_max"]) for row in table.get("jets", [])
+            Jet(row["name"], row["frame"], _unit_vector(row["axis"]), row["thrust_max"])
+            for row in table.get("jets", [])
         ),
         aero_links=tuple(
             AeroLink(
                 name=row["name"],
                 frame=row["frame"],
                 family=row["family"],
-                axis=_unit(row["axis"]),
+                axis=_unit_vector(row["axis"]),
                 centre=np.array(row["centre"], dtype=float),
                 diameter=row["diameter"],
                 length=row["length"],
@@ -176,7 +177,9 @@ def _joints(urdf: ET.Element, base: str, names: Sequence[str], locked: Mapping[s
                     child=_link(element, "child"),
                     position=_numbers(element.find("origin"), "xyz"),
                     rpy=_numbers(element.find("origin"), "rpy"),
-                    axis=np.array([1.0, 0.0, 0.0]) if axis is None or kind == "fixed" else _unit(_numbers(axis, "xyz")),
+                    axis=np.array([1.0, 0.0, 0.0])
+                    if axis is None or kind == "fixed"
+                    else _unit_vector(_numbers(axis, "xyz")),
                     is_prismatic=kind == "prismatic",
                     index=names.index(name) if name in names else None,
                     locked_at=float(locked.get(name, 0.0)),
@@ -230,7 +233,7 @@ def _torque_max(entry: Mapping[str, Any], limit: ET.Element | None) -> float:
     return float(entry.get("torque_max", "nan" if limit is None else limit.get("effort", "nan")))
 
 
-def _unit(axis: Sequence[float] | Array) -> Array:
+def _unit_vector(axis: Sequence[float] | Array) -> Array:
     vector = np.asarray(axis, dtype=float)
     return vector / float(np.linalg.norm(vector))
 

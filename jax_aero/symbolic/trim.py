@@ -251,7 +251,7 @@ class Trim:
         violations: tuple[Violation, ...] = ()
         if not stats["success"]:
             # Either there is no trim or the solver failed; the elastic problem, which is always feasible, decides.
-            x, cost, missed, elastic = self._nearest(parameters, low, high)
+            x, cost, missed, elastic = self._nearest_point(parameters, low, high)
             iterations += int(elastic["iter_count"])
             violations = self._violations(missed)
             if not violations:
@@ -265,7 +265,7 @@ class Trim:
         answer = solver(x0=x, p=p, lbx=low, ubx=high, lbg=self._lower, ubg=self._upper)
         return np.array(answer["x"].full())[:, 0], float(answer["f"]), solver.stats()
 
-    def _nearest(self, p: Array, low: Array, high: Array) -> tuple[Array, float, Array, dict[str, Any]]:
+    def _nearest_point(self, p: Array, low: Array, high: Array) -> tuple[Array, float, Array, dict[str, Any]]:
         """Return the point of least total violation, that violation, and the violation of each constraint."""
         count, size = len(self._names), low.size
         start = np.concatenate([self.guess(), np.full(2 * count, 0.1)])
@@ -303,7 +303,7 @@ class Trim:
             feasible=feasible,
             message=message,
             violations=violations,
-            at_limit=self._at_limit(x),
+            at_limit=self._variables_at_limit(x),
             cost=cost,
             base_rpy=x[:3],
             joint_position=x[3 : 3 + n],
@@ -319,7 +319,7 @@ class Trim:
             solve_time=elapsed,
         )
 
-    def _at_limit(self, x: Array) -> tuple[str, ...]:
+    def _variables_at_limit(self, x: Array) -> tuple[str, ...]:
         robot = self.model.robot
         names: Sequence[str] = (
             *("roll", "pitch", "yaw"),

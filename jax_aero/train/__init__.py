@@ -9,13 +9,13 @@ was interrupted and resumed ends with the same bits as an uninterrupted one.
 from jax_aero.train.baselines import baseline_errors
 from jax_aero.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from jax_aero.train.distil import distil_samples
-from jax_aero.train.loop import Fitted, Interrupted, Settings, fit
+from jax_aero.train.loop import FitResult, Interrupted, Settings, fit
 from jax_aero.train.loss import batch_output, mean_squared_error, total_error
 from jax_aero.train.samples import Samples, predict_areas, samples_of, totals_of
 
 __all__ = [
     "Checkpoint",
-    "Fitted",
+    "FitResult",
     "Interrupted",
     "Samples",
     "Settings",

@@ -22,8 +22,8 @@ def baseline_errors(robot: RobotModel, training: Dataset, validation: Dataset) -
     joints (degrees / 180); `linear` is a least-squares map from the same 22 numbers.
     """
     found = {f"axisymmetric, {name}": _axisymmetric(robot, name, validation) for name in AXISYMMETRIC}
-    x, y = _plain(training)
-    x_new, y_new = _plain(validation)
+    x, y = _inputs_and_targets(training)
+    x_new, y_new = _inputs_and_targets(validation)
     distance, index = KDTree(x).query(x_new, k=NEIGHBOURS)
     weight = 1.0 / (distance + 1e-6)
     nearest = (y[index] * weight[..., None]).sum(axis=1) / weight.sum(axis=1, keepdims=True)
@@ -34,7 +34,7 @@ def baseline_errors(robot: RobotModel, training: Dataset, validation: Dataset) -
     return found | {"linear": float(np.mean((linear - y_new) ** 2))}
 
 
-def _plain(dataset: Dataset) -> tuple[Floats, Floats]:
+def _inputs_and_targets(dataset: Dataset) -> tuple[Floats, Floats]:
     x = np.hstack([dataset.wind_b, dataset.joint_position_deg / 180.0])
     return x, dataset.force_area_b.reshape(len(dataset), -1)
 

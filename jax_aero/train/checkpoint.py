@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jax_aero.files import sealed, unsealed, write_bytes
+from jax_aero.files import seal, unseal, write_bytes
 
 KIND = "checkpoint"
 
@@ -35,7 +35,7 @@ def save_checkpoint(path: str | PathLike[str], checkpoint: Checkpoint) -> None:
     meta = json.dumps({"digest": checkpoint.digest, "epoch": checkpoint.epoch, "facts": checkpoint.facts})
     stream = io.BytesIO()
     np.savez(stream, meta=np.array(meta), **leaves)  # type: ignore[arg-type]  # the stub forbids names from a dict
-    write_bytes(Path(path), sealed(stream.getvalue(), KIND))
+    write_bytes(Path(path), seal(stream.getvalue(), KIND))
 
 
 def load_checkpoint(path: str | PathLike[str], like: Any, digest: str) -> Checkpoint | None:
@@ -49,7 +49,7 @@ def load_checkpoint(path: str | PathLike[str], like: Any, digest: str) -> Checkp
     target = Path(path)
     if not target.is_file():
         return None
-    if (content := unsealed(target.read_bytes(), KIND)) is None:
+    if (content := unseal(target.read_bytes(), KIND)) is None:
         raise ValueError(f"{target.name} is no checkpoint, or damaged: its checksum is another; remove it")
     expected, structure = jax.tree.flatten(like)
     with np.load(io.BytesIO(content), allow_pickle=False) as file:

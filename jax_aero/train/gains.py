@@ -33,7 +33,7 @@ from jax_aero.sim.batch import Group
 from jax_aero.sim.rollout import COMPILER_OPTIONS, rollout
 from jax_aero.sim.step import FlightRow, FlightState, Scenario
 from jax_aero.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from jax_aero.types import Array, changed, pytree
+from jax_aero.types import Array, pytree, replace_values
 
 PLACES = {
     "momentum": "momentum",
@@ -84,7 +84,7 @@ Sample: TypeAlias = Callable[[Array, int], tuple[Array, Array]]
 worlds, numbered from −1 downwards."""
 
 
-class Validated(NamedTuple):
+class Validation(NamedTuple):
     """Result of a validation."""
 
     step: int
@@ -94,7 +94,7 @@ class Validated(NamedTuple):
     """θ at that step."""
 
 
-class Tuned(NamedTuple):
+class TuningResult(NamedTuple):
     """Result of a run."""
 
     logarithms: Float[Array, " k"]
@@ -103,7 +103,7 @@ class Tuned(NamedTuple):
     """Mean of log c over the worlds of every step."""
     left_out: tuple[int, ...]
     """Number of worlds left out of every step."""
-    validations: tuple[Validated, ...]
+    validations: tuple[Validation, ...]
 
 
 @pytree
@@ -114,7 +114,7 @@ class _State:
     rate: Float[Array, ""]
 
 
-def tune(sample: Sample, size: int, steps: Steps, *, checkpoint: Path, digest: str) -> Tuned:
+def tune(sample: Sample, size: int, steps: Steps, *, checkpoint: Path, digest: str) -> TuningResult:
     """Optimise `size` logarithms from zero, or resume from the checkpoint.
 
     Raises
@@ -126,16 +126,16 @@ def tune(sample: Sample, size: int, steps: Steps, *, checkpoint: Path, digest: s
     state, step = _State(theta, adam_start(theta), theta, jnp.asarray(steps.learning_rate)), 0
     costs: list[float] = []
     left_out: list[int] = []
-    seen: list[Validated] = []
+    seen: list[Validation] = []
 
-    def look(state: _State) -> _State:
+    def validate(state: _State) -> _State:
         parts = [sample(state.logarithms, -1 - part)[0] for part in range(steps.validation // steps.batch)]
         cost, tried = float(np.mean(parts)), tuple(np.asarray(state.logarithms).tolist())
         if all(cost < before.cost for before in seen):
             state = replace(state, best=state.logarithms)
         else:
             state = _State(state.best, adam_start(state.best), state.best, 0.5 * state.rate)
-        seen.append(Validated(step, cost, tried))
+        seen.append(Validation(step, cost, tried))
         facts = {"costs": costs, "left_out": left_out, "validations": seen}
         save_checkpoint(checkpoint, Checkpoint(digest, step, state, facts))
         return state
@@ -143,9 +143,9 @@ def tune(sample: Sample, size: int, steps: Steps, *, checkpoint: Path, digest: s
     if found := load_checkpoint(checkpoint, state, digest):
         state, step = found.state, found.epoch
         costs, left_out = found.facts["costs"], found.facts["left_out"]
-        seen = [Validated(at, cost, tuple(values)) for at, cost, values in found.facts["validations"]]
+        seen = [Validation(at, cost, tuple(values)) for at, cost, values in found.facts["validations"]]
     else:
-        state = look(state)
+        state = validate(state)
     while step < steps.count:
         values, gradients = sample(state.logarithms, step)
         is_sound = jnp.linalg.norm(gradients, axis=1) <= steps.gradient_max  # false for NaN
@@ -155,26 +155,26 @@ def tune(sample: Sample, size: int, steps: Steps, *, checkpoint: Path, digest: s
         costs.append(float(jnp.mean(values)))
         left_out.append(int(jnp.sum(~is_sound)))
         if step % steps.validate_every == 0 or step == steps.count:
-            state = look(state)
-    return Tuned(state.best, tuple(costs), tuple(left_out), tuple(seen))
+            state = validate(state)
+    return TuningResult(state.best, tuple(costs), tuple(left_out), tuple(seen))
 
 
 def gradients(
     theta: Float[Array, " k"], group: Group, keys: tuple[str, ...], cost: Cost
 ) -> tuple[Float[Array, " B"], Float[Array, "B k"]]:
     """Return log c of each flight of a group, and its gradients; flights of one structure share one compilation."""
-    compiled = _compiled(group.structure, group.axes, keys, cost, group.n_ticks)
-    return compiled(theta, *group.stacked(range(len(group.places))))
+    compiled = _compile_gradient(group.structure, group.axes, keys, cost, group.n_ticks)
+    return compiled(theta, *group.stack(range(len(group.places))))
 
 
 @lru_cache(maxsize=8)
-def _compiled(
+def _compile_gradient(
     structure: Any, axes: tuple[int | None, ...], keys: tuple[str, ...], cost: Cost, n_ticks: int
 ) -> Callable[..., tuple[Array, Array]]:
-    def one(theta: Array, leaves: tuple[Array, ...], state: FlightState) -> Array:
-        return log_cost(scaled(jax.tree.unflatten(structure, leaves), keys, theta), state, cost, n_ticks)
+    def cost_of(theta: Array, leaves: tuple[Array, ...], state: FlightState) -> Array:
+        return log_cost(scale_values(jax.tree.unflatten(structure, leaves), keys, theta), state, cost, n_ticks)
 
-    gradients = jax.vmap(jax.value_and_grad(one), in_axes=(None, axes, 0))
+    gradients = jax.vmap(jax.value_and_grad(cost_of), in_axes=(None, axes, 0))
     compiled: Callable[..., Any] = jax.jit(gradients, compiler_options=COMPILER_OPTIONS)
     return compiled
 
@@ -195,7 +195,7 @@ def log_cost(scenario: Scenario, state: FlightState, cost: Cost, n_ticks: int) -
     return jnp.log(jnp.mean(jnp.where(flies, squares, cost.lost)))
 
 
-def scaled(scenario: Scenario, keys: Sequence[str], logarithms: Float[Array, " k"]) -> Scenario:
+def scale_values(scenario: Scenario, keys: Sequence[str], logarithms: Float[Array, " k"]) -> Scenario:
     """Return the scenario with the controller's values at these keys multiplied by the exponentials of θ.
 
     Raises
@@ -210,7 +210,7 @@ def scaled(scenario: Scenario, keys: Sequence[str], logarithms: Float[Array, " k
         if not isinstance(before, jax.Array):
             raise ValueError(f"`{key}` cannot be tuned; expected what the controller has as one number or array")
         values[place] = before * jnp.exp(logarithm)
-    return changed(scenario, values)
+    return replace_values(scenario, values)
 
 
 def _place(key: str) -> str:

@@ -77,7 +77,7 @@ Curve: TypeAlias = tuple[int, float, float | None]
 """Completed epochs, training loss (with dropout and noise, mean over the epoch), validation loss [m⁴] if any."""
 
 
-class Fitted(NamedTuple):
+class FitResult(NamedTuple):
     """Result of a training."""
 
     network: Network
@@ -122,7 +122,7 @@ def fit(
     checkpoint: Path | None = None,
     checkpoint_seconds: float = 30.0,
     on_epoch: Callable[[int, float, float | None], None] | None = None,
-) -> Fitted:
+) -> FitResult:
     """Train a network, resuming from its checkpoint if there is one.
 
     Parameters
@@ -144,14 +144,14 @@ def fit(
     Interrupted
         On Ctrl-C, after the checkpoint is written.
     """
-    settings = tables.convert(tables.given(settings), Settings, "settings")
+    settings = tables.convert(tables.to_table(settings), Settings, "settings")
     count = len(training.x)
     batch = settings.batch or count
     if batch > count:
         raise ValueError(f"`batch` is {batch}; there are {count} rows")
     if settings.has_totals and training.totals is None:
         raise ValueError("the loss contains total force or moment; expected samples with totals")
-    network = _scaled(network, training) if settings.scale_output else network
+    network = _scale_network(network, training) if settings.scale_output else network
     digest = _digest(network, training, validation, settings, seed)
     now = _Now(_State(network.layers, adam_start(network.layers), network.layers), 0, np.inf, 0, ())
     if checkpoint is not None and (found := load_checkpoint(checkpoint, now.state, digest)):
@@ -179,7 +179,7 @@ def fit(
                 if validation is not None and is_due:
                     error = validation_error(replace(network, layers=layers), validation)
                 # One assignment, so that an interruption leaves the last complete epoch.
-                now = _after(now, layers, adam, train_error, error, is_due=is_due)
+                now = _advance(now, layers, adam, train_error, error, is_due=is_due)
                 times.append(time.perf_counter() - started)
                 if on_epoch is not None:
                     on_epoch(now.epoch, train_error, error)
@@ -196,7 +196,7 @@ def fit(
     if settings.patience and validation is not None:
         layers, error = now.state.best, now.best_error
     steady = times[1:] or times or [0.0]
-    return Fitted(replace(network, layers=layers), error, now.curves, now.epoch, float(np.mean(steady)))
+    return FitResult(replace(network, layers=layers), error, now.curves, now.epoch, float(np.mean(steady)))
 
 
 def _is_stuck(settings: Settings, now: _Now) -> bool:
@@ -204,7 +204,7 @@ def _is_stuck(settings: Settings, now: _Now) -> bool:
     return settings.patience > 0 and now.best_epoch > 0 and now.curves[-1][0] - now.best_epoch >= settings.patience
 
 
-def _after(
+def _advance(
     now: _Now, layers: tuple[Layer, ...], adam: AdamState, train_error: float, error: float | None, *, is_due: bool
 ) -> _Now:
     epoch = now.epoch + 1
@@ -288,7 +288,7 @@ def _rate(settings: Settings, count: Array, steps_per_epoch: int) -> Array:
     return risen
 
 
-def _scaled(network: Network, training: Samples) -> Network:
+def _scale_network(network: Network, training: Samples) -> Network:
     """Return the network with its output scaled by the spread of all targets, about the mean of each."""
     offset = training.y.mean(axis=0)
     scale = np.full_like(offset, training.y.std())
@@ -301,7 +301,7 @@ def _noise(network: Network, settings: Settings) -> Array:
 
 
 def _digest(network: Network, training: Samples, validation: Samples | None, settings: Settings, seed: int) -> str:
-    total = hashlib.sha256(json.dumps([tables.plain(settings), seed], sort_keys=True).encode())
+    total = hashlib.sha256(json.dumps([tables.to_builtins(settings), seed], sort_keys=True).encode())
     shape = (network.blocks, network.frame, network.layout, network.activation, network.mirror is None)
     total.update(repr(shape).encode())
     arrays = (*training, *(validation or ()), *jax.tree.leaves(network.layers))

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jax_aero.aero.dataset import Dataset, Floats, in_robot_order
+from jax_aero.aero.dataset import Dataset, Floats, reorder_joints
 from jax_aero.aero.network import (
     LinkGeometry,
     Network,
@@ -67,7 +67,7 @@ def make_samples(
     """Return the features of joint angles [deg] and winds, and the targets of force areas [m²] if given."""
     areas = np.zeros((len(wind_b), robot.aero_links.count, 3)) if force_area_b is None else force_area_b
     with jax.enable_x64(True):
-        x, y = _in_chunks(_sample_rows, network, robot, joint_position_deg, wind_b, areas)
+        x, y = _evaluate_in_chunks(_sample_rows, network, robot, joint_position_deg, wind_b, areas)
     return Samples(x.astype(np.float32), y.astype(np.float32))
 
 
@@ -77,14 +77,14 @@ def totals_of(
     """Return the matrices from a network's outputs to total force and moment about the centre of mass; M96."""
     arms = link_arms(robot, joint_position_deg)
     with jax.enable_x64(True):
-        (totals,) = _in_chunks(_total_rows, network, robot, joint_position_deg, wind_b, arms)
+        (totals,) = _evaluate_in_chunks(_total_rows, network, robot, joint_position_deg, wind_b, arms)
     return np.asarray(totals, dtype=np.float32)
 
 
 def predict_areas(network: Network, robot: RobotModel, dataset: Dataset) -> Float[np.ndarray, "B L 3"]:
     """Return the network's force areas [m²] for the rows of a dataset, base axes, in its present precision."""
     with jax.enable_x64(True):
-        (areas,) = _in_chunks(_area_rows, network, robot, dataset.joint_position_deg, dataset.wind_b)
+        (areas,) = _evaluate_in_chunks(_area_rows, network, robot, dataset.joint_position_deg, dataset.wind_b)
     return np.asarray(areas, dtype=np.float64)
 
 
@@ -93,18 +93,18 @@ def predict_areas(network: Network, robot: RobotModel, dataset: Dataset) -> Floa
 
 @jax.jit
 def _sample_rows(network: Network, wind: Array, joints: Array, geometry: LinkGeometry, areas: Array) -> Any:
-    def one(wind: Array, joints: Array, geometry: LinkGeometry, areas: Array) -> tuple[Array, Array]:
+    def features_and_targets(wind: Array, joints: Array, geometry: LinkGeometry, areas: Array) -> tuple[Array, Array]:
         x = features(network.blocks, wind, joints, geometry)
         if network.baseline is not None:
             areas = areas - baseline_areas(network.baseline, wind, geometry.axes)
         return x, from_base_axes(network.frame, network.layout, areas, wind, geometry.rotations)
 
-    return jax.vmap(one)(wind, joints, geometry, areas)
+    return jax.vmap(features_and_targets)(wind, joints, geometry, areas)
 
 
 @jax.jit
 def _total_rows(network: Network, wind: Array, _joints: Array, geometry: LinkGeometry, arms: Array) -> Any:
-    def one(wind: Array, geometry: LinkGeometry, arms: Array) -> Array:
+    def total_matrix(wind: Array, geometry: LinkGeometry, arms: Array) -> Array:
         def wrench(y: Array) -> Array:
             areas = to_base_axes(network.frame, network.layout, y, wind, geometry.rotations)
             return jnp.concatenate([areas.sum(0), jnp.cross(arms, areas).sum(0)])
@@ -112,7 +112,7 @@ def _total_rows(network: Network, wind: Array, _joints: Array, geometry: LinkGeo
         matrix: Array = jax.jacfwd(wrench)(jnp.zeros(3 * len(arms), wind.dtype))
         return matrix
 
-    return (jax.vmap(one)(wind, geometry, arms),)
+    return (jax.vmap(total_matrix)(wind, geometry, arms),)
 
 
 @jax.jit
@@ -135,7 +135,7 @@ def posture_geometry(
         for start in range(0, len(postures), POSTURES):
             angles = np.zeros((POSTURES, robot.n_joints))
             here = postures[start : start + POSTURES]
-            angles[: len(here)] = in_robot_order(robot.joint_names, here)
+            angles[: len(here)] = reorder_joints(robot.joint_names, here)
             parts.append(jax.tree.map(np.asarray, _geometries(robot, angles)))
     whole: LinkGeometry = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
     return whole, np.asarray(number, dtype=np.int64).reshape(-1)
@@ -150,7 +150,7 @@ def chunks(*arrays: Any) -> Iterator[tuple[int, list[Any]]]:
         yield count, [np.concatenate([piece, np.repeat(piece[:1], missing, axis=0)]) for piece in pieces]
 
 
-def _in_chunks(
+def _evaluate_in_chunks(
     evaluate: Any, network: Network, robot: RobotModel, joint_position_deg: Floats, wind_b: Floats, *more: Any
 ) -> list[Any]:
     geometry, number = posture_geometry(robot, joint_position_deg)

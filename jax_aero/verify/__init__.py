@@ -198,12 +198,12 @@ def verify_flight(
     last = min(np.count_nonzero(trusted), len(ours["time"]))
     for name, signal in expected.log.items():
         if name not in ("qp_iterations", "qp_kkt"):  # properties of the solver, not of the solution
-            same = _same_branch(name, ours[name][:last], signal[:last])
+            same = _match_branch(name, ours[name][:last], signal[:last])
             comparison.add("flight", name, same, signal[:last], FLIGHT_TOLERANCE, relative=False)
     return expected, ours
 
 
-def _same_branch(name: str, ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> NDArray[np.float64]:
+def _match_branch(name: str, ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return, of equivalent angles, those nearest to the crate's, since this robot starts at a yaw of π."""
     if name == "base_quaternion":
         return np.asarray(ours * np.where(np.sum(ours * theirs, axis=1) < 0.0, -1.0, 1.0)[:, None])
@@ -275,7 +275,7 @@ def recorded_samples(config: Mapping[str, Any], flight: rust.FlightResult, count
     return samples
 
 
-def in_double_precision(config: dict[str, Any]) -> dict[str, Any]:
+def use_double_precision(config: dict[str, Any]) -> dict[str, Any]:
     """Return the configuration with networks in double precision, since in single both would round differently."""
     for part in ("simulator", "controller"):
         if config[part]["aero"]["model"] == "network":

@@ -23,16 +23,16 @@ from typing import Any
 import numpy as np
 
 from jax_aero import places, rust
-from jax_aero.cli import Parser, completes, count
+from jax_aero.cli import Parser, complete_with, count
 from jax_aero.command import exit_status
-from jax_aero.files import complete_file, finite, write_json, write_text
+from jax_aero.files import complete_file, replace_infinite, write_json, write_text
 from jax_aero.keys import parse_assignments
 from jax_aero.verify import (
     Comparison,
     Row,
-    in_double_precision,
     random_samples,
     recorded_samples,
+    use_double_precision,
     verify_flight,
     verify_robot,
     verify_ticks,
@@ -50,7 +50,7 @@ def _compare(options: argparse.Namespace) -> int:
 
     comparison = Comparison()
     facts: dict[str, Any] = {"crate": rust.__version__, "jax": jax.__version__, "backend": options.backend}
-    config = None if options.robot else in_double_precision(_config(options))
+    config = None if options.robot else use_double_precision(_config(options))
     with jax.enable_x64(True):
         if config is None:
             facts["robot"] = Path(options.robot).name
@@ -73,7 +73,7 @@ def _compare(options: argparse.Namespace) -> int:
 def _parse(arguments: Sequence[str]) -> Any:
     parser = Parser("verify", __doc__)
     chosen = parser.add_argument("--config", default="test2", metavar="NAME", help="flight to compare: name or path")
-    completes(chosen, lambda: places.names("experiments"))
+    complete_with(chosen, lambda: places.names("experiments"))
     parser.add_argument("--controller", type=Path, help="controller file that replaces the flight's")
     parser.add_argument("--robot", help="robot file: compare only its kinematics and dynamics")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change the configuration")
@@ -138,6 +138,6 @@ def write(rows: Sequence[Row], folder: Path, facts: Mapping[str, Any]) -> list[P
     text, numbers, figure = folder / "verify.md", folder / "verify.json", folder / "verify.png"
     heading = "\n".join(f"{name}: {value}" for name, value in facts.items())
     write_text(text, f"# Rust against JAX\n\n{heading}\n\n{table(rows)}\n")
-    entries = [finite(asdict(row) | {"relative": row.relative, "agrees": row.agrees}) for row in rows]
+    entries = [replace_infinite(asdict(row) | {"relative": row.relative, "agrees": row.agrees}) for row in rows]
     write_json(numbers, dict(facts) | {"rows": entries})
     return [text, numbers, *([figure] if draw(rows, figure) else [])]

@@ -67,7 +67,7 @@ def _check_address(host: str, port: int) -> None:
 def video(words: Sequence[str]) -> int:
     """Write a video."""
     parser = Parser("video", "Film a flight, or two in one scene, as MP4 or, where --out ends in .gif, as GIF.")
-    _common(parser, Path("flight.mp4"), "1280x720")
+    _add_common_options(parser, Path("flight.mp4"), "1280x720")
     parser.add_argument("--ghost", metavar="RESULT", help="another flight, drawn translucent beside it")
     parser.add_argument("--fps", type=float, default=30.0, help="pictures per second (default 30)")
     parser.add_argument("--speed", type=float, default=1.0, help="flight seconds per second of video (default 1)")
@@ -78,7 +78,7 @@ def video(words: Sequence[str]) -> int:
     def work() -> int:
         from jax_aero.view.video import write_video
 
-        _spare(given)
+        _check_replaceable(given)
         with _Bar("frame") as bar:
             write_video(
                 recording.read(given.result, given.robot),
@@ -101,7 +101,7 @@ def video(words: Sequence[str]) -> int:
 def snapshot(words: Sequence[str]) -> int:
     """Write a picture."""
     parser = Parser("snapshot", "Draw one moment of a flight, or several in one picture.")
-    _common(parser, Path("flight.png"), "1920x1080")
+    _add_common_options(parser, Path("flight.png"), "1920x1080")
     parser.add_argument(
         "--at", type=float, nargs="+", default=[], metavar="S", help="times [s] (default: six, evenly spaced)"
     )
@@ -110,7 +110,7 @@ def snapshot(words: Sequence[str]) -> int:
     def work() -> int:
         from jax_aero.view.video import write_snapshot
 
-        _spare(given)
+        _check_replaceable(given)
         with _Bar("picture") as bar:
             write_snapshot(
                 recording.read(given.result, given.robot),
@@ -136,7 +136,7 @@ def export(words: Sequence[str]) -> int:
     def work() -> int:
         from jax_aero.view.web import write_page
 
-        _spare(given)
+        _check_replaceable(given)
         results = [given.result] if given.ghost is None else [given.result, given.ghost]
         write_page([recording.read(result, given.robot) for result in results], given.out)
         print(given.out)
@@ -152,13 +152,13 @@ def _files(parser: Parser, out: Path) -> None:
     parser.add_argument("--robot", metavar="FILE", help="TOML file of the robot, if the result does not name it")
 
 
-def _common(parser: Parser, out: Path, size: str) -> None:
+def _add_common_options(parser: Parser, out: Path, size: str) -> None:
     _files(parser, out)
     parser.add_argument("--size", type=_size, default=_size(size), metavar="WxH", help=f"pixels (default {size})")
     parser.add_argument("--camera", choices=("chase", "side"), default="chase", help="point of view (default chase)")
 
 
-def _spare(given: Any) -> None:
+def _check_replaceable(given: Any) -> None:
     if given.out.exists() and not given.overwrite:
         raise Refused(f"`{given.out}` is there already; choose another --out, or --overwrite it")
 

@@ -54,20 +54,20 @@ class Scales:
         return float(power * max(step for step in (1.0, 2.0, 5.0) if step <= 1.0001 * wanted / power))
 
 
-class Placed(NamedTuple):
+class PlacedShape(NamedTuple):
     """Poses: (n, 3) positions [m] and (n, 3, 3) rotations, inertial axes."""
 
     positions: Vector
     rotations: Vector
 
 
-def place(shapes: Sequence[Shape], instant: Instant) -> Placed:
+def place(shapes: Sequence[Shape], instant: Instant) -> PlacedShape:
     """Return positions and rotations of shapes at an instant."""
     bodies = [shape.body for shape in shapes]
     offsets = np.array([shape.body_from_shape.position for shape in shapes])
     turns = np.array([shape.body_from_shape.rotation for shape in shapes])
     rotations = instant.body_rotations[bodies]
-    return Placed(instant.body_positions[bodies] + np.einsum("nij,nj->ni", rotations, offsets), rotations @ turns)
+    return PlacedShape(instant.body_positions[bodies] + np.einsum("nij,nj->ni", rotations, offsets), rotations @ turns)
 
 
 def force_arrows(look: Look, instant: Instant, scales: Scales) -> Vector:

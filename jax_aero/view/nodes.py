@@ -11,7 +11,7 @@ import viser.transforms as tf
 
 from jax_aero.mesh import Mesh, box
 from jax_aero.view import drawing
-from jax_aero.view.drawing import Colour, Placed, Scales
+from jax_aero.view.drawing import Colour, PlacedShape, Scales
 from jax_aero.view.recording import Instant, Recording
 from jax_aero.view.shapes import Look
 
@@ -63,7 +63,7 @@ class RobotNodes:
             _move(handle, drawing.place(shapes, instant), instant.com)
         if self.flames is not None:
             plumes = drawing.plumes(self.look, instant, scales)
-            _move(self.flames, Placed(plumes.positions, plumes.rotations), instant.com)
+            _move(self.flames, PlacedShape(plumes.positions, plumes.rotations), instant.com)
             radii = np.full(len(self.look.jets), drawing.PLUME_RADIUS)
             self.flames.batched_scales = np.column_stack([radii, radii, np.maximum(plumes.lengths, 1e-4)])
         if self.arrows is not None:
@@ -94,7 +94,7 @@ def _batch(
     )
 
 
-def _move(handle: Any, placed: Placed, origin: Any) -> None:
+def _move(handle: Any, placed: PlacedShape, origin: Any) -> None:
     handle.batched_positions = (placed.positions - origin).astype(np.float32)
     handle.batched_wxyzs = tf.SO3.from_matrix(placed.rotations).wxyz.astype(np.float32)
 
@@ -106,7 +106,7 @@ def sky() -> Any:
     return np.broadcast_to(image.astype(np.uint8), (240, 8, 3))
 
 
-def thinned(recording: Recording, name: str, until: float) -> Any:
+def thin_path(recording: Recording, name: str, until: float) -> Any:
     """Return a path up to a time, with ten points per second and the last one, (n, 3) [m]."""
     t = recording.signals["time"]
     end = max(int(np.searchsorted(t, until + 1e-9)), 1)

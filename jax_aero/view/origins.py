@@ -16,7 +16,7 @@ ADDRESS = r"\d+\.\d+\.\d+\.\d+|\[[0-9a-fA-F:.]+\]"
 """An address instead of a name; only the site at that address can use it."""
 
 
-def allowed(host: str) -> list[Any]:
+def allowed_origins(host: str) -> list[Any]:
     """Return the accepted values of a connection's header `Origin`, for a page that listens on `host`.
 
     A browser sends the origin of the script. Scripts of other sites, which could otherwise read and control the page,
@@ -31,7 +31,7 @@ def _host(host: str) -> str:
     return rf"({names}|{ADDRESS})(:\d+)?"
 
 
-def _of_own_host(host: str, answer: Any) -> Any:
+def _check_host(host: str, answer: Any) -> Any:
     """Wrap `answer`, which serves files, to answer requests to other host names with 403.
 
     Another name may belong to a site that resolves it to this machine, whose scripts would then have the same origin as
@@ -55,7 +55,9 @@ def own_origins(host: str) -> Iterator[None]:
     serve = module.serve
 
     def serve_own(*words: Any, process_request: Any = None, **options: Any) -> Any:
-        return serve(*words, process_request=_of_own_host(host, process_request), origins=allowed(host), **options)
+        return serve(
+            *words, process_request=_check_host(host, process_request), origins=allowed_origins(host), **options
+        )
 
     module.serve = serve_own
     try:

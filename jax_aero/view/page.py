@@ -17,7 +17,7 @@ from viser import uplot
 from jax_aero import rust
 from jax_aero.view import drawing, panel
 from jax_aero.view.drawing import Scales
-from jax_aero.view.nodes import LIT, RobotNodes, segments, sky, thinned
+from jax_aero.view.nodes import LIT, RobotNodes, segments, sky, thin_path
 from jax_aero.view.origins import own_origins
 from jax_aero.view.recording import Recording, from_flight
 from jax_aero.view.settings import ARMS, CONTROLLERS, MODELS, Settings, apply, can_change_wind, settings_of
@@ -158,7 +158,7 @@ class Page:
     def _new_flight(self) -> None:
         """Build what depends on the flights but not on their robots."""
         with self.lock, self.server.atomic():
-            reference_path = thinned(self.solid, "com_setpoint", self.solid.duration)
+            reference_path = thin_path(self.solid, "com_setpoint", self.solid.duration)
             self.path.points = segments(reference_path)
             self._mark_distance(float(reference_path[:, 0].max()))
             self.time.max = max(self._duration(), 0.1)
@@ -224,7 +224,7 @@ class Page:
             arms = 0.28 * np.eye(3)
             at = instant.com_setpoint
             self.cross.points = np.stack([at - arms, at + arms], axis=1).astype(np.float32)
-            self.trail.points = segments(thinned(self.solid, "com_position", time_s))
+            self.trail.points = segments(thin_path(self.solid, "com_position", time_s))
 
     def _show_numbers(self) -> None:
         with self.lock:
@@ -270,7 +270,7 @@ class Page:
             self.force_length = gui.add_slider("cm per N", min=5.0, max=40.0, step=1.0, initial_value=15.0)
         self.legend = gui.add_html(panel.legend(self.scales))
         self.signal.on_update(lambda _: self._show_plot())
-        self.time.on_update(self._scrubbed)
+        self.time.on_update(self._on_scrub)
         self.play.on_click(lambda _: self._toggle())
         self.speed.on_click(lambda _: setattr(self, "rate", SPEEDS[self.speed.value]))
         for box in (self.follow, self.show_forces, self.show_plumes, self.show_wind, self.show_path):
@@ -322,7 +322,7 @@ class Page:
         self.feedback.disabled = start.controller == "baseline"
         self.shown_settings = self._settings()
         for control in (self.wind_speed, self.wind_direction, self.controller, self.model, self.arms, self.feedback):
-            control.on_update(lambda _: self._changed())
+            control.on_update(lambda _: self._on_change())
         self.compare.on_update(lambda _: self._choose_ghost())
         self.pin.on_click(lambda _: self._pin())
 
@@ -336,7 +336,7 @@ class Page:
             feedback_scale=float(self.feedback.value),
         )
 
-    def _changed(self) -> None:
+    def _on_change(self) -> None:
         with self.wake:
             self.wanted = self._settings()
             self.wake.notify_all()
@@ -357,7 +357,7 @@ class Page:
             self.compare.options = (NO_GHOST, *labels)
             self.compare.value = labels[next(i for i, one in enumerate(self.results) if one is self.solid)]
 
-    def _scrubbed(self, event: Any) -> None:
+    def _on_scrub(self, event: Any) -> None:
         if event.client is None:  # moved by playback
             return
         self._show(float(self.time.value))

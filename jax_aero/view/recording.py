@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jax_aero import io, rust
-from jax_aero.files import damaged
+from jax_aero.files import find_damaged
 from jax_aero.places import RESULTS
 from jax_aero.result import ending, labels_of
 from jax_aero.summary import SETTLING_TIME
@@ -246,10 +246,12 @@ def read(result: str | Path, robot: str | Path | None = None) -> Recording:
 
 def _read(path: Path, robot: str | Path | None) -> Recording:
     manifest = _read_manifest(path.with_name(MANIFEST_FILE))
-    if damaged(path.parent, {name: sha256 for name, sha256 in manifest.get("files", {}).items() if name == path.name}):
+    if find_damaged(
+        path.parent, {name: sha256 for name, sha256 in manifest.get("files", {}).items() if name == path.name}
+    ):
         raise Refused(f"`{path}` is not what was written there, by the checksum in {MANIFEST_FILE}; {EXPECTED}")
     signals, facts = _read_signals(path)
-    config = io.at_home(manifest["config"]) if isinstance(manifest.get("config"), dict) else None
+    config = io.make_paths_absolute(manifest["config"]) if isinstance(manifest.get("config"), dict) else None
     robot_path = _robot_path(path, config, robot)
     try:
         loaded = rust.Robot(robot_path)
@@ -299,7 +301,7 @@ def _read_signals(path: Path) -> tuple[dict[str, Vector], dict[str, Any]]:
             if (size := sum(file[name].nbytes for name in declared)) > MAX_SIZE:
                 raise Refused(f"`{path}` holds {size} bytes; expected at most {MAX_SIZE}")
             signals = {name: np.asarray(file[name], dtype=np.float64) for name in declared}
-            facts = {key: _plain(value) for key, value in file.attrs.items() if not key.startswith("_")}
+            facts = {key: _to_python(value) for key, value in file.attrs.items() if not key.startswith("_")}
     except OSError:
         raise Refused(f"`{path}` is not a NetCDF-4 file; {EXPECTED}") from None
     if signals["time"].size == 0:
@@ -309,7 +311,7 @@ def _read_signals(path: Path) -> tuple[dict[str, Vector], dict[str, Any]]:
     return signals, facts
 
 
-def _plain(value: Any) -> Any:
+def _to_python(value: Any) -> Any:
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.reshape(-1)[0]
     return value.decode() if isinstance(value, bytes) else value

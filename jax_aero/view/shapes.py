@@ -110,7 +110,7 @@ def look_of(robot: rust.Robot, path: Path | None = None) -> Look:
             except ValueError as reason:
                 raise ValueError(f"visual of link `{name}`: {reason}") from None
         if reasons and not drawn and name in in_air:
-            drawn = [_seen_by_air(in_air[name])]
+            drawn = [_aero_shape(in_air[name])]
         missing += reasons
         shapes += [
             Shape(name, kind, size, role, body, body_from_link @ pose, mesh) for (kind, size, mesh), pose in drawn
@@ -124,7 +124,7 @@ def look_of(robot: rust.Robot, path: Path | None = None) -> Look:
     )
 
 
-def _seen_by_air(entry: dict[str, Any]) -> tuple[Solid, Pose]:
+def _aero_shape(entry: dict[str, Any]) -> tuple[Solid, Pose]:
     """Return the sphere or cylinder of an aerodynamic link, and its pose in link axes."""
     radius = 0.5 * entry["diameter"]
     axis = np.asarray(entry["axis"], dtype=np.float64)
@@ -143,16 +143,16 @@ def _solid(visual: ElementTree.Element, folder: Path | None) -> Solid | None:
             (length,) = numbers(element, "length", 1).tolist()
             return "cylinder", (radius, radius, length), None
         if element.tag == "box":
-            return "box", _three(element, "size"), None
+            return "box", _read_three(element, "size"), None
         if element.tag == "mesh":
             filename = attribute(element, "filename")
             if folder is None:
                 raise Refused(f"mesh {filename}: not looked for")
-            return "mesh", _three(element, "scale", "1 1 1"), read_mesh(mesh_file(filename, folder))
+            return "mesh", _read_three(element, "scale", "1 1 1"), read_mesh(mesh_file(filename, folder))
     return None
 
 
-def _three(element: ElementTree.Element, key: str, default: str | None = None) -> tuple[float, float, float]:
+def _read_three(element: ElementTree.Element, key: str, default: str | None = None) -> tuple[float, float, float]:
     x, y, z = numbers(element, key, 3, default).tolist()
     return x, y, z
 

@@ -157,13 +157,13 @@ def write_snapshot(
     require(["PIL"], "drawing a snapshot")
     from PIL import Image
 
-    picture = _single if len(chosen) == 1 else _strip
+    picture = _draw_single if len(chosen) == 1 else _strip
     pixels = picture(recording, chosen, size, viewpoint, progress)
     with complete_file(out) as draft:
         Image.fromarray(pixels).save(draft, format="PNG")
 
 
-def _single(
+def _draw_single(
     recording: Recording, times: list[float], size: tuple[int, int], viewpoint: Viewpoint, progress: Progress | None
 ) -> Any:
     from jax_aero.view.labels import letter_video

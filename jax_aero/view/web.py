@@ -87,11 +87,11 @@ def flight_table(recording: Recording) -> dict[str, Any]:
             {"name": name, "unit": declared[name].unit, "width": recording.rows(name).shape[1]}
             for name in recording.signals
         ],
-        "numbers": {name: _packed(signal) for name, signal in (numbers | {"body_poses": poses}).items()},
+        "numbers": {name: _pack(signal) for name, signal in (numbers | {"body_poses": poses}).items()},
     }
 
 
-def _packed(numbers: Any) -> str:
+def _pack(numbers: Any) -> str:
     return base64.b64encode(np.asarray(numbers, dtype="<f4").tobytes()).decode()
 
 
@@ -102,12 +102,12 @@ def _shape(shape: Shape) -> dict[str, Any]:
         "size": shape.size,
         "role": shape.role,
         "body": shape.body,
-        "rotation": _rounded(pose.rotation.T),  # by columns
-        "position": _rounded(pose.position),
+        "rotation": _round_numbers(pose.rotation.T),  # by columns
+        "position": _round_numbers(pose.position),
     }
     if shape.mesh is not None:
         faces = base64.b64encode(shape.mesh.faces.astype("<u4").tobytes()).decode()
-        table |= {"vertices": _packed(shape.mesh.vertices * shape.size), "faces": faces}
+        table |= {"vertices": _pack(shape.mesh.vertices * shape.size), "faces": faces}
     return table
 
 
@@ -115,10 +115,10 @@ def _mount(mount: Mount) -> dict[str, Any]:
     return {
         "name": mount.name,
         "body": mount.body,
-        "position": _rounded(mount.position),
-        "axis": _rounded(mount.axis),
+        "position": _round_numbers(mount.position),
+        "axis": _round_numbers(mount.axis),
     }
 
 
-def _rounded(numbers: Any) -> list[float]:
+def _round_numbers(numbers: Any) -> list[float]:
     return [round(float(number), 6) for number in numbers.ravel()]

@@ -69,7 +69,7 @@ def summary(flight: rust.FlightResult) -> dict[str, float]:
     return {name: figure for name, figure in flight.summary.items() if name not in NOT_STORED}
 
 
-def stored(name: str) -> Stored:
+def load_stored(name: str) -> Stored:
     """Return what is stored of a flight."""
     with np.load(FOLDER / f"{name}.npz") as file:
         content = dict(file)

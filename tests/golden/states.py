@@ -33,7 +33,7 @@ ROBOT = ROOT / "configs/robot/ironcub_mk1.toml"
 TORQUE_MAX = 50.0
 """Torque limit of every joint [N m], as published; the robot's own limits are other ones."""
 DRAWN = ((4, 0.1, 0.03), (3, 0.1, 1.0))
-"""Arguments of `drawn`: four bounds of the momentum QP are active; twelve, and three of the torque QP."""
+"""Arguments of `draw_state`: four bounds of the momentum QP are active; twelve, and three of the torque QP."""
 EXPERIMENT = ROOT / "configs/experiments/test2.toml"
 AERO = {
     "aero_aware": ROOT / "configs/aero/axisymmetric_published.toml",
@@ -54,7 +54,7 @@ def vee_of_skew_part(a: Array) -> Array:
     return 0.5 * np.array([a[2, 1] - a[1, 2], a[0, 2] - a[2, 0], a[1, 0] - a[0, 1]])
 
 
-def drawn(seed: int, size: float, integral: float) -> Values:
+def draw_state(seed: int, size: float, integral: float) -> Values:
     """Draw a state near hovering, `size` away from its set-point, in a wind of some 10 m/s."""
     rng = np.random.default_rng(seed)
     posture = np.array(rust.load_config(EXPERIMENT)["simulator"]["initial"]["joint_position"])
@@ -90,7 +90,7 @@ def drawn(seed: int, size: float, integral: float) -> Values:
     }
 
 
-def physics(given: Values, model: MomentumModel) -> Values:
+def compute_physics(given: Values, model: MomentumModel) -> Values:
     """Compute what does not depend on gains."""
     robot = rust.Robot(ROBOT)
     state = [given[key] for key in ("base_position", "base_rotation", "joint_position", "velocity")]
@@ -174,7 +174,7 @@ def robot_figures() -> dict[str, Any]:
     return {"bodies": bodies, "frames": frames}
 
 
-def control(given: Values, found: Values, config: dict[str, Any]) -> Values:
+def compute_control(given: Values, found: Values, config: dict[str, Any]) -> Values:
     """Compute tasks, QPs and their answers; the numbers of the equations are those of `docs/model.md`."""
     robot = load_robot(ROBOT)
     mass, nu, n_jets = robot.mass, given["velocity"], len(robot.jets)
@@ -282,19 +282,19 @@ def solve(h: Array, g: Array, lower: Array, upper: Array) -> Array:
     return x
 
 
-def complete(given: Values) -> dict[str, Values]:
+def compute_controllers(given: Values) -> dict[str, Values]:
     """Compute both controllers at a state, and the link forces of the other model."""
     robot = load_robot(ROBOT)
     found: dict[str, Values] = {"given": given}
     for name in ("aero_aware", "baseline"):
         config = rust.load_config(EXPERIMENT)["controller"]
         aero = load_aero(AERO[name]) if name in AERO else {"model": "off"}
-        values = physics(given, MomentumModel(robot, aero))
-        found[name] = values | control(given, values, config)
+        values = compute_physics(given, MomentumModel(robot, aero))
+        found[name] = values | compute_control(given, values, config)
     del found["aero_aware"]["generalised_force"]
     changed = ("momentum_qp.h", "momentum_qp.g", "thrust_rate", "joint_velocity_command", "unlimited_torque")
     found["baseline"] = {key: found["baseline"][key] for key in changed}
-    cylinders = physics(given, MomentumModel(robot, load_aero(AERO["sphere_cylinder"])))
+    cylinders = compute_physics(given, MomentumModel(robot, load_aero(AERO["sphere_cylinder"])))
     found["sphere_cylinder"] = {"aero_force": cylinders["aero_force"]}
     return found
 
@@ -311,7 +311,7 @@ def _wxyz(rotation: Array) -> Array:
 def main() -> None:
     """Draw, compute, write."""
     assert __doc__
-    states = [complete(drawn(*arguments)) for arguments in DRAWN]
+    states = [compute_controllers(draw_state(*arguments)) for arguments in DRAWN]
     listed = [{part: {key: v.tolist() for key, v in values.items()} for part, values in s.items()} for s in states]
     content = {"source": " ".join(__doc__.split()), "robot": robot_figures(), "states": listed}
     lines = json.dumps(content, ensure_ascii=False)

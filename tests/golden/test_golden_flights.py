@@ -10,7 +10,7 @@ from tests.golden import flights
 
 @pytest.mark.parametrize("name", flights.NAMES)
 def test_a_flight_is_the_stored_one(name):
-    stored = flights.stored(name)
+    stored = flights.load_stored(name)
     config = flights.load(name)
     flight = flights.fly(config)
     found = flights.signals(flight)

@@ -19,7 +19,7 @@ def tolerance(key, expected):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_tick_is_the_stored_one(name):
-    given, expected = ticks.stored(name)
+    given, expected = ticks.load_stored(name)
     found = ticks.compute(flights.load(name.rpartition("_")[0]), given)
     assert set(found) == set(expected)
     wrong = {}

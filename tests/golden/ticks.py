@@ -69,12 +69,12 @@ def values(tick: rust.Tick) -> Values:
                 add(f"{name}.{key}", part)
 
     for key, value in vars(tick).items():
-        if key != "given":  # without estimators that is the measurement
+        if key != "estimates":  # without estimators that is the measurement
             add(stored_names.get(key, key), value)
     return found
 
 
-def stored(name: str) -> tuple[Values, Values]:
+def load_stored(name: str) -> tuple[Values, Values]:
     """Return what a stored tick was given, and what came out."""
     with np.load(FOLDER / f"{name}.npz") as file:
         content = dict(file)

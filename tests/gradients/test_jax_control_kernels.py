@@ -48,16 +48,16 @@ def assert_derivatives_agree(f, inputs, rng, step=1e-6, tolerance=2e-6):
     direction = jax.tree.map(lambda s: rng.choice([-1.0, 1.0], size=s.shape) * rng.uniform(0.5, 1.0, s.shape) * s, size)
 
     @jax.jit
-    def along(t):
+    def evaluate_along(t):
         return flat(f(jax.tree.map(lambda x, d: x + t * d, inputs, direction)))
 
-    value = np.asarray(along(0.0))
+    value = np.asarray(evaluate_along(0.0))
     weights = rng.normal(size=value.shape) / np.maximum(np.abs(value), 1e-3 * np.max(np.abs(value)) + 1e-12)
-    _, forward = jax.jit(lambda t: jax.jvp(along, (t,), (1.0,)))(0.0)
+    _, forward = jax.jit(lambda t: jax.jvp(evaluate_along, (t,), (1.0,)))(0.0)
     gradient = jax.jit(jax.grad(lambda x: weights @ flat(f(x))))(inputs)
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(gradient))
     reverse = sum(np.vdot(a, b) for a, b in zip(jax.tree.leaves(gradient), jax.tree.leaves(direction), strict=True))
-    difference = (along(step) - along(-step)) / (2 * step)
+    difference = (evaluate_along(step) - evaluate_along(-step)) / (2 * step)
     scale = float(np.abs(weights) @ np.abs(forward))
     measured("forward - reverse", abs(reverse - weights @ forward), 1e-10 * scale)
     measured("forward - finite difference", np.max(np.abs(weights * (forward - difference))), tolerance * scale)
@@ -168,16 +168,18 @@ def test_a_whole_tick(twin, rng):
         units = jnp.concatenate([jnp.full(4, 100.0), jnp.full(N_JOINTS, 0.8)])
         return jnp.concatenate([command.thrust_rate, command.joint_velocity]) / units, terms.unlimited_torque / 50.0
 
-    def directed(seed, tree):
+    def draw_direction(seed, tree):
         numbers = np.random.default_rng(seed)
         return jax.tree.map(lambda x: numbers.uniform(-1, 1, np.shape(x)) * np.maximum(np.abs(x), 0.1), tree)
 
     # Numbers that only the reference generator reads, and the mission, do not move.
-    moved = {name: directed(i, getattr(params, name)) for i, name in enumerate(("aero", "momentum", "tasks", "torque"))}
+    moved = {
+        name: draw_direction(i, getattr(params, name)) for i, name in enumerate(("aero", "momentum", "tasks", "torque"))
+    }
     still = jax.tree.map(np.zeros_like, params)
     d_params = replace(still, **moved)
-    d_state = directed(6, first)._replace(base_rotation=np.zeros((3, 3)))
-    d_rest = (d_state, directed(7, thrust[0]), 3.0 * rng.normal(size=3))
+    d_state = draw_direction(6, first)._replace(base_rotation=np.zeros((3, 3)))
+    d_rest = (d_state, draw_direction(7, thrust[0]), 3.0 * rng.normal(size=3))
 
     weights = rng.normal(size=4 + 2 * N_JOINTS)
 

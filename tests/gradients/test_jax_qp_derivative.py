@@ -65,11 +65,11 @@ def pull_back():
 
     @jax.jit
     @jax.vmap
-    def both(problem, cotangent):
+    def solve_and_pull(problem, cotangent):
         x, transposed = jax.vjp(minimiser, BoxQp(*problem))
         return x, transposed(cotangent)[0]
 
-    return both
+    return solve_and_pull
 
 
 @pytest.fixture(scope="module")
@@ -88,11 +88,11 @@ def test_reverse_is_forward_is_the_finite_difference(case, pull_back, push_forwa
     reverse = sum(np.sum(a * b, axis=tuple(range(1, a.ndim))) for a, b in zip(gradient, tangent, strict=True))
     np.testing.assert_allclose(reverse, forward, rtol=1e-9, atol=1e-9)
 
-    def moved(step):
+    def solve_moved(step):
         return answers_of_the_crate(BoxQp(*(a + step * b for a, b in zip(problem, tangent, strict=True))))
 
     step = 1e-7
-    difference = np.einsum("bi,bi->b", cotangent, (moved(step) - moved(-step)) / (2 * step))
+    difference = np.einsum("bi,bi->b", cotangent, (solve_moved(step) - solve_moved(-step)) / (2 * step))
     np.testing.assert_allclose(forward, difference, rtol=1e-5, atol=1e-6)
 
 
@@ -105,17 +105,17 @@ def test_the_derivative_is_that_of_qpax(case, pull_back):
 
     @jax.jit
     @jax.grad
-    def smoothed(g, h, lower, upper, cotangent):
+    def smooth_cost(g, h, lower, upper, cotangent):
         sides, limits = jnp.concatenate([eye, -eye]), jnp.concatenate([upper, -lower])
         x = qpax.solve_qp_primal(h, g, jnp.zeros((0, N)), jnp.zeros(0), sides, limits, target_kappa=1e-9)
         return x @ cotangent
 
     for i in range(0, CASES, 4):
-        theirs = smoothed(problem.g[i], problem.h[i], problem.lower[i], problem.upper[i], cotangent[i])
+        theirs = smooth_cost(problem.g[i], problem.h[i], problem.lower[i], problem.upper[i], cotangent[i])
         np.testing.assert_allclose(gradient.g[i], theirs, rtol=0, atol=1e-4 * np.max(np.abs(theirs)))
 
 
-def small(lower, upper, g=(1.0, -2.0)):
+def small_problem(lower, upper, g=(1.0, -2.0)):
     h = jnp.array([[2.0, 0.5], [0.5, 1.0]])
     return BoxQp(h, jnp.asarray(g), jnp.asarray(lower), jnp.asarray(upper))
 
@@ -127,18 +127,18 @@ def jacobian():
 
 
 def test_a_fixed_variable_moves_with_the_bound_that_its_gradient_presses_it_against(jacobian):
-    found = jacobian(small((0.3, 0.2), (0.3, 5.0)))  # the first gradient component is positive: pressed down
+    found = jacobian(small_problem((0.3, 0.2), (0.3, 5.0)))  # the first gradient component is positive: pressed down
     np.testing.assert_allclose(found.lower[0], [1.0, 0.0])
     np.testing.assert_allclose(found.upper[0], [0.0, 0.0])
     np.testing.assert_allclose(found.lower[1], [-0.5, 0.0])
-    found = jacobian(small((0.3, 0.2), (0.3, 5.0), g=(-9.0, -2.0)))
+    found = jacobian(small_problem((0.3, 0.2), (0.3, 5.0), g=(-9.0, -2.0)))
     np.testing.assert_allclose(found.lower[0], [0.0, 0.0])
     np.testing.assert_allclose(found.upper[0], [1.0, 0.0])
 
 
 def test_a_variable_that_touches_its_bound_without_pressing_counts_as_held(jacobian):
     """x = (0, 0) with both gradients zero: of the two one-sided derivatives, the one where the bound acts."""
-    found = jacobian(small((0.0, -1.0), (1.0, 1.0), g=(0.0, 0.0)))
+    found = jacobian(small_problem((0.0, -1.0), (1.0, 1.0), g=(0.0, 0.0)))
     np.testing.assert_allclose(found.g, [[0.0, 0.0], [0.0, -1.0]])
 
 
@@ -148,7 +148,7 @@ def test_a_variable_that_touches_its_bound_without_pressing_counts_as_held(jacob
     ids=["infeasible", "not finite"],
 )
 def test_without_an_answer_the_derivative_is_zero(jacobian, lower, upper, g):
-    found = jacobian(small(lower, upper, g))
+    found = jacobian(small_problem(lower, upper, g))
     for part in found:
         np.testing.assert_array_equal(part, np.zeros_like(part))
 
@@ -156,14 +156,14 @@ def test_without_an_answer_the_derivative_is_zero(jacobian, lower, upper, g):
 def test_batches_within_batches():
     """x(g) is linear without bounds."""
     scales = jnp.array([[1.0, 2.0, 3.0], [0.5, 4.0, 6.0]])
-    free = small((-jnp.inf, -jnp.inf), (jnp.inf, jnp.inf))
+    free = small_problem((-jnp.inf, -jnp.inf), (jnp.inf, jnp.inf))
     many = jax.jit(jax.vmap(jax.vmap(lambda s: qp.solve(free._replace(g=s * free.g)).x)))(scales)
     np.testing.assert_allclose(many, scales[..., None] * many[0, 0], rtol=1e-14)
 
 
 def test_second_derivative():
     """x(s) = −(s H)⁻¹ g without bounds, so d²x/ds² = 2 x at s = 1."""
-    free = small((-jnp.inf, -jnp.inf), (jnp.inf, jnp.inf))
+    free = small_problem((-jnp.inf, -jnp.inf), (jnp.inf, jnp.inf))
 
     def x(s):
         return qp.solve(free._replace(h=s * free.h)).x

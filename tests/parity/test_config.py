@@ -161,7 +161,7 @@ COMBINED = ("simulator.time_step", "simulator.substeps")
 """Keys that the crate refuses together with others: the number of ticks, the steepness of bounds."""
 
 
-def optional(kind, key=""):
+def optional_keys(kind, key=""):
     """The keys that may be left out and have no default."""
     if isinstance(kind, inspect.UnionType):
         if any(isinstance(each, inspect.NoneType) for each in kind.types):
@@ -169,10 +169,10 @@ def optional(kind, key=""):
         kind = kind.types[0]
     if isinstance(kind, inspect.StructType) and not kind.tag_field:
         for field in kind.fields:
-            yield from optional(field.type, f"{key}.{field.encode_name}")
+            yield from optional_keys(field.type, f"{key}.{field.encode_name}")
 
 
-@pytest.mark.parametrize("key", list(optional(inspect.type_info(ScenarioConfig))))
+@pytest.mark.parametrize("key", list(optional_keys(inspect.type_info(ScenarioConfig))))
 def test_null_is_no_value(key):
     config = rust.load_config("test2")
     set_key(config, key, None)
@@ -182,7 +182,7 @@ def test_null_is_no_value(key):
     assert said == words(rust.check_config, config)
 
 
-@pytest.mark.parametrize("key", list(optional(inspect.type_info(ScenarioConfig))))
+@pytest.mark.parametrize("key", list(optional_keys(inspect.type_info(ScenarioConfig))))
 def test_false_removes_what_may_be_absent(key):
     """On the command line as in a file; other keys keep it as their value."""
     table = {}
@@ -193,17 +193,17 @@ def test_false_removes_what_may_be_absent(key):
     assert table["simulator"]["joint_stops"] is False
 
 
-def written(table):
+def to_written(table):
     """A configuration as the crate writes it: lists, and no key for what is not there."""
     if isinstance(table, dict):
-        return {key: written(value) for key, value in table.items() if value is not None}
-    return [written(value) for value in table] if isinstance(table, list | tuple) else table
+        return {key: to_written(value) for key, value in table.items() if value is not None}
+    return [to_written(value) for value in table] if isinstance(table, list | tuple) else table
 
 
 @pytest.mark.parametrize("path", EXPERIMENTS, ids=lambda path: path.stem)
 def test_types_and_defaults_are_those_of_the_crate(path):
     """What Python's types write out, the crate does: the same keys, the same defaults."""
-    assert written(tables.plain(io.scenario_config(io.load_config(path)))) == rust.load_config(path)
+    assert to_written(tables.to_builtins(io.scenario_config(io.load_config(path)))) == rust.load_config(path)
 
 
 @pytest.mark.parametrize("kind", [Disturbances, ForceFactorsConfig, JetFaultsConfig, MissionConfig])
@@ -249,7 +249,7 @@ def test_files_merge_alike(case, tmp_path):
     top.write_text(f"base = '{CONFIGS / 'experiments/test2.toml'}'\n{CASES[case]}")
     ours = io.load_config(top)
     rust.check_config(ours)
-    assert written(tables.plain(io.scenario_config(ours))) == rust.load_config(top)
+    assert to_written(tables.to_builtins(io.scenario_config(ours))) == rust.load_config(top)
 
 
 def test_a_part_of_the_robot_may_be_called_base(tmp_path):

@@ -75,7 +75,7 @@ def counted(monkeypatch):
 
     monkeypatch.setattr(batch, "step", step)
     monkeypatch.setattr(batch, "CHUNK", 2)
-    compiled = batch._compiled
+    compiled = batch._compile_chunk
     compiled.cache_clear()
     yield traced
     compiled.cache_clear()
@@ -127,10 +127,10 @@ def test_the_desired_posture_is_the_measured_one(counted):
 def test_numbers_go_to_the_device_once(counted, monkeypatch):
     """Every chunk but the first gets arrays that are there already."""
     sim.fly_batch(flights({}, {}), full_log=True)
-    compiled = batch._compiled
+    compiled = batch._compile_chunk
     kinds = []
 
-    def recorded(*static):
+    def compile_recorded(*static):
         fly = compiled(*static)
 
         def call(leaves, state, first):
@@ -139,7 +139,7 @@ def test_numbers_go_to_the_device_once(counted, monkeypatch):
 
         return call
 
-    monkeypatch.setattr(batch, "_compiled", recorded)
+    monkeypatch.setattr(batch, "_compile_chunk", compile_recorded)
     sim.fly_batch(flights({}, {}), full_log=True)
     assert kinds
     assert all(kinds)
@@ -150,11 +150,11 @@ def test_a_network_is_read_once_and_shared(counted, monkeypatch):
     read = []
     load = batch.load_network
 
-    def counting(card, robot):
+    def read_and_count(card, robot):
         read.append(card)
         return load(card, robot)
 
-    monkeypatch.setattr(batch, "load_network", counting)
+    monkeypatch.setattr(batch, "load_network", read_and_count)
     network = {
         "model": "network",
         "card": str(next((ROOT / "configs/aero/networks").rglob("*.json"))),
@@ -167,7 +167,7 @@ def test_a_network_is_read_once_and_shared(counted, monkeypatch):
         )
     )
     with jax.enable_x64(True):
-        groups = batch.grouped(tables)
+        groups = batch.group_flights(tables)
     assert len(read) == 1
     (group,) = groups
     scenario = jax.tree.unflatten(group.structure, group.is_shared)

@@ -91,7 +91,7 @@ class Twin:
         return tick.tick(self.params, self.robot, memory, jnp.zeros(()), state, thrust, wind, followed)
 
 
-def stacked(samples):
+def stack_samples(samples):
     return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *samples)
 
 
@@ -111,7 +111,7 @@ def ticks(published):
 def test_every_value_of_ticks_far_from_any_flight(published, ticks, agree):
     """With published arms and velocities; the corrected ones are compared below, where they differ."""
     samples = random_samples(published.robot, BATCH)
-    memory, command, terms = jax.device_get(ticks(*stacked(samples)))
+    memory, command, terms = jax.device_get(ticks(*stack_samples(samples)))
     ours = tick_quantities(command, terms)
     for i, sample in enumerate(samples):
         theirs = crate_tick(published.table, sample)
@@ -147,7 +147,7 @@ def test_switches(name, overrides, agree):
         return {name: ours[name] for name in enters}  # the QPs drop out of what is compiled
 
     samples = random_samples(twin.robot, 8, seed=8)
-    ours = jax.device_get(evaluate(*stacked(samples)))
+    ours = jax.device_get(evaluate(*stack_samples(samples)))
     for i, sample in enumerate(samples):
         assert_same(agree, ours, crate_tick(twin.table, sample), i)
 
@@ -157,7 +157,7 @@ def test_safe_commands(published, ticks):
     nan = np.nan
     good = random_samples(published.robot, BATCH, seed=9)
 
-    def spoilt(index, **changes):
+    def spoil(index, **changes):
         names = ("memory", "state", "thrust", "wind", "followed")
         return tuple(changes.get(name, part) for name, part in zip(names, good[index], strict=True))
 
@@ -165,18 +165,18 @@ def test_safe_commands(published, ticks):
     nothing = {"velocity_error_integral": np.full(23, 1e307)}  # times the gain, it overflows
     heavy = {"inertia_0": 1e307 * np.eye(3)}  # times a rate of turn, likewise
     samples = [
-        spoilt(0, thrust=np.array([80.0, nan, 80.0, 80.0])),
-        spoilt(1, state=good[1][1]._replace(base_position=position)),
-        spoilt(2, wind=np.array([0.0, np.inf, 0.0])),
-        spoilt(3),
-        spoilt(4, memory=good[4][0] | heavy),
-        spoilt(5, memory=good[5][0] | nothing),
-        spoilt(6, memory=good[6][0] | nothing | heavy),
+        spoil(0, thrust=np.array([80.0, nan, 80.0, 80.0])),
+        spoil(1, state=good[1][1]._replace(base_position=position)),
+        spoil(2, wind=np.array([0.0, np.inf, 0.0])),
+        spoil(3),
+        spoil(4, memory=good[4][0] | heavy),
+        spoil(5, memory=good[5][0] | nothing),
+        spoil(6, memory=good[6][0] | nothing | heavy),
         # Too much to be accepted, but all that there is at the first tick.
-        spoilt(7, thrust=np.array([80.0, 1700.0, 80.0, 80.0]), wind=np.array([310.0, 0.0, 0.0])),
+        spoil(7, thrust=np.array([80.0, 1700.0, 80.0, 80.0]), wind=np.array([310.0, 0.0, 0.0])),
         *good[8:],
     ]
-    memory, command, _ = jax.device_get(ticks(*stacked(samples)))
+    memory, command, _ = jax.device_get(ticks(*stack_samples(samples)))
     expected = ["Degraded"] * 3 + ["Nominal", "MomentumHeld", "TorqueHeld", "BothHeld", "Degraded"]
     for i, (sample, status) in enumerate(zip(samples, expected, strict=False)):
         theirs = crate_tick(published.table, sample)

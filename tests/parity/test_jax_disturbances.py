@@ -57,7 +57,7 @@ CASES = {
 }
 
 
-def nudged(table, bits):
+def nudge(table, bits):
     """Return the flight with the last bits of one thrust changed."""
     simulator = table["simulator"]
     first, *others = simulator["initial"]["thrust"]
@@ -73,7 +73,7 @@ def flights():
         table = rust.load_config(EXPERIMENTS / "sensor_noise.toml", COMMON | changes) | {"wind": TURBULENT}
         rust.check_config(table)
         configs.append(table)
-    changed = [[rust.fly(nudged(table, bits)) for bits in (1, 2, 5)] for table in configs]
+    changed = [[rust.fly(nudge(table, bits)) for bits in (1, 2, 5)] for table in configs]
     rows = zip(sim.fly_batch(configs, full_log=True), map(rust.fly, configs), changed, strict=True)
     return dict(zip(CASES, rows, strict=True))
 

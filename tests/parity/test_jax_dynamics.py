@@ -32,7 +32,7 @@ def states(random_states):
     return [state for state, _ in random_states][:60]
 
 
-def batched(states):
+def stack_states(states):
     return State(*(jnp.stack([np.asarray(value) for value in field]) for field in zip(*states, strict=True)))
 
 
@@ -57,7 +57,7 @@ def test_dynamics(jax_robot, robot, states, agree, backend):
         dyn = dynamics(jax_robot, state, kin, backend)
         return kin, dyn, forward_dynamics(dyn, jnp.cos(state.velocity))
 
-    kin, dyn, acceleration = jax.device_get(evaluate(batched(states)))
+    kin, dyn, acceleration = jax.device_get(evaluate(stack_states(states)))
     for i, state in enumerate(states):
         theirs = rust.dynamics(robot, state)
         agree("body positions", kin.body_positions[i], theirs.body_positions, TOLERANCE)
@@ -79,7 +79,7 @@ def test_jacobians(jax_robot, robot, states, agree):
         _, points = frame_poses(kin, links)
         return point_jacobians(jax_robot, kin, links.bodies, points)
 
-    linear, angular = jax.device_get(evaluate(batched(states[:20])))
+    linear, angular = jax.device_get(evaluate(stack_states(states[:20])))
     # A frame is named as in the URDF, where these robots' frames have the names of links.
     frames = [name if name in robot.body_names else None for name in links.names]
     assert any(frames)
@@ -100,7 +100,7 @@ def test_velocities_and_forces_follow_from_the_jacobian(jax_robot, states):
     offsets = jnp.asarray(rng.normal(size=(links.count, 3)))
 
     @jax.jit
-    def both(state):
+    def compute_both(state):
         kin = kinematics(jax_robot, state)
         points = kin.body_positions[np.array(links.bodies)] + offsets
         linear, _ = point_jacobians(jax_robot, kin, links.bodies, points)
@@ -109,5 +109,5 @@ def test_velocities_and_forces_follow_from_the_jacobian(jax_robot, states):
         return velocities - linear @ state.velocity, force - jnp.einsum("kic,ki->c", linear, forces)
 
     for state in states[:5]:
-        for difference in both(State(*(jnp.asarray(value) for value in state))):
+        for difference in compute_both(State(*(jnp.asarray(value) for value in state))):
             measured("difference", np.abs(difference).max(), 1e-11)

@@ -15,7 +15,7 @@ from jax_aero.control import Measurement, estimator
 from jax_aero.control.channels import MODES
 from jax_aero.control.estimator import Order, Reading
 from jax_aero.control.tick import momentum_controller
-from jax_aero.env import Steered
+from jax_aero.env import SteeredController
 from jax_aero.env_task import Task
 from jax_aero.identify import states_of
 from jax_aero.io import scenario_config
@@ -165,7 +165,7 @@ def test_a_controller_alone_has_both_estimators_in_its_state(alone):
     states, commands = run(controller.init(robot, readings[0].state), readings)
     assert [int(state.estimator.ticks) for state in states] == list(range(11))
     for before, after, command, reading in zip(states[:-1], states[1:], commands, readings, strict=True):
-        given, is_first = command.terms.given, before.estimator.ticks == 0
+        given, is_first = command.terms.estimates, before.estimator.ticks == 0
         # The first estimate is the first measurement; joint velocities are found from positions.
         assert np.allclose(given.state.velocity[:6], reading.state.velocity[:6], rtol=1e-12) == is_first
         assert np.all(given.state.velocity[6:] == 0.0) == is_first
@@ -204,11 +204,11 @@ def test_what_is_predicted_follows_an_action_that_is_added(alone, measured):
     controller, robot, readings = alone
     first = controller.init(robot, readings[0].state), readings[0]
 
-    def added(action):
-        steered = Steered(controller, action, Task())
+    def add_action(action):
+        steered = SteeredController(controller, action, Task())
         return steered.step(robot, *first)
 
-    flown = jax.jit(added)
+    flown = jax.jit(add_action)
     (without, own), (memory, command) = (
         jax.device_get(flown(jnp.full(4 + robot.n_joints, action))) for action in (0.0, 0.5)
     )

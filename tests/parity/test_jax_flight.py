@@ -127,7 +127,7 @@ def test_every_tick_of_the_world(experiment, agree):
     velocity = np.concatenate([log["base_velocity"], log["joint_velocity"]], axis=1)
     agree("first state", start.robot.velocity, velocity[0], 1e-10)
 
-    def one(remembered, logged):
+    def tick_world(remembered, logged):
         time, position, wxyz, joints, velocity, torque, thrust_rate = logged
         robot = State(position, rotation_from_wxyz(wxyz), joints, velocity)
         state = PlantState(robot, remembered[0], start.first, remembered[1])
@@ -139,7 +139,7 @@ def test_every_tick_of_the_world(experiment, agree):
     names = ("time", "base_position", "base_quaternion", "joint_position")
     logged = (*(log[name] for name in names), velocity, log["joint_torque"], log["thrust_rate"])
     _, (forces, after, thrust, wind) = jax.jit(
-        lambda: jax.lax.scan(one, (start.jets, start.faults), jax.tree.map(jnp.asarray, logged))
+        lambda: jax.lax.scan(tick_world, (start.jets, start.faults), jax.tree.map(jnp.asarray, logged))
     )()
     agree(f"{experiment}: wind", wind, log["wind"], 1e-12)
     agree(f"{experiment}: forces", forces, log["aero_force_sim"], 1e-10)
@@ -281,7 +281,7 @@ def test_both_kinds_of_dynamics_fly_the_same():
         table = io.load_config(EXPERIMENTS / "test2.toml", {"simulator.dynamics": dynamics, "wind.ramp_start": -9.0})
         scenario, start = sim.prepare(table, controller=Damper())
         assert scenario.plant.backend == dynamics
-        rows = jax.jit(lambda scenario, start: sim.rollout(scenario, start, 20, sim.everything)[1])(scenario, start)
+        rows = jax.jit(lambda scenario, start: sim.rollout(scenario, start, 20, sim.keep_row)[1])(scenario, start)
         np.testing.assert_allclose(rows.time, np.arange(20) * float(scenario.plant.time_step), rtol=1e-15)
         heights[dynamics] = np.concatenate([rows.base_position, rows.base_velocity, rows.joint_position], axis=1)
     apart = np.abs(heights["tree"] - heights["mjx"]).max(axis=1)
@@ -318,10 +318,10 @@ def test_the_world_is_not_where_the_controller_predicts_it(monkeypatch, changes,
     scenario, start = sim.prepare(config)
     scenario, taken = dataclasses.replace(scenario, controller=Wrapped(scenario.controller)), []
 
-    def recorded(plant, state, wind, known=None):
+    def observe_and_record(plant, state, wind, known=None):
         taken.append(known is not None)
         return observe(plant, state, wind, known)
 
-    monkeypatch.setattr("jax_aero.sim.plant.observe", recorded)
+    monkeypatch.setattr("jax_aero.sim.plant.observe", observe_and_record)
     jax.eval_shape(lambda *flight: sim.step(*flight), scenario, start, jnp.array(0))
     assert taken == [shares]

@@ -43,13 +43,13 @@ def stack(problems):
     return BoxQp(*(np.stack([np.asarray(getattr(one, name)) for one in problems]) for name in BoxQp._fields))
 
 
-def exactly(problem, count, rng):
+def take_exactly(problem, count, rng):
     """`count` of the problems: one batch size for the whole module, so one compilation for each number of variables."""
     rows = rng.permutation(np.resize(np.arange(len(problem.g)), count))
     return BoxQp(*(part[rows] for part in problem))
 
 
-def crate(problem):
+def solve_with_crate(problem):
     """Cold answers of the crate: x, status codes."""
     solver = rust.BoxQpSolver(problem.g.shape[1])
     answers = []
@@ -70,7 +70,7 @@ def solve():
     return jax.jit(jax.vmap(lambda problem, start: qp.solve(BoxQp(*problem), start)))
 
 
-def cold(problem):
+def cold_starts(problem):
     return jax.tree.map(lambda x: jnp.stack([x] * len(problem.g)), qp.cold_start(problem.g.shape[1], jnp.float64))
 
 
@@ -87,7 +87,7 @@ def evaluation_rounding(problem, x):
 
 
 def assert_solves(answer, problem, measured, what):
-    x, _ = crate(problem)
+    x, _ = solve_with_crate(problem)
     kkt = np.array([rust.kkt_residual(*one) for one in zip(*problem, np.asarray(answer.x), strict=True)])
     error = np.max(np.abs(answer.x - x) / (problem.upper - problem.lower))
     measured(f"{what}: most passes", float(answer.iterations.max()))
@@ -104,8 +104,8 @@ def assert_solves(answer, problem, measured, what):
 
 @pytest.mark.parametrize("which", [0, 1], ids=["momentum", "torque"])
 def test_flight_problems_cold_and_warm(harvested, solve, measured, which):
-    problem = exactly(harvested[which], COUNT, np.random.default_rng(1))
-    answer = solve(problem, cold(problem))
+    problem = take_exactly(harvested[which], COUNT, np.random.default_rng(1))
+    answer = solve(problem, cold_starts(problem))
     assert_solves(answer, problem, measured, "cold")
     nudged = problem._replace(g=problem.g * (1 + 1e-6))
     again = solve(nudged, answer.warm_start)
@@ -117,17 +117,17 @@ def test_flight_problems_cold_and_warm(harvested, solve, measured, which):
 def test_saturated_problems(harvested, solve, measured, which):
     """A gradient 0.1 to 10 times as large as flight's, in any direction: most bounds are active."""
     rng = np.random.default_rng(2)
-    problem = exactly(harvested[which], COUNT, rng)
+    problem = take_exactly(harvested[which], COUNT, rng)
     size = np.abs(problem.g).max(axis=1, keepdims=True) * rng.choice([0.1, 1.0, 10.0], size=(COUNT, 1))
     problem = problem._replace(g=problem.g + size * rng.normal(size=problem.g.shape))
-    answer = solve(problem, cold(problem))
+    answer = solve(problem, cold_starts(problem))
     assert_solves(answer, problem, measured, "saturated")
     assert np.mean(answer.side != 0) > 0.2
 
 
 def test_a_wrong_warm_start_costs_passes_and_nothing_else(harvested, solve, measured):
     rng = np.random.default_rng(3)
-    problem = exactly(harvested[0], COUNT, rng)
+    problem = take_exactly(harvested[0], COUNT, rng)
     wrong = qp.WarmStart(
         jnp.asarray(rng.normal(scale=1e3, size=problem.g.shape)),
         jnp.asarray(rng.integers(-1, 2, size=problem.g.shape), jnp.int8),
@@ -138,7 +138,7 @@ def test_a_wrong_warm_start_costs_passes_and_nothing_else(harvested, solve, meas
 def test_odd_boxes_and_data_without_an_answer(harvested, solve):
     """Infinite, one-sided and closed boxes; faults have the crate's status code and leave the starting point."""
     rng = np.random.default_rng(4)
-    flight = exactly(harvested[0], COUNT, rng)
+    flight = take_exactly(harvested[0], COUNT, rng)
     h, g, lower, upper = (np.array(part) for part in flight)
     n = g.shape[1]
     lower[0], upper[0] = -np.inf, np.inf
@@ -153,9 +153,9 @@ def test_odd_boxes_and_data_without_an_answer(harvested, solve):
     h[9] = -h[9]
     h[10] -= 20.0 * np.eye(n)
     problem = BoxQp(h, g, lower, upper)
-    start = cold(problem)._replace(x=jnp.full(g.shape, 1e-3))
+    start = cold_starts(problem)._replace(x=jnp.full(g.shape, 1e-3))
     answer = solve(problem, start)
-    x, codes = crate(problem)
+    x, codes = solve_with_crate(problem)
     np.testing.assert_array_equal(answer.status, codes)
     assert set(codes[4:11]) == {qp.NON_FINITE, qp.INFEASIBLE_BOUNDS, qp.NOT_POSITIVE_DEFINITE}
     well = codes == qp.SOLVED
@@ -175,8 +175,8 @@ def test_float32_answers_are_certified_and_as_low_as_that_guarantees(harvested, 
     (p − y + q)·(y* − p) ≥ 0, and with convexity f(y) − f(y*) ≤ q·(y − y*) ≤ |r|∞ Σ_i (|q_i| + |p_i − y*_i|).
     The flight's condition number 2e8 exceeds 1/u = 1.7e7, so x may be off by much of its range along flat directions.
     """
-    problem = exactly(harvested[0], COUNT, np.random.default_rng(5))
-    best, _ = crate(problem)
+    problem = take_exactly(harvested[0], COUNT, np.random.default_rng(5))
+    best, _ = solve_with_crate(problem)
     with jax.enable_x64(False):
         answer = jax.jit(jax.vmap(qp.solve))(BoxQp(*(np.float32(part) for part in problem)))
         assert answer.x.dtype == jnp.float32

@@ -12,7 +12,7 @@ import pytest
 from jax_aero import rust
 from jax_aero.aero import aero_model
 from jax_aero.control import wind_observer
-from jax_aero.control.channels import Seen
+from jax_aero.control.channels import UsedMeasurement
 from jax_aero.control.protocol import Terms
 from jax_aero.dynamics import dynamics
 from jax_aero.identify import states_of
@@ -57,10 +57,12 @@ def replayed(x64):
             momentum = Momentum(jnp.hstack([a_t, -jnp.eye(6, 3)]))
             nothing = dict.fromkeys(Terms._fields)
             of_tick = {"kinematics": kin, "dynamics": dynamics(robot, now, kin), "momentum": momentum}
-            seen = Seen(**dict.fromkeys(Seen._fields))._replace(
+            used = UsedMeasurement(**dict.fromkeys(UsedMeasurement._fields))._replace(
                 thrust=jnp.concatenate([thrust, force]), elapsed=step, has_momentum=jnp.array(True)
             )
-            after = wind_observer.update(settings, robot, air, state, Terms(**nothing | of_tick | {"seen": seen}))
+            after = wind_observer.update(
+                settings, robot, air, state, Terms(**nothing | of_tick | {"measurement": used})
+            )
             return after, state
 
         return jax.lax.scan(tick, wind_observer.start(settings), rows)[1]

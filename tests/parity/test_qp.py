@@ -90,7 +90,7 @@ def log_uniform(rng: np.random.Generator, low: float, high: float, size: int) ->
     return np.exp(rng.uniform(np.log(low), np.log(high), size))
 
 
-def flight_like(rng: np.random.Generator, push: float) -> QpProblem:
+def flight_like_problem(rng: np.random.Generator, push: float) -> QpProblem:
     """Shaped like the momentum QP; the unbounded minimum lies `push` bound ranges away."""
     jet = np.arange(27) < 4
     momentum = rng.normal(size=(6, 27)) * np.where(jet, 1, log_uniform(rng, 100, 1000, 27))
@@ -105,11 +105,11 @@ def flight_like(rng: np.random.Generator, push: float) -> QpProblem:
     return QpProblem((h + h.T) / 2, g, -lower, upper)
 
 
-def saturated(rng: np.random.Generator) -> QpProblem:
-    return flight_like(rng, rng.choice([3.0, 6.0, 20.0]))
+def saturated_problem(rng: np.random.Generator) -> QpProblem:
+    return flight_like_problem(rng, rng.choice([3.0, 6.0, 20.0]))
 
 
-def ill_conditioned(rng: np.random.Generator) -> QpProblem:
+def ill_conditioned_problem(rng: np.random.Generator) -> QpProblem:
     """Eigenvalues over up to ten decades, units over six."""
     n, condition = int(rng.integers(2, 40)), rng.choice([1e4, 1e6, 1e8, 1e10])
     q, _ = np.linalg.qr(rng.normal(size=(n, n)))
@@ -125,7 +125,7 @@ def ill_conditioned(rng: np.random.Generator) -> QpProblem:
 
 def degenerate_bounds(rng: np.random.Generator) -> QpProblem:
     """One-sided, missing, nearly touching, and some through the point where a cold solver starts."""
-    h, g, lower, upper = flight_like(rng, 1.0)
+    h, g, lower, upper = flight_like_problem(rng, 1.0)
     kind = rng.integers(0, 8, 27)
     lower[kind == 0], upper[kind == 1] = 0, 0
     lower[(kind == 2) | (kind == 4)], upper[(kind == 3) | (kind == 4)] = -np.inf, np.inf
@@ -134,28 +134,28 @@ def degenerate_bounds(rng: np.random.Generator) -> QpProblem:
     return QpProblem(h, g, lower, upper)
 
 
-def weakly_active(rng: np.random.Generator) -> QpProblem:
+def weakly_active_problem(rng: np.random.Generator) -> QpProblem:
     """The unconstrained minimiser lies in the box, on about half of its faces: every multiplier is zero."""
-    h, _, lower, upper = flight_like(rng, 1.0)
+    h, _, lower, upper = flight_like_problem(rng, 1.0)
     kind = rng.integers(0, 4, 27)
     x = np.where(kind == 0, lower, np.where(kind == 1, upper, rng.uniform(lower, upper)))
     return QpProblem(h, -h @ x, lower, upper)
 
 
-def fixed(rng: np.random.Generator) -> QpProblem:
+def fixed_problem(rng: np.random.Generator) -> QpProblem:
     """lb = ub for some variables, up to all of them."""
-    h, g, lower, upper = (flight_like(rng, 3.0), ill_conditioned(rng))[rng.integers(2)]
+    h, g, lower, upper = (flight_like_problem(rng, 3.0), ill_conditioned_problem(rng))[rng.integers(2)]
     held = rng.random(len(g)) < rng.random()
     lower[held] = upper[held] = rng.uniform(lower, upper)[held]
     return QpProblem(h, g, lower, upper)
 
 
 ADVERSARIES: tuple[Callable[[np.random.Generator], QpProblem], ...] = (
-    saturated,
-    ill_conditioned,
+    saturated_problem,
+    ill_conditioned_problem,
     degenerate_bounds,
-    weakly_active,
-    fixed,
+    weakly_active_problem,
+    fixed_problem,
 )
 
 
@@ -198,7 +198,7 @@ def kkt(problem: QpProblem, x: np.ndarray) -> float:
     return float(np.maximum(violated, complementarity).max() / scale)
 
 
-def in_even_units(problem: QpProblem) -> tuple[QpProblem, np.ndarray]:
+def scale_to_even_units(problem: QpProblem) -> tuple[QpProblem, np.ndarray]:
     unit = np.exp2(np.round(-0.5 * np.log2(np.diag(problem.h))))
     h, g, lower, upper = problem
     return QpProblem(h * np.outer(unit, unit), g * unit, lower / unit, upper / unit), unit
@@ -258,7 +258,7 @@ def test_x_is_that_of_daqp(cases, measured):
     """To 1e-8 of the bound range, or to what the condition of H leaves of sixteen digits of the largest unknown."""
     beyond, raw_misses = 0, Counter()
     for case in cases:
-        even, unit = in_even_units(case.problem)
+        even, unit = scale_to_even_units(case.problem)
         y, theirs = case.x / unit, ask_daqp(even)
         assert kkt(even, theirs) <= KKT_TOLERANCE, f"DAQP is not exact here: {case}"
         raw_misses[case.kind] += kkt(case.problem, ask_daqp(case.problem)) > KKT_TOLERANCE
@@ -278,7 +278,7 @@ def test_x_is_that_of_daqp(cases, measured):
     measured("DAQP in raw units not exact (KKT above 1e-9)", missed or "none")
 
 
-def higher_by(problem: QpProblem, x: np.ndarray, other: np.ndarray) -> tuple[float, float]:
+def objective_rise(problem: QpProblem, x: np.ndarray, other: np.ndarray) -> tuple[float, float]:
     """By how much the objective is higher at `other` than at the minimiser x, and what rounding may take from that.
 
     Objectives of 1e6 carry rounding of 1e6 n u: two of them subtracted say nothing below a relative 1e-12. Instead
@@ -302,11 +302,11 @@ def test_the_objective_is_that_of_clarabel(cases, measured):
     """Ours is never the higher one: in extended precision, at most 1e-17 above Clarabel's where that is 1e6."""
     statuses = Counter()
     for case in cases:
-        even, unit = in_even_units(case.problem)
+        even, unit = scale_to_even_units(case.problem)
         y, status = ask_clarabel(even)
         statuses[status] += 1
         h, g, *_ = case.problem
-        gap, rounding = higher_by(case.problem, case.x, y * unit)
+        gap, rounding = objective_rise(case.problem, case.x, y * unit)
         objective = max(1.0, abs(case.x @ h @ case.x / 2 + g @ case.x))
         measured(f"Clarabel's objective above ours, {status}", gap / objective, OBJECTIVE_TOLERANCE[status])
         # Clarabel's point is cut back to the box, so it may be above the minimum but not below.

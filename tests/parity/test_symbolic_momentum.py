@@ -111,7 +111,7 @@ TWIN_CASES = {("ironcub_mk1", "axisymmetric", "corrected"), ("sparrow", "sphere_
 vary, and each would compile again."""
 
 
-def implemented(case):
+def list_implementations(case):
     """Yield a case with every implementation that it is compared with."""
     robot_name, aero = case.values
     for implementation in IMPLEMENTATIONS:
@@ -119,7 +119,9 @@ def implemented(case):
             yield pytest.param(implementation, robot_name, aero, id=f"{case.id}-{implementation}")
 
 
-@pytest.mark.parametrize(("implementation", "robot_name", "aero"), [x for case in CASES for x in implemented(case)])
+@pytest.mark.parametrize(
+    ("implementation", "robot_name", "aero"), [x for case in CASES for x in list_implementations(case)]
+)
 def test_every_term_of_a_state(implementation, robot_name, aero, random_states, agree):
     path = ROOT / f"configs/robot/{robot_name}.toml"
     derived = MomentumModel(load_robot(path), aero)

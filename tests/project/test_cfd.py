@@ -186,7 +186,7 @@ def test_the_results_are_of_the_designs_as_they_are():
     settings = {"settings.mesh.base": 0.68, "settings.solver.iterations": 120, "settings.solver.window": 40}
     for name, changes in (("anchors", {}), ("fine", settings)):
         design = Design.read("anchors", changes)
-        today = manifest.portable(tables.plain(design.spec))
+        today = manifest.make_portable(tables.to_builtins(design.spec))
         assert KEPT[name]["config"] | {"title": today["title"]} == today
         assert KEPT[name]["summary"]["accepted"] == len(list(design))
         assert not KEPT[name]["git"]["dirty"]

@@ -20,7 +20,7 @@ from experiments.sweep import spec
 from experiments.sweep.design import Design
 from jax_aero import cli, rust, tables
 from tests.browser import CHROMIUM, SLOWEST, open_chromium
-from tests.shown import in_a_folder_of_its_own
+from tests.shown import run_in_own_folder
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -52,7 +52,7 @@ def blocks(page: Path, kind: str, language: str) -> list[str]:
     return [block["code"] for block in found if (block["kind"], block["language"]) == (kind, language)]
 
 
-def having(kind: str, language: str) -> list[Path]:
+def pages_with(kind: str, language: str) -> list[Path]:
     pages = [page for page in PAGES if blocks(page, kind, language)]
     assert pages, (kind, language)
     return pages
@@ -96,7 +96,7 @@ def test_every_block_says_how_it_is_tried(page):
             assert re.fullmatch(rf'--8<-- "{program}:\w+"\n', block["code"])
 
 
-@pytest.mark.parametrize("page", having("run", "python"), ids=name)
+@pytest.mark.parametrize("page", pages_with("run", "python"), ids=name)
 def test_the_python_of_a_page_is_one_program_that_runs(page):
     program = "\n".join(blocks(page, "run", "python"))
     answer = subprocess.run(
@@ -105,7 +105,7 @@ def test_the_python_of_a_page_is_one_program_that_runs(page):
     assert answer.returncode == 0, answer.stderr
 
 
-@pytest.mark.parametrize("page", having("parse", "python"), ids=name)
+@pytest.mark.parametrize("page", pages_with("parse", "python"), ids=name)
 def test_the_names_that_a_page_imports_exist(page):
     for code in blocks(page, "parse", "python"):
         for node in ast.walk(ast.parse(code)):
@@ -113,9 +113,9 @@ def test_the_names_that_a_page_imports_exist(page):
                 exec(compile(ast.Module([node], []), page.name, "exec"), {})
 
 
-@pytest.mark.parametrize("page", having("run", "sh"), ids=name)
+@pytest.mark.parametrize("page", pages_with("run", "sh"), ids=name)
 def test_commands_run(page, tmp_path):
-    program = in_a_folder_of_its_own("\n".join(blocks(page, "run", "sh")))
+    program = run_in_own_folder("\n".join(blocks(page, "run", "sh")))
     environment = {"PATH": f"{Path(sys.executable).parent}:/usr/bin:/bin", "OUT": str(tmp_path), "HOME": str(tmp_path)}
     answer = subprocess.run(
         ["bash", "-euo", "pipefail", "-c", program],
@@ -149,7 +149,7 @@ def test_shown_commands_name_targets_and_modules_that_exist():
 def test_the_shown_robot_has_keys_that_exist():
     sparrow = tomllib.loads((ROOT / "configs/robot/sparrow.toml").read_text(encoding="utf-8"))
     joint_keys = {"name", "limits_deg", "limits", "torque_max", "torque_rate_max", "velocity_max_deg", "velocity_max"}
-    for page in having("robot", "toml"):
+    for page in pages_with("robot", "toml"):
         for code in blocks(page, "robot", "toml"):
             table = tomllib.loads(code)
             assert table.keys() <= sparrow.keys()
@@ -157,7 +157,7 @@ def test_the_shown_robot_has_keys_that_exist():
             assert all(joint.keys() <= joint_keys for joint in joints)
 
 
-@pytest.mark.parametrize("page", having("experiment", "toml"), ids=name)
+@pytest.mark.parametrize("page", pages_with("experiment", "toml"), ids=name)
 def test_shown_experiments_can_fly(page, tmp_path):
     configs = shutil.copytree(ROOT / "configs", tmp_path / "configs")
     for number, code in enumerate(blocks(page, "experiment", "toml")):
@@ -166,7 +166,7 @@ def test_shown_experiments_can_fly(page, tmp_path):
         rust.load_config(file)
 
 
-@pytest.mark.parametrize("page", having("sweep", "toml"), ids=name)
+@pytest.mark.parametrize("page", pages_with("sweep", "toml"), ids=name)
 def test_shown_sweeps_can_be_planned(page, tmp_path):
     configs = shutil.copytree(ROOT / "configs", tmp_path / "configs")
     for code in blocks(page, "sweep", "toml"):
@@ -177,7 +177,7 @@ def test_shown_sweeps_can_be_planned(page, tmp_path):
         assert design.n_rows > 0
 
 
-@pytest.mark.parametrize("page", having("waypoints", "toml"), ids=name)
+@pytest.mark.parametrize("page", pages_with("waypoints", "toml"), ids=name)
 def test_shown_waypoints_become_a_flight(page, tmp_path):
     configs = shutil.copytree(ROOT / "configs", tmp_path / "configs")
     for code in blocks(page, "waypoints", "toml"):
@@ -192,31 +192,31 @@ def test_a_notebook_runs(path, tmp_path):
     def outputs() -> list[nbformat.NotebookNode]:
         return [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
 
-    def printed() -> str:  # without what libraries log
+    def read_printed() -> str:  # without what libraries log
         return "".join(output["text"] for output in outputs() if output.get("name") == "stdout")
 
     notebook = nbformat.read(path, as_version=4)
     assert any("image/png" in output.get("data", {}) for output in outputs())
-    stored = printed()
+    stored = read_printed()
     # Files in place of TCP ports, which are chosen before they are bound: another process may take one.
     config = Config(KernelManager={"transport": "ipc", "ip": str(tmp_path / "kernel")})
     resources = {"metadata": {"path": str(path.parent)}}
     NotebookClient(notebook, timeout=600, resources=resources, config=config).execute()
     if path.stem == "first_flight":  # of the crate alone, which computes the same bits everywhere
-        assert printed() == stored
+        assert read_printed() == stored
 
 
 def test_formulas_are_typeset_wherever_they_stand():
     hooks = importlib.import_module("docs.hooks")
 
-    def shown(markdown):
+    def typeset(markdown):
         return hooks.INLINE.sub(hooks.inline_formula, markdown)
 
     text = "a `$HOME` of\n```sh\necho $A $B\n```\n"
-    assert shown(text) == text
-    assert shown("$3 and\n\n$4") == "$3 and\n\n$4"
+    assert typeset(text) == text
+    assert typeset("$3 and\n\n$4") == "$3 and\n\n$4"
     for formula in ("$x + 1$", "$(x +\n1)$"):
-        assert re.fullmatch(r"at <span><math.*</math></span>, say", shown(f"at {formula}, say"), re.DOTALL)
+        assert re.fullmatch(r"at <span><math.*</math></span>, say", typeset(f"at {formula}, say"), re.DOTALL)
     for page in sorted((ROOT / "docs").rglob("*.md")):
         left = hooks.INLINE.sub("", hooks.EQUATION.sub("", page.read_text(encoding="utf-8")))
         assert "$" not in left, f"{page.name}: a formula is not closed within its paragraph"

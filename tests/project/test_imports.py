@@ -10,7 +10,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SOURCES = [path for package in ("jax_aero", "experiments", "paper_figs") for path in (ROOT / package).rglob("*.py")]
 
 
-def imported(path: Path) -> set[str]:
+def find_imports(path: Path) -> set[str]:
     names = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
@@ -27,7 +27,7 @@ def test_the_import_contracts_hold(monkeypatch, capsys):
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_only_jax_aero_rust_imports_the_compiled_module(path):
-    importers = [path] if "jax_aero._core" in imported(path) else []
+    importers = [path] if "jax_aero._core" in find_imports(path) else []
     assert importers in ([], [ROOT / "jax_aero" / "rust.py"])
 
 

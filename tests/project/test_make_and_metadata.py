@@ -87,12 +87,12 @@ def test_the_recipe_for_conda_has_the_version_and_the_packages_of_the_project():
     project = table["project"]
     assert recipe["context"]["version"] == jax_aero.__version__
 
-    def named(requirements):
+    def separate_names(requirements):
         return {re.sub(r"^([\w-]+)(?=[<>=])", r"\1 ", one) for one in requirements}
 
-    runs_with = named([*project["dependencies"], f"python{project['requires-python']}"])
+    runs_with = separate_names([*project["dependencies"], f"python{project['requires-python']}"])
     assert set(recipe["requirements"]["run"]) == runs_with
-    assert named(table["build-system"]["requires"]) <= set(recipe["requirements"]["host"])
+    assert separate_names(table["build-system"]["requires"]) <= set(recipe["requirements"]["host"])
     assert recipe["about"]["license"] == project["license"]
     assert recipe["about"]["license_file"] == project["license-files"]
     assert recipe["about"]["summary"] == project["description"]

@@ -36,7 +36,7 @@ def places(text: str) -> list[tuple[Path, list[str]]]:
     return found
 
 
-def cited(text: str) -> set[int]:
+def find_cited(text: str) -> set[int]:
     """Numbers that a text cites, ranges included."""
     return {number for first, last in CITATION.findall(text) for number in range(int(first), int(last or first) + 1)}
 
@@ -55,7 +55,7 @@ def test_files_and_names_of_an_equation_exist_and_cite_it(number):
         for name in names:
             assert re.search(rf"\b{re.escape(name)}\b", text), f"{name} is not in {path.name}"
         if path in SOURCES and "tests" not in path.parts:
-            assert number in cited(text), f"{path.relative_to(ROOT)} does not cite M{number}"
+            assert number in find_cited(text), f"{path.relative_to(ROOT)} does not cite M{number}"
 
 
 def test_the_architecture_page_cites_the_equations_of_every_module_of_the_core_crate():
@@ -66,12 +66,12 @@ def test_the_architecture_page_cites_the_equations_of_every_module_of_the_core_c
         for path, _ in places(text):
             if path.is_relative_to(core):
                 module = Path(path.relative_to(core).parts[0]).stem
-                assert number in cited(rows[module]), f"{module}: M{number}"
+                assert number in find_cited(rows[module]), f"{module}: M{number}"
 
 
 def test_every_number_that_is_cited_exists():
     known = set(equations())
     pages = sorted((ROOT / "docs").rglob("*.md"))
     for path in [*SOURCES, *pages]:
-        unknown = cited(path.read_text(encoding="utf-8")) - known
+        unknown = find_cited(path.read_text(encoding="utf-8")) - known
         assert not unknown, f"{path.relative_to(ROOT)} cites {sorted(unknown)}"

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from jax_aero import rust
-from tests.shown import in_a_folder_of_its_own
+from tests.shown import run_in_own_folder
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -43,7 +43,7 @@ def test_every_code_block_is_tried_somehow():
 
 @pytest.mark.parametrize("code", blocks("run", "sh"))
 def test_commands_run(code, tmp_path):
-    run(["bash", "-euo", "pipefail", "-c", in_a_folder_of_its_own(code)], OUT=str(tmp_path))
+    run(["bash", "-euo", "pipefail", "-c", run_in_own_folder(code)], OUT=str(tmp_path))
     assert list(tmp_path.glob("*/manifest.json"))
 
 

@@ -12,7 +12,7 @@ STUB = ast.parse((ROOT / "jax_aero" / "_core.pyi").read_text(encoding="utf-8"))
 CORE = importlib.import_module("jax_aero._core")
 
 
-def public(names) -> set[str]:
+def public_names(names) -> set[str]:
     return {name for name in names if not name.startswith("_") or name == "__version__"}
 
 
@@ -23,7 +23,7 @@ def stub_names(body) -> set[str]:
             names.add(node.name)
         elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
             names.add(node.target.id)
-    return public(names)
+    return public_names(names)
 
 
 def stub_nodes(kind):
@@ -31,12 +31,12 @@ def stub_nodes(kind):
 
 
 def test_the_stub_has_the_names_of_the_module():
-    assert stub_names(STUB.body) == public(vars(CORE))
+    assert stub_names(STUB.body) == public_names(vars(CORE))
 
 
 @pytest.mark.parametrize("node", stub_nodes(ast.ClassDef), ids=lambda node: node.name)
 def test_each_class_has_the_members_of_the_stub(node):
-    assert stub_names(node.body) == public(vars(getattr(CORE, node.name)))
+    assert stub_names(node.body) == public_names(vars(getattr(CORE, node.name)))
 
 
 @pytest.mark.parametrize("node", stub_nodes(ast.FunctionDef), ids=lambda node: node.name)

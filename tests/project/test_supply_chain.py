@@ -12,7 +12,9 @@ def test_every_pinned_package_has_hashes():
     """Of the same version, and what `make demo` needs stands first. `python -m tests.supply_chain lock` writes them."""
     text = supply_chain.HASHED.read_text(encoding="utf-8")
     stanzas = supply_chain._stanzas(text)
-    assert {*stanzas} == {supply_chain.normal(line) for line in supply_chain.LOCK.read_text(encoding="utf-8").split()}
+    assert {*stanzas} == {
+        supply_chain.normalise(line) for line in supply_chain.LOCK.read_text(encoding="utf-8").split()
+    }
     assert "".join(stanzas.values()) == re.sub(r"^#.*\n", "", text, flags=re.MULTILINE)
     first, others = text.split(supply_chain.BETWEEN)
     assert "\nmaturin==" in first

@@ -61,7 +61,7 @@ def test_members_of_an_ensemble_differ_and_miss_one_posture(made_up_dataset):
     trainings = [ensemble.member_training(changes, 3) for changes in ensemble.MEMBERS]
     assert len({repr(one.network) for one in trainings}) == len(trainings) == 8
     family = made_up_dataset.family
-    kept = ensemble.without_one(made_up_dataset, np.arange(len(family)), 0)
+    kept = ensemble.leave_one_out(made_up_dataset, np.arange(len(family)), 0)
     assert len(set(family[kept])) == len(set(family)) - 1
     assert len(kept) == np.sum(np.isin(family, family[kept]))
 
@@ -80,11 +80,11 @@ def test_networks_predict_postures_that_they_have_not_seen(made_up_dataset, tmp_
     path, seen = tmp_path / "made_up.nc", []
     save(made_up_dataset, path)
 
-    def untrained(number, training, rows):
+    def skip_training(number, training, rows):
         seen.append(set(rows.postures))
         return training.start(config.robot(), ensemble.SEED + number)
 
-    monkeypatch.setattr(ensemble, "train_member", untrained)
+    monkeypatch.setattr(ensemble, "train_member", skip_training)
     monkeypatch.setattr(ensemble, "MEMBERS", ({"hidden": [4]}, {"hidden": [5], "baseline": "none"}))
     monkeypatch.setattr(ensemble, "FOLDS", 2)
     words = ["train-ensemble", "--dataset", str(path), "--epochs", "3", "--out", str(tmp_path / "out")]
@@ -100,10 +100,10 @@ def test_networks_predict_postures_that_they_have_not_seen(made_up_dataset, tmp_
     with xr.open_dataset(tmp_path / "out" / "run.nc", engine="h5netcdf") as run:
         assert run["predicted_force_area"].shape == (2, 288, 3)
         assert set(run["posture"].values) == everything
-        truth = made_up_dataset.mirrored().force_area_b.sum(axis=1)
+        truth = made_up_dataset.add_mirror_images().force_area_b.sum(axis=1)
         agree("force areas", run["force_area"].values, truth, 1e-9)
     document = json.loads((tmp_path / "out" / "manifest.json").read_text())
-    assert document["dataset"] == made_up_dataset.mirrored().sha256
+    assert document["dataset"] == made_up_dataset.add_mirror_images().sha256
     summary = document["summary"]
     best, worst = (summary[f"links, {which} single network [m4]"] for which in ("best", "worst"))
     assert 0.0 < best < worst

@@ -53,7 +53,7 @@ def test_a_card_that_cannot_be_written_leaves_the_old_weights(card, ironcub):
 
 
 def test_weights_whose_card_did_not_follow_are_recognised(card, ironcub, monkeypatch):
-    def interrupted(*_):
+    def interrupt(*_):
         raise KeyboardInterrupt
 
     network = init_network(jax.random.key(2), ironcub, hidden=(5, 4))
@@ -61,7 +61,7 @@ def test_weights_whose_card_did_not_follow_are_recognised(card, ironcub, monkeyp
     kept.hardlink_to(card.with_suffix(".safetensors"))
     before = kept.read_bytes()
     with monkeypatch.context() as patched:
-        patched.setattr("jax_aero.aero.network_card.write_text", interrupted)
+        patched.setattr("jax_aero.aero.network_card.write_text", interrupt)
         with pytest.raises(KeyboardInterrupt):
             save_network(card, network, ironcub, description="made up", training={})
     with pytest.raises(ValueError, match=r"`weights\.sha256` is '"):

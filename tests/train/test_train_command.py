@@ -70,7 +70,7 @@ def result(data, tmp_path_factory):
 
 def test_a_result_holds_errors_of_both_splits_beside_baselines(result, made_up_dataset, agree):
     document = json.loads((result / "training" / "compact" / "manifest.json").read_text())
-    assert document["dataset"] == made_up_dataset.mirrored().sha256
+    assert document["dataset"] == made_up_dataset.add_mirror_images().sha256
     errors = document["summary"]["errors"]
     assert set(errors) == {"random", "grouped"}
     assert errors["grouped"]["folds"] == 2
@@ -93,7 +93,7 @@ def test_a_result_holds_errors_of_both_splits_beside_baselines(result, made_up_d
 def test_the_weights_are_written_where_flights_find_them(result, ironcub, made_up_dataset):
     written, kept = result / "networks" / "small.json", result / "training" / "compact" / "compact.json"
     card = read_card(written)
-    assert card.training["dataset_sha256"] == made_up_dataset.mirrored().sha256
+    assert card.training["dataset_sha256"] == made_up_dataset.add_mirror_images().sha256
     assert card.training["errors"]["grouped"]["mse"] > 0.0
     assert card.weights.sha256 == read_card(kept).weights.sha256
     network = load_network(written, ironcub)
@@ -211,7 +211,7 @@ def test_a_finished_training_is_kept_and_its_weights_can_be_written_again(result
 
 def test_two_processes_do_not_train_into_one_folder(data, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    with files.computing(tmp_path / "one"):
+    with files.lock_work(tmp_path / "one"):
         for arguments in (words(data, "one"), ["train-ensemble", "--dataset", str(data), "--out", "one"]):
             assert main(arguments) == 2
             assert ".one.work is being written by process" in capsys.readouterr().err
@@ -353,7 +353,7 @@ def test_a_killed_trial_has_failed_and_one_under_way_has_not(small_search, tmp_p
         trial = others.ask()
         trial.set_user_attr("seed", seed)
         trial.suggest_float("training.learning_rate", 1e-3, 1e-2)
-    with files.locked(out / "seed_3"):
+    with files.lock(out / "seed_3"):
         states, drawn = trials()
     assert states == ["COMPLETE", "FAIL", "RUNNING", "COMPLETE", "COMPLETE"]
     assert drawn[3] == drawn[1]  # what was interrupted is drawn again
@@ -417,10 +417,10 @@ def test_a_search_starts_from_a_file_that_leaves_noise_at_its_default():
 
     path = places.CONFIGS / "training" / "compact.toml"
     table = tables.read(path)
-    kept = search.changed(path, table, {"network.features": ["link_wind"]})
+    kept = search.replace_keys(path, table, {"network.features": ["link_wind"]})
     assert set(kept.training.noise) == {"link_wind"}
     del table["training"]["noise"]
-    assert search.changed(path, table, {}).training.noise == {}
+    assert search.replace_keys(path, table, {}).training.noise == {}
 
 
 def test_a_trial_that_another_process_runs_stops_no_search(data, tmp_path, monkeypatch, capsys):
@@ -431,14 +431,14 @@ def test_a_trial_that_another_process_runs_stops_no_search(data, tmp_path, monke
     )
     arguments = ["train-search", str(search), "--dataset", str(data), "--out", str(tmp_path / "out")]
 
-    def beside(*_):
+    def add_trial(*_):
         """A trial that another process begins meanwhile; a network that diverges."""
         database = f"sqlite:///{tmp_path / 'out' / 'trials.db'}"
         optuna.load_study(study_name=None, storage=database).ask()
         return float("inf")
 
     optuna = pytest.importorskip("optuna")
-    monkeypatch.setattr("experiments.training.search.error_of", beside)
+    monkeypatch.setattr("experiments.training.search.error_of", add_trial)
     assert main(arguments) == 0
     assert "trial 1 of 1: inf m4" in capsys.readouterr().out
 
@@ -450,7 +450,7 @@ def test_a_trial_whose_network_diverges_has_an_infinite_error(made_up_dataset):
     changes = {"network.hidden": [4, 4, 4], "training.epochs": 2, "training.batch": 32, "training.learning_rate": 1e9}
     path = places.CONFIGS / "training" / "plain.toml"
     settings = search.SearchConfig(path, trials=1, seed=1, fold_seed=0, folds=3, folds_run=1, space={})
-    assert search.error_of(search.changed(path, tables.read(path), changes), made_up_dataset, settings) == np.inf
+    assert search.error_of(search.replace_keys(path, tables.read(path), changes), made_up_dataset, settings) == np.inf
 
 
 def test_a_trial_is_judged_by_the_weights_that_it_keeps(made_up_dataset):
@@ -461,8 +461,10 @@ def test_a_trial_is_judged_by_the_weights_that_it_keeps(made_up_dataset):
     changes = {"network.hidden": [4], "training.epochs": 30, "training.batch": 32, "training.learning_rate": 0.5}
     path = places.CONFIGS / "training" / "plain.toml"
     settings = search.SearchConfig(path, trials=1, seed=1, fold_seed=0, folds=3, folds_run=1, space={})
-    training = search.changed(path, tables.read(path), changes | {"training.patience": 3, "training.validate_every": 1})
-    rows = made_up_dataset.mirrored() if training.mirrored else made_up_dataset
+    training = search.replace_keys(
+        path, tables.read(path), changes | {"training.patience": 3, "training.validate_every": 1}
+    )
+    rows = made_up_dataset.add_mirror_images() if training.mirrored else made_up_dataset
     (train, held_out), *_ = rows.grouped_folds(0, 3)
     start = training.start(config.robot(), training.seed)
     seen, unseen = (samples_of(start, config.robot(), rows.take(part)) for part in (train, held_out))

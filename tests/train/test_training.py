@@ -88,7 +88,7 @@ def test_without_dropout_nothing_is_drawn(ironcub, agree):
 @pytest.fixture(scope="module")
 def task(ironcub, made_up_dataset):
     network = init_network(jax.random.key(0), ironcub, hidden=(16, 16), activation="tanh", mirror=True, start="unit")
-    rows = made_up_dataset.mirrored()
+    rows = made_up_dataset.add_mirror_images()
     train, held_out = rows.grouped_split(0, 0.2)
     return network, samples_of(network, ironcub, rows.take(train)), samples_of(network, ironcub, rows.take(held_out))
 

@@ -36,7 +36,7 @@ def _generalised_force(aero, robot, state):
 
 
 @contextlib.contextmanager
-def controlled_by(callback):
+def install_callback(callback):
     """MuJoCo has one callback for all models."""
     mujoco.set_mjcb_control(callback)
     try:
@@ -62,8 +62,8 @@ def test_mujoco_feels_the_air_of_our_simulator(name, aero):
     data.qpos[:], data.qvel[:] = to_mujoco(robot, State(*map(jnp.asarray, state)))
     mujoco.mj_forward(model, data)
     calm = data.qfrc_smooth.copy()
-    wind = air.of_robot(model, name, aero)
-    with controlled_by(wind.callback(lambda _: WIND)):
+    wind = air.from_robot(model, name, aero)
+    with install_callback(wind.callback(lambda _: WIND)):
         mujoco.mj_forward(model, data)
     felt = (data.qfrc_smooth - calm)[order_of(robot.source, robot.joint_names).dofs]
     felt[3:6] = rotation @ felt[3:6]  # MuJoCo turns in body axes
@@ -82,7 +82,7 @@ def test_mujoco_feels_the_air_of_our_simulator(name, aero):
 def test_a_pendulum_leans_by_the_ratio_of_drag_and_weight():
     model = mujoco.MjModel.from_xml_string(PENDULUM)
     data = mujoco.MjData(model)
-    with controlled_by(air.of_links(model, [BALL]).callback([6.0, 0.0, 0.0])):
+    with install_callback(air.from_links(model, [BALL]).callback([6.0, 0.0, 0.0])):
         mujoco.mj_step(model, data, nstep=1500)
     drag = 0.5 * air.AIR_DENSITY * 0.02 * 6.0**2
     expected = -np.arctan(drag / (0.4 * 9.81))  # the hinge turns +z towards +x, and so -z towards -x
@@ -92,8 +92,8 @@ def test_a_pendulum_leans_by_the_ratio_of_drag_and_weight():
 def test_an_axis_of_a_link_is_a_direction_whatever_its_length():
     model, found = mujoco.MjModel.from_xml_string(PENDULUM), []
     for axis in ((0.0, 0.6, 0.8), (0.0, 3.0, 4.0)):
-        wind, data = air.of_links(model, [air.Link("arm", diameter=0.1, length=0.3, axis=axis)]), mujoco.MjData(model)
-        with controlled_by(wind.callback(WIND)):
+        wind, data = air.from_links(model, [air.Link("arm", diameter=0.1, length=0.3, axis=axis)]), mujoco.MjData(model)
+        with install_callback(wind.callback(WIND)):
             mujoco.mj_forward(model, data)
         found.append(data.xfrc_applied.copy())
     np.testing.assert_allclose(found[1], found[0], rtol=0.0, atol=1e-12 * np.abs(found[0]).max())
@@ -103,10 +103,10 @@ def test_mjx_gets_the_forces_of_mujoco_as_a_pure_function():
     model = mujoco.MjModel.from_xml_string(PENDULUM)
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = 0.4, -2.0
-    wind = air.of_links(
+    wind = air.from_links(
         model, [air.Link("arm", diameter=0.1, length=0.3, axis=(0.0, 1.0, 1.0), centre=(0.0, 0.0, -0.4))]
     )
-    with controlled_by(wind.callback(WIND)):
+    with install_callback(wind.callback(WIND)):
         mujoco.mj_forward(model, data)
     ours = mjx.put_model(model)
     start = mjx.make_data(ours).replace(qpos=jnp.array([0.4]), qvel=jnp.array([-2.0]))
@@ -127,12 +127,12 @@ def test_mjx_gets_the_forces_of_mujoco_as_a_pure_function():
 )
 def test_bad_links_are_refused(links, message):
     with pytest.raises(ValueError, match=message):
-        air.of_links(mujoco.MjModel.from_xml_string(PENDULUM), links)
+        air.from_links(mujoco.MjModel.from_xml_string(PENDULUM), links)
 
 
 def test_wind_may_be_a_list_of_three_and_nothing_else():
     model = mujoco.MjModel.from_xml_string(PENDULUM)
-    around, data = air.of_links(model, [air.Link("arm", 0.1)]), mujoco.MjData(model)
+    around, data = air.from_links(model, [air.Link("arm", 0.1)]), mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     force = np.asarray(around.xfrc(data, [8.0, 0.0, 0.0]))
     assert np.array_equal(force, around.xfrc(data, np.array([8.0, 0.0, 0.0])))
@@ -143,4 +143,4 @@ def test_wind_may_be_a_list_of_three_and_nothing_else():
 
 def test_a_robot_that_is_not_there_is_refused():
     with pytest.raises(ValueError, match="the model has no body `root_link`"):
-        air.of_robot(mujoco.MjModel.from_xml_string(PENDULUM))
+        air.from_robot(mujoco.MjModel.from_xml_string(PENDULUM))

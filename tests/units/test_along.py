@@ -7,7 +7,7 @@ import xarray as xr
 from experiments import Refused, along, pictures, record
 from experiments.import_cfd import known_postures
 from jax_aero import places, rust, tables
-from jax_aero.aero.dataset import in_robot_order
+from jax_aero.aero.dataset import reorder_joints
 from jax_aero.places import ROBOT
 from jax_aero.symbolic import load_robot
 from jax_aero.symbolic.trajectory import Consumption
@@ -53,13 +53,13 @@ def study(make_flight, robot):
         flight.log["thrust"][:] = 100.0
         flight.log["joint_position"][:] = POSTURE
         runs[name] = record.to_dataset(flight, robot, title=name, config_digest="0")
-    return along.of_runs(runs, fuel(), 1.5)
+    return along.fuel_and_clearance(runs, fuel(), 1.5)
 
 
 def test_a_flight_of_another_robot_is_named(make_flight, robot):
     platform = record.to_dataset(make_flight(), robot, title="t", config_digest="0").isel(joint=slice(4))
     with pytest.raises(Refused, match="`flights` has mine, whose joints are not those of "):
-        along.of_runs({"mine": platform}, fuel(), 1.5)
+        along.fuel_and_clearance({"mine": platform}, fuel(), 1.5)
 
 
 def test_figures_of_a_flight_end_with_it(study, agree):
@@ -84,7 +84,7 @@ def test_the_figure_shows_flights(study, tmp_path):
     folder = tmp_path / "along" / "flights"
     folder.mkdir(parents=True)
     record.write_dataset(study, folder / "run.nc")
-    figure, hashes = FIGURES["along"].drawn(tmp_path / "flight")
+    figure, hashes = FIGURES["along"].draw_from_results(tmp_path / "flight")
     # A cross where the one was lost, none where the other was shorter.
     assert [len(axes.lines) for axes in figure.axes] == [4, 5]
     assert hashes == {"flights": "0"}
@@ -95,7 +95,7 @@ def test_a_result_of_older_code_is_not_drawn(study, tmp_path):
     folder.mkdir(parents=True)
     record.write_dataset(study.drop_vars("lost_time").assign_attrs(config_hash="0"), folder / "run.nc")
     with pytest.raises(NotDrawn, match=r"'lost_time': other code made the result; make it again: python -m .* along"):
-        FIGURES["along"].drawn(tmp_path / "flight")
+        FIGURES["along"].draw_from_results(tmp_path / "flight")
 
 
 def test_the_flights_themselves_count(make_flight, robot, tmp_path, monkeypatch):
@@ -108,7 +108,7 @@ def test_the_flights_themselves_count(make_flight, robot, tmp_path, monkeypatch)
 
 def test_capsules_are_where_the_robots_file_has_them(agree):
     robot = rust.Robot(str(ROBOT))
-    joints = in_robot_order(robot.joint_names, known_postures()["Config1"])
+    joints = reorder_joints(robot.joint_names, known_postures()["Config1"])
     starts, ends, diameters = pictures.capsules(joints)
     links = tables.read(ROBOT)["aero_links"]
     agree("lengths", np.linalg.norm(ends - starts, axis=1)[1:], [link["length"] for link in links[1:]], 1e-12)
@@ -140,7 +140,7 @@ def made_up_pictures(tmp_path):
 @pytest.mark.parametrize("name", ["fig5a", "postures", "fig2_setup"])
 def test_pictures_are_shown(name, tmp_path):
     names = made_up_pictures(tmp_path)
-    figure, hashes = FIGURES[name].drawn(tmp_path / "flight")
+    figure, hashes = FIGURES[name].draw_from_results(tmp_path / "flight")
     assert hashes == {"paper": "0"}
     titles = [axes.get_title(loc="center") for axes in figure.axes]
     assert name != "postures" or titles[: len(names)] == names
@@ -150,5 +150,5 @@ def test_the_drawn_robot_leans_into_the_wind_and_turns_left(agree):
     """M28: tunnel from base is R_z(β) R_y(α − 90°): at α = 45° the head goes upwind, and β turns about z."""
     up, back = np.eye(3)[2], np.eye(3)[0]
     half = np.sqrt(0.5)
-    agree("head", pictures_figure._turned(up, 45.0, 0.0), [-half, 0.0, half], 1e-14)
-    agree("back", pictures_figure._turned(back, 90.0, 90.0), [0.0, 1.0, 0.0], 1e-14)
+    agree("head", pictures_figure._turn_points(up, 45.0, 0.0), [-half, 0.0, half], 1e-14)
+    agree("back", pictures_figure._turn_points(back, 90.0, 90.0), [0.0, 1.0, 0.0], 1e-14)

@@ -12,7 +12,7 @@ from jax_aero.robot import load_robot
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 
 
-def both(config):
+def fly_both(config):
     """Fly a configuration in the crate and in JAX; both log the same signals."""
     ours, twin = rust.fly(config), engines.engine("jax").fly(config, None)
     shapes = [{name: values.shape for name, values in flight.log.items()} for flight in (ours, twin)]
@@ -49,7 +49,7 @@ def without_jets(tmp_path):
 
 
 def test_a_platform_without_joints_hovers_in_both_engines():
-    ours, twin = both(rust.load_config(CONFIGS / "experiments/platform_hover.toml"))
+    ours, twin = fly_both(rust.load_config(CONFIGS / "experiments/platform_hover.toml"))
     for flight in (ours, twin):
         assert flight.outcome == "completed"
         assert flight.summary["max_com_error"] < 0.01
@@ -62,7 +62,7 @@ def test_sensors_of_a_platform_without_joints_fly_in_both_engines():
     """What they measure of the joint velocities is the empty end of a vector."""
     sensors = {"base_linear_velocity": {"noise_std": 0.01}}
     changes = {"simulator.duration": 0.3, "simulator.sensors": sensors}
-    ours, twin = both(rust.load_config(CONFIGS / "experiments/platform_hover.toml", changes))
+    ours, twin = fly_both(rust.load_config(CONFIGS / "experiments/platform_hover.toml", changes))
     assert ours.outcome == twin.outcome == "completed"
     assert largest_difference(ours, twin) < 1e-9
 
@@ -71,7 +71,7 @@ def test_a_robot_without_jets_falls_as_gravity_has_it(without_jets):
     config = hover_of(without_jets, (), duration=0.4)
     config["simulator"]["initial"]["thrust"] = []
     config["simulator"]["aero"] = config["controller"]["aero"] = {"model": "off"}
-    ours, twin = both(config)
+    ours, twin = fly_both(config)
     ticks = np.arange(41)
     expected = 0.8 - 9.81 * 0.01**2 * ticks * (ticks + 1) / 2  # semi-implicit Euler
     for flight in (ours, twin):
@@ -90,7 +90,7 @@ def slider():
 
 
 def test_prismatic_joints_fly_in_both_engines():
-    ours, twin = both(slider())
+    ours, twin = fly_both(slider())
     assert (ours.log["qp_status"] == 0).all()
     assert np.abs(np.diff(ours.log["joint_position"], axis=0)).max() > 1e-4  # they move
     assert largest_difference(ours, twin) < 1e-9
@@ -112,7 +112,7 @@ def sparrow():
 
 
 def test_the_sparrow_flies_a_whole_mission_forward_in_both_engines(measured):
-    ours, twin = both(sparrow())
+    ours, twin = fly_both(sparrow())
     for flight in (ours, twin):
         assert flight.outcome == "completed"
         assert (flight.log["qp_status"] == 0).all()

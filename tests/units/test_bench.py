@@ -89,7 +89,11 @@ def test_a_time_is_a_median_over_rounds_after_one_to_warm_up():
     assert bench._per_item(done.append, [1, 2], seconds=0.0) > 0.0
     assert done == 4 * [1, 2]
     assert bench_symbolic._median(lambda: done.clear(), 3).wall > 0.0
-    assert [bench_symbolic._readable(seconds) for seconds in (1.0, 0.0999, float("nan"))] == ["1.00 s", "99.9 ms", "–"]
+    assert [bench_symbolic._format_time(seconds) for seconds in (1.0, 0.0999, float("nan"))] == [
+        "1.00 s",
+        "99.9 ms",
+        "–",
+    ]
 
 
 def test_native_programs_take_turns(tmp_path):

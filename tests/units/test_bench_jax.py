@@ -34,7 +34,7 @@ def test_what_is_asked_for_is_measured(monkeypatch, capsys):
     settings = {}
     config = SimpleNamespace(update=settings.__setitem__)
     monkeypatch.setattr(bench_jax, "untyped", SimpleNamespace(config=config))
-    monkeypatch.setattr(bench_jax, "_hovering", lambda: (None, None))
+    monkeypatch.setattr(bench_jax, "_hovering_flight", lambda: (None, None))
     named = [SimpleNamespace(name="kinematics", is_slow=False), SimpleNamespace(name="a gradient", is_slow=True)]
     monkeypatch.setattr(bench_jax, "cases", lambda *_: named)
     monkeypatch.setattr(bench_jax, "_row", lambda case, sizes, _: f"{case.name} {sizes}")

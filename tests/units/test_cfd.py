@@ -333,7 +333,7 @@ def test_a_panel_model_is_corrected_by_other_postures_alone(agree):
     zeros = np.zeros(32)
     data = ds.Dataset(posture, zeros.astype(bool), joints, wind, zeros, zeros, scale * areas, zeros, zeros)
     start = surrogate.Surrogate(None, None, truth + 0.1)
-    found = correct.corrected(start, lambda *_: rows, data)
+    found = correct.correct_panels(start, lambda *_: rows, data)
     # The least λ, 1e-6, leaves that share of the correction, times the spread of the eigenvalues of G'G, below 10.
     is_d = posture == "d"
     agree("force areas of the posture left out", found.left_out_b[is_d], areas[is_d], 1e-5)
@@ -342,12 +342,12 @@ def test_a_panel_model_is_corrected_by_other_postures_alone(agree):
 
 def test_winds_of_a_sobol_design_fill_the_sphere_and_lie_on_the_grid():
     winds = design.Winds(design="sobol", samples=64)
-    found = np.array([ds.wind_direction(*angles) for place in range(4) for angles in winds.of(place)])
+    found = np.array([ds.wind_direction(*angles) for place in range(4) for angles in winds.directions(place)])
     np.testing.assert_allclose(found.mean(axis=0), 0.0, atol=0.02)  # 256 points of a sequence, balanced to 1/256
     np.testing.assert_allclose(np.mean(found**2, axis=0), 1.0 / 3.0, atol=0.02)
-    rounded = design.Winds(design="sobol", samples=16, steps_deg=(10.0, 20.0)).of(3)
+    rounded = design.Winds(design="sobol", samples=16, steps_deg=(10.0, 20.0)).directions(3)
     assert all(pitch % 10 == 0 and yaw % 20 == 0 and 0 <= pitch <= 180 and -180 <= yaw < 180 for pitch, yaw in rounded)
-    assert design.Winds(design="sobol", samples=64).of(1)[0] != winds.of(0)[0]
+    assert design.Winds(design="sobol", samples=64).directions(1)[0] != winds.directions(0)[0]
 
 
 @pytest.mark.parametrize(
@@ -401,7 +401,7 @@ def test_a_design_that_was_killed_goes_on_and_says_what_it_refused(small, tmp_pa
     data = ds.load(tmp_path / "dataset.nc")
     assert data.quality["cells"].tolist() == [7.0] * 4
     np.testing.assert_allclose(data.force_area_b[0, 3], 0.01 * data.wind_b[0])
-    both = data.mirrored()
+    both = data.add_mirror_images()
     np.testing.assert_allclose(both.couple_volume_b[4:], -both.couple_volume_b[:4] * ds.MIRROR_AXES)
     written = json.loads((tmp_path / "manifest.json").read_text())
     assert written["summary"]["accepted"] == 4
@@ -460,18 +460,18 @@ def test_a_design_with_other_keys_has_a_folder_and_a_command_of_its_own(tmp_path
 def test_the_order_of_three_meshes_is_observed_only_where_they_converge(agree):
     # C = 0.5 + h²/100, edges by different ratios.
     edges = np.array([1.5, 1.0, 0.75])
-    found = verify.extrapolated(0.5 + 1e-2 * edges**2, edges)
+    found = verify.extrapolate(0.5 + 1e-2 * edges**2, edges)
     agree("order", found["observed order"], 2.0, 1e-9)
     agree("limit", found["extrapolated"], 0.5, 1e-9)
     # Differences as of h⁰: the values move on by as much at every mesh.
-    assert "none" in verify.extrapolated(np.log(edges), edges)["observed order"]
-    assert "none" in verify.extrapolated(np.array([0.5, 0.6, 0.55]), edges)["observed order"]
+    assert "none" in verify.extrapolate(np.log(edges), edges)["observed order"]
+    assert "none" in verify.extrapolate(np.array([0.5, 0.6, 0.55]), edges)["observed order"]
 
 
 def test_a_verification_extrapolates_three_meshes_and_varies_the_rest(monkeypatch, agree):
     """A drag coefficient of 0.4 + (h / 10 mm)², 1 % more after more iterations, 2 % in a larger cube; some lift."""
 
-    def simulated(surfaces, winds, chosen, _):
+    def yield_results(surfaces, winds, chosen, _):
         drag = 0.4 + (100.0 * chosen.mesh.finest) ** 2
         drag *= 1.01 if chosen.solver.iterations > 160 else 1.0
         drag *= 1.02 if chosen.mesh.half_width > 2.1 else 1.0
@@ -479,7 +479,7 @@ def test_a_verification_extrapolates_three_meshes_and_varies_the_rest(monkeypatc
         return [simulate.Result("", areas, areas, {"cells": 5.0, "y+ mean": 40.0})]
 
     monkeypatch.setattr(foam, "environment", lambda: None)
-    monkeypatch.setattr(verify, "simulate", simulated)
+    monkeypatch.setattr(verify, "simulate", yield_results)
     assert {f"flight{pitch:g}": pitch for pitch in verify.FLIES_AT.values()} == verify.FLIES_AT
     subject = verify.subject_of("sphere")
     found = verify.compute("sphere", verify.VerifyConfig()).summary
@@ -535,14 +535,14 @@ def test_a_cluster_computes_the_same_cases_a_posture_at_a_time(small, tmp_path):
 
 
 def test_rows_are_matched_directly_or_as_mirror_images_and_averaged_with_them(collected):
-    ours = compare.symmetrised(collected)
+    ours = compare.symmetrise(collected)
     # Hovering in head wind is its own mirror image: the average has no side force.
     assert np.abs(ours.force_area_b.sum(axis=1)[ours.posture == "hovering", 1]).max() == 0.0
     # Nor has it couples about the axes of its plane of symmetry.
     assert np.abs(ours.couple_volume_b.sum(axis=1)[ours.posture == "hovering"][:, [0, 2]]).max() == 0.0
-    images = ours.mirrored().take(slice(len(ours), None))
+    images = ours.add_mirror_images().take(slice(len(ours), None))
     table = dataclasses.replace(images, is_mirrored=np.zeros(len(ours), dtype=bool))
-    here, there, rows = compare.matched(ours, table)
+    here, there, rows = compare.match_cases(ours, table)
     np.testing.assert_array_equal(rows, np.arange(len(ours)))
     np.testing.assert_array_equal(here.force_area_b, there.force_area_b)
 
@@ -571,7 +571,7 @@ def test_mirror_images_are_compared_with_each_other(collected, agree):
     """The force of every second image is a tenth greater."""
     described, half = load_robot(ROBOT), collected.take(collected.posture == "Config5")
     assert compare.asymmetry(described, half) == {}
-    both = half.mirrored()
+    both = half.add_mirror_images()
     scale = np.where(both.is_mirrored, 1.1, 1.0)[:, None, None]
     none = np.zeros(len(both), dtype=bool)
     both = dataclasses.replace(both, is_mirrored=none, force_area_b=scale * both.force_area_b)
@@ -616,7 +616,7 @@ def test_cases_are_compared_with_models_and_with_rows_of_a_table(collected, tmp_
 def test_a_network_is_judged_on_the_rows_it_was_trained_beside(collected, tmp_path, monkeypatch):
     monkeypatch.setattr(places, "RESULTS", tmp_path)
     assert compare.held_out_network("small", collected) is None
-    both = collected.mirrored()
+    both = collected.add_mirror_images()
     run = xr.Dataset(
         {
             "is_mirrored": ("row", both.is_mirrored.astype(int)),
@@ -746,7 +746,7 @@ def made_up_flow(tmp_path):
     line = pyvista.MultipleLines([[-0.5, 0.0, 0.2], [0.0, 0.0, 0.2], [0.5, 0.0, 0.3]])
     for part in (ball, plane, line):
         part.point_data.update(dict.fromkeys(flow.FIELDS, part.points[:, 0]))
-    data = flow.as_dataset(ball, plane, line).assign_attrs(wind=[0.6, 0.0, 0.8], config_hash="abc")
+    data = flow.to_dataset(ball, plane, line).assign_attrs(wind=[0.6, 0.0, 0.8], config_hash="abc")
     for cells, name in enumerate(FIGURES["cfd_meshes"].runs, 1):
         folder = tmp_path / "cfd_flow" / name
         folder.mkdir(parents=True)
@@ -759,7 +759,7 @@ def test_the_picture_of_a_flow_is_drawn(made_up_flow):
         cfd_flow.plotter().close()
     except MissingRun as missing:
         pytest.skip(str(missing))
-    figure, hashes = FIGURES["cfd_flow"].drawn(made_up_flow)
+    figure, hashes = FIGURES["cfd_flow"].draw_from_results(made_up_flow)
     assert hashes == {"flight30": "abc"}
     rendered = figure.axes[0].images[0].get_array()
     # Behind is white; before it are the ball, in colours from blue to red, and the line.
@@ -770,7 +770,7 @@ def test_the_picture_of_a_flow_is_drawn(made_up_flow):
 
 
 def test_meshes_are_drawn_side_by_side_with_their_sizes(made_up_flow):
-    figure, hashes = FIGURES["cfd_meshes"].drawn(made_up_flow)
+    figure, hashes = FIGURES["cfd_meshes"].draw_from_results(made_up_flow)
     assert [*hashes] == [*FIGURES["cfd_meshes"].runs]
     titles = [axes.get_title("left") + axes.get_title() for axes in figure.axes[:3]]  # where depends on the style
     assert titles == ["10.0 mm, 1 thousand cells", "5.0 mm, 2 thousand cells", "3.3 mm, 3 thousand cells"]

@@ -61,12 +61,12 @@ def test_points_beside_a_case_have_its_posture_wind_and_speed_and_no_mark(cases)
         ("hovering", 90.0, 0.0, (9.0, 0.0, 0.0), "outlier"),
         ("hovering", 90.0, 0.0, (9.0, 0.0, 0.0), "outlier, support"),
     ]
-    assert [row.force_area.tolist() for row in tunnel.beside(cases, points_of([ahead, *others]), np.eye(3))] == [
+    assert [row.force_area.tolist() for row in tunnel.pair_cases(cases, points_of([ahead, *others]), np.eye(3))] == [
         [[0.1, 0.0, 0.0]]
     ]
     fast = points_of([ahead], speed=[19.0])
-    assert list(tunnel.beside(cases, fast, np.eye(3))) == []
-    (row,) = tunnel.beside(cases, points_of([(*ahead[:4], "support")]), np.eye(3))
+    assert list(tunnel.pair_cases(cases, fast, np.eye(3))) == []
+    (row,) = tunnel.pair_cases(cases, points_of([(*ahead[:4], "support")]), np.eye(3))
     assert not row.is_alone
 
 
@@ -74,11 +74,11 @@ def test_points_of_the_mirrored_wind_are_mirrored_back_where_the_posture_is_its_
     """Side force changes its sign, and of the moment what turns about x and z."""
     wind = dataclasses.replace(cases, wind_b=ds.wind_direction([90.0, 90.0], [20.0, 20.0]))
     twin = points_of([("hovering", 90.0, -20.0, (0.1, 0.2, 0.3), "")], moments=[(1.0, 2.0, 3.0)])
-    (row,) = tunnel.beside(wind, twin, np.eye(3))
+    (row,) = tunnel.pair_cases(wind, twin, np.eye(3))
     np.testing.assert_allclose(row.force_area, [[0.1, -0.2, 0.3]])
     np.testing.assert_allclose(row.moment_com, [[-1.0, 2.0, -3.0]])
     lopsided = points_of([("Config5", 90.0, -20.0, (0.1, 0.2, 0.3), "")])
-    assert list(tunnel.beside(wind, lopsided, np.eye(3))) == []
+    assert list(tunnel.pair_cases(wind, lopsided, np.eye(3))) == []
 
 
 def test_points_are_turned_into_the_axes_of_the_robot(cases):
@@ -88,7 +88,7 @@ def test_points_are_turned_into_the_axes_of_the_robot(cases):
     turned = tunnel.axes_of(dataclasses.replace(mk1, forward_axis=np.array([1.0, 0.0, 0.0])))
     np.testing.assert_array_equal(turned, np.diag([-1.0, -1.0, 1.0]))
     behind = dataclasses.replace(cases, wind_b=cases.wind_b @ turned.T)
-    (row,) = tunnel.beside(behind, points_of([("hovering", 90.0, 0.0, (0.1, 0.2, 0.3), "")]), turned)
+    (row,) = tunnel.pair_cases(behind, points_of([("hovering", 90.0, 0.0, (0.1, 0.2, 0.3), "")]), turned)
     np.testing.assert_allclose(row.force_area, [[-0.1, -0.2, 0.3]])
 
 
@@ -103,7 +103,7 @@ def test_side_and_lift_are_across_the_wind_of_the_tunnel(cases, agree):
         force_area_b=np.tile(ours / len(ds.LINKS), (1, len(ds.LINKS), 1)),
     )
     row = tunnel.Row(0, True, measured[None], np.zeros((1, 3)), np.zeros((1, 3)))
-    found = tunnel.summary(tunnel.compared(load_robot(ROBOT), one, [row]))
+    found = tunnel.summary(tunnel.compare_cases(load_robot(ROBOT), one, [row]))
     agree("side", found["hovering 60/20: side less that in the tunnel [m2]"], 0.03, 1e-12)
     agree("lift", found["hovering 60/20: lift less that in the tunnel [m2]"], 0.04, 1e-12)
     agree("drag", found["hovering 60/20: drag, relative error"], 0.3, 1e-12)

@@ -24,7 +24,7 @@ def flight(**figures):
     return Metrics(**(made_up | figures))
 
 
-def stood(axis, **figures):
+def ground_flight(axis, **figures):
     shift, force = np.zeros(3), np.zeros(3)
     shift[axis], force[axis] = 5e-3, -20.0
     legs = {"hip_pitch": 0.2, "hip_roll": 0.3, "ankle_pitch": -0.5, "ankle_roll": 0.1}
@@ -47,13 +47,13 @@ def cell(completed=100, flights=100, on_course=None, worst=4.0, median=2.0, degr
     }  # fmt: skip
 
 
-def judged(key, *, flights=None, standing=None, sweeps=None, studies=None):
+def judge(key, *, flights=None, standing=None, sweeps=None, studies=None):
     """Return what was measured and the verdict, from figures in place of a results folder."""
     made_up = {name: [cell(**one) for one in cells] for name, cells in (sweeps or {}).items()}
     return JUDGES[key](
         SimpleNamespace(
             flight=(flights or {}).get,
-            stood=(standing or {}).get,
+            ground_experiment=(standing or {}).get,
             sweep=lambda name: Sweep({}, made_up[name]),
             study=lambda kind, name: (studies or {}).get(name, (studies or {}).get(kind)),
         )
@@ -86,30 +86,30 @@ def test_a_claim_on_flights_holds_up_to_its_limit(key, names, holds, fails):
         base["no_wind"] = flight(asymmetry=(10.0, 1.0))
     for figures, verdict in ((holds, claims.AGREES), (fails, "differs")):
         changed = base | {name: flight(**figures) for name in names}
-        assert judged(key, flights=changed)[1].startswith(verdict), figures
+        assert judge(key, flights=changed)[1].startswith(verdict), figures
 
 
 def test_the_difference_of_the_models_may_be_late_with_one_kind_of_arms_alone():
     flights = {"robustness": flight(difference_time=34.9), "robustness_published": flight(difference_time=35.0)}
-    assert judged("transitions", flights=flights)[1] == (
+    assert judge("transitions", flights=flights)[1] == (
         'agrees on transitions; "from 35 s on" agrees with published lever arms, differs with corrected ones: '
         "it does not hold there"
     )
-    assert judged("transitions", flights=dict.fromkeys(ROBUST, flight(difference_time=35.0)))[1] == "agrees"
+    assert judge("transitions", flights=dict.fromkeys(ROBUST, flight(difference_time=35.0)))[1] == "agrees"
 
 
 def test_what_was_measured_on_the_ground_is_said():
-    standing = {name: stood(axis) for name, axis in STOOD.items()}
-    standing["balancing_lateral"] = stood(1, shift=np.array([4e-4, 5e-3, 9e-3]))
-    assert judged("identities", standing=standing)[0].startswith(
+    standing = {name: ground_flight(axis) for name, axis in STOOD.items()}
+    standing["balancing_lateral"] = ground_flight(1, shift=np.array([4e-4, 5e-3, 9e-3]))
+    assert judge("identities", standing=standing)[0].startswith(
         "s: rate less its terms at most 1e-12 N; vertical f_c* less the weight -3.00 N, with the assumed lift +0.10 N; "
     )
-    assert judged("against", standing=standing)[0] == (
+    assert judge("against", standing=standing)[0] == (
         "s: CoM +5.0 mm along x, force -20.0 N, off the axis +0.0 mm; "
         "s: CoM +5.0 mm along y, force -20.0 N, off the axis +0.4 mm"
     )
-    assert judged("onset", standing=standing)[0].startswith("s: CoM has moved 1 mm after 2.5 s; ")
-    assert judged("momentum_rate", standing=standing)[0].startswith(
+    assert judge("onset", standing=standing)[0].startswith("s: CoM has moved 1 mm after 2.5 s; ")
+    assert judge("momentum_rate", standing=standing)[0].startswith(
         "s: estimated rate 10.0 N at its peak, 1.0 N at the end, under 20.0 N of assumed force; "
     )
 
@@ -132,9 +132,9 @@ def test_what_was_measured_on_the_ground_is_said():
     ],
 )
 def test_a_claim_on_standing_needs_both_experiments(key, name, figures):
-    base = {name: stood(axis) for name, axis in STOOD.items()}
-    assert judged(key, standing=base)[1] == claims.AGREES
-    assert judged(key, standing=base | {name: stood(STOOD[name], **figures)})[1].startswith("differs")
+    base = {name: ground_flight(axis) for name, axis in STOOD.items()}
+    assert judge(key, standing=base)[1] == claims.AGREES
+    assert judge(key, standing=base | {name: ground_flight(STOOD[name], **figures)})[1].startswith("differs")
 
 
 @pytest.mark.parametrize(
@@ -142,8 +142,8 @@ def test_a_claim_on_standing_needs_both_experiments(key, name, figures):
     [({"rate_end": 4.9}, "it falls,"), ({"rate_end": 5.1}, "not fall"), ({"rate_peak": 0.9}, "not fall")],
 )
 def test_the_momentum_rate_falls_to_a_quarter_of_the_force(figures, word):
-    standing = {"balancing_front": stood(0), "balancing_lateral": stood(1, **figures)}
-    assert word in judged("momentum_rate", standing=standing)[1]
+    standing = {"balancing_front": ground_flight(0), "balancing_lateral": ground_flight(1, **figures)}
+    assert word in judge("momentum_rate", standing=standing)[1]
 
 
 def paper_tests(name, corrected, published):
@@ -166,32 +166,32 @@ def paper_tests(name, corrected, published):
 )
 def test_a_test_is_flown_if_95_of_100_neighbours_complete(corrected, published, verdict):
     sweeps, flights = paper_tests("TEST2", corrected, published), {"test2": flight(), "test2_published": flight()}
-    assert judged("test2", flights=flights, sweeps=sweeps)[1].startswith(verdict)
+    assert judge("test2", flights=flights, sweeps=sweeps)[1].startswith(verdict)
 
 
 @pytest.mark.parametrize(("count", "said"), [(90, False), (91, True), (99, True), (100, False)])
 def test_a_share_whose_interval_holds_95_percent_is_said_to_be_undecided(count, said):
     """The interval of 90 of 100 ends at 0.945, of 91 at 0.952; that of 99 begins at 0.946, of 100 at 0.963."""
     sweeps, flights = paper_tests("TEST2", 100, count), {"test2": flight(), "test2_published": flight()}
-    verdict = judged("test2", flights=flights, sweeps=sweeps)[1]
+    verdict = judge("test2", flights=flights, sweeps=sweeps)[1]
     assert ("; with published lever arms not decided: 95 % is within the interval" in verdict) == said
 
 
 def test_a_test_fails_if_surely_less_than_half_of_its_neighbours_complete():
     """The interval of 40 of 100 ends at 0.498, that of 41 at 0.508."""
     flights = {"test1": flight(), "test1_published": flight()}
-    assert judged("test1", flights=flights, sweeps=paper_tests("TEST1", 40, 40))[1] == "agrees"
-    assert judged("test1", flights=flights, sweeps=paper_tests("TEST1", 41, 41))[1].startswith("differs")
+    assert judge("test1", flights=flights, sweeps=paper_tests("TEST1", 40, 40))[1] == "agrees"
+    assert judge("test1", flights=flights, sweeps=paper_tests("TEST1", 41, 41))[1].startswith("differs")
 
 
 def test_leaning_is_said_of_the_flight_that_leans_most():
     flights = {"robustness": flight(rotation_error=46.0), "robustness_published": flight(rotation_error=44.0)}
     sweeps = paper_tests("robustness", 100, 100)
-    text, verdict = judged("robustness", flights=flights, sweeps=sweeps)
+    text, verdict = judge("robustness", flights=flights, sweeps=sweeps)
     assert verdict == "agrees, but the robot leans by up to 46°"
     assert "corrected arms: completed, rotation error 46.0°, CoM error 1 cm, perturbed 100 of 100" in text
     flights["robustness"] = flight(rotation_error=45.0)
-    assert judged("robustness", flights=flights, sweeps=sweeps)[1] == "agrees"
+    assert judge("robustness", flights=flights, sweeps=sweeps)[1] == "agrees"
 
 
 def test_other_models_are_those_of_other_worlds():
@@ -205,10 +205,10 @@ def test_other_models_are_those_of_other_worlds():
             ]
         }
 
-    text, verdict = judged("model_pairs", sweeps=sweep(True))
+    text, verdict = judge("model_pairs", sweeps=sweep(True))
     assert "another model 2 of 2, no model 0 of 2, no model, observer 0 of 0" in text
     assert verdict == "agrees"
-    text, verdict = judged("model_pairs", sweeps=sweep(False))
+    text, verdict = judge("model_pairs", sweeps=sweep(False))
     assert "the simulator's model 2 of 2, another model 0 of 2" in text
     assert verdict.startswith("differs")
 
@@ -220,13 +220,13 @@ def test_the_term_of_the_changing_force_must_not_matter_in_any_world(without, ve
         for world, other in ((claims.RIGHT, 2.0), (claims.HEAD, without), (claims.PUBLISHED, 2.0))
         for feedback, median in (("everything", 2.0), ("without Λ_a", other))
     ]
-    assert judged("lambda", sweeps={"ablation_terms": terms})[1] == verdict
+    assert judge("lambda", sweeps={"ablation_terms": terms})[1] == verdict
 
 
 @pytest.mark.parametrize(("mass", "verdict"), [(4.85, "agrees"), (4.37, "agrees"), (4.87, "differs: +0.26 kg")])
 def test_the_fuel_of_a_flight_is_that_of_the_paper_within_a_quarter_of_a_kilogram(mass, verdict):
     found = {"no_wind": {"five_minutes_kg": mass, "fuel_l": 0.8}}
-    assert judged("fuel_flown", studies={"along": found})[1].startswith(verdict)
+    assert judge("fuel_flown", studies={"along": found})[1].startswith(verdict)
 
 
 @pytest.mark.parametrize(
@@ -240,16 +240,16 @@ def test_the_fuel_of_a_flight_is_that_of_the_paper_within_a_quarter_of_a_kilogra
 def test_an_exhaust_that_touches_is_named(baseline, aware, verdict):
     clear = {"test1": baseline, "test2": 5.0, "test2_published": 5.0, "test4": aware}
     found = {name: {"clearance_mm": distance} for name, distance in clear.items()}
-    assert judged("clearance", studies={"along": found})[1] == verdict
+    assert judge("clearance", studies={"along": found})[1] == verdict
 
 
 def test_engines_are_exchangeable_if_every_flight_ends_alike():
     cells = {
         name: {"outcome": "completed", "arm_thrust_max": 99.0, "rotation_error": 3.0} for name in ("t P100", "t P160")
     }
-    assert judged("arm_engines", studies={"arm_engines": cells})[1] == "agrees"
+    assert judge("arm_engines", studies={"arm_engines": cells})[1] == "agrees"
     cells["t P100"] = cells["t P100"] | {"outcome": "fell"}
-    assert judged("arm_engines", studies={"arm_engines": cells})[1].startswith("differs")
+    assert judge("arm_engines", studies={"arm_engines": cells})[1].startswith("differs")
 
 
 @pytest.mark.parametrize(
@@ -258,7 +258,7 @@ def test_engines_are_exchangeable_if_every_flight_ends_alike():
 )
 def test_the_share_of_the_pressure_is_that_of_the_paper_within_a_point(share, verdict):
     found = {"pressure share of the force": share}
-    assert judged("pressure_share", studies={"cfd_flow": found}) == (
+    assert judge("pressure_share", studies={"cfd_flow": found}) == (
         f"{100 * share:.1f} % of the force, by an open solver around primitives",
         verdict,
     )
@@ -270,7 +270,7 @@ def test_the_wake_is_turbulent_where_all_of_it_is(part, verdict):
         "turbulent over molecular viscosity, largest in the plane": 1190.0,
         "part of the wake in the plane where that is above 100": part,
     }
-    assert judged("wake_viscosity", studies={"cfd_flow": found})[1] == verdict
+    assert judge("wake_viscosity", studies={"cfd_flow": found})[1] == verdict
 
 
 @pytest.mark.parametrize(("area", "verdict"), [(0.46, "agrees"), (0.24, "differs: -52 % from the finest")])
@@ -279,7 +279,7 @@ def test_the_wake_is_that_of_the_finest_mesh_within_a_tenth(area, verdict):
     found = {
         name: {"cells": 1000, "wake in the plane, slower than half the wind [m2]": size} for name, size in areas.items()
     }
-    assert judged("wake_meshes", studies=found)[1].startswith(verdict)
+    assert judge("wake_meshes", studies=found)[1].startswith(verdict)
 
 
 # --- claims of our own
@@ -322,14 +322,14 @@ FAILURES = [
 def test_a_claim_of_ours_fails_with_one_of_its_cells(key, sweep, cells, place, holds, fails):
     for figures, verdict in ((holds, claims.AGREES), (fails, "differs")):
         changed = [one | figures if at == place else one for at, one in enumerate(cells)]
-        assert judged(key, sweeps={sweep: changed})[1].startswith(verdict), figures
+        assert judge(key, sweeps={sweep: changed})[1].startswith(verdict), figures
 
 
 def test_one_alarm_in_either_sweep_is_a_false_alarm():
     sweeps = {"observer_tests": OBSERVED, "sensors_tests": [*SENSED, {"controller": "other", "degraded": 7}]}
-    assert judged("false_alarms", sweeps=sweeps) == ("0 of 600 flights, 0.0 to 6.4 of 1000 (95 %)", "agrees")
+    assert judge("false_alarms", sweeps=sweeps) == ("0 of 600 flights, 0.0 to 6.4 of 1000 (95 %)", "agrees")
     sweeps["sensors_tests"] = [{**SENSED[0], "degraded": 2}]
-    assert judged("false_alarms", sweeps=sweeps)[1] == "differs: 2 false alarms"
+    assert judge("false_alarms", sweeps=sweeps)[1] == "differs: 2 false alarms"
 
 
 @pytest.mark.parametrize(
@@ -344,6 +344,6 @@ def test_one_alarm_in_either_sweep_is_a_false_alarm():
 )
 def test_an_estimated_wind_is_judged_by_error_and_interval(figures, verdict):
     found = {"air, 6 m/s": {"rms": 0.5, "inside": 0.9}, "air, 10 m/s": figures}
-    text, answer = judged("wind_estimate", studies={"wind_observer": found})
+    text, answer = judge("wind_estimate", studies={"wind_observer": found})
     assert answer == verdict
     assert text.startswith("6 to 10 m/s; air: 0.50 to ")

@@ -61,7 +61,7 @@ def test_the_paper_chose_its_posture_to_keep_jets_from_the_body(measured):
     tree = Kinematics(robot)
     found = pairs(tree, 1.5)
     assert len(found) == 4 * (13 - 1 + 2)
-    (distances,) = tree.here(ca.vertcat(*(pair.distance for pair in found)))
+    (distances,) = tree.evaluate_at_base(ca.vertcat(*(pair.distance for pair in found)))
     at = ca.Function("at", [tree.base_position, tree.base_rotation, tree.joint_position], [distances])
     table = tomllib.loads((ROOT / "configs/simulator/flight.toml").read_text())
     values = at(np.zeros(3), np.eye(3), table["initial"]["joint_position"]).full()[:, 0]
@@ -89,7 +89,7 @@ def test_a_sole_is_the_capsule_along_its_rectangle(measured):
         ends = [0.5 * (low + high) for _ in range(2)]
         ends[0][along], ends[1][along] = low[along], high[along]
         wanted = ca.vertcat(pair.distance, exhaust.position, -1.5 * exhaust.direction(jet.axis), *map(sole.point, ends))
-        (here,) = tree.here(wanted)
+        (here,) = tree.evaluate_at_base(wanted)
         at = ca.Function("at", [tree.base_position, tree.base_rotation, tree.joint_position], [here])
         distance, *points = np.split(at(*place).full()[:, 0], [1, 4, 7, 10])
         expected = brute_force(points[0], points[1], points[2], points[3] - points[2])

@@ -32,7 +32,7 @@ def test_every_command_exists_and_names_an_extra(name):
 
 
 @functools.cache
-def imported_first(path: Path) -> frozenset[str]:
+def find_first_imports(path: Path) -> frozenset[str]:
     """Modules that a file imports before any of its functions is called."""
     found, nodes = set(), [ast.parse(path.read_bytes())]
     while nodes:
@@ -60,7 +60,7 @@ def packages_of(module: str) -> set[str]:
         path = ROOT.joinpath(top, *below)
         files = [path.joinpath("__init__.py"), path.with_suffix(".py")]
         parents = {name.rpartition(".")[0]} - {""}
-        waiting |= parents.union(*(imported_first(file) for file in files if file.is_file())) - seen
+        waiting |= parents.union(*(find_first_imports(file) for file in files if file.is_file())) - seen
     return packages
 
 
@@ -129,17 +129,17 @@ def test_the_old_entry_point_takes_both_commands_and_flights(word, capsys):
 
 
 def test_ctrl_c_and_a_missing_package_are_one_line(monkeypatch, capsys):
-    def interrupted(words):
+    def interrupt(words):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("paper_figs.__main__.main", interrupted)
+    monkeypatch.setattr("paper_figs.__main__.main", interrupt)
     assert cli.main(["figures"]) == cli.INTERRUPTED
     assert capsys.readouterr().err == "interrupted\n"
 
-    def incomplete(words):
+    def lack_package(words):
         raise ModuleNotFoundError("No module named 'tqdm.auto'", name="tqdm.auto")
 
-    monkeypatch.setattr("experiments.__main__.fly", incomplete)
+    monkeypatch.setattr("experiments.__main__.fly", lack_package)
     assert cli.main(["fly", "test1"]) == cli.REFUSED
     assert capsys.readouterr().err == "error: `fly` needs the package `tqdm`: pip install 'jax-aero[figs]'\n"
 

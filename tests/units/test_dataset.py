@@ -88,17 +88,17 @@ def test_the_mirror_is_its_own_inverse_and_swaps_sides(data):
 
 
 def test_mirrored_rows_keep_drag_and_lift_and_turn_side_around(data):
-    both = data.mirrored()
+    both = data.add_mirror_images()
     first, second = both.take(slice(0, len(data))), both.take(slice(len(data), None))
     assert second.is_mirrored.all()
     np.testing.assert_allclose(second.wind_b, ds.wind_direction(second.pitch_deg, second.yaw_deg), atol=1e-12)
     swapped = first.force_area_w[:, ds.LINK_TWINS] * np.array([1.0, -1.0, 1.0])
     np.testing.assert_allclose(second.force_area_w, swapped, atol=1e-15)
-    assert both.mirrored() is both
+    assert both.add_mirror_images() is both
 
 
 def test_a_posture_and_its_image_are_one_family_and_poles_are_one_group(data):
-    both = data.mirrored()
+    both = data.add_mirror_images()
     assert len(np.unique(both.family)) == len(data.postures)
     for name in data.postures:
         assert len(np.unique(both.family[both.posture == name])) == 1
@@ -107,7 +107,7 @@ def test_a_posture_and_its_image_are_one_family_and_poles_are_one_group(data):
 
 
 def test_a_grouped_split_keeps_postures_with_their_images_together(data):
-    both = data.mirrored()
+    both = data.add_mirror_images()
     training, validation = both.grouped_split(seed=5, fraction=0.3)
     assert set(training) | set(validation) == set(range(len(both)))
     assert not set(both.posture[training]) & set(both.posture[validation])
@@ -137,12 +137,12 @@ def test_splits_depend_on_the_seed_alone(data):
 
 def test_a_file_gives_back_what_was_written(data, tmp_path):
     path = tmp_path / "deep" / "data.nc"
-    ds.save(data.mirrored(), path)
+    ds.save(data.add_mirror_images(), path)
     again = ds.load(path)
     for name in ds.ARRAYS:
-        np.testing.assert_array_equal(getattr(again, name), getattr(data.mirrored(), name))
+        np.testing.assert_array_equal(getattr(again, name), getattr(data.add_mirror_images(), name))
     assert (again.provenance, again.checks) == (data.provenance, data.checks)
-    assert again.sha256 == data.mirrored().sha256 != data.sha256
+    assert again.sha256 == data.add_mirror_images().sha256 != data.sha256
     assert [entry.name for entry in path.parent.iterdir()] == ["data.nc"]
 
 

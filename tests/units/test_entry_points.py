@@ -9,7 +9,7 @@ import pytest
 
 import jax_aero
 from jax_aero.jets import JetsState
-from jax_aero.types import changed, pytree
+from jax_aero.types import pytree, replace_values
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -42,7 +42,7 @@ def test_an_unknown_name_is_an_attribute_error():
 
 def test_numbers_change_by_dotted_names():
     before = Outer(JetsState(np.ones(4), np.zeros(4)), np.float32(2.0))
-    after = changed(before, {"jets.thrust": np.full(4, 3.0), "gain": 5.0})
+    after = replace_values(before, {"jets.thrust": np.full(4, 3.0), "gain": 5.0})
     assert list(after.jets.thrust) == [3.0] * 4
     assert float(after.gain) == 5.0
     assert after.gain.dtype == np.float32
@@ -58,4 +58,4 @@ def test_numbers_change_by_dotted_names():
 )
 def test_a_change_that_does_not_fit_is_refused(name, value, message):
     with pytest.raises(ValueError, match=message):
-        changed(Outer(JetsState(np.ones(4), np.zeros(4)), np.float32(2.0)), {name: value})
+        replace_values(Outer(JetsState(np.ones(4), np.zeros(4)), np.float32(2.0)), {name: value})

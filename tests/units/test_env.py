@@ -17,7 +17,7 @@ from jax_aero import rust
 from jax_aero.control.torque import TorqueParams, torque_qp
 from jax_aero.env import FlightEnv
 from jax_aero.env_gym import HoverEnv
-from jax_aero.env_task import Seen, Task, added_torque, rewards, steering, within
+from jax_aero.env_task import Task, TaskState, added_torque, limit_action, rewards, steer
 from tests.measurements import measured
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -65,20 +65,20 @@ def test_both_environments_are_one_task(x64, tmp_path):
     task = Task(str(tmp_path / "own.toml"), duration=1.0, ramp=0.05)
     crate, ours = HoverEnv(task), FlightEnv(task)
     assert (ours.action_size, ours.observation_size) == (27, 65)
-    seen, _ = crate.reset(options={"wind": WIND})
+    task_state, _ = crate.reset(options={"wind": WIND})
     reset = jax.jit(jax.vmap(ours.reset))(jax.random.split(jax.random.key(0), 2))
     speeds = np.linalg.norm(reset.wind, axis=1)
     assert np.all(speeds <= task.wind_max)
     assert speeds[0] != speeds[1]
     states = jax.jit(jax.vmap(ours.start))(jnp.array([WIND, [0.0, 0.0, 0.0]]))
     step = jax.jit(jax.vmap(ours.step))
-    measured("first observation", np.abs(states.obs[0] - seen).max(), 1e-6)
+    measured("first observation", np.abs(states.obs[0] - task_state).max(), 1e-6)
     rng = np.random.default_rng(0)
     for _ in range(6):
         action = rng.uniform(-1.0, 1.0, 27).astype(np.float32)
-        seen, reward, terminated, _, parts = crate.step(action)
+        task_state, reward, terminated, _, parts = crate.step(action)
         states = step(states, jnp.stack([jnp.asarray(action), jnp.zeros(27, jnp.float32)]))
-        measured("observation", np.abs(states.obs[0] - seen).max(), 1e-6)
+        measured("observation", np.abs(states.obs[0] - task_state).max(), 1e-6)
         measured("reward", abs(float(states.reward[0]) - reward), 1e-9)
         turned = crate._measurement.state.base_rotation.T @ crate._upright
         angle = np.arccos(np.clip(0.5 * (np.trace(turned) - 1.0), -1.0, 1.0))
@@ -135,12 +135,12 @@ def test_a_task_refuses_the_mean_of_a_wind_that_is_drawn_later(tmp_path):
 
 
 def test_an_action_is_a_residual_or_takes_the_controllers_place():
-    action = within(np, [1.0, -3.0, 0.5], 3, np.float64)
+    action = limit_action(np, [1.0, -3.0, 0.5], 3, np.float64)
     own = np.array([5.0, 6.0]), np.array([0.1])
-    rates, velocities = steering(Task(thrust_rate=10.0, joint_velocity=2.0), action, *own)
+    rates, velocities = steer(Task(thrust_rate=10.0, joint_velocity=2.0), action, *own)
     assert rates.tolist() == [15.0, -4.0]
     assert velocities.tolist() == [1.1]
-    rates, velocities = steering(Task("test1", "rates", thrust_rate=10.0, joint_velocity=2.0), action, *own)
+    rates, velocities = steer(Task("test1", "rates", thrust_rate=10.0, joint_velocity=2.0), action, *own)
     assert rates.tolist() == [10.0, -10.0]
     assert velocities.tolist() == [1.0]
 
@@ -203,11 +203,11 @@ def test_an_action_of_another_shape_is_refused(size):
 
 def test_the_effort_is_that_of_the_action_that_is_flown():
     """Beyond the bounds none is added; a robot with nothing to steer makes none."""
-    seen = Seen(np.eye(3), np.zeros(6), np.zeros(0), np.zeros(0), np.zeros(3), np.eye(3), np.zeros(0))
+    task_state = TaskState(np.eye(3), np.zeros(6), np.zeros(0), np.zeros(0), np.zeros(3), np.eye(3), np.zeros(0))
     crate = HoverEnv()
     crate.reset(options={"wind": WIND})
     assert crate.step(np.full(27, 30.0))[4]["effort"] == pytest.approx(-0.01)
-    assert sum(rewards(np, seen, np.zeros(0)).values()) == 1.0
+    assert sum(rewards(np, task_state, np.zeros(0)).values()) == 1.0
 
 
 def test_the_example_imports_names_that_exist():

@@ -93,10 +93,10 @@ def test_without_out_the_folder_names_what_was_set(flown, tmp_path, monkeypatch)
 
 
 def test_ctrl_c_leaves_nothing_behind(monkeypatch, tmp_path, capsys):
-    def interrupted(config, progress=None):
+    def interrupt(config, progress=None):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(rust, "fly", interrupted)
+    monkeypatch.setattr(rust, "fly", interrupt)
     assert main(["test1", "--out", str(tmp_path)]) == 130
     assert "interrupted" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
@@ -179,8 +179,8 @@ def test_the_table_says_when_and_why_a_flight_fell():
 def test_paths_become_portable():
     inside = places.CONFIGS / "x.toml"
     outside = places.HOME.parent / "secret" / "x.toml"
-    assert manifest.portable({"a": [str(inside), inside, 3]}) == {"a": ["configs/x.toml", "configs/x.toml", 3]}
-    assert manifest.portable(str(outside)) == "(outside the repository)/x.toml"
+    assert manifest.make_portable({"a": [str(inside), inside, 3]}) == {"a": ["configs/x.toml", "configs/x.toml", 3]}
+    assert manifest.make_portable(str(outside)) == "(outside the repository)/x.toml"
 
 
 def test_no_word_of_a_command_names_a_path_of_this_machine(flown, tmp_path):

@@ -162,8 +162,8 @@ def test_a_fit_of_the_magnitude_forgets_the_sign(robot, sampled, axes, agree):
     [(0.01892, 0.0189, True), (0.0134, 0.0123, False), (-0.00801, -0.00804, True), (-0.0080, -0.0082, False)],
 )
 def test_digits_are_compared_as_printed(found, printed, same):
-    assert fit_aero.same_digits(found, printed, 2) is same
-    assert fit_aero.same_digits(found, printed, 2, slack=2)
+    assert fit_aero.has_same_digits(found, printed, 2) is same
+    assert fit_aero.has_same_digits(found, printed, 2, slack=2)
 
 
 @pytest.fixture(scope="module")
@@ -194,7 +194,7 @@ def test_the_command_writes_results_a_manifest_and_toml(result):
 
 
 def test_the_figure_is_drawn(result):
-    figure, hashes = FIGURES["fig4_fit"].drawn(result[0] / "flight")
+    figure, hashes = FIGURES["fig4_fit"].draw_from_results(result[0] / "flight")
     assert len(figure.axes) == 4
     assert set(hashes) == {"freestream"}
     plt.close(figure)

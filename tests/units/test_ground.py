@@ -182,11 +182,11 @@ def test_feet_that_are_not_measured_stand_take_off_and_land(monkeypatch, back):
     """
     tick = rust.Controller.tick
 
-    def without_feet(self, state, thrust, wind, time, *, foot_wrenches):
+    def tick_without_feet(self, state, thrust, wind, time, *, foot_wrenches):
         seen = np.full_like(foot_wrenches, np.nan) if 0.3 <= time < back else foot_wrenches
         return tick(self, state, thrust, wind, time, foot_wrenches=seen)
 
-    monkeypatch.setattr(rust.Controller, "tick", without_feet)
+    monkeypatch.setattr(rust.Controller, "tick", tick_without_feet)
     result = fly(rust.load_config(ROOT / "configs/experiments/take_off.toml", {"simulator.duration": 15.0}))
     assert result.outcome == "completed"
     assert np.degrees(result.summary["max_rotation_error"]) < 10.0
@@ -203,13 +203,13 @@ def test_foot_sensors_that_the_momentum_contradicts_are_not_believed(monkeypatch
     tick = rust.Controller.tick
     last = []
 
-    def spoilt(self, state, thrust, wind, time, *, foot_wrenches):
+    def tick_with_wrong_feet(self, state, thrust, wind, time, *, foot_wrenches):
         if time < start:
             last[:] = [np.array(foot_wrenches)]
         seen = foot_wrenches if time < start else last[0] * (wrong == "frozen")
         return tick(self, state, thrust, wind, time, foot_wrenches=seen)
 
-    monkeypatch.setattr(rust.Controller, "tick", spoilt)
+    monkeypatch.setattr(rust.Controller, "tick", tick_with_wrong_feet)
     changes = {"simulator.duration": 15.0, "wind.velocity": [0.0, 0.0, 0.0]}
     result = fly(rust.load_config(ROOT / "configs/experiments/take_off.toml", changes))
     assert result.outcome == "completed"
@@ -227,12 +227,12 @@ def test_an_engine_that_stops_before_the_robot_leaves_the_ground_ends_the_take_o
     advance = GroundPlant.advance
     ticks = itertools.count(1)
 
-    def without_an_engine(self, torque, thrust_rate):
+    def advance_without_engine(self, torque, thrust_rate):
         advance(self, torque, thrust_rate)
         if next(ticks) >= 265:
             self.thrust[jet] = 0.0
 
-    monkeypatch.setattr(GroundPlant, "advance", without_an_engine)
+    monkeypatch.setattr(GroundPlant, "advance", advance_without_engine)
     result = fly(rust.load_config(ROOT / "configs/experiments/take_off.toml", {"simulator.duration": 9.0}))
     assert result.outcome == "completed"
     log = result.log
@@ -250,14 +250,14 @@ def test_a_robot_that_loses_a_measurement_of_its_base_lands_and_stands(monkeypat
     """Lost in the air, or, the velocity, just after the feet touched the ground."""
     tick = rust.Controller.tick
 
-    def without(self, state, thrust, wind, time, *, foot_wrenches):
+    def tick_without_part(self, state, thrust, wind, time, *, foot_wrenches):
         if time >= start:
             measured = np.array(getattr(state, lost))
             measured[:6] = np.nan  # of the velocity that of the base
             state = state._replace(**{lost: measured})
         return tick(self, state, thrust, wind, time, foot_wrenches=foot_wrenches)
 
-    monkeypatch.setattr(rust.Controller, "tick", without)
+    monkeypatch.setattr(rust.Controller, "tick", tick_without_part)
     result = fly(rust.load_config(ROOT / "configs/experiments/take_off.toml", {"simulator.duration": duration}))
     assert result.outcome == "completed"
     assert (result.log["feet_carry"][-200:] == 1.0).all()

@@ -73,7 +73,7 @@ def test_the_generator_obeys_the_crates_engine(truth, agree):
         for thrust, rate, throttle in ((120.0, 15.0, 60.0), (40.0, -30.0, 90.0)):
             twin = thrust_acceleration(Engines(*truth), thrust, rate, throttle)
             agree("acceleration", bench.acceleration_of(truth, thrust, rate, throttle), float(twin), 1e-12)
-    agree("step", bench.advanced(10.0, 2.0, 4.0, 0.5), (10.0 + 1.0 + 0.5, 4.0), 1e-15)
+    agree("step", bench.advance_thrust(10.0, 2.0, 4.0, 0.5), (10.0 + 1.0 + 0.5, 4.0), 1e-15)
 
 
 def test_a_log_of_a_minute_gives_the_engine(truth, log, measured, tmp_path):
@@ -97,7 +97,7 @@ def test_a_log_of_a_minute_gives_the_engine(truth, log, measured, tmp_path):
     folder = tmp_path / "identify_engine" / "P220"
     folder.mkdir(parents=True)
     record.write_dataset(dataset, folder / "run.nc")
-    figure, hashes = FIGURES["engine"].drawn(tmp_path / "flight")
+    figure, hashes = FIGURES["engine"].draw_from_results(tmp_path / "flight")
     assert len(figure.axes) == 3
     assert hashes == {"P220": "0"}
 
@@ -153,6 +153,6 @@ def test_an_engine_is_identified_from_the_logs_that_are_named(truth, log, tmp_pa
 
 def test_only_the_arms_change():
     text = ROBOT.read_text(encoding="utf-8")
-    jets = tomllib.loads(arm_engines.with_arms(text, "P100", 100.0))["jets"]
+    jets = tomllib.loads(arm_engines.replace_arm_engines(text, "P100", 100.0))["jets"]
     assert [(jet["engine"], jet["thrust_max"]) for jet in jets] == [("P100", 100.0)] * 2 + [("P220", 220.0)] * 2
-    assert arm_engines.with_arms(text, "P160", 160.0) == text
+    assert arm_engines.replace_arm_engines(text, "P160", 160.0) == text

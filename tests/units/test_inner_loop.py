@@ -27,7 +27,7 @@ def integrator(gain):
 
 def test_growth_of_a_loop_without_delay_is_that_of_its_poles(agree):
     loop = integrator(10.0)
-    found = inner_loop.growth(inner_loop.closed(loop, np.zeros(1, dtype=int)), STEP)
+    found = inner_loop.growth(inner_loop.close_loop(loop, np.zeros(1, dtype=int)), STEP)
     agree("decay", found, np.log(1.0 - 10.0 * STEP) / STEP, 1e-12)
 
 
@@ -54,7 +54,7 @@ def test_noise_of_a_measurement_comes_back_through_the_state(agree):
 def test_the_loop_is_linearised_where_the_robot_hovers(monkeypatch, capsys, agree):
     """Positions move with velocities, thrusts with their rates, and the torso is driven back to where it was."""
     monkeypatch.setattr(inner_loop, "SETTLING", 0.05)
-    loop = inner_loop.linearised(30.0, 0.01)
+    loop = inner_loop.linearise(30.0, 0.01)
     n = (len(loop.world) - 16) // 2
     assert loop.integral.shape == (n, len(loop.world))
     base, velocity, thrust = slice(0, 3), slice(6 + n, 9 + n), slice(12 + 2 * n, None)
@@ -72,7 +72,7 @@ def test_the_loop_is_linearised_where_the_robot_hovers(monkeypatch, capsys, agre
     torso = loop.answer[4:7, found["joint positions"][:3]]
     assert np.all(np.diag(torso) < 0.0)
     assert inner_loop.growth(loop.world, 0.01) > 0.0
-    monkeypatch.setattr(inner_loop, "linearised", lambda *_: loop)
+    monkeypatch.setattr(inner_loop, "linearise", lambda *_: loop)
     monkeypatch.setattr(inner_loop, "greatest_delay", lambda _, name: 0.004 if name == "thrust" else inner_loop.LONGEST)
     monkeypatch.setattr(inner_loop, "joint_rates", lambda _loop, _name, std: np.radians(std))
     assert inner_loop.main([]) == 0
@@ -86,7 +86,7 @@ def test_a_wind_is_judged_by_its_horizontal_components_when_it_has_risen():
     time = np.array([0.0, 7.9, 8.0, 9.0])
     measured = np.array([[9.0, 9.0, 9.0], [9.0, 9.0, 9.0], [3.0, 4.0, 9.0], [0.0, 1.0, 0.0]])
     log = {"time": time, "wind": np.zeros((4, 3)), "measured_wind": measured, "measured_wind_std": np.ones((4, 3))}
-    errors, inside = wind_observer.judged(log)
+    errors, inside = wind_observer.wind_errors(log)
     assert errors.tolist() == [5.0, 1.0]
     assert inside.tolist() == [[False, False], [True, True]]
 
@@ -102,7 +102,7 @@ def test_the_step_of_the_linearised_world_is_that_of_the_simulator(agree):
         before = plant.step(tick.thrust_rate, tick.joint_torque)
     at = np.concatenate([state.base_position, np.zeros(3), state.joint_position, state.velocity, thrust])
     rotation = np.asarray(state.base_rotation)
-    found = inner_loop._stepped(
+    found = inner_loop._step_state(
         tick, at, rotation, rotation, np.concatenate([tick.thrust_rate, tick.joint_torque]), STEP
     )
     after = before.state

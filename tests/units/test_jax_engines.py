@@ -24,7 +24,7 @@ A_T = jnp.asarray(np.random.default_rng(1).normal(size=(6, 2)))
 THRUST = jnp.array([100.0, 80.0])
 
 
-def updated(state, innovation, thrust=THRUST, sensor_error=(0.0, 0.0), *, has_momentum=True, share=1.0):
+def update(state, innovation, thrust=THRUST, sensor_error=(0.0, 0.0), *, has_momentum=True, share=1.0):
     """After a tick; `sensor_error` is what the momentum says of the sensors, one by one [N]."""
     # The residual whose moments' projections on those of the columns of A_T are these errors.
     moments = np.asarray(A_T)[3:]
@@ -38,7 +38,7 @@ def updated(state, innovation, thrust=THRUST, sensor_error=(0.0, 0.0), *, has_mo
 def test_deviations_are_summed_and_forgotten(measured):
     state = engines.start(THRUST)
     for tick in range(1, 31):
-        state, _, _ = updated(state, [0.3, -0.1])
+        state, _, _ = update(state, [0.3, -0.1])
         expected = np.array([0.3, -0.1]) * np.expm1(-tick * STEP / 0.5) / np.expm1(-STEP / 0.5)
         measured(f"tick {tick}", np.abs(state.deviation - expected).max(), 1e-13)
 
@@ -48,7 +48,7 @@ def test_a_thrust_that_is_not_reached_bounds_the_engine_after_its_confirmation(s
     """20 N at once are beyond 15 N, as late as the residual is, from the third tick on; five ticks later they count."""
     state = engines.start(THRUST)
     for tick in range(1, 21):
-        state, is_wrong, _ = updated(state, [20.0 * sign, 14.0] if tick == 1 else [0.0, 0.0])
+        state, is_wrong, _ = update(state, [20.0 * sign, 14.0] if tick == 1 else [0.0, 0.0])
         assert not is_wrong.any()
         np.testing.assert_array_equal(state.is_limited, [tick > 7, False])
     expected = (100.0, np.inf) if sign > 0.0 else (0.0, 100.0)
@@ -61,7 +61,7 @@ def test_an_engine_whose_bounds_are_close_together_is_lost():
     state, fading = engines.start(THRUST), 100.0
     for tick in range(100):
         fading = max(fading - 2.0, 0.0)
-        state, _, _ = updated(state, [-1.0 if tick < 50 else 1.0, -2.0], jnp.array([80.0, fading]))
+        state, _, _ = update(state, [-1.0 if tick < 50 else 1.0, -2.0], jnp.array([80.0, fading]))
         is_stuck = bool(state.least[0] == state.greatest[0])
         np.testing.assert_array_equal(state.is_lost(DESCENT), [is_stuck, fading < 30.0])
     assert (float(state.least[0]), float(state.greatest[0])) == (80.0, 80.0)
@@ -74,7 +74,7 @@ def test_a_deviation_is_as_late_as_the_momentum(measured):
     state, estimated, late = engines.start(THRUST), np.zeros(2), np.zeros(2)
     steps = np.array([40.0, -1.0])
     for tick in range(1, 11):
-        state, _, _ = updated(state, steps if tick == 1 else [0.0, 0.0], share=0.2)
+        state, _, _ = update(state, steps if tick == 1 else [0.0, 0.0], share=0.2)
         deviation = steps * np.exp(-(tick - 1) * STEP / 0.5)
         estimated = estimated + 0.2 * (deviation - estimated)
         late = late - np.expm1(-STEP / 0.02) * (estimated - late)
@@ -88,7 +88,7 @@ def test_the_momentum_shows_a_wrong_sensor(size):
     for tick in range(1, 9):
         late = float(state.late[0])
         innovation = [size, size] if tick == 1 else [0.0, 0.0]
-        state, is_wrong, deviation = updated(state, innovation, THRUST, (0.4 * late, late))
+        state, is_wrong, deviation = update(state, innovation, THRUST, (0.4 * late, late))
         if is_wrong.any():
             break
     np.testing.assert_array_equal(is_wrong, [False, True])
@@ -101,9 +101,9 @@ def test_the_momentum_shows_a_wrong_sensor(size):
 def test_an_engine_that_is_limited_has_no_wrong_sensor():
     state = engines.start(THRUST)
     for tick in range(1, 9):
-        state, _, _ = updated(state, [-30.0, 0.0] if tick == 1 else [0.0, 0.0])
+        state, _, _ = update(state, [-30.0, 0.0] if tick == 1 else [0.0, 0.0])
     assert bool(state.is_limited[0])
-    state, is_wrong, _ = updated(state, [0.0, 0.0], THRUST, (-30.0, 0.0))
+    state, is_wrong, _ = update(state, [0.0, 0.0], THRUST, (-30.0, 0.0))
     assert not is_wrong.any()
 
 
@@ -124,15 +124,15 @@ def test_nothing_is_judged_without_a_momentum():
     """Lags and confirmation begin anew when it is back."""
     state = engines.start(THRUST)
     for tick in range(10):
-        state, is_wrong, _ = updated(state, [-40.0 if tick == 0 else 0.0, 0.0], has_momentum=False)
+        state, is_wrong, _ = update(state, [-40.0 if tick == 0 else 0.0, 0.0], has_momentum=False)
         assert not state.is_limited.any()
         assert not is_wrong.any()
         assert float(state.late[0]) == 0.0
     for _ in range(6):
-        state, _, _ = updated(state, [0.0, 0.0])
+        state, _, _ = update(state, [0.0, 0.0])
         assert not state.is_limited.any()
     for _ in range(2):
-        state, _, _ = updated(state, [0.0, 0.0])
+        state, _, _ = update(state, [0.0, 0.0])
     np.testing.assert_array_equal(state.is_limited, [True, False])
 
 

@@ -51,6 +51,6 @@ def test_the_result_and_the_figure(tmp_path, monkeypatch):
     document = observer_limit.STUDY.run("hover", {"gains": [3.0], "axes": ["yaw"], "duration": 0.05})
     assert set(document["summary"]) == {f"yaw, K_o 3: {key} [N m/rad]" for key in ("predicted", "flown")}
     name = "hover--axes=yaw--duration=0.05--gains=3.0"
-    figure, hashes = FIGURES["observer_limit"].drawn(tmp_path / "flight", [name])
+    figure, hashes = FIGURES["observer_limit"].draw_from_results(tmp_path / "flight", [name])
     assert hashes == {name: document["config_digest"]}
     plt.close(figure)

@@ -8,7 +8,7 @@ from jax_aero import places
 from paper_figs import panels, runs, tip_over, trajectory
 from paper_figs.__main__ import main
 from paper_figs.figures import FIGURES
-from paper_figs.panels import readable
+from paper_figs.panels import readable_name
 
 # The tests of each study draw its figure from a study of their own, those of the ground figures of flights from it.
 GROUND = {"fig6", "take_off"}
@@ -86,7 +86,7 @@ def test_joint_errors_are_summed_by_group_in_degrees(made_up_results):
 def test_a_robot_without_joints_has_no_joint_errors(made_up_results):
     run = runs.load(made_up_results, "test1")
     without = runs.Run("without", run.data.isel(joint=[]))
-    assert without.joint_error_deg().shape == (len(without.flown["time"]), 0)
+    assert without.joint_error_deg().shape == (len(without.log_to_loss["time"]), 0)
 
 
 @pytest.mark.parametrize("count", [0, 1, 3, 8])
@@ -140,12 +140,12 @@ def test_every_friction_of_a_tip_over_study_is_drawn():
 def test_nothing_behind_a_fall_is_shown(made_up_results):
     run = runs.load(made_up_results, "test1_published")
     assert run.lost_time == 21.5
-    assert run.flown["time"].values[-1] <= 21.5
+    assert run.log_to_loss["time"].values[-1] <= 21.5
     assert runs.load(made_up_results, "test1").lost_time is None
 
 
 def test_how_a_flight_was_lost_stands_once_in_its_row(made_up_results):
-    figure, _ = FIGURES["suppl7"].drawn(made_up_results, ("test1", "test2", "test3", "test1_published"))
+    figure, _ = FIGURES["suppl7"].draw_from_results(made_up_results, ("test1", "test2", "test3", "test1_published"))
     assert [text.get_text() for axes in figure.axes for text in axes.texts].count("fell at 21.5 s") == 1
     plt.close(figure)
 
@@ -161,4 +161,4 @@ def test_how_a_flight_was_lost_stands_once_in_its_row(made_up_results):
     ],
 )
 def test_names_become_words(name, words):
-    assert readable(name) == words
+    assert readable_name(name) == words

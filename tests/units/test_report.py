@@ -15,10 +15,10 @@ from experiments import engine_choice, manifest, record, wind_observer
 from experiments.__main__ import main
 from experiments.cfd.settings import FlowConfig
 from experiments.report import claims, facts, ground, metrics, outdated
-from experiments.report.command import _counted, _pictures, _spans, build, claims_json
+from experiments.report.command import _count_verdicts, _pictures, _spans, build, claims_json
 from experiments.report.page import Heading, Page, Picture, Table, Text
 from experiments.report.results import Results
-from experiments.report.verdicts import AGREES, ANOTHER, NOT_FLOWN, within
+from experiments.report.verdicts import AGREES, ANOTHER, NOT_FLOWN, judge_range
 from experiments.sweep import run, spec
 from experiments.sweep.design import Design
 from experiments.sweep.table import wilson
@@ -67,7 +67,7 @@ def write_sweep(results, name, cells, axes, **document):
     }
     shipped = spec.load(name)
     digest = {"config_hash": Design(shipped).digest}
-    (folder / "sweep.json").write_text(json.dumps(run.described(shipped) | base | digest | document))
+    (folder / "sweep.json").write_text(json.dumps(run.describe(shipped) | base | digest | document))
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,7 @@ def whole(tmp_path_factory, made_up_results):
             document |= {key: run.attrs[key] for key in ("outcome", "lost_reason")}
             document["lost_time"] = float(run.attrs["lost_time"]) if document["outcome"] == "fell" else None
         config = rust.load_config(path.parent.name)
-        document |= {"config_digest": rust.config_digest(config), "config": manifest.portable(config)}
+        document |= {"config_digest": rust.config_digest(config), "config": manifest.make_portable(config)}
         path.write_text(json.dumps(document))
     tests = [("TEST1, corrected arms", 250), ("TEST2, corrected arms", 250), ("TEST1, published arms", 0)]
     tests += [("TEST2, published arms", 249), ("TEST3, corrected arms", 250), ("TEST3, published arms", 3)]
@@ -110,7 +110,7 @@ def results(tmp_path, whole) -> Results:
 def test_a_claim_has_the_commit_of_the_last_result_that_it_was_measured_on(results, tmp_path):
     for name, day, commit in (("test2", 1, "a" * 40), ("test4", 2, "b" * 40), ("test1", 3, "c" * 40)):
         made = {"created": f"2026-01-0{day}T00:00:00+00:00", "git": {"commit": commit, "dirty": False}}
-        changed(tmp_path / "flight" / name / "manifest.json", **made)
+        change_manifest(tmp_path / "flight" / name / "manifest.json", **made)
     stated = claims.all_claims(Results(tmp_path))
     found = {claim.key: claim.commit for claim in stated}
     assert (found["aligned"], found["thrusts_alike"], found["mass"]) == ("a" * 40, "b" * 40, None)
@@ -119,7 +119,7 @@ def test_a_claim_has_the_commit_of_the_last_result_that_it_was_measured_on(resul
     assert kept["mass"]["commit"] not in ("a" * 40, "b" * 40, "c" * 40)
 
 
-def changed(path, **entries):
+def change_manifest(path, **entries):
     """Change entries of a JSON document."""
     path.write_text(json.dumps(json.loads(path.read_text()) | entries))
 
@@ -130,8 +130,8 @@ def verdicts_of(results):
 
 def test_a_flight_of_another_configuration_is_named_in_its_row_and_in_the_claims_that_rest_on_it(results):
     config = rust.load_config("test2", {"wind.velocity": [0.0, 5.0, 0.0], "simulator.duration": 9.0})
-    entries = {"config_digest": rust.config_digest(config), "config": manifest.portable(config)}
-    changed(results.folder / "flight" / "test2" / "manifest.json", **entries)
+    entries = {"config_digest": rust.config_digest(config), "config": manifest.make_portable(config)}
+    change_manifest(results.folder / "flight" / "test2" / "manifest.json", **entries)
     said = f"{ANOTHER}: test2 (`simulator.duration`, `wind.velocity`)"
     found = verdicts_of(results)
     assert found["aligned"].verdict == "outdated: differs: it does not hold"
@@ -148,15 +148,15 @@ def test_a_flight_of_another_configuration_is_named_in_its_row_and_in_the_claims
 
 
 def test_a_flight_of_another_file_that_it_names_is_outdated(results):
-    changed(results.folder / "flight" / "test4" / "manifest.json", config_digest="0" * 64)
-    assert results.differing["test4"] == "a file that it names"
+    change_manifest(results.folder / "flight" / "test4" / "manifest.json", config_digest="0" * 64)
+    assert results.differences["test4"] == "a file that it names"
     assert outdated.flight("no_shipped_name", "0" * 64, {}) == ""
 
 
 def test_a_sweep_of_another_configuration_is_named_in_its_claims(results):
     assert ANOTHER[1:] not in build(results, []).markdown()
     for name in ("paper_tests", "ablation_terms"):
-        changed(results.folder / "sweeps" / name / "sweep.json", config_hash="0" * 64)
+        change_manifest(results.folder / "sweeps" / name / "sweep.json", config_hash="0" * 64)
     found = Results(results.folder)
     claim = verdicts_of(found)["test2"]
     assert claim.verdict == "outdated: agrees"
@@ -166,7 +166,7 @@ def test_a_sweep_of_another_configuration_is_named_in_its_claims(results):
 
 def test_what_differs_of_a_sweep_is_named():
     shipped = spec.load("paper_tests")
-    document = run.described(shipped) | {"config_hash": "0" * 64}
+    document = run.describe(shipped) | {"config_hash": "0" * 64}
     assert outdated.sweep("paper_tests", document) == "the flights of its cells, or a file that they name"
     assert outdated.sweep("paper_tests", document | {"repeats": 7, "seed": 9}) == "`repeats`, `seed`"
     assert outdated.sweep("paper_tests", {"config_hash": Design(shipped).digest}) == ""
@@ -185,7 +185,7 @@ def test_a_study_of_another_flight_or_file_is_outdated(tmp_path, monkeypatch, ma
 
 
 def test_a_study_of_another_file_of_its_name_is_outdated():
-    config = manifest.portable(tables.plain(tables.load(places.find("cfd_flow", "flight30"), FlowConfig)))
+    config = manifest.make_portable(tables.to_builtins(tables.load(places.find("cfd_flow", "flight30"), FlowConfig)))
     document = {"config": config, "sources": {"flights": {}, "files": {}}}
     assert outdated.study("cfd_flow", "flight30", document) == ""
     config["settings"]["air"]["speed"] = 10.0
@@ -394,14 +394,14 @@ def test_what_is_not_flown_here_or_outdated_stays_as_it_was_kept(tmp_path):
 def test_verdicts_are_counted():
     base = claims.Claim("k", "w", "c", "m", "agrees", "", "")
     verdicts = ("agrees", "agrees on one", "differs: 2", "differs: 3", "out of reach: why")
-    text = _counted([dataclasses.replace(base, verdict=verdict) for verdict in verdicts])
+    text = _count_verdicts([dataclasses.replace(base, verdict=verdict) for verdict in verdicts])
     assert text == "5 claims: **1** agrees, **1** agrees in part, **2** differs, **1** out of reach."
 
 
 def test_a_verdict_says_by_how_much():
-    assert within(2.0, 1.0, 3.0, "m") == AGREES
-    assert within(0.5, 1.0, 3.0, "m") == "differs: -0.5 m"
-    assert within(3.25, 1.0, 3.0, "") == "differs: +0.25"
+    assert judge_range(2.0, 1.0, 3.0, "m") == AGREES
+    assert judge_range(0.5, 1.0, 3.0, "m") == "differs: -0.5 m"
+    assert judge_range(3.25, 1.0, 3.0, "") == "differs: +0.25"
 
 
 def test_the_verdict_on_the_network_follows_from_its_errors(monkeypatch):

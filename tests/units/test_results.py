@@ -108,15 +108,15 @@ def test_code_is_followed_through_what_it_imports(tmp_path, monkeypatch):
         (tmp_path / f"{name}.py").write_text(text)
     monkeypatch.setitem(sources.FOLDERS, "experiments", tmp_path)
 
-    def found() -> str:
+    def find_files() -> str:
         sources.code_hash.cache_clear()
         return sources.code_hash("experiments.a")
 
-    before = found()
+    before = find_files()
     (tmp_path / "c.py").write_text("x = 1\n")
-    assert found() == before, "a module that is not imported counts"
+    assert find_files() == before, "a module that is not imported counts"
     (tmp_path / "b.py").write_text(modules["b"] + "\nx = 1\n")
-    assert found() != before
+    assert find_files() != before
     sources.code_hash.cache_clear()
 
 
@@ -168,11 +168,11 @@ def test_a_damaged_chunk_does_not_count(tmp_path, damage):
     chunks = Chunks(tmp_path, "sweep code")
     for chunk in range(3):
         chunks.write(chunk, TABLE)
-    assert chunks.whole(3) == {0, 1, 2}
+    assert chunks.find_whole(3) == {0, 1, 2}
     assert chunks.read(1) == TABLE
     damaged = damages(*(chunks.path(chunk).read_bytes() for chunk in (1, 2)))
     chunks.path(1).write_bytes(damaged[damage])
-    assert chunks.whole(3) == {0, 2}
+    assert chunks.find_whole(3) == {0, 2}
     with pytest.raises(Refused, match="the same command flies it again"):
         chunks.read(1)
     assert chunks.remove(but={0, 2}) == ["000001.chunk"]
@@ -180,7 +180,7 @@ def test_a_damaged_chunk_does_not_count(tmp_path, damage):
 
 def test_a_chunk_of_another_sweep_or_code_does_not_count(tmp_path):
     Chunks(tmp_path, "sweep code").write(0, TABLE)
-    assert Chunks(tmp_path, "other code").whole(1) == set()
+    assert Chunks(tmp_path, "other code").find_whole(1) == set()
 
 
 def test_a_sweep_flies_damaged_chunks_again_and_ends_with_the_same_bytes(tmp_path, capsys, stopped_sweep):
@@ -273,7 +273,7 @@ def test_an_empty_path_is_refused(command, capsys):
 # --- one process at a time
 
 
-HOLDS = "import sys, time; from pathlib import Path; from jax_aero.files import locked\nwith locked(Path(sys.argv[1])):"
+HOLDS = "import sys, time; from pathlib import Path; from jax_aero.files import lock\nwith lock(Path(sys.argv[1])):"
 
 
 def test_who_holds_a_sweep_is_named_and_a_dead_holder_followed(tmp_path, start):
@@ -284,7 +284,7 @@ def test_who_holds_a_sweep_is_named_and_a_dead_holder_followed(tmp_path, start):
         run.run(design(), workers=1, out=tmp_path)
     assert not (tmp_path / "made_up").exists()
     (tmp_path / "link").symlink_to(tmp_path / "made_up")
-    with pytest.raises(Refused, match="is being written"), files.locked(tmp_path / "link"):
+    with pytest.raises(Refused, match="is being written"), files.lock(tmp_path / "link"):
         pass
     (tmp_path / "link").unlink()
     holder.kill()
@@ -298,14 +298,14 @@ def test_who_holds_a_sweep_is_named_and_a_dead_holder_followed(tmp_path, start):
 def test_what_is_kept_of_work_under_way_has_one_process(tmp_path, monkeypatch, capsys, kind):
     monkeypatch.setattr(places, "RESULTS", tmp_path)
     result = {"tune": tmp_path / "tune" / "aero_aware", "surrogate-dataset": tmp_path / "surrogate.nc"}[kind]
-    with files.computing(result):
+    with files.lock_work(result):
         assert main([kind, *(["--out", str(result)] if kind == "surrogate-dataset" else [])]) == 2
     assert f".{result.name}.work is being written by process" in capsys.readouterr().err
     assert not any(path.is_file() for path in tmp_path.rglob("*"))
 
 
 def test_a_flight_that_another_process_flies_is_not_flown(flown, tmp_path, capsys, monkeypatch):
-    with files.computing(tmp_path / "test1"), monkeypatch.context() as patched:
+    with files.lock_work(tmp_path / "test1"), monkeypatch.context() as patched:
         patched.setattr(rust, "fly", lambda *_: pytest.fail("it is flown"))
         assert main(["test1", "--out", str(tmp_path)]) == 2
     assert f".test1.work is being written by process {os.getpid()}" in capsys.readouterr().err
@@ -317,10 +317,10 @@ def test_a_lock_of_another_machine_is_left_alone(tmp_path):
     lock = tmp_path / ".a.lock"
     lock.write_text(json.dumps({"pid": 1, "host": "elsewhere.invalid", "since": "2026"}))
     expected = r"process 1 on elsewhere.invalid since 2026; if .* has ended, remove .*\.a\.lock"
-    with pytest.raises(Refused, match=expected), files.locked(tmp_path / "a"):
+    with pytest.raises(Refused, match=expected), files.lock(tmp_path / "a"):
         pass
     lock.write_text("")
-    with files.locked(tmp_path / "a"):
+    with files.lock(tmp_path / "a"):
         assert json.loads(lock.read_text())["pid"] == os.getpid()
 
 

@@ -17,9 +17,9 @@ import pytest
 from msgspec.structs import replace as with_keys
 
 from jax_aero import io, rust, sim
-from jax_aero.aero import Weighted
+from jax_aero.aero import WeightedModel
 from jax_aero.io import scenario_config
-from jax_aero.types import Setpoint, changed, pytree
+from jax_aero.types import Setpoint, pytree, replace_values
 
 ROOT = Path(__file__).resolve().parents[2]
 EXPERIMENTS = sorted((ROOT / "configs" / "experiments").glob("*.toml"))
@@ -217,7 +217,7 @@ def test_forces_of_another_shape_are_refused_when_they_are_traced(prepared, shap
     scenario, state = prepared
     model = Answers(jnp.ones(shape))
     one = jnp.ones((), jnp.float32)
-    for air in (model, Weighted(model, one, one, jnp.ones(13))):
+    for air in (model, WeightedModel(model, one, one, jnp.ones(13))):
         blown = replace(scenario, plant=replace(scenario.plant, aero=air))
         message = rf"`forces` of Answers has shape {re.escape(str(shape))}; expected \(13, 3\)"
         with pytest.raises(ValueError, match=message):
@@ -234,7 +234,7 @@ def test_double_precision_is_never_silently_missing():
     with jax.enable_x64(True):
         double = sim.prepare(config)
     with pytest.raises(ValueError, match=r"prepared in float64, but its numbers are float32 here"):
-        jax.eval_shape(lambda scenario, state: sim.rollout(scenario, state, 2, sim.everything), *double)
+        jax.eval_shape(lambda scenario, state: sim.rollout(scenario, state, 2, sim.keep_row), *double)
 
 
 def test_what_others_were_computed_from_does_not_change():
@@ -246,12 +246,12 @@ def test_what_others_were_computed_from_does_not_change():
     refused = [(scenario, {name: 0.02}) for name in names] + [(scenario, wind)]
     for of, values in [*refused, (other, {"controller_wind.velocity": jnp.zeros(3)})]:
         with pytest.raises(ValueError, match=rf"`{next(iter(values))}` is what others .*; expected `prepare`"):
-            changed(of, values)
+            replace_values(of, values)
     with pytest.raises(ValueError, match=r"wind\.velocity"):
-        jax.eval_shape(lambda traced: changed(traced, wind), scenario)
-    assert not changed(other, wind).wind.velocity.any()
-    exact = replace(scenario, wind_estimate=changed(scenario.wind_estimate, {"is_mean": False}))
-    assert jax.eval_shape(lambda velocity: changed(exact, {"wind.velocity": velocity}), jnp.zeros(3))
+        jax.eval_shape(lambda traced: replace_values(traced, wind), scenario)
+    assert not replace_values(other, wind).wind.velocity.any()
+    exact = replace(scenario, wind_estimate=replace_values(scenario.wind_estimate, {"is_mean": False}))
+    assert jax.eval_shape(lambda velocity: replace_values(exact, {"wind.velocity": velocity}), jnp.zeros(3))
 
 
 @pytest.mark.parametrize(
@@ -268,12 +268,12 @@ def test_what_others_were_computed_from_does_not_change():
 def test_changed_refuses_what_is_no_leaf(name, value, words):
     scenario, _ = sim.prepare(io.load_config(TEST2, {"simulator.duration": 0.1}), dtype=np.float32)
     with pytest.raises(ValueError, match=words):
-        changed(scenario, {name: value})
+        replace_values(scenario, {name: value})
 
 
 def test_a_rollout_of_no_ticks_has_no_rows():
     start = sim.prepare(io.load_config(TEST2, {"simulator.duration": 0.1}), dtype=np.float32)
-    after, rows = jax.eval_shape(lambda *flight: sim.rollout(*flight, 0, sim.everything), *start)
+    after, rows = jax.eval_shape(lambda *flight: sim.rollout(*flight, 0, sim.keep_row), *start)
     assert jax.tree.structure(after) == jax.tree.structure(start[1])
     assert {leaf.shape[0] for leaf in jax.tree.leaves(rows)} == {0}
 
@@ -281,7 +281,7 @@ def test_a_rollout_of_no_ticks_has_no_rows():
 @pytest.mark.parametrize(("name", "value"), [("n_ticks", -1), ("checkpoint_every", 0)])
 def test_a_rollout_refuses_a_number_that_counts_nothing(name, value):
     with pytest.raises(ValueError, match=f"`{name}` is {value}; expected at least"):
-        sim.rollout(None, None, keep=sim.everything, **{"n_ticks": 9, name: value})
+        sim.rollout(None, None, keep=sim.keep_row, **{"n_ticks": 9, name: value})
 
 
 SPOILT = {

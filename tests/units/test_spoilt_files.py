@@ -39,7 +39,7 @@ EDITS = st.lists(
 )
 
 
-def spoilt(text, edits):
+def spoil_text(text, edits):
     """Replace numbers, words or letters, delete or repeat lines, or end early."""
     for kind, at, of in edits:
         pattern = {"number": r"[-+.\deE]*\d[-+.\deE]*", "word": r"\w+", "letter": r"(?s)."}.get(kind, r".+")
@@ -69,7 +69,7 @@ def folder(tmp_path_factory):
 def test_a_robot(folder, name, of_toml, edits):
     for suffix in ("toml", "urdf"):
         text = (CONFIGS / f"robot/{name}.{suffix}").read_text()
-        (folder / f"{name}.{suffix}").write_text(spoilt(text, edits) if (suffix == "toml") == of_toml else text)
+        (folder / f"{name}.{suffix}").write_text(spoil_text(text, edits) if (suffix == "toml") == of_toml else text)
     try:
         robot = load_robot(folder / f"{name}.toml")
     except ValueError:
@@ -83,7 +83,7 @@ def test_a_robot(folder, name, of_toml, edits):
 def test_a_configuration(folder, name, edits):
     text = (CONFIGS / f"control/{name}.toml").read_text()
     text = (
-        spoilt(text, edits)
+        spoil_text(text, edits)
         .replace('"../', f'"{CONFIGS}/')
         .replace('"observer.toml"', f'"{CONFIGS}/control/observer.toml"')
     )
@@ -101,7 +101,7 @@ def test_a_configuration(folder, name, edits):
 def test_a_card_of_a_network(folder, edits):
     text = sorted((CONFIGS / "aero/networks").glob("*.json"))[0].read_text()
     text, _, training = text.partition('"training": ')
-    (folder / "card.json").write_text(spoilt(text, edits) + '"training": ' + training)
+    (folder / "card.json").write_text(spoil_text(text, edits) + '"training": ' + training)
     try:
         card = read_card(folder / "card.json")
     except ValueError:
@@ -126,7 +126,7 @@ def test_a_result(folder, result, of_manifest, edits, bits):
     manifest, run = (result / "manifest.json").read_text(), bytearray((result / "run.nc").read_bytes())
     for at, change in bits:
         run[at % len(run)] ^= change
-    (copy / "manifest.json").write_text(spoilt(manifest, edits) if of_manifest else manifest)
+    (copy / "manifest.json").write_text(spoil_text(manifest, edits) if of_manifest else manifest)
     (copy / "run.nc").write_bytes((result / "run.nc").read_bytes() if of_manifest else run)
     try:
         flight = recording.read(copy)

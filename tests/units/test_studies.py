@@ -213,7 +213,7 @@ def lab_run(tmp_path, make_flight):
     }
     document = {
         "format": "flight-lab-run", "version": 1, "title": "Mine", "link": "https://x/#1", "has_ended": True,
-        "config": manifest.portable(config), "log": log, "joint_setpoint": flight.joint_setpoint.tolist(),
+        "config": manifest.make_portable(config), "log": log, "joint_setpoint": flight.joint_setpoint.tolist(),
         "outcome": flight.outcome, "lost_time": flight.lost_time, "lost_reason": flight.lost_reason,
         "summary": {**flight.summary, "max_com_error": None},
     }  # fmt: skip

@@ -172,7 +172,7 @@ def test_postures_it_has_not_seen_come_out_twice_as_well_as_with_the_axisymmetri
 
 
 def test_the_figure_is_drawn(calibrated):
-    figure, hashes = FIGURES["surrogate"].drawn(calibrated[0] / "flight")
+    figure, hashes = FIGURES["surrogate"].draw_from_results(calibrated[0] / "flight")
     assert set(hashes) == {"calibration"}
     plt.close(figure)
     manifest = json.loads((calibrated[0] / "calibrate_surrogate" / "calibration" / "manifest.json").read_text())
@@ -199,13 +199,13 @@ def test_a_small_dataset_is_written_interrupted_and_resumed(tmp_path, monkeypatc
     arguments = ["--out", str(out), "--only", "hovering", "Config2"]
     calls = []
 
-    def interrupted(coefficients, features):
+    def interrupt(coefficients, features):
         calls.append(len(features))
         if len(calls) == 2:
             raise KeyboardInterrupt
         return surrogate.force_areas(coefficients, features)
 
-    monkeypatch.setattr(surrogate_dataset, "force_areas", interrupted)
+    monkeypatch.setattr(surrogate_dataset, "force_areas", interrupt)
     assert surrogate_dataset.main(arguments) == INTERRUPTED
     assert "go on with the same command" in capsys.readouterr().err
     assert not out.exists()

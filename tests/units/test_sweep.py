@@ -51,7 +51,7 @@ values = [5, 10]
 """
 
 
-def quick(folder: Path, repeats=3, duration=0.1) -> Path:
+def quick_sweep(folder: Path, repeats=3, duration=0.1) -> Path:
     path = folder / "quick.toml"
     path.write_text(QUICK.format(repeats=repeats, duration=duration))
     return path
@@ -70,7 +70,7 @@ def design(**changes) -> Design:
 
 
 def test_a_grid_has_every_combination_and_the_last_axis_varies_fastest(tmp_path, agree):
-    quick_design = Design(spec.load(str(quick(tmp_path))))
+    quick_design = Design(spec.load(str(quick_sweep(tmp_path))))
     labels = [tuple(level.label for level in cell) for cell in quick_design.cells]
     assert labels == [("corrected", 5.0), ("corrected", 10.0), ("published", 5.0), ("published", 10.0)]
     assert quick_design.n_rows == 12
@@ -281,11 +281,11 @@ def test_flights_that_a_sweep_names_by_their_paths_start_at_the_file(tmp_path, m
     loaded = Design(spec.load("../mine.toml"))
     assert loaded.cell_config(0)["simulator"]["duration"] == 2.0
     assert loaded.bases[loaded.spec.base]["simulator"]["duration"] == 1.0
-    assert run.described(loaded.spec)["base"] == "(outside the repository)/mine.toml"
+    assert run.describe(loaded.spec)["base"] == "(outside the repository)/mine.toml"
 
 
 def test_a_sweep_that_names_itself_takes_no_shipped_ones_place(tmp_path):
-    path = quick(tmp_path)
+    path = quick_sweep(tmp_path)
     path.write_text('name = "map_wind"\n' + path.read_text())
     with pytest.raises(Refused, match=r"would take the place of that of configs/sweeps/map_wind\.toml; rename it"):
         spec.load(str(path))
@@ -543,7 +543,7 @@ def read(folder: Path) -> dict[str, bytes]:
 def flown(tmp_path_factory) -> Path:
     """A quick sweep, flown in one go."""
     folder = tmp_path_factory.mktemp("flown")
-    assert main(["sweep", str(quick(folder)), "--out", str(folder), "--workers", "1"]) == 0
+    assert main(["sweep", str(quick_sweep(folder)), "--out", str(folder), "--workers", "1"]) == 0
     return folder / "quick"
 
 
@@ -568,18 +568,18 @@ def test_a_sweep_says_by_which_version_of_its_engine_it_is_flown(engine):
 
 
 def test_threads_do_not_change_a_byte(flown, tmp_path):
-    assert main(["sweep", str(quick(tmp_path)), "--out", str(tmp_path), "--workers", "3"]) == 0
+    assert main(["sweep", str(quick_sweep(tmp_path)), "--out", str(tmp_path), "--workers", "3"]) == 0
     assert read(tmp_path / "quick") == read(flown)
 
 
 def test_a_node_of_other_code_flies_nothing():
-    common = pickle.dumps((run._fly, (design().spec, design().bases), run.modules_of(design()), "another"))
+    common = pickle.dumps((run._fly_remotely, (design().spec, design().bases), run.modules_of(design()), "another"))
     with pytest.raises(Refused, match=r"a node has other code .*, here another"):
-        cluster._remotely(common, 0)
+        cluster._run_remotely(common, 0)
 
 
 def test_a_finished_sweep_is_kept_and_another_of_its_name_protected(flown, tmp_path, capsys):
-    path = quick(tmp_path)
+    path = quick_sweep(tmp_path)
     assert main(["sweep", str(path), "--out", str(flown.parent)]) == 0
     printed = capsys.readouterr().out
     assert "is finished already" in printed
@@ -598,7 +598,7 @@ def test_a_finished_sweep_takes_over_how_it_is_drawn(tmp_path):
 
 
 def test_a_killed_sweep_goes_on_and_ends_with_the_same_bytes(tmp_path, start):
-    path = quick(tmp_path, repeats=60, duration=1.0)
+    path = quick_sweep(tmp_path, repeats=60, duration=1.0)
 
     def sweep(out: str) -> subprocess.Popen[bytes]:
         command = (sys.executable, "-m", "experiments", "sweep", path, "--out", tmp_path / out)
@@ -623,7 +623,7 @@ def test_a_killed_sweep_goes_on_and_ends_with_the_same_bytes(tmp_path, start):
 
 
 def test_chunks_of_other_code_are_not_mixed_in(tmp_path, monkeypatch, stopped_sweep):
-    made = Design(spec.load(str(quick(tmp_path))))
+    made = Design(spec.load(str(quick_sweep(tmp_path))))
     stopped_sweep(made, 1, tmp_path)
     monkeypatch.setattr(run, "code_hash", lambda _: "another")
     with pytest.raises(Refused, match="begun by other code"):
@@ -632,16 +632,16 @@ def test_chunks_of_other_code_are_not_mixed_in(tmp_path, monkeypatch, stopped_sw
 
 
 def test_a_flight_that_fails_is_recorded_and_said_and_the_others_go_on(tmp_path, monkeypatch, capsys):
-    made = Design(spec.load(str(quick(tmp_path))))
+    made = Design(spec.load(str(quick_sweep(tmp_path))))
     row_config = Design.row_config
 
-    def broken(self, row):
+    def break_row(self, row):
         config = row_config(self, row)
         if row == 5:
             config["simulator"]["initial"]["thrust"] = [-1.0] * 4
         return config
 
-    monkeypatch.setattr(Design, "row_config", broken)
+    monkeypatch.setattr(Design, "row_config", break_row)
     folder = run.run(made, workers=1, out=tmp_path)
     assert "quick: 1 flights could not be flown, first: " in capsys.readouterr().err
     flights = pq.read_table(folder / "table.parquet").to_pylist()
@@ -655,7 +655,7 @@ def test_a_flight_that_fails_is_recorded_and_said_and_the_others_go_on(tmp_path,
 def test_a_folder_with_something_else_in_it_is_not_overwritten(tmp_path, capsys):
     (tmp_path / "quick").mkdir()
     (tmp_path / "quick" / "notes.txt").write_text("mine")
-    assert main(["sweep", str(quick(tmp_path)), "--out", str(tmp_path), "--overwrite"]) == 2
+    assert main(["sweep", str(quick_sweep(tmp_path)), "--out", str(tmp_path), "--overwrite"]) == 2
     assert "also holds notes.txt" in capsys.readouterr().err
 
 
@@ -689,7 +689,7 @@ def kill_one_worker(mark: str, killed: list[int]) -> None:
     while not killed:
         for folder in Path("/proc").glob("[0-9]*"):
             with suppress(OSError):
-                flies = b"ray::_remotely" in (folder / "cmdline").read_bytes()
+                flies = b"ray::_run_remotely" in (folder / "cmdline").read_bytes()
                 if flies and mark.encode() in (folder / "environ").read_bytes():
                     os.kill(int(folder.name), signal.SIGKILL)
                     killed.append(int(folder.name))
@@ -705,7 +705,7 @@ def test_a_ray_cluster_gives_the_same_bytes_also_where_a_worker_is_killed(tmp_pa
     killed: list[int] = []
     killer = threading.Thread(target=kill_one_worker, args=(str(tmp_path), killed), daemon=True)
     killer.start()
-    command = ["sweep", str(quick(tmp_path, repeats=4, duration=1.0)), "--out"]
+    command = ["sweep", str(quick_sweep(tmp_path, repeats=4, duration=1.0)), "--out"]
     try:
         cluster = ["--cluster", "ray", "--workers", "2"]
         assert main([*command, str(tmp_path), *cluster]) == 0, capsys.readouterr().err

@@ -35,7 +35,7 @@ def draw(model, seed):
     }, rng
 
 
-def moved(state, acceleration, thrust_rate, wind_rate, dt):
+def move_state(state, acceleration, thrust_rate, wind_rate, dt):
     """The state a moment later, to second order in dt."""
     nu = state["velocity"]
     turn = Rotation.from_rotvec((nu[3:6] + 0.5 * dt * acceleration[3:6]) * dt).as_matrix()
@@ -61,7 +61,7 @@ def test_momentum_changes_by_the_external_wrench_alone(model, seed):
     acceleration = np.linalg.solve(terms.mass_matrix, force)
     dt = 1e-5
     ahead, behind = (
-        model.terms(**moved(state, acceleration, np.zeros(4), np.zeros(3), step)).momentum for step in (dt, -dt)
+        model.terms(**move_state(state, acceleration, np.zeros(4), np.zeros(3), step)).momentum for step in (dt, -dt)
     )
     np.testing.assert_allclose((ahead - behind) / (2 * dt), terms.momentum_rate, atol=2e-4 * np.abs(torque).max())
 
@@ -74,7 +74,7 @@ def test_the_parts_of_the_second_derivative_add_up(model, seed):
     parts = model.force_rate(**state, acceleration=acceleration, thrust_rate=thrust_rate, wind_rate=wind_rate)
     dt = 1e-6
     ahead, behind = (
-        model.terms(**moved(state, acceleration, thrust_rate, wind_rate, step)).momentum_rate for step in (dt, -dt)
+        model.terms(**move_state(state, acceleration, thrust_rate, wind_rate, step)).momentum_rate for step in (dt, -dt)
     )
     np.testing.assert_allclose(sum(parts), (ahead - behind) / (2 * dt), rtol=1e-6, atol=1e-4)
     terms = model.terms(**state)

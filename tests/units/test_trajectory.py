@@ -204,7 +204,7 @@ def test_the_result_names_its_reference_and_its_flights(tmp_path, monkeypatch, c
     (folder / "notes.txt").write_text("mine")
     with pytest.raises(Refused, match=r"holds more than a result \(notes\.txt\)"):
         small.run("min_time")
-    figure, hashes = FIGURES["trajectory"].drawn(tmp_path / "flight", ("min_time",))
+    figure, hashes = FIGURES["trajectory"].draw_from_results(tmp_path / "flight", ("min_time",))
     assert set(hashes) == {"min_time"}
     plt.close(figure)
     found = experiment.figures("flown", dataset, "flown")

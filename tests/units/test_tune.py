@@ -79,7 +79,9 @@ def test_the_gradient_is_that_of_the_cost(scenario, monkeypatch, measured):
     monkeypatch.setattr(gains, "rollout", spring)
     cost = gains.Cost(position=0.05, rotation_deg=3.0, thrust_rate=50.0, lost=10.0)
     keys = ["momentum.c0", "momentum.ko"]
-    of_factors = jax.jit(jax.value_and_grad(lambda x: gains.log_cost(gains.scaled(scenario, keys, x), None, cost, 20)))
+    of_factors = jax.jit(
+        jax.value_and_grad(lambda x: gains.log_cost(gains.scale_values(scenario, keys, x), None, cost, 20))
+    )
     at, step = np.array([0.1, -0.3]), 1e-5
     value, slope = of_factors(at)
     assert value > np.log(0.25 * cost.lost)  # five of twenty ticks are lost
@@ -102,7 +104,7 @@ def test_a_factor_scales_what_its_key_names(scenario):
     """Of numbers, lists and tables."""
     keys = ["momentum.kp_linear", "weights.thrust_rate", "posture_gain", "torque.kd", "observer.gain_force"]
     after, before = (
-        gains.scaled(scenario, keys, jnp.log(jnp.array([2.0, 3.0, 4.0, 5.0, 6.0]))).controller,
+        gains.scale_values(scenario, keys, jnp.log(jnp.array([2.0, 3.0, 4.0, 5.0, 6.0]))).controller,
         scenario.controller,
     )
     for got, was, factor in (
@@ -121,7 +123,7 @@ def test_a_factor_scales_what_its_key_names(scenario):
 )
 def test_a_key_that_is_no_array_of_the_controller_is_refused(scenario, key):
     with pytest.raises(ValueError, match=f"`{key}` cannot be tuned; expected what the controller has as one"):
-        gains.scaled(scenario, [key], jnp.zeros(1))
+        gains.scale_values(scenario, [key], jnp.zeros(1))
 
 
 def bowl(theta, step):
@@ -143,11 +145,11 @@ def test_steps_lower_the_cost_and_leave_out_worlds_without_a_gradient(tmp_path):
 def test_a_validation_that_is_worse_takes_the_values_back_and_halves_the_rate(tmp_path):
     """Where the way down leads up in unseen worlds: steps of 0.2, 0.2, 0.2 (back), 0.1 (back), 0.05, 0.05 (back)."""
 
-    def away(theta, step):
+    def move_away(theta, step):
         return theta[None, 0] if step >= 0 else (theta[None, 0] + 0.43) ** 2, jnp.ones((1, 1))
 
     steps = gains.Steps(count=6, batch=1, learning_rate=0.2, gradient_max=10.0, validation=1, validate_every=1)
-    found = gains.tune(away, 1, steps, checkpoint=tmp_path / "c.checkpoint", digest="a")
+    found = gains.tune(move_away, 1, steps, checkpoint=tmp_path / "c.checkpoint", digest="a")
     tried = [look.logarithms[0] for look in found.validations]
     # Adam's steps have the length of its rate, within ε.
     np.testing.assert_allclose(tried, [0.0, -0.2, -0.4, -0.6, -0.5, -0.45, -0.5], atol=1e-6)
@@ -156,7 +158,7 @@ def test_a_validation_that_is_worse_takes_the_values_back_and_halves_the_rate(tm
 
 def slopes(theta, group, *_):
     """In place of flights, what hangs on the factors and on the drawn winds; the last world's gradient says nothing."""
-    scenario = jax.tree.unflatten(group.structure, group.stacked(range(len(group.places)))[0])
+    scenario = jax.tree.unflatten(group.structure, group.stack(range(len(group.places)))[0])
     speed = jnp.linalg.norm(scenario.wind.velocity, axis=1)
     cost = jax.value_and_grad(lambda x, v: jnp.sum((x - 0.01 * v) ** 2))
     value, slope = jax.vmap(cost, in_axes=(None, 0))(theta, speed)
@@ -175,12 +177,12 @@ def test_a_run_that_is_killed_goes_on_to_the_same_bytes(files, monkeypatch):
 
     calls = itertools.count()
 
-    def killed(*arguments):
+    def kill(*arguments):
         if next(calls) == 5:  # in the fourth of four steps, one validation behind
             raise MemoryError
         return slopes(*arguments)
 
-    monkeypatch.setattr(tune, "gradients", killed)
+    monkeypatch.setattr(tune, "gradients", kill)
     with pytest.raises(MemoryError):
         tune.STUDY.run(path)
     assert checkpoint.exists()
@@ -197,7 +199,7 @@ def test_a_run_that_is_killed_goes_on_to_the_same_bytes(files, monkeypatch):
     factor = document["summary"]["factor of momentum.c0"]
     assert tuned["controller"]["momentum"]["c0"] == float(f"{before['controller']['momentum']['c0'] * factor:.4g}")
     assert rust.fly(rust.load_config(flown, {"simulator.duration": 0.1})).outcome == "completed"
-    figure, hashes = FIGURES["tune"].drawn(places.RESULTS / "flight", ["toy"])
+    figure, hashes = FIGURES["tune"].draw_from_results(places.RESULTS / "flight", ["toy"])
     assert hashes == {"toy": document["config_digest"]}
     plt.close(figure)
 
@@ -209,12 +211,12 @@ def test_a_run_does_not_go_on_in_other_worlds(files, monkeypatch):
     (files / "worlds.toml").write_text(WORLDS.replace('"platform_hover"', '"mine.toml"'))
     calls = itertools.count()
 
-    def killed(*arguments):
+    def kill(*arguments):
         if next(calls) == 5:
             raise MemoryError
         return slopes(*arguments)
 
-    monkeypatch.setattr(tune, "gradients", killed)
+    monkeypatch.setattr(tune, "gradients", kill)
     with pytest.raises(MemoryError):
         tune.STUDY.run(str(files / "toy.toml"))
     text = flight.read_text()

@@ -35,7 +35,7 @@ def clone(tmp_path, files, campaign="wind-tunnel/exp_2022_11_03"):
 
 def read(tmp_path, name, text, side="below", campaign="wind-tunnel/exp_2022_11_03"):
     (points,) = import_tunnel.from_clone(clone(tmp_path, {name: text}, campaign))
-    return import_tunnel.reduced(points, side)
+    return import_tunnel.reduce_moments(points, side)
 
 
 def test_drag_from_ahead_is_backward_and_its_arm_is_the_balance_offset(tmp_path):

@@ -28,7 +28,7 @@ def points(tmp_path_factory):
         "TID_0018.GVP": gvp([(1, -5.0, 0.0, 17.0, 170.0, load)]),
     }
     (found,) = import_tunnel.from_clone(clone(tmp_path_factory.mktemp("clone"), files))
-    return {side: import_tunnel.reduced(found, side) for side in tunnel_moments.SIDES}
+    return {side: import_tunnel.reduce_moments(found, side) for side in tunnel_moments.SIDES}
 
 
 def test_the_measured_moment_has_the_offset_of_its_side(points):
@@ -73,7 +73,7 @@ def test_models_are_evaluated_in_the_wind_of_the_tunnel(robot, points):
     data = points["below"].isel(point=[0])
     joints, wind = data["joint_position"].values, dataset.wind_direction(data["pitch"].values, data["yaw"].values)
     settings = tunnel_moments.tables.read(tunnel_moments.AERO / "axisymmetric_corrected.toml")
-    found = tunnel_moments.evaluated(robot, settings, joints, 12.0 * wind)
+    found = tunnel_moments.evaluate_areas(robot, settings, joints, 12.0 * wind)
     expected = predicted_areas(np.asarray(robot.aero_links.coefficients["corrected"]), link_axes(robot, joints), wind)
     np.testing.assert_allclose(found, expected, atol=1e-14)
 
@@ -108,10 +108,10 @@ def test_a_known_correction_is_found_and_holds_for_postures_left_out(measured):
     shrunk = 1e-3 * float(truth @ truth) / 3.4
     found = tunnel_correction.numbers(known)
     measured("numbers", np.linalg.norm(found - truth) / np.linalg.norm(truth), shrunk)
-    error = tunnel_correction.held_out(known, posture)
+    error = tunnel_correction.held_out_errors(known, posture)
     measured("left-out postures", np.sqrt(np.mean(error**2) / np.mean(known.missing**2)), 2.0 * shrunk)
     noise = tunnel_correction.Points(steps, rng.normal(size=(60, 6)), posture)
-    assert np.sum(tunnel_correction.held_out(noise, posture) ** 2) < 1.1 * np.sum(noise.missing**2)
+    assert np.sum(tunnel_correction.held_out_errors(noise, posture) ** 2) < 1.1 * np.sum(noise.missing**2)
 
 
 def test_postures_are_drawn_with_all_of_their_rows():
@@ -142,7 +142,7 @@ def test_figures_of_the_comparison_are_those_of_its_points(robot, points, monkey
     monkeypatch.setattr(tunnel_moments, "DRAWS", 20)
     data = points["below"]
     areas = {name: np.full((3, 13, 3), 1e-3 * (k + 1)) for k, name in enumerate(tunnel_moments.CORRECTED)}
-    result = tunnel_moments.compared(robot, data, areas)
+    result = tunnel_moments.compare_moments(robot, data, areas)
     found = tunnel_moments.summary(result)
     measured = tunnel_moments.moment_about_com(data, "above")
     alone = data["kind"].values == "hovering"
@@ -159,7 +159,7 @@ def test_figures_of_the_comparison_are_those_of_its_points(robot, points, monkey
     assert more[0] <= more[1]
     assert 0.0 <= more[2] <= 1.0
 
-    monkeypatch.setattr(tunnel_moments, "held_out", lambda points, _: 0.5 * points.missing)
+    monkeypatch.setattr(tunnel_moments, "held_out_errors", lambda points, _: 0.5 * points.missing)
     fixed = tunnel_moments.corrections(robot, data, areas)
     wrench = total_wrench(robot, data["joint_position"].values, areas[name])
     force = np.sqrt(np.mean(np.sum((data["force_area"].values - wrench.force_area) ** 2, axis=1)))
@@ -175,7 +175,7 @@ def test_figures_of_the_comparison_are_those_of_its_points(robot, points, monkey
 def test_the_points_of_the_tunnel_count(tmp_path, monkeypatch):
     monkeypatch.setattr(tunnel_moments, "read", lambda _: xr.Dataset(coords={"point": [0]}))
     monkeypatch.setattr(tunnel_moments, "model_areas", lambda *_: {})
-    monkeypatch.setattr(tunnel_moments, "compared", lambda _, data, __: data)
+    monkeypatch.setattr(tunnel_moments, "compare_moments", lambda _, data, __: data)
     monkeypatch.setattr(tunnel_moments, "summary", lambda _: {})
     monkeypatch.setattr(tunnel_moments, "corrections", lambda *_: {})
     path = tmp_path / "tunnel.nc"

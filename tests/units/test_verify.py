@@ -28,12 +28,12 @@ def test_the_worst_sample_counts_against_the_greatest_answer():
 
 def test_rotations_are_compared_on_the_crates_branch(agree):
     quaternions = np.array([[1.0, 0, 0, 0], [0.6, 0.8, 0, 0]])
-    same = verify._same_branch("base_quaternion", quaternions * np.array([[1.0], [-1.0]]), quaternions)
+    same = verify._match_branch("base_quaternion", quaternions * np.array([[1.0], [-1.0]]), quaternions)
     np.testing.assert_array_equal(same, quaternions)
     angles = np.array([[0.1, 0.0, np.pi - 0.01]])
-    turned = verify._same_branch("base_rpy_setpoint", angles + np.array([[0.0, 0.0, -2.0 * np.pi]]), angles)
+    turned = verify._match_branch("base_rpy_setpoint", angles + np.array([[0.0, 0.0, -2.0 * np.pi]]), angles)
     agree("angles", turned, angles, 1e-15)
-    assert verify._same_branch("wind", angles, 0.0 * angles) is angles
+    assert verify._match_branch("wind", angles, 0.0 * angles) is angles
 
 
 def test_samples_of_a_flight_are_spread_from_its_first_to_its_last_tick(agree):
@@ -61,7 +61,7 @@ def test_random_states_have_joints_between_their_limits():
 
 
 def test_networks_are_compared_in_double_precision():
-    found = verify.in_double_precision(rust.load_config("robustness"))
+    found = verify.use_double_precision(rust.load_config("robustness"))
     assert found["simulator"]["aero"]["precision"] == "f64"
     assert "precision" not in found["controller"]["aero"]
 

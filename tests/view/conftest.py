@@ -24,5 +24,5 @@ def fallen(tmp_path_factory: pytest.TempPathFactory) -> Path:
         config_digest=rust.config_digest(config),
     )
     folder = tmp_path_factory.mktemp("results") / "fallen"
-    record.write_run(folder, dataset, {"title": config["title"], "config": manifest.portable(config)})
+    record.write_run(folder, dataset, {"title": config["title"], "config": manifest.make_portable(config)})
     return folder

@@ -307,7 +307,7 @@ def test_what_is_exported_reads_back_as_a_result(visit, tmp_path):
     assert manifest["config"]["robot"] == "configs/robot/ironcub_mk1.toml"
     read = recording.read(tmp_path / "mine")
     # Its configuration flies the same flight here.
-    config = io.at_home(json.loads((tmp_path / "run.json").read_text(encoding="utf-8"))["config"])
+    config = io.make_paths_absolute(json.loads((tmp_path / "run.json").read_text(encoding="utf-8"))["config"])
     again = rust.fly(config)
     np.testing.assert_allclose(read.signals["com_position"], again["com_position"], rtol=0, atol=1e-9)
 

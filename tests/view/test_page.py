@@ -133,7 +133,7 @@ def falls_and_completes(outcomes: list[str]) -> bool:
     return len(outcomes) == 2 and FALL.fullmatch(outcomes[0]) is not None and outcomes[1] == "completed"
 
 
-def changed(first: np.ndarray, second: np.ndarray) -> float:
+def has_changed(first: np.ndarray, second: np.ndarray) -> float:
     """Share of pixels that are clearly different."""
     return float((np.abs(first - second).max(axis=-1) > 24).mean())
 
@@ -183,7 +183,7 @@ def test_a_result_is_drawn_and_scrubbed(visit, fallen):
     start = page.picture()
     page.set_number("time [s]", "18")
     page.wait_for(lambda: page.served.now == 18.0, "the requested moment")
-    page.wait_for(lambda: changed(start, page.picture()) > 0.02, "another picture")
+    page.wait_for(lambda: has_changed(start, page.picture()) > 0.02, "another picture")
     page.wait_for(lambda: re.search("rotation error [67]", page.tab.content()) is not None, "its numbers")
     # Playing goes on from there, to the fall.
     page.tab.get_by_role("button", name="5×").click()

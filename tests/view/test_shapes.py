@@ -17,7 +17,7 @@ from jax_aero.view.shapes import look_of
 SPARROW = places.find("robot", "sparrow")
 
 
-def drawn_with(geometries: list[str]) -> SimpleNamespace:
+def draw_geometries(geometries: list[str]) -> SimpleNamespace:
     """Return the sparrow with other geometry in place of every primitive, each in turn."""
     robot = rust.Robot(SPARROW)
     others = itertools.cycle(geometries)
@@ -27,9 +27,9 @@ def drawn_with(geometries: list[str]) -> SimpleNamespace:
     )
 
 
-def meshed(filenames: list[str]) -> SimpleNamespace:
+def draw_meshes(filenames: list[str]) -> SimpleNamespace:
     """Return the sparrow with a mesh in place of every primitive, from these files in turn."""
-    return drawn_with([f'<mesh filename="{name}" scale="0.1 0.1 0.2"/>' for name in filenames])
+    return draw_geometries([f'<mesh filename="{name}" scale="0.1 0.1 0.2"/>' for name in filenames])
 
 
 @pytest.mark.parametrize(
@@ -44,13 +44,13 @@ def meshed(filenames: list[str]) -> SimpleNamespace:
 )
 def test_a_primitive_without_its_size_is_refused(geometry, message):
     with pytest.raises(ValueError, match=message):
-        look_of(drawn_with([geometry]), SPARROW)
+        look_of(draw_geometries([geometry]), SPARROW)
 
 
 def test_links_whose_mesh_is_missing_are_drawn_as_the_air_sees_them():
     shown = look_of(rust.Robot(SPARROW), SPARROW)
     assert shown.missing == ()
-    look = look_of(meshed(["package://bird/body.stl"]), SPARROW)
+    look = look_of(draw_meshes(["package://bird/body.stl"]), SPARROW)
     missing = {reason.split(":")[0] for reason in look.missing}
     assert missing == {shape.name for shape in shown.shapes if shape.role != "strut"}
     assert all("package://bird/body.stl: 0 files" in reason for reason in look.missing)
@@ -100,7 +100,7 @@ def test_meshes_of_three_formats_are_drawn(tmp_path, monkeypatch):
     for name, text in texts.items():
         (package / name).write_text(text, encoding="utf-8")
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path))
-    look = look_of(meshed([f"package://bird/{name}" for name in texts]), SPARROW)
+    look = look_of(draw_meshes([f"package://bird/{name}" for name in texts]), SPARROW)
     assert look.missing == ()
     shapes = [shape for shape in look.shapes if shape.role != "strut"]
     assert {shape.kind for shape in shapes} == {"mesh"}

@@ -209,7 +209,7 @@ impl FlightController {
     }
 
     /// Runs `work`, unless it panics or an earlier call has panicked.
-    fn guarded(&mut self, work: impl FnOnce(&mut Self) -> FlightStatus) -> FlightStatus {
+    fn guard(&mut self, work: impl FnOnce(&mut Self) -> FlightStatus) -> FlightStatus {
         if !self.has_panicked {
             // After a panic no data of this controller are used again.
             if let Ok(status) = catch_unwind(AssertUnwindSafe(|| work(self))) {
@@ -409,7 +409,7 @@ pub unsafe extern "C" fn flight_start(
     else {
         return FlightStatus::FlightNullPointer;
     };
-    controller.guarded(|controller| {
+    controller.guard(|controller| {
         // SAFETY: by this function's contract.
         if unsafe { controller.read(given) }.is_none() {
             return FlightStatus::FlightNullPointer;
@@ -444,7 +444,7 @@ pub unsafe extern "C" fn flight_tick(
     {
         return FlightStatus::FlightNullPointer;
     }
-    let status = controller.guarded(|controller| {
+    let status = controller.guard(|controller| {
         // SAFETY: by this function's contract.
         if unsafe { controller.read(given) }.is_none() {
             return FlightStatus::FlightNullPointer;
@@ -491,7 +491,7 @@ pub unsafe extern "C" fn flight_replace_command(
     if (jets > 0 && command.thrust_rate.is_null()) || (joints > 0 && command.joint_torque.is_null()) {
         return FlightStatus::FlightNullPointer;
     }
-    controller.guarded(|controller| {
+    controller.guard(|controller| {
         let Some(flight) = &mut controller.flight else { return FlightStatus::FlightNotStarted };
         // SAFETY: not null unless empty, and of these lengths by this function's contract.
         let (rates, torques) =

@@ -59,7 +59,7 @@ impl AeroModel {
     ///
     /// # Errors
     /// As [`ForceFactors::new`].
-    pub fn weighted(
+    pub fn weight_forces(
         self,
         factors: &ForceFactorsConfig,
         robot: &RobotModel,
@@ -79,8 +79,8 @@ impl AeroModel {
     pub fn link_forces(&mut self, links: &LinksInAir, forces_i: &mut [Vector3<f64>]) {
         match self {
             Self::Off => forces_i.fill(Vector3::zeros()),
-            Self::Axisymmetric(model) => by_link(links, forces_i, |i, k, v| model.link_force(i, k, v)),
-            Self::SphereCylinder(model) => by_link(links, forces_i, |i, k, v| model.link_force(i, k, v)),
+            Self::Axisymmetric(model) => fill_forces(links, forces_i, |i, k, v| model.link_force(i, k, v)),
+            Self::SphereCylinder(model) => fill_forces(links, forces_i, |i, k, v| model.link_force(i, k, v)),
             Self::Network(model) => model.link_forces(links, forces_i),
             Self::Weighted(model, factors) => {
                 model.link_forces(links, forces_i);
@@ -92,7 +92,7 @@ impl AeroModel {
 
 /// Evaluates a model that treats each link alone: `force` receives a link's index, axis and relative air
 /// velocity.
-fn by_link(
+fn fill_forces(
     links: &LinksInAir,
     forces_i: &mut [Vector3<f64>],
     force: impl Fn(usize, &Vector3<f64>, &Vector3<f64>) -> Vector3<f64>,

@@ -45,7 +45,7 @@ use crate::robot::RobotModel;
 use crate::spatial::parts;
 use crate::wind_observer::{WindObserver, WindState};
 use attitude::{AttitudeDemand, attitude_demand};
-use channels::{Channels, Modes, Seen};
+use channels::{Channels, Modes, UsedMeasurement};
 use config::ControllerConfig;
 use contact::{Contact, ContactState, WRENCH};
 use engines::{DescentConfig, EngineState, sensor_error};
@@ -75,7 +75,7 @@ const INTEGRAL_LIMIT: f64 = 20.0;
 
 /// Input of the control law: the measurement after the estimators.
 #[derive(Debug, Clone)]
-pub struct Given {
+pub struct Estimates {
     /// Pose, velocity and thrusts.
     pub reading: Reading,
     /// Velocity of the air \[m/s, inertial axes\].
@@ -88,9 +88,9 @@ pub struct Given {
 #[derive(Debug, Clone)]
 pub struct Terms {
     /// The last measurement of this robot, after the estimators.
-    pub given: Given,
+    pub estimates: Estimates,
     /// The measurement as used: predicted where it is not measured.
-    pub seen: Seen,
+    pub measurement: UsedMeasurement,
     /// Poses, velocities, centre of mass.
     pub kinematics: Kinematics,
     /// Mass matrix, bias, centroidal momentum.
@@ -173,7 +173,7 @@ impl Controller {
         let observes_joints = |estimator: &EstimatorConfig| estimator.joint_observer.is_some();
         let needs_joint_velocity = !config.estimator.as_ref().is_some_and(observes_joints);
         let channels = Channels::new(&config.channels, &model, time_step, needs_joint_velocity);
-        let seen = Seen::new(&model, time_step);
+        let measurement = UsedMeasurement::new(&model, time_step);
         if !config.use_jets {
             model.jets.clear();
         }
@@ -199,8 +199,8 @@ impl Controller {
             )?,
             channels,
             terms: Terms {
-                given: Given { reading: Reading::zero(joints, n_jets), wind: zero, wind_std: zero },
-                seen,
+                estimates: Estimates { reading: Reading::zero(joints, n_jets), wind: zero, wind_std: zero },
+                measurement,
                 kinematics: Kinematics::new(&model),
                 dynamics: Dynamics::new(&model),
                 inverse_mass: InverseMass::new(joints),
@@ -217,8 +217,8 @@ impl Controller {
                 thrust_rate: DVector::zeros(n_jets),
                 joint_velocity: DVector::zeros(joints),
                 joint_torque: DVector::zeros(joints),
-                momentum_qp: QpAnswer::refused(QpStatus::NonFinite),
-                torque_qp: QpAnswer::refused(QpStatus::NonFinite),
+                momentum_qp: QpAnswer::from_status(QpStatus::NonFinite),
+                torque_qp: QpAnswer::from_status(QpStatus::NonFinite),
                 status: CommandStatus::Nominal,
                 modes: Modes::default(),
             },
@@ -277,13 +277,13 @@ impl Controller {
         if !self.fits(state) {
             return self.hold_command(CommandStatus::BadState, Modes::default());
         }
-        let is_seen = self.see(state, measurement);
+        let is_usable = self.take_measurement(state, measurement);
         let setpoint = if state.channels.is_descending {
             self.setpoint_generator.descend(&mut state.setpoint, self.terms.contact.stays(&state.contact))
         } else {
-            self.setpoint_generator.update(&mut state.setpoint, self.terms.seen.time)
+            self.setpoint_generator.update(&mut state.setpoint, self.terms.measurement.time)
         };
-        self.act(state, is_seen, &setpoint)
+        self.act(state, is_usable, &setpoint)
     }
 
     /// One tick that follows the given set-point instead of the mission. An invalid set-point results in the status
@@ -298,7 +298,7 @@ impl Controller {
         if !self.fits(state) {
             return self.hold_command(CommandStatus::BadState, Modes::default());
         }
-        let is_seen = self.see(state, measurement);
+        let is_usable = self.take_measurement(state, measurement);
         let is_valid = setpoint.is_valid(&self.config.channels.greatest);
         let followed = if state.channels.is_descending {
             self.setpoint_generator.descend(&mut state.setpoint, self.terms.contact.stays(&state.contact))
@@ -308,7 +308,7 @@ impl Controller {
         } else {
             self.setpoint_generator.stop(&mut state.setpoint)
         };
-        self.act(state, is_seen, &followed);
+        self.act(state, is_usable, &followed);
         if !is_valid && matches!(self.command.status, CommandStatus::Nominal | CommandStatus::Degraded) {
             self.command.status = CommandStatus::BadSetpoint;
         }
@@ -368,35 +368,35 @@ impl Controller {
     }
 
     /// Processes a measurement and advances the time; returns whether the measurement has the sizes of this robot.
-    fn see(&mut self, state: &mut ControllerState, measurement: &Measurement) -> bool {
-        let is_seen = self.channels.fit(measurement);
-        let Terms { given, seen, .. } = &mut self.terms;
-        if is_seen {
-            given.wind = state.wind.as_ref().map_or(measurement.wind, WindState::wind);
-            given.wind_std = state.wind.as_ref().map_or_else(Vector3::zeros, WindState::std);
-            given.reading.copy(measurement.state, measurement.thrust);
-            let measurement = Measurement { wind: given.wind, ..*measurement };
-            self.channels.update(&mut state.channels, &measurement, seen);
+    fn take_measurement(&mut self, state: &mut ControllerState, measurement: &Measurement) -> bool {
+        let is_usable = self.channels.fit(measurement);
+        let Terms { estimates, measurement: used, .. } = &mut self.terms;
+        if is_usable {
+            estimates.wind = state.wind.as_ref().map_or(measurement.wind, WindState::wind);
+            estimates.wind_std = state.wind.as_ref().map_or_else(Vector3::zeros, WindState::std);
+            estimates.reading.copy(measurement.state, measurement.thrust);
+            let measurement = Measurement { wind: estimates.wind, ..*measurement };
+            self.channels.update(&mut state.channels, &measurement, used);
         } else {
-            self.channels.update_unmeasured(&mut state.channels, measurement.time, seen);
+            self.channels.update_unmeasured(&mut state.channels, measurement.time, used);
         }
         if let (Some(estimator), Some(memory)) = (&mut self.estimator, &mut state.estimator) {
-            self.channels.accepted(&state.channels, &mut given.reading);
-            if seen.pause > 0.0 {
+            self.channels.select_accepted(&state.channels, &mut estimates.reading);
+            if used.pause > 0.0 {
                 memory.restart();
             }
-            estimator.update(memory, &mut given.reading, seen.elapsed, &mut seen.thrust_innovation);
-            self.channels.replace(&mut given.reading, seen);
+            estimator.update(memory, &mut estimates.reading, used.elapsed, &mut used.thrust_innovation);
+            self.channels.replace(&mut estimates.reading, used);
         }
-        is_seen
+        is_usable
     }
 
     /// Observes, then solves the momentum QP and the torque QP, or holds where the measurement is not of this robot.
-    fn act(&mut self, state: &mut ControllerState, is_seen: bool, setpoint: &Setpoint) -> &Command {
+    fn act(&mut self, state: &mut ControllerState, is_usable: bool, setpoint: &Setpoint) -> &Command {
         self.terms.setpoint = *setpoint;
         self.command.joint_torque.copy_from(&state.joint_torque);
         self.observe(state);
-        let modes = self.terms.seen.modes;
+        let modes = self.terms.measurement.modes;
         self.command.modes = modes;
         let descent = self.config.engines.as_ref().and_then(|config| config.descent).filter(|descent| {
             let mut engines = state.engines.iter().zip(&self.model.jets);
@@ -406,7 +406,7 @@ impl Controller {
         let descent = descent.filter(|_| !state.contact.is_active);
         self.update_free_acceleration();
         self.terms.contact.force_of_torques.copy_from(&state.contact.force);
-        if is_seen {
+        if is_usable {
             self.solve_momentum_qp(state, descent.as_ref());
             self.solve_torque_qp(state, descent.as_ref());
         } else {
@@ -417,18 +417,17 @@ impl Controller {
             observer.update(memory, &self.terms);
         }
         if let Some(memory) = &mut state.estimator {
-            let Terms { momentum, seen, contact, .. } = &self.terms;
+            let Terms { momentum, measurement: used, contact, .. } = &self.terms;
             let feet = contact.force_of_torques.as_slice();
-            memory.command(&self.command, &momentum.unmodelled_wrench, &seen.wind, feet);
+            memory.command(&self.command, &momentum.unmodelled_wrench, &used.wind, feet);
         }
         &self.command
     }
 
     /// Computes all quantities that depend on the measurement and the set-point only.
     fn observe(&mut self, state: &mut ControllerState) {
-        let Terms {
-            seen: measurement, kinematics, dynamics, link_forces, momentum, contact, setpoint, ..
-        } = &mut self.terms;
+        let Terms { measurement, kinematics, dynamics, link_forces, momentum, contact, setpoint, .. } =
+            &mut self.terms;
         let conventions = LinkConventions {
             lever_arm: self.config.lever_arm,
             jacobian_offset: self.config.jacobian_offset,
@@ -512,7 +511,7 @@ impl Controller {
     /// Computes thrust rates and joint velocities that control momentum and attitude.
     fn solve_momentum_qp(&mut self, state: &mut ControllerState, descent: Option<&DescentConfig>) {
         let Terms {
-            seen: measurement,
+            measurement,
             kinematics,
             dynamics,
             momentum,
@@ -598,8 +597,7 @@ impl Controller {
 
     /// Torques that let the joints follow the commanded velocities.
     fn solve_torque_qp(&mut self, state: &mut ControllerState, descent: Option<&DescentConfig>) {
-        let Terms { seen: measurement, inverse_mass, torque_qp, contact, unlimited_torque, .. } =
-            &mut self.terms;
+        let Terms { measurement, inverse_mass, torque_qp, contact, unlimited_torque, .. } = &mut self.terms;
         for (joint, velocity) in measurement.state.joint_velocity().iter().enumerate() {
             self.velocity_error[joint] = velocity - self.command.joint_velocity[joint];
         }
@@ -614,7 +612,7 @@ impl Controller {
             );
             self.torque_solver.solve_from(&mut state.torque_start, &torque_qp.problem)
         } else {
-            QpAnswer::refused(QpStatus::NotPositiveDefinite)
+            QpAnswer::from_status(QpStatus::NotPositiveDefinite)
         };
         self.command.torque_qp = answer;
         if answer.status == QpStatus::Solved {
@@ -653,7 +651,7 @@ impl Controller {
     /// Predicts the acceleration under the command, for the channels of the next tick (M101):
     /// `ν̇ = M⁻¹ (Σ Jᵀ T a + J_aᵀ f_a + J_cᵀ f_c + S τ + ŵ − h)`, with the observed wrench `ŵ` on the base.
     fn predict_acceleration(&mut self, state: &mut ControllerState) {
-        let Terms { seen, kinematics, inverse_mass, momentum, contact, .. } = &mut self.terms;
+        let Terms { measurement: used, kinematics, inverse_mass, momentum, contact, .. } = &mut self.terms;
         let acceleration = &mut self.acceleration;
         acceleration.fill(0.0);
         if inverse_mass.is_known {
@@ -673,7 +671,7 @@ impl Controller {
             *acceleration += &self.free_acceleration;
         }
         state.channels.acceleration.copy_from(acceleration);
-        state.channels.commanded_in.copy_from(&seen.state);
+        state.channels.commanded_in.copy_from(&used.state);
         state.channels.joint_torque.copy_from(&self.command.joint_torque);
         state.channels.thrust_rate.copy_from(&self.command.thrust_rate);
         state.channels.foot_wrenches.copy_from(&contact.force_of_torques);
@@ -704,8 +702,8 @@ impl Controller {
     fn hold_command(&mut self, status: CommandStatus, modes: Modes) -> &Command {
         self.command.thrust_rate.fill(0.0);
         self.command.joint_velocity.fill(0.0);
-        self.command.momentum_qp = QpAnswer::refused(QpStatus::NonFinite);
-        self.command.torque_qp = QpAnswer::refused(QpStatus::NonFinite);
+        self.command.momentum_qp = QpAnswer::from_status(QpStatus::NonFinite);
+        self.command.torque_qp = QpAnswer::from_status(QpStatus::NonFinite);
         self.command.status = status;
         self.command.modes = modes;
         &self.command

@@ -124,7 +124,7 @@ impl Table<'_> {
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
-    pub fn positive(self, key: &str, value: f64) -> Result<(), BuildError> {
+    pub fn check_positive(self, key: &str, value: f64) -> Result<(), BuildError> {
         self.check(key, value, |x| x > 0.0, "a positive number")
     }
 
@@ -142,7 +142,7 @@ impl Table<'_> {
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
-    pub fn non_negative(self, key: &str, value: f64) -> Result<(), BuildError> {
+    pub fn check_non_negative(self, key: &str, value: f64) -> Result<(), BuildError> {
         self.check(key, value, |x| x >= 0.0, "a number ≥ 0")
     }
 }

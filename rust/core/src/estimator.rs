@@ -130,7 +130,7 @@ impl Reading {
     /// Copies the numbers of `measured` that are plausible and keeps the others.
     fn take_over(&mut self, measured: &Self) {
         let (Self { state: to, thrust: to_thrust }, Self { state, thrust }) = (self, measured);
-        let take = |to: &mut f64, measured| *to = known(measured, *to);
+        let take = |to: &mut f64, measured| *to = prefer_measured(measured, *to);
         to.base.position.zip_apply(&state.base.position, take);
         to.base.rotation.zip_apply(&state.base.rotation, take);
         to.joint_position.zip_apply(&state.joint_position, take);
@@ -359,7 +359,7 @@ impl Estimator {
         let [of_velocity, of_acceleration] = *by_position;
         for joint in 0..disturbance.len() {
             let found = then.state.joint_position[joint];
-            let innovation = known(aligned[4].state.joint_position[joint], found) - found;
+            let innovation = prefer_measured(aligned[4].state.joint_position[joint], found) - found;
             then.state.velocity[6 + joint] += of_velocity / step * innovation;
             disturbance[joint] += of_acceleration / (step * step) * innovation;
         }
@@ -421,7 +421,7 @@ impl EstimatorState {
 }
 
 /// The measurement, or the estimate if the measurement is implausible.
-fn known(measured: f64, estimate: f64) -> f64 {
+fn prefer_measured(measured: f64, estimate: f64) -> f64 {
     if measured.abs() <= GREATEST { measured } else { estimate }
 }
 
@@ -431,28 +431,30 @@ fn correct(estimate: &mut Reading, measured: [&Reading; 7], shares: &[f64; 7]) {
     let Reading { state, thrust } = estimate;
     let (rotation_now, turning) = (state.base.rotation, state.base_angular_velocity());
     let gyro_now = rotation_now.transpose() * turning;
-    let rotation_measured = angular.state.base.rotation.zip_map(&rotation_now, known);
-    let turning_measured = angular.state.base_angular_velocity().zip_map(&turning, known);
+    let rotation_measured = angular.state.base.rotation.zip_map(&rotation_now, prefer_measured);
+    let turning_measured = angular.state.base_angular_velocity().zip_map(&turning, prefer_measured);
     let gyro_now = gyro_now + shares[3] * (rotation_measured.transpose() * turning_measured - gyro_now);
-    let turn =
-        log_so3(&(rotation_now.transpose() * rotation.state.base.rotation.zip_map(&rotation_now, known)));
+    let turn = log_so3(
+        &(rotation_now.transpose() * rotation.state.base.rotation.zip_map(&rotation_now, prefer_measured)),
+    );
     let place = state.base.position;
-    state.base.position += shares[0] * (position.state.base.position.zip_map(&place, known) - place);
+    state.base.position +=
+        shares[0] * (position.state.base.position.zip_map(&place, prefer_measured) - place);
     state.base.rotation = project_to_so3(&(state.base.rotation * exp_so3(&(shares[1] * turn))));
     let linear_now = state.base_linear_velocity();
-    let linear_measured = linear.state.base_linear_velocity().zip_map(&linear_now, known);
+    let linear_measured = linear.state.base_linear_velocity().zip_map(&linear_now, prefer_measured);
     let linear_now = linear_now + shares[2] * (linear_measured - linear_now);
     let angular_now = state.base.rotation * gyro_now;
     let velocities = state.velocity.as_mut_slice();
     velocities[..3].copy_from_slice(linear_now.as_slice());
     velocities[3..6].copy_from_slice(angular_now.as_slice());
     for (found, measured) in state.joint_position.iter_mut().zip(&joints.state.joint_position) {
-        *found += shares[4] * (known(*measured, *found) - *found);
+        *found += shares[4] * (prefer_measured(*measured, *found) - *found);
     }
     for (found, measured) in velocities[6..].iter_mut().zip(joint_velocities.state.joint_velocity()) {
-        *found += shares[5] * (known(*measured, *found) - *found);
+        *found += shares[5] * (prefer_measured(*measured, *found) - *found);
     }
     for (found, measured) in thrust.iter_mut().zip(&thrusts.thrust) {
-        *found = (*found + shares[6] * (known(*measured, *found) - *found)).max(0.0);
+        *found = (*found + shares[6] * (prefer_measured(*measured, *found) - *found)).max(0.0);
     }
 }

@@ -250,10 +250,10 @@ impl Kinematics {
     ) {
         let arm = point_i - self.bodies[0].i_from_b.position;
         for k in 0..3 {
-            visit(k, unit(k), Vector3::zeros());
+            visit(k, unit_axis(k), Vector3::zeros());
         }
         for k in 0..3 {
-            visit(3 + k, unit(k).cross(&arm), unit(k));
+            visit(3 + k, unit_axis(k).cross(&arm), unit_axis(k));
         }
         for &joint in &self.chains[body] {
             let motion = &self.bodies[joint + 1];
@@ -322,7 +322,7 @@ impl Kinematics {
 }
 
 /// Unit vector along axis `k` (0, 1 or 2).
-fn unit(k: usize) -> Vector3<f64> {
+fn unit_axis(k: usize) -> Vector3<f64> {
     let mut e = Vector3::zeros();
     e[k] = 1.0;
     e

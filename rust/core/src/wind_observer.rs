@@ -86,15 +86,15 @@ impl WindObserverConfig {
     /// [`BuildError::BadValue`] naming the key.
     pub fn check(&self, time_step: f64) -> Result<(), BuildError> {
         let table = Table("controller.wind_observer");
-        table.positive("gain", self.gain)?;
+        table.check_positive("gain", self.gain)?;
         table.gain("gain", self.gain, time_step)?;
-        table.positive("walk", self.walk)?;
-        table.positive("vertical_std", self.vertical_std)?;
-        table.positive("vertical_time", self.vertical_time)?;
-        table.positive("moment_arm", self.moment_arm)?;
-        self.force_noise.into_iter().try_for_each(|std| table.positive("force_noise", std))?;
-        table.non_negative("force_std", self.force_std)?;
-        table.non_negative("relative_std", self.relative_std)
+        table.check_positive("walk", self.walk)?;
+        table.check_positive("vertical_std", self.vertical_std)?;
+        table.check_positive("vertical_time", self.vertical_time)?;
+        table.check_positive("moment_arm", self.moment_arm)?;
+        self.force_noise.into_iter().try_for_each(|std| table.check_positive("force_noise", std))?;
+        table.check_non_negative("force_std", self.force_std)?;
+        table.check_non_negative("relative_std", self.relative_std)
     }
 }
 
@@ -159,18 +159,18 @@ impl WindObserver {
 
     /// Updates the estimate with the results of a tick; there is no correction if the momentum is not measured.
     pub fn update(&mut self, state: &mut WindState, terms: &Terms) {
-        let step = terms.seen.elapsed;
+        let step = terms.measurement.elapsed;
         self.predict(state, step);
-        if !terms.seen.has_momentum {
+        if !terms.measurement.has_momentum {
             state.hold();
             return;
         }
         let mut rate = Vector6::zeros();
-        for (column, thrust) in terms.momentum.a_t.column_iter().zip(&terms.seen.thrust) {
+        for (column, thrust) in terms.momentum.a_t.column_iter().zip(&terms.measurement.thrust) {
             rate += column * *thrust;
         }
         rate[2] -= terms.kinematics.mass() * self.robot.gravity;
-        terms.contact.add_measured(&terms.seen.foot_wrenches, &terms.kinematics.com, &mut rate);
+        terms.contact.add_measured(&terms.measurement.foot_wrenches, &terms.kinematics.com, &mut rate);
         let gain = self.config.gain;
         let gains =
             ObserverConfig { gain_force: gain, gain_moment: gain, force_max: GREATEST, moment_max: GREATEST };

@@ -4,7 +4,9 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::{Sample, assert_within, experiment, random_state, rng};
-use flight_core::control::channels::{Channels, ChannelsConfig, ChannelsState, Jumps, Modes, Seen};
+use flight_core::control::channels::{
+    Channels, ChannelsConfig, ChannelsState, Jumps, Modes, UsedMeasurement,
+};
 use flight_core::estimator::Reading;
 use flight_core::robot::RobotModel;
 use flight_core::spatial::exp_so3;
@@ -28,12 +30,12 @@ fn a_lost_velocity_does_not_follow_a_pose_over_a_gap() {
     rig.state.acceleration.fill(0.0);
     let before = rig.sample.state.velocity.clone();
     let place = rig.sample.state.base.position;
-    let seen = rig.tick(|sample| {
+    let used = rig.tick(|sample| {
         sample.time += 12.0 * STEP;
         sample.state.base.position = place + Vector3::repeat(13.0 * STEP);
         sample.state.velocity.rows_mut(0, 6).fill(f64::NAN);
     });
-    assert_eq!(seen.state.velocity.rows(0, 6), before.rows(0, 6));
+    assert_eq!(used.state.velocity.rows(0, 6), before.rows(0, 6));
 }
 
 /// What makes a measurement unusable.
@@ -44,7 +46,7 @@ struct Rig {
     channels: Channels,
     state: ChannelsState,
     sample: Sample,
-    seen: Seen,
+    used: UsedMeasurement,
 }
 
 impl Rig {
@@ -63,18 +65,18 @@ impl Rig {
         let mut state = channels.start(&sample.measurement()).unwrap();
         state.acceleration = DVector::from_fn(29, |_, _| rng.random_range(-2.0..2.0));
         state.thrust_rate = DVector::from_vec(vec![30.0, -40.0, -600.0, 10.0]);
-        let mut seen = Seen::new(&robot, STEP);
-        channels.update(&mut state, &sample.measurement(), &mut seen);
-        Self { channels, state, sample, seen }
+        let mut used = UsedMeasurement::new(&robot, STEP);
+        channels.update(&mut state, &sample.measurement(), &mut used);
+        Self { channels, state, sample, used }
     }
 
     /// A tick later, with something changed.
-    fn tick(&mut self, change: impl Fn(&mut Sample)) -> &Seen {
+    fn tick(&mut self, change: impl Fn(&mut Sample)) -> &UsedMeasurement {
         self.sample = self.sample.next();
         let mut sample = self.sample.clone();
         change(&mut sample);
-        self.channels.update(&mut self.state, &sample.measurement(), &mut self.seen);
-        &self.seen
+        self.channels.update(&mut self.state, &sample.measurement(), &mut self.used);
+        &self.used
     }
 }
 
@@ -104,12 +106,12 @@ fn an_estimator_follows_what_is_accepted() {
         sample.thrust[2] = f64::NAN;
     });
     let mut reading = Reading { state: rig.sample.state.clone(), thrust: vec![0.0; 4] };
-    rig.channels.accepted(&rig.state, &mut reading);
+    rig.channels.select_accepted(&rig.state, &mut reading);
     let Sample { state, thrust, .. } = &rig.sample;
     assert!(reading.state.base.position.iter().all(|number| number.is_nan()));
     assert_eq!(reading.state.base.rotation, state.base.rotation);
     assert_eq!(reading.state.joint_position, state.joint_position);
-    assert_eq!(reading.state.velocity.rows(0, 6), rig.seen.state.velocity.rows(0, 6));
+    assert_eq!(reading.state.velocity.rows(0, 6), rig.used.state.velocity.rows(0, 6));
     assert_eq!(reading.state.velocity.rows(6, 23), state.velocity.rows(6, 23));
     assert!(reading.thrust[2].is_nan());
     for jet in [0, 1, 3] {
@@ -154,10 +156,10 @@ fn numbers_that_mean_nothing_are_refused_by_key() {
 fn what_is_measured_is_used() {
     let mut rig = Rig::new(&with_jumps());
     let expected = rig.sample.next();
-    let seen = rig.tick(|_| ()).clone();
-    assert_eq!((&seen.state, &seen.thrust, seen.wind), (&expected.state, &expected.thrust, expected.wind));
-    assert!(seen.modes.is_empty());
-    assert_eq!(seen.time, expected.time);
+    let used = rig.tick(|_| ()).clone();
+    assert_eq!((&used.state, &used.thrust, used.wind), (&expected.state, &expected.thrust, expected.wind));
+    assert!(used.modes.is_empty());
+    assert_eq!(used.time, expected.time);
 }
 
 /// Without any measurement joints and base move by the step of M78, thrusts by M31, each by hand.
@@ -176,19 +178,19 @@ fn what_is_missing_is_predicted() {
         for (thrust, rate) in thrust.iter_mut().zip(&rate) {
             *thrust = (*thrust + STEP * rate).max(0.0);
         }
-        let seen = rig.tick(lose_everything);
+        let used = rig.tick(lose_everything);
         for (found, expected) in [
-            (seen.state.velocity.as_slice(), expected.velocity.as_slice()),
-            (seen.state.joint_position.as_slice(), expected.joint_position.as_slice()),
-            (seen.state.base.position.as_slice(), expected.base.position.as_slice()),
-            (seen.state.base.rotation.as_slice(), expected.base.rotation.as_slice()),
-            (&seen.thrust, &thrust),
+            (used.state.velocity.as_slice(), expected.velocity.as_slice()),
+            (used.state.joint_position.as_slice(), expected.joint_position.as_slice()),
+            (used.state.base.position.as_slice(), expected.base.position.as_slice()),
+            (used.state.base.rotation.as_slice(), expected.base.rotation.as_slice()),
+            (&used.thrust, &thrust),
         ] {
             let worst = found.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
             assert_within!(worst, 1e-12, because "the same sums in the same order, of numbers below 1e3", "tick {tick}");
         }
-        assert_eq!(seen.wind, wind);
-        let names: Vec<_> = seen.modes.names().collect();
+        assert_eq!(used.wind, wind);
+        let names: Vec<_> = used.modes.names().collect();
         assert_eq!(
             names,
             [
@@ -220,10 +222,10 @@ fn each_channel_is_lost_alone() {
     ];
     for (spoil, mode) in cases {
         let mut rig = Rig::new(&ChannelsConfig::default());
-        let seen = rig.tick(spoil);
-        assert_eq!(seen.modes, mode);
+        let used = rig.tick(spoil);
+        assert_eq!(used.modes, mode);
         let moves = [Modes::JOINTS_PREDICTED, Modes::ROTATION_PREDICTED, Modes::VELOCITY_PREDICTED];
-        assert_eq!(seen.has_momentum, !moves.contains(&mode), "{:?}", mode.names().next());
+        assert_eq!(used.has_momentum, !moves.contains(&mode), "{:?}", mode.names().next());
         assert!(rig.tick(|_| ()).modes.is_empty(), "and comes back");
     }
 }
@@ -234,11 +236,11 @@ fn a_lost_wind_is_held_and_fades() {
     let mut rig = Rig::new(&ChannelsConfig::default());
     let last = rig.sample.wind;
     for tick in 1..=400 {
-        let seen = rig.tick(|sample| sample.wind.fill(f64::NAN));
+        let used = rig.tick(|sample| sample.wind.fill(f64::NAN));
         let age = f64::from(tick) * STEP;
         let share = (1.0 - (age - 1.0) / 2.0).clamp(0.0, 1.0);
-        assert_within!((seen.wind - last * share).amax(), 1e-12, "at {age} s");
-        assert_eq!(seen.modes.contains(Modes::WIND_LOST), tick > 300, "at {age} s");
+        assert_within!((used.wind - last * share).amax(), 1e-12, "at {age} s");
+        assert_eq!(used.modes.contains(Modes::WIND_LOST), tick > 300, "at {age} s");
     }
 }
 
@@ -270,13 +272,13 @@ fn a_frozen_velocity_is_recognised() {
     rig.state.acceleration.fill(0.0);
     rig.state.acceleration[0] = 0.5; // 5 mm/s a tick: 40 mm/s after the eighth
     for tick in 1..=20 {
-        let seen = rig.tick(|sample| {
+        let used = rig.tick(|sample| {
             // All but the velocity moves on.
             sample.state.joint_position[0] += 1e-3 * sample.time;
             sample.state.base.position.x += 1e-3 * sample.time;
         });
-        let is_known = seen.modes.contains(Modes::VELOCITY_PREDICTED);
-        assert_eq!(is_known, tick > 8, "tick {tick}: {:?}", seen.modes.names().collect::<Vec<_>>());
+        let is_known = used.modes.contains(Modes::VELOCITY_PREDICTED);
+        assert_eq!(is_known, tick > 8, "tick {tick}: {:?}", used.modes.names().collect::<Vec<_>>());
     }
     assert!(!rig.tick(|sample| sample.state.velocity[0] += 0.1).modes.contains(Modes::VELOCITY_PREDICTED));
 }
@@ -304,7 +306,7 @@ fn a_lost_velocity_follows_the_pose() {
     let (start, rotation) = (rig.sample.state.base.position, rig.sample.state.base.rotation);
     for tick in 1..=50 {
         let time = f64::from(tick) * STEP;
-        let seen = rig.tick(|sample| {
+        let used = rig.tick(|sample| {
             sample.state.base.position = start + v * time;
             sample.state.base.rotation = exp_so3(&(w * time)) * rotation;
             sample.state.velocity.rows_mut(0, 6).fill(f64::NAN);
@@ -312,9 +314,9 @@ fn a_lost_velocity_follows_the_pose() {
         let left = (-20.0 * time).exp();
         for axis in 0..3 {
             let expected = v[axis] + (before[axis] - v[axis]) * left;
-            assert_within!((seen.state.velocity[axis] - expected).abs(), 1e-11, "tick {tick}");
+            assert_within!((used.state.velocity[axis] - expected).abs(), 1e-11, "tick {tick}");
             let expected = w[axis] + (before[3 + axis] - w[axis]) * left;
-            let error = (seen.state.velocity[3 + axis] - expected).abs();
+            let error = (used.state.velocity[3 + axis] - expected).abs();
             assert_within!(error, 1e-8, because "the sine of a turn of 6e-4 rad is taken for the turn: 6e-8 of it");
         }
     }
@@ -329,13 +331,13 @@ fn a_lost_velocity_does_not_follow_a_pose_that_was_held() {
     let (w, rotation) = (rig.sample.state.base_angular_velocity(), rig.sample.state.base.rotation);
     for tick in 1..=50 {
         let time = f64::from(tick - tick % 2) * STEP;
-        let seen = rig.tick(|sample| {
+        let used = rig.tick(|sample| {
             sample.state.base.position = start + v * time;
             sample.state.base.rotation = exp_so3(&(w * time)) * rotation;
             sample.state.velocity.rows_mut(0, 6).fill(f64::NAN);
         });
-        assert_eq!(seen.state.base_linear_velocity(), v, "tick {tick}");
-        assert_eq!(seen.state.base_angular_velocity(), w, "tick {tick}");
+        assert_eq!(used.state.base_linear_velocity(), v, "tick {tick}");
+        assert_eq!(used.state.base_angular_velocity(), w, "tick {tick}");
     }
 }
 
@@ -352,16 +354,16 @@ fn a_time_that_is_none_is_predicted() {
         (0.0, STEP, false),
     ] {
         let mut rig = Rig::new(&with_jumps());
-        assert!(rig.seen.has_momentum, "the first tick");
-        let seen = rig.tick(|sample| sample.time = measured);
-        assert_eq!((seen.time, seen.has_momentum), (time, has_momentum), "{measured}");
-        assert_eq!(seen.modes.contains(Modes::CLOCK_PREDICTED), measured != 0.02, "{measured}");
+        assert!(rig.used.has_momentum, "the first tick");
+        let used = rig.tick(|sample| sample.time = measured);
+        assert_eq!((used.time, used.has_momentum), (time, has_momentum), "{measured}");
+        assert_eq!(used.modes.contains(Modes::CLOCK_PREDICTED), measured != 0.02, "{measured}");
         // Half a tick later by the same clock, or by the one of before where it was none.
         let (later, elapsed) = if has_momentum { (0.025, 0.025 - time) } else { (measured + 0.005, 0.005) };
-        let seen = rig.tick(|sample| sample.time = later);
-        assert_within!((seen.elapsed - elapsed).abs(), 1e-15, "{measured}");
-        assert_within!((seen.time - time - elapsed).abs(), 1e-15, "{measured}");
-        assert!(seen.has_momentum && seen.modes.is_empty(), "{measured}");
+        let used = rig.tick(|sample| sample.time = later);
+        assert_within!((used.elapsed - elapsed).abs(), 1e-15, "{measured}");
+        assert_within!((used.time - time - elapsed).abs(), 1e-15, "{measured}");
+        assert!(used.has_momentum && used.modes.is_empty(), "{measured}");
     }
 }
 
@@ -376,15 +378,15 @@ fn what_happened_in_a_pause_is_no_jump() {
             rig.state.acceleration.fill(0.0);
             rig.sample.time = 5.0;
             rig.tick(|_| ());
-            let seen = rig.tick(|sample| {
+            let used = rig.tick(|sample| {
                 sample.time += gap - STEP;
                 sample.state.velocity[1] += off;
                 sample.thrust[0] += 50.0;
             });
-            assert_eq!(!seen.modes.contains(Modes::VELOCITY_PREDICTED), is_accepted, "{gap} s, {off} m/s");
+            assert_eq!(!used.modes.contains(Modes::VELOCITY_PREDICTED), is_accepted, "{gap} s, {off} m/s");
             let is_step = gap == 0.09;
-            assert_eq!(seen.thrust_innovation[0] != 0.0, is_step, "{gap} s");
-            assert_eq!(seen.pause > 0.0, most > 2.0, "{gap} s");
+            assert_eq!(used.thrust_innovation[0] != 0.0, is_step, "{gap} s");
+            assert_eq!(used.pause > 0.0, most > 2.0, "{gap} s");
         }
     }
 }
@@ -394,12 +396,12 @@ fn what_happened_in_a_pause_is_no_jump() {
 fn the_first_measurement_is_accepted() {
     let mut rig = Rig::new(&with_jumps());
     rig.state = rig.channels.start(&rig.sample.measurement()).unwrap();
-    let seen = rig.tick(|sample| {
+    let used = rig.tick(|sample| {
         sample.state.base.position.x += 5.0;
         sample.thrust[0] += 50.0;
     });
-    assert!(seen.modes.is_empty());
-    assert_eq!(seen.thrust_innovation[0], 0.0);
+    assert!(used.modes.is_empty());
+    assert_eq!(used.thrust_innovation[0], 0.0);
 }
 
 /// Without jumps in the configuration every time is followed, as published.
@@ -407,9 +409,9 @@ fn the_first_measurement_is_accepted() {
 fn without_jumps_every_time_is_followed() {
     for time in [0.5, 0.0] {
         let mut rig = Rig::new(&ChannelsConfig::default());
-        let seen = rig.tick(|sample| sample.time = time);
-        assert_eq!((seen.time, seen.elapsed, seen.has_momentum), (time, STEP, false));
-        assert!(seen.modes.is_empty());
+        let used = rig.tick(|sample| sample.time = time);
+        assert_eq!((used.time, used.elapsed, used.has_momentum), (time, STEP, false));
+        assert!(used.modes.is_empty());
     }
 }
 
@@ -445,7 +447,7 @@ fn predictions_stay_within_what_is_accepted() {
     for _ in 0..20_000 {
         rig.tick(lose_everything);
     }
-    let Seen { state, thrust, .. } = rig.tick(lose_everything).clone();
+    let UsedMeasurement { state, thrust, .. } = rig.tick(lose_everything).clone();
     let bounds = [greatest.velocity; 3].into_iter().chain([greatest.angular_velocity; 3]);
     assert!(state.velocity.iter().zip(bounds).all(|(velocity, most)| *velocity == most));
     assert!(state.velocity.rows(6, 23).iter().all(|velocity| *velocity == greatest.joint_velocity));

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-use crate::common::{Running, TIME_STEP, assert_within, configs, experiment, moved, random_state, rng};
+use crate::common::{Running, TIME_STEP, assert_within, configs, experiment, move_state, random_state, rng};
 use flight_core::control::channels::Modes;
 use flight_core::control::config::{ControllerConfig, Solver};
 use flight_core::control::contact::{Contact, ContactConfig, ContactState, LoadTransfer, WRENCH_ROWS};
@@ -377,7 +377,7 @@ fn rates_of_the_feet_are_their_differences() {
         let (mut kinematics, mut dynamics) = (Kinematics::new(&robot), Dynamics::new(&robot));
         let held = DVector::from_fn(12, |_, _| rng.random_range(-50.0..50.0));
         let mut at = |time: f64| {
-            let state = moved(&state, time);
+            let state = move_state(&state, time);
             kinematics.update(&robot, &state);
             dynamics.update(&robot, &state, &kinematics);
             let measured = [Vector6::new(0.0, 0.0, 200.0, 0.0, 0.0, 0.0); 2];
@@ -624,7 +624,7 @@ fn a_robot_that_stands_is_not_estimated_to_fall() {
     for tick in 0..20 {
         let time = f64::from(tick) * TIME_STEP;
         standing.tick(&Measurement { time, ..measurement(&state, Vector3::zeros(), &weight_on_both()) });
-        let speed = standing.terms().seen.state.base_linear_velocity().norm();
+        let speed = standing.terms().measurement.state.base_linear_velocity().norm();
         assert_within!(speed, 0.05, because "f_c* of a foot is off by 5 N of 212, which is g / 40 over 0.1 s", "tick {tick}");
     }
 }
@@ -653,8 +653,8 @@ fn a_replaced_command_leaves_the_predicted_motion_of_a_robot_that_stands() {
             foot_wrenches: &feet,
         };
         running.tick(&measurement);
-        let seen = &running.terms().seen;
-        (seen.state.velocity.clone(), seen.thrust[0])
+        let used = &running.terms().measurement;
+        (used.state.velocity.clone(), used.thrust[0])
     };
     let (commanded, _) = seen_after(None);
     let (replaced, thrust) = seen_after(Some((0.5, 30.0)));
@@ -731,7 +731,7 @@ fn the_law_of_a_lost_engine_is_that_of_the_air() {
         let fall = if stands { 0.0 } else { -share * 9.81 * TIME_STEP * f64::from(tick - 39) };
         state.velocity.fill(speed);
         state.velocity[2] += fall;
-        state = moved(&state, TIME_STEP);
+        state = move_state(&state, TIME_STEP);
         let [a, b] = [&mut low, &mut high].map(|running| {
             // The thrusts stay, though they are commanded to rise.
             tick_with_load(running, &state, f64::from(tick) * TIME_STEP, 0.5, &feet);
@@ -803,10 +803,10 @@ fn unsound_feet_are_predicted_and_a_missing_one_is_a_bad_measurement() {
         let measured = Measurement { time, ..measurement(&state, Vector3::zeros(), feet) };
         time += TIME_STEP;
         let status = controller.tick(&measured).status;
-        let Terms { momentum, contact, seen, .. } = controller.terms();
+        let Terms { momentum, contact, measurement: used, .. } = controller.terms();
         let kept = contact.force_of_torques.as_slice().chunks_exact(6).map(Vector6::from_column_slice);
         let kept: Vec<_> = kept.collect();
-        (status, controller.command().modes, seen.foot_wrenches.clone(), kept, momentum.unmodelled_wrench)
+        (status, controller.command().modes, used.foot_wrenches.clone(), kept, momentum.unmodelled_wrench)
     };
     // More than the weight, and still at rest: something else pulls.
     let mut heavy = weight_on_both();

@@ -5,8 +5,8 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::{
-    Loop, Running, Sample, TIME_STEP, assert_within, configs, experiment, moved, random_state, random_vector,
-    rng, robot, tick_at, uniform_estimator,
+    Loop, Running, Sample, TIME_STEP, assert_within, configs, experiment, move_state, random_state,
+    random_vector, rng, robot, tick_at, uniform_estimator,
 };
 use crate::setpoint::distance_to_rest;
 use flight_core::control::bounds::LimitedValues;
@@ -52,7 +52,7 @@ impl Sample {
 
     /// The robot after it has moved on at its present velocity.
     fn after(&self, time: f64) -> Self {
-        Self { state: moved(&self.state, time), ..self.clone() }
+        Self { state: move_state(&self.state, time), ..self.clone() }
     }
 }
 
@@ -386,12 +386,12 @@ fn predictions_go_on_while_measurements_are_bad() {
         assert!(moved > 2.0 * Jumps::default().position, "{moved} m");
         sample.thrust.fill(f64::NAN);
         assert_eq!(world.controller.tick(&sample.measurement()).modes, Modes::THRUST_MODELLED);
-        let (seen, truth) = (&world.controller.terms().seen, world.plant.state());
-        for (seen, truth) in seen.thrust.iter().zip(world.plant.jets().thrust()) {
-            assert_within!((seen - truth).abs(), 1e-9);
+        let (used, truth) = (&world.controller.terms().measurement, world.plant.state());
+        for (used, truth) in used.thrust.iter().zip(world.plant.jets().thrust()) {
+            assert_within!((used - truth).abs(), 1e-9);
         }
         // Velocities near 10 rad/s, by a mass matrix with a condition of 1e4.
-        assert_within!((&seen.state.velocity - &truth.velocity).amax(), 1e-9);
+        assert_within!((&used.state.velocity - &truth.velocity).amax(), 1e-9);
     }
 }
 
@@ -434,11 +434,11 @@ fn predictions_follow_a_replaced_command() {
             sample.thrust.fill(f64::NAN);
         }
         world.controller.tick(&sample.measurement());
-        let seen = &world.controller.terms().seen;
+        let used = &world.controller.terms().measurement;
         // Velocities near 10 rad/s, by a mass matrix with a condition of 1e4.
-        assert_within!((&seen.state.velocity - &truth.velocity).amax(), 1e-9);
-        for (seen, truth) in seen.thrust.iter().zip(world.plant.jets().thrust()) {
-            assert_within!((seen - truth).abs(), 1e-9);
+        assert_within!((&used.state.velocity - &truth.velocity).amax(), 1e-9);
+        for (used, truth) in used.thrust.iter().zip(world.plant.jets().thrust()) {
+            assert_within!((used - truth).abs(), 1e-9);
         }
     }
 }
@@ -469,7 +469,7 @@ fn a_replaced_command_belongs_to_its_state() {
             controller.replace_command(state.as_mut().unwrap(), rate, torque).unwrap();
         }
         unmeasured.tick(running);
-        running.terms().seen.state.velocity.clone()
+        running.terms().measurement.state.velocity.clone()
     };
     let as_commanded = predicted(&mut world.controller, &[]);
     let expected = predicted(&mut world.controller, &[&torque]);
@@ -555,7 +555,7 @@ fn an_observer_of_joints_needs_no_velocities() {
         assert!(expected.modes.is_empty());
         world.advance(&wind());
     }
-    assert!(unmeasured.terms().given.reading.state.velocity.rows_range(6..).amax() > 1e-3);
+    assert!(unmeasured.terms().estimates.reading.state.velocity.rows_range(6..).amax() > 1e-3);
 }
 
 /// With estimators the law is given what they make of the measurement, and the state holds them.
@@ -569,16 +569,16 @@ fn the_law_is_given_what_the_estimators_make() {
     let good = Sample::start(&config);
     let mut controller = controller(&config);
     good.tick(&mut controller);
-    assert_eq!(controller.terms().seen.state.base.position, good.state.base.position);
-    assert_eq!(controller.terms().seen.wind, Vector3::zeros(), "the measured wind is not used");
+    assert_eq!(controller.terms().measurement.state.base.position, good.state.base.position);
+    assert_eq!(controller.terms().measurement.wind, Vector3::zeros(), "the measured wind is not used");
     let wind = controller.state().wind().unwrap().wind();
     let mut moved = Sample { time: TIME_STEP, ..good.clone() };
     moved.state.base.position.x += 0.1;
     moved.tick(&mut controller);
-    let seen = &controller.terms().seen;
-    assert_within!((seen.state.base.position - good.state.base.position).amax(), 1e-2, because "a tick of the model");
-    assert_eq!(seen.wind, wind, "that of the tick before");
-    assert_eq!(controller.terms().given.reading.state, seen.state);
+    let used = &controller.terms().measurement;
+    assert_within!((used.state.base.position - good.state.base.position).amax(), 1e-2, because "a tick of the model");
+    assert_eq!(used.wind, wind, "that of the tick before");
+    assert_eq!(controller.terms().estimates.reading.state, used.state);
 
     // A state without one of the estimators is not one of this controller, nor the other way round.
     let forget: [fn(&mut ScenarioConfig); 2] = [

@@ -50,7 +50,7 @@ impl Sample {
 }
 
 /// Both robots and one of which every third joint slides, every state of a seeded sequence.
-fn on_random_states(seed: u64, mut law: impl FnMut(&RobotModel, Sample)) {
+fn check_on_random_states(seed: u64, mut law: impl FnMut(&RobotModel, Sample)) {
     let [first, second] = both_robots();
     let mut sliding = first.clone();
     for joint in sliding.joints.iter_mut().step_by(3) {
@@ -66,7 +66,7 @@ fn on_random_states(seed: u64, mut law: impl FnMut(&RobotModel, Sample)) {
 }
 
 /// The state after moving for a time with constant `velocity`, mixed representation.
-fn moved(state: &RobotState, velocity: &DVector<f64>, time: f64) -> RobotState {
+fn move_state(state: &RobotState, velocity: &DVector<f64>, time: f64) -> RobotState {
     let mut moved = state.clone();
     let omega: Vector3<f64> = velocity.fixed_rows::<3>(3).into();
     moved.base = Pose {
@@ -83,7 +83,7 @@ where
     T: std::ops::Sub<Output = T> + std::ops::Div<f64, Output = T>,
 {
     const STEP: f64 = 1e-5;
-    let at = |time| f(&Sample::new(robot, moved(state, &state.velocity, time)));
+    let at = |time| f(&Sample::new(robot, move_state(state, &state.velocity, time)));
     (at(STEP) - at(-STEP)) / (2.0 * STEP)
 }
 
@@ -101,7 +101,7 @@ fn frames(robot: &RobotModel) -> Vec<&Frame> {
 /// Velocities of bodies are the rates of change of their poses.
 #[test]
 fn body_velocities_are_rates_of_poses() {
-    on_random_states(1, |robot, sample| {
+    check_on_random_states(1, |robot, sample| {
         for (index, motion) in sample.kinematics.bodies.iter().enumerate() {
             let position = rate(robot, &sample.state, |s| s.kinematics.bodies[index].i_from_b.position);
             let rotation = rate(robot, &sample.state, |s| s.kinematics.bodies[index].i_from_b.rotation);
@@ -115,7 +115,7 @@ fn body_velocities_are_rates_of_poses() {
 /// The Jacobian of every frame, times ν, is the rate of change of its pose.
 #[test]
 fn frame_jacobians_are_differences_of_poses() {
-    on_random_states(2, |robot, sample| {
+    check_on_random_states(2, |robot, sample| {
         for frame in frames(robot) {
             let pose = sample.kinematics.frame_pose(frame);
             let (linear, angular) = sample.kinematics.jacobian(frame.body, &pose.position);
@@ -144,7 +144,7 @@ fn jacobian_columns_are_partial_derivatives() {
                     let mut direction = DVector::zeros(sample.state.velocity.len());
                     direction[column] = 1.0;
                     let at = |time| {
-                        let there = Sample::new(&robot, moved(&sample.state, &direction, time));
+                        let there = Sample::new(&robot, move_state(&sample.state, &direction, time));
                         there.kinematics.frame_pose(frame).position
                     };
                     let difference = (at(STEP) - at(-STEP)) / (2.0 * STEP);
@@ -158,7 +158,7 @@ fn jacobian_columns_are_partial_derivatives() {
 /// The mass matrix equals its transpose, to the last bit but one, and is positive definite.
 #[test]
 fn mass_matrix_is_symmetric_and_positive_definite() {
-    on_random_states(4, |_, sample| {
+    check_on_random_states(4, |_, sample| {
         let m = &sample.dynamics.mass_matrix;
         assert_small("asymmetry", (m - m.transpose()).amax(), m.amax(), f64::EPSILON);
         assert!(m.symmetric_eigenvalues().min() > 0.0);
@@ -168,7 +168,7 @@ fn mass_matrix_is_symmetric_and_positive_definite() {
 /// `½ νᵀ M ν` is the sum of the kinetic energies of the bodies.
 #[test]
 fn kinetic_energy_is_that_of_the_bodies() {
-    on_random_states(5, |robot, sample| {
+    check_on_random_states(5, |robot, sample| {
         let bodies: f64 = (0..robot.bodies.len())
             .map(|index| {
                 let (_, velocity, inertia) = sample.body(robot, index);
@@ -183,7 +183,7 @@ fn kinetic_energy_is_that_of_the_bodies() {
 /// `A_G ν` is the momentum of the bodies, linear and about their common centre of mass.
 #[test]
 fn centroidal_momentum_is_that_of_the_bodies() {
-    on_random_states(6, |robot, sample| {
+    check_on_random_states(6, |robot, sample| {
         let mut linear = Vector3::zeros();
         let mut angular = Vector3::zeros();
         let mut scale = 0.0;
@@ -207,7 +207,7 @@ fn centroidal_momentum_is_that_of_the_bodies() {
 /// turn of the whole robot meets.
 #[test]
 fn centroidal_inertia_is_that_of_the_bodies() {
-    on_random_states(7, |robot, sample| {
+    check_on_random_states(7, |robot, sample| {
         let mut inertia = Matrix3::zeros();
         for (index, body) in robot.bodies.iter().enumerate() {
             let (com, _, own) = sample.body(robot, index);
@@ -224,7 +224,7 @@ fn centroidal_inertia_is_that_of_the_bodies() {
 /// The Jacobian of the centre of mass is the rate of change of the centre of mass.
 #[test]
 fn com_jacobian_is_the_difference_of_the_com() {
-    on_random_states(8, |robot, sample| {
+    check_on_random_states(8, |robot, sample| {
         let found = sample.dynamics.momentum_matrix.rows(0, 3) * &sample.state.velocity / robot.mass();
         let difference = rate(robot, &sample.state, |s| s.kinematics.com);
         assert_small("com velocity", (difference - found).amax(), 10.0, 1e-9);
@@ -235,7 +235,7 @@ fn com_jacobian_is_the_difference_of_the_com() {
 /// what their weights need to be carried, through each body's Jacobian.
 #[test]
 fn bias_is_the_rate_of_the_bodies_momenta() {
-    on_random_states(9, |robot, sample| {
+    check_on_random_states(9, |robot, sample| {
         let mut bias = DVector::zeros(sample.state.velocity.len());
         for (index, body) in robot.bodies.iter().enumerate() {
             let force = rate(robot, &sample.state, |s| s.body(robot, index).1) * body.mass
@@ -254,7 +254,7 @@ fn bias_is_the_rate_of_the_bodies_momenta() {
 /// At rest the bias is the weight: `h = m g J_Gᵀ e₃`.
 #[test]
 fn bias_at_rest_is_the_weight() {
-    on_random_states(10, |robot, mut sample| {
+    check_on_random_states(10, |robot, mut sample| {
         sample.state.velocity.fill(0.0);
         let sample = Sample::new(robot, sample.state);
         let weight = robot.mass() * robot.gravity;
@@ -268,7 +268,7 @@ fn bias_at_rest_is_the_weight() {
 /// What forces do goes into the energy: `νᵀ M ν̇ + ½ νᵀ Ṁ ν + V̇ = νᵀ f`, so `νᵀ h = ½ νᵀ Ṁ ν + V̇`.
 #[test]
 fn bias_takes_no_power_but_that_of_weight() {
-    on_random_states(11, |robot, sample| {
+    check_on_random_states(11, |robot, sample| {
         let kinetic = rate(robot, &sample.state, Sample::kinetic_energy);
         let potential = rate(robot, &sample.state, |s| s.potential_energy(robot));
         let power = sample.state.velocity.dot(&sample.dynamics.bias);
@@ -281,7 +281,7 @@ fn bias_takes_no_power_but_that_of_weight() {
 #[test]
 fn dynamics_do_not_depend_on_yaw_or_place() {
     let mut draw = rng(12);
-    on_random_states(12, |robot, sample| {
+    check_on_random_states(12, |robot, sample| {
         let world = Pose {
             rotation: exp_so3(&(Vector3::z() * draw.random_range(-3.0..3.0))),
             position: random_vector(&mut draw, 50.0),
@@ -312,7 +312,7 @@ fn dynamics_do_not_depend_on_yaw_or_place() {
 #[test]
 fn forward_dynamics_invert_inverse_dynamics() {
     let mut draw = rng(13);
-    on_random_states(13, |robot, sample| {
+    check_on_random_states(13, |robot, sample| {
         let n = sample.state.velocity.len();
         let acceleration = DVector::from_fn(n, |_, _| draw.random_range(-10.0..10.0));
         let forces = &sample.dynamics.mass_matrix * &acceleration + &sample.dynamics.bias;
@@ -334,7 +334,7 @@ fn forward_dynamics_invert_inverse_dynamics() {
 /// joints of a floating robot.
 #[test]
 fn trailing_block_of_the_mass_factor_belongs_to_the_joints() {
-    on_random_states(14, |_, sample| {
+    check_on_random_states(14, |_, sample| {
         let m = &sample.dynamics.mass_matrix;
         let (n, joints) = (m.nrows(), m.nrows() - 6);
         let mut factor = MassFactor::new(n);
@@ -379,7 +379,7 @@ fn mass_factor_refuses_what_is_not_positive_definite() {
 #[test]
 fn generalised_force_does_the_work_of_the_force() {
     let mut draw = rng(15);
-    on_random_states(15, |_, sample| {
+    check_on_random_states(15, |_, sample| {
         for body in 0..sample.kinematics.bodies.len() {
             let (point, force) = (random_vector(&mut draw, 2.0), random_vector(&mut draw, 100.0));
             let mut generalised = DVector::zeros(sample.state.velocity.len());
@@ -400,7 +400,7 @@ fn generalised_force_does_the_work_of_the_force() {
 #[test]
 fn loads_of_subtrees_act_through_jacobians() {
     let mut draw = rng(16);
-    on_random_states(16, |robot, sample| {
+    check_on_random_states(16, |robot, sample| {
         let forces: Vec<_> = (0..robot.bodies.len())
             .map(|body| (body, random_vector(&mut draw, 2.0), random_vector(&mut draw, 100.0)))
             .collect();
@@ -525,7 +525,7 @@ fn momentum_is_conserved_without_gravity() {
 fn momentum_changes_by_the_external_wrench() {
     const STEP: f64 = 2e-7;
     let mut draw = rng(18);
-    on_random_states(18, |robot, sample| {
+    check_on_random_states(18, |robot, sample| {
         let n = sample.state.velocity.len();
         let body = draw.random_range(0..robot.bodies.len());
         let (point, force) = (random_vector(&mut draw, 1.0), random_vector(&mut draw, 50.0));
@@ -537,7 +537,7 @@ fn momentum_changes_by_the_external_wrench() {
 
         let momentum_at = |time: f64| {
             let mean = &sample.state.velocity + &acceleration * (0.5 * time);
-            let mut state = moved(&sample.state, &mean, time);
+            let mut state = move_state(&sample.state, &mean, time);
             state.velocity.axpy(time, &acceleration, 1.0);
             Sample::new(robot, state).dynamics.momentum
         };

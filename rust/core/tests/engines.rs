@@ -25,7 +25,7 @@ const WRONG_SENSOR: (bool, bool) = (true, false);
 const OUT_OF_REACH: (bool, bool) = (false, true);
 
 /// A tick with a momentum that is measured and says that the sensor is wrong by so much \[N\].
-fn updated(engine: &mut EngineState, thrust: f64, innovation: f64, sensor_error: f64) -> (bool, bool) {
+fn update(engine: &mut EngineState, thrust: f64, innovation: f64, sensor_error: f64) -> (bool, bool) {
     let is_wrong = engine.update(&CONFIG, STEP, (thrust, innovation), 1.0, Some(sensor_error));
     (is_wrong, engine.is_limited())
 }
@@ -35,7 +35,7 @@ fn updated(engine: &mut EngineState, thrust: f64, innovation: f64, sensor_error:
 fn deviations_are_summed_and_forgotten() {
     let mut engine = EngineState::default();
     for tick in 1..=40 {
-        let _ = updated(&mut engine, 100.0, 0.3, 0.0);
+        let _ = update(&mut engine, 100.0, 0.3, 0.0);
         let expected = 0.3 * (-f64::from(tick) * STEP / 0.5).exp_m1() / (-STEP / 0.5).exp_m1();
         assert_within!((engine.deviation - expected).abs(), 1e-12, "tick {tick}");
     }
@@ -54,7 +54,7 @@ fn a_thrust_that_is_not_reached_bounds_the_engine_after_its_confirmation() {
     ] {
         let mut engine = EngineState::default();
         let findings: Vec<_> = (1..=20)
-            .map(|tick| updated(&mut engine, 100.0, if tick == 1 { size } else { 0.0 }, 0.0))
+            .map(|tick| update(&mut engine, 100.0, if tick == 1 { size } else { 0.0 }, 0.0))
             .collect();
         let first = findings.iter().position(|finding| *finding != NOTHING);
         assert_eq!(first.map(|tick| tick + 1), found, "{size} N");
@@ -70,14 +70,14 @@ fn a_thrust_that_is_not_reached_bounds_the_engine_after_its_confirmation() {
 fn an_engine_whose_bounds_are_close_together_is_lost() {
     let mut stuck = EngineState::default();
     for tick in 0..100 {
-        let _ = updated(&mut stuck, 80.0, if tick < 50 { -1.0 } else { 1.0 }, 0.0);
+        let _ = update(&mut stuck, 80.0, if tick < 50 { -1.0 } else { 1.0 }, 0.0);
         assert_eq!(stuck.is_lost(&descent(), 120.0), stuck.range == (80.0, 80.0), "tick {tick}");
     }
     assert_eq!(stuck.range, (80.0, 80.0));
     let (mut fading, mut thrust) = (EngineState::default(), 100.0);
     for _ in 0..50 {
         thrust -= 2.0;
-        let _ = updated(&mut fading, thrust, -2.0, 0.0);
+        let _ = update(&mut fading, thrust, -2.0, 0.0);
         assert_eq!(fading.is_lost(&descent(), 120.0), thrust < 30.0, "{thrust} N");
     }
     assert_eq!(fading.range, (0.0, thrust));
@@ -144,7 +144,7 @@ fn the_momentum_shows_a_wrong_sensor() {
             let mut engine = EngineState::default();
             let found = (1..=100)
                 .map(|tick| {
-                    updated(&mut engine, 100.0, if tick == 1 { deviation } else { 0.0 }, share * deviation)
+                    update(&mut engine, 100.0, if tick == 1 { deviation } else { 0.0 }, share * deviation)
                 })
                 .find(|found| *found != NOTHING);
             assert_eq!(found, Some(expected), "{deviation} N, {share}");

@@ -393,7 +393,7 @@ fn the_estimate_loses_what_a_wrong_sensor_put_into_it() {
         world.controller.tick(&Measurement { time, state, thrust: &thrust, wind: WIND, foot_wrenches: &[] });
         let is_found = world.controller.command().modes.contains(Modes::THRUST_MODELLED);
         let errors = if is_found { &mut after } else { &mut before };
-        errors.push(world.controller.terms().seen.thrust[2] - truth[2]);
+        errors.push(world.controller.terms().measurement.thrust[2] - truth[2]);
         world.advance(&WIND);
     }
     assert!((5..20).contains(&(before.len() - 100)), "found after {} ticks", before.len() - 100);

@@ -22,7 +22,7 @@ fn definite(rng: &mut ChaCha8Rng, n: usize) -> DMatrix<f64> {
     &a * a.transpose()
 }
 
-fn padded(a: &DMatrix<f64>) -> (Vec<f64>, usize) {
+fn pad(a: &DMatrix<f64>) -> (Vec<f64>, usize) {
     let ld = a.nrows() + PADDING;
     let mut buffer = vec![f64::NAN; ld * a.ncols()];
     for (to, from) in buffer.chunks_exact_mut(ld).zip(a.column_iter()) {
@@ -60,7 +60,7 @@ fn matrix_vector_product_matches_nalgebra_for_every_shape() {
         for columns in 0..12 {
             let a = random(&mut rng, rows, columns);
             let (x, y) = (random(&mut rng, columns, 1), random(&mut rng, rows, 1));
-            let (buffer, ld) = padded(&a);
+            let (buffer, ld) = pad(&a);
             let mut got = y.clone();
             add_mat_vec(got.as_mut_slice(), &buffer, ld, x.as_slice());
             assert!((got - (y + &a * x)).amax_or_zero() < 1e-14, "{rows} x {columns}");
@@ -73,7 +73,7 @@ fn factor_times_its_transpose_is_the_matrix() {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     for n in 0..34 {
         let a = definite(&mut rng, n);
-        let (mut buffer, ld) = padded(&a);
+        let (mut buffer, ld) = pad(&a);
         assert!(cholesky_in_place(&mut buffer, n, n, ld), "n = {n}");
         let l = lower(&buffer, n, ld);
         let error = &l * l.transpose() - &a;
@@ -112,7 +112,7 @@ fn scaling_weighs_rows_and_columns() {
     let mut rng = ChaCha8Rng::seed_from_u64(8);
     for n in 0..30 {
         let (a, w) = (random(&mut rng, n, n), random(&mut rng, n, 1));
-        let (buffer, ld) = padded(&a);
+        let (buffer, ld) = pad(&a);
         let mut to = DMatrix::from_element(n, n, f64::NAN);
         scale_symmetric(&buffer, ld, w.as_slice(), to.as_mut_slice(), n);
         assert_eq!(to, DMatrix::from_fn(n, n, |i, j| a[(i, j)] * (w[i] * w[j])));
@@ -123,7 +123,7 @@ fn scaling_weighs_rows_and_columns() {
 fn substitutions_undo_the_factor_for_many_right_hand_sides() {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     for n in 1..34 {
-        let (mut buffer, ld) = padded(&definite(&mut rng, n));
+        let (mut buffer, ld) = pad(&definite(&mut rng, n));
         assert!(cholesky_in_place(&mut buffer, n, n, ld));
         let l = lower(&buffer, n, ld);
         let b = random(&mut rng, n, 5);
@@ -145,7 +145,7 @@ fn substitutions_undo_the_factor_for_many_right_hand_sides() {
 fn inverse_factor_and_products_match_nalgebra() {
     let mut rng = ChaCha8Rng::seed_from_u64(6);
     for n in 0..30 {
-        let (mut buffer, ld) = padded(&definite(&mut rng, n));
+        let (mut buffer, ld) = pad(&definite(&mut rng, n));
         assert!(cholesky_in_place(&mut buffer, n, n, ld));
         let l = lower(&buffer, n, ld);
         let mut inverse = DMatrix::from_element(n, n, f64::NAN);

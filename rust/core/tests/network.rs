@@ -337,7 +337,7 @@ fn factors_apply_to_networks() {
     let (state, wind) = (random_state(&mut rng, &robot), random_vector(&mut rng, 10.0));
     let of = |factors: &ForceFactorsConfig| {
         let model = load_aero(&config(data(SMALL), Precision::F64), &robot).unwrap();
-        forces(&robot, &mut model.weighted(factors, &robot, "factors").unwrap(), &state, wind)
+        forces(&robot, &mut model.weight_forces(factors, &robot, "factors").unwrap(), &state, wind)
     };
     let plain = of(&ForceFactorsConfig::default());
     let links = BTreeMap::from([("head".to_owned(), 3.0)]);

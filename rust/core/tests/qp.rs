@@ -92,7 +92,7 @@ fn difference(qp: &QpProblem, a: &[f64], b: &[f64]) -> f64 {
 /// Solves cold and checks everything that must hold for any solvable problem; returns `x`, the
 /// iterations and the number of active bounds.
 #[track_caller]
-fn solved(qp: &QpProblem) -> (Vec<f64>, u32, u32) {
+fn solve(qp: &QpProblem) -> (Vec<f64>, u32, u32) {
     let mut solver = PrimalActiveSet::new(qp.len());
     let answer = solver.solve(qp);
     let x = solver.x();
@@ -111,7 +111,7 @@ fn flight_problems_are_solved_from_calm_to_fully_saturated() {
         let mut active = 0.0;
         let count = 1500;
         for _ in 0..count {
-            let (_, iterations, on_bounds) = solved(&flight_problem(&mut rng, push));
+            let (_, iterations, on_bounds) = solve(&flight_problem(&mut rng, push));
             // Far below the limit: it is a guard, not a working point.
             assert!(iterations <= 4 * FLIGHT as u32, "{iterations}");
             active += f64::from(on_bounds) / f64::from(count);
@@ -128,7 +128,7 @@ fn ill_conditioned_problems_of_every_size_are_solved() {
         for condition in [1e1, 1e4, 1e7, 1e10] {
             for round in 0..40 {
                 let push = [0.1, 1.0, 5.0][round % 3];
-                solved(&spectrum_problem(&mut rng, n, condition, push));
+                solve(&spectrum_problem(&mut rng, n, condition, push));
             }
         }
     }
@@ -145,7 +145,7 @@ fn fixed_unbounded_and_touching_variables_are_solved() {
             spectrum_problem(&mut rng, n, 1e6, 1.0)
         };
         make_awkward(&mut rng, &mut qp);
-        let (x, _, _) = solved(&qp);
+        let (x, _, _) = solve(&qp);
         for i in (0..qp.len()).filter(|&i| qp.lower[i] == qp.upper[i]) {
             assert_eq!(x[i], qp.lower[i]);
         }
@@ -171,7 +171,7 @@ fn bounds_with_zero_multipliers_do_not_cycle() {
         let n = rng.random_range(2..28);
         let mut qp = spectrum_problem(&mut rng, n, 1e5, 1.0);
         let minimiser = put_minimiser_on_bounds(&mut rng, &mut qp);
-        let (x, iterations, _) = solved(&qp);
+        let (x, iterations, _) = solve(&qp);
         assert!(difference(&qp, &x, minimiser.as_slice()) < 1e-9);
         assert!(iterations <= 2 * n as u32, "{iterations} for n = {n}");
     }
@@ -185,12 +185,12 @@ fn a_bound_reached_by_the_refinement_is_held() {
         let mut qp = spectrum_problem(&mut rng, n, 1e11, 1.0);
         put_minimiser_on_bounds(&mut rng, &mut qp);
         // The minimiser is uncertain by 1e-5 of the range here; the residual is not.
-        solved(&qp);
+        solve(&qp);
     }
 }
 
 /// The minimiser by trying every one of the 3ⁿ working sets.
-fn by_enumeration(qp: &QpProblem) -> DVector<f64> {
+fn solve_by_enumeration(qp: &QpProblem) -> DVector<f64> {
     let n = qp.len();
     let mut best = (f64::INFINITY, DVector::zeros(n));
     for code in 0..3_usize.pow(n as u32) {
@@ -233,8 +233,8 @@ fn tiny_problems_agree_with_enumeration() {
             if round % 2 == 0 {
                 make_awkward(&mut rng, &mut qp);
             }
-            let (x, _, _) = solved(&qp);
-            let expected = by_enumeration(&qp);
+            let (x, _, _) = solve(&qp);
+            let expected = solve_by_enumeration(&qp);
             for i in 0..n {
                 let scale = expected[i].abs() + qp.h[(i, i)].sqrt().recip();
                 assert_within!((x[i] - expected[i]).abs(), 1e-10 * scale, "{x:?} is not {expected}");
@@ -252,7 +252,7 @@ fn objective_agrees_with_clarabel_unpolished() {
         if round % 3 == 0 {
             make_awkward(&mut rng, &mut qp);
         }
-        let (x, _, _) = solved(&qp);
+        let (x, _, _) = solve(&qp);
         let mut clarabel = ClarabelSolver::new(FLIGHT, 0).without_polish();
         let answer = clarabel.solve(&qp);
         inaccurate += u32::from(answer.status == QpStatus::Inaccurate);
@@ -282,7 +282,7 @@ fn polished_clarabel_is_a_certified_fallback() {
         assert_eq!(answer.status, QpStatus::Solved, "{answer:?}");
         assert_eq!(answer.kkt, kkt_residual(&qp, clarabel.x(), &[]));
         if round % 2 == 1 {
-            assert!(difference(&qp, &solved(&qp).0, clarabel.x()) < 1e-9);
+            assert!(difference(&qp, &solve(&qp).0, clarabel.x()) < 1e-9);
         }
     }
 }
@@ -320,7 +320,7 @@ fn the_exact_answer_is_found_to_1e_9_of_the_range() {
             (DVector::from_fn(FLIGHT, |j, _| -range(j)), DVector::from_fn(FLIGHT, |j, _| range(j)));
         let qp = QpProblem::without_rows(h, g, lower, upper);
         assert_eq!(&qp.h * &exact + &qp.g, multiplier, "the construction must be exact");
-        let (x, _, _) = solved(&qp);
+        let (x, _, _) = solve(&qp);
         let error = difference(&qp, &x, exact.as_slice());
         assert!(error <= 1e-9, "{error:e} of the range");
     }
@@ -335,7 +335,7 @@ fn every_pass_lowers_the_objective() {
         if round % 2 == 0 {
             make_awkward(&mut rng, &mut qp);
         }
-        let (x, iterations, _) = solved(&qp);
+        let (x, iterations, _) = solve(&qp);
         let minimum = qp.objective(&x);
         longest = longest.max(iterations);
         let mut last = f64::INFINITY;
@@ -368,11 +368,11 @@ fn the_start_does_not_change_the_answer() {
         let answer = solver.solve(&qp);
         assert_eq!(answer.status, QpStatus::Solved, "{answer:?}");
         // Without bounds there is no range to measure by, and the certificate has to do.
-        assert!(awkward || difference(&qp, solver.x(), &solved(&qp).0) < 2e-9);
+        assert!(awkward || difference(&qp, solver.x(), &solve(&qp).0) < 2e-9);
         if round % 10 == 0 {
             solver.reset();
             solver.solve(&qp);
-            assert_eq!(solver.x(), solved(&qp).0, "a reset solver is a new one");
+            assert_eq!(solver.x(), solve(&qp).0, "a reset solver is a new one");
         }
     }
 }
@@ -417,8 +417,8 @@ fn other_units_give_the_same_bits() {
             qp.lower.component_mul(&unit),
             qp.upper.component_mul(&unit),
         );
-        let x = DVector::from_vec(solved(&qp).0).component_mul(&unit);
-        assert_eq!(solved(&other).0, x.as_slice());
+        let x = DVector::from_vec(solve(&qp).0).component_mul(&unit);
+        assert_eq!(solve(&other).0, x.as_slice());
     }
 }
 
@@ -427,7 +427,7 @@ fn the_certificate_sees_small_errors_of_every_kind() {
     let mut rng = rng(13);
     for _ in 0..300 {
         let qp = spectrum_problem(&mut rng, 12, 1e3, 1.0);
-        let (x, _, _) = solved(&qp);
+        let (x, _, _) = solve(&qp);
         for i in 0..12 {
             for step in [-1e-6, 1e-6] {
                 let mut wrong = x.clone();
@@ -463,7 +463,7 @@ fn the_certificate_is_its_equation() {
 }
 
 /// A flight problem with one thing wrong.
-fn spoilt(spoil: impl Fn(&mut QpProblem)) -> QpProblem {
+fn spoil_problem(spoil: impl Fn(&mut QpProblem)) -> QpProblem {
     let mut qp = flight_problem(&mut rng(14), 1.0);
     spoil(&mut qp);
     qp
@@ -474,37 +474,37 @@ fn bad_problems_are_reported_and_leave_the_solvers_usable() {
     let good = flight_problem(&mut rng(15), 1.0);
     let mut solver = PrimalActiveSet::new(FLIGHT);
     let mut clarabel = ClarabelSolver::new(FLIGHT, 0);
-    let expected = solved(&good).0;
+    let expected = solve(&good).0;
     let cases = [
-        (QpStatus::NonFinite, spoilt(|qp| qp.h[(3, 7)] = f64::NAN)),
-        (QpStatus::NonFinite, spoilt(|qp| qp.h[(5, 5)] = f64::NAN)),
-        (QpStatus::NonFinite, spoilt(|qp| qp.h[(5, 5)] = f64::INFINITY)),
-        (QpStatus::NonFinite, spoilt(|qp| qp.h[(26, 0)] = f64::NEG_INFINITY)),
-        (QpStatus::NonFinite, spoilt(|qp| qp.g[26] = f64::NAN)),
-        (QpStatus::NonFinite, spoilt(|qp| qp.g[0] = f64::INFINITY)),
-        (QpStatus::NonFinite, spoilt(|qp| qp.lower[2] = f64::NAN)),
-        (QpStatus::NonFinite, spoilt(|qp| qp.upper[2] = f64::NAN)),
-        (QpStatus::InfeasibleBounds, spoilt(|qp| qp.lower[9] = qp.upper[9] + 1e-9)),
+        (QpStatus::NonFinite, spoil_problem(|qp| qp.h[(3, 7)] = f64::NAN)),
+        (QpStatus::NonFinite, spoil_problem(|qp| qp.h[(5, 5)] = f64::NAN)),
+        (QpStatus::NonFinite, spoil_problem(|qp| qp.h[(5, 5)] = f64::INFINITY)),
+        (QpStatus::NonFinite, spoil_problem(|qp| qp.h[(26, 0)] = f64::NEG_INFINITY)),
+        (QpStatus::NonFinite, spoil_problem(|qp| qp.g[26] = f64::NAN)),
+        (QpStatus::NonFinite, spoil_problem(|qp| qp.g[0] = f64::INFINITY)),
+        (QpStatus::NonFinite, spoil_problem(|qp| qp.lower[2] = f64::NAN)),
+        (QpStatus::NonFinite, spoil_problem(|qp| qp.upper[2] = f64::NAN)),
+        (QpStatus::InfeasibleBounds, spoil_problem(|qp| qp.lower[9] = qp.upper[9] + 1e-9)),
         (
             QpStatus::InfeasibleBounds,
-            spoilt(|qp| (qp.lower[9], qp.upper[9]) = (f64::INFINITY, f64::INFINITY)),
+            spoil_problem(|qp| (qp.lower[9], qp.upper[9]) = (f64::INFINITY, f64::INFINITY)),
         ),
         (
             QpStatus::InfeasibleBounds,
-            spoilt(|qp| (qp.lower[9], qp.upper[9]) = (f64::NEG_INFINITY, f64::NEG_INFINITY)),
+            spoil_problem(|qp| (qp.lower[9], qp.upper[9]) = (f64::NEG_INFINITY, f64::NEG_INFINITY)),
         ),
-        (QpStatus::NotPositiveDefinite, spoilt(|qp| qp.h[(8, 8)] = 0.0)),
-        (QpStatus::NotPositiveDefinite, spoilt(|qp| qp.h[(8, 8)] *= -1.0)),
+        (QpStatus::NotPositiveDefinite, spoil_problem(|qp| qp.h[(8, 8)] = 0.0)),
+        (QpStatus::NotPositiveDefinite, spoil_problem(|qp| qp.h[(8, 8)] *= -1.0)),
         (
             QpStatus::NotPositiveDefinite,
-            spoilt(|qp| {
+            spoil_problem(|qp| {
                 let off = 1.1 * (qp.h[(8, 8)] * qp.h[(2, 2)]).sqrt();
                 (qp.h[(8, 2)], qp.h[(2, 8)]) = (off, off);
             }),
         ),
         (QpStatus::SizeMismatch, QpProblem::new(FLIGHT - 1, 0)),
-        (QpStatus::SizeMismatch, spoilt(|qp| qp.h = DMatrix::identity(FLIGHT, FLIGHT - 1))),
-        (QpStatus::SizeMismatch, spoilt(|qp| qp.upper = DVector::zeros(3))),
+        (QpStatus::SizeMismatch, spoil_problem(|qp| qp.h = DMatrix::identity(FLIGHT, FLIGHT - 1))),
+        (QpStatus::SizeMismatch, spoil_problem(|qp| qp.upper = DVector::zeros(3))),
     ];
     for (status, bad) in &cases {
         solver.reset();
@@ -569,7 +569,7 @@ fn problems_without_bounds_or_variables_are_problems_too() {
     let mut qp = flight_problem(&mut rng, 1.0);
     qp.lower.fill(f64::NEG_INFINITY);
     qp.upper.fill(f64::INFINITY);
-    let (x, iterations, active) = solved(&qp);
+    let (x, iterations, active) = solve(&qp);
     assert_eq!((iterations, active), (1, 0));
     let mut clarabel = ClarabelSolver::new(FLIGHT, 0);
     assert_eq!(clarabel.solve(&qp).status, QpStatus::Solved);
@@ -580,7 +580,7 @@ fn problems_without_bounds_or_variables_are_problems_too() {
     // Everything fixed: nothing to decide.
     qp.lower.fill(0.25);
     qp.upper.fill(0.25);
-    let (x, iterations, active) = solved(&qp);
+    let (x, iterations, active) = solve(&qp);
     assert_eq!((x, iterations, active), (vec![0.25; FLIGHT], 1, FLIGHT as u32));
     assert_eq!(clarabel.solve(&qp).status, QpStatus::Solved);
     assert_eq!(clarabel.x(), vec![0.25; FLIGHT]);
@@ -594,7 +594,7 @@ fn an_answer_is_accepted_down_to_the_square_root_of_rounding() {
     let mut rng = rng(31);
     for _ in 0..50 {
         let qp = flight_problem(&mut rng, 1.0);
-        let (x, _, _) = solved(&qp);
+        let (x, _, _) = solve(&qp);
         let roots = qp.h.diagonal().map(f64::sqrt);
         let y = DVector::from_vec(x.clone()).component_mul(&roots);
         let size = qp.g.component_div(&roots).amax().max(y.amax()).max(1.0);
@@ -604,7 +604,7 @@ fn an_answer_is_accepted_down_to_the_square_root_of_rounding() {
         for (change, is_accepted) in [(2e-9, true), (3e-8, false)] {
             let mut near = qp.clone();
             near.g[i] += change * size * roots[i];
-            let (y, _, _) = solved(&near);
+            let (y, _, _) = solve(&near);
             let kkt = kkt_residual(&qp, &y, &[]);
             assert_eq!(kkt <= KKT_TOLERANCE, is_accepted, "residual {kkt:e} after a change of {change:e}");
         }

@@ -88,7 +88,7 @@ fn random_problem(rng: &mut ChaCha8Rng, n: usize, rows: usize) -> QpProblem {
 }
 
 #[track_caller]
-fn solved(qp: &QpProblem) -> (DVector<f64>, u32) {
+fn solve(qp: &QpProblem) -> (DVector<f64>, u32) {
     let mut solver = DualActiveSet::new(qp.len(), qp.rows());
     let answer = solver.solve(qp);
     assert_eq!(answer.status, QpStatus::Solved, "{answer:?}");
@@ -113,7 +113,7 @@ fn standing_problems_are_solved_and_agree_with_clarabel() {
         let count = 60;
         for _ in 0..count {
             let qp = standing_problem(&mut rng, push);
-            let (x, held) = solved(&qp);
+            let (x, held) = solve(&qp);
             active += f64::from(held) / f64::from(count);
             let mut clarabel = ClarabelSolver::new(qp.len(), qp.rows());
             let answer = clarabel.solve(&qp);
@@ -138,7 +138,7 @@ fn random_problems_of_every_size_are_solved() {
     for (n, rows) in [(1, 3), (2, 9), (5, 5), (12, 40), (35, 38), (40, 1)] {
         for _ in 0..60 {
             let qp = random_problem(&mut rng, n, rows);
-            let (x, _) = solved(&qp);
+            let (x, _) = solve(&qp);
             let mut clarabel = ClarabelSolver::new(n, rows);
             if clarabel.solve(&qp).status == QpStatus::Solved {
                 let other = DVector::from_column_slice(clarabel.x());
@@ -156,7 +156,7 @@ fn without_rows_it_is_the_box_problem() {
         let qp = random_problem(&mut rng, 20, 0);
         let mut bounded = PrimalActiveSet::new(20);
         assert_eq!(bounded.solve(&qp).status, QpStatus::Solved);
-        let (x, _) = solved(&qp);
+        let (x, _) = solve(&qp);
         assert_within!(difference(&x, &DVector::from_column_slice(bounded.x())), 1e-9);
     }
 }
@@ -173,7 +173,7 @@ fn rows_that_limit_nothing_leave_a_box() {
     let answer = solver.solve(&qp);
     assert_eq!(answer.status, QpStatus::Solved);
     assert_eq!(answer.kkt, kkt_residual(&qp, solver.x(), &[0.0; 8]));
-    let (x, _) = solved(&qp);
+    let (x, _) = solve(&qp);
     assert_within!(difference(&x, &DVector::from_column_slice(solver.x())), 1e-9);
     qp.limit[3] = limit;
     assert_eq!(solver.solve(&qp).status, QpStatus::SizeMismatch);
@@ -210,7 +210,7 @@ fn tiny_problems_agree_with_enumeration() {
                 best = (value, x);
             }
         }
-        let (x, _) = solved(&qp);
+        let (x, _) = solve(&qp);
         assert_within!(difference(&x, &best.1), 1e-7, "{x} {}", best.1);
     }
 }
@@ -236,10 +236,10 @@ fn degenerate_corners_do_not_cycle() {
             // The minimiser is the corner itself.
             let pull = &qp.normals * DVector::from_fn(24, |_, _| rng.random_range(0.0..1.0));
             qp.g = -(&qp.h * &corner) - pull;
-            let (x, _) = solved(&qp);
+            let (x, _) = solve(&qp);
             assert_within!((x - &corner).amax(), 1e-7);
         } else {
-            solved(&qp);
+            solve(&qp);
         }
     }
 }
@@ -366,7 +366,7 @@ fn bad_problems_are_reported_and_leave_the_solvers_usable() {
 fn empty_rows_and_problems_are_problems_too() {
     let mut rng = rng(8);
     let mut qp = standing_problem(&mut rng, 0.3);
-    let (x, _) = solved(&qp);
+    let (x, _) = solve(&qp);
     let mut more = QpProblem::new(N, qp.rows() + 2);
     (more.h, more.g) = (qp.h.clone(), qp.g.clone());
     (more.lower, more.upper) = (qp.lower.clone(), qp.upper.clone());
@@ -374,10 +374,10 @@ fn empty_rows_and_problems_are_problems_too() {
     more.limit.rows_mut(0, qp.rows()).copy_from(&qp.limit);
     more.normals.fixed_view_mut::<6, 1>(0, qp.rows()).copy_from(&Vector6::repeat(1.0));
     more.limit[qp.rows() + 1] = 0.0;
-    assert_eq!(solved(&more).0, x);
+    assert_eq!(solve(&more).0, x);
     qp = QpProblem::new(0, 2);
     assert!(qp.is_empty());
-    assert_eq!(solved(&qp).0.len(), 0);
+    assert_eq!(solve(&qp).0.len(), 0);
 }
 
 /// Other units of variables and of rows do not change the answer.
@@ -386,7 +386,7 @@ fn units_do_not_matter() {
     let mut rng = rng(9);
     for _ in 0..50 {
         let qp = standing_problem(&mut rng, 1.0);
-        let (x, _) = solved(&qp);
+        let (x, _) = solve(&qp);
         let s = DVector::from_fn(N, |_, _| 10.0_f64.powf(rng.random_range(-3.0..3.0)));
         let scale = DMatrix::from_diagonal(&s);
         let mut other = qp.clone();
@@ -401,7 +401,7 @@ fn units_do_not_matter() {
             other.normals.column_mut(k).scale_mut(unit);
             other.limit[k] *= unit;
         }
-        let (y, _) = solved(&other);
+        let (y, _) = solve(&other);
         assert_within!(difference(&x, &y.component_mul(&s)), 1e-7);
     }
 }

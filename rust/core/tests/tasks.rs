@@ -40,7 +40,7 @@ fn moving_setpoint(rng: &mut ChaCha8Rng) -> Setpoint {
 
 /// A controller behind a tick of a random robot state towards a set-point that moves, without wind; jets and their
 /// thrusts.
-fn ticked(name: &str, seed: u64) -> (Running, RobotState, Vec<f64>) {
+fn run_tick(name: &str, seed: u64) -> (Running, RobotState, Vec<f64>) {
     let config = experiment(name);
     let mut controller = Running::new(config.controller(load_robot(&config.robot).unwrap()).unwrap());
     let mut rng = rng(seed);
@@ -76,7 +76,7 @@ fn random_unknowns(controller: &Running, seed: u64) -> DVector<f64> {
 }
 
 /// The robot that moves with the measured base velocity and the joint velocities of `u`.
-fn moved(controller: &Running, state: &RobotState, u: &DVector<f64>, time: f64) -> RobotState {
+fn move_state(controller: &Running, state: &RobotState, u: &DVector<f64>, time: f64) -> RobotState {
     let unknowns = &controller.terms().momentum_qp.unknowns;
     let mut to = state.clone();
     to.velocity
@@ -86,7 +86,7 @@ fn moved(controller: &Running, state: &RobotState, u: &DVector<f64>, time: f64) 
     to
 }
 
-fn placed(robot: &RobotModel, state: &RobotState) -> (Kinematics, Dynamics) {
+fn place_robot(robot: &RobotModel, state: &RobotState) -> (Kinematics, Dynamics) {
     let (mut kinematics, mut dynamics) = (Kinematics::new(robot), Dynamics::new(robot));
     kinematics.update(robot, state);
     dynamics.update(robot, state, &kinematics);
@@ -103,7 +103,7 @@ fn momentum_acceleration(
     let (robot, terms) = (controller.model(), controller.terms());
     let unknowns = &terms.momentum_qp.unknowns;
     let rate = |time: f64| {
-        let (kinematics, dynamics) = placed(robot, &moved(controller, state, u, time));
+        let (kinematics, dynamics) = place_robot(robot, &move_state(controller, state, u, time));
         let thrust: Vec<f64> = thrust
             .iter()
             .zip(&u.as_slice()[unknowns.thrust_rate.clone()])
@@ -139,14 +139,14 @@ const CASES: [(&str, u64); 4] = [("test1", 1), ("test1", 2), ("balancing_front",
 #[test]
 fn the_linear_task_is_the_law_of_the_linear_momentum() {
     for (name, seed) in CASES {
-        let (controller, state, thrust) = ticked(name, seed);
+        let (controller, state, thrust) = run_tick(name, seed);
         let (u, terms, gains) = (
             random_unknowns(&controller, seed),
             controller.terms(),
             experiment(name).controller.law.momentum,
         );
         let acceleration = momentum_acceleration(&controller, &state, &thrust, &u);
-        let (_, dynamics) = placed(controller.model(), &moved(&controller, &state, &u, 0.0));
+        let (_, dynamics) = place_robot(controller.model(), &move_state(&controller, &state, &u, 0.0));
         let (mass, setpoint) = (terms.kinematics.mass(), &terms.setpoint);
         let found = equations(&controller, "linear momentum", &u);
         for axis in 0..3 {
@@ -163,7 +163,7 @@ fn the_linear_task_is_the_law_of_the_linear_momentum() {
 #[test]
 fn the_attitude_task_is_the_law_of_the_angular_momentum() {
     for (name, seed) in CASES {
-        let (controller, state, thrust) = ticked(name, seed);
+        let (controller, state, thrust) = run_tick(name, seed);
         let (u, terms) = (random_unknowns(&controller, seed), controller.terms());
         let acceleration = momentum_acceleration(&controller, &state, &thrust, &u);
         let angular: Vector3<f64> = acceleration.fixed_rows::<3>(3).into();
@@ -233,11 +233,11 @@ fn the_attitude_law_is_each_of_its_terms() {
 #[test]
 fn the_limbs_may_carry_what_the_change_of_inertia_leaves_them() {
     for (name, seed) in CASES {
-        let (controller, state, _) = ticked(name, seed);
+        let (controller, state, _) = run_tick(name, seed);
         let u = random_unknowns(&controller, seed);
-        let mut limbs = moved(&controller, &state, &u, 0.0);
+        let mut limbs = move_state(&controller, &state, &u, 0.0);
         limbs.velocity.fixed_rows_mut::<6>(0).fill(0.0);
-        let (_, dynamics) = placed(controller.model(), &limbs);
+        let (_, dynamics) = place_robot(controller.model(), &limbs);
         let b_from_i = state.base.rotation.transpose();
         let inertia: Matrix3<f64> = b_from_i * dynamics.centroidal_inertia * state.base.rotation;
         let change = inertia - controller.state().inertia_0_b();
@@ -253,13 +253,13 @@ fn the_limbs_may_carry_what_the_change_of_inertia_leaves_them() {
 #[test]
 fn the_feet_task_is_the_velocity_of_the_soles() {
     for (name, seed) in &CASES[2..] {
-        let (controller, state, _) = ticked(name, *seed);
+        let (controller, state, _) = run_tick(name, *seed);
         assert!(controller.state().contact().is_active);
         let u = random_unknowns(&controller, *seed);
         let found = equations(&controller, "feet", &u);
         let robot = controller.model();
         let soles = |time: f64| {
-            let (kinematics, _) = placed(robot, &moved(&controller, &state, &u, time));
+            let (kinematics, _) = place_robot(robot, &move_state(&controller, &state, &u, time));
             robot.feet.iter().map(|foot| kinematics.frame_pose(&foot.frame)).collect::<Vec<_>>()
         };
         let (before, after) = (soles(-STEP), soles(STEP));
@@ -284,7 +284,7 @@ fn the_feet_task_is_the_velocity_of_the_soles() {
 /// Matrix, offset and weights of what is a formula, not a derivative.
 #[test]
 fn the_simple_tasks_are_their_formulas() {
-    let (controller, state, _) = ticked("test1", 5);
+    let (controller, state, _) = run_tick("test1", 5);
     let (config, robot) = (experiment("test1").controller.law, controller.model());
     let (qp, n) = (&controller.terms().momentum_qp, 27);
     let block =
@@ -326,7 +326,7 @@ fn the_simple_tasks_are_their_formulas() {
 /// Tasks are there when they apply.
 #[test]
 fn tasks_are_added_where_they_apply() {
-    let has = |name: &str, task: &str| ticked(name, 6).0.terms().momentum_qp.task(task).is_some();
+    let has = |name: &str, task: &str| run_tick(name, 6).0.terms().momentum_qp.task(task).is_some();
     for task in ["feet", "force rate"] {
         assert!(has("balancing_front", task) && !has("test1", task), "{task}");
     }

@@ -8,7 +8,7 @@ use std::path::Path;
 
 fuzz_target!(|text: &str| {
     let read = toml::parse(text, "fuzz.toml")
-        .and_then(|table| resolve_table(table, Path::new("."), &Schema::of::<ControllerSection>()))
+        .and_then(|table| resolve_table(table, Path::new("."), &Schema::of_type::<ControllerSection>()))
         .and_then(|value| from_value::<ControllerSection>(value, "fuzz.toml"));
     if let Err(refusal) = read {
         assert!(!refusal.to_string().trim().is_empty());

@@ -14,11 +14,11 @@ static HELD: RwLock<BTreeMap<PathBuf, Arc<[u8]>>> = RwLock::new(BTreeMap::new())
 
 /// Holds a file in memory until the program ends; it takes precedence over one on the disk.
 pub fn hold(path: &Path, bytes: Vec<u8>) {
-    HELD.write().unwrap_or_else(PoisonError::into_inner).insert(normal(path), bytes.into());
+    HELD.write().unwrap_or_else(PoisonError::into_inner).insert(normalise(path), bytes.into());
 }
 
-fn held(path: &Path) -> Option<Arc<[u8]>> {
-    HELD.read().unwrap_or_else(PoisonError::into_inner).get(&normal(path)).cloned()
+fn find_held(path: &Path) -> Option<Arc<[u8]>> {
+    HELD.read().unwrap_or_else(PoisonError::into_inner).get(&normalise(path)).cloned()
 }
 
 /// Returns the bytes of a regular file.
@@ -26,15 +26,15 @@ fn held(path: &Path) -> Option<Arc<[u8]>> {
 /// # Errors
 /// [`BuildError`] naming the file, also for a device, a pipe, or a file of more than 64 MiB.
 pub fn read_bytes(path: &Path) -> Result<Arc<[u8]>, BuildError> {
-    if let Some(bytes) = held(path) {
+    if let Some(bytes) = find_held(path) {
         return Ok(bytes);
     }
-    let metadata = std::fs::metadata(path).map_err(|source| unreadable(path, source))?;
+    let metadata = std::fs::metadata(path).map_err(|source| read_error(path, source))?;
     if !metadata.is_file() || metadata.len() > MAX_LENGTH {
         let message = format!("expected a regular file of at most {MAX_LENGTH} bytes");
         return Err(BuildError::malformed(path.display().to_string(), message));
     }
-    std::fs::read(path).map(Arc::from).map_err(|source| unreadable(path, source))
+    std::fs::read(path).map(Arc::from).map_err(|source| read_error(path, source))
 }
 
 /// Returns the text of a file, as [`read_bytes`].
@@ -50,19 +50,19 @@ pub fn read_text(path: &Path) -> Result<String, BuildError> {
 ///
 /// # Errors
 /// [`BuildError`] naming a file that does not exist.
-pub(crate) fn absolute(path: &Path) -> Result<PathBuf, BuildError> {
-    if held(path).is_some() {
-        return Ok(normal(path));
+pub(crate) fn absolute_path(path: &Path) -> Result<PathBuf, BuildError> {
+    if find_held(path).is_some() {
+        return Ok(normalise(path));
     }
-    path.canonicalize().map_err(|source| unreadable(path, source))
+    path.canonicalize().map_err(|source| read_error(path, source))
 }
 
-fn unreadable(path: &Path, source: std::io::Error) -> BuildError {
+fn read_error(path: &Path, source: std::io::Error) -> BuildError {
     BuildError::Unreadable { path: path.to_owned(), source }
 }
 
 /// A path without `.` and `..`.
-fn normal(path: &Path) -> PathBuf {
+fn normalise(path: &Path) -> PathBuf {
     let mut out = PathBuf::new();
     for part in path.components() {
         match part {

@@ -29,7 +29,7 @@ pub(crate) struct Node<'a> {
 impl Schema {
     /// Schema of a type.
     #[must_use]
-    pub fn of<T: JsonSchema>() -> Self {
+    pub fn of_type<T: JsonSchema>() -> Self {
         Self { root: schemars::schema_for!(T).to_value() }
     }
 
@@ -40,7 +40,7 @@ impl Schema {
     }
 
     pub(crate) fn root(&self) -> Node<'_> {
-        Node { root: &self.root, node: &self.root }.followed()
+        Node { root: &self.root, node: &self.root }.follow()
     }
 
     /// Checks that a value matches the schema.
@@ -54,8 +54,8 @@ impl Schema {
 
 impl<'a> Node<'a> {
     /// Resolves references, and removes `null` alternatives.
-    fn followed(self) -> Self {
-        let at = |node| Self { root: self.root, node }.followed();
+    fn follow(self) -> Self {
+        let at = |node| Self { root: self.root, node }.follow();
         if let Some(target) = self.node.get("$ref").and_then(Value::as_str) {
             return self.root.pointer(target.trim_start_matches('#')).map_or(self, at);
         }
@@ -69,7 +69,7 @@ impl<'a> Node<'a> {
     fn alternatives(self) -> impl Iterator<Item = Self> + Clone {
         let options = self.node.get("oneOf").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
         let alone = if options.is_empty() { std::slice::from_ref(self.node) } else { options };
-        alone.iter().map(move |node| Self { root: self.root, node }.followed())
+        alone.iter().map(move |node| Self { root: self.root, node }.follow())
     }
 
     fn properties(self) -> Option<&'a Map<String, Value>> {
@@ -81,7 +81,7 @@ impl<'a> Node<'a> {
         self.alternatives().find_map(|option| {
             let named = option.properties().and_then(|properties| properties.get(key));
             let any = || option.node.get("additionalProperties").filter(|_| option.is_of_names());
-            named.or_else(any).map(|node| Self { root: self.root, node }.followed())
+            named.or_else(any).map(|node| Self { root: self.root, node }.follow())
         })
     }
 
@@ -102,7 +102,7 @@ impl<'a> Node<'a> {
     /// Node of the items of this list, which have one type.
     pub(crate) fn item(self) -> Option<Self> {
         let of_tuple = || self.node.get("prefixItems").and_then(|items| items.get(0));
-        self.node.get("items").or_else(of_tuple).map(|node| Self { root: self.root, node }.followed())
+        self.node.get("items").or_else(of_tuple).map(|node| Self { root: self.root, node }.follow())
     }
 
     /// Whether a text here is a path.
@@ -119,13 +119,13 @@ impl<'a> Node<'a> {
 
     fn check(self, value: &Value, key: &str) -> Result<(), String> {
         match self.discriminant() {
-            Some(discriminant) => self.chosen(discriminant, value, key)?.check_plain(value, key),
+            Some(discriminant) => self.choose(discriminant, value, key)?.check_plain(value, key),
             None => self.check_plain(value, key),
         }
     }
 
     /// Alternative to which a table belongs.
-    fn chosen(self, discriminant: &str, value: &Value, key: &str) -> Result<Self, String> {
+    fn choose(self, discriminant: &str, value: &Value, key: &str) -> Result<Self, String> {
         let Some(table) = value.as_object() else { return Err(refusal(key, value, "a table")) };
         let place = join(key, discriminant);
         let kind = table.get(discriminant).ok_or_else(|| format!("`{place}` is missing"))?;
@@ -161,7 +161,7 @@ impl<'a> Node<'a> {
             _ => false, // `null` beside another type: a key without value is omitted
         };
         if !kinds.iter().any(matches) {
-            return Err(refusal(key, value, &self.expected(kinds[0])));
+            return Err(refusal(key, value, &self.expectation(kinds[0])));
         }
         match value {
             Value::Object(table) => self.check_table(table, key),
@@ -174,7 +174,7 @@ impl<'a> Node<'a> {
                     && limit("maximum").is_none_or(|limit| x <= limit)
                     && limit("exclusiveMaximum").is_none_or(|limit| x < limit);
                 if !accepted {
-                    Err(refusal(key, value, &self.expected(kinds[0])))
+                    Err(refusal(key, value, &self.expectation(kinds[0])))
                 } else if kinds[0] == "number" && x.abs() > LARGEST {
                     Err(refusal(key, value, "a number from -1e9 to 1e9"))
                 } else {
@@ -200,7 +200,7 @@ impl<'a> Node<'a> {
             let place = join(key, name);
             match self.key(name) {
                 Some(node) => node.check(value, &place)?,
-                None => return Err(unknown(&place, name, properties.keys())),
+                None => return Err(unknown_key(&place, name, properties.keys())),
             }
         }
         let required = self.node.get("required").and_then(Value::as_array).into_iter().flatten();
@@ -216,14 +216,14 @@ impl<'a> Node<'a> {
         if limit("minItems").is_some_and(|limit| length < limit)
             || limit("maxItems").is_some_and(|limit| length > limit)
         {
-            return Err(refusal(key, value, &self.expected("array")));
+            return Err(refusal(key, value, &self.expectation("array")));
         }
         let Some(item) = self.item() else { return Ok(()) };
         list.iter().enumerate().try_for_each(|(index, value)| item.check(value, &format!("{key}[{index}]")))
     }
 
     /// Description of what the schema accepts.
-    fn expected(self, kind: &str) -> String {
+    fn expectation(self, kind: &str) -> String {
         let limit = |name: &str| self.node.get(name).filter(|limit| !limit.is_null());
         let words = match kind {
             "object" => "a table".to_owned(),
@@ -252,10 +252,10 @@ pub(crate) fn join(key: &str, name: &str) -> String {
 
 fn refusal(key: &str, value: &Value, expected: &str) -> String {
     let key = if key.is_empty() { "the whole".to_owned() } else { format!("`{key}`") };
-    format!("{key} is {}; expected {expected}", shortened(value))
+    format!("{key} is {}; expected {expected}", shorten(value))
 }
 
-fn unknown<'a>(place: &str, name: &str, known: impl Iterator<Item = &'a String> + Clone) -> String {
+fn unknown_key<'a>(place: &str, name: &str, known: impl Iterator<Item = &'a String> + Clone) -> String {
     let near = known
         .clone()
         .map(|key| (strsim::jaro_winkler(name, key), key))
@@ -271,7 +271,7 @@ fn show(value: &Value) -> String {
 }
 
 /// A value as displayed in errors.
-fn shortened(value: &Value) -> String {
+fn shorten(value: &Value) -> String {
     let text = value.to_string();
     if text.chars().count() > 80 { text.chars().take(79).chain(['…']).collect() } else { text }
 }

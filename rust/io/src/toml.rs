@@ -8,7 +8,7 @@
 //! controller = { base = "../control/observer.toml", momentum = { c0 = 60.0 }, engines = false }
 //! ```
 
-use crate::files::{absolute, read_text};
+use crate::files::{absolute_path, read_text};
 use crate::schema::{Node, Schema, join};
 use flight_core::BuildError;
 use schemars::JsonSchema;
@@ -26,7 +26,7 @@ const MAX_FILES: usize = 256;
 /// # Errors
 /// [`BuildError`] naming the file that cannot be read or parsed, or the key, its value and what was expected.
 pub fn load<T: DeserializeOwned + JsonSchema>(path: &Path) -> Result<T, BuildError> {
-    from_value(resolve(path, &Schema::of::<T>())?, &path.display().to_string())
+    from_value(resolve(path, &Schema::of_type::<T>())?, &path.display().to_string())
 }
 
 /// Converts a resolved table to a typed configuration; `origin` is named in errors.
@@ -34,7 +34,7 @@ pub fn load<T: DeserializeOwned + JsonSchema>(path: &Path) -> Result<T, BuildErr
 /// # Errors
 /// [`BuildError::Malformed`] naming the key, its value and what was expected.
 pub fn from_value<T: DeserializeOwned + JsonSchema>(value: Value, origin: &str) -> Result<T, BuildError> {
-    Schema::of::<T>().check(&value, origin)?;
+    Schema::of_type::<T>().check(&value, origin)?;
     serde_json::from_value(value).map_err(|error| BuildError::malformed(origin, error))
 }
 
@@ -154,7 +154,7 @@ impl Reader {
                     *inner = self.resolve_table(std::mem::take(inner), node, folder, depth)?;
                 }
                 Value::String(text) if node.is_some_and(Node::is_path) => {
-                    *text = absolute(&folder.join(&*text))?.display().to_string();
+                    *text = absolute_path(&folder.join(&*text))?.display().to_string();
                 }
                 _ => {}
             }

@@ -52,13 +52,13 @@ fn number_of_base_files() {
     };
     let read = |count: usize| {
         hold_text("many/top.toml", &tables(count));
-        resolve(Path::new("many/top.toml"), &Schema::of::<AeroConfig>())
+        resolve(Path::new("many/top.toml"), &Schema::of_type::<AeroConfig>())
     };
     assert_eq!(read(255).unwrap().as_object().unwrap().len(), 255);
     assert_says(&read(256).unwrap_err(), &["many/leaf.toml: more than 256 `base` files are read"]);
     let table = |count: usize| {
         let table = flight_io::toml::parse(&tables(count), "here").unwrap();
-        resolve_table(table, Path::new("many"), &Schema::of::<AeroConfig>())
+        resolve_table(table, Path::new("many"), &Schema::of_type::<AeroConfig>())
     };
     assert!(table(256).is_ok());
     assert!(table(257).is_err());
@@ -71,7 +71,8 @@ fn depth_of_base_files() {
         hold_text(&format!("deep/{file}.toml"), &format!("base = '{}.toml'\n", file + 1));
     }
     hold_text("deep/18.toml", "x = 1\n");
-    let read = |file: usize| resolve(Path::new(&format!("deep/{file}.toml")), &Schema::of::<AeroConfig>());
+    let read =
+        |file: usize| resolve(Path::new(&format!("deep/{file}.toml")), &Schema::of_type::<AeroConfig>());
     assert_eq!(read(2).unwrap(), json!({"x": 1}));
     assert_says(&read(1).unwrap_err(), &["deep/18.toml", "more than 16 deep"]);
 }

@@ -27,7 +27,7 @@ enum Question {
 }
 
 /// A flight, with the kinematics for its poses.
-struct Held {
+struct HeldFlight {
     flight: Flight,
     state: RobotState,
     kinematics: Kinematics,
@@ -37,7 +37,7 @@ struct Held {
 /// All flights; the number of a flight is its index.
 #[derive(Default)]
 pub struct Flights {
-    held: Vec<Option<Held>>,
+    held: Vec<Option<HeldFlight>>,
 }
 
 impl Flights {
@@ -49,12 +49,12 @@ impl Flights {
             Question::Begin { config } => self.begin(config),
             Question::Wind { flight, wind } => {
                 let wind: WindConfig = from_value(wind, "wind")?;
-                self.of(flight)?.flight.set_wind(Wind::new(&wind)?);
+                self.find(flight)?.flight.set_wind(Wind::new(&wind)?);
                 Ok(json!({}))
             }
-            Question::Result { flight } => Ok(self.of(flight)?.result()),
+            Question::Result { flight } => Ok(self.find(flight)?.result()),
             Question::End { flight } => {
-                self.of(flight)?;
+                self.find(flight)?;
                 self.held[flight] = None;
                 Ok(json!({}))
             }
@@ -62,13 +62,13 @@ impl Flights {
         answer.unwrap_or_else(|error| json!({ "refused": error.to_string() })).to_string()
     }
 
-    fn of(&mut self, flight: usize) -> Result<&mut Held, BuildError> {
+    fn find(&mut self, flight: usize) -> Result<&mut HeldFlight, BuildError> {
         let held = self.held.get_mut(flight).and_then(Option::as_mut);
         held.ok_or_else(|| BuildError::bad_value("flight", flight, "the number of one that has begun"))
     }
 
     fn begin(&mut self, config: Map<String, Value>) -> Result<Value, BuildError> {
-        let resolved = resolve_table(config, Path::new(FOLDER), &Schema::of::<ScenarioConfig>())?;
+        let resolved = resolve_table(config, Path::new(FOLDER), &Schema::of_type::<ScenarioConfig>())?;
         let config: ScenarioConfig = from_value(resolved, "scenario")?;
         let flight = Scenario::new(&config)?.begin();
         let robot = flight.robot();
@@ -89,7 +89,7 @@ impl Flights {
                 "width": series.width(),
             })).collect::<Vec<_>>(),
         });
-        let held = Held {
+        let held = HeldFlight {
             state: RobotState::zero(robot.joints.len()),
             kinematics: Kinematics::new(robot),
             poses: Vec::new(),
@@ -104,7 +104,7 @@ impl Flights {
 
     /// Flies up to `ticks` ticks; returns the number of rows in the log.
     pub fn advance(&mut self, flight: usize, ticks: usize) -> usize {
-        let Ok(Held { flight, .. }) = self.of(flight) else { return 0 };
+        let Ok(HeldFlight { flight, .. }) = self.find(flight) else { return 0 };
         for _ in 0..ticks {
             if !flight.step() {
                 break;
@@ -121,7 +121,7 @@ impl Flights {
 
     /// Poses of all bodies at a row of the log: rotation by columns, then position.
     pub fn pose(&mut self, flight: usize, row: usize) -> Option<&[f64]> {
-        let Held { flight, state, kinematics, poses } = self.of(flight).ok()?;
+        let HeldFlight { flight, state, kinematics, poses } = self.find(flight).ok()?;
         let log = flight.log();
         let read = |name: &str| log.series(name).map(|series| series.row(row)).filter(|row| !row.is_empty());
         let quaternion: [f64; 4] = read("base_quaternion")?.try_into().ok()?;
@@ -137,7 +137,7 @@ impl Flights {
     }
 }
 
-impl Held {
+impl HeldFlight {
     fn result(&self) -> Value {
         let (summary, loss) = (self.flight.summary(), self.flight.loss());
         let figures = figures()

@@ -2,13 +2,13 @@
 
 use crate::arrays::{Input, array, entries, matrix, matrix3, value_error, vector, vector3, vectors};
 use crate::flight::parse;
-use crate::plant::finite;
+use crate::plant::finite_entries;
 use crate::qp::answer;
 use crate::robot::{measured_state, rotation as checked_rotation};
 use flight_core::control::contact::ContactState;
 use flight_core::control::setpoint::{Setpoint, SetpointGenerator};
 use flight_core::control::tasks::MOMENTUM_ROWS;
-use flight_core::control::{ControllerState as State, Given, Terms};
+use flight_core::control::{ControllerState as State, Estimates, Terms};
 use flight_core::{Measurement, RobotState};
 use flight_io::{load_mission, load_robot};
 use nalgebra::{DVector, Vector3, Vector6};
@@ -65,7 +65,7 @@ impl ControllerState {
 }
 
 /// An owned measurement from Python.
-struct Measured {
+struct OwnedMeasurement {
     time: f64,
     state: RobotState,
     thrust: Vec<f64>,
@@ -73,7 +73,7 @@ struct Measured {
     foot_wrenches: Vec<Vector6<f64>>,
 }
 
-impl Measured {
+impl OwnedMeasurement {
     fn measurement(&self) -> Measurement<'_> {
         Measurement {
             time: self.time,
@@ -121,7 +121,7 @@ impl Controller {
         foot_wrenches: Option<Input<'_>>,
     ) -> PyResult<()> {
         let pose = [&base_position, &base_rotation, &joint_position, &velocity];
-        let measured = self.measured(time, pose, &thrust, &wind, foot_wrenches)?;
+        let measured = self.read_measurement(time, pose, &thrust, &wind, foot_wrenches)?;
         self.state = Some(self.controller.start(&measured.measurement()).map_err(value_error)?);
         Ok(())
     }
@@ -145,7 +145,7 @@ impl Controller {
         foot_wrenches: Option<Input<'py>>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let pose = [&base_position, &base_rotation, &joint_position, &velocity];
-        let measured = self.measured(time, pose, &thrust, &wind, foot_wrenches)?;
+        let measured = self.read_measurement(time, pose, &thrust, &wind, foot_wrenches)?;
         let measurement = measured.measurement();
         let state = match &mut self.state {
             Some(state) => state,
@@ -173,15 +173,15 @@ impl Controller {
 
 impl Controller {
     /// Builds a measurement from position and rotation of the base, joint positions and velocity.
-    fn measured(
+    fn read_measurement(
         &self,
         time: f64,
         state: [&Input<'_>; 4],
         thrust: &Input<'_>,
         wind: &Input<'_>,
         foot_wrenches: Option<Input<'_>>,
-    ) -> PyResult<Measured> {
-        Ok(Measured {
+    ) -> PyResult<OwnedMeasurement> {
+        Ok(OwnedMeasurement {
             time,
             state: measured_state(self.controller.model().joints.len(), state)?,
             thrust: entries("thrust", thrust, &[self.controller.n_jets()])?,
@@ -267,7 +267,7 @@ impl Controller {
             }
         }
         out.set_item("setpoint", setpoint_to_dict(py, &terms.setpoint)?)?;
-        out.set_item("given", given_to_dict(py, &terms.given)?)?;
+        out.set_item("estimates", estimates_to_dict(py, &terms.estimates)?)?;
         Ok(out)
     }
 }
@@ -296,15 +296,15 @@ fn setpoint_to_dict<'py>(py: Python<'py>, setpoint: &Setpoint) -> PyResult<Bound
 }
 
 /// Measurement as used by the control law, after the estimators.
-fn given_to_dict<'py>(py: Python<'py>, given: &Given) -> PyResult<Bound<'py, PyDict>> {
-    let (out, state) = (PyDict::new(py), &given.reading.state);
+fn estimates_to_dict<'py>(py: Python<'py>, estimates: &Estimates) -> PyResult<Bound<'py, PyDict>> {
+    let (out, state) = (PyDict::new(py), &estimates.reading.state);
     out.set_item("base_position", vector(py, state.base.position.as_slice())?)?;
     out.set_item("base_rotation", matrix(py, &state.base.rotation)?)?;
     out.set_item("joint_position", vector(py, state.joint_position.as_slice())?)?;
     out.set_item("velocity", vector(py, state.velocity.as_slice())?)?;
-    out.set_item("thrust", vector(py, &given.reading.thrust)?)?;
-    out.set_item("wind", vector(py, given.wind.as_slice())?)?;
-    out.set_item("wind_std", vector(py, given.wind_std.as_slice())?)?;
+    out.set_item("thrust", vector(py, &estimates.reading.thrust)?)?;
+    out.set_item("wind", vector(py, estimates.wind.as_slice())?)?;
+    out.set_item("wind_std", vector(py, estimates.wind_std.as_slice())?)?;
     Ok(out)
 }
 
@@ -347,7 +347,7 @@ pub fn setpoint_trajectory<'py>(
     let generator =
         SetpointGenerator::new(&config.controller.law.setpoint, mission, &robot.forward_axis_b, dt)
             .map_err(value_error)?;
-    let com = Vector3::from_vec(finite("com", &com, &[3])?);
+    let com = Vector3::from_vec(finite_entries("com", &com, &[3])?);
     let mut state = generator.start(com, &checked_rotation("rotation", &rotation)?);
     let mut signals: [Vec<Vector3<f64>>; 2 + SETPOINT_VECTORS.len()] = Default::default();
     let mut rotations = Vec::with_capacity(9 * ticks);

@@ -148,7 +148,7 @@ pub fn fly_batch(
     }
     let parse_one = |(index, text): (usize, &String)| {
         py.check_signals()?;
-        parse(text).map_err(|reason| refused(index, reason.value(py)))
+        parse(text).map_err(|reason| refusal(index, reason.value(py)))
     };
     let configs = config_jsons.iter().enumerate().map(parse_one).collect::<PyResult<Vec<_>>>()?;
     let mut reporter = Reporter::new(progress);
@@ -195,7 +195,7 @@ pub fn fly_batch(
     }
     let convert = |(index, result): (usize, Result<FlightResult, BatchError>)| match result {
         Ok(result) => flight_dict(py, result, full_log),
-        Err(BatchError::Build(reason)) => Err(refused(index, &reason)),
+        Err(BatchError::Build(reason)) => Err(refusal(index, &reason)),
         Err(error) => Err(batch_error(&error)),
     };
     results.map_err(|error| batch_error(&error))?.into_iter().enumerate().map(convert).collect()
@@ -209,7 +209,7 @@ fn batch_error(error: &BatchError) -> PyErr {
     }
 }
 
-fn refused(index: usize, reason: &dyn std::fmt::Display) -> PyErr {
+fn refusal(index: usize, reason: &dyn std::fmt::Display) -> PyErr {
     value_error(format_args!("flight {index} of the batch: {reason}"))
 }
 

@@ -64,10 +64,11 @@ impl Plant {
         link_forces: Option<Input<'py>>,
     ) -> PyResult<crate::arrays::Output<'py>> {
         let robot = self.current.robot();
-        let thrust_rate = finite("thrust_rate", &thrust_rate, &[robot.jets.len()])?;
-        let torque = finite("joint_torque", &joint_torque, &[robot.joints.len()])?;
+        let thrust_rate = finite_entries("thrust_rate", &thrust_rate, &[robot.jets.len()])?;
+        let torque = finite_entries("joint_torque", &joint_torque, &[robot.joints.len()])?;
         let links = robot.aero_links.len();
-        let forces = link_forces.map(|forces| finite("link_forces", &forces, &[links, 3])).transpose()?;
+        let forces =
+            link_forces.map(|forces| finite_entries("link_forces", &forces, &[links, 3])).transpose()?;
         let forces =
             forces.map(|values| values.chunks_exact(3).map(Vector3::from_column_slice).collect::<Vec<_>>());
         self.current.replace_link_forces(forces).map_err(value_error)?;
@@ -87,7 +88,7 @@ impl Plant {
 }
 
 /// As [`entries`]; all entries must be finite.
-pub fn finite(name: &str, array: &Input<'_>, shape: &[usize]) -> PyResult<Vec<f64>> {
+pub fn finite_entries(name: &str, array: &Input<'_>, shape: &[usize]) -> PyResult<Vec<f64>> {
     let values = entries(name, array, shape)?;
     match values.iter().find(|value| !value.is_finite()) {
         None => Ok(values),

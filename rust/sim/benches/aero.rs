@@ -13,7 +13,7 @@ use std::hint::black_box;
 use std::time::Duration;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let ticks = common::calm()?;
+    let ticks = common::calm_ticks()?;
     let tick = &ticks[0];
     let config = common::configuration("robustness_axisymmetric_vs_sphere_cylinder")?;
     let controller = common::controller(&config)?;

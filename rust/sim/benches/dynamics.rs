@@ -14,7 +14,7 @@ use std::hint::black_box;
 use std::time::Duration;
 
 fn main() -> Result<(), BuildError> {
-    let ticks = common::calm()?;
+    let ticks = common::calm_ticks()?;
     let controller = common::controller(&common::configuration("test2")?)?;
     let robot = controller.model();
     let mut states = ticks.iter().cycle();

@@ -17,7 +17,7 @@ fn main() -> Result<(), BuildError> {
         .sample_size(20)
         .configure_from_args();
     let mut group = criterion.benchmark_group("qp");
-    for (case, ticks) in [("calm", common::calm()?), ("saturated", common::saturated()?)] {
+    for (case, ticks) in [("calm", common::calm_ticks()?), ("saturated", common::saturated_ticks()?)] {
         let momentum: Vec<&QpProblem> = ticks.iter().map(|tick| &tick.momentum_qp).collect();
         let torque: Vec<&QpProblem> = ticks.iter().map(|tick| &tick.torque_qp).collect();
         for (name, problems) in [("momentum", momentum), ("torque", torque)] {

@@ -33,7 +33,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let (calm, saturated) = (common::calm()?, common::saturated()?);
+    let (calm, saturated) = (common::calm_ticks()?, common::saturated_ticks()?);
     let controller = common::controller(&common::configuration("test2")?)?;
     let robot = controller.model();
     let mut arguments = std::env::args().skip_while(|argument| argument != "--dump").skip(1);
@@ -142,13 +142,13 @@ fn time_solvers(name: &str, problems: &[&QpProblem]) {
     });
     report(&format!("{name}, Clarabel as it comes"), 5, problems.len(), || {
         for qp in problems {
-            black_box(plain_clarabel(black_box(qp)));
+            black_box(solve_with_clarabel(black_box(qp)));
         }
     });
 }
 
 /// Clarabel with its default settings, bounds as inequalities.
-fn plain_clarabel(qp: &QpProblem) -> Option<f64> {
+fn solve_with_clarabel(qp: &QpProblem) -> Option<f64> {
     let n = qp.len();
     let upper_triangle = || (0..n).flat_map(|j| (0..=j).map(move |i| (i, j)));
     let p = CscMatrix::new_from_triplets(

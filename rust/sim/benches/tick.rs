@@ -16,14 +16,14 @@ use std::time::Instant;
 type Replays = Vec<Vec<f64>>;
 
 /// Least number of ticks timed per flight, and of replays of a flight.
-fn least() -> (usize, usize) {
+fn least_counts() -> (usize, usize) {
     if std::env::args().any(|argument| argument == "--bench") { (20_000, 7) } else { (1, 1) }
 }
 
 fn main() -> Result<(), BuildError> {
     println!("| timed one by one | count | p50 | p99 | p99.9 | max | p99.9 of the medians |");
     println!("|---|---|---|---|---|---|---|");
-    report("the clock itself", &[(0..least().0).map(|_| microseconds(|| ())).collect()]);
+    report("the clock itself", &[(0..least_counts().0).map(|_| microseconds(|| ())).collect()]);
     for (title, name) in [
         ("tick, TEST2", "test2"),
         ("tick, TEST2, published arms", "test2_published"),
@@ -56,7 +56,7 @@ fn tick_times(config: &ScenarioConfig) -> Result<Replays, BuildError> {
         let mut state = None;
         for tick in &ticks {
             let measurement = tick.measurement();
-            let Some(state) = common::started(&mut controller, &mut state, &measurement) else { break };
+            let Some(state) = common::begin_flight(&mut controller, &mut state, &measurement) else { break };
             times.push(microseconds(|| controller.tick(state, black_box(&measurement)).status));
         }
         Ok(())
@@ -66,7 +66,7 @@ fn tick_times(config: &ScenarioConfig) -> Result<Replays, BuildError> {
 /// Replays the measurements of a standing robot.
 fn standing_tick_times() -> Result<Replays, BuildError> {
     let config = common::configuration("balancing_lateral")?;
-    let ticks = common::standing()?;
+    let ticks = common::standing_ticks()?;
     let thrust = vec![0.0; load_robot(&config.robot)?.jets.len()];
     replay(ticks.len(), |times| {
         let mut controller = common::controller(&config)?;
@@ -80,7 +80,7 @@ fn standing_tick_times() -> Result<Replays, BuildError> {
                 wind: tick.wind,
                 foot_wrenches: &tick.feet,
             };
-            let Some(state) = common::started(&mut controller, &mut state, &measurement) else { break };
+            let Some(state) = common::begin_flight(&mut controller, &mut state, &measurement) else { break };
             times.push(microseconds(|| controller.tick(state, black_box(&measurement)).status));
         }
         Ok(())
@@ -89,7 +89,7 @@ fn standing_tick_times() -> Result<Replays, BuildError> {
 
 /// Solves the torque QPs of a standing robot with our solver and with Clarabel.
 fn standing_qp_times() -> Result<(Replays, Replays), BuildError> {
-    let ticks = common::standing()?;
+    let ticks = common::standing_ticks()?;
     let Some(first) = ticks.first() else { return Ok(Default::default()) };
     let (n, rows) = (first.torque_qp.len(), first.torque_qp.rows());
     let ours = replay(ticks.len(), |times| {
@@ -125,7 +125,7 @@ fn replay(
     items: usize,
     mut times_of_all: impl FnMut(&mut Vec<f64>) -> Result<(), BuildError>,
 ) -> Result<Replays, BuildError> {
-    let (ticks, replays) = least();
+    let (ticks, replays) = least_counts();
     let count = replays.max(ticks.div_ceil(items.max(1)));
     (0..count)
         .map(|_| {

@@ -127,7 +127,7 @@ impl State {
         Ok(())
     }
 
-    fn found(&mut self, episode: u64, tick: u64, kind: &str, detail: &str) {
+    fn record_event(&mut self, episode: u64, tick: u64, kind: &str, detail: &str) {
         *self.found.entry(kind.to_owned()).or_default() += 1;
         if self.events.len() < KEPT {
             self.events.push(Event { episode, tick, what: format!("{kind}{detail}") });
@@ -151,7 +151,7 @@ impl State {
                 look(tick, &ticked);
                 *statuses.entry(format!("{:?}", ticked.status)).or_default() += 1;
                 if let Some(finding) = ticked.finding {
-                    self.found(number, tick, &format!("{finding:?}"), "");
+                    self.record_event(number, tick, &format!("{finding:?}"), "");
                 }
                 let durations = self.durations.get_mut(conditions).unwrap();
                 durations.add(ticked.duration, (number, tick));
@@ -164,7 +164,7 @@ impl State {
         self.ticks += tick;
         if flown.is_err() {
             let message = PANIC.lock().unwrap().clone();
-            self.found(number, tick, "Panic", &format!(": {message}"));
+            self.record_event(number, tick, "Panic", &format!(": {message}"));
         }
     }
 
@@ -190,7 +190,7 @@ impl State {
 }
 
 /// Requests locked memory and real-time priority; returns a description of what was granted.
-fn real_time() -> String {
+fn request_real_time() -> String {
     // SAFETY: the calls access only the struct that is passed.
     let (locked, fifo) = unsafe {
         let priority = libc::sched_param { sched_priority: 80 };
@@ -225,7 +225,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     set_hook(Box::new(|panic| *PANIC.lock().unwrap() = panic.to_string()));
     let episodes = Episodes::new(seed);
-    let conditions = if is_real_time { real_time() } else { "ordinary priority".to_owned() };
+    let conditions = if is_real_time { request_real_time() } else { "ordinary priority".to_owned() };
     if let Some(number) = only {
         let mut state = State::load(Path::new(""), seed)?;
         (state.episodes, state.durations) = (number, [(conditions.clone(), Histogram::default())].into());

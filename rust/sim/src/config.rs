@@ -65,7 +65,7 @@ impl ScenarioConfig {
         let robot = self.disturbances.controller_robot(robot)?;
         let factors = &self.disturbances.aero_estimate;
         let aero = |robot: &RobotModel| {
-            load_aero(aero, robot)?.weighted(factors, robot, "disturbances.aero_estimate")
+            load_aero(aero, robot)?.weight_forces(factors, robot, "disturbances.aero_estimate")
         };
         Controller::new(robot, aero, load_mission(&self.mission)?, law.clone(), self.simulator.time_step)
     }
@@ -91,13 +91,13 @@ pub fn scenario_from_value(value: Value, origin: &str) -> Result<ScenarioConfig,
 #[must_use]
 pub fn schemas() -> [(&'static str, Schema); 7] {
     [
-        ("aero", Schema::of::<AeroConfig>()),
-        ("control", Schema::of::<ControllerSection>()),
-        ("mission", Schema::of::<MissionConfig>()),
-        ("experiments", Schema::of::<ScenarioConfig>()),
-        ("robot", Schema::of::<RobotFile>()),
-        ("simulator", Schema::of::<SimulatorConfig>()),
-        ("wind", Schema::of::<WindConfig>()),
+        ("aero", Schema::of_type::<AeroConfig>()),
+        ("control", Schema::of_type::<ControllerSection>()),
+        ("mission", Schema::of_type::<MissionConfig>()),
+        ("experiments", Schema::of_type::<ScenarioConfig>()),
+        ("robot", Schema::of_type::<RobotFile>()),
+        ("simulator", Schema::of_type::<SimulatorConfig>()),
+        ("wind", Schema::of_type::<WindConfig>()),
     ]
 }
 
@@ -125,7 +125,7 @@ pub struct SimulatorConfig {
     #[schemars(range(min = 0.0002, max = 1))]
     pub time_step: f64,
     /// Physics steps in a tick; state-dependent forces are evaluated in each, commands are constant.
-    #[serde(default = "one")]
+    #[serde(default = "default_one")]
     #[schemars(range(min = 1, max = 1000))]
     pub substeps: u32,
     /// Integrator of a physics step.
@@ -154,7 +154,7 @@ pub struct SimulatorConfig {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motors: Option<MotorsConfig>,
     /// Whether joints have the stops of the URDF, widened to the range of the controller.
-    #[serde(default = "yes")]
+    #[serde(default = "default_true")]
     pub joint_stops: bool,
     /// Initial state.
     pub initial: InitialConfig,
@@ -170,7 +170,7 @@ pub struct SimulatorConfig {
     pub divergence: DivergenceConfig,
 }
 
-fn one() -> u32 {
+fn default_one() -> u32 {
     1
 }
 
@@ -234,7 +234,7 @@ pub struct InitialConfig {
     pub free_fall_tick: bool,
 }
 
-fn yes() -> bool {
+fn default_true() -> bool {
     true
 }
 
@@ -292,15 +292,15 @@ impl SimulatorConfig {
     /// [`BuildError::BadValue`] naming key, value and expectation.
     pub fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
         let table = Table("simulator");
-        table.positive("duration", self.duration)?;
+        table.check_positive("duration", self.duration)?;
         check_time_step("simulator.time_step", self.time_step)?;
-        table.positive("fall.com_error", self.fall.com_error)?;
-        table.positive("course_error", self.course_error)?;
-        table.positive("divergence.speed", self.divergence.speed)?;
-        table.positive("divergence.angular_velocity", self.divergence.angular_velocity)?;
-        table.positive("divergence.joint_velocity", self.divergence.joint_velocity)?;
-        table.positive("divergence.joint_excess", self.divergence.joint_excess)?;
-        table.positive("divergence.thrust_ratio", self.divergence.thrust_ratio)?;
+        table.check_positive("fall.com_error", self.fall.com_error)?;
+        table.check_positive("course_error", self.course_error)?;
+        table.check_positive("divergence.speed", self.divergence.speed)?;
+        table.check_positive("divergence.angular_velocity", self.divergence.angular_velocity)?;
+        table.check_positive("divergence.joint_velocity", self.divergence.joint_velocity)?;
+        table.check_positive("divergence.joint_excess", self.divergence.joint_excess)?;
+        table.check_positive("divergence.thrust_ratio", self.divergence.thrust_ratio)?;
         let angle = self.fall.rotation_error_deg;
         table.check("fall.rotation_error_deg", angle, |x| 0.0 < x && x <= 180.0, "degrees in (0, 180]")?;
         if let JetsConfig::SecondOrder(jets) = &self.jets {

@@ -63,7 +63,7 @@ impl GroundConfig {
     /// [`BuildError::BadValue`] naming the key.
     pub fn check(&self) -> Result<(), BuildError> {
         let table = Table("simulator.ground");
-        table.positive("friction", self.friction)?;
+        table.check_positive("friction", self.friction)?;
         table.check("contact_time", self.contact_time, |x| x > 0.0, "a positive time in s")?;
         table.check("settling", self.settling, |x| x >= 0.0, "a time ≥ 0 in s")?;
         self.leg_odometry.as_ref().map_or(Ok(()), |LegOdometryConfig { velocity_time_constant }| {
@@ -80,13 +80,13 @@ impl MotorsConfig {
     /// [`BuildError`] naming the key.
     pub fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
         let table = Table("simulator.motors");
-        table.non_negative("friction", self.friction)?;
-        table.non_negative("damping", self.damping)?;
-        table.non_negative("stiffness", self.stiffness)?;
-        table.non_negative("inertia", self.inertia)?;
+        table.check_non_negative("friction", self.friction)?;
+        table.check_non_negative("damping", self.damping)?;
+        table.check_non_negative("stiffness", self.stiffness)?;
+        table.check_non_negative("inertia", self.inertia)?;
         for (joint, friction) in &self.friction_of {
             place_of("simulator.motors.friction_of", joint, robot.joints.iter().map(|joint| &joint.name))?;
-            table.non_negative(&format!("friction_of.{joint}"), *friction)?;
+            table.check_non_negative(&format!("friction_of.{joint}"), *friction)?;
         }
         Ok(())
     }

@@ -110,7 +110,7 @@ impl Jets {
         engines: &BTreeMap<String, EngineCoefficients>,
         initial_thrust: &[f64],
     ) -> Result<Self, BuildError> {
-        one_per_jet("initial_thrust", initial_thrust.len(), jets)?;
+        check_one_per_jet("initial_thrust", initial_thrust.len(), jets)?;
         for (jet, thrust) in jets.iter().zip(initial_thrust) {
             let item = format!("initial thrust of jet `{}`", jet.name);
             check(&item, *thrust, |_| true, "a finite force in N")?;
@@ -124,7 +124,7 @@ impl Jets {
         };
         let JetsConfig::SecondOrder(config) = config else { return Ok(new) };
         if let Some(names) = &config.engines {
-            one_per_jet("engines", names.len(), jets)?;
+            check_one_per_jet("engines", names.len(), jets)?;
         }
         let jets: Vec<ThrottledEngine> = jets
             .iter()
@@ -171,7 +171,7 @@ impl Jets {
     /// present estimate, then estimator and engine over `dt`. Faults act on the command before and on the thrust
     /// after. A jet without a command does not change. Does not allocate.
     pub fn advance(&mut self, thrust_rate_command: &[f64], dt: f64) {
-        let commands = self.faults.response.delayed(thrust_rate_command, dt);
+        let commands = self.faults.response.delay_rates(thrust_rate_command, dt);
         match &mut self.dynamics {
             Dynamics::Ideal => {
                 let jets = self.thrust.iter_mut().zip(&mut self.thrust_rate);
@@ -192,7 +192,7 @@ impl Jets {
                         command,
                         dt,
                     );
-                    jet.ekf.update(self.faults.sensor.measured(jet.engine.thrust), throttle, dt);
+                    jet.ekf.update(self.faults.sensor.measure_thrust(jet.engine.thrust), throttle, dt);
                     jet.engine.step(throttle, dt);
                     *thrust = jet.engine.thrust;
                     *thrust_rate = jet.engine.thrust_rate;
@@ -201,7 +201,7 @@ impl Jets {
             }
         }
         for jet in 0..self.thrust.len() {
-            let given = self.faults.limited(jet, self.thrust[jet], self.thrust_rate[jet], dt);
+            let given = self.faults.limit_thrust(jet, self.thrust[jet], self.thrust_rate[jet], dt);
             (self.thrust[jet], self.thrust_rate[jet]) = given;
             if let Dynamics::SecondOrder { jets, .. } = &mut self.dynamics {
                 (jets[jet].engine.thrust, jets[jet].engine.thrust_rate) = given;
@@ -248,7 +248,7 @@ impl Jets {
 }
 
 /// Checks that a list has one entry for each jet.
-fn one_per_jet(item: &str, count: usize, jets: &[Jet]) -> Result<(), BuildError> {
+fn check_one_per_jet(item: &str, count: usize, jets: &[Jet]) -> Result<(), BuildError> {
     if count == jets.len() {
         return Ok(());
     }

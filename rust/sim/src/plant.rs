@@ -75,7 +75,7 @@ impl Plant {
         }
         let n = 6 + robot.joints.len();
         let mut plant = Self {
-            aero: load_aero(&config.aero, &robot)?.weighted(
+            aero: load_aero(&config.aero, &robot)?.weight_forces(
                 &disturbances.aero,
                 &robot,
                 "disturbances.aero",

@@ -164,7 +164,7 @@ impl Scenario {
         let (wind, n_ticks) = (Wind::new(&config.wind)?, config.simulator.n_ticks());
         let controller_wind = disturbances.controller_wind.as_ref();
         let controller_wind =
-            controller_wind.map(|wind| Wind::of_table(wind, "disturbances.controller_wind")).transpose()?;
+            controller_wind.map(|wind| Wind::from_table(wind, "disturbances.controller_wind")).transpose()?;
         let given = controller_wind.as_ref().unwrap_or(&wind);
         let estimator = |estimate| {
             let times = (0..=n_ticks).map(|tick| tick as f64 * time_step);
@@ -282,7 +282,7 @@ impl Scenario {
     }
 
     /// Reason why the flight is lost at this tick, if it is.
-    fn lost(&self, wind: &Vector3<f64>, errors: &TrackingErrors) -> Option<LossReason> {
+    fn loss_reason(&self, wind: &Vector3<f64>, errors: &TrackingErrors) -> Option<LossReason> {
         self.divergence(wind).or_else(|| {
             if !errors.rotation.is_finite() || !errors.com.is_finite() {
                 Some(LossReason::NotFinite)
@@ -390,7 +390,7 @@ impl Flight {
         let (terms, command) = (controller.terms(), controller.command());
         let errors = TrackingErrors::new(plant, &terms.setpoint);
         self.log.push(&LogRow { time, wind, plant, terms, command, errors });
-        self.loss = self.scenario.lost(&wind, &errors).map(|reason| Loss { time, reason });
+        self.loss = self.scenario.loss_reason(&wind, &errors).map(|reason| Loss { time, reason });
         if self.loss.is_some() {
             return false;
         }

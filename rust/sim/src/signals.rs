@@ -86,7 +86,7 @@ const fn signal(
 }
 
 /// A signal that only engines with ground log.
-const fn of_ground(
+const fn ground_signal(
     name: &'static str,
     dims: &'static [Dimension],
     unit: &'static str,
@@ -215,7 +215,7 @@ pub static SIGNALS: [Signal; 41] = [
         |row, out| out.extend(&row.terms.momentum.unmodelled_wrench),
     ),
     signal("measured_base_position", XYZ, "m", "base position that the controller is given", |row, out| {
-        out.extend(&row.terms.given.reading.state.base.position);
+        out.extend(&row.terms.estimates.reading.state.base.position);
     }),
     signal(
         "measured_base_quaternion",
@@ -223,7 +223,7 @@ pub static SIGNALS: [Signal; 41] = [
         "1",
         "base rotation that the controller is given",
         |row, out| {
-            out.extend(wxyz_from_rotation(&row.terms.given.reading.state.base.rotation));
+            out.extend(wxyz_from_rotation(&row.terms.estimates.reading.state.base.rotation));
         },
     ),
     signal(
@@ -231,31 +231,31 @@ pub static SIGNALS: [Signal; 41] = [
         SIX,
         "m s-1 (linear), rad s-1 (angular)",
         "base velocity that the controller is given, mixed",
-        |row, out| out.extend(&row.terms.given.reading.state.velocity.as_slice()[..6]),
+        |row, out| out.extend(&row.terms.estimates.reading.state.velocity.as_slice()[..6]),
     ),
     signal(
         "measured_joint_velocity",
         JOINT,
         "rad s-1",
         "joint velocity that the controller is given",
-        |row, out| out.extend(row.terms.given.reading.state.joint_velocity()),
+        |row, out| out.extend(row.terms.estimates.reading.state.joint_velocity()),
     ),
     signal("measured_thrust", JET, "N", "thrust of each jet that the controller is given", |row, out| {
-        out.extend(&row.terms.given.reading.thrust);
+        out.extend(&row.terms.estimates.reading.thrust);
     }),
     signal(
         "measured_wind",
         XYZ,
         "m s-1",
         "wind velocity that the controller is given, inertial frame",
-        |row, out| out.extend(&row.terms.given.wind),
+        |row, out| out.extend(&row.terms.estimates.wind),
     ),
     signal(
         "measured_wind_std",
         XYZ,
         "m s-1",
         "standard deviation of that wind where it is estimated from the robot's motion, else zero",
-        |row, out| out.extend(&row.terms.given.wind_std),
+        |row, out| out.extend(&row.terms.estimates.wind_std),
     ),
     integer(signal("qp_status", QP, "1", "outcome of each QP; 0 is solved", |row, out| {
         out.extend(row.qps().map(|answer| f64::from(answer.status.code())));
@@ -283,21 +283,21 @@ pub static SIGNALS: [Signal; 41] = [
         is_of_ground: false,
         read: None,
     },
-    of_ground(
+    ground_signal(
         "joint_torque_measured",
         JOINT,
         "N m",
         "torque that reaches the joint: of the motor, less its friction",
     ),
-    of_ground("foot_wrench", FOOT_SIX, WRENCH, "wrench on each sole about its origin, inertial axes"),
-    of_ground("sole_position", FOOT_XYZ, "m", "origin of each sole, inertial frame"),
-    integer(of_ground("feet_carry", TIME, "1", "whether the controller takes the feet to carry")),
-    of_ground("contact_force", FOOT_SIX, WRENCH, "foot wrenches f_c* that the controller integrates"),
-    of_ground(
+    ground_signal("foot_wrench", FOOT_SIX, WRENCH, "wrench on each sole about its origin, inertial axes"),
+    ground_signal("sole_position", FOOT_XYZ, "m", "origin of each sole, inertial frame"),
+    integer(ground_signal("feet_carry", TIME, "1", "whether the controller takes the feet to carry")),
+    ground_signal("contact_force", FOOT_SIX, WRENCH, "foot wrenches f_c* that the controller integrates"),
+    ground_signal(
         "contact_force_rate",
         FOOT_SIX,
         "N s-1 (force), N m s-1 (moment)",
         "rate of f_c* commanded by the momentum QP",
     ),
-    of_ground("contact_force_torque", FOOT_SIX, WRENCH, "foot wrenches that come with the torques"),
+    ground_signal("contact_force_torque", FOOT_SIX, WRENCH, "foot wrenches that come with the torques"),
 ];

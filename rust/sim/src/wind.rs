@@ -113,14 +113,14 @@ impl Wind {
     /// # Errors
     /// [`BuildError`] naming the key or the file and line.
     pub fn new(config: &WindConfig) -> Result<Self, BuildError> {
-        Self::of_table(config, "wind")
+        Self::from_table(config, "wind")
     }
 
     /// As [`Wind::new`]; errors name the profile `table`.
     ///
     /// # Errors
     /// As [`Wind::new`].
-    pub fn of_table(config: &WindConfig, table: &str) -> Result<Self, BuildError> {
+    pub fn from_table(config: &WindConfig, table: &str) -> Result<Self, BuildError> {
         let number = |name: &str, value, accept: fn(f64) -> bool, expected: &str| {
             check(&format!("{table}.{name}"), value, accept, expected)
         };
@@ -162,7 +162,7 @@ impl Wind {
             WindConfig::File { path } => Self::Recorded(read_samples(path)?),
             WindConfig::Samples { samples } => {
                 let item = format!("{table}.samples");
-                Self::Recorded(in_order(samples, &item, |index| format!("{item}[{index}]"))?)
+                Self::Recorded(check_order(samples, &item, |index| format!("{item}[{index}]"))?)
             }
         })
     }
@@ -171,9 +171,9 @@ impl Wind {
     #[must_use]
     pub fn velocity(&self, time: f64) -> Vector3<f64> {
         match self {
-            Self::Ramp { velocity, ramp } => velocity * risen(ramp, time),
+            Self::Ramp { velocity, ramp } => velocity * ramp_fraction(ramp, time),
             Self::Turbulent { velocity, ramp, turbulence } => {
-                (velocity + turbulence.velocity(time)) * risen(ramp, time)
+                (velocity + turbulence.velocity(time)) * ramp_fraction(ramp, time)
             }
             Self::Gust { velocity, gust, start, duration } => {
                 let phase = (time - start) / duration;
@@ -194,12 +194,12 @@ impl Wind {
 }
 
 /// Fraction of a rise at `time`, from 0 to 1.
-fn risen((start, end): &(f64, f64), time: f64) -> f64 {
+fn ramp_fraction((start, end): &(f64, f64), time: f64) -> f64 {
     if time >= *end { 1.0 } else { ((time - start) / (end - start)).max(0.0) }
 }
 
 /// Checks that samples are in order of time; errors name `item` and the sample's `place`.
-fn in_order(
+fn check_order(
     samples: &[[f64; 4]],
     item: &str,
     place: impl Fn(usize) -> String,
@@ -241,5 +241,5 @@ fn read_samples(path: &Path) -> Result<Vec<(f64, Vector3<f64>)>, BuildError> {
         numbers.push(number);
         samples.push(sample);
     }
-    in_order(&samples, &file, |index| place(numbers[index]))
+    check_order(&samples, &file, |index| place(numbers[index]))
 }

@@ -40,7 +40,7 @@ fn parse<T: DeserializeOwned + JsonSchema>(file: &Path) -> T {
 
 /// The resolved table of an experiment's file.
 fn resolve(file: &Path) -> Result<Value, BuildError> {
-    flight_io::resolve(file, &Schema::of::<ScenarioConfig>())
+    flight_io::resolve(file, &Schema::of_type::<ScenarioConfig>())
 }
 
 /// Keys beside `base` are laid over the base's table, table by table; lists are replaced whole.
@@ -94,10 +94,12 @@ fn another_kind_replaces_the_table() {
         ),
     ] {
         let file = write(&folder, name, &format!("base = 'wind.toml'\n{keys}\n"));
-        let schema = Schema::of::<WindConfig>();
+        let schema = Schema::of_type::<WindConfig>();
         assert_eq!(flight_io::resolve(&file, &schema).unwrap(), expected, "{name}");
     }
-    for (key, schema) in [("model", Schema::of::<AeroConfig>()), ("dynamics", Schema::of::<JetsConfig>())] {
+    for (key, schema) in
+        [("model", Schema::of_type::<AeroConfig>()), ("dynamics", Schema::of_type::<JetsConfig>())]
+    {
         write(&folder, "under.toml", &format!("{key} = 'a'\nonly_a = 1\n"));
         let over = write(&folder, "over.toml", &format!("base = 'under.toml'\n{key} = 'b'\n"));
         assert_eq!(flight_io::resolve(&over, &schema).unwrap(), json!({key: "b"}));
@@ -116,7 +118,7 @@ fn what_may_be_absent_is_removed_by_false() {
     let middle = "base = 'bottom.toml'\nground = false\nmotors = false\nsensors.joints.velocity_time_constant = false\n";
     let middle = write(&folder, "middle.toml", &format!("{middle}joint_stops = false\njets = false\n"));
     let top = write(&folder, "top.toml", "base = 'middle.toml'\nmotors = { damping = 2.0 }\n");
-    let resolve = |file| flight_io::resolve(file, &Schema::of::<SimulatorConfig>()).unwrap();
+    let resolve = |file| flight_io::resolve(file, &Schema::of_type::<SimulatorConfig>()).unwrap();
     let expected = json!({"sensors": {"joints": {}}, "joint_stops": false, "jets": false});
     assert_eq!(resolve(&middle), expected);
     assert_eq!(resolve(&top)["motors"], json!({"damping": 2.0}));

@@ -208,7 +208,7 @@ fn a_fault_changes_the_rate_with_the_thrust() {
         let mut faults = JetFaults::new(faults, &robot.jets).unwrap();
         let mut last = (0.0, 0.0);
         for _ in 0..70 {
-            last = faults.limited(1, 100.0, 30.0, STEP);
+            last = faults.limit_thrust(1, 100.0, 30.0, STEP);
         }
         last
     };
@@ -221,9 +221,9 @@ fn a_fault_changes_the_rate_with_the_thrust() {
     let weak = JetFaultsConfig { thrust_limit_scale: Some(0.5), ..JetFaultsConfig::default() };
     let mut weak = JetFaults::new(&weak, &robot.jets).unwrap();
     let limit = 0.5 * robot.jets[1].thrust_max;
-    assert_eq!(weak.limited(1, limit + 1.0, 30.0, STEP), (limit, 0.0));
-    assert_eq!(weak.limited(1, limit + 1.0, -30.0, STEP), (limit, -30.0));
-    assert_eq!(weak.limited(1, limit, 30.0, STEP), (limit, 30.0));
+    assert_eq!(weak.limit_thrust(1, limit + 1.0, 30.0, STEP), (limit, 0.0));
+    assert_eq!(weak.limit_thrust(1, limit + 1.0, -30.0, STEP), (limit, -30.0));
+    assert_eq!(weak.limit_thrust(1, limit, 30.0, STEP), (limit, 30.0));
 }
 
 #[test]
@@ -350,7 +350,7 @@ fn a_model_error_scales_masses_and_inertias() {
     }
 }
 
-fn one(change: impl Fn(&mut ScenarioConfig)) -> FlightResult {
+fn fly_one(change: impl Fn(&mut ScenarioConfig)) -> FlightResult {
     let mut config = experiment("test2");
     config.simulator.duration = 20.0;
     change(&mut config);
@@ -359,7 +359,7 @@ fn one(change: impl Fn(&mut ScenarioConfig)) -> FlightResult {
 
 #[test]
 fn a_flight_loses_an_arm_engine_and_falls() {
-    let result = one(|config| {
+    let result = fly_one(|config| {
         config.disturbances.jets = failure(FailureKind::Off, 0.0);
     });
     let fall = result.loss.unwrap();
@@ -370,7 +370,7 @@ fn a_flight_loses_an_arm_engine_and_falls() {
 #[test]
 fn known_limits_reach_the_controller() {
     let limited = |known| {
-        one(move |config| {
+        fly_one(move |config| {
             config.disturbances.jets.thrust_limit_scale = Some(0.55);
             config.disturbances.jets.limit_is_known = known;
         })

@@ -91,7 +91,7 @@ fn runs(bytes: &[u8], is_part: impl Fn(u8) -> bool, is_needed: impl Fn(u8) -> bo
     found
 }
 
-fn spoilt(bytes: &[u8], edits: &[Edit]) -> Vec<u8> {
+fn spoil(bytes: &[u8], edits: &[Edit]) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
     for edit in edits {
         let is_number = |byte: u8| byte.is_ascii_digit() || b".+-eE".contains(&byte);
@@ -132,8 +132,8 @@ fn spoilt(bytes: &[u8], edits: &[Edit]) -> Vec<u8> {
     bytes
 }
 
-fn spoilt_text(text: &str, edits: &[Edit]) -> String {
-    String::from_utf8_lossy(&spoilt(text.as_bytes(), edits)).into_owned()
+fn spoil_text(text: &str, edits: &[Edit]) -> String {
+    String::from_utf8_lossy(&spoil(text.as_bytes(), edits)).into_owned()
 }
 
 fn file(name: &str) -> String {
@@ -185,9 +185,9 @@ fn a_spoilt_robot() {
     proptest!(cases(400), |(which in 0..names.len(), of_toml in any::<bool>(), edits in edits())| {
         let (toml, urdf) = &texts[which];
         let (toml, urdf) = if of_toml {
-            (spoilt_text(toml, &edits), urdf.clone())
+            (spoil_text(toml, &edits), urdf.clone())
         } else {
-            (toml.clone(), spoilt_text(urdf, &edits))
+            (toml.clone(), spoil_text(urdf, &edits))
         };
         if let Some(robot) = refusal(robot_from_text(&toml, &urdf, "spoilt.toml")) {
             assert_ticks(&hovering(&robot), robot);
@@ -201,9 +201,9 @@ fn a_spoilt_configuration() {
     let names = ["aero_aware", "observer", "estimator", "balancing"];
     let texts = names.map(|name| file(&format!("control/{name}.toml")));
     let scenario = experiment("test2");
-    let (folder, schema) = (configs("control"), Schema::of::<ControllerSection>());
+    let (folder, schema) = (configs("control"), Schema::of_type::<ControllerSection>());
     proptest!(cases(250), |(which in 0..names.len(), edits in edits(), step in prop_oneof![Just(0.01), Just(0.001)])| {
-        let table = refusal(toml::parse(&spoilt_text(&texts[which], &edits), "spoilt.toml"));
+        let table = refusal(toml::parse(&spoil_text(&texts[which], &edits), "spoilt.toml"));
         let value = table.and_then(|table| refusal(resolve_table(table, &folder, &schema)));
         let section = value.and_then(|value| refusal(from_value(value, "spoilt.toml")));
         if let Some(controller) = section {
@@ -227,9 +227,9 @@ fn a_spoilt_network() {
     let scenario = experiment("test4");
     proptest!(cases(300), |(of_card in any::<bool>(), edits in edits(), density in prop_oneof![Just(1.2), Just(1e308)])| {
         let (card, weights) = if of_card {
-            (spoilt_text(&card, &edits), weights.clone())
+            (spoil_text(&card, &edits), weights.clone())
         } else {
-            let weights = spoilt(&weights, &edits);
+            let weights = spoil(&weights, &edits);
             (card.replace(&sha, &digest(&weights)), weights)
         };
         hold(&path, card.into_bytes());
@@ -249,9 +249,9 @@ fn a_spoilt_aerodynamic_model() {
     let names = ["axisymmetric_corrected", "axisymmetric_signed", "sphere_cylinder"];
     let texts = names.map(|name| file(&format!("aero/{name}.toml")));
     let scenario = experiment("test2");
-    let (folder, schema) = (configs("aero"), Schema::of::<AeroConfig>());
+    let (folder, schema) = (configs("aero"), Schema::of_type::<AeroConfig>());
     proptest!(cases(200), |(which in 0..names.len(), edits in edits())| {
-        let table = refusal(toml::parse(&spoilt_text(&texts[which], &edits), "spoilt.toml"));
+        let table = refusal(toml::parse(&spoil_text(&texts[which], &edits), "spoilt.toml"));
         let value = table.and_then(|table| refusal(resolve_table(table, &folder, &schema)));
         if let Some(aero) = value.and_then(|value| refusal(from_value(value, "spoilt.toml"))) {
             let mut scenario = scenario.clone();
@@ -270,8 +270,8 @@ fn spoilt_tables() {
     let wind = "time,x,y,z\n0,0,0,0\n1.5,1,-2,0.5\n4,3,-9.5,0\n";
     let path = PathBuf::from("fuzz/wind.csv");
     proptest!(cases(500), |(edits in edits(), time in -1.0..20.0)| {
-        refusal(parse_recording(&spoilt_text(&recording, &edits), "spoilt.csv"));
-        hold(&path, spoilt(wind.as_bytes(), &edits));
+        refusal(parse_recording(&spoil_text(&recording, &edits), "spoilt.csv"));
+        hold(&path, spoil(wind.as_bytes(), &edits));
         if let Some(wind) = refusal(Wind::new(&WindConfig::File { path: path.clone() })) {
             prop_assert!(wind.velocity(time).iter().all(|speed| speed.is_finite()));
         }

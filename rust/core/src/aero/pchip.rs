@@ -60,17 +60,17 @@ impl Pchip {
     /// Interpolated value at `x`; outside the table, the value of the nearer end. NaN for NaN.
     #[must_use]
     pub fn at(&self, x: f64) -> f64 {
-        self.between(x, hermite)
+        self.interpolate(x, hermite)
     }
 
     /// Linear interpolation at `x`; constant outside the table.
     #[must_use]
     pub fn linear_at(&self, x: f64) -> f64 {
-        self.between(x, |a, b, x| a.y + (b.y - a.y) * (x - a.x) / (b.x - a.x))
+        self.interpolate(x, |a, b, x| a.y + (b.y - a.y) * (x - a.x) / (b.x - a.x))
     }
 
     /// Evaluates `curve` on the two points around `x`; outside the table, the value of the nearer end.
-    fn between(&self, x: f64, curve: impl Fn(&Knot, &Knot, f64) -> f64) -> f64 {
+    fn interpolate(&self, x: f64, curve: impl Fn(&Knot, &Knot, f64) -> f64) -> f64 {
         if x.is_nan() {
             return x;
         }

@@ -197,7 +197,7 @@ impl ChannelsConfig {
             ("velocity_gain", self.velocity_gain),
             ("descend_after", self.descend_after),
         ] {
-            table.non_negative(key, value)?;
+            table.check_non_negative(key, value)?;
         }
         let (greatest, jump) = (&self.greatest, self.jump.clone().unwrap_or_default());
         for (key, value) in [
@@ -219,7 +219,7 @@ impl ChannelsConfig {
             ("jump.velocity", jump.velocity),
             ("jump.angular_velocity", jump.angular_velocity),
         ] {
-            table.positive(key, value)?;
+            table.check_positive(key, value)?;
         }
         Ok(())
     }
@@ -350,7 +350,7 @@ pub struct ChannelsState {
 
 /// The measurement as used by a tick.
 #[derive(Debug, Clone)]
-pub struct Seen {
+pub struct UsedMeasurement {
     /// Time of the controller (M108): that of the measurement, corrected for jumps of its clock \[s\].
     pub time: f64,
     /// Pose and velocity of the robot.
@@ -375,7 +375,7 @@ pub struct Seen {
     pub modes: Modes,
 }
 
-impl Seen {
+impl UsedMeasurement {
     /// Zeros, for a robot with the tick `time_step` \[s\].
     #[must_use]
     pub fn new(robot: &RobotModel, time_step: f64) -> Self {
@@ -611,7 +611,7 @@ impl Channels {
     }
 
     /// Moves the time on with that of a measurement \[s\]: M108. Whether the time since the last tick is known.
-    fn update_clock(&self, state: &mut ChannelsState, measured: f64, seen: &mut Seen) -> bool {
+    fn update_clock(&self, state: &mut ChannelsState, measured: f64, used: &mut UsedMeasurement) -> bool {
         let next = state.time + self.time_step;
         let is_known = time_is_plausible(measured);
         let time = if is_known { measured - state.clock_offset } else { next };
@@ -622,45 +622,50 @@ impl Channels {
             state.clock_offset = measured - next;
         }
         state.time = if has_jumped { next } else { time };
-        seen.time = state.time;
-        seen.elapsed = if is_step { elapsed } else { self.time_step };
+        used.time = state.time;
+        used.elapsed = if is_step { elapsed } else { self.time_step };
         let may_have_paused = state.is_begun && !is_step && elapsed > 0.0 && elapsed <= PAUSE_MAX;
-        seen.pause = if may_have_paused { elapsed } else { 0.0 };
-        seen.modes = Modes::default();
+        used.pause = if may_have_paused { elapsed } else { 0.0 };
+        used.modes = Modes::default();
         if !is_known || has_jumped {
-            seen.modes.insert(Modes::CLOCK_PREDICTED);
+            used.modes.insert(Modes::CLOCK_PREDICTED);
         }
         is_step
     }
 
-    /// Processes a measurement of matching size and writes the result to `seen`.
-    pub fn update(&mut self, state: &mut ChannelsState, measurement: &Measurement, seen: &mut Seen) {
+    /// Processes a measurement of matching size and writes the result to `used`.
+    pub fn update(
+        &mut self,
+        state: &mut ChannelsState,
+        measurement: &Measurement,
+        used: &mut UsedMeasurement,
+    ) {
         self.read(measurement);
         self.fill_joint_velocity();
-        self.take_in(state, measurement.time, seen);
+        self.take_in(state, measurement.time, used);
     }
 
     /// As [`Self::update`], for a measurement at `time` \[s\] that does not fit: nothing is measured.
-    pub fn update_unmeasured(&mut self, state: &mut ChannelsState, time: f64, seen: &mut Seen) {
+    pub fn update_unmeasured(&mut self, state: &mut ChannelsState, time: f64, used: &mut UsedMeasurement) {
         self.now.fill(f64::NAN);
-        self.take_in(state, time, seen);
+        self.take_in(state, time, used);
     }
 
-    /// Judges the numbers in `now` and makes `seen` of them.
-    fn take_in(&mut self, state: &mut ChannelsState, time: f64, seen: &mut Seen) {
-        let is_step = self.update_clock(state, time, seen);
-        let mut modes = seen.modes;
-        let dt = seen.elapsed;
+    /// Judges the numbers in `now` and makes `used` of them.
+    fn take_in(&mut self, state: &mut ChannelsState, time: f64, used: &mut UsedMeasurement) {
+        let is_step = self.update_clock(state, time, used);
+        let mut modes = used.modes;
+        let dt = used.elapsed;
         if state.is_begun {
             state.predict(&self.layout, &self.greatest, dt);
         }
         let now = &self.now[self.layout.thrust.clone()];
-        for ((to, now), predicted) in seen.thrust_innovation.iter_mut().zip(now).zip(self.thrust(state)) {
+        for ((to, now), predicted) in used.thrust_innovation.iter_mut().zip(now).zip(self.thrust(state)) {
             // Over an unknown time it says nothing.
             *to = if is_step && state.is_begun { now - predicted } else { 0.0 };
         }
         // Changes during a pause are not jumps, and the first measurement has no predecessor.
-        let missed_ticks = if state.is_begun { seen.pause / self.time_step } else { f64::INFINITY };
+        let missed_ticks = if state.is_begun { used.pause / self.time_step } else { f64::INFINITY };
         // Whether the pose has been measured in this tick and the last one, with different bits.
         let mut is_fresh = is_step;
         for (entry, channel) in self.entries.iter().zip(&mut state.channels) {
@@ -737,7 +742,7 @@ impl Channels {
                 }
             }
         }
-        for (innovation, channel) in seen.thrust_innovation.iter_mut().zip(&state.channels[1..]) {
+        for (innovation, channel) in used.thrust_innovation.iter_mut().zip(&state.channels[1..]) {
             if channel.age > 0.0 {
                 *innovation = 0.0;
             }
@@ -745,15 +750,15 @@ impl Channels {
         if state.is_descending {
             modes.insert(Modes::DESCENDING);
         }
-        seen.has_momentum = (is_step || !state.is_begun) && !modes.intersects(Modes::WITHOUT_MOMENTUM);
+        used.has_momentum = (is_step || !state.is_begun) && !modes.intersects(Modes::WITHOUT_MOMENTUM);
         state.is_begun = true;
-        seen.modes = modes;
-        self.write(seen);
+        used.modes = modes;
+        self.write(used);
     }
 
     /// Writes the measurement for an estimator: NaN for values that were not accepted, except for a base velocity,
     /// which then follows the pose.
-    pub fn accepted(&mut self, state: &ChannelsState, reading: &mut Reading) {
+    pub fn select_accepted(&mut self, state: &ChannelsState, reading: &mut Reading) {
         for (entry, channel) in self.entries.iter().zip(&state.channels) {
             if channel.age > 0.0 && entry.mode != Modes::VELOCITY_PREDICTED {
                 self.now[entry.range.clone()].fill(f64::NAN);
@@ -762,17 +767,17 @@ impl Channels {
         self.write_reading(&mut reading.state, &mut reading.thrust);
     }
 
-    /// Replaces the state and thrusts of `seen` by an estimate; if a number of the estimate is outside the accepted
-    /// range, replaces the estimate by `seen`.
-    pub fn replace(&mut self, estimate: &mut Reading, seen: &mut Seen) {
+    /// Replaces the state and thrusts of `used` by an estimate; if a number of the estimate is outside the accepted
+    /// range, replaces the estimate by `used`.
+    pub fn replace(&mut self, estimate: &mut Reading, used: &mut UsedMeasurement) {
         let Reading { state, thrust } = &*estimate;
-        let (time, wind, foot_wrenches) = (seen.time, seen.wind, &seen.foot_wrenches);
+        let (time, wind, foot_wrenches) = (used.time, used.wind, &used.foot_wrenches);
         self.read(&Measurement { time, state, thrust, wind, foot_wrenches });
         if is_within(&self.now, &self.greatest) {
-            seen.state.copy_from(state);
-            seen.thrust.copy_from_slice(thrust);
+            used.state.copy_from(state);
+            used.thrust.copy_from_slice(thrust);
         } else {
-            estimate.copy(&seen.state, &seen.thrust);
+            estimate.copy(&used.state, &used.thrust);
         }
     }
 
@@ -814,11 +819,11 @@ impl Channels {
     }
 
     /// Inverse of `read` for all channels.
-    fn write(&self, seen: &mut Seen) {
+    fn write(&self, used: &mut UsedMeasurement) {
         let (layout, now) = (&self.layout, &self.now);
-        self.write_reading(&mut seen.state, &mut seen.thrust);
-        seen.wind = vector(&now[layout.wind.clone()]);
-        for (to, wrench) in seen.foot_wrenches.iter_mut().zip(now[layout.feet.clone()].chunks_exact(6)) {
+        self.write_reading(&mut used.state, &mut used.thrust);
+        used.wind = vector(&now[layout.wind.clone()]);
+        for (to, wrench) in used.foot_wrenches.iter_mut().zip(now[layout.feet.clone()].chunks_exact(6)) {
             to.copy_from_slice(wrench);
         }
     }
@@ -847,14 +852,14 @@ impl ChannelsState {
     }
 
     /// Rejects the measured foot wrenches from now on, including those of this tick.
-    pub(super) fn reject_feet(&mut self, seen: &mut Seen) {
+    pub(super) fn reject_feet(&mut self, used: &mut UsedMeasurement) {
         if let Some(feet) = self.channels.last_mut() {
             feet.is_distrusted = true;
         }
-        for (to, wrench) in seen.foot_wrenches.iter_mut().zip(self.foot_wrenches.as_slice().chunks_exact(6)) {
+        for (to, wrench) in used.foot_wrenches.iter_mut().zip(self.foot_wrenches.as_slice().chunks_exact(6)) {
             to.copy_from_slice(wrench);
         }
-        seen.modes.insert(Modes::FEET_PREDICTED);
+        used.modes.insert(Modes::FEET_PREDICTED);
     }
 
     /// Rejects the measured thrust of a jet from now on; it was too large by `deviation` \[N\].

@@ -65,7 +65,7 @@ pub struct ControllerConfig {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub engines: Option<EnginesConfig>,
     /// Whether the controller uses the jets; without them it neither reads thrusts nor commands thrust rates.
-    #[serde(default = "yes")]
+    #[serde(default = "default_true")]
     pub use_jets: bool,
     /// How QPs are solved.
     #[serde(default)]
@@ -109,7 +109,7 @@ pub enum RateFeedback {
     None,
 }
 
-fn yes() -> bool {
+fn default_true() -> bool {
     true
 }
 
@@ -142,12 +142,12 @@ impl MomentumGains {
     /// [`BuildError::BadValue`] naming the key.
     pub(super) fn check(&self, table: Table) -> Result<(), BuildError> {
         for axis in 0..3 {
-            table.non_negative("kp_linear", self.kp_linear[axis])?;
-            table.non_negative("kd_linear", self.kd_linear[axis])?;
+            table.check_non_negative("kp_linear", self.kp_linear[axis])?;
+            table.check_non_negative("kd_linear", self.kd_linear[axis])?;
         }
-        table.positive("ko", self.ko)?;
-        table.non_negative("c0", self.c0)?;
-        table.non_negative("c1", self.c1)
+        table.check_positive("ko", self.ko)?;
+        table.check_non_negative("c0", self.c0)?;
+        table.check_non_negative("c1", self.c1)
     }
 }
 
@@ -306,25 +306,25 @@ impl ControllerConfig {
     /// [`BuildError`] naming the key, its value and what was expected.
     pub fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
         self.momentum.check(Table("controller.momentum"))?;
-        CONTROLLER.non_negative("weights.momentum", self.weights.momentum)?;
-        CONTROLLER.non_negative("weights.angular_momentum", self.weights.angular_momentum)?;
-        CONTROLLER.non_negative("weights.posture", self.weights.posture)?;
-        CONTROLLER.non_negative("weights.joint_velocity", self.weights.joint_velocity)?;
-        CONTROLLER.non_negative("weights.symmetry", self.weights.symmetry)?;
-        CONTROLLER.positive("weights.regularisation", self.weights.regularisation)?;
-        CONTROLLER.positive("bounds.thrust_steepness", self.bounds.thrust_steepness)?;
-        CONTROLLER.positive("bounds.joint_steepness", self.bounds.joint_steepness)?;
-        CONTROLLER.non_negative("torque.kd", self.torque.kd)?;
-        CONTROLLER.non_negative("torque.kp", self.torque.kp)?;
-        CONTROLLER.non_negative("torque.weight_acceleration", self.torque.weight_acceleration)?;
-        CONTROLLER.non_negative("torque.weight_torque", self.torque.weight_torque)?;
-        CONTROLLER.positive("torque.regularisation", self.torque.regularisation)?;
+        CONTROLLER.check_non_negative("weights.momentum", self.weights.momentum)?;
+        CONTROLLER.check_non_negative("weights.angular_momentum", self.weights.angular_momentum)?;
+        CONTROLLER.check_non_negative("weights.posture", self.weights.posture)?;
+        CONTROLLER.check_non_negative("weights.joint_velocity", self.weights.joint_velocity)?;
+        CONTROLLER.check_non_negative("weights.symmetry", self.weights.symmetry)?;
+        CONTROLLER.check_positive("weights.regularisation", self.weights.regularisation)?;
+        CONTROLLER.check_positive("bounds.thrust_steepness", self.bounds.thrust_steepness)?;
+        CONTROLLER.check_positive("bounds.joint_steepness", self.bounds.joint_steepness)?;
+        CONTROLLER.check_non_negative("torque.kd", self.torque.kd)?;
+        CONTROLLER.check_non_negative("torque.kp", self.torque.kp)?;
+        CONTROLLER.check_non_negative("torque.weight_acceleration", self.torque.weight_acceleration)?;
+        CONTROLLER.check_non_negative("torque.weight_torque", self.torque.weight_torque)?;
+        CONTROLLER.check_positive("torque.regularisation", self.torque.regularisation)?;
         for (name, limit) in [
             ("bounds.joint_velocity_max_deg", self.bounds.joint_velocity_max_deg),
             ("torque.torque_max", self.torque.torque_max),
             ("torque.torque_rate_max", self.torque.torque_rate_max),
         ] {
-            limit.map_or(Ok(()), |limit| CONTROLLER.positive(name, limit))?;
+            limit.map_or(Ok(()), |limit| CONTROLLER.check_positive(name, limit))?;
         }
         self.qp.check()?;
         self.channels.check()?;
@@ -352,9 +352,13 @@ impl ControllerConfig {
             }
         }
 
-        per_name("posture_gain", &self.posture_gain, robot.groups.iter().map(|group| group.name.as_str()))?;
-        per_name("weights.thrust_rate", &self.weights.thrust_rate, jet_names(robot))?;
-        per_name("bounds.thrust_rate_max", &self.bounds.thrust_rate_max, jet_names(robot))?;
+        check_values_by_name(
+            "posture_gain",
+            &self.posture_gain,
+            robot.groups.iter().map(|group| group.name.as_str()),
+        )?;
+        check_values_by_name("weights.thrust_rate", &self.weights.thrust_rate, jet_names(robot))?;
+        check_values_by_name("bounds.thrust_rate_max", &self.bounds.thrust_rate_max, jet_names(robot))?;
         self.symmetric_pairs(robot)?;
         if let Some([jet, _]) = self.weights.symmetric_jets.iter().find(|[one, other]| one == other) {
             let key = "controller.weights.symmetric_jets";
@@ -428,7 +432,7 @@ impl ControllerConfig {
 }
 
 /// Values of `table` in the order of the robot's jets; zero for jets that it does not name.
-pub(super) fn per_jet(table: &BTreeMap<String, f64>, robot: &RobotModel) -> Vec<f64> {
+pub(super) fn values_by_jet(table: &BTreeMap<String, f64>, robot: &RobotModel) -> Vec<f64> {
     jet_names(robot).map(|jet| table.get(jet).copied().unwrap_or(0.0)).collect()
 }
 
@@ -437,14 +441,14 @@ fn jet_names(robot: &RobotModel) -> impl Iterator<Item = &str> + Clone {
 }
 
 /// Checks that a table has exactly one number ≥ 0 for each of the robot's names.
-fn per_name<'a>(
+fn check_values_by_name<'a>(
     table: &str,
     values: &BTreeMap<String, f64>,
     names: impl Iterator<Item = &'a str> + Clone,
 ) -> Result<(), BuildError> {
     for (name, value) in values {
         place_of(format!("controller.{table}"), name, names.clone())?;
-        CONTROLLER.non_negative(&format!("{table}.{name}"), *value)?;
+        CONTROLLER.check_non_negative(&format!("{table}.{name}"), *value)?;
     }
     for name in names {
         if !values.contains_key(name) {

@@ -130,26 +130,26 @@ impl ContactConfig {
         for name in &self.feet {
             place_of("controller.contact.feet", name, robot.feet.iter().map(|foot| &foot.name))?;
         }
-        table.positive("vertical_force_min", self.vertical_force_min)?;
-        table.positive("force_rate_max", self.force_rate_max)?;
-        table.non_negative("force_rate_dead_zone", self.force_rate_dead_zone)?;
-        table.non_negative("weight_force_rate", self.weight_force_rate)?;
-        table.non_negative("weight_foot_velocity", self.weight_foot_velocity)?;
-        table.non_negative("weight_foot_acceleration", self.weight_foot_acceleration)?;
-        table.non_negative("weight_force", self.weight_force)?;
+        table.check_positive("vertical_force_min", self.vertical_force_min)?;
+        table.check_positive("force_rate_max", self.force_rate_max)?;
+        table.check_non_negative("force_rate_dead_zone", self.force_rate_dead_zone)?;
+        table.check_non_negative("weight_force_rate", self.weight_force_rate)?;
+        table.check_non_negative("weight_foot_velocity", self.weight_foot_velocity)?;
+        table.check_non_negative("weight_foot_acceleration", self.weight_foot_acceleration)?;
+        table.check_non_negative("weight_force", self.weight_force)?;
         if let Some(transfer) = &self.load_transfer {
-            table.positive("load_transfer.gain", transfer.gain)?;
-            table.non_negative("load_transfer.measured_gain", transfer.measured_gain)?;
-            table.positive("load_transfer.height", transfer.height)?;
-            table.non_negative("load_transfer.hold_time", transfer.hold_time)?;
+            table.check_positive("load_transfer.gain", transfer.gain)?;
+            table.check_non_negative("load_transfer.measured_gain", transfer.measured_gain)?;
+            table.check_positive("load_transfer.height", transfer.height)?;
+            table.check_non_negative("load_transfer.hold_time", transfer.hold_time)?;
             if let Some(force) = transfer.unmodelled_force_max {
-                table.positive("load_transfer.unmodelled_force_max", force)?;
+                table.check_positive("load_transfer.unmodelled_force_max", force)?;
             }
         }
         let limits = &self.wrench;
-        table.positive("wrench.friction", limits.friction)?;
-        table.non_negative("wrench.torsional_friction", limits.torsional_friction)?;
-        table.non_negative("wrench.vertical_force_min", limits.vertical_force_min)?;
+        table.check_positive("wrench.friction", limits.friction)?;
+        table.check_non_negative("wrench.torsional_friction", limits.torsional_friction)?;
+        table.check_non_negative("wrench.vertical_force_min", limits.vertical_force_min)?;
         for foot in robot.feet.iter().filter(|foot| self.feet.contains(&foot.name)) {
             let [length, width] = foot.extent().map(|[least, greatest]| greatest - least);
             let half = 0.5 * length.min(width);

@@ -87,14 +87,14 @@ impl EnginesConfig {
     /// [`BuildError::BadValue`] naming the key.
     pub fn check(&self) -> Result<(), BuildError> {
         let table = Table("controller.engines");
-        table.positive("time_constant", self.time_constant)?;
-        table.positive("deviation_max", self.deviation_max)?;
-        table.non_negative("confirmation", self.confirmation)?;
+        table.check_positive("time_constant", self.time_constant)?;
+        table.check_positive("deviation_max", self.deviation_max)?;
+        table.check_non_negative("confirmation", self.confirmation)?;
         let Some(descent) = &self.descent else { return Ok(()) };
-        table.positive("descent.range_share_min", descent.range_share_min)?;
+        table.check_positive("descent.range_share_min", descent.range_share_min)?;
         descent.momentum.check(Table("controller.engines.descent.momentum"))?;
-        table.positive("descent.joint_velocity_max_deg", descent.joint_velocity_max_deg)?;
-        table.positive("descent.torque_rate_max", descent.torque_rate_max)
+        table.check_positive("descent.joint_velocity_max_deg", descent.joint_velocity_max_deg)?;
+        table.check_positive("descent.torque_rate_max", descent.torque_rate_max)
     }
 }
 

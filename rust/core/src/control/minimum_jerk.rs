@@ -39,12 +39,12 @@ impl FilterState {
     /// State of equilibrium at a constant input.
     #[must_use]
     pub fn at_rest(input: Vector3<f64>) -> Self {
-        Self::moving([input, Vector3::zeros(), Vector3::zeros()], input)
+        Self::from_outputs([input, Vector3::zeros(), Vector3::zeros()], input)
     }
 
     /// State with these outputs (value, first and second derivative) and the given last input.
     #[must_use]
-    pub fn moving(outputs: [Vector3<f64>; 3], input: Vector3<f64>) -> Self {
+    pub fn from_outputs(outputs: [Vector3<f64>; 3], input: Vector3<f64>) -> Self {
         Self {
             derivatives: Matrix3::from_rows(&outputs.map(|output| output.transpose())),
             previous_input: input,

@@ -37,7 +37,7 @@
 
 use super::attitude::AttitudeDemand;
 use super::bounds::LimitedValues;
-use super::config::{ControllerConfig, MomentumGains, per_jet};
+use super::config::{ControllerConfig, MomentumGains, values_by_jet};
 use super::contact::{Contact, ContactState, WRENCH};
 use super::momentum::MomentumModel;
 use super::setpoint::Setpoint;
@@ -212,7 +212,7 @@ impl MomentumQp {
         let Unknowns { thrust_rate, joint_velocity, .. } = qp.unknowns.clone();
         let limited = &mut qp.limited;
         limited.rate_max[thrust_rate.clone()]
-            .copy_from_slice(&per_jet(&config.bounds.thrust_rate_max, robot));
+            .copy_from_slice(&values_by_jet(&config.bounds.thrust_rate_max, robot));
         limited.steepness[thrust_rate].fill(config.bounds.thrust_steepness);
         limited.steepness[joint_velocity.clone()].fill(config.bounds.joint_steepness);
         for (joint, unknown) in robot.joints.iter().zip(joint_velocity) {

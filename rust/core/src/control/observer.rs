@@ -45,8 +45,8 @@ impl ObserverConfig {
         let table = Table("controller.observer");
         table.gain("gain_force", self.gain_force, time_step)?;
         table.gain("gain_moment", self.gain_moment, time_step)?;
-        table.non_negative("force_max", self.force_max)?;
-        table.non_negative("moment_max", self.moment_max)
+        table.check_non_negative("force_max", self.force_max)?;
+        table.check_non_negative("moment_max", self.moment_max)
     }
 }
 

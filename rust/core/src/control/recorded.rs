@@ -26,7 +26,7 @@ pub struct RecordedMotion {
 
 impl RecordedMotion {
     /// The same position and attitude, at rest.
-    fn held(&self) -> Self {
+    fn hold(&self) -> Self {
         let zero = Vector3::zeros();
         Self { com: [self.com[0], zero, zero, zero], angular_velocity_b: zero, ..*self }
     }
@@ -136,11 +136,11 @@ impl Recording {
     #[must_use]
     pub fn at(&self, time: f64) -> RecordedMotion {
         let next = self.times.partition_point(|sample| *sample <= time);
-        let Some(before) = next.checked_sub(1) else { return self.motions[0].held() };
+        let Some(before) = next.checked_sub(1) else { return self.motions[0].hold() };
         let (a, Some(b)) = (&self.motions[before], self.motions.get(next)) else {
             // The last sample itself is part of the recording.
             let last = &self.motions[before];
-            return if time > self.times[before] { last.held() } else { *last };
+            return if time > self.times[before] { last.hold() } else { *last };
         };
         let h = self.times[next] - self.times[before];
         let s = (time - self.times[before]) / h;

@@ -77,19 +77,19 @@ impl SetpointConfig {
     /// [`BuildError::BadValue`] naming the key.
     pub fn check(&self, time_step: f64) -> Result<(), BuildError> {
         let table = Table("controller.setpoint");
-        table.positive("position_smoothing", self.position_smoothing)?;
-        table.positive("acceleration_smoothing", self.acceleration_smoothing)?;
-        table.positive("angular_velocity_smoothing", self.angular_velocity_smoothing)?;
-        table.positive("turbo_rate", self.turbo_rate)?;
-        table.non_negative("turbo_boost", self.turbo_boost)?;
+        table.check_positive("position_smoothing", self.position_smoothing)?;
+        table.check_positive("acceleration_smoothing", self.acceleration_smoothing)?;
+        table.check_positive("angular_velocity_smoothing", self.angular_velocity_smoothing)?;
+        table.check_positive("turbo_rate", self.turbo_rate)?;
+        table.check_non_negative("turbo_boost", self.turbo_boost)?;
         table.gain("attitude_gain", self.attitude_gain, time_step)?;
-        table.non_negative("descent_speed", self.descent_speed)?;
-        table.positive("deceleration", self.deceleration)?;
+        table.check_non_negative("descent_speed", self.descent_speed)?;
+        table.check_positive("deceleration", self.deceleration)?;
         for speed in self.speed {
-            table.non_negative("speed", speed)?;
+            table.check_non_negative("speed", speed)?;
         }
         for rate in self.attitude_rate_deg {
-            table.non_negative("attitude_rate_deg", rate)?;
+            table.check_non_negative("attitude_rate_deg", rate)?;
         }
         let [low, high] = self.nose_down_limits_deg;
         table.check("nose_down_limits_deg[0]", low, |x| x <= high, "at most the upper limit")?;
@@ -326,8 +326,8 @@ impl SetpointGenerator {
             turbo_ticks: 0,
         };
         state.rotation = motion.rotation;
-        state.position = FilterState::moving(outputs, raw_position);
-        state.acceleration = FilterState::moving([acceleration, jerk, Vector3::zeros()], acceleration);
+        state.position = FilterState::from_outputs(outputs, raw_position);
+        state.acceleration = FilterState::from_outputs([acceleration, jerk, Vector3::zeros()], acceleration);
     }
 
     /// Set-point of a tick of the descent, which replaces the mission: level, with a velocity that approaches that of

@@ -15,7 +15,7 @@
 //! with `K = K_P + K_D + K_O⁻¹`. The linear task is `e⃛ + 8.75 ë + 22.8 ė + 15 e = 0` in the position
 //! error at the published gains. Equations M57, M58, M61 to M64, M73 and M111 of `docs/model.md`.
 
-use super::config::{ControllerConfig, per_jet};
+use super::config::{ControllerConfig, values_by_jet};
 use super::contact::ContactConfig;
 use super::momentum_qp::{Equations, Layout, Task, TaskInputs, Unknowns};
 use crate::error::BuildError;
@@ -56,7 +56,7 @@ pub fn standard_tasks(
         tasks.push(Arc::new(LoadRate {
             side: Side::Jets,
             first: thrust_rate.start,
-            weights: per_jet(&weights.thrust_rate, robot),
+            weights: values_by_jet(&weights.thrust_rate, robot),
             gain: transfer_gain,
         }));
     }
@@ -69,12 +69,12 @@ pub fn standard_tasks(
             gain: transfer_gain,
         }));
     }
-    tasks.push(towards_zero("joint velocity", joint_velocity, weights.joint_velocity));
-    tasks.push(towards_zero("regularisation", &(0..unknowns.len()), weights.regularisation));
+    tasks.push(keep_small("joint velocity", joint_velocity, weights.joint_velocity));
+    tasks.push(keep_small("regularisation", &(0..unknowns.len()), weights.regularisation));
     Ok(tasks)
 }
 
-fn towards_zero(name: &'static str, unknowns: &Range<usize>, weight: f64) -> Arc<dyn Task> {
+fn keep_small(name: &'static str, unknowns: &Range<usize>, weight: f64) -> Arc<dyn Task> {
     Arc::new(TowardsZero { name, first: unknowns.start, weights: vec![weight; unknowns.len()] })
 }
 

@@ -76,13 +76,13 @@ pub struct QpAnswer {
 impl QpAnswer {
     /// Status of a solve without an answer `x`.
     #[must_use]
-    pub fn refused(status: QpStatus) -> Self {
+    pub fn from_status(status: QpStatus) -> Self {
         Self { status, iterations: 0, kkt: f64::NAN, active: 0 }
     }
 
     /// Accepts or rejects `x` and the multipliers of the rows by their residual alone. `otherwise` is the status if
     /// they are rejected.
-    pub(super) fn judged(
+    pub(super) fn judge(
         qp: &QpProblem,
         x: &[f64],
         multipliers: &[f64],

@@ -76,7 +76,7 @@ impl QpChain {
 
 impl QpSolver for QpChain {
     fn solve(&mut self, qp: &QpProblem) -> QpAnswer {
-        let mut answer = QpAnswer::refused(QpStatus::SizeMismatch);
+        let mut answer = QpAnswer::from_status(QpStatus::SizeMismatch);
         for (place, method) in self.methods.iter_mut().enumerate() {
             answer = method.solve(qp);
             self.answered = place;

@@ -62,21 +62,21 @@ impl QpSolver for ClarabelSolver {
     fn solve(&mut self, qp: &QpProblem) -> QpAnswer {
         let n = self.x.len();
         if let Err(status) = qp.check(n, self.multipliers.len()) {
-            return QpAnswer::refused(status);
+            return QpAnswer::from_status(status);
         }
         if !qp.h.iter().chain(&qp.g).all(|v| v.is_finite()) {
-            return QpAnswer::refused(QpStatus::NonFinite);
+            return QpAnswer::from_status(QpStatus::NonFinite);
         }
         if qp.is_empty() {
-            return QpAnswer::judged(qp, &self.x, &self.multipliers, 0, QpStatus::Inaccurate);
+            return QpAnswer::judge(qp, &self.x, &self.multipliers, 0, QpStatus::Inaccurate);
         }
         // An indefinite problem has stationary points, to which an interior-point method can converge.
         if !linalg::cholesky_in_place(&mut qp.h.as_slice().to_vec(), n, n, n) {
-            return QpAnswer::refused(QpStatus::NotPositiveDefinite);
+            return QpAnswer::from_status(QpStatus::NotPositiveDefinite);
         }
-        let constraints = Constraints::of(qp);
+        let constraints = Constraints::from_problem(qp);
         let Some(solution) = run_clarabel(qp, &constraints) else {
-            return QpAnswer::refused(QpStatus::Breakdown);
+            return QpAnswer::from_status(QpStatus::Breakdown);
         };
         let mut x = solution.x;
         qp.clamp(&mut x);
@@ -87,8 +87,8 @@ impl QpSolver for ClarabelSolver {
         if self.polish {
             (x, multipliers) = polish(qp, x, multipliers);
         }
-        let otherwise = unless_certified(solution.status);
-        let answer = QpAnswer::judged(qp, &x, &multipliers, solution.iterations, otherwise);
+        let otherwise = uncertified_status(solution.status);
+        let answer = QpAnswer::judge(qp, &x, &multipliers, solution.iterations, otherwise);
         if answer.status != QpStatus::NonFinite {
             (self.x, self.multipliers) = (x, multipliers);
         }
@@ -115,7 +115,7 @@ struct Constraints {
 }
 
 impl Constraints {
-    fn of(qp: &QpProblem) -> Self {
+    fn from_problem(qp: &QpProblem) -> Self {
         let is_fixed = |i: usize| qp.lower[i] >= qp.upper[i];
         let variables = |keep: &dyn Fn(usize) -> bool| (0..qp.len()).filter(|&i| keep(i)).collect();
         Self {
@@ -181,7 +181,7 @@ fn run_clarabel(qp: &QpProblem, constraints: &Constraints) -> Option<DefaultSolu
 }
 
 /// Status of a point that does not meet the certificate.
-fn unless_certified(status: SolverStatus) -> QpStatus {
+fn uncertified_status(status: SolverStatus) -> QpStatus {
     match status {
         SolverStatus::Solved | SolverStatus::AlmostSolved => QpStatus::Inaccurate,
         SolverStatus::MaxIterations => QpStatus::IterationLimit,

@@ -84,14 +84,14 @@ impl QpSolver for DualActiveSet {
     fn solve(&mut self, qp: &QpProblem) -> QpAnswer {
         let loaded = qp.check(self.n, self.rows).and_then(|()| self.load(qp));
         if let Err(status) = loaded {
-            return QpAnswer::refused(status);
+            return QpAnswer::from_status(status);
         }
         let limit = CHANGES_PER_CONSTRAINT * (self.n + self.rows).max(1);
         let mut changes = 0;
         let end = self.ascend(limit, &mut changes);
         let iterations = u32::try_from(changes).unwrap_or(u32::MAX);
         if end != QpStatus::Solved {
-            return QpAnswer { iterations, ..QpAnswer::refused(end) };
+            return QpAnswer { iterations, ..QpAnswer::from_status(end) };
         }
         self.scaled.unscale(qp, &self.y, &mut self.work);
         self.multipliers.fill(0.0);
@@ -101,7 +101,7 @@ impl QpSolver for DualActiveSet {
             }
         }
         let (x, u) = (&self.work, &self.multipliers);
-        let answer = QpAnswer::judged(qp, x, u, iterations, QpStatus::Inaccurate);
+        let answer = QpAnswer::judge(qp, x, u, iterations, QpStatus::Inaccurate);
         if answer.status != QpStatus::NonFinite {
             self.x.copy_from_slice(x);
         }
@@ -186,7 +186,7 @@ impl DualActiveSet {
     /// Adds violated constraints until none is left and the corrected point agrees.
     fn ascend(&mut self, limit: usize, changes: &mut usize) -> QpStatus {
         for _ in 0..ROUNDS {
-            while let Some(constraint) = self.most_violated() {
+            while let Some(constraint) = self.find_most_violated() {
                 match self.add(constraint, limit, changes) {
                     Added::Yes => {}
                     Added::Infeasible => return QpStatus::InfeasibleBounds,
@@ -198,7 +198,7 @@ impl DualActiveSet {
             if !self.y.iter().chain(&self.pressure).all(|value| value.is_finite()) {
                 return QpStatus::NonFinite;
             }
-            if !self.drop_pulling(changes) && self.most_violated().is_none() {
+            if !self.drop_pulling(changes) && self.find_most_violated().is_none() {
                 break;
             }
         }
@@ -225,7 +225,7 @@ impl DualActiveSet {
     }
 
     /// The most violated constraint, by distance in scaled variables.
-    fn most_violated(&self) -> Option<Constraint> {
+    fn find_most_violated(&self) -> Option<Constraint> {
         let size = 1.0 + linalg::max_abs(&self.y);
         let mut worst = (VIOLATION * size, None);
         let mut consider = |constraint: Constraint, violation: f64| {

@@ -127,17 +127,17 @@ impl QpSolver for PrimalActiveSet {
         let rows = if qp.is_box() { qp.rows() } else { 0 };
         let loaded = qp.check(self.n, rows).and_then(|()| self.scaled.load(qp));
         if let Err(status) = loaded {
-            return QpAnswer::refused(status);
+            return QpAnswer::from_status(status);
         }
         self.start();
         let mut iterations = 0;
         let end = self.descend(&mut iterations);
         if end == QpStatus::NonFinite {
-            return QpAnswer { iterations, ..QpAnswer::refused(end) };
+            return QpAnswer { iterations, ..QpAnswer::from_status(end) };
         }
         self.scaled.unscale(qp, &self.y, &mut self.candidate);
         let x = &self.candidate;
-        let mut answer = QpAnswer::judged(qp, x, &[], iterations, QpStatus::Inaccurate);
+        let mut answer = QpAnswer::judge(qp, x, &[], iterations, QpStatus::Inaccurate);
         if answer.status != QpStatus::NonFinite {
             self.warm.x.copy_from_slice(x);
             if end != QpStatus::Solved {

@@ -74,10 +74,10 @@ pub fn inertia(item: &str, inertia: &Matrix3<f64>) -> Result<(), BuildError> {
     let [least, middle, greatest] = moments;
     let slack = ROUNDING_OF_MOMENTS * greatest.abs();
     if least < -slack {
-        return Err(refused_moments(item, &moments, "no negative moment"));
+        return Err(moments_error(item, &moments, "no negative moment"));
     }
     if greatest > least + middle + slack {
-        return Err(refused_moments(item, &moments, "none above the sum of the other two"));
+        return Err(moments_error(item, &moments, "none above the sum of the other two"));
     }
     Ok(())
 }
@@ -90,7 +90,7 @@ pub fn inertia(item: &str, inertia: &Matrix3<f64>) -> Result<(), BuildError> {
 pub fn inertia_of_moving_body(item: &str, matrix: &Matrix3<f64>) -> Result<(), BuildError> {
     let moments = principal_moments(item, matrix)?;
     if moments[0] <= 0.0 {
-        return Err(refused_moments(item, &moments, "three positive moments"));
+        return Err(moments_error(item, &moments, "three positive moments"));
     }
     inertia(item, matrix)
 }
@@ -106,7 +106,7 @@ fn principal_moments(item: &str, inertia: &Matrix3<f64>) -> Result<[f64; 3], Bui
     Ok(moments)
 }
 
-fn refused_moments(item: &str, moments: &[f64; 3], expected: &str) -> BuildError {
+fn moments_error(item: &str, moments: &[f64; 3], expected: &str) -> BuildError {
     BuildError::bad_value(item, format!("principal moments {}", show(moments)), expected)
 }
 

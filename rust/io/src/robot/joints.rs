@@ -44,11 +44,11 @@ fn joint(entry: &JointEntry, in_urdf: &TreeJoint) -> Result<Joint, BuildError> {
         }
         None => in_urdf
             .limits
-            .ok_or_else(|| missing(&of(limits_key), "limits, as the joint is continuous in the URDF"))?,
+            .ok_or_else(|| missing_key(&of(limits_key), "limits, as the joint is continuous in the URDF"))?,
     };
     let greatest = |key: &str, unit: f64, given: Option<f64>, urdf: Option<f64>| {
         let value = given.map(|value| value * unit).or(urdf);
-        value.ok_or_else(|| missing(&of(key), "a positive number, as the URDF has none"))
+        value.ok_or_else(|| missing_key(&of(key), "a positive number, as the URDF has none"))
     };
     let (lower, upper) = in_urdf.limits.unwrap_or((f64::NEG_INFINITY, f64::INFINITY));
     Ok(Joint {
@@ -64,6 +64,6 @@ fn joint(entry: &JointEntry, in_urdf: &TreeJoint) -> Result<Joint, BuildError> {
     })
 }
 
-fn missing(item: &str, expected: &str) -> BuildError {
+fn missing_key(item: &str, expected: &str) -> BuildError {
     BuildError::bad_value(item, "missing", expected)
 }

@@ -76,12 +76,12 @@ impl Urdf {
 
 fn link(node: Node<'_, '_>) -> Result<Link, String> {
     let inertial = |node| {
-        let inertia = required(node, "inertia")?;
+        let inertia = require_child(node, "inertia")?;
         let of = |key| number(inertia, key, None);
         let (xy, xz, yz) = (of("ixy")?, of("ixz")?, of("iyz")?);
         Ok::<_, String>(Inertial {
             origin: origin(node)?,
-            mass: number(required(node, "mass")?, "value", None)?,
+            mass: number(require_child(node, "mass")?, "value", None)?,
             inertia: Matrix3::new(of("ixx")?, xy, xz, xy, of("iyy")?, yz, xz, yz, of("izz")?),
         })
     };
@@ -92,7 +92,7 @@ fn link(node: Node<'_, '_>) -> Result<Link, String> {
 }
 
 fn joint(node: Node<'_, '_>) -> Result<Joint, String> {
-    let linked = |tag| required(node, tag).and_then(|end| attribute(end, "link")).map(str::to_owned);
+    let linked = |tag| require_child(node, tag).and_then(|end| attribute(end, "link")).map(str::to_owned);
     let limit = child(node, "limit")?;
     let limit = |key| limit.map_or(Ok(0.0), |limit| number(limit, key, Some(0.0)));
     let mimic = child(node, "mimic")?.map(|mimic| attribute(mimic, "joint").map(str::to_owned));
@@ -122,21 +122,21 @@ fn origin(node: Node<'_, '_>) -> Result<Origin, String> {
 fn child<'a, 'i>(node: Node<'a, 'i>, tag: &str) -> Result<Option<Node<'a, 'i>>, String> {
     let mut found = node.children().filter(|child| child.has_tag_name(tag));
     match (found.next(), found.next()) {
-        (_, Some(_)) => Err(format!("{} has more than one <{tag}>", named(node))),
+        (_, Some(_)) => Err(format!("{} has more than one <{tag}>", describe(node))),
         (found, None) => Ok(found),
     }
 }
 
-fn required<'a, 'i>(node: Node<'a, 'i>, tag: &str) -> Result<Node<'a, 'i>, String> {
-    child(node, tag)?.ok_or_else(|| format!("{} has no <{tag}>", named(node)))
+fn require_child<'a, 'i>(node: Node<'a, 'i>, tag: &str) -> Result<Node<'a, 'i>, String> {
+    child(node, tag)?.ok_or_else(|| format!("{} has no <{tag}>", describe(node)))
 }
 
 fn attribute<'a>(node: Node<'a, '_>, key: &str) -> Result<&'a str, String> {
-    node.attribute(key).ok_or_else(|| format!("{} has no `{key}`", named(node)))
+    node.attribute(key).ok_or_else(|| format!("{} has no `{key}`", describe(node)))
 }
 
 /// A tag, with the name of its link or joint.
-fn named(node: Node<'_, '_>) -> String {
+fn describe(node: Node<'_, '_>) -> String {
     let tag = node.tag_name().name();
     match node.ancestors().find_map(|node| node.attribute("name").map(|name| (node.tag_name().name(), name)))
     {
@@ -159,7 +159,7 @@ fn numbers<const N: usize>(
     let found: Option<Vec<f64>> = text.split_whitespace().map(|word| word.parse().ok()).collect();
     found.and_then(|found| found.try_into().ok()).ok_or_else(|| {
         let expected = if N == 1 { "a number".to_owned() } else { format!("{N} numbers") };
-        format!("`{key}` of {} is `{text}`; expected {expected}", named(node))
+        format!("`{key}` of {} is `{text}`; expected {expected}", describe(node))
     })
 }
 

@@ -67,7 +67,7 @@ pub fn record(config: &ScenarioConfig, span: &RangeInclusive<f64>) -> Result<Vec
         let thrust = plant.jets().thrust_feedback();
         let feet = vec![Vector6::zeros(); controller.model().feet.len()];
         let measurement = Measurement { time, state: plant.state(), thrust, wind, foot_wrenches: &feet };
-        let Some(state) = started(&mut controller, &mut state, &measurement) else { break };
+        let Some(state) = begin_flight(&mut controller, &mut state, &measurement) else { break };
         controller.tick(state, &measurement);
         if span.contains(&time) {
             ticks.push(Tick {
@@ -88,7 +88,7 @@ pub fn record(config: &ScenarioConfig, span: &RangeInclusive<f64>) -> Result<Vec
 }
 
 /// State of a flight that starts with its first measurement; `None` if it cannot start.
-pub fn started<'a>(
+pub fn begin_flight<'a>(
     controller: &mut Controller,
     state: &'a mut Option<ControllerState>,
     measurement: &Measurement,
@@ -100,13 +100,13 @@ pub fn started<'a>(
 }
 
 /// Two seconds of hovering in the full wind: TEST2, few bounds active.
-pub fn calm() -> Result<Vec<Tick>, BuildError> {
+pub fn calm_ticks() -> Result<Vec<Tick>, BuildError> {
     record(&configuration("test2")?, &(10.0..=12.0))
 }
 
 /// The last two seconds of TEST1 with the published lever arms: shortly before the fall, many bounds
 /// active.
-pub fn saturated() -> Result<Vec<Tick>, BuildError> {
+pub fn saturated_ticks() -> Result<Vec<Tick>, BuildError> {
     record(&configuration("test1_published")?, &(19.0..=21.0))
 }
 
@@ -120,7 +120,7 @@ pub struct StandingTick {
 
 /// Ten seconds of standing in a side wind that rises to 15 m/s and that only the controller receives. There
 /// is no ground: the joints sway by a degree, and the measured weight shifts from one foot to the other.
-pub fn standing() -> Result<Vec<StandingTick>, BuildError> {
+pub fn standing_ticks() -> Result<Vec<StandingTick>, BuildError> {
     let config = configuration("balancing_lateral")?;
     let mut controller = controller(&config)?;
     let start = config.simulator.initial.state();
@@ -138,7 +138,7 @@ pub fn standing() -> Result<Vec<StandingTick>, BuildError> {
         let feet = [shift, -shift].map(|shift| Vector6::new(0.0, 0.0, 212.5 + shift, 0.5, -1.2, 0.0));
         let wind = Vector3::new(0.0, -1.5 * time, 0.0);
         let measurement = Measurement { time, state: &state, thrust: &thrust, wind, foot_wrenches: &feet };
-        let Some(memory) = started(&mut controller, &mut memory, &measurement) else { break };
+        let Some(memory) = begin_flight(&mut controller, &mut memory, &measurement) else { break };
         controller.tick(memory, &measurement);
         let torque_qp = controller.terms().torque_qp.problem.clone();
         ticks.push(StandingTick { state, wind, feet, torque_qp });

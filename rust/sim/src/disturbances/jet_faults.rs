@@ -147,7 +147,7 @@ pub struct Response {
 
 impl Response {
     /// Thrust rates \[N/s\] that reach the jets if `command` is commanded for the next `dt` \[s\].
-    pub fn delayed(&mut self, command: &[f64], dt: f64) -> &[f64] {
+    pub fn delay_rates(&mut self, command: &[f64], dt: f64) -> &[f64] {
         for (delayed, command) in self.command.iter_mut().zip(command) {
             let share = if self.lag > 0.0 { -libm::expm1(-dt / self.lag) } else { 1.0 };
             *delayed = if share < 1.0 { *delayed + (command - *delayed) * share } else { *command };
@@ -165,7 +165,7 @@ pub struct Sensor {
 
 impl Sensor {
     /// Measured value of a thrust \[N\].
-    pub fn measured(&mut self, thrust: f64) -> f64 {
+    pub fn measure_thrust(&mut self, thrust: f64) -> f64 {
         if self.std > 0.0 { thrust + self.std * self.noise.normal() } else { thrust }
     }
 }
@@ -219,7 +219,7 @@ impl JetFaults {
 
     /// Limits thrust \[N\] and thrust rate \[N/s\] of a jet after a step of `dt` \[s\], and applies its failure.
     /// Call once per step and jet.
-    pub fn limited(&mut self, jet: usize, thrust: f64, thrust_rate: f64, dt: f64) -> (f64, f64) {
+    pub fn limit_thrust(&mut self, jet: usize, thrust: f64, thrust_rate: f64, dt: f64) -> (f64, f64) {
         let (mut thrust, mut thrust_rate) = (thrust, thrust_rate);
         let limit = self.limits[jet];
         if thrust > limit {

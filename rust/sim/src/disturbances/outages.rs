@@ -30,11 +30,11 @@ pub struct Outage {
     pub kind: OutageKind,
     /// Error of a wrong value \[unit of the channel\]: added to every component; for a rotation, an angle
     /// about inertial x.
-    #[serde(default = "one")]
+    #[serde(default = "default_one")]
     pub error: f64,
 }
 
-fn one() -> f64 {
+fn default_one() -> f64 {
     1.0
 }
 
@@ -89,7 +89,7 @@ impl Outage {
         check(&key("error"), self.error, |_| true, "a finite number")?;
         if self.kind != OutageKind::Wrong {
             let expected = "none, but for the kind wrong";
-            check(&key("error"), self.error, |error| error.total_cmp(&one()).is_eq(), expected)?;
+            check(&key("error"), self.error, |error| error.total_cmp(&default_one()).is_eq(), expected)?;
         }
         if let Some(name) = &self.jet {
             if self.channel != OutageChannel::Thrust {

@@ -102,7 +102,7 @@ impl WindEstimator {
     /// Until the delay has passed, it is that of the first wind; the low pass starts in its steady
     /// state.
     pub fn update(&mut self, wind_i: &Vector3<f64>) -> Vector3<f64> {
-        let mut estimate = self.delayed(&self.mean.unwrap_or(*wind_i)) + self.bias;
+        let mut estimate = self.delay_wind(&self.mean.unwrap_or(*wind_i)) + self.bias;
         if self.noise_std > 0.0 {
             estimate += self.noise_std * Vector3::from_fn(|_, _| self.noise.normal());
         }
@@ -113,7 +113,7 @@ impl WindEstimator {
         filtered
     }
 
-    fn delayed(&mut self, wind: &Vector3<f64>) -> Vector3<f64> {
+    fn delay_wind(&mut self, wind: &Vector3<f64>) -> Vector3<f64> {
         if self.age == 0 {
             return *wind;
         }

@@ -94,7 +94,7 @@ impl Episodes {
         let mut scenario = scenario.clone();
         if rng.random_bool(0.5) {
             let share = [0.02, 0.2][rng.random_range(0..2)];
-            scenario = changed_controller(rng, scenario, share)?;
+            scenario = change_controller(rng, scenario, share)?;
         }
         disturb(rng, &mut scenario, &robot);
         Episode::new(rng, &scenario, robot)
@@ -160,7 +160,7 @@ pub fn change_values(rng: &mut ChaCha8Rng, value: &mut Value, share: f64) {
 }
 
 /// The controller with some of its numbers changed, and a time step of its own.
-fn changed_controller(
+fn change_controller(
     rng: &mut ChaCha8Rng,
     mut scenario: ScenarioConfig,
     share: f64,

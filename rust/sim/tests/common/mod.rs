@@ -89,7 +89,7 @@ pub fn tick_at(time: f64) -> usize {
 }
 
 /// The state after moving on for a time at its own velocity.
-pub fn moved(state: &RobotState, time: f64) -> RobotState {
+pub fn move_state(state: &RobotState, time: f64) -> RobotState {
     let mut moved = state.clone();
     moved.advance_pose(time);
     moved

@@ -30,13 +30,13 @@ fn test3_falls_with_published_arms() {
     let [published] = flights(["test3_published"]);
     let fall = published.loss.unwrap_or_else(|| panic!("it flew on"));
     assert!((12.0..=40.0).contains(&fall.time), "fell at {} s: {}", fall.time, fall.reason);
-    for result in completed("test3", 8, 4) {
+    for result in fly_completed("test3", 8, 4) {
         assert!(rotation_error_deg(&result) > 15.0, "{}", rotation_error_deg(&result));
     }
 }
 
 /// Flights of an experiment whose first thrust differs in its last bits, those that complete: at least so many.
-fn completed(name: &str, flights: u32, least: usize) -> Vec<FlightResult> {
+fn fly_completed(name: &str, flights: u32, least: usize) -> Vec<FlightResult> {
     let config = experiment(name);
     let nudged: Vec<_> = (0..flights)
         .map(|bits| {
@@ -71,7 +71,7 @@ fn test4_flies() {
 #[test]
 fn the_axisymmetric_model_is_good_enough_to_complete() {
     for name in ["robustness", "robustness_published"] {
-        for result in completed(name, 12, 4) {
+        for result in fly_completed(name, 12, 4) {
             let difference = result.summary.max_aero_force_difference;
             assert!((1.0..=12.0).contains(&difference), "{difference} N");
         }

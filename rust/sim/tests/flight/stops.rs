@@ -23,7 +23,7 @@ fn plant(integrator: Integrator, joint_stops: bool) -> Plant {
 }
 
 /// Elbow position and velocity, tick by tick, under a torque at the elbow.
-fn pressed(plant: &mut Plant, torque: f64, step: f64, ticks: usize) -> Vec<(f64, f64)> {
+fn press_joint(plant: &mut Plant, torque: f64, step: f64, ticks: usize) -> Vec<(f64, f64)> {
     let mut torques = [0.0; 23];
     torques[ELBOW] = torque;
     (0..ticks)
@@ -45,7 +45,7 @@ fn a_pressed_joint_rests_at_its_stop() {
     for integrator in [Integrator::SemiImplicitEuler, Integrator::ExplicitEuler] {
         for (step, ticks) in [(0.01, 50), (0.005, 100), (0.002, 250), (0.001, 500)] {
             let mut plant = plant(integrator, true);
-            let motion = pressed(&mut plant, -20.0, step, ticks);
+            let motion = press_joint(&mut plant, -20.0, step, ticks);
             let hit = motion.iter().position(|(position, _)| *position < lower + 1e-3).unwrap();
             for (position, velocity) in &motion[hit + 2..] {
                 assert!((lower - 1e-3..lower + 1e-3).contains(position), "{step}: {position}");
@@ -68,7 +68,7 @@ fn stops_change_no_momentum() {
     let mut plant = plant(Integrator::SemiImplicitEuler, true);
     let step = 1e-4;
     for _ in 0..2000 {
-        pressed(&mut plant, -20.0, step, 1);
+        press_joint(&mut plant, -20.0, step, 1);
         plant.observe(&Vector3::zeros());
     }
     let momentum = plant.dynamics().momentum;
@@ -83,6 +83,6 @@ fn stops_change_no_momentum() {
 /// Without them joints turn on.
 #[test]
 fn stops_can_be_switched_off() {
-    let motion = pressed(&mut plant(Integrator::SemiImplicitEuler, false), -0.5, 0.01, 20);
+    let motion = press_joint(&mut plant(Integrator::SemiImplicitEuler, false), -0.5, 0.01, 20);
     assert!(motion[19].0 < -0.3, "{}", motion[19].0);
 }
