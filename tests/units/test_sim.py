@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace as with_keys
 
-from jax_aero import io, rust, sim
+from jax_aero import io, rust, sim, tables
 from jax_aero.aero import WeightedModel
 from jax_aero.io import scenario_config
 from jax_aero.types import Setpoint, pytree, replace_values
@@ -318,6 +318,13 @@ def test_a_typed_configuration_is_checked_like_its_table(table, values, words):
     for fly in (sim.fly, lambda config: sim.fly_batch([config])):
         with pytest.raises(ValueError, match=words):
             fly(spoilt)
+
+
+def test_the_table_of_a_typed_configuration_has_no_empty_keys_in_its_lists():
+    """The crate refuses them: an outage without an end has no `duration`."""
+    outage = {"channel": "wind", "kind": "missing", "start": 0.4}
+    typed = scenario_config(io.load_config(TEST2, {"disturbances.outages": [outage]}))
+    rust.check_config(tables.to_table(typed))
 
 
 def test_an_empty_mission_hovers_in_both_languages():
