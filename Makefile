@@ -25,9 +25,13 @@ PARALLEL := --numprocesses $(WORKERS) --dist worksteal
 JAX_CACHE := JAX_COMPILATION_CACHE_DIR=$(abspath target/jax) JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS=0 \
 	JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES=-1
 
+# Tests start hundreds of processes: Python keeps the modules that it has compiled, whatever the environment says.
+unexport PYTHONDONTWRITEBYTECODE
+
 # Compilation takes most of the time of JAX's tests; XLA's lowest optimisation level, and functions compiled in one piece
-# instead of many in parallel, halve it. `make portability` runs the numerical ones with full optimisation.
-LEAST_OPTIMISED := XLA_FLAGS="--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false \
+# instead of many in parallel, halve it. The test processes share the cores: a pool of threads in each (NPROC) would only
+# wait for the others. `make portability` runs the numerical tests with full optimisation and all threads.
+LEAST_OPTIMISED := NPROC=1 XLA_FLAGS="--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false \
 	--xla_cpu_parallel_codegen_split_count=1"
 
 # Emulation of another processor: no AVX in the C library's functions, in what XLA compiles, in OpenBLAS or in NumPy.
