@@ -85,7 +85,7 @@ impl<'a> Node<'a> {
         })
     }
 
-    /// Whether a key of this table may be absent, with nothing in its place.
+    /// Whether a key of this table may be absent and has no default.
     pub(crate) fn may_lack(self, key: &str) -> bool {
         let is_null = |node: &Value| node == "null" || node["type"] == "null";
         self.alternatives().filter_map(|option| option.properties()?.get(key)).any(|node| {

@@ -2,7 +2,8 @@
 //!
 //! A table may name another file as its `base`: that file's table is read first, and the keys beside
 //! `base` are laid over it, table by table. A key that may be absent is removed by `false`. Paths start at the file
-//! that names them. Where keys are names of the robot's parts, a `base` that is no text is such a name.
+//! that names them. In a table whose keys are names of the robot's parts, `base` is such a name unless its value is a
+//! text.
 //!
 //! ```toml
 //! controller = { base = "../control/observer.toml", momentum = { c0 = 60.0 }, engines = false }

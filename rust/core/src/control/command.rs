@@ -75,8 +75,8 @@ pub enum CommandStatus {
     BadMeasurement,
     /// The state belongs to another controller; the command is as for a bad measurement.
     BadState,
-    /// The given set-point is beyond what is accepted of a robot (`channels.greatest`), or its rotation is none: the command
-    /// of the control law, which brakes from the motion of the last one.
+    /// The given set-point exceeds the accepted range (`channels.greatest`), or its matrix is not a rotation: the command
+    /// of the control law, which brakes from the motion of the last valid set-point.
     BadSetpoint,
     /// The momentum QP has no answer: thrust rates and joint velocities are zero, or as near to zero as their bounds
     /// allow; the torques brake the joints.

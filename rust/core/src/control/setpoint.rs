@@ -143,9 +143,9 @@ impl Setpoint {
         Self { com_position: *com, com_acceleration: zero, com_jerk: zero, ..*self }
     }
 
-    /// Whether a robot whose state is accepted up to `greatest` can be where it says: its place and speeds are within that,
-    /// its acceleration makes no greater speed in a second, no other derivative is beyond 10⁶ (m, rad, s), and its
-    /// rotation is one.
+    /// Whether a robot whose state is accepted up to `greatest` can follow this set-point: position and velocities are
+    /// within that range, the acceleration changes the velocity by at most its range in a second, all other
+    /// derivatives are at most 10⁶ (m, rad, s), and the matrix is a rotation.
     #[must_use]
     pub fn is_valid(&self, greatest: &Greatest) -> bool {
         let Greatest { position, velocity, angular_velocity, .. } = *greatest;
