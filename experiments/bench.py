@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from experiments import Refused, manifest
 from experiments.bench_native import FOLDER, QPS, URDF, Times, build, run, take_turns, tick_times
-from jax_aero import places, rust
+from jax_aero import files, places, rust
 from jax_aero.rust import QpProblem, State
 
 Array = NDArray[np.float64]
@@ -39,14 +39,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--native", action="store_true", help="compile for this processor, not any x86-64")
     given = parser.parse_args(arguments)
     try:
-        _print_machine(native=given.native)
-        programs = build(native=given.native)
-        ours, others, tick = take_turns(programs, given.turns)
-        _print_native(ours, others, programs.missing)
-        _print_python(_from_python())
-        print("\n## Whole tick\n")
-        print(tick.strip())
-        _print_targets(ours, others, tick)
+        with files.lock_work(FOLDER):  # two benchmarks at once would measure each other
+            _print_machine(native=given.native)
+            programs = build(native=given.native)
+            ours, others, tick = take_turns(programs, given.turns)
+            _print_native(ours, others, programs.missing)
+            _print_python(_from_python())
+            print("\n## Whole tick\n")
+            print(tick.strip())
+            _print_targets(ours, others, tick)
     except Refused as reason:
         print(f"error: {reason}", file=sys.stderr)
         return 2

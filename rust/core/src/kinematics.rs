@@ -114,6 +114,7 @@ impl BodyMotion {
 
     /// Velocity of the point at `point_i`, moving with the body, per unit rate of the body's joint.
     #[must_use]
+    #[inline] // into the callers of `visit_jacobian_columns` in other crates
     pub fn joint_velocity_at(&self, point_i: &Vector3<f64>) -> Vector3<f64> {
         self.joint_linear_i + self.joint_angular_i.cross(&(point_i - self.i_from_b.position))
     }
@@ -322,6 +323,7 @@ impl Kinematics {
 }
 
 /// Unit vector along axis `k` (0, 1 or 2).
+#[inline]
 fn unit_axis(k: usize) -> Vector3<f64> {
     let mut e = Vector3::zeros();
     e[k] = 1.0;
