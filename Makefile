@@ -97,7 +97,7 @@ fuzz: $(PACKAGES) ## try other random files, flights and faults than the tests d
 
 lint: lint-rust lint-python ## check formats, lints, types and import contracts
 
-lint-rust: $(PACKAGES)
+lint-rust: | $(BIN)/python
 	cargo fmt --all --check
 	cargo clippy --locked --workspace --all-targets -- -D warnings
 
