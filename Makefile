@@ -17,9 +17,10 @@ MINUTES ?= 60
 MEASURED := $(abspath target/measured)
 
 # Test processes of up to 2.5 GB each, for two cores: many tests wait for a browser or for subprocesses. An idle one
-# takes tests from the end of another's list.
+# takes tests from the end of another's list. They share the cores: XLA's threads (NPROC) would only contend.
 WORKERS ?= 3
 PARALLEL := --numprocesses $(WORKERS) --dist worksteal
+ONE_THREAD := NPROC=1
 
 # XLA's compilation cache, shared by the test processes and kept for their next run.
 JAX_CACHE := JAX_COMPILATION_CACHE_DIR=$(abspath target/jax) JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS=0 \
@@ -29,9 +30,8 @@ JAX_CACHE := JAX_COMPILATION_CACHE_DIR=$(abspath target/jax) JAX_PERSISTENT_CACH
 unexport PYTHONDONTWRITEBYTECODE
 
 # Compilation takes most of the time of JAX's tests; XLA's lowest optimisation level, and functions compiled in one piece
-# instead of many in parallel, halve it. The test processes share the cores: a pool of threads in each (NPROC) would only
-# wait for the others. `make portability` runs the numerical tests with full optimisation and all threads.
-LEAST_OPTIMISED := NPROC=1 XLA_FLAGS="--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false \
+# instead of many in parallel, halve it. `make portability` runs the numerical ones with full optimisation.
+LEAST_OPTIMISED := XLA_FLAGS="--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false \
 	--xla_cpu_parallel_codegen_split_count=1"
 
 # Emulation of another processor: no AVX in the C library's functions, in what XLA compiles, in OpenBLAS or in NumPy.
@@ -70,7 +70,7 @@ view: $(PACKAGES) ## fly in the browser: drag the wind until the robot falls
 test: $(PACKAGES) ## run every test, Rust first, then Python
 	rm -rf $(MEASURED)
 	MEASURED=$(MEASURED) cargo test --locked
-	MEASURED=$(MEASURED) $(JAX_CACHE) $(LEAST_OPTIMISED) $(BIN)/python -m pytest $(PARALLEL)
+	MEASURED=$(MEASURED) $(JAX_CACHE) $(ONE_THREAD) $(LEAST_OPTIMISED) $(BIN)/python -m pytest $(PARALLEL)
 
 portability: $(PACKAGES) ## run the numerical tests as another processor would, on one core and on two (QUICK=1: a minute)
 	$(if $(QUICK),,$(OTHER_PROCESSOR) cargo test --locked)

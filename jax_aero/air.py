@@ -149,8 +149,8 @@ class Air:
         def apply(model: Any, data: Any) -> None:  # noqa: ARG001 - the signature is MuJoCo's
             now = wind(data.time) if callable(wind) else wind
             with jax.enable_x64(True):
-                given = _MujocoState(*(np.array(getattr(data, name)) for name in _MujocoState._fields))
-                data.xfrc_applied[rows] = np.asarray(_xfrc(air, given, jnp.asarray(now, jnp.float64)))[rows]
+                state = _MujocoState(*(np.array(getattr(data, name)) for name in _MujocoState._fields))
+                data.xfrc_applied[rows] = np.asarray(_xfrc(air, state, jnp.asarray(now, jnp.float64)))[rows]
 
         return apply
 

@@ -309,8 +309,8 @@ def _row(
     truth = rust.dynamics(plant.robot, seen.state)
     position, rotation, joints, nu = (np.asarray(part) for part in seen.state)
     desired = np.asarray(tick.setpoint.rotation)
-    given = tick.estimates
-    given_position, given_rotation, _, given_nu = (np.asarray(part) for part in given.state)
+    estimates = tick.estimates
+    estimated_position, estimated_rotation, _, estimated_nu = (np.asarray(part) for part in estimates.state)
     contact = tick.contact
     if contact is None:
         raise ValueError("`controller.contact` is absent; expected a table: without feet the controller cannot stand")
@@ -343,13 +343,13 @@ def _row(
         "momentum_setpoint": np.append(plant.robot.mass * np.asarray(tick.setpoint.com_velocity), np.zeros(3)),
         "momentum_rate_estimate": tick.momentum_rate_estimate,
         "unmodelled_wrench": tick.unmodelled_wrench,
-        "measured_base_position": given_position,
-        "measured_base_quaternion": _wxyz(given_rotation),
-        "measured_base_velocity": given_nu[:6],
-        "measured_joint_velocity": given_nu[6:],
-        "measured_thrust": given.thrust,
-        "measured_wind": given.wind,
-        "measured_wind_std": given.wind_std,
+        "measured_base_position": estimated_position,
+        "measured_base_quaternion": _wxyz(estimated_rotation),
+        "measured_base_velocity": estimated_nu[:6],
+        "measured_joint_velocity": estimated_nu[6:],
+        "measured_thrust": estimates.thrust,
+        "measured_wind": estimates.wind,
+        "measured_wind_std": estimates.wind_std,
         "qp_status": [tick.momentum_answer.status_code, tick.torque_answer.status_code],
         "qp_kkt": [tick.momentum_answer.kkt, tick.torque_answer.kkt],
         "qp_iterations": [tick.momentum_answer.iterations, tick.torque_answer.iterations],

@@ -170,6 +170,16 @@ def root_of(urdf_text: str) -> ElementTree.Element:
     return root
 
 
+def mirror_name(name: str) -> str:
+    """Return the name of the joint or link on the opposite side: left and right swapped between underscores.
+
+    >>> mirror_name("chest_l_jet_turbine"), mirror_name("right_knee"), mirror_name("head")
+    ('chest_r_jet_turbine', 'left_knee', 'head')
+    """
+    opposite = {"l": "r", "r": "l", "left": "right", "right": "left"}
+    return "_".join(opposite.get(part, part) for part in name.split("_"))
+
+
 def _motion(joint: ElementTree.Element, order: Sequence[str], locked: Mapping[str, float]) -> str:
     """Say whether a joint is `fixed`, `locked` or `moving`; refuse what cannot be either."""
     name, kind = joint.attrib["name"], joint.attrib.get("type")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import signal
 import subprocess
 import sys
@@ -32,16 +31,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def released_memory() -> Iterator[None]:
-    """Drop what XLA has compiled with the tests of a module, or a process holds some gigabytes of it at the end.
-
-    Garbage is collected here alone: while JAX traces, it would be looked for in millions of objects that are in use.
-    """
-    gc.disable()
+def compiled_programs() -> Iterator[None]:
+    """Drop what XLA has compiled with the tests of a module, or a process holds some gigabytes of it at the end."""
     yield
     if "jax" in sys.modules:
         sys.modules["jax"].clear_caches()
-    gc.collect()
 
 
 # --- processes ----------------------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ import numpy as np
 from jax_aero import places, tables
 from jax_aero.symbolic.robot import Robot
 from jax_aero.symbolic.trim import TrimResult
+from jax_aero.urdf import mirror_name
 
 INERTIA_OF_PUBLISHED_GAINS = 6.66
 """Trace of the centroidal inertia of the hovering iRonCub-Mk1, for which c0 and c1 were published [kg m²]."""
@@ -24,11 +25,7 @@ def controller_text(robot: Robot, groups: Sequence[str], inertia: float, folder:
     for key in ("c0", "c1"):
         table["momentum"][key] *= inertia / INERTIA_OF_PUBLISHED_GAINS
     table["posture_gain"] = dict.fromkeys(groups, 20.0)
-    pairs = [
-        [name, _mirror_name(name)]
-        for name in reach
-        if name != _mirror_name(name) in reach and name < _mirror_name(name)
-    ]
+    pairs = [[name, other] for name in reach if name < (other := mirror_name(name)) and other in reach]
     table["weights"] |= {"thrust_rate": dict.fromkeys(reach, 0.01), "symmetric_jets": pairs}
     # Slower joints than published, since the robot is not tuned yet.
     table["weights"]["joint_velocity"] = 40.0
@@ -69,11 +66,6 @@ joint_position = [{joints}]
 thrust = [{thrust}]
 free_fall_tick = false
 """
-
-
-def _mirror_name(name: str) -> str:
-    """Swap left and right in a name."""
-    return "_".join({"l": "r", "r": "l", "left": "right", "right": "left"}.get(part, part) for part in name.split("_"))
 
 
 def _relative_path(path: Path, folder: Path) -> str:

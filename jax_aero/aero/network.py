@@ -28,6 +28,7 @@ from jax_aero.kinematics import frame_poses, kinematics_at_rest
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import rotate, rotate_back, safe_norm
 from jax_aero.types import Array, Kinematics, Static, pytree, with_dtype
+from jax_aero.urdf import mirror_name
 
 Block: TypeAlias = Literal["wind", "joints", "link_wind", "link_position", "link_shadow"]
 Frame: TypeAlias = Literal["base", "link", "wind"]
@@ -212,11 +213,9 @@ def mirror_of(robot: RobotModel, blocks: Sequence[str], layout: str, frame: str)
 
 
 def _opposite_indices(names: Sequence[str]) -> list[int]:
-    swapped = {"l_": "r_", "r_": "l_", "chest_l_": "chest_r_", "chest_r_": "chest_l_"}
     found = []
     for name in names:
-        side = next((prefix for prefix in swapped if name.startswith(prefix)), "")
-        twin = swapped.get(side, "") + name.removeprefix(side)
+        twin = mirror_name(name)
         if twin not in names:
             raise ValueError(f"`{name}` has no `{twin}` opposite to it")
         found.append(list(names).index(twin))

@@ -261,8 +261,8 @@ def tick(
         wind_std = jnp.zeros_like(wind)
         if memory.wind is not None:
             wind, wind_std = memory.wind.wind, memory.wind.std
-        given = Measurement(time, state, thrust, wind)
-        known, used = channels.update(params.channels, memory.channels, params.time_step, *given)
+        estimates = Measurement(time, state, thrust, wind)
+        known, used = channels.update(params.channels, memory.channels, params.time_step, *estimates)
         memory = memory._replace(channels=known)
         if params.estimator is not None and memory.estimator is not None:
             measured = Reading(*channels.select_accepted(known, used))
@@ -272,14 +272,16 @@ def tick(
             )
             memory = memory._replace(estimator=estimating)
             used = channels.replace(params.channels, *estimate, used)._replace(thrust_innovation=innovation)
-            given = given._replace(state=used.state, thrust=used.thrust)
+            estimates = estimates._replace(state=used.state, thrust=used.thrust)
         if setpoint is None:
             along = generator.update(params.setpoint, params.mission, memory.setpoint, used.time)
         else:
             along = generator.follow(params.setpoint, memory.setpoint, generator.motion_of(setpoint)), setpoint
         down = generator.descend(params.setpoint, memory.setpoint)
         moved, followed = where(known.is_descending, down, along)
-        after, command, terms = _act(params, robot, memory._replace(setpoint=moved), given, used, wind_std, followed)
+        after, command, terms = _act(
+            params, robot, memory._replace(setpoint=moved), estimates, used, wind_std, followed
+        )
         if params.wind_observer is not None and after.wind is not None:
             blowing = wind_observer.update(params.wind_observer, robot, params.aero, after.wind, terms)
             after = after._replace(wind=blowing)
@@ -316,7 +318,7 @@ def _act(
     params: MomentumController,
     robot: RobotModel,
     memory: ControllerState,
-    given: Measurement,
+    estimates: Measurement,
     used: UsedMeasurement,
     wind_std: Array,
     setpoint: Setpoint,
@@ -446,6 +448,8 @@ def _act(
         momentum_start=wanted.warm_start,
         torque_start=pushed.warm_start,
     )
-    of = state if params.channels.may_predict else given.state
-    terms = Terms(given, used, wind_std, of, kin, dyn, link, momentum, setpoint, attitude, shaping, following, pushed.x)
+    of = state if params.channels.may_predict else estimates.state
+    terms = Terms(
+        estimates, used, wind_std, of, kin, dyn, link, momentum, setpoint, attitude, shaping, following, pushed.x
+    )
     return after, command, terms

@@ -355,9 +355,9 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
     measurement = Measurement(time, *sample)
     memory, command = scenario.controller.step(model, state.controller, measurement)
     command.check(plant.robot)
-    given, wind_std = measurement, jnp.zeros_like(wind)
+    estimates, wind_std = measurement, jnp.zeros_like(wind)
     if command.terms is not None:
-        given, wind_std = command.terms.estimates, command.terms.wind_std
+        estimates, wind_std = command.terms.estimates, command.terms.wind_std
     seen = _observe(scenario, now, command, air)
 
     # Without a set-point there is no error of a fall.
@@ -367,7 +367,7 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
         rotation_error = rotation_angle(multiply(command.setpoint.rotation.T, now.robot.base_rotation))
         com_error = safe_norm(seen.kinematics.com - command.setpoint.com_position)
         fall, error = _judge(scenario.fall, rotation_error, com_error)
-    row = _mask_unless(is_sound, _row(time, wind, now, given, wind_std, command, seen, rotation_error))
+    row = _mask_unless(is_sound, _row(time, wind, now, estimates, wind_std, command, seen, rotation_error))
     robot = state.plant.robot
     row = row._replace(
         time=time,
@@ -470,7 +470,7 @@ def _row(
     time: Array,
     wind: Array,
     state: PlantState,
-    given: Measurement,
+    estimates: Measurement,
     wind_std: Array,
     command: Command,
     seen: Observation,
@@ -516,12 +516,12 @@ def _row(
         ),
         momentum_rate_estimate=(jnp.full_like(momentum, jnp.nan) if terms is None else terms.momentum.rate_estimate),
         unmodelled_wrench=(jnp.full_like(momentum, jnp.nan) if terms is None else terms.momentum.unmodelled_wrench),
-        measured_base_position=given.state.base_position,
-        measured_base_quaternion=wxyz_from_rotation(given.state.base_rotation),
-        measured_base_velocity=given.state.velocity[:6],
-        measured_joint_velocity=given.state.velocity[6:],
-        measured_thrust=given.thrust,
-        measured_wind=given.wind,
+        measured_base_position=estimates.state.base_position,
+        measured_base_quaternion=wxyz_from_rotation(estimates.state.base_rotation),
+        measured_base_velocity=estimates.state.velocity[:6],
+        measured_joint_velocity=estimates.state.velocity[6:],
+        measured_thrust=estimates.thrust,
+        measured_wind=estimates.wind,
         measured_wind_std=wind_std,
         qp_status=stack_answers("status", time.dtype),
         qp_kkt=stack_answers("kkt", time.dtype),

@@ -1,4 +1,4 @@
-"""The gradient of a second of closed loop against difference quotients, and what a loss leaves of it.
+"""The gradient of two seconds of closed loop against difference quotients, and what a loss leaves of it.
 
 The simulator has a network, second-order jets and a recorded reference, so that one compilation serves all of them.
 """
@@ -19,7 +19,7 @@ from jax_aero.sim import begin, prepare, rollout
 pytestmark = pytest.mark.usefixtures("x64")
 
 ROOT = Path(__file__).resolve().parents[2]
-TICKS = 100
+TICKS = 200
 PARAMETERS = (
     *("kp_linear", "kd_linear", "c0", "c1", "torque_kd", "posture_gain"),
     *("network_scale", "modelled_areas", "engine_gain", "wind", "velocity", "joint_position"),

@@ -306,19 +306,27 @@ impl ControllerConfig {
     /// [`BuildError`] naming the key, its value and what was expected.
     pub fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
         self.momentum.check(Table("controller.momentum"))?;
-        CONTROLLER.check_non_negative("weights.momentum", self.weights.momentum)?;
-        CONTROLLER.check_non_negative("weights.angular_momentum", self.weights.angular_momentum)?;
-        CONTROLLER.check_non_negative("weights.posture", self.weights.posture)?;
-        CONTROLLER.check_non_negative("weights.joint_velocity", self.weights.joint_velocity)?;
-        CONTROLLER.check_non_negative("weights.symmetry", self.weights.symmetry)?;
-        CONTROLLER.check_positive("weights.regularisation", self.weights.regularisation)?;
-        CONTROLLER.check_positive("bounds.thrust_steepness", self.bounds.thrust_steepness)?;
-        CONTROLLER.check_positive("bounds.joint_steepness", self.bounds.joint_steepness)?;
-        CONTROLLER.check_non_negative("torque.kd", self.torque.kd)?;
-        CONTROLLER.check_non_negative("torque.kp", self.torque.kp)?;
-        CONTROLLER.check_non_negative("torque.weight_acceleration", self.torque.weight_acceleration)?;
-        CONTROLLER.check_non_negative("torque.weight_torque", self.torque.weight_torque)?;
-        CONTROLLER.check_positive("torque.regularisation", self.torque.regularisation)?;
+        for (key, value) in [
+            ("weights.momentum", self.weights.momentum),
+            ("weights.angular_momentum", self.weights.angular_momentum),
+            ("weights.posture", self.weights.posture),
+            ("weights.joint_velocity", self.weights.joint_velocity),
+            ("weights.symmetry", self.weights.symmetry),
+            ("torque.kd", self.torque.kd),
+            ("torque.kp", self.torque.kp),
+            ("torque.weight_acceleration", self.torque.weight_acceleration),
+            ("torque.weight_torque", self.torque.weight_torque),
+        ] {
+            CONTROLLER.check_non_negative(key, value)?;
+        }
+        for (key, value) in [
+            ("weights.regularisation", self.weights.regularisation),
+            ("bounds.thrust_steepness", self.bounds.thrust_steepness),
+            ("bounds.joint_steepness", self.bounds.joint_steepness),
+            ("torque.regularisation", self.torque.regularisation),
+        ] {
+            CONTROLLER.check_positive(key, value)?;
+        }
         for (name, limit) in [
             ("bounds.joint_velocity_max_deg", self.bounds.joint_velocity_max_deg),
             ("torque.torque_max", self.torque.torque_max),

@@ -102,8 +102,7 @@ impl QpProblem {
             nan |= limit.is_nan();
             infeasible |= limit == f64::NEG_INFINITY;
         }
-        // Without an early end, so that the compiler uses vector instructions.
-        nan |= self.normals.iter().fold(false, |is_bad, entry| is_bad | !entry.is_finite());
+        nan |= !self.normals.iter().all(|entry| entry.is_finite());
         if nan {
             Err(QpStatus::NonFinite)
         } else if infeasible {
