@@ -102,7 +102,8 @@ impl QpProblem {
             nan |= limit.is_nan();
             infeasible |= limit == f64::NEG_INFINITY;
         }
-        nan |= !self.normals.iter().all(|entry| entry.is_finite());
+        // A sum of zeros unless an entry is infinite or NaN: without branches, so that it vectorises.
+        nan |= self.normals.as_slice().iter().fold(false, |nan, entry| nan | !entry.is_finite());
         if nan {
             Err(QpStatus::NonFinite)
         } else if infeasible {

@@ -10,6 +10,7 @@ use super::tensors::Tensors;
 use crate::error::BuildError;
 use crate::exponential::exp_f32;
 use crate::linalg::{dispatch, dispatch_plain};
+use aligned_vec::{AVec, CACHELINE_ALIGN};
 use pulp::{Simd, WithSimd};
 use std::fmt::Debug;
 
@@ -145,8 +146,9 @@ impl Real for f64 {
 /// One layer: `W x + b`.
 #[derive(Debug, Clone)]
 struct Layer<T> {
-    /// By panel, then input, V vectors of 64 bytes each; padding rows are zero.
-    weights: Vec<T>,
+    /// By panel, then input, V vectors of 64 bytes each; padding rows are zero. Aligned to cache lines: a vector across
+    /// two of them is read twice.
+    weights: AVec<T>,
     /// Padded with zeros to complete panels.
     bias: Vec<T>,
     inputs: usize,
@@ -162,7 +164,10 @@ impl<T: Real> Layer<T> {
         let mut padded: Vec<T> = bias.iter().map(|b| T::from_f32(*b)).collect();
         padded.resize(panels * height, T::default());
         Self {
-            weights: order.map(|(row, input)| T::from_f32(entry(row, input))).collect(),
+            weights: AVec::from_iter(
+                CACHELINE_ALIGN,
+                order.map(|(row, input)| T::from_f32(entry(row, input))),
+            ),
             bias: padded,
             inputs,
         }
