@@ -1,6 +1,7 @@
 """The report: metrics of made-up flights, verdicts from made-up counts, and pages that say the same twice."""
 
 import dataclasses
+import hashlib
 import json
 import shutil
 from xml.etree import ElementTree
@@ -100,6 +101,26 @@ def whole(tmp_path_factory, made_up_results):
             terms.append(cell(len(terms), 24, completes, stays, world=world, feedback=feedback))
     write_sweep(folder, "ablation_terms", terms, ["world", "feedback"], panels="world")
     return folder
+
+
+@pytest.fixture(scope="module")
+def read() -> dict[tuple[str, str], metrics.Metrics]:
+    """Metrics of what these tests have read, by the name of the flight and the hash of its file."""
+    return {}
+
+
+@pytest.fixture(autouse=True)
+def read_equal_files_once(monkeypatch, read):
+    """Opening a file takes a tenth of a second, and most tests report on the same twelve."""
+    original = metrics.read
+
+    def read_once(folder):
+        key = folder.name, hashlib.sha256((folder / record.RUN_FILE).read_bytes()).hexdigest()
+        if key not in read:
+            read[key] = original(folder)
+        return read[key]
+
+    monkeypatch.setattr(metrics, "read", read_once)
 
 
 @pytest.fixture

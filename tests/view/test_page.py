@@ -115,10 +115,10 @@ def visit(browser: Any) -> Iterator[Callable[..., Visit]]:
         return Visit(page, tab, complaints)
 
     yield open_page
-    for page in served:
-        page.close()
     for tab in browser.pages[1:]:
         tab.close()
+    for page in served:
+        page.close()
 
 
 def colours(picture: np.ndarray) -> int:
