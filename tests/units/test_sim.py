@@ -271,11 +271,14 @@ def test_changed_refuses_what_is_no_leaf(name, value, words):
         replace_values(scenario, {name: value})
 
 
-def test_a_rollout_of_no_ticks_has_no_rows():
+@pytest.mark.parametrize(("ticks", "checkpoint_every"), [(0, 1), (2, 2), (4, 2), (5, 2)])
+def test_a_rollout_has_a_row_for_every_tick(ticks, checkpoint_every):
     start = sim.prepare(io.load_config(TEST2, {"simulator.duration": 0.1}), dtype=np.float32)
-    after, rows = jax.eval_shape(lambda *flight: sim.rollout(*flight, 0, sim.keep_row), *start)
+    after, rows = jax.eval_shape(
+        lambda *flight: sim.rollout(*flight, ticks, sim.keep_row, checkpoint_every=checkpoint_every), *start
+    )
     assert jax.tree.structure(after) == jax.tree.structure(start[1])
-    assert {leaf.shape[0] for leaf in jax.tree.leaves(rows)} == {0}
+    assert {leaf.shape[0] for leaf in jax.tree.leaves(rows)} == {ticks}
 
 
 @pytest.mark.parametrize(("name", "value"), [("n_ticks", -1), ("checkpoint_every", 0)])
