@@ -89,16 +89,17 @@ def rollout(
         return jax.lax.scan(fly_tick, state, ticks)
 
     ticks = first_tick + jnp.arange(n_ticks, dtype=jnp.int32)
-    # Reverse mode starts with the last ticks, so those need not be computed again. A flight of a few ticks consists of
-    # nothing else, which compiles in two thirds of the time.
+    # Reverse mode begins with the last ticks: recomputing those would save no memory. A rollout that consists of
+    # nothing else compiles in two thirds of the time.
     whole = n_ticks // checkpoint_every if n_ticks > checkpoint_every else 0
     parts: list[Kept] = []
     if whole:
         chunks = ticks[: whole * checkpoint_every].reshape(whole, checkpoint_every)
         state, rows = jax.lax.scan(jax.checkpoint(fly_ticks, prevent_cse=False), state, chunks)
         parts.append(jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), rows))
-    if n_ticks > whole * checkpoint_every or not whole:
-        state, rows = fly_ticks(state, ticks[whole * checkpoint_every :])
+    rest = ticks[whole * checkpoint_every :]
+    if rest.size or not parts:
+        state, rows = fly_ticks(state, rest)
         parts.append(rows)
     kept: Kept = jax.tree.map(lambda *x: jnp.concatenate(x), *parts)
     return state, kept

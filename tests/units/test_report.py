@@ -1,7 +1,6 @@
 """The report: metrics of made-up flights, verdicts from made-up counts, and pages that say the same twice."""
 
 import dataclasses
-import hashlib
 import json
 import shutil
 from xml.etree import ElementTree
@@ -103,24 +102,20 @@ def whole(tmp_path_factory, made_up_results):
     return folder
 
 
-@pytest.fixture(scope="module")
-def read() -> dict[tuple[str, str], metrics.Metrics]:
-    """Metrics of what these tests have read, by the name of the flight and the hash of its file."""
-    return {}
-
-
-@pytest.fixture(autouse=True)
-def read_equal_files_once(monkeypatch, read):
+@pytest.fixture(scope="module", autouse=True)
+def read_equal_files_once():
     """Opening a file takes a tenth of a second, and most tests report on the same twelve."""
-    original = metrics.read
+    read, found = metrics.read, {}
 
     def read_once(folder):
-        key = folder.name, hashlib.sha256((folder / record.RUN_FILE).read_bytes()).hexdigest()
-        if key not in read:
-            read[key] = original(folder)
-        return read[key]
+        key = folder.name, (folder / record.RUN_FILE).read_bytes()
+        if key not in found:
+            found[key] = read(folder)
+        return found[key]
 
-    monkeypatch.setattr(metrics, "read", read_once)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(metrics, "read", read_once)
+        yield
 
 
 @pytest.fixture

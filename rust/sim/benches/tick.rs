@@ -47,7 +47,7 @@ fn main() -> Result<(), BuildError> {
     Ok(())
 }
 
-/// Replays the measurements of a flight. Each is written just before its tick, as by a driver; read from the
+/// Replays the measurements of a flight. Each state is written just before its tick, as by a driver; read from the
 /// recording, which is larger than the cache, it would add 2 to 4 % to the tick.
 fn tick_times(config: &ScenarioConfig) -> Result<Replays, BuildError> {
     let end =

@@ -102,7 +102,7 @@ impl QpProblem {
             nan |= limit.is_nan();
             infeasible |= limit == f64::NEG_INFINITY;
         }
-        // A sum of zeros unless an entry is infinite or NaN: without branches, so that it vectorises.
+        // Without an early end, so that it vectorises.
         nan |= self.normals.as_slice().iter().fold(false, |nan, entry| nan | !entry.is_finite());
         if nan {
             Err(QpStatus::NonFinite)
