@@ -89,9 +89,10 @@ def test_a_lost_number_corrects_nothing_and_the_others_do(absurd, x64, measured)
         measured(name, difference, 1e-12, because="the same operations")
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def alone(x64):
-    """A controller with both estimators, its robot, and readings of one that hardly moves, without joint velocities."""
+    """A controller with both estimators, its compiled step, its robot, and readings of one that hardly moves, without
+    joint velocities."""
     config = scenario_config(rust.load_config(EXPERIMENT, BOTH))
     robot, first = load_robot(config.robot), config.simulator.initial
     rng = np.random.default_rng(7)
@@ -105,13 +106,14 @@ def alone(x64):
         )
         return Measurement(jnp.asarray(0.01 * tick), state, jnp.asarray(first.thrust), jnp.array([0.0, 9.0, 0.0]))
 
-    return momentum_controller(config, robot), robot, [reading(tick) for tick in range(10)]
+    controller = momentum_controller(config, robot)
+    return controller, jax.jit(controller.step), robot, [reading(tick) for tick in range(10)]
 
 
 def test_both_find_a_wrong_thrust_sensor_in_the_same_tick(alone):
     """Thrusts follow their commands, a sensor is off from the third tick on, and the momentum shows nothing of it."""
-    controller, robot, readings = alone
-    step, crate = jax.jit(controller.step), rust.Controller(rust.load_config(EXPERIMENT, BOTH))
+    controller, step, robot, readings = alone
+    crate = rust.Controller(rust.load_config(EXPERIMENT, BOTH))
     memory, thrust = controller.init(robot, readings[0].state), readings[0].thrust
     modes = []
     for tick in range(20):
@@ -130,13 +132,13 @@ def test_both_find_a_wrong_thrust_sensor_in_the_same_tick(alone):
 
 def test_both_follow_ticks_of_every_length_and_begin_anew_after_a_pause(alone, measured):
     """Ticks of one to three time steps, a pause of 0.3 s, and a clock that runs back."""
-    controller, robot, readings = alone
-    step, crate = jax.jit(controller.step), rust.Controller(rust.load_config(EXPERIMENT, BOTH))
+    controller, step, robot, readings = alone
+    crate = rust.Controller(rust.load_config(EXPERIMENT, BOTH))
     memory, thrust = controller.init(robot, readings[0].state), readings[0].thrust
     steps = [0.01, 0.02, 0.03, 0.01, 0.02, 0.3, 0.01, 0.01, 0.02, -1.0, 0.01, 0.01, 0.03]
     restarts, commands = [], []
     for tick, time in enumerate(np.cumsum([1.5, *steps])):
-        reading = readings[tick % 10]._replace(time=jnp.asarray(time), thrust=thrust)
+        reading = readings[tick % 10]._replace(time=jnp.asarray(float(time)), thrust=thrust)
         memory, command = step(robot, memory, reading)
         theirs = crate.tick(reading.state, reading.thrust, reading.wind, float(time))
         assert int(command.degraded_modes) == sum(MODES[name] for name in theirs.degraded_modes)
@@ -151,8 +153,7 @@ def test_both_follow_ticks_of_every_length_and_begin_anew_after_a_pause(alone, m
 
 
 def test_a_controller_alone_has_both_estimators_in_its_state(alone):
-    controller, robot, readings = alone
-    step = jax.jit(controller.step)
+    controller, step, robot, readings = alone
 
     def run(memory, readings):
         states, commands = [memory], []
@@ -180,8 +181,7 @@ def test_a_controller_alone_has_both_estimators_in_its_state(alone):
 
 
 def test_what_is_not_accepted_is_not_followed(alone):
-    controller, robot, readings = alone
-    step = jax.jit(controller.step)
+    controller, step, robot, readings = alone
 
     def run(error):
         memory, modes = controller.init(robot, readings[0].state), []
@@ -201,7 +201,7 @@ def test_what_is_not_accepted_is_not_followed(alone):
 
 
 def test_what_is_predicted_follows_an_action_that_is_added(alone, measured):
-    controller, robot, readings = alone
+    controller, _, robot, readings = alone
     first = controller.init(robot, readings[0].state), readings[0]
 
     def add_action(action):

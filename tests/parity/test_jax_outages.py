@@ -81,7 +81,7 @@ def test_a_flight_with_outages_of_every_kind(measured):
     }
     table = rust.load_config(EXPERIMENTS / "test2_observer.toml", changes)
     theirs = rust.fly(table)
-    [ours] = sim.fly_batch([table], full_log=True)
+    ours = sim.fly(table)
     assert ours.outcome == theirs.outcome == "completed"
     modes = theirs.log["degraded_modes"]
     np.testing.assert_array_equal(ours.log["degraded_modes"], modes)
@@ -106,7 +106,7 @@ def test_a_flight_begins_without_what_is_not_accepted(estimator, measured):
         changes["controller.estimator"] = estimator
     table = rust.load_config(EXPERIMENTS / "test2.toml", changes)
     theirs = rust.fly(table)
-    [ours] = sim.fly_batch([table], full_log=True)
+    ours = sim.fly(table)
     robot = rust.Robot(table["robot"])
     first = theirs.log["momentum_rate_estimate"][0, :3]
     # The air of a robot that has fallen for a tick, at 0.1 m/s: 0.006 N on 1 m².
