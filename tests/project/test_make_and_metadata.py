@@ -57,10 +57,11 @@ def test_ci_runs_lint_portability_and_the_command_of_the_readme():
     assert os.access(ci, os.X_OK)
     text = ci.read_text(encoding="utf-8")
     assert "set -euo pipefail" in text
-    commands = re.findall(r"^ *(?:exec )?make --no-print-directory (.*?)(?: #.*)?$", text, re.MULTILINE)
+    commands = re.findall(r"\bmake --no-print-directory (.*?)(?: [#>].*)?$", text, re.MULTILINE)
     beside = "--jobs=2 --output-sync=target lint-python wheel portability QUICK=1"
-    assert commands == ["lint-rust", "setup", beside, "test"]  # the first in the background
+    assert commands == ["setup", "lint-rust", beside, "test"]  # the second in the background
     assert "\nwait $compiling\n" in text
+    assert "\nwait $checking || {" in text
 
 
 def test_lint_runs_every_check():
