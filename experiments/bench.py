@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from experiments import Refused, manifest
 from experiments.bench_native import FOLDER, QPS, URDF, Times, build, run, take_turns, tick_times
 from jax_aero import files, places, rust
+from jax_aero.cli import count
 from jax_aero.rust import QpProblem, State
 
 Array = NDArray[np.float64]
@@ -35,7 +36,7 @@ DYNAMICS = ("dynamics, without Jacobians", "dynamics, with 17 frame Jacobians")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     parser = argparse.ArgumentParser(prog="python -m experiments.bench", description=__doc__)
-    parser.add_argument("--turns", type=int, default=5, help="number of runs of every native program (default 5)")
+    parser.add_argument("--turns", type=count, default=5, help="number of runs of every native program (default 5)")
     parser.add_argument("--native", action="store_true", help="compile for this processor, not any x86-64")
     given = parser.parse_args(arguments)
     try:

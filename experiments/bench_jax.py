@@ -26,6 +26,7 @@ import numpy as np
 from experiments import bench_jaxsim, manifest
 from jax_aero import places, rust, sim
 from jax_aero.aero import LinkConventions, aero_model, link_forces
+from jax_aero.cli import count
 from jax_aero.control import qp
 from jax_aero.control import tick as control
 from jax_aero.dynamics import dynamics, forward_dynamics
@@ -70,7 +71,7 @@ class Case(NamedTuple):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     parser = argparse.ArgumentParser(prog="python -m experiments.bench_jax", description=__doc__)
-    parser.add_argument("--batch", type=int, nargs="+", help="batch sizes (default 1 64 1024; quick: 1 64)")
+    parser.add_argument("--batch", type=count, nargs="+", help="batch sizes (default 1 64 1024; quick: 1 64)")
     parser.add_argument("--only", nargs="+", metavar="TEXT", help="measure only cases whose names have one of these")
     parser.add_argument("--seconds", type=float, help="approximate time per figure (default 1; quick: 0.3)")
     parser.add_argument("--quick", action="store_true", help="a few minutes: fewer sizes, no slow compilation")

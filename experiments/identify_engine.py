@@ -178,7 +178,7 @@ def read_log(path: Path) -> Log:
         values = np.array([[float(row[column]) for column in COLUMNS] for row in rows])
     except OSError as reason:
         raise Refused(f"cannot read `{path}`: {reason.strerror}") from None
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, csv.Error):
         raise Refused(f"`{path}` is no log; expected numbers in the columns {', '.join(COLUMNS)}") from None
     if len(values) <= SEGMENTS[-1] or not np.isfinite(values).all():
         raise Refused(f"`{path}` has {len(values)} rows; expected more than {SEGMENTS[-1]}, all finite")

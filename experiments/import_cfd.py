@@ -64,11 +64,16 @@ def _read(given: argparse.Namespace) -> Dataset:
     if given.clone:
         text, source = from_clone(given.clone, given.commit), f"{TABLE_PATH} at {given.commit}"
     else:
-        try:
-            text, source = given.table.read_text(encoding="utf-8"), given.table.name
-        except UnicodeDecodeError as reason:
-            raise Refused(f"{given.table} is not text: {reason}; expected the solver's CSV table") from reason
+        text, source = read_table(given.table), given.table.name
     return read_solver_table(text, postures, source=source)
+
+
+def read_table(path: Path) -> str:
+    """Return the text of a CSV table."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as reason:
+        raise Refused(f"{path} is not text: {reason}; expected a CSV table") from None
 
 
 def known_postures(sections: Sequence[str] | None = None) -> dict[str, Floats]:

@@ -6,7 +6,6 @@ the folder.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from typing import Any
 from experiments import Refused, flight, manifest, record
 from jax_aero import cli, io, result, rust
 from jax_aero.command import exit_status
+from jax_aero.files import read_json
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -35,9 +35,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def read(path: Path, folder: Path, *, overwrite: bool = False) -> dict[str, Any]:
     """Write the result folder of a `run.json`; return its manifest."""
-    text = path.read_text(encoding="utf-8")
+    document = read_json(path)
     try:
-        document = json.loads(text)
         flown = result.from_lab(document)
         config = io.make_paths_absolute(document["config"])
         digest = rust.config_digest(config)

@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 
 from experiments import Refused, record
-from experiments.import_cfd import OUT, known_postures
+from experiments.import_cfd import OUT, known_postures, read_table
 from jax_aero import places, tables
 from jax_aero.aero import tunnel
 from jax_aero.aero.dataset import Floats
@@ -117,7 +117,7 @@ def from_clone(clone: Path) -> Iterator[Points]:
 
 def from_table(path: Path) -> Points:
     """Return the points of a table."""
-    return tunnel.read_reduced(path.read_text(encoding="utf-8"), known_tests(), path.name)
+    return tunnel.read_reduced(read_table(path), known_tests(), path.name)
 
 
 def reduce_moments(points: Points, side: str) -> xr.Dataset:

@@ -34,7 +34,8 @@ def draw(*studies: xr.Dataset) -> Figure:
     ]
     for kind, (label, colours, maps) in enumerate(pairs):
         values = np.concatenate([m.values.ravel() for m in maps])
-        norm = Normalize(float(np.nanmin(values)), float(np.nanmax(values)))
+        values = values[np.isfinite(values)]
+        norm = Normalize(values.min(), values.max()) if values.size else Normalize(0.0, 1.0)
         panels = grid[2 * kind : 2 * kind + 2]
         for axes, data, title in zip(panels, maps, TITLES, strict=True):
             mesh = _half_disc(axes, data, norm, colours)
@@ -79,5 +80,6 @@ def _half_disc(axes: Axes, data: xr.DataArray, norm: Normalize, colours: str) ->
 def _edges(centres: Array, highest: float | None = None) -> Array:
     """Return the edges of cells around samples, with the first at zero."""
     middle = 0.5 * (centres[1:] + centres[:-1])
-    top = centres[-1] + 0.5 * (centres[-1] - centres[-2]) if highest is None else highest
+    last = centres[-1] - centres[-2] if centres.size > 1 else max(centres[-1], 1.0)
+    top = centres[-1] + 0.5 * last if highest is None else highest
     return np.concatenate([[0.0], middle, [top]])

@@ -19,7 +19,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 from tqdm import tqdm
 
@@ -36,7 +35,7 @@ from jax_aero.aero.cfd_import import checks
 from jax_aero.aero.dataset import LINKS, Dataset, Floats, save
 from jax_aero.cli import Parser, complete_with
 from jax_aero.command import exit_status
-from jax_aero.files import lock, write_json
+from jax_aero.files import lock, read_json, write_json
 
 RESULTS = places.RESULTS / KIND
 MODULES = geometry.__name__, simulate.__module__
@@ -140,8 +139,8 @@ def _read_header(design: Design, folder: Path) -> dict[str, Any]:
     """Return the description of a folder's cases, which must be the design's; empty without cases."""
     if not any((folder / "cases").glob("*.json")):
         return {}
-    found = dict(json.loads((folder / "design.json").read_text(encoding="utf-8")))
-    if found["digest"] != design.digest:
+    found = read_json(folder / "design.json")
+    if found.get("digest") != design.digest:
         raise Refused(f"{os.path.relpath(folder)} holds cases of other settings; choose another --out")
     return found
 
@@ -216,4 +215,4 @@ def _path(folder: Path, case: Case) -> Path:
 
 
 def _read(file: Path) -> Result:
-    return msgspec.json.decode(file.read_bytes(), type=Result)
+    return tables.convert(read_json(file), Result, file.name)

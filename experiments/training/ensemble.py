@@ -191,8 +191,8 @@ def link_half_width(moment: Mapping[str, float], of_links: Floats) -> float:
     Parameters
     ----------
     moment
-        Error `rms` and spread `spread_rms` of the total moment [m³], of `intervals`.
         Error `rms` and spread `spread_rms` of the total moment [m³], from `intervals`.
+    of_links
         (N, L, 3) moment volumes of the links about the centre of mass [m³].
     """
     missing = moment["rms"] ** 2 - moment["spread_rms"] ** 2

@@ -91,7 +91,7 @@ class Merit:
     """Greatest position error after the start-up [m]."""
     thrust_min: float
     thrust_max: float
-    """Least and greatest thrust over all jets [N]."""
+    """Least and greatest thrust over all jets [N]; zero without jets."""
     aero_force: float
     """Greatest sum of the forces on the links [N]."""
     distance: float
@@ -158,11 +158,12 @@ class Recording:
         s = self.signals
         settled = s["time"] >= min(SETTLING_TIME, self.duration)
         com_error = np.linalg.norm(s["com_position"] - s["com_setpoint"], axis=1)
+        thrust = s["thrust"] if s["thrust"].size else np.zeros(1)
         return Merit(
             rotation_error=float(s["rotation_error"].max()),
             com_error=float(com_error[settled].max()),
-            thrust_min=float(s["thrust"].min()),
-            thrust_max=float(s["thrust"].max()),
+            thrust_min=float(thrust.min()),
+            thrust_max=float(thrust.max()),
             aero_force=float(np.linalg.norm(s["aero_force_sim"].sum(axis=1), axis=1).max()),
             distance=float(np.linalg.norm(np.diff(s["com_setpoint"][:, :2], axis=0), axis=1).sum()),
         )

@@ -122,8 +122,8 @@ def _encoder() -> str:
 def _check(fps: float, speed: float, size: tuple[int, int], start: float, end: float, out: Path) -> None:
     if not 1.0 <= fps <= 240.0:
         raise Refused(f"fps is {fps:g}; expected 1 to 240")
-    if not 0.0 < speed <= 1000.0:
-        raise Refused(f"speed is {speed:g}; expected a positive factor up to 1000")
+    if not 1e-3 <= speed <= 1e3:
+        raise Refused(f"speed is {speed:g}; expected a positive factor from 0.001 to 1000")
     if any(not 64 <= edge <= 4096 or edge % 2 for edge in size):
         raise Refused(f"size is {size[0]}x{size[1]}; expected even numbers from 64 to 4096, e.g. 1280x720")
     if not 0.0 <= start < end:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import sys
 
@@ -137,6 +138,13 @@ def test_a_program_is_compiled_again_when_a_source_is_newer(tmp_path):
     os.utime(source)
     os.utime(program, (1.0, 1.0))
     assert not bench_native._is_newer(program, source)
+
+
+@pytest.mark.parametrize("words", [["bench", "--turns", "0"], ["bench_jax", "--batch", "0"]])
+def test_nothing_is_not_measured(words, capsys):
+    with pytest.raises(SystemExit):
+        importlib.import_module(f"experiments.{words[0]}").main(words[1:])
+    assert f"{words[1]}: `0`; expected an integer ≥ 1" in capsys.readouterr().err
 
 
 def test_a_second_benchmark_at_the_same_time_is_refused(monkeypatch, tmp_path, capsys):

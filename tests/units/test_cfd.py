@@ -409,6 +409,15 @@ def test_a_design_that_was_killed_goes_on_and_says_what_it_refused(small, tmp_pa
     command.compute(small, tmp_path, Fake(lives=0))  # nothing is left to do
 
 
+@pytest.mark.parametrize("place", ["design.json", "cases/Config5_60_20.json"])
+def test_a_case_that_is_cut_short_is_named(small, tmp_path, place):
+    command.compute(small, tmp_path, Fake())
+    path = tmp_path / place
+    path.write_bytes(path.read_bytes()[:20])
+    with pytest.raises(Refused, match=f"{path.name} is damaged: "):
+        command.collect(small, tmp_path)
+
+
 def test_cases_of_other_code_are_kept_whole_or_refused(small, tmp_path, monkeypatch, capsys):
     with pytest.raises(KeyboardInterrupt):
         command.compute(small, tmp_path, Fake(lives=4))

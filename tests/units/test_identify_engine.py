@@ -37,6 +37,7 @@ def test_a_log_is_read_as_it_was_written(log, tmp_path, agree):
         ("a,b\n1,2\n", "expected numbers in the columns time_s, throttle_percent, thrust_n"),
         ("time_s,throttle_percent,thrust_n\n0,1,x\n", "expected numbers"),
         ("time_s,throttle_percent,thrust_n\n0,1,2\n", "1 rows; expected more than 2000"),
+        ("1" * 200_000, "expected numbers"),
     ],
 )
 def test_what_is_no_log_is_refused(text, words, tmp_path):

@@ -5,7 +5,7 @@ import xarray as xr
 from PIL import Image
 
 from jax_aero import places
-from paper_figs import panels, runs, tip_over, trajectory
+from paper_figs import panels, runs, tip_over, trajectory, trim
 from paper_figs.__main__ import main
 from paper_figs.figures import FIGURES
 from paper_figs.panels import readable_name
@@ -134,6 +134,17 @@ def test_every_friction_of_a_tip_over_study_is_drawn():
     figure = tip_over.draw(xr.Dataset(variables, coords | {"xyz": list("xyz")}))
     lines = [line for line in figure.axes[0].lines if line.get_linestyle() != "None"]
     assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == len(lines) == 8
+    plt.close(figure)
+
+
+@pytest.mark.parametrize(("speeds", "margin"), [([0.0, 5.0], 0.3), ([5.0], 0.3), ([0.0], 0.3), ([0.0, 5.0], np.nan)])
+def test_a_map_of_trims_is_drawn_of_any_number_of_winds_and_trims(speeds, margin):
+    """A map with one speed, or without a trim, is a result like any other."""
+    grid, shape = ("objective", "direction", "speed"), (2, 2, len(speeds))
+    variables = {name: (grid, np.full(shape, margin)) for name in ("margin", "total_thrust")} | {"weight": 430.0}
+    coords = {"objective": ["max_margin", "min_thrust"], "direction": [0.0, 90.0], "speed": speeds}
+    figure = trim.draw(*[xr.Dataset(variables, coords)] * 2)
+    figure.canvas.draw()
     plt.close(figure)
 
 

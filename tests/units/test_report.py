@@ -242,6 +242,11 @@ def test_a_flight_that_ends_while_it_settles_has_no_error_of_position(make_fligh
     assert np.isnan(metrics.measure("t", run).com_error)
 
 
+def test_a_robot_without_jets_has_no_thrust(make_flight, robot):
+    run = record.to_dataset(make_flight(duration=4.0), robot, title="t", config_digest="0" * 64)
+    assert metrics.measure("t", run.isel(jet=[])).thrust == (0.0, 0.0)
+
+
 def test_the_row_in_which_a_flight_diverged_is_left_out(make_flight, robot):
     flight = make_flight(lost_time=2.0)
     sound = metrics.measure("t", record.to_dataset(flight, robot, title="t", config_digest="0").isel(time=slice(-1)))

@@ -253,3 +253,9 @@ def test_what_is_no_flight_of_the_lab_is_refused(lab_run, tmp_path, change, word
     lab_run.write_text(json.dumps(json.loads(lab_run.read_text()) | change))
     assert import_lab.main([str(lab_run), "--out", str(tmp_path)]) == 2
     assert words in capsys.readouterr().err
+
+
+def test_a_run_of_the_lab_that_is_no_text_is_named(lab_run, tmp_path, capsys):
+    lab_run.write_bytes(b"\xff\xfe{}")
+    assert import_lab.main([str(lab_run), "--out", str(tmp_path)]) == 2
+    assert f"error: {lab_run} is damaged: " in capsys.readouterr().err

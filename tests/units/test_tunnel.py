@@ -178,6 +178,13 @@ def test_a_gravity_sweep_that_is_cut_short_is_refused(text, message):
         tunnel.read_sweep(text, "t.tara")
 
 
+def test_a_table_that_is_no_text_is_named(tmp_path, capsys):
+    path = tmp_path / "t.csv"
+    path.write_bytes(b"\xff\xfe")
+    assert import_tunnel.main(["--table", str(path)]) == 2
+    assert f"error: {path} is not text: " in capsys.readouterr().err
+
+
 def test_a_table_of_two_robots_is_refused():
     row = reduced_table((1.0,) * 6)
     rows = [row, row | {"campaign": "exp_2023_12_11"}]

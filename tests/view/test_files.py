@@ -223,6 +223,7 @@ def test_no_way_to_draw_is_said_so(seen, tmp_path, monkeypatch):
         (["video", "--size", "321x180"], "even numbers"),
         (["video", "--fps", "0"], "fps is 0"),
         (["video", "--speed", "-1"], "positive factor"),
+        (["video", "--speed", "1e-9"], "speed is 1e-09; expected"),
         (["video", "--start", "30"], "would run from 30 to 21."),
         (["video", "--out", "clip.avi"], "does not end in .mp4"),
         (["snapshot", "--at", "22"], "there is no moment at 22 s; expected 0 to 21."),

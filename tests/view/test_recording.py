@@ -32,6 +32,11 @@ def test_a_result_says_how_it_ended(seen):
     np.testing.assert_array_equal(seen.signals["aero_force_sim"], flight["aero_force_sim"])
 
 
+def test_a_robot_without_jets_has_no_thrust(seen):
+    without = replace(seen, signals=seen.signals | {"thrust": np.zeros((seen.signals["time"].size, 0))})
+    assert (without.merit.thrust_min, without.merit.thrust_max) == (0.0, 0.0)
+
+
 def test_a_result_can_be_flown_again(seen):
     assert seen.config is not None
     again = recording.from_flight(rust.fly(seen.config), seen.config, "again")
