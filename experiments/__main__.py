@@ -43,7 +43,7 @@ def fly(words: Sequence[str]) -> int:
     def work() -> None:
         changes = overrides.parse([*given.set, *([f"engine={given.engine}"] if given.engine else [])])
         paths = [flight.find(name) for name in names]
-        command = _command(given)
+        command = ["python", "-m", "experiments", *words]
         finished = [
             flight.run(path, changes, command=command, out=given.out, overwrite=given.overwrite) for path in paths
         ]
@@ -65,15 +65,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--overwrite", action="store_true", help="fly again and replace an existing result")
     parser.add_argument("--list", action="store_true", help="list the experiments and stop")
     return parser
-
-
-def _command(given: argparse.Namespace) -> list[str]:
-    """Return the words of the command line."""
-    words = ["python", "-m", "experiments", *given.names, *(["--all"] if given.all else [])]
-    words += [word for assignment in given.set for word in ("--set", assignment)]
-    words += ["--engine", given.engine] if given.engine else []
-    words += ["--out", str(given.out)] if given.out else []
-    return words + (["--overwrite"] if given.overwrite else [])
 
 
 if __name__ == "__main__":

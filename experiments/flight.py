@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import os
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from experiments import Refused, engines, manifest, overrides, record, study
 from experiments.sources import code_hash
 from jax_aero import places, rust
+from jax_aero.command import progress_bar
 from jax_aero.files import lock_work
 
 RESULTS = places.RESULTS / "flight"
@@ -75,10 +73,5 @@ def run(
 
 
 def _fly(config: rust.Config, name: str) -> rust.FlightResult:
-    with tqdm(desc=name, unit="tick", disable=not sys.stderr.isatty(), leave=False) as bar:
-
-        def show(tick: int, n_ticks: int) -> None:
-            bar.total = n_ticks
-            bar.update(tick - bar.n)
-
+    with progress_bar("tick", name) as show:
         return engines.engine(engines.engine_of(config)).fly(config, show)

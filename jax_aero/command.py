@@ -1,9 +1,11 @@
-"""Common functions of the command lines: error messages and interruption."""
+"""Common functions of the command lines: error messages, interruption and progress."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
 
 REFUSED, INTERRUPTED = 2, 130
 """Exit statuses of a command."""
@@ -28,3 +30,20 @@ def exit_status(work: Callable[[], int | None], *, interrupted: str = "nothing w
     except KeyboardInterrupt:
         print(f"interrupted; {interrupted}", file=sys.stderr)
         return INTERRUPTED
+
+
+@contextmanager
+def progress_bar(unit: str, name: str | None = None, **options: Any) -> Iterator[Callable[[int, int], None]]:
+    """Yield a function of (units done, all units) that moves a progress bar.
+
+    The bar is shown on a terminal only, unless `options`, those of tqdm, say otherwise.
+    """
+    from tqdm import tqdm
+
+    with tqdm(**{"desc": name, "unit": unit, "disable": None, "leave": False, "delay": 0.1, **options}) as bar:
+
+        def show(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        yield show

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Progress = Callable[[int, int], None]
-"""Called with (ticks flown, all ticks), or with (flights flown, all flights) for a batch."""
+"""Called with (ticks flown, all ticks), or with numbers of flights for a batch, and of pictures for a video."""
 
 
 Outcome = Literal["completed", "off_course", "fell", "diverged"]

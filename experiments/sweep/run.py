@@ -28,9 +28,9 @@ from experiments.cluster import Ray
 from experiments.sweep import table
 from experiments.sweep.chunks import Chunks, parquet
 from experiments.sweep.design import Design
-from experiments.sweep.progress import Progress
 from experiments.sweep.spec import Spec
 from jax_aero import places, rust, tables
+from jax_aero.command import progress_bar
 from jax_aero.files import checksums, find_damaged, lock, write_bytes, write_json
 from jax_aero.result import Outcome
 
@@ -39,11 +39,14 @@ RESULTS = places.RESULTS / "sweeps"
 PRESENTATION = ("title", "description", "drawing", "panels", "axes")
 """Keys of `SWEEP_FILE` that only affect the figure; a finished sweep takes them from its present file."""
 
+LINE_INTERVAL = 15.0
+"""Time between two reports of the progress if the output is not a terminal [s]."""
+
 SWEEP_FILE, TABLES = "sweep.json", ("table.parquet", "cells.parquet")
 
 
 def _fly_chunks(
-    design: Design, chunks: list[int], workers: int | None, cluster: Ray | None, progress: Progress
+    design: Design, chunks: list[int], workers: int | None, cluster: Ray | None, progress: rust.Progress
 ) -> Iterator[tuple[int, Any]]:
     """Yield number and table of every chunk: here, one flight per thread, or on a cluster, one chunk per processor."""
     if cluster:
@@ -54,7 +57,7 @@ def _fly_chunks(
         return
     engine = engines.engine(design.spec.engine)
     for chunk in chunks:
-        yield chunk, fly_chunk(design, chunk, engine, workers, progress.within_chunk)
+        yield chunk, fly_chunk(design, chunk, engine, workers, progress)
 
 
 def _fly_remotely(shared: tuple[Spec, Any], chunk: int) -> Any:
@@ -117,11 +120,20 @@ def _run(design: Design, workers: int | None, cluster: Ray | None, folder: Path,
 
     missing = [chunk for chunk in range(design.n_chunks) if chunk not in whole]
     flown = sum(len(design.chunk(chunk)) for chunk in missing)
+    done = design.n_rows - flown
+    if done:
+        print(f"{design.spec.name}: {done} of {design.n_rows} flights are there already", file=sys.stderr)
     started = time.perf_counter()
-    with Progress(design.spec.name, design.n_rows, design.n_rows - flown) as progress:
-        for chunk, part in _fly_chunks(design, missing, workers, cluster, progress):
+    interval = 0.1 if sys.stderr.isatty() else LINE_INTERVAL
+    with progress_bar("flight", design.spec.name, initial=done, disable=False, mininterval=interval) as show:
+
+        def show_within(flights: int, _: int) -> None:
+            show(done + flights, design.n_rows)
+
+        for chunk, part in _fly_chunks(design, missing, workers, cluster, show_within):
             chunks.write(chunk, part)
-            progress.chunk_done(len(design.chunk(chunk)))
+            done += len(design.chunk(chunk))
+            show(done, design.n_rows)
     _finish(folder, design, document, chunks, flown, time.perf_counter() - started)
 
 

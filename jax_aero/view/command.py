@@ -5,12 +5,13 @@ from __future__ import annotations
 import argparse
 import socket
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from jax_aero.cli import Parser
-from jax_aero.command import exit_status
+from jax_aero.command import exit_status, progress_bar
+from jax_aero.result import Progress
 from jax_aero.view import Refused, recording, require
 
 RESULT = "a folder or run.nc that `python -m experiments NAME` wrote, or the NAME of one in results/flight"
@@ -75,27 +76,23 @@ def video(words: Sequence[str]) -> int:
     parser.add_argument("--end", type=float, metavar="S", help="end time [s] (default: the end of the flight)")
     given = parser.parse_args(words)
 
-    def work() -> int:
+    def work(progress: Progress) -> None:
         from jax_aero.view.video import write_video
 
-        _check_replaceable(given)
-        with _Bar("frame") as bar:
-            write_video(
-                recording.read(given.result, given.robot),
-                given.out,
-                ghost=None if given.ghost is None else recording.read(given.ghost, given.robot),
-                fps=given.fps,
-                speed=given.speed,
-                size=given.size,
-                viewpoint=given.camera,
-                start=given.start,
-                end=given.end,
-                progress=bar,
-            )
-        print(given.out)
-        return 0
+        write_video(
+            recording.read(given.result, given.robot),
+            given.out,
+            ghost=None if given.ghost is None else recording.read(given.ghost, given.robot),
+            fps=given.fps,
+            speed=given.speed,
+            size=given.size,
+            viewpoint=given.camera,
+            start=given.start,
+            end=given.end,
+            progress=progress,
+        )
 
-    return exit_status(work)
+    return _write(given, "frame", work)
 
 
 def snapshot(words: Sequence[str]) -> int:
@@ -107,23 +104,13 @@ def snapshot(words: Sequence[str]) -> int:
     )
     given = parser.parse_args(words)
 
-    def work() -> int:
+    def work(progress: Progress) -> None:
         from jax_aero.view.video import write_snapshot
 
-        _check_replaceable(given)
-        with _Bar("picture") as bar:
-            write_snapshot(
-                recording.read(given.result, given.robot),
-                given.out,
-                given.at,
-                size=given.size,
-                viewpoint=given.camera,
-                progress=bar,
-            )
-        print(given.out)
-        return 0
+        flight = recording.read(given.result, given.robot)
+        write_snapshot(flight, given.out, given.at, size=given.size, viewpoint=given.camera, progress=progress)
 
-    return exit_status(work)
+    return _write(given, "picture", work)
 
 
 def export(words: Sequence[str]) -> int:
@@ -133,16 +120,13 @@ def export(words: Sequence[str]) -> int:
     _files(parser, Path("flight.html"))
     given = parser.parse_args(words)
 
-    def work() -> int:
+    def work(_: Progress) -> None:
         from jax_aero.view.web import write_page
 
-        _check_replaceable(given)
         results = [given.result] if given.ghost is None else [given.result, given.ghost]
         write_page([recording.read(result, given.robot) for result in results], given.out)
-        print(given.out)
-        return 0
 
-    return exit_status(work)
+    return _write(given, "page", work)
 
 
 def _files(parser: Parser, out: Path) -> None:
@@ -158,9 +142,17 @@ def _add_common_options(parser: Parser, out: Path, size: str) -> None:
     parser.add_argument("--camera", choices=("chase", "side"), default="chase", help="point of view (default chase)")
 
 
-def _check_replaceable(given: Any) -> None:
-    if given.out.exists() and not given.overwrite:
-        raise Refused(f"`{given.out}` is there already; choose another --out, or --overwrite it")
+def _write(given: Any, unit: str, work: Callable[[Progress], None]) -> int:
+    """Write the file `given.out`, whose progress has this unit; return the exit status."""
+
+    def write() -> None:
+        if given.out.exists() and not given.overwrite:
+            raise Refused(f"`{given.out}` is there already; choose another --out, or --overwrite it")
+        with progress_bar(unit) as show:
+            work(show)
+        print(given.out)
+
+    return exit_status(write)
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -169,27 +161,3 @@ def _size(text: str) -> tuple[int, int]:
     except ValueError:
         raise argparse.ArgumentTypeError(f"size is {text!r}; expected WIDTHxHEIGHT, e.g. 1280x720") from None
     return width, height
-
-
-class _Bar:
-    """A progress bar, if tqdm is installed and the output is a terminal."""
-
-    def __init__(self, unit: str) -> None:
-        self.unit = unit
-        self.bar: Any = None
-
-    def __enter__(self) -> _Bar:
-        return self
-
-    def __call__(self, done: int, total: int) -> None:
-        if self.bar is None:
-            try:
-                from tqdm import tqdm
-            except ModuleNotFoundError:
-                return
-            self.bar = tqdm(total=total, unit=self.unit, disable=None)
-        self.bar.update(done - self.bar.n)
-
-    def __exit__(self, *_: object) -> None:
-        if self.bar is not None:
-            self.bar.close()

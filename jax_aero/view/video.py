@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from jax_aero.files import complete_file
+from jax_aero.result import Progress
 from jax_aero.view import Refused, check_out, require
 from jax_aero.view.drawing import Scales
 from jax_aero.view.offscreen import Studio, Viewpoint, camera_at
@@ -18,9 +19,6 @@ from jax_aero.view.recording import Recording
 
 HOLD = 1.5  # s for which the last picture stays, to read the outcome
 PANELS = 6  # number of times in a snapshot by default
-
-Progress = Callable[[int, int], None]
-"""Called with (pictures drawn, pictures in all)."""
 
 
 def frame_times(duration: float, fps: float, speed: float, start: float, end: float) -> list[float]:

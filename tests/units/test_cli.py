@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 import experiments.__main__ as experiments
 from jax_aero import cli, places, rust
+from jax_aero.command import progress_bar
 from tests.measurements import measured
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -190,3 +191,13 @@ def test_names_beside_all_are_refused(command, name, capsys):
     with pytest.raises(SystemExit):
         cli.main([command, name, "--all"])
     assert "argument --all: not allowed with argument NAME" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("options", "shown"), [({}, ""), ({"disable": False, "mininterval": 0.0}, "x:  40%")])
+def test_progress_is_shown_on_a_terminal_or_where_it_is_asked_for(options, shown, capsys):
+    with progress_bar("tick", "x", delay=0.0, **options) as show:
+        show(1, 5)
+        show(2, 5)
+    err = capsys.readouterr().err
+    assert shown in err
+    assert bool(shown) is bool(err)

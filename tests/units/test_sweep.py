@@ -12,7 +12,6 @@ import threading
 import time
 from contextlib import suppress
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -23,7 +22,6 @@ from experiments.__main__ import main
 from experiments.sweep import keys, run, spec, table
 from experiments.sweep.design import Design
 from experiments.sweep.perturbation import Perturbation, members
-from experiments.sweep.progress import Progress
 from jax_aero import places, rust
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -516,20 +514,6 @@ def test_a_completed_flight_without_an_error_of_position_does_not_count_as_on_co
 
 def test_nothing_is_known_without_trials():
     assert table.wilson(0, 0) == (0.0, 1.0)
-
-
-def test_progress_says_how_long_it_will_take():
-    line = Progress("sweep", total=100, done=40)
-    assert line.line(0.0).strip() == "sweep: 40 of 100 flights, 0 per minute"
-    line.chunk_done(20)
-    assert line.line(30.0).strip() == "sweep: 60 of 100 flights, 40 per minute, 1:00 left"
-
-
-def test_progress_counts_the_time_since_its_begin(monkeypatch, capsys):
-    clock = iter([100.0, 160.0])
-    monkeypatch.setattr("experiments.sweep.progress.time", SimpleNamespace(monotonic=lambda: next(clock)))
-    Progress("sweep", total=4, done=0).chunk_done(2)
-    assert "sweep: 2 of 4 flights, 2 per minute" in capsys.readouterr().err
 
 
 # --- flying

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -194,12 +195,16 @@ def test_an_interrupted_video_leaves_nothing(fallen, tmp_path, monkeypatch, caps
     out.write_text("an older one")
     seen_halfway = []
 
-    def interrupt(bar, done, total):
+    @contextmanager
+    def bar(_unit):
+        yield interrupt
+
+    def interrupt(done, total):
         if done == 60:  # the encoder looks ahead before it writes anything
             seen_halfway.extend(sorted(path.name for path in tmp_path.iterdir()))
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(command._Bar, "__call__", interrupt)
+    monkeypatch.setattr(command, "progress_bar", bar)
     words = ["video", str(fallen), "--out", str(out), "--size", "128x96", "--overwrite"]
     assert commands.main(words) == 130
     assert "interrupted" in capsys.readouterr().err
