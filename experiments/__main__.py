@@ -42,7 +42,7 @@ def fly(words: Sequence[str]) -> int:
 
     def work() -> None:
         changes = overrides.parse([*given.set, *([f"engine={given.engine}"] if given.engine else [])])
-        paths = [flight.find(name) for name in names]
+        paths = [study.find("experiments", name) for name in names]
         command = ["python", "-m", "experiments", *words]
         finished = [
             flight.run(path, changes, command=command, out=given.out, overwrite=given.overwrite) for path in paths
@@ -54,16 +54,11 @@ def fly(words: Sequence[str]) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = cli.Parser("fly", __doc__)
-    which = parser.add_mutually_exclusive_group()
-    known = "one of --list, or the path of a TOML file"
-    named = which.add_argument("names", nargs="*", default=[], metavar="NAME", help=known)
-    cli.complete_with(named, lambda: places.names("experiments"))
+    study.add_choice(parser, "experiments")
     study.add_set(parser)
-    which.add_argument("--all", action="store_true", help="every experiment of configs/experiments")
     parser.add_argument("--engine", choices=sorted(MODULES), help="engine (default: that of the configuration)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/flight)")
     parser.add_argument("--overwrite", action="store_true", help="fly again and replace an existing result")
-    parser.add_argument("--list", action="store_true", help="list the experiments and stop")
     return parser
 
 

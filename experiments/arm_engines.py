@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from experiments import flight
 from experiments.study import Findings, Study
 from jax_aero import rust, tables
 from jax_aero.places import ROBOT
@@ -36,7 +35,7 @@ class ArmEngines(tables.Table, frozen=True):
 
 def compute(_: str, asked: ArmEngines) -> Findings:
     """Fly every mission with every engine."""
-    flights = {name: rust.load_config(flight.find(name)) for name in asked.experiments}
+    flights = {name: rust.load_config(name) for name in asked.experiments}
     found: dict[str, dict[str, Any]] = {}
     with tempfile.TemporaryDirectory() as folder:
         shutil.copy(ROBOT.with_suffix(".urdf"), folder)

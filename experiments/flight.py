@@ -17,11 +17,6 @@ from jax_aero.files import lock_work
 RESULTS = places.RESULTS / "flight"
 
 
-def find(name: str) -> Path:
-    """Return the file of an experiment given by name or by path."""
-    return study.find("experiments", name)
-
-
 def run(
     path: Path,
     changes: Mapping[str, Any],

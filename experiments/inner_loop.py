@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_lyapunov
 from scipy.spatial.transform import Rotation
 
-from experiments import flight
 from jax_aero import rust
 from jax_aero.cli import Parser
 
@@ -76,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def linearise(weight: float, time_step: float) -> Loop:
     """Return the loop linearised about hovering in still air."""
     settings = {"simulator.time_step": time_step, "controller.weights.joint_velocity": weight}
-    config = rust.load_config(flight.find("no_wind"), {**settings, "mission": {}, "simulator.duration": 2 * SETTLING})
+    config = rust.load_config("no_wind", {**settings, "mission": {}, "simulator.duration": 2 * SETTLING})
     plant, controller = rust.Plant(config), rust.Controller(config)
     measured = plant.reset()
     for _ in range(round(SETTLING / time_step)):

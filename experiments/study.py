@@ -98,8 +98,7 @@ class Study(Generic[C]):
     def main(self, arguments: Sequence[str] | None = None) -> int:
         """Run the command line; return its exit status."""
         parser = Parser(self.command, self.about)
-        named = parser.add_argument("names", nargs="*", default=self.names, metavar="NAME", help=self._about_names())
-        complete_with(named, lambda: places.names(self.config_kind))
+        add_names(parser, self.config_kind, nargs="*", default=self.names)
         add_set(parser)
         add_overwrite(parser)
         given = parser.parse_args(arguments)
@@ -109,13 +108,6 @@ class Study(Generic[C]):
                 self.run(name, overrides.parse(given.set), overwrite=given.overwrite)
 
         return exit_status(work, interrupted=self.interrupted)
-
-    def _about_names(self) -> str:
-        default = f" (default {' '.join(self.names)})"
-        folder = places.CONFIGS / self.config_kind
-        return (
-            f"a file stem in configs/{self.config_kind}, or a path{default}" if folder.is_dir() else f"a name{default}"
-        )
 
     def read(self, name: str, changes: Mapping[str, Any] | None = None) -> tuple[str, C]:
         """Return name and configuration of a study given by name or path."""
@@ -196,6 +188,22 @@ def listing(summary: Mapping[str, Any]) -> str:
     width = max((len(key) for key in summary), default=0)
     shown = {key: format(value, ".5g") if isinstance(value, int | float) else value for key, value in summary.items()}
     return "\n".join(f"  {key:<{width}}  {value}" for key, value in shown.items())
+
+
+def add_names(parser: Any, kind: str, name: str = "names", **options: Any) -> None:
+    """Add the argument for files of `configs/KIND`, or for names if there is no such folder, with Tab completion."""
+    about = f"a file stem in configs/{kind}, or a path" if (places.CONFIGS / kind).is_dir() else "a name"
+    if default := options.get("default"):
+        about += f" (default {default if isinstance(default, str) else ' '.join(default)})"
+    complete_with(parser.add_argument(name, metavar="NAME", help=about, **options), lambda: places.names(kind))
+
+
+def add_choice(parser: argparse.ArgumentParser, kind: str) -> None:
+    """Add names of files of `configs/KIND`, or instead `--all` of them, and `--list`."""
+    which = parser.add_mutually_exclusive_group()
+    add_names(which, kind, nargs="*", default=[])
+    which.add_argument("--all", action="store_true", help=f"every file of configs/{kind}")
+    parser.add_argument("--list", action="store_true", help=f"list the files of configs/{kind} and stop")
 
 
 def add_set(parser: argparse.ArgumentParser) -> None:

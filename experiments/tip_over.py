@@ -138,8 +138,6 @@ def _outcome(flight: rust.FlightResult) -> dict[str, Any]:
     carried = log["foot_wrench"][:, :, 2].sum(axis=1) > 1.0
     return {
         "stands": flight.outcome == "completed",
-        "lost_time": flight.lost_time,
-        "com_error": float(np.linalg.norm(log["com_position"] - log["com_setpoint"], axis=1).max()),
         "force": log["aero_force_sim"].sum(axis=1)[carried][-1].tolist() if carried.any() else [0.0, 0.0, 0.0],
         "slipped": bool(_slip(log) > SLIP),
     }

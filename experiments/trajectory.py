@@ -19,6 +19,7 @@ from scipy.integrate import cumulative_trapezoid
 
 from experiments import Refused
 from experiments.study import Findings, Study
+from experiments.trim import joints_of
 from experiments.waypoints import reference_text
 from jax_aero import rust
 from jax_aero.symbolic import MomentumModel, load_robot
@@ -57,10 +58,7 @@ main = STUDY.main
 
 def problem_of(config: TrajectoryConfig, base: Mapping[str, Any], robot: Robot) -> TrajectoryProblem:
     """Return the problem with aerodynamics, wind and posture of the flight `base`."""
-    groups = rust.Robot(base["robot"]).joint_groups
-    if unknown := set(config.free_groups) - set(groups):
-        raise Refused(f"free_groups names `{min(unknown)}`; the robot has {', '.join(groups)}")
-    free = tuple(sorted(robot.joint_names.index(joint) for group in config.free_groups for joint in groups[group]))
+    free = tuple(sorted(joints_of(base["robot"], config.free_groups)))
     wind = np.array(base["wind"]["velocity"], dtype=float)
     posture = np.array(base["simulator"]["initial"]["joint_position"], dtype=float)
     return TrajectoryProblem(MomentumModel(robot, base["simulator"]["aero"]), config, wind, posture, free)

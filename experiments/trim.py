@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from experiments import Refused, overrides, study
 from experiments.study import Findings, Study
-from jax_aero import tables
+from jax_aero import rust, tables
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
 from jax_aero.symbolic import MomentumModel, load_robot
@@ -73,7 +73,7 @@ class TrimConfig(tables.Table, frozen=True):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status: 1 if there is no trim."""
     parser = Parser("trim", __doc__)
-    parser.add_argument("name", nargs="?", default="free_joints", help="a file stem in configs/trim, or a path")
+    study.add_names(parser, "trim", "name", nargs="?", default="free_joints")
     vector: dict[str, Any] = {"nargs": 3, "type": float, "metavar": ("X", "Y", "Z")}
     parser.add_argument("--wind", help="velocity of the air [m/s, inertial axes]", **vector)
     parser.add_argument("--velocity", help="flight velocity [m/s, inertial axes]", **vector)
@@ -117,14 +117,9 @@ def build(config: TrimConfig) -> Trim:
     """Return the problem of a configuration."""
     robot = load_robot(config.robot)
     posture = np.array(tables.read(config.posture)["initial"]["joint_position"], dtype=float)
-    groups = tables.read(config.robot).get("joint_groups", [])
-    members = {group["name"]: [joint["name"] for joint in group["joints"]] for group in groups}
-    if unknown := set(config.free_groups) - set(members):
-        raise Refused(f"free_groups names `{min(unknown)}`; {robot.name} has {', '.join(members)}")
-    free = [robot.joint_names.index(joint) for group in config.free_groups for joint in members[group]]
     settings = TrimSettings(
         posture=posture,
-        free_joints=tuple(free),
+        free_joints=joints_of(config.robot, config.free_groups),
         roll=config.roll_limits_deg.radians,
         pitch=config.pitch_limits_deg.radians,
         yaw=float(np.radians(config.yaw_deg)),
@@ -136,6 +131,14 @@ def build(config: TrimConfig) -> Trim:
         spread_weight=config.spread_weight,
     )
     return Trim(MomentumModel(robot, load_aero(config.aero)), settings)
+
+
+def joints_of(path: Path, groups: Sequence[str]) -> tuple[int, ...]:
+    """Return the indices of the joints in some groups of a robot."""
+    robot = rust.Robot(path)
+    if unknown := set(groups) - set(robot.joint_groups):
+        raise Refused(f"free_groups names `{min(unknown)}`; {robot.name} has {', '.join(robot.joint_groups)}")
+    return tuple(robot.joint_names.index(joint) for group in groups for joint in robot.joint_groups[group])
 
 
 def report(trim: Trim, result: TrimResult) -> str:

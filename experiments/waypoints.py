@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from experiments import study
 from jax_aero import places, rust, tables
-from jax_aero.cli import Parser, complete_with
+from jax_aero.cli import Parser
 from jax_aero.command import exit_status
 from jax_aero.files import write_text
 from jax_aero.tables import Positive, Table
@@ -96,8 +96,7 @@ class Reference:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write a reference and an experiment that flies it; return the exit status."""
     parser = Parser("waypoints", __doc__)
-    named = parser.add_argument("name", metavar="NAME", help="a name in configs/waypoints, or the path of a TOML file")
-    complete_with(named, lambda: places.names("waypoints"))
+    study.add_names(parser, "waypoints", "name")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the result (default results/waypoints)")
     given = parser.parse_args(arguments)
 

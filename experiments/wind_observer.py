@@ -17,7 +17,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from experiments import flight
 from experiments.study import Findings, Study
 from experiments.sweep.perturbation import Perturbation
 from jax_aero import keys, places, rust, tables
@@ -89,7 +88,7 @@ def compute(_: str, asked: WindEstimate) -> Findings:
         for name, figures in found.items()
     )
     bases = sorted({WORLDS[world][0] for world in asked.worlds})
-    flights = {base: rust.load_config(flight.find(base)) for base in bases}
+    flights = {base: rust.load_config(base) for base in bases}
     return Findings("Wind from the wrench", data, found, flights=flights, files=[PERTURBATION], report=report)
 
 
@@ -101,7 +100,7 @@ def configurations(world: World, speed: float, flights: int, seed: int) -> Itera
     """Yield perturbed flights in turbulent winds of this speed, from directions all around."""
     name, model = WORLDS[world]
     settings = {"simulator.duration": DURATION, "controller.wind_observer": {}}
-    table = rust.load_config(flight.find(name), settings)
+    table = rust.load_config(name, settings)
     if model is not None:
         table["controller"]["aero"] = copy.deepcopy(keys.get(table, model))
     robot = rust.Robot(table["robot"])

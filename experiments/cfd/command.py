@@ -33,7 +33,7 @@ from experiments.sources import code_hash
 from jax_aero import places, tables
 from jax_aero.aero.cfd_import import checks
 from jax_aero.aero.dataset import LINKS, Dataset, Floats, save
-from jax_aero.cli import Parser, complete_with
+from jax_aero.cli import Parser
 from jax_aero.command import exit_status
 from jax_aero.files import lock, read_json, write_json
 
@@ -46,8 +46,7 @@ Simulate = Callable[[Mapping[str, Surface], Iterable[Floats], Settings, Path], I
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     parser = Parser(KIND, __doc__)
-    named = parser.add_argument("names", nargs="+", metavar="NAME", help="a file stem in configs/cfd, or a path")
-    complete_with(named, lambda: places.names(KIND))
+    study.add_names(parser, KIND, nargs="+")
     study.add_set(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/cfd)")
     add_options(parser, "postures", "processes of a local cluster")

@@ -14,7 +14,7 @@ from experiments import cluster, study
 from experiments.sweep import run, spec
 from experiments.sweep.design import Design
 from jax_aero import places
-from jax_aero.cli import Parser, complete_with
+from jax_aero.cli import Parser
 from jax_aero.command import exit_status
 
 
@@ -38,15 +38,10 @@ def main(arguments: Sequence[str]) -> int:
 
 def _parser() -> Parser:
     parser = Parser("sweep", __doc__)
-    which = parser.add_mutually_exclusive_group()
-    known = "one of --list, or the path of a TOML file"
-    named = which.add_argument("names", nargs="*", default=[], metavar="NAME", help=known)
-    complete_with(named, lambda: places.names("sweeps"))
-    which.add_argument("--all", action="store_true", help="every sweep of configs/sweeps")
+    study.add_choice(parser, "sweeps")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/sweeps)")
     parser.add_argument(
         "--overwrite", action="store_true", help="start from the beginning, and replace an existing result"
     )
     cluster.add_options(parser, "chunks", "threads, or processes of a local cluster")
-    parser.add_argument("--list", action="store_true", help="list the sweeps and stop")
     return parser

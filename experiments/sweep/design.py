@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, cached_property
 
-from experiments import Refused, flight, manifest
+from experiments import Refused, manifest
 from experiments.sources import file_hash
 from experiments.sweep import keys, table
 from experiments.sweep.perturbation import members
@@ -152,6 +152,6 @@ def _robot(path: str) -> rust.Robot:
 
 def _load(sweep: str, name: str) -> rust.Config:
     try:
-        return rust.load_config(flight.find(name))
+        return rust.load_config(name)
     except ValueError as reason:
         raise Refused(f"sweep {sweep}: {reason}") from None

@@ -37,7 +37,7 @@ RESULTS = places.RESULTS / "training"
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     parser = Parser("train", __doc__)
-    parser.add_argument("name", help="a file stem in configs/training, or a path")
+    study.add_names(parser, "training", "name")
     parser.add_argument(
         "--dataset", type=Path, required=True, metavar="FILE", help="from import-cfd or surrogate-dataset"
     )

@@ -84,7 +84,7 @@ class SearchConfig(tables.Table, frozen=True):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     parser = Parser("train-search", __doc__)
-    parser.add_argument("name", help="a file stem in configs/training_search, or a path")
+    study.add_names(parser, "training_search", "name")
     parser.add_argument("--dataset", type=Path, required=True, metavar="FILE", help="what to train on")
     parser.add_argument(
         "--trials", type=count, metavar="N", help="stop when there are so many (default: what the file says)"

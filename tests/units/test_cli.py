@@ -151,6 +151,7 @@ def test_ctrl_c_and_a_missing_package_are_one_line(monkeypatch, capsys):
         ("jax-aero obs", {"observer-limit"}),
         ("jax-aero fly test1_p", {"test1_published", "test1_published_observer"}),
         ("jax-aero waypoints b", {"box"}),
+        ("jax-aero trim hov", {"hover_posture"}),
     ],
 )
 def test_tab_completes_commands_and_names(line, expected, tmp_path):

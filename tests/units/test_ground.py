@@ -483,8 +483,6 @@ def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
         n = 3
         log = {
             "foot_wrench": np.tile([0.0, 0.0, 200.0, 0.0, 0.0, 0.0], (n, 2, 1)),
-            "com_position": np.zeros((n, 3)),
-            "com_setpoint": np.zeros((n, 3)),
             "aero_force_sim": np.full((n, 13, 3), speed / 13),
             "sole_position": np.zeros((n, 2, 3)),
         }
