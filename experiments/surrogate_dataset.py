@@ -74,6 +74,8 @@ def compute(names: Sequence[str], model: Path, parts: Path) -> Dataset:
     postures = known_postures()
     if unknown := sorted(set(names) - set(postures)):
         raise Refused(f"no posture {', '.join(unknown)}; there are {', '.join(postures)}")
+    if len(set(names)) < len(names):
+        raise Refused(f"the postures are {', '.join(names)}; expected each once")
     robot = load_robot(ROBOT)
     surrogate = load_surrogate(model, robot)
     features = batched_features(robot, surrogate.panels, surrogate.wake)

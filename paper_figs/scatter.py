@@ -13,7 +13,7 @@ from paper_figs.sweeps import Sweep, axis_label
 
 def draw(sweep: Sweep) -> Figure:
     """Draw a sampled sweep: rank correlations, then one scatter plot per axis."""
-    sweep.require(all(map(sweep.is_numeric, sweep.axes)), "axes of numbers beside the panels")
+    sweep.require(bool(sweep.axes) and all(map(sweep.is_numeric, sweep.axes)), "axes of numbers beside the panels")
     flights = sweep.flights[sweep.flights["outcome"] != "error"]
     error = np.degrees(flights["max_rotation_error"])
     axes_of = sweep.axes

@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from experiments import engine_choice, manifest
+from experiments import Refused, engine_choice, manifest
 from experiments.report import claims, facts
 from experiments.report.page import Heading, Page, Picture, Table, Text
 from experiments.report.results import NotFlownError, Results, Sweep, count
@@ -79,7 +79,9 @@ def claims_json(stated: Sequence[claims.Claim], kept: Path) -> str:
     A claim that is not flown here, or with an outdated configuration, keeps its stored measurement. The commit is that
     of the results, which may be older than the code that judges them.
     """
-    older = read_json(kept)["claims"] if kept.is_file() else {}
+    older = read_json(kept).get("claims") if kept.is_file() else {}
+    if older is None:
+        raise Refused(f"{kept} holds no claims; expected a file that `report` wrote")
     here = manifest.git_state()["commit"]
     found = {}
     for claim in stated:

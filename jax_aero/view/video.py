@@ -19,6 +19,7 @@ from jax_aero.view.recording import Recording
 
 HOLD = 1.5  # s for which the last picture stays, to read the outcome
 PANELS = 6  # number of times in a snapshot by default
+MIN_PANEL = 64  # pixels, least width of one of several times in a snapshot
 
 
 def frame_times(duration: float, fps: float, speed: float, start: float, end: float) -> list[float]:
@@ -148,6 +149,8 @@ def write_snapshot(
     check_out(out, ".png")
     if any(not 64 <= edge <= 8192 for edge in size):
         raise Refused(f"size is {size[0]}x{size[1]}; expected 64 to 8192, e.g. 1920x1080")
+    if len(times) > 1 and size[0] < MIN_PANEL * len(times):
+        raise Refused(f"{len(times)} moments are given; expected at most {size[0] // MIN_PANEL} in {size[0]} pixels")
     chosen = [float(t) for t in times] or [float(t) for t in np.linspace(0.0, recording.duration, PANELS)]
     for time in chosen:
         if not 0.0 <= time <= recording.duration:
@@ -206,7 +209,7 @@ def _strip(
     ]
     margin = 0.7 * letters
     longest = max(labels.font(letters).getlength(words) for words in captions)
-    size_of_caption = int(letters * min(1.0, (panel[0] - 2 * margin) / longest))
+    size_of_caption = max(int(letters * min(1.0, (panel[0] - 2 * margin) / longest)), 1)
     for i, words in enumerate(captions):
         left = i * panel[0]
         labels.text(draw, (left + margin, top - 0.5 * letters), words, size_of_caption, labels.INK, "lb")

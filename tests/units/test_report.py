@@ -394,6 +394,13 @@ def test_a_result_that_is_cut_short_is_named(results, place, capsys):
     assert f"error: {path} is damaged" in capsys.readouterr().err
 
 
+def test_a_file_of_something_else_is_not_replaced_by_claims(tmp_path, capsys):
+    (tmp_path / "claims.json").write_text('{"mine": 1}')
+    assert main(["report", "--results", str(tmp_path)]) == 2
+    assert f"error: {tmp_path / 'claims.json'} holds no claims" in capsys.readouterr().err
+    assert (tmp_path / "claims.json").read_text() == '{"mine": 1}'
+
+
 def test_what_an_ended_process_left_is_no_flight(results):
     (results.folder / "flight" / "test1").rename(results.folder / "flight" / ".test1.draft")
     assert not any(name.startswith(".") for name in results.manifests)

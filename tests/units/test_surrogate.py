@@ -222,6 +222,12 @@ def test_postures_are_the_papers_in_number():
     assert surrogate_dataset.posture_names(30)[:3] == ["hovering", "flight30", "flight60"]
 
 
+def test_a_posture_that_is_given_twice_is_refused(tmp_path, capsys):
+    words = ["--out", str(tmp_path / "a.nc"), "--only", "hovering", "hovering"]
+    assert surrogate_dataset.main(words) == 2
+    assert "the postures are hovering, hovering; expected each once" in capsys.readouterr().err
+
+
 def test_families_are_those_of_the_robot():
     toml = Path(surrogate_dataset.ROBOT).read_text()
     for family, links in fit.FAMILIES.items():

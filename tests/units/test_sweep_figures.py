@@ -84,6 +84,7 @@ def test_every_drawing_gives_pdf_and_png_with_the_hash_of_its_sweep(drawing, axe
         ("map", ["world", "scale"], "", "expected two axes of numbers beside the panels"),
         ("map", ["world", "terms", "scale", "speed"], "world", "expected two axes of numbers"),
         ("scatter", ["world", "scale"], "", "expected axes of numbers"),
+        ("scatter", ["world"], "world", "expected axes of numbers"),
         ("matrix", ["world", "scale"], "", "expected axes `arms`, of two levels, `model` and `world`"),
         ("curve", ["world"], "world", "expected an axis beside the panels"),
         ("curve", ["world", "terms", "speed", "scale"], "", "expected at most 6 combinations"),

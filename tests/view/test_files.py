@@ -233,6 +233,7 @@ def test_no_way_to_draw_is_said_so(seen, tmp_path, monkeypatch):
         (["video", "--out", "clip.avi"], "does not end in .mp4"),
         (["snapshot", "--at", "22"], "there is no moment at 22 s; expected 0 to 21."),
         (["snapshot", "--out", "a.jpg"], "does not end in .png"),
+        (["snapshot", "--size", "128x96", "--at", "0", "1", "2"], "3 moments are given; expected at most 2 in 128"),
         (["snapshot", "--out", f"nowhere{os.sep}a.png", "--at", "0"], "there is no folder `nowhere`"),
     ],
 )
