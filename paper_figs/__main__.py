@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-import matplotlib.pyplot as plt
+import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from jax_aero import cli, places
@@ -61,7 +61,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             continue
         for path in style.save(figure, _file_name(name, given.runs), given.out, hashes):
             print(path)
-        plt.close(figure)
     hidden = [name for name in names if name in FIGURES and sweeps.is_finished(given.sweeps / name)]
     for name in hidden:
         print(f"error: the sweep {name} is not drawn, since a figure has its name; give it another", file=sys.stderr)
@@ -74,7 +73,7 @@ def _draw(name: str, given: argparse.Namespace) -> tuple[Figure, dict[str, str]]
     if name in FIGURES:
         return FIGURES[name].draw_from_results(given.results, given.runs or ())
     sweep = sweeps.load(given.sweeps, name)
-    with plt.rc_context({"text.parse_math": False}):  # texts come from files, in which $ is an ordinary character
+    with mpl.rc_context({"text.parse_math": False}):  # texts come from files, in which $ is an ordinary character
         return DRAWINGS[sweep.document["drawing"]](sweep), sweep.hashes
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -69,7 +68,8 @@ def spread(cells: pd.DataFrame, quantity: str) -> tuple[Any, Any, Any]:
 def _levels(sweep: Sweep, axis: dict[str, Any], groups: list[tuple[str, pd.DataFrame]]) -> Figure:
     labels = list(dict.fromkeys(sweep.cells[axis["name"]]))
     height = 1.3 + (0.13 + 0.11 * len(groups)) * len(labels)
-    figure, row = plt.subplots(1, 3, figsize=(style.FULL_WIDTH, height), layout="constrained", sharey=True)
+    figure = style.figure(height)
+    row = figure.subplots(1, 3, sharey=True)
     offsets = (np.arange(len(groups)) - (len(groups) - 1) / 2.0) * (0.66 / max(len(groups), 1))
     for axes, (quantity, title) in zip(row, COLUMNS, strict=True):
         for (label, cells), offset, (colour, marker, _) in zip(groups, offsets, SERIES[: len(groups)], strict=True):
@@ -90,7 +90,8 @@ def _levels(sweep: Sweep, axis: dict[str, Any], groups: list[tuple[str, pd.DataF
 
 
 def _curves(sweep: Sweep, axis: dict[str, Any], groups: list[tuple[str, pd.DataFrame]]) -> Figure:
-    figure, row = plt.subplots(1, 3, figsize=(style.FULL_WIDTH, 2.9), layout="constrained")
+    figure = style.figure(2.9)
+    row = figure.subplots(1, 3)
     values = sweep.cells[axis["name"]]
     steps = _is_geometric(values)
     for axes, (quantity, title) in zip(row, COLUMNS, strict=True):

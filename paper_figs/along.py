@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import xarray as xr
 from matplotlib.figure import Figure
 
@@ -13,7 +12,8 @@ COLOURS = (style.BLUE, style.SKY, style.GREEN, style.PURPLE, style.VERMILION, st
 
 def draw(study: xr.Dataset) -> Figure:
     """Draw fuel on the left and the least clearance of the four jets on the right."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(style.FULL_WIDTH, 3.1), layout="constrained", sharex=True)
+    figure = style.figure(3.1)
+    left, right = figure.subplots(1, 2, sharex=True)
     for index, flight in enumerate(study["flight"].values.tolist()):
         one = study.sel(flight=flight)
         look = {"color": COLOURS[index % len(COLOURS)], "linestyle": "--" if "published" in flight else "-"}

@@ -6,7 +6,6 @@ from ctypes.util import find_library
 from string import ascii_lowercase
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
@@ -29,7 +28,7 @@ TUBE = 0.0025
 
 def draw(study: xr.Dataset) -> Figure:
     """Draw one case, with the wind from the left."""
-    figure = plt.figure(figsize=(style.FULL_WIDTH, 6.0), layout="constrained")
+    figure = style.figure(6.0)
     grid = figure.subplot_mosaic("AAA;bcd", height_ratios=(1.2, 1.0))
     grid["A"].imshow(picture(study))
     grid["A"].set_axis_off()
@@ -47,8 +46,8 @@ def draw(study: xr.Dataset) -> Figure:
 
 def meshes(*studies: xr.Dataset) -> Figure:
     """Draw the speed in the plane of symmetry on several meshes, with the wind from the left."""
-    size = style.FULL_WIDTH, 3.4
-    figure, (row,) = plt.subplots(1, len(studies), figsize=size, layout="constrained", sharey=True, squeeze=False)
+    figure = style.figure(3.4)
+    (row,) = figure.subplots(1, len(studies), sharey=True, squeeze=False)
     for mark, axes, study in zip(ascii_lowercase, row, studies, strict=False):
         shown = _plane(axes, study, _upright_rotation(study.attrs["wind"]), "speed")
         axes.set_title(f"{1e3 * study.attrs['edge']:.1f} mm, {1e-3 * study.attrs['cells']:.0f} thousand cells")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -21,15 +20,8 @@ CONTROLLERS = (
 
 def draw(*runs: Run) -> Figure:
     """Draw six runs: baseline, aware and observer with corrected arms, then the same with published arms."""
-    figure, grid = plt.subplots(
-        6,
-        2,
-        figsize=(style.FULL_WIDTH, 9.4),
-        layout="constrained",
-        sharex=True,
-        sharey="row",
-        height_ratios=(1.2, 1.2, 1.2, 1.2, 1.2, 0.8),
-    )
+    figure = style.figure(9.4)
+    grid = figure.subplots(6, 2, sharex=True, sharey="row", height_ratios=(1.2, 1.2, 1.2, 1.2, 1.2, 0.8))
     for column, title in enumerate(COLUMNS):
         same_arms = runs[len(CONTROLLERS) * column :][: len(CONTROLLERS)]
         grid[0, column].annotate(

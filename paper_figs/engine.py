@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import xarray as xr
 from matplotlib.figure import Figure
 
@@ -12,9 +11,8 @@ from paper_figs import style
 def draw(study: xr.Dataset) -> Figure:
     """Draw throttle, thrust, and the errors of the simulated and of the estimated thrust."""
     time = study["time"]
-    figure, (throttle, thrust, error) = plt.subplots(
-        3, 1, figsize=(style.FULL_WIDTH, 5.2), layout="constrained", sharex=True, height_ratios=(0.7, 1.2, 1.0)
-    )
+    figure = style.figure(5.2)
+    throttle, thrust, error = figure.subplots(3, 1, sharex=True, height_ratios=(0.7, 1.2, 1.0))
     throttle.plot(time, study["throttle"], color=style.BLACK)
     throttle.set_ylabel("throttle [%]")
     thrust.plot(time, study["thrust"], ".", color=style.GREY, markersize=1.5, label="log that was held out")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
@@ -16,7 +15,8 @@ NORMAL = r"$C_N A$ [m$^2$]"
 
 def draw(study: xr.Dataset) -> Figure:
     """Draw the lower leg as in the paper; below it the head's misprint and the chest's sign."""
-    figure, grid = plt.subplots(2, 2, figsize=(style.FULL_WIDTH, 5.6), layout="constrained")
+    figure = style.figure(5.6)
+    grid = figure.subplots(2, 2)
     drag_of_leg, normal_of_leg, drag_of_head, normal_of_chest = grid.ravel()
     _drag(drag_of_leg, study, ["l_lower_leg", "r_lower_leg"], {"published": style.VERMILION, "refit": style.BLUE})
     _normal(normal_of_leg, study, ["l_lower_leg", "r_lower_leg"])

@@ -5,7 +5,6 @@ The upper row predicts randomly held-out rows, as in the paper; the lower row wh
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
@@ -25,7 +24,8 @@ Values = npt.NDArray[np.float64]
 def draw(study: xr.Dataset) -> Figure:
     """Draw data, predictions and errors, both splits below each other."""
     here = study.sel(link=LINK)
-    figure, grid = plt.subplots(2, 3, figsize=(style.FULL_WIDTH, 4.4), layout="constrained", sharex=True)
+    figure = style.figure(4.4)
+    grid = figure.subplots(2, 3, sharex=True)
     data, model = _drag(here, "area"), _drag(here, "area_axisymmetric")
     for row, (split, title) in enumerate(SPLITS):
         predicted = _drag(here, f"area_{split}")

@@ -8,7 +8,6 @@ Panel a of the paper is a picture of a viewer; `fig5a` draws it.
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
 from paper_figs import panels, style
@@ -17,7 +16,7 @@ from paper_figs.runs import Run
 
 def draw(first: Run, second: Run) -> Figure:
     """Draw the figure from two runs: the first in panels d to f, the second in g to i."""
-    figure = plt.figure(figsize=(style.FULL_WIDTH, 7.4), layout="constrained")
+    figure = style.figure(7.4)
     top, upper, lower = figure.subfigures(3, 1, height_ratios=(1.0, 1.15, 1.22), squeeze=False)[:, 0]
 
     b, c = top.subplots(1, 2)

@@ -6,7 +6,6 @@ d, j  joints of the left leg    e, k  their commanded torques    f, l  torques o
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase
@@ -27,7 +26,7 @@ LEG = (
 
 def draw(*runs: Run) -> Figure:
     """Draw the figure from two runs: the first in panels a to f, the second in g to l."""
-    figure = plt.figure(figsize=(style.FULL_WIDTH, 8.6), layout="constrained")
+    figure = style.figure(8.6)
     parts = figure.subfigures(2, 1, squeeze=False)[:, 0]
     for part, run, letters in zip(parts, runs, ("abcdef", "ghijkl"), strict=True):
         _experiment(part, run, letters)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
@@ -20,7 +19,8 @@ NEGLECTED = (
 def draw(study: xr.Dataset) -> Figure:
     """Draw magnitudes of modelled and neglected terms above, the neglected ones by cause below."""
     data = study.sel(time=slice(study.attrs["settling_time"], None))
-    figure, grid = plt.subplots(2, 2, figsize=(style.FULL_WIDTH, 4.6), layout="constrained", sharex=True)
+    figure = style.figure(4.6)
+    grid = figure.subplots(2, 2, sharex=True)
     for column, (rows, title, unit) in enumerate(
         ((slice(0, 3), "rate of the force", "N/s"), (slice(3, 6), "rate of the moment", "N m/s"))
     ):

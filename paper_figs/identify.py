@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
@@ -15,7 +14,8 @@ MODELS = (("file", "of the file", style.VERMILION), ("identified", "identified",
 
 def draw(study: xr.Dataset) -> Figure:
     """Draw the descent, drag areas at 90° before and after, and errors in the validation flight."""
-    figure, grid = plt.subplots(2, 2, figsize=(style.FULL_WIDTH, 4.6), layout="constrained")
+    figure = style.figure(4.6)
+    grid = figure.subplots(2, 2)
     _descent(grid[0, 0], study)
     _areas(grid[0, 1], study)
     for axes, rows, label in (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -28,15 +27,8 @@ def draw(sweep: Sweep) -> Figure:
     down, across = sweep.axes
     panel = sweep.panel_axis
     levels = [None] if panel is None else list(dict.fromkeys(sweep.cells[panel["name"]]))
-    figure, grid = plt.subplots(
-        len(ROWS),
-        len(levels),
-        figsize=(style.FULL_WIDTH, 2.35 * len(ROWS) + 0.4),
-        layout="constrained",
-        sharex=True,
-        sharey=True,
-        squeeze=False,
-    )
+    figure = style.figure(2.35 * len(ROWS) + 0.4)
+    grid = figure.subplots(len(ROWS), len(levels), sharex=True, sharey=True, squeeze=False)
     for row, (quantity, title, colours, most) in enumerate(ROWS):
         for column, level in enumerate(levels):
             cells = sweep.cells if panel is None or level is None else sweep.cells[sweep.cells[panel["name"]] == level]

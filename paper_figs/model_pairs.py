@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
@@ -20,7 +19,8 @@ def draw(sweep: Sweep) -> Figure:
     suits = {"model", "world"} < levels.keys() and len(levels.get("arms", ())) == 2
     sweep.require(suits, "axes `arms`, of two levels, `model` and `world`")
     flights = sweep.flights
-    figure, pair = plt.subplots(1, 2, figsize=(style.FULL_WIDTH, 3.6), layout="constrained", sharey=True)
+    figure = style.figure(3.6)
+    pair = figure.subplots(1, 2, sharey=True)
     for axes, arms, mark in zip(pair, levels["arms"], "ab", strict=True):
         share, lean = matrices(flights[flights["arms"] == arms], levels["model"], levels["world"])
         axes.imshow(share, vmin=0.0, vmax=1.0, cmap="RdYlBu", aspect="auto")

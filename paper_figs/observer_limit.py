@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import xarray as xr
 from matplotlib.figure import Figure
 
@@ -13,7 +12,8 @@ COLOURS = {"roll": style.VERMILION, "yaw": style.BLUE}
 
 def draw(study: xr.Dataset) -> Figure:
     """Draw a line for the linearised loop and dots for flights, for each axis."""
-    figure, axes = plt.subplots(figsize=(0.6 * style.FULL_WIDTH, 2.8), layout="constrained")
+    figure = style.figure(2.8, width=0.6 * style.FULL_WIDTH)
+    axes = figure.subplots()
     for axis in study["axis"].values:
         colour = COLOURS[str(axis)]
         of_axis = study.sel(axis=axis)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
@@ -26,7 +25,8 @@ Array = npt.NDArray[np.float64]
 def flight(study: xr.Dataset) -> Figure:
     """Show the flight: forces and wind as arrows, exhausts as cones, set-point of the CoM as a cross."""
     picture = study["flight"].values
-    figure, axes = plt.subplots(figsize=(4.8, 4.8 * picture.shape[0] / picture.shape[1]), layout="constrained")
+    figure = style.figure(4.8 * picture.shape[0] / picture.shape[1], width=4.8)
+    axes = figure.subplots()
     axes.imshow(picture)
     axes.set_axis_off()
     axes.set_title(str(study["flight"].attrs["long_name"]))
@@ -37,7 +37,8 @@ def postures(study: xr.Dataset) -> Figure:
     """Show every posture with its name."""
     labels = study["posture"].values.tolist()
     rows = -(-len(labels) // COLUMNS)
-    figure, grid = plt.subplots(rows, COLUMNS, figsize=(style.FULL_WIDTH, 1.45 * rows), layout="constrained")
+    figure = style.figure(1.45 * rows)
+    grid = figure.subplots(rows, COLUMNS)
     for axes in grid.ravel():
         axes.set_axis_off()
     for axes, label in zip(grid.ravel(), labels, strict=False):
@@ -50,7 +51,8 @@ def setup(study: xr.Dataset) -> Figure:
     """Draw the robot on pylon and balance in the test section: from its left with α, from above with β."""
     spans = np.stack([study["link_start"].values, study["link_end"].values], axis=1)
     widths = study["link_diameter"].values
-    figure, (side, top) = plt.subplots(1, 2, figsize=(style.FULL_WIDTH, 3.7), layout="constrained")
+    figure = style.figure(3.7)
+    side, top = figure.subplots(1, 2)
     for lean, colour in ((LEAN, style.LIGHT), (90.0, style.BLUE)):
         _robot(side, _turn_points(spans, lean, 0.0) + np.array([0.0, 0.0, CENTRE]), widths, (0, 2), colour)
     _support(side)

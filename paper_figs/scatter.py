@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure, FigureBase
@@ -19,7 +18,7 @@ def draw(sweep: Sweep) -> Figure:
     axes_of = sweep.axes
     columns = 3
     rows = -(-len(axes_of) // columns)
-    figure = plt.figure(figsize=(style.FULL_WIDTH, 2.3 + 1.75 * rows), layout="constrained")
+    figure = style.figure(2.3 + 1.75 * rows)
     top, bottom = figure.subfigures(2, 1, height_ratios=(2.1, 1.75 * rows), squeeze=False)[:, 0]
     _correlations(top, sweep, flights)
     grid = bottom.subplots(rows, columns, sharey=True, squeeze=False)

@@ -15,6 +15,7 @@ import matplotlib as mpl
 import matplotlib.style
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, FigureBase
 
 BLACK = "#000000"
@@ -33,7 +34,8 @@ JET_COLOURS = (VERMILION, BLUE, ORANGE, GREEN, PURPLE, SKY, BLACK, GREY)
 JET_DASHES = ("-", "--")
 """Colours and dashes of groups of joints and of jets, in the robot's order; repeated if there are more."""
 
-FULL_WIDTH = 7.2  # inches: two columns of a journal page
+FULL_WIDTH = 7.2
+"""Two columns of a journal page [inches]."""
 
 SETTINGS: dict[str, Any] = {
     "axes.axisbelow": True,
@@ -61,9 +63,15 @@ SETTINGS: dict[str, Any] = {
 
 
 def use() -> None:
-    """Apply this style to all following figures, drawn to files only."""
-    mpl.use("agg")
+    """Apply this style to all following figures."""
     mpl.style.use(SETTINGS)
+
+
+def figure(height: float, width: float = FULL_WIDTH) -> Figure:
+    """Return an empty figure of this size [inches], drawn to files only."""
+    empty = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(empty)
+    return empty
 
 
 def letter(axes: Axes, text: str) -> None:

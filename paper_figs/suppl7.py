@@ -5,7 +5,6 @@ a–c TEST1    d–f TEST2    g–i TEST3    j robustness: simulator's minus con
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
 from paper_figs import panels, style
@@ -14,7 +13,7 @@ from paper_figs.runs import Run
 
 def draw(*runs: Run) -> Figure:
     """Draw the figure from four runs, in panels a to c, d to f, g to i, and j."""
-    figure = plt.figure(figsize=(style.FULL_WIDTH, 9.6), layout="constrained")
+    figure = style.figure(9.6)
     *tests, lower = figure.subfigures(4, 1, squeeze=False)[:, 0]
     for part, run, letters in zip(tests, runs[:3], ("abc", "def", "ghi"), strict=True):
         panels.row(part, run, letters)

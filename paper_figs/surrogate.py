@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
@@ -17,7 +16,8 @@ POSTURES = {"flight50": ("o", "-"), "flight60": ("s", "--")}
 
 def draw(study: xr.Dataset) -> Figure:
     """Draw curves above, errors by posture below."""
-    figure, grid = plt.subplot_mosaic("ab;cc", figsize=(style.FULL_WIDTH, 5.2), layout="constrained")
+    figure = style.figure(5.2)
+    grid = figure.subplot_mosaic("ab;cc")
     for mark, component in (("a", "drag"), ("b", "lift")):
         _curves(grid[mark], study, component)
     _errors(grid["c"], study)

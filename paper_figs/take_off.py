@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
 from paper_figs import panels, style
@@ -13,7 +12,8 @@ def draw(run: Run) -> Figure:
     """Draw one flight that starts and ends on the ground."""
     flown = run.log_to_loss
     time, airborne = flown["time"], flown["feet_carry"].values == 0.0
-    figure, grid = plt.subplots(4, 1, figsize=(style.FULL_WIDTH, 6.4), layout="constrained", sharex=True)
+    figure = style.figure(6.4)
+    grid = figure.subplots(4, 1, sharex=True)
     height, load_, thrust, attitude = grid
     height.plot(time, flown["com_position"].sel(xyz="z"), color=style.BLUE, label="CoM")
     height.plot(time, flown["com_setpoint"].sel(xyz="z"), "--", color=style.GREY, label="set-point")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from itertools import cycle
 
-import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
@@ -17,7 +16,8 @@ DASHES = ("-", "--", ":", "-.")
 
 def draw(study: xr.Dataset) -> Figure:
     """Draw speeds on the left and horizontal forces on the right."""
-    figure, (speeds, forces) = plt.subplots(1, 2, figsize=(style.FULL_WIDTH, 2.9), layout="constrained", sharex=True)
+    figure = style.figure(2.9)
+    speeds, forces = figure.subplots(1, 2, sharex=True)
     direction = study["direction"]
     for feedback, (colour, marker) in zip(study["feedback"].values.tolist(), LOOKS, strict=True):
         for friction, dash in zip(study["friction"].values.tolist(), cycle(DASHES), strict=False):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
@@ -22,9 +21,8 @@ def draw(study: xr.Dataset) -> Figure:
     panels = [("member", "networks trained on data")]
     if any("student" in name for name in curves):
         panels.append(("student", "students of their mean"))
-    figure, grid = plt.subplots(
-        1, len(panels), figsize=(style.FULL_WIDTH, 2.7), layout="constrained", sharey=True, squeeze=False
-    )
+    figure = style.figure(2.7)
+    grid = figure.subplots(1, len(panels), sharey=True, squeeze=False)
     for axes, (word, title) in zip(grid[0], panels, strict=True):
         seen: set[str] = set()
         for name in curves:

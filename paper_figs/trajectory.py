@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from itertools import cycle
 
-import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
@@ -32,7 +31,8 @@ OFFSETS = {"paper's mission": (-70, -2), "minimum time": (6, -12), "minimum fuel
 def draw(*studies: xr.Dataset) -> Figure:
     """Draw distance, height, speed, pitch, error and fuel of all flights, and the thrusts of the optimal ones."""
     rows = 3 + math.ceil(len(studies) / 2)
-    figure, grid = plt.subplots(rows, 2, figsize=(style.FULL_WIDTH, 2.0 * rows), layout="constrained")
+    figure = style.figure(2.0 * rows)
+    grid = figure.subplots(rows, 2)
     panels_of_thrusts = grid[3:].ravel()
     flights = [(studies[0], "paper", PAPER, "paper's mission")]
     for study in studies:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 
-import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
@@ -25,7 +24,8 @@ MEASURED = 24.0
 
 def draw(*studies: xr.Dataset) -> Figure:
     """Draw two maps for each of two studies: the greatest margin of all thrusts, and the least total thrust."""
-    figure, grid = plt.subplots(1, 4, figsize=(style.FULL_WIDTH, 3.9), layout="constrained")
+    figure = style.figure(3.9)
+    grid = figure.subplots(1, 4)
     margins = [100 * study["margin"].sel(objective="max_margin") for study in studies]
     thrusts = [study["total_thrust"].sel(objective="min_thrust") / study["weight"] for study in studies]
     pairs: list[tuple[str, str, list[xr.DataArray]]] = [

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import xarray as xr
 from matplotlib.figure import Figure
 
@@ -11,7 +10,8 @@ from paper_figs import style
 
 def draw(study: xr.Dataset) -> Figure:
     """Draw costs on the left, factors on the right."""
-    figure, (costs, factors) = plt.subplots(1, 2, figsize=(style.FULL_WIDTH, 2.9), layout="constrained")
+    figure = style.figure(2.9)
+    costs, factors = figure.subplots(1, 2)
     costs.plot(study["step"], study["cost"], color=style.BLUE, alpha=0.5, linewidth=0.8, label="worlds of the step")
     costs.plot(study["validation"], study["unseen_cost"], "o-", color=style.BLACK, markersize=3, label="unseen worlds")
     costs.set_ylabel("cost, geometric mean")

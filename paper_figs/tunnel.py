@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
@@ -75,7 +74,8 @@ def hashes(*names: str) -> dict[str, str]:
 
 def fig2(tables: Table) -> Figure:
     """Draw the drag area against sideslip at three speeds, and against the angle of attack for eight postures."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(style.FULL_WIDTH, 3.2), layout="constrained")
+    figure = style.figure(3.2)
+    left, right = figure.subplots(1, 2)
     for (speed, curve), colour, marker in zip(hovering_drag(tables).items(), COLOURS, MARKERS, strict=False):
         left.plot(
             list(curve), list(curve.values()), marker=marker, markersize=3.5, color=colour, label=f"{speed:.0f} m/s"
@@ -100,7 +100,8 @@ def fig2(tables: Table) -> Figure:
 def fig3(tables: Table, simulations: Table) -> Figure:
     """Draw drag and lift area of flight30 from tunnel and from CFD with two turbulence models."""
     runs = simulations["run"]
-    figure, pair = plt.subplots(1, 2, figsize=(style.FULL_WIDTH, 2.9), layout="constrained")
+    figure = style.figure(2.9)
+    pair = figure.subplots(1, 2)
     for axes, key, mark in zip(pair, ("cda", "cla"), "ab", strict=True):
         record = flight(tables, "flight30")
         axes.plot(record["alpha_deg"], record[key], "o-", color=style.BLACK, markersize=4, label="wind tunnel")
@@ -119,7 +120,8 @@ def mesh(tables: Table, simulations: Table) -> Figure:
     """Draw the drag of five meshes beside the tunnel, and their error against their size."""
     runs = simulations["run"]
     record = flight(tables, "flight30")
-    figure, grid = plt.subplots(1, 3, figsize=(style.FULL_WIDTH, 2.8), layout="constrained")
+    figure = style.figure(2.8)
+    grid = figure.subplots(1, 3)
     for axes, key, mark in zip(grid, ("cda", "cla"), "ab", strict=False):
         axes.plot(record["alpha_deg"], record[key], "o-", color=style.BLACK, markersize=4, label="wind tunnel")
         for name, colour, marker in zip(meshes(runs), COLOURS, "sD^v<", strict=False):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
@@ -28,7 +27,8 @@ EXPOSED = 20.5
 
 def draw(study: xr.Dataset) -> Figure:
     """Draw pitch against the angle of attack, roll against sideslip, and rms errors with their intervals."""
-    figure, grid = plt.subplots(2, 2, figsize=(style.FULL_WIDTH, 5.4), layout="constrained")
+    figure = style.figure(5.4)
+    grid = figure.subplots(2, 2)
     _angles(grid[0, 0], study)
     _sideslip(grid[0, 1], study, "x", "roll")
     _sideslip(grid[1, 0], study, "z", "yaw")

@@ -8,7 +8,6 @@ import shutil
 import sys
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import msgspec
 import numpy as np
 import pytest
@@ -775,7 +774,6 @@ def test_the_picture_of_a_flow_is_drawn(made_up_flow):
     assert (rendered[0, 0] == 255).all()
     seen = (rendered.min(axis=-1) < 250).mean()
     assert 0.005 < seen < 0.5
-    plt.close(figure)
 
 
 def test_meshes_are_drawn_side_by_side_with_their_sizes(made_up_flow):
@@ -783,7 +781,6 @@ def test_meshes_are_drawn_side_by_side_with_their_sizes(made_up_flow):
     assert [*hashes] == [*FIGURES["cfd_meshes"].runs]
     titles = [axes.get_title("left") + axes.get_title() for axes in figure.axes[:3]]  # where depends on the style
     assert titles == ["10.0 mm, 1 thousand cells", "5.0 mm, 2 thousand cells", "3.3 mm, 3 thousand cells"]
-    plt.close(figure)
 
 
 def test_what_a_picture_of_a_flow_lacks_is_named(made_up_flow, monkeypatch, capsys):

@@ -4,7 +4,6 @@ import dataclasses
 import json
 import shutil
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray as xr
@@ -197,7 +196,6 @@ def test_the_figure_is_drawn(result):
     figure, hashes = FIGURES["fig4_fit"].draw_from_results(result[0] / "flight")
     assert len(figure.axes) == 4
     assert set(hashes) == {"freestream"}
-    plt.close(figure)
 
 
 def test_a_missing_dataset_is_named_with_the_command_that_makes_it(tmp_path, capsys, monkeypatch):

@@ -3,7 +3,6 @@
 import json
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray as xr
@@ -76,9 +75,8 @@ def test_the_manifest_and_the_figure(result):
     stored = json.loads((folder / f"force_rate/{NAME}/manifest.json").read_text())
     assert stored["engine"] == "casadi"
     assert stored["versions"]["casadi"]
-    figure, hashes = FIGURES["force_rate"].draw_from_results(folder / "flight", [NAME])
+    _, hashes = FIGURES["force_rate"].draw_from_results(folder / "flight", [NAME])
     assert hashes == {NAME: document["config_digest"]}
-    plt.close(figure)
     with pytest.raises(MissingRun, match=r"make it with: python -m experiments force-rate test9"):
         FIGURES["force_rate"].draw_from_results(folder / "flight", ("test9",))
     with pytest.raises(MissingRun, match=r"force-rate test2 --set \.\.\. \(the changes in its name\)"):

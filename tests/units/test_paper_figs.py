@@ -1,11 +1,10 @@
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray as xr
 from PIL import Image
 
 from jax_aero import places
-from paper_figs import panels, runs, tip_over, trajectory, trim
+from paper_figs import panels, runs, style, tip_over, trajectory, trim
 from paper_figs.__main__ import main
 from paper_figs.figures import FIGURES
 from paper_figs.panels import readable_name
@@ -68,10 +67,9 @@ def test_the_index_needs_a_checkout(monkeypatch, capsys):
 def test_a_dollar_in_a_title_is_one(made_up_results):
     run = runs.load(made_up_results, "test1")
     dear = runs.Run("dear", run.data.assign_attrs(title=r"$\x$"))
-    figure = plt.figure()
+    figure = style.figure(3.0)
     panels.title(figure, dear)
     figure.canvas.draw()
-    plt.close(figure)
 
 
 def test_joint_errors_are_summed_by_group_in_degrees(made_up_results):
@@ -96,7 +94,7 @@ def test_every_jet_and_every_group_of_joints_is_drawn(made_up_results, count):
     names = [f"part_{number}" for number in range(count)]
     parts = {"jet": [number % 4 for number in range(count)], "joint": list(range(count))}
     data = run.data.isel(parts).assign_coords(jet=names, joint_group=("joint", names))
-    figure = plt.figure(layout="constrained")
+    figure = style.figure(3.0)
     panels.row(figure, runs.Run("other", data), "abc")
     figure.canvas.draw()
     errors, _, thrusts = figure.axes
@@ -104,7 +102,6 @@ def test_every_jet_and_every_group_of_joints_is_drawn(made_up_results, count):
         assert len({(line.get_color(), line.get_linestyle()) for line in axes.lines}) == len(axes.lines) == count
         shown = [text.get_text() for text in axes.get_legend().get_texts()] if count else []
         assert shown == [name.replace("_", " ") for name in names]
-    plt.close(figure)
 
 
 @pytest.mark.parametrize(("studies", "jets"), [(1, 6), (2, 4), (3, 3)])
@@ -123,7 +120,6 @@ def test_planned_flights_show_every_jet_of_every_study(studies, jets):
     figure = trajectory.draw(*[xr.Dataset(variables, coords, attributes)] * studies)
     assert [len(axes.lines) for axes in figure.axes[6:]] == [2 * jets] * studies
     assert len({line.get_color() for line in figure.axes[6].lines}) == jets
-    plt.close(figure)
 
 
 def test_every_friction_of_a_tip_over_study_is_drawn():
@@ -134,7 +130,6 @@ def test_every_friction_of_a_tip_over_study_is_drawn():
     figure = tip_over.draw(xr.Dataset(variables, coords | {"xyz": list("xyz")}))
     lines = [line for line in figure.axes[0].lines if line.get_linestyle() != "None"]
     assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == len(lines) == 8
-    plt.close(figure)
 
 
 @pytest.mark.parametrize(("speeds", "margin"), [([0.0, 5.0], 0.3), ([5.0], 0.3), ([0.0], 0.3), ([0.0, 5.0], np.nan)])
@@ -145,7 +140,6 @@ def test_a_map_of_trims_is_drawn_of_any_number_of_winds_and_trims(speeds, margin
     coords = {"objective": ["max_margin", "min_thrust"], "direction": [0.0, 90.0], "speed": speeds}
     figure = trim.draw(*[xr.Dataset(variables, coords)] * 2)
     figure.canvas.draw()
-    plt.close(figure)
 
 
 def test_nothing_behind_a_fall_is_shown(made_up_results):
@@ -158,7 +152,6 @@ def test_nothing_behind_a_fall_is_shown(made_up_results):
 def test_how_a_flight_was_lost_stands_once_in_its_row(made_up_results):
     figure, _ = FIGURES["suppl7"].draw_from_results(made_up_results, ("test1", "test2", "test3", "test1_published"))
     assert [text.get_text() for axes in figure.axes for text in axes.texts].count("fell at 21.5 s") == 1
-    plt.close(figure)
 
 
 @pytest.mark.parametrize(
