@@ -31,14 +31,11 @@ from jax_aero.aero.dataset import JOINTS, Floats, reorder_joints, tunnel_from_ba
 from jax_aero.cli import Parser, complete_with
 from jax_aero.command import exit_status
 from jax_aero.files import complete_file
-from jax_aero.kinematics import kinematics
+from jax_aero.kinematics import kinematics_at_rest
 from jax_aero.robot import RobotModel, load_robot
 from jax_aero.spatial import cross
 from jax_aero.tables import LARGEST, read
-from jax_aero.types import Array, State
-
-DENSITY = 1.225
-"""Air density in the conversion of forces to areas [kg/m³]."""
+from jax_aero.types import Array
 
 MAX_ANGLES = 10_000
 """Greatest number of angles in a range."""
@@ -156,8 +153,7 @@ def loads(robot: RobotModel, aero: AeroModel, joints: Floats, alphas: Floats, be
 
 @jax.jit
 def _all_loads(robot: RobotModel, aero: AeroModel, joints: Array, winds: Array) -> tuple[Array, Array]:
-    still = State(jnp.zeros(3), jnp.eye(3), joints, jnp.zeros(6 + joints.shape[0]))
-    kin = kinematics(robot, still)
+    kin = kinematics_at_rest(robot, joints)
 
     def loads_in_wind(wind: Array) -> tuple[Array, Array]:
         link = link_forces(aero, robot, kin, LinkConventions(), wind)
@@ -195,7 +191,7 @@ def points(table: str, name: str, alphas: Floats, betas: Floats) -> list[dict[st
 def _rows(
     robot: RobotModel, found: Mapping[str, Loads], alphas: Floats, betas: Floats, speed: float
 ) -> Iterator[dict[str, Any]]:
-    pressure = 0.5 * DENSITY * speed**2
+    pressure = 0.5 * air.AIR_DENSITY * speed**2
     grid = np.broadcast_arrays(alphas, betas)
     for model, load in found.items():
         links = [ROBOT, *robot.aero_links.names]

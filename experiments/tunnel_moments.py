@@ -25,16 +25,13 @@ from experiments.import_cfd import OUT
 from experiments.study import Findings, Study
 from experiments.tunnel_correction import Points, columns, held_out_errors, rms_by_posture
 from jax_aero import io, places, tables
-from jax_aero.aero import tunnel
+from jax_aero.aero import LinkConventions, aero_model, link_forces, tunnel
 from jax_aero.aero.dataset import Floats, reorder_joints, tunnel_from_base, wind_direction
-from jax_aero.aero.model import aero_model
 from jax_aero.aero.posture import centres_of_mass, link_frames, total_wrench, vector_rms
-from jax_aero.aero.protocol import LinksInAir
 from jax_aero.aero.surrogate import batched_features, force_areas, load_surrogate
 from jax_aero.kinematics import kinematics_at_rest
 from jax_aero.places import ROBOT
 from jax_aero.robot import RobotModel, load_robot
-from jax_aero.spatial import rotate
 
 AERO = places.CONFIGS / "aero"
 PANELS = AERO / "panels" / "surrogate.toml"
@@ -136,14 +133,10 @@ def evaluate_areas(robot: RobotModel, table: Mapping[str, Any], joints: Floats, 
     """Return the force areas (N, 13, 3) [m²] of a model at rest in air of velocity (N, 3) [m/s], base axes."""
     with jax.enable_x64(True):
         model = aero_model(io.aero_config(table), robot)
-        links = robot.aero_links
 
         def areas_in_wind(position: Any, wind: Any) -> Any:
-            kin = kinematics_at_rest(robot, position)
-            rotations = kin.body_rotations[np.array(links.bodies)] @ links.rotations
-            axes = rotate(rotations, links.axes)
-            forces = model.forces(LinksInAir(axes, jnp.broadcast_to(wind, axes.shape), wind, robot, kin))
-            return forces / (0.5 * float(table["air_density"]) * jnp.sum(wind**2))
+            link = link_forces(model, robot, kinematics_at_rest(robot, position), LinkConventions(), wind)
+            return link.forces / (0.5 * float(table["air_density"]) * jnp.sum(wind**2))
 
         areas = jax.jit(jax.vmap(areas_in_wind))(reorder_joints(robot.joint_names, joints), air)
         return np.asarray(areas, dtype=np.float64)

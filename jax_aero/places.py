@@ -24,6 +24,10 @@ IS_CHECKOUT = (HOME / "rust").is_dir()
 RESULTS = (HOME if IS_CHECKOUT else Path.cwd()) / "results"
 
 
+RUN_FILE, MANIFEST_FILE = "run.nc", "manifest.json"
+"""Files of a result folder: every signal, and how it was made."""
+
+
 def names(kind: str) -> list[str]:
     """Return the names of all files in a folder of `configs/`."""
     return sorted(path.stem for path in (CONFIGS / kind).glob("*.toml"))

@@ -23,7 +23,6 @@ from paper_figs import (
     observer_limit,
     pictures,
     runs,
-    studies,
     suppl7,
     surrogate,
     take_off,
@@ -56,7 +55,7 @@ class Entry:
         """Return the command that makes the results; empty if committed tables are shown."""
         if self.kind == "flight":
             return f"python -m experiments {' '.join(self.runs)}"
-        return "; ".join(studies.command(self.kind, name) for name in self.runs)
+        return "; ".join(runs.study_command(self.kind, name) for name in self.runs)
 
     def draw_from_results(self, results: Path, names: Sequence[str] = ()) -> tuple[Figure, dict[str, str]]:
         """Return the figure, and the hash of every result or table that it shows."""
@@ -72,7 +71,7 @@ class Entry:
         if self.kind == "flight":
             flights = [runs.load(results, name) for name in names]
             return self.draw(*flights), {run.name: run.config_hash for run in flights}
-        loaded = [studies.load(results, self.kind, name) for name in names]
+        loaded = [runs.load_study(results, self.kind, name) for name in names]
         return self.draw(*loaded), {study.attrs["name"]: str(study.attrs["config_hash"]) for study in loaded}
 
 

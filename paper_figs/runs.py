@@ -1,4 +1,4 @@
-"""Result folders of flights, read for figures; never written."""
+"""Result folders of flights and studies, read for figures; never written."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from jax_aero.places import RESULTS
+from jax_aero.places import RESULTS, RUN_FILE
 
 Series = xr.DataArray
 
@@ -82,13 +82,28 @@ def escape_text(text: object) -> str:
 
 def load(results: Path, name: str) -> Run:
     """Read the run of this name."""
-    path = results / name / "run.nc"
+    path = results / name / RUN_FILE
     if not path.is_file():
         elsewhere = "" if results.resolve() == (RESULTS / "flight").resolve() else f" --out {results}"
         raise MissingRun(
             f"no flight `{name}` in {results}; fly it with: python -m experiments {result_words(name, elsewhere)}"
         )
     return Run(name, read(path))
+
+
+def load_study(results: Path, kind: str, name: str) -> xr.Dataset:
+    """Read a study of a kind, with its name as an attribute; `results` is the folder of flights beside it."""
+    path = results.parent / kind / name / RUN_FILE
+    if not path.is_file():
+        raise MissingRun(f"no study `{name}` in {path.parents[1]}; make it with: {study_command(kind, name)}")
+    return read(path).assign_attrs(name=name)
+
+
+def study_command(kind: str, name: str) -> str:
+    """Return the command that makes a study."""
+    word = "train" if kind == "training" else kind.replace("_", "-")
+    options = {"training": " --dataset FILE", "trim": " --map"}.get(kind, "")
+    return f"python -m experiments {word} {result_words(name, options)}"
 
 
 def result_words(name: str, options: str = "") -> str:

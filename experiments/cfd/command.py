@@ -175,7 +175,7 @@ def collect(design: Design, folder: Path) -> str:
         dataset=dataset.sha256,
     )
     # The hash of the code that computed the cases, which may be older.
-    write_json(folder / "manifest.json", document | {"code_hash": about["code_hash"]})
+    write_json(folder / places.MANIFEST_FILE, document | {"code_hash": about["code_hash"]})
     lines = [f"{design.spec.title}: " + ", ".join(f"{count} {what}" for what, count in summary.items())]
     lines += [f"  {name}: {reason}" for name, reason in refused.items()]
     lines += [f"  {name:<34} {median:.4g}" for name, median in quality.items()]

@@ -140,7 +140,7 @@ class Results:
 
     def study(self, kind: str, name: str) -> dict[str, Any]:
         """Return the figures of a study."""
-        path = self.folder / kind / name / "manifest.json"
+        path = self.folder / kind / name / record.MANIFEST_FILE
         if not path.is_file():
             raise NotFlownError(f"`python -m experiments {kind.replace('_', '-')} {name}` has not been run")
         document = read_json(path)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -13,15 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jax_aero import io, rust
-from jax_aero.files import find_damaged
-from jax_aero.places import RESULTS
+from jax_aero.files import find_damaged, read_json
+from jax_aero.places import MANIFEST_FILE, RESULTS, RUN_FILE
 from jax_aero.result import ending, labels_of
 from jax_aero.summary import SETTLING_TIME
 from jax_aero.urdf import Vector
 from jax_aero.view import Refused, require
 from jax_aero.view.shapes import Look, look_of
-
-RUN_FILE, MANIFEST_FILE = "run.nc", "manifest.json"
 
 MAX_SIZE = 2 << 30
 """Greatest size of all signals together [bytes]; the crate logs no more."""
@@ -246,7 +243,8 @@ def read(result: str | Path, robot: str | Path | None = None) -> Recording:
 
 
 def _read(path: Path, robot: str | Path | None) -> Recording:
-    manifest = _read_manifest(path.with_name(MANIFEST_FILE))
+    described = path.with_name(MANIFEST_FILE)
+    manifest = read_json(described) if described.is_file() else {}
     if find_damaged(
         path.parent, {name: sha256 for name, sha256 in manifest.get("files", {}).items() if name == path.name}
     ):
@@ -316,18 +314,6 @@ def _to_python(value: Any) -> Any:
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.reshape(-1)[0]
     return value.decode() if isinstance(value, bytes) else value
-
-
-def _read_manifest(path: Path) -> dict[str, Any]:
-    if not path.is_file():
-        return {}
-    try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as reason:
-        raise Refused(f"`{path}` is not JSON: {reason}") from None
-    if not isinstance(manifest, dict):
-        raise Refused(f"`{path}` holds no table; {EXPECTED}")
-    return manifest
 
 
 def _robot_path(path: Path, config: rust.Config | None, given: str | Path | None) -> Path:

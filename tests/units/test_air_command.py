@@ -26,7 +26,7 @@ def test_the_files_hold_every_link_and_their_sum(tmp_path, capsys):
             total, parts = float(here[0][column]), [float(row[column]) for row in here[1:]]
             assert abs(total - sum(parts)) <= 2e-5 * max(map(abs, parts), default=1.0)  # six digits are written
         assert float(here[0]["drag_n"]) == pytest.approx(
-            0.5 * command.DENSITY * 64.0 * float(here[0]["cda_m2"]), rel=1e-5
+            0.5 * air.AIR_DENSITY * 64.0 * float(here[0]["cda_m2"]), rel=1e-5
         )
     assert str(written.name) in capsys.readouterr().out
 
