@@ -31,7 +31,16 @@ from scipy.signal import savgol_coeffs, savgol_filter
 from experiments import Refused
 from experiments.study import Findings, Study
 from jax_aero import tables
-from jax_aero.jets import Engines, EngineState, SecondOrderJets, thrust_acceleration, update_ekf
+from jax_aero.jets import (
+    Engines,
+    EngineState,
+    SecondOrderJets,
+    drift,
+    input_gain,
+    throttle_input,
+    thrust_acceleration,
+    update_ekf,
+)
 from jax_aero.places import ROBOT
 from jax_aero.robot import ENGINE_KEYS
 
@@ -119,12 +128,13 @@ def bench_log(engine: Array, seed: int, seconds: float = 60.0) -> Log:
     rng = np.random.default_rng(seed)
     n = round(seconds / STEP) + 1
     throttle = profile(rng, n)
-    thrust, rate = steady_start(engine, throttle[0]), 0.0
+    e = Engines(*engine.tolist())
+    thrust, rate = steady_start(e, throttle[0]), 0.0
     measured = np.empty(n)
     for tick in range(n):
         measured[tick] = thrust
         for _ in range(FINE):
-            acceleration = acceleration_of(engine, thrust, rate, throttle[tick])
+            acceleration = acceleration_of(e, thrust, rate, throttle[tick])
             thrust, rate = advance_thrust(thrust, rate, acceleration, STEP / FINE)
     return Log(np.linspace(0.0, seconds, n), throttle, measured + rng.normal(scale=NOISE, size=n))
 
@@ -144,19 +154,17 @@ def profile(rng: np.random.Generator, n: int) -> Array:
     return throttle
 
 
-def steady_start(engine: Array, throttle: float) -> float:
+def steady_start(e: Any, throttle: float) -> float:
     """Return the steady thrust [N] at a throttle [%], by simulating one minute."""
     thrust, rate = 50.0, 0.0
     for _ in range(6000):
-        thrust, rate = advance_thrust(thrust, rate, acceleration_of(engine, thrust, rate, throttle), STEP)
+        thrust, rate = advance_thrust(thrust, rate, acceleration_of(e, thrust, rate, throttle), STEP)
     return thrust
 
 
-def acceleration_of(e: Array, thrust: float, rate: float, throttle: float) -> float:
-    """Return the thrust acceleration of M32 [N/s²]."""
-    v = throttle * (1.0 + e[8] * throttle)
-    drift = thrust * (e[0] + e[1] * thrust + e[4] * rate) + rate * (e[2] + e[3] * rate) + e[9]
-    return float(drift + (e[5] + e[6] * thrust + e[7] * rate) * v)
+def acceleration_of(e: Any, thrust: float, rate: float, throttle: float) -> float:
+    """Return the thrust acceleration of M32 [N/s²] at a throttle within its range, in plain numbers."""
+    return float(drift(e, thrust, rate) + input_gain(e, thrust, rate) * throttle_input(e, throttle))
 
 
 def advance_thrust(thrust: Any, rate: Any, acceleration: Any, step: float) -> tuple[Any, Any]:
