@@ -124,6 +124,10 @@ def _judge_claim(claim: _Claim, results: Results) -> Claim:
         measured, verdict = claim.judge(results)
     except NotFlownError as reason:
         measured, verdict = str(reason), NOT_FLOWN
+    except KeyError as missing:  # a result of an older configuration or code
+        if not claim.command:
+            raise
+        measured, verdict = f"a result has no {missing}; make it again with --overwrite: `{claim.command}`", NOT_FLOWN
     else:
         if differs := [f"{name} ({made.differs})" for name, made in results.made.items() if made.differs]:
             measured = f"{measured}; {ANOTHER}: {', '.join(differs)}"

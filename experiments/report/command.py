@@ -163,8 +163,8 @@ def _format_command(command: str) -> str:
 
 def _minimum(page: Page, results: Results) -> None:
     try:
-        sweep = results.sweep("ablation_terms")
-    except NotFlownError:
+        sweep, least = results.sweep("ablation_terms"), claims.answer(results)
+    except (NotFlownError, KeyError):
         return
     worlds = sweep.levels("world")
     rows = [
@@ -179,7 +179,7 @@ def _minimum(page: Page, results: Results) -> None:
     ]
     page.add(
         Heading(2, "The minimum aerodynamic information that still flies"),
-        Text(claims.answer(results) + _mark_outdated(sweep.differs)),
+        Text(least + _mark_outdated(sweep.differs)),
         Text(
             "Per world: flights completed, flights that also stayed within 15° and 0.25 m of their set-point, "
             "median of the greatest rotation error."
@@ -263,12 +263,15 @@ def _sweep(page: Page, results: Results, name: str, sweep: Sweep) -> None:
 
 
 def _edge(sweep: Sweep) -> str:
-    """Return the largest value of the sweep's number up to which all flights succeed, for each level of `world`."""
+    """Return at which values of a curve's number all flights complete, for each combination of the other axes."""
     document = sweep.document
-    if document["drawing"] != "curve" or not document["panels"]:
+    inner = [part for part in document["axes"] if part["name"] != document["panels"]]
+    if document["drawing"] != "curve" or not document["panels"] or not inner:
         return ""
-    axis = document["axes"][-1]
-    between = [part["name"] for part in document["axes"][:-1]]
+    axis = inner[-1]
+    if any(isinstance(label, str) for label in sweep.levels(axis["name"])):
+        return ""
+    between = [part["name"] for part in document["axes"] if part is not axis]
     groups: dict[tuple[str, ...], list[dict[str, object]]] = {}
     for cell in sweep.cells:
         groups.setdefault(tuple(str(cell[part]) for part in between), []).append(cell)

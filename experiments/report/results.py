@@ -33,9 +33,10 @@ class Sweep:
     """Difference of its configuration from the present one; empty if there is none."""
 
     def cell(self, **labels: object) -> Cell:
-        """Return the only cell with these levels."""
-        (found,) = self.select(**labels)
-        return found
+        """Return the only cell with these levels; `KeyError` if there is none, as in a sweep of other levels."""
+        for found in self.select(**labels):
+            return found
+        raise KeyError(", ".join(f"{name} = {label}" for name, label in labels.items()))
 
     def select(self, **labels: object) -> list[dict[str, Any]]:
         """Return the cells with these levels."""

@@ -15,9 +15,9 @@ from experiments import engine_choice, manifest, record, wind_observer
 from experiments.__main__ import main
 from experiments.cfd.settings import FlowConfig
 from experiments.report import claims, facts, ground, metrics, outdated
-from experiments.report.command import _count_verdicts, _pictures, _spans, build, claims_json
+from experiments.report.command import _count_verdicts, _edge, _pictures, _spans, build, claims_json
 from experiments.report.page import Heading, Page, Picture, Table, Text
-from experiments.report.results import Results
+from experiments.report.results import Results, Sweep
 from experiments.report.verdicts import AGREES, ANOTHER, NOT_FLOWN, judge_range
 from experiments.sweep import run, spec
 from experiments.sweep.design import Design
@@ -235,6 +235,40 @@ def test_a_sweep_with_flights_that_could_not_be_flown_decides_no_claim(results):
     for claim in stated:
         assert claim.verdict == NOT_FLOWN
         assert claim.measured == "2 flights of `python -m experiments sweep paper_tests` could not be flown"
+
+
+def test_a_sweep_of_other_levels_decides_no_claim(results):
+    """As one that was flown before a level was renamed."""
+    for name in ("paper_tests", "ablation_terms"):
+        path = results.folder / "sweeps" / name / "cells.parquet"
+        pq.write_table(pq.read_table(path).slice(0, 1), path)
+    found = Results(results.folder)
+    claim = verdicts_of(found)["test2"]
+    assert claim.verdict == NOT_FLOWN
+    assert claim.measured == (
+        "a result has no 'test = TEST2, corrected arms'; make it again with --overwrite: "
+        "`python -m experiments test2 test2_published; python -m experiments sweep paper_tests`"
+    )
+    assert "## The minimum" not in build(found, []).markdown()
+
+
+@pytest.mark.parametrize(
+    ("axes", "expected"),
+    [
+        (["world", "scale"], "All flights of a point complete at — ahead: 1; side: 1 to 2."),
+        (["scale", "world"], "All flights of a point complete at — ahead: 1; side: 1 to 2."),
+        (["scale", "terms"], ""),
+        (["world"], ""),
+    ],
+)
+def test_the_edge_of_a_curve_is_one_of_numbers(axes, expected):
+    labels = [("ahead", 1.0), ("ahead", 2.0), ("side", 1.0), ("side", 2.0)]
+    cells = [
+        cell(i, 8, 8 if (world, scale) != ("ahead", 2.0) else 7, 8, world=world, scale=scale, terms=str(scale))
+        for i, (world, scale) in enumerate(labels)
+    ]
+    document = {"drawing": "curve", "panels": "world", "axes": [{"name": axis, "unit": ""} for axis in axes]}
+    assert _edge(Sweep(document, cells)) == expected
 
 
 def test_a_flight_that_ends_while_it_settles_has_no_error_of_position(make_flight, robot):
