@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -105,12 +106,19 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
     return manifest if isinstance(manifest, dict) and (folder / RUN_FILE).is_file() else None
 
 
-def open_result(path: Path) -> xr.Dataset:
-    """Open the NetCDF file of a result; a damaged one is refused by its name."""
+@contextmanager
+def open_result(path: Path) -> Iterator[xr.Dataset]:
+    """Open the NetCDF file of a result; a damaged one, and one that lacks what is read from it, is refused by name."""
     try:
-        return xr.open_dataset(path, engine="h5netcdf")
+        found = xr.open_dataset(path, engine="h5netcdf")
     except Exception as reason:  # HDF5 fails in many ways on a damaged file
         raise Refused(f"{path} is damaged ({reason}); remove its folder and make it again") from None
+    with found:
+        try:
+            yield found
+        except KeyError as missing:
+            what = str(missing.args[0]).partition(". ")[0]
+            raise Refused(f"{path}: {what}; other code made it, --overwrite makes it again") from None
 
 
 def load_result(path: Path) -> xr.Dataset:

@@ -420,6 +420,15 @@ def test_a_damaged_result_is_named(results, place, capsys):
     assert f"error: {path} is not what was written there; --overwrite flies it again" in capsys.readouterr().err
 
 
+def test_a_flight_without_a_signal_of_today_is_named(results, capsys):
+    path = results.folder / "flight" / "test1" / "run.nc"
+    with xr.open_dataset(path, engine="h5netcdf") as run:
+        record.write_dataset(run.drop_vars("wind").load(), path)
+    change_manifest(path.with_name("manifest.json"), files={})
+    assert main(["report", "--results", str(results.folder)]) == 2
+    assert f"error: {path}: No variable named 'wind'; other code made it" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("place", ["flight/test1/manifest.json", "sweeps/paper_tests/sweep.json", "claims.json"])
 def test_a_result_that_is_cut_short_is_named(results, place, capsys):
     path = results.folder / place
