@@ -104,8 +104,8 @@ class Parser(argparse.ArgumentParser):
             **more,
         )
         self.register("type", Path, _path)
-        # No option begins with a digit, so a digit after the sign marks a value, such as `-90:90:10`.
-        self._negative_number_matcher = re.compile(r"-\.?\d")
+        # No option begins with a digit or is an axis, so these mark values, such as `-90:90:10` and `-x`.
+        self._negative_number_matcher = re.compile(r"-(\.?\d|[xyz]$)")
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Return the arguments; an argument that cannot be parsed ends the program with status 2."""

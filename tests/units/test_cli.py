@@ -111,6 +111,7 @@ def test_help_names_every_command(capsys):
         (["fly", "test1", "--out", ""], "the path is empty"),
         (["sweep", "tuned", "--workers", "0"], "--workers: `0`; expected an integer ≥ 1"),
         (["sweep", "tuned", "--address", "somewhere"], "--address is somewhere; expected --cluster ray beside it"),
+        (["import-robot", "none.urdf", "--jet", "a:1", "--forward", "-x"], "none.urdf: No such file"),
         (["air", "--beta", "-90:nan:10"], "--beta is -90:nan:10; expected an angle, or FROM:TO:STEP"),
     ],
 )
