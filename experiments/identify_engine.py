@@ -162,7 +162,7 @@ def steady_start(e: Any, throttle: float) -> float:
     return thrust
 
 
-def acceleration_of(e: Any, thrust: float, rate: float, throttle: float) -> float:
+def acceleration_of(e: Any, thrust: Any, rate: Any, throttle: Any) -> float:
     """Return the thrust acceleration of M32 [N/s²] at a throttle within its range, in plain numbers."""
     return float(drift(e, thrust, rate) + input_gain(e, thrust, rate) * throttle_input(e, throttle))
 

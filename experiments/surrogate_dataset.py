@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--only", nargs="+", metavar="NAME", help="these postures instead")
     parser.add_argument("--model", type=Path, default=SURROGATE, metavar="FILE", help="coefficients of the panel model")
     given = parser.parse_args(arguments)
-    parts = parts_of(given.out)
+    parts = given.out.with_name(f".{given.out.name}.parts")  # finished postures of an incomplete run
 
     def work() -> None:
         with lock_work(given.out):
@@ -55,11 +55,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             shutil.rmtree(parts, ignore_errors=True)
 
     return exit_status(work, interrupted=f"go on with the same command ({parts.name} has what is done)")
-
-
-def parts_of(out: Path) -> Path:
-    """Return the folder of the finished postures of an incomplete run."""
-    return out.with_name(f".{out.name}.parts")
 
 
 def posture_names(count: int) -> list[str]:

@@ -123,7 +123,7 @@ def build(results: Results, stated: Sequence[claims.Claim]) -> Page:
                     c.measured,
                     f"**{c.verdict}**",
                     _link_figure(results, c.figure),
-                    _format_command(c.command),
+                    f"`{c.command}`" if c.command else "committed files",
                 )
                 for c in stated
             ],
@@ -155,10 +155,6 @@ def _count_verdicts(stated: Sequence[claims.Claim]) -> str:
 def _link_figure(results: Results, figure: str) -> str:
     path = results.figures(figure).get("") if figure else None
     return f"[{figure}]({path})" if path else figure
-
-
-def _format_command(command: str) -> str:
-    return f"`{command}`" if command else "committed files"
 
 
 def _minimum(page: Page, results: Results) -> None:
