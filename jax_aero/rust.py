@@ -24,7 +24,6 @@ One state, one tick, every intermediate value:
 from __future__ import annotations
 
 import copy
-import difflib
 import functools
 import json
 import math
@@ -737,19 +736,18 @@ def _refuse_unknown(config: Config, key: str, value: Any) -> None:
     try:
         check_config(alone)
     except ValueError as reason:
-        named = re.search("unknown key `(.*?)`", str(reason))
-        if named is not None and f"{key}.".startswith(f"{named[1]}."):
-            raise ValueError(f"unknown key `{key}`{_suggestion(config, key)} ({reason})") from None
-
-
-def _suggestion(config: Config, key: str) -> str:
-    """Suggest keys for a message: similar ones, or ones with the same last word."""
-    keys = list(config_keys(config))
-    near = difflib.get_close_matches(key, keys, n=3, cutoff=0.75)
-    near += [k for k in keys if k.rsplit(".", 1)[-1] == key.rsplit(".", 1)[-1] and k not in near]
-    if not near:
-        near = difflib.get_close_matches(key, keys, n=2, cutoff=0.5)
-    return f"; did you mean {' or '.join(f'`{k}`' for k in near[:3])}?" if near else ""
+        found = re.search(r"unknown key `(.*?)`(?:; did you mean `(.*?)`\?)? (\(.*)", str(reason))
+        if found is None or not f"{key}.".startswith(f"{found[1]}."):
+            return
+        named, near, known = found.groups()
+        table, last = named[: named.rfind(".") + 1], key.rpartition(".")[2]
+        keys = (
+            [table + near + key[len(named) :]]
+            if near
+            else [k for k in config_keys(config) if k.rpartition(".")[2] == last]
+        )
+        hint = f"; did you mean {' or '.join(f'`{k}`' for k in keys[:3])}?" if keys else ""
+        raise ValueError(f"unknown key `{key}`{hint} {known}") from None
 
 
 def _to_json(config: Mapping[str, Any]) -> str:

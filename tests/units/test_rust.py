@@ -41,6 +41,18 @@ def test_a_wrong_value_of_a_known_key_does_not_make_the_key_unknown():
 
 
 @pytest.mark.parametrize(
+    ("key", "near"),
+    [
+        ("disturbances.jets.thrust_limits_scale", "disturbances.jets.thrust_limit_scale"),  # absent by default
+        ("duration", "simulator.duration"),
+    ],
+)
+def test_an_unknown_key_is_refused_with_one_suggestion_and_the_keys_of_its_table(key, near):
+    with pytest.raises(ValueError, match=f"^unknown key `{key}`; did you mean `{near}`\\? \\(known: [\\w, ]+\\)$"):
+        rust.load_config(TEST2, {key: 0.7})
+
+
+@pytest.mark.parametrize(
     ("value", "reason"),
     [
         (np.float64, "is a type; expected a number, text"),
