@@ -1,9 +1,13 @@
-"""The documentation builds without a warning, and what it shows, runs."""
+"""README and documentation: the site builds without a warning, and what pages show, runs.
+
+A comment `<!-- test: KIND -->` before a code block states how it is tried.
+"""
 
 import ast
-import importlib
+import importlib.util
 import itertools
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -15,36 +19,38 @@ import pytest
 from nbclient import NotebookClient
 from traitlets.config import Config
 
-from experiments import waypoints
+from experiments import overrides, waypoints
 from experiments.sweep import spec
 from experiments.sweep.design import Design
-from jax_aero import cli, rust, tables
+from jax_aero import cli, places, rust, tables
+from paper_figs.figures import FIGURES
 from tests.browser import CHROMIUM, SLOWEST, open_chromium
-from tests.shown import run_in_own_folder
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-NAMED = [DOCS / f"{page}.md" for page in ("deviations", "failures", "index", "start")]
-PAGES = sorted([*NAMED, *DOCS.glob("tutorial/*.md"), *DOCS.glob("howto/*.md")])
+README = ROOT / "README.md"
+PAGES = [README, *sorted(DOCS.rglob("*.md"))]
 FENCE = re.compile(r"(?:<!-- test: (?P<kind>[\w-]+) -->\n)?^```(?P<language>\w+)\n(?P<code>.*?)^```$", re.M | re.S)
 KINDS = {
     ("run", "python"),
-    ("parse", "python"),  # takes minutes to compile; its names are checked
+    ("parse", "python"),  # takes minutes, or needs results; its names are checked
     ("run", "sh"),
-    ("dry-run", "sh"),
-    ("show", "sh"),
+    ("show", "sh"),  # as commands within sentences: what they name is checked
     ("experiment", "toml"),
     ("robot", "toml"),
     ("sweep", "toml"),
     ("waypoints", "toml"),
+    ("show", "toml"),  # part of a file
     (None, "c"),
     (None, "cpp"),
     (None, "rust"),
+    (None, "math"),
+    (None, "text"),
 }
 
 
 def name(path: Path) -> str:
-    return str(path.relative_to(DOCS))
+    return str(path.relative_to(ROOT))
 
 
 def blocks(page: Path, kind: str, language: str) -> list[str]:
@@ -100,7 +106,7 @@ def test_every_block_says_how_it_is_tried(page):
 def test_the_python_of_a_page_is_one_program_that_runs(page):
     program = "\n".join(blocks(page, "run", "python"))
     answer = subprocess.run(
-        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False, timeout=600
+        [sys.executable, "-W", "error", "-c", program], cwd=ROOT, capture_output=True, text=True, check=False, timeout=600
     )
     assert answer.returncode == 0, answer.stderr
 
@@ -115,7 +121,8 @@ def test_the_names_that_a_page_imports_exist(page):
 
 @pytest.mark.parametrize("page", pages_with("run", "sh"), ids=name)
 def test_commands_run(page, tmp_path):
-    program = run_in_own_folder("\n".join(blocks(page, "run", "sh")))
+    shown = "\n".join(blocks(page, "run", "sh"))
+    program = re.sub(r"^jax-aero fly \w.*$", r'\g<0> --out "$OUT"', shown, flags=re.M)  # not to the reader's results
     environment = {"PATH": f"{Path(sys.executable).parent}:/usr/bin:/bin", "OUT": str(tmp_path), "HOME": str(tmp_path)}
     answer = subprocess.run(
         ["bash", "-euo", "pipefail", "-c", program],
@@ -127,23 +134,68 @@ def test_commands_run(page, tmp_path):
         timeout=600,
     )
     assert answer.returncode == 0, answer.stderr
+    assert list(tmp_path.glob("*/manifest.json"))
 
 
-def test_shown_commands_name_targets_and_modules_that_exist():
-    makefile = (ROOT / "Makefile").read_text()
-    for page in PAGES:
-        for line in "".join(blocks(page, "show", "sh") + blocks(page, "dry-run", "sh")).splitlines():
-            program, *words = line.split("#")[0].split()
-            if program == "make":
-                assert f"\n{words[0]}:" in makefile, line
-            elif program == "jax-aero":
-                assert words[0] in cli.COMMANDS, line
-            elif program == "python":
-                file = words[0] if words[0] != "-m" else words[1].replace(".", "/")
-                assert file == "pip" or (ROOT / file).exists(), line
-            else:
-                assert program in {"cargo", "cc", "target/loop"}, line
-                assert all((ROOT / word).exists() for word in words if word.startswith(("rust/", "configs/"))), line
+def shown_commands(text: str) -> list[list[str]]:
+    """Words of the commands in shell blocks and within sentences."""
+    spans = re.findall(r"`((?:jax-aero|make|python) [^`]+)`", FENCE.sub("", text))
+    lines = [command for span in spans for command in span.split("; ")]
+    for block in FENCE.finditer(text):
+        if block["language"] == "sh":
+            lines += block["code"].replace("\\\n", "").splitlines()
+    return [words for line in lines if (words := shlex.split(line, comments=True))]
+
+
+def check_flights(names: list[str], options: list[str], text: str) -> None:
+    """Experiments exist, or the page makes them, and `--set` names keys and values that they can have."""
+    changes = overrides.parse([value for option, value in itertools.pairwise(options) if option == "--set"])
+    for flown in names:
+        if flown in places.names("experiments"):
+            rust.load_config(flown, changes)
+        else:
+            assert flown.endswith(".toml") or f"`configs/experiments/{flown}.toml`" in text
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_shown_commands_name_what_exists(page):
+    text = page.read_text(encoding="utf-8")
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    sweeps = {*places.names("sweeps"), *re.findall(r"configs/sweeps/(\w+)\.toml", text)}
+    for program, first, *words in (words for words in shown_commands(text) if len(words) > 1):
+        names = list(itertools.takewhile(lambda word: word.islower() and not word.startswith("-"), words))
+        options = words[len(names) :]
+        if program == "make":
+            assert f"\n{first}:" in makefile, words
+        elif program == "python":
+            assert importlib.util.find_spec(words[0]) if first == "-m" else (ROOT / first).is_file(), words
+        elif program == "jax-aero":
+            assert first in {*cli.COMMANDS, "--help"}, first
+            if first == "fly" and options[:2] != ["NAME", "--set"]:
+                check_flights(names, options, text)
+            elif first == "figures":
+                assert {*names} <= {*FIGURES, *sweeps, "all"}, names
+            elif first == "sweep":
+                assert {*names} <= sweeps, names
+        else:
+            assert program in {"cargo", "cc", "export", "source", "target/loop"}, program
+            assert all((ROOT / word).exists() for word in words if word.startswith(("rust/", "configs/"))), words
+
+
+def test_links_and_folders_of_the_readme_exist():
+    text = README.read_text(encoding="utf-8")
+    linked = re.findall(r"\]\((?!http)([^)#]+)\)", text)
+    table = re.findall(r"^\| (`[^|]+`) \|", text.split("## What lies where")[1], re.M)
+    folders = [folder for row in table for folder in re.findall(r"`([^`]+)`", row)]
+    assert folders
+    for path in [*linked, *folders]:
+        assert any(ROOT.glob(path)), path
+
+
+@pytest.mark.parametrize("page", pages_with("show", "toml"), ids=name)
+def test_shown_parts_of_files_are_toml(page):
+    for code in blocks(page, "show", "toml"):
+        tomllib.loads(code)
 
 
 def test_the_shown_robot_has_keys_that_exist():
