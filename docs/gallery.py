@@ -25,7 +25,7 @@ def main() -> int:
     for name in SHOWN.findall((ROOT / "docs/gallery.md").read_text(encoding="utf-8")):
         drawn = ROOT / "results/figures" / f"{name}.png"
         if not drawn.is_file():
-            print(f"{name}: not drawn yet; python -m paper_figs {name}", file=sys.stderr)
+            print(f"{name}: not drawn yet; jax-aero figures {name}", file=sys.stderr)
             missing += 1
             continue
         picture = Image.open(drawn).convert("RGB")

@@ -106,7 +106,12 @@ def test_every_block_says_how_it_is_tried(page):
 def test_the_python_of_a_page_is_one_program_that_runs(page):
     program = "\n".join(blocks(page, "run", "python"))
     answer = subprocess.run(
-        [sys.executable, "-W", "error", "-c", program], cwd=ROOT, capture_output=True, text=True, check=False, timeout=600
+        [sys.executable, "-W", "error", "-c", program],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=600,
     )
     assert answer.returncode == 0, answer.stderr
 
