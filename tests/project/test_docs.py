@@ -64,6 +64,13 @@ def pages_with(kind: str, language: str) -> list[Path]:
     return pages
 
 
+def run(command: list[str], environment: dict[str, str] | None = None) -> None:
+    answer = subprocess.run(
+        command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False, timeout=600
+    )
+    assert answer.returncode == 0, answer.stdout + answer.stderr
+
+
 def test_the_architecture_page_names_every_module_of_the_core_crate():
     page = (DOCS / "architecture.md").read_text(encoding="utf-8")
     named = set(re.findall(r"^\| `(\w+)` \|", page, re.M))
@@ -105,15 +112,7 @@ def test_every_block_says_how_it_is_tried(page):
 @pytest.mark.parametrize("page", pages_with("run", "python"), ids=name)
 def test_the_python_of_a_page_is_one_program_that_runs(page):
     program = "\n".join(blocks(page, "run", "python"))
-    answer = subprocess.run(
-        [sys.executable, "-W", "error", "-c", program],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=600,
-    )
-    assert answer.returncode == 0, answer.stderr
+    run([sys.executable, "-W", "error", "-c", program])
 
 
 @pytest.mark.parametrize("page", pages_with("parse", "python"), ids=name)
@@ -129,16 +128,7 @@ def test_commands_run(page, tmp_path):
     shown = "\n".join(blocks(page, "run", "sh"))
     program = re.sub(r"^jax-aero fly \w.*$", r'\g<0> --out "$OUT"', shown, flags=re.M)  # not to the reader's results
     environment = {"PATH": f"{Path(sys.executable).parent}:/usr/bin:/bin", "OUT": str(tmp_path), "HOME": str(tmp_path)}
-    answer = subprocess.run(
-        ["bash", "-euo", "pipefail", "-c", program],
-        cwd=ROOT,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=600,
-    )
-    assert answer.returncode == 0, answer.stderr
+    run(["bash", "-euo", "pipefail", "-c", program], environment)
     assert list(tmp_path.glob("*/manifest.json"))
 
 
@@ -283,9 +273,7 @@ def test_formulas_are_typeset_wherever_they_stand():
 def site(tmp_path_factory):
     """Every page, built without a warning."""
     folder = tmp_path_factory.mktemp("site")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)]
-    answer = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=300)
-    assert answer.returncode == 0, answer.stdout + answer.stderr
+    run([sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)])
     return folder
 
 
