@@ -108,7 +108,7 @@ lint-python: $(PACKAGES)
 	$(BIN)/lint-imports
 
 bench: $(PACKAGES) ## measure every part of a tick, and the crate beside Pinocchio, DAQP and Clarabel
-	cargo bench --locked --bench dynamics --bench aero --bench qp --bench flight
+	cargo bench --locked --bench dynamics --bench aero
 	$(BIN)/python -m experiments.bench
 	$(BIN)/python -m experiments.bench_symbolic
 	$(BIN)/python -m experiments.bench_jax --quick

@@ -1,50 +1,36 @@
 //! Aerodynamic forces on the 13 links: analytic models alone and with the kinematics of the links,
-//! networks with these kinematics.
+//! networks with these kinematics; output as by `common::report`.
 
 mod common;
 #[path = "../tests/common/network.rs"]
 mod network;
 
-use criterion::Criterion;
+use common::report;
 use flight_core::aero::{LinkConventions, LinkForces, LinksInAir, Precision};
 use flight_core::kinematics::Kinematics;
 use flight_io::{AeroConfig, load_aero};
-use std::hint::black_box;
-use std::time::Duration;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let ticks = common::calm_ticks()?;
-    let tick = &ticks[0];
     let config = common::configuration("robustness_axisymmetric_vs_sphere_cylinder")?;
     let controller = common::controller(&config)?;
     let robot = controller.model();
     let mut kinematics = Kinematics::new(robot);
-    kinematics.update(robot, &tick.state);
+    kinematics.update(robot, &ticks[0].state);
     let mut links = LinkForces::new(robot);
     let conventions = LinkConventions::default();
 
-    let mut criterion = Criterion::default()
-        .warm_up_time(Duration::from_millis(300))
-        .measurement_time(Duration::from_secs(1))
-        .configure_from_args();
-    let mut group = criterion.benchmark_group("aero");
     // This flight simulates one model and controls with the other.
     let models = [("axisymmetric", &config.simulator.aero), ("sphere and cylinder", &config.controller.aero)];
     for (name, config) in models {
         let mut model = load_aero(config, robot)?;
-        group.bench_function(format!("{name}, links placed"), |b| {
-            b.iter(|| links.update(robot, &kinematics, conventions, &mut model, black_box(&tick.wind)));
+        report(&format!("{name}, links placed"), 300, &ticks, |tick| {
+            links.update(robot, &kinematics, conventions, &mut model, &tick.wind);
         });
-        let (axes, v_air) = (links.axes_i.clone(), links.v_air_i.clone());
-        group.bench_function(name, |b| {
-            let placed = LinksInAir {
-                robot,
-                kinematics: &kinematics,
-                axes_i: &axes,
-                v_air_i: &v_air,
-                wind_i: &tick.wind,
-            };
-            b.iter(|| model.link_forces(black_box(&placed), &mut links.forces_i));
+        let (axes_i, v_air_i) = (&links.axes_i.clone(), &links.v_air_i.clone());
+        report(name, 300, &ticks, |tick| {
+            let placed = LinksInAir { robot, kinematics: &kinematics, axes_i, v_air_i, wind_i: &tick.wind };
+            model.link_forces(&placed, &mut links.forces_i);
         });
     }
     let shipped = common::configuration("test4")?.simulator.aero;
@@ -60,18 +46,16 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             network.precision = precision;
         }
         let networks = [
-            ("shipped", shipped),
-            ("256 x 3", random("256 x 3", &[256; 3], precision)),
-            ("1024 x 10 (paper)", random("1024 x 10 (paper)", &[1024; 10], precision)),
+            ("shipped", 200, shipped),
+            ("256 x 3", 200, random("256 x 3", &[256; 3], precision)),
+            ("1024 x 10 (paper)", 5, random("1024 x 10 (paper)", &[1024; 10], precision)),
         ];
-        for (name, config) in networks {
+        for (name, rounds, config) in networks {
             let mut model = load_aero(&config, robot)?;
-            group.bench_function(format!("network {name}, {precision:?}, links placed"), |b| {
-                b.iter(|| links.update(robot, &kinematics, conventions, &mut model, black_box(&tick.wind)));
+            report(&format!("network {name}, {precision:?}, links placed"), rounds, &ticks, |tick| {
+                links.update(robot, &kinematics, conventions, &mut model, &tick.wind);
             });
         }
     }
-    group.finish();
-    criterion.final_summary();
     Ok(())
 }

@@ -1,8 +1,7 @@
 //! Our part of the comparison with Pinocchio, DAQP and Clarabel, run by `python -m experiments.bench`.
 //!
-//! Every line is `name <tab> median <tab> minimum`, in nanoseconds per state or problem over rounds of 201. With
-//! `--dump DIR` the states and problems are first written there as input of the other programs. Each file is a
-//! list of f64: count, size, then row by row
+//! The output is that of `common::report`, over rounds of 201 states or problems. With `--dump DIR` these are first
+//! written there as input of the other programs. Each file is a list of f64: count, size, then row by row
 //!
 //! ```text
 //! states.f64      base position (3), rotation (9, row-major), joints, velocity (6 + joints)
@@ -17,7 +16,7 @@ mod common;
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::SupportedConeT::NonnegativeConeT;
 use clarabel::solver::{DefaultSettings, DefaultSolver, IPSolver};
-use common::Tick;
+use common::{Tick, report};
 use flight_core::RobotModel;
 use flight_core::aero::{LinkConventions, LinkForces};
 use flight_core::dynamics::Dynamics;
@@ -27,10 +26,8 @@ use flight_io::load_aero;
 use flight_sim::Scenario;
 use nalgebra::Matrix6xX;
 use std::error::Error;
-use std::hint::black_box;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let (calm, saturated) = (common::calm_ticks()?, common::saturated_ticks()?);
@@ -42,16 +39,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         write_states(folder, robot, &calm)?;
     }
     let mut bundle = Bundle::new(robot);
-    report("dynamics, without Jacobians", 300, calm.len(), || {
-        for tick in &calm {
-            bundle.update_dynamics(robot, black_box(tick));
-        }
-    });
-    report("dynamics, with 17 frame Jacobians", 300, calm.len(), || {
-        for tick in &calm {
-            bundle.update_dynamics(robot, black_box(tick));
-            bundle.update_jacobians(robot);
-        }
+    report("dynamics, without Jacobians", 300, &calm, |tick| bundle.update_dynamics(robot, tick));
+    report("dynamics, with 17 frame Jacobians", 300, &calm, |tick| {
+        bundle.update_dynamics(robot, tick);
+        bundle.update_jacobians(robot);
     });
     for (case, ticks) in [("calm", &calm), ("saturated", &saturated)] {
         let momentum: Vec<&QpProblem> = ticks.iter().map(|tick| &tick.momentum_qp).collect();
@@ -67,15 +58,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut network = load_aero(&common::configuration("test4")?.simulator.aero, robot)?;
     let mut links = LinkForces::new(robot);
     let conventions = LinkConventions::default();
-    report("shipped network, links placed", 200, calm.len(), || {
-        for tick in &calm {
-            links.update(robot, &bundle.kinematics, conventions, &mut network, black_box(&tick.wind));
-        }
+    report("shipped network, links placed", 200, &calm, |tick| {
+        links.update(robot, &bundle.kinematics, conventions, &mut network, &tick.wind);
     });
-    let config = common::configuration("test2")?;
-    report("flight of 50 s", 5, 1, || {
-        let flown = Scenario::new(&config).map(|flight| flight.run(|_, _| ControlFlow::Continue(())));
-        black_box(flown.is_ok());
+    report("flight of 50 s", 5, &[common::configuration("test2")?], |config| {
+        Scenario::new(config).map(|flight| flight.run(|_, _| ControlFlow::Continue(()))).is_ok()
     });
     Ok(())
 }
@@ -123,28 +110,14 @@ impl Bundle {
 fn time_solvers(name: &str, problems: &[&QpProblem]) {
     let n = problems[0].len();
     let mut solver = PrimalActiveSet::new(n);
-    report(&format!("{name}, warm"), 200, problems.len(), || {
-        for qp in problems {
-            black_box(solver.solve(black_box(qp)));
-        }
-    });
-    report(&format!("{name}, cold"), 200, problems.len(), || {
-        for qp in problems {
-            solver.reset();
-            black_box(solver.solve(black_box(qp)));
-        }
+    report(&format!("{name}, warm"), 200, problems, |qp| solver.solve(qp));
+    report(&format!("{name}, cold"), 200, problems, |qp| {
+        solver.reset();
+        solver.solve(qp)
     });
     let mut reference = ClarabelSolver::new(n, 0);
-    report(&format!("{name}, Clarabel at 1e-12 and polished"), 5, problems.len(), || {
-        for qp in problems {
-            black_box(reference.solve(black_box(qp)));
-        }
-    });
-    report(&format!("{name}, Clarabel as it comes"), 5, problems.len(), || {
-        for qp in problems {
-            black_box(solve_with_clarabel(black_box(qp)));
-        }
-    });
+    report(&format!("{name}, Clarabel at 1e-12 and polished"), 5, problems, |qp| reference.solve(qp));
+    report(&format!("{name}, Clarabel as it comes"), 5, problems, |qp| solve_with_clarabel(qp));
 }
 
 /// Clarabel with its default settings, bounds as inequalities.
@@ -166,20 +139,6 @@ fn solve_with_clarabel(qp: &QpProblem) -> Option<f64> {
         DefaultSolver::new(&p, qp.g.as_slice(), &a, &b, &[NonnegativeConeT(2 * n)], settings).ok()?;
     solver.solve();
     Some(solver.solution.obj_val)
-}
-
-/// Times `rounds` rounds of `count` states or problems each, after one warm-up round.
-fn report(what: &str, rounds: usize, count: usize, mut round: impl FnMut()) {
-    round();
-    let mut times: Vec<f64> = (0..rounds)
-        .map(|_| {
-            let begin = Instant::now();
-            round();
-            1e9 * begin.elapsed().as_secs_f64() / count as f64
-        })
-        .collect();
-    times.sort_unstable_by(f64::total_cmp);
-    println!("{what}\t{:.1}\t{:.1}", common::quantile(&times, 0.5), common::quantile(&times, 0.0));
 }
 
 // --- files -----------------------------------------------------------------------------------------------------

@@ -8,8 +8,10 @@ use flight_core::{BuildError, Controller, Measurement};
 use flight_io::load_robot;
 use flight_sim::{Plant, ScenarioConfig, Wind, load_scenario};
 use nalgebra::{Vector3, Vector6};
+use std::hint::black_box;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 /// Measurement of a tick, and the QPs that the controller built from it.
 pub struct Tick {
@@ -153,4 +155,20 @@ pub fn quantile(sorted: &[f64], p: f64) -> f64 {
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
     let rank = (p * last as f64).round() as usize;
     sorted.get(rank).copied().unwrap_or(f64::NAN)
+}
+
+/// Times `rounds` rounds of `work` on all `items`, after one that warms up, and prints a line `what <tab> median <tab>
+/// minimum` in nanoseconds per item.
+pub fn report<T, R>(what: &str, rounds: usize, items: &[T], mut work: impl FnMut(&T) -> R) {
+    let mut round = || {
+        let begin = Instant::now();
+        for item in items {
+            black_box(work(black_box(item)));
+        }
+        1e9 * begin.elapsed().as_secs_f64() / items.len() as f64
+    };
+    round();
+    let mut times: Vec<f64> = (0..rounds).map(|_| round()).collect();
+    times.sort_unstable_by(f64::total_cmp);
+    println!("{what}\t{:.1}\t{:.1}", quantile(&times, 0.5), quantile(&times, 0.0));
 }
