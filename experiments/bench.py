@@ -61,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _from_python() -> Rows:
     robot = rust.Robot(URDF.with_suffix(".toml"))
     states = _read_states()
-    yield DYNAMICS[0], "ours, `Robot.dynamics`", _per_item(lambda state: robot.dynamics(*state), states)
+    yield DYNAMICS[0], "ours, `Robot.dynamics`", _per_item(robot.dynamics, states)
     yield from _pinocchio_rows(robot, states)
     for name in QPS:
         problems = _read_problems(name)

@@ -16,6 +16,7 @@ __version__: str
 class PanicException(RuntimeError): ...
 
 _Array = NDArray[np.float64]
+_State = tuple[_Array, _Array, _Array, _Array]
 _Progress = Callable[[int, int], None]
 
 class _QpAnswer(TypedDict):
@@ -64,15 +65,9 @@ class Robot:
     def toml_text(self) -> str: ...
     @property
     def urdf_text(self) -> str: ...
-    def dynamics(
-        self, base_position: _Array, base_rotation: _Array, joint_position: _Array, velocity: _Array
-    ) -> dict[str, _Array]: ...
-    def frame_jacobian(
-        self, frame: str, base_position: _Array, base_rotation: _Array, joint_position: _Array, velocity: _Array
-    ) -> tuple[_Array, _Array]: ...
-    def forward_dynamics(
-        self, base_position: _Array, base_rotation: _Array, joint_position: _Array, velocity: _Array, force: _Array
-    ) -> _Array: ...
+    def dynamics(self, state: _State) -> dict[str, _Array]: ...
+    def frame_jacobian(self, frame: str, state: _State) -> tuple[_Array, _Array]: ...
+    def forward_dynamics(self, state: _State, force: _Array) -> _Array: ...
 
 @final
 class ControllerState:
@@ -85,23 +80,12 @@ class Controller:
     def __new__(cls, config_json: str) -> Controller: ...
     state: ControllerState | None
     def start(
-        self,
-        time: float,
-        base_position: _Array,
-        base_rotation: _Array,
-        joint_position: _Array,
-        velocity: _Array,
-        thrust: _Array,
-        wind: _Array,
-        foot_wrenches: _Array | None = None,
+        self, time: float, state: _State, thrust: _Array, wind: _Array, foot_wrenches: _Array | None = None
     ) -> None: ...
     def tick(
         self,
         time: float,
-        base_position: _Array,
-        base_rotation: _Array,
-        joint_position: _Array,
-        velocity: _Array,
+        state: _State,
         thrust: _Array,
         wind: _Array,
         setpoint: Mapping[str, _Array] | None = None,
@@ -111,10 +95,7 @@ class Controller:
 
 class _Measurement(TypedDict):
     time: float
-    base_position: _Array
-    base_rotation: _Array
-    joint_position: _Array
-    velocity: _Array
+    state: _State
     thrust: _Array
     wind: _Array
 
@@ -133,15 +114,7 @@ class BoxQpSolver:
 
 def kkt_residual(h: _Array, g: _Array, lower: _Array, upper: _Array, x: _Array) -> float: ...
 def aero_forces(robot: Robot, aero_json: str, axes: _Array, v_air: _Array) -> _Array: ...
-def link_forces(
-    robot: Robot,
-    aero_json: str,
-    base_position: _Array,
-    base_rotation: _Array,
-    joint_position: _Array,
-    velocity: _Array,
-    wind: _Array,
-) -> _Array: ...
+def link_forces(robot: Robot, aero_json: str, state: _State, wind: _Array) -> _Array: ...
 def setpoint_trajectory(config_json: str, com: _Array, rotation: _Array) -> dict[str, _Array]: ...
 def wind_velocity(wind_json: str, times: _Array) -> _Array: ...
 def schemas() -> str: ...

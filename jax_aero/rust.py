@@ -51,6 +51,7 @@ __all__ = [
     "Controller",
     "ControllerState",
     "Dynamics",
+    "Estimates",
     "Figure",
     "FlightResult",
     "Jacobian",
@@ -218,12 +219,6 @@ class Setpoint:
     angular_acceleration: ArrayLike
     angular_jerk: ArrayLike
 
-    @classmethod
-    def hold(cls, com_position: ArrayLike, rotation: ArrayLike) -> Setpoint:
-        """Return a constant set-point."""
-        rest = np.zeros(3)
-        return cls(com_position, rest, rest, rest, rotation, rest, rest, rest)
-
 
 @dataclass(frozen=True)
 class ContactTick:
@@ -297,8 +292,7 @@ class Plant:
         All values are true, except that thrusts are estimates if `jets.feedback` is "estimated".
         """
         raw = self._core.measure()
-        state = State(raw["base_position"], raw["base_rotation"], raw["joint_position"], raw["velocity"])
-        return Measurement(raw["time"], state, raw["thrust"], raw["wind"])
+        return Measurement(raw["time"], State(*raw["state"]), raw["thrust"], raw["wind"])
 
     def step(
         self, thrust_rate: ArrayLike, joint_torque: ArrayLike, link_forces: ArrayLike | None = None
@@ -445,7 +439,7 @@ class Controller:
             If the measurement is not finite or of the wrong size, or if its base rotation is not a rotation.
         """
         feet = None if foot_wrenches is None else _array(foot_wrenches)
-        self._core.start(time, *_arrays(state), _array(thrust), _array(wind), feet)
+        self._core.start(time, _arrays(state), _array(thrust), _array(wind), feet)
         started = self._core.state
         if started is None:
             raise AssertionError("a started flight has a state")
@@ -480,7 +474,7 @@ class Controller:
         """
         given = None if setpoint is None else {name: _array(value) for name, value in vars(setpoint).items()}
         feet = None if foot_wrenches is None else _array(foot_wrenches)
-        raw = self._core.tick(time, *_arrays(state), _array(thrust), _array(wind), given, feet)
+        raw = self._core.tick(time, _arrays(state), _array(thrust), _array(wind), given, feet)
         contact, estimates = raw.pop("contact", None), raw.pop("estimates")
         momentum = QpProblem(raw.pop("h"), raw.pop("g"), raw.pop("lower"), raw.pop("upper"))
         kind = QpProblem if contact is None else RowProblem
@@ -491,7 +485,7 @@ class Controller:
             momentum_qp=momentum,
             torque_qp=torque,
             setpoint=Setpoint(**raw.pop("setpoint")),
-            estimates=Estimates(State(*(estimates.pop(part) for part in State._fields)), **estimates),
+            estimates=Estimates(State(*estimates.pop("state")), **estimates),
             contact=None if contact is None else ContactTick(**contact),
             **raw,
         )
@@ -628,17 +622,17 @@ def fly_batch(
 
 def dynamics(robot: Robot, state: State) -> Dynamics:
     """Return kinematics and dynamics of one state."""
-    return Dynamics(**robot.dynamics(*_arrays(state)))
+    return Dynamics(**robot.dynamics(_arrays(state)))
 
 
 def frame_jacobian(robot: Robot, frame: str, state: State) -> Jacobian:
     """Return the Jacobian of a frame: a body, jet, aerodynamic link or sole, given the name of its URDF link."""
-    return Jacobian(*robot.frame_jacobian(frame, *_arrays(state)))
+    return Jacobian(*robot.frame_jacobian(frame, _arrays(state)))
 
 
 def forward_dynamics(robot: Robot, state: State, force: ArrayLike) -> Array:
     """Return the acceleration ν̇ (6 + n) under a generalised force (6 + n): M ν̇ + h = force."""
-    return robot.forward_dynamics(*_arrays(state), _array(force))
+    return robot.forward_dynamics(_arrays(state), _array(force))
 
 
 def aero_forces(robot: Robot, aero: Mapping[str, Any], axes: ArrayLike, v_air: ArrayLike) -> Array:
@@ -678,7 +672,7 @@ def link_forces(robot: Robot, aero: Mapping[str, Any], state: State, wind: Array
     wind
         Velocity of the air (3,) [m/s, inertial axes].
     """
-    return _core.link_forces(robot, _to_json(aero), *_arrays(state), _array(wind))
+    return _core.link_forces(robot, _to_json(aero), _arrays(state), _array(wind))
 
 
 def setpoint_trajectory(config: Mapping[str, Any], com: ArrayLike, rotation: ArrayLike) -> dict[str, Array]:

@@ -138,10 +138,12 @@ def test_a_command_is_replaced_after_a_tick_and_by_numbers():
     assert controller.state != before
 
 
-def test_a_table_is_refused_by_key():
+def test_a_table_is_refused_by_key_and_a_time_that_is_not_finite():
     robot, still = rust.Robot(HOME / "configs/robot/ironcub_mk1.toml"), np.zeros((13, 3))
     with pytest.raises(ValueError, match=r"^wind: `velocity` is \[1.0,2.0\]; expected a list of 3$"):
         rust.wind_velocity({"profile": "constant", "velocity": [1.0, 2.0]}, [0.0])
+    with pytest.raises(ValueError, match=r"^`times` is NaN; expected finite numbers"):
+        rust.wind_velocity({"profile": "constant", "velocity": [1.0, 2.0, 3.0]}, [0.0, np.nan])
     with pytest.raises(ValueError, match=r'^aero: `air_density` is "thin"; expected a number > 0$'):
         rust.aero_forces(
             robot, {"model": "axisymmetric", "coefficients": "published", "air_density": "thin"}, still, still
@@ -186,11 +188,11 @@ from jax_aero import rust
 def flying(done, total):
     print("flying", flush=True)
 
+config = rust.load_config("configs/experiments/no_wind.toml", {"simulator.duration": 2000.0})
 if sys.argv[1] == "batch":
-    config = rust.load_config("configs/experiments/test2.toml", {"simulator.duration": 200.0})
-    rust.fly_batch([config] * 200, threads=2, progress=flying)
+    rust.fly_batch([config] * 20, threads=1, progress=flying)
 else:
-    rust.fly(rust.load_config("configs/experiments/no_wind.toml", {"simulator.duration": 2000.0}), flying)
+    rust.fly(config, flying)
 """
 
 

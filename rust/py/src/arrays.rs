@@ -1,5 +1,6 @@
 //! Conversion between NumPy arrays and vectors; shape and dtype are checked only here.
 
+use flight_core::BuildError;
 use nalgebra::{Dim, Matrix, Matrix3, RawStorage, Vector3};
 use numpy::ndarray::{ArrayD, IxDyn};
 use numpy::{IntoPyArray, PyArrayDyn, PyReadonlyArrayDyn};
@@ -26,6 +27,15 @@ pub fn entries(name: &str, array: &Input<'_>, shape: &[usize]) -> PyResult<Vec<f
         )));
     }
     Ok(view.iter().copied().collect())
+}
+
+/// As [`entries`]; all entries must be finite.
+pub fn finite_entries(name: &str, array: &Input<'_>, shape: &[usize]) -> PyResult<Vec<f64>> {
+    let values = entries(name, array, shape)?;
+    match values.iter().find(|value| !value.is_finite()) {
+        None => Ok(values),
+        Some(value) => Err(value_error(BuildError::bad_value(format!("`{name}`"), value, "finite numbers"))),
+    }
 }
 
 /// Converts to a vector with three entries.

@@ -1,10 +1,11 @@
 //! The controller, one tick at a time, with all intermediate values by name.
 
-use crate::arrays::{Input, array, entries, matrix, matrix3, value_error, vector, vector3, vectors};
+use crate::arrays::{
+    Input, array, entries, finite_entries, matrix, matrix3, value_error, vector, vector3, vectors,
+};
 use crate::flight::parse;
-use crate::plant::finite_entries;
 use crate::qp::answer;
-use crate::robot::{measured_state, rotation as checked_rotation};
+use crate::robot::{StateInput, measured_state, rotation as checked_rotation, state_arrays};
 use flight_core::control::contact::ContactState;
 use flight_core::control::setpoint::{Setpoint, SetpointGenerator};
 use flight_core::control::tasks::MOMENTUM_ROWS;
@@ -107,21 +108,16 @@ impl Controller {
     }
 
     /// Start a flight: position, attitude and posture of this measurement become the reference.
-    #[pyo3(signature = (time, base_position, base_rotation, joint_position, velocity, thrust, wind, foot_wrenches = None))]
-    #[allow(clippy::too_many_arguments)]
+    #[pyo3(signature = (time, state, thrust, wind, foot_wrenches = None))]
     fn start(
         &mut self,
         time: f64,
-        base_position: Input<'_>,
-        base_rotation: Input<'_>,
-        joint_position: Input<'_>,
-        velocity: Input<'_>,
+        state: StateInput<'_>,
         thrust: Input<'_>,
         wind: Input<'_>,
         foot_wrenches: Option<Input<'_>>,
     ) -> PyResult<()> {
-        let pose = [&base_position, &base_rotation, &joint_position, &velocity];
-        let measured = self.read_measurement(time, pose, &thrust, &wind, foot_wrenches)?;
+        let measured = self.read_measurement(time, &state, &thrust, &wind, foot_wrenches)?;
         self.state = Some(self.controller.start(&measured.measurement()).map_err(value_error)?);
         Ok(())
     }
@@ -129,23 +125,19 @@ impl Controller {
     /// Compute one tick; returns every intermediate value and the command by name. The first tick starts the flight.
     /// `setpoint` (a dict with the keys of the result's `setpoint`) replaces that of the mission. `foot_wrenches`
     /// (feet, 6) is the wrench on each foot, force first, about the origin of its sole.
-    #[pyo3(signature = (time, base_position, base_rotation, joint_position, velocity, thrust, wind, setpoint = None, foot_wrenches = None))]
+    #[pyo3(signature = (time, state, thrust, wind, setpoint = None, foot_wrenches = None))]
     #[allow(clippy::too_many_arguments)]
     fn tick<'py>(
         &mut self,
         py: Python<'py>,
         time: f64,
-        base_position: Input<'py>,
-        base_rotation: Input<'py>,
-        joint_position: Input<'py>,
-        velocity: Input<'py>,
+        state: StateInput<'py>,
         thrust: Input<'py>,
         wind: Input<'py>,
         setpoint: Option<&Bound<'py, PyDict>>,
         foot_wrenches: Option<Input<'py>>,
     ) -> PyResult<Bound<'py, PyDict>> {
-        let pose = [&base_position, &base_rotation, &joint_position, &velocity];
-        let measured = self.read_measurement(time, pose, &thrust, &wind, foot_wrenches)?;
+        let measured = self.read_measurement(time, &state, &thrust, &wind, foot_wrenches)?;
         let measurement = measured.measurement();
         let state = match &mut self.state {
             Some(state) => state,
@@ -172,11 +164,11 @@ impl Controller {
 }
 
 impl Controller {
-    /// Builds a measurement from position and rotation of the base, joint positions and velocity.
+    /// Builds a measurement from arrays.
     fn read_measurement(
         &self,
         time: f64,
-        state: [&Input<'_>; 4],
+        state: &StateInput<'_>,
         thrust: &Input<'_>,
         wind: &Input<'_>,
         foot_wrenches: Option<Input<'_>>,
@@ -297,11 +289,8 @@ fn setpoint_to_dict<'py>(py: Python<'py>, setpoint: &Setpoint) -> PyResult<Bound
 
 /// Measurement as used by the control law, after the estimators.
 fn estimates_to_dict<'py>(py: Python<'py>, estimates: &Estimates) -> PyResult<Bound<'py, PyDict>> {
-    let (out, state) = (PyDict::new(py), &estimates.reading.state);
-    out.set_item("base_position", vector(py, state.base.position.as_slice())?)?;
-    out.set_item("base_rotation", matrix(py, &state.base.rotation)?)?;
-    out.set_item("joint_position", vector(py, state.joint_position.as_slice())?)?;
-    out.set_item("velocity", vector(py, state.velocity.as_slice())?)?;
+    let out = PyDict::new(py);
+    out.set_item("state", state_arrays(py, &estimates.reading.state)?)?;
     out.set_item("thrust", vector(py, &estimates.reading.thrust)?)?;
     out.set_item("wind", vector(py, estimates.wind.as_slice())?)?;
     out.set_item("wind_std", vector(py, estimates.wind_std.as_slice())?)?;

@@ -1,12 +1,9 @@
 //! Configurations and whole flights.
 
-use crate::arrays::{Input, Output, array, entries, value_error, vector, vectors};
+use crate::arrays::{Input, Output, array, finite_entries, value_error, vector, vectors};
 use flight_io::{AeroConfig, NetworkConfig, RobotFiles, from_json, read_bytes};
-use flight_sim::{
-    BatchError, FlightResult, Scenario, ScenarioConfig, Wind, WindConfig, check_batch,
-    fly_batch as fly_rust_batch, load_scenario,
-};
-use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError, PyValueError};
+use flight_sim::{BatchError, FlightResult, Scenario, ScenarioConfig, Wind, WindConfig, load_scenario};
+use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use sha2::{Digest, Sha256};
@@ -99,7 +96,7 @@ pub fn config_digest(config_json: &str) -> PyResult<String> {
 #[pyfunction]
 pub fn wind_velocity<'py>(py: Python<'py>, wind_json: &str, times: Input<'py>) -> PyResult<Output<'py>> {
     let wind = from_json(wind_json, "wind").and_then(|config| Wind::new(&config)).map_err(value_error)?;
-    let times = entries("times", &times, &[times.as_array().len()])?;
+    let times = finite_entries("times", &times, &[times.as_array().len()])?;
     let velocities: Vec<_> = times.iter().map(|time| wind.velocity(*time)).collect();
     vectors(py, &velocities)
 }
@@ -143,39 +140,29 @@ pub fn fly_batch(
     progress: Option<Py<PyAny>>,
     full_log: bool,
 ) -> PyResult<Vec<Bound<'_, PyDict>>> {
-    if threads == Some(0) {
-        return Err(PyValueError::new_err("threads is 0; expected at least 1, or None for one per core"));
-    }
     let parse_one = |(index, text): (usize, &String)| {
         py.check_signals()?;
-        parse(text).map_err(|reason| refusal(index, reason.value(py)))
+        from_json(text, "configuration").map_err(|reason| value_error(BatchError::Refused(index, reason)))
     };
-    let configs = config_jsons.iter().enumerate().map(parse_one).collect::<PyResult<Vec<_>>>()?;
+    let configs =
+        config_jsons.iter().enumerate().map(parse_one).collect::<PyResult<Vec<ScenarioConfig>>>()?;
     let mut reporter = Reporter::new(progress);
-    let keep = |mut result: FlightResult| {
-        if !full_log {
-            result.log.series.clear();
-        }
-        result
-    };
     let (done, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
     let go_on =
         || if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
-    let count = |finished: usize, _: usize| {
-        done.store(finished, Ordering::Relaxed);
-        go_on()
-    };
-    // All scenarios are built first, so that an invalid one is refused before any flight.
-    let fly = || {
-        check_batch(&configs, threads, go_on)?;
-        fly_rust_batch(&configs, threads, keep, count)
+    let reduce = |mut result: FlightResult| {
+        if !full_log {
+            result.log.series.clear();
+        }
+        done.fetch_add(1, Ordering::Relaxed);
+        result
     };
     // Python handles signals only in the thread that called this function. This thread therefore waits and
-    // checks for them while others fly. After an interrupt, each thread completes its present flight.
+    // checks for them while others fly.
     let results = py
         .detach(|| {
             std::thread::scope(|scope| {
-                let batch = scope.spawn(fly);
+                let batch = scope.spawn(|| flight_sim::fly_batch(&configs, threads, go_on, reduce));
                 while !batch.is_finished() {
                     std::thread::sleep(REPORT_INTERVAL / 10);
                     if reporter.report(done.load(Ordering::Relaxed), configs.len()).is_break() {
@@ -193,24 +180,12 @@ pub fn fly_batch(
     if let Some(error) = reporter.raised {
         return Err(error);
     }
-    let convert = |(index, result): (usize, Result<FlightResult, BatchError>)| match result {
-        Ok(result) => flight_dict(py, result, full_log),
-        Err(BatchError::Build(reason)) => Err(refusal(index, &reason)),
-        Err(error) => Err(batch_error(&error)),
-    };
-    results.map_err(|error| batch_error(&error))?.into_iter().enumerate().map(convert).collect()
-}
-
-fn batch_error(error: &BatchError) -> PyErr {
-    match error {
-        BatchError::Build(_) | BatchError::Refused(..) => value_error(error),
+    let results = results.map_err(|error| match error {
+        BatchError::Refused(..) => value_error(error),
         BatchError::Interrupted => PyKeyboardInterrupt::new_err("batch interrupted"),
         BatchError::NoThreads(_) => PyRuntimeError::new_err(error.to_string()),
-    }
-}
-
-fn refusal(index: usize, reason: &dyn std::fmt::Display) -> PyErr {
-    value_error(format_args!("flight {index} of the batch: {reason}"))
+    })?;
+    results.into_iter().map(|result| flight_dict(py, result, full_log)).collect()
 }
 
 /// Calls Python's progress callback at intervals, and stores its exception.

@@ -1,8 +1,8 @@
 //! The simulated robot, one tick at a time, for control loops written in Python.
 
-use crate::arrays::{Input, entries, matrix, value_error, vector, vectors};
+use crate::arrays::{Input, Output, finite_entries, value_error, vector, vectors};
 use crate::flight::parse;
-use flight_core::BuildError;
+use crate::robot::state_arrays;
 use flight_io::load_robot;
 use flight_sim::Wind;
 use nalgebra::Vector3;
@@ -44,10 +44,7 @@ impl Plant {
         let (state, time) = (self.current.state(), self.time());
         let out = PyDict::new(py);
         out.set_item("time", time)?;
-        out.set_item("base_position", vector(py, state.base.position.as_slice())?)?;
-        out.set_item("base_rotation", matrix(py, &state.base.rotation)?)?;
-        out.set_item("joint_position", vector(py, state.joint_position.as_slice())?)?;
-        out.set_item("velocity", vector(py, state.velocity.as_slice())?)?;
+        out.set_item("state", state_arrays(py, state)?)?;
         out.set_item("thrust", vector(py, self.current.jets().thrust_feedback())?)?;
         out.set_item("wind", vector(py, self.wind.velocity(time).as_slice())?)?;
         Ok(out)
@@ -62,7 +59,7 @@ impl Plant {
         thrust_rate: Input<'py>,
         joint_torque: Input<'py>,
         link_forces: Option<Input<'py>>,
-    ) -> PyResult<crate::arrays::Output<'py>> {
+    ) -> PyResult<Output<'py>> {
         let robot = self.current.robot();
         let thrust_rate = finite_entries("thrust_rate", &thrust_rate, &[robot.jets.len()])?;
         let torque = finite_entries("joint_torque", &joint_torque, &[robot.joints.len()])?;
@@ -84,14 +81,5 @@ impl Plant {
 impl Plant {
     fn time(&self) -> f64 {
         self.tick as f64 * self.time_step
-    }
-}
-
-/// As [`entries`]; all entries must be finite.
-pub fn finite_entries(name: &str, array: &Input<'_>, shape: &[usize]) -> PyResult<Vec<f64>> {
-    let values = entries(name, array, shape)?;
-    match values.iter().find(|value| !value.is_finite()) {
-        None => Ok(values),
-        Some(value) => Err(value_error(BuildError::bad_value(format!("`{name}`"), value, "finite numbers"))),
     }
 }

@@ -22,10 +22,25 @@ pub struct Robot {
     model: RobotModel,
 }
 
-/// State of a robot from arrays: base position (3), rotation (3, 3), joints (n), mixed velocity (6 + n).
-pub fn state(joints: usize, arrays: [&Input<'_>; 4]) -> PyResult<RobotState> {
-    rotation("base_rotation", arrays[1])?;
+/// Arguments that are a state: base position (3), rotation (3, 3), joints (n), mixed velocity (6 + n).
+pub type StateInput<'py> = (Input<'py>, Input<'py>, Input<'py>, Input<'py>);
+/// The same as a result.
+pub type StateOutput<'py> = (Output<'py>, Output<'py>, Output<'py>, Output<'py>);
+
+/// State of a robot from arrays.
+fn state(joints: usize, arrays: &StateInput<'_>) -> PyResult<RobotState> {
+    rotation("base_rotation", &arrays.1)?;
     measured_state(joints, arrays)
+}
+
+/// Arrays of a state.
+pub fn state_arrays<'py>(py: Python<'py>, state: &RobotState) -> PyResult<StateOutput<'py>> {
+    Ok((
+        vector(py, state.base.position.as_slice())?,
+        matrix(py, &state.base.rotation)?,
+        vector(py, state.joint_position.as_slice())?,
+        vector(py, state.velocity.as_slice())?,
+    ))
 }
 
 /// Converts to a rotation; it must be one to 1e-6.
@@ -44,7 +59,7 @@ pub fn rotation(name: &str, array: &Input<'_>) -> PyResult<Matrix3<f64>> {
 /// As `state`, without checks of the values, which the controller judges.
 pub fn measured_state(
     joints: usize,
-    [base_position, base_rotation, joint_position, velocity]: [&Input<'_>; 4],
+    (base_position, base_rotation, joint_position, velocity): &StateInput<'_>,
 ) -> PyResult<RobotState> {
     let rotation = matrix3("base_rotation", base_rotation)?;
     Ok(RobotState {
@@ -144,17 +159,8 @@ impl Robot {
     }
 
     /// Kinematics and dynamics of one state, by name; see `jax_aero.rust.Robot`.
-    fn dynamics<'py>(
-        &self,
-        py: Python<'py>,
-        base_position: Input<'py>,
-        base_rotation: Input<'py>,
-        joint_position: Input<'py>,
-        velocity: Input<'py>,
-    ) -> PyResult<Bound<'py, PyDict>> {
-        let arrays = [&base_position, &base_rotation, &joint_position, &velocity];
-        let state = state(self.model.joints.len(), arrays)?;
-        let (kinematics, dynamics) = self.evaluate(&state);
+    fn dynamics<'py>(&self, py: Python<'py>, state: StateInput<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let (kinematics, dynamics) = self.evaluate(&state)?;
         let out = PyDict::new(py);
         let positions: Vec<Vector3<f64>> =
             kinematics.bodies.iter().map(|body| body.i_from_b.position).collect();
@@ -179,15 +185,10 @@ impl Robot {
         &self,
         py: Python<'py>,
         frame: &str,
-        base_position: Input<'py>,
-        base_rotation: Input<'py>,
-        joint_position: Input<'py>,
-        velocity: Input<'py>,
+        state: StateInput<'py>,
     ) -> PyResult<(Output<'py>, Output<'py>)> {
-        let arrays = [&base_position, &base_rotation, &joint_position, &velocity];
-        let state = state(self.model.joints.len(), arrays)?;
         let frame = self.frame(frame)?;
-        let (kinematics, _) = self.evaluate(&state);
+        let (kinematics, _) = self.evaluate(&state)?;
         let point = kinematics.frame_pose(&frame).position;
         let (linear, angular) = kinematics.jacobian(frame.body, &point);
         Ok((matrix(py, &linear)?, matrix(py, &angular)?))
@@ -197,17 +198,13 @@ impl Robot {
     fn forward_dynamics<'py>(
         &self,
         py: Python<'py>,
-        base_position: Input<'py>,
-        base_rotation: Input<'py>,
-        joint_position: Input<'py>,
-        velocity: Input<'py>,
+        state: StateInput<'py>,
         force: Input<'py>,
     ) -> PyResult<Output<'py>> {
-        let joints = self.model.joints.len();
-        let state = state(joints, [&base_position, &base_rotation, &joint_position, &velocity])?;
-        let (_, dynamics) = self.evaluate(&state);
-        let mut acceleration = DVector::from_vec(entries("force", &force, &[6 + joints])?) - &dynamics.bias;
-        let mut factor = MassFactor::new(6 + joints);
+        let (_, dynamics) = self.evaluate(&state)?;
+        let n = dynamics.bias.len();
+        let mut acceleration = DVector::from_vec(entries("force", &force, &[n])?) - &dynamics.bias;
+        let mut factor = MassFactor::new(n);
         if !factor.factorise(&dynamics.mass_matrix) {
             return Err(PyValueError::new_err("the mass matrix of this state is not positive definite"));
         }
@@ -217,12 +214,13 @@ impl Robot {
 }
 
 impl Robot {
-    fn evaluate(&self, state: &RobotState) -> (Kinematics, Dynamics) {
+    fn evaluate(&self, arrays: &StateInput<'_>) -> PyResult<(Kinematics, Dynamics)> {
+        let state = state(self.model.joints.len(), arrays)?;
         let mut kinematics = Kinematics::new(&self.model);
         let mut dynamics = Dynamics::new(&self.model);
-        kinematics.update(&self.model, state);
-        dynamics.update(&self.model, state, &kinematics);
-        (kinematics, dynamics)
+        kinematics.update(&self.model, &state);
+        dynamics.update(&self.model, &state, &kinematics);
+        Ok((kinematics, dynamics))
     }
 
     fn frame(&self, name: &str) -> PyResult<Frame> {
@@ -280,22 +278,16 @@ pub fn aero_forces<'py>(
 /// Forces (links, 3) [N] of an aerodynamic model, given as JSON, on a robot in a state and in a wind [m/s],
 /// inertial axes.
 #[pyfunction]
-#[allow(clippy::too_many_arguments)] // a state is four arrays
 pub fn link_forces<'py>(
     py: Python<'py>,
     robot: &Robot,
     aero_json: &str,
-    base_position: Input<'py>,
-    base_rotation: Input<'py>,
-    joint_position: Input<'py>,
-    velocity: Input<'py>,
+    state: StateInput<'py>,
     wind: Input<'py>,
 ) -> PyResult<Output<'py>> {
-    let arrays = [&base_position, &base_rotation, &joint_position, &velocity];
-    let state = state(robot.model.joints.len(), arrays)?;
     let config: AeroConfig = from_json(aero_json, "aero").map_err(value_error)?;
     let mut model = load_aero(&config, &robot.model).map_err(value_error)?;
-    let (kinematics, _) = robot.evaluate(&state);
+    let (kinematics, _) = robot.evaluate(&state)?;
     let mut forces = LinkForces::new(&robot.model);
     let wind = vector3("wind", &wind)?;
     forces.update(&robot.model, &kinematics, LinkConventions::default(), &mut model, &wind);

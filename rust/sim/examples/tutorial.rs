@@ -41,9 +41,9 @@ fn wind(mut aware: ScenarioConfig) -> Result<(), Box<dyn Error>> {
     baseline.controller = load_scenario(&configs("experiments/test1.toml"))?.controller;
 
     let lean = |result: flight_sim::FlightResult| result.summary.max_rotation_error.to_degrees();
-    let leans = fly_batch(&[aware, baseline], None, lean, |_, _| ControlFlow::Continue(()))?;
+    let leans = fly_batch(&[aware, baseline], None, || ControlFlow::Continue(()), lean)?;
     for (name, lean) in ["aware", "baseline"].iter().zip(leans) {
-        println!("{name}: {:.1} deg at most", lean?);
+        println!("{name}: {lean:.1} deg at most");
     }
     Ok(())
 }

@@ -23,7 +23,7 @@ pub mod turbulence;
 pub mod wind;
 
 #[cfg(feature = "threads")]
-pub use batch::{BatchError, check_batch, fly_batch};
+pub use batch::{BatchError, fly_batch};
 pub use config::{Engine, ScenarioConfig, SimulatorConfig, load_scenario, scenario_from_value, schemas};
 pub use disturbances::Disturbances;
 pub use log::{FlightLog, FlightResult};
