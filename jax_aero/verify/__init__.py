@@ -193,9 +193,11 @@ def verify_flight(
 
     expected = rust.fly(config)
     ours = fly({**config, "simulator": {**config["simulator"], "dynamics": backend}})
-    comparison.add("flight", "outcome", ours.outcome != expected.outcome, 0.0, 0.0, relative=False)
-    trusted = expected["time"] <= (TRUSTED_WHEN_LOST if expected.lost_time is not None else np.inf)
-    last = min(np.count_nonzero(trusted), len(ours["time"]))
+    latest = TRUSTED_WHEN_LOST if expected.lost_time is not None else np.inf
+    trusted = int(np.count_nonzero(expected["time"] <= latest))
+    last = min(trusted, len(ours["time"]))
+    ends_otherwise = ours.outcome != expected.outcome or last < trusted
+    comparison.add("flight", "outcome", ends_otherwise, 0.0, 0.0, relative=False)
     for name, signal in expected.log.items():
         if name not in ("qp_iterations", "qp_kkt"):  # properties of the solver, not of the solution
             same = _match_branch(name, ours[name][:last], signal[:last])

@@ -72,16 +72,20 @@ def _compare(options: argparse.Namespace) -> int:
 
 def _parse(arguments: Sequence[str]) -> Any:
     parser = Parser("verify", __doc__)
-    chosen = parser.add_argument("--config", default="test2", metavar="NAME", help="flight to compare: name or path")
+    what = parser.add_mutually_exclusive_group()
+    chosen = what.add_argument("--config", default="test2", metavar="NAME", help="flight to compare: name or path")
     complete_with(chosen, lambda: places.names("experiments"))
+    what.add_argument("--robot", help="robot file: compare only its kinematics and dynamics")
     parser.add_argument("--controller", type=Path, help="controller file that replaces the flight's")
-    parser.add_argument("--robot", help="robot file: compare only its kinematics and dynamics")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change the configuration")
     parser.add_argument("--states", type=count, default=50, help="number of random and of recorded states")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--backend", choices=["tree", "mjx"], default="tree", help="implementation of the dynamics")
     parser.add_argument("--out", type=Path, help="folder for table and figure; default results/verify/NAME")
-    return parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
+    if options.robot and (options.controller or options.set):
+        parser.error("`--robot` compares no flight: expected neither `--controller` nor `--set`")
+    return options
 
 
 def _config(options: argparse.Namespace) -> dict[str, Any]:

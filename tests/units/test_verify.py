@@ -1,11 +1,12 @@
 """The comparison of crate and JAX: its worst differences, its samples, its table, and its command without a flight."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from jax_aero import rust, verify
+from jax_aero import rust, sim, verify
 from jax_aero.verify import command
 
 
@@ -34,6 +35,19 @@ def test_rotations_are_compared_on_the_crates_branch(agree):
     turned = verify._match_branch("base_rpy_setpoint", angles + np.array([[0.0, 0.0, -2.0 * np.pi]]), angles)
     agree("angles", turned, angles, 1e-15)
     assert verify._match_branch("wind", angles, 0.0 * angles) is angles
+
+
+def test_a_flight_that_is_lost_too_early_ends_otherwise(monkeypatch):
+    config = rust.load_config("test2", {"simulator.duration": 0.5, "simulator.fall.com_error": 1e-3})
+    crate = rust.fly(config)
+    assert crate.outcome == "fell"
+    for missing, agrees in ((0, True), (1, False)):
+        ticks = len(crate["time"]) - missing
+        ours = replace(crate, log={name: signal[:ticks] for name, signal in crate.log.items()})
+        monkeypatch.setattr(sim, "fly", lambda _, ours=ours: ours)
+        comparison = verify.Comparison()
+        verify.verify_flight(config, comparison)
+        assert all(row.agrees for row in comparison.rows) == agrees
 
 
 def test_samples_of_a_flight_are_spread_from_its_first_to_its_last_tick(agree):
@@ -117,6 +131,13 @@ def test_a_robot_alone_is_compared_without_a_flight(compared, tmp_path):
     assert command.main(["--robot", path, "--backend", "mjx", "--out", str(tmp_path)]) == 0
     assert compared[0] == [(path, 50, "mjx", 0)]
     assert json.loads((tmp_path / "verify.json").read_text())["backend"] == "mjx"
+
+
+@pytest.mark.parametrize("flight", ["--config=test1", "--controller=a.toml", "--set=wind.velocity=[0,0,0]"])
+def test_a_robot_alone_has_no_flight(flight, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        command.main(["--robot", "a.toml", flight])
+    assert "--robot" in capsys.readouterr().err
 
 
 def test_another_controller_takes_the_place_of_the_flights(tmp_path, capsys):
