@@ -9,7 +9,6 @@ mod disturbances;
 mod examples;
 mod flight;
 mod fuzz;
-mod golden;
 mod jets;
 mod recorded;
 mod sensors;
