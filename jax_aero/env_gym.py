@@ -10,7 +10,6 @@ Needs the extra `rl`. Task, observation and reward are those of `jax_aero.env`.
 
 from __future__ import annotations
 
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,7 +17,7 @@ import gymnasium  # type: ignore[import-not-found,unused-ignore]
 import numpy as np
 from numpy.typing import NDArray
 
-from jax_aero import rust, tables
+from jax_aero import rust
 from jax_aero.env_task import Task, TaskState, added_torque, is_lost, limit_action, observation, rewards, steer
 
 LARGEST = 1e6
@@ -48,8 +47,7 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
                 raise ValueError(f"`{table}.{key}` of {self.task.experiment} is given; {expected}")
         self._fall = SimpleNamespace(**self._config["simulator"]["fall"])
         self._robot = rust.Robot(self._config["robot"])
-        jets = tables.read(Path(self._config["robot"])).get("jets", [])
-        self._thrust_max = np.array([jet["thrust_max"] for jet in jets])
+        self._thrust_max = np.array(self._robot.thrust_max)
         n, j = len(self._robot.joint_names), len(self._robot.jet_names)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (j + n,), np.float32)
         self.observation_space = gymnasium.spaces.Box(-LARGEST, LARGEST, (15 + 2 * n + j,), np.float32)

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from experiments import Refused, study
 from experiments.import_robot import scenario, shapes, skeleton
@@ -28,7 +29,7 @@ from jax_aero.result import ending
 from jax_aero.robot import load_robot as load_twin
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.aero import load_aero
-from jax_aero.symbolic.robot import Robot, rotation_of
+from jax_aero.symbolic.robot import Robot
 from jax_aero.symbolic.trim import Trim, TrimResult, TrimSettings
 from jax_aero.urdf import root_of
 
@@ -179,7 +180,8 @@ def _trim(robot: Robot, posture_deg: dict[str, float], forward: str) -> TrimResu
 def _inertia(path: Path, trim: TrimResult) -> float:
     """Return the trace of the centroidal inertia in the trim [kg m²]."""
     joints = np.asarray(trim.joint_position)
-    state = rust.State(np.zeros(3), rotation_of(np.asarray(trim.base_rpy)), joints, np.zeros(6 + joints.size))
+    rotation = Rotation.from_euler("xyz", trim.base_rpy).as_matrix()
+    state = rust.State(np.zeros(3), rotation, joints, np.zeros(6 + joints.size))
     return float(np.trace(rust.dynamics(rust.Robot(path), state).centroidal_inertia))
 
 

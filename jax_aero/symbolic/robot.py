@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 
@@ -198,24 +199,13 @@ def _inertials(urdf: ET.Element) -> list[Inertial]:
         entries = _child(element, "inertia")
         xx, xy, xz, yy, yz, zz = (float(entries.get(key, "nan")) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        turn = rotation_of(_numbers(element.find("origin"), "rpy"))
+        # URDF: Rz(yaw) Ry(pitch) Rx(roll).
+        turn = Rotation.from_euler("xyz", _numbers(element.find("origin"), "rpy")).as_matrix()
         scatter = 0.5 * np.trace(inertia) * np.eye(3) - inertia
         mass = float(_child(element, "mass").get("value", "nan"))
         centre = _numbers(element.find("origin"), "xyz")
         found.append(Inertial(link.get("name", ""), mass, centre, turn @ scatter @ turn.T))
     return found
-
-
-def rotation_of(rpy: Array) -> Array:
-    """Return the rotation Rz(yaw) Ry(pitch) Rx(roll)."""
-    turn = np.eye(3)
-    for axis, angle in enumerate(rpy):
-        j, k = (axis + 1) % 3, (axis + 2) % 3
-        plane = np.eye(3)
-        plane[[j, k], [j, k]] = np.cos(angle)
-        plane[k, j], plane[j, k] = np.sin(angle), -np.sin(angle)
-        turn = plane @ turn
-    return turn
 
 
 def _limits(entry: Mapping[str, Any], limit: ET.Element | None) -> tuple[float, float]:

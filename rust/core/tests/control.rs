@@ -20,8 +20,8 @@ use flight_core::qp::QpStatus;
 use flight_core::spatial::rotation_angle;
 use flight_core::wind_observer::WindObserverConfig;
 use flight_core::{Command, Controller, Measurement, RobotModel, RobotState};
-use flight_io::{AeroConfig, load_robot};
-use flight_sim::{Plant, ScenarioConfig, scenario_from_value};
+use flight_io::{AeroConfig, from_value, load_robot};
+use flight_sim::{Plant, ScenarioConfig};
 use nalgebra::{DVector, Matrix3, Vector3};
 use rand::RngExt;
 use serde_json::json;
@@ -1265,7 +1265,7 @@ fn sparrow() -> (ScenarioConfig, RobotModel) {
     initial["base_rpy_deg"] = json!([0.0, 0.0, 0.0]);
     initial["joint_position"] = json!([0.0, 0.0, 0.0, 0.0, 0.0]);
     initial["thrust"] = json!([12.0, 61.0, 61.0]);
-    let config = scenario_from_value(value, "sparrow").unwrap();
+    let config: ScenarioConfig = from_value(value, "sparrow").unwrap();
     let mut robot = load_robot(&config.robot).unwrap();
     for jet in &mut robot.jets {
         jet.thrust_max = 100.0;

@@ -10,7 +10,7 @@ use flight_core::dynamics::Dynamics;
 use flight_core::kinematics::Kinematics;
 use flight_core::spatial::exp_so3;
 use flight_core::{Measurement, RobotModel, RobotState};
-use flight_io::load_robot;
+use flight_io::{from_value, load_robot};
 use flight_sim::{Plant, ScenarioConfig};
 use nalgebra::{DVector, Matrix6, Matrix6xX, Vector3, Vector6};
 use serde_json::json;
@@ -180,7 +180,7 @@ fn numbers_that_make_no_observer_are_refused() {
         assert!(message.contains("from 0 to 100, 1 / time step of 0.01 s"), "{message}");
         assert!(build(key, 100.0).is_ok(), "1 / time step");
     }
-    let unknown = flight_sim::scenario_from_value(
+    let unknown = from_value::<ScenarioConfig>(
         {
             let mut value = serde_json::to_value(experiment("test2_observer")).unwrap();
             value["controller"]["observer"]["gain"] = json!(1.0);

@@ -79,7 +79,6 @@ impl Flights {
             "n_ticks": flight.n_ticks(),
             "config": config,
             "bodies": robot.bodies.iter().map(|body| &body.name).collect::<Vec<_>>(),
-            "joints": robot.joints.iter().map(|joint| &joint.name).collect::<Vec<_>>(),
             "jets": robot.jets.iter().map(|jet| &jet.name).collect::<Vec<_>>(),
             "links": robot.aero_links.iter().map(|link| &link.name).collect::<Vec<_>>(),
             "signals": flight.log().series.iter().map(|series| json!({

@@ -14,13 +14,11 @@ use flight_core::kinematics::RobotState;
 use flight_core::robot::RobotModel;
 use flight_core::spatial::{Pose, rotation_from_rpy};
 use flight_io::{
-    AeroConfig, ControllerSection, MissionConfig, RobotFile, Schema, from_value, load, load_aero,
-    load_mission,
+    AeroConfig, ControllerSection, MissionConfig, RobotFile, Schema, load, load_aero, load_mission,
 };
 use nalgebra::{DVector, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
 use std::path::{Path, PathBuf};
 
 /// Greatest size of a log in memory \[bytes\].
@@ -77,14 +75,6 @@ impl ScenarioConfig {
 /// As [`load`], for unknown, missing or mistyped keys.
 pub fn load_scenario(path: &Path) -> Result<ScenarioConfig, BuildError> {
     load(path)
-}
-
-/// Converts a resolved value to a flight configuration; `origin` is named in errors.
-///
-/// # Errors
-/// [`BuildError::Malformed`] for unknown, missing or mistyped keys.
-pub fn scenario_from_value(value: Value, origin: &str) -> Result<ScenarioConfig, BuildError> {
-    from_value(value, origin)
 }
 
 /// The schemas of all files, by folder of `configs/`.

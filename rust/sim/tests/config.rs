@@ -6,11 +6,9 @@
 use crate::common::{assert_says, configs, experiment, robot};
 use flight_core::BuildError;
 use flight_core::control::config::RateFeedback;
-use flight_io::{AeroConfig, ControllerSection, MissionConfig, Schema, load, load_aero};
+use flight_io::{AeroConfig, ControllerSection, MissionConfig, Schema, from_value, load, load_aero};
 use flight_sim::jets::JetsConfig;
-use flight_sim::{
-    Scenario, ScenarioConfig, SimulatorConfig, Wind, WindConfig, load_scenario, scenario_from_value,
-};
+use flight_sim::{Scenario, ScenarioConfig, SimulatorConfig, Wind, WindConfig, load_scenario};
 use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
@@ -253,13 +251,13 @@ fn unknown_keys_are_named() {
         let key = if table.is_empty() { "typo".to_owned() } else { format!("{table}.typo") };
         set(&mut value, &key, json!(1.0));
         assert_says(
-            &scenario_from_value(value, "here").unwrap_err(),
+            &from_value::<ScenarioConfig>(value, "here").unwrap_err(),
             &["here: ", &format!("unknown key `{key}`")],
         );
     }
     let mut value = test2_value();
     set(&mut value, "controller.momentum.kp_liner", json!([1.0, 1.0, 1.0]));
-    assert_says(&scenario_from_value(value, "here").unwrap_err(), &["did you mean `kp_linear`?"]);
+    assert_says(&from_value::<ScenarioConfig>(value, "here").unwrap_err(), &["did you mean `kp_linear`?"]);
 }
 
 /// Tables whose keys are names of the robot's parts.
@@ -289,7 +287,7 @@ fn wrong_types_are_named_at_every_key() {
         // No key takes a list of lists of tables.
         let mut value = serde_json::to_value(experiment(name)).unwrap();
         set(&mut value, &key, json!([[{"wrong": true}]]));
-        let message = scenario_from_value(value, "here").unwrap_err().to_string();
+        let message = from_value::<ScenarioConfig>(value, "here").unwrap_err().to_string();
         assert!(message.contains(&format!("`{key}")), "{name}: {key}: {message}");
         assert!(message.contains("{\"wrong\":true}") && message.contains("expected"), "{key}: {message}");
     }
@@ -332,7 +330,7 @@ fn missing_and_ill_typed_keys_are_named() {
     ] {
         let mut value = test2_value();
         set(&mut value, key, bad);
-        let error = scenario_from_value(value, "here").unwrap_err();
+        let error = from_value::<ScenarioConfig>(value, "here").unwrap_err();
         assert_says(&error, &["here: ", &format!("`{key}` {words}")]);
     }
 }
@@ -430,6 +428,6 @@ fn a_flight_survives_being_written_out() {
     for file in files("experiments") {
         let config = load_scenario(&file).unwrap();
         let value = serde_json::to_value(&config).unwrap();
-        assert_eq!(scenario_from_value(value, "written out").unwrap(), config, "{}", file.display());
+        assert_eq!(from_value::<ScenarioConfig>(value, "written out").unwrap(), config, "{}", file.display());
     }
 }

@@ -4,13 +4,14 @@
 #![allow(clippy::float_cmp, reason = "the same computation gives the same bits")]
 
 use crate::common::{assert_within, experiment, fly, robot};
+use flight_io::from_value;
 use flight_sim::disturbances::{
     FailureKind, JetFailure, JetFaults, JetFaultsConfig, MeasurementNoise, ModelError, Outage, OutageChannel,
     OutageKind, WindEstimateConfig, WindEstimator,
 };
 use flight_sim::jets::{Jets, JetsConfig, SecondOrderConfig};
 use flight_sim::noise::Noise;
-use flight_sim::{FlightResult, Plant, Scenario, ScenarioConfig, Wind, WindConfig, scenario_from_value};
+use flight_sim::{FlightResult, Plant, Scenario, ScenarioConfig, Wind, WindConfig};
 use nalgebra::Vector3;
 
 const STEP: f64 = 0.01;
@@ -456,7 +457,7 @@ fn the_controller_holds_no_disturbance() {
     for key in ["wind_estimate", "model_error"] {
         let mut value = serde_json::to_value(&config).unwrap();
         value["controller"][key] = serde_json::json!({});
-        let text = scenario_from_value(value, "flight").unwrap_err().to_string();
+        let text = from_value::<ScenarioConfig>(value, "flight").unwrap_err().to_string();
         assert!(text.contains(&format!("unknown key `controller.{key}`")), "{text}");
     }
 }

@@ -7,7 +7,7 @@
 #[path = "common/cases.rs"]
 mod cases;
 
-use crate::common::{configs, experiment};
+use crate::common::{configs, experiment, hover_of};
 use cases::cases;
 use flight_core::aero::Precision;
 use flight_core::robot::RobotModel;
@@ -167,17 +167,6 @@ fn assert_ticks(scenario: &ScenarioConfig, robot: RobotModel) {
     }
 }
 
-/// The platform's controller, for a robot with other names, without a model of the air.
-fn hovering(robot: &RobotModel) -> ScenarioConfig {
-    let mut scenario = experiment("platform_hover");
-    let law = &mut scenario.controller.law;
-    scenario.controller.aero = AeroConfig::Off {};
-    law.weights.thrust_rate = robot.jets.iter().map(|jet| (jet.name.clone(), 0.01)).collect();
-    law.bounds.thrust_rate_max = robot.jets.iter().map(|jet| (jet.name.clone(), 100.0)).collect();
-    law.posture_gain = robot.groups.iter().map(|group| (group.name.clone(), 20.0)).collect();
-    scenario
-}
-
 #[test]
 fn a_spoilt_robot() {
     let names = ["sparrow", "slider", "platform"];
@@ -190,7 +179,9 @@ fn a_spoilt_robot() {
             (toml.clone(), spoil_text(urdf, &edits))
         };
         if let Some(robot) = refusal(robot_from_text(&toml, &urdf, "spoilt.toml")) {
-            assert_ticks(&hovering(&robot), robot);
+            let mut scenario = hover_of(&robot);
+            scenario.controller.aero = AeroConfig::Off {};
+            assert_ticks(&scenario, robot);
         }
     });
 }
@@ -263,10 +254,7 @@ fn a_spoilt_aerodynamic_model() {
 
 #[test]
 fn spoilt_tables() {
-    let recording = file("mission/min_time.csv").lines().take(12).collect::<Vec<_>>().join(
-        "
-",
-    );
+    let recording = file("mission/min_time.csv").lines().take(12).collect::<Vec<_>>().join("\n");
     let wind = "time,x,y,z\n0,0,0,0\n1.5,1,-2,0.5\n4,3,-9.5,0\n";
     let path = PathBuf::from("fuzz/wind.csv");
     proptest!(cases(500), |(edits in edits(), time in -1.0..20.0)| {

@@ -4,16 +4,16 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 
 use crate::common::counting::allocations;
-use crate::common::{configs, experiment, random_state, random_vector};
+use crate::common::{configs, experiment, hover_of, random_state, random_vector, robot};
 use flight_core::control::config::Solver;
 use flight_core::control::setpoint::Setpoint;
 use flight_core::control::{CommandStatus, ControllerState};
 use flight_core::qp::{KKT_TOLERANCE, QpProblem, QpStatus, kkt_residual};
 use flight_core::robot::RobotModel;
 use flight_core::{BuildError, Controller, Measurement};
-use flight_io::load_robot;
+use flight_io::{from_value, load_robot};
 use flight_sim::disturbances::{FailureKind, JetFailure, Outage, OutageChannel, OutageKind, Outages, Sample};
-use flight_sim::{Plant, ScenarioConfig, scenario_from_value};
+use flight_sim::{Plant, ScenarioConfig};
 use nalgebra::{Unit, Vector3, Vector6};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -73,7 +73,7 @@ impl Episodes {
         ]
         .map(experiment)
         .to_vec();
-        scenarios.extend(["sparrow", "slider"].map(hover_of));
+        scenarios.extend(["sparrow", "slider"].map(hover));
         let flights = scenarios.into_iter().map(|scenario| {
             let robot = load_robot(&scenario.robot).unwrap();
             (scenario, robot)
@@ -102,15 +102,10 @@ impl Episodes {
 }
 
 /// The platform's flight with another robot.
-fn hover_of(name: &str) -> ScenarioConfig {
-    let mut scenario = experiment("platform_hover");
+fn hover(name: &str) -> ScenarioConfig {
+    let robot = robot(name);
+    let mut scenario = hover_of(&robot);
     scenario.robot = configs("robot").join(name).with_extension("toml");
-    let robot = load_robot(&scenario.robot).unwrap();
-    let law = &mut scenario.controller.law;
-    let jets = || robot.jets.iter().map(|jet| jet.name.clone());
-    law.weights.thrust_rate = jets().map(|jet| (jet, 0.01)).collect();
-    law.bounds.thrust_rate_max = jets().map(|jet| (jet, 100.0)).collect();
-    law.posture_gain = robot.groups.iter().map(|group| (group.name.clone(), 20.0)).collect();
     scenario.simulator.initial.joint_position = vec![0.0; robot.joints.len()];
     scenario.simulator.initial.thrust = robot.jets.iter().map(|jet| 0.4 * jet.thrust_max).collect();
     scenario
@@ -168,7 +163,7 @@ fn change_controller(
     scenario.simulator.time_step = [0.001, 0.002, 0.005, 0.01][rng.random_range(0..4)];
     let mut value = serde_json::to_value(&scenario).unwrap();
     change_values(rng, &mut value["controller"], share);
-    scenario_from_value(value, "random configuration")
+    from_value(value, "random configuration")
 }
 
 /// An initial state, faults of jets and errors of the controller's model.

@@ -45,6 +45,17 @@ pub fn experiment(name: &str) -> ScenarioConfig {
     load_scenario(&configs("experiments").join(name).with_extension("toml")).unwrap()
 }
 
+/// The platform's flight for another robot, without its initial state.
+pub fn hover_of(robot: &RobotModel) -> ScenarioConfig {
+    let mut scenario = experiment("platform_hover");
+    let law = &mut scenario.controller.law;
+    let for_each_jet = |number: f64| robot.jets.iter().map(|jet| (jet.name.clone(), number)).collect();
+    law.weights.thrust_rate = for_each_jet(0.01);
+    law.bounds.thrust_rate_max = for_each_jet(100.0);
+    law.posture_gain = robot.groups.iter().map(|group| (group.name.clone(), 20.0)).collect();
+    scenario
+}
+
 /// A state estimator that takes all measurements alike.
 pub fn uniform_estimator(channel: ChannelConfig) -> EstimatorConfig {
     EstimatorConfig {
