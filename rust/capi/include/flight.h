@@ -166,7 +166,8 @@ double flight_time_step(const struct FlightController *controller);
 uint32_t flight_modes(const struct FlightController *controller);
 
 // Starts a flight, in place of the present one if any: position, attitude and posture of this measurement become the
-// reference. Allocates, so call it before the control loop.
+// reference. Only the wind may be NaN, and joint velocities that need not be measured. If no flight can start with it,
+// the present one continues. Allocates, so call it before the control loop.
 //
 // # Safety
 // `measurement` is null or points to one whose arrays have the documented lengths.

@@ -396,7 +396,8 @@ pub unsafe extern "C" fn flight_modes(controller: *const FlightController) -> u3
 }
 
 /// Starts a flight, in place of the present one if any: position, attitude and posture of this measurement become the
-/// reference. Allocates, so call it before the control loop.
+/// reference. Only the wind may be NaN, and joint velocities that need not be measured. If no flight can start with it,
+/// the present one continues. Allocates, so call it before the control loop.
 ///
 /// # Safety
 /// `measurement` is null or points to one whose arrays have the documented lengths.
@@ -416,8 +417,9 @@ pub unsafe extern "C" fn flight_start(
             return FlightStatus::FlightNullPointer;
         }
         let (controller, flight, measurement) = controller.parts(given);
-        *flight = controller.start(&measurement).ok();
-        if flight.is_some() { FlightStatus::FlightNominal } else { FlightStatus::FlightNotStarted }
+        let Ok(started) = controller.start(&measurement) else { return FlightStatus::FlightNotStarted };
+        *flight = Some(started);
+        FlightStatus::FlightNominal
     })
 }
 

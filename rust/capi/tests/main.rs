@@ -244,6 +244,7 @@ fn what_cannot_be_used_is_refused() {
     assert_eq!(start(&wrong), FlightStatus::FlightNotStarted);
     assert_eq!(start(&measurement), FlightStatus::FlightNominal);
     assert_eq!(tick(&lacking), FlightStatus::FlightNullPointer);
+    assert_eq!(start(&wrong), FlightStatus::FlightNotStarted);
     assert_eq!(tick(&wrong), FlightStatus::FlightDegraded);
     assert_eq!(unsafe { flight_modes(c.0) }, 16, "the position is predicted");
     assert_eq!(tick(&measurement), FlightStatus::FlightNominal);
