@@ -7,8 +7,8 @@
 use crate::common::{assert_within, normal, rng};
 use flight_core::control::contact::WrenchLimits;
 use flight_core::qp::{
-    ClarabelSolver, DualActiveSet, KKT_TOLERANCE, Method, PrimalActiveSet, QpChain, QpProblem, QpSolver,
-    QpStatus, kkt_residual,
+    ClarabelSolver, DualActiveSet, KKT_TOLERANCE, PrimalActiveSet, QpChain, QpProblem, QpSolver, QpStatus,
+    kkt_residual,
 };
 use flight_core::robot::{Foot, Frame};
 use flight_core::spatial::Pose;
@@ -276,9 +276,9 @@ fn the_certificate_sees_small_errors_of_every_kind() {
 #[test]
 fn a_chain_has_point_and_multipliers_of_the_method_that_answered() {
     let qp = random_problem(&mut rng(11), 5, 8);
-    let dual = || Method::Dual(DualActiveSet::new(5, 8));
-    let clarabel = || Method::Clarabel(ClarabelSolver::new(5, 8));
-    let primal = || Method::Primal(PrimalActiveSet::new(5)); // refuses rows
+    let dual = || Box::new(DualActiveSet::new(5, 8)) as Box<dyn QpSolver>;
+    let clarabel = || Box::new(ClarabelSolver::new(5, 8)) as Box<dyn QpSolver>;
+    let primal = || Box::new(PrimalActiveSet::new(5)) as Box<dyn QpSolver>; // refuses rows
     for methods in [vec![dual()], vec![clarabel()], vec![primal(), dual()], vec![primal(), clarabel()]] {
         let mut chain = QpChain::new(methods);
         let answer = chain.solve(&qp);

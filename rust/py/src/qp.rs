@@ -2,7 +2,7 @@
 
 use crate::arrays::{Input, Output, entries, vector};
 use flight_core::qp::{
-    ClarabelSolver, DualActiveSet, Method, PrimalActiveSet, QpAnswer, QpProblem, QpSolver,
+    ClarabelSolver, DualActiveSet, PrimalActiveSet, QpAnswer, QpProblem, QpSolver, WarmStart,
 };
 use nalgebra::{DMatrix, DVector};
 use pyo3::exceptions::PyValueError;
@@ -18,7 +18,8 @@ const MAX_VARIABLES: usize = 4096;
 #[pyclass(module = "jax_aero._core")]
 pub struct BoxQpSolver {
     n: usize,
-    method: Method,
+    method: Box<dyn QpSolver>,
+    start: WarmStart,
 }
 
 fn problem(
@@ -55,17 +56,17 @@ impl BoxQpSolver {
         if n > MAX_VARIABLES {
             return Err(PyValueError::new_err(format!("n is {n}; expected at most {MAX_VARIABLES}")));
         }
-        let method = match solver {
-            "active_set" => Method::Primal(PrimalActiveSet::new(n)),
-            "dual_active_set" => Method::Dual(DualActiveSet::new(n, 0)),
-            "clarabel" => Method::Clarabel(ClarabelSolver::new(n, 0)),
+        let method: Box<dyn QpSolver> = match solver {
+            "active_set" => Box::new(PrimalActiveSet::new(n)),
+            "dual_active_set" => Box::new(DualActiveSet::new(n, 0)),
+            "clarabel" => Box::new(ClarabelSolver::new(n, 0)),
             _ => {
                 return Err(PyValueError::new_err(format!(
                     "solver is `{solver}`; expected active_set, dual_active_set or clarabel"
                 )));
             }
         };
-        Ok(Self { n, method })
+        Ok(Self { n, method, start: WarmStart::cold(n) })
     }
 
     /// Solve one problem; returns (x, answer).
@@ -78,15 +79,13 @@ impl BoxQpSolver {
         upper: Input<'py>,
     ) -> PyResult<(Output<'py>, Bound<'py, PyDict>)> {
         let problem = problem(self.n, &h, &g, &lower, &upper)?;
-        let outcome = self.method.solve(&problem);
+        let outcome = self.method.solve_from(&mut self.start, &problem);
         Ok((vector(py, self.method.x())?, answer(py, &outcome)?))
     }
 
     /// Discard the last answer, so that the next solve starts cold.
     fn reset(&mut self) {
-        if let Method::Primal(solver) = &mut self.method {
-            solver.reset();
-        }
+        self.start = WarmStart::cold(self.n);
     }
 }
 

@@ -10,7 +10,7 @@ use crate::error::{BuildError, Table, place_of};
 use crate::estimator::EstimatorConfig;
 #[cfg(feature = "clarabel")]
 use crate::qp::ClarabelSolver;
-use crate::qp::{DualActiveSet, Method, PrimalActiveSet, QpChain};
+use crate::qp::{DualActiveSet, PrimalActiveSet, QpChain, QpSolver};
 use crate::robot::{JointKind, RobotModel};
 use crate::wind_observer::WindObserverConfig;
 use serde::{Deserialize, Serialize};
@@ -286,14 +286,14 @@ impl QpConfig {
     /// then the dual one, which starts from scratch, then Clarabel where configured.
     #[must_use]
     pub fn chain(&self, n: usize, rows: usize) -> QpChain {
-        let mut methods = Vec::new();
+        let mut methods: Vec<Box<dyn QpSolver>> = Vec::new();
         if self.solver == Solver::ActiveSet {
-            methods.push(Method::Primal(PrimalActiveSet::new(n)));
-            methods.push(Method::Dual(DualActiveSet::new(n, rows)));
+            methods.push(Box::new(PrimalActiveSet::new(n)));
+            methods.push(Box::new(DualActiveSet::new(n, rows)));
         }
         #[cfg(feature = "clarabel")]
         if self.solver == Solver::Clarabel || self.fallback == Fallback::Clarabel {
-            methods.push(Method::Clarabel(ClarabelSolver::new(n, rows)));
+            methods.push(Box::new(ClarabelSolver::new(n, rows)));
         }
         QpChain::new(methods)
     }

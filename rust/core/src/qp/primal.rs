@@ -76,7 +76,7 @@ impl WarmStart {
         self.x.is_empty()
     }
 
-    /// Copies a warm start of the same size; does not allocate.
+    /// Copies a warm start; does not allocate. No effect if the sizes differ.
     fn copy_from(&mut self, other: &Self) {
         if other.len() == self.len() {
             self.x.copy_from_slice(&other.x);
@@ -147,6 +147,13 @@ impl QpSolver for PrimalActiveSet {
         answer
     }
 
+    fn solve_from(&mut self, start: &mut WarmStart, qp: &QpProblem) -> QpAnswer {
+        self.warm.copy_from(start);
+        let answer = self.solve(qp);
+        start.copy_from(&self.warm);
+        answer
+    }
+
     fn x(&self) -> &[f64] {
         &self.warm.x
     }
@@ -184,16 +191,6 @@ impl PrimalActiveSet {
     pub fn with_iteration_limit(mut self, limit: u32) -> Self {
         self.iteration_limit = limit;
         self
-    }
-
-    /// Starts the next solve from `start`; no effect if its size differs.
-    pub(super) fn set_start(&mut self, start: &WarmStart) {
-        self.warm.copy_from(start);
-    }
-
-    /// Stores the starting point of the next solve; no effect if its size differs.
-    pub(super) fn store_start(&self, start: &mut WarmStart) {
-        start.copy_from(&self.warm);
     }
 
     /// Discards the last answer and its working set: the next solve starts cold.
