@@ -34,7 +34,6 @@ fn recording(columns: usize, samples: usize) -> String {
 #[test]
 fn samples_come_back_as_they_were_written() {
     let recording = parse_recording(&recording(16, 11), "r.csv").unwrap();
-    assert_eq!(recording.span(), (0.0, 1.0));
     for sample in 0..=10 {
         let t = f64::from(sample) / 10.0;
         let motion = recording.at(t);

@@ -9,7 +9,7 @@ use flight_core::control::mission::{Commands, Mission};
 use flight_core::control::recorded::{REQUIRED, Recording};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Names of the columns: time, centre of mass, attitude of the base and, optionally, velocity, acceleration and
 /// jerk of the centre of mass.
@@ -44,21 +44,13 @@ pub fn load_mission(config: &MissionConfig) -> Result<Mission, BuildError> {
             "either commands or a file",
         ));
     }
-    load_recording(file).map(Mission::Recorded)
-}
-
-/// Reads a recorded reference.
-///
-/// # Errors
-/// [`BuildError`] naming the file, the line and what was expected.
-pub fn load_recording(path: &Path) -> Result<Recording, BuildError> {
-    parse_recording(&read_text(path)?, &path.display().to_string())
+    parse_recording(&read_text(file)?, &file.display().to_string()).map(Mission::Recorded)
 }
 
 /// Parses the text of a recorded reference; `origin` is named in errors.
 ///
 /// # Errors
-/// As [`load_recording`].
+/// [`BuildError::BadValue`] naming `origin`, the line and what was expected.
 pub fn parse_recording(text: &str, origin: &str) -> Result<Recording, BuildError> {
     let place = |line: usize| format!("line {} of reference file {origin}", line + 1);
     let mut lines = text.lines().enumerate().filter(|(_, line)| {

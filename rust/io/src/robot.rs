@@ -182,15 +182,10 @@ impl RobotFiles {
     /// # Errors
     /// [`BuildError`] for a file that cannot be read or parsed.
     pub fn read(path: &Path) -> Result<Self, BuildError> {
-        Self::read_and_parse(path).map(|(files, _)| files)
-    }
-
-    fn read_and_parse(path: &Path) -> Result<(Self, RobotFile), BuildError> {
         let origin = path.display().to_string();
         let toml = read_text(path)?;
-        let file = parse_toml(&toml, &origin)?;
-        let urdf = read_text(&path.with_file_name(&file.urdf))?;
-        Ok((Self { toml, urdf, origin }, file))
+        let urdf = read_text(&path.with_file_name(parse_toml(&toml, &origin)?.urdf))?;
+        Ok(Self { toml, urdf, origin })
     }
 
     /// Builds the robot that they describe.
@@ -203,30 +198,26 @@ impl RobotFiles {
     }
 }
 
-/// Builds a robot from the texts of its TOML and URDF file; `origin` is named in errors.
-///
-/// # Errors
-/// As [`RobotFiles::model`].
-pub fn robot_from_text(toml: &str, urdf: &str, origin: &str) -> Result<RobotModel, BuildError> {
-    build(parse_toml(toml, origin)?, urdf, origin)
-}
-
 /// Loads a robot from its TOML file and the URDF file that it names.
 ///
 /// # Errors
 /// As [`RobotFiles::read`] and [`RobotFiles::model`].
 pub fn load_robot(path: &Path) -> Result<RobotModel, BuildError> {
-    let (files, parsed) = RobotFiles::read_and_parse(path)?;
-    build(parsed, &files.urdf, &files.origin)
+    RobotFiles::read(path)?.model()
 }
 
 fn parse_toml(text: &str, origin: &str) -> Result<RobotFile, BuildError> {
     from_value(parse(text, origin)?.into(), origin)
 }
 
-fn build(file: RobotFile, urdf_text: &str, origin: &str) -> Result<RobotModel, BuildError> {
+/// Builds a robot from the texts of its TOML and URDF file; `origin` is named in errors.
+///
+/// # Errors
+/// As [`RobotFiles::model`].
+pub fn robot_from_text(toml: &str, urdf: &str, origin: &str) -> Result<RobotModel, BuildError> {
+    let file = parse_toml(toml, origin)?;
     let malformed = |error: String| BuildError::malformed(format!("{origin}: urdf `{}`", file.urdf), error);
-    let urdf = Urdf::read(urdf_text).map_err(malformed)?;
+    let urdf = Urdf::read(urdf).map_err(malformed)?;
     let order: Vec<&str> =
         file.joint_groups.iter().flat_map(|group| &group.joints).map(|joint| joint.name.as_str()).collect();
     let tree = tree::build(&urdf, &file.base_link, &order, &file.locked)?;

@@ -4,8 +4,7 @@
 
 use flight_core::control::mission::Commands;
 use flight_io::MissionConfig;
-use flight_io::mission::{COLUMNS, load_mission, load_recording, parse_recording};
-use std::path::Path;
+use flight_io::mission::{COLUMNS, load_mission, parse_recording};
 
 #[test]
 fn what_cannot_be_flown_is_refused_by_line() {
@@ -23,7 +22,8 @@ fn what_cannot_be_flown_is_refused_by_line() {
         let message = parse_recording(&text, "r.csv").unwrap_err().to_string();
         assert!(message.contains(expected), "{message} does not say {expected}");
     }
-    assert!(load_recording(Path::new("nowhere.csv")).unwrap_err().to_string().contains("nowhere.csv"));
+    let nowhere = MissionConfig { file: Some("nowhere.csv".into()), ..MissionConfig::default() };
+    assert!(load_mission(&nowhere).unwrap_err().to_string().contains("nowhere.csv"));
 }
 
 #[test]

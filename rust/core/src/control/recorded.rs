@@ -122,12 +122,6 @@ impl Recording {
         Self { times, motions, turns_b }
     }
 
-    /// First and last time \[s\].
-    #[must_use]
-    pub fn span(&self) -> (f64, f64) {
-        (self.times[0], self.times[self.times.len() - 1])
-    }
-
     /// The reference at `time` \[s\]; before the first and after the last sample, that sample at rest.
     ///
     /// Position, velocity and acceleration are each interpolated by the cubic whose slopes at both samples
