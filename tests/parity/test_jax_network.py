@@ -33,7 +33,14 @@ SHAPES = {
     "linear": {"hidden": ()},
     "symmetric": {"hidden": (33,), "activation": "tanh", "members": 3, "mirror": True},
     "tunnel axes": {"hidden": (20, 70), "frame": "wind", "mirror": True},
-    "base axes by link": {"hidden": (17,), "blocks": ALL, "layout": "link", "mirror": True, "activation": "silu"},
+    "base axes by link": {
+        "hidden": (17,),
+        "blocks": ALL,
+        "layout": "link",
+        "mirror": True,
+        "members": 2,
+        "activation": "silu",
+    },
     "compact": {
         "hidden": (128, 128),
         "blocks": ("link_wind", "link_position", "link_shadow"),

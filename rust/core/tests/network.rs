@@ -1,26 +1,27 @@
-//! Claims about the network: it says what JAX says, follows the laws, and refuses damaged weights.
+//! Networks: their two precisions agree, they follow the laws, and damaged weights are refused. `tests/parity/test_jax_network.py`
+//! compares them with JAX.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on fails")]
 
-#[path = "../../sim/tests/common/network.rs"]
-mod cards;
-
+use crate::common::network::{
+    COMPACT, SMALL, Shape, Tensor, card, file_of, n_inputs, paper, random_network, random_tensors,
+    random_weights, write,
+};
 use crate::common::{assert_says, assert_within, random_state, random_vector, rng, robot};
-use cards::{COMPACT, Shape, Tensor, card, file_of, n_inputs, paper, random_network, random_tensors, write};
 use flight_core::aero::{AeroModel, ForceFactorsConfig, LinkConventions, LinkForces, Precision};
 use flight_core::kinematics::Kinematics;
 use flight_core::spatial::rotation_from_wxyz;
 use flight_core::{BuildError, RobotModel, RobotState};
 use flight_io::{AeroConfig, NetworkConfig, load_aero};
-use nalgebra::{DVector, Vector3};
+use nalgebra::Vector3;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use tempfile::tempdir;
 
-const SMALL: &str = "tests/data/network_small.json";
-
-fn data(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
+/// The small network of the robot, in double precision.
+fn small(robot: &RobotModel) -> AeroModel {
+    let folder = tempdir().unwrap();
+    load_aero(&random_network(folder.path(), robot, &SMALL, "small", Precision::F64), robot).unwrap()
 }
 
 fn config(card: PathBuf, precision: Precision) -> AeroConfig {
@@ -42,7 +43,7 @@ fn distance(a: &[Vector3<f64>], b: &[Vector3<f64>]) -> f64 {
 }
 
 /// Networks that differ in features, axes, layout, activation, symmetry and number of members.
-fn shapes() -> [(&'static str, Shape); 5] {
+fn shapes() -> [(&'static str, Shape); 6] {
     let base = paper(&[20, 70]);
     [
         ("paper", paper(&[40; 3])),
@@ -50,34 +51,11 @@ fn shapes() -> [(&'static str, Shape); 5] {
         ("symmetric", Shape { mirror: true, activation: "tanh", members: 3, ..paper(&[33]) }),
         ("tunnel axes", Shape { frame: "wind", mirror: true, has_baseline: true, ..base }),
         ("compact", COMPACT),
+        ("small", SMALL),
     ]
 }
 
-// --- what it says ------------------------------------------------------------------------------------------------
-
-/// Answers of the JAX network, in both precisions; `tests/data/make_network.py` wrote them.
-#[test]
-fn a_network_has_the_outputs_of_jax() {
-    let robot = robot("ironcub_mk1");
-    let text = std::fs::read_to_string(data("tests/data/network_small_areas.json")).unwrap();
-    let cases: Vec<Value> = serde_json::from_str(&text).unwrap();
-    assert!(cases.len() >= 4);
-    let numbers = |value: &Value| -> Vec<f64> { serde_json::from_value(value.clone()).unwrap() };
-    for (name, precision, tolerance) in [("f64", Precision::F64, 1e-12), ("f32", Precision::F32, 1e-6)] {
-        let mut model = load_aero(&config(data(SMALL), precision), &robot).unwrap();
-        for case in &cases {
-            let mut state = RobotState::zero(robot.joints.len());
-            state.joint_position = DVector::from_vec(numbers(&case["joint_position"]));
-            let wind = Vector3::from_column_slice(&numbers(&case["v_air_b"]));
-            let found = forces(&robot, &mut model, &state, wind).forces_i;
-            let rows: Vec<[f64; 3]> = serde_json::from_value(case[name].clone()).unwrap();
-            let pressure = 0.5 * 1.225 * wind.norm_squared();
-            let expected: Vec<Vector3<f64>> = rows.iter().map(|row| Vector3::from(*row) * pressure).collect();
-            let worst = distance(&expected, &found);
-            assert_within!(worst, tolerance, because "sums of 256 products, in single precision rounded by 6e-8 each", "{name}: {worst:e}");
-        }
-    }
-}
+// --- laws --------------------------------------------------------------------------------------------------------
 
 /// Single precision is double precision to six digits, whatever the shape.
 #[test]
@@ -96,8 +74,6 @@ fn precisions_agree() {
         }
     }
 }
-
-// --- laws --------------------------------------------------------------------------------------------------------
 
 /// Outputs in tunnel axes are those of base axes, turned: x along the wind, z normal to it without a side, y right-handed.
 #[test]
@@ -157,7 +133,7 @@ fn forces_follow_wind_and_world() {
 #[test]
 fn the_wind_is_that_of_the_base_origin() {
     let (robot, mut rng) = (robot("ironcub_mk1"), rng(3));
-    let mut model = load_aero(&config(data(SMALL), Precision::F64), &robot).unwrap();
+    let mut model = small(&robot);
     let (mut state, wind) = (random_state(&mut rng, &robot), random_vector(&mut rng, 10.0));
     let moving = forces(&robot, &mut model, &state, wind);
     let relative = wind - state.base_linear_velocity();
@@ -235,12 +211,12 @@ fn other_robots_have_networks_too() {
 /// What is wrong with a card whose value at `pointer` is `value`.
 fn error_of_card(pointer: &str, value: Value) -> BuildError {
     let robot = robot("ironcub_mk1");
-    let mut card: Value = serde_json::from_slice(&std::fs::read(data(SMALL)).unwrap()).unwrap();
+    let weights = random_weights(&robot, &SMALL);
+    let mut card = card(&robot, &SMALL, "small", &weights);
     let (parent, key) = pointer.rsplit_once('/').unwrap();
     card.pointer_mut(parent).unwrap()[key] = value;
-    let weights = std::fs::read(data(SMALL).with_extension("safetensors")).unwrap();
     let folder = tempdir().unwrap();
-    let path = write(folder.path(), "network_small", &card, &weights);
+    let path = write(folder.path(), "small", &card, &weights);
     load_aero(&config(path, Precision::F32), &robot).unwrap_err()
 }
 
@@ -249,11 +225,7 @@ fn error_of_card(pointer: &str, value: Value) -> BuildError {
 fn bad_cards_are_refused() {
     let links = || robot("ironcub_mk1").aero_links.into_iter().map(|link| link.name);
     for (pointer, value, words) in [
-        ("/format", json!("onnx"), vec!["format", "onnx", "flight-aero-network"]),
-        ("/version", json!(2), vec!["version", "2", "expected 1"]),
         ("/wieghts", json!(1), vec!["wieghts", "unknown"]),
-        ("/weights/sha256", json!("00"), vec!["SHA-256", "expected 00"]),
-        ("/weights/file", json!("../network_small.safetensors"), vec!["weights.file", "../"]),
         ("/weights/file", json!("absent.safetensors"), vec!["cannot read", "absent.safetensors"]),
         ("/inputs/features", json!([]), vec!["inputs.features", "empty"]),
         ("/inputs/features", json!(["wind", "wind"]), vec!["Wind twice"]),
@@ -281,53 +253,31 @@ fn bad_cards_are_refused() {
     }
 }
 
-/// What is wrong with these tensors, or with the file they were made into.
-fn error_of_weights(
-    name: &str,
-    change: impl FnOnce(&mut Vec<Tensor>),
-    spoil: impl FnOnce(&mut Vec<u8>),
-) -> BuildError {
+/// What is wrong with these tensors.
+fn error_of_weights(name: &str, change: impl FnOnce(&mut Vec<Tensor>)) -> BuildError {
     let robot = robot("ironcub_mk1");
     let shape = paper(&[4]);
     let mut tensors = random_tensors(n_inputs(&robot, &shape), 39, &shape, 1);
     change(&mut tensors);
-    let mut weights = file_of(&tensors);
-    spoil(&mut weights);
+    let weights = file_of(&tensors);
     let folder = tempdir().unwrap();
     let path = write(folder.path(), name, &card(&robot, &shape, name, &weights), &weights);
     load_aero(&config(path, Precision::F32), &robot).unwrap_err()
 }
 
-/// Shapes, types, numbers that are not finite, and files that are no safetensors files.
+/// Names and shapes of other tensors, and numbers that are not finite. Files: `rust/io/tests/files.rs`.
 #[test]
 fn bad_weights_are_refused() {
-    let tensors = |name: &str, change: fn(&mut Vec<Tensor>)| error_of_weights(name, change, |_| {});
     let words = ["member.0.layer.0.bias", "entry 2", "NaN", "nan.safetensors"];
-    assert_says(&tensors("nan", |tensors| tensors[1].2[2] = f32::NAN), &words);
-    assert_says(&tensors("inf", |tensors| tensors[4].2[0] = f32::INFINITY), &["output.scale", "inf"]);
-    let transposed = tensors("transposed", |tensors| tensors[0].1.reverse());
+    assert_says(&error_of_weights("nan", |tensors| tensors[1].2[2] = f32::NAN), &words);
+    let infinite = error_of_weights("inf", |tensors| tensors[4].2[0] = f32::INFINITY);
+    assert_says(&infinite, &["output.scale", "inf"]);
+    let transposed = error_of_weights("transposed", |tensors| tensors[0].1.reverse());
     assert_says(&transposed, &["shape", "member.0.layer.0.weight", "[22, 4]", "[4, 22]"]);
-    let more = tensors("more", |tensors| tensors.push(("extra".to_owned(), vec![1], vec![0.0])));
+    let more = error_of_weights("more", |tensors| tensors.push(("extra".to_owned(), vec![1], vec![0.0])));
     assert_says(&more, &["extra", "no layer"]);
-    let fewer = tensors("fewer", |tensors| drop(tensors.pop()));
+    let fewer = error_of_weights("fewer", |tensors| drop(tensors.pop()));
     assert_says(&fewer, &["output.offset", "does not exist"]);
-    let declared = tensors("declared", |tensors| {
-        tensors[0].1 = vec![4, 22];
-        tensors[0].2.truncate(80);
-    });
-    assert_says(&declared, &["bytes", "320", "352"]);
-
-    let file = |name: &str, spoil: fn(&mut Vec<u8>)| error_of_weights(name, |_| {}, spoil);
-    assert_says(&file("cut", |bytes| bytes.truncate(bytes.len() - 1)), &["cut.safetensors", "output.offset"]);
-    assert_says(&file("long", |bytes| bytes.push(0)), &["long.safetensors", "end at byte"]);
-    assert_says(&file("empty", Vec::clear), &["empty.safetensors", "0 bytes"]);
-    assert_says(&file("huge", |bytes| bytes[7] = 0x7f), &["announces", "shorter"]);
-    assert_says(&file("no table", |bytes| bytes[8] = b'x'), &["no table.safetensors", "its table"]);
-    let half = |bytes: &mut Vec<u8>| {
-        let text = String::from_utf8_lossy(&bytes[8..]).find("F32").unwrap() + 8;
-        bytes[text..text + 3].copy_from_slice(b"F16");
-    };
-    assert_says(&file("half", half), &["dtype", "F16", "F32"]);
 }
 
 /// Factors split a network's forces like any other model's: along the air that meets the link, and across it.
@@ -336,8 +286,8 @@ fn factors_apply_to_networks() {
     let (robot, mut rng) = (robot("ironcub_mk1"), rng(9));
     let (state, wind) = (random_state(&mut rng, &robot), random_vector(&mut rng, 10.0));
     let of = |factors: &ForceFactorsConfig| {
-        let model = load_aero(&config(data(SMALL), Precision::F64), &robot).unwrap();
-        forces(&robot, &mut model.weight_forces(factors, &robot, "factors").unwrap(), &state, wind)
+        let mut model = small(&robot).weight_forces(factors, &robot, "factors").unwrap();
+        forces(&robot, &mut model, &state, wind)
     };
     let plain = of(&ForceFactorsConfig::default());
     let links = BTreeMap::from([("head".to_owned(), 3.0)]);

@@ -3,11 +3,8 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-#[path = "../../sim/tests/common/network.rs"]
-mod cards;
-
+use crate::common::network::{card, paper, random_weights};
 use crate::common::{assert_says, robot};
-use cards::{card, file_of, n_inputs, paper, random_tensors};
 use flight_core::aero::Precision;
 use flight_core::{BuildError, RobotModel};
 use flight_io::network::load_network;
@@ -110,11 +107,6 @@ fn network(
     load_network(&config, robot).map(|_| ())
 }
 
-fn weights(robot: &RobotModel) -> Vec<u8> {
-    let shape = paper(&[4]);
-    file_of(&random_tensors(n_inputs(robot, &shape), 3 * robot.aero_links.len(), &shape, 1))
-}
-
 /// The table of a safetensors file changed, and bytes added at its end.
 fn with_table(file: &[u8], change: impl FnOnce(&mut Value), more: &[u8]) -> Vec<u8> {
     let (length, rest) = file.split_first_chunk::<8>().unwrap();
@@ -129,7 +121,7 @@ fn with_table(file: &[u8], change: impl FnOnce(&mut Value), more: &[u8]) -> Vec<
 #[test]
 fn tensors_fill_their_file() {
     let robot = robot("sparrow");
-    let sound = weights(&robot);
+    let sound = random_weights(&robot, &paper(&[4]));
     let offsets = |table: &mut Value, tensor: &str, by: [i64; 2]| {
         for (offset, by) in table[tensor]["data_offsets"].as_array_mut().unwrap().iter_mut().zip(by) {
             *offset = json!(offset.as_i64().unwrap() + by);
@@ -186,7 +178,7 @@ fn tensors_fill_their_file() {
 #[test]
 fn cards_are_of_their_weights() {
     let robot = robot("sparrow");
-    let weights = weights(&robot);
+    let weights = random_weights(&robot, &paper(&[4]));
     for (pointer, value, words) in [
         (
             "/format",

@@ -13,6 +13,7 @@ mod episode;
 
 use cases::cases;
 use common::counting::{Counting, allocations};
+use common::network::{SMALL, random_network};
 use common::{Loop, Running, experiment, tick_at};
 use episode::Episodes;
 use flight_core::Measurement;
@@ -20,7 +21,7 @@ use flight_core::aero::Precision;
 use flight_core::control::CommandStatus;
 use flight_core::control::config::{Fallback, Solver};
 use flight_core::wind_observer::WindObserverConfig;
-use flight_io::{AeroConfig, NetworkConfig, load_robot};
+use flight_io::{AeroConfig, load_robot};
 use flight_sim::config::AeroKinematics;
 use flight_sim::disturbances::{FailureKind, JetFailure, Outage, OutageChannel, OutageKind};
 use flight_sim::{Scenario, ScenarioConfig};
@@ -88,9 +89,9 @@ fn sphere_cylinder() -> AeroConfig {
     flight_io::load(&file).unwrap()
 }
 
-fn network() -> AeroConfig {
-    let card = Path::new(env!("CARGO_MANIFEST_DIR")).join("../core/tests/data/network_small.json");
-    AeroConfig::Network(NetworkConfig { card, precision: Precision::F32, air_density: 1.225 })
+/// A network with every feature; its files are in `folder`.
+fn small_network(folder: &Path) -> AeroConfig {
+    random_network(folder, &common::robot("ironcub_mk1"), &SMALL, "small", Precision::F32)
 }
 
 /// Calm flight, through climb and turbo, with either fallback.
@@ -118,6 +119,7 @@ fn a_saturated_tick_does_not_allocate() {
 #[test]
 #[allow(clippy::large_stack_arrays, reason = "a handful of configurations, once")]
 fn no_model_allocates() {
+    let folder = tempfile::tempdir().unwrap();
     for (what, config) in [
         ("published", experiment("test2_published")),
         ("baseline", experiment("test1")),
@@ -133,8 +135,8 @@ fn no_model_allocates() {
         (
             "network",
             with("test2", |config| {
-                config.controller.aero = network();
-                config.simulator.aero = network();
+                config.controller.aero = small_network(folder.path());
+                config.simulator.aero = small_network(folder.path());
             }),
         ),
         ("sub-steps", with("test2", |config| config.simulator.substeps = 4)),

@@ -21,9 +21,8 @@ use flight_sim::{ScenarioConfig, Wind, WindConfig};
 use nalgebra::{Vector3, Vector6};
 use proptest::collection::vec;
 use proptest::prelude::*;
-use sha2::{Digest, Sha256};
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// What a number is replaced by.
 const NUMBERS: [&str; 14] = [
@@ -207,13 +206,11 @@ fn a_spoilt_configuration() {
 
 #[test]
 fn a_spoilt_network() {
+    use crate::common::network::{SMALL, card, digest, random_weights};
+
     let robot = flight_io::load_robot(&configs("robot/ironcub_mk1.toml")).unwrap();
-    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../core/tests/data");
-    let card = std::fs::read_to_string(data.join("network_small.json")).unwrap();
-    let weights = std::fs::read(data.join("network_small.safetensors")).unwrap();
-    let digest = |bytes: &[u8]| {
-        Sha256::digest(bytes).iter().fold(String::new(), |hex, byte| hex + &format!("{byte:02x}"))
-    };
+    let weights = random_weights(&robot, &SMALL);
+    let card = format!("{:#}", card(&robot, &SMALL, "network_small", &weights));
     let (sha, path) = (digest(&weights), PathBuf::from("fuzz/network_small.json"));
     let scenario = experiment("test4");
     proptest!(cases(300), |(of_card in any::<bool>(), edits in edits(), density in prop_oneof![Just(1.2), Just(1e308)])| {

@@ -6,6 +6,7 @@
 pub mod counting;
 pub mod engines;
 pub mod measured;
+pub mod network;
 
 #[allow(unused_imports, reason = "no test binary needs everything")]
 pub(crate) use measured::{assert_within, difference, relative};

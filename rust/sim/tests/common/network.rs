@@ -36,6 +36,14 @@ pub const COMPACT: Shape = Shape {
     has_baseline: true,
 };
 
+/// Few weights, with every feature and option.
+pub const SMALL: Shape = Shape {
+    features: &["link_shadow", "wind", "joints", "link_position", "link_wind"],
+    hidden: &[5, 9],
+    members: 2,
+    ..COMPACT
+};
+
 /// The paper's, with hidden layers of this width.
 pub const fn paper(hidden: &'static [usize]) -> Shape {
     Shape {
@@ -88,6 +96,11 @@ pub fn file_of(tensors: &[Tensor]) -> Vec<u8> {
     [&length, table.as_bytes(), &data].concat()
 }
 
+/// SHA-256 of the weights, as it is on the card.
+pub fn digest(weights: &[u8]) -> String {
+    Sha256::digest(weights).iter().fold(String::new(), |hex, byte| hex + &format!("{byte:02x}"))
+}
+
 /// A card for `weights`, to be saved beside them as `NAME.json`.
 pub fn card(robot: &RobotModel, shape: &Shape, name: &str, weights: &[u8]) -> Value {
     let joints: Vec<&str> =
@@ -97,13 +110,12 @@ pub fn card(robot: &RobotModel, shape: &Shape, name: &str, weights: &[u8]) -> Va
     let by_link: serde_json::Map<String, Value> =
         links.iter().map(|link| ((*link).to_owned(), numbers.clone())).collect();
     let baseline = shape.has_baseline.then(|| json!({"kind": "axisymmetric", "links": by_link}));
-    let sha256 = Sha256::digest(weights).iter().fold(String::new(), |hex, byte| hex + &format!("{byte:02x}"));
     json!({
         "format": "flight-aero-network",
         "version": 1,
         "name": name,
         "description": "Random weights.",
-        "weights": {"file": format!("{name}.safetensors"), "sha256": sha256},
+        "weights": {"file": format!("{name}.safetensors"), "sha256": digest(weights)},
         "inputs": {"features": shape.features, "joints": joints, "links": links},
         "output": {"frame": shape.frame, "layout": shape.layout, "unit": "m^2"},
         "architecture": {
@@ -129,6 +141,11 @@ pub fn n_inputs(robot: &RobotModel, shape: &Shape) -> usize {
         .sum()
 }
 
+/// The file of random weights for a robot.
+pub fn random_weights(robot: &RobotModel, shape: &Shape) -> Vec<u8> {
+    file_of(&random_tensors(n_inputs(robot, shape), 3 * robot.aero_links.len(), shape, 7))
+}
+
 /// Writes card and weights; the path of the card.
 pub fn write(folder: &Path, name: &str, card: &Value, weights: &[u8]) -> PathBuf {
     std::fs::write(folder.join(name).with_extension("safetensors"), weights).unwrap();
@@ -145,8 +162,7 @@ pub fn random_network(
     name: &str,
     precision: Precision,
 ) -> AeroConfig {
-    let tensors = random_tensors(n_inputs(robot, shape), 3 * robot.aero_links.len(), shape, 7);
-    let weights = file_of(&tensors);
+    let weights = random_weights(robot, shape);
     let card = write(folder, name, &card(robot, shape, name, &weights), &weights);
     AeroConfig::Network(NetworkConfig { card, precision, air_density: 1.225 })
 }
