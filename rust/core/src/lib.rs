@@ -7,7 +7,7 @@
 //!
 //! Each arrow is one plain struct, computed once per tick and passed on. Modules, each using only those
 //! before it: [`error`] · [`spatial`] · [`linalg`] · [`robot`] · [`kinematics`] · [`subtree`] · [`dynamics`]
-//! · [`aero`] · [`jets`] · [`qp`] · [`control`] · [`estimator`] · [`wind_observer`].
+//! · [`aero`] · [`jets`] · [`qp`] · [`control`] with [`estimator`] and [`wind_observer`], which use one another.
 //!
 //! SI units and radians; vectors and Jacobians are in inertial axes unless a suffix states otherwise.
 
