@@ -114,15 +114,15 @@ def start_plant(
     """
     initial = config.initial
     _check(initial, robot)
-    jets = jets or jet_dynamics(config.jets, robot)
+    # A model without fields, such as an empty NamedTuple, counts as false.
+    aero = aero_model(config.aero, robot, read_network) if aero is None else aero
+    jets = jet_dynamics(config.jets, robot) if jets is None else jets
     faults, fault_state = None, None
     if disturbances.jets != JetFaultsConfig():
         faults, fault_state = start_faults(disturbances.jets, config.jets, robot, n_ticks(config))
     plant = Plant(
         robot=robot,
-        aero=weight_forces(
-            aero or aero_model(config.aero, robot, read_network), disturbances.aero, robot, "disturbances.aero"
-        ),
+        aero=weight_forces(aero, disturbances.aero, robot, "disturbances.aero"),
         jets=jets,
         jet_faults=faults,
         time_step=jnp.asarray(leaf(config.time_step)),

@@ -245,12 +245,14 @@ def prepare(
     controller_wind = None if replaced is None else wind_model(replaced)
     plant, state = world.start_plant(config.simulator, config.disturbances, robot, aero, jets, read_network)
     model, settings = controller_model(config, robot), config.simulator.sensors
+    if controller is None:
+        controller = momentum_controller(config, model or robot, read_network)
     estimate, ticks, errors = config.disturbances.wind_estimate, world.n_ticks(config.simulator), None
     if estimate is not None:
         errors = wind_estimate(estimate, plant.time_step, _winds(controller_wind or wind, ticks, plant.time_step))
     scenario = Scenario(
         plant=plant,
-        controller=controller or momentum_controller(config, model or robot, read_network),
+        controller=controller,
         wind=wind,
         fall=leaves(FallLimits, config.simulator.fall),
         divergence=leaves(DivergenceLimits, config.simulator.divergence),

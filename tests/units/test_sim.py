@@ -8,7 +8,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,7 @@ from msgspec.structs import replace as with_keys
 from jax_aero import io, rust, sim, tables
 from jax_aero.aero import WeightedModel
 from jax_aero.io import scenario_config
+from jax_aero.jets import JetsState
 from jax_aero.types import Setpoint, pytree, replace_values
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -112,6 +113,23 @@ def test_air_of_ones_own(own_flight, agree):
     assert np.array_equal(own_flight["aero_force_sim"], np.broadcast_to([0.0, -1.0, 0.0], (41, 13, 3)))
     added = own_flight["momentum"][1] - own_flight["still_momentum"][1]
     agree("momentum added", added[1], -13.0 * 0.01, 0.01)
+
+
+def test_models_without_fields_are_used_too():
+    """A NamedTuple without fields is false."""
+
+    class Own(NamedTuple):
+        def init(self, _robot, _state):
+            return ()
+
+        def start(self, thrust):
+            return JetsState(thrust, jnp.zeros_like(thrust))
+
+        def feedback(self, state):
+            return state.thrust
+
+    scenario, _ = sim.prepare(io.load_config(TEST2), controller=Own(), aero=Own(), jets=Own(), dtype=np.float32)
+    assert all(isinstance(model, Own) for model in (scenario.controller, scenario.plant.aero, scenario.plant.jets))
 
 
 def test_the_configured_controller_needs_no_crate_either(own_flight):
