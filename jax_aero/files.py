@@ -20,6 +20,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from jax_aero.command import Refused
 
 
@@ -193,6 +196,14 @@ def read_bytes(path: Path, greatest: int = MAX_SIZE) -> bytes:
 def read_text(path: Path, greatest: int = MAX_SIZE) -> str:
     """Read a text file in UTF-8, with the limits of `read_bytes`."""
     return read_bytes(path, greatest).decode()
+
+
+def read_numbers(path: Path) -> NDArray[np.float64]:
+    """Return the numbers (rows, columns) of a CSV file below its header; empty lines and `#` comments are left out."""
+    lines = [line for line in read_text(path).splitlines() if line.partition("#")[0].strip()]
+    if len(lines) < 2:
+        raise Refused(f"{path.name}: expected a header and one row of numbers or more")
+    return np.loadtxt(lines[1:], delimiter=",", ndmin=2)
 
 
 def read_json(path: Path) -> dict[str, Any]:

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from jax_aero.files import read_text
+from jax_aero.files import read_numbers
 from jax_aero.spatial import exp_so3, log_so3, multiply, rotation_from_rpy
 from jax_aero.types import Array, leaf
 
@@ -67,10 +67,8 @@ def read_reference(path: str | PathLike[str]) -> RecordedReference:
 
     Only the shape and the rotations are checked here; `rust.check_config` reports why the crate refuses a file.
     """
-    text = read_text(Path(path)).splitlines()
-    lines = [line for line in text if line.strip() and not line.lstrip().startswith("#")]
-    rows = np.array([line.split(",") for line in lines[1:]], dtype=np.float64)
-    if rows.ndim != 2 or rows.shape[1] not in (7, 10, 13, 16) or len(rows) < 2:
+    rows = read_numbers(Path(path))
+    if rows.shape[1] not in (7, 10, 13, 16) or len(rows) < 2:
         raise ValueError(f"reference file {path} has shape {rows.shape}; expected 2 rows or more of 7, 10, 13 or 16")
     rotations = Rotation.from_euler("xyz", rows[:, 4:7])
     turns = np.degrees((rotations[:-1].inv() * rotations[1:]).magnitude())

@@ -5,7 +5,6 @@ Equations M36 to M38 of `docs/model.md`.
 
 from __future__ import annotations
 
-import io
 from typing import TypeAlias, assert_never
 
 import jax.numpy as jnp
@@ -13,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_aero import config, noise
-from jax_aero.files import read_text
+from jax_aero.files import read_numbers
 from jax_aero.types import Array, leaf, leaves, pytree
 
 
@@ -101,13 +100,15 @@ def wind_model(settings: config.WindConfig) -> Wind:
             mean = leaves(RampWind, settings)
             return TurbulentWind(mean, leaf(settings.std), leaf(settings.time_scale), places, phases)
         case config.FileWindConfig():
-            samples = np.loadtxt(io.StringIO(read_text(settings.path)), delimiter=",", skiprows=1, ndmin=2)
-            return RecordedWind(times=leaf(samples[:, 0]), velocities=leaf(samples[:, 1:4]))
+            return _recorded_wind(read_numbers(settings.path))
         case config.SamplesWindConfig():
-            samples = np.asarray(settings.samples)
-            return RecordedWind(times=leaf(samples[:, 0]), velocities=leaf(samples[:, 1:4]))
+            return _recorded_wind(np.asarray(settings.samples))
         case _:
             assert_never(settings)
+
+
+def _recorded_wind(samples: Float[np.ndarray, "k 4"]) -> RecordedWind:
+    return RecordedWind(times=leaf(samples[:, 0]), velocities=leaf(samples[:, 1:]))
 
 
 def _waves(seed: int) -> tuple[Array, Array]:

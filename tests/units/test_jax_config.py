@@ -14,7 +14,7 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.aero.model import aero_model
-from jax_aero.config import AxisymmetricAeroConfig
+from jax_aero.config import AxisymmetricAeroConfig, FileWindConfig
 from jax_aero.control.recorded import read_reference
 from jax_aero.control.tick import momentum_controller
 from jax_aero.io import scenario_config
@@ -22,6 +22,7 @@ from jax_aero.keys import set_key
 from jax_aero.robot import ancestors_of, levels_of, load_robot
 from jax_aero.sim import prepare
 from jax_aero.sim.plant import n_ticks
+from jax_aero.sim.wind import wind_model, wind_velocity
 from jax_aero.types import Static, pytree, with_dtype
 from jax_aero.urdf import read_tree
 
@@ -45,6 +46,14 @@ def test_a_half_turn_between_rows_is_refused(tmp_path, turn, is_refused):
         return
     with pytest.raises(ValueError, match=rf"turns by {turn} deg from row 2 to row 3; expected a turn below 179 deg"):
         read_reference(str(path))
+
+
+def test_a_wind_file_may_begin_with_an_empty_line_in_both_languages(tmp_path):
+    path = tmp_path / "wind.csv"
+    path.write_text("\ntime, x, y, z\n0,1,2,3\n \n2,3,-4,5\n")
+    with jax.enable_x64(True):
+        ours = wind_velocity(wind_model(FileWindConfig(path=path)), 0.5)
+    np.testing.assert_array_equal(ours, rust.wind_velocity({"profile": "file", "path": str(path)}, [0.5])[0])
 
 
 def test_numbers_are_leaves_and_names_are_structure(table):
