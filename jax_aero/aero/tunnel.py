@@ -20,6 +20,8 @@ import xarray as xr
 from jax_aero.aero.dataset import JOINTS, Floats, number
 
 GVP_COLUMNS = 86
+GVP_USED = (*range(1, 5), *range(8, 11), 12, *range(14, 20), *range(74, 80))
+"""Columns of a balance file that are read."""
 COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 WIND_OFF = 5.0
 """Speed below which the wind is off [m/s]."""
@@ -90,7 +92,7 @@ class Points:
 
 
 def read_gvp(text: str, source: str) -> Floats:
-    """Return the rows (n, 86) of a balance file, wind-off rows included.
+    """Return the rows (n, 86) of a balance file, wind-off rows included; columns that are not in `GVP_USED` are NaN.
 
     Raises
     ------
@@ -100,18 +102,12 @@ def read_gvp(text: str, source: str) -> Floats:
     places, lines = _lines(text)
     if len(lines) < 3 or "=" not in lines[0] or not lines[1].startswith("ID(0)"):
         raise ValueError(f"{source}: no balance file; expected a line KEY=VALUE;…, one of columns ID(0),…, and rows")
-    rows = []
-    for place, line in zip(places[2:], lines[2:], strict=True):
+    found = np.full((len(lines) - 2, GVP_COLUMNS), np.nan)
+    for row, place, line in zip(found, places[2:], lines[2:], strict=True):
         cells = line.split("\t")
         if len(cells) != GVP_COLUMNS:
             raise ValueError(f"{source}, line {place}: {len(cells)} columns; expected {GVP_COLUMNS}")
-        rows.append([_number(cell, source, place, column) for column, cell in enumerate(cells)])
-    found = np.array(rows)
-    needed = np.r_[1:5, 8:11, 12, 14:20, 74:80]
-    bad = np.argwhere(~np.isfinite(found[:, needed]))
-    if len(bad):
-        row, column = bad[0]
-        raise ValueError(f"{source}, line {places[2 + row]}, column {needed[column]}: nan; expected a finite number")
+        row[list(GVP_USED)] = [number(cells[column], f"{source}, line {place}", str(column)) for column in GVP_USED]
     return found
 
 
@@ -121,13 +117,6 @@ def _lines(text: str) -> tuple[list[int], list[str]]:
     return [place for place, _ in found], [line for _, line in found]
 
 
-def _number(cell: str, source: str, line: int, column: int) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        raise ValueError(f"{source}, line {line}, column {column}: {cell!r}; expected a number") from None
-
-
 def read_sweep(text: str, source: str) -> tuple[Floats, Floats]:
     """Return forces and moments (n, 3) of a gravity sweep (`.tara`), balance axes, minus its first zero [N, N m]."""
     places, lines = _lines(text)
@@ -135,12 +124,12 @@ def read_sweep(text: str, source: str) -> tuple[Floats, Floats]:
         raise ValueError(f"{source}: no gravity sweep; expected a line of columns a_nom[deg], …, and rows")
     rows = []
     for place, line in zip(places[1:], lines[1:], strict=True):
-        cells = line.split("\t")[:10]
+        cells = line.split("\t")
         if len(cells) < 10:
             raise ValueError(f"{source}, line {place}: {len(cells)} columns; expected at least 10")
-        rows.append([_number(cell, source, place, column) for column, cell in enumerate(cells)])
+        rows.append([number(cells[column], f"{source}, line {place}", str(column)) for column in range(4, 10)])
     found = np.array(rows)
-    return found[:, 4:7], found[:, 7:10]
+    return found[:, :3], found[:, 3:]
 
 
 def centre_of_gravity(force: Floats, moment: Floats) -> tuple[Floats, Floats]:

@@ -129,8 +129,8 @@ def test_a_gravity_sweep_gives_the_centre_of_gravity(tmp_path):
     [
         ("nothing", "no balance file"),
         (gvp([(1, 0.0, 0.0, 12.0, 80.0, (0.0,) * 6)]).replace("NAN\n", "NAN\t0\n"), "expected 86"),
-        (gvp([(1, 0.0, 0.0, 12.0, 80.0, (0.0,) * 6)]).replace("8.000000E+01", "8,0"), "column 9: '8,0'"),
-        (gvp([(1, 0.0, 0.0, 12.0, 80.0, (np.nan,) * 6)]), "column 14: nan"),
+        (gvp([(1, 0.0, 0.0, 12.0, 80.0, (0.0,) * 6)]).replace("8.000000E+01", "8,0"), "column `9`: '8,0'"),
+        (gvp([(1, 0.0, 0.0, 12.0, 80.0, (np.nan,) * 6)]), "column `14`: 'NAN'"),
     ],
 )
 def test_a_file_that_is_none_is_refused_with_its_place(text, message):
@@ -171,9 +171,13 @@ def test_a_table_of_points_is_refused_with_line_and_column(column, text, message
     [
         ("a_nom[deg]\n", r"t.tara: no gravity sweep; expected .* rows"),
         ("a_nom[deg]\n" + "\t".join("1" * 10) + "\n\n1\t2\n", r"t.tara, line 4: 2 columns; expected at least 10"),
+        (
+            "a_nom[deg]\n" + "\t".join("1" * 9) + "\tnan\n",
+            r"t.tara, line 2, column `9`: 'nan'; expected a finite number",
+        ),
     ],
 )
-def test_a_gravity_sweep_that_is_cut_short_is_refused(text, message):
+def test_a_gravity_sweep_that_is_incomplete_is_refused(text, message):
     with pytest.raises(ValueError, match=message):
         tunnel.read_sweep(text, "t.tara")
 
