@@ -256,11 +256,14 @@ def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rus
     Raises
     ------
     ValueError
-        If the configuration has no ground, or has settings that this engine does not support.
+        If the configuration has no ground, or has settings that this engine does not support; or if the robot does not
+        come to rest where it is put down.
     """
     rust.check_config({**config, "engine": "mujoco"})
     simulator, disturbances = config["simulator"], config.get("disturbances", {})
     plant, controller = GroundPlant(config), rust.Controller(config)
+    if not plant.is_sound:
+        raise ValueError("`simulator.initial` puts the robot where it does not come to rest: its state is not finite")
     times = _times(simulator)
     blowing = rust.wind_velocity(config["wind"], times)
     measured = rust.wind_velocity(disturbances.get("controller_wind", config["wind"]), times)

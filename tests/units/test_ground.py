@@ -409,6 +409,13 @@ def test_bad_ground_is_refused(overrides, named):
         standing(**overrides)
 
 
+def test_a_pose_far_below_the_ground_is_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings to a file in the current folder
+    buried = {"simulator.initial.base_position": [0.0, 0.0, -1e6], "simulator.substeps": 1}
+    with pytest.raises(ValueError, match=r"`simulator\.initial` puts the robot where it does not come to rest"):
+        fly(standing(**buried | {"simulator.ground.settling": 0.2}))
+
+
 def test_engines_refuse_what_they_do_not_know(monkeypatch):
     flying = rust.load_config(ROOT / "configs/experiments/test2.toml")
     with pytest.raises(ValueError, match=r"simulator.ground.* is absent"):
