@@ -95,10 +95,10 @@ class Scenario:
     """Everything that is constant in a flight. Every number is a leaf, for batches and derivatives.
 
     Another controller, aerodynamic model or jet dynamics is set by `prepare`, or by `dataclasses.replace`. Some leaves
-    were computed from the time step or, if its mean is measured, from the wind: `replace_values` refuses changes of
-    these. Limits are the controller's: torques are limited by `controller.torque_max`, a copy of
-    `plant.robot.joint_torque_max`. The state holds centre of mass and inertia of the initial robot: after changing
-    them, call `begin` again.
+    were computed from the time step; if noise is drawn, from the number of ticks; or, if its mean is measured, from the
+    wind: `replace_values` refuses changes of these. Limits are the controller's: torques are limited by
+    `controller.torque_max`, a copy of `plant.robot.joint_torque_max`. The state holds centre of mass and inertia of the
+    initial robot: after changing them, call `begin` again.
     """
 
     plant: Plant
@@ -126,11 +126,17 @@ class Scenario:
 
     @property
     def computed_from(self) -> tuple[str, ...]:
-        """Return the wind whose mean is used, unless it is known not to be; a traced switch is not known."""
-        is_mean = False if self.wind_estimate is None else self.wind_estimate.is_mean
+        """Return the length for which noise is drawn, and the wind whose mean is used.
+
+        The wind is left out if its mean is known not to be used; a traced switch is not known.
+        """
+        faults, estimate = self.plant.jet_faults, self.wind_estimate
+        drawn = (self.sensors, estimate, None if faults is None else faults.sensor_noise)
+        names: tuple[str, ...] = () if all(part is None for part in drawn) else ("n_ticks",)
+        is_mean = False if estimate is None else estimate.is_mean
         if not isinstance(is_mean, jax.core.Tracer) and not np.asarray(is_mean).any():
-            return ()
-        return ("wind" if self.controller_wind is None else "controller_wind",)
+            return names
+        return (*names, "wind" if self.controller_wind is None else "controller_wind")
 
 
 class FlightState(NamedTuple):

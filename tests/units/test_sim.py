@@ -256,18 +256,19 @@ def test_double_precision_is_never_silently_missing():
 
 
 def test_what_others_were_computed_from_does_not_change():
-    """They would stay as they are: filters and delays, and the mean of the wind where the controller is given it."""
+    """They would stay as they are: filters, delays, noise, and the mean of a wind that the controller is given."""
     config = io.load_config(TEST2, {"simulator.duration": 0.1, "disturbances.wind_estimate": {"mean_only": True}})
     scenario, _ = sim.prepare(config, dtype=np.float32)
     other, wind = replace(scenario, controller_wind=scenario.wind), {"wind.velocity": jnp.zeros(3)}
     names = ("plant.time_step", "controller.time_step", "controller.setpoint.time_step")
-    refused = [(scenario, {name: 0.02}) for name in names] + [(scenario, wind)]
+    refused = [(scenario, {name: 0.02}) for name in names] + [(scenario, wind), (scenario, {"n_ticks": 20})]
     for of, values in [*refused, (other, {"controller_wind.velocity": jnp.zeros(3)})]:
         with pytest.raises(ValueError, match=rf"`{next(iter(values))}` is what others .*; expected `prepare`"):
             replace_values(of, values)
     with pytest.raises(ValueError, match=r"wind\.velocity"):
         jax.eval_shape(lambda traced: replace_values(traced, wind), scenario)
     assert not replace_values(other, wind).wind.velocity.any()
+    assert replace_values(replace(scenario, wind_estimate=None), {"n_ticks": 20}).n_ticks == 20
     exact = replace(scenario, wind_estimate=replace_values(scenario.wind_estimate, {"is_mean": False}))
     assert jax.eval_shape(lambda velocity: replace_values(exact, {"wind.velocity": velocity}), jnp.zeros(3))
 
