@@ -244,8 +244,11 @@ def from_links(model: Any, links: Sequence[Link], aero: str = "sphere_cylinder")
     if given:
         chosen = Axisymmetric(k_a=leaf(0.5 * AIR_DENSITY), areas=leaf(given))
     else:
+        shapes = settings(aero)
+        if not isinstance(shapes, config.SphereCylinderAeroConfig):
+            raise ValueError(f"`aero` is `{aero}`; expected a sphere and cylinder model, or links with coefficients")
         with jax.enable_x64(True):
-            chosen = aero_model(settings(aero), limbs)
+            chosen = aero_model(shapes, limbs)
     return _air(model, chosen, limbs, [_body(model, name) for name in bodies], [])
 
 

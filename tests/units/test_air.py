@@ -130,6 +130,12 @@ def test_bad_links_are_refused(links, message):
         air.from_links(mujoco.MjModel.from_xml_string(PENDULUM), links)
 
 
+@pytest.mark.parametrize("aero", ["network", "axisymmetric_corrected"])
+def test_a_model_of_a_whole_robot_is_refused_for_declared_links(aero):
+    with pytest.raises(ValueError, match=f"`aero` is `{aero}`; expected a sphere and cylinder model"):
+        air.from_links(mujoco.MjModel.from_xml_string(PENDULUM), [air.Link("arm", 0.1)], aero)
+
+
 def test_wind_may_be_a_list_of_three_and_nothing_else():
     model = mujoco.MjModel.from_xml_string(PENDULUM)
     around, data = air.from_links(model, [air.Link("arm", 0.1)]), mujoco.MjData(model)
