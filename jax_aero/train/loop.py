@@ -254,7 +254,7 @@ def _epoch(
     steps = x.shape[0] // batch
     key = jax.random.fold_in(jax.random.key(seed), epoch)
     order_key, noise_key = jax.random.split(key)
-    order = jax.random.permutation(order_key, x.shape[0]) if steps > 1 else jnp.arange(x.shape[0])
+    order = jax.random.permutation(order_key, x.shape[0]) if batch < x.shape[0] else jnp.arange(x.shape[0])
 
     def loss(layers: tuple[Layer, ...], rows: Array, key: Array) -> Array:
         for_noise, for_dropout = jax.random.split(key)

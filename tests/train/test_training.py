@@ -272,6 +272,14 @@ def test_settings_that_are_made_in_python_are_checked_too(task, key, value, expe
         fit(network, training, None, structs.replace(SETTINGS, **{key: value}), seed=0)
 
 
+def test_rows_that_do_not_fill_the_only_batch_are_left_to_other_epochs(task):
+    network, training, _ = task
+    settings = structs.replace(SETTINGS, epochs=3, batch=len(training.x) - 8, scale_output=False)
+    other = training._replace(y=np.concatenate([training.y[:-8], training.y[-8:] + 1.0]))
+    one, another = (fit(network, samples, None, settings, seed=0).network for samples in (training, other))
+    assert not same_bits(one, another)
+
+
 def test_a_batch_larger_than_the_data_is_refused(task):
     network, training, _ = task
     with pytest.raises(ValueError, match=f"`batch` is 100000; there are {len(training.x)} rows"):
