@@ -95,6 +95,7 @@ def prepare(
 
     Parameters
     ----------
+    robot, coefficients
         The robot and the axisymmetric coefficients [m²] that define the drag curves of its links.
     features
         Features of the panel model, see `batched_features`.
