@@ -1,4 +1,4 @@
-"""Poses, velocities, centre of mass and Jacobians of a state.
+"""Poses, velocities and centre of mass of a state; the generalised force of forces at points.
 
 Only rotations are composed along the tree. All other quantities of a body are sums over its ancestors, computed as one
 product with the static matrix of ancestors: few large operations instead of a loop over bodies.
@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_aero.robot import AeroLinks, Jets, RobotModel
-from jax_aero.spatial import axis_angle, cross, multiply, rotate, skew
+from jax_aero.spatial import axis_angle, cross, exp_so3, multiply, rotate
 from jax_aero.types import Array, Kinematics, State
 
 
@@ -44,6 +44,16 @@ def kinematics_at_rest(robot: RobotModel, joint_position: Float[Array, " n"]) ->
     return kinematics(robot, State(zero[:3], jnp.eye(3, dtype=zero.dtype), joint_position, zero))
 
 
+def move(state: State, velocity: Float[Array, " N"], step: Float[Array, ""]) -> State:
+    """Return the state after `step` [s] at a constant velocity ν [m/s, rad/s], which it then has; M78."""
+    return State(
+        base_position=state.base_position + step * velocity[:3],
+        base_rotation=multiply(exp_so3(step * velocity[3:6]), state.base_rotation),
+        joint_position=state.joint_position + step * velocity[6:],
+        velocity=velocity,
+    )
+
+
 def carriers(robot: RobotModel, bodies: tuple[int, ...], dtype: np.dtype[np.generic] | type) -> Float[Array, "k n"]:
     """Return the static mask of whether joint `j` moves the body of point `k`."""
     return jnp.asarray(robot.ancestors[np.array(bodies, dtype=int)], dtype)
@@ -62,26 +72,6 @@ def _compose_along_tree(robot: RobotModel, base_rotation: Array, local: Array) -
         done.append(multiply(done[-1][parents], local[np.array(level) - 1]))
     order = np.argsort(np.concatenate([np.array(level) for level in levels]))
     return jnp.concatenate(done)[order]
-
-
-def point_jacobians(
-    robot: RobotModel, kin: Kinematics, bodies: tuple[int, ...], points: Float[Array, "k 3"]
-) -> tuple[Float[Array, "k 3 N"], Float[Array, "k 3 N"]]:
-    """Return linear and angular Jacobians of points [m] that move with `bodies`, inertial axes.
-
-    Base translation gives the columns `(e_k, 0)`, base rotation `(e_k × r, e_k)`, and a joint that moves the body
-    `(a × (p − o_j), a)` if it is revolute and `(a, 0)` if it is prismatic.
-    """
-    k, dtype = len(bodies), points.dtype
-    moves = carriers(robot, bodies, dtype)[..., None]
-    unit = jnp.broadcast_to(jnp.eye(3, dtype=dtype), (k, 3, 3))
-    arms = points[:, None, :] - kin.body_positions[None, 1:, :]
-    columns = moves * (kin.joint_linear[None] + cross(kin.joint_angular[None], arms))
-    turned = -skew(points - kin.body_positions[0])
-    linear = jnp.concatenate([unit, turned, jnp.swapaxes(columns, 1, 2)], axis=2)
-    axes = jnp.swapaxes(moves * kin.joint_angular[None], 1, 2)
-    angular = jnp.concatenate([jnp.zeros_like(unit), unit, axes], axis=2)
-    return linear, angular
 
 
 def generalised_force(

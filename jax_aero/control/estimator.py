@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float, Int
 from jax_aero.aero import AeroModel, LinkConventions, generalised_aero_force, link_forces
 from jax_aero.config import EstimatorConfig
 from jax_aero.dynamics import dynamics, forward_dynamics
-from jax_aero.kinematics import frame_poses, generalised_force, kinematics
+from jax_aero.kinematics import frame_poses, generalised_force, kinematics, move
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import cross, exp_so3, log_so3, multiply, project_to_so3, rotate
 from jax_aero.types import Array, State, Static, join, leaf, pytree, where
@@ -247,13 +247,7 @@ def advance(
     linear = wrench[:3] / robot.mass - cross(angular, kin.com - state.base_position)
     whole = jnp.concatenate([linear, angular, disturbance])
     velocity = state.velocity + step * (forward_dynamics(dyn, force) + whole)
-    moved = State(
-        base_position=state.base_position + step * velocity[:3],
-        base_rotation=multiply(exp_so3(step * velocity[3:6]), state.base_rotation),
-        joint_position=state.joint_position + step * velocity[6:],
-        velocity=velocity,
-    )
-    return Reading(moved, jnp.maximum(reading.thrust + step * order.thrust_rate, 0.0))
+    return Reading(move(state, velocity, step), jnp.maximum(reading.thrust + step * order.thrust_rate, 0.0))
 
 
 def _prefer_measured(measured: Reading, estimate: Reading) -> Reading:

@@ -39,9 +39,9 @@ from jax_aero.config import (
 from jax_aero.dynamics import dynamics, forward_dynamics
 from jax_aero.jet_faults import FaultState, JetFaults, delay_rates, limit_thrust, measure_thrust, start_faults
 from jax_aero.jets import JetDynamics, JetsState, jet_dynamics
-from jax_aero.kinematics import frame_poses, generalised_force, kinematics
+from jax_aero.kinematics import frame_poses, generalised_force, kinematics, move
 from jax_aero.robot import RobotModel
-from jax_aero.spatial import exp_so3, multiply, rotate, rotation_from_rpy
+from jax_aero.spatial import rotate, rotation_from_rpy
 from jax_aero.types import Array, Dynamics, Kinematics, LinkForces, State, Static, leaf, pytree
 
 STOP_STIFFNESS = 1e5
@@ -275,9 +275,4 @@ def integrate(plant: Plant, state: State, acceleration: Float[Array, " N"], step
             moving = state.velocity
         case _:
             assert_never(plant.integrator)
-    return State(
-        base_position=state.base_position + step * moving[:3],
-        base_rotation=multiply(exp_so3(step * moving[3:6]), state.base_rotation),
-        joint_position=state.joint_position + step * moving[6:],
-        velocity=velocity,
-    )
+    return move(state, moving, step)._replace(velocity=velocity)

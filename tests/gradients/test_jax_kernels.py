@@ -16,7 +16,7 @@ from jax_aero.config import SecondOrderJetsConfig
 from jax_aero.dynamics import dynamics, forward_dynamics
 from jax_aero.io import aero_config, scenario_config
 from jax_aero.jets import jet_dynamics
-from jax_aero.kinematics import generalised_force, kinematics, point_jacobians
+from jax_aero.kinematics import generalised_force, kinematics, velocities_at
 from jax_aero.robot import load_robot
 from jax_aero.sim.wind import wind_model, wind_velocity
 from jax_aero.spatial import exp_so3, rotation_angle, rotation_from_rpy, rpy_from_rotation, wxyz_from_rotation
@@ -52,12 +52,12 @@ def test_rotations(check_gradient):
     assert np.all(np.isfinite(jax.grad(rotation_angle)(jnp.eye(3))))
 
 
-def test_kinematics_and_jacobians(check_gradient, robot, state):
+def test_kinematics_and_forces(check_gradient, robot, state):
     def evaluate(state):
         kin = kinematics(robot, state)
         points = kin.body_positions[np.array(robot.jets.bodies)] + 0.1
         force = generalised_force(robot, kin, robot.jets.bodies, points, points)
-        return kin, point_jacobians(robot, kin, robot.jets.bodies, points), force
+        return kin, velocities_at(kin, robot.jets.bodies, points), force
 
     check_gradient(evaluate, state)
 

@@ -11,7 +11,7 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.dynamics import dynamics, forward_dynamics
-from jax_aero.kinematics import frame_poses, generalised_force, kinematics, point_jacobians, velocities_at
+from jax_aero.kinematics import frame_poses, generalised_force, kinematics, velocities_at
 from jax_aero.robot import load_robot
 from jax_aero.types import State
 from tests.measurements import measured
@@ -69,45 +69,32 @@ def test_dynamics(jax_robot, robot, states, agree, backend):
         agree(f"{backend}: acceleration", acceleration[i], rust.forward_dynamics(robot, state, forces), TOLERANCE)
 
 
-def test_jacobians(jax_robot, robot, states, agree):
+def test_velocities_and_forces_follow_from_the_jacobian(jax_robot, robot, states, agree):
+    """`J ν` is the velocity of a point, and `Jᵀ f` the generalised force of forces at points."""
     links = jax_robot.aero_links
+    forces, offsets = np.random.default_rng(3).normal(size=(2, links.count, 3))
+    # A frame is named as in the URDF, where these robots' frames have the names of links.
+    frames = {place: name for place, name in enumerate(links.names) if name in robot.body_names}
+    assert frames
 
     @jax.jit
     @jax.vmap
     def evaluate(state):
         kin = kinematics(jax_robot, state)
         _, points = frame_poses(kin, links)
-        return point_jacobians(jax_robot, kin, links.bodies, points)
 
-    linear, angular = jax.device_get(evaluate(stack_states(states[:20])))
-    # A frame is named as in the URDF, where these robots' frames have the names of links.
-    frames = [name if name in robot.body_names else None for name in links.names]
-    assert any(frames)
+        def velocities(nu, points=points):
+            moving = kinematics(jax_robot, state._replace(velocity=nu))
+            return velocities_at(moving, links.bodies, points), moving.angular_velocities[np.array(links.bodies)]
+
+        _, transpose = jax.vjp(lambda nu: velocities(nu, points + offsets)[0], state.velocity)
+        force = generalised_force(jax_robot, kin, links.bodies, points + offsets, jnp.asarray(forces))
+        return *jax.jacfwd(velocities)(state.velocity), force - transpose(jnp.asarray(forces))[0]
+
+    linear, angular, difference = jax.device_get(evaluate(stack_states(states[:20])))
+    measured("generalised force", np.abs(difference).max(), 1e-11)
     for i, state in enumerate(states[:20]):
-        for j, frame in enumerate(frames):
-            if frame is None:
-                continue
+        for j, frame in frames.items():
             theirs = rust.frame_jacobian(robot, frame, state)
             agree("linear Jacobian", linear[i, j], theirs.linear, TOLERANCE)
             agree("angular Jacobian", angular[i, j], theirs.angular, TOLERANCE)
-
-
-def test_velocities_and_forces_follow_from_the_jacobian(jax_robot, states):
-    """`J ν` is the point's velocity, `Jᵀ f` the generalised force: three ways of saying one thing."""
-    links = jax_robot.aero_links
-    rng = np.random.default_rng(3)
-    forces = jnp.asarray(rng.normal(size=(links.count, 3)))
-    offsets = jnp.asarray(rng.normal(size=(links.count, 3)))
-
-    @jax.jit
-    def compute_both(state):
-        kin = kinematics(jax_robot, state)
-        points = kin.body_positions[np.array(links.bodies)] + offsets
-        linear, _ = point_jacobians(jax_robot, kin, links.bodies, points)
-        velocities = velocities_at(kin, links.bodies, points)
-        force = generalised_force(jax_robot, kin, links.bodies, points, forces)
-        return velocities - linear @ state.velocity, force - jnp.einsum("kic,ki->c", linear, forces)
-
-    for state in states[:5]:
-        for difference in compute_both(State(*(jnp.asarray(value) for value in state))):
-            measured("difference", np.abs(difference).max(), 1e-11)
