@@ -14,19 +14,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jax_aero.config import Outage as OutageConfig
+from jax_aero.control.protocol import Measurement
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import axis_angle, multiply
 from jax_aero.types import Array, State, Static, leaf, pytree, where
-
-
-class Sample(NamedTuple):
-    """Measured values of a tick."""
-
-    state: State
-    thrust: Float[Array, " j"]
-    """Thrusts [N]."""
-    wind: Float[Array, "3"]
-    """Wind [m/s, inertial axes]."""
 
 
 @pytree
@@ -46,10 +37,11 @@ class Outage:
 
 
 class OutageState(NamedTuple):
-    """Measurements at the start of an outage."""
+    """State of an outage between two ticks."""
 
     is_begun: Bool[Array, ""]
-    sample: Sample
+    first: Measurement
+    """Measurement at the start of the outage."""
 
 
 def outages_of(settings: Sequence[OutageConfig], robot: RobotModel) -> tuple[Outage, ...]:
@@ -82,26 +74,27 @@ def outages_of(settings: Sequence[OutageConfig], robot: RobotModel) -> tuple[Out
 
 def begin(outages: Sequence[Outage], state: State, thrust: Float[Array, " j"]) -> tuple[OutageState, ...]:
     """Return the state of outages that have not begun."""
-    nothing = Sample(state, thrust, jnp.zeros_like(state.base_position))
+    zero = jnp.zeros_like(state.base_position)
+    nothing = Measurement(zero[0], state, thrust, zero)
     return tuple(OutageState(jnp.array(False), nothing) for _ in outages)
 
 
 def spoil(
-    outages: Sequence[Outage], held: Sequence[OutageState], time: Float[Array, ""], sample: Sample
-) -> tuple[tuple[OutageState, ...], Sample]:
-    """Apply the outages to the measurement at `time` [s]."""
+    outages: Sequence[Outage], held: Sequence[OutageState], measurement: Measurement
+) -> tuple[tuple[OutageState, ...], Measurement]:
+    """Apply the outages to a measurement."""
     after = []
     for outage, memory in zip(outages, held, strict=True):
         # Half a microsecond allows for rounding of times.
-        since = time - outage.start + 5e-7
+        since = measurement.time - outage.start + 5e-7
         is_on = (since >= 0.0) & (since < outage.duration)
-        first = where(is_on & ~memory.is_begun, sample, memory.sample)
+        first = where(is_on & ~memory.is_begun, measurement, memory.first)
         after.append(OutageState(memory.is_begun | is_on, first))
-        sample = where(is_on, _spoil_sample(outage, sample, first), sample)
-    return tuple(after), sample
+        measurement = where(is_on, _spoil_channel(outage, measurement, first), measurement)
+    return tuple(after), measurement
 
 
-def _spoil_sample(outage: Outage, sample: Sample, before: Sample) -> Sample:
+def _spoil_channel(outage: Outage, now: Measurement, first: Measurement) -> Measurement:
     def replace_numbers(numbers: Array, then: Array) -> Array:
         match outage.kind:
             case "missing":
@@ -113,27 +106,27 @@ def _spoil_sample(outage: Outage, sample: Sample, before: Sample) -> Sample:
             case _:
                 return numbers + outage.error
 
-    state, then = sample.state, before.state
+    state, then = now.state, first.state
     match outage.channel:
         case "wind":
-            return sample._replace(wind=replace_numbers(sample.wind, before.wind))
+            return now._replace(wind=replace_numbers(now.wind, first.wind))
         case "thrust":
-            each = jax.vmap(lambda now, was: replace_numbers(now[None], was[None])[0])(sample.thrust, before.thrust)
-            return sample._replace(thrust=jnp.where(outage.jets, each, sample.thrust))
+            each = jax.vmap(lambda new, old: replace_numbers(new[None], old[None])[0])(now.thrust, first.thrust)
+            return now._replace(thrust=jnp.where(outage.jets, each, now.thrust))
         case "joints":
             position = replace_numbers(state.joint_position, then.joint_position)
             velocity = state.velocity.at[6:].set(replace_numbers(state.velocity[6:], then.velocity[6:]))
-            return sample._replace(state=state._replace(joint_position=position, velocity=velocity))
+            return now._replace(state=state._replace(joint_position=position, velocity=velocity))
         case "base_position":
             position = replace_numbers(state.base_position, then.base_position)
-            return sample._replace(state=state._replace(base_position=position))
+            return now._replace(state=state._replace(base_position=position))
         case "base_rotation":
             if outage.kind == "wrong":
-                turn = axis_angle(jnp.array([1.0, 0.0, 0.0], sample.wind.dtype), outage.error)
+                turn = axis_angle(jnp.array([1.0, 0.0, 0.0], now.wind.dtype), outage.error)
                 rotation = multiply(turn, state.base_rotation)
             else:
                 rotation = replace_numbers(state.base_rotation, then.base_rotation)
-            return sample._replace(state=state._replace(base_rotation=rotation))
+            return now._replace(state=state._replace(base_rotation=rotation))
         case _:
             velocity = state.velocity.at[:6].set(replace_numbers(state.velocity[:6], then.velocity[:6]))
-            return sample._replace(state=state._replace(velocity=velocity))
+            return now._replace(state=state._replace(velocity=velocity))

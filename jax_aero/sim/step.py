@@ -34,7 +34,7 @@ from jax_aero.control.tick import momentum_controller
 from jax_aero.control.wind_estimate import WindEstimate, measured_wind, wind_estimate
 from jax_aero.io import check_config, scenario_config
 from jax_aero.jets import JetDynamics
-from jax_aero.outages import Outage, OutageState, Sample, outages_of, spoil
+from jax_aero.outages import Outage, OutageState, outages_of, spoil
 from jax_aero.outages import begin as begin_outages
 from jax_aero.robot import RobotModel, load_robot
 from jax_aero.sim import plant as world
@@ -150,7 +150,7 @@ class FlightState(NamedTuple):
     sensors: SensorState | None
     """State of the sensors; `None` if exact."""
     outages: tuple[OutageState, ...]
-    """Measurements at the start of each outage."""
+    """State of each outage."""
     posture: Float[Array, " n"]
     """Joint positions measured at the first tick [rad]."""
     loss: Int[Array, ""]
@@ -359,8 +359,7 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
     said, sensors = Reading(now.robot, plant.jets.feedback(now.jets)), state.sensors
     if scenario.sensors is not None and sensors is not None:
         sensors, said = sensing.read(scenario.sensors, sensors, said, tick)
-    held, sample = spoil(scenario.outages, state.outages, time, Sample(*said, wind_measured))
-    measurement = Measurement(time, *sample)
+    held, measurement = spoil(scenario.outages, state.outages, Measurement(time, *said, wind_measured))
     memory, command = scenario.controller.step(model, state.controller, measurement)
     command.check(plant.robot)
     estimates, wind_std = measurement, jnp.zeros_like(wind)

@@ -13,6 +13,7 @@ from jax_aero import outages, rust, sim
 from jax_aero.config import ChannelsConfig
 from jax_aero.config import Outage as OutageConfig
 from jax_aero.control.channels import MODES
+from jax_aero.control.protocol import Measurement
 from jax_aero.robot import load_robot
 from jax_aero.types import State
 
@@ -54,14 +55,12 @@ OUTAGES = [
 def test_a_wrong_value_is_off_by_the_error_while_the_outage_lasts():
     config = OutageConfig(channel="wind", kind="wrong", start=0.4, duration=0.2, error=1.5)
     outage = outages.outages_of([config], load_robot(CONFIGS / "robot" / "platform.toml"))
-    sample = outages.Sample(
-        State(np.zeros(3), np.eye(3), np.zeros(0), np.zeros(6)), np.zeros(6), np.array([1.0, -2.0, 3.0])
-    )
-    sample = jax.tree.map(jnp.asarray, sample)
-    held = outages.begin(outage, sample.state, sample.thrust)
+    state, wind = State(np.zeros(3), np.eye(3), np.zeros(0), np.zeros(6)), np.array([1.0, -2.0, 3.0])
+    measurement = jax.tree.map(jnp.asarray, Measurement(0.0, state, np.zeros(6), wind))
+    held = outages.begin(outage, measurement.state, measurement.thrust)
     for time, error in ((0.39, 0.0), (0.4, 1.5), (0.59, 1.5), (0.6, 0.0)):
-        held, seen = outages.spoil(outage, held, jnp.array(time), sample)
-        np.testing.assert_array_equal(seen.wind, sample.wind + error)
+        held, seen = outages.spoil(outage, held, measurement._replace(time=jnp.array(time)))
+        np.testing.assert_array_equal(seen.wind, measurement.wind + error)
 
 
 def test_a_flight_with_outages_of_every_kind(measured):
