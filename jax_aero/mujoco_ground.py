@@ -13,8 +13,8 @@ spheres whose lowest points are those in the robot's file. Joints have stops unl
 
 from __future__ import annotations
 
-import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import mujoco  # type: ignore[import-untyped]
@@ -23,7 +23,8 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from jax_aero import mujoco_model, rust
+from jax_aero import mujoco_model, rust, tables
+from jax_aero.config import FootEntry, RobotFile
 from jax_aero.control.channels import MODES
 from jax_aero.leg_odometry import LegOdometry
 from jax_aero.result import Outcome
@@ -65,26 +66,26 @@ class GroundPlant:
     def __init__(self, config: Mapping[str, Any]) -> None:
         self.source: str = config["robot"]
         self.robot = rust.Robot(self.source)
-        table = tomllib.loads(self.robot.toml_text)
+        file = tables.load(Path(self.source), RobotFile)
         simulator = config["simulator"]
         self._aero = simulator["aero"]
         self._substeps: int = simulator["substeps"]
-        self.model = _model(self.source, self.robot, table["feet"], simulator)
+        self.model = _model(self.source, self.robot, file.feet, simulator)
         self.data = mujoco.MjData(self.model)
         self._order = mujoco_model.order_of(self.source, tuple(self.robot.joint_names))
         feet = self.robot.foot_names
         self._soles = [self.model.site(f"foot_{foot}").id for foot in feet]
         self._foot_of_geom = {
-            self.model.geom(f"{foot['name']}_{corner}").id: index
-            for index, foot in enumerate(table["feet"])
-            for corner in range(len(foot["vertices"]))
+            self.model.geom(f"{foot.name}_{corner}").id: index
+            for index, foot in enumerate(file.feet)
+            for corner in range(len(foot.vertices))
         }
         self.named = [feet.index(name) for name in config["controller"]["contact"]["feet"]]
         """Indices of the feet that the controller stands on, in its order."""
         self.thrust: Array = np.array(simulator["initial"]["thrust"], dtype=np.float64)
         """Thrust of every jet [N]."""
         self._jets = [self.model.site(f"jet_{jet}").id for jet in self.robot.jet_names]
-        self._axes = [np.asarray(jet["axis"]) for jet in table.get("jets", [])]
+        self._axes = [np.asarray(jet.axis) for jet in file.jets]
         self._links = [self.model.site(f"aero_{link}").id for link in self.robot.aero_link_names]
         self._stand(simulator["initial"], simulator["ground"]["settling"])
         self.model.jnt_stiffness[1:] = simulator.get("motors", {}).get("stiffness", 0.0)
@@ -187,7 +188,7 @@ class GroundPlant:
         return forces
 
 
-def _model(source: str, robot: rust.Robot, feet: list[dict[str, Any]], simulator: Mapping[str, Any]) -> Any:
+def _model(source: str, robot: rust.Robot, feet: Sequence[FootEntry], simulator: Mapping[str, Any]) -> Any:
     """Return MuJoCo's model of the robot on a plane, with `feet` as in its file and motors as configured."""
     ground, motors = simulator["ground"], simulator.get("motors", {})
     spec = mujoco_model.mujoco_spec(source)
@@ -218,11 +219,11 @@ def _model(source: str, robot: rust.Robot, feet: list[dict[str, Any]], simulator
         **contact,
     )
     for foot in feet:
-        body = spec.body(foot["frame"])
-        body.add_site(name=f"foot_{foot['name']}")
-        for corner, vertex in enumerate(foot["vertices"]):
+        body = spec.body(foot.frame)
+        body.add_site(name=f"foot_{foot.name}")
+        for corner, vertex in enumerate(foot.vertices):
             body.add_geom(
-                name=f"{foot['name']}_{corner}",
+                name=f"{foot.name}_{corner}",
                 type=mujoco.mjtGeom.mjGEOM_SPHERE,
                 size=[CORNER_RADIUS, 0.0, 0.0],
                 pos=np.add(vertex, [0.0, 0.0, CORNER_RADIUS]),

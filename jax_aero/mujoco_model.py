@@ -13,7 +13,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import io
-import tomllib
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,6 +23,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
+from jax_aero import tables
+from jax_aero.config import RobotFile
 from jax_aero.files import read_text
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import multiply, rotate_back, skew, wxyz_from_rotation
@@ -46,17 +47,16 @@ class Order(NamedTuple):
 
 def mujoco_spec(source: str) -> Any:
     """Return MuJoCo's description of the robot: URDF with free joint, joint motors, and sites at jets and links."""
-    toml_path = Path(source)
-    table = tomllib.loads(read_text(toml_path))
-    spec = mujoco.MjSpec.from_string(read_text(toml_path.parent / table["urdf"]))
+    file = tables.load(Path(source), RobotFile)
+    spec = mujoco.MjSpec.from_string(read_text(file.urdf))
     # Inertias are those of the URDF, so meshes are not needed.
     for element in (*(geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH), *spec.meshes):
         spec.delete(element)
-    spec.option.gravity = [0.0, 0.0, -table.get("gravity", 9.81)]
+    spec.option.gravity = [0.0, 0.0, -file.gravity]
     # With joint limits or friction, MJX would run a constraint solver throughout the flight.
     spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT) | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    spec.body(table["base_link"]).add_freejoint()
-    for name, position in table.get("locked", {}).items():
+    spec.body(file.base_link).add_freejoint()
+    for name, position in file.locked.items():
         joint = next(joint for joint in spec.joints if joint.name == name)
         body = joint.parent
         if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
@@ -69,12 +69,12 @@ def mujoco_spec(source: str) -> Any:
             mujoco.mju_mulQuat(carrier, body.quat, turn)
             body.quat = carrier
         spec.delete(joint)
-    for entry in table.get("jets", []):
-        spec.body(entry["frame"]).add_site(name=f"jet_{entry['name']}")
-    for entry in table.get("aero_links", []):
-        spec.body(entry["frame"]).add_site(name=f"aero_{entry['name']}", pos=entry["centre"])
-    for entry in (joint for group in table.get("joint_groups", []) for joint in group["joints"]):
-        motor = spec.add_actuator(name=entry["name"], target=entry["name"], trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    for jet in file.jets:
+        spec.body(jet.frame).add_site(name=f"jet_{jet.name}")
+    for link in file.aero_links:
+        spec.body(link.frame).add_site(name=f"aero_{link.name}", pos=link.centre)
+    for entry in (entry for group in file.joint_groups for entry in group.joints):
+        motor = spec.add_actuator(name=entry.name, target=entry.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         motor.set_to_motor()
     return spec
 
