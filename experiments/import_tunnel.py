@@ -21,7 +21,7 @@ from experiments.import_cfd import OUT, known_postures, read_table
 from jax_aero import places, tables
 from jax_aero.aero import tunnel
 from jax_aero.aero.dataset import Floats
-from jax_aero.aero.posture import centres_of_mass
+from jax_aero.aero.posture import link_frames
 from jax_aero.aero.tunnel import Points, Test
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
@@ -127,7 +127,7 @@ def reduce_moments(points: Points, side: str) -> xr.Dataset:
     if points.robot == "mk1":
         known = known_postures()
         joints = {name: known[name] for name in dict.fromkeys(points.posture)}
-        places = centres_of_mass(load_robot(ROBOT), np.stack(list(joints.values())))
+        places = link_frames(load_robot(ROBOT), np.stack(list(joints.values()))).com
         coms = dict(zip(joints, places, strict=True))
     return tunnel.reduce_points(points, joints, coms, side)
 

@@ -27,7 +27,7 @@ from experiments.tunnel_correction import Points, columns, held_out_errors, rms_
 from jax_aero import io, places, tables
 from jax_aero.aero import LinkConventions, aero_model, link_forces, tunnel
 from jax_aero.aero.dataset import Floats, reorder_joints, tunnel_from_base, wind_direction
-from jax_aero.aero.posture import centres_of_mass, link_frames, total_wrench, vector_rms
+from jax_aero.aero.posture import link_frames, total_wrench, vector_rms
 from jax_aero.aero.surrogate import batched_features, force_areas, load_surrogate
 from jax_aero.kinematics import kinematics_at_rest
 from jax_aero.places import ROBOT
@@ -148,14 +148,11 @@ def moments(robot: RobotModel, data: xr.Dataset, areas: Floats) -> Floats:
     The published arm adds a link's offset without rotating it into inertial axes; the robot has the attitude of flight,
     pitched in a lateral wind instead of yawed.
     """
-    joints = data["joint_position"].values
-    shapes, shape_of = np.unique(joints, axis=0, return_inverse=True)
-    frames, offsets = link_frames(robot, shapes), np.asarray(robot.aero_links.centres)
-    rotations, origins = frames.rotations[shape_of], frames.positions[shape_of]
-    com = centres_of_mass(robot, joints)[:, None, :]
+    frames, offsets = link_frames(robot, data["joint_position"].values), np.asarray(robot.aero_links.centres)
+    from_com = frames.positions - frames.com[:, None]
     base_from_inertial = np.swapaxes(tunnel_from_base(data["pitch"].values, 0.0), -1, -2)
-    right = origins + np.einsum("nlij,lj->nli", rotations, offsets) - com
-    published = origins + np.einsum("nij,lj->nli", base_from_inertial, offsets) - com
+    right = from_com + np.einsum("nlij,lj->nli", frames.rotations, offsets)
+    published = from_com + np.einsum("nij,lj->nli", base_from_inertial, offsets)
     return np.stack([np.cross(arms, areas).sum(axis=1) for arms in (right, published)])
 
 

@@ -2,33 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from jax_aero.aero.dataset import JOINTS, LINKS, Floats, reorder_joints
 from jax_aero.kinematics import frame_poses, kinematics_at_rest
 from jax_aero.robot import RobotModel
-from jax_aero.spatial import rotate
 from jax_aero.types import Array
 
 
 class LinkFrames(NamedTuple):
     """Frames of the aerodynamic links relative to the base, for each posture."""
 
-    rotations: Float[np.ndarray, "k L 3 3"]
+    rotations: Float[np.ndarray, "B L 3 3"]
     """`base_from_link`."""
-    positions: Float[np.ndarray, "k L 3"]
+    positions: Float[np.ndarray, "B L 3"]
     """Origins relative to the base origin, base axes [m]."""
+    com: Float[np.ndarray, "B 3"]
+    """Centre of mass relative to the base origin, base axes [m]."""
 
 
-def link_frames(robot: RobotModel, joint_position_deg: Float[np.ndarray, "k s"]) -> LinkFrames:
+def link_frames(robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"]) -> LinkFrames:
     """Return the frames of the links at joint angles [deg], order of `JOINTS`; ankle angles are zero.
+
+    Rows may repeat: every posture is evaluated once.
 
     Raises
     ------
@@ -37,15 +38,17 @@ def link_frames(robot: RobotModel, joint_position_deg: Float[np.ndarray, "k s"])
     """
     if robot.aero_links.names != LINKS or not set(JOINTS).issubset(robot.joint_names):
         raise ValueError(f"{robot.name} has not the links and joints of the tables: {', '.join(LINKS)}")
+    shapes, shape_of = np.unique(joint_position_deg, axis=0, return_inverse=True)
     with jax.enable_x64(True):
-        rotations, positions = _frames(robot, reorder_joints(robot.joint_names, joint_position_deg))
-    return LinkFrames(np.asarray(rotations), np.asarray(positions))
+        found = _frames(robot, reorder_joints(robot.joint_names, shapes))
+    return LinkFrames(*(np.asarray(part)[shape_of.reshape(-1)] for part in found))
 
 
 @jax.jit
 @partial(jax.vmap, in_axes=(None, 0))
-def _frames(robot: RobotModel, joints: Array) -> tuple[Array, Array]:
-    return frame_poses(kinematics_at_rest(robot, joints), robot.aero_links)
+def _frames(robot: RobotModel, joints: Array) -> tuple[Array, Array, Array]:
+    kin = kinematics_at_rest(robot, joints)
+    return *frame_poses(kin, robot.aero_links), kin.com
 
 
 class Wrench(NamedTuple):
@@ -71,42 +74,17 @@ def vector_rms(vectors: Float[np.ndarray, "B 3"]) -> float:
 
 
 def link_arms(robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"]) -> Float[np.ndarray, "B L 3"]:
-    """Return the links' aerodynamic centres relative to the centre of mass [m], base axes; rows may repeat."""
-    return _evaluate_by_posture(_arms, robot, joint_position_deg)
-
-
-def _evaluate_by_posture(
-    of: Callable[[RobotModel, Array], Array], robot: RobotModel, joint_position_deg: Floats
-) -> Floats:
-    """Evaluate a function of joint positions (M, n) [rad] once per distinct posture among the rows (N, 19) [deg]."""
-    shapes, shape_of = np.unique(joint_position_deg, axis=0, return_inverse=True)
-    with jax.enable_x64(True):
-        values = np.asarray(of(robot, jnp.asarray(reorder_joints(robot.joint_names, shapes))))
-    found: Floats = values[shape_of.reshape(-1)]
-    return found
-
-
-@jax.jit
-@partial(jax.vmap, in_axes=(None, 0))
-def _arms(robot: RobotModel, joints: Array) -> Array:
-    kin, links = kinematics_at_rest(robot, joints), robot.aero_links
-    rotations, positions = frame_poses(kin, links)
-    return positions + rotate(rotations, links.centres) - kin.com
-
-
-def centres_of_mass(robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"]) -> Float[np.ndarray, "B 3"]:
-    """Return the centre of mass relative to the base origin [m], base axes, at joint angles [deg]."""
-    return _evaluate_by_posture(_coms, robot, joint_position_deg)
-
-
-@jax.jit
-@partial(jax.vmap, in_axes=(None, 0))
-def _coms(robot: RobotModel, joints: Array) -> Array:
-    return kinematics_at_rest(robot, joints).com
+    """Return the links' aerodynamic centres relative to the centre of mass [m], base axes, at joint angles [deg]."""
+    frames = link_frames(robot, joint_position_deg)
+    arms: Floats = frames.positions - frames.com[:, None] + _in_base_axes(frames, robot.aero_links.centres)
+    return arms
 
 
 def link_axes(robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"]) -> Float[np.ndarray, "B L 3"]:
-    """Return the links' unit axes of symmetry in base axes, at joint angles [deg]; rows may repeat."""
-    shapes, shape_of = np.unique(joint_position_deg, axis=0, return_inverse=True)
-    axes: Floats = np.einsum("plij,lj->pli", link_frames(robot, shapes).rotations, np.asarray(robot.aero_links.axes))
-    return axes[shape_of.reshape(-1)]
+    """Return the links' unit axes of symmetry in base axes, at joint angles [deg]."""
+    return _in_base_axes(link_frames(robot, joint_position_deg), robot.aero_links.axes)
+
+
+def _in_base_axes(frames: LinkFrames, vectors: Float[Array, "L 3"]) -> Floats:
+    rotated: Floats = np.einsum("blij,lj->bli", frames.rotations, np.asarray(vectors))
+    return rotated

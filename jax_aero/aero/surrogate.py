@@ -248,13 +248,11 @@ def batched_features(robot: RobotModel, panels: Panels, wake: Wake, dtype: Any =
         mapped = jax.jit(jax.vmap(features))
 
     def evaluate(joint_position_deg: Floats, wind_b: Floats) -> Floats:
-        shapes, shape_of = np.unique(joint_position_deg, axis=0, return_inverse=True)
-        frames = link_frames(robot, shapes)
+        frames = link_frames(robot, joint_position_deg)
         found = []
         for start in range(0, len(wind_b), BLOCK):
             rows = np.arange(start, start + BLOCK).clip(max=len(wind_b) - 1)
-            at = shape_of.reshape(-1)[rows]
-            arrays = (frames.rotations[at], frames.positions[at], wind_b[rows])
+            arrays = (frames.rotations[rows], frames.positions[rows], wind_b[rows])
             block = mapped(*(jnp.asarray(array, dtype) for array in arrays))
             found.append(np.asarray(block, dtype=np.float64)[: len(wind_b) - start])
         return np.concatenate(found)

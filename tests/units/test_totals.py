@@ -9,7 +9,7 @@ import pytest
 
 from jax_aero.aero.dataset import JOINTS
 from jax_aero.aero.network import init_network, raw_output
-from jax_aero.aero.posture import centres_of_mass, link_arms, link_frames, total_wrench
+from jax_aero.aero.posture import link_arms, link_frames, total_wrench
 from jax_aero.robot import load_robot
 from jax_aero.train import Settings, fit, samples_of, total_error, totals_of
 from jax_aero.train.samples import make_samples
@@ -26,12 +26,11 @@ def test_a_moment_is_that_of_forces_at_the_links_centres_about_the_centre_of_mas
     rng = np.random.default_rng(1)
     joints, areas = rng.uniform(-20.0, 20.0, (2, len(JOINTS))), rng.normal(size=(2, 13, 3))
     found, frames, links = total_wrench(robot, joints, areas), link_frames(robot, joints), robot.aero_links
-    com = centres_of_mass(robot, joints)
     for row in range(2):
         moment = np.zeros(3)
         for link in range(13):
             centre = frames.positions[row, link] + frames.rotations[row, link] @ np.asarray(links.centres[link])
-            moment += np.cross(centre - com[row], areas[row, link])
+            moment += np.cross(centre - frames.com[row], areas[row, link])
         np.testing.assert_allclose(found.moment_volume[row], moment, atol=1e-14)
         np.testing.assert_allclose(found.force_area[row], areas[row].sum(0), atol=1e-14)
     np.testing.assert_allclose(link_arms(robot, joints[:1])[0], link_arms(robot, joints)[0], atol=0)
