@@ -180,6 +180,27 @@ def mirror_name(name: str) -> str:
     return "_".join(opposite.get(part, part) for part in name.split("_"))
 
 
+ODD_JOINTS = ("torso_roll", "torso_yaw")
+"""Joints whose angle changes sign in the mirror image; the angles of the limbs are exchanged between sides."""
+
+
+def opposite_indices(names: Sequence[str]) -> list[int]:
+    """Return for every joint or link the index of the one on the opposite side.
+
+    Raises
+    ------
+    ValueError
+        If a name has none opposite to it.
+    """
+    found = []
+    for name in names:
+        twin = mirror_name(name)
+        if twin not in names:
+            raise ValueError(f"`{name}` has no `{twin}` opposite to it")
+        found.append(list(names).index(twin))
+    return found
+
+
 def _motion(joint: ElementTree.Element, order: Sequence[str], locked: Mapping[str, float]) -> str:
     """Say whether a joint is `fixed`, `locked` or `moving`; refuse what cannot be either."""
     name, kind = joint.attrib["name"], joint.attrib.get("type")

@@ -26,7 +26,7 @@ import xarray as xr
 from jaxtyping import Bool, Float, Int
 
 from jax_aero.files import write_netcdf
-from jax_aero.urdf import mirror_name
+from jax_aero.urdf import ODD_JOINTS, opposite_indices
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 Indices: TypeAlias = npt.NDArray[np.int64]
@@ -53,11 +53,11 @@ QUALITY = "quality: "
 """Prefix of the variables of `Dataset.quality` in a file."""
 
 
-JOINT_TWINS = np.array([JOINTS.index(mirror_name(name)) for name in JOINTS])
+JOINT_TWINS = np.array(opposite_indices(JOINTS))
 """Index of the joint on the opposite side."""
-JOINT_SIGNS = np.where(np.isin(JOINTS, ("torso_roll", "torso_yaw")), -1.0, 1.0)
-"""Sign of each joint angle in the mirror image: limbs are built as mirror images, torso roll and yaw change sign."""
-LINK_TWINS = np.array([LINKS.index(mirror_name(name)) for name in LINKS])
+JOINT_SIGNS = np.where(np.isin(JOINTS, ODD_JOINTS), -1.0, 1.0)
+"""Sign of each joint angle in the mirror image."""
+LINK_TWINS = np.array(opposite_indices(LINKS))
 """Index of the link on the opposite side."""
 MIRROR_AXES = np.array([1.0, -1.0, 1.0])
 """Signs of a vector's components when mirrored about the base's x-z plane."""

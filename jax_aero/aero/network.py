@@ -28,7 +28,7 @@ from jax_aero.kinematics import frame_poses, kinematics_at_rest
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import rotate, rotate_back, safe_norm
 from jax_aero.types import Array, Kinematics, Static, pytree, with_dtype
-from jax_aero.urdf import mirror_name
+from jax_aero.urdf import ODD_JOINTS, opposite_indices
 
 Block: TypeAlias = Literal["wind", "joints", "link_wind", "link_position", "link_shadow"]
 Frame: TypeAlias = Literal["base", "link", "wind"]
@@ -37,8 +37,6 @@ Activation: TypeAlias = Literal["relu", "tanh", "silu"]
 
 BLOCKS: tuple[Block, ...] = get_args(Block)
 ACTIVATIONS: dict[str, Any] = {"relu": jax.nn.relu, "tanh": jnp.tanh, "silu": jax.nn.silu}
-ODD_JOINTS = ("torso_roll", "torso_yaw")
-"""Joints whose angle changes sign in the mirror image; the angles of the limbs are exchanged between sides."""
 SHADOW_LENGTH = 0.05
 """`ℓ`: distance over which a link moves from upstream of another to downstream of it [m]."""
 SHADOW_RADIUS = 0.10
@@ -192,11 +190,11 @@ def mirror_of(robot: RobotModel, blocks: Sequence[str], layout: str, frame: str)
     with jax.enable_x64(True):
         rotations = np.asarray(_geometry(robot, np.zeros(robot.n_joints)).rotations)
     s = np.diag([1.0, -1.0, 1.0])
-    opposite_link = _opposite_indices(robot.aero_links.names)
+    opposite_link = opposite_indices(robot.aero_links.names)
     turns = [rotations[other].T @ s @ rotations[link] for link, other in enumerate(opposite_link)]
     names = [robot.joint_names[joint] for joint in network_joints(robot)]
     joints = np.zeros((len(names), len(names)))
-    for joint, other in enumerate(_opposite_indices(names)):
+    for joint, other in enumerate(opposite_indices(names)):
         joints[other, joint] = -1.0 if names[joint] in ODD_JOINTS else 1.0
     links_by_turn, links_by_s = _blocks(opposite_link, turns), _blocks(opposite_link, [s] * len(turns))
     swap = np.eye(len(opposite_link))[opposite_link]
@@ -210,16 +208,6 @@ def mirror_of(robot: RobotModel, blocks: Sequence[str], layout: str, frame: str)
     else:
         output = links_by_turn if frame == "link" else links_by_s
     return Mirror(cast(Array, block_diag(*(parts[block] for block in blocks))), cast(Array, output))
-
-
-def _opposite_indices(names: Sequence[str]) -> list[int]:
-    found = []
-    for name in names:
-        twin = mirror_name(name)
-        if twin not in names:
-            raise ValueError(f"`{name}` has no `{twin}` opposite to it")
-        found.append(list(names).index(twin))
-    return found
 
 
 def _blocks(opposite: Sequence[int], blocks: Sequence[Any]) -> Any:
