@@ -240,8 +240,7 @@ def init_network(
     `unit` draws weights within ±√(3/in), which preserves the variance from layer to layer, and sets biases to zero.
     """
     check_output(frame, layout)
-    reflection = mirror_of(robot, blocks, layout, frame)
-    sizes = [reflection.features.shape[0], *hidden, reflection.output.shape[0]]
+    sizes = layer_sizes(robot, blocks, hidden)
     layers = []
     for narrow, wide in itertools.pairwise(sizes):
         key, for_weight, for_bias = jax.random.split(key, 3)
@@ -258,9 +257,21 @@ def init_network(
         layers=tuple(layers),
         scale=jnp.ones(sizes[-1], jnp.float32),
         offset=jnp.zeros(sizes[-1], jnp.float32),
-        mirror=reflection if mirror else None,
+        mirror=mirror_of(robot, blocks, layout, frame) if mirror else None,
         baseline=baseline,
     )
+
+
+def block_sizes(joints: int, links: int) -> dict[Block, int]:
+    """Return the number of features in every block, from the numbers of input joints and links."""
+    return {"wind": 3, "joints": joints, "link_wind": 3 * links, "link_position": 3 * links, "link_shadow": links}
+
+
+def layer_sizes(robot: RobotModel, blocks: Sequence[Block], hidden: Sequence[int]) -> list[int]:
+    """Return the widths of the input, the hidden layers and the output of a robot's network."""
+    links = robot.aero_links.count
+    known = block_sizes(len(network_joints(robot)), links)
+    return [sum(known[block] for block in blocks), *hidden, 3 * links]
 
 
 def check_output(frame: str, layout: str) -> None:

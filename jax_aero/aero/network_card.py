@@ -30,6 +30,7 @@ from jax_aero.aero.network import (
     Layout,
     Network,
     check_output,
+    layer_sizes,
     mirror_of,
     network_joints,
 )
@@ -188,10 +189,8 @@ def load_network(path: str | PathLike[str], robot: RobotModel) -> Network:
     _expect("inputs.joints", list(card.inputs.joints), [robot.joint_names[joint] for joint in joints])
     _expect("inputs.links", list(card.inputs.links), list(robot.aero_links.names))
     blocks, output, shape = card.inputs.features, card.output, card.architecture
-    reflection = mirror_of(robot, blocks, output.layout, output.frame)
     tensors = _read_tensors(Path(path).parent / card.weights.file, card.weights.sha256)
-    sizes = [reflection.features.shape[0], *shape.hidden, reflection.output.shape[0]]
-    layers, scale, offset = _layers(tensors, sizes, shape.members)
+    layers, scale, offset = _layers(tensors, layer_sizes(robot, blocks, shape.hidden), shape.members)
     return Network(
         blocks=blocks,
         frame=output.frame,
@@ -201,7 +200,7 @@ def load_network(path: str | PathLike[str], robot: RobotModel) -> Network:
         layers=layers,
         scale=scale,
         offset=offset,
-        mirror=reflection if shape.mirror else None,
+        mirror=mirror_of(robot, blocks, output.layout, output.frame) if shape.mirror else None,
         baseline=_baseline_rows(shape.baseline, robot.aero_links.names),
     )
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from jax_aero import tables
 from jax_aero.adam import AdamState, adam_start, adam_step
-from jax_aero.aero.network import Layer, Network, raw_output
+from jax_aero.aero.network import BLOCKS, Layer, Network, block_sizes, raw_output
 from jax_aero.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from jax_aero.train.loss import batch_output, mean_squared_error, total_error
 from jax_aero.train.samples import Samples, chunks
@@ -26,8 +26,6 @@ from jax_aero.types import Array, pytree
 
 MATMUL = {"float32": "float32", "tf32": "tensorfloat32", "bf16": "bfloat16"}
 """Precision of the matrix products of a training step, by its name in a configuration; a CPU may be more exact."""
-
-BLOCK_SIZES = {"wind": 3, "joints": 19, "link_wind": 39, "link_position": 39, "link_shadow": 13}
 
 
 class Settings(tables.Table, frozen=True):
@@ -60,8 +58,8 @@ class Settings(tables.Table, frozen=True):
     """Epochs without a better validation after which training stops, with the best weights; 0 for never."""
 
     def __post_init__(self) -> None:
-        if unknown := set(self.noise) - set(BLOCK_SIZES):
-            raise ValueError(f"`noise` names {sorted(unknown)}; expected blocks of features, {', '.join(BLOCK_SIZES)}")
+        if unknown := set(self.noise) - set(BLOCKS):
+            raise ValueError(f"`noise` names {sorted(unknown)}; expected blocks of features, {', '.join(BLOCKS)}")
 
     @property
     def has_totals(self) -> bool:
@@ -296,7 +294,8 @@ def _scale_network(network: Network, training: Samples) -> Network:
 
 
 def _noise(network: Network, settings: Settings) -> Array:
-    parts = [np.full(BLOCK_SIZES[block], settings.noise.get(block, 0.0), np.float32) for block in network.blocks]
+    sizes = block_sizes(len(network.joints), network.scale.shape[0] // 3)
+    parts = [np.full(sizes[block], settings.noise.get(block, 0.0), np.float32) for block in network.blocks]
     return jnp.asarray(np.concatenate(parts))
 
 

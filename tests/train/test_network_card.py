@@ -3,6 +3,7 @@
 import hashlib
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -36,6 +37,16 @@ def card(ironcub, tmp_path):
     path = tmp_path / "small.json"
     save_network(path, network, ironcub, description="made up", training={"note": "not trained"})
     return path
+
+
+def test_a_network_that_is_not_mirrored_needs_no_symmetric_robot(ironcub, tmp_path):
+    links = ironcub.aero_links
+    odd = replace(ironcub, aero_links=replace(links, names=("r_head", *links.names[1:])))
+    network = init_network(jax.random.key(1), odd, hidden=(4,))
+    save_network(tmp_path / "odd.json", network, odd, description="made up", training={})
+    assert load_network(tmp_path / "odd.json", odd).mirror is None
+    with pytest.raises(ValueError, match="`r_head` has no `l_head` opposite to it"):
+        init_network(jax.random.key(1), odd, hidden=(4,), mirror=True)
 
 
 def test_a_card_has_no_number_that_is_none(card, ironcub):
