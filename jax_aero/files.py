@@ -1,7 +1,7 @@
 """Atomic writing of files and folders: they appear completely or not at all, and are then on the disk.
 
-Names of drafts are fixed, and a process that writes a folder or a sweep holds its lock. A draft found under the lock is
-therefore left over from a process that was killed.
+Drafts of folders have fixed names, and a process that writes a folder or a sweep holds its lock. A draft found under
+the lock is therefore left over from a process that was killed.
 """
 
 from __future__ import annotations

@@ -126,7 +126,7 @@ def fly(
 
 
 def run(scenario: Scenario, state: FlightState, progress: Progress | None = None) -> FlightResult:
-    """Fly a scenario from this state to its end or until the flight is lost, as `fly` does."""
+    """Fly a scenario from its state at tick zero to its end or until the flight is lost, as `fly` does."""
     n_ticks = int(scenario.n_ticks)
     posture = np.asarray(state.posture, np.float64)
     rows: list[FlightRow] = []
