@@ -61,6 +61,11 @@ class GroundPlant:
     ----------
     config
         A resolved configuration with `simulator.ground`.
+
+    Raises
+    ------
+    ValueError
+        If the robot does not come to rest where it is put down.
     """
 
     def __init__(self, config: Mapping[str, Any]) -> None:
@@ -123,6 +128,8 @@ class GroundPlant:
         self.data.time = 0.0
         self.data.ctrl[:] = held
         mujoco.mj_forward(model, self.data)
+        if not self.is_sound:
+            raise ValueError("`simulator.initial` puts the robot where it cannot come to rest: its state is not finite")
 
     def observe(self, wind: Float[np.ndarray, "3"]) -> Observation:
         """Return the state at this tick, and hold the forces of a wind [m/s, inertial axes] until the next."""
@@ -263,8 +270,6 @@ def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rus
     rust.check_config({**config, "engine": "mujoco"})
     simulator, disturbances = config["simulator"], config.get("disturbances", {})
     plant, controller = GroundPlant(config), rust.Controller(config)
-    if not plant.is_sound:
-        raise ValueError("`simulator.initial` puts the robot where it does not come to rest: its state is not finite")
     times = _times(simulator)
     blowing = rust.wind_velocity(config["wind"], times)
     measured = rust.wind_velocity(disturbances.get("controller_wind", config["wind"]), times)

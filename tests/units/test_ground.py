@@ -412,7 +412,7 @@ def test_bad_ground_is_refused(overrides, named):
 def test_a_pose_far_below_the_ground_is_refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings to a file in the current folder
     buried = {"simulator.initial.base_position": [0.0, 0.0, -1e6], "simulator.substeps": 1}
-    with pytest.raises(ValueError, match=r"`simulator\.initial` puts the robot where it does not come to rest"):
+    with pytest.raises(ValueError, match=r"`simulator\.initial` puts the robot where it cannot come to rest"):
         fly(standing(**buried | {"simulator.ground.settling": 0.2}))
 
 
