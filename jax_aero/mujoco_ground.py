@@ -13,6 +13,7 @@ spheres whose lowest points are those in the robot's file. Joints have stops unl
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,7 +22,6 @@ import mujoco  # type: ignore[import-untyped]
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from jax_aero import mujoco_model, rust, tables
 from jax_aero.config import FootEntry, RobotFile
@@ -334,13 +334,13 @@ def _row(
         "base_position": position,
         "base_quaternion": _wxyz(rotation),
         "base_velocity": nu[:6],
-        "base_rpy_setpoint": Rotation.from_matrix(desired).as_euler("xyz"),
+        "base_rpy_setpoint": _rpy(desired),
         "joint_position": joints,
         "joint_velocity": nu[6:],
         "com_position": truth.com_position,
         "com_velocity": truth.momentum[:3] / plant.robot.mass,
         "com_setpoint": np.asarray(tick.setpoint.com_position),
-        "rotation_error": Rotation.from_matrix(desired.T @ rotation).magnitude(),
+        "rotation_error": _angle(desired.T @ rotation),
         "thrust": thrust,
         "thrust_rate": tick.thrust_rate,
         "joint_velocity_command": tick.joint_velocity_command,
@@ -377,6 +377,18 @@ def _wxyz(rotation: Array) -> Array:
     wxyz = np.zeros(4)
     mujoco.mju_mat2Quat(wxyz, rotation.ravel())
     return wxyz if wxyz[0] >= 0.0 else -wxyz
+
+
+def _angle(rotation: Array) -> float:
+    """Return the angle of a rotation [rad], from 0 to π."""
+    wxyz = _wxyz(rotation)
+    return float(2.0 * np.arctan2(np.linalg.norm(wxyz[1:]), wxyz[0]))
+
+
+def _rpy(rotation: Array) -> list[float]:
+    """Return roll, pitch and yaw [rad] of Rz(yaw) Ry(pitch) Rx(roll)."""
+    (a, _, _), (b, _, _), (c, d, e) = rotation.tolist()
+    return [math.atan2(d, e), math.atan2(-c, math.hypot(a, b)), math.atan2(b, a)]
 
 
 def _divergence(row: Mapping[str, Any], limits: Mapping[str, float], robot: rust.Robot) -> tuple[Outcome, str] | None:
