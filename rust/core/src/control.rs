@@ -235,8 +235,8 @@ impl Controller {
     /// measurement become its reference.
     ///
     /// # Errors
-    /// [`BadStart`] for a measurement of another robot; for one that lacks a number other than the wind, or whose joints
-    /// or base are beyond `channels.greatest`; and where inertia or centre of mass overflow.
+    /// [`BadStart`] for a measurement of another robot, for one that lacks a number other than the wind, and where inertia
+    /// or centre of mass overflow.
     pub fn start(&mut self, measurement: &Measurement) -> Result<ControllerState, BadStart> {
         let channels = self.channels.start(measurement)?;
         let Terms { kinematics, dynamics, contact, .. } = &mut self.terms;

@@ -5,8 +5,8 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::{
-    Loop, Running, Sample, TIME_STEP, assert_says, assert_within, configs, experiment, move_state,
-    random_state, random_vector, rng, robot, tick_at, uniform_estimator,
+    Loop, Running, Sample, TIME_STEP, assert_within, configs, experiment, move_state, random_state,
+    random_vector, rng, robot, tick_at, uniform_estimator,
 };
 use crate::setpoint::distance_to_rest;
 use flight_core::control::bounds::LimitedValues;
@@ -184,23 +184,8 @@ fn a_bad_first_measurement_starts_nothing() {
             .contains("`base_rotation` is not a rotation")
     );
     assert!(refused(&|sample| sample.time = -0.5).contains("`time` holds -0.5; expected 0 to 1e9 s"));
-    let beyond: [Spoil; 5] = [
-        ("base_position` holds 1000001", |sample| sample.state.base.position.x = 1_000_001.0),
-        ("joint_position` holds -101", |sample| sample.state.joint_position[3] = -101.0),
-        ("joint_velocity` holds 101", |sample| sample.state.velocity[7] = 101.0),
-        ("base_linear_velocity` holds 301", |sample| sample.state.velocity[1] = 301.0),
-        ("base_angular_velocity` holds 101", |sample| sample.state.velocity[4] = 101.0),
-    ];
-    for (what, spoil) in beyond {
-        let expected = format!("`{what}; expected a number within `controller.channels.greatest`");
-        assert_says(&refused(&spoil), &[&expected]);
-    }
-    let mut unlimited = config.clone();
-    unlimited.controller.law.channels.greatest.position = f64::MAX;
-    let mut far = good.clone();
-    far.state.base.position.fill(1e308);
-    let refusal = controller(&unlimited).controller.start(&far.measurement()).unwrap_err();
-    assert_says(&refusal, &["the inertia of the robot cannot be inverted"]);
+    let reason = refused(&|sample| sample.state.base.position.fill(1e308));
+    assert!(reason.contains("the inertia of the robot cannot be inverted"), "{reason}");
     let mut controller = controller(&config);
     good.tick(&mut controller);
     assert_eq!(controller.state().posture(), &good.state.joint_position);

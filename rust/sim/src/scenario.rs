@@ -182,7 +182,7 @@ impl Scenario {
             .transpose()?;
         let outages = Outages::new(&disturbances.outages, &robot.jets)?;
         let controller = config.controller(robot)?;
-        let mut scenario = Self {
+        Ok(Self {
             plant,
             sample,
             foot_wrenches: vec![Vector6::zeros(); controller.model().feet.len()],
@@ -197,22 +197,7 @@ impl Scenario {
             fall: config.simulator.fall.clone(),
             divergence: config.simulator.divergence.clone(),
             course_error: config.simulator.course_error,
-        };
-        scenario.check_start()?;
-        Ok(scenario)
-    }
-
-    /// Refuses an initial state with which the controller cannot start, unless it has diverged, which is an outcome.
-    fn check_start(&mut self) -> Result<(), BuildError> {
-        let wind = self.wind.velocity(0.0);
-        if self.divergence(&wind).is_some() {
-            return Ok(());
-        }
-        let (state, thrust, foot_wrenches) =
-            (self.plant.state(), self.plant.jets().thrust_feedback(), &self.foot_wrenches);
-        let measurement = Measurement { time: 0.0, state, thrust, wind, foot_wrenches };
-        let started = self.controller.start(&measurement);
-        started.map(|_| ()).map_err(|refusal| BuildError::malformed("simulator.initial", refusal))
+        })
     }
 
     /// Checks that the configuration can be flown by its own engine; reads the robot's files.

@@ -403,21 +403,6 @@ fn every_simulator_file_is_a_simulator() {
     }
 }
 
-/// Every tick would refuse a start beyond what the controller accepts; a start that has diverged is flown, and lost at once.
-#[test]
-fn a_start_that_the_controller_does_not_accept_is_refused() {
-    let mut config = experiment("test2");
-    config.controller.law.channels.greatest.position = 20.0;
-    config.simulator.initial.base_position[0] = 21.0;
-    let refusal = Scenario::new(&config).err().unwrap();
-    assert_says(
-        &refusal,
-        &["simulator.initial: ", "`base_position` holds 21", "within `controller.channels.greatest`"],
-    );
-    config.simulator.initial.base_velocity[0] = 1e4;
-    assert!(Scenario::new(&config).is_ok());
-}
-
 /// Every wind parses and blows.
 #[test]
 fn every_wind_file_is_a_wind() {

@@ -249,17 +249,11 @@ impl Channels {
         if !is_rotation(&measurement.state.base.rotation) {
             return Err(BadStart::NoRotation);
         }
-        for Entry { range, is_vital, .. } in &self.entries {
-            let (numbers, greatest) = (&mut self.now[range.clone()], &self.greatest[range.clone()]);
-            let excess = numbers.iter().zip(greatest).position(|(number, most)| number.abs() > *most);
-            match excess {
-                None => {}
-                Some(place) if *is_vital => {
-                    let name = self.layout.name(range.start + place);
-                    return bad(name, numbers[place], "a number within `controller.channels.greatest`");
-                }
-                // Wind, thrusts and foot wrenches that cannot be accepted: none, until they are.
-                Some(_) => numbers.fill(0.0),
+        // Where wind, thrusts or foot wrenches cannot be accepted: none, until they are.
+        for Entry { range, .. } in self.entries.iter().filter(|entry| !entry.is_vital) {
+            let numbers = &mut self.now[range.clone()];
+            if !is_within(numbers, &self.greatest[range.clone()]) {
+                numbers.fill(0.0);
             }
         }
         Ok(ChannelsState {
