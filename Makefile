@@ -39,6 +39,7 @@ OTHER_PROCESSOR = $(JAX_CACHE) GLIBC_TUNABLES=glibc.cpu.hwcaps=-AVX2,-FMA,-AVX51
 	XLA_FLAGS=--xla_cpu_max_isa=SSE4_2 OPENBLAS_CORETYPE=Nehalem NPY_DISABLE_CPU_FEATURES="$(NUMPY_FEATURES)"
 NUMPY_FEATURES = $(shell $(BIN)/python -c 'import numpy; \
 	print(*numpy.show_config(mode="dicts")["SIMD Extensions"].get("found", []))')
+# A file of these stays in one process, since its tests share thousands of drawn problems.
 NUMERICAL := $(if $(QUICK),tests/parity/test_qp.py tests/parity/test_jax_qp_box.py tests/parity/test_aero.py, \
 	tests/parity tests/gradients tests/units tests/train)
 
@@ -75,7 +76,7 @@ test: $(PACKAGES) ## run every test, Rust first, then Python
 portability: $(PACKAGES) ## run the numerical tests as another processor would, on one core and on two (QUICK=1: a minute)
 	$(if $(QUICK),,$(OTHER_PROCESSOR) cargo test --locked)
 	$(if $(QUICK),,$(OTHER_PROCESSOR) taskset --cpu-list 0 $(BIN)/python -m pytest -q $(NUMERICAL))
-	$(OTHER_PROCESSOR) taskset --cpu-list 0,1 $(BIN)/python -m pytest -q $(PARALLEL) $(NUMERICAL)
+	$(OTHER_PROCESSOR) taskset --cpu-list 0,1 $(BIN)/python -m pytest -q $(PARALLEL) --dist loadfile $(NUMERICAL)
 
 wheel: $(PACKAGES) ## build wheel and source package into dist/, and fly with the wheel alone in an empty environment
 	rm -rf dist
