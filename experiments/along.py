@@ -75,7 +75,7 @@ main = STUDY.main
 
 
 def _file(name: str) -> Path:
-    return places.RESULTS / "flight" / name / record.RUN_FILE
+    return places.RESULTS / "flight" / name / places.RUN_FILE
 
 
 def _read(name: str) -> xr.Dataset:

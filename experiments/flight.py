@@ -63,7 +63,7 @@ def run(
             flight, rust.Robot(config["robot"]), title=document["title"], config_digest=digest, engine=engine
         )
         record.write_run(folder, dataset, document, replace=overwrite)
-    print(os.path.relpath(folder / record.RUN_FILE))
+    print(os.path.relpath(folder / places.RUN_FILE))
     return document
 
 

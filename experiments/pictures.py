@@ -14,7 +14,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from experiments import record
 from experiments.import_cfd import POSTURES, known_postures
 from experiments.study import Findings, Study
 from jax_aero import places, rust, tables
@@ -35,7 +34,7 @@ Array = NDArray[np.float64]
 class Pictures(tables.Table, frozen=True):
     """Settings of Fig. 5 a."""
 
-    flight: Path = places.RESULTS / "flight" / "test2" / record.RUN_FILE
+    flight: Path = places.RESULTS / "flight" / "test2" / places.RUN_FILE
     moment: tables.NonNegative = 14.0
     """Time at which the robot hovers in the wind [s]."""
 

@@ -19,8 +19,7 @@ import xarray as xr
 from experiments import Refused
 from jax_aero import rust
 from jax_aero.files import checksums, complete_folder, find_damaged, write_json, write_netcdf, write_text
-from jax_aero.places import MANIFEST_FILE as MANIFEST_FILE
-from jax_aero.places import RUN_FILE as RUN_FILE
+from jax_aero.places import MANIFEST_FILE, RUN_FILE
 from jax_aero.result import FlightResult, RobotNames, labels_of
 
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jax_aero.result import Progress
 
 REFUSED, INTERRUPTED = 2, 130
 """Exit statuses of a command."""
@@ -33,7 +36,7 @@ def exit_status(work: Callable[[], int | None], *, interrupted: str = "nothing w
 
 
 @contextmanager
-def progress_bar(unit: str, name: str | None = None, **options: Any) -> Iterator[Callable[[int, int], None]]:
+def progress_bar(unit: str, name: str | None = None, **options: Any) -> Iterator[Progress]:
     """Yield a function of (units done, all units) that moves a progress bar.
 
     The bar is shown on a terminal only, unless `options`, those of tqdm, say otherwise.

@@ -199,11 +199,20 @@ def read_text(path: Path, greatest: int = MAX_SIZE) -> str:
 
 
 def read_numbers(path: Path) -> NDArray[np.float64]:
-    """Return the numbers (rows, columns) of a CSV file below its header; empty lines and `#` comments are left out."""
+    """Return the numbers (rows, columns) of a CSV file below its header; empty lines and `#` comments are left out.
+
+    Raises
+    ------
+    Refused
+        For a file without rows, and for rows of unequal length or with text, by the file's path.
+    """
     lines = [line for line in read_text(path).splitlines() if line.partition("#")[0].strip()]
     if len(lines) < 2:
-        raise Refused(f"{path.name}: expected a header and one row of numbers or more")
-    return np.loadtxt(lines[1:], delimiter=",", ndmin=2)
+        raise Refused(f"{path}: expected a header and one row of numbers or more")
+    try:
+        return np.loadtxt(lines[1:], delimiter=",", ndmin=2)
+    except ValueError as reason:
+        raise Refused(f"{path}: {reason}; expected rows of numbers") from None
 
 
 def read_json(path: Path) -> dict[str, Any]:

@@ -25,6 +25,7 @@ import xarray as xr
 from experiments import record
 from experiments.sweep import run, spec
 from experiments.sweep.design import Design
+from jax_aero import places
 from jax_aero.files import checksums, find_damaged
 
 SWEEP = {
@@ -103,7 +104,7 @@ def kill_replacements(trials: int, folder: Path, chance: random.Random) -> str:
             manifest = record.read_manifest(result)
             assert manifest is not None, "the result is lost"
             assert find_damaged(result, manifest["files"]) is None, "the result is damaged"
-            assert set(checksums(result)) == {record.RUN_FILE, record.MANIFEST_FILE}
+            assert set(checksums(result)) == {places.RUN_FILE, places.MANIFEST_FILE}
             assert number <= manifest["number"]
             number = manifest["number"]
             for path in result.iterdir():

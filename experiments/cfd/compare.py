@@ -138,7 +138,7 @@ def model_errors(robot: RobotModel, models: Mapping[str, Floats], truth: Dataset
 
 def training_of(name: str) -> Path:
     """Return the result of `train NAME`."""
-    return places.RESULTS / "training" / name / record.RUN_FILE
+    return places.RESULTS / "training" / name / places.RUN_FILE
 
 
 def held_out_network(name: str, data: Dataset) -> Floats | None:

@@ -12,6 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from experiments import record
+from jax_aero import places
 from jax_aero.result import ending
 
 GRAVITY = 9.81
@@ -53,7 +54,7 @@ def read(folder: Path, config: Mapping[str, Any], mass: float) -> Ground | None:
     wind = config.get("disturbances", {}).get("controller_wind")
     if wind is None:
         return None
-    with record.open_result(folder / record.RUN_FILE) as opened:
+    with record.open_result(folder / places.RUN_FILE) as opened:
         if "contact_force" not in opened:
             return None
         start = float(wind.get("ramp_start", 0.0))

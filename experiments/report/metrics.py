@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from experiments import record
+from jax_aero import places
 from jax_aero.result import ending
 from jax_aero.summary import SETTLING_TIME
 
@@ -50,7 +51,7 @@ class Metrics:
 
 def read(folder: Path) -> Metrics:
     """Return the metrics of a flight's result."""
-    with record.open_result(folder / record.RUN_FILE) as opened:
+    with record.open_result(folder / places.RUN_FILE) as opened:
         return measure(folder.name, opened)  # which loads the signals it needs
 
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import pyarrow.parquet as pq
 
-from experiments import Refused, record
+from experiments import Refused
 from experiments.report import ground, metrics, outdated
 from jax_aero import places, rust
 from jax_aero.files import find_damaged, read_json
@@ -34,9 +34,11 @@ class Sweep:
 
     def cell(self, **labels: object) -> Cell:
         """Return the only cell with these levels; `KeyError` if there is none, as in a sweep of other levels."""
-        for found in self.select(**labels):
-            return found
-        raise KeyError(", ".join(f"{name} = {label}" for name, label in labels.items()))
+        found = self.select(**labels)
+        if not found:
+            raise KeyError(", ".join(f"{name} = {label}" for name, label in labels.items()))
+        (cell,) = found
+        return cell
 
     def select(self, **labels: object) -> list[dict[str, Any]]:
         """Return the cells with these levels."""
@@ -74,7 +76,7 @@ class Results:
     def manifests(self) -> dict[str, dict[str, Any]]:
         """Return the manifests of flights without --set, by name; others are not the paper's."""
         found = {}
-        for path in sorted((self.folder / "flight").glob(f"[!.]*/{record.MANIFEST_FILE}")):
+        for path in sorted((self.folder / "flight").glob(f"[!.]*/{places.MANIFEST_FILE}")):
             if "--" not in path.parent.name:
                 found[path.parent.name] = read_json(path)
                 _require_whole(path.parent, found[path.parent.name])
@@ -141,7 +143,7 @@ class Results:
 
     def study(self, kind: str, name: str) -> dict[str, Any]:
         """Return the figures of a study."""
-        path = self.folder / kind / name / record.MANIFEST_FILE
+        path = self.folder / kind / name / places.MANIFEST_FILE
         if not path.is_file():
             raise NotFlownError(f"`python -m experiments {kind.replace('_', '-')} {name}` has not been run")
         document = read_json(path)

@@ -25,7 +25,7 @@ import numpy as np
 import optuna
 from msgspec.structs import replace
 
-from experiments import Refused, manifest, record, study
+from experiments import Refused, manifest, study
 from experiments.sources import code_hash
 from experiments.training import config
 from jax_aero import places, tables
@@ -103,7 +103,7 @@ def run(given: argparse.Namespace) -> None:
     out: Path = (given.out or RESULTS / study.result_name("training_search", path)).resolve()
     # One study per question: another dataset, space or code must not be mixed in.
     digest = study.digest({"table": tables.to_builtins(settings), "base": base, "data": dataset.sha256}, [])
-    if (out / record.RUN_FILE).exists() or _digest_in(out) not in (None, digest):
+    if (out / places.RUN_FILE).exists() or _digest_in(out) not in (None, digest):
         raise Refused(f"{manifest.make_portable(out)} holds another result; choose another --out, or remove it")
     out.mkdir(parents=True, exist_ok=True)
     optuna.logging.set_verbosity(optuna.logging.ERROR)  # with warnings it prints a traceback after Ctrl-C
@@ -140,7 +140,7 @@ def run(given: argparse.Namespace) -> None:
 def _digest_in(folder: Path) -> str | None:
     """Return the digest of the result in a folder: `None` where there is none, empty where it cannot be read."""
     try:
-        return str(json.loads(read_text(folder / record.MANIFEST_FILE))["config_digest"])
+        return str(json.loads(read_text(folder / places.MANIFEST_FILE))["config_digest"])
     except FileNotFoundError:
         return None
     except (ValueError, KeyError, TypeError):
@@ -240,4 +240,4 @@ def _write(out: Path, search: optuna.Study, table: Mapping[str, Any], digest: st
         dataset=dataset,
         timings_s={"all trials": sum(t.duration.total_seconds() for t in search.trials if t.duration)},
     )
-    write_json(out / record.MANIFEST_FILE, document)
+    write_json(out / places.MANIFEST_FILE, document)

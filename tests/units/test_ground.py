@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 import xarray as xr
+from scipy.spatial.transform import Rotation
 
 from experiments import Refused, engines, record, sources, tip_over
 from experiments.report import ground
@@ -34,6 +35,16 @@ OUTAGE = {"channel": "wind", "start": 1.0, "duration": 2.0, "kind": "missing"}
 
 def standing(**overrides):
     return rust.load_config(ROOT / "configs/experiments/balancing_front.toml", COARSE | overrides)
+
+
+def test_angles_of_rotations_are_those_of_scipy(measured):
+    rotations = [*Rotation.random(100, rng=1), Rotation.identity(), Rotation.from_rotvec([1e-8, 0.0, 0.0])]
+    for rotation in rotations:
+        matrix, rpy = rotation.as_matrix(), rotation.as_euler("xyz")
+        # A few roundings of a matrix; those of roll and yaw are divided by the cosine of the pitch.
+        off = np.abs(np.subtract(mujoco_ground._rpy(matrix), rpy)).max() * np.cos(rpy[1])
+        measured("roll, pitch, yaw, times the cosine of the pitch [rad]", off, 1e-14)
+        measured("angle [rad]", abs(mujoco_ground._angle(matrix) - rotation.magnitude()), 1e-14)
 
 
 def early_wind(velocity, measured=True, duration=9.0, **overrides):

@@ -14,9 +14,11 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.aero.model import aero_model
+from jax_aero.command import Refused
 from jax_aero.config import AxisymmetricAeroConfig, FileWindConfig
 from jax_aero.control.recorded import read_reference
 from jax_aero.control.tick import momentum_controller
+from jax_aero.files import read_numbers
 from jax_aero.io import scenario_config
 from jax_aero.keys import set_key
 from jax_aero.robot import ancestors_of, levels_of, load_robot
@@ -54,6 +56,21 @@ def test_a_wind_file_may_begin_with_an_empty_line_in_both_languages(tmp_path):
     with jax.enable_x64(True):
         ours = wind_velocity(wind_model(FileWindConfig(path=path)), 0.5)
     np.testing.assert_array_equal(ours, rust.wind_velocity({"profile": "file", "path": str(path)}, [0.5])[0])
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("time,x,y,z\n", "expected a header and one row of numbers or more"),
+        ("time,x,y,z\n0,1,2,calm\n", "'calm'.*; expected rows of numbers"),
+        ("time,x,y,z\n0,1,2,3\n1,2\n", "; expected rows of numbers"),
+    ],
+)
+def test_a_file_of_numbers_is_refused_by_its_path(tmp_path, text, expected):
+    path = tmp_path / "wind.csv"
+    path.write_text(text)
+    with pytest.raises(Refused, match=rf"{path}: .*{expected}|{path}: {expected}"):
+        read_numbers(path)
 
 
 def test_numbers_are_leaves_and_names_are_structure(table):

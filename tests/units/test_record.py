@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 from experiments import Refused, record
-from jax_aero import rust
+from jax_aero import places, rust
 
 
 @pytest.fixture
@@ -106,11 +106,11 @@ def test_a_folder_that_appears_meanwhile_is_not_replaced(tmp_path):
 
 
 def test_a_manifest_counts_beside_the_results_of_a_run(tmp_path):
-    (tmp_path / record.MANIFEST_FILE).write_text('{"title": "made up"}')
+    (tmp_path / places.MANIFEST_FILE).write_text('{"title": "made up"}')
     assert record.read_manifest(tmp_path) is None
-    (tmp_path / record.RUN_FILE).touch()
+    (tmp_path / places.RUN_FILE).touch()
     assert record.read_manifest(tmp_path) == {"title": "made up"}
-    (tmp_path / record.MANIFEST_FILE).write_text("[]")
+    (tmp_path / places.MANIFEST_FILE).write_text("[]")
     assert record.read_manifest(tmp_path) is None
 
 

@@ -108,7 +108,7 @@ def read_equal_files_once():
     read, found = metrics.read, {}
 
     def read_once(folder):
-        key = folder.name, (folder / record.RUN_FILE).read_bytes()
+        key = folder.name, (folder / places.RUN_FILE).read_bytes()
         if key not in found:
             found[key] = read(folder)
         return found[key]
@@ -269,6 +269,15 @@ def test_the_edge_of_a_curve_is_one_of_numbers(axes, expected):
     ]
     document = {"drawing": "curve", "panels": "world", "axes": [{"name": axis, "unit": ""} for axis in axes]}
     assert _edge(Sweep(document, cells)) == expected
+
+
+def test_a_cell_is_the_only_one_with_its_levels():
+    sweep = Sweep({}, [cell(i, 8, 8, 8, world="ahead", scale=scale) for i, scale in enumerate((1.0, 2.0))])
+    assert sweep.cell(scale=2.0) is sweep.cells[1]
+    with pytest.raises(KeyError, match=r"world = side, scale = 1\.0"):
+        sweep.cell(world="side", scale=1.0)
+    with pytest.raises(ValueError, match="too many values"):
+        sweep.cell(world="ahead")
 
 
 def test_a_flight_that_ends_while_it_settles_has_no_error_of_position(make_flight, robot):
