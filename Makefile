@@ -62,11 +62,11 @@ setup: $(PACKAGES) ## create .venv, compile the Rust module, install all pinned 
 
 demo: $(MODULE) ## fly three controllers with corrected and with published lever arms: table and figure
 	@echo "six flights of 50 s and two figures (half a minute)"
-	$(BIN)/python -m experiments $(DEMO) --overwrite
-	$(BIN)/python -m paper_figs demo fig5
+	$(BIN)/jax-aero fly $(DEMO) --overwrite
+	$(BIN)/jax-aero figures demo fig5
 
 view: $(PACKAGES) ## fly in the browser: drag the wind until the robot falls
-	$(BIN)/python -m jax_aero view
+	$(BIN)/jax-aero view
 
 test: $(PACKAGES) ## run every test, Rust first, then Python
 	rm -rf $(MEASURED)
@@ -115,8 +115,8 @@ bench: $(PACKAGES) ## measure every part of a tick, and the crate beside Pinocch
 	$(BIN)/python -m experiments.bench_jax --quick
 
 figures: $(PACKAGES) ## draw every figure whose results are there; flies the demo's flights if they are not
-	$(BIN)/python -m experiments $(DEMO)
-	-$(BIN)/python -m paper_figs all
+	$(BIN)/jax-aero fly $(DEMO)
+	-$(BIN)/jax-aero figures all
 
 # Force models are fitted to and trained on our own simulations, or the authors' table: make reproduce PUBLIC_TABLE=FILE.
 ifdef PUBLIC_TABLE
@@ -134,38 +134,38 @@ CARD := $(abspath results/training/$(TRAINING)/$(TRAINING).json)
 SWEEPS := paper_tests ablation_terms model_pairs
 
 reproduce: $(PACKAGES) ## fly, train, draw and judge what the paper has, write results/report.md and .html (36 minutes of processor time)
-	$(if $(PUBLIC_TABLE),$(BIN)/python -m experiments import-cfd --table $(PUBLIC_TABLE) --out $(DATASET))
-	$(BIN)/python -m experiments fit-aero $(DATA)
-	$(BIN)/python -m experiments train $(TRAINING) --dataset $(DATASET)
-	$(BIN)/python -m experiments test3 --out results/trained --overwrite --set simulator.aero.card=$(CARD)
-	$(BIN)/python -m experiments test4 --out results/trained --overwrite --set simulator.aero.card=$(CARD) \
+	$(if $(PUBLIC_TABLE),$(BIN)/jax-aero import-cfd --table $(PUBLIC_TABLE) --out $(DATASET))
+	$(BIN)/jax-aero fit-aero $(DATA)
+	$(BIN)/jax-aero train $(TRAINING) --dataset $(DATASET)
+	$(BIN)/jax-aero fly test3 --out results/trained --overwrite --set simulator.aero.card=$(CARD)
+	$(BIN)/jax-aero fly test4 --out results/trained --overwrite --set simulator.aero.card=$(CARD) \
 		--set controller.aero.card=$(CARD)
-	$(BIN)/python -m experiments --all
-	-$(BIN)/python -m experiments pictures
-	$(BIN)/python -m experiments along
-	$(BIN)/python -m experiments sweep $(SWEEPS)
-	$(BIN)/python -m experiments engine-choice
-	$(BIN)/python -m experiments force-rate
-	$(BIN)/python -m experiments observer-limit
-	$(BIN)/python -m experiments wind-observer
-	$(BIN)/python -m experiments tip-over
-	$(BIN)/python -m experiments calibrate-surrogate
-	$(BIN)/python -m experiments identify-aero
-	$(BIN)/python -m experiments trim hover_posture --map
-	$(BIN)/python -m experiments trim free_joints --map
-	$(BIN)/python -m experiments trajectory
-	-$(BIN)/python -m paper_figs all
-	$(BIN)/python -m paper_figs fig4_fit --runs $(DATA)
-	$(BIN)/python -m paper_figs fig4_network --runs $(TRAINING)
-	$(BIN)/python -m experiments report
+	$(BIN)/jax-aero fly --all
+	-$(BIN)/jax-aero pictures
+	$(BIN)/jax-aero along
+	$(BIN)/jax-aero sweep $(SWEEPS)
+	$(BIN)/jax-aero engine-choice
+	$(BIN)/jax-aero force-rate
+	$(BIN)/jax-aero observer-limit
+	$(BIN)/jax-aero wind-observer
+	$(BIN)/jax-aero tip-over
+	$(BIN)/jax-aero calibrate-surrogate
+	$(BIN)/jax-aero identify-aero
+	$(BIN)/jax-aero trim hover_posture --map
+	$(BIN)/jax-aero trim free_joints --map
+	$(BIN)/jax-aero trajectory
+	-$(BIN)/jax-aero figures all
+	$(BIN)/jax-aero figures fig4_fit --runs $(DATA)
+	$(BIN)/jax-aero figures fig4_network --runs $(TRAINING)
+	$(BIN)/jax-aero report
 
 verify: $(PACKAGES) ## compare the crate with independent implementations and stored states
-	$(BIN)/python -m jax_aero verify
-	$(BIN)/python -m jax_aero verify --config configs/experiments/test4.toml
+	$(BIN)/jax-aero verify
+	$(BIN)/jax-aero verify --config configs/experiments/test4.toml
 	$(BIN)/python -m pytest tests/parity
 
 docs: $(PACKAGES) ## build the documentation site into site/, the crate's own beside it
-	$(BIN)/python -m experiments schema
+	$(BIN)/jax-aero schema
 	$(BIN)/python -m mkdocs build --strict
 	cargo doc --locked --no-deps --package flight-core --package flight-io --package flight-sim
 	rm -rf site/rust && cp -r target/doc site/rust

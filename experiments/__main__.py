@@ -43,7 +43,7 @@ def fly(words: Sequence[str]) -> int:
     def work() -> None:
         changes = overrides.parse([*given.set, *([f"engine={given.engine}"] if given.engine else [])])
         paths = [study.find("experiments", name) for name in names]
-        command = ["python", "-m", "experiments", *words]
+        command = ["jax-aero", "fly", *words]
         finished = [
             flight.run(path, changes, command=command, out=given.out, overwrite=given.overwrite) for path in paths
         ]

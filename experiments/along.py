@@ -1,9 +1,9 @@
 """Quantities computed from flight logs: fuel burnt, and clearance between jets and body.
 
-`python -m experiments along` reads `results/flight/NAME/`. Fuel consumption is linear in the thrust of every jet, as in
+`jax-aero along` reads `results/flight/NAME/`. Fuel consumption is linear in the thrust of every jet, as in
 `configs/trajectory/min_time.toml`; the clearance is that of `configs/trim/hover_posture.toml`, from the axis of an
 exhaust to the surface of a link, including soles. The result goes to `results/along/flights/`;
-`python -m paper_figs along` draws it.
+`jax-aero figures along` draws it.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def _file(name: str) -> Path:
 def _read(name: str) -> xr.Dataset:
     path = _file(name)
     if not path.is_file():
-        raise Refused(f"no flight `{name}`; fly it with: python -m experiments {name}")
+        raise Refused(f"no flight `{name}`; fly it with: jax-aero fly {name}")
     with record.open_result(path) as opened:
         return opened[["joint_position", "thrust"]].load().assign_attrs(opened.attrs)
 

@@ -1,6 +1,6 @@
 """Flights with other engines in the arms: P160, as in the published flights, and P100, as in the paper's text.
 
-`python -m experiments arm-engines` changes engine and greatest thrust of the arms in a copy of the robot's file and
+`jax-aero arm-engines` changes engine and greatest thrust of the arms in a copy of the robot's file and
 flies missions with both, with ideal and with identified jets. The result goes to `results/arm_engines/paper/`.
 """
 

@@ -1,10 +1,10 @@
-"""Calibrate the panel model on published data: `python -m experiments calibrate-surrogate`.
+"""Calibrate the panel model on published data: `jax-aero calibrate-surrogate`.
 
 The data are published drag curves of the links, and the whole robot's force in the typed tables of wind tunnel and CFD
 except the postures flight50 and flight60, on which the result is compared with the axisymmetric model. The penalties
 have the smallest error on calibration postures left out in turn. The result goes to
 `results/calibrate_surrogate/calibration/`, with the coefficients as `surrogate.toml`, which is copied to
-`configs/aero/panels/`; `python -m paper_figs surrogate` draws it.
+`configs/aero/panels/`; `jax-aero figures surrogate` draws it.
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ def sources_of(settings: Settings) -> list[str]:
     """Return comment lines on the data that the coefficients were fitted to."""
     return [
         "Our fit to published data alone: drag curves of the links, wind tunnel and CFD of configs/tables without",
-        "flight50 and flight60, by python -m experiments calibrate-surrogate",
+        "flight50 and flight60, by jax-aero calibrate-surrogate",
         f"Penalties by leaving out postures: {', '.join(f'{k} {v:g}' for k, v in settings._asdict().items())}.",
     ]
 

@@ -1,8 +1,8 @@
-"""Fit the paper's axisymmetric model to a dataset: `python -m experiments fit-aero [NAME]`.
+"""Fit the paper's axisymmetric model to a dataset: `jax-aero fit-aero [NAME]`.
 
 Lasso selects terms and least squares fits them, family by family. In addition, the published terms are refitted, the
 origin of the published normal-force coefficients is tested, and every coefficient set of the robot is evaluated on the
-data. The result goes to `results/fit_aero/NAME/`, with the new coefficients as TOML; `python -m paper_figs fig4_fit`
+data. The result goes to `results/fit_aero/NAME/`, with the new coefficients as TOML; `jax-aero figures fig4_fit`
 draws it.
 """
 
@@ -176,7 +176,7 @@ def report(
 
 def toml(fits: Mapping[str, fit.FamilyFit], source: str) -> str:
     """Return the coefficient set in the format of a robot's file."""
-    lines = [f"# Our fit of {source}: python -m experiments fit-aero", "[coefficients.refit]"]
+    lines = [f"# Our fit of {source}: jax-aero fit-aero", "[coefficients.refit]"]
     for family, kept in fits.items():
         cda = ", ".join(f"{weight:.5f}" if weight else "0.0" for weight in kept.cda)
         lines.append(f"{family:<9} = {{ cda = [{cda}], cna = {kept.cna:.4f} }}")

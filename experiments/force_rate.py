@@ -1,6 +1,6 @@
 """Size of the rate of aerodynamic forces along a flight, which the paper's controller neglects.
 
-`python -m experiments force-rate [NAME]` flies an experiment (default test2) and decomposes the second derivative of
+`jax-aero force-rate [NAME]` flies an experiment (default test2) and decomposes the second derivative of
 the centroidal momentum at every tick, by derivatives of the symbolic implementation, into the terms in the controller's
 QP (A_T Ṫ, Λ_T ν, Λ_a ν) and those neglected (change of link forces due to rotation and acceleration of links and to
 change of the wind). The result goes to `results/force_rate/NAME/`.

@@ -1,6 +1,6 @@
 """A worked example of differentiability: identification of aerodynamic coefficients from the log of one flight.
 
-`python -m experiments identify-aero` flies TEST2 with force areas that differ from those in the robot's file, records
+`jax-aero identify-aero` flies TEST2 with force areas that differ from those in the robot's file, records
 what sensors would measure (positions, velocities with noise, commanded thrusts and torques, the wind), and identifies
 the areas that explain the log. Starting at many logged states, it simulates the next 0.1 s under the logged commands,
 compares the velocities and descends along the gradient through the simulation. The controller is not involved. The
@@ -8,7 +8,7 @@ result is validated on the forces of another flight, in head wind.
 
     minimise  Σ ((ν_simulated − ν_logged)/σ)² / 2  +  Σ (θ/0.3)² / 2      areas = (1 + θ) · those of the file
 
-The result goes to `results/identify_aero/aero/`; `python -m paper_figs identify` draws it.
+The result goes to `results/identify_aero/aero/`; `jax-aero figures identify` draws it.
 """
 
 from __future__ import annotations

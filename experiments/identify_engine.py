@@ -1,6 +1,6 @@
 """Identify a second-order engine (M32) from a test bench log, validate it on another log, tune its estimator.
 
-`python -m experiments identify-engine P220` generates two logs of an engine in the robot's file, in the format of a
+`jax-aero identify-engine P220` generates two logs of an engine in the robot's file, in the format of a
 bench: time, throttle and thrust with noise, at 100 Hz. `--set train=FILE --set test=FILE` reads real logs: CSV files
 with the columns `time_s,throttle_percent,thrust_n`.
 
@@ -10,7 +10,7 @@ with the columns `time_s,throttle_percent,thrust_n`.
 3. The whole other log is simulated from its first sample.
 4. For the estimator (M35), R follows from the residual noise, Q from the likelihood of the innovations.
 
-The result goes to `results/identify_engine/NAME/`; `python -m paper_figs engine` draws it.
+The result goes to `results/identify_engine/NAME/`; `jax-aero figures engine` draws it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Convert free-stream simulations into a dataset of this project: `python -m experiments import-cfd --table FILE`.
+"""Convert free-stream simulations into a dataset of this project: `jax-aero import-cfd --table FILE`.
 
 The public table is in the history of https://github.com/ami-iit/element_cfd-simulation, in a commit without a licence,
 so it is not shipped here: get it there, as a file (`--table`) or as a clone (`--clone`). The authors' training file

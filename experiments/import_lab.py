@@ -1,6 +1,6 @@
 """Import a flight of the flight lab: from the page's `run.json` to a result folder with `run.nc` and `manifest.json`.
 
-The configuration is checked and hashed like that of any flight, so that `python -m experiments` and the viewer accept
+The configuration is checked and hashed like that of any flight, so that `jax-aero fly` and the viewer accept
 the folder.
 """
 

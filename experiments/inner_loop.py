@@ -1,6 +1,6 @@
 """Admissible delay and noise of measurements, from the hovering loop linearised at every tick.
 
-`python -m experiments inner-loop` considers the robot hovering in still air without an observer, under the published
+`jax-aero inner-loop` considers the robot hovering in still air without an observer, under the published
 weights and under those of the observer's controller, and forms the Jacobian of one tick about the same state: of the
 plant from the model's equations of motion, of the controller by differences of its ticks. A measurement delayed by D
 ticks is a row of the state of D ticks ago. For every measurement it prints the greatest delay at which no mode grows,

@@ -1,6 +1,6 @@
 """Greatest growth of a moment with the attitude before the robot turns over: predicted and flown.
 
-`python -m experiments observer-limit` applies a moment M = k_a θ about one axis of the hovering robot, with θ its
+`jax-aero observer-limit` applies a moment M = k_a θ about one axis of the hovering robot, with θ its
 rotation about that axis, without wind or aerodynamic model. The greatest k_a that is held is determined in two ways for
 every gain of the observer: from the eigenvalues of the linearised loop, whose Jacobian CasADi derives, and by flights
 with the crate's plant and controller. The result goes to `results/observer_limit/hover/`.

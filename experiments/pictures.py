@@ -1,7 +1,7 @@
 """Pictures for figures of the paper: a hovering flight in the wind, and the postures of the campaigns.
 
-`python -m experiments pictures` renders with MuJoCo's offscreen renderer, as the viewer does, and writes pixels, and
-the links of the hovering posture as capsules, to `results/pictures/paper/`. `python -m paper_figs fig5a postures
+`jax-aero pictures` renders with MuJoCo's offscreen renderer, as the viewer does, and writes pixels, and
+the links of the hovering posture as capsules, to `results/pictures/paper/`. `jax-aero figures fig5a postures
 fig2_setup` draws the figures. The flight is `results/flight/test2`.
 """
 

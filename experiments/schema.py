@@ -1,4 +1,4 @@
-"""Generate the files that follow from the configuration's types: `python -m experiments schema`.
+"""Generate the files that follow from the configuration's types: `jax-aero schema`.
 
 The crate's types define flights and robots. Their JSON Schemas yield the schemas of `configs/schema/`, with which
 editors complete keys; the Python types of `jax_aero/config.py`; and the page `docs/reference/configuration.md`. The
@@ -46,7 +46,7 @@ STUDIES: dict[str, Any] = {
 """Types that only Python reads, by the name of their schema."""
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
-MADE = "by `python -m experiments schema` from the crate's types"
+MADE = "by `jax-aero schema` from the crate's types"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

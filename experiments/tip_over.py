@@ -1,9 +1,9 @@
 """Find the wind speed that tips a standing robot over, if the measured wind is the true one and if it is zero.
 
-`python -m experiments tip-over [NAME]` reads `configs/tip_over/NAME.toml` (default ground) and finds by bisection, for
+`jax-aero tip-over [NAME]` reads `configs/tip_over/NAME.toml` (default ground) and finds by bisection, for
 every direction of the wind, the speed from which on the robot does not stand to the end of a trial. Trials are stored
 beside the result until the study is finished, so an interrupted study can be resumed. The result goes to
-`results/tip_over/NAME/`; `python -m paper_figs tip_over` draws it.
+`results/tip_over/NAME/`; `jax-aero figures tip_over` draws it.
 """
 
 from __future__ import annotations

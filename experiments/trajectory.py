@@ -1,4 +1,4 @@
-"""Optimal flights: `python -m experiments trajectory [NAME ...]` plans, exports, flies and compares with the paper's.
+"""Optimal flights: `jax-aero trajectory [NAME ...]` plans, exports, flies and compares with the paper's.
 
 A plan is solved with the centroidal model (`jax_aero/symbolic/trajectory.py`), written as a reference that the
 controllers can fly (`mission = { file = "reference.csv" }`), and flown in closed loop by the Rust engine in the wind of

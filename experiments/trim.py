@@ -1,4 +1,4 @@
-"""Trim: `python -m experiments trim [NAME] --wind X Y Z`, or `--map` for all winds of the configuration.
+"""Trim: `jax-aero trim [NAME] --wind X Y Z`, or `--map` for all winds of the configuration.
 
 Finds attitude, joint positions and thrusts in equilibrium for a wind or flight velocity, or the constraint that
 prevents it. Without --map the answer is printed; with it, results go to `results/trim/NAME/`.

@@ -20,7 +20,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments import study
+from experiments import Refused, study
 from jax_aero import places, rust, tables
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
@@ -98,20 +98,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = Parser("waypoints", __doc__)
     study.add_names(parser, "waypoints", "name")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the result (default results/waypoints)")
+    parser.add_argument("--overwrite", action="store_true", help="replace files that differ")
     given = parser.parse_args(arguments)
 
     def work() -> None:
         path = study.find("waypoints", given.name)
         name = path.stem if given.out else study.result_name("waypoints", path)
         folder = (given.out or places.RESULTS / "waypoints") / name
-        for file in write(path, tables.load(path, Waypoints), folder):
+        for file in write(path, tables.load(path, Waypoints), folder, overwrite=given.overwrite):
             print(os.path.relpath(file))
 
     return exit_status(work)
 
 
-def write(path: Path, points: Waypoints, folder: Path) -> list[Path]:
-    """Write `mission.csv` and the experiment; return both."""
+def write(path: Path, points: Waypoints, folder: Path, *, overwrite: bool = False) -> list[Path]:
+    """Write `mission.csv` and the experiment; return both. Files that differ are replaced only with `overwrite`."""
     config = rust.load_config(points.experiment)
     com, rpy, forward = start_of(config)
     duration = points.start + sum(motion.duration for motion in motions(points, com, forward)) + points.settling
@@ -132,19 +133,23 @@ def write(path: Path, points: Waypoints, folder: Path) -> list[Path]:
     with TemporaryDirectory() as draft:
         write_text(Path(draft) / mission.name, text)
         rust.check_config({**config, "mission": {"file": str(Path(draft) / mission.name)}})
-    write_text(mission, text)
     # Base tables are merged, so the base's commands would remain beside the reference unless they are replaced.
     without = "".join(
         f", {name} = []" for name, value in config["mission"].items() if isinstance(value, list) and value
     )
     base = os.path.relpath(points.experiment, folder.resolve())
-    write_text(
-        flight,
-        f"# Source: ours, jax-aero waypoints {path.stem}\n"
+    files = {
+        mission: text,
+        flight: f"# Source: ours, jax-aero waypoints {path.stem}\n"
         f"base = {tables.toml_value(base)}\ntitle = {tables.toml_value(points.title)}\n"
         f'mission = {{ file = "mission.csv"{without} }}\nsimulator = {{ duration = {duration:g} }}\n',
-    )
-    return [mission, flight]
+    }
+    for file, content in files.items():
+        if file.exists() and not overwrite and file.read_text(encoding="utf-8") != content:
+            raise Refused(f"`{file}` is there already, with other content; choose another --out, or --overwrite it")
+    for file, content in files.items():
+        write_text(file, content)
+    return list(files)
 
 
 def reference_text(rows: Array, about: str, digits: int) -> str:

@@ -1,4 +1,4 @@
-"""Accuracy of the wind estimated from the wrench: `python -m experiments wind-observer`.
+"""Accuracy of the wind estimated from the wrench: `jax-aero wind-observer`.
 
 Perturbed flights of TEST2 in turbulent winds from all directions are flown by a controller that uses the wind of its
 wind observer: in worlds with the controller's own model, axisymmetric or network; with the axisymmetric model in the

@@ -1,1 +1,1 @@
-"""Draw the paper's figures from result folders: `python -m paper_figs NAME`. Only reads files, never simulates."""
+"""Draw the paper's figures from result folders: `jax-aero figures NAME`. Only reads files, never simulates."""

@@ -54,7 +54,7 @@ class Entry:
     def command(self) -> str:
         """Return the command that makes the results; empty if committed tables are shown."""
         if self.kind == "flight":
-            return f"python -m experiments {' '.join(self.runs)}"
+            return f"jax-aero fly {' '.join(self.runs)}"
         return "; ".join(runs.study_command(self.kind, name) for name in self.runs)
 
     def draw_from_results(self, results: Path, names: Sequence[str] = ()) -> tuple[Figure, dict[str, str]]:

@@ -1,8 +1,8 @@
-"""All items of the paper: `python -m paper_figs --index` prints the page `docs/paper.md`.
+"""All items of the paper: `jax-aero figures --index` prints the page `docs/paper.md`.
 
 `SECTIONS` is the only table of items, except our sweeps, which their files name. Measurements and verdicts come from
 the tables of tunnel and CFD and from `docs/claims.json`, which
-`python -m experiments report --claims docs/claims.json` writes from results.
+`jax-aero report --claims docs/claims.json` writes from results.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Item:
     verdict: str = ""
     """Our verdict, if there is no figure to compare."""
     command: str = ""
-    """Command that makes it, if not `python -m paper_figs FIGURE`."""
+    """Command that makes it, if not `jax-aero figures FIGURE`."""
 
 
 def _tunnel(claims: Callable[..., list[tunnel.Claim]], *, with_cfd: bool) -> Callable[[], list[tunnel.Claim]]:
@@ -54,8 +54,8 @@ def _tunnel(claims: Callable[..., list[tunnel.Claim]], *, with_cfd: bool) -> Cal
 _NO_MESH = "out of reach: needs the authors' CFD meshes and solutions, which are not public"
 _NO_LEVELS = "out of reach: the levels of the paper are not public to us"
 _NO_CAD = "out of reach: photographs and CAD of the prototype"
-_DATA = "python -m experiments import-cfd --clone DIR --out results/datasets/freestream.nc"
-_TRAINING = f"{_DATA}; python -m experiments train compact --dataset results/datasets/freestream.nc"
+_DATA = "jax-aero import-cfd --clone DIR --out results/datasets/freestream.nc"
+_TRAINING = f"{_DATA}; jax-aero train compact --dataset results/datasets/freestream.nc"
 
 FIGURE_ITEMS: Sequence[Item] = (
     Item("Fig. 1 a, b", "the robot: mass, sizes", links=("#the-robot",), claims=("mass", "added_mass")),
@@ -65,7 +65,7 @@ FIGURE_ITEMS: Sequence[Item] = (
         "tunnel, test section, robot on its support, as a drawing",
         "fig2_setup",
         verdict="agrees in its parts; the point where the strut holds the robot is not public",
-        command="python -m experiments test2; python -m experiments pictures; python -m paper_figs fig2_setup",
+        command="jax-aero fly test2; jax-aero pictures; jax-aero figures fig2_setup",
     ),
     Item("Fig. 2 d", "drag by speed", "fig2", tunnel=_tunnel(tunnel.speed_claims, with_cfd=False)),
     Item("Fig. 2 e", "drag by posture", "fig2", tunnel=_tunnel(tunnel.posture_claims, with_cfd=False)),
@@ -85,21 +85,21 @@ FIGURE_ITEMS: Sequence[Item] = (
         "the network's drag of the head",
         "fig4_network",
         claims=("network_size", "network_error"),
-        command=f"{_TRAINING}; python -m paper_figs fig4_network",
+        command=f"{_TRAINING}; jax-aero figures fig4_network",
     ),
     Item(
         "Fig. 4 d, e",
         "the axisymmetric model over the CFD",
         "fig4_fit",
         claims=("order",),
-        command=f"{_DATA}; python -m experiments fit-aero freestream; python -m paper_figs fig4_fit",
+        command=f"{_DATA}; jax-aero fit-aero freestream; jax-aero figures fig4_fit",
     ),
     Item(
         "Fig. 5 a",
         "the flight, rendered with forces, exhausts and wind",
         "fig5a",
         verdict="agrees",
-        command="python -m experiments test2; python -m experiments pictures; python -m paper_figs fig5a",
+        command="jax-aero fly test2; jax-aero pictures; jax-aero figures fig5a",
     ),
     Item("Fig. 5 b–i", "TEST2 and TEST1", "fig5", claims=("test1", "test2")),
     Item(
@@ -163,7 +163,7 @@ NUMBERS: Sequence[Item] = (
         "Actuators selection",
         "battery against fuel",
         claims=("battery", "fuel"),
-        command="python -m experiments engine-choice",
+        command="jax-aero engine-choice",
     ),
     Item("Actuators selection", "fuel along flights", "along", claims=("fuel_flown",)),
     Item(
@@ -220,7 +220,7 @@ SUPPLEMENT: Sequence[Item] = (
         "postures",
         ("configs/tables/postures.toml",),
         verdict="out of reach: the list of the supplement's 19 postures; those of the public tables are drawn",
-        command="python -m experiments test2; python -m experiments pictures; python -m paper_figs postures",
+        command="jax-aero fly test2; jax-aero pictures; jax-aero figures postures",
     ),
     Item(
         "Suppl. Fig. 10–14",
@@ -228,8 +228,7 @@ SUPPLEMENT: Sequence[Item] = (
         "tunnel_moments",
         ("moments.md", "configs/tables/tunnel_tests.toml"),
         verdict="out of reach: the supplement is not public to us; our figures are from the public balance files",
-        command="python -m experiments import-tunnel; python -m experiments tunnel-moments; "
-        "python -m paper_figs tunnel_moments",
+        command="jax-aero import-tunnel; jax-aero tunnel-moments; jax-aero figures tunnel_moments",
     ),
     Item("Suppl. Fig. 15, 16", "not named in the text", verdict="out of reach: the supplement is not public to us"),
     Item("Suppl. Fig. 17, Note 7", "ablation of the feedback", "ablation_terms", claims=("minimum",)),
@@ -255,7 +254,7 @@ SUPPLEMENT: Sequence[Item] = (
 )
 
 BEYOND: Sequence[Item] = (
-    Item("beyond", "loss curves", "training", command=f"{_TRAINING}; python -m paper_figs training"),
+    Item("beyond", "loss curves", "training", command=f"{_TRAINING}; jax-aero figures training"),
     Item("beyond", "three controllers, corrected and published arms", "demo"),
     Item("beyond", "a panel model compared with the tunnel", "surrogate"),
     Item("beyond", "winds that can be trimmed", "trim"),
@@ -311,7 +310,7 @@ def page() -> str:
     about = (
         "This page compares every figure, table, equation and claim of the paper with what we measured. A verdict is "
         "*agrees*, *differs* (with the difference) or *out of reach* (with the reason). "
-        "[Deviations](deviations.md) explains the differences. `python -m paper_figs --index` makes this page. "
+        "[Deviations](deviations.md) explains the differences. `jax-aero figures --index` makes this page. "
         f"`{record['command']}` stores the measurements with their commit; the tests compute again what follows from "
         "committed files alone."
     )
@@ -334,8 +333,8 @@ def command_of(item: Item, claims: Mapping[str, Any]) -> str:
     if item.figure in FIGURES and not any(made):
         made.append(FIGURES[item.figure].command)
     if item.figure in SWEEPS:
-        made.append(f"python -m experiments sweep {item.figure}")
-    drawn = [f"python -m paper_figs {item.figure}"] if item.figure else []
+        made.append(f"jax-aero sweep {item.figure}")
+    drawn = [f"jax-aero figures {item.figure}"] if item.figure else []
     return "; ".join(filter(None, dict.fromkeys([*made, *drawn])))
 
 

@@ -85,9 +85,7 @@ def load(results: Path, name: str) -> Run:
     path = results / name / RUN_FILE
     if not path.is_file():
         elsewhere = "" if results.resolve() == (RESULTS / "flight").resolve() else f" --out {results}"
-        raise MissingRun(
-            f"no flight `{name}` in {results}; fly it with: python -m experiments {result_words(name, elsewhere)}"
-        )
+        raise MissingRun(f"no flight `{name}` in {results}; fly it with: jax-aero fly {result_words(name, elsewhere)}")
     return Run(name, read(path))
 
 
@@ -103,7 +101,7 @@ def study_command(kind: str, name: str) -> str:
     """Return the command that makes a study."""
     word = "train" if kind == "training" else kind.replace("_", "-")
     options = {"training": " --dataset FILE", "trim": " --map"}.get(kind, "")
-    return f"python -m experiments {word} {result_words(name, options)}"
+    return f"jax-aero {word} {result_words(name, options)}"
 
 
 def result_words(name: str, options: str = "") -> str:

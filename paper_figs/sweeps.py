@@ -84,7 +84,7 @@ def load(results: Path, name: str) -> Sweep:
     """Read the sweep of this name."""
     folder = results / name
     if not is_finished(folder):
-        raise MissingRun(f"no finished sweep `{name}`; fly it with: python -m experiments sweep {name}")
+        raise MissingRun(f"no finished sweep `{name}`; fly it with: jax-aero sweep {name}")
     path = folder / "sweep.json"
     try:
         return Sweep(name, json.loads(path.read_text(encoding="utf-8")), folder)

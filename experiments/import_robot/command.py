@@ -1,10 +1,10 @@
-"""Import a robot: `python -m experiments import-robot URDF --jet FRAME[:AXIS]:MAX ... [--out DIR]`.
+"""Import a robot: `jax-aero import-robot URDF --jet FRAME[:AXIS]:MAX ... [--out DIR]`.
 
 Writes a description of the robot from the URDF (base, joints in tree order with limits, groups by chain, jets,
 aerodynamic links sized by the geometry, feet), checks it, trims the robot in still air, and flies it: a hover of ten
 seconds and, with --mission, the paper's flight in 10 m/s of lateral wind. The user can refine all files in DIR:
 
-    robot.toml  controller.toml  hover.toml  mission.toml      fly again with `python -m experiments DIR/hover.toml`
+    robot.toml  controller.toml  hover.toml  mission.toml      fly again with `jax-aero fly DIR/hover.toml`
 """
 
 from __future__ import annotations

@@ -159,7 +159,7 @@ def write(
     if unknown := [joint for joint in held if joint not in [known.name for known in tree.joints]]:
         raise Refused(f"`{unknown[0]}` is no joint of the URDF")
     lines = [
-        "# Robot made from its URDF by `python -m experiments import-robot`. Check what is marked with (?).",
+        "# Robot made from its URDF by `jax-aero import-robot`. Check what is marked with (?).",
         "# SI units and radians, except keys ending in `_deg`; throttle is in percent.",
         "",
         f"name = {toml_value(name)}",

@@ -1,4 +1,4 @@
-"""All results on one page: `python -m experiments report` writes `results/report.md` and `results/report.html`.
+"""All results on one page: `jax-aero report` writes `results/report.md` and `results/report.html`.
 
 ```text
 runs, sweeps ──► metrics ──► claims ──► page ──► Markdown, HTML

@@ -101,8 +101,12 @@ class _Claim:
     @property
     def command(self) -> str:
         """Return the command that makes the measurement."""
-        words = (" ".join(self.flights), f"sweep {self.sweep}" if self.sweep else "", self.study)
-        return "; ".join(f"python -m experiments {word}" for word in words if word)
+        commands = (
+            " ".join(("fly", *self.flights)) if self.flights else "",
+            f"sweep {self.sweep}" if self.sweep else "",
+            self.study,
+        )
+        return "; ".join(f"jax-aero {command}" for command in commands if command)
 
 
 def _fact(key: str, where: str, claim: str, judge: Callable[[], tuple[str, str]], figure: str = "") -> _Claim:

@@ -57,11 +57,12 @@ def main(arguments: Sequence[str]) -> int:
     given = parser.parse_args(arguments)
 
     def work() -> None:
+        if not given.results.is_dir():
+            raise Refused(f"`{given.results}` is no folder; expected one with results, as `jax-aero fly` makes it")
         results = Results(given.results)
         stated = claims.all_claims(results)
         kept: Path = given.claims or results.folder / "claims.json"
         page = build(results, stated)
-        results.folder.mkdir(parents=True, exist_ok=True)
         for path, text in (
             (results.folder / "report.md", page.markdown()),
             (results.folder / "report.html", page.html()),
@@ -93,7 +94,7 @@ def claims_json(stated: Sequence[claims.Claim], kept: Path) -> str:
             measured["commit"] = older[claim.key].get("commit", commit)
         found[claim.key] = dataclasses.asdict(claim) | measured
     document = {
-        "command": "python -m experiments report --claims docs/claims.json",
+        "command": "jax-aero report --claims docs/claims.json",
         "tables": {name: rows() for name, rows in facts.TABLES.items()},
         "claims": found,
     }
@@ -305,7 +306,7 @@ def _engines(page: Page) -> None:
         Text(
             f"A hovering {choice.robot_mass:g} kg robot for {choice.minutes:g} min, from the paper's own numbers. "
             "A battery carries "
-            "itself to the end, fuel is burnt on the way. `python -m experiments engine-choice` takes other numbers."
+            "itself to the end, fuel is burnt on the way. `jax-aero engine-choice` takes other numbers."
         ),
         Table(
             ("what", "ours [kg]", "paper [kg]"),

@@ -127,17 +127,17 @@ class Results:
 
     def _find(self, found: Mapping[str, Flown], name: str) -> Flown:
         if name not in found:
-            raise NotFlownError(f"`python -m experiments {name}` has not been run")
+            raise NotFlownError(f"`jax-aero fly {name}` has not been run")
         self.note(name, self.manifests[name], self.differences[name])
         return found[name]
 
     def sweep(self, name: str) -> Sweep:
         """Return a finished sweep without failed flights."""
         if name not in self.sweeps:
-            raise NotFlownError(f"`python -m experiments sweep {name}` has not been run")
+            raise NotFlownError(f"`jax-aero sweep {name}` has not been run")
         found = self.sweeps[name]
         if failed := found.document["finished"]["outcomes"].get("error"):
-            raise NotFlownError(f"{failed} flights of `python -m experiments sweep {name}` could not be flown")
+            raise NotFlownError(f"{failed} flights of `jax-aero sweep {name}` could not be flown")
         self.note(f"sweep {name}", found.document, found.differs)
         return found
 
@@ -145,7 +145,7 @@ class Results:
         """Return the figures of a study."""
         path = self.folder / kind / name / places.MANIFEST_FILE
         if not path.is_file():
-            raise NotFlownError(f"`python -m experiments {kind.replace('_', '-')} {name}` has not been run")
+            raise NotFlownError(f"`jax-aero {kind.replace('_', '-')} {name}` has not been run")
         document = read_json(path)
         self.note(f"{kind} {name}", document, outdated.study(kind, name, document))
         return dict(document["summary"])

@@ -1,4 +1,4 @@
-"""Many flights from one file: `python -m experiments sweep NAME`.
+"""Many flights from one file: `jax-aero sweep NAME`.
 
 ```text
 spec (TOML) ──► cells (design) ──► rows: cells x repeats, perturbed ──► chunks ──► table.parquet, cells.parquet

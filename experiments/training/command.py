@@ -1,4 +1,4 @@
-"""Train a network of link forces and report its errors: `python -m experiments train NAME --dataset FILE`.
+"""Train a network of link forces and report its errors: `jax-aero train NAME --dataset FILE`.
 
 A file of `configs/training/` is trained once per fold of whole postures (`grouped`), once on a random split, which
 leaks information (`random`), and once on all rows; errors are those on held-out rows, beside those of simpler models.
@@ -120,7 +120,7 @@ def _train_parts(
             "parameters": training.start(config.robot(), 0).parameters * copies,
             "seconds_per_epoch": {one.part.name: one.errors["seconds_per_epoch"] for one in finished},
         },
-        command=["python", "-m", "experiments", "train", *sys.argv[2:]],
+        command=["jax-aero", "train", *sys.argv[2:]],
         engine="jax",
         code=[__name__],
         dataset=dataset.sha256,

@@ -1,4 +1,4 @@
-"""Viewing of flights: `python -m jax_aero view` in a browser, `video` and `snapshot` as files.
+"""Viewing of flights: `jax-aero view` in a browser, `video` and `snapshot` as files.
 
 ```
 run.nc or rust.FlightResult ► Recording ► Instant ► drawing ► page (viser) or offscreen (MuJoCo) ► video, snapshot

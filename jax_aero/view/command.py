@@ -14,7 +14,7 @@ from jax_aero.command import exit_status, progress_bar
 from jax_aero.result import Progress
 from jax_aero.view import Refused, recording, require
 
-RESULT = "a folder or run.nc that `python -m experiments NAME` wrote, or the NAME of one in results/flight"
+RESULT = "a folder or run.nc that `jax-aero fly NAME` wrote, or the NAME of one in results/flight"
 
 
 def view(words: Sequence[str]) -> int:

@@ -1,4 +1,4 @@
-"""A flight to view: read from a result of `python -m experiments`, or just flown."""
+"""A flight to view: read from a result of `jax-aero fly`, or just flown."""
 
 from __future__ import annotations
 
@@ -224,7 +224,7 @@ def read(result: str | Path, robot: str | Path | None = None) -> Recording:
     Parameters
     ----------
     result
-        Folder that `python -m experiments NAME` wrote.
+        Folder that `jax-aero fly NAME` wrote.
     robot
         TOML file of the robot, if the result does not name it.
 
@@ -272,7 +272,7 @@ def _read(path: Path, robot: str | Path | None) -> Recording:
     )
 
 
-EXPECTED = "expected a folder or a run.nc that `python -m experiments NAME` wrote, e.g. results/flight/test2"
+EXPECTED = "expected a folder or a run.nc that `jax-aero fly NAME` wrote, e.g. results/flight/test2"
 
 
 def _run_file(path: Path) -> Path:

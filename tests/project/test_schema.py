@@ -36,7 +36,7 @@ def test_everything_made_from_the_types_is_up_to_date():
     made = schema.files()
     assert {path for path in made if path.suffix == ".json"} == set((CONFIGS / "schema").iterdir())
     for path, text in made.items():
-        assert path.read_text(encoding="utf-8") == text, f"{path} is outdated: run `python -m experiments schema`"
+        assert path.read_text(encoding="utf-8") == text, f"{path} is outdated: run `jax-aero schema`"
 
 
 @pytest.mark.parametrize("path", FILES, ids=NAMES)

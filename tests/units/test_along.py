@@ -32,7 +32,7 @@ def test_fuel_is_the_integral_of_idle_and_thrust(agree):
 
 
 def test_a_flight_that_is_not_there_is_named():
-    with pytest.raises(Refused, match="no flight `nowhere`; fly it with: python -m experiments nowhere"):
+    with pytest.raises(Refused, match="no flight `nowhere`; fly it with: jax-aero fly nowhere"):
         along._read("nowhere")
 
 

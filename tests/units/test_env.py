@@ -94,7 +94,7 @@ def test_both_environments_are_one_task(x64, tmp_path):
     # A command that is no number: the robot is lost, and what is said of it stays finite.
     after = states
     for action in (jnp.nan, 0.0):
-        after = step(after, jnp.full((2, 27), action).at[1].set(0.0))
+        after = step(after, jnp.full((2, 27), action, jnp.float32).at[1].set(0.0))
         assert after.done.tolist() == [1.0, 0.0]
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((after.obs, after.reward, after.metrics)))
     # Down 0.99 m from the set-point and 1.01 m after the step: lost in this one, as in the environment of the crate.

@@ -124,7 +124,7 @@ def test_a_mistake_is_named_on_one_line_of_stderr(flown, arguments, message, cap
 def test_a_path_works_as_well_as_a_name(flown, tmp_path):
     path = places.CONFIGS / "experiments" / "test2.toml"
     assert main([str(path), "--out", str(tmp_path)]) == 0
-    assert "python -m experiments configs/experiments/test2.toml" in (tmp_path / "test2" / "manifest.json").read_text()
+    assert "jax-aero fly configs/experiments/test2.toml" in (tmp_path / "test2" / "manifest.json").read_text()
     assert len(flown) == 1
 
 

@@ -77,7 +77,7 @@ def test_the_manifest_and_the_figure(result):
     assert stored["versions"]["casadi"]
     _, hashes = FIGURES["force_rate"].draw_from_results(folder / "flight", [NAME])
     assert hashes == {NAME: document["config_digest"]}
-    with pytest.raises(MissingRun, match=r"make it with: python -m experiments force-rate test9"):
+    with pytest.raises(MissingRun, match=r"make it with: jax-aero force-rate test9"):
         FIGURES["force_rate"].draw_from_results(folder / "flight", ("test9",))
     with pytest.raises(MissingRun, match=r"force-rate test2 --set \.\.\. \(the changes in its name\)"):
         FIGURES["force_rate"].draw_from_results(folder / "flight", ("test2--duration=7.0",))

@@ -46,7 +46,7 @@ def test_a_missing_flight_is_named_with_the_command_that_flies_it(tmp_path, caps
     assert main(["fig5", "--results", str(tmp_path), "--out", str(tmp_path)]) == 1
     answer = capsys.readouterr().err
     assert "no flight `test2`" in answer
-    assert f"python -m experiments test2 --out {tmp_path}" in answer
+    assert f"jax-aero fly test2 --out {tmp_path}" in answer
 
 
 @pytest.mark.parametrize(

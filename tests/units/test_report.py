@@ -234,7 +234,7 @@ def test_a_sweep_with_flights_that_could_not_be_flown_decides_no_claim(results):
     assert stated
     for claim in stated:
         assert claim.verdict == NOT_FLOWN
-        assert claim.measured == "2 flights of `python -m experiments sweep paper_tests` could not be flown"
+        assert claim.measured == "2 flights of `jax-aero sweep paper_tests` could not be flown"
 
 
 def test_a_sweep_of_other_levels_decides_no_claim(results):
@@ -247,7 +247,7 @@ def test_a_sweep_of_other_levels_decides_no_claim(results):
     assert claim.verdict == NOT_FLOWN
     assert claim.measured == (
         "a result has no 'test = TEST2, corrected arms'; make it again with --overwrite: "
-        "`python -m experiments test2 test2_published; python -m experiments sweep paper_tests`"
+        "`jax-aero fly test2 test2_published; jax-aero sweep paper_tests`"
     )
     assert "## The minimum" not in build(found, []).markdown()
 
@@ -344,7 +344,7 @@ def test_verdicts_follow_from_counts(results):
 def test_what_has_not_been_flown_names_its_command(tmp_path):
     for claim in claims.all_claims(Results(tmp_path)):
         if claim.verdict == NOT_FLOWN:
-            assert "`python -m experiments " in claim.measured
+            assert "`jax-aero " in claim.measured
 
 
 def test_the_minimum_is_what_stays_on_course_everywhere(results):
@@ -444,6 +444,12 @@ def test_a_result_that_is_cut_short_is_named(results, place, capsys):
     path.write_bytes(path.read_bytes()[:100] if path.is_file() else b'{"claims": {')
     assert main(["report", "--results", str(results.folder)]) == 2
     assert f"error: {path} is damaged" in capsys.readouterr().err
+
+
+def test_a_folder_without_results_is_not_made(tmp_path, capsys):
+    assert main(["report", "--results", str(tmp_path / "typo")]) == 2
+    assert f"error: `{tmp_path / 'typo'}` is no folder" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_file_of_something_else_is_not_replaced_by_claims(tmp_path, capsys):

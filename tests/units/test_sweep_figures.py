@@ -165,7 +165,7 @@ def test_all_draws_what_there_is_and_names_what_is_missing(tmp_path, capsys):
     said = capsys.readouterr()
     assert f"{SWEEPS[0]}.png" in said.out
     for name in SWEEPS[1:]:
-        assert f"python -m experiments sweep {name}" in said.err
+        assert f"jax-aero sweep {name}" in said.err
     assert "figures were not drawn" in said.err
 
 

@@ -92,6 +92,19 @@ def test_the_shipped_box_is_written_and_can_be_flown(tmp_path, capsys):
     assert box.steps[0].forward == 20.0
 
 
+def test_a_reference_that_was_changed_is_only_replaced_on_request(tmp_path, capsys):
+    words = ["waypoints", "box", "--out", str(tmp_path)]
+    mission = tmp_path / "box" / "mission.csv"
+    assert cli.main(words) == cli.main(words) == 0  # the same content is written again
+    written = mission.read_text()
+    mission.write_text("mine")
+    assert cli.main(words) == cli.REFUSED
+    assert f"`{mission}` is there already, with other content" in capsys.readouterr().err
+    assert mission.read_text() == "mine"
+    assert cli.main([*words, "--overwrite"]) == 0
+    assert mission.read_text() == written
+
+
 def test_mistakes_are_named(capsys):
     assert cli.main(["waypoints", "bix"]) == cli.REFUSED
     assert "did you mean box" in capsys.readouterr().err

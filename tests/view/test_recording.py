@@ -239,7 +239,7 @@ def test_a_wrong_file_is_refused_by_name(tmp_path, capsys):
             said = capsys.readouterr().err
             assert expected in said
             assert str(path) in said
-            assert "python -m experiments" in said
+            assert "jax-aero fly" in said
 
 
 def test_a_file_of_something_else_is_refused(tmp_path):

@@ -5,8 +5,8 @@
 use crate::common::assert_within;
 use flight_core::linalg::*;
 use nalgebra::{DMatrix, DVector};
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 /// Rows of garbage between the columns: a kernel that strays past row n reads or spoils it.
 const PADDING: usize = 3;

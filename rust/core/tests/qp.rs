@@ -11,7 +11,7 @@ use flight_core::qp::{
 };
 use nalgebra::{DMatrix, DVector};
 use rand::RngExt;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 
 /// Variables of the momentum QP in flight: 4 thrust rates, 23 joint velocities.
 const FLIGHT: usize = 27;

@@ -14,7 +14,7 @@ use flight_core::robot::{Foot, Frame};
 use flight_core::spatial::Pose;
 use nalgebra::{DMatrix, DVector, Vector3, Vector6};
 use rand::RngExt;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 
 const FEET: usize = 2;
 const FORCES: usize = 6 * FEET;

@@ -19,7 +19,7 @@ use flight_core::{Measurement, RobotModel, RobotState};
 use flight_io::load_robot;
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3, Vector6};
 use rand::RngExt;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 use std::sync::Arc;
 
 /// Differences of values of 1e4 over a step of 1e-5 keep 1e-16 · 1e4 / 1e-5 = 1e-7; relative to values of 1e3 and more.

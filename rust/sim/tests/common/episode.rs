@@ -15,8 +15,8 @@ use flight_io::{from_value, load_robot};
 use flight_sim::disturbances::{FailureKind, JetFailure, Outage, OutageChannel, OutageKind, Outages, Sample};
 use flight_sim::{Plant, ScenarioConfig};
 use nalgebra::{Unit, Vector3, Vector6};
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
 use std::time::{Duration, Instant};
 

@@ -6,8 +6,8 @@
 use flight_core::RobotModel;
 use flight_core::aero::Precision;
 use flight_io::{AeroConfig, NetworkConfig};
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
