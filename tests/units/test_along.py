@@ -94,7 +94,7 @@ def test_a_result_of_older_code_is_not_drawn(study, tmp_path):
     folder = tmp_path / "along" / "flights"
     folder.mkdir(parents=True)
     record.write_dataset(study.drop_vars("lost_time").assign_attrs(config_hash="0"), folder / "run.nc")
-    with pytest.raises(NotDrawn, match=r"'lost_time': other code made the result; make it again: python -m .* along"):
+    with pytest.raises(NotDrawn, match=r"'lost_time': other code made the result; make it again: jax-aero along"):
         FIGURES["along"].draw_from_results(tmp_path / "flight")
 
 

@@ -132,7 +132,7 @@ def test_the_command_of_a_manifest_can_be_typed_again(flown, tmp_path):
     words = ["test1", "--set", "simulator.duration=1", "--engine", "rust", "--overwrite"]
     assert main([*words, "--out", str(tmp_path)]) == 0
     command = json.loads((tmp_path / "test1" / "manifest.json").read_text())["command"]
-    assert command.split("--out")[0].split() == ["python", "-m", "experiments", *words]
+    assert command.split("--out")[0].split() == ["jax-aero", "fly", *words]
 
 
 def test_the_list_names_every_experiment_with_its_title(capsys):

@@ -85,18 +85,17 @@ impl Episodes {
     pub fn draw(&self, number: u64) -> Result<Episode, BuildError> {
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream(number);
-        let rng = &mut rng;
         let (scenario, robot) = &self.flights[rng.random_range(0..self.flights.len())];
         let mut robot = robot.clone();
         if rng.random_bool(0.5) {
-            change_robot(rng, &mut robot);
+            change_robot(&mut rng, &mut robot);
         }
         let mut scenario = scenario.clone();
         if rng.random_bool(0.5) {
             let share = [0.02, 0.2][rng.random_range(0..2)];
-            scenario = change_controller(rng, scenario, share)?;
+            scenario = change_controller(&mut rng, scenario, share)?;
         }
-        disturb(rng, &mut scenario, &robot);
+        disturb(&mut rng, &mut scenario, &robot);
         Episode::new(rng, &scenario, robot)
     }
 }
@@ -239,7 +238,7 @@ pub struct Episode {
 }
 
 impl Episode {
-    fn new(rng: &mut ChaCha8Rng, scenario: &ScenarioConfig, robot: RobotModel) -> Result<Self, BuildError> {
+    fn new(mut rng: ChaCha8Rng, scenario: &ScenarioConfig, robot: RobotModel) -> Result<Self, BuildError> {
         let plant = Plant::new(robot.clone(), &scenario.simulator, &scenario.disturbances)?;
         let mut controller = scenario.controller(robot.clone())?;
         let time_step = scenario.simulator.time_step;
@@ -247,7 +246,7 @@ impl Episode {
         let sample = Sample {
             state: plant.state().clone(),
             thrust: plant.jets().thrust_feedback().to_vec(),
-            wind: random_vector(rng, speed),
+            wind: random_vector(&mut rng, speed),
         };
         let feet = vec![Vector6::new(0.0, 0.0, 200.0, 0.0, 0.0, 0.0); controller.model().feet.len()];
         let begin = rng.random_range(0.0..40.0);
@@ -264,14 +263,14 @@ impl Episode {
         let absurd = [0.0, 0.001, 0.1][rng.random_range(0..3)];
         Ok(Self {
             plant: rng.random_bool(0.7).then(|| (plant.clone(), plant)),
-            outages: Outages::new(&random_outages(rng), &robot.jets)?,
+            outages: Outages::new(&random_outages(&mut rng), &robot.jets)?,
             mean_wind: sample.wind,
             absurd,
             towards: if rng.random_bool(0.3) { 0.3 } else { 0.0 },
             may_allocate: scenario.controller.law.qp.solver == Solver::Clarabel,
             answer: vec![0.0; controller.terms().momentum_qp.unknowns.len()],
             torque: vec![0.0; robot.joints.len()],
-            rng: rng.clone(),
+            rng,
             tick: 0,
             robot,
             controller,
