@@ -6,12 +6,15 @@
 use crate::common::{assert_says, configs, experiment, robot};
 use flight_core::BuildError;
 use flight_core::control::config::RateFeedback;
+use flight_core::wind_observer::WindObserverConfig;
 use flight_io::{AeroConfig, ControllerSection, MissionConfig, Schema, from_value, load, load_aero};
+use flight_sim::disturbances::WindEstimateConfig;
 use flight_sim::jets::JetsConfig;
 use flight_sim::{Scenario, ScenarioConfig, SimulatorConfig, Wind, WindConfig, load_scenario};
 use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use tempfile::{TempDir, tempdir};
 
@@ -430,4 +433,96 @@ fn a_flight_survives_being_written_out() {
         let value = serde_json::to_value(&config).unwrap();
         assert_eq!(from_value::<ScenarioConfig>(value, "written out").unwrap(), config, "{}", file.display());
     }
+}
+
+/// A number beyond a limit that the schema states, by key: in the place of every number of a flight that has one.
+fn beyond_limits(schema: &Value, value: &Value) -> Vec<(String, Value)> {
+    fn follow<'a>(root: &'a Value, node: &'a Value) -> &'a Value {
+        match node["$ref"].as_str() {
+            Some(target) => follow(root, root.pointer(target.trim_start_matches('#')).unwrap()),
+            None => node,
+        }
+    }
+    fn visit(root: &Value, node: &Value, value: &Value, key: &str, found: &mut Vec<(String, Value)>) {
+        let node = follow(root, node);
+        for list in ["anyOf", "oneOf"] {
+            for option in node[list].as_array().into_iter().flatten() {
+                let properties = follow(root, option)["properties"].as_object().into_iter().flatten();
+                let mut constants = properties.filter(|(_, property)| !property["const"].is_null());
+                if constants.all(|(name, property)| value[name] == property["const"]) {
+                    visit(root, option, value, key, found);
+                }
+            }
+        }
+        match value {
+            Value::Object(table) => {
+                for (name, value) in table {
+                    let of_name = node["properties"].get(name).or_else(|| node.get("additionalProperties"));
+                    if let Some(node) = of_name {
+                        visit(root, node, value, &format!("{key}/{name}"), found);
+                    }
+                }
+            }
+            Value::Array(list) => {
+                if let Some(value) = list.first() {
+                    visit(root, &node["items"], value, &format!("{key}/0"), found);
+                }
+            }
+            Value::Number(_) => {
+                let limit = |name: &str, beyond: f64| node[name].as_f64().map(|limit| limit + beyond);
+                let beyond = [
+                    limit("minimum", -1.0),
+                    limit("exclusiveMinimum", 0.0),
+                    limit("maximum", 1.0),
+                    limit("exclusiveMaximum", 0.0),
+                ];
+                found.extend(beyond.into_iter().flatten().map(|number| (key.to_owned(), json!(number))));
+            }
+            _ => {}
+        }
+    }
+    let mut found = vec![];
+    visit(schema, schema, value, "", &mut found);
+    found
+}
+
+/// Limits are stated in the schema, for files and editors, and in the checks of the types, for programs that make a
+/// configuration of their own: what the former refuse, the latter refuse.
+#[test]
+fn what_the_schema_refuses_cannot_be_built() {
+    let schema = Schema::of_type::<ScenarioConfig>();
+    let shipped = files("experiments");
+    let mut flights: Vec<_> = shipped.iter().map(|file| json!(load_scenario(file).unwrap())).collect();
+    // Tables that no shipped flight has.
+    let mut own = json!(experiment("test2_observer"));
+    own["controller"]["wind_observer"] = json!(WindObserverConfig::default());
+    own["disturbances"]["wind_estimate"] = json!(WindEstimateConfig::default());
+    own["disturbances"]["outages"] =
+        json!([{ "channel": "wind", "kind": "missing", "start": 1.0, "duration": 1.0 }]);
+    for wind in [
+        json!({ "profile": "turbulent", "velocity": [0.0, 5.0, 0.0], "ramp_start": 1.0, "ramp_end": 2.0,
+            "std": [1.0, 1.0, 1.0], "time_scale": 1.0, "seed": 0 }),
+        json!({ "profile": "gust", "velocity": [0.0, 5.0, 0.0], "gust": [0.0, 2.0, 0.0], "start": 1.0, "duration": 2.0 }),
+    ] {
+        own["disturbances"]["controller_wind"] = wind;
+        Scenario::check(&from_value(own.clone(), "own").unwrap()).unwrap();
+        flights.push(own.clone());
+    }
+    let (mut tried, mut built) = (BTreeSet::new(), vec![]);
+    for flight in flights {
+        for (key, number) in beyond_limits(schema.json(), &flight) {
+            if !tried.insert((key.clone(), number.to_string())) {
+                continue;
+            }
+            let mut changed = flight.clone();
+            *changed.pointer_mut(&key).unwrap() = number.clone();
+            assert!(from_value::<ScenarioConfig>(changed.clone(), "flight").is_err(), "{key} = {number}");
+            let config = serde_json::from_value::<ScenarioConfig>(changed);
+            if config.is_ok_and(|config| Scenario::check(&config).is_ok()) {
+                built.push(format!("{key} = {number} ({})", flight["title"]));
+            }
+        }
+    }
+    assert!(tried.len() > 100, "{}", tried.len());
+    assert!(built.is_empty(), "{built:#?}");
 }

@@ -127,11 +127,11 @@ impl SphereCylinder {
         let drag_below_reynolds_10 =
             check("sphere.drag_below_reynolds_10", s.drag_below_reynolds_10, positive, drag)?;
         let (low, high) = cylinder.domain();
-        let inside = "a Reynolds number inside the table `cylinder.reynolds`";
+        let inside = "a positive Reynolds number inside the table `cylinder.reynolds`";
         let reference = check(
             "cylinder.reference_reynolds",
             c.reference_reynolds,
-            |re| (low..=high).contains(&re),
+            |re| re > 0.0 && (low..=high).contains(&re),
             inside,
         )?;
         let reference_drag = cylinder.linear_at(reference);
