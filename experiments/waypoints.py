@@ -145,7 +145,7 @@ def write(path: Path, points: Waypoints, folder: Path, *, overwrite: bool = Fals
         f'mission = {{ file = "mission.csv"{without} }}\nsimulator = {{ duration = {duration:g} }}\n',
     }
     for file, content in files.items():
-        if file.exists() and not overwrite and file.read_text(encoding="utf-8") != content:
+        if file.exists() and not overwrite and file.read_bytes() != content.encode():
             raise Refused(f"`{file}` is there already, with other content; choose another --out, or --overwrite it")
     for file, content in files.items():
         write_text(file, content)
