@@ -82,10 +82,10 @@ wheel: $(PACKAGES) ## build wheel and source package into dist/, and fly with th
 	rm -rf dist
 	$(BIN)/maturin sdist --out dist
 	$(BIN)/maturin build --release --locked --quiet --out dist
-	$(BIN)/python tests/wheel.py dist/*.whl
+	$(BIN)/python tests/tools/wheel.py dist/*.whl
 
 audit: $(PACKAGES) ## check licences, duplicates and known vulnerabilities, as far as they can be had; write dist/sbom.json
-	$(BIN)/python -m tests.supply_chain audit
+	$(BIN)/python -m tests.tools.supply_chain audit
 
 fuzz: $(PACKAGES) ## try other random files, flights and faults than the tests do (MINUTES=60)
 	end=$$(($$(date +%s) + 60 * $(MINUTES))); round=$$(date +%s); \
@@ -111,7 +111,6 @@ lint-python: $(PACKAGES)
 bench: $(PACKAGES) ## measure every part of a tick, and the crate beside Pinocchio, DAQP and Clarabel
 	cargo bench --locked --bench dynamics --bench aero
 	$(BIN)/python -m experiments.bench
-	$(BIN)/python -m experiments.bench_symbolic
 	$(BIN)/python -m experiments.bench_jax --quick
 
 figures: $(PACKAGES) ## draw every figure whose results are there; flies the demo's flights if they are not
@@ -149,7 +148,6 @@ reproduce: $(PACKAGES) ## fly, train, draw and judge what the paper has, write r
 	$(BIN)/jax-aero observer-limit
 	$(BIN)/jax-aero wind-observer
 	$(BIN)/jax-aero tip-over
-	$(BIN)/jax-aero calibrate-surrogate
 	$(BIN)/jax-aero identify-aero
 	$(BIN)/jax-aero trim hover_posture --map
 	$(BIN)/jax-aero trim free_joints --map

@@ -1,4 +1,4 @@
-"""Measure JAX, plain MJX and jaxsim with the same robot in one run: `python -m experiments.bench_jax`.
+"""Measure JAX and plain MJX with the same robot in one run: `python -m experiments.bench_jax`.
 
 Times are per sample of a batch, in double precision unless stated, on JAX's default device; compilation is cold or from
 JAX's persistent cache. States are those of TEST2 hovering in the full wind. Prints the Markdown tables of
@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments import bench_jaxsim, manifest
+from experiments import manifest
 from jax_aero import places, rust, sim
 from jax_aero.aero import LinkConventions, aero_model, link_forces
 from jax_aero.cli import count
@@ -33,7 +33,7 @@ from jax_aero.dynamics import dynamics, forward_dynamics
 from jax_aero.io import aero_config, scenario_config
 from jax_aero.kinematics import kinematics
 from jax_aero.linalg import CHUNK
-from jax_aero.robot import RobotModel, load_robot
+from jax_aero.robot import RobotModel
 from jax_aero.sim.rollout import fly_chunk
 from jax_aero.types import State, with_dtype
 
@@ -96,7 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         flight, hover = _hovering_flight()
         heads = "".join(f" batch {size} |" for size in sizes)
         say(f"| what | {heads} compile, cold | cached |\n|---|{'---|' * (len(sizes) + 2)}")
-        for case in cases(flight, hover, say):
+        for case in cases(flight, hover):
             wanted = given.only is None or any(text in case.name for text in given.only)
             if wanted and not (given.quick and case.is_slow):
                 say(_row(case, sizes, seconds))
@@ -201,7 +201,7 @@ def _hovering_flight() -> tuple[Any, Any]:
     return scenario, fly_chunk(scenario, start, jnp.array(0, jnp.int32), HOVER)[0]
 
 
-def cases(scenario: Any, hover: Any, say: Callable[[str], None]) -> Iterator[Case]:
+def cases(scenario: Any, hover: Any) -> Iterator[Case]:
     """Yield all cases to measure, our own first."""
     robot, state = scenario.plant.robot, hover.plant.robot
     wind = jnp.array([0.0, -10.0, 0.0])
@@ -213,7 +213,6 @@ def cases(scenario: Any, hover: Any, say: Callable[[str], None]) -> Iterator[Cas
         yield Case(f"closed-loop tick, of a rollout of {TICKS}{name}", _rollout, flying, hovering, TICKS)
     yield Case(f"its gradient by the aerodynamic areas, of {TICKS}", _gradient, scenario, hover, TICKS, is_slow=True)
     yield from _mjx_cases(robot, state)
-    yield from _jaxsim_cases(robot, state, say)
 
 
 def _rollout(scenario: Any, state: Any) -> Any:
@@ -312,16 +311,6 @@ def _mjx_cases(robot: RobotModel, state: State) -> Iterator[Case]:
 
             # MJX factorises matrices with jaxlib's batched kernels; see `jax_aero.linalg`.
             yield Case(f"mjx.{function.__name__}{name}", run, mjx_model, state, in_pieces=True)
-
-
-def _jaxsim_cases(robot: RobotModel, state: State, say: Callable[[str], None]) -> Iterator[Case]:
-    try:
-        model, functions = bench_jaxsim.functions(load_robot(robot.source))
-    except ImportError as reason:
-        say(f"| jaxsim: left out ({reason}) |")
-        return
-    for name, function in functions.items():
-        yield Case(name, function, model, state, in_pieces=True)
 
 
 if __name__ == "__main__":

@@ -28,13 +28,11 @@ from jax_aero import io, places, tables
 from jax_aero.aero import LinkConventions, aero_model, link_forces, tunnel
 from jax_aero.aero.dataset import Floats, reorder_joints, tunnel_from_base, wind_direction
 from jax_aero.aero.posture import link_frames, total_wrench, vector_rms
-from jax_aero.aero.surrogate import batched_features, force_areas, load_surrogate
 from jax_aero.kinematics import kinematics_at_rest
 from jax_aero.places import ROBOT
 from jax_aero.robot import RobotModel, load_robot
 
 AERO = places.CONFIGS / "aero"
-PANELS = AERO / "panels" / "surrogate.toml"
 MODELS = {
     "axisymmetric, published": "axisymmetric_published",
     "axisymmetric, corrected": "axisymmetric_corrected",
@@ -43,9 +41,9 @@ MODELS = {
     "spheres and cylinders": "sphere_cylinder",
     "network, shipped": "network",
 }
-MODEL_FILES = (ROBOT, PANELS, *(AERO / f"{name}.toml" for name in MODELS.values()))
+MODEL_FILES = (ROBOT, *(AERO / f"{name}.toml" for name in MODELS.values()))
 """Files that determine the forces of all models, together with the files that these name."""
-PANEL_MODEL, NOTHING = "panels", "no moment"
+NOTHING = "no moment"
 CORRECTED = ("axisymmetric, corrected", "network, shipped")
 """Models that are corrected by the tunnel."""
 ARMS, SIDES = ("corrected arms", "published arms"), ("below", "above")
@@ -123,9 +121,6 @@ def model_areas(robot: RobotModel, data: xr.Dataset) -> dict[str, Floats]:
     for name, file in MODELS.items():
         table = io.resolve(AERO / f"{file}.toml", io.AERO)
         found[name] = evaluate_areas(robot, table, joints, wind * data["speed"].values[:, None])
-    panels = load_surrogate(PANELS, robot)
-    features = batched_features(robot, panels.panels, panels.wake)
-    found[PANEL_MODEL] = force_areas(panels.coefficients, features(joints, wind))
     return found
 
 

@@ -24,7 +24,6 @@ from paper_figs import (
     pictures,
     runs,
     suppl7,
-    surrogate,
     take_off,
     tip_over,
     training,
@@ -132,9 +131,6 @@ FIGURES: Mapping[str, Entry] = {
         "three controllers, corrected and published lever arms",
         "flight",
         ("test1", "test2", "test1_observer", "test1_published", "test2_published", "test1_published_observer"),
-    ),
-    "surrogate": Entry(
-        surrogate.draw, "the panel model beside the wind tunnel", "calibrate_surrogate", ("calibration",)
     ),
     "trim": Entry(
         trim.draw, "winds that can be trimmed, and the thrust that is left", "trim", ("hover_posture", "free_joints")

@@ -256,7 +256,6 @@ SUPPLEMENT: Sequence[Item] = (
 BEYOND: Sequence[Item] = (
     Item("beyond", "loss curves", "training", command=f"{_TRAINING}; jax-aero figures training"),
     Item("beyond", "three controllers, corrected and published arms", "demo"),
-    Item("beyond", "a panel model compared with the tunnel", "surrogate"),
     Item("beyond", "winds that can be trimmed", "trim"),
     Item("beyond", "planned trajectories", "trajectory"),
     Item("beyond", "coefficients from a flight's log", "identify"),

@@ -1,42 +1,54 @@
 """Compare our simulations with models, with those of others, and with the tunnel: `jax-aero cfd-compare NAME`.
 
 NAME is a design of `jax-aero cfd`. Its rows are compared with the project's models and, on left-out postures, with the
-panel model corrected by the rows (`panels.toml` in the result, for `surrogate-dataset --model`) and with the network
-that `train NAME` made of them. With `--set table=FILE`, a dataset of `import-cfd`, all are also compared on rows of
-equal posture and wind; with the points of the tunnel only the open solver is compared. Cases and mirror images that are
-one case are averaged first, in both datasets.
+network that `train NAME` made of them. With `--set table=FILE`, a dataset of `import-cfd`, all are also compared on
+rows of equal posture and wind; with the points of the tunnel only the open solver is compared. Cases and mirror images
+that are one case are averaged first, in both datasets.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
 from experiments import Refused, record, tunnel_moments
-from experiments.calibrate_surrogate import CFD, TUNNEL, Row, table_rows, toml
 from experiments.cfd.command import dataset_of
-from experiments.cfd.correct import correct_panels
 from experiments.cfd.goals import verdicts
 from experiments.import_cfd import POSTURES
 from experiments.study import Findings, Study
-from experiments.tunnel_moments import NEWTON_METRES, PANELS
+from experiments.tunnel_moments import NEWTON_METRES
 from jax_aero import places, tables
 from jax_aero.aero.dataset import LINKS, Dataset, Floats, Indices, load, tunnel_from_base
 from jax_aero.aero.posture import total_wrench, vector_rms
-from jax_aero.aero.surrogate import batched_features, load_surrogate
 from jax_aero.places import ROBOT
 from jax_aero.robot import RobotModel, load_robot
 
 OPEN = "open solver"
-SHOWN = ("axisymmetric, corrected", tunnel_moments.PANEL_MODEL, "network, shipped")
+SHOWN = ("axisymmetric, corrected", "network, shipped")
 """Models of the project that are shown."""
+TUNNEL, CFD = (places.CONFIGS / "tables" / name for name in ("wind_tunnel.toml", "cfd_tunnel.toml"))
+LARGEST_SIDESLIP = 20.0
+"""Sideslip beyond which the support is exposed to the wind [deg]."""
+MESH, TURBULENCE = "953C", "SST k-omega"
 NEAR = 1.0
 """Greatest difference in angle between a point of the tunnel and a case [deg]."""
+
+
+class Row(NamedTuple):
+    """One force on the whole robot: direction of the wind [deg], and drag, side and lift area [m²]."""
+
+    source: str
+    posture: str
+    pitch_deg: float
+    yaw_deg: float
+    cda: float
+    csa: float
+    cla: float
 
 
 class CompareConfig(tables.Table, frozen=True):
@@ -56,14 +68,7 @@ def compute(name: str, config: CompareConfig) -> Findings:
     summary: dict[str, Any] = {"cases": len(ours), "postures": len(ours.postures)}
     summary |= asymmetry(robot, cases) | couples(robot, ours) | beside_tunnel(ours)
     models = models_at(robot, ours)
-    texts, files = {}, [*tunnel_moments.MODEL_FILES, POSTURES, TUNNEL, CFD]
-    if len(np.unique(ours.family)) > 2:
-        panels = load_surrogate(PANELS, robot)
-        fixed = correct_panels(panels, batched_features(robot, panels.panels, panels.wake), ours)
-        models[f"{tunnel_moments.PANEL_MODEL}, corrected by postures other than the row's"] = fixed.left_out_b
-        texts["panels.toml"] = toml(
-            fixed.coefficients, [f"Corrected by {path.name}, {len(ours)} cases; λ = {fixed.penalty:g}."]
-        )
+    files = [*tunnel_moments.MODEL_FILES, POSTURES, TUNNEL, CFD]
     if (trained := held_out_network(name, cases)) is not None:
         models["network, trained on postures other than the row's"] = trained
         files.append(training_of(name))
@@ -85,7 +90,7 @@ def compute(name: str, config: CompareConfig) -> Findings:
         names = [f"{OPEN}, beside the table: {link}, rms [m2]" for link in LINKS]
         summary |= dict(zip(names, off.tolist(), strict=True))
         result = to_rows(at_rows, there)
-    return Findings(f"Open CFD `{name}` beside others", result, summary, files=files, texts=texts)
+    return Findings(f"Open CFD `{name}` beside others", result, summary, files=files)
 
 
 STUDY = Study(
@@ -226,6 +231,28 @@ def beside_tunnel(data: Dataset) -> dict[str, float]:
             found |= {f"{name}: lift less that of the {source} [m2]": lift - cla}
             found |= {f"{name}: side less that of the {source} [m2]": side - csa}
     return found
+
+
+def table_rows() -> Iterator[Row]:
+    """Yield the records of the typed tables that can be compared with a model of the robot alone."""
+    tunnel = tables.read(TUNNEL)
+    for table in tunnel["hovering"]:
+        for yaw, *areas in zip(table["beta_deg"], *_areas(table), strict=True):
+            if abs(yaw) <= LARGEST_SIDESLIP:
+                yield Row("tunnel", "hovering", 90.0, yaw, *areas)
+    for table in tunnel["flight"]:
+        for pitch, *areas in zip(table["alpha_deg"], *_areas(table), strict=True):
+            yield Row("tunnel", table["posture"], pitch, 0.0, *areas)
+    for table in tables.read(CFD)["run"]:
+        if (table["mesh"], table["turbulence"]) != (MESH, TURBULENCE):
+            continue
+        for pitch, yaw, *areas in zip(table["alpha_deg"], table["beta_deg"], *_areas(table), strict=True):
+            if abs(yaw) <= LARGEST_SIDESLIP:
+                yield Row("cfd", table["posture"], pitch, yaw, *areas)
+
+
+def _areas(table: Mapping[str, Any]) -> list[list[float]]:
+    return [table[name] for name in ("cda", "csa", "cla")]
 
 
 def to_rows(models: Mapping[str, Floats], there: Dataset) -> xr.Dataset:

@@ -24,16 +24,12 @@ FREESTREAM_NOTE = (
     f"ami-iit/element_cfd-simulation (commit {COMMIT}), from before that repository had a licence file. The table "
     "itself is not part of this project: import it from there. These weights are this project's own result."
 )
-SURROGATE_NOTE = (
-    "Trained on the project's own surrogate of interfering panels, which was calibrated on published data alone; no "
-    "free-stream table entered."
-)
 OPEN_NOTE = (
     "Trained on the project's own simulations by an open solver (docs/cfd.md). Of the public free-stream table are the "
     "normal-force coefficients of the signed axisymmetric model, where the network corrects that."
 )
 OTHER_NOTE = "Trained on data that are no part of this project; `dataset` and `dataset_sha256` say which."
-NOTES = {"surrogate": SURROGATE_NOTE, "openfoam": OPEN_NOTE, COMMIT: FREESTREAM_NOTE}
+NOTES = {"openfoam": OPEN_NOTE, COMMIT: FREESTREAM_NOTE}
 """Text of a card about its data, by a word in their provenance."""
 
 

@@ -1,6 +1,6 @@
-"""Force areas of every link for many postures and wind directions: one format for CFD, `.mat` and surrogate data.
+"""Force areas of every link for many postures and wind directions: one format for CFD and `.mat` tables.
 
-    solver table, authors' `.mat`, surrogate ──► Dataset ──► NetCDF;   Dataset ──split──► training, validation
+    solver table, authors' `.mat` ──► Dataset ──► NetCDF;   Dataset ──split──► training, validation
 
 All vectors are in base (`root_link`) axes: x backward, y to the robot's right, z up. The tunnel frame of the tables has
 x along the wind and z up. The robot's attitude in it is `R_tunnel_from_base = Rz(yaw) Ry(pitch − 90°)`, so pitch is the

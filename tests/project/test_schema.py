@@ -12,7 +12,7 @@ from jax_aero import rust
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIGS = ROOT / "configs"
-DATA = ("tables", "aero/panels")
+DATA = ("tables",)
 """Folders of measured or fitted data, which are no configuration."""
 FILES = [
     path

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from experiments import Refused, bench, bench_native, bench_symbolic
+from experiments import Refused, bench, bench_native
 from jax_aero import files
 
 CALM = {f"{name} QP, calm, warm": time for name, time in (("momentum", 2e3), ("torque", 3e3))}
@@ -90,12 +90,6 @@ def test_a_time_is_a_median_over_rounds_after_one_to_warm_up():
     done = []
     assert bench._per_item(done.append, [1, 2], seconds=0.0) > 0.0
     assert done == 4 * [1, 2]
-    assert bench_symbolic._median(lambda: done.clear(), 3).wall > 0.0
-    assert [bench_symbolic._format_time(seconds) for seconds in (1.0, 0.0999, float("nan"))] == [
-        "1.00 s",
-        "99.9 ms",
-        "–",
-    ]
 
 
 def test_native_programs_take_turns(tmp_path):

@@ -20,7 +20,7 @@ TEST2 = Path(__file__).resolve().parents[2] / "configs" / "experiments" / "test2
 def test_the_cases_of_ours_can_be_traced():
     scenario, start = sim.prepare(scenario_config(rust.load_config(TEST2)))
     traced = []
-    for case in bench_jax.cases(scenario, start, traced.append):
+    for case in bench_jax.cases(scenario, start):
         if case.name.startswith("mjx."):  # from here on what others wrote
             break
         if not case.is_slow:

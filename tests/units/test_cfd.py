@@ -14,12 +14,11 @@ import pytest
 import pyvista
 import xarray as xr
 
-from experiments import calibrate_surrogate, import_cfd, record, sources
+from experiments import import_cfd, record, sources
 from experiments.cfd import (
     case,
     command,
     compare,
-    correct,
     design,
     flow,
     foam,
@@ -31,7 +30,6 @@ from experiments.cfd import (
 )
 from jax_aero import mesh, places, rust, tables
 from jax_aero.aero import dataset as ds
-from jax_aero.aero import surrogate, surrogate_fit
 from jax_aero.aero.dataset import LINKS
 from jax_aero.aero.posture import total_wrench
 from jax_aero.command import REFUSED, Refused
@@ -317,26 +315,6 @@ def test_a_solve_that_is_not_steady_goes_on_for_another_window(monkeypatch, tmp_
     result = simulate.solve({"head": body}, np.array([1.0, 0.0, 0.0]), chosen, tmp_path, facts)
     assert result.reason == ""
     assert result.quality["iterations"] == chosen.solver.iterations + chosen.solver.window
-
-
-def test_a_panel_model_is_corrected_by_other_postures_alone(agree):
-    """Forces of other coefficients, but for one posture, where they are three times as large."""
-    rng = np.random.default_rng(3)
-    truth = rng.normal(size=(surrogate_fit.N_FAMILIES, len(surrogate.TERMS)))[surrogate_fit.FAMILY_OF]
-    joints = np.repeat(rng.uniform(-10.0, 10.0, (4, 19)), 8, axis=0)
-    wind = np.tile([1.0, 0.0, 0.0], (32, 1))
-    rows = rng.normal(size=(32, len(LINKS), len(surrogate.TERMS), 3))
-    areas = surrogate.force_areas(truth, rows)
-    posture = np.repeat(["a", "b", "c", "d"], 8)
-    scale = np.where(posture == "d", 3.0, 1.0)[:, None, None]
-    zeros = np.zeros(32)
-    data = ds.Dataset(posture, zeros.astype(bool), joints, wind, zeros, zeros, scale * areas, zeros, zeros)
-    start = surrogate.Surrogate(None, None, truth + 0.1)
-    found = correct.correct_panels(start, lambda *_: rows, data)
-    # The least λ, 1e-6, leaves that share of the correction, times the spread of the eigenvalues of G'G, below 10.
-    is_d = posture == "d"
-    agree("force areas of the posture left out", found.left_out_b[is_d], areas[is_d], 1e-5)
-    assert np.abs(found.left_out_b - areas)[~is_d].max() > 0.1
 
 
 def test_winds_of_a_sobol_design_fill_the_sphere_and_lie_on_the_grid():
@@ -674,7 +652,7 @@ def test_beside_the_tunnel_stand_cases_of_the_same_posture_and_wind_alone(collec
     """
     scale = np.where((collected.posture == "hovering") & (collected.pitch_deg == 90.0), 1.0, 3.0)
     collected = dataclasses.replace(collected, force_area_b=scale[:, None, None] * collected.force_area_b)
-    row = calibrate_surrogate.Row("tunnel", "hovering", 90.0, 0.9, cda=0.08, csa=0.02, cla=0.03)
+    row = compare.Row("tunnel", "hovering", 90.0, 0.9, cda=0.08, csa=0.02, cla=0.03)
     rows = [row, row._replace(yaw_deg=2.0), row._replace(cda=0.12)]
     monkeypatch.setattr(compare, "table_rows", lambda: iter(rows))
     found = compare.beside_tunnel(collected)

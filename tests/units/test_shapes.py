@@ -47,7 +47,7 @@ def _is_bare(hint):
 def test_the_shapes_hold_where_flights_and_aerodynamic_models_are_traced():
     options = {"JAX_ENABLE_X64": "1", "JAX_PLATFORMS": "cpu", "JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}
     done = subprocess.run(
-        [sys.executable, "-m", "tests.traced"],
+        [sys.executable, "-m", "tests.tools.traced"],
         cwd=ROOT,
         env=os.environ | options,
         capture_output=True,

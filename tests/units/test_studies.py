@@ -1,7 +1,5 @@
-"""Studies of flights, with flights that are made up in place of the crate's; a flight of the lab as a result."""
+"""Studies of flights, with flights that are made up in place of the crate's."""
 
-import base64
-import json
 import tomllib
 from pathlib import Path
 
@@ -13,8 +11,6 @@ from experiments import (
     along,
     arm_engines,
     identify_aero,
-    import_lab,
-    manifest,
     observer_limit,
     wind_observer,
 )
@@ -201,61 +197,3 @@ def test_noise_is_added_to_the_velocities_alone():
     for name, key in (("base_velocity", "base"), ("joint_velocity", "joints")):
         assert abs(np.std(noisy[name]) / identify_aero.NOISE[key] - 1.0) < 4.0 / np.sqrt(16000)
     assert noisy["thrust"] is log["thrust"]
-
-
-@pytest.fixture
-def lab_run(tmp_path, make_flight):
-    """A `run.json` as the page of the lab writes it."""
-    flight, config = make_flight(lost_time=21.5), rust.load_config("test2")
-    log = {
-        name: {"shape": np.shape(value), "data": base64.b64encode(np.asarray(value, "<f8").tobytes()).decode()}
-        for name, value in flight.log.items()
-    }
-    document = {
-        "format": "flight-lab-run", "version": 1, "title": "Mine", "link": "https://x/#1", "has_ended": True,
-        "config": manifest.make_portable(config), "log": log, "joint_setpoint": flight.joint_setpoint.tolist(),
-        "outcome": flight.outcome, "lost_time": flight.lost_time, "lost_reason": flight.lost_reason,
-        "summary": {**flight.summary, "max_com_error": None},
-    }  # fmt: skip
-    path = tmp_path / "run.json"
-    path.write_text(json.dumps(document))
-    return path
-
-
-def test_a_flight_of_the_lab_becomes_a_result(lab_run, tmp_path, make_flight, capsys):
-    words = [str(lab_run), "--name", "mine", "--out", str(tmp_path)]
-    assert import_lab.main(words) == 0
-    assert "Mine: fell at 21.5 s (" in capsys.readouterr().out
-    document = json.loads((tmp_path / "mine" / "manifest.json").read_text())
-    assert document["config_digest"] == rust.config_digest(rust.load_config("test2"))
-    assert document["name"] == "mine"
-    assert not {"log", "has_ended", "format"} & document.keys()
-    with xr.open_dataset(tmp_path / "mine" / "run.nc", engine="h5netcdf") as run:
-        np.testing.assert_array_equal(run["thrust"].values, make_flight(lost_time=21.5).log["thrust"])
-    # What is there already is the same flight; another one needs --overwrite.
-    assert import_lab.main(words) == 0
-    changed = json.loads(lab_run.read_text())
-    changed["config"]["simulator"]["duration"] = 7.0
-    lab_run.write_text(json.dumps(changed))
-    assert import_lab.main(words) == 2
-    assert import_lab.main([*words, "--overwrite"]) == 0
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"version": 2}, "run.json is no run of the lab: `format` and `version` are ('flight-lab-run', 2); expected"),
-        ({"log": {"time": {"shape": [2], "data": "AAAA"}}}, "buffer size"),
-        ({"log": {"time": {"shape": [2], "data": "AAAAAAAAAAA="}}}, "`time` has 1 numbers; expected shape [2]"),
-    ],
-)
-def test_what_is_no_flight_of_the_lab_is_refused(lab_run, tmp_path, change, words, capsys):
-    lab_run.write_text(json.dumps(json.loads(lab_run.read_text()) | change))
-    assert import_lab.main([str(lab_run), "--out", str(tmp_path)]) == 2
-    assert words in capsys.readouterr().err
-
-
-def test_a_run_of_the_lab_that_is_no_text_is_named(lab_run, tmp_path, capsys):
-    lab_run.write_bytes(b"\xff\xfe{}")
-    assert import_lab.main([str(lab_run), "--out", str(tmp_path)]) == 2
-    assert f"error: {lab_run} is damaged: " in capsys.readouterr().err

@@ -181,7 +181,7 @@ def test_the_points_of_the_tunnel_count(tmp_path, monkeypatch):
     path = tmp_path / "tunnel.nc"
     config = tunnel_moments.MomentsConfig(dataset=path)
     found = tunnel_moments.compute("mk1", config)
-    assert {path, tunnel_moments.ROBOT, tunnel_moments.PANELS} <= {*found.files, *tables.files(config)}
+    assert {path, tunnel_moments.ROBOT} <= {*found.files, *tables.files(config)}
 
 
 def test_a_cell_of_the_matrix_counts_balanced_arrivals():

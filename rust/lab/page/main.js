@@ -405,7 +405,6 @@ class Page extends Player {
 
   #listen() {
     $("link").onclick = () => this.#copyLink();
-    $("export").onclick = () => this.#export();
     addEventListener("hashchange", () => {
       this.settings = fromHash(location.hash);
       this.scenario = this.wanted = null;
@@ -469,39 +468,6 @@ class Page extends Player {
     }
     setTimeout(() => ($("link").textContent = "Copy link"), 1600);
   }
-
-  /** Every signal of the flight, flown to its end, as a result file. */
-  record() {
-    const { solid } = this;
-    solid.advance(solid.n_ticks + 1);
-    const result = solid.result();
-    const { title, description } = configuration(this.settings); // a wind that was dragged since has changed both
-    const log = solid.signals.map(({ name, row_shape }) => [name, { shape: [solid.rows, ...row_shape], data: base64(solid.series(name)) }]);
-    this.isStale = true;
-    return {
-      format: "flight-lab-run",
-      version: 1,
-      name: "lab",
-      title,
-      ...result,
-      config: { ...solid.config, title, description },
-      link: toHash(this.settings),
-      engine: "rust",
-      created: new Date().toISOString(),
-      git: { commit: data.commit, dirty: null },
-      versions: { "flight-core": data.look.version },
-      device: { browser: navigator.userAgent },
-      frame_times_ms: this.frameTimes,
-      log: Object.fromEntries(log),
-    };
-  }
-
-  #export() {
-    const blob = new Blob([JSON.stringify(this.record())], { type: "application/json" });
-    const anchor = make("a", { href: URL.createObjectURL(blob), download: "run.json" });
-    anchor.click();
-    setTimeout(() => URL.revokeObjectURL(anchor.href), 10000);
-  }
 }
 
 /** How a flight ended, in words, and whether that is good. */
@@ -520,13 +486,6 @@ function verdict({ outcome, lost_time: lost, lost_reason: reason, summary }, dis
 function side(from) {
   const names = ["ahead", "ahead left", "the left", "behind left", "behind", "behind right", "the right", "ahead right"];
   return names[((Math.round(from / 45) % 8) + 8) % 8];
-}
-
-function base64(numbers) {
-  const all = new Uint8Array(numbers.buffer, numbers.byteOffset, numbers.byteLength);
-  let text = "";
-  for (let at = 0; at < all.length; at += 0x8000) text += String.fromCharCode(...all.subarray(at, at + 0x8000));
-  return btoa(text);
 }
 
 const binary = Object.fromEntries(Object.entries(data.binary).map(([path, text]) => [path, bytes(text)]));

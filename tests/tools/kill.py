@@ -1,4 +1,4 @@
-"""Kill processes that write results at random times; see that nothing is lost: `python -m tests.kill --trials 100`.
+"""Kill processes that write results at random times; see that nothing is lost: `-m tests.tools.kill --trials 100`.
 
 A killed sweep goes on and ends with the bytes of one that was not killed. A killed replacement of a result leaves the
 old one or the new one. Processes are forked, so that a trial costs no start of Python.

@@ -1,4 +1,4 @@
-"""The shapes that functions and structures of `jax_aero` state, checked while flights are traced: `-m tests.traced`.
+"""The shapes that functions and structures of `jax_aero` state, checked while they are traced: `-m tests.tools.traced`.
 
 Shapes are known as soon as a function is traced: no flight is compiled.
 """
@@ -21,7 +21,7 @@ from jax_aero.control.tick import MomentumController, momentum_controller
 from jax_aero.kinematics import kinematics
 from jax_aero.sim import sensors
 
-CONFIGS = Path(__file__).parents[1] / "configs"
+CONFIGS = Path(__file__).parents[2] / "configs"
 
 EVERYTHING = {
     "simulator.duration": 0.05,

@@ -1,7 +1,7 @@
 """A package alone: install it in an empty environment outside the checkout, fly with it, compare with the checkout.
 
-python tests/wheel.py dist/*.whl
-python tests/wheel.py dist/*.tar.gz   the source package, which compiles first: minutes
+python tests/tools/wheel.py dist/*.whl
+python tests/tools/wheel.py dist/*.tar.gz   the source package, which compiles first: minutes
 """
 
 import json
@@ -13,7 +13,7 @@ import time
 import venv
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 FLY = """
 import json, sys
 import jax_aero

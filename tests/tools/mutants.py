@@ -1,7 +1,7 @@
 """Changes the program in one place at a time, and looks whether the tests of that place notice.
 
-    python tests/mutants.py --record units train
-    python tests/mutants.py jax_aero experiments --count 150 --seed 1 --seconds 3000
+    python tests/tools/mutants.py --record units train
+    python tests/tools/mutants.py jax_aero experiments --count 150 --seed 1 --seconds 3000
 
 The first command runs test files of folders of `tests/` once and writes to `target/mutants.json` which statements each
 test executes, and how long it takes; after a change of the modules it is run again. The second tries mutants with the
@@ -36,7 +36,7 @@ from typing import Any
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 RECORD = ROOT / "target" / "mutants.json"
 
 SWAPPED: dict[type, type] = {

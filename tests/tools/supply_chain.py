@@ -1,8 +1,8 @@
 """What the project is made of: hashes of the pinned packages, licences, bill of materials, known vulnerabilities.
 
-`python -m tests.supply_chain lock`   requirements.lock with hashes into requirements.hashed (needs uv)
-`python -m tests.supply_chain third-party`   licences of the crates that a wheel holds into THIRD_PARTY.md
-`python -m tests.supply_chain audit`   what `make audit` runs: licences, duplicates, vulnerabilities; dist/sbom.json
+`python -m tests.tools.supply_chain lock`   requirements.lock with hashes into requirements.hashed (needs uv)
+`python -m tests.tools.supply_chain third-party`   licences of the crates that a wheel holds into THIRD_PARTY.md
+`python -m tests.tools.supply_chain audit`   for `make audit`: licences, duplicates, vulnerabilities; dist/sbom.json
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 LOCK, HASHED, THIRD_PARTY, SBOM = (
     ROOT / name for name in ("requirements.lock", "requirements.hashed", "THIRD_PARTY.md", "dist/sbom.json")
 )
@@ -53,7 +53,7 @@ def write_lock() -> None:
     needed = set(_stanzas(_compile_requirements("pyproject.toml", "-", "--extra", "figs", given="maturin\n")))
     stanzas = _stanzas(_compile_requirements(str(LOCK), "--no-deps"))
     first, others = ([text for name, text in stanzas.items() if (name in needed) is is_in] for is_in in (True, False))
-    head = "# Made of requirements.lock by `python -m tests.supply_chain lock`: the same versions, with hashes.\n"
+    head = "# Made of requirements.lock by `python -m tests.tools.supply_chain lock`: the same versions, with hashes.\n"
     HASHED.write_text(f"{head}{''.join(first)}{BETWEEN}\n{''.join(others)}", encoding="utf-8")
 
 
@@ -131,7 +131,7 @@ def third_party() -> str:
     blocks = [f"## {', '.join(names)}\n\n```text\n{text}\n```\n" for text, names in texts.items()]
     return f"""# Crates in a wheel, and their licences
 
-Written by `python -m tests.supply_chain third-party` from `Cargo.lock`; part of every wheel. Of crates that offer
+Written by `python -m tests.tools.supply_chain third-party` from `Cargo.lock`; part of every wheel. Of crates that offer
 several licences, that of MIT is taken. A wheel holds no Python package but this one.
 
 | crate | version | licence |
