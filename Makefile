@@ -133,25 +133,25 @@ CARD := $(abspath results/training/$(TRAINING)/$(TRAINING).json)
 SWEEPS := paper_tests ablation_terms model_pairs
 
 reproduce: $(PACKAGES) ## fly, train, draw and judge what the paper has, write results/report.md and .html (36 minutes of processor time)
-	$(if $(PUBLIC_TABLE),$(BIN)/jax-aero import-cfd --table $(PUBLIC_TABLE) --out $(DATASET))
-	$(BIN)/jax-aero fit-aero $(DATA)
+	$(if $(PUBLIC_TABLE),$(BIN)/jax-aero data import-cfd --table $(PUBLIC_TABLE) --out $(DATASET))
+	$(BIN)/jax-aero data fit-aero $(DATA)
 	$(BIN)/jax-aero train $(TRAINING) --dataset $(DATASET)
 	$(BIN)/jax-aero fly test3 --out results/trained --overwrite --set simulator.aero.card=$(CARD)
 	$(BIN)/jax-aero fly test4 --out results/trained --overwrite --set simulator.aero.card=$(CARD) \
 		--set controller.aero.card=$(CARD)
 	$(BIN)/jax-aero fly --all
-	-$(BIN)/jax-aero pictures
-	$(BIN)/jax-aero along
+	-$(BIN)/jax-aero study pictures
+	$(BIN)/jax-aero study along
 	$(BIN)/jax-aero sweep $(SWEEPS)
-	$(BIN)/jax-aero engine-choice
-	$(BIN)/jax-aero force-rate
-	$(BIN)/jax-aero observer-limit
-	$(BIN)/jax-aero wind-observer
-	$(BIN)/jax-aero tip-over
-	$(BIN)/jax-aero identify-aero
-	$(BIN)/jax-aero trim hover_posture --map
-	$(BIN)/jax-aero trim free_joints --map
-	$(BIN)/jax-aero trajectory
+	$(BIN)/jax-aero study engine_choice
+	$(BIN)/jax-aero study force_rate
+	$(BIN)/jax-aero study observer_limit
+	$(BIN)/jax-aero study wind_observer
+	$(BIN)/jax-aero study tip_over
+	$(BIN)/jax-aero study identify_aero
+	$(BIN)/jax-aero study trim hover_posture --map
+	$(BIN)/jax-aero study trim free_joints --map
+	$(BIN)/jax-aero study trajectory
 	-$(BIN)/jax-aero figures all
 	$(BIN)/jax-aero figures fig4_fit --runs $(DATA)
 	$(BIN)/jax-aero figures fig4_network --runs $(TRAINING)
@@ -163,7 +163,7 @@ verify: $(PACKAGES) ## compare the crate with independent implementations and st
 	$(BIN)/python -m pytest tests/parity
 
 docs: $(PACKAGES) ## build the documentation site into site/, the crate's own beside it
-	$(BIN)/jax-aero schema
+	$(BIN)/python -m experiments.schema
 	$(BIN)/python -m mkdocs build --strict
 	cargo doc --locked --no-deps --package flight-core --package flight-io --package flight-sim
 	rm -rf site/rust && cp -r target/doc site/rust

@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.import_cfd import known_postures
+from experiments.data.import_cfd import known_postures
 from jax_aero import air, places
 from jax_aero.aero import AeroModel, LinkConventions, aero_model, link_forces
 from jax_aero.aero.dataset import JOINTS, Floats, reorder_joints, tunnel_from_base

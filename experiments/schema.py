@@ -1,4 +1,4 @@
-"""Generate the files that follow from the configuration's types: `jax-aero schema`.
+"""Generate the files that follow from the configuration's types: `python -m experiments.schema`.
 
 The crate's types define flights and robots. Their JSON Schemas yield the schemas of `configs/schema/`, with which
 editors complete keys; the Python types of `jax_aero/config.py`; and the page `docs/reference/configuration.md`. The
@@ -7,7 +7,9 @@ schemas of studies, sweeps and trainings come from the Python types that read th
 
 from __future__ import annotations
 
+import argparse
 import copy
+import importlib
 import json
 import re
 import sys
@@ -16,42 +18,38 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from experiments import tip_over, trim, tune, waypoints
+from experiments import studies
 from experiments.cfd import design as cfd
 from experiments.cfd.settings import FlowConfig
+from experiments.robot import waypoints
 from experiments.sweep.perturbation import Perturbation
 from experiments.sweep.spec import Axis, Spec
 from experiments.training.config import Training
 from experiments.training.search import SearchConfig
 from jax_aero import places, rust, tables
-from jax_aero.cli import REFUSED, Parser
-from jax_aero.symbolic.trajectory import TrajectoryConfig
+from jax_aero.cli import REFUSED
 
 Node = dict[str, Any]
 
-STUDIES: dict[str, Any] = {
+TYPES: dict[str, Any] = {
     "cfd": cfd.Spec,
     "cfd_flow": FlowConfig,
     "perturbation": Perturbation,
     "sweep_axes": Axis,
     "sweeps": Spec,
-    "tip_over": tip_over.TipOverConfig,
     "training": Training,
     "training_search": SearchConfig,
-    "trajectory": TrajectoryConfig,
-    "trim": trim.TrimConfig,
-    "tune": tune.TuneConfig,
     "waypoints": waypoints.Waypoints,
 }
 """Types that only Python reads, by the name of their schema."""
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
-MADE = "by `jax-aero schema` from the crate's types"
+MADE = "by `python -m experiments.schema` from the crate's types"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
-    Parser("schema", __doc__).parse_args(arguments)
+    argparse.ArgumentParser("python -m experiments.schema", description=__doc__).parse_args(arguments)
     if not places.IS_CHECKOUT:
         print("error: `schema` writes into a checkout of the repository, and this is none", file=sys.stderr)
         return REFUSED
@@ -66,14 +64,23 @@ def files() -> dict[Path, str]:
     """Return the text of every generated file."""
     crate = rust.schemas()
     found = {name: schema if name == "robot" else allow_parts(schema) for name, schema in crate.items()}
-    found |= {name: {"$schema": DIALECT, **tables.schema(kind)} for name, kind in STUDIES.items()}
+    found |= {name: {"$schema": DIALECT, **tables.schema(kind)} for name, kind in TYPES.items()}
     found["sweeps"] = _with_files(found["sweeps"])
     folder, docs = places.CONFIGS / "schema", places.HOME / "docs"
     return {
         **{folder / f"{name}.schema.json": _json(schema) for name, schema in sorted(found.items())},
         places.HOME / "jax_aero" / "config.py": python_types(crate),
         docs / "reference" / "configuration.md": reference(crate),
+        **{path: _json({"$schema": DIALECT, **tables.schema(kind)}) for path, kind in _of_studies()},
     }
+
+
+def _of_studies() -> Iterator[tuple[Path, Any]]:
+    """Yield file and type of the schema of every study that has configurations."""
+    for name in studies.names():
+        if places.names(name):
+            found = importlib.import_module(f"experiments.studies.{name}.study").STUDY
+            yield studies.FOLDER / name / "schema.json", found.config
 
 
 def _json(schema: Node) -> str:
@@ -477,3 +484,7 @@ def _markdown(text: str) -> tuple[str, str]:
     """Return a description without its first unit, and that unit."""
     unit = re.search(r" \\\[([^]\\]*)\\\]", text)
     return (_prose(text.replace(unit[0], "", 1)), unit[1]) if unit else (_prose(text), "")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,7 +1,7 @@
 """Studies: results other than flights, such as a trim or an optimal trajectory. One folder each, like a flight's.
 
 A kind of study consists of a type of configuration and a function from it to findings. The configuration is a TOML file
-of `configs/KIND/`, with paths relative to that file, or, if the kind has no such folder, the defaults of the type. Keys
+of the study's folder, with paths relative to that file, or, if there is none, the defaults of the type. Keys
 changed by --set give a separate result (`experiments.overrides`). Keys, flights and every file named enter the digest,
 by which an outdated result is recognised.
 """
@@ -80,11 +80,13 @@ class Study(Generic[C]):
     """Function from name and configuration to the files that the study reads, besides those named in the latter."""
     progress: str = ""
     """Suffix of the file of an unfinished study, beside the result, which is removed at the end; empty for none."""
+    words: str = ""
+    """Words of its command; by default those of `jax-aero study KIND`."""
 
     @property
     def command(self) -> str:
-        """Return the study's command."""
-        return self.kind.replace("_", "-")
+        """Return the words of its command."""
+        return self.words or f"study {self.kind}"
 
     @property
     def config_kind(self) -> str:
@@ -112,7 +114,7 @@ class Study(Generic[C]):
     def read(self, name: str, changes: Mapping[str, Any] | None = None) -> tuple[str, C]:
         """Return name and configuration of a study given by name or path."""
         table: dict[str, Any] = {}
-        if (places.CONFIGS / self.config_kind).is_dir():
+        if places.names(self.config_kind):
             path = find(self.config_kind, name)
             name = result_name(self.config_kind, path)
             if not self.experiments:
@@ -129,7 +131,7 @@ class Study(Generic[C]):
         the computation. A result of others is replaced only with `overwrite`.
         """
         started = time.perf_counter()
-        command = ["jax-aero", self.command, name, *self.options, *overrides.options(changes or {})]
+        command = ["jax-aero", *self.command.split(), name, *self.options, *overrides.options(changes or {})]
         name, config = self.read(name, changes)
         folder = places.RESULTS / self.kind / (places.name_of(name) + overrides.folder_suffix(changes or {}))
         with lock_work(folder):
@@ -192,7 +194,7 @@ def listing(summary: Mapping[str, Any]) -> str:
 
 def add_names(parser: Any, kind: str, name: str = "names", **options: Any) -> None:
     """Add the argument for files of `configs/KIND`, or for names if there is no such folder, with Tab completion."""
-    about = f"a file stem in configs/{kind}, or a path" if (places.CONFIGS / kind).is_dir() else "a name"
+    about = f"a file stem in {places.shown_folder(kind)}, or a path" if places.names(kind) else "a name"
     if default := options.get("default"):
         about += f" (default {default if isinstance(default, str) else ' '.join(default)})"
     complete_with(parser.add_argument(name, metavar="NAME", help=about, **options), lambda: places.names(kind))
@@ -231,9 +233,11 @@ def result_name(kind: str, path: Path, named: str | None = None) -> str:
     It is the name of the file, unless the file gives one itself (`named`).
     """
     name = path.stem if named is None else named
-    shipped = places.CONFIGS / kind / f"{name}.toml"
+    shipped = places.folder_of(kind) / f"{name}.toml"
     if shipped.is_file() and not shipped.samefile(path):
-        raise Refused(f"{path}: its result would take the place of that of configs/{kind}/{shipped.name}; rename it")
+        raise Refused(
+            f"{path}: its result would take the place of that of {places.shown_folder(kind)}/{shipped.name}; rename it"
+        )
     return name
 
 

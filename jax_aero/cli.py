@@ -1,6 +1,6 @@
 """The command `jax-aero`, with one sub-command for each function of this project.
 
-`python -m jax_aero COMMAND` does the same; `python -m experiments` and `python -m paper_figs` call it too.
+`python -m jax_aero COMMAND` does the same.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,66 +28,69 @@ CLOSED = 141
 
 
 class Command(NamedTuple):
-    """A sub-command: the module of its function, the extras of the package that it needs, and its description."""
+    """A command: the module of its function, the extras of the package that it needs, and its description."""
 
     function: str
     extras: str
     about: str
+    parts: Mapping[str, tuple[str, str]] = {}
+    """Functions of its sub-commands, and the extras that they need, by their first word."""
 
 
-GROUPS: dict[str, dict[str, Command]] = {
-    "fly and look": {
-        "fly": Command("experiments.__main__:fly", "figs", "fly experiments by name: jax-aero fly test2"),
-        "waypoints": Command("experiments.waypoints:main", "figs", "make a mission of waypoints, to fly"),
-        "sweep": Command("experiments.sweep.command:main", "sweeps", "fly many perturbed flights, and count"),
-        "figures": Command("paper_figs.__main__:main", "figs", "draw figures from results"),
-        "report": Command("experiments.report.command:main", "sweeps", "write all results on one page"),
-        "along": Command("experiments.along:main", "symbolic", "find fuel and clearance along flights"),
-        "arm-engines": Command("experiments.arm_engines:main", "figs", "fly with other engines in the arms"),
-        "pictures": Command("experiments.pictures:main", "view,symbolic", "draw the robot for figures of the paper"),
-        "view": Command("jax_aero.view.command:view", "view", "show a flight in the browser, and fly it again"),
-        "video": Command("jax_aero.view.command:video", "view", "film a flight, or two in one scene"),
-        "export": Command("jax_aero.view.command:export", "view", "write a flight as one HTML file that plays it"),
-        "snapshot": Command("jax_aero.view.command:snapshot", "view", "draw moments of a flight"),
-    },
-    "understand": {
-        "air": Command("experiments.air:main", "twin", "force and moment of robot and links by angle and posture"),
-        "verify": Command("jax_aero.verify.command:main", "twin", "compare the Rust crate with JAX"),
-        "trim": Command("experiments.trim:main", "symbolic", "find hovering trims by wind"),
-        "trajectory": Command("experiments.trajectory:main", "symbolic", "plan optimal trajectories"),
-        "force-rate": Command("experiments.force_rate:main", "twin,symbolic", "measure the aerodynamic force's rate"),
-        "observer-limit": Command("experiments.observer_limit:main", "twin,symbolic", "bound the observer's gain"),
-        "inner-loop": Command("experiments.inner_loop:main", "twin", "find how late measurements may be"),
-        "wind-observer": Command("experiments.wind_observer:main", "twin", "measure how well the wind is known"),
-        "tip-over": Command("experiments.tip_over:main", "twin", "find the wind that tips the standing robot over"),
-        "tunnel-moments": Command("experiments.tunnel_moments:main", "twin", "compare moments with the wind tunnel"),
-        "engine-choice": Command("experiments.engine_choice:main", "symbolic", "compare battery and fuel"),
-    },
-    "build models": {
-        "import-robot": Command(
-            "experiments.import_robot.command:main", "twin,symbolic", "make a robot that flies of a URDF"
-        ),
-        "cfd": Command("experiments.cfd.command:main", "twin", "compute forces of the air with OpenFOAM"),
-        "cfd-verify": Command("experiments.cfd.verify:main", "twin", "verify OpenFOAM on bodies of known drag"),
-        "cfd-flow": Command("experiments.cfd.flow:main", "flow", "keep a flow by OpenFOAM for pictures"),
-        "cfd-compare": Command("experiments.cfd.compare:main", "twin", "compare our CFD with tables and the tunnel"),
-        "cfd-tunnel": Command("experiments.cfd.tunnel:main", "twin", "compare our CFD with wind-tunnel points"),
-        "import-cfd": Command("experiments.import_cfd:main", "twin", "read CFD tables into a data set"),
-        "import-tunnel": Command("experiments.import_tunnel:main", "twin", "read wind-tunnel balance files"),
-        "identify-aero": Command("experiments.identify_aero:main", "twin", "find coefficients in a flight's log"),
-        "identify-engine": Command("experiments.identify_engine:main", "twin", "find an engine in a bench's log"),
-        "fit-aero": Command("experiments.fit_aero:main", "fit", "fit coefficients to a data set"),
-        "tune": Command("experiments.tune:main", "twin", "improve a controller's gains and weights by gradients"),
-        "train": Command("experiments.training.command:main", "train", "train an aerodynamic network"),
-        "train-ensemble": Command("experiments.training.ensemble:main", "train", "train networks with intervals"),
-        "train-search": Command("experiments.training.search:main", "train", "search for a network's settings"),
-        "schema": Command(
-            "experiments.schema:main", "train,symbolic", "write what follows from the configuration's types"
-        ),
-    },
+COMMANDS = {
+    "fly": Command("experiments.fly:main", "figs", "fly experiments by name: jax-aero fly test2"),
+    "sweep": Command("experiments.sweep.command:main", "sweeps", "fly many perturbed flights, and count"),
+    "figures": Command("paper_figs.command:main", "figs", "draw figures from results"),
+    "report": Command("experiments.report.command:main", "sweeps", "write all results on one page"),
+    "view": Command(
+        "jax_aero.view.command:view",
+        "view",
+        "show a flight in the browser, and fly it again",
+        {name: (f"jax_aero.view.command:{name}", "view") for name in ("video", "snapshot", "export")},
+    ),
+    "study": Command("experiments.studies:main", "view,symbolic", "answer a question: jax-aero study lists them"),
+    "air": Command("experiments.air:main", "twin", "force and moment of robot and links by angle and posture"),
+    "verify": Command("jax_aero.verify.command:main", "twin", "compare the Rust crate with JAX"),
+    "robot": Command(
+        "",
+        "twin,symbolic",
+        "make a robot of a URDF, or a mission of waypoints, to fly",
+        {
+            "import": ("experiments.robot.command:main", "twin,symbolic"),
+            "waypoints": ("experiments.robot.waypoints:main", "figs"),
+        },
+    ),
+    "data": Command(
+        "",
+        "fit",
+        "read CFD tables and wind-tunnel files, fit coefficients",
+        {
+            "import-cfd": ("experiments.data.import_cfd:main", "twin"),
+            "import-tunnel": ("experiments.data.import_tunnel:main", "twin"),
+            "fit-aero": ("experiments.data.fit_aero:main", "fit"),
+        },
+    ),
+    "train": Command(
+        "experiments.training.command:main",
+        "train",
+        "train an aerodynamic network, several of them, or search for its settings",
+        {
+            "ensemble": ("experiments.training.ensemble:main", "train"),
+            "search": ("experiments.training.search:main", "train"),
+        },
+    ),
+    "cfd": Command(
+        "experiments.cfd.command:main",
+        "twin",
+        "compute forces of the air with OpenFOAM, verify and compare them",
+        {
+            "verify": ("experiments.cfd.verify:main", "twin"),
+            "flow": ("experiments.cfd.flow:main", "flow"),
+            "compare": ("experiments.cfd.compare:main", "twin"),
+            "tunnel": ("experiments.cfd.tunnel:main", "twin"),
+        },
+    ),
 }
-
-COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
 
 
 class Parser(argparse.ArgumentParser):
@@ -148,7 +151,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     if "_ARGCOMPLETE" in os.environ:
         words = _words_before_cursor()
-    name = words[0].replace("_", "-") if words else "help"
+    name = words[0] if words else "help"
     if name in COMMANDS:
         return run(name, words[1:])
     _parser().parse_args(words)
@@ -157,16 +160,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run(name: str, words: Sequence[str]) -> int:
-    """Run one sub-command. Its module is imported here, so that no other command waits for it."""
+    """Run one command. Its module is imported here, so that no other command waits for it."""
+    command = COMMANDS[name]
+    function, extras, rest = command.function, command.extras, words
+    if words and words[0] in command.parts:
+        (function, extras), rest = command.parts[words[0]], words[1:]
+    if not function:
+        return _choose(name, command, words)
     try:
-        module, function = COMMANDS[name].function.split(":")
-        work: Callable[[Sequence[str]], int | None] = getattr(importlib.import_module(module), function)
-        return work(words) or 0
+        module, attribute = function.split(":")
+        work: Callable[[Sequence[str]], int | None] = getattr(importlib.import_module(module), attribute)
+        return work(rest) or 0
     except ModuleNotFoundError as missing:
         package = (missing.name or "").split(".")[0]
         if package in ("", "jax_aero", "experiments", "paper_figs"):
             raise
-        return _refuse(f"`{name}` needs the package `{package}`: pip install 'jax-aero[{COMMANDS[name].extras}]'")
+        return _refuse(f"`{name}` needs the package `{package}`: pip install 'jax-aero[{extras}]'")
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return INTERRUPTED
@@ -175,6 +184,14 @@ def run(name: str, words: Sequence[str]) -> int:
         return CLOSED
     except OSError as reason:  # such as a full disk or a read-only folder
         return _refuse(one_line(reason))
+
+
+def _choose(name: str, command: Command, words: Sequence[str]) -> int:
+    """Refuse a command that does nothing without one of its sub-commands."""
+    parser = Parser(name, command.about)
+    parser.add_argument("part", choices=list(command.parts), metavar="COMMAND", help=", ".join(command.parts))
+    parser.parse_args(words)
+    return REFUSED
 
 
 def _refuse(message: str) -> int:
@@ -193,12 +210,13 @@ def _parser() -> Parser:
 def _help() -> str:
     width = max(map(len, COMMANDS))
     listed = "\n".join(
-        f"\n{title}:\n" + "\n".join(f"  {name:<{width}}  {command.about}" for name, command in group.items())
-        for title, group in GROUPS.items()
+        f"  {name:<{width}}  {command.about}" + (f" ({', '.join(command.parts)})" if command.parts else "")
+        for name, command in COMMANDS.items()
     )
     return f"""usage: jax-aero COMMAND ...
 
 Flight of a jet-powered humanoid robot in the wind: physics, control, experiments and figures.
+
 {listed}
 
 first steps:
@@ -219,5 +237,7 @@ def _words_before_cursor() -> list[str]:
     words = shlex.split(line + "_")[1:]  # the suffix preserves an empty last word
     if len(words) < 2:
         return []
-    os.environ["_ARGCOMPLETE"] = "2"
-    return words[:1]
+    command = COMMANDS.get(words[0])
+    has_part = len(words) > 2 and command is not None and (words[1] in command.parts or words[0] == "study")
+    os.environ["_ARGCOMPLETE"] = "3" if has_part else "2"
+    return words[: 1 + has_part]

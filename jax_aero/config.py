@@ -1,6 +1,6 @@
 """Types of a flight's and a robot's configuration.
 
-Made by `jax-aero schema` from the crate's types: not to be edited.
+Made by `python -m experiments.schema` from the crate's types: not to be edited.
 """
 
 # ruff: noqa: D205, N815

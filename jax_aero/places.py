@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import hashlib
+import re
 from collections.abc import Iterable
 from os import PathLike, fspath
 from pathlib import Path
@@ -21,6 +22,9 @@ HOME = CONFIGS.parent
 
 IS_CHECKOUT = (HOME / "rust").is_dir()
 
+STUDIES = Path(__file__).parents[1] / "experiments" / "studies"
+"""Folders of studies, with their configurations."""
+
 RESULTS = (HOME if IS_CHECKOUT else Path.cwd()) / "results"
 
 
@@ -28,9 +32,25 @@ RUN_FILE, MANIFEST_FILE = "run.nc", "manifest.json"
 """Files of a result folder: every signal, and how it was made."""
 
 
+def folder_of(kind: str) -> Path:
+    """Return the folder of a kind of configuration: that of the study of this name, or else of `configs/`."""
+    study = STUDIES / kind
+    return study if study.is_dir() else CONFIGS / kind
+
+
+def shown_folder(kind: str) -> str:
+    """Return the folder of a kind of configuration as messages name it."""
+    return f"{folder_of(kind).parent.name}/{kind}"
+
+
 def names(kind: str) -> list[str]:
-    """Return the names of all files in a folder of `configs/`."""
-    return sorted(path.stem for path in (CONFIGS / kind).glob("*.toml"))
+    """Return the names of all configurations of a kind."""
+    return sorted(path.stem for path in folder_of(kind).glob("*.toml"))
+
+
+def has_studies(command: str) -> bool:
+    """Return whether the folder of every study in a command is there."""
+    return all((STUDIES / name).is_dir() for name in re.findall(r"jax-aero study (\w+)", command))
 
 
 def is_path(text: str) -> bool:
@@ -48,7 +68,7 @@ def name_of(text: str) -> str:
 
 
 def find(kind: str, name: str | PathLike[str]) -> Path:
-    """Return a file of `configs/KIND/` by its name, or any file by its path.
+    """Return a configuration of a kind by its name, or any file by its path.
 
     >>> find("experiments", "test2").name
     'test2.toml'
@@ -56,9 +76,10 @@ def find(kind: str, name: str | PathLike[str]) -> Path:
     text = fspath(name)
     if is_path(text) or not isinstance(name, str):
         return Path(text)
+    folder = folder_of(kind)
     if text not in (known := names(kind)):
-        raise Refused(f"there is no `{text}` in configs/{kind}{did_you_mean(text, known)}")
-    return CONFIGS / kind / f"{text}.toml"
+        raise Refused(f"there is no `{text}` in {shown_folder(kind)}{did_you_mean(text, known)}")
+    return folder / f"{text}.toml"
 
 
 LONGEST = 100

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from jax_aero import places
@@ -54,7 +54,7 @@ def _tunnel(claims: Callable[..., list[tunnel.Claim]], *, with_cfd: bool) -> Cal
 _NO_MESH = "out of reach: needs the authors' CFD meshes and solutions, which are not public"
 _NO_LEVELS = "out of reach: the levels of the paper are not public to us"
 _NO_CAD = "out of reach: photographs and CAD of the prototype"
-_DATA = "jax-aero import-cfd --clone DIR --out results/datasets/freestream.nc"
+_DATA = "jax-aero data import-cfd --clone DIR --out results/datasets/freestream.nc"
 _TRAINING = f"{_DATA}; jax-aero train compact --dataset results/datasets/freestream.nc"
 
 FIGURE_ITEMS: Sequence[Item] = (
@@ -65,7 +65,7 @@ FIGURE_ITEMS: Sequence[Item] = (
         "tunnel, test section, robot on its support, as a drawing",
         "fig2_setup",
         verdict="agrees in its parts; the point where the strut holds the robot is not public",
-        command="jax-aero fly test2; jax-aero pictures; jax-aero figures fig2_setup",
+        command="jax-aero fly test2; jax-aero study pictures; jax-aero figures fig2_setup",
     ),
     Item("Fig. 2 d", "drag by speed", "fig2", tunnel=_tunnel(tunnel.speed_claims, with_cfd=False)),
     Item("Fig. 2 e", "drag by posture", "fig2", tunnel=_tunnel(tunnel.posture_claims, with_cfd=False)),
@@ -92,14 +92,14 @@ FIGURE_ITEMS: Sequence[Item] = (
         "the axisymmetric model over the CFD",
         "fig4_fit",
         claims=("order",),
-        command=f"{_DATA}; jax-aero fit-aero freestream; jax-aero figures fig4_fit",
+        command=f"{_DATA}; jax-aero data fit-aero freestream; jax-aero figures fig4_fit",
     ),
     Item(
         "Fig. 5 a",
         "the flight, rendered with forces, exhausts and wind",
         "fig5a",
         verdict="agrees",
-        command="jax-aero fly test2; jax-aero pictures; jax-aero figures fig5a",
+        command="jax-aero fly test2; jax-aero study pictures; jax-aero figures fig5a",
     ),
     Item("Fig. 5 b–i", "TEST2 and TEST1", "fig5", claims=("test1", "test2")),
     Item(
@@ -163,7 +163,7 @@ NUMBERS: Sequence[Item] = (
         "Actuators selection",
         "battery against fuel",
         claims=("battery", "fuel"),
-        command="jax-aero engine-choice",
+        command="jax-aero study engine_choice",
     ),
     Item("Actuators selection", "fuel along flights", "along", claims=("fuel_flown",)),
     Item(
@@ -220,7 +220,7 @@ SUPPLEMENT: Sequence[Item] = (
         "postures",
         ("configs/tables/postures.toml",),
         verdict="out of reach: the list of the supplement's 19 postures; those of the public tables are drawn",
-        command="jax-aero fly test2; jax-aero pictures; jax-aero figures postures",
+        command="jax-aero fly test2; jax-aero study pictures; jax-aero figures postures",
     ),
     Item(
         "Suppl. Fig. 10–14",
@@ -228,7 +228,7 @@ SUPPLEMENT: Sequence[Item] = (
         "tunnel_moments",
         ("moments.md", "configs/tables/tunnel_tests.toml"),
         verdict="out of reach: the supplement is not public to us; our figures are from the public balance files",
-        command="jax-aero import-tunnel; jax-aero tunnel-moments; jax-aero figures tunnel_moments",
+        command="jax-aero data import-tunnel; jax-aero study tunnel_moments; jax-aero figures tunnel_moments",
     ),
     Item("Suppl. Fig. 15, 16", "not named in the text", verdict="out of reach: the supplement is not public to us"),
     Item("Suppl. Fig. 17, Note 7", "ablation of the feedback", "ablation_terms", claims=("minimum",)),
@@ -248,8 +248,7 @@ SUPPLEMENT: Sequence[Item] = (
         "Suppl. Note 6",
         "jets away from the body",
         "along",
-        ("configs/trim/hover_posture.toml",),
-        ("clearance",),
+        claims=("clearance",),
     ),
 )
 
@@ -292,20 +291,39 @@ TABLES = {
 
 
 def sections(claims: Mapping[str, Any]) -> dict[str, Sequence[Item]]:
-    """Return all items by section: those written here, sweeps by their own titles, and our claims about them."""
-    shown = {item.figure for items in SECTIONS.values() for item in items}
+    """Return all items by section: those written here, sweeps by their own titles, and our claims about them.
+
+    Figures and claims of studies whose folders are not there are left out, and items that show nothing else.
+    """
+    known = {"", *FIGURES, *places.names("sweeps")}
+    written = {
+        title: [
+            replace(item, claims=tuple(key for key in item.claims if key in claims))
+            for item in items
+            if item.figure in known and (not item.claims or not claims.keys().isdisjoint(item.claims))
+        ]
+        for title, items in SECTIONS.items()
+    }
+    shown = {item.figure for items in written.values() for item in items}
     swept = []
     for name in SWEEPS:
         if name not in shown:
             title = tomllib.loads(places.find("sweeps", name).read_text(encoding="utf-8"))["title"]
             ours = (key for key, claim in claims.items() if claim["where"] == "ours" and claim["figure"] == name)
             swept.append(Item("beyond", title, name, claims=tuple(ours)))
-    return {**SECTIONS, "Beyond the paper": (*BEYOND, *swept)}
+    return {**written, "Beyond the paper": (*written["Beyond the paper"], *swept)}
+
+
+def read_record() -> dict[str, Any]:
+    """Return claims and tables of `docs/claims.json`, without the claims of studies whose folders are not there."""
+    record: dict[str, Any] = json.loads(CLAIMS.read_text(encoding="utf-8"))
+    kept = {key: claim for key, claim in record["claims"].items() if places.has_studies(claim["command"])}
+    return record | {"claims": kept}
 
 
 def page() -> str:
     """Return the page as Markdown."""
-    record = json.loads(CLAIMS.read_text(encoding="utf-8"))
+    record = read_record()
     about = (
         "This page compares every figure, table, equation and claim of the paper with what we measured. A verdict is "
         "*agrees*, *differs* (with the difference) or *out of reach* (with the reason). "

@@ -1,4 +1,4 @@
-"""Compare our simulations with models, with those of others, and with the tunnel: `jax-aero cfd-compare NAME`.
+"""Compare our simulations with models, with those of others, and with the tunnel: `jax-aero cfd compare NAME`.
 
 NAME is a design of `jax-aero cfd`. Its rows are compared with the project's models and, on left-out postures, with the
 network that `train NAME` made of them. With `--set table=FILE`, a dataset of `import-cfd`, all are also compared on
@@ -16,12 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from experiments import Refused, record, tunnel_moments
+from experiments import Refused, record
 from experiments.cfd.command import dataset_of
 from experiments.cfd.goals import verdicts
-from experiments.import_cfd import POSTURES
+from experiments.cfd.models import MODEL_FILES, NEWTON_METRES, model_areas
+from experiments.data.import_cfd import POSTURES
 from experiments.study import Findings, Study
-from experiments.tunnel_moments import NEWTON_METRES
 from jax_aero import places, tables
 from jax_aero.aero.dataset import LINKS, Dataset, Floats, Indices, load, tunnel_from_base
 from jax_aero.aero.posture import total_wrench, vector_rms
@@ -68,7 +68,7 @@ def compute(name: str, config: CompareConfig) -> Findings:
     summary: dict[str, Any] = {"cases": len(ours), "postures": len(ours.postures)}
     summary |= asymmetry(robot, cases) | couples(robot, ours) | beside_tunnel(ours)
     models = models_at(robot, ours)
-    files = [*tunnel_moments.MODEL_FILES, POSTURES, TUNNEL, CFD]
+    files = [*MODEL_FILES, POSTURES, TUNNEL, CFD]
     if (trained := held_out_network(name, cases)) is not None:
         models["network, trained on postures other than the row's"] = trained
         files.append(training_of(name))
@@ -101,6 +101,7 @@ STUDY = Study(
     ("open",),
     engine="openfoam",
     reads=lambda name, config: [] if config.dataset else [dataset_of(name)],
+    words="cfd compare",
 )
 main = STUDY.main
 
@@ -195,7 +196,7 @@ def models_at(robot: RobotModel, data: Dataset) -> dict[str, Floats]:
             "speed": ("point", data.speed),
         }
     )
-    found = tunnel_moments.model_areas(robot, points)
+    found = model_areas(robot, points)
     return {name: found[name] for name in SHOWN}
 
 

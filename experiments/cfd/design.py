@@ -17,7 +17,7 @@ import numpy as np
 from experiments import Refused, study
 from experiments.cfd.geometry import Surface, robot_surfaces
 from experiments.cfd.settings import Settings
-from experiments.import_cfd import POSTURES, known_postures
+from experiments.data.import_cfd import POSTURES, known_postures
 from experiments.sweep.design import unit_points
 from jax_aero import rust, tables
 from jax_aero.aero.dataset import Floats, read_postures, wind_direction

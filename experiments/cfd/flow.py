@@ -1,4 +1,4 @@
-"""Store the flow of one case for pictures: `jax-aero cfd-flow NAME`, with NAME a file of `configs/cfd_flow/`.
+"""Store the flow of one case for pictures: `jax-aero cfd flow NAME`, with NAME a file of `configs/cfd_flow/`.
 
 Stores pressure on the robot, streamlines around it, and speed, pressure and turbulent viscosity in its plane of
 symmetry, as in the paper's Fig. 3 c to f; `jax-aero figures cfd_flow cfd_meshes` draws them. Needs OpenFOAM and
@@ -21,7 +21,7 @@ from experiments.cfd.case import FAR
 from experiments.cfd.geometry import robot_surfaces
 from experiments.cfd.settings import Air, FlowConfig
 from experiments.cfd.simulate import Unfit, make_mesh, solve
-from experiments.import_cfd import POSTURES, known_postures
+from experiments.data.import_cfd import POSTURES, known_postures
 from experiments.study import Findings, Study
 from jax_aero import rust
 from jax_aero.aero.dataset import wind_direction
@@ -120,5 +120,5 @@ def to_dataset(wall: pyvista.PolyData, plane: pyvista.PolyData, lines: pyvista.P
     return xr.Dataset(found, {"xyz": ["x", "y", "z"]})
 
 
-STUDY = Study("cfd_flow", __doc__, FlowConfig, compute, ("flight30",), engine="openfoam")
+STUDY = Study("cfd_flow", __doc__, FlowConfig, compute, ("flight30",), engine="openfoam", words="cfd flow")
 main = STUDY.main

@@ -1,4 +1,4 @@
-"""Compare our simulations with the wind tunnel, point by point: `jax-aero cfd-tunnel NAME --set tunnel=FILE`.
+"""Compare our simulations with the wind tunnel, point by point: `jax-aero cfd tunnel NAME --set tunnel=FILE`.
 
 NAME is a design of `jax-aero cfd`, FILE a dataset of `import-tunnel`. Each case is compared with the points of its
 posture, speed and wind and, if the posture is its own mirror image, with the mirrored points of the mirrored wind.
@@ -18,8 +18,8 @@ import xarray as xr
 from experiments import Refused, record
 from experiments.cfd.command import dataset_of
 from experiments.cfd.goals import verdicts
+from experiments.cfd.models import NEWTON_METRES
 from experiments.study import Findings, Study
-from experiments.tunnel_moments import NEWTON_METRES
 from jax_aero import tables
 from jax_aero.aero.dataset import (
     MIRROR_AXES,
@@ -86,6 +86,7 @@ STUDY = Study(
     ("open",),
     engine="openfoam",
     reads=lambda name, config: [] if config.dataset else [dataset_of(name)],
+    words="cfd tunnel",
 )
 main = STUDY.main
 

@@ -1,4 +1,4 @@
-"""Verify the open solver on bodies of known drag and on the robot: `jax-aero cfd-verify NAME`.
+"""Verify the open solver on bodies of known drag and on the robot: `jax-aero cfd verify NAME`.
 
 NAME is `sphere`, `cylinder` (free ends, five diameters long, across the wind), both at a Reynolds number of 1e5, or a
 posture, in head wind at the pitch at which it flies. Simulated are three meshes, each about `ratio` times finer than
@@ -29,7 +29,7 @@ from experiments.cfd.geometry import Surface, robot_surfaces, triangles_of
 from experiments.cfd.goals import verdicts
 from experiments.cfd.settings import Mesh, Settings, Shell
 from experiments.cfd.simulate import Result, simulate
-from experiments.import_cfd import POSTURES, known_postures
+from experiments.data.import_cfd import POSTURES, known_postures
 from experiments.study import Findings, Study
 from jax_aero import rust, tables
 from jax_aero.aero.dataset import Floats, wind_direction
@@ -161,5 +161,13 @@ def extrapolate(values: Floats, edges: Floats) -> dict[str, float | str]:
     return {**spread, "observed order": order, "extrapolated": float(values[2] - second / np.expm1(-order * fine))}
 
 
-STUDY = Study("cfd_verify", __doc__, VerifyConfig, compute, ("sphere", "cylinder", "hovering"), engine="openfoam")
+STUDY = Study(
+    "cfd_verify",
+    __doc__,
+    VerifyConfig,
+    compute,
+    ("sphere", "cylinder", "hovering"),
+    engine="openfoam",
+    words="cfd verify",
+)
 main = STUDY.main

@@ -8,8 +8,8 @@ import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from experiments import Refused, engine_choice, manifest
-from experiments.report import claims, facts
+from experiments import Refused, manifest
+from experiments.report import claims, engines, facts
 from experiments.report.page import Heading, Page, Picture, Table, Text
 from experiments.report.results import NotFlownError, Results, Sweep, count
 from experiments.report.verdicts import ANOTHER, NOT_FLOWN, OUTDATED
@@ -298,15 +298,15 @@ def _spans(values: Sequence[object], known: Sequence[object]) -> str:
 
 
 def _engines(page: Page) -> None:
-    choice = engine_choice.Choice()
-    found = engine_choice.results(choice)
-    battery, fuel = str(engine_choice.PAPER_BATTERY), str(engine_choice.PAPER_FUEL)
+    choice = engines.Choice()
+    found = engines.results(choice)
+    battery, fuel = str(engines.PAPER_BATTERY), str(engines.PAPER_FUEL)
     page.add(
         Heading(2, "Why jets: battery against fuel"),
         Text(
             f"A hovering {choice.robot_mass:g} kg robot for {choice.minutes:g} min, from the paper's own numbers. "
             "A battery carries "
-            "itself to the end, fuel is burnt on the way. `jax-aero engine-choice` takes other numbers."
+            "itself to the end, fuel is burnt on the way. `jax-aero study engine_choice` takes other numbers."
         ),
         Table(
             ("what", "ours [kg]", "paper [kg]"),
@@ -327,7 +327,7 @@ def _engines(page: Page) -> None:
         ),
         Table(
             ("jet", "engine", "greatest thrust [N]"),
-            [(jet["jet"], jet["engine"], f"{jet['thrust_max_N']:.0f}") for jet in engine_choice.engines()],
+            [(jet["jet"], jet["engine"], f"{jet['thrust_max_N']:.0f}") for jet in engines.engines()],
         ),
     )
 

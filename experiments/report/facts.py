@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from experiments import engine_choice
+from experiments.report import engines
 from experiments.report.verdicts import explain_absence, judge, judge_range
 from jax_aero import rust, tables
 from jax_aero.places import CONFIGS, ROBOT
@@ -93,7 +93,7 @@ def chest_engine() -> tuple[str, str]:
     """Judge thrust and consumption of the P220."""
     jet = next(jet for jet in robot()["jets"] if jet["engine"] == "P220")
     steady = steady_thrust(robot()["engines"]["P220"], 100.0)
-    burnt = table("trajectory/min_time.toml")["fuel"][jet["name"]]["consumption"][1]
+    burnt = table("tables/fuel.toml")[jet["name"]]["consumption"][1]
     text = (
         f"limit {jet['thrust_max']:.0f} N ({jet['thrust_max'] / GRAVITY:.1f} kg), steady at 100 % throttle "
         f"{steady:.1f} N ({steady / GRAVITY:.1f} kg), {burnt:g} l/min"
@@ -113,16 +113,16 @@ def arm_engine() -> tuple[str, str]:
 
 def battery() -> tuple[str, str]:
     """Judge the battery of the engine choice, in two interpretations."""
-    found = engine_choice.results(engine_choice.Choice())
+    found = engines.results(engines.Choice())
     printed, other = found["battery_kg"], found["battery_at_1_kW_per_kg_kg"]
     text = f"{printed:.2f} kg from the printed 13 kW for 15 kg; {other:.2f} kg from 1 kW per kg of thrust"
-    off = printed - engine_choice.PAPER_BATTERY
+    off = printed - engines.PAPER_BATTERY
     return text, judge(abs(off) < 0.005, f"{off:+.2f} kg; the printed figure belongs to 1 kW per kg")
 
 
 def fuel() -> tuple[str, str]:
     """Judge the fuel of the engine choice."""
-    found = engine_choice.results(engine_choice.Choice())["fuel_kg"]
+    found = engines.results(engines.Choice())["fuel_kg"]
     return f"{found:.2f} kg, burnt on the way", judge_range(found, 4.605, 4.615, "kg")
 
 

@@ -1,4 +1,4 @@
-"""Train independent networks and calibrate their total force and moment: `jax-aero train-ensemble`.
+"""Train independent networks and calibrate their total force and moment: `jax-aero train ensemble`.
 
 Eight small networks differ in initial weights, inputs, widths, axisymmetric part and in the postures of their training.
 Each fold of whole postures is predicted by networks trained without it. The spread of the networks and a conformal
@@ -53,7 +53,7 @@ MEMBERS: tuple[Mapping[str, Any], ...] = (
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
-    parser = Parser("train-ensemble", __doc__)
+    parser = Parser("train ensemble", __doc__)
     parser.add_argument("--dataset", type=Path, required=True, metavar="FILE", help="from import-cfd")
     parser.add_argument("--epochs", type=count, default=60, metavar="N", help="epochs of every network (default 60)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="result folder (default results/training/ensemble)")
@@ -114,7 +114,7 @@ def run(path: Path, epochs: int, folder: Path, write: Path | None, *, overwrite:
         settings,
         digest,
         summary=summary,
-        command=["jax-aero", "train-ensemble", *sys.argv[2:]],
+        command=["jax-aero", "train", *sys.argv[2:]],
         engine="jax",
         code=[__name__],
         dataset=dataset.sha256,

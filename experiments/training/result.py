@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import xarray as xr
 
-from experiments.import_cfd import COMMIT
+from experiments.data.import_cfd import COMMIT
 from experiments.training.parts import FinishedPart
 from jax_aero.aero import fit
 from jax_aero.aero.dataset import JOINTS, LINKS, Dataset

@@ -1,4 +1,4 @@
-"""Search for better settings: `jax-aero train-search NAME --dataset FILE`.
+"""Search for better settings: `jax-aero train search NAME --dataset FILE`.
 
 A file of `configs/training_search/` names a training file and ranges for some of its keys. A trial trains one network
 per inner fold of whole postures, without members or students, and is judged by the mean error of the rows held out:
@@ -83,7 +83,7 @@ class SearchConfig(tables.Table, frozen=True):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
-    parser = Parser("train-search", __doc__)
+    parser = Parser("train search", __doc__)
     study.add_names(parser, "training_search", "name")
     parser.add_argument("--dataset", type=Path, required=True, metavar="FILE", help="what to train on")
     parser.add_argument(
@@ -234,7 +234,7 @@ def _write(out: Path, search: optuna.Study, table: Mapping[str, Any], digest: st
         table,
         digest,
         summary={"best_error_m4": search.best_value, "best": search.best_params, "trials": _count_complete(search)},
-        command=["jax-aero", "train-search", *sys.argv[2:]],
+        command=["jax-aero", "train", *sys.argv[2:]],
         engine="optuna",
         code=[__name__],
         dataset=dataset,

@@ -319,7 +319,7 @@ def load(path: str | PathLike[str]) -> Dataset:
         If the file is missing or of another format, or if its numbers are not those that were written.
     """
     if not Path(path).is_file():
-        raise ValueError(f"there is no dataset {path}; write it with: jax-aero import-cfd")
+        raise ValueError(f"there is no dataset {path}; write it with: jax-aero data import-cfd")
     try:
         table = xr.load_dataset(path, engine="h5netcdf")
     except Exception as reason:  # the reader raises many types for other formats

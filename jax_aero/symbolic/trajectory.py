@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from jax_aero import tables
 from jax_aero.command import Refused
@@ -95,8 +96,13 @@ class TrajectoryConfig(tables.Table, frozen=True):
     """Weight of |s − s₀|²/n, integrated over time [1/rad²]; the controller also pulls joints back to the posture."""
     sample_time: tables.Positive
     """Time between samples of the solved flight [s]."""
-    fuel: dict[str, Consumption]
-    """Fuel consumption by jet."""
+    fuel: Path
+    """File with the consumption of every jet, such as `configs/tables/fuel.toml`."""
+
+
+def load_fuel(path: Path) -> dict[str, Consumption]:
+    """Read the consumption of every jet, by name."""
+    return {name: tables.convert(points, Consumption, path.name) for name, points in tables.read(path).items()}
 
 
 def fuel_lines(fuel: Mapping[str, Consumption], robot: Robot) -> tuple[Array, Array]:
@@ -111,6 +117,11 @@ def fuel_lines(fuel: Mapping[str, Consumption], robot: Robot) -> tuple[Array, Ar
         slopes.append(slope)
         starts.append(c0 / 60.0 - slope * thrust.lower)
     return np.array(starts), np.array(slopes)
+
+
+def fuel_burnt(times: Any, thrust: Any, idle: Any, slope: Any) -> Any:
+    """Return the fuel burnt up to each time [l]: the integral of idle + slope T over all jets, by trapezoids."""
+    return cumulative_trapezoid(idle.sum() + thrust @ slope, times, initial=0)
 
 
 @dataclass(frozen=True)
@@ -222,7 +233,7 @@ class TrajectoryProblem:
     ) -> None:
         started = time.perf_counter()
         self.model, self.config, self.wind, self.posture, self.free_joints = model, config, wind, posture, free_joints
-        self.fuel_idle, self.fuel_slope = fuel_lines(config.fuel, model.robot)
+        self.fuel_idle, self.fuel_slope = fuel_lines(load_fuel(config.fuel), model.robot)
         self.rate_limits = np.concatenate(
             [
                 np.full(len(model.robot.jets), config.thrust_rate_max),

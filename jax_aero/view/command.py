@@ -67,7 +67,7 @@ def _check_address(host: str, port: int) -> None:
 
 def video(words: Sequence[str]) -> int:
     """Write a video."""
-    parser = Parser("video", "Film a flight, or two in one scene, as MP4 or, where --out ends in .gif, as GIF.")
+    parser = Parser("view video", "Film a flight, or two in one scene, as MP4 or, where --out ends in .gif, as GIF.")
     _add_common_options(parser, Path("flight.mp4"), "1280x720")
     parser.add_argument("--ghost", metavar="RESULT", help="another flight, drawn translucent beside it")
     parser.add_argument("--fps", type=float, default=30.0, help="pictures per second (default 30)")
@@ -97,7 +97,7 @@ def video(words: Sequence[str]) -> int:
 
 def snapshot(words: Sequence[str]) -> int:
     """Write a picture."""
-    parser = Parser("snapshot", "Draw one moment of a flight, or several in one picture.")
+    parser = Parser("view snapshot", "Draw one moment of a flight, or several in one picture.")
     _add_common_options(parser, Path("flight.png"), "1920x1080")
     parser.add_argument(
         "--at", type=float, nargs="+", default=[], metavar="S", help="times [s] (default: six, evenly spaced)"
@@ -115,7 +115,7 @@ def snapshot(words: Sequence[str]) -> int:
 
 def export(words: Sequence[str]) -> int:
     """Write a page."""
-    parser = Parser("export", "Write a flight, or two in one scene, as one HTML file that any browser plays.")
+    parser = Parser("view export", "Write a flight, or two in one scene, as one HTML file that any browser plays.")
     parser.add_argument("--ghost", metavar="RESULT", help="another flight, drawn translucent beside it")
     _files(parser, Path("flight.html"))
     given = parser.parse_args(words)

@@ -1,4 +1,4 @@
-"""`jax-aero video` and `snapshot`: a flight as a video, or several of its times in one picture."""
+"""`jax-aero view video` and `snapshot`: a flight as a video, or several of its times in one picture."""
 
 from __future__ import annotations
 

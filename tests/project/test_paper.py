@@ -1,24 +1,24 @@
 """docs/paper.md: every figure has an item, what an item names exists, and the page is what its sources say."""
 
 import dataclasses
-import json
 import re
 import subprocess
 from pathlib import Path
 
 import pytest
 
-from experiments.__main__ import fly
+from experiments import studies
+from experiments.fly import main as fly
 from experiments.report import claims, facts
 from experiments.report.results import Results
 from experiments.report.verdicts import NOT_FLOWN
 from jax_aero.cli import COMMANDS
 from paper_figs import paper
-from paper_figs.__main__ import main
+from paper_figs.command import main
 from paper_figs.figures import FIGURES, SWEEPS
 
 ROOT = Path(__file__).resolve().parents[2]
-RECORD = json.loads(paper.CLAIMS.read_text(encoding="utf-8"))
+RECORD = paper.read_record()
 SECTIONS = paper.sections(RECORD["claims"])
 ITEMS = [item for items in SECTIONS.values() for item in items]
 WORDS = ("agrees", "differs: ", "out of reach: ", NOT_FLOWN)
@@ -87,8 +87,9 @@ def test_commands_name_what_exists():
                 assert set(rest) <= experiments, command
             elif first == "sweep":
                 assert all((ROOT / f"configs/sweeps/{name}.toml").is_file() for name in rest)
-            elif first == "trim":
-                assert rest[1:] == ["--map"], command  # one at a time; without --map it leaves no result
+            elif first == "study":
+                assert rest[0] in studies.names(), command
+                assert rest[0] != "trim" or rest[2:] == ["--map"], command  # without --map it leaves no result
 
 
 def test_claims_of_single_flights_are_those_of_the_code(tmp_path, capsys):

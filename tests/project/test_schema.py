@@ -16,10 +16,10 @@ DATA = ("tables",)
 """Folders of measured or fitted data, which are no configuration."""
 FILES = [
     path
-    for path in sorted(CONFIGS.rglob("*.toml"))
+    for path in sorted([*CONFIGS.rglob("*.toml"), *(ROOT / "experiments/studies").rglob("*.toml")])
     if not any(path.is_relative_to(CONFIGS / folder) for folder in DATA)
 ]
-NAMES = [str(path.relative_to(CONFIGS)) for path in FILES]
+NAMES = [str(path.relative_to(ROOT)) for path in FILES]
 
 
 def mistakes(schema, table):
@@ -34,9 +34,10 @@ def schema_named_by(path: Path):
 
 def test_everything_made_from_the_types_is_up_to_date():
     made = schema.files()
-    assert {path for path in made if path.suffix == ".json"} == set((CONFIGS / "schema").iterdir())
+    committed = {*(CONFIGS / "schema").iterdir(), *(ROOT / "experiments/studies").glob("*/schema.json")}
+    assert {path for path in made if path.suffix == ".json"} == committed
     for path, text in made.items():
-        assert path.read_text(encoding="utf-8") == text, f"{path} is outdated: run `jax-aero schema`"
+        assert path.read_text(encoding="utf-8") == text, f"{path} is outdated: run `python -m experiments.schema`"
 
 
 @pytest.mark.parametrize("path", FILES, ids=NAMES)
@@ -58,7 +59,7 @@ def test_every_resolved_experiment_fits_the_schema_of_the_crate(path):
         ("wind", {"profile": "constant", "velocity": [1.0, 2.0]}),
         ("control", {"momentum": {"c0": -1.0}}),
         ("robot", {"base": "sparrow.toml"}),
-        ("trim", {"base": "free_joints.toml"}),
+        ("waypoints", {"base": "box.toml"}),
     ],
 )
 def test_an_editor_marks_mistakes(kind, table):

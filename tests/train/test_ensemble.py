@@ -5,10 +5,10 @@ import json
 import numpy as np
 import xarray as xr
 
-from experiments.__main__ import main
 from experiments.training import config, ensemble
 from jax_aero.aero.dataset import save
 from jax_aero.aero.network_card import load_network, read_card
+from jax_aero.cli import main
 
 
 def test_intervals_are_conformal_across_families(agree):
@@ -87,7 +87,7 @@ def test_networks_predict_postures_that_they_have_not_seen(made_up_dataset, tmp_
     monkeypatch.setattr(ensemble, "train_member", skip_training)
     monkeypatch.setattr(ensemble, "MEMBERS", ({"hidden": [4]}, {"hidden": [5], "baseline": "none"}))
     monkeypatch.setattr(ensemble, "FOLDS", 2)
-    words = ["train-ensemble", "--dataset", str(path), "--epochs", "3", "--out", str(tmp_path / "out")]
+    words = ["train", "ensemble", "--dataset", str(path), "--epochs", "3", "--out", str(tmp_path / "out")]
     assert main(words) == 0
     # Of two folds one is the other's rest, of three postures; each network of a fold lacks another one of them.
     everything = set(made_up_dataset.postures)

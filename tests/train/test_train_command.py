@@ -13,15 +13,15 @@ import xarray as xr
 from PIL import Image
 
 from experiments import record
-from experiments.__main__ import main
 from experiments.training import command, config
 from experiments.training.result import card_facts
 from jax_aero import files, places, tables
 from jax_aero.aero.dataset import load, save
 from jax_aero.aero.network_card import load_network, read_card
+from jax_aero.cli import main
 from jax_aero.command import INTERRUPTED
 from jax_aero.train import Interrupted, fit, predict_areas, samples_of
-from paper_figs.__main__ import main as draw
+from paper_figs.command import main as draw
 
 Found = namedtuple("Found", "error")
 
@@ -212,7 +212,7 @@ def test_a_finished_training_is_kept_and_its_weights_can_be_written_again(result
 def test_two_processes_do_not_train_into_one_folder(data, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     with files.lock_work(tmp_path / "one"):
-        for arguments in (words(data, "one"), ["train-ensemble", "--dataset", str(data), "--out", "one"]):
+        for arguments in (words(data, "one"), ["train", "ensemble", "--dataset", str(data), "--out", "one"]):
             assert main(arguments) == 2
             assert ".one.work is being written by process" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
@@ -221,7 +221,7 @@ def test_two_processes_do_not_train_into_one_folder(data, tmp_path, monkeypatch,
 def test_a_folder_is_named_by_where_it_is(data, tmp_path, monkeypatch, capsys):
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
-    for name in ("train", "train-ensemble"):
+    for name in ("train", "train", "ensemble"):
         arguments = ["train", "compact"] if name == "train" else [name]
         assert main([*arguments, "--dataset", str(data), "--out", "."]) == 2
         assert "holds no finished result; choose another name or --out, or --overwrite it" in capsys.readouterr().err
@@ -279,7 +279,7 @@ def test_a_search_keeps_its_trials_and_goes_on(data, tmp_path, capsys):
         '"training.learning_rate" = { low = 1e-3, high = 1e-2, log = true }\n'
     )
     out = tmp_path / "out"
-    arguments = ["train-search", str(search), "--dataset", str(data), "--out", str(out)]
+    arguments = ["train", "search", str(search), "--dataset", str(data), "--out", str(out)]
     assert main([*arguments, "--trials", "1"]) == 0
     (tmp_path / "first.csv").hardlink_to(out / "trials.csv")
     before = (tmp_path / "first.csv").read_bytes()
@@ -310,7 +310,7 @@ def small_search(data, tmp_path):
         f'base = "{places.CONFIGS}/training/plain.toml"\ntrials = 3\nseed = 1\nfold_seed = 0\nfolds = 3\n'
         'folds_run = 1\n[space]\n"training.learning_rate" = { low = 1e-3, high = 1e-2 }\n'
     )
-    return lambda name: ["train-search", str(search), "--dataset", str(data), "--out", str(tmp_path / name)]
+    return lambda name: ["train", "search", str(search), "--dataset", str(data), "--out", str(tmp_path / name)]
 
 
 def test_an_interrupted_search_draws_what_it_would_have_drawn(small_search, tmp_path, monkeypatch, capsys):
@@ -429,7 +429,7 @@ def test_a_trial_that_another_process_runs_stops_no_search(data, tmp_path, monke
         f'base = "{places.CONFIGS}/training/plain.toml"\ntrials = 1\nseed = 1\nfold_seed = 0\nfolds = 3\n'
         'folds_run = 1\n[space]\n"training.learning_rate" = { low = 1e-3, high = 1e-2 }\n'
     )
-    arguments = ["train-search", str(search), "--dataset", str(data), "--out", str(tmp_path / "out")]
+    arguments = ["train", "search", str(search), "--dataset", str(data), "--out", str(tmp_path / "out")]
 
     def add_trial(*_):
         """A trial that another process begins meanwhile; a network that diverges."""

@@ -14,7 +14,7 @@ import pytest
 import pyvista
 import xarray as xr
 
-from experiments import import_cfd, record, sources
+from experiments import record, sources
 from experiments.cfd import (
     case,
     command,
@@ -24,10 +24,12 @@ from experiments.cfd import (
     foam,
     geometry,
     goals,
+    models,
     settings,
     simulate,
     verify,
 )
+from experiments.data import import_cfd
 from jax_aero import mesh, places, rust, tables
 from jax_aero.aero import dataset as ds
 from jax_aero.aero.dataset import LINKS
@@ -35,7 +37,7 @@ from jax_aero.aero.posture import total_wrench
 from jax_aero.command import REFUSED, Refused
 from jax_aero.robot import load_robot
 from paper_figs import cfd_flow
-from paper_figs.__main__ import main as figures
+from paper_figs.command import main as figures
 from paper_figs.figures import FIGURES
 from paper_figs.runs import MissingRun
 
@@ -577,7 +579,7 @@ def test_cases_are_compared_with_models_and_with_rows_of_a_table(collected, tmp_
     ds.save(collected, tmp_path / "dataset.nc")
     ours = {"dataset": tmp_path / "dataset.nc"}
     found = compare.compute("small", compare.CompareConfig(**ours, table=tmp_path / "table.nc"))
-    assert set(compare.tunnel_moments.MODEL_FILES) <= set(found.files)
+    assert set(models.MODEL_FILES) <= set(found.files)
     assert found.summary["cases with a counterpart in the table"] == len(hovering)
     agree("ours", found.summary[f"hovering ({len(hovering)}): drag, relative error, mean"], 1.0, 1e-12)
     agree("model", found.summary["none, beside the table: drag, relative error, mean"], -1.0, 1e-12)

@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from experiments.cfd import tunnel
-from experiments.import_cfd import known_postures
+from experiments.data.import_cfd import known_postures
 from jax_aero.aero import dataset as ds
 from jax_aero.aero.posture import total_wrench
 from jax_aero.robot import load_robot

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-import experiments.__main__ as experiments
 from jax_aero import cli, places, rust
 from jax_aero.command import progress_bar
 from tests.measurements import measured
@@ -24,12 +23,17 @@ ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 
-@pytest.mark.parametrize("name", cli.COMMANDS)
-def test_every_command_exists_and_names_an_extra(name):
-    command = cli.COMMANDS[name]
-    module, function = command.function.split(":")
-    assert callable(getattr(importlib.import_module(module), function))
-    assert set(command.extras.split(",")) <= set(PROJECT["optional-dependencies"])
+FUNCTIONS = {(command.function, command.extras) for command in cli.COMMANDS.values() if command.function} | {
+    part for command in cli.COMMANDS.values() for part in command.parts.values()
+}
+"""Function and extras of every command and sub-command."""
+
+
+@pytest.mark.parametrize(("function", "extras"), sorted(FUNCTIONS))
+def test_every_command_exists_and_names_an_extra(function, extras):
+    module, name = function.split(":")
+    assert callable(getattr(importlib.import_module(module), name))
+    assert set(extras.split(",")) <= set(PROJECT["optional-dependencies"])
 
 
 @functools.cache
@@ -77,11 +81,10 @@ def packages_in(extras: str) -> set[str]:
     return packages
 
 
-@pytest.mark.parametrize("name", cli.COMMANDS)
-def test_the_extras_of_a_command_bring_what_it_imports(name):
+@pytest.mark.parametrize(("function", "extras"), sorted(FUNCTIONS))
+def test_the_extras_of_a_command_bring_what_it_imports(function, extras):
     """Otherwise the hint after a missing package would not help."""
-    command = cli.COMMANDS[name]
-    assert packages_of(command.function.split(":")[0]) <= packages_in(command.extras)
+    assert packages_of(function.split(":")[0]) <= packages_in(extras)
 
 
 def test_the_package_installs_the_command():
@@ -107,11 +110,11 @@ def test_help_names_every_command(capsys):
         (["sweep", "baseline_edges"], "baseline_edge"),
         (["view", "--prot", "1"], "did you mean --port"),
         (["train", "compact", "--datset", "x"], "did you mean --dataset"),
-        (["inner-loop", "--hepl"], "did you mean --help"),
+        (["study", "inner_loop", "--hepl"], "did you mean --help"),
         (["fly", "test1", "--out", ""], "the path is empty"),
         (["sweep", "tuned", "--workers", "0"], "--workers: `0`; expected an integer ≥ 1"),
         (["sweep", "tuned", "--address", "somewhere"], "--address is somewhere; expected --cluster ray beside it"),
-        (["import-robot", "none.urdf", "--jet", "a:1", "--forward", "-x"], "none.urdf: No such file"),
+        (["robot", "import", "none.urdf", "--jet", "a:1", "--forward", "-x"], "none.urdf: No such file"),
         (["air", "--beta", "-90:nan:10"], "--beta is -90:nan:10; expected an angle, or FROM:TO:STEP"),
     ],
 )
@@ -124,24 +127,18 @@ def test_a_wrong_word_is_answered_with_what_was_meant(words, meant, capsys):
     assert meant in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("word", ["swep", "tset1"])
-def test_the_old_entry_point_takes_both_commands_and_flights(word, capsys):
-    assert experiments.main([word]) == cli.REFUSED
-    assert f"did you mean {'sweep' if word == 'swep' else 'test1'}" in capsys.readouterr().err
-
-
 def test_ctrl_c_and_a_missing_package_are_one_line(monkeypatch, capsys):
     def interrupt(words):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("paper_figs.__main__.main", interrupt)
+    monkeypatch.setattr("paper_figs.command.main", interrupt)
     assert cli.main(["figures"]) == cli.INTERRUPTED
     assert capsys.readouterr().err == "interrupted\n"
 
     def lack_package(words):
         raise ModuleNotFoundError("No module named 'tqdm.auto'", name="tqdm.auto")
 
-    monkeypatch.setattr("experiments.__main__.fly", lack_package)
+    monkeypatch.setattr("experiments.fly.main", lack_package)
     assert cli.main(["fly", "test1"]) == cli.REFUSED
     assert capsys.readouterr().err == "error: `fly` needs the package `tqdm`: pip install 'jax-aero[figs]'\n"
 
@@ -149,10 +146,11 @@ def test_ctrl_c_and_a_missing_package_are_one_line(monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
-        ("jax-aero obs", {"observer-limit"}),
+        ("jax-aero ver", {"verify"}),
+        ("jax-aero study obs", {"observer_limit"}),
         ("jax-aero fly test1_p", {"test1_published", "test1_published_observer"}),
-        ("jax-aero waypoints b", {"box"}),
-        ("jax-aero trim hov", {"hover_posture"}),
+        ("jax-aero robot waypoints b", {"box"}),
+        ("jax-aero study trim hov", {"hover_posture"}),
     ],
 )
 def test_tab_completes_commands_and_names(line, expected, tmp_path):

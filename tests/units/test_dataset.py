@@ -147,7 +147,7 @@ def test_a_file_gives_back_what_was_written(data, tmp_path):
 
 
 def test_a_dataset_that_is_not_there_is_named_with_the_command_that_writes_it(tmp_path):
-    with pytest.raises(ValueError, match=r"there is no dataset .*nope\.nc; write it with: jax-aero import-cfd"):
+    with pytest.raises(ValueError, match=r"there is no dataset .*nope\.nc; write it with: jax-aero data import-cfd"):
         ds.load(tmp_path / "nope.nc")
 
 

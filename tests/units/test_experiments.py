@@ -8,9 +8,9 @@ import xarray as xr
 
 from experiments import flight as runner
 from experiments import manifest
-from experiments.__main__ import main
+from experiments.fly import main
 from experiments.table import outcome_table
-from jax_aero import places, rust
+from jax_aero import cli, places, rust
 from jax_aero.result import ending
 
 
@@ -143,13 +143,13 @@ def test_the_list_names_every_experiment_with_its_title(capsys):
     assert re.search(r"  balancing_front +Ground experiment", listed)
 
 
-@pytest.mark.parametrize(("kind", "words"), [("experiments", ["--list"]), ("sweeps", ["sweep", "--list"])])
-def test_a_list_names_a_file_that_cannot_be_read(kind, words, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize(("kind", "command"), [("experiments", "fly"), ("sweeps", "sweep")])
+def test_a_list_names_a_file_that_cannot_be_read(kind, command, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(places, "CONFIGS", tmp_path)
     (tmp_path / kind).mkdir()
     (tmp_path / kind / "good.toml").write_text('title = "Good"')
     (tmp_path / kind / "broken.toml").write_text("title")
-    assert main(words) == 0
+    assert cli.main([command, "--list"]) == 0
     listed = capsys.readouterr().out
     assert re.search(r"  broken +\(broken\.toml: Expected '='", listed)
     assert re.search(r"  good +Good", listed)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from experiments import fit_aero, import_cfd
+from experiments.data import fit_aero, import_cfd
 from jax_aero import places
 from jax_aero.aero import dataset as ds
 from jax_aero.aero import fit
@@ -201,7 +201,7 @@ def test_the_figure_is_drawn(result):
 def test_a_missing_dataset_is_named_with_the_command_that_makes_it(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(places, "RESULTS", tmp_path)
     assert fit_aero.main(["none"]) == 2
-    assert "jax-aero import-cfd" in capsys.readouterr().err
+    assert "jax-aero data import-cfd" in capsys.readouterr().err
     assert fit_aero.main(["--set", f"dataset={tmp_path / 'none.nc'}"]) == 2
     assert "; expected the path of a file that exists" in capsys.readouterr().err
 

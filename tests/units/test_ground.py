@@ -10,12 +10,12 @@ import pytest
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
-from experiments import Refused, engines, record, sources, tip_over
+from experiments import Refused, engines, record
 from experiments.report import ground
-from jax_aero import mujoco_ground, places, rust, tables
+from jax_aero import mujoco_ground, rust, tables
 from jax_aero.control.channels import MODES
 from jax_aero.mujoco_ground import GroundPlant, fly
-from paper_figs.__main__ import main as draw
+from paper_figs.command import main as draw
 
 ROOT = Path(__file__).resolve().parents[2]
 STILL = {"profile": "constant", "velocity": [0.0, 0.0, 0.0]}
@@ -453,74 +453,3 @@ def test_jax_refuses_feet_by_name():
         with pytest.raises(ValueError, match=rf"{section}\.{key}`? is "):
             sim.fly(config)
         del config[section][key]
-
-
-# --- what tips it over ---------------------------------------------------------------------------------------------
-
-
-def outcome(speed, limit):
-    return {"stands": speed < limit, "slipped": False, "force": [speed, 0.0, 0.0]}
-
-
-@pytest.mark.parametrize("limit", [4.2, 11.0, 39.9])
-def test_the_limit_is_found_to_the_resolution(limit):
-    found = tip_over.seek(lambda speed: outcome(speed, limit), 4.0, 44.0, 0.5)
-    assert limit - 0.5 <= found["speed"] < limit
-    assert found["force"][0] == found["speed"]
-
-
-def test_what_nothing_or_everything_tips_is_said():
-    assert tip_over.seek(lambda speed: outcome(speed, 100.0), 4.0, 44.0, 0.5)["speed"] == 44.0
-    assert np.isnan(tip_over.seek(lambda speed: outcome(speed, 1.0), 4.0, 44.0, 0.5)["speed"])
-
-
-def test_a_trial_has_the_disturbances_of_its_experiment():
-    base = rust.load_config("balancing_lateral", {"disturbances.aero_estimate.scale": 0.5})
-    study = tip_over.STUDY.read("ground")[1]
-    for is_measured in (True, False):
-        config = tip_over.trial(base, study, 12.0, 90.0, 0.5, is_measured=is_measured)
-        assert config["disturbances"]["aero_estimate"]["scale"] == 0.5
-        assert (config["disturbances"]["controller_wind"] == config["wind"]) is is_measured
-
-
-def test_trials_that_are_cut_short_are_named(tmp_path):
-    path = tmp_path / ".ground.trials.json"
-    path.write_text('{"a": {')
-    with pytest.raises(Refused, match=r"\.ground\.trials\.json is damaged: "):
-        tip_over.Trials(path)
-
-
-def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
-    made = []
-
-    def fly(config):
-        speed = np.linalg.norm(config["wind"]["velocity"])
-        made.append(speed)
-        if len(made) == 5:
-            raise KeyboardInterrupt
-        n = 3
-        log = {
-            "foot_wrench": np.tile([0.0, 0.0, 200.0, 0.0, 0.0, 0.0], (n, 2, 1)),
-            "aero_force_sim": np.full((n, 13, 3), speed / 13),
-            "sole_position": np.zeros((n, 2, 3)),
-        }
-        return rust.FlightResult(log, np.zeros(23), "fell" if speed > 15.0 else "completed", None, None, {})
-
-    monkeypatch.setattr(mujoco_ground, "fly", fly)
-    text = (ROOT / "configs/tip_over/ground.toml").read_text().replace("../", f"{ROOT}/configs/")
-    path = tmp_path / "small.toml"
-    path.write_text(text.replace("[0.0, 30.0, 60.0, 90.0, 120.0, 150.0, 180.0]", "[0.0, 90.0]"))
-    monkeypatch.setattr(places, "RESULTS", tmp_path)
-    with pytest.raises(KeyboardInterrupt):
-        tip_over.STUDY.run(str(path))
-    interrupted = len(made)
-    document = tip_over.STUDY.run(str(path))
-    assert all(14.5 <= value <= 15.0 for value in document["summary"].values())
-    assert len(document["summary"]) == 4
-    assert document["code_hash"] == sources.code_hash("experiments.tip_over", "jax_aero.mujoco_ground")
-    assert list((tmp_path / "tip_over").glob(".*")) == []
-    # Four cells of two ends and seven halvings; the four trials before the interrupt are not made again.
-    assert len(made) == 4 * 9 + 1
-    assert interrupted == 5
-    results, out = str(tmp_path / "flight"), str(tmp_path / "out")
-    assert draw(["tip_over", "--runs", "small", "--results", results, "--out", out]) == 0

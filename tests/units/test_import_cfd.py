@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from experiments import fit_aero, import_cfd
+from experiments.data import fit_aero, import_cfd
 from jax_aero.aero import cfd_import, dataset
 from jax_aero.aero.dataset import JOINTS, LINKS
 from jax_aero.aero.posture import link_axes

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from experiments import Refused
-from experiments.import_robot import command, shapes, skeleton
+from experiments.robot import command, shapes, skeleton
 from jax_aero import mesh
 from jax_aero.symbolic import load_robot
 from jax_aero.urdf import IDENTITY

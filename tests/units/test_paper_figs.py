@@ -3,9 +3,12 @@ import pytest
 import xarray as xr
 from PIL import Image
 
+from experiments.studies.tip_over import figure as tip_over
+from experiments.studies.trajectory import figure as trajectory
+from experiments.studies.trim import figure as trim
 from jax_aero import places
-from paper_figs import panels, runs, style, tip_over, trajectory, trim
-from paper_figs.__main__ import main
+from paper_figs import panels, runs, style
+from paper_figs.command import main
 from paper_figs.figures import FIGURES
 from paper_figs.panels import readable_name
 

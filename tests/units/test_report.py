@@ -11,18 +11,19 @@ import pyarrow.parquet as pq
 import pytest
 import xarray as xr
 
-from experiments import engine_choice, manifest, record, wind_observer
-from experiments.__main__ import main
+from experiments import manifest, record
 from experiments.cfd.settings import FlowConfig
-from experiments.report import claims, facts, ground, metrics, outdated
+from experiments.report import claims, engines, facts, ground, metrics, outdated
 from experiments.report.command import _count_verdicts, _edge, _pictures, _spans, build, claims_json
 from experiments.report.page import Heading, Page, Picture, Table, Text
 from experiments.report.results import Results, Sweep
 from experiments.report.verdicts import AGREES, ANOTHER, NOT_FLOWN, judge_range
+from experiments.sources import file_hash
 from experiments.sweep import run, spec
 from experiments.sweep.design import Design
 from experiments.sweep.table import wilson
 from jax_aero import places, rust, tables
+from jax_aero.cli import main
 from jax_aero.places import ROBOT
 
 
@@ -188,16 +189,19 @@ def test_what_differs_of_a_sweep_is_named():
     assert outdated.sweep("paper_tests", {"config_hash": Design(shipped).digest}) == ""
 
 
-def test_a_study_of_another_flight_or_file_is_outdated(tmp_path, monkeypatch, make_flight):
-    monkeypatch.setattr(places, "RESULTS", tmp_path)
-    monkeypatch.setattr(rust, "fly_batch", lambda configs, **_: [make_flight() for _ in configs])
-    document = wind_observer.STUDY.run("turbulence", {"worlds": ["axisymmetric"], "speeds": [6.0], "flights": 1})
-    assert outdated.study("wind_observer", "turbulence", document) == ""
-    document["sources"]["files"]["configs/perturbation/flight.toml"] = "0"
-    document["sources"]["flights"]["test2_observer"] = "0"
-    document["sources"]["configurations"]["test2_observer"]["simulator"]["duration"] = 1.0
-    said = "test2_observer: `simulator.duration`; configs/perturbation/flight.toml"
-    assert outdated.study("wind_observer", "turbulence", document) == said
+def test_a_study_of_another_flight_or_file_is_outdated():
+    flight = manifest.make_portable(rust.load_config("test2"))
+    file = "configs/perturbation/flight.toml"
+    sources = {
+        "flights": {"test2": rust.config_digest(rust.load_config("test2"))},
+        "configurations": {"test2": flight},
+        "files": {file: file_hash(places.HOME / file)},
+    }
+    document = {"config": {}, "sources": sources}
+    assert outdated.study("made_up", "own", document) == ""
+    sources |= {"flights": {"test2": "0"}, "files": {file: "0"}}
+    flight["simulator"]["duration"] = 1.0
+    assert outdated.study("made_up", "own", document) == f"test2: `simulator.duration`; {file}"
 
 
 def test_a_study_of_another_file_of_its_name_is_outdated():
@@ -536,51 +540,27 @@ def test_the_arm_jet_sits_beside_its_elbow(agree):
 
 @pytest.mark.close_to_tolerance("the expected figure is typed to the digits that the tolerance allows")
 def test_the_papers_fuel_and_battery_come_out(measured):
-    choice = engine_choice.Choice()
-    assert round(choice.fuel(), 2) == engine_choice.PAPER_FUEL
-    measured("battery", abs(choice.battery(1.0) - engine_choice.PAPER_BATTERY), 0.01)
-    measured("power per thrust", abs(choice.power_per_thrust_for(engine_choice.PAPER_BATTERY) - 1.0), 1e-3)
+    choice = engines.Choice()
+    assert round(choice.fuel(), 2) == engines.PAPER_FUEL
+    measured("battery", abs(choice.battery(1.0) - engines.PAPER_BATTERY), 0.01)
+    measured("power per thrust", abs(choice.power_per_thrust_for(engines.PAPER_BATTERY) - 1.0), 1e-3)
     assert round(choice.battery(), 2) == 20.97
 
 
 def test_a_battery_hovers_itself_as_well(agree):
-    choice = engine_choice.Choice()
+    choice = engines.Choice()
     battery = choice.battery()
     energy = 1e3 * choice.fan_power / choice.fan_thrust * (choice.robot_mass + battery) * choice.minutes / 60.0
     agree("energy", energy, battery * choice.specific_energy, 1e-12)
     # A battery for 14 minutes and a half would weigh as much as it can lift, alone.
-    assert engine_choice.Choice(minutes=14.6).battery() == float("inf")
+    assert engines.Choice(minutes=14.6).battery() == float("inf")
 
 
 def test_fuel_is_burnt_by_what_is_left_of_it(agree):
-    choice = engine_choice.Choice()
+    choice = engines.Choice()
     mass, steps = choice.robot_mass + choice.fuel(), 100_000
     rate = choice.jet_consumption * choice.fuel_density / choice.jet_thrust
     for _ in range(steps):
         mass -= rate * mass * choice.minutes / steps
     agree("mass", mass, choice.robot_mass, 1e-5)
     assert choice.fuel_carried() > choice.fuel()
-
-
-def test_the_command_prints_and_writes_it(tmp_path, capsys):
-    assert main(["engine-choice", "--out", str(tmp_path)]) == 0
-    assert "4.61 kg" in capsys.readouterr().out
-    found = json.loads((tmp_path / "engine_choice.json").read_text())
-    assert [jet["engine"] for jet in found["engines"]] == ["P160", "P160", "P220", "P220"]
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--specific-energy", "1"], "`specific_energy` is 1; expected more than 83.3333 Wh/kg"),
-        (["--specific-energy", "0"], "`specific_energy` is 0.0; expected a number > 0"),
-        (["--minutes", "nan"], "`minutes` is NaN; expected a finite number"),
-        (["--jet-consumption", "900"], "`jet_consumption` is 900; expected less than 5.5 l/min"),
-    ],
-)
-def test_what_cannot_lift_itself_is_refused(words, message, tmp_path, capsys):
-    assert main(["engine-choice", "--out", str(tmp_path), *words]) == 2
-    shown = capsys.readouterr()
-    assert shown.err.startswith(f"error: engine-choice: {message}")
-    assert shown.out == ""
-    assert not list(tmp_path.iterdir())

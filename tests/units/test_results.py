@@ -14,12 +14,12 @@ import pyarrow as pa
 import pytest
 
 from experiments import Refused, manifest, record, sources, study
-from experiments.__main__ import main
 from experiments.engines import MODULES
 from experiments.sweep import run, spec
 from experiments.sweep.chunks import Chunks
 from experiments.sweep.design import Design
 from jax_aero import cli, files, io, places, rust
+from jax_aero.cli import main
 from jax_aero.view import recording
 from paper_figs import runs
 
@@ -140,9 +140,9 @@ def test_no_module_that_an_engine_loads_is_left_out_of_its_hash():
 
 
 def test_a_result_of_other_code_is_kept_and_called_so(flown, tmp_path, capsys, monkeypatch):
-    assert main(["test1", "--out", str(tmp_path)]) == 0
+    assert main(["fly", "test1", "--out", str(tmp_path)]) == 0
     monkeypatch.setattr("experiments.flight.code_hash", lambda *_: "other")
-    assert main(["test1", "--out", str(tmp_path)]) == 0
+    assert main(["fly", "test1", "--out", str(tmp_path)]) == 0
     assert "is finished already, made by other code" in capsys.readouterr().out
 
 
@@ -205,19 +205,19 @@ def test_a_damaged_table_of_a_finished_sweep_is_refused(tmp_path):
 
 
 def test_a_damaged_result_of_a_flight_is_refused_and_flown_again(flown, tmp_path, capsys):
-    assert main(["test1", "--out", str(tmp_path)]) == 0
+    assert main(["fly", "test1", "--out", str(tmp_path)]) == 0
     path = tmp_path / "test1" / "run.nc"
     path.write_bytes(path.read_bytes()[:-1])
-    assert main(["test1", "--out", str(tmp_path)]) == 2
+    assert main(["fly", "test1", "--out", str(tmp_path)]) == 2
     assert "run.nc is not what was written there; --overwrite makes it again" in capsys.readouterr().err
-    assert main(["test1", "--out", str(tmp_path), "--overwrite"]) == 0
+    assert main(["fly", "test1", "--out", str(tmp_path), "--overwrite"]) == 0
 
 
 def test_overwrite_removes_only_what_was_written(flown, tmp_path, capsys):
     """Also what is hidden, or deeper."""
     sweep = tmp_path / "sweep.toml"
     words = {
-        "test1": ["test1", "--out", str(tmp_path), "--overwrite"],
+        "test1": ["fly", "test1", "--out", str(tmp_path), "--overwrite"],
         "made_up": ["sweep", str(sweep), "--out", str(tmp_path), "--overwrite"],
     }
     sweep.write_text(
@@ -244,7 +244,7 @@ def test_a_result_behind_a_link_is_overwritten_each_time(flown, tmp_path):
     for name in ("test1", "made_up"):
         (results / name).symlink_to(elsewhere / name)
     for _ in range(3):
-        assert main(["test1", "--out", str(results), "--overwrite"]) == 0
+        assert main(["fly", "test1", "--out", str(results), "--overwrite"]) == 0
         run.run(design(), workers=1, out=results, overwrite=True)
     assert sorted(path.name for path in elsewhere.iterdir()) == ["made_up", "test1"]
     assert [path.is_symlink() for path in results.iterdir()] == [True, True]
@@ -263,10 +263,10 @@ def test_every_file_of_a_study_counts_as_its_own(tmp_path):
     assert sorted(files.checksums(tmp_path / "a")) == ["manifest.json", "new.csv", "run.nc"]
 
 
-@pytest.mark.parametrize("command", ["sweep", "fly", "figures", "air", "train", "snapshot", "waypoints"])
+@pytest.mark.parametrize("command", ["sweep", "fly", "figures", "air", "train", "view snapshot", "robot waypoints"])
 def test_an_empty_path_is_refused(command, capsys):
     with pytest.raises(SystemExit):
-        cli.main([command, "name", "--out", ""])
+        cli.main([*command.split(), "name", "--out", ""])
     assert "the path is empty; expected a file or folder" in capsys.readouterr().err
 
 
@@ -298,7 +298,7 @@ def test_what_is_kept_of_work_under_way_has_one_process(tmp_path, monkeypatch, c
     monkeypatch.setattr(places, "RESULTS", tmp_path)
     result = tmp_path / "tune" / "aero_aware"
     with files.lock_work(result):
-        assert main(["tune"]) == 2
+        assert main(["study", "tune"]) == 2
     assert f".{result.name}.work is being written by process" in capsys.readouterr().err
     assert not any(path.is_file() for path in tmp_path.rglob("*"))
 
@@ -306,9 +306,9 @@ def test_what_is_kept_of_work_under_way_has_one_process(tmp_path, monkeypatch, c
 def test_a_flight_that_another_process_flies_is_not_flown(flown, tmp_path, capsys, monkeypatch):
     with files.lock_work(tmp_path / "test1"), monkeypatch.context() as patched:
         patched.setattr(rust, "fly", lambda *_: pytest.fail("it is flown"))
-        assert main(["test1", "--out", str(tmp_path)]) == 2
+        assert main(["fly", "test1", "--out", str(tmp_path)]) == 2
     assert f".test1.work is being written by process {os.getpid()}" in capsys.readouterr().err
-    assert main(["test1", "--out", str(tmp_path)]) == 0
+    assert main(["fly", "test1", "--out", str(tmp_path)]) == 0
     assert [path.name for path in tmp_path.iterdir()] == ["test1"]
 
 
@@ -347,7 +347,7 @@ def longest_file(size: int):
 def test_what_cannot_be_written_is_one_line_and_leaves_nothing_half(flown, tmp_path, capsys):
     """Written as HDF5 onto the disk, a flight ended the process here."""
     with longest_file(20_000):
-        assert main(["test1", "--out", str(tmp_path)]) == 2
+        assert main(["fly", "test1", "--out", str(tmp_path)]) == 2
     assert re.fullmatch(r"error: \S+run\.nc: File too large\n", capsys.readouterr().err)
     assert list(tmp_path.iterdir()) == []
 
@@ -366,11 +366,11 @@ def test_a_full_and_a_read_only_disk_are_one_line(flown, tmp_path, capsys):
     if not mount("-t", "tmpfs", "-o", "size=64k", "none", str(tmp_path)):
         pytest.skip("no right to mount a small disk")
     try:
-        assert main(["test1", "--out", str(tmp_path)]) == 2
+        assert main(["fly", "test1", "--out", str(tmp_path)]) == 2
         assert re.fullmatch(r"error: \S+run\.nc: No space left on device\n", capsys.readouterr().err)
         assert list(tmp_path.iterdir()) == []
         assert mount("-o", "remount,ro", str(tmp_path))
-        for command in (["test1"], ["sweep", "baseline_edge"]):
+        for command in (["fly", "test1"], ["sweep", "baseline_edge"]):
             assert main([*command, "--out", str(tmp_path)]) == 2
             assert re.fullmatch(r"error: \S+: Read-only file system\n", capsys.readouterr().err)
     finally:
@@ -414,7 +414,7 @@ def test_the_viewer_reads_a_damaged_result_whole_or_refuses_it(tmp_path, make_fl
 
 
 def test_a_figure_calls_a_damaged_result_missing(flown, tmp_path):
-    assert main(["test1", "--out", str(tmp_path)]) == 0
+    assert main(["fly", "test1", "--out", str(tmp_path)]) == 0
     path = tmp_path / "test1" / "run.nc"
     path.write_bytes(path.read_bytes()[:1000])
     with pytest.raises(runs.MissingRun, match=r"run\.nc is damaged .*; remove its folder and make it again"):

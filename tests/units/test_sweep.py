@@ -18,11 +18,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from experiments import Refused, cluster, engines
-from experiments.__main__ import main
 from experiments.sweep import keys, run, spec, table
 from experiments.sweep.design import Design
 from experiments.sweep.perturbation import Perturbation, members
 from jax_aero import places, rust
+from jax_aero.cli import main
 
 ROOT = Path(__file__).resolve().parents[2]
 ENSEMBLE = ROOT / "configs" / "aero" / "networks" / "ensemble" / "ensemble.json"

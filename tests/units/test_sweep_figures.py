@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 from paper_figs import maps
-from paper_figs.__main__ import DRAWINGS, main
 from paper_figs.ablation import _is_geometric
+from paper_figs.command import DRAWINGS, main
 from paper_figs.figures import SWEEPS
 from paper_figs.scatter import correlations
 from paper_figs.sweeps import Sweep, axis_label, load

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from paper_figs import tunnel
-from paper_figs.__main__ import main
+from paper_figs.command import main
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments import waypoints
-from experiments.waypoints import Step, Waypoints, reference
+from experiments.robot import waypoints
+from experiments.robot.waypoints import Step, Waypoints, reference
 from jax_aero import cli, places, rust, tables
 from tests.measurements import measured
 
@@ -77,7 +77,7 @@ def test_a_mission_that_cannot_be_flown_leaves_no_file(tmp_path, steps):
 
 
 def test_the_shipped_box_is_written_and_can_be_flown(tmp_path, capsys):
-    assert cli.main(["waypoints", "box", "--out", str(tmp_path)]) == 0
+    assert cli.main(["robot", "waypoints", "box", "--out", str(tmp_path)]) == 0
     flight = tmp_path / "box" / "box.toml"
     assert "box.toml" in capsys.readouterr().out
     config = rust.load_config(flight)
@@ -93,7 +93,7 @@ def test_the_shipped_box_is_written_and_can_be_flown(tmp_path, capsys):
 
 
 def test_a_reference_that_was_changed_is_only_replaced_on_request(tmp_path, capsys):
-    words = ["waypoints", "box", "--out", str(tmp_path)]
+    words = ["robot", "waypoints", "box", "--out", str(tmp_path)]
     mission = tmp_path / "box" / "mission.csv"
     assert cli.main(words) == cli.main(words) == 0  # the same content is written again
     written = mission.read_text()
@@ -106,5 +106,5 @@ def test_a_reference_that_was_changed_is_only_replaced_on_request(tmp_path, caps
 
 
 def test_mistakes_are_named(capsys):
-    assert cli.main(["waypoints", "bix"]) == cli.REFUSED
+    assert cli.main(["robot", "waypoints", "bix"]) == cli.REFUSED
     assert "did you mean box" in capsys.readouterr().err

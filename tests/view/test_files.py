@@ -45,7 +45,21 @@ def near(picture: np.ndarray, colour: tuple[int, int, int]) -> int:
 @pytest.mark.usefixtures("_can_draw")
 def test_a_clip_has_the_frames_that_were_asked_for(fallen, tmp_path, capsys):
     out = tmp_path / "clip.mp4"
-    words = ["video", str(fallen), "--out", str(out), "--start", "17", "--end", "18", "--fps", "5", "--size", "320x180"]
+    words = [
+        "view",
+        "video",
+        str(fallen),
+        "--out",
+        str(out),
+        "--start",
+        "17",
+        "--end",
+        "18",
+        "--fps",
+        "5",
+        "--size",
+        "320x180",
+    ]
     assert commands.main(words) == 0
     assert capsys.readouterr().out.strip() == str(out)
     with av.open(out) as film:
@@ -62,6 +76,7 @@ def test_a_clip_has_the_frames_that_were_asked_for(fallen, tmp_path, capsys):
 def test_a_gif_has_its_frames_and_what_is_there_is_spared(fallen, tmp_path, capsys):
     out = tmp_path / "clip.gif"
     words = [
+        "view",
         "video",
         str(fallen),
         "--out",
@@ -79,7 +94,7 @@ def test_a_gif_has_its_frames_and_what_is_there_is_spared(fallen, tmp_path, caps
     with Image.open(out) as film:
         assert (film.n_frames, film.size, film.info["duration"], film.info["loop"]) == (3, (160, 96), 200, 0)
     before = out.read_bytes()
-    for attempt in (words, ["snapshot", str(fallen), "--out", str(tmp_path / "clip.png")]):
+    for attempt in (words, ["view", "snapshot", str(fallen), "--out", str(tmp_path / "clip.png")]):
         (tmp_path / "clip.png").write_bytes(b"mine")
         capsys.readouterr()
         assert commands.main(attempt) == 2
@@ -116,9 +131,21 @@ def test_a_video_ends_where_the_flight_ends(seen, agree):
 @pytest.mark.usefixtures("_can_draw")
 def test_a_snapshot_shows_robot_forces_thrusts_and_wind(fallen, tmp_path):
     several, one, before = (tmp_path / f"{name}.png" for name in ("several", "one", "before"))
-    assert commands.main(["snapshot", str(fallen), "--out", str(several), "--size", "640x360"]) == 0
-    assert commands.main(["snapshot", str(fallen), "--at", "18", "--out", str(one), "--size", "640x360"]) == 0
-    words = ["snapshot", str(fallen), "--at", "1", "--out", str(before), "--size", "640x360", "--camera", "side"]
+    assert commands.main(["view", "snapshot", str(fallen), "--out", str(several), "--size", "640x360"]) == 0
+    assert commands.main(["view", "snapshot", str(fallen), "--at", "18", "--out", str(one), "--size", "640x360"]) == 0
+    words = [
+        "view",
+        "snapshot",
+        str(fallen),
+        "--at",
+        "1",
+        "--out",
+        str(before),
+        "--size",
+        "640x360",
+        "--camera",
+        "side",
+    ]
     assert commands.main(words) == 0
     pictures = {path.stem: np.asarray(Image.open(path).convert("RGB")) for path in (several, one, before)}
     assert {picture.shape for picture in pictures.values()} == {(360, 640, 3)}
@@ -205,7 +232,7 @@ def test_an_interrupted_video_leaves_nothing(fallen, tmp_path, monkeypatch, caps
             raise KeyboardInterrupt
 
     monkeypatch.setattr(command, "progress_bar", bar)
-    words = ["video", str(fallen), "--out", str(out), "--size", "128x96", "--overwrite"]
+    words = ["view", "video", str(fallen), "--out", str(out), "--size", "128x96", "--overwrite"]
     assert commands.main(words) == 130
     assert "interrupted" in capsys.readouterr().err
     assert len(seen_halfway) == 2  # the draft was there
@@ -225,20 +252,23 @@ def test_no_way_to_draw_is_said_so(seen, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["video", "--size", "321x180"], "even numbers"),
-        (["video", "--fps", "0"], "fps is 0"),
-        (["video", "--speed", "-1"], "positive factor"),
-        (["video", "--speed", "1e-9"], "speed is 1e-09; expected"),
-        (["video", "--start", "30"], "would run from 30 to 21."),
-        (["video", "--out", "clip.avi"], "does not end in .mp4"),
-        (["snapshot", "--at", "22"], "there is no moment at 22 s; expected 0 to 21."),
-        (["snapshot", "--out", "a.jpg"], "does not end in .png"),
-        (["snapshot", "--size", "128x96", "--at", "0", "1", "2"], "3 moments are given; expected at most 2 in 128"),
-        (["snapshot", "--out", f"nowhere{os.sep}a.png", "--at", "0"], "there is no folder `nowhere`"),
+        (["view", "video", "--size", "321x180"], "even numbers"),
+        (["view", "video", "--fps", "0"], "fps is 0"),
+        (["view", "video", "--speed", "-1"], "positive factor"),
+        (["view", "video", "--speed", "1e-9"], "speed is 1e-09; expected"),
+        (["view", "video", "--start", "30"], "would run from 30 to 21."),
+        (["view", "video", "--out", "clip.avi"], "does not end in .mp4"),
+        (["view", "snapshot", "--at", "22"], "there is no moment at 22 s; expected 0 to 21."),
+        (["view", "snapshot", "--out", "a.jpg"], "does not end in .png"),
+        (
+            ["view", "snapshot", "--size", "128x96", "--at", "0", "1", "2"],
+            "3 moments are given; expected at most 2 in 128",
+        ),
+        (["view", "snapshot", "--out", f"nowhere{os.sep}a.png", "--at", "0"], "there is no folder `nowhere`"),
     ],
 )
 def test_numbers_that_make_no_sense_are_refused(words, expected, fallen, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert commands.main([words[0], str(fallen), *words[1:]]) == 2
+    assert commands.main([*words[:2], str(fallen), *words[2:]]) == 2
     assert expected in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

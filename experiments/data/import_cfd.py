@@ -1,0 +1,116 @@
+"""Convert free-stream simulations into a dataset of this project: `jax-aero data import-cfd --table FILE`.
+
+The public table is in the history of https://github.com/ami-iit/element_cfd-simulation, in a commit without a licence,
+so it is not shipped here: get it there, as a file (`--table`) or as a clone (`--clone`). The authors' training file
+can be read too (`--mat`). The results of the checks are printed and stored in the dataset.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from experiments import Refused
+from jax_aero import places, tables
+from jax_aero.aero.cfd_import import read_mat, read_solver_table
+from jax_aero.aero.dataset import JOINTS, Dataset, Floats, read_postures, save
+from jax_aero.cli import Parser
+from jax_aero.command import exit_status
+
+POSTURES = places.CONFIGS / "tables" / "postures.toml"
+OUT = places.RESULTS / "datasets"
+
+COMMIT = "0d43057"
+TABLE_PATH = "simulations/ironcub-automatic-cfd/auto-cfd-sim/data/outputParameters.csv"
+"""Path of the public table in the history of the public repository."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit status."""
+    parser = Parser("data import-cfd", __doc__)
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--table", type=Path, metavar="FILE", help="the solver's table")
+    source.add_argument("--clone", type=Path, metavar="DIR", help="a local clone of element_cfd-simulation")
+    source.add_argument("--mat", type=Path, metavar="FILE", help="the authors' training file")
+    parser.add_argument("--commit", default=COMMIT, help=f"commit of the clone that has the table (default {COMMIT})")
+    parser.add_argument("--joints", type=Path, metavar="FILE", help="joint angles by posture (CSV: name, JOINT_deg, …)")
+    parser.add_argument(
+        "--frame", choices=("base", "wind"), default="base", help="axes of the areas in a .mat file (default base)"
+    )
+    parser.add_argument("--out", type=Path, metavar="FILE", help="the dataset (default results/datasets/NAME.nc)")
+    given = parser.parse_args(arguments)
+
+    def work() -> None:
+        keep(_read(given), given.out or OUT / f"{'training_file' if given.mat else 'freestream'}.nc")
+
+    return exit_status(work)
+
+
+def keep(dataset: Dataset, out: Path) -> None:
+    """Write a dataset and print its description."""
+    save(dataset, out)
+    print(summary(dataset))
+    print(f"{out}: sha256 {dataset.sha256}")
+
+
+def _read(given: argparse.Namespace) -> Dataset:
+    if given.mat:
+        return read_mat(given.mat, frame=given.frame)
+    postures = read_postures(given.joints) if given.joints else known_postures()
+    if given.clone:
+        text, source = from_clone(given.clone, given.commit), f"{TABLE_PATH} at {given.commit}"
+    else:
+        text, source = read_table(given.table), given.table.name
+    return read_solver_table(text, postures, source=source)
+
+
+def read_table(path: Path) -> str:
+    """Return the text of a CSV table."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as reason:
+        raise Refused(f"{path} is not text: {reason}; expected a CSV table") from None
+
+
+def known_postures(sections: Sequence[str] | None = None) -> dict[str, Floats]:
+    """Return the joint angles (19,) [deg] of the named postures, of some or all sections."""
+    table = tables.read(POSTURES)
+    if (order := tuple(table.pop("joints"))) != JOINTS:
+        raise Refused(f"joints of {POSTURES} are {list(order)}; expected {list(JOINTS)}")
+    chosen = table if sections is None else {name: table[name] for name in sections}
+    postures = {}
+    for section in chosen.values():
+        for name, angles in section.items():
+            if len(angles) != len(JOINTS):
+                raise Refused(f"posture `{name}` of {POSTURES} has {len(angles)} angles; expected {len(JOINTS)}")
+            postures[name] = np.array(angles, dtype=np.float64)
+    return postures
+
+
+def from_clone(clone: Path, commit: str) -> str:
+    """Return the table from the history of a clone, without checking anything out."""
+    try:
+        answer = subprocess.run(
+            ["git", "-C", str(clone), "show", f"{commit}:{TABLE_PATH}"], capture_output=True, check=True, timeout=60
+        )
+    except FileNotFoundError as reason:
+        raise Refused("git is not installed; give the table as a file with --table") from reason
+    except subprocess.SubprocessError as reason:
+        said = getattr(reason, "stderr", b"") or b""
+        words = said.decode(errors="replace").strip().splitlines()
+        raise Refused(
+            f"{clone} has no {TABLE_PATH} at commit {commit}: {words[-1] if words else reason}; expected a full clone "
+            "of element_cfd-simulation (a shallow one lacks old commits)"
+        ) from reason
+    return answer.stdout.decode("utf-8")
+
+
+def summary(dataset: Dataset) -> str:
+    """Return a description of a dataset and the results of its checks."""
+    lines = [f"{len(dataset)} rows of {len(dataset.postures)} postures: {', '.join(dataset.postures[:20])}"]
+    lines += [f"  {name:<62} {value:.4g}" for name, value in dataset.checks.items()]
+    return "\n".join(lines)

@@ -1,0 +1,168 @@
+"""Convert wind-tunnel balance files into a dataset: `jax-aero data import-tunnel --clone DIR`.
+
+The files are the `data_GVPM/TID_*.GVP` of the three campaigns in the public repository
+https://github.com/ami-iit/element_cfd-simulation (BSD-3-Clause), none of which is shipped here. A table of points with
+the balance's six components can be read too (`--table`). All components are reduced to force areas and moment volumes
+about the balance centre, the hip-pitch axis and the centre of mass, with an uncertainty budget; gravity sweeps
+(`.tara`) give the position of the centre of gravity relative to the balance centre. Writes one NetCDF file per robot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from experiments import Refused, record
+from experiments.data.import_cfd import OUT, known_postures, read_table
+from jax_aero import places, tables
+from jax_aero.aero import tunnel
+from jax_aero.aero.dataset import Floats
+from jax_aero.aero.posture import link_frames
+from jax_aero.aero.tunnel import Points, Test
+from jax_aero.cli import Parser
+from jax_aero.command import exit_status
+from jax_aero.places import ROBOT
+from jax_aero.robot import load_robot
+
+TESTS = places.CONFIGS / "tables" / "tunnel_tests.toml"
+ROOTS = ("wind-tunnel", "wind-tunnel-data")
+"""Folders of the campaigns in a clone, which differ between commits."""
+SIDES = ("below", "above")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit status."""
+    parser = Parser("data import-tunnel", __doc__)
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--clone", type=Path, metavar="DIR", help="a local clone of element_cfd-simulation")
+    source.add_argument("--table", type=Path, metavar="FILE", help="a table of points of one robot (CSV)")
+    parser.add_argument(
+        "--side", choices=SIDES, default="below", help="side of Mk1's balance centre from the hip axis (default below)"
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for tunnel_ROBOT.nc (default results/datasets)")
+    given = parser.parse_args(arguments)
+    out: Path = given.out or OUT
+
+    def work() -> None:
+        found = list(from_clone(given.clone) if given.clone else [from_table(given.table)])
+        for points in found:
+            data = reduce_moments(points, given.side)
+            path = out / f"tunnel_{points.robot}.nc"
+            record.write_dataset(data, path)
+            print(summary(data), path, sep="\n")
+        if given.clone:
+            print(sweeps_text(gravity_sweeps(given.clone)))
+
+    return exit_status(work)
+
+
+def known_tests() -> dict[tuple[str, str], Test]:
+    """Return the entries of the table of tests, by campaign and name."""
+    found = {}
+    for campaign in tables.read(TESTS)["campaign"]:
+        marks = campaign.get("marks", {})
+        points = campaign.get("point_marks", {})
+        limits = campaign.get("tare_above_deg", {})
+        for kind in ("hovering", "flight"):
+            for posture, numbers in campaign[kind].items():
+                for number in numbers:
+                    name = f"TID_{number:04}"
+                    against: dict[int, tuple[str, ...]] = {}
+                    for mark, tests in points.items():
+                        for point in tests.get(name, ()):
+                            against[point] = (*against.get(point, ()), mark)
+                    found[campaign["name"], name] = Test(
+                        campaign=campaign["name"],
+                        kind=kind,
+                        posture=posture,
+                        robot=campaign["robot"],
+                        marks=tuple(mark for mark, numbers in marks.items() if number in numbers),
+                        point_marks=against,
+                        tare_above_deg=limits.get(name),
+                    )
+    return found
+
+
+def folders(clone: Path) -> dict[str, Path]:
+    """Return the folders of balance files in a clone, by campaign."""
+    found = {}
+    for campaign in tables.read(TESTS)["campaign"]:
+        places = [clone / root / name / "data_GVPM" for root in ROOTS for name in campaign["folders"]]
+        if present := [place for place in places if place.is_dir()]:
+            found[campaign["name"]] = present[0]
+    if not found:
+        raise Refused(f"{clone} has no {ROOTS[0]}/exp_*/data_GVPM; expected a clone of element_cfd-simulation")
+    return found
+
+
+def from_clone(clone: Path) -> Iterator[Points]:
+    """Yield the points of each robot."""
+    tests = known_tests()
+    parts: dict[str, list[Points]] = {}
+    for campaign, folder in folders(clone).items():
+        for path in sorted(folder.glob("TID_*.GVP")):
+            if (about := tests.get((campaign, path.stem))) is None:
+                continue  # trials and aborted runs, not in the list of tests
+            gvp = tunnel.read_gvp(path.read_text(encoding="utf-8", errors="replace"), f"{campaign}/{path.name}")
+            parts.setdefault(about.robot, []).append(tunnel.points_of(path.stem, about, gvp))
+    if not parts:
+        raise Refused(f"{clone} has no balance file of a test that configs/tables/tunnel_tests.toml names")
+    for robot in sorted(parts):
+        yield tunnel.join(parts[robot])
+
+
+def from_table(path: Path) -> Points:
+    """Return the points of a table."""
+    return tunnel.read_reduced(read_table(path), known_tests(), path.name)
+
+
+def reduce_moments(points: Points, side: str) -> xr.Dataset:
+    """Reduce points about the hip and the centre of mass of the robot's model."""
+    joints: dict[str, Floats] = {}
+    coms: dict[str, Floats] = {}
+    if points.robot == "mk1":
+        known = known_postures()
+        joints = {name: known[name] for name in dict.fromkeys(points.posture)}
+        places = link_frames(load_robot(ROBOT), np.stack(list(joints.values()))).com
+        coms = dict(zip(joints, places, strict=True))
+    return tunnel.reduce_points(points, joints, coms, side)
+
+
+def gravity_sweeps(clone: Path) -> dict[str, dict[str, tuple[Floats, Floats]]]:
+    """Return the centre of gravity relative to the balance centre [m], balance axes, by campaign and sweep."""
+    found: dict[str, dict[str, tuple[Floats, Floats]]] = {}
+    for campaign, folder in folders(clone).items():
+        for path in sorted(folder.glob("TID_*.tara")):
+            sweep = tunnel.read_sweep(path.read_text(encoding="utf-8", errors="replace"), path.name)
+            found.setdefault(campaign, {})[path.stem] = tunnel.centre_of_gravity(*sweep)
+    return found
+
+
+def sweeps_text(sweeps: Mapping[str, Mapping[str, tuple[Floats, Floats]]]) -> str:
+    """Return one line of text per gravity sweep."""
+    lines = ["centre of gravity from the balance centre, balance axes [m], by gravity sweep"]
+    for campaign, entries in sweeps.items():
+        for name, (place, deviation) in entries.items():
+            cells = "  ".join(f"{p:+.4f} ± {s:.4f}" for p, s in zip(place, deviation, strict=True))
+            lines.append(f"  {campaign} {name}  {cells}")
+    return "\n".join(lines)
+
+
+def summary(data: xr.Dataset) -> str:
+    """Return a description of a dataset."""
+    tests = len(set(zip(data["campaign"].values, data["test"].values, strict=True)))
+    postures = len(set(data["posture"].values))
+    alone = int(data["robot_only"].sum())
+    lines = [
+        f"{data.attrs['robot']}: {data.sizes['point']} points of {tests} tests, {postures} postures; {alone} alone"
+    ]
+    if data.attrs["robot"] == "mk1":
+        chosen: Any = data["robot_only"].values == 1
+        for name in ("u_lever", "u_zero", "u_repeat", "u_total"):
+            size = np.sqrt(np.mean(data[name].values[chosen] ** 2, axis=0))
+            lines.append(f"  {name} of these, rms by axis [m3]: " + ", ".join(f"{value:.4f}" for value in size))
+    return "\n".join(lines)

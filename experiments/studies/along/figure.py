@@ -1,0 +1,41 @@
+"""Fuel burnt, and clearance between jets and body, along flights."""
+
+from __future__ import annotations
+
+import xarray as xr
+from matplotlib.figure import Figure
+
+from paper_figs import style
+from paper_figs.entry import Entry
+
+COLOURS = (style.BLUE, style.SKY, style.GREEN, style.PURPLE, style.VERMILION, style.ORANGE, style.BLACK)
+
+
+def draw(study: xr.Dataset) -> Figure:
+    """Draw fuel on the left and the least clearance of the four jets on the right."""
+    figure = style.figure(3.1)
+    left, right = figure.subplots(1, 2, sharex=True)
+    for index, flight in enumerate(study["flight"].values.tolist()):
+        one = study.sel(flight=flight)
+        look = {"color": COLOURS[index % len(COLOURS)], "linestyle": "--" if "published" in flight else "-"}
+        fuel = one["fuel"].dropna("time")
+        left.plot(fuel["time"], fuel, label=flight.replace("_", " "), **look)
+        nearest = 1e3 * one["clearance"].min("jet").dropna("time")
+        right.plot(nearest["time"], nearest, linewidth=0.9, **look)
+        if one["lost_time"].notnull():
+            for axes, line in ((left, fuel), (right, nearest)):
+                axes.plot(line["time"][-1], line[-1], "X", color=style.VERMILION, markersize=6)
+    left.set_ylabel("fuel burnt [l]")
+    left.set_ylim(bottom=0.0)
+    right.set_ylabel("exhaust axis to nearest link [mm]")
+    right.axhline(0.0, color=style.GREY, linewidth=0.9)
+    for axes in (left, right):
+        axes.set_xlabel("time [s]")
+    style.letters((left, right))
+    left.legend()
+    return figure
+
+
+FIGURES = {
+    "along": Entry(draw, "fuel burnt and clearance of the jets along flights", "along", ("flights",)),
+}

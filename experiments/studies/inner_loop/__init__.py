@@ -1,0 +1,1 @@
+"""The study `inner_loop`."""

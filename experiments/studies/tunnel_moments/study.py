@@ -1,0 +1,269 @@
+"""Compare every model's moments with the wind tunnel.
+
+Each model is evaluated at the measured points of iRonCub-Mk1, with the forces at the links' centres and at the points
+of the published code, and compared with the measured moment about the centre of mass, for both possible sides of the
+balance centre. Intervals are computed by drawing postures with replacement, and the balance centre within its tolerance
+once for each campaign and mount. Two models are also corrected by the points of the robot alone
+(`correction.py`) and tested on postures, and on a mount, that the correction did not use. The result
+goes to `results/tunnel_moments/mk1/`; `jax-aero figures tunnel_moments` draws it. Needs
+`results/datasets/tunnel_mk1.nc` of `import-tunnel`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from experiments import Refused, record
+from experiments.cfd.models import MODEL_FILES, NEWTON_METRES, model_areas
+from experiments.data.import_cfd import OUT
+from experiments.studies.tunnel_moments.correction import Points, columns, held_out_errors, rms_by_posture
+from experiments.study import Findings, Study
+from jax_aero import tables
+from jax_aero.aero import tunnel
+from jax_aero.aero.dataset import Floats, tunnel_from_base, wind_direction
+from jax_aero.aero.posture import link_frames, total_wrench, vector_rms
+from jax_aero.places import ROBOT
+from jax_aero.robot import RobotModel, load_robot
+
+NOTHING = "no moment"
+CORRECTED = ("axisymmetric, corrected", "network, shipped")
+"""Models that are corrected by the tunnel."""
+ARMS, SIDES = ("corrected arms", "published arms"), ("below", "above")
+GROUPS = ("hovering", "flight", "all")
+DRAWS, SEED = 1000, 1
+ENDS = (0.025, 0.975)
+ADDED = ("2.5 %", "97.5 %", "share above zero")
+
+
+class MomentsConfig(tables.Table, frozen=True):
+    """Settings of a comparison."""
+
+    dataset: Path = OUT / "tunnel_mk1.nc"
+    """Dataset from import-tunnel."""
+
+
+def compute(_: str, config: MomentsConfig) -> Findings:
+    """Evaluate and compare."""
+    data, robot = read(config.dataset), load_robot(ROBOT)
+    areas = model_areas(robot, data)
+    result = compare_moments(robot, data, areas)
+    figures = summary(result) | corrections(robot, data, areas)
+    inputs = {"draws": DRAWS, "seed": SEED, "points": result.sizes["point"]}
+    return Findings("Models' moments beside the wind tunnel", result, figures, inputs=inputs, files=MODEL_FILES)
+
+
+STUDY = Study("tunnel_moments", __doc__, MomentsConfig, compute, ("mk1",), engine="jax")
+main = STUDY.main
+
+
+def read(path: Path) -> xr.Dataset:
+    """Return the points of the tunnel."""
+    if not path.is_file():
+        raise Refused(f"no {path.name}; make it with: jax-aero data import-tunnel --clone DIR")
+    return record.load_result(path)
+
+
+def compare_moments(robot: RobotModel, data: xr.Dataset, areas: Mapping[str, Floats]) -> xr.Dataset:
+    """Return the moments of all models beside the measured ones, and their errors."""
+    predicted = {name: moments(robot, data, of_links) for name, of_links in areas.items()}
+    names = [NOTHING, *predicted]
+    volumes = np.stack([np.zeros((2, data.sizes["point"], 3)), *predicted.values()])
+    measured = np.stack([moment_about_com(data, side) for side in SIDES])
+    errors, intervals, added = compare(data, volumes)
+    arms, point = np.array(ARMS), ("point", "axis")
+    return xr.Dataset(
+        {
+            "predicted": (("model", "arms", *point), volumes, {"units": "m3"}),
+            "measured": (("side", *point), measured, {"units": "m3"}),
+            "uncertainty": (point, data["u_total"].values, {"units": "m3"}),
+            "rms": (("model", "arms", "side", "group"), errors, {"units": "N m", "long_name": "at 10 m/s"}),
+            "interval": (("model", "arms", "side", "group", "end"), intervals, {"units": "N m"}),
+            "added": (("model", "side", "group", "figure"), added, {"long_name": "by the published arms: N m, share"}),
+        },
+        {
+            "model": names,
+            "arms": arms,
+            "side": list(SIDES),
+            "group": list(GROUPS),
+            "end": list(ENDS),
+            "figure": list(ADDED),
+            "axis": ["x", "y", "z"],
+            **{name: data[name] for name in ("campaign", "test", "kind", "posture", "marks", "robot_only")},
+            **{name: data[name] for name in ("pitch", "yaw", "speed")},
+        },
+    )
+
+
+def moments(robot: RobotModel, data: xr.Dataset, areas: Floats) -> Floats:
+    """Return moment volumes about the centre of mass (2, N, 3) [m³], base axes, by lever arm.
+
+    The published arm adds a link's offset without rotating it into inertial axes; the robot has the attitude of flight,
+    pitched in a lateral wind instead of yawed.
+    """
+    frames, offsets = link_frames(robot, data["joint_position"].values), np.asarray(robot.aero_links.centres)
+    from_com = frames.positions - frames.com[:, None]
+    base_from_inertial = np.swapaxes(tunnel_from_base(data["pitch"].values, 0.0), -1, -2)
+    right = from_com + np.einsum("nlij,lj->nli", frames.rotations, offsets)
+    published = from_com + np.einsum("nij,lj->nli", base_from_inertial, offsets)
+    return np.stack([np.cross(arms, areas).sum(axis=1) for arms in (right, published)])
+
+
+def moment_about_com(data: xr.Dataset, side: str, more: Callable[[str, str], Floats] | None = None) -> Floats:
+    """Return the measured moment volumes about the centre of mass (N, 3) [m³], base axes, for one side.
+
+    `more(campaign, kind)` is added to the offset, balance axes [m].
+    """
+    kinds, campaigns = data["kind"].values, data["campaign"].values
+    arms = np.zeros((len(kinds), 3))
+    for kind in np.unique(kinds):
+        for campaign in np.unique(campaigns):
+            chosen = (kinds == kind) & (campaigns == campaign)
+            offset = np.array(tunnel.LEVERS[str(kind), side].offset)
+            offset = offset if more is None else offset + more(str(campaign), str(kind))
+            arms[chosen] = tunnel.base_from_balance("mk1", str(kind)) @ offset
+    arms += tunnel.HIP - data["com"].values
+    found: Floats = data["moment_balance"].values + np.cross(arms, data["force_area"].values)
+    return found
+
+
+def compare(data: xr.Dataset, volumes: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return rms errors at 10 m/s (model, arms, side, group), their 95 % intervals, and that of the arms' effect.
+
+    The last is (model, side, group, 3): 2.5 and 97.5 % quantiles of the published arms' rms error minus that of the
+    corrected ones, and the share of draws in which it is positive.
+    """
+    alone = data["robot_only"].values == 1
+    data, volumes = data.isel(point=alone), volumes[:, :, alone]
+    kinds = data["kind"].values
+    chosen = (kinds == "hovering", kinds == "flight", np.ones(len(kinds), dtype=bool))
+    cluster = np.array([f"{c} {p}" for c, p in zip(data["campaign"].values, data["posture"].values, strict=True)])
+    rng = np.random.default_rng(SEED)
+    shape = (len(volumes), len(ARMS), len(SIDES), len(GROUPS))
+    errors, drawn = np.zeros(shape), np.zeros((DRAWS, *shape))
+    for s, side in enumerate(SIDES):
+        square = _squares(volumes, moment_about_com(data, side))
+        for g, rows in enumerate(chosen):
+            errors[..., s, g] = np.sqrt(square[..., rows].mean(axis=-1))
+        for draw in range(DRAWS):
+            square = _squares(volumes, moment_about_com(data, side, _offsets(rng, side)))
+            for g, rows in enumerate(chosen):
+                weight = _resample(rng, cluster, rows)
+                drawn[draw, ..., s, g] = np.sqrt(square @ weight / weight.sum())
+    intervals = np.moveaxis(np.quantile(drawn, ENDS, axis=0), 0, -1) * NEWTON_METRES
+    more = (drawn[:, :, 1] - drawn[:, :, 0]) * NEWTON_METRES
+    added = np.concatenate([np.quantile(more, ENDS, axis=0), np.mean(more > 0.0, axis=0)[None]])
+    return errors * NEWTON_METRES, intervals, np.moveaxis(added, 0, -1)
+
+
+def _squares(volumes: Floats, measured: Floats) -> Floats:
+    square: Floats = np.sum((volumes - measured) ** 2, axis=-1)
+    return square
+
+
+def _offsets(rng: np.random.Generator, side: str) -> Callable[[str, str], Floats]:
+    """Draw one error of the offset for each campaign and mount."""
+
+    def draw_offset(_campaign: str, kind: str) -> Floats:
+        drawn: Floats = rng.normal(size=3) * np.array(tunnel.LEVERS[kind, side].deviation)
+        return drawn
+
+    return draw_offset
+
+
+def _resample(rng: np.random.Generator, cluster: Any, rows: Any) -> Floats:
+    """Return weights of the points for postures drawn with replacement."""
+    names, number = np.unique(cluster[rows], return_inverse=True)
+    count = np.bincount(rng.integers(len(names), size=len(names)), minlength=len(names))
+    weight = np.zeros(len(cluster))
+    weight[rows] = count[number]
+    return weight
+
+
+def summary(result: xr.Dataset) -> dict[str, float]:
+    """Return rms errors with their intervals, the effect of the published arms, and hovering in lateral wind."""
+    found: dict[str, float] = {}
+    alone = result["robot_only"] == 1
+    for group in GROUPS:
+        rows = alone if group == "all" else alone & (result["kind"] == group)
+        own = vector_rms(result["uncertainty"].values[rows.values])
+        found[f"{group}: the measurement's own standard deviation [N m]"] = own * NEWTON_METRES
+        for side in SIDES:
+            for name in result["model"].values:
+                for arms in ARMS if name != NOTHING else ARMS[:1]:
+                    at = {"model": name, "side": side, "group": group, "arms": arms}
+                    key = f"{group}, centre {side}, {name}, {arms}"
+                    found[f"{key}: rms [N m]"] = float(result["rms"].sel(at))
+                    for text, value in zip(("2.5 %", "97.5 %"), result["interval"].sel(at).values, strict=True):
+                        found[f"{key}: {text}"] = float(value)
+                if name != NOTHING:
+                    added = result["added"].sel(model=name, side=side, group=group).values
+                    key = f"{group}, centre {side}, {name}: published arms add"
+                    found |= {f"{key}, {text}": float(value) for text, value in zip(ADDED, added, strict=True)}
+    for campaign in np.unique(result["campaign"].values):
+        rows = (result["posture"] == "hovering") & (result["campaign"] == campaign) & (abs(result["yaw"] - 90.0) < 1.0)
+        chosen = result.isel(point=rows.values & ~result["marks"].str.contains("doubtful").values)
+        for axis in ("x", "z"):
+            for side in SIDES:
+                value = float(chosen["measured"].sel(side=side, axis=axis).mean()) * NEWTON_METRES
+                found[f"hovering at 90 deg, {campaign}, centre {side}, {axis}: measured with support [N m]"] = value
+            for name in result["model"].values[1:]:
+                for arms in ARMS:
+                    value = float(chosen["predicted"].sel(model=name, arms=arms, axis=axis).mean()) * NEWTON_METRES
+                    found[f"hovering at 90 deg, {campaign}, {axis}, {name}, {arms} [N m]"] = value
+    return found
+
+
+def corrections(robot: RobotModel, data: xr.Dataset, areas: Mapping[str, Floats]) -> dict[str, float]:
+    """Return errors of models, and of models corrected by the tunnel on points that the correction did not use."""
+    alone = data["robot_only"].values == 1
+    data = data.isel(point=alone)
+    posture, kind = data["posture"].values, data["kind"].values
+    joints, wind = data["joint_position"].values, wind_direction(data["pitch"].values, data["yaw"].values)
+    found: dict[str, float] = {}
+    for name in CORRECTED:
+        of_links = areas[name][alone]
+        modelled = np.concatenate(total_wrench(robot, joints, of_links), axis=1)
+        steps = columns(robot, joints, wind, of_links)
+        for side in SIDES:
+            measured = np.concatenate([data["force_area"].values, moment_about_com(data, side)], axis=1)
+            points = Points(steps, measured - modelled, posture)
+            errors = {
+                "as it is": points.missing,
+                "corrected by other postures": held_out_errors(points, posture),
+                "corrected by the other mount": held_out_errors(points, kind),
+                "balance centre moved instead": held_out_errors(points._replace(columns=lever_columns(data)), posture),
+            }
+            for group in GROUPS:
+                rows = np.ones(len(kind), dtype=bool) if group == "all" else kind == group
+                for quantity, part, unit in (("force", slice(0, 3), "N"), ("moment", slice(3, 6), "N m")):
+                    chosen = [error[rows, part] * NEWTON_METRES for error in errors.values()]
+                    drawn = rms_by_posture(chosen, posture[rows], DRAWS, SEED)
+                    added = drawn - drawn[:, :1]
+                    for way, error, values, more in zip(errors, chosen, drawn.T, added.T, strict=True):
+                        key = f"{group}, centre {side}, {name}, {way}: {quantity}"
+                        found[f"{key}, rms [{unit}]"] = vector_rms(error)
+                        found |= {f"{key}, {text}": x for text, x in _ends(values)}
+                        if way != "as it is":
+                            found |= {f"{key}, added, {text}": x for text, x in _ends(more)}
+    return found
+
+
+def lever_columns(data: xr.Dataset) -> Floats:
+    """Return how a one-sigma error of the balance centre, by mount and axis, changes the errors (N, 6, 6)."""
+    kinds, force = data["kind"].values, data["force_area"].values
+    found = np.zeros((len(kinds), 6, 6))
+    for place, kind in enumerate(("hovering", "flight")):
+        rows = kinds == kind
+        moved = (tunnel.base_from_balance("mk1", kind) * tunnel.LEVERS[kind, "below"].deviation).T
+        found[rows, 3:, 3 * place : 3 * place + 3] = -np.cross(moved, force[rows, None]).swapaxes(1, 2)
+    return found
+
+
+def _ends(values: Floats) -> list[tuple[str, float]]:
+    low, high = np.quantile(values, ENDS)
+    return [("2.5 %", float(low)), ("97.5 %", float(high))]

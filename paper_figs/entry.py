@@ -1,0 +1,50 @@
+"""A figure of single flights, studies or tables, with the results it shows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from paper_figs import runs, tunnel
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A figure: its drawing function and the results it shows."""
+
+    draw: Callable[..., Figure]
+    """Function of the results in order, a `Run` for each flight or a dataset for each study; or else of the tables."""
+    shows: str
+    kind: str = ""
+    """Kind of the results: "flight" or a kind of study; empty without results."""
+    runs: tuple[str, ...] = ()
+    """Names of the results that are shown by default."""
+    tables: tuple[str, ...] = ()
+    """Files of `configs/tables` that are shown if there are no results."""
+
+    @property
+    def command(self) -> str:
+        """Return the command that makes the results; empty if committed tables are shown."""
+        if self.kind == "flight":
+            return f"jax-aero fly {' '.join(self.runs)}"
+        return "; ".join(runs.study_command(self.kind, name) for name in self.runs)
+
+    def draw_from_results(self, results: Path, names: Sequence[str] = ()) -> tuple[Figure, dict[str, str]]:
+        """Return the figure, and the hash of every result or table that it shows."""
+        try:
+            return self._load_and_draw(results, names or self.runs)
+        except KeyError as missing:
+            what = str(missing.args[0]).partition(". ")[0]
+            raise runs.NotDrawn(f"{what}: other code made the result; make it again: {self.command}") from None
+
+    def _load_and_draw(self, results: Path, names: Sequence[str]) -> tuple[Figure, dict[str, str]]:
+        if self.tables:
+            return self.draw(*map(tunnel.read, self.tables)), tunnel.hashes(*self.tables)
+        if self.kind == "flight":
+            flights = [runs.load(results, name) for name in names]
+            return self.draw(*flights), {run.name: run.config_hash for run in flights}
+        loaded = [runs.load_study(results, self.kind, name) for name in names]
+        return self.draw(*loaded), {study.attrs["name"]: str(study.attrs["config_hash"]) for study in loaded}
