@@ -4,8 +4,9 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
-# Stamps of the set-up: the module with the packages for flying and drawing, and all other packages.
+# Stamps of the set-up: the module with the packages for flying and drawing, those of `make test`, and all others.
 MODULE := $(VENV)/.module
+TESTING := $(VENV)/.testing
 PACKAGES := $(VENV)/.packages
 RUST_SOURCES := Cargo.toml Cargo.lock $(shell find rust -name '*.rs' -o -name Cargo.toml)
 DEMO := test1 test2 test1_observer test1_published test2_published test1_published_observer
@@ -34,6 +35,12 @@ unexport PYTHONDONTWRITEBYTECODE
 LEAST_OPTIMISED := XLA_FLAGS="--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false \
 	--xla_cpu_parallel_codegen_split_count=1"
 
+# Folders of `make test`, and the others. Pinocchio, one of the independent implementations, needs 400 MB.
+CORE := tests/golden tests/parity tests/gradients
+PINOCCHIO := tests/parity/test_dynamics_pinocchio.py
+OTHERS := $(filter-out $(CORE) tests/__pycache__,$(patsubst %/,%,$(wildcard tests/*/))) $(PINOCCHIO)
+PYTEST = MEASURED=$(MEASURED) $(JAX_CACHE) $(ONE_THREAD) $(LEAST_OPTIMISED) $(BIN)/python -m pytest $(PARALLEL)
+
 # Emulation of another processor: no AVX in the C library's functions, in what XLA compiles, in OpenBLAS or in NumPy.
 OTHER_PROCESSOR = $(JAX_CACHE) GLIBC_TUNABLES=glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F,-AVX512VL,-AVX512DQ \
 	XLA_FLAGS=--xla_cpu_max_isa=SSE4_2 OPENBLAS_CORETYPE=Nehalem NPY_DISABLE_CPU_FEATURES="$(NUMPY_FEATURES)"
@@ -52,11 +59,11 @@ LAB_WASM := target/wasm32-unknown-unknown/release/flight_lab.wasm
 export PYO3_PYTHON := $(abspath $(BIN)/python)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo view test fuzz audit lint lint-rust lint-python bench figures reproduce verify docs lab clean portability wheel
+.PHONY: help setup demo view test test-all fuzz audit lint lint-rust lint-python bench figures reproduce verify docs lab clean portability wheel
 .DELETE_ON_ERROR:
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 setup: $(PACKAGES) ## create .venv, compile the Rust module, install all pinned packages
 
@@ -68,12 +75,15 @@ demo: $(MODULE) ## fly three controllers with corrected and with published lever
 view: $(PACKAGES) ## fly in the browser: drag the wind until the robot falls
 	$(BIN)/jax-aero view
 
-test: $(PACKAGES) ## run every test, Rust first, then Python
+test: $(TESTING) ## test the crate, and its agreement with JAX, CasADi and MuJoCo
 	rm -rf $(MEASURED)
 	MEASURED=$(MEASURED) cargo test --locked
-	MEASURED=$(MEASURED) $(JAX_CACHE) $(ONE_THREAD) $(LEAST_OPTIMISED) $(BIN)/python -m pytest $(PARALLEL)
+	$(PYTEST) $(CORE) --ignore=$(PINOCCHIO)
 
-portability: $(PACKAGES) ## run the numerical tests as another processor would, on one core and on two (QUICK=1: a minute)
+test-all: test $(PACKAGES) ## run every test: commands, studies, viewer, training, documents too
+	$(PYTEST) $(OTHERS)
+
+portability: $(TESTING) ## run the numerical tests as another processor would, on one core and on two (QUICK=1: a minute)
 	$(if $(QUICK),,$(OTHER_PROCESSOR) cargo test --locked)
 	$(if $(QUICK),,$(OTHER_PROCESSOR) taskset --cpu-list 0 $(BIN)/python -m pytest -q $(NUMERICAL))
 	$(OTHER_PROCESSOR) taskset --cpu-list 0,1 $(BIN)/python -m pytest -q $(PARALLEL) --dist loadfile $(NUMERICAL)
@@ -205,7 +215,13 @@ $(MODULE): $(VENV)/.first pyproject.toml $(RUST_SOURCES)
 		$(BIN)/maturin develop --release --locked --quiet --extras figs
 	@touch $@
 
-$(PACKAGES): requirements.hashed | $(MODULE)
-	@echo "set-up of everything else: JAX, viewer, tests, documents (3.1 GB, some minutes)"
+$(TESTING): requirements.hashed | $(MODULE)
+	@echo "set-up of the tests: JAX, MuJoCo, CasADi (1.2 GB, some minutes)"
+	sed '/^# --- make test-all/q' $< > $@.txt
+	$(BIN)/python -m pip install --quiet --no-compile --require-hashes -r $@.txt
+	@mv $@.txt $@
+
+$(PACKAGES): requirements.hashed | $(TESTING)
+	@echo "set-up of everything else: viewer, clusters, flow, documents (1.9 GB, some minutes)"
 	$(BIN)/python -m pip install --quiet --no-compile --require-hashes -r requirements.hashed
 	@touch $@

@@ -81,13 +81,13 @@ COMMANDS = {
     ),
     "cfd": Command(
         "experiments.cfd.command:main",
-        "twin",
+        "twin,sweeps",
         "compute forces of the air with OpenFOAM, verify and compare them",
         {
-            "verify": ("experiments.cfd.verify:main", "twin"),
+            "verify": ("experiments.cfd.verify:main", "twin,sweeps"),
             "flow": ("experiments.cfd.flow:main", "flow"),
-            "compare": ("experiments.cfd.compare:main", "twin"),
-            "tunnel": ("experiments.cfd.tunnel:main", "twin"),
+            "compare": ("experiments.cfd.compare:main", "twin,sweeps"),
+            "tunnel": ("experiments.cfd.tunnel:main", "twin,sweeps"),
         },
     ),
 }

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import json
 from ctypes import c_int
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -25,20 +24,11 @@ from numpy.typing import ArrayLike, NDArray
 from jax_aero import rust
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.aero import load_aero
+from tests.golden.inputs import AERO, EXPERIMENT, FILE, ROBOT, TORQUE_MAX
 from tests.parity.test_dynamics_pinocchio import Oracle
 
-ROOT = Path(__file__).resolve().parents[2]
-FILE = Path(__file__).parent / "states.json"
-ROBOT = ROOT / "configs/robot/ironcub_mk1.toml"
-TORQUE_MAX = 50.0
-"""Torque limit of every joint [N m], as published; the robot's own limits are other ones."""
 DRAWN = ((4, 0.1, 0.03), (3, 0.1, 1.0))
 """Arguments of `draw_state`: four bounds of the momentum QP are active; twelve, and three of the torque QP."""
-EXPERIMENT = ROOT / "configs/experiments/test2.toml"
-AERO = {
-    "aero_aware": ROOT / "configs/aero/axisymmetric_published.toml",
-    "sphere_cylinder": ROOT / "configs/aero/sphere_cylinder.toml",
-}
 
 Array = NDArray[np.float64]
 Values = dict[str, Array]

@@ -10,7 +10,7 @@ from jax_aero import rust
 from jax_aero.rust import Robot, State
 from jax_aero.symbolic.aero import load_aero
 from tests.golden import ticks
-from tests.golden.states import AERO, FILE, ROBOT, ROOT, TORQUE_MAX
+from tests.golden.inputs import AERO, FILE, ROBOT, ROOT, TORQUE_MAX
 
 TOLERANCE = 1e-9
 """Of the largest entry of each array; both sides round terms of condition up to 1e5."""

@@ -26,8 +26,8 @@ LOCK, HASHED, THIRD_PARTY, SBOM = (
 TARGET = "x86_64-unknown-linux-gnu"
 """Platform whose crates are listed."""
 
-BETWEEN = "# --- what flying and drawing do not need"
-"""Line of requirements.hashed behind the packages of `make demo`."""
+PARTS = {"# --- make test also needs": "figs", "# --- make test-all also needs": "test"}
+"""Lines of requirements.hashed, and the extra of the packages before them: those of `make demo` and of `make test`."""
 
 PERMITTED = {
     "Apache": r"Apache([ -]Software)?([ -]License)?([ -]2\.0)?",
@@ -49,12 +49,14 @@ UNSTATED = {"cmeel-qhull": "Qhull", "jax-aero": "BSD-3-Clause"}
 
 
 def write_lock() -> None:
-    """Write requirements.hashed: the packages of `make demo` first, then all others."""
-    needed = set(_stanzas(_compile_requirements("pyproject.toml", "-", "--extra", "figs", given="maturin\n")))
-    stanzas = _stanzas(_compile_requirements(str(LOCK), "--no-deps"))
-    first, others = ([text for name, text in stanzas.items() if (name in needed) is is_in] for is_in in (True, False))
+    """Write requirements.hashed: the packages of `make demo` first, then those of `make test`, then all others."""
+    waiting = _stanzas(_compile_requirements(str(LOCK), "--no-deps"))
+    parts = ""
+    for line, extra in PARTS.items():
+        needed = _stanzas(_compile_requirements("pyproject.toml", "-", "--extra", extra, given="maturin\n"))
+        parts += "".join(waiting.pop(name) for name in sorted(waiting.keys() & needed.keys())) + f"{line}\n"
     head = "# Made of requirements.lock by `python -m tests.tools.supply_chain lock`: the same versions, with hashes.\n"
-    HASHED.write_text(f"{head}{''.join(first)}{BETWEEN}\n{''.join(others)}", encoding="utf-8")
+    HASHED.write_text(f"{head}{parts}{''.join(waiting.values())}", encoding="utf-8")
 
 
 def _compile_requirements(*arguments: str, given: str = "") -> str:
