@@ -8,12 +8,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 STYLE = """
-body { font: 15px/1.5 sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #1a1a1a; }
-table { border-collapse: collapse; margin: 1rem 0; font-size: 13px; }
-th, td { border-bottom: 1px solid #d9d9d9; padding: 0.3rem 0.6rem; text-align: left; vertical-align: top; }
+:root { color-scheme: light dark; --text: #1a1a1a; --page: #fff; --line: #d9d9d9; --code: #f2f2f2; --link: #0072b2; }
+@media (prefers-color-scheme: dark) {
+  :root { --text: #e0e0e0; --page: #16181d; --line: #3a3d44; --code: #262930; --link: #56b4e9; }
+}
+body { font: 15px/1.5 sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
+body { color: var(--text); background: var(--page); overflow-wrap: break-word; }
+a { color: var(--link); }
+table { display: block; overflow-x: auto; border-collapse: collapse; margin: 1rem 0; font-size: 13px; }
+th, td { border-bottom: 1px solid var(--line); padding: 0.3rem 0.6rem; text-align: left; vertical-align: top; }
+th, td { min-width: 5rem; overflow-wrap: normal; }
 th { border-bottom: 2px solid #7f7f7f; }
-img { max-width: 100%; } figcaption { color: #555; font-size: 13px; } figure { margin: 1.5rem 0; }
-code { background: #f2f2f2; padding: 0 0.2rem; }
+img { max-width: 100%; background: white; } figcaption { font-size: 13px; } figure { margin: 1.5rem 0; }
+code { background: var(--code); padding: 0 0.2rem; }
 """
 
 
@@ -70,7 +77,8 @@ class Page:
         """Return the page as one HTML file, with pictures as separate files."""
         body = "\n".join([f"<h1>{html.escape(self.title)}</h1>", *(_html(block) for block in self.blocks)])
         return (
-            f'<!DOCTYPE html>\n<html lang="en">\n<head><meta charset="utf-8"><title>{html.escape(self.title)}</title>\n'
+            f'<!DOCTYPE html>\n<html lang="en">\n<head><meta charset="utf-8">\n'
+            f'<meta name="viewport" content="width=device-width">\n<title>{html.escape(self.title)}</title>\n'
             f"<style>{STYLE}</style></head>\n<body>\n{body}\n</body>\n</html>\n"
         )
 
@@ -96,7 +104,8 @@ def _html(block: Block) -> str:
             return f"<p>{_inline(text)}</p>"
         case Picture(path, caption):
             shown, said = html.escape(path), _inline(caption)
-            return f'<figure><img src="{shown}" alt="{html.escape(caption)}"><figcaption>{said}</figcaption></figure>'
+            picture = f'<a href="{shown}"><img src="{shown}" alt="{html.escape(caption)}"></a>'  # for a closer look
+            return f"<figure>{picture}<figcaption>{said}</figcaption></figure>"
         case Table(headings, rows):
             head = "".join(f"<th>{_inline(cell)}</th>" for cell in headings)
             body = "\n".join("<tr>" + "".join(f"<td>{_inline(cell)}</td>" for cell in row) + "</tr>" for row in rows)

@@ -19,8 +19,8 @@ import pytest
 from nbclient import NotebookClient
 from traitlets.config import Config
 
-from experiments import overrides
-from experiments.robot import waypoints
+from experiments import overrides, waypoints
+from experiments.report.page import Page, Table, Text
 from experiments.sweep import spec
 from experiments.sweep.design import Design
 from jax_aero import cli, places, rust, tables
@@ -289,7 +289,8 @@ OUT_OF_SIGHT = """() => {
     const width = document.documentElement.clientWidth
     const scrolls = e => e && e != document.body &&
         (["auto", "scroll", "hidden"].includes(getComputedStyle(e).overflowX) || scrolls(e.parentElement))
-    const beyond = [...document.querySelectorAll("article *")].filter(e => {
+    const text = document.querySelector("article") ?? document.body
+    const beyond = [...text.querySelectorAll("*")].filter(e => {
         const box = e.getBoundingClientRect()
         return box.width > 0 && box.right > width + 1 && !scrolls(e)
     })
@@ -310,3 +311,25 @@ def test_pages_fit_the_screen(site):
             for width in (1440, 1024, 390):
                 tab.set_viewport_size({"width": width, "height": 900})
                 assert tab.evaluate(OUT_OF_SIGHT) == [], f"{page.relative_to(site)} at {width} px"
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
+def test_a_report_fits_a_telephone_in_light_and_in_the_dark(tmp_path):
+    pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+    page = Page("Report")
+    page.add(
+        Text("text " * 30), Table([f"heading {n}" for n in range(12)], [["`jax-aero fly test2`", *["0.001"] * 11]])
+    )
+    (tmp_path / "report.html").write_text(page.html(), encoding="utf-8")
+    brightness = (
+        """of => getComputedStyle(document.body)[of].match(/\\d+/g).slice(0, 3).map(Number).reduce((a, b) => a + b)"""
+    )
+    with open_chromium() as browser:
+        for scheme, lighter, darker in (("light", "backgroundColor", "color"), ("dark", "color", "backgroundColor")):
+            telephone = {"viewport": {"width": 390, "height": 844}, "is_mobile": True, "color_scheme": scheme}
+            tab = browser.new_page(**telephone)
+            tab.set_default_timeout(SLOWEST)
+            tab.goto((tmp_path / "report.html").as_uri())
+            assert tab.evaluate("innerWidth") == 390
+            assert tab.evaluate(OUT_OF_SIGHT) == []
+            assert tab.evaluate(brightness, lighter) > 500 > 250 > tab.evaluate(brightness, darker)
