@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"error: {name}: {reason}", file=sys.stderr)
             missing += 1
             continue
-        for path in style.save(figure, _file_name(name, given.runs), given.out, hashes):
+        for path in style.save(figure, _file_name(name, given.runs), given.out, hashes, dark=given.dark):
             print(path)
     hidden = [name for name in names if name in FIGURES and sweeps.is_finished(given.sweeps / name)]
     for name in hidden:
@@ -88,7 +88,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = cli.Parser("figures", __doc__, epilog=listed)
     named = parser.add_argument("names", nargs="*", metavar="FIGURE", help="figures or sweeps (default: all)")
     cli.complete_with(named, lambda: [*FIGURES, *SWEEPS, "all"])
-    parser.add_argument("--index", action="store_true", help="print the page docs/paper.md: the paper, item by item")
+    parser.add_argument("--index", action="store_true", help="print the documentation's page: the paper, item by item")
+    parser.add_argument("--dark", action="store_true", help="also write NAME_dark.png, for a dark page")
     parser.add_argument("--runs", nargs="+", metavar="RUN", help="runs that the figure shows, in its order")
     parser.add_argument(
         "--results", type=Path, default=places.RESULTS / "flight", metavar="DIR", help="folder of flights"

@@ -16,39 +16,27 @@ CONTROLLERS = (
     ("aerodynamic-aware", style.BLUE, "--"),
     ("observer, no model", style.GREEN, ":"),
 )
+WIDTH = 4.0
+"""Narrow, so that the text is legible on a telephone [inches]."""
 
 
 def draw(*runs: Run) -> Figure:
     """Draw six runs: baseline, aware and observer with corrected arms, then the same with published arms."""
-    figure = style.figure(9.4)
-    grid = figure.subplots(6, 2, sharex=True, sharey="row", height_ratios=(1.2, 1.2, 1.2, 1.2, 1.2, 0.8))
+    figure = style.figure(4.4, WIDTH)
+    grid = figure.subplots(3, 2, sharex=True, sharey="row", height_ratios=(1.2, 1.2, 0.7))
     for column, title in enumerate(COLUMNS):
         same_arms = runs[len(CONTROLLERS) * column :][: len(CONTROLLERS)]
-        grid[0, column].annotate(
-            title,
-            (0.5, 1.0),
-            (0, 20),
-            xycoords="axes fraction",
-            textcoords="offset points",
-            ha="center",
-            size=9,
-            weight="bold",
-        )
+        grid[0, column].set_title(title, weight="bold")
         _error(grid[0, column], same_arms, Run.rotation_error_deg, says_ending=True)
-        grid[0, column].set(title="base rotation error", ylabel="error [deg]")
         _error(grid[1, column], same_arms, Run.com_error, says_ending=False)
-        grid[1, column].set(title="distance of the CoM from its reference", ylabel="error [m]")
-        for row, (run, (controller, _, _)) in enumerate(zip(same_arms, CONTROLLERS, strict=True), start=2):
-            panels.thrusts(grid[row, column], run)
-            grid[row, column].set_title(f"thrusts, {controller}")
-            if run.lost_time is not None:
-                style.mark_fall(grid[row, column], run.lost_time)
         panels.wind(grid[-1, column], max(same_arms, key=lambda run: run.data.sizes["time"]))
         grid[-1, column].set_xlabel("time [s]")
+    for axes, label in zip(grid[:, 0], ("rotation error [deg]", "CoM error [m]", "wind [m/s]"), strict=True):
+        axes.set_ylabel(label)
     for axes in grid[:, 1]:
         axes.set_ylabel("")
-    for row, columns in ((0, 1), (2, 2), (5, 3)):
-        style.legend(grid[row, 0], ncols=columns)
+    for row, columns in ((0, 1), (2, 3)):
+        style.legend(grid[row, 0], ncols=columns, columnspacing=1.0, framealpha=0.0)
     for axes in grid[:2, 0]:
         axes.set_ylim(bottom=0.0)  # last, since it disables autoscaling, for the whole row
     grid[0, 0].set_xlim(0.0, max(float(run.data["time"][-1]) for run in runs))

@@ -7,16 +7,20 @@ distinction where lines cross or the page is printed in grey.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
 from string import ascii_lowercase
 from typing import Any
 
 import matplotlib as mpl
+import matplotlib.image
 import matplotlib.style
+import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, FigureBase
+from numpy.typing import NDArray
 
 BLACK = "#000000"
 ORANGE = "#E69F00"
@@ -133,12 +137,26 @@ def mark_fall(axes: Axes, time: float, label: str | None = None) -> None:
         )
 
 
-def save(figure: Figure, name: str, out: Path, hashes: Mapping[str, str]) -> list[Path]:
-    """Write NAME.pdf and NAME.png with the configuration hash of every run shown."""
+def save(figure: Figure, name: str, out: Path, hashes: Mapping[str, str], *, dark: bool = False) -> list[Path]:
+    """Write NAME.pdf and NAME.png with the configuration hash of every run shown; with `dark`, also NAME_dark.png."""
     out.mkdir(parents=True, exist_ok=True)
     runs = "; ".join(f"{run} config {digest}" for run, digest in hashes.items())
     paths = [out / f"{name}.pdf", out / f"{name}.png"]
     # Without dates, so that equal results give equal bytes.
     figure.savefig(paths[0], metadata={"Title": name, "Subject": runs, "CreationDate": None, "ModDate": None})
     figure.savefig(paths[1], metadata={"Title": name, "Description": runs})
+    if dark:
+        paths.append(out / f"{name}_dark.png")
+        mpl.image.imsave(paths[-1], _darken(figure), metadata={"Title": name, "Description": runs})
     return paths
+
+
+def _darken(figure: Figure) -> NDArray[np.float32]:
+    """Return the figure as RGBA for a dark page: no background, opposite lightness, equal hue."""
+    drawn = BytesIO()
+    figure.savefig(drawn, transparent=True)
+    drawn.seek(0)
+    picture = np.array(mpl.image.imread(drawn))
+    colours = picture[..., :3]
+    colours += 1.0 - colours.max(axis=-1, keepdims=True) - colours.min(axis=-1, keepdims=True)
+    return picture
