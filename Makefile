@@ -173,7 +173,6 @@ verify: $(PACKAGES) ## compare the crate with independent implementations and st
 	$(BIN)/python -m pytest tests/parity
 
 docs: $(PACKAGES) ## build the documentation site into site/, the crate's own beside it
-	$(BIN)/python -m experiments.schema
 	$(BIN)/python -m mkdocs build --strict
 	cargo doc --locked --no-deps --package flight-core --package flight-io --package flight-sim
 	rm -rf site/rust && cp -r target/doc site/rust

@@ -1,4 +1,4 @@
-"""What the site does beyond Markdown: equations, notebooks, and the whole width for pages with wide tables."""
+"""What the site does beyond Markdown: pages made from the code, equations, notebooks, wide tables."""
 
 from __future__ import annotations
 
@@ -10,6 +10,11 @@ from typing import Any
 from xml.etree import ElementTree
 
 from latex2mathml.converter import convert
+from mkdocs.structure.files import File
+
+from experiments import schema
+from jax_aero import rust
+from paper_figs import paper
 
 NOTEBOOK = re.compile(r"<!-- notebook: (?P<path>\S+) -->")
 EQUATION = re.compile(r"^```math\n(?P<latex>.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -25,6 +30,13 @@ WIDE = {"deviations.md", "paper.md"}
 
 TIGHT = {"|", "\u2016", "/"}
 """Operators without space around them."""
+
+
+def on_files(files: Any, *, config: Any) -> Any:
+    """Add the pages that follow from the code and its records, which are not stored."""
+    for path, text in {"paper.md": paper.page(), schema.PAGE: schema.reference(rust.schemas())}.items():
+        files.append(File.generated(config, path, content=text))
+    return files
 
 
 def on_page_markdown(markdown: str, *, page: Any, config: Any, **_: Any) -> str:

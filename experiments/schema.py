@@ -1,8 +1,8 @@
 """Generate the files that follow from the configuration's types: `python -m experiments.schema`.
 
 The crate's types define flights and robots. Their JSON Schemas yield the schemas of `configs/schema/`, with which
-editors complete keys; the Python types of `jax_aero/config.py`; and the page `docs/reference/configuration.md`. The
-schemas of studies, sweeps and trainings come from the Python types that read them.
+editors complete keys, and the Python types of `jax_aero/config.py`. The schemas of studies, sweeps and trainings come
+from the Python types that read them. `reference` is the documentation's page of all keys.
 """
 
 from __future__ import annotations
@@ -44,7 +44,9 @@ TYPES: dict[str, Any] = {
 """Types that only Python reads, by the name of their schema."""
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
-MADE = "by `python -m experiments.schema` from the crate's types"
+MADE = "by `jax-aero schema` from the crate's types"
+PAGE = "reference/configuration.md"
+"""Path of the page of all keys in the documentation."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -66,12 +68,10 @@ def files() -> dict[Path, str]:
     found = {name: schema if name == "robot" else allow_parts(schema) for name, schema in crate.items()}
     found |= {name: {"$schema": DIALECT, **tables.schema(kind)} for name, kind in TYPES.items()}
     found["sweeps"] = _with_files(found["sweeps"])
-    folder, docs = places.CONFIGS / "schema", places.HOME / "docs"
+    folder = places.CONFIGS / "schema"
     return {
         **{folder / f"{name}.schema.json": _json(schema) for name, schema in sorted(found.items())},
         places.HOME / "jax_aero" / "config.py": python_types(crate),
-        docs / "reference" / "configuration.md": reference(crate),
-        **{path: _json({"$schema": DIALECT, **tables.schema(kind)}) for path, kind in _of_studies()},
     }
 
 
@@ -370,10 +370,10 @@ def _prose(text: str) -> str:
 
 # --- the page ----------------------------------------------------------------------------------------------------
 
-INTRODUCTION = f"""# Configuration reference
+INTRODUCTION = """# Configuration reference
 
 Every key of a flight's and of a robot's TOML files. Whatever is not here is refused with the key, its value and what
-was expected. This page is made {MADE}.
+was expected. This page is made from the crate's types.
 
 Any table of a flight may name another file as its `base`: that file's table is read first, and the keys beside `base`
 are laid over it, table by table; a table of another kind (another `profile`, `model` or `dynamics`) replaces it whole.

@@ -1,4 +1,4 @@
-"""All items of the paper: `jax-aero figures --index` prints the page `docs/paper.md`.
+"""All items of the paper: the page of the documentation, which `jax-aero figures --index` prints.
 
 `SECTIONS` is the only table of items, except our sweeps, which their files name. Measurements and verdicts come from
 the tables of tunnel and CFD and from `docs/claims.json`, which
@@ -268,7 +268,7 @@ BEYOND: Sequence[Item] = (
         "beyond",
         "the wind from the wrench",
         "wind_from_wrench",
-        ("sensors.md#the-wind-from-the-wrench",),
+        ("observer.md#the-wind-from-the-wrench",),
         ("wind_estimate",),
     ),
 )

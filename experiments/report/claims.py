@@ -1,7 +1,7 @@
 """Claims of the paper and of this project, with our measurements and verdicts. Verdicts are computed, not written.
 
 A claim without a measurement names the command that makes it. `docs/claims.json` stores earlier measurements for
-`docs/paper.md`.
+the documentation's page of the paper.
 """
 
 from __future__ import annotations

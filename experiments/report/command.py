@@ -52,7 +52,7 @@ def main(arguments: Sequence[str]) -> int:
         "--claims",
         type=Path,
         metavar="FILE",
-        help="file of the claims for `docs/paper.md` (default claims.json beside the report)",
+        help="file of the claims of the documentation (default claims.json beside the report)",
     )
     given = parser.parse_args(arguments)
 

@@ -346,4 +346,4 @@ TABLES = {
     "coefficients": coefficient_table,
     "meshes": mesh_table,
 }
-"""Tables of `docs/paper.md`; the first row holds the headings."""
+"""Tables of the documentation's page of the paper; the first row holds the headings."""

@@ -180,7 +180,7 @@ def test_shown_commands_name_what_exists(page):
 
 def test_links_and_folders_of_the_readme_exist():
     text = README.read_text(encoding="utf-8")
-    linked = re.findall(r"\]\((?!http)([^)#]+)\)", text)
+    linked = [*re.findall(r"\]\((?!http)([^)#]+)\)", text), *re.findall(r'\bsrc(?:set)?="([^"]+)"', text)]
     table = re.findall(r"^\| (`[^|]+`) \|", text.split("## What lies where")[1], re.M)
     folders = [folder for row in table for folder in re.findall(r"`([^`]+)`", row)]
     assert folders
