@@ -44,7 +44,7 @@ TYPES: dict[str, Any] = {
 """Types that only Python reads, by the name of their schema."""
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
-MADE = "by `jax-aero schema` from the crate's types"
+MADE = "by `python -m experiments.schema` from the crate's types"
 PAGE = "reference/configuration.md"
 """Path of the page of all keys in the documentation."""
 
@@ -72,6 +72,7 @@ def files() -> dict[Path, str]:
     return {
         **{folder / f"{name}.schema.json": _json(schema) for name, schema in sorted(found.items())},
         places.HOME / "jax_aero" / "config.py": python_types(crate),
+        **{path: _json({"$schema": DIALECT, **tables.schema(kind)}) for path, kind in _of_studies()},
     }
 
 

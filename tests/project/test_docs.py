@@ -19,8 +19,9 @@ import pytest
 from nbclient import NotebookClient
 from traitlets.config import Config
 
-from experiments import overrides, waypoints
+from experiments import overrides
 from experiments.report.page import Page, Table, Text
+from experiments.robot import waypoints
 from experiments.sweep import spec
 from experiments.sweep.design import Design
 from jax_aero import cli, places, rust, tables
