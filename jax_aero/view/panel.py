@@ -6,7 +6,7 @@ import html
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from viser import uplot
@@ -31,20 +31,31 @@ def _hex(colour: Colour) -> str:
 COLOURS = [_hex(one) for one in (drawing.FELL, drawing.FORCE, drawing.PLUME, drawing.REFERENCE, drawing.TRAIL)]
 
 
+class Html(NamedTuple):
+    """HTML, as opposed to a text, which is shown letter by letter."""
+
+    source: str
+
+
+def tag(name: str, style: str, *content: str | Html, **attributes: str) -> Html:
+    """Return an element that contains texts and other elements."""
+    inner = "".join(part.source if isinstance(part, Html) else html.escape(part) for part in content)
+    named = "".join(f' {key}="{html.escape(value)}"' for key, value in {"style": style, **attributes}.items())
+    return Html(f"<{name}{named}>{inner}</{name}>")
+
+
 def note(text: str) -> str:
     """Return a text as a highlighted note in HTML."""
-    return f'<div style="padding:0.4em 1em;font-size:0.85em;color:{_hex(drawing.FELL)}">{html.escape(text)}</div>'
+    return tag("div", f"padding:0.4em 1em;font-size:0.85em;color:{_hex(drawing.FELL)}", text).source
 
 
 def card(solid: Recording, ghost: Recording | None) -> str:
     """Return outcomes and figures of merit as a table with one column per flight."""
     flights = [solid] if ghost is None else [solid, ghost]
-    heads = "".join(
-        f'<th style="text-align:left;font-weight:600;padding:0.15em 0.4em;vertical-align:bottom">'
-        f"{'' if ghost is None else '◼ ' if flight is solid else '◻ '}{html.escape(flight.title)}</th>"
-        for flight in flights
-    )
-    badges = "".join(f'<td style="padding:0.15em 0.4em">{_badge(flight)}</td>' for flight in flights)
+    marks = [""] if ghost is None else ["◼ ", "◻ "]
+    head = "text-align:left;font-weight:600;padding:0.15em 0.4em;vertical-align:bottom"
+    heads = [tag("th", head, mark + flight.title) for mark, flight in zip(marks, flights, strict=True)]
+    badges = [tag("td", "padding:0.15em 0.4em", *_badge(flight)) for flight in flights]
     merits = [flight.merit for flight in flights]
     rows = [
         ("rotation error", [f"{np.rad2deg(m.rotation_error):.1f}°" for m in merits]),
@@ -53,27 +64,30 @@ def card(solid: Recording, ghost: Recording | None) -> str:
         ("aerodynamic force", [f"{m.aero_force:.1f} N" for m in merits]),
         ("distance", [f"{m.distance:.1f} m" for m in merits]),
     ]
-    body = "".join(
-        f'<tr><td style="color:#667;padding:0.05em 0.4em 0.05em 0">{name}</td>'
-        + "".join(f'<td style="padding:0.05em 0.4em;font-variant-numeric:tabular-nums">{cell}</td>' for cell in cells)
-        + "</tr>"
+    body = [
+        tag(
+            "tr",
+            "",
+            tag("td", "color:#667;padding:0.05em 0.4em 0.05em 0", name),
+            *(tag("td", "padding:0.05em 0.4em;font-variant-numeric:tabular-nums", cell) for cell in cells),
+        )
         for name, cells in rows
+    ]
+    table = tag(
+        "table",
+        "border-collapse:collapse;width:100%",
+        tag("tr", "", tag("th", ""), *heads),
+        tag("tr", "", tag("td", "color:#667", "outcome"), *badges),
+        *body,
     )
-    return (
-        '<div style="padding:0.5em 1em 0.2em 1em;font-size:0.85em;line-height:1.35">'
-        f'<table style="border-collapse:collapse;width:100%"><tr><th></th>{heads}</tr>'
-        f'<tr><td style="color:#667">outcome</td>'
-        f"{badges}</tr>{body}</table></div>"
-    )
+    return tag("div", "padding:0.5em 1em 0.2em 1em;font-size:0.85em;line-height:1.35", table).source
 
 
-def _badge(flight: Recording) -> str:
+def _badge(flight: Recording) -> list[Html]:
     colour = drawing.COMPLETED if flight.outcome == "completed" else drawing.FELL
-    why = "" if flight.lost_reason is None else f'<br><span style="color:#667">{html.escape(flight.lost_reason)}</span>'
-    return (
-        f'<span class="outcome" style="background:{_hex(colour)};color:white;border-radius:4px;padding:0.1em 0.5em;'
-        f'display:inline-block">{html.escape(ending(flight.outcome, flight.lost_time, None))}</span>{why}'
-    )
+    style = f"background:{_hex(colour)};color:white;border-radius:4px;padding:0.1em 0.5em;display:inline-block"
+    badge = tag("span", style, ending(flight.outcome, flight.lost_time, None), **{"class": "outcome"})
+    return [badge] if flight.lost_reason is None else [badge, tag("div", "color:#667", flight.lost_reason)]
 
 
 def numbers(flight: Recording, time: float) -> str:
@@ -88,11 +102,11 @@ def numbers(flight: Recording, time: float) -> str:
         f"air {np.linalg.norm(now.aero_force.sum(axis=0)):.1f} N",
         *(f"{name} {t:.0f} N" for name, t in zip(jets, now.thrust, strict=True)),
     ]
-    return (
-        '<div style="padding:0.2em 1em;font-size:0.8em;color:#445;font-variant-numeric:tabular-nums">'
-        + " &nbsp; ".join(f'<span style="white-space:nowrap">{part}</span>' for part in parts)
-        + "</div>"
-    )
+    return tag(
+        "div",
+        "padding:0.2em 1em;font-size:0.8em;color:#445;font-variant-numeric:tabular-nums",
+        *(tag("span", "display:inline-block;margin-right:1em", part) for part in parts),
+    ).source
 
 
 @dataclass(frozen=True)
@@ -199,9 +213,9 @@ def legend(scales: Scales) -> str:
         (drawing.REFERENCE, "centre of mass: reference"),
         (drawing.TRAIL, "centre of mass: trail"),
     ]
-    lines = "".join(
-        f'<div><span style="display:inline-block;width:1.4em;height:0.35em;border-radius:2px;margin-right:0.6em;'
-        f'vertical-align:middle;background:{_hex(colour)}"></span>{text}</div>'
-        for colour, text in rows
+    bar = (
+        "display:inline-block;width:1.4em;height:0.35em;border-radius:2px;margin-right:0.6em;vertical-align:middle;"
+        "background:"
     )
-    return f'<div style="padding:0.4em 1em 0.8em 1em;font-size:0.8em;line-height:1.5">{lines}</div>'
+    lines = [tag("div", "", tag("span", bar + _hex(colour)), text) for colour, text in rows]
+    return tag("div", "padding:0.4em 1em 0.8em 1em;font-size:0.8em;line-height:1.5", *lines).source

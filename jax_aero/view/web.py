@@ -41,7 +41,8 @@ def write_page(recordings: Sequence[Recording], out: Path) -> None:
         "looks": [look_table(recording.look) for recording in recordings],
         "flights": [flight_table(recording) for recording in recordings],
     }
-    words = json.dumps(table, allow_nan=False).replace("</", "<\\/")
+    # Within a script, `<` may begin its end or a comment.
+    words = json.dumps(table, allow_nan=False).replace("<", "\\u003c")
     page = TEMPLATE.read_text(encoding="utf-8").replace(PLACE, words, 1)
     with complete_file(out) as draft:
         draft.write_text(page, encoding="utf-8")

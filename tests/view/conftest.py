@@ -1,13 +1,16 @@
-"""A real flight that ends badly, as a result folder."""
+"""A real flight that ends badly, as a result folder, and a robot that stands still."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from experiments import manifest, record
 from jax_aero import rust
+from jax_aero.view.recording import Recording
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -26,3 +29,29 @@ def fallen(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("results") / "fallen"
     record.write_run(folder, dataset, {"title": config["title"], "config": manifest.make_portable(config)})
     return folder
+
+
+@pytest.fixture
+def standing() -> Callable[..., Recording]:
+    """Two seconds of the robot of a file, which does not move."""
+    return _standing
+
+
+def _standing(path: Path, title: str = "standing") -> Recording:
+    robot = rust.Robot(path)
+    n, joints, jets, links = 3, len(robot.joint_names), len(robot.jet_names), len(robot.aero_link_names)
+    still = {
+        "time": np.arange(n) * 1.0,
+        "base_position": np.tile([0.0, 0.0, 1.0], (n, 1)),
+        "base_quaternion": np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
+        "base_rpy_setpoint": np.zeros((n, 3)),
+        "joint_position": np.zeros((n, joints)),
+        "com_position": np.tile([0.0, 0.0, 1.0], (n, 1)),
+        "com_velocity": np.zeros((n, 3)),
+        "com_setpoint": np.tile([0.0, 0.0, 1.0], (n, 1)),
+        "rotation_error": np.zeros(n),
+        "thrust": np.full((n, jets), 40.0),
+        "wind": np.zeros((n, 3)),
+        "aero_force_sim": np.zeros((n, links, 3)),
+    }
+    return Recording(title, still, robot, path, "completed", None, None)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jax_aero import __main__ as commands
-from jax_aero import places, rust
+from jax_aero import places
 from jax_aero.view import Refused, command, offscreen, recording, video
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
@@ -192,26 +192,9 @@ def test_the_robot_drawn_is_the_robot_that_flew(seen):
 
 
 @pytest.mark.usefixtures("_can_draw")
-def test_another_robot_is_drawn_too(seen, tmp_path):
+def test_another_robot_is_drawn_too(standing, tmp_path):
     """Nothing is about iRonCub alone; this one stands still."""
-    path = places.HOME / "configs/robot/sparrow.toml"
-    robot = rust.Robot(path)
-    n, joints, jets, links = 3, len(robot.joint_names), len(robot.jet_names), len(robot.aero_link_names)
-    still = {
-        "time": np.arange(n) * 1.0,
-        "base_position": np.tile([0.0, 0.0, 1.0], (n, 1)),
-        "base_quaternion": np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
-        "base_rpy_setpoint": np.zeros((n, 3)),
-        "joint_position": np.zeros((n, joints)),
-        "com_position": np.tile([0.0, 0.0, 1.0], (n, 1)),
-        "com_velocity": np.zeros((n, 3)),
-        "com_setpoint": np.tile([0.0, 0.0, 1.0], (n, 1)),
-        "rotation_error": np.zeros(n),
-        "thrust": np.full((n, jets), 40.0),
-        "wind": np.zeros((n, 3)),
-        "aero_force_sim": np.zeros((n, links, 3)),
-    }
-    flight = recording.Recording("sparrow", still, robot, path, "completed", None, None)
+    flight = standing(places.HOME / "configs/robot/sparrow.toml")
     video.write_snapshot(flight, tmp_path / "sparrow.png", [0.0], size=(320, 180))
     assert colours(np.asarray(Image.open(tmp_path / "sparrow.png"))) > 500
 

@@ -122,7 +122,35 @@ def test_lean_is_measured_from_the_vertical_not_from_the_reference():
     assert abs(now.lean - angle) < 1e-12
 
 
-def test_a_foreign_site_or_name_is_turned_away():
+@pytest.mark.parametrize(
+    ("host", "origin", "is_own"),
+    [
+        ("localhost:8080", "http://localhost:8080", True),
+        ("127.0.0.1:8080", "http://127.0.0.1:8080", True),
+        ("[::1]:8080", "http://[::1]:8080", True),
+        ("localhost", "http://localhost", True),
+        ("localhost:8080", "http://localhost:9090", False),
+        ("localhost:8080", "http://127.0.0.1:8080", False),
+        ("localhost:8080", "http://10.0.0.1", False),
+        ("localhost:8080", "https://localhost:8080", False),
+        ("localhost:8080", "null", False),
+        ("localhost:8080", None, False),
+        ("evil.example:8080", "http://evil.example:8080", False),  # resolved to this machine
+    ],
+)
+def test_a_connection_is_that_of_the_page_itself(host, origin, is_own):
+    pytest.importorskip("viser")
+    from websockets.datastructures import Headers
+
+    from jax_aero.view import origins
+
+    headers = Headers({"Host": host, "Upgrade": "websocket"} | ({} if origin is None else {"Origin": origin}))
+    assert origins.is_own("127.0.0.1", headers) is is_own
+    headers["Host"] = "localhost:8080"  # a second one
+    assert not origins.is_own("127.0.0.1", headers)
+
+
+def test_the_server_turns_others_away():
     viser = pytest.importorskip("viser")
     from websockets.exceptions import InvalidStatus
     from websockets.sync.client import connect
@@ -134,19 +162,19 @@ def test_a_foreign_site_or_name_is_turned_away():
     with own_origins("127.0.0.1"):
         server = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
     try:
-        url = f"ws://127.0.0.1:{server.get_port()}"
-        with pytest.raises(InvalidStatus) as refusal:
-            connect(url, origin="http://evil.example")
-        assert refusal.value.response.status_code == 403
-        for host, expected in ((f"localhost:{server.get_port()}", 200), ("evil.example", 403)):
-            page = http.client.HTTPConnection("127.0.0.1", server.get_port(), timeout=30)
+        port = server.get_port()
+        for origin in ("http://evil.example", f"http://localhost:{port + 1}", f"http://localhost:{port}", None):
+            with pytest.raises(InvalidStatus) as refusal:
+                connect(f"ws://127.0.0.1:{port}", origin=origin)
+            assert refusal.value.response.status_code == 403
+        for host, expected in ((f"localhost:{port}", 200), ("evil.example", 403)):
+            page = http.client.HTTPConnection("127.0.0.1", port, timeout=30)
             page.request("GET", "/", headers={"Host": host})
             assert page.getresponse().status == expected
             page.close()
-        for origin in (None, f"http://localhost:{server.get_port()}"):
-            try:
-                connect(url, origin=origin).close()
-            except InvalidStatus as other:  # the server may want more of a client, but not another origin
-                assert other.response.status_code != 403  # noqa: PT017
+        try:
+            connect(f"ws://127.0.0.1:{port}", origin=f"http://127.0.0.1:{port}").close()
+        except InvalidStatus as other:  # the server may want more of a client, but not another origin
+            assert other.response.status_code != 403  # noqa: PT017
     finally:
         server.stop()
