@@ -10,7 +10,7 @@ from typing import Any
 
 from experiments import Refused, engines, manifest, overrides, record, study
 from experiments.sources import code_hash
-from jax_aero import places, rust
+from jax_aero import documents, places, rust
 from jax_aero.command import progress_bar
 from jax_aero.files import lock_work
 
@@ -35,7 +35,7 @@ def run(
     digest, engine = rust.config_digest(config), engines.engine_of(config)
     code = (__name__, engines.MODULES[engine])
     with lock_work(folder):
-        finished = record.find_existing(folder, digest, code_hash(*code), overwrite=overwrite)
+        finished = record.find_existing(folder, digest, code_hash(*code), documents.Flight, overwrite=overwrite)
         if finished is not None:
             return finished
         started = time.perf_counter()

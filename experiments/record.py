@@ -6,7 +6,6 @@ code, the machine, and the checksum of every other file). It is written complete
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -17,8 +16,8 @@ import numpy as np
 import xarray as xr
 
 from experiments import Refused
-from jax_aero import rust
-from jax_aero.files import checksums, complete_folder, find_damaged, write_json, write_netcdf, write_text
+from jax_aero import documents, netcdf, rust
+from jax_aero.files import checksums, complete_folder, find_damaged, read_json, write_json, write_netcdf, write_text
 from jax_aero.places import MANIFEST_FILE, RUN_FILE
 from jax_aero.result import FlightResult, RobotNames, labels_of
 
@@ -96,28 +95,32 @@ def write_run(
             raise Refused(f"{folder.name} holds more than a result ({min(others)}), so it is not replaced")
 
 
-def read_manifest(folder: Path) -> dict[str, Any] | None:
-    """Return the manifest of a finished result, or `None` if there is none."""
+def read_manifest(folder: Path, form: Any = documents.Manifest) -> dict[str, Any] | None:
+    """Return the manifest of a finished result, or `None` if there is none of this form."""
     try:
-        manifest = json.loads((folder / MANIFEST_FILE).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        manifest = read_json(folder / MANIFEST_FILE, form)
+    except Refused:
         return None
-    return manifest if isinstance(manifest, dict) and (folder / RUN_FILE).is_file() else None
+    return manifest if (folder / RUN_FILE).is_file() else None
 
 
 @contextmanager
 def open_result(path: Path) -> Iterator[xr.Dataset]:
     """Open the NetCDF file of a result; a damaged one, and one that lacks what is read from it, is refused by name."""
     try:
-        found = xr.open_dataset(path, engine="h5netcdf")
+        found: xr.Dataset = netcdf.open_dataset(path)
     except Exception as reason:  # HDF5 fails in many ways on a damaged file
         raise Refused(f"{path} is damaged ({reason}); remove its folder and make it again") from None
     with found:
         try:
             yield found
+        except Refused:
+            raise
         except KeyError as missing:
             what = str(missing.args[0]).partition(". ")[0]
             raise Refused(f"{path}: {what}; other code made it, --overwrite makes it again") from None
+        except (AttributeError, IndexError, OSError, TypeError, ValueError) as reason:  # of other shapes and types
+            raise Refused(f"{path} is damaged ({reason}); remove its folder and make it again") from reason
 
 
 def load_result(path: Path) -> xr.Dataset:
@@ -126,12 +129,12 @@ def load_result(path: Path) -> xr.Dataset:
         return found.load()
 
 
-def find_existing(folder: Path, digest: str, code: str | None, *, overwrite: bool) -> dict[str, Any] | None:
+def find_existing(folder: Path, digest: str, code: str | None, form: Any, *, overwrite: bool) -> dict[str, Any] | None:
     """Return the manifest of an equal finished result; refuse to touch anything else that is there.
 
     A result of other code (`code`, where that is known) is kept too, and its age printed.
     """
-    finished = None if overwrite else read_manifest(folder)
+    finished = None if overwrite else read_manifest(folder, form)
     if finished is None or finished.get("config_digest") != digest:
         check_replaceable(folder, lambda _: False, overwrite=overwrite)
         return None
@@ -149,7 +152,7 @@ def check_replaceable(folder: Path, is_equal: Callable[[Mapping[str, Any]], bool
 
     `is_equal` says of a manifest whether its configuration is the same.
     """
-    if not folder.exists():
+    if not os.path.lexists(folder):
         return
     shown, finished = os.path.relpath(folder), read_manifest(folder)
     if not overwrite and (finished is None or not is_equal(finished)):

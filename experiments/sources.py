@@ -11,7 +11,6 @@ import functools
 import hashlib
 import importlib.machinery
 import importlib.metadata
-import json
 import os
 import sys
 from collections.abc import Iterator, Mapping
@@ -21,6 +20,7 @@ from typing import Any
 import jax_aero
 from jax_aero import tables
 from jax_aero.command import Refused
+from jax_aero.files import parse_json
 
 FOLDERS = {"jax_aero": Path(jax_aero.__file__).parent, "experiments": Path(__file__).parent}
 """Packages whose imports are followed."""
@@ -118,7 +118,7 @@ def _table(path: Path) -> Any:
     try:
         if path.suffix == ".toml":
             return tables.read(path)
-        return json.loads(path.read_bytes()) if path.suffix == ".json" else None
+        return parse_json(path.read_bytes()) if path.suffix == ".json" else None
     except ValueError:
         return None
 

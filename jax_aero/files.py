@@ -1,4 +1,4 @@
-"""Atomic writing of files and folders: they appear completely or not at all, and are then on the disk.
+"""Atomic writing of files and folders: they appear completely or not at all, and are then on the disk. Bounded reading.
 
 Drafts of folders have fixed names, and a process that writes a folder or a sweep holds its lock. A draft found under
 the lock is therefore left over from a process that was killed.
@@ -20,6 +20,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -57,7 +58,7 @@ def complete_folder(target: Path, *, replace: bool = False) -> Iterator[Path]:
     OSError
         If `target` exists and `replace` is false, or if the disk is full.
     """
-    target = target.resolve()
+    target = resolve(target)
     draft, retired = (target.with_name(f".{target.name}.{word}") for word in ("draft", "old"))
     with lock(target):
         if retired.exists() and not target.exists():
@@ -94,7 +95,7 @@ def lock(target: Path) -> Iterator[None]:
     Refused
         If another process holds the lock; the message names its process, machine and start.
     """
-    target = target.resolve()  # one lock for all links to the target
+    target = resolve(target)  # one lock for all links to the target
     target.parent.mkdir(parents=True, exist_ok=True)
     path = target.with_name(f".{target.name}.lock")
     while True:
@@ -116,7 +117,16 @@ def lock(target: Path) -> Iterator[None]:
 
 def lock_work(target: Path) -> AbstractContextManager[None]:
     """Hold the lock for computing a result, which covers intermediate files beside it before its folder is written."""
-    return lock(target.resolve().with_name(f".{target.resolve().name}.work"))
+    target = resolve(target)
+    return lock(target.with_name(f".{target.name}.work"))
+
+
+def resolve(target: Path) -> Path:
+    """Return the absolute path that symbolic links lead to; refuse links that lead to one another."""
+    try:
+        return target.resolve()
+    except RuntimeError:
+        raise Refused(f"{target} is a symbolic link that leads to itself") from None
 
 
 def _take(descriptor: int, path: Path, target: Path) -> None:
@@ -128,7 +138,7 @@ def _take(descriptor: int, path: Path, target: Path) -> None:
     except BlockingIOError:
         is_taken = True
     try:
-        holder = json.loads(os.pread(descriptor, 4096, 0))
+        holder = parse_json(os.pread(descriptor, 4096, 0))
         who = f"process {holder['pid']} on {holder['host']} since {holder['since']}"
         is_elsewhere = holder["host"] != here
     except (ValueError, KeyError, TypeError):  # the holder has not been written
@@ -215,14 +225,47 @@ def read_numbers(path: Path) -> NDArray[np.float64]:
         raise Refused(f"{path}: {reason}; expected rows of numbers") from None
 
 
-def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON document whose root is an object; the message about an invalid one names the file."""
+MAX_DEPTH = 64
+"""Greatest depth of lists and tables within each other in a document: ours have ten, and Python recurses a thousand."""
+
+
+def parse_json(content: bytes) -> Any:
+    """Parse JSON; raise `ValueError` if it is invalid, or deeper than `MAX_DEPTH`."""
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as reason:
+        document = msgspec.json.decode(content)
+    except (msgspec.MsgspecError, RecursionError) as reason:
+        raise ValueError(str(reason)) from None
+    parts = [document]
+    for _ in range(MAX_DEPTH):
+        tables = [part.values() if isinstance(part, dict) else part for part in parts if isinstance(part, dict | list)]
+        parts = [item for table in tables for item in table]
+    if parts:
+        raise ValueError(f"lists and tables are more than {MAX_DEPTH} deep")
+    return document
+
+
+def read_json(path: Path, form: Any = dict[str, Any], greatest: int = MAX_SIZE) -> dict[str, Any]:
+    """Read a JSON document whose root is a table.
+
+    Parameters
+    ----------
+    form
+        Type of the keys that are read (`jax_aero.documents`).
+    greatest
+        Greatest size of the file [bytes].
+
+    Raises
+    ------
+    Refused
+        If the file cannot be read or is invalid; the message names it.
+    """
+    try:
+        document: dict[str, Any] = parse_json(read_bytes(path, greatest))
+        msgspec.convert(document, form)
+    except OSError as reason:
+        raise Refused(f"{path} cannot be read: {reason.strerror}") from None
+    except (ValueError, msgspec.MsgspecError) as reason:
         raise Refused(f"{path} is damaged: {reason}") from None
-    if not isinstance(document, dict):
-        raise Refused(f"{path} is damaged: it holds no table")
     return document
 
 

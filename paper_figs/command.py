@@ -64,8 +64,11 @@ def _draw(name: str, given: argparse.Namespace) -> tuple[Figure, dict[str, str]]
     if name in FIGURES:
         return FIGURES[name].draw_from_results(given.results, given.runs or ())
     sweep = sweeps.load(given.sweeps, name)
-    with mpl.rc_context({"text.parse_math": False}):  # texts come from files, in which $ is an ordinary character
-        return DRAWINGS[sweep.document["drawing"]](sweep), sweep.hashes
+    try:
+        with mpl.rc_context({"text.parse_math": False}):  # texts come from files, in which $ is an ordinary character
+            return DRAWINGS[sweep.document["drawing"]](sweep), sweep.hashes
+    except KeyError as missing:
+        raise runs.NotDrawn(f"its tables have no {missing}; --overwrite flies it again") from None
 
 
 def _file_name(name: str, chosen: Sequence[str] | None) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from jax_aero import netcdf
 from jax_aero.places import RESULTS, RUN_FILE
 
 Series = xr.DataArray
@@ -113,6 +114,8 @@ def result_words(name: str, options: str = "") -> str:
 def read(path: Path) -> xr.Dataset:
     """Read a result file; a damaged one counts as missing."""
     try:
-        return xr.load_dataset(path, engine="h5netcdf")
+        with netcdf.open_dataset(path) as opened:
+            data: xr.Dataset = opened.load()
+            return data
     except Exception as reason:  # HDF5 raises many types for damaged files
         raise MissingRun(f"{path} is damaged ({reason}); remove its folder and make it again") from reason

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -10,6 +9,9 @@ from typing import Any
 
 import pandas as pd
 
+from jax_aero import documents
+from jax_aero.command import Refused
+from jax_aero.files import read_json
 from paper_figs.runs import MissingRun, NotDrawn
 
 
@@ -85,11 +87,10 @@ def load(results: Path, name: str) -> Sweep:
     folder = results / name
     if not is_finished(folder):
         raise MissingRun(f"no finished sweep `{name}`; fly it with: jax-aero sweep {name}")
-    path = folder / "sweep.json"
     try:
-        return Sweep(name, json.loads(path.read_text(encoding="utf-8")), folder)
-    except ValueError as reason:
-        raise MissingRun(f"{path} is damaged: {reason}; --overwrite flies it again") from reason
+        return Sweep(name, read_json(folder / "sweep.json", documents.DrawnSweep), folder)
+    except Refused as reason:
+        raise MissingRun(f"{reason}; --overwrite flies it again") from reason
 
 
 def _read(path: Path) -> pd.DataFrame:

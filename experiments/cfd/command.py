@@ -30,7 +30,7 @@ from experiments.cfd.settings import Settings
 from experiments.cfd.simulate import Result, simulate
 from experiments.cluster import Ray, add_options
 from experiments.sources import code_hash
-from jax_aero import places, tables
+from jax_aero import documents, places, tables
 from jax_aero.aero.cfd_import import checks
 from jax_aero.aero.dataset import LINKS, Dataset, Floats, save
 from jax_aero.cli import Parser
@@ -138,7 +138,7 @@ def _read_header(design: Design, folder: Path) -> dict[str, Any]:
     """Return the description of a folder's cases, which must be the design's; empty without cases."""
     if not any((folder / "cases").glob("*.json")):
         return {}
-    found = read_json(folder / "design.json")
+    found = read_json(folder / "design.json", documents.CasesHeader)
     if found.get("digest") != design.digest:
         raise Refused(f"{os.path.relpath(folder)} holds cases of other settings; choose another --out")
     return found

@@ -152,7 +152,7 @@ def held_out_network(name: str, data: Dataset) -> Floats | None:
     path = training_of(name)
     if (found := record.read_manifest(path.parent)) is None:
         return None
-    if found["dataset"] not in (data.sha256, data.add_mirror_images().sha256):
+    if found.get("dataset") not in (data.sha256, data.add_mirror_images().sha256):
         raise Refused(f"{path} is of another dataset; train again on this one, or move it away")
     run = record.load_result(path)
     return np.asarray(run["area_grouped"].values[run["is_mirrored"].values == 0], dtype=np.float64)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from experiments import Refused
 from experiments.report import facts, observer
 from experiments.report.engines import PAPER_FUEL
 from experiments.report.ground import Ground
@@ -129,10 +130,13 @@ def _judge_claim(claim: _Claim, results: Results) -> Claim:
         measured, verdict = claim.judge(results)
     except NotFlownError as reason:
         measured, verdict = str(reason), NOT_FLOWN
-    except KeyError as missing:  # a result of an older configuration or code
+    except Refused:
+        raise
+    except (AttributeError, LookupError, TypeError, ValueError) as reason:  # a result of an older configuration or code
         if not claim.command:
             raise
-        measured, verdict = f"a result has no {missing}; make it again with --overwrite: `{claim.command}`", NOT_FLOWN
+        what = f"has no {reason}" if isinstance(reason, KeyError) else f"does not fit ({reason})"
+        measured, verdict = f"a result {what}; make it again with --overwrite: `{claim.command}`", NOT_FLOWN
     else:
         if differs := [f"{name} ({made.differs})" for name, made in results.made.items() if made.differs]:
             measured = f"{measured}; {ANOTHER}: {', '.join(differs)}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from experiments.report import claims, engines, facts
 from experiments.report.page import Heading, Page, Picture, Table, Text
 from experiments.report.results import NotFlownError, Results, Sweep, count
 from experiments.report.verdicts import ANOTHER, NOT_FLOWN, OUTDATED
-from jax_aero import places
+from jax_aero import documents, places
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
 from jax_aero.files import read_json, write_text
@@ -80,7 +81,7 @@ def claims_json(stated: Sequence[claims.Claim], kept: Path) -> str:
     A claim that is not flown here, or with an outdated configuration, keeps its stored measurement. The commit is that
     of the results, which may be older than the code that judges them.
     """
-    older = read_json(kept).get("claims") if kept.is_file() else {}
+    older = read_json(kept, documents.Claims).get("claims") if os.path.lexists(kept) else {}
     if older is None:
         raise Refused(f"{kept} holds no claims; expected a file that `report` wrote")
     here = manifest.git_state()["commit"]
@@ -90,7 +91,9 @@ def claims_json(stated: Sequence[claims.Claim], kept: Path) -> str:
         measured = {"measured": claim.measured, "verdict": claim.verdict, "commit": commit}
         if claim.verdict.startswith((NOT_FLOWN, OUTDATED)) and claim.key in older:
             measured = {name: older[claim.key].get(name) for name in measured}
-        elif claim.key in older and all(older[claim.key][name] == measured[name] for name in ("measured", "verdict")):
+        elif claim.key in older and all(
+            older[claim.key].get(name) == measured[name] for name in ("measured", "verdict")
+        ):
             measured["commit"] = older[claim.key].get("commit", commit)
         found[claim.key] = dataclasses.asdict(claim) | measured
     document = {

@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from experiments import record
-from jax_aero import places
+from jax_aero import keys, places
 from jax_aero.result import ending
 
 GRAVITY = 9.81
@@ -51,8 +51,8 @@ class Ground:
 
 def read(folder: Path, config: Mapping[str, Any], mass: float) -> Ground | None:
     """Return the metrics of a result, or `None` unless a robot stands first in calm and then in wind."""
-    wind = config.get("disturbances", {}).get("controller_wind")
-    if wind is None:
+    wind = keys.get(config, "disturbances.controller_wind")
+    if not isinstance(wind, Mapping):
         return None
     with record.open_result(folder / places.RUN_FILE) as opened:
         if "contact_force" not in opened:

@@ -52,7 +52,7 @@ def sweep(name: str, document: Mapping[str, Any]) -> str:
 
 def study(kind: str, name: str, document: Mapping[str, Any]) -> str:
     """Return the difference of a study's manifest in configuration, flights and files; empty if there is none."""
-    config, sources = document["config"], document.get("sources")
+    config, sources = document.get("config", {}), document.get("sources")
     if sources is None:
         return "it does not say which flights and files it was made of"
     found = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,7 +13,7 @@ import pyarrow.parquet as pq
 
 from experiments import Refused
 from experiments.report import ground, metrics, outdated
-from jax_aero import places, rust
+from jax_aero import documents, places, rust
 from jax_aero.files import find_damaged, read_json
 
 Cell = Mapping[str, Any]
@@ -76,9 +77,10 @@ class Results:
     def manifests(self) -> dict[str, dict[str, Any]]:
         """Return the manifests of flights without --set, by name; others are not the paper's."""
         found = {}
-        for path in sorted((self.folder / "flight").glob(f"[!.]*/{places.MANIFEST_FILE}")):
-            if "--" not in path.parent.name:
-                found[path.parent.name] = read_json(path)
+        for folder in sorted((self.folder / "flight").glob("[!.]*")):
+            path = folder / places.MANIFEST_FILE
+            if "--" not in folder.name and os.path.lexists(path):
+                found[path.parent.name] = read_json(path, documents.Manifest)
                 _require_whole(path.parent, found[path.parent.name])
         return found
 
@@ -110,8 +112,9 @@ class Results:
         """Return every finished sweep, by name."""
         found = {}
         for path in sorted((self.folder / "sweeps").glob("*/cells.parquet")):
-            document = read_json(path.with_name("sweep.json"))
-            if "finished" in document:
+            described = path.with_name("sweep.json")
+            if "finished" in read_json(described):
+                document = read_json(described, documents.FinishedSweep)
                 _require_whole(path.parent, document["finished"])
                 name, cells = path.parent.name, pq.read_table(path).to_pylist()
                 found[name] = Sweep(document, cells, outdated.sweep(name, document))
@@ -146,9 +149,9 @@ class Results:
         path = self.folder / kind / name / places.MANIFEST_FILE
         if not path.is_file():
             raise NotFlownError(f"`jax-aero {kind.replace('_', '-')} {name}` has not been run")
-        document = read_json(path)
+        document = read_json(path, documents.Manifest)
         self.note(f"{kind} {name}", document, outdated.study(kind, name, document))
-        return dict(document["summary"])
+        return dict(document.get("summary", {}))
 
     def figures(self, name: str) -> dict[str, str]:
         """Return the paths of a figure, relative to the report, by the runs it shows; "" for its default runs."""

@@ -5,7 +5,6 @@ Repeat r has the same random numbers in every cell, so that cells are compared o
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from functools import cache
@@ -14,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from jax_aero import keys, tables
+from jax_aero import documents, keys, tables
+from jax_aero.files import read_json
 from jax_aero.rust import Robot
 
 CHANCE = {
@@ -113,8 +113,8 @@ class Perturbation(tables.Table, frozen=True):
 def members(ensemble: Path) -> tuple[Path, ...]:
     """Return the cards of an ensemble's members."""
     try:
-        cards = tuple(ensemble.with_name(name) for name in json.loads(ensemble.read_bytes())["members"])
-    except (ValueError, KeyError, TypeError):
+        cards = tuple(map(ensemble.with_name, read_json(ensemble, documents.Ensemble)["members"]))
+    except ValueError:
         cards = ()
     if not cards or not all(card.is_file() for card in cards):
         wanted = "ensemble.json of train-ensemble, with its networks beside it"

@@ -9,7 +9,6 @@ table.parquet    every flight       cells.parquet    every cell
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shutil
@@ -29,9 +28,9 @@ from experiments.sweep import table
 from experiments.sweep.chunks import Chunks, parquet
 from experiments.sweep.design import Design
 from experiments.sweep.spec import Spec
-from jax_aero import places, rust, tables
+from jax_aero import documents, places, rust, tables
 from jax_aero.command import progress_bar
-from jax_aero.files import checksums, find_damaged, lock, write_bytes, write_json
+from jax_aero.files import checksums, find_damaged, lock, read_json, resolve, write_bytes, write_json
 from jax_aero.result import Outcome
 
 RESULTS = places.RESULTS / "sweeps"
@@ -91,7 +90,7 @@ def run(
     """Fly the missing chunks of a sweep, here or on a cluster; return its folder."""
     folder = (out or RESULTS) / design.spec.name
     with lock(folder):
-        _run(design, workers, cluster, folder.resolve(), overwrite=overwrite)
+        _run(design, workers, cluster, resolve(folder), overwrite=overwrite)
     return folder
 
 
@@ -210,20 +209,20 @@ def modules_of(design: Design) -> tuple[str, ...]:
 def _read_document(folder: Path, document: dict[str, Any]) -> dict[str, Any]:
     """Return the description in a folder; refuse another sweep, one begun with other code, and damaged tables."""
     path, shown = folder / SWEEP_FILE, os.path.relpath(folder)
-    if not path.exists():
+    if not os.path.lexists(path):
         return {}
     try:
-        found = json.loads(path.read_bytes())
-        is_finished, digest, code = "finished" in found, found["config_hash"], found["code_hash"]
-    except (ValueError, KeyError, TypeError):
-        raise Refused(f"{shown}/{SWEEP_FILE} is damaged; choose another --out, or --overwrite it") from None
+        found = read_json(path, documents.SweepUnderWay)
+    except Refused as reason:
+        raise Refused(f"{reason}; choose another --out, or --overwrite it") from None
+    is_finished, digest, code = "finished" in found, found["config_hash"], found["code_hash"]
     if digest != document["config_hash"]:
         raise Refused(f"{shown} holds another sweep of this name; choose another --out, or --overwrite it")
     if not is_finished and code != document["code_hash"]:
         raise Refused(f"{shown} was begun by other code; --overwrite starts from the beginning")
     if is_finished and (name := find_damaged(folder, found["finished"].get("files", {}))):
         raise Refused(f"{shown}/{name} is not what was written there; --overwrite flies it again")
-    return dict(found)
+    return found
 
 
 def _clear(folder: Path) -> None:

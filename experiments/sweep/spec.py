@@ -13,6 +13,7 @@ from experiments import study
 from experiments.sweep import keys
 from experiments.sweep.perturbation import Perturbation
 from jax_aero import places, tables
+from jax_aero.documents import Drawing
 
 MAX_FILES = 128
 """Greatest number of files in a sweep; nested files are as deep in recursive calls."""
@@ -130,7 +131,7 @@ class Spec(tables.Table, frozen=True):
     chunk: tables.Count = 48
     """Flights that are computed and stored together."""
     perturbation: Perturbation = Perturbation()
-    drawing: Literal["levels", "curve", "map", "scatter", "matrix"] = "curve"
+    drawing: Drawing = "curve"
     panels: str = ""
     """Axis whose levels are panels of a figure, if any."""
 

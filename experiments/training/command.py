@@ -23,13 +23,13 @@ from experiments import Refused, manifest, overrides, record, study
 from experiments.sources import code_hash
 from experiments.training import config, parts, result
 from experiments.training.parts import FinishedPart
-from jax_aero import places
+from jax_aero import documents, places
 from jax_aero.aero.dataset import Dataset, load
 from jax_aero.aero.network import Network
 from jax_aero.aero.network_card import card_path, copy_network, save_network
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
-from jax_aero.files import lock_work
+from jax_aero.files import lock_work, resolve
 
 RESULTS = places.RESULTS / "training"
 
@@ -65,10 +65,10 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     if training.mirrored:
         dataset = dataset.add_mirror_images()
     named = given.out or RESULTS / (study.result_name("training", path) + overrides.folder_suffix(changes))
-    folder: Path = named.resolve()
+    folder = resolve(named)
     digest = hashlib.sha256(f"{study.digest(document, [config.ROBOT])}{dataset.sha256}".encode()).hexdigest()
     with lock_work(folder):
-        found = record.find_existing(folder, digest, code_hash(__name__), overwrite=given.overwrite)
+        found = record.find_existing(folder, digest, code_hash(__name__), documents.Training, overwrite=given.overwrite)
         if found is None:
             found = _train_parts(given, training, document, digest, dataset, folder)
     if given.write:

@@ -28,7 +28,7 @@ from jax_aero.aero.network_card import save_network
 from jax_aero.aero.posture import link_arms, total_wrench, vector_rms
 from jax_aero.cli import Parser, count
 from jax_aero.command import exit_status
-from jax_aero.files import lock_work, write_json
+from jax_aero.files import lock_work, resolve, write_json
 from jax_aero.train import Checkpoint, fit, load_checkpoint, predict_areas, samples_of, save_checkpoint
 
 BASE = places.CONFIGS / "training" / "compact.toml"
@@ -60,9 +60,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--overwrite", action="store_true", help="replace the result of another ensemble")
     parser.add_argument("--write", type=Path, metavar="DIR", help="write weights, cards and ensemble.json there")
     given = parser.parse_args(arguments)
-    folder = (given.out or places.RESULTS / "training" / "ensemble").resolve()
 
     def work() -> None:
+        folder = resolve(given.out or places.RESULTS / "training" / "ensemble")
         with lock_work(folder):
             found = run(given.dataset, given.epochs, folder, given.write, overwrite=given.overwrite)
         print(study.listing(found["summary"]))

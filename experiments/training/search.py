@@ -14,6 +14,7 @@ import copy
 import csv
 import io
 import json
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, suppress
@@ -28,11 +29,11 @@ from msgspec.structs import replace
 from experiments import Refused, manifest, study
 from experiments.sources import code_hash
 from experiments.training import config
-from jax_aero import places, tables
+from jax_aero import documents, places, tables
 from jax_aero.aero.dataset import Dataset, load
 from jax_aero.cli import Parser, count
 from jax_aero.command import exit_status
-from jax_aero.files import lock, read_text, write_json, write_text
+from jax_aero.files import lock, read_json, resolve, write_json, write_text
 from jax_aero.keys import set_key
 from jax_aero.train import fit, samples_of
 
@@ -100,7 +101,7 @@ def run(given: argparse.Namespace) -> None:
     settings = tables.load(path, SearchConfig)
     base = tables.read(settings.base)
     dataset = load(given.dataset)
-    out: Path = (given.out or RESULTS / study.result_name("training_search", path)).resolve()
+    out = resolve(given.out or RESULTS / study.result_name("training_search", path))
     # One study per question: another dataset, space or code must not be mixed in.
     digest = study.digest({"table": tables.to_builtins(settings), "base": base, "data": dataset.sha256}, [])
     if (out / places.RUN_FILE).exists() or _digest_in(out) not in (None, digest):
@@ -139,11 +140,12 @@ def run(given: argparse.Namespace) -> None:
 
 def _digest_in(folder: Path) -> str | None:
     """Return the digest of the result in a folder: `None` where there is none, empty where it cannot be read."""
-    try:
-        return str(json.loads(read_text(folder / places.MANIFEST_FILE))["config_digest"])
-    except FileNotFoundError:
+    path = folder / places.MANIFEST_FILE
+    if not os.path.lexists(path):
         return None
-    except (ValueError, KeyError, TypeError):
+    try:
+        return str(read_json(path, documents.Manifest).get("config_digest", ""))
+    except Refused:
         return ""
 
 

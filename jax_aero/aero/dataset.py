@@ -25,6 +25,7 @@ import numpy.typing as npt
 import xarray as xr
 from jaxtyping import Bool, Float, Int
 
+from jax_aero import netcdf
 from jax_aero.files import write_netcdf
 from jax_aero.urdf import ODD_JOINTS, opposite_indices
 
@@ -321,7 +322,8 @@ def load(path: str | PathLike[str]) -> Dataset:
     if not Path(path).is_file():
         raise ValueError(f"there is no dataset {path}; write it with: jax-aero data import-cfd")
     try:
-        table = xr.load_dataset(path, engine="h5netcdf")
+        with netcdf.open_dataset(Path(path)) as opened:
+            table = opened.load()
     except Exception as reason:  # the reader raises many types for other formats
         raise ValueError(f"{path} is not a dataset of this project: {reason}") from reason
     if table.attrs.get("format") != FORMAT:

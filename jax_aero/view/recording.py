@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jax_aero import io, rust
+from jax_aero import documents, io, netcdf, rust
 from jax_aero.files import find_damaged, read_json
 from jax_aero.places import MANIFEST_FILE, RESULTS, RUN_FILE
 from jax_aero.result import ending, labels_of
@@ -19,9 +20,6 @@ from jax_aero.summary import SETTLING_TIME
 from jax_aero.urdf import Vector
 from jax_aero.view import Refused, require
 from jax_aero.view.shapes import Look, look_of
-
-MAX_SIZE = 2 << 30
-"""Greatest size of all signals together [bytes]; the crate logs no more."""
 
 SIGNALS = (
     "time",
@@ -244,13 +242,13 @@ def read(result: str | Path, robot: str | Path | None = None) -> Recording:
 
 def _read(path: Path, robot: str | Path | None) -> Recording:
     described = path.with_name(MANIFEST_FILE)
-    manifest = read_json(described) if described.is_file() else {}
+    manifest = read_json(described, documents.Manifest) if os.path.lexists(described) else {}
     if find_damaged(
         path.parent, {name: sha256 for name, sha256 in manifest.get("files", {}).items() if name == path.name}
     ):
         raise Refused(f"`{path}` is not what was written there, by the checksum in {MANIFEST_FILE}; {EXPECTED}")
     signals, facts = _read_signals(path)
-    config = io.make_paths_absolute(manifest["config"]) if isinstance(manifest.get("config"), dict) else None
+    config = io.make_paths_absolute(manifest["config"]) if "config" in manifest else None
     robot_path = _robot_path(path, config, robot)
     try:
         loaded = rust.Robot(robot_path)
@@ -293,12 +291,11 @@ def _read_signals(path: Path) -> tuple[dict[str, Vector], dict[str, Any]]:
     import h5py
 
     try:
+        netcdf.check(path)
         with h5py.File(path, "r") as file:
             if missing := [name for name in SIGNALS if name not in file]:
                 raise Refused(f"`{path}` has no {', '.join(f'`{name}`' for name in missing)}; {EXPECTED}")
             declared = [name for name, signal in rust.signals().items() if signal.dims[0] == "time" and name in file]
-            if (size := sum(file[name].nbytes for name in declared)) > MAX_SIZE:
-                raise Refused(f"`{path}` holds {size} bytes; expected at most {MAX_SIZE}")
             signals = {name: np.asarray(file[name], dtype=np.float64) for name in declared}
             facts = {key: _to_python(value) for key, value in file.attrs.items() if not key.startswith("_")}
     except OSError:

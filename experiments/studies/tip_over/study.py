@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from experiments.sources import code_hash
 from experiments.study import Findings, Study
-from jax_aero import mujoco_ground, rust, tables
+from jax_aero import documents, mujoco_ground, rust, tables
 from jax_aero.files import read_json, write_json
 from jax_aero.wind_direction import wind_from
 
@@ -99,7 +99,7 @@ class Trials:
         self.path = path
         self._made: dict[str, dict[str, Any]] = {}
         if path.is_file():
-            self._made = read_json(path)
+            self._made = read_json(path, dict[str, documents.Trial])
 
     def make(self, config: rust.Config) -> dict[str, Any]:
         """Return the outcome of a trial, which is simulated if it is new."""

@@ -1,0 +1,161 @@
+"""Documents (JSON) beside results: the keys that are read, and their types. They may hold other keys too."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, TypeAlias
+
+import msgspec
+
+from jax_aero.result import Outcome
+
+Drawing: TypeAlias = Literal["levels", "curve", "map", "scatter", "matrix"]
+"""How the figure of a sweep is drawn."""
+
+Size = Annotated[int, msgspec.Meta(ge=0, le=2**31)]
+
+
+class _Git(msgspec.Struct):
+    commit: str | None = None
+
+
+class _Files(msgspec.Struct):
+    files: dict[str, str] = {}
+
+
+class _Sources(msgspec.Struct):
+    flights: dict[str, str]
+    files: dict[str, str]
+    configurations: dict[str, dict[str, Any]] = {}
+
+
+class Manifest(msgspec.Struct, kw_only=True):
+    """`manifest.json` of a result."""
+
+    title: str = ""
+    created: str = ""
+    git: _Git | None = None
+    code_hash: str = ""
+    config: dict[str, Any] = {}
+    config_digest: str = ""
+    summary: dict[str, Any] = {}
+    files: dict[str, str] = {}
+    sources: _Sources | None = None
+
+
+class Flight(Manifest, kw_only=True):
+    """`manifest.json` of a flight."""
+
+    name: str
+    outcome: Outcome
+    lost_time: float | None
+    lost_reason: str | None
+    summary: dict[str, float | None]
+
+
+class _Axis(msgspec.Struct):
+    name: str
+    label: str
+    unit: str
+
+
+class _TrainingSummary(msgspec.Struct):
+    parameters: int
+    errors: dict[str, dict[str, Any]]
+
+
+class Training(Manifest, kw_only=True):
+    """`manifest.json` of a trained network."""
+
+    summary: _TrainingSummary  # type: ignore[assignment]  # more than any manifest has
+
+
+class SweepUnderWay(msgspec.Struct):
+    """`sweep.json` of a sweep that may be unfinished."""
+
+    config_hash: str
+    code_hash: str
+    finished: _Files | None = None
+
+
+class _Drawing(msgspec.Struct, kw_only=True):
+    title: str
+    drawing: Drawing
+    panels: str
+    axes: list[_Axis]
+
+
+class DrawnSweep(_Drawing, kw_only=True):
+    """`sweep.json` of a finished sweep, for its figure."""
+
+    config_hash: str
+    repeats: int
+    perturbation: dict[str, Any]
+
+
+class _Outcomes(_Files, kw_only=True):
+    created: str = ""
+    flights: int
+    seconds: float
+    flights_per_minute: float | None
+    outcomes: dict[str, int]
+
+
+class _Device(msgspec.Struct):
+    cores: int | None
+
+
+class FinishedSweep(_Drawing, kw_only=True):
+    """`sweep.json` of a finished sweep, for the report."""
+
+    description: str
+    rows: int
+    engine: str
+    device: _Device
+    finished: _Outcomes
+    git: _Git | None = None
+
+
+class Claims(msgspec.Struct):
+    """`claims.json` of a report."""
+
+    claims: dict[str, dict[str, Any]] | None = None
+
+
+class Trial(msgspec.Struct):
+    """A trial of `tip-over`."""
+
+    stands: bool
+    slipped: bool
+    force: tuple[float, float, float]
+
+
+class CasesHeader(msgspec.Struct):
+    """`design.json` of a folder of CFD cases."""
+
+    digest: str
+    code_hash: str
+
+
+class _Signal(msgspec.Struct):
+    shape: list[Size]
+    data: str
+
+
+class LabRun(msgspec.Struct, kw_only=True):
+    """`run.json` that the flight lab exports."""
+
+    title: str
+    link: str
+    config: dict[str, Any]
+    log: dict[str, _Signal]
+    joint_setpoint: list[float]
+    outcome: Outcome
+    lost_time: float | None
+    lost_reason: str | None
+    summary: dict[str, float | None]
+
+
+class Ensemble(msgspec.Struct):
+    """`ensemble.json`: the cards of networks beside it."""
+
+    members: list[str]

@@ -1,0 +1,96 @@
+"""Bounded reading of NetCDF-4 files (HDF5): all data are in the file itself, and their size is known before reading."""
+
+from __future__ import annotations
+
+import math
+import stat
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+MAX_SIZE = 2 << 30
+"""Greatest size of all numbers of a file in memory [bytes], 8 for each; the crate logs no more."""
+
+MAX_TEXTS, MAX_LETTERS = 100_000, 64 << 20
+"""Greatest number of texts of a variable, and of letters of all texts; rows of our largest dataset have 5000 names."""
+
+
+def open_dataset(path: Path) -> Any:
+    """Open a file, checked by `check`, as an xarray dataset."""
+    import xarray as xr
+
+    check(path)
+    return xr.open_dataset(path, engine="h5netcdf")
+
+
+def check(path: Path) -> None:
+    """Refuse a file with data elsewhere (linked, external or virtual ones), or with more than the limits of this module.
+
+    Compressed numbers count as they are in memory.
+
+    Raises
+    ------
+    ValueError
+        If the file is refused; the message names the variable.
+    OSError
+        If it cannot be read.
+    """
+    import h5py
+
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):
+        raise ValueError("expected a regular file")
+    with h5py.File(path, "r", rdcc_nbytes=MAX_LETTERS) as file:  # so that no chunk of texts is unpacked twice
+        numbers, letters = 0, _letters_of_attributes(file, status.st_size)
+        for name in file:
+            if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+                raise ValueError(f"`{name}` is a link; expected data in the file itself")
+            variable = file[name]
+            if not isinstance(variable, h5py.Dataset):
+                raise ValueError(f"`{name}` is a {type(variable).__name__}; expected variables alone")
+            if variable.is_virtual or variable.external:
+                raise ValueError(f"`{name}` has its data in other files; expected data in the file itself")
+            count = max(_count(variable.shape), _count(variable.chunks))  # a chunk is unpacked as a whole
+            letters += _letters_of_attributes(variable, status.st_size)
+            if variable.dtype.hasobject:
+                if h5py.check_string_dtype(variable.dtype) is None or len(variable.shape) > 1:
+                    raise ValueError(f"`{name}` holds {variable.dtype}; expected numbers, or texts in one dimension")
+                _expect(f"texts of `{name}`", count, MAX_TEXTS)
+                letters = _add_letters(letters, variable, status.st_size)
+            else:
+                numbers += count * max(variable.dtype.itemsize, 8)
+            _expect("bytes of numbers", numbers, MAX_SIZE)
+            _expect("letters", letters, MAX_LETTERS)
+
+
+def _count(shape: Any) -> int:
+    return math.prod(shape or ())
+
+
+def _expect(what: str, count: int, greatest: int) -> None:
+    if count > greatest:
+        raise ValueError(f"it holds {count} {what} or more; expected at most {greatest}")
+
+
+# Any number of texts may be stored as one, which may be as long as the file.
+
+
+def _letters_of_attributes(owner: Any, file_size: int) -> int:
+    letters = 0
+    for name in owner.attrs:
+        found = owner.attrs.get_id(name)
+        # `REFERENCE_LIST`, which no reader needs, is as long as a dimension has variables.
+        if found.dtype.hasobject and found.shape is not None and name != "REFERENCE_LIST":
+            _expect(f"letters in `{name}`", _count(found.shape) * file_size, MAX_SIZE)
+            letters += sum(map(len, np.asarray(owner.attrs[name], dtype=object).ravel()))
+            _expect("letters", letters, MAX_LETTERS)
+    return letters
+
+
+def _add_letters(letters: int, variable: Any, file_size: int) -> int:
+    few = max(MAX_LETTERS // file_size, 1)
+    for start in range(0, variable.size, few):
+        letters += sum(map(len, np.ravel(variable[start : start + few] if variable.shape else variable[()])))
+        _expect("letters", letters, MAX_LETTERS)
+    return letters

@@ -1,0 +1,227 @@
+"""Files of others are refused by name when they are damaged, larger than they look, or hold data from elsewhere."""
+
+from __future__ import annotations
+
+import json
+import os
+
+import h5py
+import numpy as np
+import pytest
+import xarray as xr
+
+from experiments import Refused, record
+from experiments.report.results import Results
+from experiments.sweep import run as sweep_run
+from jax_aero import documents, netcdf
+from jax_aero.aero import dataset
+from jax_aero.cli import main
+from jax_aero.files import MAX_DEPTH, complete_folder, lock, parse_json, read_json
+from jax_aero.view import recording
+from paper_figs import runs, sweeps
+
+# --- NetCDF
+
+
+def link_to_another_file(file, other):
+    file["wind"] = h5py.ExternalLink(other, "secret")
+
+
+def link_within(file, _):
+    file["wind"] = h5py.SoftLink("/time")
+
+
+def external_storage(file, other):
+    file.create_dataset("wind", (4,), "u1", external=[(other, 0, 4)])
+
+
+def virtual(file, other):
+    layout = h5py.VirtualLayout((3,), "f8")
+    layout[:] = h5py.VirtualSource(other, "secret", (3,))
+    file.create_virtual_dataset("wind", layout)
+
+
+def group(file, _):
+    file.create_group("wind")
+
+
+def small_numbers(file, _):
+    """A byte for each number in the file, compressed; eight in memory."""
+    file.create_dataset("wind", (netcdf.MAX_SIZE // 8, 1), "i1", chunks=(1 << 20, 1), compression="gzip")
+
+
+def one_large_chunk(file, _):
+    file.create_dataset("wind", (1,), "i1", chunks=(netcdf.MAX_SIZE // 8,), maxshape=(None,), compression="gzip")
+
+
+def many_texts(file, _):
+    file.create_dataset("wind", (1 << 28,), h5py.string_dtype(), chunks=(1 << 10,), compression="gzip")
+
+
+def one_long_text_many_times(file, _):
+    file.create_dataset("wind", (100_000,), h5py.string_dtype(), chunks=(1000,), fillvalue="x" * 60_000)
+
+
+def many_texts_of_an_attribute(file, _):
+    file["wind"] = np.zeros(100_000)
+    file["wind"].attrs.create("units", ["x"] * 3000, dtype=h5py.string_dtype())
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        link_to_another_file,
+        link_within,
+        external_storage,
+        virtual,
+        group,
+        small_numbers,
+        one_large_chunk,
+        many_texts,
+        one_long_text_many_times,
+        many_texts_of_an_attribute,
+    ],
+)
+def test_a_file_is_small_and_whole_or_it_is_not_read(make, tmp_path):
+    with h5py.File(tmp_path / "other.h5", "w") as other:
+        other["secret"] = np.arange(3.0)
+    path = tmp_path / "run.nc"
+    with h5py.File(path, "w") as file:
+        file["time"] = np.arange(3.0)
+        make(file, str(tmp_path / "other.h5"))
+    assert path.stat().st_size < 2e6
+    with pytest.raises(ValueError, match=r"^`wind` |^it holds \d+ "):
+        netcdf.check(path)
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        record.load_result,
+        runs.read,
+        recording.read,
+        dataset.load,
+    ],
+)
+def test_every_reader_of_such_files_checks_them(read, tmp_path):
+    path = tmp_path / "run.nc"
+    with h5py.File(path, "w") as file:
+        file["wind"] = h5py.ExternalLink(__file__, "secret")
+    with pytest.raises((ValueError, runs.NotDrawn), match=rf"{path}.*`wind` is a link"):
+        read(path)
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises((ValueError, runs.NotDrawn), match=f"{path}"):
+        read(path)
+
+
+# --- JSON
+
+
+def deep(path):
+    path.write_text('{"config": ' + "[" * 10**5 + "]" * 10**5 + "}")
+
+
+def deeper_than_ours(path):
+    path.write_text('{"config": {"a": ' + "[" * MAX_DEPTH + "]" * MAX_DEPTH + "}}")
+
+
+def of_other_types(path):
+    path.write_text('{"config": [], "files": [], "finished": [], "claims": 1, "git": "", "title": {}}')
+
+
+def a_list(path):
+    path.write_text("[]")
+
+
+def half_a_letter(path):
+    path.write_bytes(b'{"title": "\\ud800"}')
+
+
+def pipe(path):
+    os.mkfifo(path)
+
+
+def circle(path):
+    path.symlink_to(path)
+
+
+def a_folder(path):
+    path.mkdir()
+
+
+damage = pytest.mark.parametrize(
+    "damage", [deep, deeper_than_ours, of_other_types, a_list, half_a_letter, pipe, circle, a_folder]
+)
+
+
+@damage
+@pytest.mark.parametrize("form", [documents.Manifest, documents.FinishedSweep, documents.LabRun, documents.Claims])
+def test_a_damaged_document_is_named(damage, form, tmp_path):
+    path = tmp_path / "it.json"
+    damage(path)
+    with pytest.raises(Refused, match=rf"{path} (is damaged|cannot be read): "):
+        read_json(path, form)
+
+
+def test_what_we_write_is_not_deep():
+    assert parse_json(b"[" * MAX_DEPTH + b"]" * MAX_DEPTH) == eval("[" * MAX_DEPTH + "]" * MAX_DEPTH)
+
+
+@damage
+def test_a_damaged_manifest_is_named_by_every_reader_and_overwritten(damage, tmp_path):
+    folder, flight = tmp_path / "flight" / "mine", xr.Dataset()
+    record.write_run(folder, flight, {"config_digest": "d"})
+    path = folder / "manifest.json"
+    path.unlink()
+    damage(path)
+    with pytest.raises(Refused, match=f"{path} (is damaged|cannot be read): "):
+        recording.read(folder)
+    with pytest.raises(Refused, match=f"{path} (is damaged|cannot be read): "):
+        _ = Results(tmp_path).manifests
+    with pytest.raises(Refused, match=r"mine holds no finished result; .*--overwrite it"):
+        record.find_existing(folder, "d", None, documents.Manifest, overwrite=False)
+    if damage is not a_folder:
+        assert record.find_existing(folder, "d", None, documents.Manifest, overwrite=True) is None
+        record.write_run(folder, flight, {"config_digest": "d"}, replace=True)
+        assert record.read_manifest(folder)["config_digest"] == "d"
+
+
+@damage
+def test_a_damaged_description_of_a_sweep_is_named_by_every_reader_and_overwritten(damage, tmp_path):
+    folder = tmp_path / "sweeps" / "mine"
+    folder.mkdir(parents=True)
+    (folder / "cells.parquet").touch()
+    path = folder / "sweep.json"
+    damage(path)
+    with pytest.raises(Refused, match=r"sweep\.json (is damaged|cannot be read): .*--overwrite it"):
+        sweep_run._read_document(folder, {})
+    with pytest.raises(Refused, match=f"{path} (is damaged|cannot be read): "):
+        _ = Results(tmp_path).sweeps
+    with pytest.raises(runs.NotDrawn, match=f"{path} (is damaged|cannot be read): "):
+        sweeps.load(folder.parent, "mine")
+    if damage is not a_folder:
+        sweep_run._clear(folder)
+        assert not folder.exists()
+
+
+def test_links_that_lead_to_themselves_are_named(tmp_path):
+    path = tmp_path / "mine"
+    path.symlink_to(path)
+    for use in (lock, complete_folder):
+        with pytest.raises(Refused, match=f"{path} is a symbolic link that leads to itself"), use(path):
+            pass
+
+
+def test_a_lock_that_says_nothing_is_taken_over(tmp_path):
+    (tmp_path / ".mine.lock").write_text("[" * 4096)
+    with lock(tmp_path / "mine"):
+        assert json.loads((tmp_path / ".mine.lock").read_text())["pid"] == os.getpid()
+
+
+def test_commands_refuse_in_one_line(tmp_path, capsys):
+    path = tmp_path / "flight" / "test1" / "manifest.json"
+    path.parent.mkdir(parents=True)
+    of_other_types(path)
+    assert main(["report", "--results", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.startswith(f"error: {path} is damaged: ")
