@@ -235,13 +235,18 @@ def parse_json(content: bytes) -> Any:
         document = msgspec.json.decode(content)
     except (msgspec.MsgspecError, RecursionError) as reason:
         raise ValueError(str(reason)) from None
+    check_depth(document)
+    return document
+
+
+def check_depth(document: Any) -> None:
+    """Raise `ValueError` for a document deeper than `MAX_DEPTH`."""
     parts = [document]
     for _ in range(MAX_DEPTH):
         tables = [part.values() if isinstance(part, dict) else part for part in parts if isinstance(part, dict | list)]
         parts = [item for table in tables for item in table]
     if parts:
         raise ValueError(f"lists and tables are more than {MAX_DEPTH} deep")
-    return document
 
 
 def read_json(path: Path, form: Any = dict[str, Any], greatest: int = MAX_SIZE) -> dict[str, Any]:

@@ -25,7 +25,7 @@ def open_dataset(path: Path) -> Any:
 
 
 def check(path: Path) -> None:
-    """Refuse a file with data elsewhere (linked, external or virtual ones), or with more than the limits of this module.
+    """Refuse a file with data elsewhere (linked, external or virtual ones), or with more than this module's limits.
 
     Compressed numbers count as they are in memory.
 

@@ -32,7 +32,7 @@ import msgspec
 from msgspec import inspect
 
 from jax_aero.command import Refused
-from jax_aero.files import read_text
+from jax_aero.files import check_depth, read_text
 from jax_aero.keys import refuse_dates, set_key
 
 T = TypeVar("T")
@@ -48,8 +48,10 @@ NonNegative: TypeAlias = Annotated[float, msgspec.Meta(ge=0.0)]
 Fraction: TypeAlias = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 Count: TypeAlias = Annotated[int, msgspec.Meta(ge=1, le=1_000_000)]
 """A number of items, at least one."""
-Natural: TypeAlias = Annotated[int, msgspec.Meta(ge=0)]
+Natural: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=1_000_000)]
 """A number of items, possibly zero."""
+Seed: TypeAlias = Annotated[int, msgspec.Meta(ge=0)]
+"""A number that random numbers follow from."""
 
 
 class ConfigError(Refused):
@@ -84,7 +86,8 @@ def read(path: Path) -> dict[str, Any]:
     """Read a TOML file."""
     try:
         table = tomllib.loads(read_text(path, MAX_FILE_SIZE))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as reason:
+        check_depth(table)
+    except (OSError, RecursionError, ValueError) as reason:
         raise ConfigError(f"{path.name}: {reason}") from None
     refuse_dates(table, path.name)
     return table
@@ -210,7 +213,7 @@ def _build(value: Any, kind: inspect.Type, key: str, folder: Path) -> Any:
         case inspect.TupleType() if isinstance(value, list | tuple) and len(value) == len(kind.item_types):
             items = enumerate(zip(value, kind.item_types, strict=True))
             return tuple(_build(item, each, f"{key}[{index}]", folder) for index, (item, each) in items)
-        case inspect.VarTupleType() if isinstance(value, list | tuple) and len(value) >= (kind.min_length or 0):
+        case inspect.VarTupleType() if isinstance(value, list | tuple) and _has_length(value, kind):
             return tuple(_build(item, kind.item_type, f"{key}[{index}]", folder) for index, item in enumerate(value))
         case inspect.LiteralType() if value in kind.values:
             return value
@@ -299,6 +302,10 @@ def _is_in_range(value: float, kind: inspect.IntType | inspect.FloatType) -> boo
     return all(limit is None or accepts(value, limit) for accepts, limit in given)
 
 
+def _has_length(value: Sequence[Any], kind: inspect.VarTupleType) -> bool:
+    return (kind.min_length or 0) <= len(value) <= (math.inf if kind.max_length is None else kind.max_length)
+
+
 def _expectation(kind: inspect.Type, value: Any) -> str:
     """Return a description of the values that a type accepts."""
     match kind:
@@ -309,11 +316,13 @@ def _expectation(kind: inspect.Type, value: Any) -> str:
             if isinstance(kind, inspect.FloatType) and _is_number(value) and _is_in_range(value, kind):
                 return "a number from -1e9 to 1e9"
             given = [(sign, getattr(kind, name)) for name, (sign, _) in LIMITS.items()]
-            limits = " and ".join(f"{sign} {limit:g}" for sign, limit in given if limit is not None)
+            limits = " and ".join(f"{sign} {limit:.9g}" for sign, limit in given if limit is not None)
             return f"{words} {limits}".rstrip()
         case inspect.TupleType():
             return f"a list of {len(kind.item_types)}"
         case inspect.VarTupleType():
+            if kind.max_length is not None:
+                return f"a list of {kind.min_length or 0} to {kind.max_length}"
             return f"a list of {kind.min_length} or more" if kind.min_length else "a list"
         case inspect.StructType():
             return f"a list of {len(kind.fields)}"

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
 
 import msgspec
 import numpy as np
@@ -26,18 +26,22 @@ from jax_aero.view.shapes import look_of
 KIND = "cfd"
 
 
+Angles: TypeAlias = Annotated[tuple[float, ...], msgspec.Meta(max_length=1000)]
+"""Angles [deg], of which a grid has a million combinations at most."""
+
+
 class Winds(tables.Table, frozen=True):
     """Directions of the wind, given as pitch and yaw of the robot in the tunnel [deg]."""
 
     design: Literal["grid", "list", "sobol"]
     """All combinations, pairs, or quasi-random directions on the sphere that differ between postures."""
-    pitch_deg: tuple[float, ...] = ()
+    pitch_deg: Angles = ()
     """Angle of the robot's vertical axis above the horizontal, 0 to 180, for a grid or list."""
-    yaw_deg: tuple[float, ...] = ()
+    yaw_deg: Angles = ()
     """Yaw about the vertical of the tunnel, −180 to 180, for a grid or list."""
     samples: tables.Natural = 0
     """Number of directions per posture in a sobol design."""
-    seed: tables.Natural = 1
+    seed: tables.Seed = 1
     steps_deg: tuple[tables.Positive, tables.Positive] | None = None
     """Steps to which a sobol design rounds pitch and yaw, so that its points belong to a grid."""
 

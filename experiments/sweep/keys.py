@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from jax_aero import tables
@@ -43,14 +44,10 @@ def set_all(config: dict[str, Any], *layers: Mapping[str, Any]) -> None:
     drop_absent(config)
 
 
-def find_replaced(key: str, earlier: Mapping[str, Any]) -> str | None:
-    """Return the first earlier setting that is overwritten, in whole or part, by setting `key`; `None` if none is."""
-    for other, value in earlier.items():
-        # Speed and direction of the wind are not overwritten by the wind, since they are set last.
-        if key == other or (other not in POLAR and any(_is_within(part, key) for part, _ in parts(value, other))):
-            return other
-    return None
-
-
-def _is_within(key: str, table: str) -> bool:
-    return f"{key}.".startswith(f"{table}.")
+def replacing(key: str, value: Any) -> Iterator[str]:
+    """Yield the keys that overwrite this setting, in whole or part, if they are set later."""
+    if key in POLAR:  # set last, so that the wind does not overwrite them
+        yield key
+        return
+    for part, _ in parts(value, key):
+        yield from itertools.accumulate(part.split("."), lambda table, name: f"{table}.{name}")

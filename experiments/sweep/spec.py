@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -17,6 +16,12 @@ from jax_aero.documents import Drawing
 
 MAX_FILES = 128
 """Greatest number of files in a sweep; nested files are as deep in recursive calls."""
+
+MAX_CELLS, MAX_ROWS = 100_000, 1_000_000
+"""Greatest number of cells, which are all checked before the first flight, and of flights, whose table is in memory."""
+
+MAX_AXES, MAX_LEVELS = 100, 1000
+"""Greatest number of axes, each a column of the tables, and of levels with labels of one axis, which figures name."""
 
 PATHS = ("card", "ensemble", "file", "path", "robot")
 """Last parts of keys whose values are paths."""
@@ -37,7 +42,7 @@ class Range(tables.Table, frozen=True):
 
     start: float
     stop: float
-    num: Annotated[int, msgspec.Meta(ge=2)]
+    num: Annotated[int, msgspec.Meta(ge=2, le=MAX_CELLS)]
 
 
 class Axis(tables.Table, frozen=True):
@@ -56,7 +61,7 @@ class Axis(tables.Table, frozen=True):
     low: float | None = None
     """Lower end of a sampled axis, whose upper end is `high`."""
     high: float | None = None
-    level: tuple[Level, ...] = ()
+    level: Annotated[tuple[Level, ...], msgspec.Meta(max_length=MAX_LEVELS)] = ()
     """Levels that replace keys and values."""
 
     def __post_init__(self) -> None:
@@ -87,6 +92,11 @@ class Axis(tables.Table, frozen=True):
         return self.low or 0.0, self.high or 0.0
 
     @property
+    def n_levels(self) -> int:
+        """Return the number of levels of an axis of a grid or list."""
+        return self.range.num if self.range is not None else len(self.level or self.values)
+
+    @property
     def levels(self) -> tuple[Level, ...]:
         """Return the levels of an axis of a grid or list."""
         if self.level:
@@ -115,17 +125,17 @@ class Spec(tables.Table, frozen=True):
     description: str
     base: str
     """Name or path of the base experiment."""
-    axis: Annotated[tuple[Axis, ...], msgspec.Meta(min_length=1)]
+    axis: Annotated[tuple[Axis, ...], msgspec.Meta(min_length=1, max_length=MAX_AXES)]
     name: Annotated[str, msgspec.Meta(pattern=r"^\w[^/\x00-\x1f\x7f]*$")] = ""
     """Name of the result's folder; by default that of the file."""
     design: Literal["grid", "list", "latin_hypercube", "sobol"] = "grid"
     """Cells that are flown: all combinations, the axes in parallel, or a quasi-random sample."""
-    samples: tables.Natural = 0
+    samples: Annotated[int, msgspec.Meta(ge=0, le=MAX_CELLS)] = 0
     """Number of cells of a quasi-random design."""
     set: dict[str, Any] = msgspec.field(default_factory=dict)
     """Values by dotted key, set in every cell."""
     engine: Literal["rust", "jax", "mujoco"] = "rust"
-    seed: tables.Natural = 1
+    seed: tables.Seed = 1
     repeats: tables.Count = 1
     """Flights in each cell, each with its own perturbation."""
     chunk: tables.Count = 48
@@ -140,7 +150,7 @@ class Spec(tables.Table, frozen=True):
         if len(set(names)) < len(names):
             raise ValueError("two axes have one name")
         for axis in self.axis:
-            if self.is_sampled is not axis.is_sampled or (not axis.is_sampled and not axis.levels):
+            if self.is_sampled is not axis.is_sampled or (not axis.is_sampled and not axis.n_levels):
                 wanted = "low and high" if self.is_sampled else "values, a range or levels"
                 raise ValueError(f"axis {axis.name} of a {self.design} needs {wanted}")
         if self.is_sampled is not (self.samples > 0):
@@ -148,16 +158,34 @@ class Spec(tables.Table, frozen=True):
             raise ValueError(f"`samples` is {self.samples}; expected {wanted} for a {self.design}")
         if self.panels and self.panels not in names:
             raise ValueError(f"`panels` is {self.panels!r}; expected the name of an axis: {', '.join(names)}")
-        if self.design == "list" and len({len(axis.levels) for axis in self.axis}) > 1:
+        if self.design == "list" and len({axis.n_levels for axis in self.axis}) > 1:
             raise ValueError("the axes of a list need equally many values")
-        for earlier, later in itertools.combinations(self.axis, 2):
-            for before, after in itertools.product(earlier.settings, later.settings):
-                for key in after:
-                    if lost := keys.find_replaced(key, before):
-                        raise ValueError(
-                            f"axis {later.name} sets `{key}`, which replaces `{lost}` of axis {earlier.name}; "
-                            "expected axes that set different keys"
-                        )
+        self._check_size()
+        self._check_keys()
+
+    def _check_size(self) -> None:
+        cells = self.samples or 1
+        for axis in self.axis:
+            cells = cells * axis.n_levels if self.design == "grid" else max(cells, axis.n_levels)
+            if cells > MAX_CELLS:
+                raise ValueError(f"`axis` makes more than {MAX_CELLS} cells; expected at most that many")
+        if cells * self.repeats > MAX_ROWS:
+            most = MAX_ROWS // cells
+            raise ValueError(f"`repeats` is {self.repeats}; expected at most {most} for {cells} cells")
+
+    def _check_keys(self) -> None:
+        taken: dict[str, tuple[str, str]] = {}  # axis and key of every setting, by the keys that would replace it
+        for axis in self.axis:
+            written = [item for settings in axis.settings for item in settings.items()]
+            for key, _ in written:
+                if key in taken:
+                    earlier, lost = taken[key]
+                    raise ValueError(
+                        f"axis {axis.name} sets `{key}`, which replaces `{lost}` of axis {earlier}; "
+                        "expected axes that set different keys"
+                    )
+            for key, value in written:
+                taken |= dict.fromkeys(keys.replacing(key, value), (axis.name, key))
 
     @property
     def is_sampled(self) -> bool:

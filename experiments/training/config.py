@@ -66,10 +66,10 @@ class Validation(tables.Table, frozen=True):
     """Rows that are held out."""
 
     fraction: Annotated[float, Meta(gt=0.0, lt=1.0)]
-    random_seeds: tuple[tables.Natural, ...]
+    random_seeds: tuple[tables.Seed, ...]
     folds: tables.Count
     folds_run: tables.Count
-    fold_seeds: tuple[tables.Natural, ...]
+    fold_seeds: tuple[tables.Seed, ...]
 
     def __post_init__(self) -> None:
         for name in ("random_seeds", "fold_seeds"):
@@ -84,7 +84,7 @@ class Training(tables.Table, frozen=True):
 
     title: str
     description: str
-    seed: tables.Natural
+    seed: tables.Seed
     mirrored: bool
     """Whether mirror images are added to the rows."""
     final: bool

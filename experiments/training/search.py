@@ -69,8 +69,8 @@ class SearchConfig(tables.Table, frozen=True):
     base: Path
     """The training file that trials start from."""
     trials: tables.Count
-    seed: tables.Natural
-    fold_seed: tables.Natural
+    seed: tables.Seed
+    fold_seed: tables.Seed
     folds: tables.Count
     """Inner folds of whole postures."""
     folds_run: tables.Count

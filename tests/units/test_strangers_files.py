@@ -13,7 +13,7 @@ import xarray as xr
 from experiments import Refused, record
 from experiments.report.results import Results
 from experiments.sweep import run as sweep_run
-from jax_aero import documents, netcdf
+from jax_aero import documents, netcdf, tables
 from jax_aero.aero import dataset
 from jax_aero.cli import main
 from jax_aero.files import MAX_DEPTH, complete_folder, lock, parse_json, read_json
@@ -217,6 +217,14 @@ def test_a_lock_that_says_nothing_is_taken_over(tmp_path):
     (tmp_path / ".mine.lock").write_text("[" * 4096)
     with lock(tmp_path / "mine"):
         assert json.loads((tmp_path / ".mine.lock").read_text())["pid"] == os.getpid()
+
+
+@pytest.mark.parametrize("depth", [MAX_DEPTH, 10**5])
+def test_a_deep_configuration_is_named(depth, tmp_path):
+    path = tmp_path / "deep.toml"
+    path.write_text(f"a = {'[' * depth}{']' * depth}")
+    with pytest.raises(Refused, match=r"deep\.toml: "):
+        tables.read(path)
 
 
 def test_commands_refuse_in_one_line(tmp_path, capsys):

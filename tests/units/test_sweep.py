@@ -176,7 +176,7 @@ def test_axes_may_set_parts_of_one_table():
         ({"engine": "matlab"}, '`engine` is "matlab"; expected one of jax, mujoco, rust'),
         ({"repeats": 0}, "`repeats` is 0; expected an integer ≥ 1"),
         ({"colour": "red"}, "unknown key `colour`"),
-        ({"axis": []}, "`axis` is .*; expected a list of 1 or more"),
+        ({"axis": []}, "`axis` is .*; expected a list of 1 to 100"),
         ({"axis": [{"name": "x", "key": "wind.speed", "low": 2, "high": 1}]}, "expected low < high"),
         (
             {"axis": [{"name": "x", "key": "wind.speed", "values": ["fast"]}]},
@@ -205,6 +205,36 @@ def test_axes_may_set_parts_of_one_table():
     ],
 )
 def test_a_mistake_in_a_file_is_named(changes, message):
+    with pytest.raises(Refused, match=message):
+        design(**changes)
+
+
+def range_axis(number, count):
+    return {"name": f"x{number}", "key": f"a.b{number}", "range": {"start": 0, "stop": 1, "num": count}}
+
+
+def level_axis(name, count):
+    return {"name": name, "level": [{"label": label, "set": {f"a.{name}{label}": 1}} for label in range(count)]}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"axis": [range_axis(0, 10**9)]},
+            r"`axis\[0\]\.range\.num` is 1000000000; expected an integer ≥ 2 and ≤ 100000",
+        ),
+        ({"axis": [range_axis(number, 1000) for number in range(6)]}, "`axis` makes more than 100000 cells"),
+        ({"axis": [range_axis(number, 2) for number in range(101)]}, "`axis` is .*; expected a list of 1 to 100"),
+        ({"axis": [level_axis("x", 1001)]}, r"`axis\[0\]\.level` is .*; expected a list of 0 to 1000"),
+        ({"axis": [level_axis(name, 1000) for name in "xy"]}, "`axis` makes more than 100000 cells"),
+        ({"design": "sobol", "samples": 10**9}, "`samples` is 1000000000; expected an integer ≥ 0 and ≤ 100000"),
+        ({"repeats": 10**9}, "`repeats` is 1000000000; expected an integer ≥ 1 and ≤ 1000000"),
+        ({"repeats": 10**6}, "`repeats` is 1000000; expected at most 500000 for 2 cells"),
+    ],
+)
+def test_the_size_of_a_sweep_is_refused_before_it_is_made(changes, message, monkeypatch):
+    monkeypatch.delattr(spec.Axis, "levels")
     with pytest.raises(Refused, match=message):
         design(**changes)
 

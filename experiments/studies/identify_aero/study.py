@@ -45,7 +45,7 @@ FIRST_TICK, N_STARTS = 600, 240
 class IdentifyConfig(tables.Table, frozen=True):
     """Settings of an identification."""
 
-    seed: tables.Natural = 1
+    seed: tables.Seed = 1
     """Seed of the true areas and of the noise."""
     steps: tables.Count = 150
     """Number of steps of the descent."""

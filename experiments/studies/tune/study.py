@@ -45,7 +45,7 @@ class TuneConfig(tables.Table, frozen=True):
     """Duration of a flight [s]."""
     cost: Cost
     steps: Steps
-    seed: tables.Natural = 1
+    seed: tables.Seed = 1
     """Seed of the worlds; those of the validation use the next one."""
 
     def __post_init__(self) -> None:

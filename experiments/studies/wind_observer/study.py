@@ -47,7 +47,7 @@ class WindEstimate(tables.Table, frozen=True):
     """Wind speeds [m/s]."""
     flights: tables.Count = 12
     """Flights for each speed and world."""
-    seed: tables.Natural = 2
+    seed: tables.Seed = 2
     """Seed of the perturbation; the observer's numbers were chosen with seed 1."""
 
     def __post_init__(self) -> None:
