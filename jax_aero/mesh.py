@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import functools
+import io
 import itertools
 import os
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero.command import Refused
+from jax_aero.files import read_bytes
 
 
 class Mesh(NamedTuple):
@@ -46,25 +49,81 @@ def mesh_file(name: str, folder: Path) -> Path:
     return same[0]
 
 
+GREATEST = {".stl": 64 << 20, ".obj": 32 << 20, ".dae": 32 << 20}
+"""Formats that are read, with the greatest size of a file [bytes]; reading text takes up to 50 times as much memory.
+
+Other formats that trimesh can read may be archives of any size, or name other files.
+"""
+
+MAX_TRIANGLES, MAX_NODES = 2_000_000, 100_000
+"""Greatest number of triangles of a mesh, some 200 MB, and of nodes of a DAE file, in which nodes may repeat others."""
+
+
 @functools.lru_cache(maxsize=256)
 def read_mesh(path: Path) -> Mesh:
-    """Read all triangles of an STL, OBJ or DAE file, in its own unit.
+    """Read all triangles of an STL, OBJ or DAE file, in its own unit, and nothing of the files that it names.
 
     Raises
     ------
     Refused
-        If trimesh cannot read the file or finds no triangle.
+        If the file is of another format, too large, or has no triangle.
     """
+    suffix = path.suffix.lower()
+    if suffix not in GREATEST:
+        raise Refused(f"mesh {path.name} ends in `{path.suffix}`; expected one of {', '.join(GREATEST)}")
+    data = read_bytes(path, GREATEST[suffix])
     import trimesh
 
     try:
-        read = trimesh.load_scene(path).to_mesh()
+        if suffix == ".dae":
+            read = trimesh.Trimesh(**_read_dae(data)._asdict())  # which joins equal vertices
+        else:
+            options: Any = {"skip_materials": True} if suffix == ".obj" else {}
+            read = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], **options).to_mesh()
         vertices, faces = np.asarray(read.vertices, np.float64), np.asarray(read.faces, np.int64)
-    except Exception as reason:  # trimesh's readers raise many types
+        _expect_triangles(len(faces))
+    except Exception as reason:  # the readers raise many types
         raise Refused(f"mesh {path.name} cannot be read: {reason}") from None
     if faces.size == 0 or not np.isfinite(vertices).all():
         raise Refused(f"mesh {path.name} has no triangle, or vertices that are not finite")
     return Mesh(vertices, faces)
+
+
+def _read_dae(data: bytes) -> Mesh:
+    """Read the geometries of the scene, each where its nodes place it."""
+    import collada
+
+    if zipfile.is_zipfile(io.BytesIO(data)) or any("<!ENTITY".encode(code) in data for code in UNICODE):
+        raise ValueError("it is an archive, or defines entities; expected plain XML")
+    document = collada.Collada(io.BytesIO(data), ignore=[collada.DaeError])
+    corners, count = [np.empty((0, 3))], 0
+    waiting = [(node, np.eye(4)) for node in document.scene.nodes]
+    for _ in range(MAX_NODES):
+        if not waiting:
+            break
+        node, pose = waiting.pop()
+        if isinstance(node, collada.scene.Node):
+            waiting += [(child, pose @ node.matrix) for child in node.children or ()]
+        primitives = node.geometry.primitives if isinstance(node, collada.scene.GeometryNode) else ()
+        for primitive in primitives:
+            if isinstance(primitive, collada.polylist.Polylist):
+                primitive = primitive.triangleset()
+            if isinstance(primitive, collada.triangleset.TriangleSet) and primitive.vertex is not None:
+                count += len(primitive.vertex_index)
+                _expect_triangles(count)
+                corners.append(primitive.vertex[primitive.vertex_index].reshape(-1, 3) @ pose[:3, :3].T + pose[:3, 3])
+    else:
+        raise ValueError(f"it has {MAX_NODES} nodes or more; expected fewer")
+    vertices = np.concatenate(corners)
+    return Mesh(vertices, np.arange(len(vertices)).reshape(-1, 3))
+
+
+UNICODE = ("utf-8", "utf-16-le", "utf-16-be")
+
+
+def _expect_triangles(count: int) -> None:
+    if count > MAX_TRIANGLES:
+        raise ValueError(f"it has {count} triangles or more; expected at most {MAX_TRIANGLES}")
 
 
 def revolve(profile: Sequence[tuple[float, float]], segments: int = 24) -> Mesh:

@@ -1,16 +1,21 @@
 """A robot of meshes can be looked at; rotation error and lean are two angles; foreign sites are turned away."""
 
 import http.client
+import io
 import itertools
+import os
 import re
 import socket
 import tomllib
+import zipfile
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from jax_aero import places, rust
+from jax_aero import mesh, places, rust
+from jax_aero.mesh import read_mesh
+from jax_aero.view import Refused
 from jax_aero.view.recording import Instant
 from jax_aero.view.shapes import look_of
 
@@ -112,6 +117,77 @@ def test_meshes_of_three_formats_are_drawn(tmp_path, monkeypatch):
         # Volume of the tetrahedron, and faces outwards.
         volume = np.einsum("fi,fi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
         assert abs(volume - 1.0 / 6.0) < 1e-7  # single precision of a file's numbers
+
+
+def in_a_zip(text):
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as archive:
+        archive.writestr("a.dae", text)
+    return content.getvalue()
+
+
+def repeating(levels):
+    """Nodes that repeat one another: of the tetrahedron, 4 to this power."""
+    nodes = '<node id="n0"><instance_geometry url="#g"/></node>'
+    for level in range(levels):
+        nodes += f'<node id="n{level + 1}">' + 4 * f'<instance_node url="#n{level}"/>' + "</node>"
+    text = DAE.replace("<library_visual_scenes>", f"<library_nodes>{nodes}</library_nodes><library_visual_scenes>")
+    return text.replace(
+        '<instance_geometry url="#g"/></node></visual', f'<instance_node url="#n{levels}"/></node></visual'
+    )
+
+
+def of_entities(text):
+    return text.replace("<COLLADA", '<!DOCTYPE a [<!ENTITY b "1">]><COLLADA', 1).replace("2000-01", "&b;000-01", 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.zip", in_a_zip(DAE), "expected one of .stl, .obj, .dae"),
+        ("a.gltf", b"{}", "expected one of .stl, .obj, .dae"),
+        ("a.dae", in_a_zip(DAE), "it is an archive"),
+        ("a.dae", b"<!-- -->" + in_a_zip(DAE), "it is an archive"),
+        ("a.dae", of_entities(DAE).encode(), "defines entities"),
+        ("a.dae", of_entities(DAE).encode("utf-16"), "defines entities"),
+        ("a.dae", repeating(30).encode(), "100000 nodes or more"),
+    ],
+)
+def test_a_mesh_is_no_larger_than_its_file(name, content, words, tmp_path):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(Refused, match=words):
+        read_mesh(tmp_path / name)
+
+
+def test_the_triangles_of_a_mesh_are_bounded(tmp_path, monkeypatch):
+    monkeypatch.setattr(mesh, "MAX_TRIANGLES", 15)
+    for name, content in (("a.dae", repeating(2)), ("b.obj", 5 * OBJ)):
+        (tmp_path / name).write_text(content)
+        with pytest.raises(Refused, match="triangles or more; expected at most 15"):
+            read_mesh(tmp_path / name)
+    monkeypatch.setitem(mesh.GREATEST, ".stl", 10)
+    (tmp_path / "c.stl").write_text(STL)
+    with pytest.raises(Refused, match="at most 10 bytes"):
+        read_mesh(tmp_path / "c.stl")
+
+
+def test_nodes_of_a_mesh_move_what_they_repeat(tmp_path):
+    pytest.importorskip("collada")
+    text = repeating(1).replace('<node id="n1">', '<node id="n1"><translate>0 0 5</translate><scale>2 2 2</scale>')
+    (tmp_path / "a.dae").write_text(text)
+    read = read_mesh(tmp_path / "a.dae")
+    assert len(read.faces) == 4 * len(FACES)
+    np.testing.assert_allclose(np.unique(read.vertices, axis=0), np.unique(2.0 * CORNERS + [0, 0, 5], axis=0))
+
+
+def test_files_that_a_mesh_names_are_not_opened(tmp_path):
+    """A pipe, which would be waited for."""
+    os.mkfifo(tmp_path / "pipe.mtl")
+    (tmp_path / "a.obj").write_text(f"mtllib pipe.mtl\nusemtl a\n{OBJ}")
+    image = '<library_images><image id="i"><init_from>pipe.mtl</init_from></image></library_images>'
+    (tmp_path / "b.dae").write_text(DAE.replace("<library_geometries>", image + "<library_geometries>"))
+    for name in ("a.obj", "b.dae"):
+        assert len(read_mesh(tmp_path / name).faces) == len(FACES)
 
 
 def test_lean_is_measured_from_the_vertical_not_from_the_reference():
