@@ -11,7 +11,7 @@ import pandas as pd
 
 from jax_aero import documents
 from jax_aero.command import Refused
-from jax_aero.files import read_json
+from jax_aero.files import read_json, read_parquet
 from paper_figs.runs import MissingRun, NotDrawn
 
 
@@ -95,9 +95,9 @@ def load(results: Path, name: str) -> Sweep:
 
 def _read(path: Path) -> pd.DataFrame:
     try:
-        return pd.read_parquet(path)
-    except Exception as reason:  # the readers raise many types for damaged files
-        raise MissingRun(f"{path} is damaged ({reason}); --overwrite flies it again") from reason
+        return read_parquet(path).to_pandas()
+    except Refused as reason:
+        raise MissingRun(f"{reason}; --overwrite flies it again") from reason
 
 
 def axis_label(axis: dict[str, Any]) -> str:

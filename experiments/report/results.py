@@ -9,12 +9,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-import pyarrow.parquet as pq
-
 from experiments import Refused
 from experiments.report import ground, metrics, outdated
 from jax_aero import documents, places, rust
-from jax_aero.files import find_damaged, read_json
+from jax_aero.files import find_damaged, read_json, read_parquet
 
 Cell = Mapping[str, Any]
 Flown = TypeVar("Flown")
@@ -116,7 +114,11 @@ class Results:
             if "finished" in read_json(described):
                 document = read_json(described, documents.FinishedSweep)
                 _require_whole(path.parent, document["finished"])
-                name, cells = path.parent.name, pq.read_table(path).to_pylist()
+                name, table = path.parent.name, read_parquet(path)
+                axes = [axis["name"] for axis in document["axes"]]
+                if missing := {*axes, "flights", "completed"} - set(table.column_names):
+                    raise Refused(f"{path} has no column `{min(missing)}`; --overwrite flies it again")
+                cells = table.to_pylist()
                 found[name] = Sweep(document, cells, outdated.sweep(name, document))
         return found
 

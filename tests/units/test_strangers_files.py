@@ -7,16 +7,18 @@ import os
 
 import h5py
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import xarray as xr
 
 from experiments import Refused, record
 from experiments.report.results import Results
 from experiments.sweep import run as sweep_run
-from jax_aero import documents, netcdf, tables
+from jax_aero import documents, files, netcdf, tables
 from jax_aero.aero import dataset
 from jax_aero.cli import main
-from jax_aero.files import MAX_DEPTH, complete_folder, lock, parse_json, read_json
+from jax_aero.files import MAX_DEPTH, complete_folder, lock, parse_json, read_json, read_parquet
 from jax_aero.view import recording
 from paper_figs import runs, sweeps
 
@@ -203,6 +205,20 @@ def test_a_damaged_description_of_a_sweep_is_named_by_every_reader_and_overwritt
     if damage is not a_folder:
         sweep_run._clear(folder)
         assert not folder.exists()
+
+
+def test_a_table_of_a_sweep_is_bounded_and_regular(tmp_path, monkeypatch):
+    path = tmp_path / "cells.parquet"
+    pq.write_table(pa.table({"cell": np.zeros(10**5)}), path)
+    assert path.stat().st_size < 1e4
+    assert read_parquet(path).num_rows == 10**5
+    monkeypatch.setattr(files, "MAX_TABLE", 10**5)
+    with pytest.raises(Refused, match=rf"{path} holds \d+ bytes"):
+        read_parquet(path)
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(Refused, match=rf"{path} is damaged \(cells\.parquet: expected a regular file"):
+        read_parquet(path)
 
 
 def test_links_that_lead_to_themselves_are_named(tmp_path):
