@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import msgspec
 
@@ -10,8 +10,6 @@ from jax_aero.result import Outcome
 
 Drawing: TypeAlias = Literal["levels", "curve", "map", "scatter", "matrix"]
 """How the figure of a sweep is drawn."""
-
-Size = Annotated[int, msgspec.Meta(ge=0, le=2**31)]
 
 
 class _Git(msgspec.Struct):
@@ -134,25 +132,6 @@ class CasesHeader(msgspec.Struct):
 
     digest: str
     code_hash: str
-
-
-class _Signal(msgspec.Struct):
-    shape: list[Size]
-    data: str
-
-
-class LabRun(msgspec.Struct, kw_only=True):
-    """`run.json` that the flight lab exports."""
-
-    title: str
-    link: str
-    config: dict[str, Any]
-    log: dict[str, _Signal]
-    joint_setpoint: list[float]
-    outcome: Outcome
-    lost_time: float | None
-    lost_reason: str | None
-    summary: dict[str, float | None]
 
 
 class Ensemble(msgspec.Struct):

@@ -158,7 +158,7 @@ damage = pytest.mark.parametrize(
 
 
 @damage
-@pytest.mark.parametrize("form", [documents.Manifest, documents.FinishedSweep, documents.LabRun, documents.Claims])
+@pytest.mark.parametrize("form", [documents.Manifest, documents.FinishedSweep, documents.Claims])
 def test_a_damaged_document_is_named(damage, form, tmp_path):
     path = tmp_path / "it.json"
     damage(path)
