@@ -1,4 +1,7 @@
-"""A page as a list of blocks, written as Markdown and as HTML with the same content."""
+"""A page as a list of blocks, written as Markdown and as HTML with the same content.
+
+Texts come from files too, so they are never HTML, and their links lead to files beside the page alone.
+"""
 
 from __future__ import annotations
 
@@ -22,6 +25,10 @@ th { border-bottom: 2px solid #7f7f7f; }
 img { max-width: 100%; background: white; } figcaption { font-size: 13px; } figure { margin: 1.5rem 0; }
 code { background: var(--code); padding: 0 0.2rem; }
 """
+
+
+ELSEWHERE = r"\s*(?:[^/)]*:|[/\\])"
+"""Beginning of a link that is no relative path."""
 
 
 @dataclass(frozen=True)
@@ -86,14 +93,23 @@ class Page:
 def _markdown(block: Block) -> str:
     match block:
         case Heading(level, text):
-            return f"{'#' * level} {text}"
+            return f"{'#' * level} {_markdown_inline(text)}"
         case Text(text):
-            return text
+            return _markdown_inline(text)
         case Picture(path, caption):
-            return f"![{caption}]({path})\n\n*{caption}*"
+            return f"![{_markdown_inline(caption)}]({path})\n\n*{_markdown_inline(caption)}*"
         case Table(headings, rows):
             cells = [headings, ["---"] * len(headings), *rows]
-            return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in cells)
+            lines = ([_markdown_inline(cell).replace("|", "\\|") for cell in row] for row in cells)
+            return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _markdown_inline(text: str) -> str:
+    text = " ".join(text.split())
+    text = re.sub(rf"\]\((?={ELSEWHERE})", "] (", text)
+    # Within code, `<` is a letter. Other backticks than pairs of single ones may mean something else to a reader.
+    parts = [text] if "``" in text or "\\`" in text or text.count("`") % 2 else text.split("`")
+    return "`".join(part if index % 2 else part.replace("<", "&lt;") for index, part in enumerate(parts))
 
 
 def _html(block: Block) -> str:
@@ -117,4 +133,4 @@ def _inline(text: str) -> str:
     text = re.sub(r"`([^`]+)`", r"<code>\1</code>", text)
     text = re.sub(r"\*\*([^*]+)\*\*", r"<b>\1</b>", text)
     text = re.sub(r"\*(\w[^*]*\w)\*", r"<i>\1</i>", text)
-    return re.sub(r"\[([^\]]+)\]\(([^)\s]+)\)", r'<a href="\2">\1</a>', text)
+    return re.sub(rf"\[([^\]]+)\]\((?!{ELSEWHERE})([^)\s]+)\)", r'<a href="\2">\1</a>', text)

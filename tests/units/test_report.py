@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 import shutil
 from xml.etree import ElementTree
 
@@ -374,6 +375,28 @@ def test_both_pages_say_the_same():
     assert "<h1>Title &amp; more</h1>" in html
     assert "![what it shows](figures/a.png)" in markdown
     assert '<img src="figures/a.png" alt="what it shows">' in html
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "<img src=x onerror=run()>",
+        "a `<b>` <img src=x onerror=run()>",
+        "``<img src=x onerror=run()>`",
+        "\\`<img src=x onerror=run()>`",
+        "`a\n\n<img src=x onerror=run()>`",
+        "[a](javascript:run())",
+        "[a]( javascript:run())",
+        "[a](//elsewhere/x) [b](\\\\elsewhere/x) [c](https://elsewhere)",
+    ],
+)
+def test_a_text_of_a_file_is_a_text(text):
+    page = Page("t")
+    page.add(Heading(2, text), Text(text), Table((text,), [(text,)]), Picture("a.png", text))
+    markdown, html = page.markdown(), page.html()
+    assert "<img src=x" not in re.sub(r"(?<![`\\])`[^`\n]+`(?!`)", "", markdown) + html
+    assert not re.search(r"\]\(\s*(javascript|https|/|\\)", markdown)
+    assert not re.search(r'href="?\s*(javascript|https|/|\\)', html)
 
 
 def test_a_figure_of_other_runs_is_shown_with_their_name(tmp_path):
