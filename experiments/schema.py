@@ -66,6 +66,7 @@ def files() -> dict[Path, str]:
     """Return the text of every generated file."""
     crate = rust.schemas()
     found = {name: schema if name == "robot" else allow_parts(schema) for name, schema in crate.items()}
+    found = refer_to_files(found)
     found |= {name: {"$schema": DIALECT, **tables.schema(kind)} for name, kind in TYPES.items()}
     found["sweeps"] = _with_files(found["sweeps"])
     folder = places.CONFIGS / "schema"
@@ -113,6 +114,29 @@ def allow_parts(schema: Node) -> Node:
         if any("properties" in option for option in node.get("oneOf", ())):
             node["anyOf"] = node.pop("oneOf")  # without its kind, a table may be several
     return partial
+
+
+def refer_to_files(schemas: Mapping[str, Node]) -> dict[str, Node]:
+    """Return schemas in which a type that has a file of its own is a reference to that file."""
+    file_of = {schema["title"]: f"{name}.schema.json" for name, schema in schemas.items()}
+    found = {}
+    for name, schema in schemas.items():
+        changed = copy.deepcopy(schema)
+        definitions = changed.pop("$defs", {})
+        kept: dict[str, Node] = {}
+
+        def follow(node: Node, definitions: Node = definitions, kept: dict[str, Node] = kept) -> None:
+            for inner in _nodes(node):
+                kind = str(inner.get("$ref", "")).removeprefix("#/$defs/")
+                if kind in file_of:
+                    inner["$ref"] = file_of[kind]
+                elif kind in definitions and kind not in kept:
+                    kept[kind] = definitions[kind]
+                    follow(definitions[kind])
+
+        follow(changed)
+        found[name] = {**changed, "$defs": kept} if kept else changed
+    return found
 
 
 def _say_absent(node: Node) -> None:
@@ -223,32 +247,31 @@ def _references(node: Any) -> Iterator[str]:
 
 # --- Python types ------------------------------------------------------------------------------------------------
 
-HEADER = f'''"""Types of a flight's and a robot's configuration.
+HEADER = f'''"""Types of a flight's and a robot's configuration; `docs/reference/configuration.md` describes every key.
 
-Made {MADE}: not to be edited.
+Made {MADE}: not to be edited. A flight's are filled from what the crate has
+checked (`jax_aero.io`).
 """
 
-# ruff: noqa: D205, N815
+# ruff: noqa: D101, N815
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
-from msgspec import Meta, field
+from msgspec import Struct, field
 
-from jax_aero.tables import NonNegative, Positive, Table
+from jax_aero.tables import Positive, Table
 '''
 
-RANGES = {"minimum": "ge", "exclusiveMinimum": "gt", "maximum": "le", "exclusiveMaximum": "lt"}
 KEYWORDS = ("lambda",)
-MOST = 80
-"""Greatest length of a type on one line [characters]."""
 
 
 def python_types(schemas: Mapping[str, Node]) -> str:
     """Return the module of the Python types."""
     definitions = _definitions(schemas)
+    of_flights = {*schemas["experiments"]["$defs"], schemas["experiments"]["title"]}
     done: set[str] = set()
     parts: list[str] = []
 
@@ -258,23 +281,22 @@ def python_types(schemas: Mapping[str, Node]) -> str:
         done.add(name)
         for needed in _references({key: value for key, value in definitions[name].items() if key != "$defs"}):
             write(needed)
-        parts.append(_python_type(name, definitions[name]))
+        parts.append(_python_type(name, definitions[name], is_checked=name not in of_flights))
 
     for name in definitions:
         write(name)
     return HEADER + "".join(parts)
 
 
-def _python_type(name: str, node: Node) -> str:
-    text = _docstring(node, 0)
+def _python_type(name: str, node: Node, *, is_checked: bool) -> str:
+    """Return a type; a checked one has the ranges of the crate, since Python reads it from a file."""
+    text = _docstring(node, 0) if is_checked else ""
     if choices := _choices(node):
-        listed = "".join(f"\n{key}: {_prose(meaning)}" for key, meaning in choices.items() if meaning)
-        text = _quote(_prose(node.get("description", "")) + ("\n" + listed if listed else ""), 0)
         return f"\n\n{name}: TypeAlias = Literal[{', '.join(map(json.dumps, choices))}]\n{text}"
     if tagged := _find_tags(node):
         names = {kind: f"{''.join(map(str.title, kind.split('_')))}{name}" for kind in tagged.kinds}
         classes = [
-            _class(names[kind], option, f', tag_field="{tagged.tag}", tag="{kind}"')
+            _class(names[kind], option, f', tag_field="{tagged.tag}", tag="{kind}"', is_checked=is_checked)
             for kind, option in tagged.kinds.items()
         ]
         union = " | ".join(names.values())
@@ -282,20 +304,23 @@ def _python_type(name: str, node: Node) -> str:
         return (
             "".join(classes) + f"\n\n{name}: TypeAlias = " + (f"(\n    {union}\n)" if is_long else union) + f"\n{text}"
         )
-    return _class(name, node, "")
+    return _class(name, node, "", is_checked=is_checked)
 
 
-def _class(name: str, node: Node, options: str) -> str:
-    lines = [f"\n\nclass {name}(Table, frozen=True, kw_only=True{options}):\n", _docstring(node, 4, name)]
+def _class(name: str, node: Node, options: str, *, is_checked: bool) -> str:
+    base = "Table" if is_checked else "Struct"
+    lines = [f"\n\nclass {name}({base}, frozen=True, kw_only=True{options}):\n"]
     required = node.get("required", ())
-    lines += ["\n"] if node["properties"] else []
+    if is_checked:
+        lines.append(_docstring(node, 4, name) + "\n")
     for key, value in node["properties"].items():
-        lines += [f"    {_field(key, value, key in required)}\n", _docstring(value, 4)]
-    return "".join(lines)
+        lines.append(f"    {_field(key, value, key in required, is_checked)}\n")
+        lines.append(_docstring(value, 4) if is_checked else "")
+    return "".join(lines) if is_checked or node["properties"] else "".join([*lines, "    pass\n"])
 
 
-def _field(key: str, node: Node, required: bool) -> str:
-    kind, nullable = _annotation(node)
+def _field(key: str, node: Node, required: bool, is_checked: bool) -> str:
+    kind, nullable = _annotation(node, is_checked)
     name = f"{key}_" if key in KEYWORDS else key
     renamed = f'name="{key}"' if name != key else ""
     default = node.get("default")
@@ -319,33 +344,23 @@ def _python_value(value: Any) -> str:
     return json.dumps(value) if isinstance(value, str) else repr(value)
 
 
-def _annotation(node: Node) -> tuple[str, bool]:
+def _annotation(node: Node, is_checked: bool) -> tuple[str, bool]:
     """Return the Python type of a node, and whether it may be null."""
     node, nullable = _remove_null(node)
     if reference := _type_name(node):
         kind = reference
     elif node["type"] == "array":
-        inner, length = _annotation(_items(node))[0], _length(node)
-        items = [inner] * length if length else [inner, "..."]
-        kind = f"tuple[{', '.join(items)}]"
-        if len(kind) > MOST:
-            kind = "".join(["tuple[\n", *(f"        {item},\n" for item in items), "    ]"])
+        inner, length = _annotation(_items(node), is_checked)[0], _length(node)
+        kind = f"tuple[{', '.join([inner] * length if length else [inner, '...'])}]"
     elif node["type"] == "object":
-        kind = f"dict[str, {_annotation(node['additionalProperties'])[0]}]"
+        kind = f"dict[str, {_annotation(node['additionalProperties'], is_checked)[0]}]"
     elif node["type"] == "string":
-        kind = "Path" if node.get("format") == "path" else "str"
+        kind = "Path" if is_checked and node.get("format") == "path" else "str"
     elif node["type"] == "boolean":
         kind = "bool"
     else:
-        base = {"number": "float", "integer": "int"}[node["type"]]
-        limits = {RANGES[key]: node[key] for key in RANGES if key in node}
-        shortened = {"gt": "Positive", "ge": "NonNegative"}.get("".join(limits))
-        if not limits:
-            kind = base
-        elif base == "float" and shortened and not any(limits.values()):
-            kind = shortened
-        else:
-            kind = f"Annotated[{base}, Meta({', '.join(f'{key}={value}' for key, value in limits.items())})]"
+        kind = {"number": "float", "integer": "int"}[node["type"]]
+        kind = "Positive" if is_checked and node.get("exclusiveMinimum") == 0 else kind
     return f"{kind} | None" if nullable else kind, nullable
 
 

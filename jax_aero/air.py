@@ -30,7 +30,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from jax_aero import config, io, places
+from jax_aero import config, io, places, rust
 from jax_aero.aero import AeroModel, LinkConventions, aero_model, link_forces
 from jax_aero.aero.axisymmetric import Axisymmetric
 from jax_aero.mujoco_model import mjx as mjx
@@ -173,7 +173,7 @@ def _xfrc(air: Air, data: _MujocoState, wind: Array) -> Array:
 
 def settings(name: str) -> config.AeroConfig:
     """Return the configuration of an aerodynamic model, given its name in `configs/aero` or the path of a file."""
-    return io.aero_config(io.resolve(places.find("aero", name), io.AERO))
+    return io.aero_config(rust.load_aero(name))
 
 
 def from_robot(

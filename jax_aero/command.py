@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,6 +17,59 @@ REFUSED, INTERRUPTED = 2, 130
 
 class Refused(ValueError):
     """A request of the user that cannot or must not be carried out; the message states the request and the reason."""
+
+
+class ConfigError(Refused):
+    """A file or value of a configuration that is refused; the message states what its attributes hold.
+
+    Attributes
+    ----------
+    file
+        File in which the error is, if any.
+    key
+        Full dotted key, or another name of the item.
+    value
+        Value as text.
+    expected
+        What is accepted.
+    suggestions
+        Keys that were probably meant.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        file: str | None = None,
+        key: str | None = None,
+        value: str | None = None,
+        expected: str | None = None,
+        suggestions: tuple[str, ...] = (),
+    ) -> None:
+        super().__init__(message)
+        self.file, self.key, self.value, self.expected, self.suggestions = file, key, value, expected, suggestions
+
+    @classmethod
+    def of(cls, key: str, value: Any, expected: str) -> ConfigError:
+        """Return the refusal of a value; the whole table has an empty key."""
+        text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), default=repr)
+        return cls._of_text(key, f"{text[:79]}…" if len(text) > 80 else text, expected)
+
+    @classmethod
+    def _of_text(cls, key: str, value: str, expected: str) -> ConfigError:
+        name = f"`{key}`" if key else "the whole"
+        return cls(f"{name} is {value}; expected {expected}", key=key or None, value=value, expected=expected)
+
+    def in_file(self, file: str) -> ConfigError:
+        """Return this error, in a file."""
+        return ConfigError(f"{file}: {self}", **{**vars(self), "file": file})
+
+    def in_table(self, key: str, table: Any) -> ConfigError:
+        """Return this error, made by `of` for a table, with that table's own key."""
+        expected = self.expected or ""
+        if self.key is None:
+            return self.of(key, table, expected)
+        return self._of_text(f"{key}.{self.key}" if key else self.key, self.value or "", expected)
 
 
 def one_line(reason: Exception) -> str:

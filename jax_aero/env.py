@@ -28,9 +28,9 @@ from jaxtyping import Float, Int, Key
 from jax_aero.control.protocol import Command, Measurement
 from jax_aero.control.tick import MomentumController, replace_command
 from jax_aero.env_task import Task, TaskState, added_torque, is_lost, limit_action, observation, rewards, steer
-from jax_aero.io import load_config
 from jax_aero.kinematics import kinematics
 from jax_aero.robot import RobotModel
+from jax_aero.rust import load_config
 from jax_aero.sim.step import FLYING, FlightState, Scenario, prepare, step
 from jax_aero.spatial import rotation_angle
 from jax_aero.types import Array, Static, pytree, replace_values

@@ -22,8 +22,6 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-import numpy as np
-from numpy.typing import NDArray
 
 from jax_aero.command import Refused
 
@@ -207,23 +205,6 @@ def read_bytes(path: Path, greatest: int = MAX_SIZE) -> bytes:
 def read_text(path: Path, greatest: int = MAX_SIZE) -> str:
     """Read a text file in UTF-8, with the limits of `read_bytes`."""
     return read_bytes(path, greatest).decode()
-
-
-def read_numbers(path: Path) -> NDArray[np.float64]:
-    """Return the numbers (rows, columns) of a CSV file below its header; empty lines and `#` comments are left out.
-
-    Raises
-    ------
-    Refused
-        For a file without rows, and for rows of unequal length or with text, by the file's path.
-    """
-    lines = [line for line in read_text(path).splitlines() if line.partition("#")[0].strip()]
-    if len(lines) < 2:
-        raise Refused(f"{path}: expected a header and one row of numbers or more")
-    try:
-        return np.loadtxt(lines[1:], delimiter=",", ndmin=2)
-    except ValueError as reason:
-        raise Refused(f"{path}: {reason}; expected rows of numbers") from None
 
 
 MAX_DEPTH = 64

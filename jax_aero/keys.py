@@ -9,7 +9,7 @@ import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from jax_aero.command import Refused
+from jax_aero.command import ConfigError, Refused
 
 BARE_WORD = re.compile(r"[A-Za-z_./][\w./-]*")
 
@@ -53,7 +53,7 @@ def refuse_dates(value: Any, where: str, key: str = "") -> None:
     """Refuse TOML dates and times, which no key accepts, with the crate's message; `where` names their place."""
     for name, part in parts(value, key):
         if isinstance(part, datetime.date | datetime.time):
-            raise Refused(f"{where}: `{name}` is {part}; no key is a date")
+            raise ConfigError.of(name, str(part), "a number, text, list or table, as no key is a date").in_file(where)
 
 
 def get(config: Mapping[str, Any], key: str) -> Any:
@@ -82,20 +82,21 @@ def set_key(config: dict[str, Any], key: str, value: Any) -> None:
 
     Raises
     ------
-    Refused
+    ConfigError
         If a part of the key names a value that is not a table, or an index outside its list.
     """
     *parents, last = key.split(".")
     table: Any = config
-    for depth, part in enumerate(parents, start=1):
-        table = table[_index(key, table, part)] if isinstance(table, list) else table.setdefault(part, {})
-        if not isinstance(table, dict | list):
-            path = ".".join(parents[:depth])
-            raise Refused(f"cannot set `{key}`: `{path}` is a value ({table!r}), not a table")
-    table[_index(key, table, last) if isinstance(table, list) else last] = copy.deepcopy(value)
+    for depth, part in enumerate(parents):
+        place = _place(table, parents[:depth], part)
+        table = table.setdefault(place, {}) if isinstance(table, dict) else table[place]
+    table[_place(table, parents, last)] = copy.deepcopy(value)
 
 
-def _index(key: str, entries: list[Any], part: str) -> int:
-    if not part.isdecimal() or int(part) >= len(entries):
-        raise Refused(f"cannot set `{key}`: `{part}` is no index into a list of {len(entries)}")
-    return int(part)
+def _place(table: Any, parents: list[str], part: str) -> int | str:
+    """Return the index of a part of a key in the table or list at `parents`."""
+    if isinstance(table, dict):
+        return part
+    if isinstance(table, list) and part.isdecimal() and int(part) < len(table):
+        return int(part)
+    raise ConfigError.of(".".join(parents), table, f"a table or list that has `{part}`")

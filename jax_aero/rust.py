@@ -23,11 +23,9 @@ One state, one tick, every intermediate value:
 
 from __future__ import annotations
 
-import copy
 import functools
 import json
 import math
-import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from os import PathLike
@@ -39,7 +37,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from jax_aero import _core, tables
 from jax_aero._core import BoxQpSolver, ControllerState, Robot, __version__, kkt_residual
-from jax_aero.io import override
+from jax_aero.command import ConfigError
 from jax_aero.keys import parts
 from jax_aero.places import find
 from jax_aero.result import FlightResult, Progress
@@ -79,9 +77,17 @@ __all__ = [
     "frame_jacobian",
     "kkt_residual",
     "link_forces",
+    "load_aero",
     "load_config",
+    "load_controller",
+    "path_keys",
+    "recorded_reference",
+    "recorded_wind",
+    "resolve_aero",
+    "resolve_config",
     "rotation_from_wxyz",
     "schemas",
+    "set_keys",
     "setpoint_trajectory",
     "signals",
     "wind_velocity",
@@ -518,22 +524,59 @@ def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None =
     path
         The name of an experiment, such as `test2`, or the path of a TOML file.
     overrides
-        Values by dotted key, such as `{"wind.velocity": [0, -12, 0]}`; arrays and paths are also accepted. A key has to
-        exist in the resolved configuration or be one that the crate accepts.
+        Values by dotted key, such as `{"wind.velocity": [0, -12, 0]}`; arrays and paths are also accepted. Paths start
+        at the current folder, and `false` removes what may be absent.
 
     Raises
     ------
-    ValueError
-        If a file or value is invalid; the message names the file or key, the value and what was expected.
+    ConfigError
+        If a file or value is invalid; it has file, key, value, what was expected and suggestions as attributes.
     """
-    config: Config = json.loads(_core.resolve_config(find("experiments", path)))
-    check_config(config)
-    return _with_overrides(config, overrides) if overrides else config
+    found: Config = json.loads(_core.load_config(find("experiments", path), _changes(overrides or {})))
+    return found
 
 
 def check_config(config: Mapping[str, Any]) -> None:
-    """Raise `ValueError`, naming key, value and what was expected, unless the configuration can be flown."""
+    """Raise `ConfigError`, naming key, value and what was expected, unless the configuration can be flown."""
     _core.check_config(_to_json(config))
+
+
+def resolve_config(config: Mapping[str, Any]) -> Config:
+    """Return a configuration with every default; raise `ConfigError` for keys and values that no flight may have."""
+    found: Config = json.loads(_core.resolve_config(_to_json(config)))
+    return found
+
+
+def set_keys(config: Mapping[str, Any], changes: Mapping[str, Any]) -> Config:
+    """Return a configuration with dotted keys set as by `load_config`, without a check of the result."""
+    found: Config = json.loads(_core.set_keys(_to_json(config), _changes(changes)))
+    return found
+
+
+def path_keys(config: Mapping[str, Any]) -> list[str]:
+    """Return the dotted keys of all paths in a configuration, which need not be valid."""
+    return _core.path_keys(_to_json(config))
+
+
+def load_aero(path: str | PathLike[str]) -> Config:
+    """Read an aerodynamic model's configuration, by its name in `configs/aero` or the path of a file."""
+    return _load_table("aero", path)
+
+
+def load_controller(path: str | PathLike[str]) -> Config:
+    """Read a controller's configuration, by its name in `configs/control` or the path of a file."""
+    return _load_table("control", path)
+
+
+def _load_table(kind: str, path: str | PathLike[str]) -> Config:
+    found: Config = json.loads(_core.load_table(kind, find(kind, path)))
+    return found
+
+
+def resolve_aero(aero: Mapping[str, Any]) -> Config:
+    """Return an aerodynamic model's configuration with every default, as `resolve_config`."""
+    found: Config = json.loads(_core.resolve_aero(_to_json(aero)))
+    return found
 
 
 def schemas() -> dict[str, dict[str, Any]]:
@@ -689,6 +732,16 @@ def wind_velocity(wind: Mapping[str, Any], times: ArrayLike) -> Array:
     return _core.wind_velocity(_to_json(wind), _array(times))
 
 
+def recorded_wind(wind: Mapping[str, Any]) -> Array:
+    """Return the samples (k, 4) of a recorded wind: times [s] and velocities [m/s, inertial axes]."""
+    return _core.recorded_wind(_to_json(wind))
+
+
+def recorded_reference(path: str | PathLike[str]) -> Array:
+    """Return the rows (k, 7, 10, 13 or 16) of the file of a recorded reference, in the order of its columns."""
+    return _core.recorded_reference(path)
+
+
 def config_keys(config: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
     """Yield every dotted key of a configuration, including those of tables."""
     for name, value in config.items():
@@ -706,49 +759,16 @@ def _arrays(state: State) -> tuple[Array, Array, Array, Array]:
     return _array(position), _array(rotation), _array(joints), _array(velocity)
 
 
-def _with_overrides(config: Config, overrides: Mapping[str, Any]) -> Config:
-    """Return a checked copy of `config` with these dotted keys changed."""
-    changed = copy.deepcopy(config)
-    for key, value in overrides.items():
-        override(changed, key, value)
-    try:
-        check_config(changed)  # together, so that a ramp can move past its old end
-    except ValueError as reason:
-        known = set(config_keys(config))
-        for key in overrides:
-            if key not in known:
-                _refuse_unknown(config, key, overrides[key])
-        listed = ", ".join(f"`{key}` = {value!r}" for key, value in overrides.items())
-        raise ValueError(f"cannot set {listed}: {reason}") from None
-    return changed
+def _changes(changes: Mapping[str, Any]) -> str:
+    return json.dumps([[key, json.loads(_to_json(value, key))] for key, value in changes.items()])
 
 
-def _refuse_unknown(config: Config, key: str, value: Any) -> None:
-    """Raise if the crate does not know a key that is not in `config`."""
-    alone = copy.deepcopy(config)
-    override(alone, key, value)
-    try:
-        check_config(alone)
-    except ValueError as reason:
-        found = re.search(r"unknown key `(.*?)`(?:; did you mean `(.*?)`\?)? (\(.*)", str(reason))
-        if found is None or not f"{key}.".startswith(f"{found[1]}."):
-            return
-        named, near, known = found.groups()
-        table, last = named[: named.rfind(".") + 1], key.rpartition(".")[2]
-        keys = (
-            [table + near + key[len(named) :]]
-            if near
-            else [k for k in config_keys(config) if k.rpartition(".")[2] == last]
-        )
-        hint = f"; did you mean {' or '.join(f'`{k}`' for k in keys[:3])}?" if keys else ""
-        raise ValueError(f"unknown key `{key}`{hint} {known}") from None
-
-
-def _to_json(config: Mapping[str, Any]) -> str:
-    plain = tables.to_builtins(config)
+def _to_json(value: Any, key: str = "") -> str:
+    """Return a configuration, or the value of a key, as JSON."""
+    plain = tables.to_builtins(value)
     try:
         return json.dumps(plain, allow_nan=False)
     except ValueError:
-        numbers = ((key, value) for key, value in parts(plain) if isinstance(value, float))
-        key, value = next(number for number in numbers if not math.isfinite(number[1]))
-        raise ValueError(f"`{key}` is {value}; expected a finite number") from None
+        numbers = ((name, part) for name, part in parts(plain, key) if isinstance(part, float))
+        name, number = next(one for one in numbers if not math.isfinite(one[1]))
+        raise ConfigError.of(name, number, "a finite number") from None

@@ -1,4 +1,6 @@
-"""Typed values from TOML files: a `Table` declares keys, types and ranges; `load` refuses everything else.
+"""Typed values from TOML files of studies: a `Table` declares keys, types and ranges; `load` refuses everything else.
+
+Flights and robots are read by the crate (`jax_aero.rust`), whose errors have the same form.
 
 A refusal names file, key and value, and what was expected:
 
@@ -7,10 +9,10 @@ A refusal names file, key and value, and what was expected:
 ...     is_gusty: bool = False
 >>> convert({"speeds": [3.0, -1.0]}, Wind, "wind.toml")
 Traceback (most recent call last):
-jax_aero.tables.ConfigError: wind.toml: `speeds[1]` is -1.0; expected a number > 0
+jax_aero.command.ConfigError: wind.toml: `speeds[1]` is -1.0; expected a number > 0
 >>> convert({"speed": [3.0]}, Wind, "wind.toml")
 Traceback (most recent call last):
-jax_aero.tables.ConfigError: wind.toml: unknown key `speed`; did you mean `speeds`? (known: speeds, is_gusty)
+jax_aero.command.ConfigError: wind.toml: unknown key `speed`; did you mean `speeds`? (known: speeds, is_gusty)
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ import operator
 import re
 import sys
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from os import PathLike, fspath
 from pathlib import Path
@@ -31,7 +33,7 @@ from typing import Annotated, Any, TypeAlias, TypeVar
 import msgspec
 from msgspec import inspect
 
-from jax_aero.command import Refused
+from jax_aero.command import ConfigError
 from jax_aero.files import check_depth, read_text
 from jax_aero.keys import refuse_dates, set_key
 
@@ -54,10 +56,6 @@ Seed: TypeAlias = Annotated[int, msgspec.Meta(ge=0)]
 """A number that random numbers follow from."""
 
 
-class ConfigError(Refused):
-    """A configuration that is refused; the message names file, key and value, and what was expected."""
-
-
 class Interval(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """Lower and upper end, `[lower, upper]`."""
 
@@ -66,7 +64,7 @@ class Interval(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fiel
 
     def __post_init__(self) -> None:
         if not self.lower < self.upper:
-            raise ValueError("expected two numbers, the lower one first")
+            raise ConfigError.of("", [self.lower, self.upper], "two numbers, the lower one first")
 
     @property
     def radians(self) -> tuple[float, float]:
@@ -78,7 +76,7 @@ class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """A table of a configuration file: its fields are the only accepted keys.
 
     A field of type `Path` is an existing file, given relative to the configuration file. `__post_init__` may refuse
-    combinations of values by a `ValueError` whose message begins with the field in backticks.
+    combinations of values by `ConfigError.of`, with the name of a field, or none for the whole table.
     """
 
 
@@ -105,8 +103,8 @@ def convert(table: Mapping[str, Any], kind: type[T], origin: str, folder: Path =
     """Convert a plain table to its type; `origin` names it in refusals, and its paths are relative to `folder`."""
     try:
         built: T = _build(table, inspect.type_info(kind), "", folder)
-    except _Refusal as refusal:
-        raise ConfigError(f"{origin}: {refusal}") from None
+    except ConfigError as refusal:
+        raise refusal.in_file(origin) from None
     return built
 
 
@@ -124,7 +122,7 @@ def check_levels(table: Table, *names: str) -> None:
     """Refuse keys with an empty list or repeated values, since results are named by the values."""
     for name in names:
         if not (values := getattr(table, name)) or len(set(values)) < len(values):
-            raise ValueError(str(_refusal(name, values, "one value or more, each once")))
+            raise ConfigError.of(name, values, "one value or more, each once")
 
 
 def to_builtins(config: Any) -> Any:
@@ -193,10 +191,6 @@ def _path_schema(_: type) -> dict[str, Any]:
 # --- conversion of plain values to their types ---------------------------------------------------------------------
 
 
-class _Refusal(Exception):
-    """Key, value and what was expected, worded as by the crate."""
-
-
 def _build(value: Any, kind: inspect.Type, key: str, folder: Path) -> Any:
     """Return a value converted to its type; `key` is its place."""
     match kind:
@@ -233,7 +227,7 @@ def _build(value: Any, kind: inspect.Type, key: str, folder: Path) -> Any:
                     return path
         case inspect.AnyType():
             return value
-    raise _refusal(key, value, _expectation(kind, value))
+    raise ConfigError.of(key, value, _expectation(kind, value))
 
 
 def _build_one_of(value: Any, options: Sequence[inspect.Type], key: str, folder: Path) -> Any:
@@ -242,33 +236,33 @@ def _build_one_of(value: Any, options: Sequence[inspect.Type], key: str, folder:
     tagged = {option.tag: option for option in there if isinstance(option, inspect.StructType) and option.tag_field}
     if not tagged:
         for option in there[:-1]:
-            with suppress(_Refusal):
+            with suppress(ConfigError):
                 return _build(value, option, key, folder)
         return _build(value, there[-1], key, folder)
     if not isinstance(value, Mapping):
-        raise _refusal(key, value, "a table")
+        raise ConfigError.of(key, value, "a table")
     tag = next(str(option.tag_field) for option in tagged.values())
     if tag not in value:
-        raise _Refusal(f"`{_join(key, tag)}` is missing")
+        raise _missing(_join(key, tag))
     if not isinstance(value[tag], str) or value[tag] not in tagged:
-        raise _refusal(_join(key, tag), value[tag], f"one of {', '.join(map(str, tagged))}")
+        raise ConfigError.of(_join(key, tag), value[tag], f"one of {', '.join(map(str, tagged))}")
     return _build_table({name: entry for name, entry in value.items() if name != tag}, tagged[value[tag]], key, folder)
 
 
 def _build_table(value: Any, kind: inspect.StructType, key: str, folder: Path) -> Any:
     if not isinstance(value, Mapping):
-        raise _refusal(key, value, "a table")
+        raise ConfigError.of(key, value, "a table")
     known = {field.encode_name: field for field in kind.fields}
     built = {}
     for name, entry in value.items():
         if name not in known:
-            near = difflib.get_close_matches(name, known, 1)
-            hint = f"; did you mean `{near[0]}`?" if near else ""
-            raise _Refusal(f"unknown key `{_join(key, name)}`{hint} (known: {', '.join(known)})")
+            raise _unknown(
+                _join(key, name), [_join(key, near) for near in difflib.get_close_matches(name, known, 1)], known
+            )
         built[known[name].name] = _build(entry, known[name].type, _join(key, name), folder)
     for name, field in known.items():
         if field.required and name not in value:
-            raise _Refusal(f"`{_join(key, name)}` is missing")
+            raise _missing(_join(key, name))
     return _build_checked(kind.cls, built, key, value)
 
 
@@ -276,13 +270,8 @@ def _build_checked(cls: type, parts: dict[str, Any], key: str, value: Any) -> An
     """Return the table of these values; a refusal of its own check is reported below `key`."""
     try:
         return cls(**parts)
-    except ValueError as reason:
-        text = str(reason)
-        if text.startswith("expected "):
-            raise _refusal(key, value, text.removeprefix("expected ")) from None
-        if text.startswith("`"):
-            raise _Refusal(f"`{_join(key, text[1:])}") from None
-        raise _Refusal(f"`{key}`: {text}" if key else text) from None
+    except ConfigError as reason:
+        raise reason.in_table(key, value) from None
 
 
 def _is_number(value: Any) -> bool:
@@ -341,7 +330,11 @@ def _join(key: str, name: str) -> str:
     return f"{key}.{name}" if key else name
 
 
-def _refusal(key: str, value: Any, expected: str) -> _Refusal:
-    text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), default=repr)
-    shown = f"{text[:79]}…" if len(text) > 80 else text
-    return _Refusal(f"{f'`{key}`' if key else 'the whole'} is {shown}; expected {expected}")
+def _missing(key: str) -> ConfigError:
+    return ConfigError(f"`{key}` is missing", key=key)
+
+
+def _unknown(key: str, near: Sequence[str], known: Iterable[str]) -> ConfigError:
+    hint, listed = f"; did you mean `{near[0]}`?" if near else "", ", ".join(known)
+    text = f"unknown key `{key}`{hint} (known: {listed})"
+    return ConfigError(text, key=key, expected=f"one of {listed}", suggestions=tuple(near))

@@ -21,6 +21,7 @@ from experiments.data.import_cfd import POSTURES, known_postures
 from experiments.sweep.design import unit_points
 from jax_aero import rust, tables
 from jax_aero.aero.dataset import Floats, read_postures, wind_direction
+from jax_aero.command import ConfigError
 from jax_aero.view.shapes import look_of
 
 KIND = "cfd"
@@ -48,17 +49,19 @@ class Winds(tables.Table, frozen=True):
     def __post_init__(self) -> None:
         if self.design == "sobol":
             if self.samples < 1:
-                raise ValueError(f"`samples` is {self.samples}; expected at least 1 in a sobol design")
+                raise ConfigError.of("samples", self.samples, "at least 1 in a sobol design")
         elif not self.pitch_deg or not self.yaw_deg:
-            raise ValueError(f"`pitch_deg` and `yaw_deg` are expected in a {self.design}")
+            name = "yaw_deg" if self.pitch_deg else "pitch_deg"
+            raise ConfigError.of(name, [], f"angles, in a {self.design}")
         if self.design == "list" and len(self.pitch_deg) != len(self.yaw_deg):
-            raise ValueError(f"`yaw_deg` has {len(self.yaw_deg)} values; expected {len(self.pitch_deg)}, as pitch_deg")
+            raise ConfigError.of("yaw_deg", self.yaw_deg, f"{len(self.pitch_deg)} values, as pitch_deg")
         for name, values, low, high in (
             ("pitch_deg", self.pitch_deg, 0.0, 180.0),
             ("yaw_deg", self.yaw_deg, -180.0, 180.0),
         ):
-            if outside := [value for value in values if not low <= value <= high]:
-                raise ValueError(f"`{name}` has {outside[0]:g}; expected {low:g} to {high:g}")
+            for index, value in enumerate(values):
+                if not low <= value <= high:
+                    raise ConfigError.of(f"{name}[{index}]", value, f"{low:g} to {high:g}")
 
     def directions(self, posture: int) -> list[tuple[float, float]]:
         """Return pitch and yaw of every wind for a posture, given its index in the table of postures."""

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from jax_aero import io, places
+from jax_aero import io, places, rust
 from jax_aero.aero import LinkConventions, aero_model, link_forces
 from jax_aero.aero.dataset import Floats, reorder_joints, wind_direction
 from jax_aero.kinematics import kinematics_at_rest
@@ -37,7 +37,7 @@ def model_areas(robot: RobotModel, data: xr.Dataset) -> dict[str, Floats]:
     joints, wind = data["joint_position"].values, wind_direction(data["pitch"].values, data["yaw"].values)
     found = {}
     for name, file in MODELS.items():
-        table = io.resolve(AERO / f"{file}.toml", io.AERO)
+        table = rust.load_aero(file)
         found[name] = evaluate_areas(robot, table, joints, wind * data["speed"].values[:, None])
     return found
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from jax_aero import tables
+from jax_aero.command import ConfigError
 from jax_aero.tables import Count, Fraction, Natural, Positive
 
 
@@ -39,13 +40,12 @@ class Mesh(tables.Table, frozen=True):
 
     def __post_init__(self) -> None:
         if self.surface_level not in (levels := [shell.level for shell in self.shells]):
-            raise ValueError(f"`shells` have the levels {levels}; expected one of surface_level, {self.surface_level}")
-        for shell in self.shells:
+            raise ConfigError.of("surface_level", self.surface_level, f"one of the levels of `shells`, {levels}")
+        for index, shell in enumerate(self.shells):
             reach = math.sqrt(3.0) * self.edge(shell.level)
             if shell.distance < reach:
-                raise ValueError(
-                    f"`shells` of level {shell.level} reach {shell.distance} m; expected at least {reach:.4f} m"
-                )
+                expected = f"at least {reach:.4f} m at level {shell.level}"
+                raise ConfigError.of(f"shells[{index}].distance", shell.distance, expected)
 
     @property
     def cells_across(self) -> int:
@@ -94,12 +94,10 @@ class Solver(tables.Table, frozen=True):
 
     def __post_init__(self) -> None:
         if self.upwind_iterations + self.window > self.iterations:
-            raise ValueError(
-                f"`iterations` is {self.iterations}; expected at least upwind_iterations + window, "
-                f"{self.upwind_iterations + self.window}"
-            )
+            least = self.upwind_iterations + self.window
+            raise ConfigError.of("iterations", self.iterations, f"at least upwind_iterations + window, {least}")
         if self.window < 8 * self.sampling:
-            raise ValueError(f"`window` is {self.window}; expected at least 8 samples, {8 * self.sampling}")
+            raise ConfigError.of("window", self.window, f"at least 8 samples, {8 * self.sampling}")
 
 
 class Accept(tables.Table, frozen=True):

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from experiments import Refused, study
 from jax_aero import places, rust, tables
 from jax_aero.cli import Parser
-from jax_aero.command import exit_status
+from jax_aero.command import ConfigError, exit_status
 from jax_aero.files import write_text
 from jax_aero.tables import Positive, Table
 
@@ -58,7 +58,7 @@ class Step(Table, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         if len(self.motions) != 1:
-            raise ValueError("expected one motion")
+            raise ConfigError.of("", self.motions, "one motion")
 
     @property
     def motions(self) -> dict[str, float]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import hashlib
 import itertools
 import json
@@ -74,10 +73,8 @@ class Design:
             base, *others = {level.base for level in levels if level.base} or {self.spec.base}
             if others:
                 raise Refused(f"its levels have the `base` {' and '.join(sorted([base, *others]))}; expected one")
-            config = copy.deepcopy(self.bases[base])
             settings = {key: value for level in levels for key, value in level.set.items()}
-            keys.set_all(config, self.spec.set, settings)
-        return config
+            return keys.set_all(self.bases[base], self.spec.set, settings)
 
     def row_config(self, row: int) -> rust.Config:
         """Return the configuration of a row: its cell's, perturbed by the random numbers of its repeat."""

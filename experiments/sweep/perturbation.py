@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from jax_aero import documents, keys, tables
+from jax_aero.command import ConfigError
 from jax_aero.files import read_json
 from jax_aero.rust import Robot
 
@@ -117,16 +118,16 @@ def members(ensemble: Path) -> tuple[Path, ...]:
     except ValueError:
         cards = ()
     if not cards or not all(card.is_file() for card in cards):
-        wanted = "ensemble.json of train-ensemble, with its networks beside it"
-        raise tables.ConfigError(f"`perturbation.ensemble` is {ensemble}; expected the {wanted}")
+        wanted = "the ensemble.json of train-ensemble, with its networks beside it"
+        raise ConfigError.of("perturbation.ensemble", str(ensemble), wanted)
     return cards
 
 
 def _draw(aero: dict[str, Any], cards: Sequence[Path], seed: int, repeat: int) -> None:
     """Select the simulator's network: all members in random order, then all again in a new order."""
     if aero["model"] != "network":
-        wanted = 'expected "network", as `perturbation.ensemble` draws its card'
-        raise tables.ConfigError(f'`simulator.aero.model` is "{aero["model"]}"; {wanted}')
+        expected = '"network", as `perturbation.ensemble` draws its card'
+        raise ConfigError.of("simulator.aero.model", aero["model"], expected)
     turn, place = divmod(repeat, len(cards))
     order = np.random.default_rng([seed, turn, STREAMS.index("ensemble")]).permutation(len(cards))
     aero["card"] = str(cards[order[place]])

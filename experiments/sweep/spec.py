@@ -12,6 +12,7 @@ from experiments import study
 from experiments.sweep import keys
 from experiments.sweep.perturbation import Perturbation
 from jax_aero import places, tables
+from jax_aero.command import ConfigError
 from jax_aero.documents import Drawing
 
 MAX_FILES = 128
@@ -66,15 +67,15 @@ class Axis(tables.Table, frozen=True):
 
     def __post_init__(self) -> None:
         if sum(map(bool, (self.key, self.keys, self.level))) != 1:
-            raise ValueError("expected one of `key`, `keys` and `level`")
+            raise ConfigError.of("", self.name, "one of `key`, `keys` and `level`")
         if sum((bool(self.values), self.range is not None, self.low is not None, bool(self.level))) > 1:
-            raise ValueError("expected one of `values`, `range`, `low` with `high`, and `level`")
+            raise ConfigError.of("", self.name, "one of `values`, `range`, `low` with `high`, and `level`")
         if len({type(level.label) for level in self.level}) > 1:
-            raise ValueError(
-                f"`level` has labels {[level.label for level in self.level]}; expected numbers or texts alone"
+            raise ConfigError.of(
+                "level", [level.label for level in self.level], "labels that are numbers or texts alone"
             )
         if (self.low is None) != (self.high is None) or (self.is_sampled and not self.ends[0] < self.ends[1]):
-            raise ValueError(f"`low` is {self.low}, `high` is {self.high}; expected low < high")
+            raise ConfigError.of("low", self.low, f"a number below `high`, {self.high}")
 
     @property
     def written_keys(self) -> tuple[str, ...]:
@@ -148,18 +149,20 @@ class Spec(tables.Table, frozen=True):
     def __post_init__(self) -> None:
         names = [axis.name for axis in self.axis]
         if len(set(names)) < len(names):
-            raise ValueError("two axes have one name")
-        for axis in self.axis:
+            raise ConfigError.of("axis", names, "names that differ")
+        for index, axis in enumerate(self.axis):
             if self.is_sampled is not axis.is_sampled or (not axis.is_sampled and not axis.n_levels):
                 wanted = "low and high" if self.is_sampled else "values, a range or levels"
-                raise ValueError(f"axis {axis.name} of a {self.design} needs {wanted}")
+                raise ConfigError.of(f"axis[{index}]", axis.name, f"{wanted}, in a {self.design}")
         if self.is_sampled is not (self.samples > 0):
             wanted = "at least 1" if self.is_sampled else "none"
-            raise ValueError(f"`samples` is {self.samples}; expected {wanted} for a {self.design}")
+            raise ConfigError.of("samples", self.samples, f"{wanted} for a {self.design}")
         if self.panels and self.panels not in names:
-            raise ValueError(f"`panels` is {self.panels!r}; expected the name of an axis: {', '.join(names)}")
+            raise ConfigError.of("panels", self.panels, f"the name of an axis: {', '.join(names)}")
         if self.design == "list" and len({axis.n_levels for axis in self.axis}) > 1:
-            raise ValueError("the axes of a list need equally many values")
+            raise ConfigError.of(
+                "axis", [axis.n_levels for axis in self.axis], "equally many values of all axes of a list"
+            )
         self._check_size()
         self._check_keys()
 
@@ -168,10 +171,9 @@ class Spec(tables.Table, frozen=True):
         for axis in self.axis:
             cells = cells * axis.n_levels if self.design == "grid" else max(cells, axis.n_levels)
             if cells > MAX_CELLS:
-                raise ValueError(f"`axis` makes more than {MAX_CELLS} cells; expected at most that many")
+                raise ConfigError.of("axis", f"{cells} cells or more", f"at most {MAX_CELLS} cells")
         if cells * self.repeats > MAX_ROWS:
-            most = MAX_ROWS // cells
-            raise ValueError(f"`repeats` is {self.repeats}; expected at most {most} for {cells} cells")
+            raise ConfigError.of("repeats", self.repeats, f"at most {MAX_ROWS // cells} for {cells} cells")
 
     def _check_keys(self) -> None:
         taken: dict[str, tuple[str, str]] = {}  # axis and key of every setting, by the keys that would replace it
@@ -180,10 +182,8 @@ class Spec(tables.Table, frozen=True):
             for key, _ in written:
                 if key in taken:
                     earlier, lost = taken[key]
-                    raise ValueError(
-                        f"axis {axis.name} sets `{key}`, which replaces `{lost}` of axis {earlier}; "
-                        "expected axes that set different keys"
-                    )
+                    expected = f"one that sets other keys than {earlier}: `{key}` replaces `{lost}`"
+                    raise ConfigError.of("axis", axis.name, expected)
             for key, value in written:
                 taken |= dict.fromkeys(keys.replacing(key, value), (axis.name, key))
 
@@ -213,7 +213,7 @@ def _with_files(value: Any, folder: Path, count: Iterator[int]) -> Any:
     if isinstance(value, Mapping):
         if value.keys() == {"file"}:
             if next(count, None) is None:
-                raise tables.ConfigError(f"{value['file']}: more than {MAX_FILES} files are read")
+                raise ConfigError(f"{value['file']}: more than {MAX_FILES} files are read", file=value["file"])
             return _with_files(tables.read(folder / value["file"]), (folder / value["file"]).parent, count)
         return {
             key: str((folder / item).resolve())

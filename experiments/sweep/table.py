@@ -19,7 +19,8 @@ import pyarrow as pa
 
 from experiments.engines import Failure
 from experiments.sources import file_hash
-from jax_aero import io, rust
+from jax_aero import rust
+from jax_aero.keys import get, set_key
 from jax_aero.result import FlightResult, Outcome
 
 if TYPE_CHECKING:
@@ -155,8 +156,8 @@ def config_hash(config: Mapping[str, Any]) -> str:
     It accepts any configuration, whereas `rust.config_digest` refuses invalid ones, which also have a row.
     """
     hashed = copy.deepcopy(dict(config))
-    for part, key in io.paths(hashed):
-        part[key] = file_hash(Path(part[key]))
+    for key in rust.path_keys(hashed):
+        set_key(hashed, key, file_hash(Path(get(hashed, key))))
     return hashlib.sha256(json.dumps(hashed, sort_keys=True).encode()).hexdigest()[:16]
 
 

@@ -12,6 +12,7 @@ from msgspec import Meta
 
 from jax_aero import tables
 from jax_aero.aero.network import Activation, Block, Frame, Layout, Network, check_output, init_network
+from jax_aero.command import ConfigError
 from jax_aero.keys import set_key
 from jax_aero.places import ROBOT as ROBOT
 from jax_aero.robot import RobotModel, load_robot
@@ -40,7 +41,7 @@ class NetworkConfig(tables.Table, frozen=True):
     def __post_init__(self) -> None:
         known = ("none", *robot().aero_links.coefficients)
         if self.baseline not in known:
-            raise ValueError(f"`baseline` is {self.baseline!r}; expected one of {', '.join(known)}")
+            raise ConfigError.of("baseline", self.baseline, f"one of {', '.join(known)}")
         check_output(self.frame, self.layout)
         tables.check_levels(self, "features")  # a card has each block once
 
@@ -74,9 +75,9 @@ class Validation(tables.Table, frozen=True):
     def __post_init__(self) -> None:
         for name in ("random_seeds", "fold_seeds"):
             if len(set(seeds := getattr(self, name))) < len(seeds):
-                raise ValueError(f"`{name}` is {list(seeds)}; expected each seed once")
+                raise ConfigError.of(name, seeds, "each seed once")
         if self.folds_run > self.folds:
-            raise ValueError(f"`folds_run` is {self.folds_run}; expected at most {self.folds}, which is `folds`")
+            raise ConfigError.of("folds_run", self.folds_run, f"at most {self.folds}, which is `folds`")
 
 
 class Training(tables.Table, frozen=True):
@@ -100,7 +101,8 @@ class Training(tables.Table, frozen=True):
 
     def __post_init__(self) -> None:
         if (self.ensemble.keep == "student") != (self.distillation is not None):
-            raise ValueError("`distillation` is expected with `ensemble.keep = student`, and only there")
+            found = "given" if self.distillation else "absent"
+            raise ConfigError.of("distillation", found, "a table with `ensemble.keep = student`, and only there")
 
     @property
     def epochs(self) -> int:

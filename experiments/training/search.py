@@ -32,7 +32,7 @@ from experiments.training import config
 from jax_aero import documents, places, tables
 from jax_aero.aero.dataset import Dataset, load
 from jax_aero.cli import Parser, count
-from jax_aero.command import exit_status
+from jax_aero.command import ConfigError, exit_status
 from jax_aero.files import lock, read_json, resolve, write_json, write_text
 from jax_aero.keys import set_key
 from jax_aero.train import fit, samples_of
@@ -55,12 +55,12 @@ class Range(tables.Table, frozen=True):
     def __post_init__(self) -> None:
         numbers = [number is not None for number in (self.low, self.high)]
         if any(numbers) if self.choices is not None else not all(numbers):
-            raise ValueError("expected choices, or low and high, perhaps log")
+            raise ConfigError.of("", None, "choices, or low and high, perhaps log")
         if self.low is not None and self.high is not None:
             if not self.low < self.high:
-                raise ValueError("expected a low that is below high")
+                raise ConfigError.of("low", self.low, f"a number below high, {self.high:g}")
             if self.log and not self.low > 0.0:
-                raise ValueError("expected a low above 0, as its logarithm is searched")
+                raise ConfigError.of("low", self.low, "a number above 0, as its logarithm is searched")
 
 
 class SearchConfig(tables.Table, frozen=True):
@@ -79,7 +79,7 @@ class SearchConfig(tables.Table, frozen=True):
 
     def __post_init__(self) -> None:
         if self.folds_run > self.folds:
-            raise ValueError(f"`folds_run` is {self.folds_run}; expected at most {self.folds}, which is `folds`")
+            raise ConfigError.of("folds_run", self.folds_run, f"at most {self.folds}, which is `folds`")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

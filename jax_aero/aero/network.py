@@ -24,6 +24,7 @@ from jaxtyping import Float, Key
 from scipy.linalg import block_diag
 
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
+from jax_aero.command import ConfigError
 from jax_aero.kinematics import frame_poses, kinematics_at_rest
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import rotate, rotate_back, safe_norm
@@ -279,12 +280,14 @@ def check_output(frame: str, layout: str) -> None:
 
     Raises
     ------
-    ValueError
+    ConfigError
         If frame and layout do not fit; the message names both.
     """
     possible = {"base": ("component", "link"), "link": ("link",), "wind": ("component",)}
-    if layout not in possible.get(frame, ()):
-        raise ValueError(f"output frame is {frame!r} with layout {layout!r}; expected one of {possible}")
+    if frame not in possible:
+        raise ConfigError.of("frame", frame, f"one of {', '.join(possible)}")
+    if layout not in possible[frame]:
+        raise ConfigError.of("layout", layout, f"{' or '.join(possible[frame])}, in {frame} axes")
 
 
 def members_output(network: Network, x: Float[Array, " x"]) -> Float[Array, " y"]:

@@ -34,6 +34,7 @@ from jax_aero.aero.network import (
     mirror_of,
     network_joints,
 )
+from jax_aero.command import ConfigError
 from jax_aero.files import read_bytes, read_text, write_bytes, write_text
 from jax_aero.robot import RobotModel
 from jax_aero.types import Array
@@ -50,7 +51,7 @@ class Weights(tables.Table, frozen=True):
 
     def __post_init__(self) -> None:
         if Path(self.file).name != self.file:
-            raise ValueError(f"`file` is {self.file!r}; expected a file's name, beside the card")
+            raise ConfigError.of("file", self.file, "a file's name, beside the card")
 
 
 class Inputs(tables.Table, frozen=True):
@@ -62,7 +63,7 @@ class Inputs(tables.Table, frozen=True):
 
     def __post_init__(self) -> None:
         if not self.features or len(set(self.features)) < len(self.features):
-            raise ValueError(f"`features` is {list(self.features)}; expected some of {', '.join(BLOCKS)}, each once")
+            raise ConfigError.of("features", self.features, f"some of {', '.join(BLOCKS)}, each once")
 
 
 class Output(tables.Table, frozen=True):

@@ -6,21 +6,15 @@ Equation M49 of `docs/model.md`.
 from __future__ import annotations
 
 from os import PathLike
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
-from jax_aero.files import read_numbers
+from jax_aero import rust
 from jax_aero.spatial import exp_so3, log_so3, multiply, rotation_from_rpy
 from jax_aero.types import Array, leaf
-
-GREATEST_TURN_DEG = 179.0
-"""Largest rotation between two rows of a reference [deg]: near 180° rounding determines the axis."""
 
 
 class RecordedReference(NamedTuple):
@@ -65,19 +59,12 @@ class Recording(NamedTuple):
 def read_reference(path: str | PathLike[str]) -> RecordedReference:
     """Read a recorded reference: CSV with 7, 10, 13 or 16 columns named in the header; `#` begins a comment.
 
-    Only the shape and the rotations are checked here; `rust.check_config` reports why the crate refuses a file.
+    Raises
+    ------
+    ConfigError
+        If the file is invalid; the message names the line and what was expected.
     """
-    rows = read_numbers(Path(path))
-    if rows.shape[1] not in (7, 10, 13, 16) or len(rows) < 2:
-        raise ValueError(f"reference file {path} has shape {rows.shape}; expected 2 rows or more of 7, 10, 13 or 16")
-    rotations = Rotation.from_euler("xyz", rows[:, 4:7])
-    turns = np.degrees((rotations[:-1].inv() * rotations[1:]).magnitude())
-    if np.any(turns > GREATEST_TURN_DEG):
-        row = int(np.argmax(turns > GREATEST_TURN_DEG)) + 1
-        raise ValueError(
-            f"reference file {path} turns by {turns[row - 1]:.1f} deg from row {row} to row {row + 1}; "
-            f"expected a turn below {GREATEST_TURN_DEG:g} deg, whose axis is certain"
-        )
+    rows = rust.recorded_reference(path)
     columns = [leaf(rows[:, first : first + 3]) for first in range(1, rows.shape[1], 3)]
     known: list[Any] = [*columns, None, None, None]
     return RecordedReference(leaf(rows[:, 0]), *known[:5])

@@ -1,7 +1,6 @@
 """The closed-loop flight as pure functions: one tick, the scan over ticks, `fly` for one, `fly_batch` for many.
 
 `prepare` builds a `Scenario`, whose controller, aerodynamics and jets may be user-defined; `run` flies it to its end.
-The compiled crate is not needed.
 """
 
 from jax_aero.control import Command, Controller, Measurement

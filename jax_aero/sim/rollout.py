@@ -1,6 +1,6 @@
 """Flights from start to end: a scan over ticks for gradients and batches, and `fly` for one flight with its log.
 
->>> from jax_aero.io import load_config
+>>> from jax_aero import load as load_config
 >>> from jax_aero.sim import fly
 >>> config = load_config("test2", {"simulator.duration": 0.05})
 >>> fly(config)["thrust"].shape

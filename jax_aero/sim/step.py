@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jax_aero import tables
+from jax_aero import rust
 from jax_aero.aero import AeroModel, ReadNetwork
 from jax_aero.aero.network_card import load_network
 from jax_aero.config import ModelError, ScenarioConfig
@@ -32,7 +32,7 @@ from jax_aero.control.estimator import Reading
 from jax_aero.control.protocol import Command, Controller, Measurement
 from jax_aero.control.tick import momentum_controller
 from jax_aero.control.wind_estimate import WindEstimate, measured_wind, wind_estimate
-from jax_aero.io import check_config, scenario_config
+from jax_aero.io import scenario_config
 from jax_aero.jets import JetDynamics
 from jax_aero.outages import Outage, OutageState, outages_of, spoil
 from jax_aero.outages import begin as begin_outages
@@ -217,8 +217,7 @@ def prepare(
     Parameters
     ----------
     config
-        A configuration, or its resolved table, as `jax_aero.io.load_config` returns it. The crate checks it, too,
-        where it is installed.
+        A configuration, as `jax_aero.load` returns it, or what `read_config` made of it.
     robot
         The robot that flies, if it is loaded already.
     controller
@@ -276,10 +275,12 @@ def prepare(
 
 
 def read_config(config: ScenarioConfig | Mapping[str, Any]) -> ScenarioConfig:
-    """Return a checked configuration, from its resolved table if that is given."""
-    table = tables.to_table(config) if isinstance(config, ScenarioConfig) else config
-    check_config(table)
-    return scenario_config(table)
+    """Return the typed view of a configuration, which the crate checks; one that is typed has been checked."""
+    if isinstance(config, ScenarioConfig):
+        return config
+    flown = {**config, "engine": "jax"}
+    rust.check_config(flown)
+    return scenario_config(flown)
 
 
 def convert_precision(scenario: Scenario, state: FlightState, dtype: Any) -> tuple[Scenario, FlightState]:

@@ -8,11 +8,11 @@ from __future__ import annotations
 from typing import TypeAlias, assert_never
 
 import jax.numpy as jnp
+import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from jax_aero import config, noise
-from jax_aero.files import read_numbers
+from jax_aero import config, noise, rust
 from jax_aero.types import Array, leaf, leaves, pytree
 
 
@@ -99,10 +99,8 @@ def wind_model(settings: config.WindConfig) -> Wind:
             places, phases = _waves(settings.seed)
             mean = leaves(RampWind, settings)
             return TurbulentWind(mean, leaf(settings.std), leaf(settings.time_scale), places, phases)
-        case config.FileWindConfig():
-            return _recorded_wind(read_numbers(settings.path))
-        case config.SamplesWindConfig():
-            return _recorded_wind(np.asarray(settings.samples))
+        case config.FileWindConfig() | config.SamplesWindConfig():
+            return _recorded_wind(rust.recorded_wind(msgspec.to_builtins(settings)))
         case _:
             assert_never(settings)
 

@@ -28,6 +28,7 @@ from jaxtyping import Float
 
 from jax_aero import tables
 from jax_aero.adam import AdamState, adam_start, adam_step
+from jax_aero.command import ConfigError
 from jax_aero.places import did_you_mean
 from jax_aero.sim.batch import Group
 from jax_aero.sim.rollout import COMPILER_OPTIONS, rollout
@@ -76,7 +77,7 @@ class Steps(tables.Table, frozen=True):
 
     def __post_init__(self) -> None:
         if self.validation % self.batch:
-            raise ValueError(f"`validation` is {self.validation}; expected a multiple of `batch`, {self.batch}")
+            raise ConfigError.of("validation", self.validation, f"a multiple of `batch`, {self.batch}")
 
 
 Sample: TypeAlias = Callable[[Array, int], tuple[Array, Array]]

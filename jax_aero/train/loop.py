@@ -19,6 +19,7 @@ import numpy as np
 from jax_aero import tables
 from jax_aero.adam import AdamState, adam_start, adam_step
 from jax_aero.aero.network import BLOCKS, Layer, Network, block_sizes, raw_output
+from jax_aero.command import ConfigError
 from jax_aero.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from jax_aero.train.loss import batch_output, mean_squared_error, total_error
 from jax_aero.train.samples import Samples, chunks
@@ -59,7 +60,7 @@ class Settings(tables.Table, frozen=True):
 
     def __post_init__(self) -> None:
         if unknown := set(self.noise) - set(BLOCKS):
-            raise ValueError(f"`noise` names {sorted(unknown)}; expected blocks of features, {', '.join(BLOCKS)}")
+            raise ConfigError.of("noise", sorted(unknown), f"blocks of features, {', '.join(BLOCKS)}")
 
     @property
     def has_totals(self) -> bool:

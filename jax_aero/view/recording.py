@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jax_aero import documents, io, netcdf, rust
+from jax_aero.command import ConfigError
 from jax_aero.files import find_damaged, read_json
 from jax_aero.places import MANIFEST_FILE, RESULTS, RUN_FILE
 from jax_aero.result import ending, labels_of
@@ -248,7 +249,10 @@ def _read(path: Path, robot: str | Path | None) -> Recording:
     ):
         raise Refused(f"`{path}` is not what was written there, by the checksum in {MANIFEST_FILE}; {EXPECTED}")
     signals, facts = _read_signals(path)
-    config = io.make_paths_absolute(manifest["config"]) if "config" in manifest else None
+    try:
+        config = io.make_paths_absolute(manifest["config"]) if "config" in manifest else None
+    except ConfigError as reason:
+        raise reason.in_file(str(described)) from None
     robot_path = _robot_path(path, config, robot)
     try:
         loaded = rust.Robot(robot_path)

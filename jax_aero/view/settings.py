@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from jax_aero import io, rust
+from jax_aero import rust
 from jax_aero.places import CONFIGS
 from jax_aero.wind_direction import speed_and_direction, wind_from
 
@@ -146,5 +146,5 @@ def aero_table(model: str) -> dict[str, Any]:
     """Return the table of a model, including its base files: a key of `MODELS`, or the path of a network's card."""
     file = MODELS.get(model, Path(model))
     if file.suffix == ".json":
-        return io.resolve(AERO / "network.toml", io.AERO) | {"card": str(file)}
-    return io.resolve(file, io.AERO)
+        return rust.load_aero("network") | {"card": str(file)}
+    return rust.load_aero(file)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_aero import io, rust
+from jax_aero import rust
 from jax_aero.sim import begin, prepare, rollout
 
 pytestmark = pytest.mark.usefixtures("x64")
@@ -29,10 +29,10 @@ PARAMETERS = (
 @pytest.fixture(scope="module")
 def problem(x64, tmp_path_factory):
     """A cost of tracking as long as the flight lasts: compiled, and its value with the gradient."""
-    table = io.load_config(ROOT / "configs" / "experiments" / "test2.toml")
+    table = rust.load_config(ROOT / "configs" / "experiments" / "test2.toml")
     table["wind"] |= {"ramp_start": -1.0, "ramp_end": 0.5}
     table["simulator"]["jets"] = {"dynamics": "second_order"}
-    network = io.load_config(ROOT / "configs" / "experiments" / "test4.toml")["simulator"]["aero"]
+    network = rust.load_config(ROOT / "configs" / "experiments" / "test4.toml")["simulator"]["aero"]
     table["simulator"]["aero"] = network | {"precision": "f64"}
     table["mission"] = {"file": str(tmp_path_factory.mktemp("reference") / "sway.csv")}
     first = rust.fly(table | {"mission": {}, "simulator": table["simulator"] | {"duration": 0.01}})

@@ -1,28 +1,19 @@
-"""Reading a configuration in both languages: the same table out of the same files, the same words for a mistake."""
+"""What the one reader of configurations refuses, key by key, and the typed view of what it accepts."""
 
 from __future__ import annotations
 
 import copy
-import math
+import pickle
 import random
 import re
 import shutil
 from pathlib import Path
 
+import msgspec
 import pytest
-from msgspec import inspect
 
-from jax_aero import io, rust, tables
-from jax_aero.config import (
-    ControllerSection,
-    Disturbances,
-    ForceFactorsConfig,
-    JetFaultsConfig,
-    MissionConfig,
-    RobotFile,
-    ScenarioConfig,
-    SimulatorConfig,
-)
+from jax_aero import io, rust
+from jax_aero.command import ConfigError
 from jax_aero.keys import get, set_key
 from jax_aero.robot import load_robot
 
@@ -84,113 +75,70 @@ def mistakes():
                 yield f"{key}{below} = {value}", spoilt
 
 
-def words(read, config):
-    """What is said of a configuration, without the hint at what was probably meant; `None` if it is accepted."""
+def test_mistakes_are_refused_by_key():
+    """Whatever the mistake, the refusal has a key, and its message states what the attributes do."""
+    refused = 0
+    for mistake, config in random.Random(1).sample(list(mistakes()), 150):
+        if (reason := refusal_of(config)) is not None:
+            refused += 1
+            assert reason.key, mistake
+            assert all(part is None or part in str(reason) for part in (reason.key, reason.value)), mistake
+    assert refused > 120
+
+
+def refusal_of(config):
     try:
-        read(config)
-    except ValueError as reason:
-        text = re.sub(r"(; did you mean `\w+`\?)? \(known: .*\)$", "", str(reason).removeprefix("configuration: "))
-        if choices := re.search(r"one of (.*)$", text):
-            return text.replace(choices[1], ", ".join(sorted(choices[1].split(", "))))
-        return text
+        rust.check_config(config)
+    except ConfigError as reason:
+        return reason
     return None
 
 
-def test_mistakes_are_refused_in_the_same_words():
-    """Key, value and what was expected; what depends on the robot is left to the crate and to `prepare`."""
-    for mistake, config in random.Random(1).sample(list(mistakes()), 300):
-        ours, theirs = words(io.scenario_config, config), words(rust.check_config, config)
-        if ours is not None:
-            assert ours == theirs, mistake
-        else:
-            assert theirs is None or "`" not in theirs.partition(" ")[0], f"{mistake}: {theirs}"
+@pytest.mark.parametrize(
+    ("changes", "parts"),
+    [
+        ({"wind.velocity": [0, "x", 0]}, ("wind.velocity[1]", '"x"', "a number", ())),
+        ({"simulator.duration": -1}, ("simulator.duration", "-1", "a number > 0", ())),
+        ({"wind.velocty": [0, 0, 0]}, ("wind.velocty", None, "one of", ("wind.velocity",))),
+        ({"duration": 1.0}, ("duration", None, "one of", ("simulator.duration",))),
+        ({"simulator.duration.x": 1.0}, ("simulator.duration", "50.0", "a table or list that has `x`", ())),
+        ({"simulator.initial.thrust": [1.0]}, ("length of simulator.initial.thrust", "1", "4, one entry per jet", ())),
+    ],
+)
+def test_an_error_of_a_changed_key_has_its_parts_as_attributes(changes, parts):
+    with pytest.raises(ConfigError) as refusal:
+        rust.load_config("test2", changes)
+    reason = pickle.loads(pickle.dumps(refusal.value))
+    key, value, expected, suggestions = parts
+    assert (reason.file, reason.key, reason.value, reason.suggestions) == (None, key, value, suggestions)
+    assert reason.expected.startswith(expected)
+    assert str(reason) == str(refusal.value)
 
 
-def numbers(kind, value, key=""):
-    """Every number in a value, as its key and its type; of a list the first."""
-    match kind:
-        case inspect.UnionType():
-            tagged = [each for each in kind.types if isinstance(each, inspect.StructType) and each.tag_field]
-            chosen = [each for each in tagged if value[each.tag_field] == each.tag] or kind.types
-            yield from numbers(chosen[0], value, key)
-        case inspect.StructType(array_like=False):
-            for field in kind.fields:
-                if field.encode_name in value:
-                    yield from numbers(field.type, value[field.encode_name], f"{key}.{field.encode_name}")
-        case inspect.DictType():
-            for name, entry in value.items():
-                yield from numbers(kind.value_type, entry, f"{key}.{name}")
-        case inspect.VarTupleType(item_type=item) | inspect.TupleType(item_types=(item, *_)) if value:
-            yield from numbers(item, value[0], f"{key}.0")
-        case inspect.IntType() | inspect.FloatType():
-            yield key.removeprefix("."), kind
+def test_an_error_in_a_file_names_it(tmp_path):
+    path = tmp_path / "own.toml"
+    path.write_text(f"base = '{CONFIGS / 'experiments/test2.toml'}'\nwind.velocity = [0.0, 1.0]\n")
+    for changes in ({}, {"simulator.duration": 1.0}):
+        with pytest.raises(ConfigError) as refusal:
+            rust.load_config(path, changes)
+        assert (refusal.value.file, refusal.value.key) == (str(path), "wind.velocity")
+        assert str(refusal.value).startswith(f"{path}: `wind.velocity` is [0.0,1.0]; expected")
+    assert rust.load_config(path, {"wind.velocity": [0, 1, 0]})["wind"]["velocity"] == [0.0, 1.0, 0.0]
 
 
-def ends(kind):
-    """The last number inside a range and the first outside, at every end."""
-    for name, outwards in (("ge", -1), ("gt", -1), ("le", 1), ("lt", 1)):
-        limit = getattr(kind, name)
-        if limit is not None:
-            step = 1 if isinstance(kind, inspect.IntType) else math.ulp(limit)
-            is_part = name in ("ge", "le")
-            yield (limit, limit + outwards * step) if is_part else (limit - outwards * step, limit)
-
-
-def test_every_range_of_the_schema_is_that_of_both_languages():
-    """Outside both refuse it in the same words; inside, the crate refuses no number for itself."""
-    tried = set()
-    for config in [*configurations(), rust.load_config("test1_observer")]:
-        for key, kind in list(numbers(inspect.type_info(ScenarioConfig), config)):
-            if (key, str(kind)) in tried:
-                continue
-            tried.add((key, str(kind)))
-            for inside, outside in ends(kind):
-                spoilt = copy.deepcopy(config)
-                set_key(spoilt, key, outside)
-                said = words(io.scenario_config, spoilt)
-                assert said is not None, key
-                assert said == words(rust.check_config, spoilt), key
-                set_key(spoilt, key, inside)
-                assert words(io.scenario_config, spoilt) is None, key
-                said = words(rust.check_config, spoilt)
-                assert said is None or key in COMBINED, f"{key} = {inside}: {said}"
-    assert len(tried) > 80
-
-
-COMBINED = ("simulator.time_step", "simulator.substeps")
-"""Keys that the crate refuses together with others: the number of ticks, the steepness of bounds."""
-
-
-def optional_keys(kind, key=""):
-    """The keys that may be left out and have no default."""
-    if isinstance(kind, inspect.UnionType):
-        if any(isinstance(each, inspect.NoneType) for each in kind.types):
-            yield key.removeprefix(".")
-        kind = kind.types[0]
-    if isinstance(kind, inspect.StructType) and not kind.tag_field:
-        for field in kind.fields:
-            yield from optional_keys(field.type, f"{key}.{field.encode_name}")
-
-
-@pytest.mark.parametrize("key", list(optional_keys(inspect.type_info(ScenarioConfig))))
-def test_null_is_no_value(key):
-    config = rust.load_config("test2")
-    set_key(config, key, None)
-    said = words(io.scenario_config, config)
-    assert said is not None
-    assert said.startswith(f"`{key}` is null; expected")
-    assert said == words(rust.check_config, config)
-
-
-@pytest.mark.parametrize("key", list(optional_keys(inspect.type_info(ScenarioConfig))))
-def test_false_removes_what_may_be_absent(key):
-    """On the command line as in a file; other keys keep it as their value."""
-    table = {}
-    for value, expected in ((1.0, 1.0), (False, None), (False, None)):
-        io.override(table, key, value)
-        assert get(table, key) == expected
-    io.override(table, "simulator.joint_stops", value=False)
-    assert table["simulator"]["joint_stops"] is False
+def test_keys_are_set_as_in_a_file(tmp_path, monkeypatch):
+    """`false` removes what may be absent, a path starts at the current folder, and a table may name its `base`."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "gust.csv").write_text("time,x,y,z\n0,1,2,3\n")
+    (tmp_path / "file.toml").write_text("profile = 'file'\npath = 'gust.csv'\n")
+    changed = rust.load_config(
+        "test2_observer",
+        {"controller.engines": False, "simulator.joint_stops": False, "wind": {"base": "file.toml"}},
+    )
+    assert "engines" not in changed["controller"]
+    assert changed["simulator"]["joint_stops"] is False
+    assert changed["wind"] == {"profile": "file", "path": str(tmp_path / "gust.csv")}
+    assert "wind.path" in rust.path_keys(changed)
 
 
 def to_written(table):
@@ -201,96 +149,9 @@ def to_written(table):
 
 
 @pytest.mark.parametrize("path", EXPERIMENTS, ids=lambda path: path.stem)
-def test_types_and_defaults_are_those_of_the_crate(path):
-    """What Python's types write out, the crate does: the same keys, the same defaults."""
-    assert to_written(tables.to_builtins(io.scenario_config(io.load_config(path)))) == rust.load_config(path)
-
-
-@pytest.mark.parametrize("kind", [Disturbances, ForceFactorsConfig, JetFaultsConfig, MissionConfig])
-def test_a_table_of_defaults_alone(kind):
-    assert tables.convert({}, kind, "nothing") == kind()
-
-
-def test_required_keys_are_those_of_the_crate():
-    schemas = rust.schemas()
-    for name, kind in (("simulator", SimulatorConfig), ("control", ControllerSection), ("robot", RobotFile)):
-        required = {field.encode_name for field in io.inspect.type_info(kind).fields if field.required}
-        assert required == set(schemas[name]["required"])
-
-
-FILES = {
-    "sub/weak.toml": "model = 'axisymmetric'\ncoefficients = 'published'\nair_density = 1.0\n",
-    "sub/none.toml": "model = 'off'\n",
-    "sub/weak_jets.toml": "thrust_limit_scale = 0.9\nlag = 0.1\n",
-    "sub/ramp.toml": "profile = 'ramp'\nvelocity = [1.0, 0.0, 0.0]\nramp_start = 1.0\nramp_end = 2.0\n",
-    "sub/recorded.toml": "profile = 'file'\npath = 'wind.csv'\n",
-    "sub/wind.csv": "time,x,y,z\n0,1,2,3\n",
-}
-CASES = {
-    "a table merges": "[wind]\nbase = 'sub/ramp.toml'\nramp_end = 9.0\n",
-    "another kind replaces": "[wind]\nbase = 'sub/ramp.toml'\nprofile = 'constant'\nvelocity = [1.0, 1.0, 1.0]\n",
-    "another kind below another key": (
-        "[disturbances.controller_wind]\nbase = 'sub/ramp.toml'\nprofile = 'constant'\nvelocity = [2.0, 0.0, 0.0]\n"
-    ),
-    "a path in a part": "[wind]\nbase = 'sub/recorded.toml'\n",
-    "another model": "controller.aero = { base = 'sub/none.toml' }\nsimulator.aero = { base = 'sub/weak.toml' }\n",
-    "lists are replaced": "[mission]\nup = [[1, 2]]\n",
-    "a name is no kind": "[disturbances.aero_estimate.links]\nhead = 0.5\n",
-    "false removes": "[disturbances.jets]\nbase = 'sub/weak_jets.toml'\nthrust_limit_scale = false\n",
-}
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_files_merge_alike(case, tmp_path):
-    for name, text in FILES.items():
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text(text)
-    top = tmp_path / "top.toml"
-    top.write_text(f"base = '{CONFIGS / 'experiments/test2.toml'}'\n{CASES[case]}")
-    ours = io.load_config(top)
-    rust.check_config(ours)
-    assert to_written(tables.to_builtins(io.scenario_config(ours))) == rust.load_config(top)
-
-
-def test_a_part_of_the_robot_may_be_called_base(tmp_path):
-    (tmp_path / "links.toml").write_text("chest = 0.2\nbase = 0.3\n")
-    top = tmp_path / "top.toml"
-    top.write_text(
-        f"base = '{CONFIGS / 'experiments/test2.toml'}'\n"
-        "disturbances.aero.links = { base = 0.5 }\ndisturbances.aero_estimate.links = { base = 'links.toml' }\n"
-    )
-    disturbances = io.resolve(top)["disturbances"]
-    assert disturbances["aero"]["links"] == {"base": 0.5}
-    assert disturbances["aero_estimate"]["links"] == {"chest": 0.2, "base": 0.3}
-    with pytest.raises(ValueError, match=r"disturbances\.aero\.links names `base`, which does not exist"):
-        rust.load_config(top)
-
-
-def test_reading_is_bounded_in_both_languages(tmp_path):
-    """Files that name the next one three times over would be read 3^16 times."""
-    for depth in range(16):
-        text = "\n".join(f"[{key}]\nbase = 'f{depth + 1}.toml'" for key in ("a", "b", "c"))
-        (tmp_path / f"f{depth}.toml").write_text(text)
-    (tmp_path / "f16.toml").write_text("")
-    for load in (io.load_config, rust.load_config):
-        with pytest.raises(ValueError, match="more than 256 `base` files"):
-            load(tmp_path / "f0.toml")
-
-
-@pytest.mark.parametrize("key", ["robot", "wind.path", "simulator.aero.card", "controller.aero.card", "mission.file"])
-def test_a_path_on_the_command_line_starts_at_the_current_folder(key, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    table = {part: {"aero": {}} for part in ("simulator", "controller")} | {"wind": {}, "mission": {}}
-    io.override(table, key, "here.txt")
-    assert get(table, key) == str(tmp_path / "here.txt")
-    table_key, _, last = key.rpartition(".")
-    if table_key:
-        given = {last: "here.txt"}
-        io.override(table, table_key, given)
-        assert get(table, key) == str(tmp_path / "here.txt")
-        assert given == {last: "here.txt"}
-    io.override(table, "title", "here.txt")
-    assert table["title"] == "here.txt"
+def test_the_typed_view_has_every_key(path):
+    config = rust.load_config(path)
+    assert to_written(msgspec.to_builtins(io.scenario_config(config))) == config
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_aero import io, rust, sim
+from jax_aero import rust, sim
 from jax_aero.control.tick import MomentumController
 from jax_aero.io import scenario_config
 from jax_aero.robot import load_robot
@@ -154,7 +154,7 @@ def test_every_tick_of_the_world(experiment, agree):
 def test_joints_meet_their_stops(integrator, agree):
     """Elbow, knee and torso pressed against their stops for 0.3 s, without thrust: both engines, step by step."""
     changes = {"simulator.integrator": integrator, "simulator.substeps": 2, "simulator.aero": {"model": "off"}}
-    table = io.load_config(EXPERIMENTS / "test2.toml") | {"disturbances": {}}
+    table = rust.load_config(EXPERIMENTS / "test2.toml") | {"disturbances": {}}
     for key, value in changes.items():
         table["simulator"][key.removeprefix("simulator.")] = value
     table["simulator"]["initial"] |= {"thrust": [0.0] * 4, "free_fall_tick": False}
@@ -189,7 +189,7 @@ def test_numbers_that_physics_excludes_diverge(criterion):
     """The same tick, words and figures in both engines; the row is in the log and in no figure."""
     changes = SPOILT[criterion] | {"simulator.duration": 0.5, "simulator.initial.free_fall_tick": False}
     if criterion == "joint more":
-        elbow_out = list(io.load_config(EXPERIMENTS / "test2.toml")["simulator"]["initial"]["joint_position"])
+        elbow_out = list(rust.load_config(EXPERIMENTS / "test2.toml")["simulator"]["initial"]["joint_position"])
         elbow_out[6] -= 0.4
         changes["simulator.initial.joint_position"] = elbow_out
     config = rust.load_config(EXPERIMENTS / "test2.toml", changes)
@@ -278,7 +278,7 @@ def test_both_kinds_of_dynamics_fly_the_same():
     """`simulator.dynamics`: one step to the rounding of M⁻¹ h (condition 1e5), and 0.2 s with what it grows to."""
     heights = {}
     for dynamics in ("tree", "mjx"):
-        table = io.load_config(EXPERIMENTS / "test2.toml", {"simulator.dynamics": dynamics, "wind.ramp_start": -9.0})
+        table = rust.load_config(EXPERIMENTS / "test2.toml", {"simulator.dynamics": dynamics, "wind.ramp_start": -9.0})
         scenario, start = sim.prepare(table, controller=Damper())
         assert scenario.plant.backend == dynamics
         rows = jax.jit(lambda scenario, start: sim.rollout(scenario, start, 20, sim.keep_row)[1])(scenario, start)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from jax_aero import outages, rust, sim
-from jax_aero.config import ChannelsConfig
 from jax_aero.config import Outage as OutageConfig
 from jax_aero.control.channels import MODES
 from jax_aero.control.protocol import Measurement
@@ -114,17 +113,6 @@ def test_a_flight_begins_without_what_is_not_accepted(estimator, measured):
         scale = max(1.0, np.abs(theirs.log[name]).max())
         difference = np.abs(ours.log[name] - theirs.log[name]).max() / scale
         measured(name, difference, 1e-9, because="rounding, as in flights without outages")
-
-
-def test_the_defaults_are_the_crates():
-    """A controller that is configured without channels has them, in both languages alike."""
-    table = rust.load_config(EXPERIMENTS / "test2.toml")
-    channels = table["controller"]["channels"]
-    ours = ChannelsConfig()
-    assert ours.jump is None
-    assert "jump" not in channels
-    assert channels["wind_hold"] == ours.wind_hold
-    assert channels["greatest"]["wind"] == ours.greatest.wind
 
 
 @pytest.mark.parametrize(

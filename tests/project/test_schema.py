@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from jsonschema import Draft202012Validator
+from referencing import Registry, Resource
 
 from experiments import schema
 from jax_aero import rust
@@ -23,7 +24,12 @@ NAMES = [str(path.relative_to(ROOT)) for path in FILES]
 
 
 def mistakes(schema, table):
-    return [f"{error.json_path}: {error.message}" for error in Draft202012Validator(schema).iter_errors(table)]
+    validator = Draft202012Validator(schema, registry=Registry(retrieve=schema_file))
+    return [f"{error.json_path}: {error.message}" for error in validator.iter_errors(table)]
+
+
+def schema_file(name: str):
+    return Resource.from_contents(json.loads((CONFIGS / "schema" / name).read_text(encoding="utf-8")))
 
 
 def schema_named_by(path: Path):

@@ -147,5 +147,5 @@ def test_an_engine_is_identified_from_the_logs_that_are_named(truth, log, tmp_pa
     np.testing.assert_array_equal(seen[0][1], truth[10:])
     with pytest.raises(Refused, match=r"no engine `V2`; there are .*P220"):
         bench.compute("V2", bench.EngineLogs())
-    with pytest.raises(ValueError, match="`train` and `test`: expected both, or none"):
+    with pytest.raises(ValueError, match="expected both `train` and `test`, or none"):
         bench.EngineLogs(train=tmp_path / "train.csv")

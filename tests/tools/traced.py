@@ -15,7 +15,7 @@ from beartype.door import is_bearable
 from jaxtyping import Float, jaxtyped
 
 from tests.shapes import states_shape  # isort: skip - before the first import of jax_aero
-from jax_aero import aero, io, robot, sim, types
+from jax_aero import aero, io, robot, rust, sim, types
 from jax_aero.control import estimator, qp, recorded
 from jax_aero.control.tick import MomentumController, momentum_controller
 from jax_aero.kinematics import kinematics
@@ -84,7 +84,7 @@ class Checked:
 
 def trace_flight() -> None:
     """Trace a tick of a batch of flights, and a gradient through a QP."""
-    config = io.scenario_config(io.load_config(CONFIGS / "experiments" / "test2_sensors.toml", EVERYTHING))
+    config = io.scenario_config(rust.load_config(CONFIGS / "experiments" / "test2_sensors.toml", EVERYTHING))
     model = robot.load_robot(config.robot)
     scenario, state = sim.prepare(config, model, controller=Checked(momentum_controller(config, model)))
 
@@ -105,7 +105,7 @@ def trace_aerodynamics() -> None:
     model = robot.load_robot(CONFIGS / "robot" / "ironcub_mk1.toml")
     state = types.State(np.zeros(3), np.eye(3), np.zeros(model.n_joints), np.ones(model.n_velocities))
     for name in ("off", "axisymmetric_corrected", "sphere_cylinder", "network"):
-        chosen = aero.aero_model(io.aero_config(io.resolve(CONFIGS / "aero" / f"{name}.toml", io.AERO)), model)
+        chosen = aero.aero_model(io.aero_config(rust.load_aero(name)), model)
 
         def wrench(state: types.State, chosen: aero.AeroModel = chosen) -> Any:
             kin = kinematics(model, state)

@@ -9,6 +9,7 @@ from jax_aero.aero import network as N  # noqa: N812 (many of its functions are 
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
 from jax_aero.aero.dataset import JOINTS, LINKS, mirrored_joints, tunnel_from_base
 from jax_aero.aero.network import init_network
+from jax_aero.command import ConfigError
 from jax_aero.kinematics import kinematics
 from jax_aero.types import State
 from tests.measurements import measured
@@ -196,7 +197,9 @@ def test_a_link_behind_another_is_in_its_shadow():
     assert shadow[2] < 0.01
 
 
-@pytest.mark.parametrize(("frame", "layout"), [("link", "component"), ("wind", "link"), ("body", "link")])
-def test_an_output_that_says_nothing_is_refused(ironcub, frame, layout):
-    with pytest.raises(ValueError, match=f"output frame is '{frame}' with layout '{layout}'"):
+@pytest.mark.parametrize(
+    ("frame", "layout", "key"), [("link", "component", "layout"), ("wind", "link", "layout"), ("body", "link", "frame")]
+)
+def test_an_output_that_says_nothing_is_refused(ironcub, frame, layout, key):
+    with pytest.raises(ConfigError, match=rf"`{key}` is .*; expected"):
         init_network(jax.random.key(0), ironcub, hidden=(4,), frame=frame, layout=layout)

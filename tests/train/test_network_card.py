@@ -114,7 +114,7 @@ def edit(card, key, value):
         ("format", "onnx", '`format` is "onnx"; expected one of flight-aero-network'),
         ("version", 2, "`version` is 2; expected one of 1"),
         ("output.unit", "N", '`output.unit` is "N"'),
-        ("output.frame", "wind", "output frame is 'wind' with layout 'link'"),
+        ("output.frame", "wind", '`output.layout` is "link"; expected component, in wind axes'),
         (
             "inputs.features",
             ["joints", "colour"],

@@ -160,7 +160,7 @@ def test_an_interrupted_run_goes_on_and_ends_as_if_nothing_had_been(result, data
         ({"network.activation": "gelu"}, '`network.activation` is "gelu"; expected one of'),
         ({"network.baseline": "best"}, "`network.baseline` is"),
         ({"validation.folds_run": "9"}, "`validation.folds_run` is 9; expected at most 5"),
-        ({"training.noise": "{ colour = 1.0 }"}, "`training.noise` names ['colour']"),
+        ({"training.noise": "{ colour = 1.0 }"}, '`training.noise` is ["colour"]; expected blocks'),
         ({"training.epochs": '"many"'}, '`training.epochs` is "many"; expected an integer'),
     ],
 )
@@ -244,8 +244,8 @@ def test_a_folder_is_named_by_where_it_is(data, tmp_path, monkeypatch, capsys):
         ),
         ({"training__patience": "3"}, [], "expected a `patience` of 0: rows held out would choose the weights"),
         ({"distillation__training__patience": "3"}, [], "compact.toml: expected a `patience` of 0"),
-        ({"validation__random_seeds": "[1, 1]"}, [], "`validation.random_seeds` is [1, 1]; expected each seed once"),
-        ({"validation__fold_seeds": "[2, 2]"}, [], "`validation.fold_seeds` is [2, 2]; expected each seed once"),
+        ({"validation__random_seeds": "[1, 1]"}, [], "`validation.random_seeds` is [1,1]; expected each seed once"),
+        ({"validation__fold_seeds": "[2, 2]"}, [], "`validation.fold_seeds` is [2,2]; expected each seed once"),
     ],
 )
 def test_what_cannot_end_is_refused_before_the_training(data, tmp_path, monkeypatch, capsys, changes, options, message):
@@ -383,8 +383,8 @@ def test_a_search_replaces_no_other_result(small_search, tmp_path, monkeypatch, 
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("low = 1e-2, high = 1e-3", "expected a low that is below high"),
-        ("low = 0.0, high = 1e-3, log = true", "expected a low above 0, as its logarithm is searched"),
+        ("low = 1e-2, high = 1e-3", "expected a number below high, 0.001"),
+        ("low = 0.0, high = 1e-3, log = true", "expected a number above 0, as its logarithm is searched"),
         ("choices = []", "expected a list of 1 or more"),
     ],
 )

@@ -12,6 +12,7 @@ from msgspec import structs
 from jax_aero import tables
 from jax_aero.adam import adam_start, adam_step
 from jax_aero.aero.network import init_network
+from jax_aero.command import ConfigError
 from jax_aero.train import (
     Checkpoint,
     Interrupted,
@@ -268,7 +269,7 @@ def test_settings_are_checked(key, value):
 )
 def test_settings_that_are_made_in_python_are_checked_too(task, key, value, expected):
     network, training, _ = task
-    with pytest.raises(tables.ConfigError, match=re.escape(f"settings: `{key}` is ") + f".*; expected {expected}"):
+    with pytest.raises(ConfigError, match=re.escape(f"settings: `{key}` is ") + f".*; expected {expected}"):
         fit(network, training, None, structs.replace(SETTINGS, **{key: value}), seed=0)
 
 

@@ -14,11 +14,10 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.aero.model import aero_model
-from jax_aero.command import Refused
+from jax_aero.command import ConfigError
 from jax_aero.config import AxisymmetricAeroConfig, FileWindConfig
 from jax_aero.control.recorded import read_reference
 from jax_aero.control.tick import momentum_controller
-from jax_aero.files import read_numbers
 from jax_aero.io import scenario_config
 from jax_aero.keys import set_key
 from jax_aero.robot import ancestors_of, levels_of, load_robot
@@ -39,38 +38,48 @@ def table():
     return rust.load_config(ROOT / "configs" / "experiments" / "test2.toml")
 
 
-@pytest.mark.parametrize(("turn", "is_refused"), [(178.5, False), (179.5, True), (180.0, True)])
-def test_a_half_turn_between_rows_is_refused(tmp_path, turn, is_refused):
-    path = tmp_path / "reference.csv"
-    path.write_text(f"time,x,y,z,roll,pitch,yaw\n0,0,0,1,0,0,0\n1,0,0,1,0,0,0\n2,0,0,1,0,0,{np.radians(turn)}\n")
-    if not is_refused:
-        assert read_reference(str(path)).rpy.shape == (3, 3)
-        return
-    with pytest.raises(ValueError, match=rf"turns by {turn} deg from row 2 to row 3; expected a turn below 179 deg"):
-        read_reference(str(path))
-
-
-def test_a_wind_file_may_begin_with_an_empty_line_in_both_languages(tmp_path):
+def test_a_wind_file_may_begin_with_an_empty_line(tmp_path):
     path = tmp_path / "wind.csv"
     path.write_text("\ntime, x, y, z\n0,1,2,3\n \n2,3,-4,5\n")
     with jax.enable_x64(True):
-        ours = wind_velocity(wind_model(FileWindConfig(path=path)), 0.5)
+        ours = wind_velocity(wind_model(FileWindConfig(path=str(path))), 0.5)
     np.testing.assert_array_equal(ours, rust.wind_velocity({"profile": "file", "path": str(path)}, [0.5])[0])
 
 
 @pytest.mark.parametrize(
-    ("text", "expected"),
+    ("text", "words"),
     [
-        ("time,x,y,z\n", "expected a header and one row of numbers or more"),
-        ("time,x,y,z\n0,1,2,calm\n", "'calm'.*; expected rows of numbers"),
-        ("time,x,y,z\n0,1,2,3\n1,2\n", "; expected rows of numbers"),
+        ("time,y,x,z\n0,0,-1,0\n", "line 1 of wind file .*; expected the header time,x,y,z"),
+        ("0,0,-1,0\n1,0,-5,0\n", "line 1 of wind file .*; expected the header time,x,y,z"),
+        ("time,x,y,z\n0,0,-1,0\n1,0,nan,0\n", "line 3 of wind file .*; expected four finite numbers"),
+        ("time,x,y,z\n0,0,-1,0\n1,0,-5,0\n0.5,1,-5,0\n", "line 4 of wind file .*; expected a time later"),
+        ("# a note\ntime,x,y,z\n0,1,2\n", "line 3 of wind file .*; expected 4 numbers"),
     ],
 )
-def test_a_file_of_numbers_is_refused_by_its_path(tmp_path, text, expected):
+def test_a_wind_file_is_refused_by_its_line(tmp_path, text, words):
     path = tmp_path / "wind.csv"
     path.write_text(text)
-    with pytest.raises(Refused, match=rf"{path}: .*{expected}|{path}: {expected}"):
-        read_numbers(path)
+    with pytest.raises(ConfigError, match=words):
+        wind_model(FileWindConfig(path=str(path)))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            "time,y,x,z,roll,pitch,yaw\n0,0,0,1,0,0,0\n1,0,0,1,0,0,0\n",
+            "line 1 of reference .*; expected the first 7",
+        ),
+        ("0,0,0,1,0,0,0\n1,0,0,1,0,0,0\n", "line 1 of reference .*; expected the first 7"),
+        ("time,x,y,z,roll,pitch,yaw\n1,0,0,1,0,0,0\n0,0,0,1,0,0,0\n", "line 3 of reference file .*; expected a time"),
+        ("time,x,y,z,roll,pitch,yaw\n0,0,0,1,0,0,0\n1,0,nan,1,0,0,0\n", "line 3 of reference file .*; expected finite"),
+    ],
+)
+def test_a_reference_is_refused_by_its_line(tmp_path, text, words):
+    path = tmp_path / "reference.csv"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=words):
+        read_reference(path)
 
 
 def test_numbers_are_leaves_and_names_are_structure(table):

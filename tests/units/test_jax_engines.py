@@ -10,8 +10,9 @@ import pytest
 
 from jax_aero.control import engines
 from jax_aero.control.attitude import TaskGains
-from jax_aero.io import load_config, scenario_config
+from jax_aero.io import scenario_config
 from jax_aero.robot import load_robot
+from jax_aero.rust import load_config
 
 pytestmark = pytest.mark.usefixtures("x64")
 

@@ -57,11 +57,11 @@ def test_what_cannot_be_read_is_refused_and_quoted(assignment):
 
 @pytest.mark.parametrize("value", ["2020-01-01", "2020-01-01T10:00:00Z", "10:00:00"])
 def test_no_key_is_a_date(value, tmp_path):
-    with pytest.raises(Refused, match=r"--set a\.b=.*: `a\.b\.c\.1` is .*; no key is a date"):
+    with pytest.raises(Refused, match=r"--set a\.b=.*: `a\.b\.c\.1` is .*, as no key is a date"):
         parse([f"a.b={{ c = [1, {value}] }}"])
     file = tmp_path / "own.toml"
     file.write_text(f"title = {value}")
-    with pytest.raises(Refused, match=r"own\.toml: `title` is .*; no key is a date"):
+    with pytest.raises(Refused, match=r"own\.toml: `title` is .*, as no key is a date"):
         tables.read(file)
 
 

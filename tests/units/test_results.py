@@ -18,7 +18,7 @@ from experiments.engines import MODULES
 from experiments.sweep import run, spec
 from experiments.sweep.chunks import Chunks
 from experiments.sweep.design import Design
-from jax_aero import cli, files, io, places, rust
+from jax_aero import cli, files, keys, places, rust
 from jax_aero.cli import main
 from jax_aero.view import recording
 from paper_figs import runs
@@ -55,15 +55,15 @@ def test_every_file_that_a_flight_names_counts_in_its_digest(tmp_path):
         place[key] = {"profile": "file", "path": str(tmp_path / f"{key}.csv")}
     config["mission"] = {"file": config["mission"]["path"]}
     config["controller"]["aero"] = dict(config["simulator"]["aero"])
-    named = list(io.paths(config))
-    assert sorted(key for _, key in named) == ["card", "card", "file", "path", "path", "robot"]
-    for number, (table, key) in enumerate(named):
-        folder, original = tmp_path / str(number), Path(table[key])
+    named = rust.path_keys(config)
+    assert sorted(key.split(".")[-1] for key in named) == ["card", "card", "file", "path", "path", "robot"]
+    for number, key in enumerate(named):
+        folder, original = tmp_path / str(number), Path(keys.get(config, key))
         folder.mkdir()
         for path in {original, *original.parent.glob(f"{original.stem}.urdf")}:
             (folder / path.name).write_bytes(path.read_bytes())
         before = rust.config_digest(config)
-        table[key] = str(folder / original.name)
+        keys.set_key(config, key, str(folder / original.name))
         assert rust.config_digest(config) == before, "where a file lies counts"
         for path in folder.iterdir():
             path.write_bytes(path.read_bytes() + b"\n")

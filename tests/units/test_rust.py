@@ -57,7 +57,7 @@ def test_an_unknown_key_is_refused_with_one_suggestion_and_the_keys_of_its_table
     [
         (np.float64, "is a type; expected a number, text"),
         (1 + 2j, "is a complex; expected"),
-        (float("nan"), "`simulator.duration` is nan; expected a finite number"),
+        (float("nan"), "`simulator.duration` is NaN; expected a finite number"),
     ],
 )
 def test_a_value_no_file_could_hold_is_refused(value, reason):

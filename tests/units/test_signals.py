@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_aero import io, rust, sim
+from jax_aero import rust, sim
 from jax_aero.summary import condense, figures
 from jax_aero.view import recording
 
@@ -19,7 +19,7 @@ FIXED = {"xyz": 3, "wxyz": 4, "rpy": 3, "six": 6, "qp": 2}
 
 
 def test_the_row_in_jax_has_the_declared_signals(x64):
-    config = io.load_config(TEST2, {"simulator.duration": 0.1})
+    config = rust.load_config(TEST2, {"simulator.duration": 0.1})
     robot = rust.Robot(config["robot"])
     of_robot = {"joint": robot.joint_names, "jet": robot.jet_names, "link": robot.aero_link_names}
     sizes = FIXED | {dim: len(names) for dim, names in of_robot.items()}

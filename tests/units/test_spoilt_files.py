@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from experiments import record
-from jax_aero import io
+from jax_aero import rust
 from jax_aero.aero.network_card import read_card
 from jax_aero.places import HOME
 from jax_aero.robot import load_robot
@@ -91,7 +91,7 @@ def test_a_configuration(folder, name, edits):
     flight = (CONFIGS / "experiments/test2.toml").read_text().replace('"../', f'"{CONFIGS}/')
     (folder / "flight.toml").write_text(flight.replace(f"{CONFIGS}/control/aero_aware.toml", "control.toml"))
     try:
-        io.scenario_config(io.resolve(folder / "flight.toml"))
+        rust.load_config(folder / "flight.toml")
     except ValueError:
         return
 

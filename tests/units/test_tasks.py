@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_aero import io
+from jax_aero import rust
 from jax_aero.control.tasks import Diagonal, Rows, _cost
 from jax_aero.control.tick import init, momentum_controller, tick
 from jax_aero.io import scenario_config
@@ -42,7 +42,7 @@ class KeepVelocity:
 def first_tick():
     """The first tick of TEST2 in still air, with tasks."""
     with jax.enable_x64(True):
-        config = scenario_config(io.load_config(TEST2))
+        config = scenario_config(rust.load_config(TEST2))
         robot = load_robot(config.robot)
         start = config.simulator.initial
         rotation = jnp.diag(jnp.array([-1.0, -1.0, 1.0]))

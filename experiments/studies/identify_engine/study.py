@@ -31,6 +31,7 @@ from scipy.signal import savgol_coeffs, savgol_filter
 from experiments import Refused
 from experiments.study import Findings, Study
 from jax_aero import tables
+from jax_aero.command import ConfigError
 from jax_aero.jets import (
     Engines,
     EngineState,
@@ -87,7 +88,7 @@ class EngineLogs(tables.Table, frozen=True):
 
     def __post_init__(self) -> None:
         if (self.train is None) != (self.test is None):
-            raise ValueError("`train` and `test`: expected both, or none")
+            raise ConfigError.of("", None, "both `train` and `test`, or none")
 
 
 def compute(name: str, logs: EngineLogs) -> Findings:

@@ -24,8 +24,8 @@ from experiments.sources import code_hash
 from experiments.study import Findings, Study
 from experiments.sweep import spec
 from experiments.sweep.design import Design
-from jax_aero import io, keys, places, rust, tables
-from jax_aero.command import Refused
+from jax_aero import keys, places, rust, tables
+from jax_aero.command import ConfigError, Refused
 from jax_aero.sim.batch import Group, group_flights
 from jax_aero.train.gains import Cost, Sample, Steps, TuningResult, gradients, tune
 
@@ -50,12 +50,12 @@ class TuneConfig(tables.Table, frozen=True):
 
     def __post_init__(self) -> None:
         if len(set(self.keys)) < len(self.keys):
-            raise ValueError(f"`keys` is {list(self.keys)}; expected each key once")
+            raise ConfigError.of("keys", self.keys, "each key once")
 
 
 def compute(name: str, config: TuneConfig, checkpoint: Path) -> Findings:
     """Tune, resuming an interrupted run."""
-    controller = io.resolve(config.controller, io.CONTROLLER)
+    controller = rust.load_controller(config.controller)
     for key in config.keys:
         if keys.get(controller, key) is None:
             raise Refused(f"{name}.toml: `{key}` in keys is no value of {config.controller.name}")

@@ -19,6 +19,32 @@ pub enum BuildError {
         /// What is accepted.
         expected: String,
     },
+    /// A key has a value that no table of its kind accepts.
+    #[error("`{key}` is {value}; expected {expected}")]
+    BadEntry {
+        /// Full dotted key, e.g. `wind.velocity[1]`.
+        key: String,
+        /// The value as read.
+        value: String,
+        /// What is accepted.
+        expected: String,
+    },
+    /// A key that its table does not have.
+    #[error("unknown key `{key}`{} (known: {known})", suggest(suggestions))]
+    UnknownKey {
+        /// Full dotted key.
+        key: String,
+        /// Full keys that were probably meant.
+        suggestions: Vec<String>,
+        /// Comma-separated keys of the table.
+        known: String,
+    },
+    /// A key that has no default is absent.
+    #[error("`{key}` is missing")]
+    MissingKey {
+        /// Full dotted key.
+        key: String,
+    },
     /// A name that does not exist.
     #[error("{item} names `{name}`, which does not exist; known: {known}")]
     UnknownName {
@@ -45,6 +71,41 @@ pub enum BuildError {
         /// The parser's message, with line or key.
         message: String,
     },
+    /// An error in a file.
+    #[error("{file}: {reason}")]
+    InFile {
+        /// The file.
+        file: String,
+        /// The error.
+        reason: Box<Self>,
+    },
+    /// An error with the circumstance in which it occurred.
+    #[error("{context}: {reason}")]
+    InContext {
+        /// The circumstance, such as the keys that were to be set.
+        context: String,
+        /// The error.
+        reason: Box<Self>,
+    },
+}
+
+/// Parts of an error, as far as it has them.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct ErrorParts {
+    /// File in which the error is.
+    pub file: Option<String>,
+    /// Key, or another name of the item.
+    pub key: Option<String>,
+    /// The value as read.
+    pub value: Option<String>,
+    /// What is accepted.
+    pub expected: Option<String>,
+    /// Keys that were probably meant.
+    pub suggestions: Vec<String>,
+}
+
+fn suggest(keys: &[String]) -> String {
+    if keys.is_empty() { String::new() } else { format!("; did you mean `{}`?", keys.join("` or `")) }
 }
 
 // Callers pass a number or an error that they do not use afterwards.
@@ -68,6 +129,50 @@ impl BuildError {
     /// Shorthand for [`BuildError::Malformed`].
     pub fn malformed(origin: impl Into<String>, message: impl ToString) -> Self {
         Self::Malformed { origin: origin.into(), message: message.to_string() }
+    }
+
+    /// This error, in `file`.
+    #[must_use]
+    pub fn in_file(self, file: impl ToString) -> Self {
+        Self::InFile { file: file.to_string(), reason: Box::new(self) }
+    }
+
+    /// This error, in a circumstance.
+    #[must_use]
+    pub fn in_context(self, context: impl Into<String>) -> Self {
+        Self::InContext { context: context.into(), reason: Box::new(self) }
+    }
+
+    /// The parts of this error.
+    #[must_use]
+    pub fn parts(&self) -> ErrorParts {
+        let none = ErrorParts::default;
+        let some = |text: &String| Some(text.clone());
+        match self {
+            Self::BadValue { item: key, value, expected } | Self::BadEntry { key, value, expected } => {
+                ErrorParts { key: some(key), value: some(value), expected: some(expected), ..none() }
+            }
+            Self::UnknownKey { key, suggestions, known } => ErrorParts {
+                key: some(key),
+                expected: Some(format!("one of {known}")),
+                suggestions: suggestions.clone(),
+                ..none()
+            },
+            Self::MissingKey { key } => ErrorParts { key: some(key), ..none() },
+            Self::UnknownName { item, name, known } => ErrorParts {
+                key: some(item),
+                value: some(name),
+                expected: Some(format!("one of {known}")),
+                ..none()
+            },
+            Self::Unreadable { path, .. } => ErrorParts { file: Some(path.display().to_string()), ..none() },
+            Self::Malformed { origin, .. } => ErrorParts { file: some(origin), ..none() },
+            Self::InFile { file, reason } => {
+                let parts = reason.parts();
+                ErrorParts { file: parts.file.clone().or_else(|| some(file)), ..parts }
+            }
+            Self::InContext { reason, .. } => reason.parts(),
+        }
     }
 }
 

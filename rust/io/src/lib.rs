@@ -12,6 +12,7 @@
 
 pub mod aero;
 pub mod controller;
+pub mod csv;
 pub mod files;
 pub mod mission;
 pub mod network;
@@ -23,7 +24,9 @@ pub mod toml;
 pub use aero::{AeroConfig, NetworkConfig, load_aero};
 pub use controller::{ControllerSection, load_controller};
 pub use files::{hold, read_bytes, read_text};
-pub use mission::{MissionConfig, load_mission};
+pub use mission::{MissionConfig, load_mission, read_recording};
 pub use robot::{RobotFile, RobotFiles, load_robot, robot_from_text};
 pub use schema::Schema;
-pub use toml::{from_json, from_value, load, resolve, resolve_table};
+pub use toml::{
+    from_json, from_value, load, load_changed, path_keys, resolve, resolve_table, set_keys, typed,
+};

@@ -3,13 +3,14 @@
 //! A file has a header line and one line for each sample: the first 7, 10, 13 or 16 of the names in [`COLUMNS`].
 //! Missing derivatives are computed by differences.
 
+use crate::csv::Csv;
 use crate::read_text;
 use flight_core::BuildError;
 use flight_core::control::mission::{Commands, Mission};
 use flight_core::control::recorded::{REQUIRED, Recording};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Names of the columns: time, centre of mass, attitude of the base and, optionally, velocity, acceleration and
 /// jerk of the centre of mass.
@@ -47,31 +48,31 @@ pub fn load_mission(config: &MissionConfig) -> Result<Mission, BuildError> {
     parse_recording(&read_text(file)?, &file.display().to_string()).map(Mission::Recorded)
 }
 
+/// Reads a recorded reference: the rows of the file, and the recording that they make.
+///
+/// # Errors
+/// [`BuildError`] naming the file, the line and what was expected.
+pub fn read_recording(file: &Path) -> Result<(Vec<Vec<f64>>, Recording), BuildError> {
+    let csv = parse_rows(&read_text(file)?, &file.display().to_string())?;
+    Ok((csv.rows.clone(), recording(&csv)?))
+}
+
 /// Parses the text of a recorded reference; `origin` is named in errors.
 ///
 /// # Errors
 /// [`BuildError::BadValue`] naming `origin`, the line and what was expected.
 pub fn parse_recording(text: &str, origin: &str) -> Result<Recording, BuildError> {
-    let place = |line: usize| format!("line {} of reference file {origin}", line + 1);
-    let mut lines = text.lines().enumerate().filter(|(_, line)| {
-        let line = line.trim();
-        !line.is_empty() && !line.starts_with('#')
-    });
-    let (header_line, header) = lines.next().unwrap_or((0, "empty"));
-    let names: Vec<&str> = header.split(',').map(str::trim).collect();
-    let width = names.len();
-    if width < REQUIRED || !(width - REQUIRED).is_multiple_of(3) || COLUMNS.get(..width) != Some(&names[..]) {
-        let expected = format!("the first 7, 10, 13 or 16 names of {}", COLUMNS.join(","));
-        return Err(BuildError::bad_value(place(header_line), header, expected));
-    }
-    let (mut places, mut rows) = (Vec::new(), Vec::new());
-    for (number, line) in lines {
-        let row: Vec<f64> = line.split(',').map_while(|field| field.trim().parse().ok()).collect();
-        if row.len() != width || line.split(',').count() != width {
-            return Err(BuildError::bad_value(place(number), line, format!("{width} numbers")));
-        }
-        places.push(place(number));
-        rows.push(row);
-    }
-    Recording::new(&rows, &format!("reference file {origin}"), |row| places[row].clone())
+    recording(&parse_rows(text, origin)?)
+}
+
+fn parse_rows(text: &str, origin: &str) -> Result<Csv, BuildError> {
+    let header = format!("the first 7, 10, 13 or 16 names of {}", COLUMNS.join(","));
+    Csv::parse(text, &format!("reference file {origin}"), &header, |names| {
+        let width = names.len();
+        width >= REQUIRED && (width - REQUIRED).is_multiple_of(3) && COLUMNS.get(..width) == Some(names)
+    })
+}
+
+fn recording(csv: &Csv) -> Result<Recording, BuildError> {
+    Recording::new(&csv.rows, &csv.file, |row| csv.place(row))
 }

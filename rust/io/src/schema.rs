@@ -46,9 +46,9 @@ impl Schema {
     /// Checks that a value matches the schema.
     ///
     /// # Errors
-    /// [`BuildError`] naming `origin`, the key, its value and what was expected.
-    pub fn check(&self, value: &Value, origin: &str) -> Result<(), BuildError> {
-        self.root().check(value, "").map_err(|message| BuildError::malformed(origin, message))
+    /// [`BuildError`] naming the key, its value and what was expected.
+    pub fn check(&self, value: &Value) -> Result<(), BuildError> {
+        self.root().check(value, "")
     }
 }
 
@@ -117,7 +117,7 @@ impl<'a> Node<'a> {
         first.iter().find(|(_, schema)| schema.get("const").is_some()).map(|(key, _)| key.as_str())
     }
 
-    fn check(self, value: &Value, key: &str) -> Result<(), String> {
+    fn check(self, value: &Value, key: &str) -> Result<(), BuildError> {
         match self.discriminant() {
             Some(discriminant) => self.choose(discriminant, value, key)?.check_plain(value, key),
             None => self.check_plain(value, key),
@@ -125,10 +125,10 @@ impl<'a> Node<'a> {
     }
 
     /// Alternative to which a table belongs.
-    fn choose(self, discriminant: &str, value: &Value, key: &str) -> Result<Self, String> {
+    fn choose(self, discriminant: &str, value: &Value, key: &str) -> Result<Self, BuildError> {
         let Some(table) = value.as_object() else { return Err(refusal(key, value, "a table")) };
         let place = join(key, discriminant);
-        let kind = table.get(discriminant).ok_or_else(|| format!("`{place}` is missing"))?;
+        let kind = table.get(discriminant).ok_or_else(|| missing(&place))?;
         let constant = |option: &Self| option.properties()?.get(discriminant)?.get("const");
         self.alternatives().find(|option| constant(option) == Some(kind)).ok_or_else(|| {
             let known: Vec<_> =
@@ -137,7 +137,7 @@ impl<'a> Node<'a> {
         })
     }
 
-    fn check_plain(self, value: &Value, key: &str) -> Result<(), String> {
+    fn check_plain(self, value: &Value, key: &str) -> Result<(), BuildError> {
         let names = self.names();
         if names.contains(&value) {
             return Ok(());
@@ -193,7 +193,7 @@ impl<'a> Node<'a> {
         }
     }
 
-    fn check_table(self, table: &Map<String, Value>, key: &str) -> Result<(), String> {
+    fn check_table(self, table: &Map<String, Value>, key: &str) -> Result<(), BuildError> {
         let none = Map::new();
         let properties = self.properties().unwrap_or(&none);
         for (name, value) in table {
@@ -205,12 +205,12 @@ impl<'a> Node<'a> {
         }
         let required = self.node.get("required").and_then(Value::as_array).into_iter().flatten();
         match required.filter_map(Value::as_str).find(|name| !table.contains_key(*name)) {
-            Some(name) => Err(format!("`{}` is missing", join(key, name))),
+            Some(name) => Err(missing(&join(key, name))),
             None => Ok(()),
         }
     }
 
-    fn check_list(self, list: &[Value], value: &Value, key: &str) -> Result<(), String> {
+    fn check_list(self, list: &[Value], value: &Value, key: &str) -> Result<(), BuildError> {
         let limit = |name: &str| self.node.get(name).and_then(Value::as_u64);
         let length = list.len() as u64;
         if limit("minItems").is_some_and(|limit| length < limit)
@@ -250,20 +250,30 @@ pub(crate) fn join(key: &str, name: &str) -> String {
     if key.is_empty() { name.to_owned() } else { format!("{key}.{name}") }
 }
 
-fn refusal(key: &str, value: &Value, expected: &str) -> String {
-    let key = if key.is_empty() { "the whole".to_owned() } else { format!("`{key}`") };
-    format!("{key} is {}; expected {expected}", shorten(value))
+fn missing(key: &str) -> BuildError {
+    BuildError::MissingKey { key: key.to_owned() }
 }
 
-fn unknown_key<'a>(place: &str, name: &str, known: impl Iterator<Item = &'a String> + Clone) -> String {
+pub(crate) fn refusal(key: &str, value: &Value, expected: &str) -> BuildError {
+    let (value, expected) = (shorten(value), expected.to_owned());
+    if key.is_empty() {
+        return BuildError::bad_value("the whole", value, expected);
+    }
+    BuildError::BadEntry { key: key.to_owned(), value, expected }
+}
+
+fn unknown_key<'a>(place: &str, name: &str, known: impl Iterator<Item = &'a String> + Clone) -> BuildError {
     let near = known
         .clone()
         .map(|key| (strsim::jaro_winkler(name, key), key))
         .max_by(|a, b| a.0.total_cmp(&b.0))
         .filter(|(likeness, _)| *likeness > 0.8);
-    let hint = near.map_or_else(String::new, |(_, key)| format!("; did you mean `{key}`?"));
-    let known: Vec<&str> = known.map(String::as_str).collect();
-    format!("unknown key `{place}`{hint} (known: {})", known.join(", "))
+    let table = &place[..place.len() - name.len()];
+    BuildError::UnknownKey {
+        key: place.to_owned(),
+        suggestions: near.map(|(_, key)| format!("{table}{key}")).into_iter().collect(),
+        known: known.map(String::as_str).collect::<Vec<_>>().join(", "),
+    }
 }
 
 fn show(value: &Value) -> String {
@@ -271,7 +281,7 @@ fn show(value: &Value) -> String {
 }
 
 /// A value as displayed in errors.
-fn shorten(value: &Value) -> String {
+pub(crate) fn shorten(value: &Value) -> String {
     let text = value.to_string();
     if text.chars().count() > 80 { text.chars().take(79).chain(['…']).collect() } else { text }
 }

@@ -8,13 +8,16 @@
 //! ```toml
 //! controller = { base = "../control/observer.toml", momentum = { c0 = 60.0 }, engines = false }
 //! ```
+//!
+//! A program changes a resolved table by [`set_keys`], under the same rules.
 
 use crate::files::{absolute_path, read_text};
-use crate::schema::{Node, Schema, join};
+use crate::schema::{Node, Schema, join, refusal, shorten};
 use flight_core::BuildError;
 use schemars::JsonSchema;
+use serde::Serialize;
 use serde::de::DeserializeOwned;
-use serde_json::{Map, Value};
+use serde_json::{Map, Value, json};
 use std::path::Path;
 
 /// Greatest depth of references between `base` files.
@@ -30,38 +33,116 @@ pub fn load<T: DeserializeOwned + JsonSchema>(path: &Path) -> Result<T, BuildErr
     from_value(resolve(path, &Schema::of_type::<T>())?, &path.display().to_string())
 }
 
+/// As [`load`], after setting `changes` of dotted keys, which [`set_keys`] describes; `check` checks the whole.
+///
+/// # Errors
+/// As [`load`], or naming the keys that cannot be set.
+pub fn load_changed<T: Serialize + DeserializeOwned + JsonSchema>(
+    path: &Path,
+    changes: &[(String, Value)],
+    check: impl Fn(&T) -> Result<(), BuildError>,
+) -> Result<T, BuildError> {
+    let schema = Schema::of_type::<T>();
+    let table = resolve(path, &schema)?;
+    let checked = |table| typed(table).and_then(|config| check(&config).map(|()| config));
+    let of_file = |error: BuildError| error.in_file(path.display());
+    if changes.is_empty() {
+        return checked(table).map_err(of_file);
+    }
+    let changed = set_keys(table.clone(), changes.iter().cloned(), Path::new(""), &schema);
+    changed.and_then(checked).map_err(|error| match checked(table) {
+        Err(without_changes) => of_file(without_changes),
+        Ok(config) => of_changes(error, changes, &config),
+    })
+}
+
+/// An error of changed keys: an unknown one is named with the keys of `config` that were probably meant.
+fn of_changes(error: BuildError, changes: &[(String, Value)], config: &impl Serialize) -> BuildError {
+    if let BuildError::UnknownKey { key, suggestions, known } = &error {
+        let is_in_it =
+            |(changed, _): &&(String, Value)| format!("{changed}.").starts_with(&format!("{key}."));
+        if let Some((changed, _)) = changes.iter().find(is_in_it) {
+            let suggestions = if suggestions.is_empty() {
+                keys_like(changed, &json!(config))
+            } else {
+                suggestions.iter().map(|near| near.clone() + &changed[key.len()..]).collect()
+            };
+            return BuildError::UnknownKey { key: changed.clone(), suggestions, known: known.clone() };
+        }
+    }
+    let listed = changes.iter().map(|(key, value)| format!("`{key}` = {}", shorten(value)));
+    error.in_context(format!("cannot set {}", listed.collect::<Vec<_>>().join(", ")))
+}
+
+/// Up to three dotted keys of a table whose last part is that of `key`.
+fn keys_like(key: &str, table: &Value) -> Vec<String> {
+    let last = key.rsplit('.').next();
+    let mut found = Vec::new();
+    visit(table, None, "", &mut |place, _, _| {
+        if place.rsplit('.').next() == last && found.len() < 3 {
+            found.push(place.to_owned());
+        }
+    });
+    found
+}
+
+/// Calls `see` with key, value and node of everything in a table.
+fn visit<'a>(
+    value: &Value,
+    node: Option<Node<'a>>,
+    key: &str,
+    see: &mut impl FnMut(&str, &Value, Option<Node<'a>>),
+) {
+    see(key, value, node);
+    for (name, value) in value.as_object().into_iter().flatten() {
+        visit(value, node.and_then(|node| node.key(name)), &join(key, name), see);
+    }
+}
+
 /// Converts a resolved table to a typed configuration; `origin` is named in errors.
 ///
 /// # Errors
-/// [`BuildError::Malformed`] naming the key, its value and what was expected.
+/// [`BuildError`] naming `origin`, the key, its value and what was expected.
 pub fn from_value<T: DeserializeOwned + JsonSchema>(value: Value, origin: &str) -> Result<T, BuildError> {
-    Schema::of_type::<T>().check(&value, origin)?;
-    serde_json::from_value(value).map_err(|error| BuildError::malformed(origin, error))
+    typed(value).map_err(|error| error.in_file(origin))
+}
+
+/// Converts a resolved table to a typed configuration.
+///
+/// # Errors
+/// [`BuildError`] naming the key, its value and what was expected.
+pub fn typed<T: DeserializeOwned + JsonSchema>(value: Value) -> Result<T, BuildError> {
+    Schema::of_type::<T>().check(&value)?;
+    serde_json::from_value(value).map_err(|error| BuildError::malformed("the table", error))
 }
 
 /// Converts the JSON text of a resolved table to a typed configuration; `origin` is named in errors.
 ///
 /// # Errors
-/// As [`from_value`], or naming the position at which the text is not JSON.
+/// As [`typed`], or naming the position at which the text is not JSON.
 pub fn from_json<T: DeserializeOwned + JsonSchema>(text: &str, origin: &str) -> Result<T, BuildError> {
-    from_value(serde_json::from_str(text).map_err(|error| BuildError::malformed(origin, error))?, origin)
+    let value = serde_json::from_str(text).map_err(|error| BuildError::malformed(origin, error))?;
+    typed(value).map_err(|error| error.in_context(origin))
 }
 
 /// Parses a TOML text; numbers that are not finite are refused.
 ///
 /// # Errors
-/// [`BuildError::Malformed`] naming `origin`, and the line or the key.
+/// [`BuildError`] naming `origin`, and the line or the key.
 pub fn parse(text: &str, origin: &str) -> Result<Map<String, Value>, BuildError> {
     let table: ::toml::Table =
         ::toml::from_str(text).map_err(|error| BuildError::malformed(origin, error))?;
-    json_table(table, "").map_err(|message| BuildError::malformed(origin, message))
+    json_table(table, "").map_err(|error| error.in_file(origin))
 }
 
-fn json_table(table: ::toml::Table, key: &str) -> Result<Map<String, Value>, String> {
+fn json_table(table: ::toml::Table, key: &str) -> Result<Map<String, Value>, BuildError> {
     table.into_iter().map(|(name, value)| Ok((name.clone(), json(value, &join(key, &name))?))).collect()
 }
 
-fn json(value: ::toml::Value, key: &str) -> Result<Value, String> {
+fn json(value: ::toml::Value, key: &str) -> Result<Value, BuildError> {
+    let refuse = |value: String, expected: &str| {
+        Err(BuildError::BadEntry { key: key.to_owned(), value, expected: expected.to_owned() })
+    };
     Ok(match value {
         ::toml::Value::Table(table) => Value::Object(json_table(table, key)?),
         ::toml::Value::Array(list) => {
@@ -70,12 +151,14 @@ fn json(value: ::toml::Value, key: &str) -> Result<Value, String> {
         }
         ::toml::Value::Float(number) => match serde_json::Number::from_f64(number) {
             Some(number) => Value::Number(number),
-            None => return Err(format!("`{key}` is {number}; expected a finite number")),
+            None => return refuse(number.to_string(), "a finite number"),
         },
         ::toml::Value::Integer(number) => number.into(),
         ::toml::Value::Boolean(flag) => flag.into(),
         ::toml::Value::String(text) => text.into(),
-        ::toml::Value::Datetime(date) => return Err(format!("`{key}` is {date}; no key is a date")),
+        ::toml::Value::Datetime(date) => {
+            return refuse(date.to_string(), "a number, text, list or table, as no key is a date");
+        }
     })
 }
 
@@ -94,6 +177,56 @@ pub fn resolve(path: &Path, schema: &Schema) -> Result<Value, BuildError> {
 pub fn resolve_table(table: Map<String, Value>, folder: &Path, schema: &Schema) -> Result<Value, BuildError> {
     let resolved = Reader { files: 0 }.resolve_table(table, Some(schema.root()), folder, 0);
     resolved.map(|table| without_absent(table, schema))
+}
+
+/// Sets dotted keys of a resolved table, in order: paths and base files in values start at `folder`, `false` removes
+/// a key that may be absent, and a number in a key is an index into a list. Keys are not checked.
+///
+/// # Errors
+/// As [`resolve`], or [`BuildError`] naming the part of a key that is no table.
+pub fn set_keys(
+    table: Value,
+    changes: impl IntoIterator<Item = (String, Value)>,
+    folder: &Path,
+    schema: &Schema,
+) -> Result<Value, BuildError> {
+    let mut changed = table;
+    for (key, mut value) in changes {
+        let (mut place, mut node, mut parent) = (&mut changed, Some(schema.root()), String::new());
+        for part in key.split('.') {
+            if place.is_object() {
+                node = node.and_then(|node| node.key(part));
+                place = &mut place[part]; // inserts a key that is absent
+            } else {
+                node = node.and_then(Node::item);
+                let shown = refusal(&parent, place, &format!("a table or list that has `{part}`"));
+                let index = part.parse::<usize>().ok();
+                place = index.and_then(move |index| place.get_mut(index)).ok_or(shown)?;
+            }
+            if place.is_null() {
+                *place = Map::new().into();
+            }
+            parent = join(&parent, part);
+        }
+        Reader { files: 0 }.resolve_value(&mut value, node, folder, 0)?;
+        *place = value;
+    }
+    if let Value::Object(table) = &mut changed {
+        drop_absent(table, schema.root());
+    }
+    Ok(changed)
+}
+
+/// Dotted keys of all paths in a resolved table.
+#[must_use]
+pub fn path_keys(table: &Value, schema: &Schema) -> Vec<String> {
+    let mut found = Vec::new();
+    visit(table, Some(schema.root()), "", &mut |key, value, node| {
+        if value.is_string() && node.is_some_and(Node::is_path) {
+            found.push(key.to_owned());
+        }
+    });
+    found
 }
 
 /// A resolved table without the keys that are to be absent.
@@ -139,6 +272,25 @@ impl Reader {
         self.resolve_table(table, node, path.parent().unwrap_or(Path::new(".")), depth)
     }
 
+    fn resolve_value(
+        &mut self,
+        value: &mut Value,
+        node: Option<Node<'_>>,
+        folder: &Path,
+        depth: usize,
+    ) -> Result<(), BuildError> {
+        match value {
+            Value::Object(table) => {
+                *table = self.resolve_table(std::mem::take(table), node, folder, depth)?;
+            }
+            Value::String(text) if node.is_some_and(Node::is_path) => {
+                *text = absolute_path(&folder.join(&*text))?.display().to_string();
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
     fn resolve_table(
         &mut self,
         mut table: Map<String, Value>,
@@ -149,21 +301,12 @@ impl Reader {
         let is_name = |base: &Value| !base.is_string() && node.is_some_and(Node::is_of_names);
         let base = if table.get("base").is_some_and(is_name) { None } else { table.remove("base") };
         for (key, value) in &mut table {
-            let node = node.and_then(|node| node.key(key));
-            match value {
-                Value::Object(inner) => {
-                    *inner = self.resolve_table(std::mem::take(inner), node, folder, depth)?;
-                }
-                Value::String(text) if node.is_some_and(Node::is_path) => {
-                    *text = absolute_path(&folder.join(&*text))?.display().to_string();
-                }
-                _ => {}
-            }
+            self.resolve_value(value, node.and_then(|node| node.key(key)), folder, depth)?;
         }
         let Some(base) = base else { return Ok(table) };
         let Value::String(file) = base else {
-            let item = format!("`base` in {}", folder.display());
-            return Err(BuildError::bad_value(item, base, "the path of a TOML file"));
+            let expected = "the path of a TOML file";
+            return Err(refusal("base", &base, expected).in_file(folder.display()));
         };
         let mut merged = self.read(&folder.join(file), node, depth + 1)?;
         lay_over(&mut merged, table, node);

@@ -79,7 +79,10 @@ fn depth_of_base_files() {
 fn values_of_toml() {
     for (text, words) in [
         ("a = [{ b = inf }]", "here: `a[0].b` is inf; expected a finite number"),
-        ("a.b = 2020-01-01", "here: `a.b` is 2020-01-01; no key is a date"),
+        (
+            "a.b = 2020-01-01",
+            "here: `a.b` is 2020-01-01; expected a number, text, list or table, as no key is a date",
+        ),
     ] {
         let found = flight_io::toml::parse(text, "here").unwrap_err().to_string();
         assert_eq!(found, words);

@@ -2,11 +2,13 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-use flight_io::{from_json, from_value};
+use flight_core::BuildError;
+use flight_io::{Schema, from_json, from_value, hold, load_changed, set_keys};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
+use std::path::Path;
 
 /// A table with every kind of limit.
 #[derive(Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -124,6 +126,70 @@ fn refusals_are_short_and_helpful() {
     let shown = |length: usize| refusal(json!({"flag": "é".repeat(length)})).unwrap();
     assert_eq!(shown(78), format!("here: `flag` is \"{}\"; expected true or false", "é".repeat(78)));
     assert_eq!(shown(79), format!("here: `flag` is \"{}…; expected true or false", "é".repeat(78)));
+}
+
+/// A program reads file, key, value, expectation and suggestions, whatever the text of an error says.
+#[test]
+fn errors_have_parts() {
+    let parts = |value: Value| from_value::<Limits>(value, "here").unwrap_err().parts();
+    let some = |text: &str| Some(text.to_owned());
+    let found = parts(json!({"by_name": {"any": {"list": [1, -2]}}}));
+    assert_eq!((found.file, found.key), (some("here"), some("by_name.any.list[1]")));
+    assert_eq!((found.value, found.expected), (some("-2"), some("a number ≥ 0")));
+    let found = parts(json!({"by_name": {"any": {"optinal": 1}}}));
+    assert_eq!((found.key, found.value), (some("by_name.any.optinal"), None));
+    assert_eq!(found.suggestions, ["by_name.any.optional"]);
+    assert!(found.expected.unwrap().starts_with("one of by_name, closed"));
+    assert_eq!(parts(json!({"kind": {}})).key, some("kind.kind"));
+}
+
+/// Dotted keys are set under the rules of files; a part of a key that is no table is refused.
+#[test]
+fn keys_are_set_in_a_table() {
+    let set = |key: &str, value: Value| {
+        let table = json!({"list": [1, 2], "by_name": {"any": {"closed": 1}}, "optional": 1.0});
+        let schema = Schema::of_type::<Limits>();
+        set_keys(table, [(key.to_owned(), value)], Path::new(""), &schema)
+    };
+    assert_eq!(set("list.1", json!(5)).unwrap()["list"], json!([1, 5]));
+    assert_eq!(set("by_name.new.closed", json!(2)).unwrap()["by_name"]["new"], json!({"closed": 2}));
+    assert_eq!(set("optional", json!(false)).unwrap().get("optional"), None);
+    assert_eq!(set("flag", json!(false)).unwrap()["flag"], json!(false));
+    for (key, place) in
+        [("optional.x", "optional"), ("list.2", "list"), ("list.x", "list"), ("list.0.x", "list.0")]
+    {
+        assert_eq!(set(key, json!(1)).unwrap_err().parts().key.as_deref(), Some(place));
+    }
+}
+
+/// A file with changed keys: the file or the changes are blamed, as they are wrong.
+#[test]
+fn changes_of_a_file() {
+    hold(Path::new("limits.toml"), b"closed = 2\nopen = 1\n".to_vec());
+    hold(Path::new("wrong.toml"), b"closed = 9\n".to_vec());
+    let load = |file: &str, changes: &[(&str, Value)]| {
+        let changes: Vec<_> = changes.iter().map(|(key, value)| ((*key).to_owned(), value.clone())).collect();
+        load_changed(Path::new(file), &changes, |limits: &Limits| {
+            if limits.open < limits.closed {
+                Ok(())
+            } else {
+                Err(BuildError::bad_value("open", limits.open, "less"))
+            }
+        })
+        .map_err(|error| error.to_string())
+    };
+    assert_eq!(load("limits.toml", &[("closed", json!(3))]).unwrap().closed, 3.0);
+    assert_eq!(load("wrong.toml", &[("closed", json!(3))]).unwrap().closed, 3.0);
+    for (file, key, value, expected) in [
+        ("wrong.toml", "free", 1, "wrong.toml: `closed` is 9; expected a number ≥ 1 and ≤ 3"),
+        ("limits.toml", "closed", 9, "cannot set `closed` = 9: `closed` is 9; expected a number ≥ 1 and ≤ 3"),
+        ("limits.toml", "closed", 1, "cannot set `closed` = 1: open is 1; expected less"),
+        ("limits.toml", "optinal", 1, "unknown key `optinal`; did you mean `optional`? (known: "),
+        ("limits.toml", "x.closed", 1, "unknown key `x.closed`; did you mean `closed`? (known: "),
+    ] {
+        let message = load(file, &[(key, json!(value))]).unwrap_err();
+        assert!(message.starts_with(expected), "{message}");
+    }
 }
 
 /// What is no JSON is refused where it stands.

@@ -6,14 +6,31 @@ use numpy::ndarray::{ArrayD, IxDyn};
 use numpy::{IntoPyArray, PyArrayDyn, PyReadonlyArrayDyn};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple};
 
 /// A float64 array argument of any shape.
 pub type Input<'py> = PyReadonlyArrayDyn<'py, f64>;
 /// A float64 array result.
 pub type Output<'py> = Bound<'py, PyArrayDyn<f64>>;
 
-/// Converts an error of the crates to a `ValueError` with the same text.
-pub fn value_error(error: impl std::fmt::Display) -> PyErr {
+/// Converts an error of construction to Python's `ConfigError`, with the same text and its parts as attributes.
+pub fn value_error(error: BuildError) -> PyErr {
+    let convert = |py: Python<'_>| -> PyResult<PyErr> {
+        let (parts, attributes) = (error.parts(), PyDict::new(py));
+        for (name, text) in
+            [("file", parts.file), ("key", parts.key), ("value", parts.value), ("expected", parts.expected)]
+        {
+            attributes.set_item(name, text)?;
+        }
+        attributes.set_item("suggestions", PyTuple::new(py, parts.suggestions)?)?;
+        let class = py.import("jax_aero.command")?.getattr("ConfigError")?;
+        Ok(PyErr::from_value(class.call((error.to_string(),), Some(&attributes))?))
+    };
+    Python::attach(convert).unwrap_or_else(|failed| failed)
+}
+
+/// Converts another error to a `ValueError` with the same text.
+pub fn plain_error(error: impl std::fmt::Display) -> PyErr {
     PyValueError::new_err(error.to_string())
 }
 
@@ -50,7 +67,7 @@ pub fn matrix3(name: &str, array: &Input<'_>) -> PyResult<Matrix3<f64>> {
 
 /// Row-major array of the given shape, whose size must be the length of `data`.
 pub fn array<'py>(py: Python<'py>, shape: &[usize], data: Vec<f64>) -> PyResult<Output<'py>> {
-    let array = ArrayD::from_shape_vec(IxDyn(shape), data).map_err(value_error)?;
+    let array = ArrayD::from_shape_vec(IxDyn(shape), data).map_err(plain_error)?;
     Ok(array.into_pyarray(py))
 }
 

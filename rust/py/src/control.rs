@@ -1,7 +1,8 @@
 //! The controller, one tick at a time, with all intermediate values by name.
 
 use crate::arrays::{
-    Input, array, entries, finite_entries, matrix, matrix3, value_error, vector, vector3, vectors,
+    Input, array, entries, finite_entries, matrix, matrix3, plain_error, value_error, vector, vector3,
+    vectors,
 };
 use crate::flight::parse;
 use crate::qp::answer;
@@ -118,7 +119,7 @@ impl Controller {
         foot_wrenches: Option<Input<'_>>,
     ) -> PyResult<()> {
         let measured = self.read_measurement(time, &state, &thrust, &wind, foot_wrenches)?;
-        self.state = Some(self.controller.start(&measured.measurement()).map_err(value_error)?);
+        self.state = Some(self.controller.start(&measured.measurement()).map_err(plain_error)?);
         Ok(())
     }
 
@@ -141,7 +142,7 @@ impl Controller {
         let measurement = measured.measurement();
         let state = match &mut self.state {
             Some(state) => state,
-            none => none.insert(self.controller.start(&measurement).map_err(value_error)?),
+            none => none.insert(self.controller.start(&measurement).map_err(plain_error)?),
         };
         match setpoint {
             None => self.controller.tick(state, &measurement),
@@ -159,7 +160,7 @@ impl Controller {
                 "no flight has begun; expected a tick before its command is replaced",
             ));
         };
-        self.controller.replace_command(state, &rates, &torques).map_err(value_error)
+        self.controller.replace_command(state, &rates, &torques).map_err(plain_error)
     }
 }
 

@@ -1,34 +1,127 @@
 //! Configurations and whole flights.
 
 use crate::arrays::{Input, Output, array, finite_entries, value_error, vector, vectors};
-use flight_io::{AeroConfig, NetworkConfig, RobotFiles, from_json, read_bytes};
-use flight_sim::{BatchError, FlightResult, Scenario, ScenarioConfig, Wind, WindConfig, load_scenario};
-use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError};
+use flight_core::BuildError;
+use flight_io::{
+    AeroConfig, ControllerSection, NetworkConfig, RobotFiles, Schema, from_json, load, read_bytes,
+    read_recording, typed,
+};
+use flight_sim::{BatchError, FlightResult, Scenario, ScenarioConfig, Wind, WindConfig, load_flyable};
+use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Interval of the progress reports to Python, at which it can interrupt.
 const REPORT_INTERVAL: Duration = Duration::from_millis(50);
 
-/// Parses a flight configuration from JSON.
-pub fn parse(config_json: &str) -> PyResult<ScenarioConfig> {
-    from_json(config_json, "configuration").map_err(value_error)
+static SCHEMA: LazyLock<Schema> = LazyLock::new(Schema::of_type::<ScenarioConfig>);
+
+/// The configuration that was handed over last. On its way from a file to a flight the same one is handed over several
+/// times, but read and checked once.
+static LAST: Mutex<Option<Last>> = Mutex::new(None);
+
+struct Last {
+    table: Value,
+    config: Arc<ScenarioConfig>,
+    is_checked: bool,
 }
 
-fn to_value(config: &ScenarioConfig) -> PyResult<serde_json::Value> {
+impl Last {
+    /// The configuration in a table, and whether it has been checked, if it is the last one.
+    fn of(table: &Value) -> Option<(Arc<ScenarioConfig>, bool)> {
+        let last = LAST.lock().unwrap_or_else(PoisonError::into_inner);
+        last.as_ref().filter(|last| last.table == *table).map(|last| (last.config.clone(), last.is_checked))
+    }
+
+    fn keep(table: Value, config: Arc<ScenarioConfig>, is_checked: bool) {
+        *LAST.lock().unwrap_or_else(PoisonError::into_inner) = Some(Self { table, config, is_checked });
+    }
+}
+
+/// Reads a flight configuration from JSON.
+pub fn parse(config_json: &str) -> PyResult<Arc<ScenarioConfig>> {
+    read(parse_table(config_json)?)
+}
+
+fn read(table: Value) -> PyResult<Arc<ScenarioConfig>> {
+    if let Some((config, _)) = Last::of(&table) {
+        return Ok(config);
+    }
+    let config: ScenarioConfig =
+        typed(table.clone()).map_err(|error| value_error(error.in_context("configuration")))?;
+    let config = Arc::new(config);
+    Last::keep(table, config.clone(), false);
+    Ok(config)
+}
+
+fn to_value(config: &ScenarioConfig) -> PyResult<Value> {
     serde_json::to_value(config).map_err(|error| PyRuntimeError::new_err(error.to_string()))
 }
 
-/// Read a flight configuration with its base files; return JSON that states every default.
+/// Parses changes of a configuration: a JSON list of dotted keys and values.
+fn parse_changes(changes_json: &str) -> PyResult<Vec<(String, Value)>> {
+    serde_json::from_str(changes_json).map_err(|error| PyValueError::new_err(error.to_string()))
+}
+
+/// Read a flight configuration with its base files, set dotted keys (a list of pairs) and check it; return JSON that
+/// states every default.
 #[pyfunction]
-pub fn resolve_config(path: PathBuf) -> PyResult<String> {
-    let config = load_scenario(&path).map_err(value_error)?;
-    Ok(to_value(&config)?.to_string())
+pub fn load_config(path: PathBuf, changes_json: &str) -> PyResult<String> {
+    let config = load_flyable(&path, &parse_changes(changes_json)?).map_err(value_error)?;
+    let table = to_value(&config)?;
+    let text = table.to_string();
+    Last::keep(table, Arc::new(config), true);
+    Ok(text)
+}
+
+/// Read a file of `configs/KIND/` with its base files; return JSON that states every default.
+#[pyfunction]
+pub fn load_table(kind: &str, path: PathBuf) -> PyResult<String> {
+    let table = match kind {
+        "aero" => load::<AeroConfig>(&path).map(|config| json!(config)),
+        "control" => load::<ControllerSection>(&path).map(|config| json!(config)),
+        _ => Err(BuildError::unknown_name("kind", kind, ["aero", "control"])),
+    };
+    Ok(table.map_err(value_error)?.to_string())
+}
+
+/// Return a flight configuration in JSON with every default.
+#[pyfunction]
+pub fn resolve_config(config_json: &str) -> PyResult<String> {
+    Ok(to_value(&*parse(config_json)?)?.to_string())
+}
+
+/// Return an aerodynamic model's configuration in JSON with every default.
+#[pyfunction]
+pub fn resolve_aero(aero_json: &str) -> PyResult<String> {
+    let config: AeroConfig = from_json(aero_json, "aerodynamic model").map_err(value_error)?;
+    Ok(json!(config).to_string())
+}
+
+/// Set dotted keys (a list of pairs) of a flight configuration in JSON, without checking it.
+#[pyfunction]
+pub fn set_keys(config_json: &str, changes_json: &str) -> PyResult<String> {
+    let (table, changes) = (parse_table(config_json)?, parse_changes(changes_json)?);
+    let changed = flight_io::set_keys(table, changes, Path::new(""), &SCHEMA).map_err(value_error)?;
+    Ok(changed.to_string())
+}
+
+/// Dotted keys of the paths in a flight configuration in JSON, which need not be valid.
+#[pyfunction]
+pub fn path_keys(config_json: &str) -> PyResult<Vec<String>> {
+    Ok(flight_io::path_keys(&parse_table(config_json)?, &SCHEMA))
+}
+
+fn parse_table(config_json: &str) -> PyResult<Value> {
+    serde_json::from_str(config_json)
+        .map_err(|error| value_error(BuildError::malformed("configuration", error)))
 }
 
 /// JSON Schemas of all configuration files, as one JSON object by folder of `configs/`.
@@ -36,7 +129,7 @@ pub fn resolve_config(path: PathBuf) -> PyResult<String> {
 pub fn schemas() -> String {
     let schemas = flight_sim::schemas();
     let table = schemas.into_iter().map(|(name, schema)| (name.to_owned(), schema.json().clone()));
-    serde_json::Value::Object(table.collect()).to_string()
+    Value::Object(table.collect()).to_string()
 }
 
 /// Declarations of all signals of a log, as a JSON list.
@@ -54,7 +147,13 @@ pub fn figures() -> String {
 /// Raise ValueError if this configuration cannot be flown.
 #[pyfunction]
 pub fn check_config(config_json: &str) -> PyResult<()> {
-    Scenario::check(&parse(config_json)?).map_err(value_error)
+    let table = parse_table(config_json)?;
+    if !Last::of(&table).is_some_and(|(_, is_checked)| is_checked) {
+        let config = read(table.clone())?;
+        Scenario::check(&config).map_err(value_error)?;
+        Last::keep(table, config, true);
+    }
+    Ok(())
 }
 
 /// SHA-256 over the configuration and the files it names; the same on every machine.
@@ -101,6 +200,24 @@ pub fn wind_velocity<'py>(py: Python<'py>, wind_json: &str, times: Input<'py>) -
     vectors(py, &velocities)
 }
 
+/// Samples (k, 4) of a recorded wind in JSON: times [s] and velocities [m/s, inertial axes].
+#[pyfunction]
+pub fn recorded_wind<'py>(py: Python<'py>, wind_json: &str) -> PyResult<Output<'py>> {
+    let wind = from_json(wind_json, "wind").and_then(|config| Wind::new(&config)).map_err(value_error)?;
+    let Wind::Recorded(samples) = wind else {
+        return Err(PyValueError::new_err("the wind is a function; expected a recorded one"));
+    };
+    let numbers = samples.iter().flat_map(|(time, velocity)| [*time, velocity.x, velocity.y, velocity.z]);
+    array(py, &[samples.len(), 4], numbers.collect())
+}
+
+/// Rows (k, 7, 10, 13 or 16) of the file of a recorded reference, in the order of its columns.
+#[pyfunction]
+pub fn recorded_reference(py: Python<'_>, path: PathBuf) -> PyResult<Output<'_>> {
+    let (rows, _) = read_recording(&path).map_err(value_error)?;
+    array(py, &[rows.len(), rows[0].len()], rows.concat())
+}
+
 fn file_name(path: &Path) -> String {
     path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
@@ -114,7 +231,7 @@ pub fn fly<'py>(
     config_json: &str,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let flight = Scenario::new(&parse(config_json)?).map_err(value_error)?;
+    let flight = Scenario::new(&*parse(config_json)?).map_err(value_error)?;
     let mut reporter = Reporter::new(progress);
     let n_ticks = flight.n_ticks();
     let result = py.detach(|| flight.run(|tick, n_ticks| reporter.report(tick, n_ticks)));
@@ -142,7 +259,7 @@ pub fn fly_batch(
 ) -> PyResult<Vec<Bound<'_, PyDict>>> {
     let parse_one = |(index, text): (usize, &String)| {
         py.check_signals()?;
-        from_json(text, "configuration").map_err(|reason| value_error(BatchError::Refused(index, reason)))
+        from_json(text, "configuration").map_err(|reason| refused(index, reason))
     };
     let configs =
         config_jsons.iter().enumerate().map(parse_one).collect::<PyResult<Vec<ScenarioConfig>>>()?;
@@ -181,11 +298,16 @@ pub fn fly_batch(
         return Err(error);
     }
     let results = results.map_err(|error| match error {
-        BatchError::Refused(..) => value_error(error),
+        BatchError::Refused(index, reason) => refused(index, reason),
         BatchError::Interrupted => PyKeyboardInterrupt::new_err("batch interrupted"),
         BatchError::NoThreads(_) => PyRuntimeError::new_err(error.to_string()),
     })?;
     results.into_iter().map(|result| flight_dict(py, result, full_log)).collect()
+}
+
+/// The error of a flight of a batch.
+fn refused(index: usize, reason: BuildError) -> PyErr {
+    value_error(reason.in_context(format!("flight {index} of the batch")))
 }
 
 /// Calls Python's progress callback at intervals, and stores its exception.

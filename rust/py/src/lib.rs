@@ -23,7 +23,9 @@ mod _core {
     use super::control::{Controller, ControllerState, setpoint_trajectory};
     #[pymodule_export]
     use super::flight::{
-        check_config, config_digest, figures, fly, fly_batch, resolve_config, schemas, signals, wind_velocity,
+        check_config, config_digest, figures, fly, fly_batch, load_config, load_table, path_keys,
+        recorded_reference, recorded_wind, resolve_aero, resolve_config, schemas, set_keys, signals,
+        wind_velocity,
     };
     #[pymodule_export]
     use super::plant::Plant;

@@ -3,6 +3,7 @@
 use crate::disturbances::Disturbances;
 use crate::ground::{GroundConfig, MotorsConfig};
 use crate::jets::JetsConfig;
+use crate::scenario::Scenario;
 use crate::sensors::SensorsConfig;
 use crate::signals::SIGNALS;
 use crate::wind::WindConfig;
@@ -14,11 +15,13 @@ use flight_core::kinematics::RobotState;
 use flight_core::robot::RobotModel;
 use flight_core::spatial::{Pose, rotation_from_rpy};
 use flight_io::{
-    AeroConfig, ControllerSection, MissionConfig, RobotFile, Schema, load, load_aero, load_mission,
+    AeroConfig, ControllerSection, MissionConfig, RobotFile, Schema, load, load_aero, load_changed,
+    load_mission,
 };
 use nalgebra::{DVector, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use std::path::{Path, PathBuf};
 
 /// Greatest size of a log in memory \[bytes\].
@@ -75,6 +78,14 @@ impl ScenarioConfig {
 /// As [`load`], for unknown, missing or mistyped keys.
 pub fn load_scenario(path: &Path) -> Result<ScenarioConfig, BuildError> {
     load(path)
+}
+
+/// As [`load_scenario`], with `changes` of dotted keys, and with a check that its engine can fly it.
+///
+/// # Errors
+/// As [`load_changed`] and [`Scenario::check`].
+pub fn load_flyable(path: &Path, changes: &[(String, Value)]) -> Result<ScenarioConfig, BuildError> {
+    load_changed(path, changes, Scenario::check)
 }
 
 /// The schemas of all files, by folder of `configs/`.

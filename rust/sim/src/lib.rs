@@ -24,7 +24,7 @@ pub mod wind;
 
 #[cfg(feature = "threads")]
 pub use batch::{BatchError, fly_batch};
-pub use config::{Engine, ScenarioConfig, SimulatorConfig, load_scenario, schemas};
+pub use config::{Engine, ScenarioConfig, SimulatorConfig, load_flyable, load_scenario, schemas};
 pub use disturbances::Disturbances;
 pub use log::{FlightLog, FlightResult};
 pub use plant::Plant;

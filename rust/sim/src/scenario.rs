@@ -16,6 +16,7 @@ use crate::config::{
     AeroKinematics, DivergenceConfig, DynamicsBackend, Engine, FallConfig, Integrator, ScenarioConfig,
 };
 use crate::disturbances::{Disturbances, Outages, Sample, WindEstimator};
+use crate::jets::JetsConfig;
 use crate::log::{FlightLog, FlightResult, LogRow, TrackingErrors};
 use crate::plant::Plant;
 use crate::sensors::Sensors;
@@ -27,7 +28,8 @@ use flight_core::error::BuildError;
 use flight_core::robot::RobotModel;
 use flight_io::load_robot;
 use nalgebra::{Vector3, Vector6};
-use serde_json::{Value, json};
+use serde::Serialize;
+use serde_json::json;
 use std::fmt;
 use std::ops::ControlFlow;
 
@@ -221,27 +223,23 @@ impl Scenario {
             let expected = "a table: without feet the controller cannot stand on simulator.ground";
             return Err(BuildError::bad_value("controller.contact", "absent", expected));
         }
-        let (given, none) = (json!(config), Disturbances::default());
-        for (key, known) in [
-            ("simulator.integrator", json!(Integrator::default())),
-            ("simulator.lever_arm", json!(LeverArm::default())),
-            ("simulator.kinematics", json!(AeroKinematics::default())),
-            ("simulator.jets.dynamics", json!("ideal")),
-            ("simulator.initial.base_velocity", json!(vec![0.0; 6])),
-            ("simulator.initial.free_fall_tick", json!(false)),
-            ("simulator.sensors", Value::Null),
-            ("disturbances.wind_estimate", Value::Null),
-            ("disturbances.aero", json!(none.aero)),
-            ("disturbances.jets", json!(none.jets)),
-            ("disturbances.outages", json!(none.outages)),
-        ] {
-            let value = key.split('.').fold(&given, |table, part| &table[part]);
-            if *value != known {
-                let known = if known.is_null() { "none".to_owned() } else { known.to_string() };
-                let expected = format!("{known}: engine = \"mujoco\" knows nothing else");
-                return Err(BuildError::bad_value(key, value, expected));
-            }
-        }
+        let (simulator, disturbances) = (&config.simulator, &config.disturbances);
+        let (initial, none) = (&simulator.initial, Disturbances::default());
+        require("simulator.integrator", &simulator.integrator, &Integrator::default())?;
+        require("simulator.lever_arm", &simulator.lever_arm, &LeverArm::default())?;
+        require("simulator.kinematics", &simulator.kinematics, &AeroKinematics::default())?;
+        let dynamics = match simulator.jets {
+            JetsConfig::Ideal {} => "ideal",
+            JetsConfig::SecondOrder(_) => "second_order",
+        };
+        require("simulator.jets.dynamics", &dynamics, &"ideal")?;
+        require("simulator.initial.base_velocity", &initial.base_velocity, &[0.0; 6])?;
+        require("simulator.initial.free_fall_tick", &initial.free_fall_tick, &false)?;
+        require("simulator.sensors", &simulator.sensors, &None)?;
+        require("disturbances.wind_estimate", &disturbances.wind_estimate, &None)?;
+        require("disturbances.aero", &disturbances.aero, &none.aero)?;
+        require("disturbances.jets", &disturbances.jets, &none.jets)?;
+        require("disturbances.outages", &disturbances.outages, &none.outages)?;
         let robot = load_robot(&config.robot)?;
         config.simulator.check(&robot)?;
         let mut config = config.clone();
@@ -327,6 +325,17 @@ impl Scenario {
         .into_iter()
         .find_map(|(is_beyond, reason)| is_beyond.then_some(reason))
     }
+}
+
+/// Refuses a value other than the only one that MuJoCo flies with.
+fn require<T: PartialEq + Serialize>(key: &str, given: &T, only: &T) -> Result<(), BuildError> {
+    if given == only {
+        return Ok(());
+    }
+    let only = json!(only);
+    let only = if only.is_null() { "none".to_owned() } else { only.to_string() };
+    let expected = format!("{only}: engine = \"mujoco\" supports nothing else");
+    Err(BuildError::bad_value(key, json!(given), expected))
 }
 
 /// A flight in progress.

@@ -4,7 +4,7 @@
 
 use crate::turbulence::Turbulence;
 use flight_core::error::{BuildError, check};
-use flight_io::read_text;
+use flight_io::csv::Csv;
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -221,25 +221,8 @@ fn check_order(
 }
 
 fn read_samples(path: &Path) -> Result<Vec<(f64, Vector3<f64>)>, BuildError> {
-    let text = read_text(path)?;
-    let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
-    let file = format!("wind file {}", path.display());
-    let place = |line: usize| format!("line {} of {file}", line + 1);
-    match lines.next() {
-        Some((_, header)) if header.replace(' ', "") == "time,x,y,z" => {}
-        header => {
-            let value = header.map_or("empty", |(_, line)| line);
-            return Err(BuildError::bad_value(place(0), value, "the header time,x,y,z"));
-        }
-    }
-    let (mut numbers, mut samples) = (Vec::new(), Vec::new());
-    for (number, line) in lines {
-        let fields: Result<Vec<f64>, _> = line.split(',').map(|field| field.trim().parse()).collect();
-        let Ok(Ok(sample)) = fields.map(<[f64; 4]>::try_from) else {
-            return Err(BuildError::bad_value(place(number), line, "four numbers time,x,y,z"));
-        };
-        numbers.push(number);
-        samples.push(sample);
-    }
-    check_order(&samples, &file, |index| place(numbers[index]))
+    const COLUMNS: [&str; 4] = ["time", "x", "y", "z"];
+    let csv = Csv::read(path, "wind file", "the header time,x,y,z", |names| names == COLUMNS)?;
+    let samples: Vec<[f64; 4]> = csv.rows.iter().map(|row| [row[0], row[1], row[2], row[3]]).collect();
+    check_order(&samples, &csv.file, |row| csv.place(row))
 }
