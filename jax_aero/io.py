@@ -38,7 +38,7 @@ def aero_config(aero: Mapping[str, Any]) -> AeroConfig:
     ConfigError
         If a key or value is invalid.
     """
-    found: AeroConfig = msgspec.convert(rust.resolve_aero(aero), AeroConfig)  # type: ignore[arg-type]
+    found: AeroConfig = msgspec.convert(rust.resolve_aero(aero), AeroConfig)
     return found
 
 

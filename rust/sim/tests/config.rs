@@ -260,7 +260,10 @@ fn unknown_keys_are_named() {
     }
     let mut value = test2_value();
     set(&mut value, "controller.momentum.kp_liner", json!([1.0, 1.0, 1.0]));
-    assert_says(&from_value::<ScenarioConfig>(value, "here").unwrap_err(), &["did you mean `controller.momentum.kp_linear`?"]);
+    assert_says(
+        &from_value::<ScenarioConfig>(value, "here").unwrap_err(),
+        &["did you mean `controller.momentum.kp_linear`?"],
+    );
 }
 
 /// Tables whose keys are names of the robot's parts.
