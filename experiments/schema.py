@@ -249,8 +249,8 @@ def _references(node: Any) -> Iterator[str]:
 
 HEADER = f'''"""Types of a flight's and a robot's configuration; `docs/reference/configuration.md` describes every key.
 
-Made {MADE}: not to be edited. A flight's are filled from what the crate has
-checked (`jax_aero.io`).
+Made {MADE}: not to be edited.
+A flight's are filled from what the crate has checked (`jax_aero.io`).
 """
 
 # ruff: noqa: D101, N815
