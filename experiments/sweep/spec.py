@@ -171,7 +171,8 @@ class Spec(tables.Table, frozen=True):
         for axis in self.axis:
             cells = cells * axis.n_levels if self.design == "grid" else max(cells, axis.n_levels)
             if cells > MAX_CELLS:
-                raise ConfigError.of("axis", f"{cells} cells or more", f"at most {MAX_CELLS} cells")
+                message = f"`axis` makes more than {MAX_CELLS} cells; expected at most that many"
+                raise ConfigError(message, key="axis", expected=f"at most {MAX_CELLS} cells")
         if cells * self.repeats > MAX_ROWS:
             raise ConfigError.of("repeats", self.repeats, f"at most {MAX_ROWS // cells} for {cells} cells")
 
