@@ -129,7 +129,7 @@ def test_arrays_and_paths_are_values(monkeypatch):
     assert json.loads(json.dumps(table)) == table == rust.load_config(TEST2, expected)
     composed = table | {"robot": robot, "wind": table["wind"] | {"velocity": jnp.array([0.0, 1.0, 2.0])}}
     assert rust.config_digest(composed) == rust.config_digest(table)
-    assert scenario_config(composed) == scenario_config(table)
+    assert scenario_config(composed).wind == scenario_config(table).wind
 
 
 @pytest.mark.parametrize(
