@@ -1,7 +1,7 @@
 """Independent jobs on a Ray cluster: every job is a task, and only this process writes files.
 
 The nodes need this repository and its environment at the same path. Without an address, given or in `RAY_ADDRESS`, a
-local cluster of `workers` processes is started and stopped at the end.
+local cluster of `workers` processes is started, which this machine alone can reach, and stopped at the end.
 """
 
 from __future__ import annotations
@@ -85,6 +85,10 @@ class Ray:
                 ray.shutdown()
 
 
+ONLY_HERE = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
+"""Variable that Ray reads when it is imported: with 0 its processes listen on the loopback address, on every system."""
+
+
 def _connect(ray: Any, address: str | None, workers: int | None) -> None:
     # The driver's folder is not on the workers' path if it was started as `python -m`.
     environment = {"env_vars": {"PYTHONPATH": str(places.HOME)}}
@@ -92,6 +96,8 @@ def _connect(ray: Any, address: str | None, workers: int | None) -> None:
     if address:
         ray.init(address=address, **quiet)
         return
+    os.environ[ONLY_HERE] = "0"
+    ray._private.ray_constants.ENABLE_RAY_CLUSTER = False  # here, where it is imported already
     local = {"num_cpus": workers or os.cpu_count() or 1, "include_dashboard": False, **quiet}
     try:
         ray.init(**local)

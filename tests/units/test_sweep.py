@@ -705,13 +705,36 @@ def test_the_list_names_every_sweep(capsys):
     assert all(name in listed for name in places.names("sweeps"))
 
 
-def kill_one_worker(mark: str, killed: list[int]) -> None:
+LOOPBACK = ("0100007F", "0000000000000000FFFF00000100007F", "00000000000000000000000001000000")
+"""127.0.0.1, also as an address of IPv6, and ::1, in words of 32 bits as the kernel writes them."""
+
+
+def listening(mark: str) -> set[str]:
+    """Addresses on which processes listen that have `mark` in their environment."""
+    sockets = {}
+    for protocol in ("tcp", "tcp6"):
+        for line in Path("/proc/net", protocol).read_text().splitlines():
+            _, local, _, state, *_, inode = line.split()[:10]
+            if state == "0A":
+                sockets[f"socket:[{inode}]"] = local.partition(":")[0]
+    found = set()
+    for folder in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if mark.encode() in (folder / "environ").read_bytes():
+                found |= {
+                    sockets[name] for link in (folder / "fd").iterdir() if (name := str(link.readlink())) in sockets
+                }
+    return found
+
+
+def kill_one_worker(mark: str, killed: list[int], addresses: set[str]) -> None:
     """Wait for a process of this cluster that flies, and kill it; `mark` is in the environment of all of them."""
     while not killed:
         for folder in Path("/proc").glob("[0-9]*"):
             with suppress(OSError):
                 flies = b"ray::_run_remotely" in (folder / "cmdline").read_bytes()
                 if flies and mark.encode() in (folder / "environ").read_bytes():
+                    addresses |= listening(mark)
                     os.kill(int(folder.name), signal.SIGKILL)
                     killed.append(int(folder.name))
                     return
@@ -724,13 +747,16 @@ def test_a_ray_cluster_gives_the_same_bytes_also_where_a_worker_is_killed(tmp_pa
     monkeypatch.setenv("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     monkeypatch.setenv("CLUSTER_OF_THIS_TEST", str(tmp_path))
     killed: list[int] = []
-    killer = threading.Thread(target=kill_one_worker, args=(str(tmp_path), killed), daemon=True)
+    addresses: set[str] = set()
+    killer = threading.Thread(target=kill_one_worker, args=(str(tmp_path), killed, addresses), daemon=True)
     killer.start()
     command = ["sweep", str(quick_sweep(tmp_path, repeats=4, duration=1.0)), "--out"]
     try:
         cluster = ["--cluster", "ray", "--workers", "2"]
         assert main([*command, str(tmp_path), *cluster]) == 0, capsys.readouterr().err
         assert len(killed) == 1, "no worker was seen to fly"
+        assert addresses
+        assert addresses <= set(LOOPBACK), "other machines can reach the cluster"
     finally:
         killed.append(0)
     assert not ray.is_initialized()
