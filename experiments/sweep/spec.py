@@ -171,8 +171,8 @@ class Spec(tables.Table, frozen=True):
         for axis in self.axis:
             cells = cells * axis.n_levels if self.design == "grid" else max(cells, axis.n_levels)
             if cells > MAX_CELLS:
-                message = f"`axis` makes more than {MAX_CELLS} cells; expected at most that many"
-                raise ConfigError(message, key="axis", expected=f"at most {MAX_CELLS} cells")
+                levels = [axis.n_levels for axis in self.axis]
+                raise ConfigError.of("axis", levels, f"levels that make at most {MAX_CELLS} cells")
         if cells * self.repeats > MAX_ROWS:
             raise ConfigError.of("repeats", self.repeats, f"at most {MAX_ROWS // cells} for {cells} cells")
 
