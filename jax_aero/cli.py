@@ -21,7 +21,7 @@ import argcomplete
 
 from jax_aero.command import INTERRUPTED as INTERRUPTED
 from jax_aero.command import REFUSED as REFUSED
-from jax_aero.command import one_line
+from jax_aero.command import one_line, printable_output
 from jax_aero.places import did_you_mean
 
 CLOSED = 141
@@ -159,6 +159,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if words else REFUSED
 
 
+@printable_output()
 def run(name: str, words: Sequence[str]) -> int:
     """Run one command. Its module is imported here, so that no other command waits for it."""
     command = COMMANDS[name]

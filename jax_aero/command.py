@@ -1,11 +1,11 @@
-"""Common functions of the command lines: error messages, interruption and progress."""
+"""Common functions of the command lines: output, error messages, interruption and progress."""
 
 from __future__ import annotations
 
 import json
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -89,6 +89,41 @@ def exit_status(work: Callable[[], int | None], *, interrupted: str = "nothing w
         return INTERRUPTED
 
 
+ACTING = (*range(0x20), *range(0x7F, 0xA0), 0x61C, 0x200E, 0x200F, *range(0x202A, 0x202F), *range(0x2066, 0x206A))
+"""Characters that a terminal does not show but obeys, and those that change the direction of writing."""
+
+SHOWN = {code: f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" for code in ACTING if chr(code) not in "\t\n"}
+
+
+class Printable:
+    r"""A stream that shows characters of `ACTING`, which texts of files may contain, as `\x1b`."""
+
+    def __init__(self, stream: Any) -> None:
+        self.stream = stream
+
+    def write(self, text: str) -> int:
+        """Write a text."""
+        written: int = self.stream.write(text.translate(SHOWN))
+        return written
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.stream, name)
+
+
+@contextmanager
+def printable_output() -> Iterator[None]:
+    """Make output and errors printable during the block."""
+    output: Any = Printable(sys.stdout)
+    errors: Any = Printable(sys.stderr)
+    with redirect_stdout(output), redirect_stderr(errors):
+        yield
+
+
+def terminal() -> Any:
+    """Return the stream of errors for a progress bar, which moves the cursor."""
+    return getattr(sys.stderr, "stream", sys.stderr)
+
+
 @contextmanager
 def progress_bar(unit: str, name: str | None = None, **options: Any) -> Iterator[Progress]:
     """Yield a function of (units done, all units) that moves a progress bar.
@@ -97,7 +132,8 @@ def progress_bar(unit: str, name: str | None = None, **options: Any) -> Iterator
     """
     from tqdm import tqdm
 
-    with tqdm(**{"desc": name, "unit": unit, "disable": None, "leave": False, "delay": 0.1, **options}) as bar:
+    defaults = {"file": terminal(), "unit": unit, "disable": None, "leave": False, "delay": 0.1}
+    with tqdm(**defaults | {"desc": name and name.translate(SHOWN), **options}) as bar:
 
         def show(done: int, total: int) -> None:
             bar.total = total

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -34,7 +33,7 @@ from jax_aero import documents, places, tables
 from jax_aero.aero.cfd_import import checks
 from jax_aero.aero.dataset import LINKS, Dataset, Floats, save
 from jax_aero.cli import Parser
-from jax_aero.command import exit_status
+from jax_aero.command import exit_status, terminal
 from jax_aero.files import lock, read_json, write_json
 
 RESULTS = places.RESULTS / KIND
@@ -83,7 +82,7 @@ def dataset_of(name: str) -> Path:
 def compute(design: Design, folder: Path, simulator: Simulate = simulate, cluster: Ray | None = None) -> None:
     """Compute the missing cases of a design, on this machine or on a cluster, where each posture is a task."""
     settings, surfaces = design.spec.settings, design.surfaces
-    with lock(folder), tqdm(desc=design.name, unit="case", file=sys.stderr, disable=None) as bar:
+    with lock(folder), tqdm(desc=design.name, unit="case", file=terminal(), disable=None) as bar:
         bar.reset(total=sum(1 for _ in design))
         left = {
             name: [case for case in cases if not _path(folder, case).is_file()] for name, cases in design.cases.items()

@@ -28,7 +28,7 @@ from jax_aero.aero.dataset import Dataset, load
 from jax_aero.aero.network import Network
 from jax_aero.aero.network_card import card_path, copy_network, save_network
 from jax_aero.cli import Parser
-from jax_aero.command import exit_status
+from jax_aero.command import exit_status, terminal
 from jax_aero.files import lock_work, resolve
 
 RESULTS = places.RESULTS / "training"
@@ -147,7 +147,9 @@ def _train(
     finished: list[FinishedPart] = []
     network = None
     is_quiet = not sys.stderr.isatty()
-    with tqdm(total=len(todo) * training.epochs, unit="epoch", disable=is_quiet, dynamic_ncols=True) as bar:
+    with tqdm(
+        total=len(todo) * training.epochs, unit="epoch", file=terminal(), disable=is_quiet, dynamic_ncols=True
+    ) as bar:
         for part in todo:
             bar.set_description(part.name)
 

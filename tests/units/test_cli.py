@@ -143,6 +143,23 @@ def test_ctrl_c_and_a_missing_package_are_one_line(monkeypatch, capsys):
     assert capsys.readouterr().err == "error: `fly` needs the package `tqdm`: pip install 'jax-aero[figs]'\n"
 
 
+def test_what_a_terminal_would_obey_is_shown(monkeypatch, capsys):
+    """Colours, titles, the beginning of the line, and the direction of writing."""
+
+    def tell(words):
+        print("\x1b[2J\x9b31m é\t1\n", end="")
+        with progress_bar("flight", "a\rb", disable=False, delay=0.0) as show:
+            show(1, 2)
+        raise OSError(2, "No such file", "a\r\u202eb\x7f")
+
+    monkeypatch.setattr("paper_figs.command.main", tell)
+    assert cli.main(["figures"]) == cli.REFUSED
+    said = capsys.readouterr()
+    assert said.out == "\\x1b[2J\\x9b31m é\t1\n"
+    assert said.err.endswith("error: a\\x0d\\u202eb\\x7f: No such file\n")
+    assert "\ra\\x0db: " in said.err  # the bar itself goes back to the beginning
+
+
 @pytest.mark.parametrize(
     ("line", "expected"),
     [

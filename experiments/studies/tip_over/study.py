@@ -8,7 +8,6 @@ the study is finished, so an interrupted study can be resumed. The result goes t
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -21,6 +20,7 @@ from tqdm import tqdm
 from experiments.sources import code_hash
 from experiments.study import Findings, Study
 from jax_aero import documents, mujoco_ground, rust, tables
+from jax_aero.command import terminal
 from jax_aero.files import read_json, write_json
 from jax_aero.wind_direction import wind_from
 
@@ -62,7 +62,7 @@ def compute(_: str, config: TipOverConfig, under_way: Path) -> Findings:
     force = np.full((*shape, 3), np.nan)
     cells = list(np.ndindex(shape))
     steps = int(np.ceil(np.log2((high - low) / config.resolution)))
-    with tqdm(total=len(cells) * (steps + 2), unit="trial", disable=not sys.stderr.isatty()) as bar:
+    with tqdm(total=len(cells) * (steps + 2), unit="trial", file=terminal(), disable=None) as bar:
 
         def fly_cell(cell: tuple[int, ...], speed: float) -> dict[str, Any]:
             bar.update()

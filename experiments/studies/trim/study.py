@@ -6,7 +6,6 @@ configuration are solved, and the result goes to `results/trim/NAME/`.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from experiments.robot.groups import joints_of
 from experiments.study import Findings, Study
 from jax_aero import tables
 from jax_aero.cli import Parser
-from jax_aero.command import exit_status
+from jax_aero.command import exit_status, terminal
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.aero import load_aero
 from jax_aero.symbolic.trim import Objective, Trim, TrimResult, TrimSettings
@@ -173,7 +172,7 @@ def compute(name: str, config: TrimConfig) -> Findings:
     found: dict[tuple[str, int, int], TrimResult] = {}
     there = [(objective, d, s) for objective in OBJECTIVES for d in range(len(directions)) for s in range(len(speeds))]
     # There are many local minima: solve forwards from solved neighbours, then backwards, and keep the better solution.
-    with tqdm(total=2 * len(there), desc=name, unit="wind", disable=not sys.stderr.isatty(), leave=False) as bar:
+    with tqdm(total=2 * len(there), desc=name, unit="wind", file=terminal(), disable=None, leave=False) as bar:
         for cells, step in ((there, -1), (there[::-1], 1)):
             for objective, d, s in cells:
                 wind = wind_from(speeds[s], directions[d])
