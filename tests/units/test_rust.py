@@ -11,7 +11,8 @@ import pytest
 
 from experiments import record
 from jax_aero import rust
-from jax_aero.places import HOME
+from jax_aero.command import ConfigError
+from jax_aero.places import HOME, ROBOT
 
 TEST2 = HOME / "configs" / "experiments" / "test2.toml"
 SHORT = {"simulator.duration": 1.0}
@@ -71,6 +72,19 @@ def test_the_digest_follows_the_configuration_alone():
     assert rust.config_digest(config) != rust.config_digest(rust.load_config(TEST2, SHORT))
 
 
+def test_a_configuration_is_checked_once_on_its_way_to_a_flight(tmp_path):
+    """What was read from a file is checked; another check of the same reads nothing."""
+    config = rust.load_config("test2", {"simulator.duration": 1.0})
+    own = tmp_path / "mk1.toml"
+    own.write_text(ROBOT.read_text().replace('urdf = "', f'urdf = "{ROBOT.parent}/'))
+    mine = rust.load_config("test2", {"robot": own})
+    own.unlink()
+    rust.check_config(mine)
+    rust.check_config(config)
+    with pytest.raises(ConfigError, match=r"cannot read .*mk1\.toml"):
+        rust.check_config(mine)
+
+
 def test_a_real_log_fits_the_schema_of_result_files():
     config = rust.load_config(TEST2, SHORT)
     dataset = record.to_dataset(
@@ -112,7 +126,7 @@ def test_a_refused_configuration_costs_no_flight():
     lacking = config | {"wind": {"profile": "file", "path": "no/such.csv"}}
     with pytest.raises(ValueError, match=r"flight 1 of the batch: .*no/such\.csv"):
         rust.fly_batch([config, lacking], progress=lambda *report: reports.append(report))
-    assert not reports
+    assert all(done == 0 for done, _ in reports)
 
 
 @pytest.mark.parametrize("threads", [0, -1])
