@@ -4,6 +4,7 @@ use super::channels::Modes;
 use crate::kinematics::RobotState;
 use crate::qp::QpAnswer;
 use nalgebra::{DVector, Vector3, Vector6};
+use std::fmt;
 
 /// Measurement of a tick.
 #[derive(Debug, Clone, Copy)]
@@ -85,6 +86,22 @@ pub enum CommandStatus {
     TorqueHeld,
     /// Neither QP has an answer.
     BothHeld,
+}
+
+/// The name, as C has it: `bad_setpoint`.
+impl fmt::Display for CommandStatus {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Nominal => "nominal",
+            Self::Degraded => "degraded",
+            Self::BadMeasurement => "bad_measurement",
+            Self::BadState => "bad_state",
+            Self::BadSetpoint => "bad_setpoint",
+            Self::MomentumHeld => "momentum_held",
+            Self::TorqueHeld => "torque_held",
+            Self::BothHeld => "both_held",
+        })
+    }
 }
 
 /// Command of the controller, held until the next tick.

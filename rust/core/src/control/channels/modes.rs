@@ -1,5 +1,7 @@
 //! Modes of a tick: what was not measured, and how the robot flies without it.
 
+use std::fmt;
+
 /// Set of the ways in which a tick differs from one with complete measurements, one bit each.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Modes(u32);
@@ -79,5 +81,18 @@ impl Modes {
     /// Names of the modes in the set.
     pub fn names(self) -> impl Iterator<Item = &'static str> {
         Self::NAMES.into_iter().filter_map(move |(mode, name)| self.contains(mode).then_some(name))
+    }
+}
+
+/// Names of the modes, separated by commas; `none` if the set is empty.
+impl fmt::Display for Modes {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.is_empty() {
+            return f.write_str("none");
+        }
+        for (index, name) in self.names().enumerate() {
+            write!(f, "{}{name}", if index > 0 { ", " } else { "" })?;
+        }
+        Ok(())
     }
 }
