@@ -5,6 +5,7 @@
 //! ```
 
 use flight_core::Measurement;
+use flight_core::control::CommandStatus;
 use flight_core::control::momentum_qp::{Equations, Layout, Task, TaskInputs};
 use flight_io::{MissionConfig, load_controller, load_robot};
 use flight_sim::{Plant, Scenario, ScenarioConfig, WindConfig, fly_batch, load_scenario};
@@ -64,9 +65,15 @@ fn own_loop(config: &ScenarioConfig) -> Result<(), Box<dyn Error>> {
 
     for tick in 0..200 {
         plant.observe(&wind);
-        let (time, robot_state, thrust) = measure(&plant, f64::from(tick) * time_step);
+        let (time, mut robot_state, thrust) = measure(&plant, f64::from(tick) * time_step);
+        if tick == 100 {
+            robot_state.base.position.fill(f64::NAN); // not measured
+        }
         let measurement = Measurement { time, state: &robot_state, thrust: &thrust, ..first };
         let command = controller.tick(&mut state, &measurement);
+        if command.status != CommandStatus::Nominal {
+            println!("{time:.2} s: {} ({})", command.status, command.modes);
+        }
         plant.advance(command.joint_torque.as_slice(), command.thrust_rate.as_slice(), &wind, time_step);
     }
     println!("after 2 s: height {:.3} m", plant.kinematics().com.z);
