@@ -55,15 +55,21 @@ LAB := target/lab
 LAB_PAGE := rust/lab/page
 LAB_WASM := target/wasm32-unknown-unknown/release/flight_lab.wasm
 
+# `make install-capi`: where to, and the folder of the library, which is built if none is given.
+PREFIX ?= /usr/local
+INSTALLED := $(DESTDIR)$(PREFIX)
+LIBFLIGHT ?=
+VERSION = $(shell sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml)
+
 # One interpreter for every build of the bindings, so that cargo does not build them again for another.
 export PYO3_PYTHON := $(abspath $(BIN)/python)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo view test test-all fuzz audit lint lint-rust lint-python bench figures reproduce verify docs lab clean portability wheel
+.PHONY: help setup demo view test test-all fuzz audit lint lint-rust lint-python bench figures reproduce verify docs lab clean portability wheel install-capi
 .DELETE_ON_ERROR:
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 setup: $(PACKAGES) ## create .venv, compile the Rust module, install all pinned packages
 
@@ -93,6 +99,16 @@ wheel: $(PACKAGES) ## build wheel and source package into dist/, and fly with th
 	$(BIN)/maturin sdist --out dist
 	$(BIN)/maturin build --release --locked --quiet --out dist
 	$(BIN)/python tests/tools/wheel.py dist/*.whl
+
+install-capi: ## install libflight for C and C++: header, libraries, files for pkg-config and CMake (PREFIX=/usr/local)
+	$(if $(LIBFLIGHT),,cargo build --locked --release --package flight-capi)
+	install -D -m 644 -t $(INSTALLED)/include rust/capi/include/flight.h
+	install -D -m 644 -t $(INSTALLED)/lib $(addprefix $(or $(LIBFLIGHT),target/release)/,libflight.so libflight.a)
+	install -D -m 644 -t $(INSTALLED)/lib/cmake/flight rust/capi/cmake/flight-config.cmake
+	mkdir -p $(INSTALLED)/lib/pkgconfig
+	sed 's/@VERSION@/$(VERSION)/' rust/capi/flight.pc.in > $(INSTALLED)/lib/pkgconfig/flight.pc
+	sed 's/@VERSION@/$(VERSION)/' rust/capi/cmake/flight-config-version.cmake.in \
+		> $(INSTALLED)/lib/cmake/flight/flight-config-version.cmake
 
 audit: $(PACKAGES) ## check licences, duplicates and known vulnerabilities, as far as they can be had; write dist/sbom.json
 	$(BIN)/python -m tests.tools.supply_chain audit

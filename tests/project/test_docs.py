@@ -43,7 +43,9 @@ KINDS = {
     ("sweep", "toml"),
     ("waypoints", "toml"),
     ("show", "toml"),  # part of a file
+    ("crate", "toml"),
     (None, "c"),
+    (None, "cmake"),
     (None, "cpp"),
     (None, "rust"),
     (None, "math"),
@@ -106,9 +108,9 @@ def test_every_block_says_how_it_is_tried(page):
     assert 2 * len(found) == len(re.findall("^```", text, re.M))
     for block in found:
         assert (block["kind"], block["language"]) in KINDS, block[0]
-        if block["language"] in {"rust", "c", "cpp"}:  # taken from a program that the crates' tests run
-            program = r"rust/(sim/examples/tutorial\.rs|capi/examples/(loop\.c|hover\.cpp))"
-            assert re.fullmatch(rf'--8<-- "{program}:\w+"\n', block["code"])
+        if block["language"] in {"rust", "c", "cpp", "cmake"}:  # taken from a program that the crates' tests run
+            program = r"rust/(sim/examples/tutorial\.rs|capi/examples/(loop\.c|hover\.cpp|CMakeLists\.txt))"
+            assert re.fullmatch(rf'--8<-- "{program}(:\w+)?"\n', block["code"])
 
 
 @pytest.mark.parametrize("page", pages_with("run", "python"), ids=name)
@@ -175,7 +177,8 @@ def test_shown_commands_name_what_exists(page):
             elif first == "sweep":
                 assert {*names} <= sweeps, names
         else:
-            assert program in {"cargo", "cc", "export", "source", "target/loop"}, program
+            for_arm = {"aarch64-linux-gnu-gcc", "qemu-aarch64", "rustup"}
+            assert program in {"cargo", "cc", "export", "source", "target/loop"} | for_arm, program
             assert all((ROOT / word).exists() for word in words if word.startswith(("rust/", "configs/"))), words
 
 
@@ -204,6 +207,17 @@ def test_the_shown_robot_has_keys_that_exist():
             assert table.keys() <= sparrow.keys()
             joints = [joint for group in table["joint_groups"] for joint in group["joints"]]
             assert all(joint.keys() <= joint_keys for joint in joints)
+
+
+@pytest.mark.parametrize("page", pages_with("crate", "toml"), ids=name)
+def test_a_shown_crate_finds_its_dependencies_and_their_features(page, tmp_path):
+    for number, code in enumerate(blocks(page, "crate", "toml")):
+        folder = tmp_path / str(number)
+        (folder / "src").mkdir(parents=True)
+        (folder / "src/main.rs").write_text("fn main() {}\n")
+        (folder / "Cargo.toml").write_text(code.replace("../jax-aero", str(ROOT)), encoding="utf-8")
+        shutil.copy(ROOT / "Cargo.lock", folder)
+        run(["cargo", "metadata", "--offline", "--format-version=1", f"--manifest-path={folder / 'Cargo.toml'}"])
 
 
 @pytest.mark.parametrize("page", pages_with("experiment", "toml"), ids=name)

@@ -32,6 +32,7 @@ TARGETS = {
     "portability",
     "wheel",
     "audit",
+    "install-capi",
 }
 
 

@@ -11,8 +11,7 @@
 class Controller {
   public:
     explicit Controller(const std::string &path) {
-        std::array<char, 1024> message{};
-        handle.reset(flight_controller_create(path.c_str(), message.data(), message.size()));
+        handle.reset(flight_controller_create(flight_header(), path.c_str(), message.data(), message.size()));
         if (!handle) {
             throw std::runtime_error(message.data());
         }
@@ -20,7 +19,11 @@ class Controller {
         joint_velocity.resize(flight_joint_count(handle.get()));
         joint_torque.resize(flight_joint_count(handle.get()));
     }
-    FlightStatus start(const FlightMeasurement &measurement) { return flight_start(handle.get(), &measurement); }
+    void start(const FlightMeasurement &measurement) {
+        if (flight_start(handle.get(), &measurement, message.data(), message.size()) != FLIGHT_NOMINAL) {
+            throw std::runtime_error(message.data());
+        }
+    }
     FlightStatus tick(const FlightMeasurement &measurement, const FlightSetpoint &setpoint) {
         const FlightCommand command{thrust_rate.data(), joint_velocity.data(), joint_torque.data()};
         return flight_tick(handle.get(), &measurement, &setpoint, &command);
@@ -33,6 +36,7 @@ class Controller {
         void operator()(FlightController *controller) const { flight_controller_free(controller); }
     };
     std::unique_ptr<FlightController, Free> handle;
+    std::array<char, 1024> message{};
 };
 // --8<-- [end:class]
 
@@ -52,11 +56,9 @@ int main(int argc, char **argv) {
         FlightSetpoint setpoint{};
         setpoint.rotation[0] = setpoint.rotation[4] = setpoint.rotation[8] = 1.0;
         setpoint.com_position[2] = 1.0;
-        FlightStatus status = controller.start(measurement);
-        if (status == FLIGHT_NOMINAL) {
-            status = controller.tick(measurement, setpoint);
-        }
-        std::printf("status %d, thrust rate", static_cast<int>(status));
+        controller.start(measurement);
+        const FlightStatus status = controller.tick(measurement, setpoint);
+        std::printf("%s, thrust rate", flight_status_name(status));
         for (const double rate : controller.thrust_rate) {
             std::printf(" %.17g", rate);
         }

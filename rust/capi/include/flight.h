@@ -3,12 +3,14 @@
 // SI units and radians. Inertial axes: x forward, y left, z up. Matrices are stored by rows. Arrays of joints and
 // jets are in the order of the robot's TOML file; flight_joint_name and flight_jet_name return it.
 
-#ifndef FLIGHT_H
-#define FLIGHT_H
+#pragma once
 
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
+
+// Version of the library to which this header belongs: 10000 major + 100 minor + patch.
+#define FLIGHT_VERSION 100
 
 // Outcome of a call.
 typedef enum FlightStatus {
@@ -30,7 +32,7 @@ typedef enum FlightStatus {
   FLIGHT_DEGRADED = 6,
   // No flight has been started, or none can start with this measurement. No command is written.
   FLIGHT_NOT_STARTED = -1,
-  // A required pointer is null. No command is written.
+  // A required pointer is null. Nothing is written.
   FLIGHT_NULL_POINTER = -2,
   // Internal error of the library. Thrust rates and joint velocities are zero; the torques in the command are
   // unchanged.
@@ -39,8 +41,51 @@ typedef enum FlightStatus {
   FLIGHT_BAD_COMMAND = -4,
 } FlightStatus;
 
-// A controller with its flight. Not to be used by several threads at the same time.
+// Ways in which a tick differs from one with complete measurements; `flight_modes` is a sum of them.
+typedef enum FlightMode {
+  // The wind is the last measured one, held or fading.
+  FLIGHT_WIND_HELD = 1,
+  // The wind has been missing for so long that still air is assumed.
+  FLIGHT_WIND_LOST = 2,
+  // A thrust is predicted by the model of the jet.
+  FLIGHT_THRUST_MODELLED = 4,
+  // Joint positions and velocities are predicted by the model.
+  FLIGHT_JOINTS_PREDICTED = 8,
+  // The base position is predicted by the model.
+  FLIGHT_POSITION_PREDICTED = 16,
+  // The base rotation is predicted by the model.
+  FLIGHT_ROTATION_PREDICTED = 32,
+  // The base velocity is predicted by the model, or follows the pose.
+  FLIGHT_VELOCITY_PREDICTED = 64,
+  // The foot wrenches are those that keep the feet at rest in the model.
+  FLIGHT_FEET_PREDICTED = 128,
+  // The time is the controller's own, because the clock is missing or has jumped.
+  FLIGHT_CLOCK_PREDICTED = 256,
+  // The robot levels and descends instead of following its mission.
+  FLIGHT_DESCENDING = 512,
+  // An engine does not reach its commanded thrust.
+  FLIGHT_ENGINE_LIMITED = 1024,
+} FlightMode;
+
+// A controller with its flight, for one thread at a time; several threads may read it (functions that take a pointer
+// to const) while none changes it.
 typedef struct FlightController FlightController;
+
+// A simulated robot in the wind of its configuration, for one thread at a time. Its measurements are exact: neither
+// `simulator.sensors` nor errors and outages of `disturbances` apply.
+typedef struct FlightRobot FlightRobot;
+
+// Version and sizes with which a program was compiled, from `flight_header`.
+typedef struct FlightHeader {
+  // `FLIGHT_VERSION`
+  uint32_t version;
+  // `sizeof(FlightMeasurement)`
+  size_t measurement_size;
+  // `sizeof(FlightSetpoint)`
+  size_t setpoint_size;
+  // `sizeof(FlightCommand)`
+  size_t command_size;
+} FlightHeader;
 
 // Measurement of a tick.
 typedef struct FlightMeasurement {
@@ -104,14 +149,24 @@ typedef struct FlightCommand {
 extern "C" {
 #endif // __cplusplus
 
-// Creates the controller of a flight configuration, a file as in `configs/experiments/`.
+// Version of this library, as `FLIGHT_VERSION`.
+uint32_t flight_version(void);
+
+// Name of a `FlightStatus`, such as `bad_setpoint`; null for other numbers.
+const char *flight_status_name(int status);
+
+// Name of a `FlightMode`, such as `wind_held`; null for other numbers.
+const char *flight_mode_name(uint32_t mode);
+
+// Creates the controller of a flight configuration, a file as in `configs/experiments/`. Allocates.
 //
-// Returns null on failure; `message`, unless null, then contains the reason in at most `message_size` bytes, the last
-// of which is zero. Allocates.
+// `header` is `flight_header()`. Returns null on failure, also if the program was compiled with the header of another
+// library; `message`, unless null, then contains the reason in at most `message_size` bytes, the last of which is zero.
 //
 // # Safety
-// `path` is a zero-terminated string, or null; `message` has space for `message_size` bytes.
-struct FlightController *flight_controller_create(const char *path,
+// `path` is a zero-terminated string, or null; `message` is null or has space for `message_size` bytes.
+struct FlightController *flight_controller_create(struct FlightHeader header,
+                                                  const char *path,
                                                   char *message,
                                                   size_t message_size);
 
@@ -157,9 +212,7 @@ const char *flight_jet_name(const struct FlightController *controller, size_t in
 // As for `flight_joint_count`.
 double flight_time_step(const struct FlightController *controller);
 
-// Ways in which the last tick differs from one with complete measurements, as a sum: wind held 1 or lost 2; predicted
-// thrust 4, joints 8, base position 16, base rotation 32, base velocity 64, foot wrenches 128, clock 256; descent 512;
-// an engine does not reach its thrust 1024. Zero for null.
+// Ways in which the last tick differs from one with complete measurements, a sum of `FlightMode`; zero for null.
 //
 // # Safety
 // As for `flight_joint_count`.
@@ -167,12 +220,16 @@ uint32_t flight_modes(const struct FlightController *controller);
 
 // Starts a flight, in place of the present one if any: position, attitude and posture of this measurement become the
 // reference. Only the wind may be NaN, and joint velocities that need not be measured. If no flight can start with it,
-// the present one continues. Allocates, so call it before the control loop.
+// the present one continues, and `message`, unless null, contains the reason in at most `message_size` bytes, the last
+// of which is zero. Allocates, so call it before the control loop.
 //
 // # Safety
-// `measurement` is null or points to one whose arrays have the documented lengths.
+// `measurement` is null or points to one whose arrays have the documented lengths; `message` is null or has space for
+// `message_size` bytes.
 enum FlightStatus flight_start(struct FlightController *controller,
-                               const struct FlightMeasurement *measurement);
+                               const struct FlightMeasurement *measurement,
+                               char *message,
+                               size_t message_size);
 
 // Computes one tick, which follows the mission of the configuration, or `setpoint` unless it is null.
 //
@@ -192,8 +249,45 @@ enum FlightStatus flight_tick(struct FlightController *controller,
 enum FlightStatus flight_replace_command(struct FlightController *controller,
                                          const struct FlightCommand *command);
 
+// Creates the simulated robot of a flight configuration, in its initial state. Allocates, as does nothing below but
+// `flight_robot_free`. Arguments and failure as for `flight_controller_create`.
+//
+// # Safety
+// As for `flight_controller_create`.
+struct FlightRobot *flight_robot_create(struct FlightHeader header,
+                                        const char *path,
+                                        char *message,
+                                        size_t message_size);
+
+// Frees a simulated robot; null is allowed.
+//
+// # Safety
+// `robot` comes from `flight_robot_create` and is not used afterwards.
+void flight_robot_free(struct FlightRobot *robot);
+
+// Measures every field, with arrays of the robot, which are valid until the next call for it.
+//
+// # Safety
+// `robot` comes from `flight_robot_create`, or is null; `measurement` has space for one, or is null.
+enum FlightStatus flight_robot_measure(struct FlightRobot *robot, struct FlightMeasurement *measurement);
+
+// Advances a simulated robot by one tick, in which thrust rates and joint torques of `command` act.
+//
+// # Safety
+// `robot` comes from `flight_robot_create`, or is null; `command` is null or its arrays have the documented lengths.
+enum FlightStatus flight_robot_advance(struct FlightRobot *robot,
+                                       const struct FlightCommand *command);
+
 #ifdef __cplusplus
 }  // extern "C"
 #endif  // __cplusplus
 
-#endif  /* FLIGHT_H */
+// Version and sizes of this header, for flight_controller_create and flight_robot_create.
+static inline FlightHeader flight_header(void) {
+  FlightHeader header;
+  header.version = FLIGHT_VERSION;
+  header.measurement_size = sizeof(FlightMeasurement);
+  header.setpoint_size = sizeof(FlightSetpoint);
+  header.command_size = sizeof(FlightCommand);
+  return header;
+}

@@ -1,24 +1,75 @@
-//! The controller for C and C++: create it from the simulated configuration, start it, tick it.
+//! The controller for C and C++: create it from the simulated configuration, start it, tick it; and the simulated robot,
+//! for a loop that has no other yet.
 //!
-//! `include/flight.h` is generated from this file by cbindgen. Only `flight_controller_create`,
+//! `include/flight.h` is generated from this file by cbindgen. Of the controller only `flight_controller_create`,
 //! `flight_controller_free` and `flight_start` allocate. A panic does not leave the library: the call returns
-//! `FLIGHT_PANICKED`, and so does every later call for that controller.
+//! `FLIGHT_PANICKED`, and so does every later call for that controller or robot.
 
 // Exporting symbols and using C pointers is unsafe; each block states its assumptions.
 #![allow(unsafe_code, reason = "C has pointers")]
 
+use flight_core::control::channels::Modes;
 use flight_core::control::setpoint::Setpoint;
 use flight_core::control::{BadCommand, Command, CommandStatus, ControllerState};
 use flight_core::spatial::Pose;
 use flight_core::{BuildError, Controller, Measurement, RobotState};
 use flight_io::load_robot;
-use flight_sim::load_scenario;
+use flight_sim::{Plant, Wind, load_scenario};
 use nalgebra::{Matrix3, Vector3, Vector6};
-use std::ffi::{CStr, CString, c_char};
+use std::ffi::{CStr, CString, c_char, c_int};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
-use std::ptr::null;
+use std::ptr::{null, null_mut};
 use std::slice;
+use std::sync::LazyLock;
+
+/// Version of the library to which this header belongs: 10000 major + 100 minor + patch.
+pub const FLIGHT_VERSION: u32 = 100;
+
+/// Version and sizes with which a program was compiled, from `flight_header`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FlightHeader {
+    /// `FLIGHT_VERSION`
+    pub version: u32,
+    /// `sizeof(FlightMeasurement)`
+    pub measurement_size: usize,
+    /// `sizeof(FlightSetpoint)`
+    pub setpoint_size: usize,
+    /// `sizeof(FlightCommand)`
+    pub command_size: usize,
+}
+
+impl FlightHeader {
+    /// Those of this library.
+    #[must_use]
+    pub fn of_library() -> Self {
+        Self {
+            version: FLIGHT_VERSION,
+            measurement_size: size_of::<FlightMeasurement>(),
+            setpoint_size: size_of::<FlightSetpoint>(),
+            command_size: size_of::<FlightCommand>(),
+        }
+    }
+
+    /// Refuses a program that was compiled with the header of another library. Patches do not change the interface.
+    fn check(self) -> Result<(), String> {
+        let ours = Self { version: self.version, ..Self::of_library() };
+        if self == ours && self.version / 100 == FLIGHT_VERSION / 100 {
+            return Ok(());
+        }
+        let text = |header: Self| {
+            let Self { version, measurement_size, setpoint_size, command_size } = header;
+            let (major, minor, patch) = (version / 10_000, version / 100 % 100, version % 100);
+            format!(
+                "{major}.{minor}.{patch} with structures of {measurement_size}, {setpoint_size} and \
+                 {command_size} bytes"
+            )
+        };
+        let (theirs, ours) = (text(self), text(Self::of_library()));
+        Err(format!("the program was compiled with flight.h {theirs}; expected that of the library, {ours}"))
+    }
+}
 
 /// Outcome of a call.
 #[repr(C)]
@@ -42,7 +93,7 @@ pub enum FlightStatus {
     FlightDegraded = 6,
     /// No flight has been started, or none can start with this measurement. No command is written.
     FlightNotStarted = -1,
-    /// A required pointer is null. No command is written.
+    /// A required pointer is null. Nothing is written.
     FlightNullPointer = -2,
     /// Internal error of the library. Thrust rates and joint velocities are zero; the torques in the command are
     /// unchanged.
@@ -50,6 +101,38 @@ pub enum FlightStatus {
     /// A replaced command contains a number that is not finite. Nothing changes.
     FlightBadCommand = -4,
 }
+
+/// Ways in which a tick differs from one with complete measurements; `flight_modes` is a sum of them.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FlightMode {
+    /// The wind is the last measured one, held or fading.
+    FlightWindHeld = 1,
+    /// The wind has been missing for so long that still air is assumed.
+    FlightWindLost = 2,
+    /// A thrust is predicted by the model of the jet.
+    FlightThrustModelled = 4,
+    /// Joint positions and velocities are predicted by the model.
+    FlightJointsPredicted = 8,
+    /// The base position is predicted by the model.
+    FlightPositionPredicted = 16,
+    /// The base rotation is predicted by the model.
+    FlightRotationPredicted = 32,
+    /// The base velocity is predicted by the model, or follows the pose.
+    FlightVelocityPredicted = 64,
+    /// The foot wrenches are those that keep the feet at rest in the model.
+    FlightFeetPredicted = 128,
+    /// The time is the controller's own, because the clock is missing or has jumped.
+    FlightClockPredicted = 256,
+    /// The robot levels and descends instead of following its mission.
+    FlightDescending = 512,
+    /// An engine does not reach its commanded thrust.
+    FlightEngineLimited = 1024,
+}
+
+/// Names of the modes, by bit.
+static MODE_NAMES: LazyLock<Vec<CString>> =
+    LazyLock::new(|| Modes::NAMES.iter().filter_map(|(_, name)| CString::new(*name).ok()).collect());
 
 /// Measurement of a tick.
 #[repr(C)]
@@ -115,7 +198,8 @@ pub struct FlightCommand {
     pub joint_torque: *mut f64,
 }
 
-/// A controller with its flight. Not to be used by several threads at the same time.
+/// A controller with its flight, for one thread at a time; several threads may read it (functions that take a pointer
+/// to const) while none changes it.
 #[derive(Debug)]
 pub struct FlightController {
     controller: Controller,
@@ -156,18 +240,20 @@ impl FlightController {
         })
     }
 
-    /// Converts a measurement to the types of the crate; `None` if one of its arrays is null.
+    /// Converts a measurement to the types of the crate; fails with the name of an array that is null.
     ///
     /// # Safety
     /// The arrays of `given` have the documented lengths.
-    unsafe fn read(&mut self, given: &FlightMeasurement) -> Option<()> {
+    unsafe fn read(&mut self, given: &FlightMeasurement) -> Result<(), &'static str> {
         let joints = self.robot_state.n_joints();
-        let missing = |pointer: *const f64, length: usize| pointer.is_null() && length > 0;
-        if missing(given.joint_position, joints)
-            || missing(given.joint_velocity, joints)
-            || missing(given.thrust, self.thrust.len())
-        {
-            return None;
+        let arrays = [
+            ("joint_position", given.joint_position, joints),
+            ("joint_velocity", given.joint_velocity, joints),
+            ("thrust", given.thrust, self.thrust.len()),
+        ];
+        let missing = arrays.into_iter().find(|(_, pointer, length)| pointer.is_null() && *length > 0);
+        if let Some((name, ..)) = missing {
+            return Err(name);
         }
         let state = &mut self.robot_state;
         state.base = Pose {
@@ -191,7 +277,7 @@ impl FlightController {
                 unsafe { copy_in(given.foot_wrenches.add(6 * foot), wrench.as_mut_slice()) };
             }
         }
-        Some(())
+        Ok(())
     }
 
     /// The controller, its flight, and the last measurement.
@@ -208,17 +294,61 @@ impl FlightController {
         };
         (&mut self.controller, &mut self.flight, measurement)
     }
+}
+
+/// A controller or a robot, which is not used any more after a panic.
+trait Guarded {
+    fn has_panicked(&mut self) -> &mut bool;
 
     /// Runs `work`, unless it panics or an earlier call has panicked.
     fn guard(&mut self, work: impl FnOnce(&mut Self) -> FlightStatus) -> FlightStatus {
-        if !self.has_panicked {
-            // After a panic no data of this controller are used again.
+        if !*self.has_panicked() {
             if let Ok(status) = catch_unwind(AssertUnwindSafe(|| work(self))) {
                 return status;
             }
-            self.has_panicked = true;
+            *self.has_panicked() = true;
         }
         FlightStatus::FlightPanicked
+    }
+}
+
+impl Guarded for FlightController {
+    fn has_panicked(&mut self) -> &mut bool {
+        &mut self.has_panicked
+    }
+}
+
+/// A simulated robot in the wind of its configuration, for one thread at a time. Its measurements are exact: neither
+/// `simulator.sensors` nor errors and outages of `disturbances` apply.
+#[derive(Debug)]
+pub struct FlightRobot {
+    plant: Plant,
+    wind: Wind,
+    time_step: f64,
+    ticks: u64,
+    has_panicked: bool,
+}
+
+impl FlightRobot {
+    fn load(path: &Path) -> Result<Self, BuildError> {
+        let scenario = load_scenario(path)?;
+        Ok(Self {
+            plant: Plant::new(load_robot(&scenario.robot)?, &scenario.simulator, &scenario.disturbances)?,
+            wind: Wind::new(&scenario.wind)?,
+            time_step: scenario.simulator.time_step,
+            ticks: 0,
+            has_panicked: false,
+        })
+    }
+
+    fn time(&self) -> f64 {
+        self.ticks as f64 * self.time_step
+    }
+}
+
+impl Guarded for FlightRobot {
+    fn has_panicked(&mut self) -> &mut bool {
+        &mut self.has_panicked
     }
 }
 
@@ -251,6 +381,9 @@ unsafe fn copy_out(values: &[f64], target: *mut f64) {
     }
 }
 
+/// Message of a panic.
+const INTERNAL_ERROR: &str = "internal error of the library";
+
 fn status_of(command: &Command) -> FlightStatus {
     match command.status {
         CommandStatus::Nominal => FlightStatus::FlightNominal,
@@ -265,45 +398,105 @@ fn status_of(command: &Command) -> FlightStatus {
     }
 }
 
-/// Creates the controller of a flight configuration, a file as in `configs/experiments/`.
-///
-/// Returns null on failure; `message`, unless null, then contains the reason in at most `message_size` bytes, the last
-/// of which is zero. Allocates.
+/// Writes the reason of a failure to the caller's buffer, as much of it as fits.
 ///
 /// # Safety
-/// `path` is a zero-terminated string, or null; `message` has space for `message_size` bytes.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn flight_controller_create(
+/// `message` is null or has space for `size` bytes.
+unsafe fn report(reason: &str, message: *mut c_char, size: usize) {
+    if !message.is_null() && size > 0 {
+        let mut length = reason.len().min(size - 1);
+        while !reason.is_char_boundary(length) {
+            length -= 1;
+        }
+        // SAFETY: `length + 1 <= size` bytes, by this function's contract.
+        unsafe {
+            message.copy_from_nonoverlapping(reason.as_ptr().cast(), length);
+            *message.add(length) = 0;
+        }
+    }
+}
+
+/// Loads what a configuration describes; null and a message if that fails.
+///
+/// # Safety
+/// As for `flight_controller_create`.
+unsafe fn create<T>(
+    header: FlightHeader,
     path: *const c_char,
     message: *mut c_char,
     message_size: usize,
-) -> *mut FlightController {
+    load: fn(&Path) -> Result<T, BuildError>,
+) -> *mut T {
     let made = catch_unwind(|| {
+        header.check()?;
         if path.is_null() {
             return Err("the path is null; expected that of a TOML file".to_owned());
         }
         // SAFETY: not null, and zero-terminated by this function's contract.
         let path = unsafe { CStr::from_ptr(path) };
         let path = path.to_str().map_err(|_| "the path is not UTF-8".to_owned())?;
-        FlightController::load(Path::new(path)).map_err(|reason| reason.to_string())
+        load(Path::new(path)).map_err(|reason| reason.to_string())
     });
     let reason = match made {
-        Ok(Ok(controller)) => return Box::into_raw(Box::new(controller)),
+        Ok(Ok(made)) => return Box::into_raw(Box::new(made)),
         Ok(Err(reason)) => reason,
-        Err(_) => "an error of the library".to_owned(),
+        Err(_) => INTERNAL_ERROR.to_owned(),
     };
-    if !message.is_null() && message_size > 0 {
-        let mut length = reason.len().min(message_size - 1);
-        while !reason.is_char_boundary(length) {
-            length -= 1;
-        }
-        // SAFETY: `length + 1 <= message_size` bytes, by this function's contract.
-        unsafe {
-            message.copy_from_nonoverlapping(reason.as_ptr().cast(), length);
-            *message.add(length) = 0;
-        }
-    }
-    std::ptr::null_mut()
+    // SAFETY: by this function's contract.
+    unsafe { report(&reason, message, message_size) };
+    null_mut()
+}
+
+/// Version of this library, as `FLIGHT_VERSION`.
+#[unsafe(no_mangle)]
+pub extern "C" fn flight_version() -> u32 {
+    FLIGHT_VERSION
+}
+
+/// Name of a `FlightStatus`, such as `bad_setpoint`; null for other numbers.
+#[unsafe(no_mangle)]
+pub extern "C" fn flight_status_name(status: c_int) -> *const c_char {
+    let name = match status {
+        0 => c"nominal",
+        1 => c"bad_measurement",
+        2 => c"bad_setpoint",
+        3 => c"momentum_held",
+        4 => c"torque_held",
+        5 => c"both_held",
+        6 => c"degraded",
+        -1 => c"not_started",
+        -2 => c"null_pointer",
+        -3 => c"panicked",
+        -4 => c"bad_command",
+        _ => return null(),
+    };
+    name.as_ptr()
+}
+
+/// Name of a `FlightMode`, such as `wind_held`; null for other numbers.
+#[unsafe(no_mangle)]
+pub extern "C" fn flight_mode_name(mode: u32) -> *const c_char {
+    let index = Modes::NAMES.iter().position(|(named, _)| named.bits() == mode);
+    index.and_then(|index| MODE_NAMES.get(index)).map_or(null(), |name| name.as_ptr())
+}
+
+/// Creates the controller of a flight configuration, a file as in `configs/experiments/`. Allocates.
+///
+/// `header` is `flight_header()`. Returns null on failure, also if the program was compiled with the header of another
+/// library; `message`, unless null, then contains the reason in at most `message_size` bytes, the last of which is zero.
+///
+/// # Safety
+/// `path` is a zero-terminated string, or null; `message` is null or has space for `message_size` bytes.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn flight_controller_create(
+    header: FlightHeader,
+    path: *const c_char,
+    message: *mut c_char,
+    message_size: usize,
+) -> *mut FlightController {
+    LazyLock::force(&MODE_NAMES); // so that a name does not allocate later
+    // SAFETY: by this function's contract.
+    unsafe { create(header, path, message, message_size, FlightController::load) }
 }
 
 /// Frees a controller; null is allowed.
@@ -383,9 +576,7 @@ pub unsafe extern "C" fn flight_time_step(controller: *const FlightController) -
     unsafe { controller.as_ref() }.map_or(0.0, |controller| controller.time_step)
 }
 
-/// Ways in which the last tick differs from one with complete measurements, as a sum: wind held 1 or lost 2; predicted
-/// thrust 4, joints 8, base position 16, base rotation 32, base velocity 64, foot wrenches 128, clock 256; descent 512;
-/// an engine does not reach its thrust 1024. Zero for null.
+/// Ways in which the last tick differs from one with complete measurements, a sum of `FlightMode`; zero for null.
 ///
 /// # Safety
 /// As for `flight_joint_count`.
@@ -397,30 +588,49 @@ pub unsafe extern "C" fn flight_modes(controller: *const FlightController) -> u3
 
 /// Starts a flight, in place of the present one if any: position, attitude and posture of this measurement become the
 /// reference. Only the wind may be NaN, and joint velocities that need not be measured. If no flight can start with it,
-/// the present one continues. Allocates, so call it before the control loop.
+/// the present one continues, and `message`, unless null, contains the reason in at most `message_size` bytes, the last
+/// of which is zero. Allocates, so call it before the control loop.
 ///
 /// # Safety
-/// `measurement` is null or points to one whose arrays have the documented lengths.
+/// `measurement` is null or points to one whose arrays have the documented lengths; `message` is null or has space for
+/// `message_size` bytes.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn flight_start(
     controller: *mut FlightController,
     measurement: *const FlightMeasurement,
+    message: *mut c_char,
+    message_size: usize,
 ) -> FlightStatus {
     // SAFETY: by this function's contract.
-    let (Some(controller), Some(given)) = (unsafe { controller.as_mut() }, unsafe { measurement.as_ref() })
-    else {
+    let (Some(controller), Some(given)) = (unsafe { (controller.as_mut(), measurement.as_ref()) }) else {
+        // SAFETY: by this function's contract.
+        unsafe { report("controller or measurement is null; expected both", message, message_size) };
         return FlightStatus::FlightNullPointer;
     };
-    controller.guard(|controller| {
+    let mut reason = INTERNAL_ERROR.to_owned();
+    let status = controller.guard(|controller| {
         // SAFETY: by this function's contract.
-        if unsafe { controller.read(given) }.is_none() {
+        if let Err(name) = unsafe { controller.read(given) } {
+            reason = format!("`{name}` of the measurement is null; expected an array");
             return FlightStatus::FlightNullPointer;
         }
         let (controller, flight, measurement) = controller.parts(given);
-        let Ok(started) = controller.start(&measurement) else { return FlightStatus::FlightNotStarted };
-        *flight = Some(started);
-        FlightStatus::FlightNominal
-    })
+        match controller.start(&measurement) {
+            Ok(started) => {
+                *flight = Some(started);
+                FlightStatus::FlightNominal
+            }
+            Err(bad) => {
+                reason = bad.to_string();
+                FlightStatus::FlightNotStarted
+            }
+        }
+    });
+    if status != FlightStatus::FlightNominal {
+        // SAFETY: by this function's contract.
+        unsafe { report(&reason, message, message_size) };
+    }
+    status
 }
 
 /// Computes one tick, which follows the mission of the configuration, or `setpoint` unless it is null.
@@ -449,7 +659,7 @@ pub unsafe extern "C" fn flight_tick(
     }
     let status = controller.guard(|controller| {
         // SAFETY: by this function's contract.
-        if unsafe { controller.read(given) }.is_none() {
+        if unsafe { controller.read(given) }.is_err() {
             return FlightStatus::FlightNullPointer;
         }
         let (controller, flight, measurement) = controller.parts(given);
@@ -503,6 +713,98 @@ pub unsafe extern "C" fn flight_replace_command(
             Ok(()) => FlightStatus::FlightNominal,
             Err(BadCommand) => FlightStatus::FlightBadCommand,
         }
+    })
+}
+
+/// Creates the simulated robot of a flight configuration, in its initial state. Allocates, as does nothing below but
+/// `flight_robot_free`. Arguments and failure as for `flight_controller_create`.
+///
+/// # Safety
+/// As for `flight_controller_create`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn flight_robot_create(
+    header: FlightHeader,
+    path: *const c_char,
+    message: *mut c_char,
+    message_size: usize,
+) -> *mut FlightRobot {
+    // SAFETY: by this function's contract.
+    unsafe { create(header, path, message, message_size, FlightRobot::load) }
+}
+
+/// Frees a simulated robot; null is allowed.
+///
+/// # Safety
+/// `robot` comes from `flight_robot_create` and is not used afterwards.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn flight_robot_free(robot: *mut FlightRobot) {
+    if !robot.is_null() {
+        // SAFETY: by this function's contract.
+        drop(unsafe { Box::from_raw(robot) });
+    }
+}
+
+/// Measures every field, with arrays of the robot, which are valid until the next call for it.
+///
+/// # Safety
+/// `robot` comes from `flight_robot_create`, or is null; `measurement` has space for one, or is null.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn flight_robot_measure(
+    robot: *mut FlightRobot,
+    measurement: *mut FlightMeasurement,
+) -> FlightStatus {
+    // SAFETY: by this function's contract.
+    let Some(robot) = (unsafe { robot.as_mut() }) else { return FlightStatus::FlightNullPointer };
+    if measurement.is_null() {
+        return FlightStatus::FlightNullPointer;
+    }
+    robot.guard(|robot| {
+        let (time, state) = (robot.time(), robot.plant.state());
+        let rotation = &state.base.rotation;
+        let measured = FlightMeasurement {
+            time,
+            base_position: state.base.position.into(),
+            base_rotation: std::array::from_fn(|entry| rotation[(entry / 3, entry % 3)]),
+            base_linear_velocity: state.base_linear_velocity().into(),
+            base_angular_velocity: state.base_angular_velocity().into(),
+            joint_position: state.joint_position.as_ptr(),
+            joint_velocity: state.joint_velocity().as_ptr(),
+            thrust: robot.plant.jets().thrust_feedback().as_ptr(),
+            wind: robot.wind.velocity(time).into(),
+            foot_wrenches: null(),
+        };
+        // SAFETY: space for a measurement, by this function's contract.
+        unsafe { measurement.write(measured) };
+        FlightStatus::FlightNominal
+    })
+}
+
+/// Advances a simulated robot by one tick, in which thrust rates and joint torques of `command` act.
+///
+/// # Safety
+/// `robot` comes from `flight_robot_create`, or is null; `command` is null or its arrays have the documented lengths.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn flight_robot_advance(
+    robot: *mut FlightRobot,
+    command: *const FlightCommand,
+) -> FlightStatus {
+    // SAFETY: by this function's contract.
+    let (Some(robot), Some(command)) = (unsafe { (robot.as_mut(), command.as_ref()) }) else {
+        return FlightStatus::FlightNullPointer;
+    };
+    let (joints, jets) = (robot.plant.robot().joints.len(), robot.plant.robot().jets.len());
+    if (jets > 0 && command.thrust_rate.is_null()) || (joints > 0 && command.joint_torque.is_null()) {
+        return FlightStatus::FlightNullPointer;
+    }
+    robot.guard(|robot| {
+        let wind = robot.wind.velocity(robot.time());
+        // SAFETY: not null unless empty, and of these lengths by this function's contract.
+        let (rates, torques) =
+            unsafe { (view(command.thrust_rate, jets), view(command.joint_torque, joints)) };
+        robot.plant.observe(&wind);
+        robot.plant.advance(torques, rates, &wind, robot.time_step);
+        robot.ticks += 1;
+        FlightStatus::FlightNominal
     })
 }
 

@@ -8,17 +8,21 @@ mod counting;
 
 use counting::{Counting, allocations};
 use flight::{
-    FlightCommand, FlightController, FlightMeasurement, FlightSetpoint, FlightStatus,
-    flight_controller_create, flight_controller_free, flight_foot_count, flight_jet_count, flight_jet_name,
-    flight_joint_count, flight_joint_name, flight_modes, flight_replace_command, flight_start, flight_tick,
-    flight_time_step,
+    FLIGHT_VERSION, FlightCommand, FlightController, FlightHeader, FlightMeasurement, FlightMode,
+    FlightRobot, FlightSetpoint, FlightStatus, flight_controller_create, flight_controller_free,
+    flight_foot_count, flight_jet_count, flight_jet_name, flight_joint_count, flight_joint_name,
+    flight_mode_name, flight_modes, flight_replace_command, flight_robot_advance, flight_robot_create,
+    flight_robot_free, flight_robot_measure, flight_start, flight_status_name, flight_tick, flight_time_step,
+    flight_version,
 };
 use flight_core::Measurement;
+use flight_core::control::CommandStatus;
+use flight_core::control::channels::Modes;
 use flight_core::control::setpoint::Setpoint;
 use flight_io::load_robot;
 use flight_sim::{Plant, load_scenario};
 use nalgebra::{Matrix3, Vector3};
-use std::ffi::{CStr, CString};
+use std::ffi::{CStr, CString, c_char};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::ptr::{null, null_mut};
@@ -42,13 +46,27 @@ impl Drop for Handle {
 }
 
 fn create(path: &Path) -> Result<Handle, String> {
+    create_with(FlightHeader::of_library(), path)
+}
+
+fn create_with(header: FlightHeader, path: &Path) -> Result<Handle, String> {
     let path = CString::new(path.to_str().unwrap()).unwrap();
     let mut message = [0; 400];
-    let made = unsafe { flight_controller_create(path.as_ptr(), message.as_mut_ptr(), message.len()) };
-    if made.is_null() {
-        return Err(unsafe { CStr::from_ptr(message.as_ptr()) }.to_str().unwrap().to_owned());
-    }
-    Ok(Handle(made))
+    let made =
+        unsafe { flight_controller_create(header, path.as_ptr(), message.as_mut_ptr(), message.len()) };
+    if made.is_null() { Err(text(message.as_ptr()).unwrap()) } else { Ok(Handle(made)) }
+}
+
+/// A string of C; `None` for null.
+fn text(string: *const c_char) -> Option<String> {
+    (!string.is_null()).then(|| unsafe { CStr::from_ptr(string) }.to_str().unwrap().to_owned())
+}
+
+/// Starts a flight; the status, and the message of a refusal.
+fn start(c: &Handle, given: &FlightMeasurement) -> (FlightStatus, String) {
+    let mut message = [0; 400];
+    let status = unsafe { flight_start(c.0, &raw const *given, message.as_mut_ptr(), message.len()) };
+    (status, text(message.as_ptr()).unwrap())
 }
 
 /// Arrays of a measurement and a command, and the structs that point to them.
@@ -140,7 +158,7 @@ fn fly_both(name: &str) {
         };
         if tick == 0 {
             flight = Some(controller.start(&measurement).unwrap());
-            assert_eq!(unsafe { flight_start(c.0, &raw const given) }, FlightStatus::FlightNominal);
+            assert_eq!(start(&c, &given), (FlightStatus::FlightNominal, String::new()));
         }
         // Half of the ticks follow the mission, the others a set-point whose numbers all differ.
         let near = |offset: f64| Vector3::new(0.1, 0.2, 0.3) * (1.0 + offset);
@@ -200,7 +218,6 @@ fn names_and_counts_are_those_of_the_robot() {
     let scenario = load_scenario(&config("test2")).unwrap();
     let robot = load_robot(&scenario.robot).unwrap();
     let c = create(&config("test2")).unwrap();
-    let name = |name| unsafe { CStr::from_ptr(name) }.to_str().unwrap().to_owned();
     unsafe {
         assert_eq!(flight_joint_count(c.0), robot.joints.len());
         assert_eq!(flight_jet_count(c.0), robot.jets.len());
@@ -208,10 +225,10 @@ fn names_and_counts_are_those_of_the_robot() {
         assert_eq!(flight_foot_count(create(&config("balancing_front")).unwrap().0), robot.feet.len());
         assert!((flight_time_step(c.0) - scenario.simulator.time_step).abs() == 0.0);
         for (index, joint) in robot.joints.iter().enumerate() {
-            assert_eq!(name(flight_joint_name(c.0, index)), joint.name);
+            assert_eq!(text(flight_joint_name(c.0, index)).as_ref(), Some(&joint.name));
         }
         for (index, jet) in robot.jets.iter().enumerate() {
-            assert_eq!(name(flight_jet_name(c.0, index)), jet.name);
+            assert_eq!(text(flight_jet_name(c.0, index)).as_ref(), Some(&jet.name));
         }
         assert!(flight_joint_name(c.0, robot.joints.len()).is_null());
         assert_eq!(flight_joint_count(null()), 0);
@@ -226,27 +243,32 @@ fn what_cannot_be_used_is_refused() {
     let mut short = [1; 8];
     unsafe {
         let path = c"no/such.toml";
-        assert!(flight_controller_create(path.as_ptr(), short.as_mut_ptr(), short.len()).is_null());
+        let header = FlightHeader::of_library();
+        assert!(flight_controller_create(header, path.as_ptr(), short.as_mut_ptr(), short.len()).is_null());
         assert_eq!(short[7], 0, "the message ends within its space");
-        assert!(flight_controller_create(null(), null_mut(), 0).is_null());
+        assert!(flight_controller_create(header, null(), null_mut(), 0).is_null());
     }
     let c = create(&config("test2")).unwrap();
     let mut arrays = Arrays::new(unsafe { flight_joint_count(c.0) }, unsafe { flight_jet_count(c.0) });
     let (measurement, command) = (arrays.measurement(), arrays.command());
-    let start = |given: &FlightMeasurement| unsafe { flight_start(c.0, given) };
+    let start = |given: &FlightMeasurement| start(&c, given);
     let tick = |given: &FlightMeasurement| unsafe { flight_tick(c.0, given, null(), &raw const command) };
     let lacking = FlightMeasurement { thrust: null(), ..measurement };
     let wrong = FlightMeasurement { base_position: [f64::NAN; 3], ..measurement };
     assert_eq!(tick(&measurement), FlightStatus::FlightNotStarted);
     let replace = |given: &FlightCommand| unsafe { flight_replace_command(c.0, given) };
     assert_eq!(replace(&command), FlightStatus::FlightNotStarted);
-    assert_eq!(start(&lacking), FlightStatus::FlightNullPointer);
-    assert_eq!(start(&wrong), FlightStatus::FlightNotStarted);
-    assert_eq!(start(&measurement), FlightStatus::FlightNominal);
+    let (status, reason) = start(&lacking);
+    assert_eq!(status, FlightStatus::FlightNullPointer);
+    assert!(reason.contains("`thrust`"), "{reason}");
+    let (status, reason) = start(&wrong);
+    assert_eq!(status, FlightStatus::FlightNotStarted);
+    assert!(reason.contains("`base_position`") && reason.contains("NaN"), "{reason}");
+    assert_eq!(start(&measurement).0, FlightStatus::FlightNominal);
     assert_eq!(tick(&lacking), FlightStatus::FlightNullPointer);
-    assert_eq!(start(&wrong), FlightStatus::FlightNotStarted);
+    assert_eq!(start(&wrong).0, FlightStatus::FlightNotStarted);
     assert_eq!(tick(&wrong), FlightStatus::FlightDegraded);
-    assert_eq!(unsafe { flight_modes(c.0) }, 16, "the position is predicted");
+    assert_eq!(unsafe { flight_modes(c.0) }, FlightMode::FlightPositionPredicted as u32);
     assert_eq!(tick(&measurement), FlightStatus::FlightNominal);
     assert_eq!(unsafe { flight_modes(c.0) }, 0);
     assert_eq!(unsafe { flight_modes(null()) }, 0);
@@ -267,11 +289,120 @@ fn what_cannot_be_used_is_refused() {
         let status = flight_tick(c.0, &raw const measurement, null(), &raw const no_torque);
         assert_eq!(status, FlightStatus::FlightNullPointer);
         assert_eq!(replace(&no_torque), FlightStatus::FlightNullPointer);
-        assert_eq!(flight_start(null_mut(), &raw const measurement), FlightStatus::FlightNullPointer);
+        let status = flight_start(null_mut(), &raw const measurement, null_mut(), 0);
+        assert_eq!(status, FlightStatus::FlightNullPointer);
     }
     assert_eq!(replace(&command), FlightStatus::FlightNominal);
     arrays.torque[3] = f64::NAN;
     assert_eq!(replace(&arrays.command()), FlightStatus::FlightBadCommand);
+}
+
+/// A program with another header is refused before anything of it is read.
+#[test]
+fn a_program_with_another_header_is_refused() {
+    let ours = FlightHeader::of_library();
+    let other = FlightHeader { version: ours.version + 100, ..ours };
+    let larger = FlightHeader { measurement_size: ours.measurement_size + 8, ..ours };
+    for header in [other, larger, FlightHeader { setpoint_size: 0, ..ours }] {
+        let reason = create_with(header, &config("test2")).err().unwrap();
+        assert!(reason.contains("flight.h"), "{reason}");
+    }
+    let patched = FlightHeader { version: ours.version + 1, ..ours };
+    assert!(create_with(patched, &config("test2")).is_ok());
+    let part = |name: &str| name.parse::<u32>().unwrap();
+    let (major, minor) = (part(env!("CARGO_PKG_VERSION_MAJOR")), part(env!("CARGO_PKG_VERSION_MINOR")));
+    assert_eq!(FLIGHT_VERSION, 10_000 * major + 100 * minor + part(env!("CARGO_PKG_VERSION_PATCH")));
+    assert_eq!(flight_version(), FLIGHT_VERSION);
+}
+
+/// C has the names and numbers of the crate.
+#[test]
+fn names_of_modes_and_statuses_are_those_of_the_crate() {
+    let header = std::fs::read_to_string(Path::new(HERE).join("include/flight.h")).unwrap();
+    for (mode, name) in Modes::NAMES {
+        let line = format!("  FLIGHT_{} = {},\n", name.to_uppercase(), mode.bits());
+        assert!(header.contains(&line), "{line}");
+        assert_eq!(text(flight_mode_name(mode.bits())).unwrap(), name);
+    }
+    assert!(flight_mode_name(0).is_null() && flight_mode_name(3).is_null());
+    let mut modes = Modes::default();
+    assert_eq!(modes.to_string(), "none");
+    modes.insert(Modes::DESCENDING);
+    modes.insert(Modes::WIND_HELD);
+    assert_eq!(modes.to_string(), "wind_held, descending");
+    let mut statuses = 0;
+    for number in -100..100 {
+        if let Some(name) = text(flight_status_name(number)) {
+            let line = format!("  FLIGHT_{} = {number},\n", name.to_uppercase());
+            assert!(header.contains(&line), "{line}");
+            statuses += 1;
+        }
+    }
+    assert_eq!(statuses, header.split("} FlightStatus").next().unwrap().matches(",\n").count());
+    for (theirs, ours) in [
+        (CommandStatus::Nominal, FlightStatus::FlightNominal),
+        (CommandStatus::Degraded, FlightStatus::FlightDegraded),
+        (CommandStatus::BadMeasurement, FlightStatus::FlightBadMeasurement),
+        (CommandStatus::BadSetpoint, FlightStatus::FlightBadSetpoint),
+        (CommandStatus::MomentumHeld, FlightStatus::FlightMomentumHeld),
+        (CommandStatus::TorqueHeld, FlightStatus::FlightTorqueHeld),
+        (CommandStatus::BothHeld, FlightStatus::FlightBothHeld),
+    ] {
+        assert_eq!(text(flight_status_name(ours as i32)).unwrap(), theirs.to_string());
+    }
+}
+
+/// What the documentation says of threads.
+#[test]
+fn controllers_and_robots_may_change_threads() {
+    fn assert_shared<T: Send + Sync>() {}
+    assert_shared::<FlightController>();
+    assert_shared::<FlightRobot>();
+}
+
+/// The simulated robot flies as that of the crate, in wind, and allocates nothing.
+#[test]
+fn a_flight_of_the_robot_in_c_is_that_of_the_crate() {
+    let folder = tempfile::tempdir().unwrap();
+    let windy = folder.path().join("windy.toml");
+    let wind = "wind = { profile = \"ramp\", velocity = [0.0, -5.0, 0.0], ramp_start = 0.1, ramp_end = 1.0 }";
+    std::fs::write(&windy, format!("base = {:?}\n{wind}\n", config("test2_observer"))).unwrap();
+    let mut expected = flight_sim::Scenario::new(&load_scenario(&windy).unwrap()).unwrap().begin();
+    let c = create(&windy).unwrap();
+    let path = CString::new(windy.to_str().unwrap()).unwrap();
+    let header = FlightHeader::of_library();
+    let robot = unsafe { flight_robot_create(header, path.as_ptr(), null_mut(), 0) };
+    assert!(unsafe { flight_robot_create(header, c"no/such.toml".as_ptr(), null_mut(), 0) }.is_null());
+    let mut arrays = Arrays::new(unsafe { flight_joint_count(c.0) }, unsafe { flight_jet_count(c.0) });
+    let command = arrays.command();
+    let mut given = arrays.measurement();
+    let done = FlightStatus::FlightNominal;
+    for tick in 0..100 {
+        assert!(expected.step());
+        assert_eq!(unsafe { flight_robot_measure(robot, &raw mut given) }, done);
+        let log = |name| expected.log().series(name).unwrap().row(tick);
+        assert_eq!(given.base_position[..], *log("base_position"), "tick {tick}");
+        assert_eq!(given.wind[..], *log("wind"), "tick {tick}");
+        if tick == 0 {
+            assert_eq!(start(&c, &given).0, done);
+        }
+        let mut statuses = (done, done);
+        let allocated = allocations(|| unsafe {
+            statuses.0 = flight_tick(c.0, &raw const given, null(), &raw const command);
+            statuses.1 = flight_robot_advance(robot, &raw const command);
+        });
+        assert_eq!((allocated, statuses), (0, (done, done)), "tick {tick}");
+    }
+    assert!(given.wind[1] < -4.0, "there was no wind");
+    unsafe {
+        let null_pointer = FlightStatus::FlightNullPointer;
+        assert_eq!(flight_robot_measure(robot, null_mut()), null_pointer);
+        assert_eq!(flight_robot_advance(robot, null()), null_pointer);
+        let no_torque = FlightCommand { joint_torque: null_mut(), ..command };
+        assert_eq!(flight_robot_advance(robot, &raw const no_torque), null_pointer);
+        flight_robot_free(robot);
+        flight_robot_free(null_mut());
+    }
 }
 
 /// `include/flight.h` is what cbindgen makes of the source; with `UPDATE=1` it is written.
@@ -293,13 +424,25 @@ fn the_header_is_that_of_the_source() {
     assert!(there == made, "run UPDATE=1 cargo test -p flight-capi");
 }
 
+/// Folder of the library that this test was built with.
+fn library_folder() -> PathBuf {
+    std::env::current_exe().unwrap().parent().unwrap().to_owned()
+}
+
+fn run(command: &mut Command) -> String {
+    let output = command.output().unwrap();
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
+    text
+}
+
 /// Compiles an example against the library that this test was built with, and runs it.
 fn run_example(compiler: &str, source: &str, arguments: &[&str]) -> Output {
     let folder = tempfile::tempdir().unwrap();
     let program = folder.path().join("program");
-    let libraries = std::env::current_exe().unwrap().parent().unwrap().to_owned();
-    let built = Command::new(compiler)
-        .args(["-O2", "-Wall", "-Wextra", "-Werror", "-I"])
+    let libraries = library_folder();
+    run(Command::new(compiler)
+        .args(["-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I"])
         .arg(Path::new(HERE).join("include"))
         .arg(Path::new(HERE).join("examples").join(source))
         .arg("-o")
@@ -307,10 +450,7 @@ fn run_example(compiler: &str, source: &str, arguments: &[&str]) -> Output {
         .arg("-L")
         .arg(&libraries)
         .arg(format!("-Wl,-rpath,{}", libraries.display()))
-        .arg("-lflight")
-        .output()
-        .unwrap();
-    assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
+        .arg("-lflight"));
     Command::new(program).args(arguments).output().unwrap()
 }
 
@@ -318,17 +458,72 @@ fn numbers(line: &str) -> Vec<f64> {
     line.split_whitespace().filter_map(|word| word.parse().ok()).collect()
 }
 
+/// The command of the documentation, which shows what it prints. Times differ between machines.
 #[test]
-fn the_loop_in_c_ticks_and_reports() {
-    let path = config("test2");
-    let ran = run_example("cc", "loop.c", &[path.to_str().unwrap(), "20"]);
+fn the_loop_in_c_prints_what_the_documentation_shows() {
+    let page = std::fs::read_to_string(Path::new(HERE).join("../../docs/howto/embedding.md")).unwrap();
+    let (_, ticks) = page.split_once("target/loop configs/experiments/test2_observer.toml ").unwrap();
+    let (ticks, _) = ticks.split_once('\n').unwrap();
+    let path = config("test2_observer");
+    let ran = run_example("cc", "loop.c", &[path.to_str().unwrap(), ticks]);
     let text = String::from_utf8(ran.stdout).unwrap();
     assert!(ran.status.success(), "{text}{}", String::from_utf8_lossy(&ran.stderr));
-    assert!(text.contains("not nominal      0 of 20"), "{text}");
-    assert!(text.contains("100 Hz"), "{text}");
+    for line in text.lines().filter(|line| !["loop", "tick", "late"].contains(&&line[..4])) {
+        assert!(page.contains(&format!("\n{line}\n")), "the page does not show: {line}");
+    }
     let refused = run_example("cc", "loop.c", &["no/such.toml"]);
     assert_eq!(refused.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&refused.stderr).contains("no/such.toml"));
+}
+
+/// `make install-capi` installs what a program is built with.
+#[test]
+fn a_program_finds_what_is_installed() {
+    let folder = tempfile::tempdir().unwrap();
+    let (prefix, built) = (folder.path().join("prefix"), folder.path().join("built"));
+    let set = |name: &str, value: &Path| format!("{name}={}", value.display());
+    run(Command::new("make")
+        .env_remove("MAKEFLAGS")
+        .args(["--directory", &Path::new(HERE).join("../..").display().to_string(), "install-capi"])
+        .args([set("PREFIX", &prefix), set("LIBFLIGHT", &library_folder())]));
+    let is_there = |tool: &str| {
+        let found = Command::new(tool).arg("--version").output().is_ok();
+        if !found {
+            eprintln!("{tool} is missing; programs are not built with it");
+        }
+        found
+    };
+    let path = config("test2");
+    let path = path.to_str().unwrap();
+    if is_there("cmake") {
+        let source = Path::new(HERE).join("examples");
+        run(Command::new("cmake")
+            .args([Path::new("-S"), &source, Path::new("-B"), &built])
+            .arg(set("-DCMAKE_PREFIX_PATH", &prefix)));
+        run(Command::new("cmake").arg("--build").arg(&built));
+        for (program, arguments) in [("loop", &[path, "2"] as &[&str]), ("hover", &[path])] {
+            run(Command::new(built.join(program)).args(arguments));
+        }
+    }
+    if is_there("pkg-config") {
+        let flags = |options: &[&str]| {
+            let found = run(Command::new("pkg-config")
+                .args(options)
+                .arg("flight")
+                .env("PKG_CONFIG_PATH", prefix.join("lib/pkgconfig")));
+            found.split_whitespace().map(str::to_owned).collect::<Vec<_>>()
+        };
+        assert_eq!(flags(&["--modversion"]), [env!("CARGO_PKG_VERSION")]);
+        let program = folder.path().join("program");
+        for link in [&["--libs"] as &[&str], &["--static", "--libs"]] {
+            run(Command::new("cc")
+                .args(flags(&["--cflags"]))
+                .arg(Path::new(HERE).join("examples/loop.c"))
+                .args(["-o", program.to_str().unwrap()])
+                .args(flags(link)));
+            run(Command::new(&program).args([path, "2"]).env("LD_LIBRARY_PATH", prefix.join("lib")));
+        }
+    }
 }
 
 #[test]
