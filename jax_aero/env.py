@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int, Key
 
-from jax_aero.control.protocol import Command, Measurement
+from jax_aero.control import Command, Measurement
 from jax_aero.control.tick import MomentumController, replace_command
 from jax_aero.env_task import Task, TaskState, added_torque, is_lost, limit_action, observation, rewards, steer
 from jax_aero.kinematics import kinematics

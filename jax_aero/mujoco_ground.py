@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from jax_aero import mujoco_model, rust, tables
 from jax_aero.config import FootEntry, RobotFile
-from jax_aero.control.channels import MODES
+from jax_aero.control.modes import MODES
 from jax_aero.leg_odometry import LegOdometry
 from jax_aero.result import Outcome
 from jax_aero.summary import condense, figures

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jax_aero.config import Outage as OutageConfig
-from jax_aero.control.protocol import Measurement
+from jax_aero.control import Measurement
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import axis_angle, multiply
 from jax_aero.types import Array, State, Static, leaf, pytree, where

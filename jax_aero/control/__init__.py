@@ -1,12 +1,14 @@
 """The flight controller: from a measurement to thrust rates and joint torques, one pure function of one sample.
 
-    State, thrust, wind, Setpoint ► MomentumModel ► MomentumQp ► thrust rates, joint velocities ► TorqueQp ► torques
+    measure ► guard ► law ► torques ► predict
 
-`tick.py` contains the whole sequence: `momentum_controller` collects its numbers from a configuration, `init` returns
-the initial state, and `tick` is called once per tick. The other modules are its parts, with the names of the Rust
-crate's modules. The simulator accepts any `Controller`.
+`tick.py` has the sequence: `momentum_controller` collects its numbers from a configuration, `init` returns the initial
+state, and `tick` is called once per tick. The other modules are its parts, with the names of the Rust crate's modules.
+The simulator accepts any `Controller`.
 """
 
-from jax_aero.control.protocol import Command, Controller, Measurement
+from jax_aero.control.command import Command
+from jax_aero.control.measurement import Measurement
+from jax_aero.control.protocol import Controller
 
 __all__ = ["Command", "Controller", "Measurement"]

@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float, Int
 
 from jax_aero import noise
 from jax_aero.config import SensorsConfig
-from jax_aero.control.estimator import Reading
+from jax_aero.control.measurement import Reading
 from jax_aero.spatial import exp_so3, multiply
 from jax_aero.types import Array, State, Static, join, leaf, pytree
 

@@ -28,10 +28,9 @@ from jax_aero import rust
 from jax_aero.aero import AeroModel, ReadNetwork
 from jax_aero.aero.network_card import load_network
 from jax_aero.config import ModelError, ScenarioConfig
-from jax_aero.control.estimator import Reading
-from jax_aero.control.protocol import Command, Controller, Measurement
+from jax_aero.control import Command, Controller, Measurement
+from jax_aero.control.measurement import Reading
 from jax_aero.control.tick import momentum_controller
-from jax_aero.control.wind_estimate import WindEstimate, measured_wind, wind_estimate
 from jax_aero.io import scenario_config
 from jax_aero.jets import JetDynamics
 from jax_aero.outages import Outage, OutageState, outages_of, spoil
@@ -42,6 +41,7 @@ from jax_aero.sim import sensors as sensing
 from jax_aero.sim.plant import Observation, Plant, PlantState
 from jax_aero.sim.sensors import Sensors, SensorState
 from jax_aero.sim.wind import Wind, wind_model, wind_velocity
+from jax_aero.sim.wind_estimate import WindEstimate, measured_wind, wind_estimate
 from jax_aero.spatial import multiply, rotation_angle, rpy_from_rotation, safe_norm, wxyz_from_rotation
 from jax_aero.types import Array, Static, leaf, leaves, pytree, where, with_dtype
 
@@ -281,6 +281,15 @@ def read_config(config: ScenarioConfig | Mapping[str, Any]) -> ScenarioConfig:
     flown = {**config, "engine": "jax"}
     rust.check_config(flown)
     return scenario_config(flown)
+
+
+def _check_config(table: Mapping[str, Any]) -> None:
+    """Refuse configurations of JAX flights that the crate refuses, with its message; without the crate do nothing."""
+    try:
+        from jax_aero import rust
+    except ImportError:
+        return
+    rust.check_config({**table, "engine": "jax"})
 
 
 def convert_precision(scenario: Scenario, state: FlightState, dtype: Any) -> tuple[Scenario, FlightState]:

@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from jax_aero import rust
-from jax_aero.control import recorded, setpoint
+from jax_aero.control.law import mission, recorded, setpoint
 from jax_aero.io import scenario_config
 from jax_aero.sim.plant import n_ticks
 from tests.measurements import measured
@@ -49,7 +49,7 @@ def test_setpoints(name, boost, agree):
     config = scenario_config(table)
     time_step = jnp.array(config.simulator.time_step)
     params = setpoint.setpoint_params(config.controller.setpoint, FORWARD, time_step)
-    ours = jax.device_get(follow(params, setpoint.commands(config.mission), START, n_ticks(config.simulator) + 1))
+    ours = jax.device_get(follow(params, mission.commands(config.mission), START, n_ticks(config.simulator) + 1))
     theirs = rust.setpoint_trajectory(table, *START)
     assert ours.keys() == theirs.keys()
     for signal, expected in theirs.items():
@@ -65,7 +65,7 @@ def test_setpoints_of_a_start_without_a_heading(pitch, agree):
     config = scenario_config(table)
     params = setpoint.setpoint_params(config.controller.setpoint, FORWARD, jnp.array(config.simulator.time_step))
     start = (START[0], rotation)
-    ours = jax.device_get(follow(params, setpoint.commands(config.mission), start, n_ticks(config.simulator) + 1))
+    ours = jax.device_get(follow(params, mission.commands(config.mission), start, n_ticks(config.simulator) + 1))
     agree("attitude that is kept", ours["rotation"][-1], rotation, 1e-10)
     theirs = rust.setpoint_trajectory(table, *start)
     for signal in ("raw_rpy", "rotation"):
@@ -126,7 +126,7 @@ def test_float32_setpoints_stay_within_a_millimetre_and_a_hundredth_of_a_degree(
         time_step = jnp.float32(config.simulator.time_step)
         params = setpoint.setpoint_params(config.controller.setpoint, jnp.float32(FORWARD), time_step)
         start = tuple(map(jnp.float32, START))
-        found = jax.device_get(follow(params, setpoint.commands(config.mission), start, 5001))
+        found = jax.device_get(follow(params, mission.commands(config.mission), start, 5001))
     theirs = rust.setpoint_trajectory(table, *START)
     assert found["com_position"].dtype == np.float32
     measured(

@@ -11,9 +11,11 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.aero import aero_model
-from jax_aero.control import Measurement, estimator
-from jax_aero.control.channels import MODES
-from jax_aero.control.estimator import Order, Reading
+from jax_aero.control import Measurement
+from jax_aero.control.guard import estimator
+from jax_aero.control.guard.estimator import Order
+from jax_aero.control.measurement import Reading
+from jax_aero.control.modes import MODES
 from jax_aero.control.tick import momentum_controller
 from jax_aero.env import SteeredController
 from jax_aero.env_task import Task

@@ -11,8 +11,8 @@ import pytest
 
 from jax_aero import outages, rust, sim
 from jax_aero.config import Outage as OutageConfig
-from jax_aero.control.channels import MODES
-from jax_aero.control.protocol import Measurement
+from jax_aero.control import Measurement
+from jax_aero.control.modes import MODES
 from jax_aero.robot import load_robot
 from jax_aero.types import State
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax_aero import rust
-from jax_aero.control.estimator import Reading
+from jax_aero.control.measurement import Reading
 from jax_aero.identify import states_of
 from jax_aero.io import scenario_config
 from jax_aero.sim.sensors import read, sensors, start

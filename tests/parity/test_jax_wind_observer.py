@@ -11,9 +11,8 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.aero import aero_model
-from jax_aero.control import wind_observer
-from jax_aero.control.channels import UsedMeasurement
-from jax_aero.control.protocol import Terms
+from jax_aero.control.guard import wind_observer
+from jax_aero.control.measurement import UsedMeasurement
 from jax_aero.dynamics import dynamics
 from jax_aero.identify import states_of
 from jax_aero.io import scenario_config
@@ -24,13 +23,6 @@ from jax_aero.types import leaves
 
 EXPERIMENT = Path(__file__).resolve().parents[2] / "configs" / "experiments" / "test2_observer.toml"
 WIND = {"profile": "ramp", "velocity": [3.0, -9.0, 1.0], "ramp_start": 0.0, "ramp_end": 0.5}
-
-
-class Momentum:
-    """The part of a tick's momentum model that the estimate reads."""
-
-    def __init__(self, a_t):
-        self.a_t = a_t
 
 
 @pytest.fixture
@@ -54,16 +46,11 @@ def replayed(x64):
             axes = rotate(rotations, robot.jets.axes)
             a_t = jnp.concatenate([axes, cross(points - kin.com, axes)], axis=1).T
             # The force is that of three more jets, through the centre of mass.
-            momentum = Momentum(jnp.hstack([a_t, -jnp.eye(6, 3)]))
-            nothing = dict.fromkeys(Terms._fields)
-            of_tick = {"kinematics": kin, "dynamics": dynamics(robot, now, kin), "momentum": momentum}
+            a_t, momentum = jnp.hstack([a_t, -jnp.eye(6, 3)]), dynamics(robot, now, kin).momentum
             used = UsedMeasurement(**dict.fromkeys(UsedMeasurement._fields))._replace(
                 thrust=jnp.concatenate([thrust, force]), elapsed=step, has_momentum=jnp.array(True)
             )
-            after = wind_observer.update(
-                settings, robot, air, state, Terms(**nothing | of_tick | {"measurement": used})
-            )
-            return after, state
+            return wind_observer.update(settings, robot, air, state, used, kin, momentum, a_t), state
 
         return jax.lax.scan(tick, wind_observer.start(settings), rows)[1]
 

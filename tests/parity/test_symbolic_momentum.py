@@ -15,7 +15,7 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.aero import LinkConventions, aero_model, link_forces
-from jax_aero.control.momentum import momentum_model
+from jax_aero.control.law.momentum import momentum_model
 from jax_aero.dynamics import dynamics
 from jax_aero.io import scenario_config
 from jax_aero.kinematics import kinematics

@@ -16,7 +16,9 @@ from jaxtyping import Float, jaxtyped
 
 from tests.shapes import states_shape  # isort: skip - before the first import of jax_aero
 from jax_aero import aero, io, robot, rust, sim, types
-from jax_aero.control import estimator, qp, recorded
+from jax_aero.control import qp
+from jax_aero.control.guard import estimator
+from jax_aero.control.law import recorded
 from jax_aero.control.tick import MomentumController, momentum_controller
 from jax_aero.kinematics import kinematics
 from jax_aero.sim import sensors

@@ -14,7 +14,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from jax_aero import rust
-from jax_aero.control.torque import TorqueParams, torque_qp
+from jax_aero.control.law.torque import TorqueParams, torque_qp
 from jax_aero.env import FlightEnv
 from jax_aero.env_gym import HoverEnv
 from jax_aero.env_task import Task, TaskState, added_torque, limit_action, rewards, steer

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from experiments import Refused, engines, record
 from experiments.report import ground
 from jax_aero import mujoco_ground, rust, tables
-from jax_aero.control.channels import MODES
+from jax_aero.control.modes import MODES
 from jax_aero.mujoco_ground import GroundPlant, fly
 from paper_figs.command import main as draw
 

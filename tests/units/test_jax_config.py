@@ -16,7 +16,7 @@ from jax_aero import rust
 from jax_aero.aero.model import aero_model
 from jax_aero.command import ConfigError
 from jax_aero.config import AxisymmetricAeroConfig, FileWindConfig
-from jax_aero.control.recorded import read_reference
+from jax_aero.control.law.recorded import read_reference
 from jax_aero.control.tick import momentum_controller
 from jax_aero.io import scenario_config
 from jax_aero.keys import set_key

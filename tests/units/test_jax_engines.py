@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_aero.control import engines
-from jax_aero.control.attitude import TaskGains
+from jax_aero.control.guard import engines
+from jax_aero.control.law.attitude import MomentumGains
 from jax_aero.io import scenario_config
 from jax_aero.robot import load_robot
 from jax_aero.rust import load_config
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.usefixtures("x64")
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 STEP = 0.01
 LIMITS = engines.EngineLimits(jnp.array(0.5), jnp.array(15.0), jnp.array(0.05), None)
-NONE = TaskGains(*(jnp.zeros(3),) * 2, *(jnp.zeros(()),) * 3)
+NONE = MomentumGains(*(jnp.zeros(3),) * 2, *(jnp.zeros(()),) * 3)
 DESCENT = engines.Descent(jnp.array(30.0), NONE, jnp.zeros(1), jnp.zeros(1))
 A_T = jnp.asarray(np.random.default_rng(1).normal(size=(6, 2)))
 THRUST = jnp.array([100.0, 80.0])

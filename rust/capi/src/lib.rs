@@ -8,8 +8,8 @@
 // Exporting symbols and using C pointers is unsafe; each block states its assumptions.
 #![allow(unsafe_code, reason = "C has pointers")]
 
-use flight_core::control::channels::Modes;
-use flight_core::control::setpoint::Setpoint;
+use flight_core::control::law::setpoint::Setpoint;
+use flight_core::control::modes::Modes;
 use flight_core::control::{BadCommand, Command, CommandStatus, ControllerState};
 use flight_core::spatial::Pose;
 use flight_core::{BuildError, Controller, Measurement, RobotState};

@@ -17,8 +17,8 @@ use flight::{
 };
 use flight_core::Measurement;
 use flight_core::control::CommandStatus;
-use flight_core::control::channels::Modes;
-use flight_core::control::setpoint::Setpoint;
+use flight_core::control::law::setpoint::Setpoint;
+use flight_core::control::modes::Modes;
 use flight_io::load_robot;
 use flight_sim::{Plant, load_scenario};
 use nalgebra::{Matrix3, Vector3};

@@ -7,7 +7,7 @@
 //!
 //! Each arrow is one plain struct, computed once per tick and passed on. Modules, each using only those
 //! before it: [`error`] · [`spatial`] · [`linalg`] · [`robot`] · [`kinematics`] · [`subtree`] · [`dynamics`]
-//! · [`aero`] · [`jets`] · [`qp`] · [`control`] with [`estimator`] and [`wind_observer`], which use one another.
+//! · [`aero`] · [`jets`] · [`qp`] · [`control`].
 //!
 //! SI units and radians; vectors and Jacobians are in inertial axes unless a suffix states otherwise.
 
@@ -17,7 +17,6 @@ pub mod aero;
 pub mod control;
 pub mod dynamics;
 pub mod error;
-pub mod estimator;
 mod exponential;
 pub mod jets;
 pub mod kinematics;
@@ -26,13 +25,12 @@ pub mod qp;
 pub mod robot;
 pub mod spatial;
 pub mod subtree;
-pub mod wind_observer;
 
 pub use nalgebra;
 
-pub use control::{Command, Controller, Measurement};
+pub use control::guard::estimator::Estimator;
+pub use control::guard::wind_observer::WindObserver;
+pub use control::{Command, Controller, Measurement, Reading};
 pub use error::BuildError;
-pub use estimator::{Estimator, Reading};
 pub use kinematics::RobotState;
 pub use robot::RobotModel;
-pub use wind_observer::WindObserver;

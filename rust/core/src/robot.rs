@@ -49,6 +49,17 @@ impl RobotModel {
         self.joints.iter().position(|joint| joint.name == name)
     }
 
+    /// Names of the jets, in their order.
+    pub fn jet_names(&self) -> impl Iterator<Item = &str> + Clone {
+        self.jets.iter().map(|jet| jet.name.as_str())
+    }
+
+    /// Values of a table in the order of the jets; zero for jets that it does not name.
+    #[must_use]
+    pub fn by_jet(&self, table: &BTreeMap<String, f64>) -> Vec<f64> {
+        self.jet_names().map(|jet| table.get(jet).copied().unwrap_or(0.0)).collect()
+    }
+
     /// Index of a body in [`RobotModel::bodies`].
     #[must_use]
     pub fn body_index(&self, name: &str) -> Option<usize> {

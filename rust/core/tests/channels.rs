@@ -4,10 +4,9 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::{Sample, assert_within, experiment, random_state, rng};
-use flight_core::control::channels::{
-    Channels, ChannelsConfig, ChannelsState, Jumps, Modes, UsedMeasurement,
-};
-use flight_core::estimator::Reading;
+use flight_core::Reading;
+use flight_core::control::guard::channels::{Channels, ChannelsConfig, ChannelsState, Jumps};
+use flight_core::control::{Modes, UsedMeasurement};
 use flight_core::robot::RobotModel;
 use flight_core::spatial::exp_so3;
 use flight_io::load_robot;

@@ -4,17 +4,17 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::{Running, TIME_STEP, assert_within, configs, experiment, move_state, random_state, rng};
-use flight_core::control::channels::Modes;
+use flight_core::control::Modes;
 use flight_core::control::config::{ControllerConfig, Solver};
-use flight_core::control::contact::{Contact, ContactConfig, ContactState, LoadTransfer, WRENCH_ROWS};
-use flight_core::control::engines::EnginesConfig;
-use flight_core::control::setpoint::Setpoint;
+use flight_core::control::guard::engines::EnginesConfig;
+use flight_core::control::guard::estimator::{ChannelConfig, EstimatorConfig};
+use flight_core::control::guard::wind_observer::WindObserverConfig;
+use flight_core::control::law::contact::{Contact, ContactConfig, ContactState, LoadTransfer, WRENCH_ROWS};
+use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::{CommandStatus, Terms};
 use flight_core::dynamics::Dynamics;
-use flight_core::estimator::{ChannelConfig, EstimatorConfig};
 use flight_core::kinematics::Kinematics;
 use flight_core::robot::Foot;
-use flight_core::wind_observer::WindObserverConfig;
 use flight_core::{Measurement, RobotState};
 use flight_io::{ControllerSection, load_controller, load_robot};
 use flight_sim::{Scenario, ScenarioConfig};
@@ -384,7 +384,7 @@ fn rates_of_the_feet_are_their_differences() {
             let feet = &mut ContactState::new(2);
             contact.update(feet, &robot, &kinematics, &dynamics, &measured, 0.0, 0.0, false, 0.0);
             let velocity = contact.jacobian_transposed.tr_mul(&state.velocity);
-            let mut momentum = flight_core::control::momentum::MomentumModel::new(&robot);
+            let mut momentum = flight_core::control::law::momentum::MomentumModel::new(&robot);
             momentum.add_contact(&robot, &kinematics, &dynamics, &contact.soles, &held);
             let positions: Vec<f64> = contact
                 .soles

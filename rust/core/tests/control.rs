@@ -9,16 +9,17 @@ use crate::common::{
     random_vector, rng, robot, tick_at, uniform_estimator,
 };
 use crate::setpoint::distance_to_rest;
-use flight_core::control::bounds::LimitedValues;
-use flight_core::control::channels::{Jumps, Modes};
-use flight_core::control::config::{Fallback, RateFeedback, Solver};
-use flight_core::control::setpoint::Setpoint;
-use flight_core::control::torque::limit_rate;
-use flight_core::control::{BadCommand, CommandStatus, ControllerState};
-use flight_core::estimator::{ChannelConfig, EstimatorConfig};
+use flight_core::control::config::{Fallback, Solver};
+use flight_core::control::guard::channels::Jumps;
+use flight_core::control::guard::estimator::{ChannelConfig, EstimatorConfig};
+use flight_core::control::guard::wind_observer::WindObserverConfig;
+use flight_core::control::law::bounds::LimitedValues;
+use flight_core::control::law::momentum::RateFeedback;
+use flight_core::control::law::setpoint::Setpoint;
+use flight_core::control::law::torque::limit_rate;
+use flight_core::control::{BadCommand, CommandStatus, ControllerState, Modes};
 use flight_core::qp::QpStatus;
 use flight_core::spatial::rotation_angle;
-use flight_core::wind_observer::WindObserverConfig;
 use flight_core::{Command, Controller, Measurement, RobotModel, RobotState};
 use flight_io::{AeroConfig, from_value, load_robot};
 use flight_sim::{Plant, ScenarioConfig};

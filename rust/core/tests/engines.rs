@@ -4,7 +4,7 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::{assert_within, experiment};
-use flight_core::control::engines::{DescentConfig, EngineState, EnginesConfig, sensor_error};
+use flight_core::control::guard::engines::{DescentConfig, EngineState, EnginesConfig, sensor_error};
 use flight_core::robot::JointKind;
 use flight_io::load_robot;
 use nalgebra::Vector6;

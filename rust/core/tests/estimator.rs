@@ -3,10 +3,9 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 
 use crate::common::{Loop, assert_within, experiment, robot, uniform_estimator};
-use flight_core::control::Command;
-use flight_core::control::channels::Modes;
-use flight_core::estimator::{ChannelConfig, EstimatorConfig, EstimatorState, Reading};
-use flight_core::{Estimator, Measurement, RobotState};
+use flight_core::control::guard::estimator::{ChannelConfig, EstimatorConfig, EstimatorState};
+use flight_core::control::{Command, Modes};
+use flight_core::{Estimator, Measurement, Reading, RobotState};
 use flight_io::{AeroConfig, load_aero, load_robot};
 use flight_sim::sensors::{EncoderConfig, SensorConfig, ThrustSensorConfig};
 use flight_sim::{ScenarioConfig, Sensors, SensorsConfig};
@@ -75,7 +74,8 @@ impl Estimating {
     }
 
     fn command(&mut self, command: &Command, unmodelled: &Vector6<f64>) {
-        self.state.command(command, unmodelled, &WIND, &[0.0; 12]);
+        let Command { thrust_rate, joint_torque, .. } = command;
+        self.state.command(thrust_rate.as_slice(), joint_torque.as_slice(), unmodelled, &WIND, &[0.0; 12]);
     }
 }
 

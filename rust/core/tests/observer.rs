@@ -5,7 +5,7 @@
 
 use crate::common::{Running, TIME_STEP, assert_within, experiment};
 use flight_core::control::CommandStatus;
-use flight_core::control::observer::{ObserverConfig, ObserverState, Sample};
+use flight_core::control::guard::observer::{ObserverConfig, ObserverState, Sample};
 use flight_core::dynamics::Dynamics;
 use flight_core::kinematics::Kinematics;
 use flight_core::spatial::exp_so3;

@@ -5,7 +5,7 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::{assert_within, normal, rng};
-use flight_core::control::contact::WrenchLimits;
+use flight_core::control::law::contact::WrenchLimits;
 use flight_core::qp::{
     ClarabelSolver, DualActiveSet, KKT_TOLERANCE, PrimalActiveSet, QpChain, QpProblem, QpSolver, QpStatus,
     kkt_residual,

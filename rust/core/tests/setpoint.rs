@@ -5,11 +5,11 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
 use crate::common::{TIME_STEP, assert_within, configs, experiment, random_vector, rng, tick_at};
-use flight_core::control::channels::Greatest;
-use flight_core::control::minimum_jerk::{FilterState, MinimumJerkFilter};
-use flight_core::control::mission::{Commands, Mission};
-use flight_core::control::recorded::RecordedMotion;
-use flight_core::control::setpoint::{RawSetpoint, Setpoint, SetpointConfig, SetpointGenerator};
+use flight_core::control::guard::channels::Greatest;
+use flight_core::control::law::minimum_jerk::{FilterState, MinimumJerkFilter};
+use flight_core::control::law::mission::{Commands, Mission};
+use flight_core::control::law::recorded::RecordedMotion;
+use flight_core::control::law::setpoint::{RawSetpoint, Setpoint, SetpointConfig, SetpointGenerator};
 use flight_core::spatial::{
     exp_so3, orthonormality_error, rotation_angle, rotation_from_rpy, rpy_from_rotation,
 };

@@ -6,11 +6,10 @@
 
 use crate::common::{Running, assert_within, experiment, random_state, random_vector, rng};
 use flight_core::aero::LinkForces;
-use flight_core::control::attitude::attitude_demand;
-use flight_core::control::config::{AeroFeedback, MomentumGains};
-use flight_core::control::momentum::MomentumModel;
-use flight_core::control::momentum_qp::{Equations, Layout, Task, TaskInputs};
-use flight_core::control::setpoint::Setpoint;
+use flight_core::control::law::attitude::{MomentumGains, attitude_demand};
+use flight_core::control::law::momentum::{AeroFeedback, MomentumModel};
+use flight_core::control::law::momentum_qp::{Equations, Layout, Task, TaskInputs};
+use flight_core::control::law::setpoint::Setpoint;
 use flight_core::dynamics::Dynamics;
 use flight_core::kinematics::Kinematics;
 use flight_core::qp::QpStatus;

@@ -4,9 +4,10 @@
 
 use crate::common::{Loop, assert_within, difference, experiment};
 use flight_core::aero::{LinkConventions, LinkForces};
-use flight_core::control::observer::{ObserverConfig, ObserverState, Sample};
+use flight_core::control::Terms;
+use flight_core::control::guard::observer::{ObserverConfig, ObserverState, Sample};
+use flight_core::control::guard::wind_observer::{WindObserverConfig, WindState};
 use flight_core::kinematics::Kinematics;
-use flight_core::wind_observer::{WindObserverConfig, WindState};
 use flight_core::{Measurement, WindObserver};
 use flight_io::{load_aero, load_robot};
 use flight_sim::ScenarioConfig;
@@ -36,13 +37,18 @@ fn observer(config: &ScenarioConfig) -> (WindObserver, WindState) {
     (observer, state)
 }
 
+fn update(observer: &mut WindObserver, state: &mut WindState, terms: &Terms) {
+    let Terms { measurement, kinematics, dynamics, momentum, contact, .. } = terms;
+    observer.update(state, measurement, kinematics, &dynamics.momentum, &momentum.a_t, &contact.soles);
+}
+
 /// Hovers in a wind that blows from the first tick on, given to the controller; what the observer makes of it.
 fn estimate(settings: WindObserverConfig, wind: Vector3<f64>, seconds: f64) -> WindState {
     let config = flight(settings);
     let (mut world, (mut observer, mut state)) = (world(&config), observer(&config));
     for _ in 0..flight_ticks(seconds) {
         world.observe(&wind);
-        observer.update(&mut state, world.controller.terms());
+        update(&mut observer, &mut state, world.controller.terms());
         world.advance(&wind);
     }
     state
@@ -121,7 +127,7 @@ fn each_tick_is_the_equations_of_the_filter() {
     for tick in 0..5 {
         world.observe(&blowing);
         let (terms, thrust) = (world.controller.terms(), world.plant.jets().thrust());
-        observer.update(&mut state, terms);
+        update(&mut observer, &mut state, terms);
 
         let mut rate = &terms.momentum.a_t * DVector::from_column_slice(thrust);
         rate[2] -= terms.kinematics.mass() * robot.gravity;

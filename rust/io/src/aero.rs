@@ -1,13 +1,10 @@
 //! Loads an aerodynamic model from a file of `configs/aero/`.
 
-use crate::network::load_network;
-use flight_core::aero::{
-    AeroModel, Axisymmetric, AxisymmetricConfig, Precision, SphereCylinder, SphereCylinderConfig,
-};
+use crate::network::{NetworkConfig, load_network};
+use flight_core::aero::{AeroModel, Axisymmetric, AxisymmetricConfig, SphereCylinder, SphereCylinderConfig};
 use flight_core::{BuildError, RobotModel};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
 
 /// Selection and parameters of an aerodynamic model: one file of `configs/aero/`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -22,21 +19,6 @@ pub enum AeroConfig {
     SphereCylinder(Box<SphereCylinderConfig>),
     /// A neural network whose inputs are wind and posture.
     Network(NetworkConfig),
-}
-
-/// Selection of a network and its evaluation.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct NetworkConfig {
-    /// The network's JSON card; the weights are in the same folder.
-    #[schemars(extend("format" = "path"))]
-    pub card: PathBuf,
-    /// Precision of the weighted sums.
-    #[serde(default)]
-    pub precision: Precision,
-    /// Density of the air \[kg/m³\].
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub air_density: f64,
 }
 
 /// Builds the configured model for the links of `robot`.

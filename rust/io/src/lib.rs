@@ -21,10 +21,11 @@ pub mod schema;
 mod tensors;
 pub mod toml;
 
-pub use aero::{AeroConfig, NetworkConfig, load_aero};
+pub use aero::{AeroConfig, load_aero};
 pub use controller::{ControllerSection, load_controller};
 pub use files::{hold, read_bytes, read_text};
 pub use mission::{MissionConfig, load_mission, read_recording};
+pub use network::NetworkConfig;
 pub use robot::{RobotFile, RobotFiles, load_robot, robot_from_text};
 pub use schema::Schema;
 pub use toml::{

@@ -6,8 +6,8 @@
 use crate::csv::Csv;
 use crate::read_text;
 use flight_core::BuildError;
-use flight_core::control::mission::{Commands, Mission};
-use flight_core::control::recorded::{REQUIRED, Recording};
+use flight_core::control::law::mission::{Commands, Mission};
+use flight_core::control::law::recorded::{REQUIRED, Recording};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};

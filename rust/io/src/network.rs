@@ -1,13 +1,29 @@
 //! Networks: a JSON card that describes the weights, and a safetensors file with the weights.
 
-use crate::aero::NetworkConfig;
 use crate::{read_bytes, read_text, tensors};
+use flight_core::aero::Precision;
 use flight_core::aero::network::{Architecture, Card, Inputs, Network, Output};
 use flight_core::{BuildError, RobotModel};
-use serde::Deserialize;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+
+/// Selection of a network and its evaluation.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct NetworkConfig {
+    /// The network's JSON card; the weights are in the same folder.
+    #[schemars(extend("format" = "path"))]
+    pub card: PathBuf,
+    /// Precision of the weighted sums.
+    #[serde(default)]
+    pub precision: Precision,
+    /// Density of the air \[kg/m³\].
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub air_density: f64,
+}
 
 /// Value of `format` in every card.
 const FORMAT: &str = "flight-aero-network";

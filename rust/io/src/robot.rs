@@ -18,6 +18,7 @@ use flight_core::robot::{
     AeroLink, AxisymmetricCoefficients, EngineCoefficients, Foot, Jet, JointGroup, RobotModel, check,
 };
 use flight_core::spatial::unit_vector;
+use joints::JointEntry;
 use nalgebra::{Unit, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -85,30 +86,6 @@ struct GroupEntry {
     name: String,
     /// Its joints.
     joints: Vec<JointEntry>,
-}
-
-/// A joint that moves.
-#[derive(Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-struct JointEntry {
-    /// Name of the joint in the URDF.
-    name: String,
-    /// Limits of a revolute joint \[deg\]; by default those of the URDF.
-    limits_deg: Option<[f64; 2]>,
-    /// Limits of a prismatic joint \[m\]; by default those of the URDF.
-    limits: Option<[f64; 2]>,
-    /// Greatest torque or force \[N m, N\]; by default the URDF's effort.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    torque_max: Option<f64>,
-    /// Greatest rate of the torque or force \[N m/s, N/s\]; unlimited by default.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    torque_rate_max: Option<f64>,
-    /// Greatest velocity of a revolute joint \[deg/s\]; by default that of the URDF.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    velocity_max_deg: Option<f64>,
-    /// Greatest velocity of a prismatic joint \[m/s\]; by default that of the URDF.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    velocity_max: Option<f64>,
 }
 
 /// A link on which aerodynamic force acts.
@@ -229,7 +206,7 @@ pub fn robot_from_text(toml: &str, urdf: &str, origin: &str) -> Result<RobotMode
     Ok(RobotModel {
         forward_axis_b: forward_axis(file.forward_axis)?,
         gravity: file.gravity,
-        joints: joints::joints(&file, &tree)?,
+        joints: joints::joints(file.joint_groups.iter().flat_map(|group| &group.joints), &tree)?,
         groups: groups(&file)?,
         aero_links: aero_links(&file, &tree)?,
         jets: jets(&file, &tree)?,

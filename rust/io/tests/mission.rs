@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-use flight_core::control::mission::Commands;
+use flight_core::control::law::mission::Commands;
 use flight_io::MissionConfig;
 use flight_io::mission::{COLUMNS, load_mission, parse_recording};
 

@@ -7,9 +7,9 @@ use crate::arrays::{
 use crate::flight::parse;
 use crate::qp::answer;
 use crate::robot::{StateInput, measured_state, rotation as checked_rotation, state_arrays};
-use flight_core::control::contact::ContactState;
-use flight_core::control::setpoint::{Setpoint, SetpointGenerator};
-use flight_core::control::tasks::MOMENTUM_ROWS;
+use flight_core::control::law::contact::ContactState;
+use flight_core::control::law::setpoint::{Setpoint, SetpointGenerator};
+use flight_core::control::law::tasks::MOMENTUM_ROWS;
 use flight_core::control::{ControllerState as State, Estimates, Terms};
 use flight_core::{Measurement, RobotState};
 use flight_io::{load_mission, load_robot};

@@ -6,7 +6,7 @@
 
 use flight_core::Measurement;
 use flight_core::control::CommandStatus;
-use flight_core::control::momentum_qp::{Equations, Layout, Task, TaskInputs};
+use flight_core::control::law::momentum_qp::{Equations, Layout, Task, TaskInputs};
 use flight_io::{MissionConfig, load_controller, load_robot};
 use flight_sim::{Plant, Scenario, ScenarioConfig, WindConfig, fly_batch, load_scenario};
 use nalgebra::Vector3;

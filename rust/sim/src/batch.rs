@@ -1,7 +1,7 @@
 //! Batches of flights on several threads.
 
 use crate::config::ScenarioConfig;
-use crate::log::FlightResult;
+use crate::outcome::FlightResult;
 use crate::scenario::{Interrupted, Scenario};
 use flight_core::error::BuildError;
 use rayon::prelude::*;

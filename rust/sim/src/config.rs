@@ -5,7 +5,6 @@ use crate::ground::{GroundConfig, MotorsConfig};
 use crate::jets::JetsConfig;
 use crate::scenario::Scenario;
 use crate::sensors::SensorsConfig;
-use crate::signals::SIGNALS;
 use crate::wind::WindConfig;
 use flight_core::Controller;
 use flight_core::aero::LeverArm;
@@ -23,9 +22,6 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
-
-/// Greatest size of a log in memory \[bytes\].
-const MAX_LOG: usize = 2 << 30;
 
 /// One flight: robot, simulator, controller, mission, wind and disturbances.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -337,11 +333,6 @@ impl SimulatorConfig {
                 "at most ten million ticks",
             ));
         }
-        let logged = SIGNALS.iter().filter(|signal| signal.read.is_some());
-        let row: usize = logged.map(|signal| signal.row_len(robot) * size_of::<f64>()).sum();
-        let most = (MAX_LOG / row) as f64 * self.time_step;
-        let expected = format!("at most {most} s: the log of a longer flight exceeds 2 GiB");
-        table.check("duration", self.duration, |x| x <= most, &expected)?;
         let initial = &self.initial;
         let each = |key: &str, values: &[f64], accept: fn(f64) -> bool, expected: &str| {
             let item = format!("initial.{key}");

@@ -30,6 +30,17 @@ pub enum JetsConfig {
     SecondOrder(SecondOrderConfig),
 }
 
+impl JetsConfig {
+    /// Value of the key `dynamics`.
+    #[must_use]
+    pub fn dynamics(&self) -> &'static str {
+        match self {
+            Self::Ideal {} => "ideal",
+            Self::SecondOrder(_) => "second_order",
+        }
+    }
+}
+
 /// Parameters of the second-order engines; the defaults are the published ones.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]

@@ -1,14 +1,11 @@
 //! The log of a flight: every signal at every tick.
 
-use crate::plant::Plant;
-use crate::scenario::{Loss, Outcome};
-use crate::signals::{SIGNALS, Signal};
-use crate::summary::Summary;
-use flight_core::control::setpoint::Setpoint;
-use flight_core::control::{Command, Terms};
-use flight_core::qp::QpAnswer;
+use crate::signals::{LogRow, SIGNALS, Signal};
+use flight_core::error::{BuildError, Table};
 use flight_core::robot::RobotModel;
-use nalgebra::Vector3;
+
+/// Greatest size of a log in memory \[bytes\].
+const MAX_LOG: usize = 2 << 30;
 
 /// Values of one signal: one row of `width` numbers for each tick, contiguous.
 #[derive(Debug, Clone)]
@@ -48,50 +45,6 @@ impl Series {
     }
 }
 
-/// Values from which all signals of one tick are read.
-pub struct LogRow<'a> {
-    /// Time \[s\].
-    pub time: f64,
-    /// Velocity of the air \[m/s\].
-    pub wind: Vector3<f64>,
-    /// The simulated robot and its environment.
-    pub plant: &'a Plant,
-    /// The controller's intermediate values.
-    pub terms: &'a Terms,
-    /// The controller's command.
-    pub command: &'a Command,
-    /// Errors with respect to the set-point.
-    pub errors: TrackingErrors,
-}
-
-impl LogRow<'_> {
-    /// Answers of momentum QP and torque QP.
-    pub(crate) fn qps(&self) -> [&QpAnswer; 2] {
-        [&self.command.momentum_qp, &self.command.torque_qp]
-    }
-}
-
-/// Errors of the robot with respect to its set-point.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct TrackingErrors {
-    /// Angle between base and desired base \[rad\].
-    pub rotation: f64,
-    /// Distance of the centre of mass from its set-point \[m\].
-    pub com: f64,
-}
-
-impl TrackingErrors {
-    /// Errors of a plant with respect to a set-point.
-    #[must_use]
-    pub fn new(plant: &Plant, setpoint: &Setpoint) -> Self {
-        let error = setpoint.rotation.transpose() * plant.state().base.rotation;
-        Self {
-            rotation: flight_core::spatial::rotation_angle(&error),
-            com: (plant.kinematics().com - setpoint.com_position).norm(),
-        }
-    }
-}
-
 /// The log of one flight: those signals of [`SIGNALS`] that have a row per tick here. SI units,
 /// inertial axes, quaternions `wxyz`.
 #[derive(Debug, Clone, PartialEq)]
@@ -103,6 +56,18 @@ pub struct FlightLog {
 }
 
 impl FlightLog {
+    /// Checks that the log of a flight fits into memory; `duration` and `time_step` are in s.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the duration.
+    pub fn check(robot: &RobotModel, duration: f64, time_step: f64) -> Result<(), BuildError> {
+        let logged = SIGNALS.iter().filter(|signal| signal.read.is_some());
+        let row: usize = logged.map(|signal| signal.row_len(robot) * size_of::<f64>()).sum();
+        let most = (MAX_LOG / row) as f64 * time_step;
+        let expected = format!("at most {most} s: the log of a longer flight exceeds 2 GiB");
+        Table("simulator").check("duration", duration, |x| x <= most, &expected)
+    }
+
     /// Reserves memory for `n_ticks` rows of a robot's signals.
     #[must_use]
     pub fn new(robot: &RobotModel, n_ticks: usize) -> Self {
@@ -137,17 +102,4 @@ impl FlightLog {
             }
         }
     }
-}
-
-/// A finished flight.
-#[derive(Debug, Clone)]
-pub struct FlightResult {
-    /// Outcome of the flight.
-    pub outcome: Outcome,
-    /// Time and reason of an early end, if any.
-    pub loss: Option<Loss>,
-    /// All signals.
-    pub log: FlightLog,
-    /// Figures of merit, without the row in which a flight diverged.
-    pub summary: Summary,
 }

@@ -17,9 +17,11 @@ use crate::config::{
 };
 use crate::disturbances::{Disturbances, Outages, Sample, WindEstimator};
 use crate::jets::JetsConfig;
-use crate::log::{FlightLog, FlightResult, LogRow, TrackingErrors};
+use crate::log::FlightLog;
+use crate::outcome::{FlightResult, Loss, LossReason, Outcome};
 use crate::plant::Plant;
 use crate::sensors::Sensors;
+use crate::signals::{LogRow, TrackingErrors};
 use crate::summary::Summary;
 use crate::wind::Wind;
 use flight_core::aero::LeverArm;
@@ -29,91 +31,8 @@ use flight_core::robot::RobotModel;
 use flight_io::load_robot;
 use nalgebra::{Vector3, Vector6};
 use serde::Serialize;
-use serde_json::json;
-use std::fmt;
+use serde_json::{Value, json};
 use std::ops::ControlFlow;
-
-/// Outcome of a flight.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Outcome {
-    /// The mission was flown to its end, on course.
-    Completed,
-    /// The mission was flown to its end, but after the start-up the errors exceeded `simulator.course_error`.
-    OffCourse,
-    /// The robot fell: its rotation error or position error passed its limit.
-    Fell,
-    /// The computation diverged: numbers are not finite or physically impossible, so the result has no meaning.
-    Diverged,
-}
-
-impl Outcome {
-    /// Name in result files.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Completed => "completed",
-            Self::OffCourse => "off_course",
-            Self::Fell => "fell",
-            Self::Diverged => "diverged",
-        }
-    }
-}
-
-/// Time and reason of an early end.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Loss {
-    /// Time \[s\].
-    pub time: f64,
-    /// The quantity that exceeded its limit.
-    pub reason: LossReason,
-}
-
-/// Reason of an early end, with the limit: the first two are falls, the others a divergence.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum LossReason {
-    /// Angle between base and desired base \[rad\].
-    RotationError(f64),
-    /// Distance of the centre of mass from its set-point \[m\].
-    ComError(f64),
-    /// The state contains a number that is not finite.
-    NotFinite,
-    /// Speed of base or air \[m/s\].
-    Speed(f64),
-    /// Angular velocity of the base \[rad/s\].
-    AngularVelocity(f64),
-    /// Velocity of a joint \[rad/s, m/s\].
-    JointVelocity(f64),
-    /// Distance of a joint beyond its stops \[rad, m\].
-    JointPosition(f64),
-    /// Ratio of a thrust to the jet's greatest.
-    Thrust(f64),
-}
-
-impl LossReason {
-    /// Whether the robot fell or the computation diverged.
-    #[must_use]
-    pub fn outcome(self) -> Outcome {
-        match self {
-            Self::RotationError(_) | Self::ComError(_) => Outcome::Fell,
-            _ => Outcome::Diverged,
-        }
-    }
-}
-
-impl fmt::Display for LossReason {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::RotationError(angle) => write!(f, "rotation error {:.1} deg", angle.to_degrees()),
-            Self::ComError(distance) => write!(f, "CoM error {distance:.2} m"),
-            Self::NotFinite => write!(f, "state not finite"),
-            Self::Speed(limit) => write!(f, "speed above {limit} m/s"),
-            Self::AngularVelocity(limit) => write!(f, "angular velocity above {limit} rad/s"),
-            Self::JointVelocity(limit) => write!(f, "joint velocity above {limit} rad/s"),
-            Self::JointPosition(limit) => write!(f, "joint more than {limit} rad beyond its stop"),
-            Self::Thrust(limit) => write!(f, "thrust above {limit} times its greatest"),
-        }
-    }
-}
 
 /// A flight that is ready to start.
 #[derive(Debug)]
@@ -163,6 +82,7 @@ impl Scenario {
         let time_step = config.simulator.time_step;
         let disturbances = &config.disturbances;
         let plant = Plant::new(robot.clone(), &config.simulator, disturbances)?;
+        FlightLog::check(&robot, config.simulator.duration, time_step)?;
         let (wind, n_ticks) = (Wind::new(&config.wind)?, config.simulator.n_ticks());
         let controller_wind = disturbances.controller_wind.as_ref();
         let controller_wind =
@@ -207,44 +127,20 @@ impl Scenario {
     /// # Errors
     /// [`BuildError`] naming the invalid part.
     pub fn check(config: &ScenarioConfig) -> Result<(), BuildError> {
-        if config.engine == Engine::Jax {
-            let mut config = config.clone();
-            config.simulator.dynamics = DynamicsBackend::Tree; // both can be flown
-            return Self::new(&config).map(|_| ());
+        let mut of_this_engine = config.clone();
+        match config.engine {
+            Engine::Rust => {}
+            Engine::Jax => of_this_engine.simulator.dynamics = DynamicsBackend::Tree, // both can be flown
+            Engine::Mujoco => {
+                check_mujoco(config)?;
+                let robot = load_robot(&config.robot)?;
+                config.simulator.check(&robot)?;
+                // Simulated by MuJoCo only.
+                (of_this_engine.simulator.ground, of_this_engine.simulator.motors) = (None, None);
+                return Self::with_robot(&of_this_engine, robot).map(|_| ());
+            }
         }
-        if config.engine == Engine::Rust {
-            return Self::new(config).map(|_| ());
-        }
-        if config.simulator.ground.is_none() {
-            let expected = "a table: engine = \"mujoco\" flies nothing that has no ground under it";
-            return Err(BuildError::bad_value("simulator.ground", "absent", expected));
-        }
-        if config.controller.law.contact.is_none() {
-            let expected = "a table: without feet the controller cannot stand on simulator.ground";
-            return Err(BuildError::bad_value("controller.contact", "absent", expected));
-        }
-        let (simulator, disturbances) = (&config.simulator, &config.disturbances);
-        let (initial, none) = (&simulator.initial, Disturbances::default());
-        require("simulator.integrator", &simulator.integrator, &Integrator::default())?;
-        require("simulator.lever_arm", &simulator.lever_arm, &LeverArm::default())?;
-        require("simulator.kinematics", &simulator.kinematics, &AeroKinematics::default())?;
-        let dynamics = match simulator.jets {
-            JetsConfig::Ideal {} => "ideal",
-            JetsConfig::SecondOrder(_) => "second_order",
-        };
-        require("simulator.jets.dynamics", &dynamics, &"ideal")?;
-        require("simulator.initial.base_velocity", &initial.base_velocity, &[0.0; 6])?;
-        require("simulator.initial.free_fall_tick", &initial.free_fall_tick, &false)?;
-        require("simulator.sensors", &simulator.sensors, &None)?;
-        require("disturbances.wind_estimate", &disturbances.wind_estimate, &None)?;
-        require("disturbances.aero", &disturbances.aero, &none.aero)?;
-        require("disturbances.jets", &disturbances.jets, &none.jets)?;
-        require("disturbances.outages", &disturbances.outages, &none.outages)?;
-        let robot = load_robot(&config.robot)?;
-        config.simulator.check(&robot)?;
-        let mut config = config.clone();
-        (config.simulator.ground, config.simulator.motors) = (None, None); // simulated by MuJoCo only
-        Self::with_robot(&config, robot).map(|_| ())
+        Self::new(&of_this_engine).map(|_| ())
     }
 
     /// Number of ticks after the one at time zero.
@@ -325,17 +221,6 @@ impl Scenario {
         .into_iter()
         .find_map(|(is_beyond, reason)| is_beyond.then_some(reason))
     }
-}
-
-/// Refuses a value other than the only one that MuJoCo flies with.
-fn require<T: PartialEq + Serialize>(key: &str, given: &T, only: &T) -> Result<(), BuildError> {
-    if given == only {
-        return Ok(());
-    }
-    let only = json!(only);
-    let only = if only.is_null() { "none".to_owned() } else { only.to_string() };
-    let expected = format!("{only}: engine = \"mujoco\" supports nothing else");
-    Err(BuildError::bad_value(key, json!(given), expected))
 }
 
 /// A flight in progress.
@@ -468,4 +353,42 @@ impl Flight {
         let summary = self.summary();
         FlightResult { outcome: self.outcome(&summary), loss: self.loss, log: self.log, summary }
     }
+}
+
+/// Refuses what MuJoCo does not simulate.
+fn check_mujoco(config: &ScenarioConfig) -> Result<(), BuildError> {
+    let ScenarioConfig { simulator, disturbances, .. } = config;
+    if simulator.ground.is_none() {
+        let expected = "a table: engine = \"mujoco\" flies nothing that has no ground under it";
+        return Err(BuildError::bad_value("simulator.ground", "absent", expected));
+    }
+    if config.controller.law.contact.is_none() {
+        let expected = "a table: without feet the controller cannot stand on simulator.ground";
+        return Err(BuildError::bad_value("controller.contact", "absent", expected));
+    }
+    let (initial, none) = (&simulator.initial, Disturbances::default());
+    check_only("simulator.integrator", &simulator.integrator, &Integrator::default())?;
+    check_only("simulator.lever_arm", &simulator.lever_arm, &LeverArm::default())?;
+    check_only("simulator.kinematics", &simulator.kinematics, &AeroKinematics::default())?;
+    check_only("simulator.jets.dynamics", &simulator.jets.dynamics(), &JetsConfig::Ideal {}.dynamics())?;
+    check_only("simulator.initial.base_velocity", &initial.base_velocity, &[0.0; 6])?;
+    check_only("simulator.initial.free_fall_tick", &initial.free_fall_tick, &false)?;
+    check_only("simulator.sensors", &simulator.sensors, &None)?;
+    check_only("disturbances.wind_estimate", &disturbances.wind_estimate, &none.wind_estimate)?;
+    check_only("disturbances.aero", &disturbances.aero, &none.aero)?;
+    check_only("disturbances.jets", &disturbances.jets, &none.jets)?;
+    check_only("disturbances.outages", &disturbances.outages, &none.outages)
+}
+
+/// Refuses every value but the one that MuJoCo simulates.
+fn check_only<T: PartialEq + Serialize>(key: &str, value: &T, simulated: &T) -> Result<(), BuildError> {
+    if value == simulated {
+        return Ok(());
+    }
+    let simulated = match json!(simulated) {
+        Value::Null => "none".to_owned(),
+        simulated => simulated.to_string(),
+    };
+    let expected = format!("{simulated}: engine = \"mujoco\" simulates nothing else");
+    Err(BuildError::bad_value(key, json!(value), expected))
 }

@@ -8,8 +8,8 @@
 //! Equations M88 to M90 of `docs/model.md`.
 
 use crate::noise::Noise;
+use flight_core::Reading;
 use flight_core::error::{BuildError, Table};
-use flight_core::estimator::Reading;
 use flight_core::kinematics::RobotState;
 use flight_core::spatial::exp_so3;
 use nalgebra::Vector3;

@@ -2,9 +2,13 @@
 //!
 //! Log, Python bindings, result files and figures use these declarations.
 
-use crate::log::LogRow;
+use crate::plant::Plant;
+use flight_core::control::law::setpoint::Setpoint;
+use flight_core::control::{Command, Terms};
+use flight_core::qp::QpAnswer;
 use flight_core::robot::RobotModel;
-use flight_core::spatial::{rpy_from_rotation, wxyz_from_rotation};
+use flight_core::spatial::{rotation_angle, rpy_from_rotation, wxyz_from_rotation};
+use nalgebra::Vector3;
 use serde::Serialize;
 
 /// Dimension of a signal.
@@ -47,6 +51,50 @@ impl Dimension {
             Self::Jet => robot.jets.len(),
             Self::Link => robot.aero_links.len(),
             Self::Foot => robot.feet.len(),
+        }
+    }
+}
+
+/// Values from which all signals of one tick are read.
+pub struct LogRow<'a> {
+    /// Time \[s\].
+    pub time: f64,
+    /// Velocity of the air \[m/s\].
+    pub wind: Vector3<f64>,
+    /// The simulated robot and its environment.
+    pub plant: &'a Plant,
+    /// The controller's intermediate values.
+    pub terms: &'a Terms,
+    /// The controller's command.
+    pub command: &'a Command,
+    /// Errors with respect to the set-point.
+    pub errors: TrackingErrors,
+}
+
+impl LogRow<'_> {
+    /// Answers of momentum QP and torque QP.
+    fn qps(&self) -> [&QpAnswer; 2] {
+        [&self.command.momentum_qp, &self.command.torque_qp]
+    }
+}
+
+/// Errors of the robot with respect to its set-point.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TrackingErrors {
+    /// Angle between base and desired base \[rad\].
+    pub rotation: f64,
+    /// Distance of the centre of mass from its set-point \[m\].
+    pub com: f64,
+}
+
+impl TrackingErrors {
+    /// Errors of a plant with respect to a set-point.
+    #[must_use]
+    pub fn new(plant: &Plant, setpoint: &Setpoint) -> Self {
+        let error = setpoint.rotation.transpose() * plant.state().base.rotation;
+        Self {
+            rotation: rotation_angle(&error),
+            com: (plant.kinematics().com - setpoint.com_position).norm(),
         }
     }
 }

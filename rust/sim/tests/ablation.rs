@@ -6,7 +6,7 @@
 
 use crate::common::{Running, assert_within, experiment, fly};
 use flight_core::Measurement;
-use flight_core::control::config::RateFeedback;
+use flight_core::control::law::momentum::RateFeedback;
 use flight_io::load_robot;
 use flight_sim::ScenarioConfig;
 use flight_sim::disturbances::ModelError;

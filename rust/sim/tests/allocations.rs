@@ -20,7 +20,7 @@ use flight_core::Measurement;
 use flight_core::aero::Precision;
 use flight_core::control::CommandStatus;
 use flight_core::control::config::{Fallback, Solver};
-use flight_core::wind_observer::WindObserverConfig;
+use flight_core::control::guard::wind_observer::WindObserverConfig;
 use flight_io::{AeroConfig, load_robot};
 use flight_sim::config::AeroKinematics;
 use flight_sim::disturbances::{FailureKind, JetFailure, Outage, OutageChannel, OutageKind};

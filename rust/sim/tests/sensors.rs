@@ -4,7 +4,7 @@
 #![allow(clippy::float_cmp, reason = "what is not disturbed is the same to the last bit")]
 
 use crate::common::{assert_within, random_state, rng, robot};
-use flight_core::estimator::Reading;
+use flight_core::Reading;
 use flight_core::kinematics::RobotState;
 use flight_core::spatial::exp_so3;
 use flight_sim::sensors::{EncoderConfig, SensorConfig, ThrustSensorConfig};

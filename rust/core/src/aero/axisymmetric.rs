@@ -2,7 +2,8 @@
 //!
 //! Equation M20 of `docs/model.md`.
 
-use super::{Attack, normal_direction};
+use super::attack::{Attack, normal_direction};
+use super::links::check_air_density;
 use crate::error::{BuildError, check};
 use crate::robot::{AeroLink, AxisymmetricCoefficients};
 use nalgebra::Vector3;
@@ -35,7 +36,7 @@ impl Axisymmetric {
     /// # Errors
     /// A link without this set, a coefficient that is not finite, a density that is not positive.
     pub fn new(config: &AxisymmetricConfig, links: &[AeroLink]) -> Result<Self, BuildError> {
-        let air_density = super::check_air_density(config.air_density)?;
+        let air_density = check_air_density(config.air_density)?;
         let coefficients =
             links.iter().map(|link| coefficients_of(link, &config.coefficients)).collect::<Result<_, _>>()?;
         Ok(Self { k_a: 0.5 * air_density, coefficients })

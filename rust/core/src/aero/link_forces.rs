@@ -5,7 +5,7 @@
 //!
 //! Equations M18 and M27 of `docs/model.md`.
 
-use super::AeroModel;
+use super::{AeroModel, LinksInAir};
 use crate::kinematics::Kinematics;
 use crate::robot::RobotModel;
 use nalgebra::{DVector, Vector3};
@@ -56,21 +56,6 @@ pub struct LinkConventions {
     pub jacobian_offset: JacobianOffset,
     /// Point whose velocity enters the relative wind.
     pub link_velocity: LinkVelocity,
-}
-
-/// Inputs of an aerodynamic model: the robot's links and the air around them, inertial axes.
-#[derive(Debug, Clone, Copy)]
-pub struct LinksInAir<'a> {
-    /// The robot.
-    pub robot: &'a RobotModel,
-    /// Its kinematics.
-    pub kinematics: &'a Kinematics,
-    /// Unit vectors of the symmetry axes, in the order of the links.
-    pub axes_i: &'a [Vector3<f64>],
-    /// Velocity of the air relative to each link \[m/s\].
-    pub v_air_i: &'a [Vector3<f64>],
-    /// Velocity of the air \[m/s\].
-    pub wind_i: &'a Vector3<f64>,
 }
 
 /// Aerodynamic state of every link in one tick; preallocated, recomputed by [`LinkForces::update`].

@@ -19,6 +19,7 @@ mod tensors;
 pub use card::{Activation, Architecture, Baseline, Card, Feature, Inputs, Layout, Output, OutputFrame};
 pub use tensors::{Tensor, Tensors};
 
+use super::links::check_air_density;
 use super::{LinksInAir, axisymmetric_force};
 use crate::error::BuildError;
 use crate::exponential::exp_f64;
@@ -95,7 +96,7 @@ impl Network {
         air_density: f64,
         robot: &RobotModel,
     ) -> Result<Self, BuildError> {
-        let air_density = super::check_air_density(air_density)?;
+        let air_density = check_air_density(air_density)?;
         card.check(robot)?;
         let mut tensors = tensors()?;
         let (inputs, outputs) = (card.n_inputs(), 3 * robot.aero_links.len());

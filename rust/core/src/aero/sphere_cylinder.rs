@@ -3,7 +3,9 @@
 //!
 //! Equations M21 and M22 of `docs/model.md`.
 
-use super::{Attack, Pchip, normal_direction};
+use super::Pchip;
+use super::attack::{Attack, normal_direction};
+use super::links::check_air_density;
 use crate::error::{BuildError, check};
 use crate::robot::AeroLink;
 use nalgebra::Vector3;
@@ -101,7 +103,7 @@ impl SphereCylinder {
     /// not increase, a reference Reynolds number outside its table.
     pub fn new(config: &SphereCylinderConfig, links: &[AeroLink]) -> Result<Self, BuildError> {
         let positive = |value: f64| value > 0.0;
-        let rho = super::check_air_density(config.air_density)?;
+        let rho = check_air_density(config.air_density)?;
         let mu =
             check("dynamic_viscosity", config.dynamic_viscosity, positive, "a positive viscosity in Pa s")?;
         let c = &config.cylinder;

@@ -1,61 +1,9 @@
-//! Inputs and outputs of a tick.
+//! Output of a tick.
 
-use super::channels::Modes;
-use crate::kinematics::RobotState;
-use crate::qp::QpAnswer;
-use nalgebra::{DVector, Vector3, Vector6};
+use super::modes::Modes;
+use crate::qp::{QpAnswer, QpStatus};
+use nalgebra::DVector;
 use std::fmt;
-
-/// Measurement of a tick.
-#[derive(Debug, Clone, Copy)]
-pub struct Measurement<'a> {
-    /// Time since the start of the flight \[s\].
-    pub time: f64,
-    /// Pose and velocity of the robot.
-    pub state: &'a RobotState,
-    /// Thrust of every jet \[N\].
-    pub thrust: &'a [f64],
-    /// Velocity of the air \[m/s, inertial axes\].
-    pub wind: Vector3<f64>,
-    /// Wrench on each foot about the origin of its sole, force first \[N, N m, inertial axes\], in the order of the
-    /// robot's feet. Only a controller with `contact` reads it; others accept an empty slice.
-    pub foot_wrenches: &'a [Vector6<f64>],
-}
-
-/// Reason why a flight cannot start with a measurement.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-pub enum BadStart {
-    /// Numbers of joints, thrusts or feet differ from the robot's.
-    #[error(
-        "a flight cannot begin with a measurement of another robot; expected {joints} joints, {jets} thrusts, {feet} feet"
-    )]
-    OtherRobot {
-        /// Number of joints.
-        joints: usize,
-        /// Number of jets.
-        jets: usize,
-        /// Number of feet whose wrenches are measured.
-        feet: usize,
-    },
-    /// A number is missing or implausible.
-    #[error("a flight cannot begin: `{name}` holds {value}; expected {expected}")]
-    BadValue {
-        /// Field of the measurement.
-        name: &'static str,
-        /// The number.
-        value: f64,
-        /// What is accepted.
-        expected: &'static str,
-    },
-    /// The base rotation is not a rotation.
-    #[error(
-        "a flight cannot begin: `base_rotation` is not a rotation; expected orthonormal columns, right-handed, to 1e-6"
-    )]
-    NoRotation,
-    /// In this posture the centroidal inertia cannot be inverted, or inertia or centre of mass overflow.
-    #[error("a flight cannot begin: in this posture the inertia of the robot cannot be inverted")]
-    SingularInertia,
-}
 
 /// A command with a number that is not finite, or of the wrong size.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -86,6 +34,14 @@ pub enum CommandStatus {
     TorqueHeld,
     /// Neither QP has an answer.
     BothHeld,
+}
+
+impl CommandStatus {
+    /// Whether both QPs are solved, for a valid set-point.
+    #[must_use]
+    pub fn is_of_law(self) -> bool {
+        matches!(self, Self::Nominal | Self::Degraded)
+    }
 }
 
 /// The name, as C has it: `bad_setpoint`.
@@ -121,4 +77,30 @@ pub struct Command {
     pub status: CommandStatus,
     /// Ways in which this tick differs from one with complete measurements.
     pub modes: Modes,
+}
+
+impl Command {
+    /// The command of a robot with these numbers of jets and joints before its first tick: nothing moves.
+    #[must_use]
+    pub fn hold(jets: usize, joints: usize) -> Self {
+        Self {
+            thrust_rate: DVector::zeros(jets),
+            joint_velocity: DVector::zeros(joints),
+            joint_torque: DVector::zeros(joints),
+            momentum_qp: QpAnswer::from_status(QpStatus::NonFinite),
+            torque_qp: QpAnswer::from_status(QpStatus::NonFinite),
+            status: CommandStatus::Nominal,
+            modes: Modes::default(),
+        }
+    }
+
+    /// Becomes the command of a tick that cannot act: nothing moves, torques stay.
+    pub(super) fn set_hold(&mut self, status: CommandStatus, modes: Modes) {
+        self.thrust_rate.fill(0.0);
+        self.joint_velocity.fill(0.0);
+        self.momentum_qp = QpAnswer::from_status(QpStatus::NonFinite);
+        self.torque_qp = QpAnswer::from_status(QpStatus::NonFinite);
+        self.status = status;
+        self.modes = modes;
+    }
 }

@@ -1,22 +1,39 @@
 //! Configuration of the controller, checked against the robot when the controller is built.
 
-use super::channels::ChannelsConfig;
-use super::contact::ContactConfig;
-use super::engines::EnginesConfig;
-use super::observer::ObserverConfig;
-use super::setpoint::SetpointConfig;
-use crate::aero::{JacobianOffset, LeverArm, LinkVelocity};
-use crate::error::{BuildError, Table, place_of};
-use crate::estimator::EstimatorConfig;
+use super::guard::channels::ChannelsConfig;
+use super::guard::engines::EnginesConfig;
+use super::guard::estimator::EstimatorConfig;
+use super::guard::observer::ObserverConfig;
+use super::guard::wind_observer::WindObserverConfig;
+use super::law::attitude::MomentumGains;
+use super::law::bounds::BoundsConfig;
+use super::law::contact::ContactConfig;
+use super::law::momentum::AeroFeedback;
+use super::law::setpoint::SetpointConfig;
+use super::law::tasks::MomentumWeights;
+use super::law::torque::TorqueConfig;
+use crate::aero::{JacobianOffset, LeverArm, LinkConventions, LinkVelocity};
+use crate::error::{BuildError, Table, check, place_of};
 #[cfg(feature = "clarabel")]
 use crate::qp::ClarabelSolver;
 use crate::qp::{DualActiveSet, PrimalActiveSet, QpChain, QpSolver};
 use crate::robot::{JointKind, RobotModel};
-use crate::wind_observer::WindObserverConfig;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 const CONTROLLER: Table = Table("controller");
+
+/// Least time between two ticks \[s\]; the longest delay, that of a wind estimate, is then five million ticks.
+const TIME_STEP_MIN: f64 = 2e-4;
+
+/// Checks the time between two ticks \[s\]; `item` is named in errors.
+///
+/// # Errors
+/// [`BuildError::BadValue`].
+pub fn check_time_step(item: &str, time_step: f64) -> Result<(), BuildError> {
+    check(item, time_step, |step| (TIME_STEP_MIN..=1.0).contains(&step), "seconds from 0.0002 to 1")?;
+    Ok(())
+}
 
 /// Configuration of the control law: the complete controller except robot, aerodynamic model and mission.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -74,159 +91,8 @@ pub struct ControllerConfig {
     pub setpoint: SetpointConfig,
 }
 
-/// Where the estimated aerodynamic forces enter the controller; each place can be switched off for an ablation.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(deny_unknown_fields, default)]
-pub struct AeroFeedback {
-    /// Part of `A_a f_a` in the estimated momentum rate.
-    pub momentum_rate: RateFeedback,
-    /// Whether `Λ_a` enters the derivative of the momentum rate.
-    pub lambda: bool,
-    /// Whether `J_aᵀ f_a` enters the torque law.
-    pub torque: bool,
-}
-
-impl Default for AeroFeedback {
-    fn default() -> Self {
-        Self { momentum_rate: RateFeedback::Wrench, lambda: true, torque: true }
-    }
-}
-
-/// Part of the total aerodynamic wrench about the centre of mass in the estimated momentum rate.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(rename_all = "snake_case")]
-pub enum RateFeedback {
-    /// Force and moment.
-    #[default]
-    Wrench,
-    /// The force only.
-    Force,
-    /// The moment only.
-    Moment,
-    /// Nothing.
-    None,
-}
-
 fn default_true() -> bool {
     true
-}
-
-/// Gains of the momentum task (M57 of `docs/model.md`) and the attitude task (M60).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(deny_unknown_fields)]
-pub struct MomentumGains {
-    /// `K_P` on the integral of the linear momentum error, per axis \[1/s²\].
-    #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
-    pub kp_linear: [f64; 3],
-    /// `K_D` on the linear momentum error, per axis \[1/s\].
-    #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
-    pub kd_linear: [f64; 3],
-    /// `K_O`; its inverse is added to `K_P + K_D` \[s\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub ko: f64,
-    /// `c₀` of the attitude task \[N m\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
-    pub c0: f64,
-    /// `c₁` of the attitude task \[N m s\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
-    pub c1: f64,
-}
-
-impl MomentumGains {
-    /// Checks that every gain is in its range; `table` is the TOML table named in errors.
-    ///
-    /// # Errors
-    /// [`BuildError::BadValue`] naming the key.
-    pub(super) fn check(&self, table: Table) -> Result<(), BuildError> {
-        for axis in 0..3 {
-            table.check_non_negative("kp_linear", self.kp_linear[axis])?;
-            table.check_non_negative("kd_linear", self.kd_linear[axis])?;
-        }
-        table.check_positive("ko", self.ko)?;
-        table.check_non_negative("c0", self.c0)?;
-        table.check_non_negative("c1", self.c1)
-    }
-}
-
-/// Weights of the tasks in the momentum QP.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(deny_unknown_fields)]
-pub struct MomentumWeights {
-    /// Momentum and attitude tasks.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
-    pub momentum: f64,
-    /// Angular-momentum constraint task.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
-    pub angular_momentum: f64,
-    /// Posture task.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
-    pub posture: f64,
-    /// Minimisation of joint velocities.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
-    pub joint_velocity: f64,
-    /// Minimisation of thrust rates, by jet.
-    pub thrust_rate: BTreeMap<String, f64>,
-    /// Equal thrust rates within each pair of [`Self::symmetric_jets`].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
-    pub symmetry: f64,
-    /// Pairs of jets with equal thrust rates.
-    pub symmetric_jets: Vec<[String; 2]>,
-    /// Added to the diagonal of the Hessian.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub regularisation: f64,
-}
-
-/// Bounds of the momentum QP: the bound on a rate decreases as a tanh where the value approaches its limit.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(deny_unknown_fields)]
-pub struct BoundsConfig {
-    /// Greatest thrust rate, by jet \[N/s\].
-    pub thrust_rate_max: BTreeMap<String, f64>,
-    /// Steepness at the thrust limits \[1/N\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub thrust_steepness: f64,
-    /// Greatest velocity of revolute joints \[deg/s\], in place of the robot's own limits.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub joint_velocity_max_deg: Option<f64>,
-    /// Steepness at the joint limits \[1/rad, 1/m\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub joint_steepness: f64,
-}
-
-/// The joint torque controller.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(deny_unknown_fields)]
-pub struct TorqueConfig {
-    /// `K_Ds` on the joint velocity error \[1/s\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
-    pub kd: f64,
-    /// `K_Ps` on the integral of the joint velocity error \[1/s²\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
-    pub kp: f64,
-    /// Weight of the joint acceleration task.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
-    pub weight_acceleration: f64,
-    /// Weight of the torques.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
-    pub weight_torque: f64,
-    /// Added to the diagonal of the Hessian.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub regularisation: f64,
-    /// Greatest torque of revolute joints \[N m\], in place of the robot's own limits.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub torque_max: Option<f64>,
-    /// Greatest torque rate of revolute joints \[N m/s\], in place of the robot's own limits.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub torque_rate_max: Option<f64>,
 }
 
 /// Solver that is tried first.
@@ -365,9 +231,9 @@ impl ControllerConfig {
             &self.posture_gain,
             robot.groups.iter().map(|group| group.name.as_str()),
         )?;
-        check_values_by_name("weights.thrust_rate", &self.weights.thrust_rate, jet_names(robot))?;
-        check_values_by_name("bounds.thrust_rate_max", &self.bounds.thrust_rate_max, jet_names(robot))?;
-        self.symmetric_pairs(robot)?;
+        check_values_by_name("weights.thrust_rate", &self.weights.thrust_rate, robot.jet_names())?;
+        check_values_by_name("bounds.thrust_rate_max", &self.bounds.thrust_rate_max, robot.jet_names())?;
+        self.weights.symmetric_pairs(robot)?;
         if let Some([jet, _]) = self.weights.symmetric_jets.iter().find(|[one, other]| one == other) {
             let key = "controller.weights.symmetric_jets";
             return Err(BuildError::bad_value(key, format!("a pair of `{jet}` and itself"), "two jets"));
@@ -428,24 +294,15 @@ impl ControllerConfig {
         gains
     }
 
-    /// Jet indices of the pairs of [`MomentumWeights::symmetric_jets`].
-    ///
-    /// # Errors
-    /// [`BuildError::UnknownName`] for a jet the robot does not have.
-    pub fn symmetric_pairs(&self, robot: &RobotModel) -> Result<Vec<(usize, usize)>, BuildError> {
-        let place = |jet: &str| place_of("controller.weights.symmetric_jets", jet, jet_names(robot));
-        let pairs = self.weights.symmetric_jets.iter();
-        pairs.map(|[a, b]| Ok((place(a)?, place(b)?))).collect()
+    /// Points at which the controller's link forces act.
+    #[must_use]
+    pub fn conventions(&self) -> LinkConventions {
+        LinkConventions {
+            lever_arm: self.lever_arm,
+            jacobian_offset: self.jacobian_offset,
+            link_velocity: self.link_velocity,
+        }
     }
-}
-
-/// Values of `table` in the order of the robot's jets; zero for jets that it does not name.
-pub(super) fn values_by_jet(table: &BTreeMap<String, f64>, robot: &RobotModel) -> Vec<f64> {
-    jet_names(robot).map(|jet| table.get(jet).copied().unwrap_or(0.0)).collect()
-}
-
-fn jet_names(robot: &RobotModel) -> impl Iterator<Item = &str> + Clone {
-    robot.jets.iter().map(|jet| jet.name.as_str())
 }
 
 /// Checks that a table has exactly one number ≥ 0 for each of the robot's names.

@@ -1,14 +1,14 @@
 //! State of a controller that is kept from tick to tick.
 
-use super::channels::ChannelsState;
-use super::contact::ContactState;
-use super::engines::EngineState;
-use super::observer::ObserverState;
-use super::setpoint::SetpointState;
+use super::guard::channels::ChannelsState;
+use super::guard::engines::EngineState;
+use super::guard::estimator::EstimatorState;
+use super::guard::observer::ObserverState;
+use super::guard::wind_observer::WindState;
+use super::law::contact::ContactState;
+use super::law::setpoint::SetpointState;
 use crate::error::{BuildError, check};
-use crate::estimator::EstimatorState;
 use crate::qp::WarmStart;
-use crate::wind_observer::WindState;
 use nalgebra::{DVector, Matrix3};
 
 /// State of a controller, created by [`super::Controller::start`] and changed by every tick.
@@ -16,6 +16,8 @@ use nalgebra::{DVector, Matrix3};
 /// A tick reads nothing else that changes: a clone that is restored later continues with the same bits.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ControllerState {
+    /// Names of the stages of the guard, whose parts of the state are below.
+    pub(super) stages: Vec<&'static str>,
     /// State estimator; `None` if the control law uses the measurements.
     pub(super) estimator: Option<EstimatorState>,
     /// Wind estimate; `None` if the control law uses the measured wind.
@@ -36,7 +38,7 @@ pub struct ControllerState {
     pub(super) torque_is_known: bool,
     /// Whether the feet carry load, and their desired wrenches.
     pub(super) contact: ContactState,
-    /// Monitor state of each engine.
+    /// Monitor state of each engine; empty without a monitor.
     pub(super) engines: Vec<EngineState>,
     /// State of the observer: the observed wrench, its residual and the last accepted measurement.
     pub(super) observer: ObserverState,

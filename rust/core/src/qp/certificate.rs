@@ -1,6 +1,6 @@
 //! Result of a solver, and the residual by which it is accepted: equation M66 of `docs/model.md`.
 
-use super::QpProblem;
+use super::{QpProblem, QpStatus};
 use crate::linalg;
 
 /// Largest [`kkt_residual`] of an answer with status [`QpStatus::Solved`]: `√ε ≈ 1.5e-8`.
@@ -27,38 +27,6 @@ use crate::linalg;
 /// be wrong by a thousandth of the largest step, at an excess cost of 1e-11. Without this answer there would be no
 /// command at all, so a lower limit would not be safer.
 pub const KKT_TOLERANCE: f64 = 1.490_116_119_384_765_6e-8;
-
-/// Outcome of a solve. The codes of [`QpStatus::code`] are for logs and never change their meaning.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[repr(u8)]
-pub enum QpStatus {
-    /// `x` is the minimiser: its [`kkt_residual`] is at most [`KKT_TOLERANCE`].
-    Solved = 0,
-    /// Iteration limit reached; `x` is feasible and not worse than the starting point or, after the dual method,
-    /// unchanged.
-    IterationLimit = 1,
-    /// `H` is not positive definite, to working precision, on a set of free variables.
-    NotPositiveDefinite = 2,
-    /// Some `lower > upper`, or bounds and rows exclude every finite value; `x` is unchanged.
-    InfeasibleBounds = 3,
-    /// NaN or infinity in the data (infinite bounds are allowed in the unbounded direction), or overflow; do not use
-    /// `x`.
-    NonFinite = 4,
-    /// The solver finished, but its `x` does not meet [`KKT_TOLERANCE`].
-    Inaccurate = 5,
-    /// Problem and solver have different numbers of variables or rows; `x` is unchanged.
-    SizeMismatch = 6,
-    /// The interior-point method failed for another reason (numerical error, no progress).
-    Breakdown = 7,
-}
-
-impl QpStatus {
-    /// Code for logs; 0 is solved.
-    #[must_use]
-    pub fn code(self) -> u8 {
-        self as u8
-    }
-}
 
 /// Status and certificate of a solver's answer `x`.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -13,6 +13,7 @@
 //! on saturated problems.
 
 use super::scaled::Scaled;
+use super::warm_start::{Side, WarmStart};
 use super::{QpAnswer, QpProblem, QpSolver, QpStatus};
 use crate::linalg;
 
@@ -28,17 +29,6 @@ const CORRECTION_LIMIT: u32 = 4;
 /// relative.
 const PIVOT_MIN: f64 = 1e-4;
 
-/// Whether and at which bound a variable is held.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Side {
-    /// Not held; it may touch a bound by chance.
-    Free,
-    /// At its lower bound.
-    Lower,
-    /// At its upper bound.
-    Upper,
-}
-
 /// Extent to which a step was followed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Followed {
@@ -48,41 +38,6 @@ enum Followed {
     Part,
     /// Not at all: the data are not finite.
     NotFinite,
-}
-
-/// Starting point of a solve: the last answer and its working set.
-#[derive(Debug, Clone, PartialEq)]
-pub struct WarmStart {
-    x: Vec<f64>,
-    side: Vec<Side>,
-}
-
-impl WarmStart {
-    /// Start at `clamp(0)` with no variable held, in `n` variables.
-    #[must_use]
-    pub fn cold(n: usize) -> Self {
-        Self { x: vec![0.0; n], side: vec![Side::Free; n] }
-    }
-
-    /// Number of variables.
-    #[must_use]
-    pub fn len(&self) -> usize {
-        self.x.len()
-    }
-
-    /// Whether there are no variables.
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        self.x.is_empty()
-    }
-
-    /// Copies a warm start; does not allocate. No effect if the sizes differ.
-    fn copy_from(&mut self, other: &Self) {
-        if other.len() == self.len() {
-            self.x.copy_from_slice(&other.x);
-            self.side.copy_from_slice(&other.side);
-        }
-    }
 }
 
 /// The method for flight: exact, warm started, without allocation after [`PrimalActiveSet::new`].

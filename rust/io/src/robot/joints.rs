@@ -1,13 +1,40 @@
 //! Limits of each joint: those of the URDF, unless the robot's TOML file overrides them.
 
 use super::tree::{Tree, TreeJoint};
-use super::{JointEntry, RobotFile};
 use flight_core::error::BuildError;
 use flight_core::robot::{Joint, JointKind, check};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
-/// The joints of the groups, in their order.
-pub(super) fn joints(file: &RobotFile, tree: &Tree) -> Result<Vec<Joint>, BuildError> {
-    let entries = file.joint_groups.iter().flat_map(|group| &group.joints);
+/// A joint that moves.
+#[derive(Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct JointEntry {
+    /// Name of the joint in the URDF.
+    pub(super) name: String,
+    /// Limits of a revolute joint \[deg\]; by default those of the URDF.
+    pub(super) limits_deg: Option<[f64; 2]>,
+    /// Limits of a prismatic joint \[m\]; by default those of the URDF.
+    pub(super) limits: Option<[f64; 2]>,
+    /// Greatest torque or force \[N m, N\]; by default the URDF's effort.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub(super) torque_max: Option<f64>,
+    /// Greatest rate of the torque or force \[N m/s, N/s\]; unlimited by default.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub(super) torque_rate_max: Option<f64>,
+    /// Greatest velocity of a revolute joint \[deg/s\]; by default that of the URDF.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub(super) velocity_max_deg: Option<f64>,
+    /// Greatest velocity of a prismatic joint \[m/s\]; by default that of the URDF.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub(super) velocity_max: Option<f64>,
+}
+
+/// The joints of these entries, in their order.
+pub(super) fn joints<'a>(
+    entries: impl Iterator<Item = &'a JointEntry>,
+    tree: &Tree,
+) -> Result<Vec<Joint>, BuildError> {
     entries.zip(&tree.joints).map(|(entry, in_urdf)| joint(entry, in_urdf)).collect()
 }
 

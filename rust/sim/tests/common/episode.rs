@@ -6,7 +6,7 @@
 use crate::common::counting::allocations;
 use crate::common::{configs, experiment, hover_of, random_state, random_vector, robot};
 use flight_core::control::config::Solver;
-use flight_core::control::setpoint::Setpoint;
+use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::{CommandStatus, ControllerState};
 use flight_core::qp::{KKT_TOLERANCE, QpProblem, QpStatus, kkt_residual};
 use flight_core::robot::RobotModel;

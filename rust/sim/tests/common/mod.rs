@@ -12,8 +12,8 @@ pub mod network;
 pub(crate) use measured::{assert_within, difference, relative};
 
 use flight_core::control::ControllerState;
-use flight_core::control::setpoint::Setpoint;
-use flight_core::estimator::{ChannelConfig, EstimatorConfig};
+use flight_core::control::guard::estimator::{ChannelConfig, EstimatorConfig};
+use flight_core::control::law::setpoint::Setpoint;
 use flight_core::spatial::{Pose, rotation_from_wxyz};
 use flight_core::{Command, Controller, Measurement, RobotModel, RobotState};
 use flight_io::load_robot;

@@ -1,9 +1,9 @@
 //! What the state estimator and the wind observer make of a whole flight.
 
 use crate::common::{assert_within, experiment, fly, uniform_estimator};
-use flight_core::control::channels::Modes;
-use flight_core::estimator::{ChannelConfig, EstimatorConfig};
-use flight_core::wind_observer::WindObserverConfig;
+use flight_core::control::Modes;
+use flight_core::control::guard::estimator::{ChannelConfig, EstimatorConfig};
+use flight_core::control::guard::wind_observer::WindObserverConfig;
 use flight_sim::disturbances::{Outage, OutageChannel, OutageKind};
 use flight_sim::sensors::{EncoderConfig, SensorConfig, ThrustSensorConfig};
 use flight_sim::{Outcome, SensorsConfig};

@@ -3,7 +3,7 @@
 
 use super::with;
 use crate::common::{assert_within, experiment};
-use flight_core::control::channels::Modes;
+use flight_core::control::Modes;
 use flight_sim::disturbances::{FailureKind, JetFailure, Outage, OutageChannel, OutageKind};
 use flight_sim::{FlightResult, Outcome, Scenario, ScenarioConfig};
 use std::ops::ControlFlow;

@@ -1,0 +1,65 @@
+"""Output of a tick."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jax_aero.control.qp import QpAnswer
+from jax_aero.control.terms import Terms
+from jax_aero.robot import RobotModel
+from jax_aero.types import Array, Setpoint
+
+NOMINAL, DEGRADED, MOMENTUM_HELD, TORQUE_HELD, BOTH_HELD = range(5)
+"""Codes of `Command.status`, which says whether the control law produced the command, as in the Rust crate.
+
+Degraded: a part of the measurement was predicted, or the robot is descending; see `Command.degraded_modes`. Momentum
+held: the momentum QP has no certified answer; rates and velocities are as near to zero as their bounds allow, and
+torques brake the joints. Torque held: the torque QP has no certified answer; torques keep their last values.
+"""
+
+
+class Command(NamedTuple):
+    """Command of a controller, held until the next tick. Entries that are `None` are NaN in the log."""
+
+    thrust_rate: Float[Array, " j"]
+    """`Ṫ*` [N/s]."""
+    joint_torque: Float[Array, " n"]
+    """Joint torques [N m]."""
+    setpoint: Setpoint | None = None
+    """Set-point that the controller follows. Without it a flight is lost only by exceeding the divergence limits."""
+    joint_velocity: Float[Array, " n"] | None = None
+    """`ṡ*` [rad/s]."""
+    momentum_qp: QpAnswer | None = None
+    torque_qp: QpAnswer | None = None
+    status: Int[Array, ""] | None = None
+    """One of the codes above."""
+    degraded_modes: Int[Array, ""] | None = None
+    """A sum of the bits in `modes.MODES`."""
+    terms: Terms | None = None
+
+    def check(self, robot: RobotModel) -> None:
+        """Refuse shapes that do not fit this robot, which broadcasting over its jets and joints would hide.
+
+        Raises
+        ------
+        ValueError
+            If a shape is wrong; the message names the entry, its shape and what was expected.
+        """
+        joints = (robot.n_joints,)
+        parts: list[tuple[str, Any, tuple[int, ...]]] = [
+            ("thrust_rate", self.thrust_rate, (robot.jets.count,)),
+            ("joint_torque", self.joint_torque, joints),
+        ]
+        if self.joint_velocity is not None:
+            parts.append(("joint_velocity", self.joint_velocity, joints))
+        if self.setpoint is not None:
+            axes = {"rotation": (3, 3)}
+            parts += [
+                (f"setpoint.{name}", part, axes.get(name, (3,))) for name, part in self.setpoint._asdict().items()
+            ]
+        for name, part, expected in parts:
+            if (shape := np.shape(part)) != expected:
+                raise ValueError(f"`{name}` of the command has shape {shape}; expected {expected}")

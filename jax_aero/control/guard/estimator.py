@@ -1,0 +1,276 @@
+"""State estimator of the controller: a model corrected by delayed measurements and integrated to the present.
+
+```text
+measurements of ages d ──► delayed to a common age D ──► correct x̂(t − D)
+x̂(t − D) ──► D ticks of the model under the past commands ──► x̂(t), for the controller
+```
+
+Ages and shares are numbers; only the greatest age is structure, fixed at compilation.
+
+Equations M91 to M93 of `docs/model.md`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jax_aero.aero import AeroModel, LinkConventions, generalised_aero_force, link_forces
+from jax_aero.config import EstimatorConfig
+from jax_aero.control.measurement import Reading
+from jax_aero.dynamics import dynamics, forward_dynamics
+from jax_aero.kinematics import frame_poses, generalised_force, kinematics, move
+from jax_aero.robot import RobotModel
+from jax_aero.spatial import cross, exp_so3, log_so3, multiply, project_to_so3, rotate
+from jax_aero.types import Array, State, Static, join, leaf, pytree, where
+
+GREATEST = 1e6
+"""Largest absolute value that is accepted as a measurement [m, m/s, rad/s, N]."""
+
+
+class Order(NamedTuple):
+    """Inputs of the robot from one tick to the next."""
+
+    torque: Float[Array, " n"]
+    """Joint torques [N m]."""
+    thrust_rate: Float[Array, " j"]
+    """Thrust rates [N/s]."""
+    unmodelled: Float[Array, "6"]
+    """Observed wrench that is in no model, about the centre of mass [N, N m]."""
+    wind: Float[Array, "3"]
+    """Wind that the controller uses, always finite [m/s]."""
+    duration: Float[Array, ""]
+    """Duration [s]; known only at the next tick."""
+
+
+@pytree
+class Estimator:
+    """Ages of the measurements and shares of their corrections.
+
+    Order of the entries: base position, rotation, linear and angular velocity, joint positions, joint velocities,
+    thrusts.
+    """
+
+    age: Int[Array, "7"]
+    """Ages [ticks]."""
+    share: Float[Array, "7"]
+    """Shares of the innovations by which the estimate is corrected."""
+    by_position: Float[Array, "2"]
+    """Shares of the joint positions' innovation that correct velocities, per tick, and accelerations, per tick²."""
+    momentum_share: Float[Array, ""]
+    """Share of an unmodelled moment that appears in the estimated momentum per tick: that of a lag whose time constant
+    is the greatest age plus the time constant of the angular velocity."""
+    time_step: Float[Array, ""]
+    """Time step of the controller [s]."""
+    greatest_age: Static[int]
+    """Greatest age [ticks]."""
+
+
+class EstimatorState(NamedTuple):
+    """State of the estimator between two ticks."""
+
+    line: Reading
+    """Last measurements, the latest first, greatest age + 1 of them along an additional first axis."""
+    orders: Order
+    """Last commands, in the same order."""
+    then: Reading
+    """Estimate at the greatest age."""
+    disturbance: Float[Array, " n"]
+    """Joint accelerations that the model does not explain [rad/s²]."""
+    ticks: Int[Array, ""]
+    """Number of measurements processed."""
+
+
+def estimator(config: EstimatorConfig, time_step: Float[Array, ""]) -> Estimator:
+    """Return the estimator of a configuration."""
+    channels = (
+        config.base_position,
+        config.base_rotation,
+        config.base_linear_velocity,
+        config.base_angular_velocity,
+        config.joint_position,
+        config.joint_velocity,
+        config.thrust,
+    )
+    step = float(time_step)
+
+    def share_of(time_constant: float) -> float:
+        return -np.expm1(-step / time_constant) if time_constant > 0.0 else 1.0
+
+    age = [int(np.floor(channel.delay / step + 0.5)) for channel in channels]  # half a tick rounds up
+    share = [share_of(channel.time_constant) for channel in channels]
+    by_position = [0.0, 0.0]
+    if config.joint_observer is not None:
+        # Triple pole at e^(-Δt/T).
+        left = share_of(config.joint_observer)
+        pole = 1.0 - left
+        age[5], share[4], share[5] = 0, 1.0 - pole**3, 0.0
+        by_position = [left * left * (1.0 + 2.0 * pole), left**3]
+    momentum_share = share_of(max(age) * step + config.base_angular_velocity.time_constant)
+    ages = jnp.asarray(age, jnp.int32)
+    return Estimator(ages, leaf(share), leaf(by_position), leaf(momentum_share), time_step, max(age))
+
+
+def start(settings: Estimator, state: State, jets: int) -> EstimatorState:
+    """Return the state before the first measurement, which replaces the given state and the thrusts of zero."""
+
+    def repeat(x: Array) -> Array:
+        return jnp.stack([x] * (settings.greatest_age + 1))
+
+    rest = jnp.zeros_like(state.velocity)
+    nothing = Reading(jax.tree.map(jnp.asarray, state), jnp.zeros(jets, rest.dtype))
+    order = Order(rest[6:], nothing.thrust, rest[:6], rest[:3], jnp.asarray(settings.time_step))
+    line, orders = jax.tree.map(repeat, (nothing, order))
+    return EstimatorState(line, orders, nothing, rest[6:], jnp.array(0, jnp.int32))
+
+
+def restart(state: EstimatorState, has_paused: Bool[Array, ""]) -> EstimatorState:
+    """Restart at the next measurement after a pause, since it is unknown how long the last command has acted."""
+    return state._replace(ticks=jnp.where(has_paused, 0, state.ticks))
+
+
+def update(
+    settings: Estimator,
+    robot: RobotModel,
+    aero: AeroModel,
+    before: EstimatorState,
+    measured: Reading,
+    elapsed: Float[Array, ""],
+) -> tuple[EstimatorState, Reading, Float[Array, " j"]]:
+    """Process a measurement; return the next state, the present estimate and the correction of thrusts [N].
+
+    `elapsed` is the time since the last measurement [s], rounded to whole time steps; ages count measurements.
+
+    The first measurement also stands for all earlier ones, as far as it is valid. Numbers beyond `GREATEST` and NaN
+    correct nothing, so the model's estimate remains. If the estimate itself is not finite, it restarts from the
+    measurement.
+    """
+    # Selected before the computation, so that values and derivatives of the first tick do not depend on `start`.
+    always = jax.tree.map(lambda old, new: jnp.broadcast_to(new, old.shape), before.line, measured)
+    first = (always, _prefer_measured(measured, before.then))
+    line, then = where(before.ticks == 0, first, (before.line, before.then))
+    line = jax.tree.map(lambda old, new: jnp.concatenate([new[None], old[:-1]]), line, measured)
+    oldest = before.orders.torque.shape[0] - 1
+    duration = settings.time_step * jnp.maximum(jnp.round(elapsed / settings.time_step), 1.0)
+    given = before.orders._replace(duration=before.orders.duration.at[0].set(duration))
+    last: Order = jax.tree.map(lambda x: x[-1], given)
+    moved = advance(robot, aero, then, last, before.disturbance)
+    then = where(before.ticks > oldest, moved, then)
+    is_sound = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(then)]))
+    then = where(is_sound, then, measured)
+    unexplained = jnp.where(is_sound, before.disturbance, 0.0)
+
+    # Younger measurements wait for the oldest.
+    waiting = oldest - settings.age
+    aligned = [
+        _prefer_measured(jax.tree.map(lambda x, ticks=waiting[channel]: x[ticks], line), then) for channel in range(7)
+    ]
+    step, (of_velocity, of_acceleration) = last.duration, settings.by_position
+    innovation = aligned[4].state.joint_position - then.state.joint_position
+    disturbance = unexplained + of_acceleration / step**2 * innovation
+    corrected = _correct(settings.share, then, aligned)
+    innovation_of_thrust = corrected.thrust - then.thrust
+    velocity = corrected.state.velocity.at[6:].add(of_velocity / step * innovation)
+    then = corrected._replace(state=corrected.state._replace(velocity=velocity))
+
+    def predict(now: Reading, acting: tuple[Order, Array]) -> tuple[Reading, None]:
+        order, age = acting
+        return where(before.ticks > age, advance(robot, aero, now, order, disturbance), now), None
+
+    orders = jax.tree.map(lambda x: x[:oldest][::-1], given)
+    now, _ = jax.lax.scan(predict, then, (orders, jnp.arange(oldest)[::-1]))
+    return EstimatorState(line, given, then, disturbance, before.ticks + 1), now, innovation_of_thrust
+
+
+def command(state: EstimatorState, order: Order) -> EstimatorState:
+    """Return the state with the inputs that act from this tick to the next."""
+    return state._replace(
+        orders=jax.tree.map(lambda old, new: jnp.concatenate([new[None], old[:-1]]), state.orders, order)
+    )
+
+
+def replace_command(
+    state: EstimatorState, torque: Float[Array, " n"], thrust_rate: Float[Array, " j"]
+) -> EstimatorState:
+    """Return the state with the last command replaced [N m, N/s]."""
+    orders = state.orders
+    return state._replace(
+        orders=orders._replace(
+            torque=orders.torque.at[0].set(torque), thrust_rate=orders.thrust_rate.at[0].set(thrust_rate)
+        )
+    )
+
+
+def correct_thrusts(
+    state: EstimatorState, is_wrong: Bool[Array, " j"], deviation: Float[Array, " j"]
+) -> EstimatorState:
+    """Return the state with the deviations [N] of faulty sensors removed, which are no longer used."""
+    lost = jnp.where(is_wrong, jnp.nan, state.line.thrust)
+    right = state.then.thrust - jnp.where(is_wrong, deviation, 0.0)
+    return state._replace(line=state.line._replace(thrust=lost), then=state.then._replace(thrust=right))
+
+
+def advance(
+    robot: RobotModel,
+    aero: AeroModel,
+    reading: Reading,
+    order: Order,
+    disturbance: Float[Array, " n"],
+) -> Reading:
+    """Integrate one tick of the model under its inputs and unexplained joint accelerations, semi-implicitly."""
+    state, step = reading.state, order.duration
+    kin = kinematics(robot, state)
+    dyn = dynamics(robot, state, kin)
+    link = link_forces(aero, robot, kin, LinkConventions(), order.wind)
+    rotations, points = frame_poses(kin, robot.jets)
+    thrusts = reading.thrust[:, None] * rotate(rotations, robot.jets.axes)
+    force = (
+        generalised_force(robot, kin, robot.jets.bodies, points, thrusts)
+        + generalised_aero_force(robot, kin, link, link.jacobian_points)
+        + jnp.concatenate([jnp.zeros_like(order.unmodelled), order.torque])
+    )
+    # The unmodelled wrench moves the robot as a whole, since its point of action is unknown. Unexplained joint
+    # accelerations are internal and do not change the momentum.
+    wrench = order.unmodelled - dyn.momentum_matrix[:, 6:] @ disturbance
+    angular = jnp.linalg.solve(dyn.centroidal_inertia, wrench[3:])
+    linear = wrench[:3] / robot.mass - cross(angular, kin.com - state.base_position)
+    whole = jnp.concatenate([linear, angular, disturbance])
+    velocity = state.velocity + step * (forward_dynamics(dyn, force) + whole)
+    return Reading(move(state, velocity, step), jnp.maximum(reading.thrust + step * order.thrust_rate, 0.0))
+
+
+def _prefer_measured(measured: Reading, estimate: Reading) -> Reading:
+    """Return the measurement, with invalid values replaced by the estimate."""
+    known: Reading = jax.tree.map(lambda said, own: jnp.where(jnp.abs(said) <= GREATEST, said, own), measured, estimate)
+    return known
+
+
+def _correct(share: Array, estimate: Reading, measured: list[Reading]) -> Reading:
+    """Correct an estimate by measurements of the same time, each by its share."""
+    now, (position, rotation, linear, angular, joints, joint_velocities, thrusts) = estimate.state, measured
+
+    def gyro(state: State) -> Array:
+        return state.base_rotation.T @ state.velocity[3:6]
+
+    turn = log_so3(multiply(now.base_rotation.T, rotation.state.base_rotation))
+    base_rotation = project_to_so3(multiply(now.base_rotation, exp_so3(share[1] * turn)))
+    gyros = gyro(now) + share[3] * (gyro(angular.state) - gyro(now))
+
+    def correct_channel(channel: int, found: Array, said: Array) -> Array:
+        return found + share[channel] * (said - found)
+
+    state = State(
+        base_position=correct_channel(0, now.base_position, position.state.base_position),
+        base_rotation=base_rotation,
+        joint_position=correct_channel(4, now.joint_position, joints.state.joint_position),
+        velocity=join(
+            correct_channel(2, now.velocity[:3], linear.state.velocity[:3]),
+            base_rotation @ gyros,
+            correct_channel(5, now.velocity[6:], joint_velocities.state.velocity[6:]),
+        ),
+    )
+    return Reading(state, jnp.maximum(correct_channel(6, estimate.thrust, thrusts.thrust), 0.0))

@@ -1,0 +1,264 @@
+"""The guard of a controller: the channels of the measurement, and the stages that are configured.
+
+```text
+                measure                       judge                                  predict
+channels        missing values predicted                                             acceleration (M101)
+wind_observer   its wind, for the measured                                           the next wind
+observer                                      unmodelled wrench of the momentum
+engines                                       limits of thrusts, wrong sensors
+estimator       its state, for the measured   without what wrong sensors measured    stores the command
+```
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Bool, Float
+
+from jax_aero.aero import AeroModel
+from jax_aero.control.command import Command
+from jax_aero.control.guard import channels, engines, estimator, observer, wind_observer
+from jax_aero.control.guard.channels import ChannelLimits
+from jax_aero.control.guard.engines import EngineLimits
+from jax_aero.control.guard.estimator import Estimator, Order
+from jax_aero.control.guard.observer import ObserverGains
+from jax_aero.control.guard.wind_observer import WindObserver
+from jax_aero.control.law.limits import Limits
+from jax_aero.control.measurement import Measurement, Reading, UsedMeasurement
+from jax_aero.control.modes import MODES
+from jax_aero.control.state import ControllerState
+from jax_aero.control.terms import Model, Terms
+from jax_aero.dynamics import forward_dynamics
+from jax_aero.robot import RobotModel
+from jax_aero.spatial import cross
+from jax_aero.types import Array, State, where
+
+
+class Measured(NamedTuple):
+    """What stages improve before the model is computed."""
+
+    memory: ControllerState
+    estimates: Measurement
+    """The measurement after the estimators."""
+    wind_std: Float[Array, "3"]
+    """Standard deviation of the wind in `estimates` [m/s]."""
+    used: UsedMeasurement
+
+
+class Judged(NamedTuple):
+    """What stages compare after the model has been computed."""
+
+    memory: ControllerState
+    used: UsedMeasurement
+    model: Model
+    limits: Limits
+    """What the law may use."""
+    is_wrong: Bool[Array, " j"]
+    """Which thrust sensors are found to be wrong in this tick."""
+    deviation: Float[Array, " j"]
+    """Deviations of the thrusts from their commands, the errors of wrong sensors [N]."""
+
+
+class Stage:
+    """An optional part of the guard.
+
+    A tick calls it in three places; where a stage has no function, it does nothing.
+    """
+
+    def start(self, memory: ControllerState, _state: State) -> ControllerState:
+        """Set the stage's own part of the state of a controller that starts in this state."""
+        return memory
+
+    def measure(self, tick: Measured) -> Measured:
+        """Improve the measurement, before the model is computed."""
+        return tick
+
+    def judge(self, tick: Judged) -> Judged:
+        """Compare the model with the measurement."""
+        return tick
+
+    def predict(self, memory: ControllerState, _terms: Terms, _command: Command) -> ControllerState:
+        """Store what the command lets expect in the next tick."""
+        return memory
+
+
+@dataclass(frozen=True)
+class Guard:
+    """Channels and stages of one controller, in the order in which a tick calls them."""
+
+    channels: ChannelLimits
+    stages: tuple[Stage, ...]
+    robot: RobotModel
+    time_step: Float[Array, ""]
+
+    def start(self, memory: ControllerState, state: State) -> ControllerState:
+        """Set the stages' parts of the state of a controller that starts in `state`."""
+        for stage in self.stages:
+            memory = stage.start(memory, state)
+        return memory
+
+    def measure(self, memory: ControllerState, measurement: Measurement) -> Measured:
+        """Process a measurement, with the wind estimated in the last tick where there is an estimate."""
+        wind_std = jnp.zeros_like(measurement.wind)
+        if memory.wind is not None:
+            measurement, wind_std = measurement._replace(wind=memory.wind.wind), memory.wind.std
+        known, used = channels.update(self.channels, memory.channels, self.time_step, *measurement)
+        tick = Measured(memory._replace(channels=known), measurement, wind_std, used)
+        for stage in self.stages:
+            tick = stage.measure(tick)
+        return tick
+
+    def judge(self, memory: ControllerState, used: UsedMeasurement, model: Model, limits: Limits) -> Judged:
+        """Compare the model of this tick with its measurement."""
+        none = jnp.zeros_like(used.thrust)
+        tick = Judged(memory, used, model, limits, is_wrong=none > 0.0, deviation=none)
+        for stage in self.stages:
+            tick = stage.judge(tick)
+        return tick
+
+    def predict(self, memory: ControllerState, terms: Terms, model: Model, command: Command) -> ControllerState:
+        """Store what the command lets expect in the next tick.
+
+        The channels continue with the acceleration under the command (M101), with the observed wrench on the base.
+        """
+        kin, dyn, wrench = model.kinematics, model.dynamics, model.momentum.unmodelled_wrench
+        moment = wrench[3:] + cross(kin.com - terms.measurement.state.base_position, wrench[:3])
+        acting = jnp.concatenate([wrench[:3], moment, command.joint_torque])
+        acceleration = forward_dynamics(dyn, model.free_force + dyn.bias + acting)
+        known = memory.channels._replace(acceleration=acceleration, thrust_rate=command.thrust_rate)
+        memory = memory._replace(channels=known)
+        for stage in self.stages:
+            memory = stage.predict(memory, terms, command)
+        return memory
+
+
+@dataclass(frozen=True)
+class WindStage(Stage):
+    """The wind observer."""
+
+    settings: WindObserver
+    robot: RobotModel
+    aero: AeroModel
+
+    def start(self, memory: ControllerState, _state: State) -> ControllerState:
+        """Begin with still air."""
+        return memory._replace(wind=wind_observer.start(self.settings))
+
+    def predict(self, memory: ControllerState, terms: Terms, _command: Command) -> ControllerState:
+        """Estimate the wind of the next tick."""
+        assert memory.wind is not None
+        used, momentum, a_t = terms.measurement, terms.dynamics.momentum, terms.momentum.a_t
+        wind = wind_observer.update(
+            self.settings, self.robot, self.aero, memory.wind, used, terms.kinematics, momentum, a_t
+        )
+        return memory._replace(wind=wind)
+
+
+@dataclass(frozen=True)
+class ObserverStage(Stage):
+    """The observer of the unmodelled wrench."""
+
+    gains: ObserverGains
+
+    def start(self, memory: ControllerState, _state: State) -> ControllerState:
+        """Begin with no wrench."""
+        return memory._replace(observer=observer.start(memory.posture))
+
+    def judge(self, tick: Judged) -> Judged:
+        """Add the observed wrench to the momentum rate."""
+        last, used, (_, dyn, _, momentum, _) = tick.memory.observer, tick.used, tick.model
+        assert last is not None
+        compared = observer.update(self.gains, used.elapsed, last, dyn.momentum, momentum.rate_estimate)
+        observed = where(used.has_momentum, compared, observer.hold(last))
+        model = tick.model._replace(momentum=momentum.add_unmodelled(observed.wrench))
+        return tick._replace(memory=tick.memory._replace(observer=observed), model=model)
+
+
+@dataclass(frozen=True)
+class EngineStage(Stage):
+    """The monitors of the engines."""
+
+    settings: EngineLimits
+    robot: RobotModel
+    momentum_share: Float[Array, ""]
+    """Share of a change that the estimated momentum follows per tick, 1 if it is measured."""
+
+    def start(self, memory: ControllerState, _state: State) -> ControllerState:
+        """Begin with engines that reach every thrust."""
+        like = jnp.zeros(self.robot.jets.count, memory.posture.dtype)
+        return memory._replace(engines=engines.start(like))
+
+    def judge(self, tick: Judged) -> Judged:
+        """Find limited and lost engines, and wrong thrust sensors."""
+        memory, used, momentum = tick.memory, tick.used, tick.model.momentum
+        assert memory.engines is not None
+        residual = jnp.zeros_like(momentum.rate_estimate) if memory.observer is None else memory.observer.residual
+        turning, is_wrong, deviation = engines.update(
+            self.settings,
+            memory.engines,
+            used.elapsed,
+            used.thrust,
+            used.thrust_innovation,
+            momentum.a_t,
+            residual,
+            used.has_momentum,
+            self.momentum_share,
+        )
+        known = channels.reject_sensor(memory.channels, is_wrong, deviation)
+        limits, is_lost = engines.limit(self.settings, turning, tick.limits)
+        known = known._replace(is_descending=known.is_descending | is_lost)
+        modes = used.modes | jnp.where(jnp.any(turning.is_limited), MODES["engine_limited"], 0)
+        return tick._replace(
+            memory=memory._replace(channels=known, engines=turning),
+            used=used._replace(modes=modes),
+            limits=limits,
+            is_wrong=is_wrong,
+            deviation=deviation,
+        )
+
+
+@dataclass(frozen=True)
+class EstimatorStage(Stage):
+    """The state estimator."""
+
+    settings: Estimator
+    robot: RobotModel
+    aero: AeroModel
+    channels: ChannelLimits
+
+    def start(self, memory: ControllerState, state: State) -> ControllerState:
+        """Begin with the first measurement."""
+        return memory._replace(estimator=estimator.start(self.settings, state, self.robot.jets.count))
+
+    def measure(self, tick: Measured) -> Measured:
+        """Replace the measurement by the estimate, where that is plausible."""
+        memory, estimates, _, used = tick
+        assert memory.estimator is not None
+        accepted = Reading(*channels.select_accepted(memory.channels, used))
+        before = estimator.restart(memory.estimator, used.pause > 0.0)
+        estimating, estimate, innovation = estimator.update(
+            self.settings, self.robot, self.aero, before, accepted, used.elapsed
+        )
+        used = channels.replace(self.channels, *estimate, used)._replace(thrust_innovation=innovation)
+        return tick._replace(
+            memory=memory._replace(estimator=estimating),
+            estimates=estimates._replace(state=used.state, thrust=used.thrust),
+            used=used,
+        )
+
+    def judge(self, tick: Judged) -> Judged:
+        """Forget what wrong sensors have measured."""
+        memory = tick.memory
+        assert memory.estimator is not None
+        right = estimator.correct_thrusts(memory.estimator, tick.is_wrong, tick.deviation)
+        return tick._replace(memory=memory._replace(estimator=right))
+
+    def predict(self, memory: ControllerState, terms: Terms, command: Command) -> ControllerState:
+        """Store the inputs that act until the next tick."""
+        assert memory.estimator is not None
+        unmodelled, wind = terms.momentum.unmodelled_wrench, terms.measurement.wind
+        order = Order(command.joint_torque, command.thrust_rate, unmodelled, wind, self.settings.time_step)
+        return memory._replace(estimator=estimator.command(memory.estimator, order))

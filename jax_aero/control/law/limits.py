@@ -1,0 +1,27 @@
+"""What the law may use in a tick: as configured, or as the guard allows."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from jaxtyping import Bool, Float
+
+from jax_aero.control.law.attitude import MomentumGains
+from jax_aero.types import Array
+
+
+class Limits(NamedTuple):
+    """Gains and limits of a tick; `j` jets, `n` joints."""
+
+    gains: MomentumGains
+    """Gains of the momentum and attitude tasks."""
+    holds_position: Bool[Array, ""]
+    """Whether the centre of mass is held at its set-point; otherwise only its velocity is controlled (M107)."""
+    thrust_least: Float[Array, " j"]
+    """Least thrusts [N]."""
+    thrust_greatest: Float[Array, " j"]
+    """Greatest thrusts [N]."""
+    joint_velocity: Float[Array, " n"]
+    """Greatest joint velocities [rad/s]."""
+    torque_rate: Float[Array, " n"]
+    """Greatest torque rates [N m/s]."""

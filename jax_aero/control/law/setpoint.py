@@ -1,0 +1,248 @@
+"""Smooth set-points of centre of mass and attitude, with derivatives, from autopilot commands.
+
+Call `start` once, then `update` once per tick; the state is a pytree for `lax.scan`. All operations except the turbo
+counter are floating-point, so set-points can be differentiated with respect to speeds, gains and smoothing times. The
+raw attitude is that of the heading frame: forward, left, up, fixed to the base by the robot's forward axis.
+
+Equations M43, M44, M47, M48, M107 and M115 of `docs/model.md`. Source: the published flight-control library.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Float, Int
+
+from jax_aero.config import SetpointConfig
+from jax_aero.control.law.minimum_jerk import (
+    FilterGains,
+    FilterState,
+    filter_gains,
+    filter_lags,
+    filter_start,
+    filter_update,
+)
+from jax_aero.control.law.mission import AutopilotCommand, Mission, autopilot_command
+from jax_aero.control.law.recorded import RecordedMotion, Recording, motion_at
+from jax_aero.spatial import (
+    cross,
+    multiply,
+    project_to_so3,
+    rotation_from_rpy,
+    rpy_from_rotation,
+    safe_norm,
+    skew,
+    vee_of_skew_part,
+)
+from jax_aero.types import Array, Setpoint, leaf
+
+
+class SetpointParams(NamedTuple):
+    """Speeds, limits and filters of the generator, discretised for a fixed tick."""
+
+    speed: Float[Array, "2"]
+    """Forward and vertical speed [m/s]."""
+    attitude_rate: Float[Array, "2"]
+    """Pitch and yaw rate [rad/s]."""
+    nose_down_limits: Float[Array, "2"]
+    """Limits of the nose-down angle [rad]."""
+    turbo_boost: Float[Array, ""]
+    turbo_rate: Float[Array, ""]
+    """Rate of the turbo boost [1/s]."""
+    attitude_gain: Float[Array, ""]
+    """`K` of the attitude filter [1/s]."""
+    descent_speed: Float[Array, ""]
+    """Speed of a descent [m/s]."""
+    deceleration: Float[Array, ""]
+    """Deceleration to rest or to the descent speed [m/s²]."""
+    position_lags: Float[Array, "2"]
+    """Constants of the position filter: `T B / A` [s] and `T² C / A` [s²]."""
+    position_filter: FilterGains
+    jerk_filter: FilterGains
+    angular_velocity_filter: FilterGains
+    base_from_heading: Float[Array, "3 3"]
+    """Columns forward, left, up."""
+    time_step: Float[Array, ""]
+    """Time step [s]."""
+
+
+class RawSetpoint(NamedTuple):
+    """Set-point before smoothing."""
+
+    position: Float[Array, "3"]
+    """Position of the centre of mass [m]."""
+    velocity: Float[Array, "3"]
+    """Velocity of the centre of mass [m/s]."""
+    rpy: Float[Array, "3"]
+    """Roll, pitch (nose down) and yaw of the heading frame [rad]."""
+    turbo_ticks: Int[Array, ""]
+    """Number of ticks of accumulated turbo."""
+
+
+class SetpointState(NamedTuple):
+    """State of the generator."""
+
+    raw: RawSetpoint
+    position: FilterState
+    acceleration: FilterState
+    """Filter of the acceleration, whose derivative is the jerk."""
+    angular_velocity: FilterState
+    rotation: Float[Array, "3 3"]
+    """Smoothed attitude of the next tick."""
+
+
+def setpoint_params(
+    config: SetpointConfig, forward_axis: Float[Array, "3"], time_step: Float[Array, ""]
+) -> SetpointParams:
+    """Return the parameters for ticks of `time_step` [s] and a robot's forward axis in base axes."""
+    forward_axis = jnp.asarray(forward_axis)
+    up = jnp.array([0.0, 0.0, 1.0], forward_axis.dtype)
+    smoothing = leaf(config.position_smoothing)
+    return SetpointParams(
+        speed=leaf(config.speed),
+        attitude_rate=jnp.deg2rad(leaf(config.attitude_rate_deg)),
+        nose_down_limits=jnp.deg2rad(leaf(config.nose_down_limits_deg)),
+        turbo_boost=leaf(config.turbo_boost),
+        turbo_rate=leaf(config.turbo_rate),
+        attitude_gain=leaf(config.attitude_gain),
+        descent_speed=leaf(config.descent_speed),
+        deceleration=leaf(config.deceleration),
+        position_lags=filter_lags(smoothing),
+        position_filter=filter_gains(smoothing, time_step),
+        jerk_filter=filter_gains(leaf(config.acceleration_smoothing), time_step),
+        angular_velocity_filter=filter_gains(leaf(config.angular_velocity_smoothing), time_step),
+        base_from_heading=jnp.stack([forward_axis, cross(up, forward_axis), up], axis=1),
+        time_step=time_step,
+    )
+
+
+def start(params: SetpointParams, com: Float[Array, "3"], rotation: Float[Array, "3 3"]) -> SetpointState:
+    """Return the state at the centre of mass [m] and base rotation of the robot's first tick."""
+    com, rotation = jnp.asarray(com), jnp.asarray(rotation)
+    zero = jnp.zeros_like(com)
+    rest = filter_start(zero)
+    raw = RawSetpoint(com, zero, _heading_rpy(params, rotation), jnp.zeros((), jnp.int32))
+    return SetpointState(raw, filter_start(com), rest, rest, rotation)
+
+
+def _heading_rpy(params: SetpointParams, rotation: Array) -> Array:
+    """Return roll, pitch and yaw (3,) of the heading frame for a base rotation [rad]."""
+    return rpy_from_rotation(multiply(rotation, params.base_from_heading))
+
+
+def update(
+    params: SetpointParams, mission: Mission, state: SetpointState, time: Float[Array, ""]
+) -> tuple[SetpointState, Setpoint]:
+    """Return the set-point of the tick at `time` [s], from the autopilot's commands or from a recording.
+
+    The smoothed attitude follows the raw one by `ω = −K sk(R_rawᵀ R)^∨`, integrated by forward Euler on the matrix;
+    projection onto SO(3) at every tick removes the drift of that step.
+    """
+    if isinstance(mission, Recording):
+        return _follow_recording(params, mission, state, time)
+    return _smooth(params, state, _advance_raw(params, state.raw, autopilot_command(mission, time)))
+
+
+def motion_of(setpoint: Setpoint) -> RecordedMotion:
+    """Return the part of a set-point that a recording contains."""
+    com = (setpoint.com_position, setpoint.com_velocity, setpoint.com_acceleration, setpoint.com_jerk)
+    return RecordedMotion(jnp.stack([jnp.asarray(x) for x in com]), setpoint.rotation, setpoint.angular_velocity)
+
+
+def follow(params: SetpointParams, state: SetpointState, motion: RecordedMotion) -> SetpointState:
+    """Set the state to a given motion, from which a descent would begin."""
+    com = motion.com
+    # The filter input that keeps these outputs with zero jerk.
+    ahead = com[0] + com[1] * params.position_lags[0] + com[2] * params.position_lags[1]
+    velocity = com[1] + com[2] * params.position_lags[0]
+    return SetpointState(
+        raw=RawSetpoint(ahead, velocity, _heading_rpy(params, motion.rotation), jnp.zeros_like(state.raw.turbo_ticks)),
+        position=FilterState(com[:3], ahead),
+        acceleration=FilterState(jnp.stack([com[2], com[3], jnp.zeros_like(com[3])]), com[2]),
+        angular_velocity=filter_update(params.angular_velocity_filter, state.angular_velocity, motion.angular_velocity),
+        rotation=motion.rotation,
+    )
+
+
+def descend(params: SetpointParams, state: SetpointState) -> tuple[SetpointState, Setpoint]:
+    """Return the set-point of a tick of the descent, which replaces the mission.
+
+    The attitude becomes level, and the velocity approaches that of the descent (M115).
+    """
+    raw = state.raw
+    step = params.attitude_rate[0] * params.time_step
+    rpy = raw.rpy.at[:2].add(-jnp.clip(raw.rpy[:2], -step, step))
+    change = jnp.zeros_like(raw.velocity).at[2].set(-params.descent_speed) - raw.velocity
+    greatest, size = params.deceleration * params.time_step, safe_norm(change)
+    velocity = raw.velocity + change * jnp.where(size > greatest, greatest / jnp.maximum(size, greatest), 1.0)
+    position = raw.position + velocity * params.time_step
+    return _smooth(params, state, RawSetpoint(position, velocity, rpy, jnp.zeros_like(raw.turbo_ticks)))
+
+
+def without_place(setpoint: Setpoint, com: Float[Array, "3"]) -> Setpoint:
+    """Return the set-point at the present centre of mass [m], for a robot that cannot hold its position (M107)."""
+    zero = jnp.zeros_like(com)
+    return setpoint._replace(com_position=com, com_acceleration=zero, com_jerk=zero)
+
+
+def _smooth(params: SetpointParams, state: SetpointState, raw: RawSetpoint) -> tuple[SetpointState, Setpoint]:
+    """Return the smoothed set-point of a raw one."""
+    position = filter_update(params.position_filter, state.position, raw.position)
+    acceleration = filter_update(params.jerk_filter, state.acceleration, position.derivatives[2])
+
+    rotation = state.rotation
+    raw_rotation = multiply(rotation_from_rpy(raw.rpy), params.base_from_heading.T)
+    error = vee_of_skew_part(multiply(raw_rotation.T, rotation))
+    omega = -params.attitude_gain * error
+    angular = filter_update(params.angular_velocity_filter, state.angular_velocity, omega)
+    turned = project_to_so3(rotation + multiply(rotation, skew(omega)) * params.time_step)
+
+    setpoint = Setpoint(
+        com_position=position.derivatives[0],
+        com_velocity=position.derivatives[1],
+        com_acceleration=position.derivatives[2],
+        com_jerk=acceleration.derivatives[1],
+        rotation=rotation,
+        angular_velocity=angular.derivatives[0],
+        angular_acceleration=angular.derivatives[1],
+        angular_jerk=angular.derivatives[2],
+    )
+    return SetpointState(raw, position, acceleration, angular, turned), setpoint
+
+
+def _follow_recording(
+    params: SetpointParams, recording: Recording, state: SetpointState, time: Array
+) -> tuple[SetpointState, Setpoint]:
+    """Follow a recording unfiltered, except its angular velocity, filtered to obtain the missing derivatives."""
+    motion = motion_at(recording, time)
+    after = follow(params, state, motion)
+    com, rates = motion.com, after.angular_velocity.derivatives
+    return after, Setpoint(com[0], com[1], com[2], com[3], motion.rotation, rates[0], rates[1], rates[2])
+
+
+def _advance_raw(params: SetpointParams, raw: RawSetpoint, command: AutopilotCommand) -> RawSetpoint:
+    """Advance one tick of the published autopilot mapping, in flight.
+
+    While turbo is commanded or not yet decayed, all other motions are ignored and the nose pitches down. The published
+    boost is a floating-point sum that ends at a residue above zero, so one more step is taken; the counter reproduces
+    it by moving as long as boost was left *before* the tick.
+    """
+    # Half a tick rounds up.
+    full = jnp.floor(params.turbo_boost / (params.turbo_rate * params.time_step) + 0.5).astype(jnp.int32)
+    in_turbo = command.turbo | (raw.turbo_ticks > 0)
+    ticks = jnp.where(command.turbo, jnp.minimum(raw.turbo_ticks + 1, full), jnp.maximum(raw.turbo_ticks - 1, 0))
+    forward = jnp.where(in_turbo, 1.0, command.forward)
+    vertical = jnp.where(in_turbo, 0.0, command.vertical)
+    nose_down = jnp.where(in_turbo, 1.0, command.nose_down)
+    yaw_rate = jnp.where(in_turbo, 0.0, command.yaw)
+
+    boost = ticks * (params.turbo_rate * params.time_step)
+    roll, pitch, yaw = raw.rpy
+    pitch = pitch + params.attitude_rate[0] * params.time_step * nose_down
+    yaw = yaw + params.attitude_rate[1] * params.time_step * yaw_rate
+    along = params.speed[0] * (1.0 + boost) * forward
+    velocity = jnp.stack([jnp.cos(yaw) * along, jnp.sin(yaw) * along, params.speed[1] * vertical])
+    pitch = jnp.clip(pitch, params.nose_down_limits[0], params.nose_down_limits[1])
+    position = raw.position + velocity * params.time_step
+    return RawSetpoint(position, velocity, jnp.stack([roll, pitch, yaw]), ticks)

@@ -1,0 +1,228 @@
+"""The controller's own tasks of the momentum QP.
+
+```text
+linear momentum    A_T Ṫ + (Λ_s + K A_s) ṡ + (Λ_b + K A_b) ν_B
+                      − K L_d − L̈_d + (K_D + 1)(L̇ − L̇_d) + K_P I_L = 0       three rows, inertial axes
+attitude           Rᵀ (A_T Ṫ + Λ_s ṡ + Λ_b ν_B − σ) − k̈* = 0                three rows, base axes
+angular momentum   Rᵀ A_s,ang ṡ + (I_b − I₀) w = 0                             joint motion only
+symmetric jets     Ṫ_a − Ṫ_b = 0                                               for each pair
+posture            ṡ + K_s (s − s_d) = 0
+and Ṫ, ṡ and all unknowns towards zero
+```
+
+with `K = K_P + K_D + K_O⁻¹`. Equations M57 and M61 to M63 of `docs/model.md`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from jax_aero.config import ControllerSection
+from jax_aero.control.law.bounds import rate_bounds
+from jax_aero.control.law.limits import Limits
+from jax_aero.control.law.momentum_qp import Diagonal, Rows, TaskInputs
+from jax_aero.robot import RobotModel
+from jax_aero.spatial import multiply, rotate_back
+from jax_aero.types import Array, leaf
+
+
+class TaskParams(NamedTuple):
+    """Weights of the momentum QP, and what its bounds need beside the limits of a tick; `j` jets, `n` joints."""
+
+    momentum: Float[Array, ""]
+    """Weight of the momentum and attitude rows."""
+    angular_momentum: Float[Array, ""]
+    """Weight of the angular-momentum rows."""
+    posture: Float[Array, ""]
+    """Weight of the posture."""
+    joint_velocity: Float[Array, ""]
+    """Weight of joint velocities."""
+    thrust_rate: Float[Array, " j"]
+    """Weights of thrust rates."""
+    symmetry: Float[Array, ""]
+    """Weight of the difference within a pair of jets."""
+    regularisation: Float[Array, ""]
+    """Weight of all unknowns, added to the diagonal."""
+    posture_gain: Float[Array, " n"]
+    """`K_s` [1/s]."""
+    thrust_rate_max: Float[Array, " j"]
+    """Greatest thrust rates [N/s]."""
+    thrust_steepness: Float[Array, ""]
+    """Steepness of the thrust bounds [1/N]."""
+    joint_velocity_max: Float[Array, " n"]
+    """Greatest joint velocities [rad/s]."""
+    joint_steepness: Float[Array, ""]
+    """Steepness of the joint bounds [1/rad, 1/m]."""
+
+
+def task_params(config: ControllerSection, robot: RobotModel, time_step: float) -> TaskParams:
+    """Return weights and bounds in the order of the robot's jets and joints.
+
+    Raises
+    ------
+    ValueError
+        For a name that the robot does not have, and for bounds with which thrusts or joints would oscillate.
+    """
+    weights, bounds = config.weights, config.bounds
+    gains = _values_by_name("posture_gain", config.posture_gain, [name for name, _ in robot.joint_groups], robot)
+    counts = [len(joints) for _, joints in robot.joint_groups]
+    common = bounds.joint_velocity_max_deg
+    velocity_max = choose_limits(robot.joint_velocity_max, None if common is None else np.deg2rad(common), robot)
+    thrust_rate_max = _values_by_name("bounds.thrust_rate_max", bounds.thrust_rate_max, robot.jets.names, robot)
+    descent = None if config.engines is None else config.engines.descent
+    none = leaf(np.zeros(robot.n_joints))
+    fast = none if descent is None else choose_limits(none, np.deg2rad(descent.joint_velocity_max_deg), robot)
+    _check_steepness("thrust_steepness", bounds.thrust_steepness, thrust_rate_max, time_step)
+    _check_steepness("joint_steepness", bounds.joint_steepness, jnp.maximum(velocity_max, fast), time_step)
+    return TaskParams(
+        momentum=leaf(weights.momentum),
+        angular_momentum=leaf(weights.angular_momentum),
+        posture=leaf(weights.posture),
+        joint_velocity=leaf(weights.joint_velocity),
+        thrust_rate=leaf(_values_by_name("weights.thrust_rate", weights.thrust_rate, robot.jets.names, robot)),
+        symmetry=leaf(weights.symmetry),
+        regularisation=leaf(weights.regularisation),
+        posture_gain=leaf(np.repeat(gains, counts)),
+        thrust_rate_max=leaf(thrust_rate_max),
+        thrust_steepness=leaf(bounds.thrust_steepness),
+        joint_velocity_max=velocity_max,
+        joint_steepness=leaf(bounds.joint_steepness),
+    )
+
+
+def _check_steepness(key: str, steepness: float, rate_max: ArrayLike, time_step: float) -> None:
+    """Refuse a bound with which values oscillate from tick to tick.
+
+    Near a limit the rate's bound has the slope `r ε`, so the distance is multiplied by `1 − h r ε` per tick. If the
+    robot is traced the rates are unknown, and nothing is checked.
+    """
+    if isinstance(rate_max, jax.core.Tracer):
+        return
+    step = np.asarray(rate_max).max(initial=0.0) * time_step
+    if steepness * step > 2.0 * (1.0 + 1e-9):  # the published numbers are the limit: 1 − 0.01 · 100 · 2 = −1
+        raise ValueError(
+            f"`controller.bounds.{key}` is {steepness:g}; "
+            f"expected at most {2.0 / step:g}, 2 / (greatest rate · time step of {time_step:g} s)"
+        )
+
+
+def _values_by_name(table: str, values: Mapping[str, float], names: Sequence[str], robot: RobotModel) -> list[float]:
+    """Return the value of every name, in the order of `names`."""
+    for name in {*values, *names}:
+        if name not in names:
+            raise ValueError(f"unknown name `{name}` in controller.{table}; {robot.name} has {', '.join(names)}")
+        if name not in values:
+            raise ValueError(f"`controller.{table}.{name}` is missing; expected a number")
+    return [values[name] for name in names]
+
+
+def choose_limits(
+    own: Float[Array, " n"], common: Float[Array, ""] | float | None, robot: RobotModel
+) -> Float[Array, " n"]:
+    """Return the joint limits: the robot's own, or for revolute joints the common one if given."""
+    if common is None:
+        return leaf(own)
+    where = jnp.where if isinstance(cast(Any, own), jax.Array) else np.where
+    return leaf(where(np.array(robot.joint_is_prismatic, dtype=bool), own, common))
+
+
+def symmetric_pairs(config: ControllerSection, robot: RobotModel) -> tuple[tuple[int, int], ...]:
+    """Return the index pairs of jets that should have equal thrust rates.
+
+    Raises
+    ------
+    ValueError
+        For a jet that the robot does not have.
+    """
+    known = robot.jets.names
+    for name in [name for pair in config.weights.symmetric_jets for name in pair]:
+        if name not in known:
+            raise ValueError(f"`{name}` in weights.symmetric_jets is no jet of {robot.name}: {', '.join(known)}")
+    return tuple((known.index(a), known.index(b)) for a, b in config.weights.symmetric_jets)
+
+
+def standard_tasks(params: TaskParams, pairs: tuple[tuple[int, int], ...], inputs: TaskInputs) -> list[Rows | Diagonal]:
+    """Return the tasks of one tick, those of momentum first."""
+    return [
+        linear_momentum(params, inputs),
+        attitude(params, inputs),
+        angular_momentum(params, inputs),
+        symmetric_jets(params, pairs, inputs),
+        posture(params, inputs),
+        *keep_small(params, inputs),
+    ]
+
+
+def linear_momentum(params: TaskParams, inputs: TaskInputs) -> Rows:
+    """Return the task of following the set-point with the linear momentum (M57); inertial axes."""
+    gains, mass, setpoint, momentum = inputs.gains, inputs.robot.mass, inputs.setpoint, inputs.momentum
+    kp, kd = gains.kp_linear, gains.kd_linear
+    k = kp + 1.0 / gains.ko + kd
+    motion = momentum.lambda_[:3] + k[:, None] * inputs.dynamics.momentum_matrix[:3]
+    desired = k * mass * setpoint.com_velocity + mass * setpoint.com_jerk
+    rate_error = momentum.rate_estimate[:3] - mass * setpoint.com_acceleration
+    integral = mass * (inputs.kinematics.com - setpoint.com_position)
+    offset = motion[:, :6] @ inputs.state.velocity[:6] - desired + (kd + 1.0) * rate_error + kp * integral
+    return Rows(inputs.blocks(momentum.a_t[:3], motion[:, 6:]), offset, jnp.repeat(params.momentum, 3))
+
+
+def attitude(params: TaskParams, inputs: TaskInputs) -> Rows:
+    """Return the task of following the attitude law with the angular momentum (M61); base axes."""
+    state, demand = inputs.state, inputs.attitude
+    b_from_i, lambda_ang = state.base_rotation.T, inputs.momentum.lambda_[3:]
+    matrix = b_from_i @ inputs.blocks(inputs.momentum.a_t[3:], lambda_ang[:, 6:])
+    offset = rotate_back(state.base_rotation, lambda_ang[:, :6] @ state.velocity[:6] - demand.sigma)
+    return Rows(matrix, offset - demand.k_ddot_desired, jnp.repeat(params.momentum, 3))
+
+
+def angular_momentum(params: TaskParams, inputs: TaskInputs) -> Rows:
+    """Return the task on the limbs' angular momentum, which compensates the change of inertia (M62); base axes."""
+    state, dyn = inputs.state, inputs.dynamics
+    b_from_i = state.base_rotation.T
+    matrix = b_from_i @ inputs.blocks(jnp.zeros_like(inputs.momentum.a_t[3:]), dyn.momentum_matrix[3:, 6:])
+    inertia_b = multiply(multiply(b_from_i, dyn.centroidal_inertia), state.base_rotation)
+    w = rotate_back(state.base_rotation, state.velocity[3:6])
+    return Rows(matrix, (inertia_b - inputs.inertia_0) @ w, jnp.repeat(params.angular_momentum, 3))
+
+
+def symmetric_jets(params: TaskParams, pairs: tuple[tuple[int, int], ...], inputs: TaskInputs) -> Rows:
+    """Return the task of equal thrust rates within each pair of jets."""
+    n = inputs.joints + inputs.posture.shape[0]
+    eye = np.eye(n)
+    matrix = jnp.asarray(np.array([eye[a] - eye[b] for a, b in pairs]).reshape(len(pairs), n), inputs.thrust.dtype)
+    return Rows(matrix, jnp.zeros(len(pairs), matrix.dtype), jnp.repeat(params.symmetry, len(pairs)))
+
+
+def posture(params: TaskParams, inputs: TaskInputs) -> Diagonal:
+    """Return the task of returning to the desired posture (M63)."""
+    offset = params.posture_gain * (inputs.state.joint_position - inputs.posture)
+    return Diagonal(inputs.joints, offset, jnp.broadcast_to(params.posture, offset.shape))
+
+
+def keep_small(params: TaskParams, inputs: TaskInputs) -> tuple[Diagonal, ...]:
+    """Return the tasks that keep thrust rates, joint velocities and all unknowns small."""
+    jets, joints = jnp.zeros_like(inputs.thrust), jnp.zeros_like(inputs.posture)
+    everything = jnp.concatenate([jets, joints])
+    return (
+        Diagonal(0, jets, params.thrust_rate),
+        Diagonal(inputs.joints, joints, jnp.broadcast_to(params.joint_velocity, joints.shape)),
+        Diagonal(0, everything, jnp.broadcast_to(params.regularisation, everything.shape)),
+    )
+
+
+def unknown_bounds(params: TaskParams, limits: Limits, inputs: TaskInputs) -> tuple[Array, Array]:
+    """Return lower and upper bounds (j+n,) of the unknowns, which keep thrusts and joints in their ranges (M65)."""
+    jets = rate_bounds(
+        inputs.thrust, limits.thrust_least, limits.thrust_greatest, params.thrust_rate_max, params.thrust_steepness
+    )
+    least, greatest = inputs.robot.joint_limits[:, 0], inputs.robot.joint_limits[:, 1]
+    position = inputs.state.joint_position
+    joints = rate_bounds(position, least, greatest, limits.joint_velocity, params.joint_steepness)
+    return jnp.concatenate([jets[0], joints[0]]), jnp.concatenate([jets[1], joints[1]])

@@ -1,0 +1,73 @@
+"""From commanded joint velocities to torques, by the torque QP and a rate limiter.
+
+This file has the integral of M68 of `docs/model.md`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Bool, Float
+
+from jax_aero.control import qp
+from jax_aero.control.law.limits import Limits
+from jax_aero.control.law.rates import Rates
+from jax_aero.control.law.torque import TorqueParams, TorqueQp, limit_rate, torque_qp
+from jax_aero.control.measurement import UsedMeasurement
+from jax_aero.control.qp import QpAnswer
+from jax_aero.control.state import ControllerState
+from jax_aero.control.terms import Model
+from jax_aero.types import Array
+
+INTEGRAL_LIMIT = 20.0
+"""Saturation of the published integrator of the joint velocity error [rad]; no flight comes near it."""
+
+
+class Torque(NamedTuple):
+    """Output of the torque law."""
+
+    torque_qp: TorqueQp
+    answer: QpAnswer
+    is_solved: Bool[Array, ""]
+    """Whether the QP has a certified answer."""
+    joint_torque: Float[Array, " n"]
+    """Torques after the rate limiter [N m]."""
+
+
+@dataclass(frozen=True)
+class Torques:
+    """The torque law of one controller."""
+
+    params: TorqueParams
+    torque_max: Float[Array, " n"]
+    """Greatest joint torques [N m]."""
+    time_step: Float[Array, ""]
+    """[s]."""
+
+    def solve(
+        self, memory: ControllerState, used: UsedMeasurement, model: Model, limits: Limits, rates: Rates
+    ) -> tuple[ControllerState, Torque]:
+        """Compute torques with which the joints follow the commanded velocities."""
+        velocity_error, integral = used.state.velocity[6:] - rates.joint_velocity, memory.velocity_error_integral
+        following = torque_qp(
+            self.params, self.torque_max, model.dynamics.mass_matrix, model.free_force, velocity_error, integral
+        )
+        answer = qp.solve(following.problem, memory.torque_start)
+        is_solved = answer.status == qp.SOLVED
+        # The published rate limiter starts from its first input.
+        last = jnp.where(memory.torque_is_known, memory.joint_torque, answer.x)
+        limited = limit_rate(last, answer.x, limits.torque_rate * self.time_step)
+        joint_torque = jnp.where(is_solved, limited, memory.joint_torque)
+        # Forward Euler: used first, advanced after. Without a commanded velocity there is no error to integrate; with
+        # held torques the integral would grow without effect on the torques.
+        advanced = jnp.clip(integral + self.time_step * velocity_error, -INTEGRAL_LIMIT, INTEGRAL_LIMIT)
+        advances = is_solved & (rates.answer.status == qp.SOLVED)
+        memory = memory._replace(
+            velocity_error_integral=jnp.where(advances, advanced, integral),
+            joint_torque=joint_torque,
+            torque_is_known=memory.torque_is_known | is_solved,
+            torque_start=answer.warm_start,
+        )
+        return memory, Torque(following, answer, is_solved, joint_torque)

@@ -1,0 +1,75 @@
+"""Intermediate values of a tick, in the order in which they are computed."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from jaxtyping import Float
+
+from jax_aero.aero import AeroModel, LinkConventions, generalised_aero_force, link_forces
+from jax_aero.control.law.attitude import AttitudeDemand
+from jax_aero.control.law.momentum import MomentumModel, momentum_model
+from jax_aero.control.law.momentum_qp import MomentumQp
+from jax_aero.control.law.torque import TorqueQp
+from jax_aero.control.measurement import Measurement, UsedMeasurement
+from jax_aero.dynamics import dynamics
+from jax_aero.kinematics import generalised_force, kinematics
+from jax_aero.robot import RobotModel
+from jax_aero.types import Array, Dynamics, Kinematics, LinkForces, Setpoint, State
+
+
+class Terms(NamedTuple):
+    """Intermediate values of a tick of the momentum controller."""
+
+    estimates: Measurement
+    """Output of the estimators; without estimators the measurement."""
+    measurement: UsedMeasurement
+    """Usable measurement, with predictions of missing values."""
+    wind_std: Float[Array, "3"]
+    """Standard deviation of the wind in `estimates` [m/s]; zero without a wind observer."""
+    state: State
+    """State of kinematics and dynamics: the given one itself if nothing is predicted."""
+    kinematics: Kinematics
+    dynamics: Dynamics
+    link_forces: LinkForces
+    momentum: MomentumModel
+    setpoint: Setpoint
+    attitude: AttitudeDemand
+    momentum_qp: MomentumQp
+    torque_qp: TorqueQp
+    unlimited_torque: Float[Array, " n"]
+    """Torques before the rate limiter [N m]."""
+
+
+class Model(NamedTuple):
+    """The part of the terms that depends on the measurement only."""
+
+    kinematics: Kinematics
+    dynamics: Dynamics
+    link_forces: LinkForces
+    momentum: MomentumModel
+    free_force: Float[Array, " N"]
+    """Generalised force without torques, `Σ Jᵀ T a + J_aᵀ f_a − h`."""
+
+
+def update_model(
+    robot: RobotModel,
+    aero: AeroModel,
+    conventions: LinkConventions,
+    rate_feedback: Float[Array, "6"],
+    lambda_feedback: bool,
+    torque_feedback: bool,
+    used: UsedMeasurement,
+) -> Model:
+    """Compute the model; the feedbacks say which of its terms contain the link forces, see `momentum_model`."""
+    kin = kinematics(robot, used.state)
+    dyn = dynamics(robot, used.state, kin)
+    link = link_forces(aero, robot, kin, conventions, used.wind)
+    momentum = momentum_model(
+        robot, kin, dyn, used.thrust, link, rate_feedback=rate_feedback, lambda_feedback=lambda_feedback
+    )
+    jet_forces = used.thrust[:, None] * momentum.jet_axes
+    force = generalised_force(robot, kin, robot.jets.bodies, momentum.jet_points, jet_forces) - dyn.bias
+    if torque_feedback:
+        force = force + generalised_aero_force(robot, kin, link, link.jacobian_points)
+    return Model(kin, dyn, link, momentum, force)

@@ -1,0 +1,530 @@
+//! Channels of the measurement: missing or implausible values are replaced by predictions.
+//!
+//! The model advances the last value of every channel to this tick (`ChannelsState::predict`). A measured value is
+//! used if it is finite and within its accepted range; for joints and base it must also be near the prediction and not
+//! frozen, that is, with the same bits for several ticks while the prediction moves away. Otherwise the prediction is
+//! used, and the age of the channel grows.
+//!
+//! ```text
+//! wind              its last value, which fades to zero
+//! feet              the wrenches that keep them at rest in the model
+//! thrusts           T ← max(0, T + Δt Ṫ*)
+//! joints and base   a step of the model with the last torques and the observed wrench
+//! ```
+//!
+//! A base velocity that is not measured follows the differences of the pose, if the pose is measured.
+//!
+//! Equations M101 to M103 of `docs/model.md`.
+
+mod config;
+mod layout;
+
+pub use config::{ChannelsConfig, Greatest, Jumps};
+
+use crate::control::measurement::{BadStart, Measurement, Reading, UsedMeasurement};
+use crate::control::modes::Modes;
+use crate::kinematics::RobotState;
+use crate::robot::RobotModel;
+use crate::spatial::{Pose, exp_so3, is_rotation, vee_of_skew_part};
+use layout::{Entry, Kind, Layout};
+use nalgebra::{DVector, Matrix3, Vector3, Vector6};
+
+/// Longest time between two ticks, in ticks. Half a tick absorbs rounding.
+const GAP_MAX: f64 = 10.5;
+
+/// Longest time without ticks that can be a pause of the controller \[s\]; if it is longer, the clock has jumped.
+const PAUSE_MAX: f64 = 1.0;
+
+/// Longest flight \[s\]; for larger times, ticks of milliseconds are lost in rounding.
+const TIME_MAX: f64 = 1e9;
+
+/// Fraction of [`Jumps`] by which a value must differ from the prediction to count as frozen.
+const FROZEN_SHARE: f64 = 0.02;
+
+/// State of one channel.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+struct Channel {
+    /// Time since its last accepted measurement \[s\].
+    age: f64,
+    /// Number of successive ticks in which its bits have not changed.
+    same: u32,
+    /// Whether it counts as frozen, until its bits change.
+    is_frozen: bool,
+    /// Whether its measurements are permanently rejected.
+    is_distrusted: bool,
+}
+
+/// State of the channels, kept from tick to tick.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ChannelsState {
+    channels: Vec<Channel>,
+    /// The measurement of the last tick.
+    last: Vec<f64>,
+    /// Prediction from the last accepted values.
+    predicted: Vec<f64>,
+    /// Acceleration `ν̇` that the last command causes in the state `commanded_in`.
+    pub acceleration: DVector<f64>,
+    /// State of the robot in the last tick that computed a command.
+    pub commanded_in: RobotState,
+    /// Torques of the last command, or those that replaced them \[N m, N\].
+    pub joint_torque: DVector<f64>,
+    /// Thrust rates of the last command, or those that replaced them \[N/s\].
+    pub thrust_rate: DVector<f64>,
+    /// Wrenches that keep the feet at rest, foot after foot \[N, N m\].
+    pub foot_wrenches: DVector<f64>,
+    /// Time of the last tick (M108) \[s\].
+    pub time: f64,
+    /// Offset of the measurement's clock from this time \[s\].
+    clock_offset: f64,
+    /// Whether there has been a tick.
+    is_begun: bool,
+    /// Whether the robot descends.
+    pub is_descending: bool,
+}
+
+/// The channels of one controller; preallocated.
+#[derive(Debug, Clone)]
+pub struct Channels {
+    config: ChannelsConfig,
+    time_step: f64,
+    layout: Layout,
+    entries: Vec<Entry>,
+    greatest: Vec<f64>,
+    jump: Vec<f64>,
+    /// Whether joint velocities must be measured; a joint observer estimates them from positions.
+    needs_joint_velocity: bool,
+    now: Vec<f64>,
+}
+
+impl Channels {
+    /// Channels of the jets, joints and feet of `robot`, at the tick `time_step` \[s\]. Joint velocities that are
+    /// neither needed nor measured count as zero.
+    #[must_use]
+    pub fn new(
+        config: &ChannelsConfig,
+        robot: &RobotModel,
+        time_step: f64,
+        needs_joint_velocity: bool,
+    ) -> Self {
+        let (jets, joints, feet) = (robot.jets.len(), robot.joints.len(), robot.feet.len());
+        let layout = Layout::new(jets, joints, feet);
+        let most = &config.greatest;
+        let near = config.jump.clone().unwrap_or(Jumps::NONE);
+        let mut greatest = vec![most.wind; layout.len()];
+        let mut jump = vec![f64::INFINITY; layout.len()];
+        for (entry, jet) in layout.thrust.clone().zip(&robot.jets) {
+            greatest[entry] = most.thrust * jet.thrust_max;
+        }
+        for (range, most, near) in [
+            (&layout.joint_position, most.joint_position, near.joint_position),
+            (&layout.joint_velocity, most.joint_velocity, near.joint_velocity),
+            (&layout.linear_velocity, most.velocity, near.velocity),
+            (&layout.angular_velocity, most.angular_velocity, near.angular_velocity),
+            (&layout.position, most.position, near.position),
+            (&layout.rotation, 2.0, near.rotation),
+        ] {
+            greatest[range.clone()].fill(most);
+            jump[range.clone()].fill(near);
+        }
+        for foot in greatest[layout.feet.clone()].chunks_exact_mut(6) {
+            foot[..3].fill(most.foot_force);
+            foot[3..].fill(most.foot_moment);
+        }
+        let thrusts = layout.thrust.clone().map(|number| (Kind::Thrust, number..number + 1));
+        let entries = [(Kind::Wind, layout.wind.clone())].into_iter().chain(thrusts).chain([
+            (Kind::Joints, layout.joints()),
+            (Kind::Velocity, layout.velocity()),
+            (Kind::Position, layout.position.clone()),
+            (Kind::Rotation, layout.rotation.clone()),
+            (Kind::Feet, layout.feet.clone()),
+        ]);
+        Self {
+            config: config.clone(),
+            time_step,
+            now: vec![0.0; layout.len()],
+            entries: entries.map(|(kind, range)| Entry { kind, range }).collect(),
+            greatest,
+            jump,
+            needs_joint_velocity,
+            layout,
+        }
+    }
+
+    /// Whether a measurement has the sizes of this robot.
+    #[must_use]
+    pub fn fit(&self, measurement: &Measurement) -> bool {
+        let (joints, feet) = (self.layout.joint_position.len(), self.layout.feet.len() / 6);
+        measurement.state.n_joints() == joints
+            && measurement.state.velocity.len() == 6 + joints
+            && measurement.thrust.len() == self.layout.thrust.len()
+            && (feet == 0 || measurement.foot_wrenches.len() == feet)
+    }
+
+    /// Whether a state has the sizes of these channels.
+    #[must_use]
+    pub fn fit_state(&self, state: &ChannelsState) -> bool {
+        state.last.len() == self.layout.len() && state.channels.len() == self.entries.len()
+    }
+
+    /// Thrusts of the last tick, or of the start, as far as they were accepted; predicted ones elsewhere \[N\].
+    #[must_use]
+    pub fn thrust<'a>(&self, state: &'a ChannelsState) -> &'a [f64] {
+        &state.predicted[self.layout.thrust.clone()]
+    }
+
+    /// The state before the first tick.
+    ///
+    /// # Errors
+    /// [`BadStart`] for a measurement that no flight can begin with.
+    pub fn start(&mut self, measurement: &Measurement) -> Result<ChannelsState, BadStart> {
+        let (joints, jets) = (self.layout.joint_position.len(), self.layout.thrust.len());
+        if !self.fit(measurement) {
+            return Err(BadStart::OtherRobot { joints, jets, feet: self.layout.feet.len() / 6 });
+        }
+        let bad = |name, value, expected| Err(BadStart::BadValue { name, value, expected });
+        if !time_is_plausible(measurement.time) {
+            return bad("time", measurement.time, "0 to 1e9 s");
+        }
+        self.read(measurement);
+        self.fill_joint_velocity();
+        let wind = &mut self.now[self.layout.wind.clone()];
+        if !wind.iter().all(|x| x.is_finite()) {
+            wind.fill(0.0); // not measured: still air until it is
+        }
+        if let Some((index, value)) = self.now.iter().enumerate().find(|(_, x)| !x.is_finite()) {
+            return bad(self.layout.name(index), *value, "a finite number");
+        }
+        if !is_rotation(&measurement.state.base.rotation) {
+            return Err(BadStart::NoRotation);
+        }
+        // Where wind, thrusts or foot wrenches cannot be accepted: none, until they are.
+        for Entry { range, .. } in self.entries.iter().filter(|entry| !entry.kind.is_vital()) {
+            let numbers = &mut self.now[range.clone()];
+            if !is_within(numbers, &self.greatest[range.clone()]) {
+                numbers.fill(0.0);
+            }
+        }
+        Ok(ChannelsState {
+            channels: vec![Channel::default(); self.entries.len()],
+            last: self.now.clone(),
+            predicted: self.now.clone(),
+            acceleration: DVector::zeros(6 + joints),
+            commanded_in: measurement.state.clone(),
+            joint_torque: DVector::zeros(joints),
+            thrust_rate: DVector::zeros(jets),
+            foot_wrenches: DVector::zeros(self.layout.feet.len()),
+            time: measurement.time,
+            clock_offset: 0.0,
+            is_begun: false,
+            is_descending: false,
+        })
+    }
+
+    /// Moves the time on with that of a measurement \[s\]: M108. Whether the time since the last tick is known.
+    fn update_clock(&self, state: &mut ChannelsState, measured: f64, used: &mut UsedMeasurement) -> bool {
+        let next = state.time + self.time_step;
+        let is_known = time_is_plausible(measured);
+        let time = if is_known { measured - state.clock_offset } else { next };
+        let elapsed = time - state.time;
+        let is_step = elapsed > 0.0 && elapsed < GAP_MAX * self.time_step;
+        let has_jumped = state.is_begun && !is_step && self.config.jump.is_some();
+        if has_jumped {
+            state.clock_offset = measured - next;
+        }
+        state.time = if has_jumped { next } else { time };
+        used.time = state.time;
+        used.elapsed = if is_step { elapsed } else { self.time_step };
+        let may_have_paused = state.is_begun && !is_step && elapsed > 0.0 && elapsed <= PAUSE_MAX;
+        used.pause = if may_have_paused { elapsed } else { 0.0 };
+        used.modes = Modes::default();
+        used.sensor_error.fill(None);
+        if !is_known || has_jumped {
+            used.modes.insert(Modes::CLOCK_PREDICTED);
+        }
+        is_step
+    }
+
+    /// Processes a measurement of matching size and writes the result to `used`.
+    pub fn update(
+        &mut self,
+        state: &mut ChannelsState,
+        measurement: &Measurement,
+        used: &mut UsedMeasurement,
+    ) {
+        self.read(measurement);
+        self.fill_joint_velocity();
+        self.take_in(state, measurement.time, used);
+    }
+
+    /// As [`Self::update`], for a measurement at `time` \[s\] that does not fit: nothing is measured.
+    pub fn update_unmeasured(&mut self, state: &mut ChannelsState, time: f64, used: &mut UsedMeasurement) {
+        self.now.fill(f64::NAN);
+        self.take_in(state, time, used);
+    }
+
+    /// Judges the numbers in `now` and makes `used` of them.
+    fn take_in(&mut self, state: &mut ChannelsState, time: f64, used: &mut UsedMeasurement) {
+        let is_step = self.update_clock(state, time, used);
+        let (was_begun, dt) = (state.is_begun, used.elapsed);
+        if was_begun {
+            state.predict(&self.layout, &self.greatest, dt);
+        }
+        let now = &self.now[self.layout.thrust.clone()];
+        for ((to, now), predicted) in used.thrust_innovation.iter_mut().zip(now).zip(self.thrust(state)) {
+            // Over an unknown time it says nothing.
+            *to = if is_step && was_begun { now - predicted } else { 0.0 };
+        }
+        // Changes during a pause are not jumps, and the first measurement has no predecessor.
+        let missed_ticks = if was_begun { used.pause / self.time_step } else { f64::INFINITY };
+        let mut is_pose_new = is_step;
+        for (place, Entry { kind, .. }) in self.entries.iter().enumerate() {
+            let is_new = self.judge(state, place, dt, missed_ticks);
+            if state.channels[place].age > 0.0 {
+                used.modes.insert(kind.mode());
+            }
+            match kind {
+                Kind::Velocity if was_begun => self.integrate_pose(state, place, dt),
+                Kind::Position | Kind::Rotation => is_pose_new &= is_new,
+                _ => {}
+            }
+        }
+        if is_pose_new && used.modes.contains(Kind::Velocity.mode()) {
+            self.follow_pose(state, dt);
+        }
+        state.last.copy_from_slice(&self.now);
+        self.fill_predicted(state, used);
+        if state.is_descending {
+            used.modes.insert(Modes::DESCENDING);
+        }
+        used.has_momentum = (is_step || !was_begun) && !used.modes.intersects(Modes::WITHOUT_MOMENTUM);
+        state.is_begun = true;
+        self.write(used);
+    }
+
+    /// Accepts the numbers of a channel, or lets its age grow by `dt` \[s\]. Returns whether it is measured in this tick
+    /// and in the last one, with different bits.
+    fn judge(&self, state: &mut ChannelsState, place: usize, dt: f64, missed_ticks: f64) -> bool {
+        let (Entry { range, kind }, channel) = (&self.entries[place], &mut state.channels[place]);
+        let (now, predicted) = (&self.now[range.clone()], &mut state.predicted[range.clone()]);
+        let is_near = |predicted: &[f64], gate: f64| {
+            let mut entries = now.iter().zip(predicted).zip(&self.jump[range.clone()]);
+            entries.all(|((now, predicted), jump)| (now - predicted).abs() <= gate * jump)
+        };
+        let is_same = state.is_begun && *now == state.last[range.clone()];
+        let was_new = channel.age == 0.0 && channel.same == 0;
+        channel.same = if is_same { channel.same.saturating_add(1) } else { 0 };
+        let gate = 1.0 + self.config.widening * channel.age + missed_ticks;
+        let is_sound = is_within(now, &self.greatest[range.clone()])
+            && (*kind != Kind::Rotation || is_rotation(&rotation_of(now)))
+            && is_near(predicted, gate);
+        let leaves = channel.same >= self.config.frozen_ticks && !is_near(predicted, FROZEN_SHARE);
+        channel.is_frozen = is_same && (channel.is_frozen || leaves);
+        if is_sound && !channel.is_frozen && !channel.is_distrusted {
+            channel.age = 0.0;
+            // For joints and base the prediction continues, to be compared with a value that may be frozen.
+            if !is_same || !kind.is_vital() {
+                predicted.copy_from_slice(now);
+            }
+        } else {
+            channel.age += dt;
+        }
+        state.is_descending |= kind.is_vital() && channel.age > self.config.descend_after;
+        was_new && channel.age == 0.0 && !is_same && state.is_begun
+    }
+
+    /// Advances the predicted pose by `dt` \[s\] with the velocity of this tick, measured or not (M78). `place` is the
+    /// channel of the velocity.
+    fn integrate_pose(&self, state: &mut ChannelsState, place: usize, dt: f64) {
+        let layout = &self.layout;
+        let (predicted, position) = (&mut state.predicted, layout.position.clone());
+        let numbers = if state.channels[place].age > 0.0 { &*predicted } else { &self.now };
+        let velocity = Vector6::from_column_slice(&numbers[layout.velocity()]);
+        for (position, velocity) in predicted[position.clone()].iter_mut().zip(&velocity) {
+            *position += dt * velocity;
+        }
+        let angular: Vector3<f64> = velocity.fixed_rows::<3>(3).into();
+        let rotation = exp_so3(&(angular * dt)) * rotation_of(&predicted[layout.rotation.clone()]);
+        predicted[layout.rotation.clone()].copy_from_slice(rotation.as_slice());
+        bound(&mut predicted[position.clone()], &self.greatest[position]);
+    }
+
+    /// Lets the predicted base velocity follow the difference of the last two poses.
+    fn follow_pose(&self, state: &mut ChannelsState, dt: f64) {
+        let share = -libm::expm1(-self.config.velocity_gain * dt);
+        let (position, rotation) = (self.layout.position.clone(), self.layout.rotation.clone());
+        let moved = vector(&self.now[position.clone()]) - vector(&state.last[position]);
+        let turned =
+            rotation_of(&self.now[rotation.clone()]) * rotation_of(&state.last[rotation]).transpose();
+        let (moved, turned) = (moved / dt, vee_of_skew_part(&turned) / dt);
+        let velocity = &mut state.predicted[self.layout.velocity()];
+        for (velocity, found) in velocity.iter_mut().zip(moved.iter().chain(&turned)) {
+            *velocity += share * (found - *velocity);
+        }
+    }
+
+    /// Replaces the numbers that were not accepted by predictions; a held wind fades.
+    fn fill_predicted(&mut self, state: &ChannelsState, used: &mut UsedMeasurement) {
+        let mut innovations = used.thrust_innovation.iter_mut();
+        for (Entry { range, kind }, channel) in self.entries.iter().zip(&state.channels) {
+            let innovation = if *kind == Kind::Thrust { innovations.next() } else { None };
+            if channel.age == 0.0 {
+                continue;
+            }
+            let now = &mut self.now[range.clone()];
+            now.copy_from_slice(&state.predicted[range.clone()]);
+            if let Some(innovation) = innovation {
+                *innovation = 0.0;
+            }
+            if *kind == Kind::Wind {
+                let left = 1.0 - (channel.age - self.config.wind_hold) / self.config.wind_fade;
+                now.iter_mut().for_each(|x| *x *= left.clamp(0.0, 1.0));
+                if left <= 0.0 {
+                    used.modes.insert(Modes::WIND_LOST);
+                }
+            }
+        }
+    }
+
+    /// Rejects the measured foot wrenches from now on, including those of this tick.
+    pub fn reject_feet(&self, state: &mut ChannelsState, used: &mut UsedMeasurement) {
+        for (entry, channel) in self.entries.iter().zip(&mut state.channels) {
+            channel.is_distrusted |= entry.kind == Kind::Feet;
+        }
+        let wrenches = state.foot_wrenches.as_slice().chunks_exact(6);
+        for (to, wrench) in used.foot_wrenches.iter_mut().zip(wrenches) {
+            to.copy_from_slice(wrench);
+        }
+        used.modes.insert(Kind::Feet.mode());
+    }
+
+    /// Rejects the measured thrust of a jet from now on; it was too large by `deviation` \[N\].
+    pub fn reject_sensor(&self, state: &mut ChannelsState, jet: usize, deviation: f64) {
+        let number = self.layout.thrust.start + jet;
+        for (entry, channel) in self.entries.iter().zip(&mut state.channels) {
+            channel.is_distrusted |= entry.range.contains(&number);
+        }
+        state.predicted[number] -= deviation;
+    }
+
+    /// Writes the measurement for an estimator: NaN for values that were not accepted, except for a base velocity,
+    /// which then follows the pose.
+    pub fn select_accepted(&mut self, state: &ChannelsState, reading: &mut Reading) {
+        for (entry, channel) in self.entries.iter().zip(&state.channels) {
+            if channel.age > 0.0 && entry.kind != Kind::Velocity {
+                self.now[entry.range.clone()].fill(f64::NAN);
+            }
+        }
+        self.write_reading(&mut reading.state, &mut reading.thrust);
+    }
+
+    /// Replaces the state and thrusts of `used` by an estimate; if a number of the estimate is outside the accepted
+    /// range, replaces the estimate by `used`.
+    pub fn replace(&mut self, estimate: &mut Reading, used: &mut UsedMeasurement) {
+        let Reading { state, thrust } = &*estimate;
+        let (time, wind, foot_wrenches) = (used.time, used.wind, &used.foot_wrenches);
+        self.read(&Measurement { time, state, thrust, wind, foot_wrenches });
+        if is_within(&self.now, &self.greatest) {
+            used.state.copy_from(state);
+            used.thrust.copy_from_slice(thrust);
+        } else {
+            estimate.copy(&used.state, &used.thrust);
+        }
+    }
+
+    /// Reads the numbers of a measurement of matching size.
+    fn read(&mut self, measurement: &Measurement) {
+        let (layout, now) = (&self.layout, &mut self.now);
+        let RobotState { base, joint_position, velocity } = measurement.state;
+        now[layout.wind.clone()].copy_from_slice(measurement.wind.as_slice());
+        now[layout.thrust.clone()].copy_from_slice(measurement.thrust);
+        now[layout.joint_position.clone()].copy_from_slice(joint_position.as_slice());
+        now[layout.joint_velocity.clone()].copy_from_slice(&velocity.as_slice()[6..]);
+        now[layout.position.clone()].copy_from_slice(base.position.as_slice());
+        now[layout.rotation.clone()].copy_from_slice(base.rotation.as_slice());
+        now[layout.velocity()].copy_from_slice(&velocity.as_slice()[..6]);
+        for (to, wrench) in now[layout.feet.clone()].chunks_exact_mut(6).zip(measurement.foot_wrenches) {
+            to.copy_from_slice(wrench.as_slice());
+        }
+    }
+
+    /// Sets joint velocities that are neither needed nor measured to zero.
+    fn fill_joint_velocity(&mut self) {
+        if !self.needs_joint_velocity {
+            let velocities = &mut self.now[self.layout.joint_velocity.clone()];
+            velocities.iter_mut().filter(|x| !x.is_finite()).for_each(|x| *x = 0.0);
+        }
+    }
+
+    /// Inverse of `read` for state and thrusts.
+    fn write_reading(&self, state: &mut RobotState, thrust: &mut [f64]) {
+        let (layout, now) = (&self.layout, &self.now);
+        thrust.copy_from_slice(&now[layout.thrust.clone()]);
+        state.joint_position.copy_from_slice(&now[layout.joint_position.clone()]);
+        state.velocity.as_mut_slice()[6..].copy_from_slice(&now[layout.joint_velocity.clone()]);
+        state.velocity.as_mut_slice()[..6].copy_from_slice(&now[layout.velocity()]);
+        state.base = Pose {
+            rotation: rotation_of(&now[layout.rotation.clone()]),
+            position: vector(&now[layout.position.clone()]),
+        };
+    }
+
+    /// Inverse of `read` for all channels.
+    fn write(&self, used: &mut UsedMeasurement) {
+        let (layout, now) = (&self.layout, &self.now);
+        self.write_reading(&mut used.state, &mut used.thrust);
+        used.wind = vector(&now[layout.wind.clone()]);
+        for (to, wrench) in used.foot_wrenches.iter_mut().zip(now[layout.feet.clone()].chunks_exact(6)) {
+            to.copy_from_slice(wrench);
+        }
+    }
+}
+
+impl ChannelsState {
+    /// Advances all values except the pose by `dt` \[s\]: joints and base by M78, thrusts by M31. Values stay within
+    /// the accepted range, because otherwise the predicted velocity could grow without limit while a measurement is
+    /// missing.
+    fn predict(&mut self, layout: &Layout, greatest: &[f64], dt: f64) {
+        let Self { predicted, acceleration, thrust_rate, foot_wrenches, .. } = self;
+        predicted[layout.feet.clone()].copy_from_slice(foot_wrenches.as_slice());
+        for (thrust, rate) in predicted[layout.thrust.clone()].iter_mut().zip(thrust_rate.iter()) {
+            *thrust = (*thrust + dt * rate).max(0.0);
+        }
+        let (base, joints) = acceleration.as_slice().split_at(6);
+        let places = layout.joint_position.clone().zip(layout.joint_velocity.clone());
+        for ((position, velocity), acceleration) in places.zip(joints) {
+            predicted[velocity] += dt * acceleration;
+            predicted[position] += dt * predicted[velocity];
+        }
+        for (velocity, acceleration) in predicted[layout.velocity()].iter_mut().zip(base) {
+            *velocity += dt * acceleration;
+        }
+        bound(predicted, greatest);
+    }
+}
+
+/// Whether numbers are in `[−greatest, greatest]`.
+fn is_within(numbers: &[f64], greatest: &[f64]) -> bool {
+    numbers.iter().zip(greatest).all(|(number, most)| number.abs() <= *most)
+}
+
+/// Brings numbers into `[−greatest, greatest]`.
+fn bound(numbers: &mut [f64], greatest: &[f64]) {
+    for (number, most) in numbers.iter_mut().zip(greatest) {
+        *number = number.max(-most).min(*most);
+    }
+}
+
+/// Converts three numbers to a vector.
+fn vector(numbers: &[f64]) -> Vector3<f64> {
+    Vector3::from_column_slice(numbers)
+}
+
+/// Converts nine numbers, column by column, to a matrix.
+fn rotation_of(numbers: &[f64]) -> Matrix3<f64> {
+    Matrix3::from_column_slice(numbers)
+}
+
+/// Whether a time is in the range of a flight.
+fn time_is_plausible(time: f64) -> bool {
+    (0.0..=TIME_MAX).contains(&time)
+}

@@ -1,0 +1,108 @@
+//! Positions of the entries of a measurement in one vector, and the channels that own them.
+
+use crate::control::modes::Modes;
+use std::ops::Range;
+
+/// Positions of the channels in the vector of all numbers of a measurement.
+#[derive(Debug, Clone)]
+pub(super) struct Layout {
+    pub(super) wind: Range<usize>,
+    pub(super) thrust: Range<usize>,
+    pub(super) joint_position: Range<usize>,
+    pub(super) joint_velocity: Range<usize>,
+    pub(super) linear_velocity: Range<usize>,
+    pub(super) angular_velocity: Range<usize>,
+    pub(super) position: Range<usize>,
+    pub(super) rotation: Range<usize>,
+    pub(super) feet: Range<usize>,
+}
+
+impl Layout {
+    pub(super) fn new(jets: usize, joints: usize, feet: usize) -> Self {
+        let mut end = 0;
+        let mut next = |count: usize| {
+            let start = end;
+            end += count;
+            start..end
+        };
+        Self {
+            wind: next(3),
+            thrust: next(jets),
+            joint_position: next(joints),
+            joint_velocity: next(joints),
+            linear_velocity: next(3),
+            angular_velocity: next(3),
+            position: next(3),
+            rotation: next(9),
+            feet: next(6 * feet),
+        }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.feet.end
+    }
+
+    /// Positions and velocities of the joints.
+    pub(super) fn joints(&self) -> Range<usize> {
+        self.joint_position.start..self.joint_velocity.end
+    }
+
+    /// Linear and angular velocity of the base.
+    pub(super) fn velocity(&self) -> Range<usize> {
+        self.linear_velocity.start..self.angular_velocity.end
+    }
+
+    /// Field of the measurement that contains a number.
+    pub(super) fn name(&self, index: usize) -> &'static str {
+        let names = [
+            (self.wind.end, "wind"),
+            (self.thrust.end, "thrust"),
+            (self.joint_position.end, "joint_position"),
+            (self.joint_velocity.end, "joint_velocity"),
+            (self.linear_velocity.end, "base_linear_velocity"),
+            (self.angular_velocity.end, "base_angular_velocity"),
+            (self.position.end, "base_position"),
+            (self.rotation.end, "base_rotation"),
+        ];
+        names.into_iter().find(|(end, _)| index < *end).map_or("foot_wrenches", |(_, name)| name)
+    }
+}
+
+/// What a channel measures.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Kind {
+    Wind,
+    Thrust,
+    Joints,
+    Velocity,
+    Position,
+    Rotation,
+    Feet,
+}
+
+impl Kind {
+    /// Mode of a tick without it.
+    pub(super) fn mode(self) -> Modes {
+        match self {
+            Self::Wind => Modes::WIND_HELD,
+            Self::Thrust => Modes::THRUST_MODELLED,
+            Self::Joints => Modes::JOINTS_PREDICTED,
+            Self::Velocity => Modes::VELOCITY_PREDICTED,
+            Self::Position => Modes::POSITION_PREDICTED,
+            Self::Rotation => Modes::ROTATION_PREDICTED,
+            Self::Feet => Modes::FEET_PREDICTED,
+        }
+    }
+
+    /// Whether the robot descends if it is missing.
+    pub(super) fn is_vital(self) -> bool {
+        matches!(self, Self::Joints | Self::Velocity | Self::Position | Self::Rotation)
+    }
+}
+
+/// A channel: numbers that are accepted or predicted together.
+#[derive(Debug, Clone)]
+pub(super) struct Entry {
+    pub(super) kind: Kind,
+    pub(super) range: Range<usize>,
+}

@@ -1,0 +1,430 @@
+//! State estimator for the control law: the robot's model, corrected by delayed measurements and integrated to the
+//! present.
+//!
+//! ```text
+//! measurements of age d ──► stored until all have the greatest age D ──► correct x̂(t − D)
+//! x̂(t − D) ──► D ticks of the model under the commands given then ──► x̂(t), for the controller
+//! ```
+//!
+//! The control law assumes measurements without delay and noise; the estimator provides them. Forces that are not in
+//! the model enter through the controller's observed wrench. Without delays and time constants the estimate equals the
+//! measurement.
+//!
+//! Equations M91 to M93 of `docs/model.md`.
+
+use crate::aero::{AeroModel, LinkConventions, LinkForces};
+use crate::control::law::contact::WRENCH;
+use crate::control::measurement::Reading;
+use crate::dynamics::{Dynamics, MassFactor};
+use crate::error::{BuildError, check};
+use crate::kinematics::{Kinematics, RobotState};
+use crate::robot::RobotModel;
+use crate::spatial::{GREATEST, exp_so3, log_so3, parts, project_to_so3};
+use nalgebra::{DVector, Vector3, Vector6};
+use serde::{Deserialize, Serialize};
+
+/// Greatest age of a measurement \[s\]: every tick of age costs one evaluation of the model.
+const MAX_DELAY: f64 = 0.2;
+
+/// Delay and time constant of each kind of measurement.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(default, deny_unknown_fields)]
+pub struct EstimatorConfig {
+    /// Position of the base origin.
+    pub base_position: ChannelConfig,
+    /// Rotation of the base.
+    pub base_rotation: ChannelConfig,
+    /// Velocity of the base origin.
+    pub base_linear_velocity: ChannelConfig,
+    /// Gyroscopes.
+    pub base_angular_velocity: ChannelConfig,
+    /// Joint positions.
+    pub joint_position: ChannelConfig,
+    /// Joint velocities.
+    pub joint_velocity: ChannelConfig,
+    /// Thrusts.
+    pub thrust: ChannelConfig,
+    /// Time constant \[s\] of an observer that estimates joint velocities, and joint accelerations that the model does
+    /// not explain, from the joint positions alone. It replaces `joint_velocity` and the time constant of
+    /// `joint_position`; joint velocities then need not be measured.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub joint_observer: Option<f64>,
+}
+
+/// One kind of measurement.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(default, deny_unknown_fields)]
+pub struct ChannelConfig {
+    /// Age of the measurement on arrival, rounded to ticks \[s\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = 0.2)))]
+    pub delay: f64,
+    /// Time constant with which the estimate follows the measurement \[s\]; zero uses the measurement unchanged.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub time_constant: f64,
+}
+
+impl EstimatorConfig {
+    fn channels(&self) -> [(&'static str, &ChannelConfig); 7] {
+        [
+            ("base_position", &self.base_position),
+            ("base_rotation", &self.base_rotation),
+            ("base_linear_velocity", &self.base_linear_velocity),
+            ("base_angular_velocity", &self.base_angular_velocity),
+            ("joint_position", &self.joint_position),
+            ("joint_velocity", &self.joint_velocity),
+            ("thrust", &self.thrust),
+        ]
+    }
+
+    /// Checks that every value is in its range.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the key.
+    pub fn check(&self) -> Result<(), BuildError> {
+        for (key, channel) in self.channels() {
+            let item = format!("controller.estimator.{key}.delay");
+            check(&item, channel.delay, |x| (0.0..=MAX_DELAY).contains(&x), "seconds from 0 to 0.2")?;
+            let item = format!("controller.estimator.{key}.time_constant");
+            check(&item, channel.time_constant, |x| x >= 0.0, "seconds ≥ 0")?;
+        }
+        if let Some(time) = self.joint_observer {
+            check("controller.estimator.joint_observer", time, |x| x > 0.0, "a positive number of seconds")?;
+        }
+        Ok(())
+    }
+}
+
+/// Inputs of the model from one tick to the next.
+#[derive(Debug, Clone, PartialEq)]
+struct Order {
+    torque: Vec<f64>,
+    thrust_rate: Vec<f64>,
+    unmodelled: Vector6<f64>,
+    wind_i: Vector3<f64>,
+    /// Wrenches that keep the feet at rest, foot after foot.
+    foot_wrenches: Vec<f64>,
+    /// Duration of the input \[s\]; known when the next tick starts.
+    duration: f64,
+}
+
+/// The robot's model and its workspace.
+#[derive(Debug, Clone)]
+struct Model {
+    robot: RobotModel,
+    aero: AeroModel,
+    kinematics: Kinematics,
+    dynamics: Dynamics,
+    link_forces: LinkForces,
+    mass_factor: MassFactor,
+    acceleration: DVector<f64>,
+}
+
+impl Model {
+    /// Advances the model by one tick with semi-implicit Euler (M92); `disturbance` holds joint accelerations that the
+    /// model does not explain.
+    fn advance(&mut self, reading: &mut Reading, order: &Order, disturbance: &DVector<f64>) {
+        let Self { robot, aero, kinematics, dynamics, link_forces, mass_factor, acceleration } = self;
+        let Reading { state, thrust } = reading;
+        kinematics.update(robot, state);
+        dynamics.update(robot, state, kinematics);
+        link_forces.update(robot, kinematics, LinkConventions::default(), aero, &order.wind_i);
+        acceleration.copy_from(&dynamics.bias);
+        acceleration.neg_mut();
+        for (joint, torque) in order.torque.iter().enumerate() {
+            acceleration[6 + joint] += torque;
+        }
+        kinematics.add_thrusts(robot, thrust.iter().copied(), acceleration);
+        for (foot, wrench) in robot.feet.iter().zip(order.foot_wrenches.chunks_exact(WRENCH)) {
+            let (sole, wrench) = (kinematics.frame_pose(&foot.frame), Vector6::from_column_slice(wrench));
+            kinematics.add_generalised_wrench(foot.frame.body, &sole.position, &wrench, acceleration);
+        }
+        link_forces.add_generalised_force(robot, kinematics, acceleration);
+        if !mass_factor.factorise(&dynamics.mass_matrix) {
+            return;
+        }
+        mass_factor.solve_in_place(acceleration);
+        // The unmodelled wrench moves the robot as one body, because the point where it acts is unknown. Unexplained
+        // joint accelerations are internal and must not change the momentum.
+        let mut wrench = order.unmodelled;
+        for (joint, extra) in disturbance.iter().enumerate() {
+            acceleration[6 + joint] += extra;
+            wrench -= dynamics.momentum_matrix.column(6 + joint) * *extra;
+        }
+        if let Some(inertia) = dynamics.centroidal_inertia.cholesky() {
+            let (force, moment) = parts(&wrench);
+            let angular = inertia.solve(&moment);
+            let arm = kinematics.com - state.base.position;
+            let linear = force / kinematics.mass() - angular.cross(&arm);
+            for axis in 0..3 {
+                acceleration[axis] += linear[axis];
+                acceleration[3 + axis] += angular[axis];
+            }
+        }
+        state.velocity.axpy(order.duration, acceleration, 1.0);
+        state.advance_pose(order.duration);
+        for (thrust, rate) in thrust.iter_mut().zip(&order.thrust_rate) {
+            *thrust = (*thrust + order.duration * rate).max(0.0);
+        }
+    }
+}
+
+/// State estimator of one robot, with its workspace; its state is an [`EstimatorState`].
+#[derive(Debug, Clone)]
+pub struct Estimator {
+    model: Model,
+    time_step: f64,
+    /// Age of the oldest channel in ticks.
+    oldest: usize,
+    /// Age of each channel in ticks, in the order of the configuration.
+    ages: [usize; 7],
+    /// Fraction of each channel's innovation that corrects the estimate.
+    shares: [f64; 7],
+    /// Fractions of the joint position innovation that correct velocities, per tick, and accelerations, per tick
+    /// squared.
+    by_position: [f64; 2],
+    /// Fraction of an unmodelled moment that appears in the estimated momentum per tick: that of a lag with the
+    /// greatest age plus the time constant of the angular velocity.
+    pub momentum_share: f64,
+}
+
+/// State of the estimator, kept from tick to tick.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EstimatorState {
+    /// The last measurements: a ring buffer of the greatest age plus one.
+    line: Vec<Reading>,
+    /// The inputs that followed them, at the same positions.
+    orders: Vec<Order>,
+    /// Number of measurements processed.
+    ticks: usize,
+    /// Estimate at the greatest age.
+    then: Reading,
+    /// Accelerations of the joints that the model does not explain \[rad/s²\].
+    disturbance: DVector<f64>,
+}
+
+impl Estimator {
+    /// Builds an estimator with models of the robot and of its aerodynamics, updated every `time_step` \[s\].
+    ///
+    /// # Errors
+    /// As [`EstimatorConfig::check`].
+    pub fn new(
+        config: &EstimatorConfig,
+        robot: RobotModel,
+        aero: AeroModel,
+        time_step: f64,
+    ) -> Result<Self, BuildError> {
+        config.check()?;
+        let channels = config.channels().map(|(_, channel)| *channel);
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked: 0 to 0.2 s
+        let mut ages = channels.map(|channel| (channel.delay / time_step).round() as usize);
+        let share = |time: f64| if time > 0.0 { -libm::expm1(-time_step / time) } else { 1.0 };
+        let mut shares = channels.map(|channel| share(channel.time_constant));
+        let mut by_position = [0.0; 2];
+        if let Some(time) = config.joint_observer {
+            // Observer gains that place all three poles at e^(-Δt/T).
+            let (left, pole) = (share(time), 1.0 - share(time));
+            (ages[5], shares[4], shares[5]) = (0, 1.0 - pole * pole * pole, 0.0);
+            by_position = [left * left * (1.0 + 2.0 * pole), left * left * left];
+        }
+        let joints = robot.joints.len();
+        let model = Model {
+            kinematics: Kinematics::new(&robot),
+            dynamics: Dynamics::new(&robot),
+            link_forces: LinkForces::new(&robot),
+            mass_factor: MassFactor::new(6 + joints),
+            acceleration: DVector::zeros(6 + joints),
+            robot,
+            aero,
+        };
+        let oldest = ages.into_iter().max().unwrap_or(0);
+        let lag = oldest as f64 * time_step + config.base_angular_velocity.time_constant;
+        Ok(Self { model, time_step, oldest, ages, shares, by_position, momentum_share: share(lag) })
+    }
+
+    /// State before the first measurement, for a flight that starts from `state` and `thrust` \[N\].
+    #[must_use]
+    pub fn start(&self, state: &RobotState, thrust: &[f64]) -> EstimatorState {
+        let (joints, jets) = (self.model.robot.joints.len(), self.model.robot.jets.len());
+        let first = Reading { state: state.clone(), thrust: thrust.to_vec() };
+        let order = Order {
+            torque: vec![0.0; joints],
+            thrust_rate: vec![0.0; jets],
+            unmodelled: Vector6::zeros(),
+            wind_i: Vector3::zeros(),
+            foot_wrenches: vec![0.0; WRENCH * self.model.robot.feet.len()],
+            duration: self.time_step,
+        };
+        EstimatorState {
+            line: vec![first.clone(); 1 + self.oldest],
+            orders: vec![order; 1 + self.oldest],
+            ticks: 0,
+            then: first,
+            disturbance: DVector::zeros(joints),
+        }
+    }
+
+    /// Whether a state has the sizes of this estimator.
+    #[must_use]
+    pub fn fits(&self, state: &EstimatorState) -> bool {
+        let robot = &self.model.robot;
+        state.line.len() == 1 + self.oldest
+            && state.disturbance.len() == robot.joints.len()
+            && state.then.thrust.len() == robot.jets.len()
+    }
+
+    /// Replaces the measurement `now` by the estimate at the present time. Does not allocate.
+    ///
+    /// The first measurement starts the flight: its plausible numbers also stand for the time before it. Implausible
+    /// numbers correct nothing; the model's prediction replaces them. An estimate that is not finite restarts from the
+    /// measurement.
+    ///
+    /// `elapsed` is the time since the last measurement \[s\], rounded to whole time steps; delays count measurements.
+    /// `thrust_innovation` returns the correction of each thrust by the measurement \[N\].
+    pub fn update(
+        &mut self,
+        memory: &mut EstimatorState,
+        now: &mut Reading,
+        elapsed: f64,
+        thrust_innovation: &mut [f64],
+    ) {
+        memory.last_order().duration = self.time_step * (elapsed / self.time_step).round().max(1.0);
+        let Self { model, ages, by_position, .. } = self;
+        let EstimatorState { line, orders, ticks, then, disturbance } = memory;
+        let (oldest, length) = (self.oldest, line.len());
+        // Duration of the step that leads to `then`.
+        let step = orders[*ticks % length].duration;
+        if *ticks == 0 {
+            for reading in line.iter_mut() {
+                reading.copy_from(now);
+            }
+            take_over(then, now);
+        }
+        line[*ticks % length].copy_from(now);
+        if *ticks > oldest {
+            model.advance(then, &orders[*ticks % length], disturbance);
+        }
+        if !then.is_finite() {
+            then.copy_from(now);
+            disturbance.fill(0.0);
+        }
+        // Measurements with a smaller age wait for those with the greatest.
+        let aligned = ages.map(|age| &line[(*ticks + length - (oldest - age)) % length]);
+        let [of_velocity, of_acceleration] = *by_position;
+        for joint in 0..disturbance.len() {
+            let found = then.state.joint_position[joint];
+            let innovation = prefer_measured(aligned[4].state.joint_position[joint], found) - found;
+            then.state.velocity[6 + joint] += of_velocity / step * innovation;
+            disturbance[joint] += of_acceleration / (step * step) * innovation;
+        }
+        thrust_innovation.copy_from_slice(&then.thrust);
+        correct(then, aligned, &self.shares);
+        for (innovation, corrected) in thrust_innovation.iter_mut().zip(&then.thrust) {
+            *innovation = corrected - *innovation;
+        }
+        now.copy_from(then);
+        for tick in ticks.saturating_sub(oldest)..*ticks {
+            model.advance(now, &orders[tick % length], disturbance);
+        }
+        *ticks += 1;
+    }
+}
+
+impl EstimatorState {
+    /// Restarts from the next measurement: it is not known how long the last command has acted.
+    pub(super) fn restart(&mut self) {
+        self.ticks = 0;
+    }
+
+    /// Subtracts the error `deviation` \[N\] of a jet's sensor from its thrust; its stored measurements are discarded.
+    pub(super) fn correct_thrust(&mut self, jet: usize, deviation: f64) {
+        self.then.thrust[jet] -= deviation;
+        for reading in &mut self.line {
+            reading.thrust[jet] = f64::NAN;
+        }
+    }
+
+    /// Stores the inputs from this tick to the next: thrust rates \[N/s\], torques \[N m\], the observed wrench, the
+    /// wind that the controller uses \[m/s\] (finite whatever is measured), and the wrenches that keep the feet at rest,
+    /// foot after foot about their soles \[N, N m, inertial axes\].
+    pub fn command(
+        &mut self,
+        thrust_rate: &[f64],
+        joint_torque: &[f64],
+        unmodelled: &Vector6<f64>,
+        wind_i: &Vector3<f64>,
+        foot_wrenches: &[f64],
+    ) {
+        self.replace_command(thrust_rate, joint_torque);
+        let order = self.last_order();
+        order.unmodelled = *unmodelled;
+        order.wind_i = *wind_i;
+        order.foot_wrenches.copy_from_slice(foot_wrenches);
+    }
+
+    /// Replaces the command that acts from this tick to the next.
+    pub fn replace_command(&mut self, thrust_rate: &[f64], joint_torque: &[f64]) {
+        let order = self.last_order();
+        order.torque.copy_from_slice(joint_torque);
+        order.thrust_rate.copy_from_slice(thrust_rate);
+    }
+
+    fn last_order(&mut self) -> &mut Order {
+        let length = self.orders.len();
+        &mut self.orders[(self.ticks + length - 1) % length]
+    }
+}
+
+/// Copies the numbers of `measured` that are plausible and keeps the others.
+fn take_over(to: &mut Reading, measured: &Reading) {
+    let (Reading { state: to, thrust: to_thrust }, Reading { state, thrust }) = (to, measured);
+    let take = |to: &mut f64, measured| *to = prefer_measured(measured, *to);
+    to.base.position.zip_apply(&state.base.position, take);
+    to.base.rotation.zip_apply(&state.base.rotation, take);
+    to.joint_position.zip_apply(&state.joint_position, take);
+    to.velocity.zip_apply(&state.velocity, take);
+    for (to, measured) in to_thrust.iter_mut().zip(thrust) {
+        take(to, *measured);
+    }
+}
+
+/// The measurement, or the estimate if the measurement is implausible.
+fn prefer_measured(measured: f64, estimate: f64) -> f64 {
+    if measured.abs() <= GREATEST { measured } else { estimate }
+}
+
+/// Corrects an estimate by measurements of its time, each with its fraction (M91).
+fn correct(estimate: &mut Reading, measured: [&Reading; 7], shares: &[f64; 7]) {
+    let [position, rotation, linear, angular, joints, joint_velocities, thrusts] = measured;
+    let Reading { state, thrust } = estimate;
+    let (rotation_now, turning) = (state.base.rotation, state.base_angular_velocity());
+    let gyro_now = rotation_now.transpose() * turning;
+    let rotation_measured = angular.state.base.rotation.zip_map(&rotation_now, prefer_measured);
+    let turning_measured = angular.state.base_angular_velocity().zip_map(&turning, prefer_measured);
+    let gyro_now = gyro_now + shares[3] * (rotation_measured.transpose() * turning_measured - gyro_now);
+    let turn = log_so3(
+        &(rotation_now.transpose() * rotation.state.base.rotation.zip_map(&rotation_now, prefer_measured)),
+    );
+    let place = state.base.position;
+    state.base.position +=
+        shares[0] * (position.state.base.position.zip_map(&place, prefer_measured) - place);
+    state.base.rotation = project_to_so3(&(state.base.rotation * exp_so3(&(shares[1] * turn))));
+    let linear_now = state.base_linear_velocity();
+    let linear_measured = linear.state.base_linear_velocity().zip_map(&linear_now, prefer_measured);
+    let linear_now = linear_now + shares[2] * (linear_measured - linear_now);
+    let angular_now = state.base.rotation * gyro_now;
+    let velocities = state.velocity.as_mut_slice();
+    velocities[..3].copy_from_slice(linear_now.as_slice());
+    velocities[3..6].copy_from_slice(angular_now.as_slice());
+    for (found, measured) in state.joint_position.iter_mut().zip(&joints.state.joint_position) {
+        *found += shares[4] * (prefer_measured(*measured, *found) - *found);
+    }
+    for (found, measured) in velocities[6..].iter_mut().zip(joint_velocities.state.joint_velocity()) {
+        *found += shares[5] * (prefer_measured(*measured, *found) - *found);
+    }
+    for (found, measured) in thrust.iter_mut().zip(&thrusts.thrust) {
+        *found = (*found + shares[6] * (prefer_measured(*measured, *found) - *found)).max(0.0);
+    }
+}

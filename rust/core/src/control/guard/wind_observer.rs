@@ -1,0 +1,274 @@
+//! Wind estimate from the wrench that acts on the robot, by inverting an aerodynamic model.
+//!
+//! ```text
+//! dẑ/dt = K_o (L̇ − A_T T − A_c f_c + m g e₃ − ẑ)         wrench without jets, feet and weight
+//! ẑ_f = Σ f_j(v_w) + noise + e,  dv_w = random walk       an extended Kalman filter, e constant
+//! ```
+//!
+//! The lasting errors `e` do not average out. They are not estimated, but the uncertainty of the estimate includes
+//! their effect on it (Schmidt's filter). The magnitude of the model's errors follows from the part of the moment that
+//! the estimated wind does not explain.
+//!
+//! The observer reads the results of a tick, and the next tick uses its wind. On an upright robot a vertical wind
+//! causes little force; the vertical component is therefore held near zero by the prior of vertical winds.
+//!
+//! Equations M94 and M110 of `docs/model.md`.
+
+use super::observer::{ObserverConfig, ObserverState, Sample};
+use crate::aero::{AeroModel, LinkConventions, LinkForces};
+use crate::control::law::contact::add_wrenches;
+use crate::control::measurement::UsedMeasurement;
+use crate::error::{BuildError, Table};
+use crate::kinematics::Kinematics;
+use crate::robot::RobotModel;
+use crate::spatial::{Pose, parts};
+use nalgebra::{Matrix3, Matrix6xX, Vector3, Vector6};
+use serde::{Deserialize, Serialize};
+
+/// Step of the differences for the Jacobian \[m/s\]: large compared with the rounding of a network, small compared with
+/// relevant winds.
+const DIFFERENCE: f64 = 0.1;
+
+/// Time over which the unexplained moment is averaged \[s\].
+const MEMORY: f64 = 2.0;
+
+/// Greatest magnitude of the observed wrench \[N, N m\].
+const GREATEST: f64 = 1e4;
+
+/// Parameters of the wind estimation.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(default, deny_unknown_fields)]
+pub struct WindObserverConfig {
+    /// Gain `K_o` with which the acting force is observed \[1/s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub gain: f64,
+    /// Rate of change of a horizontal wind: standard deviation after one second \[m/s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub walk: f64,
+    /// Standard deviation of vertical winds \[m/s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub vertical_std: f64,
+    /// Correlation time of vertical winds \[s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub vertical_time: f64,
+    /// Standard deviation of the noise of the observed force, by axis \[N\].
+    #[cfg_attr(feature = "schema", schemars(extend("items" = { "type": "number", "format": "double", "exclusiveMinimum": 0 })))]
+    pub force_noise: [f64; 3],
+    /// Standard deviation of lasting errors of the force: of mass, thrusts and attitude \[N\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub force_std: f64,
+    /// Standard deviation of lasting errors of the aerodynamic model, as a fraction of the observed force.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub relative_std: f64,
+    /// Lever arm that converts an unexplained moment to an unexplained force of the model \[m\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub moment_arm: f64,
+}
+
+impl Default for WindObserverConfig {
+    fn default() -> Self {
+        Self {
+            gain: 10.0,
+            walk: 0.6,
+            vertical_std: 1.0,
+            vertical_time: 2.0,
+            force_noise: [0.3, 0.3, 4.0],
+            force_std: 0.1,
+            relative_std: 0.045,
+            moment_arm: 0.25,
+        }
+    }
+}
+
+impl WindObserverConfig {
+    /// Checks that every value is in its range.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the key.
+    pub fn check(&self, time_step: f64) -> Result<(), BuildError> {
+        let table = Table("controller.wind_observer");
+        table.check_positive("gain", self.gain)?;
+        table.gain("gain", self.gain, time_step)?;
+        table.check_positive("walk", self.walk)?;
+        table.check_positive("vertical_std", self.vertical_std)?;
+        table.check_positive("vertical_time", self.vertical_time)?;
+        table.check_positive("moment_arm", self.moment_arm)?;
+        self.force_noise.into_iter().try_for_each(|std| table.check_positive("force_noise", std))?;
+        table.check_non_negative("force_std", self.force_std)?;
+        table.check_non_negative("relative_std", self.relative_std)
+    }
+}
+
+/// Observer of the wind, with its workspace; its state is a [`WindState`].
+#[derive(Debug, Clone)]
+pub struct WindObserver {
+    config: WindObserverConfig,
+    robot: RobotModel,
+    aero: AeroModel,
+    link_forces: LinkForces,
+}
+
+/// State of the wind estimate, kept from tick to tick.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WindState {
+    wrench: ObserverState,
+    wind: Vector3<f64>,
+    /// Covariance of the estimate, without lasting errors.
+    covariance: Matrix3<f64>,
+    /// Sensitivity of the estimate to a lasting force \[m/s/N\].
+    sensitivity: Matrix3<f64>,
+    /// Variance of the lasting errors \[N²\].
+    lasting: f64,
+    /// Mean square of the unexplained moment \[N² m²\].
+    unexplained: f64,
+}
+
+impl WindObserver {
+    /// Builds an observer with models of the robot and of its aerodynamics, updated about every `time_step` \[s\].
+    ///
+    /// # Errors
+    /// As [`WindObserverConfig::check`]; also for an aerodynamic model without forces.
+    pub fn new(
+        config: &WindObserverConfig,
+        robot: RobotModel,
+        aero: AeroModel,
+        time_step: f64,
+    ) -> Result<Self, BuildError> {
+        config.check(time_step)?;
+        if aero.is_off() {
+            let expected = "a model of the air: without one no force says anything of the wind";
+            return Err(BuildError::bad_value("controller.aero.model", "off", expected));
+        }
+        Ok(Self { config: *config, link_forces: LinkForces::new(&robot), robot, aero })
+    }
+
+    /// State before the first tick: zero wind, with the covariance of one second of the random walk and of the vertical
+    /// winds.
+    #[must_use]
+    pub fn start(&self) -> WindState {
+        let Self { config, .. } = self;
+        let std = Vector3::new(config.walk, config.walk, config.vertical_std);
+        WindState {
+            wrench: ObserverState::default(),
+            wind: Vector3::zeros(),
+            covariance: Matrix3::from_diagonal(&std.component_mul(&std)),
+            sensitivity: Matrix3::zeros(),
+            lasting: 0.0,
+            unexplained: 0.0,
+        }
+    }
+
+    /// Updates the estimate with the results of a tick: the measurement, its kinematics, the centroidal `momentum`
+    /// \[kg m/s, kg m²/s\], `A_T` and the soles. There is no correction if the momentum is not measured.
+    pub fn update(
+        &mut self,
+        state: &mut WindState,
+        measurement: &UsedMeasurement,
+        kinematics: &Kinematics,
+        momentum: &Vector6<f64>,
+        a_t: &Matrix6xX<f64>,
+        soles: &[Pose],
+    ) {
+        let step = measurement.elapsed;
+        self.predict(state, step);
+        if !measurement.has_momentum {
+            state.hold();
+            return;
+        }
+        let mut rate = Vector6::zeros();
+        for (column, thrust) in a_t.column_iter().zip(&measurement.thrust) {
+            rate += column * *thrust;
+        }
+        rate[2] -= kinematics.mass() * self.robot.gravity;
+        add_wrenches(soles, &measurement.foot_wrenches, &kinematics.com, &mut rate);
+        let gain = self.config.gain;
+        let gains =
+            ObserverConfig { gain_force: gain, gain_moment: gain, force_max: GREATEST, moment_max: GREATEST };
+        let sample = Sample { momentum: *momentum, rate };
+        let observed = state.wrench.update(&gains, step, sample);
+        self.correct(state, kinematics, &observed, step);
+    }
+
+    /// Prediction: random walk of the horizontal wind, decay of the vertical wind.
+    fn predict(&self, state: &mut WindState, step: f64) {
+        let config = &self.config;
+        let kept = libm::exp(-step / config.vertical_time);
+        state.wind.z *= kept;
+        let keep = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, kept));
+        let walk = config.walk * config.walk * step;
+        let noise = Vector3::new(walk, walk, config.vertical_std * config.vertical_std * (1.0 - kept * kept));
+        state.covariance = keep * state.covariance * keep + Matrix3::from_diagonal(&noise);
+        state.sensitivity = keep * state.sensitivity;
+    }
+
+    fn correct(
+        &mut self,
+        state: &mut WindState,
+        kinematics: &Kinematics,
+        observed: &Vector6<f64>,
+        step: f64,
+    ) {
+        let observed = parts(observed);
+        let modelled = self.wrench_in(kinematics, &state.wind);
+        let mut jacobian = Matrix3::zeros();
+        for axis in 0..3 {
+            let mut shifted = state.wind;
+            shifted[axis] += DIFFERENCE;
+            jacobian.set_column(axis, &((self.wrench_in(kinematics, &shifted).0 - modelled.0) / DIFFERENCE));
+        }
+        let config = &self.config;
+        let share = -libm::expm1(-step / MEMORY);
+        let unexplained =
+            state.unexplained + share * ((observed.1 - modelled.1).norm_squared() - state.unexplained);
+        let lasting = config.force_std * config.force_std
+            + config.relative_std * config.relative_std * observed.0.norm_squared()
+            + unexplained / (config.moment_arm * config.moment_arm);
+        // The ticks of one time constant of the observer count as one measurement.
+        let together = (1.0 / (config.gain * step)).max(1.0);
+        let error = Vector3::from(config.force_noise).map(|std| together * std * std);
+        let innovation = jacobian * state.covariance * jacobian.transpose() + Matrix3::from_diagonal(&error);
+        let Some(inverse) = innovation.try_inverse() else {
+            return;
+        };
+        let gain = state.covariance * jacobian.transpose() * inverse;
+        let wind = state.wind + gain * (observed.0 - modelled.0);
+        let kept = Matrix3::identity() - gain * jacobian;
+        // Joseph's form remains symmetric and positive semidefinite under rounding.
+        let covariance = kept * state.covariance * kept.transpose()
+            + gain * Matrix3::from_diagonal(&error) * gain.transpose();
+        let sensitivity = kept * state.sensitivity + gain;
+        let numbers = wind.iter().chain(covariance.iter()).chain(sensitivity.iter());
+        if numbers.chain([&lasting, &unexplained]).all(|x| x.is_finite()) {
+            (state.wind, state.covariance, state.sensitivity) = (wind, covariance, sensitivity);
+            (state.lasting, state.unexplained) = (lasting, unexplained);
+        }
+    }
+
+    /// Aerodynamic force and moment about the centre of mass in a wind.
+    fn wrench_in(&mut self, kinematics: &Kinematics, wind_i: &Vector3<f64>) -> (Vector3<f64>, Vector3<f64>) {
+        let Self { robot, aero, link_forces, .. } = self;
+        link_forces.update(robot, kinematics, LinkConventions::default(), aero, wind_i);
+        link_forces.wrench_about(&kinematics.com)
+    }
+}
+
+impl WindState {
+    /// Discards the last sample: for a tick whose momentum is not measured.
+    fn hold(&mut self) {
+        self.wrench.hold();
+    }
+
+    /// Estimated wind \[m/s, inertial axes\].
+    #[must_use]
+    pub fn wind(&self) -> Vector3<f64> {
+        self.wind
+    }
+
+    /// Standard deviation of the estimate along each axis \[m/s\].
+    #[must_use]
+    pub fn std(&self) -> Vector3<f64> {
+        let considered = self.covariance + self.lasting * self.sensitivity * self.sensitivity.transpose();
+        considered.diagonal().map(f64::sqrt)
+    }
+}

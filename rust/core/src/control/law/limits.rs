@@ -1,0 +1,42 @@
+//! What the law may use in a tick: as configured, or as the guard allows.
+
+use super::attitude::MomentumGains;
+use crate::robot::RobotModel;
+
+/// Gains and limits of a tick.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Limits {
+    /// Gains of the momentum and attitude tasks.
+    pub gains: MomentumGains,
+    /// Whether the centre of mass is held at its set-point; otherwise only its velocity is controlled (M107).
+    pub holds_position: bool,
+    /// Least and greatest thrust of each jet \[N\].
+    pub thrust: Vec<(f64, f64)>,
+    /// Greatest velocity of each joint \[rad/s, m/s\].
+    pub joint_velocity: Vec<f64>,
+    /// Greatest torque rate of each joint \[N m/s, N/s\].
+    pub torque_rate: Vec<f64>,
+}
+
+impl Limits {
+    /// The limits of `robot`, with these gains.
+    #[must_use]
+    pub fn new(gains: MomentumGains, robot: &RobotModel) -> Self {
+        Self {
+            gains,
+            holds_position: true,
+            thrust: robot.jets.iter().map(|jet| (0.0, jet.thrust_max)).collect(),
+            joint_velocity: robot.joints.iter().map(|joint| joint.velocity_max).collect(),
+            torque_rate: robot.joints.iter().map(|joint| joint.torque_rate_max).collect(),
+        }
+    }
+
+    /// Copies the limits of the same robot; does not allocate.
+    pub fn copy_from(&mut self, other: &Self) {
+        let Self { gains, holds_position, thrust, joint_velocity, torque_rate } = other;
+        (self.gains, self.holds_position) = (*gains, *holds_position);
+        self.thrust.copy_from_slice(thrust);
+        self.joint_velocity.copy_from_slice(joint_velocity);
+        self.torque_rate.copy_from_slice(torque_rate);
+    }
+}

@@ -1,0 +1,104 @@
+//! The law that the tick calls: from the set-point to thrust rates and joint velocities, by the momentum QP.
+
+use super::attitude::attitude_demand;
+use super::momentum_qp::TaskInputs;
+use super::setpoint::{Setpoint, SetpointGenerator};
+use crate::control::command::{Command, CommandStatus};
+use crate::control::guard::channels::Greatest;
+use crate::control::state::ControllerState;
+use crate::control::terms::Terms;
+use crate::qp::{QpChain, QpSolver, QpStatus};
+use crate::spatial::parts;
+use nalgebra::{DVector, Matrix3};
+
+/// The momentum law of one controller, with its workspace. Another law has the functions `follow` and `solve` too.
+#[derive(Debug)]
+pub struct MomentumLaw {
+    /// Set-points from the mission.
+    pub generator: SetpointGenerator,
+    /// Range of the set-points that are followed.
+    greatest: Greatest,
+    solver: QpChain,
+    solution: DVector<f64>,
+}
+
+impl MomentumLaw {
+    /// A law in `unknowns` unknowns that follows a mission, or given set-points in the range of `greatest`.
+    #[must_use]
+    pub fn new(generator: SetpointGenerator, greatest: Greatest, solver: QpChain, unknowns: usize) -> Self {
+        Self { generator, greatest, solver, solution: DVector::zeros(unknowns) }
+    }
+
+    /// Chooses the set-point of this tick: during a descent that of the descent, otherwise the `given` one, or that of
+    /// the mission. Returns whether the given one is valid; if it is not, the robot brakes from the motion of the last
+    /// valid one (M115).
+    pub fn follow(&self, state: &mut ControllerState, given: Option<&Setpoint>, terms: &mut Terms) -> bool {
+        let ControllerState { setpoint: state, channels, contact, .. } = state;
+        let is_valid = given.is_none_or(|given| given.is_valid(&self.greatest));
+        terms.setpoint = match given {
+            _ if channels.is_descending => self.generator.descend(state, terms.contact.stays(contact)),
+            None => self.generator.update(state, terms.measurement.time),
+            Some(given) if is_valid => {
+                self.generator.follow(state, &given.motion());
+                *given
+            }
+            Some(_) => self.generator.stop(state),
+        };
+        is_valid
+    }
+
+    /// Computes thrust rates and joint velocities that control momentum and attitude.
+    pub fn solve(&mut self, state: &mut ControllerState, terms: &mut Terms, command: &mut Command) {
+        let Terms { measurement, kinematics, dynamics, momentum, setpoint, .. } = terms;
+        let Terms { limits, attitude, momentum_qp, contact, .. } = terms;
+        let (_, moment_estimate) = parts(&momentum.rate_estimate);
+        let inertia_0_b = &state.inertia_0_b;
+        if !limits.holds_position {
+            *setpoint = setpoint.without_place(&kinematics.com);
+        }
+        *attitude = attitude_demand(
+            &limits.gains,
+            setpoint,
+            &measurement.state.base.rotation,
+            &measurement.state.base_angular_velocity(),
+            &moment_estimate,
+            inertia_0_b,
+            &inertia_0_b.try_inverse().unwrap_or_else(Matrix3::zeros),
+        );
+        let inputs = TaskInputs {
+            state: &measurement.state,
+            thrust: &measurement.thrust[..limits.thrust.len()],
+            kinematics,
+            dynamics,
+            momentum,
+            setpoint,
+            attitude,
+            inertia_0_b,
+            posture: &state.posture,
+            contact,
+            contact_state: &state.contact,
+            gains: &limits.gains,
+        };
+        momentum_qp.update(&inputs);
+        let velocity_max = limits.joint_velocity.iter().copied();
+        momentum_qp.update_bounds(&inputs, limits.thrust.iter().copied(), velocity_max);
+
+        let answer = self.solver.solve_from(&mut state.momentum_start, &momentum_qp.problem);
+        command.momentum_qp = answer;
+        self.solution.as_mut_slice().copy_from_slice(self.solver.x());
+        command.status =
+            if command.modes.is_empty() { CommandStatus::Nominal } else { CommandStatus::Degraded };
+        if answer.status != QpStatus::Solved {
+            command.status = CommandStatus::MomentumHeld;
+            // Zero rates, as far as the bounds allow.
+            self.solution.fill(0.0);
+            momentum_qp.problem.clamp(self.solution.as_mut_slice());
+        }
+        let (unknowns, u) = (&momentum_qp.unknowns, self.solution.as_slice());
+        let thrust_rate = &u[unknowns.thrust_rate.clone()];
+        command.thrust_rate.fill(0.0); // also of unused jets, whose rates may have been replaced
+        command.thrust_rate.as_mut_slice()[..thrust_rate.len()].copy_from_slice(thrust_rate);
+        command.joint_velocity.copy_from_slice(&u[unknowns.joint_velocity.clone()]);
+        contact.store_rate(&mut state.contact, &u[unknowns.force_rate.clone()]);
+    }
+}

@@ -1,0 +1,417 @@
+//! Set-point generation: from autopilot commands to smooth set-points of centre of mass and attitude, with
+//! derivatives.
+//!
+//! Commands move a raw set-point at constant speeds. Minimum-jerk filters smooth its position, a first-order law its
+//! attitude. The raw attitude is that of the *heading frame*: forward, left, up, fixed to the base by the robot's
+//! forward axis. Its pitch is positive nose down.
+//!
+//! Equations M43, M44, M47, M48, M107 and M115 of `docs/model.md`. Source: the published flight-control library, whose
+//! steps per tick of 10 ms are speeds here.
+
+use super::minimum_jerk::{FilterState, MinimumJerkFilter};
+use super::mission::{AutopilotCommand, Mission};
+use super::recorded::RecordedMotion;
+use crate::control::guard::channels::Greatest;
+use crate::error::{BuildError, Table};
+use crate::spatial::{
+    GREATEST, axis_angle, is_rotation, project_to_so3, rotation_from_rpy, rpy_from_rotation, skew,
+    vee_of_skew_part,
+};
+use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
+
+/// Speeds, limits and smoothing times of the set-point generator.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct SetpointConfig {
+    /// Forward and vertical speed of the raw position \[m/s\].
+    #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
+    pub speed: [f64; 2],
+    /// Rates of raw pitch and yaw \[deg/s\].
+    #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
+    pub attitude_rate_deg: [f64; 2],
+    /// Least and greatest raw pitch, positive nose down \[deg\].
+    pub nose_down_limits_deg: [f64; 2],
+    /// Relative increase of the forward speed by the turbo command: it grows to `1 + turbo_boost` times the speed.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub turbo_boost: f64,
+    /// Growth of the boost \[1/s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub turbo_rate: f64,
+    /// Smoothing time of the position \[s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub position_smoothing: f64,
+    /// Smoothing time of the filter whose rate output is the jerk \[s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub acceleration_smoothing: f64,
+    /// Smoothing time of the angular velocity \[s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub angular_velocity_smoothing: f64,
+    /// Speed of the descent after the mission has been abandoned \[m/s\].
+    #[serde(default = "half_a_metre_per_second")]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub descent_speed: f64,
+    /// Deceleration to the velocity of the descent, or to rest without a valid set-point \[m/s²\].
+    #[serde(default = "deceleration_of_the_boost")]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub deceleration: f64,
+    /// Gain with which the smoothed attitude follows the raw one \[1/s\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub attitude_gain: f64,
+}
+
+fn half_a_metre_per_second() -> f64 {
+    0.5
+}
+
+/// `speed` times `turbo_rate` of the published flight, the deceleration at the end of its boost.
+fn deceleration_of_the_boost() -> f64 {
+    1.5
+}
+
+impl SetpointConfig {
+    /// Refuses times, speeds and gains that mean nothing at ticks of `time_step` \[s\].
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the key.
+    pub fn check(&self, time_step: f64) -> Result<(), BuildError> {
+        let table = Table("controller.setpoint");
+        table.check_positive("position_smoothing", self.position_smoothing)?;
+        table.check_positive("acceleration_smoothing", self.acceleration_smoothing)?;
+        table.check_positive("angular_velocity_smoothing", self.angular_velocity_smoothing)?;
+        table.check_positive("turbo_rate", self.turbo_rate)?;
+        table.check_non_negative("turbo_boost", self.turbo_boost)?;
+        table.gain("attitude_gain", self.attitude_gain, time_step)?;
+        table.check_non_negative("descent_speed", self.descent_speed)?;
+        table.check_positive("deceleration", self.deceleration)?;
+        for speed in self.speed {
+            table.check_non_negative("speed", speed)?;
+        }
+        for rate in self.attitude_rate_deg {
+            table.check_non_negative("attitude_rate_deg", rate)?;
+        }
+        let [low, high] = self.nose_down_limits_deg;
+        table.check("nose_down_limits_deg[0]", low, |x| x <= high, "at most the upper limit")?;
+        table.check("nose_down_limits_deg[1]", high, |_| true, "finite degrees")
+    }
+}
+
+/// Set-point of one tick.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Setpoint {
+    /// Centre of mass \[m, inertial axes\].
+    pub com_position: Vector3<f64>,
+    /// Its velocity \[m/s\].
+    pub com_velocity: Vector3<f64>,
+    /// Its acceleration \[m/s²\].
+    pub com_acceleration: Vector3<f64>,
+    /// Its jerk \[m/s³\].
+    pub com_jerk: Vector3<f64>,
+    /// Desired base rotation `R_d`, inertial from desired base.
+    pub rotation: Matrix3<f64>,
+    /// Angular velocity of the desired base \[rad/s, desired base axes\].
+    pub angular_velocity_b: Vector3<f64>,
+    /// Its first derivative \[rad/s²\].
+    pub angular_acceleration_b: Vector3<f64>,
+    /// Its second derivative \[rad/s³\].
+    pub angular_jerk_b: Vector3<f64>,
+}
+
+impl Setpoint {
+    /// A set-point at rest at a position and rotation.
+    #[must_use]
+    pub fn hold(com_position: Vector3<f64>, rotation: Matrix3<f64>) -> Self {
+        let zero = Vector3::zeros();
+        Self {
+            com_position,
+            com_velocity: zero,
+            com_acceleration: zero,
+            com_jerk: zero,
+            rotation,
+            angular_velocity_b: zero,
+            angular_acceleration_b: zero,
+            angular_jerk_b: zero,
+        }
+    }
+
+    /// Set-point without position control: the centre of mass is the present one \[m\], without acceleration or jerk
+    /// (M107 of `docs/model.md`).
+    #[must_use]
+    pub fn without_place(&self, com: &Vector3<f64>) -> Self {
+        let zero = Vector3::zeros();
+        Self { com_position: *com, com_acceleration: zero, com_jerk: zero, ..*self }
+    }
+
+    /// Whether a robot whose state is accepted up to `greatest` can follow this set-point: position and velocities are
+    /// within that range, the acceleration changes the velocity by at most its range in a second, all other
+    /// derivatives are at most 10⁶ (m, rad, s), and the matrix is a rotation.
+    #[must_use]
+    pub fn is_valid(&self, greatest: &Greatest) -> bool {
+        let Greatest { position, velocity, angular_velocity, .. } = *greatest;
+        let limits = [position, velocity, velocity, GREATEST, angular_velocity, GREATEST, GREATEST];
+        let mut vectors = self.vectors().into_iter().zip(limits);
+        vectors.all(|(vector, most)| vector.iter().all(|x| x.abs() <= most)) && is_rotation(&self.rotation)
+    }
+
+    /// Position of the centre of mass and its derivatives, then angular velocity and its derivatives.
+    #[must_use]
+    pub fn vectors(&self) -> [&Vector3<f64>; 7] {
+        [
+            &self.com_position,
+            &self.com_velocity,
+            &self.com_acceleration,
+            &self.com_jerk,
+            &self.angular_velocity_b,
+            &self.angular_acceleration_b,
+            &self.angular_jerk_b,
+        ]
+    }
+
+    /// Its motion, without the derivatives that a recording does not have.
+    #[must_use]
+    pub fn motion(&self) -> RecordedMotion {
+        RecordedMotion {
+            com: [self.com_position, self.com_velocity, self.com_acceleration, self.com_jerk],
+            rotation: self.rotation,
+            angular_velocity_b: self.angular_velocity_b,
+        }
+    }
+}
+
+/// Raw set-point before smoothing. It moves at constant speeds, brakes, or leads a given motion.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RawSetpoint {
+    /// Position of the centre of mass \[m\].
+    pub position: Vector3<f64>,
+    /// Its velocity \[m/s\].
+    pub velocity: Vector3<f64>,
+    /// Roll, pitch (nose down) and yaw of the heading frame \[rad\].
+    pub rpy: Vector3<f64>,
+    /// Boost, in ticks of growth.
+    turbo_ticks: u32,
+}
+
+/// State of the set-point generator.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SetpointState {
+    raw: RawSetpoint,
+    position: FilterState,
+    /// Filter of the acceleration; its rate is the jerk.
+    acceleration: FilterState,
+    angular_velocity: FilterState,
+    /// Smoothed attitude of the base.
+    rotation: Matrix3<f64>,
+}
+
+impl SetpointState {
+    /// Raw set-point of the last tick.
+    #[must_use]
+    pub fn raw(&self) -> &RawSetpoint {
+        &self.raw
+    }
+
+    /// Raises the raw position to a height \[m\] if it is lower, because of the ground.
+    pub(in crate::control) fn keep_above(&mut self, height: f64) {
+        self.raw.position.z = self.raw.position.z.max(height);
+    }
+}
+
+/// Converts the commands of a mission to a [`Setpoint`] every tick; its state is a [`SetpointState`].
+#[derive(Debug, Clone)]
+pub struct SetpointGenerator {
+    config: SetpointConfig,
+    mission: Mission,
+    time_step: f64,
+    /// Rotation, base from heading: its columns are forward, left, up.
+    base_from_heading: Matrix3<f64>,
+    /// Number of ticks in which the boost grows to its full value.
+    full_boost: u32,
+    position_filter: MinimumJerkFilter,
+    acceleration_filter: MinimumJerkFilter,
+    angular_velocity_filter: MinimumJerkFilter,
+}
+
+impl SetpointGenerator {
+    /// Builds a generator with the tick `time_step` \[s\] for a robot whose forward direction is `forward_axis_b`, a
+    /// unit vector orthogonal to base z.
+    ///
+    /// # Errors
+    /// As [`SetpointConfig::check`] and [`Commands::check`](super::mission::Commands::check).
+    pub fn new(
+        config: &SetpointConfig,
+        mission: Mission,
+        forward_axis_b: &Vector3<f64>,
+        time_step: f64,
+    ) -> Result<Self, BuildError> {
+        config.check(time_step)?;
+        if let Mission::Commands(commands) = &mission {
+            commands.check()?;
+        }
+        let up = Vector3::z();
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // positive; saturates
+        let full_boost = (config.turbo_boost / (config.turbo_rate * time_step)).round() as u32;
+        Ok(Self {
+            mission,
+            time_step,
+            base_from_heading: Matrix3::from_columns(&[*forward_axis_b, up.cross(forward_axis_b), up]),
+            full_boost,
+            position_filter: MinimumJerkFilter::new(config.position_smoothing, time_step),
+            acceleration_filter: MinimumJerkFilter::new(config.acceleration_smoothing, time_step),
+            angular_velocity_filter: MinimumJerkFilter::new(config.angular_velocity_smoothing, time_step),
+            config: config.clone(),
+        })
+    }
+
+    /// State of a mission that starts at the given centre of mass and base rotation.
+    #[must_use]
+    pub fn start(&self, com: Vector3<f64>, rotation: &Matrix3<f64>) -> SetpointState {
+        let rest = FilterState::at_rest(Vector3::zeros());
+        SetpointState {
+            raw: RawSetpoint {
+                position: com,
+                velocity: Vector3::zeros(),
+                rpy: self.heading_rpy(rotation),
+                turbo_ticks: 0,
+            },
+            position: FilterState::at_rest(com),
+            acceleration: rest,
+            angular_velocity: rest,
+            rotation: *rotation,
+        }
+    }
+
+    /// Set-point of the tick at `time` \[s\].
+    ///
+    /// The smoothed attitude follows the raw one by `ω = −K sk(R_rawᵀ R)^∨`, integrated by forward Euler on the
+    /// matrix; its projection onto SO(3) in every tick removes the drift.
+    ///
+    /// A recording is followed directly; only its angular velocity passes through the filter, which provides the
+    /// derivatives that a recording does not have.
+    #[must_use]
+    pub fn update(&self, state: &mut SetpointState, time: f64) -> Setpoint {
+        match &self.mission {
+            Mission::Commands(commands) => {
+                self.advance_raw(&mut state.raw, commands.command(time));
+                self.smooth(state)
+            }
+            Mission::Recorded(recording) => {
+                let motion = recording.at(time);
+                self.follow(state, &motion);
+                let [com_position, com_velocity, com_acceleration, com_jerk] = motion.com;
+                Setpoint {
+                    com_position,
+                    com_velocity,
+                    com_acceleration,
+                    com_jerk,
+                    rotation: motion.rotation,
+                    angular_velocity_b: state.angular_velocity.value(),
+                    angular_acceleration_b: state.angular_velocity.rate(),
+                    angular_jerk_b: state.angular_velocity.acceleration(),
+                }
+            }
+        }
+    }
+
+    /// Sets the state to that of a given motion, from which a stop or a descent would start.
+    pub fn follow(&self, state: &mut SetpointState, motion: &RecordedMotion) {
+        let [position, velocity, acceleration, jerk] = motion.com;
+        let outputs = [position, velocity, acceleration];
+        let (raw_position, raw_velocity) = self.position_filter.input_of(outputs);
+        self.angular_velocity_filter.update(&mut state.angular_velocity, &motion.angular_velocity_b);
+        state.raw = RawSetpoint {
+            position: raw_position,
+            velocity: raw_velocity,
+            rpy: self.heading_rpy(&motion.rotation),
+            turbo_ticks: 0,
+        };
+        state.rotation = motion.rotation;
+        state.position = FilterState::from_outputs(outputs, raw_position);
+        state.acceleration = FilterState::from_outputs([acceleration, jerk, Vector3::zeros()], acceleration);
+    }
+
+    /// Set-point of a tick of the descent, which replaces the mission: level, with a velocity that approaches that of
+    /// the descent, or zero if the robot `stays` (M115).
+    #[must_use]
+    pub fn descend(&self, state: &mut SetpointState, stays: bool) -> Setpoint {
+        let raw = &mut state.raw;
+        let step = self.config.attitude_rate_deg[0].to_radians() * self.time_step;
+        for angle in raw.rpy.iter_mut().take(2) {
+            *angle -= angle.clamp(-step, step);
+        }
+        let speed = if stays { 0.0 } else { self.config.descent_speed };
+        self.approach(raw, &Vector3::new(0.0, 0.0, -speed));
+        self.smooth(state)
+    }
+
+    /// Set-point of a tick without a valid one: the robot comes to rest (M115).
+    #[must_use]
+    pub fn stop(&self, state: &mut SetpointState) -> Setpoint {
+        self.approach(&mut state.raw, &Vector3::zeros());
+        self.smooth(state)
+    }
+
+    /// Advances the raw position with a velocity that approaches `velocity`.
+    fn approach(&self, raw: &mut RawSetpoint, velocity: &Vector3<f64>) {
+        raw.turbo_ticks = 0;
+        raw.velocity += (velocity - raw.velocity).cap_magnitude(self.config.deceleration * self.time_step);
+        raw.position += raw.velocity * self.time_step;
+    }
+
+    /// Roll, pitch and yaw of the heading frame of a base rotation \[rad\].
+    fn heading_rpy(&self, rotation: &Matrix3<f64>) -> Vector3<f64> {
+        rpy_from_rotation(&(rotation * self.base_from_heading))
+    }
+
+    /// One tick of the published autopilot mapping, in flight (no foot on the ground).
+    ///
+    /// While the boost is commanded or has not decayed, all other motions are ignored and the nose goes down. The
+    /// published boost is a floating-point sum that ends at a rounding residue above zero, which adds one more step.
+    /// The counter here takes this step by moving as long as boost was left *before* the tick.
+    fn advance_raw(&self, raw: &mut RawSetpoint, command: AutopilotCommand) {
+        let config = &self.config;
+        let mut forward = f64::from(command.forward);
+        let mut vertical = f64::from(command.vertical);
+        let (mut nose_down, mut yaw) = (f64::from(command.nose_down), f64::from(command.yaw));
+        if command.turbo || raw.turbo_ticks > 0 {
+            if command.turbo {
+                raw.turbo_ticks = (raw.turbo_ticks + 1).min(self.full_boost);
+            } else {
+                raw.turbo_ticks -= 1;
+            }
+            (forward, vertical, nose_down, yaw) = (1.0, 0.0, 1.0, 0.0);
+        }
+        let boost = f64::from(raw.turbo_ticks) * (config.turbo_rate * self.time_step);
+        let [speed_forward, speed_vertical] = config.speed;
+        let [rate_pitch, rate_yaw] = config.attitude_rate_deg.map(|rate| rate.to_radians() * self.time_step);
+        let [low, high] = config.nose_down_limits_deg.map(f64::to_radians);
+        raw.rpy.y = (raw.rpy.y + rate_pitch * nose_down).clamp(low, high);
+        raw.rpy.z += rate_yaw * yaw;
+        let velocity = Vector3::new(speed_forward * (1.0 + boost) * forward, 0.0, speed_vertical * vertical);
+        raw.velocity = axis_angle(&Vector3::z(), raw.rpy.z) * velocity;
+        raw.position += raw.velocity * self.time_step;
+    }
+
+    /// Computes the smooth set-point that follows the raw one.
+    fn smooth(&self, state: &mut SetpointState) -> Setpoint {
+        self.position_filter.update(&mut state.position, &state.raw.position);
+        self.acceleration_filter.update(&mut state.acceleration, &state.position.acceleration());
+
+        let rotation = state.rotation;
+        let raw_rotation = rotation_from_rpy(&state.raw.rpy) * self.base_from_heading.transpose();
+        let omega = -self.config.attitude_gain * vee_of_skew_part(&(raw_rotation.transpose() * rotation));
+        self.angular_velocity_filter.update(&mut state.angular_velocity, &omega);
+        state.rotation = project_to_so3(&(rotation + rotation * skew(&omega) * self.time_step));
+
+        Setpoint {
+            com_position: state.position.value(),
+            com_velocity: state.position.rate(),
+            com_acceleration: state.position.acceleration(),
+            com_jerk: state.acceleration.rate(),
+            rotation,
+            angular_velocity_b: state.angular_velocity.value(),
+            angular_acceleration_b: state.angular_velocity.rate(),
+            angular_jerk_b: state.angular_velocity.acceleration(),
+        }
+    }
+}

@@ -1,0 +1,80 @@
+//! From commanded joint velocities to torques, by the torque QP and a rate limiter.
+//!
+//! This file has the integral of M68 of `docs/model.md`.
+
+use super::torque::limit_rate;
+use crate::control::command::{Command, CommandStatus};
+use crate::control::state::ControllerState;
+use crate::control::terms::Terms;
+use crate::qp::{QpAnswer, QpChain, QpSolver, QpStatus};
+use nalgebra::DVector;
+
+/// Limit of the published integrator of the joint velocity error \[rad\]; no flight comes near it.
+const INTEGRAL_LIMIT: f64 = 20.0;
+
+/// The torque law of one controller, with its workspace.
+#[derive(Debug)]
+pub struct Torques {
+    solver: QpChain,
+    velocity_error: DVector<f64>,
+    time_step: f64,
+}
+
+impl Torques {
+    /// Torques of `joints` joints, every `time_step` \[s\].
+    #[must_use]
+    pub fn new(solver: QpChain, joints: usize, time_step: f64) -> Self {
+        Self { solver, velocity_error: DVector::zeros(joints), time_step }
+    }
+
+    /// Computes torques that let the joints follow the commanded velocities.
+    pub fn solve(&mut self, state: &mut ControllerState, terms: &mut Terms, command: &mut Command) {
+        let Terms { measurement, inverse_mass, free_acceleration, contact, .. } = terms;
+        let Terms { limits, torque_qp, unlimited_torque, .. } = terms;
+        for (joint, velocity) in measurement.state.joint_velocity().iter().enumerate() {
+            self.velocity_error[joint] = velocity - command.joint_velocity[joint];
+        }
+        let answer = if inverse_mass.is_known {
+            torque_qp.update(
+                contact,
+                &state.contact,
+                inverse_mass,
+                free_acceleration,
+                &self.velocity_error,
+                &state.velocity_error_integral,
+            );
+            self.solver.solve_from(&mut state.torque_start, &torque_qp.problem)
+        } else {
+            QpAnswer::from_status(QpStatus::NotPositiveDefinite)
+        };
+        command.torque_qp = answer;
+        if answer.status == QpStatus::Solved {
+            let (forces, torques) = self.solver.x().split_at(torque_qp.foot_force.end);
+            if state.contact.is_active {
+                contact.force_of_torques.copy_from_slice(forces);
+            }
+            unlimited_torque.copy_from_slice(torques);
+            if !state.torque_is_known {
+                // The published rate limiter starts from its first input.
+                state.joint_torque.copy_from(unlimited_torque);
+                state.torque_is_known = true;
+            }
+            let rate_max = limits.torque_rate.iter().copied();
+            limit_rate(&mut state.joint_torque, unlimited_torque.as_slice(), rate_max, self.time_step);
+            command.joint_torque.copy_from(&state.joint_torque);
+        } else {
+            command.status = match command.status {
+                CommandStatus::MomentumHeld => CommandStatus::BothHeld,
+                _ => CommandStatus::TorqueHeld,
+            };
+        }
+        // Forward Euler: used first, advanced after. Without a commanded velocity there is no error to integrate; with
+        // held torques the integral would grow without effect on the torques.
+        if command.status.is_of_law() {
+            let integral = state.velocity_error_integral.iter_mut();
+            for (integral, error) in integral.zip(&self.velocity_error) {
+                *integral = (*integral + self.time_step * error).clamp(-INTEGRAL_LIMIT, INTEGRAL_LIMIT);
+            }
+        }
+    }
+}

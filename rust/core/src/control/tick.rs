@@ -1,0 +1,280 @@
+//! The controller of one robot, and its tick.
+
+use super::command::{BadCommand, Command, CommandStatus};
+use super::config::{ControllerConfig, check_time_step};
+use super::guard::channels::Channels;
+use super::guard::engines::Engines;
+use super::guard::estimator::{Estimator, EstimatorConfig};
+use super::guard::observer::ObserverState;
+use super::guard::stages::{Feet, Guard, Stage};
+use super::guard::wind_observer::WindObserver;
+use super::law::contact::{Contact, ContactState};
+use super::law::limits::Limits;
+use super::law::mission::Mission;
+use super::law::momentum::AeroFeedback;
+use super::law::momentum_qp::{MomentumQp, Task};
+use super::law::rates::MomentumLaw;
+use super::law::setpoint::{Setpoint, SetpointGenerator};
+use super::law::tasks::standard_tasks;
+use super::law::torque::TorqueQp;
+use super::law::torques::Torques;
+use super::measurement::{BadStart, Measurement, UsedMeasurement};
+use super::modes::Modes;
+use super::state::ControllerState;
+use super::terms::Terms;
+use crate::aero::{AeroModel, LinkConventions};
+use crate::error::BuildError;
+use crate::qp::WarmStart;
+use crate::robot::RobotModel;
+use nalgebra::DVector;
+use std::sync::Arc;
+
+/// The controller of one robot: model, control laws and workspace.
+#[derive(Debug)]
+pub struct Controller {
+    /// Model of the robot; without jets if the controller does not use them.
+    model: RobotModel,
+    aero: AeroModel,
+    conventions: LinkConventions,
+    feedback: AeroFeedback,
+    guard: Guard,
+    law: MomentumLaw,
+    torques: Torques,
+    terms: Terms,
+    command: Command,
+}
+
+impl Controller {
+    /// Builds a controller for `robot` with the tick `time_step` \[s\]. `aero` builds its aerodynamic model after
+    /// `config` has been checked, so that gains for another robot are reported before missing coefficients.
+    ///
+    /// # Errors
+    /// [`BuildError`] naming the part of the configuration that does not match the robot or the time step.
+    pub fn new(
+        robot: RobotModel,
+        aero: impl FnOnce(&RobotModel) -> Result<AeroModel, BuildError>,
+        mission: Mission,
+        config: ControllerConfig,
+        time_step: f64,
+    ) -> Result<Self, BuildError> {
+        config.check(&robot)?;
+        check_time_step("controller time step", time_step)?;
+        let aero = aero(&robot)?;
+        let mut model = config.restrict(robot);
+        let (estimator, wind_observer) = (config.estimator.as_ref(), config.wind_observer.as_ref());
+        let estimator = estimator
+            .map(|estimator| Estimator::new(estimator, model.clone(), aero.clone(), time_step))
+            .transpose()?;
+        let wind_observer = wind_observer
+            .map(|observer| WindObserver::new(observer, model.clone(), aero.clone(), time_step))
+            .transpose()?;
+        config.check_rate_bounds(&model, time_step)?;
+        config.observer.as_ref().map_or(Ok(()), |observer| observer.check(time_step))?;
+        let observes_joints = |estimator: &EstimatorConfig| estimator.joint_observer.is_some();
+        let needs_joint_velocity = !config.estimator.as_ref().is_some_and(observes_joints);
+        let channels = Channels::new(&config.channels, &model, time_step, needs_joint_velocity);
+        let measurement = UsedMeasurement::new(&model, time_step);
+        if !config.use_jets {
+            model.jets.clear();
+        }
+        let limits = Limits::new(config.momentum, &model);
+        let momentum_share = estimator.as_ref().map_or(1.0, |estimator| estimator.momentum_share);
+        let engines = config.engines.as_ref();
+        let engines = engines.map(|engines| Engines::new(engines, &limits, &model, momentum_share));
+        let feet = config.contact.as_ref().map(|_| Feet { time_step });
+        let guard = Guard::new(
+            channels,
+            [stage(wind_observer), stage(feet), stage(config.observer), stage(engines), stage(estimator)]
+                .into_iter()
+                .flatten()
+                .collect(),
+            &model,
+        );
+        let contact = config.contact.clone().unwrap_or_default();
+        let torque_qp = TorqueQp::new(&config.torque, &contact, &model);
+        let mut momentum_qp = MomentumQp::new(&config.bounds, contact.force_rate_max, &model);
+        let (weights, gains) = (&config.weights, config.posture_gains(&model));
+        for task in standard_tasks(weights, gains, config.contact.as_ref(), &model, &momentum_qp.unknowns)? {
+            momentum_qp.add(task)?;
+        }
+        let (unknowns, joints) = (momentum_qp.problem.len(), model.joints.len());
+        let generator = SetpointGenerator::new(&config.setpoint, mission, &model.forward_axis_b, time_step)?;
+        let solver = |n, rows| config.qp.chain(n, rows);
+        let law =
+            MomentumLaw::new(generator, config.channels.greatest.clone(), solver(unknowns, 0), unknowns);
+        let torques = solver(torque_qp.problem.len(), torque_qp.problem.rows());
+        let command = Command::hold(measurement.thrust.len(), joints);
+        let contact = Contact::new(&contact, &model);
+        Ok(Self {
+            conventions: config.conventions(),
+            feedback: config.aero_feedback,
+            guard,
+            law,
+            torques: Torques::new(torques, joints, time_step),
+            terms: Terms::new(&model, measurement, limits, contact, momentum_qp, torque_qp),
+            command,
+            model,
+            aero,
+        })
+    }
+
+    /// State of a controller whose first tick is that of `measurement`; position, attitude and posture of this
+    /// measurement become its reference.
+    ///
+    /// # Errors
+    /// [`BadStart`] for a measurement of another robot, for one that lacks a number other than the wind, and where inertia
+    /// or centre of mass overflow.
+    pub fn start(&mut self, measurement: &Measurement) -> Result<ControllerState, BadStart> {
+        let channels = self.guard.start_channels(measurement)?;
+        let Terms { kinematics, dynamics, contact, momentum_qp, torque_qp, .. } = &mut self.terms;
+        kinematics.update(&self.model, measurement.state);
+        dynamics.update(&self.model, measurement.state, kinematics);
+        let rotation = &measurement.state.base.rotation;
+        let inertia_0_b = rotation.transpose() * dynamics.centroidal_inertia * rotation;
+        let com = kinematics.com;
+        if inertia_0_b.try_inverse().is_none() || !inertia_0_b.iter().chain(&com).all(|x| x.is_finite()) {
+            return Err(BadStart::SingularInertia);
+        }
+        let joints = self.model.joints.len();
+        let mut state = ControllerState {
+            stages: Vec::new(),
+            estimator: None,
+            wind: None,
+            channels,
+            setpoint: self.law.generator.start(com, rotation),
+            posture: measurement.state.joint_position.clone(),
+            inertia_0_b,
+            velocity_error_integral: DVector::zeros(joints),
+            joint_torque: DVector::zeros(joints),
+            torque_is_known: false,
+            contact: ContactState::new(contact.soles.len()),
+            engines: Vec::new(),
+            observer: ObserverState::default(),
+            momentum_start: WarmStart::cold(momentum_qp.problem.len()),
+            torque_start: WarmStart::cold(torque_qp.problem.len()),
+        };
+        self.guard.start(&mut state, measurement.state);
+        Ok(state)
+    }
+
+    /// One tick, which follows the mission.
+    ///
+    /// What of the measurement is missing or cannot be right is predicted from what is known
+    /// ([`channels`](super::guard::channels)); the command says what. Of a measurement that is not of this robot
+    /// everything is missing, and the command holds: thrust rates and joint velocities are zero, torques stay.
+    pub fn tick(&mut self, state: &mut ControllerState, measurement: &Measurement) -> &Command {
+        self.run(state, measurement, None)
+    }
+
+    /// One tick that follows the given set-point instead of the mission. An invalid set-point results in the status
+    /// [`CommandStatus::BadSetpoint`], and the robot brakes from the motion of the last valid one (M115). During a
+    /// descent set-points are ignored.
+    pub fn tick_towards(
+        &mut self,
+        state: &mut ControllerState,
+        measurement: &Measurement,
+        setpoint: &Setpoint,
+    ) -> &Command {
+        self.run(state, measurement, Some(setpoint))
+    }
+
+    fn run(
+        &mut self,
+        state: &mut ControllerState,
+        measurement: &Measurement,
+        given: Option<&Setpoint>,
+    ) -> &Command {
+        let is_state_of_this = self.fits(state);
+        let Self { model, aero, conventions, feedback, guard, law, torques, terms, command } = self;
+        if !is_state_of_this {
+            command.set_hold(CommandStatus::BadState, Modes::default());
+            return command;
+        }
+        let is_usable = guard.measure(measurement, model, state, terms);
+        let is_valid = law.follow(state, given, terms);
+        terms.update_model(model, aero, *conventions, feedback);
+        guard.judge(model, state, terms);
+        command.modes = terms.measurement.modes;
+        command.joint_torque.copy_from(&state.joint_torque);
+        if is_usable {
+            law.solve(state, terms, command);
+            torques.solve(state, terms, command);
+        } else {
+            command.set_hold(CommandStatus::BadMeasurement, command.modes);
+        }
+        guard.predict(model, state, terms, command);
+        if !is_valid && command.status.is_of_law() {
+            command.status = CommandStatus::BadSetpoint;
+        }
+        command
+    }
+
+    /// Reports that other thrust rates and torques act until the next tick in place of the last command, such as those
+    /// of a safety layer or of a learned residual. The predictions of channels and estimator use them. While the feet
+    /// carry load, the predictions use the thrust rates only, because other torques change the load on the feet more
+    /// than the motion of the robot. The rate limiter continues from the control law's own torques.
+    ///
+    /// # Errors
+    /// [`BadCommand`]; the state is then unchanged.
+    pub fn replace_command(
+        &mut self,
+        state: &mut ControllerState,
+        thrust_rate: &[f64],
+        joint_torque: &[f64],
+    ) -> Result<(), BadCommand> {
+        let is_finite = thrust_rate.iter().chain(joint_torque).all(|number| number.is_finite());
+        let is_sized = thrust_rate.len() == self.n_jets() && joint_torque.len() == self.model.joints.len();
+        if !is_finite || !is_sized || !self.fits(state) {
+            return Err(BadCommand);
+        }
+        self.guard.replace_command(&self.model, state, &mut self.terms, thrust_rate, joint_torque);
+        self.command.thrust_rate.copy_from_slice(thrust_rate);
+        self.command.joint_torque.copy_from_slice(joint_torque);
+        Ok(())
+    }
+
+    /// Adds a user-defined objective to the momentum QP; not to be called in a tick.
+    ///
+    /// # Errors
+    /// As [`MomentumQp::add`].
+    pub fn add_task(&mut self, task: Arc<dyn Task>) -> Result<(), BuildError> {
+        self.terms.momentum_qp.add(task)
+    }
+
+    /// Whether a state has the sizes of this controller.
+    fn fits(&self, state: &ControllerState) -> bool {
+        state.posture.len() == self.model.joints.len()
+            && state.momentum_start.len() == self.terms.momentum_qp.problem.len()
+            && state.contact.force.len() == self.terms.contact.force_of_torques.len()
+            && self.guard.fits(state)
+    }
+
+    /// The controller's model of the robot; without jets if it does not use them.
+    #[must_use]
+    pub fn model(&self) -> &RobotModel {
+        &self.model
+    }
+
+    /// Number of thrusts in a measurement and of thrust rates in a command.
+    #[must_use]
+    pub fn n_jets(&self) -> usize {
+        self.command.thrust_rate.len()
+    }
+
+    /// Command of the last tick.
+    #[must_use]
+    pub fn command(&self) -> &Command {
+        &self.command
+    }
+
+    /// Intermediate values of the last tick.
+    #[must_use]
+    pub fn terms(&self) -> &Terms {
+        &self.terms
+    }
+}
+
+/// A stage, if it is configured.
+fn stage(stage: Option<impl Stage + 'static>) -> Option<Box<dyn Stage>> {
+    stage.map(|stage| Box::new(stage) as Box<dyn Stage>)
+}
