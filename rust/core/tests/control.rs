@@ -600,6 +600,29 @@ fn the_law_is_given_what_the_estimators_make() {
     }
 }
 
+/// What is not configured is not there: a state has no part of it, and is none of a controller with it.
+#[test]
+fn a_state_of_other_stages_is_refused() {
+    let config = experiment("test2_observer");
+    let forget: [fn(&mut ScenarioConfig); 2] = [
+        |config| config.controller.law.engines = None,
+        |config| (config.controller.law.engines, config.controller.law.observer) = (None, None),
+    ];
+    for forget in forget {
+        let mut without = config.clone();
+        forget(&mut without);
+        let (mut with, mut without) = (controller(&config), controller(&without));
+        let sample = Sample::start(&config);
+        for controller in [&mut with, &mut without] {
+            assert_eq!(sample.tick(controller).status, CommandStatus::Nominal);
+        }
+        std::mem::swap(&mut with.state, &mut without.state);
+        for controller in [&mut with, &mut without] {
+            assert_eq!(sample.tick(controller).status, CommandStatus::BadState);
+        }
+    }
+}
+
 /// A state that was recorded, restored after other ticks: every number of the ticks that follow is the same.
 #[test]
 fn a_restored_state_continues_to_the_same_bits() {

@@ -28,5 +28,5 @@ pub fn load_controller(
     time_step: f64,
 ) -> Result<Controller, BuildError> {
     let aero = |robot: &RobotModel| load_aero(&controller.aero, robot);
-    Controller::new(robot, aero, load_mission(mission)?, controller.law.clone(), time_step)
+    Controller::new(robot, aero, load_mission(mission)?, &controller.law, time_step)
 }

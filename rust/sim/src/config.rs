@@ -64,7 +64,7 @@ impl ScenarioConfig {
         let aero = |robot: &RobotModel| {
             load_aero(aero, robot)?.weight_forces(factors, robot, "disturbances.aero_estimate")
         };
-        Controller::new(robot, aero, load_mission(&self.mission)?, law.clone(), self.simulator.time_step)
+        Controller::new(robot, aero, load_mission(&self.mission)?, law, self.simulator.time_step)
     }
 }
 

@@ -107,14 +107,14 @@ impl Terms {
         robot: &RobotModel,
         aero: &mut AeroModel,
         conventions: LinkConventions,
-        feedback: &AeroFeedback,
+        feedback: AeroFeedback,
     ) {
         let Self { measurement, kinematics, dynamics, inverse_mass, link_forces, momentum, .. } = self;
         kinematics.update(robot, &measurement.state);
         dynamics.update(robot, &measurement.state, kinematics);
         link_forces.update(robot, kinematics, conventions, aero, &measurement.wind);
         let thrust = &measurement.thrust[..robot.jets.len()];
-        momentum.update(robot, kinematics, dynamics, thrust, link_forces, feedback);
+        momentum.update(robot, kinematics, dynamics, thrust, link_forces, &feedback);
 
         let force = &mut self.free_acceleration;
         force.copy_from(&dynamics.bias);

@@ -4,7 +4,7 @@ use super::command::{BadCommand, Command, CommandStatus};
 use super::config::{ControllerConfig, check_time_step};
 use super::guard::channels::Channels;
 use super::guard::engines::Engines;
-use super::guard::estimator::{Estimator, EstimatorConfig};
+use super::guard::estimator::Estimator;
 use super::guard::observer::ObserverState;
 use super::guard::stages::{Feet, Guard, Stage};
 use super::guard::wind_observer::WindObserver;
@@ -54,42 +54,20 @@ impl Controller {
         robot: RobotModel,
         aero: impl FnOnce(&RobotModel) -> Result<AeroModel, BuildError>,
         mission: Mission,
-        config: ControllerConfig,
+        config: &ControllerConfig,
         time_step: f64,
     ) -> Result<Self, BuildError> {
         config.check(&robot)?;
         check_time_step("controller time step", time_step)?;
         let aero = aero(&robot)?;
-        let mut model = config.restrict(robot);
-        let (estimator, wind_observer) = (config.estimator.as_ref(), config.wind_observer.as_ref());
-        let estimator = estimator
-            .map(|estimator| Estimator::new(estimator, model.clone(), aero.clone(), time_step))
-            .transpose()?;
-        let wind_observer = wind_observer
-            .map(|observer| WindObserver::new(observer, model.clone(), aero.clone(), time_step))
-            .transpose()?;
-        config.check_rate_bounds(&model, time_step)?;
-        config.observer.as_ref().map_or(Ok(()), |observer| observer.check(time_step))?;
-        let observes_joints = |estimator: &EstimatorConfig| estimator.joint_observer.is_some();
-        let needs_joint_velocity = !config.estimator.as_ref().is_some_and(observes_joints);
-        let channels = Channels::new(&config.channels, &model, time_step, needs_joint_velocity);
-        let measurement = UsedMeasurement::new(&model, time_step);
+        let robot = config.restrict(robot);
+        let mut model = robot.clone();
         if !config.use_jets {
             model.jets.clear();
         }
         let limits = Limits::new(config.momentum, &model);
-        let momentum_share = estimator.as_ref().map_or(1.0, |estimator| estimator.momentum_share);
-        let engines = config.engines.as_ref();
-        let engines = engines.map(|engines| Engines::new(engines, &limits, &model, momentum_share));
-        let feet = config.contact.as_ref().map(|_| Feet { time_step });
-        let guard = Guard::new(
-            channels,
-            [stage(wind_observer), stage(feet), stage(config.observer), stage(engines), stage(estimator)]
-                .into_iter()
-                .flatten()
-                .collect(),
-            &model,
-        );
+        let guard = build_guard(config, &robot, &aero, &limits, time_step)?;
+        let measurement = UsedMeasurement::new(&robot, time_step);
         let contact = config.contact.clone().unwrap_or_default();
         let torque_qp = TorqueQp::new(&config.torque, &contact, &model);
         let mut momentum_qp = MomentumQp::new(&config.bounds, contact.force_rate_max, &model);
@@ -192,7 +170,7 @@ impl Controller {
         }
         let is_usable = guard.measure(measurement, model, state, terms);
         let is_valid = law.follow(state, given, terms);
-        terms.update_model(model, aero, *conventions, feedback);
+        terms.update_model(model, aero, *conventions, *feedback);
         guard.judge(model, state, terms);
         command.modes = terms.measurement.modes;
         command.joint_torque.copy_from(&state.joint_torque);
@@ -272,6 +250,34 @@ impl Controller {
     pub fn terms(&self) -> &Terms {
         &self.terms
     }
+}
+
+/// Builds the channels of `robot` and the stages that are configured. Channels and estimators contain the jets also where
+/// the law, whose limits these are, does not use them.
+fn build_guard(
+    config: &ControllerConfig,
+    robot: &RobotModel,
+    aero: &AeroModel,
+    limits: &Limits,
+    time_step: f64,
+) -> Result<Guard, BuildError> {
+    let ControllerConfig { estimator, wind_observer, observer, engines, contact, .. } = config;
+    let estimator = estimator.as_ref();
+    let observes_joints = estimator.is_some_and(|estimator| estimator.joint_observer.is_some());
+    let estimator = estimator
+        .map(|estimator| Estimator::new(estimator, robot.clone(), aero.clone(), time_step))
+        .transpose()?;
+    let wind_observer = wind_observer
+        .map(|observer| WindObserver::new(&observer, robot.clone(), aero.clone(), time_step))
+        .transpose()?;
+    config.check_rate_bounds(robot, time_step)?;
+    observer.map_or(Ok(()), |observer| observer.check(time_step))?;
+    let momentum_share = estimator.as_ref().map_or(1.0, |estimator| estimator.momentum_share);
+    let engines = engines.map(|engines| Engines::new(&engines, limits, robot, momentum_share));
+    let feet = contact.as_ref().map(|_| Feet { time_step });
+    let stages = [stage(wind_observer), stage(feet), stage(*observer), stage(engines), stage(estimator)];
+    let channels = Channels::new(&config.channels, robot, time_step, !observes_joints);
+    Ok(Guard::new(channels, stages.into_iter().flatten().collect(), robot))
 }
 
 /// A stage, if it is configured.

@@ -377,7 +377,9 @@ impl Channels {
             }
             if *kind == Kind::Wind {
                 let left = 1.0 - (channel.age - self.config.wind_hold) / self.config.wind_fade;
-                now.iter_mut().for_each(|x| *x *= left.clamp(0.0, 1.0));
+                for x in now {
+                    *x *= left.clamp(0.0, 1.0);
+                }
                 if left <= 0.0 {
                     used.modes.insert(Modes::WIND_LOST);
                 }
