@@ -156,10 +156,20 @@ def check_replaceable(folder: Path, is_equal: Callable[[Mapping[str, Any]], bool
         return
     shown, finished = os.path.relpath(folder), read_manifest(folder)
     if not overwrite and (finished is None or not is_equal(finished)):
-        what = "no finished result" if finished is None else "the result of another configuration"
+        what = f"no finished result{_damage(folder)}" if finished is None else "the result of another configuration"
         raise Refused(f"{shown} holds {what}; choose another name or --out, or --overwrite it")
     if others := unrelated_files(folder):
         raise Refused(f"{shown} holds more than a result ({others[0]}), so it is not overwritten")
+
+
+def _damage(folder: Path) -> str:
+    """Return what is wrong with the manifest of a folder, in parentheses; empty if it is whole or not there."""
+    try:
+        if os.path.lexists(folder / MANIFEST_FILE):
+            read_json(folder / MANIFEST_FILE, documents.Manifest)
+    except Refused as reason:
+        return f" ({reason})"
+    return ""
 
 
 def unrelated_files(folder: Path) -> list[str]:

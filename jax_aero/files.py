@@ -211,12 +211,17 @@ MAX_DEPTH = 64
 """Greatest depth of lists and tables within each other in a document: ours have ten, and Python recurses a thousand."""
 
 
+TOO_DEEP = f"lists and tables are more than {MAX_DEPTH} deep"
+
+
 def parse_json(content: bytes) -> Any:
     """Parse JSON; raise `ValueError` if it is invalid, or deeper than `MAX_DEPTH`."""
     try:
         document = msgspec.json.decode(content)
-    except (msgspec.MsgspecError, RecursionError) as reason:
+    except msgspec.MsgspecError as reason:
         raise ValueError(str(reason)) from None
+    except RecursionError:
+        raise ValueError(TOO_DEEP) from None
     check_depth(document)
     return document
 
@@ -228,7 +233,7 @@ def check_depth(document: Any) -> None:
         tables = [part.values() if isinstance(part, dict) else part for part in parts if isinstance(part, dict | list)]
         parts = [item for table in tables for item in table]
     if parts:
-        raise ValueError(f"lists and tables are more than {MAX_DEPTH} deep")
+        raise ValueError(TOO_DEEP)
 
 
 def read_json(path: Path, form: Any = dict[str, Any], greatest: int = MAX_SIZE) -> dict[str, Any]:

@@ -181,7 +181,7 @@ def test_a_damaged_manifest_is_named_by_every_reader_and_overwritten(damage, tmp
         recording.read(folder)
     with pytest.raises(Refused, match=f"{path} (is damaged|cannot be read): "):
         _ = Results(tmp_path).manifests
-    with pytest.raises(Refused, match=r"mine holds no finished result; .*--overwrite it"):
+    with pytest.raises(Refused, match=rf"mine holds no finished result \({path} .*--overwrite it"):
         record.find_existing(folder, "d", None, documents.Manifest, overwrite=False)
     if damage is not a_folder:
         assert record.find_existing(folder, "d", None, documents.Manifest, overwrite=True) is None
