@@ -171,8 +171,8 @@ class Spec(tables.Table, frozen=True):
         for axis in self.axis:
             cells = cells * axis.n_levels if self.design == "grid" else max(cells, axis.n_levels)
             if cells > MAX_CELLS:
-                levels = [axis.n_levels for axis in self.axis]
-                raise ConfigError.of("axis", levels, f"levels that make at most {MAX_CELLS} cells")
+                counts = [axis.n_levels for axis in self.axis]
+                raise ConfigError.of("axis", counts, f"numbers of levels that make at most {MAX_CELLS} cells")
         if cells * self.repeats > MAX_ROWS:
             raise ConfigError.of("repeats", self.repeats, f"at most {MAX_ROWS // cells} for {cells} cells")
 

@@ -233,13 +233,13 @@ def level_axis(name, count):
         ),
         (
             {"axis": [range_axis(number, 1000) for number in range(6)]},
-            "`axis` is .*; expected levels that make at most 100000 cells",
+            r"`axis` is \[1000,1000.*; expected numbers of levels that make at most 100000 cells",
         ),
         ({"axis": [range_axis(number, 2) for number in range(101)]}, "`axis` is .*; expected a list of 1 to 100"),
         ({"axis": [level_axis("x", 1001)]}, r"`axis\[0\]\.level` is .*; expected a list of 0 to 1000"),
         (
             {"axis": [level_axis(name, 1000) for name in "xy"]},
-            "`axis` is .*; expected levels that make at most 100000 cells",
+            r"`axis` is \[1000,1000.*; expected numbers of levels that make at most 100000 cells",
         ),
         ({"design": "sobol", "samples": 10**9}, "`samples` is 1000000000; expected an integer ≥ 0 and ≤ 100000"),
         ({"repeats": 10**9}, "`repeats` is 1000000000; expected an integer ≥ 1 and ≤ 1000000"),
