@@ -223,10 +223,10 @@ def _items(node: Node) -> Node:
     return found
 
 
-def _definitions(schemas: Mapping[str, Node]) -> dict[str, Node]:
-    """Return every named type of flights and robots, with these two last."""
+def _definitions(schemas: Mapping[str, Node], roots: Sequence[str]) -> dict[str, Node]:
+    """Return every named type of some schemas, with these last."""
     found: dict[str, Node] = {}
-    for name in ("experiments", "robot"):
+    for name in roots:
         schema = schemas[name]
         for key, node in [*schema.get("$defs", {}).items(), (schema["title"], schema)]:
             assert found.setdefault(key, node) == node, f"two types are named {key}"
@@ -247,7 +247,7 @@ def _references(node: Any) -> Iterator[str]:
 
 # --- Python types ------------------------------------------------------------------------------------------------
 
-HEADER = f'''"""Types of a flight's and a robot's configuration; `docs/reference/configuration.md` describes every key.
+HEADER = f'''"""Types of a flight's configuration; `docs/reference/configuration.md` describes every key.
 
 Made {MADE}: not to be edited.
 A flight's are filled from what the crate has checked (`jax_aero.io`).
@@ -269,9 +269,8 @@ KEYWORDS = ("lambda",)
 
 
 def python_types(schemas: Mapping[str, Node]) -> str:
-    """Return the module of the Python types."""
-    definitions = _definitions(schemas)
-    of_flights = {*schemas["experiments"]["$defs"], schemas["experiments"]["title"]}
+    """Return the module of the Python types, without those of a robot, which only the crate reads."""
+    definitions = _definitions(schemas, ["experiments"])
     done: set[str] = set()
     parts: list[str] = []
 
@@ -281,46 +280,38 @@ def python_types(schemas: Mapping[str, Node]) -> str:
         done.add(name)
         for needed in _references({key: value for key, value in definitions[name].items() if key != "$defs"}):
             write(needed)
-        parts.append(_python_type(name, definitions[name], is_checked=name not in of_flights))
+        parts.append(_python_type(name, definitions[name]))
 
     for name in definitions:
         write(name)
     return HEADER + "".join(parts)
 
 
-def _python_type(name: str, node: Node, *, is_checked: bool) -> str:
-    """Return a type; a checked one has the ranges of the crate, since Python reads it from a file."""
-    text = _docstring(node, 0) if is_checked else ""
+def _python_type(name: str, node: Node) -> str:
     if choices := _choices(node):
-        return f"\n\n{name}: TypeAlias = Literal[{', '.join(map(json.dumps, choices))}]\n{text}"
+        return f"\n\n{name}: TypeAlias = Literal[{', '.join(map(json.dumps, choices))}]\n"
     if tagged := _find_tags(node):
         names = {kind: f"{''.join(map(str.title, kind.split('_')))}{name}" for kind in tagged.kinds}
         classes = [
-            _class(names[kind], option, f', tag_field="{tagged.tag}", tag="{kind}"', is_checked=is_checked)
+            _class(names[kind], option, f', tag_field="{tagged.tag}", tag="{kind}"')
             for kind, option in tagged.kinds.items()
         ]
         union = " | ".join(names.values())
         is_long = len(f"{name}: TypeAlias = {union}") > 120
-        return (
-            "".join(classes) + f"\n\n{name}: TypeAlias = " + (f"(\n    {union}\n)" if is_long else union) + f"\n{text}"
-        )
-    return _class(name, node, "", is_checked=is_checked)
+        return "".join(classes) + f"\n\n{name}: TypeAlias = " + (f"(\n    {union}\n)" if is_long else union) + "\n"
+    return _class(name, node, "")
 
 
-def _class(name: str, node: Node, options: str, *, is_checked: bool) -> str:
-    base = "Table" if is_checked else "Struct"
-    lines = [f"\n\nclass {name}({base}, frozen=True, kw_only=True{options}):\n"]
+def _class(name: str, node: Node, options: str) -> str:
+    lines = [f"\n\nclass {name}(Struct, frozen=True, kw_only=True{options}):\n"]
     required = node.get("required", ())
-    if is_checked:
-        lines.append(_docstring(node, 4, name) + "\n")
     for key, value in node["properties"].items():
-        lines.append(f"    {_field(key, value, key in required, is_checked)}\n")
-        lines.append(_docstring(value, 4) if is_checked else "")
-    return "".join(lines) if is_checked or node["properties"] else "".join([*lines, "    pass\n"])
+        lines.append(f"    {_field(key, value, key in required)}\n")
+    return "".join(lines if node["properties"] else [*lines, "    pass\n"])
 
 
-def _field(key: str, node: Node, required: bool, is_checked: bool) -> str:
-    kind, nullable = _annotation(node, is_checked)
+def _field(key: str, node: Node, required: bool) -> str:
+    kind, nullable = _annotation(node)
     name = f"{key}_" if key in KEYWORDS else key
     renamed = f'name="{key}"' if name != key else ""
     default = node.get("default")
@@ -344,29 +335,23 @@ def _python_value(value: Any) -> str:
     return json.dumps(value) if isinstance(value, str) else repr(value)
 
 
-def _annotation(node: Node, is_checked: bool) -> tuple[str, bool]:
+def _annotation(node: Node) -> tuple[str, bool]:
     """Return the Python type of a node, and whether it may be null."""
     node, nullable = _remove_null(node)
     if reference := _type_name(node):
         kind = reference
     elif node["type"] == "array":
-        inner, length = _annotation(_items(node), is_checked)[0], _length(node)
+        inner, length = _annotation(_items(node))[0], _length(node)
         kind = f"tuple[{', '.join([inner] * length if length else [inner, '...'])}]"
     elif node["type"] == "object":
-        kind = f"dict[str, {_annotation(node['additionalProperties'], is_checked)[0]}]"
+        kind = f"dict[str, {_annotation(node['additionalProperties'])[0]}]"
     elif node["type"] == "string":
-        kind = "Path" if is_checked and node.get("format") == "path" else "str"
+        kind = "str"
     elif node["type"] == "boolean":
         kind = "bool"
     else:
         kind = {"number": "float", "integer": "int"}[node["type"]]
-        kind = "Positive" if is_checked and node.get("exclusiveMinimum") == 0 else kind
     return f"{kind} | None" if nullable else kind, nullable
-
-
-def _docstring(node: Node, indent: int, otherwise: str = "") -> str:
-    text = _prose(node.get("description", "")) or (f"`{otherwise}`." if otherwise else "")
-    return _quote(text, indent) if text else ""
 
 
 def _quote(text: str, indent: int) -> str:
@@ -406,9 +391,10 @@ COLUMNS = "| key | type | unit | default | range | meaning |\n|---|---|---|---|-
 
 def reference(schemas: Mapping[str, Node]) -> str:
     """Return the page of all keys."""
-    definitions = _definitions(schemas)
+    roots = {"experiments": "A flight", "robot": "A robot"}
+    definitions = _definitions(schemas, list(roots))
     parts = [INTRODUCTION]
-    for root, heading in (("experiments", "A flight"), ("robot", "A robot")):
+    for root, heading in roots.items():
         name = schemas[root]["title"]
         parts.append(f"\n## {heading}: `configs/{root}/*.toml`\n")
         for part, keys in _places(name, definitions).items():

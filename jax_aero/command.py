@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from typing import TYPE_CHECKING, Any
@@ -78,7 +79,12 @@ def one_line(reason: Exception) -> str:
 
 
 def exit_status(work: Callable[[], int | None], *, interrupted: str = "nothing was written") -> int:
-    """Run a command and return its exit status: 2 after a refusal and 130 after Ctrl-C, each reported in one line."""
+    """Run a command and return its exit status: 2 after a refusal and 130 after Ctrl-C, each reported in one line.
+
+    So are warnings about the user's files, once each.
+    """
+    warnings.formatwarning = lambda message, *_, **__: f"warning: {message}\n"
+    warnings.filterwarnings("once", category=UserWarning, append=True)
     try:
         return work() or 0
     except (ValueError, OSError) as reason:

@@ -28,24 +28,31 @@ class Mesh(NamedTuple):
 def mesh_file(name: str, folder: Path) -> Path:
     """Find a mesh given as `package://PACKAGE/PATH`, `file://PATH`, or a path relative to the URDF's folder.
 
-    A package is searched for in ROS_PACKAGE_PATH, then in the folders above the URDF. If the mesh is in none of them,
-    the only file of its name below the URDF's folder is used.
+    A package is searched for in AMENT_PREFIX_PATH (`PREFIX/share/PACKAGE`), in ROS_PACKAGE_PATH and the folders below
+    it, and in the folders above the URDF, one of which may be the package under another name. If the mesh is in none of
+    them, the only file of its name below the URDF's folder is used.
 
     Raises
     ------
     Refused
         If there is no such file, or more than one.
     """
-    path = Path(name.removeprefix("package://").removeprefix("file://"))
-    places = [folder, *folder.resolve().parents]
-    if name.startswith("package://"):
-        places = [Path(place) for place in os.environ.get("ROS_PACKAGE_PATH", "").split(":") if place] + places
+    scheme, _, rest = name.rpartition("://")
+    above = [folder, *folder.resolve().parents]
+    places = [place / rest for place in above]
+    package, _, path = rest.partition("/")
+    if scheme == "package":
+        prefixes, roots = (os.environ.get(key, "") for key in ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH"))
+        shares = [Path(prefix) / "share" / package for prefix in prefixes.split(":") if prefix]
+        packages = itertools.chain(shares, _packages(roots, package))
+        places = itertools.chain((place / path for place in packages), places, (place / path for place in above))
     for place in places:
-        if (place / path).is_file():
-            return place / path
-    same = sorted(folder.rglob(path.name))
+        if place.is_file():
+            return place
+    same = sorted(place for place in folder.rglob("*") if place.name == Path(rest).name and place.is_file())
     if len(same) != 1:
-        raise Refused(f"mesh {name}: {len(same)} files of that name below the URDF's folder; expected one")
+        way = f"; ROS_PACKAGE_PATH may name the folder of package `{package}`" if scheme == "package" else ""
+        raise Refused(f"mesh {name}: {len(same)} files of that name below the URDF's folder; expected one{way}")
     return same[0]
 
 
@@ -57,6 +64,16 @@ Other formats that trimesh can read may be archives of any size, or name other f
 
 MAX_TRIANGLES, MAX_NODES = 2_000_000, 100_000
 """Greatest number of triangles of a mesh, some 200 MB, and of nodes of a DAE file, in which nodes may repeat others."""
+
+
+@functools.lru_cache(maxsize=256)
+def _packages(roots: str, package: str) -> list[Path]:
+    """Return the folders of a package's name that are, or are below, one of the folders in a path of ROS."""
+    found = []
+    for root in (Path(root) for root in roots.split(":") if root):
+        found += [root] if root.name == package else [root / package]
+        found += sorted(place for place in root.rglob("*") if place.name == package and place.is_dir())
+    return found
 
 
 @functools.lru_cache(maxsize=256)

@@ -14,8 +14,8 @@ spheres whose lowest points are those in the robot's file. Joints have stops unl
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import mujoco  # type: ignore[import-untyped]
@@ -23,8 +23,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from jax_aero import mujoco_model, rust, tables
-from jax_aero.config import FootEntry, RobotFile
+from jax_aero import mujoco_model, rust
 from jax_aero.control.modes import MODES
 from jax_aero.leg_odometry import LegOdometry
 from jax_aero.result import Outcome
@@ -71,26 +70,26 @@ class GroundPlant:
     def __init__(self, config: Mapping[str, Any]) -> None:
         self.source: str = config["robot"]
         self.robot = rust.Robot(self.source)
-        file = tables.load(Path(self.source), RobotFile)
+        table = tomllib.loads(self.robot.toml_text)
         simulator = config["simulator"]
         self._aero = simulator["aero"]
         self._substeps: int = simulator["substeps"]
-        self.model = _model(self.source, self.robot, file.feet, simulator)
+        self.model = _model(self.source, self.robot, table.get("feet", []), simulator)
         self.data = mujoco.MjData(self.model)
         self._order = mujoco_model.order_of(self.source, tuple(self.robot.joint_names))
         feet = self.robot.foot_names
         self._soles = [self.model.site(f"foot_{foot}").id for foot in feet]
         self._foot_of_geom = {
-            self.model.geom(f"{foot.name}_{corner}").id: index
-            for index, foot in enumerate(file.feet)
-            for corner in range(len(foot.vertices))
+            self.model.geom(f"{foot['name']}_{corner}").id: index
+            for index, foot in enumerate(table.get("feet", []))
+            for corner in range(len(foot["vertices"]))
         }
         self.named = [feet.index(name) for name in config["controller"]["contact"]["feet"]]
         """Indices of the feet that the controller stands on, in its order."""
         self.thrust: Array = np.array(simulator["initial"]["thrust"], dtype=np.float64)
         """Thrust of every jet [N]."""
         self._jets = [self.model.site(f"jet_{jet}").id for jet in self.robot.jet_names]
-        self._axes = [np.asarray(jet.axis) for jet in file.jets]
+        self._axes = list(self.robot.arrays()["jets"]["axes"])
         self._links = [self.model.site(f"aero_{link}").id for link in self.robot.aero_link_names]
         self._stand(simulator["initial"], simulator["ground"]["settling"])
         self.model.jnt_stiffness[1:] = simulator.get("motors", {}).get("stiffness", 0.0)
@@ -195,7 +194,7 @@ class GroundPlant:
         return forces
 
 
-def _model(source: str, robot: rust.Robot, feet: Sequence[FootEntry], simulator: Mapping[str, Any]) -> Any:
+def _model(source: str, robot: rust.Robot, feet: Sequence[Mapping[str, Any]], simulator: Mapping[str, Any]) -> Any:
     """Return MuJoCo's model of the robot on a plane, with `feet` as in its file and motors as configured."""
     ground, motors = simulator["ground"], simulator.get("motors", {})
     spec = mujoco_model.mujoco_spec(source)
@@ -209,8 +208,6 @@ def _model(source: str, robot: rust.Robot, feet: Sequence[FootEntry], simulator:
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.impratio = 100.0  # reduces creep along the ground
     option.tolerance = 1e-10
-    for geom in spec.geoms:
-        geom.contype = geom.conaffinity = 0
     contact = {
         "friction": [ground["friction"], 0.005, 0.0001],
         "solref": [ground["contact_time"], 1.0],
@@ -226,11 +223,11 @@ def _model(source: str, robot: rust.Robot, feet: Sequence[FootEntry], simulator:
         **contact,
     )
     for foot in feet:
-        body = spec.body(foot.frame)
-        body.add_site(name=f"foot_{foot.name}")
-        for corner, vertex in enumerate(foot.vertices):
+        body = spec.body(foot["frame"])
+        body.add_site(name=f"foot_{foot['name']}")
+        for corner, vertex in enumerate(foot["vertices"]):
             body.add_geom(
-                name=f"{foot.name}_{corner}",
+                name=f"{foot['name']}_{corner}",
                 type=mujoco.mjtGeom.mjGEOM_SPHERE,
                 size=[CORNER_RADIUS, 0.0, 0.0],
                 pos=np.add(vertex, [0.0, 0.0, CORNER_RADIUS]),

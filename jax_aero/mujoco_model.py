@@ -13,7 +13,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import io
-from pathlib import Path
+import tomllib
 from typing import Any, NamedTuple
 
 import jax
@@ -23,9 +23,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from jax_aero import tables
-from jax_aero.config import RobotFile
-from jax_aero.files import read_text
+from jax_aero import rust
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import multiply, rotate_back, skew, wxyz_from_rotation
 from jax_aero.types import Array, State
@@ -46,35 +44,46 @@ class Order(NamedTuple):
 
 
 def mujoco_spec(source: str) -> Any:
-    """Return MuJoCo's description of the robot: URDF with free joint, joint motors, and sites at jets and links."""
-    file = tables.load(Path(source), RobotFile)
-    spec = mujoco.MjSpec.from_string(read_text(file.urdf))
-    # Inertias are those of the URDF, so meshes are not needed.
-    for element in (*(geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH), *spec.meshes):
+    """Return MuJoCo's description of the robot: its bodies with free joint, joint motors, and sites at jets and links.
+
+    It has no geometry, as nothing of it collides, and the inertias of the crate, since MuJoCo judges every link alone.
+    """
+    robot = rust.Robot(source)
+    table, numbers = tomllib.loads(robot.toml_text), robot.arrays()
+    spec = mujoco.MjSpec.from_string(robot.urdf_text)
+    for element in (*spec.geoms, *spec.meshes, *spec.equalities):
         spec.delete(element)
-    spec.option.gravity = [0.0, 0.0, -file.gravity]
+    spec.option.gravity = [0.0, 0.0, -robot.gravity]
     # With joint limits or friction, MJX would run a constraint solver throughout the flight.
     spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT) | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    spec.body(file.base_link).add_freejoint()
-    for name, position in file.locked.items():
+    for body in spec.bodies:
+        body.mass, body.inertia, body.fullinertia = 0.0, np.zeros(3), np.full(6, np.nan)
+    inertials = zip(numbers["masses"], numbers["coms"], numbers["inertias"], strict=True)
+    for name, inertial in zip(robot.body_names, inertials, strict=True):
+        body = spec.body(name)
+        body.explicitinertial, body.iquat = True, [1.0, 0.0, 0.0, 0.0]
+        body.mass, body.ipos, tensor = inertial
+        body.fullinertia = tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    spec.body(robot.body_names[0]).add_freejoint()
+    for name, position in robot.held_joints.items():
         joint = next(joint for joint in spec.joints if joint.name == name)
-        body = joint.parent
+        body, axis = joint.parent, joint.axis / np.linalg.norm(joint.axis)
         if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
             shift = np.zeros(3)
-            mujoco.mju_rotVecQuat(shift, position * joint.axis, body.quat)
+            mujoco.mju_rotVecQuat(shift, position * axis, body.quat)
             body.pos = body.pos + shift
         else:
             turn, carrier = np.zeros(4), np.zeros(4)
-            mujoco.mju_axisAngle2Quat(turn, joint.axis, position)
+            mujoco.mju_axisAngle2Quat(turn, axis, position)
             mujoco.mju_mulQuat(carrier, body.quat, turn)
             body.quat = carrier
         spec.delete(joint)
-    for jet in file.jets:
-        spec.body(jet.frame).add_site(name=f"jet_{jet.name}")
-    for link in file.aero_links:
-        spec.body(link.frame).add_site(name=f"aero_{link.name}", pos=link.centre)
-    for entry in (entry for group in file.joint_groups for entry in group.joints):
-        motor = spec.add_actuator(name=entry.name, target=entry.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    for jet in table.get("jets", []):
+        spec.body(jet["frame"]).add_site(name=f"jet_{jet['name']}")
+    for link in table.get("aero_links", []):
+        spec.body(link["frame"]).add_site(name=f"aero_{link['name']}", pos=link["centre"])
+    for name in robot.joint_names:
+        motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         motor.set_to_motor()
     return spec
 

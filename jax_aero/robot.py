@@ -1,4 +1,4 @@
-"""The robot: a tree of rigid bodies with named frames, read once from TOML and URDF.
+"""The robot: a tree of rigid bodies with named frames, as the crate reads it from TOML and URDF.
 
 Every number is a leaf of the pytree, so masses, coefficients or limits can be batched and differentiated. Everything
 that determines the structure of the computation (names, parents, the bodies that carry frames) is static.
@@ -7,19 +7,14 @@ that determines the structure of the computation (names, parents, the bodies tha
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Float
 
-from jax_aero import tables
-from jax_aero.config import JointEntry, RobotFile
-from jax_aero.files import read_text
-from jax_aero.types import Array, Static, leaf, pytree
-from jax_aero.urdf import BodyTree, Joint, read_tree
+from jax_aero import rust
+from jax_aero.types import Array, Static, pytree
 
 ENGINE_KEYS = ("k_t", "k_tt", "k_d", "k_dd", "k_td", "b_u", "b_t", "b_d", "b_uu", "c", "throttle_min", "throttle_max")
 """Coefficients of the second-order engine model, in the order of `RobotModel.engines`."""
@@ -175,168 +170,16 @@ def levels_of(parent: tuple[int, ...]) -> tuple[tuple[int, ...], ...]:
 
 
 def load_robot(path: str | PathLike[str]) -> RobotModel:
-    """Read a robot's TOML file and the URDF named in it.
+    """Return the crate's robot, read from a TOML file and the URDF named in it.
 
     The leaves are NumPy arrays in double precision, which JAX converts to the caller's precision.
 
     Raises
     ------
     ValueError
-        If a value is invalid; the message names the key, its value and what was expected.
+        If a value is invalid; the message names the file, the key, its value and what was expected.
     """
-    toml_path = Path(path).resolve()
-    file = tables.load(toml_path, RobotFile)
-    try:
-        return _robot(toml_path, file)
-    except ValueError as reason:
-        raise ValueError(f"{toml_path.name}: {reason}") from None
-
-
-def _robot(toml_path: Path, file: RobotFile) -> RobotModel:
-    for item, entries in (
-        ("joint group", file.joint_groups),
-        ("aerodynamic link", file.aero_links),
-        ("jet", file.jets),
-        ("foot", file.feet),
-    ):
-        _unique(item, [entry.name for entry in entries])
-    joints = [joint for group in file.joint_groups for joint in group.joints]
-    order = [joint.name for joint in joints]
-    tree = read_tree(read_text(file.urdf), file.base_link, order, file.locked)
-    limits = [_limits(entry, joint) for entry, joint in zip(joints, tree.joints, strict=True)]
-    lower, upper, torque_max, torque_rate_max, velocity_max = np.reshape(limits, (-1, 5)).T
-    ranges = [(-np.inf, np.inf) if joint.limits is None else joint.limits for joint in tree.joints]
-    stops = [(min(a, c), max(b, d)) for a, b, (c, d) in zip(lower, upper, ranges, strict=True)]
-    starts = np.cumsum([0] + [len(group.joints) for group in file.joint_groups]).tolist()
-    return RobotModel(
-        name=file.name,
-        parent=tuple(body.parent for body in tree.bodies),
-        body_names=tuple(body.name for body in tree.bodies),
-        joint_names=tuple(order),
-        joint_is_prismatic=tuple(joint.is_prismatic for joint in tree.joints),
-        joint_groups=tuple(
-            (group.name, tuple(range(start, start + len(group.joints))))
-            for group, start in zip(file.joint_groups, starts, strict=False)
-        ),
-        source=str(toml_path),
-        masses=leaf([body.mass for body in tree.bodies]),
-        coms=leaf([body.com for body in tree.bodies]),
-        inertias=leaf([body.inertia for body in tree.bodies]),
-        joint_rotations=leaf(np.reshape([joint.parent_from_child.rotation for joint in tree.joints], (-1, 3, 3))),
-        joint_positions=leaf(np.reshape([joint.parent_from_child.position for joint in tree.joints], (-1, 3))),
-        joint_axes=leaf(np.reshape([joint.axis for joint in tree.joints], (-1, 3))),
-        joint_limits=leaf(np.stack([lower, upper], axis=1)),
-        joint_stops=leaf(np.reshape(stops, (-1, 2))),
-        joint_torque_max=leaf(torque_max),
-        joint_torque_rate_max=leaf(torque_rate_max),
-        joint_velocity_max=leaf(velocity_max),
-        forward_axis=_forward_axis(file.forward_axis),
-        gravity=leaf(file.gravity),
-        jets=_jets(file, tree),
-        aero_links=_aero_links(file, tree),
-        engines={name: leaf([getattr(engine, key) for key in ENGINE_KEYS]) for name, engine in file.engines.items()},
-    )
-
-
-def _unique(item: str, names: Sequence[str]) -> None:
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"{item} `{name}` is listed more than once; expected a name that occurs once")
-
-
-def _forward_axis(value: tuple[float, ...]) -> Array:
-    axis = leaf(value)
-    if abs(np.linalg.norm(axis) - 1.0) > 1e-6 or abs(axis[2]) > 1e-6:
-        raise ValueError(f"`forward_axis` is {list(value)}; expected a unit vector orthogonal to base z")
-    return axis
-
-
-def _unit_vector(of: str, value: tuple[float, ...]) -> Any:
-    length = np.linalg.norm(value)
-    if abs(length - 1.0) > 1e-6:
-        raise ValueError(f"axis of {of} is {list(value)}; expected a vector of length 1")
-    return np.asarray(value) / length
-
-
-def _limits(entry: JointEntry, joint: Joint) -> tuple[float, ...]:
-    """Return lower and upper position, greatest torque, greatest torque rate and greatest velocity of one joint."""
-    keys, others = ("limits_deg", "velocity_max_deg"), ("limits", "velocity_max")
-    unit, kind = np.pi / 180.0, "revolute"
-    if joint.is_prismatic:
-        keys, others, unit, kind = others, keys, 1.0, "prismatic"
-    for key in others:
-        if getattr(entry, key) is not None:
-            raise ValueError(f"{key} of joint `{entry.name}` is given, which is {kind}; expected {' and '.join(keys)}")
-    given = getattr(entry, keys[0])
-    limits = joint.limits if given is None else (unit * given[0], unit * given[1])
-    if limits is None:
-        raise ValueError(f"{keys[0]} of joint `{entry.name}` are missing, as the joint is continuous in the URDF")
-    if not limits[0] < limits[1]:
-        raise ValueError(f"limits of joint `{entry.name}` are {tuple(limits)}; expected lower below upper")
-
-    def read_greatest(key: str, unit: float, urdf: float | None) -> float:
-        value: float | None = getattr(entry, key)
-        if value is None and urdf is None:
-            raise ValueError(f"{key} of joint `{entry.name}` is missing; expected a positive number: the URDF has none")
-        return unit * value if value is not None else cast(float, urdf)
-
-    return (
-        *limits,
-        read_greatest("torque_max", 1.0, joint.torque_max),
-        read_greatest("torque_rate_max", 1.0, np.inf),
-        read_greatest(keys[1], unit, joint.velocity_max),
-    )
-
-
-def _frames(kind: str, entries: Sequence[Any], tree: BodyTree) -> tuple[tuple[int, ...], Array, Array]:
-    """Return bodies, rotations and positions [m] of the frames of some entries."""
-    for entry in entries:
-        if entry.frame not in tree.places:
-            raise ValueError(f"frame of {kind} `{entry.name}`: unknown link `{entry.frame}`")
-    places = [tree.places[entry.frame] for entry in entries]
-    rotations = np.reshape([pose.rotation for _, pose in places], (-1, 3, 3))
-    positions = np.reshape([pose.position for _, pose in places], (-1, 3))
-    return tuple(body for body, _ in places), leaf(rotations), leaf(positions)
-
-
-def _jets(file: RobotFile, tree: BodyTree) -> Jets:
-    for entry in file.jets:
-        if entry.engine not in file.engines:
-            raise ValueError(f"engine of jet `{entry.name}`: unknown name `{entry.engine}`")
-    bodies, rotations, positions = _frames("jet", file.jets, tree)
-    return Jets(
-        names=tuple(entry.name for entry in file.jets),
-        bodies=bodies,
-        engines=tuple(entry.engine for entry in file.jets),
-        rotations=rotations,
-        positions=positions,
-        axes=leaf(np.reshape([_unit_vector(f"jet `{entry.name}`", entry.axis) for entry in file.jets], (-1, 3))),
-        thrust_max=leaf([entry.thrust_max for entry in file.jets]),
-    )
-
-
-def _aero_links(file: RobotFile, tree: BodyTree) -> AeroLinks:
-    entries = file.aero_links
-    bodies, rotations, positions = _frames("aerodynamic link", entries, tree)
-    coefficients = {}
-    for name, families in file.coefficients.items():
-        used = {entry.family for entry in entries}
-        if used != set(families):
-            found, expected = ", ".join(sorted(families)), ", ".join(sorted(used))
-            raise ValueError(
-                f"families of coefficient set `{name}` are {found}; expected those of the links, {expected}"
-            )
-        rows = [(*families[entry.family].cda, families[entry.family].cna) for entry in entries]
-        coefficients[name] = leaf(np.reshape(rows, (-1, 6)))
-    return AeroLinks(
-        names=tuple(entry.name for entry in entries),
-        bodies=bodies,
-        is_sphere=tuple(entry.is_sphere for entry in entries),
-        rotations=rotations,
-        positions=positions,
-        axes=leaf(np.reshape([_unit_vector(f"link `{entry.name}`", entry.axis) for entry in entries], (-1, 3))),
-        centres=leaf(np.reshape([entry.centre for entry in entries], (-1, 3))),
-        diameters=leaf([entry.diameter for entry in entries]),
-        lengths=leaf([entry.length for entry in entries]),
-        coefficients=coefficients,
-    )
+    source = Path(path).resolve()
+    fields = rust.Robot(source).arrays()
+    parts = {"jets": Jets(**fields.pop("jets")), "aero_links": AeroLinks(**fields.pop("aero_links"))}
+    return RobotModel(source=str(source), **fields, **parts)

@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jax_aero import _core, tables
-from jax_aero._core import BoxQpSolver, ControllerState, Robot, __version__, kkt_residual
+from jax_aero._core import BoxQpSolver, ControllerState, Robot, __version__, kkt_residual, read_urdf
 from jax_aero.command import ConfigError
 from jax_aero.keys import parts
 from jax_aero.places import find
@@ -81,6 +81,7 @@ __all__ = [
     "load_config",
     "load_controller",
     "path_keys",
+    "read_urdf",
     "recorded_reference",
     "recorded_wind",
     "resolve_aero",

@@ -9,7 +9,6 @@ import json
 import math
 from collections.abc import Mapping
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -17,7 +16,6 @@ from experiments.report import engines
 from experiments.report.verdicts import explain_absence, judge, judge_range
 from jax_aero import rust, tables
 from jax_aero.places import CONFIGS, ROBOT
-from jax_aero.urdf import origin_of
 
 NETWORK = CONFIGS / "aero" / "networks" / "default.json"
 GRAVITY = 9.81
@@ -145,10 +143,8 @@ def forearm_offset() -> float:
     Joint angles do not matter, since a fixed joint of the URDF attaches the jet to the body that the elbow moves.
     """
     jet = next(jet for jet in robot()["jets"] if jet["name"].startswith("l_arm"))
-    joints = ElementTree.parse(CONFIGS / "robot" / robot()["urdf"]).iter("joint")
-    fixed = next(joint for joint in joints if joint.find(f"child[@link='{jet['frame']}']") is not None)
-    pose = origin_of(fixed)
-    return float(np.linalg.norm(np.cross(pose.position, pose.rotation @ np.array(jet["axis"]))))
+    _, (rotation, position) = rust.Robot(ROBOT).links()[jet["frame"]]
+    return float(np.linalg.norm(np.cross(position, rotation @ np.array(jet["axis"]))))
 
 
 def strength() -> tuple[str, str]:

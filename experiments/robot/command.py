@@ -24,14 +24,13 @@ from experiments.robot import scenario, shapes, skeleton
 from jax_aero import places, rust, tables
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
-from jax_aero.files import complete_folder, read_text
+from jax_aero.files import complete_folder
 from jax_aero.result import ending
-from jax_aero.robot import load_robot as load_twin
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.aero import load_aero
 from jax_aero.symbolic.robot import Robot
 from jax_aero.symbolic.trim import Trim, TrimResult, TrimSettings
-from jax_aero.urdf import root_of
+from jax_aero.urdf import read_urdf
 
 HOVER, MISSION = "hover", "in_line"
 
@@ -118,12 +117,12 @@ def import_robot(
     if folder.exists() and any(folder.iterdir()):
         raise Refused(f"{folder} is not empty; choose another --out")
     with complete_folder(folder) as draft:
-        element = root_of(read_text(urdf))
-        tree = skeleton.Tree(element)
+        listing = read_urdf(urdf)
+        tree = skeleton.Tree(listing)
         text = skeleton.write(
             tree,
-            shapes.boxes(element, urdf.parent),
-            name=element.attrib.get("name", urdf.stem),
+            shapes.boxes(listing, urdf.parent),
+            name=listing.name or urdf.stem,
             urdf=urdf,
             folder=draft,
             jets=jets,
@@ -132,8 +131,6 @@ def import_robot(
             forward=forward,
         )
         path = _write(draft / "robot.toml", "robot", text)
-        rust.Robot(path)  # checked by both loaders
-        load_twin(path)
         robot = load_robot(path)
         trim = _trim(robot, posture_deg or {}, forward)
         if not trim.feasible:

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from jax_aero import places, tables
+from jax_aero.mirror import mirror_name
 from jax_aero.symbolic.robot import Robot
 from jax_aero.symbolic.trim import TrimResult
-from jax_aero.urdf import mirror_name
 
 INERTIA_OF_PUBLISHED_GAINS = 6.66
 """Trace of the centroidal inertia of the hovering iRonCub-Mk1, for which c0 and c1 were published [kg m²]."""

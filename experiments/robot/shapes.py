@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
+import itertools
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments import Refused
 from jax_aero.mesh import mesh_file, read_mesh
-from jax_aero.urdf import Pose, attribute, numbers, origin_of
+from jax_aero.urdf import Pose, Shape, Urdf
 
 Array = NDArray[np.float64]
 
@@ -31,14 +30,12 @@ class Box:
         return np.asarray(signs * self.size @ self.pose.rotation.T + self.pose.position)
 
 
-def boxes(urdf: ET.Element, folder: Path) -> dict[str, Box]:
+def boxes(urdf: Urdf, folder: Path) -> dict[str, Box]:
     """Return the box of every link with geometry; mesh paths are relative to the URDF's `folder`."""
     found = {}
-    for link in urdf.iter("link"):
-        elements = link.findall("visual") or link.findall("collision")
-        parts = [_box(element, folder) for element in elements if element.find("geometry") is not None]
-        if parts:
-            found[attribute(link, "name")] = parts[0] if len(parts) == 1 else _bounding_box(parts)
+    for link, shapes in itertools.groupby(urdf.shapes, key=lambda shape: shape.link):
+        parts = [_box(shape, folder) for shape in shapes]
+        found[link] = parts[0] if len(parts) == 1 else _bounding_box(parts)
     return found
 
 
@@ -48,22 +45,11 @@ def _bounding_box(parts: list[Box]) -> Box:
     return Box(Pose(np.eye(3), (low + high) / 2), high - low)
 
 
-def _box(element: ET.Element, folder: Path) -> Box:
-    origin = origin_of(element)
-    geometry = element.find("geometry")
-    shape = None if geometry is None else next(iter(geometry), None)
-    if shape is None:
-        raise Refused("a <geometry> of the URDF is empty")
-    if shape.tag == "sphere":
-        return Box(origin, np.full(3, 2.0 * numbers(shape, "radius", 1)), is_sphere=True)
-    if shape.tag in ("cylinder", "capsule"):
-        diameter = 2.0 * numbers(shape, "radius", 1)
-        return Box(origin, np.concatenate([diameter, diameter, numbers(shape, "length", 1)]))
-    if shape.tag == "box":
-        return Box(origin, numbers(shape, "size", 3))
-    if shape.tag == "mesh":
-        mesh = read_mesh(mesh_file(attribute(shape, "filename"), folder))
-        points = mesh.vertices * numbers(shape, "scale", 3, "1 1 1")
+def _box(shape: Shape, folder: Path) -> Box:
+    size = np.array(shape.size)
+    if shape.file is not None:
+        points = read_mesh(mesh_file(shape.file, folder)).vertices * size
         low, high = points.min(axis=0), points.max(axis=0)
-        return Box(origin @ Pose(np.eye(3), (low + high) / 2), high - low)
-    raise Refused(f"geometry <{shape.tag}> is unknown; expected sphere, cylinder, capsule, box or mesh")
+        return Box(shape.origin @ Pose(np.eye(3), (low + high) / 2), high - low)
+    edges = {"sphere": [2.0, 2.0, 2.0], "cylinder": [2.0, 2.0, 1.0], "capsule": [2.0, 2.0, 1.0], "box": [1.0, 1.0, 1.0]}
+    return Box(shape.origin, size * edges[shape.kind], is_sphere=shape.kind == "sphere")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 from experiments import Refused
 from experiments.robot.shapes import Array, Box
 from jax_aero.tables import toml_key, toml_value
-from jax_aero.urdf import IDENTITY, Pose, attribute, numbers, origin_of
+from jax_aero.urdf import IDENTITY, Joint, Pose, Urdf
 
 AXES = {
     f"{sign}{name}": (-1.0 if sign else 1.0) * row
@@ -38,34 +37,11 @@ class Thruster:
     """Greatest thrust [N]."""
 
 
-@dataclass(frozen=True)
-class Joint:
-    """A joint of the URDF."""
-
-    name: str
-    kind: str
-    parent: str
-    child: str
-    origin: Pose
-    effort: float
-    """Greatest force or torque [N, N m]; 0 if not given in the URDF."""
-    velocity: float
-    """Greatest velocity [m/s, rad/s]; 0 where the URDF has none."""
-    nearest_zero: float
-    """Position within its limits that is nearest to zero [m, rad]."""
-
-    @property
-    def is_movable(self) -> bool:
-        """Whether the joint has a degree of freedom."""
-        return self.kind != "fixed"
-
-
 class Tree:
     """Links and joints of a URDF, in order from the root."""
 
-    def __init__(self, urdf: ET.Element) -> None:
-        self.links = [attribute(link, "name") for link in urdf.findall("link")]
-        self.joints = [_joint(element) for element in urdf.findall("joint")]
+    def __init__(self, urdf: Urdf) -> None:
+        self.links, self.joints = urdf.links, urdf.joints
         carried = {joint.child for joint in self.joints}
         roots = [link for link in self.links if link not in carried]
         if len(roots) != 1:
@@ -96,10 +72,27 @@ class Tree:
 
     def _next(self, link: str, held: Sequence[str]) -> Iterator[Joint]:
         for joint in self.child_joints(link):
-            if joint.is_movable and joint.name not in held:
+            if joint.moves and joint.name not in held and not self._follows(joint, held):
                 yield joint
             else:
                 yield from self._next(joint.child, held)
+
+    def _follows(self, joint: Joint, held: Sequence[str]) -> bool:
+        """Return whether a joint mimics one that is held, so that it is held as well; refuse one that would move."""
+        leader: Joint | None = joint
+        for _ in self.joints:
+            if leader is None or not leader.moves or leader.name in held:
+                return True
+            if leader.mimics is None:
+                break
+            name = leader.mimics
+            leader = next((other for other in self.joints if other.name == name), None)
+        if joint.mimics is None:
+            return False
+        raise Refused(
+            f"joint `{joint.name}` is a mimic of `{joint.mimics}`; expected one that moves on its own: "
+            f"--hold {joint.name} locks it, --hold {joint.mimics} locks both"
+        )
 
     def rigid_part(self, link: str) -> dict[str, Pose]:
         """Return the links joined rigidly to this one, with their poses in its axes."""
@@ -108,7 +101,7 @@ class Tree:
         while waiting:
             here = waiting.pop()
             for joint in self.joints:
-                if joint.is_movable:
+                if joint.moves:
                     continue
                 if joint.parent == here and joint.child not in placed:
                     placed[joint.child] = placed[here] @ joint.origin
@@ -120,24 +113,10 @@ class Tree:
         return placed
 
 
-def _joint(element: ET.Element) -> Joint:
-    ends = [element.find(tag) for tag in ("parent", "child")]
-    parent, child = ("" if end is None else end.get("link", "") for end in ends)
-    limit = ET.Element("limit") if (found := element.find("limit")) is None else found
-    effort, velocity, lower, upper = (
-        float(numbers(limit, key, 1, "0")[0]) for key in ("effort", "velocity", "lower", "upper")
-    )
-    kind = element.get("type", "")
-    return Joint(
-        element.get("name", ""),
-        kind,
-        parent,
-        child,
-        origin_of(element),
-        effort,
-        velocity,
-        0.0 if kind == "continuous" or lower >= upper else min(max(0.0, lower), upper),
-    )
+def nearest_zero(joint: Joint) -> float:
+    """Return the position within a joint's limits that is nearest to zero [rad, m]."""
+    lower, upper = joint.limits or (0.0, 0.0)
+    return min(max(0.0, lower), upper)
 
 
 def write(
@@ -169,7 +148,7 @@ def write(
     if forward != "x":
         lines.append(f"forward_axis = {_row(AXES[forward])}")
     if held:
-        places = {joint.name: joint.nearest_zero for joint in tree.joints if joint.name in held}
+        places = {joint.name: nearest_zero(joint) for joint in tree.joints if joint.name in held}
         lines.append(f"locked = {toml_value(places)}")
     lines += ["", "# --- joints, in tree order, a group for each chain ---", *_groups(tree.chains(held))]
     links = {link: box for link, box in boxes.items() if box.size.max() >= SMALLEST_LINK}
@@ -212,13 +191,12 @@ def _groups(chains: Sequence[Sequence[Joint]]) -> list[str]:
 
 def _joint_entry(joint: Joint) -> list[str]:
     entry = [f"name = {toml_value(joint.name)}"]
-    turns = joint.kind != "prismatic"
-    if joint.kind == "continuous":
-        entry.append("limits_deg = [-180.0, 180.0]")
+    if joint.limits is None:
+        entry.append("limits = [-1.0, 1.0]" if joint.is_prismatic else "limits_deg = [-180.0, 180.0]")
     if not 0.0 < joint.effort < PLACEHOLDER:
         entry.append("torque_max = 100.0")
     if not 0.0 < joint.velocity < PLACEHOLDER:
-        entry.append("velocity_max_deg = 180.0" if turns else "velocity_max = 1.0")
+        entry.append("velocity_max = 1.0" if joint.is_prismatic else "velocity_max_deg = 180.0")
     return entry
 
 

@@ -61,10 +61,12 @@ def aero_model(settings: config.AeroConfig, robot: RobotModel, read_network: Rea
             return NoAero()
         case config.AxisymmetricAeroConfig():
             sets = robot.aero_links.coefficients
-            if settings.coefficients not in sets:
+            if robot.aero_links.count and settings.coefficients not in sets:
                 found = f"coefficients is `{settings.coefficients}`"
                 raise ValueError(f"{found}; {robot.name} has {', '.join(sorted(sets))}")
-            return Axisymmetric(k_a=0.5 * leaf(settings.air_density), areas=sets[settings.coefficients])
+            return Axisymmetric(
+                k_a=0.5 * leaf(settings.air_density), areas=sets.get(settings.coefficients, leaf([]).reshape(0, 6))
+            )
         case config.SphereCylinderAeroConfig():
             return sphere_cylinder_model(settings, robot.aero_links)
         case config.NetworkAeroConfig():

@@ -26,10 +26,10 @@ from scipy.linalg import block_diag
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
 from jax_aero.command import ConfigError
 from jax_aero.kinematics import frame_poses, kinematics_at_rest
+from jax_aero.mirror import ODD_JOINTS, opposite_indices
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import rotate, rotate_back, safe_norm
 from jax_aero.types import Array, Kinematics, Static, pytree, with_dtype
-from jax_aero.urdf import ODD_JOINTS, opposite_indices
 
 Block: TypeAlias = Literal["wind", "joints", "link_wind", "link_position", "link_shadow"]
 Frame: TypeAlias = Literal["base", "link", "wind"]

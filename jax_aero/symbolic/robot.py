@@ -1,4 +1,7 @@
-"""The numbers of a robot as stated in its TOML and URDF files, without merging or derived values."""
+"""The numbers of a robot as stated in its TOML and URDF files, without merging or derived values.
+
+The crate decides which robots are accepted; their numbers are read again here, independently of it.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+
+from jax_aero import rust
 
 Array = NDArray[np.float64]
 
@@ -116,14 +121,20 @@ class Robot:
 
 
 def load_robot(path: str | Path) -> Robot:
-    """Read a robot's TOML file and the URDF beside it."""
-    path = Path(path)
-    table = tomllib.loads(path.read_text(encoding="utf-8"))
-    urdf = ET.fromstring((path.parent / table["urdf"]).read_text(encoding="utf-8"))
+    """Read a robot's TOML file and the URDF beside it.
+
+    Raises
+    ------
+    ValueError
+        If the crate refuses the robot.
+    """
+    accepted = rust.Robot(path)
+    table = tomllib.loads(accepted.toml_text)
+    urdf = _without_namespace(ET.fromstring(accepted.urdf_text))
     entries = [entry for group in table.get("joint_groups", []) for entry in group["joints"]]
     names = tuple(entry["name"] for entry in entries)
     joints = _joints(urdf, table["base_link"], names, table.get("locked", {}))
-    limits = {element.get("name"): element.find("limit") for element in urdf.iter("joint")}
+    limits = {element.get("name"): element.find("limit") for element in urdf.findall("joint")}
     return Robot(
         name=table["name"],
         base=table["base_link"],
@@ -157,20 +168,15 @@ def load_robot(path: str | Path) -> Robot:
 
 def _joints(urdf: ET.Element, base: str, names: Sequence[str], locked: Mapping[str, float]) -> tuple[Joint, ...]:
     """Return the joints in an order in which every parent precedes its children."""
-    waiting = {element.get("name", ""): element for element in urdf.iter("joint")}
+    elements = {element.get("name", ""): element for element in urdf.findall("joint")}
+    waiting = dict(elements)
     known = {base}
     joints: list[Joint] = []
     while waiting:
         ready = [name for name, element in waiting.items() if _link(element, "parent") in known]
-        if not ready:
-            raise ValueError(f"joints {sorted(waiting)} hang on no chain from `{base}`")
         for name in ready:
             element = waiting.pop(name)
             kind = element.get("type")
-            if kind not in ("fixed", "revolute", "continuous", "prismatic"):
-                raise ValueError(f"joint `{name}` is {kind}; expected fixed, revolute, continuous or prismatic")
-            if kind != "fixed" and name not in names and name not in locked:
-                raise ValueError(f"joint `{name}` is neither in a joint group nor locked")
             axis = element.find("axis")
             joints.append(
                 Joint(
@@ -183,18 +189,27 @@ def _joints(urdf: ET.Element, base: str, names: Sequence[str], locked: Mapping[s
                     else _unit_vector(_numbers(axis, "xyz")),
                     is_prismatic=kind == "prismatic",
                     index=names.index(name) if name in names else None,
-                    locked_at=float(locked.get(name, 0.0)),
+                    locked_at=0.0 if name in names else _held_at(name, elements, locked),
                 )
             )
             known.add(joints[-1].child)
     return tuple(joints)
 
 
+def _held_at(name: str, joints: Mapping[str, ET.Element], locked: Mapping[str, float]) -> float:
+    """Return the position of a joint that does not move [rad, m]: one that mimics another follows it."""
+    mimic = joints[name].find("mimic")
+    if name in locked or mimic is None or joints[name].get("type") == "fixed":
+        return float(locked.get(name, 0.0))
+    led_by = _held_at(mimic.get("joint", ""), joints, locked)
+    return float(mimic.get("multiplier", 1.0)) * led_by + float(mimic.get("offset", 0.0))
+
+
 def _inertials(urdf: ET.Element) -> list[Inertial]:
     found = []
-    for link in urdf.iter("link"):
+    for link in urdf.findall("link"):
         element = link.find("inertial")
-        if element is None:
+        if element is None or float(_child(element, "mass").get("value", "nan")) == 0.0:
             continue
         entries = _child(element, "inertia")
         xx, xy, xz, yy, yz, zz = (float(entries.get(key, "nan")) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
@@ -221,6 +236,14 @@ def _limits(entry: Mapping[str, Any], limit: ET.Element | None) -> tuple[float, 
 
 def _torque_max(entry: Mapping[str, Any], limit: ET.Element | None) -> float:
     return float(entry.get("torque_max", "nan" if limit is None else limit.get("effort", "nan")))
+
+
+def _without_namespace(root: ET.Element) -> ET.Element:
+    """Return a URDF whose own tags have no namespace; those of other namespaces keep theirs."""
+    own = root.tag.removesuffix("robot")
+    for element in root.iter():
+        element.tag = element.tag.removeprefix(own)
+    return root
 
 
 def _unit_vector(axis: Sequence[float] | Array) -> Array:

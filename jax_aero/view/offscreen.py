@@ -290,8 +290,6 @@ def _robot_spec(recording: Recording, *, is_ghost: bool) -> Any:
 
     spec = mujoco_model.mujoco_spec(str(recording.robot_path))
     spec.compiler.discardvisual = False
-    for geom in list(spec.geoms):
-        spec.delete(geom)
     types = {
         "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
         "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,

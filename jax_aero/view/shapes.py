@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
 import tomllib
-import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -13,7 +13,8 @@ import numpy as np
 from jax_aero import rust
 from jax_aero.command import Refused
 from jax_aero.mesh import Mesh, mesh_file, read_mesh
-from jax_aero.urdf import IDENTITY, BodyTree, Pose, Vector, attribute, numbers, origin_of, read_tree
+from jax_aero.urdf import IDENTITY, Pose, Vector, shapes_of
+from jax_aero.urdf import Shape as UrdfShape
 
 STRUT_RADIUS = 0.022  # m
 
@@ -86,29 +87,23 @@ def look_of(robot: rust.Robot, path: Path | None = None) -> Look:
     `path` is its TOML file, relative to which the URDF's meshes are found; without it they are missing.
     """
     table = tomllib.loads(robot.toml_text)
-    tree = read_tree(robot.urdf_text, table["base_link"], robot.joint_names, table.get("locked", {}))
-    if [body.name for body in tree.bodies] != list(robot.body_names):
-        raise ValueError(f"bodies of the URDF are {[body.name for body in tree.bodies]}; expected {robot.body_names}")
+    places = {link: (body, Pose(*pose)) for link, (body, pose) in robot.links().items()}
     engines = {entry["frame"] for entry in table.get("jets", [])}
     soles = {entry["frame"] for entry in table.get("feet", [])}
     in_air = {entry["frame"]: entry for entry in table.get("aero_links", [])}
     folder = None if path is None else (path.parent / table["urdf"]).parent
     shapes: list[Shape] = []
     missing: list[str] = []
-    for link in ElementTree.fromstring(robot.urdf_text).iter("link"):
-        name = link.attrib["name"]
+    for name, solids in itertools.groupby(shapes_of(robot), key=lambda shape: shape.link):
         role: Role = "engine" if name in engines else "sole" if name in soles else "shell"
-        body, body_from_link = tree.places[name]
+        body, body_from_link = places[name]
         drawn: list[tuple[Solid, Pose]] = []
         reasons = []
-        for visual in link.findall("visual"):
+        for solid in solids:
             try:
-                if solid := _solid(visual, folder):
-                    drawn.append((solid, origin_of(visual)))
+                drawn.append((_solid(solid, folder), solid.origin))
             except Refused as reason:
                 reasons.append(f"{name}: {reason}")
-            except ValueError as reason:
-                raise ValueError(f"visual of link `{name}`: {reason}") from None
         if reasons and not drawn and name in in_air:
             drawn = [_aero_shape(in_air[name])]
         missing += reasons
@@ -116,10 +111,10 @@ def look_of(robot: rust.Robot, path: Path | None = None) -> Look:
             Shape(name, kind, size, role, body, body_from_link @ pose, mesh) for (kind, size, mesh), pose in drawn
         ]
     return Look(
-        shapes=(*shapes, *_struts(tree, shapes)),
-        jets=tuple(_jet(entry, tree) for entry in table.get("jets", [])),
-        links=tuple(_link(entry, tree) for entry in table.get("aero_links", [])),
-        parents=tuple(body.parent for body in tree.bodies),
+        shapes=(*shapes, *_struts(robot, shapes)),
+        jets=tuple(_jet(entry, *places[entry["frame"]]) for entry in table.get("jets", [])),
+        links=tuple(_link(entry, *places[entry["frame"]]) for entry in table.get("aero_links", [])),
+        parents=robot.arrays()["parent"],
         missing=tuple(missing),
     )
 
@@ -134,36 +129,19 @@ def _aero_shape(entry: dict[str, Any]) -> tuple[Solid, Pose]:
     return ("cylinder", (radius, radius, entry["length"]), None), pose
 
 
-def _solid(visual: ElementTree.Element, folder: Path | None) -> Solid | None:
-    for element in visual.iterfind("geometry/*"):
-        if element.tag in ("cylinder", "sphere"):
-            (radius,) = numbers(element, "radius", 1).tolist()
-            if element.tag == "sphere":
-                return "sphere", (radius, radius, radius), None
-            (length,) = numbers(element, "length", 1).tolist()
-            return "cylinder", (radius, radius, length), None
-        if element.tag == "box":
-            return "box", _read_three(element, "size"), None
-        if element.tag == "mesh":
-            filename = attribute(element, "filename")
-            if folder is None:
-                raise Refused(f"mesh {filename}: not looked for")
-            return "mesh", _read_three(element, "scale", "1 1 1"), read_mesh(mesh_file(filename, folder))
-    return None
+def _solid(shape: UrdfShape, folder: Path | None) -> Solid:
+    if shape.file is None:
+        return "cylinder" if shape.kind == "capsule" else shape.kind, shape.size, None
+    if folder is None:
+        raise Refused(f"mesh {shape.file}: not looked for")
+    return "mesh", shape.size, read_mesh(mesh_file(shape.file, folder))
 
 
-def _read_three(element: ElementTree.Element, key: str, default: str | None = None) -> tuple[float, float, float]:
-    x, y, z = numbers(element, key, 3, default).tolist()
-    return x, y, z
-
-
-def _struts(tree: BodyTree, shapes: list[Shape]) -> list[Shape]:
+def _struts(robot: rust.Robot, shapes: list[Shape]) -> list[Shape]:
     """Return thin cylinders from every body's origin to its joints and primitives, for robots without meshes."""
     meshed = {shape.body for shape in shapes if shape.kind == "mesh"}
-    ends = [
-        (tree.bodies[i + 1].parent, joint.parent_from_child.position, tree.bodies[i + 1].name)
-        for i, joint in enumerate(tree.joints)
-    ]
+    numbers = robot.arrays()
+    ends = list(zip(numbers["parent"][1:], numbers["joint_positions"], robot.body_names[1:], strict=True))
     # Not quite to the centre, since a thin primitive such as a sole would be pierced.
     ends += [(shape.body, 0.85 * shape.body_from_shape.position, shape.name) for shape in shapes]
     struts = []
@@ -175,14 +153,12 @@ def _struts(tree: BodyTree, shapes: list[Shape]) -> list[Shape]:
     return struts
 
 
-def _jet(entry: dict[str, Any], tree: BodyTree) -> Mount:
-    body, body_from_frame = tree.places[entry["frame"]]
+def _jet(entry: dict[str, Any], body: int, body_from_frame: Pose) -> Mount:
     exhaust = -body_from_frame.rotation @ np.asarray(entry["axis"], dtype=np.float64)
     return Mount(entry["name"], body, body_from_frame.position, exhaust)
 
 
-def _link(entry: dict[str, Any], tree: BodyTree) -> Mount:
-    body, body_from_link = tree.places[entry["frame"]]
+def _link(entry: dict[str, Any], body: int, body_from_link: Pose) -> Mount:
     centre = body_from_link @ Pose(IDENTITY.rotation, np.asarray(entry["centre"], dtype=np.float64))
     axis = body_from_link.rotation @ np.asarray(entry["axis"], dtype=np.float64)
     return Mount(entry["name"], body, centre.position, axis)

@@ -13,7 +13,7 @@ from experiments import Refused
 from experiments.robot import command, shapes, skeleton
 from jax_aero import mesh
 from jax_aero.symbolic import load_robot
-from jax_aero.urdf import IDENTITY
+from jax_aero.urdf import IDENTITY, read_urdf
 
 ROBOTS = Path(__file__).resolve().parents[2] / "configs" / "robot"
 
@@ -106,16 +106,18 @@ def test_names_may_hold_what_is_no_bare_key(tmp_path):
         ("", 0.0),  # no range
     ],
 )
-def test_a_joint_is_held_as_near_to_zero_as_it_can_be(limit, position):
+def test_a_joint_is_held_as_near_to_zero_as_it_can_be(limit, position, tmp_path):
     urdf = (ROBOTS / "sparrow.urdf").read_text().replace('lower="-0.5" upper="0.5"', limit)
-    (neck,) = (joint for joint in skeleton.Tree(ET.fromstring(urdf)).joints if joint.name == "neck")
-    assert neck.nearest_zero == position
+    (tmp_path / "sparrow.urdf").write_text(urdf)
+    (neck,) = (joint for joint in read_urdf(tmp_path / "sparrow.urdf").joints if joint.name == "neck")
+    assert skeleton.nearest_zero(neck) == position
 
 
-def box_of(*parts):
+def box_of(folder, *parts):
     """Return the box of a link with some `<visual>` parts."""
     text = "".join(f"<visual>{part}</visual>" for part in parts)
-    return shapes.boxes(ET.fromstring(f'<robot name="r"><link name="l">{text}</link></robot>'), ROBOTS)["l"]
+    (folder / "r.urdf").write_text(f'<robot name="r"><link name="l">{text}</link></robot>')
+    return shapes.boxes(read_urdf(folder / "r.urdf"), folder)["l"]
 
 
 @pytest.mark.parametrize(
@@ -127,33 +129,27 @@ def box_of(*parts):
         ('<box size="0.1 0.2 0.3"/>', (0.1, 0.2, 0.3)),
     ],
 )
-def test_a_link_is_as_large_as_its_geometry(shape, size):
+def test_a_link_is_as_large_as_its_geometry(shape, size, tmp_path):
     part = f'<origin xyz="1 2 3"/><geometry>{shape}</geometry>'
-    found = box_of(part)
+    found = box_of(tmp_path, part)
     np.testing.assert_allclose(found.size, size)
     assert found.is_sphere == shape.startswith("<sphere")
     # With a second part, 1 m further along x, the box is around both.
-    both = box_of(part, part.replace('"1 2', '"2 2'))
+    both = box_of(tmp_path, part, part.replace('"1 2', '"2 2'))
     np.testing.assert_allclose(both.size, np.add(size, (1.0, 0.0, 0.0)))
     np.testing.assert_allclose(both.pose.position, (1.5, 2.0, 3.0))
-
-
-@pytest.mark.parametrize(("shape", "words"), [("", "geometry. of the URDF is empty"), ("<cone/>", "<cone> is unknown")])
-def test_a_geometry_without_a_size_is_refused(shape, words):
-    with pytest.raises(Refused, match=words):
-        box_of(f"<geometry>{shape}</geometry>")
 
 
 @pytest.mark.parametrize(
     ("written", "spoilt", "words"),
     [
-        ("</robot>", "", "the URDF is no XML: "),
-        ('<link name="torso">', "<link>", "a <link> has no `name`"),
-        ('effort="', 'effort="x', "`effort` of a <limit> is `x"),
-        ('size="', 'size="x', "`size` of a <box> is `x"),
+        ("</robot>", "", "spoilt.urdf: the URDF is no XML: "),
+        ('<link name="torso">', "<link>", "spoilt.urdf: the <link> of robot `sparrow` has no `name`"),
+        ('effort="', 'effort="x', "spoilt.urdf: `effort` of the <limit> of joint `.*` is `x"),
+        ('size="', 'size="x', "spoilt.urdf: `size` of the <box> of link `.*` is `x"),
         (
             "</robot>",
-            '<joint><parent link="torso"/><child link="torso"/></joint></robot>',
+            '<joint name="t" type="fixed"><parent link="torso"/><child link="torso"/></joint></robot>',
             "child of more than one joint",
         ),
     ],
@@ -205,6 +201,48 @@ def test_what_is_not_there_is_refused_by_name(tmp_path):
     with pytest.raises(Refused, match=r"package://nowhere/a.stl: 0 files"):
         mesh.mesh_file("package://nowhere/a.stl", tmp_path)
     assert not folder.exists()
+
+
+@pytest.mark.parametrize(
+    ("variable", "root", "place"),
+    [
+        ("AMENT_PREFIX_PATH", "install", "install/share/bird/meshes/a.stl"),
+        ("ROS_PACKAGE_PATH", "src", "src/bird/meshes/a.stl"),
+        ("ROS_PACKAGE_PATH", "src/bird", "src/bird/meshes/a.stl"),
+        ("ROS_PACKAGE_PATH", "src", "src/robots/small/bird/meshes/a.stl"),
+        (None, None, "bird/meshes/a.stl"),
+        (None, None, "bird-main/meshes/a.stl"),
+    ],
+)
+def test_meshes_are_found_where_ros_keeps_packages(variable, root, place, tmp_path, monkeypatch):
+    urdf, path = tmp_path / place.split("/", 1)[0] / "urdf", tmp_path / place
+    for folder in (urdf, path.parent, tmp_path / "empty"):
+        folder.mkdir(parents=True, exist_ok=True)
+    path.touch()
+    for key in ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH"):
+        monkeypatch.delenv(key, raising=False)
+    if variable is not None:
+        monkeypatch.setenv(variable, f"{tmp_path / 'empty'}:{tmp_path / root}")
+    assert mesh.mesh_file("package://bird/meshes/a.stl", urdf).resolve() == path.resolve()
+
+
+MIMIC = """<link name="toe"><inertial><mass value="0.1"/>
+<inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/></inertial></link>
+<joint name="toe" type="revolute"><parent link="head"/><child link="toe"/><axis xyz="0 1 0"/>
+<limit lower="-1" upper="1" effort="5" velocity="3"/><mimic joint="LEADER" multiplier="0.5"/></joint></robot>"""
+
+
+@pytest.mark.parametrize(("leader", "held"), [("waist", ["neck", "toe"]), ("neck", ["neck"]), ("waist", ["neck"])])
+def test_a_mimic_joint_is_held_or_follows_a_held_one(leader, held, tmp_path):
+    mimic = MIMIC.replace("LEADER", leader)
+    (tmp_path / "r.urdf").write_text((ROBOTS / "sparrow.urdf").read_text().replace("</robot>", mimic))
+    tree = skeleton.Tree(read_urdf(tmp_path / "r.urdf"))
+    if {leader, "toe"}.isdisjoint(held):
+        with pytest.raises(Refused, match=r"`toe` is a mimic of `waist`.* --hold toe"):
+            tree.chains(held)
+        return
+    moving = {joint.name for chain in tree.chains(held) for joint in chain}
+    assert moving == {"waist", "l_shoulder", "r_shoulder", "l_hip", "r_hip"}
 
 
 def test_every_greatest_thrust_has_an_engine_of_its_own():

@@ -8,7 +8,7 @@ import re
 import socket
 import tomllib
 import zipfile
-from types import SimpleNamespace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,45 +17,26 @@ from jax_aero import mesh, places, rust
 from jax_aero.mesh import read_mesh
 from jax_aero.view import Refused
 from jax_aero.view.recording import Instant
-from jax_aero.view.shapes import look_of
+from jax_aero.view.shapes import Look, look_of
 
 SPARROW = places.find("robot", "sparrow")
 
 
-def draw_geometries(geometries: list[str]) -> SimpleNamespace:
-    """Return the sparrow with other geometry in place of every primitive, each in turn."""
+def draw_meshes(folder: Path, filenames: list[str]) -> Look:
+    """Return the look of the sparrow with a mesh in place of every primitive, from these files in turn."""
+    others = itertools.cycle(f'<mesh filename="{name}" scale="0.1 0.1 0.2"/>' for name in filenames)
     robot = rust.Robot(SPARROW)
-    others = itertools.cycle(geometries)
     text = re.sub(r"<geometry>.*?</geometry>", lambda _: f"<geometry>{next(others)}</geometry>", robot.urdf_text)
-    return SimpleNamespace(
-        toml_text=robot.toml_text, urdf_text=text, joint_names=robot.joint_names, body_names=robot.body_names
-    )
+    path = folder / "sparrow.toml"
+    path.write_text(robot.toml_text, encoding="utf-8")
+    path.with_suffix(".urdf").write_text(text, encoding="utf-8")
+    return look_of(rust.Robot(path), path)
 
 
-def draw_meshes(filenames: list[str]) -> SimpleNamespace:
-    """Return the sparrow with a mesh in place of every primitive, from these files in turn."""
-    return draw_geometries([f'<mesh filename="{name}" scale="0.1 0.1 0.2"/>' for name in filenames])
-
-
-@pytest.mark.parametrize(
-    ("geometry", "message"),
-    [
-        ('<cylinder length="0.3"/>', "visual of link `pelvis`: a <cylinder> has no `radius`"),
-        ('<cylinder radius="0.1"/>', "a <cylinder> has no `length`"),
-        ('<sphere radius="wide"/>', "`radius` of a <sphere> is `wide`; expected a number"),
-        ('<box size="1 2"/>', "`size` of a <box> is `1 2`; expected 3 numbers"),
-        ("<mesh/>", "a <mesh> has no `filename`"),
-    ],
-)
-def test_a_primitive_without_its_size_is_refused(geometry, message):
-    with pytest.raises(ValueError, match=message):
-        look_of(draw_geometries([geometry]), SPARROW)
-
-
-def test_links_whose_mesh_is_missing_are_drawn_as_the_air_sees_them():
+def test_links_whose_mesh_is_missing_are_drawn_as_the_air_sees_them(tmp_path):
     shown = look_of(rust.Robot(SPARROW), SPARROW)
     assert shown.missing == ()
-    look = look_of(draw_meshes(["package://bird/body.stl"]), SPARROW)
+    look = draw_meshes(tmp_path, ["package://bird/body.stl"])
     missing = {reason.split(":")[0] for reason in look.missing}
     assert missing == {shape.name for shape in shown.shapes if shape.role != "strut"}
     assert all("package://bird/body.stl: 0 files" in reason for reason in look.missing)
@@ -99,13 +80,13 @@ DAE = """<?xml version="1.0"?>
 def test_meshes_of_three_formats_are_drawn(tmp_path, monkeypatch):
     pytest.importorskip("trimesh")
     pytest.importorskip("collada")
-    package = tmp_path / "bird"
-    package.mkdir()
+    package = tmp_path / "shared" / "bird"
+    package.mkdir(parents=True)
     texts = {"a.stl": STL, "b.obj": OBJ, "c.dae": DAE}
     for name, text in texts.items():
         (package / name).write_text(text, encoding="utf-8")
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path))
-    look = look_of(draw_meshes([f"package://bird/{name}" for name in texts]), SPARROW)
+    look = draw_meshes(tmp_path, [f"package://bird/{name}" for name in texts])
     assert look.missing == ()
     shapes = [shape for shape in look.shapes if shape.role != "strut"]
     assert {shape.kind for shape in shapes} == {"mesh"}

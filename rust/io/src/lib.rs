@@ -26,7 +26,7 @@ pub use controller::{ControllerSection, load_controller};
 pub use files::{hold, read_bytes, read_text};
 pub use mission::{MissionConfig, load_mission, read_recording};
 pub use network::NetworkConfig;
-pub use robot::{RobotFile, RobotFiles, load_robot, robot_from_text};
+pub use robot::{LoadedRobot, RobotFile, RobotFiles, load_robot, read_urdf, robot_from_text};
 pub use schema::Schema;
 pub use toml::{
     from_json, from_value, load, load_changed, path_keys, resolve, resolve_table, set_keys, typed,

@@ -2,22 +2,23 @@
 //! refused. Every value is checked once: its range by the schema of the file, its relation to other values here.
 //!
 //! The URDF describes the mechanism; the TOML file beside it adds the order of the joints, the points where
-//! aerodynamic forces and thrusts act, and the geometry of the feet. `tree` finds the moving bodies, `merge` merges
-//! links without relative motion, `urdf` converts single values.
+//! aerodynamic forces and thrusts act, and the geometry of the feet. `urdf` reads links and joints, `tree` finds the
+//! moving bodies, `merge` merges links without relative motion, `shapes` reads the geometry of links.
 
 mod joints;
 mod merge;
+mod shapes;
 mod tree;
 mod urdf;
 
-use crate::read_text;
 use crate::toml::{from_value, parse};
+use crate::{read_bytes, read_text};
 use flight_core::error::{BuildError, place_of};
 use flight_core::jets::EngineModel;
 use flight_core::robot::{
     AeroLink, AxisymmetricCoefficients, EngineCoefficients, Foot, Jet, JointGroup, RobotModel, check,
 };
-use flight_core::spatial::unit_vector;
+use flight_core::spatial::{Pose, unit_vector};
 use joints::JointEntry;
 use nalgebra::{Unit, Vector3};
 use schemars::JsonSchema;
@@ -25,7 +26,9 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 use tree::Tree;
-use urdf::Urdf;
+
+pub use shapes::Shape;
+pub use urdf::{Inertial, Joint, Link, Mimic, Motion, Urdf};
 
 /// A robot's TOML file.
 #[derive(Serialize, Deserialize, JsonSchema)]
@@ -153,6 +156,19 @@ pub struct RobotFiles {
     pub origin: String,
 }
 
+/// A robot, with what only its files contain.
+#[derive(Debug)]
+pub struct LoadedRobot {
+    /// The robot.
+    pub model: RobotModel,
+    /// Index of the body that carries each link of the URDF, and the link's pose in it.
+    pub links: BTreeMap<String, (usize, Pose)>,
+    /// Positions of the joints that do not move though they could: locked ones, and mimics of such \[rad, m\].
+    pub held: BTreeMap<String, f64>,
+    /// What is doubtful in the URDF, but has one meaning.
+    pub warnings: Vec<String>,
+}
+
 impl RobotFiles {
     /// Reads a robot's TOML file and the URDF file it names (a path relative to the TOML file).
     ///
@@ -161,7 +177,7 @@ impl RobotFiles {
     pub fn read(path: &Path) -> Result<Self, BuildError> {
         let origin = path.display().to_string();
         let toml = read_text(path)?;
-        let urdf = read_text(&path.with_file_name(parse_toml(&toml, &origin)?.urdf))?;
+        let urdf = read_urdf_text(&path.with_file_name(parse_toml(&toml, &origin)?.urdf))?;
         Ok(Self { toml, urdf, origin })
     }
 
@@ -170,17 +186,40 @@ impl RobotFiles {
     /// # Errors
     /// [`BuildError`] naming the item and its value, for a file that cannot be parsed and for a robot that is
     /// physically impossible.
-    pub fn model(&self) -> Result<RobotModel, BuildError> {
-        robot_from_text(&self.toml, &self.urdf, &self.origin)
+    pub fn load(&self) -> Result<LoadedRobot, BuildError> {
+        let file = parse_toml(&self.toml, &self.origin)?;
+        let origin = format!("{}: urdf `{}`", self.origin, file.urdf);
+        let malformed = |error: &dyn std::fmt::Display| BuildError::malformed(&origin, error);
+        let urdf = Urdf::read(&self.urdf).map_err(|error| malformed(&error))?;
+        let order: Vec<&str> = file
+            .joint_groups
+            .iter()
+            .flat_map(|group| &group.joints)
+            .map(|joint| joint.name.as_str())
+            .collect();
+        let tree =
+            tree::build(&urdf, &file.base_link, &order, &file.locked).map_err(|error| malformed(&error))?;
+        let warnings = tree.warnings.iter().map(|warning| format!("{origin}: {warning}")).collect();
+        let (links, held) = (tree.places.clone(), tree.held.clone());
+        let model = model(file, tree).map_err(|error| BuildError::malformed(&self.origin, error))?;
+        Ok(LoadedRobot { model, links, held, warnings })
+    }
+
+    /// Geometry of the URDF's links.
+    ///
+    /// # Errors
+    /// [`BuildError`] naming the link.
+    pub fn shapes(&self) -> Result<Vec<Shape>, BuildError> {
+        shapes::shapes(&self.urdf).map_err(|error| BuildError::malformed(&self.origin, error))
     }
 }
 
 /// Loads a robot from its TOML file and the URDF file that it names.
 ///
 /// # Errors
-/// As [`RobotFiles::read`] and [`RobotFiles::model`].
+/// As [`RobotFiles::read`] and [`RobotFiles::load`].
 pub fn load_robot(path: &Path) -> Result<RobotModel, BuildError> {
-    RobotFiles::read(path)?.model()
+    RobotFiles::read(path)?.load().map(|loaded| loaded.model)
 }
 
 fn parse_toml(text: &str, origin: &str) -> Result<RobotFile, BuildError> {
@@ -190,19 +229,31 @@ fn parse_toml(text: &str, origin: &str) -> Result<RobotFile, BuildError> {
 /// Builds a robot from the texts of its TOML and URDF file; `origin` is named in errors.
 ///
 /// # Errors
-/// As [`RobotFiles::model`].
+/// As [`RobotFiles::load`].
 pub fn robot_from_text(toml: &str, urdf: &str, origin: &str) -> Result<RobotModel, BuildError> {
-    let file = parse_toml(toml, origin)?;
-    let malformed = |error: String| BuildError::malformed(format!("{origin}: urdf `{}`", file.urdf), error);
-    let urdf = Urdf::read(urdf).map_err(malformed)?;
-    let order: Vec<&str> =
-        file.joint_groups.iter().flat_map(|group| &group.joints).map(|joint| joint.name.as_str()).collect();
-    let tree = tree::build(&urdf, &file.base_link, &order, &file.locked)?;
+    let files = RobotFiles { toml: toml.to_owned(), urdf: urdf.to_owned(), origin: origin.to_owned() };
+    files.load().map(|loaded| loaded.model)
+}
+
+/// Reads the links, joints and shapes of a URDF alone, of which a robot's TOML file can be made.
+///
+/// # Errors
+/// [`BuildError`] naming the file, for one that cannot be read or parsed.
+pub fn read_urdf(path: &Path) -> Result<(Urdf, Vec<Shape>), BuildError> {
+    let text = read_urdf_text(path)?;
+    let read = Urdf::read(&text).and_then(|urdf| Ok((urdf, shapes::shapes(&text)?)));
+    read.map_err(|error| BuildError::malformed(path.display().to_string(), error))
+}
+
+fn read_urdf_text(path: &Path) -> Result<String, BuildError> {
+    urdf::decode(&read_bytes(path)?).map_err(|error| BuildError::malformed(path.display().to_string(), error))
+}
+
+fn model(file: RobotFile, tree: Tree<'_>) -> Result<RobotModel, BuildError> {
     check_coefficients(&file)?;
     for (name, coefficients) in &file.engines {
         EngineModel::new(name, *coefficients)?;
     }
-
     Ok(RobotModel {
         forward_axis_b: forward_axis(file.forward_axis)?,
         gravity: file.gravity,
@@ -235,7 +286,7 @@ fn groups(file: &RobotFile) -> Result<Vec<JointGroup>, BuildError> {
     Ok(groups.collect())
 }
 
-fn aero_links(file: &RobotFile, tree: &Tree) -> Result<Vec<AeroLink>, BuildError> {
+fn aero_links(file: &RobotFile, tree: &Tree<'_>) -> Result<Vec<AeroLink>, BuildError> {
     check::unique("aerodynamic link", file.aero_links.iter().map(|link| link.name.as_str()))?;
     let link = |entry: &AeroEntry| {
         let of = |what: &str| format!("{what} of aerodynamic link `{}`", entry.name);
@@ -270,7 +321,7 @@ fn check_coefficients(file: &RobotFile) -> Result<(), BuildError> {
     Ok(())
 }
 
-fn jets(file: &RobotFile, tree: &Tree) -> Result<Vec<Jet>, BuildError> {
+fn jets(file: &RobotFile, tree: &Tree<'_>) -> Result<Vec<Jet>, BuildError> {
     check::unique("jet", file.jets.iter().map(|jet| jet.name.as_str()))?;
     let jet = |entry: &JetEntry| {
         let of = |what: &str| format!("{what} of jet `{}`", entry.name);
@@ -288,7 +339,7 @@ fn jets(file: &RobotFile, tree: &Tree) -> Result<Vec<Jet>, BuildError> {
     file.jets.iter().map(jet).collect()
 }
 
-fn feet(file: &RobotFile, tree: &Tree) -> Result<Vec<Foot>, BuildError> {
+fn feet(file: &RobotFile, tree: &Tree<'_>) -> Result<Vec<Foot>, BuildError> {
     check::unique("foot", file.feet.iter().map(|foot| foot.name.as_str()))?;
     let foot = |entry: &FootEntry| {
         let of = |what: &str| format!("{what} of foot `{}`", entry.name);

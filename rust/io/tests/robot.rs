@@ -8,6 +8,8 @@ use crate::common::assert_within;
 mod ironcub;
 #[path = "robot/refusals.rs"]
 mod refusals;
+#[path = "robot/urdf.rs"]
+mod urdf;
 
 use flight_core::robot::{JointKind, RobotModel};
 use flight_core::spatial::orthonormality_error;

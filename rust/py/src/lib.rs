@@ -14,6 +14,7 @@ mod flight;
 mod plant;
 mod qp;
 mod robot;
+mod robot_files;
 
 use pyo3::prelude::*;
 
@@ -33,6 +34,8 @@ mod _core {
     use super::qp::{BoxQpSolver, kkt_residual};
     #[pymodule_export]
     use super::robot::{Robot, aero_forces, link_forces};
+    #[pymodule_export]
+    use super::robot_files::read_urdf;
     use pyo3::prelude::*;
 
     use pyo3::exceptions::PyRuntimeError;

@@ -1,18 +1,20 @@
 //! The robot and its rigid-body dynamics.
 
 use crate::arrays::{Input, Output, entries, matrix, matrix3, value_error, vector, vector3, vectors};
+use crate::robot_files::{PoseOutput, pose_arrays, robot_arrays, shape_dicts};
 use flight_core::aero::{LinkConventions, LinkForces, LinksInAir};
 use flight_core::dynamics::{Dynamics, MassFactor};
 use flight_core::kinematics::{Kinematics, RobotState};
 use flight_core::robot::Frame;
 use flight_core::spatial::{Pose, is_rotation, orthonormality_error};
 use flight_core::{BuildError, RobotModel};
-use flight_io::{AeroConfig, RobotFiles, from_json, load_aero};
+use flight_io::{AeroConfig, LoadedRobot, RobotFiles, from_json, load_aero};
 use nalgebra::{DVector, Matrix3, Vector3};
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::{PyUserWarning, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::collections::BTreeMap;
+use std::ffi::CString;
 use std::path::PathBuf;
 
 /// A robot, read from its TOML file and the URDF that it names.
@@ -20,6 +22,8 @@ use std::path::PathBuf;
 pub struct Robot {
     files: RobotFiles,
     model: RobotModel,
+    links: BTreeMap<String, (usize, Pose)>,
+    held: BTreeMap<String, f64>,
 }
 
 /// Arguments that are a state: base position (3), rotation (3, 3), joints (n), mixed velocity (6 + n).
@@ -72,10 +76,13 @@ pub fn measured_state(
 #[pymethods]
 impl Robot {
     #[new]
-    fn new(path: PathBuf) -> PyResult<Self> {
+    fn new(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         let files = RobotFiles::read(&path).map_err(value_error)?;
-        let model = files.model().map_err(value_error)?;
-        Ok(Self { files, model })
+        let LoadedRobot { model, links, held, warnings } = files.load().map_err(value_error)?;
+        for warning in warnings {
+            PyErr::warn(py, &py.get_type::<PyUserWarning>(), &CString::new(warning)?, 1)?;
+        }
+        Ok(Self { files, model, links, held })
     }
 
     #[getter]
@@ -156,6 +163,30 @@ impl Robot {
     #[getter]
     fn urdf_text(&self) -> &str {
         &self.files.urdf
+    }
+
+    /// Positions of the joints that could move but are held [rad, m]: locked ones, and mimics of such.
+    #[getter]
+    fn held_joints(&self) -> BTreeMap<String, f64> {
+        self.held.clone()
+    }
+
+    /// Every number of the robot, by the names of `jax_aero.robot.RobotModel`.
+    fn arrays<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        robot_arrays(py, &self.model)
+    }
+
+    /// Place of every link of the URDF: its body, and its rotation and position in it.
+    fn links<'py>(&self, py: Python<'py>) -> PyResult<BTreeMap<String, (usize, PoseOutput<'py>)>> {
+        let place = |(name, (body, pose)): (&String, &(usize, Pose))| {
+            Ok((name.clone(), (*body, pose_arrays(py, pose)?)))
+        };
+        self.links.iter().map(place).collect()
+    }
+
+    /// Geometry of the URDF's links, as `read_urdf`.
+    fn shapes<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
+        shape_dicts(py, &self.files.shapes().map_err(value_error)?)
     }
 
     /// Kinematics and dynamics of one state, by name; see `jax_aero.rust.Robot`.

@@ -62,28 +62,35 @@ pub fn interval(item: &str, lower: f64, upper: f64) -> Result<(f64, f64), BuildE
     }
 }
 
-/// Checks that an inertia about a centre of mass is physically possible.
+/// Principal moments of an inertia about a centre of mass, in ascending order; none may be negative.
 ///
-/// Principal moments must not be negative, and none may exceed the sum of the other two. Symmetry needs no
-/// check, because a robot's file states each product of inertia once.
+/// Symmetry needs no check, because a robot's file states each product of inertia once.
 ///
 /// # Errors
 /// [`BuildError::BadValue`] naming `item`.
-pub fn inertia(item: &str, inertia: &Matrix3<f64>) -> Result<(), BuildError> {
+pub fn moments(item: &str, inertia: &Matrix3<f64>) -> Result<[f64; 3], BuildError> {
     let moments = principal_moments(item, inertia)?;
-    let [least, middle, greatest] = moments;
-    let slack = ROUNDING_OF_MOMENTS * greatest.abs();
-    if least < -slack {
+    if moments[0] < -ROUNDING_OF_MOMENTS * moments[2].abs() {
         return Err(moments_error(item, &moments, "no negative moment"));
     }
-    if greatest > least + middle + slack {
-        return Err(moments_error(item, &moments, "none above the sum of the other two"));
+    Ok(moments)
+}
+
+/// Checks that no principal moment, of some in ascending order, exceeds the sum of the other two, as those of masses
+/// never do.
+///
+/// # Errors
+/// [`BuildError::BadValue`] naming `item`.
+pub fn triangle(item: &str, moments: &[f64; 3]) -> Result<(), BuildError> {
+    let [least, middle, greatest] = *moments;
+    if greatest > least + middle + ROUNDING_OF_MOMENTS * greatest.abs() {
+        return Err(moments_error(item, moments, "none above the sum of the other two"));
     }
     Ok(())
 }
 
-/// As [`inertia`], and checks that the body resists rotation about every axis; otherwise the mass matrix
-/// could be singular.
+/// Checks that an inertia is physically possible, and that the body resists rotation about every axis; otherwise the
+/// mass matrix could be singular.
 ///
 /// # Errors
 /// [`BuildError::BadValue`] naming `item`.
@@ -92,7 +99,7 @@ pub fn inertia_of_moving_body(item: &str, matrix: &Matrix3<f64>) -> Result<(), B
     if moments[0] <= 0.0 {
         return Err(moments_error(item, &moments, "three positive moments"));
     }
-    inertia(item, matrix)
+    triangle(item, &moments)
 }
 
 /// Principal moments in ascending order.

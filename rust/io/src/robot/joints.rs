@@ -1,7 +1,7 @@
 //! Limits of each joint: those of the URDF, unless the robot's TOML file overrides them.
 
 use super::tree::{Tree, TreeJoint};
-use flight_core::error::BuildError;
+use flight_core::error::{BuildError, check as check_number};
 use flight_core::robot::{Joint, JointKind, check};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -33,14 +33,15 @@ pub(super) struct JointEntry {
 /// The joints of these entries, in their order.
 pub(super) fn joints<'a>(
     entries: impl Iterator<Item = &'a JointEntry>,
-    tree: &Tree,
+    tree: &Tree<'_>,
 ) -> Result<Vec<Joint>, BuildError> {
     entries.zip(&tree.joints).map(|(entry, in_urdf)| joint(entry, in_urdf)).collect()
 }
 
-fn joint(entry: &JointEntry, in_urdf: &TreeJoint) -> Result<Joint, BuildError> {
+fn joint(entry: &JointEntry, in_urdf: &TreeJoint<'_>) -> Result<Joint, BuildError> {
+    let motion = in_urdf.motion;
     // Keys of the other kind of joint are refused, so that units cannot be confused.
-    let (limits_key, velocity_key, per_unit, given, other) = match in_urdf.kind {
+    let (limits_key, velocity_key, per_unit, given, other) = match motion.kind {
         JointKind::Revolute => (
             "limits_deg",
             "velocity_max_deg",
@@ -61,7 +62,7 @@ fn joint(entry: &JointEntry, in_urdf: &TreeJoint) -> Result<Joint, BuildError> {
     };
     let of = |key: &str| format!("{key} of joint `{}`", entry.name);
     if let Some((key, _)) = other.iter().find(|(_, is_given)| *is_given) {
-        let kind = format!("a key of a joint that is not {:?}", in_urdf.kind).to_lowercase();
+        let kind = format!("a key of a joint that is not {:?}", motion.kind).to_lowercase();
         return Err(BuildError::bad_value(of(key), kind, format!("{limits_key} and {velocity_key}")));
     }
     let limits = match given.0 {
@@ -69,25 +70,28 @@ fn joint(entry: &JointEntry, in_urdf: &TreeJoint) -> Result<Joint, BuildError> {
             check::interval(&of(limits_key), lower, upper)?;
             (lower * per_unit, upper * per_unit)
         }
-        None => in_urdf
-            .limits
-            .ok_or_else(|| missing_key(&of(limits_key), "limits, as the joint is continuous in the URDF"))?,
+        None => motion.limits.ok_or_else(|| {
+            missing_key(&of(limits_key), "limits, as the joint is continuous in the URDF, or its range empty")
+        })?,
     };
-    let greatest = |key: &str, unit: f64, given: Option<f64>, urdf: Option<f64>| {
-        let value = given.map(|value| value * unit).or(urdf);
+    // The URDF states no limit by 0.
+    let greatest = |key: &str, unit: f64, given: Option<f64>, name: &str, urdf: f64| {
+        let item = format!("URDF {name} limit of joint `{}`", entry.name);
+        check_number(&item, urdf, |x| x >= 0.0, "a number ≥ 0")?;
+        let value = given.map(|value| value * unit).or((urdf > 0.0).then_some(urdf));
         value.ok_or_else(|| missing_key(&of(key), "a positive number, as the URDF has none"))
     };
-    let (lower, upper) = in_urdf.limits.unwrap_or((f64::NEG_INFINITY, f64::INFINITY));
+    let (lower, upper) = motion.limits.unwrap_or((f64::NEG_INFINITY, f64::INFINITY));
     Ok(Joint {
         name: entry.name.clone(),
-        kind: in_urdf.kind,
+        kind: motion.kind,
         parent_from_child: in_urdf.parent_from_child,
-        axis_b: in_urdf.axis_b,
+        axis_b: motion.axis,
         limits,
         stops: (lower.min(limits.0), upper.max(limits.1)),
-        torque_max: greatest("torque_max", 1.0, entry.torque_max, in_urdf.torque_max)?,
+        torque_max: greatest("torque_max", 1.0, entry.torque_max, "effort", motion.effort)?,
         torque_rate_max: entry.torque_rate_max.unwrap_or(f64::INFINITY),
-        velocity_max: greatest(velocity_key, per_unit, given.1, in_urdf.velocity_max)?,
+        velocity_max: greatest(velocity_key, per_unit, given.1, "velocity", motion.velocity)?,
     })
 }
 

@@ -18,23 +18,29 @@ pub(super) struct Part {
 }
 
 /// Mass properties of a link in the axes of its body; `None` for a link without mass.
-pub(super) fn part(link: &Link, body_from_link: &Pose) -> Result<Option<Part>, BuildError> {
+///
+/// The inertia of a link may be impossible where that of its body is not, which decides: a warning says so.
+pub(super) fn part(
+    link: &Link,
+    body_from_link: &Pose,
+    warnings: &mut Vec<String>,
+) -> Result<Option<Part>, BuildError> {
     let Some(inertial) = &link.inertial else { return Ok(None) };
     let mass_item = format!("mass of link `{}`", link.name);
     let mass = check_number(&mass_item, inertial.mass, |m| m >= 0.0, "a mass that is not negative, in kg")?;
     let inertia = inertial.inertia;
     let inertia_item = format!("inertia of link `{}`", link.name);
-    check::inertia(&inertia_item, &inertia)?;
-    let body_from_inertial =
-        *body_from_link * inertial.origin.pose(&format!("the inertia of link `{}`", link.name))?;
     if mass == 0.0 {
-        return if inertia == Matrix3::zeros() {
-            Ok(None)
-        } else {
-            let value = format!("principal part {:?}", [inertia.m11, inertia.m22, inertia.m33]);
-            Err(BuildError::bad_value(inertia_item, value, "zero, as the link has no mass"))
-        };
+        if inertia != Matrix3::zeros() {
+            warnings.push(format!("{inertia_item} is left out, as its mass is 0"));
+        }
+        return Ok(None);
     }
+    let moments = check::moments(&inertia_item, &inertia)?;
+    if let Err(impossible) = check::triangle(&inertia_item, &moments) {
+        warnings.push(format!("{impossible}; its body as a whole is possible"));
+    }
+    let body_from_inertial = *body_from_link * inertial.origin;
     let r = body_from_inertial.rotation;
     Ok(Some(Part { mass, com_b: body_from_inertial.position, inertia_b: r * inertia * r.transpose() }))
 }
@@ -47,7 +53,11 @@ pub(super) fn part(link: &Link, body_from_link: &Pose) -> Result<Option<Part>, B
 pub(super) fn merge(name: String, parent: Option<usize>, parts: &[Part]) -> Result<Body, BuildError> {
     // Starts at 0.0, because `sum` of nothing is −0, which is confusing in an error.
     let total = parts.iter().fold(0.0, |total, part| total + part.mass);
-    let mass = check_number(&format!("mass of body `{name}`"), total, |m| m > 0.0, "a positive mass, in kg")?;
+    let expected = match parent {
+        None => "a positive mass, in kg",
+        Some(_) => "a positive mass, in kg, or a position in `locked` for the joint that moves it",
+    };
+    let mass = check_number(&format!("mass of body `{name}`"), total, |m| m > 0.0, expected)?;
     let com_b = parts.iter().map(|part| part.mass * part.com_b).sum::<Vector3<f64>>() / mass;
     let about_com: Matrix3<f64> = parts
         .iter()

@@ -1,37 +1,34 @@
 //! Builds the tree of moving bodies from the links and joints of a URDF.
 
 use super::merge::{merge, part};
-use super::urdf::{Joint, Urdf};
-use flight_core::error::{BuildError, place_of};
+use super::urdf::{Motion, Urdf};
+use flight_core::error::{BuildError, check as check_number, place_of};
 use flight_core::robot::{Body, Frame, JointKind, check};
 use flight_core::spatial::{Pose, axis_angle};
-use nalgebra::{Unit, Vector3};
+use nalgebra::Vector3;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A URDF robot without its fixed and locked joints.
-pub(super) struct Tree {
+pub(super) struct Tree<'a> {
     /// The base, then the body of each joint in the joint order.
     pub(super) bodies: Vec<Body>,
     /// One for each joint, in the joint order.
-    pub(super) joints: Vec<TreeJoint>,
+    pub(super) joints: Vec<TreeJoint<'a>>,
     /// Body of each link, and the link's pose in it.
-    places: BTreeMap<String, (usize, Pose)>,
+    pub(super) places: BTreeMap<String, (usize, Pose)>,
+    /// Positions of the joints that could move but are held \[rad, m\].
+    pub(super) held: BTreeMap<String, f64>,
+    /// What is doubtful, but has one meaning.
+    pub(super) warnings: Vec<String>,
 }
 
 /// Data of a joint in the URDF.
-pub(super) struct TreeJoint {
-    pub(super) kind: JointKind,
+pub(super) struct TreeJoint<'a> {
+    pub(super) motion: &'a Motion,
     pub(super) parent_from_child: Pose,
-    pub(super) axis_b: Unit<Vector3<f64>>,
-    /// Limits of the URDF \[rad, m\]; `None` for a continuous joint.
-    pub(super) limits: Option<(f64, f64)>,
-    /// Greatest torque of the URDF \[N m, N\].
-    pub(super) torque_max: Option<f64>,
-    /// Greatest velocity of the URDF \[rad/s, m/s\].
-    pub(super) velocity_max: Option<f64>,
 }
 
-impl Tree {
+impl Tree<'_> {
     /// Frame of a link; `item` names the entry that refers to it.
     pub(super) fn frame(&self, item: &str, link: &str) -> Result<Frame, BuildError> {
         let (body, body_from_frame) =
@@ -42,16 +39,16 @@ impl Tree {
 
 /// Builds the tree whose moving joints are those of `order`; `locked` joints have a fixed position \[rad,
 /// m\].
-pub(super) fn build(
-    urdf: &Urdf,
+pub(super) fn build<'a>(
+    urdf: &'a Urdf,
     base_link: &str,
     order: &[&str],
     locked: &BTreeMap<String, f64>,
-) -> Result<Tree, BuildError> {
+) -> Result<Tree<'a>, BuildError> {
     check::unique("URDF link", urdf.links.iter().map(|link| link.name.as_str()))?;
     check::unique("URDF joint", urdf.joints.iter().map(|joint| joint.name.as_str()))?;
     let children = children_of_links(urdf)?;
-    let motions = motions(urdf, order, locked)?;
+    let roles = roles(urdf, order, locked)?;
 
     let n_bodies = order.len() + 1;
     let mut names = vec![String::new(); n_bodies];
@@ -59,42 +56,37 @@ pub(super) fn build(
     let mut parts = vec![Vec::new(); n_bodies];
     let mut joints: Vec<Option<TreeJoint>> = order.iter().map(|_| None).collect();
     let mut places = BTreeMap::new();
+    let mut held = BTreeMap::new();
+    let mut warnings = urdf.warnings.clone();
 
     let base = base_index(urdf, &children, base_link)?;
     base_link.clone_into(&mut names[0]);
     let mut to_visit = vec![(base, 0, Pose::identity())];
     while let Some((link_index, body, body_from_link)) = to_visit.pop() {
         let link = &urdf.links[link_index];
-        parts[body].extend(part(link, &body_from_link)?);
+        parts[body].extend(part(link, &body_from_link, &mut warnings)?);
         places.insert(link.name.clone(), (body, body_from_link));
         for &(joint_index, child) in &children[link_index] {
             let joint = &urdf.joints[joint_index];
-            let body_from_joint = body_from_link * joint.origin.pose(&format!("joint `{}`", joint.name))?;
-            match motions[joint_index] {
-                Motion::Fixed => to_visit.push((child, body, body_from_joint)),
-                Motion::Locked(kind, position) => {
-                    joint.check_position(position)?;
-                    let axis = joint.axis()?.into_inner();
-                    let moved = match kind {
+            let body_from_joint = body_from_link * joint.origin;
+            match roles[joint_index] {
+                Role::Fixed => to_visit.push((child, body, body_from_joint)),
+                Role::Held(motion, position) => {
+                    let axis = motion.axis.into_inner();
+                    let moved = match motion.kind {
                         JointKind::Revolute => {
                             Pose { rotation: axis_angle(&axis, position), position: Vector3::zeros() }
                         }
                         JointKind::Prismatic => Pose { position: axis * position, ..Pose::identity() },
                     };
+                    held.insert(joint.name.clone(), position);
                     to_visit.push((child, body, body_from_joint * moved));
                 }
-                Motion::Moving(kind, place) => {
+                Role::Moving(motion, place) => {
                     let moved = place + 1;
                     names[moved].clone_from(&urdf.links[child].name);
                     parents[moved] = Some(body);
-                    joints[place] = Some(TreeJoint {
-                        kind,
-                        parent_from_child: body_from_joint,
-                        axis_b: joint.axis()?,
-                        limits: joint.limits()?,
-                        torque_max: joint.greatest("effort", joint.effort)?,
-                        velocity_max: joint.greatest("velocity", joint.velocity)?,
-                    });
+                    joints[place] = Some(TreeJoint { motion, parent_from_child: body_from_joint });
                     to_visit.push((child, moved, Pose::identity()));
                 }
             }
@@ -110,52 +102,102 @@ pub(super) fn build(
         .map(|((name, parent), parts)| merge(name, parent, &parts))
         .collect::<Result<_, _>>()?;
     // Every joint of the order exists and every link has been reached, so none is missing.
-    Ok(Tree { bodies, joints: joints.into_iter().flatten().collect(), places })
+    Ok(Tree { bodies, joints: joints.into_iter().flatten().collect(), places, held, warnings })
 }
 
 /// Role of a URDF joint in the tree.
 #[derive(Clone, Copy)]
-enum Motion {
+enum Role<'a> {
     Fixed,
-    /// Fixed at a position \[rad, m\].
-    Locked(JointKind, f64),
+    /// Held at a position \[rad, m\].
+    Held(&'a Motion, f64),
     /// Moving, with this index in the joint order.
-    Moving(JointKind, usize),
+    Moving(&'a Motion, usize),
 }
 
-fn motions(urdf: &Urdf, order: &[&str], locked: &BTreeMap<String, f64>) -> Result<Vec<Motion>, BuildError> {
+fn roles<'a>(
+    urdf: &'a Urdf,
+    order: &[&str],
+    locked: &BTreeMap<String, f64>,
+) -> Result<Vec<Role<'a>>, BuildError> {
     check::unique("joint", order.iter().copied().chain(locked.keys().map(String::as_str)))?;
-    let known = urdf.joints.iter().map(|joint| joint.name.as_str());
-    for name in order {
-        place_of("joint order", name, known.clone())?;
-    }
-    for name in locked.keys() {
-        place_of("list of locked joints", name, known.clone())?;
-    }
-
-    let motion = |joint: &Joint| {
-        let name = joint.name.as_str();
-        let item = format!("type of joint `{name}`");
-        if let Some(mimic) = &joint.mimic {
-            let item = format!("joint `{name}`");
-            let value = format!("a mimic of `{mimic}`");
-            return Err(BuildError::bad_value(item, value, "a joint that moves on its own"));
+    let motions: BTreeMap<&str, Option<&Motion>> =
+        urdf.joints.iter().map(|joint| (joint.name.as_str(), joint.motion.as_ref())).collect();
+    for (list, names) in [
+        ("joint order", order.to_vec()),
+        ("list of locked joints", locked.keys().map(String::as_str).collect()),
+    ] {
+        if let Some(name) = names.iter().find(|name| !motions.contains_key(*name)) {
+            return Err(BuildError::unknown_name(list, *name, motions.keys()));
         }
-        let place = order.iter().position(|listed| *listed == name);
-        let locked_at = locked.get(name);
-        match (joint.kind()?, place, locked_at) {
-            (None, None, None) => Ok(Motion::Fixed),
-            (None, _, _) => Err(BuildError::bad_value(item, "fixed", "one that moves, as it is listed")),
-            (Some(kind), Some(place), _) => Ok(Motion::Moving(kind, place)),
-            (Some(kind), None, Some(&position)) => Ok(Motion::Locked(kind, position)),
-            (Some(_), None, None) => Err(BuildError::bad_value(
-                format!("joint `{name}`"),
-                "neither in the joint order nor locked",
-                "one of both",
-            )),
+    }
+    let places: BTreeMap<&str, usize> =
+        order.iter().enumerate().map(|(place, name)| (*name, place)).collect();
+
+    let role = |(name, motion): (&'a str, Option<&'a Motion>)| {
+        let item = format!("joint `{name}`");
+        let place = places.get(name).copied();
+        let Some(motion) = motion else {
+            return if place.is_some() || locked.contains_key(name) {
+                let item = format!("type of {item}");
+                Err(BuildError::bad_value(item, "fixed", "one that moves, as it is listed"))
+            } else {
+                Ok(Role::Fixed)
+            };
+        };
+        if let Some(&position) = locked.get(name) {
+            check_position(name, motion, position)?;
+        }
+        match (place, held_at(name, &motions, locked)?, &motion.mimic) {
+            (None, Some(position), _) => Ok(Role::Held(motion, position)),
+            (Some(place), _, None) => Ok(Role::Moving(motion, place)),
+            (_, _, Some(mimic)) => {
+                let value = format!("a mimic of `{}`", mimic.joint);
+                Err(BuildError::bad_value(item, value, "a position in `locked` for it, or for that joint"))
+            }
+            (None, None, None) => {
+                Err(BuildError::bad_value(item, "neither in the joint order nor locked", "one of both"))
+            }
         }
     };
-    urdf.joints.iter().map(motion).collect()
+    urdf.joints.iter().map(|joint| role((&joint.name, joint.motion.as_ref()))).collect()
+}
+
+/// Position of a joint that is locked, fixed, or follows such a joint; `None` for one that moves.
+fn held_at(
+    joint: &str,
+    motions: &BTreeMap<&str, Option<&Motion>>,
+    locked: &BTreeMap<String, f64>,
+) -> Result<Option<f64>, BuildError> {
+    // From the joint to the one that leads; one step too many is a circle.
+    let (mut name, mut scale, mut shift) = (joint, 1.0, 0.0);
+    for _ in 0..=motions.len() {
+        if let Some(position) = locked.get(name) {
+            return Ok(Some(scale * position + shift));
+        }
+        let motion = motions.get(name).ok_or_else(|| {
+            BuildError::unknown_name(format!("mimic of joint `{joint}`"), name, motions.keys())
+        })?;
+        match motion.map(|motion| motion.mimic.as_ref()) {
+            None => return Ok(Some(shift)),
+            Some(None) => return Ok(None),
+            Some(Some(mimic)) => {
+                shift += scale * mimic.offset;
+                scale *= mimic.multiplier;
+                name = &mimic.joint;
+            }
+        }
+    }
+    let item = format!("joint `{joint}`");
+    Err(BuildError::bad_value(item, "a mimic of itself", "a position in `locked`"))
+}
+
+/// Refuses a position \[rad, m\] beyond the limits of a joint that has some.
+fn check_position(joint: &str, motion: &Motion, position: f64) -> Result<(), BuildError> {
+    let Some((lower, upper)) = motion.limits else { return Ok(()) };
+    let item = format!("position of locked joint `{joint}`");
+    let expected = format!("a number from {lower} to {upper}, the limits of the URDF");
+    check_number(&item, position, |x| (lower..=upper).contains(&x), &expected).map(|_| ())
 }
 
 /// For each link, its child joints with their child links.

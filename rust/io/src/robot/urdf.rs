@@ -1,75 +1,166 @@
-//! Parser for those tags and attributes of a URDF that concern bodies and joints.
+//! Reads those tags and attributes of a URDF that concern bodies and joints.
+//!
+//! A tag counts where the URDF has a place for it: a link or joint as a direct child of `<robot>`, in the namespace of
+//! that tag. What plugins, transmissions and simulators nest below it is theirs.
 
-use flight_core::error::{BuildError, check as check_number};
-use flight_core::robot::{JointKind, check};
+use flight_core::robot::JointKind;
 use flight_core::spatial::{Pose, rotation_from_rpy};
 use nalgebra::{Matrix3, Unit, Vector3};
 use roxmltree::{Document, Node};
 
-/// Greatest depth of nested tags, as in the JAX twin.
+/// Greatest depth of nested tags.
 const MAX_DEPTH: usize = 64;
 
+/// Greatest number of attributes of a tag; the parser compares each with all others.
+const MAX_ATTRIBUTES: usize = 256;
+
+/// Largest number that is accepted, so that products of three are finite.
+const GREATEST: f64 = 1e100;
+
+/// Deviation of an axis from length 1 that is rounding.
+const ROUNDING_OF_AXES: f64 = 1e-3;
+
 /// Links and joints of a URDF, in the order of the file.
-pub(super) struct Urdf {
-    pub(super) links: Vec<Link>,
-    pub(super) joints: Vec<Joint>,
+#[derive(Debug)]
+pub struct Urdf {
+    /// Name of the robot.
+    pub name: Option<String>,
+    /// Its links.
+    pub links: Vec<Link>,
+    /// Its joints.
+    pub joints: Vec<Joint>,
+    /// What is doubtful, but has one meaning.
+    pub warnings: Vec<String>,
 }
 
 /// A link, which is a frame and may have a mass.
-pub(super) struct Link {
-    pub(super) name: String,
-    pub(super) inertial: Option<Inertial>,
+#[derive(Debug)]
+pub struct Link {
+    /// Name of the link.
+    pub name: String,
+    /// Its mass, if it has one.
+    pub inertial: Option<Inertial>,
 }
 
 /// Mass of a link, its centre of mass, and the inertia about it.
-pub(super) struct Inertial {
-    pub(super) origin: Origin,
+#[derive(Debug)]
+pub struct Inertial {
+    /// Centre of mass and axes of the inertia, in link axes.
+    pub origin: Pose,
     /// \[kg\]
-    pub(super) mass: f64,
+    pub mass: f64,
     /// In the axes of `origin` \[kg m²\].
-    pub(super) inertia: Matrix3<f64>,
+    pub inertia: Matrix3<f64>,
 }
 
-/// A pose in the URDF's form: position \[m\], and angles about fixed x, y and z \[rad\].
-#[derive(Clone, Copy, Default)]
-pub(super) struct Origin {
-    xyz: [f64; 3],
-    rpy: [f64; 3],
+/// A joint.
+#[derive(Debug)]
+pub struct Joint {
+    /// Name of the joint.
+    pub name: String,
+    /// Link that carries it.
+    pub parent: String,
+    /// Link that it carries.
+    pub child: String,
+    /// Pose of the child in the parent at position zero.
+    pub origin: Pose,
+    /// How the joint moves; `None` for a fixed one, whose axis and limits mean nothing.
+    pub motion: Option<Motion>,
 }
 
-/// A joint; missing numbers have the URDF's defaults.
-pub(super) struct Joint {
-    pub(super) name: String,
-    pub(super) origin: Origin,
-    pub(super) parent: String,
-    pub(super) child: String,
-    /// The joint that this one mimics, if any.
-    pub(super) mimic: Option<String>,
-    /// Greatest effort \[N m, N\] and velocity \[rad/s, m/s\].
-    pub(super) effort: f64,
-    pub(super) velocity: f64,
-    kind: String,
-    axis: [f64; 3],
-    lower: f64,
-    upper: f64,
+/// Motion of a joint; units are those of a revolute one, m and N replace rad and N m for a prismatic one.
+#[derive(Debug)]
+pub struct Motion {
+    /// Revolute, also for a continuous joint, or prismatic.
+    pub kind: JointKind,
+    /// Axis in child axes.
+    pub axis: Unit<Vector3<f64>>,
+    /// Range of positions \[rad\]; `None` for a continuous joint, and where the URDF states none.
+    pub limits: Option<(f64, f64)>,
+    /// Greatest torque \[N m\]; 0 if the URDF states none.
+    pub effort: f64,
+    /// Greatest velocity \[rad/s\]; 0 if the URDF states none.
+    pub velocity: f64,
+    /// Joint that this one follows.
+    pub mimic: Option<Mimic>,
+}
+
+/// Position of a joint that follows another: `multiplier * position + offset`.
+#[derive(Debug)]
+pub struct Mimic {
+    /// Joint that is followed.
+    pub joint: String,
+    /// \[rad/rad\]
+    pub multiplier: f64,
+    /// \[rad\]
+    pub offset: f64,
+}
+
+/// Decodes the bytes of an XML file: UTF-8, UTF-16 with a byte-order mark, or what its first line declares, where that
+/// is ISO-8859-1 or makes no difference.
+pub(super) fn decode(bytes: &[u8]) -> Result<String, String> {
+    let utf16 = |bytes: &[u8], unit: fn([u8; 2]) -> u16| {
+        let units: Vec<u16> = bytes.as_chunks().0.iter().copied().map(unit).collect();
+        String::from_utf16(&units).ok()
+    };
+    let declared = declared_encoding(bytes).to_ascii_lowercase();
+    let text = match bytes {
+        [0xFF, 0xFE, rest @ ..] => utf16(rest, u16::from_le_bytes),
+        [0xFE, 0xFF, rest @ ..] => utf16(rest, u16::from_be_bytes),
+        [0xEF, 0xBB, 0xBF, rest @ ..] => String::from_utf8(rest.to_vec()).ok(),
+        _ if ["iso-8859-1", "latin1", "latin-1"].contains(&declared.as_str()) => {
+            Some(bytes.iter().copied().map(char::from).collect())
+        }
+        _ if ["", "utf-8", "utf8"].contains(&declared.as_str()) || bytes.is_ascii() => {
+            String::from_utf8(bytes.to_vec()).ok()
+        }
+        _ => None,
+    };
+    text.filter(|text| !text.contains('\0')).ok_or_else(|| {
+        let found =
+            if declared.is_empty() { "no UTF-8".to_owned() } else { format!("not read as `{declared}`") };
+        format!("the text is {found}; expected UTF-8, to which `iconv -f ENCODING -t UTF-8` converts it")
+    })
+}
+
+/// Encoding that the first line of an XML file declares; empty if it declares none.
+fn declared_encoding(bytes: &[u8]) -> String {
+    let head = String::from_utf8_lossy(&bytes[..bytes.len().min(256)]);
+    let declaration = head.strip_prefix("<?xml").and_then(|head| head.split("?>").next()).unwrap_or_default();
+    let value = declaration.split_once("encoding").and_then(|(_, rest)| rest.split(['"', '\'']).nth(1));
+    value.unwrap_or_default().to_owned()
+}
+
+/// Parses the text of a URDF.
+pub(super) fn parse(text: &str) -> Result<Document<'_>, String> {
+    // An attribute has two quotation marks and holds no `<`.
+    if text.split('<').any(|tag| tag.matches(['"', '\'']).count() > 2 * MAX_ATTRIBUTES) {
+        return Err(format!("a tag has more than {MAX_ATTRIBUTES} attributes"));
+    }
+    let document = Document::parse(text).map_err(|error| format!("the URDF is no XML: {error}"))?;
+    // The count includes the tag itself and the document.
+    if document.descendants().any(|node| node.is_element() && node.ancestors().count() > MAX_DEPTH + 1) {
+        return Err(format!("tags nest more than {MAX_DEPTH} deep"));
+    }
+    match document.root_element().tag_name().name() {
+        "robot" => Ok(document),
+        other => Err(format!("the outermost tag is <{other}>; expected <robot>")),
+    }
 }
 
 impl Urdf {
     /// Reads a URDF; the error states what is missing or invalid.
     pub(super) fn read(text: &str) -> Result<Self, String> {
-        let document = Document::parse(text).map_err(|error| error.to_string())?;
-        // The count includes the tag itself and the document.
-        if document.descendants().any(|node| node.is_element() && node.ancestors().count() > MAX_DEPTH + 1) {
-            return Err(format!("tags nest more than {MAX_DEPTH} deep"));
-        }
+        let document = parse(text)?;
         let robot = document.root_element();
-        if !robot.has_tag_name("robot") {
-            return Err(format!("the outermost tag is <{}>; expected <robot>", robot.tag_name().name()));
-        }
-        let tags = |tag| robot.children().filter(move |node: &Node<'_, '_>| node.has_tag_name(tag));
+        let mut warnings = Vec::new();
         Ok(Self {
-            links: tags("link").map(link).collect::<Result<_, _>>()?,
-            joints: tags("joint").map(joint).collect::<Result<_, _>>()?,
+            name: robot.attribute("name").map(str::to_owned),
+            links: children(robot, "link").map(link).collect::<Result<_, _>>()?,
+            joints: children(robot, "joint")
+                .map(|node| joint(node, &mut warnings))
+                .collect::<Result<_, _>>()?,
+            warnings,
         })
     }
 }
@@ -91,36 +182,76 @@ fn link(node: Node<'_, '_>) -> Result<Link, String> {
     })
 }
 
-fn joint(node: Node<'_, '_>) -> Result<Joint, String> {
+fn joint(node: Node<'_, '_>, warnings: &mut Vec<String>) -> Result<Joint, String> {
     let linked = |tag| require_child(node, tag).and_then(|end| attribute(end, "link")).map(str::to_owned);
-    let limit = child(node, "limit")?;
-    let limit = |key| limit.map_or(Ok(0.0), |limit| number(limit, key, Some(0.0)));
-    let mimic = child(node, "mimic")?.map(|mimic| attribute(mimic, "joint").map(str::to_owned));
+    let name = attribute(node, "name")?;
+    let kind = match attribute(node, "type")? {
+        "fixed" => None,
+        kind @ ("revolute" | "continuous") => Some((JointKind::Revolute, kind == "revolute")),
+        "prismatic" => Some((JointKind::Prismatic, true)),
+        other => {
+            let expected = "revolute, continuous, prismatic or fixed (the base link floats without a joint)";
+            return Err(format!("type of joint `{name}` is {other}; expected {expected}"));
+        }
+    };
+    let motion = |(kind, has_range)| {
+        let limit = child(node, "limit")?;
+        let limit = |key| limit.map_or(Ok(0.0), |limit| number(limit, key, Some(0.0)));
+        let (lower, upper) = if has_range { (limit("lower")?, limit("upper")?) } else { (0.0, 0.0) };
+        Ok::<_, String>(Motion {
+            kind,
+            axis: axis(node, warnings)?,
+            limits: (lower < upper).then_some((lower, upper)),
+            effort: limit("effort")?,
+            velocity: limit("velocity")?,
+            mimic: child(node, "mimic")?.map(mimic).transpose()?,
+        })
+    };
     Ok(Joint {
-        name: attribute(node, "name")?.to_owned(),
-        origin: origin(node)?,
+        name: name.to_owned(),
         parent: linked("parent")?,
         child: linked("child")?,
-        mimic: mimic.transpose()?,
-        effort: limit("effort")?,
-        velocity: limit("velocity")?,
-        kind: attribute(node, "type")?.to_owned(),
-        axis: child(node, "axis")?.map_or(Ok([1.0, 0.0, 0.0]), |axis| numbers(axis, "xyz", None))?,
-        lower: limit("lower")?,
-        upper: limit("upper")?,
+        origin: origin(node)?,
+        motion: kind.map(motion).transpose()?,
     })
 }
 
-fn origin(node: Node<'_, '_>) -> Result<Origin, String> {
-    child(node, "origin")?.map_or(Ok(Origin::default()), |origin| {
-        let at = |key| numbers(origin, key, Some([0.0; 3]));
-        Ok(Origin { xyz: at("xyz")?, rpy: at("rpy")? })
+/// Direction of a joint's axis, whatever its length: a URDF states a direction, in numbers that may be rounded.
+fn axis(joint: Node<'_, '_>, warnings: &mut Vec<String>) -> Result<Unit<Vector3<f64>>, String> {
+    let xyz = child(joint, "axis")?.map_or(Ok([1.0, 0.0, 0.0]), |axis| numbers(axis, "xyz", None))?;
+    let length = Vector3::from(xyz).norm();
+    let item = format!("axis of {} is {xyz:?}", describe(joint));
+    if (length - 1.0).abs() > ROUNDING_OF_AXES {
+        warnings.push(format!("{item}; its direction is taken, at length 1"));
+    }
+    Unit::try_new(Vector3::from(xyz), 1e-9).ok_or_else(|| format!("{item}; expected a direction"))
+}
+
+fn mimic(node: Node<'_, '_>) -> Result<Mimic, String> {
+    Ok(Mimic {
+        joint: attribute(node, "joint")?.to_owned(),
+        multiplier: number(node, "multiplier", Some(1.0))?,
+        offset: number(node, "offset", Some(0.0))?,
     })
+}
+
+/// Pose that the `<origin>` of a tag states: position \[m\], and angles about fixed x, y and z \[rad\].
+pub(super) fn origin(node: Node<'_, '_>) -> Result<Pose, String> {
+    child(node, "origin")?.map_or(Ok(Pose::identity()), |origin| {
+        let at = |key| numbers(origin, key, Some([0.0; 3])).map(Vector3::from);
+        Ok(Pose { rotation: rotation_from_rpy(&at("rpy")?), position: at("xyz")? })
+    })
+}
+
+/// Tags of this name directly within another, in its namespace.
+pub(super) fn children<'a, 'i>(node: Node<'a, 'i>, tag: &str) -> impl Iterator<Item = Node<'a, 'i>> {
+    let namespace = node.tag_name().namespace();
+    node.children().filter(move |child| child.has_tag_name(tag) && child.tag_name().namespace() == namespace)
 }
 
 /// The tag of this name within another, where there is one.
-fn child<'a, 'i>(node: Node<'a, 'i>, tag: &str) -> Result<Option<Node<'a, 'i>>, String> {
-    let mut found = node.children().filter(|child| child.has_tag_name(tag));
+pub(super) fn child<'a, 'i>(node: Node<'a, 'i>, tag: &str) -> Result<Option<Node<'a, 'i>>, String> {
+    let mut found = children(node, tag);
     match (found.next(), found.next()) {
         (_, Some(_)) => Err(format!("{} has more than one <{tag}>", describe(node))),
         (found, None) => Ok(found),
@@ -131,12 +262,12 @@ fn require_child<'a, 'i>(node: Node<'a, 'i>, tag: &str) -> Result<Node<'a, 'i>, 
     child(node, tag)?.ok_or_else(|| format!("{} has no <{tag}>", describe(node)))
 }
 
-fn attribute<'a>(node: Node<'a, '_>, key: &str) -> Result<&'a str, String> {
+pub(super) fn attribute<'a>(node: Node<'a, '_>, key: &str) -> Result<&'a str, String> {
     node.attribute(key).ok_or_else(|| format!("{} has no `{key}`", describe(node)))
 }
 
 /// A tag, with the name of its link or joint.
-fn describe(node: Node<'_, '_>) -> String {
+pub(super) fn describe(node: Node<'_, '_>) -> String {
     let tag = node.tag_name().name();
     match node.ancestors().find_map(|node| node.attribute("name").map(|name| (node.tag_name().name(), name)))
     {
@@ -147,7 +278,7 @@ fn describe(node: Node<'_, '_>) -> String {
 }
 
 /// The `N` numbers of an attribute, or `default` if it is missing.
-fn numbers<const N: usize>(
+pub(super) fn numbers<const N: usize>(
     node: Node<'_, '_>,
     key: &str,
     default: Option<[f64; N]>,
@@ -156,64 +287,14 @@ fn numbers<const N: usize>(
         (None, Some(default)) => return Ok(default),
         _ => attribute(node, key)?,
     };
-    let found: Option<Vec<f64>> = text.split_whitespace().map(|word| word.parse().ok()).collect();
+    let number = |word: &str| word.parse().ok().filter(|number: &f64| number.abs() <= GREATEST);
+    let found: Option<Vec<f64>> = text.split_whitespace().map(number).collect();
     found.and_then(|found| found.try_into().ok()).ok_or_else(|| {
         let expected = if N == 1 { "a number".to_owned() } else { format!("{N} numbers") };
-        format!("`{key}` of {} is `{text}`; expected {expected}", describe(node))
+        format!("`{key}` of {} is `{text}`; expected {expected} up to {GREATEST:e}", describe(node))
     })
 }
 
-fn number(node: Node<'_, '_>, key: &str, default: Option<f64>) -> Result<f64, String> {
+pub(super) fn number(node: Node<'_, '_>, key: &str, default: Option<f64>) -> Result<f64, String> {
     numbers(node, key, default.map(|number| [number])).map(|[number]| number)
-}
-
-impl Origin {
-    /// Converts to a pose; `item` names its owner in errors.
-    pub(super) fn pose(&self, item: &str) -> Result<Pose, BuildError> {
-        let position = check::finite(&format!("origin xyz of {item}"), &self.xyz)?;
-        let rpy = check::finite(&format!("origin rpy of {item}"), &self.rpy)?;
-        Ok(Pose { rotation: rotation_from_rpy(&rpy), position })
-    }
-}
-
-impl Joint {
-    pub(super) fn axis(&self) -> Result<Unit<Vector3<f64>>, BuildError> {
-        check::unit(&format!("axis of joint `{}`", self.name), &self.axis)
-    }
-
-    /// Type of the joint; `None` for a fixed one.
-    pub(super) fn kind(&self) -> Result<Option<JointKind>, BuildError> {
-        match self.kind.as_str() {
-            "fixed" => Ok(None),
-            "revolute" | "continuous" => Ok(Some(JointKind::Revolute)),
-            "prismatic" => Ok(Some(JointKind::Prismatic)),
-            other => {
-                let expected = "revolute, continuous, prismatic or fixed";
-                Err(BuildError::bad_value(format!("type of joint `{}`", self.name), other, expected))
-            }
-        }
-    }
-
-    /// Limit of effort or velocity; `None` if it is zero or missing in the URDF.
-    pub(super) fn greatest(&self, key: &str, value: f64) -> Result<Option<f64>, BuildError> {
-        let item = format!("URDF {key} limit of joint `{}`", self.name);
-        check_number(&item, value, |x| x >= 0.0, "a number ≥ 0").map(|x| (x > 0.0).then_some(x))
-    }
-
-    /// Refuses a position \[rad, m\] beyond the limits of a joint that has some.
-    pub(super) fn check_position(&self, position: f64) -> Result<(), BuildError> {
-        let (lower, upper) = (self.lower, self.upper);
-        let has_limits = self.kind != "continuous" && lower < upper;
-        let item = format!("position of locked joint `{}`", self.name);
-        let expected = format!("a number from {lower} to {upper}, the limits of the URDF");
-        check_number(&item, position, |x| !has_limits || (lower <= x && x <= upper), &expected).map(|_| ())
-    }
-
-    /// The limits of the joint \[rad, m\]; a continuous one has none.
-    pub(super) fn limits(&self) -> Result<Option<(f64, f64)>, BuildError> {
-        if self.kind == "continuous" {
-            return Ok(None);
-        }
-        check::interval(&format!("URDF limit of joint `{}`", self.name), self.lower, self.upper).map(Some)
-    }
 }

@@ -169,38 +169,57 @@ fn impossible_urdf_is_refused_by_name_and_value() {
         spoil(
             "<axis xyz=\"0 0.8 -0.6\"/>",
             "<axis xyz=\"0 0.8 -0.6\"/><mimic joint=\"l_shoulder\"/>",
-            &["joint `r_shoulder`", "mimic", "`l_shoulder`"],
+            &["sparrow.urdf", "joint `r_shoulder`", "mimic of `l_shoulder`", "`locked`"],
         ),
-        spoil(
-            "<axis xyz=\"0 0.8 0.6\"/>",
-            "<axis xyz=\"0 0.8 0.7\"/>",
-            &["axis of joint `l_shoulder`", "0.7"],
-        ),
-        spoil("<axis xyz=\"0 1 0\"/>", "<axis xyz=\"0 2 0\"/>", &["axis of joint `neck`", "2.0"]),
-        spoil("upper=\"1.5\"", "upper=\"-1.2\"", &["limit of joint `l_shoulder`", "[-1.2, -1.2]"]),
-        spoil("lower=\"-1.2\"", "lower=\"nan\"", &["limit of joint `l_shoulder`", "NaN"]),
-        spoil("xyz=\"0 0.13 0.28\"", "xyz=\"0 nan 0.28\"", &["origin xyz of joint `l_shoulder`", "NaN"]),
-        spoil("rpy=\"0.1 0 0\"", "rpy=\"inf 0 0\"", &["origin rpy of joint `l_shoulder`", "inf"]),
+        spoil("<axis xyz=\"0 1 0\"/>", "<axis xyz=\"0 0 0\"/>", &["axis of joint `neck`", "a direction"]),
+        spoil("upper=\"1.5\"", "upper=\"-1.2\"", &["limits_deg of joint `l_shoulder`", "range empty"]),
+        spoil("lower=\"-1.2\"", "lower=\"nan\"", &["<limit> of joint `l_shoulder` is `nan`"]),
+        spoil("effort=\"40\"", "effort=\"-40\"", &["effort limit of joint", "-40"]),
+        spoil("xyz=\"0 0.13 0.28\"", "xyz=\"0 nan 0.28\"", &["`xyz`", "joint `l_shoulder` is `0 nan 0.28`"]),
+        spoil("xyz=\"0 0.13 0.28\"", "xyz=\"0 1e300 0.28\"", &["joint `l_shoulder`", "up to 1e100"]),
+        spoil("rpy=\"0.1 0 0\"", "rpy=\"inf 0 0\"", &["`rpy`", "joint `l_shoulder` is `inf 0 0`"]),
         // Masses.
-        spoil("<mass value=\"2.5\"/>", "<mass value=\"0\"/>", &["inertia of link `pelvis`", "0.010417"]),
-        spoil("<mass value=\"2.5\"/>", "<mass value=\"-2.5\"/>", &["mass of link `pelvis`", "-2.5"]),
-        spoil("<mass value=\"2.5\"/>", "<mass value=\"inf\"/>", &["mass of link `pelvis`", "inf"]),
-        spoil("ixx=\"0.010417\"", "ixx=\"nan\"", &["inertia of link `pelvis`", "NaN"]),
+        spoil("<mass value=\"2.5\"/>", "<mass value=\"0\"/>", &["mass of body `pelvis`", "positive"]),
+        spoil(
+            "<mass value=\"2.5\"/>",
+            "<mass value=\"-2.5\"/>",
+            &["sparrow.urdf", "mass of link `pelvis`", "-2.5"],
+        ),
+        spoil("<mass value=\"2.5\"/>", "<mass value=\"inf\"/>", &["<mass> of link `pelvis` is `inf`"]),
+        spoil("ixx=\"0.010417\"", "ixx=\"nan\"", &["<inertia> of link `pelvis` is `nan`"]),
         spoil(
             "iyy=\"0.007417\"",
             "iyy=\"-0.007417\"",
             &["inertia of link `pelvis`", "-0.007417", "negative"],
         ),
         // More than the sum of the other two, along the axes and off them.
-        spoil("izz=\"0.013667\"", "izz=\"0.017835\"", &["inertia of link `pelvis`", "0.017835", "sum"]),
-        spoil("ixy=\"0\" ixz", "ixy=\"0.0075\" ixz", &["inertia of link `pelvis`", "sum"]),
+        spoil("izz=\"0.013667\"", "izz=\"0.017835\"", &["inertia of body `pelvis`", "0.017835", "sum"]),
+        spoil("ixy=\"0\" ixz", "ixy=\"0.0075\" ixz", &["inertia of body `pelvis`", "sum"]),
         spoil("ixy=\"0\" ixz", "ixy=\"0.009\" ixz", &["inertia of link `pelvis`", "negative"]),
-        spoil("xyz=\"0.005 0 0.17\"", "xyz=\"0.005 inf 0.17\"", &["inertia of link `torso`", "inf"]),
+        spoil("xyz=\"0.005 0 0.17\"", "xyz=\"0.005 inf 0.17\"", &["<origin> of link `torso`", "inf"]),
     ];
     for case in &cases {
         assert!(urdf.contains(case.from), "nothing to spoil: {}", case.from);
         let spoilt = urdf.replacen(case.from, case.to, 1);
         assert_says(robot_from_text(&toml, &spoilt, "sparrow.toml"), case);
+    }
+}
+
+/// Keys of a prismatic joint are not those of a revolute one, and the URDF states no limit by 0.
+#[test]
+fn limits_of_another_kind_or_without_a_value_are_refused() {
+    let texts = |name: &str| ["toml", "urdf"].map(|kind| std::fs::read_to_string(robot_file(&format!("{name}.{kind}"))).unwrap());
+    for case in [
+        spoil("limits = [-0.12, 0.15]", "limits_deg = [-10.0, 10.0]", &["limits_deg of joint `rail`", "prismatic"]),
+        spoil("velocity_max_deg = 90.0", "velocity_max = 1.0", &["velocity_max of joint `hinge`", "revolute"]),
+        spoil("torque_max = 100.0", "torque_max = -1.0", &["torque_max` is -1.0"]),
+        spoil("hatch_rail = 0.04", "hatch_rail = 0.11", &["locked joint `hatch_rail` is 0.11", "from -0.1 to 0.1"]),
+        spoil("effort=\"80\"", "effort=\"0\"", &["slider.toml", "torque_max of joint `stroke`", "missing"]),
+        spoil("type=\"prismatic\"", "type=\"planar\"", &["slider.urdf", "joint `rail`", "planar"]),
+    ] {
+        let [toml, urdf] = texts("slider").map(|text| text.replacen(case.from, case.to, 1));
+        assert_ne!([toml.clone(), urdf.clone()], texts("slider"), "nothing to spoil: {}", case.from);
+        assert_says(robot_from_text(&toml, &urdf, "slider.toml"), &case);
     }
 }
 
@@ -227,7 +246,7 @@ fn tags_that_nest_deeply_are_refused() {
 #[test]
 fn massless_and_point_like_bodies_are_refused() {
     let cases = [
-        spoil("<mass value=\"2\"/>", "<mass value=\"0\"/>", &["inertia of link `base`"]),
+        spoil("<mass value=\"2\"/>", "<mass value=\"0\"/>", &["mass of body `base`"]),
         spoil(
             "ixx=\"0.1\" ixy=\"0\" ixz=\"0\" iyy=\"0.2\" iyz=\"0\" izz=\"0.25\"",
             "ixx=\"0\" ixy=\"0\" ixz=\"0\" iyy=\"0\" iyz=\"0\" izz=\"0\"",
@@ -261,10 +280,9 @@ fn massless_and_point_like_bodies_are_refused() {
 /// Published figures are rounded: a flat plate may miss the triangle inequality in the sixth digit.
 #[test]
 fn rounded_flat_plate_is_accepted() {
-    let plate = |izz: &str| {
-        let urdf = TWO_PARTS.replace("izz=\"0.25\"", &format!("izz=\"{izz}\""));
-        robot_from_text(NO_JOINTS, &urdf, "plate")
-    };
+    let alone = "<robot name='plate'><link name='base'><inertial><mass value='2'/>
+        <inertia ixx='0.1' ixy='0' ixz='0' iyy='0.2' iyz='0' izz='IZZ'/></inertial></link></robot>";
+    let plate = |izz: &str| robot_from_text(NO_JOINTS, &alone.replace("IZZ", izz), "plate");
     assert!(plate("0.3").is_ok());
     assert!(plate("0.3000002").is_ok());
     assert!(plate("0.30001").is_err());

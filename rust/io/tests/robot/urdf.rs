@@ -1,0 +1,238 @@
+//! What a URDF may hold beside links and joints, and what is doubtful in it but has one meaning.
+
+use super::{NO_JOINTS, TWO_PARTS, sparrow_texts};
+use crate::common::assert_within;
+use flight_core::robot::RobotModel;
+use flight_io::{LoadedRobot, RobotFiles, hold, read_urdf, robot_from_text};
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+fn load(toml: &str, urdf: &str) -> Result<LoadedRobot, String> {
+    let files = RobotFiles { toml: toml.to_owned(), urdf: urdf.to_owned(), origin: "robot.toml".to_owned() };
+    files.load().map_err(|error| error.to_string())
+}
+
+fn two_parts(from: &str, to: &str) -> Result<LoadedRobot, String> {
+    assert!(TWO_PARTS.contains(from), "{from}");
+    load(NO_JOINTS, &TWO_PARTS.replacen(from, to, 1))
+}
+
+#[track_caller]
+fn assert_same(ours: &RobotModel, expected: &RobotModel) {
+    for (body, other) in ours.bodies.iter().zip(&expected.bodies) {
+        assert_eq!((&body.name, body.mass), (&other.name, other.mass));
+        assert_within!((body.com_b - other.com_b).amax(), 1e-15);
+        assert_within!((body.inertia_b - other.inertia_b).amax(), 1e-15);
+    }
+    assert_eq!(ours.bodies.len(), expected.bodies.len());
+}
+
+#[test]
+fn only_tags_directly_within_the_robot_count() {
+    let expected = load(NO_JOINTS, TWO_PARTS).unwrap();
+    for extra in [
+        "<transmission name='t'><joint name='mount'><hardwareInterface>Effort</hardwareInterface></joint></transmission>",
+        "<gazebo><plugin name='feet'><link>load</link><joint>mount</joint></plugin></gazebo>",
+        "<gazebo><model name='prop'><link name='base'><inertial/></link></model></gazebo>",
+        "<sim:link xmlns:sim='urn:simulator'/>",
+    ] {
+        let found = two_parts("</robot>", &format!("{extra}</robot>")).unwrap();
+        assert_same(&found.model, &expected.model);
+        assert!(found.warnings.is_empty());
+    }
+    for robot in ["<robot xmlns='urn:urdf' name=", "<robot xmlns:xacro='urn:xacro' name="] {
+        assert_same(&two_parts("<robot name=", robot).unwrap().model, &expected.model);
+    }
+}
+
+/// By the file's own mark or declaration; what cannot be decoded is refused with the file and a way on.
+#[test]
+fn a_urdf_may_be_of_several_encodings() {
+    let text = TWO_PARTS.replace("\"load\"", "\"Füße\"");
+    let declared = |encoding| format!("<?xml version=\"1.0\" encoding=\"{encoding}\"?>\n{text}");
+    let latin = |text: String| text.chars().map(|letter| u8::try_from(u32::from(letter)).unwrap()).collect();
+    let utf16 = |mark: u16, bytes: fn(u16) -> [u8; 2]| -> Vec<u8> {
+        [mark].into_iter().chain(text.encode_utf16()).flat_map(bytes).collect()
+    };
+    let load = |name: &str, bytes: Vec<u8>| {
+        let folder = PathBuf::from("encodings").join(name);
+        hold(&folder.join("robot.toml"), NO_JOINTS.into());
+        hold(&folder.join("two.urdf"), bytes);
+        RobotFiles::read(&folder.join("robot.toml")).and_then(|files| files.load())
+    };
+    for (name, bytes) in [
+        ("utf-8", declared("UTF-8").into_bytes()),
+        ("mark", format!("\u{feff}{text}").into_bytes()),
+        ("little", utf16(0xFEFF, u16::to_le_bytes)),
+        ("big", utf16(0xFEFF, u16::to_be_bytes)),
+        ("latin", latin(declared("ISO-8859-1"))),
+    ] {
+        assert!(load(name, bytes).unwrap().links.contains_key("Füße"), "{name}");
+    }
+    for (name, bytes) in [
+        ("undeclared", latin(text.clone())),
+        ("unknown", latin(declared("windows-1252"))),
+        ("unmarked", text.encode_utf16().flat_map(u16::to_le_bytes).collect()),
+    ] {
+        let message = load(name, bytes).unwrap_err().to_string();
+        assert!(message.contains("two.urdf") && message.contains("iconv"), "{name}: {message}");
+    }
+    // The declaration makes no difference.
+    let plain = declared("windows-1252").replace("Füße", "load").into_bytes();
+    assert!(load("plain", plain).is_ok());
+}
+
+#[test]
+fn axes_are_directions_and_those_of_fixed_joints_mean_nothing() {
+    let (toml, urdf) = sparrow_texts();
+    let longer = urdf.replacen("<axis xyz=\"0 0.8 0.6\"/>", "<axis xyz=\"0 8 6\"/>", 1);
+    let found = load(&toml, &longer).unwrap();
+    assert_within!((found.model.joints[3].axis_b.y - 0.8).abs(), 1e-15);
+    assert!(matches!(found.warnings.as_slice(), [only] if only.contains("axis of joint `l_shoulder`")));
+    assert!(load(&toml, &urdf).unwrap().warnings.is_empty());
+    let fixed = "<child link=\"load\"/><axis xyz=\"0 0 0\"/><limit lower=\"none\"/><mimic joint=\"none\"/>";
+    assert!(two_parts("<child link=\"load\"/>", fixed).unwrap().warnings.is_empty());
+}
+
+/// Half a kilogram on three of its moments fails the inequality; the base it is fixed to does not.
+#[test]
+fn an_impossible_inertia_of_a_link_counts_if_that_of_the_body_is_possible() {
+    let found = two_parts("izz=\"0.5\"", "izz=\"0.8\"").unwrap();
+    assert!(
+        matches!(found.warnings.as_slice(), [only] if only.contains("two.urdf") && only.contains("link `load`"))
+    );
+    let usual = load(NO_JOINTS, TWO_PARTS).unwrap().model.bodies[0].inertia_b;
+    assert_within!((found.model.bodies[0].inertia_b.m33 - usual.m33 - 0.3).abs(), 1e-15);
+    let message = two_parts("izz=\"0.5\"", "izz=\"8\"").unwrap_err();
+    assert!(message.contains("two.urdf") && message.contains("inertia of body `base`"), "{message}");
+}
+
+#[test]
+fn a_link_without_mass_has_no_inertia() {
+    let found = two_parts("<mass value=\"1\"/>", "<mass value=\"0\"/>").unwrap();
+    assert!(matches!(found.warnings.as_slice(), [only] if only.contains("link `load`")));
+    let without = load(
+        NO_JOINTS,
+        &TWO_PARTS
+            .replace("<mass value=\"1\"/>", "<mass value=\"1e-12\"/>")
+            .replace("0.3", "0")
+            .replace("0.4", "0")
+            .replace("0.5\"/>", "0\"/>"),
+    );
+    assert_within!((found.model.bodies[0].inertia_b - without.unwrap().model.bodies[0].inertia_b).amax(), 1e-11, because "of 1e-12 kg");
+    let message = two_parts("<mass value=\"1\"/>", "<mass value=\"-0.5\"/>").unwrap_err();
+    assert!(message.contains("two.urdf") && message.contains("mass of link `load` is -0.5"), "{message}");
+}
+
+const HAND: &str = r#"<robot name="hand">
+  <link name="base"><inertial><mass value="2"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+  <link name="a"/><link name="b"/>
+  <link name="c"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+  <joint name="lead" type="prismatic"><parent link="base"/><child link="a"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+  <joint name="half" type="prismatic"><parent link="a"/><child link="b"/><limit lower="-1" upper="1"/>
+    <mimic joint="lead" multiplier="0.5" offset="0.1"/></joint>
+  <joint name="last" type="prismatic"><parent link="b"/><child link="c"/><limit lower="-1" upper="1"/>
+    <mimic joint="half" multiplier="-2"/></joint>
+</robot>"#;
+
+/// 0.4 + (0.5 · 0.4 + 0.1) − 2 · 0.3; a position in `locked` comes first.
+#[test]
+fn mimic_joints_follow_a_held_joint() {
+    let held = |locked: &str| load(&format!("{NO_JOINTS}\nlocked = {{ {locked} }}"), HAND);
+    for (locked, positions) in [
+        ("lead = 0.4", [0.4, 0.3, -0.6]),
+        ("lead = 0.4, half = 0.2", [0.4, 0.2, -0.4]),
+        ("lead = 0.4, half = 0.2, last = 0.7", [0.4, 0.2, 0.7]),
+    ] {
+        let found = held(locked).unwrap();
+        let names = ["lead", "half", "last"];
+        for (name, position) in names.into_iter().zip(positions) {
+            assert_within!((found.held[name] - position).abs(), 1e-15, because "a few roundings", "{name}");
+        }
+        assert_within!((found.links["c"].1.position.x - positions.iter().sum::<f64>()).abs(), 1e-15, because "a few roundings");
+    }
+    assert!(held("half = 0.2").unwrap_err().contains("joint `lead` is neither"));
+    let moving = format!("{NO_JOINTS}\n").replace("[]", "[{ name = 'g', joints = [{ name = 'lead' }] }]");
+    let message = load(&moving, HAND).unwrap_err();
+    assert!(
+        message.contains("joint `half` is a mimic of `lead`") && message.contains("`locked`"),
+        "{message}"
+    );
+    let circle = HAND.replace("mimic joint=\"lead\"", "mimic joint=\"last\"");
+    let toml = format!("{NO_JOINTS}\nlocked = {{ lead = 0.4 }}");
+    assert!(load(&toml, &circle).unwrap_err().contains("joint `half` is a mimic of itself"));
+    let nobody = HAND.replace("mimic joint=\"lead\"", "mimic joint=\"nobody\"");
+    assert!(load(&toml, &nobody).unwrap_err().contains("mimic of joint `half` names `nobody`"));
+}
+
+/// The parser compares the attributes of a tag with each other.
+#[test]
+fn a_tag_with_very_many_attributes_is_refused_at_once() {
+    let attributes: String = (0..80_000).map(|index| format!(" a{index}=\"\"")).collect();
+    let start = Instant::now();
+    let message = two_parts("<link name=\"load\"", &format!("<link name=\"load\"{attributes}")).unwrap_err();
+    assert!(message.contains("two.urdf") && message.contains("attributes"), "{message}");
+    assert!(start.elapsed() < Duration::from_secs(1));
+}
+
+#[test]
+fn a_urdf_alone_lists_links_joints_and_shapes() {
+    let (_, text) = sparrow_texts();
+    let path = PathBuf::from("alone/sparrow.urdf");
+    hold(&path, text.clone().into_bytes());
+    let (urdf, shapes) = read_urdf(&path).unwrap();
+    assert_eq!(urdf.name.as_deref(), Some("sparrow"));
+    assert_eq!(urdf.links.len(), urdf.joints.len() + 1);
+    assert_eq!(shapes.len(), text.matches("<visual>").count());
+
+    // Without a visual shape, those for collisions are a link's.
+    let shape = |tag: &str, solid: &str| {
+        let parts = format!("<{tag}><origin xyz='1 2 3'/><geometry>{solid}</geometry></{tag}>");
+        hold(
+            &path,
+            TWO_PARTS.replace("<link name=\"load\">", &format!("<link name=\"load\">{parts}")).into_bytes(),
+        );
+        read_urdf(&path).map(|(_, shapes)| shapes)
+    };
+    for (solid, kind, size) in [
+        ("<sphere radius='0.1'/>", "sphere", [0.1; 3]),
+        ("<cylinder radius='0.1' length='0.5'/>", "cylinder", [0.1, 0.1, 0.5]),
+        ("<capsule radius='0.1' length='0.5'/>", "capsule", [0.1, 0.1, 0.5]),
+        ("<box size='0.1 0.2 0.3'/>", "box", [0.1, 0.2, 0.3]),
+        ("<mesh filename='a.stl'/>", "mesh", [1.0; 3]),
+    ] {
+        for tag in ["visual", "collision"] {
+            let [found] = &shape(tag, solid).unwrap()[..] else { panic!("{tag}: one shape expected") };
+            assert_eq!((found.link.as_str(), found.kind, found.size), ("load", kind, size));
+            assert_eq!(found.origin.position.as_slice(), [1.0, 2.0, 3.0]);
+        }
+    }
+    for (solid, words) in [
+        ("", "<geometry> of link `load` is empty"),
+        ("<cone/>", "<geometry> of link `load` is a <cone>"),
+        ("<cylinder length='1'/>", "<cylinder> of link `load` has no `radius`"),
+        ("<sphere radius='wide'/>", "`radius` of the <sphere> of link `load` is `wide`"),
+        ("<mesh/>", "<mesh> of link `load` has no `filename`"),
+    ] {
+        let message = shape("visual", solid).unwrap_err().to_string();
+        assert!(message.contains("alone/sparrow.urdf") && message.contains(words), "{message}");
+    }
+}
+
+/// A joint that the URDF gives an empty range, or none, may have one in the TOML file, or be locked.
+#[test]
+fn a_joint_without_a_range_needs_one_only_to_move() {
+    let (toml, urdf) = sparrow_texts();
+    let without = urdf.replacen(" lower=\"-1.2\" upper=\"1.5\"", "", 1);
+    assert_ne!(without, urdf);
+    assert!(
+        robot_from_text(&toml, &without, "robot.toml")
+            .unwrap_err()
+            .to_string()
+            .contains("`l_shoulder` is missing")
+    );
+    let given =
+        toml.replacen("{ name = \"l_shoulder\"", "{ name = \"l_shoulder\", limits_deg = [-70.0, 80.0]", 1);
+    let found = robot_from_text(&given, &without, "robot.toml").unwrap();
+    assert!(found.joints[3].stops.1.is_infinite());
+}
