@@ -78,13 +78,22 @@ def one_line(reason: Exception) -> str:
     return f"{reason.filename}: {reason.strerror}" if isinstance(reason, OSError) and reason.filename else str(reason)
 
 
+_WARNED: set[str] = set()
+
+
+def _warn_once(message: Warning | str, *_: Any, **__: Any) -> str:
+    """Return what is printed of a warning, which several readers of a file may raise."""
+    repeated, line = str(message) in _WARNED, f"warning: {message}\n"
+    _WARNED.add(str(message))
+    return "" if repeated else line
+
+
 def exit_status(work: Callable[[], int | None], *, interrupted: str = "nothing was written") -> int:
     """Run a command and return its exit status: 2 after a refusal and 130 after Ctrl-C, each reported in one line.
 
     So are warnings about the user's files, once each.
     """
-    warnings.formatwarning = lambda message, *_, **__: f"warning: {message}\n"
-    warnings.filterwarnings("once", category=UserWarning, append=True)
+    warnings.formatwarning = _warn_once
     try:
         return work() or 0
     except (ValueError, OSError) as reason:
