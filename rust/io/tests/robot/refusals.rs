@@ -208,12 +208,26 @@ fn impossible_urdf_is_refused_by_name_and_value() {
 /// Keys of a prismatic joint are not those of a revolute one, and the URDF states no limit by 0.
 #[test]
 fn limits_of_another_kind_or_without_a_value_are_refused() {
-    let texts = |name: &str| ["toml", "urdf"].map(|kind| std::fs::read_to_string(robot_file(&format!("{name}.{kind}"))).unwrap());
+    let texts = |name: &str| {
+        ["toml", "urdf"].map(|kind| std::fs::read_to_string(robot_file(&format!("{name}.{kind}"))).unwrap())
+    };
     for case in [
-        spoil("limits = [-0.12, 0.15]", "limits_deg = [-10.0, 10.0]", &["limits_deg of joint `rail`", "prismatic"]),
-        spoil("velocity_max_deg = 90.0", "velocity_max = 1.0", &["velocity_max of joint `hinge`", "revolute"]),
+        spoil(
+            "limits = [-0.12, 0.15]",
+            "limits_deg = [-10.0, 10.0]",
+            &["limits_deg of joint `rail`", "prismatic"],
+        ),
+        spoil(
+            "velocity_max_deg = 90.0",
+            "velocity_max = 1.0",
+            &["velocity_max of joint `hinge`", "revolute"],
+        ),
         spoil("torque_max = 100.0", "torque_max = -1.0", &["torque_max` is -1.0"]),
-        spoil("hatch_rail = 0.04", "hatch_rail = 0.11", &["locked joint `hatch_rail` is 0.11", "from -0.1 to 0.1"]),
+        spoil(
+            "hatch_rail = 0.04",
+            "hatch_rail = 0.11",
+            &["locked joint `hatch_rail` is 0.11", "from -0.1 to 0.1"],
+        ),
         spoil("effort=\"80\"", "effort=\"0\"", &["slider.toml", "torque_max of joint `stroke`", "missing"]),
         spoil("type=\"prismatic\"", "type=\"planar\"", &["slider.urdf", "joint `rail`", "planar"]),
     ] {
