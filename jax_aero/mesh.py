@@ -44,8 +44,8 @@ def mesh_file(name: str, folder: Path) -> Path:
     if scheme == "package":
         prefixes, roots = (os.environ.get(key, "") for key in ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH"))
         shares = [Path(prefix) / "share" / package for prefix in prefixes.split(":") if prefix]
-        packages = itertools.chain(shares, _packages(roots, package))
-        places = itertools.chain((place / path for place in packages), places, (place / path for place in above))
+        packages = [*shares, *_packages(roots, package)]
+        places = [*(place / path for place in packages), *places, *(place / path for place in above)]
     for place in places:
         if place.is_file():
             return place

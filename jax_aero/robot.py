@@ -181,5 +181,5 @@ def load_robot(path: str | PathLike[str]) -> RobotModel:
     """
     source = Path(path).resolve()
     fields = rust.Robot(source).arrays()
-    parts = {"jets": Jets(**fields.pop("jets")), "aero_links": AeroLinks(**fields.pop("aero_links"))}
-    return RobotModel(source=str(source), **fields, **parts)
+    fields |= {"jets": Jets(**fields["jets"]), "aero_links": AeroLinks(**fields["aero_links"])}
+    return RobotModel(source=str(source), **fields)
