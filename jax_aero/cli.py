@@ -19,12 +19,11 @@ from typing import Any, NamedTuple
 
 import argcomplete
 
+from jax_aero.command import CLOSED as CLOSED
 from jax_aero.command import INTERRUPTED as INTERRUPTED
 from jax_aero.command import REFUSED as REFUSED
-from jax_aero.command import one_line, printable_output
+from jax_aero.command import refuse, run_with_output
 from jax_aero.places import did_you_mean
-
-CLOSED = 141
 
 
 class Command(NamedTuple):
@@ -122,6 +121,9 @@ class Parser(argparse.ArgumentParser):
             self.error(f"`{unknown[0]}` is not understood")
         return given
 
+    def _print_message(self, message: str, file: Any = None) -> None:
+        print(message, end="", file=file or sys.stderr)  # argparse itself ignores a closed pipe
+
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
             raise argparse.ArgumentError(action, f"`{value}` is unknown{did_you_mean(str(value), action.choices)}")
@@ -151,23 +153,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     if "_ARGCOMPLETE" in os.environ:
         words = _words_before_cursor()
-    name = words[0] if words else "help"
-    if name in COMMANDS:
-        return run(name, words[1:])
-    _parser().parse_args(words)
-    print(_help())
-    return 0 if words else REFUSED
+    return run_with_output(lambda: _run(words))
 
 
-@printable_output()
-def run(name: str, words: Sequence[str]) -> int:
-    """Run one command. Its module is imported here, so that no other command waits for it."""
+def _run(words: Sequence[str]) -> int:
+    """Run a command. Its module is imported here, so that no other command waits for it."""
+    name, *rest = words or ["help"]
+    if name not in COMMANDS:
+        _parser().parse_args(words)
+        print(_help())
+        return 0 if words else REFUSED
     command = COMMANDS[name]
-    function, extras, rest = command.function, command.extras, words
-    if words and words[0] in command.parts:
-        (function, extras), rest = command.parts[words[0]], words[1:]
+    function, extras = command.function, command.extras
+    if rest and rest[0] in command.parts:
+        (function, extras), rest = command.parts[rest[0]], rest[1:]
     if not function:
-        return _choose(name, command, words)
+        return _choose(name, command, rest)
     try:
         module, attribute = function.split(":")
         work: Callable[[Sequence[str]], int | None] = getattr(importlib.import_module(module), attribute)
@@ -176,15 +177,7 @@ def run(name: str, words: Sequence[str]) -> int:
         package = (missing.name or "").split(".")[0]
         if package in ("", "jax_aero", "experiments", "paper_figs"):
             raise
-        return _refuse(f"`{name}` needs the package `{package}`: pip install 'jax-aero[{extras}]'")
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return INTERRUPTED
-    except BrokenPipeError:  # as with `| head`; no more output is possible
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return CLOSED
-    except OSError as reason:  # such as a full disk or a read-only folder
-        return _refuse(one_line(reason))
+        return refuse(f"`{name}` needs the package `{package}`: pip install 'jax-aero[{extras}]'")
 
 
 def _choose(name: str, command: Command, words: Sequence[str]) -> int:
@@ -192,11 +185,6 @@ def _choose(name: str, command: Command, words: Sequence[str]) -> int:
     parser = Parser(name, command.about)
     parser.add_argument("part", choices=list(command.parts), metavar="COMMAND", help=", ".join(command.parts))
     parser.parse_args(words)
-    return REFUSED
-
-
-def _refuse(message: str) -> int:
-    print(f"error: {message}", file=sys.stderr)
     return REFUSED
 
 
@@ -227,7 +215,7 @@ first steps:
   jax-aero figures fig5 --runs test2 test1
   jax-aero COMMAND --help                what a command takes
 
-Exit status: 0 done, 1 something disagrees or is missing, 2 refused, 130 interrupted with Ctrl-C.
+Exit status: 0 done, 1 something disagrees or is missing, 2 refused, 130 interrupted with Ctrl-C, 141 output closed.
 Tab completes after: eval "$(register-python-argcomplete jax-aero)"
 """
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
+import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator
@@ -12,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from jax_aero.result import Progress
 
-REFUSED, INTERRUPTED = 2, 130
-"""Exit statuses of a command."""
+REFUSED, INTERRUPTED, CLOSED = 2, 130, 141
+"""Exit statuses of a command; the last one after the reader of its output has gone, as with `| head`."""
 
 
 class Refused(ValueError):
@@ -96,9 +98,10 @@ def exit_status(work: Callable[[], int | None], *, interrupted: str = "nothing w
     warnings.formatwarning = _warn_once
     try:
         return work() or 0
+    except BrokenPipeError:
+        raise
     except (ValueError, OSError) as reason:
-        print(f"error: {one_line(reason)}", file=sys.stderr)
-        return REFUSED
+        return refuse(one_line(reason))
     except KeyboardInterrupt:
         print(f"interrupted; {interrupted}", file=sys.stderr)
         return INTERRUPTED
@@ -137,6 +140,43 @@ def printable_output() -> Iterator[None]:
 def terminal() -> Any:
     """Return the stream of errors for a progress bar, which moves the cursor."""
     return getattr(sys.stderr, "stream", sys.stderr)
+
+
+def refuse(message: str) -> int:
+    """Report a refusal; return its exit status."""
+    print(f"error: {message}", file=sys.stderr)
+    return REFUSED
+
+
+def run_with_output(work: Callable[[], int]) -> int:
+    """Run a whole command and write all its output; return its exit status.
+
+    Characters that the output's encoding lacks are replaced, and those that a terminal obeys are shown. A closed pipe ends the command with 141, silently.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+            stream.reconfigure(errors="replace")
+    try:
+        try:
+            with printable_output():
+                return work()
+        finally:
+            print(end="", flush=True)  # errors of buffered output occur here rather than after the exit
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except OSError as reason:  # such as a full disk or a read-only folder
+        _discard_unwritable_output()
+        return CLOSED if isinstance(reason, BrokenPipeError) else refuse(one_line(reason))
+
+
+def _discard_unwritable_output() -> None:
+    """Redirect streams that cannot be written to the null device, since Python flushes them again at its exit."""
+    for stream in filter(None, (sys.stdout, sys.stderr)):
+        try:
+            stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 @contextmanager

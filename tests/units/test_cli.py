@@ -3,6 +3,7 @@
 import ast
 import functools
 import importlib
+import io
 import os
 import re
 import signal
@@ -16,7 +17,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from jax_aero import cli, places, rust
-from jax_aero.command import progress_bar
+from jax_aero.command import exit_status, progress_bar
 from tests.measurements import measured
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -198,9 +199,29 @@ def test_rotations_of_quaternions_are_those_of_scipy():
     assert rust.rotation_from_wxyz(wxyz[0]).shape == (3, 3)
 
 
-def test_a_closed_pipe_ends_a_command_as_its_signal_would():
-    """A shell reports 128 and the number of the signal."""
-    assert cli.CLOSED == 128 + signal.SIGPIPE
+@pytest.mark.parametrize("size", [1, 100_000])
+@pytest.mark.parametrize("words", [["--help"], ["fly", "--help"], ["fly"]])
+def test_a_closed_pipe_ends_a_command_as_its_signal_would(words, size, monkeypatch, capsys):
+    """A shell reports 128 and the number of the signal, whether a print or the last flush meets the closed pipe."""
+    monkeypatch.setattr("experiments.fly.__doc__", "x" * size)
+    monkeypatch.setattr("experiments.study.print_titles", lambda _: exit_status(lambda: print("x" * size)))
+    reader, writer = os.pipe()
+    os.close(reader)
+    with open(writer, "w", encoding="utf-8") as stream:  # noqa: PTH123 - a descriptor
+        monkeypatch.setattr(sys, "stdout", stream)
+        assert cli.main(words) == cli.CLOSED == 128 + signal.SIGPIPE
+        stream.flush()  # as Python does at its exit
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(("encoding", "shown"), [("ascii", "? m? ?\n"), ("utf-8", "α m² ?\n")])
+def test_characters_that_the_output_cannot_show_are_replaced(encoding, shown, monkeypatch):
+    """Among them bytes of a file's name that are not UTF-8."""
+    stream = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
+    monkeypatch.setattr(sys, "stdout", stream)
+    monkeypatch.setattr("paper_figs.command.main", lambda _: print("α m² \udc80"))
+    assert cli.main(["figures"]) == 0
+    assert stream.buffer.getvalue().decode(encoding) == shown
 
 
 @pytest.mark.parametrize(("command", "name"), [("fly", "test1"), ("sweep", "paper_tests")])
