@@ -111,6 +111,6 @@ def from_clone(clone: Path, commit: str) -> str:
 
 def summary(dataset: Dataset) -> str:
     """Return a description of a dataset and the results of its checks."""
-    lines = [f"{len(dataset)} rows of {len(dataset.postures)} postures: {', '.join(dataset.postures[:20])}"]
+    lines = [f"{len(dataset)} rows of {len(dataset.postures)} postures: {', '.join(dataset.postures)}"]
     lines += [f"  {name:<62} {value:.4g}" for name, value in dataset.checks.items()]
     return "\n".join(lines)

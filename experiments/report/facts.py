@@ -223,7 +223,7 @@ def postures() -> tuple[str, str]:
     count = 24 * 19 * 18
     text = (
         f"24 × 19 × 18 = {count}; `configs/tables/postures.toml` names {len(known['free_stream'])} postures of "
-        f"the public table and {len(known['listed'])} that are not"
+        f"the table that our fits use and {len(known['listed']) + len(known['rest'])} others of the campaign's list"
     )
     agreed = judge(abs(count - 8500) < 500)
     return text, f"{agreed} with 24 configurations; 30, as printed elsewhere, would be {30 * 19 * 18}"

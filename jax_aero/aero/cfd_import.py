@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
@@ -101,15 +102,17 @@ def read_solver_table(text: str, postures: Mapping[str, Floats], *, source: str)
     names, rows, lines = [], [], []
     for row in reader:
         place = f"{source}, line {reader.line_num}"
-        if row["config"] not in postures:
-            raise ValueError(
-                f"{place}, column `config`: no joint angles are known for `{row['config']}`; expected one of "
-                f"{', '.join(postures)}, or a file of joint angles that has it"
-            )
         rows.append([number(row[column], place, column) for column in expected[1:]])
         _check_angles(rows[-1], place)
         names.append(row["config"])
         lines.append(reader.line_num)
+    if unknown := Counter(name for name in names if name not in postures):
+        place = f"{source}, line {next(line for line, name in zip(lines, names, strict=True) if name in unknown)}"
+        rows_of = ", ".join(f"`{name}` ({count} row{'s'[: count > 1]})" for name, count in unknown.items())
+        raise ValueError(
+            f"{place}, column `config`: no joint angles are known for {rows_of}; expected one of "
+            f"{', '.join(postures)}, or a file of joint angles that has it"
+        )
     if not rows:
         raise ValueError(f"{source} has no rows; expected one per posture and wind direction")
     values = np.array(rows)

@@ -72,6 +72,12 @@ def test_a_bad_table_is_refused_by_line_column_and_value(text, message):
         read(text)
 
 
+def test_all_postures_without_angles_are_named_with_their_rows():
+    text = table({(3, "config"): "one", (4, "config"): "two", (6, "config"): "one"})
+    with pytest.raises(ValueError, match=r"line 3, column `config`: .* for `one` \(2 rows\), `two` \(1 row\); expected"):
+        read(text)
+
+
 def test_a_short_line_is_refused():
     text = table().splitlines()
     text[3] = text[3].rsplit(",", 2)[0]
@@ -197,12 +203,14 @@ def test_the_typed_postures_are_those_of_the_campaign():
     """Typed from the campaign's public list of joint configurations."""
     postures = import_cfd.known_postures()
     assert len(import_cfd.known_postures(sections=["free_stream"])) == 15
+    assert {f"Config{number}" for number in (*range(1, 17), *range(107, 117), *range(118, 126))} <= set(postures)
     for name in ("hovering", "flight30", "flight50", "flight60"):
         np.testing.assert_array_equal(dataset.mirrored_joints(postures[name]), postures[name])
     arms = {
         "flight30": [-40.7, 11.3, 26.5, 58.3, -40.7, 11.3, 26.5, 58.3],
         "Config2": [-37.5, 17.9, 40.0, 45.2, -37.5, 17.9, 40.0, 32.0],
         "Config114": [12.0, 23.3, 33.7, 50.5, -42.0, 36.8, 33.7, 42.6],
+        "Config118": [-6.0, 36.8, 33.7, 39.1, -60.0, 23.3, 33.7, 33.9],
     }
     for name, angles in arms.items():
         np.testing.assert_array_equal(postures[name][3:11], angles)
