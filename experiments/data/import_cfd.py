@@ -71,7 +71,7 @@ def _read(given: argparse.Namespace) -> Dataset:
 def read_table(path: Path) -> str:
     """Return the text of a CSV table."""
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as reason:
         raise Refused(f"{path} is not text: {reason}; expected a CSV table") from None
 

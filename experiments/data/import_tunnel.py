@@ -99,16 +99,21 @@ def folders(clone: Path) -> dict[str, Path]:
     return found
 
 
+def files_by_test(folder: Path, suffix: str) -> dict[str, Path]:
+    """Return the files of a campaign with this suffix by test; names in lower case are of the same tests."""
+    return {path.stem.upper(): path for path in sorted(folder.iterdir()) if path.suffix.lower() == suffix}
+
+
 def from_clone(clone: Path) -> Iterator[Points]:
     """Yield the points of each robot."""
     tests = known_tests()
     parts: dict[str, list[Points]] = {}
     for campaign, folder in folders(clone).items():
-        for path in sorted(folder.glob("TID_*.GVP")):
-            if (about := tests.get((campaign, path.stem))) is None:
+        for test, path in files_by_test(folder, ".gvp").items():
+            if (about := tests.get((campaign, test))) is None:
                 continue  # trials and aborted runs, not in the list of tests
             gvp = tunnel.read_gvp(path.read_text(encoding="utf-8", errors="replace"), f"{campaign}/{path.name}")
-            parts.setdefault(about.robot, []).append(tunnel.points_of(path.stem, about, gvp))
+            parts.setdefault(about.robot, []).append(tunnel.points_of(test, about, gvp))
     if not parts:
         raise Refused(f"{clone} has no balance file of a test that configs/tables/tunnel_tests.toml names")
     for robot in sorted(parts):
@@ -136,9 +141,9 @@ def gravity_sweeps(clone: Path) -> dict[str, dict[str, tuple[Floats, Floats]]]:
     """Return the centre of gravity relative to the balance centre [m], balance axes, by campaign and sweep."""
     found: dict[str, dict[str, tuple[Floats, Floats]]] = {}
     for campaign, folder in folders(clone).items():
-        for path in sorted(folder.glob("TID_*.tara")):
+        for test, path in files_by_test(folder, ".tara").items():
             sweep = tunnel.read_sweep(path.read_text(encoding="utf-8", errors="replace"), path.name)
-            found.setdefault(campaign, {})[path.stem] = tunnel.centre_of_gravity(*sweep)
+            found.setdefault(campaign, {})[test] = tunnel.centre_of_gravity(*sweep)
     return found
 
 
@@ -160,7 +165,7 @@ def summary(data: xr.Dataset) -> str:
     lines = [
         f"{data.attrs['robot']}: {data.sizes['point']} points of {tests} tests, {postures} postures; {alone} alone"
     ]
-    if data.attrs["robot"] == "mk1":
+    if alone and data.attrs["robot"] == "mk1":
         chosen: Any = data["robot_only"].values == 1
         for name in ("u_lever", "u_zero", "u_repeat", "u_total"):
             size = np.sqrt(np.mean(data[name].values[chosen] ** 2, axis=0))

@@ -202,9 +202,7 @@ def read_reduced(text: str, tests: Mapping[tuple[str, str], Test], source: str) 
 
     Columns: campaign, test, point, V, q, rho, T_K, alpha, beta, F*_bal_N, M*_bal_Nm, sdF*, sdM*, zrF*, zrM*.
     """
-    rows = list(csv.DictReader(io.StringIO(text)))
-    if not rows:
-        raise ValueError(f"{source}: no rows")
+    reader = csv.DictReader(io.StringIO(text))
     balance = [f"{name}_bal_{'N' if name[0] == 'F' else 'Nm'}" for name in COMPONENTS]
     plain = ("V", "q", "rho", "T_K", "alpha", "beta")
     wanted = [
@@ -215,29 +213,35 @@ def read_reduced(text: str, tests: Mapping[tuple[str, str], Test], source: str) 
         *balance,
         *(f"{p}{name}" for p in ("sd", "zr") for name in COMPONENTS),
     ]
-    if missing := [name for name in wanted if name not in rows[0]]:
+    if missing := [name for name in wanted if name not in (reader.fieldnames or [])]:
         raise ValueError(f"{source}: no column {', '.join(missing)}")
-    about, points = [], []
-    for line, row in enumerate(rows, start=2):
-        key, place = (row["campaign"], row["test"]), f"{source}, line {line}"
-        if key not in tests:
-            raise ValueError(f"{place}: test {key[1]} of {key[0]} is not in the table of tests")
-        about.append(tests[key])
+    rows = [(f"{source}, line {reader.line_num}", row) for row in reader]
+    if not rows:
+        raise ValueError(f"{source}: no rows")
+    names, about, points = [], [], []
+    for place, row in rows:
+        if cut := next((column for column in wanted if row[column] is None), None):
+            raise ValueError(f"{place}, column `{cut}`: the line ends before it; expected a value")
+        campaign, test = row["campaign"].lower(), row["test"].upper()
+        if (campaign, test) not in tests:
+            raise ValueError(f"{place}: test {test} of {campaign} is not in the table of tests")
+        names.append(test)
+        about.append(tests[campaign, test])
         if about[-1].robot != about[0].robot:
-            raise ValueError(f"{place}: test {key[1]} is of {about[-1].robot}; expected {about[0].robot}, as before it")
+            raise ValueError(f"{place}: test {test} is of {about[-1].robot}; expected {about[0].robot}, as before it")
         point = number(row["point"], place, "point")
         if not point.is_integer():
             raise ValueError(f"{place}, column `point`: {row['point']!r}; expected an integer")
         points.append(int(point))
 
-    def numbers(names: Iterable[str]) -> Floats:
-        names = list(names)
-        return np.array([[_cell(row, n, f"{source}, line {i}") for n in names] for i, row in enumerate(rows, start=2)])
+    def numbers(columns: Iterable[str]) -> Floats:
+        columns = list(columns)
+        return np.array([[_cell(row[column], column, place) for column in columns] for place, row in rows])
 
     speed, q, rho, temperature, pitch, yaw = numbers(plain).T
     return Points(
         campaign=[one.campaign for one in about],
-        test=[row["test"] for row in rows],
+        test=names,
         point=points,
         kind=[one.kind for one in about],
         posture=[one.posture for one in about],
@@ -255,10 +259,9 @@ def read_reduced(text: str, tests: Mapping[tuple[str, str], Test], source: str) 
     )
 
 
-def _cell(row: Mapping[str, str | None], column: str, place: str) -> float:
-    text = row[column]
+def _cell(text: str, column: str, place: str) -> float:
     # Only the last reading without wind may be missing.
-    return np.nan if column.startswith("zr") and (text or "").lower() == "nan" else number(text, place, column)
+    return np.nan if column.startswith("zr") and text.lower() == "nan" else number(text, place, column)
 
 
 def join(parts: Sequence[Points]) -> Points:

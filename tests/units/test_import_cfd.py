@@ -74,7 +74,9 @@ def test_a_bad_table_is_refused_by_line_column_and_value(text, message):
 
 def test_all_postures_without_angles_are_named_with_their_rows():
     text = table({(3, "config"): "one", (4, "config"): "two", (6, "config"): "one"})
-    with pytest.raises(ValueError, match=r"line 3, column `config`: .* for `one` \(2 rows\), `two` \(1 row\); expected"):
+    with pytest.raises(
+        ValueError, match=r"line 3, column `config`: .* for `one` \(2 rows\), `two` \(1 row\); expected"
+    ):
         read(text)
 
 

@@ -197,6 +197,28 @@ def test_a_table_of_two_robots_is_refused():
         tunnel.read_reduced(text, import_tunnel.known_tests(), "t.csv")
 
 
+def test_a_line_that_is_cut_is_named_whatever_is_left_of_it():
+    row = reduced_table((1.0,) * 6)
+    whole = ",".join(row.values())
+    for left, column in (
+        ("exp_2022_1", "test"),
+        ("exp_2022_11_03,TID_00", "point"),
+        (whole.rpartition(",")[0], "zrMz"),
+    ):
+        text = "\n".join([",".join(row), whole, "", left])
+        with pytest.raises(ValueError, match=f"t.csv, line 4, column `{column}`: the line ends before it"):
+            tunnel.read_reduced(text, import_tunnel.known_tests(), "t.csv")
+
+
+def test_names_of_tests_may_be_in_lower_case(tmp_path):
+    row = reduced_table((1.0,) * 6)
+    text = "\n".join([",".join(row), ",".join((row | {"test": "tid_0001"}).values())])
+    assert tunnel.read_reduced(text, import_tunnel.known_tests(), "t.csv").test == ["TID_0001"]
+    lines = gvp([(1, 0.0, 0.0, 12.0, 80.0, (0.0,) * 6)])
+    (points,) = import_tunnel.from_clone(clone(tmp_path, {"tid_0001.gvp": lines, "TID_0018.GVP": lines}))
+    assert set(points.test) == {"TID_0001", "TID_0018"}
+
+
 def test_a_table_may_lack_the_last_reading_without_wind():
     row = reduced_table((1.0,) * 6) | {f"zr{name}": "nan" for name in tunnel.COMPONENTS}
     points = tunnel.read_reduced(",".join(row) + "\n" + ",".join(row.values()), import_tunnel.known_tests(), "t.csv")
