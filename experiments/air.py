@@ -7,7 +7,8 @@ about the centre of mass, in base axes. One angle may be a range, FROM:TO:STEP.
     jax-aero air --posture hovering --alpha 0:180:5 --beta 0
     jax-aero air --posture hovering --alpha 90 --beta -90:90:10 --model network sphere_cylinder --beside wind_tunnel
 
-Writes a CSV file with all numbers and a figure to results/air/; the names state robot, models, posture and wind.
+Writes a CSV file with all numbers and a figure to results/air/; the names state robot, models, posture and wind,
+unless --name gives another.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from experiments.data.import_cfd import known_postures
 from jax_aero import air, places
 from jax_aero.aero import AeroModel, LinkConventions, aero_model, link_forces
 from jax_aero.aero.dataset import JOINTS, Floats, reorder_joints, tunnel_from_base
-from jax_aero.cli import Parser, complete_with
+from jax_aero.cli import Parser, add_name, complete_with
 from jax_aero.command import exit_status
 from jax_aero.files import complete_file
 from jax_aero.kinematics import kinematics_at_rest
@@ -79,7 +80,7 @@ def _compute(given: argparse.Namespace) -> None:
     print(_listing(rows))
     models = "_".join(Path(name).stem for name in given.model)
     wind = f"alpha={given.alpha}--beta={given.beta}--speed={given.speed:g}".replace(":", "_")
-    name = f"{robot.name}--{models}--{given.posture}--{wind}"
+    name = given.named or f"{robot.name}--{models}--{given.posture}--{wind}"
     out = given.out or places.RESULTS / "air"
     with complete_file(out / f"{name}.csv") as draft, draft.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, ["model", "link", "alpha_deg", "beta_deg", *COLUMNS])
@@ -108,6 +109,7 @@ def _parser() -> Parser:
     )
     robots = parser.add_argument("--robot", default="ironcub_mk1", metavar="NAME", help="name or path of a robot file")
     complete_with(robots, lambda: places.names("robot"))
+    add_name(parser, "default: robot, models, posture and wind")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the files (default results/air)")
     return parser
 

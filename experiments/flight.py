@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from experiments import Refused, engines, manifest, overrides, record, study
+from experiments import Refused, engines, manifest, record, study
 from experiments.sources import code_hash
 from jax_aero import documents, places, rust
 from jax_aero.command import progress_bar
@@ -22,11 +22,15 @@ def run(
     changes: Mapping[str, Any],
     *,
     command: Sequence[str],
+    named: str | None = None,
     out: Path | None = None,
     overwrite: bool = False,
 ) -> dict[str, Any]:
     """Fly one configuration and write its folder, unless it is already there; return the manifest."""
-    name = path.stem if out else study.result_name("experiments", path) + overrides.folder_suffix(changes)
+    if out:
+        name = named or path.stem
+    else:
+        name = study.folder_name("experiments", study.result_name("experiments", path), changes, named)
     try:
         config = rust.load_config(path, changes)
     except ValueError as reason:

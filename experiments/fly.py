@@ -1,7 +1,7 @@
 """Fly experiments by name and print their outcomes.
 
 A result goes to `results/flight/NAME/`; with --set, the folder's name states the changes, e.g.
-`test1--wind.velocity=0_-12_0`. With --out DIR it goes to `DIR/NAME/`, whatever was set.
+`test1--wind.velocity=0_-12_0`, unless --name gives another. With --out DIR it goes to `DIR/NAME/`, whatever was set.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ def main(words: Sequence[str]) -> int:
 
     def work() -> None:
         changes = overrides.parse([*given.set, *([f"engine={given.engine}"] if given.engine else [])])
+        study.check_name(given)
         paths = [study.find("experiments", name) for name in names]
         command = ["jax-aero", "fly", *words]
-        finished = [
-            flight.run(path, changes, command=command, out=given.out, overwrite=given.overwrite) for path in paths
-        ]
+        options = {"named": given.named, "out": given.out, "overwrite": given.overwrite}
+        finished = [flight.run(path, changes, command=command, **options) for path in paths]
         print(outcome_table(finished))
 
     return exit_status(work, interrupted="the flight under way left nothing behind")
@@ -42,6 +42,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = cli.Parser("fly", __doc__)
     study.add_choice(parser, "experiments")
     study.add_set(parser)
+    study.add_name(parser)
     parser.add_argument("--engine", choices=sorted(MODULES), help="engine (default: that of the configuration)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/flight)")
     parser.add_argument("--overwrite", action="store_true", help="fly again and replace an existing result")

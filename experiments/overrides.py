@@ -1,7 +1,7 @@
 """`--set key=value`: values from the command line, and the name of the resulting folder.
 
 A flight, study, training or CFD design changed by `--set` has a separate result, `NAME--key=value` beside the unchanged
-`NAME`, unless --out gives another place.
+`NAME`, unless --name gives another name or --out another place.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ def folder_suffix(overrides: Mapping[str, Any]) -> str:
     return places.addition("".join(f"--{key}={_flatten(value)}" for key, value in sorted(overrides.items())))
 
 
-def options(changes: Mapping[str, Any]) -> list[str]:
-    """Return the command line options that make these changes."""
+def options(changes: Mapping[str, Any], named: str | None = None) -> list[str]:
+    """Return the command line options that make these changes and give the result this name."""
     assignments = (f"{key}={tables.toml_value(value)}" for key, value in changes.items())
-    return [word for assignment in assignments for word in ("--set", assignment)]
+    words = [word for assignment in assignments for word in ("--set", assignment)]
+    return words if named is None else [*words, "--name", named]
 
 
 def _flatten(value: Any) -> str:

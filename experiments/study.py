@@ -22,7 +22,7 @@ import xarray as xr
 
 from experiments import Refused, manifest, overrides, record
 from experiments.sources import file_hash
-from jax_aero import places, rust, tables
+from jax_aero import cli, places, rust, tables
 from jax_aero.cli import Parser, complete_with
 from jax_aero.command import exit_status
 from jax_aero.files import lock_work
@@ -102,12 +102,14 @@ class Study(Generic[C]):
         parser = Parser(self.command, self.about)
         add_names(parser, self.config_kind, nargs="*", default=self.names)
         add_set(parser)
+        add_name(parser)
         add_overwrite(parser)
         given = parser.parse_args(arguments)
 
         def work() -> None:
+            check_name(given)
             for name in given.names:
-                self.run(name, overrides.parse(given.set), overwrite=given.overwrite)
+                self.run(name, overrides.parse(given.set), named=given.named, overwrite=given.overwrite)
 
         return exit_status(work, interrupted=self.interrupted)
 
@@ -124,16 +126,24 @@ class Study(Generic[C]):
             set_key(table, key, value)
         return name, tables.convert(table, self.config, self.command)
 
-    def run(self, name: str, changes: Mapping[str, Any] | None = None, *, overwrite: bool = False) -> dict[str, Any]:
-        """Compute, write and print a study; return the manifest.
+    def run(
+        self,
+        name: str,
+        changes: Mapping[str, Any] | None = None,
+        *,
+        named: str | None = None,
+        overwrite: bool = False,
+    ) -> dict[str, Any]:
+        """Compute, write and print a study, whose result may be `named`; return the manifest.
 
         A result of the same keys and files is computed anew, since the flights that it depends on are known only after
         the computation. A result of others is replaced only with `overwrite`.
         """
         started = time.perf_counter()
-        command = ["jax-aero", *self.command.split(), name, *self.options, *overrides.options(changes or {})]
+        options = overrides.options(changes or {}, named)
+        command = ["jax-aero", *self.command.split(), name, *self.options, *options]
         name, config = self.read(name, changes)
-        folder = places.RESULTS / self.kind / (places.name_of(name) + overrides.folder_suffix(changes or {}))
+        folder = places.RESULTS / self.kind / folder_name(self.config_kind, places.name_of(name), changes or {}, named)
         with lock_work(folder):
             read = [*tables.files(config), *self.reads(name, config)]
             record.check_replaceable(folder, lambda kept: _is_of(config, read, kept), overwrite=overwrite)
@@ -212,6 +222,29 @@ def add_set(parser: argparse.ArgumentParser) -> None:
     """Add the option that changes keys of a configuration."""
     text = "change one key of the configuration; the value as in TOML, e.g. wind.velocity=[0,-12,0]"
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=text)
+
+
+def add_name(parser: argparse.ArgumentParser) -> None:
+    """Add the option that names the result."""
+    cli.add_name(parser, "default: that of the file, followed by the changes")
+
+
+def check_name(given: argparse.Namespace) -> None:
+    """Refuse one name for the results of several configurations."""
+    if given.named and len(given.names) > 1:
+        raise Refused(f"--name is {given.named} for {len(given.names)} results; expected one")
+
+
+def folder_name(kind: str, name: str, changes: Mapping[str, Any], named: str | None) -> str:
+    """Return the name of a result's folder: `named`, or that of the configuration, followed by its changes.
+
+    A name given to it must not be that of a shipped configuration, whose result would be taken for another one.
+    """
+    if named is None:
+        return name + overrides.folder_suffix(changes)
+    if named in places.names(kind):
+        raise Refused(f"--name is {named}, the name of {places.shown_folder(kind)}/{named}.toml; expected another")
+    return named
 
 
 def add_overwrite(parser: argparse.ArgumentParser) -> None:

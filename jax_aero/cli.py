@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import argcomplete
 
+from jax_aero import places
 from jax_aero.command import CLOSED as CLOSED
 from jax_aero.command import INTERRUPTED as INTERRUPTED
 from jax_aero.command import REFUSED as REFUSED
@@ -141,6 +142,17 @@ def count(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"`{text}`; expected an integer ≥ 1")
     return int(text)
+
+
+def add_name(parser: argparse.ArgumentParser, default: str) -> None:
+    """Add `--name`, the name of the result; `default` states what it is otherwise."""
+    parser.add_argument("--name", dest="named", type=_name, metavar="NAME", help=f"name of the result ({default})")
+
+
+def _name(text: str) -> str:
+    if not re.fullmatch(places.NAME, text):
+        raise argparse.ArgumentTypeError(f"`{text}`; expected a letter or digit, then any characters but /")
+    return text
 
 
 def complete_with(action: argparse.Action, words: Callable[[], Iterable[str]]) -> None:

@@ -82,6 +82,9 @@ def find(kind: str, name: str | PathLike[str]) -> Path:
     return folder / f"{text}.toml"
 
 
+NAME = r"^\w[^/\x00-\x1f\x7f]*$"
+"""Pattern of the name of a result, which is that of a folder or file."""
+
 LONGEST = 100
 """Longest suffix of the name of a result or figure [characters]."""
 

@@ -47,14 +47,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = Parser(KIND, __doc__)
     study.add_names(parser, KIND, nargs="+")
     study.add_set(parser)
+    study.add_name(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/cfd)")
     add_options(parser, "postures", "processes of a local cluster")
     parser.add_argument("--finish", action="store_true", help="compute nothing; collect the existing cases")
     given = parser.parse_args(arguments)
 
     def work() -> None:
+        study.check_name(given)
         for name in given.names:
-            design = Design.read(name, overrides.parse(given.set))
+            design = Design.read(name, overrides.parse(given.set), given.named)
             folder = folder_of(design, given.out)
             if not given.finish:
                 cluster = Ray.from_options(given)
@@ -68,7 +70,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def folder_of(design: Design, out: Path | None = None) -> Path:
     """Return the folder of a design's cases."""
-    return out / design.name if out else RESULTS / (design.name + overrides.folder_suffix(design.changes))
+    if out:
+        return out / (design.named or design.name)
+    return RESULTS / study.folder_name(KIND, design.name, design.changes, design.named)
 
 
 def dataset_of(name: str) -> Path:
@@ -166,7 +170,7 @@ def collect(design: Design, folder: Path) -> str:
         tables.to_builtins(design.spec),
         design.digest,
         summary=summary,
-        command=["jax-aero", KIND, design.name, *overrides.options(design.changes)],
+        command=["jax-aero", KIND, design.name, *overrides.options(design.changes, design.named)],
         engine="openfoam",
         code=MODULES,
         refused=refused,

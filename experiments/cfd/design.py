@@ -128,12 +128,14 @@ class Design:
     spec: Spec
     changes: Mapping[str, Any] = field(default_factory=dict)
     """Changed keys and their values."""
+    named: str | None = None
+    """Name of the result, if it is not that of the design and its changes."""
 
     @classmethod
-    def read(cls, name: str, changes: Mapping[str, Any]) -> Design:
+    def read(cls, name: str, changes: Mapping[str, Any], named: str | None = None) -> Design:
         """Read a file of `configs/cfd/` by name, or any file by path."""
         path = study.find(KIND, name)
-        return cls(study.result_name(KIND, path), tables.load(path, Spec, changes), changes)
+        return cls(study.result_name(KIND, path), tables.load(path, Spec, changes), changes, named)
 
     @cached_property
     def robot(self) -> rust.Robot:

@@ -127,7 +127,7 @@ class Spec(tables.Table, frozen=True):
     base: str
     """Name or path of the base experiment."""
     axis: Annotated[tuple[Axis, ...], msgspec.Meta(min_length=1, max_length=MAX_AXES)]
-    name: Annotated[str, msgspec.Meta(pattern=r"^\w[^/\x00-\x1f\x7f]*$")] = ""
+    name: Annotated[str, msgspec.Meta(pattern=places.NAME)] = ""
     """Name of the result's folder; by default that of the file."""
     design: Literal["grid", "list", "latin_hypercube", "sobol"] = "grid"
     """Cells that are flown: all combinations, the axes in parallel, or a quasi-random sample."""

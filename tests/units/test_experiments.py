@@ -92,6 +92,41 @@ def test_without_out_the_folder_names_what_was_set(flown, tmp_path, monkeypatch)
     assert len(flown) == 1
 
 
+@pytest.mark.parametrize("place", ["default", "out"])
+def test_a_result_may_be_given_a_name(flown, tmp_path, monkeypatch, place):
+    monkeypatch.setattr(runner, "RESULTS", tmp_path)
+    words = ["test1", "--set", "wind.velocity=[0,-12,0]", "--name", "strong wind"]
+    assert main([*words, *(["--out", str(tmp_path)] if place == "out" else [])]) == 0
+    assert [entry.name for entry in tmp_path.iterdir()] == ["strong wind"]
+    document = json.loads((tmp_path / "strong wind" / "manifest.json").read_text())
+    assert document["name"] == "strong wind"
+    assert "--name 'strong wind'" in document["command"]
+    assert len(flown) == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--name", "test2"], "--name is test2, the name of configs/experiments/test2.toml; expected another"),
+        (["test2", "--name", "both"], "--name is both for 2 results; expected one"),
+        (["--name", "../up"], "`../up`; expected a letter or digit"),
+        (["--name", "a/b"], "`a/b`; expected a letter or digit"),
+        (["--name", "a\n"], "expected a letter or digit"),
+        (["--name", ""], "``; expected a letter or digit"),
+        (["--name", "n" * 300], "File name too long"),
+    ],
+)
+def test_a_name_that_cannot_be_given_is_refused(flown, words, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(runner, "RESULTS", tmp_path)
+    try:
+        status = main(["test1", *words])
+    except SystemExit as ended:
+        status = ended.code
+    assert status == 2
+    assert message in capsys.readouterr().err
+    assert flown == []
+
+
 def test_ctrl_c_leaves_nothing_behind(monkeypatch, tmp_path, capsys):
     def interrupt(config, progress=None):
         raise KeyboardInterrupt

@@ -1,5 +1,6 @@
 """Studies of flights, with flights that are made up in place of the crate's."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -80,3 +81,6 @@ def test_a_result_of_other_keys_or_files_is_only_replaced_when_told(tmp_path, mo
     assert run(2.0, "a") == 2
     assert "own holds more than a result (notes.txt), so it is not overwritten" in capsys.readouterr().err
     assert computed == [1.0, 1.0, 2.0]
+    assert run(2.0, "a", "--set", "level=3.0", "--name", "third") == 0
+    manifest = json.loads((tmp_path / "results" / "made_up" / "third" / "manifest.json").read_text())
+    assert manifest["command"].endswith("--set level=3.0 --name third")

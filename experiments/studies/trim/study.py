@@ -81,12 +81,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--objective", choices=OBJECTIVES, help="(default min_thrust)")
     parser.add_argument("--map", action="store_true", help="solve all winds of the configuration, write a result")
     study.add_set(parser)
+    study.add_name(parser)
     study.add_overwrite(parser)
     given = parser.parse_args(arguments)
 
     def work() -> int:
         of_one = {name: getattr(given, name) for name in ("wind", "velocity", "without", "objective")}
-        for name, value in of_one.items() if given.map else [("overwrite", given.overwrite or None)]:
+        of_map = {"overwrite": given.overwrite or None, "name": given.named}
+        for name, value in (of_one if given.map else of_map).items():
             if value is not None:
                 raise Refused(f"--{name} is given {'beside' if given.map else 'without'} --map, where it has no effect")
         wind, velocity = (given.wind or STILL), (given.velocity or STILL)
@@ -95,7 +97,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 raise Refused(f"--{name} is {parts}; expected three numbers, each at most {tables.LARGEST:g}")
         changes = overrides.parse(given.set)
         if given.map:
-            return 0 if STUDY.run(given.name, changes, overwrite=given.overwrite)["summary"]["trims found"] else 1
+            found = STUDY.run(given.name, changes, named=given.named, overwrite=given.overwrite)
+            return 0 if found["summary"]["trims found"] else 1
         trim = build(STUDY.read(given.name, changes)[1])
         trim.lost = _jet(trim, given.without)
         result = trim.solve(wind, velocity, given.objective or "min_thrust")
