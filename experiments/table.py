@@ -1,4 +1,4 @@
-"""Outcomes of flights as a text table, from their manifests."""
+"""Text tables: of any cells, and of the outcomes of flights, from their manifests."""
 
 from __future__ import annotations
 
@@ -13,8 +13,12 @@ HEADINGS = ("flight", "outcome", "max CoM error [m]", "max rotation error [deg]"
 
 def outcome_table(manifests: Iterable[Mapping[str, Any]]) -> str:
     """Return one line per flight: outcome, time and reason of a loss, largest errors, thrust range."""
-    rows = [HEADINGS, *(_row(manifest) for manifest in manifests)]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(HEADINGS))]
+    return text_table([HEADINGS, *(_row(manifest) for manifest in manifests)])
+
+
+def text_table(rows: Sequence[Sequence[str]]) -> str:
+    """Return rows in columns of equal width; the first row is the heading."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     lines.insert(1, "  ".join("-" * width for width in widths))
     return "\n".join(lines)

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from paper_figs import style
-from paper_figs.sweeps import Sweep, axis_label
+from paper_figs.sweeps import Sweep, axis_label, level_label
 
 SERIES = (
     (style.BLUE, "o", "-"),
@@ -46,14 +46,14 @@ def draw(sweep: Sweep) -> Figure:
 
 
 def _groups(cells: pd.DataFrame, axes: Sequence[dict[str, Any]]) -> list[tuple[str, pd.DataFrame]]:
-    """Return the cells of every combination of panel levels, in the order of the file."""
+    """Return the cells of every combination of levels of these axes, with its label, in the order of the file."""
     if not axes:
         return [("", cells)]
     names = [axis["name"] for axis in axes]
     found = []
     for labels in cells[names].drop_duplicates().itertuples(index=False):
         mine = np.logical_and.reduce([cells[name] == label for name, label in zip(names, labels, strict=True)])
-        found.append((", ".join(str(label) for label in labels), cells[mine]))
+        found.append((", ".join(map(level_label, axes, labels)), cells[mine]))
     return found
 
 

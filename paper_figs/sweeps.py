@@ -103,3 +103,9 @@ def _read(path: Path) -> pd.DataFrame:
 def axis_label(axis: dict[str, Any]) -> str:
     """Return label and unit of an axis."""
     return f"{axis['label']} [{axis['unit']}]" if axis["unit"] else str(axis["label"])
+
+
+def level_label(axis: dict[str, Any], level: object) -> str:
+    """Return a level with the label of its axis, and its unit."""
+    shown = f"{level:g}" if isinstance(level, float) else str(level)
+    return f"{axis['label']}: {shown} {axis['unit']}".rstrip()

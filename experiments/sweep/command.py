@@ -1,6 +1,7 @@
 """Fly sweeps by name: grids, lists, Latin hypercubes and Sobol sequences of perturbed flights.
 
-A sweep goes to `results/sweeps/NAME/`. An interrupted one is resumed with the same result to the last byte; a finished
+A sweep goes to `results/sweeps/NAME/`, and its cells are printed if there are at most 100: how many flights ended how,
+and the medians of their largest errors. An interrupted one is resumed with the same result to the last byte; a finished
 one is only replaced with --overwrite.
 """
 
@@ -11,11 +12,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from experiments import cluster, study
-from experiments.sweep import run, spec
+from experiments.sweep import run, spec, table
 from experiments.sweep.design import Design
 from jax_aero import places
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
+from jax_aero.files import read_parquet
+
+MOST_CELLS = 100
+"""Greatest number of cells that are printed."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -30,6 +35,8 @@ def main(arguments: Sequence[str]) -> int:
         ray = cluster.Ray.from_options(given)
         for design in [Design(spec.load(name)) for name in names]:
             folder = run.run(design, workers=given.workers, cluster=ray, out=given.out, overwrite=given.overwrite)
+            if len(design.cells) <= MOST_CELLS:
+                print(table.listing(read_parquet(folder / "cells.parquet"), [axis.name for axis in design.spec.axis]))
             flown = f"{design.n_rows} flights in {len(design.cells)} cells"
             print(f"{design.spec.name}: {flown}, {os.path.relpath(folder)}")
 

@@ -14,7 +14,6 @@ import re
 import shutil
 import sys
 import time
-import typing
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
@@ -31,7 +30,6 @@ from experiments.sweep.spec import Spec
 from jax_aero import documents, places, rust, tables
 from jax_aero.command import progress_bar
 from jax_aero.files import checksums, find_damaged, lock, read_json, resolve, write_bytes, write_json
-from jax_aero.result import Outcome
 
 RESULTS = places.RESULTS / "sweeps"
 
@@ -149,7 +147,7 @@ def _finish(folder: Path, design: Design, document: dict[str, Any], chunks: Chun
         "flights": flown,
         "seconds": round(seconds, 3),
         "flights_per_minute": round(60.0 * flown / seconds, 1) if flown else None,
-        "outcomes": {outcome: outcomes.count(outcome) for outcome in (*typing.get_args(Outcome), "error")},
+        "outcomes": {outcome: outcomes.count(outcome) for outcome in (*table.OUTCOMES, "error")},
         "files": {name: checksum for name, checksum in checksums(folder).items() if name in TABLES},
     }
     write_json(folder / SWEEP_FILE, document)

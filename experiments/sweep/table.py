@@ -19,6 +19,7 @@ import pyarrow as pa
 
 from experiments.engines import Failure
 from experiments.sources import file_hash
+from experiments.table import text_table
 from jax_aero import rust
 from jax_aero.keys import get, set_key
 from jax_aero.result import FlightResult, Outcome
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 
 SUMMARY = tuple(name for name, figure in rust.figures().items() if not figure.is_of_ground)
 """Figures of merit of a flight that are stored in the tables."""
+
+OUTCOMES: tuple[str, ...] = typing.get_args(Outcome)
 
 ON_COURSE_ROTATION = math.radians(15.0)
 ON_COURSE_COM = 0.25
@@ -112,7 +115,7 @@ def cells(design: Design, table: pa.Table) -> pa.Table:
         mine = table.slice(cell * repeats, repeats)
         records.append(record | _cell({name: mine[name].to_numpy(zero_copy_only=False) for name in mine.column_names}))
     axis_columns = dict(_axis_columns(design))
-    whole = ("cell", "flights", "errors", "on_course", "degraded", *typing.get_args(Outcome))
+    whole = ("cell", "flights", "errors", "on_course", "degraded", *OUTCOMES)
     fields = [(name, axis_columns.get(name, pa.int64() if name in whole else pa.float64())) for name in records[0]]
     return pa.Table.from_pylist(records, pa.schema(fields))
 
@@ -128,7 +131,7 @@ def _cell(flights: Mapping[str, Any]) -> dict[str, Any]:
     for name, which in (("completed", completed), ("on_course", completed & near), ("degraded", degraded)):
         low, high = wilson(int(which.sum()), trials)
         record |= {name: int(which.sum()), f"{name}_low": low, f"{name}_high": high}
-    for outcome in typing.get_args(Outcome):
+    for outcome in OUTCOMES:
         record[outcome] = int((flights["outcome"] == outcome).sum())
     for name, (column, factor) in QUANTITIES.items():
         values = flights[column].astype(float) * factor
@@ -136,6 +139,18 @@ def _cell(flights: Mapping[str, Any]) -> dict[str, Any]:
         for quantile, share in QUANTILES.items():
             record[f"{name}_{quantile}"] = float(np.quantile(values, share)) if values.size else None
     return record
+
+
+def listing(cells: pa.Table, axes: Sequence[str]) -> str:
+    """Return levels, outcomes and median errors of the cells as text."""
+    columns = {axis: axis for axis in axes} | {name: name.replace("_", " ") for name in ("flights", *OUTCOMES)}
+    columns |= {"rotation_error_deg_median": "median rotation error [deg]", "com_error_median": "median CoM error [m]"}
+    rows = [[_text(row[name]) for name in columns] for row in cells.select(columns).to_pylist()]
+    return text_table([list(columns.values()), *rows])
+
+
+def _text(value: object) -> str:
+    return "?" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:

@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from experiments import Refused, cluster, engines
-from experiments.sweep import keys, run, spec, table
+from experiments.sweep import command, keys, run, spec, table
 from experiments.sweep.design import Design
 from experiments.sweep.perturbation import Perturbation, members
 from jax_aero import places, rust
@@ -587,6 +587,21 @@ def test_a_sweep_leaves_a_table_of_flights_one_of_cells_and_says_what_was_flown(
     assert document["finished"]["outcomes"] == {"completed": 12, "off_course": 0, "fell": 0, "diverged": 0, "error": 0}
     assert {"config_hash", "code_hash", "git", "versions", "device", "perturbation"} <= document.keys()
     assert str(ROOT) not in (flown / "sweep.json").read_text()
+
+
+def test_the_cells_of_a_sweep_are_printed_unless_they_are_many(flown, monkeypatch, capsys):
+    words = ["sweep", str(quick_sweep(flown.parent)), "--out", str(flown.parent)]
+    assert main(words) == 0
+    _, heading, _, *rows, said = capsys.readouterr().out.splitlines()
+    axes = [axis["name"] for axis in json.loads((flown / "sweep.json").read_text())["axes"]]
+    assert heading.split()[: len(axes) + 2] == [*axes, "flights", "completed"]
+    cells = pq.read_table(flown / "cells.parquet").to_pylist()
+    assert len(rows) == len(cells) == 4
+    for row, cell in zip(rows, cells, strict=True):
+        assert f"{cell['rotation_error_deg_median']:.4g}" in row.split()
+    monkeypatch.setattr(command, "MOST_CELLS", 3)
+    assert main(words) == 0
+    assert capsys.readouterr().out.splitlines()[1:] == [said]
 
 
 @pytest.mark.parametrize("engine", ["jax", "mujoco"])

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from paper_figs import maps
+from paper_figs import ablation, maps
 from paper_figs.ablation import _is_geometric
 from paper_figs.command import DRAWINGS, main
 from paper_figs.figures import SWEEPS
@@ -186,6 +186,13 @@ def test_every_sweep_of_the_repository_is_a_figure(path):
 )
 def test_an_axis_is_stretched_only_where_its_values_are(values, geometric):
     assert _is_geometric(pd.Series(values, dtype=float)) is geometric
+
+
+def test_a_legend_names_the_axes_of_its_levels(tmp_path):
+    write(tmp_path, "s", "curve", ("world", "speed", "scale"))
+    (legend,) = ablation.draw(load(tmp_path, "s")).legends
+    shown = [text.get_text() for text in legend.get_texts()]
+    assert shown == [f"world: {side}, wind speed: {speed} m/s" for side in ("side", "ahead") for speed in (5, 10)]
 
 
 def test_a_unit_stands_in_brackets():
