@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import argcomplete
 
-from jax_aero import places
+from jax_aero import extras, places
 from jax_aero.command import CLOSED as CLOSED
 from jax_aero.command import INTERRUPTED as INTERRUPTED
 from jax_aero.command import REFUSED as REFUSED
@@ -176,9 +176,9 @@ def _run(words: Sequence[str]) -> int:
         print(_help())
         return 0 if words else REFUSED
     command = COMMANDS[name]
-    function, extras = command.function, command.extras
+    function, needed = command.function, command.extras
     if rest and rest[0] in command.parts:
-        (function, extras), rest = command.parts[rest[0]], rest[1:]
+        (function, needed), rest = command.parts[rest[0]], rest[1:]
     if not function:
         return _choose(name, command, rest)
     try:
@@ -186,10 +186,9 @@ def _run(words: Sequence[str]) -> int:
         work: Callable[[Sequence[str]], int | None] = getattr(importlib.import_module(module), attribute)
         return work(rest) or 0
     except ModuleNotFoundError as missing:
-        package = (missing.name or "").split(".")[0]
-        if package in ("", "jax_aero", "experiments", "paper_figs"):
+        if extras.is_ours(missing):
             raise
-        return refuse(f"`{name}` needs the package `{package}`: pip install 'jax-aero[{extras}]'")
+        return refuse(extras.missing_package(f"`{name}`", missing, needed))
 
 
 def _choose(name: str, command: Command, words: Sequence[str]) -> int:

@@ -12,6 +12,7 @@ import importlib
 from collections.abc import Iterable
 from pathlib import Path
 
+from jax_aero import extras
 from jax_aero.command import Refused as Refused
 
 
@@ -20,8 +21,8 @@ def require(modules: Iterable[str], purpose: str) -> None:
     for module in modules:
         try:
             importlib.import_module(module)
-        except ModuleNotFoundError as reason:
-            raise Refused(f"{purpose} needs `{reason.name}`; install it with: pip install 'jax-aero[view]'") from None
+        except ModuleNotFoundError as missing:
+            raise Refused(extras.missing_package(purpose, missing, "view")) from None
 
 
 def check_out(out: Path, *suffixes: str) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from jax_aero import cli, places, rust
+from jax_aero import cli, extras, places, rust
 from jax_aero.command import exit_status, progress_bar
 from tests.measurements import measured
 
@@ -86,6 +86,13 @@ def packages_in(extras: str) -> set[str]:
 def test_the_extras_of_a_command_bring_what_it_imports(function, extras):
     """Otherwise the hint after a missing package would not help."""
     assert packages_of(function.split(":")[0]) <= packages_in(extras)
+
+
+def test_the_extra_that_a_module_names_brings_what_it_imports():
+    for path in (ROOT / "jax_aero").rglob("*.py"):
+        module = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        brought = packages_in(extras.extra_of(module)) | {"websockets"}  # by viser
+        assert packages_of(module) <= brought, module
 
 
 def test_the_package_installs_the_command():
