@@ -32,9 +32,19 @@ BETWEEN = (
 """Tables and keys of a configuration that would alter signals between plant and controller."""
 
 
-class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
-    """Hover in a wind drawn anew for every episode; actions as in `jax_aero.env.FlightEnv`."""
+OF_THE_CRATE = {"_robot", "_plant", "_controller", "_measurement"}
+"""Attributes that cannot be copied: they are made anew."""
 
+
+class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+    """Hover in a wind drawn anew for every episode; actions as in `jax_aero.env.FlightEnv`.
+
+    A copy, also by `pickle`, flies the episode up to the present tick again.
+    """
+
+    _robot: rust.Robot
+    _plant: rust.Plant
+    _controller: rust.Controller
     _measurement: rust.Measurement
     metadata = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
 
@@ -52,7 +62,6 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (j + n,), np.float32)
         self.observation_space = gymnasium.spaces.Box(-LARGEST, LARGEST, (15 + 2 * n + j,), np.float32)
         self._last_tick = self.task.ticks(self._config["simulator"]["time_step"])
-        self._ticks = 0
         self._begin([0.0, 0.0, 0.0])
 
     def reset(
@@ -68,7 +77,7 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._begin([float(part) for part in options.get("wind", drawn)])
         return self._observe()[1], {"wind": self._config["wind"]["velocity"]}
 
-    def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[np.floating]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Fly one tick."""
         now, law = self._measurement, self._config["controller"]["torque"]
         clipped = limit_action(np, action, self._thrust_max.size + self._posture.size, np.float64)
@@ -87,17 +96,28 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         torque = np.clip(tick.joint_torque + more, tick.torque_qp.lower, tick.torque_qp.upper)
         self._controller.replace_command(rates, torque)
         self._measurement = self._plant.step(rates, torque)
-        self._ticks += 1
+        self._flown.append(clipped)
         task_state, obs = self._observe()
         parts = {name: float(value) for name, value in rewards(np, task_state, clipped).items()}
         lost = bool(is_lost(np, task_state, self._fall))
-        return obs, 0.0 if lost else sum(parts.values()), lost, self._ticks >= self._last_tick, parts
+        return obs, 0.0 if lost else sum(parts.values()), lost, len(self._flown) >= self._last_tick, parts
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name not in OF_THE_CRATE}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._robot = rust.Robot(self._config["robot"])
+        flown = self._flown
+        self._begin(self._config["wind"]["velocity"])
+        for action in flown:
+            self.step(action)
 
     def _begin(self, wind: list[float]) -> None:
-        self._config["wind"]["velocity"] = wind
+        self._config = {**self._config, "wind": {**self._config["wind"], "velocity": wind}}
         self._plant, self._controller = rust.Plant(self._config), rust.Controller(self._config)
         self._measurement = self._plant.reset()
-        self._ticks = 0
+        self._flown: list[NDArray[np.float64]] = []
         state = self._measurement.state
         self._upright: NDArray[np.float64] = np.array(state.base_rotation)
         self._posture: NDArray[np.float64] = np.array(state.joint_position)

@@ -1,7 +1,9 @@
 """The environments: Gymnasium's checks, the controller's own flight, and that both environments set one task."""
 
 import ast
+import copy
 import importlib
+import pickle
 import re
 import subprocess
 import sys
@@ -12,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import SyncVectorEnv
 
 from jax_aero import rust
 from jax_aero.control.law.torque import TorqueParams, torque_qp
@@ -108,6 +111,38 @@ def test_both_environments_are_one_task(x64, tmp_path):
     assert after.flight.loss.tolist() == [0, 0]
     assert after.done.tolist() == [1.0, 0.0]
     assert float(after.reward[0]) == 0.0
+
+
+COPIES = {"copied": copy.deepcopy, "pickled": lambda env: pickle.loads(pickle.dumps(env))}
+
+
+@pytest.mark.parametrize("how", COPIES)
+def test_a_copy_in_the_middle_of_an_episode_goes_on_as_the_environment_does(how):
+    hover = HoverEnv(Task(duration=0.05))
+    hover.reset(seed=3)
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        hover.step(rng.uniform(-1.0, 1.0, 27).astype(np.float32))
+    twin = COPIES[how](hover)
+    for _ in range(2):
+        action = rng.uniform(-1.5, 1.5, 27).astype(np.float32)
+        ours, copied = hover.step(action), twin.step(action)
+        assert np.array_equal(ours[0], copied[0])
+        assert ours[1:] == copied[1:]
+    assert ours[3]  # the end of the episode
+    first, _ = hover.reset()  # the same wind is drawn
+    assert np.array_equal(first, twin.reset()[0])
+    assert hover._config["wind"] == twin._config["wind"]
+
+
+@pytest.mark.parametrize("how", COPIES)
+def test_environments_of_vectors_and_of_jax_are_copied(how):
+    many = COPIES[how](SyncVectorEnv([HoverEnv, HoverEnv]))
+    assert many.reset(seed=1)[0].shape == (2, 65)
+    ours = FlightEnv()
+    twin = COPIES[how](ours)
+    assert (twin.task, twin.dt, twin.action_size) == (ours.task, ours.dt, ours.action_size)
+    assert jax.tree.all(jax.tree.map(np.array_equal, ours.start(jnp.array(WIND)), twin.start(jnp.array(WIND))))
 
 
 BETWEEN = {
