@@ -41,6 +41,9 @@ from jax_aero.types import Array
 MAX_ANGLES = 10_000
 """Greatest number of angles in a range."""
 
+ZERO = "zero"
+"""Posture in which all joints are at zero."""
+
 ROBOT = "robot"
 """Name of the sum over all links."""
 
@@ -69,6 +72,8 @@ def _compute(given: argparse.Namespace) -> None:
     if not 0.0 < given.speed <= LARGEST:
         raise ValueError(f"--speed is {given.speed}; expected a number > 0, at most {LARGEST:g}")
     robot = load_robot(places.find("robot", given.robot))
+    given.model = given.model or [air.default_model(robot)]
+    given.posture = given.posture or ("hovering" if set(JOINTS) <= set(robot.joint_names) else ZERO)
     joints = posture(robot, given.posture)
     tables = [(name, points(name, given.posture, alphas, betas)) for name in given.beside]
     with jax.enable_x64(True):
@@ -95,13 +100,18 @@ def _compute(given: argparse.Namespace) -> None:
 def _parser() -> Parser:
     parser = Parser("air", __doc__)
     parser.add_argument(
-        "--posture", default="hovering", metavar="NAME", help="a posture of configs/tables/postures.toml, or zero"
+        "--posture",
+        metavar="NAME",
+        help=f"of configs/tables/postures.toml, or {ZERO} (default hovering, if it applies)",
     )
     parser.add_argument("--alpha", default="90", metavar="DEG", help="angle or FROM:TO:STEP (default 90)")
     parser.add_argument("--beta", default="0", metavar="DEG", help="angle or FROM:TO:STEP (default 0)")
     parser.add_argument("--speed", type=float, default=10.0, metavar="M/S", help="wind speed (default 10)")
     models = parser.add_argument(
-        "--model", nargs="+", default=["axisymmetric_corrected"], metavar="NAME", help="names in configs/aero, or paths"
+        "--model",
+        nargs="+",
+        metavar="NAME",
+        help="names in configs/aero, or paths (default axisymmetric_corrected; sphere_cylinder without coefficients)",
     )
     complete_with(models, lambda: places.names("aero"))
     parser.add_argument(
@@ -136,13 +146,13 @@ def angles(option: str, text: str) -> Floats:
 
 def posture(robot: RobotModel, name: str) -> Floats:
     """Return the joint positions (n,) [rad] of a named posture; joints not in the tables are zero."""
-    if name == "zero":
+    if name == ZERO:
         return np.zeros(robot.n_joints)
     known = known_postures()
     if name not in known:
-        raise ValueError(f"--posture is `{name}`{places.did_you_mean(name, ['zero', *known])}")
+        raise ValueError(f"--posture is `{name}`{places.did_you_mean(name, [ZERO, *known])}")
     if not set(JOINTS) <= set(robot.joint_names):
-        raise ValueError(f"{robot.name} has not the joints of the named postures; expected --posture zero")
+        raise ValueError(f"{robot.name} has not the joints of the named postures; expected --posture {ZERO}")
     return reorder_joints(robot.joint_names, known[name])
 
 

@@ -13,9 +13,9 @@
 True
 >>> mujoco.set_mjcb_control(None)
 
-Links come from one of our robot files (`from_robot`) or are declared (`from_links`); models are those of
-`configs/aero`. The forces are those of `jax_aero.aero.link_forces` with physically correct points: each acts at its
-link's aerodynamic centre and depends on the wind relative to it.
+Links come from one of our robot files (`from_robot`; `mujoco_model` makes its bodies) or are declared (`from_links`);
+models are those of `configs/aero`. The forces are those of `jax_aero.aero.link_forces` with physically correct points:
+each acts at its link's aerodynamic centre and depends on the wind relative to it.
 """
 
 from __future__ import annotations
@@ -34,9 +34,23 @@ from jax_aero import config, io, places, rust
 from jax_aero.aero import AeroModel, LinkConventions, aero_model, link_forces
 from jax_aero.aero.axisymmetric import Axisymmetric
 from jax_aero.mujoco_model import mjx as mjx
+from jax_aero.mujoco_model import mujoco_spec
 from jax_aero.robot import AeroLinks, RobotModel, load_robot
 from jax_aero.spatial import cross
 from jax_aero.types import Array, Kinematics, Static, leaf, pytree
+
+__all__ = [
+    "AIR_DENSITY",
+    "Air",
+    "Link",
+    "LinkLoads",
+    "Wind",
+    "default_model",
+    "from_links",
+    "from_robot",
+    "mujoco_model",
+    "settings",
+]
 
 Wind = ArrayLike | Callable[[float], ArrayLike]
 """Velocity of the air (3,) [m/s, world axes], or a function of time [s] that returns it."""
@@ -176,19 +190,33 @@ def settings(name: str) -> config.AeroConfig:
     return io.aero_config(rust.load_aero(name))
 
 
-def from_robot(
-    model: Any, robot: str = "ironcub_mk1", aero: str | AeroModel = "axisymmetric_corrected", prefix: str = ""
-) -> Air:
+def default_model(robot: RobotModel) -> str:
+    """Return the name of a robot's model: axisymmetric if it has the coefficients, otherwise by Reynolds number."""
+    return "axisymmetric_corrected" if "corrected" in robot.aero_links.coefficients else "sphere_cylinder"
+
+
+def mujoco_model(robot: str = "ironcub_mk1") -> Any:
+    """Return a new `mujoco.MjModel` of one of our robots: free base, motors at the joints, without meshes and contacts.
+
+    Parameters
+    ----------
+    robot
+        Name in `configs/robot`, or the path of a robot's TOML file.
+    """
+    return mujoco_spec(str(places.find("robot", robot))).compile()
+
+
+def from_robot(model: Any, robot: str = "ironcub_mk1", aero: str | AeroModel | None = None, prefix: str = "") -> Air:
     """Return the air around one of our robots in a MuJoCo model whose bodies and joints have the names of its URDF.
 
     Parameters
     ----------
     model
-        A `mujoco.MjModel`.
+        A `mujoco.MjModel`, such as that of `mujoco_model`.
     robot
         Name in `configs/robot`, or the path of a robot's TOML file.
     aero
-        Name in `configs/aero`, path of a file, or a user-defined model.
+        Name in `configs/aero`, path of a file, or a user-defined model; by default `default_model`.
     prefix
         Prefix of every name in `model`, for scenes with several robots.
 
@@ -198,9 +226,14 @@ def from_robot(
         If `model` lacks a body or joint of the robot; the message names it.
     """
     ours = load_robot(places.find("robot", robot))
+    aero = default_model(ours) if aero is None else aero
     chosen = aero_model(settings(aero), ours) if isinstance(aero, str) else aero
-    bodies = [_body(model, prefix + name) for name in ours.body_names]
-    joints = [model.joint(_check_name(model, "joint", prefix + name)).qposadr[0] for name in ours.joint_names]
+    try:
+        bodies = [_body(model, prefix + name) for name in ours.body_names]
+        joints = [model.joint(_check_name(model, "joint", prefix + name)).qposadr[0] for name in ours.joint_names]
+    except ValueError as reason:
+        hint = f"MuJoCo fixes the base of a URDF to its world; air.mujoco_model({robot!r}) makes a model that has all"
+        raise ValueError(f"{reason}; {hint}") from None
     return _air(model, chosen, ours, bodies, joints)
 
 

@@ -1,6 +1,7 @@
 """The air for other simulators: MuJoCo gets the forces of our simulator, with our robots and with declared links."""
 
 import contextlib
+import dataclasses
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ import pytest
 
 from jax_aero import air, places, rust
 from jax_aero.aero import LinkConventions, aero_model, generalised_aero_force, link_forces
+from jax_aero.config import AxisymmetricAeroConfig, SphereCylinderAeroConfig
 from jax_aero.kinematics import kinematics
 from jax_aero.mujoco_model import mjx, mujoco_model, order_of, to_mujoco
 from jax_aero.robot import load_robot
@@ -147,6 +149,28 @@ def test_wind_may_be_a_list_of_three_and_nothing_else():
             around.callback(wind)(model, data)
 
 
-def test_a_robot_that_is_not_there_is_refused():
-    with pytest.raises(ValueError, match="the model has no body `root_link`"):
-        air.from_robot(mujoco.MjModel.from_xml_string(PENDULUM))
+def test_the_model_of_a_robot_has_what_its_air_needs(monkeypatch):
+    """Robots with and without coefficients have a default for their air, and every call makes a model of its own."""
+    monkeypatch.setattr(air, "aero_model", lambda settings, _: settings)
+    for name, kind in (("ironcub_mk1", AxisymmetricAeroConfig), ("sparrow", SphereCylinderAeroConfig)):
+        model = air.mujoco_model(name)
+        assert isinstance(air.from_robot(model, name).aero, kind)
+    other = air.mujoco_model(name)
+    other.body_mass[:] = 0.0
+    assert model.body_mass.max() > 0.0
+
+
+def test_a_robot_without_coefficients_is_led_to_another_model():
+    robot = load_robot(places.find("robot", "sparrow"))
+    robot = dataclasses.replace(robot, aero_links=dataclasses.replace(robot.aero_links, coefficients={}))
+    assert air.default_model(robot) == "sphere_cylinder"
+    with pytest.raises(ValueError, match=r'coefficients is `signed`; sparrow has none; .* such as "sphere_cylinder"'):
+        aero_model(air.settings("axisymmetric_signed"), robot)
+
+
+def test_a_robot_that_is_not_there_is_refused_with_a_way_on():
+    """MuJoCo itself fixes the base of a URDF to the world."""
+    fixed = mujoco.MjModel.from_xml_path(str(places.CONFIGS / "robot" / "sparrow.urdf"))
+    for model, name in ((mujoco.MjModel.from_xml_string(PENDULUM), "ironcub_mk1"), (fixed, "sparrow")):
+        with pytest.raises(ValueError, match=rf"the model has no body `.*; .*air\.mujoco_model\('{name}'\) makes"):
+            air.from_robot(model, name)

@@ -50,6 +50,14 @@ def test_the_loads_are_those_of_the_crate_turned_into_the_tunnel(x64):
     measured("forces with yaw [N]", np.abs(total - [drag, side, turned[2]]).max(), 1e-10)
 
 
+def test_a_robot_without_coefficients_and_named_postures_has_defaults(tmp_path, monkeypatch):
+    made_up = np.zeros((2, 1, len(load_robot(places.find("robot", "sparrow")).aero_links.names), 3))
+    monkeypatch.setattr(command, "loads", lambda *_: command.Loads(*made_up))
+    monkeypatch.setattr(command, "aero_model", lambda *_: None)
+    assert cli.main(["air", "--robot", "sparrow", "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "sparrow--sphere_cylinder--zero--alpha=90--beta=0--speed=10.csv").is_file()
+
+
 def test_angles_are_numbers_or_ranges():
     assert command.angles("--alpha", "90").tolist() == [90.0]
     assert command.angles("--alpha", "-10:10:5").tolist() == [-10.0, -5.0, 0.0, 5.0, 10.0]
@@ -64,7 +72,8 @@ def test_angles_are_numbers_or_ranges():
         (["--beta", "0:1e308:1e-308"], "--beta is 0:1e308:1e-308; expected at most 10000 angles"),
         (["--posture", "hoverin"], "did you mean hovering"),
         (["--model", "axisymetric_corrected"], "did you mean axisymmetric_corrected"),
-        (["--robot", "sparrow"], "expected --posture zero"),
+        (["--robot", "sparrow", "--posture", "hovering"], "expected --posture zero"),
+        (["--robot", "sparrow", "--model", "axisymmetric_signed"], "coefficients is `signed`; sparrow has estimated"),
         (["--speed", "0"], "expected a number > 0, at most 1e+09"),
         (["--speed", "1e300"], "expected a number > 0, at most 1e+09"),
         (["--alpha", "0:20:10", "--beside", "wind_tunnel"], "holds nothing of posture"),
@@ -77,7 +86,7 @@ def test_mistakes_are_named(words, message, capsys):
 
 def test_the_axis_is_of_the_angle_that_varies():
     """A range may hold one angle."""
-    given = command._parser().parse_args(["--alpha", "10:10:5", "--beta", "0:20:10"])
+    given = command._parser().parse_args(["--alpha", "10:10:5", "--beta", "0:20:10", "--model", "network"])
     robot = load_robot(places.find("robot", "ironcub_mk1"))
     links = [command.ROBOT, *robot.aero_links.names]
     values = dict.fromkeys(command.COLUMNS, 1.0)

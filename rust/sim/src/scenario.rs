@@ -359,7 +359,8 @@ impl Flight {
 fn check_mujoco(config: &ScenarioConfig) -> Result<(), BuildError> {
     let ScenarioConfig { simulator, disturbances, .. } = config;
     if simulator.ground.is_none() {
-        let expected = "a table: engine = \"mujoco\" flies nothing that has no ground under it";
+        let expected = "a table, as in configs/experiments/take_off.toml: engine = \"mujoco\" flies nothing that \
+                        has no ground under it; \"rust\" and \"jax\" do";
         return Err(BuildError::bad_value("simulator.ground", "absent", expected));
     }
     if config.controller.law.contact.is_none() {
