@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from jax_aero import rust
 from jax_aero.env_task import Task, TaskState, added_torque, is_lost, limit_action, observation, rewards, steer
 
+__all__ = ["HoverEnv"]
+
 LARGEST = 1e6
 """Bound that no observation reaches before the flight counts as lost."""
 

@@ -6,12 +6,14 @@ A comment `<!-- test: KIND -->` before a code block states how it is tried.
 import ast
 import importlib.util
 import itertools
+import pkgutil
 import re
 import shlex
 import shutil
 import subprocess
 import sys
 import tomllib
+from contextlib import suppress
 from pathlib import Path
 
 import nbformat
@@ -19,12 +21,13 @@ import pytest
 from nbclient import NotebookClient
 from traitlets.config import Config
 
+import jax_aero
 from experiments import overrides
 from experiments.report.page import Page, Table, Text
 from experiments.robot import waypoints
 from experiments.sweep import spec
 from experiments.sweep.design import Design
-from jax_aero import cli, places, rust, tables
+from jax_aero import air, cli, env, env_gym, places, rust, sim, tables
 from paper_figs.figures import FIGURES
 from tests.browser import CHROMIUM, SLOWEST, open_chromium
 
@@ -291,6 +294,18 @@ def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("site")
     run([sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)])
     return folder
+
+
+def test_the_page_of_the_python_api_has_every_public_name(site):
+    page = (site / "api/python/index.html").read_text(encoding="utf-8")
+    shown = []
+    for name in set(re.findall(r'id="(jax_aero[^"]*)"', page)):
+        with suppress(AttributeError):  # of a field
+            shown.append(pkgutil.resolve_name(name))
+    for module in (jax_aero, air, env, env_gym, rust, sim):
+        for name in module.__all__:
+            found = getattr(module, name)
+            assert name == "__version__" or any(found is one for one in shown), f"{module.__name__}.{name}"
 
 
 def test_pages_load_nothing_from_elsewhere(site):
