@@ -261,7 +261,8 @@ def _draw(
         grid[1, 2].plot(*series(given.model[0], link, "cda_m2"), label=link)
     grid[1, 2].set(title=f"drag area of each link [m²], {given.model[0]}", xlabel=f"{angle[:-4]} [deg]")
     grid[0, 0].legend(fontsize=6)
-    grid[1, 2].legend(fontsize=5, ncols=2)
+    if robot.aero_links.names:
+        grid[1, 2].legend(fontsize=5, ncols=2)
     beside = f"; crosses: {', '.join(name for name, _ in tables)}" if tables else ""
     figure.suptitle(f"{robot.name}, {given.posture}, {given.speed:g} m/s{beside}", fontsize=10)
     return figure

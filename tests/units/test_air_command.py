@@ -1,6 +1,7 @@
 """`jax-aero air`: angles, tables, and sums that physics demands."""
 
 import csv
+import dataclasses
 
 import numpy as np
 import pytest
@@ -98,3 +99,12 @@ def test_the_axis_is_of_the_angle_that_varies():
     axes = command._draw(rows, [], robot, given).axes[0]
     assert axes.get_xlabel() == "beta [deg]"
     assert axes.lines[0].get_xdata().tolist() == [0.0, 10.0, 20.0]
+
+
+def test_a_robot_without_aerodynamic_links_has_no_legend_of_them():
+    given = command._parser().parse_args(["--model", "sphere_cylinder", "--posture", "zero"])
+    robot = load_robot(places.find("robot", "sparrow"))
+    robot = dataclasses.replace(robot, aero_links=dataclasses.replace(robot.aero_links, names=()))
+    row = {"model": "sphere_cylinder", "link": command.ROBOT, "alpha_deg": 90.0, "beta_deg": 0.0}
+    figure = command._draw([row | dict.fromkeys(command.COLUMNS, 0.0)], [], robot, given)
+    assert figure.axes[-1].get_legend() is None

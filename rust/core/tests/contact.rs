@@ -871,7 +871,7 @@ fn bad_numbers_are_refused_by_name() {
     refused(&["friction_of", "`tail`", "l_ankle_pitch"], |c| {
         c.simulator.motors.as_mut().unwrap().friction_of.insert("tail".into(), 1.0);
     });
-    refused(&["simulator.ground is absent", "ground under it"], |c| c.simulator.ground = None);
+    refused(&["simulator.ground is absent", "take_off.toml"], |c| c.simulator.ground = None);
     refused(&["controller.contact is absent"], |c| c.controller.law.contact = None);
     refused(&["simulator.ground is given", "engine = \"mujoco\""], |c| {
         c.engine = flight_sim::Engine::Rust;
