@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -26,15 +27,23 @@ def run(
     out: Path | None = None,
     overwrite: bool = False,
 ) -> dict[str, Any]:
-    """Fly one configuration and write its folder, unless it is already there; return the manifest."""
+    """Fly one configuration and write its folder, unless it is already there; return the manifest.
+
+    Warnings about the configuration are stored in the manifest.
+    """
     if out:
         name = named or path.stem
     else:
         name = study.folder_name("experiments", study.result_name("experiments", path), changes, named)
     try:
-        config = rust.load_config(path, changes)
+        with warnings.catch_warnings(record=True) as raised:
+            warnings.simplefilter("always")
+            config = rust.load_config(path, changes)
     except ValueError as reason:
         raise Refused(f"{path.stem}: {reason}") from None
+    warned = [str(warning.message) for warning in raised]
+    for text in warned:
+        warnings.warn(text, stacklevel=2)
     folder = (out or RESULTS) / name
     digest, engine = rust.config_digest(config), engines.engine_of(config)
     code = (__name__, engines.MODULES[engine])
@@ -60,6 +69,7 @@ def run(
             lost_time=flight.lost_time,
             lost_reason=flight.lost_reason,
             overrides=manifest.make_portable(changes),
+            warnings=warned or None,
             seed=dict(manifest.seeds(config)) or None,
             wall_time_s=round(time.perf_counter() - started, 3),
         )

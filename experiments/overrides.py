@@ -6,7 +6,6 @@ A flight, study, training or CFD design changed by `--set` has a separate result
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -37,6 +36,4 @@ def _flatten(value: Any) -> str:
         return "_".join(f"{key}={_flatten(item)}" for key, item in value.items())
     if isinstance(value, list):
         return "_".join(_flatten(item) for item in value)
-    text = str(value).lower() if isinstance(value, bool) else str(value)
-    plain = re.sub(r"[^\w.+=-]", "-", text)
-    return plain if plain == text else plain + places.mark(text)
+    return places.file_name(str(value).lower() if isinstance(value, bool) else str(value))

@@ -100,6 +100,16 @@ def addition(text: str) -> str:
     return f"{text[: LONGEST - 9]}{mark(text)}"
 
 
+def file_name(text: str) -> str:
+    """Return a text as part of a file's name; one with characters unsuited to it is altered and ends in a digest.
+
+    >>> file_name("iRonCub-Mk1"), file_name("my robot")
+    ('iRonCub-Mk1', 'my-robot~4320a9e0')
+    """
+    plain = re.sub(r"[^\w.+=-]", "-", text)
+    return plain if plain == text else plain + mark(text)
+
+
 def mark(text: str) -> str:
     """Return nine characters that distinguish texts with similar names."""
     return f"~{hashlib.sha256(text.encode()).hexdigest()[:8]}"

@@ -538,7 +538,10 @@ def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None =
 
 
 def check_config(config: Mapping[str, Any]) -> None:
-    """Raise `ConfigError`, naming key, value and what was expected, unless the configuration can be flown."""
+    """Raise `ConfigError`, naming key, value and what was expected, unless the configuration can be flown.
+
+    What can be flown but is probably not meant raises a `UserWarning`.
+    """
     _core.check_config(_to_json(config))
 
 

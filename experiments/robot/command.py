@@ -1,15 +1,16 @@
-"""Import a robot: `jax-aero robot import URDF --jet FRAME[:AXIS]:MAX ... [--out DIR]`.
+"""Import a robot: `jax-aero robot import URDF --jet FRAME[:AXIS]:MAX ... [--name NAME] [--out DIR]`.
 
 Writes a description of the robot from the URDF (base, joints in tree order with limits, groups by chain, jets,
 aerodynamic links sized by the geometry, feet), checks it, trims the robot in still air, and flies it: a hover of ten
 seconds and, with --mission, the paper's flight in 10 m/s of lateral wind. The user can refine all files in DIR:
 
-    robot.toml  controller.toml  hover.toml  mission.toml      fly again with `jax-aero fly DIR/hover.toml`
+    robot.toml  controller.toml  NAME_hover.toml  NAME_mission.toml    fly again with `jax-aero fly DIR/NAME_hover.toml`
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import re
 from collections.abc import Sequence
 from contextlib import suppress
@@ -26,6 +27,7 @@ from jax_aero.cli import Parser
 from jax_aero.command import exit_status
 from jax_aero.files import complete_folder
 from jax_aero.result import ending
+from jax_aero.robot import load_robot as load_twin
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.aero import load_aero
 from jax_aero.symbolic.robot import Robot
@@ -33,6 +35,9 @@ from jax_aero.symbolic.trim import Trim, TrimResult, TrimSettings
 from jax_aero.urdf import read_urdf
 
 HOVER, MISSION = "hover", "in_line"
+
+RESERVE = 0.05
+"""Least distance of thrusts, joint positions and torques in the trim from their limits, relative to their ranges."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +60,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 raise Refused(f"--{option} names `{repeated[0]}` more than once; expected each joint once")
         result = import_robot(
             given.urdf,
-            given.out or places.RESULTS / "robot" / given.urdf.stem,
+            given.out,
+            name=given.name,
             jets=given.jet,
             feet=given.foot,
             held=given.hold,
@@ -74,7 +80,8 @@ def _parser() -> Parser:
     parser = Parser("robot import", __doc__)
     add = parser.add_argument
     add("urdf", type=Path)
-    add("--out", type=Path, help="folder for the files (default: results/robot/URDF)")
+    add("--name", help="name of the robot and of its flights (default: that of the URDF)")
+    add("--out", type=Path, help="folder for the files (default: results/robot/NAME)")
     add("--jet", action="append", required=True, type=thruster, metavar="FRAME[:AXIS]:MAX", help="greatest thrust [N]")
     add("--foot", action="append", default=[], metavar="FRAME", help="sole frame, z up")
     add("--hold", action="append", default=[], metavar="JOINT", help="a joint that stays as near to zero as it can")
@@ -104,8 +111,9 @@ def angle(text: str) -> tuple[str, float]:
 
 def import_robot(
     urdf: Path,
-    folder: Path,
+    folder: Path | None = None,
     *,
+    name: str | None = None,
     jets: Sequence[skeleton.Thruster],
     feet: Sequence[str] = (),
     held: Sequence[str] = (),
@@ -114,15 +122,17 @@ def import_robot(
     fly_mission: bool = False,
 ) -> ImportResult:
     """Write a robot's files into `folder`, which must be new or empty, and fly it; a refusal leaves no files there."""
+    listing = read_urdf(urdf)
+    name = name or listing.name or urdf.stem
+    folder = folder or places.RESULTS / "robot" / places.file_name(name)
     if folder.exists() and any(folder.iterdir()):
         raise Refused(f"{folder} is not empty; choose another --out")
     with complete_folder(folder) as draft:
-        listing = read_urdf(urdf)
         tree = skeleton.Tree(listing)
         text = skeleton.write(
             tree,
             shapes.boxes(listing, urdf.parent),
-            name=listing.name or urdf.stem,
+            name=name,
             urdf=urdf,
             folder=draft,
             jets=jets,
@@ -131,12 +141,20 @@ def import_robot(
             forward=forward,
         )
         path = _write(draft / "robot.toml", "robot", text)
-        robot = load_robot(path)
+        crate, robot = rust.Robot(path), load_robot(path)
         trim = _trim(robot, posture_deg or {}, forward)
         if not trim.feasible:
             return ImportResult(folder, trim, None, None)
-        groups = [skeleton.group_name(chain) for chain in tree.chains(held)]
-        text = scenario.controller_text(robot, groups, _inertia(path, trim), draft)
+        rotation = Rotation.from_euler("xyz", trim.base_rpy).as_matrix()
+        dynamics = rust.dynamics(crate, rust.State.at_rest(crate, trim.joint_position)._replace(base_rotation=rotation))
+        text = scenario.controller_text(
+            robot,
+            [skeleton.group_name(chain) for chain in tree.chains(held)],
+            dynamics,
+            nose_down=-np.arcsin(rotation[2] @ skeleton.AXES[forward]),
+            velocity_max=np.asarray(load_twin(path).joint_velocity_max),
+            folder=draft,
+        )
         _write(draft / "controller.toml", "control", text)
         hover = _fly(draft, robot, trim, "hover", mission=HOVER, wind="still", duration=10.0)
         mission = None
@@ -156,14 +174,17 @@ def _trim(robot: Robot, posture_deg: dict[str, float], forward: str) -> TrimResu
             wanted[joint.index] = unit * posture_deg.get(robot.joint_names[joint.index], 0.0)
     # The base is rotated so that the robot faces +x.
     yaw = -float(np.arctan2(skeleton.AXES[forward][1], skeleton.AXES[forward][0]))
+    lower, upper = robot.joint_limits.T
+    inner = np.stack([lower, upper], axis=1) + RESERVE * np.outer(upper - lower, [1.0, -1.0])
+    robot = dataclasses.replace(robot, joint_limits=inner)
     settings = TrimSettings(
         posture=np.clip(wanted, *robot.joint_limits.T),
         free_joints=tuple(range(robot.n_joints)),
         roll=(-0.3, 0.3),
         pitch=(-0.5, 0.5),
         yaw=yaw,
-        margin_min=0.05,
-        torque_max=robot.joint_torque_max,
+        margin_min=RESERVE,
+        torque_max=(1.0 - RESERVE) * robot.joint_torque_max,
         clearance_min=-1.0,  # boxes around links are too coarse for the clearance of plumes
         plume_length=1.0,
         posture_weight=1.0,
@@ -174,19 +195,12 @@ def _trim(robot: Robot, posture_deg: dict[str, float], forward: str) -> TrimResu
     )
 
 
-def _inertia(path: Path, trim: TrimResult) -> float:
-    """Return the trace of the centroidal inertia in the trim [kg m²]."""
-    joints = np.asarray(trim.joint_position)
-    rotation = Rotation.from_euler("xyz", trim.base_rpy).as_matrix()
-    state = rust.State(np.zeros(3), rotation, joints, np.zeros(6 + joints.size))
-    return float(np.trace(rust.dynamics(rust.Robot(path), state).centroidal_inertia))
-
-
 def _fly(
     folder: Path, robot: Robot, trim: TrimResult, name: str, *, mission: str, wind: str, duration: float
 ) -> rust.FlightResult:
     text = scenario.scenario_text(robot, trim, folder, mission=mission, wind=wind, duration=duration)
-    return rust.fly(rust.load_config(_write(folder / f"{name}.toml", "experiments", text)))
+    path = folder / f"{places.file_name(robot.name)}_{name}.toml"
+    return rust.fly(rust.load_config(_write(path, "experiments", text)))
 
 
 def _write(path: Path, kind: str, text: str) -> Path:
@@ -207,9 +221,8 @@ def report(result: ImportResult) -> str:
     for name, flight in (("hover", result.hover), ("mission", result.mission)):
         if flight is None:
             continue
-        lines.append(
-            f"{name:<20} {ending(flight.outcome, flight.lost_time, flight.lost_reason)}; "
-            f"CoM within {1000.0 * flight.summary['max_com_error']:.1f} mm, "
-            f"attitude within {np.degrees(flight.summary['max_rotation_error']):.2f} deg"
-        )
+        line = f"{name:<20} {ending(flight.outcome, flight.lost_time, flight.lost_reason)}"
+        if not np.isnan(flight.summary["max_com_error"]):  # of a flight that lasted until it has settled
+            line += f"; CoM within {1000.0 * flight.summary['max_com_error']:.1f} mm"
+        lines.append(f"{line}; attitude within {np.degrees(flight.summary['max_rotation_error']):.2f} deg")
     return "\n".join(lines)

@@ -28,6 +28,7 @@ IPOPT: dict[str, Any] = {
     "print_time": False,
     "error_on_fail": False,
     "show_eval_warnings": False,
+    "inputs_check": False,  # it prints a warning for a problem with more equations than unknowns
 }
 """Options of the solver: silent, to full precision, without exceptions, since `Trim.solve` checks the answer."""
 
@@ -90,7 +91,7 @@ class TrimResult:
     thrust: Array
     joint_torque: Array
     margin: float
-    """Least distance of a thrust from a limit, as a fraction of its greatest value."""
+    """Least distance of a thrust from a limit, as a fraction of its greatest value; half without a jet."""
     residual: Array
     """(6,) remaining momentum rate [N, N m]."""
     aero_force: Array
@@ -98,9 +99,9 @@ class TrimResult:
     aero_moment: Array
     """(3,) total moment about the centre of mass [N m]."""
     clearance: float
-    """Least distance from the axis of a jet to the surface of a link [m]."""
+    """Least distance from the axis of a jet to the surface of a link [m]; infinite without a link."""
     closest: str
-    """Jet and link with the least distance."""
+    """Jet and link with the least distance; empty without a link."""
     iterations: int
     solve_time: float
     """Time to solve [s]."""
@@ -167,6 +168,8 @@ class Trim:
         spread = settings.spread_weight * ca.sumsqr(thrust / ca.DM(robot.thrust_max))
         objective = weights[0] * total - weights[1] * margin + posture + spread
         problem: dict[str, Any] = {"x": self._x, "p": self._p, "f": objective, "g": constraints}
+        self._objective = ca.Function("trim_objective", [self._x, self._p], [objective])
+        self._constraints = ca.Function("trim_constraints", [self._x, self._p], [constraints])
         self._solver = ca.nlpsol("trim", "ipopt", problem, IPOPT)
 
         # The elastic problem: constraints may be violated at an L1 cost, so that few are violated.
@@ -248,18 +251,26 @@ class Trim:
         started = time.perf_counter()
         x, cost, stats = self._run(self._solver, np.clip(x, low, high), parameters, low, high)
         iterations = int(stats["iter_count"])
+        message = str(stats["return_status"])
         violations: tuple[Violation, ...] = ()
         if not stats["success"]:
             # Either there is no trim or the solver failed; the elastic problem, which is always feasible, decides.
-            x, cost, missed, elastic = self._nearest_point(parameters, low, high)
+            nearest, missed_in_total, missed, elastic = self._nearest_point(parameters, low, high)
             iterations += int(elastic["iter_count"])
             violations = self._violations(missed)
-            if not violations:
-                x, cost, stats = self._run(self._solver, x, parameters, low, high)
+            if violations:
+                x, cost, message = nearest, missed_in_total, "; ".join(map(str, violations))
+            else:
+                x, cost, stats = self._run(self._solver, nearest, parameters, low, high)
                 iterations += int(stats["iter_count"])
+                message = str(stats["return_status"])
+                if not stats["success"]:
+                    # With redundant equations, or more of them than unknowns, the solver cannot prove an optimum.
+                    x = x if self._is_met(x, parameters) else nearest
+                    cost = float(self._objective(x, parameters))
+                    message = f"equilibrium, not proved to be the best ({message})"
         elapsed = time.perf_counter() - started
-        message = "; ".join(str(violation) for violation in violations) or str(stats["return_status"])
-        return self._result(x, cost, parameters, bool(stats["success"]), message, violations, iterations, elapsed)
+        return self._result(x, cost, parameters, message, violations, iterations, elapsed)
 
     def _run(self, solver: Any, x: Array, p: Array, low: Array, high: Array) -> tuple[Array, float, dict[str, Any]]:
         answer = solver(x0=x, p=p, lbx=low, ubx=high, lbg=self._lower, ubg=self._upper)
@@ -274,6 +285,11 @@ class Trim:
         x, cost, stats = self._run(self._elastic, start, p, low, high)
         return x[:size], cost, x[size : size + count] - x[size + count :], stats
 
+    def _is_met(self, x: Array, p: Array) -> bool:
+        """Return whether a point satisfies all constraints."""
+        values = self._constraints(x, p).full()[:, 0]
+        return bool(np.all((values >= self._lower - TOLERANCE) & (values <= self._upper + TOLERANCE)))
+
     def _violations(self, missed: Array) -> tuple[Violation, ...]:
         order = np.argsort(-np.abs(missed))
         return tuple(
@@ -287,7 +303,6 @@ class Trim:
         x: Array,
         cost: float,
         parameters: Array,
-        feasible: bool,
         message: str,
         violations: tuple[Violation, ...],
         iterations: int,
@@ -298,9 +313,9 @@ class Trim:
         balance, torque, distances, wrench = (np.array(value.full())[:, 0] for value in self._report(x, parameters))
         thrust = x[3 + n : 3 + n + jets]
         top = robot.thrust_max
-        nearest = int(np.argmin(distances))
+        nearest = min(range(distances.size), key=lambda pair: float(distances[pair]), default=None)
         return TrimResult(
-            feasible=feasible,
+            feasible=not violations,
             message=message,
             violations=violations,
             at_limit=self._variables_at_limit(x),
@@ -309,12 +324,12 @@ class Trim:
             joint_position=x[3 : 3 + n],
             thrust=thrust,
             joint_torque=torque,
-            margin=float(np.min(np.minimum(thrust, top - thrust) / top)),
+            margin=float(np.min(np.minimum(thrust, top - thrust) / top, initial=0.5)),
             residual=balance,
             aero_force=wrench[:3],
             aero_moment=wrench[3:],
-            clearance=float(distances[nearest]),
-            closest=f"{self._pairs[nearest].jet} to {self._pairs[nearest].link}",
+            clearance=np.inf if nearest is None else float(distances[nearest]),
+            closest="" if nearest is None else f"{self._pairs[nearest].jet} to {self._pairs[nearest].link}",
             iterations=iterations,
             solve_time=elapsed,
         )

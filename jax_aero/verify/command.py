@@ -7,15 +7,18 @@
     jax-aero verify --config test4                     # the network, in double precision
 
 Prints a table, writes it with a figure, and exits with status 1 if anything disagrees. Kernels are compared relative to
-the largest entry of the crate's results, flights by the absolute difference of every logged signal.
+the largest entry of the crate's results, or with its rounding where terms cancel; flights by the absolute difference of
+every logged signal. A result of the same files and options is replaced, that of others only with --overwrite.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import tempfile
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -24,8 +27,8 @@ import numpy as np
 
 from jax_aero import places, rust
 from jax_aero.cli import Parser, complete_with, count
-from jax_aero.command import exit_status
-from jax_aero.files import complete_file, replace_infinite, write_json, write_text
+from jax_aero.command import Refused, exit_status
+from jax_aero.files import complete_file, read_json, replace_infinite, write_json, write_text
 from jax_aero.keys import parse_assignments
 from jax_aero.verify import (
     Comparison,
@@ -38,6 +41,9 @@ from jax_aero.verify import (
     verify_ticks,
 )
 
+NUMBERS = "verify.json"
+"""File of a result with its subject and its numbers."""
+
 
 def main(arguments: Sequence[str]) -> int:
     """Compare, print and write; return 0 if everything agrees, 1 if not, 2 for invalid arguments."""
@@ -49,25 +55,48 @@ def _compare(options: argparse.Namespace) -> int:
     import jax
 
     comparison = Comparison()
-    facts: dict[str, Any] = {"crate": rust.__version__, "jax": jax.__version__, "backend": options.backend}
     config = None if options.robot else use_double_precision(_config(options))
+    folder, facts = _subject(options, config)
+    _check_replaceable(folder, facts, overwrite=options.overwrite)
+    robot = options.robot if config is None else config["robot"]
     with jax.enable_x64(True):
-        if config is None:
-            facts["robot"] = Path(options.robot).name
-            verify_robot(options.robot, options.states, comparison, options.backend, options.seed)
-        else:
-            facts |= {"flight": config["title"] or options.config, "config": rust.config_digest(config)[:12]}
-            verify_robot(config["robot"], options.states, comparison, options.backend, options.seed)
+        verify_robot(robot, options.states, comparison, options.backend, options.seed)
+        if config is not None:
             verify_ticks(config, random_samples(config, options.states, options.seed), "random", comparison)
             expected, _ = verify_flight(config, comparison, options.backend)
             verify_ticks(config, recorded_samples(config, expected, options.states), "recorded", comparison)
     rows = comparison.rows
     print(table(rows))
-    folder = options.out or places.RESULTS / "verify" / Path(options.robot or options.config).stem
-    written = write(rows, folder, facts)
+    written = write(rows, folder, {"crate": rust.__version__, "jax": jax.__version__, **facts})
     bad = [row for row in rows if not row.agrees]
     print(f"\n{len(rows) - len(bad)} of {len(rows)} quantities agree; see {', '.join(map(str, written))}")
     return 1 if bad else 0
+
+
+def _subject(options: argparse.Namespace, config: rust.Config | None) -> tuple[Path, dict[str, Any]]:
+    """Return the folder of the result, and what it is a result of."""
+    facts = {"backend": options.backend, "states": options.states, "seed": options.seed}
+    if config is None:
+        robot = rust.Robot(options.robot)
+        name = places.file_name(robot.name)
+        files = hashlib.sha256((robot.toml_text + robot.urdf_text).encode()).hexdigest()
+        facts |= {"robot": robot.name, "files": files[:12]}
+    else:
+        name = Path(options.config).stem
+        facts |= {"flight": config["title"] or options.config, "config": rust.config_digest(config)[:12]}
+    return options.out or places.RESULTS / "verify" / name, facts
+
+
+def _check_replaceable(folder: Path, facts: Mapping[str, Any], *, overwrite: bool) -> None:
+    """Refuse, without `overwrite`, to replace a result of anything else."""
+    path = folder / NUMBERS
+    if overwrite or not path.exists():
+        return
+    with suppress(OSError, ValueError):
+        kept = read_json(path)
+        if all(kept.get(name) == value for name, value in facts.items()):
+            return
+    raise Refused(f"{path} is the result of another comparison; choose another --out, or --overwrite it")
 
 
 def _parse(arguments: Sequence[str]) -> Any:
@@ -82,6 +111,7 @@ def _parse(arguments: Sequence[str]) -> Any:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--backend", choices=["tree", "mjx"], default="tree", help="implementation of the dynamics")
     parser.add_argument("--out", type=Path, help="folder for table and figure; default results/verify/NAME")
+    parser.add_argument("--overwrite", action="store_true", help="replace the result of another comparison")
     options = parser.parse_args(arguments)
     if options.robot and (options.controller or options.set):
         parser.error("`--robot` compares no flight: expected neither `--controller` nor `--set`")
@@ -102,10 +132,10 @@ def _config(options: argparse.Namespace) -> dict[str, Any]:
 
 def table(rows: Sequence[Row]) -> str:
     """Return the rows as a Markdown table."""
-    head = f"| {'group':8} | {'quantity':26} | max abs  | max rel  | tolerance     | verdict   |"
-    rule = f"|{'-' * 10}|{'-' * 28}|---------:|---------:|---------------|-----------|"
+    head = f"| {'group':8} | {'quantity':26} | max abs  | max rel  | rounding | tolerance     | verdict   |"
+    rule = f"|{'-' * 10}|{'-' * 28}|---------:|---------:|---------:|---------------|-----------|"
     lines = [
-        f"| {row.group:8} | {row.quantity:26} | {row.absolute:8.1e} | {row.relative:8.1e} "
+        f"| {row.group:8} | {row.quantity:26} | {row.absolute:8.1e} | {row.relative:8.1e} | {row.rounding:8.1e} "
         f"| {row.tolerance:5.0e} {'rel' if row.is_relative else 'abs'}     | {_verdict(row)} |"
         for row in rows
     ]
@@ -139,7 +169,7 @@ def draw(rows: Sequence[Row], path: Path) -> bool:
 
 def write(rows: Sequence[Row], folder: Path, facts: Mapping[str, Any]) -> list[Path]:
     """Write table, numbers and figure; return the paths written."""
-    text, numbers, figure = folder / "verify.md", folder / "verify.json", folder / "verify.png"
+    text, numbers, figure = folder / "verify.md", folder / NUMBERS, folder / "verify.png"
     heading = "\n".join(f"{name}: {value}" for name, value in facts.items())
     write_text(text, f"# Rust against JAX\n\n{heading}\n\n{table(rows)}\n")
     entries = [replace_infinite(asdict(row) | {"relative": row.relative, "agrees": row.agrees}) for row in rows]

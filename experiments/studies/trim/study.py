@@ -154,8 +154,8 @@ def report(trim: Trim, result: TrimResult) -> str:
         f"thrust margin                 {100 * result.margin:8.2f} % of the greatest thrust",
         "aerodynamic force [N]         " + "  ".join(f"{force:8.3f}" for force in result.aero_force),
         "aerodynamic moment [N m]      " + "  ".join(f"{moment:8.3f}" for moment in result.aero_moment),
-        f"greatest joint torque         {np.abs(result.joint_torque).max():8.2f} N m",
-        f"jet axis nearest to the body  {1000 * result.clearance:8.1f} mm, {result.closest}",
+        f"greatest joint torque         {np.abs(result.joint_torque).max(initial=0.0):8.2f} N m",
+        f"jet axis nearest to the body  {1000 * result.clearance:8.1f} mm{result.closest and ', '}{result.closest}",
         f"left over                     {np.abs(result.residual).max():8.1e} N or N m",
     ]
     moved = np.degrees(result.joint_position - trim.settings.posture)

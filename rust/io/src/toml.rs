@@ -40,17 +40,17 @@ pub fn load<T: DeserializeOwned + JsonSchema>(path: &Path) -> Result<T, BuildErr
 pub fn load_changed<T: Serialize + DeserializeOwned + JsonSchema>(
     path: &Path,
     changes: &[(String, Value)],
-    check: impl Fn(&T) -> Result<(), BuildError>,
+    mut check: impl FnMut(&T) -> Result<(), BuildError>,
 ) -> Result<T, BuildError> {
     let schema = Schema::of_type::<T>();
     let table = resolve(path, &schema)?;
-    let checked = |table| typed(table).and_then(|config| check(&config).map(|()| config));
+    let mut checked = |table| typed(table).and_then(|config| check(&config).map(|()| config));
     let of_file = |error: BuildError| error.in_file(path.display());
     if changes.is_empty() {
         return checked(table).map_err(of_file);
     }
     let changed = set_keys(table.clone(), changes.iter().cloned(), Path::new(""), &schema);
-    changed.and_then(checked).map_err(|error| match checked(table) {
+    changed.and_then(&mut checked).map_err(|error| match checked(table) {
         Err(without_changes) => of_file(without_changes),
         Ok(config) => of_changes(error, changes, &config),
     })

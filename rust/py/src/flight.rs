@@ -7,11 +7,12 @@ use flight_io::{
     read_recording, typed,
 };
 use flight_sim::{BatchError, FlightResult, Scenario, ScenarioConfig, Wind, WindConfig, load_flyable};
-use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError, PyValueError};
+use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError, PyUserWarning, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
+use std::ffi::CString;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -73,12 +74,21 @@ fn parse_changes(changes_json: &str) -> PyResult<Vec<(String, Value)>> {
 /// Read a flight configuration with its base files, set dotted keys (a list of pairs) and check it; return JSON that
 /// states every default.
 #[pyfunction]
-pub fn load_config(path: PathBuf, changes_json: &str) -> PyResult<String> {
-    let config = load_flyable(&path, &parse_changes(changes_json)?).map_err(value_error)?;
+pub fn load_config(py: Python<'_>, path: PathBuf, changes_json: &str) -> PyResult<String> {
+    let (config, warnings) = load_flyable(&path, &parse_changes(changes_json)?).map_err(value_error)?;
+    warn(py, warnings)?;
     let table = to_value(&config)?;
     let text = table.to_string();
     Last::keep(table, Arc::new(config), true);
     Ok(text)
+}
+
+/// Raises warnings of the user's files.
+pub fn warn(py: Python<'_>, warnings: Vec<String>) -> PyResult<()> {
+    for warning in warnings {
+        PyErr::warn(py, &py.get_type::<PyUserWarning>(), &CString::new(warning)?, 1)?;
+    }
+    Ok(())
 }
 
 /// Read a file of `configs/KIND/` with its base files; return JSON that states every default.
@@ -144,13 +154,13 @@ pub fn figures() -> String {
     serde_json::json!(flight_sim::figures()).to_string()
 }
 
-/// Raise ValueError if this configuration cannot be flown.
+/// Raise ValueError if this configuration cannot be flown; warn of what is probably not meant.
 #[pyfunction]
-pub fn check_config(config_json: &str) -> PyResult<()> {
+pub fn check_config(py: Python<'_>, config_json: &str) -> PyResult<()> {
     let table = parse_table(config_json)?;
     if !Last::of(&table).is_some_and(|(_, is_checked)| is_checked) {
         let config = read(table.clone())?;
-        Scenario::check(&config).map_err(value_error)?;
+        warn(py, Scenario::check(&config).map_err(value_error)?)?;
         Last::keep(table, config, true);
     }
     Ok(())

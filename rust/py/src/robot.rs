@@ -1,6 +1,7 @@
 //! The robot and its rigid-body dynamics.
 
 use crate::arrays::{Input, Output, entries, matrix, matrix3, value_error, vector, vector3, vectors};
+use crate::flight::warn;
 use crate::robot_files::{PoseOutput, pose_arrays, robot_arrays, shape_dicts};
 use flight_core::aero::{LinkConventions, LinkForces, LinksInAir};
 use flight_core::dynamics::{Dynamics, MassFactor};
@@ -10,11 +11,10 @@ use flight_core::spatial::{Pose, is_rotation, orthonormality_error};
 use flight_core::{BuildError, RobotModel};
 use flight_io::{AeroConfig, LoadedRobot, RobotFiles, from_json, load_aero};
 use nalgebra::{DVector, Matrix3, Vector3};
-use pyo3::exceptions::{PyUserWarning, PyValueError};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::collections::BTreeMap;
-use std::ffi::CString;
 use std::path::PathBuf;
 
 /// A robot, read from its TOML file and the URDF that it names.
@@ -79,9 +79,7 @@ impl Robot {
     fn new(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         let files = RobotFiles::read(&path).map_err(value_error)?;
         let LoadedRobot { model, links, held, warnings } = files.load().map_err(value_error)?;
-        for warning in warnings {
-            PyErr::warn(py, &py.get_type::<PyUserWarning>(), &CString::new(warning)?, 1)?;
-        }
+        warn(py, warnings)?;
         Ok(Self { files, model, links, held })
     }
 

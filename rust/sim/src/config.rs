@@ -76,12 +76,18 @@ pub fn load_scenario(path: &Path) -> Result<ScenarioConfig, BuildError> {
     load(path)
 }
 
-/// As [`load_scenario`], with `changes` of dotted keys, and with a check that its engine can fly it.
+/// As [`load_scenario`], with `changes` of dotted keys, and with a check that its engine can fly it,
+/// which returns [warnings](Scenario::warnings).
 ///
 /// # Errors
 /// As [`load_changed`] and [`Scenario::check`].
-pub fn load_flyable(path: &Path, changes: &[(String, Value)]) -> Result<ScenarioConfig, BuildError> {
-    load_changed(path, changes, Scenario::check)
+pub fn load_flyable(
+    path: &Path,
+    changes: &[(String, Value)],
+) -> Result<(ScenarioConfig, Vec<String>), BuildError> {
+    let mut warnings = Vec::new();
+    let check = |config: &_| Scenario::check(config).map(|found| warnings = found);
+    load_changed(path, changes, check).map(|config| (config, warnings))
 }
 
 /// The schemas of all files, by folder of `configs/`.

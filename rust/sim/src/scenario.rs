@@ -122,11 +122,12 @@ impl Scenario {
         })
     }
 
-    /// Checks that the configuration can be flown by its own engine; reads the robot's files.
+    /// Checks that the configuration can be flown by its own engine, and returns its [warnings](Self::warnings); reads
+    /// the robot's files.
     ///
     /// # Errors
     /// [`BuildError`] naming the invalid part.
-    pub fn check(config: &ScenarioConfig) -> Result<(), BuildError> {
+    pub fn check(config: &ScenarioConfig) -> Result<Vec<String>, BuildError> {
         let mut of_this_engine = config.clone();
         match config.engine {
             Engine::Rust => {}
@@ -137,10 +138,24 @@ impl Scenario {
                 config.simulator.check(&robot)?;
                 // Simulated by MuJoCo only.
                 (of_this_engine.simulator.ground, of_this_engine.simulator.motors) = (None, None);
-                return Self::with_robot(&of_this_engine, robot).map(|_| ());
+                return Self::with_robot(&of_this_engine, robot).map(|scenario| scenario.warnings());
             }
         }
-        Self::new(&of_this_engine).map(|_| ())
+        Self::new(&of_this_engine).map(|scenario| scenario.warnings())
+    }
+
+    /// What can be flown but is probably not meant: key, value and what was expected.
+    #[must_use]
+    pub fn warnings(&self) -> Vec<String> {
+        let rotation = &self.plant.state().base.rotation;
+        let beyond = self.controller.setpoint_generator().pitch_beyond_limits(rotation);
+        let warning = beyond.map(|(pitch, [low, high])| {
+            format!(
+                "simulator.initial.base_rpy_deg has a nose-down pitch of {pitch:.3} deg; expected one within \
+                 controller.setpoint.nose_down_limits_deg, {low} to {high}, into which the set-point turns at once"
+            )
+        });
+        warning.into_iter().collect()
     }
 
     /// Number of ticks after the one at time zero.

@@ -227,6 +227,12 @@ impl Controller {
             && self.guard.fits(state)
     }
 
+    /// The generator of its set-points.
+    #[must_use]
+    pub fn setpoint_generator(&self) -> &SetpointGenerator {
+        &self.law.generator
+    }
+
     /// The controller's model of the robot; without jets if it does not use them.
     #[must_use]
     pub fn model(&self) -> &RobotModel {

@@ -281,6 +281,17 @@ impl SetpointGenerator {
         }
     }
 
+    /// Pitch of the heading frame of a base rotation, positive nose down \[deg\], and the limits into which commands
+    /// turn a set-point that starts there; `None` if it is within them, and for a recording, which has none.
+    #[must_use]
+    pub fn pitch_beyond_limits(&self, rotation: &Matrix3<f64>) -> Option<(f64, [f64; 2])> {
+        const ROUNDING: f64 = 1e-9; // deg
+        let pitch = self.heading_rpy(rotation).y.to_degrees();
+        let [low, high] = self.config.nose_down_limits_deg;
+        let is_within = (low - ROUNDING..=high + ROUNDING).contains(&pitch);
+        (!is_within && matches!(self.mission, Mission::Commands(_))).then_some((pitch, [low, high]))
+    }
+
     /// Set-point of the tick at `time` \[s\].
     ///
     /// The smoothed attitude follows the raw one by `ω = −K sk(R_rawᵀ R)^∨`, integrated by forward Euler on the
