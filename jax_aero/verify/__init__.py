@@ -55,10 +55,8 @@ class Row:
     @property
     def agrees(self) -> bool:
         """Whether the difference is within the tolerance, or within rounding; false for NaN."""
-        return bool(
-            (self.relative if self.is_relative else self.absolute) <= self.tolerance
-            or self.absolute <= ROUNDINGS * self.rounding
-        )
+        tolerance = self.tolerance * (self.scale if self.is_relative else 1.0)
+        return bool(self.absolute <= max(tolerance, ROUNDINGS * self.rounding))
 
 
 class Comparison:

@@ -1,6 +1,7 @@
 """Trims are equilibria of the Rust plant, within limits, and say what is in the way where there is none."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,8 @@ from scipy.spatial.transform import Rotation
 from experiments import Refused
 from experiments.studies.trim import study as experiment
 from jax_aero import places, rust
+from jax_aero.symbolic import MomentumModel, load_robot
+from jax_aero.symbolic.trim import Trim, TrimSettings
 from paper_figs.figures import FIGURES
 from tests.measurements import measured
 
@@ -135,6 +138,23 @@ def test_without_an_arm_jet_the_others_hold_the_robot(free, flight, monkeypatch)
     np.testing.assert_allclose(result.thrust, [0.0, 160.0, 180.1, 86.1], atol=0.1)
     imbalance, _ = rust_imbalance(flight, result, (0.0, 0.0, 0.0))
     assert abs(imbalance).max() < 1e-4  # N, N m; IPOPT's tolerance is 1e-8 of 100 N
+
+
+def test_a_robot_without_joints_and_links_has_a_trim(agree):
+    """The platform: six thrusts and two angles for six equations, with a plate or with nothing near the exhausts."""
+    platform = load_robot(ROOT / "configs/robot/platform.toml")
+    level = {"roll": (-0.1, 0.1), "pitch": (-0.1, 0.1), "yaw": 0.0, "margin_min": 0.05}
+    weights = {"posture_weight": 1.0, "spread_weight": 1.0}
+    exhausts = {"clearance_min": -1.0, "plume_length": 1.0}
+    nothing = np.zeros(0)
+    settings = TrimSettings(nothing, (), torque_max=nothing, **level, **exhausts, **weights)
+    for robot in (platform, replace(platform, aero_links=())):
+        trim = Trim(MomentumModel(robot, {"model": "off"}), settings)
+        result = trim.solve((0.0, 0.0, 0.0))
+        assert result.feasible, result.message
+        assert np.isinf(result.clearance) == (not robot.aero_links)
+        agree("thrust", result.thrust, np.full(6, 31.329), 1e-3)
+        assert "greatest joint torque             0.00 N m" in experiment.report(trim, result)
 
 
 def test_the_command_line(capsys):

@@ -5,13 +5,15 @@ import tomllib
 import xml.etree.ElementTree as ET
 from itertools import product
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from experiments import Refused
-from experiments.robot import command, shapes, skeleton
-from jax_aero import mesh
+from experiments.robot import command, scenario, shapes, skeleton
+from jax_aero import mesh, places
+from jax_aero.result import FlightResult
 from jax_aero.symbolic import load_robot
 from jax_aero.urdf import IDENTITY, read_urdf
 
@@ -54,11 +56,83 @@ def test_meshes_named_by_package_give_the_sizes_of_links(tmp_path, stl, agree, m
     measured("diameter", abs(link["diameter"] - np.sqrt(0.7 * 0.6)), 1e-4)
     assert np.abs(result.trim.residual).max() < 1e-6
     assert result.hover.outcome == "completed"
-    for name in ("robot", "controller", "hover"):
-        path = tmp_path / "out" / f"{name}.toml"
+    files = list((tmp_path / "out").iterdir())
+    assert len(files) == 3
+    for path in files:
         first = path.read_text(encoding="utf-8").splitlines()[0]
         assert (path.parent / first.removeprefix("#:schema ")).is_file()
     assert result.hover.summary["max_com_error"] < 0.01
+
+
+RAFT = """<robot name="raft">
+  <link name="deck">
+    <inertial><mass value="6"/><inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.2"/></inertial>
+  </link>
+  <link name="keel">
+    <inertial><origin xyz="0 0 -0.3"/><mass value="1"/>
+      <inertia ixx="0.03" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.001"/></inertial>
+  </link>
+  <joint name="hinge" type="revolute">
+    <parent link="deck"/><child link="keel"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="1" effort="30" velocity="0.5"/>
+  </joint>
+  {nozzles}
+</robot>"""
+"""A deck with a keel and nozzles in its corners, without any geometry."""
+
+
+def nozzle(name, place, tilt=0.0):
+    """Return a nozzle on the deck that pushes upwards, tilted about y [rad]."""
+    origin = f'<origin xyz="{place[0]} {place[1]} 0" rpy="0 {tilt} 0"/>'
+    ends = f'<parent link="deck"/><child link="{name}"/>'
+    return f'<link name="{name}"/><joint name="{name}_mount" type="fixed">{ends}{origin}</joint>'
+
+
+@pytest.mark.parametrize(("tilt", "forward"), [(0.15, "x"), (-0.15, "-x")])
+def test_a_robot_that_hovers_nose_up_holds_its_trim(tmp_path, tilt, forward, measured, agree):
+    corners = {f"n{k}": place for k, place in enumerate(product((-0.3, 0.3), (-0.3, 0.3)))}
+    nozzles = "".join(nozzle(name, place, tilt) for name, place in corners.items())
+    (tmp_path / "raft.urdf").write_text(RAFT.format(nozzles=nozzles))
+    jets = [skeleton.Thruster(name, "z", 40.0) for name in corners]
+    result = command.import_robot(tmp_path / "raft.urdf", tmp_path / "out", jets=jets, forward=forward, name="my raft")
+    assert result.hover.outcome == "completed"
+    measured("distance", result.hover.summary["max_com_error"], 1e-6)
+    measured("rotation", result.hover.summary["max_rotation_error"], 1e-6)
+    table = tomllib.loads((tmp_path / "out" / "controller.toml").read_text())
+    # The force is upright where the base leans against the tilt.
+    lean = np.degrees(-0.15)
+    agree("limits", table["setpoint"]["nose_down_limits_deg"], [lean, lean + 30.0], 1e-3)
+    agree("velocity", table["bounds"]["joint_velocity_max_deg"], np.degrees(0.5), 1e-9)
+    assert "torque_rate_max" not in table["torque"]
+    # The keel's share in the angular momentum is its inertia about the centre of mass of both.
+    share = 0.03 + 6.0 / 7.0 * 0.3**2
+    agree("angular momentum", table["weights"]["angular_momentum"], scenario.JOINT_MOMENTUM / share**2, 1e-6 / share**2)
+    agree("momentum", table["weights"]["momentum"], 10.0 * (43.3 / 7.0) ** 2, 1e-9)
+    assert [path.name for path in (tmp_path / "out").glob("*_hover.toml")] == [
+        f"{places.file_name('my raft')}_hover.toml"
+    ]
+    assert tomllib.loads((tmp_path / "out" / "robot.toml").read_text())["name"] == "my raft"
+
+
+@pytest.mark.parametrize(("along", "missed"), [(0.0, None), (0.1, "moment balance along y")])
+def test_one_jet_on_one_link_has_a_trim_or_the_missed_balance_is_named(tmp_path, capsys, along, missed):
+    root = ET.fromstring(RAFT.format(nozzles=nozzle("n", (along, 0.0))))
+    for spare in [*root.findall("link[@name='keel']"), *root.findall("joint[@name='hinge']")]:
+        root.remove(spare)
+    ET.ElementTree(root).write(tmp_path / "disc.urdf")
+    words = [str(tmp_path / "disc.urdf"), "--jet", "n:z:90", "--out", str(tmp_path / "out")]
+    assert command.main(words) == (0 if missed is None else 1)
+    printed = capsys.readouterr().out
+    assert ("hover                completed" if missed is None else f"{missed} missed by") in printed
+
+
+def test_of_a_flight_lost_before_it_settles_no_distance_is_reported(tmp_path):
+    flight = FlightResult(
+        {}, np.zeros(0), "fell", 2.0, "CoM error", {"max_com_error": np.nan, "max_rotation_error": 0.1}
+    )
+    trim = SimpleNamespace(message="found", residual=np.zeros(6), margin=0.1, thrust=np.ones(1))
+    said = command.report(command.ImportResult(tmp_path, trim, flight, None))
+    assert "hover                fell at 2.0 s (CoM error); attitude within 5.73 deg" in said
 
 
 def test_the_sparrows_urdf_becomes_a_robot_that_flies(tmp_path, capsys):
@@ -68,7 +142,7 @@ def test_the_sparrows_urdf_becomes_a_robot_that_flies(tmp_path, capsys):
     assert command.main(words) == 0
     printed = capsys.readouterr().out
     assert "Solve_Succeeded" in printed
-    assert "completed" in printed
+    assert "hover                completed; CoM within 0.0 mm; attitude within 0.00 deg" in printed
     table = tomllib.loads((tmp_path / "sparrow" / "robot.toml").read_text())
     names = [joint["name"] for group in table["joint_groups"] for joint in group["joints"]]
     assert sorted(names) == ["l_hip", "l_shoulder", "r_hip", "r_shoulder", "waist"]

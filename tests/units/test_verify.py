@@ -27,6 +27,37 @@ def test_the_worst_sample_counts_against_the_greatest_answer():
     assert not relative.agrees
 
 
+def test_a_small_error_in_a_quantity_that_vanishes_is_found():
+    """Where the jets carry the weight, lift minus weight is rounding: a relative tolerance has nothing to refer to."""
+    config = rust.load_config("platform_hover", {"simulator.duration": 0.02})
+    (sample,) = verify.recorded_samples(config, rust.fly(config), 1)
+    robot = rust.Robot(config["robot"])
+    weight = robot.mass * robot.gravity
+    sample = replace(sample, thrust=np.full(6, weight / verify._crate_tick(config, sample).jet_axes[:, 2].sum()))
+    rounded = verify.round_sample(np.random.default_rng(0), sample)
+    theirs, nearby = (verify._crate_tick(config, near).momentum_rate_estimate[2] for near in (sample, rounded))
+    assert abs(theirs) < 1e-15 * weight
+    for error, agrees in ((0.0, True), (2.0 * np.spacing(weight), True), (1e-13 * weight, False), (np.nan, False)):
+        comparison = verify.Comparison()
+        comparison.add("recorded", "momentum_rate_estimate", theirs + error, theirs, 1e-10, rounded=nearby)
+        assert comparison.rows[0].agrees == agrees, error
+
+
+def test_a_sample_is_rounded_in_every_number_that_is_not_zero():
+    sample = verify.random_samples(rust.load_config("test2"), 1)[0]
+    rounded = verify.round_sample(np.random.default_rng(0), sample)
+    pairs = [
+        *zip(sample.state, rounded.state, strict=True),
+        (sample.thrust, rounded.thrust),
+        (sample.wind, rounded.wind),
+    ]
+    pairs += [(value, getattr(rounded.setpoint, name)) for name, value in vars(sample.setpoint).items()]
+    pairs += zip(sample.memory, rounded.memory, strict=True)
+    for value, other in pairs:
+        assert np.any(value != other)
+        assert np.abs(value - other).max() <= 4.0 * np.spacing(np.abs(value).max())
+
+
 def test_rotations_are_compared_on_the_crates_branch(agree):
     quaternions = np.array([[1.0, 0, 0, 0], [0.6, 0.8, 0, 0]])
     same = verify._match_branch("base_quaternion", quaternions * np.array([[1.0], [-1.0]]), quaternions)
@@ -72,6 +103,9 @@ def test_random_states_have_joints_between_their_limits():
     # Of 50 the chance that none is in an outer fifth is 1e-5.
     assert np.all(share.min(axis=0) < 0.2)
     assert np.all(share.max(axis=0) > 0.8)
+    (without,) = verify.random_states(np.random.default_rng(1), [], 1)
+    assert np.shape(without.joint_position) == (0,)
+    assert np.shape(without.velocity) == (6,)
 
 
 def test_networks_are_compared_in_double_precision():
@@ -110,8 +144,9 @@ def test_the_command_compares_robot_ticks_and_flight(compared, tmp_path, capsys)
     assert command.main(words) == 0
     assert [call[1:] for call in calls] == [(7, "tree", 3), (("random", 7, 3),), (("the crate's", 7),)]
     printed = capsys.readouterr().out
-    assert "| dynamics | bias                       |  1.0e-11 |  1.0e-11 | 1e-10 rel     | agrees    |" in printed
-    assert "| flight   | wind                       |  0.0e+00 |  0.0e+00 | 1e-06 abs     | agrees    |" in printed
+    row = "| {:8} | {:26} | {:8} | {:8} |  0.0e+00 | {}     | agrees    |".format
+    assert row("dynamics", "bias", " 1.0e-11", " 1.0e-11", "1e-10 rel") in printed
+    assert row("flight", "wind", " 0.0e+00", " 0.0e+00", "1e-06 abs") in printed
     assert "4 of 4 quantities agree" in printed
     document = json.loads((tmp_path / "verify.json").read_text())
     assert [row["agrees"] for row in document["rows"]] == [True] * 4
@@ -124,6 +159,32 @@ def test_the_command_compares_robot_ticks_and_flight(compared, tmp_path, capsys)
     printed = capsys.readouterr().out
     assert "DISAGREES" in printed
     assert "2 of 4 quantities agree" in printed
+
+
+def test_the_result_of_another_comparison_is_kept(compared, tmp_path, capsys):
+    words = ["--config", "test1", "--states", "7", "--out", str(tmp_path)]
+    assert command.main(words) == 0
+    others = [["--config", "test2"], ["--states", "8"], ["--seed", "1"], ["--set", "simulator.duration=1"]]
+    robots = [["--robot", str(command.places.CONFIGS / "robot" / f"{name}.toml")] for name in ("platform", "sparrow")]
+    before = (tmp_path / "verify.json").read_bytes()
+    for other in others:
+        assert command.main([*words, *other]) == 2
+        assert "is the result of another comparison; choose another --out" in capsys.readouterr().err
+    assert (tmp_path / "verify.json").read_bytes() == before
+    assert len(compared[0]) == 3  # refused before anything is compared
+    assert command.main([*robots[0], "--out", str(tmp_path), "--overwrite"]) == 0
+    assert command.main([*robots[0], "--out", str(tmp_path)]) == 0
+    assert command.main([*robots[1], "--out", str(tmp_path)]) == 2
+
+
+def test_results_of_robots_are_named_after_them(monkeypatch, tmp_path):
+    monkeypatch.setattr(command.places, "RESULTS", tmp_path)
+    text = (command.places.CONFIGS / "robot" / "platform.toml").read_text().replace('"platform.urdf"', '"robot.urdf"')
+    (tmp_path / "robot.toml").write_text(text.replace("name = ", 'name = "my robot" # ', 1))
+    (tmp_path / "robot.urdf").write_text((command.places.CONFIGS / "robot" / "platform.urdf").read_text())
+    folder, facts = command._subject(command._parse(["--robot", str(tmp_path / "robot.toml")]), None)
+    assert folder == tmp_path / "verify" / command.places.file_name("my robot")
+    assert facts["robot"] == "my robot"
 
 
 def test_a_robot_alone_is_compared_without_a_flight(compared, tmp_path):

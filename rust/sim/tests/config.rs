@@ -10,7 +10,7 @@ use flight_core::control::law::momentum::RateFeedback;
 use flight_io::{AeroConfig, ControllerSection, MissionConfig, Schema, from_value, load, load_aero};
 use flight_sim::disturbances::WindEstimateConfig;
 use flight_sim::jets::JetsConfig;
-use flight_sim::{Scenario, ScenarioConfig, SimulatorConfig, Wind, WindConfig, load_scenario};
+use flight_sim::{Engine, Scenario, ScenarioConfig, SimulatorConfig, Wind, WindConfig, load_scenario};
 use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
@@ -418,14 +418,34 @@ fn every_wind_file_is_a_wind() {
     }
 }
 
-/// Every experiment loads, says what it is, and can be flown.
+/// Every experiment loads, says what it is, and can be flown as it is meant.
 #[test]
 fn every_experiment_file_is_a_flight() {
     for file in files("experiments") {
         let config = load_scenario(&file).unwrap();
         assert!(!config.title.is_empty() && !config.description.is_empty(), "{}", file.display());
-        Scenario::check(&config).unwrap();
+        assert_eq!(Scenario::check(&config).unwrap(), [""; 0], "{}", file.display());
     }
+}
+
+/// A start from which commands turn the set-point into its limits at once is warned of, of every engine; a recording
+/// has no limits. Facing +x, this robot leans backward with a positive pitch of its base.
+#[test]
+fn a_start_outside_the_limits_of_the_set_point_is_warned_of() {
+    let warnings = |name: &str, engine: Engine, pitch: f64| {
+        let mut config = experiment(name);
+        (config.engine, config.simulator.initial.base_rpy_deg[1]) = (engine, pitch);
+        Scenario::check(&config).unwrap()
+    };
+    for engine in [Engine::Rust, Engine::Jax] {
+        for (pitch, count) in [(0.0, 0), (-30.0, 0), (-30.1, 1), (10.0, 1)] {
+            assert_eq!(warnings("test2", engine, pitch).len(), count, "{pitch}");
+        }
+    }
+    let said = &warnings("test2", Engine::Rust, 10.0)[0];
+    assert!(said.starts_with("simulator.initial.base_rpy_deg has a nose-down pitch of -10.000 deg"), "{said}");
+    assert_eq!(warnings("take_off", Engine::Mujoco, 10.0).len(), 1);
+    assert!(warnings("min_time", Engine::Rust, 10.0).is_empty());
 }
 
 /// What is written out is read back the same: a manifest holds the whole flight.
