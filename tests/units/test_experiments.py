@@ -58,6 +58,21 @@ def test_the_manifest_says_all_and_names_no_path_of_this_machine(flown, tmp_path
     assert not re.search(r'"/', text)
 
 
+def test_what_is_probably_not_meant_is_printed_and_stored(flown, tmp_path, capsys):
+    for pitch, count in ((10, 1), (-10, 0)):
+        words = [
+            "test2",
+            "--set",
+            f"simulator.initial.base_rpy_deg=[0,{pitch},180]",
+            "--out",
+            str(tmp_path / str(pitch)),
+        ]
+        assert main(words) == 0
+        stored = json.loads((tmp_path / str(pitch) / "test2" / "manifest.json").read_text())["warnings"] or []
+        assert len(stored) == count
+        assert capsys.readouterr().err == "".join(f"warning: {warning}\n" for warning in stored)
+
+
 def test_an_equal_result_is_kept_and_another_one_protected(flown, tmp_path, capsys):
     out = ["--out", str(tmp_path)]
     assert main(["test1", *out]) == 0

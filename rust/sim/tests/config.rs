@@ -443,7 +443,10 @@ fn a_start_outside_the_limits_of_the_set_point_is_warned_of() {
         }
     }
     let said = &warnings("test2", Engine::Rust, 10.0)[0];
-    assert!(said.starts_with("simulator.initial.base_rpy_deg has a nose-down pitch of -10.000 deg"), "{said}");
+    assert!(
+        said.starts_with("simulator.initial.base_rpy_deg has a nose-down pitch of -10.000 deg"),
+        "{said}"
+    );
     assert_eq!(warnings("take_off", Engine::Mujoco, 10.0).len(), 1);
     assert!(warnings("min_time", Engine::Rust, 10.0).is_empty());
 }
