@@ -210,7 +210,8 @@ impl RobotFiles {
     /// # Errors
     /// [`BuildError`] naming the link.
     pub fn shapes(&self) -> Result<Vec<Shape>, BuildError> {
-        shapes::shapes(&self.urdf).map_err(|error| BuildError::malformed(&self.origin, error))
+        let origin = || format!("{}: urdf", self.origin);
+        shapes::shapes(&self.urdf).map_err(|error| BuildError::malformed(origin(), error))
     }
 }
 
