@@ -24,6 +24,7 @@ IPOPT: dict[str, Any] = {
     "ipopt.tol": 1e-10,
     "ipopt.constr_viol_tol": 1e-10,
     "ipopt.acceptable_iter": 0,
+    "ipopt.perturb_always_cd": "yes",  # some equations are redundant, e.g. the moment about the axis of parallel jets
     "ipopt.max_iter": 400,
     "print_time": False,
     "error_on_fail": False,

@@ -114,6 +114,17 @@ def test_a_robot_that_hovers_nose_up_holds_its_trim(tmp_path, tilt, forward, mea
     assert tomllib.loads((tmp_path / "out" / "robot.toml").read_text())["name"] == "my raft"
 
 
+def test_the_trim_keeps_joints_from_their_limits(tmp_path):
+    """Of parallel jets none turns the raft about the vertical, so one of the six equations is redundant."""
+    corners = {f"n{k}": place for k, place in enumerate(product((-0.3, 0.3), (-0.3, 0.3)))}
+    nozzles = "".join(nozzle(name, place) for name, place in corners.items())
+    (tmp_path / "raft.urdf").write_text(RAFT.format(nozzles=nozzles))
+    jets = [skeleton.Thruster(name, "z", 40.0) for name in corners]
+    result = command.import_robot(tmp_path / "raft.urdf", tmp_path / "out", jets=jets, posture_deg={"hinge": 60.0})
+    assert result.trim.message == "Solve_Succeeded"
+    assert 0.85 < result.trim.joint_position[0] <= 1.0 - 2.0 * command.RESERVE  # of a range from -1 to 1
+
+
 @pytest.mark.parametrize(("along", "missed"), [(0.0, None), (0.1, "moment balance along y")])
 def test_one_jet_on_one_link_has_a_trim_or_the_missed_balance_is_named(tmp_path, capsys, along, missed):
     root = ET.fromstring(RAFT.format(nozzles=nozzle("n", (along, 0.0))))
