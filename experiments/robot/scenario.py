@@ -93,7 +93,7 @@ def scenario_text(robot: Robot, trim: TrimResult, folder: Path, *, mission: str,
         return tables.toml_value(_relative_path(places.CONFIGS / kind / f"{name}.toml", folder))
 
     return f"""title = {tables.toml_value(f"{robot.name}: {mission} in wind {wind}")}
-description = "Starts in the trim that import-robot found."
+description = "Starts in the trim that `jax-aero robot import` found."
 robot = "robot.toml"
 controller = {{ base = "controller.toml" }}
 mission = {{ base = {path_of("mission", mission)} }}
