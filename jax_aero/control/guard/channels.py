@@ -86,13 +86,13 @@ class Layout:
         """Return the index of the channel with these entries."""
         return int(self.owner[entries.start])
 
-    def flatten(self, state: State, thrust: Array, wind: Array) -> Array:
-        """Return the numbers (E,) of a measurement."""
+    def flatten(self, state: State, thrust: Float[Array, " j"], wind: Float[Array, "3"]) -> Float[Array, " E"]:
+        """Return the numbers of a measurement."""
         joints = (state.joint_position, state.velocity[6:])
         base = (state.velocity[:6], state.base_position, state.base_rotation.reshape(9))
         return jnp.concatenate([wind, thrust, *joints, *base])
 
-    def parts(self, numbers: Array) -> tuple[State, Array]:
+    def parts(self, numbers: Float[Array, " E"]) -> tuple[State, Float[Array, " j"]]:
         """Return state and thrusts of the numbers of a measurement."""
         state = State(
             base_position=numbers[self.position],
@@ -103,7 +103,7 @@ class Layout:
         return state, numbers[self.thrust]
 
     @classmethod
-    def of(cls, state: State, thrust: Array) -> Layout:
+    def of(cls, state: State, thrust: Float[Array, " j"]) -> Layout:
         """Return the layout of measurements of these sizes."""
         return cls(thrust.shape[0], state.joint_position.shape[0])
 

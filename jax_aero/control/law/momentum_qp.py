@@ -100,9 +100,7 @@ class Task(Protocol):
         ...
 
 
-def momentum_qp(
-    tasks: Sequence[Rows | Diagonal], lower: Float[Array, " j+n"], upper: Float[Array, " j+n"]
-) -> MomentumQp:
+def momentum_qp(tasks: Sequence[Rows | Diagonal], lower: Float[Array, " u"], upper: Float[Array, " u"]) -> MomentumQp:
     """Build the QP of one tick from its tasks, those of momentum first, and the bounds of the unknowns."""
     h, g = _cost(tasks, lower.shape[0])
     momentum = [task for task in tasks[:MOMENTUM_TASKS] if isinstance(task, Rows)]

@@ -217,8 +217,10 @@ def keep_small(params: TaskParams, inputs: TaskInputs) -> tuple[Diagonal, ...]:
     )
 
 
-def unknown_bounds(params: TaskParams, limits: Limits, inputs: TaskInputs) -> tuple[Array, Array]:
-    """Return lower and upper bounds (j+n,) of the unknowns, which keep thrusts and joints in their ranges (M65)."""
+def unknown_bounds(
+    params: TaskParams, limits: Limits, inputs: TaskInputs
+) -> tuple[Float[Array, " u"], Float[Array, " u"]]:
+    """Return lower and upper bounds of the unknowns, which keep thrusts and joints in their ranges (M65)."""
     jets = rate_bounds(
         inputs.thrust, limits.thrust_least, limits.thrust_greatest, params.thrust_rate_max, params.thrust_steepness
     )
