@@ -3,7 +3,6 @@
 use crate::disturbances::Disturbances;
 use crate::ground::{GroundConfig, MotorsConfig};
 use crate::jets::JetsConfig;
-use crate::scenario::Scenario;
 use crate::sensors::SensorsConfig;
 use crate::wind::WindConfig;
 use flight_core::Controller;
@@ -14,13 +13,11 @@ use flight_core::kinematics::RobotState;
 use flight_core::robot::RobotModel;
 use flight_core::spatial::{Pose, rotation_from_rpy};
 use flight_io::{
-    AeroConfig, ControllerSection, MissionConfig, RobotFile, Schema, load, load_aero, load_changed,
-    load_mission,
+    AeroConfig, ControllerSection, MissionConfig, RobotFile, Schema, load, load_aero, load_mission,
 };
 use nalgebra::{DVector, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
 use std::path::{Path, PathBuf};
 
 /// One flight: robot, simulator, controller, mission, wind and disturbances.
@@ -74,20 +71,6 @@ impl ScenarioConfig {
 /// As [`load`], for unknown, missing or mistyped keys.
 pub fn load_scenario(path: &Path) -> Result<ScenarioConfig, BuildError> {
     load(path)
-}
-
-/// As [`load_scenario`], with `changes` of dotted keys, and with a check that its engine can fly it,
-/// which returns [warnings](Scenario::warnings).
-///
-/// # Errors
-/// As [`load_changed`] and [`Scenario::check`].
-pub fn load_flyable(
-    path: &Path,
-    changes: &[(String, Value)],
-) -> Result<(ScenarioConfig, Vec<String>), BuildError> {
-    let mut warnings = Vec::new();
-    let check = |config: &_| Scenario::check(config).map(|found| warnings = found);
-    load_changed(path, changes, check).map(|config| (config, warnings))
 }
 
 /// The schemas of all files, by folder of `configs/`.

@@ -25,12 +25,12 @@ pub mod wind;
 
 #[cfg(feature = "threads")]
 pub use batch::{BatchError, fly_batch};
-pub use config::{Engine, ScenarioConfig, SimulatorConfig, load_flyable, load_scenario, schemas};
+pub use config::{Engine, ScenarioConfig, SimulatorConfig, load_scenario, schemas};
 pub use disturbances::Disturbances;
 pub use log::FlightLog;
 pub use outcome::{FlightResult, Loss, LossReason, Outcome};
 pub use plant::Plant;
-pub use scenario::{Flight, Interrupted, Scenario};
+pub use scenario::{Flight, Interrupted, Scenario, load_flyable};
 pub use sensors::{Sensors, SensorsConfig};
 pub use signals::SIGNALS;
 pub use summary::{Summary, figures};

@@ -28,11 +28,12 @@ use flight_core::aero::LeverArm;
 use flight_core::control::{Controller, ControllerState, Measurement};
 use flight_core::error::BuildError;
 use flight_core::robot::RobotModel;
-use flight_io::load_robot;
+use flight_io::{load_changed, load_robot};
 use nalgebra::{Vector3, Vector6};
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::ops::ControlFlow;
+use std::path::Path;
 
 /// A flight that is ready to start.
 #[derive(Debug)]
@@ -368,6 +369,20 @@ impl Flight {
         let summary = self.summary();
         FlightResult { outcome: self.outcome(&summary), loss: self.loss, log: self.log, summary }
     }
+}
+
+/// As [`load_scenario`](crate::load_scenario), with `changes` of dotted keys, and with a check that its engine can fly
+/// it, which returns [warnings](Scenario::warnings).
+///
+/// # Errors
+/// As [`load_changed`] and [`Scenario::check`].
+pub fn load_flyable(
+    path: &Path,
+    changes: &[(String, Value)],
+) -> Result<(ScenarioConfig, Vec<String>), BuildError> {
+    let mut warnings = Vec::new();
+    let check = |config: &_| Scenario::check(config).map(|found| warnings = found);
+    load_changed(path, changes, check).map(|config| (config, warnings))
 }
 
 /// Refuses what MuJoCo does not simulate.
