@@ -11,6 +11,7 @@ mod shapes;
 mod tree;
 mod urdf;
 
+use crate::files::absolute_path;
 use crate::toml::{from_value, parse};
 use crate::{read_bytes, read_text};
 use flight_core::error::{BuildError, place_of};
@@ -188,20 +189,20 @@ impl RobotFiles {
     /// physically impossible.
     pub fn load(&self) -> Result<LoadedRobot, BuildError> {
         let file = parse_toml(&self.toml, &self.origin)?;
-        let origin = format!("{}: urdf `{}`", self.origin, file.urdf);
-        let malformed = |error: &dyn std::fmt::Display| BuildError::malformed(&origin, error);
-        let urdf = Urdf::read(&self.urdf).map_err(|error| malformed(&error))?;
+        let origin = self.urdf_path(&file);
+        let of_both = |error: BuildError| error.in_context(&self.origin);
+        let urdf = Urdf::read(&self.urdf).map_err(|error| of_both(BuildError::malformed(&origin, error)))?;
         let order: Vec<&str> = file
             .joint_groups
             .iter()
             .flat_map(|group| &group.joints)
             .map(|joint| joint.name.as_str())
             .collect();
-        let tree =
-            tree::build(&urdf, &file.base_link, &order, &file.locked).map_err(|error| malformed(&error))?;
+        let tree = tree::build(&urdf, &file.base_link, &order, &file.locked)
+            .map_err(|error| of_both(error.in_file(&origin)))?;
         let warnings = tree.warnings.iter().map(|warning| format!("{origin}: {warning}")).collect();
         let (links, held) = (tree.places.clone(), tree.held.clone());
-        let model = model(file, tree).map_err(|error| BuildError::malformed(&self.origin, error))?;
+        let model = model(file, tree).map_err(|error| error.in_file(&self.origin))?;
         Ok(LoadedRobot { model, links, held, warnings })
     }
 
@@ -210,8 +211,14 @@ impl RobotFiles {
     /// # Errors
     /// [`BuildError`] naming the link.
     pub fn shapes(&self) -> Result<Vec<Shape>, BuildError> {
-        let origin = || format!("{}: urdf", self.origin);
-        shapes::shapes(&self.urdf).map_err(|error| BuildError::malformed(origin(), error))
+        let file = parse_toml(&self.toml, &self.origin)?;
+        shapes::shapes(&self.urdf).map_err(|error| BuildError::malformed(self.urdf_path(&file), error))
+    }
+
+    /// The URDF's path; named in errors.
+    fn urdf_path(&self, file: &RobotFile) -> String {
+        let path = Path::new(&self.origin).with_file_name(&file.urdf);
+        absolute_path(&path).unwrap_or(path).display().to_string()
     }
 }
 

@@ -253,7 +253,7 @@ fn tags_that_nest_deeply_are_refused() {
     let load = |depth| robot_from_text(&toml, &urdf.replacen("</robot>", &nested(depth), 1), "sparrow.toml");
     assert!(load(63).is_ok());
     let message = load(20_000).unwrap_err().to_string();
-    assert!(message.contains("`sparrow.urdf`: tags nest more than 64 deep"), "{message}");
+    assert!(message.contains("sparrow.urdf: tags nest more than 64 deep"), "{message}");
 }
 
 /// A moving body needs mass and inertia, though a link of it may lack them.
