@@ -13,7 +13,6 @@ import importlib
 import json
 import re
 import sys
-import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -250,19 +249,16 @@ def _references(node: Any) -> Iterator[str]:
 HEADER = f'''"""Types of a flight's configuration; `docs/reference/configuration.md` describes every key.
 
 Made {MADE}: not to be edited.
-A flight's are filled from what the crate has checked (`jax_aero.io`).
+They are filled from what the crate has checked (`jax_aero.io`).
 """
 
 # ruff: noqa: D101, N815
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Literal, TypeAlias
 
 from msgspec import Struct, field
-
-from jax_aero.tables import Positive, Table
 '''
 
 KEYWORDS = ("lambda",)
@@ -352,15 +348,6 @@ def _annotation(node: Node) -> tuple[str, bool]:
     else:
         kind = {"number": "float", "integer": "int"}[node["type"]]
     return f"{kind} | None" if nullable else kind, nullable
-
-
-def _quote(text: str, indent: int) -> str:
-    space = " " * indent
-    parts = [textwrap.fill(part, 116 - indent, break_long_words=False) for part in text.split("\n")]
-    whole = "\n".join(parts)
-    end = f"\n{space}" if "\n" in whole else ""
-    body = "\n".join(f"{space}{line}" if line else "" for line in whole.split("\n")).strip()
-    return f'{space}"""{body}{end}"""\n'
 
 
 def _prose(text: str) -> str:

@@ -1,7 +1,7 @@
-"""Types of a flight's and a robot's configuration; `docs/reference/configuration.md` describes every key.
+"""Types of a flight's configuration; `docs/reference/configuration.md` describes every key.
 
 Made by `python -m experiments.schema` from the crate's types: not to be edited.
-A flight's are filled from what the crate has checked (`jax_aero.io`).
+They are filled from what the crate has checked (`jax_aero.io`).
 """
 
 # ruff: noqa: D101, N815
@@ -522,4 +522,3 @@ class ScenarioConfig(Struct, frozen=True, kw_only=True):
     simulator: SimulatorConfig
     title: str = ""
     wind: WindConfig
-    """The simulated wind; the controller also receives it, unless `disturbances` states otherwise."""
