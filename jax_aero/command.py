@@ -131,8 +131,8 @@ class Printable:
 @contextmanager
 def printable_output() -> Iterator[None]:
     """Make output and errors printable during the block."""
-    output: Any = Printable(sys.stdout)
-    errors: Any = Printable(sys.stderr)
+    output: Any = sys.stdout and Printable(sys.stdout)  # none where it is closed
+    errors: Any = sys.stderr and Printable(sys.stderr)
     with redirect_stdout(output), redirect_stderr(errors):
         yield
 
@@ -157,18 +157,18 @@ def run_with_output(work: Callable[[], int]) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
             stream.reconfigure(errors="replace")
-    try:
+    with printable_output():
         try:
-            with printable_output():
+            try:
                 return work()
-        finally:
-            print(end="", flush=True)  # errors of buffered output occur here rather than after the exit
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return INTERRUPTED
-    except OSError as reason:  # such as a full disk or a read-only folder
-        _discard_unwritable_output()
-        return CLOSED if isinstance(reason, BrokenPipeError) else refuse(one_line(reason))
+            finally:
+                print(end="", flush=True)  # errors of buffered output occur here rather than after the exit
+        except KeyboardInterrupt:
+            print("interrupted", file=sys.stderr)
+            return INTERRUPTED
+        except OSError as reason:  # such as a full disk or a read-only folder
+            _discard_unwritable_output()
+            return CLOSED if isinstance(reason, BrokenPipeError) else refuse(one_line(reason))
 
 
 def _discard_unwritable_output() -> None:

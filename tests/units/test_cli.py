@@ -221,6 +221,12 @@ def test_a_closed_pipe_ends_a_command_as_its_signal_would(words, size, monkeypat
     assert capsys.readouterr().err == ""
 
 
+def test_a_command_without_an_output_prints_nothing(monkeypatch):
+    """As with `>&-`."""
+    monkeypatch.setattr(sys, "stdout", None)
+    assert cli.main(["--help"]) == 0
+
+
 @pytest.mark.parametrize(("encoding", "shown"), [("ascii", "? m? ?\n"), ("utf-8", "α m² ?\n")])
 def test_characters_that_the_output_cannot_show_are_replaced(encoding, shown, monkeypatch):
     """Among them bytes of a file's name that are not UTF-8."""
