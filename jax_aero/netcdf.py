@@ -54,8 +54,8 @@ def check(path: Path) -> None:
             count = max(_count(variable.shape), _count(variable.chunks))  # a chunk is unpacked as a whole
             letters += _letters_of_attributes(variable, status.st_size)
             if variable.dtype.hasobject:
-                if h5py.check_string_dtype(variable.dtype) is None or len(variable.shape) > 1:
-                    raise ValueError(f"`{name}` holds {variable.dtype}; expected numbers, or texts in one dimension")
+                if h5py.check_string_dtype(variable.dtype) is None:
+                    raise ValueError(f"`{name}` holds {variable.dtype}; expected numbers or texts")
                 _expect(f"texts of `{name}`", count, MAX_TEXTS)
                 letters = _add_letters(letters, variable, status.st_size)
             else:
@@ -89,8 +89,10 @@ def _letters_of_attributes(owner: Any, file_size: int) -> int:
 
 
 def _add_letters(letters: int, variable: Any, file_size: int) -> int:
-    few = max(MAX_LETTERS // file_size, 1)
-    for start in range(0, variable.size, few):
+    rows, row = (variable.shape or (1,))[0], math.prod(variable.shape[1:])
+    _expect(f"letters in a row of `{variable.name}`", row * file_size, MAX_SIZE)
+    few = max(MAX_LETTERS // file_size // max(row, 1), 1)
+    for start in range(0, rows, few):
         letters += sum(map(len, np.ravel(variable[start : start + few] if variable.shape else variable[()])))
         _expect("letters", letters, MAX_LETTERS)
     return letters

@@ -538,10 +538,7 @@ def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None =
 
 
 def check_config(config: Mapping[str, Any]) -> None:
-    """Raise `ConfigError`, naming key, value and what was expected, unless the configuration can be flown.
-
-    What can be flown but is probably not meant raises a `UserWarning`.
-    """
+    """Raise `ConfigError`, naming key, value and what was expected, unless the configuration can be flown."""
     _core.check_config(_to_json(config))
 
 

@@ -218,7 +218,7 @@ def test_a_task_names_what_it_does_not_know():
 
 
 def test_a_wind_that_is_not_finite_is_refused_by_its_key():
-    with pytest.raises(ValueError, match=r"`wind\.velocity\.1` is nan; expected a finite number"):
+    with pytest.raises(ValueError, match=r"`wind\.velocity\.1` is NaN; expected a finite number"):
         HoverEnv().reset(options={"wind": [0.0, np.nan, 0.0]})
 
 

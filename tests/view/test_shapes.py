@@ -80,7 +80,7 @@ DAE = """<?xml version="1.0"?>
 def test_meshes_of_three_formats_are_drawn(tmp_path, monkeypatch):
     pytest.importorskip("trimesh")
     pytest.importorskip("collada")
-    package = tmp_path / "shared" / "bird"
+    package = tmp_path / "packages" / "bird"
     package.mkdir(parents=True)
     texts = {"a.stl": STL, "b.obj": OBJ, "c.dae": DAE}
     for name, text in texts.items():

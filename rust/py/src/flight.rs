@@ -72,7 +72,7 @@ fn parse_changes(changes_json: &str) -> PyResult<Vec<(String, Value)>> {
 }
 
 /// Read a flight configuration with its base files, set dotted keys (a list of pairs) and check it; return JSON that
-/// states every default.
+/// states every default. Warns of what can be flown but is probably not meant.
 #[pyfunction]
 pub fn load_config(py: Python<'_>, path: PathBuf, changes_json: &str) -> PyResult<String> {
     let (config, warnings) = load_flyable(&path, &parse_changes(changes_json)?).map_err(value_error)?;
@@ -154,13 +154,13 @@ pub fn figures() -> String {
     serde_json::json!(flight_sim::figures()).to_string()
 }
 
-/// Raise ValueError if this configuration cannot be flown; warn of what is probably not meant.
+/// Raise ValueError if this configuration cannot be flown.
 #[pyfunction]
-pub fn check_config(py: Python<'_>, config_json: &str) -> PyResult<()> {
+pub fn check_config(config_json: &str) -> PyResult<()> {
     let table = parse_table(config_json)?;
     if !Last::of(&table).is_some_and(|(_, is_checked)| is_checked) {
         let config = read(table.clone())?;
-        warn(py, Scenario::check(&config).map_err(value_error)?)?;
+        Scenario::check(&config).map_err(value_error)?;
         Last::keep(table, config, true);
     }
     Ok(())
