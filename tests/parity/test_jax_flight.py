@@ -278,7 +278,9 @@ def test_both_kinds_of_dynamics_fly_the_same():
     """`simulator.dynamics`: one step to the rounding of M⁻¹ h (condition 1e5), and 0.2 s with what it grows to."""
     heights = {}
     for dynamics in ("tree", "mjx"):
-        table = rust.load_config(EXPERIMENTS / "test2.toml", {"simulator.dynamics": dynamics, "wind.ramp_start": -9.0})
+        table = rust.load_config(
+            EXPERIMENTS / "test2.toml", {"engine": "jax", "simulator.dynamics": dynamics, "wind.ramp_start": -9.0}
+        )
         scenario, start = sim.prepare(table, controller=Damper())
         assert scenario.plant.backend == dynamics
         rows = jax.jit(lambda scenario, start: sim.rollout(scenario, start, 20, sim.keep_row)[1])(scenario, start)
