@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import base64
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,30 +87,3 @@ def labels_of(robot: RobotNames) -> dict[str, Sequence[str]]:
         "qp": ["momentum", "torque"],
         "foot": robot.foot_names,
     }
-
-
-LAB_FORMAT = ("flight-lab-run", 1)
-"""Format and version of the `run.json` that the flight lab exports."""
-
-
-def from_lab(document: Mapping[str, Any]) -> FlightResult:
-    """Return the flight stored in a `run.json` of the flight lab, bit for bit."""
-    if (found := (document.get("format"), document.get("version"))) != LAB_FORMAT:
-        raise ValueError(f"`format` and `version` are {found}; expected {LAB_FORMAT}")
-
-    def signal(name: str) -> NDArray[np.float64]:
-        entry = document["log"][name]
-        values = np.frombuffer(base64.b64decode(entry["data"], validate=True), dtype="<f8")
-        if values.size != math.prod(entry["shape"]):
-            raise ValueError(f"`{name}` has {values.size} numbers; expected shape {entry['shape']}")
-        return values.reshape(entry["shape"]).astype(np.float64)
-
-    return FlightResult(
-        log={name: signal(name) for name in document["log"]},
-        joint_setpoint=np.asarray(document["joint_setpoint"], dtype=np.float64),
-        outcome=document["outcome"],
-        lost_time=document["lost_time"],
-        lost_reason=document["lost_reason"],
-        # JSON has neither infinity nor NaN.
-        summary={name: math.nan if value is None else value for name, value in document["summary"].items()},
-    )
