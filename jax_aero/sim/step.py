@@ -283,15 +283,6 @@ def read_config(config: ScenarioConfig | Mapping[str, Any]) -> ScenarioConfig:
     return scenario_config(flown)
 
 
-def _check_config(table: Mapping[str, Any]) -> None:
-    """Refuse configurations of JAX flights that the crate refuses, with its message; without the crate do nothing."""
-    try:
-        from jax_aero import rust
-    except ImportError:
-        return
-    rust.check_config({**table, "engine": "jax"})
-
-
 def convert_precision(scenario: Scenario, state: FlightState, dtype: Any) -> tuple[Scenario, FlightState]:
     """Return both with all numbers in this floating-point type."""
     return with_dtype((replace(scenario, precision=np.dtype(dtype).name), state), dtype)
