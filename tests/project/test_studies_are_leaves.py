@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -55,6 +56,12 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, folder / name, follow_symlinks=False)
     return folder
+
+
+def test_tests_of_studies_stand_where_they_go_with_their_study():
+    others = [path for path in (ROOT / "tests").rglob("*.py") if path.parent != ROOT / "tests" / "studies"]
+    imported = re.compile(r"^\s*(from|import) experiments\.studies\.", re.MULTILINE)
+    assert [path.name for path in others if imported.search(path.read_text(encoding="utf-8"))] == []
 
 
 @pytest.mark.parametrize("name", studies.names())

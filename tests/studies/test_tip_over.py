@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from experiments import Refused, sources
+from experiments.studies.tip_over import figure
 from experiments.studies.tip_over import study as tip_over
 from jax_aero import mujoco_ground, places, rust
 from paper_figs.command import main as draw
@@ -85,3 +87,13 @@ def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
     assert interrupted == 5
     results, out = str(tmp_path / "flight"), str(tmp_path / "out")
     assert draw(["tip_over", "--runs", "small", "--results", results, "--out", out]) == 0
+
+
+def test_every_friction_of_a_tip_over_study_is_drawn():
+    dims, shape = ("feedback", "friction", "direction"), (2, 4, 3)
+    variables = {"speed": (dims, np.ones(shape)), "slips": (dims, np.zeros(shape))}
+    variables["force"] = ((*dims, "xyz"), np.ones((*shape, 3)))
+    coords = {"feedback": ["with", "without"], "friction": [0.3, 0.5, 0.7, 1.0], "direction": [0.0, 90.0, 180.0]}
+    drawn = figure.draw(xr.Dataset(variables, coords | {"xyz": list("xyz")}))
+    lines = [line for line in drawn.axes[0].lines if line.get_linestyle() != "None"]
+    assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == len(lines) == 8

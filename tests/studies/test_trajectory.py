@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from experiments import Refused, study
 from experiments.robot import waypoints
+from experiments.studies.trajectory import figure
 from experiments.studies.trajectory import study as experiment
 from jax_aero import places, rust, tables
 from jax_aero.symbolic import load_robot, trajectory
@@ -223,3 +224,21 @@ def test_the_result_names_its_reference_and_its_flights(tmp_path, monkeypatch, c
     assert np.isnan([found["flown: arrives within 5 cm after [s]"], found["flown: fuel until then [l]"]]).all()
     assert found["flown: thrusts [N]"] == "100.0 to 100.0"
     FIGURES["trajectory"].draw(astray.assign_attrs(title="Small", name="min_time"))
+
+
+@pytest.mark.parametrize(("studies", "jets"), [(1, 6), (2, 4), (3, 3)])
+def test_planned_flights_show_every_jet_of_every_study(studies, jets):
+    time, names = np.arange(3.0), [f"jet_{number}" for number in range(jets)]
+    variables = {}
+    for of in ("paper", "flown", "plan"):
+        vectors = ((f"time_{of}", "xyz"), np.ones((3, 3)))
+        variables |= {f"com_position_{of}": vectors, f"com_velocity_{of}": vectors}
+        variables |= {f"base_rpy_{of}": ((f"time_{of}", "rpy"), np.zeros((3, 3)))}
+        variables |= {f"{name}_{of}": (f"time_{of}", time) for name in ("fuel", "com_error")}
+        variables |= {f"thrust_{of}": ((f"time_{of}", "jet"), np.ones((3, jets)))}
+    coords = {f"time_{of}": time for of in ("paper", "flown", "plan")} | {"jet": names, "xyz": list("xyz")}
+    coords |= {"rpy": ["roll", "pitch", "yaw"]}
+    attributes = {"name": "made_up", "title": "Made up", "arrival_paper": 2.0, "arrival_flown": 1.0}
+    drawn = figure.draw(*[xr.Dataset(variables, coords, attributes)] * studies)
+    assert [len(axes.lines) for axes in drawn.axes[6:]] == [2 * jets] * studies
+    assert len({line.get_color() for line in drawn.axes[6].lines}) == jets

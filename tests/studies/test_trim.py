@@ -10,6 +10,7 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from experiments import Refused
+from experiments.studies.trim import figure
 from experiments.studies.trim import study as experiment
 from jax_aero import places, rust
 from jax_aero.symbolic import MomentumModel, load_robot
@@ -251,3 +252,13 @@ def test_a_configuration_that_cannot_be_meant_is_refused(tmp_path, old, new, com
     path.write_text(text.replace("../../../jax_aero", str(ROOT / "jax_aero")).replace(old, new))
     with pytest.raises(Refused, match=complaint):
         experiment.build(experiment.STUDY.read(str(path))[1])
+
+
+@pytest.mark.parametrize(("speeds", "margin"), [([0.0, 5.0], 0.3), ([5.0], 0.3), ([0.0], 0.3), ([0.0, 5.0], np.nan)])
+def test_a_map_of_trims_is_drawn_of_any_number_of_winds_and_trims(speeds, margin):
+    """A map with one speed, or without a trim, is a result like any other."""
+    grid, shape = ("objective", "direction", "speed"), (2, 2, len(speeds))
+    variables = {name: (grid, np.full(shape, margin)) for name in ("margin", "total_thrust")} | {"weight": 430.0}
+    coords = {"objective": ["max_margin", "min_thrust"], "direction": [0.0, 90.0], "speed": speeds}
+    drawn = figure.draw(*[xr.Dataset(variables, coords)] * 2)
+    drawn.canvas.draw()

@@ -12,6 +12,7 @@ import pytest
 from experiments.studies.tune import study as tune
 from jax_aero import places, rust, sim, tables
 from jax_aero.command import Refused
+from jax_aero.files import lock_work
 from jax_aero.places import CONFIGS
 from jax_aero.sim import FlightRow
 from jax_aero.train import gains
@@ -239,3 +240,12 @@ def test_a_mistake_is_named(files, before, after, message):
     (files / "toy.toml").write_text(TUNE.replace(before, after))
     with pytest.raises((Refused, ValueError), match=message):
         tune.STUDY.run(str(files / "toy.toml"))
+
+
+def test_what_is_kept_of_work_under_way_has_one_process(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(places, "RESULTS", tmp_path)
+    result = tmp_path / "tune" / "aero_aware"
+    with lock_work(result):
+        assert tune.main([]) == 2
+    assert f".{result.name}.work is being written by process" in capsys.readouterr().err
+    assert not any(path.is_file() for path in tmp_path.rglob("*"))

@@ -11,7 +11,7 @@ from experiments.report.metrics import Metrics
 from experiments.report.results import Sweep
 from experiments.sweep.table import wilson
 
-JUDGES = {claim.key: claim.judge for claim in claims.CLAIMS}
+JUDGES = {claim.key: claim.judge for claim in claims.WRITTEN}
 
 
 def flight(**figures):

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from experiments import studies
 from jax_aero import cli, extras, places, rust
 from jax_aero.command import exit_status, progress_bar
 from tests.measurements import measured
@@ -23,6 +24,9 @@ from tests.measurements import measured
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
+
+CONFIGURED = [name for name in studies.names() if places.names(name)]
+"""Studies with configurations."""
 
 FUNCTIONS = {(command.function, command.extras) for command in cli.COMMANDS.values() if command.function} | {
     part for command in cli.COMMANDS.values() for part in command.parts.values()
@@ -172,10 +176,10 @@ def test_what_a_terminal_would_obey_is_shown(monkeypatch, capsys):
     ("line", "expected"),
     [
         ("jax-aero ver", {"verify"}),
-        ("jax-aero study obs", {"observer_limit"}),
         ("jax-aero fly test1_p", {"test1_published", "test1_published_observer"}),
         ("jax-aero robot waypoints b", {"box"}),
-        ("jax-aero study trim hov", {"hover_posture"}),
+        *((f"jax-aero study {name[:-1]}", {name}) for name in studies.names()[:1]),
+        *((f"jax-aero study {name} {places.names(name)[0][:-1]}", {places.names(name)[0]}) for name in CONFIGURED[:1]),
     ],
 )
 def test_tab_completes_commands_and_names(line, expected, tmp_path):

@@ -18,7 +18,7 @@ from experiments.engines import MODULES
 from experiments.sweep import run, spec
 from experiments.sweep.chunks import Chunks
 from experiments.sweep.design import Design
-from jax_aero import cli, files, keys, places, rust
+from jax_aero import cli, files, keys, rust
 from jax_aero.cli import main
 from jax_aero.view import recording
 from paper_figs import runs
@@ -292,15 +292,6 @@ def test_who_holds_a_sweep_is_named_and_a_dead_holder_followed(tmp_path, start):
     assert (tmp_path / ".made_up.lock").exists()
     run.run(design(), workers=1, out=tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["made_up"]
-
-
-def test_what_is_kept_of_work_under_way_has_one_process(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(places, "RESULTS", tmp_path)
-    result = tmp_path / "tune" / "aero_aware"
-    with files.lock_work(result):
-        assert main(["study", "tune"]) == 2
-    assert f".{result.name}.work is being written by process" in capsys.readouterr().err
-    assert not any(path.is_file() for path in tmp_path.rglob("*"))
 
 
 def test_a_flight_that_another_process_flies_is_not_flown(flown, tmp_path, capsys, monkeypatch):

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import xarray as xr
 
+from experiments import studies
 from experiments.study import Findings, Study, file_hashes
 from jax_aero import cli, places, tables
 
@@ -27,7 +28,7 @@ def test_every_file_of_one_name_is_hashed(tmp_path):
     ("command", "kind"),
     [
         ("fly", "experiments"),
-        ("study trim", "trim"),
+        *((f"study {name}", name) for name in studies.names() if places.names(name)),
         ("sweep", "sweeps"),
         ("robot waypoints", "waypoints"),
         ("cfd", "cfd"),
