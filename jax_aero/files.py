@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
-import io
 import json
 import math
 import os
@@ -259,26 +258,6 @@ def read_json(path: Path, form: Any = dict[str, Any], greatest: int = MAX_SIZE) 
     except (ValueError, msgspec.MsgspecError) as reason:
         raise Refused(f"{path} is damaged: {reason}") from None
     return document
-
-
-MAX_TABLE = 1 << 30
-"""Greatest size of a table of a sweep in memory [bytes]: a million flights."""
-
-
-def read_parquet(path: Path) -> Any:
-    """Read a table (pyarrow), whose size is known before reading; a damaged one is refused by name."""
-    import pyarrow.parquet as pq
-
-    try:
-        file = pq.ParquetFile(io.BytesIO(read_bytes(path, MAX_TABLE)))
-        parts = [file.metadata.row_group(index) for index in range(file.metadata.num_row_groups)]
-        size = sum(max(part.total_byte_size, 8 * part.num_rows * part.num_columns) for part in parts)
-        table = file.read() if size <= MAX_TABLE else None
-    except Exception as reason:  # the readers raise many types
-        raise Refused(f"{path} is damaged ({reason})") from None
-    if table is None:
-        raise Refused(f"{path} holds {size} bytes; expected at most {MAX_TABLE}")
-    return table
 
 
 def write_bytes(path: Path, content: bytes | memoryview) -> None:

@@ -9,9 +9,10 @@ from typing import Any
 
 import pandas as pd
 
+from experiments.parquet import read_table
 from jax_aero import documents
 from jax_aero.command import Refused
-from jax_aero.files import read_json, read_parquet
+from jax_aero.files import read_json
 from paper_figs.runs import MissingRun, NotDrawn
 
 
@@ -95,7 +96,7 @@ def load(results: Path, name: str) -> Sweep:
 
 def _read(path: Path) -> pd.DataFrame:
     try:
-        return read_parquet(path).to_pandas()
+        return read_table(path).to_pandas()
     except Refused as reason:
         raise MissingRun(f"{reason}; --overwrite flies it again") from reason
 

@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from experiments import Refused
+from experiments.parquet import read_table
 from experiments.report import ground, metrics, outdated
 from jax_aero import documents, places, rust
-from jax_aero.files import find_damaged, read_json, read_parquet
+from jax_aero.files import find_damaged, read_json
 
 Cell = Mapping[str, Any]
 Flown = TypeVar("Flown")
@@ -114,7 +115,7 @@ class Results:
             if "finished" in read_json(described):
                 document = read_json(described, documents.FinishedSweep)
                 _require_whole(path.parent, document["finished"])
-                name, table = path.parent.name, read_parquet(path)
+                name, table = path.parent.name, read_table(path)
                 axes = [axis["name"] for axis in document["axes"]]
                 if missing := {*axes, "flights", "completed"} - set(table.column_names):
                     raise Refused(f"{path} has no column `{min(missing)}`; --overwrite flies it again")

@@ -12,12 +12,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from experiments import cluster, study
+from experiments.parquet import read_table
 from experiments.sweep import run, spec, table
 from experiments.sweep.design import Design
 from jax_aero import places
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
-from jax_aero.files import read_parquet
 
 MOST_CELLS = 100
 """Greatest number of cells that are printed."""
@@ -36,7 +36,7 @@ def main(arguments: Sequence[str]) -> int:
         for design in [Design(spec.load(name)) for name in names]:
             folder = run.run(design, workers=given.workers, cluster=ray, out=given.out, overwrite=given.overwrite)
             if len(design.cells) <= MOST_CELLS:
-                print(table.listing(read_parquet(folder / "cells.parquet"), [axis.name for axis in design.spec.axis]))
+                print(table.listing(read_table(folder / "cells.parquet"), [axis.name for axis in design.spec.axis]))
             flown = f"{design.n_rows} flights in {len(design.cells)} cells"
             print(f"{design.spec.name}: {flown}, {os.path.relpath(folder)}")
 

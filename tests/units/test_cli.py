@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from experiments import studies
+from experiments import engines, studies
+from experiments.sources import closure
 from jax_aero import cli, extras, places, rust
 from jax_aero.command import exit_status, progress_bar
 from tests.measurements import measured
@@ -90,6 +91,11 @@ def packages_in(extras: str) -> set[str]:
 def test_the_extras_of_a_command_bring_what_it_imports(function, extras):
     """Otherwise the hint after a missing package would not help."""
     assert packages_of(function.split(":")[0]) <= packages_in(extras)
+
+
+def test_a_flight_of_the_crate_depends_on_no_package_that_its_extra_does_not_bring():
+    """The hash of its code counts imports of functions too."""
+    assert closure("experiments.flight", engines.MODULES["rust"])[1] <= packages_in("figs")
 
 
 def test_the_extra_that_a_module_names_brings_what_it_imports():

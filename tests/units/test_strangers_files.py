@@ -12,13 +12,14 @@ import pyarrow.parquet as pq
 import pytest
 import xarray as xr
 
-from experiments import Refused, record
+from experiments import Refused, parquet, record
+from experiments.parquet import read_table
 from experiments.report.results import Results
 from experiments.sweep import run as sweep_run
-from jax_aero import documents, files, netcdf, tables
+from jax_aero import documents, netcdf, tables
 from jax_aero.aero import dataset
 from jax_aero.cli import main
-from jax_aero.files import MAX_DEPTH, complete_folder, lock, parse_json, read_json, read_parquet
+from jax_aero.files import MAX_DEPTH, complete_folder, lock, parse_json, read_json
 from jax_aero.view import recording
 from paper_figs import runs, sweeps
 
@@ -211,14 +212,14 @@ def test_a_table_of_a_sweep_is_bounded_and_regular(tmp_path, monkeypatch):
     path = tmp_path / "cells.parquet"
     pq.write_table(pa.table({"cell": np.zeros(10**5)}), path)
     assert path.stat().st_size < 1e4
-    assert read_parquet(path).num_rows == 10**5
-    monkeypatch.setattr(files, "MAX_TABLE", 10**5)
+    assert read_table(path).num_rows == 10**5
+    monkeypatch.setattr(parquet, "MAX_TABLE", 10**5)
     with pytest.raises(Refused, match=rf"{path} holds \d+ bytes"):
-        read_parquet(path)
+        read_table(path)
     path.unlink()
     os.mkfifo(path)
     with pytest.raises(Refused, match=rf"{path} is damaged \(cells\.parquet: expected a regular file"):
-        read_parquet(path)
+        read_table(path)
 
 
 def test_links_that_lead_to_themselves_are_named(tmp_path):
