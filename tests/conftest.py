@@ -16,8 +16,6 @@ import numpy as np
 import pytest
 
 from experiments import record
-from experiments.sweep import run
-from experiments.sweep.design import Design
 from jax_aero.result import FlightResult
 
 pytest_plugins = ["tests.measurements"]
@@ -66,12 +64,15 @@ def start() -> Iterator[Callable[..., subprocess.Popen[Any]]]:
 
 
 @pytest.fixture
-def stopped_sweep(monkeypatch: pytest.MonkeyPatch) -> Callable[[Design, int, Path], None]:
-    """Fly a sweep into a folder until some of its chunks are there."""
+def stopped_sweep(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any, int, Path], None]:
+    """Fly a sweep (`Design`) into a folder until some of its chunks are there."""
+    # Needs a package that the tests of the core do not.
+    from experiments.sweep import run
+
     flown = run._fly_chunks
 
-    def stop(design: Design, count: int, out: Path) -> None:
-        def fly_and_stop(design: Design, chunks: list[int], *where: Any) -> Iterator[Any]:
+    def stop(design: Any, count: int, out: Path) -> None:
+        def fly_and_stop(design: Any, chunks: list[int], *where: Any) -> Iterator[Any]:
             yield from flown(design, chunks[:count], *where)
             raise KeyboardInterrupt
 
