@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from experiments import Refused
-from experiments.parquet import read_table
 from experiments.report import ground, metrics, outdated
 from jax_aero import documents, places, rust
 from jax_aero.files import find_damaged, read_json
+from jax_aero.parquet import read_table
 
 Cell = Mapping[str, Any]
 Flown = TypeVar("Flown")

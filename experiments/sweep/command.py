@@ -12,12 +12,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from experiments import cluster, study
-from experiments.parquet import read_table
 from experiments.sweep import run, spec, table
 from experiments.sweep.design import Design
 from jax_aero import places
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
+from jax_aero.parquet import read_table
 
 MOST_CELLS = 100
 """Greatest number of cells that are printed."""

@@ -13,13 +13,13 @@ import pytest
 import xarray as xr
 
 from experiments import Refused, parquet, record
-from experiments.parquet import read_table
 from experiments.report.results import Results
 from experiments.sweep import run as sweep_run
 from jax_aero import documents, netcdf, tables
 from jax_aero.aero import dataset
 from jax_aero.cli import main
 from jax_aero.files import MAX_DEPTH, complete_folder, lock, parse_json, read_json
+from jax_aero.parquet import read_table
 from jax_aero.view import recording
 from paper_figs import runs, sweeps
 
