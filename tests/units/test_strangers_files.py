@@ -14,6 +14,7 @@ import xarray as xr
 
 from experiments import Refused, parquet, record
 from experiments.parquet import read_table
+from experiments.report.findings import Record
 from experiments.report.results import Results
 from experiments.sweep import run as sweep_run
 from jax_aero import documents, netcdf, tables
@@ -159,7 +160,7 @@ damage = pytest.mark.parametrize(
 
 
 @damage
-@pytest.mark.parametrize("form", [documents.Manifest, documents.FinishedSweep, documents.Claims])
+@pytest.mark.parametrize("form", [documents.Manifest, documents.FinishedSweep, Record])
 def test_a_damaged_document_is_named(damage, form, tmp_path):
     path = tmp_path / "it.json"
     damage(path)
