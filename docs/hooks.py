@@ -13,8 +13,8 @@ from latex2mathml.converter import convert
 from mkdocs.structure.files import File
 
 from experiments import schema
+from experiments.report import index
 from jax_aero import rust
-from paper_figs import paper
 
 NOTEBOOK = re.compile(r"<!-- notebook: (?P<path>\S+) -->")
 EQUATION = re.compile(r"^```math\n(?P<latex>.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -34,7 +34,7 @@ TIGHT = {"|", "\u2016", "/"}
 
 def on_files(files: Any, *, config: Any) -> Any:
     """Add the pages that follow from the code and its records, which are not stored."""
-    for path, text in {"paper.md": paper.page(), schema.PAGE: schema.reference(rust.schemas())}.items():
+    for path, text in {"paper.md": index.page(), schema.PAGE: schema.reference(rust.schemas())}.items():
         files.append(File.generated(config, path, content=text))
     return files
 

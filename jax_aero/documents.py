@@ -113,12 +113,6 @@ class FinishedSweep(_Drawing, kw_only=True):
     git: _Git | None = None
 
 
-class Claims(msgspec.Struct):
-    """`claims.json` of a report."""
-
-    claims: dict[str, dict[str, Any]] | None = None
-
-
 class Trial(msgspec.Struct):
     """A trial of `tip-over`."""
 

@@ -48,11 +48,6 @@ def names(kind: str) -> list[str]:
     return sorted(path.stem for path in folder_of(kind).glob("*.toml"))
 
 
-def has_studies(command: str) -> bool:
-    """Return whether the folder of every study in a command is there."""
-    return all((STUDIES / name).is_dir() for name in re.findall(r"jax-aero study (\w+)", command))
-
-
 def is_path(text: str) -> bool:
     """Return whether a text is the path of a file rather than a name."""
     return "/" in text or text.endswith(".toml")

@@ -11,7 +11,7 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from jax_aero import cli, places
-from paper_figs import ablation, maps, model_pairs, paper, runs, scatter, style, sweeps
+from paper_figs import ablation, maps, model_pairs, runs, scatter, style, sweeps
 from paper_figs.figures import FIGURES, SWEEPS
 
 DRAWINGS: Mapping[str, Callable[[sweeps.Sweep], Figure]] = {
@@ -26,12 +26,6 @@ DRAWINGS: Mapping[str, Callable[[sweeps.Sweep], Figure]] = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     given = _parser().parse_args(arguments)
-    if given.index:
-        if not places.IS_CHECKOUT:
-            print("error: --index reads docs/ of a checkout of the repository, and this is none", file=sys.stderr)
-            return cli.REFUSED
-        print(paper.page(), end="")
-        return 0
     known = [*FIGURES, *_sweep_names(given.sweeps)]
     names = known if not given.names or given.names == ["all"] else given.names
     if unknown := [name for name in names if name not in known]:
@@ -91,7 +85,6 @@ def _parser() -> argparse.ArgumentParser:
     parser = cli.Parser("figures", __doc__, epilog=listed)
     named = parser.add_argument("names", nargs="*", metavar="FIGURE", help="figures or sweeps (default: all)")
     cli.complete_with(named, lambda: [*FIGURES, *SWEEPS, "all"])
-    parser.add_argument("--index", action="store_true", help="print the documentation's page: the paper, item by item")
     parser.add_argument("--dark", action="store_true", help="also write NAME_dark.png, for a dark page")
     parser.add_argument("--runs", nargs="+", metavar="RUN", help="runs that the figure shows, in its order")
     parser.add_argument(

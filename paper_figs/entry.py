@@ -26,11 +26,11 @@ class Entry:
     """Files of `configs/tables` that are shown if there are no results."""
 
     @property
-    def command(self) -> str:
-        """Return the command that makes the results; empty if committed tables are shown."""
+    def commands(self) -> list[str]:
+        """Return the commands that make the results; none if committed tables are shown."""
         if self.kind == "flight":
-            return f"jax-aero fly {' '.join(self.runs)}"
-        return "; ".join(runs.study_command(self.kind, name) for name in self.runs)
+            return [f"jax-aero fly {' '.join(self.runs)}"]
+        return [runs.study_command(self.kind, name) for name in self.runs]
 
     def draw_from_results(self, results: Path, names: Sequence[str] = ()) -> tuple[Figure, dict[str, str]]:
         """Return the figure, and the hash of every result or table that it shows."""
@@ -38,7 +38,9 @@ class Entry:
             return self._load_and_draw(results, names or self.runs)
         except KeyError as missing:
             what = str(missing.args[0]).partition(". ")[0]
-            raise runs.NotDrawn(f"{what}: other code made the result; make it again: {self.command}") from None
+            raise runs.NotDrawn(
+                f"{what}: other code made the result; make it again: {'; '.join(self.commands)}"
+            ) from None
 
     def _load_and_draw(self, results: Path, names: Sequence[str]) -> tuple[Figure, dict[str, str]]:
         if self.tables:

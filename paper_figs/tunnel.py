@@ -1,14 +1,10 @@
-"""Figures 2d, 2e, 3a and 3b and the mesh study, from the tables of `configs/tables`; no run is needed.
-
-Each figure comes with an evaluation of the paper's claims on its points, which `paper_figs` prints.
-"""
+"""Figures 2d, 2e, 3a and 3b and the mesh study, from the tables of `configs/tables`; no run is needed."""
 
 from __future__ import annotations
 
 import hashlib
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,40 +22,12 @@ FINEST = "953C"
 OMEGA, EPSILON = "SST k-omega", "realizable k-epsilon"
 TURBULENCE = {OMEGA: (style.BLUE, "s", "SST k-ω"), EPSILON: (style.VERMILION, "^", "realizable k-ε")}
 """Colour, marker and name in a figure."""
-RELIABLE_SPEED = 15.0
-"""Below it the paper suspects the balance's calibration [m/s]."""
-ALMOST_20 = (0.15, 0.22)
-"""Share that counts as almost 20 %."""
 SYMMETRIC = ("flight30", "flight50", "flight60")
 COLOURS = (style.BLUE, style.VERMILION, style.GREEN, style.ORANGE, style.SKY, style.PURPLE, style.BLACK, style.GREY)
 MARKERS = "osD^v<>p"
 
 Array = npt.NDArray[np.float64]
 Table = Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class Claim:
-    """One of our figures with the paper's claim about it."""
-
-    what: str
-    value: float
-    paper: str
-    agreeing: tuple[float, float] | None = None
-    """Interval of values that agree with the paper; `None` if the paper makes no claim."""
-
-    @property
-    def verdict(self) -> str:
-        """Return whether the value agrees, or by how much it differs; empty if the paper makes no claim."""
-        if self.agreeing is None:
-            return ""
-        low, high = self.agreeing
-        if low <= self.value <= high:
-            return "agrees"
-        return f"differs: {100 * (self.value - (low if self.value < low else high)):+.1f} %"
-
-    def __str__(self) -> str:
-        return f"  {self.what:<66} {100 * self.value:5.1f} %   paper: {self.paper}"
 
 
 def read(name: str) -> dict[str, Any]:
@@ -93,7 +61,6 @@ def fig2(tables: Table) -> Figure:
         axes.set_ylabel(r"$C_D A$ [m$^2$]")
         axes.legend()
         style.letter(axes, mark)
-    print_claims("figure 2", speed_claims(tables) + posture_claims(tables))
     return figure
 
 
@@ -112,7 +79,6 @@ def fig3(tables: Table, simulations: Table) -> Figure:
         axes.set_ylabel(rf"$C_{'D' if key == 'cda' else 'L'} A$ [m$^2$]")
         axes.legend()
         style.letter(axes, mark)
-    print_claims("figure 3, flight30 at β = 0", turbulence_claims(tables, runs))
     return figure
 
 
@@ -133,7 +99,6 @@ def mesh(tables: Table, simulations: Table) -> Figure:
     grid[0].legend()
     _mesh_errors(grid[2], record, runs)
     style.letter(grid[2], "c")
-    print_claims("mesh study, flight30 at β = 0", mesh_claims(tables, runs))
     return figure
 
 
@@ -147,11 +112,6 @@ def _mesh_errors(axes: Axes, record: Table, runs: Sequence[Table]) -> None:
     axes.set_xlabel("mesh elements")
     axes.set_ylabel("rms drag error [% of mean]")
     axes.legend(loc="upper left")
-
-
-def print_claims(title: str, claims: Sequence[Claim]) -> None:
-    """Print our figures beside the paper's."""
-    print("\n".join([title, *(str(claim) for claim in claims)]))
 
 
 def hovering_drag(tables: Table) -> dict[float, dict[int, float]]:
@@ -181,37 +141,6 @@ def meshes(runs: Sequence[Table]) -> list[str]:
     return sorted({run["mesh"] for run in runs if run["posture"] == "flight30"})
 
 
-def spread(values: Array) -> Array:
-    """Return (largest − smallest)/mean along the first axis."""
-    ratio: Array = (values.max(axis=0) - values.min(axis=0)) / values.mean(axis=0)
-    return ratio
-
-
-def speed_claims(tables: Table) -> list[Claim]:
-    """Compare the speeds at the sideslips common to all."""
-    curves = hovering_drag(tables)
-    common = sorted(set.intersection(*(set(curve) for curve in curves.values())))
-    areas = {speed: np.array([curve[beta] for beta in common]) for speed, curve in curves.items()}
-    fast = np.stack([area for speed, area in areas.items() if speed > RELIABLE_SPEED])
-    below = "below 5 %"
-    return [
-        Claim("hovering, 19 and 24 m/s: largest spread over sideslip", float(spread(fast).max()), below, (0.0, 0.05)),
-        Claim("hovering, with 12 m/s", float(spread(np.stack(list(areas.values()))).max()), below, (0.0, 0.05)),
-    ]
-
-
-def posture_claims(tables: Table) -> list[Claim]:
-    """Compare postures where all were measured."""
-    areas = np.array([table["cda"] for table in tables["flight"]])
-    ratio = dict(zip(tables["flight"][0]["alpha_deg"], spread(areas), strict=True))
-    own = np.array([flight(tables, posture)["cda"] for posture in SYMMETRIC])
-    return [
-        Claim("spread of eight flight postures at α = 25°", float(ratio[25]), "almost 20 %", ALMOST_20),
-        Claim("spread of eight flight postures at α = 60°", float(ratio[60]), "almost 20 %", ALMOST_20),
-        Claim("spread of flight30, 50 and 60, largest over α", float(spread(own).max()), "-"),
-    ]
-
-
 def measured_area(record: Table, key: str, run: Table) -> Array:
     """Return a force area of the tunnel at the angles of attack of a simulation."""
     areas = dict(zip(record["alpha_deg"], record[key], strict=True))
@@ -222,35 +151,3 @@ def drag_error(record: Table, run: Table) -> float:
     """Return the rms difference of the drag area over its mean in the tunnel."""
     tunnel = measured_area(record, "cda", run)
     return float(np.sqrt(np.mean((np.array(run["cda"]) - tunnel) ** 2)) / tunnel.mean())
-
-
-def size_error(record: Table, run: Table) -> float:
-    """Return the mean relative error of the magnitude of the force area."""
-    keys = ("cda", "cla", "csa")
-    tunnel = np.linalg.norm([measured_area(record, key, run) for key in keys], axis=0)
-    simulated = np.linalg.norm([run[key] for key in keys], axis=0)
-    return float(np.mean(np.abs(simulated / tunnel - 1.0)))
-
-
-def turbulence_claims(tables: Table, runs: Sequence[Table]) -> list[Claim]:
-    """Compare two turbulence models with the tunnel."""
-    record = flight(tables, "flight30")
-    found = {name: run_of(runs, FINEST, name) for name in (OMEGA, EPSILON)}
-    drag = {name: drag_error(record, run) for name, run in found.items()}
-    better = {OMEGA: (0.0, drag[EPSILON]), EPSILON: (drag[OMEGA], 1.0)}
-    claims = []
-    for name, run in found.items():
-        claims.append(Claim(f"drag, {name}: rms error over mean", drag[name], "k-ω better", better[name]))
-        claims.append(Claim(f"magnitude, {name}: mean error", size_error(record, run), "below 10 %", (0.0, 0.1)))
-    return claims
-
-
-def mesh_claims(tables: Table, runs: Sequence[Table]) -> list[Claim]:
-    """Compare meshes with the tunnel."""
-    record = flight(tables, "flight30")
-    claims = []
-    for name in meshes(runs):
-        run = run_of(runs, name, OMEGA)
-        worst = float(np.abs(np.array(run["cda"]) / measured_area(record, "cda", run) - 1.0).max())
-        claims.append(Claim(f"drag, mesh {name}: largest error", worst, "at most 15 %", (0.0, 0.15)))
-    return claims

@@ -2,35 +2,25 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
 import math
-import os
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 
-from experiments import Refused, manifest
-from experiments.report import claims, engines, facts
+from experiments import Refused
+from experiments.report import engines, findings, index, judges
+from experiments.report.findings import Finding
 from experiments.report.page import Heading, Page, Picture, Table, Text
+from experiments.report.paper import all_claims, all_items, whole
 from experiments.report.results import NotFlownError, Results, Sweep, count
-from experiments.report.verdicts import ANOTHER, NOT_FLOWN, OUTDATED
-from jax_aero import documents, places
+from experiments.report.verdicts import ANOTHER, Kind
+from jax_aero import places
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
-from jax_aero.files import read_json, write_text
+from jax_aero.files import write_text
 
 PAPER_RUNS = ("test1", "test2", "test3", "test4", "robustness")
 PUBLISHED_RUNS = tuple(f"{name}_published" for name in PAPER_RUNS)
-FIGURES = {
-    "fig5a": "Fig. 5 a of the paper: TEST2 hovering in the wind, rendered.",
-    "fig5": "Fig. 5 b–i of the paper: TEST2 above, TEST1 below, corrected arms.",
-    "fig5_robustness": "Fig. 5 b–i as the paper fills it: TEST4 above, the robustness test below; corrected arms.",
-    "fig6": "Fig. 6 of the paper: MuJoCo in place of the real robot, its drives chosen by us.",
-    "tip_over": "Beyond the paper: the greatest wind the standing robot withstands, by direction.",
-    "along": "Discussion, Note 6: fuel, and how far exhausts stay from the body.",
-    "suppl7": "Supplementary Fig. 7: TEST1, TEST2, TEST3 and the robustness test, corrected lever arms.",
-    "suppl7_published": "Supplementary Fig. 7, published lever arms.",
-}
 PARTS = {
     "Ablation of the aerodynamic feedback": ("ablation_",),
     "Where the baseline fails, and maps": ("baseline_edge", "map_"),
@@ -55,19 +45,26 @@ def main(arguments: Sequence[str]) -> int:
         metavar="FILE",
         help="file of the claims of the documentation (default claims.json beside the report)",
     )
+    parser.add_argument("--index", action="store_true", help="print the documentation's page: the paper, item by item")
     given = parser.parse_args(arguments)
 
     def work() -> None:
+        if given.index:
+            if not places.IS_CHECKOUT:
+                raise Refused("--index reads docs/ of a checkout of the repository, and this is none")
+            print(index.page(), end="")
+            return
         if not given.results.is_dir():
             raise Refused(f"`{given.results}` is no folder; expected one with results, as `jax-aero fly` makes it")
         results = Results(given.results)
-        stated = claims.all_claims(results)
+        found = {key: claim.find(results) for key, claim in all_claims().items()}
+        measured = {key: found[key] for key, claim in all_claims().items() if claim.commands}
         kept: Path = given.claims or results.folder / "claims.json"
-        page = build(results, stated)
+        page = build(results, found)
         for path, text in (
             (results.folder / "report.md", page.markdown()),
             (results.folder / "report.html", page.html()),
-            (kept, claims_json(stated, kept)),
+            (kept, findings.to_json(measured, kept)),
         ):
             write_text(path, text)
             print(path)
@@ -75,38 +72,10 @@ def main(arguments: Sequence[str]) -> int:
     return exit_status(work)
 
 
-def claims_json(stated: Sequence[claims.Claim], kept: Path) -> str:
-    """Return the claims as JSON with their measurements, each with its commit.
-
-    A claim that is not flown here, or with an outdated configuration, keeps its stored measurement. The commit is that
-    of the results, which may be older than the code that judges them.
-    """
-    older = read_json(kept, documents.Claims).get("claims") if os.path.lexists(kept) else {}
-    if older is None:
-        raise Refused(f"{kept} holds no claims; expected a file that `report` wrote")
-    here = manifest.git_state()["commit"]
-    found = {}
-    for claim in stated:
-        commit = claim.commit or here
-        measured = {"measured": claim.measured, "verdict": claim.verdict, "commit": commit}
-        if claim.verdict.startswith((NOT_FLOWN, OUTDATED)) and claim.key in older:
-            measured = {name: older[claim.key].get(name) for name in measured}
-        elif claim.key in older and all(
-            older[claim.key].get(name) == measured[name] for name in ("measured", "verdict")
-        ):
-            measured["commit"] = older[claim.key].get("commit", commit)
-        found[claim.key] = dataclasses.asdict(claim) | measured
-    document = {
-        "command": "jax-aero report --claims docs/claims.json",
-        "tables": {name: rows() for name, rows in facts.TABLES.items()},
-        "claims": found,
-    }
-    return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
-
-
-def build(results: Results, stated: Sequence[claims.Claim]) -> Page:
+def build(results: Results, found: Mapping[str, Finding]) -> Page:
     """Return the whole report."""
     page = Page("What flies, and why")
+    figures = {claim.key: claim.figure or item.figure for item in reversed(all_items()) for claim in item.claims}
     page.add(
         Text(
             "Every figure below is measured with this repository; `make reproduce SWEEPS=--all` makes all of it "
@@ -117,19 +86,20 @@ def build(results: Results, stated: Sequence[claims.Claim]) -> Page:
             "*published arms* where the published code has them (`docs/deviations.md`)."
         ),
         Heading(2, "Claims"),
-        Text(_count_verdicts(stated)),
+        Text(_count_verdicts(found.values())),
         Table(
             ("where", "claim", "measured", "verdict", "figure", "command"),
             [
                 (
-                    c.where,
-                    c.claim,
-                    c.measured,
-                    f"**{c.verdict}**",
-                    _link_figure(results, c.figure),
-                    f"`{c.command}`" if c.command else "committed files",
+                    claim.where,
+                    claim.states,
+                    found[key].measured,
+                    f"**{found[key].verdict}**",
+                    _link_figure(results, figures[key]),
+                    f"`{'; '.join(whole(claim.commands))}`" if claim.commands else "committed files",
                 )
-                for c in stated
+                for key, claim in all_claims().items()
+                if key in found
             ],
         ),
     )
@@ -146,14 +116,11 @@ def build(results: Results, stated: Sequence[claims.Claim]) -> Page:
     return page
 
 
-def _count_verdicts(stated: Sequence[claims.Claim]) -> str:
-    """Return the number of claims with each verdict; one that agrees in part is counted separately."""
-    words = ("agrees", "agrees in part", "differs", "out of reach", NOT_FLOWN, OUTDATED)
-    found = dict.fromkeys(words, 0)
-    for claim in stated:
-        word = next(word for word in words if claim.verdict.startswith(word))
-        found["agrees in part" if word == "agrees" and claim.verdict != word else word] += 1
-    return f"{len(stated)} claims: " + ", ".join(f"**{n}** {word}" for word, n in found.items() if n) + "."
+def _count_verdicts(found: Collection[Finding]) -> str:
+    """Return the number of claims with each kind of verdict."""
+    counts = Counter(finding.verdict.kind for finding in found)
+    said = ", ".join(f"**{counts[kind]}** {kind.value}" for kind in Kind if counts[kind])
+    return f"{len(found)} claims: {said}."
 
 
 def _link_figure(results: Results, figure: str) -> str:
@@ -163,7 +130,7 @@ def _link_figure(results: Results, figure: str) -> str:
 
 def _minimum(page: Page, results: Results) -> None:
     try:
-        sweep, least = results.sweep("ablation_terms"), claims.answer(results)
+        sweep, least = results.sweep("ablation_terms"), judges.answer(results)
     except (NotFlownError, KeyError):
         return
     worlds = sweep.levels("world")
@@ -206,7 +173,10 @@ def _runs(page: Page, results: Results) -> None:
         Text("The network is ours: the paper's weights are not public. Its card says what it was trained on."),
         Table(headings, [_run(results, name) for name in named if name in results.flights]),
     )
-    page.add(*_pictures(results, FIGURES.items()))
+    swept = places.names("sweeps")
+    captions = {item.figure: f"{item.name}: {item.shows}" for item in reversed(all_items())}
+    figures = [(name, caption) for name, caption in reversed(captions.items()) if name and name not in swept]
+    page.add(*_pictures(results, figures))
     others = sorted(set(results.flights) - set(named))
     if others:
         page.add(

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from experiments.report import engines
-from experiments.report.verdicts import explain_absence, judge, judge_range
+from experiments.report.verdicts import Judged, in_parts, judge, judge_range, out_of_reach
 from jax_aero import rust, tables
 from jax_aero.places import CONFIGS, ROBOT
 
@@ -66,20 +66,20 @@ def silhouette() -> float:
     return area
 
 
-def mass() -> tuple[str, str]:
+def mass() -> Judged:
     """Judge the robot's mass."""
     found = rust.Robot(str(ROBOT)).mass
     return f"{found:.2f} kg in the model", judge_range(found, 43.25, 43.35, "kg")
 
 
-def added_mass() -> tuple[str, str]:
+def added_mass() -> Judged:
     """Judge the mass that the conversion to a flying robot added."""
-    return "the model lumps engines, jetpack and forearms into their links", explain_absence(
+    return "the model lumps engines, jetpack and forearms into their links", out_of_reach(
         "no model of iCub v2.7 is here"
     )
 
 
-def lift() -> tuple[str, str]:
+def lift() -> Judged:
     """Judge whether the jets can carry 40 kg."""
     chest = [jet["thrust_max"] for jet in robot()["jets"] if "chest" in jet["name"]]
     return f"{len(chest)} chest jets, {sum(chest):.0f} N, carry {sum(chest) / GRAVITY:.1f} kg", (
@@ -87,7 +87,7 @@ def lift() -> tuple[str, str]:
     )
 
 
-def chest_engine() -> tuple[str, str]:
+def chest_engine() -> Judged:
     """Judge thrust and consumption of the P220."""
     jet = next(jet for jet in robot()["jets"] if jet["engine"] == "P220")
     steady = steady_thrust(robot()["engines"]["P220"], 100.0)
@@ -98,10 +98,10 @@ def chest_engine() -> tuple[str, str]:
     )
     thrust = judge(abs(jet["thrust_max"] / GRAVITY - 22.0) < 0.5)
     consumption = judge(abs(burnt / 0.6 - 1.0) < 0.05, f"{100.0 * (burnt / 0.6 - 1.0):+.0f} %")
-    return text, f"{thrust} on thrust; consumption {consumption}"
+    return text, in_parts(f"{thrust} on thrust; consumption {consumption}", thrust, consumption)
 
 
-def arm_engine() -> tuple[str, str]:
+def arm_engine() -> Judged:
     """Judge the engines of the arms."""
     names = sorted({jet["engine"] for jet in robot()["jets"] if "arm" in jet["name"]})
     steady = {name: steady_thrust(robot()["engines"][name], 100.0) for name in ("P100", "P160")}
@@ -109,7 +109,7 @@ def arm_engine() -> tuple[str, str]:
     return text, judge(names == ["P100"], "the published flights put P160 there, so do ours")
 
 
-def battery() -> tuple[str, str]:
+def battery() -> Judged:
     """Judge the battery of the engine choice, in two interpretations."""
     found = engines.results(engines.Choice())
     printed, other = found["battery_kg"], found["battery_at_1_kW_per_kg_kg"]
@@ -118,13 +118,13 @@ def battery() -> tuple[str, str]:
     return text, judge(abs(off) < 0.005, f"{off:+.2f} kg; the printed figure belongs to 1 kW per kg")
 
 
-def fuel() -> tuple[str, str]:
+def fuel() -> Judged:
     """Judge the fuel of the engine choice."""
     found = engines.results(engines.Choice())["fuel_kg"]
     return f"{found:.2f} kg, burnt on the way", judge_range(found, 4.605, 4.615, "kg")
 
 
-def stress() -> tuple[str, str]:
+def stress() -> Judged:
     """Compute the diameter of a bar with the stress that the paper gives for the forearm."""
     thrust = max(jet["thrust_max"] for jet in robot()["jets"] if "arm" in jet["name"])
     offset = forearm_offset()
@@ -134,7 +134,7 @@ def stress() -> tuple[str, str]:
         f"{thrust:.0f} N at {1e3 * offset:.0f} mm from the elbow's axis bend by {thrust * offset:.1f} N m: "
         f"{STRESSES['forearm']:.0f} MPa in a solid round bar of {1e3 * diameter:.0f} mm"
     )
-    return text, explain_absence("sections of jetpack and forearm are not public; the bar is of a plausible size")
+    return text, out_of_reach("sections of jetpack and forearm are not public; the bar is of a plausible size")
 
 
 def forearm_offset() -> float:
@@ -147,7 +147,7 @@ def forearm_offset() -> float:
     return float(np.linalg.norm(np.cross(position, rotation @ np.array(jet["axis"]))))
 
 
-def strength() -> tuple[str, str]:
+def strength() -> Judged:
     """Judge the safety factor of the weakest material."""
     factors = {part: ERGAL_STRENGTH / value for part, value in STRESSES.items()}
     text = f"{ERGAL_STRENGTH:.0f} MPa (7075-T6) over the paper's stresses: " + ", ".join(
@@ -156,7 +156,7 @@ def strength() -> tuple[str, str]:
     return text, judge(min(factors.values()) >= 5.0, f"{min(factors.values()):.1f}")
 
 
-def ranges() -> tuple[str, str]:
+def ranges() -> Judged:
     """Judge the angles of the tests in the tables."""
     tunnel = table("tables/wind_tunnel.toml")
     beta = [angle for test in tunnel["hovering"] for angle in test["beta_deg"]]
@@ -166,7 +166,7 @@ def ranges() -> tuple[str, str]:
     return text, judge(same, "other angles")
 
 
-def campaign() -> tuple[str, str]:
+def campaign() -> Judged:
     """Judge which part of the campaign the tables contain."""
     tunnel = table("tables/wind_tunnel.toml")
     tests = [*tunnel["hovering"], *tunnel["flight"]]
@@ -174,10 +174,10 @@ def campaign() -> tuple[str, str]:
     text = (
         f"{points} measurements of {len(tests)} tests are in `configs/tables/wind_tunnel.toml`: those of Fig. 2 and 3"
     )
-    return text, explain_absence("the whole campaign is public (BSD-3-Clause) and not shipped here")
+    return text, out_of_reach("the whole campaign is public (BSD-3-Clause) and not shipped here")
 
 
-def blockage() -> tuple[str, str]:
+def blockage() -> Judged:
     """Judge the greatest share of the test section that the robot can block."""
     area, section = silhouette(), TUNNEL_SECTION[0] * TUNNEL_SECTION[1]
     share = area / section
@@ -188,15 +188,15 @@ def blockage() -> tuple[str, str]:
     return text, judge_range(100.0 * share, 0.0, 3.0, "%")
 
 
-def reynolds() -> tuple[str, str]:
+def reynolds() -> Judged:
     """Judge the Reynolds numbers of the links."""
     sizes = [link["diameter"] for link in robot()["aero_links"]]
     low, high = (AIR_DENSITY * TUNNEL_SPEED * size / AIR_VISCOSITY for size in (min(sizes), max(sizes)))
     text = f"{low:.1e} to {high:.1e} over the links' diameters at {TUNNEL_SPEED:g} m/s"
-    return text, explain_absence("Note 1's reference length is not public to us")
+    return text, out_of_reach("Note 1's reference length is not public to us")
 
 
-def mach() -> tuple[str, str]:
+def mach() -> Judged:
     """Judge the Mach number of the fastest test."""
     speed = max(test["speed"] for test in table("tables/wind_tunnel.toml")["hovering"])
     number = speed / SPEED_OF_SOUND
@@ -205,7 +205,7 @@ def mach() -> tuple[str, str]:
     )
 
 
-def boundary() -> tuple[str, str]:
+def boundary() -> Judged:
     """Judge whether the printed turbulence at the boundary is self-consistent."""
     k, epsilon, omega = 2.89e-6, 0.0236e-6, 8.17
     intensity = math.sqrt(2.0 * k / 3.0) / TUNNEL_SPEED
@@ -217,7 +217,7 @@ def boundary() -> tuple[str, str]:
     return text, judge(math.isclose(epsilon, omega * k, rel_tol=0.1), factor)
 
 
-def postures() -> tuple[str, str]:
+def postures() -> Judged:
     """Compute the number of simulations in the dataset from its own factors."""
     known = table("tables/postures.toml")
     count = 24 * 19 * 18
@@ -225,11 +225,12 @@ def postures() -> tuple[str, str]:
         f"24 × 19 × 18 = {count}; `configs/tables/postures.toml` names {len(known['free_stream'])} postures of "
         f"the table that our fits use and {len(known['listed']) + len(known['rest'])} others of the campaign's list"
     )
-    agreed = judge(abs(count - 8500) < 500)
-    return text, f"{agreed} with 24 configurations; 30, as printed elsewhere, would be {30 * 19 * 18}"
+    return text, judge(abs(count - 8500) < 500).but(
+        f" with 24 configurations; 30, as printed elsewhere, would be {30 * 19 * 18}"
+    )
 
 
-def cells() -> tuple[str, str]:
+def cells() -> Judged:
     """Judge the mesh reduction."""
     reduction = 1.0 - 0.33 / 9.53
     sizes = sorted({run["elements"] for run in table("tables/cfd_tunnel.toml")["run"]})
@@ -244,7 +245,7 @@ def _errors() -> tuple[float, float, float, float]:
     return errors["random"]["mse"], errors["grouped"]["mse"], baselines["random"]["nearest"], axisymmetric
 
 
-def network_error() -> tuple[str, str]:
+def network_error() -> Judged:
     """Judge the network's error on unseen data."""
     random, grouped, nearest, _ = _errors()
     text = (
@@ -252,10 +253,10 @@ def network_error() -> tuple[str, str]:
         f"{grouped:.1e} on whole postures"
     )
     on_random, on_postures = (judge(error <= 3e-6, f"{error / 3e-6:.1f} times") for error in (random, grouped))
-    return text, f"{on_random} on random rows; on whole postures {on_postures}"
+    return text, in_parts(f"{on_random} on random rows; on whole postures {on_postures}", on_random, on_postures)
 
 
-def order_of_magnitude() -> tuple[str, str]:
+def order_of_magnitude() -> Judged:
     """Compare the axisymmetric model with the network."""
     _, grouped, _, axisymmetric = _errors()
     ratio = axisymmetric / grouped
@@ -264,7 +265,7 @@ def order_of_magnitude() -> tuple[str, str]:
     )
 
 
-def network_size() -> tuple[str, str]:
+def network_size() -> Judged:
     """Judge the size of the paper's network."""
     hidden = table("training/paper.toml")["network"]["hidden"]
     text = f"`configs/training/paper.toml`: {len(hidden)} layers of {hidden[0]}, 22 inputs, 39 outputs"
@@ -272,7 +273,7 @@ def network_size() -> tuple[str, str]:
     return text, judge(same, "its text says 1048, its code 1024, as ours; what flies is a smaller network of ours")
 
 
-def misprint() -> tuple[str, str]:
+def misprint() -> Judged:
     """Judge the coefficients of Suppl. Table 2, in comparison with the published controller's."""
     sets = robot()["coefficients"]
     printed, refit = (sets[name]["head"]["cda"][4] for name in ("published", "refit"))
@@ -334,12 +335,3 @@ def mesh_table() -> list[list[str]]:
         models = ", ".join(run["turbulence"] for run in own)
         rows.append([name, f"{own[0]['elements']:.3g}", models, str(len(own[0]["alpha_deg"]))])
     return rows
-
-
-TABLES = {
-    "robot": robot_table,
-    "engines": engine_table,
-    "coefficients": coefficient_table,
-    "meshes": mesh_table,
-}
-"""Tables of the documentation's page of the paper; the first row holds the headings."""

@@ -5,11 +5,12 @@ An error over many flights is given as median, 90 % quantile and maximum.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from experiments.report.judges import Judge
 from experiments.report.results import Cell, Results, count
-from experiments.report.verdicts import judge
+from experiments.report.verdicts import Judged, Verdict, judge
 from experiments.sweep.table import wilson
 
 OUTAGE_SPEED = 10.0
@@ -21,7 +22,7 @@ def _errors(cell: Cell) -> str:
     return f"{count(cell)} complete, rotation error {low:.1f}, {high:.1f}, {worst:.1f}°"
 
 
-def _judge_list(bad: list[str]) -> str:
+def _judge_list(bad: list[str]) -> Verdict:
     return judge(not bad, ", ".join(bad))
 
 
@@ -36,17 +37,17 @@ def _list_failures(cells: Iterable[tuple[str, Cell]], error: str, limit: float) 
     return found
 
 
-def _judge_errors(cells: Sequence[tuple[str, Cell]], error: str, limit: float) -> tuple[str, str]:
+def _judge_errors(cells: Sequence[tuple[str, Cell]], error: str, limit: float) -> Judged:
     """Return the errors of named cells, and whether all complete within a limit [deg]."""
     return "; ".join(f"{name}: {_errors(cell)}" for name, cell in cells), _judge_list(
         _list_failures(cells, error, limit)
     )
 
 
-def tests(arms: str, limit: float) -> Callable[[Results], tuple[str, str]]:
+def tests(arms: str, limit: float) -> Judge:
     """Judge TEST1 and TEST3, flown without an aerodynamic model."""
 
-    def judge(results: Results) -> tuple[str, str]:
+    def judge(results: Results) -> Judged:
         sweep = results.sweep("observer_tests")
         cells = [(test, sweep.cell(test=f"{test}, {arms} arms")) for test in ("TEST1", "TEST3")]
         return _judge_errors(cells, "worst", limit)
@@ -65,7 +66,7 @@ def _pool_cells(cells: list[dict[str, Any]]) -> str:
     )
 
 
-def fast_wind(results: Results) -> tuple[str, str]:
+def fast_wind(results: Results) -> Judged:
     """Judge flights in winds of 26 m/s from all directions."""
     sweep = results.sweep("observer_wind")
     texts, bad = [], []
@@ -76,7 +77,7 @@ def fast_wind(results: Results) -> tuple[str, str]:
     return "; ".join(texts), _judge_list(bad)
 
 
-def every_wind(results: Results) -> tuple[str, str]:
+def every_wind(results: Results) -> Judged:
     """Judge winds of up to 40 m/s."""
     sweep = results.sweep("observer_wind")
     texts, bad = [], []
@@ -91,7 +92,7 @@ def every_wind(results: Results) -> tuple[str, str]:
     return "; ".join(texts), _judge_list(bad)
 
 
-def model_errors(results: Results) -> tuple[str, str]:
+def model_errors(results: Results) -> Judged:
     """Judge flights of robots that differ from the controller's model."""
     sweep = results.sweep("observer_errors")
     named = ("mass +10 %", "CoM 4 cm", "left arm jet -10 %")
@@ -100,7 +101,7 @@ def model_errors(results: Results) -> tuple[str, str]:
     return _judge_errors(cells, "median", 10.0)
 
 
-def sensors(results: Results) -> tuple[str, str]:
+def sensors(results: Results) -> Judged:
     """Judge flights with realistic sensors."""
     sweep = results.sweep("sensors_tests")
     cells = [
@@ -109,7 +110,7 @@ def sensors(results: Results) -> tuple[str, str]:
     return _judge_errors(cells, "worst", 12.0)
 
 
-def false_alarms(results: Results) -> tuple[str, str]:
+def false_alarms(results: Results) -> Judged:
     """Judge how often a channel is predicted or an engine limited in flights without failures."""
     cells = results.sweep("observer_tests").cells + results.sweep("sensors_tests").select(
         controller="observer and estimator"
@@ -120,7 +121,7 @@ def false_alarms(results: Results) -> tuple[str, str]:
     return text, judge(not alarmed, f"{alarmed} false alarms")
 
 
-def _outages(results: Results, what: Mapping[str, tuple[float, ...]]) -> tuple[str, str]:
+def _outages(results: Results, what: Mapping[str, tuple[float, ...]]) -> Judged:
     sweep = results.sweep("outages_observer")
     cells = [
         (f"{channel}, {'for good' if duration > 30.0 else f'{duration:g} s'}", cell)
@@ -131,17 +132,17 @@ def _outages(results: Results, what: Mapping[str, tuple[float, ...]]) -> tuple[s
     return _judge_errors(cells, "worst", 90.0)
 
 
-def permanent_outages(results: Results) -> tuple[str, str]:
+def permanent_outages(results: Results) -> Judged:
     """Judge flights that lose wind or thrust sensors for good."""
     return _outages(results, {"wind": (60.0,), "all thrusts": (60.0,)})
 
 
-def temporary_outages(results: Results) -> tuple[str, str]:
+def temporary_outages(results: Results) -> Judged:
     """Judge flights that temporarily lose base rotation, velocity or position."""
     return _outages(results, dict.fromkeys(("rotation", "velocity", "position"), (0.3, 1.0)))
 
 
-def lost_engines(results: Results) -> tuple[str, str]:
+def lost_engines(results: Results) -> Judged:
     """Judge hovering flights in which an engine fades, stops or keeps its thrust."""
     sweep = results.sweep("engine_loss")
     cells = [
@@ -152,7 +153,7 @@ def lost_engines(results: Results) -> tuple[str, str]:
     return _judge_errors(cells, "worst", 90.0)
 
 
-def wind_estimate(results: Results) -> tuple[str, str]:
+def wind_estimate(results: Results) -> Judged:
     """Judge the wind estimated from the wrench."""
     found = results.study("wind_observer", "turbulence")
     worlds: dict[str, list[Mapping[str, float]]] = {}

@@ -151,7 +151,8 @@ class Results:
         """Return the figures of a study."""
         path = self.folder / kind / name / places.MANIFEST_FILE
         if not path.is_file():
-            raise NotFlownError(f"`jax-aero {kind.replace('_', '-')} {name}` has not been run")
+            command = "cfd flow" if kind == "cfd_flow" else f"study {kind}"
+            raise NotFlownError(f"`jax-aero {command} {name}` has not been run")
         document = read_json(path, documents.Manifest)
         self.note(f"{kind} {name}", document, outdated.study(kind, name, document))
         return dict(document.get("summary", {}))

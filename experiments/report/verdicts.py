@@ -1,29 +1,75 @@
-"""Texts of verdicts: agrees, differs (by how much), out of reach (why), not flown here; preceded by outdated."""
+"""Verdicts on claims: a kind, and the text that says by how much or why."""
 
-AGREES = "agrees"
-NOT_FLOWN = "not flown here"
-OUTDATED = "outdated"
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import TypeAlias
+
+
+class Kind(Enum):
+    """Kind of a verdict; the value is its word in texts and in `docs/claims.json`."""
+
+    AGREES = "agrees"
+    IN_PART = "agrees in part"
+    DIFFERS = "differs"
+    OUT_OF_REACH = "out of reach"
+    NOT_FLOWN = "not flown here"
+    OUTDATED = "outdated"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A verdict with its whole text."""
+
+    kind: Kind
+    text: str
+
+    def __str__(self) -> str:
+        return self.text
+
+    def but(self, limit: str) -> Verdict:
+        """Return the verdict with an addition that limits it: what agrees then agrees in part."""
+        kind = Kind.IN_PART if self.kind is Kind.AGREES and limit else self.kind
+        return Verdict(kind, f"{self}{limit}")
+
+
+Judged: TypeAlias = tuple[str, Verdict]
+"""A measurement as text, and the verdict."""
+
+AGREES, NOT_FLOWN = (Verdict(kind, kind.value) for kind in (Kind.AGREES, Kind.NOT_FLOWN))
 ANOTHER = "made with another configuration than today's"
 """Reason why a verdict is outdated, followed by the difference."""
 
 
-def explain_difference(how: str) -> str:
+def differs(how: str) -> Verdict:
     """Return the verdict for a value that differs, and how."""
-    return f"differs: {how}"
+    return Verdict(Kind.DIFFERS, f"differs: {how}")
 
 
-def judge(holds: bool, how: str = "it does not hold") -> str:
-    """Return whether a claim holds, or how it differs."""
-    return AGREES if holds else explain_difference(how)
-
-
-def explain_absence(why: str) -> str:
+def out_of_reach(why: str) -> Verdict:
     """Return the verdict for a measurement that is impossible here, and why."""
-    return f"out of reach: {why}"
+    return Verdict(Kind.OUT_OF_REACH, f"out of reach: {why}")
 
 
-def judge_range(value: float, low: float, high: float, unit: str) -> str:
+def mark_outdated(verdict: Verdict) -> Verdict:
+    """Return a verdict from results of another configuration."""
+    return Verdict(Kind.OUTDATED, f"outdated: {verdict}")
+
+
+def in_parts(text: str, *parts: Verdict) -> Verdict:
+    """Return the verdict on a claim of several parts: theirs if they have the same kind, or else agrees in part."""
+    kinds = {part.kind for part in parts}
+    return Verdict(kinds.pop() if len(kinds) == 1 else Kind.IN_PART, text)
+
+
+def judge(holds: bool, how: str = "it does not hold") -> Verdict:
+    """Return whether a claim holds, or how it differs."""
+    return AGREES if holds else differs(how)
+
+
+def judge_range(value: float, low: float, high: float, unit: str) -> Verdict:
     """Return whether a value lies between two bounds, or by how much it misses the nearer one."""
     if low <= value <= high:
         return AGREES
-    return explain_difference(f"{value - (low if value < low else high):+.3g} {unit}".rstrip())
+    return differs(f"{value - (low if value < low else high):+.3g} {unit}".rstrip())

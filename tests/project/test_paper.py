@@ -1,6 +1,5 @@
 """The page of the paper: every figure has an item, what an item names exists, and figures are those of the files."""
 
-import dataclasses
 import re
 import subprocess
 from pathlib import Path
@@ -9,19 +8,16 @@ import pytest
 
 from experiments import studies
 from experiments.fly import main as fly
-from experiments.report import claims, facts
+from experiments.report import findings, index, paper
 from experiments.report.results import Results
-from experiments.report.verdicts import NOT_FLOWN
-from jax_aero.cli import COMMANDS
-from paper_figs import paper
-from paper_figs.command import main
-from paper_figs.figures import FIGURES, SWEEPS
+from experiments.report.verdicts import Kind
+from jax_aero.cli import COMMANDS, main
+from paper_figs.figures import FIGURES, OURS, SWEEPS
 
 ROOT = Path(__file__).resolve().parents[2]
-RECORD = paper.read_record()
-SECTIONS = paper.sections(RECORD["claims"])
-ITEMS = [item for items in SECTIONS.values() for item in items]
-WORDS = ("agrees", "differs: ", "out of reach: ", NOT_FLOWN)
+KEPT = findings.read(index.CLAIMS)
+CLAIMS = paper.all_claims()
+ITEMS = paper.all_items()
 MODEL = (ROOT / "docs/model.md").read_text(encoding="utf-8")
 
 
@@ -32,30 +28,48 @@ def anchors(page: str) -> set[str]:
 
 
 def test_the_index_is_the_page(capsys):
-    assert main(["--index"]) == 0
-    assert capsys.readouterr().out == paper.page()
+    assert main(["report", "--index"]) == 0
+    assert capsys.readouterr().out == index.page()
 
 
 def test_every_figure_and_sweep_has_an_item():
-    shown = {item.figure for item in ITEMS} - {""}
-    assert set(FIGURES) | set(SWEEPS) <= shown
-    assert shown <= {*FIGURES, *(path.stem for path in (ROOT / "configs/sweeps").glob("*.toml"))}
+    assert {item.figure for item in ITEMS} - {""} == {*FIGURES, *SWEEPS}
 
 
-def test_every_claim_is_shown_and_has_a_verdict():
-    used = {key for item in ITEMS for key in item.claims}
-    assert used == set(RECORD["claims"]) == {claim.key for claim in claims.CLAIMS}
-    for claim in RECORD["claims"].values():
-        assert claim["verdict"].startswith(WORDS), claim
+def test_a_key_is_that_of_one_claim():
+    assert all(CLAIMS[claim.key] is claim for item in ITEMS for claim in item.claims)
+
+
+def test_what_needs_results_is_kept_with_a_verdict_and_nothing_else_is():
+    written = {
+        row.key for rows in paper.SECTIONS.values() for row in rows if isinstance(row, paper.Claim) and row.commands
+    }
+    assert set(KEPT) == written
+    assert {finding.verdict.kind for finding in index.found().values()} <= {
+        Kind.AGREES, Kind.IN_PART, Kind.DIFFERS, Kind.OUT_OF_REACH,
+    }  # fmt: skip
 
 
 def test_every_item_of_the_paper_has_a_verdict():
-    for title, items in SECTIONS.items():
+    for title, items in paper.sections().items():
         for item in items:
-            judged = bool(item.claims or item.tunnel) + bool(item.verdict)
+            judged = bool(item.claims) + bool(item.verdict)
             assert judged == 1 or (title == "Beyond the paper" and not item.verdict), item.name
-            assert not item.verdict or item.verdict.startswith(WORDS), item.name
-            assert item.figure or item.links or item.claims or item.verdict.startswith("out of reach"), item.name
+            out_of_reach = item.verdict and item.verdict.kind is Kind.OUT_OF_REACH
+            assert item.figure or item.links or item.claims or out_of_reach, item.name
+
+
+def test_without_studies_nothing_of_the_table_names_one(monkeypatch):
+    """As if the folders of all studies were deleted: figures of studies are not there either."""
+    monkeypatch.setattr(studies, "names", list)
+    monkeypatch.setattr(paper, "FIGURES", {name: FIGURES[name] for name in OURS})
+    sections = paper.sections.__wrapped__()
+    commands = [command for items in sections.values() for item in items for command in item.commands]
+    assert not [command for command in commands if command.startswith("jax-aero study")]
+    shown = {item.figure for items in sections.values() for item in items} - {""}
+    assert shown == {*OURS, *SWEEPS}
+    (battery,) = [item for item in sections["Numbers of the text"] if item.shows == "battery against fuel"]
+    assert [claim.key for claim in battery.claims] == ["battery", "fuel"]
 
 
 @pytest.mark.parametrize("link", sorted({link for item in ITEMS for link in item.links}))
@@ -68,15 +82,13 @@ def test_links_lead_somewhere(link):
     else:
         page = ROOT / "docs" / path
         assert not path or page.is_file()
-        assert not anchor or anchor in anchors(page.read_text(encoding="utf-8") if path else paper.page())
+        assert not anchor or anchor in anchors(page.read_text(encoding="utf-8") if path else index.page())
 
 
 def test_commands_name_what_exists():
     experiments = {path.stem for path in (ROOT / "configs/experiments").glob("*.toml")}
     for item in ITEMS:
-        for command in paper.command_of(item, RECORD["claims"]).split("; "):
-            if not command:
-                continue
+        for command in item.commands:
             program, first, *rest = command.split()
             assert program == "jax-aero"
             assert first in COMMANDS, command
@@ -94,15 +106,15 @@ def test_commands_name_what_exists():
 
 def test_claims_of_single_flights_are_those_of_the_code(tmp_path, capsys):
     """The crate computes the same bits everywhere, so what it flew once it flies again."""
-    alone = [claim for claim in claims.CLAIMS if claim.flights and not claim.sweep and not claim.study]
-    flown = [claim for claim in alone if not claim.flights[0].startswith("balancing")]  # MuJoCo's ground is slower
-    names = sorted({name for claim in flown for name in claim.flights})
+    alone = [claim for claim in CLAIMS.values() if [command.split()[0] for command in claim.commands] == ["fly"]]
+    flown = [claim for claim in alone if "balancing" not in claim.commands[0]]  # MuJoCo's ground is slower
+    names = sorted({name for claim in flown for name in claim.commands[0].split()[1:]})
     assert fly([*names, "--out", str(tmp_path / "flight")]) == 0
     capsys.readouterr()
     results = Results(tmp_path)
     for claim in flown:
-        kept = RECORD["claims"][claim.key]
-        assert claim.judge(results) == (kept["measured"], kept["verdict"]), claim.key
+        kept = KEPT[claim.key]
+        assert claim.judge(results) == (kept.measured, kept.verdict), claim.key
 
 
 def git(*words: str) -> subprocess.CompletedProcess[str]:
@@ -111,18 +123,6 @@ def git(*words: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.skipif(git("rev-parse", "--is-shallow-repository").stdout != "false\n", reason="no history of commits")
 def test_a_claim_names_a_commit_that_a_clone_has():
-    for commit in {claim["commit"] for claim in RECORD["claims"].values()}:
+    for commit in {finding.commit for finding in KEPT.values()}:
         assert commit is not None
         assert git("merge-base", "--is-ancestor", commit, "HEAD").returncode == 0, commit
-
-
-def test_facts_and_tables_are_those_of_the_files(tmp_path):
-    """What needs no flight is computed again; what does was kept, and names the command that makes it."""
-    fresh = {claim.key: claim for claim in claims.all_claims(Results(tmp_path))}
-    for key, kept in RECORD["claims"].items():
-        if fresh[key].command:
-            fixed = ("key", "where", "claim", "command", "figure")
-            assert {name: kept[name] for name in fixed} == {name: getattr(fresh[key], name) for name in fixed}
-        else:
-            assert kept == dataclasses.asdict(fresh[key]) | {"commit": kept["commit"]}
-    assert RECORD["tables"] == {name: rows() for name, rows in facts.TABLES.items()}

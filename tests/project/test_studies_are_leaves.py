@@ -20,8 +20,7 @@ PROBE = """
 import sys
 from jax_aero import cli
 from experiments import schema, studies
-from experiments.report import claims
-from paper_figs import paper
+from experiments.report import index, paper
 from paper_figs.figures import FIGURES
 
 gone = sys.argv[1]
@@ -31,12 +30,11 @@ try:
     cli.main(["study", gone])
 except SystemExit as ended:
     assert ended.code == cli.REFUSED
-shown = {item.figure for items in paper.sections(paper.read_record()["claims"]).values() for item in items}
+shown = {item.figure for item in paper.all_items()}
 assert shown - {""} <= {*FIGURES, *paper.SWEEPS}
 assert gone not in {entry.kind for entry in FIGURES.values()}
-assert f"study {gone}" not in " ".join(claim.command for claim in claims.CLAIMS)
+assert f"study {gone}" not in index.page()
 assert not any(gone in path.parts for path in schema.files())
-assert paper.page()
 """
 
 

@@ -5,13 +5,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from experiments.report import claims
+from experiments.report import judges, paper
 from experiments.report.ground import Ground
 from experiments.report.metrics import Metrics
 from experiments.report.results import Sweep
+from experiments.report.verdicts import Kind
 from experiments.sweep.table import wilson
 
-JUDGES = {claim.key: claim.judge for claim in claims.WRITTEN}
+JUDGES = {row.key: row.judge for rows in paper.SECTIONS.values() for row in rows if isinstance(row, paper.Claim)}
 
 
 def flight(**figures):
@@ -48,9 +49,9 @@ def cell(completed=100, flights=100, on_course=None, worst=4.0, median=2.0, degr
 
 
 def judge(key, *, flights=None, standing=None, sweeps=None, studies=None):
-    """Return what was measured and the verdict, from figures in place of a results folder."""
+    """Return what was measured and the text of the verdict, from figures in place of a results folder."""
     made_up = {name: [cell(**one) for one in cells] for name, cells in (sweeps or {}).items()}
-    return JUDGES[key](
+    measured, verdict = JUDGES[key](
         SimpleNamespace(
             flight=(flights or {}).get,
             ground_experiment=(standing or {}).get,
@@ -58,6 +59,9 @@ def judge(key, *, flights=None, standing=None, sweeps=None, studies=None):
             study=lambda kind, name: (studies or {}).get(name, (studies or {}).get(kind)),
         )
     )
+    assert verdict.text.startswith(verdict.kind.value.removesuffix(" in part"))
+    assert (verdict.kind is Kind.AGREES) == (verdict.text == "agrees")
+    return measured, verdict.text
 
 
 ROBUST = ("robustness", "robustness_published")
@@ -84,7 +88,7 @@ def test_a_claim_on_flights_holds_up_to_its_limit(key, names, holds, fails):
     }  # fmt: skip
     if names == ["test2"] and key == "asymmetry":
         base["no_wind"] = flight(asymmetry=(10.0, 1.0))
-    for figures, verdict in ((holds, claims.AGREES), (fails, "differs")):
+    for figures, verdict in ((holds, "agrees"), (fails, "differs")):
         changed = base | {name: flight(**figures) for name in names}
         assert judge(key, flights=changed)[1].startswith(verdict), figures
 
@@ -133,7 +137,7 @@ def test_what_was_measured_on_the_ground_is_said():
 )
 def test_a_claim_on_standing_needs_both_experiments(key, name, figures):
     base = {name: ground_flight(axis) for name, axis in STOOD.items()}
-    assert judge(key, standing=base)[1] == claims.AGREES
+    assert judge(key, standing=base)[1] == "agrees"
     assert judge(key, standing=base | {name: ground_flight(STOOD[name], **figures)})[1].startswith("differs")
 
 
@@ -217,7 +221,7 @@ def test_other_models_are_those_of_other_worlds():
 def test_the_term_of_the_changing_force_must_not_matter_in_any_world(without, verdict):
     terms = [
         {"world": world, "feedback": feedback, "median": median}
-        for world, other in ((claims.RIGHT, 2.0), (claims.HEAD, without), (claims.PUBLISHED, 2.0))
+        for world, other in ((judges.RIGHT, 2.0), (judges.HEAD, without), (judges.PUBLISHED, 2.0))
         for feedback, median in (("everything", 2.0), ("without Λ_a", other))
     ]
     assert judge("lambda", sweeps={"ablation_terms": terms})[1] == verdict
@@ -320,7 +324,7 @@ FAILURES = [
     ],
 )
 def test_a_claim_of_ours_fails_with_one_of_its_cells(key, sweep, cells, place, holds, fails):
-    for figures, verdict in ((holds, claims.AGREES), (fails, "differs")):
+    for figures, verdict in ((holds, "agrees"), (fails, "differs")):
         changed = [one | figures if at == place else one for at, one in enumerate(cells)]
         assert judge(key, sweeps={sweep: changed})[1].startswith(verdict), figures
 

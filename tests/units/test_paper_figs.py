@@ -3,7 +3,6 @@ import pytest
 from matplotlib.patches import Rectangle
 from PIL import Image
 
-from jax_aero import places
 from paper_figs import panels, runs, style
 from paper_figs.command import main
 from paper_figs.figures import FIGURES
@@ -57,12 +56,6 @@ def test_a_missing_flight_is_named_with_the_command_that_flies_it(tmp_path, caps
 def test_a_mistake_is_named(arguments, message, capsys):
     assert main(arguments) == 2
     assert message in capsys.readouterr().err
-
-
-def test_the_index_needs_a_checkout(monkeypatch, capsys):
-    monkeypatch.setattr(places, "IS_CHECKOUT", False)
-    assert main(["--index"]) == 2
-    assert capsys.readouterr().err == "error: --index reads docs/ of a checkout of the repository, and this is none\n"
 
 
 def test_a_figure_for_a_dark_page_has_no_background_and_light_text(tmp_path):

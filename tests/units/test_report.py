@@ -14,11 +14,23 @@ import xarray as xr
 
 from experiments import manifest, record
 from experiments.cfd.settings import FlowConfig
-from experiments.report import claims, engines, facts, ground, metrics, outdated
-from experiments.report.command import _count_verdicts, _edge, _pictures, _spans, build, claims_json
+from experiments.report import engines, facts, findings, ground, judges, metrics, outdated, paper
+from experiments.report.command import _count_verdicts, _edge, _pictures, _spans, build
+from experiments.report.findings import Finding
 from experiments.report.page import Heading, Page, Picture, Table, Text
 from experiments.report.results import Results, Sweep
-from experiments.report.verdicts import AGREES, ANOTHER, NOT_FLOWN, judge_range
+from experiments.report.verdicts import (
+    AGREES,
+    ANOTHER,
+    NOT_FLOWN,
+    Kind,
+    Verdict,
+    differs,
+    in_parts,
+    judge_range,
+    mark_outdated,
+    out_of_reach,
+)
 from experiments.sources import file_hash
 from experiments.sweep import run, spec
 from experiments.sweep.design import Design
@@ -91,11 +103,11 @@ def whole(tmp_path_factory, made_up_results):
     cells = [cell(i, 250, n, n // 2, test=label) for i, (label, n) in enumerate(tests)]
     write_sweep(folder, "paper_tests", cells, ["test"])
     terms = []
-    for world in (claims.RIGHT, claims.HEAD, claims.PUBLISHED):
+    for world in (judges.RIGHT, judges.HEAD, judges.PUBLISHED):
         for feedback, completes, stays in (
             ("everything", 24, 24),
             ("total wrench only", 24, 24),
-            ("total moment only", 24 if world == claims.RIGHT else 2, 0),
+            ("total moment only", 24 if world == judges.RIGHT else 2, 0),
             ("total force only", 2, 0),
             ("without Λ_a", 24, 24),
         ):
@@ -129,10 +141,9 @@ def test_a_claim_has_the_commit_of_the_last_result_that_it_was_measured_on(resul
     for name, day, commit in (("test2", 1, "a" * 40), ("test4", 2, "b" * 40), ("test1", 3, "c" * 40)):
         made = {"created": f"2026-01-0{day}T00:00:00+00:00", "git": {"commit": commit, "dirty": False}}
         change_manifest(tmp_path / "flight" / name / "manifest.json", **made)
-    stated = claims.all_claims(Results(tmp_path))
-    found = {claim.key: claim.commit for claim in stated}
-    assert (found["aligned"], found["thrusts_alike"], found["mass"]) == ("a" * 40, "b" * 40, None)
-    kept = json.loads(claims_json(stated, tmp_path / "none.json"))["claims"]
+    found = find(Results(tmp_path))
+    assert [found[key].commit for key in ("aligned", "thrusts_alike", "mass")] == ["a" * 40, "b" * 40, None]
+    kept = json.loads(findings.to_json(found, tmp_path / "none.json"))["claims"]
     assert kept["thrusts_alike"]["commit"] == "b" * 40
     assert kept["mass"]["commit"] not in ("a" * 40, "b" * 40, "c" * 40)
 
@@ -142,8 +153,8 @@ def change_manifest(path, **entries):
     path.write_text(json.dumps(json.loads(path.read_text()) | entries))
 
 
-def verdicts_of(results):
-    return {claim.key: claim for claim in claims.all_claims(results)}
+def find(results):
+    return {key: claim.find(results) for key, claim in paper.all_claims().items()}
 
 
 def test_a_flight_of_another_configuration_is_named_in_its_row_and_in_the_claims_that_rest_on_it(results):
@@ -151,12 +162,12 @@ def test_a_flight_of_another_configuration_is_named_in_its_row_and_in_the_claims
     entries = {"config_digest": rust.config_digest(config), "config": manifest.make_portable(config)}
     change_manifest(results.folder / "flight" / "test2" / "manifest.json", **entries)
     said = f"{ANOTHER}: test2 (`simulator.duration`, `wind.velocity`)"
-    found = verdicts_of(results)
-    assert found["aligned"].verdict == "outdated: differs: it does not hold"
+    found = find(results)
+    assert found["aligned"].verdict == Verdict(Kind.OUTDATED, "outdated: differs: it does not hold")
     assert found["aligned"].measured.endswith(f"; {said}")
-    assert found["test2"].verdict == "outdated: agrees"
-    assert "outdated" not in found["test1"].verdict
-    text = build(results, list(found.values())).markdown()
+    assert found["test2"].verdict == Verdict(Kind.OUTDATED, "outdated: agrees")
+    assert found["test1"].verdict.kind is Kind.IN_PART
+    text = build(results, found).markdown()
     assert (
         "test2: made up **Made with another configuration than today's: `simulator.duration`, `wind.velocity`.** |"
         in text
@@ -172,14 +183,14 @@ def test_a_flight_of_another_file_that_it_names_is_outdated(results):
 
 
 def test_a_sweep_of_another_configuration_is_named_in_its_claims(results):
-    assert ANOTHER[1:] not in build(results, []).markdown()
+    assert ANOTHER[1:] not in build(results, {}).markdown()
     for name in ("paper_tests", "ablation_terms"):
         change_manifest(results.folder / "sweeps" / name / "sweep.json", config_hash="0" * 64)
     found = Results(results.folder)
-    claim = verdicts_of(found)["test2"]
-    assert claim.verdict == "outdated: agrees"
+    claim = find(found)["test2"]
+    assert claim.verdict == mark_outdated(AGREES)
     assert f"{ANOTHER}: sweep paper_tests (`axes`, " in claim.measured
-    assert build(found, []).markdown().count(ANOTHER[1:]) == 2, "in the answer and with the sweep"
+    assert build(found, {}).markdown().count(ANOTHER[1:]) == 2, "in the answer and with the sweep"
 
 
 def test_what_differs_of_a_sweep_is_named():
@@ -235,7 +246,7 @@ def test_a_sweep_with_flights_that_could_not_be_flown_decides_no_claim(results):
     document = json.loads(path.read_text())
     document["finished"]["outcomes"]["error"] = 2
     path.write_text(json.dumps(document))
-    stated = [claim for claim in claims.all_claims(Results(results.folder)) if "sweep paper_tests" in claim.measured]
+    stated = [claim for claim in find(Results(results.folder)).values() if "sweep paper_tests" in claim.measured]
     assert stated
     for claim in stated:
         assert claim.verdict == NOT_FLOWN
@@ -248,13 +259,13 @@ def test_a_sweep_of_other_levels_decides_no_claim(results):
         path = results.folder / "sweeps" / name / "cells.parquet"
         pq.write_table(pq.read_table(path).slice(0, 1), path)
     found = Results(results.folder)
-    claim = verdicts_of(found)["test2"]
+    claim = find(found)["test2"]
     assert claim.verdict == NOT_FLOWN
     assert claim.measured == (
         "a result has no 'test = TEST2, corrected arms'; make it again with --overwrite: "
         "`jax-aero fly test2 test2_published; jax-aero sweep paper_tests`"
     )
-    assert "## The minimum" not in build(found, []).markdown()
+    assert "## The minimum" not in build(found, {}).markdown()
 
 
 @pytest.mark.parametrize(
@@ -336,24 +347,25 @@ def test_a_run_without_wind_has_no_force_angle(make_flight, robot):
 
 
 def test_verdicts_follow_from_counts(results):
-    verdicts = {claim.where: claim.verdict for claim in claims.all_claims(results)}
-    assert verdicts["TEST1"].startswith("agrees with published lever arms")
-    assert verdicts["TEST2"] == "agrees"
-    assert verdicts["Flight control design"] == "agrees"
-    assert verdicts["Axisymmetric model"] == "agrees"
-    assert verdicts["TEST3"].startswith("agrees with published lever arms")
-    assert verdicts["TEST4"] == "agrees"
-    assert verdicts["Robustness"].startswith("agrees with corrected lever arms")
+    found = find(results)
+    kinds = {
+        key: found[key].verdict.kind for key in ("test1", "test2", "test3", "test4", "robustness", "lambda", "order")
+    }
+    in_part = dict.fromkeys(("test1", "test3", "robustness"), Kind.IN_PART)
+    assert kinds == dict.fromkeys(kinds, Kind.AGREES) | in_part
+    assert found["test1"].verdict.text.startswith("agrees with published lever arms")
+    assert found["test3"].verdict.text.startswith("agrees with published lever arms")
+    assert found["robustness"].verdict.text.startswith("agrees with corrected lever arms")
 
 
 def test_what_has_not_been_flown_names_its_command(tmp_path):
-    for claim in claims.all_claims(Results(tmp_path)):
+    for claim in find(Results(tmp_path)).values():
         if claim.verdict == NOT_FLOWN:
             assert "`jax-aero " in claim.measured
 
 
 def test_the_minimum_is_what_stays_on_course_everywhere(results):
-    answer = claims.answer(results)
+    answer = judges.answer(results)
     assert "in every world: **total wrench only**" in answer
     assert "As good in completing: everything, total wrench only, without Λ_a." in answer
 
@@ -430,7 +442,7 @@ def test_the_report_is_written_from_what_there_is(results, capsys):
     ):
         assert word in text
     assert str(results.folder) not in text
-    assert build(Results(results.folder / "nowhere"), []).markdown().startswith("# What flies, and why")
+    assert build(Results(results.folder / "nowhere"), {}).markdown().startswith("# What flies, and why")
 
 
 @pytest.mark.parametrize(
@@ -482,7 +494,7 @@ def test_a_folder_without_results_is_not_made(tmp_path, capsys):
 def test_a_file_of_something_else_is_not_replaced_by_claims(tmp_path, capsys):
     (tmp_path / "claims.json").write_text('{"mine": 1}')
     assert main(["report", "--results", str(tmp_path)]) == 2
-    assert f"error: {tmp_path / 'claims.json'} holds no claims" in capsys.readouterr().err
+    assert f"error: {tmp_path / 'claims.json'} is damaged: " in capsys.readouterr().err
     assert (tmp_path / "claims.json").read_text() == '{"mine": 1}'
 
 
@@ -492,35 +504,57 @@ def test_what_an_ended_process_left_is_no_flight(results):
 
 
 def test_what_is_not_flown_here_or_outdated_stays_as_it_was_kept(tmp_path):
-    base = claims.Claim("k", "w", "c", "12 m", "agrees", "fly it", "")
     kept = tmp_path / "claims.json"
-    kept.write_text(claims_json([base], kept))
-    first = json.loads(kept.read_text())["claims"]["k"]
-    absent = dataclasses.replace(base, claim="reworded", measured="has not been run", verdict=NOT_FLOWN)
-    assert json.loads(claims_json([absent], kept))["claims"]["k"] == first | {"claim": "reworded"}
-    for verdict, measured in (("agrees", "13 m"), ("outdated: agrees", "12 m")):
-        other = dataclasses.replace(base, measured="13 m", verdict=verdict)
-        assert json.loads(claims_json([other], kept))["claims"]["k"]["measured"] == measured
-    assert json.loads(claims_json([absent], tmp_path / "none.json"))["claims"]["k"]["verdict"] == NOT_FLOWN
+    kept.write_text(findings.to_json({"k": Finding("12 m", AGREES, "first")}, kept))
+    absent = Finding("has not been run", NOT_FLOWN)
+
+    def stored(finding, path=kept):
+        path.write_text(findings.to_json({"k": finding}, kept))
+        return findings.read(path)["k"]
+
+    first = stored(absent)
+    assert first == Finding("12 m", AGREES, "first")
+    assert stored(Finding("13 m", mark_outdated(AGREES), "second")) == first
+    assert stored(Finding("12 m", AGREES, "second")) == first
+    assert stored(Finding("13 m", AGREES, "second")) == Finding("13 m", AGREES, "second")
+    assert (
+        json.loads(findings.to_json({"k": absent}, tmp_path / "none"))["claims"]["k"]["verdict"]["text"]
+        == "not flown here"
+    )
 
 
 def test_verdicts_are_counted():
-    base = claims.Claim("k", "w", "c", "m", "agrees", "", "")
-    verdicts = ("agrees", "agrees on one", "differs: 2", "differs: 3", "out of reach: why")
-    text = _count_verdicts([dataclasses.replace(base, verdict=verdict) for verdict in verdicts])
-    assert text == "5 claims: **1** agrees, **1** agrees in part, **2** differs, **1** out of reach."
+    verdicts = (AGREES, AGREES.but(" on one"), differs("2"), differs("3"), out_of_reach("why"), mark_outdated(AGREES))
+    text = _count_verdicts([Finding("m", verdict) for verdict in verdicts])
+    assert text == "6 claims: **1** agrees, **1** agrees in part, **2** differs, **1** out of reach, **1** outdated."
+
+
+def test_what_agrees_with_a_limit_or_in_one_of_its_parts_agrees_in_part():
+    assert AGREES.but("") == AGREES
+    assert AGREES.but(", almost") == Verdict(Kind.IN_PART, "agrees, almost")
+    assert differs("2").but("; undecided") == Verdict(Kind.DIFFERS, "differs: 2; undecided")
+    assert in_parts("both", AGREES, AGREES).kind is Kind.AGREES
+    assert in_parts("both", differs("2"), differs("3")).kind is Kind.DIFFERS
+    assert in_parts("one", differs("2"), AGREES).kind is Kind.IN_PART
+
+
+def test_the_index_needs_a_checkout(monkeypatch, capsys):
+    monkeypatch.setattr(places, "IS_CHECKOUT", False)
+    assert main(["report", "--index"]) == 2
+    assert capsys.readouterr().err == "error: --index reads docs/ of a checkout of the repository, and this is none\n"
 
 
 def test_a_verdict_says_by_how_much():
     assert judge_range(2.0, 1.0, 3.0, "m") == AGREES
-    assert judge_range(0.5, 1.0, 3.0, "m") == "differs: -0.5 m"
-    assert judge_range(3.25, 1.0, 3.0, "") == "differs: +0.25"
+    assert judge_range(0.5, 1.0, 3.0, "m") == differs("-0.5 m")
+    assert judge_range(3.25, 1.0, 3.0, "") == differs("+0.25")
 
 
 def test_the_verdict_on_the_network_follows_from_its_errors(monkeypatch):
     monkeypatch.setattr(facts, "_errors", lambda: (4.5e-6, 2.9e-6, 1e-5, 2.9e-5))
-    assert facts.network_error()[1] == "differs: 1.5 times on random rows; on whole postures agrees"
-    assert facts.order_of_magnitude()[1] == "agrees"
+    text = "differs: 1.5 times on random rows; on whole postures agrees"
+    assert facts.network_error()[1] == Verdict(Kind.IN_PART, text)
+    assert facts.order_of_magnitude()[1] == AGREES
 
 
 def test_facts_of_the_tunnel_come_from_what_is_printed():

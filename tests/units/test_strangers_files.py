@@ -12,10 +12,11 @@ import pyarrow.parquet as pq
 import pytest
 import xarray as xr
 
-from experiments import Refused, parquet, record
+from experiments import Refused, record
+from experiments.report.findings import Record
 from experiments.report.results import Results
 from experiments.sweep import run as sweep_run
-from jax_aero import documents, netcdf, tables
+from jax_aero import documents, netcdf, parquet, tables
 from jax_aero.aero import dataset
 from jax_aero.cli import main
 from jax_aero.files import MAX_DEPTH, complete_folder, lock, parse_json, read_json
@@ -159,7 +160,7 @@ damage = pytest.mark.parametrize(
 
 
 @damage
-@pytest.mark.parametrize("form", [documents.Manifest, documents.FinishedSweep, documents.Claims])
+@pytest.mark.parametrize("form", [documents.Manifest, documents.FinishedSweep, Record])
 def test_a_damaged_document_is_named(damage, form, tmp_path):
     path = tmp_path / "it.json"
     damage(path)

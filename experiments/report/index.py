@@ -1,0 +1,78 @@
+"""The documentation's page of the paper, item by item: the table with findings that are kept or follow from files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from experiments.report import facts, findings
+from experiments.report.findings import Finding
+from experiments.report.paper import Item, all_claims, sections
+from experiments.report.results import Results
+from jax_aero import places
+
+DOCS = places.HOME / "docs"
+CLAIMS = DOCS / "claims.json"
+GALLERY = "img/gallery"
+HEADINGS = ("item", "ours", "command", "paper", "measured", "verdict")
+ABOUT = (
+    "This page compares every figure, table, equation and claim of the paper with what we measured. A verdict is "
+    "*agrees*, *differs* (with the difference) or *out of reach* (with the reason). [Deviations](deviations.md) "
+    "explains the differences. `jax-aero report --index` makes this page: what follows from committed files alone is "
+    "computed, and `jax-aero report --claims docs/claims.json` stores the other measurements with their commit."
+)
+TABLES = {
+    "The robot": (
+        facts.robot_table,
+        "Aerodynamic links, for Fig. 1 and Suppl. Fig. 6: `configs/robot/ironcub_mk1.toml`.",
+    ),
+    "Suppl. Table 1": (facts.engine_table, "Identified engines, with their steady-state thrusts."),
+    "Suppl. Table 2": (facts.coefficient_table, "Force areas [m²] as published, and refitted to the public table."),
+    "Suppl. Table 3": (
+        facts.mesh_table,
+        "Meshes of flight30 in the public records; sizing parameters are not public.",
+    ),
+}
+"""Tables by title; the first row holds the headings."""
+
+
+def found() -> dict[str, Finding]:
+    """Return the finding of every claim: kept, from files, or that it is not flown here."""
+    kept, nothing = findings.read(CLAIMS), Results(DOCS)
+    return {key: kept[key] if key in kept else claim.find(nothing) for key, claim in all_claims().items()}
+
+
+def page() -> str:
+    """Return the page as Markdown."""
+    known = found()
+    parts = ["# The paper, item by item", ABOUT]
+    for title, items in sections().items():
+        parts += [f"## {title}", _table([HEADINGS, *(row for item in items for row in _rows(item, known))])]
+    for title, (rows, caption) in TABLES.items():
+        parts += [f"## {title}", caption, _table(rows())]
+    return "\n\n".join(parts) + "\n"
+
+
+def _rows(item: Item, known: Mapping[str, Finding]) -> Iterator[tuple[str, ...]]:
+    ours = ", ".join([*([_figure(item.figure)] if item.figure else []), *map(_link, item.links)])
+    command = "; ".join(f"`{word}`" for word in item.commands)
+    stated = [(claim.states, known[claim.key].measured, str(known[claim.key].verdict)) for claim in item.claims]
+    for number, row in enumerate(stated or [("", "", str(item.verdict or ""))]):
+        first = (f"{item.name}: {item.shows}", ours, command) if number == 0 else ("", "", "")
+        yield (*first, *row)
+
+
+def _figure(name: str) -> str:
+    path = f"{GALLERY}/{name}.png"
+    return f"[{name}]({path})" if (DOCS / path).is_file() else f"`{name}`"
+
+
+def _link(link: str) -> str:
+    if link.startswith("configs/"):
+        return f"`{link}`"
+    name = link.removeprefix("#").replace("-", " ") if link.startswith("#") else link.rsplit("#", 1)[-1]
+    return f"[{name}]({link})"
+
+
+def _table(rows: Sequence[Sequence[str]]) -> str:
+    lines = [rows[0], ["---"] * len(rows[0]), *rows[1:]]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in lines)
