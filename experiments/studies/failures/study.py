@@ -1,0 +1,69 @@
+"""What the recommended controller does after a failure: losses, wrong sensors, engines, pauses, on the ground.
+
+`jax-aero study failures [PART]` flies one part of the question, or all: `losses` and `planned` (the base is no longer
+measured), `thrust`, `thrust_checked` and `thrust_scaled` (thrusts are measured wrong), `engines` and `descent` (an
+engine fails), `pauses` (the controller does not tick), `take_off_base`, `take_off_engines` and `take_off_scaled` (on
+the ground). `--set every=10` flies only every tenth flight. The result goes to `results/failures/PART/`.
+"""
+
+from __future__ import annotations
+
+import pandas as pd
+import xarray as xr
+
+from experiments import Refused
+from experiments.studies.failures import flights, ground
+from experiments.study import Findings, Study
+from jax_aero import places, rust, tables
+
+PARTS = {**flights.PARTS, **ground.PARTS}
+
+MEANING = {
+    "case": ("", "what fails, and in which flight"),
+    "completed": ("1", "whether the flight completes"),
+    "lean": ("deg", "greatest rotation error after the failure"),
+    "found": ("s", "time from the failure to the first tick that detects one"),
+    "held": ("1", "whether a thrust sensor is what is found wrong"),
+    "sink": ("m s-1", "speed of sinking at the end, or at the height of the start"),
+    "down": ("s", "time from the failure until the height of the start is reached"),
+    "distance": ("m", "greatest distance of the centre of mass from its set-point"),
+    "feet": ("1", "whether the foot sensors are taken for wrong"),
+}
+
+
+class Failures(tables.Table, frozen=True):
+    """Flights of a part."""
+
+    every: tables.Count = 1
+    """One flight of so many is flown."""
+
+
+def compute(part: str, asked: Failures) -> Findings:
+    """Fly a part of the failures."""
+    if part not in PARTS:
+        raise Refused(f"there is no part `{part}`{places.did_you_mean(part, PARTS)}")
+    table = pd.DataFrame(PARTS[part](asked.every)).rename_axis("flight")
+    data = xr.Dataset.from_dataframe(table)
+    for name in table:
+        unit, text = MEANING[str(name)]
+        data[name].attrs.update({"units": unit, "long_name": text})
+    rows = {str(case): _summary(cell.drop(columns="case")) for case, cell in table.groupby("case", sort=False)}
+    report = "\n".join(f"  {case}: {text}" for case, text in rows.items())
+    bases = {name: rust.load_config(name) for name in ("test2_observer", "test2_sensors", "take_off")}
+    return Findings(f"Failures: {part}", data, rows, flights=bases, report=report)
+
+
+STUDY = Study("failures", __doc__, Failures, compute, tuple(PARTS), engine="rust")
+main = STUDY.main
+
+
+def _summary(cell: pd.DataFrame) -> str:
+    """Return how many flights of a case complete, and the ranges of their figures."""
+    done = cell[cell["completed"]]
+    parts = [f"{len(done)} of {len(cell)} complete"]
+    for name in done.columns.drop("completed"):
+        if done[name].dtype == bool:
+            parts.append(f"{name} in {done[name].sum()}")
+        elif done[name].notna().any():
+            parts.append(f"{name} {done[name].min():.2f} to {done[name].max():.2f} {MEANING[name][0]}")
+    return ", ".join(parts)
