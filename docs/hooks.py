@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 from latex2mathml.converter import convert
 from mkdocs.structure.files import File
 
-from experiments import schema
+from experiments import schema, studies
 from experiments.report import index
 from jax_aero import rust
 
@@ -27,16 +27,48 @@ NUMBER = re.compile(r"\\tag\{(?P<number>M\d+)\}")
 CODE = re.compile(r"^Code: (?P<places>.*)$", re.MULTILINE)
 MODEL = "model.md"
 WIDE = {"deviations.md", "paper.md"}
+PICTURE = re.compile(r"(?P<shown>!\[[^\]]*\])\((?P<path>\w+\.png)\)")
+INDEX = (
+    "Questions beyond single flights, each in a folder of its own in `experiments/studies`, which can be deleted or "
+    "[copied](../howto/experiment.md#a-study). `jax-aero study NAME` answers one, `jax-aero study NAME --help` says what "
+    "it does; results go to `results/NAME/`."
+)
 
 TIGHT = {"|", "\u2016", "/"}
 """Operators without space around them."""
 
 
+def on_config(config: Any) -> Any:
+    """Add the page of every study to the navigation."""
+    for section in config["nav"]:
+        section.get("Studies", []).extend(f"studies/{name}.md" for name in studies.names())
+    return config
+
+
 def on_files(files: Any, *, config: Any) -> Any:
-    """Add the pages that follow from the code and its records, which are not stored."""
-    for path, text in {"paper.md": index.page(), schema.PAGE: schema.reference(rust.schemas())}.items():
+    """Add the pages that follow from the code and its records, which are not stored, and the pictures of studies."""
+    for path, text in generated().items():
         files.append(File.generated(config, path, content=text))
+    for picture in studies.FOLDER.glob("*/*.png"):
+        path = f"studies/{picture.parent.name}/{picture.name}"
+        files.append(File.generated(config, path, abs_src_path=str(picture)))
     return files
+
+
+def generated() -> dict[str, str]:
+    """Return the pages that are not stored, by path."""
+    pages = {"paper.md": index.page(), schema.PAGE: schema.reference(rust.schemas())}
+    rows = [f"| [{name}]({name}.md) | {studies.about(name)} |" for name in studies.names()]
+    pages["studies/index.md"] = "\n".join(
+        ["# Studies", "", INDEX, "", "| `jax-aero study` | answers |", "|---|---|", *rows, ""]
+    )
+    return pages | {f"studies/{name}.md": study_page(name) for name in studies.names()}
+
+
+def study_page(name: str) -> str:
+    """Return the page of a study: its README, with links and pictures as they lie in the site."""
+    text = (studies.FOLDER / name / "README.md").read_text(encoding="utf-8")
+    return PICTURE.sub(rf"\g<shown>({name}/\g<path>)", text.replace("](../../../docs/", "](../"))
 
 
 def on_page_markdown(markdown: str, *, page: Any, config: Any, **_: Any) -> str:

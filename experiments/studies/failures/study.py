@@ -63,7 +63,7 @@ def _summary(cell: pd.DataFrame) -> str:
     parts = [f"{len(done)} of {len(cell)} complete"]
     for name in done.columns.drop("completed"):
         if done[name].dtype == bool:
-            parts.append(f"{name} in {done[name].sum()}")
+            parts.append(f"{name} in {cell[name].sum()}")
         elif done[name].notna().any():
             parts.append(f"{name} {done[name].min():.2f} to {done[name].max():.2f} {MEANING[name][0]}")
     return ", ".join(parts)
