@@ -30,8 +30,8 @@ WIDE = {"deviations.md", "paper.md"}
 PICTURE = re.compile(r"(?P<shown>!\[[^\]]*\])\((?P<path>\w+\.png)\)")
 INDEX = (
     "Questions beyond single flights, each in a folder of its own in `experiments/studies`, which can be deleted or "
-    "[copied](../howto/experiment.md#a-study). `jax-aero study NAME` answers one, `jax-aero study NAME --help` says what "
-    "it does; results go to `results/NAME/`."
+    "[copied](../howto/experiment.md#a-study). `jax-aero study NAME` answers one, `jax-aero study NAME --help` says "
+    "how; results go to `results/NAME/`."
 )
 
 TIGHT = {"|", "\u2016", "/"}
@@ -49,10 +49,15 @@ def on_files(files: Any, *, config: Any) -> Any:
     """Add the pages that follow from the code and its records, which are not stored, and the pictures of studies."""
     for path, text in generated().items():
         files.append(File.generated(config, path, content=text))
-    for picture in studies.FOLDER.glob("*/*.png"):
+    for picture in pictures():
         path = f"studies/{picture.parent.name}/{picture.name}"
         files.append(File.generated(config, path, abs_src_path=str(picture)))
     return files
+
+
+def pictures() -> list[Path]:
+    """Return the pictures of all studies."""
+    return sorted(studies.FOLDER.glob("*/*.png"))
 
 
 def generated() -> dict[str, str]:

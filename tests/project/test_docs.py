@@ -4,8 +4,10 @@ A comment `<!-- test: KIND -->` before a code block states how it is tried.
 """
 
 import ast
+import functools
 import importlib.util
 import itertools
+import os
 import pkgutil
 import re
 import shlex
@@ -22,7 +24,8 @@ from nbclient import NotebookClient
 from traitlets.config import Config
 
 import jax_aero
-from experiments import overrides
+from docs import hooks
+from experiments import overrides, studies
 from experiments.report.page import Page, Table, Text
 from experiments.robot import waypoints
 from experiments.sweep import spec
@@ -34,7 +37,7 @@ from tests.browser import CHROMIUM, SLOWEST, open_chromium
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 README = ROOT / "README.md"
-PAGES = [README, *sorted(DOCS.rglob("*.md"))]
+PAGES = [README, *sorted(DOCS.rglob("*.md")), *sorted(studies.FOLDER.glob("*/README.md"))]
 FENCE = re.compile(r"(?:<!-- test: (?P<kind>[\w-]+) -->\n)?^```(?P<language>\w+)\n(?P<code>.*?)^```$", re.M | re.S)
 KINDS = {
     ("run", "python"),
@@ -179,10 +182,48 @@ def test_shown_commands_name_what_exists(page):
                 assert {*names} <= {*FIGURES, *sweeps, "all"}, names
             elif first == "sweep":
                 assert {*names} <= sweeps, names
+            elif first == "study" and words and words[0].islower():
+                assert words[0] in studies.names(), words
         else:
             for_arm = {"aarch64-linux-gnu-gcc", "qemu-aarch64", "rustup"}
             assert program in {"cargo", "cc", "export", "source", "target/loop"} | for_arm, program
             assert all((ROOT / word).exists() for word in words if word.startswith(("rust/", "configs/"))), words
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_a_page_names_no_study_but_its_own(page):
+    """A study can be deleted with its folder."""
+    others = {name for name in studies.names() if studies.FOLDER / name != page.parent}
+    figures = {figure for figure, entry in FIGURES.items() if entry.kind in others}
+    text = page.read_text(encoding="utf-8")
+    for words in shown_commands(text):
+        if words[:2] in (["jax-aero", "study"], ["jax-aero", "figures"]):
+            assert {*words[2:]}.isdisjoint(others | figures), words
+    for link in LINK.findall(FENCE.sub("", text)):
+        assert {*Path(link).with_suffix("").parts[-2:]}.isdisjoint(others) or "studies" not in link, link
+
+
+LINK = re.compile(r"\]\((?!https?:)([^)#\s]+)(?:#[^)]*)?\)")
+
+
+generated = functools.cache(hooks.generated)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_links_of_a_page_lead_to_files_or_generated_pages(page):
+    made = {DOCS / path for path in generated()}
+    for link in LINK.findall(FENCE.sub("", page.read_text(encoding="utf-8"))):
+        target = (page.parent / link).resolve()
+        assert target.exists() or target in made, link
+
+
+def test_links_of_generated_pages_lead_to_pages_and_pictures():
+    pages = generated()
+    stored = {str(path.relative_to(DOCS)) for path in DOCS.rglob("*") if path.is_file()}
+    pictures = {f"studies/{path.parent.name}/{path.name}" for path in hooks.pictures()}
+    for page, text in pages.items():
+        for link in LINK.findall(FENCE.sub("", text)):
+            assert os.path.normpath(Path(page).parent / link) in {*pages, *stored, *pictures}, f"{page}: {link}"
 
 
 def test_links_and_folders_of_the_readme_exist():
@@ -273,8 +314,6 @@ def test_a_notebook_runs(path, tmp_path):
 
 
 def test_formulas_are_typeset_wherever_they_stand():
-    hooks = importlib.import_module("docs.hooks")
-
     def typeset(markdown):
         return hooks.INLINE.sub(hooks.inline_formula, markdown)
 
@@ -283,7 +322,7 @@ def test_formulas_are_typeset_wherever_they_stand():
     assert typeset("$3 and\n\n$4") == "$3 and\n\n$4"
     for formula in ("$x + 1$", "$(x +\n1)$"):
         assert re.fullmatch(r"at <span><math.*</math></span>, say", typeset(f"at {formula}, say"), re.DOTALL)
-    for page in sorted((ROOT / "docs").rglob("*.md")):
+    for page in PAGES:
         left = hooks.INLINE.sub("", hooks.EQUATION.sub("", page.read_text(encoding="utf-8")))
         assert "$" not in left, f"{page.name}: a formula is not closed within its paragraph"
 

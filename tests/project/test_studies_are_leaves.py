@@ -1,4 +1,4 @@
-"""A study can be deleted: in a copy without its folder everything that names studies still works."""
+"""Studies can be deleted: in a copy without the folder of one, or of all, everything that names studies still works."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from experiments import studies
 
 ROOT = Path(__file__).resolve().parents[2]
 
-# What names studies: the list of commands, figures, the page and the claims of the paper, the schemas, the tests.
+# What names studies: the list of commands, figures, the page and the claims of the paper, the schemas, the documents.
 PROBE = """
 import sys
 from jax_aero import cli
@@ -23,18 +23,29 @@ from experiments import schema, studies
 from experiments.report import index, paper
 from paper_figs.figures import FIGURES
 
-gone = sys.argv[1]
-assert gone not in studies.names()
+missing = set(sys.argv[1:])
+assert missing.isdisjoint(studies.names())
 assert cli.main(["study"]) == 0
-try:
-    cli.main(["study", gone])
-except SystemExit as ended:
-    assert ended.code == cli.REFUSED
+for gone in missing:
+    try:
+        cli.main(["study", gone])
+    except SystemExit as ended:
+        assert ended.code == cli.REFUSED
 shown = {item.figure for item in paper.all_items()}
 assert shown - {""} <= {*FIGURES, *paper.SWEEPS}
-assert gone not in {entry.kind for entry in FIGURES.values()}
-assert f"study {gone}" not in index.page()
-assert not any(gone in path.parts for path in schema.files())
+assert missing.isdisjoint(entry.kind for entry in FIGURES.values())
+page = index.page()
+assert not any(f"study {gone}" in page for gone in missing)
+assert not any(missing.intersection(path.parts) for path in schema.files())
+"""
+
+# Run once, without all: that a page names no study but its own is a test of documents.
+DOCUMENTS = """
+from tests.project import test_docs
+for page in test_docs.PAGES:
+    test_docs.test_shown_commands_name_what_exists(page)
+    test_docs.test_links_of_a_page_lead_to_files_or_generated_pages(page)
+test_docs.test_links_of_generated_pages_lead_to_pages_and_pictures()
 """
 
 
@@ -62,15 +73,27 @@ def test_tests_of_studies_stand_where_they_go_with_their_study():
     assert [path.name for path in others if imported.search(path.read_text(encoding="utf-8"))] == []
 
 
-@pytest.mark.parametrize("name", studies.names())
-def test_without_a_study_nothing_is_missing(copy, name, tmp_path):
-    folder = copy / "experiments" / "studies" / name
-    folder.rename(tmp_path / name)
+@pytest.mark.parametrize(
+    "names",
+    [[name] for name in studies.names()] + [studies.names()],
+    ids=lambda names: names[0] if len(names) == 1 else "all",
+)
+def test_without_studies_nothing_is_missing(copy, names, tmp_path):
+    program = PROBE + (DOCUMENTS if names == studies.names() else "")
+    folders = [copy / "experiments" / "studies" / name for name in names]
+    for folder in folders:
+        folder.rename(tmp_path / folder.name)
     try:
         environment = os.environ | {"PYTHONPATH": str(copy)}
         ended = subprocess.run(
-            [sys.executable, "-c", PROBE, name], cwd=copy, env=environment, capture_output=True, text=True, timeout=300
+            [sys.executable, "-c", program, *names],
+            cwd=copy,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=300,
         )
         assert ended.returncode == 0, ended.stderr
     finally:
-        (tmp_path / name).rename(folder)
+        for folder in folders:
+            (tmp_path / folder.name).rename(folder)

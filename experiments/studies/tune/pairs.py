@@ -1,4 +1,7 @@
-"""Tuned beside published controller, flight by flight: `python -m experiments.studies.tune.pairs`, of the sweep `tuned`."""
+"""Tuned beside published controller, flight by flight, from the table of the sweep `tuned`.
+
+`python -m experiments.studies.tune.pairs` prints the table of the README.
+"""
 
 from __future__ import annotations
 
