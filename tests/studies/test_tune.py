@@ -7,8 +7,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 import pytest
 
+from experiments.studies.tune import pairs
 from experiments.studies.tune import study as tune
 from jax_aero import places, rust, sim, tables
 from jax_aero.command import Refused
@@ -249,3 +251,26 @@ def test_what_is_kept_of_work_under_way_has_one_process(tmp_path, monkeypatch, c
         assert tune.main([]) == 2
     assert f".{result.name}.work is being written by process" in capsys.readouterr().err
     assert not any(path.is_file() for path in tmp_path.rglob("*"))
+
+
+def test_pairs_of_flights_are_those_that_both_complete():
+    """Tuned errors are half of the published ones; a pair of which one flight is lost does not count."""
+    rows = [
+        {
+            "world": "ideal",
+            "speed": 10.0,
+            "controller": controller,
+            "repeat": repeat,
+            "outcome": "fell" if (controller, repeat) == ("published", 2) else "completed",
+            "max_rotation_error": np.radians(factor * (99.0 if repeat == 2 else 4.0 + repeat)),
+            "max_com_error": factor * 0.02,
+        }
+        for controller, factor in (("published", 1.0), ("tuned", 0.5))
+        for repeat in range(3)
+    ]
+    lines = pairs.report(pd.DataFrame(rows)).splitlines()
+    assert lines == [
+        "ideal 10.0 m/s; complete: 2, 3",
+        "  rotation: 5.0, 2.5; tuned over published 0.50 (0.50 to 0.50)",
+        "  position: 2.0, 1.0; tuned over published 0.50 (0.50 to 0.50)",
+    ]

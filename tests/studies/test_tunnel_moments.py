@@ -9,6 +9,7 @@ from experiments import Refused
 from experiments.cfd import models
 from experiments.data import import_tunnel
 from experiments.studies.tunnel_moments import correction as tunnel_correction
+from experiments.studies.tunnel_moments import figure
 from experiments.studies.tunnel_moments import study as tunnel_moments
 from jax_aero import tables
 from jax_aero.aero import dataset, tunnel
@@ -205,6 +206,10 @@ def test_a_cell_of_the_matrix_counts_balanced_arrivals():
 def test_without_data_the_command_says_what_makes_them(tmp_path):
     with pytest.raises(Refused, match="make it with: jax-aero data import-tunnel --clone DIR"):
         tunnel_moments.read(tmp_path / "none.nc")
+
+
+def test_the_figure_shows_models_that_the_study_evaluates():
+    assert figure.SHOWN.keys() <= models.MODELS.keys()
 
 
 def test_points_that_are_cut_short_are_named(tmp_path):

@@ -15,7 +15,6 @@ NEWTON_METRES = 61.25
 SHOWN = {
     "axisymmetric, corrected": style.BLUE,
     "spheres and cylinders": style.GREEN,
-    "panels": style.ORANGE,
     "network, shipped": style.VERMILION,
 }
 SIDES = {"below": "o", "above": "^"}
