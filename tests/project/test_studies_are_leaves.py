@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import importlib
 import os
 import re
 import shutil
@@ -12,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from experiments import studies
+from paper_figs.figures import OURS
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -71,6 +74,25 @@ def test_tests_of_studies_stand_where_they_go_with_their_study():
     others = [path for path in (ROOT / "tests").rglob("*.py") if path.parent != ROOT / "tests" / "studies"]
     imported = re.compile(r"^\s*(from|import) experiments\.studies\.", re.MULTILINE)
     assert [path.name for path in others if imported.search(path.read_text(encoding="utf-8"))] == []
+
+
+def test_results_and_figures_of_a_study_have_the_name_of_its_folder():
+    """A copied folder whose name is not put in would take another study's configurations, results or figures."""
+    drawn = dict(OURS)
+    for name in studies.names():
+        calls = [node for node in ast.walk(ast.parse(_read(name, "study.py"))) if isinstance(node, ast.Call)]
+        kinds = [ast.literal_eval(call.args[0]) for call in calls if ast.unparse(call.func) == "Study"]
+        assert kinds in ([], [name])
+        assert _read(name, "README.md").startswith(f"# {name}\n")
+        if (studies.FOLDER / name / "figure.py").is_file():
+            figures = importlib.import_module(f"experiments.studies.{name}.figure").FIGURES
+            assert {entry.kind for entry in figures.values()} == {name}
+            assert figures.keys().isdisjoint(drawn)
+            drawn |= figures
+
+
+def _read(name: str, file: str) -> str:
+    return (studies.FOLDER / name / file).read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
