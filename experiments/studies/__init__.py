@@ -3,7 +3,7 @@
     NAME/study.py     a `Study` (`experiments.study`), and `main`, which reads the command line: `jax-aero study NAME`
     NAME/figure.py    optional: `FIGURES`, drawn by `jax-aero figures`
     NAME/*.toml       optional: configurations by name, with `schema.json` for editors
-    NAME/README.md    what it asks, and what was found
+    NAME/README.md    what it asks, and what was found: a page of the site, with its pictures beside it
 
 Nothing else names a study, except the table of the paper, which leaves out those whose folders are not there.
 """
