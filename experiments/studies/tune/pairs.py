@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from experiments.parquet import read_table
 from jax_aero import places
 
 TABLE = places.RESULTS / "sweeps" / "tuned" / "table.parquet"
@@ -41,4 +42,4 @@ def report(table: pd.DataFrame) -> str:
 
 
 if __name__ == "__main__":
-    print(report(pd.read_parquet(TABLE)))
+    print(report(read_table(TABLE).to_pandas()))
