@@ -62,8 +62,10 @@ def _rows(item: Item, known: Mapping[str, Finding]) -> Iterator[tuple[str, ...]]
 
 
 def _figure(name: str) -> str:
-    path = f"{GALLERY}/{name}.png"
-    return f"[{name}]({path})" if (DOCS / path).is_file() else f"`{name}`"
+    """Return a figure's name, linked to its picture in the gallery or on the page of its study if there is one."""
+    pictures = [*(DOCS / GALLERY).glob(f"{name}.png"), *places.STUDIES.glob(f"*/{name}.png")]
+    paths = [f"{GALLERY if DOCS in at.parents else f'studies/{at.parent.name}'}/{at.name}" for at in pictures]
+    return f"[{name}]({paths[0]})" if paths else f"`{name}`"
 
 
 def _link(link: str) -> str:
