@@ -74,7 +74,7 @@ def fly_chunk(
     """Return the table of one chunk."""
     indices = design.chunk(chunk)
     configs = [design.row_config(row) for row in indices]
-    return table.rows(design, indices, configs, engine.fly_batch(configs, threads, progress))
+    return table.rows(design.spec, design.cells, indices, configs, engine.fly_batch(configs, threads, progress))
 
 
 def run(
@@ -137,7 +137,7 @@ def _run(design: Design, workers: int | None, cluster: Ray | None, folder: Path,
 def _finish(folder: Path, design: Design, document: dict[str, Any], chunks: Chunks, flown: int, seconds: float) -> None:
     """Join the chunks; the description is written last and marks the sweep as complete."""
     whole = pa.concat_tables(chunks.read(chunk) for chunk in range(design.n_chunks))
-    for name, content in (("table.parquet", whole), ("cells.parquet", table.cells(design, whole))):
+    for name, content in (("table.parquet", whole), ("cells.parquet", table.cells(design.spec, design.cells, whole))):
         write_bytes(folder / name, parquet(content))
     outcomes = whole["outcome"].to_pylist()
     if errors := whole["error"].drop_null().to_pylist():

@@ -12,20 +12,21 @@ import math
 import typing
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pyarrow as pa
 
 from experiments.engines import Failure
 from experiments.sources import file_hash
+from experiments.sweep.spec import Level, Spec
 from experiments.table import text_table
 from jax_aero import rust
 from jax_aero.keys import get, set_key
 from jax_aero.result import FlightResult, Outcome
 
-if TYPE_CHECKING:
-    from experiments.sweep.design import Design
+Cells: TypeAlias = Sequence[tuple[Level, ...]]
+"""The levels of all axes, for each cell of a sweep."""
 
 SUMMARY = tuple(name for name, figure in rust.figures().items() if not figure.is_of_ground)
 """Figures of merit of a flight that are stored in the tables."""
@@ -67,20 +68,21 @@ QUANTITIES = {
 QUANTILES = {"low": 0.1, "median": 0.5, "high": 0.9, "worst": 1.0}
 
 
-def schema(design: Design) -> pa.Schema:
+def schema(spec: Spec, levels: Cells) -> pa.Schema:
     """Return the columns of the table of flights."""
-    drawn = [DRAWN] if design.spec.perturbation.ensemble else []
-    return pa.schema([*PLACE, *_axis_columns(design), *drawn, *FLIGHT])
+    drawn = [DRAWN] if spec.perturbation.ensemble else []
+    return pa.schema([*PLACE, *_axis_columns(spec, levels), *drawn, *FLIGHT])
 
 
-def _axis_columns(design: Design) -> Iterator[tuple[str, pa.DataType]]:
-    for column, axis in enumerate(design.spec.axis):
-        numeric = all(isinstance(cell[column].label, float) for cell in design.cells)
+def _axis_columns(spec: Spec, levels: Cells) -> Iterator[tuple[str, pa.DataType]]:
+    for column, axis in enumerate(spec.axis):
+        numeric = all(isinstance(cell[column].label, float) for cell in levels)
         yield axis.name, pa.float64() if numeric else pa.string()
 
 
 def rows(
-    design: Design,
+    spec: Spec,
+    levels: Cells,
     indices: Sequence[int],
     configs: Sequence[Mapping[str, Any]],
     flights: Sequence[FlightResult | Failure],
@@ -88,11 +90,11 @@ def rows(
     """Return flights as rows."""
     records = []
     for index, config, flown in zip(indices, configs, flights, strict=True):
-        cell, repeat = divmod(index, design.spec.repeats)
-        labels = [level.label for level in design.cells[cell]]
+        cell, repeat = divmod(index, spec.repeats)
+        labels = [level.label for level in levels[cell]]
         record: dict[str, Any] = {"row": index, "cell": cell, "repeat": repeat}
-        record |= {axis.name: label for axis, label in zip(design.spec.axis, labels, strict=True)}
-        if design.spec.perturbation.ensemble:
+        record |= {axis.name: label for axis, label in zip(spec.axis, labels, strict=True)}
+        if spec.perturbation.ensemble:
             record["member"] = Path(config["simulator"]["aero"]["card"]).stem
         record["config_hash"] = config_hash(config)
         if isinstance(flown, Failure):
@@ -101,20 +103,19 @@ def rows(
             record |= {"outcome": flown.outcome, "lost_time": flown.lost_time, "lost_reason": flown.lost_reason}
             record |= {name: flown.summary.get(name) for name in SUMMARY}
         records.append(record)
-    return pa.Table.from_pylist(records, schema(design))
+    return pa.Table.from_pylist(records, schema(spec, levels))
 
 
-def cells(design: Design, table: pa.Table) -> pa.Table:
+def cells(spec: Spec, levels: Cells, table: pa.Table) -> pa.Table:
     """Return the table of cells: counts with their intervals, and quantiles of the errors."""
-    repeats = design.spec.repeats
     records = []
-    for cell, levels in enumerate(design.cells):
+    for cell, chosen in enumerate(levels):
         record: dict[str, Any] = {"cell": cell}
-        record |= {axis.name: level.label for axis, level in zip(design.spec.axis, levels, strict=True)}
+        record |= {axis.name: level.label for axis, level in zip(spec.axis, chosen, strict=True)}
         # Rows are in order, with the repeats of a cell together.
-        mine = table.slice(cell * repeats, repeats)
+        mine = table.slice(cell * spec.repeats, spec.repeats)
         records.append(record | _cell({name: mine[name].to_numpy(zero_copy_only=False) for name in mine.column_names}))
-    axis_columns = dict(_axis_columns(design))
+    axis_columns = dict(_axis_columns(spec, levels))
     whole = ("cell", "flights", "errors", "on_course", "degraded", *OUTCOMES)
     fields = [(name, axis_columns.get(name, pa.int64() if name in whole else pa.float64())) for name in records[0]]
     return pa.Table.from_pylist(records, pa.schema(fields))

@@ -407,7 +407,7 @@ def test_files_of_one_name_that_change_places_make_another_sweep_of_other_rows(t
             (tmp_path / folder / "wind.csv").write_text(text)
         made = design(axis=[{"name": "wind", "level": level}])
         configs = [made.row_config(row) for row in range(2)]
-        rows = table.rows(made, range(2), configs, [engines.Failure("")] * 2)
+        rows = table.rows(made.spec, made.cells, range(2), configs, [engines.Failure("")] * 2)
         found.append((made.digest, rows["config_hash"].to_pylist()))
     (before, (one, other)), (after, swapped) = found
     assert before != after
