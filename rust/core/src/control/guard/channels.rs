@@ -18,69 +18,21 @@
 
 mod config;
 mod layout;
+mod state;
 
 pub use config::{ChannelsConfig, Greatest, Jumps};
+pub use state::ChannelsState;
 
 use crate::control::measurement::{BadStart, Measurement, Reading, UsedMeasurement};
 use crate::control::modes::Modes;
-use crate::kinematics::RobotState;
 use crate::robot::RobotModel;
-use crate::spatial::{Pose, exp_so3, is_rotation, vee_of_skew_part};
-use layout::{Entry, Kind, Layout};
-use nalgebra::{DVector, Matrix3, Vector3, Vector6};
-
-/// Longest time between two ticks, in ticks. Half a tick absorbs rounding.
-const GAP_MAX: f64 = 10.5;
-
-/// Longest time without ticks that can be a pause of the controller \[s\]; if it is longer, the clock has jumped.
-const PAUSE_MAX: f64 = 1.0;
-
-/// Longest flight \[s\]; for larger times, ticks of milliseconds are lost in rounding.
-const TIME_MAX: f64 = 1e9;
+use crate::spatial::{exp_so3, is_rotation, vee_of_skew_part};
+use layout::{Entry, Kind, Layout, rotation_of, vector};
+use nalgebra::{DVector, Vector3, Vector6};
+use state::{Channel, bound, time_is_plausible};
 
 /// Fraction of [`Jumps`] by which a value must differ from the prediction to count as frozen.
 const FROZEN_SHARE: f64 = 0.02;
-
-/// State of one channel.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-struct Channel {
-    /// Time since its last accepted measurement \[s\].
-    age: f64,
-    /// Number of successive ticks in which its bits have not changed.
-    same: u32,
-    /// Whether it counts as frozen, until its bits change.
-    is_frozen: bool,
-    /// Whether its measurements are permanently rejected.
-    is_distrusted: bool,
-}
-
-/// State of the channels, kept from tick to tick.
-#[derive(Debug, Clone, PartialEq)]
-pub struct ChannelsState {
-    channels: Vec<Channel>,
-    /// The measurement of the last tick.
-    last: Vec<f64>,
-    /// Prediction from the last accepted values.
-    predicted: Vec<f64>,
-    /// Acceleration `ν̇` that the last command causes in the state `commanded_in`.
-    pub acceleration: DVector<f64>,
-    /// State of the robot in the last tick that computed a command.
-    pub commanded_in: RobotState,
-    /// Torques of the last command, or those that replaced them \[N m, N\].
-    pub joint_torque: DVector<f64>,
-    /// Thrust rates of the last command, or those that replaced them \[N/s\].
-    pub thrust_rate: DVector<f64>,
-    /// Wrenches that keep the feet at rest, foot after foot \[N, N m\].
-    pub foot_wrenches: DVector<f64>,
-    /// Time of the last tick (M108) \[s\].
-    pub time: f64,
-    /// Offset of the measurement's clock from this time \[s\].
-    clock_offset: f64,
-    /// Whether there has been a tick.
-    is_begun: bool,
-    /// Whether the robot descends.
-    pub is_descending: bool,
-}
 
 /// The channels of one controller; preallocated.
 #[derive(Debug, Clone)]
@@ -185,7 +137,7 @@ impl Channels {
         if !time_is_plausible(measurement.time) {
             return bad("time", measurement.time, "0 to 1e9 s");
         }
-        self.read(measurement);
+        self.layout.read(measurement, &mut self.now);
         self.fill_joint_velocity();
         let wind = &mut self.now[self.layout.wind.clone()];
         if !wind.iter().all(|x| x.is_finite()) {
@@ -220,30 +172,6 @@ impl Channels {
         })
     }
 
-    /// Moves the time on with that of a measurement \[s\]: M108. Whether the time since the last tick is known.
-    fn update_clock(&self, state: &mut ChannelsState, measured: f64, used: &mut UsedMeasurement) -> bool {
-        let next = state.time + self.time_step;
-        let is_known = time_is_plausible(measured);
-        let time = if is_known { measured - state.clock_offset } else { next };
-        let elapsed = time - state.time;
-        let is_step = elapsed > 0.0 && elapsed < GAP_MAX * self.time_step;
-        let has_jumped = state.is_begun && !is_step && self.config.jump.is_some();
-        if has_jumped {
-            state.clock_offset = measured - next;
-        }
-        state.time = if has_jumped { next } else { time };
-        used.time = state.time;
-        used.elapsed = if is_step { elapsed } else { self.time_step };
-        let may_have_paused = state.is_begun && !is_step && elapsed > 0.0 && elapsed <= PAUSE_MAX;
-        used.pause = if may_have_paused { elapsed } else { 0.0 };
-        used.modes = Modes::default();
-        used.sensor_error.fill(None);
-        if !is_known || has_jumped {
-            used.modes.insert(Modes::CLOCK_PREDICTED);
-        }
-        is_step
-    }
-
     /// Processes a measurement of matching size and writes the result to `used`.
     pub fn update(
         &mut self,
@@ -251,7 +179,7 @@ impl Channels {
         measurement: &Measurement,
         used: &mut UsedMeasurement,
     ) {
-        self.read(measurement);
+        self.layout.read(measurement, &mut self.now);
         self.fill_joint_velocity();
         self.take_in(state, measurement.time, used);
     }
@@ -264,7 +192,7 @@ impl Channels {
 
     /// Judges the numbers in `now` and makes `used` of them.
     fn take_in(&mut self, state: &mut ChannelsState, time: f64, used: &mut UsedMeasurement) {
-        let is_step = self.update_clock(state, time, used);
+        let is_step = state.update_clock(time, self.time_step, self.config.jump.is_some(), used);
         let (was_begun, dt) = (state.is_begun, used.elapsed);
         if was_begun {
             state.predict(&self.layout, &self.greatest, dt);
@@ -298,7 +226,7 @@ impl Channels {
         }
         used.has_momentum = (is_step || !was_begun) && !used.modes.intersects(Modes::WITHOUT_MOMENTUM);
         state.is_begun = true;
-        self.write(used);
+        self.layout.write(&self.now, used);
     }
 
     /// Accepts the numbers of a channel, or lets its age grow by `dt` \[s\]. Returns whether it is measured in this tick
@@ -416,7 +344,7 @@ impl Channels {
                 self.now[entry.range.clone()].fill(f64::NAN);
             }
         }
-        self.write_reading(&mut reading.state, &mut reading.thrust);
+        self.layout.write_reading(&self.now, &mut reading.state, &mut reading.thrust);
     }
 
     /// Replaces the state and thrusts of `used` by an estimate; if a number of the estimate is outside the accepted
@@ -424,28 +352,12 @@ impl Channels {
     pub fn replace(&mut self, estimate: &mut Reading, used: &mut UsedMeasurement) {
         let Reading { state, thrust } = &*estimate;
         let (time, wind, foot_wrenches) = (used.time, used.wind, &used.foot_wrenches);
-        self.read(&Measurement { time, state, thrust, wind, foot_wrenches });
+        self.layout.read(&Measurement { time, state, thrust, wind, foot_wrenches }, &mut self.now);
         if is_within(&self.now, &self.greatest) {
             used.state.copy_from(state);
             used.thrust.copy_from_slice(thrust);
         } else {
             estimate.copy(&used.state, &used.thrust);
-        }
-    }
-
-    /// Reads the numbers of a measurement of matching size.
-    fn read(&mut self, measurement: &Measurement) {
-        let (layout, now) = (&self.layout, &mut self.now);
-        let RobotState { base, joint_position, velocity } = measurement.state;
-        now[layout.wind.clone()].copy_from_slice(measurement.wind.as_slice());
-        now[layout.thrust.clone()].copy_from_slice(measurement.thrust);
-        now[layout.joint_position.clone()].copy_from_slice(joint_position.as_slice());
-        now[layout.joint_velocity.clone()].copy_from_slice(&velocity.as_slice()[6..]);
-        now[layout.position.clone()].copy_from_slice(base.position.as_slice());
-        now[layout.rotation.clone()].copy_from_slice(base.rotation.as_slice());
-        now[layout.velocity()].copy_from_slice(&velocity.as_slice()[..6]);
-        for (to, wrench) in now[layout.feet.clone()].chunks_exact_mut(6).zip(measurement.foot_wrenches) {
-            to.copy_from_slice(wrench.as_slice());
         }
     }
 
@@ -456,77 +368,9 @@ impl Channels {
             velocities.iter_mut().filter(|x| !x.is_finite()).for_each(|x| *x = 0.0);
         }
     }
-
-    /// Inverse of `read` for state and thrusts.
-    fn write_reading(&self, state: &mut RobotState, thrust: &mut [f64]) {
-        let (layout, now) = (&self.layout, &self.now);
-        thrust.copy_from_slice(&now[layout.thrust.clone()]);
-        state.joint_position.copy_from_slice(&now[layout.joint_position.clone()]);
-        state.velocity.as_mut_slice()[6..].copy_from_slice(&now[layout.joint_velocity.clone()]);
-        state.velocity.as_mut_slice()[..6].copy_from_slice(&now[layout.velocity()]);
-        state.base = Pose {
-            rotation: rotation_of(&now[layout.rotation.clone()]),
-            position: vector(&now[layout.position.clone()]),
-        };
-    }
-
-    /// Inverse of `read` for all channels.
-    fn write(&self, used: &mut UsedMeasurement) {
-        let (layout, now) = (&self.layout, &self.now);
-        self.write_reading(&mut used.state, &mut used.thrust);
-        used.wind = vector(&now[layout.wind.clone()]);
-        for (to, wrench) in used.foot_wrenches.iter_mut().zip(now[layout.feet.clone()].chunks_exact(6)) {
-            to.copy_from_slice(wrench);
-        }
-    }
-}
-
-impl ChannelsState {
-    /// Advances all values except the pose by `dt` \[s\]: joints and base by M78, thrusts by M31. Values stay within
-    /// the accepted range, because otherwise the predicted velocity could grow without limit while a measurement is
-    /// missing.
-    fn predict(&mut self, layout: &Layout, greatest: &[f64], dt: f64) {
-        let Self { predicted, acceleration, thrust_rate, foot_wrenches, .. } = self;
-        predicted[layout.feet.clone()].copy_from_slice(foot_wrenches.as_slice());
-        for (thrust, rate) in predicted[layout.thrust.clone()].iter_mut().zip(thrust_rate.iter()) {
-            *thrust = (*thrust + dt * rate).max(0.0);
-        }
-        let (base, joints) = acceleration.as_slice().split_at(6);
-        let places = layout.joint_position.clone().zip(layout.joint_velocity.clone());
-        for ((position, velocity), acceleration) in places.zip(joints) {
-            predicted[velocity] += dt * acceleration;
-            predicted[position] += dt * predicted[velocity];
-        }
-        for (velocity, acceleration) in predicted[layout.velocity()].iter_mut().zip(base) {
-            *velocity += dt * acceleration;
-        }
-        bound(predicted, greatest);
-    }
 }
 
 /// Whether numbers are in `[−greatest, greatest]`.
 fn is_within(numbers: &[f64], greatest: &[f64]) -> bool {
     numbers.iter().zip(greatest).all(|(number, most)| number.abs() <= *most)
-}
-
-/// Brings numbers into `[−greatest, greatest]`.
-fn bound(numbers: &mut [f64], greatest: &[f64]) {
-    for (number, most) in numbers.iter_mut().zip(greatest) {
-        *number = number.max(-most).min(*most);
-    }
-}
-
-/// Converts three numbers to a vector.
-fn vector(numbers: &[f64]) -> Vector3<f64> {
-    Vector3::from_column_slice(numbers)
-}
-
-/// Converts nine numbers, column by column, to a matrix.
-fn rotation_of(numbers: &[f64]) -> Matrix3<f64> {
-    Matrix3::from_column_slice(numbers)
-}
-
-/// Whether a time is in the range of a flight.
-fn time_is_plausible(time: f64) -> bool {
-    (0.0..=TIME_MAX).contains(&time)
 }

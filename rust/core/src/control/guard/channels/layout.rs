@@ -1,6 +1,10 @@
-//! Positions of the entries of a measurement in one vector, and the channels that own them.
+//! A measurement as one vector of numbers: their positions, reading and writing, and the channels that own them.
 
+use crate::control::measurement::{Measurement, UsedMeasurement};
 use crate::control::modes::Modes;
+use crate::kinematics::RobotState;
+use crate::spatial::Pose;
+use nalgebra::{Matrix3, Vector3};
 use std::ops::Range;
 
 /// Positions of the channels in the vector of all numbers of a measurement.
@@ -66,6 +70,52 @@ impl Layout {
         ];
         names.into_iter().find(|(end, _)| index < *end).map_or("foot_wrenches", |(_, name)| name)
     }
+
+    /// Reads the numbers of a measurement of matching size.
+    pub(super) fn read(&self, measurement: &Measurement, numbers: &mut [f64]) {
+        let RobotState { base, joint_position, velocity } = measurement.state;
+        numbers[self.wind.clone()].copy_from_slice(measurement.wind.as_slice());
+        numbers[self.thrust.clone()].copy_from_slice(measurement.thrust);
+        numbers[self.joint_position.clone()].copy_from_slice(joint_position.as_slice());
+        numbers[self.joint_velocity.clone()].copy_from_slice(&velocity.as_slice()[6..]);
+        numbers[self.position.clone()].copy_from_slice(base.position.as_slice());
+        numbers[self.rotation.clone()].copy_from_slice(base.rotation.as_slice());
+        numbers[self.velocity()].copy_from_slice(&velocity.as_slice()[..6]);
+        for (to, wrench) in numbers[self.feet.clone()].chunks_exact_mut(6).zip(measurement.foot_wrenches) {
+            to.copy_from_slice(wrench.as_slice());
+        }
+    }
+
+    /// Inverse of `read` for state and thrusts.
+    pub(super) fn write_reading(&self, numbers: &[f64], state: &mut RobotState, thrust: &mut [f64]) {
+        thrust.copy_from_slice(&numbers[self.thrust.clone()]);
+        state.joint_position.copy_from_slice(&numbers[self.joint_position.clone()]);
+        state.velocity.as_mut_slice()[6..].copy_from_slice(&numbers[self.joint_velocity.clone()]);
+        state.velocity.as_mut_slice()[..6].copy_from_slice(&numbers[self.velocity()]);
+        state.base = Pose {
+            rotation: rotation_of(&numbers[self.rotation.clone()]),
+            position: vector(&numbers[self.position.clone()]),
+        };
+    }
+
+    /// Inverse of `read` for all channels.
+    pub(super) fn write(&self, numbers: &[f64], used: &mut UsedMeasurement) {
+        self.write_reading(numbers, &mut used.state, &mut used.thrust);
+        used.wind = vector(&numbers[self.wind.clone()]);
+        for (to, wrench) in used.foot_wrenches.iter_mut().zip(numbers[self.feet.clone()].chunks_exact(6)) {
+            to.copy_from_slice(wrench);
+        }
+    }
+}
+
+/// Converts three numbers to a vector.
+pub(super) fn vector(numbers: &[f64]) -> Vector3<f64> {
+    Vector3::from_column_slice(numbers)
+}
+
+/// Converts nine numbers, column by column, to a matrix.
+pub(super) fn rotation_of(numbers: &[f64]) -> Matrix3<f64> {
+    Matrix3::from_column_slice(numbers)
 }
 
 /// What a channel measures.

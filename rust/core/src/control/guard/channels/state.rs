@@ -1,0 +1,123 @@
+//! State of the channels from tick to tick: its prediction and its clock.
+
+use super::layout::Layout;
+use crate::control::measurement::UsedMeasurement;
+use crate::control::modes::Modes;
+use crate::kinematics::RobotState;
+use nalgebra::DVector;
+
+/// Longest time between two ticks, in ticks. Half a tick absorbs rounding.
+const GAP_MAX: f64 = 10.5;
+
+/// Longest time without ticks that can be a pause of the controller \[s\]; if it is longer, the clock has jumped.
+const PAUSE_MAX: f64 = 1.0;
+
+/// Longest flight \[s\]; for larger times, ticks of milliseconds are lost in rounding.
+const TIME_MAX: f64 = 1e9;
+
+/// State of one channel.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct Channel {
+    /// Time since its last accepted measurement \[s\].
+    pub(super) age: f64,
+    /// Number of successive ticks in which its bits have not changed.
+    pub(super) same: u32,
+    /// Whether it counts as frozen, until its bits change.
+    pub(super) is_frozen: bool,
+    /// Whether its measurements are permanently rejected.
+    pub(super) is_distrusted: bool,
+}
+
+/// State of the channels, kept from tick to tick.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ChannelsState {
+    pub(super) channels: Vec<Channel>,
+    /// The measurement of the last tick.
+    pub(super) last: Vec<f64>,
+    /// Prediction from the last accepted values.
+    pub(super) predicted: Vec<f64>,
+    /// Acceleration `ν̇` that the last command causes in the state `commanded_in`.
+    pub acceleration: DVector<f64>,
+    /// State of the robot in the last tick that computed a command.
+    pub commanded_in: RobotState,
+    /// Torques of the last command, or those that replaced them \[N m, N\].
+    pub joint_torque: DVector<f64>,
+    /// Thrust rates of the last command, or those that replaced them \[N/s\].
+    pub thrust_rate: DVector<f64>,
+    /// Wrenches that keep the feet at rest, foot after foot \[N, N m\].
+    pub foot_wrenches: DVector<f64>,
+    /// Time of the last tick (M108) \[s\].
+    pub time: f64,
+    /// Offset of the measurement's clock from this time \[s\].
+    pub(super) clock_offset: f64,
+    /// Whether there has been a tick.
+    pub(super) is_begun: bool,
+    /// Whether the robot descends.
+    pub is_descending: bool,
+}
+
+impl ChannelsState {
+    /// Moves the time on with that of a measurement \[s\]: M108. If `can_jump`, a time that does not follow the last one
+    /// is a jump of the clock. Whether the time since the last tick is known.
+    pub(super) fn update_clock(
+        &mut self,
+        measured: f64,
+        time_step: f64,
+        can_jump: bool,
+        used: &mut UsedMeasurement,
+    ) -> bool {
+        let next = self.time + time_step;
+        let is_known = time_is_plausible(measured);
+        let time = if is_known { measured - self.clock_offset } else { next };
+        let elapsed = time - self.time;
+        let is_step = elapsed > 0.0 && elapsed < GAP_MAX * time_step;
+        let has_jumped = self.is_begun && !is_step && can_jump;
+        if has_jumped {
+            self.clock_offset = measured - next;
+        }
+        self.time = if has_jumped { next } else { time };
+        used.time = self.time;
+        used.elapsed = if is_step { elapsed } else { time_step };
+        let may_have_paused = self.is_begun && !is_step && elapsed > 0.0 && elapsed <= PAUSE_MAX;
+        used.pause = if may_have_paused { elapsed } else { 0.0 };
+        used.modes = Modes::default();
+        used.sensor_error.fill(None);
+        if !is_known || has_jumped {
+            used.modes.insert(Modes::CLOCK_PREDICTED);
+        }
+        is_step
+    }
+
+    /// Advances all values except the pose by `dt` \[s\]: joints and base by M78, thrusts by M31. Values stay within
+    /// the accepted range, because otherwise the predicted velocity could grow without limit while a measurement is
+    /// missing.
+    pub(super) fn predict(&mut self, layout: &Layout, greatest: &[f64], dt: f64) {
+        let Self { predicted, acceleration, thrust_rate, foot_wrenches, .. } = self;
+        predicted[layout.feet.clone()].copy_from_slice(foot_wrenches.as_slice());
+        for (thrust, rate) in predicted[layout.thrust.clone()].iter_mut().zip(thrust_rate.iter()) {
+            *thrust = (*thrust + dt * rate).max(0.0);
+        }
+        let (base, joints) = acceleration.as_slice().split_at(6);
+        let places = layout.joint_position.clone().zip(layout.joint_velocity.clone());
+        for ((position, velocity), acceleration) in places.zip(joints) {
+            predicted[velocity] += dt * acceleration;
+            predicted[position] += dt * predicted[velocity];
+        }
+        for (velocity, acceleration) in predicted[layout.velocity()].iter_mut().zip(base) {
+            *velocity += dt * acceleration;
+        }
+        bound(predicted, greatest);
+    }
+}
+
+/// Brings numbers into `[−greatest, greatest]`.
+pub(super) fn bound(numbers: &mut [f64], greatest: &[f64]) {
+    for (number, most) in numbers.iter_mut().zip(greatest) {
+        *number = number.max(-most).min(*most);
+    }
+}
+
+/// Whether a time is in the range of a flight.
+pub(super) fn time_is_plausible(time: f64) -> bool {
+    (0.0..=TIME_MAX).contains(&time)
+}

@@ -1,0 +1,79 @@
+//! Delays and time constants of the measurements.
+
+use crate::error::{BuildError, check};
+use serde::{Deserialize, Serialize};
+
+/// Greatest age of a measurement \[s\]: every tick of age costs one evaluation of the model.
+const MAX_DELAY: f64 = 0.2;
+
+/// Delay and time constant of each kind of measurement.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(default, deny_unknown_fields)]
+pub struct EstimatorConfig {
+    /// Position of the base origin.
+    pub base_position: ChannelConfig,
+    /// Rotation of the base.
+    pub base_rotation: ChannelConfig,
+    /// Velocity of the base origin.
+    pub base_linear_velocity: ChannelConfig,
+    /// Gyroscopes.
+    pub base_angular_velocity: ChannelConfig,
+    /// Joint positions.
+    pub joint_position: ChannelConfig,
+    /// Joint velocities.
+    pub joint_velocity: ChannelConfig,
+    /// Thrusts.
+    pub thrust: ChannelConfig,
+    /// Time constant \[s\] of an observer that estimates joint velocities, and joint accelerations that the model does
+    /// not explain, from the joint positions alone. It replaces `joint_velocity` and the time constant of
+    /// `joint_position`; joint velocities then need not be measured.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub joint_observer: Option<f64>,
+}
+
+/// One kind of measurement.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(default, deny_unknown_fields)]
+pub struct ChannelConfig {
+    /// Age of the measurement on arrival, rounded to ticks \[s\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = 0.2)))]
+    pub delay: f64,
+    /// Time constant with which the estimate follows the measurement \[s\]; zero uses the measurement unchanged.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub time_constant: f64,
+}
+
+impl EstimatorConfig {
+    /// Each kind of measurement with its key.
+    pub(super) fn channels(&self) -> [(&'static str, &ChannelConfig); 7] {
+        [
+            ("base_position", &self.base_position),
+            ("base_rotation", &self.base_rotation),
+            ("base_linear_velocity", &self.base_linear_velocity),
+            ("base_angular_velocity", &self.base_angular_velocity),
+            ("joint_position", &self.joint_position),
+            ("joint_velocity", &self.joint_velocity),
+            ("thrust", &self.thrust),
+        ]
+    }
+
+    /// Checks that every value is in its range.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the key.
+    pub fn check(&self) -> Result<(), BuildError> {
+        for (key, channel) in self.channels() {
+            let item = format!("controller.estimator.{key}.delay");
+            check(&item, channel.delay, |x| (0.0..=MAX_DELAY).contains(&x), "seconds from 0 to 0.2")?;
+            let item = format!("controller.estimator.{key}.time_constant");
+            check(&item, channel.time_constant, |x| x >= 0.0, "seconds ≥ 0")?;
+        }
+        if let Some(time) = self.joint_observer {
+            check("controller.estimator.joint_observer", time, |x| x > 0.0, "a positive number of seconds")?;
+        }
+        Ok(())
+    }
+}
