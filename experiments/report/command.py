@@ -24,7 +24,7 @@ PUBLISHED_RUNS = tuple(f"{name}_published" for name in PAPER_RUNS)
 PARTS = {
     "Ablation of the aerodynamic feedback": ("ablation_",),
     "Where the baseline fails, and maps": ("baseline_edge", "map_"),
-    "Jets and faults": ("jet_", "ekf_"),
+    "Jets and faults": ("jet_",),
     "Uncertainty": ("sensitivity",),
 }
 
