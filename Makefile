@@ -155,7 +155,7 @@ TRAINING := $(DATA)
 endif
 CARD := $(abspath results/training/$(TRAINING)/$(TRAINING).json)
 
-# Sweeps for the paper's claims. SWEEPS=--all also flies those of ours: 34,000 flights.
+# Sweeps for the paper's claims. SWEEPS=--all also flies those of ours: 18,000 flights.
 SWEEPS := paper_tests ablation_terms model_pairs
 
 reproduce: $(PACKAGES) ## fly, train, draw and judge what the paper has, write results/report.md and .html (36 minutes of processor time)

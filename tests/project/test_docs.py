@@ -87,26 +87,6 @@ def test_the_architecture_page_names_every_module_of_the_core_crate():
     assert named == {path.stem for path in (ROOT / "rust/core/src").glob("*.rs")} - {"lib"}
 
 
-def test_the_architecture_page_names_every_dependency_of_the_core_crate():
-    page = (DOCS / "architecture.md").read_text(encoding="utf-8").lower()
-    manifest = tomllib.loads((ROOT / "rust/core/Cargo.toml").read_text(encoding="utf-8"))
-    named = re.search(r"it depends on ([\w\s,-]+)\.", page)
-    assert named is not None
-    assert manifest["dependencies"].keys() <= set(re.findall(r"[\w-]+", named[1]))
-
-
-def test_no_text_about_a_field_follows_another():
-    """A field that is removed takes its text with it."""
-
-    def is_text(node: ast.AST) -> bool:
-        return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
-
-    for path in (path for package in ("jax_aero", "experiments") for path in (ROOT / package).rglob("*.py")):
-        for kind in (node for node in ast.parse(path.read_text("utf-8")).body if isinstance(node, ast.ClassDef)):
-            for first, second in itertools.pairwise(kind.body):
-                assert not (is_text(first) and is_text(second)), f"{path}:{second.lineno}"
-
-
 @pytest.mark.parametrize("page", PAGES, ids=name)
 def test_every_block_says_how_it_is_tried(page):
     text = page.read_text(encoding="utf-8")
