@@ -18,41 +18,61 @@ from paper_figs.figures import OURS
 
 ROOT = Path(__file__).resolve().parents[2]
 
-# What names studies: the list of commands, figures, the page and the claims of the paper, the schemas, the documents.
-PROBE = """
-import sys
-from jax_aero import cli
-from experiments import schema, studies
-from experiments.report import index, paper
-from paper_figs.figures import FIGURES
+# In a copy, without each study and without all: what names studies is the list of commands, figures, the page and the
+# claims of the paper, the schemas, and the documents. That a page names no study but its own is a test of documents.
+PROGRAM = """
+import importlib, sys
+from pathlib import Path
 
-missing = set(sys.argv[1:])
-assert missing.isdisjoint(studies.names())
-assert cli.main(["study"]) == 0
-for gone in missing:
-    try:
-        cli.main(["study", gone])
-    except SystemExit as ended:
-        assert ended.code == cli.REFUSED
-shown = {item.figure for item in paper.all_items()}
-assert shown - {""} <= {*FIGURES, *paper.SWEEPS}
-assert missing.isdisjoint(entry.kind for entry in FIGURES.values())
-page = index.page()
-assert not any(f"study {gone}" in page for gone in missing)
-assert not any(missing.intersection(path.parts) for path in schema.files())
+
+def probe(missing):
+    from jax_aero import cli
+    from experiments import schema, studies
+    from experiments.report import index, paper
+    from paper_figs.figures import FIGURES
+
+    assert missing.isdisjoint(studies.names())
+    assert cli.main(["study"]) == 0
+    for gone in missing:
+        try:
+            cli.main(["study", gone])
+        except SystemExit as ended:
+            assert ended.code == cli.REFUSED
+    shown = {item.figure for item in paper.all_items()}
+    assert shown - {""} <= {*FIGURES, *paper.SWEEPS}
+    assert missing.isdisjoint(entry.kind for entry in FIGURES.values())
+    page = index.page()
+    assert not any(f"study {gone}" in page for gone in missing)
+    assert not any(missing.intersection(path.parts) for path in schema.files())
+
+
+def probe_documents():
+    from tests.project import test_docs
+
+    for page in test_docs.PAGES:
+        test_docs.test_shown_commands_name_what_exists(page)
+        test_docs.test_links_of_a_page_lead_to_files_or_generated_pages(page)
+    test_docs.test_links_of_generated_pages_lead_to_pages_and_pictures()
+
+
+folder, aside = Path("experiments/studies"), Path(sys.argv[1])
+every = {path.parent.name for path in folder.glob("*/study.py")}
+for missing in [*({name} for name in sorted(every)), every]:
+    print("without", *sorted(missing), file=sys.stderr)
+    for name in missing:
+        (folder / name).rename(aside / name)
+    for name in [name for name in sys.modules if name.split(".")[0] in ("experiments", "paper_figs")]:
+        del sys.modules[name]  # imported again without the study; packages of others stay
+    importlib.invalidate_caches()
+    probe(missing)
+    if missing == every:
+        probe_documents()
+    for name in missing:
+        (aside / name).rename(folder / name)
 """
 
-# Run once, without all: that a page names no study but its own is a test of documents.
-DOCUMENTS = """
-from tests.project import test_docs
-for page in test_docs.PAGES:
-    test_docs.test_shown_commands_name_what_exists(page)
-    test_docs.test_links_of_a_page_lead_to_files_or_generated_pages(page)
-test_docs.test_links_of_generated_pages_lead_to_pages_and_pictures()
-"""
 
-
-@pytest.fixture(scope="module")
+@pytest.fixture
 def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of what is tracked, with the compiled module."""
     folder = tmp_path_factory.mktemp("copy")
@@ -95,27 +115,8 @@ def _read(name: str, file: str) -> str:
     return (studies.FOLDER / name / file).read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize(
-    "names",
-    [[name] for name in studies.names()] + [studies.names()],
-    ids=lambda names: names[0] if len(names) == 1 else "all",
-)
-def test_without_studies_nothing_is_missing(copy, names, tmp_path):
-    program = PROBE + (DOCUMENTS if names == studies.names() else "")
-    folders = [copy / "experiments" / "studies" / name for name in names]
-    for folder in folders:
-        folder.rename(tmp_path / folder.name)
-    try:
-        environment = os.environ | {"PYTHONPATH": str(copy)}
-        ended = subprocess.run(
-            [sys.executable, "-c", program, *names],
-            cwd=copy,
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=300,
-        )
-        assert ended.returncode == 0, ended.stderr
-    finally:
-        for folder in folders:
-            (tmp_path / folder.name).rename(folder)
+def test_without_studies_nothing_is_missing(copy, tmp_path):
+    environment = os.environ | {"PYTHONPATH": str(copy)}
+    command = [sys.executable, "-c", PROGRAM, str(tmp_path)]
+    ended = subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True, timeout=300)
+    assert ended.returncode == 0, ended.stderr
