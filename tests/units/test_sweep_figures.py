@@ -111,7 +111,7 @@ def test_a_damaged_sweep_is_one_line(tmp_path, capsys):
     assert f"error: made_up: {description} is damaged: " in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("drawing", "panels"), [("levels", ""), ("levels", "price"), ("map", "price")])
+@pytest.mark.parametrize(("drawing", "panels"), [("levels", "price"), ("map", "price")])
 def test_a_dollar_in_a_sweeps_texts_is_one(drawing, panels, tmp_path, monkeypatch):
     price = {"name": "price", "label": r"5 $\x$ or more", "unit": "$", "levels": [r"5 $\x$", "from $6_ to $7^"]}
     monkeypatch.setitem(AXES, "price", price)

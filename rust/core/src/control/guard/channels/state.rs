@@ -88,7 +88,7 @@ impl ChannelsState {
         is_step
     }
 
-    /// Advances all values except the pose by `dt` \[s\]: joints and base by M78, thrusts by M31. Values stay within
+    /// Advances all values except the pose by `dt` \[s\] (M101): joints and base by M78, thrusts by M31. Values stay within
     /// the accepted range, because otherwise the predicted velocity could grow without limit while a measurement is
     /// missing.
     pub(super) fn predict(&mut self, layout: &Layout, greatest: &[f64], dt: f64) {
