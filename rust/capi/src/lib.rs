@@ -91,6 +91,10 @@ pub enum FlightStatus {
     /// The command is that of the control law, but part of the measurement is predicted (NaN marks what is not
     /// measured) or the robot descends.
     FlightDegraded = 6,
+    /// The predictive law has no new certified plan: it follows the last one.
+    FlightPlanKept = 7,
+    /// The predictive law has no certified plan: thrust rates and joint velocities are those of the momentum QP.
+    FlightPlanMissing = 8,
     /// No flight has been started, or none can start with this measurement. No command is written.
     FlightNotStarted = -1,
     /// A required pointer is null. Nothing is written.
@@ -388,6 +392,8 @@ fn status_of(command: &Command) -> FlightStatus {
     match command.status {
         CommandStatus::Nominal => FlightStatus::FlightNominal,
         CommandStatus::Degraded => FlightStatus::FlightDegraded,
+        CommandStatus::PlanKept => FlightStatus::FlightPlanKept,
+        CommandStatus::PlanMissing => FlightStatus::FlightPlanMissing,
         CommandStatus::BadMeasurement => FlightStatus::FlightBadMeasurement,
         // Cannot occur, because a caller cannot pass the state of another controller.
         CommandStatus::BadState => FlightStatus::FlightNotStarted,

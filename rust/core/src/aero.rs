@@ -13,6 +13,7 @@
 
 pub mod attack;
 pub mod axisymmetric;
+pub mod derivatives;
 pub mod factors;
 pub mod link_forces;
 pub mod links;
@@ -23,6 +24,7 @@ pub mod sphere_cylinder;
 
 pub use attack::Attack;
 pub use axisymmetric::{Axisymmetric, AxisymmetricConfig, axisymmetric_force};
+pub use derivatives::ForceDerivatives;
 pub use factors::{ForceFactors, ForceFactorsConfig};
 pub use link_forces::{JacobianOffset, LeverArm, LinkConventions, LinkForces, LinkVelocity};
 pub use links::LinksInAir;

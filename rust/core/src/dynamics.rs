@@ -98,6 +98,61 @@ impl Dynamics {
         (linear + angular.cross(&arm) + omega.cross(&omega.cross(&arm)), angular)
     }
 
+    /// Writes the momentum of every subtree, linear and about the base origin \[kg m/s, kg m²/s\]; `momenta` has one
+    /// entry for each body.
+    pub fn subtree_momenta(
+        &self,
+        robot: &RobotModel,
+        kinematics: &Kinematics,
+        momenta: &mut [(Vector3<f64>, Vector3<f64>)],
+    ) {
+        let origin = kinematics.bodies[0].i_from_b.position;
+        for (index, (body, motion)) in robot.bodies.iter().zip(&kinematics.bodies).enumerate() {
+            let com = motion.i_from_b.transform_point(&body.com_b);
+            let linear = motion.velocity_at(&com) * body.mass;
+            let spin = self.inertias_i[index] * motion.angular_velocity;
+            momenta[index] = (linear, spin + (com - origin).cross(&linear));
+        }
+        for index in (1..robot.bodies.len()).rev() {
+            let (linear, angular) = momenta[index];
+            let parent = &mut momenta[robot.bodies[index].parent.unwrap_or(0)];
+            parent.0 += linear;
+            parent.1 += angular;
+        }
+    }
+
+    /// Derivative of the momentum, linear and about the centre of mass, by the position of `joint` at constant ν, from
+    /// [`Dynamics::subtree_momenta`].
+    ///
+    /// ```text
+    /// ∂h = a ×* h_sub − I_sub (a × V_P)      a motion of the joint, V_P that of the body that carries it
+    /// ∂k = ∂k_O − J_G,j × l − (p − O) × ∂l
+    /// ```
+    ///
+    /// Equation M117 of `docs/model.md`.
+    #[must_use]
+    pub fn momentum_by_joint(
+        &self,
+        robot: &RobotModel,
+        kinematics: &Kinematics,
+        momenta: &[(Vector3<f64>, Vector3<f64>)],
+        joint: usize,
+    ) -> (Vector3<f64>, Vector3<f64>) {
+        let origin = kinematics.bodies[0].i_from_b.position;
+        let (motion, subtree) = (&kinematics.bodies[joint + 1], &self.composites[joint + 1]);
+        let parent = &kinematics.bodies[robot.bodies[joint + 1].parent.unwrap_or(0)];
+        let (axis, v_o) = (motion.joint_angular_i, motion.joint_linear_at_base_i);
+        let (omega_p, v_p) = (parent.angular_velocity, parent.velocity_at(&origin));
+        let (linear, angular) = momenta[joint + 1];
+        let (turned, moved) = (axis.cross(&omega_p), axis.cross(&v_p) + v_o.cross(&omega_p));
+        let by_l = axis.cross(&linear) - (moved * subtree.mass + turned.cross(&subtree.first_moment));
+        let by_k = axis.cross(&angular) + v_o.cross(&linear)
+            - (subtree.inertia * turned + subtree.first_moment.cross(&moved));
+        let j_g: Vector3<f64> = self.momentum_matrix.fixed_view::<3, 1>(0, 6 + joint) / self.composites[0].mass;
+        let total: Vector3<f64> = self.momentum.fixed_rows::<3>(0).into();
+        (by_l, by_k - j_g.cross(&total) - (kinematics.com - origin).cross(&by_l))
+    }
+
     /// Inertia of every body and of every subtree about the base origin.
     fn update_composites(&mut self, robot: &RobotModel, kinematics: &Kinematics) {
         let origin = kinematics.bodies[0].i_from_b.position;

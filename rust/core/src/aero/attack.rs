@@ -5,7 +5,7 @@
 use nalgebra::Vector3;
 
 /// Added to the speed in the cosine of the angle of attack \[m/s\]; the published value.
-const SPEED_EPSILON: f64 = 1e-9;
+pub(super) const SPEED_EPSILON: f64 = 1e-9;
 
 /// Angle of attack of a link, between its axis and the *upstream* direction, as cosine and sine.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -25,9 +25,9 @@ pub struct AxisymmetricConfig {
 #[derive(Debug, Clone)]
 pub struct Axisymmetric {
     /// `k_a = ρ/2` \[kg/m³\].
-    k_a: f64,
+    pub(super) k_a: f64,
     /// One set for each link, in the order of the links.
-    coefficients: Vec<AxisymmetricCoefficients>,
+    pub(super) coefficients: Vec<AxisymmetricCoefficients>,
 }
 
 impl Axisymmetric {

@@ -44,10 +44,10 @@ impl ForceFactorsConfig {
 /// Factors after their checks, in the order of the links.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ForceFactors {
-    drag: f64,
-    normal: f64,
+    pub(super) drag: f64,
+    pub(super) normal: f64,
     /// Factor of each link times the factor on all forces.
-    links: Vec<f64>,
+    pub(super) links: Vec<f64>,
 }
 
 impl ForceFactors {

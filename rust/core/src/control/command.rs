@@ -27,6 +27,10 @@ pub enum CommandStatus {
     /// The given set-point exceeds the accepted range (`channels.greatest`), or its matrix is not a rotation: the command
     /// of the control law, which brakes from the motion of the last valid set-point.
     BadSetpoint,
+    /// The predictive law has no new certified plan: it follows the last one.
+    PlanKept,
+    /// The predictive law has no certified plan: thrust rates and joint velocities are those of the momentum QP.
+    PlanMissing,
     /// The momentum QP has no answer: thrust rates and joint velocities are zero, or as near to zero as their bounds
     /// allow; the torques brake the joints.
     MomentumHeld,
@@ -37,10 +41,10 @@ pub enum CommandStatus {
 }
 
 impl CommandStatus {
-    /// Whether both QPs are solved, for a valid set-point.
+    /// Whether the torque QP is solved and the law has thrust rates and joint velocities, for a valid set-point.
     #[must_use]
     pub fn is_of_law(self) -> bool {
-        matches!(self, Self::Nominal | Self::Degraded)
+        matches!(self, Self::Nominal | Self::Degraded | Self::PlanKept | Self::PlanMissing)
     }
 }
 
@@ -53,6 +57,8 @@ impl fmt::Display for CommandStatus {
             Self::BadMeasurement => "bad_measurement",
             Self::BadState => "bad_state",
             Self::BadSetpoint => "bad_setpoint",
+            Self::PlanKept => "plan_kept",
+            Self::PlanMissing => "plan_missing",
             Self::MomentumHeld => "momentum_held",
             Self::TorqueHeld => "torque_held",
             Self::BothHeld => "both_held",

@@ -9,6 +9,7 @@ use super::law::attitude::MomentumGains;
 use super::law::bounds::BoundsConfig;
 use super::law::contact::ContactConfig;
 use super::law::momentum::AeroFeedback;
+use super::law::mpc::config::MpcConfig;
 use super::law::setpoint::SetpointConfig;
 use super::law::tasks::MomentumWeights;
 use super::law::torque::TorqueConfig;
@@ -58,6 +59,9 @@ pub struct ControllerConfig {
     pub posture_gain: BTreeMap<String, f64>,
     /// Weights of the momentum QP.
     pub weights: MomentumWeights,
+    /// The predictive law; without it the momentum QP decides.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mpc: Option<MpcConfig>,
     /// Bounds of the momentum QP.
     pub bounds: BoundsConfig,
     /// The joint torque controller.

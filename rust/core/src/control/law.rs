@@ -9,6 +9,7 @@ pub mod minimum_jerk;
 pub mod mission;
 pub mod momentum;
 pub mod momentum_qp;
+pub mod mpc;
 pub mod rates;
 pub mod recorded;
 pub mod setpoint;

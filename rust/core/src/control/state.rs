@@ -6,6 +6,7 @@ use super::guard::estimator::EstimatorState;
 use super::guard::observer::ObserverState;
 use super::guard::wind_observer::WindState;
 use super::law::contact::ContactState;
+use super::law::mpc::Plan;
 use super::law::setpoint::SetpointState;
 use crate::error::{BuildError, check};
 use crate::qp::WarmStart;
@@ -42,6 +43,8 @@ pub struct ControllerState {
     pub(super) engines: Vec<EngineState>,
     /// State of the observer: the observed wrench, its residual and the last accepted measurement.
     pub(super) observer: ObserverState,
+    /// Plan of the predictive law; empty without one.
+    pub(super) plan: Plan,
     /// Warm start of the momentum QP.
     pub(super) momentum_start: WarmStart,
     /// Warm start of the torque QP.

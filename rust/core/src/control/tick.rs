@@ -13,7 +13,8 @@ use super::law::limits::Limits;
 use super::law::mission::Mission;
 use super::law::momentum::AeroFeedback;
 use super::law::momentum_qp::{MomentumQp, Task};
-use super::law::rates::MomentumLaw;
+use super::law::mpc::{Plan, PredictiveLaw};
+use super::law::rates::{Law, MomentumLaw};
 use super::law::setpoint::{Setpoint, SetpointGenerator};
 use super::law::tasks::standard_tasks;
 use super::law::torque::TorqueQp;
@@ -38,7 +39,7 @@ pub struct Controller {
     conventions: LinkConventions,
     feedback: AeroFeedback,
     guard: Guard,
-    law: MomentumLaw,
+    law: Box<dyn Law>,
     torques: Torques,
     terms: Terms,
     command: Command,
@@ -78,8 +79,9 @@ impl Controller {
         let (unknowns, joints) = (momentum_qp.problem.len(), model.joints.len());
         let generator = SetpointGenerator::new(&config.setpoint, mission, &model.forward_axis_b, time_step)?;
         let solver = |n, rows| config.qp.chain(n, rows);
-        let law =
+        let momentum =
             MomentumLaw::new(generator, config.channels.greatest.clone(), solver(unknowns, 0), unknowns);
+        let law = build_law(config, momentum, &model, &aero, time_step)?;
         let torques = solver(torque_qp.problem.len(), torque_qp.problem.rows());
         let command = Command::hold(measurement.thrust.len(), joints);
         let contact = Contact::new(&contact, &model);
@@ -119,7 +121,7 @@ impl Controller {
             estimator: None,
             wind: None,
             channels,
-            setpoint: self.law.generator.start(com, rotation),
+            setpoint: self.law.generator().start(com, rotation),
             posture: measurement.state.joint_position.clone(),
             inertia_0_b,
             velocity_error_integral: DVector::zeros(joints),
@@ -128,6 +130,7 @@ impl Controller {
             contact: ContactState::new(contact.soles.len()),
             engines: Vec::new(),
             observer: ObserverState::default(),
+            plan: Plan::none(self.law.unknowns()),
             momentum_start: WarmStart::cold(momentum_qp.problem.len()),
             torque_start: WarmStart::cold(torque_qp.problem.len()),
         };
@@ -175,7 +178,7 @@ impl Controller {
         command.modes = terms.measurement.modes;
         command.joint_torque.copy_from(&state.joint_torque);
         if is_usable {
-            law.solve(state, terms, command);
+            law.solve(model, aero, state, terms, command);
             torques.solve(state, terms, command);
         } else {
             command.set_hold(CommandStatus::BadMeasurement, command.modes);
@@ -222,6 +225,7 @@ impl Controller {
     /// Whether a state has the sizes of this controller.
     fn fits(&self, state: &ControllerState) -> bool {
         state.posture.len() == self.model.joints.len()
+            && state.plan.len() == self.law.unknowns()
             && state.momentum_start.len() == self.terms.momentum_qp.problem.len()
             && state.contact.force.len() == self.terms.contact.force_of_torques.len()
             && self.guard.fits(state)
@@ -230,7 +234,7 @@ impl Controller {
     /// The generator of its set-points.
     #[must_use]
     pub fn setpoint_generator(&self) -> &SetpointGenerator {
-        &self.law.generator
+        self.law.generator()
     }
 
     /// The controller's model of the robot; without jets if it does not use them.
@@ -256,6 +260,24 @@ impl Controller {
     pub fn terms(&self) -> &Terms {
         &self.terms
     }
+}
+
+/// Builds the law: the predictive one where it is configured.
+fn build_law(
+    config: &ControllerConfig,
+    momentum: MomentumLaw,
+    robot: &RobotModel,
+    aero: &AeroModel,
+    time_step: f64,
+) -> Result<Box<dyn Law>, BuildError> {
+    let Some(mpc) = &config.mpc else { return Ok(Box::new(momentum)) };
+    mpc.check(robot, time_step)?;
+    mpc.check_air(aero, config.conventions())?;
+    let gains = (config.torque.kd, config.torque.kp);
+    let thrust_rate_max = robot.by_jet(&config.bounds.thrust_rate_max);
+    let joints = mpc.joints(robot)?;
+    let law = PredictiveLaw::new(mpc, momentum, robot, joints, gains, thrust_rate_max, time_step);
+    Ok(Box::new(law))
 }
 
 /// Builds the channels of `robot` and the stages that are configured. Channels and estimators contain the jets also where

@@ -3,15 +3,44 @@
 use super::attitude::attitude_demand;
 use super::momentum_qp::TaskInputs;
 use super::setpoint::{Setpoint, SetpointGenerator};
+use crate::aero::AeroModel;
 use crate::control::command::{Command, CommandStatus};
 use crate::control::guard::channels::Greatest;
 use crate::control::state::ControllerState;
 use crate::control::terms::Terms;
 use crate::qp::{QpChain, QpSolver, QpStatus};
+use crate::robot::RobotModel;
 use crate::spatial::parts;
 use nalgebra::{DVector, Matrix3};
+use std::fmt::Debug;
 
-/// The momentum law of one controller, with its workspace. Another law has the functions `follow` and `solve` too.
+/// A law that a tick calls.
+pub trait Law: Debug + Send + Sync {
+    /// Its set-points from the mission.
+    fn generator(&self) -> &SetpointGenerator;
+
+    /// Number of unknowns of its plan, which is a part of the state; zero if it does not plan.
+    fn unknowns(&self) -> usize {
+        0
+    }
+
+    /// Chooses the set-point of this tick: during a descent that of the descent, otherwise the `given` one, or that of
+    /// the mission. Returns whether the given one is valid; if it is not, the robot brakes from the motion of the last
+    /// valid one (M115).
+    fn follow(&mut self, state: &mut ControllerState, given: Option<&Setpoint>, terms: &mut Terms) -> bool;
+
+    /// Computes thrust rates and joint velocities that control momentum and attitude.
+    fn solve(
+        &mut self,
+        robot: &RobotModel,
+        aero: &AeroModel,
+        state: &mut ControllerState,
+        terms: &mut Terms,
+        command: &mut Command,
+    );
+}
+
+/// The momentum law of one controller, with its workspace.
 #[derive(Debug)]
 pub struct MomentumLaw {
     /// Set-points from the mission.
@@ -29,26 +58,8 @@ impl MomentumLaw {
         Self { generator, greatest, solver, solution: DVector::zeros(unknowns) }
     }
 
-    /// Chooses the set-point of this tick: during a descent that of the descent, otherwise the `given` one, or that of
-    /// the mission. Returns whether the given one is valid; if it is not, the robot brakes from the motion of the last
-    /// valid one (M115).
-    pub fn follow(&self, state: &mut ControllerState, given: Option<&Setpoint>, terms: &mut Terms) -> bool {
-        let ControllerState { setpoint: state, channels, contact, .. } = state;
-        let is_valid = given.is_none_or(|given| given.is_valid(&self.greatest));
-        terms.setpoint = match given {
-            _ if channels.is_descending => self.generator.descend(state, terms.contact.stays(contact)),
-            None => self.generator.update(state, terms.measurement.time),
-            Some(given) if is_valid => {
-                self.generator.follow(state, &given.motion());
-                *given
-            }
-            Some(_) => self.generator.stop(state),
-        };
-        is_valid
-    }
-
-    /// Computes thrust rates and joint velocities that control momentum and attitude.
-    pub fn solve(&mut self, state: &mut ControllerState, terms: &mut Terms, command: &mut Command) {
+    /// Builds the momentum QP of this tick, with its bounds.
+    pub fn prepare(&self, state: &ControllerState, terms: &mut Terms) {
         let Terms { measurement, kinematics, dynamics, momentum, setpoint, .. } = terms;
         let Terms { limits, attitude, momentum_qp, contact, .. } = terms;
         let (_, moment_estimate) = parts(&momentum.rate_estimate);
@@ -82,7 +93,11 @@ impl MomentumLaw {
         momentum_qp.update(&inputs);
         let velocity_max = limits.joint_velocity.iter().copied();
         momentum_qp.update_bounds(&inputs, limits.thrust.iter().copied(), velocity_max);
+    }
 
+    /// Solves the momentum QP.
+    pub fn decide(&mut self, state: &mut ControllerState, terms: &mut Terms, command: &mut Command) {
+        let Terms { momentum_qp, contact, .. } = terms;
         let answer = self.solver.solve_from(&mut state.momentum_start, &momentum_qp.problem);
         command.momentum_qp = answer;
         self.solution.as_mut_slice().copy_from_slice(self.solver.x());
@@ -100,5 +115,38 @@ impl MomentumLaw {
         command.thrust_rate.as_mut_slice()[..thrust_rate.len()].copy_from_slice(thrust_rate);
         command.joint_velocity.copy_from_slice(&u[unknowns.joint_velocity.clone()]);
         contact.store_rate(&mut state.contact, &u[unknowns.force_rate.clone()]);
+    }
+}
+
+impl Law for MomentumLaw {
+    fn generator(&self) -> &SetpointGenerator {
+        &self.generator
+    }
+
+    fn follow(&mut self, state: &mut ControllerState, given: Option<&Setpoint>, terms: &mut Terms) -> bool {
+        let ControllerState { setpoint: state, channels, contact, .. } = state;
+        let is_valid = given.is_none_or(|given| given.is_valid(&self.greatest));
+        terms.setpoint = match given {
+            _ if channels.is_descending => self.generator.descend(state, terms.contact.stays(contact)),
+            None => self.generator.update(state, terms.measurement.time),
+            Some(given) if is_valid => {
+                self.generator.follow(state, &given.motion());
+                *given
+            }
+            Some(_) => self.generator.stop(state),
+        };
+        is_valid
+    }
+
+    fn solve(
+        &mut self,
+        _: &RobotModel,
+        _: &AeroModel,
+        state: &mut ControllerState,
+        terms: &mut Terms,
+        command: &mut Command,
+    ) {
+        self.prepare(state, terms);
+        self.decide(state, terms, command);
     }
 }

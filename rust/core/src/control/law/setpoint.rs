@@ -217,6 +217,19 @@ impl SetpointState {
     }
 }
 
+/// What a set-point follows after this tick.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Ahead {
+    /// The mission.
+    Mission,
+    /// The motion of the last given set-point: its raw position moves on at constant velocity.
+    Motion,
+    /// The descent.
+    Descent,
+    /// Braking to rest.
+    Stop,
+}
+
 /// Converts the commands of a mission to a [`Setpoint`] every tick; its state is a [`SetpointState`].
 #[derive(Debug, Clone)]
 pub struct SetpointGenerator {
@@ -360,6 +373,20 @@ impl SetpointGenerator {
     pub fn stop(&self, state: &mut SetpointState) -> Setpoint {
         self.approach(&mut state.raw, &Vector3::zeros());
         self.smooth(state)
+    }
+
+    /// Set-point of a later tick, at `time` \[s\]: `state` is a copy of the state, advanced by all ticks before it.
+    #[must_use]
+    pub fn ahead(&self, ahead: Ahead, state: &mut SetpointState, time: f64) -> Setpoint {
+        match ahead {
+            Ahead::Mission => self.update(state, time),
+            Ahead::Descent => self.descend(state, false),
+            Ahead::Stop => self.stop(state),
+            Ahead::Motion => {
+                state.raw.position += state.raw.velocity * self.time_step;
+                self.smooth(state)
+            }
+        }
     }
 
     /// Advances the raw position with a velocity that approaches `velocity`.

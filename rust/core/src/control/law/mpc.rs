@@ -1,0 +1,319 @@
+//! The predictive law: thrust rates and joint velocities from a plan over the next second, which contains the air.
+//!
+//! ```text
+//! model     dynamics linearised at the present state        [`model`]
+//! horizon   prediction over unequal knots, QP in the inputs  [`horizon`]
+//! plan      its answer, followed until the next one
+//! ```
+//!
+//! The momentum law prepares its own problem too: its bounds are those of the first knot, and it decides where there is
+//! no plan. Equations M116 to M124 of `docs/model.md`.
+
+pub mod config;
+pub mod horizon;
+pub mod model;
+
+use super::rates::{Law, MomentumLaw};
+use super::setpoint::{Ahead, Setpoint, SetpointGenerator};
+use crate::aero::AeroModel;
+use crate::control::command::{Command, CommandStatus};
+use crate::control::state::ControllerState;
+use crate::control::terms::Terms;
+use crate::qp::{PrimalActiveSet, QpAnswer, QpSolver, QpStatus, WarmStart};
+use crate::robot::RobotModel;
+use crate::spatial::log_so3;
+use config::{Air, MpcConfig};
+use horizon::{Horizon, Target};
+use model::Linearised;
+
+/// Limit of QPs of one plan: each has the values beyond their limits that the last answer brought there.
+const EXCESS_PASSES: u32 = 20;
+/// A plan is followed for at most this part of the horizon; by then the momentum QP decides.
+const PLAN_SHARE: f64 = 0.25;
+
+/// The plan that is followed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plan {
+    /// Inputs by knot and block, in the order of the horizon's unknowns; empty without a predictive law.
+    inputs: Vec<f64>,
+    /// Time at which it began \[s\]; `None` without a plan.
+    since: Option<f64>,
+    /// Time of the last attempt \[s\], and its answer.
+    tried: f64,
+    answer: QpAnswer,
+    warm: WarmStart,
+}
+
+impl Plan {
+    /// No plan, in `unknowns` unknowns.
+    #[must_use]
+    pub fn none(unknowns: usize) -> Self {
+        Self {
+            inputs: vec![0.0; unknowns],
+            since: None,
+            tried: f64::NEG_INFINITY,
+            answer: QpAnswer::from_status(QpStatus::SizeMismatch),
+            warm: WarmStart::cold(unknowns),
+        }
+    }
+
+    /// Number of unknowns.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.inputs.len()
+    }
+
+    /// Whether there are no unknowns: the law does not plan.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.inputs.is_empty()
+    }
+
+    /// Time since it began \[s\].
+    fn age(&self, time: f64) -> Option<f64> {
+        self.since.map(|since| time - since).filter(|age| *age >= 0.0)
+    }
+}
+
+/// The predictive law of one controller, with its workspace.
+#[derive(Debug)]
+pub struct PredictiveLaw {
+    momentum: MomentumLaw,
+    air: Air,
+    period: f64,
+    posture_gain: f64,
+    /// Whether it flies the descent too.
+    flies_descent: bool,
+    time_step: f64,
+    /// Greatest thrust rates \[N/s\].
+    thrust_rate_max: Vec<f64>,
+    joint_limits: Vec<(f64, f64)>,
+    /// Of every joint: its place among those that the law moves.
+    place: Vec<Option<usize>>,
+    model: Linearised,
+    horizon: Horizon,
+    targets: Vec<Target>,
+    /// Inputs of the plan that is being made.
+    inputs: Vec<f64>,
+    solver: PrimalActiveSet,
+    ahead: Ahead,
+}
+
+impl PredictiveLaw {
+    /// A law for `robot` beside `momentum`, with the gains `K_D` and `K_P` of the torque law; joints are checked by the
+    /// configuration.
+    #[must_use]
+    pub fn new(
+        config: &MpcConfig,
+        momentum: MomentumLaw,
+        robot: &RobotModel,
+        joints: Vec<usize>,
+        gains: (f64, f64),
+        thrust_rate_max: Vec<f64>,
+        time_step: f64,
+    ) -> Self {
+        let horizon = Horizon::new(config, gains, robot.jets.len(), joints.len());
+        let place = |joint| joints.iter().position(|moved| *moved == joint);
+        Self {
+            momentum,
+            air: config.air,
+            period: config.period,
+            posture_gain: config.posture_gain,
+            flies_descent: config.descent.is_some(),
+            time_step,
+            thrust_rate_max,
+            joint_limits: robot.joints.iter().map(|joint| joint.limits).collect(),
+            place: (0..robot.joints.len()).map(place).collect(),
+            targets: vec![Target::default(); horizon.knots()],
+            inputs: vec![0.0; horizon.problem.len()],
+            solver: PrimalActiveSet::new(horizon.problem.len()),
+            model: Linearised::new(robot, joints),
+            horizon,
+            ahead: Ahead::Mission,
+        }
+    }
+
+    /// The prediction of the last plan.
+    #[must_use]
+    pub fn horizon(&self) -> &Horizon {
+        &self.horizon
+    }
+
+    /// Makes a plan from the state of `terms`; `false` without a certified one.
+    fn plan(&mut self, robot: &RobotModel, aero: &AeroModel, state: &mut ControllerState, terms: &Terms) -> bool {
+        state.plan.tried = terms.measurement.time;
+        if !self.model.update(robot, aero, self.air, terms) {
+            state.plan.answer = QpAnswer::from_status(QpStatus::NotPositiveDefinite);
+            return false;
+        }
+        self.set_targets(state, terms);
+        let joints = (&state.posture, &state.velocity_error_integral);
+        self.horizon.update(&self.model, terms, joints, &self.targets, !terms.limits.holds_position);
+        self.set_bounds(terms);
+        let Self { horizon, solver, model, joint_limits, inputs, .. } = self;
+        let Plan { inputs: last, warm, answer, since, tried } = &mut state.plan;
+        if since.is_some() {
+            horizon.update_excess(model, terms, joint_limits, last);
+        }
+        for pass in 0..EXCESS_PASSES {
+            *answer = solver.solve_from(warm, &horizon.problem);
+            if answer.status != QpStatus::Solved {
+                return false;
+            }
+            let to = solver.x();
+            if !horizon.update_excess(model, terms, joint_limits, to) {
+                last.copy_from_slice(to);
+                *since = Some(*tried);
+                return true;
+            }
+            // The cost falls along the way; its least point has other values beyond their limits.
+            let share = match pass {
+                0 => 1.0,
+                _ => horizon.least_on_way(model, terms, joint_limits, (inputs.as_slice(), to)),
+            };
+            for (input, to) in inputs.iter_mut().zip(to) {
+                *input += share * (to - *input);
+            }
+            horizon.update_excess(model, terms, joint_limits, inputs);
+        }
+        answer.status = QpStatus::IterationLimit;
+        false
+    }
+
+    /// The motion to follow at the end of every knot, as rotation vectors from the present attitude.
+    fn set_targets(&mut self, state: &ControllerState, terms: &Terms) {
+        let mut ahead = state.setpoint;
+        let mut time = terms.measurement.time;
+        let present = terms.measurement.state.base.rotation.transpose();
+        let mut setpoint = terms.setpoint;
+        for (target, duration) in self.targets.iter_mut().zip(self.horizon.durations()) {
+            #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a checked number of ticks")]
+            for _ in 0..(duration / self.time_step).round() as usize {
+                time += self.time_step;
+                setpoint = self.momentum.generator.ahead(self.ahead, &mut ahead, time);
+            }
+            let rotation = &setpoint.rotation;
+            *target = Target {
+                com: [setpoint.com_position, setpoint.com_velocity, setpoint.com_acceleration],
+                rotation: log_so3(&(rotation * present)),
+                angular: [rotation * setpoint.angular_velocity_b, rotation * setpoint.angular_acceleration_b],
+            };
+        }
+    }
+
+    /// Bounds of the inputs: in the first knot and block those of this tick, then the greatest rates.
+    fn set_bounds(&mut self, terms: &Terms) {
+        let (horizon, of_tick) = (&mut self.horizon, &terms.momentum_qp);
+        let unknowns = &of_tick.unknowns;
+        for knot in 0..horizon.knots() {
+            for (jet, rate_max) in self.thrust_rate_max.iter().enumerate() {
+                let unknown = horizon.thrust_rate(knot, jet);
+                let of_tick = unknowns.thrust_rate.start + jet;
+                let (lower, upper) = if knot == 0 { bounds_of(terms, of_tick) } else { (-rate_max, *rate_max) };
+                (horizon.problem.lower[unknown], horizon.problem.upper[unknown]) = (lower, upper);
+            }
+            for (place, joint) in self.model.joints.iter().enumerate() {
+                let unknown = horizon.joint_velocity(knot, place);
+                let most = terms.limits.joint_velocity[*joint];
+                let is_first = unknown == horizon.joint_velocity(0, place);
+                let of_tick = unknowns.joint_velocity.start + joint;
+                let (lower, upper) = if is_first { bounds_of(terms, of_tick) } else { (-most, most) };
+                (horizon.problem.lower[unknown], horizon.problem.upper[unknown]) = (lower, upper);
+            }
+        }
+    }
+
+    /// Writes the inputs of the plan `age` \[s\] after its start, within the bounds of this tick.
+    fn follow_plan(&self, state: &ControllerState, terms: &Terms, age: f64, command: &mut Command) {
+        let unknowns = &terms.momentum_qp.unknowns;
+        let mut knot = 0;
+        let mut end = self.horizon.durations()[0];
+        while knot + 1 < self.horizon.knots() && age > end - 0.5 * self.time_step {
+            knot += 1;
+            end += self.horizon.durations()[knot];
+        }
+        let clamp = |unknown: usize, value: f64| {
+            let (lower, upper) = bounds_of(terms, unknown);
+            value.max(lower).min(upper)
+        };
+        let inputs = &state.plan.inputs;
+        command.thrust_rate.fill(0.0); // also of unused jets, whose rates may have been replaced
+        for jet in 0..unknowns.thrust_rate.len() {
+            let rate = inputs[self.horizon.thrust_rate(knot, jet)];
+            command.thrust_rate[jet] = clamp(unknowns.thrust_rate.start + jet, rate);
+        }
+        for (joint, place) in self.place.iter().enumerate() {
+            let away = terms.measurement.state.joint_position[joint] - state.posture[joint];
+            let velocity = match place {
+                Some(place) => inputs[self.horizon.joint_velocity(knot, *place)],
+                None => -self.posture_gain * away,
+            };
+            command.joint_velocity[joint] = clamp(unknowns.joint_velocity.start + joint, velocity);
+        }
+    }
+}
+
+/// Bounds of an unknown of the momentum QP in this tick.
+fn bounds_of(terms: &Terms, unknown: usize) -> (f64, f64) {
+    let problem = &terms.momentum_qp.problem;
+    (problem.lower[unknown], problem.upper[unknown])
+}
+
+impl Law for PredictiveLaw {
+    fn generator(&self) -> &SetpointGenerator {
+        &self.momentum.generator
+    }
+
+    fn unknowns(&self) -> usize {
+        self.horizon.problem.len()
+    }
+
+    fn follow(&mut self, state: &mut ControllerState, given: Option<&Setpoint>, terms: &mut Terms) -> bool {
+        let is_valid = self.momentum.follow(state, given, terms);
+        self.ahead = match given {
+            _ if state.channels.is_descending => Ahead::Descent,
+            None => Ahead::Mission,
+            Some(_) if is_valid => Ahead::Motion,
+            Some(_) => Ahead::Stop,
+        };
+        is_valid
+    }
+
+    fn solve(
+        &mut self,
+        robot: &RobotModel,
+        aero: &AeroModel,
+        state: &mut ControllerState,
+        terms: &mut Terms,
+        command: &mut Command,
+    ) {
+        self.momentum.prepare(state, terms);
+        let time = terms.measurement.time;
+        let is_descent = !terms.limits.holds_position;
+        if state.contact.is_active || (is_descent && !self.flies_descent) {
+            state.plan.since = None;
+            self.momentum.decide(state, terms, command);
+            return;
+        }
+        let is_due = time < state.plan.tried || time - state.plan.tried > self.period - 0.5 * self.time_step;
+        let is_planned = !is_due || self.plan(robot, aero, state, terms);
+        let longest = PLAN_SHARE * self.horizon.durations().iter().sum::<f64>();
+        match state.plan.age(time).filter(|age| *age <= longest) {
+            Some(age) => {
+                self.follow_plan(state, terms, age, command);
+                command.momentum_qp = state.plan.answer;
+                command.status = match () {
+                    () if !is_planned || state.plan.answer.status != QpStatus::Solved => CommandStatus::PlanKept,
+                    () if command.modes.is_empty() => CommandStatus::Nominal,
+                    () => CommandStatus::Degraded,
+                };
+            }
+            None => {
+                self.momentum.decide(state, terms, command);
+                if command.status.is_of_law() {
+                    command.status = CommandStatus::PlanMissing;
+                }
+            }
+        }
+    }
+}

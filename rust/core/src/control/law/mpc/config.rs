@@ -1,0 +1,200 @@
+//! Configuration of the predictive law.
+
+use crate::aero::{AeroModel, LinkConventions};
+use crate::error::{BuildError, Table, place_of};
+use crate::robot::RobotModel;
+use serde::{Deserialize, Serialize};
+
+const MPC: Table = Table("controller.mpc");
+
+/// Greatest number of knots, and of ticks that the horizon lasts.
+const KNOTS_MAX: usize = 16;
+const TICKS_MAX: f64 = 1000.0;
+
+/// How the prediction contains the air.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Air {
+    /// The wrench of the air changes with velocity, attitude and posture.
+    #[default]
+    Linear,
+    /// It stays what it is.
+    Constant,
+}
+
+/// Weights of the errors along the horizon, per second; those of rates and inputs too.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct MpcWeights {
+    /// Position of the centre of mass, along x, y and z \[1/m²\].
+    #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
+    pub position: [f64; 3],
+    /// Its velocity \[s²/m²\].
+    #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
+    pub velocity: [f64; 3],
+    /// Its acceleration \[s⁴/m²\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub acceleration: f64,
+    /// Attitude \[1/rad²\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub attitude: f64,
+    /// Angular velocity \[s²/rad²\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub angular_velocity: f64,
+    /// Angular acceleration \[s⁴/rad²\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub angular_acceleration: f64,
+    /// Joint positions about the posture of the first tick \[1/rad²\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub posture: f64,
+    /// Joint velocities \[s²/rad²\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub joint_velocity: f64,
+    /// Commanded joint velocities \[s²/rad²\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub joint_command: f64,
+    /// Thrust rates \[s²/N²\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub thrust_rate: f64,
+    /// The whole at the end of the horizon, `a + 2 λ v + λ² p` and its like for the attitude \[s⁴/m², s⁴/rad²\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub tail: f64,
+}
+
+impl MpcWeights {
+    fn check(&self, table: &str) -> Result<(), BuildError> {
+        let key = |name: &str| format!("{table}.{name}");
+        for (name, value) in [
+            ("acceleration", self.acceleration),
+            ("attitude", self.attitude),
+            ("angular_velocity", self.angular_velocity),
+            ("angular_acceleration", self.angular_acceleration),
+            ("posture", self.posture),
+            ("joint_velocity", self.joint_velocity),
+            ("tail", self.tail),
+        ] {
+            MPC.check_non_negative(&key(name), value)?;
+        }
+        for axis in 0..3 {
+            MPC.check_non_negative(&key("position"), self.position[axis])?;
+            MPC.check_non_negative(&key("velocity"), self.velocity[axis])?;
+        }
+        MPC.check_positive(&key("joint_command"), self.joint_command)?;
+        MPC.check_positive(&key("thrust_rate"), self.thrust_rate)
+    }
+}
+
+/// The predictive law, which decides thrust rates and joint velocities in place of the momentum QP.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct MpcConfig {
+    /// How the prediction contains the air.
+    #[serde(default)]
+    pub air: Air,
+    /// Time between two plans \[s\], in whole ticks.
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub period: f64,
+    /// Durations of the knots \[s\]: the first is a whole number of ticks, each the last one times a power of two.
+    pub knots: Vec<f64>,
+    /// Number of knots over which the commanded joint velocities are constant; together all knots.
+    pub joint_knots: Vec<usize>,
+    /// Groups of joints that the law moves; the others return to the posture.
+    pub joint_groups: Vec<String>,
+    /// Gain with which the other joints return to the posture \[1/s\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub posture_gain: f64,
+    /// `λ`: rate at which errors decay after the horizon \[1/s\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub decay: f64,
+    /// Weight of a thrust beyond its range \[1/N²\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub thrust_excess: f64,
+    /// Weight of a joint position beyond its limits \[1/rad²\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub joint_excess: f64,
+    /// Weights while all engines work.
+    pub weights: MpcWeights,
+    /// Weights of the descent after the loss of an engine; without them the momentum QP flies the descent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub descent: Option<MpcWeights>,
+}
+
+impl MpcConfig {
+    /// Checks values and names; `time_step` is that of the ticks \[s\].
+    ///
+    /// # Errors
+    /// [`BuildError`] naming the key.
+    pub fn check(&self, robot: &RobotModel, time_step: f64) -> Result<(), BuildError> {
+        self.weights.check("weights")?;
+        self.descent.as_ref().map_or(Ok(()), |weights| weights.check("descent"))?;
+        for (key, value) in [
+            ("posture_gain", self.posture_gain),
+            ("decay", self.decay),
+            ("thrust_excess", self.thrust_excess),
+            ("joint_excess", self.joint_excess),
+        ] {
+            MPC.check_non_negative(key, value)?;
+        }
+        MPC.gain("posture_gain", self.posture_gain, time_step)?;
+        let is_whole = |value: f64| (value / time_step - (value / time_step).round()).abs() < 1e-6;
+        let expected = format!("a whole number of ticks of {time_step} s");
+        MPC.check("period", self.period, |x| x > 0.0 && is_whole(x), &expected)?;
+        let count = self.knots.len();
+        if count == 0 || count > KNOTS_MAX {
+            let expected = format!("1 to {KNOTS_MAX} durations");
+            return Err(BuildError::bad_value("length of controller.mpc.knots", count, expected));
+        }
+        MPC.check("knots", self.knots[0], |x| x > 0.0 && is_whole(x), &expected)?;
+        for pair in self.knots.windows(2) {
+            let power = (pair[1] / pair[0]).log2();
+            let is_power = |_| power >= -1e-9 && (power - power.round()).abs() < 1e-9;
+            MPC.check("knots", pair[1], is_power, "the knot before it times a power of two")?;
+        }
+        let (length, longest) = (self.knots.iter().sum::<f64>(), TICKS_MAX * time_step);
+        MPC.check("knots", length, |x| x <= longest, &format!("at most {longest} s together"))?;
+        MPC.check("period", self.period, |x| x <= length, "at most the length of the horizon")?;
+        let joint_knots: usize = self.joint_knots.iter().sum();
+        if joint_knots != count || self.joint_knots.contains(&0) {
+            let expected = format!("positive numbers that sum to {count}, the number of knots");
+            return Err(BuildError::bad_value("controller.mpc.joint_knots", format!("{:?}", self.joint_knots), expected));
+        }
+        self.joints(robot).map(|_| ())
+    }
+
+    /// Refuses a linear prediction of a model without derivatives, or of forces at other points than the links' centres.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the key.
+    pub fn check_air(&self, aero: &AeroModel, conventions: LinkConventions) -> Result<(), BuildError> {
+        if self.air == Air::Constant {
+            return Ok(());
+        }
+        let refused = |expected| Err(BuildError::bad_value("controller.mpc.air", "linear", expected));
+        if !aero.has_derivatives() {
+            return refused("constant: only the axisymmetric model has derivatives");
+        }
+        if conventions != LinkConventions::default() {
+            return refused("constant: the prediction has forces at the links' centres, not at the published points");
+        }
+        Ok(())
+    }
+
+    /// Indices of the joints that the law moves, in the robot's order.
+    ///
+    /// # Errors
+    /// [`BuildError::UnknownName`] for a group that the robot does not have.
+    pub fn joints(&self, robot: &RobotModel) -> Result<Vec<usize>, BuildError> {
+        let mut joints = Vec::new();
+        for name in &self.joint_groups {
+            let names = robot.groups.iter().map(|group| group.name.as_str());
+            let group = place_of("controller.mpc.joint_groups", name, names)?;
+            joints.extend(&robot.groups[group].joints);
+        }
+        joints.sort_unstable();
+        joints.dedup();
+        Ok(joints)
+    }
+}

@@ -1,0 +1,823 @@
+//! The prediction over the horizon, and the QP in its inputs.
+//!
+//! ```text
+//! y = (δp, δv, θ, δk)      motion of the centre of mass, rotation, angular momentum; the present one is zero
+//! d = (δT, δs, ṡ, e)       thrusts, joints, their velocities and velocity errors: driven by the inputs alone
+//! u = (Ṫ*, ṡ*)             thrust rates; joint velocities of the moved joints
+//! ẏ = A_c y + A_d d + c    ë of the torque law:  s̈ = K_D (ṡ* − ṡ) − K_P e,  ė = ṡ − ṡ*
+//! ```
+//!
+//! `u` is constant between knots, so every knot is exact: a Taylor series for the shortest, and squares of it. The states
+//! are eliminated; H and g collect the squares of the outputs' errors. Equations M120 to M123 of `docs/model.md`.
+
+use super::config::{MpcConfig, MpcWeights};
+use super::model::Linearised;
+use crate::control::terms::Terms;
+use crate::linalg;
+use crate::qp::QpProblem;
+use crate::spatial::skew;
+use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, SVector, Vector3};
+
+/// Entries of `y`, and of the outputs that are not entries of it: ω, a and α.
+const CORE: usize = 12;
+const RATES: usize = 9;
+/// Outputs (p, v, θ, ω, a, α) at the end of a knot, and rows of the tail.
+const OUTPUTS: usize = 18;
+const TAIL: usize = 6;
+/// Terms of the Taylor series of the shortest knot: with `K_D h = 0.2` the remainder is below 1e-12.
+const TERMS: u32 = 8;
+/// Steps of the bisection for the least cost on a way.
+const BISECTIONS: u32 = 40;
+
+type Core = SMatrix<f64, CORE, CORE>;
+type Column = SVector<f64, CORE>;
+type Rates = SVector<f64, RATES>;
+
+/// Motion that the robot should have at the end of a knot, inertial axes.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Target {
+    /// Centre of mass, velocity, acceleration \[m, m/s, m/s²\].
+    pub com: [Vector3<f64>; 3],
+    /// Rotation vector from the present attitude \[rad\].
+    pub rotation: Vector3<f64>,
+    /// Angular velocity and acceleration \[rad/s, rad/s²\].
+    pub angular: [Vector3<f64>; 2],
+}
+
+impl Target {
+    fn outputs(&self) -> [Vector3<f64>; OUTPUTS / 3] {
+        let ([p, v, a], [omega, alpha]) = (self.com, self.angular);
+        [p, v, self.rotation, omega, a, alpha]
+    }
+}
+
+/// Answer of the three states `(s, ṡ, e)` of a joint to its own values, and to a constant command, over some time.
+#[derive(Debug, Clone, Copy)]
+struct Chain {
+    transition: Matrix3<f64>,
+    input: Vector3<f64>,
+}
+
+impl Chain {
+    /// Over `time` \[s\], by a Taylor series after halving, for the gains `K_D`, `K_P` of the torque law.
+    fn new((kd, kp): (f64, f64), time: f64) -> Self {
+        let a = Matrix3::new(0.0, 1.0, 0.0, 0.0, -kd, -kp, 0.0, 1.0, 0.0);
+        let b = Vector3::new(0.0, kd, -1.0);
+        let halvings = (time * (kd + kp.sqrt() + 1.0) * 16.0).log2().ceil().max(0.0);
+        let step = time / halvings.exp2();
+        let (mut chain, mut power) = (Self { transition: Matrix3::identity(), input: Vector3::zeros() }, Matrix3::identity());
+        let mut scale = step;
+        for order in 1..=10 {
+            chain.input += power * b * scale;
+            power = power * a;
+            chain.transition += power * scale;
+            scale *= step / f64::from(order + 1);
+        }
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a few halvings")]
+        for _ in 0..halvings as u32 {
+            chain = chain.twice();
+        }
+        chain
+    }
+
+    fn twice(&self) -> Self {
+        Self {
+            transition: self.transition * self.transition,
+            input: self.transition * self.input + self.input,
+        }
+    }
+}
+
+/// Derivative or transition of `y`: by `y`, by each entry of `d` and of `u`, and its part that depends on neither.
+#[derive(Debug, Clone)]
+struct Step {
+    by_y: Core,
+    by_d: Vec<Column>,
+    by_u: Vec<Column>,
+    drift: Column,
+}
+
+impl Step {
+    fn zero(states: usize, inputs: usize) -> Self {
+        let zero = Column::zeros();
+        Self { by_y: Core::zeros(), by_d: vec![zero; states], by_u: vec![zero; inputs], drift: zero }
+    }
+
+    /// Columns after `by_y`.
+    fn columns(&mut self) -> impl Iterator<Item = &mut Column> {
+        self.by_d.iter_mut().chain(&mut self.by_u).chain([&mut self.drift])
+    }
+
+    fn copy_from(&mut self, other: &Self) {
+        self.by_y = other.by_y;
+        self.by_d.copy_from_slice(&other.by_d);
+        self.by_u.copy_from_slice(&other.by_u);
+        self.drift = other.drift;
+    }
+}
+
+/// `A x`.
+fn times(a: &Core, x: &Column) -> Column {
+    let mut y = Column::zeros();
+    linalg::add_mat_vec(y.as_mut_slice(), a.as_slice(), CORE, x.as_slice());
+    y
+}
+
+fn times_core(a: &Core, b: &Core) -> Core {
+    let mut product = Core::zeros();
+    for (to, from) in product.as_mut_slice().chunks_exact_mut(CORE).zip(b.as_slice().chunks_exact(CORE)) {
+        linalg::add_mat_vec(to, a.as_slice(), CORE, from);
+    }
+    product
+}
+
+/// Where the entries of `d` stand: thrusts, joint positions, velocities, velocity errors.
+#[derive(Debug, Clone, Copy)]
+struct Places {
+    s: usize,
+    sigma: usize,
+    e: usize,
+}
+
+/// A limited value at the end of a knot: within its limits or beyond one of them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Beyond {
+    /// Within its limits.
+    No,
+    /// Below the least.
+    Below,
+    /// Above the greatest.
+    Above,
+}
+
+/// A thrust or a joint position at the end of a knot.
+#[derive(Debug, Clone, Copy)]
+struct Limited {
+    /// With the inputs, and without any.
+    value: f64,
+    free: f64,
+    range: (f64, f64),
+    /// Weight `ρ` of the square of what is beyond the range.
+    weight: f64,
+    beyond: Beyond,
+}
+
+impl Limited {
+    fn new(weight: f64) -> Self {
+        Self { value: 0.0, free: 0.0, range: (f64::NEG_INFINITY, f64::INFINITY), weight, beyond: Beyond::No }
+    }
+
+    fn side(&self, value: f64) -> Beyond {
+        match value {
+            _ if value < self.range.0 => Beyond::Below,
+            _ if value > self.range.1 => Beyond::Above,
+            _ => Beyond::No,
+        }
+    }
+
+    /// How far `value` is beyond the range.
+    fn excess(&self, value: f64) -> f64 {
+        value - value.max(self.range.0).min(self.range.1)
+    }
+
+    /// How far the free value is beyond the limit that the cost contains.
+    fn over(&self) -> Option<f64> {
+        match self.beyond {
+            Beyond::No => None,
+            Beyond::Below => Some(self.free - self.range.0),
+            Beyond::Above => Some(self.free - self.range.1),
+        }
+    }
+}
+
+/// The prediction and its QP; preallocated. Unknowns: thrust rates by knot, then joint velocities by block.
+#[derive(Debug, Clone)]
+pub struct Horizon {
+    /// The QP in the inputs.
+    pub problem: QpProblem,
+    durations: Vec<f64>,
+    /// Of each knot: the duration in terms of the first, as a power of two, and its block of joint velocities.
+    doublings: Vec<usize>,
+    block: Vec<usize>,
+    jets: usize,
+    free: usize,
+    /// `K_D` and `K_P` of the torque law.
+    gains: (f64, f64),
+    decay: f64,
+    /// Joint states over each power of the first duration.
+    chains: Vec<Chain>,
+    /// Joint states at the end of a knot by a unit command of a block.
+    reach: Vec<Vec<Vector3<f64>>>,
+    weights: [MpcWeights; 2],
+    /// Cost of joints and inputs with these weights.
+    constant: [DMatrix<f64>; 2],
+    /// `A_c`, `A_d`, c; the inputs act on `d` alone.
+    dynamics: Step,
+    /// ω, a and α by `y`, `d` and `u`, and their constant part.
+    rates_by_y: SMatrix<f64, RATES, CORE>,
+    rates_by_d: Vec<Rates>,
+    rates_by_u: Vec<Rates>,
+    rates: Rates,
+    /// Transitions over each power of the first duration.
+    steps: Vec<Step>,
+    power: Step,
+    /// `y` at the present knot by every unknown.
+    sensitivity: Vec<Column>,
+    /// Weighted outputs by the unknowns: one column for each row of the cost.
+    weighted: DMatrix<f64>,
+    residual: DVector<f64>,
+    /// Joint states at the end of each knot, and thrusts at present, without inputs.
+    free_joint: Vec<Vec<Vector3<f64>>>,
+    /// Thrusts by knot, then joints by knot.
+    limited: Vec<Limited>,
+    /// Their values at the end of a way between two inputs, and the way.
+    ends: Vec<f64>,
+    way: DVector<f64>,
+    work: DVector<f64>,
+    base_h: DMatrix<f64>,
+    base_g: DVector<f64>,
+}
+
+impl Horizon {
+    /// A horizon for `jets` thrusts and `free` joints, for the gains `K_D` \[1/s\] and `K_P` \[1/s²\] of the torque law.
+    #[must_use]
+    pub fn new(config: &MpcConfig, gains: (f64, f64), jets: usize, free: usize) -> Self {
+        let durations = config.knots.clone();
+        let (knots, blocks) = (durations.len(), config.joint_knots.len());
+        let counts = config.joint_knots.iter().enumerate();
+        let block: Vec<usize> = counts.flat_map(|(block, count)| vec![block; *count]).collect();
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked by the configuration")]
+        let doublings: Vec<usize> =
+            durations.iter().map(|duration| (duration / durations[0]).log2().round() as usize).collect();
+        let powers = doublings.last().map_or(1, |last| last + 1);
+        let (n, states) = (jets * knots + free * blocks, jets + 3 * free);
+        let mut chains = vec![Chain::new(gains, durations[0])];
+        for power in 1..powers {
+            chains.push(chains[power - 1].twice());
+        }
+        let mut reach = vec![vec![Vector3::zeros(); blocks]; knots];
+        for knot in 0..knots {
+            let chain = &chains[doublings[knot]];
+            for to in 0..blocks {
+                let before = if knot == 0 { Vector3::zeros() } else { reach[knot - 1][to] };
+                let own = if block[knot] == to { chain.input } else { Vector3::zeros() };
+                reach[knot][to] = chain.transition * before + own;
+            }
+        }
+        let rows = OUTPUTS * knots + TAIL;
+        let weights = [config.weights, config.descent.unwrap_or(config.weights)];
+        let step = Step::zero(states, jets + free);
+        let of_thrusts = std::iter::repeat_n(Limited::new(config.thrust_excess), jets * knots);
+        let of_joints = std::iter::repeat_n(Limited::new(config.joint_excess), free * knots);
+        let limited: Vec<Limited> = of_thrusts.chain(of_joints).collect();
+        let mut horizon = Self {
+            problem: QpProblem::new(n, 0),
+            durations,
+            doublings,
+            block,
+            jets,
+            free,
+            gains,
+            decay: config.decay,
+            chains,
+            reach,
+            weights,
+            constant: [DMatrix::zeros(n, n), DMatrix::zeros(n, n)],
+            dynamics: step.clone(),
+            rates_by_y: SMatrix::zeros(),
+            rates_by_d: vec![Rates::zeros(); states],
+            rates_by_u: vec![Rates::zeros(); jets + free],
+            rates: Rates::zeros(),
+            steps: vec![step.clone(); powers],
+            power: step,
+            sensitivity: vec![Column::zeros(); n],
+            weighted: DMatrix::zeros(n, rows),
+            residual: DVector::zeros(rows),
+            free_joint: vec![vec![Vector3::zeros(); free]; knots],
+            ends: vec![0.0; limited.len()],
+            limited,
+            way: DVector::zeros(n),
+            work: DVector::zeros(n),
+            base_h: DMatrix::zeros(n, n),
+            base_g: DVector::zeros(n),
+        };
+        horizon.constant = weights.map(|weights| horizon.constant_cost(&weights));
+        horizon
+    }
+
+    /// Number of knots.
+    #[must_use]
+    pub fn knots(&self) -> usize {
+        self.durations.len()
+    }
+
+    /// Durations of the knots \[s\].
+    #[must_use]
+    pub fn durations(&self) -> &[f64] {
+        &self.durations
+    }
+
+    /// Unknown of the rate of a thrust in a knot.
+    #[must_use]
+    pub fn thrust_rate(&self, knot: usize, jet: usize) -> usize {
+        knot * self.jets + jet
+    }
+
+    /// Unknown of the commanded velocity of a moved joint in a knot.
+    #[must_use]
+    pub fn joint_velocity(&self, knot: usize, joint: usize) -> usize {
+        self.of_block(self.block[knot], joint)
+    }
+
+    fn of_block(&self, block: usize, joint: usize) -> usize {
+        self.jets * self.knots() + block * self.free + joint
+    }
+
+    fn places(&self) -> Places {
+        Places { s: self.jets, sigma: self.jets + self.free, e: self.jets + 2 * self.free }
+    }
+
+    /// Second derivatives of the cost of joints and inputs, which do not depend on the state.
+    fn constant_cost(&self, weights: &MpcWeights) -> DMatrix<f64> {
+        let mut h = DMatrix::zeros(self.problem.len(), self.problem.len());
+        for (knot, duration) in self.durations.iter().enumerate() {
+            for jet in 0..self.jets {
+                let unknown = self.thrust_rate(knot, jet);
+                h[(unknown, unknown)] += duration * weights.thrust_rate;
+            }
+            for joint in 0..self.free {
+                let unknown = self.joint_velocity(knot, joint);
+                h[(unknown, unknown)] += duration * weights.joint_command;
+                for (one, a) in self.reach[knot].iter().enumerate() {
+                    for (other, b) in self.reach[knot].iter().enumerate() {
+                        h[(self.of_block(one, joint), self.of_block(other, joint))] +=
+                            duration * (weights.posture * a[0] * b[0] + weights.joint_velocity * a[1] * b[1]);
+                    }
+                }
+            }
+        }
+        h
+    }
+
+    /// Builds H and g at the state of `terms`, from the integrals of the joints' velocity errors, the wanted positions of
+    /// the joints and a target for each knot; `is_descending` chooses the weights.
+    pub fn update(
+        &mut self,
+        model: &Linearised,
+        terms: &Terms,
+        (posture, errors): (&DVector<f64>, &DVector<f64>),
+        targets: &[Target],
+        is_descending: bool,
+    ) {
+        self.write_dynamics(model, terms);
+        self.write_rates(model, terms);
+        self.write_steps();
+        let weights = usize::from(is_descending);
+        self.write_motion_cost(terms, targets, weights, model, errors);
+        self.write_joint_cost(model, terms, posture, weights);
+        self.limited.iter_mut().for_each(|limited| limited.beyond = Beyond::No);
+        self.problem.h.copy_from(&self.base_h);
+        self.problem.g.copy_from(&self.base_g);
+    }
+
+    /// `A_c`, `A_d` and c.
+    fn write_dynamics(&mut self, model: &Linearised, terms: &Terms) {
+        let Places { s, sigma, .. } = self.places();
+        let mass = terms.kinematics.mass();
+        let state = &terms.measurement.state;
+        let omega = state.base_angular_velocity();
+        let Step { by_y, by_d, drift, .. } = &mut self.dynamics;
+        by_y.fill(0.0);
+        by_d.fill(Column::zeros());
+        by_y.fixed_view_mut::<3, 3>(0, 3).fill_with_identity();
+        drift.fixed_rows_mut::<3>(0).copy_from(&(terms.dynamics.momentum.fixed_rows::<3>(0) / mass));
+        for (row, first, scale) in [(3, 0, mass.recip()), (9, 3, 1.0)] {
+            for (column, by) in [(3, &model.rate_v), (6, &model.rate_theta), (9, &model.rate_k)] {
+                by_y.fixed_view_mut::<3, 3>(row, column).copy_from(&(by.fixed_rows::<3>(first) * scale));
+            }
+            for (column, by) in [(0, &model.rate_t), (s, &model.rate_s), (sigma, &model.rate_sigma)] {
+                for (to, from) in by_d[column..].iter_mut().zip(by.column_iter()) {
+                    to.fixed_rows_mut::<3>(row).copy_from(&(from.fixed_rows::<3>(first) * scale));
+                }
+            }
+            let rate = terms.momentum.rate_estimate.fixed_rows::<3>(first) * scale;
+            drift.fixed_rows_mut::<3>(row).copy_from(&rate);
+        }
+        // θ̇ = J_l⁻¹(θ) ω, with J_l⁻¹ = 1 − S(θ)/2 + …
+        by_y.fixed_view_mut::<3, 3>(6, 6).copy_from(&(model.omega_theta + skew(&omega) * 0.5));
+        by_y.fixed_view_mut::<3, 3>(6, 9).copy_from(&model.omega_k);
+        for (column, by) in [(s, &model.omega_s), (sigma, &model.omega_sigma)] {
+            for (to, from) in by_d[column..].iter_mut().zip(by.column_iter()) {
+                to.fixed_rows_mut::<3>(6).copy_from(&from);
+            }
+        }
+        drift.fixed_rows_mut::<3>(6).copy_from(&omega);
+        // d holds velocities, of which the present ones are part of the present rates.
+        for (place, joint) in model.joints.iter().enumerate() {
+            *drift -= by_d[sigma + place] * state.joint_velocity()[*joint];
+        }
+    }
+
+    /// ω, a and α: `α = ω_θ θ̇ + ω_k k̇ + ω_s ṡ + ω_ṡ s̈`.
+    fn write_rates(&mut self, model: &Linearised, terms: &Terms) {
+        let Places { sigma, e, .. } = self.places();
+        let (kd, kp) = self.gains;
+        let (theta, k) = (model.omega_theta, model.omega_k);
+        let half = skew(&terms.measurement.state.base_angular_velocity()) * 0.5;
+        let of = |column: &Column| {
+            let mut rates = Rates::zeros();
+            let turn: Vector3<f64> = column.fixed_rows::<3>(6).into();
+            rates.fixed_rows_mut::<3>(0).copy_from(&turn);
+            rates.fixed_rows_mut::<3>(3).copy_from(&column.fixed_rows::<3>(3));
+            let alpha = theta * turn + k * column.fixed_rows::<3>(9);
+            rates.fixed_rows_mut::<3>(6).copy_from(&alpha);
+            rates
+        };
+        for (column, of_y) in self.dynamics.by_y.column_iter().enumerate() {
+            self.rates_by_y.set_column(column, &of(&of_y.into()));
+        }
+        // ω itself has no half of S(ω), which belongs to θ̇.
+        let mut by_theta = self.rates_by_y.fixed_view_mut::<3, 3>(0, 6);
+        by_theta -= half;
+        for (to, from) in self.rates_by_d.iter_mut().zip(&self.dynamics.by_d) {
+            *to = of(from);
+        }
+        self.rates = of(&self.dynamics.drift);
+        let joints = model.omega_s.column_iter().zip(model.omega_sigma.column_iter()).enumerate();
+        for (joint, (by_s, by_sigma)) in joints {
+            let mut alpha = self.rates_by_d[sigma + joint].fixed_rows_mut::<3>(6);
+            alpha += by_s - by_sigma * kd;
+            let mut alpha = self.rates_by_d[e + joint].fixed_rows_mut::<3>(6);
+            alpha -= by_sigma * kp;
+            self.rates_by_u[self.jets + joint].fixed_rows_mut::<3>(6).copy_from(&(by_sigma * kd));
+        }
+    }
+
+    /// Transitions: the Taylor series of the shortest duration, then squares.
+    fn write_steps(&mut self) {
+        let Places { s, sigma, e } = self.places();
+        let (kd, kp) = self.gains;
+        let Self { steps, power, dynamics, jets, free, chains, durations, .. } = self;
+        let (jets, free) = (*jets, *free);
+        // Rows of y of the powers of the whole matrix: X ← X A h / order.
+        let first = &mut steps[0];
+        power.by_y = Core::identity();
+        power.columns().for_each(|column| column.fill(0.0));
+        first.copy_from(power);
+        for order in 1..=TERMS {
+            let scale = durations[0] / f64::from(order);
+            // Inputs first, then d, from the columns of d and y of the power before.
+            for jet in 0..jets {
+                power.by_u[jet] = power.by_d[jet] * scale;
+                power.by_d[jet] = times(&power.by_y, &dynamics.by_d[jet]) * scale;
+            }
+            for joint in 0..free {
+                let (by_s, by_sigma, by_e) =
+                    (power.by_d[s + joint], power.by_d[sigma + joint], power.by_d[e + joint]);
+                power.by_u[jets + joint] = (by_sigma * kd - by_e) * scale;
+                power.by_d[s + joint] = times(&power.by_y, &dynamics.by_d[s + joint]) * scale;
+                let through_y = times(&power.by_y, &dynamics.by_d[sigma + joint]);
+                power.by_d[sigma + joint] = (through_y + by_s - by_sigma * kd + by_e) * scale;
+                power.by_d[e + joint] = by_sigma * (-kp * scale);
+            }
+            power.drift = times(&power.by_y, &dynamics.drift) * scale;
+            power.by_y = times_core(&power.by_y, &dynamics.by_y) * scale;
+            first.by_y += power.by_y;
+            for (sum, term) in first.columns().zip(power.columns()) {
+                *sum += *term;
+            }
+        }
+        for doubling in 1..steps.len() {
+            let (before, after) = steps.split_at_mut(doubling);
+            let (half, whole) = (&before[doubling - 1], &mut after[0]);
+            let chain = &chains[doubling - 1];
+            whole.by_y = times_core(&half.by_y, &half.by_y);
+            whole.drift = times(&half.by_y, &half.drift) + half.drift;
+            let time = durations[0] * f64::from(1_u32 << (doubling - 1));
+            for jet in 0..jets {
+                whole.by_d[jet] = times(&half.by_y, &half.by_d[jet]) + half.by_d[jet];
+                whole.by_u[jet] = times(&half.by_y, &half.by_u[jet]) + half.by_d[jet] * time + half.by_u[jet];
+            }
+            for joint in 0..free {
+                let columns = [s, sigma, e].map(|first| half.by_d[first + joint]);
+                let along = |factors: &Vector3<f64>| {
+                    columns[0] * factors[0] + columns[1] * factors[1] + columns[2] * factors[2]
+                };
+                for (state, first) in [s, sigma, e].into_iter().enumerate() {
+                    let through = along(&chain.transition.column(state).into());
+                    whole.by_d[first + joint] = times(&half.by_y, &columns[state]) + through;
+                }
+                let input = jets + joint;
+                whole.by_u[input] =
+                    times(&half.by_y, &half.by_u[input]) + along(&chain.input) + half.by_u[input];
+            }
+        }
+    }
+
+    /// The cost of the outputs along the horizon: rows of `weighted` and `residual`, and from them H and g.
+    fn write_motion_cost(
+        &mut self,
+        terms: &Terms,
+        targets: &[Target],
+        weights: usize,
+        model: &Linearised,
+        errors: &DVector<f64>,
+    ) {
+        let Places { s, sigma, e } = self.places();
+        let state = &terms.measurement.state;
+        let (jets, free, knots) = (self.jets, self.free, self.knots());
+        let position = terms.kinematics.com;
+        let velocity: Vector3<f64> = self.dynamics.drift.fixed_rows::<3>(0).into();
+        let squares = self.weights[weights];
+        self.sensitivity.fill(Column::zeros());
+        self.weighted.fill(0.0);
+        let mut y = Column::zeros();
+        for (place, joint) in model.joints.iter().enumerate() {
+            let mut now = Vector3::new(0.0, state.joint_velocity()[*joint], errors[*joint]);
+            for knot in 0..knots {
+                now = self.chains[self.doublings[knot]].transition * now;
+                self.free_joint[knot][place] = now;
+            }
+        }
+        for knot in 0..knots {
+            let (duration, block) = (self.durations[knot], self.block[knot]);
+            let step = &self.steps[self.doublings[knot]];
+            // Free motion; the thrusts' change is zero without inputs.
+            let mut next = times(&step.by_y, &y) + step.drift;
+            for (place, joint) in model.joints.iter().enumerate() {
+                let before = match knot {
+                    0 => Vector3::new(0.0, state.joint_velocity()[*joint], errors[*joint]),
+                    _ => self.free_joint[knot - 1][place],
+                };
+                next += step.by_d[s + place] * before[0]
+                    + step.by_d[sigma + place] * before[1]
+                    + step.by_d[e + place] * before[2];
+            }
+            y = next;
+            // Motion by each unknown that has acted so far.
+            for earlier in 0..=knot {
+                for jet in 0..jets {
+                    let unknown = earlier * jets + jet;
+                    let column = &mut self.sensitivity[unknown];
+                    *column = if earlier == knot {
+                        step.by_u[jet]
+                    } else {
+                        times(&step.by_y, column) + step.by_d[jet] * self.durations[earlier]
+                    };
+                }
+            }
+            for earlier in 0..=block {
+                let before = if knot == 0 { Vector3::zeros() } else { self.reach[knot - 1][earlier] };
+                for joint in 0..free {
+                    let unknown = jets * knots + earlier * free + joint;
+                    let column = &mut self.sensitivity[unknown];
+                    let mut next = times(&step.by_y, column)
+                        + step.by_d[s + joint] * before[0]
+                        + step.by_d[sigma + joint] * before[1]
+                        + step.by_d[e + joint] * before[2];
+                    if earlier == block {
+                        next += step.by_u[jets + joint];
+                    }
+                    *column = next;
+                }
+            }
+            // Outputs: free ones and errors.
+            let mut free_rates = self.rates + self.rates_by_y * y;
+            for place in 0..free {
+                let now = &self.free_joint[knot][place];
+                free_rates += self.rates_by_d[s + place] * now[0]
+                    + self.rates_by_d[sigma + place] * now[1]
+                    + self.rates_by_d[e + place] * now[2];
+            }
+            let [p, v, theta, omega, a, alpha] = targets[knot].outputs();
+            let rows = |column: &Column, first: usize| -> Vector3<f64> { column.fixed_rows::<3>(first).into() };
+            let rates = |column: &Rates, first: usize| -> Vector3<f64> { column.fixed_rows::<3>(first).into() };
+            let errors = [
+                position + rows(&y, 0) - p,
+                velocity + rows(&y, 3) - v,
+                rows(&y, 6) - theta,
+                rates(&free_rates, 0) - omega,
+                rates(&free_rates, 3) - a,
+                rates(&free_rates, 6) - alpha,
+            ];
+            let root = duration.sqrt();
+            let splat = |weight: f64| [weight; 3];
+            let roots = [
+                squares.position,
+                squares.velocity,
+                splat(squares.attitude),
+                splat(squares.angular_velocity),
+                splat(squares.acceleration),
+                splat(squares.angular_acceleration),
+            ]
+            .map(|weights| weights.map(|weight| root * weight.sqrt()));
+            let tail = (knot + 1 == knots).then(|| squares.tail.sqrt());
+            let decay = self.decay;
+            let first_row = OUTPUTS * knot;
+            for (group, error) in errors.iter().enumerate() {
+                for axis in 0..3 {
+                    self.residual[first_row + 3 * group + axis] = roots[group][axis] * error[axis];
+                }
+            }
+            if let Some(tail) = tail {
+                let [p, v, theta, omega, a, alpha] = errors;
+                for (half, [position, velocity, acceleration]) in [[p, v, a], [theta, omega, alpha]].iter().enumerate() {
+                    let whole = (acceleration + velocity * (2.0 * decay) + position * (decay * decay)) * tail;
+                    for axis in 0..3 {
+                        self.residual[OUTPUTS * knots + 3 * half + axis] = whole[axis];
+                    }
+                }
+            }
+            // Outputs by each unknown.
+            let n = self.problem.len();
+            let thrusts = (0..jets * (knot + 1)).map(|unknown| (unknown, None));
+            let joints = (0..free * (block + 1)).map(|index| (jets * knots + index, Some(index)));
+            for (unknown, joint) in thrusts.chain(joints) {
+                let column = self.sensitivity[unknown];
+                let mut of_unknown = self.rates_by_y * column;
+                match joint {
+                    None => {
+                        let (earlier, jet) = (unknown / jets, unknown % jets);
+                        of_unknown += self.rates_by_d[jet] * self.durations[earlier];
+                    }
+                    Some(index) => {
+                        let (earlier, joint) = (index / free, index % free);
+                        let now = &self.reach[knot][earlier];
+                        of_unknown += self.rates_by_d[s + joint] * now[0]
+                            + self.rates_by_d[sigma + joint] * now[1]
+                            + self.rates_by_d[e + joint] * now[2];
+                        if earlier == block {
+                            of_unknown += self.rates_by_u[jets + joint];
+                        }
+                    }
+                }
+                let outputs = [
+                    rows(&column, 0),
+                    rows(&column, 3),
+                    rows(&column, 6),
+                    rates(&of_unknown, 0),
+                    rates(&of_unknown, 3),
+                    rates(&of_unknown, 6),
+                ];
+                let weighted = self.weighted.as_mut_slice();
+                for (group, output) in outputs.iter().enumerate() {
+                    for axis in 0..3 {
+                        weighted[unknown + n * (first_row + 3 * group + axis)] = roots[group][axis] * output[axis];
+                    }
+                }
+                if let Some(tail) = tail {
+                    let [p, v, theta, omega, a, alpha] = outputs;
+                    for (half, [position, velocity, acceleration]) in [[p, v, a], [theta, omega, alpha]].iter().enumerate() {
+                        let whole = (acceleration + velocity * (2.0 * decay) + position * (decay * decay)) * tail;
+                        for axis in 0..3 {
+                            weighted[unknown + n * (OUTPUTS * knots + 3 * half + axis)] = whole[axis];
+                        }
+                    }
+                }
+            }
+        }
+        let n = self.problem.len();
+        linalg::times_transpose(self.weighted.as_slice(), n, self.base_h.as_mut_slice());
+        self.base_h += &self.constant[weights];
+        self.base_g.fill(0.0);
+        linalg::add_mat_vec(self.base_g.as_mut_slice(), self.weighted.as_slice(), n, self.residual.as_slice());
+    }
+
+    /// Adds the gradient of the cost of the joints' positions and velocities.
+    fn write_joint_cost(&mut self, model: &Linearised, terms: &Terms, posture: &DVector<f64>, weights: usize) {
+        let squares = self.weights[weights];
+        let (jets, free, knots) = (self.jets, self.free, self.knots());
+        for (place, joint) in model.joints.iter().enumerate() {
+            let away = terms.measurement.state.joint_position[*joint] - posture[*joint];
+            for knot in 0..knots {
+                let now = &self.free_joint[knot][place];
+                let duration = self.durations[knot];
+                for (block, reach) in self.reach[knot].iter().enumerate() {
+                    self.base_g[jets * knots + block * free + place] += duration
+                        * (squares.posture * (away + now[0]) * reach[0]
+                            + squares.joint_velocity * now[1] * reach[1]);
+                }
+            }
+        }
+    }
+
+    /// Sets which thrusts and joints the inputs `u` bring beyond their limits, and H and g with them; returns whether
+    /// that changes anything. The cost of a value `x` beyond its limit `b` is `½ ρ (x − b)²`.
+    pub fn update_excess(&mut self, model: &Linearised, terms: &Terms, joint_limits: &[(f64, f64)], u: &[f64]) -> bool {
+        self.read_limited(model, terms, joint_limits, u);
+        let mut is_changed = false;
+        for limited in &mut self.limited {
+            let now = limited.side(limited.value);
+            is_changed |= std::mem::replace(&mut limited.beyond, now) != now;
+        }
+        if is_changed {
+            self.write_excess();
+        }
+        is_changed
+    }
+
+    /// Values and limits at the end of the knots, for the inputs `u`.
+    fn read_limited(&mut self, model: &Linearised, terms: &Terms, joint_limits: &[(f64, f64)], u: &[f64]) {
+        let (jets, free, knots) = (self.jets, self.free, self.knots());
+        for jet in 0..jets {
+            let mut thrust = terms.measurement.thrust[jet];
+            let free_value = thrust;
+            for knot in 0..knots {
+                thrust += self.durations[knot] * u[knot * jets + jet];
+                let limited = &mut self.limited[knot * jets + jet];
+                (limited.value, limited.free, limited.range) = (thrust, free_value, terms.limits.thrust[jet]);
+            }
+        }
+        for (place, joint) in model.joints.iter().enumerate() {
+            let now = terms.measurement.state.joint_position[*joint];
+            for knot in 0..knots {
+                let free_value = now + self.free_joint[knot][place][0];
+                let by_inputs: f64 = (self.reach[knot].iter().enumerate())
+                    .map(|(block, reach)| reach[0] * u[self.of_block(block, place)])
+                    .sum();
+                let limited = &mut self.limited[jets * knots + knot * free + place];
+                (limited.value, limited.free) = (free_value + by_inputs, free_value);
+                limited.range = joint_limits[*joint];
+            }
+        }
+    }
+
+    /// Share `t` of the way from the inputs `from` to `to` at which the cost with all excesses is least. The cost is
+    /// convex and piecewise quadratic: the zero of its derivative is found by bisection.
+    pub fn least_on_way(
+        &mut self,
+        model: &Linearised,
+        terms: &Terms,
+        joint_limits: &[(f64, f64)],
+        (from, to): (&[f64], &[f64]),
+    ) -> f64 {
+        let n = self.problem.len();
+        for (way, (from, to)) in self.way.iter_mut().zip(from.iter().zip(to)) {
+            *way = to - from;
+        }
+        self.read_limited(model, terms, joint_limits, to);
+        for (end, limited) in self.ends.iter_mut().zip(&self.limited) {
+            *end = limited.value;
+        }
+        self.read_limited(model, terms, joint_limits, from);
+        let mut gradient = |x: &[f64]| {
+            self.work.fill(0.0);
+            linalg::add_mat_vec(self.work.as_mut_slice(), self.base_h.as_slice(), n, x);
+            linalg::dot(self.work.as_slice(), self.way.as_slice())
+        };
+        let slope = gradient(from);
+        let curvature = gradient(self.way.as_slice());
+        let slope = slope + linalg::dot(self.base_g.as_slice(), self.way.as_slice());
+        let derivative = |t: f64| {
+            let of_excess = self.limited.iter().zip(&self.ends).map(|(limited, end)| {
+                let step = end - limited.value;
+                limited.weight * limited.excess(limited.value + t * step) * step
+            });
+            slope + t * curvature + of_excess.sum::<f64>()
+        };
+        if derivative(1.0) <= 0.0 {
+            return 1.0;
+        }
+        let (mut least, mut greatest) = (0.0, 1.0);
+        for _ in 0..BISECTIONS {
+            let middle = 0.5 * (least + greatest);
+            if derivative(middle) > 0.0 {
+                greatest = middle;
+            } else {
+                least = middle;
+            }
+        }
+        greatest
+    }
+
+    /// H and g with the values that are beyond their limits.
+    fn write_excess(&mut self) {
+        let (jets, free, knots) = (self.jets, self.free, self.knots());
+        self.problem.h.copy_from(&self.base_h);
+        self.problem.g.copy_from(&self.base_g);
+        let QpProblem { h, g, .. } = &mut self.problem;
+        let (thrusts, joints) = self.limited.split_at(jets * knots);
+        for (index, limited) in thrusts.iter().enumerate() {
+            let Some(over) = limited.over() else { continue };
+            let (knot, jet) = (index / jets, index % jets);
+            for one in 0..=knot {
+                let a = limited.weight * self.durations[one];
+                g[one * jets + jet] += a * over;
+                for other in 0..=knot {
+                    h[(one * jets + jet, other * jets + jet)] += a * self.durations[other];
+                }
+            }
+        }
+        for (index, limited) in joints.iter().enumerate() {
+            let Some(over) = limited.over() else { continue };
+            let (knot, first) = (index / free, jets * knots + index % free);
+            for (one, by_one) in self.reach[knot].iter().enumerate() {
+                let a = limited.weight * by_one[0];
+                g[first + one * free] += a * over;
+                for (other, by_other) in self.reach[knot].iter().enumerate() {
+                    h[(first + one * free, first + other * free)] += a * by_other[0];
+                }
+            }
+        }
+    }
+}
