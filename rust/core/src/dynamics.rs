@@ -148,7 +148,8 @@ impl Dynamics {
         let by_l = axis.cross(&linear) - (moved * subtree.mass + turned.cross(&subtree.first_moment));
         let by_k = axis.cross(&angular) + v_o.cross(&linear)
             - (subtree.inertia * turned + subtree.first_moment.cross(&moved));
-        let j_g: Vector3<f64> = self.momentum_matrix.fixed_view::<3, 1>(0, 6 + joint) / self.composites[0].mass;
+        let j_g: Vector3<f64> =
+            self.momentum_matrix.fixed_view::<3, 1>(0, 6 + joint) / self.composites[0].mass;
         let total: Vector3<f64> = self.momentum.fixed_rows::<3>(0).into();
         (by_l, by_k - j_g.cross(&total) - (kinematics.com - origin).cross(&by_l))
     }

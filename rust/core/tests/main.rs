@@ -14,6 +14,7 @@ mod estimator;
 mod jets;
 mod linalg;
 mod link_forces;
+mod mpc;
 mod network;
 mod observer;
 mod qp;

@@ -37,7 +37,12 @@ impl AeroModel {
 
     /// Derivatives of the force on the link with index `link`; zero for a model without [`Self::has_derivatives`].
     #[must_use]
-    pub fn derivatives(&self, link: usize, axis_i: &Vector3<f64>, v_air_i: &Vector3<f64>) -> ForceDerivatives {
+    pub fn derivatives(
+        &self,
+        link: usize,
+        axis_i: &Vector3<f64>,
+        v_air_i: &Vector3<f64>,
+    ) -> ForceDerivatives {
         self.force_and_derivatives(link, axis_i, v_air_i).1
     }
 
@@ -55,7 +60,9 @@ impl AeroModel {
                 let (force, derivatives) = model.force_and_derivatives(link, axis_i, v_air_i);
                 (force, factors.derivatives(link, &force, &derivatives, v_air_i))
             }
-            Self::Off | Self::SphereCylinder(_) | Self::Network(_) => (Vector3::zeros(), ForceDerivatives::zero()),
+            Self::Off | Self::SphereCylinder(_) | Self::Network(_) => {
+                (Vector3::zeros(), ForceDerivatives::zero())
+            }
         }
     }
 }
@@ -64,7 +71,12 @@ impl Axisymmetric {
     /// ```text
     /// ∂cos α/∂v = −(k̂ + cos α v̂)/(|v| + ε)   ∂cos α/∂k̂ = −v/(|v| + ε)   ∂ sin α = −(cos α / sin α) ∂cos α
     /// ```
-    fn link_derivatives(&self, link: usize, axis_i: &Vector3<f64>, v_air_i: &Vector3<f64>) -> ForceDerivatives {
+    fn link_derivatives(
+        &self,
+        link: usize,
+        axis_i: &Vector3<f64>,
+        v_air_i: &Vector3<f64>,
+    ) -> ForceDerivatives {
         let Some(areas) = self.coefficients.get(link) else { return ForceDerivatives::zero() };
         let Attack { speed, cos, sin } = Attack::new(axis_i, v_air_i);
         let direction = v_air_i.try_normalize(0.0).unwrap_or_else(Vector3::zeros);
@@ -82,9 +94,9 @@ impl Axisymmetric {
         let normal_by_velocity = axis_i * v_air_i.transpose() * 2.0
             - v_air_i * axis_i.transpose()
             - Matrix3::from_diagonal_element(v_air_i.dot(axis_i));
-        let normal_by_axis =
-            Matrix3::from_diagonal_element(speed * speed) - v_air_i * v_air_i.transpose();
-        let drag_by_velocity = (v_air_i * direction.transpose() + Matrix3::from_diagonal_element(speed)) * drag_area;
+        let normal_by_axis = Matrix3::from_diagonal_element(speed * speed) - v_air_i * v_air_i.transpose();
+        let drag_by_velocity =
+            (v_air_i * direction.transpose() + Matrix3::from_diagonal_element(speed)) * drag_area;
         let normal_area = areas.cna * sin * cos;
         ForceDerivatives {
             by_velocity: (by_cos * cos_by_velocity.transpose()

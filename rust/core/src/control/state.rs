@@ -6,7 +6,7 @@ use super::guard::estimator::EstimatorState;
 use super::guard::observer::ObserverState;
 use super::guard::wind_observer::WindState;
 use super::law::contact::ContactState;
-use super::law::mpc::Plan;
+use super::law::mpc::plan::Plan;
 use super::law::setpoint::SetpointState;
 use crate::error::{BuildError, check};
 use crate::qp::WarmStart;

@@ -3,7 +3,7 @@
 //! ```text
 //! model     dynamics linearised at the present state        [`model`]
 //! horizon   prediction over unequal knots, QP in the inputs  [`horizon`]
-//! plan      its answer, followed until the next one
+//! plan      its answer, followed until the next one       [`plan`]
 //! ```
 //!
 //! The momentum law prepares its own problem too: its bounds are those of the first knot, and it decides where there is
@@ -12,6 +12,7 @@
 pub mod config;
 pub mod horizon;
 pub mod model;
+pub mod plan;
 
 use super::rates::{Law, MomentumLaw};
 use super::setpoint::{Ahead, Setpoint, SetpointGenerator};
@@ -19,61 +20,18 @@ use crate::aero::AeroModel;
 use crate::control::command::{Command, CommandStatus};
 use crate::control::state::ControllerState;
 use crate::control::terms::Terms;
-use crate::qp::{PrimalActiveSet, QpAnswer, QpSolver, QpStatus, WarmStart};
+use crate::qp::{PrimalActiveSet, QpAnswer, QpSolver, QpStatus};
 use crate::robot::RobotModel;
 use crate::spatial::log_so3;
 use config::{Air, MpcConfig};
 use horizon::{Horizon, Target};
 use model::Linearised;
+use plan::Plan;
 
 /// Limit of QPs of one plan: each has the values beyond their limits that the last answer brought there.
 const EXCESS_PASSES: u32 = 20;
 /// A plan is followed for at most this part of the horizon; by then the momentum QP decides.
 const PLAN_SHARE: f64 = 0.25;
-
-/// The plan that is followed.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Plan {
-    /// Inputs by knot and block, in the order of the horizon's unknowns; empty without a predictive law.
-    inputs: Vec<f64>,
-    /// Time at which it began \[s\]; `None` without a plan.
-    since: Option<f64>,
-    /// Time of the last attempt \[s\], and its answer.
-    tried: f64,
-    answer: QpAnswer,
-    warm: WarmStart,
-}
-
-impl Plan {
-    /// No plan, in `unknowns` unknowns.
-    #[must_use]
-    pub fn none(unknowns: usize) -> Self {
-        Self {
-            inputs: vec![0.0; unknowns],
-            since: None,
-            tried: f64::NEG_INFINITY,
-            answer: QpAnswer::from_status(QpStatus::SizeMismatch),
-            warm: WarmStart::cold(unknowns),
-        }
-    }
-
-    /// Number of unknowns.
-    #[must_use]
-    pub fn len(&self) -> usize {
-        self.inputs.len()
-    }
-
-    /// Whether there are no unknowns: the law does not plan.
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        self.inputs.is_empty()
-    }
-
-    /// Time since it began \[s\].
-    fn age(&self, time: f64) -> Option<f64> {
-        self.since.map(|since| time - since).filter(|age| *age >= 0.0)
-    }
-}
 
 /// The predictive law of one controller, with its workspace.
 #[derive(Debug)]
@@ -140,7 +98,13 @@ impl PredictiveLaw {
     }
 
     /// Makes a plan from the state of `terms`; `false` without a certified one.
-    fn plan(&mut self, robot: &RobotModel, aero: &AeroModel, state: &mut ControllerState, terms: &Terms) -> bool {
+    fn plan(
+        &mut self,
+        robot: &RobotModel,
+        aero: &AeroModel,
+        state: &mut ControllerState,
+        terms: &Terms,
+    ) -> bool {
         state.plan.tried = terms.measurement.time;
         if !self.model.update(robot, aero, self.air, terms) {
             state.plan.answer = QpAnswer::from_status(QpStatus::NotPositiveDefinite);
@@ -187,7 +151,11 @@ impl PredictiveLaw {
         let present = terms.measurement.state.base.rotation.transpose();
         let mut setpoint = terms.setpoint;
         for (target, duration) in self.targets.iter_mut().zip(self.horizon.durations()) {
-            #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a checked number of ticks")]
+            #[allow(
+                clippy::cast_possible_truncation,
+                clippy::cast_sign_loss,
+                reason = "a checked number of ticks"
+            )]
             for _ in 0..(duration / self.time_step).round() as usize {
                 time += self.time_step;
                 setpoint = self.momentum.generator.ahead(self.ahead, &mut ahead, time);
@@ -209,7 +177,8 @@ impl PredictiveLaw {
             for (jet, rate_max) in self.thrust_rate_max.iter().enumerate() {
                 let unknown = horizon.thrust_rate(knot, jet);
                 let of_tick = unknowns.thrust_rate.start + jet;
-                let (lower, upper) = if knot == 0 { bounds_of(terms, of_tick) } else { (-rate_max, *rate_max) };
+                let (lower, upper) =
+                    if knot == 0 { bounds_of(terms, of_tick) } else { (-rate_max, *rate_max) };
                 (horizon.problem.lower[unknown], horizon.problem.upper[unknown]) = (lower, upper);
             }
             for (place, joint) in self.model.joints.iter().enumerate() {
@@ -303,7 +272,9 @@ impl Law for PredictiveLaw {
                 self.follow_plan(state, terms, age, command);
                 command.momentum_qp = state.plan.answer;
                 command.status = match () {
-                    () if !is_planned || state.plan.answer.status != QpStatus::Solved => CommandStatus::PlanKept,
+                    () if !is_planned || state.plan.answer.status != QpStatus::Solved => {
+                        CommandStatus::PlanKept
+                    }
                     () if command.modes.is_empty() => CommandStatus::Nominal,
                     () => CommandStatus::Degraded,
                 };

@@ -37,9 +37,9 @@ pub struct MpcWeights {
     /// Its acceleration \[s⁴/m²\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub acceleration: f64,
-    /// Attitude \[1/rad²\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
-    pub attitude: f64,
+    /// Attitude, about x, y and z \[1/rad²\].
+    #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
+    pub attitude: [f64; 3],
     /// Angular velocity \[s²/rad²\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub angular_velocity: f64,
@@ -58,9 +58,10 @@ pub struct MpcWeights {
     /// Thrust rates \[s²/N²\].
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub thrust_rate: f64,
-    /// The whole at the end of the horizon, `a + 2 λ v + λ² p` and its like for the attitude \[s⁴/m², s⁴/rad²\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
-    pub tail: f64,
+    /// What is left at the end of the horizon, `a + 2 λ v + λ² p` of the centre of mass and its like of the attitude, not
+    /// per second; `a + λ v` along an axis whose position has no weight \[s⁴/m², s⁴/rad²\].
+    #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
+    pub tail: [f64; 2],
 }
 
 impl MpcWeights {
@@ -68,19 +69,20 @@ impl MpcWeights {
         let key = |name: &str| format!("{table}.{name}");
         for (name, value) in [
             ("acceleration", self.acceleration),
-            ("attitude", self.attitude),
             ("angular_velocity", self.angular_velocity),
             ("angular_acceleration", self.angular_acceleration),
             ("posture", self.posture),
             ("joint_velocity", self.joint_velocity),
-            ("tail", self.tail),
         ] {
             MPC.check_non_negative(&key(name), value)?;
         }
         for axis in 0..3 {
             MPC.check_non_negative(&key("position"), self.position[axis])?;
             MPC.check_non_negative(&key("velocity"), self.velocity[axis])?;
+            MPC.check_non_negative(&key("attitude"), self.attitude[axis])?;
         }
+        MPC.check_non_negative(&key("tail"), self.tail[0])?;
+        MPC.check_non_negative(&key("tail"), self.tail[1])?;
         MPC.check_positive(&key("joint_command"), self.joint_command)?;
         MPC.check_positive(&key("thrust_rate"), self.thrust_rate)
     }
@@ -159,7 +161,11 @@ impl MpcConfig {
         let joint_knots: usize = self.joint_knots.iter().sum();
         if joint_knots != count || self.joint_knots.contains(&0) {
             let expected = format!("positive numbers that sum to {count}, the number of knots");
-            return Err(BuildError::bad_value("controller.mpc.joint_knots", format!("{:?}", self.joint_knots), expected));
+            return Err(BuildError::bad_value(
+                "controller.mpc.joint_knots",
+                format!("{:?}", self.joint_knots),
+                expected,
+            ));
         }
         self.joints(robot).map(|_| ())
     }
@@ -177,7 +183,9 @@ impl MpcConfig {
             return refused("constant: only the axisymmetric model has derivatives");
         }
         if conventions != LinkConventions::default() {
-            return refused("constant: the prediction has forces at the links' centres, not at the published points");
+            return refused(
+                "constant: the prediction has forces at the links' centres, not at the published points",
+            );
         }
         Ok(())
     }

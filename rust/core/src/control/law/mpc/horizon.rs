@@ -45,7 +45,7 @@ pub struct Target {
 }
 
 impl Target {
-    fn outputs(&self) -> [Vector3<f64>; OUTPUTS / 3] {
+    fn outputs(&self) -> Outputs {
         let ([p, v, a], [omega, alpha]) = (self.com, self.angular);
         [p, v, self.rotation, omega, a, alpha]
     }
@@ -65,7 +65,8 @@ impl Chain {
         let b = Vector3::new(0.0, kd, -1.0);
         let halvings = (time * (kd + kp.sqrt() + 1.0) * 16.0).log2().ceil().max(0.0);
         let step = time / halvings.exp2();
-        let (mut chain, mut power) = (Self { transition: Matrix3::identity(), input: Vector3::zeros() }, Matrix3::identity());
+        let (mut chain, mut power) =
+            (Self { transition: Matrix3::identity(), input: Vector3::zeros() }, Matrix3::identity());
         let mut scale = step;
         for order in 1..=10 {
             chain.input += power * b * scale;
@@ -113,6 +114,49 @@ impl Step {
         self.by_d.copy_from_slice(&other.by_d);
         self.by_u.copy_from_slice(&other.by_u);
         self.drift = other.drift;
+    }
+}
+
+/// Outputs of one instant: p, v, θ, ω, a, α.
+type Outputs = [Vector3<f64>; OUTPUTS / 3];
+
+fn flatten(outputs: &Outputs) -> impl Iterator<Item = f64> {
+    outputs.iter().flat_map(|vector| [vector.x, vector.y, vector.z])
+}
+
+/// Factors of position, velocity and acceleration in each row of the tail: the motion's three, then the attitude's.
+type TailRows = [[f64; 3]; TAIL];
+
+fn tail_of(rows: &TailRows, [p, v, theta, omega, a, alpha]: &Outputs) -> [f64; TAIL] {
+    std::array::from_fn(|row| {
+        let ([by_p, by_v, by_a], axis) = (rows[row], row % 3);
+        let [p, v, a] = if row < 3 { [p, v, a] } else { [theta, omega, alpha] };
+        by_p * p[axis] + by_v * v[axis] + by_a * a[axis]
+    })
+}
+
+impl MpcWeights {
+    /// Square roots of the weights of the outputs over `duration` \[s\].
+    fn rows(&self, duration: f64) -> [[f64; 3]; OUTPUTS / 3] {
+        let all = |weight: f64| [weight; 3];
+        [
+            self.position,
+            self.velocity,
+            self.attitude,
+            all(self.angular_velocity),
+            all(self.acceleration),
+            all(self.angular_acceleration),
+        ]
+        .map(|weights| weights.map(|weight| (duration * weight).sqrt()))
+    }
+
+    fn tail_rows(&self, decay: f64) -> TailRows {
+        std::array::from_fn(|row| {
+            let (half, axis) = (row / 3, row % 3);
+            let of_position = [self.position, self.attitude][half][axis];
+            let whole = if of_position > 0.0 { [decay * decay, 2.0 * decay, 1.0] } else { [0.0, decay, 1.0] };
+            whole.map(|factor| factor * self.tail[half].sqrt())
+        })
     }
 }
 
@@ -246,7 +290,11 @@ impl Horizon {
         let (knots, blocks) = (durations.len(), config.joint_knots.len());
         let counts = config.joint_knots.iter().enumerate();
         let block: Vec<usize> = counts.flat_map(|(block, count)| vec![block; *count]).collect();
-        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked by the configuration")]
+        #[allow(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "checked by the configuration"
+        )]
         let doublings: Vec<usize> =
             durations.iter().map(|duration| (duration / durations[0]).log2().round() as usize).collect();
         let powers = doublings.last().map_or(1, |last| last + 1);
@@ -590,43 +638,27 @@ impl Horizon {
                     + self.rates_by_d[e + place] * now[2];
             }
             let [p, v, theta, omega, a, alpha] = targets[knot].outputs();
-            let rows = |column: &Column, first: usize| -> Vector3<f64> { column.fixed_rows::<3>(first).into() };
-            let rates = |column: &Rates, first: usize| -> Vector3<f64> { column.fixed_rows::<3>(first).into() };
+            let part =
+                |column: &Column, first: usize| -> Vector3<f64> { column.fixed_rows::<3>(first).into() };
+            let rates =
+                |column: &Rates, first: usize| -> Vector3<f64> { column.fixed_rows::<3>(first).into() };
             let errors = [
-                position + rows(&y, 0) - p,
-                velocity + rows(&y, 3) - v,
-                rows(&y, 6) - theta,
+                position + part(&y, 0) - p,
+                velocity + part(&y, 3) - v,
+                part(&y, 6) - theta,
                 rates(&free_rates, 0) - omega,
                 rates(&free_rates, 3) - a,
                 rates(&free_rates, 6) - alpha,
             ];
-            let root = duration.sqrt();
-            let splat = |weight: f64| [weight; 3];
-            let roots = [
-                squares.position,
-                squares.velocity,
-                splat(squares.attitude),
-                splat(squares.angular_velocity),
-                splat(squares.acceleration),
-                splat(squares.angular_acceleration),
-            ]
-            .map(|weights| weights.map(|weight| root * weight.sqrt()));
-            let tail = (knot + 1 == knots).then(|| squares.tail.sqrt());
-            let decay = self.decay;
+            let rows = squares.rows(duration);
+            let tail = (knot + 1 == knots).then(|| squares.tail_rows(self.decay));
             let first_row = OUTPUTS * knot;
-            for (group, error) in errors.iter().enumerate() {
-                for axis in 0..3 {
-                    self.residual[first_row + 3 * group + axis] = roots[group][axis] * error[axis];
-                }
+            for (row, (error, root)) in flatten(&errors).zip(rows.as_flattened()).enumerate() {
+                self.residual[first_row + row] = root * error;
             }
-            if let Some(tail) = tail {
-                let [p, v, theta, omega, a, alpha] = errors;
-                for (half, [position, velocity, acceleration]) in [[p, v, a], [theta, omega, alpha]].iter().enumerate() {
-                    let whole = (acceleration + velocity * (2.0 * decay) + position * (decay * decay)) * tail;
-                    for axis in 0..3 {
-                        self.residual[OUTPUTS * knots + 3 * half + axis] = whole[axis];
-                    }
-                }
+            if let Some(tail) = &tail {
+                let of_tail = &mut self.residual.as_mut_slice()[OUTPUTS * knots..];
+                of_tail.copy_from_slice(&tail_of(tail, &errors));
             }
             // Outputs by each unknown.
             let n = self.problem.len();
@@ -652,26 +684,20 @@ impl Horizon {
                     }
                 }
                 let outputs = [
-                    rows(&column, 0),
-                    rows(&column, 3),
-                    rows(&column, 6),
+                    part(&column, 0),
+                    part(&column, 3),
+                    part(&column, 6),
                     rates(&of_unknown, 0),
                     rates(&of_unknown, 3),
                     rates(&of_unknown, 6),
                 ];
                 let weighted = self.weighted.as_mut_slice();
-                for (group, output) in outputs.iter().enumerate() {
-                    for axis in 0..3 {
-                        weighted[unknown + n * (first_row + 3 * group + axis)] = roots[group][axis] * output[axis];
-                    }
+                for (row, (output, root)) in flatten(&outputs).zip(rows.as_flattened()).enumerate() {
+                    weighted[unknown + n * (first_row + row)] = root * output;
                 }
-                if let Some(tail) = tail {
-                    let [p, v, theta, omega, a, alpha] = outputs;
-                    for (half, [position, velocity, acceleration]) in [[p, v, a], [theta, omega, alpha]].iter().enumerate() {
-                        let whole = (acceleration + velocity * (2.0 * decay) + position * (decay * decay)) * tail;
-                        for axis in 0..3 {
-                            weighted[unknown + n * (OUTPUTS * knots + 3 * half + axis)] = whole[axis];
-                        }
+                if let Some(tail) = &tail {
+                    for (row, value) in tail_of(tail, &outputs).into_iter().enumerate() {
+                        weighted[unknown + n * (OUTPUTS * knots + row)] = value;
                     }
                 }
             }
@@ -680,11 +706,22 @@ impl Horizon {
         linalg::times_transpose(self.weighted.as_slice(), n, self.base_h.as_mut_slice());
         self.base_h += &self.constant[weights];
         self.base_g.fill(0.0);
-        linalg::add_mat_vec(self.base_g.as_mut_slice(), self.weighted.as_slice(), n, self.residual.as_slice());
+        linalg::add_mat_vec(
+            self.base_g.as_mut_slice(),
+            self.weighted.as_slice(),
+            n,
+            self.residual.as_slice(),
+        );
     }
 
     /// Adds the gradient of the cost of the joints' positions and velocities.
-    fn write_joint_cost(&mut self, model: &Linearised, terms: &Terms, posture: &DVector<f64>, weights: usize) {
+    fn write_joint_cost(
+        &mut self,
+        model: &Linearised,
+        terms: &Terms,
+        posture: &DVector<f64>,
+        weights: usize,
+    ) {
         let squares = self.weights[weights];
         let (jets, free, knots) = (self.jets, self.free, self.knots());
         for (place, joint) in model.joints.iter().enumerate() {
@@ -703,7 +740,13 @@ impl Horizon {
 
     /// Sets which thrusts and joints the inputs `u` bring beyond their limits, and H and g with them; returns whether
     /// that changes anything. The cost of a value `x` beyond its limit `b` is `½ ρ (x − b)²`.
-    pub fn update_excess(&mut self, model: &Linearised, terms: &Terms, joint_limits: &[(f64, f64)], u: &[f64]) -> bool {
+    pub fn update_excess(
+        &mut self,
+        model: &Linearised,
+        terms: &Terms,
+        joint_limits: &[(f64, f64)],
+        u: &[f64],
+    ) -> bool {
         self.read_limited(model, terms, joint_limits, u);
         let mut is_changed = false;
         for limited in &mut self.limited {

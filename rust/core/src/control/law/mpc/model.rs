@@ -74,7 +74,8 @@ impl Linearised {
         let Terms { dynamics, kinematics, momentum, .. } = terms;
         let Some(inverse) = dynamics.centroidal_inertia.try_inverse() else { return false };
         let total = dynamics.momentum;
-        let (l, k): (Vector3<f64>, Vector3<f64>) = (total.fixed_rows::<3>(0).into(), total.fixed_rows::<3>(3).into());
+        let (l, k): (Vector3<f64>, Vector3<f64>) =
+            (total.fixed_rows::<3>(0).into(), total.fixed_rows::<3>(3).into());
         let omega = terms.measurement.state.base_angular_velocity();
         self.omega_k = inverse;
         self.omega_theta = inverse * skew(&k) - skew(&omega);
@@ -99,7 +100,8 @@ impl Linearised {
             let lambda: Vector6<f64> = momentum.lambda_t.column(6 + joint).into();
             let (mut by_s, mut by_sigma) = (lambda + by_omega * omega_s, by_omega * omega_sigma);
             if air == Air::Linear {
-                let (links_s, links_sigma) = of_joint(robot, &self.links, terms, joint, &(by_l / kinematics.mass()));
+                let (links_s, links_sigma) =
+                    of_joint(robot, &self.links, terms, joint, &(by_l / kinematics.mass()));
                 by_s += links_s;
                 by_sigma += links_sigma;
             }
@@ -167,7 +169,8 @@ fn of_joint(
             let lever = motion.joint_velocity_at(&centre);
             let own = kinematics.bodies[link.frame.body].velocity_at(&centre);
             moved += lever;
-            velocity += parent.angular_velocity.cross(&lever) + turn.cross(&(own - parent.velocity_at(&centre)));
+            velocity +=
+                parent.angular_velocity.cross(&lever) + turn.cross(&(own - parent.velocity_at(&centre)));
             axis_turn = turn.cross(axis);
             velocity_by_rate += lever;
         }

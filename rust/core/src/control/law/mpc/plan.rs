@@ -1,0 +1,47 @@
+//! The plan of the predictive law, a part of the controller's state.
+
+use crate::qp::{QpAnswer, QpStatus, WarmStart};
+
+/// The plan that is followed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plan {
+    /// Inputs by knot and block, in the order of the horizon's unknowns; empty without a predictive law.
+    pub(super) inputs: Vec<f64>,
+    /// Time at which it began \[s\]; `None` without a plan.
+    pub(super) since: Option<f64>,
+    /// Time of the last attempt \[s\], and its answer.
+    pub(super) tried: f64,
+    pub(super) answer: QpAnswer,
+    pub(super) warm: WarmStart,
+}
+
+impl Plan {
+    /// No plan, in `unknowns` unknowns.
+    #[must_use]
+    pub fn none(unknowns: usize) -> Self {
+        Self {
+            inputs: vec![0.0; unknowns],
+            since: None,
+            tried: f64::NEG_INFINITY,
+            answer: QpAnswer::from_status(QpStatus::SizeMismatch),
+            warm: WarmStart::cold(unknowns),
+        }
+    }
+
+    /// Number of unknowns.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.inputs.len()
+    }
+
+    /// Whether there are no unknowns: the law does not plan.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.inputs.is_empty()
+    }
+
+    /// Time since it began \[s\].
+    pub(super) fn age(&self, time: f64) -> Option<f64> {
+        self.since.map(|since| time - since).filter(|age| *age >= 0.0)
+    }
+}

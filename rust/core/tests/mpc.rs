@@ -1,0 +1,561 @@
+//! The predictive law: every derivative against differences, the horizon against fine steps, the plan against its cost.
+
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
+use crate::common::{Running, Sample, assert_within, experiment, random_state, random_vector, rng, robot};
+use flight_core::aero::{AeroModel, ForceFactorsConfig, LinkConventions, LinkForces};
+use flight_core::control::law::mpc::config::Air;
+use flight_core::control::law::mpc::horizon::{Horizon, Target};
+use flight_core::control::law::mpc::model::Linearised;
+use flight_core::control::{CommandStatus, Terms};
+use flight_core::dynamics::Dynamics;
+use flight_core::kinematics::Kinematics;
+use flight_core::qp::{PrimalActiveSet, QpSolver, QpStatus};
+use flight_core::spatial::{exp_so3, log_so3};
+use flight_core::{RobotModel, RobotState};
+use flight_io::{AeroConfig, load_aero, load_robot};
+use flight_sim::ScenarioConfig;
+use nalgebra::{DVector, Matrix3, Vector3, Vector6};
+use rand::RngExt;
+
+/// Step of central differences: their error is about `h²` of the third derivatives, and `1e-16 / h` of the values.
+const STEP: f64 = 1e-5;
+
+fn axisymmetric(robot: &RobotModel) -> AeroModel {
+    let text = r#"{"model": "axisymmetric", "coefficients": "corrected", "air_density": 1.225}"#;
+    let config: AeroConfig = serde_json::from_str(text).unwrap();
+    load_aero(&config, robot).unwrap()
+}
+
+/// The same with other factors on drag, normal force and a link.
+fn weighted(robot: &RobotModel) -> AeroModel {
+    let links = [(robot.aero_links[2].name.clone(), 0.4)].into();
+    let factors = ForceFactorsConfig { scale: 1.1, drag: 0.7, normal: 1.6, links };
+    axisymmetric(robot).weight_forces(&factors, robot, "test").unwrap()
+}
+
+/// A robot in any posture, attitude and motion, in wind.
+struct Case {
+    robot: RobotModel,
+    state: RobotState,
+    thrust: Vec<f64>,
+    wind: Vector3<f64>,
+}
+
+impl Case {
+    fn draw(seed: u64) -> Self {
+        let (robot, mut rng) = (robot("ironcub_mk1"), rng(seed));
+        let mut state = random_state(&mut rng, &robot);
+        let zipped = state.joint_position.iter_mut().zip(&robot.joints);
+        for (position, joint) in zipped {
+            let (low, high) = joint.limits;
+            *position = low + (high - low) * rng.random_range(0.2..0.8);
+        }
+        let thrust = robot.jets.iter().map(|_| rng.random_range(50.0..150.0)).collect();
+        Self { robot, state, thrust, wind: random_vector(&mut rng, 12.0) }
+    }
+
+    /// Terms of a controller that sees this robot.
+    fn controller(&self, config: &ScenarioConfig) -> Running {
+        let robot = load_robot(&config.robot).unwrap();
+        let mut controller = Running::new(config.controller(robot).unwrap());
+        let sample =
+            Sample { time: 0.0, state: self.state.clone(), thrust: self.thrust.clone(), wind: self.wind };
+        controller.tick(&sample.measurement());
+        controller
+    }
+
+    /// Momentum rate without weight, and angular velocity, at `(v, θ, k, T, s, ṡ)` away from this state; the centre of
+    /// mass stays.
+    fn rate(&self, aero: &AeroModel, joints: &[usize], away: &Away) -> (Vector6<f64>, Vector3<f64>) {
+        let Self { robot, state, .. } = self;
+        let (mut kinematics, mut dynamics) = (Kinematics::new(robot), Dynamics::new(robot));
+        kinematics.update(robot, state);
+        dynamics.update(robot, state, &kinematics);
+        let (com, mass) = (kinematics.com, kinematics.mass());
+        let velocity: Vector3<f64> = dynamics.momentum.fixed_rows::<3>(0) / mass + away.v;
+        let k: Vector3<f64> = dynamics.momentum.fixed_rows::<3>(3) + away.k;
+
+        let mut moved = state.clone();
+        for (place, joint) in joints.iter().enumerate() {
+            moved.joint_position[*joint] += away.s[place];
+            moved.velocity[6 + joint] += away.sigma[place];
+        }
+        moved.base.rotation = exp_so3(&away.theta) * state.base.rotation;
+        kinematics.update(robot, &moved);
+        moved.base.position += com - kinematics.com;
+        kinematics.update(robot, &moved);
+        dynamics.update(robot, &moved, &kinematics);
+        let of_joints = moved.velocity.rows(6, robot.joints.len()).into_owned();
+        let spin = dynamics.momentum_matrix.view((3, 6), (3, robot.joints.len())) * &of_joints;
+        let omega = dynamics.centroidal_inertia.try_inverse().unwrap() * (k - spin);
+        moved.velocity.fixed_rows_mut::<3>(3).copy_from(&omega);
+        moved.velocity.fixed_rows_mut::<3>(0).fill(0.0);
+        kinematics.update(robot, &moved);
+        dynamics.update(robot, &moved, &kinematics);
+        let base = velocity - dynamics.momentum.fixed_rows::<3>(0) / mass;
+        moved.velocity.fixed_rows_mut::<3>(0).copy_from(&base);
+        kinematics.update(robot, &moved);
+
+        let mut forces = LinkForces::new(robot);
+        forces.update(robot, &kinematics, LinkConventions::default(), &mut aero.clone(), &self.wind);
+        let (mut force, mut moment) = forces.wrench_about(&com);
+        for (index, (jet, thrust)) in robot.jets.iter().zip(&self.thrust).enumerate() {
+            let pose = kinematics.frame_pose(&jet.frame);
+            let pushed = pose.rotation * jet.axis_f.into_inner() * (thrust + away.t[index]);
+            force += pushed;
+            moment += (pose.position - com).cross(&pushed);
+        }
+        (Vector6::new(force.x, force.y, force.z, moment.x, moment.y, moment.z), omega)
+    }
+}
+
+/// Where the derivatives are taken.
+#[derive(Clone)]
+struct Away {
+    v: Vector3<f64>,
+    theta: Vector3<f64>,
+    k: Vector3<f64>,
+    t: Vec<f64>,
+    s: Vec<f64>,
+    sigma: Vec<f64>,
+}
+
+impl Away {
+    fn none(jets: usize, free: usize) -> Self {
+        let zero = Vector3::zeros();
+        Self { v: zero, theta: zero, k: zero, t: vec![0.0; jets], s: vec![0.0; free], sigma: vec![0.0; free] }
+    }
+}
+
+fn moved_joints(config: &ScenarioConfig, robot: &RobotModel) -> Vec<usize> {
+    config.controller.law.mpc.as_ref().unwrap().joints(robot).unwrap()
+}
+
+#[test]
+fn derivatives_of_link_forces_are_those_of_differences() {
+    let mut rng = rng(1);
+    let robot = robot("ironcub_mk1");
+    for model in [axisymmetric(&robot), weighted(&robot)] {
+        assert!(model.has_derivatives());
+        for link in 0..robot.aero_links.len() {
+            let axis = random_vector(&mut rng, 1.0).normalize();
+            let v = random_vector(&mut rng, 15.0);
+            let found = model.derivatives(link, &axis, &v);
+            let force = |axis: &Vector3<f64>, v: &Vector3<f64>| match &model {
+                AeroModel::Axisymmetric(model) => model.link_force(link, axis, v),
+                AeroModel::Weighted(model, factors) => {
+                    let AeroModel::Axisymmetric(model) = model.as_ref() else { unreachable!() };
+                    let mut forces = vec![Vector3::zeros(); link + 1];
+                    let mut air = forces.clone();
+                    (forces[link], air[link]) = (model.link_force(link, axis, v), *v);
+                    factors.apply(&air, &mut forces);
+                    forces[link]
+                }
+                _ => unreachable!(),
+            };
+            for k in 0..3 {
+                let mut step = Vector3::zeros();
+                step[k] = STEP;
+                let by_velocity = (force(&axis, &(v + step)) - force(&axis, &(v - step))) / (2.0 * STEP);
+                let error = (by_velocity - found.by_velocity.column(k)).amax();
+                assert_within!(error, 1e-8 * v.norm(), because "h² and rounding / h of a force of 10 N");
+                // An axis turns; its length stays.
+                let turn = |angle: f64| exp_so3(&(step / STEP * angle)) * axis;
+                let by_turn = (force(&turn(STEP), &v) - force(&turn(-STEP), &v)) / (2.0 * STEP);
+                let change = found.by_axis * (step / STEP).cross(&axis);
+                assert_within!((by_turn - change).amax(), 1e-8 * v.norm_squared(), because "the same");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_model_is_the_derivative_of_momentum_rate_and_angular_velocity() {
+    let config = experiment("test2_mpc");
+    for seed in 0..4 {
+        let case = Case::draw(seed);
+        let controller = case.controller(&config);
+        let terms = controller.terms();
+        let aero = axisymmetric(&case.robot);
+        let joints = moved_joints(&config, &case.robot);
+        let (jets, free) = (case.thrust.len(), joints.len());
+        let mut model = Linearised::new(&case.robot, joints.clone());
+        assert!(model.update(&case.robot, &aero, Air::Linear, terms));
+        let none = Away::none(jets, free);
+        let compare = |what: &str,
+                       change: &dyn Fn(&mut Away, f64),
+                       rate: Vector6<f64>,
+                       omega: Vector3<f64>| {
+            let at = |step: f64| {
+                let mut away = none.clone();
+                change(&mut away, step);
+                case.rate(&aero, &joints, &away)
+            };
+            let (ahead, behind) = (at(STEP), at(-STEP));
+            let by_rate = (ahead.0 - behind.0) / (2.0 * STEP);
+            let by_omega = (ahead.1 - behind.1) / (2.0 * STEP);
+            let size = 1e3;
+            assert_within!(
+                (by_rate - rate).amax() / size,
+                2e-9,
+                because "h² and rounding / h of wrenches of 1000 N",
+                "{what}, seed {seed}: {by_rate} {rate}"
+            );
+            assert_within!((by_omega - omega).amax(), 1e-7, because "the same of rad/s", "{what}: ω, seed {seed}");
+        };
+        let zero = Vector3::zeros();
+        for axis in 0..3 {
+            compare("v", &|away, x| away.v[axis] = x, model.rate_v.column(axis).into(), zero);
+            let (rate, omega) = (model.rate_theta.column(axis), model.omega_theta.column(axis));
+            compare("θ", &|away, x| away.theta[axis] = x, rate.into(), omega.into());
+            let (rate, omega) = (model.rate_k.column(axis), model.omega_k.column(axis));
+            compare("k", &|away, x| away.k[axis] = x, rate.into(), omega.into());
+        }
+        for jet in 0..jets {
+            compare("T", &|away, x| away.t[jet] = x, model.rate_t.column(jet).into(), zero);
+        }
+        for joint in 0..free {
+            let (rate, omega) = (model.rate_s.column(joint), model.omega_s.column(joint));
+            compare("s", &|away, x| away.s[joint] = x, rate.into(), omega.into());
+            let (rate, omega) = (model.rate_sigma.column(joint), model.omega_sigma.column(joint));
+            compare("ṡ", &|away, x| away.sigma[joint] = x, rate.into(), omega.into());
+        }
+    }
+}
+
+#[test]
+fn a_constant_wrench_of_the_air_does_not_turn_with_the_robot() {
+    let config = experiment("test2_mpc");
+    let case = Case::draw(7);
+    let controller = case.controller(&config);
+    let joints = moved_joints(&config, &case.robot);
+    let mut model = Linearised::new(&case.robot, joints.clone());
+    assert!(model.update(&case.robot, &axisymmetric(&case.robot), Air::Constant, controller.terms()));
+    let mut without = Linearised::new(&case.robot, joints);
+    assert!(without.update(&case.robot, &AeroModel::Off, Air::Linear, controller.terms()));
+    assert!(model.rate_v.amax() == 0.0 && model.rate_sigma.amax() == 0.0);
+    // Without a model the wrench of the air in the terms turns; it is the difference.
+    let (force, moment) = controller.terms().link_forces.wrench_about(&controller.terms().kinematics.com);
+    let turned = model.rate_theta - without.rate_theta;
+    let expected = |v: Vector3<f64>| Matrix3::new(0.0, -v.z, v.y, v.z, 0.0, -v.x, -v.y, v.x, 0.0);
+    let errors = [
+        (turned.fixed_rows::<3>(0) - expected(force)).amax(),
+        (turned.fixed_rows::<3>(3) - expected(moment)).amax(),
+    ];
+    assert_within!(errors[0].max(errors[1]), 1e-11, because "rounding of wrenches of 1000 N");
+}
+
+/// Continuous dynamics of `(δp, δv, θ, δk, δT, δs, ṡ, e)`, from the model's matrices alone.
+fn slope(
+    model: &Linearised,
+    terms: &Terms,
+    (kd, kp): (f64, f64),
+    x: &DVector<f64>,
+    u: &[f64],
+) -> DVector<f64> {
+    let (jets, free) = (model.rate_t.ncols(), model.joints.len());
+    let mass = terms.kinematics.mass();
+    let state = &terms.measurement.state;
+    let omega = state.base_angular_velocity();
+    let (v, theta, k): (Vector3<f64>, Vector3<f64>, Vector3<f64>) =
+        (x.fixed_rows::<3>(3).into(), x.fixed_rows::<3>(6).into(), x.fixed_rows::<3>(9).into());
+    let t = x.rows(12, jets);
+    let s = x.rows(12 + jets, free);
+    let sigma = x.rows(12 + jets + free, free);
+    let e = x.rows(12 + jets + 2 * free, free);
+    let now = DVector::from_fn(free, |place, _| state.joint_velocity()[model.joints[place]]);
+    let away = sigma - &now;
+    let rate = terms.momentum.rate_estimate
+        + model.rate_v * v
+        + model.rate_theta * theta
+        + model.rate_k * k
+        + &model.rate_t * t
+        + &model.rate_s * s
+        + &model.rate_sigma * &away;
+    let turn = omega
+        + model.omega_theta * theta
+        + model.omega_k * k
+        + &model.omega_s * s
+        + &model.omega_sigma * &away;
+    let mut dx = DVector::zeros(x.len());
+    let velocity: Vector3<f64> = terms.dynamics.momentum.fixed_rows::<3>(0) / mass;
+    dx.fixed_rows_mut::<3>(0).copy_from(&(velocity + v));
+    dx.fixed_rows_mut::<3>(3).copy_from(&(rate.fixed_rows::<3>(0) / mass));
+    dx.fixed_rows_mut::<3>(6).copy_from(&(turn + omega.cross(&theta) * 0.5));
+    dx.fixed_rows_mut::<3>(9).copy_from(&rate.fixed_rows::<3>(3));
+    for jet in 0..jets {
+        dx[12 + jet] = u[jet];
+    }
+    for joint in 0..free {
+        let command = u[jets + joint];
+        dx[12 + jets + joint] = sigma[joint];
+        dx[12 + jets + free + joint] = kd * (command - sigma[joint]) - kp * e[joint];
+        dx[12 + jets + 2 * free + joint] = sigma[joint] - command;
+    }
+    dx
+}
+
+/// Outputs (p, v, θ, ω, a, α) from the same matrices.
+fn outputs(model: &Linearised, terms: &Terms, x: &DVector<f64>, dx: &DVector<f64>) -> [Vector3<f64>; 6] {
+    let rows = |x: &DVector<f64>, first: usize| -> Vector3<f64> { x.fixed_rows::<3>(first).into() };
+    let (jets, free) = (model.rate_t.ncols(), model.joints.len());
+    let state = &terms.measurement.state;
+    let now = DVector::from_fn(free, |place, _| state.joint_velocity()[model.joints[place]]);
+    let s = x.rows(12 + jets, free).into_owned();
+    let sigma = x.rows(12 + jets + free, free).into_owned();
+    let omega = state.base_angular_velocity()
+        + model.omega_theta * rows(x, 6)
+        + model.omega_k * rows(x, 9)
+        + &model.omega_s * &s
+        + &model.omega_sigma * (&sigma - now);
+    let alpha = model.omega_theta * rows(dx, 6)
+        + model.omega_k * rows(dx, 9)
+        + &model.omega_s * &sigma
+        + &model.omega_sigma * dx.rows(12 + jets + free, free);
+    [terms.kinematics.com + rows(x, 0), rows(dx, 0), rows(x, 6), omega, rows(dx, 3), alpha]
+}
+
+/// The cost that H and g have is that of the motion in fine steps, up to a constant.
+#[test]
+fn the_horizon_is_the_motion_in_fine_steps() {
+    let config = experiment("test2_mpc");
+    let mpc = config.controller.law.mpc.clone().unwrap();
+    let case = Case::draw(3);
+    let controller = case.controller(&config);
+    let terms = controller.terms();
+    let joints = moved_joints(&config, &case.robot);
+    let (jets, free) = (case.thrust.len(), joints.len());
+    let mut model = Linearised::new(&case.robot, joints.clone());
+    assert!(model.update(&case.robot, &axisymmetric(&case.robot), Air::Linear, terms));
+    let gains = (20.0, 100.0);
+    let mut horizon = Horizon::new(&mpc, gains, jets, free);
+    let mut rng = rng(5);
+    let targets: Vec<Target> = (0..horizon.knots())
+        .map(|_| Target {
+            com: [(); 3].map(|()| random_vector(&mut rng, 1.0)),
+            rotation: random_vector(&mut rng, 0.3),
+            angular: [(); 2].map(|()| random_vector(&mut rng, 1.0)),
+        })
+        .collect();
+    let n = case.robot.joints.len();
+    let posture = DVector::from_fn(n, |_, _| rng.random_range(-0.5..0.5));
+    let errors = DVector::from_fn(n, |_, _| rng.random_range(-0.05..0.05));
+    horizon.update(&model, terms, (&posture, &errors), &targets, false);
+
+    let cost = |inputs: &[f64]| {
+        let weights = mpc.weights;
+        let mut x = DVector::zeros(12 + jets + 3 * free);
+        for (place, joint) in joints.iter().enumerate() {
+            x[12 + jets + free + place] = case.state.joint_velocity()[*joint];
+            x[12 + jets + 2 * free + place] = errors[*joint];
+        }
+        let mut total = 0.0;
+        for (knot, duration) in mpc.knots.iter().enumerate() {
+            let u: Vec<f64> = (0..jets)
+                .map(|jet| inputs[horizon.thrust_rate(knot, jet)])
+                .chain((0..free).map(|joint| inputs[horizon.joint_velocity(knot, joint)]))
+                .collect();
+            let steps = 40;
+            let h = duration / f64::from(steps);
+            for _ in 0..steps {
+                let f = |x: &DVector<f64>| slope(&model, terms, gains, x, &u);
+                let k1 = f(&x);
+                let k2 = f(&(&x + &k1 * (h / 2.0)));
+                let k3 = f(&(&x + &k2 * (h / 2.0)));
+                let k4 = f(&(&x + &k3 * h));
+                x += (k1 + k2 * 2.0 + k3 * 2.0 + k4) * (h / 6.0);
+            }
+            let dx = slope(&model, terms, gains, &x, &u);
+            let [p, v, theta, omega, a, alpha] = outputs(&model, terms, &x, &dx);
+            let target = &targets[knot];
+            let (p, v, a) = (p - target.com[0], v - target.com[1], a - target.com[2]);
+            let (theta, omega, alpha) =
+                (theta - target.rotation, omega - target.angular[0], alpha - target.angular[1]);
+            let weigh = |error: &Vector3<f64>, weights: [f64; 3]| -> f64 {
+                error.iter().zip(weights).map(|(error, weight)| weight * error * error).sum()
+            };
+            let mut of_knot = weigh(&p, weights.position)
+                + weigh(&v, weights.velocity)
+                + weigh(&theta, weights.attitude)
+                + weights.angular_velocity * omega.norm_squared()
+                + weights.acceleration * a.norm_squared()
+                + weights.angular_acceleration * alpha.norm_squared();
+            for (place, joint) in joints.iter().enumerate() {
+                let position = case.state.joint_position[*joint] + x[12 + jets + place] - posture[*joint];
+                let velocity = x[12 + jets + free + place];
+                of_knot += weights.posture * position * position
+                    + weights.joint_velocity * velocity * velocity
+                    + weights.joint_command * u[jets + place] * u[jets + place];
+            }
+            of_knot += u[..jets].iter().map(|rate| weights.thrust_rate * rate * rate).sum::<f64>();
+            total += 0.5 * duration * of_knot;
+            if knot + 1 == mpc.knots.len() {
+                let d = mpc.decay;
+                total += 0.5 * weights.tail[0] * (a + v * (2.0 * d) + p * (d * d)).norm_squared();
+                total += 0.5 * weights.tail[1] * (alpha + omega * (2.0 * d) + theta * (d * d)).norm_squared();
+            }
+        }
+        total
+    };
+    let size = horizon.problem.len();
+    let at_rest = cost(&vec![0.0; size]);
+    for _ in 0..5 {
+        let u: Vec<f64> = (0..size)
+            .map(|unknown| {
+                rng.random_range(-1.0..1.0) * if unknown < jets * mpc.knots.len() { 60.0 } else { 0.6 }
+            })
+            .collect();
+        let (found, expected) = (horizon.problem.objective(&u), cost(&u) - at_rest);
+        assert_within!(
+            (found - expected).abs() / expected.abs().max(at_rest),
+            1e-7,
+            because "fourth-order steps of 4 ms at K_D = 20 1/s",
+            "{found} {expected}"
+        );
+    }
+}
+
+/// The plan is the minimum of its cost with all values beyond their limits, also where many are.
+#[test]
+fn a_plan_minimises_the_cost_with_all_excesses() {
+    let config = experiment("test2_mpc");
+    let mpc = config.controller.law.mpc.clone().unwrap();
+    let mut case = Case::draw(11);
+    for (position, joint) in case.state.joint_position.iter_mut().zip(&case.robot.joints) {
+        *position = joint.limits.1 - 0.02;
+    }
+    case.thrust = case.robot.jets.iter().map(|jet| jet.thrust_max - 1.0).collect();
+    let controller = case.controller(&config);
+    let terms = controller.terms();
+    let joints = moved_joints(&config, &case.robot);
+    let (jets, free) = (case.thrust.len(), joints.len());
+    let limits: Vec<(f64, f64)> = case.robot.joints.iter().map(|joint| joint.limits).collect();
+    let mut model = Linearised::new(&case.robot, joints.clone());
+    assert!(model.update(&case.robot, &axisymmetric(&case.robot), Air::Linear, terms));
+    let mut horizon = Horizon::new(&mpc, (20.0, 100.0), jets, free);
+    let zeros = DVector::zeros(case.robot.joints.len());
+    let targets = vec![
+        Target {
+            com: [terms.kinematics.com + Vector3::z(), Vector3::z(), Vector3::zeros()],
+            ..Target::default()
+        };
+        horizon.knots()
+    ];
+    horizon.update(&model, terms, (&zeros, &zeros), &targets, false);
+    let base = horizon.problem.clone();
+    for knot in 0..horizon.knots() {
+        for jet in 0..jets {
+            let unknown = horizon.thrust_rate(knot, jet);
+            (horizon.problem.lower[unknown], horizon.problem.upper[unknown]) = (-100.0, 100.0);
+        }
+        for joint in 0..free {
+            let unknown = horizon.joint_velocity(knot, joint);
+            (horizon.problem.lower[unknown], horizon.problem.upper[unknown]) = (-0.8, 0.8);
+        }
+    }
+    let mut solver = PrimalActiveSet::new(base.len());
+    let mut inputs = vec![0.0; base.len()];
+    let mut passes = 0;
+    loop {
+        assert_eq!(solver.solve(&horizon.problem).status, QpStatus::Solved);
+        passes += 1;
+        let to = solver.x().to_vec();
+        if !horizon.update_excess(&model, terms, &limits, &to) {
+            inputs = to;
+            break;
+        }
+        let share = horizon.least_on_way(&model, terms, &limits, (&inputs, &to));
+        assert!((0.0..=1.0).contains(&share) && passes < 30);
+        inputs = inputs.iter().zip(&to).map(|(from, to)| from + share * (to - from)).collect();
+        horizon.update_excess(&model, terms, &limits, &inputs);
+    }
+    assert!(passes > 1, "no value was beyond its limit");
+
+    // Thrusts and joint positions at the knots, written anew; joints in fine steps.
+    let cost = |u: &[f64]| {
+        let mut total = base.objective(u);
+        for jet in 0..jets {
+            let mut thrust = case.thrust[jet];
+            for (knot, duration) in mpc.knots.iter().enumerate() {
+                thrust += duration * u[horizon.thrust_rate(knot, jet)];
+                let (low, high) = terms.limits.thrust[jet];
+                let over = thrust - thrust.clamp(low, high);
+                total += 0.5 * mpc.thrust_excess * over * over;
+            }
+        }
+        for (place, joint) in joints.iter().enumerate() {
+            let mut x =
+                Vector3::new(case.state.joint_position[*joint], case.state.joint_velocity()[*joint], 0.0);
+            for (knot, duration) in mpc.knots.iter().enumerate() {
+                let command = u[horizon.joint_velocity(knot, place)];
+                let h = duration / 40.0;
+                let f = |x: &Vector3<f64>| {
+                    Vector3::new(x[1], 20.0 * (command - x[1]) - 100.0 * x[2], x[1] - command)
+                };
+                for _ in 0..40 {
+                    let k1 = f(&x);
+                    let k2 = f(&(x + k1 * (h / 2.0)));
+                    let k3 = f(&(x + k2 * (h / 2.0)));
+                    let k4 = f(&(x + k3 * h));
+                    x += (k1 + k2 * 2.0 + k3 * 2.0 + k4) * (h / 6.0);
+                }
+                let (low, high) = limits[*joint];
+                let over = x[0] - x[0].clamp(low, high);
+                total += 0.5 * mpc.joint_excess * over * over;
+            }
+        }
+        total
+    };
+    let least = cost(&inputs);
+    let mut rng = rng(2);
+    for _ in 0..200 {
+        let size = 10.0_f64.powf(rng.random_range(-3.0..0.0));
+        let other: Vec<f64> = (inputs.iter().enumerate())
+            .map(|(unknown, input)| {
+                let (low, high) = (horizon.problem.lower[unknown], horizon.problem.upper[unknown]);
+                (input + size * rng.random_range(-1.0..1.0) * high).clamp(low, high)
+            })
+            .collect();
+        let change = cost(&other) - least;
+        assert!(change >= -1e-9 * least.abs(), "a better plan: {change:e} of {least}");
+    }
+}
+
+/// The law without a plan is the momentum law; with one it follows it, also between two plans.
+#[test]
+fn the_law_plans_every_period() {
+    let mut config = experiment("test2_mpc");
+    config.controller.law.mpc.as_mut().unwrap().period = 0.03;
+    let robot = load_robot(&config.robot).unwrap();
+    let case = Case { state: crate::common::Loop::new(&config).plant.state().clone(), ..Case::draw(0) };
+    let mut controller = Running::new(config.controller(robot).unwrap());
+    let thrust = crate::common::Loop::new(&config).plant.jets().thrust().to_vec();
+    let mut answers = Vec::new();
+    for tick in 0..7 {
+        let sample = Sample {
+            time: 0.01 * f64::from(tick),
+            state: case.state.clone(),
+            thrust: thrust.clone(),
+            wind: Vector3::new(0.0, -5.0, 0.1 * f64::from(tick)),
+        };
+        let command = controller.tick(&sample.measurement());
+        assert!(matches!(command.status, CommandStatus::Nominal | CommandStatus::Degraded));
+        answers.push(command.momentum_qp.kkt);
+    }
+    assert!(answers[0] == answers[1] && answers[1] == answers[2] && answers[2] != answers[3]);
+    assert!(answers[3] == answers[5] && answers[5] != answers[6]);
+}
+
+/// Rotation vectors of targets and their inverse: the chart of the prediction.
+#[test]
+fn the_rotation_of_the_prediction_turns_with_omega() {
+    let (omega, start) = (Vector3::new(0.3, -0.5, 0.8), Vector3::new(0.2, 0.1, -0.3));
+    let h = 1e-6;
+    let turned = log_so3(&(exp_so3(&(omega * h)) * exp_so3(&start)));
+    let back = log_so3(&(exp_so3(&(omega * -h)) * exp_so3(&start)));
+    let rate = (turned - back) / (2.0 * h);
+    let first = omega + omega.cross(&start) * 0.5;
+    // The next term of the series is S(θ)² ω / 12.
+    assert_within!((rate - first).norm(), start.norm_squared() * omega.norm() / 12.0);
+}
