@@ -8,7 +8,7 @@
 //! ```
 //!
 //! `u` is constant between knots, so every knot is exact: a Taylor series for the shortest, and squares of it. The states
-//! are eliminated; H and g collect the squares of the outputs' errors. Equations M120 to M123 of `docs/model.md`.
+//! are eliminated; H and g collect the squares of the outputs' errors. Equations M120 to M124 of `docs/model.md`.
 
 use super::config::{MpcConfig, MpcWeights};
 use super::model::Linearised;
