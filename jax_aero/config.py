@@ -69,6 +69,9 @@ class AeroFeedback(Struct, frozen=True, kw_only=True):
 AeroKinematics: TypeAlias = Literal["current", "frozen"]
 
 
+Air: TypeAlias = Literal["linear", "constant"]
+
+
 class BoundsConfig(Struct, frozen=True, kw_only=True):
     joint_steepness: float
     joint_velocity_max_deg: float | None = None
@@ -184,6 +187,34 @@ LeverArm: TypeAlias = Literal["rotated", "unrotated"]
 LinkVelocity: TypeAlias = Literal["at_centre", "shifted_twice"]
 
 
+class MpcWeights(Struct, frozen=True, kw_only=True):
+    acceleration: float
+    angular_acceleration: float
+    angular_velocity: float
+    attitude: tuple[float, float, float]
+    joint_command: float
+    joint_velocity: float
+    position: tuple[float, float, float]
+    posture: float
+    tail: tuple[float, float]
+    thrust_rate: float
+    velocity: tuple[float, float, float]
+
+
+class MpcConfig(Struct, frozen=True, kw_only=True):
+    air: Air = "linear"
+    decay: float
+    descent: MpcWeights | None = None
+    joint_excess: float
+    joint_groups: tuple[str, ...]
+    joint_knots: tuple[int, ...]
+    knots: tuple[float, ...]
+    period: float
+    posture_gain: float
+    thrust_excess: float
+    weights: MpcWeights
+
+
 class ObserverConfig(Struct, frozen=True, kw_only=True):
     force_max: float
     gain_force: float
@@ -260,6 +291,7 @@ class ControllerSection(Struct, frozen=True, kw_only=True):
     lever_arm: LeverArm = "rotated"
     link_velocity: LinkVelocity = "at_centre"
     momentum: MomentumGains
+    mpc: MpcConfig | None = None
     observer: ObserverConfig | None = None
     posture_gain: dict[str, float]
     qp: QpConfig = QpConfig()

@@ -8,6 +8,7 @@ use crate::wind::WindConfig;
 use flight_core::Controller;
 use flight_core::aero::LeverArm;
 use flight_core::control::check_time_step;
+use flight_core::control::law::mpc::config::MpcConfig;
 use flight_core::error::{BuildError, Table};
 use flight_core::kinematics::RobotState;
 use flight_core::robot::RobotModel;
@@ -75,10 +76,11 @@ pub fn load_scenario(path: &Path) -> Result<ScenarioConfig, BuildError> {
 
 /// The schemas of all files, by folder of `configs/`.
 #[must_use]
-pub fn schemas() -> [(&'static str, Schema); 7] {
+pub fn schemas() -> [(&'static str, Schema); 8] {
     [
         ("aero", Schema::of_type::<AeroConfig>()),
         ("control", Schema::of_type::<ControllerSection>()),
+        ("law", Schema::of_type::<MpcConfig>()),
         ("mission", Schema::of_type::<MissionConfig>()),
         ("experiments", Schema::of_type::<ScenarioConfig>()),
         ("robot", Schema::of_type::<RobotFile>()),
