@@ -195,7 +195,7 @@ class MpcWeights(Struct, frozen=True, kw_only=True):
     joint_command: float
     joint_velocity: float
     position: tuple[float, float, float]
-    posture: float
+    posture: dict[str, float]
     tail: tuple[float, float]
     thrust_rate: float
     velocity: tuple[float, float, float]

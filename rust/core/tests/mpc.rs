@@ -329,7 +329,7 @@ fn the_horizon_is_the_motion_in_fine_steps() {
     let mut model = Linearised::new(&case.robot, joints.clone());
     assert!(model.update(&case.robot, &axisymmetric(&case.robot), Air::Linear, terms));
     let gains = (20.0, 100.0);
-    let mut horizon = Horizon::new(&mpc, gains, jets, free);
+    let mut horizon = Horizon::new(&mpc, gains, &case.robot, &joints);
     let mut rng = rng(5);
     let targets: Vec<Target> = (0..horizon.knots())
         .map(|_| Target {
@@ -343,8 +343,9 @@ fn the_horizon_is_the_motion_in_fine_steps() {
     let errors = DVector::from_fn(n, |_, _| rng.random_range(-0.05..0.05));
     horizon.update(&model, terms, (&posture, &errors), &targets, false);
 
+    let [posture_weights, _] = mpc.posture_weights(&case.robot, &joints);
     let cost = |inputs: &[f64]| {
-        let weights = mpc.weights;
+        let weights = &mpc.weights;
         let mut x = DVector::zeros(12 + jets + 3 * free);
         for (place, joint) in joints.iter().enumerate() {
             x[12 + jets + free + place] = case.state.joint_velocity()[*joint];
@@ -384,7 +385,7 @@ fn the_horizon_is_the_motion_in_fine_steps() {
             for (place, joint) in joints.iter().enumerate() {
                 let position = case.state.joint_position[*joint] + x[12 + jets + place] - posture[*joint];
                 let velocity = x[12 + jets + free + place];
-                of_knot += weights.posture * position * position
+                of_knot += posture_weights[place] * position * position
                     + weights.joint_velocity * velocity * velocity
                     + weights.joint_command * u[jets + place] * u[jets + place];
             }
@@ -433,7 +434,7 @@ fn a_plan_minimises_the_cost_with_all_excesses() {
     let limits: Vec<(f64, f64)> = case.robot.joints.iter().map(|joint| joint.limits).collect();
     let mut model = Linearised::new(&case.robot, joints.clone());
     assert!(model.update(&case.robot, &axisymmetric(&case.robot), Air::Linear, terms));
-    let mut horizon = Horizon::new(&mpc, (20.0, 100.0), jets, free);
+    let mut horizon = Horizon::new(&mpc, (20.0, 100.0), &case.robot, &joints);
     let zeros = DVector::zeros(case.robot.joints.len());
     let targets = vec![
         Target {

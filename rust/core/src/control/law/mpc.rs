@@ -70,7 +70,7 @@ impl PredictiveLaw {
         thrust_rate_max: Vec<f64>,
         time_step: f64,
     ) -> Self {
-        let horizon = Horizon::new(config, gains, robot.jets.len(), joints.len());
+        let horizon = Horizon::new(config, gains, robot, &joints);
         let place = |joint| joints.iter().position(|moved| *moved == joint);
         Self {
             momentum,

@@ -4,6 +4,7 @@ use crate::aero::{AeroModel, LinkConventions};
 use crate::error::{BuildError, Table, place_of};
 use crate::robot::RobotModel;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 const MPC: Table = Table("controller.mpc");
 
@@ -24,7 +25,7 @@ pub enum Air {
 }
 
 /// Weights of the errors along the horizon, per second; those of rates and inputs too.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct MpcWeights {
@@ -46,9 +47,8 @@ pub struct MpcWeights {
     /// Angular acceleration \[s⁴/rad²\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub angular_acceleration: f64,
-    /// Joint positions about the posture of the first tick \[1/rad²\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
-    pub posture: f64,
+    /// Joint positions about the posture of the first tick, by group of the moved joints \[1/rad²\].
+    pub posture: BTreeMap<String, f64>,
     /// Joint velocities \[s²/rad²\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub joint_velocity: f64,
@@ -65,13 +65,20 @@ pub struct MpcWeights {
 }
 
 impl MpcWeights {
-    fn check(&self, table: &str) -> Result<(), BuildError> {
+    fn check(&self, table: &str, groups: &[String]) -> Result<(), BuildError> {
+        for (group, weight) in &self.posture {
+            place_of(format!("controller.mpc.{table}.posture"), group, groups.iter().map(String::as_str))?;
+            MPC.check_non_negative(&format!("{table}.posture.{group}"), *weight)?;
+        }
+        if let Some(group) = groups.iter().find(|group| !self.posture.contains_key(*group)) {
+            let item = format!("controller.mpc.{table}.posture.{group}");
+            return Err(BuildError::bad_value(item, "absent", "a number ≥ 0"));
+        }
         let key = |name: &str| format!("{table}.{name}");
         for (name, value) in [
             ("acceleration", self.acceleration),
             ("angular_velocity", self.angular_velocity),
             ("angular_acceleration", self.angular_acceleration),
-            ("posture", self.posture),
             ("joint_velocity", self.joint_velocity),
         ] {
             MPC.check_non_negative(&key(name), value)?;
@@ -130,8 +137,9 @@ impl MpcConfig {
     /// # Errors
     /// [`BuildError`] naming the key.
     pub fn check(&self, robot: &RobotModel, time_step: f64) -> Result<(), BuildError> {
-        self.weights.check("weights")?;
-        self.descent.as_ref().map_or(Ok(()), |weights| weights.check("descent"))?;
+        let groups = &self.joint_groups;
+        self.weights.check("weights", groups)?;
+        self.descent.as_ref().map_or(Ok(()), |weights| weights.check("descent", groups))?;
         for (key, value) in [
             ("posture_gain", self.posture_gain),
             ("decay", self.decay),
@@ -188,6 +196,18 @@ impl MpcConfig {
             );
         }
         Ok(())
+    }
+
+    /// Weights of the posture by moved joint, while all engines work and in the descent \[1/rad²\].
+    #[must_use]
+    pub fn posture_weights(&self, robot: &RobotModel, joints: &[usize]) -> [Vec<f64>; 2] {
+        [&self.weights, self.descent.as_ref().unwrap_or(&self.weights)].map(|weights| {
+            let of_joint = |joint: &usize| {
+                let group = robot.groups.iter().find(|group| group.joints.contains(joint));
+                group.and_then(|group| weights.posture.get(&group.name)).copied().unwrap_or(0.0)
+            };
+            joints.iter().map(of_joint).collect()
+        })
     }
 
     /// Indices of the joints that the law moves, in the robot's order.

@@ -15,6 +15,7 @@ use super::model::Linearised;
 use crate::control::terms::Terms;
 use crate::linalg;
 use crate::qp::QpProblem;
+use crate::robot::RobotModel;
 use crate::spatial::skew;
 use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, SVector, Vector3};
 
@@ -253,6 +254,8 @@ pub struct Horizon {
     /// Joint states at the end of a knot by a unit command of a block.
     reach: Vec<Vec<Vector3<f64>>>,
     weights: [MpcWeights; 2],
+    /// Weights of the posture by joint.
+    posture: [Vec<f64>; 2],
     /// Cost of joints and inputs with these weights.
     constant: [DMatrix<f64>; 2],
     /// `A_c`, `A_d`, c; the inputs act on `d` alone.
@@ -283,9 +286,11 @@ pub struct Horizon {
 }
 
 impl Horizon {
-    /// A horizon for `jets` thrusts and `free` joints, for the gains `K_D` \[1/s\] and `K_P` \[1/s²\] of the torque law.
+    /// A horizon for the thrusts of `robot` and the joints that the law moves, for the gains `K_D` \[1/s\] and `K_P`
+    /// \[1/s²\] of the torque law.
     #[must_use]
-    pub fn new(config: &MpcConfig, gains: (f64, f64), jets: usize, free: usize) -> Self {
+    pub fn new(config: &MpcConfig, gains: (f64, f64), robot: &RobotModel, joints: &[usize]) -> Self {
+        let (jets, free) = (robot.jets.len(), joints.len());
         let durations = config.knots.clone();
         let (knots, blocks) = (durations.len(), config.joint_knots.len());
         let counts = config.joint_knots.iter().enumerate();
@@ -313,7 +318,8 @@ impl Horizon {
             }
         }
         let rows = OUTPUTS * knots + TAIL;
-        let weights = [config.weights, config.descent.unwrap_or(config.weights)];
+        let descent = config.descent.as_ref().unwrap_or(&config.weights);
+        let weights = [config.weights.clone(), descent.clone()];
         let step = Step::zero(states, jets + free);
         let of_thrusts = std::iter::repeat_n(Limited::new(config.thrust_excess), jets * knots);
         let of_joints = std::iter::repeat_n(Limited::new(config.joint_excess), free * knots);
@@ -330,6 +336,7 @@ impl Horizon {
             chains,
             reach,
             weights,
+            posture: config.posture_weights(robot, joints),
             constant: [DMatrix::zeros(n, n), DMatrix::zeros(n, n)],
             dynamics: step.clone(),
             rates_by_y: SMatrix::zeros(),
@@ -349,7 +356,7 @@ impl Horizon {
             base_h: DMatrix::zeros(n, n),
             base_g: DVector::zeros(n),
         };
-        horizon.constant = weights.map(|weights| horizon.constant_cost(&weights));
+        horizon.constant = [0, 1].map(|weights| horizon.constant_cost(weights));
         horizon
     }
 
@@ -386,7 +393,8 @@ impl Horizon {
     }
 
     /// Second derivatives of the cost of joints and inputs, which do not depend on the state.
-    fn constant_cost(&self, weights: &MpcWeights) -> DMatrix<f64> {
+    fn constant_cost(&self, weights: usize) -> DMatrix<f64> {
+        let (weights, posture) = (&self.weights[weights], &self.posture[weights]);
         let mut h = DMatrix::zeros(self.problem.len(), self.problem.len());
         for (knot, duration) in self.durations.iter().enumerate() {
             for jet in 0..self.jets {
@@ -399,7 +407,7 @@ impl Horizon {
                 for (one, a) in self.reach[knot].iter().enumerate() {
                     for (other, b) in self.reach[knot].iter().enumerate() {
                         h[(self.of_block(one, joint), self.of_block(other, joint))] +=
-                            duration * (weights.posture * a[0] * b[0] + weights.joint_velocity * a[1] * b[1]);
+                            duration * (posture[joint] * a[0] * b[0] + weights.joint_velocity * a[1] * b[1]);
                     }
                 }
             }
@@ -576,7 +584,6 @@ impl Horizon {
         let (jets, free, knots) = (self.jets, self.free, self.knots());
         let position = terms.kinematics.com;
         let velocity: Vector3<f64> = self.dynamics.drift.fixed_rows::<3>(0).into();
-        let squares = self.weights[weights];
         self.sensitivity.fill(Column::zeros());
         self.weighted.fill(0.0);
         let mut y = Column::zeros();
@@ -650,8 +657,8 @@ impl Horizon {
                 rates(&free_rates, 3) - a,
                 rates(&free_rates, 6) - alpha,
             ];
-            let rows = squares.rows(duration);
-            let tail = (knot + 1 == knots).then(|| squares.tail_rows(self.decay));
+            let rows = self.weights[weights].rows(duration);
+            let tail = (knot + 1 == knots).then(|| self.weights[weights].tail_rows(self.decay));
             let first_row = OUTPUTS * knot;
             for (row, (error, root)) in flatten(&errors).zip(rows.as_flattened()).enumerate() {
                 self.residual[first_row + row] = root * error;
@@ -722,8 +729,8 @@ impl Horizon {
         posture: &DVector<f64>,
         weights: usize,
     ) {
-        let squares = self.weights[weights];
-        let (jets, free, knots) = (self.jets, self.free, self.knots());
+        let (squares, of_posture) = (&self.weights[weights], &self.posture[weights]);
+        let (jets, free, knots) = (self.jets, self.free, self.durations.len());
         for (place, joint) in model.joints.iter().enumerate() {
             let away = terms.measurement.state.joint_position[*joint] - posture[*joint];
             for knot in 0..knots {
@@ -731,7 +738,7 @@ impl Horizon {
                 let duration = self.durations[knot];
                 for (block, reach) in self.reach[knot].iter().enumerate() {
                     self.base_g[jets * knots + block * free + place] += duration
-                        * (squares.posture * (away + now[0]) * reach[0]
+                        * (of_posture[place] * (away + now[0]) * reach[0]
                             + squares.joint_velocity * now[1] * reach[1]);
                 }
             }
