@@ -32,6 +32,19 @@ fn main() -> Result<(), BuildError> {
     ] {
         report(title, &tick_times(&common::configuration(name)?)?);
     }
+    for (title, other) in [
+        ("tick with a plan, TEST2", "test2"),
+        ("tick with a plan, robustness", "robustness"),
+        ("tick with a plan, one engine out from 18 s", "engine_out"),
+    ] {
+        let other = common::configuration(other)?;
+        let mut config = common::configuration("test2_mpc")?;
+        (config.simulator, config.disturbances) = (other.simulator, other.disturbances);
+        if let Some(mpc) = &mut config.controller.law.mpc {
+            mpc.period = config.simulator.time_step; // every tick
+        }
+        report(title, &tick_times(&config)?);
+    }
     let mut config = common::configuration("test2")?;
     let mut contact = common::configuration("take_off")?.controller.law.contact;
     if let Some(transfer) = contact.as_mut().and_then(|contact| contact.load_transfer.as_mut()) {

@@ -95,6 +95,16 @@ fn small_network(folder: &Path) -> AeroConfig {
 }
 
 /// Calm flight, through climb and turbo, with either fallback.
+/// Plans, also after the loss of an engine, work in preallocated space.
+#[test]
+fn the_predictive_law_does_not_allocate() {
+    let mut config = experiment("test2_mpc");
+    assert_no_allocations("plans", &config, 1.0, SIDE);
+    config.disturbances.jets.failure =
+        Some(JetFailure { jet: "l_arm_jet".into(), time: 0.5, kind: FailureKind::Off, decay: 0.0 });
+    assert_no_allocations("plans of a descent", &config, 1.0, SIDE);
+}
+
 #[test]
 fn a_calm_tick_does_not_allocate() {
     for fallback in [Fallback::Hold, Fallback::Clarabel] {
