@@ -419,7 +419,8 @@ class Controller:
     """
 
     def __init__(self, config: Mapping[str, Any]) -> None:
-        self._core = _core.Controller(_to_json(config))
+        self._config = _to_json(config)
+        self._core = _core.Controller(self._config)
 
     @property
     def state(self) -> ControllerState | None:
@@ -515,6 +516,24 @@ class Controller:
             If numbers are not finite or of the wrong size, and before the first tick.
         """
         self._core.replace_command(_array(thrust_rate), _array(joint_torque))
+
+    def prediction(self, velocity_error_integral: ArrayLike, targets: ArrayLike) -> dict[str, NDArray[np.float64]]:
+        """Return linearised model, H and g of the predictive law at the state of the last tick, by the crate's names.
+
+        Parameters
+        ----------
+        velocity_error_integral
+            Integral of the joint velocity error at the start of that tick [rad], (n,).
+        targets
+            Position, velocity, rotation vector from the present attitude, angular velocity, acceleration and angular
+            acceleration at the end of every knot, inertial axes, (knots, 6, 3).
+
+        Raises
+        ------
+        ValueError
+            Without `controller.mpc`, before the first tick, and for arrays of the wrong size.
+        """
+        return self._core.prediction(self._config, _array(velocity_error_integral), _array(targets))
 
 
 def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None = None) -> Config:

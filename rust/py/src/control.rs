@@ -8,11 +8,13 @@ use crate::flight::parse;
 use crate::qp::answer;
 use crate::robot::{StateInput, measured_state, rotation as checked_rotation, state_arrays};
 use flight_core::control::law::contact::ContactState;
+use flight_core::control::law::mpc::horizon::{Horizon, Target};
+use flight_core::control::law::mpc::model::Linearised;
 use flight_core::control::law::setpoint::{Setpoint, SetpointGenerator};
 use flight_core::control::law::tasks::MOMENTUM_ROWS;
 use flight_core::control::{ControllerState as State, Estimates, Terms};
 use flight_core::{Measurement, RobotState};
-use flight_io::{load_mission, load_robot};
+use flight_io::{load_aero, load_mission, load_robot};
 use nalgebra::{DVector, Vector3, Vector6};
 use pyo3::exceptions::{PyKeyError, PyValueError};
 use pyo3::prelude::*;
@@ -161,6 +163,58 @@ impl Controller {
             ));
         };
         self.controller.replace_command(state, &rates, &torques).map_err(plain_error)
+    }
+
+    /// Linearised model and QP of the predictive law at the state of the last tick, by name, from the integral of the joint
+    /// velocity error (n) at its start and targets (knots, 6, 3): p, v, rotation vector, angular velocity, a, angular
+    /// acceleration at the end of every knot.
+    fn prediction<'py>(
+        &self,
+        py: Python<'py>,
+        config_json: &str,
+        velocity_error_integral: Input<'py>,
+        targets: Input<'py>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let config = parse(config_json)?;
+        let section = &config.controller;
+        let (Some(mpc), Some(state)) = (&section.law.mpc, &self.state) else {
+            return Err(PyValueError::new_err("there is no prediction; expected `controller.mpc` and a tick"));
+        };
+        let (robot, terms) = (self.controller.model(), self.controller.terms());
+        let factors = &config.disturbances.aero_estimate;
+        let aero = load_aero(&section.aero, robot)
+            .and_then(|aero| aero.weight_forces(factors, robot, "disturbances.aero_estimate"))
+            .map_err(value_error)?;
+        let mut model = Linearised::new(robot, mpc.joints(robot).map_err(value_error)?);
+        if !model.update(robot, &aero, mpc.air, terms) {
+            return Err(PyValueError::new_err("the centroidal inertia cannot be inverted"));
+        }
+        let gains = (section.law.torque.kd, section.law.torque.kp);
+        let mut horizon = Horizon::new(mpc, gains, robot.jets.len(), model.joints.len());
+        let integral = entries("velocity_error_integral", &velocity_error_integral, &[robot.joints.len()])?;
+        let targets = entries("targets", &targets, &[horizon.knots(), 6, 3])?;
+        let target = |target: &[f64]| {
+            let [p, v, rotation, omega, a, alpha] =
+                std::array::from_fn(|index| Vector3::from_column_slice(&target[3 * index..3 * index + 3]));
+            Target { com: [p, v, a], rotation, angular: [omega, alpha] }
+        };
+        let targets: Vec<Target> = targets.chunks_exact(18).map(target).collect();
+        let joints = (state.posture(), &DVector::from_vec(integral));
+        horizon.update(&model, terms, joints, &targets, !terms.limits.holds_position);
+        let out = PyDict::new(py);
+        out.set_item("rate_v", matrix(py, &model.rate_v)?)?;
+        out.set_item("rate_theta", matrix(py, &model.rate_theta)?)?;
+        out.set_item("rate_k", matrix(py, &model.rate_k)?)?;
+        out.set_item("rate_t", matrix(py, &model.rate_t)?)?;
+        out.set_item("rate_s", matrix(py, &model.rate_s)?)?;
+        out.set_item("rate_sigma", matrix(py, &model.rate_sigma)?)?;
+        out.set_item("omega_theta", matrix(py, &model.omega_theta)?)?;
+        out.set_item("omega_k", matrix(py, &model.omega_k)?)?;
+        out.set_item("omega_s", matrix(py, &model.omega_s)?)?;
+        out.set_item("omega_sigma", matrix(py, &model.omega_sigma)?)?;
+        out.set_item("h", matrix(py, &horizon.problem.h)?)?;
+        out.set_item("g", vector(py, horizon.problem.g.as_slice())?)?;
+        Ok(out)
     }
 }
 
