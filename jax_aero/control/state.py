@@ -11,6 +11,7 @@ from jax_aero.control.guard.engines import EngineState
 from jax_aero.control.guard.estimator import EstimatorState
 from jax_aero.control.guard.observer import ObserverState
 from jax_aero.control.guard.wind_observer import WindState
+from jax_aero.control.law.mpc.plan import Plan
 from jax_aero.control.law.setpoint import SetpointState
 from jax_aero.control.qp import WarmStart
 from jax_aero.types import Array
@@ -44,3 +45,5 @@ class ControllerState(NamedTuple):
     """Observed wrench and the measurement to compare the next one with; `None` without an observer."""
     engines: EngineState | None = None
     """State of the engines' detection; `None` without one."""
+    plan: Plan | None = None
+    """Plan of the predictive law; `None` without one."""

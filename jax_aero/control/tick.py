@@ -23,7 +23,7 @@ from jax_aero.aero import AeroModel, LinkConventions, ReadNetwork, aero_model, w
 from jax_aero.aero.network_card import load_network
 from jax_aero.config import RateFeedback, ScenarioConfig
 from jax_aero.control import qp
-from jax_aero.control.command import BOTH_HELD, DEGRADED, MOMENTUM_HELD, NOMINAL, TORQUE_HELD, Command
+from jax_aero.control.command import BOTH_HELD, MOMENTUM_HELD, TORQUE_HELD, Command
 from jax_aero.control.guard import channels, engines, estimator
 from jax_aero.control.guard.channels import ChannelLimits
 from jax_aero.control.guard.engines import EngineLimits
@@ -36,7 +36,9 @@ from jax_aero.control.law.attitude import MomentumGains
 from jax_aero.control.law.limits import Limits
 from jax_aero.control.law.mission import Mission, load_mission
 from jax_aero.control.law.momentum_qp import Task
-from jax_aero.control.law.rates import MomentumLaw, Rates
+from jax_aero.control.law.mpc.config import Mpc, mpc_params
+from jax_aero.control.law.mpc.law import PredictiveLaw
+from jax_aero.control.law.rates import Law, MomentumLaw, Rates
 from jax_aero.control.law.setpoint import SetpointParams
 from jax_aero.control.law.tasks import TaskParams, choose_limits, symmetric_pairs, task_params
 from jax_aero.control.law.torque import TorqueParams
@@ -90,6 +92,8 @@ class MomentumController:
     """Observer whose wind replaces the measured one; `None` without one."""
     observer: ObserverGains | None
     engines: EngineLimits | None
+    mpc: Mpc | None
+    """The predictive law; `None` where the momentum QP decides."""
     mission: Mission
     time_step: Float[Array, ""]
     """[s]."""
@@ -112,9 +116,13 @@ class MomentumController:
         fast = self.tasks.joint_velocity_max, self.torque_rate_max
         return Limits(self.momentum, jnp.array(True), jnp.zeros_like(greatest), greatest, *fast)
 
-    def law(self) -> MomentumLaw:
+    def law(self) -> Law:
         """Return the law, from the set-point to thrust rates and joint velocities."""
-        return MomentumLaw(self.setpoint, self.mission, self.tasks, self.switches.symmetric_pairs, self.other_tasks)
+        pairs = self.switches.symmetric_pairs
+        momentum = MomentumLaw(self.setpoint, self.mission, self.tasks, pairs, self.other_tasks)
+        if self.mpc is None:
+            return momentum
+        return PredictiveLaw(self.mpc, momentum, self.aero, (self.torque.kd, self.torque.kp), self.time_step)
 
     def torques(self) -> Torques:
         """Return the torque law."""
@@ -179,6 +187,7 @@ def momentum_controller(
         wind_observer=None if winds is None else leaves(WindObserver, winds),
         observer=None if controller.observer is None else leaves(ObserverGains, controller.observer),
         engines=None if controller.engines is None else engines.engine_limits(controller.engines, robot),
+        mpc=None if controller.mpc is None else mpc_params(controller.mpc, robot, config.simulator.time_step),
         mission=load_mission(config.mission),
         time_step=time_step,
     )
@@ -206,6 +215,7 @@ def init(params: MomentumController, robot: RobotModel, state: State) -> Control
         torque_is_known=jnp.array(False),
         momentum_start=qp.cold_start(jets + n, zeros.dtype),
         torque_start=qp.cold_start(n, zeros.dtype),
+        plan=params.law().plan(jets, zeros.dtype),
     )
     return params.guard(robot).start(memory, state)
 
@@ -235,7 +245,7 @@ def tick(
         memory, followed = law.follow(memory, used, setpoint)
         model = params.model(robot, used)
         memory, used, model, limits, _, _ = guard.judge(memory, used, model, params.limits(robot))
-        memory, rates = law.solve(robot, memory, used, model, limits, followed)
+        memory, rates = law.solve(robot, memory, used, model, limits, followed, is_given=setpoint is not None)
         memory, torque = torques.solve(memory, used, model, limits, rates)
         command = _command(used, rates, torque)
         terms = Terms(
@@ -255,16 +265,14 @@ def tick(
 
 def _command(used: UsedMeasurement, rates: Rates, torque: Torque) -> Command:
     """Return the command, and whether it is that of the control law."""
-    held = jnp.array([[BOTH_HELD, TORQUE_HELD], [MOMENTUM_HELD, NOMINAL]], jnp.int32)
-    is_solved = rates.answer.status == qp.SOLVED
-    status = held[torque.is_solved.astype(jnp.int32), is_solved.astype(jnp.int32)]
+    held = jnp.where(rates.status == MOMENTUM_HELD, BOTH_HELD, TORQUE_HELD)
     return Command(
         rates.thrust_rate,
         torque.joint_torque,
         joint_velocity=rates.joint_velocity,
         momentum_qp=rates.answer,
         torque_qp=torque.answer,
-        status=jnp.where((status == NOMINAL) & (used.modes != 0), DEGRADED, status),
+        status=jnp.where(torque.is_solved, rates.status, held),
         degraded_modes=used.modes,
     )
 

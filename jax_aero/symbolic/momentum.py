@@ -77,8 +77,8 @@ class ForceRate(NamedTuple):
 class Linearised(NamedTuple):
     """Derivatives of the momentum rate L̇ and of the base's angular velocity ω_B, inertial axes.
 
-    Variables are the velocity v of the centre of mass, a rotation θ of the whole robot [rad], the angular momentum k, the
-    thrusts T, and the positions s and velocities ṡ of the joints.
+    Variables are the velocity v of the centre of mass, a rotation θ of the whole robot [rad], the angular momentum k,
+    the thrusts T, and the positions s and velocities ṡ of the joints.
     """
 
     rate_v: Array

@@ -13,6 +13,7 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.control import qp, tick
+from jax_aero.control.command import NOMINAL
 from jax_aero.identify import states_of
 from jax_aero.io import scenario_config
 from jax_aero.robot import load_robot
@@ -219,7 +220,7 @@ def test_ticks_along_a_flight(flown, agree):
     """Memory, warm start, rate limiter and reference generator together, with the corrected arms."""
     twin, log, measurements = flown
     command, com_setpoint = follow(twin, measurements, twin.params)
-    assert np.all(command.status == tick.NOMINAL)
+    assert np.all(command.status == NOMINAL)
     agree("flight: com_setpoint", com_setpoint, log["com_setpoint"], 1e-12)
     agree("flight: thrust_rate", command.thrust_rate, log["thrust_rate"], 1e-9)
     agree("flight: joint_velocity_command", command.joint_velocity, log["joint_velocity_command"], 1e-9)
@@ -236,7 +237,7 @@ def test_float32_commands_along_a_flight(flown, measured):
         single.robot, params, rows = jax.tree.map(np.float32, (twin.robot, twin.params, measurements))
         command, _ = follow(single, rows, params)
     assert command.thrust_rate.dtype == np.float32
-    assert np.all(command.status == tick.NOMINAL)
+    assert np.all(command.status == NOMINAL)
     measured("float32: thrust_rate [N/s]", np.max(np.abs(command.thrust_rate - log["thrust_rate"])), 0.5)
     velocity_error = np.max(np.abs(command.joint_velocity - log["joint_velocity_command"]))
     measured("float32: joint_velocity_command [rad/s]", velocity_error, 0.02)

@@ -12,7 +12,6 @@ import pytest
 from jax_aero import rust
 from jax_aero.rust import Robot
 from jax_aero.symbolic import MomentumModel, load_robot
-from jax_aero.symbolic.aero import load_aero
 
 ROOT = Path(__file__).resolve().parents[2]
 TOLERANCE = 1e-9
@@ -50,11 +49,9 @@ def test_every_derivative(robot_name, random_states, agree):
     rng = np.random.default_rng(11)
     targets = np.zeros((len(config["controller"]["mpc"]["knots"]), 6, 3))
     zero = np.zeros(derived_robot.n_joints)
-    for index, (state, _) in zip(range(COUNT), random_states):
-        thrust, wind = (
-            rng.uniform(0.0, 220.0, len(derived_robot.jets)),
-            rng.normal(size=3) * (1.0, 10.0, 40.0)[index % 3],
-        )
+    for index, (state, _) in zip(range(COUNT), random_states, strict=False):
+        thrust = rng.uniform(0.0, 220.0, len(derived_robot.jets))
+        wind = rng.normal(size=3) * (1.0, 10.0, 40.0)[index % 3]
         controller.start(state, thrust, wind)
         controller.tick(state, thrust, wind)
         theirs = controller.prediction(zero, targets)

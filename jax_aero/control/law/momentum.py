@@ -70,11 +70,7 @@ def momentum_model(
     `rate_feedback` is the share of the total aerodynamic force and moment that enters the momentum rate;
     `lambda_feedback` says whether link forces enter its derivative.
     """
-    jets = robot.jets
-    rotations, points = frame_poses(kin, jets)
-    axes = rotate(rotations, jets.axes)
-    a_t = jnp.concatenate([axes, cross(points - kin.com, axes)], axis=1).T
-
+    axes, points, a_t = thrust_map(robot, kin)
     com_jacobian = dyn.momentum_matrix[:3] / robot.mass
     lambda_t = _lambda_t(robot, kin, com_jacobian, points, thrust[:, None] * axes)
     lambda_a = jnp.zeros_like(lambda_t)
@@ -84,6 +80,15 @@ def momentum_model(
     rate_estimate = jnp.sum(a_t * thrust, axis=1) + rate_feedback * wrench_about(link, kin.com)
     rate_estimate = rate_estimate.at[2].add(-robot.mass * robot.gravity)
     return MomentumModel(axes, points, a_t, lambda_t, lambda_a, rate_estimate, jnp.zeros_like(rate_estimate))
+
+
+def thrust_map(
+    robot: RobotModel, kin: Kinematics
+) -> tuple[Float[Array, "j 3"], Float[Array, "j 3"], Float[Array, "6 j"]]:
+    """Return directions and points [m] of the thrusts, and `A_T`."""
+    rotations, points = frame_poses(kin, robot.jets)
+    axes = rotate(rotations, robot.jets.axes)
+    return axes, points, jnp.concatenate([axes, cross(points - kin.com, axes)], axis=1).T
 
 
 def _lambda_t(robot: RobotModel, kin: Kinematics, com_jacobian: Array, points: Array, forces: Array) -> Array:

@@ -1,27 +1,38 @@
-"""The law that the tick calls: from the set-point to thrust rates and joint velocities, by the momentum QP."""
+"""The laws that a tick calls: from the set-point to thrust rates and joint velocities, here by the momentum QP."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import jax.numpy as jnp
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jax_aero.control import qp
+from jax_aero.control.command import DEGRADED, MOMENTUM_HELD, NOMINAL
 from jax_aero.control.law import setpoint as generator
 from jax_aero.control.law.attitude import AttitudeDemand, attitude_demand
 from jax_aero.control.law.limits import Limits
 from jax_aero.control.law.mission import Mission
 from jax_aero.control.law.momentum_qp import MomentumQp, Task, TaskInputs, momentum_qp
+from jax_aero.control.law.mpc.plan import Plan
 from jax_aero.control.law.setpoint import SetpointParams
 from jax_aero.control.law.tasks import TaskParams, standard_tasks, unknown_bounds
 from jax_aero.control.measurement import UsedMeasurement
-from jax_aero.control.qp import QpAnswer
+from jax_aero.control.qp import Dtype, QpAnswer
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model
 from jax_aero.robot import RobotModel
 from jax_aero.types import Array, Setpoint, where
+
+
+class Prepared(NamedTuple):
+    """The momentum QP of a tick, not yet solved."""
+
+    setpoint: Setpoint
+    """Set-point that is followed."""
+    attitude: AttitudeDemand
+    shaping: MomentumQp
 
 
 class Rates(NamedTuple):
@@ -32,21 +43,56 @@ class Rates(NamedTuple):
     attitude: AttitudeDemand
     momentum_qp: MomentumQp
     answer: QpAnswer
+    """Thrust rates and joint velocities, with the certificate of the QP that decided."""
     thrust_rate: Float[Array, " j"]
     """`Ṫ*` [N/s]."""
     joint_velocity: Float[Array, " n"]
     """`ṡ*` [rad/s]."""
+    status: Int[Array, ""]
+    """Status of the command if the torque QP is solved."""
+
+
+class Law(Protocol):
+    """A law that a tick calls."""
+
+    def plan(self, jets: int, dtype: Dtype) -> Plan | None:
+        """Return the plan of a controller that starts, for a number of jets; `None` if the law does not plan."""
+        ...
+
+    def follow(
+        self, memory: ControllerState, used: UsedMeasurement, given: Setpoint | None
+    ) -> tuple[ControllerState, Setpoint]:
+        """Choose the set-point: during a descent that of the descent, otherwise the given one, or the mission's."""
+        ...
+
+    def solve(
+        self,
+        robot: RobotModel,
+        memory: ControllerState,
+        used: UsedMeasurement,
+        model: Model,
+        limits: Limits,
+        setpoint: Setpoint,
+        *,
+        is_given: bool,
+    ) -> tuple[ControllerState, Rates]:
+        """Compute thrust rates and joint velocities; `is_given` says whether the set-point is not the mission's."""
+        ...
 
 
 @dataclass(frozen=True)
 class MomentumLaw:
-    """The momentum law of one controller. Another law has the functions `follow` and `solve` too."""
+    """The momentum law of one controller, a `Law`."""
 
     setpoint: SetpointParams
     mission: Mission
     tasks: TaskParams
     symmetric_pairs: tuple[tuple[int, int], ...]
     other_tasks: tuple[Task, ...]
+
+    def plan(self, jets: int, dtype: Dtype) -> None:
+        """Return none: the law does not plan."""
+        del jets, dtype
 
     def follow(
         self, memory: ControllerState, used: UsedMeasurement, given: Setpoint | None
@@ -69,8 +115,23 @@ class MomentumLaw:
         model: Model,
         limits: Limits,
         setpoint: Setpoint,
+        *,
+        is_given: bool,
     ) -> tuple[ControllerState, Rates]:
         """Compute thrust rates and joint velocities that control momentum and attitude."""
+        del is_given
+        return self.decide(memory, used, self.prepare(robot, memory, used, model, limits, setpoint))
+
+    def prepare(
+        self,
+        robot: RobotModel,
+        memory: ControllerState,
+        used: UsedMeasurement,
+        model: Model,
+        limits: Limits,
+        setpoint: Setpoint,
+    ) -> Prepared:
+        """Build the momentum QP of this tick, with its bounds."""
         state, momentum = used.state, model.momentum
         setpoint = where(limits.holds_position, setpoint, generator.without_place(setpoint, model.kinematics.com))
         attitude = attitude_demand(
@@ -96,11 +157,17 @@ class MomentumLaw:
         )
         tasks = standard_tasks(self.tasks, self.symmetric_pairs, inputs)
         tasks += [task.equations(inputs) for task in self.other_tasks]
-        shaping = momentum_qp(tasks, *unknown_bounds(self.tasks, limits, inputs))
-        answer = qp.solve(shaping.problem, memory.momentum_start)
+        return Prepared(setpoint, attitude, momentum_qp(tasks, *unknown_bounds(self.tasks, limits, inputs)))
+
+    def decide(
+        self, memory: ControllerState, used: UsedMeasurement, prepared: Prepared
+    ) -> tuple[ControllerState, Rates]:
+        """Solve the momentum QP."""
+        problem, jets = prepared.shaping.problem, used.thrust.shape[0]
+        answer = qp.solve(problem, memory.momentum_start)
+        is_solved = answer.status == qp.SOLVED
         # Zero rates, as far as the bounds allow.
-        held = jnp.clip(0.0, shaping.problem.lower, shaping.problem.upper)
-        u = jnp.where(answer.status == qp.SOLVED, answer.x, held)
-        jets = used.thrust.shape[0]
-        rates = Rates(setpoint, attitude, shaping, answer, thrust_rate=u[:jets], joint_velocity=u[jets:])
+        u = jnp.where(is_solved, answer.x, jnp.clip(0.0, problem.lower, problem.upper))
+        status = jnp.where(is_solved, jnp.where(used.modes == 0, NOMINAL, DEGRADED), MOMENTUM_HELD)
+        rates = Rates(*prepared, answer, thrust_rate=u[:jets], joint_velocity=u[jets:], status=status)
         return memory._replace(momentum_start=answer.warm_start), rates

@@ -180,6 +180,19 @@ def descend(params: SetpointParams, state: SetpointState) -> tuple[SetpointState
     return _smooth(params, state, RawSetpoint(position, velocity, rpy, jnp.zeros_like(raw.turbo_ticks)))
 
 
+def ahead(
+    params: SetpointParams, mission: Mission, state: SetpointState, time: Float[Array, ""], *, is_given: bool
+) -> tuple[SetpointState, Setpoint]:
+    """Return the set-point of a later tick, at `time` [s], from the state after all ticks before it.
+
+    It is that of the mission; if the last set-point is given, the raw position moves on at constant velocity.
+    """
+    if not is_given:
+        return update(params, mission, state, time)
+    raw = state.raw
+    return _smooth(params, state, raw._replace(position=raw.position + raw.velocity * params.time_step))
+
+
 def without_place(setpoint: Setpoint, com: Float[Array, "3"]) -> Setpoint:
     """Return the set-point at the present centre of mass [m], for a robot that cannot hold its position (M107)."""
     zero = jnp.zeros_like(com)

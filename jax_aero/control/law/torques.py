@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
 from jax_aero.control import qp
+from jax_aero.control.command import MOMENTUM_HELD
 from jax_aero.control.law.limits import Limits
 from jax_aero.control.law.rates import Rates
 from jax_aero.control.law.torque import TorqueParams, TorqueQp, limit_rate, torque_qp
@@ -63,7 +64,7 @@ class Torques:
         # Forward Euler: used first, advanced after. Without a commanded velocity there is no error to integrate; with
         # held torques the integral would grow without effect on the torques.
         advanced = jnp.clip(integral + self.time_step * velocity_error, -INTEGRAL_LIMIT, INTEGRAL_LIMIT)
-        advances = is_solved & (rates.answer.status == qp.SOLVED)
+        advances = is_solved & (rates.status != MOMENTUM_HELD)
         memory = memory._replace(
             velocity_error_integral=jnp.where(advances, advanced, integral),
             joint_torque=joint_torque,

@@ -1,0 +1,112 @@
+"""Weights and structure of the predictive law, from its configuration, which the crate has checked."""
+
+from __future__ import annotations
+
+from itertools import accumulate
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jax_aero.config import Air, MpcConfig
+from jax_aero.robot import RobotModel
+from jax_aero.types import Array, Static, leaf, leaves, pytree
+
+
+@pytree
+class MpcWeights:
+    """Weights of the errors along the horizon, per second; those of rates and inputs too."""
+
+    position: Float[Array, "3"]
+    """Centre of mass [1/m²]."""
+    velocity: Float[Array, "3"]
+    """Its velocity [s²/m²]."""
+    acceleration: Float[Array, ""]
+    """Its acceleration [s⁴/m²]."""
+    attitude: Float[Array, ""]
+    """[1/rad²]."""
+    angular_velocity: Float[Array, ""]
+    """[s²/rad²]."""
+    angular_acceleration: Float[Array, ""]
+    """[s⁴/rad²]."""
+    posture: Float[Array, ""]
+    """Joint positions about the posture of the first tick [1/rad²]."""
+    joint_velocity: Float[Array, ""]
+    """[s²/rad²]."""
+    joint_command: Float[Array, ""]
+    """Commanded joint velocities [s²/rad²]."""
+    thrust_rate: Float[Array, ""]
+    """[s²/N²]."""
+    tail: Float[Array, ""]
+    """The whole at the end of the horizon [s⁴/m², s⁴/rad²]."""
+
+
+class Structure(NamedTuple):
+    """What determines the shapes of the horizon; hashable, fixed at compilation."""
+
+    air: Air
+    """Whether the wrench of the air changes in the prediction."""
+    joints: tuple[int, ...]
+    """Joints that the law moves."""
+    durations: tuple[float, ...]
+    """Durations of the knots [s]."""
+    blocks: tuple[int, ...]
+    """Of every knot, the block in which the joint velocities are constant."""
+    ends: tuple[int, ...]
+    """Ticks from now to the end of every knot."""
+    flies_descent: bool
+    """Whether the law flies the descent too."""
+
+    @property
+    def doublings(self) -> tuple[int, ...]:
+        """Of every knot, the power of two by which it is longer than the first."""
+        return tuple(round(np.log2(duration / self.durations[0])) for duration in self.durations)
+
+    def unknowns(self, jets: int) -> int:
+        """Return the number of inputs: thrust rates by knot, then joint velocities by block."""
+        return jets * len(self.durations) + len(self.joints) * (self.blocks[-1] + 1)
+
+
+@pytree
+class Mpc:
+    """The predictive law: every number is a leaf."""
+
+    structure: Static[Structure]
+    period: Float[Array, ""]
+    """Time between two plans [s]."""
+    posture_gain: Float[Array, ""]
+    """Gain with which the other joints return to the posture [1/s]."""
+    decay: Float[Array, ""]
+    """`λ` [1/s]."""
+    thrust_excess: Float[Array, ""]
+    """Weight of a thrust beyond its range [1/N²]."""
+    joint_excess: Float[Array, ""]
+    """Weight of a joint position beyond its limits [1/rad²]."""
+    weights: MpcWeights
+    """While all engines work."""
+    descent: MpcWeights
+    """After the loss of an engine."""
+
+
+def mpc_params(config: MpcConfig, robot: RobotModel, time_step: float) -> Mpc:
+    """Return the parameters of the law for a robot and ticks of `time_step` [s]."""
+    numbers = dict(robot.joint_groups)
+    blocks = np.repeat(np.arange(len(config.joint_knots)), config.joint_knots)
+    structure = Structure(
+        air=config.air,
+        joints=tuple(sorted({joint for name in config.joint_groups for joint in numbers[name]})),
+        durations=tuple(config.knots),
+        blocks=tuple(blocks.tolist()),
+        ends=tuple(accumulate(round(duration / time_step) for duration in config.knots)),
+        flies_descent=config.descent is not None,
+    )
+    return Mpc(
+        structure,
+        period=leaf(config.period),
+        posture_gain=leaf(config.posture_gain),
+        decay=leaf(config.decay),
+        thrust_excess=leaf(config.thrust_excess),
+        joint_excess=leaf(config.joint_excess),
+        weights=leaves(MpcWeights, config.weights),
+        descent=leaves(MpcWeights, config.descent or config.weights),
+    )

@@ -1,0 +1,301 @@
+"""The prediction over the horizon, and the QP in its inputs.
+
+```text
+y = (δp, δv, θ, δk)      motion of the centre of mass, rotation, angular momentum; the present one is zero
+d = (δT, δs, ṡ, e)       thrusts, joints, their velocities and velocity errors: driven by the inputs alone
+u = (Ṫ*, ṡ*)             thrust rates; joint velocities of the moved joints
+ẏ = A_c y + A_d d + c    ë of the torque law:  s̈ = K_D (ṡ* − ṡ) − K_P e,  ė = ṡ − ṡ*
+```
+
+`z = (y, d, u, 1)` has one constant matrix over a knot, in which `u` does not change: a Taylor series for the shortest
+knot, and squares of it. Everything at the ends of the knots is then affine in the unknowns; H and g collect the squares
+of the outputs' errors. Equations M120 to M123 of `docs/model.md`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Float, Int
+
+from jax_aero.control.law.limits import Limits
+from jax_aero.control.law.mpc.config import Mpc, MpcWeights, Structure
+from jax_aero.control.law.mpc.model import Linearised
+from jax_aero.control.measurement import UsedMeasurement
+from jax_aero.control.qp import BoxQp
+from jax_aero.control.terms import Model
+from jax_aero.linalg import dot
+from jax_aero.robot import RobotModel
+from jax_aero.spatial import skew
+from jax_aero.types import Array
+
+TERMS = 16
+"""Terms of the Taylor series: with `K_D h = 0.2` the remainder is below rounding."""
+
+BISECTIONS = 40
+"""Steps of the bisection for the least cost on a way."""
+
+
+class Target(NamedTuple):
+    """Motion that the robot should have at the end of every knot, inertial axes."""
+
+    position: Float[Array, "K 3"]
+    """Centre of mass [m]."""
+    velocity: Float[Array, "K 3"]
+    """[m/s]."""
+    rotation: Float[Array, "K 3"]
+    """Rotation vector from the present attitude [rad]."""
+    angular_velocity: Float[Array, "K 3"]
+    """[rad/s]."""
+    acceleration: Float[Array, "K 3"]
+    """[m/s²]."""
+    angular_acceleration: Float[Array, "K 3"]
+    """[rad/s²]."""
+
+
+class Horizon(NamedTuple):
+    """Cost and limited values of the inputs `u`; `m` thrusts and joints at the ends of the knots."""
+
+    h: Float[Array, "u u"]
+    g: Float[Array, " u"]
+    by_inputs: Float[Array, "m u"]
+    """Limited values by the inputs."""
+    free: Float[Array, " m"]
+    """Limited values without inputs [N, rad]."""
+    least: Float[Array, " m"]
+    greatest: Float[Array, " m"]
+    weight: Float[Array, " m"]
+    """`ρ` of the cost `½ ρ (x − b)²` of a value x beyond its limit b."""
+
+    def beyond(self, u: Float[Array, " u"]) -> Int[Array, " m"]:
+        """Return which values the inputs bring beyond their limits: -1 below, 1 above, 0 within."""
+        value = self.free + dot(self.by_inputs, u)
+        return (value > self.greatest).astype(jnp.int8) - (value < self.least).astype(jnp.int8)
+
+    def problem(self, beyond: Int[Array, " m"], lower: Float[Array, " u"], upper: Float[Array, " u"]) -> BoxQp:
+        """Return the QP that contains the cost of these values beyond their limits."""
+        over = self.free - jnp.where(beyond > 0, self.greatest, self.least)
+        weighted = jnp.where(beyond == 0, 0.0, self.weight)[:, None] * self.by_inputs
+        h = dot(self.by_inputs.T, weighted)
+        return BoxQp(self.h + 0.5 * (h + h.T), self.g + dot(jnp.where(beyond == 0, 0.0, over), weighted), lower, upper)
+
+    def least_on_way(self, start: Float[Array, " u"], end: Float[Array, " u"]) -> Float[Array, ""]:
+        """Return the share of the way between two inputs at which the cost with all excesses is least.
+
+        The cost is convex and piecewise quadratic: the zero of its derivative is found by bisection.
+        """
+        way = end - start
+        slope, curvature = dot(dot(self.h, start) + self.g, way), dot(dot(self.h, way), way)
+        value, step = self.free + dot(self.by_inputs, start), dot(self.by_inputs, way)
+
+        def derivative(share: Array) -> Array:
+            at = value + share * step
+            excess = at - jnp.clip(at, self.least, self.greatest)
+            return slope + share * curvature + jnp.sum(self.weight * excess * step)
+
+        def halve(_: Array, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
+            least, greatest = bracket
+            middle = 0.5 * (least + greatest)
+            is_past = derivative(middle) > 0.0
+            return jnp.where(is_past, least, middle), jnp.where(is_past, middle, greatest)
+
+        ends = jnp.zeros_like(slope), jnp.ones_like(slope)
+        return jnp.where(derivative(ends[1]) <= 0.0, 1.0, lax.fori_loop(0, BISECTIONS, halve, ends)[1])
+
+
+class _Places:
+    """Where the parts of `z` stand."""
+
+    def __init__(self, jets: int, free: int) -> None:
+        sizes = {"p": 3, "v": 3, "theta": 3, "k": 3, "t": jets, "s": free, "sigma": free, "e": free}
+        sizes |= {"rate": jets, "command": free, "one": 1}
+        ends = np.cumsum(list(sizes.values())).tolist()
+        self.of = {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
+        self.core = self.of["k"].stop
+        self.states = self.of["e"].stop
+        self.size = self.of["one"].stop
+
+    def rows(self, dtype: np.dtype[np.generic], **parts: Array) -> Array:
+        """Return rows over all of `z` from their parts; those that are not given are zero."""
+        count = next(iter(parts.values())).shape[0]
+        return jnp.concatenate(
+            [
+                parts[name] if name in parts else jnp.zeros((count, place.stop - place.start), dtype)
+                for name, place in self.of.items()
+            ],
+            axis=1,
+        )
+
+
+def horizon(
+    mpc: Mpc,
+    weights: MpcWeights,
+    gains: tuple[Float[Array, ""], Float[Array, ""]],
+    robot: RobotModel,
+    linear: Linearised,
+    used: UsedMeasurement,
+    model: Model,
+    limits: Limits,
+    posture: Float[Array, " n"],
+    integral: Float[Array, " n"],
+    target: Target,
+) -> Horizon:
+    """Build the QP for the gains `K_D` [1/s] and `K_P` [1/s²] of the torque law.
+
+    `integral` are the integrals of the joints' velocity errors [rad], `posture` their wanted positions [rad].
+    """
+    structure, moved = mpc.structure, np.array(mpc.structure.joints, dtype=int)
+    places = _Places(used.thrust.shape[0], moved.size)
+    of, sigma_now = places.of, used.state.velocity[6 + moved]
+    dynamics = _dynamics(places, robot.mass, linear, used, model, gains, sigma_now)
+    start = jnp.concatenate([jnp.zeros(of["sigma"].start, sigma_now.dtype), sigma_now, integral[moved]])
+    z = _propagate(structure, places, dynamics, start)
+
+    # Errors of the outputs, affine in the unknowns.
+    position = used.state.joint_position[moved]
+    com, velocity = model.kinematics.com, model.dynamics.momentum[:3] / robot.mass
+    motion = target._replace(position=target.position - com, velocity=target.velocity - velocity)
+    errors = dot(_outputs(places, dynamics, linear, used), z)
+    errors = errors.at[:, :, -1].add(-jnp.concatenate(motion, axis=1))
+    s = z[:, of["s"]]
+    joints = jnp.concatenate([s.at[:, :, -1].add(position - posture[moved]), z[:, of["sigma"]]], axis=1)
+    p, v, theta, omega, a, alpha = jnp.split(errors[-1], 6)
+    tail = jnp.concatenate([a, alpha]) + mpc.decay * (
+        2.0 * jnp.concatenate([v, omega]) + mpc.decay * jnp.concatenate([p, theta])
+    )
+    by_knot = jnp.concatenate([errors, joints, z[:, of["rate"]], z[:, of["command"]]], axis=1)
+    squares = _squares(weights, places)
+    durations = np.array(structure.durations)
+    rows = jnp.concatenate([by_knot.reshape(-1, by_knot.shape[-1]), tail])
+    weight = jnp.concatenate([(durations[:, None] * squares).reshape(-1), jnp.repeat(weights.tail, 6)])
+    cost = dot(rows.T, weight[:, None] * rows)
+
+    limited = jnp.concatenate([z[:, of["t"]], s], axis=1)
+    knots = len(durations)
+    return Horizon(
+        h=0.5 * (cost + cost.T)[:-1, :-1],
+        g=cost[:-1, -1],
+        by_inputs=limited[:, :, :-1].reshape(-1, limited.shape[-1] - 1),
+        free=(limited[:, :, -1] + jnp.concatenate([used.thrust, position])).reshape(-1),
+        least=jnp.tile(jnp.concatenate([limits.thrust_least, robot.joint_limits[moved, 0]]), knots),
+        greatest=jnp.tile(jnp.concatenate([limits.thrust_greatest, robot.joint_limits[moved, 1]]), knots),
+        weight=jnp.tile(
+            jnp.concatenate([jnp.full_like(used.thrust, mpc.thrust_excess), jnp.full_like(position, mpc.joint_excess)]),
+            knots,
+        ),
+    )
+
+
+def _dynamics(
+    places: _Places,
+    mass: float | Array,
+    linear: Linearised,
+    used: UsedMeasurement,
+    model: Model,
+    gains: tuple[Array, Array],
+    sigma_now: Array,
+) -> Array:
+    """Return the matrix (N, N) with which `z` changes."""
+    dtype, omega = used.state.velocity.dtype, used.state.velocity[3:6]
+    by = {"v": linear.rate_v, "theta": linear.rate_theta, "k": linear.rate_k, "t": linear.rate_t}
+    by |= {"s": linear.rate_s, "sigma": linear.rate_sigma, "one": model.momentum.rate_estimate[:, None]}
+    identity = jnp.eye(3, dtype=dtype)
+    core = jnp.concatenate(
+        [
+            places.rows(dtype, v=identity, one=model.dynamics.momentum[:3, None] / mass),
+            places.rows(dtype, **{name: rows[:3] / mass for name, rows in by.items()}),
+            # θ̇ = J_l⁻¹(θ) ω, with J_l⁻¹ = 1 − S(θ)/2 + …
+            places.rows(
+                dtype,
+                theta=linear.omega_theta + 0.5 * skew(omega),
+                k=linear.omega_k,
+                s=linear.omega_s,
+                sigma=linear.omega_sigma,
+                one=omega[:, None],
+            ),
+            places.rows(dtype, **{name: rows[3:] for name, rows in by.items()}),
+        ]
+    )
+    # `d` holds velocities, of which the present ones are part of the present rates.
+    core = core.at[:, -1].add(-core[:, places.of["sigma"]] @ sigma_now)
+    jets, joints = jnp.eye(used.thrust.shape[0], dtype=dtype), jnp.eye(sigma_now.shape[0], dtype=dtype)
+    kd, kp = gains
+    return jnp.concatenate(
+        [
+            core,
+            places.rows(dtype, rate=jets),
+            places.rows(dtype, sigma=joints),
+            places.rows(dtype, sigma=-kd * joints, e=-kp * joints, command=kd * joints),
+            places.rows(dtype, sigma=joints, command=-joints),
+            jnp.zeros((places.size - places.states, places.size), dtype),
+        ]
+    )
+
+
+def _outputs(places: _Places, dynamics: Array, linear: Linearised, used: UsedMeasurement) -> Array:
+    """Return p, v, θ, ω, a and α by `z` (18, N): `α = ω_θ θ̇ + ω_k k̇ + ω_s ṡ + ω_ṡ s̈`."""
+    of, values = places.of, jnp.eye(places.size, dtype=dynamics.dtype)
+    # ω itself has no half of S(ω), which belongs to θ̇.
+    omega = dynamics[of["theta"]].at[:, of["theta"]].add(-0.5 * skew(used.state.velocity[3:6]))
+    turn = [linear.omega_theta, linear.omega_k, linear.omega_s, linear.omega_sigma]
+    rates = [dynamics[of[name]] for name in ("theta", "k", "s", "sigma")]
+    alpha = dot(jnp.concatenate(turn, axis=1), jnp.concatenate(rates))
+    return jnp.concatenate([values[of["p"]], values[of["v"]], values[of["theta"]], omega, dynamics[of["v"]], alpha])
+
+
+def _propagate(structure: Structure, places: _Places, dynamics: Array, start: Array) -> Array:
+    """Return `z` at the ends of the knots (K, N, u + 1), by every unknown and without any; `start` is (y, d) now."""
+    inputs = _inputs(structure, places)
+    steps = [_exponential(dynamics * structure.durations[0])]
+    for _ in range(max(structure.doublings)):
+        steps.append(dot(steps[-1], steps[-1]))
+    states = jnp.zeros((places.states, inputs.shape[-1]), dynamics.dtype).at[:, -1].set(start)
+
+    def advance(states: Array, knot: tuple[Array, Array]) -> tuple[Array, Array]:
+        step, inputs = knot
+        z = jnp.concatenate([states, inputs])
+        states = dot(step[: places.states], z)
+        return states, jnp.concatenate([states, inputs])
+
+    by_knot = jnp.stack(steps)[np.array(structure.doublings)], jnp.asarray(inputs, dynamics.dtype)
+    z: Array = lax.scan(advance, states, by_knot)[1]
+    return z
+
+
+def _inputs(structure: Structure, places: _Places) -> np.ndarray:
+    """Return which unknown acts in which knot (K, inputs and one, u + 1): thrust rates by knot, joints by block."""
+    jets, free = (places.of[name].stop - places.of[name].start for name in ("rate", "command"))
+    knots, unknowns = len(structure.durations), structure.unknowns(jets)
+    inputs = np.zeros((knots, jets + free + 1, unknowns + 1))
+    for knot, block in enumerate(structure.blocks):
+        inputs[knot, np.arange(jets), knot * jets + np.arange(jets)] = 1.0
+        inputs[knot, jets + np.arange(free), jets * knots + block * free + np.arange(free)] = 1.0
+    inputs[:, -1, -1] = 1.0
+    return inputs
+
+
+def _exponential(matrix: Array) -> Array:
+    """Return the exponential of a small matrix by its Taylor series."""
+    one = jnp.eye(matrix.shape[0], dtype=matrix.dtype)
+
+    def add(sums: tuple[Array, Array], order: Array) -> tuple[tuple[Array, Array], None]:
+        total, power = sums
+        power = dot(power, matrix) / order
+        return (total + power, power), None
+
+    return lax.scan(add, (one, one), jnp.arange(1, TERMS + 1, dtype=matrix.dtype))[0][0]
+
+
+def _squares(weights: MpcWeights, places: _Places) -> Array:
+    """Return the weights of a knot's errors: outputs, joints, their velocities, inputs."""
+    jets, free = (places.of[name].stop - places.of[name].start for name in ("rate", "command"))
+    counts = (
+        *((weights.attitude, 3), (weights.angular_velocity, 3)),
+        *((weights.acceleration, 3), (weights.angular_acceleration, 3)),
+        *((weights.posture, free), (weights.joint_velocity, free)),
+        *((weights.thrust_rate, jets), (weights.joint_command, free)),
+    )
+    return jnp.concatenate([weights.position, weights.velocity, *(jnp.repeat(x, count) for x, count in counts)])
