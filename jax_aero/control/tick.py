@@ -245,7 +245,7 @@ def tick(
         memory, followed = law.follow(memory, used, setpoint)
         model = params.model(robot, used)
         memory, used, model, limits, _, _ = guard.judge(memory, used, model, params.limits(robot))
-        memory, rates = law.solve(robot, memory, used, model, limits, followed, is_given=setpoint is not None)
+        memory, rates = law.solve(robot, memory, used, model, limits, followed)
         memory, torque = torques.solve(memory, used, model, limits, rates)
         command = _command(used, rates, torque)
         terms = Terms(

@@ -26,6 +26,14 @@ from jax_aero.robot import RobotModel
 from jax_aero.types import Array, Setpoint, where
 
 
+class Followed(NamedTuple):
+    """What the law follows."""
+
+    setpoint: Setpoint
+    ahead: Int[Array, ""]
+    """What it follows after this tick: `MISSION`, `MOTION` or `DESCENT` of the set-point generator."""
+
+
 class Prepared(NamedTuple):
     """The momentum QP of a tick, not yet solved."""
 
@@ -61,7 +69,7 @@ class Law(Protocol):
 
     def follow(
         self, memory: ControllerState, used: UsedMeasurement, given: Setpoint | None
-    ) -> tuple[ControllerState, Setpoint]:
+    ) -> tuple[ControllerState, Followed]:
         """Choose the set-point: during a descent that of the descent, otherwise the given one, or the mission's."""
         ...
 
@@ -72,11 +80,9 @@ class Law(Protocol):
         used: UsedMeasurement,
         model: Model,
         limits: Limits,
-        setpoint: Setpoint,
-        *,
-        is_given: bool,
+        followed: Followed,
     ) -> tuple[ControllerState, Rates]:
-        """Compute thrust rates and joint velocities; `is_given` says whether the set-point is not the mission's."""
+        """Compute thrust rates and joint velocities that control momentum and attitude."""
         ...
 
 
@@ -96,16 +102,19 @@ class MomentumLaw:
 
     def follow(
         self, memory: ControllerState, used: UsedMeasurement, given: Setpoint | None
-    ) -> tuple[ControllerState, Setpoint]:
+    ) -> tuple[ControllerState, Followed]:
         """Choose the set-point: during a descent that of the descent, otherwise the given one, or the mission's."""
         state = memory.setpoint
+        along_what = generator.MISSION if given is None else generator.MOTION
         if given is None:
             along = generator.update(self.setpoint, self.mission, state, used.time)
         else:
             along = generator.follow(self.setpoint, state, generator.motion_of(given)), given
         down = generator.descend(self.setpoint, state)
-        moved, followed = where(memory.channels.is_descending, down, along)
-        return memory._replace(setpoint=moved), followed
+        is_descending = memory.channels.is_descending
+        moved, followed = where(is_descending, down, along)
+        ahead = jnp.where(is_descending, generator.DESCENT, along_what)
+        return memory._replace(setpoint=moved), Followed(followed, ahead)
 
     def solve(
         self,
@@ -114,13 +123,10 @@ class MomentumLaw:
         used: UsedMeasurement,
         model: Model,
         limits: Limits,
-        setpoint: Setpoint,
-        *,
-        is_given: bool,
+        followed: Followed,
     ) -> tuple[ControllerState, Rates]:
         """Compute thrust rates and joint velocities that control momentum and attitude."""
-        del is_given
-        return self.decide(memory, used, self.prepare(robot, memory, used, model, limits, setpoint))
+        return self.decide(memory, used, self.prepare(robot, memory, used, model, limits, followed.setpoint))
 
     def prepare(
         self,

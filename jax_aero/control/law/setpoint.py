@@ -12,6 +12,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Float, Int
 
 from jax_aero.config import SetpointConfig
@@ -36,6 +37,9 @@ from jax_aero.spatial import (
     vee_of_skew_part,
 )
 from jax_aero.types import Array, Setpoint, leaf
+
+MISSION, MOTION, DESCENT = range(3)
+"""What a set-point follows after a tick: the mission, the motion of the last given set-point, the descent."""
 
 
 class SetpointParams(NamedTuple):
@@ -181,16 +185,21 @@ def descend(params: SetpointParams, state: SetpointState) -> tuple[SetpointState
 
 
 def ahead(
-    params: SetpointParams, mission: Mission, state: SetpointState, time: Float[Array, ""], *, is_given: bool
+    params: SetpointParams, mission: Mission, what: Int[Array, ""], state: SetpointState, time: Float[Array, ""]
 ) -> tuple[SetpointState, Setpoint]:
     """Return the set-point of a later tick, at `time` [s], from the state after all ticks before it.
 
-    It is that of the mission; if the last set-point is given, the raw position moves on at constant velocity.
+    `what` is followed: `MISSION`, `DESCENT`, or `MOTION`, whose raw position moves on at constant velocity.
     """
-    if not is_given:
-        return update(params, mission, state, time)
-    raw = state.raw
-    return _smooth(params, state, raw._replace(position=raw.position + raw.velocity * params.time_step))
+
+    def move_on() -> tuple[SetpointState, Setpoint]:
+        position = state.raw.position + state.raw.velocity * params.time_step
+        return _smooth(params, state, state.raw._replace(position=position))
+
+    chosen: tuple[SetpointState, Setpoint] = lax.switch(
+        what, [lambda: update(params, mission, state, time), move_on, lambda: descend(params, state)]
+    )
+    return chosen
 
 
 def without_place(setpoint: Setpoint, com: Float[Array, "3"]) -> Setpoint:

@@ -30,7 +30,7 @@ from jax_aero.control.law.mpc.config import Mpc
 from jax_aero.control.law.mpc.horizon import Horizon, Target, horizon
 from jax_aero.control.law.mpc.model import linearise
 from jax_aero.control.law.mpc.plan import Plan, no_plan
-from jax_aero.control.law.rates import MomentumLaw, Prepared, Rates
+from jax_aero.control.law.rates import Followed, MomentumLaw, Prepared, Rates
 from jax_aero.control.measurement import UsedMeasurement
 from jax_aero.control.qp import BoxQp, Dtype, QpAnswer
 from jax_aero.control.state import ControllerState
@@ -76,7 +76,7 @@ class PredictiveLaw:
 
     def follow(
         self, memory: ControllerState, used: UsedMeasurement, given: Setpoint | None
-    ) -> tuple[ControllerState, Setpoint]:
+    ) -> tuple[ControllerState, Followed]:
         """Choose the set-point as the momentum law does."""
         return self.momentum.follow(memory, used, given)
 
@@ -87,12 +87,10 @@ class PredictiveLaw:
         used: UsedMeasurement,
         model: Model,
         limits: Limits,
-        setpoint: Setpoint,
-        *,
-        is_given: bool,
+        followed: Followed,
     ) -> tuple[ControllerState, Rates]:
         """Compute thrust rates and joint velocities from the plan, which is made anew where that is due."""
-        prepared = self.momentum.prepare(robot, memory, used, model, limits, setpoint)
+        prepared = self.momentum.prepare(robot, memory, used, model, limits, followed.setpoint)
         structure, last = self.mpc.structure, memory.plan
         if last is None:
             raise AssertionError("a controller with this law has a plan")
@@ -100,7 +98,7 @@ class PredictiveLaw:
         waits = (used.time >= last.tried) & (used.time - last.tried <= self.mpc.period - 0.5 * self.time_step)
 
         def make() -> Plan:
-            return self._make(robot, memory, used, model, limits, prepared, last, is_given)
+            return self._make(robot, memory, used, model, limits, prepared, last, followed.ahead)
 
         plan: Plan = lax.cond(may_plan & ~waits, make, lambda: last)
         plan = plan._replace(since=jnp.where(may_plan, plan.since, -jnp.inf))
@@ -127,7 +125,7 @@ class PredictiveLaw:
         limits: Limits,
         prepared: Prepared,
         last: Plan,
-        is_given: bool,
+        what: Int[Array, ""],
     ) -> Plan:
         """Make a plan; the last one remains where there is no certified answer."""
         mpc, state = self.mpc, used.state
@@ -137,7 +135,7 @@ class PredictiveLaw:
             *(state, model.dynamics.momentum, used.thrust, used.wind),
         )
         weights = where(limits.holds_position, mpc.weights, mpc.descent)
-        target = self._targets(memory, used, is_given)
+        target = self._targets(memory, used, what)
         joints = memory.posture, memory.velocity_error_integral
         ahead = horizon(mpc, weights, self.gains, robot, linear, used, model, limits, *joints, target)
         bounds = self._bounds(limits, prepared.shaping.problem)
@@ -153,19 +151,15 @@ class PredictiveLaw:
             answer=answer,
         )
 
-    def _targets(self, memory: ControllerState, used: UsedMeasurement, is_given: bool) -> Target:
+    def _targets(self, memory: ControllerState, used: UsedMeasurement, what: Array) -> Target:
         """Return the motion to follow at the ends of the knots."""
-        law, is_descending = self.momentum, memory.channels.is_descending
+        law = self.momentum
 
         def advance(
             carry: tuple[generator.SetpointState, Array], _: None
         ) -> tuple[tuple[generator.SetpointState, Array], Setpoint]:
             state, time = carry[0], carry[1] + self.time_step
-            state, setpoint = lax.cond(
-                is_descending,
-                lambda: generator.descend(law.setpoint, state),
-                lambda: generator.ahead(law.setpoint, law.mission, state, time, is_given=is_given),
-            )
+            state, setpoint = generator.ahead(law.setpoint, law.mission, what, state, time)
             return (state, time), setpoint
 
         ends = self.mpc.structure.ends
@@ -222,7 +216,7 @@ def _find_beyond(ahead: Horizon, bounds: tuple[Array, Array], last: Plan) -> _Se
 
     def one(search: _Search) -> _Search:
         answer = qp.solve(ahead.problem(search.beyond, *bounds), search.answer.warm_start)
-        is_found = jnp.all(ahead.beyond(answer.x) == search.beyond)
+        is_found = (answer.status == qp.SOLVED) & jnp.all(ahead.beyond(answer.x) == search.beyond)
         # The cost falls along the way; its least point has other values beyond their limits.
         share = jnp.where(search.passes == 0, 1.0, ahead.least_on_way(search.inputs, answer.x))
         inputs = search.inputs + share * (answer.x - search.inputs)
