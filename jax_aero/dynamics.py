@@ -20,7 +20,7 @@ from jaxtyping import Float
 from jax_aero.config import DynamicsBackend
 from jax_aero.linalg import solve_positive_definite
 from jax_aero.robot import RobotModel
-from jax_aero.spatial import cross, multiply, rotate, skew
+from jax_aero.spatial import cross, multiply, rotate, rotate_back, skew
 from jax_aero.types import Array, Dynamics, Kinematics, State
 
 
@@ -45,6 +45,15 @@ def dynamics(robot: RobotModel, state: State, kin: Kinematics, backend: Dynamics
 def forward_dynamics(dyn: Dynamics, force: Float[Array, " N"]) -> Float[Array, " N"]:
     """Return the acceleration `ν̇` under a generalised force: `M ν̇ = force − h`."""
     return solve_positive_definite(dyn.mass_matrix, (force - dyn.bias)[:, None])[:, 0]
+
+
+def momentum(robot: RobotModel, kin: Kinematics) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+    """Return linear and angular momentum about the centre of mass, as sums over the bodies."""
+    arms, omega = rotate(kin.body_rotations, robot.coms), kin.angular_velocities
+    linear = robot.masses[:, None] * (kin.linear_velocities + cross(omega, arms))
+    spin = rotate(kin.body_rotations, rotate(robot.inertias, rotate_back(kin.body_rotations, omega)))
+    angular = spin + cross(kin.body_positions + arms - kin.com, linear)
+    return linear.sum(0), angular.sum(0)
 
 
 def _tree_mass_matrix_and_bias(robot: RobotModel, state: State, kin: Kinematics) -> tuple[Array, Array]:

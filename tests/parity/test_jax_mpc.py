@@ -59,8 +59,7 @@ def test_linearised_dynamics_and_qp(agree):
         none, no = jnp.zeros(()), jnp.zeros((), bool)
         used = UsedMeasurement(none, state, thrust, wind, none.astype(int), 0.0 * thrust, none, none, no)
         model = params.model(robot, used)
-        point = state, model.dynamics.momentum, thrust, wind
-        linear = linearise(robot, params.aero, mpc.structure.air, mpc.structure.joints, *point)
+        linear = linearise(robot, params.aero, mpc.structure.air, mpc.structure.joints, state, thrust, wind)
         target = Target(*jnp.moveaxis(targets, 1, 0))
         limits = params.limits(robot)
         args = linear, used, model, limits, posture, integral, target

@@ -178,7 +178,9 @@ impl Controller {
         let config = parse(config_json)?;
         let section = &config.controller;
         let (Some(mpc), Some(state)) = (&section.law.mpc, &self.state) else {
-            return Err(PyValueError::new_err("there is no prediction; expected `controller.mpc` and a tick"));
+            return Err(PyValueError::new_err(
+                "there is no prediction; expected `controller.mpc` and a tick",
+            ));
         };
         let (robot, terms) = (self.controller.model(), self.controller.terms());
         let factors = &config.disturbances.aero_estimate;

@@ -128,16 +128,13 @@ class PredictiveLaw:
         what: Int[Array, ""],
     ) -> Plan:
         """Make a plan; the last one remains where there is no certified answer."""
-        mpc, state = self.mpc, used.state
-        structure = mpc.structure
-        linear = linearise(
-            *(robot, self.aero, structure.air, structure.joints),
-            *(state, model.dynamics.momentum, used.thrust, used.wind),
-        )
+        mpc, structure = self.mpc, self.mpc.structure
+        joints = structure.air, structure.joints
+        linear = linearise(robot, self.aero, *joints, used.state, used.thrust, used.wind)
         weights = where(limits.holds_position, mpc.weights, mpc.descent)
         target = self._targets(memory, used, what)
-        joints = memory.posture, memory.velocity_error_integral
-        ahead = horizon(mpc, weights, self.gains, robot, linear, used, model, limits, *joints, target)
+        following = memory.posture, memory.velocity_error_integral, target
+        ahead = horizon(mpc, weights, self.gains, robot, linear, used, model, limits, *following)
         bounds = self._bounds(limits, prepared.shaping.problem)
         search = _find_beyond(*jax.tree.map(lax.stop_gradient, (ahead, bounds, last)))
         # Differentiated once, with the values beyond their limits that have been found.

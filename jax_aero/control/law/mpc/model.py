@@ -22,7 +22,7 @@ from jax_aero.aero import AeroModel, LinkConventions, link_forces, wrench_about
 from jax_aero.config import Air
 from jax_aero.control.law.attitude import inverse
 from jax_aero.control.law.momentum import thrust_map
-from jax_aero.dynamics import dynamics
+from jax_aero.dynamics import momentum
 from jax_aero.kinematics import kinematics
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import exp_so3, multiply
@@ -54,21 +54,21 @@ class Linearised(NamedTuple):
     """By their velocities."""
 
 
-class Variables(NamedTuple):
-    """Variables of the centroidal dynamics."""
+class _Variables(NamedTuple):
+    """Variables in which momentum and momentum rate are explicit."""
 
-    v: Float[Array, "3"]
-    """Velocity of the centre of mass [m/s]."""
     theta: Float[Array, "3"]
     """Rotation from the present attitude [rad]."""
-    k: Float[Array, "3"]
-    """Angular momentum about the centre of mass [kg m²/s]."""
-    t: Float[Array, " j"]
-    """Thrusts [N]."""
     s: Float[Array, " f"]
     """Positions of the joints that the law moves [rad]."""
+    v_b: Float[Array, "3"]
+    """Velocity of the base origin [m/s]."""
+    omega: Float[Array, "3"]
+    """Angular velocity of the base [rad/s]."""
     sigma: Float[Array, " f"]
-    """Their velocities [rad/s]."""
+    """Velocities of the joints that the law moves [rad/s]."""
+    t: Float[Array, " j"]
+    """Thrusts [N]."""
 
 
 def linearise(
@@ -77,38 +77,52 @@ def linearise(
     air: Air,
     joints: tuple[int, ...],
     state: State,
-    momentum: Float[Array, "6"],
     thrust: Float[Array, " j"],
     wind: Float[Array, "3"],
 ) -> Linearised:
-    """Linearise at a state with its `momentum` [kg m/s, kg m²/s], thrusts [N] and wind [m/s]."""
+    """Linearise at a state with its thrusts [N] and wind [m/s].
+
+    Momentum `(l, k)` and momentum rate w are differentiated by θ, s and ν; then ν_B is eliminated by
+
+        m δv_B = m δv − ∂l (θ, s, ω, ṡ)        I_G δω = δk − ∂k (θ, s, ṡ)
+    """
     moved = np.array(joints, dtype=int)
 
-    def response(at: Variables) -> tuple[Array, Array]:
-        position = state.joint_position.at[moved].set(at.s)
+    def response(at: _Variables) -> tuple[Array, Array, Array]:
         rates = state.velocity[6:].at[moved].set(at.sigma)
-        rotation = multiply(exp_so3(at.theta), state.base_rotation)
-        still = State(state.base_position, rotation, position, jnp.zeros_like(state.velocity))
-        kin = kinematics(robot, still)
-        matrix = dynamics(robot, still, kin).momentum_matrix
-        omega = inverse(matrix[3:, 3:6]) @ (at.k - matrix[3:, 6:] @ rates)
+        moving = State(
+            base_position=state.base_position,
+            base_rotation=multiply(exp_so3(at.theta), state.base_rotation),
+            joint_position=state.joint_position.at[moved].set(at.s),
+            velocity=jnp.concatenate([at.v_b, at.omega, rates]),
+        )
+        kin = kinematics(robot, moving)
         rate = thrust_map(robot, kin)[2] @ at.t
         if air == "linear":
-            linear = at.v - (matrix[:3, 3:6] @ omega + matrix[:3, 6:] @ rates) / robot.mass
-            kin = kinematics(robot, still._replace(velocity=jnp.concatenate([linear, omega, rates])))
             rate = rate + wrench_about(link_forces(aero, robot, kin, LinkConventions(), wind), kin.com)
-        return rate, omega
+        return rate, *momentum(robot, kin)
 
-    at = Variables(
-        v=momentum[:3] / robot.mass,
-        theta=jnp.zeros_like(wind),
-        k=momentum[3:],
-        t=thrust,
-        s=state.joint_position[moved],
-        sigma=state.velocity[6 + moved],
-    )
-    rate, omega = jax.jacfwd(response)(at)
+    v_b, omega = state.velocity[:3], state.velocity[3:6]
+    at = _Variables(jnp.zeros_like(omega), state.joint_position[moved], v_b, omega, state.velocity[6 + moved], thrust)
+    w, linear, angular = jax.jacfwd(response)(at)
+    omega_k = inverse(angular.omega)
+    omega_theta, omega_s, omega_sigma = (-omega_k @ by for by in (angular.theta, angular.s, angular.sigma))
+
+    def rate_by(of_rate: Array | float, of_momentum: Array | float, of_omega: Array) -> Array:
+        """Return the change of w by a variable that changes w, l and ω by these."""
+        v_b: Array = -(of_momentum + linear.omega @ of_omega) / robot.mass
+        change: Array = of_rate + w.v_b @ v_b + w.omega @ of_omega
+        return change
+
     return Linearised(
-        *(rate.v, rate.theta, rate.k, rate.t, rate.s, rate.sigma),
-        *(omega.theta, omega.k, omega.s, omega.sigma),
+        rate_v=w.v_b,
+        rate_theta=rate_by(w.theta, linear.theta, omega_theta),
+        rate_k=rate_by(0.0, 0.0, omega_k),
+        rate_t=w.t,
+        rate_s=rate_by(w.s, linear.s, omega_s),
+        rate_sigma=rate_by(w.sigma, linear.sigma, omega_sigma),
+        omega_theta=omega_theta,
+        omega_k=omega_k,
+        omega_s=omega_s,
+        omega_sigma=omega_sigma,
     )
