@@ -1,4 +1,4 @@
-"""The gradient of a short flight with the predictive law by the law's weights."""
+"""Derivatives by the weights of the predictive law: of one plan in both modes, of a short flight along its ticks."""
 
 from __future__ import annotations
 
@@ -7,9 +7,14 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 from jax_aero import rust
+from jax_aero.control import qp
+from jax_aero.control.law.mpc.horizon import Target, horizon
+from jax_aero.control.law.mpc.model import linearise
+from jax_aero.control.measurement import UsedMeasurement
 from jax_aero.sim import begin, prepare, rollout
 
 pytestmark = pytest.mark.usefixtures("x64")
@@ -19,38 +24,77 @@ TICKS = 12
 WEIGHTS = ("position", "attitude", "angular_velocity", "posture", "joint_command", "thrust_rate", "tail")
 
 
-def test_gradient_by_weights(measured):
-    """Of the errors of position and attitude after a gust, by each weight on its own, and by the decay of the tail."""
-    table = rust.load_config(
-        ROOT / "configs/experiments/test2_mpc.toml", {"wind.ramp_start": -1.0, "wind.ramp_end": 0.1}
-    )
-    scenario, start = prepare(table)
-    mpc, state = scenario.controller.mpc, begin(scenario, start.plant)
-    replace = dataclasses.replace
+def prepared():
+    """The predictive law without the guard's stages, which would only take time."""
+    table = rust.load_config(ROOT / "configs/experiments/test2.toml", {"wind.ramp_start": -1.0, "wind.ramp_end": 0.1})
+    table["controller"]["mpc"] = rust.load_config(ROOT / "configs/experiments/test2_mpc.toml")["controller"]["mpc"]
+    return prepare(table)
+
+
+def weighted(mpc, p):
+    weights = dataclasses.replace(mpc.weights, **{name: p[name] for name in WEIGHTS})
+    return dataclasses.replace(mpc, weights=weights, **{name: p[name] for name in p if name not in WEIGHTS})
+
+
+def test_gradient_of_a_plan(check_gradient):
+    """By weights and by what the model says, with thrusts and joints within their limits and beyond."""
+    scenario, start = prepared()
+    params, robot, state = scenario.controller, scenario.plant.robot, start.plant.robot
+    mpc, gains = params.mpc, (params.torque.kd, params.torque.kp)
+    rng = np.random.default_rng(3)
+    thrust, wind = np.array([60.0, 70.0, 150.0, 110.0]), np.array([2.0, -9.0, 1.0])
+    none, no = jnp.zeros(()), jnp.zeros((), bool)
+    used = UsedMeasurement(none, state, thrust, wind, none.astype(int), 0.0 * thrust, none, none, no)
+    target = Target(*0.3 * rng.normal(size=(6, len(mpc.structure.durations), 3)))
 
     @jax.jit
-    @jax.value_and_grad
+    def at_state():
+        model = params.model(robot, used)
+        return model, linearise(robot, params.aero, mpc.structure.air, mpc.structure.joints, state, thrust, wind)
+
+    model, linear = at_state()
+
+    def plan(at, beyond):
+        changed = weighted(mpc, at["weights"])
+        joints = state.joint_position, jnp.zeros(robot.n_joints)
+        args = at["linear"], used, model, params.limits(robot), *joints, target
+        ahead = horizon(changed, changed.weights, gains, robot, *args)
+        u = qp.solve(ahead.problem(beyond, jnp.full(ahead.g.shape, -40.0), jnp.full(ahead.g.shape, 40.0))).x
+        return {"u": u, "values": ahead.free + ahead.by_inputs @ u}
+
+    at = {name: getattr(mpc.weights, name) for name in WEIGHTS}
+    at |= {name: getattr(mpc, name) for name in ("decay", "thrust_excess", "joint_excess")}
+    beyond = np.zeros((15 * len(mpc.structure.durations)), np.int8)
+    for some in (beyond, np.isin(np.arange(beyond.size) % 15, (2, 7)).astype(np.int8)):
+        check_gradient(plan, {"weights": at, "linear": linear}, some, tolerance=1e-5)
+
+
+def test_slopes_of_a_flight(measured):
+    """Of the errors of position and attitude after a gust, by each weight on its own, and by the decay of the tail."""
+    scenario, start = prepared()
+    mpc, state = scenario.controller.mpc, begin(scenario, start.plant)
+
     def cost(p):
-        weights = replace(mpc.weights, **{name: p[name] for name in WEIGHTS})
-        changed = replace(scenario.controller, mpc=replace(mpc, weights=weights, decay=p["decay"]))
+        changed = dataclasses.replace(scenario.controller, mpc=weighted(mpc, p))
 
         def errors(row):
             return row.com_position - row.com_setpoint, row.rotation_error
 
-        _, (com, angle) = rollout(replace(scenario, controller=changed), state, TICKS, errors)
+        _, (com, angle) = rollout(dataclasses.replace(scenario, controller=changed), state, TICKS, errors)
         return 1e4 * jnp.sum(com**2) + 1e4 * jnp.sum(angle**2)
 
-    at = {name: getattr(mpc.weights, name) for name in WEIGHTS} | {"decay": mpc.decay}
-    _, slopes = cost(at)
-    step = 1e-4
+    slope_along = jax.jit(lambda p, along: jax.jvp(cost, (p,), (along,)))
+    at = {name: jnp.asarray(getattr(mpc.weights, name)) for name in WEIGHTS} | {"decay": jnp.asarray(mpc.decay)}
+    none, step = jax.tree.map(jnp.zeros_like, at), 1e-4
     for name, value in at.items():
-        ahead, behind = (cost(at | {name: value * (1.0 + sign * step)})[0] for sign in (1.0, -1.0))
+        along = none | {name: value}
+        _, exact = slope_along(at, along)
+        ahead, behind = (slope_along(at | {name: value * (1.0 + sign * step)}, along)[0] for sign in (1.0, -1.0))
         slope = float(ahead - behind) / (2.0 * step)
-        exact = float(jnp.vdot(slopes[name], value))
         assert exact != 0.0
         measured(
             f"slope by {name}",
-            abs(exact - slope),
+            abs(float(exact) - slope),
             1e-9 + 1e-5 * abs(slope),
             because="the error of the quotient, not of the derivative",
         )

@@ -100,7 +100,9 @@ class PredictiveLaw:
         def make() -> Plan:
             return self._make(robot, memory, used, model, limits, prepared, last, followed.ahead)
 
-        plan: Plan = lax.cond(may_plan & ~waits, make, lambda: last)
+        # Reverse mode would store some megabytes of intermediate values for every tick.
+        remade = jax.checkpoint(make, prevent_cse=False)
+        plan: Plan = lax.cond(may_plan & ~waits, remade, lambda: last)
         plan = plan._replace(since=jnp.where(may_plan, plan.since, -jnp.inf))
         memory = memory._replace(plan=plan)
         age = used.time - plan.since
