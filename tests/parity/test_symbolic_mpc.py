@@ -30,6 +30,8 @@ def flight(path, aero):
     }
     controller = config["controller"]
     controller["mpc"]["joint_groups"] = list(robot.joint_groups)
+    for weights in ("weights", "descent"):
+        controller["mpc"][weights]["posture"] = dict.fromkeys(robot.joint_groups, 1.0)
     controller["posture_gain"] = dict.fromkeys(robot.joint_groups, 20.0)
     controller["weights"] |= {"thrust_rate": dict.fromkeys(robot.jet_names, 0.01), "symmetric_jets": []}
     controller["bounds"]["thrust_rate_max"] = dict.fromkeys(robot.jet_names, 100.0)

@@ -192,7 +192,7 @@ impl Controller {
             return Err(PyValueError::new_err("the centroidal inertia cannot be inverted"));
         }
         let gains = (section.law.torque.kd, section.law.torque.kp);
-        let mut horizon = Horizon::new(mpc, gains, robot.jets.len(), model.joints.len());
+        let mut horizon = Horizon::new(mpc, gains, robot, &model.joints);
         let integral = entries("velocity_error_integral", &velocity_error_integral, &[robot.joints.len()])?;
         let targets = entries("targets", &targets, &[horizon.knots(), 6, 3])?;
         let target = |target: &[f64]| {

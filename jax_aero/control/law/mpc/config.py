@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from jax_aero.config import Air, MpcConfig
+from jax_aero import config
+from jax_aero.config import Air
 from jax_aero.robot import RobotModel
-from jax_aero.types import Array, Static, leaf, leaves, pytree
+from jax_aero.types import Array, Static, leaf, pytree
 
 
 @pytree
@@ -23,22 +25,22 @@ class MpcWeights:
     """Its velocity [s²/m²]."""
     acceleration: Float[Array, ""]
     """Its acceleration [s⁴/m²]."""
-    attitude: Float[Array, ""]
+    attitude: Float[Array, "3"]
     """[1/rad²]."""
     angular_velocity: Float[Array, ""]
     """[s²/rad²]."""
     angular_acceleration: Float[Array, ""]
     """[s⁴/rad²]."""
-    posture: Float[Array, ""]
-    """Joint positions about the posture of the first tick [1/rad²]."""
+    posture: Float[Array, " f"]
+    """Positions of the joints that the law moves, about the posture of the first tick [1/rad²]."""
     joint_velocity: Float[Array, ""]
     """[s²/rad²]."""
     joint_command: Float[Array, ""]
     """Commanded joint velocities [s²/rad²]."""
     thrust_rate: Float[Array, ""]
     """[s²/N²]."""
-    tail: Float[Array, ""]
-    """The whole at the end of the horizon [s⁴/m², s⁴/rad²]."""
+    tail: Float[Array, "2"]
+    """What is left of motion and attitude at the end of the horizon, not per second [s⁴/m², s⁴/rad²]."""
 
 
 class Structure(NamedTuple):
@@ -88,25 +90,31 @@ class Mpc:
     """After the loss of an engine."""
 
 
-def mpc_params(config: MpcConfig, robot: RobotModel, time_step: float) -> Mpc:
+def mpc_params(settings: config.MpcConfig, robot: RobotModel, time_step: float) -> Mpc:
     """Return the parameters of the law for a robot and ticks of `time_step` [s]."""
     numbers = dict(robot.joint_groups)
-    blocks = np.repeat(np.arange(len(config.joint_knots)), config.joint_knots)
+    blocks = np.repeat(np.arange(len(settings.joint_knots)), settings.joint_knots)
     structure = Structure(
-        air=config.air,
-        joints=tuple(sorted({joint for name in config.joint_groups for joint in numbers[name]})),
-        durations=tuple(config.knots),
+        air=settings.air,
+        joints=tuple(sorted({joint for name in settings.joint_groups for joint in numbers[name]})),
+        durations=tuple(settings.knots),
         blocks=tuple(blocks.tolist()),
-        ends=tuple(accumulate(round(duration / time_step) for duration in config.knots)),
-        flies_descent=config.descent is not None,
+        ends=tuple(accumulate(round(duration / time_step) for duration in settings.knots)),
+        flies_descent=settings.descent is not None,
     )
     return Mpc(
         structure,
-        period=leaf(config.period),
-        posture_gain=leaf(config.posture_gain),
-        decay=leaf(config.decay),
-        thrust_excess=leaf(config.thrust_excess),
-        joint_excess=leaf(config.joint_excess),
-        weights=leaves(MpcWeights, config.weights),
-        descent=leaves(MpcWeights, config.descent or config.weights),
+        period=leaf(settings.period),
+        posture_gain=leaf(settings.posture_gain),
+        decay=leaf(settings.decay),
+        thrust_excess=leaf(settings.thrust_excess),
+        joint_excess=leaf(settings.joint_excess),
+        weights=_weights(settings.weights, robot, structure.joints),
+        descent=_weights(settings.descent or settings.weights, robot, structure.joints),
     )
+
+
+def _weights(settings: config.MpcWeights, robot: RobotModel, moved: tuple[int, ...]) -> MpcWeights:
+    posture = {joint: settings.posture.get(name, 0.0) for name, joints in robot.joint_groups for joint in joints}
+    values = {item.name: leaf(getattr(settings, item.name)) for item in fields(MpcWeights) if item.name != "posture"}
+    return MpcWeights(**values, posture=leaf([posture[joint] for joint in moved]))

@@ -9,7 +9,7 @@ u = (Ṫ*, ṡ*)             thrust rates; joint velocities of the moved joints
 
 `z = (y, d, u, 1)` has one constant matrix over a knot, in which `u` does not change: a Taylor series for the shortest
 knot, and squares of it. Everything at the ends of the knots is then affine in the unknowns; H and g collect the squares
-of the outputs' errors. Equations M120 to M123 of `docs/model.md`.
+of the outputs' errors. Equations M120 to M124 of `docs/model.md`.
 """
 
 from __future__ import annotations
@@ -154,39 +154,46 @@ def horizon(
     start = jnp.concatenate([jnp.zeros(of["sigma"].start, sigma_now.dtype), sigma_now, integral[moved]])
     z = _propagate(structure, places, dynamics, start)
 
-    # Errors of the outputs, affine in the unknowns.
     position = used.state.joint_position[moved]
     com, velocity = model.kinematics.com, model.dynamics.momentum[:3] / robot.mass
     motion = target._replace(position=target.position - com, velocity=target.velocity - velocity)
     errors = dot(_outputs(places, dynamics, linear, used), z)
     errors = errors.at[:, :, -1].add(-jnp.concatenate(motion, axis=1))
     s = z[:, of["s"]]
-    joints = jnp.concatenate([s.at[:, :, -1].add(position - posture[moved]), z[:, of["sigma"]]], axis=1)
-    p, v, theta, omega, a, alpha = jnp.split(errors[-1], 6)
-    tail = jnp.concatenate([a, alpha]) + mpc.decay * (
-        2.0 * jnp.concatenate([v, omega]) + mpc.decay * jnp.concatenate([p, theta])
-    )
-    by_knot = jnp.concatenate([errors, joints, z[:, of["rate"]], z[:, of["command"]]], axis=1)
-    squares = _squares(weights, places)
-    durations = np.array(structure.durations)
-    rows = jnp.concatenate([by_knot.reshape(-1, by_knot.shape[-1]), tail])
-    weight = jnp.concatenate([(durations[:, None] * squares).reshape(-1), jnp.repeat(weights.tail, 6)])
-    cost = dot(rows.T, weight[:, None] * rows)
+    away = s.at[:, :, -1].add(position - posture[moved])
+    by_knot = jnp.concatenate([errors, away, z[:, of["sigma"]], z[:, of["rate"]], z[:, of["command"]]], axis=1)
+    squares = np.array(structure.durations)[:, None] * _squares(weights, places)
+    rows = jnp.concatenate([by_knot.reshape(-1, by_knot.shape[-1]), _tail(mpc, weights, errors[-1])])
+    cost = dot(rows.T, jnp.concatenate([squares.reshape(-1), jnp.repeat(weights.tail, 3)])[:, None] * rows)
 
     limited = jnp.concatenate([z[:, of["t"]], s], axis=1)
-    knots = len(durations)
+
+    def at_knots(thrusts: Array, joints: Array) -> Array:
+        return jnp.tile(jnp.concatenate([thrusts, joints]), len(structure.durations))
+
+    least, greatest = robot.joint_limits[moved, 0], robot.joint_limits[moved, 1]
+    excess = jnp.full_like(used.thrust, mpc.thrust_excess), jnp.full_like(position, mpc.joint_excess)
     return Horizon(
         h=0.5 * (cost + cost.T)[:-1, :-1],
         g=cost[:-1, -1],
         by_inputs=limited[:, :, :-1].reshape(-1, limited.shape[-1] - 1),
-        free=(limited[:, :, -1] + jnp.concatenate([used.thrust, position])).reshape(-1),
-        least=jnp.tile(jnp.concatenate([limits.thrust_least, robot.joint_limits[moved, 0]]), knots),
-        greatest=jnp.tile(jnp.concatenate([limits.thrust_greatest, robot.joint_limits[moved, 1]]), knots),
-        weight=jnp.tile(
-            jnp.concatenate([jnp.full_like(used.thrust, mpc.thrust_excess), jnp.full_like(position, mpc.joint_excess)]),
-            knots,
-        ),
+        free=limited[:, :, -1].reshape(-1) + at_knots(used.thrust, position),
+        least=at_knots(limits.thrust_least, least),
+        greatest=at_knots(limits.thrust_greatest, greatest),
+        weight=at_knots(*excess),
     )
+
+
+def _tail(mpc: Mpc, weights: MpcWeights, errors: Array) -> Array:
+    """Return what is left of motion and attitude (6, u + 1) from the errors of the last knot's outputs.
+
+    It is `a + 2 λ v + λ² p`; along an axis whose position has no weight only the velocity decays, `a + λ v`.
+    """
+    p, v, theta, omega, a, alpha = jnp.split(errors, 6)
+    holds = jnp.concatenate([weights.position, weights.attitude])[:, None] > 0.0
+    by_position, by_velocity = jnp.where(holds, mpc.decay**2, 0.0), jnp.where(holds, 2.0 * mpc.decay, mpc.decay)
+    decaying = by_position * jnp.concatenate([p, theta]) + by_velocity * jnp.concatenate([v, omega])
+    return jnp.concatenate([a, alpha]) + decaying
 
 
 def _dynamics(
@@ -293,9 +300,9 @@ def _squares(weights: MpcWeights, places: _Places) -> Array:
     """Return the weights of a knot's errors: outputs, joints, their velocities, inputs."""
     jets, free = (places.of[name].stop - places.of[name].start for name in ("rate", "command"))
     counts = (
-        *((weights.attitude, 3), (weights.angular_velocity, 3)),
-        *((weights.acceleration, 3), (weights.angular_acceleration, 3)),
-        *((weights.posture, free), (weights.joint_velocity, free)),
-        *((weights.thrust_rate, jets), (weights.joint_command, free)),
+        *((weights.angular_velocity, 3), (weights.acceleration, 3), (weights.angular_acceleration, 3)),
+        *((weights.joint_velocity, free), (weights.thrust_rate, jets), (weights.joint_command, free)),
     )
-    return jnp.concatenate([weights.position, weights.velocity, *(jnp.repeat(x, count) for x, count in counts)])
+    omega, a, alpha, joint_velocity, thrust_rate, joint_command = (jnp.repeat(x, count) for x, count in counts)
+    outputs = [weights.position, weights.velocity, weights.attitude, omega, a, alpha]
+    return jnp.concatenate([*outputs, weights.posture, joint_velocity, thrust_rate, joint_command])
