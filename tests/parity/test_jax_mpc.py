@@ -18,7 +18,7 @@ from jax_aero.control.measurement import UsedMeasurement
 from jax_aero.identify import states_of
 from jax_aero.io import scenario_config
 from jax_aero.robot import load_robot
-from jax_aero.types import State
+from jax_aero.types import Setpoint, State
 
 pytestmark = pytest.mark.usefixtures("x64")
 
@@ -50,8 +50,8 @@ def random_ticks(robot, knots):
 
 
 def test_linearised_dynamics_and_qp(agree):
-    """Derivatives by automatic differentiation against the crate's own, anywhere and fast; then H and g."""
-    table, robot, params = flight()
+    """Derivatives by automatic differentiation against the crate's own, with weighted forces; then H and g."""
+    table, robot, params = flight({"disturbances.aero_estimate": {"drag": 0.8, "normal": 1.3, "links": {"head": 2.0}}})
     mpc, gains = params.mpc, (params.torque.kd, params.torque.kp)
 
     @jax.jit
@@ -75,6 +75,34 @@ def test_linearised_dynamics_and_qp(agree):
         ours = jax.device_get(evaluate(state, thrust, wind, posture, integral, targets))
         for name, value in ours.items():
             agree(name, value, theirs[name], TOLERANCE)
+
+
+def test_tick_towards_a_given_setpoint(agree):
+    """It moves on at constant velocity while the plan looks ahead."""
+    table, robot, params = flight()
+    rng = np.random.default_rng(6)
+    start = table["simulator"]["initial"]
+    upright, joints = np.diag([-1.0, -1.0, 1.0]), np.array(start["joint_position"])
+    state = State(np.array(start["base_position"]), upright, joints, 0.1 * rng.normal(size=6 + robot.n_joints))
+    thrust, wind = np.array(start["thrust"]), np.array([1.0, -5.0, 0.0])
+    near = rust.rotation_from_wxyz(np.array([1.0, *(0.01 * rng.normal(size=3))]))
+    given = Setpoint(
+        state.base_position + 0.02 * rng.normal(size=3),
+        *(0.1 * rng.normal(size=(3, 3))),
+        state.base_rotation @ near,
+        *(0.1 * rng.normal(size=(3, 3))),
+    )
+
+    @jax.jit
+    def evaluate(state, thrust, wind, given):
+        memory = tick.init(params, robot, state)
+        return tick.tick(params, robot, memory, jnp.zeros(()), state, thrust, wind, given)[1]
+
+    command = jax.device_get(evaluate(state, thrust, wind, given))
+    theirs = rust.Controller(table).tick(rust.State(*state), thrust, wind, 0.0, rust.Setpoint(**given._asdict()))
+    assert command.status == STATUS[theirs.status] == NOMINAL
+    agree("thrust_rate", command.thrust_rate, theirs.thrust_rate, TOLERANCE)
+    agree("joint_velocity", command.joint_velocity, theirs.joint_velocity_command, TOLERANCE)
 
 
 @pytest.fixture(scope="module")

@@ -105,7 +105,6 @@ class MomentumLaw:
     ) -> tuple[ControllerState, Followed]:
         """Choose the set-point: during a descent that of the descent, otherwise the given one, or the mission's."""
         state = memory.setpoint
-        along_what = generator.MISSION if given is None else generator.MOTION
         if given is None:
             along = generator.update(self.setpoint, self.mission, state, used.time)
         else:
@@ -113,7 +112,8 @@ class MomentumLaw:
         down = generator.descend(self.setpoint, state)
         is_descending = memory.channels.is_descending
         moved, followed = where(is_descending, down, along)
-        ahead = jnp.where(is_descending, generator.DESCENT, along_what)
+        usual = generator.MISSION if given is None else generator.MOTION
+        ahead = jnp.where(is_descending, generator.DESCENT, usual)
         return memory._replace(setpoint=moved), Followed(followed, ahead)
 
     def solve(
