@@ -404,6 +404,7 @@ impl Episode {
             CommandStatus::Nominal | CommandStatus::Degraded | CommandStatus::BadSetpoint => {
                 momentum && torque
             }
+            CommandStatus::PlanKept | CommandStatus::PlanMissing => torque,
             CommandStatus::MomentumHeld => still() && torque,
             CommandStatus::TorqueHeld => momentum && held(),
             CommandStatus::BothHeld => still() && held(),

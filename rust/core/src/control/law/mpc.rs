@@ -267,23 +267,20 @@ impl Law for PredictiveLaw {
         let is_due = time < state.plan.tried || time - state.plan.tried > self.period - 0.5 * self.time_step;
         let is_planned = !is_due || self.plan(robot, aero, state, terms);
         let longest = PLAN_SHARE * self.horizon.durations().iter().sum::<f64>();
-        match state.plan.age(time).filter(|age| *age <= longest) {
-            Some(age) => {
-                self.follow_plan(state, terms, age, command);
-                command.momentum_qp = state.plan.answer;
-                command.status = match () {
-                    () if !is_planned || state.plan.answer.status != QpStatus::Solved => {
-                        CommandStatus::PlanKept
-                    }
-                    () if command.modes.is_empty() => CommandStatus::Nominal,
-                    () => CommandStatus::Degraded,
-                };
-            }
-            None => {
-                self.momentum.decide(state, terms, command);
-                if command.status.is_of_law() {
-                    command.status = CommandStatus::PlanMissing;
-                }
+        if let Some(age) = state.plan.age(time).filter(|age| *age <= longest) {
+            self.follow_plan(state, terms, age, command);
+            command.momentum_qp = state.plan.answer;
+            command.status = if !is_planned || state.plan.answer.status != QpStatus::Solved {
+                CommandStatus::PlanKept
+            } else if command.modes.is_empty() {
+                CommandStatus::Nominal
+            } else {
+                CommandStatus::Degraded
+            };
+        } else {
+            self.momentum.decide(state, terms, command);
+            if command.status.is_of_law() {
+                command.status = CommandStatus::PlanMissing;
             }
         }
     }

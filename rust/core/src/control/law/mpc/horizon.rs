@@ -71,7 +71,7 @@ impl Chain {
         let mut scale = step;
         for order in 1..=10 {
             chain.input += power * b * scale;
-            power = power * a;
+            power *= a;
             chain.transition += power * scale;
             scale *= step / f64::from(order + 1);
         }
@@ -308,14 +308,15 @@ impl Horizon {
         for power in 1..powers {
             chains.push(chains[power - 1].twice());
         }
-        let mut reach = vec![vec![Vector3::zeros(); blocks]; knots];
+        let mut reach: Vec<Vec<Vector3<f64>>> = Vec::with_capacity(knots);
+        let mut now = vec![Vector3::zeros(); blocks];
         for knot in 0..knots {
             let chain = &chains[doublings[knot]];
-            for to in 0..blocks {
-                let before = if knot == 0 { Vector3::zeros() } else { reach[knot - 1][to] };
+            for (to, state) in now.iter_mut().enumerate() {
                 let own = if block[knot] == to { chain.input } else { Vector3::zeros() };
-                reach[knot][to] = chain.transition * before + own;
+                *state = chain.transition * *state + own;
             }
+            reach.push(now.clone());
         }
         let rows = OUTPUTS * knots + TAIL;
         let descent = config.descent.as_ref().unwrap_or(&config.weights);
@@ -594,7 +595,7 @@ impl Horizon {
                 self.free_joint[knot][place] = now;
             }
         }
-        for knot in 0..knots {
+        for (knot, target) in targets.iter().enumerate() {
             let (duration, block) = (self.durations[knot], self.block[knot]);
             let step = &self.steps[self.doublings[knot]];
             // Free motion; the thrusts' change is zero without inputs.
@@ -644,7 +645,7 @@ impl Horizon {
                     + self.rates_by_d[sigma + place] * now[1]
                     + self.rates_by_d[e + place] * now[2];
             }
-            let [p, v, theta, omega, a, alpha] = targets[knot].outputs();
+            let [p, v, theta, omega, a, alpha] = target.outputs();
             let part =
                 |column: &Column, first: usize| -> Vector3<f64> { column.fixed_rows::<3>(first).into() };
             let rates =
