@@ -1,6 +1,7 @@
 //! The predictive law: every derivative against differences, the horizon against fine steps, the plan against its cost.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+#![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::{Running, Sample, assert_within, experiment, random_state, random_vector, rng, robot};
 use flight_core::aero::{AeroModel, ForceFactorsConfig, LinkConventions, LinkForces};
