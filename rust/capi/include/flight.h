@@ -30,6 +30,10 @@ typedef enum FlightStatus {
   // The command is that of the control law, but part of the measurement is predicted (NaN marks what is not
   // measured) or the robot descends.
   FLIGHT_DEGRADED = 6,
+  // The predictive law has no new certified plan: it follows the last one.
+  FLIGHT_PLAN_KEPT = 7,
+  // The predictive law has no certified plan: thrust rates and joint velocities are those of the momentum QP.
+  FLIGHT_PLAN_MISSING = 8,
   // No flight has been started, or none can start with this measurement. No command is written.
   FLIGHT_NOT_STARTED = -1,
   // A required pointer is null. Nothing is written.
