@@ -62,6 +62,8 @@ impl Episodes {
             "test2_observer",
             "test2_without_lambda_a",
             "test2_sensors",
+            "test2_mpc",
+            "test2_sensors_mpc",
             "test4",
             "second_order_jets",
             "sensor_noise",
@@ -232,6 +234,8 @@ pub struct Episode {
     absurd: f64,
     towards: f64,
     may_allocate: bool,
+    /// Whether its rates come from a plan instead of the momentum QP.
+    plans: bool,
     /// Answer of the momentum QP, and torques of the tick before.
     answer: Vec<f64>,
     torque: Vec<f64>,
@@ -268,6 +272,7 @@ impl Episode {
             absurd,
             towards: if rng.random_bool(0.3) { 0.3 } else { 0.0 },
             may_allocate: scenario.controller.law.qp.solver == Solver::Clarabel,
+            plans: scenario.controller.law.mpc.is_some(),
             answer: vec![0.0; controller.terms().momentum_qp.unknowns.len()],
             torque: vec![0.0; robot.joints.len()],
             rng,
@@ -394,7 +399,7 @@ impl Episode {
         };
         let is_minimiser = |problem: &QpProblem, x: &[f64]| kkt_residual(problem, x, &[]) <= KKT_TOLERANCE;
         let momentum = says_so(&command.momentum_qp)
-            && (!unknowns.force_rate.is_empty() || is_minimiser(&qp.problem, &self.answer));
+            && (self.plans || !unknowns.force_rate.is_empty() || is_minimiser(&qp.problem, &self.answer));
         let torque = says_so(&command.torque_qp)
             && (terms.torque_qp.problem.rows() > 0
                 || is_minimiser(&terms.torque_qp.problem, terms.unlimited_torque.as_slice()));
