@@ -406,12 +406,12 @@ impl Episode {
         let held = || command.joint_torque.as_slice() == self.torque;
         let still = || unknowns.thrust_rate.clone().chain(unknowns.joint_velocity.clone()).all(nearest);
         match command.status {
-            CommandStatus::Nominal | CommandStatus::Degraded | CommandStatus::BadSetpoint => {
-                momentum && torque
-            }
+            CommandStatus::Nominal | CommandStatus::Degraded => momentum && torque,
+            // These statuses come before that of a plan that is kept.
+            CommandStatus::BadSetpoint => (momentum || self.plans) && torque,
+            CommandStatus::TorqueHeld => (momentum || self.plans) && held(),
             CommandStatus::PlanKept | CommandStatus::PlanMissing => torque,
             CommandStatus::MomentumHeld => still() && torque,
-            CommandStatus::TorqueHeld => momentum && held(),
             CommandStatus::BothHeld => still() && held(),
             CommandStatus::BadMeasurement | CommandStatus::BadState => {
                 held() && command.thrust_rate.iter().chain(&command.joint_velocity).all(|rate| *rate == 0.0)
