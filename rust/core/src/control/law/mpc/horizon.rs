@@ -125,6 +125,24 @@ fn flatten(outputs: &Outputs) -> impl Iterator<Item = f64> {
     outputs.iter().flat_map(|vector| [vector.x, vector.y, vector.z])
 }
 
+/// Outputs from `y` and from ω, a and α.
+fn join(y: &Column, rates: &Rates) -> Outputs {
+    let part = |first: usize| Vector3::new(y[first], y[first + 1], y[first + 2]);
+    let rate = |first: usize| Vector3::new(rates[first], rates[first + 1], rates[first + 2]);
+    [part(0), part(3), part(6), rate(0), rate(3), rate(6)]
+}
+
+/// Effect of the state `(s, ṡ, e)` of a joint, from the columns of `d`.
+fn by_joint<const N: usize>(
+    columns: &[SVector<f64, N>],
+    places: Places,
+    joint: usize,
+    state: &Vector3<f64>,
+) -> SVector<f64, N> {
+    let Places { s, sigma, e } = places;
+    columns[s + joint] * state[0] + columns[sigma + joint] * state[1] + columns[e + joint] * state[2]
+}
+
 /// Factors of position, velocity and acceleration in each row of the tail: the motion's three, then the attitude's.
 type TailRows = [[f64; 3]; TAIL];
 
@@ -580,146 +598,125 @@ impl Horizon {
         model: &Linearised,
         errors: &DVector<f64>,
     ) {
-        let Places { s, sigma, e } = self.places();
-        let state = &terms.measurement.state;
-        let (jets, free, knots) = (self.jets, self.free, self.knots());
-        let position = terms.kinematics.com;
-        let velocity: Vector3<f64> = self.dynamics.drift.fixed_rows::<3>(0).into();
         self.sensitivity.fill(Column::zeros());
         self.weighted.fill(0.0);
+        let velocity: Vector3<f64> = self.dynamics.drift.fixed_rows::<3>(0).into();
+        let present = [terms.kinematics.com, velocity];
         let mut y = Column::zeros();
-        for (place, joint) in model.joints.iter().enumerate() {
-            let mut now = Vector3::new(0.0, state.joint_velocity()[*joint], errors[*joint]);
-            for knot in 0..knots {
-                now = self.chains[self.doublings[knot]].transition * now;
-                self.free_joint[knot][place] = now;
-            }
-        }
         for (knot, target) in targets.iter().enumerate() {
-            let (duration, block) = (self.durations[knot], self.block[knot]);
-            let step = &self.steps[self.doublings[knot]];
-            // Free motion; the thrusts' change is zero without inputs.
-            let mut next = times(&step.by_y, &y) + step.drift;
-            for (place, joint) in model.joints.iter().enumerate() {
-                let before = match knot {
-                    0 => Vector3::new(0.0, state.joint_velocity()[*joint], errors[*joint]),
-                    _ => self.free_joint[knot - 1][place],
-                };
-                next += step.by_d[s + place] * before[0]
-                    + step.by_d[sigma + place] * before[1]
-                    + step.by_d[e + place] * before[2];
-            }
-            y = next;
-            // Motion by each unknown that has acted so far.
-            for earlier in 0..=knot {
-                for jet in 0..jets {
-                    let unknown = earlier * jets + jet;
-                    let column = &mut self.sensitivity[unknown];
-                    *column = if earlier == knot {
-                        step.by_u[jet]
-                    } else {
-                        times(&step.by_y, column) + step.by_d[jet] * self.durations[earlier]
-                    };
-                }
-            }
-            for earlier in 0..=block {
-                let before = if knot == 0 { Vector3::zeros() } else { self.reach[knot - 1][earlier] };
-                for joint in 0..free {
-                    let unknown = jets * knots + earlier * free + joint;
-                    let column = &mut self.sensitivity[unknown];
-                    let mut next = times(&step.by_y, column)
-                        + step.by_d[s + joint] * before[0]
-                        + step.by_d[sigma + joint] * before[1]
-                        + step.by_d[e + joint] * before[2];
-                    if earlier == block {
-                        next += step.by_u[jets + joint];
-                    }
-                    *column = next;
-                }
-            }
-            // Outputs: free ones and errors.
-            let mut free_rates = self.rates + self.rates_by_y * y;
-            for place in 0..free {
-                let now = &self.free_joint[knot][place];
-                free_rates += self.rates_by_d[s + place] * now[0]
-                    + self.rates_by_d[sigma + place] * now[1]
-                    + self.rates_by_d[e + place] * now[2];
-            }
-            let [p, v, theta, omega, a, alpha] = target.outputs();
-            let part =
-                |column: &Column, first: usize| -> Vector3<f64> { column.fixed_rows::<3>(first).into() };
-            let rates =
-                |column: &Rates, first: usize| -> Vector3<f64> { column.fixed_rows::<3>(first).into() };
-            let errors = [
-                position + part(&y, 0) - p,
-                velocity + part(&y, 3) - v,
-                part(&y, 6) - theta,
-                rates(&free_rates, 0) - omega,
-                rates(&free_rates, 3) - a,
-                rates(&free_rates, 6) - alpha,
-            ];
-            let rows = self.weights[weights].rows(duration);
-            let tail = (knot + 1 == knots).then(|| self.weights[weights].tail_rows(self.decay));
-            let first_row = OUTPUTS * knot;
-            for (row, (error, root)) in flatten(&errors).zip(rows.as_flattened()).enumerate() {
-                self.residual[first_row + row] = root * error;
-            }
-            if let Some(tail) = &tail {
-                let of_tail = &mut self.residual.as_mut_slice()[OUTPUTS * knots..];
-                of_tail.copy_from_slice(&tail_of(tail, &errors));
-            }
-            // Outputs by each unknown.
-            let n = self.problem.len();
-            let thrusts = (0..jets * (knot + 1)).map(|unknown| (unknown, None));
-            let joints = (0..free * (block + 1)).map(|index| (jets * knots + index, Some(index)));
-            for (unknown, joint) in thrusts.chain(joints) {
-                let column = self.sensitivity[unknown];
-                let mut of_unknown = self.rates_by_y * column;
-                match joint {
-                    None => {
-                        let (earlier, jet) = (unknown / jets, unknown % jets);
-                        of_unknown += self.rates_by_d[jet] * self.durations[earlier];
-                    }
-                    Some(index) => {
-                        let (earlier, joint) = (index / free, index % free);
-                        let now = &self.reach[knot][earlier];
-                        of_unknown += self.rates_by_d[s + joint] * now[0]
-                            + self.rates_by_d[sigma + joint] * now[1]
-                            + self.rates_by_d[e + joint] * now[2];
-                        if earlier == block {
-                            of_unknown += self.rates_by_u[jets + joint];
-                        }
-                    }
-                }
-                let outputs = [
-                    part(&column, 0),
-                    part(&column, 3),
-                    part(&column, 6),
-                    rates(&of_unknown, 0),
-                    rates(&of_unknown, 3),
-                    rates(&of_unknown, 6),
-                ];
-                let weighted = self.weighted.as_mut_slice();
-                for (row, (output, root)) in flatten(&outputs).zip(rows.as_flattened()).enumerate() {
-                    weighted[unknown + n * (first_row + row)] = root * output;
-                }
-                if let Some(tail) = &tail {
-                    for (row, value) in tail_of(tail, &outputs).into_iter().enumerate() {
-                        weighted[unknown + n * (OUTPUTS * knots + row)] = value;
-                    }
-                }
-            }
+            y = self.move_freely(knot, &y, model, terms, errors);
+            self.move_by_inputs(knot);
+            let [p, v, theta, omega, a, alpha] = self.free_outputs(knot, &y, present);
+            let [p_d, v_d, theta_d, omega_d, a_d, alpha_d] = target.outputs();
+            let errors = [p - p_d, v - v_d, theta - theta_d, omega - omega_d, a - a_d, alpha - alpha_d];
+            self.write_rows(knot, weights, &errors);
         }
         let n = self.problem.len();
         linalg::times_transpose(self.weighted.as_slice(), n, self.base_h.as_mut_slice());
         self.base_h += &self.constant[weights];
         self.base_g.fill(0.0);
-        linalg::add_mat_vec(
-            self.base_g.as_mut_slice(),
-            self.weighted.as_slice(),
-            n,
-            self.residual.as_slice(),
-        );
+        let (weighted, residual) = (self.weighted.as_slice(), self.residual.as_slice());
+        linalg::add_mat_vec(self.base_g.as_mut_slice(), weighted, n, residual);
+    }
+
+    /// Joints and `y` at the end of a knot without inputs, from `y` at its beginning. The thrusts stay.
+    fn move_freely(
+        &mut self,
+        knot: usize,
+        y: &Column,
+        model: &Linearised,
+        terms: &Terms,
+        errors: &DVector<f64>,
+    ) -> Column {
+        let (places, power) = (self.places(), self.doublings[knot]);
+        let step = &self.steps[power];
+        let mut next = times(&step.by_y, y) + step.drift;
+        for (place, joint) in model.joints.iter().enumerate() {
+            let before = match knot {
+                0 => Vector3::new(0.0, terms.measurement.state.joint_velocity()[*joint], errors[*joint]),
+                _ => self.free_joint[knot - 1][place],
+            };
+            next += by_joint(&step.by_d, places, place, &before);
+            self.free_joint[knot][place] = self.chains[power].transition * before;
+        }
+        next
+    }
+
+    /// `y` at the end of a knot by each unknown that has acted so far.
+    fn move_by_inputs(&mut self, knot: usize) {
+        let (jets, free, places, block) = (self.jets, self.free, self.places(), self.block[knot]);
+        let step = &self.steps[self.doublings[knot]];
+        let (of_thrusts, of_joints) = self.sensitivity.split_at_mut(jets * self.durations.len());
+        for (unknown, column) in of_thrusts.iter_mut().take(jets * (knot + 1)).enumerate() {
+            let (earlier, jet) = (unknown / jets, unknown % jets);
+            *column = if earlier == knot {
+                step.by_u[jet]
+            } else {
+                times(&step.by_y, column) + step.by_d[jet] * self.durations[earlier]
+            };
+        }
+        for (index, column) in of_joints.iter_mut().take(free * (block + 1)).enumerate() {
+            let (earlier, joint) = (index / free, index % free);
+            let before = if knot == 0 { Vector3::zeros() } else { self.reach[knot - 1][earlier] };
+            *column = times(&step.by_y, column) + by_joint(&step.by_d, places, joint, &before);
+            if earlier == block {
+                *column += step.by_u[jets + joint];
+            }
+        }
+    }
+
+    /// Outputs at the end of a knot without inputs, from those of the centre of mass and its velocity at present.
+    fn free_outputs(&self, knot: usize, y: &Column, [position, velocity]: [Vector3<f64>; 2]) -> Outputs {
+        let mut rates = self.rates + self.rates_by_y * y;
+        for (place, now) in self.free_joint[knot].iter().enumerate() {
+            rates += by_joint(&self.rates_by_d, self.places(), place, now);
+        }
+        let [p, v, theta, omega, a, alpha] = join(y, &rates);
+        [position + p, velocity + v, theta, omega, a, alpha]
+    }
+
+    /// Outputs at the end of a knot by an unknown.
+    fn outputs_by(&self, knot: usize, unknown: usize) -> Outputs {
+        let (jets, free) = (self.jets, self.free);
+        let column = &self.sensitivity[unknown];
+        let mut rates = self.rates_by_y * column;
+        if let Some(index) = unknown.checked_sub(jets * self.knots()) {
+            let (earlier, joint) = (index / free, index % free);
+            rates += by_joint(&self.rates_by_d, self.places(), joint, &self.reach[knot][earlier]);
+            if earlier == self.block[knot] {
+                rates += self.rates_by_u[jets + joint];
+            }
+        } else {
+            rates += self.rates_by_d[unknown % jets] * self.durations[unknown / jets];
+        }
+        join(column, &rates)
+    }
+
+    /// The rows of a knot, and of the tail after the last one.
+    fn write_rows(&mut self, knot: usize, weights: usize, errors: &Outputs) {
+        let (n, first, of_tail) = (self.problem.len(), OUTPUTS * knot, OUTPUTS * self.knots());
+        let roots = self.weights[weights].rows(self.durations[knot]);
+        let tail = (knot + 1 == self.knots()).then(|| self.weights[weights].tail_rows(self.decay));
+        for (row, (error, root)) in flatten(errors).zip(roots.as_flattened()).enumerate() {
+            self.residual[first + row] = root * error;
+        }
+        if let Some(tail) = &tail {
+            self.residual.as_mut_slice()[of_tail..].copy_from_slice(&tail_of(tail, errors));
+        }
+        let of_thrusts = 0..self.jets * (knot + 1);
+        let of_joints = self.of_block(0, 0)..self.of_block(self.block[knot] + 1, 0);
+        for unknown in of_thrusts.chain(of_joints) {
+            let outputs = self.outputs_by(knot, unknown);
+            let weighted = self.weighted.as_mut_slice();
+            for (row, (output, root)) in flatten(&outputs).zip(roots.as_flattened()).enumerate() {
+                weighted[unknown + n * (first + row)] = root * output;
+            }
+            if let Some(tail) = &tail {
+                for (row, value) in tail_of(tail, &outputs).into_iter().enumerate() {
+                    weighted[unknown + n * (of_tail + row)] = value;
+                }
+            }
+        }
     }
 
     /// Adds the gradient of the cost of the joints' positions and velocities.
