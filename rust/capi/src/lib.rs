@@ -470,6 +470,8 @@ pub extern "C" fn flight_status_name(status: c_int) -> *const c_char {
         4 => c"torque_held",
         5 => c"both_held",
         6 => c"degraded",
+        7 => c"plan_kept",
+        8 => c"plan_missing",
         -1 => c"not_started",
         -2 => c"null_pointer",
         -3 => c"panicked",

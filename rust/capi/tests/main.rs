@@ -342,6 +342,8 @@ fn names_of_modes_and_statuses_are_those_of_the_crate() {
     for (theirs, ours) in [
         (CommandStatus::Nominal, FlightStatus::FlightNominal),
         (CommandStatus::Degraded, FlightStatus::FlightDegraded),
+        (CommandStatus::PlanKept, FlightStatus::FlightPlanKept),
+        (CommandStatus::PlanMissing, FlightStatus::FlightPlanMissing),
         (CommandStatus::BadMeasurement, FlightStatus::FlightBadMeasurement),
         (CommandStatus::BadSetpoint, FlightStatus::FlightBadSetpoint),
         (CommandStatus::MomentumHeld, FlightStatus::FlightMomentumHeld),
