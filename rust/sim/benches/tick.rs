@@ -40,6 +40,7 @@ fn main() -> Result<(), BuildError> {
         let other = common::configuration(other)?;
         let mut config = common::configuration("test2_mpc")?;
         (config.simulator, config.disturbances) = (other.simulator, other.disturbances);
+        config.simulator.duration = 22.0;
         if let Some(mpc) = &mut config.controller.law.mpc {
             mpc.period = config.simulator.time_step; // every tick
         }

@@ -107,7 +107,7 @@ impl PredictiveLaw {
     ) -> bool {
         state.plan.tried = terms.measurement.time;
         if !self.model.update(robot, aero, self.air, terms) {
-            state.plan.answer = QpAnswer::from_status(QpStatus::NotPositiveDefinite);
+            state.plan.answer = None;
             return false;
         }
         self.set_targets(state, terms);
@@ -120,8 +120,9 @@ impl PredictiveLaw {
             horizon.update_excess(model, terms, joint_limits, last);
         }
         for pass in 0..EXCESS_PASSES {
-            *answer = solver.solve_from(warm, &horizon.problem);
-            if answer.status != QpStatus::Solved {
+            let found = solver.solve_from(warm, &horizon.problem);
+            *answer = Some(found).filter(|found| !found.kkt.is_nan());
+            if found.status != QpStatus::Solved {
                 return false;
             }
             let to = solver.x();
@@ -140,7 +141,7 @@ impl PredictiveLaw {
             }
             horizon.update_excess(model, terms, joint_limits, inputs);
         }
-        answer.status = QpStatus::IterationLimit;
+        *answer = answer.map(|found| QpAnswer { status: QpStatus::IterationLimit, ..found });
         false
     }
 
@@ -269,8 +270,9 @@ impl Law for PredictiveLaw {
         let longest = PLAN_SHARE * self.horizon.durations().iter().sum::<f64>();
         if let Some(age) = state.plan.age(time).filter(|age| *age <= longest) {
             self.follow_plan(state, terms, age, command);
-            command.momentum_qp = state.plan.answer;
-            command.status = if !is_planned || state.plan.answer.status != QpStatus::Solved {
+            let answer = state.plan.answer.unwrap_or(QpAnswer::from_status(QpStatus::NonFinite));
+            command.momentum_qp = answer;
+            command.status = if !is_planned || answer.status != QpStatus::Solved {
                 CommandStatus::PlanKept
             } else if command.modes.is_empty() {
                 CommandStatus::Nominal

@@ -1,6 +1,6 @@
 //! The plan of the predictive law, a part of the controller's state.
 
-use crate::qp::{QpAnswer, QpStatus, WarmStart};
+use crate::qp::{QpAnswer, WarmStart};
 
 /// The plan that is followed.
 #[derive(Debug, Clone, PartialEq)]
@@ -9,9 +9,9 @@ pub struct Plan {
     pub(super) inputs: Vec<f64>,
     /// Time at which it began \[s\]; `None` without a plan.
     pub(super) since: Option<f64>,
-    /// Time of the last attempt \[s\], and its answer.
+    /// Time of the last attempt \[s\], and its answer; `None` without one.
     pub(super) tried: f64,
-    pub(super) answer: QpAnswer,
+    pub(super) answer: Option<QpAnswer>,
     pub(super) warm: WarmStart,
 }
 
@@ -23,7 +23,7 @@ impl Plan {
             inputs: vec![0.0; unknowns],
             since: None,
             tried: f64::NEG_INFINITY,
-            answer: QpAnswer::from_status(QpStatus::SizeMismatch),
+            answer: None,
             warm: WarmStart::cold(unknowns),
         }
     }
