@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SHOWN = re.compile(r"!\[[^\]]*\]\((?P<path>(?:img/gallery/)?\w+\.png)\)")
 PAGES = (ROOT / "docs/gallery.md", ROOT / "docs/ahead.md", *sorted((ROOT / "experiments/studies").glob("*/README.md")))
 WIDTH = 1100  # pixels; a page is 760 wide
-COLOURS = 128
+COLOURS = 256  # with half of them, colours of two lines become one
 DEMO = ("demo", "demo_dark")
 
 

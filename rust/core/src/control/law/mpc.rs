@@ -91,12 +91,6 @@ impl PredictiveLaw {
         }
     }
 
-    /// The prediction of the last plan.
-    #[must_use]
-    pub fn horizon(&self) -> &Horizon {
-        &self.horizon
-    }
-
     /// Makes a plan from the state of `terms`; `false` without a certified one.
     fn plan(
         &mut self,
