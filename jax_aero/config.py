@@ -116,6 +116,14 @@ class ChannelsConfig(Struct, frozen=True, kw_only=True):
     wind_hold: float = 1.0
 
 
+class ClearanceConfig(Struct, frozen=True, kw_only=True):
+    apart_from: tuple[str, ...]
+    exhaust: float
+    least: float
+    links: tuple[str, ...]
+    weight: float
+
+
 class LoadTransfer(Struct, frozen=True, kw_only=True):
     gain: float
     height: float
@@ -203,6 +211,7 @@ class MpcWeights(Struct, frozen=True, kw_only=True):
 
 class MpcConfig(Struct, frozen=True, kw_only=True):
     air: Air = "linear"
+    clearance: ClearanceConfig | None = None
     decay: float
     descent: MpcWeights | None = None
     joint_excess: float

@@ -12,6 +12,7 @@ import pytest
 from jax_aero import rust
 from jax_aero.control import tick
 from jax_aero.control.command import DEGRADED, NOMINAL, PLAN_KEPT, PLAN_MISSING
+from jax_aero.control.law.mpc.clearance import distances
 from jax_aero.control.law.mpc.horizon import Target, horizon
 from jax_aero.control.law.mpc.model import linearise
 from jax_aero.control.measurement import UsedMeasurement
@@ -25,6 +26,7 @@ pytestmark = pytest.mark.usefixtures("x64")
 ROOT = Path(__file__).resolve().parents[2]
 TOLERANCE = 1e-9
 COUNT = 6
+DISTANCES = ("distance", "distance_by_joint")
 STATUS = {"Nominal": NOMINAL, "Degraded": DEGRADED, "PlanKept": PLAN_KEPT, "PlanMissing": PLAN_MISSING}
 LOSS = {"jet": "l_arm_jet", "kind": "off", "time": 0.2}
 OVERFLOW = (0.0, -1e4, 0.0)
@@ -64,7 +66,8 @@ def test_linearised_dynamics_and_qp(agree):
         limits = params.limits(robot)
         args = linear, used, model, limits, posture, integral, target
         ahead = horizon(mpc, mpc.weights, gains, robot, *args)
-        return linear._asdict() | {"h": ahead.h, "g": ahead.g}
+        found = distances(robot, mpc.clearance, mpc.structure.joints, state.joint_position)
+        return linear._asdict() | {"h": ahead.h, "g": ahead.g} | dict(zip(DISTANCES, found, strict=True))
 
     for state, thrust, wind, posture, integral, targets in random_ticks(robot, len(mpc.structure.durations)):
         controller = rust.Controller(table)

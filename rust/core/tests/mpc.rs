@@ -330,7 +330,7 @@ fn the_horizon_is_the_motion_in_fine_steps() {
     let mut model = Linearised::new(&case.robot, joints.clone());
     assert!(model.update(&case.robot, &axisymmetric(&case.robot), Air::Linear, terms));
     let gains = (20.0, 100.0);
-    let mut horizon = Horizon::new(&mpc, gains, &case.robot, &joints);
+    let mut horizon = Horizon::new(&mpc, gains, &case.robot, &joints).unwrap();
     let mut rng = rng(5);
     let targets: Vec<Target> = (0..horizon.knots())
         .map(|_| Target {
@@ -435,7 +435,7 @@ fn a_plan_minimises_the_cost_with_all_excesses() {
     let limits: Vec<(f64, f64)> = case.robot.joints.iter().map(|joint| joint.limits).collect();
     let mut model = Linearised::new(&case.robot, joints.clone());
     assert!(model.update(&case.robot, &axisymmetric(&case.robot), Air::Linear, terms));
-    let mut horizon = Horizon::new(&mpc, (20.0, 100.0), &case.robot, &joints);
+    let mut horizon = Horizon::new(&mpc, (20.0, 100.0), &case.robot, &joints).unwrap();
     let zeros = DVector::zeros(case.robot.joints.len());
     let targets = vec![
         Target {

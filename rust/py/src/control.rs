@@ -192,7 +192,7 @@ impl Controller {
             return Err(PyValueError::new_err("the centroidal inertia cannot be inverted"));
         }
         let gains = (section.law.torque.kd, section.law.torque.kp);
-        let mut horizon = Horizon::new(mpc, gains, robot, &model.joints);
+        let mut horizon = Horizon::new(mpc, gains, robot, &model.joints).map_err(value_error)?;
         let integral = entries("velocity_error_integral", &velocity_error_integral, &[robot.joints.len()])?;
         let targets = entries("targets", &targets, &[horizon.knots(), 6, 3])?;
         let target = |target: &[f64]| {
@@ -216,6 +216,8 @@ impl Controller {
         out.set_item("omega_sigma", matrix(py, &model.omega_sigma)?)?;
         out.set_item("h", matrix(py, &horizon.problem.h)?)?;
         out.set_item("g", vector(py, horizon.problem.g.as_slice())?)?;
+        out.set_item("distance", vector(py, &horizon.clearance.distance)?)?;
+        out.set_item("distance_by_joint", matrix(py, &horizon.clearance.by_joint.transpose())?)?;
         Ok(out)
     }
 }

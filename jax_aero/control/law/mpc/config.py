@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from jax_aero import config
 from jax_aero.config import Air
+from jax_aero.control.law.mpc.clearance import Clearance, clearance_params
 from jax_aero.robot import RobotModel
 from jax_aero.types import Array, Static, leaf, pytree
 
@@ -84,6 +85,7 @@ class Mpc:
     """Weight of a thrust beyond its range [1/N²]."""
     joint_excess: Float[Array, ""]
     """Weight of a joint position beyond its limits [1/rad²]."""
+    clearance: Clearance
     weights: MpcWeights
     """While all engines work."""
     descent: MpcWeights
@@ -109,6 +111,7 @@ def mpc_params(settings: config.MpcConfig, robot: RobotModel, time_step: float) 
         decay=leaf(settings.decay),
         thrust_excess=leaf(settings.thrust_excess),
         joint_excess=leaf(settings.joint_excess),
+        clearance=clearance_params(settings.clearance, robot),
         weights=_weights(settings.weights, robot, structure.joints),
         descent=_weights(settings.descent or settings.weights, robot, structure.joints),
     )

@@ -9,7 +9,7 @@ u = (Ṫ*, ṡ*)             thrust rates; joint velocities of the moved joints
 
 `z = (y, d, u, 1)` has one constant matrix over a knot, in which `u` does not change: a Taylor series for the shortest
 knot, and squares of it. Everything at the ends of the knots is then affine in the unknowns; H and g collect the squares
-of the outputs' errors. Equations M120 to M124 of `docs/model.md`.
+of the outputs' errors. Equations M120 to M125 of `docs/model.md`.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from jax import lax
 from jaxtyping import Float, Int
 
 from jax_aero.control.law.limits import Limits
+from jax_aero.control.law.mpc.clearance import distances
 from jax_aero.control.law.mpc.config import Mpc, MpcWeights, Structure
 from jax_aero.control.law.mpc.model import Linearised
 from jax_aero.control.measurement import UsedMeasurement
@@ -57,14 +58,14 @@ class Target(NamedTuple):
 
 
 class Horizon(NamedTuple):
-    """Cost and limited values of the inputs `u`; `m` thrusts and joints at the ends of the knots."""
+    """Cost and limited values of the inputs `u`; `m` thrusts, joints and distances at the ends of the knots."""
 
     h: Float[Array, "u u"]
     g: Float[Array, " u"]
     by_inputs: Float[Array, "m u"]
     """Limited values by the inputs."""
     free: Float[Array, " m"]
-    """Limited values without inputs [N, rad]."""
+    """Limited values without inputs [N, rad, m]."""
     least: Float[Array, " m"]
     greatest: Float[Array, " m"]
     weight: Float[Array, " m"]
@@ -166,20 +167,24 @@ def horizon(
     rows = jnp.concatenate([by_knot.reshape(-1, by_knot.shape[-1]), _tail(mpc, weights, errors[-1])])
     cost = dot(rows.T, jnp.concatenate([squares.reshape(-1), jnp.repeat(weights.tail, 3)])[:, None] * rows)
 
-    limited = jnp.concatenate([z[:, of["t"]], s], axis=1)
+    distance, by_joint = distances(robot, mpc.clearance, structure.joints, used.state.joint_position)
+    limited = jnp.concatenate([z[:, of["t"]], s, dot(by_joint, s)], axis=1)
 
-    def at_knots(thrusts: Array, joints: Array) -> Array:
-        return jnp.tile(jnp.concatenate([thrusts, joints]), len(structure.durations))
+    def at_knots(thrusts: Array, joints: Array, distances: Array) -> Array:
+        return jnp.tile(jnp.concatenate([thrusts, joints, distances]), len(structure.durations))
 
-    least, greatest = robot.joint_limits[moved, 0], robot.joint_limits[moved, 1]
-    excess = jnp.full_like(used.thrust, mpc.thrust_excess), jnp.full_like(position, mpc.joint_excess)
+    least = limits.thrust_least, robot.joint_limits[moved, 0], jnp.full_like(distance, mpc.clearance.least)
+    greatest = limits.thrust_greatest, robot.joint_limits[moved, 1], jnp.full_like(distance, jnp.inf)
+    now = used.thrust, position, distance
+    weights_of = mpc.thrust_excess, mpc.joint_excess, mpc.clearance.weight
+    excess = (jnp.full_like(value, weight) for value, weight in zip(now, weights_of, strict=True))
     return Horizon(
         h=0.5 * (cost + cost.T)[:-1, :-1],
         g=cost[:-1, -1],
         by_inputs=limited[:, :, :-1].reshape(-1, limited.shape[-1] - 1),
-        free=limited[:, :, -1].reshape(-1) + at_knots(used.thrust, position),
-        least=at_knots(limits.thrust_least, least),
-        greatest=at_knots(limits.thrust_greatest, greatest),
+        free=limited[:, :, -1].reshape(-1) + at_knots(*now),
+        least=at_knots(*least),
+        greatest=at_knots(*greatest),
         weight=at_knots(*excess),
     )
 

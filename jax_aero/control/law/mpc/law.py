@@ -2,12 +2,12 @@
 
 ```text
 model     dynamics linearised at the present state
-horizon   prediction over unequal knots, QP in the inputs
+horizon   prediction over unequal knots, QP in the inputs, with the distances that it keeps
 plan      its answer, followed until the next one
 ```
 
 The momentum law prepares its own problem too: its bounds are those of the first knot, and it decides where there is no
-plan. Equations M116 to M124 of `docs/model.md`.
+plan. Equations M116 to M125 of `docs/model.md`.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from jax_aero.robot import RobotModel
 from jax_aero.spatial import log_so3, rotate
 from jax_aero.types import Array, Setpoint, where
 
-EXCESS_PASSES = 20
+EXCESS_PASSES = 60
 """Limit of QPs of one plan: each has the values beyond their limits that the last answer brought there."""
 
 PLAN_SHARE = 0.25
@@ -207,7 +207,7 @@ class PredictiveLaw:
 
 
 def _find_beyond(ahead: Horizon, bounds: tuple[Array, Array], last: Plan) -> _Search:
-    """Find the thrusts and joints that the minimiser brings beyond their limits, from those of the last plan."""
+    """Find the thrusts, joints and distances that the minimiser brings beyond their limits, from those of the last plan."""
 
     def is_running(search: _Search) -> Array:
         is_solved = search.answer.status == qp.SOLVED

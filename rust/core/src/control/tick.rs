@@ -277,7 +277,7 @@ fn build_law(
     let gains = (config.torque.kd, config.torque.kp);
     let thrust_rate_max = robot.by_jet(&config.bounds.thrust_rate_max);
     let joints = mpc.joints(robot)?;
-    let law = PredictiveLaw::new(mpc, momentum, robot, joints, gains, thrust_rate_max, time_step);
+    let law = PredictiveLaw::new(mpc, momentum, robot, joints, gains, thrust_rate_max, time_step)?;
     Ok(Box::new(law))
 }
 

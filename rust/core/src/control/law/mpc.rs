@@ -1,14 +1,16 @@
 //! The predictive law: thrust rates and joint velocities from a plan over the next second, which contains the air.
 //!
 //! ```text
-//! model     dynamics linearised at the present state        [`model`]
-//! horizon   prediction over unequal knots, QP in the inputs  [`horizon`]
-//! plan      its answer, followed until the next one       [`plan`]
+//! model      dynamics linearised at the present state       [`model`]
+//! clearance  distances of exhausts and links                [`clearance`]
+//! horizon    prediction over unequal knots, QP in the inputs  [`horizon`]
+//! plan       its answer, followed until the next one       [`plan`]
 //! ```
 //!
 //! The momentum law prepares its own problem too: its bounds are those of the first knot, and it decides where there is
-//! no plan. Equations M116 to M124 of `docs/model.md`.
+//! no plan. Equations M116 to M125 of `docs/model.md`.
 
+pub mod clearance;
 pub mod config;
 pub mod horizon;
 pub mod model;
@@ -20,6 +22,7 @@ use crate::aero::AeroModel;
 use crate::control::command::{Command, CommandStatus};
 use crate::control::state::ControllerState;
 use crate::control::terms::Terms;
+use crate::error::BuildError;
 use crate::qp::{PrimalActiveSet, QpAnswer, QpSolver, QpStatus};
 use crate::robot::RobotModel;
 use crate::spatial::log_so3;
@@ -29,7 +32,7 @@ use model::Linearised;
 use plan::Plan;
 
 /// Limit of QPs of one plan: each has the values beyond their limits that the last answer brought there.
-const EXCESS_PASSES: u32 = 20;
+const EXCESS_PASSES: u32 = 60;
 /// A plan is followed for at most this part of the horizon; by then the momentum QP decides.
 const PLAN_SHARE: f64 = 0.25;
 
@@ -60,7 +63,9 @@ pub struct PredictiveLaw {
 impl PredictiveLaw {
     /// A law for `robot` beside `momentum`, with the gains `K_D` and `K_P` of the torque law; joints are checked by the
     /// configuration.
-    #[must_use]
+    ///
+    /// # Errors
+    /// [`BuildError`] for a link that the robot does not have.
     pub fn new(
         config: &MpcConfig,
         momentum: MomentumLaw,
@@ -69,10 +74,10 @@ impl PredictiveLaw {
         gains: (f64, f64),
         thrust_rate_max: Vec<f64>,
         time_step: f64,
-    ) -> Self {
-        let horizon = Horizon::new(config, gains, robot, &joints);
+    ) -> Result<Self, BuildError> {
+        let horizon = Horizon::new(config, gains, robot, &joints)?;
         let place = |joint| joints.iter().position(|moved| *moved == joint);
-        Self {
+        Ok(Self {
             momentum,
             air: config.air,
             period: config.period,
@@ -88,7 +93,7 @@ impl PredictiveLaw {
             model: Linearised::new(robot, joints),
             horizon,
             ahead: Ahead::Mission,
-        }
+        })
     }
 
     /// Makes a plan from the state of `terms`; `false` without a certified one.

@@ -1,5 +1,6 @@
 //! Configuration of the predictive law.
 
+use super::clearance::Clearance;
 use crate::aero::{AeroModel, LinkConventions};
 use crate::error::{BuildError, Table, place_of};
 use crate::robot::RobotModel;
@@ -95,6 +96,26 @@ impl MpcWeights {
     }
 }
 
+/// What the plan keeps apart: every exhaust and `links` from each of `apart_from`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct ClearanceConfig {
+    /// Length of an exhaust's axis from the nozzle \[m\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub exhaust: f64,
+    /// Aerodynamic links that move beside the exhausts, such as turbines.
+    pub links: Vec<String>,
+    /// Aerodynamic links of which they keep clear.
+    pub apart_from: Vec<String>,
+    /// Least distance of the surfaces; an exhaust is its axis \[m\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub least: f64,
+    /// Weight of a lesser distance \[1/m²\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub weight: f64,
+}
+
 /// The predictive law, which decides thrust rates and joint velocities in place of the momentum QP.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -124,6 +145,9 @@ pub struct MpcConfig {
     /// Weight of a joint position beyond its limits \[1/rad²\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub joint_excess: f64,
+    /// What the plan keeps apart; without it nothing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clearance: Option<ClearanceConfig>,
     /// Weights while all engines work.
     pub weights: MpcWeights,
     /// Weights of the descent after the loss of an engine; without them the momentum QP flies the descent.
@@ -175,7 +199,13 @@ impl MpcConfig {
                 expected,
             ));
         }
-        self.joints(robot).map(|_| ())
+        if let Some(clearance) = &self.clearance {
+            MPC.check_positive("clearance.exhaust", clearance.exhaust)?;
+            MPC.check_non_negative("clearance.least", clearance.least)?;
+            MPC.check_non_negative("clearance.weight", clearance.weight)?;
+        }
+        let joints = self.joints(robot)?.len();
+        Clearance::new(self.clearance.as_ref(), robot, joints).map(|_| ())
     }
 
     /// Refuses a linear prediction of a model without derivatives, or of forces at other points than the links' centres.

@@ -8,11 +8,13 @@
 //! ```
 //!
 //! `u` is constant between knots, so every knot is exact: a Taylor series for the shortest, and squares of it. The states
-//! are eliminated; H and g collect the squares of the outputs' errors. Equations M120 to M124 of `docs/model.md`.
+//! are eliminated; H and g collect the squares of the outputs' errors. Equations M120 to M125 of `docs/model.md`.
 
+use super::clearance::Clearance;
 use super::config::{MpcConfig, MpcWeights};
 use super::model::Linearised;
 use crate::control::terms::Terms;
+use crate::error::BuildError;
 use crate::linalg;
 use crate::qp::QpProblem;
 use crate::robot::RobotModel;
@@ -213,7 +215,7 @@ enum Beyond {
     Above,
 }
 
-/// A thrust or a joint position at the end of a knot.
+/// A thrust, a joint position or a distance at the end of a knot.
 #[derive(Debug, Clone, Copy)]
 struct Limited {
     /// With the inputs, and without any.
@@ -258,6 +260,8 @@ impl Limited {
 pub struct Horizon {
     /// The QP in the inputs.
     pub problem: QpProblem,
+    /// Distances that the plan keeps.
+    pub clearance: Clearance,
     durations: Vec<f64>,
     /// Of each knot: the duration in terms of the first, as a power of two, and its block of joint velocities.
     doublings: Vec<usize>,
@@ -293,8 +297,12 @@ pub struct Horizon {
     residual: DVector<f64>,
     /// Joint states at the end of each knot, and thrusts at present, without inputs.
     free_joint: Vec<Vec<Vector3<f64>>>,
-    /// Thrusts by knot, then joints by knot.
+    /// Least distance \[m\].
+    least_distance: f64,
+    /// Thrusts by knot, then joints by knot, then distances by knot.
     limited: Vec<Limited>,
+    /// A distance by the joints' inputs.
+    row: Vec<f64>,
     /// Their values at the end of a way between two inputs, and the way.
     ends: Vec<f64>,
     way: DVector<f64>,
@@ -306,8 +314,15 @@ pub struct Horizon {
 impl Horizon {
     /// A horizon for the thrusts of `robot` and the joints that the law moves, for the gains `K_D` \[1/s\] and `K_P`
     /// \[1/s²\] of the torque law.
-    #[must_use]
-    pub fn new(config: &MpcConfig, gains: (f64, f64), robot: &RobotModel, joints: &[usize]) -> Self {
+    ///
+    /// # Errors
+    /// [`BuildError`] for a link that the robot does not have.
+    pub fn new(
+        config: &MpcConfig,
+        gains: (f64, f64),
+        robot: &RobotModel,
+        joints: &[usize],
+    ) -> Result<Self, BuildError> {
         let (jets, free) = (robot.jets.len(), joints.len());
         let durations = config.knots.clone();
         let (knots, blocks) = (durations.len(), config.joint_knots.len());
@@ -342,7 +357,11 @@ impl Horizon {
         let step = Step::zero(states, jets + free);
         let of_thrusts = std::iter::repeat_n(Limited::new(config.thrust_excess), jets * knots);
         let of_joints = std::iter::repeat_n(Limited::new(config.joint_excess), free * knots);
-        let limited: Vec<Limited> = of_thrusts.chain(of_joints).collect();
+        let clearance = Clearance::new(config.clearance.as_ref(), robot, free)?;
+        let (least_distance, weight) =
+            config.clearance.as_ref().map_or((0.0, 0.0), |clearance| (clearance.least, clearance.weight));
+        let of_distances = std::iter::repeat_n(Limited::new(weight), clearance.len() * knots);
+        let limited: Vec<Limited> = of_thrusts.chain(of_joints).chain(of_distances).collect();
         let mut horizon = Self {
             problem: QpProblem::new(n, 0),
             durations,
@@ -370,13 +389,16 @@ impl Horizon {
             free_joint: vec![vec![Vector3::zeros(); free]; knots],
             ends: vec![0.0; limited.len()],
             limited,
+            clearance,
+            least_distance,
+            row: vec![0.0; free * blocks],
             way: DVector::zeros(n),
             work: DVector::zeros(n),
             base_h: DMatrix::zeros(n, n),
             base_g: DVector::zeros(n),
         };
         horizon.constant = [0, 1].map(|weights| horizon.constant_cost(weights));
-        horizon
+        Ok(horizon)
     }
 
     /// Number of knots.
@@ -450,6 +472,7 @@ impl Horizon {
         let weights = usize::from(is_descending);
         self.write_motion_cost(terms, targets, weights, model, errors);
         self.write_joint_cost(model, terms, posture, weights);
+        self.clearance.update(&terms.kinematics, &model.joints);
         self.limited.iter_mut().for_each(|limited| limited.beyond = Beyond::No);
         self.problem.h.copy_from(&self.base_h);
         self.problem.g.copy_from(&self.base_g);
@@ -743,7 +766,7 @@ impl Horizon {
         }
     }
 
-    /// Sets which thrusts and joints the inputs `u` bring beyond their limits, and H and g with them; returns whether
+    /// Sets which thrusts, joints and distances the inputs `u` bring beyond their limits, and H and g with them; returns whether
     /// that changes anything. The cost of a value `x` beyond its limit `b` is `½ ρ (x − b)²`.
     pub fn update_excess(
         &mut self,
@@ -787,6 +810,20 @@ impl Horizon {
                 (limited.value, limited.free) = (free_value + by_inputs, free_value);
                 limited.range = joint_limits[*joint];
             }
+        }
+        let (others, distances) = self.limited.split_at_mut((jets + free) * knots);
+        for (index, limited) in distances.iter_mut().enumerate() {
+            let (knot, pair) = (index / self.clearance.len(), index % self.clearance.len());
+            let now = self.clearance.distance[pair];
+            (limited.value, limited.free) = (now, now);
+            for (place, joint) in model.joints.iter().enumerate() {
+                let by = self.clearance.by_joint[(place, pair)];
+                let from = terms.measurement.state.joint_position[*joint];
+                let joint = &others[jets * knots + knot * free + place];
+                limited.value += by * (joint.value - from);
+                limited.free += by * (joint.free - from);
+            }
+            limited.range = (self.least_distance, f64::INFINITY);
         }
     }
 
@@ -844,7 +881,8 @@ impl Horizon {
         self.problem.h.copy_from(&self.base_h);
         self.problem.g.copy_from(&self.base_g);
         let QpProblem { h, g, .. } = &mut self.problem;
-        let (thrusts, joints) = self.limited.split_at(jets * knots);
+        let (thrusts, others) = self.limited.split_at(jets * knots);
+        let (joints, distances) = others.split_at(free * knots);
         for (index, limited) in thrusts.iter().enumerate() {
             let Some(over) = limited.over() else { continue };
             let (knot, jet) = (index / jets, index % jets);
@@ -864,6 +902,22 @@ impl Horizon {
                 g[first + one * free] += a * over;
                 for (other, by_other) in self.reach[knot].iter().enumerate() {
                     h[(first + one * free, first + other * free)] += a * by_other[0];
+                }
+            }
+        }
+        for (index, limited) in distances.iter().enumerate() {
+            let Some(over) = limited.over() else { continue };
+            let (knot, pair) = (index / self.clearance.len(), index % self.clearance.len());
+            let (first, reached) = (jets * knots, free * (self.block[knot] + 1));
+            let row = &mut self.row[..reached];
+            for (index, value) in row.iter_mut().enumerate() {
+                *value = self.reach[knot][index / free][0] * self.clearance.by_joint[(index % free, pair)];
+            }
+            for (one, by_one) in row.iter().enumerate() {
+                let a = limited.weight * by_one;
+                g[first + one] += a * over;
+                for (other, by_other) in row.iter().enumerate() {
+                    h[(first + one, first + other)] += a * by_other;
                 }
             }
         }
