@@ -1,4 +1,4 @@
-"""Distance of the jets' axes from the body, with exhausts as segments and links as capsules."""
+"""Distances of exhausts and links from each other, with exhausts as segments and links as capsules."""
 
 from __future__ import annotations
 
@@ -8,10 +8,26 @@ import casadi as ca
 import numpy as np
 
 from jax_aero.symbolic.kinematics import Kinematics
+from jax_aero.symbolic.robot import AeroLink, Jet
 from jax_aero.symbolic.spatial import SX
 
 TINY = 1e-12
 """Keeps quotients finite if a segment is a point or two segments are parallel [m², m⁴]."""
+
+
+class Capsule(NamedTuple):
+    """All points within a radius [m] of a segment."""
+
+    start: SX
+    """Start of the segment [m, inertial axes]."""
+    way: SX
+    """From its start to its end [m]."""
+    radius: float
+    """[m]; zero for an exhaust."""
+
+    def distance(self, other: Capsule) -> SX:
+        """Return the distance between the surfaces [m]; negative if one capsule enters the other."""
+        return segment_distance((self.start, self.way), (other.start, other.way)) - self.radius - other.radius
 
 
 class Pair(NamedTuple):
@@ -23,31 +39,40 @@ class Pair(NamedTuple):
     """Distance from the axis of the jet to the surface of the link [m]; negative if the axis enters the link."""
 
 
-def pairs(tree: Kinematics, plume_length: float) -> list[Pair]:
-    """Return all pairs of a jet with an aerodynamic link other than its own turbine, or with a sole.
+def exhaust(tree: Kinematics, jet: Jet, length: float) -> Capsule:
+    """Return the segment of `length` [m] from the nozzle, the jet frame's origin, opposite to the thrust."""
+    pose = tree.poses[jet.frame]
+    return Capsule(pose.position, -length * pose.direction(jet.axis), 0.0)
 
-    The exhaust is the segment of `plume_length` [m] from the nozzle, the jet frame's origin, opposite to the thrust. A
-    link is the capsule around its cylinder (centre, axis, length, diameter); a sole the capsule along its rectangle.
+
+def around(tree: Kinematics, link: AeroLink) -> Capsule:
+    """Return the capsule around the cylinder (centre, axis, length, diameter) of a link."""
+    half = 0.0 if link.is_sphere else 0.5 * link.length
+    pose = tree.poses[link.frame]
+    return Capsule(
+        pose.point(link.centre - half * link.axis), pose.direction(2 * half * link.axis), 0.5 * link.diameter
+    )
+
+
+def pairs(tree: Kinematics, plume_length: float) -> list[Pair]:
+    """Return all pairs of a jet's exhaust with an aerodynamic link other than its own turbine, or with a sole.
+
+    A sole is the capsule along its rectangle.
     """
     robot = tree.robot
     found = []
     for jet in robot.jets:
-        pose = tree.poses[jet.frame]
-        nozzle = (pose.position, -plume_length * pose.direction(jet.axis))
+        plume = exhaust(tree, jet, plume_length)
         for link in robot.aero_links:
-            if link.frame == jet.frame:
-                continue
-            half = 0.0 if link.is_sphere else 0.5 * link.length
-            pose_l = tree.poses[link.frame]
-            spine = (pose_l.point(link.centre - half * link.axis), pose_l.direction(2 * half * link.axis))
-            found.append(Pair(jet.name, link.name, segment_distance(nozzle, spine) - 0.5 * link.diameter))
+            if link.frame != jet.frame:
+                found.append(Pair(jet.name, link.name, plume.distance(around(tree, link))))
         for frame, corners in robot.soles.items():
             low, high = corners.min(axis=0), corners.max(axis=0)
             middle, reach = 0.5 * (low + high), 0.5 * (high - low)
             long = np.eye(3)[int(np.argmax(reach))] * reach
-            pose_s = tree.poses[frame]
-            spine = (pose_s.point(middle - long), pose_s.direction(2 * long))
-            found.append(Pair(jet.name, frame, segment_distance(nozzle, spine) - float(np.sort(reach)[1])))
+            pose = tree.poses[frame]
+            sole = Capsule(pose.point(middle - long), pose.direction(2 * long), float(np.sort(reach)[1]))
+            found.append(Pair(jet.name, frame, plume.distance(sole)))
     return found
 
 

@@ -6,16 +6,21 @@ import copy
 import json
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from jax_aero import rust
 from jax_aero.rust import Robot
 from jax_aero.symbolic import MomentumModel, load_robot
+from jax_aero.symbolic.clearance import around, exhaust
+from jax_aero.symbolic.kinematics import Kinematics
 
 ROOT = Path(__file__).resolve().parents[2]
 TOLERANCE = 1e-9
 COUNT = 12
+SMOOTHING = 1e-6
+"""Of the symbolic distance of two segments, at most [m]."""
 
 
 def flight(path, aero):
@@ -30,6 +35,7 @@ def flight(path, aero):
     }
     controller = config["controller"]
     controller["mpc"]["joint_groups"] = list(robot.joint_groups)
+    del controller["mpc"]["clearance"]  # has links of one robot
     for weights in ("weights", "descent"):
         controller["mpc"][weights]["posture"] = dict.fromkeys(robot.joint_groups, 1.0)
     controller["posture_gain"] = dict.fromkeys(robot.joint_groups, 20.0)
@@ -61,3 +67,29 @@ def test_every_derivative(robot_name, random_states, agree):
         for name, value in ours._asdict().items():
             expected = value[:, sorted(joints)] if name.endswith(("_s", "_sigma")) else value
             agree(f"symbolic: {name}", theirs[name], expected, TOLERANCE)
+
+
+@pytest.mark.parametrize("robot_name", ["ironcub_mk1"])
+def test_distances_and_their_derivatives(robot_name, random_states, agree):
+    """Of all capsules that a plan keeps apart, beside the expressions of the trim."""
+    path = ROOT / f"configs/robot/{robot_name}.toml"
+    robot, described = load_robot(path), rust.Robot(path)
+    config = rust.load_config(ROOT / "configs/experiments/test2_mpc.toml")
+    settings, groups = config["controller"]["mpc"]["clearance"], config["controller"]["mpc"]["joint_groups"]
+    tree, links = Kinematics(robot), {link.name: link for link in robot.aero_links}
+    first = [exhaust(tree, jet, settings["exhaust"]) for jet in robot.jets]
+    first += [around(tree, links[name]) for name in settings["links"]]
+    second = [around(tree, links[name]) for name in settings["apart_from"]]
+    (distance,) = tree.evaluate_at_base(ca.vertcat(*(one.distance(other) for one in first for other in second)))
+    at = [tree.base_position, tree.base_rotation, tree.joint_position]
+    expected = ca.Function("expected", at, [distance, ca.jacobian(distance, tree.joint_position)])
+    controller = rust.Controller(config)
+    joints = sorted(described.joint_names.index(name) for group in groups for name in described.joint_groups[group])
+    targets, zero = np.zeros((len(config["controller"]["mpc"]["knots"]), 6, 3)), np.zeros(robot.n_joints)
+    for _, (state, _) in zip(range(COUNT), random_states, strict=False):
+        controller.start(state, np.full(4, 100.0), np.zeros(3))
+        controller.tick(state, np.full(4, 100.0), np.zeros(3))
+        theirs = controller.prediction(zero, targets)
+        values, derivatives = (value.full() for value in expected(np.zeros(3), np.eye(3), state.joint_position))
+        agree("symbolic: distance", theirs["distance"], values[:, 0], SMOOTHING)
+        agree("symbolic: distance_by_joint", theirs["distance_by_joint"], derivatives[:, joints], SMOOTHING)

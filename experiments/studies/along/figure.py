@@ -1,4 +1,4 @@
-"""Fuel burnt, and clearance between jets and body, along flights."""
+"""Fuel burnt, and clearance of jets from the body, along flights."""
 
 from __future__ import annotations
 

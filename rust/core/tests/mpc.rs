@@ -5,7 +5,8 @@
 
 use crate::common::{Running, Sample, assert_within, experiment, random_state, random_vector, rng, robot};
 use flight_core::aero::{AeroModel, ForceFactorsConfig, LinkConventions, LinkForces};
-use flight_core::control::law::mpc::config::Air;
+use flight_core::control::law::mpc::clearance::Clearance;
+use flight_core::control::law::mpc::config::{Air, ClearanceConfig};
 use flight_core::control::law::mpc::horizon::{Horizon, Target};
 use flight_core::control::law::mpc::model::Linearised;
 use flight_core::control::{CommandStatus, Terms};
@@ -247,6 +248,92 @@ fn a_constant_wrench_of_the_air_does_not_turn_with_the_robot() {
     assert_within!(errors[0].max(errors[1]), 1e-11, because "rounding of wrenches of 1000 N");
 }
 
+/// Start, end and radius of every capsule, in inertial axes: the exhausts, `links`, then `apart_from`.
+fn capsules(
+    robot: &RobotModel,
+    kinematics: &Kinematics,
+    config: &ClearanceConfig,
+) -> Vec<(Vector3<f64>, Vector3<f64>, f64)> {
+    let exhausts = robot.jets.iter().map(|jet| {
+        let pose = kinematics.frame_pose(&jet.frame);
+        let back = pose.rotation * jet.axis_f.into_inner() * config.exhaust;
+        (pose.position, pose.position - back, 0.0)
+    });
+    let links = config.links.iter().chain(&config.apart_from).map(|name| {
+        let link = robot.aero_links.iter().find(|link| link.name == *name).unwrap();
+        let pose = kinematics.frame_pose(&link.frame);
+        let half = pose.rotation * link.axis_l.into_inner() * (0.5 * link.length);
+        let half = if link.is_sphere { Vector3::zeros() } else { half };
+        let centre = pose.transform_point(&link.centre_l);
+        (centre - half, centre + half, 0.5 * link.diameter)
+    });
+    exhausts.chain(links).collect()
+}
+
+#[test]
+fn distances_are_those_of_many_points_and_their_derivatives_those_of_differences() {
+    let mpc = experiment("test2_mpc").controller.law.mpc.unwrap();
+    let config = mpc.clearance.as_ref().unwrap();
+    for seed in 0..4 {
+        let case = Case::draw(seed);
+        let (robot, joints) = (&case.robot, mpc.joints(&case.robot).unwrap());
+        let mut clearance = Clearance::new(Some(config), robot, joints.len()).unwrap();
+        let (first, second) = (robot.jets.len() + config.links.len(), config.apart_from.len());
+        assert_eq!(clearance.len(), first * second);
+        let mut kinematics = Kinematics::new(robot);
+        kinematics.update(robot, &case.state);
+        clearance.update(&kinematics, &joints);
+        let capsules = capsules(robot, &kinematics, config);
+        for (pair, distance) in clearance.distance.iter().enumerate() {
+            let (start, end, radius) = capsules[pair / second];
+            let (other, other_end, other_radius) = capsules[first + pair % second];
+            let count = 2000;
+            let nearest = (0..=count)
+                .map(|step| {
+                    let point = start + (end - start) * (f64::from(step) / f64::from(count));
+                    let way = other_end - other;
+                    let along = ((point - other).dot(&way) / way.norm_squared()).clamp(0.0, 1.0);
+                    (point - other - way * along).norm()
+                })
+                .fold(f64::INFINITY, f64::min);
+            let error = (nearest - radius - other_radius - distance).abs();
+            assert_within!(error, 4e-4, because "points 0.75 mm apart, near an axis", "pair {pair}");
+        }
+        let (before, by_joint) = (clearance.distance.clone(), clearance.by_joint.clone());
+        for (place, joint) in joints.iter().enumerate() {
+            let mut at = |step: f64| {
+                let mut moved = case.state.clone();
+                moved.joint_position[*joint] += step;
+                kinematics.update(robot, &moved);
+                clearance.update(&kinematics, &joints);
+                clearance.distance.clone()
+            };
+            let (ahead, behind) = (at(STEP), at(-STEP));
+            for pair in 0..before.len() {
+                let one_sided = [(ahead[pair] - before[pair]) / STEP, (before[pair] - behind[pair]) / STEP];
+                let error = one_sided.map(|by| (by - by_joint[(place, pair)]).abs());
+                // At the end of a segment the second derivative jumps; beside it the difference of one side is good.
+                assert_within!(error[0].min(error[1]), 2e-4, because "h times a second derivative", "{joint}, {pair}");
+            }
+        }
+    }
+}
+
+#[test]
+fn links_on_one_body_are_not_kept_apart() {
+    let robot = robot("ironcub_mk1");
+    let mpc = experiment("test2_mpc").controller.law.mpc.unwrap();
+    let mut config = mpc.clearance.unwrap();
+    config.links = vec!["chest_l_jet_turbine".into()];
+    config.apart_from = vec!["chest".into(), "root_link".into()];
+    // Both chest exhausts and the turbine stand on the chest's body; the arms' exhausts and the root move.
+    assert_eq!(Clearance::new(Some(&config), &robot, 1).unwrap().len(), 2 + 5);
+    assert!(Clearance::new(None, &robot, 1).unwrap().is_empty());
+    config.apart_from = vec!["tail".into()];
+    let refused = Clearance::new(Some(&config), &robot, 1).unwrap_err().to_string();
+    assert!(refused.contains("controller.mpc.clearance.apart_from"), "{refused}");
+}
+
 /// Continuous dynamics of `(δp, δv, θ, δk, δT, δs, ṡ, e)`, from the model's matrices alone.
 fn slope(
     model: &Linearised,
@@ -474,7 +561,10 @@ fn a_plan_minimises_the_cost_with_all_excesses() {
     }
     assert!(passes > 1, "no value was beyond its limit");
 
-    // Thrusts and joint positions at the knots, written anew; joints in fine steps.
+    let clearance = mpc.clearance.as_ref().unwrap();
+    let (least_distance, weight) = (clearance.least, clearance.weight);
+    assert!(horizon.clearance.distance.iter().any(|distance| *distance < least_distance));
+    // Thrusts, joint positions and distances at the knots, written anew; joints in fine steps.
     let cost = |u: &[f64]| {
         let mut total = base.objective(u);
         for jet in 0..jets {
@@ -486,6 +576,7 @@ fn a_plan_minimises_the_cost_with_all_excesses() {
                 total += 0.5 * mpc.thrust_excess * over * over;
             }
         }
+        let mut moved = vec![vec![0.0; free]; mpc.knots.len()];
         for (place, joint) in joints.iter().enumerate() {
             let mut x =
                 Vector3::new(case.state.joint_position[*joint], case.state.joint_velocity()[*joint], 0.0);
@@ -505,6 +596,16 @@ fn a_plan_minimises_the_cost_with_all_excesses() {
                 let (low, high) = limits[*joint];
                 let over = x[0] - x[0].clamp(low, high);
                 total += 0.5 * mpc.joint_excess * over * over;
+                moved[knot][place] = x[0] - case.state.joint_position[*joint];
+            }
+        }
+        let clearance = &horizon.clearance;
+        for moved in &moved {
+            for (pair, distance) in clearance.distance.iter().enumerate() {
+                let change: f64 =
+                    clearance.by_joint.column(pair).iter().zip(moved).map(|(by, moved)| by * moved).sum();
+                let under = (least_distance - distance - change).max(0.0);
+                total += 0.5 * weight * under * under;
             }
         }
         total
