@@ -95,9 +95,13 @@ class Controller:
         wind: _Array,
         setpoint: Mapping[str, _Array] | None = None,
         foot_wrenches: _Array | None = None,
+        setpoints_ahead: list[tuple[float, dict[str, _Array]]] = ...,
+        wind_ahead: _Array | None = None,
     ) -> dict[str, Any]: ...
     def replace_command(self, thrust_rate: _Array, joint_torque: _Array) -> None: ...
-    def prediction(self, config_json: str, velocity_error_integral: _Array, targets: _Array) -> dict[str, _Array]: ...
+    def prediction(
+        self, config_json: str, velocity_error_integral: _Array, targets: _Array, wrenches: _Array
+    ) -> dict[str, _Array]: ...
 
 class _Measurement(TypedDict):
     time: float

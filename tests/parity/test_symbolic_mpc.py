@@ -56,7 +56,7 @@ def test_every_derivative(robot_name, random_states, agree):
         wind = rng.normal(size=3) * (1.0, 10.0, 40.0)[index % 3]
         controller.start(state, thrust, wind)
         controller.tick(state, thrust, wind)
-        theirs = controller.prediction(zero, targets)
+        theirs = controller.prediction(zero, targets, np.zeros((len(targets), 6)))
         ours = derived.linearised(*state, thrust, wind)
         for name, value in ours._asdict().items():
             expected = value[:, sorted(joints)] if name.endswith(("_s", "_sigma")) else value
