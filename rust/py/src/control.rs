@@ -150,7 +150,7 @@ impl Controller {
         let setpoints = setpoints_ahead.iter().map(later).collect::<PyResult<Vec<_>>>()?;
         let winds = wind_ahead.map_or(Ok(Vec::new()), |winds| {
             let count = winds.as_array().shape().first().copied().unwrap_or(0);
-            entries("wind_ahead", &winds, &[count, 4])
+            entries("preview.wind", &winds, &[count, 4])
         })?;
         let winds: Vec<_> =
             winds.chunks_exact(4).map(|row| (row[0], Vector3::from_column_slice(&row[1..]))).collect();
