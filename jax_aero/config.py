@@ -531,6 +531,7 @@ class SensorsConfig(Struct, frozen=True, kw_only=True):
     joints: EncoderConfig = EncoderConfig()
     seed: int = 0
     thrust: ThrustSensorConfig = ThrustSensorConfig()
+    wind_preview: float = 0.0
 
 
 class SimulatorConfig(Struct, frozen=True, kw_only=True):

@@ -26,7 +26,7 @@ from __future__ import annotations
 import functools
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from types import MappingProxyType
@@ -55,6 +55,7 @@ __all__ = [
     "Jacobian",
     "Measurement",
     "Plant",
+    "Preview",
     "Progress",
     "QpAnswer",
     "QpProblem",
@@ -225,6 +226,26 @@ class Setpoint:
     angular_velocity: ArrayLike
     angular_acceleration: ArrayLike
     angular_jerk: ArrayLike
+
+
+@dataclass(frozen=True)
+class Preview:
+    """What is known of the future at a tick, which only the predictive law reads; by default nothing.
+
+    Times are those after the tick [s], increasing.
+
+    Attributes
+    ----------
+    setpoints
+        Set-points that follow a given one, with their times, above zero: interpolated between, extrapolated after the
+        last one. A mission has its own.
+    wind
+        Time, from zero on, and velocity of the air [m/s, inertial axes], (samples, 4): linear between samples, constant
+        outside. The prediction has its change from time zero.
+    """
+
+    setpoints: Sequence[tuple[float, Setpoint]] = ()
+    wind: ArrayLike | None = None
 
 
 @dataclass(frozen=True)
@@ -461,6 +482,7 @@ class Controller:
         time: float = 0.0,
         setpoint: Setpoint | None = None,
         foot_wrenches: ArrayLike | None = None,
+        preview: Preview | None = None,
     ) -> Tick:
         """Compute one tick.
 
@@ -479,10 +501,16 @@ class Controller:
         foot_wrenches
             Wrench on each foot of `controller.contact.feet` [N, N m], (feet, 6): force first, about its sole's origin,
             inertial axes. Zero if not given.
+        preview
+            What is known of the future. Set-points or winds that are not valid are ignored, with the status
+            `BadPreview`.
         """
-        given = None if setpoint is None else {name: _array(value) for name, value in vars(setpoint).items()}
+        now = None if setpoint is None else _numbers(setpoint)
         feet = None if foot_wrenches is None else _array(foot_wrenches)
-        raw = self._core.tick(time, _arrays(state), _array(thrust), _array(wind), given, feet)
+        known = Preview() if preview is None else preview
+        later = [(after, _numbers(given)) for after, given in known.setpoints]
+        winds = None if known.wind is None else _array(known.wind)
+        raw = self._core.tick(time, _arrays(state), _array(thrust), _array(wind), now, feet, later, winds)
         contact, estimates = raw.pop("contact", None), raw.pop("estimates")
         momentum = QpProblem(raw.pop("h"), raw.pop("g"), raw.pop("lower"), raw.pop("upper"))
         kind = QpProblem if contact is None else RowProblem
@@ -517,7 +545,9 @@ class Controller:
         """
         self._core.replace_command(_array(thrust_rate), _array(joint_torque))
 
-    def prediction(self, velocity_error_integral: ArrayLike, targets: ArrayLike) -> dict[str, NDArray[np.float64]]:
+    def prediction(
+        self, velocity_error_integral: ArrayLike, targets: ArrayLike, wrenches: ArrayLike
+    ) -> dict[str, NDArray[np.float64]]:
         """Return linearised model, H and g of the predictive law at the state of the last tick, by the crate's names.
 
         Parameters
@@ -527,13 +557,16 @@ class Controller:
         targets
             Position, velocity, rotation vector from the present attitude, angular velocity, acceleration and angular
             acceleration at the end of every knot, inertial axes, (knots, 6, 3).
+        wrenches
+            Change of the wrench of the air from the tick to the end of every knot [N, N m, inertial axes], (knots, 6).
 
         Raises
         ------
         ValueError
             Without `controller.mpc`, before the first tick, and for arrays of the wrong size.
         """
-        return self._core.prediction(self._config, _array(velocity_error_integral), _array(targets))
+        arrays = _array(velocity_error_integral), _array(targets), _array(wrenches)
+        return self._core.prediction(self._config, *arrays)
 
 
 def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None = None) -> Config:
@@ -772,6 +805,10 @@ def config_keys(config: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
 
 def _array(value: ArrayLike) -> Array:
     return np.ascontiguousarray(value, dtype=np.float64)
+
+
+def _numbers(setpoint: Setpoint) -> dict[str, Array]:
+    return {name: _array(value) for name, value in vars(setpoint).items()}
 
 
 def _arrays(state: State) -> tuple[Array, Array, Array, Array]:

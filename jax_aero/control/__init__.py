@@ -9,6 +9,7 @@ The simulator accepts any `Controller`.
 
 from jax_aero.control.command import Command
 from jax_aero.control.measurement import Measurement
+from jax_aero.control.preview import Preview
 from jax_aero.control.protocol import Controller
 
-__all__ = ["Command", "Controller", "Measurement"]
+__all__ = ["Command", "Controller", "Measurement", "Preview"]

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from jaxtyping import Bool, Float, Int
 
+from jax_aero.control.preview import Preview
 from jax_aero.types import Array, State
 
 
@@ -19,6 +20,8 @@ class Measurement(NamedTuple):
     """Measured thrusts [N]."""
     wind: Float[Array, "3"]
     """Measured velocity of the air [m/s, inertial axes]."""
+    preview: Preview = Preview()
+    """What is known of the future."""
 
 
 class Reading(NamedTuple):

@@ -44,6 +44,7 @@ from jax_aero.control.law.tasks import TaskParams, choose_limits, symmetric_pair
 from jax_aero.control.law.torque import TorqueParams
 from jax_aero.control.law.torques import Torque, Torques
 from jax_aero.control.measurement import Measurement, UsedMeasurement
+from jax_aero.control.preview import Preview
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model, Terms, update_model
 from jax_aero.dynamics import dynamics, forward_dynamics
@@ -122,7 +123,8 @@ class MomentumController:
         momentum = MomentumLaw(self.setpoint, self.mission, self.tasks, pairs, self.other_tasks)
         if self.mpc is None:
             return momentum
-        return PredictiveLaw(self.mpc, momentum, self.aero, (self.torque.kd, self.torque.kp), self.time_step)
+        gains = self.torque.kd, self.torque.kp
+        return PredictiveLaw(self.mpc, momentum, self.aero, self.switches.conventions, gains, self.time_step)
 
     def torques(self) -> Torques:
         """Return the torque law."""
@@ -141,7 +143,7 @@ class MomentumController:
         self, robot: RobotModel, memory: ControllerState, measurement: Measurement
     ) -> tuple[ControllerState, Command]:
         """Compute one tick on the configured mission; see `tick`."""
-        memory, command, terms = tick(self, robot, memory, *measurement)
+        memory, command, terms = tick(self, robot, memory, *measurement[:4], preview=measurement.preview)
         return memory, command._replace(setpoint=terms.setpoint, terms=terms)
 
 
@@ -229,11 +231,12 @@ def tick(
     thrust: Float[Array, " j"],
     wind: Float[Array, "3"],
     setpoint: Setpoint | None = None,
+    preview: Preview | None = None,
 ) -> tuple[ControllerState, Command, Terms]:
     """Compute one tick; return the next state, the command, and every intermediate value.
 
     `time` [s], `thrust` [N], `wind` [m/s, inertial axes]. A given `setpoint` replaces the mission; during a descent
-    neither is followed.
+    neither is followed. `preview` is what is known of the future.
 
     The estimator, if configured, uses the accepted part of state and thrusts; the wind observer, if configured,
     replaces the measured wind by its estimate from the previous ticks. Missing or implausible parts of the measurement
@@ -242,7 +245,7 @@ def tick(
     guard, law, torques = params.guard(robot), params.law(), params.torques()
     with jax.default_matmul_precision("highest"):
         memory, estimates, wind_std, used = guard.measure(memory, Measurement(time, state, thrust, wind))
-        memory, followed = law.follow(memory, used, setpoint)
+        memory, followed = law.follow(memory, used, setpoint, Preview() if preview is None else preview)
         model = params.model(robot, used)
         memory, used, model, limits, _, _ = guard.judge(memory, used, model, params.limits(robot))
         memory, rates = law.solve(robot, memory, used, model, limits, followed)

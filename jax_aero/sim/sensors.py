@@ -1,4 +1,4 @@
-"""Simulated sensors of the robot's state: pose and velocity of the base, joints, thrusts.
+"""Simulated sensors: pose and velocity of the base, joints, thrusts; and the wind ahead.
 
 ```text
 truth ──► delay ──► + bias + noise ──► measured state and thrusts
@@ -51,6 +51,8 @@ class Sensors:
     """Bias of thrusts [N]."""
     thrust_noise_std: Float[Array, ""]
     """Standard deviation of the noise of thrusts [N]."""
+    wind_ahead: Float[Array, " _"] | None
+    """Times ahead at which the controller receives the true wind, from zero on [s]; `None` without a preview."""
     time_step: Float[Array, ""]
     """Time step [s]."""
     line: Static[int]
@@ -72,7 +74,7 @@ def sensors(config: SensorsConfig, time_step: Float[Array, ""], ticks: int, jets
     delays = [*(sensor.delay for sensor in base), config.joints.delay, config.thrust.delay]
     age = np.floor(np.asarray(delays) / np.asarray(time_step) + 0.5).astype(np.int32)  # half a tick rounds up
     time_constant = config.joints.velocity_time_constant
-    width = 12 + jets
+    width, last = 12 + jets, int(np.floor(config.wind_preview / np.asarray(time_step) + 0.5))
     return Sensors(
         bias=leaf([sensor.bias for sensor in base]),
         noise_std=leaf([sensor.noise_std for sensor in base]),
@@ -83,6 +85,7 @@ def sensors(config: SensorsConfig, time_step: Float[Array, ""], ticks: int, jets
         share=leaf(-np.expm1(-np.asarray(time_step) / time_constant) if time_constant else 1.0),
         thrust_bias=leaf(config.thrust.bias),
         thrust_noise_std=leaf(config.thrust.noise_std),
+        wind_ahead=leaf(np.arange(last + 1) * np.asarray(time_step)) if last else None,
         time_step=time_step,
         line=int(np.max(age)) + 1,
     )

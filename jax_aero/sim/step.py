@@ -30,6 +30,7 @@ from jax_aero.aero.network_card import load_network
 from jax_aero.config import ModelError, ScenarioConfig
 from jax_aero.control import Command, Controller, Measurement
 from jax_aero.control.measurement import Reading
+from jax_aero.control.preview import Preview
 from jax_aero.control.tick import momentum_controller
 from jax_aero.io import scenario_config
 from jax_aero.jets import JetDynamics
@@ -361,6 +362,11 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
     if scenario.sensors is not None and sensors is not None:
         sensors, said = sensing.read(scenario.sensors, sensors, said, tick)
     held, measurement = spoil(scenario.outages, state.outages, Measurement(time, *said, wind_measured))
+    if scenario.sensors is not None and scenario.sensors.wind_ahead is not None:
+        ahead = scenario.sensors.wind_ahead
+        winds = jax.vmap(wind_velocity, in_axes=(None, 0))(scenario.wind, time + ahead)
+        preview = Preview(wind=jnp.concatenate([ahead[:, None], winds], axis=1))
+        measurement = measurement._replace(preview=preview)
     memory, command = scenario.controller.step(model, state.controller, measurement)
     command.check(plant.robot)
     estimates, wind_std = measurement, jnp.zeros_like(wind)

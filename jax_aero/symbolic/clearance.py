@@ -54,25 +54,25 @@ def around(tree: Kinematics, link: AeroLink) -> Capsule:
     )
 
 
-def pairs(tree: Kinematics, plume_length: float) -> list[Pair]:
-    """Return all pairs of a jet's exhaust with an aerodynamic link other than its own turbine, or with a sole.
+def under(tree: Kinematics, sole: str) -> Capsule:
+    """Return the capsule along the rectangle of a sole, as wide as the rectangle."""
+    corners = tree.robot.soles[sole]
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    middle, reach = 0.5 * (low + high), 0.5 * (high - low)
+    long = np.eye(3)[int(np.argmax(reach))] * reach
+    pose = tree.poses[sole]
+    return Capsule(pose.point(middle - long), pose.direction(2 * long), float(np.sort(reach)[1]))
 
-    A sole is the capsule along its rectangle.
-    """
+
+def pairs(tree: Kinematics, plume_length: float) -> list[Pair]:
+    """Return all pairs of a jet's exhaust with an aerodynamic link other than its own turbine, or with a sole."""
     robot = tree.robot
+    soles = {sole: under(tree, sole) for sole in robot.soles}
     found = []
     for jet in robot.jets:
         plume = exhaust(tree, jet, plume_length)
-        for link in robot.aero_links:
-            if link.frame != jet.frame:
-                found.append(Pair(jet.name, link.name, plume.distance(around(tree, link))))
-        for frame, corners in robot.soles.items():
-            low, high = corners.min(axis=0), corners.max(axis=0)
-            middle, reach = 0.5 * (low + high), 0.5 * (high - low)
-            long = np.eye(3)[int(np.argmax(reach))] * reach
-            pose = tree.poses[frame]
-            sole = Capsule(pose.point(middle - long), pose.direction(2 * long), float(np.sort(reach)[1]))
-            found.append(Pair(jet.name, frame, plume.distance(sole)))
+        links = {link.name: around(tree, link) for link in robot.aero_links if link.frame != jet.frame}
+        found += [Pair(jet.name, name, plume.distance(capsule)) for name, capsule in (links | soles).items()]
     return found
 
 

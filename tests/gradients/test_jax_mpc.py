@@ -57,7 +57,8 @@ def test_gradient_of_a_plan(check_gradient):
     def plan(at, beyond):
         changed = weighted(mpc, at["weights"])
         joints = state.joint_position, jnp.zeros(robot.n_joints)
-        args = at["linear"], used, model, params.limits(robot), *joints, target
+        wrenches = jnp.zeros((len(mpc.structure.durations), 6))
+        args = at["linear"], used, model, params.limits(robot), *joints, target, wrenches
         ahead = horizon(changed, changed.weights, gains, robot, *args)
         u = qp.solve(ahead.problem(beyond, jnp.full(ahead.g.shape, -40.0), jnp.full(ahead.g.shape, 40.0))).x
         return {"u": u, "values": ahead.free + ahead.by_inputs @ u}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import jax
@@ -9,13 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_aero import rust
+from jax_aero import rust, sim
 from jax_aero.control import tick
 from jax_aero.control.command import DEGRADED, NOMINAL, PLAN_KEPT, PLAN_MISSING
 from jax_aero.control.law.mpc.clearance import distances
 from jax_aero.control.law.mpc.horizon import Target, horizon
 from jax_aero.control.law.mpc.model import linearise
 from jax_aero.control.measurement import UsedMeasurement
+from jax_aero.control.preview import Preview
 from jax_aero.identify import states_of
 from jax_aero.io import scenario_config
 from jax_aero.robot import load_robot
@@ -48,7 +50,8 @@ def random_ticks(robot, knots):
         velocity = rng.normal(scale=1.0 + index % 3, size=6 + n)
         state = State(rng.normal(scale=5.0, size=3), rotation, rng.uniform(*limits.T), velocity)
         thrust, wind = rng.uniform(10.0, 150.0, 4), rng.normal(scale=8.0, size=3)
-        yield state, thrust, wind, rng.uniform(*limits.T), 0.3 * rng.normal(size=n), rng.normal(size=(knots, 6, 3))
+        targets, wrenches = rng.normal(size=(knots, 6, 3)), rng.normal(scale=20.0, size=(knots, 6))
+        yield state, thrust, wind, rng.uniform(*limits.T), 0.3 * rng.normal(size=n), targets, wrenches
 
 
 def test_linearised_dynamics_and_qp(agree):
@@ -57,31 +60,32 @@ def test_linearised_dynamics_and_qp(agree):
     mpc, gains = params.mpc, (params.torque.kd, params.torque.kp)
 
     @jax.jit
-    def evaluate(state, thrust, wind, posture, integral, targets):
+    def evaluate(state, thrust, wind, posture, integral, targets, wrenches):
         none, no = jnp.zeros(()), jnp.zeros((), bool)
         used = UsedMeasurement(none, state, thrust, wind, none.astype(int), 0.0 * thrust, none, none, no)
         model = params.model(robot, used)
         linear = linearise(robot, params.aero, mpc.structure.air, mpc.structure.joints, state, thrust, wind)
         target = Target(*jnp.moveaxis(targets, 1, 0))
         limits = params.limits(robot)
-        args = linear, used, model, limits, posture, integral, target
+        args = linear, used, model, limits, posture, integral, target, wrenches
         ahead = horizon(mpc, mpc.weights, gains, robot, *args)
         found = distances(robot, mpc.clearance, mpc.structure.joints, state.joint_position)
         return linear._asdict() | {"h": ahead.h, "g": ahead.g} | dict(zip(DISTANCES, found, strict=True))
 
-    for state, thrust, wind, posture, integral, targets in random_ticks(robot, len(mpc.structure.durations)):
+    for state, thrust, wind, posture, integral, *ahead in random_ticks(robot, len(mpc.structure.durations)):
         controller = rust.Controller(table)
         started = controller.start(rust.State(*state), thrust, wind)
         controller.state = started.with_posture_control(posture, np.eye(3), integral)
         controller.tick(rust.State(*state), thrust, wind)
-        theirs = controller.prediction(integral, targets)
-        ours = jax.device_get(evaluate(state, thrust, wind, posture, integral, targets))
+        theirs = controller.prediction(integral, *ahead)
+        ours = jax.device_get(evaluate(state, thrust, wind, posture, integral, *ahead))
         for name, value in ours.items():
             agree(name, value, theirs[name], TOLERANCE)
 
 
-def test_tick_towards_a_given_setpoint(agree):
-    """It moves on at constant velocity while the plan looks ahead."""
+@pytest.mark.parametrize("until", [0.0, 0.3, 1.2])
+def test_tick_towards_a_given_setpoint(agree, until):
+    """What follows it is given until some time; then it moves on at constant velocity while the plan looks ahead."""
     table, robot, params = flight()
     rng = np.random.default_rng(6)
     start = table["simulator"]["initial"]
@@ -89,23 +93,64 @@ def test_tick_towards_a_given_setpoint(agree):
     state = State(np.array(start["base_position"]), upright, joints, 0.1 * rng.normal(size=6 + robot.n_joints))
     thrust, wind = np.array(start["thrust"]), np.array([1.0, -5.0, 0.0])
     near = rust.rotation_from_wxyz(np.array([1.0, *(0.01 * rng.normal(size=3))]))
-    given = Setpoint(
-        state.base_position + 0.02 * rng.normal(size=3),
-        *(0.1 * rng.normal(size=(3, 3))),
-        state.base_rotation @ near,
-        *(0.1 * rng.normal(size=(3, 3))),
-    )
+
+    def some():
+        com = state.base_position + 0.02 * rng.normal(size=3), *(0.1 * rng.normal(size=(3, 3)))
+        return Setpoint(*com, state.base_rotation @ near, *(0.1 * rng.normal(size=(3, 3))))
+
+    given, times = some(), until * np.array([0.1, 0.45, 1.0])
+    later = [some() for _ in times]
+    stacked = jax.tree.map(lambda *parts: np.stack(parts), *later)
+    ahead = Preview(setpoints=(times, stacked) if until else None)
 
     @jax.jit
-    def evaluate(state, thrust, wind, given):
+    def evaluate(state, thrust, wind, given, preview):
         memory = tick.init(params, robot, state)
-        return tick.tick(params, robot, memory, jnp.zeros(()), state, thrust, wind, given)[1]
+        return tick.tick(params, robot, memory, jnp.zeros(()), state, thrust, wind, given, preview)[1]
 
-    command = jax.device_get(evaluate(state, thrust, wind, given))
-    theirs = rust.Controller(table).tick(rust.State(*state), thrust, wind, 0.0, rust.Setpoint(**given._asdict()))
+    command = jax.device_get(evaluate(state, thrust, wind, given, ahead))
+    given, *later = (rust.Setpoint(**one._asdict()) for one in (given, *later))
+    known = rust.Preview(list(zip(times, later, strict=True)) if until else [])
+    theirs = rust.Controller(table).tick(rust.State(*state), thrust, wind, 0.0, given, preview=known)
     assert command.status == STATUS[theirs.status] == NOMINAL
     agree("thrust_rate", command.thrust_rate, theirs.thrust_rate, TOLERANCE)
     agree("joint_velocity", command.joint_velocity, theirs.joint_velocity_command, TOLERANCE)
+
+
+def test_the_future_of_a_mission_given_from_outside(measured):
+    """The commands are those of the mission; a future that is not in order is ignored, and the status says so."""
+    table = rust.load_config(ROOT / "configs/experiments/test2_mpc.toml", {"mission.up": [[0.05, 5.0]]})
+    start = table["simulator"]["initial"]
+    upright, n = np.diag([-1.0, -1.0, 1.0]), len(start["joint_position"])
+    state = rust.State(start["base_position"], upright, start["joint_position"], np.zeros(6 + n))
+    measurement = state, start["thrust"], np.zeros(3)
+    mission, informed, uninformed, misled = (rust.Controller(table) for _ in range(4))
+    expected = mission.tick(*measurement)
+    path = rust.setpoint_trajectory(table, expected.com_position, upright)
+    names = [field.name for field in dataclasses.fields(rust.Setpoint)]
+    setpoints = [rust.Setpoint(*(path[name][tick] for name in names)) for tick in range(90)]
+    later = [(0.01 * tick, setpoint) for tick, setpoint in enumerate(setpoints)][1:]
+    towards = *measurement, 0.0, setpoints[0]
+
+    found = informed.tick(*towards, preview=rust.Preview(later))
+    without, bad = uninformed.tick(*towards), misled.tick(*towards, preview=rust.Preview(later[::-1]))
+    assert (expected.status, found.status, without.status, bad.status) == (*["Nominal"] * 3, "BadPreview")
+    measured("thrust rates [N/s]", np.max(np.abs(found.thrust_rate - expected.thrust_rate)), 1e-7)
+    assert np.max(np.abs(without.thrust_rate - expected.thrust_rate)) > 1.0
+    assert np.array_equal(bad.thrust_rate, without.thrust_rate)
+
+
+def test_a_flight_with_a_preview_of_the_wind(measured):
+    """Sensors, prediction and commands of a flight into a gust, in closed loop."""
+    gust = {"profile": "ramp", "velocity": [3.0, -12.0, 0.0], "ramp_start": 0.1, "ramp_end": 0.4}
+    changes = {"simulator.duration": 0.3, "simulator.sensors": {"wind_preview": 0.5}, "wind": gust}
+    seen = rust.load_config(ROOT / "configs/experiments/test2_mpc.toml", changes)
+    unseen = rust.load_config(ROOT / "configs/experiments/test2_mpc.toml", changes | {"simulator.sensors": {}})
+    expected, ours = rust.fly(seen), sim.fly(seen)
+    for name in ("thrust_rate", "joint_velocity_command", "joint_torque"):
+        size = np.max(np.abs(expected[name]))
+        measured(name, np.max(np.abs(ours[name] - expected[name])) / size, TOLERANCE)
+    assert np.max(np.abs(rust.fly(unseen)["thrust_rate"] - expected["thrust_rate"])) > 1.0
 
 
 @pytest.fixture(scope="module")

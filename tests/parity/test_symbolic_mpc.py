@@ -13,7 +13,7 @@ import pytest
 from jax_aero import rust
 from jax_aero.rust import Robot
 from jax_aero.symbolic import MomentumModel, load_robot
-from jax_aero.symbolic.clearance import around, exhaust
+from jax_aero.symbolic.clearance import around, exhaust, under
 from jax_aero.symbolic.kinematics import Kinematics
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -62,7 +62,7 @@ def test_every_derivative(robot_name, random_states, agree):
         wind = rng.normal(size=3) * (1.0, 10.0, 40.0)[index % 3]
         controller.start(state, thrust, wind)
         controller.tick(state, thrust, wind)
-        theirs = controller.prediction(zero, targets)
+        theirs = controller.prediction(zero, targets, np.zeros((len(targets), 6)))
         ours = derived.linearised(*state, thrust, wind)
         for name, value in ours._asdict().items():
             expected = value[:, sorted(joints)] if name.endswith(("_s", "_sigma")) else value
@@ -76,10 +76,12 @@ def test_distances_and_their_derivatives(robot_name, random_states, agree):
     robot, described = load_robot(path), rust.Robot(path)
     config = rust.load_config(ROOT / "configs/experiments/test2_mpc.toml")
     settings, groups = config["controller"]["mpc"]["clearance"], config["controller"]["mpc"]["joint_groups"]
-    tree, links = Kinematics(robot), {link.name: link for link in robot.aero_links}
+    tree = Kinematics(robot)
+    named = {link.name: around(tree, link) for link in robot.aero_links}
+    named |= {sole: under(tree, sole) for sole in robot.soles}
     first = [exhaust(tree, jet, settings["exhaust"]) for jet in robot.jets]
-    first += [around(tree, links[name]) for name in settings["links"]]
-    second = [around(tree, links[name]) for name in settings["apart_from"]]
+    first += [named[name] for name in settings["links"]]
+    second = [named[name] for name in settings["apart_from"]]
     (distance,) = tree.evaluate_at_base(ca.vertcat(*(one.distance(other) for one in first for other in second)))
     at = [tree.base_position, tree.base_rotation, tree.joint_position]
     expected = ca.Function("expected", at, [distance, ca.jacobian(distance, tree.joint_position)])

@@ -105,7 +105,7 @@ class Guard:
         wind_std = jnp.zeros_like(measurement.wind)
         if memory.wind is not None:
             measurement, wind_std = measurement._replace(wind=memory.wind.wind), memory.wind.std
-        known, used = channels.update(self.channels, memory.channels, self.time_step, *measurement)
+        known, used = channels.update(self.channels, memory.channels, self.time_step, *measurement[:4])
         tick = Measured(memory._replace(channels=known), measurement, wind_std, used)
         for stage in self.stages:
             tick = stage.measure(tick)

@@ -19,6 +19,7 @@ from jax_aero.control.law.mpc.plan import Plan
 from jax_aero.control.law.setpoint import SetpointParams
 from jax_aero.control.law.tasks import TaskParams, standard_tasks, unknown_bounds
 from jax_aero.control.measurement import UsedMeasurement
+from jax_aero.control.preview import Preview
 from jax_aero.control.qp import Dtype, QpAnswer
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model
@@ -32,6 +33,8 @@ class Followed(NamedTuple):
     setpoint: Setpoint
     ahead: Int[Array, ""]
     """What it follows after this tick: `MISSION`, `MOTION` or `DESCENT` of the set-point generator."""
+    preview: Preview
+    """What is known of the future."""
 
 
 class Prepared(NamedTuple):
@@ -68,7 +71,7 @@ class Law(Protocol):
         ...
 
     def follow(
-        self, memory: ControllerState, used: UsedMeasurement, given: Setpoint | None
+        self, memory: ControllerState, used: UsedMeasurement, given: Setpoint | None, preview: Preview
     ) -> tuple[ControllerState, Followed]:
         """Choose the set-point: during a descent that of the descent, otherwise the given one, or the mission's."""
         ...
@@ -101,7 +104,7 @@ class MomentumLaw:
         del jets, dtype
 
     def follow(
-        self, memory: ControllerState, used: UsedMeasurement, given: Setpoint | None
+        self, memory: ControllerState, used: UsedMeasurement, given: Setpoint | None, preview: Preview
     ) -> tuple[ControllerState, Followed]:
         """Choose the set-point: during a descent that of the descent, otherwise the given one, or the mission's."""
         state = memory.setpoint
@@ -114,7 +117,7 @@ class MomentumLaw:
         moved, followed = where(is_descending, down, along)
         usual = generator.MISSION if given is None else generator.MOTION
         ahead = jnp.where(is_descending, generator.DESCENT, usual)
-        return memory._replace(setpoint=moved), Followed(followed, ahead)
+        return memory._replace(setpoint=moved), Followed(followed, ahead, preview)
 
     def solve(
         self,

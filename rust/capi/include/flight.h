@@ -12,6 +12,9 @@
 // Version of the library to which this header belongs: 10000 major + 100 minor + patch.
 #define FLIGHT_VERSION 100
 
+// Of the set-points and of the winds of a `FlightPreview` so many are read, the first ones.
+#define FLIGHT_PREVIEW_MAX 128
+
 // Outcome of a call.
 typedef enum FlightStatus {
   // The command is that of the control law: both QPs are solved and certified.
@@ -34,6 +37,9 @@ typedef enum FlightStatus {
   FLIGHT_PLAN_KEPT = 7,
   // The predictive law has no certified plan: thrust rates and joint velocities are those of the momentum QP.
   FLIGHT_PLAN_MISSING = 8,
+  // Set-points or winds of the preview exceed the accepted range, or their times do not increase: the command of the
+  // control law, without them.
+  FLIGHT_BAD_PREVIEW = 9,
   // No flight has been started, or none can start with this measurement. No command is written.
   FLIGHT_NOT_STARTED = -1,
   // A required pointer is null. Nothing is written.
@@ -87,6 +93,8 @@ typedef struct FlightHeader {
   size_t measurement_size;
   // `sizeof(FlightSetpoint)`
   size_t setpoint_size;
+  // `sizeof(FlightPreview)`
+  size_t preview_size;
   // `sizeof(FlightCommand)`
   size_t command_size;
 } FlightHeader;
@@ -148,6 +156,24 @@ typedef struct FlightCommand {
   // Joint torques [N m], one per joint.
   double *joint_torque;
 } FlightCommand;
+
+// What is known of the future at a tick, for `flight_tick_ahead`; only the predictive law (`controller.mpc`) reads it.
+// Times are those after the tick [s], increasing.
+typedef struct FlightPreview {
+  // Number of set-points that follow the given one; zero for none.
+  size_t setpoint_count;
+  // Their times, above zero.
+  const double *setpoint_time;
+  // The set-points: interpolated between, extrapolated after the last one.
+  const struct FlightSetpoint *setpoint;
+  // Number of winds; zero for none.
+  size_t wind_count;
+  // Their times, from zero on.
+  const double *wind_time;
+  // Velocities of the air [m/s, inertial axes], three per time: linear between, constant outside. The prediction has
+  // their change from time zero.
+  const double *wind;
+} FlightPreview;
 
 #ifdef __cplusplus
 extern "C" {
@@ -245,6 +271,16 @@ enum FlightStatus flight_tick(struct FlightController *controller,
                               const struct FlightSetpoint *setpoint,
                               const struct FlightCommand *command);
 
+// As `flight_tick`, with what is known of the future, unless `preview` is null.
+//
+// # Safety
+// As for `flight_tick`; `preview` is null or points to one whose arrays have the documented lengths.
+enum FlightStatus flight_tick_ahead(struct FlightController *controller,
+                                    const struct FlightMeasurement *measurement,
+                                    const struct FlightSetpoint *setpoint,
+                                    const struct FlightPreview *preview,
+                                    const struct FlightCommand *command);
+
 // Reports after a tick that other thrust rates and joint torques act until the next one, such as those of a safety
 // layer or of a motor at its limit. The controller's predictions use them; joint velocities are not read.
 //
@@ -292,6 +328,7 @@ static inline FlightHeader flight_header(void) {
   header.version = FLIGHT_VERSION;
   header.measurement_size = sizeof(FlightMeasurement);
   header.setpoint_size = sizeof(FlightSetpoint);
+  header.preview_size = sizeof(FlightPreview);
   header.command_size = sizeof(FlightCommand);
   return header;
 }

@@ -10,7 +10,7 @@
 
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::modes::Modes;
-use flight_core::control::{BadCommand, Command, CommandStatus, ControllerState};
+use flight_core::control::{BadCommand, Command, CommandStatus, ControllerState, Preview};
 use flight_core::spatial::Pose;
 use flight_core::{BuildError, Controller, Measurement, RobotState};
 use flight_io::load_robot;
@@ -26,6 +26,9 @@ use std::sync::LazyLock;
 /// Version of the library to which this header belongs: 10000 major + 100 minor + patch.
 pub const FLIGHT_VERSION: u32 = 100;
 
+/// Of the set-points and of the winds of a `FlightPreview` so many are read, the first ones.
+pub const FLIGHT_PREVIEW_MAX: usize = 128;
+
 /// Version and sizes with which a program was compiled, from `flight_header`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -36,6 +39,8 @@ pub struct FlightHeader {
     pub measurement_size: usize,
     /// `sizeof(FlightSetpoint)`
     pub setpoint_size: usize,
+    /// `sizeof(FlightPreview)`
+    pub preview_size: usize,
     /// `sizeof(FlightCommand)`
     pub command_size: usize,
 }
@@ -48,6 +53,7 @@ impl FlightHeader {
             version: FLIGHT_VERSION,
             measurement_size: size_of::<FlightMeasurement>(),
             setpoint_size: size_of::<FlightSetpoint>(),
+            preview_size: size_of::<FlightPreview>(),
             command_size: size_of::<FlightCommand>(),
         }
     }
@@ -59,11 +65,11 @@ impl FlightHeader {
             return Ok(());
         }
         let text = |header: Self| {
-            let Self { version, measurement_size, setpoint_size, command_size } = header;
+            let Self { version, measurement_size, setpoint_size, preview_size, command_size } = header;
             let (major, minor, patch) = (version / 10_000, version / 100 % 100, version % 100);
             format!(
-                "{major}.{minor}.{patch} with structures of {measurement_size}, {setpoint_size} and \
-                 {command_size} bytes"
+                "{major}.{minor}.{patch} with structures of {measurement_size}, {setpoint_size}, \
+                 {preview_size} and {command_size} bytes"
             )
         };
         let (theirs, ours) = (text(self), text(Self::of_library()));
@@ -95,6 +101,9 @@ pub enum FlightStatus {
     FlightPlanKept = 7,
     /// The predictive law has no certified plan: thrust rates and joint velocities are those of the momentum QP.
     FlightPlanMissing = 8,
+    /// Set-points or winds of the preview exceed the accepted range, or their times do not increase: the command of the
+    /// control law, without them.
+    FlightBadPreview = 9,
     /// No flight has been started, or none can start with this measurement. No command is written.
     FlightNotStarted = -1,
     /// A required pointer is null. Nothing is written.
@@ -190,6 +199,26 @@ pub struct FlightSetpoint {
     pub angular_jerk: [f64; 3],
 }
 
+/// What is known of the future at a tick, for `flight_tick_ahead`; only the predictive law (`controller.mpc`) reads it.
+/// Times are those after the tick [s], increasing.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct FlightPreview {
+    /// Number of set-points that follow the given one; zero for none.
+    pub setpoint_count: usize,
+    /// Their times, above zero.
+    pub setpoint_time: *const f64,
+    /// The set-points: interpolated between, extrapolated after the last one.
+    pub setpoint: *const FlightSetpoint,
+    /// Number of winds; zero for none.
+    pub wind_count: usize,
+    /// Their times, from zero on.
+    pub wind_time: *const f64,
+    /// Velocities of the air [m/s, inertial axes], three per time: linear between, constant outside. The prediction has
+    /// their change from time zero.
+    pub wind: *const f64,
+}
+
 /// Arrays of the caller to which a tick writes its command, which is valid until the next tick.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
@@ -215,6 +244,9 @@ pub struct FlightController {
     robot_state: RobotState,
     thrust: Vec<f64>,
     foot_wrenches: Vec<Vector6<f64>>,
+    /// The preview in the types of the crate.
+    setpoints: Vec<(f64, Setpoint)>,
+    winds: Vec<(f64, Vector3<f64>)>,
     has_panicked: bool,
 }
 
@@ -239,6 +271,8 @@ impl FlightController {
             robot_state: RobotState::zero(joints),
             thrust: vec![0.0; controller.n_jets()],
             foot_wrenches: vec![Vector6::zeros(); feet],
+            setpoints: Vec::with_capacity(FLIGHT_PREVIEW_MAX),
+            winds: Vec::with_capacity(FLIGHT_PREVIEW_MAX),
             has_panicked: false,
             controller,
         })
@@ -284,11 +318,41 @@ impl FlightController {
         Ok(())
     }
 
+    /// Converts a preview to the types of the crate, by default an empty one; `false` if an array is null.
+    ///
+    /// # Safety
+    /// The arrays of `given` have the documented lengths.
+    unsafe fn read_preview(&mut self, given: Option<&FlightPreview>) -> bool {
+        self.setpoints.clear();
+        self.winds.clear();
+        let Some(given) = given else { return true };
+        let FlightPreview { setpoint_count, setpoint_time, setpoint, wind_count, wind_time, wind } = *given;
+        let lacks_setpoints = setpoint_count > 0 && (setpoint_time.is_null() || setpoint.is_null());
+        if lacks_setpoints || (wind_count > 0 && (wind_time.is_null() || wind.is_null())) {
+            return false;
+        }
+        for index in 0..setpoint_count.min(FLIGHT_PREVIEW_MAX) {
+            // SAFETY: not null, and of this length by this function's contract.
+            let (time, setpoint) = unsafe { (*setpoint_time.add(index), &*setpoint.add(index)) };
+            self.setpoints.push((time, setpoint_of(setpoint)));
+        }
+        for index in 0..wind_count.min(FLIGHT_PREVIEW_MAX) {
+            let mut velocity = Vector3::zeros();
+            // SAFETY: not null, and of this length by this function's contract.
+            let time = unsafe {
+                copy_in(wind.add(3 * index), velocity.as_mut_slice());
+                *wind_time.add(index)
+            };
+            self.winds.push((time, velocity));
+        }
+        true
+    }
+
     /// The controller, its flight, and the last measurement.
     fn parts(
         &mut self,
         given: &FlightMeasurement,
-    ) -> (&mut Controller, &mut Option<ControllerState>, Measurement<'_>) {
+    ) -> (&mut Controller, &mut Option<ControllerState>, Measurement<'_>, Preview<'_>) {
         let measurement = Measurement {
             time: given.time,
             state: &self.robot_state,
@@ -296,7 +360,8 @@ impl FlightController {
             wind: Vector3::from(given.wind),
             foot_wrenches: &self.foot_wrenches,
         };
-        (&mut self.controller, &mut self.flight, measurement)
+        let preview = Preview { setpoints: &self.setpoints, wind: &self.winds };
+        (&mut self.controller, &mut self.flight, measurement, preview)
     }
 }
 
@@ -398,6 +463,7 @@ fn status_of(command: &Command) -> FlightStatus {
         // Cannot occur, because a caller cannot pass the state of another controller.
         CommandStatus::BadState => FlightStatus::FlightNotStarted,
         CommandStatus::BadSetpoint => FlightStatus::FlightBadSetpoint,
+        CommandStatus::BadPreview => FlightStatus::FlightBadPreview,
         CommandStatus::MomentumHeld => FlightStatus::FlightMomentumHeld,
         CommandStatus::TorqueHeld => FlightStatus::FlightTorqueHeld,
         CommandStatus::BothHeld => FlightStatus::FlightBothHeld,
@@ -472,6 +538,7 @@ pub extern "C" fn flight_status_name(status: c_int) -> *const c_char {
         6 => c"degraded",
         7 => c"plan_kept",
         8 => c"plan_missing",
+        9 => c"bad_preview",
         -1 => c"not_started",
         -2 => c"null_pointer",
         -3 => c"panicked",
@@ -622,7 +689,7 @@ pub unsafe extern "C" fn flight_start(
             reason = format!("`{name}` of the measurement is null; expected an array");
             return FlightStatus::FlightNullPointer;
         }
-        let (controller, flight, measurement) = controller.parts(given);
+        let (controller, flight, measurement, _) = controller.parts(given);
         match controller.start(&measurement) {
             Ok(started) => {
                 *flight = Some(started);
@@ -654,11 +721,29 @@ pub unsafe extern "C" fn flight_tick(
     command: *const FlightCommand,
 ) -> FlightStatus {
     // SAFETY: by this function's contract.
-    let (Some(controller), Some(given), Some(command), setpoint) =
-        (unsafe { (controller.as_mut(), measurement.as_ref(), command.as_ref(), setpoint.as_ref()) })
+    unsafe { flight_tick_ahead(controller, measurement, setpoint, null(), command) }
+}
+
+/// As `flight_tick`, with what is known of the future, unless `preview` is null.
+///
+/// # Safety
+/// As for `flight_tick`; `preview` is null or points to one whose arrays have the documented lengths.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn flight_tick_ahead(
+    controller: *mut FlightController,
+    measurement: *const FlightMeasurement,
+    setpoint: *const FlightSetpoint,
+    preview: *const FlightPreview,
+    command: *const FlightCommand,
+) -> FlightStatus {
+    // SAFETY: by this function's contract.
+    let (Some(controller), Some(given), Some(command)) =
+        (unsafe { (controller.as_mut(), measurement.as_ref(), command.as_ref()) })
     else {
         return FlightStatus::FlightNullPointer;
     };
+    // SAFETY: by this function's contract.
+    let (setpoint, preview) = unsafe { (setpoint.as_ref(), preview.as_ref()) };
     let (joints, jets) = (controller.joint_names.len(), controller.jet_names.len());
     if (jets > 0 && command.thrust_rate.is_null())
         || (joints > 0 && (command.joint_velocity.is_null() || command.joint_torque.is_null()))
@@ -667,15 +752,13 @@ pub unsafe extern "C" fn flight_tick(
     }
     let status = controller.guard(|controller| {
         // SAFETY: by this function's contract.
-        if unsafe { controller.read(given) }.is_err() {
+        if unsafe { controller.read(given).is_err() || !controller.read_preview(preview) } {
             return FlightStatus::FlightNullPointer;
         }
-        let (controller, flight, measurement) = controller.parts(given);
+        let (controller, flight, measurement, preview) = controller.parts(given);
         let Some(flight) = flight else { return FlightStatus::FlightNotStarted };
-        let answer = match setpoint {
-            None => controller.tick(flight, &measurement),
-            Some(given) => controller.tick_towards(flight, &measurement, &setpoint_of(given)),
-        };
+        let setpoint = setpoint.map(setpoint_of);
+        let answer = controller.tick_ahead(flight, &measurement, setpoint.as_ref(), &preview);
         // SAFETY: not null, and of these lengths by this function's contract.
         unsafe {
             copy_out(answer.thrust_rate.as_slice(), command.thrust_rate);

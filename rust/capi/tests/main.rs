@@ -9,16 +9,16 @@ mod counting;
 use counting::{Counting, allocations};
 use flight::{
     FLIGHT_VERSION, FlightCommand, FlightController, FlightHeader, FlightMeasurement, FlightMode,
-    FlightRobot, FlightSetpoint, FlightStatus, flight_controller_create, flight_controller_free,
-    flight_foot_count, flight_jet_count, flight_jet_name, flight_joint_count, flight_joint_name,
-    flight_mode_name, flight_modes, flight_replace_command, flight_robot_advance, flight_robot_create,
-    flight_robot_free, flight_robot_measure, flight_start, flight_status_name, flight_tick, flight_time_step,
-    flight_version,
+    FlightPreview, FlightRobot, FlightSetpoint, FlightStatus, flight_controller_create,
+    flight_controller_free, flight_foot_count, flight_jet_count, flight_jet_name, flight_joint_count,
+    flight_joint_name, flight_mode_name, flight_modes, flight_replace_command, flight_robot_advance,
+    flight_robot_create, flight_robot_free, flight_robot_measure, flight_start, flight_status_name,
+    flight_tick, flight_tick_ahead, flight_time_step, flight_version,
 };
 use flight_core::Measurement;
-use flight_core::control::CommandStatus;
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::modes::Modes;
+use flight_core::control::{CommandStatus, Preview};
 use flight_io::load_robot;
 use flight_sim::{Plant, load_scenario};
 use nalgebra::{Matrix3, Vector3};
@@ -123,6 +123,12 @@ fn a_flight_through_c_is_that_of_the_crate() {
     fly_both("test2");
 }
 
+/// So is one of the predictive law, with the future of set-points and wind.
+#[test]
+fn a_flight_with_a_preview_through_c_is_that_of_the_crate() {
+    fly_both("test2_mpc");
+}
+
 /// So is one with a state estimator.
 #[test]
 fn an_estimator_through_c_is_that_of_the_crate() {
@@ -183,16 +189,46 @@ fn fly_both(name: &str) {
         };
         let towards = tick % 2 == 1;
         let ours = flight.as_mut().unwrap();
-        let expected = if towards {
-            controller.tick_towards(ours, &measurement, &setpoint)
-        } else {
-            controller.tick(ours, &measurement)
-        };
-        let (c_command, followed) = (arrays.command(), if towards { &raw const c_setpoint } else { null() });
+        let c_command = arrays.command();
         let mut status = FlightStatus::FlightNotStarted;
-        let allocated = allocations(|| {
-            status = unsafe { flight_tick(c.0, &raw const given, followed, &raw const c_command) };
-        });
+        let (expected, allocated) = if towards {
+            let setpoints =
+                [(0.1, setpoint), (0.3, Setpoint::hold(setpoint.com_position, setpoint.rotation))];
+            let winds = [(0.0, wind), (0.2, wind * 1.2), (0.5, wind * 0.5)];
+            let held = FlightSetpoint {
+                com_velocity: [0.0; 3],
+                com_acceleration: [0.0; 3],
+                com_jerk: [0.0; 3],
+                angular_velocity: [0.0; 3],
+                angular_acceleration: [0.0; 3],
+                angular_jerk: [0.0; 3],
+                ..c_setpoint
+            };
+            let (c_times, c_setpoints) = (setpoints.map(|(time, _)| time), [c_setpoint, held]);
+            let (c_wind_times, c_winds) =
+                (winds.map(|(time, _)| time), winds.map(|(_, wind)| <[f64; 3]>::from(wind)));
+            let c_preview = FlightPreview {
+                setpoint_count: setpoints.len(),
+                setpoint_time: c_times.as_ptr(),
+                setpoint: c_setpoints.as_ptr(),
+                wind_count: winds.len(),
+                wind_time: c_wind_times.as_ptr(),
+                wind: c_winds.as_flattened().as_ptr(),
+            };
+            let (measured, followed) = (&raw const given, &raw const c_setpoint);
+            let allocated = allocations(|| {
+                status = unsafe {
+                    flight_tick_ahead(c.0, measured, followed, &raw const c_preview, &raw const c_command)
+                };
+            });
+            let preview = Preview { setpoints: &setpoints, wind: &winds };
+            (controller.tick_ahead(ours, &measurement, Some(&setpoint), &preview), allocated)
+        } else {
+            let allocated = allocations(|| {
+                status = unsafe { flight_tick(c.0, &raw const given, null(), &raw const c_command) };
+            });
+            (controller.tick(ours, &measurement), allocated)
+        };
         assert_eq!(allocated, 0, "a tick allocates");
         assert_eq!(status, FlightStatus::FlightNominal);
         assert_eq!(arrays.thrust_rate, expected.thrust_rate.as_slice(), "tick {tick}");
@@ -303,7 +339,8 @@ fn a_program_with_another_header_is_refused() {
     let ours = FlightHeader::of_library();
     let other = FlightHeader { version: ours.version + 100, ..ours };
     let larger = FlightHeader { measurement_size: ours.measurement_size + 8, ..ours };
-    for header in [other, larger, FlightHeader { setpoint_size: 0, ..ours }] {
+    let without = FlightHeader { preview_size: 0, ..ours };
+    for header in [other, larger, without, FlightHeader { setpoint_size: 0, ..ours }] {
         let reason = create_with(header, &config("test2")).err().unwrap();
         assert!(reason.contains("flight.h"), "{reason}");
     }
@@ -346,6 +383,7 @@ fn names_of_modes_and_statuses_are_those_of_the_crate() {
         (CommandStatus::PlanMissing, FlightStatus::FlightPlanMissing),
         (CommandStatus::BadMeasurement, FlightStatus::FlightBadMeasurement),
         (CommandStatus::BadSetpoint, FlightStatus::FlightBadSetpoint),
+        (CommandStatus::BadPreview, FlightStatus::FlightBadPreview),
         (CommandStatus::MomentumHeld, FlightStatus::FlightMomentumHeld),
         (CommandStatus::TorqueHeld, FlightStatus::FlightTorqueHeld),
         (CommandStatus::BothHeld, FlightStatus::FlightBothHeld),

@@ -28,8 +28,10 @@ pub struct RobotModel {
     pub aero_links: Vec<AeroLink>,
     /// Jet engines, in the order of every thrust vector.
     pub jets: Vec<Jet>,
-    /// Feet.
+    /// Feet on which a controller stands; those of a controller that cannot stand are none.
     pub feet: Vec<Foot>,
+    /// All feet, as shapes.
+    pub soles: Vec<Foot>,
     /// Engine models by name, also those that no jet uses.
     pub engines: BTreeMap<String, EngineCoefficients>,
     /// Magnitude of gravity \[m/s²\]; it acts along −z of the inertial frame.

@@ -47,6 +47,12 @@ pub fn parts(six: &Vector6<f64>) -> (Vector3<f64>, Vector3<f64>) {
     (six.fixed_rows::<3>(0).into(), six.fixed_rows::<3>(3).into())
 }
 
+/// The six-vector of a linear and an angular part.
+#[must_use]
+pub fn stack(linear: &Vector3<f64>, angular: &Vector3<f64>) -> Vector6<f64> {
+    Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
+}
+
 /// The matrix `S(v)` with `S(v) u = v × u`.
 #[must_use]
 pub fn skew(v: &Vector3<f64>) -> Matrix3<f64> {

@@ -28,7 +28,7 @@ fn ages() -> (SensorsConfig, EstimatorConfig) {
         base_angular_velocity: sensor(0.0),
         joints: EncoderConfig { delay: 0.01, ..EncoderConfig::default() },
         thrust: ThrustSensorConfig { delay: 0.02, ..ThrustSensorConfig::default() },
-        seed: 0,
+        ..SensorsConfig::default()
     };
     let estimator = EstimatorConfig {
         base_position: late(0.05),

@@ -3,18 +3,21 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-use crate::common::{Running, Sample, assert_within, experiment, random_state, random_vector, rng, robot};
+use crate::common::{
+    Loop, Running, Sample, assert_within, experiment, random_state, random_vector, rng, robot,
+};
 use flight_core::aero::{AeroModel, ForceFactorsConfig, LinkConventions, LinkForces};
 use flight_core::control::law::mpc::clearance::Clearance;
 use flight_core::control::law::mpc::config::{Air, ClearanceConfig};
 use flight_core::control::law::mpc::horizon::{Horizon, Target};
 use flight_core::control::law::mpc::model::Linearised;
-use flight_core::control::{CommandStatus, Terms};
+use flight_core::control::law::setpoint::Setpoint;
+use flight_core::control::{Command, CommandStatus, Preview, Terms};
 use flight_core::dynamics::Dynamics;
 use flight_core::kinematics::Kinematics;
 use flight_core::qp::{PrimalActiveSet, QpSolver, QpStatus};
-use flight_core::spatial::{exp_so3, log_so3};
-use flight_core::{RobotModel, RobotState};
+use flight_core::spatial::{exp_so3, log_so3, stack};
+use flight_core::{Measurement, RobotModel, RobotState};
 use flight_io::{AeroConfig, load_aero, load_robot};
 use flight_sim::ScenarioConfig;
 use nalgebra::{DVector, Matrix3, Vector3, Vector6};
@@ -259,7 +262,14 @@ fn capsules(
         let back = pose.rotation * jet.axis_f.into_inner() * config.exhaust;
         (pose.position, pose.position - back, 0.0)
     });
-    let links = config.links.iter().chain(&config.apart_from).map(|name| {
+    let named = config.links.iter().chain(&config.apart_from).map(|name| {
+        if let Some(foot) = robot.soles.iter().find(|foot| foot.frame.name == *name) {
+            let pose = kinematics.frame_pose(&foot.frame);
+            let [[back, front], [right, left]] = foot.extent();
+            let middle = 0.5 * (left + right);
+            let end = |x: f64| pose.transform_point(&Vector3::new(x, middle, 0.0));
+            return (end(back), end(front), 0.5 * (left - right));
+        }
         let link = robot.aero_links.iter().find(|link| link.name == *name).unwrap();
         let pose = kinematics.frame_pose(&link.frame);
         let half = pose.rotation * link.axis_l.into_inner() * (0.5 * link.length);
@@ -267,7 +277,7 @@ fn capsules(
         let centre = pose.transform_point(&link.centre_l);
         (centre - half, centre + half, 0.5 * link.diameter)
     });
-    exhausts.chain(links).collect()
+    exhausts.chain(named).collect()
 }
 
 #[test]
@@ -334,13 +344,13 @@ fn links_on_one_body_are_not_kept_apart() {
     assert!(refused.contains("controller.mpc.clearance.apart_from"), "{refused}");
 }
 
-/// Continuous dynamics of `(δp, δv, θ, δk, δT, δs, ṡ, e)`, from the model's matrices alone.
+/// Continuous dynamics of `(δp, δv, θ, δk, δT, δs, ṡ, e)`, from the model's matrices alone, with a change of the wrench.
 fn slope(
     model: &Linearised,
     terms: &Terms,
     (kd, kp): (f64, f64),
     x: &DVector<f64>,
-    u: &[f64],
+    (u, wrench): (&[f64], &Vector6<f64>),
 ) -> DVector<f64> {
     let (jets, free) = (model.rate_t.ncols(), model.joints.len());
     let mass = terms.kinematics.mass();
@@ -355,6 +365,7 @@ fn slope(
     let now = DVector::from_fn(free, |place, _| state.joint_velocity()[model.joints[place]]);
     let away = sigma - &now;
     let rate = terms.momentum.rate_estimate
+        + wrench
         + model.rate_v * v
         + model.rate_theta * theta
         + model.rate_k * k
@@ -426,10 +437,12 @@ fn the_horizon_is_the_motion_in_fine_steps() {
             angular: [(); 2].map(|()| random_vector(&mut rng, 1.0)),
         })
         .collect();
+    let wrench = |_: &Target| stack(&random_vector(&mut rng, 60.0), &random_vector(&mut rng, 4.0));
+    let wrenches: Vec<Vector6<f64>> = targets.iter().map(wrench).collect();
     let n = case.robot.joints.len();
     let posture = DVector::from_fn(n, |_, _| rng.random_range(-0.5..0.5));
     let errors = DVector::from_fn(n, |_, _| rng.random_range(-0.05..0.05));
-    horizon.update(&model, terms, (&posture, &errors), &targets, false);
+    horizon.update(&model, terms, (&posture, &errors), (&targets, &wrenches), false);
 
     let [posture_weights, _] = mpc.posture_weights(&case.robot, &joints);
     let cost = |inputs: &[f64]| {
@@ -439,8 +452,10 @@ fn the_horizon_is_the_motion_in_fine_steps() {
             x[12 + jets + free + place] = case.state.joint_velocity()[*joint];
             x[12 + jets + 2 * free + place] = errors[*joint];
         }
-        let mut total = 0.0;
+        let (mut total, mut before) = (0.0, Vector6::zeros());
         for (knot, duration) in mpc.knots.iter().enumerate() {
+            let mean = (before + wrenches[knot]) / 2.0;
+            before = wrenches[knot];
             let u: Vec<f64> = (0..jets)
                 .map(|jet| inputs[horizon.thrust_rate(knot, jet)])
                 .chain((0..free).map(|joint| inputs[horizon.joint_velocity(knot, joint)]))
@@ -448,14 +463,14 @@ fn the_horizon_is_the_motion_in_fine_steps() {
             let steps = 40;
             let h = duration / f64::from(steps);
             for _ in 0..steps {
-                let f = |x: &DVector<f64>| slope(&model, terms, gains, x, &u);
+                let f = |x: &DVector<f64>| slope(&model, terms, gains, x, (&u, &mean));
                 let k1 = f(&x);
                 let k2 = f(&(&x + &k1 * (h / 2.0)));
                 let k3 = f(&(&x + &k2 * (h / 2.0)));
                 let k4 = f(&(&x + &k3 * h));
                 x += (k1 + k2 * 2.0 + k3 * 2.0 + k4) * (h / 6.0);
             }
-            let dx = slope(&model, terms, gains, &x, &u);
+            let dx = slope(&model, terms, gains, &x, (&u, &wrenches[knot]));
             let [p, v, theta, omega, a, alpha] = outputs(&model, terms, &x, &dx);
             let target = &targets[knot];
             let (p, v, a) = (p - target.com[0], v - target.com[1], a - target.com[2]);
@@ -531,7 +546,8 @@ fn a_plan_minimises_the_cost_with_all_excesses() {
         };
         horizon.knots()
     ];
-    horizon.update(&model, terms, (&zeros, &zeros), &targets, false);
+    let calm = vec![Vector6::zeros(); horizon.knots()];
+    horizon.update(&model, terms, (&zeros, &zeros), (&targets, &calm), false);
     let base = horizon.problem.clone();
     for knot in 0..horizon.knots() {
         for jet in 0..jets {
@@ -631,9 +647,9 @@ fn the_law_plans_every_period() {
     let mut config = experiment("test2_mpc");
     config.controller.law.mpc.as_mut().unwrap().period = 0.03;
     let robot = load_robot(&config.robot).unwrap();
-    let case = Case { state: crate::common::Loop::new(&config).plant.state().clone(), ..Case::draw(0) };
+    let case = Case { state: Loop::new(&config).plant.state().clone(), ..Case::draw(0) };
     let mut controller = Running::new(config.controller(robot).unwrap());
-    let thrust = crate::common::Loop::new(&config).plant.jets().thrust().to_vec();
+    let thrust = Loop::new(&config).plant.jets().thrust().to_vec();
     let mut answers = Vec::new();
     for tick in 0..7 {
         let sample = Sample {
@@ -648,6 +664,87 @@ fn the_law_plans_every_period() {
     }
     assert!(answers[0] == answers[1] && answers[1] == answers[2] && answers[2] != answers[3]);
     assert!(answers[3] == answers[5] && answers[5] != answers[6]);
+}
+
+/// Set-points of a mission that are given from outside, with those that follow, give the commands of the mission; without
+/// the latter, or with a part that is not valid, others.
+#[test]
+fn a_given_future_is_followed_as_that_of_the_mission() {
+    let config = experiment("test2_mpc");
+    let mut world = Loop::new(&config);
+    let wind = Vector3::new(0.0, -3.0, 0.0);
+    world.plant.observe(&wind);
+    let [mut informed, mut uninformed, mut misled] = [(); 3].map(|()| {
+        let robot = load_robot(&config.robot).unwrap();
+        Running::new(config.controller(robot).unwrap())
+    });
+    // The forward command begins 0.1 s after the start.
+    let time = |tick: usize| 19.9 + 0.01 * tick as f64;
+    let generator = informed.setpoint_generator().clone();
+    let mut state = generator.start(world.plant.kinematics().com, &world.plant.state().base.rotation);
+    let setpoints: Vec<Setpoint> = (0..100).map(|tick| generator.update(&mut state, time(tick))).collect();
+    let (mut error, mut difference) = (0.0_f64, 0.0_f64);
+    for tick in 0..20 {
+        world.plant.observe(&wind);
+        let (seen, thrust) = (world.plant.state(), world.plant.jets().thrust_feedback());
+        let measurement = Measurement { time: time(tick), state: seen, thrust, wind, foot_wrenches: &[] };
+        let rates = |command: &Command| command.thrust_rate.clone();
+        let expected = rates(world.controller.tick(&measurement));
+        let next: Vec<(f64, Setpoint)> =
+            (1..80).map(|after| (0.01 * after as f64, setpoints[tick + after])).collect();
+        let mut unordered = next.clone();
+        unordered.swap(3, 4);
+        let given = Some(&setpoints[tick]);
+        let ticked = |controller: &mut Running, setpoints: &[(f64, Setpoint)]| {
+            let Running { controller, state } = controller;
+            let state = match state {
+                Some(state) => state,
+                none => none.insert(controller.start(&measurement).unwrap()),
+            };
+            let preview = Preview { setpoints, ..Preview::default() };
+            let command = controller.tick_ahead(state, &measurement, given, &preview);
+            (rates(command), command.status)
+        };
+        let (found, status) = ticked(&mut informed, &next);
+        assert_eq!(status, CommandStatus::Nominal);
+        error = error.max((found - &expected).amax());
+        let (without, status) = ticked(&mut uninformed, &[]);
+        assert_eq!(status, CommandStatus::Nominal);
+        assert_eq!(ticked(&mut misled, &unordered), (without.clone(), CommandStatus::BadPreview));
+        difference = difference.max((without - &expected).amax());
+        world.advance(&wind);
+    }
+    assert_within!(error, 1e-7, because "rounding of set-points, through a QP of condition 1e8");
+    assert!(difference > 1.0, "the future made no difference: {difference} N/s");
+}
+
+/// A plan has the change of the wind from the present one, as the forces in it; what is not valid it does not have.
+#[test]
+fn a_plan_expects_the_wind_ahead() {
+    let config = experiment("test2_mpc");
+    let world = Loop::new(&config);
+    let plan = |wind: &[(f64, Vector3<f64>)]| {
+        let robot = load_robot(&config.robot).unwrap();
+        let mut controller = config.controller(robot).unwrap();
+        let (state, thrust) = (world.plant.state(), world.plant.jets().thrust_feedback());
+        let calm = Vector3::zeros();
+        let measurement = Measurement { time: 0.0, state, thrust, wind: calm, foot_wrenches: &[] };
+        let mut flight = controller.start(&measurement).unwrap();
+        let preview = Preview { wind, ..Preview::default() };
+        let command = controller.tick_ahead(&mut flight, &measurement, None, &preview);
+        (command.status, command.thrust_rate.clone())
+    };
+    let side = Vector3::new(0.0, -8.0, 0.0);
+    let without = plan(&[]);
+    assert_eq!(plan(&[(0.0, side)]), without, "a wind that lasts is no change");
+    let (status, rates) = plan(&[(0.0, Vector3::zeros()), (0.3, Vector3::zeros()), (0.5, side)]);
+    assert_eq!(status, CommandStatus::Nominal);
+    assert!((&rates - &without.1).amax() > 1.0, "{rates} {}", without.1);
+    for bad in
+        [[(0.0, side), (0.0, side)], [(-0.1, side), (0.1, side)], [(0.0, side), (0.1, side * f64::NAN)]]
+    {
+        assert_eq!(plan(&bad), (CommandStatus::BadPreview, without.1.clone()));
+    }
 }
 
 /// Rotation vectors of targets and their inverse: the chart of the prediction.

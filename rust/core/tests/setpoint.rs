@@ -5,6 +5,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
 use crate::common::{TIME_STEP, assert_within, configs, experiment, random_vector, rng, tick_at};
+use flight_core::control::Preview;
 use flight_core::control::guard::channels::Greatest;
 use flight_core::control::law::minimum_jerk::{FilterState, MinimumJerkFilter};
 use flight_core::control::law::mission::{Commands, Mission};
@@ -596,6 +597,34 @@ pub fn distance_to_rest(speed: f64, loss: f64) -> f64 {
 fn braking_generator(mission: &str) -> SetpointGenerator {
     let config = SetpointConfig { deceleration: 2.0, descent_speed: 0.4, ..config() };
     SetpointGenerator::new(&config, Mission::Commands(commands(mission)), &BACKWARDS, TIME_STEP).unwrap()
+}
+
+/// The set-point ahead is that of the samples, between them that of M49, and ends with the last one.
+#[test]
+fn a_preview_is_interpolated_between_its_samples() {
+    let spin = Vector3::new(0.0, 0.0, 0.4);
+    // A motion of constant jerk and angular velocity, of which interpolation makes no other.
+    let at = |time: f64| {
+        let jerk = Vector3::new(0.6, -0.3, 0.9);
+        let [_, a, b, c] = [0, 1, 2, 3].map(|order| time.powi(order));
+        Setpoint {
+            com_velocity: jerk * (b / 2.0),
+            com_acceleration: jerk * a,
+            com_jerk: jerk,
+            angular_velocity_b: spin,
+            ..Setpoint::hold(jerk * (c / 6.0), exp_so3(&(spin * time)))
+        }
+    };
+    let setpoints = [(0.1, at(0.1)), (0.5, at(0.5))];
+    let preview = Preview { setpoints: &setpoints, ..Preview::default() };
+    for time in [0.04, 0.1, 0.3, 0.5, 0.504] {
+        let (found, expected) = (preview.setpoint(&at(0.0), time, 0.005).unwrap(), at(time.min(0.5)));
+        for (one, other) in found.vectors().into_iter().zip(expected.vectors()) {
+            assert_within!((one - other).amax(), 1e-14, because "rounding", "at {time} s");
+        }
+        assert_within!((found.rotation - expected.rotation).amax(), 1e-14, because "rounding", "at {time} s");
+    }
+    assert_eq!(preview.setpoint(&at(0.0), 0.506, 0.005), None);
 }
 
 /// M115: out of the fast leg the velocity becomes that of the descent, or zero, on the straight line between the two and

@@ -269,6 +269,7 @@ fn model(file: RobotFile, tree: Tree<'_>) -> Result<RobotModel, BuildError> {
         groups: groups(&file)?,
         aero_links: aero_links(&file, &tree)?,
         jets: jets(&file, &tree)?,
+        soles: feet(&file, &tree)?,
         feet: feet(&file, &tree)?,
         bodies: tree.bodies,
         name: file.name,

@@ -12,7 +12,7 @@ use flight_core::control::law::mpc::horizon::{Horizon, Target};
 use flight_core::control::law::mpc::model::Linearised;
 use flight_core::control::law::setpoint::{Setpoint, SetpointGenerator};
 use flight_core::control::law::tasks::MOMENTUM_ROWS;
-use flight_core::control::{ControllerState as State, Estimates, Terms};
+use flight_core::control::{ControllerState as State, Estimates, Preview, Terms};
 use flight_core::{Measurement, RobotState};
 use flight_io::{load_aero, load_mission, load_robot};
 use nalgebra::{DVector, Vector3, Vector6};
@@ -127,8 +127,11 @@ impl Controller {
 
     /// Compute one tick; returns every intermediate value and the command by name. The first tick starts the flight.
     /// `setpoint` (a dict with the keys of the result's `setpoint`) replaces that of the mission. `foot_wrenches`
-    /// (feet, 6) is the wrench on each foot, force first, about the origin of its sole.
-    #[pyo3(signature = (time, state, thrust, wind, setpoint = None, foot_wrenches = None))]
+    /// (feet, 6) is the wrench on each foot, force first, about the origin of its sole. `setpoints_ahead` are pairs of a
+    /// time after the tick and a set-point, `wind_ahead` (samples, 4) times after it and velocities.
+    #[pyo3(signature = (
+        time, state, thrust, wind, setpoint = None, foot_wrenches = None, setpoints_ahead = vec![], wind_ahead = None
+    ))]
     #[allow(clippy::too_many_arguments)]
     fn tick<'py>(
         &mut self,
@@ -139,17 +142,26 @@ impl Controller {
         wind: Input<'py>,
         setpoint: Option<&Bound<'py, PyDict>>,
         foot_wrenches: Option<Input<'py>>,
+        setpoints_ahead: Vec<(f64, Bound<'py, PyDict>)>,
+        wind_ahead: Option<Input<'py>>,
     ) -> PyResult<Bound<'py, PyDict>> {
+        let setpoint = setpoint.map(setpoint_from_dict).transpose()?;
+        let later = |(time, given): &(f64, Bound<'py, PyDict>)| Ok((*time, setpoint_from_dict(given)?));
+        let setpoints = setpoints_ahead.iter().map(later).collect::<PyResult<Vec<_>>>()?;
+        let winds = wind_ahead.map_or(Ok(Vec::new()), |winds| {
+            let count = winds.as_array().shape().first().copied().unwrap_or(0);
+            entries("preview.wind", &winds, &[count, 4])
+        })?;
+        let winds: Vec<_> =
+            winds.chunks_exact(4).map(|row| (row[0], Vector3::from_column_slice(&row[1..]))).collect();
+        let preview = Preview { setpoints: &setpoints, wind: &winds };
         let measured = self.read_measurement(time, &state, &thrust, &wind, foot_wrenches)?;
         let measurement = measured.measurement();
         let state = match &mut self.state {
             Some(state) => state,
             none => none.insert(self.controller.start(&measurement).map_err(plain_error)?),
         };
-        match setpoint {
-            None => self.controller.tick(state, &measurement),
-            Some(given) => self.controller.tick_towards(state, &measurement, &setpoint_from_dict(given)?),
-        };
+        self.controller.tick_ahead(state, &measurement, setpoint.as_ref(), &preview);
         self.last_tick(py)
     }
 
@@ -166,14 +178,15 @@ impl Controller {
     }
 
     /// Linearised model and QP of the predictive law at the state of the last tick, by name, from the integral of the joint
-    /// velocity error (n) at its start and targets (knots, 6, 3): p, v, rotation vector, angular velocity, a, angular
-    /// acceleration at the end of every knot.
+    /// velocity error (n) at its start and, for the end of every knot, targets (knots, 6, 3): p, v, rotation vector,
+    /// angular velocity, a, angular acceleration; and changes of the air's wrench (knots, 6).
     fn prediction<'py>(
         &self,
         py: Python<'py>,
         config_json: &str,
         velocity_error_integral: Input<'py>,
         targets: Input<'py>,
+        wrenches: Input<'py>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let config = parse(config_json)?;
         let section = &config.controller;
@@ -201,8 +214,10 @@ impl Controller {
             Target { com: [p, v, a], rotation, angular: [omega, alpha] }
         };
         let targets: Vec<Target> = targets.chunks_exact(18).map(target).collect();
+        let wrenches = entries("wrenches", &wrenches, &[horizon.knots(), 6])?;
+        let wrenches: Vec<_> = wrenches.chunks_exact(6).map(Vector6::from_column_slice).collect();
         let joints = (state.posture(), &DVector::from_vec(integral));
-        horizon.update(&model, terms, joints, &targets, !terms.limits.holds_position);
+        horizon.update(&model, terms, joints, (&targets, &wrenches), !terms.limits.holds_position);
         let out = PyDict::new(py);
         out.set_item("rate_v", matrix(py, &model.rate_v)?)?;
         out.set_item("rate_theta", matrix(py, &model.rate_theta)?)?;

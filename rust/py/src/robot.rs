@@ -4,6 +4,7 @@ use crate::arrays::{Input, Output, entries, matrix, matrix3, value_error, vector
 use crate::flight::warn;
 use crate::robot_files::{PoseOutput, pose_arrays, robot_arrays, shape_dicts};
 use flight_core::aero::{LinkConventions, LinkForces, LinksInAir};
+use flight_core::control::law::mpc::clearance::Clearance;
 use flight_core::dynamics::{Dynamics, MassFactor};
 use flight_core::kinematics::{Kinematics, RobotState};
 use flight_core::robot::Frame;
@@ -25,6 +26,9 @@ pub struct Robot {
     links: BTreeMap<String, (usize, Pose)>,
     held: BTreeMap<String, f64>,
 }
+
+/// Bodies, starts, ways and radii of capsules, and pairs of them.
+type ClearanceOutput<'py> = (Vec<usize>, Output<'py>, Output<'py>, Output<'py>, Vec<(usize, usize)>);
 
 /// Arguments that are a state: base position (3), rotation (3, 3), joints (n), mixed velocity (6 + n).
 pub type StateInput<'py> = (Input<'py>, Input<'py>, Input<'py>, Input<'py>);
@@ -185,6 +189,19 @@ impl Robot {
     /// Geometry of the URDF's links, as `read_urdf`.
     fn shapes<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
         shape_dicts(py, &self.files.shapes().map_err(value_error)?)
+    }
+
+    /// Capsules that a plan keeps apart, by the table `controller.mpc.clearance` as JSON: the body (c) of each, start and
+    /// way (c, 3) of its segment in body axes [m], its radius (c) [m], and pairs of them.
+    fn clearance<'py>(&self, py: Python<'py>, config_json: &str) -> PyResult<ClearanceOutput<'py>> {
+        let config = from_json(config_json, "clearance").map_err(value_error)?;
+        let Clearance { capsules, pairs, .. } =
+            Clearance::new(Some(&config), &self.model, 0).map_err(value_error)?;
+        let starts: Vec<Vector3<f64>> = capsules.iter().map(|capsule| capsule.start_b).collect();
+        let ways: Vec<Vector3<f64>> = capsules.iter().map(|capsule| capsule.way_b).collect();
+        let radii: Vec<f64> = capsules.iter().map(|capsule| capsule.radius).collect();
+        let bodies = capsules.iter().map(|capsule| capsule.body).collect();
+        Ok((bodies, vectors(py, &starts)?, vectors(py, &ways)?, vector(py, &radii)?, pairs))
     }
 
     /// Kinematics and dynamics of one state, by name; see `jax_aero.rust.Robot`.

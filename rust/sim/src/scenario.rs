@@ -25,7 +25,7 @@ use crate::signals::{LogRow, TrackingErrors};
 use crate::summary::Summary;
 use crate::wind::Wind;
 use flight_core::aero::LeverArm;
-use flight_core::control::{Controller, ControllerState, Measurement};
+use flight_core::control::{Controller, ControllerState, Measurement, Preview};
 use flight_core::error::BuildError;
 use flight_core::robot::RobotModel;
 use flight_io::{load_changed, load_robot};
@@ -271,7 +271,8 @@ impl Flight {
             ..
         } = &mut self.scenario;
         let time = self.tick as f64 * *time_step;
-        let wind = wind.velocity(time);
+        let profile = &*wind;
+        let wind = profile.velocity(time);
         plant.observe(&wind);
         let given = controller_wind.as_ref().map_or(wind, |wind| wind.velocity(time));
         let estimate = wind_estimator.as_mut().map_or(given, |estimator| estimator.update(&given));
@@ -296,7 +297,8 @@ impl Flight {
             self.loss = Some(Loss { time, reason });
             return false;
         };
-        controller.tick(state, &measurement);
+        let ahead = sensors.as_mut().map_or(&[][..], |sensors| sensors.look_ahead(profile, time));
+        controller.tick_ahead(state, &measurement, None, &Preview { wind: ahead, ..Preview::default() });
         let (terms, command) = (controller.terms(), controller.command());
         let errors = TrackingErrors::new(plant, &terms.setpoint);
         self.log.push(&LogRow { time, wind, plant, terms, command, errors });

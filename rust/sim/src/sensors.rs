@@ -1,4 +1,4 @@
-//! Simulated sensors of the robot's state: pose and velocity of the base, joints, thrusts.
+//! Simulated sensors: pose and velocity of the base, joints, thrusts; and the wind ahead.
 //!
 //! ```text
 //! truth ──► delay ──► + bias + noise ──► Measurement::{state, thrust}
@@ -8,6 +8,7 @@
 //! Equations M88 to M90 of `docs/model.md`.
 
 use crate::noise::Noise;
+use crate::wind::Wind;
 use flight_core::Reading;
 use flight_core::error::{BuildError, Table};
 use flight_core::kinematics::RobotState;
@@ -22,7 +23,10 @@ const STREAM: u64 = 2;
 /// Greatest delay \[s\], because the delay line is kept in memory.
 const MAX_DELAY: f64 = 1.0;
 
-/// Sensors of the robot's own state; those without settings are exact.
+/// Greatest time of the wind ahead \[s\]: the longest horizon has a thousand ticks.
+const MAX_PREVIEW: f64 = 10.0;
+
+/// Sensors of the robot's own state; those without settings are exact. And the wind ahead.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SensorsConfig {
@@ -38,6 +42,9 @@ pub struct SensorsConfig {
     pub joints: EncoderConfig,
     /// Thrust of every jet.
     pub thrust: ThrustSensorConfig,
+    /// Time ahead \[s\] over which the controller receives the true wind of every tick, as from a lidar; zero for none.
+    #[schemars(range(min = 0, max = 10))]
+    pub wind_preview: f64,
     /// Seed of the noise of all sensors.
     pub seed: u64,
 }
@@ -119,12 +126,14 @@ impl SensorsConfig {
         age("joints.delay", self.joints.delay)?;
         table.check("thrust.bias", self.thrust.bias, |_| true, "a finite force in N")?;
         size("thrust.noise_std", self.thrust.noise_std, "N")?;
-        age("thrust.delay", self.thrust.delay)
+        age("thrust.delay", self.thrust.delay)?;
+        let is_preview = |x| (0.0..=MAX_PREVIEW).contains(&x);
+        table.check("wind_preview", self.wind_preview, is_preview, "seconds from 0 to 10")
     }
 }
 
-/// Converts a delay \[s\] to ticks.
-#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked: 0 to 1 s
+/// Converts a delay or a time ahead \[s\] to ticks.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked: 0 to 10 s
 fn age(delay: f64, time_step: f64) -> usize {
     (delay / time_step).round() as usize
 }
@@ -142,6 +151,8 @@ pub struct Sensors {
     now: usize,
     is_started: bool,
     reading: Reading,
+    /// Wind ahead: times after the tick, from zero on; empty without a preview \[s, m/s\].
+    wind_ahead: Vec<(f64, Vector3<f64>)>,
 }
 
 impl Sensors {
@@ -174,7 +185,19 @@ impl Sensors {
             now: 0,
             is_started: false,
             reading: nothing,
+            wind_ahead: match age(config.wind_preview, time_step) {
+                0 => Vec::new(),
+                last => (0..=last).map(|tick| (tick as f64 * time_step, Vector3::zeros())).collect(),
+            },
         })
+    }
+
+    /// Measures the wind ahead of `time` \[s\]: times after it and velocities \[s, m/s\]. Does not allocate.
+    pub fn look_ahead(&mut self, wind: &Wind, time: f64) -> &[(f64, Vector3<f64>)] {
+        for (after, velocity) in &mut self.wind_ahead {
+            *velocity = wind.velocity(time + *after);
+        }
+        &self.wind_ahead
     }
 
     /// Reads all sensors in this state of the robot. Does not allocate.

@@ -3,6 +3,7 @@
 //! Equations M36 and M37 of `docs/model.md`.
 
 use crate::turbulence::Turbulence;
+use flight_core::control::preview::interpolate;
 use flight_core::error::{BuildError, check};
 use flight_io::csv::Csv;
 use nalgebra::Vector3;
@@ -181,14 +182,7 @@ impl Wind {
                     if (0.0..=1.0).contains(&phase) { 0.5 * (1.0 - libm::cos(TAU * phase)) } else { 0.0 };
                 velocity + gust * strength
             }
-            Self::Recorded(samples) => {
-                let after = samples.partition_point(|(t, _)| *t <= time);
-                match (after.checked_sub(1).and_then(|before| samples.get(before)), samples.get(after)) {
-                    (Some((t0, v0)), Some((t1, v1))) => v0 + (v1 - v0) * ((time - t0) / (t1 - t0)),
-                    (Some((_, v)), None) | (None, Some((_, v))) => *v,
-                    (None, None) => Vector3::zeros(),
-                }
-            }
+            Self::Recorded(samples) => interpolate(samples, time),
         }
     }
 }

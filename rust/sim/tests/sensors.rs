@@ -109,7 +109,7 @@ fn every_channel_has_its_own_delay() {
         base_angular_velocity: late(0.046),
         joints: EncoderConfig { delay: 0.06, ..EncoderConfig::default() },
         thrust: ThrustSensorConfig { delay: 0.07, ..ThrustSensorConfig::default() },
-        seed: 0,
+        ..SensorsConfig::default()
     };
     let motion = motion(30);
     let readings = read_all(&config, &motion);
@@ -177,7 +177,7 @@ fn encoder_velocities_are_filtered_differences() {
 #[test]
 fn bad_sensors_are_refused_by_name() {
     type Change = fn(&mut SensorsConfig);
-    let refusals: [(&str, Change); 9] = [
+    let refusals: [(&str, Change); 10] = [
         ("base_position.bias is NaN; expected three finite numbers in m", |c| {
             c.base_position.bias[1] = f64::NAN;
         }),
@@ -193,6 +193,7 @@ fn bad_sensors_are_refused_by_name() {
         ("joints.delay is 1.5", |c| c.joints.delay = 1.5),
         ("thrust.bias is inf", |c| c.thrust.bias = f64::INFINITY),
         ("thrust.noise_std is NaN", |c| c.thrust.noise_std = f64::NAN),
+        ("wind_preview is 11; expected seconds from 0 to 10", |c| c.wind_preview = 11.0),
     ];
     for (expected, change) in refusals {
         let mut config = SensorsConfig::default();

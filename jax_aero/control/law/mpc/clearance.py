@@ -1,17 +1,18 @@
 """Distances that a plan keeps: exhausts and links from other links, as capsules.
 
-Equation M125 of `docs/model.md`. The trims compute the same distances, in `jax_aero/symbolic/clearance.py`.
+Equation M126 of `docs/model.md`. The trims compute the same distances, in `jax_aero/symbolic/clearance.py`.
 """
 
 from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from jax_aero import config
-from jax_aero.kinematics import frame_poses, kinematics_at_rest
+from jax_aero import config, rust
+from jax_aero.kinematics import kinematics_at_rest
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import rotate
 from jax_aero.types import Array, Static, leaf, pytree
@@ -22,12 +23,17 @@ TINY = 1e-12
 
 @pytree
 class Clearance:
-    """What stays apart: a capsule is an exhaust, numbered as its jet, or a link, numbered after all jets."""
+    """Capsules, which are segments with a radius, and pairs of them that stay apart."""
 
+    bodies: Static[tuple[int, ...]]
+    """Body that carries each capsule."""
     pairs: Static[tuple[tuple[int, int], ...]]
-    """Capsules that keep clear of each other."""
-    exhaust: Float[Array, ""]
-    """Length of an exhaust's axis from the nozzle [m]."""
+    start: Float[Array, "c 3"]
+    """Start of every segment, body axes [m]."""
+    way: Float[Array, "c 3"]
+    """From its start to its end, body axes [m]."""
+    radius: Float[Array, " c"]
+    """[m]; zero for an exhaust."""
     least: Float[Array, ""]
     """Least distance [m]."""
     weight: Float[Array, ""]
@@ -35,15 +41,13 @@ class Clearance:
 
 
 def clearance_params(settings: config.ClearanceConfig | None, robot: RobotModel) -> Clearance:
-    """Return the pairs of a configuration, without those that no joint moves relative to each other."""
+    """Return what a configuration keeps apart, without pairs that share a body."""
     if settings is None:
-        return Clearance((), leaf(0.0), leaf(0.0), leaf(0.0))
-    jets, links = robot.jets, robot.aero_links
-    first = [*range(jets.count), *(jets.count + links.names.index(name) for name in settings.links)]
-    second = [jets.count + links.names.index(name) for name in settings.apart_from]
-    body = jets.bodies + links.bodies
-    pairs = tuple((one, other) for one in first for other in second if body[one] != body[other])
-    return Clearance(pairs, leaf(settings.exhaust), leaf(settings.least), leaf(settings.weight))
+        none = np.zeros((0, 3))
+        return Clearance((), (), none, none, none[:, 0], leaf(0.0), leaf(0.0))
+    of = rust.Robot(robot.source).clearance(msgspec.json.encode(settings).decode())
+    bodies, start, way, radius, pairs = of
+    return Clearance(tuple(bodies), tuple(pairs), start, way, radius, leaf(settings.least), leaf(settings.weight))
 
 
 def distances(
@@ -56,27 +60,20 @@ def distances(
     moved = np.array(joints, dtype=int)
     one, other = np.array(clearance.pairs, dtype=int).reshape(-1, 2).T
 
+    bodies = np.array(clearance.bodies, dtype=int)
+
     def of(position: Array) -> tuple[Array, Array]:
-        start, way, radius = _capsules(robot, clearance.exhaust, joint_position.at[moved].set(position))
+        kin = kinematics_at_rest(robot, joint_position.at[moved].set(position))
+        turned = kin.body_rotations[bodies]
+        start = rotate(turned, clearance.start) + kin.body_positions[bodies]
+        way = rotate(turned, clearance.way)
         gap = _gap((start[one], way[one]), (start[other], way[other]))
-        square = jnp.sum(gap * gap, axis=1)
-        apart = jnp.sqrt(jnp.maximum(square, TINY**2))
-        found = apart - radius[one] - radius[other]
+        apart = jnp.sqrt(jnp.maximum(jnp.sum(gap * gap, axis=1), TINY**2))
+        found = apart - clearance.radius[one] - clearance.radius[other]
         return found, found
 
     by_joint, found = jax.jacfwd(of, has_aux=True)(joint_position[moved])
     return found, by_joint
-
-
-def _capsules(robot: RobotModel, exhaust: Array, joint_position: Array) -> tuple[Array, Array, Array]:
-    """Return start and way of every segment [m], and the distance of the surface from it [m]."""
-    kin = kinematics_at_rest(robot, joint_position)
-    jets, links = robot.jets, robot.aero_links
-    (rotation, nozzle), (link_rotation, origin) = frame_poses(kin, jets), frame_poses(kin, links)
-    half = jnp.where(np.array(links.is_sphere, dtype=bool), 0.0, 0.5 * links.lengths)[:, None] * links.axes
-    start = jnp.concatenate([nozzle, origin + rotate(link_rotation, links.centres - half)])
-    way = jnp.concatenate([-exhaust * rotate(rotation, jets.axes), rotate(link_rotation, 2.0 * half)])
-    return start, way, jnp.concatenate([jnp.zeros_like(jets.thrust_max), 0.5 * links.diameters])
 
 
 def _gap(first: tuple[Array, Array], second: tuple[Array, Array]) -> Array:

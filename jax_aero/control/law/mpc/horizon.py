@@ -1,15 +1,16 @@
 """The prediction over the horizon, and the QP in its inputs.
 
 ```text
+w                        change of the wrench of the air with the wind ahead
 y = (δp, δv, θ, δk)      motion of the centre of mass, rotation, angular momentum; the present one is zero
 d = (δT, δs, ṡ, e)       thrusts, joints, their velocities and velocity errors: driven by the inputs alone
 u = (Ṫ*, ṡ*)             thrust rates; joint velocities of the moved joints
-ẏ = A_c y + A_d d + c    ë of the torque law:  s̈ = K_D (ṡ* − ṡ) − K_P e,  ė = ṡ − ṡ*
+ẏ = A_c y + A_d d + B w + c    ë of the torque law:  s̈ = K_D (ṡ* − ṡ) − K_P e,  ė = ṡ − ṡ*
 ```
 
-`z = (y, d, u, 1)` has one constant matrix over a knot, in which `u` does not change: a Taylor series for the shortest
-knot, and squares of it. Everything at the ends of the knots is then affine in the unknowns; H and g collect the squares
-of the outputs' errors. Equations M120 to M125 of `docs/model.md`.
+`z = (y, d, u, w, 1)` has one constant matrix over a knot, in which `u` and `w` do not change: a Taylor series for the
+shortest knot, and squares of it. Everything at the ends of the knots is then affine in the unknowns; H and g collect
+the squares of the outputs' errors. Equations M120 to M126 of `docs/model.md`.
 """
 
 from __future__ import annotations
@@ -112,7 +113,7 @@ class _Places:
 
     def __init__(self, jets: int, free: int) -> None:
         sizes = {"p": 3, "v": 3, "theta": 3, "k": 3, "t": jets, "s": free, "sigma": free, "e": free}
-        sizes |= {"rate": jets, "command": free, "one": 1}
+        sizes |= {"rate": jets, "command": free, "wrench": 6, "one": 1}
         ends = np.cumsum(list(sizes.values())).tolist()
         self.of = {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
         self.core = self.of["k"].stop
@@ -143,22 +144,24 @@ def horizon(
     posture: Float[Array, " n"],
     integral: Float[Array, " n"],
     target: Target,
+    wrenches: Float[Array, "K 6"],
 ) -> Horizon:
     """Build the QP for the gains `K_D` [1/s] and `K_P` [1/s²] of the torque law.
 
-    `integral` are the integrals of the joints' velocity errors [rad], `posture` their wanted positions [rad].
+    `integral` are the integrals of the joints' velocity errors [rad], `posture` their wanted positions [rad],
+    `wrenches` the changes of the air's wrench with the wind at the ends of the knots [N, N m].
     """
     structure, moved = mpc.structure, np.array(mpc.structure.joints, dtype=int)
     places = _Places(used.thrust.shape[0], moved.size)
     of, sigma_now = places.of, used.state.velocity[6 + moved]
     dynamics = _dynamics(places, robot.mass, linear, used, model, gains, sigma_now)
     start = jnp.concatenate([jnp.zeros(of["sigma"].start, sigma_now.dtype), sigma_now, integral[moved]])
-    z = _propagate(structure, places, dynamics, start)
+    z = _propagate(structure, places, dynamics, start, wrenches)
 
     position = used.state.joint_position[moved]
     com, velocity = model.kinematics.com, model.dynamics.momentum[:3] / robot.mass
     motion = target._replace(position=target.position - com, velocity=target.velocity - velocity)
-    errors = dot(_outputs(places, dynamics, linear, used), z)
+    errors = dot(_outputs(places, dynamics, linear, used), z.at[:, of["wrench"], -1].set(wrenches))
     errors = errors.at[:, :, -1].add(-jnp.concatenate(motion, axis=1))
     s = z[:, of["s"]]
     away = s.at[:, :, -1].add(position - posture[moved])
@@ -176,8 +179,8 @@ def horizon(
     least = limits.thrust_least, robot.joint_limits[moved, 0], jnp.full_like(distance, mpc.clearance.least)
     greatest = limits.thrust_greatest, robot.joint_limits[moved, 1], jnp.full_like(distance, jnp.inf)
     now = used.thrust, position, distance
-    weights_of = mpc.thrust_excess, mpc.joint_excess, mpc.clearance.weight
-    excess = (jnp.full_like(value, weight) for value, weight in zip(now, weights_of, strict=True))
+    factors = mpc.thrust_excess, mpc.joint_excess, mpc.clearance.weight
+    excess = (jnp.full_like(value, weight) for value, weight in zip(now, factors, strict=True))
     return Horizon(
         h=0.5 * (cost + cost.T)[:-1, :-1],
         g=cost[:-1, -1],
@@ -214,6 +217,7 @@ def _dynamics(
     dtype, omega = used.state.velocity.dtype, used.state.velocity[3:6]
     by = {"v": linear.rate_v, "theta": linear.rate_theta, "k": linear.rate_k, "t": linear.rate_t}
     by |= {"s": linear.rate_s, "sigma": linear.rate_sigma, "one": model.momentum.rate_estimate[:, None]}
+    by |= {"wrench": jnp.eye(6, dtype=dtype)}
     identity = jnp.eye(3, dtype=dtype)
     core = jnp.concatenate(
         [
@@ -258,9 +262,12 @@ def _outputs(places: _Places, dynamics: Array, linear: Linearised, used: UsedMea
     return jnp.concatenate([values[of["p"]], values[of["v"]], values[of["theta"]], omega, dynamics[of["v"]], alpha])
 
 
-def _propagate(structure: Structure, places: _Places, dynamics: Array, start: Array) -> Array:
+def _propagate(structure: Structure, places: _Places, dynamics: Array, start: Array, wrenches: Array) -> Array:
     """Return `z` at the ends of the knots (K, N, u + 1), by every unknown and without any; `start` is (y, d) now."""
-    inputs = _inputs(structure, places)
+    # Within a knot the mean of both ends: it needs no wind but that of the ends, where ω, a and α do.
+    means = 0.5 * (wrenches + jnp.concatenate([jnp.zeros_like(wrenches[:1]), wrenches[:-1]]))
+    inputs, first = jnp.asarray(_inputs(structure, places), dynamics.dtype), places.of["wrench"].start - places.states
+    inputs = inputs.at[:, first : first + 6, -1].set(means)
     steps = [_exponential(dynamics * structure.durations[0])]
     for _ in range(max(structure.doublings)):
         steps.append(dot(steps[-1], steps[-1]))
@@ -272,16 +279,15 @@ def _propagate(structure: Structure, places: _Places, dynamics: Array, start: Ar
         states = dot(step[: places.states], z)
         return states, jnp.concatenate([states, inputs])
 
-    by_knot = jnp.stack(steps)[np.array(structure.doublings)], jnp.asarray(inputs, dynamics.dtype)
-    z: Array = lax.scan(advance, states, by_knot)[1]
+    z: Array = lax.scan(advance, states, (jnp.stack(steps)[np.array(structure.doublings)], inputs))[1]
     return z
 
 
 def _inputs(structure: Structure, places: _Places) -> np.ndarray:
-    """Return which unknown acts in which knot (K, inputs and one, u + 1): thrust rates by knot, joints by block."""
+    """Return which unknown acts in which knot (K, inputs to one, u + 1): thrust rates by knot, joints by block."""
     jets, free = (places.of[name].stop - places.of[name].start for name in ("rate", "command"))
     knots, unknowns = len(structure.durations), structure.unknowns(jets)
-    inputs = np.zeros((knots, jets + free + 1, unknowns + 1))
+    inputs = np.zeros((knots, places.size - places.states, unknowns + 1))
     for knot, block in enumerate(structure.blocks):
         inputs[knot, np.arange(jets), knot * jets + np.arange(jets)] = 1.0
         inputs[knot, jets + np.arange(free), jets * knots + block * free + np.arange(free)] = 1.0

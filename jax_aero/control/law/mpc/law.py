@@ -7,7 +7,7 @@ plan      its answer, followed until the next one
 ```
 
 The momentum law prepares its own problem too: its bounds are those of the first knot, and it decides where there is no
-plan. Equations M116 to M125 of `docs/model.md`.
+plan. Equations M116 to M126 of `docs/model.md`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Bool, Float, Int
 
-from jax_aero.aero import AeroModel
+from jax_aero.aero import AeroModel, LinkConventions, link_forces, wrench_about
 from jax_aero.control import qp
 from jax_aero.control.command import DEGRADED, MOMENTUM_HELD, NOMINAL, PLAN_KEPT, PLAN_MISSING
 from jax_aero.control.law import setpoint as generator
@@ -32,6 +32,7 @@ from jax_aero.control.law.mpc.model import linearise
 from jax_aero.control.law.mpc.plan import Plan, no_plan
 from jax_aero.control.law.rates import Followed, MomentumLaw, Prepared, Rates
 from jax_aero.control.measurement import UsedMeasurement
+from jax_aero.control.preview import Preview, setpoints_at, wind_change
 from jax_aero.control.qp import BoxQp, Dtype, QpAnswer
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model
@@ -39,7 +40,7 @@ from jax_aero.robot import RobotModel
 from jax_aero.spatial import log_so3, rotate
 from jax_aero.types import Array, Setpoint, where
 
-EXCESS_PASSES = 60
+EXCESS_PASSES = 30
 """Limit of QPs of one plan: each has the values beyond their limits that the last answer brought there."""
 
 PLAN_SHARE = 0.25
@@ -65,6 +66,7 @@ class PredictiveLaw:
     mpc: Mpc
     momentum: MomentumLaw
     aero: AeroModel
+    conventions: LinkConventions
     gains: tuple[Float[Array, ""], Float[Array, ""]]
     """`K_D` [1/s] and `K_P` [1/s²] of the torque law."""
     time_step: Float[Array, ""]
@@ -75,10 +77,10 @@ class PredictiveLaw:
         return no_plan(self.mpc.structure.unknowns(jets), dtype)
 
     def follow(
-        self, memory: ControllerState, used: UsedMeasurement, given: Setpoint | None
+        self, memory: ControllerState, used: UsedMeasurement, given: Setpoint | None, preview: Preview
     ) -> tuple[ControllerState, Followed]:
         """Choose the set-point as the momentum law does."""
-        return self.momentum.follow(memory, used, given)
+        return self.momentum.follow(memory, used, given, preview)
 
     def solve(
         self,
@@ -98,7 +100,7 @@ class PredictiveLaw:
         waits = (used.time >= last.tried) & (used.time - last.tried <= self.mpc.period - 0.5 * self.time_step)
 
         def make() -> Plan:
-            return self._make(robot, memory, used, model, limits, prepared, last, followed.ahead)
+            return self._make(robot, memory, used, model, limits, prepared, last, followed)
 
         # Reverse mode would store some megabytes of intermediate values for every tick.
         remade = jax.checkpoint(make, prevent_cse=False)
@@ -127,15 +129,16 @@ class PredictiveLaw:
         limits: Limits,
         prepared: Prepared,
         last: Plan,
-        what: Int[Array, ""],
+        followed: Followed,
     ) -> Plan:
         """Make a plan; the last one remains where there is no certified answer."""
         mpc, structure = self.mpc, self.mpc.structure
         joints = structure.air, structure.joints
         linear = linearise(robot, self.aero, *joints, used.state, used.thrust, used.wind)
         weights = where(limits.holds_position, mpc.weights, mpc.descent)
-        target = self._targets(memory, used, what)
-        following = memory.posture, memory.velocity_error_integral, target
+        target = self._targets(memory, used, followed)
+        wrenches = self._wrenches(robot, used, model, followed.preview)
+        following = memory.posture, memory.velocity_error_integral, target, wrenches
         ahead = horizon(mpc, weights, self.gains, robot, linear, used, model, limits, *following)
         bounds = self._bounds(limits, prepared.shaping.problem)
         search = _find_beyond(*jax.tree.map(lax.stop_gradient, (ahead, bounds, last)))
@@ -150,19 +153,34 @@ class PredictiveLaw:
             answer=answer,
         )
 
-    def _targets(self, memory: ControllerState, used: UsedMeasurement, what: Array) -> Target:
+    def _targets(self, memory: ControllerState, used: UsedMeasurement, followed: Followed) -> Target:
         """Return the motion to follow at the ends of the knots."""
-        law = self.momentum
+        law, ends, what = self.momentum, self.mpc.structure.ends, followed.ahead
+        known: tuple[Array, Setpoint] | None = None
+        if followed.preview.setpoints is not None:
+            times, later = followed.preview.setpoints
+            after = self.time_step * jnp.arange(1, ends[-1] + 1)
+            is_known = (what == generator.MOTION) & (after < times[-1] + 0.5 * self.time_step)
+            known = is_known, setpoints_at(times, later, followed.setpoint, after)
 
         def advance(
-            carry: tuple[generator.SetpointState, Array], _: None
+            carry: tuple[generator.SetpointState, Array], known: tuple[Array, Setpoint] | None
         ) -> tuple[tuple[generator.SetpointState, Array], Setpoint]:
             state, time = carry[0], carry[1] + self.time_step
-            state, setpoint = generator.ahead(law.setpoint, law.mission, what, state, time)
+
+            def move_on() -> tuple[generator.SetpointState, Setpoint]:
+                return generator.ahead(law.setpoint, law.mission, what, state, time)
+
+            def follow(given: Setpoint) -> tuple[generator.SetpointState, Setpoint]:
+                return generator.follow(law.setpoint, state, generator.motion_of(given)), given
+
+            if known is None:
+                state, setpoint = move_on()
+            else:
+                state, setpoint = lax.cond(known[0], lambda: follow(known[1]), move_on)
             return (state, time), setpoint
 
-        ends = self.mpc.structure.ends
-        _, setpoints = lax.scan(advance, (memory.setpoint, used.time), None, length=ends[-1])
+        _, setpoints = lax.scan(advance, (memory.setpoint, used.time), known, length=ends[-1])
         at: Setpoint = jax.tree.map(lambda part: part[np.array(ends) - 1], setpoints)
         rotation = at.rotation
         return Target(
@@ -173,6 +191,19 @@ class PredictiveLaw:
             at.com_acceleration,
             rotate(rotation, at.angular_acceleration),
         )
+
+    def _wrenches(self, robot: RobotModel, used: UsedMeasurement, model: Model, preview: Preview) -> Array:
+        """Return changes of the air's wrench on the robot in its present motion, by the wind at the ends of knots."""
+        ends, com = np.cumsum(self.mpc.structure.durations), model.kinematics.com
+        if preview.wind is None:
+            return jnp.zeros((ends.size, 6), com.dtype)
+
+        def wrench(wind: Array) -> Array:
+            return wrench_about(link_forces(self.aero, robot, model.kinematics, self.conventions, wind), com)
+
+        winds = used.wind + wind_change(preview.wind, jnp.asarray(ends, com.dtype))
+        changes: Array = jax.vmap(wrench)(winds) - wrench_about(model.link_forces, com)
+        return changes
 
     def _bounds(self, limits: Limits, of_tick: BoxQp) -> tuple[Array, Array]:
         """Return bounds of the inputs: in the first knot and block those of this tick, then the greatest rates."""

@@ -27,6 +27,9 @@ pub enum CommandStatus {
     /// The given set-point exceeds the accepted range (`channels.greatest`), or its matrix is not a rotation: the command
     /// of the control law, which brakes from the motion of the last valid set-point.
     BadSetpoint,
+    /// Set-points or winds of the preview exceed the accepted range, or their times do not increase: the command of the
+    /// control law, without them.
+    BadPreview,
     /// The predictive law has no new certified plan: it follows the last one.
     PlanKept,
     /// The predictive law has no certified plan: thrust rates and joint velocities are those of the momentum QP.
@@ -57,6 +60,7 @@ impl fmt::Display for CommandStatus {
             Self::BadMeasurement => "bad_measurement",
             Self::BadState => "bad_state",
             Self::BadSetpoint => "bad_setpoint",
+            Self::BadPreview => "bad_preview",
             Self::PlanKept => "plan_kept",
             Self::PlanMissing => "plan_missing",
             Self::MomentumHeld => "momentum_held",

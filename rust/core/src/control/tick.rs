@@ -22,6 +22,7 @@ use super::law::torque::TorqueQp;
 use super::law::torques::Torques;
 use super::measurement::{BadStart, Measurement, UsedMeasurement};
 use super::modes::Modes;
+use super::preview::Preview;
 use super::state::ControllerState;
 use super::terms::Terms;
 use crate::aero::{AeroModel, LinkConventions};
@@ -145,7 +146,7 @@ impl Controller {
     /// ([`channels`](super::guard::channels)); the command says what. Of a measurement that is not of this robot
     /// everything is missing, and the command holds: thrust rates and joint velocities are zero, torques stay.
     pub fn tick(&mut self, state: &mut ControllerState, measurement: &Measurement) -> &Command {
-        self.run(state, measurement, None)
+        self.tick_ahead(state, measurement, None, &Preview::default())
     }
 
     /// One tick that follows the given set-point instead of the mission. An invalid set-point results in the status
@@ -157,14 +158,17 @@ impl Controller {
         measurement: &Measurement,
         setpoint: &Setpoint,
     ) -> &Command {
-        self.run(state, measurement, Some(setpoint))
+        self.tick_ahead(state, measurement, Some(setpoint), &Preview::default())
     }
 
-    fn run(
+    /// One tick that follows the mission or a given set-point, with what is known of the future. Set-points or winds of
+    /// an invalid preview are ignored, with the status [`CommandStatus::BadPreview`].
+    pub fn tick_ahead(
         &mut self,
         state: &mut ControllerState,
         measurement: &Measurement,
         given: Option<&Setpoint>,
+        preview: &Preview,
     ) -> &Command {
         let is_state_of_this = self.fits(state);
         let Self { model, aero, conventions, feedback, guard, law, torques, terms, command } = self;
@@ -174,19 +178,24 @@ impl Controller {
         }
         let is_usable = guard.measure(measurement, model, state, terms);
         let is_valid = law.follow(state, given, terms);
+        let (preview, has_valid_preview) = preview.checked(law.greatest());
         terms.update_model(model, aero, *conventions, *feedback);
         guard.judge(model, state, terms);
         command.modes = terms.measurement.modes;
         command.joint_torque.copy_from(&state.joint_torque);
         if is_usable {
-            law.solve(model, aero, state, terms, command);
+            law.solve(model, aero, state, &preview, terms, command);
             torques.solve(state, terms, command);
         } else {
             command.set_hold(CommandStatus::BadMeasurement, command.modes);
         }
         guard.predict(model, state, terms, command);
-        if !is_valid && command.status.is_of_law() {
-            command.status = CommandStatus::BadSetpoint;
+        if command.status.is_of_law() {
+            command.status = match (is_valid, has_valid_preview) {
+                (false, _) => CommandStatus::BadSetpoint,
+                (true, false) => CommandStatus::BadPreview,
+                (true, true) => command.status,
+            };
         }
         command
     }
@@ -273,11 +282,13 @@ fn build_law(
 ) -> Result<Box<dyn Law>, BuildError> {
     let Some(mpc) = &config.mpc else { return Ok(Box::new(momentum)) };
     mpc.check(robot, time_step)?;
-    mpc.check_air(aero, config.conventions())?;
+    let conventions = config.conventions();
+    mpc.check_air(aero, conventions)?;
     let gains = (config.torque.kd, config.torque.kp);
     let thrust_rate_max = robot.by_jet(&config.bounds.thrust_rate_max);
     let joints = mpc.joints(robot)?;
-    let law = PredictiveLaw::new(mpc, momentum, robot, joints, gains, thrust_rate_max, time_step)?;
+    let law =
+        PredictiveLaw::new(mpc, conventions, momentum, robot, joints, gains, thrust_rate_max, time_step)?;
     Ok(Box::new(law))
 }
 

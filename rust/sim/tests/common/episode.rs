@@ -7,7 +7,7 @@ use crate::common::counting::allocations;
 use crate::common::{configs, experiment, hover_of, random_state, random_vector, robot};
 use flight_core::control::config::Solver;
 use flight_core::control::law::setpoint::Setpoint;
-use flight_core::control::{CommandStatus, ControllerState};
+use flight_core::control::{CommandStatus, ControllerState, Preview};
 use flight_core::qp::{KKT_TOLERANCE, QpProblem, QpStatus, kkt_residual};
 use flight_core::robot::RobotModel;
 use flight_core::{BuildError, Controller, Measurement};
@@ -300,7 +300,7 @@ impl Episode {
                 _ => thrust = &thrust[..thrust.len().saturating_sub(1)],
             }
         }
-        let setpoint = rng.random_bool(self.towards).then(|| {
+        let random_setpoint = |rng: &mut ChaCha8Rng| {
             let absurd = rng.random_bool(self.absurd);
             Setpoint {
                 com_velocity: random_vector(rng, 3.0),
@@ -308,7 +308,23 @@ impl Episode {
                 angular_velocity_b: random_vector(rng, 1.0),
                 ..Setpoint::hold(random_vector(rng, 3.0), random_state(rng, &self.robot).base.rotation)
             }
-        });
+        };
+        let is_given = rng.random_bool(self.towards);
+        let given = is_given.then(|| random_setpoint(rng));
+        let count = if is_given { rng.random_range(0..4) } else { 0 };
+        let mut setpoints: Vec<_> =
+            (0..count).map(|next| (0.2 * f64::from(next + 1), random_setpoint(rng))).collect();
+        let mut winds: Vec<_> =
+            (0..count).map(|next| (0.3 * f64::from(next), random_vector(rng, 30.0))).collect();
+        if count > 0 && rng.random_bool(self.absurd) {
+            let absurd = ABSURD[rng.random_range(0..ABSURD.len())];
+            match rng.random_range(0..3) {
+                0 => setpoints[0].0 = absurd,
+                1 => winds[0].0 = absurd,
+                _ => winds[0].1.x = absurd,
+            }
+        }
+        let preview = Preview { setpoints: &setpoints, wind: &winds };
         self.torque.copy_from_slice(self.controller.command().joint_torque.as_slice());
 
         let (controller, state, sample) = (&mut self.controller, &mut self.state, &self.sample);
@@ -317,10 +333,7 @@ impl Episode {
             let Sample { state: seen, wind, .. } = sample;
             let measurement = Measurement { time, state: seen, thrust, wind: *wind, foot_wrenches };
             let begin = Instant::now();
-            match &setpoint {
-                Some(setpoint) => controller.tick_towards(state, &measurement, setpoint),
-                None => controller.tick(state, &measurement),
-            };
+            controller.tick_ahead(state, &measurement, given.as_ref(), &preview);
             duration = begin.elapsed();
         });
         let command = self.controller.command();
@@ -408,7 +421,7 @@ impl Episode {
         match command.status {
             CommandStatus::Nominal | CommandStatus::Degraded => momentum && torque,
             // These statuses come before that of a plan that is kept.
-            CommandStatus::BadSetpoint => (momentum || self.plans) && torque,
+            CommandStatus::BadSetpoint | CommandStatus::BadPreview => (momentum || self.plans) && torque,
             CommandStatus::TorqueHeld => (momentum || self.plans) && held(),
             CommandStatus::PlanKept | CommandStatus::PlanMissing => torque,
             CommandStatus::MomentumHeld => still() && torque,

@@ -22,7 +22,7 @@ fn a_late_robot_flies_with_an_estimator() {
         base_angular_velocity: sensor(),
         joints: EncoderConfig { delay: 0.02, ..EncoderConfig::default() },
         thrust: ThrustSensorConfig { delay: 0.02, ..ThrustSensorConfig::default() },
-        seed: 0,
+        ..SensorsConfig::default()
     });
     let mut flying = falling.clone();
     flying.controller.law.estimator =

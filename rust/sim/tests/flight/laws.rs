@@ -4,9 +4,28 @@ use super::{as_published, data, ramp_to, with};
 use crate::common::{Loop, assert_within, experiment, fly};
 use flight_core::aero::LeverArm;
 use flight_core::spatial::vee_of_skew_part;
-use flight_sim::ScenarioConfig;
 use flight_sim::config::Integrator;
+use flight_sim::{ScenarioConfig, SensorsConfig, WindConfig};
 use nalgebra::Vector3;
+
+/// A gust of which the wind ahead is measured turns the robot by less than half as much as one that is not.
+#[test]
+fn a_gust_that_is_measured_ahead_turns_the_robot_less() {
+    for velocity in [[0.0, -15.0, 0.0], [-15.0, 0.0, 0.0]] {
+        let gust = with(experiment("test2_mpc"), |config| {
+            config.simulator.duration = 4.5;
+            config.wind = WindConfig::Ramp { velocity, ramp_start: 3.0, ramp_end: 3.5 };
+        });
+        let ahead = Some(SensorsConfig { wind_preview: 0.8, ..SensorsConfig::default() });
+        let seen = with(gust.clone(), |config| config.simulator.sensors = ahead);
+        let [unseen, seen] = [gust, seen].map(|config| {
+            let log = fly(&[config]).remove(0).log;
+            let errors = log.series("rotation_error").unwrap();
+            (250..450).fold(0.0_f64, |most, tick| most.max(errors.row(tick)[0]))
+        });
+        assert!(seen < 0.5 * unseen, "{velocity:?}: {seen} rad instead of {unseen}");
+    }
+}
 
 /// A constant force and moment that the controller does not know of: the attitude settles at
 /// `e = (1 + I₀/c₀) d`, d the moment in body axes, and the CoM at `(K_D + 1)/(K_P m)` metres per newton.
@@ -88,8 +107,7 @@ fn substeps_agree_in_the_limit() {
             config.simulator.duration = 3.0;
             config.simulator.substeps = substeps;
             config.simulator.integrator = integrator;
-            config.wind =
-                flight_sim::WindConfig::Ramp { velocity: [4.0, -8.0, 0.0], ramp_start: 0.0, ramp_end: 3.0 };
+            config.wind = WindConfig::Ramp { velocity: [4.0, -8.0, 0.0], ramp_start: 0.0, ramp_end: 3.0 };
         }))
     };
     // Richardson: from two first-order answers to one of second order.

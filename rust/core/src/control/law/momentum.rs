@@ -15,7 +15,7 @@ use crate::aero::LinkForces;
 use crate::dynamics::Dynamics;
 use crate::kinematics::Kinematics;
 use crate::robot::RobotModel;
-use crate::spatial::{Pose, skew};
+use crate::spatial::{Pose, skew, stack};
 use crate::subtree::SubtreeLoads;
 use nalgebra::{DVector, Matrix6xX, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
@@ -241,8 +241,4 @@ fn add_com_motion(lambda: &mut Matrix6xX<f64>, dynamics: &Dynamics, force_per_ma
         let mut moment = lambda.fixed_rows_mut::<3>(3);
         moment += force_per_mass.cross(&momentum.fixed_rows::<3>(0));
     }
-}
-
-fn stack(linear: &Vector3<f64>, angular: &Vector3<f64>) -> Vector6<f64> {
-    Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
 }

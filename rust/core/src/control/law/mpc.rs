@@ -8,7 +8,7 @@
 //! ```
 //!
 //! The momentum law prepares its own problem too: its bounds are those of the first knot, and it decides where there is
-//! no plan. Equations M116 to M125 of `docs/model.md`.
+//! no plan. Equations M116 to M126 of `docs/model.md`.
 
 pub mod clearance;
 pub mod config;
@@ -18,21 +18,24 @@ pub mod plan;
 
 use super::rates::{Law, MomentumLaw};
 use super::setpoint::{Ahead, Setpoint, SetpointGenerator};
-use crate::aero::AeroModel;
+use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::control::command::{Command, CommandStatus};
+use crate::control::guard::channels::Greatest;
+use crate::control::preview::Preview;
 use crate::control::state::ControllerState;
 use crate::control::terms::Terms;
 use crate::error::BuildError;
 use crate::qp::{PrimalActiveSet, QpAnswer, QpSolver, QpStatus};
 use crate::robot::RobotModel;
-use crate::spatial::log_so3;
+use crate::spatial::{log_so3, stack};
 use config::{Air, MpcConfig};
 use horizon::{Horizon, Target};
 use model::Linearised;
+use nalgebra::Vector6;
 use plan::Plan;
 
 /// Limit of QPs of one plan: each has the values beyond their limits that the last answer brought there.
-const EXCESS_PASSES: u32 = 60;
+const EXCESS_PASSES: u32 = 30;
 /// A plan is followed for at most this part of the horizon; by then the momentum QP decides.
 const PLAN_SHARE: f64 = 0.25;
 
@@ -41,6 +44,7 @@ const PLAN_SHARE: f64 = 0.25;
 pub struct PredictiveLaw {
     momentum: MomentumLaw,
     air: Air,
+    conventions: LinkConventions,
     period: f64,
     posture_gain: f64,
     /// Whether it flies the descent too.
@@ -54,6 +58,10 @@ pub struct PredictiveLaw {
     model: Linearised,
     horizon: Horizon,
     targets: Vec<Target>,
+    /// Changes of the air's wrench with the wind, from now to the end of every knot \[N, N m\].
+    wrenches: Vec<Vector6<f64>>,
+    /// Forces in another wind.
+    links: LinkForces,
     /// Inputs of the plan that is being made.
     inputs: Vec<f64>,
     solver: PrimalActiveSet,
@@ -66,8 +74,10 @@ impl PredictiveLaw {
     ///
     /// # Errors
     /// [`BuildError`] for a link that the robot does not have.
+    #[allow(clippy::too_many_arguments, reason = "parts of the controller's configuration")]
     pub fn new(
         config: &MpcConfig,
+        conventions: LinkConventions,
         momentum: MomentumLaw,
         robot: &RobotModel,
         joints: Vec<usize>,
@@ -80,6 +90,7 @@ impl PredictiveLaw {
         Ok(Self {
             momentum,
             air: config.air,
+            conventions,
             period: config.period,
             posture_gain: config.posture_gain,
             flies_descent: config.descent.is_some(),
@@ -88,6 +99,8 @@ impl PredictiveLaw {
             joint_limits: robot.joints.iter().map(|joint| joint.limits).collect(),
             place: (0..robot.joints.len()).map(place).collect(),
             targets: vec![Target::default(); horizon.knots()],
+            wrenches: vec![Vector6::zeros(); horizon.knots()],
+            links: LinkForces::new(robot),
             inputs: vec![0.0; horizon.problem.len()],
             solver: PrimalActiveSet::new(horizon.problem.len()),
             model: Linearised::new(robot, joints),
@@ -100,8 +113,9 @@ impl PredictiveLaw {
     fn plan(
         &mut self,
         robot: &RobotModel,
-        aero: &AeroModel,
+        aero: &mut AeroModel,
         state: &mut ControllerState,
+        preview: &Preview,
         terms: &Terms,
     ) -> bool {
         state.plan.tried = terms.measurement.time;
@@ -109,9 +123,11 @@ impl PredictiveLaw {
             state.plan.answer = None;
             return false;
         }
-        self.set_targets(state, terms);
+        self.set_targets(state, preview, terms);
+        self.set_wrenches(robot, aero, preview, terms);
         let joints = (&state.posture, &state.velocity_error_integral);
-        self.horizon.update(&self.model, terms, joints, &self.targets, !terms.limits.holds_position);
+        let ahead = (self.targets.as_slice(), self.wrenches.as_slice());
+        self.horizon.update(&self.model, terms, joints, ahead, !terms.limits.holds_position);
         self.set_bounds(terms);
         let Self { horizon, solver, model, joint_limits, inputs, .. } = self;
         let Plan { inputs: last, warm, answer, since, tried } = &mut state.plan;
@@ -145,9 +161,10 @@ impl PredictiveLaw {
     }
 
     /// The motion to follow at the end of every knot, as rotation vectors from the present attitude.
-    fn set_targets(&mut self, state: &ControllerState, terms: &Terms) {
+    fn set_targets(&mut self, state: &ControllerState, preview: &Preview, terms: &Terms) {
+        let (generator, time_step) = (&self.momentum.generator, self.time_step);
         let mut ahead = state.setpoint;
-        let mut time = terms.measurement.time;
+        let (mut ticks, mut time) = (0_u32, terms.measurement.time);
         let present = terms.measurement.state.base.rotation.transpose();
         let mut setpoint = terms.setpoint;
         for (target, duration) in self.targets.iter_mut().zip(self.horizon.durations()) {
@@ -156,9 +173,19 @@ impl PredictiveLaw {
                 clippy::cast_sign_loss,
                 reason = "a checked number of ticks"
             )]
-            for _ in 0..(duration / self.time_step).round() as usize {
-                time += self.time_step;
-                setpoint = self.momentum.generator.ahead(self.ahead, &mut ahead, time);
+            for _ in 0..(duration / time_step).round() as usize {
+                (ticks, time) = (ticks + 1, time + time_step);
+                let after = f64::from(ticks) * time_step;
+                let known = match self.ahead {
+                    Ahead::Motion => preview.setpoint(&terms.setpoint, after, 0.5 * time_step),
+                    _ => None,
+                };
+                setpoint = if let Some(known) = known {
+                    generator.follow(&mut ahead, &known.motion());
+                    known
+                } else {
+                    generator.ahead(self.ahead, &mut ahead, time)
+                };
             }
             let rotation = &setpoint.rotation;
             *target = Target {
@@ -166,6 +193,26 @@ impl PredictiveLaw {
                 rotation: log_so3(&(rotation * present)),
                 angular: [rotation * setpoint.angular_velocity_b, rotation * setpoint.angular_acceleration_b],
             };
+        }
+    }
+
+    /// Changes of the air's wrench on the robot in its present motion, by the wind at the end of every knot (M125).
+    fn set_wrenches(&mut self, robot: &RobotModel, aero: &mut AeroModel, preview: &Preview, terms: &Terms) {
+        self.wrenches.fill(Vector6::zeros());
+        if preview.wind.is_empty() {
+            return;
+        }
+        let Terms { kinematics, measurement, link_forces, .. } = terms;
+        let stacked = |links: &LinkForces| {
+            let (force, moment) = links.wrench_about(&kinematics.com);
+            stack(&force, &moment)
+        };
+        let (now, mut time) = (stacked(link_forces), 0.0);
+        for (wrench, duration) in self.wrenches.iter_mut().zip(self.horizon.durations()) {
+            time += duration;
+            let wind = measurement.wind + preview.wind_change(time);
+            self.links.update(robot, kinematics, self.conventions, aero, &wind);
+            *wrench = stacked(&self.links) - now;
         }
     }
 
@@ -233,6 +280,10 @@ impl Law for PredictiveLaw {
         &self.momentum.generator
     }
 
+    fn greatest(&self) -> &Greatest {
+        self.momentum.greatest()
+    }
+
     fn unknowns(&self) -> usize {
         self.horizon.problem.len()
     }
@@ -251,8 +302,9 @@ impl Law for PredictiveLaw {
     fn solve(
         &mut self,
         robot: &RobotModel,
-        aero: &AeroModel,
+        aero: &mut AeroModel,
         state: &mut ControllerState,
+        preview: &Preview,
         terms: &mut Terms,
         command: &mut Command,
     ) {
@@ -265,7 +317,7 @@ impl Law for PredictiveLaw {
             return;
         }
         let is_due = time < state.plan.tried || time - state.plan.tried > self.period - 0.5 * self.time_step;
-        let is_planned = !is_due || self.plan(robot, aero, state, terms);
+        let is_planned = !is_due || self.plan(robot, aero, state, preview, terms);
         let longest = PLAN_SHARE * self.horizon.durations().iter().sum::<f64>();
         if let Some(age) = state.plan.age(time).filter(|age| *age <= longest) {
             self.follow_plan(state, terms, age, command);

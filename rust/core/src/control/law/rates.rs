@@ -6,6 +6,7 @@ use super::setpoint::{Setpoint, SetpointGenerator};
 use crate::aero::AeroModel;
 use crate::control::command::{Command, CommandStatus};
 use crate::control::guard::channels::Greatest;
+use crate::control::preview::Preview;
 use crate::control::state::ControllerState;
 use crate::control::terms::Terms;
 use crate::qp::{QpChain, QpSolver, QpStatus};
@@ -18,6 +19,9 @@ use std::fmt::Debug;
 pub trait Law: Debug + Send + Sync {
     /// Its set-points from the mission.
     fn generator(&self) -> &SetpointGenerator;
+
+    /// Range of the set-points and winds that are accepted.
+    fn greatest(&self) -> &Greatest;
 
     /// Number of unknowns of its plan, which is a part of the state; zero if it does not plan.
     fn unknowns(&self) -> usize {
@@ -33,8 +37,9 @@ pub trait Law: Debug + Send + Sync {
     fn solve(
         &mut self,
         robot: &RobotModel,
-        aero: &AeroModel,
+        aero: &mut AeroModel,
         state: &mut ControllerState,
+        preview: &Preview,
         terms: &mut Terms,
         command: &mut Command,
     );
@@ -123,6 +128,10 @@ impl Law for MomentumLaw {
         &self.generator
     }
 
+    fn greatest(&self) -> &Greatest {
+        &self.greatest
+    }
+
     fn follow(&mut self, state: &mut ControllerState, given: Option<&Setpoint>, terms: &mut Terms) -> bool {
         let ControllerState { setpoint: state, channels, contact, .. } = state;
         let is_valid = given.is_none_or(|given| given.is_valid(&self.greatest));
@@ -141,8 +150,9 @@ impl Law for MomentumLaw {
     fn solve(
         &mut self,
         _: &RobotModel,
-        _: &AeroModel,
+        _: &mut AeroModel,
         state: &mut ControllerState,
+        _: &Preview,
         terms: &mut Terms,
         command: &mut Command,
     ) {

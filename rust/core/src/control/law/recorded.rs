@@ -25,6 +25,19 @@ pub struct RecordedMotion {
 }
 
 impl RecordedMotion {
+    /// The motion at the share `s` of the way to another one, `h` \[s\] later and turned by `turn_b` \[rad\] (M49).
+    #[must_use]
+    pub fn between(&self, other: &Self, turn_b: &Vector3<f64>, h: f64, s: f64) -> Self {
+        let (a, b) = (self, other);
+        let cubic =
+            |order: usize| hermite([a.com[order], a.com[order + 1], b.com[order], b.com[order + 1]], h, s);
+        Self {
+            com: [cubic(0), cubic(1), cubic(2), a.com[3].lerp(&b.com[3], s)],
+            rotation: a.rotation * exp_so3(&(turn_b * s)),
+            angular_velocity_b: a.angular_velocity_b.lerp(&b.angular_velocity_b, s),
+        }
+    }
+
     /// The same position and attitude, at rest.
     fn hold(&self) -> Self {
         let zero = Vector3::zeros();
@@ -138,13 +151,7 @@ impl Recording {
         };
         let h = self.times[next] - self.times[before];
         let s = (time - self.times[before]) / h;
-        let cubic =
-            |order: usize| hermite([a.com[order], a.com[order + 1], b.com[order], b.com[order + 1]], h, s);
-        RecordedMotion {
-            com: [cubic(0), cubic(1), cubic(2), a.com[3].lerp(&b.com[3], s)],
-            rotation: a.rotation * exp_so3(&(self.turns_b[before] * s)),
-            angular_velocity_b: a.angular_velocity_b.lerp(&b.angular_velocity_b, s),
-        }
+        a.between(b, &self.turns_b[before], h, s)
     }
 }
 

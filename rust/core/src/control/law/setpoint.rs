@@ -14,7 +14,7 @@ use super::recorded::RecordedMotion;
 use crate::control::guard::channels::Greatest;
 use crate::error::{BuildError, Table};
 use crate::spatial::{
-    GREATEST, axis_angle, is_rotation, project_to_so3, rotation_from_rpy, rpy_from_rotation, skew,
+    GREATEST, axis_angle, is_rotation, log_so3, project_to_so3, rotation_from_rpy, rpy_from_rotation, skew,
     vee_of_skew_part,
 };
 use nalgebra::{Matrix3, Vector3};
@@ -166,6 +166,38 @@ impl Setpoint {
             &self.angular_acceleration_b,
             &self.angular_jerk_b,
         ]
+    }
+
+    /// The set-point of a motion, with the derivatives that a recording does not have.
+    fn of_motion(
+        motion: &RecordedMotion,
+        angular_acceleration_b: Vector3<f64>,
+        angular_jerk_b: Vector3<f64>,
+    ) -> Self {
+        let [com_position, com_velocity, com_acceleration, com_jerk] = motion.com;
+        let RecordedMotion { rotation, angular_velocity_b, .. } = *motion;
+        Self {
+            com_position,
+            com_velocity,
+            com_acceleration,
+            com_jerk,
+            rotation,
+            angular_velocity_b,
+            angular_acceleration_b,
+            angular_jerk_b,
+        }
+    }
+
+    /// The set-point at the share `s` of the way to another one, `h` \[s\] later: as between samples of a recording
+    /// (M49), the other derivatives linear.
+    #[must_use]
+    pub fn between(&self, other: &Self, h: f64, s: f64) -> Self {
+        let turn_b = log_so3(&(self.rotation.transpose() * other.rotation));
+        Self::of_motion(
+            &self.motion().between(&other.motion(), &turn_b, h, s),
+            self.angular_acceleration_b.lerp(&other.angular_acceleration_b, s),
+            self.angular_jerk_b.lerp(&other.angular_jerk_b, s),
+        )
     }
 
     /// Its motion, without the derivatives that a recording does not have.
@@ -322,16 +354,10 @@ impl SetpointGenerator {
             Mission::Recorded(recording) => {
                 let motion = recording.at(time);
                 self.follow(state, &motion);
-                let [com_position, com_velocity, com_acceleration, com_jerk] = motion.com;
+                let turning = &state.angular_velocity;
                 Setpoint {
-                    com_position,
-                    com_velocity,
-                    com_acceleration,
-                    com_jerk,
-                    rotation: motion.rotation,
-                    angular_velocity_b: state.angular_velocity.value(),
-                    angular_acceleration_b: state.angular_velocity.rate(),
-                    angular_jerk_b: state.angular_velocity.acceleration(),
+                    angular_velocity_b: turning.value(),
+                    ..Setpoint::of_motion(&motion, turning.rate(), turning.acceleration())
                 }
             }
         }

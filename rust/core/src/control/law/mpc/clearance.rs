@@ -1,47 +1,69 @@
 //! Distances that a plan keeps: exhausts and links from other links, as capsules.
 //!
-//! Equation M125 of `docs/model.md`. The trims compute the same distances, in `jax_aero/symbolic/clearance.py`.
+//! Equation M126 of `docs/model.md`. The trims compute the same distances, in `jax_aero/symbolic/clearance.py`.
 
 use super::config::ClearanceConfig;
 use crate::error::{BuildError, place_of};
 use crate::kinematics::Kinematics;
-use crate::robot::{AeroLink, Frame, RobotModel};
+use crate::robot::{AeroLink, Foot, Frame, Jet, RobotModel};
+use crate::spatial::Pose;
 use nalgebra::{DMatrix, Vector3};
 
 /// Keeps quotients finite if a segment is a point or two segments are parallel \[m², m⁴\].
 const TINY: f64 = 1e-12;
 
-/// A segment that moves with a body, and the distance of its surface.
+/// All points within a radius of a segment that moves with a body.
 #[derive(Debug, Clone)]
-struct Capsule {
-    frame: Frame,
-    /// Start of the segment and the way to its end, in axes of the frame \[m\].
-    start_f: Vector3<f64>,
-    way_f: Vector3<f64>,
-    radius: f64,
+pub struct Capsule {
+    /// Index of the body that carries it.
+    pub body: usize,
+    /// Start of the segment, body axes \[m\].
+    pub start_b: Vector3<f64>,
+    /// From its start to its end, body axes \[m\].
+    pub way_b: Vector3<f64>,
+    /// \[m\]; zero for an exhaust.
+    pub radius: f64,
 }
 
 impl Capsule {
+    fn new(frame: &Frame, start_f: Vector3<f64>, way_f: Vector3<f64>, radius: f64) -> Self {
+        let Pose { rotation, .. } = frame.body_from_frame;
+        let start_b = frame.body_from_frame.transform_point(&start_f);
+        Self { body: frame.body, start_b, way_b: rotation * way_f, radius }
+    }
+
+    /// The exhaust of a jet, of a length \[m\] from the nozzle.
+    fn of_exhaust(jet: &Jet, length: f64) -> Self {
+        Self::new(&jet.frame, Vector3::zeros(), jet.axis_f.into_inner() * -length, 0.0)
+    }
+
     /// The capsule along the axis of a link.
     fn of_link(link: &AeroLink) -> Self {
         let half = if link.is_sphere { 0.0 } else { 0.5 * link.length };
         let half = link.axis_l.into_inner() * half;
-        Self {
-            frame: link.frame.clone(),
-            start_f: link.centre_l - half,
-            way_f: half * 2.0,
-            radius: 0.5 * link.diameter,
-        }
+        Self::new(&link.frame, link.centre_l - half, half * 2.0, 0.5 * link.diameter)
+    }
+
+    /// The capsule along the rectangle around the contact points of a foot, as wide as the rectangle.
+    fn of_sole(foot: &Foot) -> Self {
+        let [[x_least, x_greatest], [y_least, y_greatest]] = foot.extent();
+        let middle = Vector3::new(x_least + x_greatest, y_least + y_greatest, 0.0) * 0.5;
+        let (along_x, along_y) =
+            (Vector3::x() * (0.5 * (x_greatest - x_least)), Vector3::y() * (0.5 * (y_greatest - y_least)));
+        let (long, short) = if along_x.x >= along_y.y { (along_x, along_y) } else { (along_y, along_x) };
+        Self::new(&foot.frame, middle - long, long * 2.0, short.norm())
     }
 }
 
 /// Distances of pairs of capsules and their derivatives by the moved joints; preallocated.
 #[derive(Debug, Clone)]
 pub struct Clearance {
-    capsules: Vec<Capsule>,
+    /// The exhausts of all jets, `links`, then `apart_from`.
+    pub capsules: Vec<Capsule>,
+    /// Capsules that keep clear of each other.
+    pub pairs: Vec<(usize, usize)>,
     /// Start and way of every capsule, inertial axes \[m\].
     segments: Vec<Segment>,
-    pairs: Vec<(usize, usize)>,
     /// Distance between the surfaces of each pair \[m\]; negative if one enters the other.
     pub distance: Vec<f64>,
     /// By the moved joints \[m/rad\]: one column for each pair.
@@ -52,10 +74,10 @@ pub struct Clearance {
 type Segment = (Vector3<f64>, Vector3<f64>);
 
 impl Clearance {
-    /// The pairs of `config`, without those that no joint moves relative to each other.
+    /// The pairs of `config` for a law that moves some `joints`, without those that share a body.
     ///
     /// # Errors
-    /// [`BuildError::UnknownName`] for a link that the robot does not have.
+    /// [`BuildError::UnknownName`] for a link or sole that the robot does not have.
     pub fn new(
         config: Option<&ClearanceConfig>,
         robot: &RobotModel,
@@ -63,25 +85,20 @@ impl Clearance {
     ) -> Result<Self, BuildError> {
         let (mut capsules, mut pairs) = (Vec::new(), Vec::new());
         if let Some(config) = config {
-            let links = |key: &str, names: &[String]| -> Result<Vec<Capsule>, BuildError> {
-                let find = |name: &String| {
-                    let known = robot.aero_links.iter().map(|link| link.name.as_str());
-                    let place = place_of(format!("controller.mpc.clearance.{key}"), name, known)?;
-                    Ok(Capsule::of_link(&robot.aero_links[place]))
-                };
-                names.iter().map(find).collect()
+            let named = |key: &str, names: &[String]| -> Result<Vec<Capsule>, BuildError> {
+                let links = robot.aero_links.iter().map(|link| (link.name.as_str(), Capsule::of_link(link)));
+                let soles = robot.soles.iter().map(|foot| (foot.frame.name.as_str(), Capsule::of_sole(foot)));
+                let (known, capsules): (Vec<&str>, Vec<Capsule>) = links.chain(soles).unzip();
+                let place =
+                    |name| place_of(format!("controller.mpc.clearance.{key}"), name, known.iter().copied());
+                names.iter().map(|name| Ok(capsules[place(name)?].clone())).collect()
             };
-            let exhausts = robot.jets.iter().map(|jet| Capsule {
-                frame: jet.frame.clone(),
-                start_f: Vector3::zeros(),
-                way_f: jet.axis_f.into_inner() * -config.exhaust,
-                radius: 0.0,
-            });
-            capsules.extend(exhausts.chain(links("links", &config.links)?));
+            capsules.extend(robot.jets.iter().map(|jet| Capsule::of_exhaust(jet, config.exhaust)));
+            capsules.extend(named("links", &config.links)?);
             let first = capsules.len();
-            capsules.extend(links("apart_from", &config.apart_from)?);
+            capsules.extend(named("apart_from", &config.apart_from)?);
             let all = (0..first).flat_map(|one| (first..capsules.len()).map(move |other| (one, other)));
-            pairs.extend(all.filter(|(one, other)| capsules[*one].frame.body != capsules[*other].frame.body));
+            pairs.extend(all.filter(|(one, other)| capsules[*one].body != capsules[*other].body));
         }
         Ok(Self {
             segments: vec![(Vector3::zeros(), Vector3::zeros()); capsules.len()],
@@ -107,8 +124,8 @@ impl Clearance {
     /// Recomputes distances and derivatives by `joints`.
     pub fn update(&mut self, kinematics: &Kinematics, joints: &[usize]) {
         for (segment, capsule) in self.segments.iter_mut().zip(&self.capsules) {
-            let pose = kinematics.frame_pose(&capsule.frame);
-            *segment = (pose.transform_point(&capsule.start_f), pose.rotation * capsule.way_f);
+            let pose = kinematics.bodies[capsule.body].i_from_b;
+            *segment = (pose.transform_point(&capsule.start_b), pose.rotation * capsule.way_b);
         }
         for (index, &(one, other)) in self.pairs.iter().enumerate() {
             let points = nearest_points(&self.segments[one], &self.segments[other]);
@@ -119,7 +136,7 @@ impl Clearance {
             let away = gap / length.max(TINY);
             for (place, joint) in joints.iter().enumerate() {
                 let moves = |side: usize| {
-                    let is_moved = kinematics.chain(capsules[side].frame.body).contains(joint);
+                    let is_moved = kinematics.chain(capsules[side].body).contains(joint);
                     let motion = &kinematics.bodies[joint + 1];
                     if is_moved { away.dot(&motion.joint_velocity_at(&points[side])) } else { 0.0 }
                 };

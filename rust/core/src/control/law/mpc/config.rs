@@ -106,7 +106,7 @@ pub struct ClearanceConfig {
     pub exhaust: f64,
     /// Aerodynamic links that move beside the exhausts, such as turbines.
     pub links: Vec<String>,
-    /// Aerodynamic links of which they keep clear.
+    /// Aerodynamic links, and frames of soles, of which they keep clear.
     pub apart_from: Vec<String>,
     /// Least distance of the surfaces; an exhaust is its axis \[m\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]

@@ -1,14 +1,16 @@
 //! The prediction over the horizon, and the QP in its inputs.
 //!
 //! ```text
+//! w                        change of the wrench of the air with the wind ahead
 //! y = (δp, δv, θ, δk)      motion of the centre of mass, rotation, angular momentum; the present one is zero
 //! d = (δT, δs, ṡ, e)       thrusts, joints, their velocities and velocity errors: driven by the inputs alone
 //! u = (Ṫ*, ṡ*)             thrust rates; joint velocities of the moved joints
-//! ẏ = A_c y + A_d d + c    ë of the torque law:  s̈ = K_D (ṡ* − ṡ) − K_P e,  ė = ṡ − ṡ*
+//! ẏ = A_c y + A_d d + B w + c    ë of the torque law:  s̈ = K_D (ṡ* − ṡ) − K_P e,  ė = ṡ − ṡ*
 //! ```
 //!
-//! `u` is constant between knots, so every knot is exact: a Taylor series for the shortest, and squares of it. The states
-//! are eliminated; H and g collect the squares of the outputs' errors. Equations M120 to M125 of `docs/model.md`.
+//! `u` and `w` are constant between knots, so every knot is exact: a Taylor series for the shortest, and squares of it.
+//! The states are eliminated; H and g collect the squares of the outputs' errors. Equations M120 to M126 of
+//! `docs/model.md`.
 
 use super::clearance::Clearance;
 use super::config::{MpcConfig, MpcWeights};
@@ -19,11 +21,13 @@ use crate::linalg;
 use crate::qp::QpProblem;
 use crate::robot::RobotModel;
 use crate::spatial::skew;
-use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, SVector, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, SVector, Vector3, Vector6};
 
 /// Entries of `y`, and of the outputs that are not entries of it: ω, a and α.
 const CORE: usize = 12;
 const RATES: usize = 9;
+/// Entries of `w`.
+const WRENCH: usize = 6;
 /// Outputs (p, v, θ, ω, a, α) at the end of a knot, and rows of the tail.
 const OUTPUTS: usize = 18;
 const TAIL: usize = 6;
@@ -92,30 +96,33 @@ impl Chain {
     }
 }
 
-/// Derivative or transition of `y`: by `y`, by each entry of `d` and of `u`, and its part that depends on neither.
+/// Derivative or transition of `y`: by `y`, by each entry of `d`, `u` and `w`, and its part that depends on none.
 #[derive(Debug, Clone)]
 struct Step {
     by_y: Core,
     by_d: Vec<Column>,
     by_u: Vec<Column>,
+    by_w: [Column; WRENCH],
     drift: Column,
 }
 
 impl Step {
     fn zero(states: usize, inputs: usize) -> Self {
         let zero = Column::zeros();
-        Self { by_y: Core::zeros(), by_d: vec![zero; states], by_u: vec![zero; inputs], drift: zero }
+        let (by_d, by_u, by_w) = (vec![zero; states], vec![zero; inputs], [zero; WRENCH]);
+        Self { by_y: Core::zeros(), by_d, by_u, by_w, drift: zero }
     }
 
     /// Columns after `by_y`.
     fn columns(&mut self) -> impl Iterator<Item = &mut Column> {
-        self.by_d.iter_mut().chain(&mut self.by_u).chain([&mut self.drift])
+        self.by_d.iter_mut().chain(&mut self.by_u).chain(&mut self.by_w).chain([&mut self.drift])
     }
 
     fn copy_from(&mut self, other: &Self) {
         self.by_y = other.by_y;
         self.by_d.copy_from_slice(&other.by_d);
         self.by_u.copy_from_slice(&other.by_u);
+        self.by_w = other.by_w;
         self.drift = other.drift;
     }
 }
@@ -143,6 +150,11 @@ fn by_joint<const N: usize>(
 ) -> SVector<f64, N> {
     let Places { s, sigma, e } = places;
     columns[s + joint] * state[0] + columns[sigma + joint] * state[1] + columns[e + joint] * state[2]
+}
+
+/// Effect of a wrench.
+fn by_wrench<const N: usize>(columns: &[SVector<f64, N>; WRENCH], wrench: &Vector6<f64>) -> SVector<f64, N> {
+    columns.iter().zip(wrench).map(|(column, part)| column * *part).sum()
 }
 
 /// Factors of position, velocity and acceleration in each row of the tail: the motion's three, then the attitude's.
@@ -280,12 +292,13 @@ pub struct Horizon {
     posture: [Vec<f64>; 2],
     /// Cost of joints and inputs with these weights.
     constant: [DMatrix<f64>; 2],
-    /// `A_c`, `A_d`, c; the inputs act on `d` alone.
+    /// `A_c`, `A_d`, B, c; the inputs act on `d` alone.
     dynamics: Step,
-    /// ω, a and α by `y`, `d` and `u`, and their constant part.
+    /// ω, a and α by `y`, `d`, `u` and `w`, and their constant part.
     rates_by_y: SMatrix<f64, RATES, CORE>,
     rates_by_d: Vec<Rates>,
     rates_by_u: Vec<Rates>,
+    rates_by_w: [Rates; WRENCH],
     rates: Rates,
     /// Transitions over each power of the first duration.
     steps: Vec<Step>,
@@ -380,6 +393,7 @@ impl Horizon {
             rates_by_y: SMatrix::zeros(),
             rates_by_d: vec![Rates::zeros(); states],
             rates_by_u: vec![Rates::zeros(); jets + free],
+            rates_by_w: [Rates::zeros(); WRENCH],
             rates: Rates::zeros(),
             steps: vec![step.clone(); powers],
             power: step,
@@ -456,21 +470,22 @@ impl Horizon {
         h
     }
 
-    /// Builds H and g at the state of `terms`, from the integrals of the joints' velocity errors, the wanted positions of
-    /// the joints and a target for each knot; `is_descending` chooses the weights.
+    /// Builds H and g at the state of `terms`, from the wanted positions of the joints and the integrals of their velocity
+    /// errors, and, for the end of each knot, a target and the change of the air's wrench with the wind \[N, N m\];
+    /// `is_descending` chooses the weights.
     pub fn update(
         &mut self,
         model: &Linearised,
         terms: &Terms,
         (posture, errors): (&DVector<f64>, &DVector<f64>),
-        targets: &[Target],
+        ahead: (&[Target], &[Vector6<f64>]),
         is_descending: bool,
     ) {
         self.write_dynamics(model, terms);
         self.write_rates(model, terms);
         self.write_steps();
         let weights = usize::from(is_descending);
-        self.write_motion_cost(terms, targets, weights, model, errors);
+        self.write_motion_cost(terms, ahead, weights, model, errors);
         self.write_joint_cost(model, terms, posture, weights);
         self.clearance.update(&terms.kinematics, &model.joints);
         self.limited.iter_mut().for_each(|limited| limited.beyond = Beyond::No);
@@ -478,13 +493,13 @@ impl Horizon {
         self.problem.g.copy_from(&self.base_g);
     }
 
-    /// `A_c`, `A_d` and c.
+    /// `A_c`, `A_d`, B and c.
     fn write_dynamics(&mut self, model: &Linearised, terms: &Terms) {
         let Places { s, sigma, .. } = self.places();
         let mass = terms.kinematics.mass();
         let state = &terms.measurement.state;
         let omega = state.base_angular_velocity();
-        let Step { by_y, by_d, drift, .. } = &mut self.dynamics;
+        let Step { by_y, by_d, by_w, drift, .. } = &mut self.dynamics;
         by_y.fill(0.0);
         by_d.fill(Column::zeros());
         by_y.fixed_view_mut::<3, 3>(0, 3).fill_with_identity();
@@ -497,6 +512,9 @@ impl Horizon {
                 for (to, from) in by_d[column..].iter_mut().zip(by.column_iter()) {
                     to.fixed_rows_mut::<3>(row).copy_from(&(from.fixed_rows::<3>(first) * scale));
                 }
+            }
+            for axis in 0..3 {
+                by_w[first + axis][row + axis] = scale;
             }
             let rate = terms.momentum.rate_estimate.fixed_rows::<3>(first) * scale;
             drift.fixed_rows_mut::<3>(row).copy_from(&rate);
@@ -540,6 +558,7 @@ impl Horizon {
         for (to, from) in self.rates_by_d.iter_mut().zip(&self.dynamics.by_d) {
             *to = of(from);
         }
+        self.rates_by_w = self.dynamics.by_w.each_ref().map(of);
         self.rates = of(&self.dynamics.drift);
         let joints = model.omega_s.column_iter().zip(model.omega_sigma.column_iter()).enumerate();
         for (joint, (by_s, by_sigma)) in joints {
@@ -578,6 +597,7 @@ impl Horizon {
                 power.by_d[sigma + joint] = (through_y + by_s - by_sigma * kd + by_e) * scale;
                 power.by_d[e + joint] = by_sigma * (-kp * scale);
             }
+            power.by_w = dynamics.by_w.each_ref().map(|column| times(&power.by_y, column) * scale);
             power.drift = times(&power.by_y, &dynamics.drift) * scale;
             power.by_y = times_core(&power.by_y, &dynamics.by_y) * scale;
             first.by_y += power.by_y;
@@ -590,6 +610,7 @@ impl Horizon {
             let (half, whole) = (&before[doubling - 1], &mut after[0]);
             let chain = &chains[doubling - 1];
             whole.by_y = times_core(&half.by_y, &half.by_y);
+            whole.by_w = half.by_w.each_ref().map(|column| times(&half.by_y, column) + column);
             whole.drift = times(&half.by_y, &half.drift) + half.drift;
             let time = durations[0] * f64::from(1_u32 << (doubling - 1));
             for jet in 0..jets {
@@ -616,7 +637,7 @@ impl Horizon {
     fn write_motion_cost(
         &mut self,
         terms: &Terms,
-        targets: &[Target],
+        (targets, wrenches): (&[Target], &[Vector6<f64>]),
         weights: usize,
         model: &Linearised,
         errors: &DVector<f64>,
@@ -625,11 +646,13 @@ impl Horizon {
         self.weighted.fill(0.0);
         let velocity: Vector3<f64> = self.dynamics.drift.fixed_rows::<3>(0).into();
         let present = [terms.kinematics.com, velocity];
-        let mut y = Column::zeros();
-        for (knot, target) in targets.iter().enumerate() {
-            y = self.move_freely(knot, &y, model, terms, errors);
+        let (mut y, mut before) = (Column::zeros(), Vector6::zeros());
+        for (knot, (target, wrench)) in targets.iter().zip(wrenches).enumerate() {
+            // Within the knot the mean of both ends: it needs no wind but that of the ends, where ω, a and α do.
+            y = self.move_freely(knot, (&y, &((before + wrench) * 0.5)), model, terms, errors);
+            before = *wrench;
             self.move_by_inputs(knot);
-            let [p, v, theta, omega, a, alpha] = self.free_outputs(knot, &y, present);
+            let [p, v, theta, omega, a, alpha] = self.free_outputs(knot, (&y, wrench), present);
             let [p_d, v_d, theta_d, omega_d, a_d, alpha_d] = target.outputs();
             let errors = [p - p_d, v - v_d, theta - theta_d, omega - omega_d, a - a_d, alpha - alpha_d];
             self.write_rows(knot, weights, &errors);
@@ -642,18 +665,19 @@ impl Horizon {
         linalg::add_mat_vec(self.base_g.as_mut_slice(), weighted, n, residual);
     }
 
-    /// Joints and `y` at the end of a knot without inputs, from `y` at its beginning. The thrusts stay.
+    /// Joints and `y` at the end of a knot without inputs, from `y` at its beginning and the change of the wrench. The
+    /// thrusts stay.
     fn move_freely(
         &mut self,
         knot: usize,
-        y: &Column,
+        (y, wrench): (&Column, &Vector6<f64>),
         model: &Linearised,
         terms: &Terms,
         errors: &DVector<f64>,
     ) -> Column {
         let (places, power) = (self.places(), self.doublings[knot]);
         let step = &self.steps[power];
-        let mut next = times(&step.by_y, y) + step.drift;
+        let mut next = times(&step.by_y, y) + by_wrench(&step.by_w, wrench) + step.drift;
         for (place, joint) in model.joints.iter().enumerate() {
             let before = match knot {
                 0 => Vector3::new(0.0, terms.measurement.state.joint_velocity()[*joint], errors[*joint]),
@@ -688,9 +712,15 @@ impl Horizon {
         }
     }
 
-    /// Outputs at the end of a knot without inputs, from those of the centre of mass and its velocity at present.
-    fn free_outputs(&self, knot: usize, y: &Column, [position, velocity]: [Vector3<f64>; 2]) -> Outputs {
-        let mut rates = self.rates + self.rates_by_y * y;
+    /// Outputs at the end of a knot without inputs, from `y` and the change of the wrench there, and from the centre of
+    /// mass and its velocity at present.
+    fn free_outputs(
+        &self,
+        knot: usize,
+        (y, wrench): (&Column, &Vector6<f64>),
+        [position, velocity]: [Vector3<f64>; 2],
+    ) -> Outputs {
+        let mut rates = self.rates + self.rates_by_y * y + by_wrench(&self.rates_by_w, wrench);
         for (place, now) in self.free_joint[knot].iter().enumerate() {
             rates += by_joint(&self.rates_by_d, self.places(), place, now);
         }

@@ -12,7 +12,7 @@ use super::config::Air;
 use crate::aero::{AeroModel, ForceDerivatives};
 use crate::control::terms::Terms;
 use crate::robot::{JointKind, RobotModel};
-use crate::spatial::skew;
+use crate::spatial::{skew, stack};
 use nalgebra::{Matrix3, Matrix3xX, Matrix6x3, Matrix6xX, Vector3, Vector6};
 
 /// Derivatives of the momentum rate and of the angular velocity; preallocated.
@@ -187,8 +187,4 @@ fn add_rows(to: &mut Matrix6x3<f64>, upper: &Matrix3<f64>, lower: &Matrix3<f64>)
     rows += upper;
     let mut rows = to.fixed_rows_mut::<3>(3);
     rows += lower;
-}
-
-fn stack(linear: &Vector3<f64>, angular: &Vector3<f64>) -> Vector6<f64> {
-    Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
 }
