@@ -5,8 +5,11 @@
 //!
 //! ```text
 //! states.f64      base position (3), rotation (9, row-major), joints, velocity (6 + joints)
-//! NAME.f64        H, g, lower, upper, and our x
+//! NAME.f64        H, g, lower, upper, our x; then rows, their least and greatest values and weights
 //! ```
+//!
+//! The rows, whose number follows the size in `NAME.f64`, are soft: the cost of an excess `x` is `½ weight x²`. Only the
+//! plans have them. A *plan QP* is the last of a plan's search, without rows.
 //!
 //! `joints.txt` and `frames.txt` hold names; `check.f64` holds the results with which those of the dynamics are
 //! compared.
@@ -16,7 +19,7 @@ mod common;
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::SupportedConeT::NonnegativeConeT;
 use clarabel::solver::{DefaultSettings, DefaultSolver, IPSolver};
-use common::{Tick, report};
+use common::{PlannedTick, Search, Tick, report};
 use flight_core::RobotModel;
 use flight_core::aero::{LinkConventions, LinkForces};
 use flight_core::dynamics::Dynamics;
@@ -28,6 +31,9 @@ use nalgebra::Matrix6xX;
 use std::error::Error;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+
+/// Time in which the plans of a flight are recorded \[s\].
+const PLANS_SPAN: f64 = 2.0;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let (calm, saturated) = (common::calm_ticks()?, common::saturated_ticks()?);
@@ -54,6 +60,21 @@ fn main() -> Result<(), Box<dyn Error>> {
             }
             time_solvers(&name, &problems);
         }
+    }
+    for (case, config, from) in common::planned_flights()? {
+        let mut plans = common::record_plans(&config, &(from..=from + PLANS_SPAN))?;
+        if let Some(folder) = &folder {
+            write_plans(&folder.join(format!("plan, {case}.f64")), &mut plans)?;
+        }
+        let mut search = Search::new(plans[0].horizon.problem.len());
+        let places: Vec<usize> = (0..plans.len()).collect();
+        report(&format!("plan, {case}, warm"), 50, &places, |place| search.solve(&mut plans[*place]).is_some());
+        let problems: Vec<&QpProblem> = plans.iter().map(|plan| &plan.horizon.problem).collect();
+        let name = format!("plan QP, {case}");
+        if let Some(folder) = &folder {
+            write_problems(&folder.join(format!("{name}.f64")), &problems)?;
+        }
+        time_solvers(&name, &problems);
     }
     let mut network = load_aero(&common::configuration("test4")?.simulator.aero, robot)?;
     let mut links = LinkForces::new(robot);
@@ -168,12 +189,33 @@ fn write_states(folder: &Path, robot: &RobotModel, ticks: &[Tick]) -> std::io::R
 
 fn write_problems(path: &Path, problems: &[&QpProblem]) -> std::io::Result<()> {
     let mut solver = PrimalActiveSet::new(problems[0].len());
-    let mut data = vec![problems.len() as f64, problems[0].len() as f64];
+    let mut data = vec![problems.len() as f64, problems[0].len() as f64, 0.0];
     for qp in problems {
         solver.solve(qp);
         data.extend(qp.h.iter().chain(&qp.g).chain(&qp.lower).chain(&qp.upper).chain(solver.x()));
     }
     write(path, &data)
+}
+
+fn write_plans(path: &Path, plans: &mut [PlannedTick]) -> Result<(), Box<dyn Error>> {
+    let n = plans[0].horizon.problem.len();
+    let mut search = Search::new(n);
+    let mut data = vec![plans.len() as f64, n as f64];
+    for tick in plans {
+        let x = search.solve(tick).ok_or("a plan without an answer")?.to_vec();
+        let PlannedTick { model, horizon, terms, joint_limits } = tick;
+        let (lower, upper) = (horizon.problem.lower.clone(), horizon.problem.upper.clone());
+        let (h, g, rows) = horizon.soft_problem(model, terms, joint_limits);
+        if data.len() == 2 {
+            data.push(rows.len() as f64);
+        }
+        data.extend(h.iter().chain(g).chain(&lower).chain(&upper).chain(&x));
+        data.extend(rows.iter().flat_map(|row| &row.by_input));
+        data.extend(rows.iter().map(|row| row.range.0));
+        data.extend(rows.iter().map(|row| row.range.1));
+        data.extend(rows.iter().map(|row| row.weight));
+    }
+    Ok(write(path, &data)?)
 }
 
 fn write(path: &Path, data: &[f64]) -> std::io::Result<()> {
