@@ -162,23 +162,29 @@ def _clarabel_rows(n: int, problems: Sequence[QpProblem]) -> Iterator[tuple[str,
 
 
 def _piqp_rows(problems: Sequence[Recorded]) -> Iterator[tuple[str, float]]:
-    """Time PIQP's dense solver, in which every soft row has a slack, as it comes."""
+    """Time PIQP as it comes; every soft row has a slack, with which its sparse solver is the faster one."""
     try:
         piqp: Any = importlib.import_module("piqp")
     except ImportError:
         return
-    solver = piqp.DenseSolver()
-    prepared = []
-    for problem in problems:
-        h, g, rows, lower, upper = problem.with_slacks()
-        limits = {"h_l": problem.least, "h_u": problem.greatest, "G": np.asfortranarray(rows)} if len(rows) else {}
-        prepared.append({"P": np.asfortranarray(h), "c": g, "x_l": lower, "x_u": upper, **limits})
+    extended = [problem.with_slacks() for problem in problems]
+    prepared: list[dict[str, Any]] = [{"c": g, "x_l": lower, "x_u": upper} for _, g, _, lower, upper in extended]
+    h = [h for h, *_ in extended]
+    if len(problems[0].rows):
+        solver = piqp.SparseSolver()
+        matrices = zip(_to_sparse(h), _to_sparse([rows for _, _, rows, *_ in extended]), strict=True)
+        for data, problem, (p, rows) in zip(prepared, problems, matrices, strict=True):
+            data |= {"P": p, "G": rows, "h_l": problem.least, "h_u": problem.greatest}
+    else:
+        solver = piqp.DenseSolver()
+        for data, p in zip(prepared, h, strict=True):
+            data["P"] = np.asfortranarray(p)
     solver.setup(**prepared[0])
 
-    def solve(data: dict[str, Array]) -> Array:
+    def solve(data: dict[str, Any]) -> Array:
         solver.update(**data)
         solver.solve()
-        x: Array = np.asarray(solver.result.x)
+        x: Array = np.array(solver.result.x)  # not a view, which the next answer changes
         return x
 
     time_taken = _per_item(solve, prepared)
@@ -189,29 +195,19 @@ def _osqp_rows(problems: Sequence[Recorded]) -> Iterator[tuple[str, float]]:
     """Time OSQP, warm, in which every soft row has a slack: as it comes, and with tolerances of 1e-8."""
     try:
         osqp: Any = importlib.import_module("osqp")
-        sparse: Any = importlib.import_module("scipy.sparse")
     except ImportError:
         return
-    dense = [problem.with_slacks() for problem in problems]
-    # One pattern for all problems, as an update requires.
-    of_h = np.triu(np.logical_or.reduce([h != 0.0 for h, *_ in dense]))
-    constraints = [np.vstack([np.eye(len(g)), rows]) for _, g, rows, *_ in dense]
-    of_a = np.logical_or.reduce([a != 0.0 for a in constraints])
-    prepared = [
-        {
-            "Px": h.T[of_h.T],  # by columns
-            "q": g,
-            "Ax": a.T[of_a.T],
-            "l": np.r_[lower, problem.least],
-            "u": np.r_[upper, problem.greatest],
-        }
-        for problem, (h, g, _, lower, upper), a in zip(problems, dense, constraints, strict=True)
+    extended = [problem.with_slacks() for problem in problems]
+    h = _to_sparse([np.triu(h) for h, *_ in extended])
+    a = _to_sparse([np.vstack([np.eye(len(g)), rows]) for _, g, rows, *_ in extended])
+    limits = [
+        {"q": g, "l": np.r_[lower, problem.least], "u": np.r_[upper, problem.greatest]}
+        for problem, (_, g, _, lower, upper) in zip(problems, extended, strict=True)
     ]
-    for how, settings in (("as it comes", {}), ("at 1e-8", {"eps_abs": 1e-8, "eps_rel": 1e-8, "max_iter": 20_000})):
+    prepared = [{"Px": h.data, "Ax": a.data, **limit} for h, a, limit in zip(h, a, limits, strict=True)]
+    for how, settings in (("as it comes", {}), ("at 1e-8", {"eps_abs": 1e-8, "eps_rel": 1e-8})):
         solver = osqp.OSQP()
-        h, a = sparse.csc_matrix(of_h.astype(float)), sparse.csc_matrix(of_a.astype(float))
-        h.data, a.data = prepared[0]["Px"].copy(), prepared[0]["Ax"].copy()
-        solver.setup(h, prepared[0]["q"], a, prepared[0]["l"], prepared[0]["u"], verbose=False, **settings)
+        solver.setup(P=h[0], A=a[0], **limits[0], verbose=False, **settings)
 
         def solve(data: dict[str, Array], solver: Any = solver) -> Array:
             solver.update(**data)
@@ -220,6 +216,16 @@ def _osqp_rows(problems: Sequence[Recorded]) -> Iterator[tuple[str, float]]:
 
         time_taken = _per_item(solve, prepared)
         yield f"OSQP, {how}, {_error(problems, [solve(data) for data in prepared])}", time_taken
+
+
+def _to_sparse(matrices: Sequence[Array]) -> list[Any]:
+    """Return matrices by columns with one pattern, which an update requires."""
+    sparse: Any = importlib.import_module("scipy.sparse")
+    pattern = np.logical_or.reduce([matrix != 0.0 for matrix in matrices])
+    found = [sparse.csc_matrix(pattern.astype(float)) for _ in matrices]
+    for of_pattern, matrix in zip(found, matrices, strict=True):
+        of_pattern.data[:] = matrix.T[pattern.T]
+    return found
 
 
 def _error(problems: Sequence[Recorded], answers: Sequence[Array]) -> str:

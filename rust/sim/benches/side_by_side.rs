@@ -68,7 +68,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
         let mut search = Search::new(plans[0].horizon.problem.len());
         let places: Vec<usize> = (0..plans.len()).collect();
-        report(&format!("plan, {case}, warm"), 50, &places, |place| search.solve(&mut plans[*place]).is_some());
+        report(&format!("plan, {case}, warm"), 50, &places, |place| {
+            search.solve(&mut plans[*place]).is_some()
+        });
         let problems: Vec<&QpProblem> = plans.iter().map(|plan| &plan.horizon.problem).collect();
         let name = format!("plan QP, {case}");
         if let Some(folder) = &folder {

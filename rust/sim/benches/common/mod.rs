@@ -16,7 +16,6 @@ use nalgebra::{Vector3, Vector6};
 use std::hint::black_box;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 /// Measurement of a tick, and the QPs that the controller built from it.
 pub struct Tick {
@@ -251,12 +250,12 @@ pub fn quantile(sorted: &[f64], p: f64) -> f64 {
     sorted.get(rank).copied().unwrap_or(f64::NAN)
 }
 
-/// Processor time of this thread: other programs and threads do not count.
-pub fn processor_time() -> Duration {
+/// Processor time of this thread \[s\]: other programs and threads do not count.
+pub fn processor_time() -> f64 {
     let mut now = libc::timespec { tv_sec: 0, tv_nsec: 0 };
     // SAFETY: `now` is a valid place for the answer; the clock exists on every Unix.
     unsafe { libc::clock_gettime(libc::CLOCK_THREAD_CPUTIME_ID, &raw mut now) };
-    Duration::new(now.tv_sec.cast_unsigned(), u32::try_from(now.tv_nsec).unwrap_or_default())
+    now.tv_sec as f64 + 1e-9 * now.tv_nsec as f64
 }
 
 /// Times `rounds` rounds of `work` on all `items`, after one that warms up, and prints a line `what <tab> median <tab>
@@ -267,7 +266,7 @@ pub fn report<T, R>(what: &str, rounds: usize, items: &[T], mut work: impl FnMut
         for item in items {
             black_box(work(black_box(item)));
         }
-        1e9 * (processor_time() - begin).as_secs_f64() / items.len() as f64
+        1e9 * (processor_time() - begin) / items.len() as f64
     };
     round();
     let mut times: Vec<f64> = (0..rounds).map(|_| round()).collect();

@@ -814,8 +814,10 @@ impl Horizon {
         let n = self.problem.len();
         let mut input = vec![0.0; n];
         self.read_limited(model, terms, joint_limits, &input);
-        let row = |Limited { free, range, weight, .. }: &Limited| {
-            SoftRow { by_input: vec![0.0; n], range: (range.0 - free, range.1 - free), weight: *weight }
+        let row = |Limited { free, range, weight, .. }: &Limited| SoftRow {
+            by_input: vec![0.0; n],
+            range: (range.0 - free, range.1 - free),
+            weight: *weight,
         };
         let mut rows: Vec<SoftRow> = self.limited.iter().map(row).collect();
         for unknown in 0..n {
