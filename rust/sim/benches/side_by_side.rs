@@ -1,7 +1,7 @@
 //! Our part of the comparison with Pinocchio, DAQP and Clarabel, run by `python -m experiments.bench`.
 //!
-//! The output is that of `common::report`, over rounds of 201 states or problems. With `--dump DIR` these are first
-//! written there as input of the other programs. Each file is a list of f64: count, size, then row by row
+//! The output is that of `common::report`, over rounds of 201 states or problems. With `--dump DIR` these are
+//! written there as input of the other programs, and nothing is timed. Each file is a list of f64: count, size, then row by row
 //!
 //! ```text
 //! states.f64      base position (3), rotation (9, row-major), joints, velocity (6 + joints)
@@ -39,10 +39,30 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (calm, saturated) = (common::calm_ticks()?, common::saturated_ticks()?);
     let controller = common::controller(&common::configuration("test2")?)?;
     let robot = controller.model();
+    let mut plans = Vec::new();
+    for (case, config, from) in common::planned_flights()? {
+        plans.push((case, common::record_plans(&config, &(from..=from + PLANS_SPAN))?));
+    }
+    let mut problems: Vec<(String, Vec<QpProblem>)> = Vec::new();
+    for (case, ticks) in [("calm", &calm), ("saturated", &saturated)] {
+        let momentum = ticks.iter().map(|tick| tick.momentum_qp.clone()).collect();
+        let torque = ticks.iter().map(|tick| tick.torque_qp.clone()).collect();
+        problems.extend([(format!("momentum QP, {case}"), momentum), (format!("torque QP, {case}"), torque)]);
+    }
+    for (case, plans) in &plans {
+        let last = plans.iter().map(|plan| plan.horizon.problem.clone()).collect();
+        problems.push((format!("plan QP, {case}"), last));
+    }
     let mut arguments = std::env::args().skip_while(|argument| argument != "--dump").skip(1);
-    let folder = arguments.next().map(PathBuf::from);
-    if let Some(folder) = &folder {
-        write_states(folder, robot, &calm)?;
+    if let Some(folder) = arguments.next().map(PathBuf::from) {
+        write_states(&folder, robot, &calm)?;
+        for (name, problems) in &problems {
+            write_problems(&folder.join(format!("{name}.f64")), problems)?;
+        }
+        for (case, plans) in &mut plans {
+            write_plans(&folder.join(format!("plan, {case}.f64")), plans)?;
+        }
+        return Ok(());
     }
     let mut bundle = Bundle::new(robot);
     report("dynamics, without Jacobians", 300, &calm, |tick| bundle.update_dynamics(robot, tick));
@@ -50,33 +70,15 @@ fn main() -> Result<(), Box<dyn Error>> {
         bundle.update_dynamics(robot, tick);
         bundle.update_jacobians(robot);
     });
-    for (case, ticks) in [("calm", &calm), ("saturated", &saturated)] {
-        let momentum: Vec<&QpProblem> = ticks.iter().map(|tick| &tick.momentum_qp).collect();
-        let torque: Vec<&QpProblem> = ticks.iter().map(|tick| &tick.torque_qp).collect();
-        for (name, problems) in [("momentum", momentum), ("torque", torque)] {
-            let name = format!("{name} QP, {case}");
-            if let Some(folder) = &folder {
-                write_problems(&folder.join(format!("{name}.f64")), &problems)?;
-            }
-            time_solvers(&name, &problems);
-        }
+    for (name, problems) in &problems {
+        time_solvers(name, problems);
     }
-    for (case, config, from) in common::planned_flights()? {
-        let mut plans = common::record_plans(&config, &(from..=from + PLANS_SPAN))?;
-        if let Some(folder) = &folder {
-            write_plans(&folder.join(format!("plan, {case}.f64")), &mut plans)?;
-        }
+    for (case, plans) in &mut plans {
         let mut search = Search::new(plans[0].horizon.problem.len());
         let places: Vec<usize> = (0..plans.len()).collect();
         report(&format!("plan, {case}, warm"), 50, &places, |place| {
             search.solve(&mut plans[*place]).is_some()
         });
-        let problems: Vec<&QpProblem> = plans.iter().map(|plan| &plan.horizon.problem).collect();
-        let name = format!("plan QP, {case}");
-        if let Some(folder) = &folder {
-            write_problems(&folder.join(format!("{name}.f64")), &problems)?;
-        }
-        time_solvers(&name, &problems);
     }
     let mut network = load_aero(&common::configuration("test4")?.simulator.aero, robot)?;
     let mut links = LinkForces::new(robot);
@@ -130,17 +132,20 @@ impl Bundle {
     }
 }
 
-fn time_solvers(name: &str, problems: &[&QpProblem]) {
+fn time_solvers(name: &str, problems: &[QpProblem]) {
     let n = problems[0].len();
+    let (rounds, of_clarabel) = if n < 64 { (200, 5) } else { (50, 1) };
     let mut solver = PrimalActiveSet::new(n);
-    report(&format!("{name}, warm"), 200, problems, |qp| solver.solve(qp));
-    report(&format!("{name}, cold"), 200, problems, |qp| {
+    report(&format!("{name}, warm"), rounds, problems, |qp| solver.solve(qp));
+    report(&format!("{name}, cold"), rounds, problems, |qp| {
         solver.reset();
         solver.solve(qp)
     });
     let mut reference = ClarabelSolver::new(n, 0);
-    report(&format!("{name}, Clarabel at 1e-12 and polished"), 5, problems, |qp| reference.solve(qp));
-    report(&format!("{name}, Clarabel as it comes"), 5, problems, |qp| solve_with_clarabel(qp));
+    report(&format!("{name}, Clarabel at 1e-12 and polished"), of_clarabel, problems, |qp| {
+        reference.solve(qp)
+    });
+    report(&format!("{name}, Clarabel as it comes"), of_clarabel, problems, |qp| solve_with_clarabel(qp));
 }
 
 /// Clarabel with its default settings, bounds as inequalities.
@@ -189,7 +194,7 @@ fn write_states(folder: &Path, robot: &RobotModel, ticks: &[Tick]) -> std::io::R
     write(&folder.join("states.f64"), &data)
 }
 
-fn write_problems(path: &Path, problems: &[&QpProblem]) -> std::io::Result<()> {
+fn write_problems(path: &Path, problems: &[QpProblem]) -> std::io::Result<()> {
     let mut solver = PrimalActiveSet::new(problems[0].len());
     let mut data = vec![problems.len() as f64, problems[0].len() as f64, 0.0];
     for qp in problems {

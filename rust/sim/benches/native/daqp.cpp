@@ -19,7 +19,7 @@ int main(int argc, char** argv) {
         auto data = read_numbers(std::string(argv[1]) + "/" + name + ".f64");
         const auto count = static_cast<std::size_t>(data[0]);
         const int n = static_cast<int>(data[1]), rows = static_cast<int>(data[2]), m = n + rows;
-        const int rounds = n < 64 ? 200 : 20;
+        const int rounds = n < 64 ? 200 : 10;
         std::vector<int> sense(static_cast<std::size_t>(m), 0);
         std::fill(sense.begin() + n, sense.end(), DAQP_SOFT);
         std::vector<DAQPProblem> problems(count);
