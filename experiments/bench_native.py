@@ -21,7 +21,7 @@ from experiments import Refused
 from jax_aero import places
 
 Times = dict[str, float]
-"""Times by name [ns]: the median over rounds of the fastest run.
+"""Processor times by name [ns]: the median over rounds of the fastest run.
 
 A virtual machine may alternate between two speeds that differ by a factor of 1.5. With few runs, medians over runs may
 be of different speeds; the fastest runs are most likely of the same one."""
@@ -29,7 +29,11 @@ be of different speeds; the fastest runs are most likely of the same one."""
 FOLDER = places.HOME / "target" / "side_by_side"
 SOURCES = places.HOME / "rust" / "sim" / "benches" / "native"
 URDF = places.CONFIGS / "robot" / "ironcub_mk1.urdf"
-QPS = tuple(f"{name} QP, {case}" for name in ("momentum", "torque") for case in ("calm", "saturated"))
+QPS_OF_TICK = tuple(f"{name} QP, {case}" for name in ("momentum", "torque") for case in ("calm", "saturated"))
+CASES_OF_PLANS = ("calm", "turbulence", "engine lost")
+QPS = (*QPS_OF_TICK, *(f"plan QP, {case}" for case in CASES_OF_PLANS))
+PLANS = tuple(f"plan, {case}" for case in CASES_OF_PLANS)
+"""Whole problems of plans: with soft rows, of which a plan QP contains those that are exceeded."""
 EIGEN = "cmeel-eigen==3.4.1"  # headers that Pinocchio was compiled with, not in its wheel
 # Definitions required by Pinocchio's configuration.
 PINOCCHIO_DEFINES = (
@@ -104,7 +108,7 @@ def _compile_daqp(*, native: bool) -> list[str]:
         links = [str(objects / f"{file.stem}.o") for file in files]
         include = [f"-I{source / 'include'}", f"-I{SOURCES}"]
         run(["g++", "-std=c++17", *flags, *include, str(SOURCES / "daqp.cpp"), *links, "-lm", "-o", str(program)])
-    return [str(program), str(FOLDER), *QPS]
+    return [str(program), str(FOLDER), *QPS, *PLANS]
 
 
 def _fetch(requirement: str, pattern: str, *options: str) -> Path:
@@ -155,9 +159,9 @@ def take_turns(programs: Programs, turns: int) -> tuple[Times, Times, str]:
     return ours, others, min(ticks, key=lambda table: tick_times(table)[0])
 
 
-def tick_times(table: str) -> tuple[float, float, float]:
-    """Return p50, p99.9 and the p99.9 of the medians of the ticks of TEST2 [µs]."""
-    cells = next(line.split("|") for line in table.splitlines() if "tick, TEST2 " in line)
+def tick_times(table: str, title: str = "tick, TEST2") -> tuple[float, float, float]:
+    """Return p50, p99.9 and the p99.9 of the medians of the ticks with a title [µs]."""
+    cells = next(line.split("|") for line in table.splitlines() if line.startswith(f"| {title} |"))
     p50, p999, own = (float(cells[column].split()[0]) for column in (3, 5, 7))
     return p50, p999, own
 

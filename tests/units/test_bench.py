@@ -11,23 +11,29 @@ import pytest
 
 from experiments import Refused, bench, bench_native
 from jax_aero import files
+from jax_aero.rust import QpProblem
 
 CALM = {f"{name} QP, calm, warm": time for name, time in (("momentum", 2e3), ("torque", 3e3))}
 SATURATED = {f"{name} QP, saturated, warm": time for name, time in (("momentum", 4e3), ("torque", 5e3))}
-COLD = {what.replace("warm", "cold"): time for what, time in (CALM | SATURATED).items()}
+PLANS = {f"{name}, warm": 1e5 for name in (*bench.QPS, *bench.PLANS) if name.startswith("plan")}
+COLD = {what.replace("warm", "cold"): time for what, time in (CALM | SATURATED | PLANS).items()}
 OTHERS = ("Clarabel as it comes", "Clarabel at 1e-12 and polished")
 OURS = (
     dict(zip(bench.DYNAMICS, (3e3, 5e3), strict=True))
     | CALM
     | SATURATED
+    | PLANS
     | COLD
     | {f"{name}, {other}": 1e6 for name in bench.QPS for other in OTHERS}
     | {"flight of 50 s": 0.25e9, "shipped network, links placed": 6e3}
 )
 """Times [ns] that meet their targets to the last digit, but for one."""
 PINOCCHIO = {f"{what}, {way}": time for what in bench.DYNAMICS for way, time in (("a", 1e4), ("b", 9e4))}
-DAQP = {f"{what}, a": time for what, time in (CALM | SATURATED | COLD).items()}
-TICK = "| | | | | | | |\n| tick, TEST2 | 0 | 12.0 us | 0 | 36.0 us | 0 | 30.0 us |\n"
+DAQP = {f"{what}, a": time for what, time in (CALM | SATURATED | PLANS | COLD).items()}
+TICK = "| | | | | | | |\n| tick, TEST2 | 0 | 12.0 us | 0 | 36.0 us | 0 | 30.0 us |\n" + "".join(
+    f"| tick that plans, {case} | 0 | {p50} us | 0 | {p999} us | 0 | 0 us |\n"
+    for case, p50, p999 in (("calm", 500, 1500), ("turbulence", 500, 1500), ("engine lost", 3000, 3000))
+)
 
 
 def targets(capsys, ours=OURS, others=PINOCCHIO | DAQP):
@@ -48,6 +54,7 @@ def test_a_target_is_met_up_to_its_last_digit(capsys):
     assert [what for what, (_, met) in slower.items() if met == "yes"] == [
         "whole tick, p50 / (Pinocchio + DAQP + DAQP)",
         "whole tick, p99.9 / p50",
+        *(f"tick that plans, {case}, {what}" for case in bench.CASES_OF_PLANS for what in ("p50", "p99.9")),
     ]
 
 
@@ -77,13 +84,28 @@ def test_every_call_from_python_works(tmp_path, monkeypatch):
     np.array([2, n, *state, *state]).tofile(tmp_path / "states.f64")
     problem = [*np.eye(4).ravel(), *rng.normal(size=4), *np.full(4, -1.0), *np.ones(4), *np.zeros(4)]
     for name in bench.QPS:
-        np.array([1, 4, *problem]).tofile(tmp_path / f"{name}.f64")
+        np.array([1, 4, 0, *problem]).tofile(tmp_path / f"{name}.f64")
+    for name in bench.PLANS:
+        np.array([1, 4, 1, *problem, *np.ones(4), -1.0, 1.0, 2.0]).tofile(tmp_path / f"{name}.f64")
     monkeypatch.setattr(bench, "FOLDER", tmp_path)
     monkeypatch.setattr(bench, "_per_item", lambda work, items: float(len([work(item) for item in items])))
     rows = list(bench._from_python())
     assert (bench.DYNAMICS[0], "ours, `Robot.dynamics`", 2.0) in rows
     assert {what for what, by, _ in rows if by.startswith("ours, `BoxQpSolver")} == set(bench.QPS)
     assert rows[-1] == ("flight of 50 s", "ours, `rust.fly`, full log", 1.0)
+
+
+def test_a_soft_row_is_a_row_with_a_slack():
+    # x² / 2 - 2 x with the row x ≤ 1 of weight 3: x - 2 + 3 (x - 1) = 0.
+    one = np.ones(1)
+    box = QpProblem(np.eye(1), -2.0 * one, -9.0 * one, 9.0 * one)
+    problem = bench.Recorded(box, np.array([1.25]), np.eye(1), np.array([-np.inf]), one, 3.0 * one)
+    h, g, rows, lower, upper = problem.with_slacks()
+    answer, multiplier = np.array([1.25, 0.25]), 0.75
+    assert rows @ answer == problem.greatest
+    assert not np.any(h @ answer + g + multiplier * rows[0])
+    assert (*lower, *upper) == (-9.0, -np.inf, 9.0, np.inf)
+    assert problem.error(answer + 0.9) == pytest.approx(0.05)
 
 
 def test_a_time_is_a_median_over_rounds_after_one_to_warm_up():

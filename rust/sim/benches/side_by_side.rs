@@ -1,12 +1,15 @@
 //! Our part of the comparison with Pinocchio, DAQP and Clarabel, run by `python -m experiments.bench`.
 //!
-//! The output is that of `common::report`, over rounds of 201 states or problems. With `--dump DIR` these are first
-//! written there as input of the other programs. Each file is a list of f64: count, size, then row by row
+//! The output is that of `common::report`, over rounds of 201 states or problems. With `--dump DIR` these are
+//! written there as input of the other programs, and nothing is timed. Each file is a list of f64: count, size, then row by row
 //!
 //! ```text
 //! states.f64      base position (3), rotation (9, row-major), joints, velocity (6 + joints)
-//! NAME.f64        H, g, lower, upper, and our x
+//! NAME.f64        H, g, lower, upper, our x; then rows, their least and greatest values and weights
 //! ```
+//!
+//! The rows, whose number follows the size in `NAME.f64`, are soft: the cost of an excess `x` is `½ weight x²`. Only the
+//! plans have them. A *plan QP* is the last of a plan's search, without rows.
 //!
 //! `joints.txt` and `frames.txt` hold names; `check.f64` holds the results with which those of the dynamics are
 //! compared.
@@ -16,7 +19,7 @@ mod common;
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::SupportedConeT::NonnegativeConeT;
 use clarabel::solver::{DefaultSettings, DefaultSolver, IPSolver};
-use common::{Tick, report};
+use common::{PlannedTick, Search, Tick, report};
 use flight_core::RobotModel;
 use flight_core::aero::{LinkConventions, LinkForces};
 use flight_core::dynamics::Dynamics;
@@ -29,14 +32,37 @@ use std::error::Error;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
+/// Time in which the plans of a flight are recorded \[s\].
+const PLANS_SPAN: f64 = 2.0;
+
 fn main() -> Result<(), Box<dyn Error>> {
     let (calm, saturated) = (common::calm_ticks()?, common::saturated_ticks()?);
     let controller = common::controller(&common::configuration("test2")?)?;
     let robot = controller.model();
+    let mut plans = Vec::new();
+    for (case, config, from) in common::planned_flights()? {
+        plans.push((case, common::record_plans(&config, &(from..=from + PLANS_SPAN))?));
+    }
+    let mut problems: Vec<(String, Vec<QpProblem>)> = Vec::new();
+    for (case, ticks) in [("calm", &calm), ("saturated", &saturated)] {
+        let momentum = ticks.iter().map(|tick| tick.momentum_qp.clone()).collect();
+        let torque = ticks.iter().map(|tick| tick.torque_qp.clone()).collect();
+        problems.extend([(format!("momentum QP, {case}"), momentum), (format!("torque QP, {case}"), torque)]);
+    }
+    for (case, plans) in &plans {
+        let last = plans.iter().map(|plan| plan.horizon.problem.clone()).collect();
+        problems.push((format!("plan QP, {case}"), last));
+    }
     let mut arguments = std::env::args().skip_while(|argument| argument != "--dump").skip(1);
-    let folder = arguments.next().map(PathBuf::from);
-    if let Some(folder) = &folder {
-        write_states(folder, robot, &calm)?;
+    if let Some(folder) = arguments.next().map(PathBuf::from) {
+        write_states(&folder, robot, &calm)?;
+        for (name, problems) in &problems {
+            write_problems(&folder.join(format!("{name}.f64")), problems)?;
+        }
+        for (case, plans) in &mut plans {
+            write_plans(&folder.join(format!("plan, {case}.f64")), plans)?;
+        }
+        return Ok(());
     }
     let mut bundle = Bundle::new(robot);
     report("dynamics, without Jacobians", 300, &calm, |tick| bundle.update_dynamics(robot, tick));
@@ -44,16 +70,15 @@ fn main() -> Result<(), Box<dyn Error>> {
         bundle.update_dynamics(robot, tick);
         bundle.update_jacobians(robot);
     });
-    for (case, ticks) in [("calm", &calm), ("saturated", &saturated)] {
-        let momentum: Vec<&QpProblem> = ticks.iter().map(|tick| &tick.momentum_qp).collect();
-        let torque: Vec<&QpProblem> = ticks.iter().map(|tick| &tick.torque_qp).collect();
-        for (name, problems) in [("momentum", momentum), ("torque", torque)] {
-            let name = format!("{name} QP, {case}");
-            if let Some(folder) = &folder {
-                write_problems(&folder.join(format!("{name}.f64")), &problems)?;
-            }
-            time_solvers(&name, &problems);
-        }
+    for (name, problems) in &problems {
+        time_solvers(name, problems);
+    }
+    for (case, plans) in &mut plans {
+        let mut search = Search::new(plans[0].horizon.problem.len());
+        let places: Vec<usize> = (0..plans.len()).collect();
+        report(&format!("plan, {case}, warm"), 50, &places, |place| {
+            search.solve(&mut plans[*place]).is_some()
+        });
     }
     let mut network = load_aero(&common::configuration("test4")?.simulator.aero, robot)?;
     let mut links = LinkForces::new(robot);
@@ -107,17 +132,20 @@ impl Bundle {
     }
 }
 
-fn time_solvers(name: &str, problems: &[&QpProblem]) {
+fn time_solvers(name: &str, problems: &[QpProblem]) {
     let n = problems[0].len();
+    let (rounds, of_clarabel) = if n < 64 { (200, 5) } else { (50, 1) };
     let mut solver = PrimalActiveSet::new(n);
-    report(&format!("{name}, warm"), 200, problems, |qp| solver.solve(qp));
-    report(&format!("{name}, cold"), 200, problems, |qp| {
+    report(&format!("{name}, warm"), rounds, problems, |qp| solver.solve(qp));
+    report(&format!("{name}, cold"), rounds, problems, |qp| {
         solver.reset();
         solver.solve(qp)
     });
     let mut reference = ClarabelSolver::new(n, 0);
-    report(&format!("{name}, Clarabel at 1e-12 and polished"), 5, problems, |qp| reference.solve(qp));
-    report(&format!("{name}, Clarabel as it comes"), 5, problems, |qp| solve_with_clarabel(qp));
+    report(&format!("{name}, Clarabel at 1e-12 and polished"), of_clarabel, problems, |qp| {
+        reference.solve(qp)
+    });
+    report(&format!("{name}, Clarabel as it comes"), of_clarabel, problems, |qp| solve_with_clarabel(qp));
 }
 
 /// Clarabel with its default settings, bounds as inequalities.
@@ -166,14 +194,35 @@ fn write_states(folder: &Path, robot: &RobotModel, ticks: &[Tick]) -> std::io::R
     write(&folder.join("states.f64"), &data)
 }
 
-fn write_problems(path: &Path, problems: &[&QpProblem]) -> std::io::Result<()> {
+fn write_problems(path: &Path, problems: &[QpProblem]) -> std::io::Result<()> {
     let mut solver = PrimalActiveSet::new(problems[0].len());
-    let mut data = vec![problems.len() as f64, problems[0].len() as f64];
+    let mut data = vec![problems.len() as f64, problems[0].len() as f64, 0.0];
     for qp in problems {
         solver.solve(qp);
         data.extend(qp.h.iter().chain(&qp.g).chain(&qp.lower).chain(&qp.upper).chain(solver.x()));
     }
     write(path, &data)
+}
+
+fn write_plans(path: &Path, plans: &mut [PlannedTick]) -> Result<(), Box<dyn Error>> {
+    let n = plans[0].horizon.problem.len();
+    let mut search = Search::new(n);
+    let mut data = vec![plans.len() as f64, n as f64];
+    for tick in plans {
+        let x = search.solve(tick).ok_or("a plan without an answer")?.to_vec();
+        let PlannedTick { model, horizon, terms, joint_limits } = tick;
+        let (lower, upper) = (horizon.problem.lower.clone(), horizon.problem.upper.clone());
+        let (h, g, rows) = horizon.soft_problem(model, terms, joint_limits);
+        if data.len() == 2 {
+            data.push(rows.len() as f64);
+        }
+        data.extend(h.iter().chain(g).chain(&lower).chain(&upper).chain(&x));
+        data.extend(rows.iter().flat_map(|row| &row.by_input));
+        data.extend(rows.iter().map(|row| row.range.0));
+        data.extend(rows.iter().map(|row| row.range.1));
+        data.extend(rows.iter().map(|row| row.weight));
+    }
+    Ok(write(path, &data)?)
 }
 
 fn write(path: &Path, data: &[f64]) -> std::io::Result<()> {

@@ -16,6 +16,9 @@ use std::time::Instant;
 /// Times of the same items \[µs\], one list for each replay.
 type Replays = Vec<Vec<f64>>;
 
+/// Time in which the plans of a flight are timed \[s\].
+const PLANS_SPAN: f64 = 20.0;
+
 /// Least number of ticks timed per flight, and of replays of a flight.
 fn least_counts() -> (usize, usize) {
     if std::env::args().any(|argument| argument == "--bench") { (20_000, 7) } else { (1, 1) }
@@ -32,19 +35,8 @@ fn main() -> Result<(), BuildError> {
     ] {
         report(title, &tick_times(&common::configuration(name)?)?);
     }
-    for (title, other) in [
-        ("tick with a plan, TEST2", "test2"),
-        ("tick with a plan, robustness", "robustness"),
-        ("tick with a plan, one engine out from 18 s", "engine_out"),
-    ] {
-        let other = common::configuration(other)?;
-        let mut config = common::configuration("test2_mpc")?;
-        (config.simulator, config.disturbances) = (other.simulator, other.disturbances);
-        config.simulator.duration = 22.0;
-        if let Some(mpc) = &mut config.controller.law.mpc {
-            mpc.period = config.simulator.time_step; // every tick
-        }
-        report(title, &tick_times(&config)?);
+    for (title, config, from) in common::planned_flights()? {
+        report(&format!("tick that plans, {title}"), &plan_times(&config, from)?);
     }
     let mut config = common::configuration("test2")?;
     let mut contact = common::configuration("take_off")?.controller.law.contact;
@@ -59,6 +51,26 @@ fn main() -> Result<(), BuildError> {
     report("its torque QP by Clarabel", &clarabel);
     report("plant, one tick (observe and advance), TEST2", &plant_times()?);
     Ok(())
+}
+
+/// Replays the measurements of a flight and times the ticks after `from` \[s\] that make a plan, in processor time.
+fn plan_times(config: &ScenarioConfig, from: f64) -> Result<Replays, BuildError> {
+    let ticks = common::record(config, &(0.0..=from + PLANS_SPAN))?;
+    replay(ticks.len(), |times| {
+        let mut controller = common::controller(config)?;
+        let mut state = None;
+        for tick in &ticks {
+            let measurement = tick.measurement();
+            let Some(state) = common::begin_flight(&mut controller, &mut state, &measurement) else { break };
+            let begin = common::processor_time();
+            black_box(controller.tick(state, black_box(&measurement)).status);
+            let taken = common::processor_time() - begin;
+            if tick.time >= from && common::makes_plan(config, tick.time) {
+                times.push(1e6 * taken);
+            }
+        }
+        Ok(())
+    })
 }
 
 /// Replays the measurements of a flight. Each state is written just before its tick, as by a driver; read from the

@@ -14,6 +14,8 @@ use super::law::mission::Mission;
 use super::law::momentum::AeroFeedback;
 use super::law::momentum_qp::{MomentumQp, Task};
 use super::law::mpc::PredictiveLaw;
+use super::law::mpc::horizon::Horizon;
+use super::law::mpc::model::Linearised;
 use super::law::mpc::plan::Plan;
 use super::law::rates::{Law, MomentumLaw};
 use super::law::setpoint::{Setpoint, SetpointGenerator};
@@ -245,6 +247,13 @@ impl Controller {
     #[must_use]
     pub fn setpoint_generator(&self) -> &SetpointGenerator {
         self.law.generator()
+    }
+
+    /// Linearised model and horizon of the last plan of a predictive law. For benchmarks.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn prediction(&self) -> Option<(&Linearised, &Horizon)> {
+        self.law.prediction()
     }
 
     /// The controller's model of the robot; without jets if it does not use them.

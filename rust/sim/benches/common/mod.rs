@@ -1,17 +1,21 @@
 //! Ticks of recorded flights as input of the benchmarks.
 #![allow(dead_code)] // each benchmark uses a part of it
 
-use flight_core::control::ControllerState;
+use flight_core::control::law::mpc::PredictiveLaw;
+use flight_core::control::law::mpc::horizon::Horizon;
+use flight_core::control::law::mpc::model::Linearised;
+use flight_core::control::law::mpc::plan::Plan;
+use flight_core::control::{ControllerState, Terms};
 use flight_core::kinematics::RobotState;
-use flight_core::qp::QpProblem;
+use flight_core::qp::{PrimalActiveSet, QpProblem, QpSolver};
 use flight_core::{BuildError, Controller, Measurement};
 use flight_io::load_robot;
-use flight_sim::{Plant, ScenarioConfig, Wind, load_scenario};
+use flight_sim::disturbances::{FailureKind, JetFailure};
+use flight_sim::{Plant, ScenarioConfig, Wind, WindConfig, load_scenario};
 use nalgebra::{Vector3, Vector6};
 use std::hint::black_box;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 /// Measurement of a tick, and the QPs that the controller built from it.
 pub struct Tick {
@@ -51,42 +55,131 @@ pub fn controller(config: &ScenarioConfig) -> Result<Controller, BuildError> {
     config.controller(robot)
 }
 
-/// Flies a configuration and records the ticks in a span of time \[s\].
-pub fn record(config: &ScenarioConfig, span: &RangeInclusive<f64>) -> Result<Vec<Tick>, BuildError> {
+/// Flies a configuration to a time \[s\], with `visit` after every tick of the controller.
+fn fly(
+    config: &ScenarioConfig,
+    end: f64,
+    mut visit: impl FnMut(&Controller, &Measurement),
+) -> Result<(), BuildError> {
     let mut controller = controller(config)?;
     let mut plant = Plant::new(load_robot(&config.robot)?, &config.simulator, &config.disturbances)?;
     let mut state = None;
     let wind_profile = Wind::new(&config.wind)?;
     let time_step = config.simulator.time_step;
-    let mut ticks = Vec::new();
+    let feet = vec![Vector6::zeros(); controller.model().feet.len()];
     for tick in 0..=config.simulator.n_ticks() {
         let time = tick as f64 * time_step;
-        if time > *span.end() {
+        if time > end {
             break;
         }
         let wind = wind_profile.velocity(time);
         plant.observe(&wind);
         let thrust = plant.jets().thrust_feedback();
-        let feet = vec![Vector6::zeros(); controller.model().feet.len()];
         let measurement = Measurement { time, state: plant.state(), thrust, wind, foot_wrenches: &feet };
         let Some(state) = begin_flight(&mut controller, &mut state, &measurement) else { break };
         controller.tick(state, &measurement);
-        if span.contains(&time) {
-            ticks.push(Tick {
-                time,
-                state: plant.state().clone(),
-                thrust: thrust.to_vec(),
-                wind,
-                feet,
-                momentum_qp: controller.terms().momentum_qp.problem.clone(),
-                torque_qp: controller.terms().torque_qp.problem.clone(),
-            });
-        }
+        visit(&controller, &measurement);
         let command = controller.command();
         let (torque, thrust_rate) = (command.joint_torque.as_slice(), command.thrust_rate.as_slice());
         plant.advance(torque, thrust_rate, &wind, time_step);
     }
+    Ok(())
+}
+
+/// Flies a configuration and records the ticks in a span of time \[s\].
+pub fn record(config: &ScenarioConfig, span: &RangeInclusive<f64>) -> Result<Vec<Tick>, BuildError> {
+    let mut ticks = Vec::new();
+    fly(config, *span.end(), |controller, measurement| {
+        if span.contains(&measurement.time) {
+            ticks.push(Tick {
+                time: measurement.time,
+                state: measurement.state.clone(),
+                thrust: measurement.thrust.to_vec(),
+                wind: measurement.wind,
+                feet: measurement.foot_wrenches.to_vec(),
+                momentum_qp: controller.terms().momentum_qp.problem.clone(),
+                torque_qp: controller.terms().torque_qp.problem.clone(),
+            });
+        }
+    })?;
     Ok(ticks)
+}
+
+/// Flights of the predictive law, with the time \[s\] from which their plans count: hovering in the full wind, in
+/// turbulence of 18 m/s, and after an arm engine has stopped at once.
+pub fn planned_flights() -> Result<[(&'static str, ScenarioConfig, f64); 3], BuildError> {
+    let calm = configuration("test2_mpc")?;
+    let (mut turbulence, mut loss) = (calm.clone(), calm.clone());
+    turbulence.wind = WindConfig::Turbulent {
+        velocity: [0.0, -18.0, 0.0],
+        ramp_start: 5.0,
+        ramp_end: 10.0,
+        std: [3.6, 3.6, 1.8],
+        time_scale: 2.0,
+        seed: 0,
+    };
+    loss.disturbances.jets.failure =
+        Some(JetFailure { jet: "l_arm_jet".into(), time: 18.0, kind: FailureKind::Off, decay: 0.0 });
+    Ok([("calm", calm, 10.0), ("turbulence", turbulence, 10.0), ("engine lost", loss, 18.0)])
+}
+
+/// Whether the tick at `time` makes a plan.
+pub fn makes_plan(config: &ScenarioConfig, time: f64) -> bool {
+    let every = config.controller.law.mpc.as_ref().map_or(f64::INFINITY, |mpc| mpc.period);
+    (time / every - (time / every).round()).abs() < 1e-6
+}
+
+/// What a plan is made from.
+pub struct PlannedTick {
+    pub model: Linearised,
+    pub horizon: Horizon,
+    pub terms: Terms,
+    pub joint_limits: Vec<(f64, f64)>,
+}
+
+/// Flies a configuration and records the plans in a span of time \[s\].
+pub fn record_plans(
+    config: &ScenarioConfig,
+    span: &RangeInclusive<f64>,
+) -> Result<Vec<PlannedTick>, BuildError> {
+    let mut plans = Vec::new();
+    fly(config, *span.end(), |controller, measurement| {
+        if !span.contains(&measurement.time) || !makes_plan(config, measurement.time) {
+            return;
+        }
+        let Some((model, horizon)) = controller.prediction() else { return };
+        plans.push(PlannedTick {
+            model: model.clone(),
+            horizon: horizon.clone(),
+            terms: controller.terms().clone(),
+            joint_limits: controller.model().joints.iter().map(|joint| joint.limits).collect(),
+        });
+    })?;
+    Ok(plans)
+}
+
+/// The law's search for the plan of recorded ticks, each from the plan before.
+pub struct Search {
+    solver: PrimalActiveSet,
+    inputs: Vec<f64>,
+    plan: Plan,
+}
+
+impl Search {
+    pub fn new(unknowns: usize) -> Self {
+        Self {
+            solver: PrimalActiveSet::new(unknowns),
+            inputs: vec![0.0; unknowns],
+            plan: Plan::none(unknowns),
+        }
+    }
+
+    /// The inputs of the plan; `None` if they are not certified.
+    pub fn solve(&mut self, tick: &mut PlannedTick) -> Option<&[f64]> {
+        let Self { solver, inputs, plan } = self;
+        let PlannedTick { model, horizon, terms, joint_limits } = tick;
+        PredictiveLaw::search(horizon, solver, model, terms, joint_limits, inputs, plan).then(|| solver.x())
+    }
 }
 
 /// State of a flight that starts with its first measurement; `None` if it cannot start.
@@ -157,15 +250,23 @@ pub fn quantile(sorted: &[f64], p: f64) -> f64 {
     sorted.get(rank).copied().unwrap_or(f64::NAN)
 }
 
+/// Processor time of this thread \[s\]: other programs and threads do not count.
+pub fn processor_time() -> f64 {
+    let mut now = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    // SAFETY: `now` is a valid place for the answer; the clock exists on every Unix.
+    unsafe { libc::clock_gettime(libc::CLOCK_THREAD_CPUTIME_ID, &raw mut now) };
+    now.tv_sec as f64 + 1e-9 * now.tv_nsec as f64
+}
+
 /// Times `rounds` rounds of `work` on all `items`, after one that warms up, and prints a line `what <tab> median <tab>
-/// minimum` in nanoseconds per item.
+/// minimum` in nanoseconds of processor time per item.
 pub fn report<T, R>(what: &str, rounds: usize, items: &[T], mut work: impl FnMut(&T) -> R) {
     let mut round = || {
-        let begin = Instant::now();
+        let begin = processor_time();
         for item in items {
             black_box(work(black_box(item)));
         }
-        1e9 * begin.elapsed().as_secs_f64() / items.len() as f64
+        1e9 * (processor_time() - begin) / items.len() as f64
     };
     round();
     let mut times: Vec<f64> = (0..rounds).map(|_| round()).collect();

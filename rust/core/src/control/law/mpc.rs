@@ -130,7 +130,22 @@ impl PredictiveLaw {
         self.horizon.update(&self.model, terms, joints, ahead, !terms.limits.holds_position);
         self.set_bounds(terms);
         let Self { horizon, solver, model, joint_limits, inputs, .. } = self;
-        let Plan { inputs: last, warm, answer, since, tried } = &mut state.plan;
+        Self::search(horizon, solver, model, terms, joint_limits, inputs, &mut state.plan)
+    }
+
+    /// Searches the inputs of least cost, with what they bring beyond its limits, from the last plan; `false` without a
+    /// certified answer. Public for benchmarks.
+    #[doc(hidden)]
+    pub fn search(
+        horizon: &mut Horizon,
+        solver: &mut PrimalActiveSet,
+        model: &Linearised,
+        terms: &Terms,
+        joint_limits: &[(f64, f64)],
+        inputs: &mut [f64],
+        plan: &mut Plan,
+    ) -> bool {
+        let Plan { inputs: last, warm, answer, since, tried } = plan;
         if since.is_some() {
             horizon.update_excess(model, terms, joint_limits, last);
         }
@@ -149,7 +164,7 @@ impl PredictiveLaw {
             // The cost falls along the way; its least point has other values beyond their limits.
             let share = match pass {
                 0 => 1.0,
-                _ => horizon.least_on_way(model, terms, joint_limits, (inputs.as_slice(), to)),
+                _ => horizon.least_on_way(model, terms, joint_limits, (&*inputs, to)),
             };
             for (input, to) in inputs.iter_mut().zip(to) {
                 *input += share * (to - *input);
@@ -286,6 +301,10 @@ impl Law for PredictiveLaw {
 
     fn unknowns(&self) -> usize {
         self.horizon.problem.len()
+    }
+
+    fn prediction(&self) -> Option<(&Linearised, &Horizon)> {
+        Some((&self.model, &self.horizon))
     }
 
     fn follow(&mut self, state: &mut ControllerState, given: Option<&Setpoint>, terms: &mut Terms) -> bool {

@@ -2,6 +2,8 @@
 
 use super::attitude::attitude_demand;
 use super::momentum_qp::TaskInputs;
+use super::mpc::horizon::Horizon;
+use super::mpc::model::Linearised;
 use super::setpoint::{Setpoint, SetpointGenerator};
 use crate::aero::AeroModel;
 use crate::control::command::{Command, CommandStatus};
@@ -26,6 +28,11 @@ pub trait Law: Debug + Send + Sync {
     /// Number of unknowns of its plan, which is a part of the state; zero if it does not plan.
     fn unknowns(&self) -> usize {
         0
+    }
+
+    /// Linearised model and horizon of its last plan, if it plans.
+    fn prediction(&self) -> Option<(&Linearised, &Horizon)> {
+        None
     }
 
     /// Chooses the set-point of this tick: during a descent that of the descent, otherwise the `given` one, or that of

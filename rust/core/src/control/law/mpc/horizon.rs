@@ -267,6 +267,18 @@ impl Limited {
     }
 }
 
+/// A value with a soft range: `range.0 ≤ by_input · u ≤ range.1`; the cost of an excess `x` is `½ weight x²`.
+#[doc(hidden)]
+#[derive(Debug, Clone)]
+pub struct SoftRow {
+    /// Its derivative by the inputs.
+    pub by_input: Vec<f64>,
+    /// Its limits.
+    pub range: (f64, f64),
+    /// Weight of the square of the excess.
+    pub weight: f64,
+}
+
 /// The prediction and its QP; preallocated. Unknowns: thrust rates by knot, then joint velocities by block.
 #[derive(Debug, Clone)]
 pub struct Horizon {
@@ -855,6 +867,35 @@ impl Horizon {
             }
             limited.range = (self.least_distance, f64::INFINITY);
         }
+    }
+
+    /// H and g without excesses, and the values that may exceed their limits as rows in the inputs. For benchmarks;
+    /// allocates.
+    #[doc(hidden)]
+    pub fn soft_problem(
+        &mut self,
+        model: &Linearised,
+        terms: &Terms,
+        joint_limits: &[(f64, f64)],
+    ) -> (&DMatrix<f64>, &DVector<f64>, Vec<SoftRow>) {
+        let n = self.problem.len();
+        let mut input = vec![0.0; n];
+        self.read_limited(model, terms, joint_limits, &input);
+        let row = |Limited { free, range, weight, .. }: &Limited| SoftRow {
+            by_input: vec![0.0; n],
+            range: (range.0 - free, range.1 - free),
+            weight: *weight,
+        };
+        let mut rows: Vec<SoftRow> = self.limited.iter().map(row).collect();
+        for unknown in 0..n {
+            input[unknown] = 1.0;
+            self.read_limited(model, terms, joint_limits, &input);
+            input[unknown] = 0.0;
+            for (row, limited) in rows.iter_mut().zip(&self.limited) {
+                row.by_input[unknown] = limited.value - limited.free;
+            }
+        }
+        (&self.base_h, &self.base_g, rows)
     }
 
     /// Share `t` of the way from the inputs `from` to `to` at which the cost with all excesses is least. The cost is
