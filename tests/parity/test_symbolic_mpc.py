@@ -91,7 +91,7 @@ def test_distances_and_their_derivatives(robot_name, random_states, agree):
     for _, (state, _) in zip(range(COUNT), random_states, strict=False):
         controller.start(state, np.full(4, 100.0), np.zeros(3))
         controller.tick(state, np.full(4, 100.0), np.zeros(3))
-        theirs = controller.prediction(zero, targets)
+        theirs = controller.prediction(zero, targets, np.zeros((len(targets), 6)))
         values, derivatives = (value.full() for value in expected(np.zeros(3), np.eye(3), state.joint_position))
         agree("symbolic: distance", theirs["distance"], values[:, 0], SMOOTHING)
         agree("symbolic: distance_by_joint", theirs["distance_by_joint"], derivatives[:, joints], SMOOTHING)
