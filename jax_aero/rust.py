@@ -545,15 +545,11 @@ class Controller:
         """
         self._core.replace_command(_array(thrust_rate), _array(joint_torque))
 
-    def prediction(
-        self, velocity_error_integral: ArrayLike, targets: ArrayLike, wrenches: ArrayLike
-    ) -> dict[str, NDArray[np.float64]]:
+    def prediction(self, targets: ArrayLike, wrenches: ArrayLike) -> dict[str, NDArray[np.float64]]:
         """Return linearised model, H and g of the predictive law at the state of the last tick, by the crate's names.
 
         Parameters
         ----------
-        velocity_error_integral
-            Integral of the joint velocity error at the start of that tick [rad], (n,).
         targets
             Position, velocity, rotation vector from the present attitude, angular velocity, acceleration and angular
             acceleration at the end of every knot, inertial axes, (knots, 6, 3).
@@ -565,8 +561,7 @@ class Controller:
         ValueError
             Without `controller.mpc`, before the first tick, and for arrays of the wrong size.
         """
-        arrays = _array(velocity_error_integral), _array(targets), _array(wrenches)
-        return self._core.prediction(self._config, *arrays)
+        return self._core.prediction(self._config, _array(targets), _array(wrenches))
 
 
 def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None = None) -> Config:

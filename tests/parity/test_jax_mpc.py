@@ -60,14 +60,14 @@ def test_linearised_dynamics_and_qp(agree):
     mpc, gains = params.mpc, (params.torque.kd, params.torque.kp)
 
     @jax.jit
-    def evaluate(state, thrust, wind, posture, integral, targets, wrenches):
+    def evaluate(state, thrust, wind, posture, targets, wrenches):
         none, no = jnp.zeros(()), jnp.zeros((), bool)
         used = UsedMeasurement(none, state, thrust, wind, none.astype(int), 0.0 * thrust, none, none, no)
         model = params.model(robot, used)
         linear = linearise(robot, params.aero, mpc.structure.air, mpc.structure.joints, state, thrust, wind)
         target = Target(*jnp.moveaxis(targets, 1, 0))
         limits = params.limits(robot)
-        args = linear, used, model, limits, posture, integral, target, wrenches
+        args = linear, used, model, limits, posture, target, wrenches
         ahead = horizon(mpc, mpc.weights, gains, robot, *args)
         found = distances(robot, mpc.clearance, mpc.structure.joints, state.joint_position)
         return linear._asdict() | {"h": ahead.h, "g": ahead.g} | dict(zip(DISTANCES, found, strict=True))
@@ -77,8 +77,8 @@ def test_linearised_dynamics_and_qp(agree):
         started = controller.start(rust.State(*state), thrust, wind)
         controller.state = started.with_posture_control(posture, np.eye(3), integral)
         controller.tick(rust.State(*state), thrust, wind)
-        theirs = controller.prediction(integral, *ahead)
-        ours = jax.device_get(evaluate(state, thrust, wind, posture, integral, *ahead))
+        theirs = controller.prediction(*ahead)
+        ours = jax.device_get(evaluate(state, thrust, wind, posture, *ahead))
         for name, value in ours.items():
             agree(name, value, theirs[name], TOLERANCE)
 

@@ -56,13 +56,12 @@ def test_every_derivative(robot_name, random_states, agree):
     controller = rust.Controller(config)
     rng = np.random.default_rng(11)
     targets = np.zeros((len(config["controller"]["mpc"]["knots"]), 6, 3))
-    zero = np.zeros(derived_robot.n_joints)
     for index, (state, _) in zip(range(COUNT), random_states, strict=False):
         thrust = rng.uniform(0.0, 220.0, len(derived_robot.jets))
         wind = rng.normal(size=3) * (1.0, 10.0, 40.0)[index % 3]
         controller.start(state, thrust, wind)
         controller.tick(state, thrust, wind)
-        theirs = controller.prediction(zero, targets, np.zeros((len(targets), 6)))
+        theirs = controller.prediction(targets, np.zeros((len(targets), 6)))
         ours = derived.linearised(*state, thrust, wind)
         for name, value in ours._asdict().items():
             expected = value[:, sorted(joints)] if name.endswith(("_s", "_sigma")) else value
@@ -87,11 +86,11 @@ def test_distances_and_their_derivatives(robot_name, random_states, agree):
     expected = ca.Function("expected", at, [distance, ca.jacobian(distance, tree.joint_position)])
     controller = rust.Controller(config)
     joints = sorted(described.joint_names.index(name) for group in groups for name in described.joint_groups[group])
-    targets, zero = np.zeros((len(config["controller"]["mpc"]["knots"]), 6, 3)), np.zeros(robot.n_joints)
+    targets = np.zeros((len(config["controller"]["mpc"]["knots"]), 6, 3))
     for _, (state, _) in zip(range(COUNT), random_states, strict=False):
         controller.start(state, np.full(4, 100.0), np.zeros(3))
         controller.tick(state, np.full(4, 100.0), np.zeros(3))
-        theirs = controller.prediction(zero, targets, np.zeros((len(targets), 6)))
+        theirs = controller.prediction(targets, np.zeros((len(targets), 6)))
         values, derivatives = (value.full() for value in expected(np.zeros(3), np.eye(3), state.joint_position))
         agree("symbolic: distance", theirs["distance"], values[:, 0], SMOOTHING)
         agree("symbolic: distance_by_joint", theirs["distance_by_joint"], derivatives[:, joints], SMOOTHING)

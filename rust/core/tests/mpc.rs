@@ -441,8 +441,7 @@ fn the_horizon_is_the_motion_in_fine_steps() {
     let wrenches: Vec<Vector6<f64>> = targets.iter().map(wrench).collect();
     let n = case.robot.joints.len();
     let posture = DVector::from_fn(n, |_, _| rng.random_range(-0.5..0.5));
-    let errors = DVector::from_fn(n, |_, _| rng.random_range(-0.05..0.05));
-    horizon.update(&model, terms, (&posture, &errors), (&targets, &wrenches), false);
+    horizon.update(&model, terms, &posture, (&targets, &wrenches), false);
 
     let [posture_weights, _] = mpc.posture_weights(&case.robot, &joints);
     let cost = |inputs: &[f64]| {
@@ -450,7 +449,6 @@ fn the_horizon_is_the_motion_in_fine_steps() {
         let mut x = DVector::zeros(12 + jets + 3 * free);
         for (place, joint) in joints.iter().enumerate() {
             x[12 + jets + free + place] = case.state.joint_velocity()[*joint];
-            x[12 + jets + 2 * free + place] = errors[*joint];
         }
         let (mut total, mut before) = (0.0, Vector6::zeros());
         for (knot, duration) in mpc.knots.iter().enumerate() {
@@ -547,7 +545,7 @@ fn a_plan_minimises_the_cost_with_all_excesses() {
         horizon.knots()
     ];
     let calm = vec![Vector6::zeros(); horizon.knots()];
-    horizon.update(&model, terms, (&zeros, &zeros), (&targets, &calm), false);
+    horizon.update(&model, terms, &zeros, (&targets, &calm), false);
     let base = horizon.problem.clone();
     for knot in 0..horizon.knots() {
         for jet in 0..jets {

@@ -177,14 +177,13 @@ impl Controller {
         self.controller.replace_command(state, &rates, &torques).map_err(plain_error)
     }
 
-    /// Linearised model and QP of the predictive law at the state of the last tick, by name, from the integral of the joint
-    /// velocity error (n) at its start and, for the end of every knot, targets (knots, 6, 3): p, v, rotation vector,
-    /// angular velocity, a, angular acceleration; and changes of the air's wrench (knots, 6).
+    /// Linearised model and QP of the predictive law at the state of the last tick, by name, from targets (knots, 6, 3) for
+    /// the end of every knot: p, v, rotation vector, angular velocity, a, angular acceleration; and changes of the air's
+    /// wrench (knots, 6).
     fn prediction<'py>(
         &self,
         py: Python<'py>,
         config_json: &str,
-        velocity_error_integral: Input<'py>,
         targets: Input<'py>,
         wrenches: Input<'py>,
     ) -> PyResult<Bound<'py, PyDict>> {
@@ -206,7 +205,6 @@ impl Controller {
         }
         let gains = (section.law.torque.kd, section.law.torque.kp);
         let mut horizon = Horizon::new(mpc, gains, robot, &model.joints).map_err(value_error)?;
-        let integral = entries("velocity_error_integral", &velocity_error_integral, &[robot.joints.len()])?;
         let targets = entries("targets", &targets, &[horizon.knots(), 6, 3])?;
         let target = |target: &[f64]| {
             let [p, v, rotation, omega, a, alpha] =
@@ -216,8 +214,7 @@ impl Controller {
         let targets: Vec<Target> = targets.chunks_exact(18).map(target).collect();
         let wrenches = entries("wrenches", &wrenches, &[horizon.knots(), 6])?;
         let wrenches: Vec<_> = wrenches.chunks_exact(6).map(Vector6::from_column_slice).collect();
-        let joints = (state.posture(), &DVector::from_vec(integral));
-        horizon.update(&model, terms, joints, (&targets, &wrenches), !terms.limits.holds_position);
+        horizon.update(&model, terms, state.posture(), (&targets, &wrenches), !terms.limits.holds_position);
         let out = PyDict::new(py);
         out.set_item("rate_v", matrix(py, &model.rate_v)?)?;
         out.set_item("rate_theta", matrix(py, &model.rate_theta)?)?;

@@ -3,9 +3,9 @@
 ```text
 w                        change of the wrench of the air with the wind ahead
 y = (δp, δv, θ, δk)      motion of the centre of mass, rotation, angular momentum; the present one is zero
-d = (δT, δs, ṡ, e)       thrusts, joints, their velocities and velocity errors: driven by the inputs alone
+d = (δT, δs, ṡ, δe)      thrusts, joints, their velocities and velocity errors: driven by the inputs alone
 u = (Ṫ*, ṡ*)             thrust rates; joint velocities of the moved joints
-ẏ = A_c y + A_d d + B w + c    ë of the torque law:  s̈ = K_D (ṡ* − ṡ) − K_P e,  ė = ṡ − ṡ*
+ẏ = A_c y + A_d d + B w + c    δë of the torque law: s̈ = K_D (ṡ* − ṡ) − K_P δe,  δė = ṡ − ṡ*
 ```
 
 `z = (y, d, u, w, 1)` has one constant matrix over a knot, in which `u` and `w` do not change: a Taylor series for the
@@ -142,20 +142,19 @@ def horizon(
     model: Model,
     limits: Limits,
     posture: Float[Array, " n"],
-    integral: Float[Array, " n"],
     target: Target,
     wrenches: Float[Array, "K 6"],
 ) -> Horizon:
     """Build the QP for the gains `K_D` [1/s] and `K_P` [1/s²] of the torque law.
 
-    `integral` are the integrals of the joints' velocity errors [rad], `posture` their wanted positions [rad],
+    `posture` are the wanted positions of the joints [rad],
     `wrenches` the changes of the air's wrench with the wind at the ends of the knots [N, N m].
     """
     structure, moved = mpc.structure, np.array(mpc.structure.joints, dtype=int)
     places = _Places(used.thrust.shape[0], moved.size)
     of, sigma_now = places.of, used.state.velocity[6 + moved]
     dynamics = _dynamics(places, robot.mass, linear, used, model, gains, sigma_now)
-    start = jnp.concatenate([jnp.zeros(of["sigma"].start, sigma_now.dtype), sigma_now, integral[moved]])
+    start = jnp.concatenate([jnp.zeros(of["sigma"].start, sigma_now.dtype), sigma_now, jnp.zeros_like(sigma_now)])
     z = _propagate(structure, places, dynamics, start, wrenches)
 
     position = used.state.joint_position[moved]

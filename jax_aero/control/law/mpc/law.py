@@ -138,7 +138,7 @@ class PredictiveLaw:
         weights = where(limits.holds_position, mpc.weights, mpc.descent)
         target = self._targets(memory, used, followed)
         wrenches = self._wrenches(robot, used, model, followed.preview)
-        following = memory.posture, memory.velocity_error_integral, target, wrenches
+        following = memory.posture, target, wrenches
         ahead = horizon(mpc, weights, self.gains, robot, linear, used, model, limits, *following)
         bounds = self._bounds(limits, prepared.shaping.problem)
         search = _find_beyond(*jax.tree.map(lax.stop_gradient, (ahead, bounds, last)))

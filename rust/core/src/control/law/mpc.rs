@@ -125,9 +125,8 @@ impl PredictiveLaw {
         }
         self.set_targets(state, preview, terms);
         self.set_wrenches(robot, aero, preview, terms);
-        let joints = (&state.posture, &state.velocity_error_integral);
         let ahead = (self.targets.as_slice(), self.wrenches.as_slice());
-        self.horizon.update(&self.model, terms, joints, ahead, !terms.limits.holds_position);
+        self.horizon.update(&self.model, terms, &state.posture, ahead, !terms.limits.holds_position);
         self.set_bounds(terms);
         let Self { horizon, solver, model, joint_limits, inputs, .. } = self;
         Self::search(horizon, solver, model, terms, joint_limits, inputs, &mut state.plan)

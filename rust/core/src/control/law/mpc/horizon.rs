@@ -3,9 +3,9 @@
 //! ```text
 //! w                        change of the wrench of the air with the wind ahead
 //! y = (δp, δv, θ, δk)      motion of the centre of mass, rotation, angular momentum; the present one is zero
-//! d = (δT, δs, ṡ, e)       thrusts, joints, their velocities and velocity errors: driven by the inputs alone
+//! d = (δT, δs, ṡ, δe)      thrusts, joints, their velocities and velocity errors: driven by the inputs alone
 //! u = (Ṫ*, ṡ*)             thrust rates; joint velocities of the moved joints
-//! ẏ = A_c y + A_d d + B w + c    ë of the torque law:  s̈ = K_D (ṡ* − ṡ) − K_P e,  ė = ṡ − ṡ*
+//! ẏ = A_c y + A_d d + B w + c    δë of the torque law: s̈ = K_D (ṡ* − ṡ) − K_P δe,  δė = ṡ − ṡ*
 //! ```
 //!
 //! `u` and `w` are constant between knots, so every knot is exact: a Taylor series for the shortest, and squares of it.
@@ -482,14 +482,14 @@ impl Horizon {
         h
     }
 
-    /// Builds H and g at the state of `terms`, from the wanted positions of the joints and the integrals of their velocity
-    /// errors, and, for the end of each knot, a target and the change of the air's wrench with the wind \[N, N m\];
+    /// Builds H and g at the state of `terms`, from the wanted positions of the joints and, for the
+    /// end of each knot, a target and the change of the air's wrench with the wind \[N, N m\];
     /// `is_descending` chooses the weights.
     pub fn update(
         &mut self,
         model: &Linearised,
         terms: &Terms,
-        (posture, errors): (&DVector<f64>, &DVector<f64>),
+        posture: &DVector<f64>,
         ahead: (&[Target], &[Vector6<f64>]),
         is_descending: bool,
     ) {
@@ -497,7 +497,7 @@ impl Horizon {
         self.write_rates(model, terms);
         self.write_steps();
         let weights = usize::from(is_descending);
-        self.write_motion_cost(terms, ahead, weights, model, errors);
+        self.write_motion_cost(terms, ahead, weights, model);
         self.write_joint_cost(model, terms, posture, weights);
         self.clearance.update(&terms.kinematics, &model.joints);
         self.limited.iter_mut().for_each(|limited| limited.beyond = Beyond::No);
@@ -652,7 +652,6 @@ impl Horizon {
         (targets, wrenches): (&[Target], &[Vector6<f64>]),
         weights: usize,
         model: &Linearised,
-        errors: &DVector<f64>,
     ) {
         self.sensitivity.fill(Column::zeros());
         self.weighted.fill(0.0);
@@ -661,7 +660,7 @@ impl Horizon {
         let (mut y, mut before) = (Column::zeros(), Vector6::zeros());
         for (knot, (target, wrench)) in targets.iter().zip(wrenches).enumerate() {
             // Within the knot the mean of both ends: it needs no wind but that of the ends, where ω, a and α do.
-            y = self.move_freely(knot, (&y, &((before + wrench) * 0.5)), model, terms, errors);
+            y = self.move_freely(knot, (&y, &((before + wrench) * 0.5)), model, terms);
             before = *wrench;
             self.move_by_inputs(knot);
             let [p, v, theta, omega, a, alpha] = self.free_outputs(knot, (&y, wrench), present);
@@ -685,14 +684,13 @@ impl Horizon {
         (y, wrench): (&Column, &Vector6<f64>),
         model: &Linearised,
         terms: &Terms,
-        errors: &DVector<f64>,
     ) -> Column {
         let (places, power) = (self.places(), self.doublings[knot]);
         let step = &self.steps[power];
         let mut next = times(&step.by_y, y) + by_wrench(&step.by_w, wrench) + step.drift;
         for (place, joint) in model.joints.iter().enumerate() {
             let before = match knot {
-                0 => Vector3::new(0.0, terms.measurement.state.joint_velocity()[*joint], errors[*joint]),
+                0 => Vector3::new(0.0, terms.measurement.state.joint_velocity()[*joint], 0.0),
                 _ => self.free_joint[knot - 1][place],
             };
             next += by_joint(&step.by_d, places, place, &before);
