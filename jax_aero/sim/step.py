@@ -131,7 +131,7 @@ class Scenario:
         The wind is left out if its mean is known not to be used; a traced switch is not known.
         """
         faults, estimate = self.plant.jet_faults, self.wind_estimate
-        drawn = (self.sensors, estimate, None if faults is None else faults.sensor_noise)
+        drawn = (self.sensors, self.plant.actuation, estimate, None if faults is None else faults.sensor_noise)
         names: tuple[str, ...] = () if all(part is None for part in drawn) else ("n_ticks",)
         is_mean = False if estimate is None else estimate.is_mean
         if not isinstance(is_mean, jax.core.Tracer) and not np.asarray(is_mean).any():

@@ -76,7 +76,7 @@ typedef enum FlightMode {
 typedef struct FlightController FlightController;
 
 // A simulated robot in the wind of its configuration, for one thread at a time. Its measurements are exact: neither
-// `simulator.sensors` nor errors and outages of `disturbances` apply.
+// `simulator.sensors` nor errors and outages of `disturbances` apply. Commands are delayed by `simulator.actuation`.
 typedef struct FlightRobot FlightRobot;
 
 // Version and sizes with which a program was compiled, from `flight_header`.

@@ -323,7 +323,7 @@ impl Guarded for FlightController {
 }
 
 /// A simulated robot in the wind of its configuration, for one thread at a time. Its measurements are exact: neither
-/// `simulator.sensors` nor errors and outages of `disturbances` apply.
+/// `simulator.sensors` nor errors and outages of `disturbances` apply. Commands are delayed by `simulator.actuation`.
 #[derive(Debug)]
 pub struct FlightRobot {
     plant: Plant,
