@@ -114,6 +114,7 @@ class Jumps(Struct, frozen=True, kw_only=True):
 
 
 class ChannelsConfig(Struct, frozen=True, kw_only=True):
+    confirmation: float = 0.2
     descend_after: float = 3.0
     frozen_ticks: int = 5
     greatest: Greatest = Greatest()

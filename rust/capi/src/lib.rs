@@ -132,6 +132,8 @@ pub enum FlightMode {
     FlightDescending = 512,
     /// An engine does not reach its commanded thrust.
     FlightEngineLimited = 1024,
+    /// The first measurements are outvoted: the flight begins again from those of this tick.
+    FlightBegunAgain = 2048,
 }
 
 /// Names of the modes, by bit.

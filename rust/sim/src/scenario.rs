@@ -25,7 +25,7 @@ use crate::signals::{LogRow, TrackingErrors};
 use crate::summary::Summary;
 use crate::wind::Wind;
 use flight_core::aero::LeverArm;
-use flight_core::control::{Controller, ControllerState, Measurement};
+use flight_core::control::{Controller, ControllerState, Measurement, Modes};
 use flight_core::error::BuildError;
 use flight_core::robot::RobotModel;
 use flight_io::{load_changed, load_robot};
@@ -288,8 +288,6 @@ impl Flight {
         let measurement = Measurement { time, state: seen, thrust, wind: *given, foot_wrenches };
         if self.state.is_none() {
             self.state = controller.start(&measurement).ok();
-            self.log.joint_setpoint =
-                self.state.as_ref().map_or_else(Vec::new, |state| state.posture().as_slice().to_vec());
         }
         let Some(state) = &mut self.state else {
             let reason = self.scenario.divergence(&wind).unwrap_or(LossReason::NotFinite);
@@ -298,6 +296,9 @@ impl Flight {
         };
         controller.tick(state, &measurement);
         let (terms, command) = (controller.terms(), controller.command());
+        if self.tick == 0 || command.modes.contains(Modes::BEGUN_AGAIN) {
+            self.log.joint_setpoint = state.posture().as_slice().to_vec();
+        }
         let errors = TrackingErrors::new(plant, &terms.setpoint);
         self.log.push(&LogRow { time, wind, plant, terms, command, errors });
         self.loss = self.scenario.loss_reason(&wind, &errors).map(|reason| Loss { time, reason });
