@@ -3,8 +3,8 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 #![allow(clippy::float_cmp, reason = "commands arrive with the same bits")]
 
-use crate::common::{assert_says, experiment};
-use flight_sim::{Actuation, ActuationConfig, FlightResult, Scenario, ScenarioConfig};
+use crate::common::{assert_says, assert_within, experiment};
+use flight_sim::{Actuation, ActuationConfig, FlightResult, Outcome, Scenario, ScenarioConfig};
 use std::ops::ControlFlow;
 
 const STEP: f64 = 0.001;
@@ -98,6 +98,32 @@ fn a_flight_without_delays_keeps_its_bits() {
     let row = |flight: &FlightResult, tick| flight.log.series("joint_position").unwrap().row(tick).to_vec();
     assert_eq!(row(&at_once, 1), row(&late, 1));
     assert_ne!(row(&at_once, 2), row(&late, 2));
+}
+
+/// Torques that are late by a tick of 10 ms: too late for the observer, not for the predictive law, and not for the
+/// observer with ticks of 5 ms. Lost commands are not felt.
+#[test]
+fn late_torques_need_shorter_ticks_or_a_plan() {
+    let fly = |name: &str, time_step: f64, actuation: ActuationConfig| {
+        let mut config = experiment(name);
+        config.simulator.duration = 20.0;
+        config.simulator.time_step = time_step;
+        config.simulator.actuation = Some(actuation);
+        fly(&config)
+    };
+    let late = |torque_delay| ActuationConfig { torque_delay, ..Default::default() };
+    assert_eq!(fly("test2_observer", 0.01, late(0.01)).outcome, Outcome::Fell);
+    for (name, time_step, actuation) in [
+        ("test2_mpc", 0.01, late(0.01)),
+        ("test2_observer", 0.005, late(0.005)),
+        ("test2_observer", 0.01, ActuationConfig { thrust_delay: 0.05, ..Default::default() }),
+        ("test2_observer", 0.01, ActuationConfig { drop: 0.1, ..Default::default() }),
+    ] {
+        let flight = fly(name, time_step, actuation);
+        assert_eq!(flight.outcome, Outcome::Completed, "{name}: {:?}", flight.loss);
+        let rotation = flight.summary.max_rotation_error.to_degrees();
+        assert_within!(rotation, 5.0, because "margin of the flight", "{name}: {rotation} deg");
+    }
 }
 
 #[test]
