@@ -13,6 +13,14 @@ from typing import Literal, TypeAlias
 from msgspec import Struct, field
 
 
+class ActuationConfig(Struct, frozen=True, kw_only=True):
+    drop: float = 0.0
+    jitter: float = 0.0
+    seed: int = 0
+    thrust_delay: float = 0.0
+    torque_delay: float = 0.0
+
+
 class CylinderTables(Struct, frozen=True, kw_only=True):
     axial_drag: tuple[float, ...]
     crosswind_drag: tuple[float, ...]
@@ -106,6 +114,7 @@ class Jumps(Struct, frozen=True, kw_only=True):
 
 
 class ChannelsConfig(Struct, frozen=True, kw_only=True):
+    confirmation: float = 0.2
     descend_after: float = 3.0
     frozen_ticks: int = 5
     greatest: Greatest = Greatest()
@@ -535,6 +544,7 @@ class SensorsConfig(Struct, frozen=True, kw_only=True):
 
 
 class SimulatorConfig(Struct, frozen=True, kw_only=True):
+    actuation: ActuationConfig | None = None
     aero: AeroConfig
     course_error: float = 0.5
     divergence: DivergenceConfig = DivergenceConfig()

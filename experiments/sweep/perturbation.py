@@ -23,6 +23,7 @@ CHANCE = {
     "disturbances.wind_estimate": (),
     "disturbances.jets.measurement_noise": (),
     "simulator.sensors": (),
+    "simulator.actuation": (),
 }
 """Tables that get a new seed in every repeat, and the keys that they need to have random numbers at all."""
 

@@ -14,6 +14,7 @@ MODES = {
     "clock_predicted": 256,
     "descending": 512,
     "engine_limited": 1024,
+    "begun_again": 2048,
 }
 """Bits of a tick's modes, as in the Rust crate."""
 

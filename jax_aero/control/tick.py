@@ -12,7 +12,7 @@ The unknowns of the momentum QP are `u = (Ṫ, ṡ)`, thrust rates and joint vel
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -44,6 +44,7 @@ from jax_aero.control.law.tasks import TaskParams, choose_limits, symmetric_pair
 from jax_aero.control.law.torque import TorqueParams
 from jax_aero.control.law.torques import Torque, Torques
 from jax_aero.control.measurement import Measurement, UsedMeasurement
+from jax_aero.control.modes import MODES
 from jax_aero.control.preview import Preview
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model, Terms, update_model
@@ -51,7 +52,7 @@ from jax_aero.dynamics import dynamics, forward_dynamics
 from jax_aero.kinematics import kinematics
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import multiply
-from jax_aero.types import Array, Setpoint, State, Static, leaf, leaves, pytree
+from jax_aero.types import Array, Dynamics, Kinematics, Setpoint, State, Static, leaf, leaves, pytree, where
 
 
 class Switches(NamedTuple):
@@ -204,22 +205,40 @@ def _components(known: RateFeedback) -> Array:
 def init(params: MomentumController, robot: RobotModel, state: State) -> ControllerState:
     """Return the controller's state at the first tick, whose position, attitude and posture become the set-point."""
     kin = kinematics(robot, state)
-    inertia = dynamics(robot, state, kin).centroidal_inertia
-    rotation, n, jets = state.base_rotation, robot.n_joints, params.tasks.thrust_rate.shape[0]
+    n, jets = robot.n_joints, params.tasks.thrust_rate.shape[0]
     zeros = jnp.zeros_like(state.joint_position)
     memory = ControllerState(
-        setpoint=generator.start(params.setpoint, kin.com, rotation),
+        **_reference(params, state, kin, dynamics(robot, state, kin)),
         channels=channels.start(robot, state),
-        posture=jnp.asarray(state.joint_position),
-        inertia_0=multiply(multiply(rotation.T, inertia), rotation),
-        velocity_error_integral=zeros,
         joint_torque=zeros,
-        torque_is_known=jnp.array(False),
         momentum_start=qp.cold_start(jets + n, zeros.dtype),
         torque_start=qp.cold_start(n, zeros.dtype),
         plan=params.law().plan(jets, zeros.dtype),
     )
     return params.guard(robot).start(memory, state)
+
+
+def _reference(params: MomentumController, state: State, kin: Kinematics, dyn: Dynamics) -> dict[str, Any]:
+    """Return the part of the controller's state that refers to the measurement with which a flight begins."""
+    rotation = state.base_rotation
+    return {
+        "setpoint": generator.start(params.setpoint, kin.com, rotation),
+        "posture": jnp.asarray(state.joint_position),
+        "inertia_0": multiply(multiply(rotation.T, dyn.centroidal_inertia), rotation),
+        "velocity_error_integral": jnp.zeros_like(state.joint_position),
+        "torque_is_known": jnp.array(False),
+    }
+
+
+def _begin_again(
+    params: MomentumController, memory: ControllerState, used: UsedMeasurement, model: Model
+) -> ControllerState:
+    """Take the measurement of this tick for the reference of the flight, if it begins again (M141)."""
+    if not params.channels.compares:
+        return memory
+    is_new = (used.modes & MODES["begun_again"]) != 0
+    again = memory._replace(**_reference(params, used.state, model.kinematics, model.dynamics))
+    return where(is_new, again, memory)
 
 
 def tick(
@@ -245,8 +264,10 @@ def tick(
     guard, law, torques = params.guard(robot), params.law(), params.torques()
     with jax.default_matmul_precision("highest"):
         memory, estimates, wind_std, used = guard.measure(memory, Measurement(time, state, thrust, wind))
-        memory, followed = law.follow(memory, used, setpoint, Preview() if preview is None else preview)
         model = params.model(robot, used)
+        memory = _begin_again(params, memory, used, model)
+        known = Preview() if preview is None else preview
+        memory, followed = law.follow(memory, used, setpoint, known)
         memory, used, model, limits, _, _ = guard.judge(memory, used, model, params.limits(robot))
         memory, rates = law.solve(robot, memory, used, model, limits, followed)
         memory, torque = torques.solve(memory, used, model, limits, rates)

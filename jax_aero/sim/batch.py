@@ -177,7 +177,6 @@ def _fly_together(group: Group, size: int, full_log: bool, devices: tuple[jax.De
     # Always `size` flights, padded with copies of the last.
     rows = [min(row, len(group.places) - 1) for row in range(size)]
     stacked, state = group.stack(rows)
-    posture = np.asarray(state.posture)
     # Numbers are transferred to the devices once, not with every chunk.
     mesh = Mesh(np.array(devices), ("flights",))
     split, whole = (NamedSharding(mesh, PartitionSpec(*axes)) for axes in (("flights",), ()))  # type: ignore[no-untyped-call]
@@ -193,14 +192,14 @@ def _fly_together(group: Group, size: int, full_log: bool, devices: tuple[jax.De
         kept.append(jax.device_get(chunk))
         if not np.any(np.asarray(state.loss) == FLYING):
             break
-    losses, sizes, ticks = jax.device_get((state.loss, state.loss_size, state.loss_tick))
+    losses, sizes, ticks, postures = jax.device_get((state.loss, state.loss_size, state.loss_tick, state.posture))
     signals = {name: np.concatenate([chunk[name] for chunk in kept], axis=1, dtype=np.float64) for name in kept[0]}
     flights = []
     for row in range(len(group.places)):
         own = {name: signal[row] for name, signal in signals.items()}
         ending = Ending(int(losses[row]), float(sizes[row]), int(ticks[row]), group.course_errors[row])
-        first_posture = posture[row].astype(np.float64)
-        flights.append(make_result(own, first_posture, ending, group.n_ticks, is_whole_log=full_log))
+        posture = postures[row].astype(np.float64)
+        flights.append(make_result(own, posture, ending, group.n_ticks, is_whole_log=full_log))
     return flights
 
 

@@ -5,7 +5,7 @@
 There is no ground, no joint friction and no motor inertia; joint stops act unless they are disabled. The integration is
 identical to the Rust crate's.
 
-Equations M78, M79 and M87 of `docs/model.md`.
+Equations M78, M79, M87 and M140 of `docs/model.md`.
 """
 
 from __future__ import annotations
@@ -41,6 +41,8 @@ from jax_aero.jet_faults import FaultState, JetFaults, delay_rates, limit_thrust
 from jax_aero.jets import JetDynamics, JetsState, jet_dynamics
 from jax_aero.kinematics import frame_poses, generalised_force, kinematics, move
 from jax_aero.robot import RobotModel
+from jax_aero.sim import actuation
+from jax_aero.sim.actuation import Actuation, ActuationState
 from jax_aero.spatial import rotate, rotation_from_rpy
 from jax_aero.types import Array, Dynamics, Kinematics, LinkForces, State, Static, leaf, pytree
 
@@ -59,6 +61,8 @@ class Plant:
     jets: JetDynamics
     jet_faults: JetFaults | None
     """Faults of the jets."""
+    actuation: Actuation | None
+    """Delay and loss of commands; `None` if they act at once."""
     time_step: Float[Array, ""]
     """Time step [s]."""
     lever_arm: Static[LeverArm]
@@ -78,6 +82,8 @@ class PlantState(NamedTuple):
     """State of the first tick, in which links are frozen for the aerodynamics (published); `None` if they move."""
     faults: FaultState | None = None
     """State of the jets' faults, if any."""
+    actuation: ActuationState | None = None
+    """Commands on their way, if they do not act at once."""
 
 
 class Observation(NamedTuple):
@@ -120,11 +126,16 @@ def start_plant(
     faults, fault_state = None, None
     if disturbances.jets != JetFaultsConfig():
         faults, fault_state = start_faults(disturbances.jets, config.jets, robot, n_ticks(config))
+    way, on_the_way = None, None
+    if config.actuation is not None:
+        sizes = robot.jets.count, robot.n_joints
+        way, on_the_way = actuation.start(config.actuation, config.time_step, config.substeps, n_ticks(config), *sizes)
     plant = Plant(
         robot=robot,
         aero=weight_forces(aero, disturbances.aero, robot, "disturbances.aero"),
         jets=jets,
         jet_faults=faults,
+        actuation=way,
         time_step=jnp.asarray(leaf(config.time_step)),
         lever_arm=config.lever_arm,
         integrator=config.integrator,
@@ -142,7 +153,7 @@ def start_plant(
     if initial.free_fall_tick:
         state = _fall_freely(plant, state)
     first = state if config.kinematics == "frozen" else None
-    return plant, PlantState(state, jets.start(jnp.asarray(leaf(initial.thrust))), first, fault_state)
+    return plant, PlantState(state, jets.start(jnp.asarray(leaf(initial.thrust))), first, fault_state, on_the_way)
 
 
 def _check(initial: InitialConfig, robot: RobotModel) -> None:
@@ -189,17 +200,25 @@ def advance(
     thrust_rate: Float[Array, " j"],
     wind: Float[Array, "3"],
 ) -> PlantState:
-    """Advance one tick under held torques [N m] and commanded thrust rates [N/s].
+    """Advance one tick in which these torques [N m] and thrust rates [N/s] are commanded.
 
-    `seen` is the observation of `state`; later sub-steps of the tick observe anew under held commands.
+    They act throughout, or as the actuation lets them arrive. `seen` is the observation of `state`; later sub-steps of
+    the tick observe anew.
     """
-    step = plant.time_step / plant.substeps
-    robot = _advance_robot(plant, state, seen, torque, step)
-    for _ in range(plant.substeps - 1):
+    substeps, sent = plant.substeps, None
+    if plant.actuation is not None and state.actuation is not None:
+        sent = actuation.send(plant.actuation, state.actuation, thrust_rate, torque)
+        thrust_rate = actuation.mean(sent.thrust_rate, substeps)
+    step = plant.time_step / substeps
+    robot = state.robot
+    for substep in range(substeps):
         between = state._replace(robot=robot)
-        robot = _advance_robot(plant, between, observe(plant, between, wind), torque, step)
+        now = seen if substep == 0 else observe(plant, between, wind)
+        acting = torque if sent is None else actuation.acting(sent.torque, substep, substeps)
+        robot = _advance_robot(plant, between, now, acting, step)
     jets, faults = _advance_jets(plant, state, thrust_rate)
-    return state._replace(robot=robot, jets=jets, faults=faults)
+    held = None if sent is None else actuation.hold(sent, substeps)
+    return state._replace(robot=robot, jets=jets, faults=faults, actuation=held)
 
 
 def _advance_jets(plant: Plant, state: PlantState, command: Array) -> tuple[JetsState, FaultState | None]:

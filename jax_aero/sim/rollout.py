@@ -128,7 +128,6 @@ def fly(
 def run(scenario: Scenario, state: FlightState, progress: Progress | None = None) -> FlightResult:
     """Fly a scenario from its state at tick zero to its end or until the flight is lost, as `fly` does."""
     n_ticks = int(scenario.n_ticks)
-    posture = np.asarray(state.posture, np.float64)
     rows: list[FlightRow] = []
     for first in range(0, n_ticks + 1, CHUNK):
         # Chunks have equal length, so that they compile once; the last one flies beyond the end.
@@ -143,7 +142,7 @@ def run(scenario: Scenario, state: FlightState, progress: Progress | None = None
         for name in FlightRow._fields
     }
     ending = Ending(int(state.loss), float(state.loss_size), int(state.loss_tick), float(scenario.course_error))
-    return make_result(log, posture, ending, n_ticks)
+    return make_result(log, np.asarray(state.posture, np.float64), ending, n_ticks)
 
 
 class Ending(NamedTuple):

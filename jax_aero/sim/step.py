@@ -30,6 +30,7 @@ from jax_aero.aero.network_card import load_network
 from jax_aero.config import ModelError, ScenarioConfig
 from jax_aero.control import Command, Controller, Measurement
 from jax_aero.control.measurement import Reading
+from jax_aero.control.modes import MODES
 from jax_aero.control.preview import Preview
 from jax_aero.control.tick import momentum_controller
 from jax_aero.io import scenario_config
@@ -132,7 +133,7 @@ class Scenario:
         The wind is left out if its mean is known not to be used; a traced switch is not known.
         """
         faults, estimate = self.plant.jet_faults, self.wind_estimate
-        drawn = (self.sensors, estimate, None if faults is None else faults.sensor_noise)
+        drawn = (self.sensors, self.plant.actuation, estimate, None if faults is None else faults.sensor_noise)
         names: tuple[str, ...] = () if all(part is None for part in drawn) else ("n_ticks",)
         is_mean = False if estimate is None else estimate.is_mean
         if not isinstance(is_mean, jax.core.Tracer) and not np.asarray(is_mean).any():
@@ -153,7 +154,7 @@ class FlightState(NamedTuple):
     outages: tuple[OutageState, ...]
     """State of each outage."""
     posture: Float[Array, " n"]
-    """Joint positions measured at the first tick [rad]."""
+    """Joint positions measured at the tick at which the flight began, or began again [rad]."""
     loss: Int[Array, ""]
     """`FLYING`, or the criterion by which the flight was lost."""
     loss_size: Float[Array, ""]
@@ -320,13 +321,16 @@ def begin(scenario: Scenario, plant: PlantState) -> FlightState:
     if scenario.sensors is not None:
         before = sensing.start(scenario.sensors, seen)
         _, seen = sensing.read(scenario.sensors, before, seen, jnp.array(0))
+    outages = begin_outages(scenario.outages, first.robot, plant.jets.thrust)
+    time, still = jnp.zeros_like(seen.thrust, shape=()), jnp.zeros_like(plant.robot.velocity[:3])
+    _, measured = spoil(scenario.outages, outages, Measurement(time, *seen, still))
     return FlightState(
         plant=plant,
-        controller=scenario.controller.init(robot, seen.state),
-        measured_wind=jnp.zeros_like(plant.robot.velocity[:3]),
+        controller=scenario.controller.init(robot, measured.state),
+        measured_wind=still,
         sensors=before,
-        outages=begin_outages(scenario.outages, first.robot, plant.jets.thrust),
-        posture=seen.state.joint_position,
+        outages=outages,
+        posture=measured.state.joint_position,
         loss=jnp.array(FLYING, jnp.int32),
         loss_size=jnp.zeros_like(plant.robot.velocity[0]),
         loss_tick=jnp.array(-1, jnp.int32),
@@ -369,9 +373,10 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
         measurement = measurement._replace(preview=preview)
     memory, command = scenario.controller.step(model, state.controller, measurement)
     command.check(plant.robot)
-    estimates, wind_std = measurement, jnp.zeros_like(wind)
+    estimates, wind_std, posture = measurement, jnp.zeros_like(wind), state.posture
     if command.terms is not None:
-        estimates, wind_std = command.terms.estimates, command.terms.wind_std
+        estimates, used, wind_std = command.terms.estimates, command.terms.measurement, command.terms.wind_std
+        posture = jnp.where((used.modes & MODES["begun_again"]) != 0, used.state.joint_position, posture)
     seen = _observe(scenario, now, command, air)
 
     # Without a set-point there is no error of a fall.
@@ -404,7 +409,7 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
         measured_wind=wind_measured,
         sensors=sensors,
         outages=where(goes_on, held, state.outages),
-        posture=state.posture,
+        posture=where(goes_on, posture, state.posture),
         loss=jnp.where(lost_now, loss, state.loss),
         loss_size=jnp.where(lost_now, size, state.loss_size),
         loss_tick=jnp.where(lost_now, tick.astype(jnp.int32), state.loss_tick),

@@ -39,6 +39,7 @@ ENGINES = {
     },
 }
 OUTAGES = [
+    {"channel": "base_position", "start": 0.0, "duration": 0.01, "kind": "wrong", "error": 0.4},
     {"channel": "wind", "start": 0.4, "kind": "missing"},
     {"channel": "thrust", "jet": "l_arm_jet", "start": 0.5, "kind": "nan"},
     {"channel": "base_velocity", "start": 0.6, "duration": 0.2, "kind": "frozen"},
@@ -87,6 +88,27 @@ def test_a_flight_with_outages_of_every_kind(measured):
     for mode in set(MODES) - {"feet_predicted", "clock_predicted"}:
         assert any(bits & MODES[mode] for bits in seen), f"{mode} is never reached"
     for name in ("base_position", "joint_position", "thrust", "joint_torque", "unmodelled_wrench", "com_setpoint"):
+        scale = max(1.0, np.abs(theirs.log[name]).max())
+        difference = np.abs(ours.log[name] - theirs.log[name]).max() / scale
+        measured(name, difference, 1e-9, because="rounding, as in flights without outages")
+
+
+def test_a_flight_begins_again_after_a_wrong_first_measurement(measured):
+    """With encoders and a state estimator: both engines outvote the same measurement, and refer to the same one."""
+    wrong = {"channel": "joints", "start": 0.0, "duration": 0.01, "kind": "wrong", "error": 0.15}
+    changes = {"simulator.duration": 0.3, "disturbances.outages": [wrong]}
+    table = rust.load_config(EXPERIMENTS / "test2_sensors.toml", changes)
+    theirs, ours = rust.fly(table), sim.fly(table)
+    assert ours.outcome == theirs.outcome == "completed"
+    again = theirs.log["degraded_modes"].astype(int) & MODES["begun_again"]
+    assert np.flatnonzero(again).tolist() == [2]
+    np.testing.assert_array_equal(ours.log["degraded_modes"], theirs.log["degraded_modes"])
+    right = rust.fly(rust.load_config(EXPERIMENTS / "test2_sensors.toml", {"simulator.duration": 0.3}))
+    assert np.abs(theirs.joint_setpoint - right.joint_setpoint).max() < 0.075  # half of the error
+    np.testing.assert_allclose(ours.joint_setpoint, theirs.joint_setpoint, rtol=0, atol=1e-12)
+    (batched,) = sim.fly_batch([table])
+    np.testing.assert_allclose(batched.joint_setpoint, theirs.joint_setpoint, rtol=0, atol=1e-12)
+    for name in ("base_position", "joint_position", "joint_torque", "com_setpoint"):
         scale = max(1.0, np.abs(theirs.log[name]).max())
         difference = np.abs(ours.log[name] - theirs.log[name]).max() / scale
         measured(name, difference, 1e-9, because="rounding, as in flights without outages")

@@ -191,7 +191,7 @@ def descent(every: int) -> list[Row]:
         since, height = flight["time"] - failure.since, flight["com_position"][:, 2]
         ground = np.flatnonzero((since > 0.0) & (height < height[0]))[0]
         until = slice(None, ground + 1)
-        found = np.flatnonzero(flight["degraded_modes"] >= MODES["engine_limited"])
+        found = np.flatnonzero(flight["degraded_modes"].astype(int) & MODES["engine_limited"])
         rows.append(
             {
                 "case": failure.case,

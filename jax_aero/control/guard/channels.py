@@ -3,11 +3,12 @@
 The model predicts every channel from its last value to this tick. A measured value is used if it is finite and within
 its accepted range. Values of joints and base must also be near the prediction and must not be frozen, that is,
 bit-identical for several ticks while the prediction moves away. Otherwise the prediction is used and the channel's age
-grows.
+grows. The first measurements of a flight may be the wrong ones: where more of the following ones contradict the
+prediction, and agree with each other, than it rests on, the flight begins again from them.
 
 All numbers of a measurement form one vector of `E` entries, see `Layout`. Each entry belongs to one of `C` channels.
 
-Equations M101 to M103 of `docs/model.md`.
+Equations M101 to M103 and M141 of `docs/model.md`.
 """
 
 from __future__ import annotations
@@ -117,6 +118,8 @@ class ChannelLimits:
     wind_fade: Float[Array, ""]
     """Time in which the wind then fades to zero [s]."""
     frozen_ticks: Float[Array, ""]
+    confirmation: Float[Array, ""]
+    """Share of `jump` within which the second measurement confirms the first."""
     widening: Float[Array, ""]
     """Growth of the accepted distance with a channel's age, relative to `jump` [1/s]."""
     velocity_gain: Float[Array, ""]
@@ -141,6 +144,10 @@ class ChannelsState(NamedTuple):
     """Time since each channel was last measured [s]."""
     same: Int[Array, " C"]
     """Number of consecutive ticks with unchanged bits."""
+    support: Int[Array, " C"]
+    """Number of measurements that each prediction rests on: those accepted since the flight began, or began again."""
+    against: Int[Array, " C"]
+    """Number of consecutive measurements that contradict the prediction, but not each other."""
     is_frozen: Bool[Array, " C"]
     """Whether each channel is frozen; remains true until its bits change."""
     is_distrusted: Bool[Array, " C"]
@@ -185,6 +192,7 @@ def channel_limits(controller: ControllerSection, robot: RobotModel, divergence:
         wind_hold=leaf(config.wind_hold),
         wind_fade=leaf(config.wind_fade),
         frozen_ticks=leaf(config.frozen_ticks),
+        confirmation=leaf(config.confirmation),
         widening=leaf(config.widening),
         velocity_gain=leaf(config.velocity_gain),
         descend_after=leaf(config.descend_after),
@@ -206,6 +214,8 @@ def start(robot: RobotModel, state: State) -> ChannelsState:
     return ChannelsState(
         age=jnp.zeros(channels, like.dtype),
         same=jnp.zeros(channels, jnp.int32),
+        support=jnp.zeros(channels, jnp.int32),
+        against=jnp.zeros(channels, jnp.int32),
         is_frozen=jnp.zeros(channels, bool),
         is_distrusted=jnp.zeros(channels, bool),
         last=numbers,
@@ -265,6 +275,10 @@ class _Verdict(NamedTuple):
     """Whether its bits are those of the last tick."""
     same: Int[Array, " C"]
     """Number of consecutive ticks with unchanged bits."""
+    support: Int[Array, " C"]
+    against: Int[Array, " C"]
+    is_outvoted: Bool[Array, " C"]
+    """Whether more measurements contradict the prediction than it rests on."""
 
 
 def _judge(
@@ -282,16 +296,25 @@ def _judge(
     is_turned = is_plausible[rotation] & is_rotation(now[layout.rotation].reshape(3, 3))
     is_plausible = is_plausible.at[rotation].set(is_turned)
     if not limits.compares:
-        return _Verdict(is_plausible, memory.is_frozen, is_same, same)
+        never = jnp.zeros_like(is_plausible)
+        return _Verdict(is_plausible, memory.is_frozen, is_same, same, memory.support, memory.against, never)
     distance = jnp.abs(now - predicted)
     # A change during a pause does not count as a jump.
-    gate = 1.0 + limits.widening * memory.age + missed_ticks
-    is_near = all_entries(distance <= gate[layout.owner] * limits.jump)
+    width = jnp.where(memory.support > 1, 1.0, limits.confirmation)
+    gate = width + limits.widening * memory.age + missed_ticks
+    # The first measurement is what it is compared with.
+    is_near = all_entries(distance <= gate[layout.owner] * limits.jump) | ~memory.is_begun
+    # The same bits are no other measurement.
+    agrees = (memory.against > 0) & all_entries(jnp.abs(now - memory.last) <= limits.jump)
+    run = jnp.where(is_plausible & ~is_near, 1 + jnp.where(agrees, memory.against, 0), 0)
+    against = jnp.where(is_same, memory.against, run)
     leaves = (same >= limits.frozen_ticks) & ~all_entries(distance <= FROZEN_SHARE * limits.jump)
     is_frozen = is_same & (memory.is_frozen | leaves)
-    # The first measurement is what it is compared with.
-    is_accepted = is_plausible & (~memory.is_begun | is_near & ~is_frozen)
-    return _Verdict(is_accepted, is_frozen, is_same, same)
+    is_outvoted = (against > memory.support) & ~is_frozen
+    is_accepted = is_plausible & is_near & ~is_frozen | is_outvoted
+    support = jnp.where(is_outvoted, against, memory.support + (is_accepted & ~is_same))
+    against = jnp.where(is_outvoted, 0, against)
+    return _Verdict(is_accepted, is_frozen, is_same, same, support, against, is_outvoted)
 
 
 def update(
@@ -321,7 +344,8 @@ def update(
     pose = pose.at[:3].set(jnp.clip(pose[:3], -range_of_position, range_of_position))
     predicted = jnp.where(memory.is_begun, predicted.at[layout.pose].set(pose), memory.predicted)
 
-    is_measured, is_frozen, is_same, same = _judge(limits, layout, memory, measured, predicted, missed_ticks)
+    verdict = _judge(limits, layout, memory, measured, predicted, missed_ticks)
+    is_measured, is_same = verdict.is_measured, verdict.is_same
     age = jnp.where(is_measured, 0.0, memory.age + dt)
     of_entry = is_measured[layout.owner]
     # Rejected values, which may be NaN, must enter neither values nor derivatives.
@@ -351,13 +375,16 @@ def update(
         modes += jnp.where(jnp.any(~is_measured[of_channels == mode]), int(mode), 0)
     modes += jnp.where(~is_measured[of_wind] & (left <= 0.0), MODES["wind_lost"], 0)
     modes += jnp.where(is_descending, MODES["descending"], 0)
+    modes += jnp.where(jnp.any(verdict.is_outvoted), MODES["begun_again"], 0)
 
     after = memory._replace(
         time=clock.time,
         clock_offset=clock.offset,
         age=age,
-        same=same,
-        is_frozen=is_frozen,
+        same=verdict.same,
+        support=verdict.support,
+        against=verdict.against,
+        is_frozen=verdict.is_frozen,
         last=measured,
         predicted=predicted,
         is_begun=jnp.array(True),

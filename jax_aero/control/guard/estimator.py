@@ -128,9 +128,9 @@ def start(settings: Estimator, state: State, jets: int) -> EstimatorState:
     return EstimatorState(line, orders, nothing, rest[6:], jnp.array(0, jnp.int32))
 
 
-def restart(state: EstimatorState, has_paused: Bool[Array, ""]) -> EstimatorState:
-    """Restart at the next measurement after a pause, since it is unknown how long the last command has acted."""
-    return state._replace(ticks=jnp.where(has_paused, 0, state.ticks))
+def restart(state: EstimatorState, is_new: Bool[Array, ""]) -> EstimatorState:
+    """Restart at the next measurement where the estimates before it are worth nothing."""
+    return state._replace(ticks=jnp.where(is_new, 0, state.ticks))
 
 
 def update(

@@ -238,7 +238,8 @@ class EstimatorStage(Stage):
         memory, estimates, _, used = tick
         assert memory.estimator is not None
         accepted = Reading(*channels.select_accepted(memory.channels, used))
-        before = estimator.restart(memory.estimator, used.pause > 0.0)
+        is_new = (used.pause > 0.0) | ((used.modes & MODES["begun_again"]) != 0)
+        before = estimator.restart(memory.estimator, is_new)
         estimating, estimate, innovation = estimator.update(
             self.settings, self.robot, self.aero, before, accepted, used.elapsed
         )

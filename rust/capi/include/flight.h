@@ -75,6 +75,8 @@ typedef enum FlightMode {
   FLIGHT_DESCENDING = 512,
   // An engine does not reach its commanded thrust.
   FLIGHT_ENGINE_LIMITED = 1024,
+  // The first measurements are outvoted: the flight begins again from those of this tick.
+  FLIGHT_BEGUN_AGAIN = 2048,
 } FlightMode;
 
 // A controller with its flight, for one thread at a time; several threads may read it (functions that take a pointer
@@ -82,7 +84,7 @@ typedef enum FlightMode {
 typedef struct FlightController FlightController;
 
 // A simulated robot in the wind of its configuration, for one thread at a time. Its measurements are exact: neither
-// `simulator.sensors` nor errors and outages of `disturbances` apply.
+// `simulator.sensors` nor errors and outages of `disturbances` apply. Commands are delayed by `simulator.actuation`.
 typedef struct FlightRobot FlightRobot;
 
 // Version and sizes with which a program was compiled, from `flight_header`.

@@ -141,6 +141,8 @@ pub enum FlightMode {
     FlightDescending = 512,
     /// An engine does not reach its commanded thrust.
     FlightEngineLimited = 1024,
+    /// The first measurements are outvoted: the flight begins again from those of this tick.
+    FlightBegunAgain = 2048,
 }
 
 /// Names of the modes, by bit.
@@ -388,7 +390,7 @@ impl Guarded for FlightController {
 }
 
 /// A simulated robot in the wind of its configuration, for one thread at a time. Its measurements are exact: neither
-/// `simulator.sensors` nor errors and outages of `disturbances` apply.
+/// `simulator.sensors` nor errors and outages of `disturbances` apply. Commands are delayed by `simulator.actuation`.
 #[derive(Debug)]
 pub struct FlightRobot {
     plant: Plant,

@@ -52,6 +52,7 @@ impl Rig {
     fn new(config: &ChannelsConfig) -> Self {
         let mut robot: RobotModel = load_robot(&experiment("test2").robot).unwrap();
         robot.feet.clear();
+        robot.joints.iter_mut().for_each(|joint| joint.stops = (-1.5, 1.5));
         let mut rng = rng(3);
         let state = random_state(&mut rng, &robot);
         let sample = Sample {
@@ -79,9 +80,14 @@ impl Rig {
     }
 }
 
+/// Jumps that are the same for the second measurement as for all later ones.
 fn with_jumps() -> ChannelsConfig {
     let jump = Jumps { velocity: 2.0, angular_velocity: 5.0, ..Jumps::default() };
-    ChannelsConfig { jump: Some(jump), ..ChannelsConfig::default() }
+    ChannelsConfig { jump: Some(jump), confirmation: 1.0, ..ChannelsConfig::default() }
+}
+
+fn with_confirmation() -> ChannelsConfig {
+    ChannelsConfig { confirmation: 0.2, ..with_jumps() }
 }
 
 fn lose_everything(sample: &mut Sample) {
@@ -132,7 +138,7 @@ fn numbers_that_mean_nothing_are_refused_by_key() {
     let shipped = serde_json::to_value(with_jumps()).unwrap();
     let mut keys = vec![];
     leaves(&shipped, "", &mut keys);
-    assert_eq!(keys.len(), 21, "{keys:?}");
+    assert_eq!(keys.len(), 22, "{keys:?}");
     for key in keys {
         let may_be_zero =
             ["/wind_hold", "/widening", "/velocity_gain", "/descend_after"].contains(&key.as_str());
@@ -246,15 +252,22 @@ fn a_lost_wind_is_held_and_fades() {
 /// A value is accepted up to its jump, and up to twice the jump after a second without any.
 #[test]
 fn a_jump_is_accepted_when_the_channel_is_old_enough() {
-    let off_by = |jump: f64| move |sample: &mut Sample| sample.state.velocity[1] += jump;
-    let mut rig = Rig::new(&with_jumps());
-    rig.state.acceleration.fill(0.0);
-    assert!(rig.tick(off_by(1.99)).modes.is_empty());
-    let mut rig = Rig::new(&with_jumps());
-    rig.state.acceleration.fill(0.0);
+    // Not the same bits, which would count as frozen.
+    let off_by = |jump: f64, tick: u32| {
+        move |sample: &mut Sample| sample.state.velocity[1] += jump + 1e-6 * f64::from(tick)
+    };
+    let confirmed = || {
+        let mut rig = Rig::new(&with_jumps());
+        rig.state.acceleration.fill(0.0);
+        for tick in 1..=100 {
+            assert!(!rig.tick(off_by(0.0, tick)).modes.contains(Modes::VELOCITY_PREDICTED));
+        }
+        rig
+    };
+    assert!(!confirmed().tick(off_by(1.99, 1)).modes.contains(Modes::VELOCITY_PREDICTED));
+    let mut rig = confirmed();
     for tick in 1..=150 {
-        // Not the same bits, which would count as frozen.
-        let found = rig.tick(off_by(3.0 + 1e-6 * f64::from(tick))).modes;
+        let found = rig.tick(off_by(3.0, 200 + tick)).modes;
         let is_accepted = !found.contains(Modes::VELOCITY_PREDICTED);
         // 3 = 2 (1 + age): from the tick on that begins with an age of 0.5 s.
         assert_eq!(is_accepted, tick > 51, "tick {tick}");
@@ -262,6 +275,77 @@ fn a_jump_is_accepted_when_the_channel_is_old_enough() {
             break;
         }
     }
+}
+
+/// Errors of the base position \[m\], tick by tick from the first on, in a robot at rest with other bits in every tick:
+/// whether each is used, and the ticks in which the flight begins again.
+fn judged(errors: &[f64]) -> (Vec<bool>, Vec<usize>) {
+    let mut rig = Rig::new(&with_confirmation());
+    rig.sample.state.velocity.fill(0.0);
+    rig.sample.state.base.position.x += errors[0];
+    rig.state = rig.channels.start(&rig.sample.measurement()).unwrap();
+    let before = rig.sample.state.base.position.x - errors[0];
+    let (mut used, mut again) = (Vec::new(), Vec::new());
+    for (tick, error) in errors.iter().enumerate() {
+        rig.sample.state.base.position.x = before + error + 1e-6 * tick as f64;
+        let modes = rig.tick(|_| ()).modes;
+        used.push(!modes.contains(Modes::POSITION_PREDICTED));
+        if modes.contains(Modes::BEGUN_AGAIN) {
+            again.push(tick);
+        }
+    }
+    (used, again)
+}
+
+/// More measurements that agree with each other than those before: by one, whichever was first.
+#[test]
+fn the_first_measurements_are_outvoted_by_more_that_agree() {
+    let (yes, no) = (true, false);
+    assert_eq!(judged(&[5.0, 0.0, 0.0, 0.0]), (vec![yes, no, yes, yes], vec![2]));
+    assert_eq!(judged(&[0.0, 5.0, 0.0, 0.0]), (vec![yes, no, yes, yes], vec![]));
+    assert_eq!(judged(&[5.0, 9.0, 0.0, 0.0]), (vec![yes, no, no, yes], vec![3]));
+    assert_eq!(judged(&[5.0, 5.0, 0.0, 0.0, 0.0]), (vec![yes, yes, no, no, yes], vec![4]));
+    assert_eq!(judged(&[0.0, 0.0, 5.0, 5.0, 0.0]), (vec![yes, yes, no, no, yes], vec![]));
+    let scattered = [0.0, 5.0, -5.0, 6.0, -6.0, 7.0, 0.0];
+    assert_eq!(judged(&scattered), (vec![yes, no, no, no, no, no, yes], vec![]));
+}
+
+/// A fifth of the jump of 0.3 m is too much between the first two, and accepted later.
+#[test]
+fn the_second_measurement_has_to_confirm_the_first() {
+    assert!(judged(&[0.05, 0.0, 0.0]).1.is_empty());
+    assert_eq!(judged(&[0.07, 0.0, 0.0]).1, [2]);
+    assert_eq!(judged(&[0.0, 0.0, 0.25, 0.0]).0, [true; 4]);
+    // What is missing is no vote.
+    assert_eq!(judged(&[0.07, f64::NAN, 0.0, 0.0]), (vec![true, false, false, true], vec![3]));
+}
+
+/// Beyond what is accepted later, or beyond the stops of a joint, by name and number.
+#[test]
+fn a_flight_cannot_begin_with_what_cannot_be() {
+    let cases: [(Spoil, &str); 6] = [
+        (
+            |sample| sample.state.base.position.z = 1e16,
+            "`base_position` holds 10000000000000000; expected at most",
+        ),
+        (|sample| sample.state.velocity[2] = -301.0, "`base_linear_velocity` holds -301; expected at most"),
+        (|sample| sample.state.velocity[3] = 101.0, "`base_angular_velocity` holds 101; expected at most"),
+        (|sample| sample.state.velocity[7] = 101.0, "`joint_velocity` holds 101; expected at most"),
+        (|sample| sample.state.joint_position[4] = 101.0, "`joint_position` holds 101; expected at most"),
+        (
+            |sample| sample.state.joint_position[4] = 1.61,
+            "`joint_position[4]` holds 1.61; expected its range, -1.6 to 1.6",
+        ),
+    ];
+    for (spoil, expected) in cases {
+        let mut rig = Rig::new(&with_confirmation());
+        spoil(&mut rig.sample);
+        let refusal = rig.channels.start(&rig.sample.measurement()).unwrap_err().to_string();
+        assert!(refusal.contains(expected), "{refusal}");
+    }
+    let mut rig = Rig::new(&with_confirmation());
+    rig.sample.state.joint_position[4] = 1.59;
+    assert!(rig.channels.start(&rig.sample.measurement()).is_ok());
 }
 
 /// The same bits for five ticks while the model moves away by a fiftieth of a jump; until the bits change.

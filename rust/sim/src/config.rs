@@ -1,5 +1,6 @@
 //! Configuration of the simulator and of a whole flight.
 
+use crate::actuation::ActuationConfig;
 use crate::disturbances::Disturbances;
 use crate::ground::{GroundConfig, MotorsConfig};
 use crate::jets::JetsConfig;
@@ -135,6 +136,9 @@ pub struct SimulatorConfig {
     /// Sensors of the robot's own state; without them the controller receives the true state.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sensors: Option<SensorsConfig>,
+    /// Delay and loss of commands; without it they act at once and until the next tick.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub actuation: Option<ActuationConfig>,
     /// The ground, if there is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ground: Option<GroundConfig>,
@@ -301,21 +305,24 @@ impl SimulatorConfig {
                 &expected,
             )?;
         }
-        if let Some(sensors) = &self.sensors {
-            sensors.check()?;
-        }
-        if let Some(ground) = &self.ground {
-            ground.check()?;
-        }
-        if let Some(motors) = &self.motors {
-            motors.check(robot)?;
-        }
         if !(1..=1000).contains(&self.substeps) {
             return Err(BuildError::bad_value(
                 "simulator.substeps",
                 self.substeps,
                 "an integer from 1 to 1000",
             ));
+        }
+        if let Some(sensors) = &self.sensors {
+            sensors.check()?;
+        }
+        if let Some(actuation) = &self.actuation {
+            actuation.check(self.physics_step())?;
+        }
+        if let Some(ground) = &self.ground {
+            ground.check()?;
+        }
+        if let Some(motors) = &self.motors {
+            motors.check(robot)?;
         }
         if self.n_ticks() > 10_000_000 {
             return Err(BuildError::bad_value(
@@ -352,6 +359,12 @@ impl SimulatorConfig {
             let expected = format!("newtons from 0 to {most}, the greatest of jet `{name}`");
             table.check("initial.thrust", *thrust, |thrust| (0.0..=most).contains(&thrust), &expected)
         })
+    }
+
+    /// Duration of a physics step \[s\].
+    #[must_use]
+    pub fn physics_step(&self) -> f64 {
+        self.time_step / f64::from(self.substeps)
     }
 
     /// Number of ticks after the one at time zero.

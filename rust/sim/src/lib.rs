@@ -6,6 +6,7 @@
 
 #![forbid(unsafe_code)]
 
+pub mod actuation;
 #[cfg(feature = "threads")]
 pub mod batch;
 pub mod config;
@@ -23,6 +24,7 @@ pub mod summary;
 pub mod turbulence;
 pub mod wind;
 
+pub use actuation::{Actuation, ActuationConfig};
 #[cfg(feature = "threads")]
 pub use batch::{BatchError, fly_batch};
 pub use config::{Engine, ScenarioConfig, SimulatorConfig, load_scenario, schemas};

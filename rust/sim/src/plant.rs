@@ -6,8 +6,9 @@
 //!
 //! Without ground, joint friction and motor inertia; joint stops act unless they are disabled.
 //!
-//! Equations M78, M79 and M87 of `docs/model.md`; what a step adds to the momentum is M85.
+//! Equations M78, M79, M87 and M140 of `docs/model.md`; what a step adds to the momentum is M85.
 
+use crate::actuation::Actuation;
 use crate::config::{AeroKinematics, DynamicsBackend, Integrator, SimulatorConfig};
 use crate::disturbances::Disturbances;
 use crate::jets::Jets;
@@ -37,6 +38,8 @@ pub struct Plant {
     substeps: u32,
     state: RobotState,
     jets: Jets,
+    /// Commands on their way; `None` if they act at once.
+    actuation: Option<Actuation>,
     kinematics: Kinematics,
     dynamics: Dynamics,
     link_forces: LinkForces,
@@ -73,7 +76,12 @@ impl Plant {
             let expected = "tree; engine = \"jax\" has mjx too";
             return Err(BuildError::bad_value("simulator.dynamics", "mjx", expected));
         }
-        let n = 6 + robot.joints.len();
+        let (joints, n_jets) = (robot.joints.len(), robot.jets.len());
+        let n = 6 + joints;
+        let actuation = config.actuation.as_ref();
+        let actuation = actuation
+            .map(|way| Actuation::new(way, config.physics_step(), config.substeps, joints, n_jets))
+            .transpose()?;
         let mut plant = Self {
             aero: load_aero(&config.aero, &robot)?.weight_forces(
                 &disturbances.aero,
@@ -87,6 +95,7 @@ impl Plant {
             state: config.initial.state(),
             jets: Jets::new(&config.jets, &robot.jets, &robot.engines, &config.initial.thrust)?
                 .with_faults(&disturbances.jets, &robot.jets)?,
+            actuation,
             kinematics: Kinematics::new(&robot),
             dynamics: Dynamics::new(&robot),
             link_forces: LinkForces::new(&robot),
@@ -178,8 +187,9 @@ impl Plant {
         Ok(())
     }
 
-    /// Advances by one tick of `time_step` \[s\] with constant torques and commanded thrust rates. The forces
-    /// of the first sub-step are those of the last [`Self::observe`].
+    /// Advances by one tick of `time_step` \[s\] in which these torques \[N m, N\] and thrust rates \[N/s\] are commanded:
+    /// they act throughout, or as `simulator.actuation` lets them arrive (M140). The forces of the first sub-step are
+    /// those of the last [`Self::observe`].
     pub fn advance(
         &mut self,
         torque: &[f64],
@@ -188,14 +198,20 @@ impl Plant {
         time_step: f64,
     ) {
         let step = time_step / f64::from(self.substeps);
+        let mut actuation = self.actuation.take();
+        if let Some(way) = &mut actuation {
+            way.send(torque, thrust_rate_command);
+        }
         for substep in 0..self.substeps {
             if substep > 0 {
                 self.observe(wind_i);
             }
-            self.gather_forces(torque);
+            self.gather_forces(actuation.as_mut().map_or(torque, |way| way.torque(substep)));
             self.integrate(step);
         }
-        self.jets.advance(thrust_rate_command, time_step);
+        let thrust_rate = actuation.as_mut().map_or(thrust_rate_command, Actuation::thrust_rate);
+        self.jets.advance(thrust_rate, time_step);
+        self.actuation = actuation;
     }
 
     /// `S τ + Σ Jᵀ T a + w_aero − h`

@@ -25,7 +25,7 @@ use crate::signals::{LogRow, TrackingErrors};
 use crate::summary::Summary;
 use crate::wind::Wind;
 use flight_core::aero::LeverArm;
-use flight_core::control::{Controller, ControllerState, Measurement, Preview};
+use flight_core::control::{Controller, ControllerState, Measurement, Modes, Preview};
 use flight_core::error::BuildError;
 use flight_core::robot::RobotModel;
 use flight_io::{load_changed, load_robot};
@@ -289,8 +289,6 @@ impl Flight {
         let measurement = Measurement { time, state: seen, thrust, wind: *given, foot_wrenches };
         if self.state.is_none() {
             self.state = controller.start(&measurement).ok();
-            self.log.joint_setpoint =
-                self.state.as_ref().map_or_else(Vec::new, |state| state.posture().as_slice().to_vec());
         }
         let Some(state) = &mut self.state else {
             let reason = self.scenario.divergence(&wind).unwrap_or(LossReason::NotFinite);
@@ -300,6 +298,9 @@ impl Flight {
         let ahead = sensors.as_mut().map_or(&[][..], |sensors| sensors.look_ahead(profile, time));
         controller.tick_ahead(state, &measurement, None, &Preview { wind: ahead, ..Preview::default() });
         let (terms, command) = (controller.terms(), controller.command());
+        if self.tick == 0 || command.modes.contains(Modes::BEGUN_AGAIN) {
+            self.log.joint_setpoint = state.posture().as_slice().to_vec();
+        }
         let errors = TrackingErrors::new(plant, &terms.setpoint);
         self.log.push(&LogRow { time, wind, plant, terms, command, errors });
         self.loss = self.scenario.loss_reason(&wind, &errors).map(|reason| Loss { time, reason });
@@ -407,6 +408,7 @@ fn check_mujoco(config: &ScenarioConfig) -> Result<(), BuildError> {
     check_only("simulator.initial.base_velocity", &initial.base_velocity, &[0.0; 6])?;
     check_only("simulator.initial.free_fall_tick", &initial.free_fall_tick, &false)?;
     check_only("simulator.sensors", &simulator.sensors, &None)?;
+    check_only("simulator.actuation", &simulator.actuation, &None)?;
     check_only("disturbances.wind_estimate", &disturbances.wind_estimate, &none.wind_estimate)?;
     check_only("disturbances.aero", &disturbances.aero, &none.aero)?;
     check_only("disturbances.jets", &disturbances.jets, &none.jets)?;

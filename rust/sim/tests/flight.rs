@@ -19,6 +19,8 @@ mod outages;
 mod published;
 #[path = "flight/simulator.rs"]
 mod simulator;
+#[path = "flight/start.rs"]
+mod start;
 #[path = "flight/stops.rs"]
 mod stops;
 #[path = "flight/wind.rs"]

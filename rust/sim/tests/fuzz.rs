@@ -5,7 +5,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 
 #[path = "common/cases.rs"]
-mod cases;
+pub(crate) mod cases;
 
 use crate::common::{configs, experiment, hover_of};
 use cases::cases;

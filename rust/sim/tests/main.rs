@@ -4,6 +4,7 @@ mod common;
 
 mod ablation;
 mod absurd;
+mod actuation;
 mod config;
 mod disturbances;
 mod examples;

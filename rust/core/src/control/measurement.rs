@@ -127,6 +127,20 @@ pub enum BadStart {
         /// What is accepted.
         expected: &'static str,
     },
+    /// A joint is further beyond its stops than a measurement can be wrong.
+    #[error(
+        "a flight cannot begin: `joint_position[{joint}]` holds {position}; expected its range, {lower} to {upper}"
+    )]
+    BeyondStops {
+        /// Index of the joint.
+        joint: usize,
+        /// Its position \[rad, m\].
+        position: f64,
+        /// Least accepted position \[rad, m\].
+        lower: f64,
+        /// Greatest accepted position \[rad, m\].
+        upper: f64,
+    },
     /// The base rotation is not a rotation.
     #[error(
         "a flight cannot begin: `base_rotation` is not a rotation; expected orthonormal columns, right-handed, to 1e-6"

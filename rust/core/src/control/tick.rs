@@ -28,10 +28,12 @@ use super::preview::Preview;
 use super::state::ControllerState;
 use super::terms::Terms;
 use crate::aero::{AeroModel, LinkConventions};
+use crate::dynamics::Dynamics;
 use crate::error::BuildError;
+use crate::kinematics::{Kinematics, RobotState};
 use crate::qp::WarmStart;
 use crate::robot::RobotModel;
-use nalgebra::DVector;
+use nalgebra::{DVector, Matrix3, Vector3};
 use std::sync::Arc;
 
 /// The controller of one robot: model, control laws and workspace.
@@ -106,39 +108,33 @@ impl Controller {
     /// measurement become its reference.
     ///
     /// # Errors
-    /// [`BadStart`] for a measurement of another robot, for one that lacks a number other than the wind, and where inertia
-    /// or centre of mass overflow.
+    /// [`BadStart`] for a measurement of another robot, for one that lacks a number other than the wind or has one beyond
+    /// its range, and where inertia or centre of mass overflow.
     pub fn start(&mut self, measurement: &Measurement) -> Result<ControllerState, BadStart> {
         let channels = self.guard.start_channels(measurement)?;
-        let Terms { kinematics, dynamics, contact, momentum_qp, torque_qp, .. } = &mut self.terms;
-        kinematics.update(&self.model, measurement.state);
-        dynamics.update(&self.model, measurement.state, kinematics);
-        let rotation = &measurement.state.base.rotation;
-        let inertia_0_b = rotation.transpose() * dynamics.centroidal_inertia * rotation;
-        let com = kinematics.com;
-        if inertia_0_b.try_inverse().is_none() || !inertia_0_b.iter().chain(&com).all(|x| x.is_finite()) {
-            return Err(BadStart::SingularInertia);
-        }
-        let joints = self.model.joints.len();
+        let (Self { model, law, terms, .. }, robot) = (&mut *self, measurement.state);
+        let reference = reference(model, robot, &mut terms.kinematics, &mut terms.dynamics);
+        let (com, inertia_0_b) = reference.ok_or(BadStart::SingularInertia)?;
+        let joints = model.joints.len();
         let mut state = ControllerState {
             stages: Vec::new(),
             estimator: None,
             wind: None,
             channels,
-            setpoint: self.law.generator().start(com, rotation),
-            posture: measurement.state.joint_position.clone(),
+            setpoint: law.generator().start(com, &robot.base.rotation),
+            posture: robot.joint_position.clone(),
             inertia_0_b,
             velocity_error_integral: DVector::zeros(joints),
             joint_torque: DVector::zeros(joints),
             torque_is_known: false,
-            contact: ContactState::new(contact.soles.len()),
+            contact: ContactState::new(terms.contact.soles.len()),
             engines: Vec::new(),
             observer: ObserverState::default(),
-            plan: Plan::none(self.law.unknowns()),
-            momentum_start: WarmStart::cold(momentum_qp.problem.len()),
-            torque_start: WarmStart::cold(torque_qp.problem.len()),
+            plan: Plan::none(law.unknowns()),
+            momentum_start: WarmStart::cold(terms.momentum_qp.problem.len()),
+            torque_start: WarmStart::cold(terms.torque_qp.problem.len()),
         };
-        self.guard.start(&mut state, measurement.state);
+        self.guard.start(&mut state, robot);
         Ok(state)
     }
 
@@ -179,6 +175,9 @@ impl Controller {
             return command;
         }
         let is_usable = guard.measure(measurement, model, state, terms);
+        if terms.measurement.modes.contains(Modes::BEGUN_AGAIN) {
+            begin_again(model, law.generator(), state, terms);
+        }
         let is_valid = law.follow(state, given, terms);
         let (preview, has_valid_preview) = preview.checked(law.greatest());
         terms.update_model(model, aero, *conventions, *feedback);
@@ -278,6 +277,39 @@ impl Controller {
     #[must_use]
     pub fn terms(&self) -> &Terms {
         &self.terms
+    }
+}
+
+/// Centre of mass, and centroidal inertia in body axes, of the robot in a state; `None` if they overflow or the inertia
+/// cannot be inverted.
+fn reference(
+    model: &RobotModel,
+    robot: &RobotState,
+    kinematics: &mut Kinematics,
+    dynamics: &mut Dynamics,
+) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+    kinematics.update(model, robot);
+    dynamics.update(model, robot, kinematics);
+    let rotation = &robot.base.rotation;
+    let (com, inertia) = (kinematics.com, rotation.transpose() * dynamics.centroidal_inertia * rotation);
+    inertia.try_inverse()?;
+    inertia.iter().chain(&com).all(|x| x.is_finite()).then_some((com, inertia))
+}
+
+/// Takes the measurement of this tick for the reference of the flight, as [`Controller::start`] does (M141).
+fn begin_again(
+    model: &RobotModel,
+    generator: &SetpointGenerator,
+    state: &mut ControllerState,
+    terms: &mut Terms,
+) {
+    let Terms { measurement: UsedMeasurement { state: robot, .. }, kinematics, dynamics, .. } = terms;
+    if let Some((com, inertia_0_b)) = reference(model, robot, kinematics, dynamics) {
+        state.setpoint = generator.start(com, &robot.base.rotation);
+        state.posture.copy_from(&robot.joint_position);
+        state.inertia_0_b = inertia_0_b;
+        state.velocity_error_integral.fill(0.0);
+        state.torque_is_known = false;
     }
 }
 

@@ -19,8 +19,8 @@ pub struct Outage {
     /// Name of the jet whose thrust fails; without it, all jets.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub jet: Option<String>,
-    /// Start of the outage \[s\]; the first measurement of a flight is complete.
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    /// Start of the outage \[s\]; the first measurement of a flight can be wrong, but not missing or frozen.
+    #[schemars(range(min = 0))]
     pub start: f64,
     /// Duration of the outage \[s\]; without it, to the end of the flight.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -77,17 +77,15 @@ impl Outage {
     /// [`BuildError`] naming the key, its value and what was expected.
     pub fn check(&self, index: usize, jets: &[Jet]) -> Result<(), BuildError> {
         let key = |name: &str| format!("disturbances.outages[{index}].{name}");
-        check(
-            &key("start"),
-            self.start,
-            |t| t > 0.0,
-            "seconds > 0: a flight begins with everything measured",
-        )?;
+        let is_wrong = self.kind == OutageKind::Wrong;
+        let expected =
+            if is_wrong { "seconds ≥ 0" } else { "seconds > 0: a flight begins with everything measured" };
+        check(&key("start"), self.start, |t| t > 0.0 || is_wrong && t == 0.0, expected)?;
         if let Some(duration) = self.duration {
             check(&key("duration"), duration, |t| t > 0.0, "seconds > 0")?;
         }
         check(&key("error"), self.error, |_| true, "a finite number")?;
-        if self.kind != OutageKind::Wrong {
+        if !is_wrong {
             let expected = "none, but for the kind wrong";
             check(&key("error"), self.error, |error| error.total_cmp(&default_one()).is_eq(), expected)?;
         }

@@ -3,7 +3,9 @@
 //! The model advances the last value of every channel to this tick (`ChannelsState::predict`). A measured value is
 //! used if it is finite and within its accepted range; for joints and base it must also be near the prediction and not
 //! frozen, that is, with the same bits for several ticks while the prediction moves away. Otherwise the prediction is
-//! used, and the age of the channel grows.
+//! used, and the age of the channel grows. The first measurements of a flight may be the wrong ones: where more of the
+//! following ones contradict the prediction, and agree with each other, than it rests on, the flight begins again from
+//! them.
 //!
 //! ```text
 //! wind              its last value, which fades to zero
@@ -14,7 +16,7 @@
 //!
 //! A base velocity that is not measured follows the differences of the pose, if the pose is measured.
 //!
-//! Equations M101 to M103 of `docs/model.md`.
+//! Equations M101 to M103 and M141 of `docs/model.md`.
 
 mod config;
 mod layout;
@@ -45,6 +47,8 @@ pub struct Channels {
     jump: Vec<f64>,
     /// Whether joint velocities must be measured; a joint observer estimates them from positions.
     needs_joint_velocity: bool,
+    /// Range of each joint position in which a flight can begin \[rad, m\].
+    ranges: Vec<(f64, f64)>,
     now: Vec<f64>,
 }
 
@@ -90,9 +94,12 @@ impl Channels {
             (Kind::Rotation, layout.rotation.clone()),
             (Kind::Feet, layout.feet.clone()),
         ]);
+        let beyond = config.confirmation * near.joint_position;
+        let stops = robot.joints.iter().map(|joint| joint.stops);
         Self {
             config: config.clone(),
             time_step,
+            ranges: stops.map(|(lower, upper)| (lower - beyond, upper + beyond)).collect(),
             now: vec![0.0; layout.len()],
             entries: entries.map(|(kind, range)| Entry { kind, range }).collect(),
             greatest,
@@ -149,6 +156,9 @@ impl Channels {
         if !is_rotation(&measurement.state.base.rotation) {
             return Err(BadStart::NoRotation);
         }
+        if self.config.jump.is_some() {
+            self.check_ranges(&measurement.state.joint_position)?;
+        }
         // Where wind, thrusts or foot wrenches cannot be accepted: none, until they are.
         for Entry { range, .. } in self.entries.iter().filter(|entry| !entry.kind.is_vital()) {
             let numbers = &mut self.now[range.clone()];
@@ -170,6 +180,28 @@ impl Channels {
             is_begun: false,
             is_descending: false,
         })
+    }
+
+    /// Whether the joints and base in `now` can be where a flight begins.
+    fn check_ranges(&self, joint_position: &DVector<f64>) -> Result<(), BadStart> {
+        for Entry { range, .. } in self.entries.iter().filter(|entry| entry.kind.is_vital()) {
+            if let Some(index) = range.clone().find(|index| self.now[*index].abs() > self.greatest[*index]) {
+                let expected = "at most controller.channels.greatest in magnitude";
+                let (name, value) = (self.layout.name(index), self.now[index]);
+                return Err(BadStart::BadValue { name, value, expected });
+            }
+        }
+        for (joint, (position, (lower, upper))) in joint_position.iter().zip(&self.ranges).enumerate() {
+            if !(*lower..=*upper).contains(position) {
+                return Err(BadStart::BeyondStops {
+                    joint,
+                    position: *position,
+                    lower: *lower,
+                    upper: *upper,
+                });
+            }
+        }
+        Ok(())
     }
 
     /// Processes a measurement of matching size and writes the result to `used`.
@@ -206,10 +238,7 @@ impl Channels {
         let missed_ticks = if was_begun { used.pause / self.time_step } else { f64::INFINITY };
         let mut is_pose_new = is_step;
         for (place, Entry { kind, .. }) in self.entries.iter().enumerate() {
-            let is_new = self.judge(state, place, dt, missed_ticks);
-            if state.channels[place].age > 0.0 {
-                used.modes.insert(kind.mode());
-            }
+            let is_new = self.judge(state, place, dt, missed_ticks, &mut used.modes);
             match kind {
                 Kind::Velocity if was_begun => self.integrate_pose(state, place, dt),
                 Kind::Position | Kind::Rotation => is_pose_new &= is_new,
@@ -231,30 +260,53 @@ impl Channels {
 
     /// Accepts the numbers of a channel, or lets its age grow by `dt` \[s\]. Returns whether it is measured in this tick
     /// and in the last one, with different bits.
-    fn judge(&self, state: &mut ChannelsState, place: usize, dt: f64, missed_ticks: f64) -> bool {
+    fn judge(
+        &self,
+        state: &mut ChannelsState,
+        place: usize,
+        dt: f64,
+        missed_ticks: f64,
+        modes: &mut Modes,
+    ) -> bool {
         let (Entry { range, kind }, channel) = (&self.entries[place], &mut state.channels[place]);
         let (now, predicted) = (&self.now[range.clone()], &mut state.predicted[range.clone()]);
-        let is_near = |predicted: &[f64], gate: f64| {
-            let mut entries = now.iter().zip(predicted).zip(&self.jump[range.clone()]);
-            entries.all(|((now, predicted), jump)| (now - predicted).abs() <= gate * jump)
+        let last = &state.last[range.clone()];
+        let is_near = |to: &[f64], gate: f64| {
+            let mut entries = now.iter().zip(to).zip(&self.jump[range.clone()]);
+            entries.all(|((now, to), jump)| (now - to).abs() <= gate * jump)
         };
-        let is_same = state.is_begun && *now == state.last[range.clone()];
+        let is_same = state.is_begun && *now == *last;
         let was_new = channel.age == 0.0 && channel.same == 0;
         channel.same = if is_same { channel.same.saturating_add(1) } else { 0 };
-        let gate = 1.0 + self.config.widening * channel.age + missed_ticks;
-        let is_sound = is_within(now, &self.greatest[range.clone()])
-            && (*kind != Kind::Rotation || is_rotation(&rotation_of(now)))
-            && is_near(predicted, gate);
+        let is_plausible = is_within(now, &self.greatest[range.clone()])
+            && (*kind != Kind::Rotation || is_rotation(&rotation_of(now)));
+        let width = if channel.support > 1 { 1.0 } else { self.config.confirmation };
+        let gate = width + self.config.widening * channel.age + missed_ticks;
+        let is_sound = is_plausible && is_near(predicted, gate);
+        // The same bits are no other measurement.
+        if !is_same {
+            let agrees = channel.against > 0 && is_near(last, 1.0);
+            channel.against =
+                u32::from(is_plausible && !is_sound) * (1 + u32::from(agrees) * channel.against);
+        }
+        let is_outvoted = channel.against > channel.support;
         let leaves = channel.same >= self.config.frozen_ticks && !is_near(predicted, FROZEN_SHARE);
         channel.is_frozen = is_same && (channel.is_frozen || leaves);
-        if is_sound && !channel.is_frozen && !channel.is_distrusted {
+        if (is_sound || is_outvoted) && !channel.is_frozen && !channel.is_distrusted {
             channel.age = 0.0;
+            if is_outvoted {
+                (channel.support, channel.against) = (channel.against, 0);
+                modes.insert(Modes::BEGUN_AGAIN);
+            } else if !is_same {
+                channel.support = channel.support.saturating_add(1);
+            }
             // For joints and base the prediction continues, to be compared with a value that may be frozen.
             if !is_same || !kind.is_vital() {
                 predicted.copy_from_slice(now);
             }
         } else {
             channel.age += dt;
+            modes.insert(kind.mode());
         }
         state.is_descending |= kind.is_vital() && channel.age > self.config.descend_after;
         was_new && channel.age == 0.0 && !is_same && state.is_begun

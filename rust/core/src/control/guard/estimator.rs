@@ -262,7 +262,7 @@ impl Estimator {
 }
 
 impl EstimatorState {
-    /// Restarts from the next measurement: it is not known how long the last command has acted.
+    /// Restarts from the next measurement, because the estimates before it are worth nothing.
     pub(super) fn restart(&mut self) {
         self.ticks = 0;
     }

@@ -361,7 +361,7 @@ impl Stage for Estimator {
         let (Some(memory), channels) = (&mut tick.state.estimator, &mut *tick.channels) else { return };
         let Terms { estimates, measurement: used, .. } = &mut *tick.terms;
         channels.select_accepted(&tick.state.channels, &mut estimates.reading);
-        if used.pause > 0.0 {
+        if used.pause > 0.0 || used.modes.contains(Modes::BEGUN_AGAIN) {
             memory.restart();
         }
         self.update(memory, &mut estimates.reading, used.elapsed, &mut used.thrust_innovation);

@@ -17,6 +17,10 @@ pub struct ChannelsConfig {
     /// Number of ticks with the same bits after which a value may count as frozen.
     #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 100_000)))]
     pub frozen_ticks: u32,
+    /// Share of `jump` within which the second measurement confirms the first, and a first joint position may be beyond
+    /// its stops: less than a wrong first measurement can do harm with, more than noise of sensors.
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub confirmation: f64,
     /// Relative growth of `jump` with the age of a channel \[1/s\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub widening: f64,
@@ -99,6 +103,7 @@ impl Default for ChannelsConfig {
             wind_hold: 1.0,
             wind_fade: 2.0,
             frozen_ticks: 5,
+            confirmation: 0.2,
             widening: 1.0,
             velocity_gain: 100.0,
             descend_after: 3.0,
@@ -168,6 +173,7 @@ impl ChannelsConfig {
         for (key, value) in [
             ("wind_fade", self.wind_fade),
             ("frozen_ticks", f64::from(self.frozen_ticks)),
+            ("confirmation", self.confirmation),
             ("greatest.wind", greatest.wind),
             ("greatest.thrust", greatest.thrust),
             ("greatest.joint_position", greatest.joint_position),

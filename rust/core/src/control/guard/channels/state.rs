@@ -22,6 +22,10 @@ pub(super) struct Channel {
     pub(super) age: f64,
     /// Number of successive ticks in which its bits have not changed.
     pub(super) same: u32,
+    /// Number of measurements that its prediction rests on: accepted ones since the flight began, or began again.
+    pub(super) support: u32,
+    /// Number of successive measurements that contradict the prediction, but not each other.
+    pub(super) against: u32,
     /// Whether it counts as frozen, until its bits change.
     pub(super) is_frozen: bool,
     /// Whether its measurements are permanently rejected.

@@ -1,0 +1,118 @@
+"""The way from a command to what executes it: delay, jitter, lost commands.
+
+```text
+command of a tick ──► lost? ──► delay + jitter ──► held until a later command arrives
+```
+
+Delays and losses are drawn before the flight; the length of the way is structure.
+
+Equation M140 of `docs/model.md`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from jax_aero import noise
+from jax_aero.config import ActuationConfig
+from jax_aero.types import Array, Static, pytree
+
+STREAM = 3
+
+LOST = -1
+"""Delay of a command that is lost."""
+
+
+@pytree
+class Actuation:
+    """Delays of the commands of one flight."""
+
+    lag: Int[Array, "ticks 2"]
+    """Delay of thrust rates and of torques [physics steps]; `LOST` if the command of that tick is lost."""
+    ticks: Static[int]
+    """Commands that can be on their way: ticks of the greatest delay plus one."""
+
+
+class Line(NamedTuple):
+    """Commands of one kind on their way, the latest first."""
+
+    sent: Float[Array, "h x"]
+    lag: Int[Array, " h"]
+    """Their delays [physics steps]."""
+    held: Float[Array, " x"]
+    """The latest command that has arrived."""
+
+
+class ActuationState(NamedTuple):
+    """State of the actuation between two ticks."""
+
+    thrust_rate: Line
+    torque: Line
+    tick: Int[Array, ""]
+    """Number of ticks taken."""
+
+
+def start(
+    config: ActuationConfig, time_step: float, substeps: int, ticks: int, jets: int, joints: int
+) -> tuple[Actuation, ActuationState]:
+    """Return the actuation of a flight of `ticks` ticks, and its first state.
+
+    Call it outside loops, since it draws delays and losses. `time_step` [s].
+    """
+    step = time_step / substeps
+    thrust, torque, jitter = (
+        int(np.floor(time / step + 0.5)) for time in (config.thrust_delay, config.torque_delay, config.jitter)
+    )
+    loss, late = noise.uniforms(config.seed, STREAM, 2 * (ticks + 1)).reshape(-1, 2).T
+    lag = np.floor(late * (jitter + 1.0)).astype(np.int32)[:, None] + np.array([thrust, torque], np.int32)
+    lag = np.where((loss >= config.drop)[:, None], lag, LOST)
+    length = (max(thrust, torque) + jitter) // substeps + 1
+
+    def line(size: int) -> Line:
+        return Line(jnp.zeros((length, size)), jnp.full(length, LOST, jnp.int32), jnp.zeros(size))
+
+    return Actuation(jnp.asarray(lag), length), ActuationState(line(jets), line(joints), jnp.array(0, jnp.int32))
+
+
+def send(
+    way: Actuation, before: ActuationState, thrust_rate: Float[Array, " j"], torque: Float[Array, " n"]
+) -> ActuationState:
+    """Send the command of a tick; the first one acts at once and until another arrives."""
+    lag = way.lag[jnp.minimum(before.tick, way.lag.shape[0] - 1)]
+
+    def sent(line: Line, command: Array, lag: Array) -> Line:
+        return Line(
+            jnp.concatenate([command[None], line.sent[:-1]]),
+            jnp.concatenate([lag[None], line.lag[:-1]]),
+            jnp.where(before.tick == 0, command, line.held),
+        )
+
+    return ActuationState(
+        sent(before.thrust_rate, thrust_rate, lag[0]), sent(before.torque, torque, lag[1]), before.tick + 1
+    )
+
+
+def acting(line: Line, substep: int, substeps: int) -> Float[Array, " x"]:
+    """Return the latest command that has arrived at a sub-step of the tick in which the last one was sent."""
+    age = substeps * jnp.arange(line.lag.shape[0]) + substep
+    has_arrived = (line.lag != LOST) & (line.lag <= age)
+    return jnp.where(jnp.any(has_arrived), line.sent[jnp.argmax(has_arrived)], line.held)
+
+
+def mean(line: Line, substeps: int) -> Float[Array, " x"]:
+    """Return the mean of the acting commands over the sub-steps of a tick."""
+    rates = [acting(line, substep, substeps) / substeps for substep in range(substeps)]
+    return jnp.sum(jnp.stack(rates), axis=0)
+
+
+def hold(state: ActuationState, substeps: int) -> ActuationState:
+    """Return the state at the end of a tick: what acts is held."""
+
+    def held(line: Line) -> Line:
+        return line._replace(held=acting(line, substeps - 1, substeps))
+
+    return state._replace(thrust_rate=held(state.thrust_rate), torque=held(state.torque))

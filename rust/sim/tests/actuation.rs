@@ -1,0 +1,155 @@
+//! Commands on their way: late by what is configured, held where one is lost.
+
+#![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
+#![allow(clippy::float_cmp, reason = "commands arrive with the same bits")]
+
+use crate::common::{assert_says, assert_within, experiment};
+use flight_sim::{Actuation, ActuationConfig, FlightResult, Outcome, Scenario, ScenarioConfig};
+use std::ops::ControlFlow;
+
+const STEP: f64 = 0.001;
+
+/// What acts in every sub-step of every tick, where tick k commands k and −k.
+fn acting(config: &ActuationConfig, substeps: u32, ticks: u32) -> (Vec<f64>, Vec<f64>) {
+    let mut way = Actuation::new(config, STEP, substeps, 1, 1).unwrap();
+    let (mut torques, mut rates) = (Vec::new(), Vec::new());
+    for tick in 0..ticks {
+        way.send(&[f64::from(tick)], &[-f64::from(tick)]);
+        torques.extend((0..substeps).map(|substep| way.torque(substep)[0]));
+        rates.push(way.thrust_rate()[0]);
+    }
+    (torques, rates)
+}
+
+fn fly(config: &ScenarioConfig) -> FlightResult {
+    Scenario::new(config).unwrap().run(|_, _| ControlFlow::Continue(())).unwrap()
+}
+
+#[test]
+fn a_delay_of_some_steps_shifts_commands_by_them() {
+    for (delay, substeps) in [(0, 1), (1, 1), (7, 1), (0, 4), (3, 4), (4, 4), (9, 4)] {
+        let seconds = f64::from(delay) * STEP;
+        let config = ActuationConfig { torque_delay: seconds, thrust_delay: seconds, ..Default::default() };
+        let (torques, rates) = acting(&config, substeps, 12);
+        // Before the first command arrives it acts, too.
+        let expected = |step: u32| f64::from(step.saturating_sub(delay) / substeps);
+        for (step, torque) in (0..).zip(&torques) {
+            assert_eq!(*torque, expected(step), "{delay} of {substeps} in step {step}");
+        }
+        for (tick, rate) in (0..).zip(rates) {
+            let mean =
+                (0..substeps).map(|step| expected(tick * substeps + step)).sum::<f64>() / f64::from(substeps);
+            assert_eq!(rate, -mean, "{delay} of {substeps} in tick {tick}");
+        }
+    }
+}
+
+#[test]
+fn a_lost_command_is_replaced_by_the_last_one() {
+    let config = ActuationConfig { drop: 0.3, seed: 4, ..Default::default() };
+    let ticks = 4000;
+    let (torques, rates) = acting(&config, 1, ticks);
+    let (mut lost, mut before) = (0, 0.0);
+    for (tick, (torque, rate)) in (0..).zip(torques.iter().zip(&rates)) {
+        assert_eq!(*torque, -rate, "both are lost together");
+        let is_lost = *torque != f64::from(tick);
+        assert!(!is_lost || *torque == before);
+        lost += u32::from(is_lost);
+        before = *torque;
+    }
+    let share = f64::from(lost) / f64::from(ticks);
+    assert!((share - 0.3).abs() < 0.03, "{share}: four standard deviations of 4000 draws");
+    assert_eq!(acting(&config, 1, 100), acting(&config, 1, 100));
+    assert_ne!(acting(&config, 1, 100), acting(&ActuationConfig { seed: 5, ..config.clone() }, 1, 100));
+    let nothing_arrives = ActuationConfig { drop: 1.0, ..config };
+    assert_eq!(acting(&nothing_arrives, 2, 3).0, [0.0; 6], "the first command acts");
+}
+
+#[test]
+fn jitter_is_drawn_per_tick_up_to_its_size() {
+    let config = ActuationConfig { torque_delay: 0.002, jitter: 0.003, seed: 1, ..Default::default() };
+    let (torques, _) = acting(&config, 2, 2000);
+    let mut seen = [0; 6];
+    for pair in torques.windows(2) {
+        assert!(pair[1] >= pair[0], "a command that arrives after a later one does not act");
+    }
+    for (step, torque) in
+        (0u32..).zip(&torques).filter(|(step, torque)| *step > 10 && **torque != torques[*step as usize - 1])
+    {
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "ticks")]
+        let lag = step - 2 * *torque as u32;
+        assert!((2..=5).contains(&lag), "{lag}");
+        seen[lag as usize] += 1;
+    }
+    assert!(seen[2..].iter().all(|count| *count > 100), "{seen:?}");
+}
+
+/// With a command that waits for a tick, a flight is another one; without a delay it is the same.
+#[test]
+fn a_flight_without_delays_keeps_its_bits() {
+    let mut config = experiment("test2_observer");
+    config.simulator.duration = 0.3;
+    let at_once = fly(&config);
+    config.simulator.actuation = Some(ActuationConfig::default());
+    assert_eq!(at_once.log.series("joint_position"), fly(&config).log.series("joint_position"));
+    config.simulator.actuation = Some(ActuationConfig { torque_delay: 0.01, ..Default::default() });
+    let late = fly(&config);
+    assert_ne!(at_once.log.series("joint_position"), late.log.series("joint_position"));
+    // The first command acts in the first two ticks, so the states of ticks 0 and 1 are the same.
+    let row = |flight: &FlightResult, tick| flight.log.series("joint_position").unwrap().row(tick).to_vec();
+    assert_eq!(row(&at_once, 1), row(&late, 1));
+    assert_ne!(row(&at_once, 2), row(&late, 2));
+}
+
+/// Torques that are late by a tick of 10 ms: too late for the observer, not for the predictive law, and not for the
+/// observer with ticks of 5 ms. Lost commands are not felt.
+#[test]
+fn late_torques_need_shorter_ticks_or_a_plan() {
+    let fly = |name: &str, time_step: f64, actuation: ActuationConfig| {
+        let mut config = experiment(name);
+        config.simulator.duration = 20.0;
+        config.simulator.time_step = time_step;
+        config.simulator.actuation = Some(actuation);
+        fly(&config)
+    };
+    let late = |torque_delay| ActuationConfig { torque_delay, ..Default::default() };
+    assert_eq!(fly("test2_observer", 0.01, late(0.01)).outcome, Outcome::Fell);
+    for (name, time_step, actuation) in [
+        ("test2_mpc", 0.01, late(0.01)),
+        ("test2_observer", 0.005, late(0.005)),
+        ("test2_observer", 0.01, ActuationConfig { thrust_delay: 0.05, ..Default::default() }),
+        ("test2_observer", 0.01, ActuationConfig { drop: 0.1, ..Default::default() }),
+    ] {
+        let flight = fly(name, time_step, actuation);
+        assert_eq!(flight.outcome, Outcome::Completed, "{name}: {:?}", flight.loss);
+        let rotation = flight.summary.max_rotation_error.to_degrees();
+        assert_within!(rotation, 5.0, because "margin of the flight", "{name}: {rotation} deg");
+    }
+}
+
+#[test]
+fn bad_actuation_is_refused_by_name() {
+    type Change = fn(&mut ActuationConfig);
+    let refusals: [(&str, Change); 6] = [
+        ("thrust_delay is -0.01; expected seconds from 0 to 1", |c| c.thrust_delay = -0.01),
+        ("torque_delay is 1.5; expected seconds from 0 to 1", |c| c.torque_delay = 1.5),
+        ("torque_delay is 0.0005; expected a multiple of 0.001 s", |c| c.torque_delay = 0.0005),
+        ("jitter is 0.0015; expected a multiple of 0.001 s", |c| c.jitter = 0.0015),
+        ("drop is 1.1; expected a share from 0 to 1", |c| c.drop = 1.1),
+        ("drop is NaN", |c| c.drop = f64::NAN),
+    ];
+    for (expected, change) in refusals {
+        let mut config = ActuationConfig::default();
+        change(&mut config);
+        let refusal = Actuation::new(&config, STEP, 1, 1, 1).unwrap_err();
+        assert_says(&refusal, &[&format!("simulator.actuation.{expected}")]);
+    }
+    let mut config = experiment("test2");
+    config.simulator.actuation = Some(ActuationConfig { torque_delay: 0.003, ..Default::default() });
+    assert_says(
+        &Scenario::new(&config).unwrap_err(),
+        &["simulator.actuation.torque_delay is 0.003", "0.01 s"],
+    );
+    config.simulator.substeps = 10;
+    assert!(Scenario::new(&config).is_ok());
+}
