@@ -2,8 +2,8 @@
 
 `jax-aero study along` reads `results/flight/NAME/`. Fuel consumption is linear in the thrust of every jet
 (`configs/tables/fuel.toml`); the clearance is that of a trim, from the axis of an exhaust to the surface of a link,
-including soles, and from a turbine to the links that it does not touch at the start. The result goes to `results/along/flights/`;
-`jax-aero figures along` draws it.
+including soles, and from a turbine to the links that it does not touch at the start. The result goes to
+`results/along/flights/`; `jax-aero figures along` draws it.
 """
 
 from __future__ import annotations

@@ -43,11 +43,11 @@ class Clearance:
 def clearance_params(settings: config.ClearanceConfig | None, robot: RobotModel) -> Clearance:
     """Return what a configuration keeps apart, without pairs that share a body."""
     if settings is None:
-        none = np.zeros((0, 3))
-        return Clearance((), (), none, none, none[:, 0], leaf(0.0), leaf(0.0))
+        none = leaf(np.zeros((0, 3)))
+        return Clearance((), (), none, none, leaf(np.zeros(0)), leaf(0.0), leaf(0.0))
     of = rust.Robot(robot.source).clearance(msgspec.json.encode(settings).decode())
-    bodies, start, way, radius, pairs = of
-    return Clearance(tuple(bodies), tuple(pairs), start, way, radius, leaf(settings.least), leaf(settings.weight))
+    bodies, *segments, pairs = of
+    return Clearance(tuple(bodies), tuple(pairs), *map(leaf, (*segments, settings.least, settings.weight)))
 
 
 def distances(

@@ -238,7 +238,7 @@ class PredictiveLaw:
 
 
 def _find_beyond(ahead: Horizon, bounds: tuple[Array, Array], last: Plan) -> _Search:
-    """Find the thrusts, joints and distances that the minimiser brings beyond their limits, from those of the last plan."""
+    """Find the thrusts, joints and distances that the minimiser brings beyond their limits."""
 
     def is_running(search: _Search) -> Array:
         is_solved = search.answer.status == qp.SOLVED

@@ -2,10 +2,15 @@
 
 use super::{as_published, data, ramp_to, with};
 use crate::common::{Loop, assert_within, experiment, fly};
+use flight_core::RobotState;
 use flight_core::aero::LeverArm;
+use flight_core::control::law::mpc::clearance::Clearance;
+use flight_core::kinematics::Kinematics;
 use flight_core::spatial::vee_of_skew_part;
+use flight_io::load_robot;
 use flight_sim::config::Integrator;
-use flight_sim::{ScenarioConfig, SensorsConfig, WindConfig};
+use flight_sim::disturbances::{FailureKind, JetFailure};
+use flight_sim::{FlightLog, Outcome, ScenarioConfig, SensorsConfig, WindConfig};
 use nalgebra::Vector3;
 
 /// A gust of which the wind ahead is measured turns the robot by less than half as much as one that is not.
@@ -25,6 +30,60 @@ fn a_gust_that_is_measured_ahead_turns_the_robot_less() {
         });
         assert!(seen < 0.5 * unseen, "{velocity:?}: {seen} rad instead of {unseen}");
     }
+}
+
+/// Least distance along a flight of exhausts and turbines from what the plan keeps them apart from \[m\].
+fn least_distance(config: &ScenarioConfig, log: &FlightLog) -> f64 {
+    let robot = load_robot(&config.robot).unwrap();
+    let clearance = config.controller.law.mpc.as_ref().unwrap().clearance.as_ref();
+    let mut clearance = Clearance::new(clearance, &robot, 0).unwrap();
+    let (mut kinematics, mut state) = (Kinematics::new(&robot), RobotState::zero(robot.joints.len()));
+    let joints = log.series("joint_position").unwrap();
+    let mut least = f64::INFINITY;
+    for row in (0..log.len()).step_by(5) {
+        state.joint_position.copy_from_slice(joints.row(row));
+        kinematics.update(&robot, &state);
+        clearance.update(&kinematics, &[]);
+        least = clearance.distance.iter().fold(least, |least, distance| least.min(*distance));
+    }
+    least
+}
+
+/// Without the clearance the left arm's turbine enters the leg by 6 cm on the mission, the other one the pelvis in the
+/// descent.
+#[test]
+fn plans_keep_exhausts_and_turbines_off_the_body() {
+    let mission = with(experiment("min_time"), |config| {
+        config.controller = experiment("test2_mpc").controller;
+    });
+    let descent = with(experiment("test2_mpc"), |config| {
+        config.simulator.duration = 24.0;
+        config.disturbances.jets.failure =
+            Some(JetFailure { jet: "r_arm_jet".into(), time: 18.0, kind: FailureKind::Off, decay: 0.0 });
+    });
+    for (config, expected) in [(mission, 0.02), (descent, 0.005)] {
+        let result = fly(std::slice::from_ref(&config)).remove(0);
+        assert_eq!(result.outcome, Outcome::Completed);
+        let least = least_distance(&config, &result.log);
+        assert!(least > expected, "{}: {least} m", config.title);
+    }
+}
+
+/// What the model does not contain changes the integral of the joints' velocity errors for good; a plan that expected it
+/// to act on the joints would hold the robot 20 cm beside its set-point.
+#[test]
+fn a_wrong_centre_of_mass_leaves_no_offset() {
+    let config = with(experiment("test2_mpc"), |config| {
+        config.simulator.duration = 5.0;
+        config.wind = WindConfig::Ramp { velocity: [0.0; 3], ramp_start: 0.0, ramp_end: 1.0 };
+        config.disturbances.model_error.com_offset = [0.04, 0.0, 0.0];
+    });
+    let log = fly(&[config]).remove(0).log;
+    let (com, setpoint) = (log.series("com_position").unwrap(), log.series("com_setpoint").unwrap());
+    let last = log.len() - 1;
+    let error = Vector3::from_column_slice(com.row(last)) - Vector3::from_column_slice(setpoint.row(last));
+    // The model's centre of mass is 0.5 cm off.
+    assert!(error.norm() < 0.01, "{error}");
 }
 
 /// A constant force and moment that the controller does not know of: the attitude settles at
