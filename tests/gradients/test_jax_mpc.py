@@ -37,7 +37,7 @@ def weighted(mpc, p):
 
 
 def test_gradient_of_a_plan(check_gradient):
-    """By weights and by what the model says, with thrusts and joints within their limits and beyond."""
+    """By weights and by what the model says, with thrusts, joints and a distance within their limits and beyond."""
     scenario, start = prepared()
     params, robot, state = scenario.controller, scenario.plant.robot, start.plant.robot
     mpc, gains = params.mpc, (params.torque.kd, params.torque.kp)
@@ -56,17 +56,19 @@ def test_gradient_of_a_plan(check_gradient):
 
     def plan(at, beyond):
         changed = weighted(mpc, at["weights"])
-        joints = state.joint_position, jnp.zeros(robot.n_joints)
         wrenches = jnp.zeros((len(mpc.structure.durations), 6))
-        args = at["linear"], used, model, params.limits(robot), *joints, target, wrenches
+        args = at["linear"], used, model, params.limits(robot), state.joint_position, target, wrenches
         ahead = horizon(changed, changed.weights, gains, robot, *args)
         u = qp.solve(ahead.problem(beyond, jnp.full(ahead.g.shape, -40.0), jnp.full(ahead.g.shape, 40.0))).x
         return {"u": u, "values": ahead.free + ahead.by_inputs @ u}
 
     at = {name: getattr(mpc.weights, name) for name in WEIGHTS}
-    at |= {name: getattr(mpc, name) for name in ("decay", "thrust_excess", "joint_excess")}
-    beyond = np.zeros((15 * len(mpc.structure.durations)), np.int8)
-    for some in (beyond, np.isin(np.arange(beyond.size) % 15, (2, 7)).astype(np.int8)):
+    at |= {name: getattr(mpc, name) for name in ("decay", "thrust_excess", "joint_excess", "clearance")}
+    of_knot = thrust.size + len(mpc.structure.joints) + len(mpc.clearance.pairs)
+    beyond = np.zeros((len(mpc.structure.durations), of_knot), np.int8)
+    some_are = beyond.copy()
+    some_are[:, [2, 7]], some_are[:, 20] = 1, -1
+    for some in (beyond.ravel(), some_are.ravel()):
         check_gradient(plan, {"weights": at, "linear": linear}, some, tolerance=1e-5)
 
 
