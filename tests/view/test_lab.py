@@ -162,6 +162,29 @@ def test_what_a_link_says_wrongly_is_as_by_default(link):
     assert settings == default
 
 
+def inline(value: Any) -> str:
+    """A value of a configuration in TOML, with paths from `configs/experiments`."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} = {inline(part)}" for key, part in value.items()) + "}"
+    return json.dumps(value).replace('"../', f'"{ROOT}/configs/')
+
+
+@needs_node
+@pytest.mark.parametrize("arms", ["corrected", "published"])
+@pytest.mark.parametrize("air", ["axisymmetric", "network", "spheres"])
+def test_every_choice_of_the_predictive_law_is_a_flight(air, arms, tmp_path):
+    settings = json.dumps({"controller": "ahead", "air": air, "arms": arms, "kp": 3.0})
+    config = in_node(f"""
+        const settings = {{ ...scenario.DEFAULTS, ...{settings} }};
+        console.log(JSON.stringify(scenario.configuration(settings)));""")
+    path = tmp_path / "flown.toml"
+    path.write_text("".join(f"{key} = {inline(value)}\n" for key, value in config.items()))
+    found = rust.load_config(path)
+    is_linear = (air, arms) == ("axisymmetric", "corrected")
+    assert found["controller"]["mpc"]["air"] == ("linear" if is_linear else "constant")
+    rust.Controller(found)
+
+
 def test_it_is_small_and_asks_for_nothing(visit, built):
     files = {path.name: path.read_bytes() for path in built.iterdir()}
     assert set(files) == {"index.html", "lab.js", "style.css"}

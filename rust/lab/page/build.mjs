@@ -15,7 +15,8 @@ const MOST = 3e6; // bytes, compressed
 const KEPT = [
   ["configs/aero", /\.toml$/],
   ["configs/aero/networks", /^default\./],
-  ["configs/control", /^(aero_aware|aero_aware_published|baseline|observer|observer_without_model)\.toml$/],
+  ["configs/control", /^(aero_aware|aero_aware_published|baseline|mpc|observer|observer_without_model)\.toml$/],
+  ["configs/law", /\.toml$/],
   ["configs/mission", /^(in_line|hover|closed_circuit|min_time)\./],
   ["configs/robot", /^ironcub_mk1\./],
   ["configs/simulator", /^flight(_published)?\.toml$/],

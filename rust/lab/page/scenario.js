@@ -20,6 +20,7 @@ export const LISTS = {
       aware: ["aware", "The published controller with a model of the force on every link, and the measured wind."],
       observer: ["observer", "Estimates the wrench of the air from the robot's momentum; no aerodynamic model, no wind sensor."],
       both: ["aware + observer", "The model, and an observer of what the model gets wrong: the controller that we recommend."],
+      ahead: ["looking ahead", "A plan over the next 0.8 s with model and observer: it survives an arm engine that stops in hover."],
     },
   },
   air: {
@@ -98,9 +99,9 @@ export const TESTS = {
 
 /** Whether a choice has an effect. */
 export function matters(key, settings) {
-  const hasAirModel = settings.controller === "aware" || settings.controller === "both";
-  if (["model", "scale", "delay"].includes(key)) return hasAirModel;
-  if (key === "ko") return settings.controller === "observer" || settings.controller === "both";
+  if (["model", "scale", "delay"].includes(key)) return ["aware", "both", "ahead"].includes(settings.controller);
+  if (key === "ko") return ["observer", "both", "ahead"].includes(settings.controller);
+  if (["kp", "c0"].includes(key)) return settings.controller !== "ahead";
   return true;
 }
 
@@ -151,20 +152,23 @@ function aero(air, arms) {
 function controller(settings) {
   const { arms } = settings;
   const isPublished = arms === "published";
-  const file = { baseline: "baseline", observer: "observer_without_model", both: "observer" }[settings.controller];
+  const file = { baseline: "baseline", observer: "observer_without_model", both: "observer", ahead: "mpc" }[settings.controller];
   const table = { base: `../control/${file ?? (isPublished ? "aero_aware_published" : "aero_aware")}.toml` };
   if (isPublished && file) table.torque = { torque_max: 50 }; // as in configs/experiments/test1_published.toml
   if (matters("model", settings)) {
     table.aero = aero(settings.model === "same" ? settings.air : settings.model, arms);
     // As in configs/control/aero_aware_published.toml.
     if (isPublished) Object.assign(table, { lever_arm: "unrotated", jacobian_offset: "base_rotation", link_velocity: "shifted_twice" });
+    // Only the axisymmetric model, with forces at the links' centres, has derivatives.
+    const isAxisymmetric = ["axisymmetric", "off"].includes(settings.model === "same" ? settings.air : settings.model);
+    if (settings.controller === "ahead" && (isPublished || !isAxisymmetric)) table.mpc = { air: "constant" };
   }
   const momentum = {};
-  if (settings.kp !== DEFAULTS.kp) {
+  if (matters("kp", settings) && settings.kp !== DEFAULTS.kp) {
     momentum.kp_linear = Array(3).fill(settings.kp);
     momentum.kd_linear = Array(3).fill(2 * Math.sqrt(settings.kp));
   }
-  if (settings.c0 !== DEFAULTS.c0) momentum.c0 = settings.c0;
+  if (matters("c0", settings) && settings.c0 !== DEFAULTS.c0) momentum.c0 = settings.c0;
   if (Object.keys(momentum).length) table.momentum = momentum;
   if (matters("ko", settings) && settings.ko !== DEFAULTS.ko) table.observer = { gain_force: settings.ko, gain_moment: settings.ko };
   return table;
