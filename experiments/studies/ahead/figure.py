@@ -16,7 +16,7 @@ def draw(turbulence: xr.Dataset, engine: xr.Dataset) -> Figure:
     """Draw rotation errors in turbulence and after the loss, and the height after the loss."""
     figure = style.figure(2.9)
     panels = figure.subplots(1, 3)
-    after = engine.sel(time=slice(STOP - 2.0, None))
+    after = engine.sel(time=slice(STOP - 2.0, STOP + 12.0))
     shown = ((turbulence, "rotation"), (after, "rotation"), (after, "height"))
     for axes, (study, signal) in zip(panels, shown, strict=True):
         for name, (colour, dashes) in LOOKS.items():
