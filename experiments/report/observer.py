@@ -153,6 +153,32 @@ def lost_engines(results: Results) -> Judged:
     return _judge_errors(cells, "worst", 90.0)
 
 
+def ahead_in_turbulence(results: Results) -> Judged:
+    """Judge the predictive law in turbulence, with a model of the air and without."""
+    sweep = results.sweep("ahead_turbulence")
+    cells = [
+        (f"{controller}, {world}, {speed:g} m/s", sweep.cell(controller=controller, world=world, speed=speed))
+        for controller in sweep.levels("controller")
+        if controller.startswith("predictive")
+        for world in sweep.levels("world")
+        for speed in sweep.levels("speed")
+    ]
+    return _judge_errors(cells, "worst", 5.0)
+
+
+def ahead_without_engine(results: Results) -> Judged:
+    """Judge the predictive law after an engine has stopped at once while hovering."""
+    sweep = results.sweep("ahead_engine_loss")
+    cells = [
+        (f"{failure.removesuffix(' at 18 s')}, {controller}", sweep.cell(controller=controller, failure=failure))
+        for controller in sweep.levels("controller")
+        if controller.startswith("predictive")
+        for failure in sweep.levels("failure")
+        if failure.endswith("at 18 s")
+    ]
+    return _judge_errors(cells, "worst", 90.0)
+
+
 def wind_estimate(results: Results) -> Judged:
     """Judge the wind estimated from the wrench."""
     found = results.study("wind_observer", "turbulence")

@@ -545,6 +545,20 @@ OTHER_ROWS: Sequence[Row] = (
     _ours(
         "engines_lost", "Without one engine the robot flies to the ground", observer.lost_engines, "sweep engine_loss"
     ),
+    Item("beyond", figure="ahead_turbulence"),
+    _ours(
+        "ahead_turbulence",
+        "Looking ahead turns the robot by at most 5° in turbulence of 18 m/s, without an aerodynamic model too",
+        observer.ahead_in_turbulence,
+        "sweep ahead_turbulence",
+    ),
+    Item("beyond", figure="ahead_engine_loss"),
+    _ours(
+        "ahead_engines",
+        "After any engine stops at once in hover, looking ahead brings the robot down",
+        observer.ahead_without_engine,
+        "sweep ahead_engine_loss",
+    ),
 )
 
 SECTIONS: Mapping[str, Sequence[Row]] = {

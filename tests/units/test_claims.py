@@ -308,6 +308,17 @@ FAILURES = [
     {"engines": "found, descends", "failure": name} for name in ("fades at 18 s", "stops at 18 s", "fades at 9 s")
 ]
 
+AHEAD = [
+    {"controller": controller, "world": "network air", "speed": speed}
+    for controller in ("observer", "predictive", "predictive, no model")
+    for speed in (10.0, 18.0)
+]
+STOPS = [
+    {"controller": controller, "failure": f"left arm at {time} s"}
+    for controller in ("observer", "predictive", "predictive, sensors")
+    for time in (18, 28)
+]
+
 
 @pytest.mark.parametrize(
     ("key", "sweep", "cells", "place", "holds", "fails"),
@@ -321,6 +332,8 @@ FAILURES = [
         ("outages_lasting", "outages_observer", OUTAGES, 10, {"worst": 90.0}, {"worst": 90.1}),
         ("outages_short", "outages_observer", OUTAGES, 20, {"worst": 90.0}, {"completed": 99}),
         ("engines_lost", "engine_loss", FAILURES, 1, {"worst": 90.0}, {"worst": 90.1}),
+        ("ahead_turbulence", "ahead_turbulence", AHEAD, 5, {"worst": 5.0}, {"worst": 5.1}),
+        ("ahead_engines", "ahead_engine_loss", STOPS, 4, {"worst": 90.0}, {"completed": 99}),
     ],
 )
 def test_a_claim_of_ours_fails_with_one_of_its_cells(key, sweep, cells, place, holds, fails):
