@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from paper_figs import style
 from paper_figs.entry import Entry
 
-COLOURS = (style.BLUE, style.SKY, style.GREEN, style.PURPLE, style.VERMILION, style.ORANGE, style.BLACK)
+COLOURS = (style.BLUE, style.SKY, style.GREEN, style.PURPLE, style.VERMILION, style.ORANGE, style.BLACK, style.GREY)
 
 
 def draw(study: xr.Dataset) -> Figure:
