@@ -57,10 +57,11 @@ class Misled(rust.Controller):
         time: float = 0.0,
         setpoint: rust.Setpoint | None = None,
         foot_wrenches: ArrayLike | None = None,
+        preview: rust.Preview | None = None,
     ) -> rust.Tick:
         """Compute one tick of the changed measurement."""
         seen = self._change(Seen(time, state, np.array(thrust), np.array(foot_wrenches)))
-        return super().tick(seen.state, seen.thrust, wind, time, setpoint, foot_wrenches=seen.feet)
+        return super().tick(seen.state, seen.thrust, wind, time, setpoint, seen.feet, preview)
 
 
 class Failing(mujoco_ground.GroundPlant):

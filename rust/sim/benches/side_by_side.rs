@@ -145,7 +145,7 @@ fn time_solvers(name: &str, problems: &[QpProblem]) {
     report(&format!("{name}, Clarabel at 1e-12 and polished"), of_clarabel, problems, |qp| {
         reference.solve(qp)
     });
-    report(&format!("{name}, Clarabel as it comes"), of_clarabel, problems, |qp| solve_with_clarabel(qp));
+    report(&format!("{name}, Clarabel as it comes"), of_clarabel, problems, solve_with_clarabel);
 }
 
 /// Clarabel with its default settings, bounds as inequalities.
