@@ -7,8 +7,8 @@ use crate::common::{
     Loop, Running, Sample, assert_within, experiment, random_state, random_vector, rng, robot,
 };
 use flight_core::aero::{AeroModel, ForceFactorsConfig, LinkConventions, LinkForces};
-use flight_core::control::law::mpc::clearance::Clearance;
-use flight_core::control::law::mpc::config::{Air, ClearanceConfig};
+use flight_core::control::law::mpc::clearance::{Clearance, ClearanceConfig};
+use flight_core::control::law::mpc::config::Air;
 use flight_core::control::law::mpc::horizon::{Horizon, Target};
 use flight_core::control::law::mpc::model::Linearised;
 use flight_core::control::law::setpoint::Setpoint;

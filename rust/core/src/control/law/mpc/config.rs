@@ -1,6 +1,6 @@
 //! Configuration of the predictive law.
 
-use super::clearance::Clearance;
+use super::clearance::{Clearance, ClearanceConfig};
 use crate::aero::{AeroModel, LinkConventions};
 use crate::error::{BuildError, Table, place_of};
 use crate::robot::RobotModel;
@@ -96,26 +96,6 @@ impl MpcWeights {
     }
 }
 
-/// What the plan keeps apart: every exhaust and `links` from each of `apart_from`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(deny_unknown_fields)]
-pub struct ClearanceConfig {
-    /// Length of an exhaust's axis from the nozzle \[m\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub exhaust: f64,
-    /// Aerodynamic links that move beside the exhausts, such as turbines.
-    pub links: Vec<String>,
-    /// Aerodynamic links, and frames of soles, of which they keep clear.
-    pub apart_from: Vec<String>,
-    /// Least distance of the surfaces; an exhaust is its axis \[m\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
-    pub least: f64,
-    /// Weight of a lesser distance \[1/m²\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
-    pub weight: f64,
-}
-
 /// The predictive law, which decides thrust rates and joint velocities in place of the momentum QP.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -199,11 +179,7 @@ impl MpcConfig {
                 expected,
             ));
         }
-        if let Some(clearance) = &self.clearance {
-            MPC.check_positive("clearance.exhaust", clearance.exhaust)?;
-            MPC.check_non_negative("clearance.least", clearance.least)?;
-            MPC.check_non_negative("clearance.weight", clearance.weight)?;
-        }
+        self.clearance.as_ref().map_or(Ok(()), ClearanceConfig::check)?;
         let joints = self.joints(robot)?.len();
         Clearance::new(self.clearance.as_ref(), robot, joints).map(|_| ())
     }
