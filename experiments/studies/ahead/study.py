@@ -32,11 +32,12 @@ PARTS: dict[str, dict[str, Any]] = {
             "time_scale": 2.0,
             "seed": 1,
         },
-        "simulator.aero": rust.load_aero(places.CONFIGS / "aero" / "network.toml"),
     },
     "engine": {"disturbances.jets.failure": {"jet": "l_arm_jet", "time": STOP, "kind": "off"}},
 }
 """Changes of the experiments."""
+AIR = {"turbulence": places.CONFIGS / "aero" / "network.toml"}
+"""Air of a part's simulator that is not the experiments' own."""
 
 
 class Ahead(tables.Table, frozen=True):
@@ -52,21 +53,16 @@ def compute(part: str, asked: Ahead) -> Findings:
     """Fly a part with every controller."""
     if part not in PARTS:
         raise Refused(f"there is no part `{part}`{places.did_you_mean(part, PARTS)}")
-    flights = {
-        name: rust.load_config(base, PARTS[part] | {"simulator.duration": asked.duration})
-        for name, base in CONTROLLERS.items()
-    }
+    changes = PARTS[part] | {"simulator.duration": asked.duration}
+    if part in AIR:
+        changes["simulator.aero"] = rust.load_aero(AIR[part])
+    flights = {name: rust.load_config(base, changes) for name, base in CONTROLLERS.items()}
     flown = [flown.log for flown in rust.fly_batch(list(flights.values()), full_log=True)]
     longest = max((log["time"] for log in flown), key=len)
     time = longest[:: asked.every]
     signals = {
         "rotation": ("deg", "rotation error", [np.degrees(log["rotation_error"]) for log in flown]),
         "height": ("m", "height of the centre of mass", [log["com_position"][:, 2] for log in flown]),
-        "course": (
-            "m",
-            "distance of the centre of mass from its set-point",
-            [np.linalg.norm(log["com_position"] - log["com_setpoint"], axis=1) for log in flown],
-        ),
     }
     data = xr.Dataset(
         {

@@ -326,11 +326,11 @@ pub struct Horizon {
     least_distance: f64,
     /// Thrusts by knot, then joints by knot, then distances by knot.
     limited: Vec<Limited>,
-    /// A distance by the joints' inputs.
-    row: Vec<f64>,
     /// Their values at the end of a way between two inputs, and the way.
     ends: Vec<f64>,
     way: DVector<f64>,
+    /// A distance by the joints' inputs.
+    row: Vec<f64>,
     work: DVector<f64>,
     base_h: DMatrix<f64>,
     base_g: DVector<f64>,
@@ -482,9 +482,8 @@ impl Horizon {
         h
     }
 
-    /// Builds H and g at the state of `terms`, from the wanted positions of the joints and, for the
-    /// end of each knot, a target and the change of the air's wrench with the wind \[N, N m\];
-    /// `is_descending` chooses the weights.
+    /// Builds H and g at the state of `terms`, from the wanted positions of the joints and, for the end of each knot, a
+    /// target and the change of the air's wrench with the wind \[N, N m\]; `is_descending` chooses the weights.
     pub fn update(
         &mut self,
         model: &Linearised,
