@@ -184,6 +184,11 @@ class EnginesConfig(Struct, frozen=True, kw_only=True):
     time_constant: float
 
 
+class LatencyConfig(Struct, frozen=True, kw_only=True):
+    thrust: float = 0.0
+    torque: float = 0.0
+
+
 class EstimatorConfig(Struct, frozen=True, kw_only=True):
     base_angular_velocity: ChannelConfig = ChannelConfig()
     base_linear_velocity: ChannelConfig = ChannelConfig()
@@ -192,6 +197,7 @@ class EstimatorConfig(Struct, frozen=True, kw_only=True):
     joint_observer: float | None = None
     joint_position: ChannelConfig = ChannelConfig()
     joint_velocity: ChannelConfig = ChannelConfig()
+    latency: LatencyConfig = LatencyConfig()
     thrust: ChannelConfig = ChannelConfig()
 
 

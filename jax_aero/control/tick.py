@@ -66,6 +66,8 @@ class Switches(NamedTuple):
     """Whether `J_aᵀ f_a` enters the torque law."""
     symmetric_pairs: tuple[tuple[int, int], ...]
     """Jets that should have equal thrust rates."""
+    latency: int
+    """Ticks until a command acts."""
 
 
 @pytree
@@ -121,7 +123,7 @@ class MomentumController:
     def law(self) -> Law:
         """Return the law, from the set-point to thrust rates and joint velocities."""
         pairs = self.switches.symmetric_pairs
-        momentum = MomentumLaw(self.setpoint, self.mission, self.tasks, pairs, self.other_tasks)
+        momentum = MomentumLaw(self.setpoint, self.mission, self.tasks, pairs, self.other_tasks, self.switches.latency)
         if self.mpc is None:
             return momentum
         gains = self.torque.kd, self.torque.kp
@@ -133,7 +135,7 @@ class MomentumController:
 
     def model(self, robot: RobotModel, used: UsedMeasurement) -> Model:
         """Return the values of a tick that depend on the measurement only."""
-        conventions, lambda_a, torque, _ = self.switches
+        conventions, lambda_a, torque = self.switches[:3]
         return update_model(robot, self.aero, conventions, self.rate_feedback, lambda_a, torque, used)
 
     def init(self, robot: RobotModel, state: State) -> ControllerState:
@@ -175,6 +177,7 @@ def momentum_controller(
             lambda_a=feedback.lambda_,
             torque=feedback.torque,
             symmetric_pairs=symmetric_pairs(controller, robot),
+            latency=0 if estimates is None else estimator.ticks_of(estimates.latency.torque, time_step),
         ),
         aero=weight_forces(aero, config.disturbances.aero_estimate, robot, "disturbances.aero_estimate"),
         rate_feedback=_components(feedback.momentum_rate),

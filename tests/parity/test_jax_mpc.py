@@ -141,9 +141,11 @@ def test_the_future_of_a_mission_given_from_outside(measured):
 
 
 def test_a_flight_with_a_preview_of_the_wind(measured):
-    """Sensors, prediction and commands of a flight into a gust, in closed loop."""
+    """Sensors, prediction and commands of a flight into a gust, in closed loop, with a latency that is compensated."""
     gust = {"profile": "ramp", "velocity": [3.0, -12.0, 0.0], "ramp_start": 0.1, "ramp_end": 0.4}
     changes = {"simulator.duration": 0.3, "simulator.sensors": {"wind_preview": 0.5}, "wind": gust}
+    changes |= {"controller.estimator": {"latency": {"torque": 0.02, "thrust": 0.02}}}
+    changes |= {"simulator.actuation": {"torque_delay": 0.02, "thrust_delay": 0.02}}
     seen = rust.load_config(ROOT / "configs/experiments/test2_mpc.toml", changes)
     unseen = rust.load_config(ROOT / "configs/experiments/test2_mpc.toml", changes | {"simulator.sensors": {}})
     expected, ours = rust.fly(seen), sim.fly(seen)

@@ -7,7 +7,7 @@ x̂(t − D) ──► D ticks of the model under the past commands ──► x�
 
 Ages and shares are numbers; only the greatest age is structure, fixed at compilation.
 
-Equations M91 to M93 of `docs/model.md`.
+Equations M91 to M93 and M150 of `docs/model.md`.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Estimator:
     """
 
     age: Int[Array, "7"]
-    """Ages [ticks]."""
+    """Ages when the command of the tick begins to act [ticks]."""
     share: Float[Array, "7"]
     """Shares of the innovations by which the estimate is corrected."""
     by_position: Float[Array, "2"]
@@ -68,6 +68,8 @@ class Estimator:
     """Time step of the controller [s]."""
     greatest_age: Static[int]
     """Greatest age [ticks]."""
+    thrust_lag: Static[int]
+    """Ticks by which thrust rates act later than torques."""
 
 
 class EstimatorState(NamedTuple):
@@ -76,7 +78,7 @@ class EstimatorState(NamedTuple):
     line: Reading
     """Last measurements, the latest first, greatest age + 1 of them along an additional first axis."""
     orders: Order
-    """Last commands, in the same order."""
+    """Last commands, in the same order, back to the thrust rates under the oldest measurement."""
     then: Reading
     """Estimate at the greatest age."""
     disturbance: Float[Array, " n"]
@@ -101,30 +103,37 @@ def estimator(config: EstimatorConfig, time_step: Float[Array, ""]) -> Estimator
     def share_of(time_constant: float) -> float:
         return -np.expm1(-step / time_constant) if time_constant > 0.0 else 1.0
 
-    age = [int(np.floor(channel.delay / step + 0.5)) for channel in channels]  # half a tick rounds up
+    latency = ticks_of(config.latency.torque, step)
+    thrust_lag = ticks_of(config.latency.thrust, step) - latency
+    age = [latency + ticks_of(channel.delay, step) for channel in channels]
     share = [share_of(channel.time_constant) for channel in channels]
     by_position = [0.0, 0.0]
     if config.joint_observer is not None:
         # Triple pole at e^(-Δt/T).
         left = share_of(config.joint_observer)
         pole = 1.0 - left
-        age[5], share[4], share[5] = 0, 1.0 - pole**3, 0.0
+        age[5], share[4], share[5] = latency, 1.0 - pole**3, 0.0
         by_position = [left * left * (1.0 + 2.0 * pole), left**3]
     momentum_share = share_of(max(age) * step + config.base_angular_velocity.time_constant)
     ages = jnp.asarray(age, jnp.int32)
-    return Estimator(ages, leaf(share), leaf(by_position), leaf(momentum_share), time_step, max(age))
+    shares = leaf(share), leaf(by_position), leaf(momentum_share)
+    return Estimator(ages, *shares, time_step, max(age), thrust_lag)
+
+
+def ticks_of(time: float, time_step: float | Array) -> int:
+    """Return a time in ticks; half a tick rounds up. Both [s]."""
+    return int(np.floor(time / float(time_step) + 0.5))
 
 
 def start(settings: Estimator, state: State, jets: int) -> EstimatorState:
     """Return the state before the first measurement, which replaces the given state and the thrusts of zero."""
-
-    def repeat(x: Array) -> Array:
-        return jnp.stack([x] * (settings.greatest_age + 1))
+    length = settings.greatest_age + 1
 
     rest = jnp.zeros_like(state.velocity)
     nothing = Reading(jax.tree.map(jnp.asarray, state), jnp.zeros(jets, rest.dtype))
     order = Order(rest[6:], nothing.thrust, rest[:6], rest[:3], jnp.asarray(settings.time_step))
-    line, orders = jax.tree.map(repeat, (nothing, order))
+    line = jax.tree.map(lambda x: jnp.stack([x] * length), nothing)
+    orders = jax.tree.map(lambda x: jnp.stack([x] * (length + settings.thrust_lag)), order)
     return EstimatorState(line, orders, nothing, rest[6:], jnp.array(0, jnp.int32))
 
 
@@ -154,10 +163,14 @@ def update(
     first = (always, _prefer_measured(measured, before.then))
     line, then = where(before.ticks == 0, first, (before.line, before.then))
     line = jax.tree.map(lambda old, new: jnp.concatenate([new[None], old[:-1]]), line, measured)
-    oldest = before.orders.torque.shape[0] - 1
+    oldest = settings.greatest_age
     duration = settings.time_step * jnp.maximum(jnp.round(elapsed / settings.time_step), 1.0)
     given = before.orders._replace(duration=before.orders.duration.at[0].set(duration))
-    last: Order = jax.tree.map(lambda x: x[-1], given)
+    # Inputs at the places of the measurements, with the thrust rates that act under them; none before the first arrive.
+    sent = before.ticks - 1 - settings.thrust_lag - jnp.arange(oldest + 1)
+    rates = jnp.where(sent[:, None] >= 0, given.thrust_rate[settings.thrust_lag :], 0.0)
+    acting = jax.tree.map(lambda x: x[: oldest + 1], given)._replace(thrust_rate=rates)
+    last: Order = jax.tree.map(lambda x: x[-1], acting)
     moved = advance(robot, aero, then, last, before.disturbance)
     then = where(before.ticks > oldest, moved, then)
     is_sound = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(then)]))
@@ -169,7 +182,8 @@ def update(
     aligned = [
         _prefer_measured(jax.tree.map(lambda x, ticks=waiting[channel]: x[ticks], line), then) for channel in range(7)
     ]
-    step, (of_velocity, of_acceleration) = last.duration, settings.by_position
+    step = jnp.where(before.ticks > oldest, last.duration, settings.time_step)
+    of_velocity, of_acceleration = settings.by_position
     innovation = aligned[4].state.joint_position - then.state.joint_position
     disturbance = unexplained + of_acceleration / step**2 * innovation
     corrected = _correct(settings.share, then, aligned)
@@ -177,11 +191,11 @@ def update(
     velocity = corrected.state.velocity.at[6:].add(of_velocity / step * innovation)
     then = corrected._replace(state=corrected.state._replace(velocity=velocity))
 
-    def predict(now: Reading, acting: tuple[Order, Array]) -> tuple[Reading, None]:
-        order, age = acting
+    def predict(now: Reading, of_tick: tuple[Order, Array]) -> tuple[Reading, None]:
+        order, age = of_tick
         return where(before.ticks > age, advance(robot, aero, now, order, disturbance), now), None
 
-    orders = jax.tree.map(lambda x: x[:oldest][::-1], given)
+    orders = jax.tree.map(lambda x: x[:oldest][::-1], acting)
     now, _ = jax.lax.scan(predict, then, (orders, jnp.arange(oldest)[::-1]))
     return EstimatorState(line, given, then, disturbance, before.ticks + 1), now, innovation_of_thrust
 

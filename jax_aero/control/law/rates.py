@@ -98,6 +98,8 @@ class MomentumLaw:
     tasks: TaskParams
     symmetric_pairs: tuple[tuple[int, int], ...]
     other_tasks: tuple[Task, ...]
+    latency: int
+    """Ticks until its command acts."""
 
     def plan(self, jets: int, dtype: Dtype) -> None:
         """Return none: the law does not plan."""
@@ -142,10 +144,14 @@ class MomentumLaw:
     ) -> Prepared:
         """Build the momentum QP of this tick, with its bounds."""
         state, momentum = used.state, model.momentum
-        setpoint = where(limits.holds_position, setpoint, generator.without_place(setpoint, model.kinematics.com))
+        ahead = generator.after(setpoint, self.latency * self.setpoint.time_step) if self.latency else setpoint
+        setpoint, followed = (
+            where(limits.holds_position, goal, generator.without_place(goal, model.kinematics.com))
+            for goal in (setpoint, ahead)
+        )
         attitude = attitude_demand(
             limits.gains,
-            setpoint,
+            followed,
             state.base_rotation,
             state.velocity[3:6],
             momentum.rate_estimate[3:],
@@ -159,7 +165,7 @@ class MomentumLaw:
             model.kinematics,
             model.dynamics,
             momentum,
-            setpoint,
+            followed,
             attitude,
             memory.inertia_0,
             memory.posture,

@@ -28,6 +28,7 @@ from jax_aero.control.law.mission import AutopilotCommand, Mission, autopilot_co
 from jax_aero.control.law.recorded import RecordedMotion, Recording, motion_at
 from jax_aero.spatial import (
     cross,
+    exp_so3,
     multiply,
     project_to_so3,
     rotation_from_rpy,
@@ -133,6 +134,23 @@ def start(params: SetpointParams, com: Float[Array, "3"], rotation: Float[Array,
 def _heading_rpy(params: SetpointParams, rotation: Array) -> Array:
     """Return roll, pitch and yaw (3,) of the heading frame for a base rotation [rad]."""
     return rpy_from_rotation(multiply(rotation, params.base_from_heading))
+
+
+def after(setpoint: Setpoint, time: float | Float[Array, ""]) -> Setpoint:
+    """Return the set-point a short time [s] later, by its derivatives: the motion that it describes goes on (M151)."""
+    half, sixth = time * time / 2.0, time * time * time / 6.0
+    p, v, a, j = setpoint.com_position, setpoint.com_velocity, setpoint.com_acceleration, setpoint.com_jerk
+    w, dw, ddw = setpoint.angular_velocity, setpoint.angular_acceleration, setpoint.angular_jerk
+    return Setpoint(
+        com_position=p + v * time + a * half + j * sixth,
+        com_velocity=v + a * time + j * half,
+        com_acceleration=a + j * time,
+        com_jerk=j,
+        rotation=multiply(setpoint.rotation, exp_so3(w * time + dw * half + ddw * sixth)),
+        angular_velocity=w + dw * time + ddw * half,
+        angular_acceleration=dw + ddw * time,
+        angular_jerk=ddw,
+    )
 
 
 def update(

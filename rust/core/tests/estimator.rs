@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 
 use crate::common::{Loop, assert_within, experiment, robot, uniform_estimator};
-use flight_core::control::guard::estimator::{ChannelConfig, EstimatorConfig, EstimatorState};
+use flight_core::control::guard::estimator::{ChannelConfig, EstimatorConfig, EstimatorState, LatencyConfig};
 use flight_core::control::{Command, Modes};
 use flight_core::{Estimator, Measurement, Reading, RobotState};
 use flight_io::{AeroConfig, load_aero, load_robot};
@@ -38,7 +38,7 @@ fn ages() -> (SensorsConfig, EstimatorConfig) {
         joint_position: late(0.01),
         joint_velocity: late(0.01),
         thrust: late(0.02),
-        joint_observer: None,
+        ..EstimatorConfig::default()
     };
     (sensors, estimator)
 }
@@ -120,6 +120,35 @@ fn with_the_worlds_own_model_it_is_ahead_of_every_delay() {
         assert_within!(distance(&found, &truth), 1e-9, because "measured exactly, predicted over five ticks by the same equations in another order", "tick {tick}");
         estimator.command(world.controller.command(), &Vector6::zeros());
         world.advance(&WIND);
+    }
+}
+
+/// Torques act two ticks late and thrust rates five: the estimate is the state in which the torques of this tick begin
+/// to act, with the thrusts of then.
+#[test]
+fn with_late_commands_it_is_the_state_in_which_they_act() {
+    const TORQUE: usize = 2;
+    const THRUST: usize = 5;
+    let latency = LatencyConfig { torque: 0.02, thrust: 0.05 };
+    let config = flight(EstimatorConfig { latency, ..EstimatorConfig::default() });
+    let mut estimator = estimator(&config);
+    let mut world = world(&config);
+    let (mut sent, mut found): (Vec<Command>, Vec<Reading>) = (Vec::new(), Vec::new());
+    for tick in 0..40 {
+        world.observe(&WIND);
+        let (state, thrust) = (world.plant.state(), world.plant.jets().thrust());
+        let truth = Reading { state: state.clone(), thrust: thrust.to_vec() };
+        if tick >= THRUST + TORQUE {
+            assert_within!(distance(&found[tick - TORQUE], &truth), 1e-9, because "two steps of the same equations in another order", "tick {tick}");
+        }
+        found.push(estimator.update(state, thrust));
+        sent.push(world.controller.command().clone());
+        estimator.command(&sent[tick], &Vector6::zeros());
+        let none = vec![0.0; thrust.len()];
+        let torque = sent[tick.saturating_sub(TORQUE)].joint_torque.as_slice();
+        let rate = tick.checked_sub(THRUST).map_or(none.as_slice(), |at| sent[at].thrust_rate.as_slice());
+        world.plant.advance(torque, rate, &WIND, STEP);
+        world.tick += 1;
     }
 }
 

@@ -12,7 +12,7 @@ use flight_core::control::law::mission::{Commands, Mission};
 use flight_core::control::law::recorded::RecordedMotion;
 use flight_core::control::law::setpoint::{RawSetpoint, Setpoint, SetpointConfig, SetpointGenerator};
 use flight_core::spatial::{
-    exp_so3, orthonormality_error, rotation_angle, rotation_from_rpy, rpy_from_rotation,
+    exp_so3, log_so3, orthonormality_error, rotation_angle, rotation_from_rpy, rpy_from_rotation,
 };
 use flight_io::load_robot;
 use flight_sim::Plant;
@@ -600,6 +600,41 @@ fn braking_generator(mission: &str) -> SetpointGenerator {
 }
 
 /// The set-point ahead is that of the samples, between them that of M49, and ends with the last one.
+/// Each part a short time later is the integral of the next one.
+#[test]
+fn a_set_point_goes_on_by_its_derivatives() {
+    const H: f64 = 1e-4;
+    let part = |k: f64| Vector3::new(k, 2.0 - k, 0.3 * k);
+    let now = Setpoint {
+        com_position: part(1.0),
+        com_velocity: part(2.0),
+        com_acceleration: part(-3.0),
+        com_jerk: part(5.0),
+        rotation: exp_so3(&part(0.7)),
+        angular_velocity_b: part(0.4),
+        angular_acceleration_b: part(-1.5),
+        angular_jerk_b: part(2.5),
+    };
+    let rate = |of: fn(&Setpoint) -> Vector3<f64>, time: f64| {
+        (of(&now.after(time + H)) - of(&now.after(time - H))) / (2.0 * H)
+    };
+    let turn = now.after(-H).rotation.transpose() * now.after(H).rotation;
+    let mut errors = vec![log_so3(&turn) / (2.0 * H) - now.angular_velocity_b];
+    for time in [0.0, 0.08] {
+        let then = now.after(time);
+        errors.extend([
+            rate(|s| s.com_position, time) - then.com_velocity,
+            rate(|s| s.com_velocity, time) - then.com_acceleration,
+            rate(|s| s.com_acceleration, time) - then.com_jerk,
+            rate(|s| s.angular_velocity_b, time) - then.angular_acceleration_b,
+            rate(|s| s.angular_acceleration_b, time) - then.angular_jerk_b,
+        ]);
+    }
+    for error in errors {
+        assert_within!(error.amax(), 1e-7, because "a central difference is wrong by a sixth of the third derivative times H², and by 1e-16 / H");
+    }
+}
+
 #[test]
 fn a_preview_is_interpolated_between_its_samples() {
     let spin = Vector3::new(0.0, 0.0, 0.4);

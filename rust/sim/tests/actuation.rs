@@ -4,6 +4,7 @@
 #![allow(clippy::float_cmp, reason = "commands arrive with the same bits")]
 
 use crate::common::{assert_says, assert_within, experiment};
+use flight_core::control::guard::estimator::{EstimatorConfig, LatencyConfig};
 use flight_sim::{Actuation, ActuationConfig, FlightResult, Outcome, Scenario, ScenarioConfig};
 use std::ops::ControlFlow;
 
@@ -124,6 +125,31 @@ fn late_torques_need_shorter_ticks_or_a_plan() {
         assert_eq!(flight.outcome, Outcome::Completed, "{name}: {:?}", flight.loss);
         let rotation = flight.summary.max_rotation_error.to_degrees();
         assert_within!(rotation, 5.0, because "margin of the flight", "{name}: {rotation} deg");
+    }
+}
+
+/// With a latency that the controller is told, all commands may be 30 ms late, and thrust rates 100 ms.
+#[test]
+fn a_known_latency_is_compensated() {
+    let fly = |name: &str, torque: f64, thrust: f64, is_known: bool| {
+        let mut config = experiment(name);
+        config.simulator.duration = 4.0;
+        let late = ActuationConfig { torque_delay: torque, thrust_delay: thrust, ..Default::default() };
+        config.simulator.actuation = Some(late);
+        if is_known {
+            let latency = LatencyConfig { torque, thrust };
+            config.controller.law.estimator = Some(EstimatorConfig { latency, ..Default::default() });
+        }
+        fly(&config)
+    };
+    for (torque, thrust) in [(0.03, 0.03), (0.0, 0.1)] {
+        assert_eq!(fly("test2_observer", torque, thrust, true).outcome, Outcome::Completed);
+        assert_ne!(fly("test2_observer", torque, thrust, false).outcome, Outcome::Completed);
+    }
+    for name in ["test2_observer", "test2_mpc"] {
+        let flight = fly(name, 0.02, 0.1, true);
+        let rotation = flight.summary.max_rotation_error.to_degrees();
+        assert_within!(rotation, 3.0, because "margin of the flight", "{name}: {rotation} deg");
     }
 }
 

@@ -155,7 +155,9 @@ class PredictiveLaw:
 
     def _targets(self, memory: ControllerState, used: UsedMeasurement, followed: Followed) -> Target:
         """Return the motion to follow at the ends of the knots."""
-        law, ends, what = self.momentum, self.mpc.structure.ends, followed.ahead
+        law, what = self.momentum, followed.ahead
+        # The first knot begins when the command acts.
+        ends = [law.latency + end for end in self.mpc.structure.ends]
         known: tuple[Array, Setpoint] | None = None
         if followed.preview.setpoints is not None:
             times, later = followed.preview.setpoints
@@ -201,7 +203,8 @@ class PredictiveLaw:
         def wrench(wind: Array) -> Array:
             return wrench_about(link_forces(self.aero, robot, model.kinematics, self.conventions, wind), com)
 
-        winds = used.wind + wind_change(preview.wind, jnp.asarray(ends, com.dtype))
+        acts = self.momentum.latency * self.time_step
+        winds = used.wind + wind_change(preview.wind, acts + jnp.asarray(ends, com.dtype))
         changes: Array = jax.vmap(wrench)(winds) - wrench_about(model.link_forces, com)
         return changes
 

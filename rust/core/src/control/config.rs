@@ -170,6 +170,13 @@ impl QpConfig {
 }
 
 impl ControllerConfig {
+    /// Time from a tick until its command acts, in whole ticks of `time_step` \[s\].
+    #[must_use]
+    pub fn latency(&self, time_step: f64) -> f64 {
+        let torque = self.estimator.as_ref().map_or(0.0, |estimator| estimator.latency.torque);
+        (torque / time_step).round() * time_step
+    }
+
     /// Checks that the configuration is valid for `robot`.
     ///
     /// # Errors

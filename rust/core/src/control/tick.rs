@@ -85,8 +85,9 @@ impl Controller {
         let (unknowns, joints) = (momentum_qp.problem.len(), model.joints.len());
         let generator = SetpointGenerator::new(&config.setpoint, mission, &model.forward_axis_b, time_step)?;
         let solver = |n, rows| config.qp.chain(n, rows);
-        let momentum =
-            MomentumLaw::new(generator, config.channels.greatest.clone(), solver(unknowns, 0), unknowns);
+        let greatest = config.channels.greatest.clone();
+        let latency = config.latency(time_step);
+        let momentum = MomentumLaw::new(generator, greatest, solver(unknowns, 0), unknowns, latency);
         let law = build_law(config, momentum, &model, &aero, time_step)?;
         let torques = solver(torque_qp.problem.len(), torque_qp.problem.rows());
         let command = Command::hold(measurement.thrust.len(), joints);

@@ -67,7 +67,7 @@ pub fn uniform_estimator(channel: ChannelConfig) -> EstimatorConfig {
         joint_position: channel,
         joint_velocity: channel,
         thrust: channel,
-        joint_observer: None,
+        ..EstimatorConfig::default()
     }
 }
 

@@ -6,15 +6,15 @@
 //! x̂(t − D) ──► D ticks of the model under the commands given then ──► x̂(t), for the controller
 //! ```
 //!
-//! The control law assumes measurements without delay and noise; the estimator provides them. Forces that are not in
-//! the model enter through the controller's observed wrench. Without delays and time constants the estimate equals the
-//! measurement.
+//! The control law assumes measurements without delay and noise, and commands that act at once; the estimator provides
+//! the former, and the state in which a late command begins to act. Forces that are not in the model enter through the
+//! controller's observed wrench. Without delays, latency and time constants the estimate equals the measurement.
 //!
-//! Equations M91 to M93 of `docs/model.md`.
+//! Equations M91 to M93 and M150 of `docs/model.md`.
 
 mod config;
 
-pub use config::{ChannelConfig, EstimatorConfig};
+pub use config::{ChannelConfig, EstimatorConfig, LatencyConfig};
 
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::control::law::contact::WRENCH;
@@ -52,9 +52,15 @@ struct Model {
 }
 
 impl Model {
-    /// Advances the model by one tick with semi-implicit Euler (M92); `disturbance` holds joint accelerations that the
-    /// model does not explain.
-    fn advance(&mut self, reading: &mut Reading, order: &Order, disturbance: &DVector<f64>) {
+    /// Advances the model by one tick with semi-implicit Euler (M92) under the inputs of `order` and the acting thrust
+    /// rates; `disturbance` holds joint accelerations that the model does not explain.
+    fn advance(
+        &mut self,
+        reading: &mut Reading,
+        order: &Order,
+        thrust_rate: Option<&[f64]>,
+        disturbance: &DVector<f64>,
+    ) {
         let Self { robot, aero, kinematics, dynamics, link_forces, mass_factor, acceleration } = self;
         let Reading { state, thrust } = reading;
         kinematics.update(robot, state);
@@ -94,7 +100,7 @@ impl Model {
         }
         state.velocity.axpy(order.duration, acceleration, 1.0);
         state.advance_pose(order.duration);
-        for (thrust, rate) in thrust.iter_mut().zip(&order.thrust_rate) {
+        for (thrust, rate) in thrust.iter_mut().zip(thrust_rate.unwrap_or_default()) {
             *thrust = (*thrust + order.duration * rate).max(0.0);
         }
     }
@@ -107,8 +113,10 @@ pub struct Estimator {
     time_step: f64,
     /// Age of the oldest channel in ticks.
     oldest: usize,
-    /// Age of each channel in ticks, in the order of the configuration.
+    /// Age of each channel in ticks when the command of this tick begins to act, in the order of the configuration.
     ages: [usize; 7],
+    /// Ticks by which thrust rates act later than torques.
+    thrust_lag: usize,
     /// Fraction of each channel's innovation that corrects the estimate.
     shares: [f64; 7],
     /// Fractions of the joint position innovation that correct velocities, per tick, and accelerations, per tick
@@ -124,7 +132,7 @@ pub struct Estimator {
 pub struct EstimatorState {
     /// The last measurements: a ring buffer of the greatest age plus one.
     line: Vec<Reading>,
-    /// The inputs that followed them, at the same positions.
+    /// The last inputs, a ring buffer that reaches back to the thrust rates under the oldest measurement.
     orders: Vec<Order>,
     /// Number of measurements processed.
     ticks: usize,
@@ -148,14 +156,17 @@ impl Estimator {
         config.check()?;
         let channels = config.channels().map(|(_, channel)| *channel);
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked: 0 to 0.2 s
-        let mut ages = channels.map(|channel| (channel.delay / time_step).round() as usize);
+        let ticks = |time: f64| (time / time_step).round() as usize;
+        let latency = ticks(config.latency.torque);
+        let thrust_lag = ticks(config.latency.thrust) - latency;
+        let mut ages = channels.map(|channel| latency + ticks(channel.delay));
         let share = |time: f64| if time > 0.0 { -libm::expm1(-time_step / time) } else { 1.0 };
         let mut shares = channels.map(|channel| share(channel.time_constant));
         let mut by_position = [0.0; 2];
         if let Some(time) = config.joint_observer {
             // Observer gains that place all three poles at e^(-Δt/T).
             let (left, pole) = (share(time), 1.0 - share(time));
-            (ages[5], shares[4], shares[5]) = (0, 1.0 - pole * pole * pole, 0.0);
+            (ages[5], shares[4], shares[5]) = (latency, 1.0 - pole * pole * pole, 0.0);
             by_position = [left * left * (1.0 + 2.0 * pole), left * left * left];
         }
         let joints = robot.joints.len();
@@ -170,7 +181,8 @@ impl Estimator {
         };
         let oldest = ages.into_iter().max().unwrap_or(0);
         let lag = oldest as f64 * time_step + config.base_angular_velocity.time_constant;
-        Ok(Self { model, time_step, oldest, ages, shares, by_position, momentum_share: share(lag) })
+        let momentum_share = share(lag);
+        Ok(Self { model, time_step, oldest, ages, thrust_lag, shares, by_position, momentum_share })
     }
 
     /// State before the first measurement, for a flight that starts from `state` and `thrust` \[N\].
@@ -188,7 +200,7 @@ impl Estimator {
         };
         EstimatorState {
             line: vec![first.clone(); 1 + self.oldest],
-            orders: vec![order; 1 + self.oldest],
+            orders: vec![order; 1 + self.oldest + self.thrust_lag],
             ticks: 0,
             then: first,
             disturbance: DVector::zeros(joints),
@@ -220,11 +232,16 @@ impl Estimator {
         thrust_innovation: &mut [f64],
     ) {
         memory.last_order().duration = self.time_step * (elapsed / self.time_step).round().max(1.0);
-        let Self { model, ages, by_position, .. } = self;
+        let Self { model, ages, by_position, thrust_lag, .. } = self;
         let EstimatorState { line, orders, ticks, then, disturbance } = memory;
         let (oldest, length) = (self.oldest, line.len());
-        // Duration of the step that leads to `then`.
-        let step = orders[*ticks % length].duration;
+        let given = |tick: usize| &orders[tick % orders.len()];
+        // Thrust rates that act under the inputs of a tick; none before the first ones arrive.
+        let acting =
+            |tick: usize| tick.checked_sub(*thrust_lag).map(|sent| given(sent).thrust_rate.as_slice());
+        // The inputs that lead to `then`.
+        let before = ticks.checked_sub(length);
+        let step = before.map_or(self.time_step, |tick| given(tick).duration);
         if *ticks == 0 {
             for reading in line.iter_mut() {
                 reading.copy_from(now);
@@ -232,8 +249,8 @@ impl Estimator {
             take_over(then, now);
         }
         line[*ticks % length].copy_from(now);
-        if *ticks > oldest {
-            model.advance(then, &orders[*ticks % length], disturbance);
+        if let Some(tick) = before {
+            model.advance(then, given(tick), acting(tick), disturbance);
         }
         if !then.is_finite() {
             then.copy_from(now);
@@ -255,7 +272,7 @@ impl Estimator {
         }
         now.copy_from(then);
         for tick in ticks.saturating_sub(oldest)..*ticks {
-            model.advance(now, &orders[tick % length], disturbance);
+            model.advance(now, given(tick), acting(tick), disturbance);
         }
         *ticks += 1;
     }

@@ -181,13 +181,15 @@ impl PredictiveLaw {
         let (mut ticks, mut time) = (0_u32, terms.measurement.time);
         let present = terms.measurement.state.base.rotation.transpose();
         let mut setpoint = terms.setpoint;
+        // The first knot begins when the command acts.
+        let mut lead = self.momentum.latency();
         for (target, duration) in self.targets.iter_mut().zip(self.horizon.durations()) {
             #[allow(
                 clippy::cast_possible_truncation,
                 clippy::cast_sign_loss,
                 reason = "a checked number of ticks"
             )]
-            for _ in 0..(duration / time_step).round() as usize {
+            for _ in 0..((lead + duration) / time_step).round() as usize {
                 (ticks, time) = (ticks + 1, time + time_step);
                 let after = f64::from(ticks) * time_step;
                 let known = match self.ahead {
@@ -201,6 +203,7 @@ impl PredictiveLaw {
                     generator.ahead(self.ahead, &mut ahead, time)
                 };
             }
+            lead = 0.0;
             let rotation = &setpoint.rotation;
             *target = Target {
                 com: [setpoint.com_position, setpoint.com_velocity, setpoint.com_acceleration],
@@ -221,7 +224,7 @@ impl PredictiveLaw {
             let (force, moment) = links.wrench_about(&kinematics.com);
             stack(&force, &moment)
         };
-        let (now, mut time) = (stacked(link_forces), 0.0);
+        let (now, mut time) = (stacked(link_forces), self.momentum.latency());
         for (wrench, duration) in self.wrenches.iter_mut().zip(self.horizon.durations()) {
             time += duration;
             let wind = measurement.wind + preview.wind_change(time);

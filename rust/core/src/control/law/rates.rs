@@ -61,13 +61,27 @@ pub struct MomentumLaw {
     greatest: Greatest,
     solver: QpChain,
     solution: DVector<f64>,
+    /// Time from a tick until its command acts, in whole ticks \[s\].
+    latency: f64,
 }
 
 impl MomentumLaw {
     /// A law in `unknowns` unknowns that follows a mission, or given set-points in the range of `greatest`.
     #[must_use]
-    pub fn new(generator: SetpointGenerator, greatest: Greatest, solver: QpChain, unknowns: usize) -> Self {
-        Self { generator, greatest, solver, solution: DVector::zeros(unknowns) }
+    pub fn new(
+        generator: SetpointGenerator,
+        greatest: Greatest,
+        solver: QpChain,
+        unknowns: usize,
+        latency: f64,
+    ) -> Self {
+        Self { generator, greatest, solver, solution: DVector::zeros(unknowns), latency }
+    }
+
+    /// Time from a tick until its command acts \[s\].
+    #[must_use]
+    pub fn latency(&self) -> f64 {
+        self.latency
     }
 
     /// Builds the momentum QP of this tick, with its bounds.
@@ -76,12 +90,14 @@ impl MomentumLaw {
         let Terms { limits, attitude, momentum_qp, contact, .. } = terms;
         let (_, moment_estimate) = parts(&momentum.rate_estimate);
         let inertia_0_b = &state.inertia_0_b;
+        let mut followed = if self.latency > 0.0 { setpoint.after(self.latency) } else { *setpoint };
         if !limits.holds_position {
             *setpoint = setpoint.without_place(&kinematics.com);
+            followed = followed.without_place(&kinematics.com);
         }
         *attitude = attitude_demand(
             &limits.gains,
-            setpoint,
+            &followed,
             &measurement.state.base.rotation,
             &measurement.state.base_angular_velocity(),
             &moment_estimate,
@@ -94,7 +110,7 @@ impl MomentumLaw {
             kinematics,
             dynamics,
             momentum,
-            setpoint,
+            setpoint: &followed,
             attitude,
             inertia_0_b,
             posture: &state.posture,

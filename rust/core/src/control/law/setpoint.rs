@@ -14,8 +14,8 @@ use super::recorded::RecordedMotion;
 use crate::control::guard::channels::Greatest;
 use crate::error::{BuildError, Table};
 use crate::spatial::{
-    GREATEST, axis_angle, is_rotation, log_so3, project_to_so3, rotation_from_rpy, rpy_from_rotation, skew,
-    vee_of_skew_part,
+    GREATEST, axis_angle, exp_so3, is_rotation, log_so3, project_to_so3, rotation_from_rpy,
+    rpy_from_rotation, skew, vee_of_skew_part,
 };
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -185,6 +185,23 @@ impl Setpoint {
             angular_velocity_b,
             angular_acceleration_b,
             angular_jerk_b,
+        }
+    }
+
+    /// The set-point a short time \[s\] later, by its derivatives: the motion that it describes goes on (M151).
+    #[must_use]
+    pub fn after(&self, time: f64) -> Self {
+        let (half, sixth) = (time * time / 2.0, time * time * time / 6.0);
+        let [p, v, a, j, w, dw, ddw] = self.vectors();
+        Self {
+            com_position: p + v * time + a * half + j * sixth,
+            com_velocity: v + a * time + j * half,
+            com_acceleration: a + j * time,
+            com_jerk: *j,
+            rotation: self.rotation * exp_so3(&(w * time + dw * half + ddw * sixth)),
+            angular_velocity_b: w + dw * time + ddw * half,
+            angular_acceleration_b: dw + ddw * time,
+            angular_jerk_b: *ddw,
         }
     }
 

@@ -31,6 +31,21 @@ pub struct EstimatorConfig {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub joint_observer: Option<f64>,
+    /// Time from a tick until its command acts. State and set-point of the law are those of then.
+    pub latency: LatencyConfig,
+}
+
+/// Time from a tick until its command acts, rounded to ticks.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(default, deny_unknown_fields)]
+pub struct LatencyConfig {
+    /// Time until its torques act \[s\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = 0.2)))]
+    pub torque: f64,
+    /// Time until its thrust rates act, at least that of the torques \[s\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = 0.2)))]
+    pub thrust: f64,
 }
 
 /// One kind of measurement.
@@ -71,6 +86,12 @@ impl EstimatorConfig {
             let item = format!("controller.estimator.{key}.time_constant");
             check(&item, channel.time_constant, |x| x >= 0.0, "seconds ≥ 0")?;
         }
+        let LatencyConfig { torque, thrust } = self.latency;
+        let is_delay = |x| (0.0..=MAX_DELAY).contains(&x);
+        check("controller.estimator.latency.torque", torque, is_delay, "seconds from 0 to 0.2")?;
+        let is_later = |x| (torque..=MAX_DELAY).contains(&x);
+        let expected = format!("seconds from {torque}, the latency of the torques, to 0.2");
+        check("controller.estimator.latency.thrust", thrust, is_later, &expected)?;
         if let Some(time) = self.joint_observer {
             check("controller.estimator.joint_observer", time, |x| x > 0.0, "a positive number of seconds")?;
         }
