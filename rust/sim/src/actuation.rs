@@ -73,7 +73,8 @@ pub struct Actuation {
 }
 
 impl Actuation {
-    /// Prepares the way to `jets` jets and `joints` joints, with ticks of `substeps` physics steps of `step` \[s\].
+    /// Prepares the way to `jets` jets and `joints` joints, with ticks of `substeps` physics steps of `step` \[s\], in each
+    /// of which torques are commanded `torque_steps` times.
     ///
     /// # Errors
     /// As [`ActuationConfig::check`].
@@ -81,6 +82,7 @@ impl Actuation {
         config: &ActuationConfig,
         step: f64,
         substeps: u32,
+        torque_steps: u32,
         joints: usize,
         jets: usize,
     ) -> Result<Self, BuildError> {
@@ -88,10 +90,10 @@ impl Actuation {
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked: 0 to 1 s
         let steps = |time: f64| (time / step).round() as u32;
         let jitter = steps(config.jitter);
-        let line = |delay, size| Line::new(steps(delay), jitter, substeps, size);
+        let line = |delay, every, size| Line::new(steps(delay), jitter, every, size);
         Ok(Self {
-            thrust_rate: line(config.thrust_delay, jets),
-            torque: line(config.torque_delay, joints),
+            thrust_rate: line(config.thrust_delay, substeps, jets),
+            torque: line(config.torque_delay, substeps / torque_steps, joints),
             jitter,
             drop: config.drop,
             noise: Noise::new(config.seed, STREAM),
@@ -101,15 +103,26 @@ impl Actuation {
 
     /// Sends the command of a tick. The first one acts at once and until another arrives. Does not allocate.
     pub fn send(&mut self, torque: &[f64], thrust_rate: &[f64]) {
-        let (loss, late) = (self.noise.uniform(), self.noise.uniform());
-        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // at most `jitter`
-        let late = (late * (f64::from(self.jitter) + 1.0)) as u32;
-        let late = (loss >= self.drop).then_some(late);
+        let late = self.draw();
         self.torque.send(torque, late);
         self.thrust_rate.send(thrust_rate, late);
     }
 
-    /// Torques in sub-step number `substep` of this tick, from zero.
+    /// Sends torques that are commanded between two ticks. Does not allocate.
+    pub fn send_torque(&mut self, torque: &[f64]) {
+        let late = self.draw();
+        self.torque.send(torque, late);
+    }
+
+    /// Additional delay of a command in steps; `None` if it is lost.
+    fn draw(&mut self) -> Option<u32> {
+        let (loss, late) = (self.noise.uniform(), self.noise.uniform());
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // at most `jitter`
+        let late = (late * (f64::from(self.jitter) + 1.0)) as u32;
+        (loss >= self.drop).then_some(late)
+    }
+
+    /// Torques in sub-step number `substep` after they were commanded last, from zero.
     pub fn torque(&mut self, substep: u32) -> &[f64] {
         self.torque.acting(substep)
     }

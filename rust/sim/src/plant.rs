@@ -36,6 +36,10 @@ pub struct Plant {
     integrator: Integrator,
     has_stops: bool,
     substeps: u32,
+    /// Times that torques are commanded in a tick.
+    torque_steps: u32,
+    /// Torques that are commanded \[N m, N\].
+    torque: Vec<f64>,
     state: RobotState,
     jets: Jets,
     /// Commands on their way; `None` if they act at once.
@@ -63,7 +67,24 @@ impl Plant {
         config: &SimulatorConfig,
         disturbances: &Disturbances,
     ) -> Result<Self, BuildError> {
+        Self::with_torque_steps(robot, config, disturbances, 1)
+    }
+
+    /// As [`Self::new`], for a controller that commands torques `torque_steps` times in a tick.
+    ///
+    /// # Errors
+    /// [`BuildError`] naming the item that is invalid.
+    pub fn with_torque_steps(
+        robot: RobotModel,
+        config: &SimulatorConfig,
+        disturbances: &Disturbances,
+        torque_steps: u32,
+    ) -> Result<Self, BuildError> {
         config.check(&robot)?;
+        if torque_steps == 0 || !config.substeps.is_multiple_of(torque_steps) {
+            let expected = format!("a multiple of controller.torque.steps, {torque_steps}");
+            return Err(BuildError::bad_value("simulator.substeps", config.substeps, expected));
+        }
         for (key, is_there) in
             [("simulator.ground", config.ground.is_some()), ("simulator.motors", config.motors.is_some())]
         {
@@ -80,7 +101,9 @@ impl Plant {
         let n = 6 + joints;
         let actuation = config.actuation.as_ref();
         let actuation = actuation
-            .map(|way| Actuation::new(way, config.physics_step(), config.substeps, joints, n_jets))
+            .map(|way| {
+                Actuation::new(way, config.physics_step(), config.substeps, torque_steps, joints, n_jets)
+            })
             .transpose()?;
         let mut plant = Self {
             aero: load_aero(&config.aero, &robot)?.weight_forces(
@@ -92,6 +115,8 @@ impl Plant {
             integrator: config.integrator,
             has_stops: config.joint_stops,
             substeps: config.substeps,
+            torque_steps,
+            torque: vec![0.0; joints],
             state: config.initial.state(),
             jets: Jets::new(&config.jets, &robot.jets, &robot.engines, &config.initial.thrust)?
                 .with_faults(&disturbances.jets, &robot.jets)?,
@@ -119,6 +144,12 @@ impl Plant {
     #[must_use]
     pub fn robot(&self) -> &RobotModel {
         &self.robot
+    }
+
+    /// Times that torques are commanded in a tick.
+    #[must_use]
+    pub fn torque_steps(&self) -> u32 {
+        self.torque_steps
     }
 
     /// State of the robot.
@@ -197,18 +228,40 @@ impl Plant {
         wind_i: &Vector3<f64>,
         time_step: f64,
     ) {
+        self.advance_in_steps(thrust_rate_command, wind_i, time_step, |_, _, commanded| {
+            commanded.copy_from_slice(torque);
+        });
+    }
+
+    /// Advances by one tick in which torques are commanded at the beginning of each of its `torque_steps` parts:
+    /// `command` receives the number of the part, from zero, and the robot's state then, and writes them \[N m, N\].
+    pub fn advance_in_steps(
+        &mut self,
+        thrust_rate_command: &[f64],
+        wind_i: &Vector3<f64>,
+        time_step: f64,
+        mut command: impl FnMut(u32, &RobotState, &mut [f64]),
+    ) {
         let step = time_step / f64::from(self.substeps);
-        let mut actuation = self.actuation.take();
-        if let Some(way) = &mut actuation {
-            way.send(torque, thrust_rate_command);
-        }
+        let every = self.substeps / self.torque_steps;
+        let (mut actuation, mut torque) = (self.actuation.take(), std::mem::take(&mut self.torque));
         for substep in 0..self.substeps {
             if substep > 0 {
                 self.observe(wind_i);
             }
-            self.gather_forces(actuation.as_mut().map_or(torque, |way| way.torque(substep)));
+            let (part, within) = (substep / every, substep % every);
+            if within == 0 {
+                command(part, &self.state, &mut torque);
+                match &mut actuation {
+                    Some(way) if part == 0 => way.send(&torque, thrust_rate_command),
+                    Some(way) => way.send_torque(&torque),
+                    None => {}
+                }
+            }
+            self.gather_forces(actuation.as_mut().map_or(&torque, |way| way.torque(within)));
             self.integrate(step);
         }
+        self.torque = torque;
         let thrust_rate = actuation.as_mut().map_or(thrust_rate_command, Actuation::thrust_rate);
         self.jets.advance(thrust_rate, time_step);
         self.actuation = actuation;

@@ -25,8 +25,9 @@ use crate::signals::{LogRow, TrackingErrors};
 use crate::summary::Summary;
 use crate::wind::Wind;
 use flight_core::aero::LeverArm;
+use flight_core::control::law::between::JointMeasurement;
 use flight_core::control::{Controller, ControllerState, Measurement, Modes, Preview};
-use flight_core::error::BuildError;
+use flight_core::error::{BuildError, check};
 use flight_core::robot::RobotModel;
 use flight_io::{load_changed, load_robot};
 use nalgebra::{Vector3, Vector6};
@@ -51,6 +52,8 @@ pub struct Scenario {
     outages: Outages,
     /// Measurement of a tick.
     sample: Sample,
+    /// Thrust rates of the tick \[N/s\].
+    thrust_rate: Vec<f64>,
     /// Wrenches of the controller's feet: zero, because there is no ground.
     foot_wrenches: Vec<Vector6<f64>>,
     time_step: f64,
@@ -82,7 +85,12 @@ impl Scenario {
     pub fn with_robot(config: &ScenarioConfig, robot: RobotModel) -> Result<Self, BuildError> {
         let time_step = config.simulator.time_step;
         let disturbances = &config.disturbances;
-        let plant = Plant::new(robot.clone(), &config.simulator, disturbances)?;
+        let torque_steps = config.controller.law.torque.steps;
+        let plant = Plant::with_torque_steps(robot.clone(), &config.simulator, disturbances, torque_steps)?;
+        if let Some(sensors) = config.simulator.sensors.as_ref().filter(|_| torque_steps > 1) {
+            let expected = "0 with controller.torque.steps above 1: joints are measured between two ticks";
+            check("simulator.sensors.joints.delay", sensors.joints.delay, |delay| delay == 0.0, expected)?;
+        }
         FlightLog::check(&robot, config.simulator.duration, time_step)?;
         let (wind, n_ticks) = (Wind::new(&config.wind)?, config.simulator.n_ticks());
         let controller_wind = disturbances.controller_wind.as_ref();
@@ -107,8 +115,9 @@ impl Scenario {
         let controller = config.controller(robot)?;
         Ok(Self {
             plant,
-            sample,
             foot_wrenches: vec![Vector6::zeros(); controller.model().feet.len()],
+            thrust_rate: vec![0.0; sample.thrust.len()],
+            sample,
             sensors,
             wind_estimator: disturbances.wind_estimate.as_ref().map(estimator).transpose()?,
             outages,
@@ -307,10 +316,26 @@ impl Flight {
         if self.loss.is_some() {
             return false;
         }
-        let Scenario { plant, controller, time_step, .. } = &mut self.scenario;
-        let command = controller.command();
-        let (torque, thrust_rate) = (&command.joint_torque, &command.thrust_rate);
-        plant.advance(torque.as_slice(), thrust_rate.as_slice(), &wind, *time_step);
+        let Scenario { plant, controller, sensors, outages, sample, thrust_rate, time_step, .. } =
+            &mut self.scenario;
+        thrust_rate.copy_from_slice(controller.command().thrust_rate.as_slice());
+        let period = *time_step / f64::from(plant.torque_steps());
+        plant.advance_in_steps(thrust_rate, &wind, *time_step, |part, robot, torque| {
+            if part > 0 {
+                let truth = (robot.joint_position.as_slice(), robot.joint_velocity());
+                let (position, velocity) =
+                    sensors.as_mut().map_or(truth, |sensors| sensors.read_joints(robot));
+                sample.state.joint_position.as_mut_slice().copy_from_slice(position);
+                sample.state.velocity.as_mut_slice()[6..].copy_from_slice(velocity);
+                outages.spoil(time + f64::from(part) * period, sample);
+                let position = sample.state.joint_position.as_slice();
+                controller.tick_torques(
+                    state,
+                    &JointMeasurement { position, velocity: sample.state.joint_velocity() },
+                );
+            }
+            torque.copy_from_slice(controller.command().joint_torque.as_slice());
+        });
         self.tick += 1;
         true
     }

@@ -138,6 +138,12 @@ fn age(delay: f64, time_step: f64) -> usize {
     (delay / time_step).round() as usize
 }
 
+/// A position as an encoder with this step measures it \[rad, m\].
+fn quantised(position: f64, step: f64) -> f64 {
+    // Not divided by `step`, which XLA would replace by a multiplication: ties must be rounded alike in both languages.
+    if step > 0.0 { step * (position * (1.0 / step)).round() } else { position }
+}
+
 /// The sensors with their state; read once per tick.
 #[derive(Debug, Clone)]
 pub struct Sensors {
@@ -151,6 +157,8 @@ pub struct Sensors {
     now: usize,
     is_started: bool,
     reading: Reading,
+    /// Positions and velocities of the joints between two ticks.
+    joints: (Vec<f64>, Vec<f64>),
     /// Wind ahead: times after the tick, from zero on; empty without a preview \[s, m/s\].
     wind_ahead: Vec<(f64, Vector3<f64>)>,
 }
@@ -185,6 +193,7 @@ impl Sensors {
             now: 0,
             is_started: false,
             reading: nothing,
+            joints: (vec![0.0; joints], vec![0.0; joints]),
             wind_ahead: match age(config.wind_preview, time_step) {
                 0 => Vec::new(),
                 last => (0..=last).map(|tick| (tick as f64 * time_step, Vector3::zeros())).collect(),
@@ -198,6 +207,18 @@ impl Sensors {
             *velocity = wind.velocity(time + *after);
         }
         &self.wind_ahead
+    }
+
+    /// Reads the encoders between two ticks: positions \[rad, m\], and velocities \[rad/s, m/s\], which are not finite if
+    /// they are measured by a low pass of the ticks. Does not allocate.
+    pub fn read_joints(&mut self, state: &RobotState) -> (&[f64], &[f64]) {
+        let Self { config, joints: (positions, velocities), .. } = self;
+        let are_filtered = config.joints.velocity_time_constant.is_some();
+        for (joint, position) in state.joint_position.iter().enumerate() {
+            positions[joint] = quantised(*position, config.joints.resolution);
+            velocities[joint] = if are_filtered { f64::NAN } else { state.velocity[6 + joint] };
+        }
+        (positions, velocities)
     }
 
     /// Reads all sensors in this state of the robot. Does not allocate.
@@ -235,10 +256,7 @@ impl Sensors {
         let velocities = &mut reading.state.velocity.as_mut_slice()[6..];
         for (joint, velocity) in velocities.iter_mut().enumerate() {
             let (before, position) = (reading.state.joint_position[joint], joints.joint_position[joint]);
-            // Not divided by `step`, which XLA would replace by a multiplication: ties must be rounded alike in both
-            // languages.
-            let step = config.joints.resolution;
-            let position = if step > 0.0 { step * (position * (1.0 / step)).round() } else { position };
+            let position = quantised(position, config.joints.resolution);
             reading.state.joint_position[joint] = position;
             let is_difference = self.is_started && config.joints.velocity_time_constant.is_some();
             *velocity = if is_difference {

@@ -12,7 +12,7 @@ const STEP: f64 = 0.001;
 
 /// What acts in every sub-step of every tick, where tick k commands k and −k.
 fn acting(config: &ActuationConfig, substeps: u32, ticks: u32) -> (Vec<f64>, Vec<f64>) {
-    let mut way = Actuation::new(config, STEP, substeps, 1, 1).unwrap();
+    let mut way = Actuation::new(config, STEP, substeps, 1, 1, 1).unwrap();
     let (mut torques, mut rates) = (Vec::new(), Vec::new());
     for tick in 0..ticks {
         way.send(&[f64::from(tick)], &[-f64::from(tick)]);
@@ -167,7 +167,7 @@ fn bad_actuation_is_refused_by_name() {
     for (expected, change) in refusals {
         let mut config = ActuationConfig::default();
         change(&mut config);
-        let refusal = Actuation::new(&config, STEP, 1, 1, 1).unwrap_err();
+        let refusal = Actuation::new(&config, STEP, 1, 1, 1, 1).unwrap_err();
         assert_says(&refusal, &[&format!("simulator.actuation.{expected}")]);
     }
     let mut config = experiment("test2");

@@ -51,6 +51,17 @@ impl CommandStatus {
     }
 }
 
+impl CommandStatus {
+    /// Whether thrust rates, torques or both are not those of the law.
+    #[must_use]
+    pub fn is_held(self) -> bool {
+        matches!(
+            self,
+            Self::MomentumHeld | Self::TorqueHeld | Self::BothHeld | Self::BadMeasurement | Self::BadState
+        )
+    }
+}
+
 /// The name, as C has it: `bad_setpoint`.
 impl fmt::Display for CommandStatus {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -211,6 +211,22 @@ impl ControllerConfig {
         ] {
             limit.map_or(Ok(()), |limit| CONTROLLER.check_positive(name, limit))?;
         }
+        let is_count = |steps| (1.0..=100.0).contains(&steps);
+        CONTROLLER.check(
+            "torque.steps",
+            f64::from(self.torque.steps),
+            is_count,
+            "an integer from 1 to 100",
+        )?;
+        if let Some(estimator) = self.estimator.as_ref().filter(|_| self.torque.steps > 1) {
+            let times =
+                [estimator.latency.torque, estimator.joint_position.delay, estimator.joint_velocity.delay];
+            if times.iter().any(|time| *time > 0.0) {
+                let expected = "1 where controller.estimator has a latency of the torques or a delay of the joints: \
+                                joints between two ticks are measured now";
+                return Err(BuildError::bad_value("controller.torque.steps", self.torque.steps, expected));
+            }
+        }
         self.qp.check()?;
         self.channels.check()?;
         if let Some(engines) = &self.engines {

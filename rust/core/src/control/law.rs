@@ -2,6 +2,7 @@
 //! ([`torques`]).
 
 pub mod attitude;
+pub mod between;
 pub mod bounds;
 pub mod contact;
 pub mod limits;

@@ -5,6 +5,7 @@ use super::guard::engines::EngineState;
 use super::guard::estimator::EstimatorState;
 use super::guard::observer::ObserverState;
 use super::guard::wind_observer::WindState;
+use super::law::between::JointsBetween;
 use super::law::contact::ContactState;
 use super::law::mpc::plan::Plan;
 use super::law::setpoint::SetpointState;
@@ -37,6 +38,8 @@ pub struct ControllerState {
     pub(super) joint_torque: DVector<f64>,
     /// Whether the rate limiter has a previous torque.
     pub(super) torque_is_known: bool,
+    /// Joints between two ticks of the law.
+    pub(super) between: JointsBetween,
     /// Whether the feet carry load, and their desired wrenches.
     pub(super) contact: ContactState,
     /// Monitor state of each engine; empty without a monitor.

@@ -8,6 +8,7 @@ use super::guard::estimator::Estimator;
 use super::guard::observer::ObserverState;
 use super::guard::stages::{Feet, Guard, Stage};
 use super::guard::wind_observer::WindObserver;
+use super::law::between::{JointMeasurement, JointTracker, JointsBetween};
 use super::law::contact::{Contact, ContactState};
 use super::law::limits::Limits;
 use super::law::mission::Mission;
@@ -47,6 +48,11 @@ pub struct Controller {
     guard: Guard,
     law: Box<dyn Law>,
     torques: Torques,
+    joints: JointTracker,
+    /// Ticks of the torques in a tick of the law.
+    torque_steps: u32,
+    /// Number of ticks of the law.
+    ticks: u64,
     terms: Terms,
     command: Command,
 }
@@ -90,6 +96,8 @@ impl Controller {
         let momentum = MomentumLaw::new(generator, greatest, solver(unknowns, 0), unknowns, latency);
         let law = build_law(config, momentum, &model, &aero, time_step)?;
         let torques = solver(torque_qp.problem.len(), torque_qp.problem.rows());
+        let torque_steps = config.torque.steps;
+        let period = time_step / f64::from(torque_steps);
         let command = Command::hold(measurement.thrust.len(), joints);
         let contact = Contact::new(&contact, &model);
         Ok(Self {
@@ -97,7 +105,10 @@ impl Controller {
             feedback: config.aero_feedback,
             guard,
             law,
-            torques: Torques::new(torques, joints, time_step),
+            torques: Torques::new(torques, joints, period),
+            joints: JointTracker::new(config.estimator.as_ref(), &config.channels, period),
+            torque_steps,
+            ticks: 0,
             terms: Terms::new(&model, measurement, limits, contact, momentum_qp, torque_qp),
             command,
             model,
@@ -128,6 +139,7 @@ impl Controller {
             velocity_error_integral: DVector::zeros(joints),
             joint_torque: DVector::zeros(joints),
             torque_is_known: false,
+            between: JointsBetween::new(joints),
             contact: ContactState::new(terms.contact.soles.len()),
             engines: Vec::new(),
             observer: ObserverState::default(),
@@ -170,7 +182,7 @@ impl Controller {
         preview: &Preview,
     ) -> &Command {
         let is_state_of_this = self.fits(state);
-        let Self { model, aero, conventions, feedback, guard, law, torques, terms, command } = self;
+        let Self { model, aero, conventions, feedback, guard, law, torques, terms, command, .. } = self;
         if !is_state_of_this {
             command.set_hold(CommandStatus::BadState, Modes::default());
             return command;
@@ -192,6 +204,10 @@ impl Controller {
             command.set_hold(CommandStatus::BadMeasurement, command.modes);
         }
         guard.predict(model, state, terms, command);
+        self.ticks += 1;
+        let acceleration = &state.channels.acceleration;
+        let (used, torque) = (&terms.measurement.state, command.joint_torque.as_slice());
+        state.between.begin(used, torque, acceleration.rows_range(6..), self.ticks);
         if command.status.is_of_law() {
             command.status = match (is_valid, has_valid_preview) {
                 (false, _) => CommandStatus::BadSetpoint,
@@ -199,6 +215,37 @@ impl Controller {
                 (true, true) => command.status,
             };
         }
+        command
+    }
+
+    /// One tick of the torques between two ticks of the law: joint torques for new measurements of the joints, with
+    /// model, thrust rates and joint velocities of the last tick of the law. To be called `controller.torque.steps − 1`
+    /// times after each of those, at equal times, with the state of that tick.
+    ///
+    /// Joints that are not measured are predicted. A tick without an answer of the QP, or with a measurement of other
+    /// sizes, keeps the torques and changes the status. With the state of another controller, or one with which this
+    /// controller did not tick last, the command holds ([`CommandStatus::BadState`]).
+    pub fn tick_torques(&mut self, state: &mut ControllerState, measured: &JointMeasurement) -> &Command {
+        if !self.fits(state) || state.between.tick_of_law != self.ticks {
+            self.command.set_hold(CommandStatus::BadState, Modes::default());
+            return &self.command;
+        }
+        let Self { guard, torques, joints, terms, command, torque_steps, .. } = self;
+        let is_sized =
+            [measured.position, measured.velocity].iter().all(|of| of.len() == state.posture.len());
+        if !is_sized {
+            command.status = CommandStatus::BadMeasurement;
+        }
+        if command.status == CommandStatus::BadMeasurement {
+            return command;
+        }
+        joints.update(&mut state.between, measured);
+        state.between.ticks += 1;
+        let velocity = std::mem::take(&mut state.between.velocity);
+        torques.solve_again(velocity.as_slice(), state, terms, command);
+        state.between.velocity = velocity;
+        let left = torque_steps.saturating_sub(state.between.ticks);
+        guard.change_torques(state, terms, command, f64::from(left) / f64::from(*torque_steps));
         command
     }
 

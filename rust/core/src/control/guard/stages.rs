@@ -187,6 +187,34 @@ impl Guard {
         known.foot_wrenches.copy_from(&contact.force_of_torques);
     }
 
+    /// Corrects what was predicted: the torques of `command` act for a `share` of the tick in place of the last ones.
+    pub fn change_torques(
+        &mut self,
+        state: &mut ControllerState,
+        terms: &mut Terms,
+        command: &Command,
+        share: f64,
+    ) {
+        let ControllerState { channels: last, between, estimator, contact, .. } = state;
+        let change = &mut self.acceleration;
+        change.fill(0.0);
+        for (joint, torque) in command.joint_torque.iter().enumerate() {
+            change[6 + joint] = torque - between.torque[joint];
+            between.torque[joint] = *torque;
+        }
+        // Under load, as in `replace_command`.
+        if !terms.inverse_mass.is_known || contact.is_active {
+            return;
+        }
+        last.joint_torque.axpy(share, &change.rows_range(6..), 1.0);
+        terms.inverse_mass.multiply_in_place(change);
+        last.acceleration.axpy(share, change, 1.0);
+        between.acceleration += change.rows_range(6..);
+        if let Some(memory) = estimator {
+            memory.replace_command(last.thrust_rate.as_slice(), last.joint_torque.as_slice());
+        }
+    }
+
     /// Corrects what was predicted: other thrust rates \[N/s\] and torques \[N m\] than those of the last command act. While
     /// the feet carry load, other torques change the load on the feet more than the motion of the robot: only the
     /// thrust rates are used.
@@ -218,6 +246,7 @@ impl Guard {
             last.joint_torque.copy_from_slice(joint_torque);
         }
         last.thrust_rate.copy_from_slice(thrust_rate);
+        state.between.replace_torque(last.joint_torque.as_slice(), last.acceleration.rows_range(6..));
         if let Some(memory) = &mut state.estimator {
             memory.replace_command(last.thrust_rate.as_slice(), last.joint_torque.as_slice());
         }

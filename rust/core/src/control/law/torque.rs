@@ -53,6 +53,14 @@ pub struct TorqueConfig {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub torque_rate_max: Option<f64>,
+    /// Ticks of the torques in a tick of the law.
+    #[serde(default = "one")]
+    #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 100)))]
+    pub steps: u32,
+}
+
+fn one() -> u32 {
+    1
 }
 
 /// The torque QP of one tick; preallocated.
@@ -123,24 +131,33 @@ impl TorqueQp {
         velocity_error_integral: &DVector<f64>,
     ) {
         let (forces, joints) = (self.foot_force.len(), self.joint_torque.len());
-        let (kd, kp) = self.gains;
-        self.acceleration_desired.copy_from(velocity_error);
-        self.acceleration_desired.axpy(-kp, velocity_error_integral, -kd);
-
         let (mut free_feet, mut free_joints) =
             self.acceleration_free.rows_range_pair_mut(0..forces, forces..);
         free_feet.copy_from(&contact.velocity_product);
         free_feet.gemv_tr(1.0, &contact.jacobian_transposed, free, 1.0);
         free_joints.copy_from(&free.rows(6, joints));
 
+        self.update_gain(contact, contact_state.is_active, inverse_mass);
+        self.update_hessian();
+        self.update_limits(&contact.soles, contact_state.is_active);
+        self.update_error(contact_state, velocity_error, velocity_error_integral);
+    }
+
+    /// Updates what depends on the joint velocities only; all else is that of the last [`Self::update`].
+    pub fn update_error(
+        &mut self,
+        contact_state: &ContactState,
+        velocity_error: &DVector<f64>,
+        velocity_error_integral: &DVector<f64>,
+    ) {
+        let (kd, kp) = self.gains;
+        self.acceleration_desired.copy_from(velocity_error);
+        self.acceleration_desired.axpy(-kp, velocity_error_integral, -kd);
         self.weighted_error.copy_from(&self.acceleration_free);
-        let mut of_joints = self.weighted_error.rows_mut(forces, joints);
+        let mut of_joints = self.weighted_error.rows_range_mut(self.foot_force.end..);
         of_joints -= &self.acceleration_desired;
         self.weighted_error.component_mul_assign(&self.roots);
-
-        self.update_gain(contact, contact_state.is_active, inverse_mass);
-        self.update_cost(&contact_state.force);
-        self.update_limits(&contact.soles, contact_state.is_active);
+        self.update_gradient(&contact_state.force);
     }
 
     /// `P W^½`, with `(M⁻¹ J_cᵀ)_s = K_s⁻ᵀ (K⁻¹ J_cᵀ)_s`, which is zero for feet without load.
@@ -174,14 +191,19 @@ impl TorqueQp {
         }
     }
 
-    /// `H = P W P + diagonal`, `g = P W (c_free − c*) − w_f f_c*`.
-    fn update_cost(&mut self, force_desired: &DVector<f64>) {
-        let QpProblem { h, g, .. } = &mut self.problem;
-        let n = g.len();
-        linalg::times_transpose(self.weighted.as_slice(), n, h.as_mut_slice());
+    /// `H = P W P + diagonal`
+    fn update_hessian(&mut self) {
+        let h = &mut self.problem.h;
+        linalg::times_transpose(self.weighted.as_slice(), self.diagonal.len(), h.as_mut_slice());
         for (i, weight) in self.diagonal.iter().enumerate() {
             h[(i, i)] += weight;
         }
+    }
+
+    /// `g = P W (c_free − c*) − w_f f_c*`
+    fn update_gradient(&mut self, force_desired: &DVector<f64>) {
+        let g = &mut self.problem.g;
+        let n = g.len();
         g.fill(0.0);
         linalg::add_mat_vec(g.as_mut_slice(), self.weighted.as_slice(), n, self.weighted_error.as_slice());
         for (g, wanted) in g.iter_mut().zip(force_desired) {

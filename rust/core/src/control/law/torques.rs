@@ -17,24 +17,22 @@ const INTEGRAL_LIMIT: f64 = 20.0;
 pub struct Torques {
     solver: QpChain,
     velocity_error: DVector<f64>,
-    time_step: f64,
+    /// Time between two ticks of the torques \[s\].
+    period: f64,
 }
 
 impl Torques {
-    /// Torques of `joints` joints, every `time_step` \[s\].
+    /// Torques of `joints` joints, every `period` \[s\].
     #[must_use]
-    pub fn new(solver: QpChain, joints: usize, time_step: f64) -> Self {
-        Self { solver, velocity_error: DVector::zeros(joints), time_step }
+    pub fn new(solver: QpChain, joints: usize, period: f64) -> Self {
+        Self { solver, velocity_error: DVector::zeros(joints), period }
     }
 
     /// Computes torques that let the joints follow the commanded velocities.
     pub fn solve(&mut self, state: &mut ControllerState, terms: &mut Terms, command: &mut Command) {
-        let Terms { measurement, inverse_mass, free_acceleration, contact, .. } = terms;
-        let Terms { limits, torque_qp, unlimited_torque, .. } = terms;
-        for (joint, velocity) in measurement.state.joint_velocity().iter().enumerate() {
-            self.velocity_error[joint] = velocity - command.joint_velocity[joint];
-        }
-        let answer = if inverse_mass.is_known {
+        let Terms { measurement, inverse_mass, free_acceleration, contact, torque_qp, .. } = terms;
+        self.compare(measurement.state.joint_velocity(), command);
+        if inverse_mass.is_known {
             torque_qp.update(
                 contact,
                 &state.contact,
@@ -43,6 +41,33 @@ impl Torques {
                 &self.velocity_error,
                 &state.velocity_error_integral,
             );
+        }
+        self.decide(state, terms, command);
+    }
+
+    /// Computes them again for other joint velocities \[rad/s, m/s\], with the model of the last [`Self::solve`].
+    pub fn solve_again(
+        &mut self,
+        joint_velocity: &[f64],
+        state: &mut ControllerState,
+        terms: &mut Terms,
+        command: &mut Command,
+    ) {
+        self.compare(joint_velocity, command);
+        terms.torque_qp.update_error(&state.contact, &self.velocity_error, &state.velocity_error_integral);
+        self.decide(state, terms, command);
+    }
+
+    /// `ṡ − ṡ*`
+    fn compare(&mut self, joint_velocity: &[f64], command: &Command) {
+        for (joint, velocity) in joint_velocity.iter().enumerate() {
+            self.velocity_error[joint] = velocity - command.joint_velocity[joint];
+        }
+    }
+
+    fn decide(&mut self, state: &mut ControllerState, terms: &mut Terms, command: &mut Command) {
+        let Terms { inverse_mass, contact, limits, torque_qp, unlimited_torque, .. } = terms;
+        let answer = if inverse_mass.is_known {
             self.solver.solve_from(&mut state.torque_start, &torque_qp.problem)
         } else {
             QpAnswer::from_status(QpStatus::NotPositiveDefinite)
@@ -60,20 +85,20 @@ impl Torques {
                 state.torque_is_known = true;
             }
             let rate_max = limits.torque_rate.iter().copied();
-            limit_rate(&mut state.joint_torque, unlimited_torque.as_slice(), rate_max, self.time_step);
+            limit_rate(&mut state.joint_torque, unlimited_torque.as_slice(), rate_max, self.period);
             command.joint_torque.copy_from(&state.joint_torque);
         } else {
             command.status = match command.status {
-                CommandStatus::MomentumHeld => CommandStatus::BothHeld,
+                CommandStatus::MomentumHeld | CommandStatus::BothHeld => CommandStatus::BothHeld,
                 _ => CommandStatus::TorqueHeld,
             };
         }
         // Forward Euler: used first, advanced after. Without a commanded velocity there is no error to integrate; with
         // held torques the integral would grow without effect on the torques.
-        if command.status.is_of_law() {
+        if !command.status.is_held() {
             let integral = state.velocity_error_integral.iter_mut();
             for (integral, error) in integral.zip(&self.velocity_error) {
-                *integral = (*integral + self.time_step * error).clamp(-INTEGRAL_LIMIT, INTEGRAL_LIMIT);
+                *integral = (*integral + self.period * error).clamp(-INTEGRAL_LIMIT, INTEGRAL_LIMIT);
             }
         }
     }
