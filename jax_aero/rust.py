@@ -526,6 +526,23 @@ class Controller:
             **raw,
         )
 
+    def tick_torques(self, joint_position: ArrayLike, joint_velocity: ArrayLike) -> tuple[NDArray[np.float64], str]:
+        """Compute one tick of the torques between two ticks of the law; return torques [N m, N], (n,), and the status.
+
+        To be called `controller.torque.steps - 1` times after each tick, at equal times.
+
+        Parameters
+        ----------
+        joint_position, joint_velocity
+            Measured joints [rad, m; rad/s, m/s], (n,); NaN where they are not measured, and predicted.
+
+        Raises
+        ------
+        ValueError
+            For a wrong size, and before the first tick.
+        """
+        return self._core.tick_torques(_array(joint_position), _array(joint_velocity))
+
     def replace_command(self, thrust_rate: ArrayLike, joint_torque: ArrayLike) -> None:
         """Replace, after a tick, its command by the one that acts until the next tick, such as a safety layer's.
 

@@ -66,8 +66,10 @@ class Switches(NamedTuple):
     """Whether `J_aᵀ f_a` enters the torque law."""
     symmetric_pairs: tuple[tuple[int, int], ...]
     """Jets that should have equal thrust rates."""
-    latency: int
-    """Ticks until a command acts."""
+    latency: float
+    """Time until torques act [s]."""
+    lead: int
+    """Whole ticks of that."""
 
 
 @pytree
@@ -123,7 +125,7 @@ class MomentumController:
     def law(self) -> Law:
         """Return the law, from the set-point to thrust rates and joint velocities."""
         pairs = self.switches.symmetric_pairs
-        momentum = MomentumLaw(self.setpoint, self.mission, self.tasks, pairs, self.other_tasks, self.switches.latency)
+        momentum = MomentumLaw(self.setpoint, self.mission, self.tasks, pairs, self.other_tasks, *self.switches[-2:])
         if self.mpc is None:
             return momentum
         gains = self.torque.kd, self.torque.kp
@@ -169,6 +171,8 @@ def momentum_controller(
     if controller.contact is not None or not controller.use_jets:
         key, value = ("contact", "given") if controller.contact is not None else ("use_jets", "false")
         raise ValueError(f"`controller.{key}` is {value}; expected a controller that flies: JAX has no feet")
+    if controller.torque.steps != 1:
+        raise ValueError(f"`controller.torque.steps` is {controller.torque.steps}; expected 1: JAX has one rate")
     feedback, aero = controller.aero_feedback, aero_model(controller.aero, robot, read_network)
     estimates, winds = controller.estimator, controller.wind_observer
     return MomentumController(
@@ -177,7 +181,8 @@ def momentum_controller(
             lambda_a=feedback.lambda_,
             torque=feedback.torque,
             symmetric_pairs=symmetric_pairs(controller, robot),
-            latency=0 if estimates is None else estimator.ticks_of(estimates.latency.torque, time_step),
+            latency=0.0 if estimates is None else estimates.latency.torque,
+            lead=0 if estimates is None else estimator.latency_in_ticks(estimates.latency, float(time_step))[0],
         ),
         aero=weight_forces(aero, config.disturbances.aero_estimate, robot, "disturbances.aero_estimate"),
         rate_feedback=_components(feedback.momentum_rate),

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jax_aero.aero import AeroModel, LinkConventions, generalised_aero_force, link_forces
-from jax_aero.config import EstimatorConfig
+from jax_aero.config import EstimatorConfig, LatencyConfig
 from jax_aero.control.measurement import Reading
 from jax_aero.dynamics import dynamics, forward_dynamics
 from jax_aero.kinematics import frame_poses, generalised_force, kinematics, move
@@ -68,8 +68,10 @@ class Estimator:
     """Time step of the controller [s]."""
     greatest_age: Static[int]
     """Greatest age [ticks]."""
-    thrust_lag: Static[int]
-    """Ticks by which thrust rates act later than torques."""
+    latency: Static[int]
+    """Whole ticks until torques act, which are part of the ages."""
+    lags: Static[tuple[float, float]]
+    """What is left of the latencies of torques, below one, and thrust rates [ticks]."""
 
 
 class EstimatorState(NamedTuple):
@@ -103,8 +105,7 @@ def estimator(config: EstimatorConfig, time_step: Float[Array, ""]) -> Estimator
     def share_of(time_constant: float) -> float:
         return -np.expm1(-step / time_constant) if time_constant > 0.0 else 1.0
 
-    latency = ticks_of(config.latency.torque, step)
-    thrust_lag = ticks_of(config.latency.thrust, step) - latency
+    latency, lags = latency_in_ticks(config.latency, step)
     age = [latency + ticks_of(channel.delay, step) for channel in channels]
     share = [share_of(channel.time_constant) for channel in channels]
     by_position = [0.0, 0.0]
@@ -114,10 +115,18 @@ def estimator(config: EstimatorConfig, time_step: Float[Array, ""]) -> Estimator
         pole = 1.0 - left
         age[5], share[4], share[5] = latency, 1.0 - pole**3, 0.0
         by_position = [left * left * (1.0 + 2.0 * pole), left**3]
-    momentum_share = share_of(max(age) * step + config.base_angular_velocity.time_constant)
+    momentum_share = share_of((max(age) + lags[0]) * step + config.base_angular_velocity.time_constant)
     ages = jnp.asarray(age, jnp.int32)
     shares = leaf(share), leaf(by_position), leaf(momentum_share)
-    return Estimator(ages, *shares, time_step, max(age), thrust_lag)
+    return Estimator(ages, *shares, time_step, max(age), latency, lags)
+
+
+def latency_in_ticks(latency: LatencyConfig, time_step: float) -> tuple[int, tuple[float, float]]:
+    """Return whole ticks until torques act, and what is left until torques and thrust rates act [ticks]."""
+    # Decimal fractions are not exact.
+    torque, thrust = (np.floor(time / time_step * 1e6 + 0.5) / 1e6 for time in (latency.torque, latency.thrust))
+    whole = np.floor(torque)
+    return int(whole), (float(torque - whole), float(thrust - whole))
 
 
 def ticks_of(time: float, time_step: float | Array) -> int:
@@ -133,7 +142,7 @@ def start(settings: Estimator, state: State, jets: int) -> EstimatorState:
     nothing = Reading(jax.tree.map(jnp.asarray, state), jnp.zeros(jets, rest.dtype))
     order = Order(rest[6:], nothing.thrust, rest[:6], rest[:3], jnp.asarray(settings.time_step))
     line = jax.tree.map(lambda x: jnp.stack([x] * length), nothing)
-    orders = jax.tree.map(lambda x: jnp.stack([x] * (length + settings.thrust_lag)), order)
+    orders = jax.tree.map(lambda x: jnp.stack([x] * (length + int(np.ceil(settings.lags[1])))), order)
     return EstimatorState(line, orders, nothing, rest[6:], jnp.array(0, jnp.int32))
 
 
@@ -166,13 +175,30 @@ def update(
     oldest = settings.greatest_age
     duration = settings.time_step * jnp.maximum(jnp.round(elapsed / settings.time_step), 1.0)
     given = before.orders._replace(duration=before.orders.duration.at[0].set(duration))
-    # Inputs at the places of the measurements, with the thrust rates that act under them; none before the first arrive.
-    sent = before.ticks - 1 - settings.thrust_lag - jnp.arange(oldest + 1)
-    rates = jnp.where(sent[:, None] >= 0, given.thrust_rate[settings.thrust_lag :], 0.0)
-    acting = jax.tree.map(lambda x: x[: oldest + 1], given)._replace(thrust_rate=rates)
-    last: Order = jax.tree.map(lambda x: x[-1], acting)
-    moved = advance(robot, aero, then, last, before.disturbance)
-    then = where(before.ticks > oldest, moved, then)
+    # Inputs of `age` ticks ago; the first ones also stand for the time before (M140).
+    whole, torque_lag, thrust_lag = settings.latency, *settings.lags
+
+    def given_at(age: Array | int) -> Order:
+        place = jnp.minimum(age, jnp.maximum(before.ticks, 1)) - 1
+        found: Order = jax.tree.map(lambda x: x[place], given)
+        return found
+
+    def acting(age: Array | int, late: tuple[float, float]) -> Order:
+        """Return these inputs with the torques and thrust rates that act under them, the earlier ones for a share."""
+
+        def mixed(lag: float, share: float, name: str) -> Array:
+            earlier, later = (getattr(given_at(age + int(ticks)), name) for ticks in (np.ceil(lag), np.floor(lag)))
+            sent: Array = share * earlier + (1.0 - share) * later if share else later
+            return sent
+
+        return given_at(age)._replace(
+            torque=mixed(torque_lag, late[0], "torque"), thrust_rate=mixed(thrust_lag, late[1], "thrust_rate")
+        )
+
+    late, longest = (torque_lag, thrust_lag % 1.0), oldest - whole
+    has_begun = before.ticks > longest
+    last = acting(oldest + 1, late)
+    then = where(has_begun, advance(robot, aero, then, last, before.disturbance), then)
     is_sound = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(then)]))
     then = where(is_sound, then, measured)
     unexplained = jnp.where(is_sound, before.disturbance, 0.0)
@@ -182,7 +208,7 @@ def update(
     aligned = [
         _prefer_measured(jax.tree.map(lambda x, ticks=waiting[channel]: x[ticks], line), then) for channel in range(7)
     ]
-    step = jnp.where(before.ticks > oldest, last.duration, settings.time_step)
+    step = jnp.where(has_begun, last.duration, settings.time_step)
     of_velocity, of_acceleration = settings.by_position
     innovation = aligned[4].state.joint_position - then.state.joint_position
     disturbance = unexplained + of_acceleration / step**2 * innovation
@@ -191,12 +217,18 @@ def update(
     velocity = corrected.state.velocity.at[6:].add(of_velocity / step * innovation)
     then = corrected._replace(state=corrected.state._replace(velocity=velocity))
 
-    def predict(now: Reading, of_tick: tuple[Order, Array]) -> tuple[Reading, None]:
-        order, age = of_tick
-        return where(before.ticks > age, advance(robot, aero, now, order, disturbance), now), None
+    def predict(now: Reading, age: Array) -> tuple[Reading, None]:
+        is_past = (before.ticks > 0) & (age <= whole + jnp.minimum(longest, before.ticks))
+        return where(is_past, advance(robot, aero, now, acting(age, late), disturbance), now), None
 
-    orders = jax.tree.map(lambda x: x[:oldest][::-1], acting)
-    now, _ = jax.lax.scan(predict, then, (orders, jnp.arange(oldest)[::-1]))
+    now, _ = jax.lax.scan(predict, then, jnp.arange(oldest, 0, -1))
+    if torque_lag:
+        # To when the torques of this tick begin to act.
+        others, sent = given_at(1), acting(0, (1.0, 1.0))
+        part = others._replace(
+            torque=sent.torque, thrust_rate=sent.thrust_rate, duration=torque_lag * settings.time_step
+        )
+        now = where(before.ticks > 0, advance(robot, aero, now, part, disturbance), now)
     return EstimatorState(line, given, then, disturbance, before.ticks + 1), now, innovation_of_thrust
 
 

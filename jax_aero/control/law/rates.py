@@ -98,8 +98,10 @@ class MomentumLaw:
     tasks: TaskParams
     symmetric_pairs: tuple[tuple[int, int], ...]
     other_tasks: tuple[Task, ...]
-    latency: int
-    """Ticks until its command acts."""
+    latency: float
+    """Time until its torques act [s]."""
+    lead: int
+    """Whole ticks of that."""
 
     def plan(self, jets: int, dtype: Dtype) -> None:
         """Return none: the law does not plan."""
@@ -144,7 +146,7 @@ class MomentumLaw:
     ) -> Prepared:
         """Build the momentum QP of this tick, with its bounds."""
         state, momentum = used.state, model.momentum
-        ahead = generator.after(setpoint, self.latency * self.setpoint.time_step) if self.latency else setpoint
+        ahead = generator.after(setpoint, self.latency) if self.latency else setpoint
         setpoint, followed = (
             where(limits.holds_position, goal, generator.without_place(goal, model.kinematics.com))
             for goal in (setpoint, ahead)

@@ -8,6 +8,7 @@
 // Exporting symbols and using C pointers is unsafe; each block states its assumptions.
 #![allow(unsafe_code, reason = "C has pointers")]
 
+use flight_core::control::law::between::JointMeasurement;
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::modes::Modes;
 use flight_core::control::{BadCommand, Command, CommandStatus, ControllerState, Preview};
@@ -806,6 +807,40 @@ pub unsafe extern "C" fn flight_replace_command(
             Ok(()) => FlightStatus::FlightNominal,
             Err(BadCommand) => FlightStatus::FlightBadCommand,
         }
+    })
+}
+
+/// One tick of the torques between two ticks of the law: writes `joint_torque` of `command` for new measurements of the
+/// joints \[rad, m; rad/s, m/s\], NaN where there is none; the other arrays are not touched. To be called
+/// `controller.torque.steps` − 1 times after each `flight_tick`, at equal times. The status is that of the last tick, or
+/// `FLIGHT_TORQUE_HELD` and the like where the torques are kept.
+///
+/// # Safety
+/// The pointers are null or point to objects of their types, positions and velocities to as many numbers as joints.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn flight_tick_torques(
+    controller: *mut FlightController,
+    joint_position: *const f64,
+    joint_velocity: *const f64,
+    command: *const FlightCommand,
+) -> FlightStatus {
+    // SAFETY: by this function's contract.
+    let (Some(controller), Some(command)) = (unsafe { (controller.as_mut(), command.as_ref()) }) else {
+        return FlightStatus::FlightNullPointer;
+    };
+    let joints = controller.joint_names.len();
+    let is_null = joint_position.is_null() || joint_velocity.is_null() || command.joint_torque.is_null();
+    if joints > 0 && is_null {
+        return FlightStatus::FlightNullPointer;
+    }
+    controller.guard(|controller| {
+        let Some(flight) = &mut controller.flight else { return FlightStatus::FlightNotStarted };
+        // SAFETY: not null unless empty, and of these lengths by this function's contract.
+        let (position, velocity) = unsafe { (view(joint_position, joints), view(joint_velocity, joints)) };
+        let answer = controller.controller.tick_torques(flight, &JointMeasurement { position, velocity });
+        // SAFETY: not null, and of this length by this function's contract.
+        unsafe { copy_out(answer.joint_torque.as_slice(), command.joint_torque) };
+        status_of(answer)
     })
 }
 

@@ -13,9 +13,10 @@ use flight::{
     flight_controller_free, flight_foot_count, flight_jet_count, flight_jet_name, flight_joint_count,
     flight_joint_name, flight_mode_name, flight_modes, flight_replace_command, flight_robot_advance,
     flight_robot_create, flight_robot_free, flight_robot_measure, flight_start, flight_status_name,
-    flight_tick, flight_tick_ahead, flight_time_step, flight_version,
+    flight_tick, flight_tick_ahead, flight_tick_torques, flight_time_step, flight_version,
 };
 use flight_core::Measurement;
+use flight_core::control::law::between::JointMeasurement;
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::modes::Modes;
 use flight_core::control::{CommandStatus, Preview};
@@ -234,6 +235,21 @@ fn fly_both(name: &str) {
         assert_eq!(arrays.thrust_rate, expected.thrust_rate.as_slice(), "tick {tick}");
         assert_eq!(arrays.velocity_command, expected.joint_velocity.as_slice(), "tick {tick}");
         assert_eq!(arrays.torque, expected.joint_torque.as_slice(), "tick {tick}");
+        if tick % 5 == 2 {
+            // A tick of the torques, of which every other joint is measured.
+            let mut position = plant.state().joint_position.as_slice().to_vec();
+            position.iter_mut().step_by(2).for_each(|number| *number = f64::NAN);
+            let velocity = plant.state().joint_velocity().to_vec();
+            let measured = JointMeasurement { position: &position, velocity: &velocity };
+            let expected = controller.tick_torques(ours, &measured);
+            let c_command = arrays.command();
+            let allocated = allocations(|| {
+                let (position, velocity) = (position.as_ptr(), velocity.as_ptr());
+                status = unsafe { flight_tick_torques(c.0, position, velocity, &raw const c_command) };
+            });
+            assert_eq!((allocated, status), (0, FlightStatus::FlightNominal));
+            assert_eq!(arrays.torque, expected.joint_torque.as_slice(), "tick {tick}");
+        }
         if tick % 3 == 0 {
             // A safety layer halves what acts.
             arrays.torque.iter_mut().chain(&mut arrays.thrust_rate).for_each(|number| *number *= 0.5);
@@ -294,6 +310,9 @@ fn what_cannot_be_used_is_refused() {
     assert_eq!(tick(&measurement), FlightStatus::FlightNotStarted);
     let replace = |given: &FlightCommand| unsafe { flight_replace_command(c.0, given) };
     assert_eq!(replace(&command), FlightStatus::FlightNotStarted);
+    let again = |joints: *const f64| unsafe { flight_tick_torques(c.0, joints, joints, &raw const command) };
+    assert_eq!(again(null()), FlightStatus::FlightNullPointer);
+    assert_eq!(again(measurement.joint_position), FlightStatus::FlightNotStarted);
     let (status, reason) = start(&lacking);
     assert_eq!(status, FlightStatus::FlightNullPointer);
     assert!(reason.contains("`thrust`"), "{reason}");
@@ -590,4 +609,26 @@ fn the_example_in_cpp_gives_the_command_of_the_crate() {
     let setpoint = Setpoint::hold(Vector3::new(0.0, 0.0, 1.0), Matrix3::identity());
     let command = controller.tick_towards(&mut flight, &measurement, &setpoint);
     assert_eq!(numbers(&text)[0..], *command.thrust_rate.as_slice(), "{text}");
+}
+
+/// A thread that flushes subnormal numbers, or rounds in another way, cannot begin a flight.
+#[cfg(target_arch = "x86_64")]
+#[test]
+fn unusual_floating_point_modes_are_refused() {
+    use std::arch::asm;
+    let c = create(&config("test2")).unwrap();
+    let arrays = Arrays::new(unsafe { flight_joint_count(c.0) }, unsafe { flight_jet_count(c.0) });
+    let mut usual = 0_u32;
+    unsafe { asm!("stmxcsr [{}]", in(reg) &raw mut usual) };
+    for (bits, expected) in
+        [(1 << 15, "subnormal"), (1 << 13, "rounding"), (2 << 13, "rounding"), (3 << 13, "rounding")]
+    {
+        let unusual = usual | bits;
+        unsafe { asm!("ldmxcsr [{}]", in(reg) &raw const unusual) };
+        let (status, reason) = start(&c, &arrays.measurement());
+        unsafe { asm!("ldmxcsr [{}]", in(reg) &raw const usual) };
+        assert_eq!(status, FlightStatus::FlightNotStarted, "{bits:x}");
+        assert!(reason.contains(expected), "{reason}");
+    }
+    assert_eq!(start(&c, &arrays.measurement()).0, FlightStatus::FlightNominal);
 }

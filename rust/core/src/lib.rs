@@ -18,6 +18,7 @@ pub mod control;
 pub mod dynamics;
 pub mod error;
 mod exponential;
+pub mod float;
 pub mod jets;
 pub mod kinematics;
 pub mod linalg;

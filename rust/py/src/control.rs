@@ -1,12 +1,13 @@
 //! The controller, one tick at a time, with all intermediate values by name.
 
 use crate::arrays::{
-    Input, array, entries, finite_entries, matrix, matrix3, plain_error, value_error, vector, vector3,
-    vectors,
+    Input, Output, array, entries, finite_entries, matrix, matrix3, plain_error, value_error, vector,
+    vector3, vectors,
 };
 use crate::flight::parse;
 use crate::qp::answer;
 use crate::robot::{StateInput, measured_state, rotation as checked_rotation, state_arrays};
+use flight_core::control::law::between::JointMeasurement;
 use flight_core::control::law::contact::ContactState;
 use flight_core::control::law::mpc::horizon::{Horizon, Target};
 use flight_core::control::law::mpc::model::Linearised;
@@ -163,6 +164,27 @@ impl Controller {
         };
         self.controller.tick_ahead(state, &measurement, setpoint.as_ref(), &preview);
         self.last_tick(py)
+    }
+
+    /// Compute one tick of the torques between two ticks of the law; returns torques and status.
+    fn tick_torques<'py>(
+        &mut self,
+        py: Python<'py>,
+        joint_position: Input<'_>,
+        joint_velocity: Input<'_>,
+    ) -> PyResult<(Output<'py>, String)> {
+        let joints = self.controller.model().joints.len();
+        let position = entries("joint_position", &joint_position, &[joints])?;
+        let velocity = entries("joint_velocity", &joint_velocity, &[joints])?;
+        let Some(state) = &mut self.state else {
+            return Err(PyValueError::new_err(
+                "no flight has begun; expected a tick before one of the torques",
+            ));
+        };
+        let measured = JointMeasurement { position: &position, velocity: &velocity };
+        let command = self.controller.tick_torques(state, &measured);
+        let torque = vector(py, command.joint_torque.as_slice())?;
+        Ok((torque, format!("{:?}", command.status)))
     }
 
     /// Report after a tick that other thrust rates (jets) [N/s] and joint torques (n) [N m] act until the next one.

@@ -11,5 +11,6 @@ mod examples;
 mod flight;
 mod fuzz;
 mod jets;
+mod rates;
 mod recorded;
 mod sensors;

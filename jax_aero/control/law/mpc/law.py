@@ -157,7 +157,7 @@ class PredictiveLaw:
         """Return the motion to follow at the ends of the knots."""
         law, what = self.momentum, followed.ahead
         # The first knot begins when the command acts.
-        ends = [law.latency + end for end in self.mpc.structure.ends]
+        ends = [law.lead + end for end in self.mpc.structure.ends]
         known: tuple[Array, Setpoint] | None = None
         if followed.preview.setpoints is not None:
             times, later = followed.preview.setpoints
@@ -184,6 +184,9 @@ class PredictiveLaw:
 
         _, setpoints = lax.scan(advance, (memory.setpoint, used.time), known, length=ends[-1])
         at: Setpoint = jax.tree.map(lambda part: part[np.array(ends) - 1], setpoints)
+        if law.latency:
+            rest = law.latency - law.lead * self.time_step
+            at = jax.vmap(generator.after, in_axes=(0, None))(at, rest)
         rotation = at.rotation
         return Target(
             at.com_position,
@@ -203,8 +206,7 @@ class PredictiveLaw:
         def wrench(wind: Array) -> Array:
             return wrench_about(link_forces(self.aero, robot, model.kinematics, self.conventions, wind), com)
 
-        acts = self.momentum.latency * self.time_step
-        winds = used.wind + wind_change(preview.wind, acts + jnp.asarray(ends, com.dtype))
+        winds = used.wind + wind_change(preview.wind, self.momentum.latency + jnp.asarray(ends, com.dtype))
         changes: Array = jax.vmap(wrench)(winds) - wrench_about(model.link_forces, com)
         return changes
 

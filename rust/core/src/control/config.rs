@@ -170,11 +170,10 @@ impl QpConfig {
 }
 
 impl ControllerConfig {
-    /// Time from a tick until its command acts, in whole ticks of `time_step` \[s\].
+    /// Time from a tick until its torques act \[s\].
     #[must_use]
-    pub fn latency(&self, time_step: f64) -> f64 {
-        let torque = self.estimator.as_ref().map_or(0.0, |estimator| estimator.latency.torque);
-        (torque / time_step).round() * time_step
+    pub fn latency(&self) -> f64 {
+        self.estimator.as_ref().map_or(0.0, |estimator| estimator.latency.torque)
     }
 
     /// Checks that the configuration is valid for `robot`.
@@ -219,11 +218,10 @@ impl ControllerConfig {
             "an integer from 1 to 100",
         )?;
         if let Some(estimator) = self.estimator.as_ref().filter(|_| self.torque.steps > 1) {
-            let times =
-                [estimator.latency.torque, estimator.joint_position.delay, estimator.joint_velocity.delay];
-            if times.iter().any(|time| *time > 0.0) {
-                let expected = "1 where controller.estimator has a latency of the torques or a delay of the joints: \
-                                joints between two ticks are measured now";
+            let delays = [estimator.joint_position.delay, estimator.joint_velocity.delay];
+            if delays.iter().any(|delay| *delay > 0.0) {
+                let expected = "1 where controller.estimator has a delay of the joints: between two ticks they are \
+                                measured now";
                 return Err(BuildError::bad_value("controller.torque.steps", self.torque.steps, expected));
             }
         }

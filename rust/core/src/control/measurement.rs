@@ -146,6 +146,12 @@ pub enum BadStart {
         "a flight cannot begin: `base_rotation` is not a rotation; expected orthonormal columns, right-handed, to 1e-6"
     )]
     NoRotation,
+    /// The floating-point environment of the thread is not the default one.
+    #[error("a flight cannot begin: this thread has {mode}; expected IEEE 754's default modes")]
+    FloatingPoint {
+        /// What it has instead.
+        mode: &'static str,
+    },
     /// In this posture the centroidal inertia cannot be inverted, or inertia or centre of mass overflow.
     #[error("a flight cannot begin: in this posture the inertia of the robot cannot be inverted")]
     SingularInertia,

@@ -31,6 +31,7 @@ use super::terms::Terms;
 use crate::aero::{AeroModel, LinkConventions};
 use crate::dynamics::Dynamics;
 use crate::error::BuildError;
+use crate::float::unusual_mode;
 use crate::kinematics::{Kinematics, RobotState};
 use crate::qp::WarmStart;
 use crate::robot::RobotModel;
@@ -92,7 +93,7 @@ impl Controller {
         let generator = SetpointGenerator::new(&config.setpoint, mission, &model.forward_axis_b, time_step)?;
         let solver = |n, rows| config.qp.chain(n, rows);
         let greatest = config.channels.greatest.clone();
-        let latency = config.latency(time_step);
+        let latency = config.latency();
         let momentum = MomentumLaw::new(generator, greatest, solver(unknowns, 0), unknowns, latency);
         let law = build_law(config, momentum, &model, &aero, time_step)?;
         let torques = solver(torque_qp.problem.len(), torque_qp.problem.rows());
@@ -121,8 +122,11 @@ impl Controller {
     ///
     /// # Errors
     /// [`BadStart`] for a measurement of another robot, for one that lacks a number other than the wind or has one beyond
-    /// its range, and where inertia or centre of mass overflow.
+    /// its range, where inertia or centre of mass overflow, and in a thread with unusual floating-point modes.
     pub fn start(&mut self, measurement: &Measurement) -> Result<ControllerState, BadStart> {
+        if let Some(mode) = unusual_mode() {
+            return Err(BadStart::FloatingPoint { mode });
+        }
         let channels = self.guard.start_channels(measurement)?;
         let (Self { model, law, terms, .. }, robot) = (&mut *self, measurement.state);
         let reference = reference(model, robot, &mut terms.kinematics, &mut terms.dynamics);

@@ -39,6 +39,25 @@ struct Order {
     duration: f64,
 }
 
+/// What acts in a tick: for the share `late` of it one command, then another.
+#[derive(Debug, Clone, Copy)]
+struct Mixed<'a> {
+    late: f64,
+    before: &'a [f64],
+    after: &'a [f64],
+}
+
+impl Mixed<'_> {
+    /// Mean of entry `index` over the tick.
+    fn at(&self, index: usize) -> f64 {
+        if self.late > 0.0 {
+            self.late * self.before[index] + (1.0 - self.late) * self.after[index]
+        } else {
+            self.after[index]
+        }
+    }
+}
+
 /// The robot's model and its workspace.
 #[derive(Debug, Clone)]
 struct Model {
@@ -52,13 +71,13 @@ struct Model {
 }
 
 impl Model {
-    /// Advances the model by one tick with semi-implicit Euler (M92) under the inputs of `order` and the acting thrust
-    /// rates; `disturbance` holds joint accelerations that the model does not explain.
+    /// Advances the model by `duration` \[s\] with semi-implicit Euler (M92) under the inputs of `order`, with the torques
+    /// and thrust rates that act; `disturbance` holds joint accelerations that the model does not explain.
     fn advance(
         &mut self,
         reading: &mut Reading,
-        order: &Order,
-        thrust_rate: Option<&[f64]>,
+        (order, duration): (&Order, f64),
+        (torque, thrust_rate): (Mixed, Mixed),
         disturbance: &DVector<f64>,
     ) {
         let Self { robot, aero, kinematics, dynamics, link_forces, mass_factor, acceleration } = self;
@@ -68,8 +87,8 @@ impl Model {
         link_forces.update(robot, kinematics, LinkConventions::default(), aero, &order.wind_i);
         acceleration.copy_from(&dynamics.bias);
         acceleration.neg_mut();
-        for (joint, torque) in order.torque.iter().enumerate() {
-            acceleration[6 + joint] += torque;
+        for joint in 0..disturbance.len() {
+            acceleration[6 + joint] += torque.at(joint);
         }
         kinematics.add_thrusts(robot, thrust.iter().copied(), acceleration);
         for (foot, wrench) in robot.feet.iter().zip(order.foot_wrenches.chunks_exact(WRENCH)) {
@@ -98,10 +117,10 @@ impl Model {
                 acceleration[3 + axis] += angular[axis];
             }
         }
-        state.velocity.axpy(order.duration, acceleration, 1.0);
-        state.advance_pose(order.duration);
-        for (thrust, rate) in thrust.iter_mut().zip(thrust_rate.unwrap_or_default()) {
-            *thrust = (*thrust + order.duration * rate).max(0.0);
+        state.velocity.axpy(duration, acceleration, 1.0);
+        state.advance_pose(duration);
+        for (jet, thrust) in thrust.iter_mut().enumerate() {
+            *thrust = (*thrust + duration * thrust_rate.at(jet)).max(0.0);
         }
     }
 }
@@ -115,8 +134,10 @@ pub struct Estimator {
     oldest: usize,
     /// Age of each channel in ticks when the command of this tick begins to act, in the order of the configuration.
     ages: [usize; 7],
-    /// Ticks by which thrust rates act later than torques.
-    thrust_lag: usize,
+    /// Whole ticks until torques act, which are part of the ages.
+    latency: usize,
+    /// What is left of the latencies of torques, below one, and thrust rates after these \[ticks\].
+    lags: [f64; 2],
     /// Fraction of each channel's innovation that corrects the estimate.
     shares: [f64; 7],
     /// Fractions of the joint position innovation that correct velocities, per tick, and accelerations, per tick
@@ -157,8 +178,7 @@ impl Estimator {
         let channels = config.channels().map(|(_, channel)| *channel);
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked: 0 to 0.2 s
         let ticks = |time: f64| (time / time_step).round() as usize;
-        let latency = ticks(config.latency.torque);
-        let thrust_lag = ticks(config.latency.thrust) - latency;
+        let (latency, lags) = config.latency.in_ticks(time_step);
         let mut ages = channels.map(|channel| latency + ticks(channel.delay));
         let share = |time: f64| if time > 0.0 { -libm::expm1(-time_step / time) } else { 1.0 };
         let mut shares = channels.map(|channel| share(channel.time_constant));
@@ -180,9 +200,9 @@ impl Estimator {
             aero,
         };
         let oldest = ages.into_iter().max().unwrap_or(0);
-        let lag = oldest as f64 * time_step + config.base_angular_velocity.time_constant;
+        let lag = (oldest as f64 + lags[0]) * time_step + config.base_angular_velocity.time_constant;
         let momentum_share = share(lag);
-        Ok(Self { model, time_step, oldest, ages, thrust_lag, shares, by_position, momentum_share })
+        Ok(Self { model, time_step, oldest, ages, latency, lags, shares, by_position, momentum_share })
     }
 
     /// State before the first measurement, for a flight that starts from `state` and `thrust` \[N\].
@@ -200,7 +220,7 @@ impl Estimator {
         };
         EstimatorState {
             line: vec![first.clone(); 1 + self.oldest],
-            orders: vec![order; 1 + self.oldest + self.thrust_lag],
+            orders: vec![order; 1 + self.oldest + reach(self.lags[1])],
             ticks: 0,
             then: first,
             disturbance: DVector::zeros(joints),
@@ -232,16 +252,26 @@ impl Estimator {
         thrust_innovation: &mut [f64],
     ) {
         memory.last_order().duration = self.time_step * (elapsed / self.time_step).round().max(1.0);
-        let Self { model, ages, by_position, thrust_lag, .. } = self;
+        let Self { model, ages, by_position, lags, .. } = self;
         let EstimatorState { line, orders, ticks, then, disturbance } = memory;
         let (oldest, length) = (self.oldest, line.len());
-        let given = |tick: usize| &orders[tick % orders.len()];
-        // Thrust rates that act under the inputs of a tick; none before the first ones arrive.
-        let acting =
-            |tick: usize| tick.checked_sub(*thrust_lag).map(|sent| given(sent).thrust_rate.as_slice());
-        // The inputs that lead to `then`.
-        let before = ticks.checked_sub(length);
-        let step = before.map_or(self.time_step, |tick| given(tick).duration);
+        // Inputs of `age` ticks ago; the first ones also stand for the time before (M140).
+        let given = |age: usize| &orders[ticks.saturating_sub(age) % orders.len()];
+        // Torques and thrust rates that act under these inputs, with the shares of the earlier ones.
+        let [torque, thrust] = *lags;
+        let acting = |age: usize, late: [f64; 2]| {
+            let sent = |lag: f64| (given(age + reach(lag)), given(age + whole(lag)));
+            let ((torques, next_torques), (rates, next_rates)) = (sent(torque), sent(thrust));
+            (
+                Mixed { late: late[0], before: &torques.torque, after: &next_torques.torque },
+                Mixed { late: late[1], before: &rates.thrust_rate, after: &next_rates.thrust_rate },
+            )
+        };
+        let late = [torque, thrust.fract()];
+        let waiting = oldest - self.latency;
+        let begun = *ticks > waiting;
+        // Duration of the step that leads to `then`.
+        let step = if begun { given(length).duration } else { self.time_step };
         if *ticks == 0 {
             for reading in line.iter_mut() {
                 reading.copy_from(now);
@@ -249,8 +279,8 @@ impl Estimator {
             take_over(then, now);
         }
         line[*ticks % length].copy_from(now);
-        if let Some(tick) = before {
-            model.advance(then, given(tick), acting(tick), disturbance);
+        if begun {
+            model.advance(then, (given(length), step), acting(length, late), disturbance);
         }
         if !then.is_finite() {
             then.copy_from(now);
@@ -271,8 +301,16 @@ impl Estimator {
             *innovation = corrected - *innovation;
         }
         now.copy_from(then);
-        for tick in ticks.saturating_sub(oldest)..*ticks {
-            model.advance(now, given(tick), acting(tick), disturbance);
+        if *ticks > 0 {
+            for age in (1..=self.latency + waiting.min(*ticks)).rev() {
+                let order = given(age);
+                model.advance(now, (order, order.duration), acting(age, late), disturbance);
+            }
+            if torque > 0.0 {
+                // To when the torques of this tick begin to act.
+                let part = torque * self.time_step;
+                model.advance(now, (given(1), part), acting(0, [1.0; 2]), disturbance);
+            }
         }
         *ticks += 1;
     }
@@ -321,6 +359,18 @@ impl EstimatorState {
         let length = self.orders.len();
         &mut self.orders[(self.ticks + length - 1) % length]
     }
+}
+
+/// Whole ticks of a lag.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked: 0 to 0.2 s
+fn whole(lag: f64) -> usize {
+    lag.floor() as usize
+}
+
+/// Ticks that a lag reaches back.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked: 0 to 0.2 s
+fn reach(lag: f64) -> usize {
+    lag.ceil() as usize
 }
 
 /// Copies the numbers of `measured` that are plausible and keeps the others.

@@ -182,7 +182,9 @@ impl PredictiveLaw {
         let present = terms.measurement.state.base.rotation.transpose();
         let mut setpoint = terms.setpoint;
         // The first knot begins when the command acts.
-        let mut lead = self.momentum.latency();
+        let latency = self.momentum.latency();
+        let mut lead = (latency / time_step + 1e-6).floor() * time_step;
+        let rest = latency - lead;
         for (target, duration) in self.targets.iter_mut().zip(self.horizon.durations()) {
             #[allow(
                 clippy::cast_possible_truncation,
@@ -204,6 +206,7 @@ impl PredictiveLaw {
                 };
             }
             lead = 0.0;
+            let setpoint = if rest > 1e-6 * time_step { setpoint.after(rest) } else { setpoint };
             let rotation = &setpoint.rotation;
             *target = Target {
                 com: [setpoint.com_position, setpoint.com_velocity, setpoint.com_acceleration],

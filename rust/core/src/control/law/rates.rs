@@ -61,7 +61,7 @@ pub struct MomentumLaw {
     greatest: Greatest,
     solver: QpChain,
     solution: DVector<f64>,
-    /// Time from a tick until its command acts, in whole ticks \[s\].
+    /// Time from a tick until its command acts \[s\].
     latency: f64,
 }
 

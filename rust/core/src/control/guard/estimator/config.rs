@@ -35,7 +35,8 @@ pub struct EstimatorConfig {
     pub latency: LatencyConfig,
 }
 
-/// Time from a tick until its command acts, rounded to ticks.
+/// Time from a tick until its command acts. The model holds a torque for a semi-implicit step of a tick; one that a robot,
+/// or a simulator of many substeps, holds for a tick acts on average half a tick later, which is part of its latency.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
@@ -46,6 +47,19 @@ pub struct LatencyConfig {
     /// Time until its thrust rates act, at least that of the torques \[s\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0, max = 0.2)))]
     pub thrust: f64,
+}
+
+impl LatencyConfig {
+    /// Whole ticks of `time_step` \[s\] until torques act, and what is left until torques and thrust rates act, in ticks.
+    #[must_use]
+    pub fn in_ticks(&self, time_step: f64) -> (usize, [f64; 2]) {
+        // Decimal fractions are not exact.
+        let ticks = |time: f64| (time / time_step * 1e6).round() / 1e6;
+        let (torque, thrust) = (ticks(self.torque), ticks(self.thrust));
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked: 0 to 0.2 s
+        let whole = torque.floor() as usize;
+        (whole, [torque - torque.floor(), thrust - torque.floor()])
+    }
 }
 
 /// One kind of measurement.
