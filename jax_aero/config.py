@@ -275,6 +275,7 @@ class TorqueConfig(Struct, frozen=True, kw_only=True):
     kd: float
     kp: float
     regularisation: float
+    steps: int = 1
     torque_max: float | None = None
     torque_rate_max: float | None = None
     weight_acceleration: float

@@ -2,6 +2,11 @@
 //
 // SI units and radians. Inertial axes: x forward, y left, z up. Matrices are stored by rows. Arrays of joints and
 // jets are in the order of the robot's TOML file; flight_joint_name and flight_jet_name return it.
+//
+// A controller is used by one thread at a time, any thread: flight_tick and flight_tick_torques of one controller must not
+// overlap, so a fast thread of the torques waits for a tick of the law, or calls both. Different controllers share nothing.
+// Names and counts may be read at any time. Rounding must be to nearest and subnormal numbers must not be flushed to zero in
+// every thread that calls a tick (flight_start checks its own thread); floating-point traps must be off.
 
 #pragma once
 
@@ -290,6 +295,18 @@ enum FlightStatus flight_tick_ahead(struct FlightController *controller,
 // The pointers are null or point to objects of their types; the arrays of `command` have the documented lengths.
 enum FlightStatus flight_replace_command(struct FlightController *controller,
                                          const struct FlightCommand *command);
+
+// One tick of the torques between two ticks of the law: writes `joint_torque` of `command` for new measurements of the
+// joints \[rad, m; rad/s, m/s\], NaN where there is none; the other arrays are not touched. To be called
+// `controller.torque.steps` − 1 times after each `flight_tick`, at equal times. The status is that of the last tick, or
+// `FLIGHT_TORQUE_HELD` and the like where the torques are kept.
+//
+// # Safety
+// The pointers are null or point to objects of their types, positions and velocities to as many numbers as joints.
+enum FlightStatus flight_tick_torques(struct FlightController *controller,
+                                      const double *joint_position,
+                                      const double *joint_velocity,
+                                      const struct FlightCommand *command);
 
 // Creates the simulated robot of a flight configuration, in its initial state. Allocates, as does nothing below but
 // `flight_robot_free`. Arguments and failure as for `flight_controller_create`.

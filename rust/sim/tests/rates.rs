@@ -46,7 +46,7 @@ fn what_is_not_measured_is_predicted() {
     let mut joints = JointsBetween::new(1);
     joints.acceleration[0] = 5.0;
     tracker.update(&mut joints, &JointMeasurement { position: &[f64::NAN], velocity: &[f64::NAN] });
-    assert_eq!((joints.velocity[0], joints.position[0]), (PERIOD * 5.0, PERIOD * PERIOD * 5.0));
+    assert_eq!((joints.velocity[0], joints.position[0]), (PERIOD * 5.0, PERIOD * (PERIOD * 5.0)));
 }
 
 /// A controller after its first tick, in the initial state of its flight.
@@ -131,6 +131,8 @@ fn rates_that_do_not_fit_are_refused_by_name() {
     let joints = EncoderConfig { delay: 0.01, ..EncoderConfig::default() };
     config.simulator.sensors = Some(SensorsConfig { joints, ..SensorsConfig::default() });
     assert_says(&refused(&config), &["simulator.sensors.joints.delay is 0.01"]);
-    config.controller.law.torque.steps = 0;
-    assert_says(&refused(&config), &["controller.torque.steps is 0"]);
+    config.simulator.sensors = None;
+    config.controller.law.torque.steps = 200;
+    config.simulator.substeps = 200;
+    assert_says(&refused(&config), &["controller.torque.steps is 200"]);
 }
