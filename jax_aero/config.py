@@ -271,6 +271,15 @@ class SetpointConfig(Struct, frozen=True, kw_only=True):
     turbo_rate: float
 
 
+class SupervisorConfig(Struct, frozen=True, kw_only=True):
+    confirmation: float
+    descend: bool = False
+    horizon: float
+    joint_velocity: float
+    position: float
+    rotation: float
+
+
 class TorqueConfig(Struct, frozen=True, kw_only=True):
     kd: float
     kp: float
@@ -321,6 +330,7 @@ class ControllerSection(Struct, frozen=True, kw_only=True):
     posture_gain: dict[str, float]
     qp: QpConfig = QpConfig()
     setpoint: SetpointConfig
+    supervisor: SupervisorConfig | None = None
     torque: TorqueConfig
     use_jets: bool = True
     weights: MomentumWeights

@@ -8,7 +8,7 @@ import msgspec
 
 from jax_aero.result import Outcome
 
-Drawing: TypeAlias = Literal["levels", "curve", "map", "scatter", "matrix"]
+Drawing: TypeAlias = Literal["levels", "curve", "map", "scatter", "matrix", "pairs"]
 """How the figure of a sweep is drawn."""
 
 

@@ -19,6 +19,9 @@ SETTLING_TIME = 3.0
 LEANING = np.pi / 4
 """Rotation error beyond which a flying robot counts as leaning [rad]."""
 
+WARNING_GAP = 1.0
+"""Longest time without a degraded tick that does not interrupt a warning [s]."""
+
 
 def condense(log: Mapping[str, Any], joint_setpoint: Any) -> dict[str, Any]:
     """Return the signals that `figures` needs, from a log or from one tick of it, as NumPy or JAX arrays."""
@@ -73,8 +76,25 @@ def figures(signals: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
         "max_kkt": _greatest_of(kkt),
         "max_qp_iterations": _greatest(iterations),
         "degraded_time": tick * _ticks_above(signals["degraded_modes"], 0.0),
+        "first_degraded": _first(time[signals["degraded_modes"] > 0.0]),
+        "all_modes": np.bitwise_or.reduce(np.nan_to_num(signals["degraded_modes"]).astype(int)),
+        "warning_time": _warning_time(time, signals["degraded_modes"]),
     }
     return {name: float(value) if time.size else np.nan for name, value in found.items()}
+
+
+def _warning_time(time: NDArray[np.float64], modes: NDArray[np.float64]) -> float:
+    """Return the time from the first degraded tick of the last warning to the last tick; zero without one [s]."""
+    if not time.size:
+        return np.nan
+    degraded = np.append(time[modes > 0.0], time[-1])
+    gaps = np.flatnonzero(np.diff(degraded) > WARNING_GAP + 1e-9)
+    return float(time[-1] - degraded[gaps[-1] + 1 if gaps.size else 0])
+
+
+def _first(values: NDArray[np.float64]) -> float:
+    """Return the first of the values; NaN if there are none."""
+    return float(values[0]) if values.size else np.nan
 
 
 def _ticks_above(values: NDArray[np.float64], limit: float) -> float:

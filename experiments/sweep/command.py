@@ -36,7 +36,7 @@ def main(arguments: Sequence[str]) -> int:
         for design in [Design(spec.load(name)) for name in names]:
             folder = run.run(design, workers=given.workers, cluster=ray, out=given.out, overwrite=given.overwrite)
             if len(design.cells) <= MOST_CELLS:
-                print(table.listing(read_table(folder / "cells.parquet"), [axis.name for axis in design.spec.axis]))
+                print(table.listing(read_table(folder / "cells.parquet"), [axis.name for axis in design.spec.axes]))
             flown = f"{design.n_rows} flights in {len(design.cells)} cells"
             print(f"{design.spec.name}: {flown}, {os.path.relpath(folder)}")
 

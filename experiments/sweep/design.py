@@ -25,17 +25,21 @@ class Design:
     spec: Spec
 
     def __post_init__(self) -> None:
-        if taken := table.COLUMNS & {axis.name for axis in self.spec.axis}:
+        if taken := table.COLUMNS & {axis.name for axis in self.spec.axes}:
             raise Refused(f"sweep {self.spec.name}: axis `{min(taken)}` has the name of a column of its tables")
 
     @cached_property
     def cells(self) -> list[tuple[Level, ...]]:
         """Return the level of every axis for each cell; the last axis varies fastest."""
-        axes = self.spec.axis
+        axes = self.spec.axes
         if self.spec.design == "grid":
             return list(itertools.product(*(axis.levels for axis in axes)))
         if self.spec.design == "list":
             return list(zip(*(axis.levels for axis in axes), strict=True))
+        if self.spec.design == "pairs":
+            levels, _, *others = (axis.levels for axis in axes)
+            pairs = [pair for pair in itertools.combinations(levels, 2) if not keys.do_conflict(pair[0].set, pair[1].set)]
+            return [(*pair, *rest) for pair, *rest in itertools.product(pairs, *others)]
         points = unit_points(self.spec.design, len(axes), self.spec.samples, self.spec.seed)
         return [
             tuple(
@@ -63,7 +67,7 @@ class Design:
     @cached_property
     def bases(self) -> dict[str, rust.Config]:
         """Return the flights that cells are based on, by name."""
-        names = {self.spec.base, *(level.base for axis in self.spec.axis for level in axis.levels if level.base)}
+        names = {self.spec.base, *(level.base for axis in self.spec.axes for level in axis.levels if level.base)}
         return {name: _load(self.spec.name, name) for name in sorted(names)}
 
     def cell_config(self, cell: int) -> rust.Config:
@@ -73,8 +77,7 @@ class Design:
             base, *others = {level.base for level in levels if level.base} or {self.spec.base}
             if others:
                 raise Refused(f"its levels have the `base` {' and '.join(sorted([base, *others]))}; expected one")
-            settings = {key: value for level in levels for key, value in level.set.items()}
-            return keys.set_all(self.bases[base], self.spec.set, settings)
+            return keys.set_all(self.bases[base], self.spec.set, keys.join(level.set for level in levels))
 
     def row_config(self, row: int) -> rust.Config:
         """Return the configuration of a row: its cell's, perturbed by the random numbers of its repeat."""
@@ -92,7 +95,7 @@ class Design:
         """Return a hash of everything except code that determines the result: every cell and every file named in it."""
         ensemble = self.spec.perturbation.ensemble
         what = {
-            "axes": [axis.name for axis in self.spec.axis],
+            "axes": [axis.name for axis in self.spec.axes],
             "labels": [[level.label for level in levels] for levels in self.cells],
             "cells": [table.config_hash(self.cell_config(cell)) for cell in range(len(self.cells))],
             "networks": [[card.name, file_hash(card)] for card in members(ensemble)] if ensemble else [],
@@ -123,7 +126,7 @@ class Design:
         try:
             yield
         except ValueError as reason:
-            pairs = zip(self.spec.axis, self.cells[cell], strict=True)
+            pairs = zip(self.spec.axes, self.cells[cell], strict=True)
             labels = ", ".join(f"{axis.name} = {level.label}" for axis, level in pairs)
             raise Refused(f"sweep {self.spec.name}: cell {cell} ({labels}): {reason}") from None
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from jax_aero import rust, tables
@@ -51,3 +51,22 @@ def replacing(key: str, value: Any) -> Iterator[str]:
         return
     for part, _ in parts(value, key):
         yield from itertools.accumulate(part.split("."), lambda table, name: f"{table}.{name}")
+
+
+def join(layers: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the settings of all layers in one table; lists of tables with the same key, such as outages, are joined."""
+    joined: dict[str, Any] = {}
+    for key, value in (item for settings in layers for item in settings.items()):
+        joined[key] = [*joined[key], *value] if key in joined and are_joined(joined[key], value) else value
+    return joined
+
+
+def are_joined(*values: Any) -> bool:
+    """Return whether all values are lists of tables."""
+    return all(isinstance(value, list) and all(isinstance(entry, Mapping) for entry in value) for value in values)
+
+
+def do_conflict(first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
+    """Return whether a setting of the second replaces one of the first, in whole or part."""
+    taken = {part for key, value in first.items() for part in replacing(key, value)}
+    return any(key in taken and not are_joined(first.get(key), value) for key, value in second.items())

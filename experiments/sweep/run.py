@@ -182,7 +182,7 @@ def describe(spec: Spec) -> dict[str, Any]:
                 "unit": axis.unit,
                 "levels": [level.label for level in axis.levels],
             }
-            for axis in spec.axis
+            for axis in spec.axes
         ],
         "base": manifest.make_portable(spec.base),
         "set": manifest.make_portable(dict(spec.set)),

@@ -129,8 +129,9 @@ class Spec(tables.Table, frozen=True):
     axis: Annotated[tuple[Axis, ...], msgspec.Meta(min_length=1, max_length=MAX_AXES)]
     name: Annotated[str, msgspec.Meta(pattern=places.NAME)] = ""
     """Name of the result's folder; by default that of the file."""
-    design: Literal["grid", "list", "latin_hypercube", "sobol"] = "grid"
-    """Cells that are flown: all combinations, the axes in parallel, or a quasi-random sample."""
+    design: Literal["grid", "list", "pairs", "latin_hypercube", "sobol"] = "grid"
+    """Cells that are flown: all combinations, the axes in parallel, all pairs of levels of the first axis, or a
+    quasi-random sample. Pairs have a second axis, `NAME_2`, and leave out levels of which one replaces the other."""
     samples: Annotated[int, msgspec.Meta(ge=0, le=MAX_CELLS)] = 0
     """Number of cells of a quasi-random design."""
     set: dict[str, Any] = msgspec.field(default_factory=dict)
@@ -147,7 +148,7 @@ class Spec(tables.Table, frozen=True):
     """Axis whose levels are panels of a figure, if any."""
 
     def __post_init__(self) -> None:
-        names = [axis.name for axis in self.axis]
+        names = [axis.name for axis in self.axes]
         if len(set(names)) < len(names):
             raise ConfigError.of("axis", names, "names that differ")
         for index, axis in enumerate(self.axis):
@@ -168,8 +169,8 @@ class Spec(tables.Table, frozen=True):
 
     def _check_size(self) -> None:
         cells = self.samples or 1
-        for axis in self.axis:
-            cells = cells * axis.n_levels if self.design == "grid" else max(cells, axis.n_levels)
+        for axis in self.axes:
+            cells = max(cells, axis.n_levels) if self.design == "list" or self.is_sampled else cells * axis.n_levels
             if cells > MAX_CELLS:
                 counts = [axis.n_levels for axis in self.axis]
                 raise ConfigError.of("axis", counts, f"numbers of levels that make at most {MAX_CELLS} cells")
@@ -177,16 +178,24 @@ class Spec(tables.Table, frozen=True):
             raise ConfigError.of("repeats", self.repeats, f"at most {MAX_ROWS // cells} for {cells} cells")
 
     def _check_keys(self) -> None:
-        taken: dict[str, tuple[str, str]] = {}  # axis and key of every setting, by the keys that would replace it
+        # Of every setting: its axis and key, and whether a list joins it, by the keys that would replace it.
+        taken: dict[str, tuple[str, str, bool]] = {}
         for axis in self.axis:
             written = [item for settings in axis.settings for item in settings.items()]
-            for key, _ in written:
-                if key in taken:
-                    earlier, lost = taken[key]
+            for key, value in written:
+                earlier, lost, is_list = taken.get(key, ("", "", True))
+                if lost and not (lost == key and is_list and keys.are_joined(value)):
                     expected = f"one that sets other keys than {earlier}: `{key}` replaces `{lost}`"
                     raise ConfigError.of("axis", axis.name, expected)
             for key, value in written:
-                taken |= dict.fromkeys(keys.replacing(key, value), (axis.name, key))
+                taken |= dict.fromkeys(keys.replacing(key, value), (axis.name, key, keys.are_joined(value)))
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        """Return the axes of the cells; those of pairs begin with the first axis twice."""
+        first, *others = self.axis
+        is_paired = self.design == "pairs"
+        return (first, msgspec.structs.replace(first, name=f"{first.name}_2"), *others) if is_paired else self.axis
 
     @property
     def is_sampled(self) -> bool:

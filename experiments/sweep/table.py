@@ -61,9 +61,14 @@ QUANTITIES = {
     "thrust_max": ("thrust_max", 1.0),
     "thrust_min": ("thrust_min", 1.0),
     "lost_time": ("lost_time", 1.0),
+    "first_degraded": ("first_degraded", 1.0),
+    "warning_time": ("warning_time", 1.0),
     "time_above_45_deg": ("time_above_45_deg", 1.0),
 }
 """Columns of the table of cells: figure of the summary, and factor."""
+
+LEAST_WARNING = 0.3
+"""Time before the loss from which on a flight has to be degraded, so that it is not lost unwarned [s]."""
 
 QUANTILES = {"low": 0.1, "median": 0.5, "high": 0.9, "worst": 1.0}
 
@@ -75,7 +80,7 @@ def schema(spec: Spec, levels: Cells) -> pa.Schema:
 
 
 def _axis_columns(spec: Spec, levels: Cells) -> Iterator[tuple[str, pa.DataType]]:
-    for column, axis in enumerate(spec.axis):
+    for column, axis in enumerate(spec.axes):
         numeric = all(isinstance(cell[column].label, float) for cell in levels)
         yield axis.name, pa.float64() if numeric else pa.string()
 
@@ -93,7 +98,7 @@ def rows(
         cell, repeat = divmod(index, spec.repeats)
         labels = [level.label for level in levels[cell]]
         record: dict[str, Any] = {"row": index, "cell": cell, "repeat": repeat}
-        record |= {axis.name: label for axis, label in zip(spec.axis, labels, strict=True)}
+        record |= {axis.name: label for axis, label in zip(spec.axes, labels, strict=True)}
         if spec.perturbation.ensemble:
             record["member"] = Path(config["simulator"]["aero"]["card"]).stem
         record["config_hash"] = config_hash(config)
@@ -111,18 +116,21 @@ def cells(spec: Spec, levels: Cells, table: pa.Table) -> pa.Table:
     records = []
     for cell, chosen in enumerate(levels):
         record: dict[str, Any] = {"cell": cell}
-        record |= {axis.name: level.label for axis, level in zip(spec.axis, chosen, strict=True)}
+        record |= {axis.name: level.label for axis, level in zip(spec.axes, chosen, strict=True)}
         # Rows are in order, with the repeats of a cell together.
         mine = table.slice(cell * spec.repeats, spec.repeats)
         records.append(record | _cell({name: mine[name].to_numpy(zero_copy_only=False) for name in mine.column_names}))
     axis_columns = dict(_axis_columns(spec, levels))
-    whole = ("cell", "flights", "errors", "on_course", "degraded", *OUTCOMES)
+    whole = ("cell", "flights", "errors", "on_course", "degraded", "unwarned", *OUTCOMES)
     fields = [(name, axis_columns.get(name, pa.int64() if name in whole else pa.float64())) for name in records[0]]
     return pa.Table.from_pylist(records, pa.schema(fields))
 
 
 def _cell(flights: Mapping[str, Any]) -> dict[str, Any]:
-    """Return counts and quantiles of the flights of one cell."""
+    """Return counts and quantiles of the flights of one cell; of the warnings, those of lost flights."""
+    is_lost = np.isin(flights["outcome"], ("fell", "diverged"))
+    warning_time = np.where(is_lost, flights["warning_time"], np.nan)
+    flights = {**flights, "warning_time": warning_time}
     completed = flights["outcome"] == "completed"
     errors = int((flights["outcome"] == "error").sum())
     near = (flights["max_rotation_error"] <= ON_COURSE_ROTATION) & (flights["max_com_error"] <= ON_COURSE_COM)
@@ -134,6 +142,7 @@ def _cell(flights: Mapping[str, Any]) -> dict[str, Any]:
         record |= {name: int(which.sum()), f"{name}_low": low, f"{name}_high": high}
     for outcome in OUTCOMES:
         record[outcome] = int((flights["outcome"] == outcome).sum())
+    record["unwarned"] = int((warning_time < LEAST_WARNING).sum())
     for name, (column, factor) in QUANTITIES.items():
         values = flights[column].astype(float) * factor
         values = values[np.isfinite(values)]

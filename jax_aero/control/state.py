@@ -45,5 +45,7 @@ class ControllerState(NamedTuple):
     """Observed wrench and the measurement to compare the next one with; `None` without an observer."""
     engines: EngineState | None = None
     """State of the engines' detection; `None` without one."""
+    exceeded: Float[Array, ""] | None = None
+    """Time for which the supervisor's limits have been exceeded [s]; `None` without one."""
     plan: Plan | None = None
     """Plan of the predictive law; `None` without one."""

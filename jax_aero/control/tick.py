@@ -29,7 +29,8 @@ from jax_aero.control.guard.channels import ChannelLimits
 from jax_aero.control.guard.engines import EngineLimits
 from jax_aero.control.guard.estimator import Estimator
 from jax_aero.control.guard.observer import ObserverGains
-from jax_aero.control.guard.stages import EngineStage, EstimatorStage, Guard, ObserverStage, WindStage
+from jax_aero.control.guard.stages import EngineStage, EstimatorStage, Guard, ObserverStage, SupervisorStage, WindStage
+from jax_aero.control.guard.supervisor import SupervisorLimits
 from jax_aero.control.guard.wind_observer import WindObserver
 from jax_aero.control.law import setpoint as generator
 from jax_aero.control.law.attitude import MomentumGains
@@ -98,6 +99,7 @@ class MomentumController:
     """Observer whose wind replaces the measured one; `None` without one."""
     observer: ObserverGains | None
     engines: EngineLimits | None
+    supervisor: SupervisorLimits | None
     mpc: Mpc | None
     """The predictive law; `None` where the momentum QP decides."""
     mission: Mission
@@ -112,6 +114,7 @@ class MomentumController:
             None if winds is None else WindStage(winds, robot, self.aero),
             None if observes is None else ObserverStage(observes),
             None if monitors is None else EngineStage(monitors, robot, share),
+            None if self.supervisor is None else SupervisorStage(self.supervisor),
             None if estimates is None else EstimatorStage(estimates, robot, self.aero, self.channels),
         )
         return Guard(self.channels, tuple(stage for stage in stages if stage is not None), robot, self.time_step)
@@ -198,6 +201,7 @@ def momentum_controller(
         wind_observer=None if winds is None else leaves(WindObserver, winds),
         observer=None if controller.observer is None else leaves(ObserverGains, controller.observer),
         engines=None if controller.engines is None else engines.engine_limits(controller.engines, robot),
+        supervisor=None if controller.supervisor is None else leaves(SupervisorLimits, controller.supervisor),
         mpc=None if controller.mpc is None else mpc_params(controller.mpc, robot, config.simulator.time_step),
         mission=load_mission(config.mission),
         time_step=time_step,
@@ -276,7 +280,9 @@ def tick(
         memory = _begin_again(params, memory, used, model)
         known = Preview() if preview is None else preview
         memory, followed = law.follow(memory, used, setpoint, known)
-        memory, used, model, limits, _, _ = guard.judge(memory, used, model, params.limits(robot))
+        memory, used, model, _, limits, _, _ = guard.judge(
+            memory, used, model, followed.setpoint, params.limits(robot)
+        )
         memory, rates = law.solve(robot, memory, used, model, limits, followed)
         memory, torque = torques.solve(memory, used, model, limits, rates)
         command = _command(used, rates, torque)

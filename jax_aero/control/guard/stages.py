@@ -6,6 +6,7 @@ channels        missing values predicted                                        
 wind_observer   its wind, for the measured                                           the next wind
 observer                                      unmodelled wrench of the momentum
 engines                                       limits of thrusts, wrong sensors
+supervisor                                    whether the flight strays
 estimator       its state, for the measured   without what wrong sensors measured    stores the command
 ```
 """
@@ -20,11 +21,12 @@ from jaxtyping import Bool, Float
 
 from jax_aero.aero import AeroModel
 from jax_aero.control.command import Command
-from jax_aero.control.guard import channels, engines, estimator, observer, wind_observer
+from jax_aero.control.guard import channels, engines, estimator, observer, supervisor, wind_observer
 from jax_aero.control.guard.channels import ChannelLimits
 from jax_aero.control.guard.engines import EngineLimits
 from jax_aero.control.guard.estimator import Estimator, Order
 from jax_aero.control.guard.observer import ObserverGains
+from jax_aero.control.guard.supervisor import SupervisorLimits
 from jax_aero.control.guard.wind_observer import WindObserver
 from jax_aero.control.law.limits import Limits
 from jax_aero.control.measurement import Measurement, Reading, UsedMeasurement
@@ -34,7 +36,7 @@ from jax_aero.control.terms import Model, Terms
 from jax_aero.dynamics import forward_dynamics
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import cross
-from jax_aero.types import Array, State, where
+from jax_aero.types import Array, Setpoint, State, where
 
 
 class Measured(NamedTuple):
@@ -54,6 +56,8 @@ class Judged(NamedTuple):
     memory: ControllerState
     used: UsedMeasurement
     model: Model
+    setpoint: Setpoint
+    """What the law follows."""
     limits: Limits
     """What the law may use."""
     is_wrong: Bool[Array, " j"]
@@ -111,10 +115,12 @@ class Guard:
             tick = stage.measure(tick)
         return tick
 
-    def judge(self, memory: ControllerState, used: UsedMeasurement, model: Model, limits: Limits) -> Judged:
+    def judge(
+        self, memory: ControllerState, used: UsedMeasurement, model: Model, setpoint: Setpoint, limits: Limits
+    ) -> Judged:
         """Compare the model of this tick with its measurement."""
         none = jnp.zeros_like(used.thrust)
-        tick = Judged(memory, used, model, limits, is_wrong=none > 0.0, deviation=none)
+        tick = Judged(memory, used, model, setpoint, limits, is_wrong=none > 0.0, deviation=none)
         for stage in self.stages:
             tick = stage.judge(tick)
         return tick
@@ -218,6 +224,31 @@ class EngineStage(Stage):
             is_wrong=is_wrong,
             deviation=deviation,
         )
+
+
+@dataclass(frozen=True)
+class SupervisorStage(Stage):
+    """The supervisor."""
+
+    settings: SupervisorLimits
+
+    def start(self, memory: ControllerState, _state: State) -> ControllerState:
+        """Begin with a flight that follows its set-point."""
+        return memory._replace(exceeded=jnp.zeros((), memory.posture.dtype))
+
+    def judge(self, tick: Judged) -> Judged:
+        """Find out whether the flight strays."""
+        memory, used, (kin, dyn, *_), limits = tick.memory, tick.used, tick.model, self.settings
+        assert memory.exceeded is not None
+        com_velocity = dyn.momentum[:3] / dyn.mass_matrix[0, 0]
+        exceeded, strays = supervisor.update(
+            limits, memory.exceeded, used.elapsed, used.state, kin.com, com_velocity, tick.setpoint
+        )
+        known = memory.channels
+        known = known._replace(is_descending=known.is_descending | (strays & (limits.descend > 0.0)))
+        modes = used.modes | jnp.where(strays, MODES["straying"], 0)
+        memory = memory._replace(channels=known, exceeded=exceeded)
+        return tick._replace(memory=memory, used=used._replace(modes=modes))
 
 
 @dataclass(frozen=True)

@@ -144,6 +144,8 @@ pub enum FlightMode {
     FlightEngineLimited = 1024,
     /// The first measurements are outvoted: the flight begins again from those of this tick.
     FlightBegunAgain = 2048,
+    /// The flight strays from its set-point.
+    FlightStraying = 16384,
 }
 
 /// Names of the modes, by bit.

@@ -320,7 +320,7 @@ pub static SIGNALS: [Signal; 41] = [
         "1",
         "in which ways the tick is degraded, a sum of bits: 1 wind held, 2 wind lost, 4 thrust modelled, 8 joints, \
          16 position, 32 rotation, 64 velocity predicted, 128 feet predicted, 256 clock predicted, 512 descending, 1024 engine limited, \
-         2048 begun again",
+         2048 begun again, 16384 straying",
         |row, out| out.push(f64::from(row.command.modes.bits())),
     )),
     Signal {

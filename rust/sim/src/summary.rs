@@ -68,6 +68,9 @@ figures! {
     max_kkt ["1"] "greatest finite KKT residual of an answer";
     max_qp_iterations ["1"] "most iterations of a QP in one tick";
     degraded_time ["s"] "time in which a channel is not measured, an engine is limited or the robot descends";
+    first_degraded ["s"] "time of the first such tick; NaN without one";
+    all_modes ["1"] "modes that any tick has, a sum of bits";
+    warning_time ["s"] "time before the end since which it was degraded, but for gaps of at most a second";
 }
 
 /// All figures of merit: those of [`Summary`], and those of engines with ground.
@@ -90,6 +93,9 @@ pub const LEANING: f64 = std::f64::consts::FRAC_PI_4;
 
 /// Time that a flight needs to settle after its start out of equilibrium \[s\].
 pub const SETTLING_TIME: f64 = 3.0;
+
+/// Longest time without a degraded tick that does not interrupt a warning \[s\].
+pub const WARNING_GAP: f64 = 1.0;
 
 impl Summary {
     /// Figures of merit of the first `ticks` rows of a log.
@@ -114,7 +120,8 @@ impl Summary {
         let distances = || com_errors.iter().map(Vector3::norm);
         let along = |axis: usize| greatest_of(com_errors.iter().map(|error| error[axis].abs()));
         let tick = time.get(1).copied().unwrap_or_default();
-        let degraded = data("degraded_modes").iter().filter(|modes| **modes > 0.0).count();
+        let modes = data("degraded_modes");
+        let degraded = || time.iter().zip(modes).filter(|(_, modes)| **modes > 0.0).map(|(time, _)| *time);
         let above = rotation.iter().filter(|angle| **angle > LEANING).count();
         let joints = log.joint_setpoint.len().max(1);
         let joint_errors = data("joint_position").chunks_exact(joints).map(|positions| {
@@ -147,9 +154,30 @@ impl Summary {
             ),
             max_kkt: greatest_of(data("qp_kkt").iter().copied().filter(|kkt| kkt.is_finite())),
             max_qp_iterations: greatest(data("qp_iterations").iter().copied()),
-            degraded_time: degraded as f64 * tick,
+            degraded_time: degraded().count() as f64 * tick,
+            first_degraded: degraded().next().unwrap_or(f64::NAN),
+            all_modes: all_modes(modes),
+            warning_time: warning_time(time[time.len() - 1], degraded().rev()),
         }
     }
+}
+
+/// Union of sets of modes.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // bits of `Modes`, which are 32
+fn all_modes(modes: &[f64]) -> f64 {
+    f64::from(modes.iter().fold(0, |all, modes| all | *modes as u32))
+}
+
+/// Time from the first degraded tick of the last warning to the end of a flight, from the times of its degraded ticks,
+/// the latest first; zero if the last second is not degraded.
+fn warning_time(end: f64, degraded: impl Iterator<Item = f64>) -> f64 {
+    let start = degraded.scan(end, |later, time| {
+        // A billionth absorbs the rounding of times.
+        let is_of_warning = *later - time <= WARNING_GAP + 1e-9;
+        *later = time;
+        is_of_warning.then_some(time)
+    });
+    end - start.last().unwrap_or(end)
 }
 
 /// Sum of the forces on all links at every tick \[N\].

@@ -4,6 +4,7 @@ use super::guard::channels::ChannelsConfig;
 use super::guard::engines::EnginesConfig;
 use super::guard::estimator::EstimatorConfig;
 use super::guard::observer::ObserverConfig;
+use super::guard::supervisor::SupervisorConfig;
 use super::guard::wind_observer::WindObserverConfig;
 use super::law::attitude::MomentumGains;
 use super::law::bounds::BoundsConfig;
@@ -85,6 +86,9 @@ pub struct ControllerConfig {
     /// When an engine counts as lost; without it, never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub engines: Option<EnginesConfig>,
+    /// When a flight strays from its set-point; without it, never.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub supervisor: Option<SupervisorConfig>,
     /// Whether the controller uses the jets; without them it neither reads thrusts nor commands thrust rates.
     #[serde(default = "default_true")]
     pub use_jets: bool,
@@ -235,6 +239,7 @@ impl ControllerConfig {
                 return Err(BuildError::bad_value("controller.engines", "given", expected));
             }
         }
+        self.supervisor.map_or(Ok(()), |supervisor| supervisor.check())?;
         if let Some(contact) = &self.contact {
             contact.check(robot)?;
             let force_max = contact.load_transfer.as_ref().and_then(|transfer| transfer.unmodelled_force_max);

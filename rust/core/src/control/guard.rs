@@ -6,4 +6,5 @@ pub mod engines;
 pub mod estimator;
 pub mod observer;
 pub mod stages;
+pub mod supervisor;
 pub mod wind_observer;

@@ -31,13 +31,15 @@ impl Modes {
     pub const ENGINE_LIMITED: Self = Self(1 << 10);
     /// The first measurements are outvoted: the flight begins again from those of this tick.
     pub const BEGUN_AGAIN: Self = Self(1 << 11);
+    /// The flight strays from its set-point.
+    pub const STRAYING: Self = Self(1 << 14);
 
     /// Modes in which a tick does not measure the momentum.
     pub(super) const WITHOUT_MOMENTUM: Self =
         Self(Self::JOINTS_PREDICTED.0 | Self::ROTATION_PREDICTED.0 | Self::VELOCITY_PREDICTED.0);
 
     /// All modes with their names.
-    pub const NAMES: [(Self, &'static str); 12] = [
+    pub const NAMES: [(Self, &'static str); 13] = [
         (Self::WIND_HELD, "wind_held"),
         (Self::WIND_LOST, "wind_lost"),
         (Self::THRUST_MODELLED, "thrust_modelled"),
@@ -50,6 +52,7 @@ impl Modes {
         (Self::DESCENDING, "descending"),
         (Self::ENGINE_LIMITED, "engine_limited"),
         (Self::BEGUN_AGAIN, "begun_again"),
+        (Self::STRAYING, "straying"),
     ];
 
     /// The set as a number, as in logs.

@@ -46,6 +46,8 @@ pub struct ControllerState {
     pub(super) engines: Vec<EngineState>,
     /// State of the observer: the observed wrench, its residual and the last accepted measurement.
     pub(super) observer: ObserverState,
+    /// Time for which the supervisor's limits have been exceeded \[s\]; zero without a supervisor.
+    pub(super) exceeded: f64,
     /// Plan of the predictive law; empty without one.
     pub(super) plan: Plan,
     /// Warm start of the momentum QP.

@@ -146,6 +146,7 @@ impl Controller {
             between: JointsBetween::new(joints),
             contact: ContactState::new(terms.contact.soles.len()),
             engines: Vec::new(),
+            exceeded: 0.0,
             observer: ObserverState::default(),
             plan: Plan::none(law.unknowns()),
             momentum_start: WarmStart::cold(terms.momentum_qp.problem.len()),
@@ -394,7 +395,7 @@ fn build_guard(
     limits: &Limits,
     time_step: f64,
 ) -> Result<Guard, BuildError> {
-    let ControllerConfig { estimator, wind_observer, observer, engines, contact, .. } = config;
+    let ControllerConfig { estimator, wind_observer, observer, engines, supervisor, contact, .. } = config;
     let estimator = estimator.as_ref();
     let observes_joints = estimator.is_some_and(|estimator| estimator.joint_observer.is_some());
     let estimator = estimator
@@ -408,7 +409,14 @@ fn build_guard(
     let momentum_share = estimator.as_ref().map_or(1.0, |estimator| estimator.momentum_share);
     let engines = engines.map(|engines| Engines::new(&engines, limits, robot, momentum_share));
     let feet = contact.as_ref().map(|_| Feet { time_step });
-    let stages = [stage(wind_observer), stage(feet), stage(*observer), stage(engines), stage(estimator)];
+    let stages = [
+        stage(wind_observer),
+        stage(feet),
+        stage(*observer),
+        stage(engines),
+        stage(*supervisor),
+        stage(estimator),
+    ];
     let channels = Channels::new(&config.channels, robot, time_step, !observes_joints);
     Ok(Guard::new(channels, stages.into_iter().flatten().collect(), robot))
 }

@@ -7,6 +7,7 @@
 //! feet                                          whether they carry load, M114
 //! observer                                      unmodelled wrench of the momentum
 //! engines                                       limits of thrusts, wrong sensors
+//! supervisor                                    whether the flight strays
 //! estimator       its state, for the measured   without what wrong sensors measured    stores the command
 //! ```
 
@@ -14,6 +15,7 @@ use super::channels::{Channels, ChannelsState};
 use super::engines::{EngineState, Engines, sensor_error};
 use super::estimator::Estimator;
 use super::observer::{ObserverConfig, ObserverState, Sample};
+use super::supervisor::{Errors, SupervisorConfig};
 use super::wind_observer::WindObserver;
 use crate::control::command::Command;
 use crate::control::law::contact::{WRENCH, add_wrenches};
@@ -23,7 +25,7 @@ use crate::control::state::ControllerState;
 use crate::control::terms::Terms;
 use crate::kinematics::RobotState;
 use crate::robot::RobotModel;
-use crate::spatial::parts;
+use crate::spatial::{log_so3, parts};
 use nalgebra::{DVector, Vector6};
 use std::fmt::Debug;
 
@@ -370,6 +372,30 @@ impl Stage for Engines {
             measurement.modes.insert(Modes::ENGINE_LIMITED);
         }
         channels.is_descending |= self.limit(engines, contact.is_active, limits);
+    }
+}
+
+impl Stage for SupervisorConfig {
+    fn name(&self) -> &'static str {
+        "supervisor"
+    }
+
+    fn judge(&mut self, tick: &mut Tick) {
+        let Terms { measurement, setpoint, kinematics, dynamics, .. } = &mut *tick.terms;
+        let (robot, to_desired) = (&measurement.state, setpoint.rotation.transpose());
+        let (velocity, _) = parts(&dynamics.momentum);
+        let error = kinematics.com - setpoint.com_position;
+        let rate = velocity / kinematics.mass() - setpoint.com_velocity;
+        let turning = to_desired * robot.base_angular_velocity() - setpoint.angular_velocity_b;
+        let errors = Errors {
+            rotation: (log_so3(&(to_desired * robot.base.rotation)) + turning * self.horizon).norm(),
+            position: (error + rate * self.horizon).norm(),
+            joint_velocity: robot.joint_velocity().iter().fold(0.0, |fastest: f64, speed| fastest.max(speed.abs())),
+        };
+        if self.update(&mut tick.state.exceeded, measurement.elapsed, &errors) {
+            measurement.modes.insert(Modes::STRAYING);
+            tick.state.channels.is_descending |= self.descend;
+        }
     }
 }
 

@@ -1,0 +1,74 @@
+//! Whether the flight follows its set-point, or strays so far from it that it may be lost.
+//!
+//! ```text
+//! φ̂ = log(R_dᵀ R) + T (R_dᵀ ω − ω_d)        rotation error in `horizon` T
+//! p̂ = p_G − p_d + T (ṗ_G − ṗ_d)              error of the centre of mass in `horizon`
+//! ```
+//!
+//! A flight strays if one of their lengths, or the speed of a joint, exceeds its limit for a confirmation time, whatever
+//! the cause is. Equations M148 and M149 of `docs/model.md`.
+
+use crate::error::{BuildError, Table};
+use serde::{Deserialize, Serialize};
+
+/// When a flight strays from its set-point, and what is then done.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct SupervisorConfig {
+    /// Time by which errors are extrapolated with their rates \[s\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub horizon: f64,
+    /// Greatest extrapolated angle between the base and its set-point \[rad\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub rotation: f64,
+    /// Greatest extrapolated distance of the centre of mass from its set-point \[m\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub position: f64,
+    /// Greatest velocity of a joint \[rad/s, m/s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub joint_velocity: f64,
+    /// Time for which a limit has to be exceeded \[s\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub confirmation: f64,
+    /// Whether a flight that strays levels and descends instead of following its mission.
+    #[serde(default)]
+    pub descend: bool,
+}
+
+/// What is compared with the limits.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Errors {
+    /// `|φ̂|` \[rad\].
+    pub rotation: f64,
+    /// `|p̂|` \[m\].
+    pub position: f64,
+    /// Greatest speed of a joint \[rad/s, m/s\].
+    pub joint_velocity: f64,
+}
+
+impl SupervisorConfig {
+    /// Checks that every value is in its range.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the key.
+    pub fn check(&self) -> Result<(), BuildError> {
+        let table = Table("controller.supervisor");
+        table.check_non_negative("horizon", self.horizon)?;
+        table.check_positive("rotation", self.rotation)?;
+        table.check_positive("position", self.position)?;
+        table.check_positive("joint_velocity", self.joint_velocity)?;
+        table.check_non_negative("confirmation", self.confirmation)
+    }
+
+    /// Updates the time for which a limit has been exceeded \[s\], `elapsed` \[s\] after the last tick; returns whether
+    /// the flight strays.
+    pub fn update(&self, exceeded: &mut f64, elapsed: f64, errors: &Errors) -> bool {
+        let is_beyond = errors.rotation > self.rotation
+            || errors.position > self.position
+            || errors.joint_velocity > self.joint_velocity;
+        *exceeded = if is_beyond { *exceeded + elapsed } else { 0.0 };
+        // A billionth absorbs the rounding of the sum.
+        is_beyond && *exceeded >= self.confirmation * (1.0 - 1e-9)
+    }
+}
