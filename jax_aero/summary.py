@@ -51,7 +51,7 @@ def figures(signals: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
     com_error = com_error[settled]
     distance = np.linalg.norm(com_error, axis=1)
     simulated, estimated = signals["simulated"], signals["estimated"]
-    tick = float(time[1]) if time.size > 1 else 0.0
+    tick, modes = float(time[1]) if time.size > 1 else 0.0, signals["degraded_modes"]
     kkt = signals["qp_kkt"][np.isfinite(signals["qp_kkt"])]
     # The greater value of both QPs; NaN without either.
     status, iterations = (np.fmax.reduce(signals[name], axis=1) for name in ("qp_status", "qp_iterations"))
@@ -75,17 +75,22 @@ def figures(signals: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
         "max_aero_force_difference": _greatest(np.linalg.norm(simulated - estimated, axis=1)),
         "max_kkt": _greatest_of(kkt),
         "max_qp_iterations": _greatest(iterations),
-        "degraded_time": tick * _ticks_above(signals["degraded_modes"], 0.0),
-        "first_degraded": _first(time[signals["degraded_modes"] > 0.0]),
-        "all_modes": np.bitwise_or.reduce(np.nan_to_num(signals["degraded_modes"]).astype(int)),
-        "warning_time": _warning_time(time, signals["degraded_modes"]),
+        "degraded_time": tick * _ticks_above(modes, 0.0),
+        "first_degraded": _first(time[modes > 0.0]),
+        "all_modes": _all_modes(modes),
+        "warning_time": _warning_time(time, modes),
     }
     return {name: float(value) if time.size else np.nan for name, value in found.items()}
 
 
+def _all_modes(modes: NDArray[np.float64]) -> float:
+    """Return the union of sets of modes; NaN if one is NaN."""
+    return np.nan if np.isnan(modes).any() else float(np.bitwise_or.reduce(modes.astype(int)))
+
+
 def _warning_time(time: NDArray[np.float64], modes: NDArray[np.float64]) -> float:
     """Return the time from the first degraded tick of the last warning to the last tick; zero without one [s]."""
-    if not time.size:
+    if not time.size or np.isnan(modes).any():
         return np.nan
     degraded = np.append(time[modes > 0.0], time[-1])
     gaps = np.flatnonzero(np.diff(degraded) > WARNING_GAP + 1e-9)

@@ -11,7 +11,7 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from jax_aero import cli, places
-from paper_figs import ablation, maps, model_pairs, runs, scatter, style, sweeps
+from paper_figs import ablation, maps, model_pairs, pairs, runs, scatter, style, sweeps
 from paper_figs.figures import FIGURES, SWEEPS
 
 DRAWINGS: Mapping[str, Callable[[sweeps.Sweep], Figure]] = {
@@ -20,6 +20,7 @@ DRAWINGS: Mapping[str, Callable[[sweeps.Sweep], Figure]] = {
     "map": maps.draw,
     "scatter": scatter.draw,
     "matrix": model_pairs.draw,
+    "pairs": pairs.draw,
 }
 
 

@@ -16,6 +16,7 @@ from experiments.sweep import keys, table
 from experiments.sweep.perturbation import members
 from experiments.sweep.spec import Level, Spec
 from jax_aero import rust, tables
+from jax_aero.command import ConfigError
 
 
 @dataclass(frozen=True)
@@ -106,6 +107,10 @@ class Design:
 
     def check(self) -> None:
         """Refuse, before the first flight, a sweep with duplicate cells or with cells that cannot be flown."""
+        if not self.cells:
+            raise ConfigError.of("axis", self.spec.axis[0].name, "levels that can be combined").in_file(
+                f"sweep {self.spec.name}"
+            )
         firsts: dict[tuple[str | float, ...], int] = {}
         for cell, levels in enumerate(self.cells):
             config = self.cell_config(cell)

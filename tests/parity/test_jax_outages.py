@@ -38,6 +38,7 @@ ENGINES = {
         "torque_rate_max": 3000.0,
     },
 }
+SUPERVISOR = {"horizon": 0.3, "rotation": 0.05, "position": 0.05, "joint_velocity": 0.5, "confirmation": 0.03}
 OUTAGES = [
     {"channel": "base_position", "start": 0.0, "duration": 0.01, "kind": "wrong", "error": 0.4},
     {"channel": "wind", "start": 0.4, "kind": "missing"},
@@ -75,6 +76,7 @@ def test_a_flight_with_outages_of_every_kind(measured):
         "controller.channels.descend_after": 0.7,
         "controller.channels.jump": JUMP,
         "controller.engines": ENGINES,
+        "controller.supervisor": SUPERVISOR,
         "disturbances.outages": OUTAGES,
         "disturbances.jets.failure": {"jet": "chest_l_jet", "time": 2.1, "kind": "off", "decay": 0.3},
     }
@@ -91,6 +93,13 @@ def test_a_flight_with_outages_of_every_kind(measured):
         scale = max(1.0, np.abs(theirs.log[name]).max())
         difference = np.abs(ours.log[name] - theirs.log[name]).max() / scale
         measured(name, difference, 1e-9, because="rounding, as in flights without outages")
+    assert all(np.any((modes.astype(int) & MODES["straying"]) == bits) for bits in (0, MODES["straying"]))
+
+    table["controller"]["supervisor"]["descend"] = True
+    theirs, ours = rust.fly(table), sim.fly(table)
+    np.testing.assert_array_equal(ours.log["degraded_modes"], theirs.log["degraded_modes"])
+    descends, strays = (theirs.log["degraded_modes"].astype(int) & MODES[mode] for mode in ("descending", "straying"))
+    assert np.argmax(descends > 0) == np.argmax(strays > 0) + 1
 
 
 def test_a_flight_begins_again_after_a_wrong_first_measurement(measured):

@@ -83,6 +83,46 @@ def test_a_list_walks_its_axes_together():
     assert [tuple(level.label for level in cell) for cell in cells] == [(0.0, 1.0), (1.0, 2.0)]
 
 
+FAULTS = {
+    "name": "fault",
+    "level": [
+        {"label": "none"},
+        {"label": "wind", "set": {"disturbances.outages": [{"channel": "wind", "start": 1.0, "kind": "missing"}]}},
+        {"label": "joints", "set": {"disturbances.outages": [{"channel": "joints", "start": 2.0, "kind": "frozen"}]}},
+        {"label": "heavy", "set": {"disturbances.model_error.mass_scale": 0.9}},
+        {"label": "light", "set": {"disturbances.model_error": {"mass_scale": 1.1}}},
+    ],
+}
+
+
+def test_pairs_combine_what_two_levels_of_one_axis_set():
+    """Lists of tables are joined, and levels of which one replaces the other are no pair."""
+    speed = {"name": "speed", "key": "wind.speed", "values": [5, 10]}
+    made = design(design="pairs", axis=[FAULTS, speed])
+    labels = [tuple(level.label for level in cell) for cell in made.cells]
+    pairs = [("none", other) for other in ("wind", "joints", "heavy", "light")]
+    pairs += [("wind", "joints"), ("wind", "heavy"), ("wind", "light"), ("joints", "heavy"), ("joints", "light")]
+    assert labels == [(*pair, speed) for pair in pairs for speed in (5.0, 10.0)]
+    assert [axis["name"] for axis in run.describe(made.spec)["axes"]] == ["fault", "fault_2", "speed"]
+    config = made.cell_config(labels.index(("wind", "joints", 5.0)))
+    assert [outage["channel"] for outage in config["disturbances"]["outages"]] == ["wind", "joints"]
+    config = made.cell_config(labels.index(("joints", "heavy", 10.0)))
+    assert (len(config["disturbances"]["outages"]), config["disturbances"]["model_error"]["mass_scale"]) == (1, 0.9)
+    made.check()
+
+
+def test_lists_of_tables_that_two_axes_set_are_joined():
+    outages = [{"disturbances.outages": [{"channel": name, "start": 1.0, "kind": "missing"}]} for name in ("wind", "joints")]
+    config = design(axis=axes_that_set(*outages)).cell_config(0)
+    assert [outage["channel"] for outage in config["disturbances"]["outages"]] == ["wind", "joints"]
+
+
+def test_a_sweep_without_a_pair_is_refused():
+    levels = {"name": "mass", "key": "disturbances.model_error.mass_scale", "values": [1, 2]}
+    with pytest.raises(Refused, match=r"sweep made_up: `axis` is \"mass\"; expected levels that can be combined"):
+        design(design="pairs", axis=[levels]).check()
+
+
 @pytest.mark.parametrize("kind", ["latin_hypercube", "sobol"])
 def test_a_sampled_design_fills_its_box_evenly_and_repeatably(kind):
     box = [
@@ -153,6 +193,8 @@ def axes_that_set(*settings):
         ({"simulator.jets": {"feedback": "ideal"}}, {"simulator.jets.feedback": "ideal"}),
         ({"simulator": {"jets": {"feedback": "ideal"}}}, {"simulator.jets": {}}),
         ({"disturbances.outages": [{"start": 1.0}]}, {"disturbances.outages.0.start": 2.0}),
+        ({"disturbances.outages.0.start": 2.0}, {"disturbances.outages": [{"start": 1.0}]}),
+        ({"wind.velocity": [1.0, 0.0, 0.0]}, {"wind.velocity": [0.0, 1.0, 0.0]}),
     ],
 )
 def test_an_axis_replaces_nothing_of_another(first, second):
@@ -488,6 +530,7 @@ def test_a_cell_has_counts_and_quantiles_of_its_flights(agree):
     ramp = np.arange(11.0)
     columns = {column for column, _ in table.QUANTITIES.values()} | {"degraded_time"}
     flights = dict.fromkeys(columns, ramp) | {"outcome": np.array(["completed"] * 9 + ["fell"] * 2)}
+    flights["warning_time"] = np.array([0.0] * 9 + [0.29, 0.3])
     flights["lost_time"] = np.array([np.nan] * 9 + [2.9, 8.0])
     flights["max_com_error"], flights["max_rotation_error"] = 0.1 * ramp, np.radians(10.0 * ramp)
     flights["max_com_error"][9] = np.nan
@@ -506,6 +549,8 @@ def test_a_cell_has_counts_and_quantiles_of_its_flights(agree):
     shares = {"low": 1.0, "median": 5.0, "high": 9.0, "worst": 10.0}
     for name in ("thrust_max", "thrust_min", "time_above_45_deg"):
         assert {end: found[f"{name}_{end}"] for end in shares} == pytest.approx(shares)
+    assert found["unwarned"] == 1
+    agree("warning", found["warning_time_median"], 0.295, 1e-12)
     agree("rotation", [found[f"rotation_error_deg_{end}"] for end in shares], 10.0 * np.array([1, 5, 9, 10]), 1e-12)
     agree("joints", found["joint_error_deg_median"], np.degrees(5.0), 1e-12)
     agree("position", [found[f"com_error_{end}"] for end in ("median", "worst")], [0.45, 1.0], 1e-12)

@@ -40,7 +40,7 @@ fn controller(config: &ScenarioConfig) -> Running {
 
 impl Sample {
     /// The robot as its flight starts.
-    fn start(config: &ScenarioConfig) -> Self {
+    pub fn start(config: &ScenarioConfig) -> Self {
         let robot = load_robot(&config.robot).unwrap();
         let plant = Plant::new(robot, &config.simulator, &config.disturbances).unwrap();
         let thrust = plant.jets().thrust().to_vec();

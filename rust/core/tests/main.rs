@@ -23,5 +23,6 @@ mod recorded;
 mod robot;
 mod setpoint;
 mod spatial;
+mod supervisor;
 mod tasks;
 mod wind_observer;

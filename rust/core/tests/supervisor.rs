@@ -1,0 +1,125 @@
+//! The supervisor: which errors count as straying, after which time, and what is done then.
+
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
+use crate::common::{Running, Sample, TIME_STEP, experiment};
+use flight_core::control::guard::supervisor::{Errors, SupervisorConfig};
+use flight_core::control::law::setpoint::Setpoint;
+use flight_core::control::{CommandStatus, Modes};
+use flight_core::spatial::axis_angle;
+use flight_io::load_robot;
+use nalgebra::Vector3;
+
+const LIMITS: SupervisorConfig = SupervisorConfig {
+    horizon: 0.5,
+    rotation: 0.6,
+    position: 0.4,
+    joint_velocity: 2.0,
+    confirmation: 0.03,
+    descend: false,
+};
+
+/// A limit counts after the confirmation time, in which it has been exceeded throughout.
+#[test]
+fn a_limit_has_to_be_exceeded_for_a_while() {
+    let near = Errors { rotation: 0.5, position: 0.3, joint_velocity: 1.9 };
+    for far in [
+        Errors { rotation: 0.7, ..near },
+        Errors { position: 0.5, ..near },
+        Errors { joint_velocity: 2.1, ..near },
+    ] {
+        let mut exceeded = 0.0;
+        let strays = [far, far, near, far, far, far, far, near].map(|errors| LIMITS.update(&mut exceeded, TIME_STEP, &errors));
+        assert_eq!(strays, [false, false, false, false, false, true, true, false], "{far:?}");
+    }
+}
+
+/// What a controller says in its fourth tick towards a set-point, from a robot in this state.
+fn says(supervisor: SupervisorConfig, change: impl Fn(&mut Sample, &mut Setpoint)) -> (CommandStatus, Modes, bool) {
+    let mut config = experiment("test2_observer");
+    let law = &mut config.controller.law;
+    (law.supervisor, law.channels.jump, law.engines) = (Some(supervisor), None, None);
+    let mut controller = Running::new(config.controller(load_robot(&config.robot).unwrap()).unwrap());
+    let mut sample = Sample::start(&config);
+    controller.tick(&sample.measurement());
+    let mut setpoint = Setpoint::hold(controller.terms().setpoint.com_position, sample.state.base.rotation);
+    change(&mut sample, &mut setpoint);
+    for _ in 0..3 {
+        sample.time += TIME_STEP;
+        controller.tick_towards(&sample.measurement(), &setpoint);
+    }
+    let (status, modes) = (controller.command().status, controller.command().modes);
+    sample.time += TIME_STEP;
+    let descends = controller.tick_towards(&sample.measurement(), &setpoint).modes.contains(Modes::DESCENDING);
+    (status, modes, descends)
+}
+
+/// Errors of rotation and centre of mass count with the rates at which they grow or shrink, those of the set-point
+/// included; joints count with their speed. Errors along the body's and the inertial axes are the same.
+#[test]
+fn errors_count_with_their_rates() {
+    type Change = fn(&mut Sample, &mut Setpoint);
+    let cases: [(&str, bool, Change); 12] = [
+        ("nothing", false, |_, _| {}),
+        ("0.38 m beside it", false, |_, setpoint| setpoint.com_position.y += 0.38),
+        ("0.42 m beside it", true, |_, setpoint| setpoint.com_position.y -= 0.42),
+        ("0.2 m, growing by 0.5 m/s", true, |sample, setpoint| {
+            setpoint.com_position.x -= 0.2;
+            sample.state.velocity[0] = 0.5;
+        }),
+        ("0.42 m, shrinking by 0.5 m/s", false, |sample, setpoint| {
+            setpoint.com_position.x += 0.42;
+            sample.state.velocity[0] = 0.5;
+        }),
+        ("0.2 m, both at 0.5 m/s", false, |sample, setpoint| {
+            setpoint.com_position.x -= 0.2;
+            (sample.state.velocity[0], setpoint.com_velocity.x) = (0.5, 0.5);
+        }),
+        ("turned by 0.58 rad", false, |_, setpoint| setpoint.rotation *= axis_angle(&Vector3::y(), 0.58)),
+        ("turned by 0.62 rad", true, |_, setpoint| setpoint.rotation *= axis_angle(&Vector3::z(), -0.62)),
+        ("0.3 rad, growing by 1 rad/s", true, |sample, setpoint| {
+            setpoint.rotation = axis_angle(&Vector3::z(), -0.3) * setpoint.rotation;
+            sample.state.velocity[5] = 1.0;
+        }),
+        ("0.3 rad, both at 1 rad/s", false, |sample, setpoint| {
+            setpoint.rotation = axis_angle(&Vector3::z(), -0.3) * setpoint.rotation;
+            setpoint.angular_velocity_b.z = 1.0;
+            sample.state.velocity[5] = 1.0;
+        }),
+        ("a joint at 1.9 rad/s", false, |sample, _| sample.state.velocity[12] = -1.9),
+        ("a joint at 2.1 rad/s", true, |sample, _| sample.state.velocity[12] = -2.1),
+    ];
+    for (what, expected, change) in cases {
+        let (status, modes, descends) = says(LIMITS, change);
+        assert_eq!(modes.contains(Modes::STRAYING), expected, "{what}");
+        assert_eq!(status == CommandStatus::Degraded, expected, "{what}: {status}, {modes}");
+        assert!(!descends, "{what}");
+    }
+}
+
+/// With `descend` it gives up its mission.
+#[test]
+fn a_flight_that_strays_descends_where_that_is_configured() {
+    let change = |_: &mut Sample, setpoint: &mut Setpoint| setpoint.com_position.y += 0.5;
+    assert!(says(SupervisorConfig { descend: true, ..LIMITS }, change).2);
+    assert!(!says(SupervisorConfig { descend: true, ..LIMITS }, |_, _| {}).2);
+}
+
+/// Each number of `controller.supervisor` that means nothing is refused by its key.
+#[test]
+fn numbers_that_mean_nothing_are_refused_by_key() {
+    type Change = fn(&mut SupervisorConfig);
+    let cases: [(&str, Change); 5] = [
+        ("horizon", |supervisor| supervisor.horizon = -0.1),
+        ("rotation", |supervisor| supervisor.rotation = 0.0),
+        ("position", |supervisor| supervisor.position = f64::NAN),
+        ("joint_velocity", |supervisor| supervisor.joint_velocity = f64::INFINITY),
+        ("confirmation", |supervisor| supervisor.confirmation = -1.0),
+    ];
+    for (key, change) in cases {
+        let mut config = experiment("test2_observer");
+        change(config.controller.law.supervisor.as_mut().unwrap());
+        let message = config.controller(load_robot(&config.robot).unwrap()).unwrap_err().to_string();
+        assert!(message.starts_with(&format!("controller.supervisor.{key} is ")), "{message}");
+    }
+}
