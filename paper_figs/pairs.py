@@ -50,7 +50,9 @@ def draw(sweep: Sweep) -> Figure:
     axes.spines[:].set_visible(False)
     handles = [Patch(color=colour, label=name) for name, colour in KINDS]
     axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.01), ncols=4, fontsize=7, frameon=False)
-    named = [f"{where}: {panel}" for where, panel in zip(("above the diagonal", "below"), panels, strict=False) if panel]
+    named = [
+        f"{where}: {panel}" for where, panel in zip(("above the diagonal", "below"), panels, strict=False) if panel
+    ]
     style.title(figure, "; ".join([sweep.title, *named]))
     style.footnote(figure, sweep.footnote())
     return figure

@@ -13,6 +13,9 @@ from experiments.report.results import Cell, Results, count
 from experiments.report.verdicts import Judged, Verdict, judge
 from experiments.sweep.table import wilson
 
+UNWARNED_SHARE = 0.02
+"""Greatest share of lost flights that may be lost without a warning."""
+
 OUTAGE_SPEED = 10.0
 """Wind speed of the claims on outages, that of the paper [m/s]."""
 
@@ -119,6 +122,22 @@ def false_alarms(results: Results) -> Judged:
     low, high = wilson(alarmed, flights)
     text = f"{alarmed} of {flights} flights, {1000.0 * low:.1f} to {1000.0 * high:.1f} of 1000 (95 %)"
     return text, judge(not alarmed, f"{alarmed} false alarms")
+
+
+def announced_losses(results: Results) -> Judged:
+    """Judge how many flights are lost that were not degraded 0.3 s before, with one fault and with two."""
+    texts, missed, losses = [], 0, 0
+    for name in ("faults", "fault_pairs"):
+        sweep = results.sweep(name)
+        for controller in sweep.levels("controller"):
+            cells = sweep.select(controller=controller)
+            columns = ("flights", "unwarned", "fell", "diverged")
+            flights, unwarned, fell, diverged = (sum(cell[column] for cell in cells) for column in columns)
+            texts.append(f"{name}, {controller}: {unwarned} of {fell + diverged} lost ones of {flights}")
+            missed, losses = missed + unwarned, losses + fell + diverged
+    low, high = wilson(missed, losses)
+    whole = f"{missed} of {losses} ({100.0 * low:.1f} to {100.0 * high:.1f} %)"
+    return f"{whole}; {'; '.join(texts)}", judge(missed <= UNWARNED_SHARE * losses, whole)
 
 
 def _outages(results: Results, what: Mapping[str, tuple[float, ...]]) -> Judged:

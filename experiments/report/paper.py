@@ -502,7 +502,7 @@ OTHER_ROWS: Sequence[Row] = (
     ),
     _ours(
         "false_alarms",
-        "Where nothing fails, no channel and no engine is found to fail",
+        "Where nothing fails, no channel and no engine is found to fail, and no flight strays",
         observer.false_alarms,
         "sweep observer_tests sensors_tests",
     ),
@@ -544,6 +544,13 @@ OTHER_ROWS: Sequence[Row] = (
     Item("beyond", figure="engine_loss"),
     _ours(
         "engines_lost", "Without one engine the robot flies to the ground", observer.lost_engines, "sweep engine_loss"
+    ),
+    Item("beyond", figure="fault_pairs"),
+    _ours(
+        "announced_losses",
+        "With one or two faults at most 2 % of the lost flights are not degraded 0.3 s before",
+        observer.announced_losses,
+        "sweep faults fault_pairs",
     ),
     Item("beyond", figure="ahead_turbulence"),
     _ours(

@@ -39,8 +39,10 @@ class Design:
             return list(zip(*(axis.levels for axis in axes), strict=True))
         if self.spec.design == "pairs":
             levels, _, *others = (axis.levels for axis in axes)
-            pairs = [pair for pair in itertools.combinations(levels, 2) if not keys.do_conflict(pair[0].set, pair[1].set)]
-            return [(*pair, *rest) for pair, *rest in itertools.product(pairs, *others)]
+            pairs = [
+                pair for pair in itertools.combinations(levels, 2) if not keys.do_conflict(pair[0].set, pair[1].set)
+            ]
+            return [(*pair, *rest) for pair in pairs for rest in itertools.product(*others)]
         points = unit_points(self.spec.design, len(axes), self.spec.samples, self.spec.seed)
         return [
             tuple(

@@ -54,7 +54,7 @@ def replacing(key: str, value: Any) -> Iterator[str]:
 
 
 def join(layers: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the settings of all layers in one table; lists of tables with the same key, such as outages, are joined."""
+    """Return the settings of all layers in one table; lists of tables of the same key, as outages, are joined."""
     joined: dict[str, Any] = {}
     for key, value in (item for settings in layers for item in settings.items()):
         joined[key] = [*joined[key], *value] if key in joined and are_joined(joined[key], value) else value

@@ -342,6 +342,16 @@ def test_a_claim_of_ours_fails_with_one_of_its_cells(key, sweep, cells, place, h
         assert judge(key, sweeps={sweep: changed})[1].startswith(verdict), figures
 
 
+def test_losses_are_announced_while_at_most_two_in_a_hundred_are_not():
+    some = {"controller": "observer", "fell": 40, "diverged": 10, "unwarned": 1}
+    sweeps = {name: [some, {**some, "controller": "other", "unwarned": 0}] for name in ("faults", "fault_pairs")}
+    measured, verdict = judge("announced_losses", sweeps=sweeps)
+    assert verdict == "agrees"
+    assert measured.startswith("2 of 200 (0.3 to 3.6 %); faults, observer: 1 of 50 lost ones of 100; faults,")
+    sweeps["fault_pairs"] = [{**some, "unwarned": 3}]
+    assert judge("announced_losses", sweeps=sweeps)[1] == "differs: 4 of 150 (1.0 to 6.7 %)"
+
+
 def test_one_alarm_in_either_sweep_is_a_false_alarm():
     sweeps = {"observer_tests": OBSERVED, "sensors_tests": [*SENSED, {"controller": "other", "degraded": 7}]}
     assert judge("false_alarms", sweeps=sweeps) == ("0 of 600 flights, 0.0 to 6.4 of 1000 (95 %)", "agrees")

@@ -112,7 +112,9 @@ def test_pairs_combine_what_two_levels_of_one_axis_set():
 
 
 def test_lists_of_tables_that_two_axes_set_are_joined():
-    outages = [{"disturbances.outages": [{"channel": name, "start": 1.0, "kind": "missing"}]} for name in ("wind", "joints")]
+    outages = [
+        {"disturbances.outages": [{"channel": name, "start": 1.0, "kind": "missing"}]} for name in ("wind", "joints")
+    ]
     config = design(axis=axes_that_set(*outages)).cell_config(0)
     assert [outage["channel"] for outage in config["disturbances"]["outages"]] == ["wind", "joints"]
 
