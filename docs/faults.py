@@ -45,8 +45,8 @@ def _end(flights: pd.DataFrame) -> str:
     complete, lost = flights["outcome"] == "completed", flights["outcome"].isin(("fell", "diverged"))
     off_course = int((flights["outcome"] == "off_course").sum())
     said = [f"{complete.sum()} of {len(flights)}"]
-    found = flights["first_degraded"].median()
-    if np.isfinite(found):
+    found = flights["nominal_until"].median()
+    if (flights["degraded_time"] > 0.0).mean() >= 0.5:
         said.append(f"{found - ONSET:.2f} s" if found >= ONSET else f"at {found:.2f} s")
     if lost.any():
         said.append(f"lost {flights['warning_time'][lost].median():.2f} s later")

@@ -76,11 +76,16 @@ def figures(signals: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
         "max_kkt": _greatest_of(kkt),
         "max_qp_iterations": _greatest(iterations),
         "degraded_time": tick * _ticks_above(modes, 0.0),
-        "first_degraded": _first(time[modes > 0.0]),
+        "nominal_until": _nominal_until(time, modes),
         "all_modes": _all_modes(modes),
         "warning_time": _warning_time(time, modes),
     }
     return {name: float(value) if time.size else np.nan for name, value in found.items()}
+
+
+def _nominal_until(time: NDArray[np.float64], modes: NDArray[np.float64]) -> float:
+    """Return the time of the first degraded tick, without one of the last tick; NaN if a set of modes is NaN [s]."""
+    return float(np.append(time[modes > 0.0], time[-1])[0]) if time.size and not np.isnan(modes).any() else np.nan
 
 
 def _all_modes(modes: NDArray[np.float64]) -> float:
@@ -95,11 +100,6 @@ def _warning_time(time: NDArray[np.float64], modes: NDArray[np.float64]) -> floa
     degraded = np.append(time[modes > 0.0], time[-1])
     gaps = np.flatnonzero(np.diff(degraded) > WARNING_GAP + 1e-9)
     return float(time[-1] - degraded[gaps[-1] + 1 if gaps.size else 0])
-
-
-def _first(values: NDArray[np.float64]) -> float:
-    """Return the first of the values; NaN if there are none."""
-    return float(values[0]) if values.size else np.nan
 
 
 def _ticks_above(values: NDArray[np.float64], limit: float) -> float:

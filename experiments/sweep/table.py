@@ -61,7 +61,7 @@ QUANTITIES = {
     "thrust_max": ("thrust_max", 1.0),
     "thrust_min": ("thrust_min", 1.0),
     "lost_time": ("lost_time", 1.0),
-    "first_degraded": ("first_degraded", 1.0),
+    "nominal_until": ("nominal_until", 1.0),
     "warning_time": ("warning_time", 1.0),
     "time_above_45_deg": ("time_above_45_deg", 1.0),
 }

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from jax_aero import rust, sim
+from jax_aero.control.modes import MODES
 from jax_aero.summary import condense, figures
 from jax_aero.view import recording
 
@@ -49,6 +50,28 @@ def test_figures_are_those_of_the_crate(flight):
     for name, value in flight.summary.items():
         # Sums of 5000 squares, of 23 joints and of 13 links: some hundred roundings at most.
         assert found[name] == pytest.approx(value, rel=1e-13, abs=1e-15), name
+
+
+def test_a_warning_lasts_from_its_first_degraded_tick_on_but_for_gaps_of_a_second():
+    """In both languages, of flights without wind for 0.1 s each time."""
+
+    def summaries(*outages):
+        wind = [{"channel": "wind", "start": start, "duration": 0.1, "kind": "missing"} for start in outages]
+        changes = {"simulator.duration": 4.0, "disturbances.outages": wind}
+        flight = rust.fly(rust.load_config(TEST2, changes))
+        return flight.summary, figures(condense(flight.log, flight.joint_setpoint))
+
+    for outages, warning, nominal_until in (
+        ((), 0.0, 4.0),
+        ((0.5,), 0.0, 0.5),
+        ((0.5, 3.1), 0.9, 0.5),
+        ((1.0, 2.09, 3.18), 3.0, 1.0),
+        ((1.0, 2.11, 3.2), 1.89, 1.0),
+    ):
+        for summary in summaries(*outages):
+            assert summary["warning_time"] == pytest.approx(warning, abs=1e-9), outages
+            assert summary["nominal_until"] == pytest.approx(nominal_until, abs=1e-9)
+            assert summary["all_modes"] == (MODES["wind_held"] if outages else 0)
 
 
 def test_a_flight_that_ends_while_it_settles_has_no_figure_of_what_comes_after():

@@ -91,7 +91,7 @@ def test_what_a_controller_does_not_compute_is_nan(own_flight):
     assert own_flight["unknown"] == signals | {"qp_status", "qp_kkt", "qp_iterations"}
     figures = {"max_rotation_error", "time_above_45_deg", "ticks_without_solution", "max_kkt", "max_qp_iterations"}
     figures |= {"max_aero_force_difference", "degraded_time", "rms_com_error", "rms_rotation_error"}
-    figures |= {"first_degraded", "all_modes", "warning_time"}
+    figures |= {"nominal_until", "all_modes", "warning_time"}
     figures |= {"max_com_error", "max_com_error_x", "max_com_error_y", "max_com_error_z"}
     assert own_flight["unknown_figures"] == figures
 

@@ -29,13 +29,17 @@ fn a_limit_has_to_be_exceeded_for_a_while() {
         Errors { joint_velocity: 2.1, ..near },
     ] {
         let mut exceeded = 0.0;
-        let strays = [far, far, near, far, far, far, far, near].map(|errors| LIMITS.update(&mut exceeded, TIME_STEP, &errors));
+        let strays = [far, far, near, far, far, far, far, near]
+            .map(|errors| LIMITS.update(&mut exceeded, TIME_STEP, &errors));
         assert_eq!(strays, [false, false, false, false, false, true, true, false], "{far:?}");
     }
 }
 
 /// What a controller says in its fourth tick towards a set-point, from a robot in this state.
-fn says(supervisor: SupervisorConfig, change: impl Fn(&mut Sample, &mut Setpoint)) -> (CommandStatus, Modes, bool) {
+fn says(
+    supervisor: SupervisorConfig,
+    change: impl Fn(&mut Sample, &mut Setpoint),
+) -> (CommandStatus, Modes, bool) {
     let mut config = experiment("test2_observer");
     let law = &mut config.controller.law;
     (law.supervisor, law.channels.jump, law.engines) = (Some(supervisor), None, None);
@@ -50,7 +54,8 @@ fn says(supervisor: SupervisorConfig, change: impl Fn(&mut Sample, &mut Setpoint
     }
     let (status, modes) = (controller.command().status, controller.command().modes);
     sample.time += TIME_STEP;
-    let descends = controller.tick_towards(&sample.measurement(), &setpoint).modes.contains(Modes::DESCENDING);
+    let descends =
+        controller.tick_towards(&sample.measurement(), &setpoint).modes.contains(Modes::DESCENDING);
     (status, modes, descends)
 }
 

@@ -68,7 +68,7 @@ figures! {
     max_kkt ["1"] "greatest finite KKT residual of an answer";
     max_qp_iterations ["1"] "most iterations of a QP in one tick";
     degraded_time ["s"] "time in which a channel is not measured, an engine is limited or the robot descends";
-    first_degraded ["s"] "time of the first such tick; NaN without one";
+    nominal_until ["s"] "time of the first such tick, without one of the last tick";
     all_modes ["1"] "modes that any tick has, a sum of bits";
     warning_time ["s"] "time before the end since which it was degraded, but for gaps of at most a second";
 }
@@ -107,9 +107,7 @@ impl Summary {
         };
         let rows = |name: &str| data(name).chunks_exact(3).map(Vector3::from_column_slice);
         let (time, rotation) = (data("time"), data("rotation_error"));
-        if time.is_empty() {
-            return Self::NONE;
-        }
+        let Some(&end) = time.last() else { return Self::NONE };
         let is_settled = |time: &&f64| **time >= SETTLING_TIME;
         let settling = time.iter().take_while(|time| !is_settled(time)).count();
         let com_errors: Vec<Vector3<f64>> = rows("com_position")
@@ -155,9 +153,9 @@ impl Summary {
             max_kkt: greatest_of(data("qp_kkt").iter().copied().filter(|kkt| kkt.is_finite())),
             max_qp_iterations: greatest(data("qp_iterations").iter().copied()),
             degraded_time: degraded().count() as f64 * tick,
-            first_degraded: degraded().next().unwrap_or(f64::NAN),
+            nominal_until: degraded().next().unwrap_or(end),
             all_modes: all_modes(modes),
-            warning_time: warning_time(time[time.len() - 1], degraded().rev()),
+            warning_time: warning_time(end, degraded().rev()),
         }
     }
 }

@@ -390,7 +390,10 @@ impl Stage for SupervisorConfig {
         let errors = Errors {
             rotation: (log_so3(&(to_desired * robot.base.rotation)) + turning * self.horizon).norm(),
             position: (error + rate * self.horizon).norm(),
-            joint_velocity: robot.joint_velocity().iter().fold(0.0, |fastest: f64, speed| fastest.max(speed.abs())),
+            joint_velocity: robot
+                .joint_velocity()
+                .iter()
+                .fold(0.0, |fastest: f64, speed| fastest.max(speed.abs())),
         };
         if self.update(&mut tick.state.exceeded, measurement.elapsed, &errors) {
             measurement.modes.insert(Modes::STRAYING);
