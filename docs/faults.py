@@ -41,7 +41,7 @@ def rows(sweep: Sweep) -> Iterator[str]:
 
 
 def _end(flights: pd.DataFrame) -> str:
-    """Return the count of completed flights, after which time the fault shows, and how early losses do."""
+    """Return the count of completed flights, after which time the fault is found, and how early a loss is announced."""
     complete, lost = flights["outcome"] == "completed", flights["outcome"].isin(("fell", "diverged"))
     off_course = int((flights["outcome"] == "off_course").sum())
     said = [f"{complete.sum()} of {len(flights)}"]
@@ -49,7 +49,7 @@ def _end(flights: pd.DataFrame) -> str:
     if (flights["degraded_time"] > 0.0).mean() >= 0.5:
         said.append(f"{found - ONSET:.2f} s" if found >= ONSET else f"at {found:.2f} s")
     if lost.any():
-        said.append(f"lost {flights['warning_time'][lost].median():.2f} s later")
+        said.append(f"announced {flights['warning_time'][lost].median():.2f} s before the loss")
     return ", ".join([*said, *([f"{off_course} off course"] if off_course else [])])
 
 

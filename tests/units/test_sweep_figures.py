@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from paper_figs import ablation, maps
+from paper_figs import ablation, maps, pairs
 from paper_figs.ablation import _is_geometric
 from paper_figs.command import DRAWINGS, main
 from paper_figs.figures import SWEEPS
@@ -23,6 +23,8 @@ AXES = {
     "world": {"name": "world", "label": "world", "unit": "", "levels": ["side", "ahead"]},
     "scale": {"name": "scale", "label": "factor", "unit": "", "levels": [0.0, 1.0, 2.0]},
     "speed": {"name": "speed", "label": "wind speed", "unit": "m/s", "levels": [5.0, 10.0]},
+    "fault": {"name": "fault", "label": "fault", "unit": "", "levels": ["none", "wind", "joints"]},
+    "fault_2": {"name": "fault_2", "label": "fault", "unit": "", "levels": ["none", "wind", "joints"]},
     "terms": {"name": "terms", "label": "feedback", "unit": "", "levels": ["everything", "nothing"]},
 }
 
@@ -33,6 +35,7 @@ def write(folder, name, drawing, axes, panels="world"):
     for index, labels in enumerate(itertools.product(*(AXES[axis]["levels"] for axis in axes))):
         record = {"cell": index, **dict(zip(axes, labels, strict=True)), "flights": 8, "errors": 0}
         record |= {"completed": index % 9, "completed_low": 0.1, "completed_high": 0.9}
+        record |= {"off_course": index % 2, "fell": index % 3, "diverged": 0, "unwarned": 0}
         for quantity in ("rotation_error_deg", "com_error"):
             record |= {f"{quantity}_{end}": float(index + step) for step, end in enumerate(("low", "median", "high"))}
             record[f"{quantity}_worst"] = None if index == 1 else 3.0 * index
@@ -67,6 +70,8 @@ def write(folder, name, drawing, axes, panels="world"):
         ("map", ["world", "scale", "speed"], "world"),
         ("map", ["scale", "speed"], ""),
         ("scatter", ["scale", "speed"], ""),
+        ("pairs", ["fault", "fault_2", "world"], "world"),
+        ("pairs", ["fault", "fault_2"], ""),
     ],
 )
 def test_every_drawing_gives_pdf_and_png_with_the_hash_of_its_sweep(drawing, axes, panels, tmp_path):
@@ -86,6 +91,8 @@ def test_every_drawing_gives_pdf_and_png_with_the_hash_of_its_sweep(drawing, axe
         ("scatter", ["world", "scale"], "", "expected axes of numbers"),
         ("scatter", ["world"], "world", "expected axes of numbers"),
         ("matrix", ["world", "scale"], "", "expected axes `arms`, of two levels, `model` and `world`"),
+        ("pairs", ["world", "terms"], "", "expected the axes of pairs beside at most two panels"),
+        ("pairs", ["fault", "fault_2", "scale"], "scale", "expected the axes of pairs beside at most two panels"),
         ("curve", ["world"], "world", "expected an axis beside the panels"),
         ("curve", ["world", "terms", "speed", "scale"], "", "expected at most 6 combinations"),
     ],
@@ -139,6 +146,18 @@ def test_a_map_keeps_the_row_of_a_level_without_any_number(tmp_path):
     assert [axes.get_images()[0].get_array().shape for axes in panels] == 6 * [(3, 2)]
     labels = [[label.get_text() for label in axes.get_yticklabels()] for axes in panels]
     assert labels == 3 * [["0", "1", "2"], []]  # the left panel of each pair says it for both
+
+
+def test_a_pair_is_as_bad_as_its_worst_flight():
+    """None, off course, lost with a warning, lost without one; what was not flown has no number."""
+    levels = ["a", "b", "c", "d"]
+    ends = {("a", "b"): (0, 0, 0, 0), ("a", "c"): (1, 0, 0, 0), ("a", "d"): (1, 0, 1, 0), ("b", "d"): (0, 2, 0, 1)}
+    names = ("off_course", "fell", "diverged", "unwarned")
+    cells = [{"x": x, "x_2": y, **dict(zip(names, end, strict=True))} for (x, y), end in ends.items()]
+    found = pairs.worst(pd.DataFrame(cells), "x", levels)
+    expected = np.full((4, 4), np.nan)
+    expected[0, 1:], expected[1, 3] = (0, 1, 2), 3
+    np.testing.assert_array_equal(found, expected)
 
 
 def test_the_same_results_give_the_same_bytes(tmp_path):
