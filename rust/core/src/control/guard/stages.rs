@@ -25,7 +25,7 @@ use crate::control::state::ControllerState;
 use crate::control::terms::Terms;
 use crate::kinematics::RobotState;
 use crate::robot::RobotModel;
-use crate::spatial::{log_so3, parts};
+use crate::spatial::parts;
 use nalgebra::{DVector, Vector6};
 use std::fmt::Debug;
 
@@ -382,19 +382,7 @@ impl Stage for SupervisorConfig {
 
     fn judge(&mut self, tick: &mut Tick) {
         let Terms { measurement, setpoint, kinematics, dynamics, .. } = &mut *tick.terms;
-        let (robot, to_desired) = (&measurement.state, setpoint.rotation.transpose());
-        let (velocity, _) = parts(&dynamics.momentum);
-        let error = kinematics.com - setpoint.com_position;
-        let rate = velocity / kinematics.mass() - setpoint.com_velocity;
-        let turning = to_desired * robot.base_angular_velocity() - setpoint.angular_velocity_b;
-        let errors = Errors {
-            rotation: (log_so3(&(to_desired * robot.base.rotation)) + turning * self.horizon).norm(),
-            position: (error + rate * self.horizon).norm(),
-            joint_velocity: robot
-                .joint_velocity()
-                .iter()
-                .fold(0.0, |fastest: f64, speed| fastest.max(speed.abs())),
-        };
+        let errors = Errors::ahead(self.horizon, &measurement.state, kinematics, dynamics, setpoint);
         if self.update(&mut tick.state.exceeded, measurement.elapsed, &errors) {
             measurement.modes.insert(Modes::STRAYING);
             tick.state.channels.is_descending |= self.descend;

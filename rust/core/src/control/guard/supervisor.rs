@@ -8,7 +8,11 @@
 //! A flight strays if one of their lengths, or the speed of a joint, exceeds its limit for a confirmation time, whatever
 //! the cause is. Equations M148 and M149 of `docs/model.md`.
 
+use crate::control::law::setpoint::Setpoint;
+use crate::dynamics::Dynamics;
 use crate::error::{BuildError, Table};
+use crate::kinematics::{Kinematics, RobotState};
+use crate::spatial::{log_so3, parts};
 use serde::{Deserialize, Serialize};
 
 /// When a flight strays from its set-point, and what is then done.
@@ -45,6 +49,29 @@ pub struct Errors {
     pub position: f64,
     /// Greatest speed of a joint \[rad/s, m/s\].
     pub joint_velocity: f64,
+}
+
+impl Errors {
+    /// The errors of a robot with respect to a set-point, extrapolated by `horizon` \[s\] (M148).
+    #[must_use]
+    pub fn ahead(
+        horizon: f64,
+        robot: &RobotState,
+        kinematics: &Kinematics,
+        dynamics: &Dynamics,
+        setpoint: &Setpoint,
+    ) -> Self {
+        let to_desired = setpoint.rotation.transpose();
+        let turning = to_desired * robot.base_angular_velocity() - setpoint.angular_velocity_b;
+        let (momentum, _) = parts(&dynamics.momentum);
+        let rate = momentum / kinematics.mass() - setpoint.com_velocity;
+        let speeds = robot.joint_velocity().iter().map(|speed| speed.abs());
+        Self {
+            rotation: (log_so3(&(to_desired * robot.base.rotation)) + turning * horizon).norm(),
+            position: (kinematics.com - setpoint.com_position + rate * horizon).norm(),
+            joint_velocity: speeds.fold(0.0, f64::max),
+        }
+    }
 }
 
 impl SupervisorConfig {
