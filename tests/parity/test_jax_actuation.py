@@ -44,7 +44,9 @@ def test_lost_commands_are_drawn_before_the_flight():
     assert way.ticks == 4
 
 
-@pytest.mark.parametrize(("substeps", "latency"), [(1, {"torque": 0.01, "thrust": 0.03}), (2, {"torque": 0.008, "thrust": 0.025})])
+@pytest.mark.parametrize(
+    ("substeps", "latency"), [(1, {"torque": 0.01, "thrust": 0.03}), (2, {"torque": 0.008, "thrust": 0.025})]
+)
 def test_a_flight_with_late_and_lost_commands(substeps, latency, measured):
     """Both engines draw the same delays and losses, compensate what is known, and the robot moves alike."""
     changes = {

@@ -52,8 +52,8 @@ pub struct Controller {
     joints: JointTracker,
     /// Ticks of the torques in a tick of the law.
     torque_steps: u32,
-    /// Number of ticks of the law.
-    ticks: u64,
+    /// Number in its flight of the last tick of the law.
+    last_tick: u64,
     terms: Terms,
     command: Command,
 }
@@ -109,7 +109,7 @@ impl Controller {
             torques: Torques::new(torques, joints, period),
             joints: JointTracker::new(config.estimator.as_ref(), &config.channels, period),
             torque_steps,
-            ticks: 0,
+            last_tick: 0,
             terms: Terms::new(&model, measurement, limits, contact, momentum_qp, torque_qp),
             command,
             model,
@@ -209,10 +209,10 @@ impl Controller {
             command.set_hold(CommandStatus::BadMeasurement, command.modes);
         }
         guard.predict(model, state, terms, command);
-        self.ticks += 1;
         let acceleration = &state.channels.acceleration;
         let (used, torque) = (&terms.measurement.state, command.joint_torque.as_slice());
-        state.between.begin(used, torque, acceleration.rows_range(6..), self.ticks);
+        state.between.begin(used, torque, acceleration.rows_range(6..));
+        self.last_tick = state.between.tick_of_law;
         if command.status.is_of_law() {
             command.status = match (is_valid, has_valid_preview) {
                 (false, _) => CommandStatus::BadSetpoint,
@@ -231,7 +231,9 @@ impl Controller {
     /// sizes, keeps the torques and changes the status. With the state of another controller, or one with which this
     /// controller did not tick last, the command holds ([`CommandStatus::BadState`]).
     pub fn tick_torques(&mut self, state: &mut ControllerState, measured: &JointMeasurement) -> &Command {
-        if !self.fits(state) || state.between.tick_of_law != self.ticks {
+        let is_last =
+            state.between.tick_of_law == self.last_tick && state.between.torque == self.command.joint_torque;
+        if !self.fits(state) || !is_last {
             self.command.set_hold(CommandStatus::BadState, Modes::default());
             return &self.command;
         }

@@ -248,7 +248,7 @@ impl Guard {
             last.joint_torque.copy_from_slice(joint_torque);
         }
         last.thrust_rate.copy_from_slice(thrust_rate);
-        state.between.replace_torque(last.joint_torque.as_slice(), last.acceleration.rows_range(6..));
+        state.between.replace_torque(joint_torque, last.acceleration.rows_range(6..));
         if let Some(memory) = &mut state.estimator {
             memory.replace_command(last.thrust_rate.as_slice(), last.joint_torque.as_slice());
         }

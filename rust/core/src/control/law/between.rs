@@ -32,7 +32,7 @@ pub struct JointsBetween {
     pub acceleration: DVector<f64>,
     /// Ticks of the torques since the last tick of the law.
     pub ticks: u32,
-    /// Number of that tick among those of its controller.
+    /// Number of that tick in the flight.
     pub tick_of_law: u64,
 }
 
@@ -52,17 +52,11 @@ impl JointsBetween {
     }
 
     /// Begins at a tick of the law, with what it used and predicts.
-    pub fn begin(
-        &mut self,
-        robot: &RobotState,
-        torque: &[f64],
-        acceleration: DVectorView<f64>,
-        tick_of_law: u64,
-    ) {
+    pub fn begin(&mut self, robot: &RobotState, torque: &[f64], acceleration: DVectorView<f64>) {
         self.position.copy_from(&robot.joint_position);
         self.velocity.as_mut_slice().copy_from_slice(robot.joint_velocity());
         self.replace_torque(torque, acceleration);
-        (self.ticks, self.tick_of_law) = (0, tick_of_law);
+        (self.ticks, self.tick_of_law) = (0, self.tick_of_law + 1);
     }
 
     /// Other torques act, with these accelerations.
