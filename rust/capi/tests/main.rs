@@ -231,7 +231,12 @@ fn fly_both(name: &str) {
             (controller.tick(ours, &measurement), allocated)
         };
         assert_eq!(allocated, 0, "a tick allocates");
-        assert_eq!(status, FlightStatus::FlightNominal);
+        // Commands that are halved let the robot stray.
+        let of_tick = match expected.status {
+            CommandStatus::Degraded => FlightStatus::FlightDegraded,
+            _ => FlightStatus::FlightNominal,
+        };
+        assert_eq!(status, of_tick, "tick {tick}");
         assert_eq!(arrays.thrust_rate, expected.thrust_rate.as_slice(), "tick {tick}");
         assert_eq!(arrays.velocity_command, expected.joint_velocity.as_slice(), "tick {tick}");
         assert_eq!(arrays.torque, expected.joint_torque.as_slice(), "tick {tick}");
@@ -247,7 +252,7 @@ fn fly_both(name: &str) {
                 let (position, velocity) = (position.as_ptr(), velocity.as_ptr());
                 status = unsafe { flight_tick_torques(c.0, position, velocity, &raw const c_command) };
             });
-            assert_eq!((allocated, status), (0, FlightStatus::FlightNominal));
+            assert_eq!((allocated, status), (0, of_tick));
             assert_eq!(arrays.torque, expected.joint_torque.as_slice(), "tick {tick}");
         }
         if tick % 3 == 0 {

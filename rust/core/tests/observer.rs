@@ -257,6 +257,7 @@ fn a_tick_observes_what_its_model_leaves_out() {
     let mut config = experiment("test2_observer");
     // What moves here is no robot.
     (config.controller.law.channels.jump, config.controller.law.engines) = (None, None);
+    config.controller.law.supervisor = None;
     *observer_of(&mut config) = Some(WIDE);
     let mut plain = config.clone();
     *observer_of(&mut plain) = None;

@@ -434,6 +434,7 @@ fn check_mujoco(config: &ScenarioConfig) -> Result<(), BuildError> {
     check_only("simulator.initial.free_fall_tick", &initial.free_fall_tick, &false)?;
     check_only("simulator.sensors", &simulator.sensors, &None)?;
     check_only("simulator.actuation", &simulator.actuation, &None)?;
+    check_only("controller.torque.steps", &config.controller.law.torque.steps, &1)?;
     check_only("disturbances.wind_estimate", &disturbances.wind_estimate, &none.wind_estimate)?;
     check_only("disturbances.aero", &disturbances.aero, &none.aero)?;
     check_only("disturbances.jets", &disturbances.jets, &none.jets)?;

@@ -19,6 +19,7 @@ use episode::Episodes;
 use flight_core::Measurement;
 use flight_core::aero::Precision;
 use flight_core::control::CommandStatus;
+use flight_core::control::Modes;
 use flight_core::control::config::{Fallback, Solver};
 use flight_core::control::guard::wind_observer::WindObserverConfig;
 use flight_io::{AeroConfig, load_robot};
@@ -211,7 +212,8 @@ fn a_tick_of_a_flight_does_not_allocate() {
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
         let found =
             flight.log().series("degraded_modes").unwrap().data.iter().fold(0, |all, x| all | *x as u32);
-        assert_eq!(found, modes, "{what}");
+        // Some of these flights stray.
+        assert_eq!(found & !Modes::STRAYING.bits(), modes, "{what}");
     }
 }
 

@@ -42,7 +42,8 @@ fn completes(lost: Outage, expected: u32, worst_deg: f64) {
     let what = format!("{lost:?}");
     let flight = fly(vec![lost], |_| ());
     assert_eq!(flight.outcome, Outcome::Completed, "{what}: {:?}", flight.loss);
-    assert_eq!(modes(&flight), expected, "{what}");
+    // A flight that leans as far as these may stray.
+    assert_eq!(modes(&flight) & !Modes::STRAYING.bits(), expected, "{what}");
     let rotation = flight.summary.max_rotation_error.to_degrees();
     assert_within!(rotation, worst_deg, because "margin of the flight, not of rounding", "{what}: {rotation} deg");
 }
