@@ -129,9 +129,9 @@ def latency_in_ticks(latency: LatencyConfig, time_step: float) -> tuple[int, tup
     return int(whole), (float(torque - whole), float(thrust - whole))
 
 
-def ticks_of(time: float, time_step: float | Array) -> int:
+def ticks_of(time: float, time_step: float) -> int:
     """Return a time in ticks; half a tick rounds up. Both [s]."""
-    return int(np.floor(time / float(time_step) + 0.5))
+    return int(np.floor(time / time_step + 0.5))
 
 
 def start(settings: Estimator, state: State, jets: int) -> EstimatorState:
