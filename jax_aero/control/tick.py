@@ -280,7 +280,7 @@ def tick(
         memory = _begin_again(params, memory, used, model)
         known = Preview() if preview is None else preview
         memory, followed = law.follow(memory, used, setpoint, known)
-        memory, used, model, _, limits, _, _ = guard.judge(memory, used, model, followed.setpoint, params.limits(robot))
+        memory, used, model, _, limits, _, _ = guard.judge(memory, used, model, followed.due, params.limits(robot))
         memory, rates = law.solve(robot, memory, used, model, limits, followed)
         memory, torque = torques.solve(memory, used, model, limits, rates)
         command = _command(used, rates, torque)

@@ -31,6 +31,8 @@ class Followed(NamedTuple):
     """What the law follows."""
 
     setpoint: Setpoint
+    due: Setpoint
+    """Set-point of when the command acts, as is the state; without a latency it is `setpoint` (M151)."""
     ahead: Int[Array, ""]
     """What it follows after this tick: `MISSION`, `MOTION` or `DESCENT` of the set-point generator."""
     preview: Preview
@@ -121,7 +123,8 @@ class MomentumLaw:
         moved, followed = where(is_descending, down, along)
         usual = generator.MISSION if given is None else generator.MOTION
         ahead = jnp.where(is_descending, generator.DESCENT, usual)
-        return memory._replace(setpoint=moved), Followed(followed, ahead, preview)
+        due = generator.after(followed, self.latency) if self.latency else followed
+        return memory._replace(setpoint=moved), Followed(followed, due, ahead, preview)
 
     def solve(
         self,
@@ -133,7 +136,7 @@ class MomentumLaw:
         followed: Followed,
     ) -> tuple[ControllerState, Rates]:
         """Compute thrust rates and joint velocities that control momentum and attitude."""
-        return self.decide(memory, used, self.prepare(robot, memory, used, model, limits, followed.setpoint))
+        return self.decide(memory, used, self.prepare(robot, memory, used, model, limits, followed))
 
     def prepare(
         self,
@@ -142,18 +145,17 @@ class MomentumLaw:
         used: UsedMeasurement,
         model: Model,
         limits: Limits,
-        setpoint: Setpoint,
+        followed: Followed,
     ) -> Prepared:
         """Build the momentum QP of this tick, with its bounds."""
         state, momentum = used.state, model.momentum
-        ahead = generator.after(setpoint, self.latency) if self.latency else setpoint
-        setpoint, followed = (
+        setpoint, due = (
             where(limits.holds_position, goal, generator.without_place(goal, model.kinematics.com))
-            for goal in (setpoint, ahead)
+            for goal in (followed.setpoint, followed.due)
         )
         attitude = attitude_demand(
             limits.gains,
-            followed,
+            due,
             state.base_rotation,
             state.velocity[3:6],
             momentum.rate_estimate[3:],
@@ -167,7 +169,7 @@ class MomentumLaw:
             model.kinematics,
             model.dynamics,
             momentum,
-            followed,
+            due,
             attitude,
             memory.inertia_0,
             memory.posture,

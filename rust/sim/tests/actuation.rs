@@ -128,7 +128,7 @@ fn late_torques_need_shorter_ticks_or_a_plan() {
     }
 }
 
-/// With a latency that the controller is told, all commands may be 30 ms late, and thrust rates 100 ms.
+/// With a latency that the controller compensates, all commands may be 30 ms late, and thrust rates 100 ms.
 #[test]
 fn a_known_latency_is_compensated() {
     let fly = |name: &str, torque: f64, thrust: f64, is_known: bool| {

@@ -92,7 +92,7 @@ class PredictiveLaw:
         followed: Followed,
     ) -> tuple[ControllerState, Rates]:
         """Compute thrust rates and joint velocities from the plan, which is made anew where that is due."""
-        prepared = self.momentum.prepare(robot, memory, used, model, limits, followed.setpoint)
+        prepared = self.momentum.prepare(robot, memory, used, model, limits, followed)
         structure, last = self.mpc.structure, memory.plan
         if last is None:
             raise AssertionError("a controller with this law has a plan")

@@ -44,6 +44,8 @@ pub struct Terms {
     pub measurement: UsedMeasurement,
     /// Set-point that is followed.
     pub setpoint: Setpoint,
+    /// Set-point of when the command acts, as is the state; without a latency it is `setpoint` (M151).
+    pub due: Setpoint,
     /// Poses, velocities, centre of mass.
     pub kinematics: Kinematics,
     /// Mass matrix, bias, centroidal momentum.
@@ -86,6 +88,7 @@ impl Terms {
             estimates: Estimates { reading, wind: zero, wind_std: zero },
             measurement,
             setpoint: Setpoint::hold(zero, Matrix3::identity()),
+            due: Setpoint::hold(zero, Matrix3::identity()),
             kinematics: Kinematics::new(robot),
             dynamics: Dynamics::new(robot),
             inverse_mass: InverseMass::new(joints),

@@ -381,8 +381,8 @@ impl Stage for SupervisorConfig {
     }
 
     fn judge(&mut self, tick: &mut Tick) {
-        let Terms { measurement, setpoint, kinematics, dynamics, .. } = &mut *tick.terms;
-        let errors = Errors::ahead(self.horizon, &measurement.state, kinematics, dynamics, setpoint);
+        let Terms { measurement, due, kinematics, dynamics, .. } = &mut *tick.terms;
+        let errors = Errors::ahead(self.horizon, &measurement.state, kinematics, dynamics, due);
         if self.update(&mut tick.state.exceeded, measurement.elapsed, &errors) {
             measurement.modes.insert(Modes::STRAYING);
             tick.state.channels.is_descending |= self.descend;

@@ -86,18 +86,17 @@ impl MomentumLaw {
 
     /// Builds the momentum QP of this tick, with its bounds.
     pub fn prepare(&self, state: &ControllerState, terms: &mut Terms) {
-        let Terms { measurement, kinematics, dynamics, momentum, setpoint, .. } = terms;
+        let Terms { measurement, kinematics, dynamics, momentum, setpoint, due, .. } = terms;
         let Terms { limits, attitude, momentum_qp, contact, .. } = terms;
         let (_, moment_estimate) = parts(&momentum.rate_estimate);
         let inertia_0_b = &state.inertia_0_b;
-        let mut followed = if self.latency > 0.0 { setpoint.after(self.latency) } else { *setpoint };
         if !limits.holds_position {
             *setpoint = setpoint.without_place(&kinematics.com);
-            followed = followed.without_place(&kinematics.com);
+            *due = due.without_place(&kinematics.com);
         }
         *attitude = attitude_demand(
             &limits.gains,
-            &followed,
+            due,
             &measurement.state.base.rotation,
             &measurement.state.base_angular_velocity(),
             &moment_estimate,
@@ -110,7 +109,7 @@ impl MomentumLaw {
             kinematics,
             dynamics,
             momentum,
-            setpoint: &followed,
+            setpoint: due,
             attitude,
             inertia_0_b,
             posture: &state.posture,
@@ -167,6 +166,8 @@ impl Law for MomentumLaw {
             }
             Some(_) => self.generator.stop(state),
         };
+        let setpoint = &terms.setpoint;
+        terms.due = if self.latency > 0.0 { setpoint.after(self.latency) } else { *setpoint };
         is_valid
     }
 
