@@ -71,6 +71,7 @@ def counted(monkeypatch):
         row |= {"time": tick * scenario.plant.time_step, "com_position": scenario.wind.velocity}
         row |= {"rotation_error": zeros[0], "thrust": state.plant.jets.thrust, "joint_position": plant.joint_position}
         row |= {"joint_torque": plant.joint_position, "aero_force_sim": zeros[None], "aero_force_control": zeros[None]}
+        row |= {"degraded_modes": zeros[0]}
         return state, sim.FlightRow(**row)
 
     monkeypatch.setattr(batch, "step", step)
