@@ -111,6 +111,7 @@ class Jumps(Struct, frozen=True, kw_only=True):
     position: float = 0.3
     rotation: float = 0.2
     velocity: float = 1.0
+    wind: float = 5.0
 
 
 class ChannelsConfig(Struct, frozen=True, kw_only=True):
@@ -194,6 +195,7 @@ class EstimatorConfig(Struct, frozen=True, kw_only=True):
     base_linear_velocity: ChannelConfig = ChannelConfig()
     base_position: ChannelConfig = ChannelConfig()
     base_rotation: ChannelConfig = ChannelConfig()
+    gyro_bias: float | None = None
     joint_observer: float | None = None
     joint_position: ChannelConfig = ChannelConfig()
     joint_velocity: ChannelConfig = ChannelConfig()
@@ -464,9 +466,16 @@ class EkfConfig(Struct, frozen=True, kw_only=True):
     init_state: tuple[float, float] | None = None
 
 
+class TrembleConfig(Struct, frozen=True, kw_only=True):
+    amplitude: float
+    frequency: float
+
+
 class EncoderConfig(Struct, frozen=True, kw_only=True):
+    bias: tuple[float, ...] = ()
     delay: float = 0.0
     resolution: float = 0.0
+    tremble: TrembleConfig | None = None
     velocity_time_constant: float | None = None
 
 
@@ -540,6 +549,7 @@ class MotorsConfig(Struct, frozen=True, kw_only=True):
 class SensorConfig(Struct, frozen=True, kw_only=True):
     bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
     delay: float = 0.0
+    drift: tuple[float, float, float] = (0.0, 0.0, 0.0)
     noise_std: float = 0.0
 
 

@@ -1,8 +1,8 @@
 """Simulated sensors: pose and velocity of the base, joints, thrusts; and the wind ahead.
 
 ```text
-truth ──► delay ──► + bias + noise ──► measured state and thrusts
-joints ──► delay ──► steps of the encoder ──► differences ──► low pass
+truth ──► delay ──► + bias + drift + noise ──► measured state and thrusts
+joints ──► delay ──► + bias + tremble ──► steps of the encoder ──► differences ──► low pass
 ```
 
 Noise is drawn before the flight. All sizes, and whether encoders differentiate, are numbers; the length of the delay
@@ -35,12 +35,18 @@ class Sensors:
 
     bias: Float[Array, "4 3"]
     """Bias of base position, rotation, linear and angular velocity [m, rad, m/s, rad/s]."""
+    drift: Float[Array, "4 3"]
+    """Change of the biases per second."""
     noise_std: Float[Array, "4"]
     """Standard deviations of the noise of the same quantities."""
     age: Int[Array, "6"]
     """Ages of the same quantities, of joints and of thrusts [ticks]."""
     noise: Float[Array, "ticks drawn"]
     """Noise of unit standard deviation: four sensors with three axes, then jets."""
+    joint_bias: Float[Array, " n"]
+    """Bias of joint positions [rad, m]."""
+    tremble: Float[Array, "2"]
+    """Amplitude and angular frequency of an oscillation of all measured joint positions [rad, rad/s]."""
     resolution: Float[Array, ""]
     """Resolution of joint positions [rad, m]; zero for exact ones."""
     is_difference: Bool[Array, ""]
@@ -68,8 +74,9 @@ class SensorState(NamedTuple):
     """Output of the last tick."""
 
 
-def sensors(config: SensorsConfig, time_step: Float[Array, ""], ticks: int, jets: int) -> Sensors:
+def sensors(config: SensorsConfig, time_step: Float[Array, ""], ticks: int, joints: int, jets: int) -> Sensors:
     """Return the sensors of a flight of `ticks` ticks. Call it outside loops, since it draws noise."""
+    tremble = config.joints.tremble
     base = (config.base_position, config.base_rotation, config.base_linear_velocity, config.base_angular_velocity)
     delays = [*(sensor.delay for sensor in base), config.joints.delay, config.thrust.delay]
     age = np.floor(np.asarray(delays) / np.asarray(time_step) + 0.5).astype(np.int32)  # half a tick rounds up
@@ -77,9 +84,12 @@ def sensors(config: SensorsConfig, time_step: Float[Array, ""], ticks: int, jets
     width, last = 12 + jets, int(np.floor(config.wind_preview / np.asarray(time_step) + 0.5))
     return Sensors(
         bias=leaf([sensor.bias for sensor in base]),
+        drift=leaf([sensor.drift for sensor in base]),
         noise_std=leaf([sensor.noise_std for sensor in base]),
         age=jnp.asarray(age),
         noise=jnp.asarray(noise.normals(config.seed, STREAM, width * (ticks + 1)).reshape(-1, width)),
+        joint_bias=leaf(np.asarray(config.joints.bias or np.zeros(joints))),
+        tremble=leaf([0.0, 0.0] if tremble is None else [tremble.amplitude, 2.0 * np.pi * tremble.frequency]),
         resolution=leaf(config.joints.resolution),
         is_difference=jnp.asarray(time_constant is not None),
         share=leaf(-np.expm1(-np.asarray(time_step) / time_constant) if time_constant else 1.0),
@@ -105,16 +115,23 @@ def read(errors: Sensors, before: SensorState, truth: Reading, tick: Int[Array, 
         return past
 
     drawn = errors.noise[jnp.minimum(tick, errors.noise.shape[0] - 1)]
-    position, rotation, linear, angular = errors.bias + errors.noise_std[:, None] * drawn[:12].reshape(4, 3)
+    time = tick * errors.time_step
+    position, rotation, linear, angular = (
+        errors.bias + time * errors.drift + errors.noise_std[:, None] * drawn[:12].reshape(4, 3)
+    )
     base_rotation = multiply(past_state(1).base_rotation, exp_so3(rotation))
     turning = past_state(3)
     gyro = turning.base_rotation.T @ turning.velocity[3:6] + angular
 
     joints, last = past_state(4), before.said.state
+    # The phase of each joint is a radian behind that of the one before.
+    amplitude, rate = errors.tremble
+    phase = rate * time - jnp.arange(errors.joint_bias.shape[0])
+    measured = joints.joint_position + (errors.joint_bias + amplitude * jnp.sin(phase))
     # Multiplied by the reciprocal explicitly, as XLA does: ties must round equally in both languages.
-    steps = joints.joint_position * (1.0 / jnp.where(errors.resolution > 0.0, errors.resolution, 1.0))
+    steps = measured * (1.0 / jnp.where(errors.resolution > 0.0, errors.resolution, 1.0))
     rounded = errors.resolution * jnp.sign(steps) * jnp.floor(jnp.abs(steps) + 0.5)  # halves away from zero
-    joint_position = jnp.where(errors.resolution > 0.0, rounded, joints.joint_position)
+    joint_position = jnp.where(errors.resolution > 0.0, rounded, measured)
     was = last.velocity[6:]
     moved = was + errors.share * ((joint_position - last.joint_position) / errors.time_step - was)
     joint_velocity = jnp.where(errors.is_difference & (tick > 0), moved, joints.velocity[6:])

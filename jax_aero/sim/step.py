@@ -267,7 +267,9 @@ def prepare(
         controller_model=model,
         controller_wind=controller_wind,
         wind_estimate=errors,
-        sensors=None if settings is None else sensing.sensors(settings, plant.time_step, ticks, robot.jets.count),
+        sensors=None
+        if settings is None
+        else sensing.sensors(settings, plant.time_step, ticks, robot.n_joints, robot.jets.count),
         outages=outages_of(config.disturbances.outages, robot),
         n_ticks=jnp.array(ticks, jnp.int32),
         precision="",

@@ -20,9 +20,15 @@ SENSORS = {
     "seed": 3,
     "base_position": {"bias": [0.01, 0.0, 0.02], "noise_std": 0.003, "delay": 0.02},
     "base_rotation": {"bias": [0.003, 0.002, 0.0], "noise_std": 0.002, "delay": 0.01},
-    "base_linear_velocity": {"bias": [0.0, 0.01, 0.0], "noise_std": 0.004, "delay": 0.034},
+    "base_linear_velocity": {"bias": [0.0, 0.01, 0.0], "drift": [0.02, 0.0, -0.03], "noise_std": 0.004, "delay": 0.034},
     "base_angular_velocity": {"bias": [0.001, -0.002, 0.001], "noise_std": 0.002},
-    "joints": {"resolution": 5e-4, "velocity_time_constant": 0.02, "delay": 0.01},
+    "joints": {
+        "bias": [0.001 * joint for joint in range(23)],
+        "tremble": {"amplitude": 0.002, "frequency": 7.0},
+        "resolution": 5e-4,
+        "velocity_time_constant": 0.02,
+        "delay": 0.01,
+    },
     "thrust": {"bias": 0.2, "noise_std": 0.1, "delay": 0.02},
 }
 
@@ -39,7 +45,7 @@ def test_both_read_the_same(x64, measured):
     config = scenario_config(table)
     truth = Reading(states_of(flown.log, slice(None)), jnp.asarray(flown["thrust"]))
     ticks = len(flown["time"])
-    errors = sensors(config.simulator.sensors, jnp.asarray(config.simulator.time_step), ticks - 1, 4)
+    errors = sensors(config.simulator.sensors, jnp.asarray(config.simulator.time_step), ticks - 1, 23, 4)
     before = start(errors, jax.tree.map(lambda x: x[0], truth))
 
     def tick(state, now):

@@ -322,12 +322,13 @@ impl Flight {
         let period = *time_step / f64::from(plant.torque_steps());
         plant.advance_in_steps(thrust_rate, &wind, *time_step, |part, robot, torque| {
             if part > 0 {
+                let after = f64::from(part) * period;
                 let truth = (robot.joint_position.as_slice(), robot.joint_velocity());
                 let (position, velocity) =
-                    sensors.as_mut().map_or(truth, |sensors| sensors.read_joints(robot));
+                    sensors.as_mut().map_or(truth, |sensors| sensors.read_joints(robot, after));
                 sample.state.joint_position.as_mut_slice().copy_from_slice(position);
                 sample.state.velocity.as_mut_slice()[6..].copy_from_slice(velocity);
-                outages.spoil(time + f64::from(part) * period, sample);
+                outages.spoil(time + after, sample);
                 let position = sample.state.joint_position.as_slice();
                 controller.tick_torques(
                     state,

@@ -1,8 +1,8 @@
 //! Simulated sensors: pose and velocity of the base, joints, thrusts; and the wind ahead.
 //!
 //! ```text
-//! truth ──► delay ──► + bias + noise ──► Measurement::{state, thrust}
-//! joints ──► delay ──► quantisation of the encoder ──► differences ──► low pass
+//! truth ──► delay ──► + bias + drift + noise ──► Measurement::{state, thrust}
+//! joints ──► delay ──► + bias + tremble ──► quantisation of the encoder ──► differences ──► low pass
 //! ```
 //!
 //! Equations M88 to M90 of `docs/model.md`.
@@ -55,6 +55,8 @@ pub struct SensorsConfig {
 pub struct SensorConfig {
     /// Bias of every measurement.
     pub bias: [f64; 3],
+    /// Change of the bias per second.
+    pub drift: [f64; 3],
     /// Standard deviation of white noise on every axis, drawn in every tick.
     #[schemars(range(min = 0))]
     pub noise_std: f64,
@@ -67,6 +69,11 @@ pub struct SensorConfig {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct EncoderConfig {
+    /// Bias of the position of every joint \[rad, m\]; empty for none.
+    pub bias: Vec<f64>,
+    /// Oscillation of the measured positions.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tremble: Option<TrembleConfig>,
     /// Quantisation step of the positions \[rad, m\]; zero for none.
     #[schemars(range(min = 0))]
     pub resolution: f64,
@@ -78,6 +85,35 @@ pub struct EncoderConfig {
     /// Age of the measurement, rounded to ticks \[s\].
     #[schemars(range(min = 0, max = 1))]
     pub delay: f64,
+}
+
+/// An oscillation of the measured positions of all joints, not of velocities that are measured directly; the phase of
+/// each is a radian behind that of the one before.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TrembleConfig {
+    /// Amplitude \[rad, m\].
+    #[schemars(range(min = 0))]
+    pub amplitude: f64,
+    /// Frequency \[Hz\].
+    #[schemars(range(min = 0))]
+    pub frequency: f64,
+}
+
+impl EncoderConfig {
+    /// A joint's position \[rad, m\] as it is measured at `time` \[s\] (M90).
+    fn measured(&self, joint: usize, position: f64, time: f64) -> f64 {
+        let trembling = self.tremble.map_or(0.0, |tremble| tremble.of(joint, time));
+        let error = self.bias.get(joint).copied().unwrap_or(0.0) + trembling;
+        quantised(position + error, self.resolution)
+    }
+}
+
+impl TrembleConfig {
+    /// Error of a joint at `time` \[s\].
+    fn of(self, joint: usize, time: f64) -> f64 {
+        self.amplitude * (std::f64::consts::TAU * self.frequency * time - joint as f64).sin()
+    }
 }
 
 /// Thrust sensors, equal for all jets.
@@ -117,8 +153,19 @@ impl SensorsConfig {
                 let expected = format!("three finite numbers in {unit}");
                 table.check(&format!("{key}.bias"), bias, |_| true, &expected)?;
             }
+            for drift in sensor.drift {
+                let expected = format!("three finite numbers in {unit}/s");
+                table.check(&format!("{key}.drift"), drift, |_| true, &expected)?;
+            }
             size(&format!("{key}.noise_std"), sensor.noise_std, unit)?;
             age(&format!("{key}.delay"), sensor.delay)?;
+        }
+        for bias in &self.joints.bias {
+            table.check("joints.bias", *bias, |_| true, "finite numbers in rad or m")?;
+        }
+        if let Some(tremble) = &self.joints.tremble {
+            size("joints.tremble.amplitude", tremble.amplitude, "rad or m")?;
+            size("joints.tremble.frequency", tremble.frequency, "Hz")?;
         }
         size("joints.resolution", self.joints.resolution, "rad or m")?;
         let time_constant = self.joints.velocity_time_constant.unwrap_or(0.0);
@@ -155,7 +202,8 @@ pub struct Sensors {
     /// The last ticks, a ring buffer; `now` is the latest.
     line: Vec<Reading>,
     now: usize,
-    is_started: bool,
+    /// Number of readings so far.
+    readings: u32,
     reading: Reading,
     /// Positions and velocities of the joints between two ticks.
     joints: (Vec<f64>, Vec<f64>),
@@ -167,7 +215,7 @@ impl Sensors {
     /// Sensors of a robot with the given numbers of joints and jets, read every `time_step` \[s\].
     ///
     /// # Errors
-    /// As [`SensorsConfig::check`].
+    /// As [`SensorsConfig::check`]; also where the biases of joints are not one for each.
     pub fn new(
         config: &SensorsConfig,
         time_step: f64,
@@ -175,6 +223,15 @@ impl Sensors {
         jets: usize,
     ) -> Result<Self, BuildError> {
         config.check()?;
+        let biases = config.joints.bias.len();
+        if biases != 0 && biases != joints {
+            let expected = format!("{joints}, one for each joint, or none");
+            return Err(BuildError::bad_value(
+                "simulator.sensors.joints.bias",
+                format!("{biases} numbers"),
+                expected,
+            ));
+        }
         let SensorsConfig {
             base_position, base_rotation, base_linear_velocity, base_angular_velocity, ..
         } = config;
@@ -191,7 +248,7 @@ impl Sensors {
             noise: Noise::new(config.seed, STREAM),
             line: vec![nothing.clone(); oldest + 1],
             now: 0,
-            is_started: false,
+            readings: 0,
             reading: nothing,
             joints: (vec![0.0; joints], vec![0.0; joints]),
             wind_ahead: match age(config.wind_preview, time_step) {
@@ -209,13 +266,14 @@ impl Sensors {
         &self.wind_ahead
     }
 
-    /// Reads the encoders between two ticks: positions \[rad, m\], and velocities \[rad/s, m/s\], which are not finite if
-    /// they are measured by a low pass of the ticks. Does not allocate.
-    pub fn read_joints(&mut self, state: &RobotState) -> (&[f64], &[f64]) {
-        let Self { config, joints: (positions, velocities), .. } = self;
+    /// Reads the encoders `after` the last tick \[s\]: positions \[rad, m\], and velocities \[rad/s, m/s\], which are not
+    /// finite if they are measured by a low pass of the ticks. Does not allocate.
+    pub fn read_joints(&mut self, state: &RobotState, after: f64) -> (&[f64], &[f64]) {
+        let Self { config, time_step, readings, joints: (positions, velocities), .. } = self;
+        let time = f64::from(readings.saturating_sub(1)) * *time_step + after;
         let are_filtered = config.joints.velocity_time_constant.is_some();
         for (joint, position) in state.joint_position.iter().enumerate() {
-            positions[joint] = quantised(*position, config.joints.resolution);
+            positions[joint] = config.joints.measured(joint, *position, time);
             velocities[joint] = if are_filtered { f64::NAN } else { state.velocity[6 + joint] };
         }
         (positions, velocities)
@@ -226,9 +284,10 @@ impl Sensors {
     /// Until a delay has passed, the first state is measured; the low pass of the joints starts in its steady state.
     pub fn read(&mut self, state: &RobotState, thrust: &[f64]) -> &Reading {
         let Self { config, time_step, line, reading, noise, .. } = self;
+        let (is_started, time) = (self.readings > 0, f64::from(self.readings) * *time_step);
         self.now = (self.now + 1) % line.len();
         for (place, tick) in line.iter_mut().enumerate() {
-            if place == self.now || !self.is_started {
+            if place == self.now || !is_started {
                 tick.copy(state, thrust);
             }
         }
@@ -236,7 +295,7 @@ impl Sensors {
         let then = |delay: f64| &line[(now + length - age(delay, *time_step)) % length];
         let mut errors = |sensor: &SensorConfig| {
             let drawn = Vector3::from_fn(|_, _| noise.normal());
-            Vector3::from(sensor.bias) + sensor.noise_std * drawn
+            Vector3::from(sensor.bias) + time * Vector3::from(sensor.drift) + sensor.noise_std * drawn
         };
 
         reading.state.base.position =
@@ -255,10 +314,10 @@ impl Sensors {
         let joints = &then(config.joints.delay).state;
         let velocities = &mut reading.state.velocity.as_mut_slice()[6..];
         for (joint, velocity) in velocities.iter_mut().enumerate() {
-            let (before, position) = (reading.state.joint_position[joint], joints.joint_position[joint]);
-            let position = quantised(position, config.joints.resolution);
+            let before = reading.state.joint_position[joint];
+            let position = config.joints.measured(joint, joints.joint_position[joint], time);
             reading.state.joint_position[joint] = position;
-            let is_difference = self.is_started && config.joints.velocity_time_constant.is_some();
+            let is_difference = is_started && config.joints.velocity_time_constant.is_some();
             *velocity = if is_difference {
                 *velocity + self.share * ((position - before) / *time_step - *velocity)
             } else {
@@ -270,7 +329,7 @@ impl Sensors {
         for (measured, thrust) in reading.thrust.iter_mut().zip(thrusts) {
             *measured = thrust + config.thrust.bias + config.thrust.noise_std * noise.normal();
         }
-        self.is_started = true;
+        self.readings = self.readings.saturating_add(1);
         &self.reading
     }
 }

@@ -7,7 +7,7 @@ use crate::common::{assert_within, random_state, rng, robot};
 use flight_core::Reading;
 use flight_core::kinematics::RobotState;
 use flight_core::spatial::exp_so3;
-use flight_sim::sensors::{EncoderConfig, SensorConfig, ThrustSensorConfig};
+use flight_sim::sensors::{EncoderConfig, SensorConfig, ThrustSensorConfig, TrembleConfig};
 use flight_sim::{Sensors, SensorsConfig};
 use nalgebra::Vector3;
 
@@ -61,7 +61,11 @@ fn errors(state: &RobotState, thrust: &[f64], said: &Reading) -> [Vector3<f64>; 
 
 #[test]
 fn bias_and_noise_are_what_they_say() {
-    let of = |size: f64| SensorConfig { bias: [size, -2.0 * size, 0.5 * size], noise_std: size, delay: 0.0 };
+    let of = |size: f64| SensorConfig {
+        bias: [size, -2.0 * size, 0.5 * size],
+        noise_std: size,
+        ..SensorConfig::default()
+    };
     let config = SensorsConfig {
         base_position: of(0.03),
         base_rotation: of(0.001),
@@ -155,6 +159,43 @@ fn encoders_have_steps() {
     assert_eq!(said.state.joint_velocity(), state.joint_velocity());
 }
 
+/// A bias that grows, encoders that are off, and joints that seem to tremble.
+#[test]
+fn errors_grow_and_tremble() {
+    let (frequency, amplitude, bias) = (3.0, 0.01, vec![0.1, -0.2, 0.3, 0.0, 0.05]);
+    let config = SensorsConfig {
+        base_angular_velocity: SensorConfig {
+            bias: [0.1, 0.0, 0.0],
+            drift: [0.0, 0.2, -0.3],
+            ..Default::default()
+        },
+        joints: EncoderConfig {
+            bias: bias.clone(),
+            tremble: Some(TrembleConfig { amplitude, frequency }),
+            ..EncoderConfig::default()
+        },
+        ..SensorsConfig::default()
+    };
+    let (state, thrust) = motion(1).remove(0);
+    let mut sensors = sensors(&config);
+    for tick in 0..30_u32 {
+        let (time, said) = (f64::from(tick) * STEP, sensors.read(&state, &thrust).clone());
+        let turned = gyro(&said.state) - gyro(&state) - Vector3::new(0.1, 0.2 * time, -0.3 * time);
+        assert_within!(turned.amax(), 1e-13, because "a few products of order one", "tick {tick}");
+        let after = 0.3 * STEP;
+        let (between, velocities) = sensors.read_joints(&state, after);
+        for (joint, bias) in bias.iter().enumerate() {
+            let positions = [(time, said.state.joint_position[joint]), (time + after, between[joint])];
+            for (time, position) in positions {
+                let phase = std::f64::consts::TAU * frequency * time - joint as f64;
+                let moved = position - state.joint_position[joint];
+                assert_within!((moved - bias - amplitude * phase.sin()).abs(), 1e-13, because "as above");
+            }
+            assert_eq!([said.state.velocity[6 + joint], velocities[joint]], [state.velocity[6 + joint]; 2]);
+        }
+    }
+}
+
 /// Joints that start to turn at 2 rad/s: the measured velocity goes there with the time constant.
 #[test]
 fn encoder_velocities_are_filtered_differences() {
@@ -177,7 +218,7 @@ fn encoder_velocities_are_filtered_differences() {
 #[test]
 fn bad_sensors_are_refused_by_name() {
     type Change = fn(&mut SensorsConfig);
-    let refusals: [(&str, Change); 10] = [
+    let refusals: [(&str, Change); 15] = [
         ("base_position.bias is NaN; expected three finite numbers in m", |c| {
             c.base_position.bias[1] = f64::NAN;
         }),
@@ -188,6 +229,19 @@ fn bad_sensors_are_refused_by_name() {
             c.base_linear_velocity.delay = 2.0;
         }),
         ("base_angular_velocity.delay is -0.1", |c| c.base_angular_velocity.delay = -0.1),
+        ("base_position.drift is inf; expected three finite numbers in m/s", |c| {
+            c.base_position.drift[2] = f64::INFINITY;
+        }),
+        ("joints.bias is NaN", |c| c.joints.bias = vec![f64::NAN; 5]),
+        ("joints.bias is 2 numbers; expected 5, one for each joint, or none", |c| {
+            c.joints.bias = vec![0.1; 2]
+        }),
+        ("joints.tremble.amplitude is -1; expected a number ≥ 0 in rad or m", |c| {
+            c.joints.tremble = Some(TrembleConfig { amplitude: -1.0, frequency: 3.0 });
+        }),
+        ("joints.tremble.frequency is NaN; expected a number ≥ 0 in Hz", |c| {
+            c.joints.tremble = Some(TrembleConfig { amplitude: 1.0, frequency: f64::NAN });
+        }),
         ("joints.resolution is -1", |c| c.joints.resolution = -1.0),
         ("joints.velocity_time_constant is -1", |c| c.joints.velocity_time_constant = Some(-1.0)),
         ("joints.delay is 1.5", |c| c.joints.delay = 1.5),
