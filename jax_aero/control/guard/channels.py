@@ -1,10 +1,10 @@
 """Measurements in which missing or implausible channels are replaced by predictions.
 
 The model predicts every channel from its last value to this tick. A measured value is used if it is finite and within
-its accepted range. Values of joints and base must also be near the prediction and must not be frozen, that is,
-bit-identical for several ticks while the prediction moves away. Otherwise the prediction is used and the channel's age
-grows. The first measurements of a flight may be the wrong ones: where more of the following ones contradict the
-prediction, and agree with each other, than it rests on, the flight begins again from them.
+its accepted range. Values of wind, joints and base must also be near the prediction, and those of joints and base must
+not be frozen, that is, bit-identical for several ticks while the prediction moves away. Otherwise the prediction is
+used and the channel's age grows. The first measurements of a flight may be the wrong ones: where more of the following
+ones contradict the prediction, and agree with each other, than it rests on, the flight begins again from them.
 
 All numbers of a measurement form one vector of `E` entries, see `Layout`. Each entry belongs to one of `C` channels.
 
@@ -176,7 +176,7 @@ def channel_limits(controller: ControllerSection, robot: RobotModel, divergence:
     # By default every value that a flight can reach before it counts as diverged is accepted.
     is_wild = any(map(operator.gt, astuple(divergence), astuple(DivergenceConfig())))
     free = dict.fromkeys(
-        ("joint_position", "joint_velocity", "position", "rotation", "velocity", "angular_velocity"), np.inf
+        ("wind", "joint_position", "joint_velocity", "position", "rotation", "velocity", "angular_velocity"), np.inf
     )
     near = Jumps(**free) if config.jump is None else config.jump
 
@@ -197,7 +197,7 @@ def channel_limits(controller: ControllerSection, robot: RobotModel, divergence:
         velocity_gain=leaf(config.velocity_gain),
         descend_after=leaf(config.descend_after),
         greatest=entries(most.wind, leaf(most.thrust * thrust_max), 2.0, most),
-        jump=entries(np.inf, leaf(np.full(thrust_max.shape, np.inf)), near.rotation, near),
+        jump=entries(near.wind, leaf(np.full(thrust_max.shape, np.inf)), near.rotation, near),
         compares=config.jump is not None,
         needs_joint_velocity=estimator is None or estimator.joint_observer is None,
         may_predict=config.jump is not None or most != Greatest() or is_wild,
@@ -271,6 +271,7 @@ class _Verdict(NamedTuple):
     is_measured: Bool[Array, " C"]
     """Whether it is accepted as measured."""
     is_frozen: Bool[Array, " C"]
+    is_distrusted: Bool[Array, " C"]
     is_same: Bool[Array, " C"]
     """Whether its bits are those of the last tick."""
     same: Int[Array, " C"]
@@ -291,30 +292,38 @@ def _judge(
 
     is_same = memory.is_begun & all_entries(now == memory.last)
     same = jnp.where(is_same, memory.same + 1, 0)
-    is_plausible = all_entries(jnp.abs(now) <= limits.greatest) & ~memory.is_distrusted
+    is_plausible = all_entries(jnp.abs(now) <= limits.greatest)
     rotation = layout.place(layout.rotation)
     is_turned = is_plausible[rotation] & is_rotation(now[layout.rotation].reshape(3, 3))
     is_plausible = is_plausible.at[rotation].set(is_turned)
     if not limits.compares:
         never = jnp.zeros_like(is_plausible)
-        return _Verdict(is_plausible, memory.is_frozen, is_same, same, memory.support, memory.against, never)
+        is_accepted = is_plausible & ~memory.is_distrusted
+        return _Verdict(
+            is_accepted, memory.is_frozen, memory.is_distrusted, is_same, same, memory.support, memory.against, never
+        )
     distance = jnp.abs(now - predicted)
     # A change during a pause does not count as a jump.
     width = jnp.where(memory.support > 1, 1.0, limits.confirmation)
     gate = width + limits.widening * memory.age + missed_ticks
     # The first measurement is what it is compared with.
     is_near = all_entries(distance <= gate[layout.owner] * limits.jump) | ~memory.is_begun
-    # The same bits are no other measurement.
+    # Of joints and base the same bits are no other measurement.
+    counts = ~is_same | ~layout.is_vital
     agrees = (memory.against > 0) & all_entries(jnp.abs(now - memory.last) <= limits.jump)
     run = jnp.where(is_plausible & ~is_near, 1 + jnp.where(agrees, memory.against, 0), 0)
-    against = jnp.where(is_same, memory.against, run)
-    leaves = (same >= limits.frozen_ticks) & ~all_entries(distance <= FROZEN_SHARE * limits.jump)
+    against = jnp.where(counts, run, memory.against)
+    # The prediction of a wind does not move.
+    leaves = (same >= limits.frozen_ticks) & ~all_entries(distance <= FROZEN_SHARE * limits.jump) & layout.is_vital
     is_frozen = is_same & (memory.is_frozen | leaves)
-    is_outvoted = (against > memory.support) & ~is_frozen
-    is_accepted = is_plausible & is_near & ~is_frozen | is_outvoted
-    support = jnp.where(is_outvoted, against, memory.support + (is_accepted & ~is_same))
+    is_doubted = is_plausible & ~is_near & (memory.age > limits.wind_hold)
+    wind = np.arange(len(layout.channels)) == layout.place(layout.wind)
+    is_distrusted = memory.is_distrusted | is_doubted & wind
+    is_outvoted = (against > memory.support) & ~is_frozen & ~is_distrusted
+    is_accepted = is_plausible & is_near & ~is_frozen & ~is_distrusted | is_outvoted
+    support = jnp.where(is_outvoted, against, memory.support + (is_accepted & counts))
     against = jnp.where(is_outvoted, 0, against)
-    return _Verdict(is_accepted, is_frozen, is_same, same, support, against, is_outvoted)
+    return _Verdict(is_accepted, is_frozen, is_distrusted, is_same, same, support, against, is_outvoted)
 
 
 def update(
@@ -375,7 +384,7 @@ def update(
         modes += jnp.where(jnp.any(~is_measured[of_channels == mode]), int(mode), 0)
     modes += jnp.where(~is_measured[of_wind] & (left <= 0.0), MODES["wind_lost"], 0)
     modes += jnp.where(is_descending, MODES["descending"], 0)
-    modes += jnp.where(jnp.any(verdict.is_outvoted), MODES["begun_again"], 0)
+    modes += jnp.where(jnp.any(verdict.is_outvoted & layout.is_vital), MODES["begun_again"], 0)
 
     after = memory._replace(
         time=clock.time,
@@ -385,6 +394,7 @@ def update(
         support=verdict.support,
         against=verdict.against,
         is_frozen=verdict.is_frozen,
+        is_distrusted=verdict.is_distrusted,
         last=measured,
         predicted=predicted,
         is_begun=jnp.array(True),

@@ -138,7 +138,7 @@ fn numbers_that_mean_nothing_are_refused_by_key() {
     let shipped = serde_json::to_value(with_jumps()).unwrap();
     let mut keys = vec![];
     leaves(&shipped, "", &mut keys);
-    assert_eq!(keys.len(), 22, "{keys:?}");
+    assert_eq!(keys.len(), 23, "{keys:?}");
     for key in keys {
         let may_be_zero =
             ["/wind_hold", "/widening", "/velocity_gain", "/descend_after"].contains(&key.as_str());
@@ -366,6 +366,32 @@ fn a_frozen_velocity_is_recognised() {
     assert!(!rig.tick(|sample| sample.state.velocity[0] += 0.1).modes.contains(Modes::VELOCITY_PREDICTED));
 }
 
+/// A wind that jumps by more than gusts do is held, and used again where it has become plausible: within a jump, or as
+/// far as it may have changed since; one that is beyond for as long as a wind is held is a wrong sensor, to the end.
+#[test]
+fn a_wind_that_jumps_is_not_used() {
+    for (jump, back, accepted) in
+        [(50.0, 0.5, Some(0.5)), (50.0, 2.0, None), (8.0, 9.0, Some(0.6)), (4.0, 9.0, Some(0.0))]
+    {
+        let mut rig = Rig::new(&with_confirmation());
+        for _ in 0..100 {
+            assert!(!rig.tick(|_| ()).modes.contains(Modes::WIND_HELD));
+        }
+        let mut first = None;
+        for tick in 0..900_i32 {
+            let age = f64::from(tick) * STEP;
+            let used = rig.tick(|sample| sample.wind.x += if age < back { jump } else { 0.0 });
+            let is_used = !used.modes.contains(Modes::WIND_HELD);
+            assert!(!used.modes.contains(Modes::BEGUN_AGAIN));
+            if is_used && first.is_none() {
+                first = Some(age);
+            }
+        }
+        let later = first.zip(accepted).is_none_or(|(found, expected)| (found - expected).abs() < 1.5 * STEP);
+        assert!(first.is_some() == accepted.is_some() && later, "{jump} m/s: {first:?}");
+    }
+}
+
 /// A robot that stands still is not frozen, and a wind that does not change is not either.
 #[test]
 fn standing_still_is_not_frozen() {
@@ -375,7 +401,7 @@ fn standing_still_is_not_frozen() {
     rig.state.thrust_rate.fill(0.0);
     rig.tick(|sample| sample.state.base.position.x += 1e-9);
     for _ in 0..50 {
-        assert!(rig.tick(|_| ()).modes.is_empty());
+        assert!(!rig.tick(|_| ()).modes.contains(Modes::WIND_HELD));
     }
 }
 

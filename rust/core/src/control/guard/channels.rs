@@ -1,9 +1,9 @@
 //! Channels of the measurement: missing or implausible values are replaced by predictions.
 //!
 //! The model advances the last value of every channel to this tick (`ChannelsState::predict`). A measured value is
-//! used if it is finite and within its accepted range; for joints and base it must also be near the prediction and not
-//! frozen, that is, with the same bits for several ticks while the prediction moves away. Otherwise the prediction is
-//! used, and the age of the channel grows. The first measurements of a flight may be the wrong ones: where more of the
+//! used if it is finite and within its accepted range; for wind, joints and base it must also be near the prediction,
+//! and for joints and base not frozen, that is, with the same bits for several ticks while the prediction moves away.
+//! Otherwise the prediction is used, and the age of the channel grows. The first measurements of a flight may be the wrong ones: where more of the
 //! following ones contradict the prediction, and agree with each other, than it rests on, the flight begins again from
 //! them.
 //!
@@ -66,12 +66,13 @@ impl Channels {
         let layout = Layout::new(jets, joints, feet);
         let most = &config.greatest;
         let near = config.jump.clone().unwrap_or(Jumps::NONE);
-        let mut greatest = vec![most.wind; layout.len()];
+        let mut greatest = vec![f64::INFINITY; layout.len()];
         let mut jump = vec![f64::INFINITY; layout.len()];
         for (entry, jet) in layout.thrust.clone().zip(&robot.jets) {
             greatest[entry] = most.thrust * jet.thrust_max;
         }
         for (range, most, near) in [
+            (&layout.wind, most.wind, near.wind),
             (&layout.joint_position, most.joint_position, near.joint_position),
             (&layout.joint_velocity, most.joint_velocity, near.joint_velocity),
             (&layout.linear_velocity, most.velocity, near.velocity),
@@ -283,21 +284,28 @@ impl Channels {
         let width = if channel.support > 1 { 1.0 } else { self.config.confirmation };
         let gate = width + self.config.widening * channel.age + missed_ticks;
         let is_sound = is_plausible && is_near(predicted, gate);
-        // The same bits are no other measurement.
-        if !is_same {
+        // Of joints and base the same bits are no other measurement.
+        let counts = !is_same || !kind.is_vital();
+        if counts {
             let agrees = channel.against > 0 && is_near(last, 1.0);
             channel.against =
                 u32::from(is_plausible && !is_sound) * (1 + u32::from(agrees) * channel.against);
         }
         let is_outvoted = channel.against > channel.support;
-        let leaves = channel.same >= self.config.frozen_ticks && !is_near(predicted, FROZEN_SHARE);
+        channel.is_distrusted |=
+            *kind == Kind::Wind && is_plausible && !is_sound && channel.age > self.config.wind_hold;
+        // The prediction of a wind does not move.
+        let leaves =
+            kind.is_vital() && channel.same >= self.config.frozen_ticks && !is_near(predicted, FROZEN_SHARE);
         channel.is_frozen = is_same && (channel.is_frozen || leaves);
         if (is_sound || is_outvoted) && !channel.is_frozen && !channel.is_distrusted {
             channel.age = 0.0;
             if is_outvoted {
                 (channel.support, channel.against) = (channel.against, 0);
-                modes.insert(Modes::BEGUN_AGAIN);
-            } else if !is_same {
+                if kind.is_vital() {
+                    modes.insert(Modes::BEGUN_AGAIN);
+                }
+            } else if counts {
                 channel.support = channel.support.saturating_add(1);
             }
             // For joints and base the prediction continues, to be compared with a value that may be frozen.

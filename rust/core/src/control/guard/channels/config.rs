@@ -72,11 +72,14 @@ pub struct Greatest {
     pub foot_moment: f64,
 }
 
-/// Greatest accepted differences from the prediction. Wind, thrusts and feet have no limit.
+/// Greatest accepted differences from the prediction. Thrusts and feet have no limit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Jumps {
+    /// Wind \[m/s\]: more than a gust changes in a tick. A wind that is beyond for `wind_hold` is not used any more.
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub wind: f64,
     /// Joint position \[rad, m\].
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub joint_position: f64,
@@ -132,6 +135,7 @@ impl Default for Greatest {
 impl Jumps {
     /// No limits.
     pub(super) const NONE: Self = Self {
+        wind: f64::INFINITY,
         joint_position: f64::INFINITY,
         joint_velocity: f64::INFINITY,
         position: f64::INFINITY,
@@ -144,6 +148,7 @@ impl Jumps {
 impl Default for Jumps {
     fn default() -> Self {
         Self {
+            wind: 5.0,
             joint_position: 0.5,
             joint_velocity: 30.0,
             position: 0.3,
@@ -183,6 +188,7 @@ impl ChannelsConfig {
             ("greatest.angular_velocity", greatest.angular_velocity),
             ("greatest.foot_force", greatest.foot_force),
             ("greatest.foot_moment", greatest.foot_moment),
+            ("jump.wind", jump.wind),
             ("jump.joint_position", jump.joint_position),
             ("jump.joint_velocity", jump.joint_velocity),
             ("jump.position", jump.position),
