@@ -11,6 +11,7 @@ Equations M31 to M35 of `docs/model.md`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol, assert_never
 
 import jax.numpy as jnp
@@ -190,13 +191,8 @@ def jet_dynamics(settings: JetsConfig, robot: RobotModel) -> JetDynamics:
         case IdealJetsConfig():
             return IdealJets()
         case SecondOrderJetsConfig():
-            names = settings.engines or robot.jets.engines
-            if unknown := set(names) - set(robot.engines):
-                known = ", ".join(sorted(robot.engines))
-                raise ValueError(f"engines {sorted(unknown)} are unknown; {robot.name} has {known}")
-            coefficients = jnp.reshape(jnp.asarray([robot.engines[name] for name in names]), (-1, len(ENGINE_KEYS)))
             return SecondOrderJets(
-                engines=Engines(*coefficients.T),
+                engines=engines(robot, settings.engines or robot.jets.engines),
                 rate_gain_p=leaf(settings.rate_gain_p),
                 rate_gain_i=leaf(settings.rate_gain_i),
                 q=leaf(settings.ekf.Q),
@@ -207,6 +203,21 @@ def jet_dynamics(settings: JetsConfig, robot: RobotModel) -> JetDynamics:
             )
         case _:
             assert_never(settings)
+
+
+def engines(robot: RobotModel, names: Sequence[str]) -> Engines:
+    """Return the engines with these names, one for each jet.
+
+    Raises
+    ------
+    ValueError
+        For an engine that the robot's file does not define.
+    """
+    if unknown := set(names) - set(robot.engines):
+        known = ", ".join(sorted(robot.engines))
+        raise ValueError(f"engines {sorted(unknown)} are unknown; {robot.name} has {known}")
+    coefficients = jnp.reshape(jnp.asarray([robot.engines[name] for name in names]), (-1, len(ENGINE_KEYS)))
+    return Engines(*coefficients.T)
 
 
 def drift(e: Engines, thrust: Float[Array, " j"], thrust_rate: Float[Array, " j"]) -> Float[Array, " j"]:
@@ -253,6 +264,18 @@ def thrust_acceleration(
     """Return `T̈` [N/s²] at a throttle [%], limited to its range."""
     v = throttle_input(e, jnp.clip(throttle, e.throttle_min, e.throttle_max))
     return drift(e, thrust, thrust_rate) + input_gain(e, thrust, thrust_rate) * v
+
+
+def nearest_rate(
+    e: Engines,
+    thrust: Float[Array, " j"],
+    thrust_rate: Float[Array, " j"],
+    command: Float[Array, " j"],
+    dt: Float[Array, ""],
+) -> Float[Array, " j"]:
+    """Return the rate [N/s] after `dt` [s] at the throttle within its limits that brings it nearest to the command."""
+    a, b = (dt * thrust_acceleration(e, thrust, thrust_rate, end) for end in (e.throttle_min, e.throttle_max))
+    return thrust_rate + jnp.clip(command - thrust_rate, jnp.minimum(a, b), jnp.maximum(a, b))
 
 
 def _limited_throttle(e: Engines, v: Array) -> Array:

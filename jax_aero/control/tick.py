@@ -109,11 +109,11 @@ class MomentumController:
     def guard(self, robot: RobotModel) -> Guard:
         """Return the channels and the stages that are configured."""
         winds, observes, monitors, estimates = self.wind_observer, self.observer, self.engines, self.estimator
-        share = jnp.ones_like(self.time_step) if estimates is None else estimates.momentum_share
+        shares = jnp.ones(2, self.time_step.dtype) if estimates is None else estimates.momentum_shares
         stages = (
             None if winds is None else WindStage(winds, robot, self.aero),
             None if observes is None else ObserverStage(observes),
-            None if monitors is None else EngineStage(monitors, robot, share),
+            None if monitors is None else EngineStage(monitors, robot, shares),
             None if self.supervisor is None else SupervisorStage(self.supervisor),
             None if estimates is None else EstimatorStage(estimates, robot, self.aero, self.channels),
         )

@@ -39,7 +39,7 @@ def test_both_estimate_the_same_state(x64, measured):
     flown = rust.fly(table)
     config, robot = scenario_config(table), load_robot(table["robot"])
     time_step, ticks = jnp.asarray(config.simulator.time_step), len(flown["time"])
-    errors = sensors.sensors(config.simulator.sensors, time_step, ticks - 1, 4)
+    errors = sensors.sensors(config.simulator.sensors, time_step, ticks - 1, 23, 4)
     settings = estimator.estimator(config.controller.estimator, time_step)
     air = aero_model(config.controller.aero, robot)
 
@@ -192,7 +192,7 @@ def test_what_is_not_accepted_is_not_followed(alone):
             given = reading._replace(state=reading.state._replace(base_position=place))
             memory, command = step(robot, memory, given)
             modes.append(int(command.degraded_modes))
-        return memory.estimator.then.state.base_position, modes
+        return memory.estimator.then.reading.state.base_position, modes
 
     right, nothing = run(0.0)
     found, modes = run(1.0)

@@ -1,10 +1,11 @@
 """Detection of engines that do not follow their commands, and of faulty thrust sensors.
 
-    d ← e^{−Δt/τ} d + (T_k − T̂_k)          deviation of a thrust from the commanded one
-    d̄ ← d after lags of τ_e and τ_n         the same, delayed as the estimated momentum is
-    n ← n + (1 − e^{−Δt/τ_n}) (w − ŵ − n)   wrench in the momentum in excess of the observed wrench
+    d ← e^{−Δt/τ} d + (T_k − T̂_k)              deviation of a thrust from the commanded one
+    l ← e^{−Δt/τ} l + Δt (Ṫ_e − Ṫ*)             that of an engine at the limits of its throttle
+    d̄ ← d − [0, λ l] after lags of τ_e and τ_n  the part outside, delayed as the estimated momentum is
+    n ← n + (1 − e^{−Δt/τ_n}) (w − ŵ − n)       wrench in the momentum in excess of the observed wrench
 
-A limited engine's last thrust bounds its commands from then on. Equations M105 and M106 of `docs/model.md`.
+A limited engine's last thrust bounds its commands from then on. Equations M105, M106 and M144 of `docs/model.md`.
 """
 
 from __future__ import annotations
@@ -20,12 +21,13 @@ from jax_aero.control.guard.observer import residual_share
 from jax_aero.control.law.attitude import MomentumGains
 from jax_aero.control.law.limits import Limits
 from jax_aero.control.law.tasks import choose_limits
+from jax_aero.jets import Engines, engines, nearest_rate
 from jax_aero.robot import RobotModel
 from jax_aero.types import Array, leaf, leaves, pytree, where
 
-LEAST_ARM = 0.01
-"""Least lever arm about the centre of mass for judging a jet's sensor [m]: there a deviation of 10 N has a moment of
-0.1 N m, as large as the noise of the residual."""
+FORCE_ARM = 0.04
+"""Lever arm that makes a force comparable with a moment [m]: that of the air that no model contains. Gyroscopes are
+less noisy than velocities, and aerodynamic forces change more than their moments."""
 
 
 @pytree
@@ -52,6 +54,8 @@ class EngineLimits:
     """Largest deviation of a healthy engine [N]."""
     confirmation: Float[Array, ""]
     """Time for which the deviation must exceed it [s]."""
+    models: Engines
+    """What the engine of each jet can follow."""
     descent: Descent | None
     """Control law after the loss of an engine; `None` to keep the usual one."""
 
@@ -61,10 +65,16 @@ class EngineState(NamedTuple):
 
     deviation: Float[Array, " j"]
     """`d` [N]."""
-    estimated: Float[Array, " j"]
-    """`d` after the first lag [N]."""
-    late: Float[Array, " j"]
-    """`d` after both, `d̄` [N]."""
+    rate: Float[Array, " j"]
+    """Thrust rates of engines that follow the commands at the limits of their throttles, `Ṫ_e` [N/s]."""
+    lag: Float[Array, " j"]
+    """`l` [N]."""
+    fit: Float[Array, "2 j"]
+    """`Σ d l` and `Σ l²`, which give `λ` [N²]."""
+    estimated: Float[Array, "2 j"]
+    """The part of `d` outside `[0, λ l]` after the first lag, as late as the momentum's force and as its moment [N]."""
+    late: Float[Array, "2 j"]
+    """The same after both lags, `d̄` [N]."""
     suspected: Float[Array, " j"]
     """Time for which the deviation has been too large [s]."""
     least: Float[Array, " j"]
@@ -90,6 +100,7 @@ def engine_limits(config: EnginesConfig, robot: RobotModel) -> EngineLimits:
         time_constant=leaf(config.time_constant),
         deviation_max=leaf(config.deviation_max),
         confirmation=leaf(config.confirmation),
+        models=engines(robot, robot.jets.engines),
         descent=None
         if descent is None
         else Descent(
@@ -104,7 +115,8 @@ def engine_limits(config: EnginesConfig, robot: RobotModel) -> EngineLimits:
 def start(like: Float[Array, " j"]) -> EngineState:
     """Return the initial state for engines with thrusts of this shape and precision [N]."""
     none = jnp.zeros_like(like)
-    return EngineState(none, none, none, none, none, jnp.full_like(like, jnp.inf))
+    pair = jnp.stack([none, none])
+    return EngineState(none, none, none, pair, pair, pair, none, none, jnp.full_like(like, jnp.inf))
 
 
 def update(
@@ -113,43 +125,57 @@ def update(
     dt: Float[Array, ""],
     thrust: Float[Array, " j"],
     innovation: Float[Array, " j"],
+    command: Float[Array, " j"],
+    is_measured: Bool[Array, ""],
     a_t: Float[Array, "6 j"],
     residual: Float[Array, "6"],
     has_momentum: Bool[Array, ""],
-    momentum_share: Float[Array, ""],
+    momentum_shares: Float[Array, "2"],
 ) -> tuple[EngineState, Bool[Array, " j"], Float[Array, " j"]]:
-    """Process thrusts and their innovations [N].
+    """Process thrusts and their innovations [N] under the last commanded rates [N/s].
 
     Returns the new state, which sensors are faulty, and the deviations `d` before their reset [N].
 
-    `a_t` maps thrusts to the momentum rate; `residual` is the `n` above [N, N m]. `momentum_share` is the share of a
-    change that the estimated momentum follows per tick, 1 if it is measured. Without momentum nothing is judged, and
-    lags and confirmation restart. Only moments are compared: gyroscopes are less noisy than velocity estimates, and
-    aerodynamic forces change more than their moments.
+    `is_measured` says whether all thrusts are measured; otherwise how engines follow their commands is not learnt.
+    `a_t` maps thrusts to the momentum rate; `residual` is the `n` above [N, N m]. `momentum_shares` are the shares of a
+    change of force and moment that the estimated momentum follows per tick, 1 if it is measured. Without momentum
+    nothing is judged, and lags and confirmation restart. Several thrusts that deviate at once are wrong sensors or
+    failing engines together.
     """
-    deviation = jnp.exp(-dt / limits.time_constant) * last.deviation + innovation
-    estimated = last.estimated + momentum_share * (deviation - last.estimated)
+    kept, half = jnp.exp(-dt / limits.time_constant), 0.5 * limits.deviation_max
+    rate = nearest_rate(limits.models, thrust, last.rate, command, dt)
+    deviation = kept * last.deviation + innovation
+    lag = kept * last.lag + dt * (0.5 * (last.rate + rate) - command)
+    # A deviation that may be a fault teaches nothing.
+    is_learnt = is_measured & (jnp.abs(deviation) <= half)
+    fit = last.fit + jnp.where(is_learnt, jnp.stack([deviation * lag, lag * lag]), 0.0)
+    follows = lag * jnp.clip((half**2 + fit[0]) / (half**2 + fit[1]), 0.0, 1.0)
+    outside = deviation - jnp.clip(deviation, jnp.minimum(follows, 0.0), jnp.maximum(follows, 0.0))
+    estimated = last.estimated + momentum_shares[:, None] * (outside - last.estimated)
     late = last.late + residual_share(dt) * (estimated - last.late)
     estimated, late = jnp.where(has_momentum, estimated, 0.0), jnp.where(has_momentum, late, 0.0)
-    exceeds = jnp.abs(late) > limits.deviation_max
+    found = late[1]
+    exceeds = jnp.abs(found) > limits.deviation_max
     suspected = jnp.where(exceeds, last.suspected + dt, 0.0)
     # Half a tick allows for rounding.
     is_sure = exceeds & (suspected >= limits.confirmation + 0.5 * dt)
-    # Multiplied instead of divided as in M106, since a jet may have no moment about the centre of mass.
-    moments = a_t[3:]
-    arm_squared = jnp.sum(moments**2, axis=0)
-    explained = -(moments.T @ residual[3:]) * jnp.sign(late)
-    is_known = arm_squared >= LEAST_ARM**2
-    is_wrong = is_sure & ~last.is_limited & is_known & (explained > 0.5 * jnp.abs(late) * arm_squared)
-    is_short, is_stuck = (is_sure & ~is_wrong & (sign * late > 0.0) for sign in (-1.0, 1.0))
+    is_suspect = ~last.is_limited & (jnp.abs(found) > half)
+    of_sensors = jnp.sum(a_t * jnp.repeat(jnp.where(is_suspect, late, 0.0), 3, axis=0), axis=1)
+    is_wrong = is_suspect & jnp.any(is_sure) & (_square(residual + of_sensors) < _square(residual))
+    is_short, is_stuck = (is_sure & ~is_wrong & (sign * found > 0.0) for sign in (-1.0, 1.0))
     least = jnp.where(is_stuck, thrust, jnp.where(is_short, jnp.minimum(last.least, thrust), last.least))
     greatest = jnp.where(is_short, thrust, jnp.where(is_stuck, jnp.maximum(last.greatest, thrust), last.greatest))
     # A rejected sensor gives no information about its engine.
-    deviation_left, estimated, late, suspected = (
-        jnp.where(is_wrong, 0.0, x) for x in (deviation, estimated, late, suspected)
-    )
-    after = EngineState(deviation_left, estimated, late, suspected, least, greatest)
-    return after, is_wrong, deviation
+    state = EngineState(deviation, rate, lag, fit, estimated, late, suspected, least, greatest)
+    forgotten = state._replace(**{name: jnp.where(is_wrong, 0.0, getattr(state, name)) for name in _OF_SENSOR})
+    return forgotten, is_wrong, deviation
+
+
+_OF_SENSOR = ("deviation", "rate", "lag", "fit", "estimated", "late", "suspected")
+
+
+def _square(wrench: Float[Array, "6"]) -> Float[Array, ""]:
+    return FORCE_ARM**2 * jnp.sum(wrench[:3] ** 2) + jnp.sum(wrench[3:] ** 2)
 
 
 def limit(settings: EngineLimits, engines: EngineState, usual: Limits) -> tuple[Limits, Bool[Array, ""]]:

@@ -3,11 +3,12 @@
 ```text
 measurements of ages d ──► delayed to a common age D ──► correct x̂(t − D)
 x̂(t − D) ──► D ticks of the model under the past commands ──► x̂(t), for the controller
+                  each corrected by what has been measured of it so far
 ```
 
 Ages and shares are numbers; only the greatest age is structure, fixed at compilation.
 
-Equations M91 to M93 and M150 of `docs/model.md`.
+Equations M91 to M93, M145 and M150 of `docs/model.md`.
 """
 
 from __future__ import annotations
@@ -61,9 +62,11 @@ class Estimator:
     """Shares of the innovations by which the estimate is corrected."""
     by_position: Float[Array, "2"]
     """Shares of the joint positions' innovation that correct velocities, per tick, and accelerations, per tick²."""
-    momentum_share: Float[Array, ""]
-    """Share of an unmodelled moment that appears in the estimated momentum per tick: that of a lag whose time constant
-    is the greatest age plus the time constant of the angular velocity."""
+    of_bias: Float[Array, ""]
+    """Share of the rate with which the rotation is corrected that the bias of the gyroscopes receives."""
+    momentum_shares: Float[Array, "2"]
+    """Shares of an unmodelled force and moment that appear in the estimated momentum per tick: those of lags with age
+    and time constant of the linear and of the angular velocity."""
     time_step: Float[Array, ""]
     """Time step of the controller [s]."""
     greatest_age: Static[int]
@@ -74,6 +77,16 @@ class Estimator:
     """What is left of the latencies of torques, below one, and thrust rates [ticks]."""
 
 
+class Estimate(NamedTuple):
+    """State of the robot with what its model and its measurements do not contain."""
+
+    reading: Reading
+    disturbance: Float[Array, " n"]
+    """Joint accelerations that the model does not explain [rad/s²]."""
+    gyro_bias: Float[Array, "3"]
+    """Bias of the gyroscopes [rad/s, base axes]."""
+
+
 class EstimatorState(NamedTuple):
     """State of the estimator between two ticks."""
 
@@ -81,10 +94,8 @@ class EstimatorState(NamedTuple):
     """Last measurements, the latest first, greatest age + 1 of them along an additional first axis."""
     orders: Order
     """Last commands, in the same order, back to the thrust rates under the oldest measurement."""
-    then: Reading
+    then: Estimate
     """Estimate at the greatest age."""
-    disturbance: Float[Array, " n"]
-    """Joint accelerations that the model does not explain [rad/s²]."""
     ticks: Int[Array, ""]
     """Number of measurements processed."""
 
@@ -115,10 +126,19 @@ def estimator(config: EstimatorConfig, time_step: Float[Array, ""]) -> Estimator
         pole = 1.0 - left
         age[5], share[4], share[5] = latency, 1.0 - pole**3, 0.0
         by_position = [left * left * (1.0 + 2.0 * pole), left**3]
-    momentum_share = share_of((max(age) + lags[0]) * step + config.base_angular_velocity.time_constant)
-    ages = jnp.asarray(age, jnp.int32)
-    shares = leaf(share), leaf(by_position), leaf(momentum_share)
-    return Estimator(ages, *shares, time_step, max(age), latency, lags)
+    velocities = config.base_linear_velocity, config.base_angular_velocity
+    delays = [(age[2 + of] + lags[0]) * step + channel.time_constant for of, channel in enumerate(velocities)]
+    return Estimator(
+        age=jnp.asarray(age, jnp.int32),
+        share=leaf(share),
+        by_position=leaf(by_position),
+        of_bias=leaf(0.0 if config.gyro_bias is None else share_of(config.gyro_bias)),
+        momentum_shares=leaf([share_of(delay) for delay in delays]),
+        time_step=time_step,
+        greatest_age=max(age),
+        latency=latency,
+        lags=lags,
+    )
 
 
 def latency_in_ticks(latency: LatencyConfig, time_step: float) -> tuple[int, tuple[float, float]]:
@@ -143,7 +163,7 @@ def start(settings: Estimator, state: State, jets: int) -> EstimatorState:
     order = Order(rest[6:], nothing.thrust, rest[:6], rest[:3], jnp.asarray(settings.time_step))
     line = jax.tree.map(lambda x: jnp.stack([x] * length), nothing)
     orders = jax.tree.map(lambda x: jnp.stack([x] * (length + int(np.ceil(settings.lags[1])))), order)
-    return EstimatorState(line, orders, nothing, rest[6:], jnp.array(0, jnp.int32))
+    return EstimatorState(line, orders, Estimate(nothing, rest[6:], rest[:3]), jnp.array(0, jnp.int32))
 
 
 def restart(state: EstimatorState, is_new: Bool[Array, ""]) -> EstimatorState:
@@ -169,8 +189,9 @@ def update(
     """
     # Selected before the computation, so that values and derivatives of the first tick do not depend on `start`.
     always = jax.tree.map(lambda old, new: jnp.broadcast_to(new, old.shape), before.line, measured)
-    first = (always, _prefer_measured(measured, before.then))
-    line, then = where(before.ticks == 0, first, (before.line, before.then))
+    first = (always, _prefer_measured(measured, before.then.reading))
+    line, reading = where(before.ticks == 0, first, (before.line, before.then.reading))
+    then = before.then._replace(reading=reading)
     line = jax.tree.map(lambda old, new: jnp.concatenate([new[None], old[:-1]]), line, measured)
     oldest = settings.greatest_age
     duration = settings.time_step * jnp.maximum(jnp.round(elapsed / settings.time_step), 1.0)
@@ -198,38 +219,30 @@ def update(
     late, longest = (torque_lag, thrust_lag % 1.0), oldest - whole
     has_begun = before.ticks > longest
     last = acting(oldest + 1, late)
-    then = where(has_begun, advance(robot, aero, then, last, before.disturbance), then)
-    is_sound = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(then)]))
-    then = where(is_sound, then, measured)
-    unexplained = jnp.where(is_sound, before.disturbance, 0.0)
-
-    # Younger measurements wait for the oldest.
-    waiting = oldest - settings.age
-    aligned = [
-        _prefer_measured(jax.tree.map(lambda x, ticks=waiting[channel]: x[ticks], line), then) for channel in range(7)
-    ]
+    then = where(has_begun, advance(robot, aero, then, last), then)
+    is_sound = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(then.reading)]))
+    fresh = Estimate(measured, jnp.zeros_like(then.disturbance), jnp.zeros_like(then.gyro_bias))
+    predicted = where(is_sound, then, fresh)
     step = jnp.where(has_begun, last.duration, settings.time_step)
-    of_velocity, of_acceleration = settings.by_position
-    innovation = aligned[4].state.joint_position - then.state.joint_position
-    disturbance = unexplained + of_acceleration / step**2 * innovation
-    corrected = _correct(settings.share, then, aligned)
-    innovation_of_thrust = corrected.thrust - then.thrust
-    velocity = corrected.state.velocity.at[6:].add(of_velocity / step * innovation)
-    then = corrected._replace(state=corrected.state._replace(velocity=velocity))
+    then = _correct(settings, predicted, line, jnp.array(oldest), step)
 
-    def predict(now: Reading, age: Array) -> tuple[Reading, None]:
-        is_past = (before.ticks > 0) & (age <= whole + jnp.minimum(longest, before.ticks))
-        return where(is_past, advance(robot, aero, now, acting(age, late), disturbance), now), None
+    def predict(now: Estimate, age: Array) -> tuple[Estimate, None]:
+        order = acting(age + 1, late)
+        # What is younger than the latest measurement is only predicted: its age is below all of the channels.
+        moved = _correct(settings, advance(robot, aero, now, order), line, age, order.duration)
+        is_past = (before.ticks > 0) & (age < whole + jnp.minimum(longest, before.ticks))
+        return where(is_past, moved, now), None
 
-    now, _ = jax.lax.scan(predict, then, jnp.arange(oldest, 0, -1))
+    now, _ = jax.lax.scan(predict, then, jnp.arange(oldest)[::-1])
     if torque_lag:
         # To when the torques of this tick begin to act.
         others, sent = given_at(1), acting(0, (1.0, 1.0))
         part = others._replace(
             torque=sent.torque, thrust_rate=sent.thrust_rate, duration=torque_lag * settings.time_step
         )
-        now = where(before.ticks > 0, advance(robot, aero, now, part, disturbance), now)
-    return EstimatorState(line, given, then, disturbance, before.ticks + 1), now, innovation_of_thrust
+        now = where(before.ticks > 0, advance(robot, aero, now, part), now)
+    after = EstimatorState(line, given, then, before.ticks + 1)
+    return after, now.reading, then.reading.thrust - predicted.reading.thrust
 
 
 def command(state: EstimatorState, order: Order) -> EstimatorState:
@@ -256,18 +269,19 @@ def correct_thrusts(
 ) -> EstimatorState:
     """Return the state with the deviations [N] of faulty sensors removed, which are no longer used."""
     lost = jnp.where(is_wrong, jnp.nan, state.line.thrust)
-    right = state.then.thrust - jnp.where(is_wrong, deviation, 0.0)
-    return state._replace(line=state.line._replace(thrust=lost), then=state.then._replace(thrust=right))
+    reading = state.then.reading
+    reading = reading._replace(thrust=reading.thrust - jnp.where(is_wrong, deviation, 0.0))
+    return state._replace(line=state.line._replace(thrust=lost), then=state.then._replace(reading=reading))
 
 
 def advance(
     robot: RobotModel,
     aero: AeroModel,
-    reading: Reading,
+    estimate: Estimate,
     order: Order,
-    disturbance: Float[Array, " n"],
-) -> Reading:
+) -> Estimate:
     """Integrate one tick of the model under its inputs and unexplained joint accelerations, semi-implicitly."""
+    reading, disturbance = estimate.reading, estimate.disturbance
     state, step = reading.state, order.duration
     kin = kinematics(robot, state)
     dyn = dynamics(robot, state, kin)
@@ -286,7 +300,8 @@ def advance(
     linear = wrench[:3] / robot.mass - cross(angular, kin.com - state.base_position)
     whole = jnp.concatenate([linear, angular, disturbance])
     velocity = state.velocity + step * (forward_dynamics(dyn, force) + whole)
-    return Reading(move(state, velocity, step), jnp.maximum(reading.thrust + step * order.thrust_rate, 0.0))
+    moved = Reading(move(state, velocity, step), jnp.maximum(reading.thrust + step * order.thrust_rate, 0.0))
+    return estimate._replace(reading=moved)
 
 
 def _prefer_measured(measured: Reading, estimate: Reading) -> Reading:
@@ -295,20 +310,33 @@ def _prefer_measured(measured: Reading, estimate: Reading) -> Reading:
     return known
 
 
-def _correct(share: Array, estimate: Reading, measured: list[Reading]) -> Reading:
-    """Correct an estimate by measurements of the same time, each by its share."""
-    now, (position, rotation, linear, angular, joints, joint_velocities, thrusts) = estimate.state, measured
+def _correct(settings: Estimator, estimate: Estimate, line: Reading, age: Array, step: Array) -> Estimate:
+    """Correct an estimate of an age [ticks] by what has arrived of its time, each by its share (M91, M93, M145).
 
-    def gyro(state: State) -> Array:
-        return state.base_rotation.T @ state.velocity[3:6]
-
-    turn = log_so3(multiply(now.base_rotation.T, rotation.state.base_rotation))
-    base_rotation = project_to_so3(multiply(now.base_rotation, exp_so3(share[1] * turn)))
-    gyros = gyro(now) + share[3] * (gyro(angular.state) - gyro(now))
+    `line` has the last measurements, the latest first; `step` is the duration of the tick before the estimate [s].
+    """
+    since = age - settings.age
+    has_arrived = since >= 0
+    share = jnp.where(has_arrived, settings.share, 0.0)
+    found, places = estimate.reading, jnp.maximum(since, 0)
+    aligned = [jax.tree.map(lambda x, place=places[channel]: x[place], line) for channel in range(7)]
+    measured = [_prefer_measured(reading, found) for reading in aligned]
+    now, (position, rotation, linear, angular, joints, joint_velocities, thrusts) = found.state, measured
+    # What is not measured says what is expected of gyroscopes with their bias.
+    turning = now.velocity[3:6] + now.base_rotation @ estimate.gyro_bias
+    said = aligned[3].state.velocity[3:6]
+    said = jnp.where(jnp.abs(said) <= GREATEST, said, turning)
+    gyro = now.base_rotation.T @ now.velocity[3:6]
+    gyros = gyro + share[3] * (angular.state.base_rotation.T @ said - estimate.gyro_bias - gyro)
+    turn = share[1] * log_so3(multiply(now.base_rotation.T, rotation.state.base_rotation))
+    base_rotation = project_to_so3(multiply(now.base_rotation, exp_so3(turn)))
+    of_velocity, of_acceleration = jnp.where(has_arrived[4], settings.by_position, 0.0)
+    innovation = joints.state.joint_position - now.joint_position
 
     def correct_channel(channel: int, found: Array, said: Array) -> Array:
         return found + share[channel] * (said - found)
 
+    rates = now.velocity[6:] + of_velocity / step * innovation
     state = State(
         base_position=correct_channel(0, now.base_position, position.state.base_position),
         base_rotation=base_rotation,
@@ -316,7 +344,11 @@ def _correct(share: Array, estimate: Reading, measured: list[Reading]) -> Readin
         velocity=join(
             correct_channel(2, now.velocity[:3], linear.state.velocity[:3]),
             base_rotation @ gyros,
-            correct_channel(5, now.velocity[6:], joint_velocities.state.velocity[6:]),
+            correct_channel(5, rates, joint_velocities.state.velocity[6:]),
         ),
     )
-    return Reading(state, jnp.maximum(correct_channel(6, estimate.thrust, thrusts.thrust), 0.0))
+    return Estimate(
+        Reading(state, jnp.maximum(correct_channel(6, found.thrust, thrusts.thrust), 0.0)),
+        estimate.disturbance + of_acceleration / step**2 * innovation,
+        estimate.gyro_bias - settings.of_bias / step * turn,
+    )

@@ -189,8 +189,8 @@ class EngineStage(Stage):
 
     settings: EngineLimits
     robot: RobotModel
-    momentum_share: Float[Array, ""]
-    """Share of a change that the estimated momentum follows per tick, 1 if it is measured."""
+    momentum_shares: Float[Array, "2"]
+    """Shares of a change of force and moment that the estimated momentum follows per tick, 1 if it is measured."""
 
     def start(self, memory: ControllerState, _state: State) -> ControllerState:
         """Begin with engines that reach every thrust."""
@@ -208,10 +208,12 @@ class EngineStage(Stage):
             used.elapsed,
             used.thrust,
             used.thrust_innovation,
+            memory.channels.thrust_rate,
+            (used.modes & MODES["thrust_modelled"]) == 0,
             momentum.a_t,
             residual,
             used.has_momentum,
-            self.momentum_share,
+            self.momentum_shares,
         )
         known = channels.reject_sensor(memory.channels, is_wrong, deviation)
         limits, is_lost = engines.limit(self.settings, turning, tick.limits)

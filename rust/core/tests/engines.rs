@@ -4,10 +4,14 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::{assert_within, experiment};
-use flight_core::control::guard::engines::{DescentConfig, EngineState, EnginesConfig, sensor_error};
+use flight_core::control::guard::engines::{
+    DescentConfig, EngineSample, EngineState, Engines, EnginesConfig, explains,
+};
+use flight_core::control::law::limits::Limits;
+use flight_core::jets::{EngineDynamics, EngineModel, ThrustRateController};
 use flight_core::robot::JointKind;
 use flight_io::load_robot;
-use nalgebra::Vector6;
+use nalgebra::{Matrix6xX, Vector6};
 
 const STEP: f64 = 0.01;
 const CONFIG: EnginesConfig =
@@ -24,20 +28,56 @@ const NOTHING: (bool, bool) = (false, false);
 const WRONG_SENSOR: (bool, bool) = (true, false);
 const OUT_OF_REACH: (bool, bool) = (false, true);
 
-/// A tick with a momentum that is measured and says that the sensor is wrong by so much \[N\].
-fn update(engine: &mut EngineState, thrust: f64, innovation: f64, sensor_error: f64) -> (bool, bool) {
-    let is_wrong = engine.update(&CONFIG, STEP, (thrust, innovation), 1.0, Some(sensor_error));
-    (is_wrong, engine.is_limited())
+/// The monitors of the robot's first jets, which push upwards, on arms of 0.3 m to the front and to the back in turn.
+struct Monitors {
+    engines: Engines,
+    states: Vec<EngineState>,
+    a_t: Matrix6xX<f64>,
+}
+
+impl Monitors {
+    fn new(jets: usize, momentum_share: f64) -> Self {
+        let config = experiment("test2_observer");
+        let mut robot = load_robot(&config.robot).unwrap();
+        robot.jets.truncate(jets);
+        let limits = Limits::new(config.controller.law.momentum, &robot);
+        let engines = Engines::new(&CONFIG, &limits, &robot, [momentum_share; 2]).unwrap();
+        let column = |jet: usize| Vector6::new(0.0, 0.0, 1.0, 0.0, 0.3 - 0.6 * (jet % 2) as f64, 0.0);
+        let a_t = Matrix6xX::from_columns(&(0..jets).map(column).collect::<Vec<_>>());
+        Self { states: engines.start(), engines, a_t }
+    }
+
+    /// A tick with these samples; the momentum is measured and has the residual of sensors that are wrong by so much \[N\].
+    fn tick(&mut self, samples: &[EngineSample], sensor_errors: Option<&[f64]>) -> Vec<(bool, bool)> {
+        let residual = sensor_errors.map(|errors| {
+            self.a_t.column_iter().zip(errors).map(|(column, error)| -*error * column).sum::<Vector6<f64>>()
+        });
+        let momentum = residual.as_ref().map(|residual| (&self.a_t, residual));
+        let mut wrong = vec![None; samples.len()];
+        self.engines.update(&mut self.states, STEP, |jet| samples[jet], momentum, &mut wrong);
+        let found = wrong.iter().zip(&self.states);
+        found.map(|(wrong, engine)| (wrong.is_some(), engine.is_limited())).collect()
+    }
+}
+
+/// A jet that is commanded to keep its thrust.
+fn held(thrust: f64, innovation: f64) -> EngineSample {
+    EngineSample { thrust, innovation, is_measured: true, command: 0.0 }
+}
+
+/// A tick of one monitor with a momentum that is measured and says that the sensor is wrong by so much \[N\].
+fn update(monitor: &mut Monitors, thrust: f64, innovation: f64, sensor_error: f64) -> (bool, bool) {
+    monitor.tick(&[held(thrust, innovation)], Some(&[sensor_error]))[0]
 }
 
 /// A deviation of `a` newtons per tick: `a (1 − e^{−kΔt/τ}) / (1 − e^{−Δt/τ})` after k ticks.
 #[test]
 fn deviations_are_summed_and_forgotten() {
-    let mut engine = EngineState::default();
+    let mut engine = Monitors::new(1, 1.0);
     for tick in 1..=40 {
         let _ = update(&mut engine, 100.0, 0.3, 0.0);
         let expected = 0.3 * (-f64::from(tick) * STEP / 0.5).exp_m1() / (-STEP / 0.5).exp_m1();
-        assert_within!((engine.deviation - expected).abs(), 1e-12, "tick {tick}");
+        assert_within!((engine.states[0].deviation - expected).abs(), 1e-12, "tick {tick}");
     }
 }
 
@@ -52,15 +92,15 @@ fn a_thrust_that_is_not_reached_bounds_the_engine_after_its_confirmation() {
         (14.0, None, everything),
         (-14.0, None, everything),
     ] {
-        let mut engine = EngineState::default();
+        let mut engine = Monitors::new(1, 1.0);
         let findings: Vec<_> = (1..=20)
             .map(|tick| update(&mut engine, 100.0, if tick == 1 { size } else { 0.0 }, 0.0))
             .collect();
         let first = findings.iter().position(|finding| *finding != NOTHING);
         assert_eq!(first.map(|tick| tick + 1), found, "{size} N");
         assert!(findings[first.unwrap_or(20)..].iter().all(|finding| *finding == OUT_OF_REACH), "{size} N");
-        assert_eq!(engine.range, range, "{size} N");
-        assert!(!engine.is_lost(&descent(), 120.0));
+        assert_eq!(engine.states[0].range, range, "{size} N");
+        assert!(!engine.states[0].is_lost(&descent(), 120.0));
     }
 }
 
@@ -68,19 +108,20 @@ fn a_thrust_that_is_not_reached_bounds_the_engine_after_its_confirmation() {
 /// that fades, once it gives less than 30 N.
 #[test]
 fn an_engine_whose_bounds_are_close_together_is_lost() {
-    let mut stuck = EngineState::default();
+    let mut stuck = Monitors::new(1, 1.0);
     for tick in 0..100 {
         let _ = update(&mut stuck, 80.0, if tick < 50 { -1.0 } else { 1.0 }, 0.0);
-        assert_eq!(stuck.is_lost(&descent(), 120.0), stuck.range == (80.0, 80.0), "tick {tick}");
+        let engine = stuck.states[0];
+        assert_eq!(engine.is_lost(&descent(), 120.0), engine.range == (80.0, 80.0), "tick {tick}");
     }
-    assert_eq!(stuck.range, (80.0, 80.0));
-    let (mut fading, mut thrust) = (EngineState::default(), 100.0);
+    assert_eq!(stuck.states[0].range, (80.0, 80.0));
+    let (mut fading, mut thrust) = (Monitors::new(1, 1.0), 100.0);
     for _ in 0..50 {
         thrust -= 2.0;
         let _ = update(&mut fading, thrust, -2.0, 0.0);
-        assert_eq!(fading.is_lost(&descent(), 120.0), thrust < 30.0, "{thrust} N");
+        assert_eq!(fading.states[0].is_lost(&descent(), 120.0), thrust < 30.0, "{thrust} N");
     }
-    assert_eq!(fading.range, (0.0, thrust));
+    assert_eq!(fading.states[0].range, (0.0, thrust));
 }
 
 /// A deviation after lags with shares `a` and `b` is, a step of `d` being forgotten by `f` per tick,
@@ -104,33 +145,82 @@ fn a_deviation_is_as_late_as_the_momentum() {
     };
     let first = (1..100).find(|tick| late(*tick) > CONFIG.deviation_max).unwrap() + 5;
     for (part, expected) in [(0.49, OUT_OF_REACH), (0.51, WRONG_SENSOR)] {
-        let mut engine = EngineState::default();
+        let mut engine = Monitors::new(1, share);
         for tick in 1..=first {
             let innovation = if tick == 1 { deviation } else { 0.0 };
-            let is_wrong = engine.update(&CONFIG, STEP, (100.0, innovation), share, Some(part * late(tick)));
-            let found = (is_wrong, engine.is_limited());
+            let found = update(&mut engine, 100.0, innovation, part * late(tick));
             assert_eq!(found, if tick == first { expected } else { NOTHING }, "tick {tick}");
         }
     }
 }
 
-/// A sensor that says too much by `d` puts `−a d` into the momentum, of which moments are compared.
+/// Sensors that say too much put `−Σ a d` into the momentum: half of it is not enough, and forces count less than
+/// moments.
 #[test]
-fn the_momentum_shows_by_how_much_a_sensor_is_wrong() {
-    let column = Vector6::new(0.1, -0.2, 0.97, 0.05, 0.3, -0.1);
-    assert_within!((sensor_error(&column, &(-30.0 * column)) - 30.0).abs(), 1e-13);
-    let (force, across) =
-        (Vector6::new(9.0, 8.0, 7.0, 0.0, 0.0, 0.0), Vector6::new(0.0, 0.0, 0.0, 0.3, -0.05, 0.0));
-    assert_eq!(sensor_error(&column, &(force + across)), 0.0);
+fn wrong_sensors_explain_the_momentum() {
+    let wrench = Vector6::new(3.0, -6.0, 97.0, 0.5, 3.0, -1.0);
+    for (share, expected) in [(-1.0, true), (-0.51, true), (-0.49, false), (0.0, false), (1.0, false)] {
+        assert_eq!(explains(&wrench, &(share * wrench)), expected, "{share}");
+    }
+    let push = Vector6::new(0.0, 0.0, -1000.0, 0.0, 0.0, 0.0);
+    let (up, turn) = (Vector6::new(0.0, 0.0, 1.0, 0.0, 0.0, 0.0), Vector6::new(0.0, 0.0, 0.0, 0.3, 0.0, 0.0));
+    assert!(explains(&up, &push));
+    assert!(!explains(&turn, &push));
+    assert!(!explains(&(30.0 * up + 30.0 * turn), &(-20.0 * up)), "the moment is not there");
+    assert!(!explains(&Vector6::repeat(f64::NAN), &push));
 }
 
-/// Through the centre of mass a jet has an arm of rounding errors, whose quotient with a residual says nothing.
+/// All sensors say 25 N too much at once: their moments cancel, their forces do not.
 #[test]
-fn the_sensor_of_a_jet_without_an_arm_is_not_judged() {
-    let residual = Vector6::new(0.0, 0.0, 30.0, 1e-16, 0.0, 0.0);
-    for (arm, error) in [(0.0, 0.0), (-1e-17, 0.0), (-0.0099, 0.0), (-0.0101, 1e-16 / 0.0101)] {
-        let found = sensor_error(&Vector6::new(0.0, 0.0, 1.0, arm, 0.0, 0.0), &residual);
-        assert_within!((found - error).abs(), 1e-28, "an arm of {arm} m");
+fn a_common_step_is_of_the_sensors_where_the_force_shows_it() {
+    for (shown, expected) in [(25.0, WRONG_SENSOR), (0.0, OUT_OF_REACH)] {
+        let mut engines = Monitors::new(4, 1.0);
+        let found = (1..=20)
+            .map(|tick| {
+                let sample = held(100.0, if tick == 1 { 25.0 } else { 0.0 });
+                engines.tick(&[sample; 4], Some(&[shown; 4]))
+            })
+            .find(|found| found.iter().any(|found| *found != NOTHING));
+        assert_eq!(found, Some(vec![expected; 4]), "{shown} N");
+    }
+}
+
+/// An engine whose throttle is at its stop follows 100 N/s late, by more than the limit: it does what it can. So does a
+/// jet that follows at once. A sensor that is wrong after that is found.
+#[test]
+fn an_engine_that_follows_as_fast_as_it_can_is_not_limited() {
+    let robot = load_robot(&experiment("test2_observer").robot).unwrap();
+    let name = &robot.jets[0].engine;
+    let model = EngineModel::new(name, robot.engines[name]).unwrap();
+    for lags in [true, false] {
+        let mut monitor = Monitors::new(1, 1.0);
+        let mut engine = EngineDynamics::new(model, 60.0, 0.0);
+        let mut throttle = ThrustRateController::new(150.0, 0.0, model.steady_throttle(60.0)).unwrap();
+        let (mut farthest, mut before) = (0.0_f64, 60.0);
+        for tick in 0..300 {
+            let command = if tick % 100 < 50 { 100.0 } else { -100.0 };
+            if lags {
+                let rate = engine.thrust_rate;
+                engine.step(throttle.update(&model, engine.thrust, rate, command, STEP), STEP);
+            } else {
+                engine.thrust += STEP * command;
+            }
+            let innovation = engine.thrust - (before + STEP * command);
+            before = engine.thrust;
+            let sample = EngineSample { thrust: before, innovation, is_measured: true, command };
+            assert_eq!(monitor.tick(&[sample], Some(&[0.0])), [NOTHING], "tick {tick}, lags: {lags}");
+            farthest = farthest.max(monitor.states[0].deviation.abs());
+        }
+        assert_eq!(farthest > CONFIG.deviation_max, lags, "{farthest} N");
+        let mut found = NOTHING;
+        for tick in 0..60 {
+            let innovation = if tick == 0 { 40.0 } else { 0.0 };
+            found = update(&mut monitor, before, innovation, 40.0);
+            if found != NOTHING {
+                break;
+            }
+        }
+        assert_eq!(found, WRONG_SENSOR, "lags: {lags}");
     }
 }
 
@@ -141,7 +231,7 @@ fn the_momentum_shows_a_wrong_sensor() {
         for (share, expected) in
             [(0.9, WRONG_SENSOR), (0.0, OUT_OF_REACH), (-0.9, OUT_OF_REACH), (f64::NAN, OUT_OF_REACH)]
         {
-            let mut engine = EngineState::default();
+            let mut engine = Monitors::new(1, 1.0);
             let found = (1..=100)
                 .map(|tick| {
                     update(&mut engine, 100.0, if tick == 1 { deviation } else { 0.0 }, share * deviation)
@@ -155,9 +245,9 @@ fn the_momentum_shows_a_wrong_sensor() {
 /// Without a momentum that is measured nothing is judged, and lags and confirmation begin anew when it is back.
 #[test]
 fn nothing_is_judged_without_a_momentum() {
-    let mut engine = EngineState::default();
+    let mut engine = Monitors::new(1, 1.0);
     let mut update = |innovation: f64, sensor_error: Option<f64>| {
-        (engine.update(&CONFIG, STEP, (100.0, innovation), 1.0, sensor_error), engine.is_limited())
+        engine.tick(&[held(100.0, innovation)], sensor_error.as_ref().map(std::slice::from_ref))[0]
     };
     assert_eq!(update(-30.0, None), NOTHING);
     for _ in 0..10 {

@@ -230,15 +230,76 @@ fn every_channel_is_corrected_by_its_share() {
     }
 }
 
-/// The momentum is estimated as late as the oldest measurement and the gyroscopes' time constant are together; at once
-/// without an age.
+/// Force and moment of the momentum are estimated as late as velocity and gyroscopes are, age and time constant together.
 #[test]
-fn the_momentum_is_known_after_the_greatest_age_and_the_gyroscopes() {
-    let share = |config| estimator(&flight(config)).estimator.momentum_share;
-    let gyroscopes = ChannelConfig { delay: 0.0, time_constant: 0.02 };
-    let old = EstimatorConfig { base_angular_velocity: gyroscopes, ..ages().1 };
-    assert_within!((share(old) + (-STEP / 0.07_f64).exp_m1()).abs(), 1e-15);
-    assert_within!((share(EstimatorConfig::default()) - 1.0).abs(), 0.0);
+fn the_momentum_is_known_as_late_as_the_velocities() {
+    let shares = |config| estimator(&flight(config)).estimator.momentum_shares;
+    let old = EstimatorConfig {
+        base_linear_velocity: ChannelConfig { delay: 0.03, time_constant: 0.04 },
+        base_angular_velocity: ChannelConfig { delay: 0.0, time_constant: 0.02 },
+        ..ages().1
+    };
+    for (share, time) in shares(old).into_iter().zip([0.07_f64, 0.02]) {
+        assert_within!((share + (-STEP / time).exp_m1()).abs(), 1e-15);
+    }
+    assert_eq!(shares(EstimatorConfig::default()), [1.0; 2]);
+}
+
+/// What is measured at once is not predicted from what is as old as the oldest: encoders that say something else than the
+/// model are followed in the same tick.
+#[test]
+fn a_late_channel_delays_no_other() {
+    let config = flight(EstimatorConfig { base_position: late(0.05), ..EstimatorConfig::default() });
+    let mut estimator = estimator(&config);
+    let mut world = world(&config);
+    for tick in 0..20 {
+        world.observe(&WIND);
+        let (mut state, thrust) = (world.plant.state().clone(), world.plant.jets().thrust());
+        state.joint_position.add_scalar_mut(0.02 * f64::from(tick).sin());
+        let found = estimator.update(&state, thrust).state.joint_position;
+        assert_within!((found - &state.joint_position).amax(), 1e-14, because "one rounding of a correction", "tick {tick}");
+        estimator.command(world.controller.command(), &Vector6::zeros());
+        world.advance(&WIND);
+    }
+}
+
+/// The bias of the gyroscopes is what turns the estimate away from the measured rotation, and is held without one.
+#[test]
+fn the_bias_of_the_gyroscopes_is_estimated_from_the_rotation() {
+    let bias = [0.03, -0.02, 0.01];
+    let biased = SensorsConfig {
+        base_angular_velocity: SensorConfig { bias, ..SensorConfig::default() },
+        ..SensorsConfig::default()
+    };
+    let filtered = |time_constant| ChannelConfig { delay: 0.0, time_constant };
+    for (gyro_bias, share) in [(None, 1.0), (Some(0.2), 0.0)] {
+        let config = flight(EstimatorConfig {
+            base_rotation: filtered(0.05),
+            base_angular_velocity: filtered(0.02),
+            gyro_bias,
+            ..EstimatorConfig::default()
+        });
+        let mut estimator = estimator(&config);
+        let mut world = world(&config);
+        let mut sensors = Sensors::new(&biased, STEP, 23, 4).unwrap();
+        for tick in 0..240 {
+            world.observe(&WIND);
+            let (state, thrust) = (world.plant.state(), world.plant.jets().thrust());
+            let mut said = sensors.read(state, thrust).clone();
+            if tick > 200 {
+                said.state.base.rotation.fill(f64::NAN);
+            }
+            let found = estimator.update(&said.state, &said.thrust).state;
+            let error = found.base.rotation.transpose() * found.base_angular_velocity()
+                - state.base.rotation.transpose() * state.base_angular_velocity();
+            if tick > 150 {
+                let off = (error - share * Vector3::from(bias)).amax();
+                assert_within!(off, 1e-3, because "a thirtieth of the bias", "tick {tick}: {error}");
+            }
+            estimator.command(world.controller.command(), &Vector6::zeros());
+            world.advance(&WIND);
+        }
+    }
 }
 
 /// A wrench that is in no model moves the whole robot: its momentum as it says, no joint.

@@ -408,8 +408,9 @@ fn build_guard(
         .transpose()?;
     config.check_rate_bounds(robot, time_step)?;
     observer.map_or(Ok(()), |observer| observer.check(time_step))?;
-    let momentum_share = estimator.as_ref().map_or(1.0, |estimator| estimator.momentum_share);
-    let engines = engines.map(|engines| Engines::new(&engines, limits, robot, momentum_share));
+    let momentum_shares = estimator.as_ref().map_or([1.0; 2], |estimator| estimator.momentum_shares);
+    let engines =
+        engines.map(|engines| Engines::new(&engines, limits, robot, momentum_shares)).transpose()?;
     let feet = contact.as_ref().map(|_| Feet { time_step });
     let stages = [
         stage(wind_observer),

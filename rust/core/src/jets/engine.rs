@@ -126,6 +126,14 @@ impl EngineModel {
             + self.input_gain(thrust, thrust_rate) * self.input(self.limit_throttle(throttle))
     }
 
+    /// Thrust rate \[N/s\] after `dt` \[s\] at the throttle within the limits that brings it nearest to a commanded one.
+    #[must_use]
+    pub fn nearest_rate(&self, thrust: f64, thrust_rate: f64, command: f64, dt: f64) -> f64 {
+        let [a, b] = [self.coefficients.throttle_min, self.coefficients.throttle_max]
+            .map(|throttle| dt * self.thrust_acceleration(thrust, thrust_rate, throttle));
+        thrust_rate + (command - thrust_rate).max(a.min(b)).min(a.max(b))
+    }
+
     /// Derivatives of `T̈` with respect to `T` \[1/s²\] and `Ṫ` \[1/s\], at a throttle \[%\].
     #[must_use]
     pub fn acceleration_slopes(&self, thrust: f64, thrust_rate: f64, throttle: f64) -> (f64, f64) {

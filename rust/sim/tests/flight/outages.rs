@@ -5,6 +5,7 @@ use super::with;
 use crate::common::{assert_within, experiment};
 use flight_core::control::Modes;
 use flight_sim::disturbances::{FailureKind, JetFailure, Outage, OutageChannel, OutageKind};
+use flight_sim::jets::{JetsConfig, SecondOrderConfig};
 use flight_sim::{FlightResult, Outcome, Scenario, ScenarioConfig};
 use std::ops::ControlFlow;
 
@@ -81,6 +82,35 @@ fn blind_for_a_second_it_completes() {
         }
     }
     completes(outage(OutageChannel::Joints, 0.3, OutageKind::Nan), Modes::JOINTS_PREDICTED.bits(), 5.0);
+}
+
+/// All thrusts are measured 25 N too high, which turns no robot but makes it fall where it is taken for its engines.
+#[test]
+fn a_common_error_of_the_thrust_sensors_is_recognised() {
+    let wrong = Outage { error: 25.0, ..outage(OutageChannel::Thrust, FOR_EVER, OutageKind::Wrong) };
+    completes(wrong, Modes::THRUST_MODELLED.bits(), 12.0);
+}
+
+/// A wind sensor that jumps by 50 m/s, more than any gust.
+#[test]
+fn a_wind_that_jumps_is_replaced() {
+    let wrong = Outage { error: 50.0, ..outage(OutageChannel::Wind, FOR_EVER, OutageKind::Wrong) };
+    completes(wrong, Modes::WIND_HELD.bits() | Modes::WIND_LOST.bits(), 5.0);
+}
+
+/// Engines that follow the first large commands as fast as their throttles let them are not taken for failing ones.
+#[test]
+fn slow_engines_are_not_taken_for_failing_ones() {
+    let jets = JetsConfig::SecondOrder(SecondOrderConfig::default());
+    let flight = fly(Vec::new(), |config| {
+        config.simulator.jets = jets;
+        config.simulator.duration = 2.0;
+        for thrust in config.simulator.initial.thrust.iter_mut() {
+            *thrust -= 8.0;
+        }
+    });
+    assert_eq!(modes(&flight), 0);
+    assert_eq!(flight.outcome, Outcome::Completed);
 }
 
 /// Everything of the state stands still for 0.3 s: recognised, and survived.

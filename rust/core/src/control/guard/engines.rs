@@ -2,26 +2,30 @@
 //!
 //! ```text
 //! d ← e^{−Δt/τ} d + (T_k − T̂_k)              deviation of the thrust from the commanded one, T̂ by M31
-//! d̄ ← d after lags of τ_e and τ_n             the deviation, delayed as the momentum is
+//! l ← e^{−Δt/τ} l + Δt (Ṫ_e − Ṫ*)             that of an engine at the limits of its throttle
+//! d̄ ← d − [0, λ l] after lags of τ_e and τ_n  the part outside, delayed as the momentum is
 //! n ← n + (1 − e^{−Δt/τ_n}) (w − ŵ − n)       residual of the momentum with respect to the observed wrench
 //! ```
 //!
 //! If `|d̄|` stays above its limit for a confirmation time, either the engine does not reach its commanded thrust or
-//! its sensor is wrong. A wrong sensor adds `−d` times the jet's column of `A_T` to the residual of the momentum; an
-//! engine adds nothing. The thrust at which an engine stops becomes a bound on its commanded thrust, and an engine
-//! whose bounds are close together is lost. Equations M105 and M106 of `docs/model.md`.
+//! its sensor is wrong. Wrong sensors add `−d` times their jets' columns of `A_T` to the residual of the momentum,
+//! engines add nothing; several that deviate at once are one or the other together. The thrust at which an engine
+//! stops becomes a bound on its commanded thrust, and an engine whose bounds are close together is lost. Equations
+//! M105, M106 and M144 of `docs/model.md`.
 
 use super::observer::residual_share;
 use crate::control::law::attitude::MomentumGains;
 use crate::control::law::limits::Limits;
 use crate::error::{BuildError, Table};
+use crate::jets::EngineModel;
 use crate::robot::{Joint, JointKind, RobotModel};
-use nalgebra::{Vector3, Vector6};
+use crate::spatial::parts;
+use nalgebra::{Matrix6xX, Vector6};
 use serde::{Deserialize, Serialize};
 
-/// Least lever arm of a jet about the centre of mass for which its sensor can be judged \[m\]: with it, a deviation of
-/// 10 N has a moment of 0.1 N m, as large as the noise of the residual.
-const LEAST_ARM: f64 = 0.01;
+/// Lever arm that makes a force comparable with a moment \[m\]: that of the air that no model contains. Gyroscopes are
+/// less noisy than velocities, and aerodynamic forces change more than their moments.
+const FORCE_ARM: f64 = 0.04;
 
 /// When an engine counts as not reaching its thrust, and when as lost.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -104,17 +108,45 @@ impl EnginesConfig {
 pub struct EngineState {
     /// `d` \[N\].
     pub deviation: f64,
-    /// `d` after the first lag and after both, `d̄` \[N\].
-    late: [f64; 2],
+    /// Thrust rate of an engine that follows the commands at the limits of its throttle, `Ṫ_e` \[N/s\].
+    rate: f64,
+    /// `l` \[N\].
+    pub lag: f64,
+    /// `Σ d l` and `Σ l²`, which give `λ` \[N²\].
+    fit: [f64; 2],
+    /// The part of `d` outside `[0, λ l]` after the first lag and after both, `d̄`, as late as the momentum's force
+    /// and as its moment \[N\].
+    late: [[f64; 2]; 2],
     /// Time for which `|d̄|` has exceeded its limit \[s\].
     suspected: f64,
     /// Least and greatest thrust that the engine has been found to reach \[N\].
     pub range: (f64, f64),
 }
 
+/// What the monitor of an engine is given in a tick.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct EngineSample {
+    /// Thrust \[N\].
+    pub thrust: f64,
+    /// Its difference from the prediction \[N\].
+    pub innovation: f64,
+    /// Whether all thrusts are measured: otherwise how engines follow their commands is not learnt.
+    pub is_measured: bool,
+    /// The thrust rate that was commanded since the last tick \[N/s\].
+    pub command: f64,
+}
+
 impl Default for EngineState {
     fn default() -> Self {
-        Self { deviation: 0.0, late: [0.0; 2], suspected: 0.0, range: (0.0, f64::INFINITY) }
+        Self {
+            deviation: 0.0,
+            rate: 0.0,
+            lag: 0.0,
+            fit: [0.0; 2],
+            late: [[0.0; 2]; 2],
+            suspected: 0.0,
+            range: (0.0, f64::INFINITY),
+        }
     }
 }
 
@@ -131,45 +163,66 @@ impl EngineState {
         self.range.1 - self.range.0 < descent.range_share_min * thrust_max
     }
 
-    /// Updates the monitor with the thrust of this tick \[N\] and its difference from the prediction (`innovation`),
-    /// `dt` \[s\] after the last tick. Returns whether the sensor is wrong; if instead the engine does not reach its
-    /// thrust, its range is narrowed.
+    /// Updates the monitor `dt` \[s\] after the last tick.
     ///
-    /// `momentum_share` is the fraction of a change that appears in the estimated momentum per tick, 1 where it is
-    /// measured; `sensor_error` is the sensor error that the momentum indicates, see [`sensor_error`]. Without it
-    /// nothing is judged, and lags and confirmation time restart.
+    /// `momentum_shares` are the fractions of a change of force and moment that appear in the estimated momentum per
+    /// tick, 1 where it is measured. Without a measured momentum lags and confirmation time restart.
     pub fn update(
         &mut self,
         config: &EnginesConfig,
+        model: &EngineModel,
         dt: f64,
-        (thrust, innovation): (f64, f64),
-        momentum_share: f64,
-        sensor_error: Option<f64>,
-    ) -> bool {
-        self.deviation = libm::exp(-dt / config.time_constant) * self.deviation + innovation;
-        let Some(sensor_error) = sensor_error else {
-            (self.late, self.suspected) = ([0.0; 2], 0.0);
-            return false;
+        sample: EngineSample,
+        momentum_shares: Option<[f64; 2]>,
+    ) {
+        let EngineSample { thrust, innovation, is_measured, command } = sample;
+        let kept = libm::exp(-dt / config.time_constant);
+        let rate = model.nearest_rate(thrust, self.rate, command, dt);
+        self.deviation = kept * self.deviation + innovation;
+        self.lag = kept * self.lag + dt * (0.5 * (self.rate + rate) - command);
+        self.rate = rate;
+        let half = 0.5 * config.deviation_max;
+        // A deviation that may be a fault teaches nothing.
+        if is_measured && self.deviation.abs() <= half {
+            self.fit[0] += self.deviation * self.lag;
+            self.fit[1] += self.lag * self.lag;
+        }
+        let Some(shares) = momentum_shares else {
+            (self.late, self.suspected) = ([[0.0; 2]; 2], 0.0);
+            return;
         };
-        let [estimated, late] = &mut self.late;
-        *estimated += momentum_share * (self.deviation - *estimated);
-        *late += residual_share(dt) * (*estimated - *late);
-        let late = *late;
-        if late.abs() <= config.deviation_max {
-            self.suspected = 0.0;
-            return false;
+        let [d_l, l_l] = self.fit.map(|sum| half * half + sum);
+        let lag = self.lag * (d_l / l_l).clamp(0.0, 1.0);
+        let outside = self.deviation - self.deviation.max(lag.min(0.0)).min(lag.max(0.0));
+        for ([estimated, late], share) in self.late.iter_mut().zip(shares) {
+            *estimated += share * (outside - *estimated);
+            *late += residual_share(dt) * (*estimated - *late);
         }
-        self.suspected += dt;
+        let is_beyond = self.late()[1].abs() > config.deviation_max;
+        self.suspected = if is_beyond { self.suspected + dt } else { 0.0 };
+    }
+
+    /// `d̄` \[N\], as late as the momentum's force and as its moment.
+    fn late(&self) -> [f64; 2] {
+        self.late.map(|[_, late]| late)
+    }
+
+    /// Whether the thrust has not been the commanded one for the confirmation time.
+    fn is_confirmed(&self, config: &EnginesConfig, dt: f64) -> bool {
         // Half a tick absorbs rounding.
-        if self.suspected < config.confirmation + 0.5 * dt {
-            return false;
-        }
-        if !self.is_limited() && sensor_error / late > 0.5 {
-            return true;
-        }
+        self.suspected > 0.0 && self.suspected >= config.confirmation + 0.5 * dt
+    }
+
+    /// Whether the sensor may be wrong: half of the limit is enough beside another one.
+    fn is_suspect(&self, config: &EnginesConfig) -> bool {
+        !self.is_limited() && 2.0 * self.late()[1].abs() > config.deviation_max
+    }
+
+    /// Narrows the range by the thrust \[N\] at which the engine stopped.
+    fn narrow(&mut self, thrust: f64) {
         let (least, greatest) = self.range;
-        self.range = if late < 0.0 { (least.min(thrust), thrust) } else { (thrust, greatest.max(thrust)) };
-        false
+        let is_short = self.late()[1] < 0.0;
+        self.range = if is_short { (least.min(thrust), thrust) } else { (thrust, greatest.max(thrust)) };
     }
 }
 
@@ -177,8 +230,9 @@ impl EngineState {
 #[derive(Debug, Clone)]
 pub struct Engines {
     config: EnginesConfig,
-    /// Fraction of a change that appears in the estimated momentum per tick, 1 where it is measured.
-    momentum_share: f64,
+    /// Fractions of a change of force and moment that appear in the estimated momentum per tick, 1 where measured.
+    momentum_shares: [f64; 2],
+    models: Vec<EngineModel>,
     usual: Limits,
     /// Limits after the loss of an engine.
     descending: Option<(DescentConfig, Limits)>,
@@ -186,8 +240,23 @@ pub struct Engines {
 
 impl Engines {
     /// Monitors of the engines of `robot`, for a law with these limits while all engines work.
-    #[must_use]
-    pub fn new(config: &EnginesConfig, usual: &Limits, robot: &RobotModel, momentum_share: f64) -> Self {
+    ///
+    /// # Errors
+    /// An engine that the robot does not define, or as [`EngineModel::new`].
+    pub fn new(
+        config: &EnginesConfig,
+        usual: &Limits,
+        robot: &RobotModel,
+        momentum_shares: [f64; 2],
+    ) -> Result<Self, BuildError> {
+        let models = robot.jets.iter().map(|jet| {
+            let known = robot.engines.get(&jet.engine).copied();
+            let name = || format!("engine of jet `{}`", jet.name);
+            let known =
+                known.ok_or_else(|| BuildError::unknown_name(name(), &jet.engine, robot.engines.keys()))?;
+            EngineModel::new(&jet.engine, known)
+        });
+        let models = models.collect::<Result<_, _>>()?;
         let joints = robot.joints.iter();
         let descending = |descent: DescentConfig| Limits {
             gains: descent.momentum,
@@ -197,7 +266,7 @@ impl Engines {
             ..usual.clone()
         };
         let descending = config.descent.map(|descent| (descent, descending(descent)));
-        Self { config: *config, momentum_share, usual: usual.clone(), descending }
+        Ok(Self { config: *config, momentum_shares, models, usual: usual.clone(), descending })
     }
 
     /// State before the first tick.
@@ -206,15 +275,43 @@ impl Engines {
         vec![EngineState::default(); self.usual.thrust.len()]
     }
 
-    /// Processes the thrust \[N\] of a jet and its innovation, as [`EngineState::update`].
+    /// Processes a sample of each engine, `dt` \[s\] after the last; `sensor_error` \[N\] is written for the sensors that
+    /// are found to be wrong, whose engines are as at the start, and the range of engines that do not reach their
+    /// thrust is narrowed.
+    ///
+    /// `momentum` is `A_T` and the residual of the momentum \[N, N m\], where it is measured; otherwise nothing is judged.
     pub fn update(
         &self,
-        engine: &mut EngineState,
+        engines: &mut [EngineState],
         dt: f64,
-        measured: (f64, f64),
-        sensor_error: Option<f64>,
-    ) -> bool {
-        engine.update(&self.config, dt, measured, self.momentum_share, sensor_error)
+        samples: impl Fn(usize) -> EngineSample,
+        momentum: Option<(&Matrix6xX<f64>, &Vector6<f64>)>,
+        sensor_error: &mut [Option<f64>],
+    ) {
+        let Self { config, models, .. } = self;
+        let shares = momentum.map(|_| self.momentum_shares);
+        for (jet, (engine, model)) in engines.iter_mut().zip(models).enumerate() {
+            engine.update(config, model, dt, samples(jet), shares);
+        }
+        let Some((a_t, residual)) = momentum else { return };
+        if !engines.iter().any(|engine| engine.is_confirmed(config, dt)) {
+            return;
+        }
+        let mut wrench = Vector6::zeros();
+        for (column, engine) in
+            a_t.column_iter().zip(&*engines).filter(|(_, engine)| engine.is_suspect(config))
+        {
+            wrench += Vector6::from_fn(|row, _| column[row] * engine.late()[row / 3]);
+        }
+        let are_sensors = explains(&wrench, residual);
+        for (jet, engine) in engines.iter_mut().enumerate() {
+            if are_sensors && engine.is_suspect(config) {
+                sensor_error[jet] = Some(engine.deviation);
+                *engine = EngineState::default();
+            } else if engine.is_confirmed(config, dt) {
+                engine.narrow(samples(jet).thrust);
+            }
+        }
     }
 
     /// Writes the limits of the law: of a limited engine the thrusts it reaches, so that the others take over its share;
@@ -234,19 +331,13 @@ impl Engines {
     }
 }
 
-/// Error of a jet's thrust sensor that would explain the residual `n` of the momentum \[N\]; `column` is the jet's
-/// column of `A_T`.
-///
-/// Only moments are compared: gyroscopes are less noisy than velocities, and aerodynamic forces change more than their
-/// moments. For a jet through the centre of mass the error cannot be determined; it is zero, so that the engine counts
-/// as failing, the worse of the two cases.
+/// Whether sensors that are wrong explain the residual `n` of the momentum: `|n + Σ a_i d̄_i| < |n|`, forces at
+/// [`FORCE_ARM`]. `wrench` is `Σ a_i d̄_i` \[N, N m\]. Where it says as little, engines fail, the worse of the two cases.
 #[must_use]
-pub fn sensor_error(column: &Vector6<f64>, residual: &Vector6<f64>) -> f64 {
-    let moment = |wrench: &Vector6<f64>| Vector3::new(wrench[3], wrench[4], wrench[5]);
-    let arm_squared = moment(column).norm_squared();
-    if arm_squared < LEAST_ARM * LEAST_ARM {
-        0.0
-    } else {
-        -moment(column).dot(&moment(residual)) / arm_squared
-    }
+pub fn explains(wrench: &Vector6<f64>, residual: &Vector6<f64>) -> bool {
+    let square = |wrench: Vector6<f64>| {
+        let (force, moment) = parts(&wrench);
+        FORCE_ARM * FORCE_ARM * force.norm_squared() + moment.norm_squared()
+    };
+    square(residual + wrench) < square(*residual)
 }

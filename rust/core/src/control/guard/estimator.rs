@@ -4,13 +4,14 @@
 //! ```text
 //! measurements of age d ──► stored until all have the greatest age D ──► correct x̂(t − D)
 //! x̂(t − D) ──► D ticks of the model under the commands given then ──► x̂(t), for the controller
+//!                   each corrected by what has been measured of it so far
 //! ```
 //!
 //! The control law assumes measurements without delay and noise, and commands that act at once; the estimator provides
 //! the former, and the state in which a late command begins to act. Forces that are not in the model enter through the
 //! controller's observed wrench. Without delays, latency and time constants the estimate equals the measurement.
 //!
-//! Equations M91 to M93 and M150 of `docs/model.md`.
+//! Equations M91 to M93, M145 and M150 of `docs/model.md`.
 
 mod config;
 
@@ -37,6 +38,24 @@ struct Order {
     foot_wrenches: Vec<f64>,
     /// Duration of the input \[s\]; known when the next tick starts.
     duration: f64,
+}
+
+/// State of the robot with what its model and its measurements do not contain.
+#[derive(Debug, Clone, PartialEq)]
+struct Estimate {
+    reading: Reading,
+    /// Accelerations of the joints that the model does not explain \[rad/s²\].
+    disturbance: DVector<f64>,
+    /// Bias of the gyroscopes \[rad/s, base axes\].
+    gyro_bias: Vector3<f64>,
+}
+
+impl Estimate {
+    fn copy_from(&mut self, other: &Self) {
+        self.reading.copy_from(&other.reading);
+        self.disturbance.copy_from(&other.disturbance);
+        self.gyro_bias = other.gyro_bias;
+    }
 }
 
 /// What acts in a tick: for the share `late` of it one command, then another.
@@ -72,14 +91,14 @@ struct Model {
 
 impl Model {
     /// Advances the model by `duration` \[s\] with semi-implicit Euler (M92) under the inputs of `order`, with the torques
-    /// and thrust rates that act; `disturbance` holds joint accelerations that the model does not explain.
+    /// and thrust rates that act.
     fn advance(
         &mut self,
-        reading: &mut Reading,
+        estimate: &mut Estimate,
         (order, duration): (&Order, f64),
         (torque, thrust_rate): (Mixed, Mixed),
-        disturbance: &DVector<f64>,
     ) {
+        let Estimate { reading, disturbance, .. } = estimate;
         let Self { robot, aero, kinematics, dynamics, link_forces, mass_factor, acceleration } = self;
         let Reading { state, thrust } = reading;
         kinematics.update(robot, state);
@@ -125,6 +144,43 @@ impl Model {
     }
 }
 
+/// How measurements correct an estimate.
+#[derive(Debug, Clone)]
+struct Gains {
+    /// Age of each channel in ticks when the command of this tick begins to act, in the order of the configuration.
+    ages: [usize; 7],
+    /// Fraction of each channel's innovation that corrects the estimate.
+    shares: [f64; 7],
+    /// Fractions of the joint position innovation that correct velocities, per tick, and accelerations, per tick
+    /// squared.
+    by_position: [f64; 2],
+    /// Fraction of the rate with which the rotation is corrected that the bias of the gyroscopes receives.
+    of_bias: f64,
+}
+
+impl Gains {
+    /// Corrects an estimate of `age` ticks by the measurements of its time that have arrived, the last of which is number
+    /// `last` in `line`; `step` is the duration of the tick before it \[s\] (M91, M93, M145).
+    fn correct(&self, estimate: &mut Estimate, line: &[Reading], last: usize, age: usize, step: f64) {
+        let Estimate { reading, disturbance, gyro_bias } = estimate;
+        let arrived = self.ages.map(|of_channel| age.checked_sub(of_channel));
+        let measured = arrived.map(|since| &line[(last + line.len() - since.unwrap_or(0)) % line.len()]);
+        let share = |channel: usize| if arrived[channel].is_some() { self.shares[channel] } else { 0.0 };
+        let shares = std::array::from_fn(share);
+        if arrived[4].is_some() {
+            let [of_velocity, of_acceleration] = self.by_position;
+            for joint in 0..disturbance.len() {
+                let found = reading.state.joint_position[joint];
+                let innovation = prefer_measured(measured[4].state.joint_position[joint], found) - found;
+                reading.state.velocity[6 + joint] += of_velocity / step * innovation;
+                disturbance[joint] += of_acceleration / (step * step) * innovation;
+            }
+        }
+        let turned = correct(reading, measured, &shares, gyro_bias);
+        *gyro_bias -= self.of_bias / step * turned;
+    }
+}
+
 /// State estimator of one robot, with its workspace; its state is an [`EstimatorState`].
 #[derive(Debug, Clone)]
 pub struct Estimator {
@@ -132,20 +188,16 @@ pub struct Estimator {
     time_step: f64,
     /// Age of the oldest channel in ticks.
     oldest: usize,
-    /// Age of each channel in ticks when the command of this tick begins to act, in the order of the configuration.
-    ages: [usize; 7],
     /// Whole ticks until torques act, which are part of the ages.
     latency: usize,
     /// What is left of the latencies of torques, below one, and thrust rates after these \[ticks\].
     lags: [f64; 2],
-    /// Fraction of each channel's innovation that corrects the estimate.
-    shares: [f64; 7],
-    /// Fractions of the joint position innovation that correct velocities, per tick, and accelerations, per tick
-    /// squared.
-    by_position: [f64; 2],
-    /// Fraction of an unmodelled moment that appears in the estimated momentum per tick: that of a lag with the
-    /// greatest age plus the time constant of the angular velocity.
-    pub momentum_share: f64,
+    gains: Gains,
+    /// Fractions of an unmodelled force and moment that appear in the estimated momentum per tick: those of lags with
+    /// age and time constant of the linear and of the angular velocity.
+    pub momentum_shares: [f64; 2],
+    /// The estimate on its way to the present.
+    ahead: Estimate,
 }
 
 /// State of the estimator, kept from tick to tick.
@@ -158,9 +210,7 @@ pub struct EstimatorState {
     /// Number of measurements processed.
     ticks: usize,
     /// Estimate at the greatest age.
-    then: Reading,
-    /// Accelerations of the joints that the model does not explain \[rad/s²\].
-    disturbance: DVector<f64>,
+    then: Estimate,
 }
 
 impl Estimator {
@@ -200,9 +250,16 @@ impl Estimator {
             aero,
         };
         let oldest = ages.into_iter().max().unwrap_or(0);
-        let lag = (oldest as f64 + lags[0]) * time_step + config.base_angular_velocity.time_constant;
-        let momentum_share = share(lag);
-        Ok(Self { model, time_step, oldest, ages, latency, lags, shares, by_position, momentum_share })
+        let momentum_shares = [2, 3]
+            .map(|of| share((ages[of] as f64 + lags[0]) * time_step + channels[of].time_constant));
+        let of_bias = config.gyro_bias.map_or(0.0, share);
+        let ahead = Estimate {
+            reading: Reading::zero(joints, model.robot.jets.len()),
+            disturbance: DVector::zeros(joints),
+            gyro_bias: Vector3::zeros(),
+        };
+        let gains = Gains { ages, shares, by_position, of_bias };
+        Ok(Self { model, time_step, oldest, latency, lags, gains, momentum_shares, ahead })
     }
 
     /// State before the first measurement, for a flight that starts from `state` and `thrust` \[N\].
@@ -222,8 +279,11 @@ impl Estimator {
             line: vec![first.clone(); 1 + self.oldest],
             orders: vec![order; 1 + self.oldest + reach(self.lags[1])],
             ticks: 0,
-            then: first,
-            disturbance: DVector::zeros(joints),
+            then: Estimate {
+                reading: first,
+                disturbance: DVector::zeros(joints),
+                gyro_bias: Vector3::zeros(),
+            },
         }
     }
 
@@ -232,8 +292,8 @@ impl Estimator {
     pub fn fits(&self, state: &EstimatorState) -> bool {
         let robot = &self.model.robot;
         state.line.len() == 1 + self.oldest
-            && state.disturbance.len() == robot.joints.len()
-            && state.then.thrust.len() == robot.jets.len()
+            && state.then.disturbance.len() == robot.joints.len()
+            && state.then.reading.thrust.len() == robot.jets.len()
     }
 
     /// Replaces the measurement `now` by the estimate at the present time. Does not allocate.
@@ -252,9 +312,9 @@ impl Estimator {
         thrust_innovation: &mut [f64],
     ) {
         memory.last_order().duration = self.time_step * (elapsed / self.time_step).round().max(1.0);
-        let Self { model, ages, by_position, lags, .. } = self;
-        let EstimatorState { line, orders, ticks, then, disturbance } = memory;
-        let (oldest, length) = (self.oldest, line.len());
+        let Self { model, time_step, oldest, latency, lags, gains, ahead, .. } = self;
+        let EstimatorState { line, orders, ticks, then } = memory;
+        let (oldest, length) = (*oldest, line.len());
         // Inputs of `age` ticks ago; the first ones also stand for the time before (M140).
         let given = |age: usize| &orders[ticks.saturating_sub(age) % orders.len()];
         // Torques and thrust rates that act under these inputs, with the shares of the earlier ones.
@@ -268,50 +328,45 @@ impl Estimator {
             )
         };
         let late = [torque, thrust.fract()];
-        let waiting = oldest - self.latency;
+        let waiting = oldest - *latency;
         let begun = *ticks > waiting;
         // Duration of the step that leads to `then`.
-        let step = if begun { given(length).duration } else { self.time_step };
+        let step = if begun { given(length).duration } else { *time_step };
         if *ticks == 0 {
             for reading in line.iter_mut() {
                 reading.copy_from(now);
             }
-            take_over(then, now);
+            take_over(&mut then.reading, now);
         }
         line[*ticks % length].copy_from(now);
         if begun {
-            model.advance(then, (given(length), step), acting(length, late), disturbance);
+            model.advance(then, (given(length), step), acting(length, late));
         }
-        if !then.is_finite() {
-            then.copy_from(now);
-            disturbance.fill(0.0);
+        if !then.reading.is_finite() {
+            then.reading.copy_from(now);
+            then.disturbance.fill(0.0);
+            then.gyro_bias.fill(0.0);
         }
-        // Measurements with a smaller age wait for those with the greatest.
-        let aligned = ages.map(|age| &line[(*ticks + length - (oldest - age)) % length]);
-        let [of_velocity, of_acceleration] = *by_position;
-        for joint in 0..disturbance.len() {
-            let found = then.state.joint_position[joint];
-            let innovation = prefer_measured(aligned[4].state.joint_position[joint], found) - found;
-            then.state.velocity[6 + joint] += of_velocity / step * innovation;
-            disturbance[joint] += of_acceleration / (step * step) * innovation;
-        }
-        thrust_innovation.copy_from_slice(&then.thrust);
-        correct(then, aligned, &self.shares);
-        for (innovation, corrected) in thrust_innovation.iter_mut().zip(&then.thrust) {
+        thrust_innovation.copy_from_slice(&then.reading.thrust);
+        gains.correct(then, line, *ticks, oldest, step);
+        for (innovation, corrected) in thrust_innovation.iter_mut().zip(&then.reading.thrust) {
             *innovation = corrected - *innovation;
         }
-        now.copy_from(then);
+        ahead.copy_from(then);
         if *ticks > 0 {
-            for age in (1..=self.latency + waiting.min(*ticks)).rev() {
-                let order = given(age);
-                model.advance(now, (order, order.duration), acting(age, late), disturbance);
+            // What is younger than the latest measurement is only predicted: its age is below all of the channels.
+            for age in (0..*latency + waiting.min(*ticks)).rev() {
+                let order = given(age + 1);
+                model.advance(ahead, (order, order.duration), acting(age + 1, late));
+                gains.correct(ahead, line, *ticks, age, order.duration);
             }
             if torque > 0.0 {
                 // To when the torques of this tick begin to act.
-                let part = torque * self.time_step;
-                model.advance(now, (given(1), part), acting(0, [1.0; 2]), disturbance);
+                let part = torque * *time_step;
+                model.advance(ahead, (given(1), part), acting(0, [1.0; 2]));
             }
         }
+        now.copy_from(&ahead.reading);
         *ticks += 1;
     }
 }
@@ -324,7 +379,7 @@ impl EstimatorState {
 
     /// Subtracts the error `deviation` \[N\] of a jet's sensor from its thrust; its stored measurements are discarded.
     pub(super) fn correct_thrust(&mut self, jet: usize, deviation: f64) {
-        self.then.thrust[jet] -= deviation;
+        self.then.reading.thrust[jet] -= deviation;
         for reading in &mut self.line {
             reading.thrust[jet] = f64::NAN;
         }
@@ -391,22 +446,32 @@ fn prefer_measured(measured: f64, estimate: f64) -> f64 {
     if measured.abs() <= GREATEST { measured } else { estimate }
 }
 
-/// Corrects an estimate by measurements of its time, each with its fraction (M91).
-fn correct(estimate: &mut Reading, measured: [&Reading; 7], shares: &[f64; 7]) {
+/// Corrects an estimate by measurements of its time, each with its fraction (M91), those of the gyroscopes less their
+/// bias. Returns by how much the rotation was corrected \[rad, base axes\].
+fn correct(
+    estimate: &mut Reading,
+    measured: [&Reading; 7],
+    shares: &[f64; 7],
+    gyro_bias: &Vector3<f64>,
+) -> Vector3<f64> {
     let [position, rotation, linear, angular, joints, joint_velocities, thrusts] = measured;
     let Reading { state, thrust } = estimate;
     let (rotation_now, turning) = (state.base.rotation, state.base_angular_velocity());
     let gyro_now = rotation_now.transpose() * turning;
     let rotation_measured = angular.state.base.rotation.zip_map(&rotation_now, prefer_measured);
-    let turning_measured = angular.state.base_angular_velocity().zip_map(&turning, prefer_measured);
-    let gyro_now = gyro_now + shares[3] * (rotation_measured.transpose() * turning_measured - gyro_now);
-    let turn = log_so3(
-        &(rotation_now.transpose() * rotation.state.base.rotation.zip_map(&rotation_now, prefer_measured)),
-    );
+    let expected = turning + rotation_now * gyro_bias;
+    let turning_measured = angular.state.base_angular_velocity().zip_map(&expected, prefer_measured);
+    let gyro_measured = rotation_measured.transpose() * turning_measured - gyro_bias;
+    let gyro_now = gyro_now + shares[3] * (gyro_measured - gyro_now);
+    let turn = shares[1]
+        * log_so3(
+            &(rotation_now.transpose()
+                * rotation.state.base.rotation.zip_map(&rotation_now, prefer_measured)),
+        );
     let place = state.base.position;
     state.base.position +=
         shares[0] * (position.state.base.position.zip_map(&place, prefer_measured) - place);
-    state.base.rotation = project_to_so3(&(state.base.rotation * exp_so3(&(shares[1] * turn))));
+    state.base.rotation = project_to_so3(&(state.base.rotation * exp_so3(&turn)));
     let linear_now = state.base_linear_velocity();
     let linear_measured = linear.state.base_linear_velocity().zip_map(&linear_now, prefer_measured);
     let linear_now = linear_now + shares[2] * (linear_measured - linear_now);
@@ -423,4 +488,5 @@ fn correct(estimate: &mut Reading, measured: [&Reading; 7], shares: &[f64; 7]) {
     for (found, measured) in thrust.iter_mut().zip(&thrusts.thrust) {
         *found = (*found + shares[6] * (prefer_measured(*measured, *found) - *found)).max(0.0);
     }
+    turn
 }

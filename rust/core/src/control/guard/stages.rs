@@ -12,14 +12,14 @@
 //! ```
 
 use super::channels::{Channels, ChannelsState};
-use super::engines::{EngineState, Engines, sensor_error};
+use super::engines::{EngineSample, EngineState, Engines};
 use super::estimator::Estimator;
 use super::observer::{ObserverConfig, ObserverState, Sample};
 use super::supervisor::{Errors, SupervisorConfig};
 use super::wind_observer::WindObserver;
 use crate::control::command::Command;
 use crate::control::law::contact::{WRENCH, add_wrenches};
-use crate::control::measurement::{BadStart, Measurement};
+use crate::control::measurement::{BadStart, Measurement, UsedMeasurement};
 use crate::control::modes::Modes;
 use crate::control::state::ControllerState;
 use crate::control::terms::Terms;
@@ -358,14 +358,20 @@ impl Stage for Engines {
     fn judge(&mut self, tick: &mut Tick) {
         let ControllerState { engines, observer, channels, contact, .. } = &mut *tick.state;
         let Terms { measurement, momentum, limits, .. } = &mut *tick.terms;
-        for (jet, engine) in engines.iter_mut().enumerate() {
-            let column: Vector6<f64> = momentum.a_t.column(jet).into();
-            let measured = (measurement.thrust[jet], measurement.thrust_innovation[jet]);
-            let sensor_error = measurement.has_momentum.then(|| sensor_error(&column, &observer.residual));
-            if self.update(engine, measurement.elapsed, measured, sensor_error) {
-                tick.channels.reject_sensor(channels, jet, engine.deviation);
-                measurement.sensor_error[jet] = Some(engine.deviation);
-                *engine = EngineState::default();
+        let UsedMeasurement { thrust, thrust_innovation, sensor_error, elapsed, has_momentum, modes, .. } =
+            &mut *measurement;
+        let is_measured = !modes.contains(Modes::THRUST_MODELLED);
+        let samples = |jet: usize| EngineSample {
+            thrust: thrust[jet],
+            innovation: thrust_innovation[jet],
+            is_measured,
+            command: channels.thrust_rate[jet],
+        };
+        let residual = has_momentum.then_some((&momentum.a_t, &observer.residual));
+        self.update(engines, *elapsed, samples, residual, sensor_error);
+        for (jet, error) in sensor_error.iter().enumerate() {
+            if let Some(error) = error {
+                tick.channels.reject_sensor(channels, jet, *error);
             }
         }
         if engines.iter().any(EngineState::is_limited) {

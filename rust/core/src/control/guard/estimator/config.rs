@@ -31,6 +31,11 @@ pub struct EstimatorConfig {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub joint_observer: Option<f64>,
+    /// Time constant \[s\] with which the bias of the gyroscopes is estimated from the measured rotation; without it they
+    /// have none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub gyro_bias: Option<f64>,
     /// Time from a tick until its command acts. State and set-point of the law are those of then.
     pub latency: LatencyConfig,
 }
@@ -106,8 +111,9 @@ impl EstimatorConfig {
         let is_later = |x| (torque..=MAX_DELAY).contains(&x);
         let expected = format!("seconds from {torque}, the latency of the torques, to 0.2");
         check("controller.estimator.latency.thrust", thrust, is_later, &expected)?;
-        if let Some(time) = self.joint_observer {
-            check("controller.estimator.joint_observer", time, |x| x > 0.0, "a positive number of seconds")?;
+        for (key, time) in [("joint_observer", self.joint_observer), ("gyro_bias", self.gyro_bias)] {
+            let item = format!("controller.estimator.{key}");
+            check(&item, time.unwrap_or(1.0), |x| x > 0.0, "a positive number of seconds")?;
         }
         Ok(())
     }

@@ -1,0 +1,51 @@
+"""What the momentum rate can say of thrust sensors: its derivatives by thrusts and wind, from the symbolic model."""
+
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from jax_aero import rust
+from jax_aero.symbolic import MomentumModel, load_robot
+from jax_aero.symbolic.aero import load_aero
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+WEIGHTS = np.repeat([0.04, 1.0], 3)[:, None]
+"""Forces in moments, as in M106 [m]."""
+
+
+@pytest.fixture(scope="module")
+def maps():
+    """Derivatives of the hovering robot's momentum rate by the thrusts (6, 4) and by a side wind of 10 m/s (6, 3)."""
+    model = MomentumModel(
+        load_robot(CONFIGS / "robot" / "ironcub_mk1.toml"),
+        load_aero(CONFIGS / "aero" / "axisymmetric_corrected.toml"),
+    )
+    by = [ca.jacobian(model.momentum_rate, variable) for variable in (model.thrust, model.wind)]
+    initial = rust.load_config(CONFIGS / "experiments" / "test2_observer.toml")["simulator"]["initial"]
+    state = np.zeros(3), np.eye(3), np.array(initial["joint_position"]), np.zeros(29)
+    found = model.function("maps", by)(*state, np.array(initial["thrust"]), [0.0, -10.0, 0.0])
+    return [np.array(derivative.full()) for derivative in found]
+
+
+def test_a_wrench_that_is_in_no_model_hides_every_thrust_error(maps):
+    """Six rates for ten unknowns: of an error in any thrust nothing is left that another wrench does not explain."""
+    everything = np.hstack([maps[0], np.eye(6)])
+    assert everything.shape[1] - np.linalg.matrix_rank(everything) == 4
+
+
+def test_one_combination_of_thrust_errors_is_a_wind(maps):
+    """Seven unknowns in six rates; but with 25 N it is a wind of 60 m/s, which no gust is."""
+    together = np.hstack(maps)
+    assert np.linalg.matrix_rank(together) == 6
+    hidden = np.linalg.svd(together)[2][-1]
+    assert np.linalg.norm(hidden[4:]) * 25.0 / np.abs(hidden[:4]).max() > 60.0
+
+
+@pytest.mark.parametrize(("error", "least"), [([1, 1, 1, 1], 0.95), ([1, 0, 0, 0], 0.6), ([0, 0, 1, 0], 0.7)])
+def test_no_horizontal_wind_looks_like_a_thrust_error(maps, error, least):
+    """What is left of an error where the wind explains as much of it as it can."""
+    wrench, wind = WEIGHTS * (maps[0] @ np.array(error, float)[:, None]), WEIGHTS * maps[1][:, :2]
+    left = wrench - wind @ np.linalg.lstsq(wind, wrench)[0]
+    assert np.linalg.norm(left) > least * np.linalg.norm(wrench)
