@@ -33,8 +33,15 @@ WIND = {"profile": "ramp", "velocity": [3.0, -9.0, 1.0], "ramp_start": 0.0, "ram
 
 
 def test_both_estimate_the_same_state(x64, measured):
-    """Truth and commands are those of a flight of the crate, whose log has what its estimator gave the controller."""
-    table = rust.load_config(EXPERIMENT, {"simulator.duration": 0.5})
+    """Truth and commands are those of a flight of the crate, whose log has what its estimator gave the controller. The
+    gyroscopes have a bias, which the estimator finds."""
+    bias = [0.05, -0.04, 0.03]
+    changes = {
+        "simulator.duration": 0.5,
+        "simulator.sensors.base_angular_velocity.bias": bias,
+        "controller.estimator.gyro_bias": 0.1,
+    }
+    table = rust.load_config(EXPERIMENT, changes)
     table["wind"] = WIND
     flown = rust.fly(table)
     config, robot = scenario_config(table), load_robot(table["robot"])
@@ -57,7 +64,8 @@ def test_both_estimate_the_same_state(x64, measured):
 
     first = jax.tree.map(lambda x: x[0], rows[0])
     begun = estimator.start(settings, first.state, len(first.thrust))
-    _, found = jax.lax.scan(tick, (sensors.start(errors, first), begun), rows)
+    (_, last), found = jax.lax.scan(tick, (sensors.start(errors, first), begun), rows)
+    np.testing.assert_allclose(last.then.gyro_bias, bias, rtol=0, atol=0.03)
     because = "fifty ticks of a model whose joints run away by a factor of 1.5 in each, held by measurements"
     for name, ours in {
         "measured_base_position": found.state.base_position,

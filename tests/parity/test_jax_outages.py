@@ -20,6 +20,7 @@ CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 EXPERIMENTS = CONFIGS / "experiments"
 
 JUMP = {
+    "wind": 5.0,
     "joint_position": 0.5,
     "joint_velocity": 30.0,
     "position": 0.3,
@@ -41,7 +42,9 @@ ENGINES = {
 SUPERVISOR = {"horizon": 0.3, "rotation": 0.05, "position": 0.05, "joint_velocity": 0.5, "confirmation": 0.03}
 OUTAGES = [
     {"channel": "base_position", "start": 0.0, "duration": 0.01, "kind": "wrong", "error": 0.4},
-    {"channel": "wind", "start": 0.4, "kind": "missing"},
+    {"channel": "wind", "start": 0.0, "duration": 0.01, "kind": "wrong", "error": 20.0},  # outvoted by the next ones
+    {"channel": "wind", "start": 0.3, "duration": 0.05, "kind": "missing"},
+    {"channel": "wind", "start": 0.4, "duration": 1.0, "kind": "wrong", "error": 20.0},  # rejected for good
     {"channel": "thrust", "jet": "l_arm_jet", "start": 0.5, "kind": "nan"},
     {"channel": "base_velocity", "start": 0.6, "duration": 0.2, "kind": "frozen"},
     {"channel": "base_position", "start": 0.74, "duration": 0.02, "kind": "frozen"},  # new again after two ticks
@@ -89,6 +92,8 @@ def test_a_flight_with_outages_of_every_kind(measured):
     seen = set(np.unique(modes).astype(int))
     for mode in set(MODES) - {"feet_predicted", "clock_predicted"}:
         assert any(bits & MODES[mode] for bits in seen), f"{mode} is never reached"
+    held = np.flatnonzero(modes.astype(int) & MODES["wind_held"])
+    assert held.tolist() == [1, *range(30, 35), *range(40, len(modes))]
     for name in ("base_position", "joint_position", "thrust", "joint_torque", "unmodelled_wrench", "com_setpoint"):
         scale = max(1.0, np.abs(theirs.log[name]).max())
         difference = np.abs(ours.log[name] - theirs.log[name]).max() / scale

@@ -124,30 +124,34 @@ fn with_the_worlds_own_model_it_is_ahead_of_every_delay() {
 }
 
 /// Torques act two ticks late and thrust rates five: the estimate is the state in which the torques of this tick begin
-/// to act, with the thrusts of then.
+/// to act, with the thrusts of then, from exact measurements and from those that are late as well.
 #[test]
 fn with_late_commands_it_is_the_state_in_which_they_act() {
     const TORQUE: usize = 2;
     const THRUST: usize = 5;
     let latency = LatencyConfig { torque: 0.02, thrust: 0.05 };
-    let config = flight(EstimatorConfig { latency, ..EstimatorConfig::default() });
-    let mut estimator = estimator(&config);
-    let mut world = world(&config);
-    let (mut sent, mut found): (Vec<Command>, Vec<Reading>) = (Vec::new(), Vec::new());
-    for tick in 0..40 {
-        world.observe(&WIND);
-        let (state, thrust) = (world.plant.state(), world.plant.jets().thrust());
-        let truth = Reading { state: state.clone(), thrust: thrust.to_vec() };
-        if tick > TORQUE {
-            assert_within!(distance(&found[tick - TORQUE], &truth), 1e-9, because "two steps of the same equations in another order", "tick {tick}");
+    for (sensors, settings) in [(SensorsConfig::default(), EstimatorConfig::default()), ages()] {
+        let config = flight(EstimatorConfig { latency, ..settings });
+        let mut estimator = estimator(&config);
+        let mut world = world(&config);
+        let mut sensors = Sensors::new(&sensors, STEP, 23, 4).unwrap();
+        let (mut sent, mut found): (Vec<Command>, Vec<Reading>) = (Vec::new(), Vec::new());
+        for tick in 0..40 {
+            world.observe(&WIND);
+            let (state, thrust) = (world.plant.state(), world.plant.jets().thrust());
+            let truth = Reading { state: state.clone(), thrust: thrust.to_vec() };
+            if tick > TORQUE {
+                assert_within!(distance(&found[tick - TORQUE], &truth), 1e-9, because "two steps of the same equations in another order", "tick {tick}");
+            }
+            let said = sensors.read(state, thrust);
+            found.push(estimator.update(&said.state, &said.thrust));
+            sent.push(world.controller.command().clone());
+            estimator.command(&sent[tick], &Vector6::zeros());
+            let torque = sent[tick.saturating_sub(TORQUE)].joint_torque.as_slice();
+            let rate = sent[tick.saturating_sub(THRUST)].thrust_rate.as_slice();
+            world.plant.advance(torque, rate, &WIND, STEP);
+            world.tick += 1;
         }
-        found.push(estimator.update(state, thrust));
-        sent.push(world.controller.command().clone());
-        estimator.command(&sent[tick], &Vector6::zeros());
-        let torque = sent[tick.saturating_sub(TORQUE)].joint_torque.as_slice();
-        let rate = sent[tick.saturating_sub(THRUST)].thrust_rate.as_slice();
-        world.plant.advance(torque, rate, &WIND, STEP);
-        world.tick += 1;
     }
 }
 
