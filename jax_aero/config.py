@@ -206,6 +206,12 @@ class EstimatorConfig(Struct, frozen=True, kw_only=True):
 JacobianOffset: TypeAlias = Literal["link_rotation", "base_rotation"]
 
 
+class JointsConfig(Struct, frozen=True, kw_only=True):
+    acceleration_max: float
+    displacement_min: float
+    share_max: float
+
+
 LeverArm: TypeAlias = Literal["rotated", "unrotated"]
 
 
@@ -324,6 +330,7 @@ class ControllerSection(Struct, frozen=True, kw_only=True):
     engines: EnginesConfig | None = None
     estimator: EstimatorConfig | None = None
     jacobian_offset: JacobianOffset = "link_rotation"
+    joints: JointsConfig | None = None
     lever_arm: LeverArm = "rotated"
     link_velocity: LinkVelocity = "at_centre"
     momentum: MomentumGains
@@ -409,6 +416,16 @@ class JetFaultsConfig(Struct, frozen=True, kw_only=True):
     thrust_limit_scale: float | None = None
 
 
+JointFaultKind: TypeAlias = Literal["stuck", "weak", "free"]
+
+
+class JointFault(Struct, frozen=True, kw_only=True):
+    joint: str
+    kind: JointFaultKind
+    share: float = 0.5
+    start: float
+
+
 class ModelError(Struct, frozen=True, kw_only=True):
     com_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     mass_scale: float = 1.0
@@ -443,6 +460,7 @@ class Disturbances(Struct, frozen=True, kw_only=True):
     aero_estimate: ForceFactorsConfig = ForceFactorsConfig()
     controller_wind: WindConfig | None = None
     jets: JetFaultsConfig = JetFaultsConfig()
+    joints: tuple[JointFault, ...] = ()
     model_error: ModelError = ModelError()
     outages: tuple[Outage, ...] = ()
     wind_estimate: WindEstimateConfig | None = None

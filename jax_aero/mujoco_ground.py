@@ -360,6 +360,7 @@ def _row(
         "qp_kkt": [tick.momentum_answer.kkt, tick.torque_answer.kkt],
         "qp_iterations": [tick.momentum_answer.iterations, tick.torque_answer.iterations],
         "degraded_modes": float(sum(MODES[mode] for mode in tick.degraded_modes)),
+        "joint_condition": tick.joint_condition,
         "joint_torque_measured": seen.joint_torque,
         "foot_wrench": seen.foot_wrenches,
         "sole_position": seen.soles,

@@ -377,6 +377,8 @@ class Tick:
         "Nominal", "Degraded", or the part of the command that is a safe substitute.
     degraded_modes
         Names of the modes of a tick with missing or implausible measurements.
+    joint_condition
+        What is found of each joint, (n,): 0 healthy, 1 stuck, 2 weak, 3 free.
     posture, inertia_0_b, velocity_error_integral
         Part of the controller's state after the tick, see `Controller.state`.
     setpoint
@@ -424,6 +426,7 @@ class Tick:
     joint_torque: Array
     status: str
     degraded_modes: list[str]
+    joint_condition: Array
     posture: Array
     inertia_0_b: Array
     velocity_error_integral: Array

@@ -163,6 +163,7 @@ def made_up_flight(duration: float = 50.0, lost_time: float | None = None, step:
         "measured_wind": np.outer(ramp, [0.0, -10.0, 0.0]),
         "measured_wind_std": np.zeros((n, 3)),
         "degraded_modes": np.zeros(n),
+        "joint_condition": np.zeros((n, 23)),
         "qp_status": np.zeros((n, 2)),
         "qp_kkt": np.full((n, 2), 1e-12),
         "qp_iterations": np.full((n, 2), 3.0),

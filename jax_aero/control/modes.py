@@ -15,6 +15,7 @@ MODES = {
     "descending": 512,
     "engine_limited": 1024,
     "begun_again": 2048,
+    "joint_limited": 4096,
     "straying": 16384,
 }
 """Bits of a tick's modes, as in the Rust crate."""

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from jax_aero.control.guard.channels import ChannelsState
 from jax_aero.control.guard.engines import EngineState
 from jax_aero.control.guard.estimator import EstimatorState
+from jax_aero.control.guard.joints import JointsState
 from jax_aero.control.guard.observer import ObserverState
 from jax_aero.control.guard.wind_observer import WindState
 from jax_aero.control.law.mpc.plan import Plan
@@ -45,6 +46,8 @@ class ControllerState(NamedTuple):
     """Observed wrench and the measurement to compare the next one with; `None` without an observer."""
     engines: EngineState | None = None
     """State of the engines' detection; `None` without one."""
+    joints: JointsState | None = None
+    """State of the joints' detection; `None` without one."""
     exceeded: Float[Array, ""] | None = None
     """Time for which the supervisor's limits have been exceeded [s]; `None` without one."""
     plan: Plan | None = None

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from jax_aero.aero import AeroModel, LinkConventions, generalised_aero_force, link_forces
 from jax_aero.control.law.attitude import AttitudeDemand
+from jax_aero.control.law.limits import Limits
 from jax_aero.control.law.momentum import MomentumModel, momentum_model
 from jax_aero.control.law.momentum_qp import MomentumQp
 from jax_aero.control.law.torque import TorqueQp
@@ -39,6 +40,8 @@ class Terms(NamedTuple):
     torque_qp: TorqueQp
     unlimited_torque: Float[Array, " n"]
     """Torques before the rate limiter [N m]."""
+    limits: Limits
+    """Gains and limits of the law in this tick."""
 
 
 class Model(NamedTuple):

@@ -28,8 +28,17 @@ from jax_aero.control.guard import channels, engines, estimator
 from jax_aero.control.guard.channels import ChannelLimits
 from jax_aero.control.guard.engines import EngineLimits
 from jax_aero.control.guard.estimator import Estimator
+from jax_aero.control.guard.joints import JointLimits
 from jax_aero.control.guard.observer import ObserverGains
-from jax_aero.control.guard.stages import EngineStage, EstimatorStage, Guard, ObserverStage, SupervisorStage, WindStage
+from jax_aero.control.guard.stages import (
+    EngineStage,
+    EstimatorStage,
+    Guard,
+    JointStage,
+    ObserverStage,
+    SupervisorStage,
+    WindStage,
+)
 from jax_aero.control.guard.supervisor import SupervisorLimits
 from jax_aero.control.guard.wind_observer import WindObserver
 from jax_aero.control.law import setpoint as generator
@@ -99,6 +108,8 @@ class MomentumController:
     """Observer whose wind replaces the measured one; `None` without one."""
     observer: ObserverGains | None
     engines: EngineLimits | None
+    joints: JointLimits | None
+    """Detection of faulty joints; `None` without it."""
     supervisor: SupervisorLimits | None
     mpc: Mpc | None
     """The predictive law; `None` where the momentum QP decides."""
@@ -114,6 +125,7 @@ class MomentumController:
             None if winds is None else WindStage(winds, robot, self.aero),
             None if observes is None else ObserverStage(observes),
             None if monitors is None else EngineStage(monitors, robot, shares),
+            None if self.joints is None else JointStage(self.joints, self.time_step),
             None if self.supervisor is None else SupervisorStage(self.supervisor),
             None if estimates is None else EstimatorStage(estimates, robot, self.aero, self.channels),
         )
@@ -123,7 +135,8 @@ class MomentumController:
         """Return what the law may use while the guard finds nothing."""
         greatest = jnp.asarray(robot.jets.thrust_max)
         fast = self.tasks.joint_velocity_max, self.torque_rate_max
-        return Limits(self.momentum, jnp.array(True), jnp.zeros_like(greatest), greatest, *fast)
+        whole = jnp.ones_like(self.torque_rate_max)
+        return Limits(self.momentum, jnp.array(True), jnp.zeros_like(greatest), greatest, *fast, whole, whole < 0.0)
 
     def law(self) -> Law:
         """Return the law, from the set-point to thrust rates and joint velocities."""
@@ -201,6 +214,7 @@ def momentum_controller(
         wind_observer=None if winds is None else leaves(WindObserver, winds),
         observer=None if controller.observer is None else leaves(ObserverGains, controller.observer),
         engines=None if controller.engines is None else engines.engine_limits(controller.engines, robot),
+        joints=None if controller.joints is None or not robot.n_joints else leaves(JointLimits, controller.joints),
         supervisor=None if controller.supervisor is None else leaves(SupervisorLimits, controller.supervisor),
         mpc=None if controller.mpc is None else mpc_params(controller.mpc, robot, config.simulator.time_step),
         mission=load_mission(config.mission),
@@ -294,7 +308,8 @@ def tick(
             rates.attitude,
             rates.momentum_qp,
             torque.torque_qp,
-            torque.answer.x,
+            torque.unlimited_torque,
+            limits,
         )
         return guard.predict(memory, terms, model, command), command, terms
 
@@ -327,9 +342,13 @@ def replace_command(
     """
     # ν̇ is linear in the torques: it changes by M⁻¹ S (τ′ − τ).
     dyn, known = terms.dynamics, memory.channels
-    change = forward_dynamics(dyn, dyn.bias.at[6:].add(joint_torque - command.joint_torque))
+    share = terms.limits.torque_share
+    change = forward_dynamics(dyn, dyn.bias.at[6:].add(share * (joint_torque - command.joint_torque)))
     known = known._replace(acceleration=known.acceleration + change, thrust_rate=thrust_rate)
     memory = memory._replace(channels=known)
     if memory.estimator is not None:
-        memory = memory._replace(estimator=estimator.replace_command(memory.estimator, joint_torque, thrust_rate))
+        replaced = estimator.replace_command(memory.estimator, share * joint_torque, thrust_rate)
+        memory = memory._replace(estimator=replaced)
+    if memory.joints is not None:
+        memory = memory._replace(joints=memory.joints._replace(torque=joint_torque))
     return memory, command._replace(thrust_rate=thrust_rate, joint_torque=joint_torque)

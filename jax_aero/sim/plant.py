@@ -5,7 +5,7 @@
 There is no ground, no joint friction and no motor inertia; joint stops act unless they are disabled. The integration is
 identical to the Rust crate's.
 
-Equations M78, M79, M87 and M140 of `docs/model.md`.
+Equations M78, M79, M87, M140 and M142 of `docs/model.md`.
 """
 
 from __future__ import annotations
@@ -39,6 +39,8 @@ from jax_aero.config import (
 from jax_aero.dynamics import dynamics, forward_dynamics
 from jax_aero.jet_faults import FaultState, JetFaults, delay_rates, limit_thrust, measure_thrust, start_faults
 from jax_aero.jets import JetDynamics, JetsState, jet_dynamics
+from jax_aero.joint_faults import JointFaults, JointFaultState, begin_tick, reduce_torque
+from jax_aero.joint_faults import start_faults as start_joint_faults
 from jax_aero.kinematics import frame_poses, generalised_force, kinematics, move
 from jax_aero.robot import RobotModel
 from jax_aero.sim import actuation
@@ -47,9 +49,9 @@ from jax_aero.spatial import rotate, rotation_from_rpy
 from jax_aero.types import Array, Dynamics, Kinematics, LinkForces, State, Static, leaf, pytree
 
 STOP_STIFFNESS = 1e5
-"""Stiffness of a joint stop [N m/rad, N/m]: 50 N m deflect it by half a milliradian."""
+"""Stiffness of a joint stop, and of what holds a stuck joint [N m/rad, N/m]: 50 N m deflect it by half a mrad."""
 STOP_DAMPING = 200.0
-"""Damping of a joint stop [N m s/rad, N s/m]: a time constant of 2 ms with the stiffness."""
+"""Damping of both [N m s/rad, N s/m]: a time constant of 2 ms with the stiffness."""
 
 
 @pytree
@@ -63,6 +65,8 @@ class Plant:
     """Faults of the jets."""
     actuation: Actuation | None
     """Delay and loss of commands; `None` if they act at once."""
+    joint_faults: JointFaults | None
+    """Faults of the joints."""
     time_step: Float[Array, ""]
     """Time step [s]."""
     lever_arm: Static[LeverArm]
@@ -84,6 +88,8 @@ class PlantState(NamedTuple):
     """State of the jets' faults, if any."""
     actuation: ActuationState | None = None
     """Commands on their way, if they do not act at once."""
+    joint_faults: JointFaultState | None = None
+    """State of the joints' faults, if any."""
 
 
 class Observation(NamedTuple):
@@ -130,12 +136,16 @@ def start_plant(
     if config.actuation is not None:
         sizes = robot.jets.count, robot.n_joints
         way, on_the_way = actuation.start(config.actuation, config.time_step, config.substeps, n_ticks(config), *sizes)
+    joint_faults, joint_state = None, None
+    if disturbances.joints:
+        joint_faults, joint_state = start_joint_faults(disturbances.joints, robot)
     plant = Plant(
         robot=robot,
         aero=weight_forces(aero, disturbances.aero, robot, "disturbances.aero"),
         jets=jets,
         jet_faults=faults,
         actuation=way,
+        joint_faults=joint_faults,
         time_step=jnp.asarray(leaf(config.time_step)),
         lever_arm=config.lever_arm,
         integrator=config.integrator,
@@ -153,7 +163,8 @@ def start_plant(
     if initial.free_fall_tick:
         state = _fall_freely(plant, state)
     first = state if config.kinematics == "frozen" else None
-    return plant, PlantState(state, jets.start(jnp.asarray(leaf(initial.thrust))), first, fault_state, on_the_way)
+    begun = jets.start(jnp.asarray(leaf(initial.thrust)))
+    return plant, PlantState(state, begun, first, fault_state, on_the_way, joint_state)
 
 
 def _check(initial: InitialConfig, robot: RobotModel) -> None:
@@ -211,6 +222,9 @@ def advance(
         thrust_rate = actuation.mean(sent.thrust_rate, substeps)
     step = plant.time_step / substeps
     robot = state.robot
+    if plant.joint_faults is not None and state.joint_faults is not None:
+        joints = begin_tick(plant.joint_faults, state.joint_faults, plant.time_step, robot.joint_position)
+        state = state._replace(joint_faults=joints)
     for substep in range(substeps):
         between = state._replace(robot=robot)
         now = seen if substep == 0 else observe(plant, between, wind)
@@ -237,6 +251,8 @@ def _advance_robot(plant: Plant, state: PlantState, seen: Observation, torque: A
     thrust = state.jets.thrust
     if plant.jet_faults is not None:
         thrust = plant.jet_faults.force_scale * thrust
+    if plant.joint_faults is not None and state.joint_faults is not None:
+        torque = reduce_torque(plant.joint_faults, state.joint_faults, torque)
     thrusts = thrust[:, None] * rotate(rotations, robot.jets.axes)
     # One point for moment and Jacobian; for a rigid body both are equivalent.
     force = (
@@ -244,7 +260,32 @@ def _advance_robot(plant: Plant, state: PlantState, seen: Observation, torque: A
         + generalised_aero_force(robot, seen.placed, seen.link_forces, seen.link_forces.arm_points)
         + jnp.concatenate([jnp.zeros_like(state.robot.velocity[:6]), torque])
     )
-    return _step(plant, state.robot, seen.dynamics, force, step)
+    dyn = seen.dynamics
+    if plant.joint_faults is not None and state.joint_faults is not None:
+        is_held = plant.joint_faults.is_stuck & state.joint_faults.acts
+        dyn, force = _brace(plant, state.robot, dyn, force, is_held, state.joint_faults.held, step)
+    return _step(plant, state.robot, dyn, force, step)
+
+
+def _position_ahead(plant: Plant, state: State, step: Array) -> Array:
+    """Return the position from which the velocity after the step acts: with explicit Euler, the end of the step."""
+    return state.joint_position + (step * state.velocity[6:] if plant.integrator == "explicit_euler" else 0.0)
+
+
+def _brace(
+    plant: Plant, state: State, dyn: Dynamics, force: Array, is_held: Array, rest: Array, step: Array
+) -> tuple[Dynamics, Array]:
+    """Return mass matrix and force with springs, at rest in the positions `rest`, and dampers on some joints.
+
+    They are implicit in the velocity after the step, and thus stable for every step size.
+    """
+    velocity = state.velocity[6:]
+    push = STOP_STIFFNESS * (_position_ahead(plant, state, step) + step * velocity - rest) + STOP_DAMPING * velocity
+    added = jnp.where(is_held, step * (step * STOP_STIFFNESS + STOP_DAMPING), 0.0)
+    base = jnp.zeros_like(state.velocity[:6])
+    mass_matrix = dyn.mass_matrix + jnp.diag(jnp.concatenate([base, added]))
+    force = force - jnp.concatenate([base, jnp.where(is_held, push, 0.0)])
+    return dyn._replace(mass_matrix=mass_matrix), force
 
 
 def _step(plant: Plant, state: State, dyn: Dynamics, force: Array, step: Array) -> State:
@@ -259,22 +300,14 @@ def _step(plant: Plant, state: State, dyn: Dynamics, force: Array, step: Array) 
 def _stops(
     plant: Plant, state: State, dyn: Dynamics, force: Array, acceleration: Array, step: Array
 ) -> tuple[Array, Dynamics, Array]:
-    """Return which joints this acceleration takes out of their range, and mass matrix and force with their stops.
-
-    Stops are springs and dampers, implicit in the velocity after the step, and thus stable for every step size.
-    """
+    """Return which joints this acceleration takes out of their range, and mass matrix and force with their stops."""
     velocity, (lower, upper) = state.velocity[6:], jnp.asarray(plant.robot.joint_stops).T
-    # Position from which the velocity after the step acts: with explicit Euler, the end of the step.
-    position = state.joint_position + (step * velocity if plant.integrator == "explicit_euler" else 0.0)
+    position = _position_ahead(plant, state, step)
     ahead = position + step * (velocity + step * acceleration[6:])
     is_out = (ahead > upper) | (ahead < lower)
     # Ranges may be infinite, which must not enter derivatives.
     stop = jnp.where(ahead > upper, upper, jnp.where(ahead < lower, lower, 0.0))
-    push = STOP_STIFFNESS * (position + step * velocity - stop) + STOP_DAMPING * velocity
-    added = jnp.where(is_out, step * (step * STOP_STIFFNESS + STOP_DAMPING), 0.0)
-    base = jnp.zeros_like(state.velocity[:6])
-    mass_matrix = dyn.mass_matrix + jnp.diag(jnp.concatenate([base, added]))
-    return is_out, dyn._replace(mass_matrix=mass_matrix), force - jnp.concatenate([base, jnp.where(is_out, push, 0.0)])
+    return is_out, *_brace(plant, state, dyn, force, is_out, stop, step)
 
 
 @jax.jit

@@ -202,6 +202,7 @@ class FlightRow(NamedTuple):
     qp_kkt: Float[Array, "2"]
     qp_iterations: Float[Array, "2"]
     degraded_modes: Float[Array, ""]
+    joint_condition: Float[Array, " n"]
 
 
 def prepare(
@@ -548,4 +549,9 @@ def _row(
         qp_kkt=stack_answers("kkt", time.dtype),
         qp_iterations=stack_answers("iterations", time.dtype),
         degraded_modes=jnp.asarray(jnp.nan if command.degraded_modes is None else command.degraded_modes, time.dtype),
+        joint_condition=(
+            jnp.full_like(command.joint_torque, jnp.nan)
+            if terms is None
+            else terms.limits.joint_condition.astype(time.dtype)
+        ),
     )

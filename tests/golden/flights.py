@@ -16,7 +16,7 @@ FOLDER = Path(__file__).parent / "flights"
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
 NAMES = sorted(path.stem for path in EXPERIMENTS.glob("*.toml"))
 
-NOT_STORED = {"time", "qp_kkt", "qp_iterations", "max_kkt", "max_qp_iterations", "degraded_modes"}
+NOT_STORED = {"time", "qp_kkt", "qp_iterations", "max_kkt", "max_qp_iterations", "degraded_modes", "joint_condition"}
 """Residuals of the QP are rounding, and the number of iterations is no property of the flight."""
 
 DOUBLE = 1e-9

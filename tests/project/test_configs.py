@@ -56,13 +56,14 @@ def table(path):
 @pytest.mark.parametrize("name", ["observer_tests", "observer_missions"])
 def test_a_sweep_that_adds_the_recommended_controller_adds_all_of_it(name):
     recommended = table("control/observer.toml")
-    assert recommended.keys() == {"base", "observer", "weights", "channels", "engines", "supervisor"}
+    assert recommended.keys() == {"base", "observer", "weights", "channels", "engines", "joints", "supervisor"}
     added = {key: value for key, value in table(f"sweeps/{name}.toml")["set"].items() if key.startswith("controller.")}
     assert added == {
         "controller.observer": recommended["observer"],
         "controller.weights.joint_velocity": recommended["weights"]["joint_velocity"],
         "controller.channels.jump": recommended["channels"]["jump"],
         "controller.engines": recommended["engines"],
+        "controller.joints": recommended["joints"],
         "controller.supervisor": recommended["supervisor"],
     }
     assert recommended["weights"].keys() == {"joint_velocity"}

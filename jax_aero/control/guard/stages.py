@@ -6,6 +6,7 @@ channels        missing values predicted                                        
 wind_observer   its wind, for the measured                                           the next wind
 observer                                      unmodelled wrench of the momentum
 engines                                       limits of thrusts, wrong sensors
+joints          length of their ways          which do not follow their torques      commanded displacements
 supervisor                                    whether the flight strays
 estimator       its state, for the measured   without what wrong sensors measured    stores the command
 ```
@@ -21,14 +22,16 @@ from jaxtyping import Bool, Float
 
 from jax_aero.aero import AeroModel
 from jax_aero.control.command import Command
-from jax_aero.control.guard import channels, engines, estimator, observer, supervisor, wind_observer
+from jax_aero.control.guard import channels, engines, estimator, joints, observer, supervisor, wind_observer
 from jax_aero.control.guard.channels import ChannelLimits
 from jax_aero.control.guard.engines import EngineLimits
 from jax_aero.control.guard.estimator import Estimator, Order
+from jax_aero.control.guard.joints import TRIED_VELOCITY, JointLimits
 from jax_aero.control.guard.observer import ObserverGains
 from jax_aero.control.guard.supervisor import SupervisorLimits
 from jax_aero.control.guard.wind_observer import WindObserver
 from jax_aero.control.law.limits import Limits
+from jax_aero.control.law.torque import joint_response
 from jax_aero.control.measurement import Measurement, Reading, UsedMeasurement
 from jax_aero.control.modes import MODES
 from jax_aero.control.state import ControllerState
@@ -132,7 +135,7 @@ class Guard:
         """
         kin, dyn, wrench = model.kinematics, model.dynamics, model.momentum.unmodelled_wrench
         moment = wrench[3:] + cross(kin.com - terms.measurement.state.base_position, wrench[:3])
-        acting = jnp.concatenate([wrench[:3], moment, command.joint_torque])
+        acting = jnp.concatenate([wrench[:3], moment, terms.limits.torque_share * command.joint_torque])
         acceleration = forward_dynamics(dyn, model.free_force + dyn.bias + acting)
         known = memory.channels._replace(acceleration=acceleration, thrust_rate=command.thrust_rate)
         memory = memory._replace(channels=known)
@@ -229,6 +232,62 @@ class EngineStage(Stage):
 
 
 @dataclass(frozen=True)
+class JointStage(Stage):
+    """The detection of joints that do not follow their torques."""
+
+    settings: JointLimits
+    time_step: Float[Array, ""]
+
+    def start(self, memory: ControllerState, state: State) -> ControllerState:
+        """Begin with joints that follow."""
+        return memory._replace(joints=joints.start(jnp.asarray(state.joint_position)))
+
+    def measure(self, tick: Measured) -> Measured:
+        """Add to the ways of the joints."""
+        last, used = tick.memory.joints, tick.used
+        assert last is not None
+        position = used.state.joint_position
+        is_new = (used.modes & MODES["begun_again"]) != 0
+        last = where(is_new, joints.begin_again(last, position), last)
+        is_measured = (used.modes & MODES["joints_predicted"]) == 0
+        return tick._replace(
+            memory=tick.memory._replace(joints=joints.measure(last, position, is_measured, used.elapsed))
+        )
+
+    def judge(self, tick: Judged) -> Judged:
+        """Find joints that are stuck, weak or free, and bound what the law demands of them."""
+        memory, used, dyn = tick.memory, tick.used, tick.model.dynamics
+        last = memory.joints
+        assert last is not None
+        gain, _ = joint_response(dyn.mass_matrix, jnp.zeros_like(dyn.bias))
+        moved = (used.state.velocity[6:] - last.velocity) / used.elapsed
+        judged = joints.judge(self.settings, last, used.elapsed, moved - memory.channels.acceleration[6:], gain)
+        found = where(used.has_momentum, judged, joints.hold(last))
+        is_free = found.share == 0.0
+        usual = tick.limits.joint_velocity
+        fastest = jnp.where(found.is_stuck, jnp.minimum(usual, TRIED_VELOCITY), jnp.where(is_free, 0.0, usual))
+        limits = tick.limits._replace(joint_velocity=fastest, torque_share=found.share, is_stuck=found.is_stuck)
+        # These follow no velocity.
+        integral = jnp.where(found.is_stuck | is_free, 0.0, memory.velocity_error_integral)
+        modes = used.modes | jnp.where(jnp.any(found.is_limited), MODES["joint_limited"], 0)
+        memory = memory._replace(joints=found, velocity_error_integral=integral)
+        return tick._replace(memory=memory, used=used._replace(modes=modes), limits=limits)
+
+    def predict(self, memory: ControllerState, terms: Terms, command: Command) -> ControllerState:
+        """Add the commanded displacements, and store what the next tick is compared with."""
+        last, velocity = memory.joints, command.joint_velocity
+        assert last is not None
+        assert velocity is not None
+        return memory._replace(
+            joints=last._replace(
+                commanded=last.commanded + self.time_step * velocity,
+                velocity=terms.measurement.state.velocity[6:],
+                torque=command.joint_torque,
+            )
+        )
+
+
+@dataclass(frozen=True)
 class SupervisorStage(Stage):
     """The supervisor."""
 
@@ -294,5 +353,6 @@ class EstimatorStage(Stage):
         """Store the inputs that act until the next tick."""
         assert memory.estimator is not None
         unmodelled, wind = terms.momentum.unmodelled_wrench, terms.measurement.wind
-        order = Order(command.joint_torque, command.thrust_rate, unmodelled, wind, self.settings.time_step)
+        torque = terms.limits.torque_share * command.joint_torque
+        order = Order(torque, command.thrust_rate, unmodelled, wind, self.settings.time_step)
         return memory._replace(estimator=estimator.command(memory.estimator, order))

@@ -227,4 +227,7 @@ def unknown_bounds(
     least, greatest = inputs.robot.joint_limits[:, 0], inputs.robot.joint_limits[:, 1]
     position = inputs.state.joint_position
     joints = rate_bounds(position, least, greatest, limits.joint_velocity, params.joint_steepness)
-    return jnp.concatenate([jets[0], joints[0]]), jnp.concatenate([jets[1], joints[1]])
+    # A free joint follows no velocity but the one that it has.
+    is_free = limits.torque_share == 0.0
+    lower, upper = (jnp.where(is_free, inputs.state.velocity[6:], bound) for bound in joints)
+    return jnp.concatenate([jets[0], lower]), jnp.concatenate([jets[1], upper])

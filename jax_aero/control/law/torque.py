@@ -55,19 +55,39 @@ def torque_qp(
     force: Float[Array, " N"],
     velocity_error: Float[Array, " n"],
     velocity_error_integral: Float[Array, " n"],
+    share: Float[Array, " n"] | float = 1.0,
 ) -> TorqueQp:
-    """Build the QP; `torque_max` is in N m, `force` is `Σ Jᵀ T a + J_aᵀ f_a − h`."""
-    gain, free = _joint_response(mass_matrix, force)
+    """Build the QP; `torque_max` is in N m, `force` is `Σ Jᵀ T a + J_aᵀ f_a − h`.
+
+    Of each torque a `share` acts. The acceleration of joints of which none acts is not controlled.
+    """
+    gain, free = joint_response(mass_matrix, force)
     desired = -params.kd * velocity_error - params.kp * velocity_error_integral
     n = desired.shape[0]
     penalty = params.weight_torque + params.regularisation
-    h = params.weight_acceleration * (gain @ gain)
+    weighted = jnp.where(jnp.asarray(share) > 0.0, params.weight_acceleration, 0.0) * gain
+    h = weighted @ gain
     h = 0.5 * (h + h.T) + penalty * jnp.eye(n, dtype=h.dtype)
-    g = params.weight_acceleration * (gain @ (free - desired))
-    return TorqueQp(desired, free, gain, BoxQp(h, g, -torque_max, torque_max))
+    g = weighted @ (free - desired)
+    most = share * torque_max
+    return TorqueQp(desired, free, gain, BoxQp(h, g, -most, most))
 
 
-def _joint_response(mass_matrix: Array, force: Array) -> tuple[Array, Array]:
+def commanded(
+    following: TorqueQp, torque_max: Float[Array, " n"], share: Float[Array, " n"], torque: Float[Array, " n"]
+) -> Float[Array, " n"]:
+    """Return the torques to be commanded where `torque` is to act [N m]: more at weak joints.
+
+    For a free one, the torque with which it would follow its command if it acted, so that the joint is in use again as
+    soon as it does.
+    """
+    missing = following.acceleration_desired - following.acceleration_free - following.gain @ torque
+    of_free = jnp.clip(missing / jnp.diag(following.gain), -torque_max, torque_max)
+    acts = share > 0.0
+    return jnp.where(acts, torque / jnp.where(acts, share, 1.0), of_free)
+
+
+def joint_response(mass_matrix: Array, force: Array) -> tuple[Array, Array]:
     """Return `(M⁻¹)_ss` and `[M⁻¹ force]_s`: joint accelerations per unit joint torque and under the force."""
     unit = jnp.eye(mass_matrix.shape[0], dtype=force.dtype)[:, 6:]
     response = solve_positive_definite(mass_matrix, jnp.concatenate([unit, force[:, None]], axis=1))[6:]

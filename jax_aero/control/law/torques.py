@@ -15,7 +15,7 @@ from jax_aero.control import qp
 from jax_aero.control.command import MOMENTUM_HELD
 from jax_aero.control.law.limits import Limits
 from jax_aero.control.law.rates import Rates
-from jax_aero.control.law.torque import TorqueParams, TorqueQp, limit_rate, torque_qp
+from jax_aero.control.law.torque import TorqueParams, TorqueQp, commanded, limit_rate, torque_qp
 from jax_aero.control.measurement import UsedMeasurement
 from jax_aero.control.qp import QpAnswer
 from jax_aero.control.state import ControllerState
@@ -33,6 +33,8 @@ class Torque(NamedTuple):
     answer: QpAnswer
     is_solved: Bool[Array, ""]
     """Whether the QP has a certified answer."""
+    unlimited_torque: Float[Array, " n"]
+    """Torques before the rate limiter [N m]."""
     joint_torque: Float[Array, " n"]
     """Torques after the rate limiter [N m]."""
 
@@ -52,14 +54,16 @@ class Torques:
     ) -> tuple[ControllerState, Torque]:
         """Compute torques with which the joints follow the commanded velocities."""
         velocity_error, integral = used.state.velocity[6:] - rates.joint_velocity, memory.velocity_error_integral
+        share = limits.torque_share
         following = torque_qp(
-            self.params, self.torque_max, model.dynamics.mass_matrix, model.free_force, velocity_error, integral
+            self.params, self.torque_max, model.dynamics.mass_matrix, model.free_force, velocity_error, integral, share
         )
         answer = qp.solve(following.problem, memory.torque_start)
         is_solved = answer.status == qp.SOLVED
+        target = commanded(following, self.torque_max, share, answer.x)
         # The published rate limiter starts from its first input.
-        last = jnp.where(memory.torque_is_known, memory.joint_torque, answer.x)
-        limited = limit_rate(last, answer.x, limits.torque_rate * self.time_step)
+        last = jnp.where(memory.torque_is_known, memory.joint_torque, target)
+        limited = limit_rate(last, target, limits.torque_rate * self.time_step)
         joint_torque = jnp.where(is_solved, limited, memory.joint_torque)
         # Forward Euler: used first, advanced after. Without a commanded velocity there is no error to integrate; with
         # held torques the integral would grow without effect on the torques.
@@ -71,4 +75,4 @@ class Torques:
             torque_is_known=memory.torque_is_known | is_solved,
             torque_start=answer.warm_start,
         )
-        return memory, Torque(following, answer, is_solved, joint_torque)
+        return memory, Torque(following, answer, is_solved, target, joint_torque)

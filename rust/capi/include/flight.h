@@ -82,6 +82,8 @@ typedef enum FlightMode {
   FLIGHT_ENGINE_LIMITED = 1024,
   // The first measurements are outvoted: the flight begins again from those of this tick.
   FLIGHT_BEGUN_AGAIN = 2048,
+  // A joint does not follow its torque.
+  FLIGHT_JOINT_LIMITED = 4096,
   // The flight strays from its set-point.
   FLIGHT_STRAYING = 16384,
 } FlightMode;

@@ -144,6 +144,8 @@ pub enum FlightMode {
     FlightEngineLimited = 1024,
     /// The first measurements are outvoted: the flight begins again from those of this tick.
     FlightBegunAgain = 2048,
+    /// A joint does not follow its torque.
+    FlightJointLimited = 4096,
     /// The flight strays from its set-point.
     FlightStraying = 16384,
 }

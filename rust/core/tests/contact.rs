@@ -739,7 +739,11 @@ fn the_law_of_a_lost_engine_is_that_of_the_air() {
         });
         let carries = low.state().contact().is_active;
         let apart = (&a.joint_velocity - &b.joint_velocity).amax();
-        assert_eq!(a.modes.contains(Modes::DESCENDING), tick >= 26, "tick {tick}: what the engine can do is allowed for");
+        assert_eq!(
+            a.modes.contains(Modes::DESCENDING),
+            tick >= 26,
+            "tick {tick}: what the engine can do is allowed for"
+        );
         assert_eq!(carries, tick < 59, "tick {tick}: to the end of the hold");
         assert!(if carries { apart == 0.0 } else { apart > 0.1 }, "tick {tick}: {apart} rad/s");
     }

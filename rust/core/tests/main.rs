@@ -12,6 +12,7 @@ mod dynamics;
 mod engines;
 mod estimator;
 mod jets;
+mod joints;
 mod linalg;
 mod link_forces;
 mod mpc;

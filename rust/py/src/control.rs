@@ -342,6 +342,8 @@ impl Controller {
         }
         out.set_item("status", format!("{:?}", command.status))?;
         out.set_item("degraded_modes", command.modes.names().collect::<Vec<_>>())?;
+        let conditions: Vec<f64> = terms.limits.joints.iter().map(|found| f64::from(found.code())).collect();
+        out.set_item("joint_condition", vector(py, &conditions)?)?;
         if let Some(state) = &self.state {
             out.set_item("posture", vector(py, state.posture().as_slice())?)?;
             out.set_item("inertia_0_b", matrix(py, state.inertia_0_b())?)?;

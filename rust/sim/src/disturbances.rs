@@ -2,11 +2,13 @@
 //! controller.
 
 pub mod jet_faults;
+pub mod joint_faults;
 pub mod model_error;
 pub mod outages;
 pub mod wind_estimate;
 
 pub use jet_faults::{FailureKind, JetFailure, JetFaults, JetFaultsConfig, MeasurementNoise};
+pub use joint_faults::{JointFault, JointFaultKind, JointFaults};
 pub use model_error::ModelError;
 pub use outages::{Outage, OutageChannel, OutageKind, Outages, Sample};
 pub use wind_estimate::{WindEstimateConfig, WindEstimator};
@@ -34,6 +36,8 @@ pub struct Disturbances {
     pub aero_estimate: ForceFactorsConfig,
     /// Faults of the jets.
     pub jets: JetFaultsConfig,
+    /// Faults of joints, at most one for each.
+    pub joints: Vec<JointFault>,
     /// Measurements that are lost or corrupted on the way to the controller.
     pub outages: Vec<Outage>,
 }

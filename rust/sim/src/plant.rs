@@ -6,11 +6,11 @@
 //!
 //! Without ground, joint friction and motor inertia; joint stops act unless they are disabled.
 //!
-//! Equations M78, M79, M87 and M140 of `docs/model.md`; what a step adds to the momentum is M85.
+//! Equations M78, M79, M87, M140 and M142 of `docs/model.md`; what a step adds to the momentum is M85.
 
 use crate::actuation::Actuation;
 use crate::config::{AeroKinematics, DynamicsBackend, Integrator, SimulatorConfig};
-use crate::disturbances::Disturbances;
+use crate::disturbances::{Disturbances, JointFaults};
 use crate::jets::Jets;
 use flight_core::aero::{AeroModel, LinkConventions, LinkForces};
 use flight_core::dynamics::{Dynamics, MassFactor};
@@ -18,12 +18,12 @@ use flight_core::error::BuildError;
 use flight_core::kinematics::{Kinematics, RobotState};
 use flight_core::robot::RobotModel;
 use flight_io::load_aero;
-use nalgebra::{DVector, Vector3};
+use nalgebra::{DMatrix, DVector, Vector3};
 
-/// Stiffness of a joint stop \[N m/rad, N/m\]: 50 N m deflect it by half a milliradian.
+/// Stiffness of a joint stop, and of what holds a stuck joint \[N m/rad, N/m\]: 50 N m deflect it by half a milliradian.
 const STOP_STIFFNESS: f64 = 1e5;
 
-/// Damping of a joint stop \[N m s/rad, N s/m\]: its time constant with the stiffness is 2 ms, so that a limb
+/// Damping of both \[N m s/rad, N s/m\]: its time constant with the stiffness is 2 ms, so that a limb
 /// of 0.1 kg m² stops without bouncing at any step.
 const STOP_DAMPING: f64 = 200.0;
 
@@ -44,6 +44,7 @@ pub struct Plant {
     jets: Jets,
     /// Commands on their way; `None` if they act at once.
     actuation: Option<Actuation>,
+    joint_faults: JointFaults,
     kinematics: Kinematics,
     dynamics: Dynamics,
     link_forces: LinkForces,
@@ -121,6 +122,7 @@ impl Plant {
             jets: Jets::new(&config.jets, &robot.jets, &robot.engines, &config.initial.thrust)?
                 .with_faults(&disturbances.jets, &robot.jets)?,
             actuation,
+            joint_faults: JointFaults::new(&disturbances.joints, &robot.joints)?,
             kinematics: Kinematics::new(&robot),
             dynamics: Dynamics::new(&robot),
             link_forces: LinkForces::new(&robot),
@@ -245,6 +247,7 @@ impl Plant {
         let step = time_step / f64::from(self.substeps);
         let every = self.substeps / self.torque_steps;
         let (mut actuation, mut torque) = (self.actuation.take(), std::mem::take(&mut self.torque));
+        self.joint_faults.begin_tick(time_step, self.state.joint_position.as_slice());
         for substep in 0..self.substeps {
             if substep > 0 {
                 self.observe(wind_i);
@@ -272,7 +275,7 @@ impl Plant {
         let force = &mut self.force;
         force.copy_from(&self.dynamics.bias);
         force.neg_mut();
-        for (joint, torque) in torque.iter().enumerate() {
+        for (joint, torque) in self.joint_faults.reduce(torque).iter().enumerate() {
             force[6 + joint] += torque;
         }
         let thrusts = (0..self.robot.jets.len()).map(|jet| self.jets.force(jet));
@@ -294,18 +297,21 @@ impl Plant {
         self.integrate(time_step);
     }
 
-    /// Adds the stops of joints that this acceleration takes out of their range: springs and dampers, implicit
-    /// in the velocity after the step, so that they are stable at every step (M87). Returns whether a stop is
-    /// active.
+    /// Adds what keeps stuck joints at their positions (M142).
+    fn hold_stuck(&mut self, step: f64) {
+        let Self { joint_faults, force, dynamics, .. } = self;
+        for (joint, held) in joint_faults.stuck() {
+            let (position, velocity) = position_ahead(&self.state, self.integrator, joint, step);
+            add_spring(force, &mut dynamics.mass_matrix, 6 + joint, (position, velocity), held, step);
+        }
+    }
+
+    /// Adds the stops of joints that this acceleration takes out of their range (M87). Returns whether a stop is active.
     fn add_stops(&mut self, step: f64) -> bool {
-        let is_explicit = self.integrator == Integrator::ExplicitEuler;
         let mut is_stopped = false;
         for (index, joint) in self.robot.joints.iter().enumerate() {
             let place = 6 + index;
-            let velocity = self.state.velocity[place];
-            // Position that the velocity after the step is added to: with explicit Euler, that at the end of
-            // the step.
-            let position = self.state.joint_position[index] + if is_explicit { step * velocity } else { 0.0 };
+            let (position, velocity) = position_ahead(&self.state, self.integrator, index, step);
             let ahead = position + step * (velocity + step * self.acceleration[place]);
             let (lower, upper) = joint.stops;
             let stop = if ahead > upper {
@@ -315,9 +321,8 @@ impl Plant {
             } else {
                 continue;
             };
-            self.force[place] -=
-                STOP_STIFFNESS * (position + step * velocity - stop) + STOP_DAMPING * velocity;
-            self.dynamics.mass_matrix[(place, place)] += step * (step * STOP_STIFFNESS + STOP_DAMPING);
+            let mass_matrix = &mut self.dynamics.mass_matrix;
+            add_spring(&mut self.force, mass_matrix, place, (position, velocity), stop, step);
             is_stopped = true;
         }
         is_stopped
@@ -336,6 +341,7 @@ impl Plant {
 
     /// Converts the gathered forces to accelerations and takes one Euler step.
     fn integrate(&mut self, step: f64) {
+        self.hold_stuck(step);
         self.accelerate();
         if self.has_stops && self.add_stops(step) {
             self.accelerate();
@@ -348,4 +354,26 @@ impl Plant {
             self.state.velocity.axpy(step, &self.acceleration, 1.0);
         }
     }
+}
+
+/// Velocity of a joint, and the position that its velocity after the step is added to: with explicit Euler, that at the
+/// end of the step.
+fn position_ahead(state: &RobotState, integrator: Integrator, joint: usize, step: f64) -> (f64, f64) {
+    let velocity = state.velocity[6 + joint];
+    let moved = if integrator == Integrator::ExplicitEuler { step * velocity } else { 0.0 };
+    (state.joint_position[joint] + moved, velocity)
+}
+
+/// Adds a spring, at rest in the position `rest`, and a damper to a joint; implicit in the velocity after the step, so
+/// that they are stable at every step.
+fn add_spring(
+    force: &mut DVector<f64>,
+    mass_matrix: &mut DMatrix<f64>,
+    place: usize,
+    (position, velocity): (f64, f64),
+    rest: f64,
+    step: f64,
+) {
+    force[place] -= STOP_STIFFNESS * (position + step * velocity - rest) + STOP_DAMPING * velocity;
+    mass_matrix[(place, place)] += step * (step * STOP_STIFFNESS + STOP_DAMPING);
 }

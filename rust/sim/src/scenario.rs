@@ -439,6 +439,7 @@ fn check_mujoco(config: &ScenarioConfig) -> Result<(), BuildError> {
     check_only("disturbances.wind_estimate", &disturbances.wind_estimate, &none.wind_estimate)?;
     check_only("disturbances.aero", &disturbances.aero, &none.aero)?;
     check_only("disturbances.jets", &disturbances.jets, &none.jets)?;
+    check_only("disturbances.joints", &disturbances.joints, &none.joints)?;
     check_only("disturbances.outages", &disturbances.outages, &none.outages)
 }
 

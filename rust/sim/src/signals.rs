@@ -178,7 +178,7 @@ const WRENCH: &str = "N (force), N m (moment)";
 
 /// All signals. Joint quantities are in the units of revolute joints; for prismatic ones replace rad by m
 /// and N m by N.
-pub static SIGNALS: [Signal; 41] = [
+pub static SIGNALS: [Signal; 42] = [
     signal("time", TIME, "s", "time", |row, out| out.push(row.time)),
     signal("base_position", XYZ, "m", "position of the base origin, inertial frame", |row, out| {
         out.extend(&row.plant.state().base.position);
@@ -320,8 +320,15 @@ pub static SIGNALS: [Signal; 41] = [
         "1",
         "in which ways the tick is degraded, a sum of bits: 1 wind held, 2 wind lost, 4 thrust modelled, 8 joints, \
          16 position, 32 rotation, 64 velocity predicted, 128 feet predicted, 256 clock predicted, 512 descending, 1024 engine limited, \
-         2048 begun again, 16384 straying",
+         2048 begun again, 4096 joint limited, 16384 straying",
         |row, out| out.push(f64::from(row.command.modes.bits())),
+    )),
+    integer(signal(
+        "joint_condition",
+        JOINT,
+        "1",
+        "what the controller finds of each joint: 0 healthy, 1 stuck, 2 weak, 3 free",
+        |row, out| out.extend(row.terms.limits.joints.iter().map(|found| f64::from(found.code()))),
     )),
     Signal {
         name: "joint_setpoint",

@@ -11,6 +11,7 @@ mod examples;
 mod flight;
 mod fuzz;
 mod jets;
+mod joint_faults;
 mod rates;
 mod recorded;
 mod sensors;

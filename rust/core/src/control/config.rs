@@ -3,6 +3,7 @@
 use super::guard::channels::ChannelsConfig;
 use super::guard::engines::EnginesConfig;
 use super::guard::estimator::EstimatorConfig;
+use super::guard::joints::JointsConfig;
 use super::guard::observer::ObserverConfig;
 use super::guard::supervisor::SupervisorConfig;
 use super::guard::wind_observer::WindObserverConfig;
@@ -86,6 +87,9 @@ pub struct ControllerConfig {
     /// When an engine counts as lost; without it, never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub engines: Option<EnginesConfig>,
+    /// When a joint counts as stuck, weak or free; without it, never.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub joints: Option<JointsConfig>,
     /// When a flight strays from its set-point; without it, never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub supervisor: Option<SupervisorConfig>,
@@ -231,6 +235,7 @@ impl ControllerConfig {
         }
         self.qp.check()?;
         self.channels.check()?;
+        self.joints.map_or(Ok(()), |joints| joints.check())?;
         if let Some(engines) = &self.engines {
             engines.check()?;
             if self.observer.is_none() {

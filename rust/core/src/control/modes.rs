@@ -31,6 +31,8 @@ impl Modes {
     pub const ENGINE_LIMITED: Self = Self(1 << 10);
     /// The first measurements are outvoted: the flight begins again from those of this tick.
     pub const BEGUN_AGAIN: Self = Self(1 << 11);
+    /// A joint does not follow its torque.
+    pub const JOINT_LIMITED: Self = Self(1 << 12);
     /// The flight strays from its set-point.
     pub const STRAYING: Self = Self(1 << 14);
 
@@ -39,7 +41,7 @@ impl Modes {
         Self(Self::JOINTS_PREDICTED.0 | Self::ROTATION_PREDICTED.0 | Self::VELOCITY_PREDICTED.0);
 
     /// All modes with their names.
-    pub const NAMES: [(Self, &'static str); 13] = [
+    pub const NAMES: [(Self, &'static str); 14] = [
         (Self::WIND_HELD, "wind_held"),
         (Self::WIND_LOST, "wind_lost"),
         (Self::THRUST_MODELLED, "thrust_modelled"),
@@ -52,6 +54,7 @@ impl Modes {
         (Self::DESCENDING, "descending"),
         (Self::ENGINE_LIMITED, "engine_limited"),
         (Self::BEGUN_AGAIN, "begun_again"),
+        (Self::JOINT_LIMITED, "joint_limited"),
         (Self::STRAYING, "straying"),
     ];
 

@@ -70,6 +70,8 @@ pub struct Terms {
     pub torque_qp: TorqueQp,
     /// Torques before the rate limiter \[N m\].
     pub unlimited_torque: DVector<f64>,
+    /// Torques of the command that act, as far as the guard finds \[N m\].
+    pub acting_torque: DVector<f64>,
 }
 
 impl Terms {
@@ -101,6 +103,7 @@ impl Terms {
             momentum_qp,
             torque_qp,
             unlimited_torque: DVector::zeros(joints),
+            acting_torque: DVector::zeros(joints),
         }
     }
 
@@ -129,6 +132,14 @@ impl Terms {
         inverse_mass.update(&dynamics.mass_matrix);
         if inverse_mass.is_known {
             inverse_mass.multiply_in_place(force);
+        }
+    }
+
+    /// Takes the torques that act where these are commanded \[N m, N\].
+    pub(super) fn reduce_torque(&mut self, joint_torque: &[f64]) {
+        let each = self.acting_torque.iter_mut().zip(joint_torque).zip(&self.limits.joints);
+        for ((acting, commanded), found) in each {
+            *acting = found.share() * commanded;
         }
     }
 }

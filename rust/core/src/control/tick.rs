@@ -6,7 +6,7 @@ use super::guard::channels::Channels;
 use super::guard::engines::Engines;
 use super::guard::estimator::Estimator;
 use super::guard::observer::ObserverState;
-use super::guard::stages::{Feet, Guard, Stage};
+use super::guard::stages::{Feet, Guard, Joints, Stage};
 use super::guard::wind_observer::WindObserver;
 use super::law::between::{JointMeasurement, JointTracker, JointsBetween};
 use super::law::contact::{Contact, ContactState};
@@ -146,6 +146,7 @@ impl Controller {
             between: JointsBetween::new(joints),
             contact: ContactState::new(terms.contact.soles.len()),
             engines: Vec::new(),
+            joints: None,
             exceeded: 0.0,
             observer: ObserverState::default(),
             plan: Plan::none(law.unknowns()),
@@ -397,7 +398,8 @@ fn build_guard(
     limits: &Limits,
     time_step: f64,
 ) -> Result<Guard, BuildError> {
-    let ControllerConfig { estimator, wind_observer, observer, engines, supervisor, contact, .. } = config;
+    let ControllerConfig { estimator, wind_observer, observer, engines, joints, supervisor, contact, .. } =
+        config;
     let estimator = estimator.as_ref();
     let observes_joints = estimator.is_some_and(|estimator| estimator.joint_observer.is_some());
     let estimator = estimator
@@ -412,16 +414,18 @@ fn build_guard(
     let engines =
         engines.map(|engines| Engines::new(&engines, limits, robot, momentum_shares)).transpose()?;
     let feet = contact.as_ref().map(|_| Feet { time_step });
+    let joints = joints.map(|joints| Joints::new(joints, robot.joints.len(), time_step));
     let stages = [
         stage(wind_observer),
         stage(feet),
         stage(*observer),
         stage(engines),
+        stage(joints),
         stage(*supervisor),
         stage(estimator),
     ];
     let channels = Channels::new(&config.channels, robot, time_step, !observes_joints);
-    Ok(Guard::new(channels, stages.into_iter().flatten().collect(), robot))
+    Ok(Guard::new(channels, stages.into_iter().flatten().collect(), limits.clone(), robot))
 }
 
 /// A stage, if it is configured.

@@ -250,8 +250,8 @@ impl Estimator {
             aero,
         };
         let oldest = ages.into_iter().max().unwrap_or(0);
-        let momentum_shares = [2, 3]
-            .map(|of| share((ages[of] as f64 + lags[0]) * time_step + channels[of].time_constant));
+        let momentum_shares =
+            [2, 3].map(|of| share((ages[of] as f64 + lags[0]) * time_step + channels[of].time_constant));
         let of_bias = config.gyro_bias.map_or(0.0, share);
         let ahead = Estimate {
             reading: Reading::zero(joints, model.robot.jets.len()),

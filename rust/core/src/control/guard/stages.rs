@@ -7,6 +7,7 @@
 //! feet                                          whether they carry load, M114
 //! observer                                      unmodelled wrench of the momentum
 //! engines                                       limits of thrusts, wrong sensors
+//! joints          length of their ways          which do not follow their torques      commanded displacements
 //! supervisor                                    whether the flight strays
 //! estimator       its state, for the measured   without what wrong sensors measured    stores the command
 //! ```
@@ -14,11 +15,13 @@
 use super::channels::{Channels, ChannelsState};
 use super::engines::{EngineSample, EngineState, Engines};
 use super::estimator::Estimator;
+use super::joints::{self, JointsConfig, JointsState};
 use super::observer::{ObserverConfig, ObserverState, Sample};
 use super::supervisor::{Errors, SupervisorConfig};
 use super::wind_observer::WindObserver;
 use crate::control::command::Command;
 use crate::control::law::contact::{WRENCH, add_wrenches};
+use crate::control::law::limits::{JointCondition, Limits};
 use crate::control::measurement::{BadStart, Measurement, UsedMeasurement};
 use crate::control::modes::Modes;
 use crate::control::state::ControllerState;
@@ -66,14 +69,17 @@ pub struct Guard {
     channels: Channels,
     /// In the order of the list above.
     stages: Vec<Box<dyn Stage>>,
+    /// Limits of the law while the stages find nothing.
+    usual: Limits,
     acceleration: DVector<f64>,
 }
 
 impl Guard {
-    /// A guard with these stages, in the order in which a tick calls them.
+    /// A guard with these stages, in the order in which a tick calls them; `usual` are the limits of the law while they
+    /// find nothing.
     #[must_use]
-    pub fn new(channels: Channels, stages: Vec<Box<dyn Stage>>, robot: &RobotModel) -> Self {
-        Self { channels, stages, acceleration: DVector::zeros(6 + robot.joints.len()) }
+    pub fn new(channels: Channels, stages: Vec<Box<dyn Stage>>, usual: Limits, robot: &RobotModel) -> Self {
+        Self { channels, stages, usual, acceleration: DVector::zeros(6 + robot.joints.len()) }
     }
 
     /// Names of the stages.
@@ -132,6 +138,7 @@ impl Guard {
 
     /// Compares the model of this tick with its measurement.
     pub fn judge(&mut self, robot: &RobotModel, state: &mut ControllerState, terms: &mut Terms) {
+        terms.limits.copy_from(&self.usual);
         let mut tick = Tick { robot, channels: &mut self.channels, state, terms };
         for stage in &mut self.stages {
             stage.judge(&mut tick);
@@ -162,8 +169,9 @@ impl Guard {
         terms: &mut Terms,
         command: &Command,
     ) {
+        terms.reduce_torque(command.joint_torque.as_slice());
         let Terms { measurement, kinematics, inverse_mass, free_acceleration, momentum, contact, .. } = terms;
-        let acceleration = &mut self.acceleration;
+        let (acceleration, acting) = (&mut self.acceleration, &terms.acting_torque);
         acceleration.fill(0.0);
         if inverse_mass.is_known {
             let wrench = &momentum.unmodelled_wrench;
@@ -171,7 +179,7 @@ impl Guard {
             let (force, moment) = parts(wrench);
             acceleration.fixed_rows_mut::<3>(0).copy_from(&force);
             acceleration.fixed_rows_mut::<3>(3).copy_from(&(moment + arm.cross(&force)));
-            acceleration.rows_mut(6, command.joint_torque.len()).copy_from(&command.joint_torque);
+            acceleration.rows_mut(6, acting.len()).copy_from(acting);
             // The wrenches that keep the feet at rest, because those of an impact last for less than a tick.
             let wrenches = contact.force_of_torques.as_slice().chunks_exact(WRENCH);
             for ((foot, sole), wrench) in robot.feet.iter().zip(&contact.soles).zip(wrenches) {
@@ -198,22 +206,26 @@ impl Guard {
         share: f64,
     ) {
         let ControllerState { channels: last, between, estimator, contact, .. } = state;
+        let is_used = terms.inverse_mass.is_known && !contact.is_active; // under load, as in `replace_command`
         let change = &mut self.acceleration;
         change.fill(0.0);
         for (joint, torque) in command.joint_torque.iter().enumerate() {
-            change[6 + joint] = torque - between.torque[joint];
+            let more = torque - between.torque[joint];
             between.torque[joint] = *torque;
+            if is_used {
+                last.joint_torque[joint] += share * more;
+                change[6 + joint] = terms.limits.joints[joint].share() * more;
+            }
         }
-        // Under load, as in `replace_command`.
-        if !terms.inverse_mass.is_known || contact.is_active {
+        if !is_used {
             return;
         }
-        last.joint_torque.axpy(share, &change.rows_range(6..), 1.0);
         terms.inverse_mass.multiply_in_place(change);
         last.acceleration.axpy(share, change, 1.0);
         between.acceleration += change.rows_range(6..);
         if let Some(memory) = estimator {
-            memory.replace_command(last.thrust_rate.as_slice(), last.joint_torque.as_slice());
+            terms.reduce_torque(last.joint_torque.as_slice());
+            memory.replace_command(last.thrust_rate.as_slice(), terms.acting_torque.as_slice());
         }
     }
 
@@ -228,7 +240,7 @@ impl Guard {
         thrust_rate: &[f64],
         joint_torque: &[f64],
     ) {
-        let Terms { kinematics, dynamics, inverse_mass, .. } = terms;
+        let Terms { kinematics, dynamics, inverse_mass, limits, .. } = terms;
         let (last, acceleration) = (&mut state.channels, &mut self.acceleration);
         if !state.contact.is_active {
             // ν̇ is linear in the torques: it changes by M⁻¹ S (τ′ − τ). The state may be that of another tick than the
@@ -238,9 +250,9 @@ impl Guard {
             inverse_mass.update(&dynamics.mass_matrix);
             if inverse_mass.is_known {
                 acceleration.fill(0.0);
-                let torques = joint_torque.iter().zip(&last.joint_torque);
-                for (entry, (new, old)) in acceleration.as_mut_slice()[6..].iter_mut().zip(torques) {
-                    *entry = new - old;
+                let torques = joint_torque.iter().zip(&last.joint_torque).zip(&limits.joints);
+                for (entry, ((new, old), found)) in acceleration.as_mut_slice()[6..].iter_mut().zip(torques) {
+                    *entry = found.share() * (new - old);
                 }
                 inverse_mass.multiply_in_place(acceleration);
                 last.acceleration += &*acceleration;
@@ -250,7 +262,8 @@ impl Guard {
         last.thrust_rate.copy_from_slice(thrust_rate);
         state.between.replace_torque(joint_torque, last.acceleration.rows_range(6..));
         if let Some(memory) = &mut state.estimator {
-            memory.replace_command(last.thrust_rate.as_slice(), last.joint_torque.as_slice());
+            terms.reduce_torque(last.joint_torque.as_slice());
+            memory.replace_command(last.thrust_rate.as_slice(), terms.acting_torque.as_slice());
         }
     }
 }
@@ -381,6 +394,84 @@ impl Stage for Engines {
     }
 }
 
+/// Finds joints that do not follow their torques, and bounds what the law demands of them.
+#[derive(Debug, Clone)]
+pub struct Joints {
+    config: JointsConfig,
+    time_step: f64,
+    unexplained: DVector<f64>,
+}
+
+impl Joints {
+    /// The stage for `joints` joints, with ticks every `time_step` \[s\].
+    #[must_use]
+    pub fn new(config: JointsConfig, joints: usize, time_step: f64) -> Self {
+        Self { config, time_step, unexplained: DVector::zeros(joints) }
+    }
+}
+
+impl Stage for Joints {
+    fn name(&self) -> &'static str {
+        "joints"
+    }
+
+    fn start(&self, state: &mut ControllerState, robot: &RobotState, _: &[f64]) {
+        state.joints = Some(JointsState::new(&robot.joint_position));
+    }
+
+    fn fits(&self, state: &ControllerState) -> bool {
+        state.joints.as_ref().is_some_and(|joints| joints.fits(self.unexplained.len()))
+    }
+
+    fn measure(&mut self, tick: &mut Tick) {
+        let Some(joints) = &mut tick.state.joints else { return };
+        let used = &tick.terms.measurement;
+        if used.modes.contains(Modes::BEGUN_AGAIN) {
+            joints.begin_again(&used.state.joint_position);
+        }
+        let is_measured = !used.modes.contains(Modes::JOINTS_PREDICTED);
+        joints.measure(&used.state.joint_position, is_measured, used.elapsed);
+    }
+
+    fn judge(&mut self, tick: &mut Tick) {
+        let ControllerState { joints, channels, contact, velocity_error_integral, .. } = &mut *tick.state;
+        let Some(joints) = joints else { return };
+        let Terms { measurement: used, inverse_mass, limits, .. } = &mut *tick.terms;
+        if used.has_momentum && inverse_mass.is_known && !contact.is_active {
+            let last = channels.commanded_in.joint_velocity();
+            let predicted = channels.acceleration.rows(6, self.unexplained.len());
+            for (joint, velocity) in used.state.joint_velocity().iter().enumerate() {
+                self.unexplained[joint] = (velocity - last[joint]) / used.elapsed - predicted[joint];
+            }
+            joints.judge(
+                &self.config,
+                &joints::Sample {
+                    dt: used.elapsed,
+                    unexplained: &self.unexplained,
+                    gain: &inverse_mass.joint_gain,
+                    torque: &channels.joint_torque,
+                },
+            );
+        } else {
+            joints.hold();
+        }
+        limits.joints.copy_from_slice(&joints.found);
+        for (joint, found) in joints.found.iter().enumerate() {
+            limits.joint_velocity[joint] = found.velocity_max(limits.joint_velocity[joint]);
+            if matches!(found, JointCondition::Stuck | JointCondition::Free) {
+                velocity_error_integral[joint] = 0.0; // it follows no velocity
+            }
+        }
+        used.modes.insert(joints::modes(&joints.found));
+    }
+
+    fn predict(&mut self, tick: &mut Tick, command: &Command) {
+        if let Some(joints) = &mut tick.state.joints {
+            joints.command(&command.joint_velocity, self.time_step);
+        }
+    }
+}
+
 impl Stage for SupervisorConfig {
     fn name(&self) -> &'static str {
         "supervisor"
@@ -431,10 +522,10 @@ impl Stage for Estimator {
 
     fn predict(&mut self, tick: &mut Tick, command: &Command) {
         let Some(memory) = &mut tick.state.estimator else { return };
-        let Terms { momentum, measurement: used, contact, .. } = &*tick.terms;
+        let Terms { momentum, measurement: used, contact, acting_torque, .. } = &*tick.terms;
         memory.command(
             command.thrust_rate.as_slice(),
-            command.joint_torque.as_slice(),
+            acting_torque.as_slice(),
             &momentum.unmodelled_wrench,
             &used.wind,
             contact.force_of_torques.as_slice(),

@@ -3,6 +3,43 @@
 use super::attitude::MomentumGains;
 use crate::robot::RobotModel;
 
+/// What a joint does with its torque.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum JointCondition {
+    /// It acts.
+    #[default]
+    Healthy,
+    /// The joint keeps its position.
+    Stuck,
+    /// This share of it acts.
+    Weak(f64),
+    /// It does not act.
+    Free,
+}
+
+impl JointCondition {
+    /// Share of the commanded torque that acts; all of it at a stuck joint, whose bearing holds against it.
+    #[must_use]
+    pub fn share(self) -> f64 {
+        match self {
+            Self::Healthy | Self::Stuck => 1.0,
+            Self::Weak(share) => share,
+            Self::Free => 0.0,
+        }
+    }
+
+    /// Number in logs.
+    #[must_use]
+    pub fn code(self) -> u8 {
+        match self {
+            Self::Healthy => 0,
+            Self::Stuck => 1,
+            Self::Weak(_) => 2,
+            Self::Free => 3,
+        }
+    }
+}
+
 /// Gains and limits of a tick.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Limits {
@@ -16,6 +53,8 @@ pub struct Limits {
     pub joint_velocity: Vec<f64>,
     /// Greatest torque rate of each joint \[N m/s, N/s\].
     pub torque_rate: Vec<f64>,
+    /// What each joint does with its torque.
+    pub joints: Vec<JointCondition>,
 }
 
 impl Limits {
@@ -28,15 +67,17 @@ impl Limits {
             thrust: robot.jets.iter().map(|jet| (0.0, jet.thrust_max)).collect(),
             joint_velocity: robot.joints.iter().map(|joint| joint.velocity_max).collect(),
             torque_rate: robot.joints.iter().map(|joint| joint.torque_rate_max).collect(),
+            joints: vec![JointCondition::Healthy; robot.joints.len()],
         }
     }
 
     /// Copies the limits of the same robot; does not allocate.
     pub fn copy_from(&mut self, other: &Self) {
-        let Self { gains, holds_position, thrust, joint_velocity, torque_rate } = other;
+        let Self { gains, holds_position, thrust, joint_velocity, torque_rate, joints } = other;
         (self.gains, self.holds_position) = (*gains, *holds_position);
         self.thrust.copy_from_slice(thrust);
         self.joint_velocity.copy_from_slice(joint_velocity);
         self.torque_rate.copy_from_slice(torque_rate);
+        self.joints.copy_from_slice(joints);
     }
 }

@@ -310,6 +310,12 @@ impl MomentumQp {
         }
     }
 
+    /// Fixes the velocity of a joint that follows none at the one that it has \[rad/s, m/s\].
+    pub fn fix_velocity(&mut self, joint: usize, velocity: f64) {
+        let unknown = self.unknowns.joint_velocity.start + joint;
+        (self.problem.lower[unknown], self.problem.upper[unknown]) = (velocity, velocity);
+    }
+
     /// Updates the bounds for this tick. They keep thrusts within the given ranges \[N\], and joints within their
     /// position limits and the given greatest velocities \[rad/s, m/s\]. Wrench rates of feet without load are fixed at
     /// zero, which removes them from the solver's free variables.

@@ -1,6 +1,7 @@
 //! The law that the tick calls: from the set-point to thrust rates and joint velocities, by the momentum QP.
 
 use super::attitude::attitude_demand;
+use super::limits::JointCondition;
 use super::momentum_qp::TaskInputs;
 use super::mpc::horizon::Horizon;
 use super::mpc::model::Linearised;
@@ -120,6 +121,10 @@ impl MomentumLaw {
         momentum_qp.update(&inputs);
         let velocity_max = limits.joint_velocity.iter().copied();
         momentum_qp.update_bounds(&inputs, limits.thrust.iter().copied(), velocity_max);
+        let moving = measurement.state.joint_velocity().iter().zip(&limits.joints).enumerate();
+        for (joint, (velocity, _)) in moving.filter(|(_, (_, found))| **found == JointCondition::Free) {
+            momentum_qp.fix_velocity(joint, *velocity);
+        }
     }
 
     /// Solves the momentum QP.

@@ -16,6 +16,7 @@
 //! `docs/deviations.md`).
 
 use super::contact::{Contact, ContactConfig, ContactState, WRENCH, WRENCH_ROWS};
+use super::limits::JointCondition;
 use crate::dynamics::InverseMass;
 use crate::linalg;
 use crate::qp::QpProblem;
@@ -78,6 +79,9 @@ pub struct TorqueQp {
     pub problem: QpProblem,
     /// `K_D` \[1/s\] and `K_P` \[1/s²\].
     gains: (f64, f64),
+    /// Greatest torques \[N m, N\].
+    torque_max: Vec<f64>,
+    weight_acceleration: f64,
     /// `K⁻¹ J_cᵀ`.
     feet: DMatrix<f64>,
     /// `P W^½`.
@@ -91,16 +95,12 @@ pub struct TorqueQp {
 }
 
 impl TorqueQp {
-    /// Allocates for `robot`, whose torque limits are constant.
+    /// Allocates for `robot`.
     #[must_use]
     pub fn new(config: &TorqueConfig, contact: &ContactConfig, robot: &RobotModel) -> Self {
         let (joints, forces) = (robot.joints.len(), WRENCH * robot.feet.len());
         let n = forces + joints;
-        let mut problem = QpProblem::new(n, WRENCH_ROWS * robot.feet.len());
-        for (index, joint) in robot.joints.iter().enumerate() {
-            problem.lower[forces + index] = -joint.torque_max;
-            problem.upper[forces + index] = joint.torque_max;
-        }
+        let problem = QpProblem::new(n, WRENCH_ROWS * robot.feet.len());
         let per_block =
             |foot: f64, joint: f64| DVector::from_fn(n, |i, _| if i < forces { foot } else { joint });
         Self {
@@ -110,6 +110,8 @@ impl TorqueQp {
             acceleration_free: DVector::zeros(n),
             problem,
             gains: (config.kd, config.kp),
+            torque_max: robot.joints.iter().map(|joint| joint.torque_max).collect(),
+            weight_acceleration: config.weight_acceleration,
             feet: DMatrix::zeros(6 + joints, forces),
             weighted: DMatrix::zeros(n, n),
             roots: per_block(contact.weight_foot_acceleration.sqrt(), config.weight_acceleration.sqrt()),
@@ -118,6 +120,38 @@ impl TorqueQp {
             diagonal: per_block(contact.weight_force, config.weight_torque).add_scalar(config.regularisation),
             wrench_rows: robot.feet.iter().map(|foot| contact.wrench.rows(foot)).collect(),
         }
+    }
+
+    /// Limits the torques to those that act in these conditions of the joints. The acceleration of a free joint is not
+    /// controlled.
+    pub fn limit(&mut self, joints: &[JointCondition]) {
+        let forces = self.foot_force.len();
+        for (joint, (found, torque_max)) in joints.iter().zip(&self.torque_max).enumerate() {
+            let most = found.share() * torque_max;
+            (self.problem.lower[forces + joint], self.problem.upper[forces + joint]) = (-most, most);
+            let weight = if *found == JointCondition::Free { 0.0 } else { self.weight_acceleration };
+            self.roots[forces + joint] = weight.sqrt();
+        }
+    }
+
+    /// Torque to be commanded where `torques` are to act: more at a weak joint. For a free one, the torque with which it
+    /// would follow its command if it acted, so that the joint is in use again as soon as it does.
+    #[must_use]
+    pub fn commanded(
+        &self,
+        joint: usize,
+        found: JointCondition,
+        torques: &[f64],
+        inverse_mass: &InverseMass,
+    ) -> f64 {
+        if found != JointCondition::Free {
+            return torques[joint] / found.share();
+        }
+        let gain = inverse_mass.joint_gain.column(joint);
+        let others: f64 = gain.iter().zip(torques).map(|(gain, torque)| gain * torque).sum();
+        let missing =
+            self.acceleration_desired[joint] - self.acceleration_free[self.foot_force.len() + joint] - others;
+        (missing / gain[joint]).clamp(-self.torque_max[joint], self.torque_max[joint])
     }
 
     /// Builds the QP. `free` are the accelerations of base and joints without `u`, `M⁻¹ (Σ Jᵀ T a + J_aᵀ f_a − h)`.

@@ -30,9 +30,10 @@ impl Torques {
 
     /// Computes torques that let the joints follow the commanded velocities.
     pub fn solve(&mut self, state: &mut ControllerState, terms: &mut Terms, command: &mut Command) {
-        let Terms { measurement, inverse_mass, free_acceleration, contact, torque_qp, .. } = terms;
+        let Terms { measurement, inverse_mass, free_acceleration, contact, limits, torque_qp, .. } = terms;
         self.compare(measurement.state.joint_velocity(), command);
         if inverse_mass.is_known {
+            torque_qp.limit(&limits.joints);
             torque_qp.update(
                 contact,
                 &state.contact,
@@ -78,7 +79,9 @@ impl Torques {
             if state.contact.is_active {
                 contact.force_of_torques.copy_from_slice(forces);
             }
-            unlimited_torque.copy_from_slice(torques);
+            for (joint, found) in limits.joints.iter().enumerate() {
+                unlimited_torque[joint] = torque_qp.commanded(joint, *found, torques, inverse_mass);
+            }
             if !state.torque_is_known {
                 // The published rate limiter starts from its first input.
                 state.joint_torque.copy_from(unlimited_torque);

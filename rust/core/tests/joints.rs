@@ -1,0 +1,182 @@
+//! Joints that do not follow their torques, judged from accelerations and positions that are written here.
+
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+#![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
+
+use crate::common::assert_within;
+use flight_core::control::guard::joints::{JointsConfig, JointsState, Sample};
+use flight_core::control::law::limits::JointCondition::{self, Free, Healthy, Stuck, Weak};
+use nalgebra::{DMatrix, DVector};
+
+const STEP: f64 = 0.01;
+const CONFIG: JointsConfig = JointsConfig { acceleration_max: 20.0, share_max: 0.7, displacement_min: 0.005 };
+
+/// Three joints, of which each moves the others a little.
+struct Robot {
+    state: JointsState,
+    gain: DMatrix<f64>,
+    torque: DVector<f64>,
+    position: DVector<f64>,
+}
+
+impl Robot {
+    fn new() -> Self {
+        let position = DVector::from_vec(vec![0.1, 0.2, 0.3]);
+        let gain = DMatrix::from_row_slice(3, 3, &[40.0, -8.0, 2.0, -8.0, 60.0, -10.0, 2.0, -10.0, 200.0]);
+        let torque = DVector::from_vec(vec![4.0, -3.0, 2.0]);
+        Self { state: JointsState::new(&position), gain, torque, position }
+    }
+
+    /// One that has been flying for long enough to be judged.
+    fn settled() -> Self {
+        let mut robot = Self::new();
+        for _ in 0..250 {
+            robot.tick(&[0.0; 3], &[0.0; 3], &[0.0; 3]);
+        }
+        robot
+    }
+
+    /// A tick with these unexplained torques \[N m\], in which the joints move so far while they are commanded these
+    /// velocities.
+    fn tick(&mut self, unexplained: &[f64], moved: &[f64], commanded: &[f64]) {
+        self.tick_accelerated(&(&self.gain * DVector::from_column_slice(unexplained)), moved, commanded);
+    }
+
+    fn tick_accelerated(&mut self, unexplained: &DVector<f64>, moved: &[f64], commanded: &[f64]) {
+        self.position += DVector::from_column_slice(moved);
+        self.state.measure(&self.position, true, STEP);
+        let sample = Sample { dt: STEP, unexplained, gain: &self.gain, torque: &self.torque };
+        self.state.judge(&CONFIG, &sample);
+        self.state.command(&DVector::from_column_slice(commanded), STEP);
+    }
+
+    /// What is lost of the torque of a joint at which `share` acts, beyond what is found.
+    fn lost(&self, joint: usize, share: f64) -> f64 {
+        (share - self.state.found[joint].share()) * self.torque[joint]
+    }
+
+    fn found(&self) -> [JointCondition; 3] {
+        self.state.found.clone().try_into().unwrap()
+    }
+}
+
+#[test]
+fn a_weak_or_free_joint_is_found_with_its_share() {
+    for (joint, share) in [(0, 0.5), (1, 0.3), (2, 0.5), (0, 0.0), (2, 0.05)] {
+        let mut robot = Robot::settled();
+        let (mut unexplained, mut moved) = ([0.0; 3], [0.0; 3]);
+        unexplained[joint] = robot.lost(joint, share);
+        moved[joint] = 0.01;
+        let ticks = (1..=10).find(|_| {
+            robot.tick(&unexplained, &moved, &[0.0; 3]);
+            robot.found()[joint] != Healthy
+        });
+        assert!(ticks.unwrap() <= 8, "joint {joint} with {share}: {ticks:?} ticks of 10 ms");
+        match robot.found()[joint] {
+            Weak(found) => assert_within!((found - share).abs(), 1e-12, "joint {joint}: {found}"),
+            found => assert!(found == Free && share < 0.15, "joint {joint}: {found:?}"),
+        }
+        assert_eq!(robot.found().iter().filter(|found| **found != Healthy).count(), 1);
+    }
+}
+
+/// A joint that gets its torque back is as good as before; one that loses the rest becomes free.
+#[test]
+fn a_share_that_changes_is_revised() {
+    for (then, expected) in [(1.0, Healthy), (0.0, Free)] {
+        let mut robot = Robot::settled();
+        for tick in 0..200 {
+            let lost = robot.lost(2, if tick < 60 { 0.5 } else { then });
+            robot.tick(&[0.0, 0.0, lost], &[0.0, 0.0, 0.004], &[0.0; 3]);
+            if tick == 59 {
+                assert!(matches!(robot.found()[2], Weak(_)));
+            }
+        }
+        assert_eq!(robot.found(), [Healthy, Healthy, expected]);
+    }
+}
+
+/// Errors of the model are there from the start, accelerate several joints at once, are small, or act on a joint in the
+/// direction of its torque.
+#[test]
+fn errors_of_the_model_are_no_faults() {
+    let mut robot = Robot::new();
+    for _ in 0..500 {
+        robot.tick(&[0.0, 0.0, -1.0], &[0.0; 3], &[0.0; 3]);
+    }
+    assert_eq!(robot.found(), [Healthy; 3], "constant");
+    let mut robot = Robot::settled();
+    for _ in 0..500 {
+        robot.tick_accelerated(&DVector::from_element(3, -60.0), &[0.01; 3], &[0.0; 3]);
+    }
+    assert_eq!(robot.found(), [Healthy; 3], "common to all joints");
+    for unexplained in [[-0.2, 0.0, 0.0], [4.0, 0.0, 0.0], [-20.0, 0.0, 0.0]] {
+        let mut robot = Robot::settled();
+        for _ in 0..500 {
+            robot.tick(&unexplained, &[0.01, 0.0, 0.0], &[0.0; 3]);
+        }
+        assert_eq!(robot.found(), [Healthy; 3], "{unexplained:?}");
+    }
+}
+
+/// A joint that stands still while it is commanded to move, with a torque that the model does not explain against the
+/// command, is stuck; it is taken up again when it has moved by 0.02 rad.
+#[test]
+fn a_stuck_joint_is_found_and_taken_up_again() {
+    let mut robot = Robot::settled();
+    let mut pushed = 0.0;
+    let ticks = (1..=20).find(|_| {
+        pushed -= 0.08;
+        robot.tick(&[0.0, 0.0, pushed], &[0.0; 3], &[0.0, 0.0, 0.2]);
+        robot.found()[2] == Stuck
+    });
+    assert!(ticks.unwrap() <= 10, "{ticks:?} ticks of 10 ms");
+    assert_eq!(robot.found(), [Healthy, Healthy, Stuck]);
+    for _ in 0..300 {
+        robot.tick(&[0.0; 3], &[0.0; 3], &[0.0, 0.0, 0.02]);
+    }
+    assert_eq!(robot.found(), [Healthy, Healthy, Stuck]);
+    for _ in 0..13 {
+        robot.tick(&[0.0; 3], &[0.0, 0.0, 0.0015], &[0.0, 0.0, 0.02]);
+        assert_eq!(robot.found()[2], Stuck);
+    }
+    robot.tick(&[0.0; 3], &[0.0, 0.0, 0.0015], &[0.0, 0.0, 0.02]);
+    assert_eq!(robot.found(), [Healthy; 3]);
+}
+
+/// Without resistance, in motion, or not commanded to move, a joint is not stuck.
+#[test]
+fn a_joint_that_stands_where_it_should_is_not_stuck() {
+    for (unexplained, moved, commanded) in
+        [(0.0, 0.0, 0.2), (-0.08, 0.001, 0.2), (-0.08, 0.0, 0.001), (0.08, 0.0, 0.2)]
+    {
+        let mut robot = Robot::settled();
+        for tick in 0..60 {
+            robot.tick(
+                &[0.0, 0.0, unexplained * f64::from(tick)],
+                &[0.0, 0.0, moved],
+                &[0.0, 0.0, commanded],
+            );
+            assert_ne!(robot.found()[2], Stuck, "{unexplained} N m, {moved} rad, {commanded} rad/s");
+        }
+    }
+}
+
+/// What is known and what is not measured: nothing is judged while nothing can be compared, and what was found stays.
+#[test]
+fn nothing_is_judged_without_measurements() {
+    let mut robot = Robot::settled();
+    for _ in 0..100 {
+        robot.tick(&[-2.0, 0.0, 0.0], &[0.01, 0.0, 0.0], &[0.0; 3]);
+        robot.state.hold();
+    }
+    assert_eq!(robot.found(), [Healthy; 3]);
+    for _ in 0..20 {
+        robot.tick(&[-2.0, 0.0, 0.0], &[0.01, 0.0, 0.0], &[0.0; 3]);
+    }
+    let found = robot.found();
+    assert_ne!(found[0], Healthy);
+    robot.state.hold();
+    robot.state.begin_again(&robot.position);
+    assert_eq!(robot.found(), found);
+}
