@@ -75,6 +75,8 @@ class EngineState(NamedTuple):
     """The part of `d` outside `[0, λ l]` after the first lag, as late as the momentum's force and as its moment [N]."""
     late: Float[Array, "2 j"]
     """The same after both lags, `d̄` [N]."""
+    is_doubted: Bool[Array, " j"]
+    """Whether that part exceeds half of its limit: the thrust may not be the one that is used."""
     suspected: Float[Array, " j"]
     """Time for which the deviation has been too large [s]."""
     least: Float[Array, " j"]
@@ -116,7 +118,7 @@ def start(like: Float[Array, " j"]) -> EngineState:
     """Return the initial state for engines with thrusts of this shape and precision [N]."""
     none = jnp.zeros_like(like)
     pair = jnp.stack([none, none])
-    return EngineState(none, none, none, pair, pair, pair, none, none, jnp.full_like(like, jnp.inf))
+    return EngineState(none, none, none, pair, pair, pair, none > 0.0, none, none, jnp.full_like(like, jnp.inf))
 
 
 def update(
@@ -166,7 +168,8 @@ def update(
     least = jnp.where(is_stuck, thrust, jnp.where(is_short, jnp.minimum(last.least, thrust), last.least))
     greatest = jnp.where(is_short, thrust, jnp.where(is_stuck, jnp.maximum(last.greatest, thrust), last.greatest))
     # A rejected sensor gives no information about its engine.
-    state = EngineState(deviation, rate, lag, fit, estimated, late, suspected, least, greatest)
+    is_doubted = (jnp.abs(outside) > half) & ~is_wrong
+    state = EngineState(deviation, rate, lag, fit, estimated, late, is_doubted, suspected, least, greatest)
     forgotten = state._replace(**{name: jnp.where(is_wrong, 0.0, getattr(state, name)) for name in _OF_SENSOR})
     return forgotten, is_wrong, deviation
 

@@ -142,9 +142,10 @@ def measure(
 
 
 def hold(last: JointsState) -> JointsState:
-    """Forget what is not explained, in a tick in which nothing can be compared."""
-    none = jnp.zeros_like(last.mean)
-    return last._replace(acceleration=last.mean, still=none, suspected=none, evidence=none, product=none, square=none)
+    """Forget what is not explained, in a tick in which nothing can be compared, and judge nothing for a while."""
+    none, pause = jnp.zeros_like(last.mean), jnp.maximum(last.pause, PAUSE)
+    forgotten = last._replace(acceleration=last.mean, still=none, suspected=none, evidence=none)
+    return forgotten._replace(product=none, square=none, pause=pause)
 
 
 def judge(

@@ -262,7 +262,8 @@ class JointStage(Stage):
         gain, _ = joint_response(dyn.mass_matrix, jnp.zeros_like(dyn.bias))
         moved = (used.state.velocity[6:] - last.velocity) / used.elapsed
         judged = joints.judge(self.settings, last, used.elapsed, moved - memory.channels.acceleration[6:], gain)
-        found = where(used.has_momentum, judged, joints.hold(last))
+        is_doubted = memory.engines is not None and jnp.any(memory.engines.is_doubted)
+        found = where(used.has_momentum & ~jnp.asarray(is_doubted), judged, joints.hold(last))
         is_free = found.share == 0.0
         usual = tick.limits.joint_velocity
         fastest = jnp.where(found.is_stuck, jnp.minimum(usual, TRIED_VELOCITY), jnp.where(is_free, 0.0, usual))

@@ -117,6 +117,8 @@ pub struct EngineState {
     /// The part of `d` outside `[0, λ l]` after the first lag and after both, `d̄`, as late as the momentum's force
     /// and as its moment \[N\].
     late: [[f64; 2]; 2],
+    /// Whether the part of `d` outside exceeds half of its limit: the thrust may not be the one that is used.
+    pub is_doubted: bool,
     /// Time for which `|d̄|` has exceeded its limit \[s\].
     suspected: f64,
     /// Least and greatest thrust that the engine has been found to reach \[N\].
@@ -144,6 +146,7 @@ impl Default for EngineState {
             lag: 0.0,
             fit: [0.0; 2],
             late: [[0.0; 2]; 2],
+            is_doubted: false,
             suspected: 0.0,
             range: (0.0, f64::INFINITY),
         }
@@ -187,13 +190,14 @@ impl EngineState {
             self.fit[0] += self.deviation * self.lag;
             self.fit[1] += self.lag * self.lag;
         }
+        let [d_l, l_l] = self.fit.map(|sum| half * half + sum);
+        let lag = self.lag * (d_l / l_l).clamp(0.0, 1.0);
+        let outside = self.deviation - self.deviation.max(lag.min(0.0)).min(lag.max(0.0));
+        self.is_doubted = outside.abs() > half;
         let Some(shares) = momentum_shares else {
             (self.late, self.suspected) = ([[0.0; 2]; 2], 0.0);
             return;
         };
-        let [d_l, l_l] = self.fit.map(|sum| half * half + sum);
-        let lag = self.lag * (d_l / l_l).clamp(0.0, 1.0);
-        let outside = self.deviation - self.deviation.max(lag.min(0.0)).min(lag.max(0.0));
         for ([estimated, late], share) in self.late.iter_mut().zip(shares) {
             *estimated += share * (outside - *estimated);
             *late += residual_share(dt) * (*estimated - *late);

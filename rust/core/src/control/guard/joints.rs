@@ -196,8 +196,9 @@ impl JointsState {
         self.commanded.axpy(time_step, velocity, 1.0);
     }
 
-    /// Forgets what is not explained, in a tick in which nothing can be compared.
+    /// Forgets what is not explained, in a tick in which nothing can be compared, and judges nothing for a while.
     pub fn hold(&mut self) {
+        self.pause = self.pause.max(PAUSE);
         self.acceleration.copy_from(&self.mean);
         self.still.fill(0.0);
         self.suspicions.fill(Suspicion::default());
@@ -282,7 +283,6 @@ impl JointsState {
         if let Some((joint, _, found)) = worst {
             self.found[joint] = found;
             self.hold();
-            self.pause = PAUSE;
         }
     }
 

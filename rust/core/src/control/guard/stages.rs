@@ -434,10 +434,12 @@ impl Stage for Joints {
     }
 
     fn judge(&mut self, tick: &mut Tick) {
-        let ControllerState { joints, channels, contact, velocity_error_integral, .. } = &mut *tick.state;
+        let ControllerState { joints, engines, channels, contact, velocity_error_integral, .. } =
+            &mut *tick.state;
         let Some(joints) = joints else { return };
         let Terms { measurement: used, inverse_mass, limits, .. } = &mut *tick.terms;
-        if used.has_momentum && inverse_mass.is_known && !contact.is_active {
+        let is_comparable = used.has_momentum && inverse_mass.is_known && !contact.is_active;
+        if is_comparable && !engines.iter().any(|engine| engine.is_doubted) {
             let last = channels.commanded_in.joint_velocity();
             let predicted = channels.acceleration.rows(6, self.unexplained.len());
             for (joint, velocity) in used.state.joint_velocity().iter().enumerate() {
