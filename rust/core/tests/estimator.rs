@@ -246,7 +246,7 @@ fn the_momentum_is_known_as_late_as_the_velocities() {
     for (share, time) in shares(old).into_iter().zip([0.07_f64, 0.02]) {
         assert_within!((share + (-STEP / time).exp_m1()).abs(), 1e-15);
     }
-    assert_eq!(shares(EstimatorConfig::default()), [1.0; 2]);
+    assert!(shares(EstimatorConfig::default()).iter().all(|share| share.total_cmp(&1.0).is_eq()));
 }
 
 /// What is measured at once is not predicted from what is as old as the oldest: encoders that say something else than the

@@ -234,7 +234,7 @@ fn bad_sensors_are_refused_by_name() {
         }),
         ("joints.bias is NaN", |c| c.joints.bias = vec![f64::NAN; 5]),
         ("joints.bias is 2 numbers; expected 5, one for each joint, or none", |c| {
-            c.joints.bias = vec![0.1; 2]
+            c.joints.bias = vec![0.1; 2];
         }),
         ("joints.tremble.amplitude is -1; expected a number ≥ 0 in rad or m", |c| {
             c.joints.tremble = Some(TrembleConfig { amplitude: -1.0, frequency: 3.0 });

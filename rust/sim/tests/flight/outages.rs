@@ -105,7 +105,7 @@ fn slow_engines_are_not_taken_for_failing_ones() {
     let flight = fly(Vec::new(), |config| {
         config.simulator.jets = jets;
         config.simulator.duration = 2.0;
-        for thrust in config.simulator.initial.thrust.iter_mut() {
+        for thrust in &mut config.simulator.initial.thrust {
             *thrust -= 8.0;
         }
     });
