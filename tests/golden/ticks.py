@@ -69,7 +69,8 @@ def values(tick: rust.Tick) -> Values:
                 add(f"{name}.{key}", part)
 
     for key, value in vars(tick).items():
-        if key != "estimates":  # without estimators that is the measurement
+        # Without estimators the former are the measurement; these flights do not look for faulty joints.
+        if key not in {"estimates", "joint_condition"}:
             add(stored_names.get(key, key), value)
     return found
 

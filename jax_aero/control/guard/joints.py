@@ -26,7 +26,7 @@ SETTLING, PAUSE = 2.0, 0.2
 """Time without judgement after the start, and after something was found [s]."""
 DOMINANCE, STUCK_DOMINANCE = 0.75, 0.5
 """Share of `|x|²` that is along one column if one joint causes it, and for a joint that stands still too."""
-STUCK_SHARE, STILL = 0.4, 0.1
+STUCK_SHARE, STILL, STILL_WAY = 0.4, 0.1, 0.004
 """Share of `acceleration_max` that a stuck joint has at least; share of its commanded displacement that it moves."""
 CONFIRMATION, STUCK_CONFIRMATION, REVISION, SUSPICION_MAX = 0.06, 0.03, 0.1, 0.2
 """Times until something is found, and until a suspicion is an error of the model [s]."""
@@ -187,7 +187,7 @@ def judge(
 
     is_still = (
         (jnp.abs(last.commanded) > limits.displacement_min)
-        & (last.way < STILL * jnp.abs(last.commanded))
+        & (last.way < jnp.minimum(STILL_WAY, STILL * jnp.abs(last.commanded)))
         & (-along * jnp.sign(last.commanded) > STUCK_SHARE * limits.acceleration_max)
         & (along**2 > STUCK_DOMINANCE * size)
         & ~last.is_stuck

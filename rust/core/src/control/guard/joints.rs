@@ -37,6 +37,8 @@ const STUCK_DOMINANCE: f64 = 0.5;
 const STUCK_SHARE: f64 = 0.4;
 /// Share of the commanded displacement that a stuck joint moves at most.
 const STILL: f64 = 0.1;
+/// Longest way within [`WINDOW`] of a joint that stands still, with the steps of its encoder \[rad, m\].
+const STILL_WAY: f64 = 0.004;
 /// A joint is judged when it was suspected for this time with the least `z` of a suspicion, or for less with more, but for
 /// two ticks \[s\].
 const CONFIRMATION: f64 = 0.06;
@@ -294,7 +296,7 @@ impl JointsState {
             let (z, _) = self.along(sample.gain, joint);
             let is_still = self.found[joint] != JointCondition::Stuck
                 && commanded.abs() > config.displacement_min
-                && self.way[joint] < STILL * commanded.abs()
+                && self.way[joint] < STILL_WAY.min(STILL * commanded.abs())
                 && -z * commanded.signum() > STUCK_SHARE * config.acceleration_max
                 && z * z > STUCK_DOMINANCE * size;
             self.still[joint] = if is_still { self.still[joint] + sample.dt } else { 0.0 };
