@@ -13,4 +13,5 @@ mod fuzz;
 mod jets;
 mod rates;
 mod recorded;
+mod replay;
 mod sensors;
