@@ -78,6 +78,7 @@ def labels_of(robot: RobotNames) -> dict[str, Sequence[str]]:
     """Return the names of the entries along every dimension of a signal (`rust.signals`) except time."""
     return {
         "xyz": ["x", "y", "z"],
+        "base_axis": ["x", "y", "z"],
         "wxyz": ["w", "x", "y", "z"],
         "rpy": ["roll", "pitch", "yaw"],
         "six": ["linear_x", "linear_y", "linear_z", "angular_x", "angular_y", "angular_z"],

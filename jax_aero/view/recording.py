@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -135,8 +135,7 @@ class Recording:
 
     def names(self, signal: str) -> list[str]:
         """Return the names of the entries of a signal's rows, in the order of `rows`; empty for a scalar signal."""
-        places = labels_of(self.robot)
-        labels = [places[dim] for dim in rust.signals()[signal].dims[1:]]
+        labels = axes_of(signal, self.robot)
         return [" ".join(words) for words in itertools.product(*labels)] if labels else []
 
     def rows(self, signal: str) -> Vector:
@@ -201,6 +200,12 @@ class Recording:
             wind=value("wind"),
             aero_force=value("aero_force_sim"),
         )
+
+
+def axes_of(signal: str, robot: rust.Robot) -> list[Sequence[str]]:
+    """Return the names along every axis of a signal's row."""
+    labels = labels_of(robot)
+    return [labels[dim] for dim in rust.signals()[signal].dims[1:]]
 
 
 def from_flight(flight: rust.FlightResult, config: rust.Config, title: str) -> Recording:
