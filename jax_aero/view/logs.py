@@ -39,6 +39,9 @@ NEEDED = ("raw_base_position", "raw_base_rotation", "raw_base_velocity", "raw_jo
 PERIOD_TOLERANCE = 0.01
 """Greatest relative difference between the period of a log and that of its ticks."""
 
+ROUNDING = 5e-7
+"""Time that absorbs the rounding of times [s]."""
+
 
 class Source(tables.Table, frozen=True):
     """Columns of a signal in a log of others."""
@@ -119,7 +122,8 @@ def read_csv(path: Path, mapping: Path | None) -> tuple[dict[str, Series], None]
     header = [word.strip() for word in header]
     if name not in header:
         raise Refused(f"`{path}` has no column `{name}` of times{did_you_mean(name, header)}")
-    times = table[:, header.index(name)] * time.scale
+    times = table[:, header.index(name)]
+    times = (times - times[:1]) * time.scale  # which would be rounded coarsely if they began in 1970
     return {word: Series(times, table[:, place]) for place, word in enumerate(header)}, None
 
 
@@ -131,16 +135,17 @@ def read_mcap(path: Path, mapping: Path | None) -> tuple[dict[str, Series], rust
 
     topics = [f"/signals/{name}" for name in rust.signals()] if mapping is None else None
     found: dict[str, tuple[list[float], list[float]]] = {}
-    config = None
+    config, start = None, None
     try:
         with path.open("rb") as file:
             reader = make_reader(file)
             for _schema, channel, message in reader.iter_messages(topics):
                 if channel.message_encoding != "json":
                     continue
+                start = message.log_time if start is None else start
                 for name, number in _flatten(parse_json(message.data), channel.topic):
                     times, numbers = found.setdefault(name, ([], []))
-                    times.append(message.log_time * 1e-9)
+                    times.append((message.log_time - start) * 1e-9)
                     numbers.append(number)
             for record in reader.iter_metadata():
                 if record.name == METADATA and "config" in record.metadata:
@@ -183,7 +188,7 @@ def _load_mapping(path: Path) -> dict[str, Source]:
     for name in table:
         if name not in known:
             raise ConfigError(f"{path.name}: there is no signal `{name}`{did_you_mean(name, known)}")
-    return {name: tables.convert(entry, Source, f"{path.name}: {name}") for name, entry in table.items()}
+    return tables.convert(table, dict[str, Source], path.name)
 
 
 def _mapped_signals(
@@ -224,7 +229,7 @@ def at_ticks(log: Log, robot: rust.Robot, period: float, path: Path) -> dict[str
         raise Refused(f"times in `{path}` do not increase from row to row")
     ticks, is_denser = base, base.size > 1 and np.mean(np.diff(base)) < (1.0 - PERIOD_TOLERANCE) * period
     if is_denser:
-        ticks = base[0] + period * np.arange(int((base[-1] - base[0]) / period + 1e-6) + 1)
+        ticks = base[0] + period * np.arange(int((base[-1] - base[0] + ROUNDING) / period) + 1)
     found = {}
     for name, series in log.signals.items():
         rows = np.concatenate([np.reshape(_hold(one, ticks), (ticks.size, -1)) for one in series], axis=1)
@@ -240,6 +245,5 @@ def at_ticks(log: Log, robot: rust.Robot, period: float, path: Path) -> dict[str
 
 def _hold(series: Series, ticks: Array) -> Array:
     """Return the last row until each tick; NaN before the first."""
-    # Half a microsecond absorbs the rounding of times.
-    place = np.searchsorted(series.times, ticks + 5e-7, side="right") - 1
+    place = np.searchsorted(series.times, ticks + ROUNDING, side="right") - 1
     return np.where((place < 0).reshape(-1, *[1] * (series.rows.ndim - 1)), np.nan, series.rows[np.maximum(place, 0)])
