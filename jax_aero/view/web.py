@@ -87,8 +87,7 @@ def flight_table(recording: Recording) -> dict[str, Any]:
         "links": list(recording.robot.aero_link_names),
         "bodies": len(recording.robot.body_names),
         "signals": [
-            {"name": name, "unit": declared[name].unit, "width": recording.rows(name).shape[1]}
-            for name in names
+            {"name": name, "unit": declared[name].unit, "width": recording.rows(name).shape[1]} for name in names
         ],
         "numbers": {name: _pack(signal) for name, signal in (numbers | {"body_poses": poses}).items()},
     }

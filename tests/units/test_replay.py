@@ -67,6 +67,20 @@ def test_a_replay_is_what_the_controller_computes(flight, config):
         assert bits(tick.joint_torque) == bits(replayed["joint_torque"][k])
 
 
+def test_a_file_has_exact_measurements_once(config, tmp_path):
+    """Only the rotation, which the signal without `raw_` holds as a quaternion; with sensors all but the exact wind."""
+    exact = rust.load_config("test2", {"simulator.duration": 0.1})
+    for flown, expected in ((exact, 1), (config, 6)):
+        flight, robot = rust.fly(flown), rust.Robot(flown["robot"])
+        dataset = record.to_dataset(flight, robot, title="", config_digest="")
+        assert sum(str(name).startswith("raw_") for name in dataset) == expected
+        record.write_run(tmp_path / str(expected), dataset, {"config": manifest.make_portable(flown)})
+        read = recording.read(tmp_path / str(expected)).signals
+        assert all(bits(rows) == bits(flight.log[name]) for name, rows in read.items())
+        assert read.keys() == flight.log.keys()
+        assert next(iter(read)) == "time"
+
+
 @pytest.mark.parametrize("form", ["nc", "mcap", "csv"])
 def test_a_log_of_ours_replays_from_every_format(form, result, tmp_path, capsys):
     path, words = result, ()
