@@ -117,7 +117,7 @@ def read_csv(path: Path, mapping: Path | None) -> tuple[dict[str, Series], None]
         header, *lines = [row for row in csv.reader(text.splitlines()) if row]
         numbers = np.array([[float(cell) if cell.strip() else np.nan for cell in row] for row in lines], dtype=float)
         table = numbers.reshape(len(lines), len(header))
-    except (OSError, ValueError) as reason:
+    except (OSError, ValueError, csv.Error) as reason:
         raise Refused(f"`{path}` is no table of numbers with a header ({reason})") from None
     header = [word.strip() for word in header]
     if name not in header:
@@ -130,7 +130,6 @@ def read_csv(path: Path, mapping: Path | None) -> tuple[dict[str, Series], None]
 def read_mcap(path: Path, mapping: Path | None) -> tuple[dict[str, Series], rust.Config | None]:
     """Return the numbers in the JSON messages of an MCAP file, and the configuration if `jax-aero export` wrote it."""
     require(["mcap"], f"reading `{path}`", "logs")
-    from mcap.exceptions import McapError
     from mcap.reader import make_reader
 
     topics = [f"/signals/{name}" for name in rust.signals()] if mapping is None else None
@@ -150,7 +149,7 @@ def read_mcap(path: Path, mapping: Path | None) -> tuple[dict[str, Series], rust
             for record in reader.iter_metadata():
                 if record.name == METADATA and "config" in record.metadata:
                     config = io.make_paths_absolute(json.loads(record.metadata["config"]))
-    except (OSError, ValueError, McapError) as reason:
+    except Exception as reason:  # the package raises many types for damaged files
         raise Refused(f"`{path}` cannot be read ({type(reason).__name__}: {reason}); expected an MCAP file") from None
     if not found:
         raise Refused(f"`{path}` has no message in JSON; expected those of `jax-aero export`, or others in JSON")

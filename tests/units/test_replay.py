@@ -314,12 +314,17 @@ def test_a_mapping_that_does_not_fit_is_refused(change, expected, foreign, tmp_p
 def test_what_does_not_fit_is_refused(result, foreign, tmp_path, capsys):
     (tmp_path / "empty.mcap").write_bytes(b"no such file")
     (tmp_path / "text.csv").write_text("time,a\n0,b\n")
+    export.write_mcap(recording.read(result), tmp_path / "damaged.mcap")
+    content = bytearray((tmp_path / "damaged.mcap").read_bytes())
+    content[len(content) // 2] ^= 0xFF  # within a compressed chunk
+    (tmp_path / "damaged.mcap").write_bytes(content)
     refusals = {
         ("replay", result, "--set", "controller.torque.steps=10"): "whose ticks need the joints in between",
         ("replay", result, "--map", foreign / "map.toml"): "expected it with a .csv or .mcap file",
         ("replay", foreign / "log.csv", "--experiment", "test2"): "has no column `time`",
         ("replay", foreign / "log.csv", "--map", foreign / "map.toml"): "expected --experiment NAME",
         ("replay", tmp_path / "empty.mcap"): "expected an MCAP file",
+        ("replay", tmp_path / "damaged.mcap"): "expected an MCAP file",
         ("replay", tmp_path / "text.csv", "--experiment", "test2"): "is no table of numbers",
         ("export", result, "--csv", "--out", tmp_path / "a.mcap"): "does not end in .csv",
         ("export", result, "--csv", "--ghost", result, "--out", tmp_path / "a.csv"): "expected --html",
