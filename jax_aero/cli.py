@@ -48,7 +48,9 @@ COMMANDS = {
         "show a flight in the browser, and fly it again",
         {name: (f"jax_aero.view.command:{name}", "view") for name in ("video", "snapshot")},
     ),
-    "export": Command("jax_aero.view.command:export", "logs", "write a flight as HTML, MCAP or CSV for other viewers"),
+    "export": Command(
+        "jax_aero.view.command:export", "view,logs", "write a flight as HTML, MCAP or CSV for other viewers"
+    ),
     "replay": Command("experiments.replay:main", "logs", "replay a log through the tick of a controller, and compare"),
     "study": Command("experiments.studies:main", "view,symbolic", "answer a question: jax-aero study lists them"),
     "air": Command("experiments.air:main", "twin", "force and moment of robot and links by angle and posture"),
