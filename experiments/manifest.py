@@ -10,12 +10,13 @@ import shlex
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Any
 
 from experiments.sources import code_hash
 from jax_aero import places, rust
 from jax_aero.files import replace_infinite
+from jax_aero.io import make_portable as make_portable
 
 
 def build(
@@ -57,21 +58,6 @@ def version_of(package: str) -> dict[str, str]:
         return {package: importlib.metadata.version(package)}
     except importlib.metadata.PackageNotFoundError:
         return {}
-
-
-def make_portable(value: Any) -> Any:
-    """Return `value` with absolute paths made relative to the repository, or outside it reduced to their names."""
-    if isinstance(value, Mapping):
-        return {key: make_portable(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [make_portable(item) for item in value]
-    if isinstance(value, PurePath):
-        value = str(value)
-    if isinstance(value, str) and Path(value).is_absolute():
-        path = Path(value)
-        inside = path.is_relative_to(places.HOME)
-        return path.relative_to(places.HOME).as_posix() if inside else f"(outside the repository)/{path.name}"
-    return value
 
 
 def _portable_word(word: str) -> str:

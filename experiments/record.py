@@ -1,6 +1,6 @@
 """Result folders, their content and writing: the interface between runs and figures.
 
-A folder holds `run.nc` (every signal, with unit and named coordinates) and `manifest.json` (the configuration, the
+A folder holds `run.nc` (every signal once, with unit and named coordinates) and `manifest.json` (the configuration, the
 code, the machine, and the checksum of every other file). It is written completely or not at all.
 """
 
@@ -19,7 +19,7 @@ from experiments import Refused
 from jax_aero import documents, netcdf, rust
 from jax_aero.files import checksums, complete_folder, find_damaged, read_json, write_json, write_netcdf, write_text
 from jax_aero.places import MANIFEST_FILE, RUN_FILE
-from jax_aero.result import FlightResult, RobotNames, labels_of
+from jax_aero.result import FlightResult, RobotNames, is_repeated, labels_of
 
 
 def to_dataset(
@@ -41,6 +41,8 @@ def to_dataset(
         shape = tuple(coords[dim][1].shape[0] for dim in signal.dims)
         if values[name].shape != shape:
             raise ValueError(f"`{name}` has shape {values[name].shape}; expected {shape} for {signal.dims}")
+        if is_repeated(name, values):
+            continue
         attributes = {"units": signal.unit, "long_name": signal.meaning}
         variables[name] = (signal.dims, values[name].astype("i4" if signal.is_integer else "f8"), attributes)
     if undeclared := values.keys() - declared.keys():

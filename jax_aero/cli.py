@@ -46,8 +46,12 @@ COMMANDS = {
         "jax_aero.view.command:view",
         "view",
         "show a flight in the browser, and fly it again",
-        {name: (f"jax_aero.view.command:{name}", "view") for name in ("video", "snapshot", "export")},
+        {name: (f"jax_aero.view.command:{name}", "view") for name in ("video", "snapshot")},
     ),
+    "export": Command(
+        "jax_aero.view.command:export", "view,logs", "write a flight as HTML, MCAP or CSV for other viewers"
+    ),
+    "replay": Command("experiments.replay:main", "logs", "replay a log through the tick of a controller, and compare"),
     "study": Command("experiments.studies:main", "view,symbolic", "answer a question: jax-aero study lists them"),
     "air": Command("experiments.air:main", "twin", "force and moment of robot and links by angle and posture"),
     "verify": Command("jax_aero.verify.command:main", "twin", "compare the Rust crate with JAX"),

@@ -21,7 +21,6 @@ from jax_aero.jets import JetsState
 from jax_aero.kinematics import kinematics
 from jax_aero.robot import RobotModel
 from jax_aero.sim.plant import Plant, PlantState, advance, observe
-from jax_aero.sim.wind import Wind, wind_velocity
 from jax_aero.spatial import rotation_from_wxyz
 from jax_aero.types import Array, State
 
@@ -43,26 +42,17 @@ class Segments(NamedTuple):
 
 
 def segments_of(
-    wind: Wind,
-    log: Mapping[str, Float[np.ndarray, "ticks ..."]],
-    plant: Plant,
-    first_tick: int,
-    count: int,
-    horizon: int,
+    log: Mapping[str, Float[np.ndarray, "ticks ..."]], first_tick: int, count: int, horizon: int
 ) -> Segments:
     """Return `count` segments of `horizon` ticks of a log, evenly spaced from `first_tick` to its end."""
     starts = np.linspace(first_tick, len(log["time"]) - horizon - 1, count, dtype=int)
     ticks = starts[:, None] + np.arange(horizon)
-
-    def wind_at(tick: Array) -> Array:
-        return wind_velocity(wind, tick * plant.time_step)
-
     return Segments(
         first=states_of(log, starts),
         thrust=jnp.asarray(log["thrust"][starts]),
         torque=jnp.asarray(log["joint_torque"][ticks]),
         thrust_rate=jnp.asarray(log["thrust_rate"][ticks]),
-        wind=jax.vmap(jax.vmap(wind_at))(jnp.asarray(ticks)),
+        wind=jnp.asarray(log["wind"][ticks]),
         velocity=states_of(log, starts + horizon).velocity,
     )
 

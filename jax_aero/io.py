@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
+from pathlib import Path, PurePath
 from typing import Any
 
 import msgspec
@@ -49,3 +50,18 @@ def make_paths_absolute(config: Mapping[str, Any]) -> rust.Config:
         if (path := HOME / get(placed, key)).is_file():
             set_key(placed, key, str(path))
     return placed
+
+
+def make_portable(value: Any) -> Any:
+    """Return `value` with absolute paths made relative to the repository, or outside it reduced to their names."""
+    if isinstance(value, Mapping):
+        return {key: make_portable(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [make_portable(item) for item in value]
+    if isinstance(value, PurePath):
+        value = str(value)
+    if isinstance(value, str) and Path(value).is_absolute():
+        path = Path(value)
+        inside = path.is_relative_to(HOME)
+        return path.relative_to(HOME).as_posix() if inside else f"(outside the repository)/{path.name}"
+    return value

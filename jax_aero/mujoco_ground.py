@@ -280,7 +280,7 @@ def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rus
         seen, thrust = plant.observe(blowing[k]), plant.thrust
         tick = controller.tick(seen.measured, thrust, measured[k], time, foot_wrenches=seen.foot_wrenches[plant.named])
         posture = tick.posture
-        row = _row(plant, seen, tick, time, thrust, blowing[k])
+        row = _row(plant, seen, tick, time, thrust, blowing[k]) | {"raw_wind": measured[k]}
         rows.append(row)
         loss = _divergence(row, simulator["divergence"], plant.robot) or _fall(row, simulator["fall"])
         if loss is not None:
@@ -317,6 +317,7 @@ def _row(
     desired = np.asarray(tick.setpoint.rotation)
     estimates = tick.estimates
     estimated_position, estimated_rotation, _, estimated_nu = (np.asarray(part) for part in estimates.state)
+    raw_position, raw_rotation, raw_joints, raw_nu = (np.asarray(part) for part in seen.measured)
     contact = tick.contact
     if contact is None:
         raise ValueError("`controller.contact` is absent; expected a table: without feet the controller cannot stand")
@@ -356,6 +357,12 @@ def _row(
         "measured_thrust": estimates.thrust,
         "measured_wind": estimates.wind,
         "measured_wind_std": estimates.wind_std,
+        "raw_base_position": raw_position,
+        "raw_base_rotation": raw_rotation,
+        "raw_base_velocity": raw_nu[:6],
+        "raw_joint_position": raw_joints,
+        "raw_joint_velocity": raw_nu[6:],
+        "raw_thrust": thrust,
         "qp_status": [tick.momentum_answer.status_code, tick.torque_answer.status_code],
         "qp_kkt": [tick.momentum_answer.kkt, tick.torque_answer.kkt],
         "qp_iterations": [tick.momentum_answer.iterations, tick.torque_answer.iterations],

@@ -59,6 +59,25 @@ class FlightResult:
         return self.log[signal]
 
 
+REPEATED = {f"raw_{name}": name for name in ("base_position", "base_velocity", "joint_position", "joint_velocity")} | {
+    "raw_thrust": "thrust",
+    "raw_wind": "wind",
+}
+"""Raw measurements that a file leaves out if they have the bits of another signal, as without errors of sensors."""
+
+
+def is_repeated(signal: str, log: Mapping[str, NDArray[np.float64]]) -> bool:
+    """Return whether a file leaves out this signal of a log."""
+    return signal in REPEATED and log[signal].tobytes() == log[REPEATED[signal]].tobytes()
+
+
+def add_repeated(log: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+    """Return the log of a file with the signals that it left out; a file of an older version has no raw measurement."""
+    has_raw = any(name.startswith("raw_") for name in log)
+    left_out = {raw: log[name] for raw, name in REPEATED.items() if has_raw and raw not in log and name in log}
+    return {**log, **left_out}
+
+
 class RobotNames(Protocol):
     """The names of a robot that label a log; `jax_aero.rust.Robot` has them."""
 
@@ -78,6 +97,7 @@ def labels_of(robot: RobotNames) -> dict[str, Sequence[str]]:
     """Return the names of the entries along every dimension of a signal (`rust.signals`) except time."""
     return {
         "xyz": ["x", "y", "z"],
+        "base_axis": ["x", "y", "z"],
         "wxyz": ["w", "x", "y", "z"],
         "rpy": ["roll", "pitch", "yaw"],
         "six": ["linear_x", "linear_y", "linear_z", "angular_x", "angular_y", "angular_z"],

@@ -76,6 +76,7 @@ __all__ = [
     "fly_batch",
     "forward_dynamics",
     "frame_jacobian",
+    "is_input",
     "kkt_residual",
     "link_forces",
     "load_aero",
@@ -85,6 +86,7 @@ __all__ = [
     "read_urdf",
     "recorded_reference",
     "recorded_wind",
+    "replay",
     "resolve_aero",
     "resolve_config",
     "rotation_from_wxyz",
@@ -707,6 +709,33 @@ def config_digest(config: Mapping[str, Any]) -> str:
 def fly(config: Mapping[str, Any], progress: Progress | None = None) -> FlightResult:
     """Fly one configuration to its end or until the flight is lost. Ctrl-C interrupts it."""
     return FlightResult(**_core.fly(_to_json(config), progress))
+
+
+def replay(config: Mapping[str, Any], log: Mapping[str, ArrayLike]) -> dict[str, Array]:
+    """Replay a log through the tick of a configuration's controller, open loop; return the controller's signals.
+
+    The log of a flight and its configuration give the signals of the flight again, with the same bits.
+
+    Parameters
+    ----------
+    log
+        Signals by name (`signals`), of which `time`, all `raw_*` and `foot_wrench` are read; the first axis is time. A
+        row is a tick, or, with `controller.torque.steps` > 1, a tick of the torques. NaN is not measured, as are
+        signals that are absent; foot wrenches are then zero.
+
+    Raises
+    ------
+    ValueError
+        For signals of another shape, rows that are not as far apart as the ticks, and a first row that no flight can
+        begin with.
+    """
+    inputs = {name: value for name, value in log.items() if is_input(name)}
+    return _core.replay(_to_json(config), {name: _array(value) for name, value in inputs.items()})
+
+
+def is_input(signal: str) -> bool:
+    """Return whether `replay` reads a signal."""
+    return signal in ("time", "foot_wrench") or signal.startswith("raw_")
 
 
 def fly_batch(

@@ -198,6 +198,13 @@ class FlightRow(NamedTuple):
     measured_thrust: Float[Array, " j"]
     measured_wind: Float[Array, "3"]
     measured_wind_std: Float[Array, "3"]
+    raw_base_position: Float[Array, "3"]
+    raw_base_rotation: Float[Array, "3 3"]
+    raw_base_velocity: Float[Array, "6"]
+    raw_joint_position: Float[Array, " n"]
+    raw_joint_velocity: Float[Array, " n"]
+    raw_thrust: Float[Array, " j"]
+    raw_wind: Float[Array, "3"]
     qp_status: Float[Array, "2"]
     qp_kkt: Float[Array, "2"]
     qp_iterations: Float[Array, "2"]
@@ -389,7 +396,8 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
         rotation_error = rotation_angle(multiply(command.setpoint.rotation.T, now.robot.base_rotation))
         com_error = safe_norm(seen.kinematics.com - command.setpoint.com_position)
         fall, error = _judge(scenario.fall, rotation_error, com_error)
-    row = _mask_unless(is_sound, _row(time, wind, now, estimates, wind_std, command, seen, rotation_error))
+    row = _row(time, wind, now, measurement, estimates, wind_std, command, seen, rotation_error)
+    row = _mask_unless(is_sound, row)
     robot = state.plant.robot
     row = row._replace(
         time=time,
@@ -492,6 +500,7 @@ def _row(
     time: Array,
     wind: Array,
     state: PlantState,
+    raw: Measurement,
     estimates: Measurement,
     wind_std: Array,
     command: Command,
@@ -545,6 +554,13 @@ def _row(
         measured_thrust=estimates.thrust,
         measured_wind=estimates.wind,
         measured_wind_std=wind_std,
+        raw_base_position=raw.state.base_position,
+        raw_base_rotation=raw.state.base_rotation,
+        raw_base_velocity=raw.state.velocity[:6],
+        raw_joint_position=raw.state.joint_position,
+        raw_joint_velocity=raw.state.velocity[6:],
+        raw_thrust=raw.thrust,
+        raw_wind=raw.wind,
         qp_status=stack_answers("status", time.dtype),
         qp_kkt=stack_answers("kkt", time.dtype),
         qp_iterations=stack_answers("iterations", time.dtype),

@@ -1,4 +1,4 @@
-"""Viewing of flights: `jax-aero view` in a browser, `video` and `snapshot` as files.
+"""Viewing of flights: `jax-aero view` in a browser, `video` and `snapshot` as files, `export` for other viewers.
 
 ```
 run.nc or rust.FlightResult ► Recording ► Instant ► drawing ► page (viser) or offscreen (MuJoCo) ► video, snapshot
@@ -16,13 +16,13 @@ from jax_aero import extras
 from jax_aero.command import Refused as Refused
 
 
-def require(modules: Iterable[str], purpose: str) -> None:
-    """Raise `Refused`, with instructions to install them, if these modules cannot be imported."""
+def require(modules: Iterable[str], purpose: str, extra: str = "view") -> None:
+    """Raise `Refused`, with instructions to install them by an extra, if these modules cannot be imported."""
     for module in modules:
         try:
             importlib.import_module(module)
         except ModuleNotFoundError as missing:
-            raise Refused(extras.missing_package(purpose, missing, "view")) from None
+            raise Refused(extras.missing_package(purpose, missing, extra)) from None
 
 
 def check_out(out: Path, *suffixes: str) -> None:

@@ -1,4 +1,4 @@
-"""The commands `view`, `video`, `snapshot` and `export`."""
+"""The commands `view`, `view video`, `view snapshot` and `export`."""
 
 from __future__ import annotations
 
@@ -114,24 +114,46 @@ def snapshot(words: Sequence[str]) -> int:
 
 
 def export(words: Sequence[str]) -> int:
-    """Write a page."""
-    parser = Parser("view export", "Write a flight, or two in one scene, as one HTML file that any browser plays.")
-    parser.add_argument("--ghost", metavar="RESULT", help="another flight, drawn translucent beside it")
-    _files(parser, Path("flight.html"))
+    """Write a file for another viewer."""
+    parser = Parser("export", "Write a flight as one file: a page for any browser, or a log for other viewers.")
+    formats = parser.add_mutually_exclusive_group(required=True)
+    for name, about in FORMATS.items():
+        formats.add_argument(f"--{name}", dest="format", action="store_const", const=name, help=about)
+    parser.add_argument("--ghost", metavar="RESULT", help="another flight, drawn translucent beside it, with --html")
+    _files(parser, None)
     given = parser.parse_args(words)
+    given.out = given.out or Path(f"flight.{given.format}")
 
-    def work(_: Progress) -> None:
+    def work(progress: Progress) -> None:
+        from jax_aero.view.export import write_csv, write_mcap
         from jax_aero.view.web import write_page
 
+        if given.ghost is not None and given.format != "html":
+            raise Refused(f"--ghost is given with --{given.format}; expected --html, which alone shows two flights")
         results = [given.result] if given.ghost is None else [given.result, given.ghost]
-        write_page([recording.read(result, given.robot) for result in results], given.out)
+        flight, *ghost = [recording.read(result, given.robot) for result in results]
+        if given.format == "html":
+            write_page([flight, *ghost], given.out)
+        elif given.format == "mcap":
+            write_mcap(flight, given.out, progress)
+        else:
+            write_csv(flight, given.out)
 
-    return _write(given, "page", work)
+    return _write(given, "tick", work)
 
 
-def _files(parser: Parser, out: Path) -> None:
+FORMATS = {
+    "html": "a page that any browser plays, of two flights with --ghost",
+    "mcap": "every signal, poses and the robot's URDF, for Foxglove, PlotJuggler and Rerun",
+    "csv": "every signal as a table, for PlotJuggler and spreadsheets",
+}
+"""Formats of `jax-aero export`, which are the suffixes of their files."""
+
+
+def _files(parser: Parser, out: Path | None) -> None:
     parser.add_argument("result", metavar="RESULT", help=RESULT)
-    parser.add_argument("--out", type=Path, default=out, metavar="FILE", help=f"file to write (default {out})")
+    default = out or "flight, with the suffix of the format"
+    parser.add_argument("--out", type=Path, default=out, metavar="FILE", help=f"file to write (default {default})")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
     parser.add_argument("--robot", metavar="FILE", help="TOML file of the robot, if the result does not name it")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +16,7 @@ from jax_aero import documents, io, netcdf, rust
 from jax_aero.command import ConfigError
 from jax_aero.files import find_damaged, read_json
 from jax_aero.places import MANIFEST_FILE, RESULTS, RUN_FILE
-from jax_aero.result import ending, labels_of
+from jax_aero.result import add_repeated, ending, labels_of
 from jax_aero.summary import SETTLING_TIME
 from jax_aero.urdf import Vector
 from jax_aero.view import Refused, require
@@ -135,8 +135,7 @@ class Recording:
 
     def names(self, signal: str) -> list[str]:
         """Return the names of the entries of a signal's rows, in the order of `rows`; empty for a scalar signal."""
-        places = labels_of(self.robot)
-        labels = [places[dim] for dim in rust.signals()[signal].dims[1:]]
+        labels = axes_of(signal, self.robot)
         return [" ".join(words) for words in itertools.product(*labels)] if labels else []
 
     def rows(self, signal: str) -> Vector:
@@ -201,6 +200,12 @@ class Recording:
             wind=value("wind"),
             aero_force=value("aero_force_sim"),
         )
+
+
+def axes_of(signal: str, robot: rust.Robot) -> list[Sequence[str]]:
+    """Return the names along every axis of a signal's row."""
+    labels = labels_of(robot)
+    return [labels[dim] for dim in rust.signals()[signal].dims[1:]]
 
 
 def from_flight(flight: rust.FlightResult, config: rust.Config, title: str) -> Recording:
@@ -300,7 +305,7 @@ def _read_signals(path: Path) -> tuple[dict[str, Vector], dict[str, Any]]:
             if missing := [name for name in SIGNALS if name not in file]:
                 raise Refused(f"`{path}` has no {', '.join(f'`{name}`' for name in missing)}; {EXPECTED}")
             declared = [name for name, signal in rust.signals().items() if signal.dims[0] == "time" and name in file]
-            signals = {name: np.asarray(file[name], dtype=np.float64) for name in declared}
+            signals = add_repeated({name: np.asarray(file[name], dtype=np.float64) for name in declared})
             facts = {key: _to_python(value) for key, value in file.attrs.items() if not key.startswith("_")}
     except OSError:
         raise Refused(f"`{path}` is not a NetCDF-4 file; {EXPECTED}") from None

@@ -73,7 +73,9 @@ def flight_table(recording: Recording) -> dict[str, Any]:
     columns = [np.swapaxes(now.body_rotations, 1, 2)[:, :2].reshape(-1, 6) for now in instants]
     poses = np.concatenate([columns, [now.body_positions for now in instants]], axis=2)
     declared = rust.signals()
-    numbers = {name: signal[shown] for name, signal in recording.signals.items()}
+    # Raw measurements are those of other signals, but for errors of sensors and missing values.
+    names = [name for name in recording.signals if not name.startswith("raw_")]
+    numbers = {name: recording.signals[name][shown] for name in names}
     return {
         "title": recording.title,
         "verdict": recording.verdict,
@@ -85,8 +87,7 @@ def flight_table(recording: Recording) -> dict[str, Any]:
         "links": list(recording.robot.aero_link_names),
         "bodies": len(recording.robot.body_names),
         "signals": [
-            {"name": name, "unit": declared[name].unit, "width": recording.rows(name).shape[1]}
-            for name in recording.signals
+            {"name": name, "unit": declared[name].unit, "width": recording.rows(name).shape[1]} for name in names
         ],
         "numbers": {name: _pack(signal) for name, signal in (numbers | {"body_poses": poses}).items()},
     }

@@ -279,12 +279,16 @@ def test_what_the_controller_is_given_is_recorded():
     """Its estimators stand between what is measured and the law."""
     estimator = {"base_position": {"time_constant": 0.5}}
     observing = {"controller.wind_observer": {}, "controller.estimator": estimator}
-    log = fly(early_wind([-12.0, 0.0, 0.0], measured=False, duration=2.0, **observing)).log
+    config = early_wind([-12.0, 0.0, 0.0], measured=False, duration=2.0, **observing)
+    log = fly(config).log
     assert (log["measured_wind_std"][:, :2] > 0.0).all()
     assert np.abs(log["measured_wind"] - log["wind"]).max() > 0.1
     differences = log["measured_base_position"] - log["base_position"]
     assert 1e-6 < np.abs(differences).max() < 0.1
     np.testing.assert_array_equal(log["measured_thrust"], log["thrust"])
+    replayed = rust.replay(config, log)
+    for signal in ("thrust_rate", "joint_torque", "unmodelled_wrench", "measured_wind"):
+        np.testing.assert_array_equal(replayed[signal], log[signal])
 
 
 def test_a_robot_without_jets_cannot_take_off():

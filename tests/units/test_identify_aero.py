@@ -15,7 +15,7 @@ def test_the_misfit_is_that_of_velocities_and_of_the_prior(measured):
     config = rust.load_config("test2", {"simulator.duration": 0.5, "wind.ramp_start": -1.0, "wind.ramp_end": 0.0})
     scenario, _ = sim.prepare(scenario_config(config))
     plant = scenario.plant
-    segments = identify.segments_of(scenario.wind, rust.fly(config).log, plant, first_tick=5, count=2, horizon=3)
+    segments = identify.segments_of(rust.fly(config).log, first_tick=5, count=2, horizon=3)
     families, member = np.unique(np.asarray(plant.aero.areas), axis=0, return_inverse=True)
     theta = np.full(families.shape, 0.1)
 

@@ -49,7 +49,7 @@ def test_a_file_has_what_the_crate_declares(dataset):
 
 
 def test_every_signal_has_unit_meaning_and_named_dimensions(dataset):
-    assert set(dataset.dims) == {"time", "xyz", "wxyz", "rpy", "six", "joint", "jet", "link", "qp"}
+    assert set(dataset.dims) == {"time", "xyz", "base_axis", "wxyz", "rpy", "six", "joint", "jet", "link", "qp"}
     assert set(dataset.dims) <= set(dataset.coords)
     for name, variable in dataset.data_vars.items():
         assert variable.attrs["units"], name

@@ -16,7 +16,7 @@ from jax_aero.view import recording
 
 ROOT = Path(__file__).resolve().parents[2]
 TEST2 = ROOT / "configs" / "experiments" / "test2.toml"
-FIXED = {"xyz": 3, "wxyz": 4, "rpy": 3, "six": 6, "qp": 2}
+FIXED = {"xyz": 3, "base_axis": 3, "wxyz": 4, "rpy": 3, "six": 6, "qp": 2}
 
 
 def test_the_row_in_jax_has_the_declared_signals(x64):

@@ -2,7 +2,7 @@
 
 `jax-aero study identify_engine P220` generates two logs of an engine in the robot's file, in the format of a
 bench: time, throttle and thrust with noise, at 100 Hz. `--set train=FILE --set test=FILE` reads real logs: CSV files
-with the columns `time_s,throttle_percent,thrust_n`.
+with the columns `time_s,throttle_percent,thrust_n`, at any rate from 100 Hz on.
 
 1. Local cubics smooth thrust and give its two derivatives; linear least squares give all coefficients except b_uu.
 2. Output error: segments of 1 s are simulated (M33) from their smoothed initial states, then segments of 20 s, and
@@ -174,7 +174,7 @@ def advance_thrust(thrust: Any, rate: Any, acceleration: Any, step: float) -> tu
 
 
 def read_log(path: Path) -> Log:
-    """Read a log of a test bench.
+    """Read a log of a test bench; of a faster one every step has the last sample until then.
 
     Raises
     ------
@@ -189,10 +189,17 @@ def read_log(path: Path) -> Log:
         raise Refused(f"cannot read `{path}`: {reason.strerror}") from None
     except (KeyError, TypeError, ValueError, csv.Error):
         raise Refused(f"`{path}` is no log; expected numbers in the columns {', '.join(COLUMNS)}") from None
-    if len(values) <= SEGMENTS[-1] or not np.isfinite(values).all():
-        raise Refused(f"`{path}` has {len(values)} rows; expected more than {SEGMENTS[-1]}, all finite")
-    if np.abs(np.diff(values[:, 0]) - STEP).max() > 0.05 * STEP:
-        raise Refused(f"`{path}`: samples are not {STEP:g} s apart")
+    if not np.isfinite(values).all():
+        raise Refused(f"`{path}` holds numbers that are not finite; expected finite ones")
+    gaps = np.diff(values[:, 0])
+    if not (gaps > 0.0).all() or gaps.max(initial=0.0) > 1.05 * STEP:
+        raise Refused(f"`{path}`: samples are {gaps.min():g} to {gaps.max():g} s apart; expected 0 to {STEP:g} s")
+    if gaps.min(initial=STEP) < 0.95 * STEP:
+        times = np.arange(values[0, 0], values[-1, 0] + 0.05 * STEP, STEP)
+        values = values[np.searchsorted(values[:, 0], times + 0.05 * STEP) - 1]
+        values[:, 0] = times
+    if len(values) <= SEGMENTS[-1]:
+        raise Refused(f"`{path}` holds {len(values)} steps of {STEP:g} s; expected more than {SEGMENTS[-1]}")
     return Log(*values.T)
 
 

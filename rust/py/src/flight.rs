@@ -1,17 +1,21 @@
 //! Configurations and whole flights.
 
-use crate::arrays::{Input, Output, array, finite_entries, value_error, vector, vectors};
+use crate::arrays::{Input, Output, array, entries, finite_entries, value_error, vector, vectors};
 use flight_core::BuildError;
 use flight_io::{
-    AeroConfig, ControllerSection, NetworkConfig, RobotFiles, Schema, from_json, load, read_bytes,
-    read_recording, typed,
+    AeroConfig, ControllerSection, NetworkConfig, RobotFiles, Schema, from_json, load, load_robot,
+    read_bytes, read_recording, typed,
 };
-use flight_sim::{BatchError, FlightResult, Scenario, ScenarioConfig, Wind, WindConfig, load_flyable};
+use flight_sim::log::Series;
+use flight_sim::{
+    BatchError, FlightLog, FlightResult, SIGNALS, Scenario, ScenarioConfig, Wind, WindConfig, load_flyable,
+};
 use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError, PyUserWarning, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
 use std::ffi::CString;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -145,7 +149,7 @@ pub fn schemas() -> String {
 /// Declarations of all signals of a log, as a JSON list.
 #[pyfunction]
 pub fn signals() -> String {
-    serde_json::json!(flight_sim::SIGNALS[..]).to_string()
+    serde_json::json!(SIGNALS[..]).to_string()
 }
 
 /// Declarations of all figures of merit of a flight, as a JSON list.
@@ -255,6 +259,32 @@ pub fn fly<'py>(
     }
 }
 
+/// Replay the measurements of a log (arrays by signal, the first axis is time) through the controller of a configuration;
+/// returns the controller's signals.
+#[pyfunction]
+pub fn replay<'py>(
+    py: Python<'py>,
+    config_json: &str,
+    log: BTreeMap<String, Input<'py>>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let config = parse(config_json)?;
+    let robot = load_robot(&config.robot).map_err(value_error)?;
+    let rows = log.get("time").and_then(|time| time.as_array().shape().first().copied()).unwrap_or_default();
+    let read = |(name, values): (&String, &Input<'py>)| {
+        let Some(signal) = SIGNALS.iter().find(|signal| signal.name == name) else {
+            let known = SIGNALS.iter().map(|signal| signal.name);
+            return Err(value_error(BuildError::unknown_name("the log", name, known)));
+        };
+        let row_shape: Vec<usize> = signal.row_shape(&robot).collect();
+        let shape: Vec<usize> = std::iter::once(rows).chain(row_shape.iter().copied()).collect();
+        Ok(Series { signal, row_shape, data: entries(name, values, &shape)? })
+    };
+    let series = log.iter().map(read).collect::<PyResult<_>>()?;
+    let log = FlightLog { series, joint_setpoint: Vec::new() };
+    let replayed = py.detach(|| flight_sim::replay(&config, &log)).map_err(value_error)?;
+    signals_dict(py, replayed)
+}
+
 /// Fly many configurations on several threads. Results are in the order of the configurations and do not
 /// depend on the number of threads. `progress(done, total)` is called as flights end. Without `full_log` the
 /// logs are empty.
@@ -361,17 +391,8 @@ impl Reporter {
 fn flight_dict(py: Python<'_>, result: FlightResult, full_log: bool) -> PyResult<Bound<'_, PyDict>> {
     let FlightResult { outcome, loss, log, summary } = result;
     let out = PyDict::new(py);
-    let ticks = log.len();
-    let signals = PyDict::new(py);
-    if full_log {
-        for series in log.series {
-            let shape: Vec<usize> = std::iter::once(ticks).chain(series.row_shape.iter().copied()).collect();
-            let signal: Output<'_> = array(py, &shape, series.data)?;
-            signals.set_item(series.signal.name, signal)?;
-        }
-    }
-    out.set_item("log", signals)?;
     out.set_item("joint_setpoint", vector(py, &log.joint_setpoint)?)?;
+    out.set_item("log", if full_log { signals_dict(py, log)? } else { PyDict::new(py) })?;
     out.set_item("outcome", outcome.name())?;
     out.set_item("lost_time", loss.map(|loss| loss.time))?;
     out.set_item("lost_reason", loss.map(|loss| loss.reason.to_string()))?;
@@ -382,4 +403,16 @@ fn flight_dict(py: Python<'_>, result: FlightResult, full_log: bool) -> PyResult
     }
     out.set_item("summary", figures)?;
     Ok(out)
+}
+
+/// The signals of a log as arrays by name.
+fn signals_dict(py: Python<'_>, log: FlightLog) -> PyResult<Bound<'_, PyDict>> {
+    let signals = PyDict::new(py);
+    let ticks = log.len();
+    for series in log.series {
+        let shape: Vec<usize> = std::iter::once(ticks).chain(series.row_shape.iter().copied()).collect();
+        let signal: Output<'_> = array(py, &shape, series.data)?;
+        signals.set_item(series.signal.name, signal)?;
+    }
+    Ok(signals)
 }

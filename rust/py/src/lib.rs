@@ -25,7 +25,7 @@ mod _core {
     #[pymodule_export]
     use super::flight::{
         check_config, config_digest, figures, fly, fly_batch, load_config, load_table, path_keys,
-        recorded_reference, recorded_wind, resolve_aero, resolve_config, schemas, set_keys, signals,
+        recorded_reference, recorded_wind, replay, resolve_aero, resolve_config, schemas, set_keys, signals,
         wind_velocity,
     };
     #[pymodule_export]

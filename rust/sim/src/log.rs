@@ -1,6 +1,6 @@
 //! The log of a flight: every signal at every tick.
 
-use crate::signals::{LogRow, SIGNALS, Signal};
+use crate::signals::{Read, SIGNALS, Signal, TickRow, WorldRow};
 use flight_core::error::{BuildError, Table};
 use flight_core::robot::RobotModel;
 
@@ -71,7 +71,17 @@ impl FlightLog {
     /// Reserves memory for `n_ticks` rows of a robot's signals.
     #[must_use]
     pub fn new(robot: &RobotModel, n_ticks: usize) -> Self {
-        let logged = SIGNALS.iter().filter(|signal| signal.read.is_some());
+        Self::of(robot, n_ticks, Option::is_some)
+    }
+
+    /// As [`Self::new`], for the signals of the controller alone.
+    #[must_use]
+    pub fn of_ticks(robot: &RobotModel, n_ticks: usize) -> Self {
+        Self::of(robot, n_ticks, |read| matches!(read, Some(Read::Tick(_))))
+    }
+
+    fn of(robot: &RobotModel, n_ticks: usize, is_logged: impl Fn(&Option<Read>) -> bool) -> Self {
+        let logged = SIGNALS.iter().filter(|signal| is_logged(&signal.read));
         let series = logged.map(|signal| Series::new(signal, robot, n_ticks)).collect();
         Self { series, joint_setpoint: Vec::new() }
     }
@@ -94,11 +104,13 @@ impl FlightLog {
         self.series.iter().find(|series| series.signal.name == name)
     }
 
-    /// Appends one row of every signal.
-    pub fn push(&mut self, row: &LogRow) {
+    /// Appends one row of every signal, or, without a world, of those of the controller.
+    pub fn push(&mut self, tick: &TickRow, world: Option<&WorldRow>) {
         for series in &mut self.series {
-            if let Some(read) = series.signal.read {
-                read(row, &mut series.data);
+            match (series.signal.read, world) {
+                (Some(Read::Tick(read)), _) => read(tick, &mut series.data),
+                (Some(Read::World(read)), Some(world)) => read(world, &mut series.data),
+                _ => {}
             }
         }
     }

@@ -21,7 +21,7 @@ use crate::log::FlightLog;
 use crate::outcome::{FlightResult, Loss, LossReason, Outcome};
 use crate::plant::Plant;
 use crate::sensors::Sensors;
-use crate::signals::{LogRow, TrackingErrors};
+use crate::signals::{TickRow, TrackingErrors, WorldRow};
 use crate::summary::Summary;
 use crate::wind::Wind;
 use flight_core::aero::LeverArm;
@@ -311,7 +311,8 @@ impl Flight {
             self.log.joint_setpoint = state.posture().as_slice().to_vec();
         }
         let errors = TrackingErrors::new(plant, &terms.setpoint);
-        self.log.push(&LogRow { time, wind, plant, terms, command, errors });
+        let world = WorldRow { wind, plant, errors };
+        self.log.push(&TickRow { measurement, terms, command }, Some(&world));
         self.loss = self.scenario.loss_reason(&wind, &errors).map(|reason| Loss { time, reason });
         if self.loss.is_some() {
             return false;

@@ -4,7 +4,7 @@
 
 use crate::plant::Plant;
 use flight_core::control::law::setpoint::Setpoint;
-use flight_core::control::{Command, Terms};
+use flight_core::control::{Command, Measurement, Terms};
 use flight_core::qp::QpAnswer;
 use flight_core::robot::RobotModel;
 use flight_core::spatial::{rotation_angle, rpy_from_rotation, wxyz_from_rotation};
@@ -19,6 +19,8 @@ pub enum Dimension {
     Time,
     /// Axes.
     Xyz,
+    /// Axes of the base.
+    BaseAxis,
     /// Components of a quaternion.
     Wxyz,
     /// Roll, pitch, yaw.
@@ -44,7 +46,7 @@ impl Dimension {
         match self {
             Self::Time => 1,
             Self::Qp => 2,
-            Self::Xyz | Self::Rpy => 3,
+            Self::Xyz | Self::BaseAxis | Self::Rpy => 3,
             Self::Wxyz => 4,
             Self::Six => 6,
             Self::Joint => robot.joints.len(),
@@ -55,23 +57,27 @@ impl Dimension {
     }
 }
 
-/// Values from which all signals of one tick are read.
-pub struct LogRow<'a> {
-    /// Time \[s\].
-    pub time: f64,
-    /// Velocity of the air \[m/s\].
-    pub wind: Vector3<f64>,
-    /// The simulated robot and its environment.
-    pub plant: &'a Plant,
+/// A tick of the controller.
+pub struct TickRow<'a> {
+    /// Measurement that it is given.
+    pub measurement: Measurement<'a>,
     /// The controller's intermediate values.
     pub terms: &'a Terms,
     /// The controller's command.
     pub command: &'a Command,
+}
+
+/// The simulated side of a tick.
+pub struct WorldRow<'a> {
+    /// Velocity of the air \[m/s\].
+    pub wind: Vector3<f64>,
+    /// The simulated robot and its environment.
+    pub plant: &'a Plant,
     /// Errors with respect to the set-point.
     pub errors: TrackingErrors,
 }
 
-impl LogRow<'_> {
+impl TickRow<'_> {
     /// Answers of momentum QP and torque QP.
     fn qps(&self) -> [&QpAnswer; 2] {
         [&self.command.momentum_qp, &self.command.torque_qp]
@@ -99,8 +105,14 @@ impl TrackingErrors {
     }
 }
 
-/// Appends one row of a signal to the data.
-pub type Read = fn(&LogRow, &mut Vec<f64>);
+/// How one row of a signal is appended to the data.
+#[derive(Debug, Clone, Copy)]
+pub enum Read {
+    /// Of the controller, in a flight or a [replay](mod@crate::replay).
+    Tick(fn(&TickRow, &mut Vec<f64>)),
+    /// Of the simulated robot, in a flight only.
+    World(fn(&WorldRow, &mut Vec<f64>)),
+}
 
 /// The declaration of a signal.
 #[derive(Debug, Clone, Copy, Serialize)]
@@ -122,15 +134,28 @@ pub struct Signal {
     pub read: Option<Read>,
 }
 
-/// A signal that every engine logs.
-const fn signal(
+/// A signal of the controller, which every engine logs.
+const fn tick(
     name: &'static str,
     dims: &'static [Dimension],
     unit: &'static str,
     meaning: &'static str,
-    read: Read,
+    read: fn(&TickRow, &mut Vec<f64>),
 ) -> Signal {
-    Signal { name, dims, unit, meaning, is_integer: false, is_of_ground: false, read: Some(read) }
+    let read = Some(Read::Tick(read));
+    Signal { name, dims, unit, meaning, is_integer: false, is_of_ground: false, read }
+}
+
+/// A signal of the simulated robot, which every engine logs.
+const fn world(
+    name: &'static str,
+    dims: &'static [Dimension],
+    unit: &'static str,
+    meaning: &'static str,
+    read: fn(&WorldRow, &mut Vec<f64>),
+) -> Signal {
+    let read = Some(Read::World(read));
+    Signal { name, dims, unit, meaning, is_integer: false, is_of_ground: false, read }
 }
 
 /// A signal that only engines with ground log.
@@ -169,6 +194,7 @@ const JOINT: &[Dimension] = &[Dimension::Time, Dimension::Joint];
 const JET: &[Dimension] = &[Dimension::Time, Dimension::Jet];
 const LINK: &[Dimension] = &[Dimension::Time, Dimension::Link, Dimension::Xyz];
 const QP: &[Dimension] = &[Dimension::Time, Dimension::Qp];
+const ROTATION: &[Dimension] = &[Dimension::Time, Dimension::Xyz, Dimension::BaseAxis];
 const FOOT_XYZ: &[Dimension] = &[Dimension::Time, Dimension::Foot, Dimension::Xyz];
 const FOOT_SIX: &[Dimension] = &[Dimension::Time, Dimension::Foot, Dimension::Six];
 
@@ -178,143 +204,170 @@ const WRENCH: &str = "N (force), N m (moment)";
 
 /// All signals. Joint quantities are in the units of revolute joints; for prismatic ones replace rad by m
 /// and N m by N.
-pub static SIGNALS: [Signal; 42] = [
-    signal("time", TIME, "s", "time", |row, out| out.push(row.time)),
-    signal("base_position", XYZ, "m", "position of the base origin, inertial frame", |row, out| {
+pub static SIGNALS: [Signal; 49] = [
+    tick("time", TIME, "s", "time", |row, out| out.push(row.measurement.time)),
+    world("base_position", XYZ, "m", "position of the base origin, inertial frame", |row, out| {
         out.extend(&row.plant.state().base.position);
     }),
-    signal("base_quaternion", WXYZ, "1", "rotation from base to inertial frame", |row, out| {
+    world("base_quaternion", WXYZ, "1", "rotation from base to inertial frame", |row, out| {
         out.extend(wxyz_from_rotation(&row.plant.state().base.rotation));
     }),
-    signal(
+    world(
         "base_velocity",
         SIX,
         "m s-1 (linear), rad s-1 (angular)",
         "base velocity, mixed: both parts in inertial axes",
         |row, out| out.extend(&row.plant.state().velocity.as_slice()[..6]),
     ),
-    signal("base_rpy_setpoint", RPY, "rad", "set-point of the base: roll, pitch, yaw", |row, out| {
+    tick("base_rpy_setpoint", RPY, "rad", "set-point of the base: roll, pitch, yaw", |row, out| {
         out.extend(&rpy_from_rotation(&row.terms.setpoint.rotation));
     }),
-    signal("joint_position", JOINT, "rad", "joint position", |row, out| {
+    world("joint_position", JOINT, "rad", "joint position", |row, out| {
         out.extend(&row.plant.state().joint_position);
     }),
-    signal("joint_velocity", JOINT, "rad s-1", "joint velocity", |row, out| {
+    world("joint_velocity", JOINT, "rad s-1", "joint velocity", |row, out| {
         out.extend(row.plant.state().joint_velocity());
     }),
-    signal("com_position", XYZ, "m", "centre of mass, inertial frame", |row, out| {
+    world("com_position", XYZ, "m", "centre of mass, inertial frame", |row, out| {
         out.extend(&row.plant.kinematics().com);
     }),
-    signal("com_velocity", XYZ, "m s-1", "velocity of the centre of mass, inertial frame", |row, out| {
+    world("com_velocity", XYZ, "m s-1", "velocity of the centre of mass, inertial frame", |row, out| {
         let mass = row.plant.kinematics().mass();
         out.extend(row.plant.dynamics().momentum.fixed_rows::<3>(0).iter().map(|momentum| momentum / mass));
     }),
-    signal("com_setpoint", XYZ, "m", "set-point of the centre of mass, inertial frame", |row, out| {
+    tick("com_setpoint", XYZ, "m", "set-point of the centre of mass, inertial frame", |row, out| {
         out.extend(&row.terms.setpoint.com_position);
     }),
-    signal("rotation_error", TIME, "rad", "angle between the base and its set-point", |row, out| {
+    world("rotation_error", TIME, "rad", "angle between the base and its set-point", |row, out| {
         out.push(row.errors.rotation);
     }),
-    signal("thrust", JET, "N", "thrust of each jet", |row, out| out.extend(row.plant.jets().thrust())),
-    signal("thrust_rate", JET, "N s-1", "commanded thrust rate", |row, out| {
+    world("thrust", JET, "N", "thrust of each jet", |row, out| out.extend(row.plant.jets().thrust())),
+    tick("thrust_rate", JET, "N s-1", "commanded thrust rate", |row, out| {
         out.extend(&row.command.thrust_rate);
     }),
-    signal(
+    tick(
         "joint_velocity_command",
         JOINT,
         "rad s-1",
         "joint velocity command of the momentum QP",
         |row, out| out.extend(&row.command.joint_velocity),
     ),
-    signal("joint_torque", JOINT, "N m", "commanded joint torque, after the rate limiter", |row, out| {
+    tick("joint_torque", JOINT, "N m", "commanded joint torque, after the rate limiter", |row, out| {
         out.extend(&row.command.joint_torque);
     }),
-    signal("wind", XYZ, "m s-1", "wind velocity, inertial frame", |row, out| out.extend(&row.wind)),
-    signal("aero_force_sim", LINK, "N", "aerodynamic force in the simulator, inertial frame", |row, out| {
+    world("wind", XYZ, "m s-1", "wind velocity, inertial frame", |row, out| out.extend(&row.wind)),
+    world("aero_force_sim", LINK, "N", "aerodynamic force in the simulator, inertial frame", |row, out| {
         out.extend(row.plant.link_forces().forces_i.iter().flatten());
     }),
-    signal(
+    tick(
         "aero_force_control",
         LINK,
         "N",
         "aerodynamic force the controller compensates, inertial frame",
         |row, out| out.extend(row.terms.link_forces.forces_i.iter().flatten()),
     ),
-    signal("momentum", SIX, MOMENTUM, "centroidal momentum, inertial axes", |row, out| {
+    world("momentum", SIX, MOMENTUM, "centroidal momentum, inertial axes", |row, out| {
         out.extend(&row.plant.dynamics().momentum);
     }),
-    signal("momentum_setpoint", SIX, MOMENTUM, "set-point of the centroidal momentum", |row, out| {
+    tick("momentum_setpoint", SIX, MOMENTUM, "set-point of the centroidal momentum", |row, out| {
         let mass = row.terms.kinematics.mass();
         out.extend(row.terms.setpoint.com_velocity.iter().map(|velocity| velocity * mass));
         out.extend([0.0; 3]);
     }),
-    signal(
+    tick(
         "momentum_rate_estimate",
         SIX,
         MOMENTUM_RATE,
         "momentum rate the controller estimates",
         |row, out| out.extend(&row.terms.momentum.rate_estimate),
     ),
-    signal(
+    tick(
         "unmodelled_wrench",
         SIX,
         MOMENTUM_RATE,
         "observed part of it that is in no model of the controller",
         |row, out| out.extend(&row.terms.momentum.unmodelled_wrench),
     ),
-    signal("measured_base_position", XYZ, "m", "base position that the controller is given", |row, out| {
+    tick("measured_base_position", XYZ, "m", "base position that the controller is given", |row, out| {
         out.extend(&row.terms.estimates.reading.state.base.position);
     }),
-    signal(
-        "measured_base_quaternion",
-        WXYZ,
-        "1",
-        "base rotation that the controller is given",
-        |row, out| {
-            out.extend(wxyz_from_rotation(&row.terms.estimates.reading.state.base.rotation));
-        },
-    ),
-    signal(
+    tick("measured_base_quaternion", WXYZ, "1", "base rotation that the controller is given", |row, out| {
+        out.extend(wxyz_from_rotation(&row.terms.estimates.reading.state.base.rotation));
+    }),
+    tick(
         "measured_base_velocity",
         SIX,
         "m s-1 (linear), rad s-1 (angular)",
         "base velocity that the controller is given, mixed",
         |row, out| out.extend(&row.terms.estimates.reading.state.velocity.as_slice()[..6]),
     ),
-    signal(
+    tick(
         "measured_joint_velocity",
         JOINT,
         "rad s-1",
         "joint velocity that the controller is given",
         |row, out| out.extend(row.terms.estimates.reading.state.joint_velocity()),
     ),
-    signal("measured_thrust", JET, "N", "thrust of each jet that the controller is given", |row, out| {
+    tick("measured_thrust", JET, "N", "thrust of each jet that the controller is given", |row, out| {
         out.extend(&row.terms.estimates.reading.thrust);
     }),
-    signal(
+    tick(
         "measured_wind",
         XYZ,
         "m s-1",
         "wind velocity that the controller is given, inertial frame",
         |row, out| out.extend(&row.terms.estimates.wind),
     ),
-    signal(
+    tick(
         "measured_wind_std",
         XYZ,
         "m s-1",
         "standard deviation of that wind where it is estimated from the robot's motion, else zero",
         |row, out| out.extend(&row.terms.estimates.wind_std),
     ),
-    integer(signal("qp_status", QP, "1", "outcome of each QP; 0 is solved", |row, out| {
+    tick(
+        "raw_base_position",
+        XYZ,
+        "m",
+        "base position in the measurement of the tick, before estimators; NaN where it is not measured, as in all raw signals",
+        |row, out| out.extend(&row.measurement.state.base.position),
+    ),
+    tick(
+        "raw_base_rotation",
+        ROTATION,
+        "1",
+        "base rotation in that measurement: the axes of the base as columns, inertial frame",
+        |row, out| out.extend(row.measurement.state.base.rotation.transpose().iter()),
+    ),
+    tick(
+        "raw_base_velocity",
+        SIX,
+        "m s-1 (linear), rad s-1 (angular)",
+        "base velocity in that measurement, mixed",
+        |row, out| out.extend(&row.measurement.state.velocity.as_slice()[..6]),
+    ),
+    tick("raw_joint_position", JOINT, "rad", "joint position in that measurement", |row, out| {
+        out.extend(&row.measurement.state.joint_position);
+    }),
+    tick("raw_joint_velocity", JOINT, "rad s-1", "joint velocity in that measurement", |row, out| {
+        out.extend(row.measurement.state.joint_velocity());
+    }),
+    tick("raw_thrust", JET, "N", "thrust of each jet in that measurement", |row, out| {
+        out.extend(row.measurement.thrust);
+    }),
+    tick("raw_wind", XYZ, "m s-1", "wind velocity in that measurement, inertial frame", |row, out| {
+        out.extend(&row.measurement.wind);
+    }),
+    integer(tick("qp_status", QP, "1", "outcome of each QP; 0 is solved", |row, out| {
         out.extend(row.qps().map(|answer| f64::from(answer.status.code())));
     })),
-    signal("qp_kkt", QP, "1", "scaled KKT residual of each QP's answer", |row, out| {
+    tick("qp_kkt", QP, "1", "scaled KKT residual of each QP's answer", |row, out| {
         out.extend(row.qps().map(|answer| answer.kkt));
     }),
-    integer(signal("qp_iterations", QP, "1", "active-set iterations of each QP", |row, out| {
+    integer(tick("qp_iterations", QP, "1", "active-set iterations of each QP", |row, out| {
         out.extend(row.qps().map(|answer| f64::from(answer.iterations)));
     })),
-    integer(signal(
+    integer(tick(
         "degraded_modes",
         TIME,
         "1",
@@ -323,7 +376,7 @@ pub static SIGNALS: [Signal; 42] = [
          2048 begun again, 4096 joint limited, 16384 straying",
         |row, out| out.push(f64::from(row.command.modes.bits())),
     )),
-    integer(signal(
+    integer(tick(
         "joint_condition",
         JOINT,
         "1",

@@ -14,4 +14,5 @@ mod jets;
 mod joint_faults;
 mod rates;
 mod recorded;
+mod replay;
 mod sensors;

@@ -1,0 +1,118 @@
+//! A recorded log through the tick of any controller, open loop: its commands act on nothing.
+
+use crate::config::ScenarioConfig;
+use crate::log::FlightLog;
+use crate::sensors::Sensors;
+use crate::signals::TickRow;
+use crate::wind::Wind;
+use flight_core::control::law::between::JointMeasurement;
+use flight_core::control::{Measurement, Preview};
+use flight_core::error::BuildError;
+use flight_core::kinematics::RobotState;
+use flight_core::spatial::Pose;
+use flight_io::load_robot;
+use nalgebra::{DVector, Matrix3, Vector3, Vector6};
+
+/// Greatest relative difference between the mean period of a log and that of its ticks.
+const PERIOD_TOLERANCE: f64 = 0.01;
+
+/// Replays the measurements of a log, its `time` and `raw_*` signals and, where there is one, `foot_wrench`, through
+/// the controller of a configuration. Returns what it computes: the signals of [`Read::Tick`](crate::signals::Read::Tick).
+///
+/// A row is a tick; with `controller.torque.steps` > 1 a row is a tick of the torques, of which the first and every
+/// `steps`-th is one of the law too, with a row in the result. A signal that is absent is not measured; foot wrenches
+/// are then zero. What the controller knows of future wind is computed from the configuration.
+///
+/// With the log of a flight and the configuration that it flew, the result has the same bits.
+///
+/// # Errors
+/// [`BuildError`] for a configuration without a controller, for a log of another period, and where the controller
+/// cannot start with its first row.
+pub fn replay(config: &ScenarioConfig, log: &FlightLog) -> Result<FlightLog, BuildError> {
+    let robot = load_robot(&config.robot)?;
+    let (joints, jets) = (robot.joints.len(), robot.jets.len());
+    let time_step = config.simulator.time_step;
+    let steps = config.controller.law.torque.steps;
+    check_period(log, time_step, steps)?;
+    let sensors = config.simulator.sensors.as_ref();
+    let mut sensors = sensors.map(|sensors| Sensors::new(sensors, time_step, joints, jets)).transpose()?;
+    let wind = Wind::new(&config.wind)?;
+    let mut replayed = FlightLog::of_ticks(&robot, log.len());
+    let feet: Vec<String> = robot.feet.iter().map(|foot| foot.name.clone()).collect();
+    let mut controller = config.controller(robot)?;
+    // Places in the log of the feet that the controller uses.
+    let used = controller.model().feet.iter();
+    let used: Vec<usize> = used.filter_map(|foot| feet.iter().position(|name| *name == foot.name)).collect();
+    let mut state = None;
+    for row in 0..log.len() {
+        let numbers = |name: &str| log.series(name).map_or(&[][..], |series| series.row(row));
+        let read = |name: &str, width: usize| {
+            let found = numbers(name);
+            if found.is_empty() { vec![f64::NAN; width] } else { found.to_vec() }
+        };
+        let (position, velocity) = (read("raw_joint_position", joints), read("raw_joint_velocity", joints));
+        if let Some(state) = state.as_mut().filter(|_| !row.is_multiple_of(steps as usize)) {
+            let measured = JointMeasurement { position: &position, velocity: &velocity };
+            controller.tick_torques(state, &measured);
+            continue;
+        }
+        let robot = RobotState {
+            base: Pose {
+                rotation: Matrix3::from_row_slice(&read("raw_base_rotation", 9)),
+                position: Vector3::from_column_slice(&read("raw_base_position", 3)),
+            },
+            joint_position: DVector::from_vec(position),
+            velocity: DVector::from_vec([read("raw_base_velocity", 6), velocity].concat()),
+        };
+        let wrench = |foot: &usize| {
+            numbers("foot_wrench")
+                .chunks_exact(6)
+                .nth(*foot)
+                .map_or_else(Vector6::zeros, Vector6::from_column_slice)
+        };
+        let foot_wrenches: Vec<_> = used.iter().map(wrench).collect();
+        let thrust = read("raw_thrust", jets);
+        let measurement = Measurement {
+            time: read("time", 1)[0],
+            state: &robot,
+            thrust: &thrust,
+            wind: Vector3::from_column_slice(&read("raw_wind", 3)),
+            foot_wrenches: &foot_wrenches,
+        };
+        let state = match &mut state {
+            Some(state) => state,
+            none => {
+                let started = controller.start(&measurement);
+                none.insert(started.map_err(|reason| BuildError::malformed("first row of the log", reason))?)
+            }
+        };
+        let ahead = sensors.as_mut().map_or(&[][..], |sensors| sensors.look_ahead(&wind, measurement.time));
+        controller.tick_ahead(state, &measurement, None, &Preview { wind: ahead, ..Preview::default() });
+        replayed
+            .push(&TickRow { measurement, terms: controller.terms(), command: controller.command() }, None);
+    }
+    Ok(replayed)
+}
+
+/// Refuses a log whose rows are not as far apart as the ticks.
+fn check_period(log: &FlightLog, time_step: f64, steps: u32) -> Result<(), BuildError> {
+    let time = log.series("time").map_or(&[][..], |series| &series.data);
+    let (Some(first), Some(last)) = (time.first(), time.last()) else {
+        return Err(BuildError::bad_value("number of rows of the log", 0, "one or more"));
+    };
+    if time.len() == 1 && steps == 1 {
+        return Ok(());
+    }
+    let (period, expected) = ((last - first) / (time.len() - 1) as f64, time_step / f64::from(steps));
+    if (period / expected - 1.0).abs() <= PERIOD_TOLERANCE {
+        return Ok(());
+    }
+    let why = if steps > 1 {
+        format!(
+            "simulator.time_step over controller.torque.steps, {steps}, whose ticks need the joints in between"
+        )
+    } else {
+        "simulator.time_step".to_owned()
+    };
+    Err(BuildError::bad_value("period of the log", format!("{period} s"), format!("{expected} s, {why}")))
+}

@@ -1,0 +1,127 @@
+//! Logs through the tick: the same bits for flights of ours, and refusals of logs of other periods.
+
+#![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
+
+use crate::common::{assert_says, experiment};
+use flight_core::control::law::between::JointMeasurement;
+use flight_core::{Measurement, RobotState};
+use flight_io::load_robot;
+use flight_sim::disturbances::{Outage, OutageChannel, OutageKind};
+use flight_sim::signals::Read;
+use flight_sim::{FlightLog, Scenario, ScenarioConfig, replay};
+use nalgebra::Vector3;
+use std::ops::ControlFlow;
+
+fn log_of(config: &ScenarioConfig) -> FlightLog {
+    Scenario::new(config).unwrap().run(|_, _| ControlFlow::Continue(())).unwrap().log
+}
+
+/// Bits of a signal, because a missing measurement is no number.
+fn bits(log: &FlightLog, name: &str) -> Vec<u64> {
+    log.series(name).unwrap().data.iter().map(|number| number.to_bits()).collect()
+}
+
+/// With exact measurements; with sensors, an estimator, outages and a wrong model; with a plan and the wind ahead.
+#[test]
+fn a_flight_replays_with_the_same_bits() {
+    let missing = |channel| Outage {
+        channel,
+        jet: None,
+        start: 0.3,
+        duration: Some(0.2),
+        kind: OutageKind::Missing,
+        error: 1.0,
+    };
+    for (name, duration) in [("test2", 0.6), ("test2_sensors", 0.6), ("test2_mpc", 0.1)] {
+        let mut config = experiment(name);
+        config.simulator.duration = duration;
+        config.wind = experiment("head_wind").wind;
+        if let Some(sensors) = &mut config.simulator.sensors {
+            sensors.wind_preview = 0.8;
+            config.disturbances.outages =
+                vec![missing(OutageChannel::Joints), missing(OutageChannel::BaseRotation)];
+            config.disturbances.model_error.mass_scale = 1.02;
+        }
+        let log = log_of(&config);
+        let replayed = replay(&config, &log).unwrap();
+        assert!(replayed.series.iter().all(|series| matches!(series.signal.read, Some(Read::Tick(_)))));
+        for series in &replayed.series {
+            let name_of = series.signal.name;
+            assert_eq!(bits(&replayed, name_of), bits(&log, name_of), "{name}: {name_of}");
+        }
+        let missed = log.series("raw_joint_position").unwrap().data.iter().filter(|x| x.is_nan()).count();
+        assert_eq!(missed > 0, !config.disturbances.outages.is_empty());
+    }
+}
+
+/// Another controller computes other torques from the same measurements.
+#[test]
+fn another_controller_commands_otherwise() {
+    let mut config = experiment("test2");
+    config.simulator.duration = 0.2;
+    let log = log_of(&config);
+    config.controller = experiment("test2_observer").controller;
+    let replayed = replay(&config, &log).unwrap();
+    assert_eq!(replayed.len(), log.len());
+    assert_eq!(bits(&replayed, "raw_thrust"), bits(&log, "raw_thrust"));
+    assert_ne!(bits(&replayed, "joint_torque"), bits(&log, "joint_torque"));
+}
+
+/// Every tenth row is a tick of the law; those between are of the torques.
+#[test]
+fn a_log_at_the_rate_of_the_torques_has_a_tick_of_the_law_in_every_tenth_row() {
+    let mut config = experiment("test2");
+    config.simulator.duration = 0.2;
+    let mut log = log_of(&config); // 21 rows
+    config.controller.law.torque.steps = 10;
+    assert_says(
+        &replay(&config, &log).unwrap_err(),
+        &["period of the log", "0.01", "0.001", "controller.torque.steps, 10"],
+    );
+    for series in &mut log.series {
+        if series.signal.name == "time" {
+            series.data.iter_mut().for_each(|time| *time /= 10.0);
+        }
+    }
+    let replayed = replay(&config, &log).unwrap();
+    assert_eq!(replayed.len(), 3);
+
+    let mut controller = config.controller(load_robot(&config.robot).unwrap()).unwrap();
+    let mut memory = None;
+    let rows = |name: &str, row: usize| log.series(name).unwrap().row(row).to_vec();
+    for row in 0..21 {
+        let (position, velocity) = (rows("raw_joint_position", row), rows("raw_joint_velocity", row));
+        if row % 10 > 0 {
+            let measured = JointMeasurement { position: &position, velocity: &velocity };
+            controller.tick_torques(memory.as_mut().unwrap(), &measured);
+            continue;
+        }
+        let mut state = RobotState::zero(position.len());
+        state.base.position.copy_from_slice(&rows("raw_base_position", row));
+        state.base.rotation.copy_from_slice(&rows("raw_base_rotation", row));
+        state.base.rotation.transpose_mut();
+        state.joint_position.copy_from_slice(&position);
+        state.velocity.copy_from_slice(&[rows("raw_base_velocity", row), velocity].concat());
+        let (thrust, wind) = (rows("raw_thrust", row), Vector3::from_vec(rows("raw_wind", row)));
+        let time = rows("time", row)[0];
+        let measurement = Measurement { time, state: &state, thrust: &thrust, wind, foot_wrenches: &[] };
+        let memory = memory.get_or_insert_with(|| controller.start(&measurement).unwrap());
+        let torque = controller.tick(memory, &measurement).joint_torque.as_slice();
+        assert_eq!(torque, replayed.series("joint_torque").unwrap().row(row / 10), "row {row}");
+    }
+}
+
+/// A log of another period, without rows, or with a first row that no flight can start with.
+#[test]
+fn a_log_that_no_tick_fits_is_refused() {
+    let mut config = experiment("test2");
+    config.simulator.duration = 0.1;
+    let log = log_of(&config);
+    let mut without = log.clone();
+    without.series.retain(|series| series.signal.name != "raw_thrust");
+    assert_says(&replay(&config, &without).unwrap_err(), &["first row of the log", "thrust", "NaN"]);
+    without.series.clear();
+    assert_says(&replay(&config, &without).unwrap_err(), &["number of rows of the log is 0"]);
+    config.simulator.time_step = 0.005;
+    assert_says(&replay(&config, &log).unwrap_err(), &["period of the log", "0.005", "simulator.time_step"]);
+}

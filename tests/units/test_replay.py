@@ -1,0 +1,335 @@
+"""Logs are written for other viewers and read back, and replay through the tick."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from experiments import manifest, record
+from experiments.replay import compare
+from jax_aero import __main__ as commands
+from jax_aero import rust
+from jax_aero.view import export, recording
+
+mcap_reader = pytest.importorskip("mcap.reader", reason="mcap is not installed")
+
+NAMES = ["joint_torque", "thrust_rate", "qp_kkt", "measured_thrust", "degraded_modes"]
+
+
+@pytest.fixture(scope="module")
+def config():
+    """With sensors, an estimator, and joints that are not measured for a while."""
+    outage = {"channel": "joints", "kind": "missing", "start": 0.1, "duration": 0.05}
+    return rust.load_config("test2_sensors", {"simulator.duration": 0.3, "disturbances.outages": [outage]})
+
+
+@pytest.fixture(scope="module")
+def flight(config):
+    return rust.fly(config)
+
+
+@pytest.fixture(scope="module")
+def result(flight, config, tmp_path_factory):
+    robot = rust.Robot(config["robot"])
+    dataset = record.to_dataset(flight, robot, title="short", config_digest=rust.config_digest(config))
+    folder = tmp_path_factory.mktemp("results") / "short"
+    record.write_run(folder, dataset, {"title": "short", "config": manifest.make_portable(config)})
+    return folder
+
+
+def bits(rows):
+    return np.ascontiguousarray(rows).tobytes()
+
+
+def run(capsys, *words):
+    status = commands.main([str(word) for word in words])
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+def test_a_flight_replays_with_the_same_bits(flight, config):
+    replayed = rust.replay(config, flight.log)
+    assert {*NAMES} <= replayed.keys()
+    assert all(bits(rows) == bits(flight.log[name]) for name, rows in replayed.items())
+    assert np.isnan(flight.log["raw_joint_position"]).any()
+
+
+def test_a_replay_is_what_the_controller_computes(flight, config):
+    """Tick by tick, through `rust.Controller`."""
+    log, controller = flight.log, rust.Controller(config)
+    replayed = rust.replay(config, log)
+    for k, time in enumerate(log["time"]):
+        velocity = np.concatenate([log["raw_base_velocity"][k], log["raw_joint_velocity"][k]])
+        pose = log["raw_base_position"][k], log["raw_base_rotation"][k], log["raw_joint_position"][k]
+        tick = controller.tick(rust.State(*pose, velocity), log["raw_thrust"][k], log["raw_wind"][k], time)
+        assert bits(tick.joint_torque) == bits(replayed["joint_torque"][k])
+
+
+def test_a_file_has_exact_measurements_once(config, tmp_path):
+    """Only the rotation, which the signal without `raw_` holds as a quaternion; with sensors all but the exact wind."""
+    exact = rust.load_config("test2", {"simulator.duration": 0.1})
+    for flown, expected in ((exact, 1), (config, 6)):
+        flight, robot = rust.fly(flown), rust.Robot(flown["robot"])
+        dataset = record.to_dataset(flight, robot, title="", config_digest="")
+        assert sum(str(name).startswith("raw_") for name in dataset) == expected
+        record.write_run(tmp_path / str(expected), dataset, {"config": manifest.make_portable(flown)})
+        read = recording.read(tmp_path / str(expected)).signals
+        assert all(bits(rows) == bits(flight.log[name]) for name, rows in read.items())
+        assert read.keys() == flight.log.keys()
+        assert next(iter(read)) == "time"
+
+
+@pytest.mark.parametrize("form", ["nc", "mcap", "csv"])
+def test_a_log_of_ours_replays_from_every_format(form, result, tmp_path, capsys):
+    path, words = result, ()
+    if form != "nc":
+        path = tmp_path / f"log.{form}"
+        assert run(capsys, "export", result, f"--{form}", "--out", path)[0] == 0
+    if form == "csv":  # which holds no configuration; only the controller of this one is used
+        words = ("--experiment", "test2_sensors")
+    status, out, _ = run(capsys, "replay", path, *words)
+    assert (status, out.splitlines()[-1]) == (0, "equal to the last bit: 20 of 20 signals")
+
+
+def test_another_controller_differs_and_is_drawn(result, tmp_path, capsys):
+    plot = tmp_path / "apart.png"
+    status, out, _ = run(capsys, "replay", result, "--control", "baseline", "--plot", plot)
+    assert status == 0
+    assert "joint_torque" in out
+    assert plot.stat().st_size > 1000
+    status, _, err = run(capsys, "replay", result, "--plot", plot)
+    assert (status, "is there already" in err) == (2, True)
+
+
+def test_differences_are_those_of_the_signals():
+    recorded = {"time": np.zeros(2), "thrust_rate": np.array([[1.0, np.nan], [2.0, 4.0]]), "qp_kkt": np.zeros((2, 2))}
+    computed = {"time": np.array([0.0, 0.01]), "thrust_rate": np.array([[1.0, np.nan], [2.5, 4.0]])}
+    (found,) = compare(recorded, computed)
+    assert found == ("thrust_rate", 0.5, 0.01, 4.0)
+    computed["thrust_rate"][1, 1] = np.nan
+    assert np.isnan(compare(recorded, computed)[0].greatest)
+
+
+@pytest.fixture(scope="module")
+def written(result, tmp_path_factory):
+    """Messages and schemas of the flight's MCAP file, by topic."""
+    path = tmp_path_factory.mktemp("mcap") / "flight.mcap"
+    export.write_mcap(recording.read(result), path)
+    found = {}
+    with path.open("rb") as file:
+        for schema, channel, message in mcap_reader.make_reader(file).iter_messages():
+            assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
+            entry = found.setdefault(channel.topic, (schema.name, json.loads(schema.data), []))
+            entry[2].append((message.log_time, json.loads(message.data)))
+    return found
+
+
+def test_an_mcap_file_has_what_viewers_draw(written, flight, config):
+    robot, log, k = rust.Robot(config["robot"]), flight.log, 20
+    assert {topic: written[topic][0] for topic in written if not topic.startswith("/signals/")} == {
+        "/robot_description": "std_msgs/String",
+        "/tf": "foxglove.FrameTransforms",
+        "/base": "foxglove.PoseInFrame",
+        "/setpoint": "foxglove.PoseInFrame",
+        "/joint_states": "foxglove.JointStates",
+        "/wrench/unmodelled": "geometry_msgs/WrenchStamped",
+    }
+    assert [message["data"] for _, message in written["/robot_description"][2]] == [robot.urdf_text]
+    stamp, frames = written["/tf"][2][k]
+    assert stamp == 200_000_000
+    rotation = rust.rotation_from_wxyz(log["base_quaternion"][k])
+    state = rust.State(log["base_position"][k], rotation, log["joint_position"][k], np.zeros(29))
+    pose = rust.dynamics(robot, state)
+    assert [frame["child_frame_id"] for frame in frames["transforms"]] == list(robot.body_names)
+    for frame, position, rotation in zip(frames["transforms"], pose.body_positions, pose.body_rotations, strict=True):
+        assert (frame["parent_frame_id"], frame["timestamp"]) == ("world", {"sec": 0, "nsec": stamp})
+        assert list(frame["translation"].values()) == list(position)
+        turn = rust.rotation_from_wxyz([frame["rotation"][letter] for letter in "wxyz"])
+        np.testing.assert_allclose(turn, rotation, atol=1e-14)
+    joints = written["/joint_states"][2][k][1]["joints"]
+    assert [joint["name"] for joint in joints] == list(robot.joint_names)
+    for name, signal in (("position", "joint_position"), ("velocity", "joint_velocity"), ("effort", "joint_torque")):
+        assert [joint[name] for joint in joints] == list(log[signal][k])
+    desired = written["/setpoint"][2][k][1]["pose"]["orientation"]
+    assert np.allclose(
+        rpy(rust.rotation_from_wxyz([desired[i] for i in "wxyz"])), log["base_rpy_setpoint"][k], atol=1e-14
+    )
+
+
+def rpy(r):
+    return [np.arctan2(r[2, 1], r[2, 2]), -np.arcsin(r[2, 0]), np.arctan2(r[1, 0], r[0, 0])]
+
+
+def test_an_mcap_file_has_every_bit_of_every_signal_with_its_unit(written, flight):
+    for name, rows in flight.log.items():
+        schema, about, messages = written[f"/signals/{name}"]
+        assert schema == f"jax_aero.{name}"
+        assert f"[{rust.signals()[name].unit}]" in json.dumps(about, ensure_ascii=False)
+        found = [list(numbers(message)) for _, message in messages]
+        assert bits(np.array(found, dtype=float)) == bits(np.reshape(rows, (len(rows), -1))), name
+    assert {*flight.log} == {topic.removeprefix("/signals/") for topic in written if topic.startswith("/signals/")}
+    assert written["/signals/aero_force_sim"][2][0][1]["head"].keys() == {"x", "y", "z"}
+    assert written["/signals/raw_joint_position"][2][12][1]["torso_yaw"] is None
+
+
+def numbers(message):
+    for value in message.values():
+        yield from numbers(value) if isinstance(value, dict) else [value]
+
+
+def test_a_csv_file_has_a_column_for_every_scalar(result, flight, tmp_path):
+    export.write_csv(recording.read(result), tmp_path / "flight.csv")
+    header, *rows = (tmp_path / "flight.csv").read_text().splitlines()
+    names = header.split(",")
+    assert names[0] == "time"
+    assert len(names) == len({*names}) == sum(rows[0].size for rows in flight.log.values())
+    assert {"thrust/l_arm_jet", "wind/y", "aero_force_sim/head/x", "raw_base_rotation/z/x"} <= {*names}
+    cells = rows[12].split(",")
+    assert cells[names.index("raw_joint_position/torso_yaw")] == ""
+    assert float(cells[names.index("thrust/l_arm_jet")]) == flight["thrust"][12, 0]
+
+
+def test_quaternions_of_all_turns():
+    """Also those half a turn from the identity, where the scalar part is zero."""
+    rng = np.random.default_rng(0)
+    wxyz = np.concatenate([rng.normal(size=(50, 4)), np.eye(4)])
+    wxyz /= np.linalg.norm(wxyz, axis=1, keepdims=True)
+    rotations = rust.rotation_from_wxyz(wxyz)
+    found = export.wxyz_from_rotation(rotations)
+    np.testing.assert_allclose(np.abs(np.sum(found * wxyz, axis=1)), 1.0, atol=1e-14)
+    assert (found[:, 0] >= 0.0).all()
+
+
+MAP = """
+time = { columns = "stamp", scale = 1e-9 }
+raw_base_position = { columns = ["px", "py", "pz"] }
+raw_base_quaternion = { columns = ["qw", "qx", "qy", "qz"] }
+raw_base_velocity = { columns = "v_{}" }
+raw_joint_position = { columns = "q_{}", scale = 0.017453292519943295 }
+raw_joint_velocity = { columns = "dq_{}" }
+raw_thrust = { columns = "T_{}" }
+raw_wind = { columns = ["wx", "wy", "wz"] }
+joint_torque = { columns = "tau_{}" }
+"""
+
+
+@pytest.fixture(scope="module")
+def foreign(tmp_path_factory):
+    """A log of others at five times the rate of the ticks, from a flight of ours, with the mapping of its columns."""
+    flown = rust.fly(rust.load_config("test2", {"simulator.duration": 0.2}))
+    log, robot = flown.log, rust.Robot(rust.load_config("test2")["robot"])
+    columns = {"stamp": 1e18 + np.arange(101) * 2e6}
+    for letter, values in zip("xyz", log["raw_base_position"].T, strict=True):
+        columns[f"p{letter}"] = values
+    for letter, values in zip("wxyz", export.wxyz_from_rotation(log["raw_base_rotation"]).T, strict=True):
+        columns[f"q{letter}"] = values
+    for part, values in zip(["linear_x", "linear_y", "linear_z"], log["raw_base_velocity"].T, strict=False):
+        columns[f"v_{part}"] = values
+    for part, values in zip(["angular_x", "angular_y", "angular_z"], log["raw_base_velocity"].T[3:], strict=True):
+        columns[f"v_{part}"] = values
+    for j, joint in enumerate(robot.joint_names):
+        columns |= {f"q_{joint}": np.degrees(log["raw_joint_position"][:, j])}
+        columns |= {f"dq_{joint}": log["raw_joint_velocity"][:, j], f"tau_{joint}": log["joint_torque"][:, j]}
+    columns |= {f"T_{jet}": log["raw_thrust"][:, j] for j, jet in enumerate(robot.jet_names)}
+    columns |= {f"w{letter}": log["raw_wind"][:, j] for j, letter in enumerate("xyz")}
+    rows = {name: values if name == "stamp" else np.repeat(values, 5)[:101] for name, values in columns.items()}
+    folder = tmp_path_factory.mktemp("foreign")
+    lines = [",".join(rows), *(",".join(map(repr, row)) for row in np.transpose(list(rows.values())).tolist())]
+    (folder / "log.csv").write_text("\n".join(lines) + "\n")
+    (folder / "map.toml").write_text(MAP)
+    return folder
+
+
+def test_a_faster_log_of_others_is_read_at_the_ticks(foreign, capsys):
+    words = ("replay", foreign / "log.csv", "--experiment", "test2", "--map", foreign / "map.toml")
+    status, out, err = run(capsys, *words)
+    assert status == 0, err
+    assert out.startswith("21 ticks")
+    (line,) = (line.split() for line in out.splitlines() if line.startswith("joint_torque"))
+    assert float(line[1]) < 1e-9  # the rounding of degrees and quaternions
+
+
+def test_a_log_at_the_rate_of_the_torques_replays_both_laws(foreign, capsys):
+    """Rows every 2 ms: five ticks of the torques in one of the law."""
+    words = ("replay", foreign / "log.csv", "--experiment", "test2", "--map", foreign / "map.toml")
+    status, out, err = run(capsys, *words, "--set", "controller.torque.steps=5")
+    assert status == 0, err
+    assert out.startswith("21 ticks")
+
+
+def test_messages_of_others_replay(foreign, tmp_path, capsys):
+    """One topic with all numbers, and the wind in another one that is slower."""
+    from mcap.writer import Writer
+
+    header, *rows = (foreign / "log.csv").read_text().splitlines()
+    names = header.split(",")
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        state, wind = (writer.register_channel(topic, "json", 0) for topic in ("/state", "/wind"))
+        other = writer.register_channel("/binary", "cdr", 0)
+        for k, row in enumerate(rows):
+            stamp = 10**15 + 2_000_000 * k
+            numbers = dict(zip(names, map(float, row.split(",")), strict=True))
+            writer.add_message(state, stamp, json.dumps(numbers).encode(), stamp)
+            writer.add_message(other, stamp, b"\x00", stamp)
+            if k % 20 == 0:
+                writer.add_message(wind, stamp, json.dumps({"v": [numbers[f"w{i}"] for i in "xyz"]}).encode(), stamp)
+        writer.finish()
+    mapping = "\n".join(line for line in MAP.splitlines() if not line.startswith(("time", "raw_wind")))
+    mapping = mapping.replace('columns = "', 'columns = "/state/')
+    for name in ("px", "py", "pz", "qw", "qx", "qy", "qz"):
+        mapping = mapping.replace(f'"{name}"', f'"/state/{name}"')
+    mapping += '\nraw_wind = { columns = ["/wind/v/0", "/wind/v/1", "/wind/v/2"] }\n'
+    (tmp_path / "map.toml").write_text(mapping)
+    status, out, err = run(capsys, "replay", path, "--experiment", "test2", "--map", tmp_path / "map.toml")
+    assert status == 0, err
+    (line,) = (line.split() for line in out.splitlines() if line.startswith("joint_torque"))
+    assert float(line[1]) < 1e-6  # before 5 s there is no wind
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda text: text.replace('"T_{}"', '"F_{}"'), "has no column `F_l_arm_jet`; did you mean"),
+        (lambda text: text.replace("raw_thrust", "thrusts"), "there is no signal `thrusts`"),
+        (lambda text: text.replace('["px", "py", "pz"]', '["px", "py"]'), "expected 3 names"),
+        (lambda text: text.replace("scale = 1e-9", 'scale = "ns"'), "`time.scale` is"),
+        (lambda text: text.replace('"stamp"', '"px"'), "do not increase"),
+        (lambda text: text.replace("raw_joint_position", "joint_position"), "has no `raw_joint_position`; expected"),
+        (lambda text: text.replace("scale = 1e-9", "scale = 1e-8"), "period of the log is 0.02"),
+    ],
+)
+def test_a_mapping_that_does_not_fit_is_refused(change, expected, foreign, tmp_path, capsys):
+    (tmp_path / "map.toml").write_text(change(MAP))
+    words = ("--experiment", "test2", "--map", tmp_path / "map.toml")
+    status, _, err = run(capsys, "replay", foreign / "log.csv", *words)
+    assert (status, expected in err) == (2, True), err
+    assert err.count("\n") == 1
+
+
+def test_what_does_not_fit_is_refused(result, foreign, tmp_path, capsys):
+    (tmp_path / "empty.mcap").write_bytes(b"no such file")
+    (tmp_path / "text.csv").write_text("time,a\n0,b\n")
+    export.write_mcap(recording.read(result), tmp_path / "damaged.mcap")
+    content = bytearray((tmp_path / "damaged.mcap").read_bytes())
+    content[len(content) // 2] ^= 0xFF  # within a compressed chunk
+    (tmp_path / "damaged.mcap").write_bytes(content)
+    refusals = {
+        ("replay", result, "--set", "controller.torque.steps=10"): "whose ticks need the joints in between",
+        ("replay", result, "--map", foreign / "map.toml"): "expected it with a .csv or .mcap file",
+        ("replay", foreign / "log.csv", "--experiment", "test2"): "has no column `time`",
+        ("replay", foreign / "log.csv", "--map", foreign / "map.toml"): "expected --experiment NAME",
+        ("replay", tmp_path / "empty.mcap"): "expected an MCAP file",
+        ("replay", tmp_path / "damaged.mcap"): "expected an MCAP file",
+        ("replay", tmp_path / "text.csv", "--experiment", "test2"): "is no table of numbers",
+        ("export", result, "--csv", "--out", tmp_path / "a.mcap"): "does not end in .csv",
+        ("export", result, "--csv", "--ghost", result, "--out", tmp_path / "a.csv"): "expected --html",
+    }
+    for words, expected in refusals.items():
+        status, _, err = run(capsys, *words)
+        assert (status, expected in err) == (2, True), (words, err)
+        assert err.count("\n") == 1, err
