@@ -1,4 +1,4 @@
-"""Random states of both robots."""
+"""Random states of the robots with joints."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jax_aero import rust
 from jax_aero.rust import Robot, State
 
 ROOT = Path(__file__).resolve().parents[2]
-ROBOTS = ("ironcub_mk1", "sparrow", "slider")
+ROBOTS = ("ironcub_mk1", "ironcub_mk3", "sparrow", "slider")
 
 
 @pytest.fixture(params=ROBOTS)

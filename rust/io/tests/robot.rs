@@ -6,6 +6,8 @@
 use crate::common::assert_within;
 #[path = "robot/ironcub.rs"]
 mod ironcub;
+#[path = "robot/mk3.rs"]
+mod mk3;
 #[path = "robot/refusals.rs"]
 mod refusals;
 #[path = "robot/urdf.rs"]
@@ -33,7 +35,7 @@ fn assert_close(what: &str, value: f64, expected: f64, tolerance: f64) {
 
 #[test]
 fn parents_come_before_children() {
-    for file in ["ironcub_mk1.toml", "sparrow.toml"] {
+    for file in ["ironcub_mk1.toml", "ironcub_mk3.toml", "sparrow.toml"] {
         let robot = load_robot(&robot_file(file)).unwrap();
         for (index, body) in robot.bodies.iter().enumerate().skip(1) {
             assert!(body.parent.unwrap() < index, "{file}: {}", body.name);
