@@ -30,14 +30,18 @@ from jax_aero.result import ending
 from jax_aero.robot import load_robot as load_twin
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.aero import load_aero
-from jax_aero.symbolic.robot import Robot
+from jax_aero.symbolic.robot import Array, Robot
 from jax_aero.symbolic.trim import Trim, TrimResult, TrimSettings
 from jax_aero.urdf import read_urdf
 
 HOVER, MISSION = "hover", "in_line"
+CONTROLLERS = ("observer", "mpc", "aero_aware")
 
 RESERVE = 0.05
 """Least distance of thrusts, joint positions and torques in the trim from their limits, relative to their ranges."""
+
+LEANS, LEAN_RESERVE = (30.0, 25.0, 20.0, 15.0, 10.0, 5.0), 0.2
+"""Forward leans from the trim that are tried [deg], and their reserve of torques; that of thrusts is a third of it."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             held=given.hold,
             posture_deg=dict(given.posture),
             forward=given.forward,
+            controller=given.controller,
             fly_mission=given.mission,
         )
         print(report(result))
@@ -87,6 +92,7 @@ def _parser() -> Parser:
     add("--hold", action="append", default=[], metavar="JOINT", help="a joint that stays as near to zero as it can")
     add("--posture", action="append", default=[], type=angle, metavar="JOINT=DEG", help="where the trim starts")
     add("--forward", choices=["x", "y", "-x", "-y"], default="x", help="forward axis of the base")
+    add("--controller", choices=CONTROLLERS, default=CONTROLLERS[0], help="of configs/control, scaled to the robot")
     add("--mission", action="store_true", help="fly the paper's mission in 10 m/s of lateral wind as well")
     return parser
 
@@ -119,6 +125,7 @@ def import_robot(
     held: Sequence[str] = (),
     posture_deg: dict[str, float] | None = None,
     forward: str = "x",
+    controller: str = CONTROLLERS[0],
     fly_mission: bool = False,
 ) -> ImportResult:
     """Write a robot's files into `folder`, which must be new or empty, and fly it; a refusal leaves no files there."""
@@ -147,14 +154,11 @@ def import_robot(
             return ImportResult(folder, trim, None, None)
         rotation = Rotation.from_euler("xyz", trim.base_rpy).as_matrix()
         dynamics = rust.dynamics(crate, rust.State.at_rest(crate, trim.joint_position)._replace(base_rotation=rotation))
-        text = scenario.controller_text(
-            robot,
-            [skeleton.group_name(chain) for chain in tree.chains(held)],
-            dynamics,
-            nose_down=-np.arcsin(rotation[2] @ skeleton.AXES[forward]),
-            velocity_max=np.asarray(load_twin(path).joint_velocity_max),
-            folder=draft,
-        )
+        down = float(np.degrees(-np.arcsin(rotation[2] @ skeleton.AXES[forward])))
+        twin = load_twin(path)
+        free = scenario.joints_of_jets(twin)
+        lean = float(np.degrees(greatest_lean(robot, free, trim.joint_position, trim.base_rpy, forward)))
+        text = scenario.controller_text(controller, twin, dynamics, leans=(down, down + lean), folder=draft)
         _write(draft / "controller.toml", "control", text)
         hover = _fly(draft, robot, trim, "hover", mission=HOVER, wind="still", duration=10.0)
         mission = None
@@ -177,22 +181,51 @@ def _trim(robot: Robot, posture_deg: dict[str, float], forward: str) -> TrimResu
     lower, upper = robot.joint_limits.T
     inner = np.stack([lower, upper], axis=1) + RESERVE * np.outer(upper - lower, [1.0, -1.0])
     robot = dataclasses.replace(robot, joint_limits=inner)
+    return _solve(
+        robot, tuple(range(robot.n_joints)), np.clip(wanted, *inner.T), (-0.3, 0.3), (-0.5, 0.5), yaw, RESERVE, RESERVE
+    )
+
+
+def greatest_lean(robot: Robot, free: tuple[int, ...], posture: Array, base_rpy: Array, forward: str) -> float:
+    """Return the greatest of the `LEANS` from an attitude with which the robot hovers [rad]; 0 for none.
+
+    The joints that move jets are free, the others stay in the posture.
+    """
+    x, y, _ = skeleton.AXES[forward]
+    for lean in np.radians(LEANS):
+        roll, pitch, yaw = (float(angle) for angle in base_rpy + lean * np.array([-y, x, 0.0]))
+        found = _solve(robot, free, posture, (roll, roll), (pitch, pitch), yaw, LEAN_RESERVE / 3.0, LEAN_RESERVE)
+        if found.feasible:
+            return float(lean)
+    return 0.0
+
+
+def _solve(
+    robot: Robot,
+    free: tuple[int, ...],
+    posture: Array,
+    roll: tuple[float, float],
+    pitch: tuple[float, float],
+    yaw: float,
+    thrust_reserve: float,
+    torque_reserve: float,
+) -> TrimResult:
     settings = TrimSettings(
-        posture=np.clip(wanted, *robot.joint_limits.T),
-        free_joints=tuple(range(robot.n_joints)),
-        roll=(-0.3, 0.3),
-        pitch=(-0.5, 0.5),
+        posture=posture,
+        free_joints=free,
+        roll=roll,
+        pitch=pitch,
         yaw=yaw,
-        margin_min=RESERVE,
-        torque_max=(1.0 - RESERVE) * robot.joint_torque_max,
+        margin_min=thrust_reserve,
+        torque_max=(1.0 - torque_reserve) * robot.joint_torque_max,
         clearance_min=-1.0,  # boxes around links are too coarse for the clearance of plumes
         plume_length=1.0,
         posture_weight=1.0,
         spread_weight=1.0,  # equal thrusts leave a reserve for the wind
     )
-    return Trim(MomentumModel(robot, load_aero(places.CONFIGS / "aero" / "sphere_cylinder.toml")), settings).solve(
-        (0.0, 0.0, 0.0)
-    )
+    return Trim(
+        MomentumModel(robot, {**load_aero(scenario.AIR), "coefficients": scenario.COEFFICIENTS}), settings
+    ).solve((0.0, 0.0, 0.0))
 
 
 def _fly(

@@ -3,84 +3,129 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from jax_aero import places, rust, tables
 from jax_aero.mirror import mirror_name
-from jax_aero.symbolic.robot import Array, Robot
+from jax_aero.robot import RobotModel
+from jax_aero.symbolic.robot import Robot
 from jax_aero.symbolic.trim import TrimResult
 
-MASS, INERTIA = 43.3, 6.66
-"""Mass [kg] and trace of the centroidal inertia [kg m²] of the hovering iRonCub-Mk1, for which gains are published."""
+MASS, INERTIA, THRUST = 43.3, 6.66, 190.0
+"""Mass [kg], trace of the centroidal inertia [kg m²] and mean greatest thrust [N] of the hovering iRonCub-Mk1, to which
+the gains of `configs/control` belong."""
 
 JOINT_MOMENTUM = 300.0
 """Weight of the angular-momentum task times the square of the joints' least share in it [kg² m⁴]; published: 57."""
 
+AIR, COEFFICIENTS = places.CONFIGS / "aero" / "axisymmetric_corrected.toml", "estimated"
+"""Aerodynamic model of an imported robot, and the name of its force areas."""
+
 RULES = f"""\
-# The controller of configs/control/aero_aware.toml for another robot. These values follow from the robot, of mass m and
-# centroidal inertia I in the trim; all others are the published ones:
-#   momentum.c0, c1                 published times tr(I) / {INERTIA} kg m2
-#   weights.momentum, symmetry,     published times ({MASS} kg / m)^2, since they weigh squares of forces per second
-#     thrust_rate
+# A controller of configs/control for another robot. These values follow from the robot, of mass m, centroidal inertia I
+# in the trim and mean greatest thrust T; all others are those of the controller:
+#   momentum.c0, c1, also of the    times tr(I) / {INERTIA} kg m2
+#     descent, its torque_rate_max;
+#     observer.moment_max
+#   observer.force_max              times m / {MASS} kg
+#   engines.deviation_max           times T / {THRUST:g} N
+#   weights.momentum, symmetry,     times ({MASS} kg / m)^2, since they weigh squares of forces (per second)
+#     thrust_rate; thrust_excess
 #   weights.angular_momentum        {JOINT_MOMENTUM:g} / s^2; s: least singular value, above 1 % of the greatest, of the
 #                                   matrix from joint velocities to angular momentum, kg m2
 #   posture_gain                    20 1/s in every group
 #   bounds.thrust_rate_max          half the greatest thrust per second; near a limit it fades out over twice the
 #                                   thrust that it can change in a tick
-#   bounds.joint_velocity_max_deg   published, or that of the slowest joint if it is less
+#   joint_velocity_max_deg          that of the slowest joint if it is less
 #   torque                          the robot's own limits of torques and of their rates
-#   setpoint.nose_down_limits_deg   published, counted from the pitch of the trim
+#   setpoint.nose_down_limits_deg   from the pitch of the trim to the greatest lean from it, in steps of 5 deg up to the
+#                                   published 30, with which it can hover, a fifth of every torque in reserve
+#   mpc.joint_groups, posture       groups that move a jet; the weight is that of the torso for one that moves all jets,
+#                                   and that of an arm for others
+#   mpc.clearance                   none, unless the robot has links of these names
 """
 
 
 def controller_text(
-    robot: Robot,
-    groups: Sequence[str],
-    dynamics: rust.Dynamics,
-    *,
-    nose_down: float,
-    velocity_max: Array,
-    folder: Path,
+    name: str, robot: RobotModel, dynamics: rust.Dynamics, *, leans: tuple[float, float], folder: Path
 ) -> str:
-    """Return the published controller for another robot by the `RULES`.
+    """Return the controller `configs/control/NAME.toml` for another robot by the `RULES`.
 
     Parameters
     ----------
     dynamics
         Those of the trim.
-    nose_down
-        Pitch of the heading frame in the trim, positive nose down [rad].
-    velocity_max
-        (n,) greatest velocities of the joints [rad/s, m/s].
+    leans
+        Pitch of the heading frame, positive nose down, in the trim and as far as the robot can lean [deg].
     """
-    table = tables.read(places.CONFIGS / "control" / "aero_aware.toml")
-    reach = {jet.name: 0.5 * jet.thrust_max for jet in robot.jets}
-    table["aero"] = {"base": _relative_path(places.CONFIGS / "aero" / "sphere_cylinder.toml", folder)}
-    for key in ("c0", "c1"):
-        table["momentum"][key] *= float(np.trace(dynamics.centroidal_inertia)) / INERTIA
-    table["posture_gain"] = dict.fromkeys(groups, 20.0)
+    table = controller(name, robot, dynamics, leans=leans)
+    table["aero"] = {"base": _relative_path(AIR, folder), "coefficients": COEFFICIENTS}
+    return f"{RULES}\n{tables.toml(table)}\n"
 
-    weights, of_force = table["weights"], (MASS / robot.mass) ** 2
-    pairs = [[name, other] for name in reach if name < (other := mirror_name(name)) and other in reach]
-    weights |= {"thrust_rate": dict.fromkeys(reach, 0.01 * of_force), "symmetric_jets": pairs}
+
+def controller(name: str, robot: RobotModel, dynamics: rust.Dynamics, *, leans: tuple[float, float]) -> dict[str, Any]:
+    """Return the table of `controller_text`, without its air."""
+    table = rust.load_controller(name)
+    thrust_max = dict(zip(robot.jets.names, np.asarray(robot.jets.thrust_max).tolist(), strict=True))
+    mass = float(np.asarray(robot.masses).sum())
+    of_inertia, of_force = float(np.trace(dynamics.centroidal_inertia)) / INERTIA, (MASS / mass) ** 2
+    weights, bounds = table["weights"], table["bounds"]
+
+    pairs = [[jet, other] for jet in thrust_max if jet < (other := mirror_name(jet)) and other in thrust_max]
+    weights |= {"thrust_rate": dict.fromkeys(thrust_max, 0.01 * of_force), "symmetric_jets": pairs}
     for key in ("momentum", "symmetry"):
         weights[key] *= of_force
     shares = np.linalg.svd(dynamics.momentum_matrix[3:, 6:], compute_uv=False)
     if shares.any():
         weights["angular_momentum"] = JOINT_MOMENTUM / float(shares[shares >= 0.01 * shares[0]].min()) ** 2
+    table["posture_gain"] = {group: 20.0 for group, _ in robot.joint_groups}
 
-    bounds, setpoint = table["bounds"], table["setpoint"]
-    turning = [joint.index for joint in robot.joints if joint.index is not None and not joint.is_prismatic]
-    slowest = float(np.degrees(velocity_max[turning].min(initial=np.inf)))
-    bounds["joint_velocity_max_deg"] = min(bounds["joint_velocity_max_deg"], slowest)
+    reach = {jet: 0.5 * greatest for jet, greatest in thrust_max.items()}
     bounds |= {"thrust_rate_max": reach, "thrust_steepness": 100.0 / max(reach.values(), default=100.0)}
-    del table["torque"]["torque_rate_max"]
-    limits = [limit + float(np.degrees(nose_down)) for limit in setpoint["nose_down_limits_deg"]]
-    setpoint["nose_down_limits_deg"] = limits
-    return f"{RULES}\n{tables.toml(table)}\n"
+    table["setpoint"]["nose_down_limits_deg"] = [*leans]
+
+    descent = table.get("engines", {}).get("descent", {})
+    slowest = float(np.degrees(np.asarray(robot.joint_velocity_max)[robot.joint_turns > 0.0].min(initial=np.inf)))
+    for limited in (bounds, descent):
+        if "joint_velocity_max_deg" in limited:
+            limited["joint_velocity_max_deg"] = min(limited["joint_velocity_max_deg"], slowest)
+    table["torque"].pop("torque_rate_max", None)
+    if descent:
+        descent["torque_rate_max"] *= of_inertia
+    for gains in (table["momentum"], descent.get("momentum", {})):
+        for key in gains.keys() & {"c0", "c1"}:
+            gains[key] *= of_inertia
+    if observer := table.get("observer"):
+        observer["force_max"] *= mass / MASS
+        observer["moment_max"] *= of_inertia
+    if engines := table.get("engines"):
+        engines["deviation_max"] *= float(np.mean([*thrust_max.values()] or [0.0])) / THRUST
+    if mpc := table.get("mpc"):
+        _predictive(mpc, robot, of_force)
+    return table
+
+
+def joints_of_jets(robot: RobotModel) -> tuple[int, ...]:
+    """Return the indices of the joints that move a jet."""
+    return tuple(map(int, np.flatnonzero(robot.ancestors[list(robot.jets.bodies)].any(axis=0))))
+
+
+def _predictive(mpc: dict[str, Any], robot: RobotModel, of_force: float) -> None:
+    """Change the predictive law by the rules."""
+    moves = robot.ancestors[list(robot.jets.bodies)]
+    shares = {group: moves[:, list(joints)].any(axis=1).mean() for group, joints in robot.joint_groups}
+    mpc["joint_groups"] = [group for group, share in shares.items() if share > 0.0]
+    mpc["thrust_excess"] *= of_force
+    for weights in (mpc["weights"], mpc["descent"]):
+        weights["thrust_rate"] *= of_force
+        torso, arm = weights["posture"]["torso"], weights["posture"]["left_arm"]
+        weights["posture"] = {group: torso if shares[group] == 1.0 else arm for group in mpc["joint_groups"]}
+    links = {*robot.aero_links.names, *robot.body_names}
+    if not links.issuperset(mpc["clearance"]["links"]):
+        del mpc["clearance"]
 
 
 def scenario_text(robot: Robot, trim: TrimResult, folder: Path, *, mission: str, wind: str, duration: float) -> str:
@@ -102,7 +147,7 @@ wind = {{ base = {path_of("wind", wind)} }}
 [simulator]
 duration = {duration!r}
 time_step = 0.01
-aero = {{ base = {path_of("aero", "sphere_cylinder")} }}
+aero = {{ base = {path_of("aero", AIR.stem)}, coefficients = "estimated" }}
 jets = {{ dynamics = "ideal" }}
 fall = {{ rotation_error_deg = 90.0, com_error = 1.0 }}
 

@@ -1,5 +1,6 @@
 """A URDF becomes a robot that is described, checked, trimmed and flown by one command."""
 
+import dataclasses
 import struct
 import tomllib
 import xml.etree.ElementTree as ET
@@ -12,8 +13,9 @@ import pytest
 
 from experiments import Refused
 from experiments.robot import command, scenario, shapes, skeleton
-from jax_aero import mesh, places
+from jax_aero import mesh, places, rust
 from jax_aero.result import FlightResult
+from jax_aero.robot import load_robot as load_twin
 from jax_aero.symbolic import load_robot
 from jax_aero.urdf import IDENTITY, read_urdf
 
@@ -101,7 +103,8 @@ def test_a_robot_that_hovers_nose_up_holds_its_trim(tmp_path, tilt, forward, mea
     table = tomllib.loads((tmp_path / "out" / "controller.toml").read_text())
     # The force is upright where the base leans against the tilt.
     lean = np.degrees(-0.15)
-    agree("limits", table["setpoint"]["nose_down_limits_deg"], [lean, lean + 30.0], 1e-3)
+    # The jets are fixed to the deck: leaning from there it would leave its place.
+    agree("limits", table["setpoint"]["nose_down_limits_deg"], [lean, lean], 1e-3)
     agree("velocity", table["bounds"]["joint_velocity_max_deg"], np.degrees(0.5), 1e-9)
     assert "torque_rate_max" not in table["torque"]
     # The keel's share in the angular momentum is its inertia about the centre of mass of both.
@@ -112,6 +115,49 @@ def test_a_robot_that_hovers_nose_up_holds_its_trim(tmp_path, tilt, forward, mea
         f"{places.file_name('my raft')}_hover.toml"
     ]
     assert tomllib.loads((tmp_path / "out" / "robot.toml").read_text())["name"] == "my raft"
+
+
+@pytest.mark.close_to_tolerance("the files have four digits")
+@pytest.mark.parametrize("name", ["observer", "mpc"])
+def test_the_shipped_controllers_of_mk3_follow_from_those_of_mk1_by_the_rules(name, agree):
+    config = rust.load_config("mk3_hover")
+    robot, posture = load_twin(config["robot"]), np.array(config["simulator"]["initial"]["joint_position"])
+    crate = rust.Robot(config["robot"])
+    dynamics = rust.dynamics(crate, rust.State.at_rest(crate, posture))
+    ruled = scenario.controller(name, robot, dynamics, leans=(0.0, 20.0))
+    shipped = rust.load_controller(f"mk3_{name}")
+    assert shipped["torque"].pop("torque_rate_max") == 1e4  # none, where the rules leave the robot's own: none
+    ruled["aero"] = shipped["aero"]
+    assert shipped["aero"]["coefficients"] == scenario.COEFFICIENTS
+    numbers, expected = (numbers_of(table) for table in (shipped, ruled))
+    assert numbers.keys() == expected.keys()
+    for key, value in expected.items():
+        if isinstance(value, float):
+            agree(key, numbers[key] / (value or 1.0), 1.0 if value else 0.0, 5e-4)
+        else:
+            assert numbers[key] == value, key
+
+
+def numbers_of(table, place=""):
+    """Return the values of a table by dotted key, numbers of lists one by one."""
+    found = {}
+    for key, value in table.items() if isinstance(table, dict) else enumerate(table):
+        inner = isinstance(value, (dict, list))
+        found |= numbers_of(value, f"{place}{key}.") if inner else {f"{place}{key}": value}
+    return found
+
+
+def test_the_greatest_lean_is_one_that_the_torques_can_hold(monkeypatch):
+    """The sparrow's arms turn two of its jets against the body, which the third is fixed to."""
+    monkeypatch.setattr(command, "LEANS", (10.0,))
+    robot = load_robot(ROBOTS / "sparrow.toml")
+    free = scenario.joints_of_jets(load_twin(ROBOTS / "sparrow.toml"))
+    assert [robot.joint_names[joint] for joint in free] == ["waist", "l_shoulder", "r_shoulder"]
+    trim = command._trim(robot, {}, "x")
+    for scale, lean in ((1.0, 10.0), (1e-3, 0.0)):
+        weak = dataclasses.replace(robot, joint_torque_max=scale * robot.joint_torque_max)
+        found = command.greatest_lean(weak, free, trim.joint_position, trim.base_rpy, "x")
+        assert np.degrees(found) == pytest.approx(lean)
 
 
 def test_the_trim_keeps_joints_from_their_limits(tmp_path):
