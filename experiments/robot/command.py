@@ -27,6 +27,7 @@ from jax_aero.cli import Parser
 from jax_aero.command import exit_status
 from jax_aero.files import complete_folder
 from jax_aero.result import ending
+from jax_aero.robot import RobotModel
 from jax_aero.robot import load_robot as load_twin
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.aero import load_aero
@@ -52,6 +53,7 @@ class ImportResult:
     trim: TrimResult
     hover: rust.FlightResult | None
     mission: rust.FlightResult | None
+    robot: RobotModel | None = None
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -164,7 +166,7 @@ def import_robot(
         mission = None
         if fly_mission:
             mission = _fly(draft, robot, trim, "mission", mission=MISSION, wind="lateral_ramp", duration=50.0)
-        return ImportResult(folder, trim, hover, mission)
+        return ImportResult(folder, trim, hover, mission, twin)
 
 
 def _trim(robot: Robot, posture_deg: dict[str, float], forward: str) -> TrimResult:
@@ -257,5 +259,22 @@ def report(result: ImportResult) -> str:
         line = f"{name:<20} {ending(flight.outcome, flight.lost_time, flight.lost_reason)}"
         if not np.isnan(flight.summary["max_com_error"]):  # of a flight that lasted until it has settled
             line += f"; CoM within {1000.0 * flight.summary['max_com_error']:.1f} mm"
-        lines.append(f"{line}; attitude within {np.degrees(flight.summary['max_rotation_error']):.2f} deg")
+        line += f"; attitude within {np.degrees(flight.summary['max_rotation_error']):.2f} deg"
+        if result.robot is not None and flight.lost_time is not None:
+            line += "".join(f"; {reached}" for reached in limits_reached(flight, result.robot))
+        lines.append(line)
     return "\n".join(lines)
+
+
+def limits_reached(flight: rust.FlightResult, robot: RobotModel) -> list[str]:
+    """Return which torques and thrusts were at their limits for a fifth of the last three seconds of a flight."""
+    last = flight["time"] > flight["time"][-1] - 3.0
+    found = []
+    for signal, names, greatest in (
+        ("joint_torque", robot.joint_names, robot.joint_torque_max),
+        ("thrust", robot.jets.names, robot.jets.thrust_max),
+    ):
+        at_limit = (np.abs(flight[signal][last]) >= 0.999 * np.asarray(greatest)).mean(axis=0) > 0.2
+        if reached := [name for name, at in zip(names, at_limit, strict=True) if at]:
+            found.append(f"{signal} at its limit: {', '.join(reached)}")
+    return found

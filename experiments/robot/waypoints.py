@@ -1,4 +1,6 @@
-"""Generate a mission of waypoints: forward, sideways, climb, turn, hold; from rest to rest, smooth to third order.
+"""Generate a mission of waypoints: forward, sideways, climb, turn, hold, through points; from rest to rest.
+
+A motion in one direction is smooth to third order, one through points has the least jerk.
 
     jax-aero robot waypoints box
     jax-aero fly results/waypoints/box/box.toml
@@ -9,16 +11,18 @@ a recorded reference, which every engine can follow, and an experiment that flie
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
 
 from experiments import Refused, study
 from jax_aero import places, rust, tables
@@ -29,8 +33,8 @@ from jax_aero.tables import Positive, Table
 
 Array = NDArray[np.float64]
 
-SAMPLE = 0.05
-"""Time between rows of the reference [s]."""
+SAMPLE, SMOOTH_SAMPLE = 0.05, 0.25
+"""Time between rows of the reference [s]; between those of a motion through points, a spline of degree five."""
 PEAK = 35.0 / 16.0
 """Greatest speed of a motion relative to its mean speed."""
 
@@ -53,15 +57,21 @@ class Step(Table, frozen=True, kw_only=True):
     """Angle to the left [deg]."""
     hold: Positive | None = None
     """Duration of a hover [s]."""
+    through: Annotated[tuple[tuple[float, float, float, float], ...], msgspec.Meta(min_length=1)] | None = None
+    """Points that are passed with the least jerk: time from the start of the motion [s], and distances from its place
+    along the heading, to the left and upwards [m]."""
     speed: Positive | None = None
     """Greatest speed of this motion [m/s, or deg/s for a turn]; by default that of the file."""
 
     def __post_init__(self) -> None:
         if len(self.motions) != 1:
             raise ConfigError.of("", self.motions, "one motion")
+        times = [0.0, *(point[0] for point in self.through or ())]
+        if any(later <= earlier for earlier, later in itertools.pairwise(times)):
+            raise ConfigError.of("through", self.through, "times > 0, each later than the one before")
 
     @property
-    def motions(self) -> dict[str, float]:
+    def motions(self) -> dict[str, Any]:
         """Return the motions that are given, by key."""
         given = msgspec.structs.asdict(self)
         return {name: value for name, value in given.items() if name != "speed" and value is not None}
@@ -181,6 +191,8 @@ class Motion(NamedTuple):
     """Turn to the left [rad]."""
     duration: float
     """Duration [s]."""
+    points: Array | None = None
+    """Times from the start [s] and displacements of points on the way (k, 4); without them the way is straight."""
 
 
 def motions(points: Waypoints, com: Array, forward: Array) -> list[Motion]:
@@ -198,13 +210,13 @@ def reference(points: Waypoints, com: Array, forward: Array) -> Reference:
     at_rest = np.stack([com, *np.zeros((3, 3))])[:, None]
     times, com_rows, headings = [np.array([points.start])], [at_rest], [np.zeros(1)]
     now = points.start
-    for place, heading, shift, turn, duration in motions(points, com, forward):
-        count = int(np.ceil(duration / SAMPLE))
+    for place, heading, shift, turn, duration, through in motions(points, com, forward):
+        count = int(np.ceil(duration / (SAMPLE if through is None else SMOOTH_SAMPLE)))
         if count == 0:
             continue
         s = np.arange(1, count + 1) / count
         blend = _blend(s, duration)
-        rows = blend[:, :, None] * shift
+        rows = blend[:, :, None] * shift if through is None else _least_jerk(through, s * duration)
         rows[0] += place
         times.append(now + duration * s)
         com_rows.append(rows)
@@ -224,6 +236,10 @@ def _motion(points: Waypoints, step: Step, place: Array, heading: float, com: Ar
     cos, sin = np.cos(heading), np.sin(heading)
     ahead = np.array([cos * forward[0] - sin * forward[1], sin * forward[0] + cos * forward[1], 0.0])
     left, up = np.array([-ahead[1], ahead[0], 0.0]), np.array([0.0, 0.0, 1.0])
+    if kind == "through":
+        passed = np.array(value)
+        passed[:, 1:] = passed[:, 1:] @ np.stack([ahead, left, up])
+        return Motion(place, heading, passed[-1, 1:], 0.0, passed[-1, 0], passed)
     shift: Array = {
         "forward": value * ahead,
         "left": value * left,
@@ -232,6 +248,17 @@ def _motion(points: Waypoints, step: Step, place: Array, heading: float, com: Ar
     }[kind]
     duration = PEAK * float(np.linalg.norm(shift)) / (step.speed or points.speed)
     return Motion(place, heading, shift, 0.0, duration)
+
+
+def _least_jerk(points: Array, times: Array) -> Array:
+    """Return displacement and three derivatives (4, k, 3) of the motion from rest to rest with the least jerk.
+
+    Through given points at given times this is the spline of degree five.
+    """
+    ends = [(order, np.zeros(3)) for order in (1, 2)]
+    knots = np.concatenate([np.zeros((1, 4)), points])
+    way = make_interp_spline(knots[:, 0], knots[:, 1:], k=5, bc_type=(ends, ends))
+    return np.stack([way(times, order) for order in range(4)])
 
 
 def _blend(s: Array, duration: float) -> Array:

@@ -192,6 +192,16 @@ def test_of_a_flight_lost_before_it_settles_no_distance_is_reported(tmp_path):
     assert "hover                fell at 2.0 s (CoM error); attitude within 5.73 deg" in said
 
 
+def test_of_a_lost_flight_the_limits_that_it_reached_are_reported():
+    robot = load_twin(ROBOTS / "sparrow.toml")
+    torque, thrust = np.zeros((500, 5)), np.zeros((500, 3))
+    torque[:150, 0] = robot.joint_torque_max[0]  # long before
+    torque[400:, 2], thrust[490:, 1] = -robot.joint_torque_max[2], robot.jets.thrust_max[1]
+    log = {"time": 0.01 * np.arange(500), "joint_torque": torque, "thrust": thrust}
+    found = command.limits_reached(log, robot)
+    assert found == ["joint_torque at its limit: waist"]
+
+
 def test_the_sparrows_urdf_becomes_a_robot_that_flies(tmp_path, capsys):
     jets = ["back_nozzle:z:100", "l_thruster:-x:100", "r_thruster:-x:100"]
     words = [str(ROBOTS / "sparrow.urdf"), "--out", str(tmp_path / "sparrow"), "--hold", "neck"]

@@ -35,6 +35,49 @@ def test_a_motion_is_at_rest_at_its_ends_and_keeps_its_speed():
     assert abs(found.times[-1] - 3.0 - 35.0 / 16.0 * 6.0 / 2.0) < 1e-12
 
 
+def test_a_motion_through_one_point_has_the_least_jerk():
+    """From rest to rest: `10 s³ − 15 s⁴ + 6 s⁵`; the heading turns it."""
+    steps = (Step(turn_deg=90.0), Step(through=((2.0, 3.0, -1.0, 0.5),)))
+    found = reference(points(*steps, start=0.0), np.array([1.0, 0.0, 0.0]), EAST)
+    s = (found.times[-9:] - found.times[-9]) / 2.0
+    rise = np.polynomial.Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])
+    shift = np.array([1.0, 3.0, 0.5])  # right of north is east
+    for order in range(3):
+        expected = rise.deriv(order)(s) / 2.0**order if order else rise(s)
+        there = found.com[order, -9:] - (np.array([1.0, 0.0, 0.0]) if order == 0 else 0.0)
+        measured(f"derivative {order}", np.abs(there - expected[:, None] * shift).max(), 1e-12)
+
+
+def test_a_motion_through_points_passes_them_smoothly():
+    way = ((2.0, 1.0, 0.0, 0.0), (3.0, 1.0, 1.0, 0.5), (6.0, 0.0, 0.0, 0.0))
+    found = reference(points(Step(through=way), start=0.0), np.zeros(3), EAST)
+    for time, *place in way:
+        measured("distance from the point", np.abs(found.com[0, found.times == time] - place).max(), 1e-12)
+    measured("speed and acceleration at the end", np.abs(found.com[1:3, -1]).max(), 1e-12)
+    step = found.times[1]
+    jumps = np.abs(np.diff(found.com[3, 1:], axis=0)).max()
+    assert jumps < 10.0 * step  # of the jerk, which is continuous
+
+
+@pytest.mark.parametrize("times", [(0.0, 1.0), (2.0, 2.0), (3.0, 1.0)])
+def test_points_whose_times_do_not_grow_are_refused(times):
+    step = {"through": [[time, 0.0, 0.0, 1.0] for time in times]}
+    table = {"experiment": places.find("experiments", "test2"), "title": "", "steps": [step]}
+    with pytest.raises(ValueError, match=r"a.toml: `steps\[0\].through` is .*; expected times > 0"):
+        tables.convert(table, Waypoints, "a.toml")
+
+
+def test_the_shipped_mission_of_mk3_is_the_one_of_its_waypoints(tmp_path):
+    assert cli.main(["robot", "waypoints", "mk3_min_jerk", "--out", str(tmp_path)]) == 0
+    written, shipped = (
+        np.loadtxt(path, delimiter=",", skiprows=2)
+        for path in (tmp_path / "mk3_min_jerk" / "mission.csv", places.CONFIGS / "mission" / "mk3_min_jerk.csv")
+    )
+    measured("difference", np.abs(written - shipped).max(), 1e-8)
+    speed = np.linalg.norm(shipped[:, 7:10], axis=1)
+    assert speed.max() == pytest.approx(0.9375, abs=1e-3)
+
+
 def test_derivatives_are_those_of_the_positions():
     found = reference(points(Step(forward=6.0), start=0.0), np.zeros(3), EAST)
     step = found.times[2] - found.times[1]
