@@ -43,8 +43,7 @@ RULES = f"""\
 #   torque                          the robot's own limits of torques and of their rates
 #   setpoint.nose_down_limits_deg   from the pitch of the trim to the greatest lean from it, in steps of 5 deg up to the
 #                                   published 30, with which it can hover, a fifth of every torque in reserve
-#   mpc.joint_groups, posture       groups that move a jet; the weight is that of the torso for one that moves all jets,
-#                                   and that of an arm for others
+#   mpc.joint_groups, posture       all groups, each with the weight of an arm
 #   mpc.clearance                   none, unless the robot has links of these names
 """
 
@@ -115,14 +114,11 @@ def joints_of_jets(robot: RobotModel) -> tuple[int, ...]:
 
 def _predictive(mpc: dict[str, Any], robot: RobotModel, of_force: float) -> None:
     """Change the predictive law by the rules."""
-    moves = robot.ancestors[list(robot.jets.bodies)]
-    shares = {group: moves[:, list(joints)].any(axis=1).mean() for group, joints in robot.joint_groups}
-    mpc["joint_groups"] = [group for group, share in shares.items() if share > 0.0]
+    mpc["joint_groups"] = [group for group, _ in robot.joint_groups]
     mpc["thrust_excess"] *= of_force
     for weights in (mpc["weights"], mpc["descent"]):
         weights["thrust_rate"] *= of_force
-        torso, arm = weights["posture"]["torso"], weights["posture"]["left_arm"]
-        weights["posture"] = {group: torso if shares[group] == 1.0 else arm for group in mpc["joint_groups"]}
+        weights["posture"] = dict.fromkeys(mpc["joint_groups"], weights["posture"]["left_arm"])
     links = {*robot.aero_links.names, *robot.body_names}
     if not links.issuperset(mpc["clearance"]["links"]):
         del mpc["clearance"]

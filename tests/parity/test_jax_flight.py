@@ -327,3 +327,14 @@ def test_the_world_is_not_where_the_controller_predicts_it(monkeypatch, changes,
     monkeypatch.setattr("jax_aero.sim.plant.observe", observe_and_record)
     jax.eval_shape(lambda *flight: sim.step(*flight), scenario, start, jnp.array(0))
     assert taken == [shares]
+
+
+@pytest.mark.parametrize(("name", "duration"), [("mk3_test2", 6.0), ("mk3_test2_mpc", 0.5)])
+def test_another_robot_flies_alike(name, duration, measured):
+    """IRonCub-Mk3: joints in another order, base axes forward and left, and a predictive law that moves every joint."""
+    comparison = Comparison()
+    verify_flight(rust.load_config(EXPERIMENTS / f"{name}.toml", {"simulator.duration": duration}), comparison)
+    for row in comparison.rows:
+        if row.quantity in ("base_position", "joint_position", "thrust", "joint_torque"):
+            measured(f"{name}: {row.quantity}", row.absolute)
+    assert [row.quantity for row in comparison.rows if not row.agrees] == []
