@@ -46,7 +46,7 @@ class EnvState(NamedTuple):
     tick: Int[Array, ""]
     """Number of the next tick."""
     wind: Float[Array, "3"]
-    """Of this episode, after its rise [m/s]."""
+    """Of this episode, at its strongest [m/s]."""
     obs: Float[Array, " o"]
     reward: Float[Array, ""]
     done: Float[Array, ""]
@@ -122,7 +122,7 @@ class FlightEnv:
         """Begin an episode in a random wind."""
         speed_key, direction_key = jax.random.split(key)
         dtype = self._start.plant.robot.velocity.dtype
-        speed = jax.random.uniform(speed_key, (), dtype, 0.0, self.task.wind_max)
+        speed = jax.random.uniform(speed_key, (), dtype, self.task.wind_min, self.task.wind_max)
         angle = jax.random.uniform(direction_key, (), dtype, 0.0, 2.0 * jnp.pi)
         wind = speed * jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)])
         return self.start(wind)
@@ -138,7 +138,7 @@ class FlightEnv:
             flight=flight,
             tick=jnp.zeros((), jnp.int32),
             wind=wind,
-            obs=jnp.zeros(self.observation_size, jnp.float32),
+            obs=jnp.zeros(self.observation_size, zero.dtype),
             reward=zero,
             done=zero,
             metrics=dict.fromkeys(names, zero),
@@ -151,7 +151,7 @@ class FlightEnv:
         inner = self._scenario.controller
         assert isinstance(inner, MomentumController)
         action = limit_action(jnp, action, self.action_size, state.wind.dtype)
-        scenario: Scenario = replace_values(self._scenario, {"wind.velocity": state.wind})
+        scenario: Scenario = replace_values(self._scenario, {f"wind.{self.task.wind_key}": state.wind})
         scenario = replace(scenario, controller=SteeredController(inner, action, self.task))
         flight, _ = step(scenario, state.flight, state.tick)
         state = state._replace(flight=flight, tick=state.tick + 1)

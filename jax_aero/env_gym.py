@@ -5,7 +5,8 @@
 >>> obs, info = hover.reset(seed=0)
 >>> obs, reward, terminated, truncated, info = hover.step(hover.action_space.sample())
 
-Needs the extra `rl`. Task, observation and reward are those of `jax_aero.env`.
+Needs the extra `rl`. Task, observation and reward are those of `jax_aero.env`. Once this module is imported,
+`gymnasium.make` has it as `jax_aero/Hover-v0`; `jax_aero.env_gym:jax_aero/Hover-v0` imports it.
 """
 
 from __future__ import annotations
@@ -63,7 +64,8 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         n, j = len(self._robot.joint_names), len(self._robot.jet_names)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (j + n,), np.float32)
         self.observation_space = gymnasium.spaces.Box(-LARGEST, LARGEST, (15 + 2 * n + j,), np.float32)
-        self._last_tick = self.task.ticks(self._config["simulator"]["time_step"])
+        self.dt = float(self._config["simulator"]["time_step"])
+        self._last_tick = self.task.ticks(self.dt)
         self._begin([0.0, 0.0, 0.0])
 
     def reset(
@@ -74,10 +76,11 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         options = options or {}
         if unknown := options.keys() - {"wind"}:
             raise ValueError(f"options of `reset` are {', '.join(sorted(unknown))}; expected `wind`, or none")
-        speed, angle = self.np_random.uniform(0.0, self.task.wind_max), self.np_random.uniform(0.0, 2.0 * np.pi)
+        speed = self.np_random.uniform(self.task.wind_min, self.task.wind_max)
+        angle = self.np_random.uniform(0.0, 2.0 * np.pi)
         drawn = [speed * np.cos(angle), speed * np.sin(angle), 0.0]
         self._begin([float(part) for part in options.get("wind", drawn)])
-        return self._observe()[1], {"wind": self._config["wind"]["velocity"]}
+        return self._observe()[1], {"wind": self._wind}
 
     def step(self, action: NDArray[np.floating]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Fly one tick."""
@@ -111,12 +114,13 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         vars(self).update(state)
         self._robot = rust.Robot(self._config["robot"])
         flown = self._flown
-        self._begin(self._config["wind"]["velocity"])
+        self._begin(self._wind)
         for action in flown:
             self.step(action)
 
     def _begin(self, wind: list[float]) -> None:
-        self._config = {**self._config, "wind": {**self._config["wind"], "velocity": wind}}
+        self._wind = wind
+        self._config = {**self._config, "wind": {**self._config["wind"], self.task.wind_key: wind}}
         self._plant, self._controller = rust.Plant(self._config), rust.Controller(self._config)
         self._measurement = self._plant.reset()
         self._flown: list[NDArray[np.float64]] = []
@@ -136,5 +140,7 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             setpoint_rotation=self._upright,
             posture=self._posture,
         )
-        obs: NDArray[np.float32] = observation(np, task_state, self._thrust_max)
-        return task_state, obs
+        return task_state, observation(np, task_state, self._thrust_max).astype(np.float32)
+
+
+gymnasium.register("jax_aero/Hover-v0", HoverEnv)

@@ -14,6 +14,12 @@ from typing import Any, Literal, NamedTuple, get_args
 Steering = Literal["residual", "rates"]
 """Meaning of an action: added to the controller's answer, or its replacement."""
 
+Profile = Literal["ramp", "gust"]
+"""Course of the wind: a rise to a constant wind, or one gust of the same rise, followed by still air."""
+
+ERRORS = slice(3, 9)
+"""Place of rotation and position errors in an observation."""
+
 
 @dataclass(frozen=True)
 class Task:
@@ -31,8 +37,11 @@ class Task:
     """Duration of an episode [s]."""
     wind_max: float = 12.0
     """Greatest wind [m/s]; speed and horizontal direction are drawn uniformly."""
+    wind_min: float = 0.0
+    """Least wind [m/s]."""
+    profile: Profile = "ramp"
     ramp: float = 1.0
-    """Time in which the wind rises [s]."""
+    """Time in which the wind rises [s]; a gust takes twice as long."""
     thrust_rate: float = 20.0
     """Thrust rate of an action of 1 [N/s]."""
     joint_velocity: float = 0.5
@@ -41,9 +50,18 @@ class Task:
     def __post_init__(self) -> None:
         if self.steering not in (known := get_args(Steering)):
             raise ValueError(f"`steering` is {self.steering!r}; expected one of {', '.join(known)}")
-        for name in ("wind_max", "ramp", "thrust_rate", "joint_velocity"):
+        if self.profile not in (known := get_args(Profile)):
+            raise ValueError(f"`profile` is {self.profile!r}; expected one of {', '.join(known)}")
+        for name in ("wind_max", "wind_min", "ramp", "thrust_rate", "joint_velocity"):
             _check(name, getattr(self, name), 0.0, "a number ≥ 0")
+        if self.wind_min > self.wind_max:
+            raise ValueError(f"`wind_min` is {self.wind_min}; expected at most `wind_max`, {self.wind_max}")
         _check("duration", self.duration, math.ulp(0.0), "a number > 0")
+
+    @property
+    def wind_key(self) -> str:
+        """Return the key of the wind that is drawn."""
+        return {"ramp": "velocity", "gust": "gust"}[self.profile]
 
     def ticks(self, time_step: float) -> int:
         """Return the length of an episode.
@@ -68,7 +86,12 @@ class Task:
         if (config.get("disturbances", {}).get("wind_estimate") or {}).get("mean_only"):
             expected = "expected false: no mean of a wind is known before it is drawn"
             raise ValueError(f"`disturbances.wind_estimate.mean_only` of {self.experiment} is true; {expected}")
-        wind = {"profile": "ramp", "velocity": [0.0, 0.0, 0.0], "ramp_start": 0.0, "ramp_end": self.ramp}
+        still = [0.0, 0.0, 0.0]
+        wind: dict[str, Any] = {"profile": self.profile, "velocity": still}
+        if self.profile == "ramp":
+            wind |= {"ramp_start": 0.0, "ramp_end": self.ramp}
+        else:
+            wind |= {"gust": still, "start": 0.0, "duration": 2.0 * self.ramp}
         simulator = {**config["simulator"], "duration": self.duration}
         return {**config, "mission": {}, "wind": wind, "simulator": simulator}
 
@@ -115,7 +138,7 @@ def observation(xp: Any, state: TaskState, thrust_max: Any) -> Any:
         0.1 * state.velocity[6:],
         state.thrust / thrust_max,
     ]
-    return xp.concatenate(parts).astype(xp.float32)
+    return xp.concatenate(parts)
 
 
 def rewards(xp: Any, state: TaskState, action: Any) -> dict[str, Any]:
