@@ -19,7 +19,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero import rust
-from jax_aero.env_task import Task, TaskState, added_torque, is_lost, limit_action, observation, rewards, steer
+from jax_aero.env_task import (
+    Observed,
+    Task,
+    TaskState,
+    added_torque,
+    is_lost,
+    limit_action,
+    observation,
+    observe_wrench,
+    rewards,
+    steer,
+)
 
 __all__ = ["HoverEnv"]
 
@@ -63,7 +74,7 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._thrust_max = np.array(self._robot.thrust_max)
         n, j = len(self._robot.joint_names), len(self._robot.jet_names)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (j + n,), np.float32)
-        self.observation_space = gymnasium.spaces.Box(-LARGEST, LARGEST, (15 + 2 * n + j,), np.float32)
+        self.observation_space = gymnasium.spaces.Box(-LARGEST, LARGEST, (21 + 2 * n + j,), np.float32)
         self.dt = float(self._config["simulator"]["time_step"])
         self._last_tick = self.task.ticks(self.dt)
         self._begin([0.0, 0.0, 0.0])
@@ -100,6 +111,7 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         )
         torque = np.clip(tick.joint_torque + more, tick.torque_qp.lower, tick.torque_qp.upper)
         self._controller.replace_command(rates, torque)
+        self._observed = observe_wrench(self._observed, tick.momentum, tick.momentum_rate_estimate, self.dt)
         self._measurement = self._plant.step(rates, torque)
         self._flown.append(clipped)
         task_state, obs = self._observe()
@@ -124,6 +136,7 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._plant, self._controller = rust.Plant(self._config), rust.Controller(self._config)
         self._measurement = self._plant.reset()
         self._flown: list[NDArray[np.float64]] = []
+        self._observed = Observed(np.zeros(6), np.zeros(6), np.zeros(6))
         state = self._measurement.state
         self._upright: NDArray[np.float64] = np.array(state.base_rotation)
         self._posture: NDArray[np.float64] = np.array(state.joint_position)
@@ -139,6 +152,7 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             com_error=rust.dynamics(self._robot, state).com_position - self._com,
             setpoint_rotation=self._upright,
             posture=self._posture,
+            wrench=self._observed.wrench,
         )
         return task_state, observation(np, task_state, self._thrust_max).astype(np.float32)
 

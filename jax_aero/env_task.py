@@ -17,8 +17,8 @@ Steering = Literal["residual", "rates"]
 Profile = Literal["ramp", "gust"]
 """Course of the wind: a rise to a constant wind, or one gust of the same rise, followed by still air."""
 
-ERRORS = slice(3, 9)
-"""Place of rotation and position errors in an observation."""
+OBSERVER_GAIN = 3.0
+"""Gain of the observed wrench [1/s]."""
 
 
 @dataclass(frozen=True)
@@ -118,15 +118,35 @@ class TaskState(NamedTuple):
     """Desired `inertial_from_base` (3, 3)."""
     posture: Any
     """Joint positions of the first tick (n,) [rad]."""
+    wrench: Any
+    """Observed wrench about the centre of mass (6,) [N, N m]."""
+
+
+class Observed(NamedTuple):
+    """Wrench that is not in the controller's model, observed from the momentum, in inertial axes."""
+
+    wrench: Any
+    """(6,) [N, N m]."""
+    momentum: Any
+    """Centroidal momentum of the last tick (6,) [kg m/s, kg m²/s]."""
+    rate: Any
+    """Its rate as modelled (6,) [N, N m]."""
+
+
+def observe_wrench(last: Observed, momentum: Any, rate: Any, dt: float) -> Observed:
+    """Observe the wrench of a tick, as M84 does; it begins with zeros, which a robot at rest that hovers has."""
+    innovation = (momentum - last.momentum) / dt - last.rate - last.wrench
+    return Observed(last.wrench - math.expm1(-OBSERVER_GAIN * dt) * innovation, momentum, rate)
 
 
 def observation(xp: Any, state: TaskState, thrust_max: Any) -> Any:
-    """Return the observation of an agent, of order one: (15 + 2 n + j,).
+    """Return the observation of an agent, of order one: (21 + 2 n + j,).
 
-    Direction of gravity in base axes, rotation from the set-point, and errors and velocities in base axes.
+    Direction of gravity in base axes, rotation from the set-point, errors and velocities in base axes, and the observed
+    wrench in base axes.
     """
     base = state.rotation
-    error = state.setpoint_rotation.T @ base
+    error, force = state.setpoint_rotation.T @ base, 0.1 * xp.sum(thrust_max)
     skewed = 0.5 * xp.stack([error[2, 1] - error[1, 2], error[0, 2] - error[2, 0], error[1, 0] - error[0, 1]])
     parts = [
         -base[2],
@@ -137,6 +157,8 @@ def observation(xp: Any, state: TaskState, thrust_max: Any) -> Any:
         state.joint_position - state.posture,
         0.1 * state.velocity[6:],
         state.thrust / thrust_max,
+        base.T @ state.wrench[:3] / force,
+        base.T @ state.wrench[3:] / (0.1 * force),
     ]
     return xp.concatenate(parts)
 

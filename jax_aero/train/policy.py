@@ -1,13 +1,12 @@
 """Training of a policy by gradients through short flights: analytic policy gradient.
 
 ```text
-x  = (s ∘ o, z)                     features: the scaled observation, and the memory
-a  = tanh( W₂ tanh( W₁ x + b₁ ) + W₃ x + b₂ )
-z' = clip( z + h k s ∘ e )          memory: integral of the observed rotation and position errors e ⊂ o
-J  = 1/n Σ r                        of a window of n ticks, which begins in the state in which the last one ended
+x = s ∘ o                                     features: base and observed wrench in the observation o
+a = tanh( W₂ tanh( W₁ x + b₁ ) + W₃ x + b₂ )
+J = 1/n Σ r                                   of a window of n ticks, which begins where the last one ended
 ```
 
-The memory makes a constant wind observable: neither wind nor force is measured. Windows of one step begin at times that
+Windows of one step begin at times that
 are spread over the episode; a flight begins anew, in another wind, when its episode ends or when it is lost. The
 gradient of a flight that is about to be lost is larger by orders of magnitude, so flights whose gradient is longer than
 `gradient_max`, or not finite, are left out of a step, and counted. Several seeds are trained at once, as a batch.
@@ -15,6 +14,7 @@ gradient of a flight that is about to be lost is larger by orders of magnitude, 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -28,16 +28,15 @@ from jaxtyping import Float, Int, Key
 from jax_aero import tables
 from jax_aero.adam import AdamState, adam_start, adam_step
 from jax_aero.env import EnvState, FlightEnv
-from jax_aero.env_task import ERRORS
 from jax_aero.sim.rollout import COMPILER_OPTIONS
 from jax_aero.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from jax_aero.types import Array, pytree, where
 
-OBSERVED = ((3, 1.0), (3, 10.0), (3, 5.0), (6, 2.0))
-"""Number of entries, and factor that scales them to order one, of the first parts of an observation; 1 for others."""
+BASE, WRENCH = 15, 6
+"""Numbers of an observation that describe the base, at its beginning, and the observed wrench, at its end."""
 
-MEMORY_GAIN, MEMORY_MAX = 3.0, 5.0
-"""Gain k of the memory [1/s], and its greatest magnitude."""
+SCALE = np.repeat([0.3, 3.0, 2.0, 0.5, 0.5, 8.0, 8.0], 3)
+"""Factors `s`: of gravity, rotation, position, velocities, force and moment."""
 
 
 class Settings(tables.Table, frozen=True):
@@ -59,7 +58,7 @@ class Settings(tables.Table, frozen=True):
 
 @pytree
 class Policy:
-    """A policy with memory; a batch of them has a leading axis."""
+    """A policy; a batch of them has a leading axis."""
 
     hidden: Float[Array, "h x"]
     """`W₁`."""
@@ -73,33 +72,22 @@ class Policy:
     """`b₂`."""
 
 
-def init_policy(key: Key[Array, ""], observation_size: int, action_size: int, hidden: int) -> Policy:
+def init_policy(key: Key[Array, ""], action_size: int, hidden: int) -> Policy:
     """Return a policy whose actions are zero, with random weights of the hidden layer."""
-    inputs = observation_size + memory_start(np).size
     return Policy(
-        jax.random.normal(key, (hidden, inputs)) / np.sqrt(inputs),
+        jax.random.normal(key, (hidden, SCALE.size)) / np.sqrt(SCALE.size),
         jnp.zeros(hidden),
         jnp.zeros((action_size, hidden)),
-        jnp.zeros((action_size, inputs)),
+        jnp.zeros((action_size, SCALE.size)),
         jnp.zeros(action_size),
     )
 
 
-def memory_start(xp: Any) -> Any:
-    """Return the memory at the start of an episode (6,)."""
-    return xp.zeros(ERRORS.stop - ERRORS.start)
-
-
-def act(xp: Any, policy: Policy, memory: Any, obs: Any, dt: float) -> tuple[Any, Any]:
-    """Return the next memory and the action, between −1 and 1; `xp` is `numpy` or `jax.numpy`."""
-    scale = np.ones(obs.shape[-1])
-    known = np.repeat([factor for _, factor in OBSERVED], [count for count, _ in OBSERVED])
-    scale[: known.size] = known
-    seen = obs * scale
-    memory = xp.clip(memory + dt * MEMORY_GAIN * seen[ERRORS], -MEMORY_MAX, MEMORY_MAX)
-    x = xp.concatenate([seen, memory])
+def act(xp: Any, policy: Policy, obs: Any) -> Any:
+    """Return the action, between −1 and 1; `xp` is `numpy` or `jax.numpy`."""
+    x = SCALE * xp.concatenate([obs[:BASE], obs[-WRENCH:]])
     hidden = xp.tanh(policy.hidden @ x + policy.hidden_bias)
-    return memory, xp.tanh(policy.output @ hidden + policy.direct @ x + policy.output_bias)
+    return xp.tanh(policy.output @ hidden + policy.direct @ x + policy.output_bias)
 
 
 class Curve(NamedTuple):
@@ -127,7 +115,6 @@ class TrainingResult(NamedTuple):
 
 class _Flight(NamedTuple):
     state: EnvState
-    memory: Float[Array, " z"]
     age: Int[Array, ""]
     """Ticks of the episode; the first one begins with a greater age, so that episodes end at different times."""
 
@@ -162,9 +149,14 @@ def train(
     if found := load_checkpoint(checkpoint, state, digest):
         state, step = found.state, found.epoch
         curves = [Curve(*map(tuple, curve)) for curve in found.facts["curves"]]
-    advance = jax.jit(jax.vmap(partial(_step, env, settings), in_axes=(0, 0, None)), compiler_options=COMPILER_OPTIONS)
+    advance = jax.jit(
+        jax.vmap(partial(_step, env, settings.ticks, settings.gradient_max), in_axes=(0, 0, None, None)),
+        compiler_options=COMPILER_OPTIONS,
+    )
     while step < settings.steps:
-        state, (reward, left_out) = advance(keys, state, jnp.asarray(step))
+        # An argument, so that runs of other lengths and rates share the compiled step.
+        rate = settings.learning_rate * 0.5 * (1.0 + math.cos(math.pi * step / settings.steps))
+        state, (reward, left_out) = advance(keys, state, jnp.asarray(step), jnp.asarray(rate))
         step += 1
         curves.append(Curve(tuple(reward.tolist()), tuple(left_out.tolist())))
         on_step(step, curves[-1])
@@ -175,32 +167,32 @@ def train(
 
 def _start(env: FlightEnv, settings: Settings, key: Array) -> _State:
     for_policy, for_flights = jax.random.split(key)
-    policy = init_policy(for_policy, env.observation_size, env.action_size, settings.hidden)
+    policy = init_policy(for_policy, env.action_size, settings.hidden)
     flights = jax.vmap(partial(_begin, env))(jax.random.split(for_flights, settings.batch))
     age = jnp.arange(settings.batch, dtype=jnp.int32) * env.episode_length // settings.batch
     return _State(policy, adam_start(policy), flights._replace(age=age))
 
 
 def _begin(env: FlightEnv, key: Array) -> _Flight:
-    return _Flight(env.reset(key), memory_start(jnp), jnp.zeros((), jnp.int32))
+    return _Flight(env.reset(key), jnp.zeros((), jnp.int32))
 
 
-def _step(env: FlightEnv, settings: Settings, key: Array, state: _State, step: Array) -> tuple[_State, Any]:
-    """Fly one window of every flight and improve the policy of one seed."""
-    window = partial(fly_window, env, settings.ticks)
-    gradient_of = jax.vmap(jax.value_and_grad(window, has_aux=True), in_axes=(None, 0))
+def _step(
+    env: FlightEnv, ticks: int, gradient_max: float, key: Array, state: _State, step: Array, rate: Array
+) -> tuple[_State, tuple[Array, Array]]:
+    """Fly one window of every flight of a seed, and improve its policy."""
+    gradient_of = jax.vmap(jax.value_and_grad(partial(fly_window, env, ticks), has_aux=True), in_axes=(None, 0))
     (cost, flights), gradients = gradient_of(state.policy, state.flights)
-    square = sum(jnp.sum(leaf.reshape(settings.batch, -1) ** 2, axis=1) for leaf in jax.tree.leaves(gradients))
-    is_sound = jnp.sqrt(square) <= settings.gradient_max  # false for NaN
-    count = jnp.maximum(jnp.sum(is_sound), 1)
+    batch = cost.size
+    square = sum(jnp.sum(leaf.reshape(batch, -1) ** 2, axis=1) for leaf in jax.tree.leaves(gradients))
+    is_sound = jnp.sqrt(square) <= gradient_max  # false for NaN
 
     def mean(leaf: Array) -> Array:
         chosen = jnp.where(is_sound.reshape(-1, *[1] * (leaf.ndim - 1)), leaf, 0.0)
-        return jnp.sum(chosen, axis=0) / count
+        return jnp.sum(chosen, axis=0) / jnp.maximum(jnp.sum(is_sound), 1)
 
-    rate = settings.learning_rate * 0.5 * (1.0 + jnp.cos(jnp.pi * step / settings.steps))
     adam, policy = adam_step(state.adam, state.policy, jax.tree.map(mean, gradients), rate)
-    keys = jax.random.split(jax.random.fold_in(key, step), settings.batch)
+    keys = jax.random.split(jax.random.fold_in(key, step), batch)
     has_ended = (flights.state.done > 0.0) | (flights.age >= env.episode_length)
     flights = jax.vmap(where)(has_ended, jax.vmap(partial(_begin, env))(keys), flights)
     return _State(policy, adam, flights), (-jnp.mean(cost), jnp.sum(~is_sound))
@@ -209,11 +201,9 @@ def _step(env: FlightEnv, settings: Settings, key: Array, state: _State, step: A
 def fly_window(env: FlightEnv, ticks: int, policy: Policy, flight: _Flight) -> tuple[Array, _Flight]:
     """Return the negative mean reward of the next ticks of a flight, and the flight after them."""
 
-    def tick(at: tuple[EnvState, Array], _: None) -> tuple[tuple[EnvState, Array], Array]:
-        state, memory = at
-        memory, action = act(jnp, policy, memory, state.obs, env.dt)
-        state = env.step(state, action)
-        return (state, memory), state.reward
+    def tick(state: EnvState, _: None) -> tuple[EnvState, Array]:
+        state = env.step(state, act(jnp, policy, state.obs))
+        return state, state.reward
 
-    (state, memory), rewards = jax.lax.scan(tick, (flight.state, flight.memory), length=ticks)
-    return -jnp.mean(rewards), _Flight(state, memory, flight.age + ticks)
+    state, rewards = jax.lax.scan(tick, flight.state, length=ticks)
+    return -jnp.mean(rewards), _Flight(state, flight.age + ticks)

@@ -7,9 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_aero.env_task import ERRORS
 from jax_aero.train import policy
-from jax_aero.train.policy import Settings, act, memory_start, train
+from jax_aero.train.policy import Settings, act, train
 
 pytestmark = pytest.mark.usefixtures("x64")
 
@@ -26,18 +25,18 @@ class Mass(NamedTuple):
 
 
 class Spring:
-    """A damped mass on a spring, pushed by an unknown constant force; lost beyond 1.5 m."""
+    """A damped mass on a spring, pushed by a constant force; lost beyond 1.5 m."""
 
-    observation_size, action_size, dt, episode_length = 15, 2, 0.05, 60
+    action_size, dt, episode_length = 2, 0.05, 60
 
     def reset(self, key):
         zero = jnp.zeros(())
         push = jax.random.uniform(key, (), minval=-1.0, maxval=1.0)
-        return Mass(zero, push, jnp.zeros((), jnp.int32), jnp.zeros(15), zero, zero)
+        return Mass(zero, push, jnp.zeros((), jnp.int32), jnp.zeros(21), zero, zero)
 
     def step(self, state, action):
         position = state.position + self.dt * (3.0 * action[0] + state.push - 2.0 * state.position)
-        obs = jnp.zeros(15).at[ERRORS.start + 3].set(position)
+        obs = jnp.zeros(21).at[6].set(position).at[15].set(state.push)
         lost = jnp.abs(position) > 1.5
         reward = jnp.where(lost, 0.0, jnp.exp(-20.0 * position**2))
         return Mass(position, state.push, state.tick + 1, obs, reward, lost.astype(float))
@@ -48,21 +47,20 @@ def rewards(curves):
 
 
 def test_a_policy_without_training_does_nothing():
-    fresh = policy.init_policy(jax.random.key(1), 15, 2, 4)
-    memory, action = act(np, fresh, memory_start(np), np.ones(15), 0.1)
-    assert action.tolist() == [0.0, 0.0]
-    assert np.all(memory > 0.0)
+    fresh = policy.init_policy(jax.random.key(1), 2, 4)
+    assert act(np, fresh, np.ones(30)).tolist() == [0.0, 0.0]
 
 
 def test_numpy_and_jax_have_the_same_actions():
     rng = np.random.default_rng(0)
-    drawn = jax.tree.map(lambda leaf: rng.normal(size=leaf.shape), policy.init_policy(jax.random.key(1), 15, 2, 4))
-    memory, obs = rng.normal(size=6), rng.normal(size=15)
-    for ours, other in zip(act(np, drawn, memory, obs, 0.1), act(jnp, drawn, memory, obs, 0.1), strict=True):
-        np.testing.assert_allclose(ours, other, rtol=1e-13)
+    drawn = jax.tree.map(lambda leaf: rng.normal(size=leaf.shape), policy.init_policy(jax.random.key(1), 2, 4))
+    obs = rng.normal(size=30)
+    np.testing.assert_allclose(act(np, drawn, obs), act(jnp, drawn, obs), rtol=1e-13)
+    # The joints, in the middle, are not used.
+    assert np.array_equal(act(np, drawn, obs), act(np, drawn, np.concatenate([obs[:15], np.ones(40), obs[-6:]])))
 
 
-def test_training_holds_a_mass_against_a_force_that_is_not_observed(tmp_path):
+def test_training_holds_a_mass_against_a_force(tmp_path):
     """And every seed draws its own forces."""
     found = train(Spring(), SETTINGS, (0, 1), checkpoint=tmp_path / "c", digest="a")
     course = rewards(found.curves)
@@ -110,12 +108,12 @@ def test_episodes_end_at_different_times_and_begin_anew():
     env, settings = Spring(), Settings(steps=1, batch=3, ticks=20, hidden=2)
     state = policy._start(env, settings, jax.random.key(0))
     assert state.flights.age.tolist() == [0, 20, 40]
-    step = jax.jit(lambda state, number: policy._step(env, settings, jax.random.key(0), state, number)[0])
+    key, zero, rate = jax.random.key(0), jnp.asarray(0), jnp.asarray(0.01)
+    step = jax.jit(lambda state: policy._step(env, 20, 100.0, key, state, zero, rate)[0])
     lost = state.flights.state._replace(position=jnp.array([99.0, 0.0, 0.0]))
-    after = step(policy._State(state.policy, state.adam, state.flights._replace(state=lost)), jnp.asarray(0))
+    after = step(policy._State(state.policy, state.adam, state.flights._replace(state=lost)))
     # The first was lost, the third's episode is over.
     assert after.flights.age.tolist() == [0, 40, 0]
     assert after.flights.state.tick.tolist() == [0, 20, 0]
     assert after.flights.state.push[0] != state.flights.state.push[0]
     assert after.flights.state.push[1] == state.flights.state.push[1]
-    assert after.flights.memory[0].tolist() == [0.0] * 6

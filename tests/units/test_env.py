@@ -68,7 +68,7 @@ def test_both_environments_are_one_task(x64, tmp_path):
     )
     task = Task(str(tmp_path / "own.toml"), duration=1.0, ramp=0.05)
     crate, ours = HoverEnv(task), FlightEnv(task)
-    assert (ours.action_size, ours.observation_size) == (27, 65)
+    assert (ours.action_size, ours.observation_size) == (27, 71)
     task_state, _ = crate.reset(options={"wind": WIND})
     reset = jax.jit(jax.vmap(ours.reset))(jax.random.split(jax.random.key(0), 2))
     speeds = np.linalg.norm(reset.wind, axis=1)
@@ -139,7 +139,7 @@ def test_a_copy_in_the_middle_of_an_episode_goes_on_as_the_environment_does(how)
 @pytest.mark.parametrize("how", COPIES)
 def test_environments_of_vectors_and_of_jax_are_copied(how):
     many = COPIES[how](SyncVectorEnv([HoverEnv, HoverEnv]))
-    assert many.reset(seed=1)[0].shape == (2, 65)
+    assert many.reset(seed=1)[0].shape == (2, 71)
     ours = FlightEnv()
     twin = COPIES[how](ours)
     assert (twin.task, twin.dt, twin.action_size) == (ours.task, ours.dt, ours.action_size)
@@ -267,7 +267,9 @@ def test_an_action_of_another_shape_is_refused(size):
 
 def test_the_effort_is_that_of_the_action_that_is_flown():
     """Beyond the bounds none is added; a robot with nothing to steer makes none."""
-    task_state = TaskState(np.eye(3), np.zeros(6), np.zeros(0), np.zeros(0), np.zeros(3), np.eye(3), np.zeros(0))
+    task_state = TaskState(
+        np.eye(3), np.zeros(6), np.zeros(0), np.zeros(0), np.zeros(3), np.eye(3), np.zeros(0), np.zeros(6)
+    )
     crate = HoverEnv()
     crate.reset(options={"wind": WIND})
     assert crate.step(np.full(27, 30.0))[4]["effort"] == pytest.approx(-0.01)
