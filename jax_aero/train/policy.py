@@ -50,6 +50,8 @@ class Settings(tables.Table, frozen=True):
     """Ticks per window."""
     learning_rate: tables.Positive = 3e-3
     """Initial learning rate, which falls to zero along half a cosine."""
+    epsilon: tables.Positive = 0.01
+    """Size of a gradient below which Adam's step shrinks with it: actions with hardly any effect stay near zero."""
     gradient_max: tables.Positive = 100.0
     """Length of a flight's gradient beyond which it is left out of a step."""
     hidden: tables.Count = 32
@@ -150,7 +152,9 @@ def train(
         state, step = found.state, found.epoch
         curves = [Curve(*map(tuple, curve)) for curve in found.facts["curves"]]
     advance = jax.jit(
-        jax.vmap(partial(_step, env, settings.ticks, settings.gradient_max), in_axes=(0, 0, None, None)),
+        jax.vmap(
+            partial(_step, env, settings.ticks, settings.gradient_max, settings.epsilon), in_axes=(0, 0, None, None)
+        ),
         compiler_options=COMPILER_OPTIONS,
     )
     while step < settings.steps:
@@ -178,7 +182,7 @@ def _begin(env: FlightEnv, key: Array) -> _Flight:
 
 
 def _step(
-    env: FlightEnv, ticks: int, gradient_max: float, key: Array, state: _State, step: Array, rate: Array
+    env: FlightEnv, ticks: int, gradient_max: float, epsilon: float, key: Array, state: _State, step: Array, rate: Array
 ) -> tuple[_State, tuple[Array, Array]]:
     """Fly one window of every flight of a seed, and improve its policy."""
     gradient_of = jax.vmap(jax.value_and_grad(partial(fly_window, env, ticks), has_aux=True), in_axes=(None, 0))
@@ -191,7 +195,7 @@ def _step(
         chosen = jnp.where(is_sound.reshape(-1, *[1] * (leaf.ndim - 1)), leaf, 0.0)
         return jnp.sum(chosen, axis=0) / jnp.maximum(jnp.sum(is_sound), 1)
 
-    adam, policy = adam_step(state.adam, state.policy, jax.tree.map(mean, gradients), rate)
+    adam, policy = adam_step(state.adam, state.policy, jax.tree.map(mean, gradients), rate, epsilon=epsilon)
     keys = jax.random.split(jax.random.fold_in(key, step), batch)
     has_ended = (flights.state.done > 0.0) | (flights.age >= env.episode_length)
     flights = jax.vmap(where)(has_ended, jax.vmap(partial(_begin, env))(keys), flights)

@@ -109,7 +109,7 @@ def test_episodes_end_at_different_times_and_begin_anew():
     state = policy._start(env, settings, jax.random.key(0))
     assert state.flights.age.tolist() == [0, 20, 40]
     key, zero, rate = jax.random.key(0), jnp.asarray(0), jnp.asarray(0.01)
-    step = jax.jit(lambda state: policy._step(env, 20, 100.0, key, state, zero, rate)[0])
+    step = jax.jit(lambda state: policy._step(env, 20, 100.0, 0.01, key, state, zero, rate)[0])
     lost = state.flights.state._replace(position=jnp.array([99.0, 0.0, 0.0]))
     after = step(policy._State(state.policy, state.adam, state.flights._replace(state=lost)))
     # The first was lost, the third's episode is over.
