@@ -60,6 +60,7 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     _plant: rust.Plant
     _controller: rust.Controller
     _measurement: rust.Measurement
+    _observed: Observed
     metadata = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
 
     def __init__(self, task: Task | None = None) -> None:
@@ -157,4 +158,4 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return task_state, observation(np, task_state, self._thrust_max).astype(np.float32)
 
 
-gymnasium.register("jax_aero/Hover-v0", HoverEnv)
+gymnasium.register("jax_aero/Hover-v0", "jax_aero.env_gym:HoverEnv")
