@@ -6,7 +6,7 @@
 >>> states = jax.jit(jax.vmap(hover.reset))(jax.random.split(jax.random.key(0), 8))
 >>> states = jax.jit(jax.vmap(hover.step))(states, jax.numpy.zeros((8, hover.action_size)))
 >>> states.obs.shape, states.reward.shape
-((8, 65), (8,))
+((8, 71), (8,))
 
 An action has one number between −1 and 1 for each jet and joint. It is a residual on the controller's thrust rates and
 joint velocities, or replaces them (`env_task.Task.steering`). An episode ends when the robot is lost; the trainer
@@ -27,7 +27,18 @@ from jaxtyping import Float, Int, Key
 
 from jax_aero.control import Command, Measurement
 from jax_aero.control.tick import MomentumController, replace_command
-from jax_aero.env_task import Task, TaskState, added_torque, is_lost, limit_action, observation, rewards, steer
+from jax_aero.env_task import (
+    Observed,
+    Task,
+    TaskState,
+    added_torque,
+    is_lost,
+    limit_action,
+    observation,
+    observe_wrench,
+    rewards,
+    steer,
+)
 from jax_aero.kinematics import kinematics
 from jax_aero.robot import RobotModel
 from jax_aero.rust import load_config
@@ -46,7 +57,7 @@ class EnvState(NamedTuple):
     tick: Int[Array, ""]
     """Number of the next tick."""
     wind: Float[Array, "3"]
-    """Of this episode, after its rise [m/s]."""
+    """Of this episode, at its strongest [m/s]."""
     obs: Float[Array, " o"]
     reward: Float[Array, ""]
     done: Float[Array, ""]
@@ -57,6 +68,13 @@ class EnvState(NamedTuple):
     """For wrappers; not changed here."""
 
 
+class SteeredState(NamedTuple):
+    """State of the controller and of what observes it."""
+
+    inner: Any
+    observed: Observed
+
+
 @pytree
 class SteeredController:
     """The flight controller, with its answer modified by an action."""
@@ -64,15 +82,17 @@ class SteeredController:
     inner: MomentumController
     action: Float[Array, " u"]
     task: Static[Task]
+    dt: Static[float]
 
-    def init(self, robot: RobotModel, state: RobotState) -> Any:
+    def init(self, robot: RobotModel, state: RobotState) -> SteeredState:
         """Return the initial state of the controller."""
-        return self.inner.init(robot, state)
+        nothing = jnp.zeros_like(state.velocity[:6])
+        return SteeredState(self.inner.init(robot, state), Observed(nothing, nothing, nothing))
 
-    def step(self, robot: RobotModel, state: Any, measurement: Measurement) -> tuple[Any, Command]:
+    def step(self, robot: RobotModel, state: SteeredState, measurement: Measurement) -> tuple[SteeredState, Command]:
         """Compute one tick of the controller and modify its command by the action."""
         inner = self.inner
-        memory, command = inner.step(robot, state, measurement)
+        memory, command = inner.step(robot, state.inner, measurement)
         terms = command.terms
         assert terms is not None
         assert command.joint_velocity is not None
@@ -89,7 +109,8 @@ class SteeredController:
         )
         torque = jnp.clip(command.joint_torque + more, -inner.torque_max, inner.torque_max)
         memory, command = replace_command(memory, command, terms, rates, torque)
-        return memory, command._replace(joint_velocity=velocities)
+        observed = observe_wrench(state.observed, terms.dynamics.momentum, terms.momentum.rate_estimate, self.dt)
+        return SteeredState(memory, observed), command._replace(joint_velocity=velocities)
 
 
 class FlightEnv:
@@ -112,8 +133,11 @@ class FlightEnv:
             self.task.episode(load_config(self.task.experiment, changes)), dtype=precision
         )
         robot = self._scenario.plant.robot
+        nothing = jnp.zeros(6, precision)
+        steered = SteeredState(self._start.controller, Observed(nothing, nothing, nothing))
+        self._start = self._start._replace(controller=steered)
         self.action_size = robot.jets.count + robot.n_joints
-        self.observation_size = 15 + 2 * robot.n_joints + robot.jets.count
+        self.observation_size = 21 + 2 * robot.n_joints + robot.jets.count
         self._com = kinematics(robot, self._start.plant.robot).com
         self.dt = float(self._scenario.plant.time_step)
         self.episode_length = self.task.ticks(self.dt)
@@ -122,7 +146,7 @@ class FlightEnv:
         """Begin an episode in a random wind."""
         speed_key, direction_key = jax.random.split(key)
         dtype = self._start.plant.robot.velocity.dtype
-        speed = jax.random.uniform(speed_key, (), dtype, 0.0, self.task.wind_max)
+        speed = jax.random.uniform(speed_key, (), dtype, self.task.wind_min, self.task.wind_max)
         angle = jax.random.uniform(direction_key, (), dtype, 0.0, 2.0 * jnp.pi)
         wind = speed * jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)])
         return self.start(wind)
@@ -138,7 +162,7 @@ class FlightEnv:
             flight=flight,
             tick=jnp.zeros((), jnp.int32),
             wind=wind,
-            obs=jnp.zeros(self.observation_size, jnp.float32),
+            obs=jnp.zeros(self.observation_size, zero.dtype),
             reward=zero,
             done=zero,
             metrics=dict.fromkeys(names, zero),
@@ -151,8 +175,8 @@ class FlightEnv:
         inner = self._scenario.controller
         assert isinstance(inner, MomentumController)
         action = limit_action(jnp, action, self.action_size, state.wind.dtype)
-        scenario: Scenario = replace_values(self._scenario, {"wind.velocity": state.wind})
-        scenario = replace(scenario, controller=SteeredController(inner, action, self.task))
+        scenario: Scenario = replace_values(self._scenario, {f"wind.{self.task.wind_key}": state.wind})
+        scenario = replace(scenario, controller=SteeredController(inner, action, self.task, self.dt))
         flight, _ = step(scenario, state.flight, state.tick)
         state = state._replace(flight=flight, tick=state.tick + 1)
         task_state, obs = self._observe(state)
@@ -183,6 +207,7 @@ class FlightEnv:
             com_error=kinematics(robot, now.robot).com - self._com,
             setpoint_rotation=first.base_rotation,
             posture=first.joint_position,
+            wrench=state.flight.controller.observed.wrench,
         )
         obs: Array = observation(jnp, task_state, robot.jets.thrust_max)
         return task_state, obs

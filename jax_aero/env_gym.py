@@ -5,7 +5,8 @@
 >>> obs, info = hover.reset(seed=0)
 >>> obs, reward, terminated, truncated, info = hover.step(hover.action_space.sample())
 
-Needs the extra `rl`. Task, observation and reward are those of `jax_aero.env`.
+Needs the extra `rl`. Task, observation and reward are those of `jax_aero.env`. Once this module is imported,
+`gymnasium.make` has it as `jax_aero/Hover-v0`; `jax_aero.env_gym:jax_aero/Hover-v0` imports it.
 """
 
 from __future__ import annotations
@@ -18,7 +19,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero import rust
-from jax_aero.env_task import Task, TaskState, added_torque, is_lost, limit_action, observation, rewards, steer
+from jax_aero.env_task import (
+    Observed,
+    Task,
+    TaskState,
+    added_torque,
+    is_lost,
+    limit_action,
+    observation,
+    observe_wrench,
+    rewards,
+    steer,
+)
 
 __all__ = ["HoverEnv"]
 
@@ -48,6 +60,7 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     _plant: rust.Plant
     _controller: rust.Controller
     _measurement: rust.Measurement
+    _observed: Observed
     metadata = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
 
     def __init__(self, task: Task | None = None) -> None:
@@ -62,8 +75,9 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._thrust_max = np.array(self._robot.thrust_max)
         n, j = len(self._robot.joint_names), len(self._robot.jet_names)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (j + n,), np.float32)
-        self.observation_space = gymnasium.spaces.Box(-LARGEST, LARGEST, (15 + 2 * n + j,), np.float32)
-        self._last_tick = self.task.ticks(self._config["simulator"]["time_step"])
+        self.observation_space = gymnasium.spaces.Box(-LARGEST, LARGEST, (21 + 2 * n + j,), np.float32)
+        self.dt = float(self._config["simulator"]["time_step"])
+        self._last_tick = self.task.ticks(self.dt)
         self._begin([0.0, 0.0, 0.0])
 
     def reset(
@@ -74,10 +88,11 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         options = options or {}
         if unknown := options.keys() - {"wind"}:
             raise ValueError(f"options of `reset` are {', '.join(sorted(unknown))}; expected `wind`, or none")
-        speed, angle = self.np_random.uniform(0.0, self.task.wind_max), self.np_random.uniform(0.0, 2.0 * np.pi)
+        speed = self.np_random.uniform(self.task.wind_min, self.task.wind_max)
+        angle = self.np_random.uniform(0.0, 2.0 * np.pi)
         drawn = [speed * np.cos(angle), speed * np.sin(angle), 0.0]
         self._begin([float(part) for part in options.get("wind", drawn)])
-        return self._observe()[1], {"wind": self._config["wind"]["velocity"]}
+        return self._observe()[1], {"wind": self._wind}
 
     def step(self, action: NDArray[np.floating]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Fly one tick."""
@@ -97,6 +112,7 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         )
         torque = np.clip(tick.joint_torque + more, tick.torque_qp.lower, tick.torque_qp.upper)
         self._controller.replace_command(rates, torque)
+        self._observed = observe_wrench(self._observed, tick.momentum, tick.momentum_rate_estimate, self.dt)
         self._measurement = self._plant.step(rates, torque)
         self._flown.append(clipped)
         task_state, obs = self._observe()
@@ -111,15 +127,17 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         vars(self).update(state)
         self._robot = rust.Robot(self._config["robot"])
         flown = self._flown
-        self._begin(self._config["wind"]["velocity"])
+        self._begin(self._wind)
         for action in flown:
             self.step(action)
 
     def _begin(self, wind: list[float]) -> None:
-        self._config = {**self._config, "wind": {**self._config["wind"], "velocity": wind}}
+        self._wind = wind
+        self._config = {**self._config, "wind": {**self._config["wind"], self.task.wind_key: wind}}
         self._plant, self._controller = rust.Plant(self._config), rust.Controller(self._config)
         self._measurement = self._plant.reset()
         self._flown: list[NDArray[np.float64]] = []
+        self._observed = Observed(np.zeros(6), np.zeros(6), np.zeros(6))
         state = self._measurement.state
         self._upright: NDArray[np.float64] = np.array(state.base_rotation)
         self._posture: NDArray[np.float64] = np.array(state.joint_position)
@@ -135,6 +153,9 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             com_error=rust.dynamics(self._robot, state).com_position - self._com,
             setpoint_rotation=self._upright,
             posture=self._posture,
+            wrench=self._observed.wrench,
         )
-        obs: NDArray[np.float32] = observation(np, task_state, self._thrust_max)
-        return task_state, obs
+        return task_state, observation(np, task_state, self._thrust_max).astype(np.float32)
+
+
+gymnasium.register("jax_aero/Hover-v0", "jax_aero.env_gym:HoverEnv")

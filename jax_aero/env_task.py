@@ -14,6 +14,12 @@ from typing import Any, Literal, NamedTuple, get_args
 Steering = Literal["residual", "rates"]
 """Meaning of an action: added to the controller's answer, or its replacement."""
 
+Profile = Literal["ramp", "gust"]
+"""Course of the wind: a rise to a constant wind, or one gust of the same rise, followed by still air."""
+
+OBSERVER_GAIN = 3.0
+"""Gain of the observed wrench [1/s]."""
+
 
 @dataclass(frozen=True)
 class Task:
@@ -31,8 +37,11 @@ class Task:
     """Duration of an episode [s]."""
     wind_max: float = 12.0
     """Greatest wind [m/s]; speed and horizontal direction are drawn uniformly."""
+    wind_min: float = 0.0
+    """Least wind [m/s]."""
+    profile: Profile = "ramp"
     ramp: float = 1.0
-    """Time in which the wind rises [s]."""
+    """Time in which the wind rises [s]; a gust takes twice as long."""
     thrust_rate: float = 20.0
     """Thrust rate of an action of 1 [N/s]."""
     joint_velocity: float = 0.5
@@ -41,9 +50,18 @@ class Task:
     def __post_init__(self) -> None:
         if self.steering not in (known := get_args(Steering)):
             raise ValueError(f"`steering` is {self.steering!r}; expected one of {', '.join(known)}")
-        for name in ("wind_max", "ramp", "thrust_rate", "joint_velocity"):
+        if self.profile not in (known := get_args(Profile)):
+            raise ValueError(f"`profile` is {self.profile!r}; expected one of {', '.join(known)}")
+        for name in ("wind_max", "wind_min", "ramp", "thrust_rate", "joint_velocity"):
             _check(name, getattr(self, name), 0.0, "a number ≥ 0")
+        if self.wind_min > self.wind_max:
+            raise ValueError(f"`wind_min` is {self.wind_min}; expected at most `wind_max`, {self.wind_max}")
         _check("duration", self.duration, math.ulp(0.0), "a number > 0")
+
+    @property
+    def wind_key(self) -> str:
+        """Return the key of the wind that is drawn."""
+        return {"ramp": "velocity", "gust": "gust"}[self.profile]
 
     def ticks(self, time_step: float) -> int:
         """Return the length of an episode.
@@ -68,7 +86,12 @@ class Task:
         if (config.get("disturbances", {}).get("wind_estimate") or {}).get("mean_only"):
             expected = "expected false: no mean of a wind is known before it is drawn"
             raise ValueError(f"`disturbances.wind_estimate.mean_only` of {self.experiment} is true; {expected}")
-        wind = {"profile": "ramp", "velocity": [0.0, 0.0, 0.0], "ramp_start": 0.0, "ramp_end": self.ramp}
+        still = [0.0, 0.0, 0.0]
+        wind: dict[str, Any] = {"profile": self.profile, "velocity": still}
+        if self.profile == "ramp":
+            wind |= {"ramp_start": 0.0, "ramp_end": self.ramp}
+        else:
+            wind |= {"gust": still, "start": 0.0, "duration": 2.0 * self.ramp}
         simulator = {**config["simulator"], "duration": self.duration}
         return {**config, "mission": {}, "wind": wind, "simulator": simulator}
 
@@ -95,15 +118,35 @@ class TaskState(NamedTuple):
     """Desired `inertial_from_base` (3, 3)."""
     posture: Any
     """Joint positions of the first tick (n,) [rad]."""
+    wrench: Any
+    """Observed wrench about the centre of mass (6,) [N, N m]."""
+
+
+class Observed(NamedTuple):
+    """Wrench that is not in the controller's model, observed from the momentum, in inertial axes."""
+
+    wrench: Any
+    """(6,) [N, N m]."""
+    momentum: Any
+    """Centroidal momentum of the last tick (6,) [kg m/s, kg m²/s]."""
+    rate: Any
+    """Its rate as modelled (6,) [N, N m]."""
+
+
+def observe_wrench(last: Observed, momentum: Any, rate: Any, dt: float) -> Observed:
+    """Observe the wrench of a tick, as M84 does; it begins with zeros, which a robot at rest that hovers has."""
+    innovation = (momentum - last.momentum) / dt - last.rate - last.wrench
+    return Observed(last.wrench - math.expm1(-OBSERVER_GAIN * dt) * innovation, momentum, rate)
 
 
 def observation(xp: Any, state: TaskState, thrust_max: Any) -> Any:
-    """Return the observation of an agent, of order one: (15 + 2 n + j,).
+    """Return the observation of an agent, of order one: (21 + 2 n + j,).
 
-    Direction of gravity in base axes, rotation from the set-point, and errors and velocities in base axes.
+    Direction of gravity in base axes, rotation from the set-point, errors and velocities in base axes, and the observed
+    wrench in base axes.
     """
     base = state.rotation
-    error = state.setpoint_rotation.T @ base
+    error, force = state.setpoint_rotation.T @ base, 0.1 * xp.sum(thrust_max)
     skewed = 0.5 * xp.stack([error[2, 1] - error[1, 2], error[0, 2] - error[2, 0], error[1, 0] - error[0, 1]])
     parts = [
         -base[2],
@@ -114,8 +157,10 @@ def observation(xp: Any, state: TaskState, thrust_max: Any) -> Any:
         state.joint_position - state.posture,
         0.1 * state.velocity[6:],
         state.thrust / thrust_max,
+        base.T @ state.wrench[:3] / force,
+        base.T @ state.wrench[3:] / (0.1 * force),
     ]
-    return xp.concatenate(parts).astype(xp.float32)
+    return xp.concatenate(parts)
 
 
 def rewards(xp: Any, state: TaskState, action: Any) -> dict[str, Any]:

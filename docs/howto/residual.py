@@ -101,7 +101,7 @@ def scale_observations(observations: jax.Array) -> jax.Array:
 
 
 def train(ticks: int, environments: int, seed: int) -> Callable[[np.ndarray], np.ndarray]:
-    """Train for a number of ticks over all environments; return the residual: observation (65,) to action (4,)."""
+    """Train for a number of ticks over all environments; return the residual: observation (71,) to action (4,)."""
     # Processes are forked before JAX starts its threads.
     vector = gymnasium.vector.AsyncVectorEnv([make] * environments, context="fork")
     vector.reset(seed=seed)

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import gymnasium
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -67,7 +68,7 @@ def test_both_environments_are_one_task(x64, tmp_path):
     )
     task = Task(str(tmp_path / "own.toml"), duration=1.0, ramp=0.05)
     crate, ours = HoverEnv(task), FlightEnv(task)
-    assert (ours.action_size, ours.observation_size) == (27, 65)
+    assert (ours.action_size, ours.observation_size) == (27, 71)
     task_state, _ = crate.reset(options={"wind": WIND})
     reset = jax.jit(jax.vmap(ours.reset))(jax.random.split(jax.random.key(0), 2))
     speeds = np.linalg.norm(reset.wind, axis=1)
@@ -138,7 +139,7 @@ def test_a_copy_in_the_middle_of_an_episode_goes_on_as_the_environment_does(how)
 @pytest.mark.parametrize("how", COPIES)
 def test_environments_of_vectors_and_of_jax_are_copied(how):
     many = COPIES[how](SyncVectorEnv([HoverEnv, HoverEnv]))
-    assert many.reset(seed=1)[0].shape == (2, 65)
+    assert many.reset(seed=1)[0].shape == (2, 71)
     ours = FlightEnv()
     twin = COPIES[how](ours)
     assert (twin.task, twin.dt, twin.action_size) == (ours.task, ours.dt, ours.action_size)
@@ -202,6 +203,7 @@ def test_a_task_names_what_it_does_not_know():
     for wrong in (
         {"wind_max": -3},
         {"wind_max": "a"},
+        {"wind_min": -1.0},
         {"ramp": np.nan},
         {"thrust_rate": np.nan},
         {"thrust_rate": -5.0},
@@ -210,11 +212,38 @@ def test_a_task_names_what_it_does_not_know():
         ((name, value),) = wrong.items()
         with pytest.raises(ValueError, match=re.escape(f"`{name}` is {value!r}; expected a number ≥ 0")):
             Task(**wrong)
+    with pytest.raises(ValueError, match="`profile` is 'storm'; expected one of ramp, gust"):
+        Task(profile="storm")
+    with pytest.raises(ValueError, match=r"`wind_min` is 13\.0; expected at most `wind_max`, 12.0"):
+        Task(wind_min=13.0)
     for duration in (np.nan, 0.0):
         with pytest.raises(ValueError, match=f"`duration` is {duration}; expected a number > 0"):
             Task(duration=duration)
     with pytest.raises(ValueError, match=r"`duration` is 0\.004; expected at least one time step of 0\.01 s"):
         HoverEnv(Task(duration=0.004))
+
+
+def test_gymnasium_makes_it_by_name():
+    task = Task(duration=0.02, wind_min=9.0)
+    made = gymnasium.make("jax_aero.env_gym:jax_aero/Hover-v0", task=task)
+    _, info = made.reset(seed=1)
+    assert 9.0 <= np.hypot(*info["wind"][:2]) <= 12.0
+    assert [made.step(np.zeros(27, np.float32))[3] for _ in range(2)] == [False, True]
+
+
+def test_a_gust_passes():
+    """It is strongest after its rise, and over after as long again."""
+    hover = HoverEnv(Task(duration=0.5, profile="gust", ramp=0.1))
+    hover.reset(options={"wind": WIND})
+    winds = []
+    for _ in range(25):
+        winds.append(hover._measurement.wind)
+        hover.step(np.zeros(27, np.float32))
+    np.testing.assert_allclose(winds[10], WIND, atol=1e-12)
+    assert not np.any(winds[0])
+    assert np.abs(winds[21:]).max() < 1e-12
+    ours = FlightEnv(hover.task)
+    assert ours._scenario.wind.duration == 0.2
 
 
 def test_a_wind_that_is_not_finite_is_refused_by_its_key():
@@ -238,7 +267,9 @@ def test_an_action_of_another_shape_is_refused(size):
 
 def test_the_effort_is_that_of_the_action_that_is_flown():
     """Beyond the bounds none is added; a robot with nothing to steer makes none."""
-    task_state = TaskState(np.eye(3), np.zeros(6), np.zeros(0), np.zeros(0), np.zeros(3), np.eye(3), np.zeros(0))
+    task_state = TaskState(
+        np.eye(3), np.zeros(6), np.zeros(0), np.zeros(0), np.zeros(3), np.eye(3), np.zeros(0), np.zeros(6)
+    )
     crate = HoverEnv()
     crate.reset(options={"wind": WIND})
     assert crate.step(np.full(27, 30.0))[4]["effort"] == pytest.approx(-0.01)

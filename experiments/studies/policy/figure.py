@@ -1,0 +1,40 @@
+"""Course of the training of a policy, and rewards in winds that training did not use."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from paper_figs import style
+from paper_figs.entry import Entry
+
+WINDOW = 20
+"""Steps over which the course is averaged."""
+
+
+def draw(study: xr.Dataset) -> Figure:
+    """Draw the course on the left, and rewards over wind speed on the right."""
+    figure = style.figure(2.9)
+    course, unseen = figure.subplots(1, 2)
+    smooth = study["reward"].rolling(step=WINDOW, min_periods=1).mean()
+    ticks = study.attrs["ticks_per_step"] * (study["step"] + 1) / 1e3
+    course.fill_between(ticks, smooth.min("seed"), smooth.max("seed"), color=style.BLUE, alpha=0.25, linewidth=0)
+    course.plot(ticks, smooth.mean("seed"), color=style.BLUE, label="mean and range of the seeds")
+    course.set_xlabel("ticks of training, thousands per seed")
+    speed = np.linalg.norm(study["wind"], axis=1)
+    order = np.argsort(speed)
+    for name, colour in zip(study["flown"].values, style.GROUP_COLOURS, strict=False):
+        rewards = study["unseen_reward"].sel(flown=name).values
+        unseen.plot(speed[order], rewards[order], ".", markersize=3, color=colour, label=str(name))
+    unseen.set_xlabel("wind [m/s]")
+    for axes in (course, unseen):
+        axes.set_ylabel("mean reward")
+        axes.legend()
+    style.letters((course, unseen))
+    return figure
+
+
+FIGURES = {
+    "policy": Entry(draw, "a residual learnt by gradients: course and rewards in unseen winds", "policy", ("hover",)),
+}
