@@ -36,7 +36,8 @@ from jax_aero.symbolic.trim import Trim, TrimResult, TrimSettings
 from jax_aero.urdf import read_urdf
 
 HOVER, MISSION = "hover", "in_line"
-CONTROLLERS = ("observer", "mpc", "aero_aware")
+CONTROLLERS = ("mpc", "observer", "aero_aware")
+"""Those of `configs/control` that can be scaled to a robot; the first is the default."""
 
 RESERVE = 0.05
 """Least distance of thrusts, joint positions and torques in the trim from their limits, relative to their ranges."""

@@ -96,8 +96,9 @@ def test_a_robot_that_hovers_nose_up_holds_its_trim(tmp_path, tilt, forward, mea
     nozzles = "".join(nozzle(name, place, tilt) for name, place in corners.items())
     (tmp_path / "raft.urdf").write_text(RAFT.format(nozzles=nozzles))
     jets = [skeleton.Thruster(name, "z", 40.0) for name in corners]
-    result = command.import_robot(tmp_path / "raft.urdf", tmp_path / "out", jets=jets, forward=forward, name="my raft")
-    assert result.hover.outcome == "completed"
+    urdf, out = tmp_path / "raft.urdf", tmp_path / "out"
+    result = command.import_robot(urdf, out, jets=jets, forward=forward, name="my raft", fly_mission=True)
+    assert result.hover.outcome == result.mission.outcome == "completed"
     measured("distance", result.hover.summary["max_com_error"], 1e-6)
     measured("rotation", result.hover.summary["max_rotation_error"], 1e-6)
     table = tomllib.loads((tmp_path / "out" / "controller.toml").read_text())
