@@ -61,7 +61,7 @@ COMMANDS = {
         "make a robot of a URDF, or a mission of waypoints, to fly",
         {
             "import": ("experiments.robot.command:main", "twin,symbolic"),
-            "waypoints": ("experiments.robot.waypoints:main", "figs"),
+            "waypoints": ("experiments.robot.waypoints:main", "sweeps"),
         },
     ),
     "data": Command(
