@@ -167,7 +167,6 @@ fn a_joint_that_stands_where_it_should_is_not_stuck() {
 fn nothing_is_judged_without_measurements() {
     let mut robot = Robot::settled();
     for _ in 0..100 {
-        robot.tick(&[-2.0, 0.0, 0.0], &[0.01, 0.0, 0.0], &[0.0; 3]);
         robot.state.hold();
     }
     assert_eq!(robot.found(), [Healthy; 3]);

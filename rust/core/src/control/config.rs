@@ -87,7 +87,7 @@ pub struct ControllerConfig {
     /// When an engine counts as lost; without it, never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub engines: Option<EnginesConfig>,
-    /// When a joint counts as stuck, weak or free; without it, never.
+    /// When a joint counts as stuck, weak or free; without it and with `torque.steps` above 1, never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub joints: Option<JointsConfig>,
     /// When a flight strays from its set-point; without it, never.

@@ -414,6 +414,8 @@ fn build_guard(
     let engines =
         engines.map(|engines| Engines::new(&engines, limits, robot, momentum_shares)).transpose()?;
     let feet = contact.as_ref().map(|_| Feet { time_step });
+    // Torques that change within a tick are not compared with the joints' response.
+    let joints = joints.filter(|_| config.torque.steps == 1);
     let joints = joints.map(|joints| Joints::new(joints, robot.joints.len(), time_step));
     let stages = [
         stage(wind_observer),
