@@ -198,9 +198,7 @@ def judge(
     stuck_at = jnp.where(sticks, last.position, last.stuck_at)
     moves = judges & (jnp.abs(last.position - stuck_at) > RELEASED)
     is_suspected = suspects & ~is_found
-    # In a pause after something else than the start, what is unexplained is not the air's.
-    learns = judges | (pause > PAUSE - 0.5 * dt)
-    is_usual = learns & (~is_suspected | (suspected > SUSPICION_MAX))
+    is_usual = ~is_suspected | (suspected > SUSPICION_MAX)
     adapts = jnp.all(is_usual)
     squared = jnp.where(is_found, 0.0, z**2)  # what was found leaves nothing unexplained
     level = last.level - jnp.expm1(-dt / LEVEL_LAG) * (squared - last.level)

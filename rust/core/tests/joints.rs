@@ -170,8 +170,10 @@ fn nothing_is_judged_without_measurements() {
         robot.state.hold();
     }
     assert_eq!(robot.found(), [Healthy; 3]);
-    // The pause after a tick without measurements, and as long again.
-    for _ in 0..40 {
+    for _ in 0..20 {
+        robot.tick(&[0.0; 3], &[0.0; 3], &[0.0; 3]); // the pause after that
+    }
+    for _ in 0..20 {
         robot.tick(&[-2.0, 0.0, 0.0], &[0.01, 0.0, 0.0], &[0.0; 3]);
     }
     let found = robot.found();

@@ -402,10 +402,11 @@ fn every_mission_file_is_an_mission() {
 /// Every simulator parses and fits the robot.
 #[test]
 fn every_simulator_file_is_a_simulator() {
-    let robot = robot("ironcub_mk1");
+    let robots = ["ironcub_mk1", "ironcub_mk3"].map(robot);
     for file in files("simulator") {
         let config: SimulatorConfig = parse(&file);
-        config.check(&robot).unwrap();
+        let is_mk3 = file.file_stem().unwrap().to_string_lossy().starts_with("mk3");
+        config.check(&robots[usize::from(is_mk3)]).unwrap();
     }
 }
 

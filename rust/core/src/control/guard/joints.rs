@@ -215,15 +215,13 @@ impl JointsState {
             *to += fast * (e - *to);
         }
         self.pause -= dt;
-        // In a pause after something else than the start, what is unexplained is not the air's.
-        let learns = self.pause < 0.5 * dt || self.pause > PAUSE - 0.5 * dt;
         // Half a tick absorbs rounding.
         if self.pause < 0.5 * dt {
             self.suspect(config, sample);
             self.find_stuck(config, sample);
             self.release();
         }
-        let is_usual = |now: &Suspicion| learns && (now.time == 0.0 || now.time > SUSPICION_MAX);
+        let is_usual = |now: &Suspicion| now.time == 0.0 || now.time > SUSPICION_MAX;
         for joint in 0..self.found.len() {
             if is_usual(&self.suspicions[joint]) {
                 let (z, _) = self.along(sample.gain, joint);
