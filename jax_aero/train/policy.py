@@ -6,10 +6,10 @@ a = tanh( W₂ tanh( W₁ x + b₁ ) + W₃ x + b₂ )
 J = 1/n Σ r                                   of a window of n ticks, which begins where the last one ended
 ```
 
-Windows of one step begin at times that
-are spread over the episode; a flight begins anew, in another wind, when its episode ends or when it is lost. The
-gradient of a flight that is about to be lost is larger by orders of magnitude, so flights whose gradient is longer than
-`gradient_max`, or not finite, are left out of a step, and counted. Several seeds are trained at once, as a batch.
+Windows of one step begin at times that are spread over the episode; a flight begins anew, in another wind, when its
+episode ends or when it is lost. The gradient of a flight that is about to be lost is larger by orders of magnitude, so
+flights whose gradient is longer than `gradient_max`, or not finite, are left out of a step, and counted. Several seeds
+are trained at once, as a batch.
 """
 
 from __future__ import annotations
@@ -202,7 +202,7 @@ def _step(
     return _State(policy, adam, flights), (-jnp.mean(cost), jnp.sum(~is_sound))
 
 
-def fly_window(env: FlightEnv, ticks: int, policy: Policy, flight: _Flight) -> tuple[Array, _Flight]:
+def fly_window(env: FlightEnv, ticks: int, policy: Policy, flight: _Flight) -> tuple[Float[Array, ""], _Flight]:
     """Return the negative mean reward of the next ticks of a flight, and the flight after them."""
 
     def tick(state: EnvState, _: None) -> tuple[EnvState, Array]:

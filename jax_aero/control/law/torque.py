@@ -87,7 +87,9 @@ def commanded(
     return jnp.where(acts, torque / jnp.where(acts, share, 1.0), of_free)
 
 
-def joint_response(mass_matrix: Array, force: Array) -> tuple[Array, Array]:
+def joint_response(
+    mass_matrix: Float[Array, "v v"], force: Float[Array, " v"]
+) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:
     """Return `(M⁻¹)_ss` and `[M⁻¹ force]_s`: joint accelerations per unit joint torque and under the force."""
     unit = jnp.eye(mass_matrix.shape[0], dtype=force.dtype)[:, 6:]
     response = solve_positive_definite(mass_matrix, jnp.concatenate([unit, force[:, None]], axis=1))[6:]
