@@ -212,11 +212,11 @@ def test_what_is_not_accepted_is_not_followed(alone):
 
 def test_what_is_predicted_follows_an_action_that_is_added(alone, measured):
     controller, _, robot, readings = alone
-    first = controller.init(robot, readings[0].state), readings[0]
 
     def add_action(action):
-        steered = SteeredController(controller, action, Task())
-        return steered.step(robot, *first)
+        steered = SteeredController(controller, action, Task(), float(controller.time_step))
+        memory, command = steered.step(robot, steered.init(robot, readings[0].state), readings[0])
+        return memory.inner, command
 
     flown = jax.jit(add_action)
     (without, own), (memory, command) = (

@@ -376,7 +376,7 @@ def center(box: dict[str, float]) -> tuple[float, float]:
 
 def test_an_exported_flight_plays_as_one_file(browser, built, fallen, tmp_path):
     out = tmp_path / "fall.html"
-    assert commands.main(["view", "export", str(fallen), "--ghost", str(fallen), "--out", str(out)]) == 0
+    assert commands.main(["export", str(fallen), "--html", "--ghost", str(fallen), "--out", str(out)]) == 0
     tab = browser.new_context(viewport={"width": 800, "height": 500}).new_page()
     tab.set_default_timeout(SLOWEST)
     complaints, requests = [], []
