@@ -466,8 +466,8 @@ fn a_state_of_another_estimator_does_not_fit() {
     }
 }
 
-/// A sensor that is found to be wrong is believed no more, and neither is what it had told before: the estimate comes to
-/// the true thrust, though it was wrong by as much.
+/// A sensor that is found to be wrong is not used any more, and what it added to the estimate before is taken out: the
+/// estimate comes to the true thrust, though it was wrong by as much.
 #[test]
 fn the_estimate_loses_what_a_wrong_sensor_put_into_it() {
     // Thrusts wait for positions.
