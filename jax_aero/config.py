@@ -292,6 +292,7 @@ class TorqueConfig(Struct, frozen=True, kw_only=True):
     kd: float
     kp: float
     regularisation: float
+    rotor_inertia: float = 0.0
     steps: int = 1
     torque_max: float | None = None
     torque_rate_max: float | None = None
@@ -484,6 +485,11 @@ class EkfConfig(Struct, frozen=True, kw_only=True):
     init_state: tuple[float, float] | None = None
 
 
+class ElasticityConfig(Struct, frozen=True, kw_only=True):
+    damping: float
+    stiffness: float
+
+
 class TrembleConfig(Struct, frozen=True, kw_only=True):
     amplitude: float
     frequency: float
@@ -558,10 +564,12 @@ class MissionConfig(Struct, frozen=True, kw_only=True):
 
 class MotorsConfig(Struct, frozen=True, kw_only=True):
     damping: float
+    elasticity: ElasticityConfig | None = None
     friction: float
     friction_of: dict[str, float] = field(default_factory=dict)
     inertia: float
     stiffness: float = 0.0
+    time_constant: float = 0.0
 
 
 class SensorConfig(Struct, frozen=True, kw_only=True):

@@ -78,6 +78,9 @@ impl Dynamics {
     pub fn update(&mut self, robot: &RobotModel, state: &RobotState, kinematics: &Kinematics) {
         self.update_composites(robot, kinematics);
         self.update_mass_and_momentum_matrix(kinematics);
+        for (index, joint) in robot.joints.iter().enumerate() {
+            self.mass_matrix[(6 + index, 6 + index)] += joint.rotor_inertia;
+        }
         self.momentum.gemv(1.0, &self.momentum_matrix, &state.velocity, 0.0);
         self.update_bias(robot, state, kinematics);
     }

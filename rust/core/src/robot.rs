@@ -117,6 +117,8 @@ pub struct Joint {
     pub torque_rate_max: f64,
     /// Greatest velocity \[rad/s\].
     pub velocity_max: f64,
+    /// Rotor inertia of its drive, reflected to the joint \[kg m²\]; zero where the torque acts on the joint itself.
+    pub rotor_inertia: f64,
 }
 
 /// A frame fixed to a body.

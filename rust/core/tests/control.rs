@@ -1170,7 +1170,7 @@ type Refusal = (&'static str, fn(&mut ScenarioConfig), &'static str);
 #[rustfmt::skip]
 fn bad_numbers_are_refused_by_key() {
     const NAN: f64 = f64::NAN;
-    let refusals: [Refusal; 61] = [
+    let refusals: [Refusal; 62] = [
         ("controller.weights.symmetric_jets", |c| c.controller.law.weights.symmetric_jets[0][1] = c.controller.law.weights.symmetric_jets[0][0].clone(), "two jets"),
         ("controller.engines", |c| c.controller.law.engines = experiment("test2_observer").controller.law.engines, "controller.observer"),
         ("disturbances.aero_estimate.scale", |c| c.disturbances.aero_estimate.scale = NAN, "NaN"),
@@ -1206,6 +1206,7 @@ fn bad_numbers_are_refused_by_key() {
         ("controller.torque.kp", |c| c.controller.law.torque.kp = NAN, "NaN"),
         ("controller.torque.weight_acceleration", |c| c.controller.law.torque.weight_acceleration = -1.0, "-1"),
         ("controller.torque.weight_torque", |c| c.controller.law.torque.weight_torque = -1.0, "-1"),
+        ("controller.torque.rotor_inertia", |c| c.controller.law.torque.rotor_inertia = -0.1, "-0.1"),
         ("controller.torque.regularisation", |c| c.controller.law.torque.regularisation = 0.0, "0"),
         ("controller.torque.torque_max", |c| c.controller.law.torque.torque_max = Some(0.0), "0"),
         ("controller.torque.torque_max", |c| c.controller.law.torque.torque_max = Some(f64::INFINITY), "inf"),

@@ -166,6 +166,19 @@ fn mass_matrix_is_symmetric_and_positive_definite() {
 }
 
 /// `½ νᵀ M ν` is the sum of the kinetic energies of the bodies.
+/// A rotor turns with its joint, and does not change what acts on the whole robot.
+#[test]
+fn rotors_add_to_the_inertia_of_their_joints_alone() {
+    let [_, mut robot] = both_robots();
+    let state = random_state(&mut rng(5), &robot);
+    let without = Sample::new(&robot, state.clone()).dynamics;
+    robot.joints[2].rotor_inertia = 0.07;
+    let mut with = Sample::new(&robot, state).dynamics;
+    with.mass_matrix[(8, 8)] -= 0.07;
+    assert_within!((&with.mass_matrix - &without.mass_matrix).amax(), 1e-15);
+    assert_eq!((with.momentum, with.bias), (without.momentum, without.bias));
+}
+
 #[test]
 fn kinetic_energy_is_that_of_the_bodies() {
     check_on_random_states(5, |robot, sample| {

@@ -2,8 +2,9 @@
 
 use crate::actuation::ActuationConfig;
 use crate::disturbances::Disturbances;
-use crate::ground::{GroundConfig, MotorsConfig};
+use crate::ground::GroundConfig;
 use crate::jets::JetsConfig;
+use crate::motors::MotorsConfig;
 use crate::sensors::SensorsConfig;
 use crate::wind::WindConfig;
 use flight_core::Controller;
@@ -142,7 +143,7 @@ pub struct SimulatorConfig {
     /// The ground, if there is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ground: Option<GroundConfig>,
-    /// Friction and inertia of the motors; without them torques are ideal.
+    /// The drives of the joints; without them torques are ideal.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motors: Option<MotorsConfig>,
     /// Whether joints have the stops of the URDF, widened to the range of the controller.

@@ -1,10 +1,8 @@
-//! The ground and the motors of simulations with a standing robot.
+//! The ground of simulations with a standing robot.
 
-use flight_core::error::{BuildError, Table, place_of};
-use flight_core::robot::RobotModel;
+use flight_core::error::{BuildError, Table};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 
 /// The ground, plane z = 0. Only engines that simulate contact can fly a configuration with ground.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -34,28 +32,6 @@ pub struct LegOdometryConfig {
     pub velocity_time_constant: f64,
 }
 
-/// Friction, stiffness and inertia between a motor's torque and its joint.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct MotorsConfig {
-    /// Dry friction of every joint \[N m\].
-    #[schemars(range(min = 0))]
-    pub friction: f64,
-    /// Dry friction of joints that differ from `friction`, by name \[N m\].
-    #[serde(default)]
-    pub friction_of: BTreeMap<String, f64>,
-    /// Viscous friction of every joint \[N m s\].
-    #[schemars(range(min = 0))]
-    pub damping: f64,
-    /// Stiffness with which every drive holds the initial posture \[N m/rad\].
-    #[serde(default)]
-    #[schemars(range(min = 0))]
-    pub stiffness: f64,
-    /// Rotor inertia reflected to every joint \[kg m²\].
-    #[schemars(range(min = 0))]
-    pub inertia: f64,
-}
-
 impl GroundConfig {
     /// Checks that every value is in its range.
     ///
@@ -70,24 +46,5 @@ impl GroundConfig {
             let key = "leg_odometry.velocity_time_constant";
             table.check(key, *velocity_time_constant, |x| x >= 0.0, "a time ≥ 0 in s")
         })
-    }
-}
-
-impl MotorsConfig {
-    /// Checks that every value is in its range and that `robot` has the joints.
-    ///
-    /// # Errors
-    /// [`BuildError`] naming the key.
-    pub fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
-        let table = Table("simulator.motors");
-        table.check_non_negative("friction", self.friction)?;
-        table.check_non_negative("damping", self.damping)?;
-        table.check_non_negative("stiffness", self.stiffness)?;
-        table.check_non_negative("inertia", self.inertia)?;
-        for (joint, friction) in &self.friction_of {
-            place_of("simulator.motors.friction_of", joint, robot.joints.iter().map(|joint| &joint.name))?;
-            table.check_non_negative(&format!("friction_of.{joint}"), *friction)?;
-        }
-        Ok(())
     }
 }

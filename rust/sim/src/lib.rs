@@ -14,6 +14,7 @@ pub mod disturbances;
 pub mod ground;
 pub mod jets;
 pub mod log;
+pub mod motors;
 pub mod noise;
 pub mod outcome;
 pub mod plant;

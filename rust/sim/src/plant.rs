@@ -4,14 +4,15 @@
 //! M(q) ν̇ = S τ + Σ Jᵀ T a + w_aero − h(q, ν)
 //! ```
 //!
-//! Without ground, joint friction and motor inertia; joint stops act unless they are disabled.
+//! Without ground; joint stops act unless they are disabled, and drives if they are configured.
 //!
-//! Equations M78, M79, M87, M140 and M142 of `docs/model.md`; what a step adds to the momentum is M85.
+//! Equations M78, M79, M87, M140, M142 and M153 of `docs/model.md`; what a step adds to the momentum is M85.
 
 use crate::actuation::Actuation;
 use crate::config::{AeroKinematics, DynamicsBackend, Integrator, SimulatorConfig};
 use crate::disturbances::{Disturbances, JointFaults};
 use crate::jets::Jets;
+use crate::motors::Motors;
 use flight_core::aero::{AeroModel, LinkConventions, LinkForces};
 use flight_core::dynamics::{Dynamics, MassFactor};
 use flight_core::error::BuildError;
@@ -45,6 +46,8 @@ pub struct Plant {
     /// Commands on their way; `None` if they act at once.
     actuation: Option<Actuation>,
     joint_faults: JointFaults,
+    /// `None` if torques act on the joints themselves.
+    motors: Option<Motors>,
     kinematics: Kinematics,
     dynamics: Dynamics,
     link_forces: LinkForces,
@@ -86,13 +89,13 @@ impl Plant {
             let expected = format!("a multiple of controller.torque.steps, {torque_steps}");
             return Err(BuildError::bad_value("simulator.substeps", config.substeps, expected));
         }
-        for (key, is_there) in
-            [("simulator.ground", config.ground.is_some()), ("simulator.motors", config.motors.is_some())]
-        {
-            if is_there {
-                let expected = "none: this engine has neither ground nor motors; engine = \"mujoco\" does";
-                return Err(BuildError::bad_value(key, "given", expected));
-            }
+        if config.ground.is_some() {
+            let expected = "none: this engine has no ground; engine = \"mujoco\" does";
+            return Err(BuildError::bad_value("simulator.ground", "given", expected));
+        }
+        if config.motors.is_some() && config.integrator == Integrator::ExplicitEuler {
+            let expected = "semi_implicit_euler, with simulator.motors";
+            return Err(BuildError::bad_value("simulator.integrator", "explicit_euler", expected));
         }
         if config.dynamics != DynamicsBackend::Tree {
             let expected = "tree; engine = \"jax\" has mjx too";
@@ -106,7 +109,13 @@ impl Plant {
                 Actuation::new(way, config.physics_step(), config.substeps, torque_steps, joints, n_jets)
             })
             .transpose()?;
+        let state = config.initial.state();
+        let motors = config.motors.as_ref().map(|motors| {
+            let (position, velocity) = (state.joint_position.as_slice(), state.joint_velocity());
+            Motors::new(motors, &robot, position, velocity)
+        });
         let mut plant = Self {
+            motors,
             aero: load_aero(&config.aero, &robot)?.weight_forces(
                 &disturbances.aero,
                 &robot,
@@ -118,7 +127,7 @@ impl Plant {
             substeps: config.substeps,
             torque_steps,
             torque: vec![0.0; joints],
-            state: config.initial.state(),
+            state,
             jets: Jets::new(&config.jets, &robot.jets, &robot.engines, &config.initial.thrust)?
                 .with_faults(&disturbances.jets, &robot.jets)?,
             actuation,
@@ -261,7 +270,7 @@ impl Plant {
                     None => {}
                 }
             }
-            self.gather_forces(actuation.as_mut().map_or(&torque, |way| way.torque(within)));
+            self.gather_forces(actuation.as_mut().map_or(&torque, |way| way.torque(within)), step);
             self.integrate(step);
         }
         self.torque = torque;
@@ -271,12 +280,17 @@ impl Plant {
     }
 
     /// `S τ + Σ Jᵀ T a + w_aero − h`
-    fn gather_forces(&mut self, torque: &[f64]) {
+    fn gather_forces(&mut self, torque: &[f64], step: f64) {
         let force = &mut self.force;
         force.copy_from(&self.dynamics.bias);
         force.neg_mut();
-        for (joint, torque) in self.joint_faults.reduce(torque).iter().enumerate() {
-            force[6 + joint] += torque;
+        if let Some(motors) = &mut self.motors {
+            let torque = self.joint_faults.reduce(motors.lag(torque, step));
+            motors.receive(torque);
+        } else {
+            for (joint, torque) in self.joint_faults.reduce(torque).iter().enumerate() {
+                force[6 + joint] += torque;
+            }
         }
         let thrusts = (0..self.robot.jets.len()).map(|jet| self.jets.force(jet));
         self.kinematics.add_thrusts(&self.robot, thrusts, force);
@@ -330,19 +344,26 @@ impl Plant {
 
     /// `ν̇ = M⁻¹ force`
     fn accelerate(&mut self) {
-        self.acceleration.copy_from(&self.force);
-        if self.mass_factor.factorise(&self.dynamics.mass_matrix) {
-            self.mass_factor.solve_in_place(&mut self.acceleration);
-        } else {
-            // Only for a state that is not finite; the flight ends with it.
-            self.acceleration.fill(f64::NAN);
+        solve(&mut self.mass_factor, &self.force, &self.dynamics.mass_matrix, &mut self.acceleration);
+    }
+
+    /// The same with the drives (M153), which `force` and mass matrix then contain.
+    fn accelerate_with_drives(&mut self, step: f64) {
+        let Self { motors, force, dynamics, acceleration, state, mass_factor, .. } = self;
+        let joints = (state.joint_position.as_slice(), &state.velocity.as_slice()[6..]);
+        let solve = |force: &_, mass_matrix: &_, to: &mut _| solve(mass_factor, force, mass_matrix, to);
+        match motors {
+            Some(motors) => {
+                motors.accelerate(force, &mut dynamics.mass_matrix, acceleration, joints, step, solve);
+            }
+            None => self.accelerate(),
         }
     }
 
     /// Converts the gathered forces to accelerations and takes one Euler step.
     fn integrate(&mut self, step: f64) {
         self.hold_stuck(step);
-        self.accelerate();
+        self.accelerate_with_drives(step);
         if self.has_stops && self.add_stops(step) {
             self.accelerate();
         }
@@ -350,9 +371,24 @@ impl Plant {
             self.state.velocity.axpy(step, &self.acceleration, 1.0);
         }
         self.state.advance_pose(step);
+        if let Some(motors) = &mut self.motors {
+            let (position, velocity) = (&self.state.joint_position, self.state.velocity.as_slice());
+            motors.advance(position.as_slice(), &velocity[6..], step);
+        }
         if self.integrator == Integrator::ExplicitEuler {
             self.state.velocity.axpy(step, &self.acceleration, 1.0);
         }
+    }
+}
+
+/// `ν̇ = M⁻¹ force`
+fn solve(factor: &mut MassFactor, force: &DVector<f64>, mass_matrix: &DMatrix<f64>, to: &mut DVector<f64>) {
+    to.copy_from(force);
+    if factor.factorise(mass_matrix) {
+        factor.solve_in_place(to);
+    } else {
+        // Only for a state that is not finite; the flight ends with it.
+        to.fill(f64::NAN);
     }
 }
 

@@ -147,7 +147,7 @@ impl Scenario {
                 let robot = load_robot(&config.robot)?;
                 config.simulator.check(&robot)?;
                 // Simulated by MuJoCo only.
-                (of_this_engine.simulator.ground, of_this_engine.simulator.motors) = (None, None);
+                of_this_engine.simulator.ground = None;
                 return Self::with_robot(&of_this_engine, robot).map(|scenario| scenario.warnings());
             }
         }
@@ -434,6 +434,10 @@ fn check_mujoco(config: &ScenarioConfig) -> Result<(), BuildError> {
     check_only("simulator.jets.dynamics", &simulator.jets.dynamics(), &JetsConfig::Ideal {}.dynamics())?;
     check_only("simulator.initial.base_velocity", &initial.base_velocity, &[0.0; 6])?;
     check_only("simulator.initial.free_fall_tick", &initial.free_fall_tick, &false)?;
+    if let Some(motors) = &simulator.motors {
+        check_only("simulator.motors.time_constant", &motors.time_constant, &0.0)?;
+        check_only("simulator.motors.elasticity", &motors.elasticity, &None)?;
+    }
     check_only("simulator.sensors", &simulator.sensors, &None)?;
     check_only("simulator.actuation", &simulator.actuation, &None)?;
     check_only("controller.torque.steps", &config.controller.law.torque.steps, &1)?;

@@ -12,6 +12,7 @@ mod flight;
 mod fuzz;
 mod jets;
 mod joint_faults;
+mod motors;
 mod rates;
 mod recorded;
 mod replay;

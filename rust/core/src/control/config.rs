@@ -200,6 +200,7 @@ impl ControllerConfig {
             ("torque.kp", self.torque.kp),
             ("torque.weight_acceleration", self.torque.weight_acceleration),
             ("torque.weight_torque", self.torque.weight_torque),
+            ("torque.rotor_inertia", self.torque.rotor_inertia),
         ] {
             CONTROLLER.check_non_negative(key, value)?;
         }
@@ -313,6 +314,7 @@ impl ControllerConfig {
             joint.velocity_max = velocity_max.unwrap_or(joint.velocity_max);
             joint.torque_max = self.torque.torque_max.unwrap_or(joint.torque_max);
             joint.torque_rate_max = self.torque.torque_rate_max.unwrap_or(joint.torque_rate_max);
+            joint.rotor_inertia = self.torque.rotor_inertia;
         }
         robot
     }

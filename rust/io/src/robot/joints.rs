@@ -92,6 +92,7 @@ fn joint(entry: &JointEntry, in_urdf: &TreeJoint<'_>) -> Result<Joint, BuildErro
         torque_max: greatest("torque_max", 1.0, entry.torque_max, "effort", motion.effort)?,
         torque_rate_max: entry.torque_rate_max.unwrap_or(f64::INFINITY),
         velocity_max: greatest(velocity_key, per_unit, given.1, "velocity", motion.velocity)?,
+        rotor_inertia: 0.0,
     })
 }
 

@@ -54,6 +54,11 @@ pub struct TorqueConfig {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub torque_rate_max: Option<f64>,
+    /// Rotor inertia of the drives of revolute joints, reflected to the joints, that the controller's mass matrix contains
+    /// \[kg m²\].
+    #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub rotor_inertia: f64,
     /// Ticks of the torques in a tick of the law.
     #[serde(default = "one")]
     #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 100)))]
