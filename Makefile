@@ -192,7 +192,6 @@ docs: $(PACKAGES) ## build the documentation site into site/, the crate's own be
 	$(BIN)/python -m mkdocs build --strict
 	cargo doc --locked --no-deps --package flight-core --package flight-io --package flight-sim
 	rm -rf site/rust && cp -r target/doc site/rust
-	if [ -d $(LAB) ]; then mkdir -p site/lab && cp -r $(LAB) site/lab/fly; else echo "no flight lab: make lab builds it"; fi
 
 lab: $(MODULE) $(LAB_PAGE)/node_modules ## build the flight lab into target/lab/: a folder that any browser opens (needs npm)
 	@rustc --print target-libdir --target wasm32-unknown-unknown | xargs test -d || \

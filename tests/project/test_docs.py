@@ -20,6 +20,8 @@ from pathlib import Path
 
 import nbformat
 import pytest
+from mkdocs.config import load_config
+from mkdocs.structure.files import Files
 from nbclient import NotebookClient
 from traitlets.config import Config
 
@@ -305,6 +307,18 @@ def test_formulas_are_typeset_wherever_they_stand():
     for page in PAGES:
         left = hooks.INLINE.sub("", hooks.EQUATION.sub("", page.read_text(encoding="utf-8")))
         assert "$" not in left, f"{page.name}: a formula is not closed within its paragraph"
+
+
+def test_the_flight_lab_is_in_the_site_where_it_is_built(tmp_path, monkeypatch):
+    monkeypatch.setattr(hooks, "LAB", tmp_path)
+    assert "iframe" not in hooks.embedded_lab("lab/")
+    (tmp_path / "index.html").write_text("the lab")
+    config = load_config(str(ROOT / "mkdocs.yml"))
+    monkeypatch.setattr(config.plugins, "_current_plugin", None, raising=False)  # set while a site is built
+    held = {file.src_uri: file for file in hooks.on_files(Files([]), config=config)}
+    assert held["lab/fly/index.html"].content_string == "the lab"
+    for page, address in (("", "lab/fly/index.html"), ("lab/", "fly/index.html")):
+        assert hooks.embedded_lab(page).count(f'="{address}"') == 2
 
 
 @pytest.fixture(scope="module")
