@@ -50,6 +50,11 @@ NUMPY_FEATURES = $(shell $(BIN)/python -c 'import numpy; \
 NUMERICAL := $(if $(QUICK),tests/parity/test_qp.py tests/parity/test_jax_qp_box.py tests/parity/test_aero.py, \
 	tests/parity tests/gradients tests/units tests/train)
 
+# 64-bit ARM, its cross compiler and emulator, and what `make bits` flies: force models, observer, sensors, plan.
+ARM := aarch64-unknown-linux-gnu
+ARM_TOOLS := aarch64-linux-gnu-gcc qemu-aarch64
+BITS := $(patsubst %,configs/experiments/%.toml,test1 test2 test4 test1_published_observer test2_sensors test2_mpc)
+
 # The flight lab: a page that flies in a browser. Vector instructions that every browser has since 2023.
 LAB := target/lab
 LAB_PAGE := rust/lab/page
@@ -65,7 +70,7 @@ VERSION = $(shell sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml)
 export PYO3_PYTHON := $(abspath $(BIN)/python)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo view test test-all fuzz audit lint lint-rust lint-python bench figures reproduce verify docs lab clean portability wheel install-capi
+.PHONY: help setup demo view test test-all fuzz audit lint lint-rust lint-python bench figures reproduce verify docs lab clean portability bits wheel install-capi
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -93,6 +98,20 @@ portability: $(TESTING) ## run the numerical tests as another processor would, o
 	$(if $(QUICK),,$(OTHER_PROCESSOR) cargo test --locked)
 	$(if $(QUICK),,$(OTHER_PROCESSOR) taskset --cpu-list 0 $(BIN)/python -m pytest -q $(NUMERICAL))
 	$(OTHER_PROCESSOR) taskset --cpu-list 0,1 $(BIN)/python -m pytest -q $(PARALLEL) --dist loadfile $(NUMERICAL)
+	$(if $(QUICK),,$(MAKE) bits)
+
+bits: ## fly six experiments of 20 s here and as 64-bit ARM, in emulation, and compare every recorded bit
+	@for tool in $(ARM_TOOLS); do command -v $$tool >/dev/null || \
+		{ echo "$$tool is missing: apt-get install gcc-aarch64-linux-gnu qemu-user"; exit 1; }; done
+	@rustc --print target-libdir --target $(ARM) | xargs test -d || \
+		{ echo "Rust's target is missing: rustup target add $(ARM)"; exit 1; }
+	CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER=aarch64-linux-gnu-gcc cargo build --locked --quiet --release \
+		--package flight-sim --no-default-features --example bits --target $(ARM)
+	cargo build --locked --quiet --release --package flight-sim --no-default-features --example bits
+	target/release/examples/bits 20 $(BITS) > target/bits.here
+	qemu-aarch64 -L /usr/aarch64-linux-gnu target/$(ARM)/release/examples/bits 20 $(BITS) > target/bits.arm
+	diff target/bits.here target/bits.arm
+	@echo "the same bits in all $$(wc -l < target/bits.here) signals of $(words $(BITS)) flights"
 
 wheel: $(PACKAGES) ## build wheel and source package into dist/, and fly with the wheel alone in an empty environment
 	rm -rf dist
