@@ -97,7 +97,7 @@ def test_every_block_says_how_it_is_tried(page):
     for block in found:
         assert (block["kind"], block["language"]) in KINDS, block[0]
         if block["language"] in {"rust", "c", "cpp", "cmake"}:  # taken from a program that the crates' tests run
-            program = r"rust/(sim/examples/tutorial\.rs|capi/examples/(loop\.c|hover\.cpp|CMakeLists\.txt))"
+            program = r"rust/(sim/examples/tutorial\.rs|capi/examples/((loop|realtime)\.c|hover\.cpp|CMakeLists\.txt))"
             assert re.fullmatch(rf'--8<-- "{program}(:\w+)?"\n', block["code"])
 
 
@@ -168,7 +168,8 @@ def test_shown_commands_name_what_exists(page):
                 assert words[0] in studies.names(), words
         else:
             for_arm = {"aarch64-linux-gnu-gcc", "qemu-aarch64", "rustup"}
-            assert program in {"cargo", "cc", "export", "source", "target/loop"} | for_arm, program
+            examples = {f"target/{path.stem}" for path in (ROOT / "rust/capi/examples").glob("*.c")}
+            assert program in {"cargo", "cc", "export", "source"} | examples | for_arm, program
             assert all((ROOT / word).exists() for word in words if word.startswith(("rust/", "configs/"))), words
 
 

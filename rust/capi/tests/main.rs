@@ -25,6 +25,7 @@ use flight_io::load_robot;
 use flight_sim::{Plant, load_scenario};
 use nalgebra::{Matrix3, Vector3};
 use std::ffi::{CStr, CString, c_char, c_void};
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::ptr::{null, null_mut};
@@ -555,6 +556,41 @@ fn the_controller_in_another_process_flies_the_same() {
         assert!(text.lines().any(|printed| printed == line), "{text}");
     }
     assert_eq!(run_example("cc", "realtime.c", &["no/such.toml"]).status.code(), Some(1));
+}
+
+/// A log as a table, with an empty cell where nothing was measured, through the controller that flew it, and another.
+#[test]
+fn a_log_replays_in_c_with_the_same_commands() {
+    let mut scenario = load_scenario(&config("test2_sensors")).unwrap();
+    scenario.simulator.duration = 0.3;
+    let flown = flight_sim::Scenario::new(&scenario).unwrap().run(|_, _| ControlFlow::Continue(())).unwrap();
+    let columns = |part: &flight_sim::log::Series| match part.width() {
+        1 => vec![part.signal.name.to_owned()],
+        width => (0..width).map(|entry| format!("{}/{entry}", part.signal.name)).collect(),
+    };
+    let series = &flown.log.series;
+    let mut table = series.iter().flat_map(columns).collect::<Vec<_>>().join(",");
+    for tick in 0..flown.log.len() {
+        let numbers = series.iter().flat_map(|part| part.row(tick));
+        let cells = numbers.map(|x| if x.is_nan() { String::new() } else { format!("{x:?}") });
+        table.push('\n');
+        table += &cells.collect::<Vec<_>>().join(",");
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("log.csv");
+    std::fs::write(&log, table).unwrap();
+    let replay = |name: &str| {
+        let path = config(name);
+        let ran = run_example("cc", "replay.c", &[path.to_str().unwrap(), log.to_str().unwrap()]);
+        let text = String::from_utf8(ran.stdout).unwrap();
+        assert!(ran.status.success(), "{text}{}", String::from_utf8_lossy(&ran.stderr));
+        assert!(text.starts_with("31 ticks, "), "{text}");
+        text.lines().skip(1).map(|line| numbers(line)[0]).collect::<Vec<_>>()
+    };
+    assert_eq!(replay("test2_sensors"), [0.0, 0.0]);
+    assert!(replay("test2").iter().all(|difference| *difference > 0.1));
+    let refused = run_example("cc", "replay.c", &[config("test2").to_str().unwrap(), "no.csv"]);
+    assert_eq!(refused.status.code(), Some(1));
 }
 
 /// Torques of every part of a tick are those of the crate's own flight.
