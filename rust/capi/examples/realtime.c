@@ -265,7 +265,7 @@ int main(int argc, char **argv) {
         }
         flight_robot_free(robots[i]);
     }
-    print_times("wake-up late [us]", links[0].late, most);
+    print_times("late [us]", links[0].late, most);
     print_times("round trip [us]", links[0].trip, most);
     printf("lost             %ld of %ld\n", links[0].lost, most);
     const int is_same = links[0].digest == links[1].digest;
