@@ -60,6 +60,10 @@ LAB := target/lab
 LAB_PAGE := rust/lab/page
 LAB_WASM := target/wasm32-unknown-unknown/release/flight_lab.wasm
 
+# Refuses where one of Rust's targets is not installed.
+need-target = @rustc --print target-libdir --target $(1) | xargs test -d || \
+	{ echo "Rust's target is missing: rustup target add $(1)"; exit 1; }
+
 # `make install-capi`: where to, and the folder of the library, which is built if none is given.
 PREFIX ?= /usr/local
 INSTALLED := $(DESTDIR)$(PREFIX)
@@ -70,7 +74,7 @@ VERSION = $(shell sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml)
 export PYO3_PYTHON := $(abspath $(BIN)/python)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo view test test-all fuzz audit lint lint-rust lint-python bench figures reproduce verify docs lab clean portability bits wheel install-capi
+.PHONY: help setup demo view test test-all fuzz audit lint lint-rust lint-python bench figures reproduce verify docs lab clean portability bits wheel wheels install-capi
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -103,8 +107,7 @@ portability: $(TESTING) ## run the numerical tests as another processor would, o
 bits: ## fly six experiments of 20 s here and as 64-bit ARM, in emulation, and compare every recorded bit
 	@for tool in $(ARM_TOOLS); do command -v $$tool >/dev/null || \
 		{ echo "$$tool is missing: apt-get install gcc-aarch64-linux-gnu qemu-user"; exit 1; }; done
-	@rustc --print target-libdir --target $(ARM) | xargs test -d || \
-		{ echo "Rust's target is missing: rustup target add $(ARM)"; exit 1; }
+	$(call need-target,$(ARM))
 	CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER=aarch64-linux-gnu-gcc cargo build --locked --quiet --release \
 		--package flight-sim --no-default-features --example bits --target $(ARM)
 	cargo build --locked --quiet --release --package flight-sim --no-default-features --example bits
@@ -117,6 +120,15 @@ wheel: $(PACKAGES) ## build wheel and source package into dist/, and fly with th
 	rm -rf dist
 	$(BIN)/maturin sdist --out dist
 	$(BIN)/maturin build --release --locked --quiet --out dist
+	$(BIN)/python tests/tools/wheel.py dist/*.whl
+
+wheels: $(PACKAGES) ## build wheels for Linux on x86-64 and 64-bit ARM into dist/ with zig, and fly with the former
+	@PATH="$(abspath $(BIN)):$$PATH"; command -v zig >/dev/null || python3 -c "import ziglang" 2>/dev/null || \
+		{ echo "zig is missing: $(BIN)/pip install ziglang (100 MB), or https://ziglang.org"; exit 1; }
+	$(call need-target,$(ARM))
+	rm -rf dist
+	for target in x86_64-unknown-linux-gnu $(ARM); do PATH="$(abspath $(BIN)):$$PATH" $(BIN)/maturin build --release \
+		--locked --quiet --zig --target $$target --compatibility manylinux2014 --out dist || exit 1; done
 	$(BIN)/python tests/tools/wheel.py dist/*.whl
 
 install-capi: ## install libflight for C and C++: header, libraries, files for pkg-config and CMake (PREFIX=/usr/local)
@@ -213,8 +225,7 @@ docs: $(PACKAGES) ## build the documentation site into site/, the crate's own be
 	rm -rf site/rust && cp -r target/doc site/rust
 
 lab: $(MODULE) $(LAB_PAGE)/node_modules ## build the flight lab into target/lab/: a folder that any browser opens (needs npm)
-	@rustc --print target-libdir --target wasm32-unknown-unknown | xargs test -d || \
-		{ echo "Rust's WebAssembly target is missing: rustup target add wasm32-unknown-unknown"; exit 1; }
+	$(call need-target,wasm32-unknown-unknown)
 	RUSTFLAGS="-C target-feature=+simd128" cargo build --locked --quiet --release --package flight-lab \
 		--target wasm32-unknown-unknown
 	$(BIN)/python rust/lab/look.py target/look.json
