@@ -136,7 +136,7 @@ def _encode_gif(draft: Path, frames: Iterator[Any], fps: float, _size: tuple[int
 
 
 def _encode_webp(draft: Path, frames: Iterator[Any], fps: float, _size: tuple[int, int]) -> None:
-    """Write an animated WebP that repeats, a tenth of the size of a GIF."""
+    """Write an animated WebP that repeats."""
     from PIL import Image
 
     pictures = [Image.fromarray(pixels) for pixels in frames]
