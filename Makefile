@@ -50,10 +50,19 @@ NUMPY_FEATURES = $(shell $(BIN)/python -c 'import numpy; \
 NUMERICAL := $(if $(QUICK),tests/parity/test_qp.py tests/parity/test_jax_qp_box.py tests/parity/test_aero.py, \
 	tests/parity tests/gradients tests/units tests/train)
 
+# 64-bit ARM, its cross compiler and emulator, and what `make bits` flies: force models, observer, sensors, plan.
+ARM := aarch64-unknown-linux-gnu
+ARM_TOOLS := aarch64-linux-gnu-gcc qemu-aarch64
+BITS := $(patsubst %,configs/experiments/%.toml,test1 test2 test4 test1_published_observer test2_sensors test2_mpc)
+
 # The flight lab: a page that flies in a browser. Vector instructions that every browser has since 2023.
 LAB := target/lab
 LAB_PAGE := rust/lab/page
 LAB_WASM := target/wasm32-unknown-unknown/release/flight_lab.wasm
+
+# Refuses where one of Rust's targets is not installed.
+need-target = @rustc --print target-libdir --target $(1) | xargs test -d || \
+	{ echo "Rust's target is missing: rustup target add $(1)"; exit 1; }
 
 # `make install-capi`: where to, and the folder of the library, which is built if none is given.
 PREFIX ?= /usr/local
@@ -65,7 +74,7 @@ VERSION = $(shell sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml)
 export PYO3_PYTHON := $(abspath $(BIN)/python)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo view test test-all fuzz audit lint lint-rust lint-python bench figures reproduce verify docs lab clean portability wheel install-capi
+.PHONY: help setup demo view test test-all fuzz audit lint lint-rust lint-python bench figures reproduce verify docs lab clean portability bits wheel wheels install-capi
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -93,11 +102,33 @@ portability: $(TESTING) ## run the numerical tests as another processor would, o
 	$(if $(QUICK),,$(OTHER_PROCESSOR) cargo test --locked)
 	$(if $(QUICK),,$(OTHER_PROCESSOR) taskset --cpu-list 0 $(BIN)/python -m pytest -q $(NUMERICAL))
 	$(OTHER_PROCESSOR) taskset --cpu-list 0,1 $(BIN)/python -m pytest -q $(PARALLEL) --dist loadfile $(NUMERICAL)
+	$(if $(QUICK),,$(MAKE) bits)
+
+bits: ## fly six experiments of 20 s here and as 64-bit ARM, in emulation, and compare every recorded bit
+	@for tool in $(ARM_TOOLS); do command -v $$tool >/dev/null || \
+		{ echo "$$tool is missing: apt-get install gcc-aarch64-linux-gnu qemu-user"; exit 1; }; done
+	$(call need-target,$(ARM))
+	CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER=aarch64-linux-gnu-gcc cargo build --locked --quiet --release \
+		--package flight-sim --no-default-features --example bits --target $(ARM)
+	cargo build --locked --quiet --release --package flight-sim --no-default-features --example bits
+	target/release/examples/bits 20 $(BITS) > target/bits.here
+	qemu-aarch64 -L /usr/aarch64-linux-gnu target/$(ARM)/release/examples/bits 20 $(BITS) > target/bits.arm
+	diff target/bits.here target/bits.arm
+	@echo "the same bits in all $$(wc -l < target/bits.here) signals of $(words $(BITS)) flights"
 
 wheel: $(PACKAGES) ## build wheel and source package into dist/, and fly with the wheel alone in an empty environment
 	rm -rf dist
 	$(BIN)/maturin sdist --out dist
 	$(BIN)/maturin build --release --locked --quiet --out dist
+	$(BIN)/python tests/tools/wheel.py dist/*.whl
+
+wheels: $(PACKAGES) ## build wheels for Linux on x86-64 and 64-bit ARM into dist/ with zig, and fly with the former
+	@PATH="$(abspath $(BIN)):$$PATH"; command -v zig >/dev/null || python3 -c "import ziglang" 2>/dev/null || \
+		{ echo "zig is missing: $(BIN)/pip install ziglang (100 MB), or https://ziglang.org"; exit 1; }
+	$(call need-target,$(ARM))
+	rm -rf dist
+	for target in x86_64-unknown-linux-gnu $(ARM); do PATH="$(abspath $(BIN)):$$PATH" $(BIN)/maturin build --release \
+		--locked --quiet --zig --target $$target --compatibility manylinux2014 --out dist || exit 1; done
 	$(BIN)/python tests/tools/wheel.py dist/*.whl
 
 install-capi: ## install libflight for C and C++: header, libraries, files for pkg-config and CMake (PREFIX=/usr/local)
@@ -192,11 +223,9 @@ docs: $(PACKAGES) ## build the documentation site into site/, the crate's own be
 	$(BIN)/python -m mkdocs build --strict
 	cargo doc --locked --no-deps --package flight-core --package flight-io --package flight-sim
 	rm -rf site/rust && cp -r target/doc site/rust
-	if [ -d $(LAB) ]; then mkdir -p site/lab && cp -r $(LAB) site/lab/fly; else echo "no flight lab: make lab builds it"; fi
 
 lab: $(MODULE) $(LAB_PAGE)/node_modules ## build the flight lab into target/lab/: a folder that any browser opens (needs npm)
-	@rustc --print target-libdir --target wasm32-unknown-unknown | xargs test -d || \
-		{ echo "Rust's WebAssembly target is missing: rustup target add wasm32-unknown-unknown"; exit 1; }
+	$(call need-target,wasm32-unknown-unknown)
 	RUSTFLAGS="-C target-feature=+simd128" cargo build --locked --quiet --release --package flight-lab \
 		--target wasm32-unknown-unknown
 	$(BIN)/python rust/lab/look.py target/look.json

@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 
 from latex2mathml.converter import convert
 from mkdocs.structure.files import File
+from mkdocs.utils import get_relative_url
 
 from experiments import schema, studies
 from experiments.report import index
@@ -27,6 +28,9 @@ NUMBER = re.compile(r"\\tag\{(?P<number>M\d+)\}")
 CODE = re.compile(r"^Code: (?P<places>.*)$", re.MULTILINE)
 MODEL = "model.md"
 WIDE = {"deviations.md", "paper.md"}
+LAB = Path(__file__).resolve().parents[1] / "target/lab"
+"""The flight lab, if `make lab` has built it."""
+LAB_PAGE = "lab/fly/index.html"
 PICTURE = re.compile(r"(?P<shown>!\[[^\]]*\])\((?P<path>\w+\.png)\)")
 INDEX = (
     "Questions beyond single flights, each in a folder of its own in `experiments/studies`, which can be deleted or "
@@ -52,7 +56,26 @@ def on_files(files: Any, *, config: Any) -> Any:
     for picture in pictures():
         path = f"studies/{picture.parent.name}/{picture.name}"
         files.append(File.generated(config, path, abs_src_path=str(picture)))
+    for part in lab_files():
+        place = Path(LAB_PAGE).parent / part.relative_to(LAB)
+        files.append(File.generated(config, place.as_posix(), abs_src_path=str(part)))
     return files
+
+
+def lab_files() -> list[Path]:
+    """Return the files of the flight lab, none if it is not built."""
+    return sorted(path for path in LAB.rglob("*") if path.is_file())
+
+
+def embedded_lab(page: str) -> str:
+    """Return what shows the flight lab in the page with this address, loaded when it is opened."""
+    if not lab_files():
+        return "(`make lab` adds the flight lab to this site.)"
+    address = get_relative_url(LAB_PAGE, page)
+    return (
+        f'<details class="lab"><summary>Fly here</summary><iframe src="{address}" title="Flight lab" loading="lazy">'
+        f'</iframe></details>\n\n<a href="{address}">Open the flight lab</a>: the same simulator in a page of its own.'
+    )
 
 
 def pictures() -> list[Path]:
@@ -77,13 +100,14 @@ def study_page(name: str) -> str:
 
 
 def on_page_markdown(markdown: str, *, page: Any, config: Any, **_: Any) -> str:
-    """Typeset equations, put notebooks in place of `<!-- notebook: PATH -->`, link `[M12]` to its equation."""
+    """Typeset equations, put notebooks and the lab in place of their comments, link `[M12]` to its equation."""
     docs = Path(config["docs_dir"])
     if page.file.src_path in WIDE:
         page.meta["hide"] = ["navigation", "toc"]
     markdown = EQUATION.sub(lambda match: numbered_equation(match["latex"]), markdown)
     markdown = INLINE.sub(inline_formula, markdown)
     markdown = CODE.sub(r'<div class="places" markdown>\g<places></div>', markdown)
+    markdown = markdown.replace("<!-- lab -->", embedded_lab(page.url))
     links = [f"[{number}]: /{MODEL}#{number.lower()}" for number in NUMBER.findall((docs / MODEL).read_text())]
     markdown = NOTEBOOK.sub(lambda match: notebook(docs / match["path"]), markdown)
     return "\n".join([markdown, "", *links])

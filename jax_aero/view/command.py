@@ -67,9 +67,11 @@ def _check_address(host: str, port: int) -> None:
 
 def video(words: Sequence[str]) -> int:
     """Write a video."""
-    parser = Parser("view video", "Film a flight, or two in one scene, as MP4 or, where --out ends in .gif, as GIF.")
+    parser = Parser("view video", "Film a flight, or two, as MP4 or, where --out ends so, as .gif or .webp.")
     _add_common_options(parser, Path("flight.mp4"), "1280x720")
-    parser.add_argument("--ghost", metavar="RESULT", help="another flight, drawn translucent beside it")
+    second = parser.add_mutually_exclusive_group()
+    second.add_argument("--ghost", metavar="RESULT", help="another flight in the same scene, drawn translucent")
+    second.add_argument("--beside", metavar="RESULT", help="another flight in the right half of the picture")
     parser.add_argument("--fps", type=float, default=30.0, help="pictures per second (default 30)")
     parser.add_argument("--speed", type=float, default=1.0, help="flight seconds per second of video (default 1)")
     parser.add_argument("--start", type=float, default=0.0, metavar="S", help="start time [s]")
@@ -83,6 +85,7 @@ def video(words: Sequence[str]) -> int:
             recording.read(given.result, given.robot),
             given.out,
             ghost=None if given.ghost is None else recording.read(given.ghost, given.robot),
+            beside=None if given.beside is None else recording.read(given.beside, given.robot),
             fps=given.fps,
             speed=given.speed,
             size=given.size,

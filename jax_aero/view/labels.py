@@ -69,6 +69,42 @@ def letter_video(
     return np.asarray(picture)
 
 
+def letter_pair(scenes: Sequence[Any], flights: Sequence[Recording], time: float) -> Any:
+    """Join two pictures (h, w, 3) with one clock; each has its flight's title, rotation error and, at its end, outcome.
+
+    The letters are twice as large as those of a whole video.
+    """
+    picture = Image.fromarray(np.hstack(scenes))
+    draw = ImageDraw.Draw(picture, "RGBA")
+    width, height = picture.size
+    half, size = width // 2, max(height // 19, 9)
+    bottom = height - int(1.3 * size)
+    # At the outer corners, beside the clock.
+    for left, corner, anchor, flight in zip((0, half), (size, width - size), ("lm", "rm"), flights, strict=True):
+        lines = _lines(flight.title)
+        letters = int(size * min(1.0, (half - size) / max(font(size).getlength(words) for words in lines)))
+        for number, words in enumerate(lines):
+            text(draw, (left + size // 2, (0.4 + 1.25 * number) * size), words, letters, INK)
+        if time >= flight.duration:
+            badge(draw, (corner, bottom), flight, size, anchor, flight.verdict.partition(" (")[0])
+        else:
+            error = np.rad2deg(flight.at(time).rotation_error)
+            text(draw, (corner, bottom), f"rotation error {error:.0f}°", size, INK, anchor)
+    draw.rectangle((half - 1, 0, half, height), fill=PAPER)
+    wind = max(np.linalg.norm(flight.at(time).wind) for flight in flights)
+    label(draw, (half, bottom), f"{time:.1f} s, wind {wind:.0f} m/s", size, INK, "mm")
+    share = time / max(*(flight.duration for flight in flights), 1e-9)
+    draw.rectangle((0, height - max(size // 6, 2), width * share, height), fill=(*drawing.FORCE, 255))
+    return np.asarray(picture)
+
+
+def _lines(words: str) -> list[str]:
+    """Return words in two lines of nearly equal length."""
+    spaces = [place for place, letter in enumerate(words) if letter == " "]
+    split = min(spaces, key=lambda place: abs(2 * place - len(words)), default=len(words))
+    return [words[:split], words[split + 1 :]]
+
+
 def text(
     draw: ImageDraw.ImageDraw, place: tuple[float, float], words: str, size: int, colour: Colour, anchor: str = "la"
 ) -> None:
@@ -108,8 +144,14 @@ def badge(
     words: str | None = None,
 ) -> None:
     """Draw the outcome, or `words` instead, on a background of the outcome's colour."""
-    words = recording.verdict if words is None else words
     colour = drawing.COMPLETED if recording.outcome == "completed" else drawing.FELL
+    label(draw, place, recording.verdict if words is None else words, size, colour, anchor)
+
+
+def label(
+    draw: ImageDraw.ImageDraw, place: tuple[int, int], words: str, size: int, colour: Colour, anchor: str
+) -> None:
+    """Write light text on a background of a colour."""
     left, top, right, bottom = draw.textbbox(place, words, font=font(size), anchor=anchor)
     pad = 0.45 * size
     draw.rounded_rectangle((left - pad, top - pad, right + pad, bottom + pad), radius=pad, fill=(*colour, 255))

@@ -136,6 +136,7 @@ class Studio:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._context.make_current()  # another studio's may be
         self._drawer.free()
         # Freed here explicitly, since at the end of the process it would be too late.
         del self._drawer, self._context

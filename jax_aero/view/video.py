@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
@@ -19,6 +20,7 @@ from jax_aero.view.recording import Recording
 
 HOLD = 1.5  # s for which the last picture stays, to read the outcome
 PANELS = 6  # number of times in a snapshot by default
+WEBP_QUALITY = 55  # of 100
 MIN_PANEL = 64  # pixels, least width of one of several times in a snapshot
 
 
@@ -38,6 +40,7 @@ def write_video(
     out: Path,
     *,
     ghost: Recording | None = None,
+    beside: Recording | None = None,
     fps: float = 30.0,
     speed: float = 1.0,
     size: tuple[int, int] = (1280, 720),
@@ -46,8 +49,9 @@ def write_video(
     end: float | None = None,
     progress: Progress | None = None,
 ) -> int:
-    """Draw and encode a video, of two flights if there is a ghost; the camera follows the first.
+    """Draw and encode a video: of one flight, of two in one scene if there is a ghost, of two side by side.
 
+    The camera follows the first flight, and that beside it another one. A flight that has ended stays as it ended.
     `out` is written completely or not at all. Returns the number of frames.
 
     Raises
@@ -55,36 +59,56 @@ def write_video(
     Refused
         If drawing or encoding is impossible on this machine, or if a number is invalid.
     """
-    duration = max(flight.duration for flight in (recording, ghost) if flight is not None)
+    flights = [flight for flight in (recording, ghost, beside) if flight is not None]
+    duration = max(flight.duration for flight in flights)
     end = duration if end is None else min(end, duration)
     _check(fps, speed, size, start, end, out)
-    require(["PIL"] if out.suffix == ".gif" else ["av", "PIL"], "writing a video")
+    if len(flights) == 3:
+        raise Refused("a ghost and a flight beside are given; expected at most one of them")
+    require(["av", "PIL"] if out.suffix == ".mp4" else ["PIL"], "writing a video")
     times = frame_times(duration, fps, speed, start, end)
-    encode = _encode_gif if out.suffix == ".gif" else _encode_mp4
-    with complete_file(out) as draft, Studio(recording, *size, ghost=ghost) as studio:
-        encode(draft, _frames(recording, studio, times, viewpoint, progress), fps, size)
+    with complete_file(out) as draft, ExitStack() as open_studios:
+        if beside is None:
+            studios = [open_studios.enter_context(Studio(recording, *size, ghost=ghost))]
+        else:
+            half = size[0] // 2, size[1]
+            studios = [open_studios.enter_context(Studio(flight, *half)) for flight in flights]
+        _ENCODERS[out.suffix](draft, _frames(studios, times, viewpoint, progress), fps, size)
     return len(times)
 
 
 def _frames(
-    recording: Recording, studio: Studio, times: Sequence[float], viewpoint: Viewpoint, progress: Progress | None
+    studios: Sequence[Studio], times: Sequence[float], viewpoint: Viewpoint, progress: Progress | None
 ) -> Iterator[Any]:
     """Yield the pixels (h, w, 3) of every frame; repeated times are drawn once."""
-    from jax_aero.view.labels import letter_video
-
-    flights = [flight for flight in (recording, studio.ghost) if flight is not None]
     drawn_at, pixels = -1.0, np.zeros((0, 0, 3), dtype=np.uint8)
     for number, time in enumerate(times):
         if time != drawn_at:
-            camera = camera_at(recording, time, viewpoint)
-            pixels = studio.picture(time, camera)
-            scale = studio.pixels_per_metre(camera)
-            ended = [flight for flight in flights if time >= flight.duration]
-            pixels = letter_video(pixels, recording, time, studio.scales, scale, studio.ghost, ended=ended)
+            pixels = _pair(studios, time, viewpoint) if len(studios) == 2 else _frame(studios[0], time, viewpoint)
             drawn_at = time
         yield pixels
         if progress is not None:
             progress(number + 1, len(times))
+
+
+def _frame(studio: Studio, time: float, viewpoint: Viewpoint) -> Any:
+    """Return one scene with all text."""
+    from jax_aero.view.labels import letter_video
+
+    recording = studio.recording
+    camera = camera_at(recording, time, viewpoint)
+    pixels, scale = studio.picture(time, camera), studio.pixels_per_metre(camera)
+    ended = [flight for flight in (recording, studio.ghost) if flight is not None and time >= flight.duration]
+    return letter_video(pixels, recording, time, studio.scales, scale, studio.ghost, ended=ended)
+
+
+def _pair(studios: Sequence[Studio], time: float, viewpoint: Viewpoint) -> Any:
+    """Return two scenes side by side, with few words that remain legible when the picture is small."""
+    from jax_aero.view.labels import letter_pair
+
+    flights = [studio.recording for studio in studios]
+    scenes = [studio.picture(time, camera_at(studio.recording, time, viewpoint)) for studio in studios]
+    return letter_pair(scenes, flights, time)
 
 
 def _encode_mp4(draft: Path, frames: Iterator[Any], fps: float, size: tuple[int, int]) -> None:
@@ -104,12 +128,29 @@ def _encode_gif(draft: Path, frames: Iterator[Any], fps: float, _size: tuple[int
     from PIL import Image
 
     pictures = [Image.fromarray(pixels).quantize(256) for pixels in frames]
-    # Each frame ends at the nearest hundredth, so that the total time is right; players ignore durations below two.
-    ends = [round(100.0 * number / fps) for number in range(len(pictures) + 1)]
-    durations = [10 * max(end - start, 2) for start, end in pairwise(ends)]
+    # Players ignore durations below two hundredths.
+    durations = [10 * max(hundredths, 2) for hundredths in _durations(len(pictures), 100.0 / fps)]
     pictures[0].save(
         draft, format="GIF", save_all=True, append_images=pictures[1:], duration=durations, loop=0, optimize=False
     )
+
+
+def _encode_webp(draft: Path, frames: Iterator[Any], fps: float, _size: tuple[int, int]) -> None:
+    """Write an animated WebP that repeats."""
+    from PIL import Image
+
+    pictures = [Image.fromarray(pixels) for pixels in frames]
+    durations = _durations(len(pictures), 1000.0 / fps)
+    options = {"quality": WEBP_QUALITY, "method": 4, "loop": 0}
+    pictures[0].save(draft, format="WEBP", save_all=True, append_images=pictures[1:], duration=durations, **options)
+
+
+def _durations(count: int, period: float) -> list[int]:
+    """Return whole durations of frames, each of which ends at the nearest one, so that the total time is right."""
+    return [end - start for start, end in pairwise(round(number * period) for number in range(count + 1))]
+
+
+_ENCODERS = {".mp4": _encode_mp4, ".gif": _encode_gif, ".webp": _encode_webp}
 
 
 def _encoder() -> str:
@@ -127,7 +168,7 @@ def _check(fps: float, speed: float, size: tuple[int, int], start: float, end: f
         raise Refused(f"size is {size[0]}x{size[1]}; expected even numbers from 64 to 4096, e.g. 1280x720")
     if not 0.0 <= start < end:
         raise Refused(f"the video would run from {start:g} to {end:g} s; expected a start before the end of the flight")
-    check_out(out, ".mp4", ".gif")
+    check_out(out, *_ENCODERS)
 
 
 def write_snapshot(

@@ -20,6 +20,8 @@ from pathlib import Path
 
 import nbformat
 import pytest
+from mkdocs.config import load_config
+from mkdocs.structure.files import Files
 from nbclient import NotebookClient
 from traitlets.config import Config
 
@@ -95,7 +97,7 @@ def test_every_block_says_how_it_is_tried(page):
     for block in found:
         assert (block["kind"], block["language"]) in KINDS, block[0]
         if block["language"] in {"rust", "c", "cpp", "cmake"}:  # taken from a program that the crates' tests run
-            program = r"rust/(sim/examples/tutorial\.rs|capi/examples/(loop\.c|hover\.cpp|CMakeLists\.txt))"
+            program = r"rust/(sim/examples/tutorial\.rs|capi/examples/((loop|realtime)\.c|hover\.cpp|CMakeLists\.txt))"
             assert re.fullmatch(rf'--8<-- "{program}(:\w+)?"\n', block["code"])
 
 
@@ -166,7 +168,8 @@ def test_shown_commands_name_what_exists(page):
                 assert words[0] in studies.names(), words
         else:
             for_arm = {"aarch64-linux-gnu-gcc", "qemu-aarch64", "rustup"}
-            assert program in {"cargo", "cc", "export", "source", "target/loop"} | for_arm, program
+            examples = {f"target/{path.stem}" for path in (ROOT / "rust/capi/examples").glob("*.c")}
+            assert program in {"cargo", "cc", "export", "source"} | examples | for_arm, program
             assert all((ROOT / word).exists() for word in words if word.startswith(("rust/", "configs/"))), words
 
 
@@ -305,6 +308,18 @@ def test_formulas_are_typeset_wherever_they_stand():
     for page in PAGES:
         left = hooks.INLINE.sub("", hooks.EQUATION.sub("", page.read_text(encoding="utf-8")))
         assert "$" not in left, f"{page.name}: a formula is not closed within its paragraph"
+
+
+def test_the_flight_lab_is_in_the_site_where_it_is_built(tmp_path, monkeypatch):
+    monkeypatch.setattr(hooks, "LAB", tmp_path)
+    assert "iframe" not in hooks.embedded_lab("lab/")
+    (tmp_path / "index.html").write_text("the lab")
+    config = load_config(str(ROOT / "mkdocs.yml"))
+    monkeypatch.setattr(config.plugins, "_current_plugin", None, raising=False)  # set while a site is built
+    held = {file.src_uri: file for file in hooks.on_files(Files([]), config=config)}
+    assert held["lab/fly/index.html"].content_string == "the lab"
+    for page, address in (("", "lab/fly/index.html"), ("lab/", "fly/index.html")):
+        assert hooks.embedded_lab(page).count(f'="{address}"') == 2
 
 
 @pytest.fixture(scope="module")

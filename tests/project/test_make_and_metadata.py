@@ -28,6 +28,14 @@ def test_make_alone_lists_targets_with_what_they_do_and_each_has_a_recipe():
     assert all(lines)
 
 
+def test_bits_are_not_compared_without_compiler_and_emulator():
+    refused = subprocess.run(
+        ["make", "bits", "ARM_TOOLS=no-emulator"], cwd=ROOT, capture_output=True, text=True, check=False, timeout=60
+    )
+    assert refused.returncode == 2
+    assert refused.stdout == "no-emulator is missing: apt-get install gcc-aarch64-linux-gnu qemu-user\n"
+
+
 def test_there_is_one_version():
     cargo = tomllib.loads((ROOT / "Cargo.toml").read_text(encoding="utf-8"))["workspace"]["package"]["version"]
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))["version"]

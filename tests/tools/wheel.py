@@ -1,16 +1,21 @@
 """A package alone: install it in an empty environment outside the checkout, fly with it, compare with the checkout.
 
+A wheel is installed and flown without a compiler. Of a wheel for another processor, size and files are checked.
+
 python tests/tools/wheel.py dist/*.whl
 python tests/tools/wheel.py dist/*.tar.gz   the source package, which compiles first: minutes
 """
 
 import json
+import os
+import platform
 import subprocess
 import sys
 import sysconfig
 import tempfile
 import time
 import venv
+import zipfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -23,18 +28,49 @@ flight = rust.fly(config)
 loaded = sorted(name for name in sys.modules if name in ("jax", "scipy", "xarray", "mujoco"))
 print(json.dumps([jax_aero.__file__, rust.config_digest(config), flight.outcome, flight.summary, loaded]))
 """
+LARGEST = 6e6
+"""Size of a wheel [bytes]."""
+LIBRARY = "jax_aero/_core.abi3.so"
+PROCESSORS = {0x3E: "x86_64", 0xB7: "aarch64"}
+"""By `e_machine` of ELF."""
+PARTS = {LIBRARY, "jax_aero/_core.pyi", "jax_aero/py.typed", "jax_aero/configs/experiments/test2.toml"}
 
 
-def run(folder: Path, *command: str) -> str:
+def check_contents(wheel: Path) -> dict[str, int]:
+    """Return the checksums of a wheel's files, by name, without library and metadata."""
+    size = wheel.stat().st_size
+    assert size <= LARGEST, f"{wheel.name} has {size / 1e6:.1f} MB; expected at most {LARGEST / 1e6:.0f} MB"
+    with zipfile.ZipFile(wheel) as archive:
+        files = {entry.filename: entry.CRC for entry in archive.infolist()}
+        with archive.open(LIBRARY) as library:
+            processor = PROCESSORS[int.from_bytes(library.read(20)[18:], "little")]
+    assert files.keys() >= PARTS, PARTS - files.keys()
+    assert wheel.stem.endswith(processor), f"{wheel.name} has a library for {processor}"
+    return {name: checksum for name, checksum in files.items() if name != LIBRARY and ".dist-info/" not in name}
+
+
+def run(folder: Path, *command: str, path: str = os.environ["PATH"]) -> str:
     """Run a command in a folder; return what it prints."""
-    answer = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    environment = os.environ | {"PATH": path}
+    answer = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     if answer.returncode:
         sys.exit(f"{' '.join(command)}\n{answer.stdout}{answer.stderr}")
     return answer.stdout
 
 
-def main(package: str) -> None:
-    """Check a wheel or a source package."""
+def main(packages: list[Path]) -> None:
+    """Check a source package, or wheels, which have the same files."""
+    wheels = [package for package in packages if package.suffix == ".whl"]
+    assert len({tuple(sorted(check_contents(wheel).items())) for wheel in wheels}) <= 1, "other files"
+    for package in packages:
+        if package in wheels and not package.stem.endswith(platform.machine()):
+            print(f"{package.name} is for another processor; {package.stat().st_size / 1e6:.1f} MB")
+        else:
+            fly(package)
+
+
+def fly(package: Path) -> None:
+    """Install a package in an empty environment and fly with it."""
     started = time.perf_counter()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -43,7 +79,9 @@ def main(package: str) -> None:
         # Without the cache: pip keeps there what it built of a source package, by the name of the file.
         options = ("--quiet", "--no-compile", "--no-cache-dir", "--disable-pip-version-check")
         pip = (python, "-m", "pip", "install", *options)
-        run(folder, *pip, str(Path(package).resolve()))
+        # The source package is compiled.
+        path = os.environ["PATH"] if package.suffix == ".gz" else str(Path(python).parent)
+        run(folder, *pip, str(package.resolve()), path=path)
         there, here = json.loads(run(folder, python, "-c", FLY)), json.loads(run(ROOT, sys.executable, "-c", FLY))
         assert there[0].startswith(name), there[0]
         assert here[0].startswith(str(ROOT)), here[0]
@@ -59,8 +97,8 @@ def main(package: str) -> None:
         assert "results/flight/test2--simulator.duration=1/run.nc" in flown, flown
         drawn = run(folder, jax_aero, "figures", "fig2", "supp_mesh")
         assert f"{folder.resolve()}/results/figures/fig2.pdf" in drawn, drawn
-    print(f"{Path(package).name} flies test2 as the checkout does ({there[2]}); {time.perf_counter() - started:.0f} s")
+    print(f"{package.name} flies test2 as the checkout does ({there[2]}); {time.perf_counter() - started:.0f} s")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main([Path(name) for name in sys.argv[1:]])

@@ -102,6 +102,28 @@ def test_a_gif_has_its_frames_and_what_is_there_is_spared(fallen, tmp_path, caps
     assert out.read_bytes() == before
 
 
+@pytest.mark.usefixtures("_can_draw")
+def test_two_flights_side_by_side_are_each_drawn_alone_and_with_their_outcomes(fallen, seen, tmp_path):
+    """The right half is the same flight two seconds later, which has ended: it repeats its last picture."""
+    later = replace(seen, signals={**seen.signals, "time": seen.signals["time"] - 2.0})
+    out = tmp_path / "pair.webp"
+    times = {"start": seen.duration - 1.0, "end": seen.duration - 0.5, "fps": 2.0}
+    assert video.write_video(seen, out, beside=later, size=(320, 128), **times) == 2
+    with Image.open(out) as film:
+        assert (film.n_frames, film.size, film.info["loop"]) == (2, (320, 128), 0)
+        halves = []
+        for number in range(2):
+            film.seek(number)
+            picture = np.asarray(film.convert("RGB")).astype(int)
+            halves.append((picture[:110, :158], picture[:110, 162:]))
+    for half in (*halves[0], *halves[1]):
+        assert colours(half) > 500
+    (left, right), (left_later, right_later) = halves
+    assert np.abs(left - left_later).mean() > 10.0 * np.abs(right - right_later).mean()
+    with pytest.raises(Refused, match="expected at most one of them"):
+        video.write_video(seen, out, ghost=later, beside=later)
+
+
 @pytest.mark.parametrize("fps", [25.0, 30.0, 48.0])
 def test_a_gif_keeps_its_time(fps, tmp_path):
     """Frames of 3 and 4 hundredths of a second, for 30 a second."""

@@ -4,29 +4,10 @@
 // end in time. Memory is locked and the thread scheduled by SCHED_FIFO where the system allows it. The robot is the
 // simulated one.
 #define _GNU_SOURCE
+#include "clock.h"
 #include "flight.h"
 #include <sched.h>
-#include <stdio.h>
-#include <stdlib.h>
 #include <sys/mman.h>
-#include <time.h>
-
-static int64_t now_ns(void) {
-    struct timespec t;
-    clock_gettime(CLOCK_MONOTONIC, &t);
-    return (int64_t)t.tv_sec * 1000000000 + t.tv_nsec;
-}
-
-static void sleep_until_ns(int64_t time) {
-    struct timespec t = {.tv_sec = time / 1000000000, .tv_nsec = time % 1000000000};
-    while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &t, NULL) != 0) {
-    }
-}
-
-static int by_size(const void *left, const void *right) {
-    const int64_t a = *(const int64_t *)left, b = *(const int64_t *)right;
-    return (a > b) - (a < b);
-}
 
 int main(int argc, char **argv) {
     if (argc < 2) {

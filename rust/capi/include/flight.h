@@ -186,6 +186,15 @@ typedef struct FlightPreview {
   const double *wind;
 } FlightPreview;
 
+// Torques of a part of a tick, for `flight_robot_advance_in_steps`: receives the number of the part, from one, positions
+// and velocities of the joints then [rad, m; rad/s, m/s], and what was given with the function; writes the torques
+// [N m, N], which are those of the part before.
+typedef void (*FlightTorques)(uint32_t part,
+                              const double *joint_position,
+                              const double *joint_velocity,
+                              double *joint_torque,
+                              void *context);
+
 #ifdef __cplusplus
 extern "C" {
 #endif // __cplusplus
@@ -252,6 +261,12 @@ const char *flight_jet_name(const struct FlightController *controller, size_t in
 // # Safety
 // As for `flight_joint_count`.
 double flight_time_step(const struct FlightController *controller);
+
+// Times that torques are computed in a tick, `controller.torque.steps`; zero for null.
+//
+// # Safety
+// As for `flight_joint_count`.
+uint32_t flight_torque_steps(const struct FlightController *controller);
 
 // Ways in which the last tick differs from one with complete measurements, a sum of `FlightMode`; zero for null.
 //
@@ -340,6 +355,18 @@ enum FlightStatus flight_robot_measure(struct FlightRobot *robot, struct FlightM
 // `robot` comes from `flight_robot_create`, or is null; `command` is null or its arrays have the documented lengths.
 enum FlightStatus flight_robot_advance(struct FlightRobot *robot,
                                        const struct FlightCommand *command);
+
+// As `flight_robot_advance`, for torques that are computed `controller.torque.steps` times in a tick: those of `command`
+// act in the first of as many equal parts, and what `torques` writes, which is called at the beginning of each other
+// part with `context`. Null stands for torques that do not change.
+//
+// # Safety
+// As for `flight_robot_advance`; `torques` is null or a function that keeps to the lengths of its arrays and does not
+// use `robot`.
+enum FlightStatus flight_robot_advance_in_steps(struct FlightRobot *robot,
+                                                const struct FlightCommand *command,
+                                                FlightTorques torques,
+                                                void *context);
 
 #ifdef __cplusplus
 }  // extern "C"

@@ -17,7 +17,7 @@ use flight_core::{BuildError, Controller, Measurement, RobotState};
 use flight_io::load_robot;
 use flight_sim::{Plant, Wind, load_scenario};
 use nalgebra::{Matrix3, Vector3, Vector6};
-use std::ffi::{CStr, CString, c_char, c_int};
+use std::ffi::{CStr, CString, c_char, c_int, c_void};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::ptr::{null, null_mut};
@@ -245,6 +245,7 @@ pub struct FlightController {
     controller: Controller,
     flight: Option<ControllerState>,
     time_step: f64,
+    torque_steps: u32,
     joint_names: Vec<CString>,
     jet_names: Vec<CString>,
     /// The measurement in the types of the crate.
@@ -273,6 +274,7 @@ impl FlightController {
         Ok(Self {
             flight: None,
             time_step: scenario.simulator.time_step,
+            torque_steps: scenario.controller.law.torque.steps,
             joint_names,
             jet_names,
             robot_state: RobotState::zero(joints),
@@ -394,6 +396,19 @@ impl Guarded for FlightController {
     }
 }
 
+/// Torques of a part of a tick, for `flight_robot_advance_in_steps`: receives the number of the part, from one, positions
+/// and velocities of the joints then [rad, m; rad/s, m/s], and what was given with the function; writes the torques
+/// [N m, N], which are those of the part before.
+pub type FlightTorques = Option<
+    unsafe extern "C" fn(
+        part: u32,
+        joint_position: *const f64,
+        joint_velocity: *const f64,
+        joint_torque: *mut f64,
+        context: *mut c_void,
+    ),
+>;
+
 /// A simulated robot in the wind of its configuration, for one thread at a time. Its measurements are exact: neither
 /// `simulator.sensors` nor errors and outages of `disturbances` apply. Commands are delayed by `simulator.actuation`.
 #[derive(Debug)]
@@ -408,8 +423,11 @@ pub struct FlightRobot {
 impl FlightRobot {
     fn load(path: &Path) -> Result<Self, BuildError> {
         let scenario = load_scenario(path)?;
+        let robot = load_robot(&scenario.robot)?;
+        let (simulator, disturbances) = (&scenario.simulator, &scenario.disturbances);
+        let torque_steps = scenario.controller.law.torque.steps;
         Ok(Self {
-            plant: Plant::new(load_robot(&scenario.robot)?, &scenario.simulator, &scenario.disturbances)?,
+            plant: Plant::with_torque_steps(robot, simulator, disturbances, torque_steps)?,
             wind: Wind::new(&scenario.wind)?,
             time_step: scenario.simulator.time_step,
             ticks: 0,
@@ -656,6 +674,16 @@ pub unsafe extern "C" fn flight_jet_name(controller: *const FlightController, in
 pub unsafe extern "C" fn flight_time_step(controller: *const FlightController) -> f64 {
     // SAFETY: by this function's contract.
     unsafe { controller.as_ref() }.map_or(0.0, |controller| controller.time_step)
+}
+
+/// Times that torques are computed in a tick, `controller.torque.steps`; zero for null.
+///
+/// # Safety
+/// As for `flight_joint_count`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn flight_torque_steps(controller: *const FlightController) -> u32 {
+    // SAFETY: by this function's contract.
+    unsafe { controller.as_ref() }.map_or(0, |controller| controller.torque_steps)
 }
 
 /// Ways in which the last tick differs from one with complete measurements, a sum of `FlightMode`; zero for null.
@@ -921,6 +949,24 @@ pub unsafe extern "C" fn flight_robot_advance(
     command: *const FlightCommand,
 ) -> FlightStatus {
     // SAFETY: by this function's contract.
+    unsafe { flight_robot_advance_in_steps(robot, command, None, null_mut()) }
+}
+
+/// As `flight_robot_advance`, for torques that are computed `controller.torque.steps` times in a tick: those of `command`
+/// act in the first of as many equal parts, and what `torques` writes, which is called at the beginning of each other
+/// part with `context`. Null stands for torques that do not change.
+///
+/// # Safety
+/// As for `flight_robot_advance`; `torques` is null or a function that keeps to the lengths of its arrays and does not
+/// use `robot`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn flight_robot_advance_in_steps(
+    robot: *mut FlightRobot,
+    command: *const FlightCommand,
+    torques: FlightTorques,
+    context: *mut c_void,
+) -> FlightStatus {
+    // SAFETY: by this function's contract.
     let (Some(robot), Some(command)) = (unsafe { (robot.as_mut(), command.as_ref()) }) else {
         return FlightStatus::FlightNullPointer;
     };
@@ -931,10 +977,17 @@ pub unsafe extern "C" fn flight_robot_advance(
     robot.guard(|robot| {
         let wind = robot.wind.velocity(robot.time());
         // SAFETY: not null unless empty, and of these lengths by this function's contract.
-        let (rates, torques) =
-            unsafe { (view(command.thrust_rate, jets), view(command.joint_torque, joints)) };
+        let (rates, first) = unsafe { (view(command.thrust_rate, jets), view(command.joint_torque, joints)) };
         robot.plant.observe(&wind);
-        robot.plant.advance(torques, rates, &wind, robot.time_step);
+        robot.plant.advance_in_steps(rates, &wind, robot.time_step, |part, state, torque| {
+            if part == 0 {
+                torque.copy_from_slice(first);
+            } else if let Some(torques) = torques {
+                let (position, velocity) = (state.joint_position.as_ptr(), state.joint_velocity().as_ptr());
+                // SAFETY: by this function's contract.
+                unsafe { torques(part, position, velocity, torque.as_mut_ptr(), context) };
+            }
+        });
         robot.ticks += 1;
         FlightStatus::FlightNominal
     })

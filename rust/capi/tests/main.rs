@@ -12,8 +12,9 @@ use flight::{
     FlightPreview, FlightRobot, FlightSetpoint, FlightStatus, flight_controller_create,
     flight_controller_free, flight_foot_count, flight_jet_count, flight_jet_name, flight_joint_count,
     flight_joint_name, flight_mode_name, flight_modes, flight_replace_command, flight_robot_advance,
-    flight_robot_create, flight_robot_free, flight_robot_measure, flight_start, flight_status_name,
-    flight_tick, flight_tick_ahead, flight_tick_torques, flight_time_step, flight_version,
+    flight_robot_advance_in_steps, flight_robot_create, flight_robot_free, flight_robot_measure,
+    flight_start, flight_status_name, flight_tick, flight_tick_ahead, flight_tick_torques, flight_time_step,
+    flight_torque_steps, flight_version,
 };
 use flight_core::Measurement;
 use flight_core::control::law::between::JointMeasurement;
@@ -23,7 +24,8 @@ use flight_core::control::{CommandStatus, Preview};
 use flight_io::load_robot;
 use flight_sim::{Plant, load_scenario};
 use nalgebra::{Matrix3, Vector3};
-use std::ffi::{CStr, CString, c_char};
+use std::ffi::{CStr, CString, c_char, c_void};
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::ptr::{null, null_mut};
@@ -540,6 +542,110 @@ fn the_loop_in_c_prints_what_the_documentation_shows() {
     assert!(String::from_utf8_lossy(&refused.stderr).contains("no/such.toml"));
 }
 
+/// The controller in another process, with torques of their own rate: the same flight as in one process.
+#[test]
+fn the_controller_in_another_process_flies_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let fast = folder.path().join("fast.toml");
+    let keys = "controller.torque.steps = 5\nsimulator.substeps = 5";
+    std::fs::write(&fast, format!("base = {:?}\n{keys}\n", config("test2"))).unwrap();
+    let ran = run_example("cc", "realtime.c", &[fast.to_str().unwrap(), "50", "0"]);
+    let text = String::from_utf8(ran.stdout).unwrap();
+    assert!(ran.status.success(), "{text}{}", String::from_utf8_lossy(&ran.stderr));
+    for line in ["lost             0 of 250", "in one process   the same flight, bit by bit"] {
+        assert!(text.lines().any(|printed| printed == line), "{text}");
+    }
+    assert_eq!(run_example("cc", "realtime.c", &["no/such.toml"]).status.code(), Some(1));
+}
+
+/// A log as a table, with an empty cell where nothing was measured, through the controller that flew it, and another.
+#[test]
+fn a_log_replays_in_c_with_the_same_commands() {
+    let mut scenario = load_scenario(&config("test2_sensors")).unwrap();
+    scenario.simulator.duration = 0.3;
+    let flown = flight_sim::Scenario::new(&scenario).unwrap().run(|_, _| ControlFlow::Continue(())).unwrap();
+    let columns = |part: &flight_sim::log::Series| match part.width() {
+        1 => vec![part.signal.name.to_owned()],
+        width => (0..width).map(|entry| format!("{}/{entry}", part.signal.name)).collect(),
+    };
+    let series = &flown.log.series;
+    let mut table = series.iter().flat_map(columns).collect::<Vec<_>>().join(",");
+    for tick in 0..flown.log.len() {
+        let numbers = series.iter().flat_map(|part| part.row(tick));
+        let cells = numbers.map(|x| if x.is_nan() { String::new() } else { format!("{x:?}") });
+        table.push('\n');
+        table += &cells.collect::<Vec<_>>().join(",");
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("log.csv");
+    std::fs::write(&log, table).unwrap();
+    let replay = |name: &str| {
+        let path = config(name);
+        let ran = run_example("cc", "replay.c", &[path.to_str().unwrap(), log.to_str().unwrap()]);
+        let text = String::from_utf8(ran.stdout).unwrap();
+        assert!(ran.status.success(), "{text}{}", String::from_utf8_lossy(&ran.stderr));
+        assert!(text.starts_with("31 ticks, "), "{text}");
+        text.lines().skip(1).map(|line| numbers(line)[0]).collect::<Vec<_>>()
+    };
+    assert_eq!(replay("test2_sensors"), [0.0, 0.0]);
+    assert!(replay("test2").iter().all(|difference| *difference > 0.1));
+    let refused = run_example("cc", "replay.c", &[config("test2").to_str().unwrap(), "no.csv"]);
+    assert_eq!(refused.status.code(), Some(1));
+}
+
+/// Torques of every part of a tick are those of the crate's own flight.
+#[test]
+fn torques_between_two_ticks_through_c_are_those_of_the_crate() {
+    struct Context {
+        controller: *mut FlightController,
+        command: FlightCommand,
+        parts: Vec<u32>,
+    }
+    unsafe extern "C" fn torques(
+        part: u32,
+        position: *const f64,
+        velocity: *const f64,
+        torque: *mut f64,
+        context: *mut c_void,
+    ) {
+        let context = unsafe { &mut *context.cast::<Context>() };
+        context.parts.push(part);
+        unsafe {
+            flight_tick_torques(context.controller, position, velocity, &raw const context.command);
+            torque.copy_from(context.command.joint_torque, flight_joint_count(context.controller));
+        }
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let fast = folder.path().join("fast.toml");
+    let keys = "controller.torque.steps = 5\nsimulator.substeps = 5";
+    std::fs::write(&fast, format!("base = {:?}\n{keys}\n", config("test2_observer"))).unwrap();
+    let mut expected = flight_sim::Scenario::new(&load_scenario(&fast).unwrap()).unwrap().begin();
+    let c = create(&fast).unwrap();
+    assert_eq!(unsafe { (flight_torque_steps(c.0), flight_torque_steps(null())) }, (5, 0));
+    let path = CString::new(fast.to_str().unwrap()).unwrap();
+    let robot = unsafe { flight_robot_create(FlightHeader::of_library(), path.as_ptr(), null_mut(), 0) };
+    let mut arrays = Arrays::new(unsafe { flight_joint_count(c.0) }, unsafe { flight_jet_count(c.0) });
+    let mut given = arrays.measurement();
+    let mut context = Context { controller: c.0, command: arrays.command(), parts: Vec::new() };
+    for tick in 0..100 {
+        assert!(expected.step());
+        unsafe { flight_robot_measure(robot, &raw mut given) };
+        let log = |name| expected.log().series(name).unwrap().row(tick);
+        assert_eq!(given.base_position[..], *log("base_position"), "tick {tick}");
+        if tick == 0 {
+            assert_eq!(start(&c, &given).0, FlightStatus::FlightNominal);
+        }
+        let command = arrays.command();
+        unsafe {
+            flight_tick(c.0, &raw const given, null(), &raw const command);
+            let whole = (&raw mut context).cast::<c_void>();
+            flight_robot_advance_in_steps(robot, &raw const command, Some(torques), whole);
+        }
+    }
+    assert_eq!(context.parts[..8], [1, 2, 3, 4, 1, 2, 3, 4]);
+    unsafe { flight_robot_free(robot) };
+}
+
 /// `make install-capi` installs what a program is built with.
 #[test]
 fn a_program_finds_what_is_installed() {
@@ -565,7 +671,9 @@ fn a_program_finds_what_is_installed() {
             .args([Path::new("-S"), &source, Path::new("-B"), &built])
             .arg(set("-DCMAKE_PREFIX_PATH", &prefix)));
         run(Command::new("cmake").arg("--build").arg(&built));
-        for (program, arguments) in [("loop", &[path, "2"] as &[&str]), ("hover", &[path])] {
+        for (program, arguments) in
+            [("loop", &[path, "2"] as &[&str]), ("hover", &[path]), ("realtime", &[path, "2", "0"])]
+        {
             run(Command::new(built.join(program)).args(arguments));
         }
     }
