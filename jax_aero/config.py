@@ -511,6 +511,13 @@ class FallConfig(Struct, frozen=True, kw_only=True):
     rotation_error_deg: float
 
 
+class FuelConfig(Struct, frozen=True, kw_only=True):
+    by_thrust: float
+    idle: float
+    mass: float
+    position: tuple[float, float, float]
+
+
 class LegOdometryConfig(Struct, frozen=True, kw_only=True):
     velocity_time_constant: float
 
@@ -604,6 +611,7 @@ class SimulatorConfig(Struct, frozen=True, kw_only=True):
     duration: float
     dynamics: DynamicsBackend = "tree"
     fall: FallConfig
+    fuel: FuelConfig | None = None
     ground: GroundConfig | None = None
     initial: InitialConfig
     integrator: Integrator = "semi_implicit_euler"

@@ -210,6 +210,7 @@ impl Kinematics {
         let first_moment: Vector3<f64> = (robot.bodies.iter().zip(&self.bodies))
             .map(|(body, motion)| motion.i_from_b.transform_point(&body.com_b) * body.mass)
             .sum();
+        self.mass = robot.mass();
         self.com = first_moment / self.mass;
     }
 

@@ -2,6 +2,7 @@
 
 use crate::actuation::ActuationConfig;
 use crate::disturbances::Disturbances;
+use crate::fuel::FuelConfig;
 use crate::ground::GroundConfig;
 use crate::jets::JetsConfig;
 use crate::motors::MotorsConfig;
@@ -146,6 +147,9 @@ pub struct SimulatorConfig {
     /// The drives of the joints; without them torques are ideal.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motors: Option<MotorsConfig>,
+    /// Fuel that leaves the robot; without it the mass is constant.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fuel: Option<FuelConfig>,
     /// Whether joints have the stops of the URDF, widened to the range of the controller.
     #[serde(default = "default_true")]
     pub joint_stops: bool,
@@ -324,6 +328,9 @@ impl SimulatorConfig {
         }
         if let Some(motors) = &self.motors {
             motors.check(robot)?;
+        }
+        if let Some(fuel) = &self.fuel {
+            fuel.check(robot)?;
         }
         if self.n_ticks() > 10_000_000 {
             return Err(BuildError::bad_value(

@@ -11,6 +11,7 @@ pub mod actuation;
 pub mod batch;
 pub mod config;
 pub mod disturbances;
+pub mod fuel;
 pub mod ground;
 pub mod jets;
 pub mod log;

@@ -6,11 +6,12 @@
 //!
 //! Without ground; joint stops act unless they are disabled, and drives if they are configured.
 //!
-//! Equations M78, M79, M87, M140, M142 and M153 of `docs/model.md`; what a step adds to the momentum is M85.
+//! Equations M78, M79, M87, M140, M142, M153 and M154 of `docs/model.md`; what a step adds to the momentum is M85.
 
 use crate::actuation::Actuation;
 use crate::config::{AeroKinematics, DynamicsBackend, Integrator, SimulatorConfig};
 use crate::disturbances::{Disturbances, JointFaults};
+use crate::fuel::Fuel;
 use crate::jets::Jets;
 use crate::motors::Motors;
 use flight_core::aero::{AeroModel, LinkConventions, LinkForces};
@@ -48,6 +49,8 @@ pub struct Plant {
     joint_faults: JointFaults,
     /// `None` if torques act on the joints themselves.
     motors: Option<Motors>,
+    /// `None` if the mass is constant.
+    fuel: Option<Fuel>,
     kinematics: Kinematics,
     dynamics: Dynamics,
     link_forces: LinkForces,
@@ -116,6 +119,7 @@ impl Plant {
         });
         let mut plant = Self {
             motors,
+            fuel: config.fuel.as_ref().map(|fuel| Fuel::new(fuel, &robot)).transpose()?,
             aero: load_aero(&config.aero, &robot)?.weight_forces(
                 &disturbances.aero,
                 &robot,
@@ -275,6 +279,9 @@ impl Plant {
         }
         self.torque = torque;
         let thrust_rate = actuation.as_mut().map_or(thrust_rate_command, Actuation::thrust_rate);
+        if let Some(fuel) = &mut self.fuel {
+            fuel.burn(self.jets.thrust(), time_step, &mut self.robot);
+        }
         self.jets.advance(thrust_rate, time_step);
         self.actuation = actuation;
     }

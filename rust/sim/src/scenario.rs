@@ -438,6 +438,7 @@ fn check_mujoco(config: &ScenarioConfig) -> Result<(), BuildError> {
         check_only("simulator.motors.time_constant", &motors.time_constant, &0.0)?;
         check_only("simulator.motors.elasticity", &motors.elasticity, &None)?;
     }
+    check_only("simulator.fuel", &simulator.fuel, &None)?;
     check_only("simulator.sensors", &simulator.sensors, &None)?;
     check_only("simulator.actuation", &simulator.actuation, &None)?;
     check_only("controller.torque.steps", &config.controller.law.torque.steps, &1)?;

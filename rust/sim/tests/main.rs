@@ -9,6 +9,7 @@ mod config;
 mod disturbances;
 mod examples;
 mod flight;
+mod fuel;
 mod fuzz;
 mod jets;
 mod joint_faults;
