@@ -52,8 +52,6 @@ class Command(NamedTuple):
 class Pilot(Protocol):
     """A controller in a loop with the plant."""
 
-    period: float
-
     def command(self, measured: rust.Measurement) -> Command:
         """Compute one tick."""
 
@@ -69,8 +67,6 @@ class Published:
         The first measurement.
     """
 
-    period = plan.PERIOD
-
     def __init__(self, config: rust.Config, start: rust.Measurement, settings: Settings | None = None) -> None:
         self.settings = settings or Settings()
         self.robot = rust.Robot(config["robot"])
@@ -82,7 +78,7 @@ class Published:
         self.planner = plan.Planner(plan.knots(warped=self.settings.warped))
         self.ahead = np.concatenate([[0.0], np.cumsum(self.planner.lengths)])
         body, _, _ = self.reader.read(start.state)
-        longer = config["simulator"] | {"time_step": self.period, "duration": config["simulator"]["duration"] + 2.0}
+        longer = config["simulator"] | {"time_step": plan.PERIOD, "duration": config["simulator"]["duration"] + 2.0}
         reference = rust.setpoint_trajectory({**config, "simulator": longer}, body.com, body.rotation)
         self.positions, self.velocities = reference["com_position"], reference["com_velocity"]
         self.upright = model.rpy(reference["rotation"][0])
@@ -101,7 +97,7 @@ class Published:
 
     def targets(self, now: float, body: Body) -> Array:
         """Return the states to follow at the present and at the ends of the knots, (18, 26)."""
-        at = np.minimum(np.round((now + self.ahead) / self.period).astype(int), len(self.positions) - 1)
+        at = np.minimum(np.round((now + self.ahead) / plan.PERIOD).astype(int), len(self.positions) - 1)
         targets = np.zeros((len(at), model.STATES))
         targets[:, model.POSITION] = self.positions[at]
         targets[:, model.LINEAR] = body.mass * self.velocities[at] @ body.rotation
@@ -115,7 +111,7 @@ class Published:
         errors = np.concatenate([body.com - targets[0, model.POSITION], self.attitude - targets[0, model.ATTITUDE]])
         integrals = self.integrals if self.settings.accumulate else errors
         state = np.concatenate([body.com, body.linear, self.attitude, body.angular, self.thrust, self.rate, integrals])
-        self.integrals = self.integrals + self.period * errors
+        self.integrals = self.integrals + plan.PERIOD * errors
         return state
 
     def command(self, measured: rust.Measurement) -> Command:
@@ -131,7 +127,7 @@ class Published:
             now = model.linearise(body, self.thrust, self.rate, v, engine_dynamics=self.settings.engine_dynamics)
             self.first_model = self.first_model or now
         off = (self.joint_reference - self.first_joints)[self.reader.joints]
-        is_held = self.ticks % round(plan.LARGE / self.period) != 0
+        is_held = self.ticks % round(plan.LARGE / plan.PERIOD) != 0
         problem = self.planner.problem(now, state, v, off, targets, is_held=is_held)
         built = time.process_time()
         answer = self.planner.solve(problem)
@@ -151,11 +147,11 @@ class Published:
 
     def _move_engines(self) -> Array:
         thrust, v = self.thrust, model.drive(self.throttle)
-        for _ in range(round(self.period / ENGINE_STEP)):
+        for _ in range(round(plan.PERIOD / ENGINE_STEP)):
             drift, gain = model.drift_and_gain(thrust, self.rate)
             thrust = np.clip(thrust + ENGINE_STEP * self.rate, 0.0, self.thrust_max)
             self.rate = self.rate + ENGINE_STEP * (drift + gain * v)
-        rate: Array = (thrust - self.thrust) / self.period
+        rate: Array = (thrust - self.thrust) / plan.PERIOD
         return rate
 
     def _torque(self, state: rust.State, dynamics: rust.Dynamics, forces: Array) -> Array:
@@ -176,7 +172,6 @@ class Ours:
     """The controller of a configuration."""
 
     def __init__(self, config: rust.Config) -> None:
-        self.period = float(config["simulator"]["time_step"])
         self.controller = rust.Controller(config)
         self.times: list[float] = []
 
@@ -209,7 +204,7 @@ class Flown:
     rotation_error: float
     """Greatest [rad]."""
     com_error: float
-    """Greatest after 3 s [m]; NaN if the flight ended before."""
+    """Greatest after 3 s [m]; zero if the flight ended before."""
     pilot: Any = field(repr=False)
 
 
