@@ -1,0 +1,269 @@
+"""Flights of the published controller, and of ours beside it, over the crate's plant.
+
+Throttles move engines of the published polynomials, in steps of 1 ms; the plant's thrusts follow them by their rates.
+The plant's joints have torques: those that give them the accelerations ω² (s_d − s) − 2 ω ṡ in still air, within the
+drives' greatest.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from experiments.studies.published_mpc import model, plan
+from experiments.studies.published_mpc.model import Array, Body
+from jax_aero import rust
+from jax_aero.summary import SETTLING_TIME
+
+JOINT_FREQUENCY = 50.0
+"""Natural frequency of the joints' positions about their references, critically damped [rad/s]."""
+ENGINE_STEP = 1e-3
+"""Step of the engines, explicit Euler [s]."""
+
+
+class Settings(NamedTuple):
+    """What the published controller does; the published values are the defaults."""
+
+    engine_dynamics: bool = True
+    """Whether its model has the engines' dynamics, or thrusts at once."""
+    relinearise: bool = True
+    """Whether it linearises at every tick, or once at the start."""
+    accumulate: bool = True
+    """Whether integrals go on from tick to tick, or start at the present errors, as in the public code."""
+    warped: bool = True
+    """Whether the small knots grow (`plan.knots`)."""
+    torque_limits: bool = True
+    """Whether the drives' greatest torques act."""
+    joint_limits: bool = False
+    """Whether the joints' references stay within the joints' limits."""
+
+
+class Command(NamedTuple):
+    """What a pilot commands until its next tick: thrust rates [N/s] and joint torques [N m]."""
+
+    thrust_rate: Array
+    joint_torque: Array
+
+
+class Pilot(Protocol):
+    """A controller in a loop with the plant."""
+
+    def command(self, measured: rust.Measurement) -> Command:
+        """Compute one tick."""
+
+
+class Published:
+    """The published controller of a configuration, with its engines and joints.
+
+    Parameters
+    ----------
+    config
+        Of the flight; its controller is not used.
+    start
+        The first measurement.
+    """
+
+    def __init__(self, config: rust.Config, start: rust.Measurement, settings: Settings | None = None) -> None:
+        self.settings = settings or Settings()
+        self.robot = rust.Robot(config["robot"])
+        arrays = self.robot.arrays()
+        self.torque_max = arrays["joint_torque_max"] if self.settings.torque_limits else np.inf
+        self.joint_limits = np.array(self.robot.joint_limits).T
+        self.thrust_max = arrays["jets"]["thrust_max"]
+        self.reader = model.Reader(self.robot)
+        self.planner = plan.Planner(plan.knots(warped=self.settings.warped))
+        self.ahead = np.concatenate([[0.0], np.cumsum(self.planner.lengths)])
+        body, _, _ = self.reader.read(start.state)
+        longer = config["simulator"] | {"time_step": plan.PERIOD, "duration": config["simulator"]["duration"] + 2.0}
+        reference = rust.setpoint_trajectory({**config, "simulator": longer}, body.com, body.rotation)
+        self.positions, self.velocities = reference["com_position"], reference["com_velocity"]
+        self.upright = model.rpy(reference["rotation"][0])
+        self.first_joints = np.array(start.state.joint_position)
+        self.joint_reference = self.first_joints.copy()
+        self.thrust, self.rate = np.array(start.thrust), np.zeros(model.JETS)
+        self.throttle = model.throttle_of(
+            np.clip(model.steady_drive(self.thrust), *model.drive(np.array([0.0, 100.0])))
+        )
+        self.integrals = np.zeros(6)
+        self.attitude = body.attitude
+        self.first_model: model.Model | None = None
+        self.ticks = self.missing = 0
+        self.solver_times: list[float] = []
+        self.times: list[float] = []
+
+    def targets(self, now: float, body: Body) -> Array:
+        """Return the states to follow at the present and at the ends of the knots, (18, 26)."""
+        at = np.minimum(np.round((now + self.ahead) / plan.PERIOD).astype(int), len(self.positions) - 1)
+        targets = np.zeros((len(at), model.STATES))
+        targets[:, model.POSITION] = self.positions[at]
+        targets[:, model.LINEAR] = body.mass * self.velocities[at] @ body.rotation
+        targets[:, model.ATTITUDE] = self.upright
+        return targets
+
+    def state(self, body: Body, targets: Array) -> Array:
+        """Return the 26 states of a tick, angles without jumps."""
+        turns = 2.0 * np.pi * np.round((body.attitude - self.attitude) / (2.0 * np.pi))
+        self.attitude = body.attitude - turns
+        errors = np.concatenate([body.com - targets[0, model.POSITION], self.attitude - targets[0, model.ATTITUDE]])
+        integrals = self.integrals if self.settings.accumulate else errors
+        state = np.concatenate([body.com, body.linear, self.attitude, body.angular, self.thrust, self.rate, integrals])
+        self.integrals = self.integrals + plan.PERIOD * errors
+        return state
+
+    def command(self, measured: rust.Measurement) -> Command:
+        """Compute one tick: plan, move the engines by one period, and drive the joints to their references."""
+        started = time.process_time()
+        self.thrust = np.array(measured.thrust)
+        body, dynamics, forces = self.reader.read(measured.state)
+        targets = self.targets(measured.time, body)
+        state = self.state(body, targets)
+        v = model.drive(self.throttle)
+        now = self.first_model
+        if now is None or self.settings.relinearise:
+            now = model.linearise(body, self.thrust, self.rate, v, engine_dynamics=self.settings.engine_dynamics)
+            self.first_model = self.first_model or now
+        off = (self.joint_reference - self.first_joints)[self.reader.joints]
+        is_held = self.ticks % round(plan.LARGE / plan.PERIOD) != 0
+        problem = self.planner.problem(now, state, v, off, targets, is_held=is_held)
+        built = time.process_time()
+        answer = self.planner.solve(problem)
+        self.solver_times.append(time.process_time() - built)
+        if answer is None:
+            self.missing += 1
+        else:
+            self.joint_reference[self.reader.joints] += answer[plan.JOINTS_AT : plan.JOINTS_AT + plan.ARMS]
+            if self.settings.joint_limits:
+                self.joint_reference = np.clip(self.joint_reference, *self.joint_limits)
+            first = answer[plan.DRIVES_AT : plan.DRIVES_AT + model.JETS]
+            self.throttle = np.clip(model.throttle_of(first), 0.0, 100.0)
+        self.ticks += 1
+        self.times.append(time.process_time() - started)
+        rate = self._move_engines()
+        return Command(rate, self._torque(measured.state, dynamics, forces))
+
+    def _move_engines(self) -> Array:
+        thrust, v = self.thrust, model.drive(self.throttle)
+        for _ in range(round(plan.PERIOD / ENGINE_STEP)):
+            drift, gain = model.drift_and_gain(thrust, self.rate)
+            thrust = np.clip(thrust + ENGINE_STEP * self.rate, 0.0, self.thrust_max)
+            self.rate = self.rate + ENGINE_STEP * (drift + gain * v)
+        rate: Array = (thrust - self.thrust) / plan.PERIOD
+        return rate
+
+    def _torque(self, state: rust.State, dynamics: rust.Dynamics, forces: Array) -> Array:
+        position, velocity = np.asarray(state.joint_position), np.asarray(state.velocity)[6:]
+        wanted = JOINT_FREQUENCY**2 * (self.joint_reference - position) - 2.0 * JOINT_FREQUENCY * velocity
+        return np.clip(torques(dynamics, self.thrust @ forces, wanted), -self.torque_max, self.torque_max)
+
+
+def torques(dynamics: rust.Dynamics, force: Array, acceleration: Array) -> Array:
+    """Return the joint torques that give the joints of a flying robot this acceleration under a generalised force."""
+    mass, load = dynamics.mass_matrix, dynamics.bias - force
+    base = np.linalg.solve(mass[:6, :6], -load[:6] - mass[:6, 6:] @ acceleration)
+    torque: Array = mass[6:, :6] @ base + mass[6:, 6:] @ acceleration + load[6:]
+    return torque
+
+
+class Ours:
+    """The controller of a configuration."""
+
+    def __init__(self, config: rust.Config) -> None:
+        self.controller = rust.Controller(config)
+        self.times: list[float] = []
+
+    def command(self, measured: rust.Measurement) -> Command:
+        """Compute one tick."""
+        started = time.process_time()
+        tick = self.controller.tick(measured.state, measured.thrust, measured.wind, measured.time)
+        self.times.append(time.process_time() - started)
+        return Command(tick.thrust_rate, tick.joint_torque)
+
+
+class Push(NamedTuple):
+    """A force [N] and a moment [N m], inertial axes, on the chest."""
+
+    force: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    moment: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    start: float = 3.0
+    """[s]."""
+    duration: float = 0.2
+    """[s]."""
+
+
+@dataclass(frozen=True)
+class Flown:
+    """Outcome of a flight, judged as the crate's."""
+
+    outcome: str
+    end: float
+    """[s]."""
+    rotation_error: float
+    """Greatest [rad]."""
+    com_error: float
+    """Greatest after 3 s [m]; zero if the flight ended before."""
+    pilot: Any = field(repr=False)
+
+
+def fly(config: rust.Config, make: Callable[[rust.Config, rust.Measurement], Pilot], push: Push | None = None) -> Flown:
+    """Fly a configuration by a pilot until its end or until it is lost, over the limits of `simulator.fall`."""
+    simulator = config["simulator"]
+    plant, robot = rust.Plant(config), rust.Robot(config["robot"])
+    pusher = None if push is None else Pusher(config, robot, push)
+    measured = plant.reset()
+    pilot = make(config, measured)
+    com = rust.dynamics(robot, measured.state).com_position
+    reference = rust.setpoint_trajectory(config, com, np.asarray(measured.state.base_rotation))
+    rotation_max = com_max = 0.0
+    outcome = "completed"
+    last = round(simulator["duration"] / simulator["time_step"])
+    for tick in range(last + 1):
+        com = rust.dynamics(robot, measured.state).com_position
+        turned = reference["rotation"][tick].T @ np.asarray(measured.state.base_rotation)
+        rotation = float(np.arccos(np.clip((np.trace(turned) - 1.0) / 2.0, -1.0, 1.0)))
+        distance = float(np.linalg.norm(com - reference["com_position"][tick]))
+        if not np.isfinite(distance + rotation):
+            outcome = "diverged"
+            break
+        rotation_max = max(rotation_max, rotation)
+        com_max = max(com_max, distance) if measured.time >= SETTLING_TIME else com_max
+        fall = simulator["fall"]
+        if np.degrees(rotation) > fall["rotation_error_deg"] or distance > fall["com_error"]:
+            outcome = "fell"
+            break
+        if tick == last:
+            break
+        command = pilot.command(measured)
+        forces = None if pusher is None else pusher.forces(measured)
+        measured = plant.step(command.thrust_rate, command.joint_torque, forces)
+    if outcome == "completed" and com_max > simulator["course_error"]:
+        outcome = "off_course"
+    return Flown(outcome, measured.time, rotation_max, com_max, pilot)
+
+
+class Pusher:
+    """Forces of the air, and during a push those that amount to it, on the links of the chest."""
+
+    def __init__(self, config: rust.Config, robot: rust.Robot, push: Push) -> None:
+        links = robot.arrays()["aero_links"]
+        chest = robot.body_names.index("chest")
+        self.robot, self.push, self.aero = robot, push, config["simulator"]["aero"]
+        self.body = chest
+        self.which = [at for at, body in enumerate(links["bodies"]) if body == chest]
+        centres = links["positions"] + np.einsum("lab,lb->la", links["rotations"], links["centres"])
+        self.places: Array = centres[self.which]
+
+    def forces(self, measured: rust.Measurement) -> Array:
+        """Return the force on every link [N], inertial axes, (links, 3)."""
+        found = rust.link_forces(self.robot, self.aero, measured.state, measured.wind)
+        if not self.push.start <= measured.time < self.push.start + self.push.duration - 1e-9:
+            return found
+        rotation = rust.dynamics(self.robot, measured.state).body_rotations[self.body]
+        arms = (self.places - self.places.mean(axis=0)) @ rotation.T
+        map_to_wrench = np.vstack([np.hstack([np.eye(3)] * len(arms)), np.hstack([model.skew(arm) for arm in arms])])
+        share = np.linalg.pinv(map_to_wrench) @ np.concatenate([self.push.force, self.push.moment])
+        found[self.which] += share.reshape(-1, 3)
+        return found

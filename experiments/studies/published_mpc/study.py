@@ -1,0 +1,253 @@
+"""The published MPC of iRonCub-Mk3 beside our controllers, in still air, after pushes and in wind.
+
+`jax-aero study published_mpc` flies the first 26 s of the published mission, with engines, by the controller of Gorbani
+et al. 2025 (arXiv 2505.16478), written from its equations, and by ours, under equal perturbations of start and forces.
+Flight r has wind or push from 45 r degrees. An interrupted study is resumed by the same command.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from experiments import Refused
+from experiments.studies.published_mpc import flight, plan
+from experiments.studies.published_mpc.flight import Ours, Published, Push, Settings
+from experiments.study import Findings, Study
+from experiments.sweep.perturbation import Perturbation
+from experiments.sweep.table import wilson
+from jax_aero import places, rust, tables
+from jax_aero.wind_direction import wind_from
+
+EXPERIMENT, PERTURBATION = "mk3_min_jerk", places.CONFIGS / "perturbation" / "flight.toml"
+PUSHED = 6.0
+"""Duration of a flight with a push, which begins at 3 s [s]."""
+
+
+class Case(NamedTuple):
+    """What happens to the robot."""
+
+    speed: float = 0.0
+    """Of the wind [m/s]."""
+    turbulence: float = 0.0
+    """Standard deviation along the ground, half of that along the vertical [m/s]."""
+    force: float = 0.0
+    """Of a push on the chest [N]."""
+    moment: float = 0.0
+    """[N m]"""
+
+    @property
+    def is_push(self) -> bool:
+        """Whether it is a push, while hovering in still air."""
+        return self.force > 0.0 or self.moment > 0.0
+
+
+CASES = {
+    "still air": Case(),
+    "push of 50 N": Case(force=50.0),
+    "push of 50 N m": Case(moment=50.0),
+    "push of 300 N m": Case(moment=300.0),
+    "5 m/s": Case(speed=5.0),
+    "10 m/s": Case(speed=10.0),
+    "10 m/s, turbulence": Case(speed=10.0, turbulence=2.0),
+    "15 m/s": Case(speed=15.0),
+    "20 m/s": Case(speed=20.0),
+}
+PUBLISHED = {
+    "published": Settings(),
+    "published, integrals restart": Settings(accumulate=False),
+    "published, joints within limits": Settings(joint_limits=True),
+    "published, any torque": Settings(torque_limits=False),
+    "published, no engine dynamics": Settings(engine_dynamics=False),
+    "published, linearised once": Settings(relinearise=False),
+}
+WITHOUT = {"controller.aero": {"model": "off"}, "controller.observer": False, "controller.engines": False}
+OURS: dict[str, tuple[str, dict[str, Any]]] = {
+    "recommended": ("mk3_min_jerk", {}),
+    "predictive": ("mk3_min_jerk_mpc", {}),
+    "predictive, no air, no observer": ("mk3_min_jerk_mpc", WITHOUT),
+}
+"""Experiment and changes of our controllers."""
+VARIANTS = {
+    "published, integrals restart": ("10 m/s",),
+    "published, joints within limits": ("10 m/s",),
+    "published, any torque": ("push of 300 N m",),
+    "published, no engine dynamics": ("still air",),
+    "published, linearised once": ("still air",),
+    "predictive, no air, no observer": ("still air", "5 m/s", "10 m/s", "15 m/s", "20 m/s"),
+}
+"""Cases of those that do not fly all."""
+
+
+class Compared(tables.Table, frozen=True):
+    """Flights to fly."""
+
+    controllers: tuple[str, ...] = (*PUBLISHED, *OURS)
+    cases: tuple[str, ...] = tuple(CASES)
+    flights: tables.Count = 40
+    """Flights a case of the recommended and the predictive controller."""
+    published_flights: tables.Count = 8
+    """Flights a case of the published controller."""
+    variant_flights: tables.Count = 4
+    """Flights a case of variants."""
+    duration: tables.Positive = 26.0
+    """[s]; a push takes 6 s."""
+
+    def __post_init__(self) -> None:
+        for key, known in (("controllers", (*OURS, *PUBLISHED)), ("cases", CASES)):
+            tables.check_levels(self, key)
+            for name in getattr(self, key):
+                if name not in known:
+                    raise Refused(f"`{key}` has `{name}`{places.did_you_mean(name, known)}")
+
+
+def compute(_: str, asked: Compared, progress: Path) -> Findings:
+    """Fly what is not flown yet, and make the table."""
+    bases = {base: rust.load_config(base) for base, _ in OURS.values()}
+    key = json.dumps([tables.to_builtins(asked), {name: rust.config_digest(one) for name, one in bases.items()}])
+    kept: dict[str, Any] = json.loads(progress.read_text(encoding="utf-8")) if progress.is_file() else {}
+    flown: dict[str, list[Any]] = kept["flown"] if kept.get("key") == key else {}
+    for controller, case in cells(asked):
+        name = f"{controller} | {case}"
+        if name not in flown:
+            flown[name] = fly_cell(controller, CASES[case], asked)
+            progress.parent.mkdir(parents=True, exist_ok=True)
+            progress.write_text(json.dumps({"key": key, "flown": flown}), encoding="utf-8")
+            print(f"  {row(name, flown[name])}", flush=True)
+    times = compare_times(asked)
+    rows = {name: figures(flights) for name, flights in flown.items()}
+    most = max(map(len, flown.values()))
+    data = xr.Dataset(
+        {
+            "completed": (("cell", "flight"), _padded(flown, 0, most), {"units": "1"}),
+            "rotation_error": (("cell", "flight"), _padded(flown, 2, most), {"units": "deg"}),
+            "com_error": (("cell", "flight"), _padded(flown, 3, most), {"units": "m"}),
+        },
+        {"cell": list(flown)},
+    )
+    report = "\n".join(
+        [HEADER, *(row(*one) for one in flown.items()), "", *(f"{k}: {v:.3g}" for k, v in times.items())]
+    )
+    inputs = {"cases": {name: case._asdict() for name, case in CASES.items()}}
+    files = [PERTURBATION]
+    return Findings(
+        "Published MPC and ours", data, rows, flights=bases, inputs=inputs, files=files, timings=times, report=report
+    )
+
+
+STUDY = Study("published_mpc", __doc__, Compared, compute, ("mk3",), engine="rust", progress=".json")
+main = STUDY.main
+
+
+def cells(asked: Compared) -> Iterator[tuple[str, str]]:
+    """Yield controllers and cases."""
+    for case in asked.cases:
+        for controller in asked.controllers:
+            if case in VARIANTS.get(controller, asked.cases):
+                yield controller, case
+
+
+def configure(controller: str, case: Case, repeat: int, duration: float) -> tuple[rust.Config, Push | None]:
+    """Return the perturbed configuration of a flight, and its push."""
+    base, changes = OURS.get(controller, (EXPERIMENT, {}))
+    direction = 45.0 * (repeat % 8)
+    settings = {"simulator.duration": PUSHED if case.is_push else duration, **changes}
+    settings["wind.velocity"] = wind_from(case.speed, direction)
+    if case.turbulence:
+        std = [case.turbulence, case.turbulence, 0.5 * case.turbulence]
+        ramp = {"ramp_start": 5.0, "ramp_end": 10.0}
+        settings["wind"] = {"profile": "turbulent", "velocity": settings.pop("wind.velocity"), "std": std, **ramp}
+        settings["wind"]["time_scale"] = 2.0
+    if controller in PUBLISHED:
+        settings["simulator.time_step"] = plan.PERIOD  # with engines of its own
+    else:
+        settings["simulator.jets.dynamics"] = "second_order"
+    config = rust.load_config(base, settings)
+    tables.load(PERTURBATION, Perturbation).apply(config, 0, repeat, rust.Robot(config["robot"]))
+    x, y, _ = wind_from(1.0, direction)
+    push = (
+        Push((case.force * x, case.force * y, 0.0), (case.moment * x, case.moment * y, 0.0)) if case.is_push else None
+    )
+    return rust.resolve_config(config), push
+
+
+def fly_cell(controller: str, case: Case, asked: Compared) -> list[tuple[int, str, float, float]]:
+    """Return whether a flight completed, outcome, rotation error [deg] and CoM error [m] of the flights of a cell."""
+    counts = {"published": asked.published_flights} | dict.fromkeys(VARIANTS, asked.variant_flights)
+    count = counts.get(controller, asked.flights)
+    asked_for = [configure(controller, case, repeat, asked.duration) for repeat in range(count)]
+    if controller in OURS and not case.is_push:
+        results = rust.fly_batch([config for config, _ in asked_for], 1)
+        found = [(str(one.outcome), one.summary["max_rotation_error"], one.summary["max_com_error"]) for one in results]
+    else:
+        flown = [flight.fly(config, maker(controller), push) for config, push in asked_for]
+        found = [(one.outcome, one.rotation_error, one.com_error) for one in flown]
+    return [(int(outcome == "completed"), outcome, float(np.degrees(turn)), off) for outcome, turn, off in found]
+
+
+def maker(controller: str) -> Callable[[rust.Config, rust.Measurement], flight.Pilot]:
+    """Return what makes the pilot of a flight."""
+    if controller in OURS:
+        return lambda config, _: Ours(config)
+    return lambda config, start: Published(config, start, PUBLISHED[controller])
+
+
+HEADER = "controller | case | completed | 95 % | rotation error, median (greatest) | CoM error, median (greatest)"
+
+
+def figures(flights: list[Any]) -> dict[str, float]:
+    """Return share and medians of the flights of a cell; errors of those that completed."""
+    completed = [one for one in flights if one[0]]
+    low, high = wilson(len(completed), len(flights))
+    found = {"completed": len(completed), "flights": len(flights), "low": low, "high": high}
+    for at, name in ((2, "rotation_error_deg"), (3, "com_error_m")):
+        values = [one[at] for one in completed]
+        found |= {name: float(np.median(values)), f"{name}_max": max(values)} if values else {}
+    return found
+
+
+def row(name: str, flights: list[Any]) -> str:
+    """Return a row of the table."""
+    found = figures(flights)
+    text = (
+        f"{name} | {found['completed']} of {found['flights']} | {100 * found['low']:.0f} to {100 * found['high']:.0f} %"
+    )
+    if found["completed"]:
+        text += f" | {found['rotation_error_deg']:.1f}° ({found['rotation_error_deg_max']:.1f})"
+        text += f" | {100 * found['com_error_m']:.1f} cm ({100 * found['com_error_m_max']:.1f})"
+    return text
+
+
+def compare_times(asked: Compared) -> dict[str, float]:
+    """Return processor times of the controllers, hovering in turns in still air."""
+    loops = []
+    for controller in ("published", "predictive"):
+        config, _ = configure(controller, CASES["still air"], 0, asked.duration)
+        plant = rust.Plant(config)
+        measured = plant.reset()
+        loops.append((plant, maker(controller)(config, measured)))
+    for _ in range(200):
+        for plant, pilot in loops:
+            command = pilot.command(plant.measure())
+            plant.step(command.thrust_rate, command.joint_torque)
+    (_, published), (_, predictive) = loops
+    assert isinstance(published, Published)
+    assert isinstance(predictive, Ours)
+    found = {
+        "published, tick": published.times,
+        "published, QP": published.solver_times,
+        "predictive, tick with a plan": predictive.times[::2],
+    }
+    times = {f"{name} [ms]": 1e3 * float(np.median(values)) for name, values in found.items()}
+    first, qp, ours = times.values()
+    return times | {"published QP, times of our tick": qp / ours, "published tick, times of our tick": first / ours}
+
+
+def _padded(flown: Mapping[str, list[Any]], at: int, most: int) -> Any:
+    rows = [[float(one[at]) for one in flights] for flights in flown.values()]
+    return np.array([one + [np.nan] * (most - len(one)) for one in rows])
