@@ -512,6 +512,7 @@ class FallConfig(Struct, frozen=True, kw_only=True):
 
 
 class FuelConfig(Struct, frozen=True, kw_only=True):
+    body: str
     by_thrust: float
     idle: float
     mass: float
