@@ -81,8 +81,11 @@ class Task:
         Raises
         ------
         ValueError
-            If the experiment's controller measures the mean of the wind.
+            If the experiment's controller measures the mean of the wind, or computes torques several times in a tick.
         """
+        if (steps := config["controller"]["torque"].get("steps", 1)) > 1:
+            expected = "expected 1: an action acts for a tick"
+            raise ValueError(f"`controller.torque.steps` of {self.experiment} is {steps}; {expected}")
         if (config.get("disturbances", {}).get("wind_estimate") or {}).get("mean_only"):
             expected = "expected false: no mean of a wind is known before it is drawn"
             raise ValueError(f"`disturbances.wind_estimate.mean_only` of {self.experiment} is true; {expected}")

@@ -12,6 +12,7 @@ from jax_aero.control.guard.estimator import EstimatorState
 from jax_aero.control.guard.joints import JointsState
 from jax_aero.control.guard.observer import ObserverState
 from jax_aero.control.guard.wind_observer import WindState
+from jax_aero.control.law.between import JointsBetween
 from jax_aero.control.law.mpc.plan import Plan
 from jax_aero.control.law.setpoint import SetpointState
 from jax_aero.control.qp import WarmStart
@@ -52,3 +53,5 @@ class ControllerState(NamedTuple):
     """Time for which the supervisor's limits have been exceeded [s]; `None` without one."""
     plan: Plan | None = None
     """Plan of the predictive law; `None` without one."""
+    between: JointsBetween | None = None
+    """Joints between two ticks of the law; `None` if each computes the torques once."""

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jax_aero.aero import AeroModel, LinkConventions, ReadNetwork, aero_model, weight_forces
 from jax_aero.aero.network_card import load_network
@@ -38,11 +38,14 @@ from jax_aero.control.guard.stages import (
     ObserverStage,
     SupervisorStage,
     WindStage,
+    accelerate,
 )
 from jax_aero.control.guard.supervisor import SupervisorLimits
 from jax_aero.control.guard.wind_observer import WindObserver
+from jax_aero.control.law import between as joints_between
 from jax_aero.control.law import setpoint as generator
 from jax_aero.control.law.attitude import MomentumGains
+from jax_aero.control.law.between import JointMeasurement, JointsBetween, JointTracker, joint_tracker
 from jax_aero.control.law.limits import Limits
 from jax_aero.control.law.mission import Mission, load_mission
 from jax_aero.control.law.momentum_qp import Task
@@ -58,7 +61,7 @@ from jax_aero.control.modes import MODES
 from jax_aero.control.preview import Preview
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model, Terms, update_model
-from jax_aero.dynamics import dynamics, forward_dynamics
+from jax_aero.dynamics import dynamics
 from jax_aero.kinematics import kinematics
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import multiply
@@ -113,6 +116,8 @@ class MomentumController:
     supervisor: SupervisorLimits | None
     mpc: Mpc | None
     """The predictive law; `None` where the momentum QP decides."""
+    between: JointTracker | None
+    """Joints between two ticks of the law; `None` if each computes the torques once."""
     mission: Mission
     time_step: Float[Array, ""]
     """[s]."""
@@ -149,7 +154,8 @@ class MomentumController:
 
     def torques(self) -> Torques:
         """Return the torque law."""
-        return Torques(self.torque, self.torque_max, self.time_step)
+        period = self.time_step if self.between is None else self.between.period
+        return Torques(self.torque, self.torque_max, period)
 
     def model(self, robot: RobotModel, used: UsedMeasurement) -> Model:
         """Return the values of a tick that depend on the measurement only."""
@@ -166,6 +172,13 @@ class MomentumController:
         """Compute one tick on the configured mission; see `tick`."""
         memory, command, terms = tick(self, robot, memory, *measurement[:4], preview=measurement.preview)
         return memory, command._replace(setpoint=terms.setpoint, terms=terms)
+
+    def step_torques(
+        self, robot: RobotModel, memory: ControllerState, command: Command, measured: JointMeasurement, tick: Array
+    ) -> tuple[ControllerState, Array]:
+        """Compute one tick of the torques; see `tick_torques`."""
+        assert command.terms is not None
+        return tick_torques(self, robot, memory, command, command.terms, measured, tick)
 
 
 def momentum_controller(
@@ -187,8 +200,7 @@ def momentum_controller(
     if controller.contact is not None or not controller.use_jets:
         key, value = ("contact", "given") if controller.contact is not None else ("use_jets", "false")
         raise ValueError(f"`controller.{key}` is {value}; expected a controller that flies: JAX has no feet")
-    if controller.torque.steps != 1:
-        raise ValueError(f"`controller.torque.steps` is {controller.torque.steps}; expected 1: JAX has one rate")
+    is_of_one_rate = controller.torque.steps == 1
     feedback, aero = controller.aero_feedback, aero_model(controller.aero, robot, read_network)
     estimates, winds = controller.estimator, controller.wind_observer
     return MomentumController(
@@ -214,9 +226,13 @@ def momentum_controller(
         wind_observer=None if winds is None else leaves(WindObserver, winds),
         observer=None if controller.observer is None else leaves(ObserverGains, controller.observer),
         engines=None if controller.engines is None else engines.engine_limits(controller.engines, robot),
-        joints=None if controller.joints is None or not robot.n_joints else leaves(JointLimits, controller.joints),
+        # Torques that change within a tick are not compared with the joints' response.
+        joints=leaves(JointLimits, controller.joints)
+        if controller.joints is not None and robot.n_joints and is_of_one_rate
+        else None,
         supervisor=None if controller.supervisor is None else leaves(SupervisorLimits, controller.supervisor),
         mpc=None if controller.mpc is None else mpc_params(controller.mpc, robot, config.simulator.time_step),
+        between=None if is_of_one_rate else joint_tracker(controller, config.simulator.time_step),
         mission=load_mission(config.mission),
         time_step=time_step,
     )
@@ -240,6 +256,7 @@ def init(params: MomentumController, robot: RobotModel, state: State) -> Control
         momentum_start=qp.cold_start(jets + n, zeros.dtype),
         torque_start=qp.cold_start(n, zeros.dtype),
         plan=params.law().plan(jets, zeros.dtype),
+        between=None if params.between is None else JointsBetween(zeros, zeros, zeros, zeros, zeros, jnp.array(False)),
     )
     return params.guard(robot).start(memory, state)
 
@@ -311,7 +328,43 @@ def tick(
             torque.unlimited_torque,
             limits,
         )
-        return guard.predict(memory, terms, model, command), command, terms
+        memory = guard.predict(memory, terms, model, command)
+        if params.between is not None:
+            now, acting = used.state, command.joint_torque
+            faster = memory.channels.acceleration[6:]
+            begun = JointsBetween(now.joint_position, now.velocity[6:], acting, faster, acting, torque.are_solved)
+            memory = memory._replace(between=begun)
+        return memory, command, terms
+
+
+def tick_torques(
+    params: MomentumController,
+    robot: RobotModel,
+    memory: ControllerState,
+    command: Command,
+    terms: Terms,
+    measured: JointMeasurement,
+    tick: Int[Array, ""],
+) -> tuple[ControllerState, Float[Array, " n"]]:
+    """Compute tick number `tick`, from one on, of the torques after a tick of the law, at equal times until the next.
+
+    Return the next state and the torques [N m, N], for new measurements of the joints, with model, thrust rates and
+    joint velocities of the tick of the law, whose `command` and `terms` these are. Joints that are not measured are
+    predicted. Without an answer of the QP the torques are kept.
+    """
+    tracker, last, commanded = params.between, memory.between, command.joint_velocity
+    assert tracker is not None
+    assert last is not None
+    assert commanded is not None
+    with jax.default_matmul_precision("highest"):
+        joints = joints_between.update(tracker, last, measured)
+        memory, torque = params.torques().solve_again(
+            memory, terms.torque_qp, joints.velocity - commanded, terms.limits, joints.are_solved
+        )
+        memory = memory._replace(between=joints._replace(are_solved=torque.are_solved))
+        left = (tracker.steps - tick) / tracker.steps
+        acting = torque.joint_torque
+        return params.guard(robot).change_torques(memory, terms, acting, left.astype(acting.dtype)), acting
 
 
 def _command(used: UsedMeasurement, rates: Rates, torque: Torque) -> Command:
@@ -340,10 +393,8 @@ def replace_command(
     The predictions of the channels and the estimator use it. The torques of the control law remain, from which its
     rate limiter continues. `thrust_rate` [N/s], `joint_torque` [N m].
     """
-    # ν̇ is linear in the torques: it changes by M⁻¹ S (τ′ − τ).
-    dyn, known = terms.dynamics, memory.channels
-    share = terms.limits.torque_share
-    change = forward_dynamics(dyn, dyn.bias.at[6:].add(share * (joint_torque - command.joint_torque)))
+    known, share = memory.channels, terms.limits.torque_share
+    change = accelerate(terms.dynamics, share * (joint_torque - command.joint_torque))
     known = known._replace(acceleration=known.acceleration + change, thrust_rate=thrust_rate)
     memory = memory._replace(channels=known)
     if memory.estimator is not None:
@@ -351,4 +402,7 @@ def replace_command(
         memory = memory._replace(estimator=replaced)
     if memory.joints is not None:
         memory = memory._replace(joints=memory.joints._replace(torque=joint_torque))
+    if memory.between is not None:
+        acting = {"torque": joint_torque, "mean_torque": joint_torque, "acceleration": known.acceleration[6:]}
+        memory = memory._replace(between=memory.between._replace(**acting))
     return memory, command._replace(thrust_rate=thrust_rate, joint_torque=joint_torque)

@@ -10,7 +10,8 @@ Equations M78, M79, M87, M140 and M142 of `docs/model.md`.
 
 from __future__ import annotations
 
-from typing import NamedTuple, assert_never
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar, assert_never
 
 import jax
 import jax.numpy as jnp
@@ -48,6 +49,8 @@ from jax_aero.sim.actuation import Actuation, ActuationState
 from jax_aero.spatial import rotate, rotation_from_rpy
 from jax_aero.types import Array, Dynamics, Kinematics, LinkForces, State, Static, leaf, pytree
 
+Kept = TypeVar("Kept")
+
 STOP_STIFFNESS = 1e5
 """Stiffness of a joint stop, and of what holds a stuck joint [N m/rad, N/m]: 50 N m deflect it by half a mrad."""
 STOP_DAMPING = 200.0
@@ -74,6 +77,8 @@ class Plant:
     has_stops: Static[bool]
     """Whether joints have stops."""
     substeps: Static[int]
+    torque_steps: Static[int]
+    """Times that torques are commanded in a tick."""
     backend: Static[DynamicsBackend]
 
 
@@ -114,10 +119,11 @@ def start_plant(
     aero: AeroModel | None = None,
     jets: JetDynamics | None = None,
     read_network: ReadNetwork = load_network,
+    torque_steps: int = 1,
 ) -> tuple[Plant, PlantState]:
     """Return a plant and its state at the first tick. Call it outside loops, since it draws noise.
 
-    `aero` and `jets` replace the models of the configuration.
+    `aero` and `jets` replace the models of the configuration. In each tick torques are commanded `torque_steps` times.
 
     Raises
     ------
@@ -134,7 +140,7 @@ def start_plant(
         faults, fault_state = start_faults(disturbances.jets, config.jets, robot, n_ticks(config))
     way, on_the_way = None, None
     if config.actuation is not None:
-        sizes = robot.jets.count, robot.n_joints
+        sizes = robot.jets.count, robot.n_joints, torque_steps
         way, on_the_way = actuation.start(config.actuation, config.time_step, config.substeps, n_ticks(config), *sizes)
     joint_faults, joint_state = None, None
     if disturbances.joints:
@@ -151,6 +157,7 @@ def start_plant(
         integrator=config.integrator,
         has_stops=config.joint_stops,
         substeps=config.substeps,
+        torque_steps=torque_steps,
         backend=config.dynamics,
     )
     joint_position = jnp.asarray(leaf(initial.joint_position))
@@ -216,23 +223,62 @@ def advance(
     They act throughout, or as the actuation lets them arrive. `seen` is the observation of `state`; later sub-steps of
     the tick observe anew.
     """
-    substeps, sent = plant.substeps, None
-    if plant.actuation is not None and state.actuation is not None:
-        sent = actuation.send(plant.actuation, state.actuation, thrust_rate, torque)
-        thrust_rate = actuation.mean(sent.thrust_rate, substeps)
-    step = plant.time_step / substeps
-    robot = state.robot
+    return advance_in_steps(plant, state, seen, torque, thrust_rate, wind, lambda kept, *_: (kept, torque), ())[0]
+
+
+def advance_in_steps(
+    plant: Plant,
+    state: PlantState,
+    seen: Observation,
+    torque: Float[Array, " n"],
+    thrust_rate: Float[Array, " j"],
+    wind: Float[Array, "3"],
+    command: Callable[[Kept, Array, State], tuple[Kept, Array]],
+    kept: Kept,
+) -> tuple[PlantState, Kept]:
+    """Advance one tick in which torques are commanded at the beginning of each of its `torque_steps` parts.
+
+    `torque` is that of the first part. For later ones `command` receives what it has kept, the number of the part and
+    the robot's state then; it returns what it keeps and the torques [N m].
+    """
+    on_the_way = state.actuation
+    if plant.actuation is not None and on_the_way is not None:
+        on_the_way = actuation.send(plant.actuation, on_the_way, thrust_rate, torque)
+        thrust_rate = actuation.mean(on_the_way.thrust_rate, plant.substeps)
+    step = plant.time_step / plant.substeps
+    state = state._replace(actuation=on_the_way)
     if plant.joint_faults is not None and state.joint_faults is not None:
-        joints = begin_tick(plant.joint_faults, state.joint_faults, plant.time_step, robot.joint_position)
+        joints = begin_tick(plant.joint_faults, state.joint_faults, plant.time_step, state.robot.joint_position)
         state = state._replace(joint_faults=joints)
-    for substep in range(substeps):
-        between = state._replace(robot=robot)
-        now = seen if substep == 0 else observe(plant, between, wind)
-        acting = torque if sent is None else actuation.acting(sent.torque, substep, substeps)
-        robot = _advance_robot(plant, between, now, acting, step)
+    state = _advance_part(plant, state, seen, torque, wind, step)
+
+    def advance_later(before: tuple[PlantState, Kept], part: Array) -> tuple[tuple[PlantState, Kept], None]:
+        state, kept = before
+        kept, torque = command(kept, part, state.robot)
+        if plant.actuation is not None and state.actuation is not None:
+            state = state._replace(actuation=actuation.send_torque(plant.actuation, state.actuation, torque, part))
+        return (_advance_part(plant, state, observe(plant, state, wind), torque, wind, step), kept), None
+
+    if plant.torque_steps > 1:
+        (state, kept), _ = jax.lax.scan(advance_later, (state, kept), jnp.arange(1, plant.torque_steps))
     jets, faults = _advance_jets(plant, state, thrust_rate)
-    held = None if sent is None else actuation.hold(sent, substeps)
-    return state._replace(robot=robot, jets=jets, faults=faults, actuation=held)
+    if (way := state.actuation) is not None:
+        state = state._replace(actuation=way._replace(thrust_rate=actuation.hold(way.thrust_rate, plant.substeps)))
+    return state._replace(jets=jets, faults=faults), kept
+
+
+def _advance_part(
+    plant: Plant, state: PlantState, seen: Observation, torque: Array, wind: Array, step: Array
+) -> PlantState:
+    """Advance the robot by the sub-steps for which torques are commanded."""
+    substeps, way = plant.substeps // plant.torque_steps, state.actuation
+    for substep in range(substeps):
+        now = seen if substep == 0 else observe(plant, state, wind)
+        acting = torque if way is None else actuation.acting(way.torque, substep, substeps)
+        state = state._replace(robot=_advance_robot(plant, state, now, acting, step))
+    if way is not None:
+        state = state._replace(actuation=way._replace(torque=actuation.hold(way.torque, substeps)))
+    return state
 
 
 def _advance_jets(plant: Plant, state: PlantState, command: Array) -> tuple[JetsState, FaultState | None]:

@@ -22,6 +22,7 @@ from jaxtyping import Bool, Float, Int
 
 from jax_aero import noise
 from jax_aero.config import SensorsConfig
+from jax_aero.control.law.between import JointMeasurement
 from jax_aero.control.measurement import Reading
 from jax_aero.spatial import exp_so3, multiply
 from jax_aero.types import Array, State, Static, join, leaf, pytree
@@ -124,14 +125,7 @@ def read(errors: Sensors, before: SensorState, truth: Reading, tick: Int[Array, 
     gyro = turning.base_rotation.T @ turning.velocity[3:6] + angular
 
     joints, last = past_state(4), before.said.state
-    # The phase of each joint is a radian behind that of the one before.
-    amplitude, rate = errors.tremble
-    phase = rate * time - jnp.arange(errors.joint_bias.shape[0])
-    measured = joints.joint_position + (errors.joint_bias + amplitude * jnp.sin(phase))
-    # Multiplied by the reciprocal explicitly, as XLA does: ties must round equally in both languages.
-    steps = measured * (1.0 / jnp.where(errors.resolution > 0.0, errors.resolution, 1.0))
-    rounded = errors.resolution * jnp.sign(steps) * jnp.floor(jnp.abs(steps) + 0.5)  # halves away from zero
-    joint_position = jnp.where(errors.resolution > 0.0, rounded, measured)
+    joint_position = _encode(errors, joints.joint_position, time)
     was = last.velocity[6:]
     moved = was + errors.share * ((joint_position - last.joint_position) / errors.time_step - was)
     joint_velocity = jnp.where(errors.is_difference & (tick > 0), moved, joints.velocity[6:])
@@ -146,3 +140,24 @@ def read(errors: Sensors, before: SensorState, truth: Reading, tick: Int[Array, 
         line.thrust[errors.age[5]] + errors.thrust_bias + errors.thrust_noise_std * drawn[12:],
     )
     return SensorState(line, said), said
+
+
+def read_joints(errors: Sensors, state: State, time: Float[Array, ""]) -> JointMeasurement:
+    """Return what the encoders measure between two ticks, at `time` [s].
+
+    Velocities that a low pass computes from the positions of the ticks are NaN.
+    """
+    velocity = jnp.where(errors.is_difference, jnp.nan, state.velocity[6:])
+    return JointMeasurement(_encode(errors, state.joint_position, time), velocity)
+
+
+def _encode(errors: Sensors, position: Array, time: Array) -> Array:
+    """Return joint positions as they are measured at `time` (M90)."""
+    # The phase of each joint is a radian behind that of the one before.
+    amplitude, rate = errors.tremble
+    phase = rate * time - jnp.arange(errors.joint_bias.shape[0])
+    measured = position + (errors.joint_bias + amplitude * jnp.sin(phase))
+    # Multiplied by the reciprocal explicitly, as XLA does: ties must round equally in both languages.
+    steps = measured * (1.0 / jnp.where(errors.resolution > 0.0, errors.resolution, 1.0))
+    rounded = errors.resolution * jnp.sign(steps) * jnp.floor(jnp.abs(steps) + 0.5)  # halves away from zero
+    return jnp.where(errors.resolution > 0.0, rounded, measured)

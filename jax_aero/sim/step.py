@@ -29,9 +29,11 @@ from jax_aero.aero import AeroModel, ReadNetwork
 from jax_aero.aero.network_card import load_network
 from jax_aero.config import ModelError, ScenarioConfig
 from jax_aero.control import Command, Controller, Measurement
+from jax_aero.control.law.between import JointMeasurement
 from jax_aero.control.measurement import Reading
 from jax_aero.control.modes import MODES
 from jax_aero.control.preview import Preview
+from jax_aero.control.protocol import TorqueController
 from jax_aero.control.tick import momentum_controller
 from jax_aero.io import scenario_config
 from jax_aero.jets import JetDynamics
@@ -45,7 +47,7 @@ from jax_aero.sim.sensors import Sensors, SensorState
 from jax_aero.sim.wind import Wind, wind_model, wind_velocity
 from jax_aero.sim.wind_estimate import WindEstimate, measured_wind, wind_estimate
 from jax_aero.spatial import multiply, rotation_angle, rpy_from_rotation, safe_norm, wxyz_from_rotation
-from jax_aero.types import Array, Static, leaf, leaves, pytree, where, with_dtype
+from jax_aero.types import Array, State, Static, leaf, leaves, pytree, where, with_dtype
 
 (
     FLYING,
@@ -258,10 +260,16 @@ def prepare(
             raise ValueError(f"`simulator.{key}` is given; expected none: this engine has neither ground nor motors")
     wind, replaced = wind_model(config.wind), config.disturbances.controller_wind
     controller_wind = None if replaced is None else wind_model(replaced)
-    plant, state = world.start_plant(config.simulator, config.disturbances, robot, aero, jets, read_network)
+    torque_steps = config.controller.torque.steps
+    plant, state = world.start_plant(
+        config.simulator, config.disturbances, robot, aero, jets, read_network, torque_steps
+    )
     model, settings = controller_model(config, robot), config.simulator.sensors
     if controller is None:
         controller = momentum_controller(config, model or robot, read_network)
+    if torque_steps > 1 and not isinstance(controller, TorqueController):
+        expected = "1 with a controller without `step_torques`"
+        raise ValueError(f"`controller.torque.steps` is {torque_steps}; expected {expected}")
     estimate, ticks, errors = config.disturbances.wind_estimate, world.n_ticks(config.simulator), None
     if estimate is not None:
         errors = wind_estimate(estimate, plant.time_step, _winds(controller_wind or wind, ticks, plant.time_step))
@@ -376,6 +384,7 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
     if scenario.sensors is not None and sensors is not None:
         sensors, said = sensing.read(scenario.sensors, sensors, said, tick)
     held, measurement = spoil(scenario.outages, state.outages, Measurement(time, *said, wind_measured))
+    sample = measurement
     if scenario.sensors is not None and scenario.sensors.wind_ahead is not None:
         ahead = scenario.sensors.wind_ahead
         winds = jax.vmap(wind_velocity, in_axes=(None, 0))(scenario.wind, time + ahead)
@@ -413,7 +422,16 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
     lost_now = (state.loss == FLYING) & (loss != FLYING)
     goes_on = (state.loss == FLYING) & (loss == FLYING)
     # The next step of a lost flight may overflow.
-    moved = world.advance(plant, where(goes_on, now, at_rest), seen, command.joint_torque, command.thrust_rate, air)
+    moved, (memory, held, _) = world.advance_in_steps(
+        plant,
+        where(goes_on, now, at_rest),
+        seen,
+        command.joint_torque,
+        command.thrust_rate,
+        air,
+        partial(_command_torques, scenario, model, command, time),
+        (memory, held, sample),
+    )
     after = FlightState(
         plant=where(goes_on, moved, state.plant),
         controller=where(goes_on, memory, state.controller),
@@ -426,6 +444,33 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
         loss_tick=jnp.where(lost_now, tick.astype(jnp.int32), state.loss_tick),
     )
     return after, row
+
+
+def _command_torques(
+    scenario: Scenario,
+    model: RobotModel,
+    command: Command,
+    time: Array,
+    kept: tuple[Any, tuple[OutageState, ...], Measurement],
+    part: Array,
+    robot: State,
+) -> tuple[tuple[Any, tuple[OutageState, ...], Measurement], Array]:
+    """Measure the joints at the beginning of a part of a tick, and compute torques.
+
+    Kept are the controller's state, the outages' and the measurement, of which the joints are new.
+    """
+    (memory, held, sample), controller = kept, scenario.controller
+    assert isinstance(controller, TorqueController)
+    now = time + part * (scenario.plant.time_step / scenario.plant.torque_steps)
+    joints = JointMeasurement(robot.joint_position, robot.velocity[6:])
+    if scenario.sensors is not None:
+        joints = sensing.read_joints(scenario.sensors, robot, now)
+    velocity = sample.state.velocity.at[6:].set(joints.velocity)
+    state = sample.state._replace(joint_position=joints.position, velocity=velocity)
+    held, sample = spoil(scenario.outages, held, sample._replace(time=now, state=state))
+    measured = JointMeasurement(sample.state.joint_position, sample.state.velocity[6:])
+    memory, torque = controller.step_torques(model, memory, command, measured, part)
+    return (memory, held, sample), torque
 
 
 def _check_precision(scenario: Scenario) -> None:

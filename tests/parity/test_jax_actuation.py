@@ -26,7 +26,9 @@ def test_a_delay_of_some_steps_shifts_commands_by_them(delay, substeps):
         sent = actuation.send(way, state, jnp.array([-float(tick)]), jnp.array([float(tick)]))
         torques += [float(actuation.acting(sent.torque, substep, substeps)[0]) for substep in range(substeps)]
         rates.append(float(actuation.mean(sent.thrust_rate, substeps)[0]))
-        state = actuation.hold(sent, substeps)
+        state = sent._replace(
+            thrust_rate=actuation.hold(sent.thrust_rate, substeps), torque=actuation.hold(sent.torque, substeps)
+        )
     expected = np.maximum(np.arange(ticks * substeps) - delay, 0) // substeps
     np.testing.assert_array_equal(torques, expected)
     np.testing.assert_array_equal(rates, -expected.reshape(ticks, substeps).mean(axis=1))
@@ -79,7 +81,7 @@ def test_late_commands_have_derivatives():
         way, state = actuation.start(ActuationConfig(torque_delay=0.01), 0.01, 1, 3, jets=1, joints=1)
         for torque in torques:
             sent = actuation.send(way, state, jnp.zeros(1), torque[None])
-            state = actuation.hold(sent, 1)
+            state = sent._replace(torque=actuation.hold(sent.torque, 1))
         return state.torque.held[0]
 
     np.testing.assert_array_equal(jax.grad(second)(jnp.array([1.0, 2.0, 3.0])), [0.0, 1.0, 0.0])

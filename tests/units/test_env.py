@@ -162,12 +162,19 @@ def test_gymnasium_refuses_what_stands_between_plant_and_controller(key, tmp_pat
         HoverEnv(Task(str(tmp_path / "own.toml")))
 
 
-def test_a_task_refuses_the_mean_of_a_wind_that_is_drawn_later(tmp_path):
-    (tmp_path / "own.toml").write_text(
-        f'base = "{EXPERIMENTS}/test1.toml"\ndisturbances.wind_estimate.mean_only = true\n'
-    )
-    with pytest.raises(ValueError, match=r"`disturbances\.wind_estimate\.mean_only` of .*own\.toml is true"):
-        FlightEnv(Task(str(tmp_path / "own.toml")))
+REFUSED = {
+    "the mean of a wind that is drawn later": ("disturbances.wind_estimate.mean_only", "true", ""),
+    "torques that are computed several times in a tick": ("controller.torque.steps", "2", "simulator.substeps = 2"),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_a_task_refuses(what, tmp_path):
+    key, value, others = REFUSED[what]
+    (tmp_path / "own.toml").write_text(f'base = "{EXPERIMENTS}/test1.toml"\n{key} = {value}\n{others}\n')
+    for environment in (FlightEnv, HoverEnv):
+        with pytest.raises(ValueError, match=rf"`{key}` of .*own\.toml is {value}; expected"):
+            environment(Task(str(tmp_path / "own.toml")))
 
 
 def test_an_action_is_a_residual_or_takes_the_controllers_place():

@@ -39,7 +39,7 @@ from jax_aero.control.terms import Model, Terms
 from jax_aero.dynamics import forward_dynamics
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import cross
-from jax_aero.types import Array, Setpoint, State, where
+from jax_aero.types import Array, Dynamics, Setpoint, State, where
 
 
 class Measured(NamedTuple):
@@ -142,6 +142,28 @@ class Guard:
         for stage in self.stages:
             memory = stage.predict(memory, terms, command)
         return memory
+
+    def change_torques(
+        self, memory: ControllerState, terms: Terms, torque: Float[Array, " n"], share: Float[Array, ""]
+    ) -> ControllerState:
+        """Correct what was predicted: these torques act for a share of the tick in place of the last ones [N m]."""
+        between, known, acts = memory.between, memory.channels, terms.limits.torque_share
+        assert between is not None
+        more = torque - between.torque
+        change, mean = accelerate(terms.dynamics, acts * more), between.mean_torque + share * more
+        memory = memory._replace(
+            channels=known._replace(acceleration=known.acceleration + share * change),
+            between=between._replace(torque=torque, acceleration=between.acceleration + change[6:], mean_torque=mean),
+        )
+        if memory.estimator is None:
+            return memory
+        corrected = estimator.replace_command(memory.estimator, acts * mean, known.thrust_rate)
+        return memory._replace(estimator=corrected)
+
+
+def accelerate(dyn: Dynamics, torque: Float[Array, " n"]) -> Float[Array, " N"]:
+    """Return the acceleration by which `ν̇` changes under more joint torques [N m]: it is linear in them."""
+    return forward_dynamics(dyn, dyn.bias.at[6:].add(torque))
 
 
 @dataclass(frozen=True)

@@ -62,15 +62,34 @@ def torque_qp(
     Of each torque a `share` acts. The acceleration of joints of which none acts is not controlled.
     """
     gain, free = joint_response(mass_matrix, force)
-    desired = -params.kd * velocity_error - params.kp * velocity_error_integral
-    n = desired.shape[0]
     penalty = params.weight_torque + params.regularisation
-    weighted = jnp.where(jnp.asarray(share) > 0.0, params.weight_acceleration, 0.0) * gain
+    weighted = _weigh(params, gain, share)
     h = weighted @ gain
-    h = 0.5 * (h + h.T) + penalty * jnp.eye(n, dtype=h.dtype)
-    g = weighted @ (free - desired)
+    h = 0.5 * (h + h.T) + penalty * jnp.eye(h.shape[0], dtype=h.dtype)
+    desired = _desired(params, velocity_error, velocity_error_integral)
     most = share * torque_max
-    return TorqueQp(desired, free, gain, BoxQp(h, g, -most, most))
+    return TorqueQp(desired, free, gain, BoxQp(h, weighted @ (free - desired), -most, most))
+
+
+def torque_qp_again(
+    params: TorqueParams,
+    last: TorqueQp,
+    velocity_error: Float[Array, " n"],
+    velocity_error_integral: Float[Array, " n"],
+    share: Float[Array, " n"],
+) -> TorqueQp:
+    """Build the QP for other joint velocities; all else is that of the last one."""
+    desired = _desired(params, velocity_error, velocity_error_integral)
+    g = _weigh(params, last.gain, share) @ (last.acceleration_free - desired)
+    return last._replace(acceleration_desired=desired, problem=last.problem._replace(g=g))
+
+
+def _weigh(params: TorqueParams, gain: Array, share: Array | float) -> Array:
+    return jnp.where(jnp.asarray(share) > 0.0, params.weight_acceleration, 0.0) * gain
+
+
+def _desired(params: TorqueParams, velocity_error: Array, velocity_error_integral: Array) -> Array:
+    return -params.kd * velocity_error - params.kp * velocity_error_integral
 
 
 def commanded(
