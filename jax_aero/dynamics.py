@@ -52,7 +52,7 @@ def momentum(robot: RobotModel, kin: Kinematics) -> tuple[Float[Array, "3"], Flo
     arms, omega = rotate(kin.body_rotations, robot.coms), kin.angular_velocities
     linear = robot.masses[:, None] * (kin.linear_velocities + cross(omega, arms))
     spin = rotate(kin.body_rotations, rotate(robot.inertias, rotate_back(kin.body_rotations, omega)))
-    angular = spin + cross(kin.body_positions + arms - kin.com, linear)
+    angular = spin + cross(kin.body_positions + arms - kin.com[None], linear)
     return linear.sum(0), angular.sum(0)
 
 
@@ -64,7 +64,7 @@ def _tree_mass_matrix_and_bias(robot: RobotModel, state: State, kin: Kinematics)
     `l = m v + ω × s`, `k = I ω + s × v` with the first moment s. Then `M_ij = ω_i·k_j + v_i·l_j` for every joint i
     between j and the base.
     """
-    rotations, origin = kin.body_rotations, kin.body_positions[0]
+    rotations, origin = kin.body_rotations, kin.body_positions[:1]
     arms = rotate(rotations, robot.coms)
     coms = kin.body_positions - origin + arms
     inertias = multiply(multiply(rotations, robot.inertias), jnp.swapaxes(rotations, -1, -2))
@@ -113,7 +113,7 @@ def _inertial_wrenches(
     turning = cross(alpha[parents], links) + cross(omega[parents], cross(omega[parents], links))
     a_origin = moves @ (turning + coriolis)
     a_com = a_origin + cross(alpha, arms) + cross(omega, cross(omega, arms))
-    up = jnp.array([0.0, 0.0, 1.0], dtype=state.velocity.dtype)
+    up = jnp.array([[0.0, 0.0, 1.0]], dtype=state.velocity.dtype)
     force = robot.masses[:, None] * (a_com + robot.gravity * up)
     moment = rotate(inertias, alpha) + cross(omega, rotate(inertias, omega)) + cross(coms, force)
     return force, moment

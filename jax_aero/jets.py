@@ -327,6 +327,6 @@ def update_ekf(
     by_rate = e.k_d + 2.0 * e.k_dd * rate + e.k_td * thrust + e.b_d * v
     ones, zeros = jnp.ones_like(thrust), jnp.zeros_like(thrust)
     slopes = jnp.stack([jnp.stack([zeros, ones], axis=1), jnp.stack([by_thrust, by_rate], axis=1)], axis=1)
-    transition = jnp.eye(2, dtype=p.dtype) + dt * slopes
+    transition = jnp.eye(2, dtype=p.dtype)[None] + dt * slopes
     flow = jnp.stack([rate, thrust_acceleration(e, thrust, rate, throttle)], axis=1)
-    return estimate + dt * flow, transition @ p @ jnp.swapaxes(transition, 1, 2) + dt * model.q
+    return estimate + dt * flow, transition @ p @ jnp.swapaxes(transition, 1, 2) + dt * jnp.asarray(model.q)[None]

@@ -30,10 +30,10 @@ def kinematics(robot: RobotModel, state: State) -> Kinematics:
     arms = rotate(rotations[parents], robot.joint_positions) + shifts[:, None] * axes
     joint_linear, joint_angular = (1.0 - turns)[:, None] * axes, turns[:, None] * axes
     rates = state.velocity[6:, None]
-    angular = state.velocity[3:6] + moves @ (joint_angular * rates)
-    positions = state.base_position + moves @ arms
-    linear = state.velocity[:3] + moves @ (cross(angular[parents], arms) + joint_linear * rates)
-    offsets = rotate(rotations, robot.coms) + (positions - state.base_position)
+    angular = state.velocity[None, 3:6] + moves @ (joint_angular * rates)
+    positions = state.base_position[None] + moves @ arms
+    linear = state.velocity[None, :3] + moves @ (cross(angular[parents], arms) + joint_linear * rates)
+    offsets = rotate(rotations, robot.coms) + (positions - state.base_position[None])
     com = state.base_position + robot.masses @ offsets / robot.mass
     return Kinematics(rotations, positions, joint_linear, joint_angular, com, angular, linear, state.joint_position)
 
@@ -86,7 +86,7 @@ def generalised_force(
     A revolute joint carries the force and moment of its subtree, `τ_j = a · (Σ p × f − o_j × Σ f)`, about the base
     origin; a prismatic one `a · Σ f`.
     """
-    origin = kin.body_positions[0]
+    origin = kin.body_positions[:1]
     moves = carriers(robot, bodies, forces.dtype)
     moments = cross(points - origin, forces)
     carried = moves.T @ jnp.concatenate([forces, moments], axis=1)

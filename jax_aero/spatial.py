@@ -65,7 +65,7 @@ def exp_so3(phi: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
     square = jnp.sum(phi * phi, -1)[..., None, None]
     a, b = _sinc_and_cosc(square)
     s = skew(phi)
-    return jnp.eye(3, dtype=phi.dtype) + a * s + b * multiply(s, s)
+    return jnp.broadcast_to(jnp.eye(3, dtype=phi.dtype), s.shape) + a * s + b * multiply(s, s)
 
 
 def _sinc_and_cosc(square: Array) -> tuple[Array, Array]:
@@ -84,7 +84,7 @@ def axis_angle(axis: Float[Array, "*#batch 3"], angle: Float[Array, " *#batch"])
     """Return the rotation about a unit axis by an angle [rad]."""
     s, c = jnp.sin(angle)[..., None, None], jnp.cos(angle)[..., None, None]
     outer = axis[..., :, None] * axis[..., None, :]
-    return c * jnp.eye(3, dtype=axis.dtype) + s * skew(axis) + (1.0 - c) * outer
+    return c * jnp.broadcast_to(jnp.eye(3, dtype=axis.dtype), outer.shape) + s * skew(axis) + (1.0 - c) * outer
 
 
 def safe_norm(v: Float[Array, "*batch _"]) -> Float[Array, " *batch"]:

@@ -42,14 +42,14 @@ def link_forces(
     shifted_twice = conventions.link_velocity == "shifted_twice"
     velocity_points = jacobian_points + links.centres if shifted_twice else centres
     axes = rotate(rotations, links.axes)
-    v_air = wind - velocities_at(kin, links.bodies, velocity_points)
+    v_air = wind[None] - velocities_at(kin, links.bodies, velocity_points)
     forces = forces_of(model, LinksInAir(axes, v_air, wind, robot, kin))
     return LinkForces(axes, v_air, arm_points, jacobian_points, forces)
 
 
 def wrench_about(link: LinkForces, point: Float[Array, "3"]) -> Float[Array, "6"]:
     """Return the sum of the forces [N], then of their moments about `point` [N m], inertial axes."""
-    moments = cross(link.arm_points - point, link.forces)
+    moments = cross(link.arm_points - point[None], link.forces)
     return jnp.concatenate([link.forces.sum(0), moments.sum(0)])
 
 

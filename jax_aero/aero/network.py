@@ -131,7 +131,7 @@ def geometry_from_kinematics(robot: RobotModel, kin: Kinematics) -> LinkGeometry
     links = robot.aero_links
     rotations, origins = frame_poses(kin, links)
     base = kin.body_rotations[0]
-    centres = rotate_back(base, origins + rotate(rotations, links.centres) - kin.body_positions[0])
+    centres = rotate_back(base[None], origins + rotate(rotations, links.centres) - kin.body_positions[:1])
     base_from_link = jnp.einsum("ji,ljk->lik", base, rotations)
     return LinkGeometry(base_from_link, centres, rotate(base_from_link, links.axes))
 
@@ -158,7 +158,7 @@ def features(
     made = {
         "wind": lambda: wind_b,
         "joints": lambda: joint_position / np.pi,
-        "link_wind": lambda: rotate_back(geometry.rotations, wind_b).reshape(-1),
+        "link_wind": lambda: rotate_back(geometry.rotations, wind_b[None]).reshape(-1),
         "link_position": lambda: geometry.centres.reshape(-1),
         "link_shadow": lambda: link_shadow(wind_b, geometry.centres),
     }
@@ -309,10 +309,14 @@ def raw_output(network: Network, x: Float[Array, " x"]) -> Float[Array, " y"]:
     f(x) = scale · mean over members + offset;   symmetric: (f(x) + M f(M x)) / 2
     """
     x = x.astype(network.scale.dtype)
+
+    def scaled(one: Array) -> Array:
+        return network.scale * members_output(network, one) + network.offset
+
     if network.mirror is None:
-        return network.scale * members_output(network, x) + network.offset
+        return scaled(x)
     there = network.mirror.features.astype(x.dtype) @ x
-    both = network.scale * jax.vmap(lambda one: members_output(network, one))(jnp.stack([x, there])) + network.offset
+    both = jax.vmap(scaled)(jnp.stack([x, there]))
     return 0.5 * (both[0] + network.mirror.output.astype(x.dtype) @ both[1])
 
 
@@ -400,7 +404,7 @@ def network_forces(
     v_air_b = rotate_back(base, wind - kin.linear_velocities[0])
     seen = joint_position[jnp.array(network.joints)]
     areas = network_areas(network, unit_wind(v_air_b), seen, geometry_from_kinematics(robot, kin))
-    return 0.5 * air_density * jnp.sum(v_air_b**2) * rotate(base, areas)
+    return 0.5 * air_density * jnp.sum(v_air_b**2) * rotate(base[None], areas)
 
 
 def with_precision(network: Network, dtype: Any) -> Network:

@@ -135,7 +135,7 @@ def solve(qp: BoxQp, start: WarmStart | None = None) -> QpAnswer:
 def _minimise(qp: BoxQp, start: WarmStart) -> tuple[Array, Array, Array, Array]:
     """Return x, side, status, iterations."""
     scale = _jacobi_scale(qp.h)
-    scaled = BoxQp(qp.h * scale[:, None] * scale, qp.g * scale, qp.lower / scale, qp.upper / scale)
+    scaled = BoxQp(qp.h * scale[:, None] * scale[None], qp.g * scale, qp.lower / scale, qp.upper / scale)
     fault = _fault(scaled)
     search = _begin(scaled, WarmStart(start.x / scale, start.side), fault)
     search = _active_set(scaled, search)
@@ -159,7 +159,7 @@ def _minimise_jvp(primals, tangents):  # type: ignore[no-untyped-def]
     right = jnp.where(free, -(d_qp.g + dot(d_qp.h, x) + dot(qp.h, d_held)), 0.0)
     # Scaling by the diagonal makes the factor as accurate as that of the solution.
     scale = jnp.where(free, lax.rsqrt(jnp.where(free, jnp.diagonal(qp.h), 1.0)), 1.0)
-    reduced = _mask_hessian(qp.h * scale[:, None] * scale, free)
+    reduced = _mask_hessian(qp.h * scale[:, None] * scale[None], free)
     d_x = d_held + scale * solve_positive_definite(reduced, (scale * right)[:, None])[:, 0]
     none = partial(np.zeros, dtype=jax.dtypes.float0)
     return out, (d_x, none(side.shape), none(status.shape), none(iterations.shape))
@@ -188,10 +188,13 @@ def _fault(qp: BoxQp) -> Array:
 
 def _mask_hessian(h: Array, free: Array) -> Array:
     """Return H on the free rows and columns, and the identity elsewhere."""
-    return jnp.where(free[:, None] & free, h, jnp.eye(h.shape[0], dtype=h.dtype))
+    return jnp.where(free[:, None] & free[None], h, jnp.eye(h.shape[0], dtype=h.dtype))
 
 
 # --- active set ---------------------------------------------------------------------------------------------------
+
+
+NO_LIMIT = np.iinfo(np.int32).max
 
 
 class _Search(NamedTuple):
@@ -215,7 +218,7 @@ def _is_unfinished(search: _Search) -> Array:
     return (search.status == ITERATION_LIMIT) & (search.iterations < PASSES_PER_VARIABLE * search.y.shape[-1])
 
 
-def _search_up_to(limit: Array | float, qp: BoxQp, search: _Search) -> _Search:
+def _search_up_to(limit: Array | int, qp: BoxQp, search: _Search) -> _Search:
     """Take passes until the search has ended or a total of `limit` passes is reached."""
 
     def is_running(search: _Search) -> Array:
@@ -226,7 +229,7 @@ def _search_up_to(limit: Array | float, qp: BoxQp, search: _Search) -> _Search:
 
 
 def _search_one(qp: BoxQp, search: _Search) -> _Search:
-    return _search_up_to(jnp.inf, qp, search)
+    return _search_up_to(NO_LIMIT, qp, search)
 
 
 def _search_batch(qp: BoxQp, search: _Search) -> _Search:
@@ -234,7 +237,7 @@ def _search_batch(qp: BoxQp, search: _Search) -> _Search:
 
     def chunks(qp: BoxQp, search: _Search) -> _Search:
         def one_round(index: Array, search: _Search) -> _Search:
-            limit = jnp.where(index == 0, 1.0, jnp.inf)
+            limit = jnp.where(index == 0, 1, NO_LIMIT)
             pending = _is_unfinished(search)
             ended: _Search = map_in_chunks(
                 partial(_search_up_to, limit), (qp,), search, jnp.argsort(~pending), jnp.sum(pending)
@@ -281,14 +284,14 @@ def _pass(qp: BoxQp, search: _Search) -> _Search:
 
     # Breakpoints of the projected step, one per variable, up to the whole step.
     t = jnp.minimum(meets, 1.0)
-    offsets = jnp.clip(y + t[:, None] * step, qp.lower, qp.upper) - y
+    offsets = jax.vmap(lambda share: jnp.clip(y + share * step, qp.lower, qp.upper) - y)(t)
     objective = dot(offsets, gradient) + 0.5 * jnp.sum(dot(offsets, qp.h) * offsets, axis=1)
     # A bound met at once (t = 0, degenerate) does not change the objective, but the variable is held from now on.
     corner = jnp.argmin(jnp.where(meets <= 1, objective, jnp.inf))
     t_corner = t[corner]
     met = moves & (meets <= t_corner)
     bent = jnp.where(met, jnp.where(step > 0, qp.upper, qp.lower), y + t_corner * step)
-    bent_side = jnp.where(met, jnp.sign(step), side).astype(jnp.int8)
+    bent_side = jnp.where(met, jnp.sign(step).astype(jnp.int8), side)
 
     finished = fits & ~jnp.any(released)
     status = jnp.where(finished, SOLVED, ITERATION_LIMIT)

@@ -114,7 +114,7 @@ def _send(line: Line, command: Array, lag: Array) -> Line:
 
 def acting(line: Line, substep: int, substeps: int) -> Float[Array, " x"]:
     """Return the latest command that has arrived at a sub-step since the last one was sent, every `substeps`."""
-    age = substeps * jnp.arange(line.lag.shape[0]) + substep
+    age = substeps * jnp.arange(line.lag.shape[0], dtype=jnp.int32) + substep
     has_arrived = (line.lag != LOST) & (line.lag <= age)
     return jnp.where(jnp.any(has_arrived), line.sent[jnp.argmax(has_arrived)], line.held)
 

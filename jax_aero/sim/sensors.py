@@ -116,7 +116,7 @@ def read(errors: Sensors, before: SensorState, truth: Reading, tick: Int[Array, 
         return past
 
     drawn = errors.noise[jnp.minimum(tick, errors.noise.shape[0] - 1)]
-    time = tick * errors.time_step
+    time = tick.astype(errors.noise.dtype) * errors.time_step
     position, rotation, linear, angular = (
         errors.bias + time * errors.drift + errors.noise_std[:, None] * drawn[:12].reshape(4, 3)
     )
@@ -155,7 +155,7 @@ def _encode(errors: Sensors, position: Array, time: Array) -> Array:
     """Return joint positions as they are measured at `time` (M90)."""
     # The phase of each joint is a radian behind that of the one before.
     amplitude, rate = errors.tremble
-    phase = rate * time - jnp.arange(errors.joint_bias.shape[0])
+    phase = rate * time - jnp.arange(errors.joint_bias.shape[0], dtype=errors.joint_bias.dtype)
     measured = position + (errors.joint_bias + amplitude * jnp.sin(phase))
     # Multiplied by the reciprocal explicitly, as XLA does: ties must round equally in both languages.
     steps = measured * (1.0 / jnp.where(errors.resolution > 0.0, errors.resolution, 1.0))

@@ -310,7 +310,8 @@ def convert_precision(scenario: Scenario, state: FlightState, dtype: Any) -> tup
 
 def _winds(wind: Wind, ticks: int, time_step: Array) -> Array:
     """Return the wind at every tick of a flight (ticks + 1, 3) [m/s]."""
-    winds: Array = jax.jit(jax.vmap(wind_velocity, in_axes=(None, 0)))(wind, jnp.arange(ticks + 1) * time_step)
+    times = jnp.arange(ticks + 1, dtype=time_step.dtype) * time_step
+    winds: Array = jax.jit(jax.vmap(wind_velocity, in_axes=(None, 0)))(wind, times)
     return winds
 
 
@@ -365,8 +366,8 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
         model, of another shape than the robot's.
     """
     _check_precision(scenario)
-    plant = scenario.plant
-    time = tick * plant.time_step
+    plant, tick = scenario.plant, jnp.asarray(tick, jnp.int32)
+    time = tick.astype(plant.time_step.dtype) * plant.time_step
     wind = wind_velocity(scenario.wind, time)
     # Both branches of `where` are differentiated, so values beyond the limits must not enter the computation.
     divergence, limit = _divergence(scenario, state.plant, wind)
@@ -441,7 +442,7 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
         posture=where(goes_on, posture, state.posture),
         loss=jnp.where(lost_now, loss, state.loss),
         loss_size=jnp.where(lost_now, size, state.loss_size),
-        loss_tick=jnp.where(lost_now, tick.astype(jnp.int32), state.loss_tick),
+        loss_tick=jnp.where(lost_now, tick, state.loss_tick),
     )
     return after, row
 
@@ -461,7 +462,7 @@ def _command_torques(
     """
     (memory, held, sample), controller = kept, scenario.controller
     assert isinstance(controller, TorqueController)
-    now = time + part * (scenario.plant.time_step / scenario.plant.torque_steps)
+    now = time + part.astype(time.dtype) * (scenario.plant.time_step / scenario.plant.torque_steps)
     joints = JointMeasurement(robot.joint_position, robot.velocity[6:])
     if scenario.sensors is not None:
         joints = sensing.read_joints(scenario.sensors, robot, now)
@@ -486,7 +487,8 @@ def _check_precision(scenario: Scenario) -> None:
 
 def _is_in_range(tree: Any) -> Array:
     """Return whether all numbers, and the products of several of them that a tick forms, are finite."""
-    return jnp.all(jnp.stack([jnp.all(jnp.abs(leaf) < LARGEST_NUMBER) for leaf in jax.tree.leaves(tree)]))
+    numbers = [leaf for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.floating)]
+    return jnp.all(jnp.stack([jnp.all(jnp.abs(leaf) < LARGEST_NUMBER) for leaf in numbers]))
 
 
 def _mask_unless(condition: Array, tree: Tree) -> Tree:

@@ -73,7 +73,7 @@ def measured_wind(
 
     The first wind is measured until the delay has passed; the low pass starts in steady state.
     """
-    then = jnp.maximum(tick - estimate.delay_ticks, 0) * time_step
+    then = jnp.maximum(tick - estimate.delay_ticks, 0).astype(before.dtype) * time_step
     wind = jnp.where(estimate.is_mean, estimate.mean, wind_at(then))
     drawn = estimate.noise[jnp.minimum(tick, estimate.noise.shape[0] - 1)]
     measured = wind + estimate.bias + estimate.noise_std * drawn

@@ -314,14 +314,15 @@ def _judge(
     run = jnp.where(is_plausible & ~is_near, 1 + jnp.where(agrees, memory.against, 0), 0)
     against = jnp.where(counts, run, memory.against)
     # The prediction of a wind does not move.
-    leaves = (same >= limits.frozen_ticks) & ~all_entries(distance <= FROZEN_SHARE * limits.jump) & layout.is_vital
+    has_lasted = same.astype(distance.dtype) >= limits.frozen_ticks
+    leaves = has_lasted & ~all_entries(distance <= FROZEN_SHARE * limits.jump) & layout.is_vital
     is_frozen = is_same & (memory.is_frozen | leaves)
     is_doubted = is_plausible & ~is_near & (memory.age > limits.wind_hold)
     wind = np.arange(len(layout.channels)) == layout.place(layout.wind)
     is_distrusted = memory.is_distrusted | is_doubted & wind
     is_outvoted = (against > memory.support) & ~is_frozen & ~is_distrusted
     is_accepted = is_plausible & is_near & ~is_frozen & ~is_distrusted | is_outvoted
-    support = jnp.where(is_outvoted, against, memory.support + (is_accepted & counts))
+    support = jnp.where(is_outvoted, against, memory.support + (is_accepted & counts).astype(jnp.int32))
     against = jnp.where(is_outvoted, 0, against)
     return _Verdict(is_accepted, is_frozen, is_distrusted, is_same, same, support, against, is_outvoted)
 
@@ -436,7 +437,7 @@ def reject_sensor(memory: ChannelsState, is_wrong: Bool[Array, " j"], deviation:
     layout = Layout(is_wrong.shape[0], memory.acceleration.shape[0] - 6)
     is_distrusted = jnp.zeros_like(memory.predicted, bool).at[layout.thrust].set(is_wrong)
     return memory._replace(
-        is_distrusted=memory.is_distrusted | jnp.any(is_distrusted & layout.owned, axis=1),
+        is_distrusted=memory.is_distrusted | jnp.any(is_distrusted[None] & layout.owned, axis=1),
         predicted=memory.predicted.at[layout.thrust].add(jnp.where(is_wrong, -deviation, 0.0)),
     )
 

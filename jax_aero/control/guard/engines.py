@@ -150,10 +150,10 @@ def update(
     lag = kept * last.lag + dt * (0.5 * (last.rate + rate) - command)
     # A deviation that may be a fault teaches nothing.
     is_learnt = is_measured & (jnp.abs(deviation) <= half)
-    fit = last.fit + jnp.where(is_learnt, jnp.stack([deviation * lag, lag * lag]), 0.0)
+    fit = last.fit + jnp.where(is_learnt[None], jnp.stack([deviation * lag, lag * lag]), 0.0)
     follows = lag * jnp.clip((half**2 + fit[0]) / (half**2 + fit[1]), 0.0, 1.0)
     outside = deviation - jnp.clip(deviation, jnp.minimum(follows, 0.0), jnp.maximum(follows, 0.0))
-    estimated = last.estimated + momentum_shares[:, None] * (outside - last.estimated)
+    estimated = last.estimated + momentum_shares[:, None] * (outside[None] - last.estimated)
     late = last.late + residual_share(dt) * (estimated - last.late)
     estimated, late = jnp.where(has_momentum, estimated, 0.0), jnp.where(has_momentum, late, 0.0)
     found = late[1]
@@ -162,7 +162,7 @@ def update(
     # Half a tick allows for rounding.
     is_sure = exceeds & (suspected >= limits.confirmation + 0.5 * dt)
     is_suspect = ~last.is_limited & (jnp.abs(found) > half)
-    of_sensors = jnp.sum(a_t * jnp.repeat(jnp.where(is_suspect, late, 0.0), 3, axis=0), axis=1)
+    of_sensors = jnp.sum(a_t * jnp.repeat(jnp.where(is_suspect[None], late, 0.0), 3, axis=0), axis=1)
     is_wrong = is_suspect & jnp.any(is_sure) & (_square(residual + of_sensors) < _square(residual))
     is_short, is_stuck = (is_sure & ~is_wrong & (sign * found > 0.0) for sign in (-1.0, 1.0))
     least = jnp.where(is_stuck, thrust, jnp.where(is_short, jnp.minimum(last.least, thrust), last.least))
@@ -170,8 +170,9 @@ def update(
     # A rejected sensor gives no information about its engine.
     is_doubted = (jnp.abs(outside) > half) & ~is_wrong
     state = EngineState(deviation, rate, lag, fit, estimated, late, is_doubted, suspected, least, greatest)
-    forgotten = state._replace(**{name: jnp.where(is_wrong, 0.0, getattr(state, name)) for name in _OF_SENSOR})
-    return forgotten, is_wrong, deviation
+    known = {name: getattr(state, name) for name in _OF_SENSOR}
+    forgotten = {name: jnp.where(jnp.broadcast_to(is_wrong, x.shape), 0.0, x) for name, x in known.items()}
+    return state._replace(**forgotten), is_wrong, deviation
 
 
 _OF_SENSOR = ("deviation", "rate", "lag", "fit", "estimated", "late", "suspected")

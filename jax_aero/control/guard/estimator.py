@@ -224,7 +224,7 @@ def update(
     fresh = Estimate(measured, jnp.zeros_like(then.disturbance), jnp.zeros_like(then.gyro_bias))
     predicted = where(is_sound, then, fresh)
     step = jnp.where(has_begun, last.duration, settings.time_step)
-    then = _correct(settings, predicted, line, jnp.array(oldest), step)
+    then = _correct(settings, predicted, line, jnp.array(oldest, jnp.int32), step)
 
     def predict(now: Estimate, age: Array) -> tuple[Estimate, None]:
         order = acting(age + 1, late)
@@ -233,7 +233,7 @@ def update(
         is_past = (before.ticks > 0) & (age < whole + jnp.minimum(longest, before.ticks))
         return where(is_past, moved, now), None
 
-    now, _ = jax.lax.scan(predict, then, jnp.arange(oldest)[::-1])
+    now, _ = jax.lax.scan(predict, then, jnp.arange(oldest, dtype=jnp.int32)[::-1])
     if torque_lag:
         # To when the torques of this tick begin to act.
         others, sent = given_at(1), acting(0, (1.0, 1.0))
@@ -268,7 +268,7 @@ def correct_thrusts(
     state: EstimatorState, is_wrong: Bool[Array, " j"], deviation: Float[Array, " j"]
 ) -> EstimatorState:
     """Return the state with the deviations [N] of faulty sensors removed, which are no longer used."""
-    lost = jnp.where(is_wrong, jnp.nan, state.line.thrust)
+    lost = jnp.where(is_wrong[None], jnp.nan, state.line.thrust)
     reading = state.then.reading
     reading = reading._replace(thrust=reading.thrust - jnp.where(is_wrong, deviation, 0.0))
     return state._replace(line=state.line._replace(thrust=lost), then=state.then._replace(reading=reading))

@@ -102,7 +102,7 @@ def update(
     Without measured momentum nothing is corrected.
     """
     step, has_momentum = used.elapsed, used.has_momentum
-    rate = jnp.sum(a_t * used.thrust, axis=1).at[2].add(-robot.mass * robot.gravity)
+    rate = jnp.sum(a_t * used.thrust[None], axis=1).at[2].add(-robot.mass * robot.gravity)
     greatest = jnp.full_like(settings.gain, GREATEST)
     gains = ObserverGains(settings.gain, settings.gain, greatest, greatest)
     wrench = observer.update(gains, step, before.wrench, momentum, rate)
@@ -114,15 +114,15 @@ def update(
     keep = jnp.stack([jnp.ones_like(kept), jnp.ones_like(kept), kept])
     walk = settings.walk**2 * step
     wandering = jnp.diag(jnp.stack([walk, walk, settings.vertical_std**2 * (1.0 - kept * kept)]))
-    wind, covariance = keep * before.wind, keep[:, None] * before.covariance * keep + wandering
+    wind, covariance = keep * before.wind, keep[:, None] * before.covariance * keep[None] + wandering
 
     def wrench_in(wind: Array) -> Array:
         link = link_forces(aero, robot, kinematics, LinkConventions(), wind)
         return wrench_about(link, kinematics.com)
 
     modelled = wrench_in(wind)
-    shifted = jax.vmap(wrench_in)(wind + DIFFERENCE * jnp.eye(3, dtype=wind.dtype))
-    jacobian = ((shifted - modelled)[:, :3] / DIFFERENCE).T
+    shifted = jax.vmap(wrench_in)(wind[None] + DIFFERENCE * jnp.eye(3, dtype=wind.dtype))
+    jacobian = ((shifted - modelled[None])[:, :3] / DIFFERENCE).T
     share = -jnp.expm1(-step / MEMORY)
     moment = jnp.sum((wrench.wrench - modelled)[3:] ** 2)
     unexplained = before.unexplained + share * (moment - before.unexplained)

@@ -65,7 +65,7 @@ def filter_start(initial: Float[Array, "3"]) -> FilterState:
 
 def filter_update(gains: FilterGains, state: FilterState, value: Float[Array, "3"]) -> FilterState:
     """Process the input of this tick; the result holds the outputs of the same tick."""
-    drive = gains.input_gain[:, None] * (state.previous_input + value)
+    drive = gains.input_gain[:, None] * (state.previous_input + value)[None]
     return FilterState(multiply(gains.transition, state.derivatives) + drive, value)
 
 

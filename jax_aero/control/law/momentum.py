@@ -77,7 +77,7 @@ def momentum_model(
     if lambda_feedback:
         lambda_a = _lambda_a(robot, kin, com_jacobian, link)
 
-    rate_estimate = jnp.sum(a_t * thrust, axis=1) + rate_feedback * wrench_about(link, kin.com)
+    rate_estimate = jnp.sum(a_t * thrust[None], axis=1) + rate_feedback * wrench_about(link, kin.com)
     rate_estimate = rate_estimate.at[2].add(-robot.mass * robot.gravity)
     return MomentumModel(axes, points, a_t, lambda_t, lambda_a, rate_estimate, jnp.zeros_like(rate_estimate))
 
@@ -88,7 +88,7 @@ def thrust_map(
     """Return directions and points [m] of the thrusts, and `A_T`."""
     rotations, points = frame_poses(kin, robot.jets)
     axes = rotate(rotations, robot.jets.axes)
-    return axes, points, jnp.concatenate([axes, cross(points - kin.com, axes)], axis=1).T
+    return axes, points, jnp.concatenate([axes, cross(points - kin.com[None], axes)], axis=1).T
 
 
 def _lambda_t(robot: RobotModel, kin: Kinematics, com_jacobian: Array, points: Array, forces: Array) -> Array:
@@ -102,7 +102,7 @@ def _lambda_t(robot: RobotModel, kin: Kinematics, com_jacobian: Array, points: A
     `(F + a × F, M + a × M)`, and so about the centre of mass c by `(a × F ; a × M + (o − c) × (a × F))`. Translation
     along the axis a changes it by `(0 ; a × F)`.
     """
-    base = kin.body_positions[0]
+    base = kin.body_positions[:1]
     moments = cross(points - base, forces)
     total, total_moment = forces.sum(0), moments.sum(0)
     carried = carriers(robot, robot.jets.bodies, forces.dtype).T @ jnp.concatenate([forces, moments], axis=1)
@@ -114,7 +114,7 @@ def _lambda_t(robot: RobotModel, kin: Kinematics, com_jacobian: Array, points: A
     shifts = jnp.concatenate([jnp.zeros((3, 3), force.dtype), kin.joint_linear])
     force = jnp.concatenate([jnp.broadcast_to(total, (3, 3)), force])
     moment = jnp.concatenate([jnp.broadcast_to(total_moment, (3, 3)), moment])
-    arms = jnp.concatenate([jnp.broadcast_to(base, (3, 3)), origins]) - kin.com
+    arms = jnp.concatenate([jnp.broadcast_to(base, (3, 3)), origins]) - kin.com[None]
     turned = cross(axes, force)
     changed = cross(axes, moment) + cross(arms, turned) + cross(shifts, force)
     turning = jnp.concatenate([turned, changed], axis=1).T
@@ -133,7 +133,7 @@ def _lambda_a(robot: RobotModel, kin: Kinematics, com_jacobian: Array, link: Lin
     Summed over the joint's subtree this only needs `P = Σ d fᵀ`: `P a − a tr P`. A prismatic joint moves all points by
     a, which gives `a × Σ f`.
     """
-    base = kin.body_positions[0]
+    base = kin.body_positions[:1]
     arms = link.jacobian_points - base
     products = (arms[:, :, None] * link.forces[:, None, :]).reshape(-1, 9)
     sums = jnp.concatenate([link.forces, products], axis=1)

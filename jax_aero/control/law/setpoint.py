@@ -277,7 +277,7 @@ def _advance_raw(params: SetpointParams, raw: RawSetpoint, command: AutopilotCom
     nose_down = jnp.where(in_turbo, 1.0, command.nose_down)
     yaw_rate = jnp.where(in_turbo, 0.0, command.yaw)
 
-    boost = ticks * (params.turbo_rate * params.time_step)
+    boost = ticks.astype(params.turbo_rate.dtype) * (params.turbo_rate * params.time_step)
     roll, pitch, yaw = raw.rpy
     pitch = pitch + params.attitude_rate[0] * params.time_step * nose_down
     yaw = yaw + params.attitude_rate[1] * params.time_step * yaw_rate

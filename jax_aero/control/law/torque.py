@@ -63,6 +63,7 @@ def torque_qp(
     """
     gain, free = joint_response(mass_matrix, force)
     penalty = params.weight_torque + params.regularisation
+    share = jnp.broadcast_to(share, torque_max.shape)
     weighted = _weigh(params, gain, share)
     h = weighted @ gain
     h = 0.5 * (h + h.T) + penalty * jnp.eye(h.shape[0], dtype=h.dtype)
@@ -84,8 +85,8 @@ def torque_qp_again(
     return last._replace(acceleration_desired=desired, problem=last.problem._replace(g=g))
 
 
-def _weigh(params: TorqueParams, gain: Array, share: Array | float) -> Array:
-    return jnp.where(jnp.asarray(share) > 0.0, params.weight_acceleration, 0.0) * gain
+def _weigh(params: TorqueParams, gain: Array, share: Array) -> Array:
+    return jnp.where(share > 0.0, params.weight_acceleration, 0.0)[None] * gain
 
 
 def _desired(params: TorqueParams, velocity_error: Array, velocity_error_integral: Array) -> Array:

@@ -159,13 +159,13 @@ def horizon(
 
     position = used.state.joint_position[moved]
     com, velocity = model.kinematics.com, model.dynamics.momentum[:3] / robot.mass
-    motion = target._replace(position=target.position - com, velocity=target.velocity - velocity)
+    motion = target._replace(position=target.position - com[None], velocity=target.velocity - velocity[None])
     errors = dot(_outputs(places, dynamics, linear, used), z.at[:, of["wrench"], -1].set(wrenches))
     errors = errors.at[:, :, -1].add(-jnp.concatenate(motion, axis=1))
     s = z[:, of["s"]]
     away = s.at[:, :, -1].add(position - posture[moved])
     by_knot = jnp.concatenate([errors, away, z[:, of["sigma"]], z[:, of["rate"]], z[:, of["command"]]], axis=1)
-    squares = np.array(structure.durations)[:, None] * _squares(weights, places)
+    squares = np.array(structure.durations)[:, None] * _squares(weights, places)[None]
     rows = jnp.concatenate([by_knot.reshape(-1, by_knot.shape[-1]), _tail(mpc, weights, errors[-1])])
     cost = dot(rows.T, jnp.concatenate([squares.reshape(-1), jnp.repeat(weights.tail, 3)])[:, None] * rows)
 
