@@ -11,6 +11,7 @@ Equations M78, M79, M87, M140 and M142 of `docs/model.md`.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple, TypeVar, assert_never
 
 import jax
@@ -50,6 +51,9 @@ from jax_aero.spatial import rotate, rotation_from_rpy
 from jax_aero.types import Array, Dynamics, Kinematics, LinkForces, State, Static, leaf, pytree
 
 Kept = TypeVar("Kept")
+
+RUN_ONCE = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
+"""Options of XLA for programs that run once before a flight: they take far longer to compile than to run."""
 
 STOP_STIFFNESS = 1e5
 """Stiffness of a joint stop, and of what holds a stuck joint [N m/rad, N/m]: 50 N m deflect it by half a mrad."""
@@ -356,7 +360,7 @@ def _stops(
     return is_out, *_brace(plant, state, dyn, force, is_out, stop, step)
 
 
-@jax.jit
+@partial(jax.jit, compiler_options=RUN_ONCE)
 def _fall_freely(plant: Plant, state: State) -> State:
     """Take the first step of the published model, under gravity alone."""
     dyn = dynamics(plant.robot, state, kinematics(plant.robot, state), plant.backend)

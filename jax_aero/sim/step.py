@@ -290,7 +290,7 @@ def prepare(
         n_ticks=jnp.array(ticks, jnp.int32),
         precision="",
     )
-    scenario, flight_state = jax.device_put((scenario, begin(scenario, state)))
+    scenario, flight_state = jax.device_put((scenario, _begin_once(scenario, state)))
     return convert_precision(scenario, flight_state, dtype)
 
 
@@ -354,6 +354,9 @@ def begin(scenario: Scenario, plant: PlantState) -> FlightState:
         loss_size=jnp.zeros_like(plant.robot.velocity[0]),
         loss_tick=jnp.array(-1, jnp.int32),
     )
+
+
+_begin_once = jax.jit(begin, compiler_options=world.RUN_ONCE)
 
 
 def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[FlightState, FlightRow]:
