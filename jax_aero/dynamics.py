@@ -35,6 +35,8 @@ def dynamics(robot: RobotModel, state: State, kin: Kinematics, backend: Dynamics
             mass_matrix, bias = mass_matrix_and_bias(robot, state)
         case _:
             assert_never(backend)
+    if robot.rotor_inertia is not None:
+        mass_matrix = mass_matrix + jnp.diag(jnp.pad(robot.rotor_inertia, (6, 0)))
     # The base's rows of M ν are the momentum and its moment about the base origin.
     linear = mass_matrix[:3]
     angular = mass_matrix[3:6] - skew(kin.com - kin.body_positions[0]) @ linear

@@ -118,6 +118,8 @@ class RobotModel:
     aero_links: AeroLinks
     engines: dict[str, Float[Array, "12"]]
     """Coefficients by name of the engine, in the order of `ENGINE_KEYS`."""
+    rotor_inertia: Float[Array, " n"] | None = None
+    """Rotor inertias of the drives, reflected to the joints [kg m²]; `None` where torques act on joints themselves."""
 
     @property
     def n_joints(self) -> int:

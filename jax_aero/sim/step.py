@@ -326,6 +326,8 @@ def controller_model(config: ScenarioConfig, robot: RobotModel) -> RobotModel | 
         masses, inertias = error.mass_scale * robot.masses, error.mass_scale * robot.inertias
         coms = jnp.asarray(robot.coms).at[0].add(leaf(error.com_offset))
         model = replace(model, masses=masses, coms=coms, inertias=inertias)
+    if config.controller.torque.rotor_inertia > 0.0:
+        model = replace(model, rotor_inertia=leaf(config.controller.torque.rotor_inertia * robot.joint_turns))
     return None if model is robot else model
 
 

@@ -329,6 +329,20 @@ def test_the_world_is_not_where_the_controller_predicts_it(monkeypatch, changes,
     assert taken == [shares]
 
 
+def test_a_controller_whose_model_has_rotors(measured):
+    """With an estimator, which contains them too; small ones, since the simulated robot has none."""
+    changes = {"controller.torque.rotor_inertia": 0.002, "simulator.duration": 0.3}
+    table = rust.load_config(EXPERIMENTS / "test2_sensors.toml", changes)
+    comparison = Comparison()
+    expected, _ = verify_flight(table, comparison)
+    without = rust.fly(rust.load_config(EXPERIMENTS / "test2_sensors.toml", {"simulator.duration": 0.3}))
+    assert np.abs(expected["joint_torque"] - without["joint_torque"]).max() > 1e-3
+    for row in comparison.rows:
+        if row.quantity in ("joint_position", "joint_torque"):
+            measured(f"rotors: {row.quantity}", row.absolute)
+    assert [row.quantity for row in comparison.rows if not row.agrees] == []
+
+
 @pytest.mark.parametrize(("name", "duration"), [("mk3_test2", 6.0), ("mk3_test2_mpc", 0.5)])
 def test_another_robot_flies_alike(name, duration, measured):
     """IRonCub-Mk3: joints in another order, base axes forward and left, and a predictive law that moves every joint."""
