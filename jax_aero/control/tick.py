@@ -174,8 +174,13 @@ class MomentumController:
         return memory, command._replace(setpoint=terms.setpoint, terms=terms)
 
     def step_torques(
-        self, robot: RobotModel, memory: ControllerState, command: Command, measured: JointMeasurement, tick: Array
-    ) -> tuple[ControllerState, Array]:
+        self,
+        robot: RobotModel,
+        memory: ControllerState,
+        command: Command,
+        measured: JointMeasurement,
+        tick: Int[Array, ""],
+    ) -> tuple[ControllerState, Float[Array, " n"]]:
         """Compute one tick of the torques; see `tick_torques`."""
         assert command.terms is not None
         return tick_torques(self, robot, memory, command, command.terms, measured, tick)

@@ -17,7 +17,7 @@ from typing import NamedTuple, TypeVar, assert_never
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jax_aero.aero import (
     AeroModel,
@@ -237,7 +237,7 @@ def advance_in_steps(
     torque: Float[Array, " n"],
     thrust_rate: Float[Array, " j"],
     wind: Float[Array, "3"],
-    command: Callable[[Kept, Array, State], tuple[Kept, Array]],
+    command: Callable[[Kept, Int[Array, ""], State], tuple[Kept, Float[Array, " n"]]],
     kept: Kept,
 ) -> tuple[PlantState, Kept]:
     """Advance one tick in which torques are commanded at the beginning of each of its `torque_steps` parts.
