@@ -11,8 +11,7 @@ Equations M78, M79, M87, M140 and M142 of `docs/model.md`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
-from typing import NamedTuple, TypeVar, assert_never
+from typing import NamedTuple, ParamSpec, TypeVar, assert_never
 
 import jax
 import jax.numpy as jnp
@@ -51,14 +50,28 @@ from jax_aero.spatial import rotate, rotation_from_rpy
 from jax_aero.types import Array, Dynamics, Kinematics, LinkForces, State, Static, leaf, pytree
 
 Kept = TypeVar("Kept")
-
-RUN_ONCE = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
-"""Options of XLA for programs that run once before a flight: they take far longer to compile than to run."""
+Result = TypeVar("Result")
+P = ParamSpec("P")
 
 STOP_STIFFNESS = 1e5
 """Stiffness of a joint stop, and of what holds a stuck joint [N m/rad, N/m]: 50 N m deflect it by half a mrad."""
 STOP_DAMPING = 200.0
 """Damping of both [N m s/rad, N s/m]: a time constant of 2 ms with the stiffness."""
+
+
+def run_once(function: Callable[P, Result]) -> Callable[P, Result]:
+    """Compile a function that runs once before a flight without optimisation: to compile it takes far longer.
+
+    In a program that is traced, it is a part of that.
+    """
+    options = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
+    compiled = jax.jit(function, compiler_options=options)
+
+    def call(*args: P.args, **named: P.kwargs) -> Result:
+        is_traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((args, named)))
+        return (function if is_traced else compiled)(*args, **named)
+
+    return call
 
 
 @pytree
@@ -360,7 +373,7 @@ def _stops(
     return is_out, *_brace(plant, state, dyn, force, is_out, stop, step)
 
 
-@partial(jax.jit, compiler_options=RUN_ONCE)
+@run_once
 def _fall_freely(plant: Plant, state: State) -> State:
     """Take the first step of the published model, under gravity alone."""
     dyn = dynamics(plant.robot, state, kinematics(plant.robot, state), plant.backend)

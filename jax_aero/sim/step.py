@@ -358,7 +358,7 @@ def begin(scenario: Scenario, plant: PlantState) -> FlightState:
     )
 
 
-_begin_once = jax.jit(begin, compiler_options=world.RUN_ONCE)
+_begin_once = world.run_once(begin)
 
 
 def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[FlightState, FlightRow]:
