@@ -255,9 +255,10 @@ def prepare(
     config = read_config(config)
     if robot is None:
         robot = load_robot(config.robot)
-    for key, table in (("ground", config.simulator.ground), ("motors", config.simulator.motors)):
-        if table is not None:
-            raise ValueError(f"`simulator.{key}` is given; expected none: this engine has neither ground nor motors")
+    for key in ("fuel", "ground", "motors"):
+        if getattr(config.simulator, key) is not None:
+            expected = "none: this engine has neither ground, motors nor fuel"
+            raise ValueError(f"`simulator.{key}` is given; expected {expected}")
     wind, replaced = wind_model(config.wind), config.disturbances.controller_wind
     controller_wind = None if replaced is None else wind_model(replaced)
     torque_steps = config.controller.torque.steps

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+import msgspec
 import numpy as np
 import pytest
 
@@ -97,6 +98,15 @@ def test_what_is_not_measured_has_no_derivative(x64):
     np.testing.assert_array_equal(jax.jacobian(position)(jnp.array(1.5)), [1.0, 0.0])
 
 
+@pytest.mark.parametrize("key", ["fuel", "motors"])
+def test_what_this_engine_has_not_is_refused(key):
+    config = scenario_config(rust.load_config("test2"))
+    simulator = msgspec.structs.replace(config.simulator, **{key: object()})
+    with pytest.raises(ValueError, match=rf"`simulator\.{key}` is given; expected none"):
+        sim.prepare(msgspec.structs.replace(config, simulator=simulator), dtype=np.float32)
+
+
+@pytest.mark.usefixtures("x64")
 def test_a_controller_of_one_rate_is_refused():
     @pytree
     class Still:
