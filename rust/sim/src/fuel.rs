@@ -7,7 +7,7 @@
 //! Equation M154 of `docs/model.md`.
 
 use flight_core::error::{BuildError, Table, place_of};
-use flight_core::robot::RobotModel;
+use flight_core::robot::{Body, RobotModel};
 use nalgebra::{Matrix3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -43,12 +43,12 @@ impl FuelConfig {
         }
         table.check_non_negative("idle", self.idle)?;
         table.check_non_negative("by_thrust", self.by_thrust)?;
-        let full = Full::new(self.place(robot)?, robot);
+        let full = &robot.bodies[self.place(robot)?];
         let expected =
             format!("0 kg to less than the {:.3} kg of the body, with an inertia without it", full.mass);
         let is_held = |mass: f64| {
             (0.0..full.mass).contains(&mass) && {
-                let inertia = full.without(mass, &Vector3::from(self.position)).2;
+                let inertia = without(full, mass, &Vector3::from(self.position)).2;
                 let least = inertia.symmetric_eigenvalues().min();
                 least > 0.0 && inertia.trace() > 2.0 * inertia.symmetric_eigenvalues().max()
             }
@@ -61,39 +61,26 @@ impl FuelConfig {
     }
 }
 
-/// The body with a full tank.
-#[derive(Debug, Clone)]
-struct Full {
-    mass: f64,
-    com_b: Vector3<f64>,
-    inertia_b: Matrix3<f64>,
-}
-
-impl Full {
-    fn new(place: usize, robot: &RobotModel) -> Self {
-        let body = &robot.bodies[place];
-        Self { mass: body.mass, com_b: body.com_b, inertia_b: body.inertia_b }
-    }
-
-    /// Mass \[kg\], centre of mass \[m\] and inertia about it \[kg m²\] without a point mass at `at_b`.
-    fn without(&self, burned: f64, at_b: &Vector3<f64>) -> (f64, Vector3<f64>, Matrix3<f64>) {
-        let mass = self.mass - burned;
-        let com = (self.com_b * self.mass - at_b * burned) / mass;
-        // I_c = Σ m (|r|² 1 − r rᵀ) about the body's origin, less that of the mass at c.
-        let about =
-            |mass: f64, r: &Vector3<f64>| mass * (Matrix3::identity() * r.norm_squared() - r * r.transpose());
-        let inertia =
-            self.inertia_b + about(self.mass, &self.com_b) - about(burned, at_b) - about(mass, &com);
-        (mass, com, inertia)
-    }
+/// Mass \[kg\], centre of mass \[m\] and inertia about it \[kg m²\] of a full body without a point mass at `at_b`.
+fn without(full: &Body, burned: f64, at_b: &Vector3<f64>) -> (f64, Vector3<f64>, Matrix3<f64>) {
+    let mass = full.mass - burned;
+    let com = (full.com_b * full.mass - at_b * burned) / mass;
+    // I_c = Σ m (|r|² 1 − r rᵀ) about the body's origin, less that of the mass at c.
+    let about =
+        |mass: f64, r: &Vector3<f64>| mass * (Matrix3::identity() * r.norm_squared() - r * r.transpose());
+    let inertia = full.inertia_b + about(full.mass, &full.com_b) - about(burned, at_b) - about(mass, &com);
+    (mass, com, inertia)
 }
 
 /// Fuel of a flight.
 #[derive(Debug, Clone)]
 pub struct Fuel {
     config: FuelConfig,
+    /// Index of the body that has the tank.
     place: usize,
-    full: Full,
+    /// This body with a full tank.
+    full: Body,
+    /// \[kg\].
     burned: f64,
 }
 
@@ -104,7 +91,7 @@ impl Fuel {
     /// [`BuildError`] if the robot has no such body.
     pub fn new(config: &FuelConfig, robot: &RobotModel) -> Result<Self, BuildError> {
         let place = config.place(robot)?;
-        Ok(Self { config: config.clone(), place, full: Full::new(place, robot), burned: 0.0 })
+        Ok(Self { config: config.clone(), place, full: robot.bodies[place].clone(), burned: 0.0 })
     }
 
     /// Burns what jets with these thrusts \[N\] take in `dt` \[s\], and takes it from `robot`.
@@ -113,6 +100,6 @@ impl Fuel {
         self.burned = (self.burned + dt * rate).min(self.config.mass);
         let body = &mut robot.bodies[self.place];
         (body.mass, body.com_b, body.inertia_b) =
-            self.full.without(self.burned, &Vector3::from(self.config.position));
+            without(&self.full, self.burned, &Vector3::from(self.config.position));
     }
 }

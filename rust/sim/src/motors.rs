@@ -96,8 +96,6 @@ struct Drive {
     friction: f64,
     /// Position in which its stiffness is without torque \[rad\].
     rest: f64,
-    /// `τ_a` \[N m\]; `None` before the first command.
-    torque: Option<f64>,
     /// Torque of this step, after faults \[N m\].
     acting: f64,
     /// `θ` \[rad\] and `θ̇` \[rad/s\].
@@ -118,7 +116,10 @@ struct Drive {
 pub struct Motors {
     config: MotorsConfig,
     drives: Vec<Drive>,
+    /// `τ_a` \[N m\].
     torque: Vec<f64>,
+    /// Whether torques were commanded before; the first act at once.
+    is_commanded: bool,
 }
 
 impl Motors {
@@ -129,7 +130,6 @@ impl Motors {
         let drive = |joint: usize| Drive {
             friction: *config.friction_of.get(&robot.joints[joint].name).unwrap_or(&config.friction),
             rest: position[joint],
-            torque: None,
             acting: 0.0,
             position: position[joint],
             velocity: velocity[joint],
@@ -140,21 +140,20 @@ impl Motors {
             gain: 1.0,
         };
         let drives: Vec<_> = (0..robot.joints.len()).map(drive).collect();
-        Self { config: config.clone(), torque: vec![0.0; drives.len()], drives }
+        Self { config: config.clone(), torque: vec![0.0; drives.len()], drives, is_commanded: false }
     }
 
     /// `τ_a` after `step` \[s\] in which these torques are commanded \[N m\].
     pub fn lag(&mut self, command: &[f64], step: f64) -> &[f64] {
-        let share = if self.config.time_constant > 0.0 {
+        let share = if self.config.time_constant > 0.0 && self.is_commanded {
             -libm::expm1(-step / self.config.time_constant)
         } else {
             1.0
         };
-        for ((drive, command), torque) in self.drives.iter_mut().zip(command).zip(&mut self.torque) {
-            let last = drive.torque.unwrap_or(*command);
-            *torque = last + share * (command - last);
-            drive.torque = Some(*torque);
+        for (torque, command) in self.torque.iter_mut().zip(command) {
+            *torque += share * (command - *torque);
         }
+        self.is_commanded = true;
         &self.torque
     }
 

@@ -24,6 +24,8 @@ use flight_core::control::guard::wind_observer::WindObserverConfig;
 use flight_io::{AeroConfig, load_robot};
 use flight_sim::config::AeroKinematics;
 use flight_sim::disturbances::{FailureKind, JetFailure, Outage, OutageChannel, OutageKind};
+use flight_sim::fuel::FuelConfig;
+use flight_sim::motors::{ElasticityConfig, MotorsConfig};
 use flight_sim::{Scenario, ScenarioConfig};
 use nalgebra::{Vector3, Vector6};
 use proptest::prelude::*;
@@ -77,6 +79,24 @@ fn assert_no_allocations(
 }
 
 const SIDE: Vector3<f64> = Vector3::new(0.0, -10.0, 0.0);
+
+#[test]
+fn drives_and_fuel_do_not_allocate() {
+    let mut config = experiment("test2_observer");
+    config.simulator.motors = Some(MotorsConfig {
+        friction: 0.5,
+        friction_of: [].into(),
+        damping: 0.5,
+        stiffness: 0.0,
+        inertia: 0.05,
+        time_constant: 0.005,
+        elasticity: Some(ElasticityConfig { stiffness: 500.0, damping: 0.5 }),
+    });
+    let fuel =
+        FuelConfig { mass: 1.2, body: "chest".into(), position: [0.0; 3], idle: 1e-3, by_thrust: 4e-5 };
+    config.simulator.fuel = Some(fuel);
+    assert_no_allocations("drives and fuel", &config, 2.0, SIDE);
+}
 
 fn with(name: &str, change: impl FnOnce(&mut ScenarioConfig)) -> ScenarioConfig {
     let mut config = experiment(name);
