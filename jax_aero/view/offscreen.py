@@ -187,6 +187,7 @@ class Studio:
         geom = scene.geoms[scene.ngeom]
         rgba = np.array([*(part / 255.0 for part in colour), opacity], dtype=np.float32)
         self._mj.mjv_initGeom(geom, kind, np.asarray(size, float), position, np.asarray(rotation).reshape(9), rgba)
+        geom.objtype = self._mj.mjtObj.mjOBJ_UNKNOWN  # no object of the model; MuJoCo leaves it as it was in memory
         geom.category = self._mj.mjtCatBit.mjCAT_DECOR  # casts no shadow
         scene.ngeom += 1
         return geom
