@@ -80,19 +80,28 @@ def generalised_force(
     bodies: tuple[int, ...],
     points: Float[Array, "k 3"],
     forces: Float[Array, "k 3"],
+    couples: Float[Array, "k 3"] | float = 0.0,
 ) -> Float[Array, " N"]:
-    """Return `Σ J_kᵀ f_k` of forces [N] on `bodies` at `points` [m], without forming a Jacobian.
+    """Return `Σ J_kᵀ (f_k, c_k)` of forces [N] and couples [N m] on `bodies` at `points` [m], without a Jacobian.
 
-    A revolute joint carries the force and moment of its subtree, `τ_j = a · (Σ p × f − o_j × Σ f)`, about the base
-    origin; a prismatic one `a · Σ f`.
+    A revolute joint carries the force and moment of its subtree, `τ_j = a · (Σ (p × f + c) − o_j × Σ f)`, about the
+    base origin; a prismatic one `a · Σ f`.
     """
     origin = kin.body_positions[:1]
     moves = carriers(robot, bodies, forces.dtype)
-    moments = cross(points - origin, forces)
+    moments = cross(points - origin, forces) + couples
     carried = moves.T @ jnp.concatenate([forces, moments], axis=1)
     about_joint = carried[:, 3:] - cross(kin.body_positions[1:] - origin, carried[:, :3])
     joints = jnp.sum(kin.joint_angular * about_joint + kin.joint_linear * carried[:, :3], axis=1)
     return jnp.concatenate([forces.sum(0), moments.sum(0), joints])
+
+
+def generalised_thrust(robot: RobotModel, kin: Kinematics, thrust: Float[Array, " j"]) -> Float[Array, " N"]:
+    """Return the generalised force of thrusts [N] along the jets' axes, and of their moments."""
+    rotations, points = frame_poses(kin, robot.jets)
+    forces = thrust[:, None] * rotate(rotations, robot.jets.axes)
+    couples = robot.jets.torque_to_thrust[:, None] * forces
+    return generalised_force(robot, kin, robot.jets.bodies, points, forces, couples)
 
 
 def velocities_at(kin: Kinematics, bodies: tuple[int, ...], points: Float[Array, "k 3"]) -> Float[Array, "k 3"]:

@@ -89,7 +89,8 @@ class GroundPlant:
         self.thrust: Array = np.array(simulator["initial"]["thrust"], dtype=np.float64)
         """Thrust of every jet [N]."""
         self._jets = [self.model.site(f"jet_{jet}").id for jet in self.robot.jet_names]
-        self._axes = list(self.robot.arrays()["jets"]["axes"])
+        jets = self.robot.arrays()["jets"]
+        self._axes, self._torque_to_thrust = jets["axes"], jets["torque_to_thrust"]
         self._links = [self.model.site(f"aero_{link}").id for link in self.robot.aero_link_names]
         self._stand(simulator["initial"], simulator["ground"]["settling"])
         self.model.jnt_stiffness[1:] = simulator.get("motors", {}).get("stiffness", 0.0)
@@ -185,12 +186,13 @@ class GroundPlant:
         model, data = self.model, self.data
         forces = rust.link_forces(self.robot, self._aero, state, wind)
         data.qfrc_applied[:] = 0.0
-        nothing = np.zeros(3)
-        pushes = zip(self._jets, data.site_xmat[self._jets].reshape(-1, 3, 3), self._axes, self.thrust, strict=True)
-        thrusts = [(site, thrust * (rotation @ axis)) for site, rotation, axis, thrust in pushes]
-        for site, force in [*thrusts, *zip(self._links, forces, strict=True)]:
+        axes = np.einsum("jab,jb->ja", data.site_xmat[self._jets].reshape(-1, 3, 3), self._axes)
+        thrusts = self.thrust[:, None] * axes
+        pushes = zip(self._jets, thrusts, self._torque_to_thrust[:, None] * thrusts, strict=True)
+        drags = zip(self._links, forces, np.zeros_like(forces), strict=True)
+        for site, force, moment in [*pushes, *drags]:
             body = model.site_bodyid[site]
-            mujoco.mj_applyFT(model, data, force, nothing, data.site_xpos[site], body, data.qfrc_applied)
+            mujoco.mj_applyFT(model, data, force, moment, data.site_xpos[site], body, data.qfrc_applied)
         return forces
 
 

@@ -79,7 +79,7 @@ def mujoco_spec(source: str) -> Any:
             body.quat = carrier
         spec.delete(joint)
     for jet in table.get("jets", []):
-        spec.body(jet["frame"]).add_site(name=f"jet_{jet['name']}")
+        spec.body(jet["frame"]).add_site(name=f"jet_{jet['name']}", pos=jet.get("position", [0.0, 0.0, 0.0]))
     for link in table.get("aero_links", []):
         spec.body(link["frame"]).add_site(name=f"aero_{link['name']}", pos=link["centre"])
     for name in robot.joint_names:

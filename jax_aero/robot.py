@@ -22,7 +22,7 @@ ENGINE_KEYS = ("k_t", "k_tt", "k_d", "k_dd", "k_td", "b_u", "b_t", "b_d", "b_uu"
 
 @pytree
 class Jets:
-    """Jet engines: a force along a fixed axis of a frame, at its origin."""
+    """Thrusters, jets or rotors: a force along a fixed axis of a frame, at its origin, and a moment about it."""
 
     names: Static[tuple[str, ...]]
     bodies: Static[tuple[int, ...]]
@@ -35,6 +35,8 @@ class Jets:
     """Origins in body axes [m]."""
     axes: Float[Array, "j 3"]
     """Direction of the force on the robot, in frame axes."""
+    torque_to_thrust: Float[Array, " j"]
+    """Moments on the robot about the axes per thrust [m]: reaction torques of rotors, 0 for jets."""
     thrust_max: Float[Array, " j"]
     """Greatest thrusts [N]."""
 

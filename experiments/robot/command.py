@@ -1,4 +1,4 @@
-"""Import a robot: `jax-aero robot import URDF --jet FRAME[:AXIS]:MAX ... [--name NAME] [--out DIR]`.
+"""Import a robot: `jax-aero robot import URDF --jet FRAME[:AXIS]:MAX[:MOMENT] ... [--name NAME] [--out DIR]`.
 
 Writes a description of the robot from the URDF (base, joints in tree order with limits, groups by chain, jets,
 aerodynamic links sized by the geometry, feet), checks it, trims the robot in still air, and flies it: a hover of ten
@@ -37,6 +37,7 @@ from jax_aero.urdf import read_urdf
 
 HOVER, MISSION = "hover", "in_line"
 CONTROLLERS = ("mpc", "observer", "aero_aware")
+THRUSTER = "FRAME[:AXIS]:MAX[:MOMENT]"
 """Those of `configs/control` that can be scaled to a robot; the first is the default."""
 
 RESERVE = 0.05
@@ -90,7 +91,7 @@ def _parser() -> Parser:
     add("urdf", type=Path)
     add("--name", help="name of the robot and of its flights (default: that of the URDF)")
     add("--out", type=Path, help="folder for the files (default: results/robot/NAME)")
-    add("--jet", action="append", required=True, type=thruster, metavar="FRAME[:AXIS]:MAX", help="greatest thrust [N]")
+    add("--jet", action="append", required=True, type=thruster, metavar=THRUSTER, help="greatest thrust [N]")
     add("--foot", action="append", default=[], metavar="FRAME", help="sole frame, z up")
     add("--hold", action="append", default=[], metavar="JOINT", help="a joint that stays as near to zero as it can")
     add("--posture", action="append", default=[], type=angle, metavar="JOINT=DEG", help="where the trim starts")
@@ -101,12 +102,13 @@ def _parser() -> Parser:
 
 
 def thruster(text: str) -> skeleton.Thruster:
-    """Parse FRAME[:AXIS]:MAX; the axis is the direction of the force on the robot, by default -z."""
-    parts = re.fullmatch(r"([^:]+)(?::(-?[xyz]))?:(\d+\.?\d*)", text)
+    """Parse FRAME[:AXIS]:MAX[:MOMENT]; the axis is the direction of the force on the robot, by default -z."""
+    parts = re.fullmatch(r"([^:]+)(?::(-?[xyz]))?:(\d+\.?\d*)(?::([-+]?\d+\.?\d*))?", text)
     if parts is None or float(parts[3]) == 0.0:
-        expected = f"FRAME[:AXIS]:MAX with an axis of {', '.join(skeleton.AXES)} and a thrust > 0 in N"
+        axes = ", ".join(skeleton.AXES)
+        expected = f"{THRUSTER} with an axis of {axes}, a thrust > 0 in N, and a rotor's moment about it in N m per N"
         raise argparse.ArgumentTypeError(f"`{text}`; expected {expected}")
-    return skeleton.Thruster(parts[1], parts[2] or "-z", float(parts[3]))
+    return skeleton.Thruster(parts[1], parts[2] or "-z", float(parts[3]), float(parts[4] or 0.0))
 
 
 def angle(text: str) -> tuple[str, float]:

@@ -29,12 +29,14 @@ PLACEHOLDER = 1e4
 
 @dataclass(frozen=True)
 class Thruster:
-    """A jet given on the command line."""
+    """A jet or rotor given on the command line."""
 
     frame: str
     axis: str
     thrust_max: float
     """Greatest thrust [N]."""
+    torque_to_thrust: float = 0.0
+    """Moment on the robot about the axis per thrust [m]."""
 
 
 class Tree:
@@ -235,6 +237,8 @@ def _jets(jets: Sequence[Thruster]) -> list[str]:
     lines = []
     for jet in jets:
         lines += ["", "[[jets]]", *_quote_name(jet.frame, "name", "frame"), f"axis = {_row(AXES[jet.axis])}"]
+        if jet.torque_to_thrust != 0.0:
+            lines.append(f"torque_to_thrust = {jet.torque_to_thrust!r}")
         lines += [f"thrust_max = {jet.thrust_max!r}", f"engine = {_engine(jet.thrust_max)}"]
     for greatest in sorted({jet.thrust_max for jet in jets}):
         lines += ["", "# Linear, critically damped at 3 rad/s, full thrust at full throttle (?)."]

@@ -14,7 +14,7 @@ from jax_aero.control.law.momentum_qp import MomentumQp
 from jax_aero.control.law.torque import TorqueQp
 from jax_aero.control.measurement import Measurement, UsedMeasurement
 from jax_aero.dynamics import dynamics
-from jax_aero.kinematics import generalised_force, kinematics
+from jax_aero.kinematics import generalised_thrust, kinematics
 from jax_aero.robot import RobotModel
 from jax_aero.types import Array, Dynamics, Kinematics, LinkForces, Setpoint, State
 
@@ -71,8 +71,7 @@ def update_model(
     momentum = momentum_model(
         robot, kin, dyn, used.thrust, link, rate_feedback=rate_feedback, lambda_feedback=lambda_feedback
     )
-    jet_forces = used.thrust[:, None] * momentum.jet_axes
-    force = generalised_force(robot, kin, robot.jets.bodies, momentum.jet_points, jet_forces) - dyn.bias
+    force = generalised_thrust(robot, kin, used.thrust) - dyn.bias
     if torque_feedback:
         force = force + generalised_aero_force(robot, kin, link, link.jacobian_points)
     return Model(kin, dyn, link, momentum, force)

@@ -42,11 +42,11 @@ from jax_aero.jet_faults import FaultState, JetFaults, delay_rates, limit_thrust
 from jax_aero.jets import JetDynamics, JetsState, jet_dynamics
 from jax_aero.joint_faults import JointFaults, JointFaultState, begin_tick, reduce_torque
 from jax_aero.joint_faults import start_faults as start_joint_faults
-from jax_aero.kinematics import frame_poses, generalised_force, kinematics, move
+from jax_aero.kinematics import generalised_thrust, kinematics, move
 from jax_aero.robot import RobotModel
 from jax_aero.sim import actuation
 from jax_aero.sim.actuation import Actuation, ActuationState
-from jax_aero.spatial import rotate, rotation_from_rpy
+from jax_aero.spatial import rotation_from_rpy
 from jax_aero.types import Array, Dynamics, Kinematics, LinkForces, State, Static, leaf, pytree
 
 Kept = TypeVar("Kept")
@@ -310,16 +310,14 @@ def _advance_jets(plant: Plant, state: PlantState, command: Array) -> tuple[Jets
 
 def _advance_robot(plant: Plant, state: PlantState, seen: Observation, torque: Array, step: Array) -> State:
     robot, kin = plant.robot, seen.kinematics
-    rotations, points = frame_poses(kin, robot.jets)
     thrust = state.jets.thrust
     if plant.jet_faults is not None:
         thrust = plant.jet_faults.force_scale * thrust
     if plant.joint_faults is not None and state.joint_faults is not None:
         torque = reduce_torque(plant.joint_faults, state.joint_faults, torque)
-    thrusts = thrust[:, None] * rotate(rotations, robot.jets.axes)
     # One point for moment and Jacobian; for a rigid body both are equivalent.
     force = (
-        generalised_force(robot, kin, robot.jets.bodies, points, thrusts)
+        generalised_thrust(robot, kin, thrust)
         + generalised_aero_force(robot, seen.placed, seen.link_forces, seen.link_forces.arm_points)
         + jnp.concatenate([jnp.zeros_like(state.robot.velocity[:6]), torque])
     )

@@ -40,9 +40,9 @@ class Pair(NamedTuple):
 
 
 def exhaust(tree: Kinematics, jet: Jet, length: float) -> Capsule:
-    """Return the segment of `length` [m] from the nozzle, the jet frame's origin, opposite to the thrust."""
+    """Return the segment of `length` [m] from the nozzle opposite to the thrust."""
     pose = tree.poses[jet.frame]
-    return Capsule(pose.position, -length * pose.direction(jet.axis), 0.0)
+    return Capsule(pose.point(jet.position), -length * pose.direction(jet.axis), 0.0)
 
 
 def around(tree: Kinematics, link: AeroLink) -> Capsule:

@@ -114,7 +114,7 @@ class MomentumModel:
         self.wind = ca.SX.sym("w", 3)
         model = link_force(aero, robot)
 
-        self.jet_points = [tree.poses[jet.frame].position for jet in robot.jets]
+        self.jet_points = [tree.poses[jet.frame].point(jet.position) for jet in robot.jets]
         self.jet_axes = [tree.poses[jet.frame].direction(jet.axis) for jet in robot.jets]
         self.link_points = [tree.poses[link.frame].point(link.centre) for link in robot.aero_links]
         self.link_axes = [tree.poses[link.frame].direction(link.axis) for link in robot.aero_links]
@@ -127,9 +127,10 @@ class MomentumModel:
         self._forces = ca.horzcat(ca.SX(3, 0), *self.link_forces)
 
         com = self.dynamics.com
-        jets = zip(ca.vertsplit(self.thrust), self.jet_points, self.jet_axes, strict=True)
+        jets = zip(ca.vertsplit(self.thrust), robot.jets, self.jet_points, self.jet_axes, strict=True)
         held = zip(ca.horzsplit(self._held), self.link_points, strict=True)
-        self._jet_wrench = sum((t * _wrench(a, p - com) for t, p, a in jets), ca.SX.zeros(6))
+        wrenches = (t * _wrench(a, p - com, jet.torque_to_thrust * a) for t, jet, p, a in jets)
+        self._jet_wrench = sum(wrenches, ca.SX.zeros(6))
         self._held_wrench = sum((_wrench(f, p - com) for f, p in held), ca.SX.zeros(6))
         self.link_wrench = self._with_forces(self._held_wrench)
         self.momentum_rate = self._jet_wrench + self.link_wrench
@@ -140,12 +141,21 @@ class MomentumModel:
         return ca.substitute(expression, self._held, self._forces)
 
     def generalised_forces(self) -> tuple[SX, SX]:
-        """Return Σ Jᵀ f of the jets and of the link forces, as gradients of the work of constant forces."""
+        """Return Σ Jᵀ f of the jets and of the link forces, as gradients of the work of constant forces.
+
+        A couple c on a body is the sum of the forces `c × x / 2` at the ends of its three unit vectors x.
+        """
         tree = self.tree
-        direction = ca.SX.sym("a", 3, len(self.robot.jets))
-        jets = zip(ca.vertsplit(self.thrust), ca.horzsplit(direction), self.jet_points, strict=True)
-        jet_work = sum((t * ca.dot(a, p) for t, a, p in jets), ca.SX(0))
-        jet = ca.substitute(ca.gradient(jet_work, tree.q), direction, ca.horzcat(ca.SX(3, 0), *self.jet_axes))
+        forces, points = [], []
+        jets = zip(ca.vertsplit(self.thrust), self.robot.jets, self.jet_axes, self.jet_points, strict=True)
+        for thrust, thruster, axis, point in jets:
+            units = [tree.poses[thruster.frame].direction(unit) for unit in np.eye(3)]
+            couple = thruster.torque_to_thrust * thrust * axis
+            forces += [thrust * axis, *(ca.cross(couple, unit) / 2 for unit in units)]
+            points += [point, *units]
+        constant = ca.SX.sym("f", 3, len(forces))
+        jet_work = sum((ca.dot(f, p) for f, p in zip(ca.horzsplit(constant), points, strict=True)), ca.SX(0))
+        jet = ca.substitute(ca.gradient(jet_work, tree.q), constant, ca.horzcat(ca.SX(3, 0), *forces))
         held = zip(ca.horzsplit(self._held), self.link_points, strict=True)
         link_work = sum((ca.dot(f, p) for f, p in held), ca.SX(0))
         return jet, self._with_forces(ca.gradient(link_work, tree.q))
@@ -281,5 +291,5 @@ class MomentumModel:
         return self.function("linearised", parts)
 
 
-def _wrench(force: SX, arm: SX) -> SX:
-    return ca.vertcat(force, ca.cross(arm, force))
+def _wrench(force: SX, arm: SX, couple: SX | float = 0.0) -> SX:
+    return ca.vertcat(force, ca.cross(arm, force) + couple)

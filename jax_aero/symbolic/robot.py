@@ -54,11 +54,15 @@ class Joint:
 
 @dataclass(frozen=True)
 class Jet:
-    """An engine with thrust along `axis` of its frame, at the frame's origin; the exhaust leaves along −`axis`."""
+    """An engine with thrust along `axis` of its frame, at a point of it; the exhaust leaves along −`axis`."""
 
     name: str
     frame: str
+    position: Array
+    """Point in frame axes [m]."""
     axis: Array
+    torque_to_thrust: float
+    """Moment about the axis per thrust [m]."""
     thrust_max: float
     """Greatest thrust [N]."""
 
@@ -145,7 +149,14 @@ def load_robot(path: str | Path) -> Robot:
         joints=joints,
         inertials=tuple(_inertials(urdf)),
         jets=tuple(
-            Jet(row["name"], row["frame"], _unit_vector(row["axis"]), row["thrust_max"])
+            Jet(
+                name=row["name"],
+                frame=row["frame"],
+                position=np.array(row.get("position", [0.0, 0.0, 0.0]), dtype=float),
+                axis=_unit_vector(row["axis"]),
+                torque_to_thrust=row.get("torque_to_thrust", 0.0),
+                thrust_max=row["thrust_max"],
+            )
             for row in table.get("jets", [])
         ),
         aero_links=tuple(

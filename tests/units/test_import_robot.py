@@ -8,12 +8,13 @@ from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 
 from experiments import Refused
 from experiments.robot import command, scenario, shapes, skeleton
-from jax_aero import mesh, places, rust
+from jax_aero import mesh, mujoco_model, places, rust
 from jax_aero.result import FlightResult
 from jax_aero.robot import load_robot as load_twin
 from jax_aero.symbolic import load_robot
@@ -316,6 +317,7 @@ def test_a_spoilt_urdf_is_refused_by_name_and_leaves_no_file(tmp_path, written, 
         (["--jet", "nozzle:-z"], "--jet: `nozzle:-z`; expected FRAME"),
         (["--jet", "nozzle:-z:0.0"], "--jet: `nozzle:-z:0.0`; expected FRAME"),
         (["--jet", "nozzle:up:3"], "--jet: `nozzle:up:3`; expected FRAME"),
+        (["--jet", "nozzle:z:3:left"], "--jet: `nozzle:z:3:left`; expected FRAME"),
         (["--jet", "nozzle:3", "--posture", "knee"], "--posture: `knee`; expected JOINT=DEG"),
         (["--jet", "nozzle:3", "--posture", "knee=nan"], "--posture: `knee=nan`; expected JOINT=DEG"),
     ],
@@ -385,6 +387,40 @@ def test_a_mimic_joint_is_held_or_follows_a_held_one(leader, held, tmp_path):
         return
     moving = {joint.name for chain in tree.chains(held) for joint in chain}
     assert moving == {"waist", "l_shoulder", "r_shoulder", "l_hip", "r_hip"}
+
+
+@pytest.mark.parametrize("moment", [0.0, 0.2, -0.2])
+def test_gimbals_hold_the_reaction_torques_of_rotors(tmp_path, moment, measured):
+    """Four rotors that all turn the same way would turn the robot; tilted along the sides of its square they do not."""
+    jets = [command.thruster(f"rotor_{k}:z:20:{moment}") for k in range(1, 5)]
+    posture = {"joint_1": -75.0, "joint_2": 75.0, "joint_3": 75.0}
+    found = command.import_robot(ROBOTS / "chain.urdf", tmp_path / "out", jets=jets, posture_deg=posture)
+    assert found.hover.summary["max_com_error"] < 1e-3
+    assert found.hover.summary["max_rotation_error"] < 0.1
+    arrays = rust.Robot(tmp_path / "out" / "robot.toml").arrays()
+    assert set(arrays["jets"]["torque_to_thrust"]) == {moment}
+
+    model, data = mujoco_at_start(tmp_path / "out" / "robot.toml", found.hover)
+    force, about_com = np.zeros(3), np.zeros(3)
+    for k, thrust in enumerate(found.hover["thrust"][0], start=1):
+        site = model.site(f"jet_rotor_{k}").id
+        axis = thrust * data.site_xmat[site].reshape(3, 3)[:, 2]
+        force += axis
+        about_com += np.cross(data.site_xpos[site] - data.subtree_com[0], axis) + moment * axis
+    # Sums of some 10 products of numbers below 50, and the tolerance of the trim's solver.
+    measured("force [N]", np.abs(force - [0.0, 0.0, 9.81 * model.body_subtreemass[0]]).max(), 1e-9)
+    measured("moment [N m]", np.abs(about_com).max(), 1e-9)
+
+
+def mujoco_at_start(robot, flight):
+    """MuJoCo's model of a robot, with the kinematics of a flight's first state."""
+    model = mujoco_model.mujoco_model(str(robot))
+    data = mujoco.MjData(model)
+    order = mujoco_model.order_of(str(robot), tuple(rust.Robot(robot).joint_names))
+    data.qpos[:3], data.qpos[3:7] = flight["base_position"][0], flight["base_quaternion"][0]
+    data.qpos[order.joints] = flight["joint_position"][0]
+    mujoco.mj_fwdPosition(model, data)
+    return model, data
 
 
 def test_every_greatest_thrust_has_an_engine_of_its_own():

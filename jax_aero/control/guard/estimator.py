@@ -24,9 +24,9 @@ from jax_aero.aero import AeroModel, LinkConventions, generalised_aero_force, li
 from jax_aero.config import EstimatorConfig, LatencyConfig
 from jax_aero.control.measurement import Reading
 from jax_aero.dynamics import dynamics, forward_dynamics
-from jax_aero.kinematics import frame_poses, generalised_force, kinematics, move
+from jax_aero.kinematics import generalised_thrust, kinematics, move
 from jax_aero.robot import RobotModel
-from jax_aero.spatial import cross, exp_so3, log_so3, multiply, project_to_so3, rotate
+from jax_aero.spatial import cross, exp_so3, log_so3, multiply, project_to_so3
 from jax_aero.types import Array, State, Static, join, leaf, pytree, where
 
 GREATEST = 1e6
@@ -286,10 +286,8 @@ def advance(
     kin = kinematics(robot, state)
     dyn = dynamics(robot, state, kin)
     link = link_forces(aero, robot, kin, LinkConventions(), order.wind)
-    rotations, points = frame_poses(kin, robot.jets)
-    thrusts = reading.thrust[:, None] * rotate(rotations, robot.jets.axes)
     force = (
-        generalised_force(robot, kin, robot.jets.bodies, points, thrusts)
+        generalised_thrust(robot, kin, reading.thrust)
         + generalised_aero_force(robot, kin, link, link.jacobian_points)
         + jnp.concatenate([jnp.zeros_like(order.unmodelled), order.torque])
     )

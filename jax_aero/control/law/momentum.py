@@ -35,7 +35,7 @@ class MomentumModel(NamedTuple):
     jet_points: Float[Array, "j 3"]
     """Points at which the thrusts act [m]."""
     a_t: Float[Array, "6 j"]
-    """`A_T = (a_i ; r_i × a_i)`."""
+    """`A_T = (a_i ; r_i × a_i + κ_i a_i)`."""
     lambda_t: Float[Array, "6 N"]
     """`Λ_T`: momentum acceleration per unit of ν due to turning and moving thrusts."""
     lambda_a: Float[Array, "6 N"]
@@ -72,7 +72,8 @@ def momentum_model(
     """
     axes, points, a_t = thrust_map(robot, kin)
     com_jacobian = dyn.momentum_matrix[:3] / robot.mass
-    lambda_t = _lambda_t(robot, kin, com_jacobian, points, thrust[:, None] * axes)
+    forces = thrust[:, None] * axes
+    lambda_t = _lambda_t(robot, kin, com_jacobian, points, forces, robot.jets.torque_to_thrust[:, None] * forces)
     lambda_a = jnp.zeros_like(lambda_t)
     if lambda_feedback:
         lambda_a = _lambda_a(robot, kin, com_jacobian, link)
@@ -88,14 +89,17 @@ def thrust_map(
     """Return directions and points [m] of the thrusts, and `A_T`."""
     rotations, points = frame_poses(kin, robot.jets)
     axes = rotate(rotations, robot.jets.axes)
-    return axes, points, jnp.concatenate([axes, cross(points - kin.com[None], axes)], axis=1).T
+    moments = cross(points - kin.com[None], axes) + robot.jets.torque_to_thrust[:, None] * axes
+    return axes, points, jnp.concatenate([axes, moments], axis=1).T
 
 
-def _lambda_t(robot: RobotModel, kin: Kinematics, com_jacobian: Array, points: Array, forces: Array) -> Array:
-    """Thrusts `f_i = T_i a_i` rotate with the body that carries the jet.
+def _lambda_t(
+    robot: RobotModel, kin: Kinematics, com_jacobian: Array, points: Array, forces: Array, couples: Array
+) -> Array:
+    """Thrusts `f_i = T_i a_i` and their moments `κ_i f_i` rotate with the body that carries the jet.
 
     ```text
-    Λ_T = −Σ_i ( (0 ; S(f_i)) (J_i^v − J_G) + (I ; S(r_i)) S(f_i) J_i^ω )
+    Λ_T = −Σ_i ( (0 ; S(f_i)) (J_i^v − J_G) + (I ; S(r_i) + κ_i I) S(f_i) J_i^ω )
     ```
 
     The subtree of joint k has the wrench (F, M) about the joint's origin o. Rotation about the axis a changes it to
@@ -103,7 +107,7 @@ def _lambda_t(robot: RobotModel, kin: Kinematics, com_jacobian: Array, points: A
     along the axis a changes it by `(0 ; a × F)`.
     """
     base = kin.body_positions[:1]
-    moments = cross(points - base, forces)
+    moments = cross(points - base, forces) + couples
     total, total_moment = forces.sum(0), moments.sum(0)
     carried = carriers(robot, robot.jets.bodies, forces.dtype).T @ jnp.concatenate([forces, moments], axis=1)
     force, moment_about_base = carried[:, :3], carried[:, 3:]

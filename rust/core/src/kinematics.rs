@@ -11,7 +11,7 @@
 //! Equations M7 to M10 of `docs/model.md`.
 
 use crate::robot::{Frame, JointKind, RobotModel};
-use crate::spatial::{Pose, axis_angle, exp_so3, parts};
+use crate::spatial::{Pose, axis_angle, exp_so3, parts, stack};
 use nalgebra::{DVector, Matrix3, Matrix3xX, Vector3, Vector6};
 
 /// Pose, joint positions and velocity of a robot.
@@ -294,7 +294,8 @@ impl Kinematics {
         }
     }
 
-    /// Adds the generalised forces of the jets of `robot`; `thrusts` are forces along the jet axes \[N\].
+    /// Adds the generalised forces of the jets of `robot` and of their moments; `thrusts` are forces along the jet axes
+    /// \[N\].
     pub fn add_thrusts(
         &self,
         robot: &RobotModel,
@@ -304,7 +305,8 @@ impl Kinematics {
         for (jet, thrust) in robot.jets.iter().zip(thrusts) {
             let pose = self.frame_pose(&jet.frame);
             let force = pose.rotation * jet.axis_f.into_inner() * thrust;
-            self.add_generalised_force(jet.frame.body, &pose.position, &force, generalised);
+            let wrench = stack(&force, &(force * jet.torque_to_thrust));
+            self.add_generalised_wrench(jet.frame.body, &pose.position, &wrench, generalised);
         }
     }
 

@@ -164,7 +164,7 @@ pub struct AeroLink {
     pub coefficients: BTreeMap<String, AxisymmetricCoefficients>,
 }
 
-/// A jet engine: a force along a fixed axis of a frame.
+/// A thruster, jet or rotor: a force along a fixed axis of a frame, and a moment about it.
 #[derive(Debug, Clone)]
 pub struct Jet {
     /// Name of the jet.
@@ -173,6 +173,8 @@ pub struct Jet {
     pub frame: Frame,
     /// Direction of the force on the robot, in frame axes.
     pub axis_f: Unit<Vector3<f64>>,
+    /// Moment on the robot about the axis per thrust \[m\]: the reaction torque of a rotor, 0 for a jet.
+    pub torque_to_thrust: f64,
     /// Greatest thrust \[N\].
     pub thrust_max: f64,
     /// Name of the engine in [`RobotModel::engines`].

@@ -1,7 +1,8 @@
 //! Forces at points of bodies, summed over the subtree of each joint.
 //!
 //! One pass from the tips to the base replaces a Jacobian for each point. With `r` from the base origin, `F = Σ f`,
-//! `E = Σ r fᵀ` and `M = Σ r × f` (from the antisymmetric part of `E`) are sums over a subtree. A unit rate of its
+//! `E = Σ r fᵀ` and `M = Σ r × f` (from the antisymmetric part of `E`, where a couple `c` adds `−S(c)/2`) are sums over
+//! a subtree. A unit rate of its
 //! joint moves the subtree with the angular velocity `ω` and, at the base origin, the velocity `v_o`; then
 //!
 //! ```text
@@ -14,7 +15,7 @@
 
 use crate::kinematics::Kinematics;
 use crate::robot::RobotModel;
-use crate::spatial::vee_of_skew_part;
+use crate::spatial::{skew, vee_of_skew_part};
 use nalgebra::{DVector, Matrix3, Vector3};
 
 /// Forces on one subtree; none by default.
@@ -22,12 +23,12 @@ use nalgebra::{DVector, Matrix3, Vector3};
 pub struct Load {
     /// `F = Σ f` \[N\].
     pub force: Vector3<f64>,
-    /// `E = Σ r fᵀ` about the base origin \[N m\].
+    /// `E = Σ (r fᵀ − S(c)/2)` about the base origin \[N m\].
     pub dyad: Matrix3<f64>,
 }
 
 impl Load {
-    /// `M = Σ r × f` about the base origin \[N m\].
+    /// `M = Σ (r × f + c)` about the base origin \[N m\].
     #[must_use]
     pub fn moment(&self) -> Vector3<f64> {
         -2.0 * vee_of_skew_part(&self.dyad)
@@ -48,19 +49,19 @@ impl SubtreeLoads {
         Self { loads: vec![Load::default(); robot.bodies.len()] }
     }
 
-    /// Sums forces `(body, point_i, force_i)`, each on a body at a point \[m, N, inertial axes\].
+    /// Sums forces and couples `(body, point_i, force_i, couple_i)`, each on a body at a point \[m, N, N m, inertial axes\].
     pub fn update(
         &mut self,
         robot: &RobotModel,
         kinematics: &Kinematics,
-        forces: impl Iterator<Item = (usize, Vector3<f64>, Vector3<f64>)>,
+        forces: impl Iterator<Item = (usize, Vector3<f64>, Vector3<f64>, Vector3<f64>)>,
     ) {
         let origin = kinematics.bodies[0].i_from_b.position;
         self.loads.fill(Load::default());
-        for (body, point, force) in forces {
+        for (body, point, force, couple) in forces {
             let load = &mut self.loads[body];
             load.force += force;
-            load.dyad += (point - origin) * force.transpose();
+            load.dyad += (point - origin) * force.transpose() - skew(&(0.5 * couple));
         }
         for index in (1..self.loads.len()).rev() {
             let load = self.loads[index];

@@ -415,16 +415,19 @@ fn loads_of_subtrees_act_through_jacobians() {
     let mut draw = rng(16);
     check_on_random_states(16, |robot, sample| {
         let forces: Vec<_> = (0..robot.bodies.len())
-            .map(|body| (body, random_vector(&mut draw, 2.0), random_vector(&mut draw, 100.0)))
+            .map(|body| {
+                let [point, force, couple] = [2.0, 100.0, 50.0].map(|size| random_vector(&mut draw, size));
+                (body, point, force, couple)
+            })
             .collect();
         let mut loads = SubtreeLoads::new(robot);
         loads.update(robot, &sample.kinematics, forces.iter().copied());
         let mut found = DVector::zeros(sample.state.velocity.len());
         loads.add_generalised_force(&sample.kinematics, &mut found);
         let (mut expected, mut moved) = (found.clone() * 0.0, vec![Vector3::zeros(); found.len()]);
-        for (body, point, force) in &forces {
-            let (linear, _) = sample.kinematics.jacobian(*body, point);
-            expected += linear.tr_mul(force);
+        for (body, point, force, couple) in &forces {
+            let (linear, angular) = sample.kinematics.jacobian(*body, point);
+            expected += linear.tr_mul(force) + angular.tr_mul(couple);
             for (moved, column) in moved.iter_mut().zip(linear.column_iter()) {
                 *moved += force.cross(&column);
             }

@@ -117,16 +117,23 @@ struct AeroEntry {
     is_sphere: bool,
 }
 
-/// A jet engine: a force along a fixed axis of a frame.
+/// A thruster, jet or rotor: a force along a fixed axis of a frame, and a moment about it.
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct JetEntry {
     /// Name of the jet.
     name: String,
-    /// Link of the URDF; the thrust acts at its origin.
+    /// Link of the URDF.
     frame: String,
+    /// Point of that link at which the thrust acts \[m\].
+    #[serde(default)]
+    position: [f64; 3],
     /// Direction of the force on the robot in frame axes, a unit vector.
     axis: [f64; 3],
+    /// Moment on the robot about the axis per thrust \[m\]: the reaction torque of a rotor, negative if the rotor turns
+    /// anticlockwise as seen from where the thrust points.
+    #[serde(default)]
+    torque_to_thrust: f64,
     /// Greatest thrust \[N\].
     #[schemars(extend("exclusiveMinimum" = 0))]
     thrust_max: f64,
@@ -337,10 +344,14 @@ fn jets(file: &RobotFile, tree: &Tree<'_>) -> Result<Vec<Jet>, BuildError> {
         if !file.engines.contains_key(&entry.engine) {
             return Err(BuildError::unknown_name(of("engine"), &entry.engine, file.engines.keys()));
         }
+        let mut frame = tree.frame(&of("frame"), &entry.frame)?;
+        frame.body_from_frame.position =
+            frame.body_from_frame.transform_point(&Vector3::from(entry.position));
         Ok(Jet {
             name: entry.name.clone(),
-            frame: tree.frame(&of("frame"), &entry.frame)?,
+            frame,
             axis_f: check::unit(&of("axis"), &entry.axis)?,
+            torque_to_thrust: entry.torque_to_thrust,
             thrust_max: entry.thrust_max,
             engine: entry.engine.clone(),
         })

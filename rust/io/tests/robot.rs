@@ -152,6 +152,21 @@ fn inertia_is_read_in_the_axes_of_its_origin() {
     assert_within!((a.bodies[0].inertia_b - b.bodies[0].inertia_b).amax(), 1e-15);
 }
 
+/// A thruster acts at a point of its frame, and turns the robot about its axis.
+#[test]
+fn thrusters_have_points_and_moments() {
+    let slider = load_robot(&robot_file("slider.toml")).unwrap();
+    let [front, _, piston] = &slider.jets[..] else { panic!("three jets") };
+    assert_eq!([front.torque_to_thrust, piston.torque_to_thrust], [0.0, -0.04]);
+    let [toml, urdf] =
+        ["toml", "urdf"].map(|kind| std::fs::read_to_string(robot_file(&format!("slider.{kind}"))).unwrap());
+    let toml = toml.replace("position = [0.01, -0.02, 0.03]", "");
+    let origin = robot_from_text(&toml, &urdf, "slider.toml").unwrap();
+    let moved = front.frame.body_from_frame.position - origin.jets[0].frame.body_from_frame.position;
+    let expected = front.frame.body_from_frame.rotation * Vector3::new(0.01, -0.02, 0.03);
+    assert!((moved - expected).norm() < 1e-16);
+}
+
 /// Torque and velocity limits are the URDF's unless the TOML file says otherwise; nothing limits a torque rate
 /// that neither names. A prismatic joint's are in m and N.
 #[test]

@@ -108,6 +108,7 @@ fn jets<'py>(py: Python<'py>, model: &RobotModel) -> PyResult<Bound<'py, PyDict>
     set_frames(py, &out, jets.iter().map(|jet| &jet.frame).collect())?;
     out.set_item("engines", tuple(py, jets.iter().map(|jet| &jet.engine))?)?;
     out.set_item("axes", rows(py, jets.iter().map(|jet| jet.axis_f.into_inner()))?)?;
+    out.set_item("torque_to_thrust", numbers(py, jets.iter().map(|jet| jet.torque_to_thrust))?)?;
     out.set_item("thrust_max", numbers(py, jets.iter().map(|jet| jet.thrust_max))?)?;
     Ok(out)
 }

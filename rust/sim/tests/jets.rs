@@ -23,6 +23,7 @@ fn jets() -> Vec<Jet> {
         name: name.to_owned(),
         frame: Frame { name: name.to_owned(), body: 0, body_from_frame: Pose::identity() },
         axis_f: -Vector3::z_axis(),
+        torque_to_thrust: 0.0,
         thrust_max,
         engine: engine.to_owned(),
     })

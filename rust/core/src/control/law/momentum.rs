@@ -120,7 +120,7 @@ impl MomentumModel {
         self.place_jets(robot, kinematics);
         self.update_lambda_t(robot, kinematics, dynamics, thrust);
         let forces = link_forces.jacobian_points_i.iter().zip(&link_forces.forces_i).zip(&robot.aero_links);
-        let forces = forces.map(|((point, force), link)| (link.frame.body, *point, *force));
+        let forces = forces.map(|((point, force), link)| (link.frame.body, *point, *force, Vector3::zeros()));
         self.aero.update(robot, kinematics, forces);
         if feedback.lambda {
             self.update_lambda_a(kinematics, dynamics);
@@ -194,12 +194,12 @@ impl MomentumModel {
             let arm = pose.position - kinematics.com;
             self.jet_axes_i[index] = axis;
             self.jet_points_i[index] = pose.position;
-            self.a_t.set_column(index, &stack(&axis, &arm.cross(&axis)));
+            self.a_t.set_column(index, &stack(&axis, &(arm.cross(&axis) + axis * jet.torque_to_thrust)));
         }
     }
 
     /// ```text
-    /// Λ_T = −Σ_i T_i ( (0 ; S(a_i)) (J_i^v − J_G) + (I ; S(r_i)) S(a_i) J_i^ω )
+    /// Λ_T = −Σ_i T_i ( (0 ; S(a_i)) (J_i^v − J_G) + (I ; S(r_i) + κ_i I) S(a_i) J_i^ω )
     /// ```
     fn update_lambda_t(
         &mut self,
@@ -209,9 +209,10 @@ impl MomentumModel {
         thrust: &[f64],
     ) {
         let Self { jet_axes_i, jet_points_i, thrusts, lambda_t, .. } = self;
-        let forces = robot.jets.iter().zip(thrust).enumerate();
-        let forces = forces
-            .map(|(index, (jet, thrust))| (jet.frame.body, jet_points_i[index], jet_axes_i[index] * *thrust));
+        let forces = robot.jets.iter().zip(thrust).enumerate().map(|(index, (jet, thrust))| {
+            let force = jet_axes_i[index] * *thrust;
+            (jet.frame.body, jet_points_i[index], force, force * jet.torque_to_thrust)
+        });
         thrusts.update(robot, kinematics, forces);
         let com = kinematics.com - kinematics.bodies[0].i_from_b.position;
         thrusts.visit(kinematics, |column, load, v_o, omega| {
