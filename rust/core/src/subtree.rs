@@ -1,14 +1,14 @@
 //! Forces at points of bodies, summed over the subtree of each joint.
 //!
 //! One pass from the tips to the base replaces a Jacobian for each point. With `r` from the base origin, `F = Σ f`,
-//! `E = Σ r fᵀ` and `M = Σ r × f` (from the antisymmetric part of `E`, where a couple `c` adds `−S(c)/2`) are sums over
-//! a subtree. A unit rate of its
-//! joint moves the subtree with the angular velocity `ω` and, at the base origin, the velocity `v_o`; then
+//! `E = Σ r fᵀ` and `M = Σ (r × f + c)` are sums over a subtree; `M` is held as the antisymmetric part of `E`, to which
+//! a couple `c` adds `−S(c)/2`. A unit rate of the subtree's joint moves it with the angular velocity `ω` and, at the
+//! base origin, the velocity `v_o`; then
 //!
 //! ```text
-//! Σ f · v              = F · v_o + M · ω                      Jᵀ f
-//! Σ f × v              = F × v_o + tr(E) ω − E ω              moving force of constant direction
-//! Σ f × v + r × (f × ω) = F × v_o + M × ω                      moving force that turns with its body
+//! Σ f · v + c · ω               = F · v_o + M · ω            Jᵀ (f, c)
+//! Σ f × v                       = F × v_o + tr(E) ω − E ω    moving forces of constant direction, no couples
+//! Σ f × v + r × (f × ω) + c × ω = F × v_o + M × ω            moving forces and couples that turn with their bodies
 //! ```
 //!
 //! Equations M27, M51 and M52 of `docs/model.md`.

@@ -424,17 +424,28 @@ fn loads_of_subtrees_act_through_jacobians() {
         loads.update(robot, &sample.kinematics, forces.iter().copied());
         let mut found = DVector::zeros(sample.state.velocity.len());
         loads.add_generalised_force(&sample.kinematics, &mut found);
-        let (mut expected, mut moved) = (found.clone() * 0.0, vec![Vector3::zeros(); found.len()]);
+        let mut expected = found.clone() * 0.0;
+        let (mut moved, mut turned) =
+            (vec![Vector3::zeros(); found.len()], vec![Vector3::zeros(); found.len()]);
+        let origin = sample.kinematics.bodies[0].i_from_b.position;
         for (body, point, force, couple) in &forces {
             let (linear, angular) = sample.kinematics.jacobian(*body, point);
             expected += linear.tr_mul(force) + angular.tr_mul(couple);
-            for (moved, column) in moved.iter_mut().zip(linear.column_iter()) {
-                *moved += force.cross(&column);
+            for (column, (v, w)) in linear.column_iter().zip(angular.column_iter()).enumerate() {
+                moved[column] += force.cross(&v);
+                turned[column] +=
+                    force.cross(&v) + (point - origin).cross(&force.cross(&w)) + couple.cross(&w);
             }
         }
         // Sums of some 30 forces at arms of some 2 m, in another order.
         let scale = 100.0 * 2.0 * forces.len() as f64;
         assert_small("Jᵀ f", (found - expected).amax(), scale, 1e-15);
+        loads.visit(&sample.kinematics, |column, load, v_o, omega| {
+            let found = load.force.cross(&v_o) + load.moment().cross(&omega);
+            assert_small("f × v + r × (f × ω) + c × ω", (found - turned[column]).amax(), scale, 1e-15);
+        });
+        let without = forces.iter().map(|(body, point, force, _)| (*body, *point, *force, Vector3::zeros()));
+        loads.update(robot, &sample.kinematics, without);
         loads.visit(&sample.kinematics, |column, load, v_o, omega| {
             let found = load.force.cross(&v_o) + omega * load.dyad.trace() - load.dyad * omega;
             assert_small("f × v", (found - moved[column]).amax(), scale, 1e-15);
