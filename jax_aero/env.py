@@ -28,10 +28,12 @@ from jaxtyping import Float, Int, Key
 from jax_aero.control import Command, Measurement
 from jax_aero.control.tick import MomentumController, replace_command
 from jax_aero.env_task import (
+    Aim,
     Observed,
     Task,
     TaskState,
     added_torque,
+    aim_of,
     is_lost,
     limit_action,
     observation,
@@ -73,6 +75,14 @@ class SteeredState(NamedTuple):
 
     inner: Any
     observed: Observed
+    aim: Aim
+
+
+def _at_start(robot: RobotModel, inner: Any, state: RobotState) -> SteeredState:
+    """Return the state in which a robot at rest hovers, with the controller's own."""
+    nothing = jnp.zeros_like(state.velocity[:6])
+    aim = Aim(kinematics(robot, state).com, state.base_rotation, nothing[:3], nothing[3:])
+    return SteeredState(inner, Observed(nothing, nothing, nothing), aim)
 
 
 @pytree
@@ -86,8 +96,7 @@ class SteeredController:
 
     def init(self, robot: RobotModel, state: RobotState) -> SteeredState:
         """Return the initial state of the controller."""
-        nothing = jnp.zeros_like(state.velocity[:6])
-        return SteeredState(self.inner.init(robot, state), Observed(nothing, nothing, nothing))
+        return _at_start(robot, self.inner.init(robot, state), state)
 
     def step(self, robot: RobotModel, state: SteeredState, measurement: Measurement) -> tuple[SteeredState, Command]:
         """Compute one tick of the controller and modify its command by the action."""
@@ -110,11 +119,12 @@ class SteeredController:
         torque = jnp.clip(command.joint_torque + more, -inner.torque_max, inner.torque_max)
         memory, command = replace_command(memory, command, terms, rates, torque)
         observed = observe_wrench(state.observed, terms.dynamics.momentum, terms.momentum.rate_estimate, self.dt)
-        return SteeredState(memory, observed), command._replace(joint_velocity=velocities)
+        aim = aim_of(command.setpoint) if self.task.tracking else state.aim
+        return SteeredState(memory, observed, aim), command._replace(joint_velocity=velocities)
 
 
 class FlightEnv:
-    """Hover in a wind drawn anew for every episode; `reset` and `step` are pure, for `jit` and `vmap`.
+    """Fly a task in a wind drawn anew for every episode; `reset` and `step` are pure, for `jit` and `vmap`.
 
     Parameters
     ----------
@@ -133,12 +143,10 @@ class FlightEnv:
             self.task.episode(load_config(self.task.experiment, changes)), dtype=precision
         )
         robot = self._scenario.plant.robot
-        nothing = jnp.zeros(6, precision)
-        steered = SteeredState(self._start.controller, Observed(nothing, nothing, nothing))
+        steered = _at_start(robot, self._start.controller, self._start.plant.robot)
         self._start = self._start._replace(controller=steered)
         self.action_size = robot.jets.count + robot.n_joints
         self.observation_size = 21 + 2 * robot.n_joints + robot.jets.count
-        self._com = kinematics(robot, self._start.plant.robot).com
         self.dt = float(self._scenario.plant.time_step)
         self.episode_length = self.task.ticks(self.dt)
 
@@ -183,8 +191,8 @@ class FlightEnv:
         parts = rewards(jnp, task_state, action)
         lost = (flight.loss != FLYING) | is_lost(jnp, task_state, scenario.fall)
         errors = {
-            "attitude_error": rotation_angle(task_state.setpoint_rotation.T @ task_state.rotation),
-            "position_error": jnp.linalg.norm(task_state.com_error),
+            "attitude_error": rotation_angle(task_state.aim.rotation.T @ task_state.rotation),
+            "position_error": jnp.linalg.norm(task_state.com - task_state.aim.com),
         }
         # The numbers of a lost robot need not be finite.
         metrics = {
@@ -204,8 +212,8 @@ class FlightEnv:
             velocity=now.robot.velocity,
             joint_position=now.robot.joint_position,
             thrust=self._scenario.plant.jets.feedback(now.jets),
-            com_error=kinematics(robot, now.robot).com - self._com,
-            setpoint_rotation=first.base_rotation,
+            com=kinematics(robot, now.robot).com,
+            aim=state.flight.controller.aim,
             posture=first.joint_position,
             wrench=state.flight.controller.observed.wrench,
         )

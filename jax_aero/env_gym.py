@@ -20,10 +20,12 @@ from numpy.typing import NDArray
 
 from jax_aero import rust
 from jax_aero.env_task import (
+    Aim,
     Observed,
     Task,
     TaskState,
     added_torque,
+    aim_of,
     is_lost,
     limit_action,
     observation,
@@ -51,7 +53,7 @@ OF_THE_CRATE = {"_robot", "_plant", "_controller", "_measurement"}
 
 
 class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
-    """Hover in a wind drawn anew for every episode; actions as in `jax_aero.env.FlightEnv`.
+    """Fly a task in a wind drawn anew for every episode; actions as in `jax_aero.env.FlightEnv`.
 
     A copy, also by `pickle`, flies the episode up to the present tick again.
     """
@@ -61,6 +63,7 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     _controller: rust.Controller
     _measurement: rust.Measurement
     _observed: Observed
+    _aim: Aim
     metadata = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
 
     def __init__(self, task: Task | None = None) -> None:
@@ -113,6 +116,8 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         torque = np.clip(tick.joint_torque + more, tick.torque_qp.lower, tick.torque_qp.upper)
         self._controller.replace_command(rates, torque)
         self._observed = observe_wrench(self._observed, tick.momentum, tick.momentum_rate_estimate, self.dt)
+        if self.task.tracking:
+            self._aim = aim_of(tick.setpoint)
         self._measurement = self._plant.step(rates, torque)
         self._flown.append(clipped)
         task_state, obs = self._observe()
@@ -139,9 +144,9 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._flown: list[NDArray[np.float64]] = []
         self._observed = Observed(np.zeros(6), np.zeros(6), np.zeros(6))
         state = self._measurement.state
-        self._upright: NDArray[np.float64] = np.array(state.base_rotation)
+        com = rust.dynamics(self._robot, state).com_position
+        self._aim = Aim(com, np.array(state.base_rotation), np.zeros(3), np.zeros(3))
         self._posture: NDArray[np.float64] = np.array(state.joint_position)
-        self._com = rust.dynamics(self._robot, state).com_position
 
     def _observe(self) -> tuple[TaskState, NDArray[np.float32]]:
         state = self._measurement.state
@@ -150,8 +155,8 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             velocity=np.asarray(state.velocity),
             joint_position=np.asarray(state.joint_position),
             thrust=self._measurement.thrust,
-            com_error=rust.dynamics(self._robot, state).com_position - self._com,
-            setpoint_rotation=self._upright,
+            com=rust.dynamics(self._robot, state).com_position,
+            aim=self._aim,
             posture=self._posture,
             wrench=self._observed.wrench,
         )

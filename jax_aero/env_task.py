@@ -1,4 +1,4 @@
-"""The task of both environments: hovering in a wind that is drawn anew, with its observation and reward.
+"""The task of both environments: to hover or fly a mission in a wind that is drawn anew; its observation and reward.
 
 Functions take `numpy` or `jax.numpy` as an argument, so that the environments of JAX and of the crate agree.
 """
@@ -23,15 +23,15 @@ OBSERVER_GAIN = 3.0
 
 @dataclass(frozen=True)
 class Task:
-    """The task to learn: to hover where the episode begins.
+    """The task to learn: to hover where the episode begins, or to fly the experiment's mission.
 
-    The set-point is the centre of mass, the attitude and the posture of the simulated robot at the first tick. A
+    The set-point of a hover is the centre of mass and the attitude of the simulated robot at the first tick. A
     controller with an error in its model or its sensors holds a slightly different one; the difference is part of the
-    task.
+    task. The set-point of a mission is the controller's. The posture is that of the first tick in both.
     """
 
     experiment: str = "test1"
-    """Robot, simulator and controller: an experiment by name or path. Its mission and wind are replaced."""
+    """Robot, simulator and controller: an experiment by name or path. Its wind is replaced."""
     steering: Steering = "residual"
     duration: float = 10.0
     """Duration of an episode [s]."""
@@ -46,6 +46,8 @@ class Task:
     """Thrust rate of an action of 1 [N/s]."""
     joint_velocity: float = 0.5
     """Joint velocity of an action of 1 [rad/s]."""
+    tracking: bool = False
+    """Whether to fly the mission of the experiment, from its beginning, instead of hovering."""
 
     def __post_init__(self) -> None:
         if self.steering not in (known := get_args(Steering)):
@@ -96,12 +98,32 @@ class Task:
         else:
             wind |= {"gust": still, "start": 0.0, "duration": 2.0 * self.ramp}
         simulator = {**config["simulator"], "duration": self.duration}
-        return {**config, "mission": {}, "wind": wind, "simulator": simulator}
+        mission = config["mission"] if self.tracking else {}
+        return {**config, "mission": mission, "wind": wind, "simulator": simulator}
 
 
 def _check(name: str, value: Any, least: float, expected: str) -> None:
     if not isinstance(value, Real) or not least <= float(value) < math.inf:
         raise ValueError(f"`{name}` is {value!r}; expected {expected}")
+
+
+class Aim(NamedTuple):
+    """Set-point of a tick, in inertial axes."""
+
+    com: Any
+    """Centre of mass (3,) [m]."""
+    rotation: Any
+    """Desired `inertial_from_base` (3, 3)."""
+    velocity: Any
+    """Of the centre of mass (3,) [m/s]."""
+    angular_velocity: Any
+    """Of the base (3,) [rad/s]."""
+
+
+def aim_of(setpoint: Any) -> Aim:
+    """Return what a set-point of the controller asks for."""
+    rotation = setpoint.rotation
+    return Aim(setpoint.com_position, rotation, setpoint.com_velocity, rotation @ setpoint.angular_velocity)
 
 
 class TaskState(NamedTuple):
@@ -115,10 +137,9 @@ class TaskState(NamedTuple):
     """(n,) [rad]."""
     thrust: Any
     """(j,) [N]; the estimated one where `jets.feedback` is "estimated"."""
-    com_error: Any
-    """Centre of mass relative to its set-point (3,) [m]."""
-    setpoint_rotation: Any
-    """Desired `inertial_from_base` (3, 3)."""
+    com: Any
+    """Centre of mass (3,) [m]."""
+    aim: Aim
     posture: Any
     """Joint positions of the first tick (n,) [rad]."""
     wrench: Any
@@ -145,18 +166,18 @@ def observe_wrench(last: Observed, momentum: Any, rate: Any, dt: float) -> Obser
 def observation(xp: Any, state: TaskState, thrust_max: Any) -> Any:
     """Return the observation of an agent, of order one: (21 + 2 n + j,).
 
-    Direction of gravity in base axes, rotation from the set-point, errors and velocities in base axes, and the observed
-    wrench in base axes.
+    Direction of gravity in base axes, rotation from the set-point, errors of position and velocities in base axes, and
+    the observed wrench in base axes.
     """
-    base = state.rotation
-    error, force = state.setpoint_rotation.T @ base, 0.1 * xp.sum(thrust_max)
+    base, aim = state.rotation, state.aim
+    error, force = aim.rotation.T @ base, 0.1 * xp.sum(thrust_max)
     skewed = 0.5 * xp.stack([error[2, 1] - error[1, 2], error[0, 2] - error[2, 0], error[1, 0] - error[0, 1]])
     parts = [
         -base[2],
         skewed,
-        base.T @ state.com_error,
-        base.T @ state.velocity[:3],
-        base.T @ state.velocity[3:6],
+        base.T @ (state.com - aim.com),
+        base.T @ (state.velocity[:3] - aim.velocity),
+        base.T @ (state.velocity[3:6] - aim.angular_velocity),
         state.joint_position - state.posture,
         0.1 * state.velocity[6:],
         state.thrust / thrust_max,
@@ -167,25 +188,25 @@ def observation(xp: Any, state: TaskState, thrust_max: Any) -> Any:
 
 
 def rewards(xp: Any, state: TaskState, action: Any) -> dict[str, Any]:
-    """Return the parts of the reward of one tick, each at most its value for perfect hovering; the sum is at most 1.
+    """Return the parts of the reward of one tick, each at most its value for a perfect flight; the sum is at most 1.
 
     `action` is as returned by `limit_action`.
     """
-    error = state.setpoint_rotation.T @ state.rotation
+    error = state.aim.rotation.T @ state.rotation
     # 1 − cos of the angle between base and set-point.
     angle = 0.5 * (3.0 - xp.trace(error))
     return {
         "attitude": 0.5 * xp.exp(-20.0 * angle),
-        "position": 0.5 * xp.exp(-20.0 * xp.sum(state.com_error**2)),
+        "position": 0.5 * xp.exp(-20.0 * xp.sum((state.com - state.aim.com) ** 2)),
         "effort": -0.01 * xp.sum(action**2) / max(action.size, 1),
     }
 
 
 def is_lost(xp: Any, state: TaskState, limits: Any) -> Any:
     """Return whether the robot has fallen, by the limits of `simulator.fall`; a state with NaN counts as fallen."""
-    cosine = 0.5 * (xp.trace(state.setpoint_rotation.T @ state.rotation) - 1.0)
+    cosine = 0.5 * (xp.trace(state.aim.rotation.T @ state.rotation) - 1.0)
     turned = xp.degrees(xp.arccos(xp.clip(cosine, -1.0, 1.0)))
-    is_near = xp.sum(state.com_error**2) <= limits.com_error**2
+    is_near = xp.sum((state.com - state.aim.com) ** 2) <= limits.com_error**2
     return ~((turned <= limits.rotation_error_deg) & is_near)
 
 

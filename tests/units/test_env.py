@@ -21,7 +21,7 @@ from jax_aero import rust
 from jax_aero.control.law.torque import TorqueParams, torque_qp
 from jax_aero.env import FlightEnv
 from jax_aero.env_gym import HoverEnv
-from jax_aero.env_task import Task, TaskState, added_torque, limit_action, rewards, steer
+from jax_aero.env_task import Aim, Task, TaskState, added_torque, limit_action, rewards, steer
 from tests.measurements import measured
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -59,14 +59,14 @@ def test_without_a_residual_the_controller_flies_as_it_does():
 def test_both_environments_are_one_task(x64, tmp_path):
     """Six ticks with drawn actions: observations and rewards, in the environment of JAX and in that of the crate.
 
-    The controller has an estimator, whose model goes on with what acts in both, and is given estimated thrusts. Its
-    model has another centre of mass, and so another set-point than the task.
+    The controller has an estimator, whose model goes on with what acts in both, and is given estimated thrusts. The
+    mission rises and turns from the first tick on.
     """
     (tmp_path / "own.toml").write_text(
         f'base = "{EXPERIMENTS}/sensor_noise.toml"\ncontroller.estimator.joint_velocity.time_constant = 0.1\n'
-        "disturbances.model_error.com_offset = [0.02, 0.01, 0.0]\n"
+        "mission = { up = [[0.0, 1.0]], yaw_left = [[0.0, 1.0]] }\n"
     )
-    task = Task(str(tmp_path / "own.toml"), duration=1.0, ramp=0.05)
+    task = Task(str(tmp_path / "own.toml"), tracking=True, duration=1.0, ramp=0.05)
     crate, ours = HoverEnv(task), FlightEnv(task)
     assert (ours.action_size, ours.observation_size) == (27, 71)
     task_state, _ = crate.reset(options={"wind": WIND})
@@ -84,11 +84,13 @@ def test_both_environments_are_one_task(x64, tmp_path):
         states = step(states, jnp.stack([jnp.asarray(action), jnp.zeros(27, jnp.float32)]))
         measured("observation", np.abs(states.obs[0] - task_state).max(), 1e-6)
         measured("reward", abs(float(states.reward[0]) - reward), 1e-9)
-        turned = crate._measurement.state.base_rotation.T @ crate._upright
+        turned = crate._measurement.state.base_rotation.T @ crate._aim.rotation
         angle = np.arccos(np.clip(0.5 * (np.trace(turned) - 1.0), -1.0, 1.0))
         # An arc cosine next to 1 has the square root of the rounding of its argument.
         measured("attitude error", abs(float(states.metrics["attitude_error"][0]) - angle), 1e-7)
         assert float(states.done[0]) == terminated == 0.0
+    assert crate._aim.velocity[2] > 1e-6
+    assert np.abs(crate._aim.angular_velocity).max() > 1e-6
     assert set(parts) < set(states.metrics)
     assert states.metrics["position_error"].shape == (2,)
     lost = states._replace(flight=states.flight._replace(loss=jnp.array([1, 0], jnp.int32)))
@@ -238,6 +240,26 @@ def test_gymnasium_makes_it_by_name():
     assert [made.step(np.zeros(27, np.float32))[3] for _ in range(2)] == [False, True]
 
 
+@pytest.mark.parametrize("tracking", [False, True])
+def test_a_hover_is_that_of_the_robot_and_a_mission_that_of_the_controller(tracking, tmp_path):
+    """The controller's model has its centre of mass elsewhere."""
+    (tmp_path / "own.toml").write_text(
+        f'base = "{EXPERIMENTS}/test1.toml"\nmission = {{ up = [[0.0, 1.0]] }}\n'
+        "disturbances.model_error.com_offset = [0.02, 0.01, 0.0]\n"
+    )
+    hover = HoverEnv(Task(str(tmp_path / "own.toml"), tracking=tracking, duration=1.0))
+    first, _ = hover.reset(seed=0)
+    assert not np.any(first[3:9])
+    start = hover._aim.com
+    for _ in range(40):
+        hover.step(np.zeros(27, np.float32))
+    if tracking:
+        assert np.hypot(*(hover._aim.com - start)[:2]) > 1e-3
+        assert hover._aim.com[2] > start[2] + 1e-4
+    else:
+        np.testing.assert_array_equal(hover._aim.com, start)
+
+
 def test_a_gust_passes():
     """It is strongest after its rise, and over after as long again."""
     hover = HoverEnv(Task(duration=0.5, profile="gust", ramp=0.1))
@@ -274,9 +296,9 @@ def test_an_action_of_another_shape_is_refused(size):
 
 def test_the_effort_is_that_of_the_action_that_is_flown():
     """Beyond the bounds none is added; a robot with nothing to steer makes none."""
-    task_state = TaskState(
-        np.eye(3), np.zeros(6), np.zeros(0), np.zeros(0), np.zeros(3), np.eye(3), np.zeros(0), np.zeros(6)
-    )
+    nothing = np.zeros(3)
+    aim = Aim(nothing, np.eye(3), nothing, nothing)
+    task_state = TaskState(np.eye(3), np.zeros(6), np.zeros(0), np.zeros(0), nothing, aim, np.zeros(0), np.zeros(6))
     crate = HoverEnv()
     crate.reset(options={"wind": WIND})
     assert crate.step(np.full(27, 30.0))[4]["effort"] == pytest.approx(-0.01)
