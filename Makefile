@@ -87,7 +87,7 @@ demo: $(MODULE) ## fly three controllers with corrected and with published lever
 	$(BIN)/jax-aero fly $(DEMO) --overwrite
 	$(BIN)/jax-aero figures demo fig5
 
-view: $(PACKAGES) ## fly in the browser: drag the wind until the robot falls
+view: $(MODULE) lab ## fly in the browser: drag the wind until the robot falls
 	$(BIN)/jax-aero view
 
 test: $(TESTING) ## test the crate, and its agreement with JAX, CasADi and MuJoCo
@@ -116,13 +116,13 @@ bits: ## fly six experiments of 20 s here and as 64-bit ARM, in emulation, and c
 	diff target/bits.here target/bits.arm
 	@echo "the same bits in all $$(wc -l < target/bits.here) signals of $(words $(BITS)) flights"
 
-wheel: $(PACKAGES) ## build wheel and source package into dist/, and fly with the wheel alone in an empty environment
+wheel: $(PACKAGES) lab ## build wheel and source package into dist/, and fly with the wheel alone in an empty environment
 	rm -rf dist
 	$(BIN)/maturin sdist --out dist
 	$(BIN)/maturin build --release --locked --quiet --out dist
 	$(BIN)/python tests/tools/wheel.py dist/*.whl
 
-wheels: $(PACKAGES) ## build wheels for Linux on x86-64 and 64-bit ARM into dist/ with zig, and fly with the former
+wheels: $(PACKAGES) lab ## build wheels for Linux on x86-64 and 64-bit ARM into dist/ with zig, and fly with the former
 	@PATH="$(abspath $(BIN)):$$PATH"; command -v zig >/dev/null || python3 -c "import ziglang" 2>/dev/null || \
 		{ echo "zig is missing: $(BIN)/pip install ziglang (100 MB), or https://ziglang.org"; exit 1; }
 	$(call need-target,$(ARM))
@@ -224,12 +224,12 @@ docs: $(PACKAGES) ## build the documentation site into site/, the crate's own be
 	cargo doc --locked --no-deps --package flight-core --package flight-io --package flight-sim
 	rm -rf site/rust && cp -r target/doc site/rust
 
-lab: $(MODULE) $(LAB_PAGE)/node_modules ## build the flight lab into target/lab/: a folder that any browser opens (needs npm)
+lab: $(MODULE) $(LAB_PAGE)/node_modules ## build the flight lab into target/lab/, and the page of `view` and `export --html` (needs npm)
 	$(call need-target,wasm32-unknown-unknown)
-	RUSTFLAGS="-C target-feature=+simd128" cargo build --locked --quiet --release --package flight-lab \
-		--target wasm32-unknown-unknown
-	$(BIN)/python rust/lab/look.py target/look.json
-	node $(LAB_PAGE)/build.mjs $(LAB_WASM) target/look.json $(LAB) "$$(git rev-parse HEAD 2>/dev/null)"
+	RUSTFLAGS="-C target-feature=+simd128" cargo rustc --locked --quiet --release --package flight-lab \
+		--target wasm32-unknown-unknown -- -C link-arg=--strip-all
+	node $(LAB_PAGE)/build.mjs jax_aero/view/page.html
+	$(BIN)/python rust/lab/build.py $(LAB_WASM) $(LAB)
 
 $(LAB_PAGE)/node_modules: $(LAB_PAGE)/package-lock.json
 	@command -v npm >/dev/null || { echo "npm is missing: apt-get install nodejs npm, or https://nodejs.org"; exit 1; }

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import socket
-import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from jax_aero import rust
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status, progress_bar
 from jax_aero.result import Progress
-from jax_aero.view import Refused, recording, require
+from jax_aero.view import Refused, recording
 
 RESULT = "a folder or run.nc that `jax-aero fly NAME` wrote, or the NAME of one in results/flight"
 
@@ -35,34 +34,18 @@ def view(words: Sequence[str]) -> int:
 def _serve(given: Any) -> int:
     if len(given.results) > 2:
         raise Refused(f"{len(given.results)} results are given; expected at most two")
-    _check_address(given.host, given.port)
     recordings = [recording.read(result, given.robot) for result in given.results]
-    require(["viser"], "the page")
-    from jax_aero.view.page import Page
-    from jax_aero.view.settings import default_config
+    from jax_aero.view.web import fill_page, serve
 
-    config = recordings[0].config if recordings else default_config()
-    page = Page(recordings, config, given.host, given.port)
-    for reason in page.solid.look.missing:
+    config = recordings[0].config if recordings else rust.load_config("test1")
+    for reason in recordings[0].look.missing if recordings else ():
         print(f"not drawn, or as the aerodynamic models have it: {reason}")
-    print(f"{page.url} shows {page.solid.title}; Ctrl-C ends it", flush=True)
-    try:
-        threading.Event().wait()
-    finally:
-        page.close()
+    with serve(fill_page(recordings, config), given.host, given.port) as server:
+        shown = "localhost" if given.host in ("127.0.0.1", "0.0.0.0") else given.host  # noqa: S104
+        title = recordings[0].title if recordings else config["title"]
+        print(f"http://{shown}:{server.server_port} shows {title}; Ctrl-C ends it", flush=True)
+        server.serve_forever()
     return 0
-
-
-def _check_address(host: str, port: int) -> None:
-    """Refuse an invalid address; if a port is in use, the server tries the next one."""
-    if not 0 <= port <= 65535:
-        raise Refused(f"port is {port}; expected 0 (any) to 65535")
-    try:
-        socket.create_server((host, 0)).close()
-    except OSError as reason:
-        raise Refused(
-            f"cannot listen on `{host}` ({reason.strerror or reason}); expected an address of this machine"
-        ) from None
 
 
 def video(words: Sequence[str]) -> int:

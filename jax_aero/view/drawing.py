@@ -113,19 +113,6 @@ def wind_arrow(instant: Instant, scales: Scales) -> Vector | None:
     return np.stack([above - half, above + half])
 
 
-def cylinder() -> Mesh:
-    """Return a cylinder of radius and height 1 about the origin, with slightly rounded edges."""
-    flat, side = (0.93, 0.5), (1.0, 0.47)
-    bottom, rise = (0.93, -0.5), (1.0, -0.47)
-    return revolve([(0.0, -0.5), bottom, bottom, rise, rise, side, side, flat, flat, (0.0, 0.5)])
-
-
-def sphere() -> Mesh:
-    """Return a sphere of radius 1 about the origin."""
-    angles = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 15)
-    return revolve([(max(float(np.cos(a)), 0.0) if abs(a) < 1.57 else 0.0, float(np.sin(a))) for a in angles])
-
-
 def cone() -> Mesh:
     """Return a cone: base of radius 1 at the origin, tip at height 1."""
     return revolve([(0.0, 0.0), (1.0, 0.0), (1.0, 0.0), (0.0, 1.0)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,7 +16,6 @@ from jax_aero.command import ConfigError
 from jax_aero.files import find_damaged, read_json
 from jax_aero.places import MANIFEST_FILE, RESULTS, RUN_FILE
 from jax_aero.result import add_repeated, ending, labels_of
-from jax_aero.summary import SETTLING_TIME
 from jax_aero.urdf import Vector
 from jax_aero.view import Refused, require
 from jax_aero.view.shapes import Look, look_of
@@ -71,28 +69,6 @@ class Instant(NamedTuple):
     wind: Vector
     aero_force: Vector
 
-    @property
-    def lean(self) -> float:
-        """Angle between the base's z axis and the vertical [rad]."""
-        return float(np.arccos(np.clip(self.body_rotations[0, 2, 2], -1.0, 1.0)))
-
-
-@dataclass(frozen=True)
-class Merit:
-    """Figures of merit of a flight."""
-
-    rotation_error: float
-    """Greatest rotation error [rad]."""
-    com_error: float
-    """Greatest position error after the start-up [m]."""
-    thrust_min: float
-    thrust_max: float
-    """Least and greatest thrust over all jets [N]; zero without jets."""
-    aero_force: float
-    """Greatest sum of the forces on the links [N]."""
-    distance: float
-    """Distance over ground along the flown part of the reference [m]."""
-
 
 @dataclass(frozen=True)
 class Recording:
@@ -133,11 +109,6 @@ class Recording:
         """Shapes of the robot."""
         return look_of(self.robot, self.robot_path)
 
-    def names(self, signal: str) -> list[str]:
-        """Return the names of the entries of a signal's rows, in the order of `rows`; empty for a scalar signal."""
-        labels = axes_of(signal, self.robot)
-        return [" ".join(words) for words in itertools.product(*labels)] if labels else []
-
     def rows(self, signal: str) -> Vector:
         """Return a signal with its entries flattened, (n, k)."""
         return np.reshape(self.signals[signal], (self.signals["time"].size, -1))
@@ -146,22 +117,6 @@ class Recording:
     def verdict(self) -> str:
         """Outcome in words: `completed`, or `fell at 21.4 s (rotation error 90.1 deg)`."""
         return ending(self.outcome, self.lost_time, self.lost_reason)
-
-    @cached_property
-    def merit(self) -> Merit:
-        """Figures of merit over the whole flight."""
-        s = self.signals
-        settled = s["time"] >= min(SETTLING_TIME, self.duration)
-        com_error = np.linalg.norm(s["com_position"] - s["com_setpoint"], axis=1)
-        thrust = s["thrust"] if s["thrust"].size else np.zeros(1)
-        return Merit(
-            rotation_error=float(s["rotation_error"].max()),
-            com_error=float(com_error[settled].max()),
-            thrust_min=float(thrust.min()),
-            thrust_max=float(thrust.max()),
-            aero_force=float(np.linalg.norm(s["aero_force_sim"].sum(axis=1), axis=1).max()),
-            distance=float(np.linalg.norm(np.diff(s["com_setpoint"][:, :2], axis=0), axis=1).sum()),
-        )
 
     def at(self, time: float) -> Instant:
         """Return the instant at `time` [s], interpolated linearly; outside the flight, its first or last sample."""

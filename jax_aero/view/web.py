@@ -1,9 +1,17 @@
-"""Data for the pages of `rust/lab/page`, and a flight as a self-contained HTML file."""
+"""The page of `rust/lab/page` with its data: recorded flights, the simulator in WebAssembly, or both; and its server."""
 
 from __future__ import annotations
 
 import base64
+import copy
+import errno
+import http.server
 import json
+import lzma
+import os
+import re
+import socket
+import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -11,19 +19,44 @@ from typing import Any
 import numpy as np
 
 from jax_aero import rust
-from jax_aero.files import complete_file
+from jax_aero.files import complete_file, read_json
+from jax_aero.keys import get, set_key
+from jax_aero.places import CONFIGS, HOME
+from jax_aero.result import labels_of
 from jax_aero.view import Refused, check_out, drawing
 from jax_aero.view.recording import Recording
-from jax_aero.view.shapes import Look, Mount, Shape
+from jax_aero.view.shapes import Look, Mount, Shape, look_of
 
-TEMPLATE = Path(__file__).with_name("flight.html")
-"""The page without a flight, which `make lab` builds."""
+TEMPLATE = Path(__file__).with_name("page.html")
+"""The page without data, which `make lab` builds."""
+
+SIMULATOR = Path(__file__).with_name("simulator.wasm.xz")
+"""The simulator, which `make lab` builds."""
+
+PLACE = "/*DATA*/null"
+"""Text in the template that is replaced by the data."""
 
 RATE = 50.0
-"""Samples of a flight in the page [1/s]."""
+"""Samples of a flight in an exported page [1/s]."""
 
-PLACE = "/*FLIGHTS*/null"
-"""Text in the template that is replaced by the data."""
+FOLDER = CONFIGS / "experiments"
+"""Folder from which the page's paths start."""
+
+NETWORKS = CONFIGS / "aero/networks"
+
+KEPT = (
+    "aero/*.toml",
+    "control/aero_aware.toml",
+    "control/observer.toml",
+    "control/mpc.toml",
+    "law/*.toml",
+    "mission/in_line.*",
+    "mission/hover.*",
+    "mission/closed_circuit.*",
+    "mission/min_time.*",
+    "aero/networks/default.*",
+)
+"""Files of `configs/` that the page's choices build on."""
 
 
 def write_page(recordings: Sequence[Recording], out: Path) -> None:
@@ -35,28 +68,154 @@ def write_page(recordings: Sequence[Recording], out: Path) -> None:
         If the page is not built, or if `out` is not an `.html` file in an existing folder.
     """
     check_out(out, ".html")
-    if not TEMPLATE.is_file():
-        raise Refused(f"there is no `{TEMPLATE.name}` beside `{Path(__file__).name}`; `make lab` builds it (with npm)")
-    table = {
-        "looks": [look_table(recording.look) for recording in recordings],
-        "flights": [flight_table(recording) for recording in recordings],
-    }
-    # Within a script, `<` may begin its end or a comment.
-    words = json.dumps(table, allow_nan=False).replace("<", "\\u003c")
-    page = TEMPLATE.read_text(encoding="utf-8").replace(PLACE, words, 1)
+    page = fill_page(recordings, rate=RATE)
     with complete_file(out) as draft:
         draft.write_text(page, encoding="utf-8")
 
 
-def look_table(look: Look) -> dict[str, Any]:
-    """Return shapes, jets, links, colours and scales as plain tables."""
+def fill_page(
+    recordings: Sequence[Recording], config: rust.Config | None = None, rate: float = np.inf, networks: bool = True
+) -> str:
+    """Return the page that plays flights and, with a configuration, flies it with changes.
+
+    Parameters
+    ----------
+    recordings
+        Flights: the first one is solid, a second one its ghost. Without them the configuration is flown.
+    config
+        Resolved configuration of the first robot, with absolute paths.
+    rate
+        Greatest number of samples of a flight per second.
+    networks
+        Whether all networks of `configs/aero/networks` can be chosen, or only the default one.
+
+    Raises
+    ------
+    Refused
+        If the page is not built.
+    """
+    robots = {str(one.robot_path): (one.look, one.robot) for one in recordings}
+    if config is not None and not robots:
+        robot = rust.Robot(config["robot"])
+        robots[config["robot"]] = look_of(robot, Path(config["robot"])), robot
+    table = {
+        "version": rust.__version__,
+        "looks": [look_table(*robot) for robot in robots.values()],
+        "flights": [flight_table(one, rate) | {"look": list(robots).index(str(one.robot_path))} for one in recordings],
+        "simulator": None if config is None else simulator_table(config, networks),
+    }
+    # Within a script, `<` may begin its end or a comment.
+    words = json.dumps(table, allow_nan=False).replace("<", "\\u003c")
+    return _built(TEMPLATE).decode().replace(PLACE, words, 1)
+
+
+def _built(path: Path) -> bytes:
+    if not path.is_file():
+        raise Refused(f"there is no `{path.name}` beside `{Path(__file__).name}`; `make lab` builds it (with npm)")
+    return path.read_bytes()
+
+
+def simulator_table(config: rust.Config, networks: bool) -> dict[str, Any]:
+    """Return simulator and configuration, with the files that it and the page's choices name."""
+    placed = copy.deepcopy(config)
+    files = [path for kept in KEPT for path in sorted(CONFIGS.glob(kept))]
+    for key in rust.path_keys(config):
+        path = Path(get(config, key))
+        if path.is_file():  # the simulator names one that is not
+            files.append(path)
+            set_key(placed, key, os.path.relpath(path, FOLDER))
+    cards = [
+        path for path in sorted(NETWORKS.glob("**/*.json")) if networks and path.stem not in ("default", "ensemble")
+    ]
+    files += cards
+    files += [companion for path in files for companion in _companions(path)]
+    contents = {os.path.relpath(path, HOME): path.read_bytes() for path in files}
+    weights = {name for name in contents if name.endswith(".safetensors")}
+    return {
+        "wasm": base64.b64encode(lzma.decompress(_built(SIMULATOR))).decode(),
+        "config": placed,
+        "networks": [card.relative_to(NETWORKS).with_suffix("").as_posix() for card in cards],
+        "files": {name: contents[name].decode() for name in contents.keys() - weights},
+        "binary": {name: base64.b64encode(contents[name]).decode() for name in weights},
+    }
+
+
+def _companions(path: Path) -> list[Path]:
+    """Return the URDF of a robot's file, the weights of a network's card."""
+    if path.suffix == ".toml":
+        named = tomllib.loads(path.read_text(encoding="utf-8")).get("urdf")
+    else:
+        named = read_json(path).get("weights", {}).get("file") if path.suffix == ".json" else None
+    return [] if named is None else [path.parent / named]
+
+
+def serve(page: str, host: str, port: int) -> http.server.HTTPServer:
+    """Return a server of the page; if the port is taken, at the next free one.
+
+    Raises
+    ------
+    Refused
+        If `host` and `port` are no address of this machine.
+    """
+    if not 0 <= port <= 65535:
+        raise Refused(f"port is {port}; expected 0 (any) to 65535")
+
+    class Handler(_Handler):
+        content, own = page.encode(), host
+
+    for tried in range(port, min(port + 100, 65536)):
+        try:
+            return http.server.ThreadingHTTPServer((host, tried), Handler)
+        except OSError as reason:
+            if reason.errno != errno.EADDRINUSE:
+                words = f"cannot listen on `{host}` ({reason.strerror or reason}); expected an address of this machine"
+                raise Refused(words) from None
+    raise Refused(f"ports {port} to {tried} are taken; expected a free --port")
+
+
+class _Handler(http.server.BaseHTTPRequestHandler):
+    """Answers with the page, under its own name alone."""
+
+    content: bytes
+    own: str
+
+    def do_GET(self) -> None:  # noqa: N802 - its name in `http.server`
+        if not is_own(self.own, self.headers.get_all("Host") or []):
+            self.send_error(403, "this page is served to its own host alone")
+        elif self.path not in ("/", "/index.html"):
+            self.send_error(404)
+        else:
+            self.send_response(200)
+            self.send_header("Content-Type", "text/html; charset=utf-8")
+            self.send_header("Content-Length", str(len(self.content)))
+            self.send_header("Cache-Control", "no-store")
+            self.end_headers()
+            self.wfile.write(self.content)
+
+    def log_message(self, *_words: Any) -> None:
+        """Print nothing."""
+
+
+def is_own(own: str, hosts: Sequence[str]) -> bool:
+    """Return whether a request's `Host` is a name of this machine or an address, for a server that listens on `own`.
+
+    Another name may belong to a site that resolves it to this machine, whose scripts could read the page (DNS
+    rebinding). Otherwise browsers give the page to no script of another site.
+    """
+    names = "|".join(re.escape(name) for name in {"localhost", own, socket.gethostname()})
+    address = r"\d+\.\d+\.\d+\.\d+|\[[0-9a-fA-F:.]+\]"
+    return len(hosts) == 1 and re.fullmatch(rf"({names}|{address})(:\d+)?", hosts[0], re.ASCII) is not None
+
+
+def look_table(look: Look, robot: rust.Robot) -> dict[str, Any]:
+    """Return shapes, jets, links, names of parts, colours and scales as plain tables."""
     names = ("FORCE", "WIND", "REFERENCE", "TRAIL", "PLUME", "GHOST", "FELL", "COMPLETED")
     scales = drawing.Scales()
     return {
-        "version": rust.__version__,
         "shapes": [_shape(shape) for shape in look.shapes],
         "jets": [_mount(mount) for mount in look.jets],
         "links": [_mount(mount) for mount in look.links],
+        "labels": {dim: list(names) for dim, names in labels_of(robot).items()},
         "colours": {name.lower(): getattr(drawing, name) for name in names} | dict(drawing.ROLES),
         "scales": {"force": scales.force, "thrust": scales.thrust, "wind": scales.wind},
         "plume_radius": drawing.PLUME_RADIUS,
@@ -64,10 +223,10 @@ def look_table(look: Look) -> dict[str, Any]:
     }
 
 
-def flight_table(recording: Recording) -> dict[str, Any]:
-    """Return a flight's signals and the poses of its bodies at `RATE` samples per second, in single precision."""
+def flight_table(recording: Recording, rate: float) -> dict[str, Any]:
+    """Return a flight's signals and the poses of its bodies in single precision, at most `rate` samples per second."""
     times = recording.signals["time"]
-    step = max(round(1.0 / RATE / (times[1] - times[0])), 1) if times.size > 1 else 1
+    step = max(round(1.0 / rate / (times[1] - times[0])), 1) if times.size > 1 else 1
     shown = np.arange(0, times.size, step)
     instants = [recording.at(time) for time in times[shown]]
     columns = [np.swapaxes(now.body_rotations, 1, 2)[:, :2].reshape(-1, 6) for now in instants]
@@ -78,16 +237,19 @@ def flight_table(recording: Recording) -> dict[str, Any]:
     numbers = {name: recording.signals[name][shown] for name in names}
     return {
         "title": recording.title,
-        "verdict": recording.verdict,
         "outcome": recording.outcome,
         "lost_time": recording.lost_time,
+        "lost_reason": recording.lost_reason,
         "timeStep": float(times[step] - times[0]) if times.size > step else 1.0,
         "rows": int(shown.size),
-        "jets": list(recording.robot.jet_names),
-        "links": list(recording.robot.aero_link_names),
-        "bodies": len(recording.robot.body_names),
         "signals": [
-            {"name": name, "unit": declared[name].unit, "width": recording.rows(name).shape[1]} for name in names
+            {
+                "name": name,
+                "unit": declared[name].unit,
+                "dims": declared[name].dims,
+                "width": recording.rows(name).shape[1],
+            }
+            for name in names
         ],
         "numbers": {name: _pack(signal) for name, signal in (numbers | {"body_poses": poses}).items()},
     }

@@ -101,7 +101,7 @@ def test_a_flight_of_the_crate_depends_on_no_package_that_its_extra_does_not_bri
 def test_the_extra_that_a_module_names_brings_what_it_imports():
     for path in (ROOT / "jax_aero").rglob("*.py"):
         module = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
-        brought = packages_in(extras.extra_of(module)) | {"websockets"}  # by viser
+        brought = packages_in(extras.extra_of(module))
         assert packages_of(module) <= brought, module
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import fcntl
 import gzip
 import json
 import re
@@ -35,27 +34,6 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not instal
 
 STATES = ("base_position", "base_quaternion", "base_velocity", "joint_position", "joint_velocity", "com_position")
 STATES += ("com_velocity", "momentum", "thrust")
-
-
-@pytest.fixture(scope="session")
-def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The page, built by `make lab`; skips where a tool for that is missing."""
-    if shutil.which("npm") is None or shutil.which("node") is None:
-        pytest.skip("the flight lab is not built: node and npm are not installed")
-    folder = subprocess.run(
-        ["rustc", "--print", "target-libdir", "--target", "wasm32-unknown-unknown"], capture_output=True, text=True
-    ).stdout.strip()
-    if not folder or not Path(folder).is_dir():
-        pytest.skip("the flight lab is not built: rustup target add wasm32-unknown-unknown")
-    with (ROOT / "target/lab.lock").open("w") as lock:  # test processes build one after the other
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        packages = subprocess.run(["make", "rust/lab/page/node_modules"], cwd=ROOT, capture_output=True, text=True)
-        if packages.returncode:
-            pytest.skip("the flight lab is not built: npm ci cannot fetch its packages")
-        # The compiled module is the one that this test has imported.
-        done = subprocess.run(["make", "-o", ".venv/.module", "lab"], cwd=ROOT, capture_output=True, text=True)
-        assert done.returncode == 0, done.stdout + done.stderr
-        return shutil.copytree(LAB, tmp_path_factory.mktemp("lab") / "lab")  # which no other process builds anew
 
 
 class Visit:
@@ -127,10 +105,17 @@ def visit(browser: Any, built: Path) -> Iterator[Callable[..., Visit]]:
         context.close()
 
 
+def about(name: str) -> dict[str, Any]:
+    """What the simulator tells the page about an experiment."""
+    config = rust.resolve_config(rust.load_config(name))
+    return {"config": config, "jets": rust.Robot(config["robot"]).jet_names}
+
+
 def in_node(program: str) -> Any:
-    """What a program prints, as JSON, that has `scenario.js` as `scenario`."""
+    """What a program prints, as JSON, that has `scenario.js` as `scenario`, and the lab's scenario as `lab`."""
     module = json.dumps((PAGE / "scenario.js").as_uri())
-    words = ["node", "--input-type=module", "-e", f"import * as scenario from {module};\n{program}"]
+    begin = f"const lab = new scenario.Scenario({json.dumps(about('test1'))}, 'in_line');"
+    words = ["node", "--input-type=module", "-e", f"import * as scenario from {module};\n{begin}\n{program}"]
     return json.loads(subprocess.run(words, capture_output=True, text=True, check=True).stdout)
 
 
@@ -138,14 +123,14 @@ def in_node(program: str) -> Any:
 def test_a_wind_that_was_dragged_is_in_the_link_whatever_it_is():
     """Of each direction the strongest: before the ramp, where it sets speed and direction, and after it."""
     differing = in_node("""
-        const { DEFAULTS, STRONGEST, fromHash, rampTo, round, toHash, velocity } = scenario;
+        const { DEFAULTS, STRONGEST, rampTo, round, velocity } = scenario;
         const differing = [];
         for (let degree = -180; degree < 180; degree += 0.1) {
             const wind = velocity(STRONGEST, degree).map(round);
             const steer = [[7.5, 0, -5], [7.7, ...wind], [round(8 + degree / 100), 0, 0]].slice(0, degree < 0 ? 2 : 3);
             for (const change of [rampTo(wind), { ...rampTo(wind), steer }]) {
                 const settings = { ...DEFAULTS, ...change };
-                const [said, read] = [settings, fromHash(toHash(settings))].map((one) => JSON.stringify(one));
+                const [said, read] = [settings, lab.fromHash(lab.toHash(settings))].map((one) => JSON.stringify(one));
                 if (said !== read) differing.push([said, read]);
             }
         }
@@ -158,36 +143,71 @@ def test_a_wind_that_was_dragged_is_in_the_link_whatever_it_is():
     "link", ["engine=l_jet.500", "engine=l_arm_jet.Infinity", "engine=l_arm_jet.", "controller=toString", "steer=1.2"]
 )
 def test_what_a_link_says_wrongly_is_as_by_default(link):
-    settings, default = in_node(f'console.log(JSON.stringify([scenario.fromHash("#{link}"), scenario.fromHash("")]))')
+    settings, default = in_node(f'console.log(JSON.stringify([lab.fromHash("#{link}"), scenario.DEFAULTS]))')
     assert settings == default
 
 
-def inline(value: Any) -> str:
-    """A value of a configuration in TOML, with paths from `configs/experiments`."""
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{key} = {inline(part)}" for key, part in value.items()) + "}"
-    return json.dumps(value).replace('"../', f'"{ROOT}/configs/')
+def changed(name: str, settings: dict[str, Any], mission: str = "given") -> dict[str, Any]:
+    """The configuration of an experiment with settings of the page that differ from its own."""
+    changes = in_node(f"""
+        const shown = new scenario.Scenario({json.dumps(about(name))}, "{mission}");
+        console.log(JSON.stringify(shown.changes({{ ...shown.start, ...{json.dumps(settings)} }})));""")
+    text = json.dumps(dict(changes)).replace('"../', f'"{ROOT}/configs/')
+    return rust.set_keys(about(name)["config"], json.loads(text))
+
+
+EXPERIMENTS = ["test1", "test2", "test3", "test1_published", "test2_published", "no_wind", "engine_out"]
+EXPERIMENTS += ["closed_circuit", "test2_sensors_mpc", "mk3_test2", "sensor_noise"]
+
+
+@needs_node
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_the_settings_of_a_flight_are_that_flight(name):
+    assert changed(name, {}) == about(name)["config"]
+
+
+@needs_node
+def test_published_arms_are_the_published_flights():
+    """By choosing in the page what the experiment files say."""
+    for controller, name in (("baseline", "test1_published"), ("aware", "test2_published")):
+        config = rust.resolve_config(changed("test1", {"controller": controller, "arms": "published"}))
+        experiment = about(name)["config"]
+        assert config["simulator"] == experiment["simulator"]
+        if controller == "aware":  # a baseline has no aerodynamics that could have arms
+            assert config["controller"] == experiment["controller"]
+
+
+@needs_node
+@pytest.mark.parametrize(("controller", "name"), [("observer", "test1_observer"), ("ahead", "test2_mpc")])
+def test_a_chosen_controller_is_that_of_its_file(controller, name):
+    config = rust.resolve_config(changed("test1", {"controller": controller}))
+    assert config["controller"] == about(name)["config"]["controller"]
+
+
+@needs_node
+def test_what_is_not_chosen_is_kept():
+    """Factor on the estimate, a wind that is not known to the page's choices, and back to the controller of the result."""
+    config = changed("robustness", {"scale": 0.5, "controller": "baseline"})
+    before = about("robustness")["config"]
+    assert config["disturbances"]["aero_estimate"]["scale"] == 0.5
+    assert config["controller"]["aero"]["model"] == "off"
+    assert config["wind"] == before["wind"]
+    assert {**config["controller"], "aero": None} == {**before["controller"], "aero": None}
 
 
 @needs_node
 @pytest.mark.parametrize("arms", ["corrected", "published"])
-@pytest.mark.parametrize("air", ["axisymmetric", "network", "spheres"])
-def test_every_choice_of_the_predictive_law_is_a_flight(air, arms, tmp_path):
-    settings = json.dumps({"controller": "ahead", "air": air, "arms": arms, "kp": 3.0})
-    config = in_node(f"""
-        const settings = {{ ...scenario.DEFAULTS, ...{settings} }};
-        console.log(JSON.stringify(scenario.configuration(settings)));""")
-    path = tmp_path / "flown.toml"
-    path.write_text("".join(f"{key} = {inline(value)}\n" for key, value in config.items()))
-    found = rust.load_config(path)
-    is_linear = (air, arms) == ("axisymmetric", "corrected")
+@pytest.mark.parametrize("air", ["axisymmetric", "printed", "signed", "alternative", "network", "spheres", "off"])
+def test_every_choice_of_the_predictive_law_is_a_flight(air, arms):
+    found = changed("test1", {"controller": "ahead", "air": air, "arms": arms, "kp": 3.0})
+    is_linear = arms == "corrected" and air not in ("network", "spheres")
     assert found["controller"]["mpc"]["air"] == ("linear" if is_linear else "constant")
-    rust.Controller(found)
+    rust.check_config(found)
 
 
 def test_it_is_small_and_asks_for_nothing(visit, built):
     files = {path.name: path.read_bytes() for path in built.iterdir()}
-    assert set(files) == {"index.html", "lab.js", "style.css"}
+    assert set(files) == {"index.html"}
     assert sum(len(gzip.compress(content)) for content in files.values()) < 3e6
     page = visit()
     page.wait("page.now > 0.2")  # it flies by itself
@@ -205,7 +225,7 @@ def test_the_papers_flights_are_those_of_the_crate(visit):
         for state in STATES:
             np.testing.assert_array_equal(ours[state], np.ravel(native[state]), f"{name}: {state}")
     speed = page.tab.evaluate("""() => {
-        const flight = page.lab.begin(scenarios.configuration(scenarios.DEFAULTS));
+        const flight = page.flightOf(page.scenario.start);
         const begin = performance.now();
         flight.advance(1000);
         const taken = performance.now() - begin;
@@ -294,11 +314,11 @@ def test_a_dragged_wind_is_of_the_flight_that_it_was_dragged_in(visit):
     page.tab.evaluate("page.blow([0, -4])")
     page.wait("page.settings.steer.length > 1")
     config, link, profile = page.tab.evaluate(
-        "[scenarios.configuration(page.settings), scenarios.toHash(page.settings), page.solid.config.wind.profile]"
+        "[page.scenario.changes(page.settings), page.scenario.toHash(page.settings), page.solid.config.wind.profile]"
     )
     assert profile == "samples"
-    assert "dragged wind" in config["title"]
-    assert config["description"].endswith(link)
+    assert "dragged wind" in dict(config)["title"]
+    assert dict(config)["description"].endswith(link)
     # What is still being turned to is forgotten with the rest.
     page.seek(13.0)
     page.tab.evaluate("page.blow([0, -6])")
@@ -319,15 +339,15 @@ def test_a_wind_that_turns_on_leaves_what_was_flown_as_it_was(visit):
     live, again = page.tab.evaluate("""() => {
         page.play(false);
         const steer = [[5.2, 0, -0.4], [5.6, 0.3, 1.37]];
-        Object.assign(page, { settings: { ...scenarios.DEFAULTS, mission: "hover", steer }, ghostKind: "aware" });
+        Object.assign(page, { settings: { ...page.scenario.start, mission: "hover", steer }, ghostKind: "aware" });
         page.begin(5.6);
         while (page.solid.flown < 5.6 - 1e-9) page.advance(0);
         page.blow([-7, 4]);
         page.isPlaying = true;
         while (page.solid.flown < 6) page.advance(0.05);
         page.play(false);
-        const settings = scenarios.fromHash(location.hash);
-        const begin = (controller) => page.lab.begin(scenarios.configuration({ ...settings, controller }));
+        const settings = page.scenario.fromHash(location.hash);
+        const begin = (controller) => page.flightOf({ ...settings, controller });
         const again = ["baseline", "aware"].map(begin);
         return [[page.solid, page.ghost], again].map((flights) => flights.map((flight) => {
             if (flight.rows < 600) flight.advance(600 - flight.rows);

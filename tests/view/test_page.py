@@ -1,11 +1,9 @@
-"""The page in a real browser: it draws, plays, scrubs and flies."""
+"""The page with results, in a real browser: it draws, plays, scrubs, compares, and flies them anew."""
 
 from __future__ import annotations
 
-import io
 import re
-import time
-import unicodedata
+import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -14,238 +12,179 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jax_aero.view import recording
-from jax_aero.view.settings import default_config
+from jax_aero import rust
+from jax_aero.view import recording, web
+from jax_aero.view.recording import Recording
 
-pytest.importorskip("viser", reason="viser is not installed")
 sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
 
-from tests.browser import CHROMIUM, SLOWEST, SWITCHES  # noqa: E402 - after the skip
+from tests.browser import CHROMIUM, SLOWEST, open_chromium  # noqa: E402 - after the skip
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
 
-
-class Visit:
-    """A page that is served, and a browser that looks at it."""
-
-    def __init__(self, served: Any, tab: Any, complaints: list[str]) -> None:
-        self.served, self.tab, self.complaints = served, tab, complaints
-
-    def picture(self) -> np.ndarray:
-        """What the scene's canvas shows, (h, w, 3)."""
-        from PIL import Image
-
-        size = self.tab.viewport_size
-        clip = {"x": 0, "y": 0, "width": size["width"] - 400, "height": size["height"]}
-        with Image.open(io.BytesIO(self.tab.screenshot(clip=clip))) as image:
-            return np.asarray(image.convert("RGB")).astype(np.int16)
-
-    def _box(self, label: str) -> Any:
-        return self.tab.locator(
-            f"//label[normalize-space(.)='{label}']/ancestor::*[.//input[@type='text']][1]//input[@type='text']"
-        ).first
-
-    def number(self, label: str) -> float:
-        """Read the box beside a slider."""
-        return float(self._box(label).input_value())
-
-    def set_number(self, label: str, value: str) -> None:
-        """Type into the box beside a slider."""
-        box = self._box(label)
-        box.fill(value)
-        box.press("Enter")
-
-    def choose(self, label: str, value: str) -> None:
-        """Pick from a list; open it again where the figures of a new flight move it out of sight, which hides it."""
-        name = self.tab.locator(f"//label[normalize-space(.)='{label}']").get_attribute("for")
-        box = self.tab.locator(f"[id='{name}']")
-
-        def is_picked() -> bool:
-            box.click()
-            try:
-                self.tab.get_by_role("option", name=value, exact=True).click(timeout=3000.0)
-            except sync_api.TimeoutError:
-                box.press("Escape")
-                return False
-            return True
-
-        self.wait_for(is_picked, f"`{value}` of the list `{label}`")
-
-    def outcomes(self) -> list[str]:
-        return list(self.tab.locator(".outcome").all_inner_texts())
-
-    def wait_for(self, holds: Callable[[], bool], what: str) -> None:
-        deadline = time.monotonic() + SLOWEST / 1000.0
-        while not holds():
-            assert time.monotonic() < deadline, f"{what} never came; the page says {self.outcomes()}"
-            self.tab.wait_for_timeout(100)
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    with sync_api.sync_playwright() as playwright:
-        opened = playwright.chromium.launch_persistent_context(
-            tmp_path_factory.mktemp("profile"),
-            executable_path=CHROMIUM,
-            headless=True,
-            args=list(SWITCHES),
-            viewport={"width": 900, "height": 480},
-            timeout=SLOWEST,
-        )
-        opened.set_default_timeout(SLOWEST)
-        yield opened
-        opened.close()
-
-
-@pytest.fixture
-def visit(browser: Any) -> Iterator[Callable[..., Visit]]:
-    from jax_aero.view.page import Page
-
-    served = []
-
-    def open_page(*results: Path) -> Visit:
-        recordings = [recording.read(path) for path in results]
-        page = Page(recordings, recordings[0].config if recordings else default_config(), port=0)
-        served.append(page)
-        tab, complaints = browser.new_page(), []
-        tab.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
-        tab.on("pageerror", lambda error: complaints.append(str(error)))
-        tab.goto(page.url)
-        tab.locator(".outcome").first.wait_for()
-        return Visit(page, tab, complaints)
-
-    yield open_page
-    for tab in browser.pages[1:]:
-        tab.close()
-    for page in served:
-        page.close()
-
-
-def colours(picture: np.ndarray) -> int:
-    return len(np.unique(picture.reshape(-1, 3), axis=0))
-
-
-FALL = re.compile(r"fell at 2[01]\.\d s")
+FALL = re.compile(r"Falls at 2[01]\.\d s")
 """Outcome of TEST1 as published; its last digits hang on rounding."""
 
 
-def falls_and_completes(outcomes: list[str]) -> bool:
-    return len(outcomes) == 2 and FALL.fullmatch(outcomes[0]) is not None and outcomes[1] == "completed"
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with open_chromium() as opened:
+        yield opened
 
 
-def has_changed(first: np.ndarray, second: np.ndarray) -> float:
-    """Share of pixels that are clearly different."""
-    return float((np.abs(first - second).max(axis=-1) > 24).mean())
+class Visit:
+    """The page of results in a tab, and what the tab had to complain about."""
+
+    def __init__(self, tab: Any, url: str) -> None:
+        self.tab = tab
+        self.complaints: list[str] = []
+        tab.on("console", lambda message: self.complaints.append(message.text) if message.type == "error" else None)
+        tab.on("pageerror", lambda error: self.complaints.append(str(error)))
+        tab.goto(url)
+        self.wait("window.page && page.plotted")
+
+    def wait(self, condition: str) -> None:
+        self.tab.wait_for_function(condition)
+
+    def seek(self, time: float) -> None:
+        """Show a moment, and stay there, when all is flown until then."""
+        self.tab.evaluate("time => { page.play(false); page.seek(time); }", time)
+        self.wait(f"[page.solid, page.ghost].every((one) => !one || one.hasEnded || one.flown >= {time} - 0.011)")
+        self.wait("!page.isStale")
+
+    def status(self) -> str:
+        return str(self.tab.locator("#status").inner_text())
+
+    def figures(self) -> dict[str, list[str]]:
+        """The figures of merit by name, of solid flight and ghost."""
+        rows = self.tab.locator("#figures tr").all()
+        cells = [[cell.inner_text() for cell in row.locator("th, td").all()] for row in rows]
+        return {name: words for name, *words in cells}
 
 
-def test_speeds_are_what_their_buttons_say():
-    from jax_aero.view.page import SPEEDS
+@pytest.fixture
+def visit(browser: Any, built: Path) -> Iterator[Callable[..., Visit]]:
+    opened = []
 
-    assert list(SPEEDS.values()) == [unicodedata.numeric(label[0]) for label in SPEEDS]
+    def open_page(recordings: list[Recording], **options: Any) -> Visit:
+        server = web.serve(web.fill_page(recordings, recordings[0].config), "127.0.0.1", 0)
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        context = browser.new_context(**{"viewport": {"width": 800, "height": 420}, **options})
+        context.set_default_timeout(SLOWEST)
+        opened.append((server, context))
+        return Visit(context.new_page(), f"http://127.0.0.1:{server.server_port}/")
 
-
-def test_the_second_result_is_the_ghost(fallen):
-    from jax_aero.view.page import Page
-
-    results = [recording.read(fallen) for _ in range(3)]
-    page = Page(results, results[0].config, port=0)
-    page.close()
-    assert [page.solid, page.ghost, *page.others] == [results[0], results[1], *results[1:]]
-
-
-def test_what_is_switched_off_stays_off_with_another_ghost(fallen):
-    from jax_aero.view.page import NO_GHOST, Page
-
-    results = [recording.read(fallen) for _ in range(2)]
-    page = Page(results, results[0].config, port=0)
-    for box in (page.show_forces, page.show_plumes, page.show_path):
-        box.value = False
-    page.compare.value = NO_GHOST
-    page.close()
-    assert page.ghost is None
-    assert not any(node.visible for node in (page.robot.arrows, page.robot.flames, page.path, page.trail, page.cross))
+    yield open_page
+    for server, context in opened:
+        context.close()
+        server.shutdown()
+        server.server_close()
 
 
-def test_every_recording_has_a_label_of_its_own(fallen):
-    from jax_aero.view.page import _labels
+def short_flight(name: str, seconds: float, **changes: Any) -> Recording:
+    config = rust.load_config(name, {"simulator.duration": seconds, **changes})
+    return recording.from_flight(rust.fly(config), config, name)
 
+
+def test_a_result_is_played_and_measured_beside_a_second_one(visit, fallen):
     seen = recording.read(fallen)
-    titles = ["TEST1, observed", "TEST1", "TEST1", "TEST1 (2)", "TEST1"]
-    labels = _labels([replace(seen, title=title) for title in titles])
-    assert labels == ["TEST1, observed", "TEST1", "TEST1 (2)", "TEST1 (2) (2)", "TEST1 (3)"]
-
-
-def test_a_result_is_drawn_and_scrubbed(visit, fallen):
-    page = visit(fallen)
-    assert page.served.server.get_host() == "127.0.0.1"  # no other machine is served
-    assert [FALL.fullmatch(outcome) is not None for outcome in page.outcomes()] == [True]
-    page.wait_for(lambda: colours(page.picture()) > 300, "a picture of many colours")
-    start = page.picture()
-    page.set_number("time [s]", "18")
-    page.wait_for(lambda: page.served.now == 18.0, "the requested moment")
-    page.wait_for(lambda: has_changed(start, page.picture()) > 0.02, "another picture")
-    page.wait_for(lambda: re.search("rotation error [67]", page.tab.content()) is not None, "its numbers")
-    # Playing goes on from there, to the fall.
-    page.tab.get_by_role("button", name="5×").click()
-    page.tab.get_by_role("button", name="Play").click()
-    page.wait_for(lambda: page.served.now == page.served.solid.duration, "the end of the flight")
-    page.tab.get_by_role("button", name="Play").wait_for()
+    page = visit([seen, replace(seen, title="another")])
+    page.seek(18.0)
+    assert re.search(r"rotation error [67]\d\.\d°, lean [56]\d\.\d°", page.status())
+    assert page.tab.evaluate("page.ghost.title") == "another"
+    flight = rust.fly(rust.load_config("test1_published"))
+    error = f"{np.rad2deg(flight.summary['max_rotation_error']):.1f}°"
+    thrusts = f"{flight.summary['thrust_min']:.0f}–{flight.summary['thrust_max']:.0f} N"
+    figures = page.figures()
+    assert figures["rotation error"] == [error, error]
+    assert figures["thrusts"] == [thrusts, thrusts]
+    assert figures["CoM error"][0] == f"{flight.summary['max_com_error']:.3f} m"
+    assert figures["outcome"][0].startswith("fell at 2")
+    # Any signal, its curves by name and with their numbers, those of the ghost too.
+    page.tab.locator("figcaption select").last.select_option("aero_force_sim")
+    page.wait("page.plots[2].key.textContent.includes('left arm jet turbine y -')")
+    assert page.tab.locator("figcaption select").last.locator("option").count() > 20
+    page.tab.evaluate("page.setRate(5); page.play(true)")
+    page.wait("!page.isPlaying")
+    assert FALL.search(page.status())
     assert page.complaints == []
 
 
-def test_controls_fly_anew(visit):
-    page = visit()
-    assert page.outcomes() == ["completed"]
-    before = page.served.solid.merit.rotation_error
-    page.set_number("wind [m/s]", "28")
-    page.wait_for(lambda: page.outcomes()[0].startswith("fell at"), "the fall of the baseline")
-    page.choose("controller", "aware")
-    page.wait_for(lambda: page.outcomes() == ["completed"], "the aware controller's flight")
-    assert page.served.solid.merit.rotation_error < before
-    assert "aware, 28 m/s from 90°" in page.tab.content()
-    page.choose("ghost", "TEST1: baseline controller")
-    page.wait_for(lambda: len(page.outcomes()) == 2, "the ghost")
-    page.choose("controller", "baseline")
-    page.set_number("wind [m/s]", "10")
-    page.choose("lever arms", "published")
-    page.choose("air", "axisymmetric, published")
-    page.wait_for(lambda: falls_and_completes(page.outcomes()), "the published fall")
-    assert page.complaints == []
-
-
-def test_a_new_flight_keeps_the_moment_and_the_old_one_as_ghost(visit, fallen):
-    page = visit(fallen)
-    served = page.served
-    end = round(served.solid.duration, 2)
-    page.set_number("time [s]", "22")
-    page.wait_for(lambda: served.now > 21.0, "the end of the flight that fell")
+def test_a_result_flies_anew_and_a_flight_is_kept_as_a_ghost(visit, fallen):
+    seen = recording.read(fallen)
+    page = visit([seen])
+    # With its own settings it is the result, to the last bit.
+    again = page.tab.evaluate("""() => {
+        const flight = page.flightOf(page.settings);
+        flight.advance(flight.n_ticks + 1);
+        return [[...flight.series("com_position")], [...flight.series("thrust")]];
+    }""")
+    for name, rows in zip(("com_position", "thrust"), again, strict=True):
+        np.testing.assert_array_equal(np.ravel(seen.signals[name]), rows)
+    page.seek(22.0)
     page.tab.get_by_role("button", name="Keep this flight as ghost").click()
-    page.wait_for(lambda: len(page.outcomes()) == 2, "the ghost")
-    first = served.solid
-    page.choose("air", "network default")
-    page.choose("lever arms", "corrected")
-    page.wait_for(lambda: served.solid is not first and served.solid.duration == 50.0, "a flight that completes")
-    assert served.ghost is first
-    assert served.solid.config["simulator"]["aero"]["card"].endswith("default.json")
-    # Robot, time field and numbers show one moment.
-    with served.lock:
-        assert served.time.value == round(served.now, 2) == end
-        np.testing.assert_allclose(served.robot.root.position, served.solid.at(served.now).com, atol=1e-9)
-    page.wait_for(lambda: page.number("time [s]") == end, "the moment in the time field")
-    # Any signal, its curves by name.
-    page.choose("plot", "thrust")
-    jets = served.solid.robot.jet_names
-    page.wait_for(lambda: [line["label"] for line in served.plot.series][1:5] == list(jets), "curves of the jets")
-    # A camera that stands looks at the robot.
-    page.tab.get_by_text("Show", exact=True).click()
-    page.tab.get_by_text("camera goes with the robot").click()
-    page.wait_for(lambda: not served.follow.value, "the choice")
-    page.set_number("time [s]", "45")
-    (client,) = served.server.get_clients().values()
+    page.tab.get_by_label("lever arms").select_option("corrected")
+    page.seek(21.0)
+    page.wait("page.solid.flown > 20 && page.solid.title.includes('baseline, 10 m/s from 90°')")
+    assert page.tab.evaluate("page.ghost === page.kept[0]")
+    page.tab.get_by_label("controller", exact=True).select_option("aware")
+    page.tab.get_by_role("button", name="Keep this flight as ghost").click()
+    page.tab.get_by_label("air", exact=True).select_option("network ensemble/member_1")
+    page.seek(1.0)
+    assert page.tab.evaluate("page.solid.config.simulator.aero.card").endswith("ensemble/member_1.json")
+    assert page.tab.get_by_label("beside it").locator("option").count() == 4 + 1 + 2  # controllers, before, kept
+    page.tab.get_by_label("beside it").select_option("0")
+    assert page.tab.evaluate("page.ghost.title") == seen.title
+    # The wind of the result, from 10 s on; what was flown until then stays.
+    page.seek(12.0)
+    before = page.tab.evaluate("[...page.solid.row('com_position', 1000)]")
+    page.tab.evaluate("page.blow([0, 0]); page.play(true)")
+    page.wait("page.settings.steer.length > 1 && page.solid.flown > 12.5")
+    assert page.tab.evaluate("[...page.solid.row('com_position', 1000)]") == before
+    assert page.complaints == []
 
-    def distance() -> float:
-        robot = np.asarray(served.world.position) + served.solid.at(45.0).com
-        return float(np.linalg.norm(np.asarray(client.camera.look_at) - robot))
 
-    page.wait_for(lambda: served.now == 45.0 and distance() < 1e-6, "a look at the robot")
+def test_another_robot_flies_and_one_without_configuration_is_played(visit, standing):
+    mk3 = short_flight("mk3_hover", 1.0)
+    page = visit([mk3, standing(Path("configs/robot/sparrow.toml").resolve())])
+    assert page.tab.evaluate("page.scene.ghost.parts.length !== page.scene.robot.parts.length")
+    assert not page.tab.get_by_label("mission").is_visible()
+    page.tab.get_by_label("speed", exact=True).fill("4")
+    page.seek(0.9)
+    wanted = short_flight("mk3_hover", 1.0, **{"wind.velocity": [0.0, -4.0, 0.0]})
+    got = page.tab.evaluate("[...page.solid.row('com_position', 90)]")
+    np.testing.assert_array_equal(wanted.signals["com_position"][90], got)
+    assert page.complaints == []
+    alone = visit([standing(Path("configs/robot/sparrow.toml").resolve())])
+    assert alone.tab.locator("#choices").inner_text() == ""
+    assert not alone.tab.locator("#compass").is_visible()
+    assert alone.complaints == []
+
+
+def test_what_is_not_wanted_is_hidden_and_the_camera_can_stand(visit, fallen):
+    page = visit([recording.read(fallen)])
+    for name in ("aerodynamic force on a link", "thrust:", "wind:", "set-point", "trail"):
+        page.tab.locator("#legend label", has_text=name).locator("input").uncheck()
+    assert page.tab.evaluate("Object.values(page.scene.layers).some((layer) => layer.visible)") is False
+    page.tab.evaluate("scale.value = 30; scale.dispatchEvent(new Event('input'))")
+    assert "30 cm per N" in page.tab.locator("#legend").inner_text()
+    page.seek(3.0)
+    camera = page.tab.evaluate("page.scene.camera.position.toArray()")
+    page.tab.keyboard.press("c")
+    page.seek(20.0)
+    seen = "[page.scene.camera.position.toArray(), page.scene.controls.target.toArray(), page.scene.world.position.toArray()]"
+    stands, target, world = page.tab.evaluate(seen)
+    com = page.tab.evaluate("[...page.solid.row('com_position', page.rowAt(page.solid, 20))]")
+    np.testing.assert_allclose(stands, camera, atol=1e-9)
+    np.testing.assert_allclose(target, np.add(com, world) + [0.0, 0.0, 0.1], atol=1e-5)
+    page.tab.keyboard.press("c")
+    page.seek(20.0)
+    np.testing.assert_allclose(page.tab.evaluate(seen)[1], [0.0, 0.0, 0.85], atol=1e-5)
+    assert page.complaints == []
+
+
+def test_a_small_dark_screen_shows_results(visit, fallen):
+    page = visit([recording.read(fallen)] * 2, viewport={"width": 390, "height": 844}, color_scheme="dark")
+    assert page.tab.evaluate("document.documentElement.scrollWidth") == 390  # nothing to scroll sideways
+    page.tab.keyboard.press("Space")
     assert page.complaints == []

@@ -1,5 +1,13 @@
 // The simulator: the crate `flight-lab` in WebAssembly. Questions and answers are JSON, signals are read where they lie.
 
+/** The bytes of a text in base 64. */
+export function bytes(base64) {
+  const letters = atob(base64);
+  const found = new Uint8Array(letters.length);
+  for (let at = 0; at < letters.length; at++) found[at] = letters.charCodeAt(at);
+  return found;
+}
+
 export class Lab {
   /** `wasm`: bytes of the module; `files`: path to text or bytes. */
   static async load(wasm, files) {
@@ -39,9 +47,9 @@ export class Lab {
     return answer;
   }
 
-  /** A new flight of a configuration: what a file of `configs/experiments` says, as an object. */
-  begin(config) {
-    return new Flight(this, this.ask({ ask: "begin", config }));
+  /** A new flight of a configuration, as a file of `configs/experiments` has it, with changes of dotted keys. */
+  begin(config, changes = []) {
+    return new Flight(this, this.ask({ ask: "begin", config, changes }));
   }
 }
 
@@ -53,6 +61,10 @@ export class Flight {
     this.rows = 0;
     this.timeStep = this.config.simulator.time_step;
     this.hasEnded = false;
+  }
+
+  get title() {
+    return this.config.title;
   }
 
   get duration() {
@@ -75,6 +87,7 @@ export class Flight {
   /** All rows of a signal, one after the other; valid until the next call into the simulator. */
   series(name) {
     const index = this.places.get(name);
+    if (index === undefined) return new Float64Array(0);
     const at = this.lab.exports.series(this.flight, index);
     return new Float64Array(this.lab.exports.memory.buffer, at, this.rows * this.signals[index].width);
   }
@@ -91,9 +104,9 @@ export class Flight {
     return new Float64Array(this.lab.exports.memory.buffer, at, 12 * this.bodies.length).slice();
   }
 
-  setWind(wind) {
+  setWind(wind, title) {
     this.lab.ask({ ask: "wind", flight: this.flight, wind });
-    this.config.wind = wind;
+    Object.assign(this.config, { wind, title });
   }
 
   result() {

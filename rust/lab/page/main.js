@@ -1,11 +1,12 @@
-// The lab: settings, wind, engines and a tour around flights of the simulator.
-import data from "lab:data";
-import { Lab } from "./lab.js";
+// The page: playback of recorded flights, and flights of the simulator with settings, wind, engines and a tour around them.
+import { Lab, bytes } from "./lab.js";
 import { $, Player, degrees, make } from "./player.js";
-import { DEFAULTS, ENGINES, LISTS, NUMBERS, RAMP, STRONGEST, TESTS, configuration, fromHash, matters, rampTo, rampUntil, round, speedAndDirection, title, toHash, velocity } from "./scenario.js";
+import { Recorded } from "./recorded.js";
+import { DEFAULTS, NUMBERS, STRONGEST, Scenario, TESTS, matters, partName, rampTo, round, speedAndDirection, velocity } from "./scenario.js";
 import { TOUR } from "./tour.js";
 
-const bytes = (base64) => Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
+const data = JSON.parse($("data").textContent);
+const { simulator } = data;
 const BUDGET = 12; // of a picture, for the simulation [ms]
 const SPARE = 6; // of a picture, for flights in the background: at least this [ms],
 const SHARE = 0.25; // and this share of the time that pictures take
@@ -18,24 +19,45 @@ const GHOSTS = {
   aware: ["aware", "The same flight under the aware controller, in the same wind."],
   observer: ["observer", "The same flight under the observer, in the same wind."],
   previous: ["the flight before", "What was flown before the last change."],
+  kept: "A result, or a flight that was kept.",
 };
 
 class Page extends Player {
+  /** Plays recorded flights; with a simulator, flies a scenario. */
   constructor(lab) {
-    super(data.look);
+    super(data.looks[0]);
     this.lab = lab;
-    this.settings = fromHash(location.hash);
-    this.ghostKind = "none";
+    this.kept = data.flights.map((flight) => new Recorded(flight, data.looks)); // ghosts to choose from
+    [this.solid = null] = this.kept;
+    this.ghostKind = this.kept.length > 1 ? "1" : "none";
     this.previous = null;
     this.goal = 0; // flown to before playing goes on [s]
     this.wanted = null; // wind that is being dragged to (x, y) [m/s]
     this.jobs = []; // flights in the background
     this.whole = new Map(); // results of whole flights, by link
-    this.scenario = null; // of the tour
+    this.visited = null; // scene of the tour
+    this.isLab = !this.solid;
+    if (lab) this.#prepare();
     this.#build();
-    this.begin();
+    if (this.scenario && (this.isLab || this.scenario.toHash(this.settings))) this.begin();
+    else this.#beginGhost();
+    this.#showSettings();
+    this.buildPlots(this.solid);
     this.#listen();
     this.start();
+  }
+
+  /** Reads the scenario from its configuration; without it, recorded flights are only played. */
+  #prepare() {
+    try {
+      const base = this.lab.begin(simulator.config);
+      this.scenario = new Scenario(base, this.isLab ? DEFAULTS.mission : "given", simulator.networks);
+      base.end();
+      this.settings = this.scenario.fromHash(location.hash);
+    } catch (error) {
+      this.lab = null;
+      this.say(`This flight cannot be repeated here: ${error.message}`);
+    }
   }
 
   // --- flights ---------------------------------------------------------------------------------------------------
@@ -43,37 +65,52 @@ class Page extends Player {
   /** Starts the flight of the settings; shows it from `time` on. */
   begin(time = 0) {
     try {
-      const flight = this.lab.begin(configuration(this.settings));
+      const flight = this.flightOf(this.settings);
       if (this.ghost === this.previous) this.ghost = null;
-      this.previous?.end();
+      if (!this.kept.includes(this.previous)) this.previous?.end();
       this.previous = this.solid;
       this.solid = flight;
       this.say(null);
-      if (!this.plots) this.buildPlots(flight, flight.jets.map((jet) => ENGINES[jet]));
     } catch (error) {
       this.say(error.message);
       return;
     }
-    this.result = null;
     this.#beginGhost();
     this.now = this.goal = time;
-    history.replaceState(null, "", toHash(this.settings) || location.pathname + location.search);
+    this.#showLink();
     this.#showSettings();
     this.isStale = true;
   }
 
+  flightOf(settings) {
+    return Object.assign(this.lab.begin(simulator.config, this.scenario.changes(settings)), { look: data.looks[0] });
+  }
+
   #beginGhost() {
-    if (this.ghost && this.ghost !== this.previous) this.ghost.end();
+    this.ownGhost?.end();
     const { ghostKind } = this;
-    const has = ghostKind !== "none" && ghostKind !== "previous";
-    this.ghost = has ? this.lab.begin(configuration({ ...this.settings, controller: ghostKind })) : null;
-    if (ghostKind === "previous") this.ghost = this.previous;
+    const isOwn = this.scenario?.lists.controller.values[ghostKind];
+    this.ownGhost = isOwn ? this.flightOf({ ...this.settings, controller: ghostKind }) : null;
+    this.ghost = this.ownGhost ?? (ghostKind === "previous" ? this.previous : (this.kept[ghostKind] ?? null));
+  }
+
+  /** Makes the flight that is shown a ghost of the following ones. */
+  keep() {
+    if (!this.kept.includes(this.solid)) this.kept.push(this.solid);
+    this.ghostKind = `${this.kept.indexOf(this.solid)}`;
+    this.#beginGhost();
+    this.isStale = true;
+    this.#showSettings();
+  }
+
+  #showLink() {
+    history.replaceState(null, "", this.scenario.toHash(this.settings) || location.pathname + location.search);
   }
 
   /** Changes settings and flies anew. */
   change(change, time = 0) {
     this.settings = { ...this.settings, ...change };
-    this.scenario = this.wanted = null;
+    this.visited = this.wanted = null;
     this.begin(time);
   }
 
@@ -92,7 +129,7 @@ class Page extends Player {
   /** Switches an engine off now, or on again. */
   switchEngine(jet) {
     const time = round(this.rowAt(this.solid, this.now) * this.solid.timeStep);
-    this.scenario = null;
+    this.visited = null;
     const isOff = this.settings.engine?.[0] === jet;
     this.branch(time, { engine: isOff ? null : [jet, time] });
   }
@@ -106,12 +143,9 @@ class Page extends Player {
 
   /** The result of a whole flight of these settings, as soon as it is flown. */
   flyWhole(settings) {
-    const link = toHash(settings);
+    const link = this.scenario.toHash(settings);
     if (!this.whole.has(link)) {
-      this.whole.set(
-        link,
-        new Promise((done) => this.jobs.push({ flight: this.lab.begin(configuration(settings)), done })),
-      );
+      this.whole.set(link, new Promise((done) => this.jobs.push({ flight: this.flightOf(settings), done })));
     }
     return this.whole.get(link);
   }
@@ -140,12 +174,12 @@ class Page extends Player {
     const speed = Math.hypot(x, y);
     const share = speed > STRONGEST ? STRONGEST / speed : 1;
     this.wanted = [round(x * share), round(y * share)];
-    this.scenario = null;
+    this.visited = null;
     const isPast = this.now < this.solid.flown - 2 * this.solid.timeStep;
-    if (this.solid.hasEnded || isPast) {
+    if (this.solid.hasEnded || isPast || this.kept.includes(this.solid)) {
       const time = round(this.rowAt(this.solid, this.now) * this.solid.timeStep);
       if (time >= this.solid.duration) this.now = 0; // an ended flight flies again
-      this.branch(time >= this.solid.duration || this.result?.lost_time != null && !isPast ? 0 : time);
+      this.branch(time >= this.solid.duration || this.merit(this.solid)?.lost_time != null && !isPast ? 0 : time);
     }
     this.isStale = true;
   }
@@ -153,18 +187,19 @@ class Page extends Player {
   /** Lets the wind turn to what is wanted, where the last change is over. */
   #steer() {
     if (!this.wanted) return;
-    const { settings, solid } = this;
+    const { settings, solid, scenario } = this;
+    const [rise, risen] = scenario.ramp;
     const time = round(solid.flown);
     const { steer } = settings;
     const start = round(time + solid.timeStep); // of the turn: the tick that was flown last keeps its wind to the last bit
     const turn = [round(start + TURNING), ...this.wanted];
-    if (!steer.length && time < RAMP[0]) {
+    if (!steer.length && time < rise) {
       Object.assign(settings, rampTo(this.wanted));
       this.wanted = null;
     } else if (!steer.length) {
-      const [x, y] = rampUntil(settings, start).at(-1).slice(1);
+      const [x, y] = scenario.windUntil(settings, start).at(-1).slice(1);
       settings.steer = [[start, round(x), round(y)], turn];
-      if (time < RAMP[1]) this.begin(time); // the ramp ends earlier: its bits differ
+      if (time < risen) this.begin(time); // the ramp ends earlier: its bits differ
     } else {
       const [end, x, y] = steer.at(-1);
       if (end > time + 1e-9) return;
@@ -174,9 +209,8 @@ class Page extends Player {
       }
       settings.steer = [...steer, [start, x, y], turn];
     }
-    const { wind } = configuration(settings);
-    for (const flight of new Set([solid, this.ghost])) if (flight && flight !== this.previous) flight.setWind(wind);
-    history.replaceState(null, "", toHash(settings) || location.pathname + location.search);
+    for (const flight of [this.solid, this.ownGhost].filter(Boolean)) flight.setWind(scenario.windOf(settings), scenario.title(settings));
+    this.#showLink();
     this.#showSettings();
   }
 
@@ -199,8 +233,8 @@ class Page extends Player {
 
   work() {
     if (!this.isCatchingUp) this.#work(Math.max(SPARE, SHARE * this.passed * 1000));
-    if (this.solid.hasEnded && !this.result) {
-      this.result = this.solid.result();
+    if (this.solid.hasEnded && !this.merits.has(this.solid)) {
+      this.merit(this.solid);
       this.isStale = true; // the next picture says it
     }
   }
@@ -216,22 +250,22 @@ class Page extends Player {
     if (!this.solid.rows) this.solid.advance(1);
     if (this.ghost && !this.ghost.rows) this.ghost.advance(1);
     super.show(seconds);
-    this.#showWind();
+    if (this.scenario?.canDrag) this.#showWind();
   }
 
   showNumbers() {
     super.showNumbers();
-    const { solid, result } = this;
-    const hasEnded = solid.hasEnded && this.now >= solid.flown - 0.5 * solid.timeStep && result;
-    const [words, mood] = hasEnded ? verdict(result, solid.row("com_position", solid.rows - 1)[0]) : ["Flying", ""];
-    $("status").replaceChildren(
-      make("div", { className: `outcome ${mood}` }, words),
-      make("div", { className: "about" }, this.words),
-      make("div", { className: "about" }, title(this.settings)),
-    );
+    const hasEnded = (flight) => flight.hasEnded && this.now >= flight.flown - 0.5 * flight.timeStep;
+    const outcome = (flight, name) => {
+      const [words, mood] = hasEnded(flight) ? verdict(this.merit(flight), flight.row("com_position", flight.rows - 1)[0]) : ["Flying", ""];
+      return make("div", { className: `outcome ${mood}` }, name + words);
+    };
+    const lines = [outcome(this.solid, ""), ...(this.ghost && hasEnded(this.ghost) ? [outcome(this.ghost, "Ghost: ")] : [])];
+    const about = (words) => make("div", { className: "about" }, words);
+    $("status").replaceChildren(...lines, about(this.words), about(this.solid.title));
     const { simulation, drawing } = this.frameTimes;
     const say = ({ median, p95 }) => (median === null ? "–" : `${median.toFixed(1)} ms (95 % under ${p95.toFixed(1)} ms)`);
-    $("timing").textContent = `A picture takes ${say(simulation)} to simulate and ${say(drawing)} to draw; 60 a second leave 16.7 ms. Commit ${(data.commit ?? "unknown").slice(0, 7)}.`;
+    $("timing").textContent = `A picture takes ${say(simulation)} to simulate and ${say(drawing)} to draw; 60 a second leave 16.7 ms. Version ${data.version}.`;
   }
 
   #showWind() {
@@ -275,18 +309,18 @@ class Page extends Player {
     this.wanted = null;
     this.scene.view();
     this.begin(scene.start);
-    this.scenario = index;
+    this.visited = index;
     this.setRate(1);
     this.play(true);
     this.#showScene("…", "computing");
     this.#showSettings();
     const flights = Object.entries({ shown: scene.settings, ...scene.others });
     const results = await Promise.all(flights.map(async ([name, settings]) => [name, await this.flyWhole(settings)]));
-    if (this.scenario === index) this.#showScene(...scene.proof(Object.fromEntries(results)));
+    if (this.visited === index) this.#showScene(...scene.proof(Object.fromEntries(results)));
   }
 
   #showScene(number, words) {
-    const index = this.scenario;
+    const index = this.visited;
     const scene = TOUR[index];
     const next = index + 1 < TOUR.length ? [make("button", { type: "button", onclick: () => this.visit(index + 1) }, "Next scene")] : [];
     const close = make("button", { type: "button", className: "close", title: "Close", onclick: () => this.#closeScene() }, "×");
@@ -301,7 +335,7 @@ class Page extends Player {
   }
 
   #closeScene() {
-    this.scenario = null;
+    this.visited = null;
     $("caption").hidden = true;
     this.#showSettings();
   }
@@ -313,6 +347,10 @@ class Page extends Player {
     $("pad").innerHTML = `<circle class="ring" r="23.3"/><circle class="ring" r="46.7"/><circle class="ring" r="70"/>
       <text y="-72">ahead</text><text x="-60" y="-14">left</text><text y="34">10</text><text y="57">20</text>
       <path class="robot" d="M0-9L6 6H-6z"/><line class="blows" x2="0" y2="0"/><circle class="handle" r="8"/>`;
+    document.title = $("title").textContent = this.isLab ? "Flight lab" : this.solid.title;
+    $("tour").hidden = !this.isLab;
+    $("link").hidden = $("keys").hidden = !this.lab;
+    $("compass").hidden = !this.scenario?.canDrag;
     this.#buildChoices();
   }
 
@@ -320,11 +358,15 @@ class Page extends Player {
     this.fields = {};
     const list = (key, { label, values }, set) => {
       const hint = make("small", { id: `hint-${key}` });
-      const select = make("select", { id: key }, ...Object.entries(values).map(([value, [name]]) => make("option", { value }, name)));
+      const select = make("select", { id: key });
+      const fill = (values) => select.replaceChildren(...Object.entries(values).map(([value, [name]]) => make("option", { value }, name)));
+      fill(values);
       select.setAttribute("aria-describedby", hint.id);
       select.onchange = () => set(select.value);
       const box = make("div", { className: "choice" }, make("label", { htmlFor: key }, label), select, hint);
-      this.fields[key] = { box, show: (value) => ((select.value = value), (hint.textContent = values[value][1])) };
+      box.hidden = Object.keys(values).length < 2;
+      const show = (value, given = values) => (given !== values && fill(given), (select.value = value), (hint.textContent = given[value][1]));
+      this.fields[key] = { box, show };
       return box;
     };
     const range = (key, { label, unit, min, max, step, meaning }, set, isLive) => {
@@ -341,39 +383,50 @@ class Page extends Player {
     };
     const group = (name, ...children) => make("fieldset", {}, make("legend", {}, name), ...children);
     const folded = (name, ...children) => make("details", {}, make("summary", {}, name), make("fieldset", {}, ...children));
-    const lists = Object.entries(LISTS).map(([key, entry]) => list(key, entry, (value) => this.change({ [key]: value })));
+    const ghost = [list("ghost", { label: "beside it", values: {} }, (kind) => {
+      this.ghostKind = kind;
+      this.#beginGhost();
+      this.goal = this.now;
+      this.isStale = true;
+      this.#showSettings();
+    })];
+    this.fields.ghost.box.hidden = false;
+    if (!this.lab) {
+      if (this.kept.length > 1) $("choices").append(group("Ghost", ...ghost));
+      this.#showSettings();
+      return;
+    }
+    const { scenario } = this;
+    ghost.push(make("div", { className: "row" }, make("button", { type: "button", onclick: () => this.keep() }, "Keep this flight as ghost")));
+    const lists = Object.entries(scenario.lists).map(([key, entry]) => list(key, entry, (value) => this.change({ [key]: value })));
     const numbers = (of) => Object.entries(NUMBERS).filter(([, { group: name }]) => name === of)
-      .map(([key, entry]) => range(key, entry, (value) => this.change({ [key]: value })));
+      .map(([key, entry]) => range(key, within(entry, scenario.start[key]), (value) => this.change({ [key]: value })));
     this.tests = Object.entries(TESTS).map(([name, test]) => {
       const button = make("button", { type: "button", onclick: () => this.change({ ...DEFAULTS, ...test, steer: [] }) }, name);
       return [button, test];
     });
-    this.engines = Object.entries(ENGINES).map(([jet, name]) => {
-      const button = make("button", { type: "button", onclick: () => this.switchEngine(jet) }, name);
+    this.engines = scenario.jets.map((jet) => {
+      const button = make("button", { type: "button", onclick: () => this.switchEngine(jet) }, partName(jet));
       return [button, jet];
     });
     this.clear = make("button", { type: "button", onclick: () => this.change({ steer: [] }) }, "Forget the dragged wind");
-    const windTo = (speed, from) => this.blow(velocity(speed, from).slice(0, 2));
+    const windTo = (speed, from) => (scenario.canDrag ? this.blow(velocity(speed, from)) : this.change({ speed, from }));
+    const { start } = scenario;
+    const speed = within({ label: "speed", unit: "m/s", min: 0, max: STRONGEST, step: 0.5, meaning: `${scenario.ramp[1] ? `The wind rises between ${scenario.ramp[0]} and ${scenario.ramp[1]} s. ` : ""}Dragged later, it turns within 0.2 s.` }, start.speed);
     const hint = (words) => make("small", {}, words);
     $("choices").append(
       group("Flight",
-        make("div", { className: "row" }, ...this.tests.map(([button]) => button)),
-        hint("The paper's four flights: baseline and aware controller, in the air of axisymmetric links and of the network."),
+        ...(this.isLab ? [make("div", { className: "row" }, ...this.tests.map(([button]) => button)),
+          hint("The paper's four flights: baseline and aware controller, in the air of axisymmetric links and of the network.")] : []),
         ...lists),
-      group("Wind, at any time",
-        range("speed", { label: "speed", unit: "m/s", min: 0, max: STRONGEST, step: 0.5, meaning: "The paper's wind rises between 5 and 10 s; dragged later, it turns within 0.2 s." }, (speed) => windTo(speed, this.windFrom), true),
+      ...(scenario.hasWind ? [group("Wind, at any time",
+        range("speed", speed, (speed) => windTo(speed, this.windFrom), true),
         range("from", { label: "from", unit: "°", min: -180, max: 180, step: 5, meaning: "0 from ahead, 90 from the robot's left, −90 from its right." }, (from) => windTo(Math.hypot(...this.target), from), true),
-        make("div", { className: "row" }, this.clear)),
-      group("Switch an engine off, now",
+        make("div", { className: "row" }, this.clear))] : []),
+      ...(scenario.jets.length ? [group("Switch an engine off, now",
         make("div", { className: "row" }, ...this.engines.map(([button]) => button)),
-        hint("Its thrust is gone at this moment of the flight, and the controller receives no signal of it.")),
-      group("Ghost", list("ghost", { label: "beside it", values: GHOSTS }, (kind) => {
-        this.ghostKind = kind;
-        this.#beginGhost();
-        this.goal = this.now;
-        this.isStale = true;
-        this.#showSettings();
-      })),
+        hint("Its thrust is gone at this moment of the flight, and the controller receives no signal of it."))] : []),
+      group("Ghost", ...ghost),
       folded("Gains", ...numbers("gains")),
       folded("Errors of the controller's model", ...numbers("errors")),
     );
@@ -384,32 +437,52 @@ class Page extends Player {
     return speed < 0.05 ? (this.lastFrom ?? 90) : (this.lastFrom = from);
   }
 
+  /** Ghosts to choose from: of another controller, and those kept, under names of their own. */
+  get ghosts() {
+    const { kept, previous, ...others } = GHOSTS;
+    const controllers = this.scenario?.lists.controller.values ?? {};
+    const titles = [];
+    for (const { title } of this.kept) {
+      let name = title;
+      for (let number = 2; titles.includes(name); number++) name = `${title} (${number})`;
+      titles.push(name);
+    }
+    return {
+      ...Object.fromEntries(Object.entries(others).filter(([name]) => name === "none" || controllers[name])),
+      ...(this.lab ? { previous } : {}),
+      ...Object.fromEntries(titles.map((name, index) => [index, [name, kept]])),
+    };
+  }
+
   #showSettings() {
-    const { settings } = this;
-    for (const key of [...Object.keys(LISTS), ...Object.keys(NUMBERS)]) {
+    const { settings, scenario } = this;
+    this.fields.ghost.show(this.ghostKind, this.ghosts);
+    if (!this.lab) return;
+    for (const key of [...Object.keys(scenario.lists), ...Object.keys(NUMBERS)]) {
       this.fields[key].show(settings[key]);
       this.fields[key].box.classList.toggle("idle", !matters(key, settings));
     }
-    this.fields.ghost.show(this.ghostKind);
-    this.fields.speed.show(Math.hypot(...this.target));
-    this.fields.from.show(Math.round(this.windFrom));
+    this.fields.speed?.show(Math.hypot(...this.target));
+    this.fields.from?.show(Math.round(this.windFrom));
     this.clear.hidden = !settings.steer.length;
-    for (const [button, test] of this.tests) button.setAttribute("aria-pressed", toHash({ ...DEFAULTS, ...test }) === toHash(settings));
+    for (const [button, test] of this.tests) button.setAttribute("aria-pressed", scenario.toHash({ ...DEFAULTS, ...test }) === scenario.toHash(settings));
     for (const [button, jet] of this.engines) button.setAttribute("aria-pressed", settings.engine?.[0] === jet);
     [...$("tour").children].forEach((button, index) => {
-      button.setAttribute("aria-current", index === this.scenario);
-      if (index === this.scenario) $("tour").scrollLeft = button.offsetLeft - $("tour").offsetLeft - 40;
+      button.setAttribute("aria-current", index === this.visited);
+      if (index === this.visited) $("tour").scrollLeft = button.offsetLeft - $("tour").offsetLeft - 40;
     });
-    if (this.scenario === null) $("caption").hidden = true;
+    if (this.visited === null) $("caption").hidden = true;
   }
 
   #listen() {
+    if (!this.lab) return;
     $("link").onclick = () => this.#copyLink();
     addEventListener("hashchange", () => {
-      this.settings = fromHash(location.hash);
-      this.scenario = this.wanted = null;
+      this.settings = this.scenario.fromHash(location.hash);
+      this.visited = this.wanted = null;
       this.begin();
     });
+    if (!this.scenario.canDrag) return;
     this.#drag($("pad"), () => true, (event) => {
       const { left, top, width, height } = $("pad").getBoundingClientRect();
       const [x, y] = [((event.clientX - left) / width - 0.5) * 164, ((event.clientY - top) / height - 0.5) * 164];
@@ -446,8 +519,8 @@ class Page extends Player {
 
   keys(event) {
     const keys = super.keys(event);
-    keys.w = () => $("pad").focus();
-    TOUR.forEach((_, index) => (keys[index + 1] = () => this.visit(index)));
+    if (this.scenario?.canDrag) keys.w = () => $("pad").focus();
+    if (this.isLab) TOUR.forEach((_, index) => (keys[index + 1] = () => this.visit(index)));
     if (event.target === $("pad")) {
       const turn = (faster, further) => () => {
         const [speed, from] = [Math.hypot(...this.target), this.windFrom];
@@ -459,7 +532,7 @@ class Page extends Player {
   }
 
   async #copyLink() {
-    const link = location.href.replace(/#.*/, "") + toHash(this.settings);
+    const link = location.href.replace(/#.*/, "") + this.scenario.toHash(this.settings);
     try {
       await navigator.clipboard.writeText(link);
       $("link").textContent = "Copied";
@@ -471,15 +544,18 @@ class Page extends Player {
 }
 
 /** How a flight ended, in words, and whether that is good. */
-function verdict({ outcome, lost_time: lost, lost_reason: reason, summary }, distance) {
-  const error = degrees(summary.max_rotation_error);
-  if (outcome === "fell") return [`Falls at ${lost.toFixed(1)} s: ${reason.replace(" deg", "°")}`, "bad"];
-  if (outcome === "diverged") return [`The computation diverges at ${lost.toFixed(1)} s: ${reason}`, "bad"];
-  if (outcome === "off_course") return [`Flies to the end, but up to ${summary.max_com_error.toFixed(2)} m off course`, "bad"];
+function verdict({ outcome, lost_time: lost, lost_reason: reason, rotationError, comError, hasSettled }, distance) {
+  if (lost != null) return [`${outcome === "diverged" ? "The computation diverges" : "Falls"} at ${lost.toFixed(1)} s${reason ? `: ${reason.replace(" deg", "°")}` : ""}`, "bad"];
+  if (outcome === "off_course") return [`Flies to the end, but up to ${comError.toFixed(2)} m off course`, "bad"];
   const where = distance > 5 ? "Arrives" : "Stays in place";
   // A flight that ends before it has settled has no error of position.
-  const off = summary.max_com_error === null ? "" : `, ${(100 * summary.max_com_error).toFixed(1)} cm off course at most`;
-  return error > LEANING ? [`${where}, leaning: up to ${error.toFixed(1)}°${off}`, "bad"] : [`${where} upright: rotation error up to ${error.toFixed(1)}°${off}`, "good"];
+  const off = hasSettled ? `, ${(100 * comError).toFixed(1)} cm off course at most` : "";
+  return rotationError > LEANING ? [`${where}, leaning: up to ${rotationError.toFixed(1)}°${off}`, "bad"] : [`${where} upright: rotation error up to ${rotationError.toFixed(1)}°${off}`, "good"];
+}
+
+/** A range that contains a value. */
+function within(range, value) {
+  return { ...range, min: Math.min(range.min, value), max: Math.max(range.max, value) };
 }
 
 /** A direction in words: 0 ahead, 90 left. */
@@ -488,14 +564,13 @@ function side(from) {
   return names[((Math.round(from / 45) % 8) + 8) % 8];
 }
 
-const binary = Object.fromEntries(Object.entries(data.binary).map(([path, text]) => [path, bytes(text)]));
-Lab.load(bytes(data.wasm), { ...data.files, ...binary }).then(
-  (lab) => {
-    window.page = new Page(lab);
-    window.scenarios = { DEFAULTS, TESTS, TOUR, configuration, fromHash, toHash };
-  },
-  (error) => {
+const open = (lab) => {
+  window.page = new Page(lab);
+};
+if (simulator) {
+  const binary = Object.fromEntries(Object.entries(simulator.binary).map(([path, text]) => [path, bytes(text)]));
+  Lab.load(bytes(simulator.wasm), { ...simulator.files, ...binary }).then(open, (error) => {
     $("message").hidden = false;
     $("message").textContent = `The simulator does not start: ${error.message}`;
-  },
-);
+  });
+} else open(null);

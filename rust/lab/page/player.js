@@ -1,7 +1,8 @@
-// Playback of a flight and of a ghost beside it: scene, time line, plots, keys. A flight is an object with `title`, `signals`
-// (name, unit, width), `jets`, `links`, `rows`, `timeStep`, `duration`, `flown`, `hasEnded`, `series(name)`, `row(name, row)`
-// and `pose(row)`.
-import { Plot } from "./plots.js";
+// Playback of a flight and of a ghost beside it: scene, time line, plots, figures, keys. A flight is an object with `title`,
+// `signals` (name, unit, dims, width), `look`, `rows`, `timeStep`, `duration`, `flown`, `hasEnded`, `series(name)`,
+// `row(name, row)`, `pose(row)`, `result()` and `end()`.
+import { Plot, short } from "./plots.js";
+import { partName } from "./scenario.js";
 import { Scene } from "./scene.js";
 
 export const $ = (id) => document.getElementById(id);
@@ -12,6 +13,7 @@ export const make = (tag, attributes = {}, ...children) => {
 };
 export const degrees = (radians) => (radians * 180) / Math.PI;
 
+const SETTLED = 3; // errors of position count from here on [s]
 const RATES = [0.1, 0.25, 0.5, 1, 2, 5];
 const COLOURS = {
   light: ["#0072b2", "#3a9bd0", "#d08a00", "#c24f00", "#00785a", "#a04a80", "#684eaa", "#5a6270"],
@@ -25,17 +27,49 @@ const DERIVED = {
     const error = flight.series("rotation_error");
     return [(row) => degrees(error[row])];
   } },
+  lean: { title: "lean", unit: "°", least: 5, read: (flight) => {
+    const wxyz = flight.series("base_quaternion");
+    return [(row) => degrees(Math.acos(Math.min(Math.max(1 - 2 * (wxyz[4 * row + 1] ** 2 + wxyz[4 * row + 2] ** 2), -1), 1)))];
+  } },
   com: { title: "CoM error", unit: "m", least: 0.02, read: (flight) => {
     const [com, reference] = [flight.series("com_position"), flight.series("com_setpoint")];
     return [(row) => Math.hypot(...[0, 1, 2].map((axis) => com[3 * row + axis] - reference[3 * row + axis]))];
   } },
 };
 
+/** Figures of merit of a whole flight: words by name. */
+const figures = (flight) => {
+  const largest = (read, from = 0) => {
+    let most = 0;
+    for (let row = from; row < flight.rows; row++) most = Math.max(most, read(row));
+    return most;
+  };
+  const [angle, course, thrust, force, reference] = [DERIVED.attitude.read(flight)[0], DERIVED.com.read(flight)[0], flight.series("thrust"), flight.series("aero_force_sim"), flight.series("com_setpoint")];
+  const settled = flight.flown > SETTLED ? Math.round(SETTLED / flight.timeStep) : flight.rows - 1;
+  const links = force.length / flight.rows;
+  const total = (row) => Math.hypot(...[0, 1, 2].map((axis) => {
+    let sum = 0;
+    for (let at = axis; at < links; at += 3) sum += force[links * row + at];
+    return sum;
+  }));
+  let distance = 0;
+  for (let at = 3; at < reference.length; at += 3) distance += Math.hypot(reference[at] - reference[at - 3], reference[at + 1] - reference[at - 2]);
+  const [least, most] = thrust.reduce(([low, high], value) => [Math.min(low, value), Math.max(high, value)], [Infinity, 0]);
+  return {
+    rotationError: largest(angle),
+    comError: largest(course, settled),
+    hasSettled: flight.flown > SETTLED,
+    thrust: thrust.length ? [least, most] : null,
+    force: largest(total),
+    distance,
+  };
+};
+
 export class Player {
-  /** Looks of the robot, and of the ghost's if it is another one. */
-  constructor(look, ghostLook = look) {
+  constructor(look) {
     this.look = look;
-    this.scene = new Scene($("scene"), look, ghostLook);
+    this.scene = new Scene($("scene"), look);
+    this.merits = new WeakMap();
     this.solid = this.ghost = null;
     this.now = 0;
     this.isPlaying = !matchMedia("(prefers-reduced-motion: reduce)").matches;
@@ -132,11 +166,12 @@ export class Player {
     return {
       row,
       poses,
+      look: flight.look,
       com: at("com_position", 3),
       velocity: at("com_velocity", 3),
       reference: at("com_setpoint", 3),
-      thrust: at("thrust", flight.jets.length),
-      forces: at("aero_force_sim", 3 * flight.links.length),
+      thrust: at("thrust", flight.look.jets.length),
+      forces: at("aero_force_sim", 3 * flight.look.links.length),
       wind: at("wind", 3),
       path: flight.series("com_position"),
       referencePath: flight.series("com_setpoint"),
@@ -157,10 +192,40 @@ export class Player {
     const styles = getComputedStyle(document.documentElement);
     const of = (name) => styles.getPropertyValue(`--${name}`).trim();
     const style = { ink: of("ink"), soft: of("soft"), line: of("line"), ghost: of("ghost") };
-    for (const { plot, select } of this.plots ?? []) {
+    const row = this.rowAt(this.solid, this.now);
+    for (const { plot, select, key, names } of this.plots ?? []) {
       plot.colours = { attitude: [of("bad")], com: [of("accent")] }[select.value] ?? COLOURS[isDark.matches ? "dark" : "light"];
       plot.draw(this.solid, this.ghost, this.now, this.duration, style);
+      const curves = names.length ? plot.read(this.solid) : [];
+      names.forEach((name, index) => (key.children[index].textContent = `${name} ${curves[index] ? short(curves[index](row)) : "–"}`));
     }
+    this.#showFigures();
+  }
+
+  /** Outcome and figures of merit of a flight that has ended. */
+  merit(flight) {
+    if (!flight?.hasEnded) return null;
+    if (!this.merits.has(flight)) this.merits.set(flight, { ...flight.result(), ...figures(flight) });
+    return this.merits.get(flight);
+  }
+
+  #showFigures() {
+    const flights = [this.solid, this.ghost].filter(Boolean);
+    const merits = flights.map((flight) => this.merit(flight));
+    const said = JSON.stringify([flights.map(({ title }) => title), merits.map(Boolean)]);
+    if (said === this.saidFigures && merits.every((merit, index) => merit === this.shownMerits[index])) return;
+    [this.saidFigures, this.shownMerits] = [said, merits];
+    const row = (name, words) => make("tr", {}, make("th", {}, name), ...merits.map((merit) => make("td", {}, merit ? words(merit) : "–")));
+    const heads = flights.map((flight, index) => make("th", {}, index ? `ghost: ${flight.title}` : flight.title));
+    $("figures").replaceChildren(
+      make("tr", {}, make("th", {}), ...heads),
+      row("outcome", ({ outcome, lost_time: lost, lost_reason: reason }) => (lost == null ? outcome.replace("_", " ") : `${outcome} at ${lost.toFixed(1)} s${reason ? ` (${reason})` : ""}`)),
+      row("rotation error", ({ rotationError }) => `${rotationError.toFixed(1)}°`),
+      row("CoM error", ({ comError }) => `${comError.toFixed(3)} m`),
+      row("thrusts", ({ thrust }) => (thrust ? `${thrust[0].toFixed(0)}–${thrust[1].toFixed(0)} N` : "–")),
+      row("aerodynamic force", ({ force }) => `${force.toFixed(1)} N`),
+      row("distance", ({ distance }) => `${distance.toFixed(1)} m`),
+    );
   }
 
   /** The moment in numbers. */
@@ -170,10 +235,13 @@ export class Player {
     const com = solid.row("com_position", row);
     const off = Math.hypot(...solid.row("com_setpoint", row).map((x, axis) => x - com[axis]));
     const error = degrees(solid.row("rotation_error", row)[0]);
+    const speed = Math.hypot(...solid.row("com_velocity", row));
+    const forces = solid.row("aero_force_sim", row);
+    const air = Math.hypot(...[0, 1, 2].map((axis) => forces.reduce((sum, force, index) => sum + (index % 3 === axis ? force : 0), 0)));
     const course = off < 0.995 ? `${(100 * off).toFixed(1)}\u00a0cm` : `${off.toFixed(2)}\u00a0m`;
     // The third entry of the base's z axis; rotations are kept by columns, the base is the first body.
     const lean = degrees(Math.acos(Math.min(Math.max(solid.pose(row)[8], -1), 1)));
-    return `rotation error ${error.toFixed(1)}°, lean ${lean.toFixed(1)}°, ${course} off course, height ${com[2].toFixed(1)}\u00a0m, ${Math.abs(com[0]).toFixed(0)}\u00a0m flown`;
+    return `rotation error ${error.toFixed(1)}°, lean ${lean.toFixed(1)}°, ${course} off course, height ${com[2].toFixed(1)}\u00a0m, ${Math.abs(com[0]).toFixed(0)}\u00a0m flown, ${speed.toFixed(1)}\u00a0m/s, air ${air.toFixed(1)}\u00a0N`;
   }
 
   play(isPlaying) {
@@ -204,22 +272,36 @@ export class Player {
     $("again").innerHTML = '<svg viewBox="0 0 16 16"><path d="M2 1h2.4v14H2zM14 1v14L5 8z"/></svg>';
     this.setRate(1);
     this.play(this.isPlaying);
-    const { colours, scales } = this.look;
-    $("legend").append(
-      ...[
-        [colours.force, `aerodynamic force on a link: ${(100 * scales.force).toFixed(0)} cm per N`],
-        [colours.plume, `thrust: ${(1e4 * scales.thrust).toFixed(0)} cm per 100 N`],
-        [colours.wind, `wind: ${(1000 * scales.wind).toFixed(0)} cm per 10 m/s`],
-        [colours.reference, "centre of mass: set-point"],
-        [colours.trail, "centre of mass: trail"],
-        [colours.ghost, "ghost; dashed in the plots"],
-      ].flatMap(([colour, words]) => [Object.assign(make("i"), { style: `background: rgb(${colour})` }), make("span", {}, words)]),
-    );
+    const { scale, words } = { scale: $("scale"), words: make("span") };
+    const rows = {
+      force: [words],
+      plume: [`thrust: ${(1e4 * this.look.scales.thrust).toFixed(0)} cm per 100 N`],
+      wind: [`wind: ${(1000 * this.look.scales.wind).toFixed(0)} cm per 10 m/s`],
+      reference: ["centre of mass: set-point"],
+      trail: ["centre of mass: trail"],
+      ghost: ["ghost; dashed in the plots"],
+    };
+    for (const [name, said] of Object.entries(rows)) {
+      const layer = this.scene.layers[name];
+      const toggle = () => ((layer.visible = box.checked), (this.isStale = true));
+      const box = make("input", { type: "checkbox", checked: true, disabled: !layer, onchange: toggle });
+      const bar = Object.assign(make("i"), { style: `background: rgb(${this.look.colours[name]})` });
+      $("legend").append(make("label", {}, box, bar, make("span", {}, ...said)));
+    }
+    const rescale = () => {
+      this.scene.scales.force = scale.value / 100;
+      words.textContent = `aerodynamic force on a link: ${scale.value} cm per N`;
+      this.isStale = true;
+    };
+    scale.value = 100 * this.look.scales.force;
+    scale.oninput = rescale;
+    rescale();
+    $("follow").onchange = () => (this.scene.follow($("follow").checked), (this.isStale = true));
   }
 
-  /** Makes the plots, whose signals are chosen from those of a flight; thrusts carry the names of `jets`. */
-  buildPlots(flight, jets) {
-    const shown = flight.signals.filter(({ name }) => !["time", "event"].includes(name));
+  /** Makes the plots, whose signals are chosen from those of a flight. */
+  buildPlots(flight) {
+    const shown = flight.signals.filter(({ name, dims }) => dims[0] === "time" && !["time", "event"].includes(name));
     this.plots = ["attitude", "com", "thrust"].map((chosen) => {
       const select = make("select", { ariaLabel: "Signal of this plot" });
       const option = (value, title, unit) => make("option", { value }, unit ? `${title} [${unit}]` : title);
@@ -227,35 +309,36 @@ export class Player {
       select.append(...shown.map(({ name, unit }) => option(name, name.replaceAll("_", " "), unit)));
       const key = make("span", { className: "key" });
       const canvas = make("canvas", { className: "plot", id: `plot-${chosen}` });
-      const plot = new Plot(canvas);
+      const made = { plot: new Plot(canvas), select, key, names: [] };
       const choose = (value) => {
         select.value = value;
-        const isThrust = value === "thrust";
         const read = (of) => {
           const { width } = of.signals.find(({ name }) => name === value) ?? { width: 0 };
           if (!width) return [];
           const series = of.series(value);
           return Array.from({ length: width }, (_, column) => (row) => series[row * width + column]);
         };
-        plot.take(DERIVED[value] ?? { read, least: isThrust ? 100 : 0, ghosted: false });
-        const names = isThrust ? jets : [];
-        key.replaceChildren(...names.map((name) => make("i", {}, name)));
+        made.plot.take(DERIVED[value] ?? { read, least: value === "thrust" ? 100 : 0 });
+        const { dims } = flight.signals.find(({ name }) => name === value) ?? { dims: [] };
+        const entries = (names, dim) => names.flatMap((name) => flight.look.labels[dim].map((label) => [...name, partName(label)]));
+        made.names = dims.length > 1 ? dims.slice(1).reduce(entries, [[]]).map((name) => name.join(" ")) : [];
+        key.replaceChildren(...made.names.map(() => make("i")));
         this.paintKeys();
         this.isStale = true;
       };
       select.onchange = () => choose(select.value);
-      const scrub = (event) => event.buttons && this.seek(plot.timeAt(event));
+      const scrub = (event) => event.buttons && this.seek(made.plot.timeAt(event));
       canvas.addEventListener("pointerdown", scrub);
       canvas.addEventListener("pointermove", scrub);
       $("plots").append(make("figure", {}, make("figcaption", {}, select, key), canvas));
       queueMicrotask(() => choose(chosen));
-      return { plot, select, key, choose };
+      return made;
     });
   }
 
   paintKeys() {
     const colours = COLOURS[isDark.matches ? "dark" : "light"];
-    for (const { key } of this.plots ?? []) [...key.children].forEach((name, index) => (name.style.color = colours[index]));
+    for (const { key } of this.plots ?? []) [...key.children].forEach((name, index) => (name.style.color = colours[index % colours.length]));
   }
 
   #listen() {
@@ -279,6 +362,7 @@ export class Player {
       ArrowRight: () => this.seek(this.now + second),
       r: () => this.seek(0),
       v: () => this.scene.view(),
+      c: () => $("follow").click(),
     };
     if (!event.target.closest("button")) keys[" "] = () => this.play(!this.isPlaying);
     return keys;

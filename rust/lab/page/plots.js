@@ -11,8 +11,8 @@ export class Plot {
   }
 
   /** What is drawn. `read(flight)`: a list of curves, each a function of the row; `least`: what the axis covers at least. */
-  take({ read, least, ghosted = true }) {
-    Object.assign(this, { read, least, ghosted });
+  take({ read, least }) {
+    Object.assign(this, { read, least });
   }
 
   /** The time [s] under a pointer. */
@@ -30,7 +30,7 @@ export class Plot {
     const [wide, high] = [Math.round(width * ratio), Math.round(height * ratio)];
     if (canvas.width !== wide || canvas.height !== high) [canvas.width, canvas.height] = [wide, high];
     this.end = end;
-    const flights = [[solid, false], ...(ghost && this.ghosted ? [[ghost, true]] : [])];
+    const flights = [[solid, false], ...(ghost ? [[ghost, true]] : [])];
     const curves = flights.flatMap(([flight, isGhost]) =>
       this.read(flight).map((value, index) => ({ ...sample(flight, value, width - LEFT, end), isGhost, index })),
     );
@@ -48,7 +48,7 @@ export class Plot {
       pen.beginPath();
       pen.setLineDash(isGhost ? [4, 3] : []);
       pen.lineWidth = isGhost ? 1.2 : 1.6;
-      pen.strokeStyle = isGhost ? style.ghost : this.colours[index % this.colours.length];
+      pen.strokeStyle = isGhost && curves.length < 3 ? style.ghost : this.colours[index % this.colours.length];
       for (const [time, value] of points) pen.lineTo(x(time), y(value));
       pen.stroke();
     }
@@ -112,7 +112,7 @@ function nice(value) {
 }
 
 /** A number in five letters. */
-function short(value) {
+export function short(value) {
   const size = Math.abs(value);
   if (size >= 1e5 || (size > 0 && size < 1e-3)) return value.toExponential(0);
   return `${Number(value.toPrecision(3))}`;

@@ -8,9 +8,6 @@ export const RAMP = [5, 10];
 /** Strongest wind that can be set [m/s]. */
 export const STRONGEST = 30;
 
-/** The engines that can be switched off, in words. */
-export const ENGINES = { l_arm_jet: "left arm", r_arm_jet: "right arm", chest_l_jet: "left chest", chest_r_jet: "right chest" };
-
 /** Choices from lists: key, label, and for each value its label and what it means. */
 export const LISTS = {
   controller: {
@@ -27,6 +24,9 @@ export const LISTS = {
     label: "air",
     values: {
       axisymmetric: ["axisymmetric links", "Drag and normal force of links with fitted areas: the air of TEST1 and TEST2."],
+      printed: ["axisymmetric, as printed", "The same with the head's coefficient as the paper prints it."],
+      signed: ["axisymmetric, signed", "The same with signed normal forces."],
+      alternative: ["axisymmetric, alternative", "The same with the alternative coefficients."],
       spheres: ["spheres and cylinders", "Drag of spheres and finite cylinders from the literature, with the Reynolds number."],
       network: ["neural network", "A network trained on public CFD data gives the force on every link: the air of TEST3 and TEST4."],
       off: ["none", "No aerodynamic force at all: what the baseline assumes."],
@@ -105,9 +105,11 @@ export function matters(key, settings) {
   return true;
 }
 
+/** Without the rounding errors of sines and cosines. */
+const tidy = (x) => Math.round(x * 1e12) / 1e12 + 0;
+
 /** Velocity of the air [m/s] of a wind of this speed from this direction. */
 export function velocity(speed, from) {
-  const tidy = (x) => Math.round(x * 1e12) / 1e12 + 0;
   return [tidy(-speed * Math.cos(from * TURN)), tidy(-speed * Math.sin(from * TURN))];
 }
 
@@ -123,142 +125,225 @@ export function rampTo([x, y]) {
   return { speed: Math.min(round(speed), STRONGEST), from: round(from) };
 }
 
-/** The ramp, where it was left at `time`, as samples. */
-export function rampUntil(settings, time) {
-  const [start, end] = RAMP;
-  const [x, y] = velocity(settings.speed, settings.from);
-  const samples = [[0, 0, 0], [start, 0, 0], [end, x, y]].filter((sample) => sample[0] < time);
-  const share = Math.min(Math.max((time - start) / (end - start), 0), 1);
-  return [...samples, [time, x * share, y * share]];
+const AIR_FILE = { spheres: "sphere_cylinder", network: "network", off: "off", axisymmetric: "axisymmetric_corrected", printed: "axisymmetric_published", signed: "axisymmetric_signed", alternative: "axisymmetric_alternative" };
+
+/** Files of controllers; two of a file differ in the aerodynamic model alone. */
+const CONTROL_FILE = { baseline: "aero_aware", aware: "aero_aware", observer: "observer", both: "observer", ahead: "mpc" };
+const hasNoModel = (controller) => ["baseline", "observer"].includes(controller);
+
+/** What configs/simulator/flight_published.toml and configs/control/aero_aware_published.toml change, but coefficients. */
+const ARMS = {
+  corrected: {
+    "simulator.lever_arm": "rotated", "simulator.integrator": "semi_implicit_euler", "simulator.joint_stops": true,
+    "controller.lever_arm": "rotated", "controller.jacobian_offset": "link_rotation", "controller.link_velocity": "at_centre",
+    "controller.torque.torque_max": false,
+  },
+  published: {
+    "simulator.lever_arm": "unrotated", "simulator.integrator": "explicit_euler", "simulator.joint_stops": false,
+    "controller.lever_arm": "unrotated", "controller.jacobian_offset": "base_rotation", "controller.link_velocity": "shifted_twice",
+    "controller.torque.torque_max": 50,
+  },
+};
+
+/** The name of a part in words: "l_arm_jet" is the left arm jet. */
+export function partName(name) {
+  const words = name.split("_");
+  const side = words.findIndex((word) => word === "l" || word === "r");
+  if (side >= 0) words.unshift({ l: "left", r: "right" }[words.splice(side, 1)[0]]);
+  return words.join(" ");
 }
 
-function wind(settings) {
-  if (settings.steer.length) {
+/** The choices about a configuration: what it has, what can be changed, and which changes a choice is. */
+export class Scenario {
+  /** Resolved configuration, jets of its robot, name of its mission in `LISTS`, and further networks among its files. */
+  constructor({ config, jets }, mission = "given", networks = []) {
+    this.config = config;
+    this.jets = jets;
+    const { simulator, controller, disturbances } = config;
+    const isPublished = simulator.lever_arm === "unrotated";
+    const hasObserver = Boolean(controller.observer?.gain_force);
+    const isOff = controller.aero.model === "off";
+    const still = { profile: "ramp", velocity: [0, 0, 0], ramp_start: RAMP[0], ramp_end: RAMP[1] };
+    // Still air does not say how a wind rises.
+    const isStill = config.wind.profile === "constant" && !Math.hypot(...config.wind.velocity);
+    this.wind = isStill ? still : config.wind;
+    const [x, y, z] = this.wind.velocity ?? [0, 0, 0];
+    this.hasWind = Boolean(this.wind.velocity);
+    this.canDrag = ["ramp", "constant"].includes(this.wind.profile) && z === 0;
+    this.ramp = [this.wind.ramp_start ?? 0, this.wind.ramp_end ?? 0];
+    const [speed, from] = speedAndDirection(x, y);
+    const airOf = ({ model, coefficients, card }) => {
+      const named = { off: "off", sphere_cylinder: "spheres", network: networkOf(card, networks) }[model];
+      if (model !== "axisymmetric") return named ?? "given";
+      if (coefficients === (isPublished ? "published" : "corrected")) return "axisymmetric";
+      return { published: "printed", signed: "signed", alternative: "alternative" }[coefficients] ?? "given";
+    };
+    const isSame = isOff || JSON.stringify(controller.aero) === JSON.stringify(simulator.aero);
+    const { model_error: errors, aero_estimate: estimate, wind_estimate: sensor } = disturbances ?? {};
+    this.start = {
+      ...DEFAULTS,
+      controller: controller.mpc ? "ahead" : { false: isOff ? "baseline" : "aware", true: isOff ? "observer" : "both" }[hasObserver],
+      air: airOf(simulator.aero),
+      model: isSame ? "same" : airOf(controller.aero),
+      arms: isPublished ? "published" : "corrected",
+      mission,
+      speed: tidy(speed),
+      from: tidy(from),
+      kp: controller.momentum.kp_linear[0],
+      c0: controller.momentum.c0,
+      ko: hasObserver ? controller.observer.gain_force : DEFAULTS.ko,
+      mass: errors?.mass_scale ?? 1,
+      comx: 100 * (errors?.com_offset?.[0] ?? 0),
+      comy: 100 * (errors?.com_offset?.[1] ?? 0),
+      scale: estimate?.scale ?? 1,
+      delay: sensor?.delay ?? 0,
+    };
+    this.lists = this.#lists(networks);
+  }
+
+  /** Choices that this flight has: control files and missions are of the paper's robot. */
+  #lists(networks) {
+    const { start } = this;
+    const isPaper = this.config.robot.endsWith("/ironcub_mk1.toml");
+    const fits = {
+      controller: (name) => isPaper || CONTROL_FILE[name] === CONTROL_FILE[start.controller],
+      mission: () => isPaper,
+    };
+    const further = Object.fromEntries(networks.map((name) => [`network ${name}`, [`network ${name}`, "A network of configs/aero/networks."]]));
+    return Object.fromEntries(Object.entries(LISTS).map(([key, { label, values }]) => {
+      const given = start[key] === "given" ? { given: ["as in the result", "What the result was flown with."] } : {};
+      const kept = Object.entries(values).filter(([name]) => !fits[key] || fits[key](name));
+      return [key, { label, values: { ...given, ...Object.fromEntries(kept), ...(["air", "model"].includes(key) ? further : {}) } }];
+    }));
+  }
+
+  /** A wind as it was until `time`, as samples (time, x, y). */
+  windUntil(settings, time) {
+    const [start, end] = this.ramp;
+    const [x, y] = velocity(settings.speed, settings.from);
+    const rise = end > 0 ? [[0, 0, 0], [start, 0, 0], [end, x, y]] : [[0, x, y]];
+    const samples = rise.filter((sample, index) => sample[0] < time && (!index || sample[0] > rise[index - 1][0]));
+    const share = end > start ? Math.min(Math.max((time - start) / (end - start), 0), 1) : 1;
+    return [...samples, [time, x * share, y * share]];
+  }
+
+  windOf(settings) {
+    if (!settings.steer.length) return { ...this.wind, velocity: [...velocity(settings.speed, settings.from), this.wind.velocity[2]] };
     const [[left], ...dragged] = settings.steer;
-    const samples = [...rampUntil(settings, left), ...dragged];
+    const samples = [...this.windUntil(settings, left), ...dragged];
     return { profile: "samples", samples: samples.map(([time, x, y]) => [time, x, y, 0]) };
   }
-  const [x, y] = velocity(settings.speed, settings.from);
-  return { profile: "ramp", velocity: [x, y, 0], ramp_start: RAMP[0], ramp_end: RAMP[1] };
-}
 
-const AIR_FILE = { spheres: "sphere_cylinder", network: "network", off: "off" };
-
-function aero(air, arms) {
-  const axisymmetric = arms === "published" ? "axisymmetric_published" : "axisymmetric_corrected";
-  return { base: `../aero/${AIR_FILE[air] ?? axisymmetric}.toml` };
-}
-
-function controller(settings) {
-  const { arms } = settings;
-  const isPublished = arms === "published";
-  const file = { baseline: "baseline", observer: "observer_without_model", both: "observer", ahead: "mpc" }[settings.controller];
-  const table = { base: `../control/${file ?? (isPublished ? "aero_aware_published" : "aero_aware")}.toml` };
-  if (isPublished && file) table.torque = { torque_max: 50 }; // as in configs/experiments/test1_published.toml
-  if (matters("model", settings)) {
-    table.aero = aero(settings.model === "same" ? settings.air : settings.model, arms);
-    // As in configs/control/aero_aware_published.toml.
-    if (isPublished) Object.assign(table, { lever_arm: "unrotated", jacobian_offset: "base_rotation", link_velocity: "shifted_twice" });
-    // Only the axisymmetric model, with forces at the links' centres, has derivatives.
-    const isAxisymmetric = ["axisymmetric", "off"].includes(settings.model === "same" ? settings.air : settings.model);
-    if (settings.controller === "ahead" && (isPublished || !isAxisymmetric)) table.mpc = { air: "constant" };
+  #air(name, arms) {
+    const printed = name === "axisymmetric" && arms === "published";
+    const table = { base: `../aero/${name.startsWith("network ") ? "network" : AIR_FILE[printed ? "printed" : name]}.toml` };
+    return name.startsWith("network ") ? { ...table, card: `../aero/networks/${name.slice(8)}.json` } : table;
   }
-  const momentum = {};
-  if (matters("kp", settings) && settings.kp !== DEFAULTS.kp) {
-    momentum.kp_linear = Array(3).fill(settings.kp);
-    momentum.kd_linear = Array(3).fill(2 * Math.sqrt(settings.kp));
+
+  /** The changes that settings are: dotted keys with their values, in order. */
+  changes(settings) {
+    const { start, config } = this;
+    const { arms, controller } = settings;
+    const changed = {};
+    const has = (...keys) => keys.some((key) => settings[key] !== start[key]);
+    if (has("mission")) Object.assign(changed, { mission: { base: `../mission/${settings.mission}.toml` }, "simulator.duration": DURATION[settings.mission] });
+    if (has("air", "arms") && settings.air !== "given") changed["simulator.aero"] = this.#air(settings.air, arms);
+    const isReplaced = CONTROL_FILE[controller] !== CONTROL_FILE[start.controller];
+    if (isReplaced) changed.controller = { base: `../control/${CONTROL_FILE[controller]}.toml` };
+    for (const [key, value] of Object.entries(ARMS[arms])) {
+      if (has("arms") || (isReplaced && key.startsWith("controller"))) changed[key] = value;
+    }
+    const model = settings.model === "same" ? settings.air : settings.model;
+    if (isReplaced || has("controller", "model") || (has("air", "arms") && !hasNoModel(controller))) {
+      const given = settings.model === "same" ? config.simulator.aero : config.controller.aero;
+      changed["controller.aero"] = hasNoModel(controller) ? this.#air("off") : model === "given" ? given : this.#air(model, arms);
+      // Only the axisymmetric model, with forces at the links' centres, has derivatives.
+      const isLinear = arms === "corrected" && ["axisymmetric", "printed", "signed", "alternative", "off"].includes(model);
+      if (controller === "ahead" && !isLinear) changed["controller.mpc.air"] = "constant";
+    }
+    if (isReplaced || has("kp")) {
+      changed["controller.momentum.kp_linear"] = Array(3).fill(settings.kp);
+      changed["controller.momentum.kd_linear"] = Array(3).fill(2 * Math.sqrt(settings.kp));
+    }
+    if (isReplaced || has("c0")) changed["controller.momentum.c0"] = settings.c0;
+    if (matters("ko", settings) && (isReplaced || has("ko"))) Object.assign(changed, { "controller.observer.gain_force": settings.ko, "controller.observer.gain_moment": settings.ko });
+    const offset = config.disturbances?.model_error?.com_offset?.[2] ?? 0;
+    if (has("mass")) changed["disturbances.model_error.mass_scale"] = settings.mass;
+    if (has("comx", "comy")) changed["disturbances.model_error.com_offset"] = [settings.comx / 100, settings.comy / 100, offset];
+    if (has("scale")) changed["disturbances.aero_estimate.scale"] = settings.scale;
+    if (has("delay")) changed["disturbances.wind_estimate.delay"] = settings.delay;
+    if (settings.engine) changed["disturbances.jets.failure"] = { jet: settings.engine[0], time: settings.engine[1], kind: "off" };
+    if (settings.steer.length || has("speed", "from")) changed.wind = this.windOf(settings);
+    const link = this.toHash(settings);
+    if (link) Object.assign(changed, { title: this.title(settings), description: `Flown in the lab: ${link}` });
+    return Object.entries(changed);
   }
-  if (matters("c0", settings) && settings.c0 !== DEFAULTS.c0) momentum.c0 = settings.c0;
-  if (Object.keys(momentum).length) table.momentum = momentum;
-  if (matters("ko", settings) && settings.ko !== DEFAULTS.ko) table.observer = { gain_force: settings.ko, gain_moment: settings.ko };
-  return table;
+
+  /** One line that identifies a flight. */
+  title(settings) {
+    const link = this.toHash(settings);
+    const test = this.start.mission !== "given" && Object.entries(TESTS).find(([, test]) => this.toHash({ ...this.start, ...test }) === link);
+    if (test || !link) return test ? `${test[0]} in the lab` : this.config.title;
+    const named = (key) => this.lists[key].values[settings[key]][0];
+    const wind = settings.steer.length ? "dragged wind" : !this.hasWind ? "its wind" : settings.speed ? `${round(settings.speed)} m/s from ${round(settings.from)}°` : "still air";
+    const scale = settings.scale === 1 || hasNoModel(settings.controller) ? "" : ` × ${settings.scale}`;
+    const parts = [named("controller") + scale, settings.mission === "given" ? [] : named("mission"), wind, settings.air === "given" ? [] : `air: ${named("air")}`];
+    return parts.flat().join(", ") + (settings.arms === "published" ? ", published arms" : "");
+  }
+
+  // A link: `#key=value&…`, only what differs from the start. A dragged wind is a list of knots `dt.x.y` in units of 10 ms and
+  // 0.01 m/s, in base 36.
+
+  toHash(settings) {
+    const parts = [];
+    for (const [key, normal] of Object.entries(this.start)) {
+      const value = settings[key];
+      if (key === "steer") {
+        let before = 0;
+        const knots = value.map(([time, ...xy]) => {
+          const at = Math.round(time * UNIT);
+          const knot = [at - before, ...xy.map((part) => Math.round(part * UNIT))].map((whole) => whole.toString(36)).join(".");
+          before = at;
+          return knot;
+        });
+        if (knots.length) parts.push(`steer=${knots.join("~")}`);
+      } else if (key === "engine") {
+        if (value) parts.push(`engine=${value[0]}.${Math.round(value[1] * UNIT)}`);
+      } else if (value !== normal) {
+        parts.push(`${key}=${encodeURIComponent(value)}`);
+      }
+    }
+    return parts.length ? `#${parts.join("&")}` : "";
+  }
+
+  /** Settings of a link; what it does not say, or says wrongly, is as at the start. */
+  fromHash(hash) {
+    const settings = { ...this.start, steer: [] };
+    for (const [key, text] of new URLSearchParams(hash.replace(/^#/, ""))) {
+      if (Object.hasOwn(this.lists, key) && Object.hasOwn(this.lists[key].values, text)) settings[key] = text;
+      const range = NUMBERS[key] ?? (this.hasWind && { speed: { min: 0, max: STRONGEST }, from: { min: -180, max: 180 } }[key]);
+      const number = Number(text);
+      if (range && text !== "" && number >= range.min && number <= range.max) settings[key] = number;
+      if (key === "engine") {
+        const [jet, time] = text.split(".");
+        if (this.jets.includes(jet) && /^\d{1,9}$/.test(time)) settings.engine = [jet, Number(time) / UNIT];
+      }
+      if (key === "steer" && this.canDrag) settings.steer = readSteer(text);
+    }
+    return settings;
+  }
 }
 
-function disturbances(settings) {
-  const table = {};
-  const { mass, comx, comy, scale, delay, engine } = settings;
-  if (mass !== 1 || comx || comy) table.model_error = { mass_scale: mass, com_offset: [comx / 100, comy / 100, 0] };
-  if (matters("scale", settings) && scale !== 1) table.aero_estimate = { scale };
-  if (matters("delay", settings) && delay) table.wind_estimate = { delay };
-  if (engine) table.jets = { failure: { jet: engine[0], time: engine[1], kind: "off" } };
-  return table;
+/** The name of a network of configs/aero/networks in `LISTS` or among others; undefined for another. */
+function networkOf(card, networks) {
+  const name = /configs\/(?:experiments\/\.\.\/)?aero\/networks\/(.*)\.json$/.exec(card ?? "")?.[1];
+  return name === "default" ? "network" : networks.includes(name) ? `network ${name}` : undefined;
 }
-
-/** One line that identifies a flight. */
-export function title(settings) {
-  const test = Object.entries(TESTS).find(([, test]) => toHash({ ...DEFAULTS, ...test }) === toHash(settings));
-  if (test) return `${test[0]} in the lab`;
-  const named = (key) => LISTS[key].values[settings[key]][0];
-  const arms = settings.arms === "published" ? ", published arms" : "";
-  const wind = settings.steer.length ? "dragged wind" : settings.speed ? `${settings.speed} m/s from ${settings.from}°` : "still air";
-  return `${named("controller")}, ${named("mission")}, ${wind}, air: ${named("air")}${arms}`;
-}
-
-/** A configuration as a file of `configs/experiments` would be. */
-export function configuration(settings) {
-  const isPublished = settings.arms === "published";
-  return {
-    title: title(settings),
-    description: `Flown in the lab: ${toHash(settings) || "#"}`,
-    robot: "../robot/ironcub_mk1.toml",
-    simulator: {
-      base: `../simulator/flight${isPublished ? "_published" : ""}.toml`,
-      aero: aero(settings.air, settings.arms),
-      duration: DURATION[settings.mission],
-    },
-    controller: controller(settings),
-    mission: { base: `../mission/${settings.mission}.toml` },
-    wind: wind(settings),
-    disturbances: disturbances(settings),
-  };
-}
-
-// A link: `#key=value&…`, only what differs from the defaults. A dragged wind is a list of knots `dt.x.y` in units of 10 ms and
-// 0.01 m/s, in base 36.
 
 const UNIT = 100;
 
 /** To the resolution of a link. */
 export const round = (number) => Math.round(number * UNIT) / UNIT + 0;
-
-export function toHash(settings) {
-  const parts = [];
-  for (const [key, normal] of Object.entries(DEFAULTS)) {
-    const value = settings[key];
-    if (key === "steer") {
-      let before = 0;
-      const knots = value.map(([time, ...xy]) => {
-        const at = Math.round(time * UNIT);
-        const knot = [at - before, ...xy.map((part) => Math.round(part * UNIT))].map((whole) => whole.toString(36)).join(".");
-        before = at;
-        return knot;
-      });
-      if (knots.length) parts.push(`steer=${knots.join("~")}`);
-    } else if (key === "engine") {
-      if (value) parts.push(`engine=${value[0]}.${Math.round(value[1] * UNIT)}`);
-    } else if (value !== normal) {
-      parts.push(`${key}=${value}`);
-    }
-  }
-  return parts.length ? `#${parts.join("&")}` : "";
-}
-
-/** Settings of a link; what it does not say, or says wrongly, is as by default. */
-export function fromHash(hash) {
-  const settings = { ...DEFAULTS, steer: [] };
-  for (const [key, text] of new URLSearchParams(hash.replace(/^#/, ""))) {
-    if (Object.hasOwn(LISTS, key) && Object.hasOwn(LISTS[key].values, text)) settings[key] = text;
-    const range = NUMBERS[key] ?? { speed: { min: 0, max: STRONGEST }, from: { min: -180, max: 180 } }[key];
-    const number = Number(text);
-    if (range && text !== "" && number >= range.min && number <= range.max) settings[key] = number;
-    if (key === "engine") {
-      const [jet, time] = text.split(".");
-      if (Object.hasOwn(ENGINES, jet) && /^\d{1,9}$/.test(time)) settings.engine = [jet, Number(time) / UNIT];
-    }
-    if (key === "steer") settings.steer = readSteer(text);
-  }
-  return settings;
-}
 
 function readSteer(text) {
   let at = 0;

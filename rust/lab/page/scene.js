@@ -1,6 +1,7 @@
 // The scene: robot, ghost, thrusts, forces, wind, trail; three.js, z up.
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { bytes } from "./lab.js";
 
 const THEMES = {
   light: { sky: 0xd5e4f0, ground: 0xe4e8ec, fine: 0xb9c0c8, coarse: 0x7d8792, ink: "#3a4450", light: 2.2 },
@@ -90,9 +91,11 @@ class Robot extends THREE.Group {
       depthWrite: false,
     });
     const cone = new THREE.ConeGeometry(look.plume_radius, 1, 20, 1, true).rotateX(Math.PI / 2).translate(0, 0, 0.5);
+    this.exhausts = new THREE.Group();
+    this.add(this.exhausts);
     this.plumes = look.jets.map((jet) => {
       const mesh = new THREE.Mesh(cone, plume);
-      this.add(mesh);
+      this.exhausts.add(mesh);
       return { mesh, jet, position: new THREE.Vector3(...jet.position), axis: new THREE.Vector3(...jet.axis) };
     });
   }
@@ -114,13 +117,11 @@ class Robot extends THREE.Group {
   }
 }
 
-const numbers = (type, base64) => new type(Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0)).buffer);
-
 function geometryOf({ kind, size, vertices, faces }) {
   if (kind === "mesh") {
     const geometry = new THREE.BufferGeometry();
-    geometry.setAttribute("position", new THREE.BufferAttribute(numbers(Float32Array, vertices), 3));
-    geometry.setIndex(new THREE.BufferAttribute(numbers(Uint32Array, faces), 1));
+    geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(bytes(vertices).buffer), 3));
+    geometry.setIndex(new THREE.BufferAttribute(new Uint32Array(bytes(faces).buffer), 1));
     const faceted = geometry.toNonIndexed(); // corners of a triangle have its normal
     faceted.computeVertexNormals();
     return faceted;
@@ -136,8 +137,10 @@ function matrixOf(r, p) {
 }
 
 export class Scene {
-  constructor(canvas, look, ghostLook) {
+  constructor(canvas, look) {
     this.look = look;
+    this.scales = { ...look.scales };
+    this.at = new THREE.Vector3(); // of the robot, from where it is followed; zero if it is
     this.canvas = canvas;
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true });
     this.renderer.shadowMap.enabled = true;
@@ -152,8 +155,7 @@ export class Scene {
     this.scene.add(this.world);
     this.#light();
     this.robot = new Robot(look, false);
-    this.ghost = new Robot(ghostLook, true);
-    this.ghost.visible = false;
+    this.ghost = null;
     const line = (name, opacity) =>
       new THREE.LineBasicMaterial({ color: colour(look.colours[name]), transparent: true, opacity });
     this.trail = new Path(line("trail", 0.95));
@@ -168,8 +170,14 @@ export class Scene {
     // Larger than the arrow's head, so that a finger hits it.
     const unseen = new THREE.MeshBasicMaterial({ transparent: true, opacity: 0, depthWrite: false });
     this.grip = new THREE.Mesh(new THREE.SphereGeometry(0.2, 12, 8), unseen);
-    this.world.add(this.robot, this.ghost, this.trail, this.ghostTrail, this.reference, this.cross, this.wind, this.grip);
-    this.world.add(...this.forces.map(({ arrow }) => arrow));
+    /** What can be hidden, by the names of its colours. */
+    this.layers = Object.fromEntries(["force", "wind", "reference", "trail"].map((name) => [name, new THREE.Group()]));
+    this.layers.force.add(...this.forces.map(({ arrow }) => arrow));
+    this.layers.wind.add(this.wind, this.grip);
+    this.layers.reference.add(this.reference, this.cross);
+    this.layers.trail.add(this.trail);
+    this.world.add(this.robot, this.ghostTrail, ...Object.values(this.layers));
+    this.layers.plume = this.robot.exhausts;
     this.#streaks();
     this.posts = [];
     this.#mark(140);
@@ -181,7 +189,6 @@ export class Scene {
   #light() {
     this.sky = new THREE.HemisphereLight(0xffffff, 0x9aa0a8, 1.6);
     this.sun = new THREE.DirectionalLight(0xffffff, 2.2);
-    this.sun.position.set(-3, -4, 8);
     this.sun.castShadow = true;
     this.sun.shadow.mapSize.set(1024, 1024);
     Object.assign(this.sun.shadow.camera, { left: -3, right: 3, top: 3, bottom: -3, near: 1, far: 30 });
@@ -239,7 +246,7 @@ export class Scene {
     const material = new THREE.LineBasicMaterial({ color: colour(this.look.colours.wind), transparent: true, opacity: 0.55 });
     this.streaks = new THREE.LineSegments(geometry, material);
     this.streaks.frustumCulled = false;
-    this.scene.add(this.streaks);
+    this.layers.wind.add(this.streaks);
     // Evenly spread by the additive recurrence of the cubic plastic number.
     const ratios = [0.8191725134, 0.6710436067, 0.5497004779];
     const place = (index) => ratios.map((ratio) => (2 * ((index * ratio) % 1) - 1) * REACH);
@@ -248,8 +255,8 @@ export class Scene {
 
   /** Puts the camera where it sees robot and wind from behind the right shoulder. */
   view() {
-    this.camera.position.set(-3.7, -2.0, 1.9);
-    this.controls.target.set(0, 0, 0.85);
+    this.camera.position.set(-3.7, -2.0, 1.9).add(this.at);
+    this.controls.target.set(0, 0, 0.85).add(this.at);
     this.controls.update();
     this.isMoved = true;
   }
@@ -257,7 +264,8 @@ export class Scene {
   theme(name) {
     const theme = THEMES[name];
     this.scene.background = new THREE.Color(theme.sky);
-    this.scene.fog = new THREE.Fog(theme.sky, 12, 50);
+    this.scene.fog = new THREE.Fog(theme.sky);
+    this.follow(this.isFollowed ?? true);
     this.plane.material.color.set(theme.ground);
     this.sun.intensity = theme.light;
     this.ground.fine.value.set(theme.fine);
@@ -272,6 +280,13 @@ export class Scene {
       sprite.material.map.needsUpdate = true;
     }
     this.isMoved = true;
+  }
+
+  /** Lets the camera go with the robot, or stand and turn towards it. */
+  follow(isFollowed) {
+    this.isFollowed = isFollowed;
+    this.controls.maxDistance = isFollowed ? 40 : 250;
+    Object.assign(this.scene.fog, isFollowed ? { near: 12, far: 50 } : { near: 60, far: 250 });
   }
 
   resize() {
@@ -290,12 +305,19 @@ export class Scene {
   /** Shows a moment of a flight, and of a ghost if there is one; `seconds` have passed since the last. */
   show(now, ghost, seconds) {
     const com = new THREE.Vector3(...now.com);
-    const height = FOLLOWED - com.z;
-    this.world.position.set(-com.x, -com.y, height);
+    const { position } = this.world;
+    if (this.isFollowed) position.set(-com.x, -com.y, FOLLOWED - com.z);
+    const moved = com.clone().add(position).sub(this.at);
+    moved.z -= FOLLOWED;
+    this.at.add(moved);
+    if (this.isFollowed) this.camera.position.add(moved);
+    this.controls.target.add(moved);
+    this.sun.target.position.copy(this.at);
+    this.sun.position.set(-3, -4, 8).add(this.at);
     const bodies = this.robot.show(now.poses, now.thrust);
     this.forces.forEach(({ arrow, link, at }, index) => {
       const force = new THREE.Vector3(...now.forces.subarray(3 * index, 3 * index + 3));
-      arrow.show(at.clone().applyMatrix4(bodies[link.body]), force.multiplyScalar(this.look.scales.force));
+      arrow.show(at.clone().applyMatrix4(bodies[link.body]), force.multiplyScalar(this.scales.force));
     });
     this.trail.show(now.path, now.row);
     this.reference.show(now.referencePath, now.row);
@@ -304,13 +326,19 @@ export class Scene {
     this.windCentre = com.clone().add(new THREE.Vector3(0, 0, this.look.overhead));
     this.wind.show(this.windCentre.clone().addScaledVector(wind, -0.5), wind);
     this.grip.position.copy(this.windCentre).addScaledVector(wind, 0.5);
-    this.ghost.visible = this.ghostTrail.visible = ghost !== null;
+    if (ghost?.look !== this.ghost?.look) {
+      if (this.ghost) this.world.remove(this.ghost);
+      this.ghost = ghost && new Robot(ghost.look, true);
+      if (ghost) this.world.add(this.ghost);
+    }
+    this.ghostTrail.visible = Boolean(ghost);
     if (ghost) {
       this.ghost.show(ghost.poses, ghost.thrust);
       this.ghostTrail.show(ghost.path, ghost.row);
     }
-    this.plane.position.z = height;
-    this.ground.offset.value.set(com.x, com.y);
+    this.plane.position.z = position.z;
+    this.ground.offset.value.set(-position.x, -position.y);
+    this.streaks.position.copy(com).sub(new THREE.Vector3(0, 0, FOLLOWED));
     this.#blow(now, seconds);
     this.isMoved = true;
   }

@@ -3,7 +3,7 @@
 use flight_core::error::BuildError;
 use flight_core::kinematics::{Kinematics, RobotState};
 use flight_core::spatial::{Pose, rotation_from_wxyz};
-use flight_io::{Schema, from_value, resolve_table};
+use flight_io::{Schema, from_value, resolve_table, set_keys};
 use flight_sim::{Flight, Scenario, ScenarioConfig, Wind, WindConfig, figures};
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
@@ -16,8 +16,13 @@ const FOLDER: &str = "configs/experiments";
 #[derive(Deserialize)]
 #[serde(tag = "ask", rename_all = "snake_case", deny_unknown_fields)]
 enum Question {
-    /// Creates a flight from a configuration, which may use the files in memory as base files.
-    Begin { config: Map<String, Value> },
+    /// Creates a flight from a configuration, which may use the files in memory as base files, with changes of dotted
+    /// keys (`flight_io::set_keys`).
+    Begin {
+        config: Map<String, Value>,
+        #[serde(default)]
+        changes: Vec<(String, Value)>,
+    },
     /// Changes the wind from the next tick on.
     Wind { flight: usize, wind: Value },
     /// Returns the outcome of a flight; before its end, as if it ended now.
@@ -46,7 +51,7 @@ impl Flights {
         let question =
             serde_json::from_slice(question).map_err(|error| BuildError::malformed("question", error));
         let answer = question.and_then(|question| match question {
-            Question::Begin { config } => self.begin(config),
+            Question::Begin { config, changes } => self.begin(config, changes),
             Question::Wind { flight, wind } => {
                 let wind: WindConfig = from_value(wind, "wind")?;
                 self.find(flight)?.flight.set_wind(Wind::new(&wind)?);
@@ -67,8 +72,13 @@ impl Flights {
         held.ok_or_else(|| BuildError::bad_value("flight", flight, "the number of one that has begun"))
     }
 
-    fn begin(&mut self, config: Map<String, Value>) -> Result<Value, BuildError> {
-        let resolved = resolve_table(config, Path::new(FOLDER), &Schema::of_type::<ScenarioConfig>())?;
+    fn begin(
+        &mut self,
+        config: Map<String, Value>,
+        changes: Vec<(String, Value)>,
+    ) -> Result<Value, BuildError> {
+        let (folder, schema) = (Path::new(FOLDER), Schema::of_type::<ScenarioConfig>());
+        let resolved = set_keys(resolve_table(config, folder, &schema)?, changes, folder, &schema)?;
         let config: ScenarioConfig = from_value(resolved, "scenario")?;
         let flight = Scenario::new(&config)?.begin();
         let robot = flight.robot();
@@ -84,7 +94,7 @@ impl Flights {
             "signals": flight.log().series.iter().map(|series| json!({
                 "name": series.signal.name,
                 "unit": series.signal.unit,
-                "row_shape": series.row_shape,
+                "dims": series.signal.dims,
                 "width": series.width(),
             })).collect::<Vec<_>>(),
         });
