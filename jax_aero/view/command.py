@@ -37,12 +37,13 @@ def _serve(given: Any) -> int:
     recordings = [recording.read(result, given.robot) for result in given.results]
     from jax_aero.view.web import fill_page, serve
 
-    config = recordings[0].config if recordings else rust.load_config("test1")
-    for reason in recordings[0].look.missing if recordings else ():
-        print(f"not drawn, or as the aerodynamic models have it: {reason}")
-    with serve(fill_page(recordings, config), given.host, given.port) as server:
-        shown = "localhost" if given.host in ("127.0.0.1", "0.0.0.0") else given.host  # noqa: S104
-        title = recordings[0].title if recordings else config["title"]
+    for flight in recordings[:1]:
+        for reason in flight.look.missing:
+            print(f"not drawn, or as the aerodynamic models have it: {reason}")
+    page = fill_page(recordings, recordings[0].config if recordings else rust.load_config("test1"))
+    with serve(page, given.host, given.port) as server:
+        shown = "localhost" if given.host in ("127.0.0.1", "0.0.0.0") else given.host
+        title = recordings[0].title if recordings else "the flight lab"
         print(f"http://{shown}:{server.server_port} shows {title}; Ctrl-C ends it", flush=True)
         server.serve_forever()
     return 0

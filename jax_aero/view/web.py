@@ -1,4 +1,4 @@
-"""The page of `rust/lab/page` with its data: recorded flights, the simulator in WebAssembly, or both; and its server."""
+"""The page of `rust/lab/page`: recorded flights, the simulator in WebAssembly, or both, written into it; its server."""
 
 from __future__ import annotations
 
@@ -124,9 +124,8 @@ def simulator_table(config: rust.Config, networks: bool) -> dict[str, Any]:
         if path.is_file():  # the simulator names one that is not
             files.append(path)
             set_key(placed, key, os.path.relpath(path, FOLDER))
-    cards = [
-        path for path in sorted(NETWORKS.glob("**/*.json")) if networks and path.stem not in ("default", "ensemble")
-    ]
+    others = ("default", "ensemble")
+    cards = [path for path in sorted(NETWORKS.glob("**/*.json")) if networks and path.stem not in others]
     files += cards
     files += [companion for path in files for companion in _companions(path)]
     contents = {os.path.relpath(path, HOME): path.read_bytes() for path in files}
@@ -179,7 +178,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
     content: bytes
     own: str
 
-    def do_GET(self) -> None:  # noqa: N802 - its name in `http.server`
+    def do_GET(self) -> None:
         if not is_own(self.own, self.headers.get_all("Host") or []):
             self.send_error(403, "this page is served to its own host alone")
         elif self.path not in ("/", "/index.html"):

@@ -1,4 +1,4 @@
-"""Builds the flight lab of the simulator: `python rust/lab/build.py WASM OUT`; its page without data is built already."""
+"""Writes the flight lab, `python rust/lab/build.py WASM OUT`, from the simulator and the page that `build.mjs` made."""
 
 from __future__ import annotations
 

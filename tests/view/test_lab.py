@@ -186,7 +186,7 @@ def test_a_chosen_controller_is_that_of_its_file(controller, name):
 
 @needs_node
 def test_what_is_not_chosen_is_kept():
-    """Factor on the estimate, a wind that is not known to the page's choices, and back to the controller of the result."""
+    """Wind, gains and sensors of the result."""
     config = changed("robustness", {"scale": 0.5, "controller": "baseline"})
     before = about("robustness")["config"]
     assert config["disturbances"]["aero_estimate"]["scale"] == 0.5

@@ -166,17 +166,18 @@ def test_what_is_not_wanted_is_hidden_and_the_camera_can_stand(visit, fallen):
     for name in ("aerodynamic force on a link", "thrust:", "wind:", "set-point", "trail"):
         page.tab.locator("#legend label", has_text=name).locator("input").uncheck()
     assert page.tab.evaluate("Object.values(page.scene.layers).some((layer) => layer.visible)") is False
-    page.tab.evaluate("scale.value = 30; scale.dispatchEvent(new Event('input'))")
+    page.tab.locator("#length").fill("30")
     assert "30 cm per N" in page.tab.locator("#legend").inner_text()
     page.seek(3.0)
     camera = page.tab.evaluate("page.scene.camera.position.toArray()")
     page.tab.keyboard.press("c")
     page.seek(20.0)
-    seen = "[page.scene.camera.position.toArray(), page.scene.controls.target.toArray(), page.scene.world.position.toArray()]"
+    places = ("camera.position", "controls.target", "world.position")
+    seen = f"[{', '.join(f'page.scene.{place}.toArray()' for place in places)}]"
     stands, target, world = page.tab.evaluate(seen)
     com = page.tab.evaluate("[...page.solid.row('com_position', page.rowAt(page.solid, 20))]")
     np.testing.assert_allclose(stands, camera, atol=1e-9)
-    np.testing.assert_allclose(target, np.add(com, world) + [0.0, 0.0, 0.1], atol=1e-5)
+    np.testing.assert_allclose(target, np.add(np.add(com, world), [0.0, 0.0, 0.1]), atol=1e-5)
     page.tab.keyboard.press("c")
     page.seek(20.0)
     np.testing.assert_allclose(page.tab.evaluate(seen)[1], [0.0, 0.0, 0.85], atol=1e-5)

@@ -241,7 +241,7 @@ export class Player {
     const course = off < 0.995 ? `${(100 * off).toFixed(1)}\u00a0cm` : `${off.toFixed(2)}\u00a0m`;
     // The third entry of the base's z axis; rotations are kept by columns, the base is the first body.
     const lean = degrees(Math.acos(Math.min(Math.max(solid.pose(row)[8], -1), 1)));
-    return `rotation error ${error.toFixed(1)}°, lean ${lean.toFixed(1)}°, ${course} off course, height ${com[2].toFixed(1)}\u00a0m, ${Math.abs(com[0]).toFixed(0)}\u00a0m flown, ${speed.toFixed(1)}\u00a0m/s, air ${air.toFixed(1)}\u00a0N`;
+    return `rotation error ${error.toFixed(1)}°, lean ${lean.toFixed(1)}°, ${course} off course, height ${com[2].toFixed(1)}\u00a0m, ${Math.abs(com[0]).toFixed(0)}\u00a0m flown, ${speed.toFixed(1)}\u00a0m/s, air ${air.toFixed(1)}\u00a0N, wind ${Math.hypot(...solid.row("wind", row)).toFixed(1)}\u00a0m/s`;
   }
 
   play(isPlaying) {
@@ -272,7 +272,7 @@ export class Player {
     $("again").innerHTML = '<svg viewBox="0 0 16 16"><path d="M2 1h2.4v14H2zM14 1v14L5 8z"/></svg>';
     this.setRate(1);
     this.play(this.isPlaying);
-    const { scale, words } = { scale: $("scale"), words: make("span") };
+    const [length, words] = [$("length"), make("span")];
     const rows = {
       force: [words],
       plume: [`thrust: ${(1e4 * this.look.scales.thrust).toFixed(0)} cm per 100 N`],
@@ -289,12 +289,12 @@ export class Player {
       $("legend").append(make("label", {}, box, bar, make("span", {}, ...said)));
     }
     const rescale = () => {
-      this.scene.scales.force = scale.value / 100;
-      words.textContent = `aerodynamic force on a link: ${scale.value} cm per N`;
+      this.scene.scales.force = length.value / 100;
+      words.textContent = `aerodynamic force on a link: ${length.value} cm per N`;
       this.isStale = true;
     };
-    scale.value = 100 * this.look.scales.force;
-    scale.oninput = rescale;
+    length.value = 100 * this.look.scales.force;
+    length.oninput = rescale;
     rescale();
     $("follow").onchange = () => (this.scene.follow($("follow").checked), (this.isStale = true));
   }
