@@ -34,6 +34,7 @@ LIBRARY = "jax_aero/_core.abi3.so"
 PROCESSORS = {0x3E: "x86_64", 0xB7: "aarch64"}
 """By `e_machine` of ELF."""
 PARTS = {LIBRARY, "jax_aero/_core.pyi", "jax_aero/py.typed", "jax_aero/configs/experiments/test2.toml"}
+PARTS |= {"jax_aero/view/page.html", "jax_aero/view/simulator.wasm.xz"}
 
 
 def check_contents(wheel: Path) -> dict[str, int]:

@@ -19,6 +19,7 @@ from jax_aero.view.recording import Recording
 sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
 
 from tests.browser import CHROMIUM, SLOWEST, open_chromium  # noqa: E402 - after the skip
+from tests.view.test_shapes import FACES, STL, draw_meshes  # noqa: E402
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
 
@@ -144,6 +145,23 @@ def test_a_result_flies_anew_and_a_flight_is_kept_as_a_ghost(visit, fallen):
     assert page.complaints == []
 
 
+def test_meshes_are_drawn(visit, standing, tmp_path):
+    pytest.importorskip("trimesh")
+    (tmp_path / "bird.stl").write_text(STL)
+    draw_meshes(tmp_path, ["bird.stl"])
+    page = visit([standing(tmp_path / "sparrow.toml")])
+    counts = page.tab.evaluate("page.scene.robot.parts.map(({ mesh }) => mesh.geometry.attributes.position.count)")
+    assert set(counts[:-1]) == {3 * len(FACES)}
+    assert page.complaints == []
+
+
+def test_what_the_page_cannot_fly_is_played_all_the_same(visit):
+    page = visit([short_flight("test1", 1.0, **{"controller.qp.solver": "clarabel"})])
+    assert page.tab.locator("#message").inner_text().startswith("This flight cannot be repeated here: ")
+    page.seek(0.5)
+    assert page.complaints == []
+
+
 def test_another_robot_flies_and_one_without_configuration_is_played(visit, standing):
     mk3 = short_flight("mk3_hover", 1.0)
     page = visit([mk3, standing(Path("configs/robot/sparrow.toml").resolve())])
@@ -163,7 +181,7 @@ def test_another_robot_flies_and_one_without_configuration_is_played(visit, stan
 
 def test_what_is_not_wanted_is_hidden_and_the_camera_can_stand(visit, fallen):
     page = visit([recording.read(fallen)])
-    for name in ("aerodynamic force on a link", "thrust:", "wind:", "set-point", "trail"):
+    for name in ("aerodynamic force on a link", "thrust:", "wind:", "set-point", "trail", "ghost"):
         page.tab.locator("#legend label", has_text=name).locator("input").uncheck()
     assert page.tab.evaluate("Object.values(page.scene.layers).some((layer) => layer.visible)") is False
     page.tab.locator("#length").fill("30")

@@ -284,7 +284,7 @@ export class Player {
     for (const [name, said] of Object.entries(rows)) {
       const layer = this.scene.layers[name];
       const toggle = () => ((layer.visible = box.checked), (this.isStale = true));
-      const box = make("input", { type: "checkbox", checked: true, disabled: !layer, onchange: toggle });
+      const box = make("input", { type: "checkbox", checked: true, onchange: toggle });
       const bar = Object.assign(make("i"), { style: `background: rgb(${this.look.colours[name]})` });
       $("legend").append(make("label", {}, box, bar, make("span", {}, ...said)));
     }

@@ -171,12 +171,13 @@ export class Scene {
     const unseen = new THREE.MeshBasicMaterial({ transparent: true, opacity: 0, depthWrite: false });
     this.grip = new THREE.Mesh(new THREE.SphereGeometry(0.2, 12, 8), unseen);
     /** What can be hidden, by the names of its colours. */
-    this.layers = Object.fromEntries(["force", "wind", "reference", "trail"].map((name) => [name, new THREE.Group()]));
+    this.layers = Object.fromEntries(["force", "wind", "reference", "trail", "ghost"].map((name) => [name, new THREE.Group()]));
     this.layers.force.add(...this.forces.map(({ arrow }) => arrow));
     this.layers.wind.add(this.wind, this.grip);
     this.layers.reference.add(this.reference, this.cross);
     this.layers.trail.add(this.trail);
-    this.world.add(this.robot, this.ghostTrail, ...Object.values(this.layers));
+    this.layers.ghost.add(this.ghostTrail);
+    this.world.add(this.robot, ...Object.values(this.layers));
     this.layers.plume = this.robot.exhausts;
     this.#streaks();
     this.posts = [];
@@ -327,9 +328,9 @@ export class Scene {
     this.wind.show(this.windCentre.clone().addScaledVector(wind, -0.5), wind);
     this.grip.position.copy(this.windCentre).addScaledVector(wind, 0.5);
     if (ghost?.look !== this.ghost?.look) {
-      if (this.ghost) this.world.remove(this.ghost);
+      if (this.ghost) this.layers.ghost.remove(this.ghost);
       this.ghost = ghost && new Robot(ghost.look, true);
-      if (ghost) this.world.add(this.ghost);
+      if (ghost) this.layers.ghost.add(this.ghost);
     }
     this.ghostTrail.visible = Boolean(ghost);
     if (ghost) {
