@@ -116,7 +116,8 @@ bits: ## fly six experiments of 20 s here and as 64-bit ARM, in emulation, and c
 	diff target/bits.here target/bits.arm
 	@echo "the same bits in all $$(wc -l < target/bits.here) signals of $(words $(BITS)) flights"
 
-wheel: $(PACKAGES) lab ## build wheel and source package into dist/, and fly with the wheel alone in an empty environment
+wheel: $(PACKAGES) ## build wheel and source package into dist/, and fly with the wheel alone in an empty environment
+	@$(MAKE) --no-print-directory lab || echo "the wheel will lack the page of \`jax-aero view\`"
 	rm -rf dist
 	$(BIN)/maturin sdist --out dist
 	$(BIN)/maturin build --release --locked --quiet --out dist

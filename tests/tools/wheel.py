@@ -34,7 +34,9 @@ LIBRARY = "jax_aero/_core.abi3.so"
 PROCESSORS = {0x3E: "x86_64", 0xB7: "aarch64"}
 """By `e_machine` of ELF."""
 PARTS = {LIBRARY, "jax_aero/_core.pyi", "jax_aero/py.typed", "jax_aero/configs/experiments/test2.toml"}
-PARTS |= {"jax_aero/view/page.html", "jax_aero/view/simulator.wasm.xz"}
+# Those that `make lab` has built.
+PARTS |= {str(part.relative_to(ROOT)) for part in (ROOT / "jax_aero/view").glob("*.html")}
+PARTS |= {str(part.relative_to(ROOT)) for part in (ROOT / "jax_aero/view").glob("*.xz")}
 
 
 def check_contents(wheel: Path) -> dict[str, int]:

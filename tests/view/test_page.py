@@ -167,9 +167,10 @@ def test_another_robot_flies_and_one_without_configuration_is_played(visit, stan
     page = visit([mk3, standing(Path("configs/robot/sparrow.toml").resolve())])
     assert page.tab.evaluate("page.scene.ghost.parts.length !== page.scene.robot.parts.length")
     assert not page.tab.get_by_label("mission").is_visible()
-    page.tab.get_by_label("speed", exact=True).fill("4")
+    page.tab.get_by_label("speed, exactly").fill("3.7")
+    page.tab.get_by_label("speed, exactly").press("Enter")
     page.seek(0.9)
-    wanted = short_flight("mk3_hover", 1.0, **{"wind.velocity": [0.0, -4.0, 0.0]})
+    wanted = short_flight("mk3_hover", 1.0, **{"wind.velocity": [0.0, -3.7, 0.0]})
     got = page.tab.evaluate("[...page.solid.row('com_position', 90)]")
     np.testing.assert_array_equal(wanted.signals["com_position"][90], got)
     assert page.complaints == []

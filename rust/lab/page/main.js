@@ -349,6 +349,7 @@ class Page extends Player {
       <path class="robot" d="M0-9L6 6H-6z"/><line class="blows" x2="0" y2="0"/><circle class="handle" r="8"/>`;
     document.title = $("title").textContent = this.isLab ? "Flight lab" : this.solid.title;
     $("tour").hidden = !this.isLab;
+    if (!this.isLab) $("plots").after($("figures"));
     $("link").hidden = $("keys").hidden = !this.lab;
     $("compass").hidden = !this.scenario?.canDrag;
     this.#buildChoices();
@@ -371,14 +372,14 @@ class Page extends Player {
     };
     const range = (key, { label, unit, min, max, step, meaning }, set, isLive) => {
       const input = make("input", { id: key, type: "range", min, max, step });
-      const output = make("output", { htmlFor: key });
-      const say = () => (output.value = `${Number(input.value)} ${unit}`);
-      input.oninput = () => (say(), isLive && set(Number(input.value)));
+      const exact = make("input", { type: "number", min, max, step: "any", ariaLabel: `${label}, exactly` });
+      exact.onchange = () => exact.reportValidity() && set(Number(exact.value));
+      input.oninput = () => ((exact.value = input.value), isLive && set(Number(input.value)));
       if (!isLive) input.onchange = () => set(Number(input.value));
       const hint = make("small", { id: `hint-${key}` }, meaning);
       input.setAttribute("aria-describedby", hint.id);
-      const box = make("div", { className: "choice" }, make("label", { htmlFor: key }, label), make("div", { className: "range" }, input, output), hint);
-      this.fields[key] = { box, show: (value) => ((input.value = value), (output.value = `${round(value)} ${unit}`)) };
+      const box = make("div", { className: "choice" }, make("label", { htmlFor: key }, label), make("div", { className: "range" }, input, exact, make("span", {}, unit)), hint);
+      this.fields[key] = { box, show: (value) => ((input.value = value), (exact.value = round(value))) };
       return box;
     };
     const group = (name, ...children) => make("fieldset", {}, make("legend", {}, name), ...children);
