@@ -22,7 +22,7 @@ from jax_aero import rust
 from jax_aero.files import complete_file, read_json
 from jax_aero.keys import get, set_key
 from jax_aero.places import CONFIGS, HOME
-from jax_aero.result import labels_of
+from jax_aero.result import is_repeated, labels_of
 from jax_aero.view import Refused, check_out, drawing
 from jax_aero.view.recording import Recording
 from jax_aero.view.shapes import Look, Mount, Shape, look_of
@@ -37,7 +37,7 @@ PLACE = "/*DATA*/null"
 """Text in the template that is replaced by the data."""
 
 RATE = 50.0
-"""Samples of a flight in an exported page [1/s]."""
+"""Samples of a recorded flight in the page [1/s]."""
 
 FOLDER = CONFIGS / "experiments"
 """Folder from which the page's paths start."""
@@ -68,14 +68,12 @@ def write_page(recordings: Sequence[Recording], out: Path) -> None:
         If the page is not built, or if `out` is not an `.html` file in an existing folder.
     """
     check_out(out, ".html")
-    page = fill_page(recordings, rate=RATE)
+    page = fill_page(recordings)
     with complete_file(out) as draft:
         draft.write_text(page, encoding="utf-8")
 
 
-def fill_page(
-    recordings: Sequence[Recording], config: rust.Config | None = None, rate: float = np.inf, networks: bool = True
-) -> str:
+def fill_page(recordings: Sequence[Recording], config: rust.Config | None = None, networks: bool = True) -> str:
     """Return the page that plays flights and, with a configuration, flies it with changes.
 
     Parameters
@@ -84,8 +82,6 @@ def fill_page(
         Flights: the first one is solid, a second one its ghost. Without them the configuration is flown.
     config
         Resolved configuration of the first robot, with absolute paths.
-    rate
-        Greatest number of samples of a flight per second.
     networks
         Whether all networks of `configs/aero/networks` can be chosen, or only the default one.
 
@@ -101,7 +97,7 @@ def fill_page(
     table = {
         "version": rust.__version__,
         "looks": [look_table(*robot) for robot in robots.values()],
-        "flights": [flight_table(one, rate) | {"look": list(robots).index(str(one.robot_path))} for one in recordings],
+        "flights": [flight_table(one) | {"look": list(robots).index(str(one.robot_path))} for one in recordings],
         "simulator": None if config is None else simulator_table(config, networks),
     }
     # Within a script, `<` may begin its end or a comment.
@@ -222,17 +218,16 @@ def look_table(look: Look, robot: rust.Robot) -> dict[str, Any]:
     }
 
 
-def flight_table(recording: Recording, rate: float) -> dict[str, Any]:
-    """Return a flight's signals and the poses of its bodies in single precision, at most `rate` samples per second."""
+def flight_table(recording: Recording) -> dict[str, Any]:
+    """Return a flight's signals and the poses of its bodies in single precision, `RATE` samples per second."""
     times = recording.signals["time"]
-    step = max(round(1.0 / rate / (times[1] - times[0])), 1) if times.size > 1 else 1
+    step = max(round(1.0 / RATE / (times[1] - times[0])), 1) if times.size > 1 else 1
     shown = np.arange(0, times.size, step)
     instants = [recording.at(time) for time in times[shown]]
     columns = [np.swapaxes(now.body_rotations, 1, 2)[:, :2].reshape(-1, 6) for now in instants]
     poses = np.concatenate([columns, [now.body_positions for now in instants]], axis=2)
     declared = rust.signals()
-    # Raw measurements are those of other signals, but for errors of sensors and missing values.
-    names = [name for name in recording.signals if not name.startswith("raw_")]
+    names = [name for name in recording.signals if not is_repeated(name, recording.signals)]
     numbers = {name: recording.signals[name][shown] for name in names}
     return {
         "title": recording.title,

@@ -10,7 +10,7 @@ import xarray as xr
 
 from jax_aero import __main__ as commands
 from jax_aero import mesh, places, rust
-from jax_aero.view import Refused, drawing, labels, recording
+from jax_aero.view import Refused, drawing, labels, recording, web
 from jax_aero.view.shapes import look_of
 
 ROOT = places.HOME
@@ -222,6 +222,18 @@ def test_three_results_are_one_too_many(fallen, capsys):
 def test_an_address_that_is_none_is_refused(words, expected, capsys):
     assert commands.main(["view", *words]) == 2
     assert expected in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [["view"], ["export", "--html", "--out", "a.html", "{}"]])
+@pytest.mark.parametrize("part", ["TEMPLATE", "SIMULATOR"])
+def test_a_page_that_is_not_built_is_named(words, part, fallen, tmp_path, monkeypatch, capsys):
+    if (words[0], part) == ("export", "SIMULATOR"):
+        pytest.skip("a file has no simulator")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(web, part, tmp_path / "missing")
+    assert commands.main([word.format(fallen) for word in words]) == 2
+    assert "`make lab` builds it" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_missing_package_is_named_with_its_extra(monkeypatch, fallen, capsys):

@@ -169,8 +169,8 @@ export class Scenario {
     this.wind = isStill ? still : config.wind;
     const [x, y, z] = this.wind.velocity ?? [0, 0, 0];
     this.hasWind = Boolean(this.wind.velocity);
-    this.canDrag = ["ramp", "constant"].includes(this.wind.profile) && z === 0;
     this.ramp = [this.wind.ramp_start ?? 0, this.wind.ramp_end ?? 0];
+    this.canDrag = z === 0 && (this.wind.profile === "constant" || (this.wind.profile === "ramp" && this.ramp[0] < this.ramp[1]));
     const [speed, from] = speedAndDirection(x, y);
     const airOf = ({ model, coefficients, card }) => {
       const named = { off: "off", sphere_cylinder: "spheres", network: networkOf(card, networks) }[model];
@@ -222,8 +222,8 @@ export class Scenario {
     const [start, end] = this.ramp;
     const [x, y] = velocity(settings.speed, settings.from);
     const rise = end > 0 ? [[0, 0, 0], [start, 0, 0], [end, x, y]] : [[0, x, y]];
-    const samples = rise.filter((sample, index) => sample[0] < time && (!index || sample[0] > rise[index - 1][0]));
-    const share = end > start ? Math.min(Math.max((time - start) / (end - start), 0), 1) : 1;
+    const samples = rise.filter(([at], index) => at < time && at !== rise[index - 1]?.[0]);
+    const share = end > 0 ? Math.min(Math.max((time - start) / (end - start), 0), 1) : 1;
     return [...samples, [time, x * share, y * share]];
   }
 
@@ -336,7 +336,7 @@ export class Scenario {
 
 /** The name of a network of configs/aero/networks in `LISTS` or among others; undefined for another. */
 function networkOf(card, networks) {
-  const name = /configs\/(?:experiments\/\.\.\/)?aero\/networks\/(.*)\.json$/.exec(card ?? "")?.[1];
+  const name = /\/aero\/networks\/(.*)\.json$/.exec(card ?? "")?.[1];
   return name === "default" ? "network" : networks.includes(name) ? `network ${name}` : undefined;
 }
 
