@@ -204,7 +204,7 @@ def is_own(own: str, hosts: Sequence[str]) -> bool:
 
 def look_table(look: Look, robot: rust.Robot) -> dict[str, Any]:
     """Return shapes, jets, links, names of parts, colours and scales as plain tables."""
-    names = ("FORCE", "WIND", "REFERENCE", "TRAIL", "PLUME", "GHOST", "FELL", "COMPLETED")
+    names = ("FORCE", "WIND", "REFERENCE", "TRAIL", "PLUME", "GHOST")
     scales = drawing.Scales()
     return {
         "shapes": [_shape(shape) for shape in look.shapes],

@@ -185,6 +185,26 @@ def test_a_chosen_controller_is_that_of_its_file(controller, name):
 
 
 @needs_node
+@pytest.mark.parametrize(
+    ("wind", "until"),
+    [
+        ({"profile": "constant", "velocity": [-3, 0, 0]}, [[0, -3, 0, 0]]),
+        ({"profile": "constant", "velocity": [0, 0, 0]}, [[0, 0, 0, 0], [5, 0, 0, 0]]),  # would rise from 5 s on
+        ({"profile": "ramp", "velocity": [-6, 0, 0], "ramp_start": 0, "ramp_end": 2}, [[0, 0, 0, 0], [2, -6, 0, 0]]),
+    ],
+)
+def test_a_wind_is_dragged_from_what_it_was(wind, until):
+    told = about("test1")
+    told["config"]["wind"] = wind
+    found = in_node(f"""
+        const shown = new scenario.Scenario({json.dumps(told)});
+        const [, ...now] = shown.windUntil(shown.start, 8).at(-1);
+        console.log(JSON.stringify(shown.windOf({{ ...shown.start, steer: [[8, ...now], [8.2, 0, 5]] }})));""")
+    before = [float(part) for part in wind["velocity"]]
+    assert found == {"profile": "samples", "samples": [*until, [8, *before], [8.2, 0, 5, 0]]}
+
+
+@needs_node
 def test_what_is_not_chosen_is_kept():
     """Wind, gains and sensors of the result."""
     config = changed("robustness", {"scale": 0.5, "controller": "baseline"})
@@ -193,6 +213,11 @@ def test_what_is_not_chosen_is_kept():
     assert config["controller"]["aero"]["model"] == "off"
     assert config["wind"] == before["wind"]
     assert {**config["controller"], "aero": None} == {**before["controller"], "aero": None}
+    # Of another robot, whose control files the page does not have.
+    config = changed("mk3_test2_mpc", {"model": "off", "air": "spheres"})
+    assert config["controller"]["aero"] == {"model": "off"}
+    assert config["simulator"]["aero"]["model"] == "sphere_cylinder"
+    assert config["controller"]["weights"] == about("mk3_test2_mpc")["config"]["controller"]["weights"]
 
 
 @needs_node

@@ -1,9 +1,9 @@
 // What can be chosen, what each choice means, how the choices make a configuration, and how a link carries them.
 
-export const TURN = Math.PI / 180;
+const TURN = Math.PI / 180;
 
 /** The wind of the paper rises between these times [s]. */
-export const RAMP = [5, 10];
+const RAMP = [5, 10];
 
 /** Strongest wind that can be set [m/s]. */
 export const STRONGEST = 30;
@@ -39,6 +39,7 @@ export const LISTS = {
       axisymmetric: ["axisymmetric links", "The controller's model is of axisymmetric links, whatever the air is."],
       spheres: ["spheres and cylinders", "The controller's model is of spheres and cylinders, whatever the air is."],
       network: ["neural network", "The controller's model is the network, whatever the air is."],
+      off: ["none", "The controller has no model of the air."],
     },
   },
   arms: {
@@ -178,11 +179,12 @@ export class Scenario {
       if (coefficients === (isPublished ? "published" : "corrected")) return "axisymmetric";
       return { published: "printed", signed: "signed", alternative: "alternative" }[coefficients] ?? "given";
     };
-    const isSame = isOff || JSON.stringify(controller.aero) === JSON.stringify(simulator.aero);
+    const name = controller.mpc ? "ahead" : { false: isOff ? "baseline" : "aware", true: isOff ? "observer" : "both" }[hasObserver];
+    const isSame = hasNoModel(name) || JSON.stringify(controller.aero) === JSON.stringify(simulator.aero);
     const { model_error: errors, aero_estimate: estimate, wind_estimate: sensor } = disturbances ?? {};
     this.start = {
       ...DEFAULTS,
-      controller: controller.mpc ? "ahead" : { false: isOff ? "baseline" : "aware", true: isOff ? "observer" : "both" }[hasObserver],
+      controller: name,
       air: airOf(simulator.aero),
       model: isSame ? "same" : airOf(controller.aero),
       arms: isPublished ? "published" : "corrected",
@@ -261,11 +263,11 @@ export class Scenario {
       const isLinear = arms === "corrected" && ["axisymmetric", "printed", "signed", "alternative", "off"].includes(model);
       if (controller === "ahead" && !isLinear) changed["controller.mpc.air"] = "constant";
     }
-    if (isReplaced || has("kp")) {
+    if (matters("kp", settings) && (isReplaced || has("kp"))) {
       changed["controller.momentum.kp_linear"] = Array(3).fill(settings.kp);
       changed["controller.momentum.kd_linear"] = Array(3).fill(2 * Math.sqrt(settings.kp));
     }
-    if (isReplaced || has("c0")) changed["controller.momentum.c0"] = settings.c0;
+    if (matters("c0", settings) && (isReplaced || has("c0"))) changed["controller.momentum.c0"] = settings.c0;
     if (matters("ko", settings) && (isReplaced || has("ko"))) Object.assign(changed, { "controller.observer.gain_force": settings.ko, "controller.observer.gain_moment": settings.ko });
     const offset = config.disturbances?.model_error?.com_offset?.[2] ?? 0;
     if (has("mass")) changed["disturbances.model_error.mass_scale"] = settings.mass;
