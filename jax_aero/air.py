@@ -1,4 +1,4 @@
-"""Aerodynamic forces on links for other simulators, with a `mujoco.MjModel` or a model of MJX.
+"""Aerodynamic forces on links for other simulators: MuJoCo and MJX here, MuJoCo Warp and Newton in `air_warp`.
 
 >>> import mujoco
 >>> from jax_aero import air
@@ -21,8 +21,8 @@ each acts at its link's aerodynamic centre and depends on the wind relative to i
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple, cast
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -95,14 +95,16 @@ class LinkLoads(NamedTuple):
 
 @pytree
 class Air:
-    """The air around the links of one MuJoCo model. Every number is a leaf."""
+    """The air around the links of one model of another simulator. Every number is a leaf."""
 
     aero: AeroModel
     robot: RobotModel
+    names: Static[tuple[str, ...]]
+    """Names of the model's bodies that carry links, in the order of the bodies of `robot`."""
     bodies: Static[tuple[int, ...]]
-    """MuJoCo bodies that carry links, in the order of the bodies of `robot`."""
+    """Indices of these bodies."""
     roots: Static[tuple[int, ...]]
-    """Root body of the tree of each of these bodies."""
+    """Root body of the tree of each of these bodies; empty for a model of Newton."""
     joints: Static[tuple[int, ...]]
     """Index in `qpos` of each joint of the robot; empty if links are declared."""
 
@@ -207,12 +209,12 @@ def mujoco_model(robot: str = "ironcub_mk1") -> Any:
 
 
 def from_robot(model: Any, robot: str = "ironcub_mk1", aero: str | AeroModel | None = None, prefix: str = "") -> Air:
-    """Return the air around one of our robots in a MuJoCo model whose bodies and joints have the names of its URDF.
+    """Return the air around one of our robots in a model whose bodies and joints have the names of its URDF.
 
     Parameters
     ----------
     model
-        A `mujoco.MjModel`, such as that of `mujoco_model`.
+        A `mujoco.MjModel`, such as that of `mujoco_model`, or a `newton.Model`.
     robot
         Name in `configs/robot`, or the path of a robot's TOML file.
     aero
@@ -229,16 +231,17 @@ def from_robot(model: Any, robot: str = "ironcub_mk1", aero: str | AeroModel | N
     aero = default_model(ours) if aero is None else aero
     chosen = aero_model(settings(aero), ours) if isinstance(aero, str) else aero
     try:
-        bodies = [_body(model, prefix + name) for name in ours.body_names]
-        joints = [model.joint(_check_name(model, "joint", prefix + name)).qposadr[0] for name in ours.joint_names]
+        found = _air(model, chosen, ours, [prefix + name for name in ours.body_names])
+        joints = [_index(model, "joint", prefix + name) for name in ours.joint_names]
     except ValueError as reason:
         hint = f"MuJoCo fixes the base of a URDF to its world; air.mujoco_model({robot!r}) makes a model that has all"
         raise ValueError(f"{reason}; {hint}") from None
-    return _air(model, chosen, ours, bodies, joints)
+    starts = model.joint_q_start.numpy() if _is_newton(model) else model.jnt_qposadr
+    return replace(found, joints=tuple(int(starts[joint]) for joint in joints))
 
 
 def from_links(model: Any, links: Sequence[Link], aero: str = "sphere_cylinder") -> Air:
-    """Return the air around declared links of a `mujoco.MjModel`.
+    """Return the air around declared links of a `mujoco.MjModel` or a `newton.Model`.
 
     `aero` is a sphere and cylinder model of `configs/aero`; links with coefficients use the axisymmetric model.
 
@@ -282,21 +285,29 @@ def from_links(model: Any, links: Sequence[Link], aero: str = "sphere_cylinder")
             raise ValueError(f"`aero` is `{aero}`; expected a sphere and cylinder model, or links with coefficients")
         with jax.enable_x64(True):
             chosen = aero_model(shapes, limbs)
-    return _air(model, chosen, limbs, [_body(model, name) for name in bodies], [])
+    return _air(model, chosen, limbs, bodies)
 
 
-def _air(model: Any, aero: AeroModel, robot: RobotModel, bodies: list[int], joints: list[Any]) -> Air:
-    roots = tuple(int(model.body_rootid[body]) for body in bodies)
-    return Air(aero, robot, tuple(bodies), roots, tuple(int(place) for place in joints))
+def _air(model: Any, aero: AeroModel, robot: RobotModel, names: Sequence[str]) -> Air:
+    bodies = tuple(_index(model, "body", name) for name in names)
+    roots = () if _is_newton(model) else tuple(int(model.body_rootid[body]) for body in bodies)
+    return Air(aero, robot, tuple(names), bodies, roots, ())
 
 
-def _body(model: Any, name: str) -> int:
-    return int(model.body(_check_name(model, "body", name)).id)
-
-
-def _check_name(model: Any, kind: str, name: str) -> str:
-    count, of = (model.nbody, model.body) if kind == "body" else (model.njnt, model.joint)
-    names = [of(index).name for index in range(count)]
+def _index(model: Any, kind: Literal["body", "joint"], name: str) -> int:
+    names = names_in(model, kind)
     if name not in names:
         raise ValueError(f"the model has no {kind} `{name}`{places.did_you_mean(name, names)}")
-    return name
+    return names.index(name)
+
+
+def names_in(model: Any, kind: Literal["body", "joint"]) -> list[str]:
+    """Return the names of the bodies or joints of a model; Newton's are paths, of which the last part is taken."""
+    if _is_newton(model):
+        return [label.rpartition("/")[2] for label in getattr(model, f"{kind}_label")]
+    count, of = (model.nbody, model.body) if kind == "body" else (model.njnt, model.joint)
+    return [of(index).name for index in range(count)]
+
+
+def _is_newton(model: Any) -> bool:
+    return hasattr(model, "body_label")

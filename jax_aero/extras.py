@@ -9,6 +9,7 @@ from types import ModuleType
 from typing import Any
 
 EXTRAS = {
+    "jax_aero.air_warp": "warp",
     "jax_aero.env_gym": "rl",
     "jax_aero.symbolic": "symbolic",
     "jax_aero.view": "view",
