@@ -267,6 +267,6 @@ $(TESTING): requirements.hashed | $(MODULE)
 	@mv $@.txt $@
 
 $(PACKAGES): requirements.hashed | $(TESTING)
-	@echo "set-up of everything else: viewer, clusters, flow, documents (1.9 GB, some minutes)"
+	@echo "set-up of everything else: viewer, clusters, flow, Warp, documents (2.3 GB, some minutes)"
 	$(BIN)/python -m pip install --quiet --no-compile --require-hashes -r requirements.hashed
 	@touch $@

@@ -59,6 +59,8 @@ class Links:
     """(k,) abscissae of all tables."""
     cubics: wp.array[wp.vec4]
     """(k,) value and coefficients of the first three powers of the distance from each abscissa."""
+    derive: bool
+    """Whether derivatives are computed."""
 
 
 @wp.func
@@ -85,7 +87,7 @@ def drag_by_reynolds(links: Links, link: int, reynolds: float) -> tuple[float, f
 
 @wp.func
 def link_force(links: Links, link: int, axis: wp.vec3, v: wp.vec3) -> tuple[wp.vec3, wp.mat33]:
-    """Return the force on a link in air of relative velocity `v` [N], and its derivative by `v` [N s/m].
+    """Return the force on a link in air of relative velocity `v` [N], and its derivative by `v` [N s/m] if requested.
 
         F = f c(Re) ( |v| D v + N (v × k̂) × v )
         D = w₀ + w₁ cos α + w₂ sin² α + w₃ sin³ α + w₄ cos³ α,   N = w₅ sin α cos α
@@ -110,6 +112,8 @@ def link_force(links: Links, link: int, axis: wp.vec3, v: wp.vec3) -> tuple[wp.v
     factor = links.factors[link]
     towards = wp.cross(side, v)
     force = factor * c * (speed * drag * v + normal * towards)
+    if not links.derive:
+        return force, wp.mat33()
 
     along = v / regular
     toward = wp.normalize(towards)
@@ -192,7 +196,7 @@ def set_mujoco(
         links, group, wind[world], xmat[world, body], xpos[world, body], com, linear, angular
     )
     xfrc[world, body] = wrench
-    if derivatives.shape[0] > 0:
+    if links.derive:
         derivatives[world, group] = derivative
 
 
@@ -225,7 +229,7 @@ def add_newton(
         wp.spatial_bottom(twist),
     )
     body_f[body] += wrench
-    if derivatives.shape[0] > 0:
+    if links.derive:
         derivatives[index] = derivative
 
 
@@ -259,7 +263,7 @@ class MujocoWarpAir:
 
     def __init__(self, around: Air, data: Any, derivatives: bool = False) -> None:
         device = data.xpos.device
-        self._links, carriers = _links(around, device)
+        self._links, carriers = _links(around, device, derivatives)
         self.bodies = [around.bodies[body] for body in carriers]
         self._bodies = wp.array(self.bodies, dtype=int, device=device)
         self.wind = wp.zeros(data.nworld, dtype=wp.vec3, device=device)
@@ -300,7 +304,7 @@ class NewtonAir:
 
     def __init__(self, around: Air, model: Any, derivatives: bool = False) -> None:
         device = model.device
-        self._links, carriers = _links(around, device)
+        self._links, carriers = _links(around, device, derivatives)
         groups = {around.names[body]: group for group, body in enumerate(carriers)}
         names = names_in(model, "body")
         if missing := groups.keys() - names:
@@ -326,7 +330,7 @@ class NewtonAir:
         )  # fmt: skip
 
 
-def _links(around: Air, device: Any) -> tuple[Any, list[int]]:
+def _links(around: Air, device: Any, derive: bool) -> tuple[Any, list[int]]:
     """Return the links on a device, and the bodies of the robot that carry some, in the order of `Links.first`."""
     aero, rigid = around.aero, around.robot.aero_links
     count = rigid.count
@@ -365,6 +369,7 @@ def _links(around: Air, device: Any) -> tuple[Any, list[int]]:
     links.tables, links.is_sphere, links.slow_drag = put(of_link[order], int), put(is_sphere[order], bool), slow
     links.x = put(np.concatenate([np.asarray(table.x) for table in tables] or [np.zeros(0)]), float)
     links.cubics = put(np.concatenate(cubics or [np.zeros((0, 4))]), wp.vec4)
+    links.derive = derive
     return links, carriers.tolist()
 
 
