@@ -6,14 +6,16 @@ import math
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Literal
 
-from experiments import Refused
+import jax_aero
+from experiments import Refused, manifest
 from experiments.report import engines, findings, index, judges
 from experiments.report.findings import Finding
-from experiments.report.page import Heading, Page, Picture, Table, Text
+from experiments.report.page import Contents, Heading, Mark, Page, Picture, Table, Text
 from experiments.report.paper import all_claims, all_items, whole
 from experiments.report.results import NotFlownError, Results, Sweep, count
-from experiments.report.verdicts import ANOTHER, Kind
+from experiments.report.verdicts import ANOTHER, Kind, Verdict
 from jax_aero import places
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
@@ -22,11 +24,19 @@ from jax_aero.files import write_text
 PAPER_RUNS = ("test1", "test2", "test3", "test4", "robustness")
 PUBLISHED_RUNS = tuple(f"{name}_published" for name in PAPER_RUNS)
 PARTS = {
+    "The paper's runs, perturbed": ("paper_tests", "model_pairs"),
     "Ablation of the aerodynamic feedback": ("ablation_",),
     "Where the baseline fails, and maps": ("baseline_edge", "map_"),
     "Jets and faults": ("jet_",),
     "Uncertainty": ("sensitivity",),
+    "Controllers, faults and robots of our own": ("",),
 }
+"""Parts of the page and the beginnings of the names of their sweeps; each sweep belongs to the first that fits."""
+
+TONES: dict[Kind, Literal["good", "bad", "open"]] = {
+    Kind.AGREES: "good", Kind.IN_PART: "bad", Kind.DIFFERS: "bad",
+    Kind.OUT_OF_REACH: "open", Kind.NOT_FLOWN: "open", Kind.OUTDATED: "open",
+}  # fmt: skip
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -63,7 +73,7 @@ def main(arguments: Sequence[str]) -> int:
         page = build(results, found)
         for path, text in (
             (results.folder / "report.md", page.markdown()),
-            (results.folder / "report.html", page.html()),
+            (results.folder / "report.html", page.html(results.folder)),
             (kept, findings.to_json(measured, kept)),
         ):
             write_text(path, text)
@@ -73,59 +83,122 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def build(results: Results, found: Mapping[str, Finding]) -> Page:
-    """Return the whole report."""
+    """Return the whole report: what was found, the runs it rests on, then every claim and every sweep."""
     page = Page("What flies, and why")
-    figures = {claim.key: claim.figure or item.figure for item in reversed(all_items()) for claim in item.claims}
+    commit = manifest.git_state()["commit"]
+    version = f"jax-aero {jax_aero.__version__}" + (f", commit `{commit[:10]}`" if commit else "")
     page.add(
         Text(
-            "Every figure below is measured with this repository; `make reproduce SWEEPS=--all` makes all of it "
-            "from nothing. "
-            "A count such as 39 of 40 (87 to 100 %) carries its Wilson 95 % interval: the flights behind it differ in "
-            "start, wind and coefficients (`configs/perturbation/flight.toml`). *Corrected arms* place forces where "
-            "physics has them, "
-            "*published arms* where the published code has them (`docs/deviations.md`)."
+            "The flight of the jet-powered humanoid iRonCub in wind, as published by Paolino et al. in *Communications "
+            f"Engineering* (2025), flown again by {version}: what the paper says, what was measured here, and why."
         ),
-        Heading(2, "Claims"),
+        Contents(),
+        Heading(2, "The answer"),
+        Text(_compare(results)),
         Text(_count_verdicts(found.values())),
-        Table(
-            ("where", "claim", "measured", "verdict", "figure", "command"),
-            [
-                (
-                    claim.where,
-                    claim.states,
-                    found[key].measured,
-                    f"**{found[key].verdict}**",
-                    _link_figure(results, figures[key]),
-                    f"`{'; '.join(whole(claim.commands))}`" if claim.commands else "committed files",
-                )
-                for key, claim in all_claims().items()
-                if key in found
-            ],
-        ),
     )
+    kinds = {key: finding.verdict.kind for key, finding in found.items()}
+    unlike = [key for key in found if kinds[key] in (Kind.IN_PART, Kind.DIFFERS)]
+    if unlike:
+        page.add(
+            Text("What does not agree, or only in part:"),
+            Table(
+                ("where", "claim", "measured", "verdict"),
+                [_claim(key, found[key]) for key in unlike],
+            ),
+        )
     _minimum(page, results)
     _runs(page, results)
+    _claims(page, results, found)
+    waiting = dict(results.sweeps)
     for title, names in PARTS.items():
-        chosen = {name: sweep for name, sweep in results.sweeps.items() if name.startswith(names)}
+        chosen = {name: waiting.pop(name) for name in list(waiting) if name.startswith(names)}
         if chosen:
             page.add(Heading(2, title))
         for name, sweep in chosen.items():
             _sweep(page, results, name, sweep)
     _engines(page)
     _add_speed(page, results)
+    page.add(
+        Heading(2, "How to read and repeat this"),
+        Text(
+            "A count such as 39 of 40 (87 to 100 %) carries its Wilson 95 % interval: the flights behind it differ in "
+            "start, wind and coefficients (`configs/perturbation/flight.toml`). *Corrected arms* place forces where "
+            "physics has them, *published arms* where the published code has them (`docs/deviations.md`). "
+            "`make reproduce SWEEPS=--all` makes all of this page from nothing."
+        ),
+    )
     return page
+
+
+def _compare(results: Results) -> str:
+    """Return how TEST2, with aerodynamic feedback, and TEST1, without it, ended."""
+    said = []
+    for arms, suffix in (("corrected", ""), ("published", "_published")):
+        flights = [results.flights.get(name + suffix) for name in ("test2", "test1")]
+        ended = [
+            f"{flight.ending.partition(' (')[0]}, with a rotation error of at most **{flight.rotation_error:.1f}°**"
+            for flight in flights
+            if flight
+        ]
+        if len(ended) == len(flights):
+            said.append(f"With {arms} lever arms the aerodynamic-aware controller {ended[0]}; the baseline {ended[1]}.")
+    if said:
+        said.insert(0, "The paper's mission in its side wind, TEST2 and TEST1.")
+    return " ".join(said) or "The paper's flights TEST1 and TEST2 are not among the results."
+
+
+def _claims(page: Page, results: Results, found: Mapping[str, Finding]) -> None:
+    """Add all claims that were judged, then those for which results are missing, with the commands that make them."""
+    figures = {claim.key: claim.figure or item.figure for item in reversed(all_items()) for claim in item.claims}
+    claims = all_claims()
+    missing = [key for key, finding in found.items() if finding.verdict.kind is Kind.NOT_FLOWN]
+    page.add(
+        Heading(2, "Claims"),
+        Table(
+            ("where", "claim", "measured", "verdict", "from"),
+            [
+                (*_claim(key, finding), " ".join(filter(None, (_link_figure(results, figures[key]), _commands(key)))))
+                for key, finding in found.items()
+                if key not in missing
+            ],
+        ),
+    )
+    if missing:
+        page.add(
+            Heading(3, "Not flown here"),
+            Table(
+                ("where", "claim", "command"),
+                [(claims[key].where, claims[key].states, _commands(key)) for key in missing],
+            ),
+        )
+
+
+def _claim(key: str, finding: Finding) -> tuple[str, str, str, Mark]:
+    claim = all_claims()[key]
+    return claim.where, claim.states, finding.measured, _mark(finding.verdict)
+
+
+def _mark(verdict: Verdict) -> Mark:
+    return Mark(str(verdict), TONES[verdict.kind])
+
+
+def _commands(key: str) -> str:
+    commands = all_claims()[key].commands
+    return f"`{'; '.join(whole(commands))}`" if commands else ""
 
 
 def _count_verdicts(found: Collection[Finding]) -> str:
     """Return the number of claims with each kind of verdict."""
     counts = Counter(finding.verdict.kind for finding in found)
-    said = ", ".join(f"**{counts[kind]}** {kind.value}" for kind in Kind if counts[kind])
-    return f"{len(found)} claims: {said}."
+    words = {Kind.AGREES: "agree", Kind.IN_PART: "agree in part", Kind.DIFFERS: "differ"}
+    said = ", ".join(f"**{counts[kind]}** {words.get(kind, kind.value)}" for kind in Kind if counts[kind])
+    return f"Of {len(found)} claims {said}." if found else "No claim was judged."
 
 
 def _link_figure(results: Results, figure: str) -> str:
     path = results.figures(figure).get("") if figure else None
-    return f"[{figure}]({path})" if path else figure
+    return f"[{figure}]({path})" if path else ""
 
 
 def _minimum(page: Page, results: Results) -> None:
@@ -229,7 +302,7 @@ def _sweep(page: Page, results: Results, name: str, sweep: Sweep) -> None:
             + _mark_outdated(sweep.differs)
         ),
     )
-    page.add(*_pictures(results, [(name, f"`{name}`")]))
+    page.add(*_pictures(results, [(name, f"{document['title']} (`{name}`)")]))
 
 
 def _edge(sweep: Sweep) -> str:

@@ -1,29 +1,53 @@
 """A page as a list of blocks, written as Markdown and as HTML with the same content.
 
-Texts come from files too, so they are never HTML, and their links lead to files beside the page alone.
+Texts come from files too, so they are never HTML, and their links lead to files beside the page alone, or within it.
 """
 
 from __future__ import annotations
 
+import base64
 import html
+import io
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
 
 STYLE = """
 :root { color-scheme: light dark; --text: #1a1a1a; --page: #fff; --line: #d9d9d9; --code: #f2f2f2; --link: #0072b2; }
+:root { --quiet: #5f6368; --good: #1a6b38; --bad: #a3330c; }
 @media (prefers-color-scheme: dark) {
   :root { --text: #e0e0e0; --page: #16181d; --line: #3a3d44; --code: #262930; --link: #56b4e9; }
+  :root { --quiet: #9aa0a6; --good: #7bd389; --bad: #ff9e7a; }
 }
-body { font: 15px/1.5 sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
+html { -webkit-text-size-adjust: 100%; }
+body { font: 16px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem; }
 body { color: var(--text); background: var(--page); overflow-wrap: break-word; }
+p, nav, figcaption { max-width: 48rem; }
+h1, h2, h3 { line-height: 1.25; }
+h2 { margin-top: 2.5rem; padding-top: 0.5rem; border-top: 1px solid var(--line); }
 a { color: var(--link); }
-table { display: block; overflow-x: auto; border-collapse: collapse; margin: 1rem 0; font-size: 13px; }
-th, td { border-bottom: 1px solid var(--line); padding: 0.3rem 0.6rem; text-align: left; vertical-align: top; }
-th, td { min-width: 5rem; overflow-wrap: normal; }
-th { border-bottom: 2px solid #7f7f7f; }
-img { max-width: 100%; background: white; } figcaption { font-size: 13px; } figure { margin: 1.5rem 0; }
-code { background: var(--code); padding: 0 0.2rem; }
+nav a { margin-right: 1rem; white-space: nowrap; display: inline-block; }
+div.table { overflow-x: auto; margin: 1rem 0; }
+table { border-collapse: collapse; font-size: 14px; width: 100%; font-variant-numeric: tabular-nums; }
+th, td { border-bottom: 1px solid var(--line); padding: 0.35rem 0.6rem; text-align: left; vertical-align: top; }
+th, td { min-width: 4.5rem; max-width: 20rem; overflow-wrap: break-word; }
+th { border-bottom: 2px solid #7f7f7f; vertical-align: bottom; }
+td code { overflow-wrap: anywhere; }
+b.good { color: var(--good); } b.bad { color: var(--bad); } b.open { color: var(--quiet); }
+figure { margin: 1.5rem 0; } figcaption { font-size: 14px; color: var(--quiet); margin-top: 0.4rem; }
+img { max-width: min(100%, 56rem); background: white; padding: 0.5rem; box-sizing: border-box; border-radius: 4px; }
+code { background: var(--code); padding: 0 0.2rem; border-radius: 3px; font-size: 0.9em; }
+@media (max-width: 40rem) {
+  div.table thead { display: none; }
+  div.table table, div.table tbody, div.table tr, div.table td { display: block; }
+  div.table tr { padding: 0.6rem 0; border-bottom: 1px solid var(--line); }
+  div.table td { border: 0; padding: 0.1rem 0; max-width: none; }
+  div.table td:empty { display: none; }
+  div.table td::before { content: attr(data-of) ": "; color: var(--quiet); }
+}
+@media print { a { color: inherit; } figure, tr { break-inside: avoid; } }
 """
 
 
@@ -47,11 +71,24 @@ class Text:
 
 
 @dataclass(frozen=True)
+class Mark:
+    """A cell that is read first: bold, and on the page in the colour of its tone."""
+
+    text: str
+    tone: Literal["good", "bad", "open"]
+
+
+@dataclass(frozen=True)
 class Table:
     """A table: rows below their headings."""
 
     headings: Sequence[str]
-    rows: Sequence[Sequence[str]]
+    rows: Sequence[Sequence[str | Mark]]
+
+
+@dataclass(frozen=True)
+class Contents:
+    """Links to the page's headings of level 2."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +99,7 @@ class Picture:
     caption: str
 
 
-Block = Heading | Text | Table | Picture
+Block = Heading | Text | Table | Picture | Contents
 
 
 @dataclass
@@ -77,20 +114,24 @@ class Page:
         self.blocks.extend(blocks)
 
     def markdown(self) -> str:
-        """Return the page as Markdown."""
-        return "\n\n".join([f"# {self.title}", *(_markdown(block) for block in self.blocks)]) + "\n"
+        """Return the page as Markdown, which shows the pictures that lie beside it; a list of its parts is left out."""
+        shown = [_markdown(block) for block in self.blocks if not isinstance(block, Contents)]
+        return "\n\n".join([f"# {self.title}", *shown]) + "\n"
 
-    def html(self) -> str:
-        """Return the page as one HTML file, with pictures as separate files."""
-        body = "\n".join([f"<h1>{html.escape(self.title)}</h1>", *(_html(block) for block in self.blocks)])
+    def html(self, folder: Path) -> str:
+        """Return the page as one HTML file that holds its pictures, which lie in `folder`."""
+        pictures = {block.path for block in self.blocks if isinstance(block, Picture)}
+        parts = [block.text for block in self.blocks if isinstance(block, Heading) and block.level == 2]
+        body = "\n".join(_html(block, folder, pictures, parts) for block in self.blocks)
         return (
             f'<!DOCTYPE html>\n<html lang="en">\n<head><meta charset="utf-8">\n'
-            f'<meta name="viewport" content="width=device-width">\n<title>{html.escape(self.title)}</title>\n'
-            f"<style>{STYLE}</style></head>\n<body>\n{body}\n</body>\n</html>\n"
+            f'<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+            f"<title>{html.escape(self.title)}</title>\n<style>{STYLE}</style></head>\n"
+            f"<body>\n<h1>{html.escape(self.title)}</h1>\n{body}\n</body>\n</html>\n"
         )
 
 
-def _markdown(block: Block) -> str:
+def _markdown(block: Heading | Text | Table | Picture) -> str:
     match block:
         case Heading(level, text):
             return f"{'#' * level} {_markdown_inline(text)}"
@@ -100,7 +141,8 @@ def _markdown(block: Block) -> str:
             return f"![{_markdown_inline(caption)}]({path})\n\n*{_markdown_inline(caption)}*"
         case Table(headings, rows):
             cells = [headings, ["---"] * len(headings), *rows]
-            lines = ([_markdown_inline(cell).replace("|", "\\|") for cell in row] for row in cells)
+            texts = ([f"**{cell.text}**" if isinstance(cell, Mark) else cell for cell in row] for row in cells)
+            lines = ([_markdown_inline(text).replace("|", "\\|") for text in row] for row in texts)
             return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
@@ -112,25 +154,56 @@ def _markdown_inline(text: str) -> str:
     return "`".join(part if index % 2 else part.replace("<", "&lt;") for index, part in enumerate(parts))
 
 
-def _html(block: Block) -> str:
+def _html(block: Block, folder: Path, pictures: Collection[str], parts: Sequence[str]) -> str:
+    def inline(text: str) -> str:
+        return _inline(text, pictures)
+
+    def cell(content: str | Mark) -> str:
+        return f'<b class="{content.tone}">{inline(content.text)}</b>' if isinstance(content, Mark) else inline(content)
+
     match block:
         case Heading(level, text):
-            return f"<h{level}>{_inline(text)}</h{level}>"
+            return f'<h{level} id="{_anchor(text)}">{inline(text)}</h{level}>'
         case Text(text):
-            return f"<p>{_inline(text)}</p>"
+            return f"<p>{inline(text)}</p>"
+        case Contents():
+            links = (f'<a href="#{_anchor(part)}">{inline(part)}</a>' for part in parts)
+            return f"<nav>{' '.join(links)}</nav>"
         case Picture(path, caption):
-            shown, said = html.escape(path), _inline(caption)
-            picture = f'<a href="{shown}"><img src="{shown}" alt="{html.escape(caption)}"></a>'  # for a closer look
-            return f"<figure>{picture}<figcaption>{said}</figcaption></figure>"
+            shown, said = f'<img src="{_embed(folder / path)}" alt="{html.escape(caption)}">', inline(caption)
+            return f'<figure id="{_anchor(path)}">{shown}<figcaption>{said}</figcaption></figure>'
         case Table(headings, rows):
-            head = "".join(f"<th>{_inline(cell)}</th>" for cell in headings)
-            body = "\n".join("<tr>" + "".join(f"<td>{_inline(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-            return f"<table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}\n</tbody>\n</table>"
+            head = "".join(f"<th>{inline(heading)}</th>" for heading in headings)
+            starts = [f'<td data-of="{html.escape(heading)}">' for heading in headings]
+            lines = ("".join(f"{td}{cell(part)}</td>" for td, part in zip(starts, row, strict=True)) for row in rows)
+            body = "\n".join(f"<tr>{line}</tr>" for line in lines)
+            whole = f"<table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}\n</tbody>\n</table>"
+            return f'<div class="table">{whole}</div>'
 
 
-def _inline(text: str) -> str:
+def _anchor(text: str) -> str:
+    return re.sub(r"\W+", "-", text).strip("-").lower()
+
+
+def _embed(path: Path) -> str:
+    """Return a picture as the address of its own data: WebP without loss, a third of the size of PNG."""
+    from PIL import Image
+
+    data = io.BytesIO()
+    with Image.open(path) as picture:
+        picture.save(data, "WEBP", lossless=True, method=1)
+    return f"data:image/webp;base64,{base64.b64encode(data.getvalue()).decode()}"
+
+
+def _inline(text: str, pictures: Collection[str]) -> str:
+    """Return a text as HTML; a link leads to a picture of the page, since nothing else is sent with it."""
+
+    def link(found: re.Match[str]) -> str:
+        shown, path = found.groups()
+        return f'<a href="#{_anchor(path)}">{shown}</a>' if html.unescape(path) in pictures else shown
+
     text = html.escape(text)
     text = re.sub(r"`([^`]+)`", r"<code>\1</code>", text)
     text = re.sub(r"\*\*([^*]+)\*\*", r"<b>\1</b>", text)
     text = re.sub(r"\*(\w[^*]*\w)\*", r"<i>\1</i>", text)
-    return re.sub(rf"\[([^\]]+)\]\((?!{ELSEWHERE})([^)\s]+)\)", r'<a href="\2">\1</a>', text)
+    return re.sub(rf"\[([^\]]+)\]\((?!{ELSEWHERE})([^)\s]+)\)", link, text)

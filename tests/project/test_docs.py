@@ -384,7 +384,7 @@ def test_a_report_fits_a_telephone_in_light_and_in_the_dark(tmp_path):
     page.add(
         Text("text " * 30), Table([f"heading {n}" for n in range(12)], [["`jax-aero fly test2`", *["0.001"] * 11]])
     )
-    (tmp_path / "report.html").write_text(page.html(), encoding="utf-8")
+    (tmp_path / "report.html").write_text(page.html(tmp_path), encoding="utf-8")
     brightness = (
         """of => getComputedStyle(document.body)[of].match(/\\d+/g).slice(0, 3).map(Number).reduce((a, b) => a + b)"""
     )

@@ -1,6 +1,8 @@
 """The report: metrics of made-up flights, verdicts from made-up counts, and pages that say the same twice."""
 
+import base64
 import dataclasses
+import io
 import json
 import re
 import shutil
@@ -11,13 +13,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import xarray as xr
+from matplotlib import image
+from PIL import Image
 
 from experiments import manifest, record
 from experiments.cfd.settings import FlowConfig
 from experiments.report import engines, facts, findings, ground, judges, metrics, outdated, paper
 from experiments.report.command import _count_verdicts, _edge, _pictures, _spans, build
 from experiments.report.findings import Finding
-from experiments.report.page import Heading, Page, Picture, Table, Text
+from experiments.report.page import Contents, Heading, Mark, Page, Picture, Table, Text
 from experiments.report.results import Results, Sweep
 from experiments.report.verdicts import (
     AGREES,
@@ -190,7 +194,7 @@ def test_a_sweep_of_another_configuration_is_named_in_its_claims(results):
     claim = find(found)["test2"]
     assert claim.verdict == mark_outdated(AGREES)
     assert f"{ANOTHER}: sweep paper_tests (`axes`, " in claim.measured
-    assert build(found, {}).markdown().count(ANOTHER[1:]) == 2, "in the answer and with the sweep"
+    assert build(found, {}).markdown().count(ANOTHER[1:]) == 3, "in the answer and with each sweep"
 
 
 def test_what_differs_of_a_sweep_is_named():
@@ -370,23 +374,45 @@ def test_the_minimum_is_what_stays_on_course_everywhere(results):
     assert "As good in completing: everything, total wrench only, without Λ_a." in answer
 
 
-def test_both_pages_say_the_same():
+@pytest.fixture
+def picture(tmp_path):
+    (tmp_path / "figures").mkdir()
+    image.imsave(tmp_path / "figures/a.png", np.eye(4))
+    return Picture("figures/a.png", "what it shows")
+
+
+def test_both_pages_say_the_same(picture, tmp_path):
     page = Page("Title & more")
     page.add(
-        Heading(2, "Part"),
+        Contents(),
+        Heading(2, "Part one"),
         Text("**bold** and `a<b`"),
         Text("*Right arms*: 3 * 4 * 5"),
-        Table(("a", "b"), [("1", "x|y")]),
-        Picture("figures/a.png", "what it shows"),
+        Table(("a", "b"), [("1", "x|y"), ("2", Mark("differs: 3", "bad"))]),
+        picture,
     )
-    markdown, html = page.markdown(), page.html()
-    assert "| 1 | x\\|y |" in markdown
-    assert "<td>x|y</td>" in html
+    markdown, html = page.markdown(), page.html(tmp_path)
+    assert "| 1 | x\\|y |\n| 2 | **differs: 3** |" in markdown
+    assert '<td data-of="b">x|y</td>' in html
+    assert '<td data-of="b"><b class="bad">differs: 3</b></td>' in html
     assert "<b>bold</b> and <code>a&lt;b</code>" in html
     assert "<p><i>Right arms</i>: 3 * 4 * 5</p>" in html
     assert "<h1>Title &amp; more</h1>" in html
+    assert '<nav><a href="#part-one">Part one</a></nav>\n<h2 id="part-one">' in html
     assert "![what it shows](figures/a.png)" in markdown
-    assert '<img src="figures/a.png" alt="what it shows">' in html
+
+
+def test_a_page_holds_its_pictures_and_links_to_nothing_that_is_not_sent_with_it(picture, tmp_path):
+    page = Page("t")
+    page.add(Text("[shown](figures/a.png) and [elsewhere](figures/b.png)"), picture)
+    html = page.html(tmp_path)
+    assert '<p><a href="#figures-a-png">shown</a> and elsewhere</p>' in html
+    embedded = re.fullmatch(
+        r'<figure id="figures-a-png"><img src="data:image/webp;base64,(\S+)" alt="what it shows">.*',
+        html.split("\n")[-4],
+    )
+    with Image.open(io.BytesIO(base64.b64decode(embedded[1]))) as kept, Image.open(tmp_path / picture.path) as drawn:
+        assert np.array_equal(np.array(kept.convert("RGB")), np.array(drawn.convert("RGB")))
 
 
 @pytest.mark.parametrize(
@@ -402,10 +428,12 @@ def test_both_pages_say_the_same():
         "[a](//elsewhere/x) [b](\\\\elsewhere/x) [c](https://elsewhere)",
     ],
 )
-def test_a_text_of_a_file_is_a_text(text):
+def test_a_text_of_a_file_is_a_text(text, picture, tmp_path):
     page = Page("t")
-    page.add(Heading(2, text), Text(text), Table((text,), [(text,)]), Picture("a.png", text))
-    markdown, html = page.markdown(), page.html()
+    page.add(
+        Contents(), Heading(2, text), Text(text), Table((text,), [(text,)]), dataclasses.replace(picture, caption=text)
+    )
+    markdown, html = page.markdown(), page.html(tmp_path)
     assert "<img src=x" not in re.sub(r"(?<![`\\])`[^`\n]+`(?!`)", "", markdown) + html
     assert not re.search(r"\]\(\s*(javascript|https|/|\\)", markdown)
     assert not re.search(r'href="?\s*(javascript|https|/|\\)', html)
@@ -427,7 +455,7 @@ def test_the_report_is_written_from_what_there_is(results, capsys):
     assert main(["report", "--results", str(results.folder)]) == 0
     text = (results.folder / "report.md").read_text()
     tables = [line for line in text.splitlines() if line.startswith("| --- |")]
-    assert (results.folder / "report.html").read_text().count("<table>") == len(tables) == 7
+    assert (results.folder / "report.html").read_text().count("<table>") == len(tables) == 9
     for word in (
         "## Claims",
         "## The paper's runs",
@@ -526,7 +554,7 @@ def test_what_is_not_flown_here_or_outdated_stays_as_it_was_kept(tmp_path):
 def test_verdicts_are_counted():
     verdicts = (AGREES, AGREES.but(" on one"), differs("2"), differs("3"), out_of_reach("why"), mark_outdated(AGREES))
     text = _count_verdicts([Finding("m", verdict) for verdict in verdicts])
-    assert text == "6 claims: **1** agrees, **1** agrees in part, **2** differs, **1** out of reach, **1** outdated."
+    assert text == "Of 6 claims **1** agree, **1** agree in part, **2** differ, **1** out of reach, **1** outdated."
 
 
 def test_what_agrees_with_a_limit_or_in_one_of_its_parts_agrees_in_part():
