@@ -6,7 +6,8 @@
 from jax_aero.control import Command, Controller, Measurement
 from jax_aero.result import FlightResult
 from jax_aero.sim.batch import fly_batch
-from jax_aero.sim.rollout import COMPILER_OPTIONS, fly, keep_row, rollout, run
+from jax_aero.sim.plant import COMPILER_OPTIONS
+from jax_aero.sim.rollout import fly, keep_row, rollout, run
 from jax_aero.sim.step import FlightRow, FlightState, Scenario, begin, convert_precision, prepare, step
 
 __all__ = [

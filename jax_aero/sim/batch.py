@@ -22,7 +22,8 @@ from jax_aero.aero.network_card import load_network
 from jax_aero.config import ScenarioConfig
 from jax_aero.result import FlightResult, Progress
 from jax_aero.robot import RobotModel, load_robot
-from jax_aero.sim.rollout import CHUNK, COMPILER_OPTIONS, Ending, make_result
+from jax_aero.sim.plant import COMPILER_OPTIONS
+from jax_aero.sim.rollout import CHUNK, Ending, make_result
 from jax_aero.sim.step import FLYING, FlightState, Scenario, prepare, read_config, step
 from jax_aero.summary import condense
 from jax_aero.types import Array

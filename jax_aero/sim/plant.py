@@ -59,13 +59,22 @@ STOP_DAMPING = 200.0
 """Damping of both [N m s/rad, N s/m]: a time constant of 2 ms with the stiffness."""
 
 
+def options_of(version: tuple[int, ...]) -> dict[str, bool | int]:
+    """Return `COMPILER_OPTIONS` for a version of JAX; from 0.11.1 on XLA has no other generator of code."""
+    return {"xla_cpu_use_fusion_emitters": False} if version < (0, 11, 1) else {}
+
+
+COMPILER_OPTIONS = options_of(jax.__version_info__)
+"""Options for `jax.jit(..., compiler_options=COMPILER_OPTIONS)` of flights: on a CPU, XLA's older code generator for
+fused operations compiles them faster, and they run no slower (`docs/benchmarks.md`)."""
+
+
 def run_once(function: Callable[P, Result]) -> Callable[P, Result]:
     """Compile a function that runs once before a flight without optimisation: to compile it takes far longer.
 
     In a program that is traced, it is a part of that.
     """
-    options = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
-    compiled = jax.jit(function, compiler_options=options)
+    compiled = jax.jit(function, compiler_options=COMPILER_OPTIONS | {"xla_backend_optimization_level": 0})
 
     def call(*args: P.args, **named: P.kwargs) -> Result:
         is_traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((args, named)))

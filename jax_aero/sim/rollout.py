@@ -20,6 +20,7 @@ from jaxtyping import Int
 
 from jax_aero.config import ScenarioConfig
 from jax_aero.result import FlightResult, Outcome, Progress
+from jax_aero.sim.plant import COMPILER_OPTIONS
 from jax_aero.sim.step import (
     BY_ANGULAR_VELOCITY,
     BY_COM,
@@ -46,10 +47,6 @@ CHECKPOINT_EVERY = 100
 
 CHUNK = 250
 """Ticks that `fly` computes between checks for a loss and for Ctrl-C."""
-
-COMPILER_OPTIONS = {"xla_cpu_use_fusion_emitters": False}
-"""Options for `jax.jit(..., compiler_options=COMPILER_OPTIONS)` of flights: on a CPU, XLA's older code generator for
-fused operations compiles them faster, and they run no slower (`docs/benchmarks.md`)."""
 
 
 def keep_row(row: FlightRow) -> FlightRow:

@@ -31,7 +31,8 @@ from jax_aero.adam import AdamState, adam_start, adam_step
 from jax_aero.command import ConfigError
 from jax_aero.places import did_you_mean
 from jax_aero.sim.batch import Group
-from jax_aero.sim.rollout import COMPILER_OPTIONS, rollout
+from jax_aero.sim.plant import COMPILER_OPTIONS
+from jax_aero.sim.rollout import rollout
 from jax_aero.sim.step import FlightRow, FlightState, Scenario
 from jax_aero.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from jax_aero.types import Array, pytree, replace_values

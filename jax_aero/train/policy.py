@@ -28,7 +28,7 @@ from jaxtyping import Float, Int, Key
 from jax_aero import tables
 from jax_aero.adam import AdamState, adam_start, adam_step
 from jax_aero.env import EnvState, FlightEnv
-from jax_aero.sim.rollout import COMPILER_OPTIONS
+from jax_aero.sim.plant import COMPILER_OPTIONS
 from jax_aero.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from jax_aero.types import Array, pytree, where
 

@@ -19,6 +19,7 @@ from jax_aero.dynamics import dynamics, forward_dynamics
 from jax_aero.io import scenario_config
 from jax_aero.jets import JetsState
 from jax_aero.kinematics import frame_poses, generalised_force, kinematics
+from jax_aero.sim import plant
 from jax_aero.spatial import rotate
 from jax_aero.types import Array, Setpoint, pytree, replace_values
 
@@ -307,3 +308,9 @@ def test_the_crate_flies_one_kind_of_dynamics():
     rust.load_config(TEST2, {"simulator.dynamics": "tree"})
     with pytest.raises(ValueError, match=r"simulator.dynamics.*mjx.*tree"):
         rust.load_config(TEST2, {"simulator.dynamics": "mjx"})
+
+
+def test_compilers_without_the_option_are_not_asked_for_it():
+    """XLA refuses options that it does not have."""
+    assert plant.options_of((0, 12, 0, 1)) == {}
+    assert jax.jit(lambda x: x + 1.0, compiler_options=sim.COMPILER_OPTIONS)(1.0) == 2.0
