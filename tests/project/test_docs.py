@@ -280,6 +280,7 @@ def test_shown_waypoints_become_a_flight(page, tmp_path):
 @pytest.mark.parametrize("path", sorted(DOCS.glob("notebooks/*.ipynb")), ids=name)
 def test_a_notebook_runs(path, tmp_path, monkeypatch):
     monkeypatch.setenv("PIP_NO_INDEX", "1")  # what a notebook installs is there
+
     def outputs() -> list[nbformat.NotebookNode]:
         return [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
 

@@ -1,5 +1,6 @@
 """`make`, CI and metadata are consistent, and no file names a path of one machine."""
 
+import datetime
 import os
 import re
 import subprocess
@@ -41,6 +42,18 @@ def test_there_is_one_version():
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))["version"]
     assert {cargo, str(citation)} == {jax_aero.__version__}
     assert metadata.version("jax-aero") == cargo
+
+
+def test_metadata_say_when_for_which_pythons_and_where_more_is():
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert isinstance(citation["date-released"], datetime.date)
+    versions = [found[1] for line in project["classifiers"] if (found := re.search(r":: (3\.\d+)$", line))]
+    assert versions == ["3.11", "3.12", "3.13", "3.14"]
+    assert project["requires-python"] == f">={versions[0]}"
+    assert {entry.get("doi", entry.get("repository-code")) for entry in citation["references"]} == {
+        link.removeprefix("https://doi.org/") for link in project["urls"].values()
+    }
 
 
 def test_the_recipe_for_conda_has_the_version_and_the_packages_of_the_project():
