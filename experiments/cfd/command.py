@@ -31,7 +31,7 @@ from experiments.cluster import Ray, add_options
 from experiments.sources import code_hash
 from jax_aero import documents, places, tables
 from jax_aero.aero.cfd_import import checks
-from jax_aero.aero.dataset import LINKS, Dataset, Floats, save
+from jax_aero.aero.dataset import Dataset, Floats, save
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status, terminal
 from jax_aero.files import lock, read_json, write_json
@@ -190,6 +190,7 @@ def to_dataset(design: Design, accepted: Mapping[Case, Result]) -> Dataset:
     n = len(accepted)
     air = design.spec.settings.air
     results = list(accepted.values())
+    links = tuple(results[0].force_area_b)
     data = Dataset(
         posture=np.array([case.posture for case in accepted]),
         is_mirrored=np.zeros(n, dtype=bool),
@@ -197,11 +198,12 @@ def to_dataset(design: Design, accepted: Mapping[Case, Result]) -> Dataset:
         wind_b=np.stack([case.wind_b for case in accepted]),
         pitch_deg=np.array([case.pitch_deg for case in accepted]),
         yaw_deg=np.array([case.yaw_deg for case in accepted]),
-        force_area_b=np.array([[result.force_area_b[link] for link in LINKS] for result in results]),
-        couple_volume_b=np.array([[result.couple_volume_b[link] for link in LINKS] for result in results]),
+        force_area_b=np.array([[result.force_area_b[link] for link in links] for result in results]),
+        couple_volume_b=np.array([[result.couple_volume_b[link] for link in links] for result in results]),
         speed=np.full(n, air.speed),
         air_density=np.full(n, air.density),
         quality={name: np.array([result.quality[name] for result in results]) for name in results[0].quality},
+        links=links,
         provenance={
             "source": f"OpenFOAM (simpleFoam, k-omega SST) around {design.spec.geometry} of the URDF; jax-aero cfd",
             "design": design.name,

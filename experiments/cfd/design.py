@@ -98,7 +98,7 @@ class Spec(tables.Table, frozen=True):
     geometry: Literal["primitives", "meshes"] = "primitives"
     """Geometry of the robot: primitives of its URDF, or also its meshes, found relative to the URDF."""
     joints: Path | None = None
-    """Joint angles by posture, in the CSV that `import-cfd --joints` reads."""
+    """Joint angles by posture: a TOML of the form of `configs/tables/postures.toml`, or a CSV as of `import-cfd`."""
     settings: Settings = Settings()
 
 
@@ -145,7 +145,8 @@ class Design:
     @cached_property
     def known_postures(self) -> dict[str, Floats]:
         """Return the joint angles (19,) [deg] of all known postures."""
-        return read_postures(self.spec.joints) if self.spec.joints else known_postures()
+        path = self.spec.joints or POSTURES
+        return known_postures(path=path) if path.suffix == ".toml" else read_postures(path)
 
     @cached_property
     def joints(self) -> dict[str, Floats]:

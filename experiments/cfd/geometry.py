@@ -10,7 +10,7 @@ import numpy as np
 
 from experiments import Refused
 from jax_aero import rust
-from jax_aero.aero.dataset import JOINTS, LINKS, Floats, reorder_joints
+from jax_aero.aero.dataset import JOINTS, Floats, reorder_joints
 from jax_aero.files import write_text
 from jax_aero.mesh import Mesh, box, revolve
 from jax_aero.urdf import Pose
@@ -72,7 +72,7 @@ class Surface(NamedTuple):
 
 
 def robot_surfaces(robot: rust.Robot, joint_position_deg: Floats, meshes_of: Path | None = None) -> dict[str, Surface]:
-    """Return the surface of every link of `LINKS` in base axes, at joint angles (19,) [deg], order of `JOINTS`.
+    """Return the surface of every aerodynamic link in base axes, at joint angles (19,) [deg], order of `JOINTS`.
 
     Parts of other links are assigned to one of these. The centre of a link is its aerodynamic centre.
 
@@ -91,7 +91,7 @@ def robot_surfaces(robot: rust.Robot, joint_position_deg: Floats, meshes_of: Pat
     look = look_of(robot, meshes_of)
     if meshes_of and look.missing:
         raise Refused("; ".join(look.missing))
-    links = {link.name: link for link in look.links if link.name in LINKS}
+    links = {link.name: link for link in look.links}
     parts: dict[str, list[Floats]] = {name: [] for name in links}
     for shape in look.shapes:
         triangles = _triangles_of_mesh(shape.mesh, shape.size) if shape.mesh else triangles_of(shape.kind, shape.size)
@@ -99,8 +99,8 @@ def robot_surfaces(robot: rust.Robot, joint_position_deg: Floats, meshes_of: Pat
         parts[_link_of(shape, links, look, robot)].append(
             transform_triangles(triangles, poses[shape.body] @ shape.body_from_shape)
         )
-    if missing := [name for name in LINKS if not parts.get(name)]:
-        raise Refused(f"the robot has no aerodynamic link with a body named {', '.join(missing)}")
+    if missing := [name for name, found in parts.items() if not found]:
+        raise Refused(f"no shape of the robot belongs to its aerodynamic link {', '.join(missing)}")
     return {
         name: Surface(
             np.concatenate(parts[name]), poses[link.body].rotation @ link.position + poses[link.body].position

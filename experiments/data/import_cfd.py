@@ -76,17 +76,17 @@ def read_table(path: Path) -> str:
         raise Refused(f"{path} is not text: {reason}; expected a CSV table") from None
 
 
-def known_postures(sections: Sequence[str] | None = None) -> dict[str, Floats]:
-    """Return the joint angles (19,) [deg] of the named postures, of some or all sections."""
-    table = tables.read(POSTURES)
-    if (order := tuple(table.pop("joints"))) != JOINTS:
-        raise Refused(f"joints of {POSTURES} are {list(order)}; expected {list(JOINTS)}")
+def known_postures(sections: Sequence[str] | None = None, path: Path = POSTURES) -> dict[str, Floats]:
+    """Return the joint angles (19,) [deg] of the named postures of a table, of some or all sections."""
+    table = tables.read(path)
+    if (order := tuple(table.pop("joints", ()))) != JOINTS:
+        raise Refused(f"joints of {path} are {list(order)}; expected {list(JOINTS)}")
     chosen = table if sections is None else {name: table[name] for name in sections}
     postures = {}
     for section in chosen.values():
         for name, angles in section.items():
             if len(angles) != len(JOINTS):
-                raise Refused(f"posture `{name}` of {POSTURES} has {len(angles)} angles; expected {len(JOINTS)}")
+                raise Refused(f"posture `{name}` of {path} has {len(angles)} angles; expected {len(JOINTS)}")
             postures[name] = np.array(angles, dtype=np.float64)
     return postures
 

@@ -227,12 +227,12 @@ def checks(dataset: Dataset) -> dict[str, float]:
     angles, wind = dataset.joint_position_deg, dataset.wind_b
     alone = np.all(np.abs(mirrored_joints(angles) - angles) < 1e-6, axis=1)
     alone &= np.all(np.abs(wind * MIRROR_AXES - wind) < 1e-6, axis=1)
-    tilt = mirrored_areas(areas[alone]) - areas[alone]
+    tilt = mirrored_areas(areas[alone], dataset.links) - areas[alone]
     found: dict[str, float] = {
         "rows": len(dataset),
         "postures": len(np.unique(dataset.family)),
         "groups of equal posture and wind that occur more than once": int((sizes > 1).sum()),
-        "variance over the 39 components [m4]": float(areas.reshape(len(dataset), -1).var(axis=0).mean()),
+        f"variance over the {3 * len(dataset.links)} components [m4]": float(areas.reshape(len(dataset), -1).var(axis=0).mean()),
     }
     if len(repeats):
         found["difference within those groups, mean square [m4]"] = float(np.mean(repeats**2))

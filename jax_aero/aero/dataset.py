@@ -46,7 +46,7 @@ LINKS = (
     *("l_upper_arm", "l_arm_jet_turbine", "r_upper_arm", "r_arm_jet_turbine"),
     *("root_link", "l_upper_leg", "l_lower_leg", "r_upper_leg", "r_lower_leg"),
 )
-"""Links of every table, in the order of the robot's configuration."""
+"""Links of iRonCub-Mk1 and of every public table, in the order of the robot's configuration."""
 
 FORMAT = "jax-aero force areas 1"
 AREA_UNITS = "m2"
@@ -58,8 +58,6 @@ JOINT_TWINS = np.array(opposite_indices(JOINTS))
 """Index of the joint on the opposite side."""
 JOINT_SIGNS = np.where(np.isin(JOINTS, ODD_JOINTS), -1.0, 1.0)
 """Sign of each joint angle in the mirror image."""
-LINK_TWINS = np.array(opposite_indices(LINKS))
-"""Index of the link on the opposite side."""
 MIRROR_AXES = np.array([1.0, -1.0, 1.0])
 """Signs of a vector's components when mirrored about the base's x-z plane."""
 
@@ -70,9 +68,11 @@ def mirrored_joints(joint_position_deg: Float[np.ndarray, "*batch s"]) -> Float[
     return flipped
 
 
-def mirrored_areas(force_area_b: Float[np.ndarray, "*batch L 3"]) -> Float[np.ndarray, "*batch L 3"]:
+def mirrored_areas(
+    force_area_b: Float[np.ndarray, "*batch L 3"], links: Sequence[str] = LINKS
+) -> Float[np.ndarray, "*batch L 3"]:
     """Return the force areas of the mirror image, base axes."""
-    flipped: Floats = force_area_b[..., LINK_TWINS, :] * MIRROR_AXES
+    flipped: Floats = force_area_b[..., opposite_indices(links), :] * MIRROR_AXES
     return flipped
 
 
@@ -115,13 +115,15 @@ class Dataset:
     yaw_deg: Float[np.ndarray, " B"]
     """Yaw of the robot about the tunnel's vertical [deg]."""
     force_area_b: Float[np.ndarray, "B L 3"]
-    """Force areas [m²], base axes, order of `LINKS`."""
+    """Force areas [m²], base axes, order of `links`."""
     speed: Float[np.ndarray, " B"]
     """Speed of the air [m/s]."""
     air_density: Float[np.ndarray, " B"]
     """Density of the air [kg/m³]."""
     couple_volume_b: Float[np.ndarray, "B L 3"] | None = None
     """Moments about the links' centres `M / (½ ρ V²)` [m³], base axes; `None` if unknown."""
+    links: tuple[str, ...] = LINKS
+    """The robot's aerodynamic links."""
     quality: Mapping[str, Float[np.ndarray, " B"]] = field(default_factory=dict)
     """Quality measures that a solver reported for every row, by name with unit."""
     provenance: Mapping[str, str] = field(default_factory=dict)
@@ -132,9 +134,9 @@ class Dataset:
     def __post_init__(self) -> None:
         n = len(self.posture)
         shapes = {"is_mirrored": (n,), "joint_position_deg": (n, len(JOINTS)), "wind_b": (n, 3), "pitch_deg": (n,)}
-        shapes |= {"yaw_deg": (n,), "force_area_b": (n, len(LINKS), 3), "speed": (n,), "air_density": (n,)}
+        shapes |= {"yaw_deg": (n,), "force_area_b": (n, len(self.links), 3), "speed": (n,), "air_density": (n,)}
         if self.couple_volume_b is not None:
-            shapes["couple_volume_b"] = (n, len(LINKS), 3)
+            shapes["couple_volume_b"] = (n, len(self.links), 3)
         values = {name: getattr(self, name) for name in shapes} | dict(self.quality)
         for name, value in values.items():
             shape = shapes.get(name, (n,))
@@ -223,9 +225,9 @@ class Dataset:
             joint_position_deg=append_images(both.joint_position_deg, mirrored_joints(both.joint_position_deg)),
             wind_b=append_images(both.wind_b, both.wind_b * MIRROR_AXES),
             yaw_deg=append_images(both.yaw_deg, -both.yaw_deg),
-            force_area_b=append_images(both.force_area_b, mirrored_areas(both.force_area_b)),
+            force_area_b=append_images(both.force_area_b, mirrored_areas(both.force_area_b, self.links)),
             # Moments are axial vectors, whose mirror image has the opposite sign.
-            couple_volume_b=None if couples is None else append_images(couples, -mirrored_areas(couples)),
+            couple_volume_b=None if couples is None else append_images(couples, -mirrored_areas(couples, self.links)),
         )
 
     def random_split(self, seed: int, fraction: float = 0.2) -> tuple[Int[np.ndarray, " _"], Int[np.ndarray, " _"]]:
@@ -288,7 +290,7 @@ def save(dataset: Dataset, path: str | PathLike[str]) -> None:
         "is_mirrored": ("row", dataset.is_mirrored.astype("i1")),
         "group": ("row", dataset.group, {"long_name": "rows of one body shape in one wind share a number"}),
         "joint": list(JOINTS),
-        "link": list(LINKS),
+        "link": list(dataset.links),
         "xyz": ["x", "y", "z"],
     }
     variables = {
@@ -328,9 +330,8 @@ def load(path: str | PathLike[str]) -> Dataset:
         raise ValueError(f"{path} is not a dataset of this project: {reason}") from reason
     if table.attrs.get("format") != FORMAT:
         raise ValueError(f"format of {path} is {table.attrs.get('format')!r}; expected {FORMAT!r}")
-    for name, expected in (("joint", JOINTS), ("link", LINKS)):
-        if tuple(table[name].values.tolist()) != expected:
-            raise ValueError(f"{name}s of {path} are {table[name].values.tolist()}; expected {list(expected)}")
+    if (joints := table["joint"].values.tolist()) != list(JOINTS):
+        raise ValueError(f"joints of {path} are {joints}; expected {list(JOINTS)}")
 
     def facts(kind: str) -> dict[str, Any]:
         return {key.removeprefix(kind): value for key, value in table.attrs.items() if key.startswith(kind)}
@@ -347,6 +348,7 @@ def load(path: str | PathLike[str]) -> Dataset:
         },
         provenance={key: str(value) for key, value in facts("provenance: ").items()},
         checks={key: float(value) for key, value in facts("check: ").items()},
+        links=tuple(str(name) for name in table["link"].values),
     )
     if dataset.sha256 != table.attrs["sha256"]:
         raise ValueError(f"{path} says sha256 {table.attrs['sha256'][:12]}…, its numbers give {dataset.sha256[:12]}…")
