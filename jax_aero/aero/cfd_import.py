@@ -232,7 +232,9 @@ def checks(dataset: Dataset) -> dict[str, float]:
         "rows": len(dataset),
         "postures": len(np.unique(dataset.family)),
         "groups of equal posture and wind that occur more than once": int((sizes > 1).sum()),
-        f"variance over the {3 * len(dataset.links)} components [m4]": float(areas.reshape(len(dataset), -1).var(axis=0).mean()),
+        f"variance over the {3 * len(dataset.links)} components [m4]": float(
+            areas.reshape(len(dataset), -1).var(axis=0).mean()
+        ),
     }
     if len(repeats):
         found["difference within those groups, mean square [m4]"] = float(np.mean(repeats**2))

@@ -313,13 +313,13 @@ def save(dataset: Dataset, path: str | PathLike[str]) -> None:
     write_netcdf(target, table, dict.fromkeys(variables, packed))
 
 
-def load(path: str | PathLike[str]) -> Dataset:
-    """Read a file that `save` wrote.
+def load(path: str | PathLike[str], links: Sequence[str] = LINKS) -> Dataset:
+    """Read a file that `save` wrote, of a robot with these aerodynamic links.
 
     Raises
     ------
     ValueError
-        If the file is missing or of another format, or if its numbers are not those that were written.
+        If the file is missing, of another format or other links, or if its numbers are not those that were written.
     """
     if not Path(path).is_file():
         raise ValueError(f"there is no dataset {path}; write it with: jax-aero data import-cfd")
@@ -330,8 +330,9 @@ def load(path: str | PathLike[str]) -> Dataset:
         raise ValueError(f"{path} is not a dataset of this project: {reason}") from reason
     if table.attrs.get("format") != FORMAT:
         raise ValueError(f"format of {path} is {table.attrs.get('format')!r}; expected {FORMAT!r}")
-    if (joints := table["joint"].values.tolist()) != list(JOINTS):
-        raise ValueError(f"joints of {path} are {joints}; expected {list(JOINTS)}")
+    for name, expected in (("joint", JOINTS), ("link", tuple(links))):
+        if tuple(table[name].values.tolist()) != expected:
+            raise ValueError(f"{name}s of {path} are {table[name].values.tolist()}; expected {list(expected)}")
 
     def facts(kind: str) -> dict[str, Any]:
         return {key.removeprefix(kind): value for key, value in table.attrs.items() if key.startswith(kind)}
@@ -348,7 +349,7 @@ def load(path: str | PathLike[str]) -> Dataset:
         },
         provenance={key: str(value) for key, value in facts("provenance: ").items()},
         checks={key: float(value) for key, value in facts("check: ").items()},
-        links=tuple(str(name) for name in table["link"].values),
+        links=tuple(links),
     )
     if dataset.sha256 != table.attrs["sha256"]:
         raise ValueError(f"{path} says sha256 {table.attrs['sha256'][:12]}…, its numbers give {dataset.sha256[:12]}…")

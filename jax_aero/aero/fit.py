@@ -14,24 +14,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from jax_aero.aero.dataset import LINKS, Dataset, Floats, Indices
-
-FAMILIES: Mapping[str, tuple[str, ...]] = {
-    "head": ("head",),
-    "chest": ("chest",),
-    "chest_jet": ("chest_l_jet_turbine", "chest_r_jet_turbine"),
-    "upper_arm": ("l_upper_arm", "r_upper_arm"),
-    "arm_jet": ("l_arm_jet_turbine", "r_arm_jet_turbine"),
-    "root": ("root_link",),
-    "upper_leg": ("l_upper_leg", "r_upper_leg"),
-    "lower_leg": ("l_lower_leg", "r_lower_leg"),
-}
-"""Links that share coefficients, by their names in the robot's configuration."""
+from jax_aero import tables
+from jax_aero.aero.dataset import Dataset, Floats, Indices
+from jax_aero.robot import RobotModel
 
 MODEL_TERMS = ((0, 0), (1, 0), (0, 2), (0, 3), (3, 0))
 """Powers (i, j) of cos and sin of the terms of `w0 .. w4` in the drag area.
@@ -75,6 +66,19 @@ class FamilyFit:
     """`w5` of the signed normal force [m²]."""
     cna_of_magnitude: float
     """`w5` of the magnitude of the normal force [m²], as the paper seems to have fitted it."""
+
+    @property
+    def coefficients(self) -> Float[np.ndarray, "6"]:
+        """`w0 .. w5`, with the signed normal force [m²]."""
+        return np.array([*self.cda, self.cna])
+
+
+def families_of(robot: RobotModel) -> dict[str, tuple[str, ...]]:
+    """Return the links that share coefficients, by family, from the robot's file."""
+    found: dict[str, tuple[str, ...]] = {}
+    for link in tables.read(Path(robot.source))["aero_links"]:
+        found[link["family"]] = (*found.get(link["family"], ()), link["name"])
+    return found
 
 
 def angles(axes: Float[np.ndarray, "B L 3"], wind_b: Float[np.ndarray, "B 3"]) -> Angles:
@@ -167,7 +171,9 @@ def spread(
     return error
 
 
-def fit(dataset: Dataset, axes: Float[np.ndarray, "B L 3"]) -> dict[str, FamilyFit]:
+def fit(
+    dataset: Dataset, axes: Float[np.ndarray, "B L 3"], families: Mapping[str, Sequence[str]]
+) -> dict[str, FamilyFit]:
     """Fit every family to a dataset, given the unit axes of its links in base axes.
 
     The paper mirrors its data first; callers should do the same.
@@ -175,8 +181,8 @@ def fit(dataset: Dataset, axes: Float[np.ndarray, "B L 3"]) -> dict[str, FamilyF
     geometry = angles(axes, dataset.wind_b)
     force = parts(dataset.force_area_b, geometry.wind)
     fits = {}
-    for family, members in FAMILIES.items():
-        links = [LINKS.index(name) for name in members]
+    for family, members in families.items():
+        links = [dataset.links.index(name) for name in members]
         fits[family] = fit_family(
             geometry.cos[:, links].ravel(),
             geometry.sin[:, links].ravel(),
@@ -211,10 +217,6 @@ class Quality(NamedTuple):
     """Mean squared error over rows, links and axes [m⁴]."""
     r2: float
     """Explained share of the variance of the 39 components."""
-    drag_rms: float
-    """Rms error of the whole robot's drag area, relative to its mean."""
-    lift_side_rms: float
-    """Rms error of the whole robot's force area normal to the wind [m²]."""
 
 
 def quality(predicted_b: Float[np.ndarray, "B L 3"], dataset: Dataset) -> Quality:
@@ -222,21 +224,27 @@ def quality(predicted_b: Float[np.ndarray, "B L 3"], dataset: Dataset) -> Qualit
     error = predicted_b - dataset.force_area_b
     variance = dataset.force_area_b.reshape(len(dataset), -1).var(axis=0).mean()
     mse = float(np.mean(error**2))
-    wind = dataset.wind_b[:, None, :]
-    total = parts(dataset.force_area_b.sum(axis=1, keepdims=True), wind)
-    off = parts(error.sum(axis=1, keepdims=True), wind)
-    return Quality(
-        mse=mse,
-        r2=float(1.0 - mse / variance),
-        drag_rms=float(np.sqrt(np.mean(off.drag**2)) / np.mean(total.drag)),
-        lift_side_rms=float(np.sqrt(np.mean(np.sum(off.across**2, axis=-1)))),
-    )
+    return Quality(mse=mse, r2=float(1.0 - mse / variance))
 
 
-def coefficients_of(fits: Mapping[str, FamilyFit]) -> Float[np.ndarray, "L 6"]:
-    """Return the coefficients [m²] in the order of `LINKS`, with the signed normal force."""
-    family_of = {link: family for family, members in FAMILIES.items() for link in members}
-    return np.array([[*fits[family_of[link]].cda, fits[family_of[link]].cna] for link in LINKS])
+def held_out_areas(
+    dataset: Dataset, axes: Float[np.ndarray, "B L 3"], families: Mapping[str, Sequence[str]]
+) -> Float[np.ndarray, "B L 3"]:
+    """Return the force areas [m²] of every row, base axes, by the fit to the other postures."""
+    found = np.empty_like(dataset.force_area_b)
+    for number in np.unique(dataset.family):
+        out = dataset.family == number
+        fits = fit(dataset.take(~out), axes[~out], families)
+        found[out] = predicted_areas(coefficients_of(fits, families, dataset.links), axes[out], dataset.wind_b[out])
+    return found
+
+
+def coefficients_of(
+    fits: Mapping[str, FamilyFit], families: Mapping[str, Sequence[str]], links: Sequence[str]
+) -> Float[np.ndarray, "L 6"]:
+    """Return the coefficients [m²] in the order of `links`."""
+    family_of = {link: family for family, members in families.items() for link in members}
+    return np.array([fits[family_of[link]].coefficients for link in links])
 
 
 def _held_out_error(matrix: Floats, target: Floats, posture: Indices) -> float:

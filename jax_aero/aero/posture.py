@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
 import jax
 import numpy as np
+import numpy.typing as npt
 from jaxtyping import Float
 
-from jax_aero.aero.dataset import JOINTS, LINKS, Floats, reorder_joints
+from jax_aero.aero.dataset import JOINTS, Floats, reorder_joints
 from jax_aero.kinematics import frame_poses, kinematics_at_rest
 from jax_aero.robot import RobotModel
 from jax_aero.types import Array
@@ -34,10 +36,10 @@ def link_frames(robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"])
     Raises
     ------
     ValueError
-        If the robot's links or joints differ from those of the tables.
+        If the robot lacks a joint of the tables.
     """
-    if robot.aero_links.names != LINKS or not set(JOINTS).issubset(robot.joint_names):
-        raise ValueError(f"{robot.name} has not the links and joints of the tables: {', '.join(LINKS)}")
+    if missing := [name for name in JOINTS if name not in robot.joint_names]:
+        raise ValueError(f"{robot.name} has no joint {', '.join(missing)}; expected those of iRonCub")
     shapes, shape_of = np.unique(joint_position_deg, axis=0, return_inverse=True)
     with jax.enable_x64(True):
         found = _frames(robot, reorder_joints(robot.joint_names, shapes))
@@ -71,6 +73,28 @@ def total_wrench(
 def vector_rms(vectors: Float[np.ndarray, "B 3"]) -> float:
     """Return the root mean squared length of vectors, in their unit."""
     return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
+
+
+def rms_by_posture(
+    errors: Sequence[Float[np.ndarray, "B k"]], posture: npt.ArrayLike, draws: int, seed: int
+) -> Float[np.ndarray, "draws M"]:
+    """Return the rms length of M error vectors (B, k), for postures drawn with replacement."""
+    names, number = np.unique(np.asarray(posture), return_inverse=True)
+    square = np.stack([np.sum(one**2, axis=-1) for one in errors])
+    sums = np.stack([np.bincount(number, one) for one in square])
+    count = np.bincount(number)
+    drawn = np.random.default_rng(seed).integers(len(names), size=(draws, len(names)))
+    found: Floats = np.sqrt(sums[:, drawn].sum(axis=-1) / count[drawn].sum(axis=-1)).T
+    return found
+
+
+DRAWS, SEED = 1000, 1
+
+
+def interval_by_posture(errors: Float[np.ndarray, "B k"], posture: npt.ArrayLike) -> tuple[float, float]:
+    """Return the 95 % interval of the rms length of error vectors over the choice of postures, by the bootstrap."""
+    low, high = np.quantile(rms_by_posture([errors], posture, DRAWS, SEED), (0.025, 0.975))
+    return float(low), float(high)
 
 
 def link_arms(robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"]) -> Float[np.ndarray, "B L 3"]:

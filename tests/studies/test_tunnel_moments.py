@@ -14,7 +14,7 @@ from experiments.studies.tunnel_moments import study as tunnel_moments
 from jax_aero import tables
 from jax_aero.aero import dataset, tunnel
 from jax_aero.aero.fit import predicted_areas
-from jax_aero.aero.posture import link_axes, total_wrench
+from jax_aero.aero.posture import link_axes, rms_by_posture, total_wrench
 from jax_aero.robot import load_robot
 from paper_figs import model_pairs
 from tests.units.test_tunnel import clone, gvp
@@ -123,7 +123,7 @@ def test_postures_are_drawn_with_all_of_their_rows():
     """Errors 1 and 2 of one posture, 3 of another: draws have both postures, or one of them twice."""
     errors = np.zeros((1, 3, 3))
     errors[0, :, 1] = 1.0, 2.0, 3.0
-    drawn = tunnel_correction.rms_by_posture(errors, np.array(["a", "a", "b"]), 100, 1)
+    drawn = rms_by_posture(errors, np.array(["a", "a", "b"]), 100, 1)
     assert drawn.shape == (100, 1)
     np.testing.assert_allclose(np.unique(drawn.round(9)), np.sqrt([10.0 / 4.0, 14.0 / 3.0, 9.0]), atol=1e-9)
 

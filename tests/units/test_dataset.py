@@ -92,7 +92,7 @@ def test_mirrored_rows_keep_drag_and_lift_and_turn_side_around(data):
     first, second = both.take(slice(0, len(data))), both.take(slice(len(data), None))
     assert second.is_mirrored.all()
     np.testing.assert_allclose(second.wind_b, ds.wind_direction(second.pitch_deg, second.yaw_deg), atol=1e-12)
-    swapped = first.force_area_w[:, ds.LINK_TWINS] * np.array([1.0, -1.0, 1.0])
+    swapped = ds.mirrored_areas(first.force_area_w)
     np.testing.assert_allclose(second.force_area_w, swapped, atol=1e-15)
     assert both.add_mirror_images() is both
 

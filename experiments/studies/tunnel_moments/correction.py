@@ -7,7 +7,6 @@ that predicts left-out postures best. Reported is the error on postures used for
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -104,15 +103,4 @@ def _ridge(rows: Floats, right: Floats) -> Floats:
     value, vector = np.linalg.eigh(matrix)
     turned = vector.T @ np.einsum("nck,nc->k", rows, right) / len(rows)
     found: Floats = (turned / (np.maximum(value, 0.0) + STRENGTHS[:, None])) @ vector.T
-    return found
-
-
-def rms_by_posture(errors: Sequence[Floats], posture: Any, draws: int, seed: int) -> Floats:
-    """Return the rms length of error vectors (M, N, 3) for postures drawn with replacement, (draws, M)."""
-    names, number = np.unique(posture, return_inverse=True)
-    square = np.sum(np.stack(list(errors)) ** 2, axis=-1)
-    sums = np.stack([np.bincount(number, one) for one in square])
-    count = np.bincount(number)
-    drawn = np.random.default_rng(seed).integers(len(names), size=(draws, len(names)))
-    found: Floats = np.sqrt(sums[:, drawn].sum(axis=-1) / count[drawn].sum(axis=-1)).T
     return found
