@@ -30,7 +30,7 @@ from jax_aero.aero.dataset import (
     tunnel_from_base,
     wind_direction,
 )
-from jax_aero.aero.posture import total_wrench
+from jax_aero.aero.posture import axes_of, total_wrench
 from jax_aero.places import ROBOT
 from jax_aero.robot import RobotModel, load_robot
 
@@ -70,7 +70,8 @@ class Row(NamedTuple):
 def compute(name: str, config: TunnelConfig) -> Findings:
     """Compare."""
     path = config.dataset or dataset_of(name)
-    ours, robot = load(path), load_robot(config.robot)
+    robot = load_robot(config.robot)
+    ours = load(path, robot.aero_links.names)
     rows = list(pair_cases(ours, record.load_result(config.tunnel), axes_of(robot)))
     if not rows:
         raise Refused(f"{config.tunnel} has no point of posture, wind and speed of a case of {path}")
@@ -89,12 +90,6 @@ STUDY = Study(
     words="cfd tunnel",
 )
 main = STUDY.main
-
-
-def axes_of(robot: RobotModel) -> Floats:
-    """Return the rotation (3, 3) to base axes from x backward, y right, z up."""
-    forward, up = np.asarray(robot.forward_axis), np.array([0.0, 0.0, 1.0])
-    return np.stack([-forward, np.cross(forward, up), up], axis=1)
 
 
 def pair_cases(ours: Dataset, points: xr.Dataset, axes: Floats) -> Iterator[Row]:

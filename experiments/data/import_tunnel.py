@@ -17,17 +17,19 @@ import numpy as np
 import xarray as xr
 
 from experiments import Refused, record
-from experiments.data.import_cfd import OUT, known_postures, read_table
+from experiments.data.import_cfd import OUT, POSTURES, known_postures, read_table
 from jax_aero import places, tables
 from jax_aero.aero import tunnel
 from jax_aero.aero.dataset import Floats
-from jax_aero.aero.posture import link_frames
+from jax_aero.aero.posture import axes_of, link_frames
 from jax_aero.aero.tunnel import Points, Test
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
 from jax_aero.places import ROBOT
 from jax_aero.robot import load_robot
 
+MK3 = places.CONFIGS / "robot" / "ironcub_mk3.toml"
+POSTURES_OF_MK3 = places.CONFIGS / "tables" / "postures_mk3.toml"
 TESTS = places.CONFIGS / "tables" / "tunnel_tests.toml"
 ROOTS = ("wind-tunnel", "wind-tunnel-data")
 """Folders of the campaigns in a clone, which differ between commits."""
@@ -127,14 +129,11 @@ def from_table(path: Path) -> Points:
 
 def reduce_moments(points: Points, side: str) -> xr.Dataset:
     """Reduce points about the hip and the centre of mass of the robot's model."""
-    joints: dict[str, Floats] = {}
-    coms: dict[str, Floats] = {}
-    if points.robot == "mk1":
-        known = known_postures()
-        joints = {name: known[name] for name in dict.fromkeys(points.posture)}
-        places = link_frames(load_robot(ROBOT), np.stack(list(joints.values()))).com
-        coms = dict(zip(joints, places, strict=True))
-    return tunnel.reduce_points(points, joints, coms, side)
+    known = known_postures(path=POSTURES if points.robot == "mk1" else POSTURES_OF_MK3)
+    joints = {name: known[name] for name in dict.fromkeys(points.posture)}
+    robot = load_robot(ROBOT if points.robot == "mk1" else MK3)
+    places = link_frames(robot, np.stack(list(joints.values()))).com @ axes_of(robot)
+    return tunnel.reduce_points(points, joints, dict(zip(joints, places, strict=True)), side)
 
 
 def gravity_sweeps(clone: Path) -> dict[str, dict[str, tuple[Floats, Floats]]]:
@@ -165,7 +164,7 @@ def summary(data: xr.Dataset) -> str:
     lines = [
         f"{data.attrs['robot']}: {data.sizes['point']} points of {tests} tests, {postures} postures; {alone} alone"
     ]
-    if alone and data.attrs["robot"] == "mk1":
+    if alone:
         chosen: Any = data["robot_only"].values == 1
         for name in ("u_lever", "u_zero", "u_repeat", "u_total"):
             size = np.sqrt(np.mean(data[name].values[chosen] ** 2, axis=0))

@@ -53,6 +53,12 @@ def _frames(robot: RobotModel, joints: Array) -> tuple[Array, Array, Array]:
     return *frame_poses(kin, robot.aero_links), kin.com
 
 
+def axes_of(robot: RobotModel) -> Floats:
+    """Return the rotation (3, 3) to base axes from those of the tunnel's tables: x backward, y right, z up."""
+    forward, up = np.asarray(robot.forward_axis), np.array([0.0, 0.0, 1.0])
+    return np.stack([-forward, np.cross(forward, up), up], axis=1)
+
+
 class Wrench(NamedTuple):
     """Totals of the links' force areas, base axes."""
 

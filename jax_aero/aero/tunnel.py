@@ -41,10 +41,10 @@ YAW = {"mk1": 1.0, "mk3": -1.0}
 
 
 class Lever(NamedTuple):
-    """Offset of the balance centre from the hip-pitch axis."""
+    """Offset of the balance centre."""
 
     offset: tuple[float, float, float]
-    """Offset, balance axes [m]."""
+    """Offset [m]; of Mk1 from the hip-pitch axis, balance axes."""
     deviation: tuple[float, float, float]
     """Standard deviations of the offset, balance axes [m]."""
 
@@ -56,6 +56,12 @@ LEVERS = {
 }
 """Offsets by kind of test and side of the balance centre. The authors' scripts changed the sign of the height once; for
 the mount of the flight postures the distance is uncertain."""
+BALANCE_OF_MK3 = Lever((0.206, 0.0, -0.024), (0.014, 0.005, 0.01))
+"""Balance centre of Mk3 from the base origin, x backward, and deviations in balance axes [m].
+
+The gravity sweep of homePos (TID_0001.tara, 65.0 kg) has the centre of gravity at (-14, -32, -202) mm from it in balance
+axes, within (6, 0.5, 0.5) mm; the model (65.95 kg) has it 4 mm behind and 8 mm above the base origin. Sideways the robot
+is taken as symmetric."""
 REPEATABILITY = np.array([0.002, 0.003, 0.001])
 """Repeatability of moment volumes within a campaign, base axes [m³]."""
 
@@ -291,14 +297,15 @@ def reduce_points(points: Points, joints: Mapping[str, Floats], coms: Mapping[st
 
         M_hip = M_bal + r × F,   M_com = M_hip + (p_hip − p_com) × F                                   (M95)
 
-    with r the balance centre relative to the hip. Without a centre of mass (Mk3) M_hip and M_com are NaN.
+    with r the balance centre relative to the hip. Of Mk3 it is known relative to the base instead, and M_hip is NaN;
+    M_com is NaN without a centre of mass.
 
     Parameters
     ----------
     joints, coms
         Joint angles (19,) [deg] and centre of mass (3,) [m], base axes, by posture.
     side
-        Whether the balance centre is `below` or `above` the hip-pitch axis.
+        Whether Mk1's balance centre is `below` or `above` the hip-pitch axis.
     """
     n = len(points)
     turns = np.stack([base_from_balance(points.robot, kind) for kind in points.kind])
@@ -306,12 +313,15 @@ def reduce_points(points: Points, joints: Mapping[str, Floats], coms: Mapping[st
     forces = np.einsum("nij,nj->ni", turns, points.load[:, :3] / q)
     moments = np.einsum("nij,nj->ni", turns, points.load[:, 3:] / q)
     zero = np.einsum("nij,nkj->nki", turns, (points.zero_return / q).reshape(n, 2, 3))
-    levers = [LEVERS[kind, side] for kind in points.kind]
-    to_hip = np.einsum("nij,nj->ni", turns, np.array([lever.offset for lever in levers]))
     com = np.array([coms.get(posture, np.full(3, np.nan)) for posture in points.posture])
-    if points.robot != "mk1":
+    if points.robot == "mk1":
+        levers = [LEVERS[kind, side] for kind in points.kind]
+        to_hip = np.einsum("nij,nj->ni", turns, np.array([lever.offset for lever in levers]))
+        to_com = to_hip + HIP - com
+    else:
+        levers = [BALANCE_OF_MK3] * n
         to_hip = np.full((n, 3), np.nan)
-    to_com = to_hip + HIP - com
+        to_com = BALANCE_OF_MK3.offset - com
     sigma = np.array([lever.deviation for lever in levers])
     u_lever = np.sqrt(sum(_lever_part(axis, sigma, points.load[:, :3] / q, turns) ** 2 for axis in range(3)))
     u_zero = np.abs(zero[:, 1] + np.cross(to_com, zero[:, 0]))

@@ -94,6 +94,17 @@ def test_feet_belong_to_the_lower_legs_and_shoulders_to_the_arms(hovering):
     assert inmost < np.abs(hovering["l_arm_jet_turbine"].triangles[..., 1]).min()
 
 
+@pytest.mark.parametrize("name", ["mk3", "mk3_tunnel"])
+def test_mk3_has_a_surface_for_each_of_its_links_in_postures_it_can_take(name):
+    """Its jetpack and its feet are links of their own; postures beyond its stops would be refused."""
+    made = design.Design.read(name, {})
+    links = load_robot(made.spec.robot).aero_links.names
+    assert {"chest_jetpack", "l_ankle_2"} <= set(links)
+    for surfaces in made.surfaces.values():
+        assert tuple(surfaces) == links
+        assert all(geometry.is_closed(surface.triangles) for surface in surfaces.values())
+
+
 BOX = (0.1, 0.15, 0.2)
 
 
@@ -430,8 +441,8 @@ def test_a_folder_of_other_settings_is_refused(small, tmp_path):
 
 def test_the_designs_have_one_recipe():
     """What the tunnel says of the anchors holds for the shipped dataset."""
-    anchors, shipped = (design.Design.read(name, {}).spec.settings for name in ("anchors", "open"))
-    assert anchors == shipped
+    anchors, *others = (design.Design.read(name, {}).spec.settings for name in ("anchors", "open", "mk3", "mk3_tunnel"))
+    assert others == [anchors] * 3
 
 
 def test_a_design_with_other_keys_has_a_folder_and_a_command_of_its_own(tmp_path):
@@ -663,9 +674,11 @@ def test_beside_the_tunnel_stand_cases_of_the_same_posture_and_wind_alone(collec
     agree("areas", list(found.values()), [0.13, 1.3, -0.03, -0.02], 1e-12)
 
 
-def test_the_shipped_dataset_has_accepted_cases_of_its_design_alone():
-    """Cases of other settings, or ones that its tests refuse, would go unnoticed into every network."""
-    data, made = ds.load("configs/aero/datasets/open.nc"), design.Design.read("open", {})
+@pytest.mark.parametrize("name", ["open", "mk3"])
+def test_a_shipped_dataset_has_accepted_cases_of_its_design_alone(name):
+    """Cases of other settings, or ones that its tests refuse, would go unnoticed into every model."""
+    made = design.Design.read(name, {})
+    data = ds.load(f"configs/aero/datasets/{name}.nc", load_robot(made.spec.robot).aero_links.names)
     designed = {(case.posture, case.pitch_deg, case.yaw_deg) for case in made}
     found = set(zip(data.posture.tolist(), data.pitch_deg.tolist(), data.yaw_deg.tolist(), strict=True))
     assert found <= designed

@@ -97,6 +97,21 @@ def test_mirrored_rows_keep_drag_and_lift_and_turn_side_around(data):
     assert both.add_mirror_images() is both
 
 
+def test_rows_have_the_links_of_their_robot(data, tmp_path):
+    """Links of another robot are swapped by their own names, written, and refused where a robot lacks them."""
+    links = ("head", "l_foot", "r_foot")
+    areas = np.arange(9.0 * len(data)).reshape(len(data), 3, 3)
+    made = dataclasses.replace(data, force_area_b=areas, links=links)
+    image = made.add_mirror_images().force_area_b[len(data) :]
+    np.testing.assert_array_equal(image, areas[:, [0, 2, 1]] * [1.0, -1.0, 1.0])
+    ds.save(made, tmp_path / "made.nc")
+    assert ds.load(tmp_path / "made.nc", links).links == links
+    with pytest.raises(ValueError, match=r"links of .*made.nc are \['head', 'l_foot', 'r_foot'\]; expected \['head', "):
+        ds.load(tmp_path / "made.nc")
+    with pytest.raises(ValueError, match="`force_area_b` has shape"):
+        dataclasses.replace(data, links=links)
+
+
 def test_a_posture_and_its_image_are_one_family_and_poles_are_one_group(data):
     both = data.add_mirror_images()
     assert len(np.unique(both.family)) == len(data.postures)

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from experiments.cfd import models
 from experiments.data import fit_aero, import_cfd
+from experiments.data.import_tunnel import MK3, POSTURES_OF_MK3
 from jax_aero import places
 from jax_aero.aero import dataset as ds
 from jax_aero.aero import fit
@@ -129,6 +131,43 @@ def test_coefficients_are_recovered_from_data_made_with_them(robot, sampled, axe
         fit.quality(fit.predicted_areas(found, axes, made.wind_b), made).mse,
         1e-18,
     )
+
+
+def test_a_robot_with_other_links_and_no_published_coefficients_is_fitted(tmp_path, monkeypatch):
+    """Of iRonCub-Mk3 the estimated areas are recovered, also on postures left out, by families of its own file."""
+    robot, postures = load_robot(MK3), import_cfd.known_postures(path=POSTURES_OF_MK3)
+    joints = np.repeat([postures[name] for name in ("homePos", "flight30", "flight_config1")], 40, axis=0)
+    rng = np.random.default_rng(7)
+    pitch, yaw = rng.uniform(0.0, 180.0, 120), rng.uniform(-180.0, 180.0, 120)
+    wind = ds.wind_direction(pitch, yaw)
+    truth = np.asarray(robot.aero_links.coefficients["estimated"])
+    made = ds.Dataset(
+        posture=np.repeat(["homePos", "flight30", "flight_config1"], 40),
+        is_mirrored=np.zeros(120, dtype=bool),
+        joint_position_deg=joints,
+        wind_b=wind,
+        pitch_deg=pitch,
+        yaw_deg=yaw,
+        force_area_b=fit.predicted_areas(truth, link_axes(robot, joints), wind),
+        couple_volume_b=np.full((120, 16, 3), 1e-3),
+        speed=np.full(120, 17.0),
+        air_density=np.full(120, 1.225),
+        links=robot.aero_links.names,
+    )
+    monkeypatch.setattr(places, "RESULTS", tmp_path)
+    ds.save(made, tmp_path / "datasets" / "made.nc")
+    found = fit_aero.STUDY.run("made", {"robot": str(MK3)})["summary"]
+    folder = next((tmp_path / "fit_aero").iterdir())
+    refit = xr.load_dataset(folder / "run.nc", engine="h5netcdf")["coefficients"].sel(variant="refit").values
+    np.testing.assert_allclose(refit, truth, atol=1e-9)
+    left_out = fit_aero.LEFT_OUT
+    measured("drag on postures left out", found[f"{left_out}: {fit_aero.ERRORS['drag']}"], 1e-9)
+    # Forces are exact, so what is left of the moment are the couples on 16 links.
+    couples = 16e-3 * np.sqrt(3.0) * models.NEWTON_METRES
+    for end in ("", ", 2.5 %", ", 97.5 %"):
+        key = f"{left_out}: {fit_aero.ERRORS['moment']}{end}"
+        np.testing.assert_allclose(found[key], couples, rtol=1e-6)
+    assert "jetpack   = { cda = [0.04310" in (folder / "refit.toml").read_text()
 
 
 @pytest.mark.close_to_tolerance(

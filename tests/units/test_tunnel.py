@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from experiments.data import import_tunnel
+from experiments.data import import_cfd, import_tunnel
 from experiments.data.import_cfd import known_postures
 from jax_aero.aero import tunnel
 from jax_aero.aero.dataset import tunnel_from_base
@@ -75,12 +75,17 @@ def test_a_flight_posture_is_mounted_at_45_degrees(tmp_path, pitch, yaw):
         np.testing.assert_allclose(load / 50.0, turned, atol=1e-12)
 
 
-def test_mk3_has_other_balance_axes_and_no_reduction_about_the_hip(tmp_path):
+def test_mk3_has_other_balance_axes_and_a_balance_behind_its_centre_of_mass(tmp_path):
     row = (1, 90.0, 10.0, 12.0, 50.0, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
     data = read(tmp_path, "TID_0001.GVP", gvp([row]), campaign="wind-tunnel/exp_2023_12_11")
     np.testing.assert_allclose(data["force_area"].values, [[0.06, -0.02, -0.04]], atol=1e-12)
     np.testing.assert_allclose(data["moment_balance"].values, [[0.12, -0.08, -0.1]], atol=1e-12)
-    assert np.isnan(data["moment_com"]).all()
+    assert np.isnan(data["moment_hip"]).all()
+    # Its balance is 21 cm behind and 3 cm below the centre of mass; x of the table is backward.
+    arm = np.array([0.206, 0.0, -0.024]) - data["com"].values[0]
+    np.testing.assert_allclose(arm, [0.2017, 0.0, -0.0321], atol=5e-4)  # to half a millimetre
+    turned = np.array([0.12, -0.08, -0.1]) + np.cross(arm, [0.06, -0.02, -0.04])
+    np.testing.assert_allclose(data["moment_com"].values, [turned], atol=1e-12)
     assert (data["pitch"].item(), data["yaw"].item()) == (90.0, -10.0)  # its yaw turns the other way
 
 
@@ -239,8 +244,10 @@ def test_the_command_writes_what_it_reads_from_files_and_tables(tmp_path, capsys
     assert "expected a clone" in capsys.readouterr().err
 
 
-def test_all_postures_of_mk1_are_known():
+@pytest.mark.parametrize(("robot", "table"), [("mk1", import_cfd.POSTURES), ("mk3", import_tunnel.POSTURES_OF_MK3)])
+def test_all_postures_of_the_tests_are_known(robot, table):
     tests = import_tunnel.known_tests()
-    named = {about.posture for about in tests.values() if about.robot == "mk1"}
-    assert named <= set(known_postures())
+    named = {about.posture for about in tests.values() if about.robot == robot}
+    assert named
+    assert named <= set(known_postures(path=table))
     assert len(tests) == 157
