@@ -59,9 +59,9 @@ the mount of the flight postures the distance is uncertain."""
 BALANCE_OF_MK3 = Lever((0.206, 0.0, -0.024), (0.014, 0.005, 0.01))
 """Balance centre of Mk3 from the base origin, x backward, and deviations in balance axes [m].
 
-The gravity sweep of homePos (TID_0001.tara, 65.0 kg) has the centre of gravity at (-14, -32, -202) mm from it in balance
-axes, within (6, 0.5, 0.5) mm; the model (65.95 kg) has it 4 mm behind and 8 mm above the base origin. Sideways the robot
-is taken as symmetric."""
+The gravity sweep of homePos (TID_0001.tara, 65.0 kg) has the centre of gravity (-14, -32, -202) mm from it in balance
+axes, within (6, 0.5, 0.5) mm; the model (65.95 kg) has it 4 mm behind and 8 mm above the base origin. Sideways the
+robot is taken as symmetric."""
 REPEATABILITY = np.array([0.002, 0.003, 0.001])
 """Repeatability of moment volumes within a campaign, base axes [m³]."""
 
