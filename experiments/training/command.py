@@ -61,12 +61,14 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
         raise Refused(
             f"{path.name}: expected a `patience` of 0: rows held out would choose the weights that they judge"
         )
-    dataset = load(given.dataset)
+    dataset = load(given.dataset, config.robot(training.robot).aero_links.names)
     if training.mirrored:
         dataset = dataset.add_mirror_images()
     named = given.out or RESULTS / (study.result_name("training", path) + overrides.folder_suffix(changes))
     folder = resolve(named)
-    digest = hashlib.sha256(f"{study.digest(document, [config.ROBOT])}{dataset.sha256}".encode()).hexdigest()
+    digest = hashlib.sha256(
+        f"{study.digest(document, [training.robot or config.ROBOT])}{dataset.sha256}".encode()
+    ).hexdigest()
     with lock_work(folder):
         found = record.find_existing(folder, digest, code_hash(__name__), documents.Training, overwrite=given.overwrite)
         if found is None:
@@ -91,7 +93,7 @@ def _train_parts(
     todo = list(parts.parts(training, dataset))
     work = _work_folder(folder, f"{digest} {code_hash(__name__)}", restart=given.restart)
     finished, network = _train(training, dataset, todo, work)
-    errors = result.summarise(finished, training.chosen_on)
+    errors = result.summarise(finished, training.chosen_on, dataset.links)
 
     def save(draft: Path) -> None:
         if network is not None:
@@ -102,9 +104,9 @@ def _train_parts(
                 seed=training.seed,
                 source=given.dataset.name,
                 held_out=f"final weights: all rows; errors: {_describe_validation(training)}",
-            ) | {"check": result.check_rows(network, config.robot(), dataset)}
+            ) | {"check": result.check_rows(network, config.robot(training.robot), dataset)}
             card = draft / f"{folder.name}.json"
-            save_network(card, network, config.robot(), description=training.description, training=facts)
+            save_network(card, network, config.robot(training.robot), description=training.description, training=facts)
 
     timings = {one.part.name: float(one.errors["seconds"]) for one in finished}
     copies = training.ensemble.members if training.ensemble.keep == "mean" else 1
@@ -115,7 +117,7 @@ def _train_parts(
         digest,
         summary={
             "errors": errors,
-            "parameters": training.start(config.robot(), 0).parameters * copies,
+            "parameters": training.start(config.robot(training.robot), 0).parameters * copies,
             "seconds_per_epoch": {one.part.name: one.errors["seconds_per_epoch"] for one in finished},
         },
         command=["jax-aero", "train", *sys.argv[2:]],
@@ -124,7 +126,7 @@ def _train_parts(
         dataset=dataset.sha256,
         timings_s=timings | {"this call": time.perf_counter() - started},
     )
-    data = result.to_dataset(config.robot(), dataset, finished, training.title)
+    data = result.to_dataset(config.robot(training.robot), dataset, finished, training.title)
     data.attrs["config_hash"] = digest
     record.write_run(folder, data, document, replace=given.overwrite, more=save)
     shutil.rmtree(work)
@@ -143,7 +145,7 @@ def _describe_validation(training: config.Training) -> str:
 def _train(
     training: config.Training, dataset: Dataset, todo: Sequence[parts.Part], work: Path
 ) -> tuple[list[FinishedPart], Network | None]:
-    robot = config.robot()
+    robot = config.robot(training.robot)
     finished: list[FinishedPart] = []
     network = None
     is_quiet = not sys.stderr.isatty()
@@ -159,7 +161,7 @@ def _train(
                 bar.update()
 
             # The last part is trained again if needed, since its weights are required.
-            done = parts.recall(work, part) if part.split != "final" else None
+            done = parts.recall(work, part, len(dataset.links)) if part.split != "final" else None
             if done is None:
                 done, network = parts.run(part, training, robot, dataset, work, on_epoch)
                 if part.split != "final":

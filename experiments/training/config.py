@@ -39,9 +39,6 @@ class NetworkConfig(tables.Table, frozen=True):
     """Distribution of the initial weights."""
 
     def __post_init__(self) -> None:
-        known = ("none", *robot().aero_links.coefficients)
-        if self.baseline not in known:
-            raise ConfigError.of("baseline", self.baseline, f"one of {', '.join(known)}")
         check_output(self.frame, self.layout)
         tables.check_levels(self, "features")  # a card has each block once
 
@@ -98,8 +95,13 @@ class Training(tables.Table, frozen=True):
     validation: Validation
     distillation: Distillation | None = None
     """Settings for `ensemble.keep = "student"`."""
+    robot: Path | None = None
+    """Robot of the dataset; by default iRonCub-Mk1."""
 
     def __post_init__(self) -> None:
+        known = ("none", *robot(self.robot).aero_links.coefficients)
+        if (name := self.network.baseline) not in known:
+            raise ConfigError.of("network.baseline", name, f"one of {', '.join(known)}")
         if (self.ensemble.keep == "student") != (self.distillation is not None):
             found = "given" if self.distillation else "absent"
             raise ConfigError.of("distillation", found, "a table with `ensemble.keep = student`, and only there")
@@ -139,10 +141,10 @@ def read(path: Path, changes: Mapping[str, Any] | None = None) -> tuple[Training
     table = tables.read(path)
     for key, value in (changes or {}).items():
         set_key(table, key, value)
-    return tables.convert(table, Training, path.name), table
+    return tables.convert(table, Training, path.name, path.parent), table
 
 
 @functools.cache
-def robot() -> RobotModel:
-    """Return the robot whose links the datasets describe."""
-    return load_robot(ROBOT)
+def robot(path: Path | None = None) -> RobotModel:
+    """Return the robot whose links a dataset describes, by default iRonCub-Mk1."""
+    return load_robot(path or ROBOT)

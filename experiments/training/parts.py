@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from experiments import Refused
 from experiments.training.config import Training
-from jax_aero.aero.dataset import LINKS, Dataset, Floats, Indices
+from jax_aero.aero.dataset import Dataset, Floats, Indices
 from jax_aero.aero.network import Layer, Network
 from jax_aero.aero.posture import total_wrench, vector_rms
 from jax_aero.robot import RobotModel
@@ -172,8 +172,8 @@ def keep(work: Path, finished: FinishedPart) -> None:
         path.unlink()
 
 
-def recall(work: Path, part: Part) -> FinishedPart | None:
-    """Return a part that was finished earlier, or `None`."""
-    areas = np.zeros((len(part.held_out), len(LINKS), 3), np.float32)
+def recall(work: Path, part: Part, links: int) -> FinishedPart | None:
+    """Return a part that was finished earlier, or `None`, given the number of links."""
+    areas = np.zeros((len(part.held_out), links, 3), np.float32)
     found = load_checkpoint(work / f"{part.name}.checkpoint", areas, part.name)
     return FinishedPart(part, areas=np.asarray(found.state), **found.facts) if found else None

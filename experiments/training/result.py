@@ -13,7 +13,7 @@ import xarray as xr
 from experiments.data.import_cfd import COMMIT
 from experiments.training.parts import FinishedPart
 from jax_aero.aero import fit
-from jax_aero.aero.dataset import JOINTS, LINKS, Dataset
+from jax_aero.aero.dataset import JOINTS, Dataset
 from jax_aero.aero.network import Network, with_precision
 from jax_aero.aero.posture import link_axes
 from jax_aero.robot import RobotModel
@@ -33,7 +33,7 @@ NOTES = {"openfoam": OPEN_NOTE, COMMIT: FREESTREAM_NOTE}
 """Text of a card about its data, by a word in their provenance."""
 
 
-def summarise(finished: Sequence[FinishedPart], chosen_on: Sequence[str]) -> dict[str, Any]:
+def summarise(finished: Sequence[FinishedPart], chosen_on: Sequence[str], links: Sequence[str]) -> dict[str, Any]:
     """Return the errors of each split: mean over rows, spread over folds, and the baselines on the same rows.
 
     Settings that were chosen by looking at some postures are also judged on the other ones: `elsewhere_mse`.
@@ -62,7 +62,7 @@ def summarise(finished: Sequence[FinishedPart], chosen_on: Sequence[str]) -> dic
                 for name in ("whole_robot_rms", "moment_rms", "moment_present_rms")
             },
             "by_link": dict(
-                zip(LINKS, np.average([one.errors["by_link"] for one in here], axis=0, weights=weights), strict=True)
+                zip(links, np.average([one.errors["by_link"] for one in here], axis=0, weights=weights), strict=True)
             ),
             "baselines": {
                 name: mean([one.errors["baselines"][name] for one in here]) for name in here[0].errors["baselines"]
@@ -85,7 +85,6 @@ def to_dataset(robot: RobotModel, dataset: Dataset, finished: Sequence[FinishedP
     """Return predictions of the first seed of each split, those of the axisymmetric model, and all loss curves."""
     areas = dataset.force_area_b.astype(np.float32)
     axes = link_axes(robot, dataset.joint_position_deg)
-    corrected = np.asarray(robot.aero_links.coefficients["corrected"])
     variables: dict[str, Any] = {
         "area": (("row", "link", "xyz"), areas, _unit("force area, as given")),
         "wind": (("row", "xyz"), dataset.wind_b, {"units": "1", "long_name": "unit wind, base axes"}),
@@ -95,12 +94,11 @@ def to_dataset(robot: RobotModel, dataset: Dataset, finished: Sequence[FinishedP
             np.degrees(np.arccos(fit.angles(axes, dataset.wind_b).cos)),
             {"units": "degree", "long_name": "angle between the link's axis and where the wind comes from"},
         ),
-        "area_axisymmetric": (
-            ("row", "link", "xyz"),
-            fit.predicted_areas(corrected, axes, dataset.wind_b).astype(np.float32),
-            _unit("force area of the published axisymmetric model, head corrected"),
-        ),
     }
+    if (corrected := robot.aero_links.coefficients.get("corrected")) is not None:
+        predicted = fit.predicted_areas(np.asarray(corrected), axes, dataset.wind_b).astype(np.float32)
+        text = "force area of the published axisymmetric model, head corrected"
+        variables["area_axisymmetric"] = (("row", "link", "xyz"), predicted, _unit(text))
     for split in ("random", "grouped"):
         here = [one for one in finished if one.part.split == split]
         if not here:
@@ -131,7 +129,7 @@ def to_dataset(robot: RobotModel, dataset: Dataset, finished: Sequence[FinishedP
         "pitch": ("row", dataset.pitch_deg, {"units": "degree"}),
         "yaw": ("row", dataset.yaw_deg, {"units": "degree"}),
         "joint": list(JOINTS),
-        "link": list(LINKS),
+        "link": list(dataset.links),
         "xyz": ["x", "y", "z"],
         "curve": list(curves),
     }
@@ -160,7 +158,7 @@ def card_facts(
         "seed": seed,
         "epochs": epochs,
         "errors": plain,
-        "error_unit": "m^4, mean over 13 x 3 components of held-out rows",
+        "error_unit": f"m^4, mean over {len(dataset.links)} x 3 components of held-out rows",
         "baselines": baselines,
         "note": next((note for word, note in NOTES.items() if word in source_text), OTHER_NOTE),
     }

@@ -197,7 +197,7 @@ def replace_keys(path: Path, base: Mapping[str, Any], changes: Mapping[str, Any]
     table = copy.deepcopy(dict(base))
     for key, value in changes.items():
         set_key(table, key, value)
-    training: config.Training = tables.convert(table, config.Training, path.name)
+    training: config.Training = tables.convert(table, config.Training, path.name, path.parent)
     noise = {block: std for block, std in training.training.noise.items() if block in training.network.features}
     return replace(training, training=replace(training.training, noise=noise))
 
@@ -205,7 +205,7 @@ def replace_keys(path: Path, base: Mapping[str, Any], changes: Mapping[str, Any]
 def error_of(training: config.Training, dataset: Dataset, settings: SearchConfig) -> float:
     """Return the mean error over the inner folds [m⁴]; infinite where a network diverges."""
     rows = dataset.add_mirror_images() if training.mirrored else dataset
-    robot = config.robot()
+    robot = config.robot(training.robot)
     errors = []
     for train, held_out in rows.grouped_folds(settings.fold_seed, settings.folds)[: settings.folds_run]:
         start = training.start(robot, training.seed)

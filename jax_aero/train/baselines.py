@@ -11,17 +11,19 @@ from jax_aero.aero.network import init_network
 from jax_aero.robot import RobotModel
 from jax_aero.train.samples import samples_of
 
-AXISYMMETRIC = ("published", "corrected", "signed")
+AXISYMMETRIC = ("published", "corrected", "signed", "estimated")
+"""Coefficient sets that are shown, where a robot has them."""
 NEIGHBOURS = 4
 
 
 def baseline_errors(robot: RobotModel, training: Dataset, validation: Dataset) -> dict[str, float]:
-    """Return mean squared errors [m⁴] over the 13 × 3 components of the validation rows, by model.
+    """Return mean squared errors [m⁴] over the components of the validation rows, by model.
 
     `nearest` is the mean of the four nearest training rows, weighted by the inverse distance in wind (unit vector) and
     joints (degrees / 180); `linear` is a least-squares map from the same 22 numbers.
     """
-    found = {f"axisymmetric, {name}": _axisymmetric(robot, name, validation) for name in AXISYMMETRIC}
+    sets = [name for name in AXISYMMETRIC if name in robot.aero_links.coefficients]
+    found = {f"axisymmetric, {name}": _axisymmetric(robot, name, validation) for name in sets}
     x, y = _inputs_and_targets(training)
     x_new, y_new = _inputs_and_targets(validation)
     distance, index = KDTree(x).query(x_new, k=NEIGHBOURS)
