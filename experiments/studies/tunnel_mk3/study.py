@@ -198,7 +198,7 @@ def facing(robot: RobotModel, coefficients: Floats, points: Points) -> dict[str,
 
 
 def missing_force(points: Points, force: Floats, moment: Floats, rows: Any) -> dict[str, float]:
-    """Return the force that a model lacks and its place, `ΔM = r × ΔF`, relative to the balance centre [m]."""
+    """Return the force that a model lacks and its place from the centre of mass, by `ΔM = r × ΔF`."""
     own = points.take(rows)
     lacks, turned = own.force - force[rows], own.moment - moment[rows]
     found: dict[str, float] = {"force that is lacking, along the wind [m2]": float(np.sum(lacks * own.wind, 1).mean())}
