@@ -39,6 +39,8 @@ NEAR = 1.0
 SPEED = 1.0
 """Greatest difference of their speeds [m/s]."""
 SUPPORT = "support"
+LATERAL = 0.03
+"""Difference in lateral force area, base axes, from which its place is of interest [m²]."""
 
 
 class TunnelConfig(tables.Table, frozen=True):
@@ -160,7 +162,8 @@ def summary(data: xr.Dataset) -> dict[str, float | str]:
     difference = (data["force_area"] - data["force_area_tunnel"]).values
     off = np.linalg.norm(difference, axis=1)
     across = np.einsum("nij,nj->ni", tunnel_from_base(data["pitch"].values, data["yaw"].values), difference)
-    turned = NEWTON_METRES * np.linalg.norm((data["moment_com"] - data["moment_com_tunnel"]).values, axis=1)
+    twist = (data["moment_com"] - data["moment_com_tunnel"]).values
+    turned = NEWTON_METRES * np.linalg.norm(twist, axis=1)
     unsure = NEWTON_METRES * np.linalg.norm(data["moment_std_tunnel"].values, axis=1)
     alone = data["is_alone"].values == 1
     found: dict[str, float] = {}
@@ -178,6 +181,11 @@ def summary(data: xr.Dataset) -> dict[str, float | str]:
             f"{name}: moment, distance [N m at 10 m/s]": turned[place],
             f"{name}: moment, standard deviation of the tunnel's [N m at 10 m/s]": unsure[place],
         }
+        lateral = difference[place, 1]
+        if abs(lateral) > LATERAL:
+            # The moments differ by r × ΔF, of which the lateral force is the greatest part.
+            for axis, arm in (("x", twist[place, 2] / lateral), ("z", -twist[place, 0] / lateral)):
+                found[f"{name}: difference in lateral force, {axis} from the centre of mass [m]"] = arm
     for label, rows in (("robot alone", alone), ("support in the wind", ~alone)):
         if rows.any():
             found[f"{label}: cases"] = int(rows.sum())

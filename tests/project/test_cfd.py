@@ -164,3 +164,84 @@ def test_the_results_are_of_the_designs_as_they_are():
         assert KEPT[name]["config"] | {"title": today["title"]} == today
         assert KEPT[name]["summary"]["accepted"] == len(list(design))
         assert not KEPT[name]["git"]["dirty"]
+
+
+MK3 = PAGE.split("\n## iRonCub-Mk3\n")[1].split("\n## ")[0]
+TOTALS = {
+    "drag": "whole-robot drag, rms over mean",
+    "lateral": "whole-robot lateral force, rms [m2]",
+    "across": "whole-robot force across the wind, rms [m2]",
+    "moment": "moment about the centre of mass, rms [N m at 10 m/s]",
+}
+BESIDE_TUNNEL = {
+    "drag": "drag, rms over mean",
+    "lateral": "lateral force, rms [m2]",
+    "across": "force across the wind, rms [m2]",
+    "moment": "moment, rms [N m at 10 m/s]",
+}
+FITS = {
+    "estimated": "estimated",
+    "fit": "refit",
+    "fit, posture left out": "refit, posture left out",
+    "no force at all": "nothing",
+}
+GROUPS = {
+    "flight postures": "flight postures",
+    "hovering, yaw up to 20°": "hovering, yaw to 20 deg",
+    "hovering, yaw of 60 to 90°": "side wind",
+}
+
+
+def with_interval(summary: dict, key: str, digits: int, factor: float = 1.0, unit: str = "") -> str:
+    value, low, high = (f"{factor * summary[f'{key}{end}']:.{digits}f}" for end in ("", ", 2.5 %", ", 97.5 %"))
+    return f"{value}{unit} ({low} to {high})"
+
+
+def totals(summary: dict, of: str, names: dict[str, str]) -> list[str]:
+    """The cells of a row of errors of whole-robot totals."""
+    drag, *rest = (f"{of}: {key}" for key in names.values())
+    digits = zip(rest, (3, 3, 2), strict=True)
+    return [with_interval(summary, drag, 1, 100.0, " %"), *(with_interval(summary, key, n) for key, n in digits)]
+
+
+def rows_of_mk3() -> list[list[str]]:
+    fitted, tunnel = (KEPT[name]["summary"] for name in ("mk3_fit", "mk3_tunnel"))
+    rows = [[label, *totals(fitted, of, TOTALS)] for label, of in FITS.items()]
+    for label, group in GROUPS.items():
+        for name in ("estimated", "cfd"):
+            mean = f"{signed(100 * tunnel[f'{name}, {group}: drag, mean over mean'], 1)} %"
+            rows.append([f"{label}, {name}", mean, *totals(tunnel, f"{name}, {group}", BESIDE_TUNNEL)])
+    return rows
+
+
+def test_the_tables_of_mk3_are_those_of_the_results():
+    rows = rows_of(MK3)
+    for cells in rows_of_mk3():
+        assert cells in rows
+    for name in ("mk3_fit", "mk3_tunnel"):
+        assert not KEPT[name]["git"]["dirty"]
+
+
+def test_the_sentences_on_mount_and_air_of_mk3_have_the_figures_of_the_results():
+    of, text = KEPT["mk3_tunnel"]["summary"], " ".join(MK3.split())
+    key = "moment, rms [N m at 10 m/s]"
+    none = [f"{of[f'no moment, {group}: {key}']:.2f}" for group in GROUPS.values()]
+    drag = [of[f"yaw {name}: mean drag in side wind [m2]"] for name in ("the files'", "opposite to the files'")]
+    assert of["yaw opposite to the files': lateral force with the wind, share"] == 1.0
+    pitching = [of[f"cfd, {name}: pitching {key}"] for name in ("facing the wind", "facing away")]
+    for phrase in (
+        f"the errors of moments would be {none[0]}, {none[1]} and {none[2]} N m",
+        f"would be {signed(drag[0], 2)} m²; with the other sign it is {drag[1]:.2f} m²",
+        f"from {pitching[0]:.2f} to {pitching[1]:.2f} N m",
+    ):
+        assert phrase in text, phrase
+    even = {
+        part: [abs(v) for k, v in of.items() if k.startswith("homePos") and part in k] for part in PARTS_OF_SYMMETRY
+    }
+    lateral, roll, yaw = (max(even[part]) for part in list(PARTS_OF_SYMMETRY)[:3])
+    rest = max(max(even[part]) for part in list(PARTS_OF_SYMMETRY)[3:])
+    assert f"are at most {lateral:.3f} m², {roll:.3f} and {yaw:.3f} m³, those of drag and lift {rest:.3f} m²" in text
+
+
+PARTS_OF_SYMMETRY = ("force y: even", "moment x: even", "moment z: even", "force x: odd", "force z: odd")
+"""Parts that vanish if robot and air are their own mirror image."""

@@ -1,22 +1,23 @@
 """Compare the force areas of iRonCub-Mk3 with the wind tunnel of December 2023.
 
-Every coefficient set of the robot is evaluated at the measured points. Points of equal posture and wind are averaged;
-intervals are computed by drawing postures with replacement. Signs of the mount are tested: both signs of the yaw, and
-the robot facing the wind or away from it. In side winds the force that a model lacks is located by its moment, since
-the support is at the balance and a missing part of the robot is not. The result goes to
-`results/tunnel_mk3/december/`. Needs `results/datasets/tunnel_mk3.nc` of `import-tunnel`.
+Every coefficient set of the robot is evaluated at the measured points, and a network if one is named. Points of equal
+posture and wind are averaged; intervals are computed by drawing postures with replacement. Signs of the mount are tested: both
+signs of the yaw, and the robot facing the wind or away from it. In side winds the force that a model lacks is located
+by its moment. The result goes to `results/tunnel_mk3/december/`. Needs `results/datasets/tunnel_mk3.nc` of
+`import-tunnel`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import xarray as xr
 
 from experiments import Refused, record
-from experiments.cfd.models import NEWTON_METRES
+from experiments.cfd.models import NEWTON_METRES, evaluate_areas
 from experiments.cfd.tunnel import SUPPORT
 from experiments.data.import_cfd import OUT
 from experiments.data.import_tunnel import MK3
@@ -27,6 +28,8 @@ from jax_aero.aero.dataset import Floats, wind_direction
 from jax_aero.aero.posture import axes_of, interval_by_posture, link_axes, total_wrench, vector_rms
 from jax_aero.robot import RobotModel, load_robot
 
+SPEED = 17.0
+"""Speed at which a model is evaluated; areas do not depend on it [m/s]."""
 SIDE_WIND = 60.0
 """Least yaw of a side wind [deg]."""
 TURNED = np.array([-1.0, -1.0, 1.0])
@@ -39,6 +42,12 @@ class TunnelConfig(tables.Table, frozen=True):
     tunnel: Path = OUT / "tunnel_mk3.nc"
     """Dataset of `import-tunnel`."""
     robot: Path = MK3
+    network: Path | None = None
+    """Card of a network of `train` to compare too."""
+
+
+Model: TypeAlias = Callable[[Floats, Floats], Floats]
+"""Function from joint angles (N, 19) [deg] and unit winds (N, 3) to force areas (N, L, 3) [m²], base axes."""
 
 
 class Points(NamedTuple):
@@ -81,12 +90,12 @@ def compute(_: str, config: TunnelConfig) -> Findings:
     groups = groups_of(points)
     summary: dict[str, Any] = signs_of_yaw(points)
     modelled = {}
-    for name, areas in robot.aero_links.coefficients.items():
-        force, moment = modelled[name] = totals(robot, np.asarray(areas), points)
+    for name, model in models_of(robot, config.network).items():
+        force, moment = modelled[name] = totals(robot, model, points)
         for group, rows in groups.items():
             found = errors(points.take(rows), force[rows], moment[rows])
             summary |= {f"{name}, {group}: {key}": value for key, value in found.items()}
-        summary |= {f"{name}, {key}": value for key, value in facing(robot, np.asarray(areas), points).items()}
+        summary |= {f"{name}, {key}": value for key, value in facing(robot, model, points).items()}
         rows = groups["side wind"]
         summary |= {
             f"{name}, side wind: {key}": value for key, value in missing_force(points, force, moment, rows).items()
@@ -99,7 +108,7 @@ def compute(_: str, config: TunnelConfig) -> Findings:
     return Findings("Force areas of iRonCub-Mk3 beside the wind tunnel", to_dataset(points, modelled), summary)
 
 
-STUDY = Study("tunnel_mk3", __doc__, TunnelConfig, compute, ("december",), engine="numpy")
+STUDY = Study("tunnel_mk3", __doc__, TunnelConfig, compute, ("december",), engine="jax")
 main = STUDY.main
 
 
@@ -141,10 +150,22 @@ def groups_of(points: Points) -> dict[str, Any]:
     }
 
 
-def totals(robot: RobotModel, coefficients: Floats, points: Points, turned: bool = False) -> tuple[Floats, Floats]:
-    """Return force areas (N, 3) [m²] and moment volumes about the centre of mass (N, 3) [m³] of a coefficient set."""
-    wind = points.wind * TURNED if turned else points.wind
-    areas = fit.predicted_areas(coefficients, link_axes(robot, points.joints), wind)
+def models_of(robot: RobotModel, network: Path | None) -> dict[str, Model]:
+    """Return the robot's coefficient sets and the network as functions."""
+
+    def axisymmetric(coefficients: Floats) -> Model:
+        return lambda joints, wind: fit.predicted_areas(coefficients, link_axes(robot, joints), wind)
+
+    found = {name: axisymmetric(np.asarray(areas)) for name, areas in robot.aero_links.coefficients.items()}
+    if network:
+        table = {"model": "network", "card": str(network), "precision": "f32", "air_density": 1.225}
+        found["network"] = lambda joints, wind: evaluate_areas(robot, table, joints, SPEED * wind)
+    return found
+
+
+def totals(robot: RobotModel, model: Model, points: Points, turned: bool = False) -> tuple[Floats, Floats]:
+    """Return force areas (N, 3) [m²] and moment volumes about the centre of mass (N, 3) [m³] of a model."""
+    areas = model(points.joints, points.wind * TURNED if turned else points.wind)
     force, moment = total_wrench(robot, points.joints, areas)
     return (force * TURNED, moment * TURNED) if turned else (force, moment)
 
@@ -181,13 +202,13 @@ def signs_of_yaw(points: Points) -> dict[str, float]:
     return found
 
 
-def facing(robot: RobotModel, coefficients: Floats, points: Points) -> dict[str, float]:
+def facing(robot: RobotModel, model: Model, points: Points) -> dict[str, float]:
     """Return the errors of lift and pitching moment in flight postures if the robot faces the wind, and if not."""
     rows = groups_of(points)["flight postures"]
     own = points.take(rows)
     found: dict[str, float] = {}
     for name, turned in (("facing the wind", False), ("facing away", True)):
-        force, moment = totals(robot, coefficients, own, turned)
+        force, moment = totals(robot, model, own, turned)
         off = force - own.force
         off -= np.sum(off * own.wind, axis=1, keepdims=True) * own.wind
         found[f"{name}: lift, rms [m2]"] = vector_rms(off[:, ::2])
