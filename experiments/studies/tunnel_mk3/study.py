@@ -1,10 +1,10 @@
 """Compare the force areas of iRonCub-Mk3 with the wind tunnel of December 2023.
 
 Every coefficient set of the robot is evaluated at the measured points, and a network if one is named. Points of equal
-posture and wind are averaged; intervals are computed by drawing postures with replacement. Signs of the mount are tested: both
-signs of the yaw, and the robot facing the wind or away from it. In side winds the force that a model lacks is located
-by its moment. The result goes to `results/tunnel_mk3/december/`. Needs `results/datasets/tunnel_mk3.nc` of
-`import-tunnel`.
+posture and wind are averaged; intervals are computed by drawing postures with replacement. Signs of the mount are
+tested: both signs of the yaw, and the robot facing the wind or away from it. In side winds the force that a model
+lacks is located by its moment. The result goes to `results/tunnel_mk3/december/`. Needs
+`results/datasets/tunnel_mk3.nc` of `import-tunnel`.
 """
 
 from __future__ import annotations
