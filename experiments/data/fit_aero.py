@@ -1,9 +1,9 @@
 """Fit the paper's axisymmetric model to a dataset: `jax-aero data fit-aero [NAME]`.
 
 Lasso selects terms and least squares fits them, family by family. Every coefficient set of the robot is evaluated on
-the data, and the fit also on postures that were left out of it, with intervals over the choice of postures. If the
-robot has the published coefficients, their terms are refitted and the origin of their normal forces is tested. The
-result goes to `results/fit_aero/NAME/`, with the new coefficients as TOML; `jax-aero figures fig4_fit` draws it.
+the data, and the fit also on postures that were left out of it, as is a network that `train` made with `--out
+results/training/NAME`; intervals are over the choice of postures. If the robot has the published coefficients, their
+terms are refitted and the origin of their normal forces is tested. The result goes to `results/fit_aero/NAME/`, with the new coefficients as TOML; `jax-aero figures fig4_fit` draws it.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
+from experiments.cfd.compare import held_out_network, training_of
 from experiments.cfd.models import NEWTON_METRES
 from experiments.study import Findings, Study
 from jax_aero import places, tables
@@ -26,7 +27,7 @@ from jax_aero.robot import RobotModel, load_robot
 
 PRINTED, RIGHT = "published", "corrected"
 """Coefficient sets of the robot: as printed, and with the head's misprint corrected."""
-LEFT_OUT = "refit, posture left out"
+LEFT_OUT, NETWORK = "refit, posture left out", "network, posture left out"
 
 
 class FitConfig(tables.Table, frozen=True):
@@ -55,6 +56,8 @@ def compute(name: str, config: FitConfig) -> Findings:
     }
     quality = {variant: fit.quality(areas, computed) for variant, areas in predicted.items()}
     predicted[LEFT_OUT] = fit.held_out_areas(dataset, axes, families)[rows]
+    if (trained := held_out_network(name, computed)) is not None:
+        predicted[NETWORK] = trained
     refitted = published_terms(robot, dataset, axes, families) if RIGHT in variants else {}
     errors = {variant: total_errors(robot, areas, computed) for variant, areas in predicted.items()}
     errors["nothing"] = total_errors(robot, np.zeros_like(computed.force_area_b), computed)
@@ -63,7 +66,7 @@ def compute(name: str, config: FitConfig) -> Findings:
         to_dataset(dataset, axes, variants, refitted),
         figures(quality, fits, refitted) | error_figures(errors),
         inputs={"dataset": path.name, "sha256": dataset.sha256, "provenance": dict(dataset.provenance)},
-        files=[config.robot],
+        files=[config.robot, *([training_of(name)] if NETWORK in predicted else [])],
         texts={"refit.toml": toml(fits, path.name, name)},
         report=report(quality, fits, refitted) + "\n\n" + error_report(errors),
     )
