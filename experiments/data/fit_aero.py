@@ -3,7 +3,8 @@
 Lasso selects terms and least squares fits them, family by family. Every coefficient set of the robot is evaluated on
 the data, and the fit also on postures that were left out of it, as is a network that `train` made with `--out
 results/training/NAME`; intervals are over the choice of postures. If the robot has the published coefficients, their
-terms are refitted and the origin of their normal forces is tested. The result goes to `results/fit_aero/NAME/`, with the new coefficients as TOML; `jax-aero figures fig4_fit` draws it.
+terms are refitted and the origin of their normal forces is tested. The result goes to `results/fit_aero/NAME/`, with
+the new coefficients as TOML; `jax-aero figures fig4_fit` draws it.
 """
 
 from __future__ import annotations

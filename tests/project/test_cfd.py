@@ -183,6 +183,7 @@ FITS = {
     "estimated": "estimated",
     "fit": "refit",
     "fit, posture left out": "refit, posture left out",
+    "network, posture left out": "network, posture left out",
     "no force at all": "nothing",
 }
 GROUPS = {
@@ -208,7 +209,7 @@ def rows_of_mk3() -> list[list[str]]:
     fitted, tunnel = (KEPT[name]["summary"] for name in ("mk3_fit", "mk3_tunnel"))
     rows = [[label, *totals(fitted, of, TOTALS)] for label, of in FITS.items()]
     for label, group in GROUPS.items():
-        for name in ("estimated", "cfd"):
+        for name in ("estimated", "cfd", "network"):
             mean = f"{signed(100 * tunnel[f'{name}, {group}: drag, mean over mean'], 1)} %"
             rows.append([f"{label}, {name}", mean, *totals(tunnel, f"{name}, {group}", BESIDE_TUNNEL)])
     return rows
@@ -218,8 +219,39 @@ def test_the_tables_of_mk3_are_those_of_the_results():
     rows = rows_of(MK3)
     for cells in rows_of_mk3():
         assert cells in rows
-    for name in ("mk3_fit", "mk3_tunnel"):
+    for name in ("mk3_fit", "mk3_tunnel", "mk3_meshes", "mk3_primitives"):
         assert not KEPT[name]["git"]["dirty"]
+
+
+def test_the_sentences_on_side_winds_of_mk3_have_the_figures_of_the_results():
+    text = " ".join(MK3.split())
+    meshes, primitives = (KEPT[name]["summary"] for name in ("mk3_meshes", "mk3_primitives"))
+    ahead, oblique, side = (
+        "homePos 90/180",
+        "homePos 90/-120, support in the wind",
+        "homePos 90/-90, support in the wind",
+    )
+
+    def drags(of: dict) -> str:
+        cells = [f"{signed(100 * of[f'{case}: drag, relative error'], 1)} %" for case in (ahead, oblique, side)]
+        return f"{cells[0]}, {cells[1]} and {cells[2]}"
+
+    def lacking(case: str) -> float:
+        return meshes[f"{case}: drag in the tunnel [m2]"] - meshes[f"{case}: drag [m2]"]
+
+    height = meshes[f"{side}: difference in lateral force, z from the centre of mass [m]"]
+    ahead_of = meshes[f"{side}: difference in lateral force, x from the centre of mass [m]"]
+    falls = [
+        1.0 - meshes[f"{side}: {key}"] / meshes[f"{oblique}: {key}"] for key in ("drag in the tunnel [m2]", "drag [m2]")
+    ]
+    for phrase in (
+        f"{drags(meshes)} off in drag",
+        f"{drags(primitives)} with primitives",
+        f"{lacking(oblique):.3f} m² at 60° and {lacking(side):.3f} m² at 90°",
+        f"{100 * abs(ahead_of):.0f} cm in front of the centre of mass and {100 * height:.0f} cm above it",
+        f"by {100 * falls[0]:.0f} % in the tunnel and by {100 * falls[1]:.0f} % in the simulation",
+    ):
+        assert phrase in text, phrase
 
 
 def test_the_sentences_on_mount_and_air_of_mk3_have_the_figures_of_the_results():
