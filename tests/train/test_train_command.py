@@ -19,7 +19,7 @@ from jax_aero import files, places, tables
 from jax_aero.aero.dataset import load, save
 from jax_aero.aero.network_card import load_network, read_card
 from jax_aero.cli import main
-from jax_aero.command import INTERRUPTED
+from jax_aero.command import INTERRUPTED, Refused
 from jax_aero.train import Interrupted, fit, predict_areas, samples_of
 from paper_figs.command import main as draw
 
@@ -66,6 +66,17 @@ def result(data, tmp_path_factory):
     out = results / "training" / "compact"
     assert main([*words(data, out), "--write", str(results / "networks" / "small.json")]) == 0
     return results
+
+
+def test_a_network_may_be_of_another_robot():
+    """It has the outputs of that robot's links and corrects one of its coefficient sets, no other's."""
+    path = places.CONFIGS / "training" / "open.toml"
+    robot = {"robot": "../robot/ironcub_mk3.toml"}
+    training, _ = config.read(path, {**robot, "network.baseline": "estimated"})
+    model = config.robot(training.robot)
+    assert training.start(model, 0).layers[-1].bias.shape[-1] == 3 * len(model.aero_links.names) == 48
+    with pytest.raises(Refused, match=r'`network\.baseline` is "signed"; expected one of none, cfd, estimated'):
+        config.read(path, robot)
 
 
 def test_a_result_holds_errors_of_both_splits_beside_baselines(result, made_up_dataset, agree):
