@@ -130,7 +130,7 @@ class MomentumController:
             None if winds is None else WindStage(winds, robot, self.aero),
             None if observes is None else ObserverStage(observes),
             None if monitors is None else EngineStage(monitors, robot, shares),
-            None if self.joints is None else JointStage(self.joints, self.time_step),
+            None if self.joints is None else JointStage(self.joints, self.time_step, observes),
             None if self.supervisor is None else SupervisorStage(self.supervisor),
             None if estimates is None else EstimatorStage(estimates, robot, self.aero, self.channels),
         )

@@ -1,11 +1,11 @@
 """The simulated flying robot: rigid bodies, thrusts and wind.
 
-    M(q) ν̇ = S τ + Σ Jᵀ T a + w_aero − h(q, ν)
+    M(q) ν̇ = S τ + Σ Jᵀ T a + w_aero + w_push − h(q, ν)
 
 There is no ground, no joint friction and no motor inertia; joint stops act unless they are disabled. The integration is
 identical to the Rust crate's.
 
-Equations M78, M79, M87, M140 and M142 of `docs/model.md`.
+Equations M78, M79, M87, M140, M142 and M155 of `docs/model.md`.
 """
 
 from __future__ import annotations
@@ -43,6 +43,7 @@ from jax_aero.jets import JetDynamics, JetsState, jet_dynamics
 from jax_aero.joint_faults import JointFaults, JointFaultState, begin_tick, reduce_torque
 from jax_aero.joint_faults import start_faults as start_joint_faults
 from jax_aero.kinematics import generalised_thrust, kinematics, move
+from jax_aero.pushes import Pushes, pushing_force, start_pushes
 from jax_aero.robot import RobotModel
 from jax_aero.sim import actuation
 from jax_aero.sim.actuation import Actuation, ActuationState
@@ -96,6 +97,8 @@ class Plant:
     """Delay and loss of commands; `None` if they act at once."""
     joint_faults: JointFaults | None
     """Faults of the joints."""
+    pushes: Pushes | None
+    """Forces and moments on bodies."""
     time_step: Float[Array, ""]
     """Time step [s]."""
     lever_arm: Static[LeverArm]
@@ -121,6 +124,8 @@ class PlantState(NamedTuple):
     """Commands on their way, if they do not act at once."""
     joint_faults: JointFaultState | None = None
     """State of the joints' faults, if any."""
+    pushes: Float[Array, " p"] | None = None
+    """Times until the pushes start, negative after it [s]."""
 
 
 class Observation(NamedTuple):
@@ -171,6 +176,7 @@ def start_plant(
     joint_faults, joint_state = None, None
     if disturbances.joints:
         joint_faults, joint_state = start_joint_faults(disturbances.joints, robot)
+    pushes, until = start_pushes(disturbances.pushes, robot) if disturbances.pushes else (None, None)
     plant = Plant(
         robot=robot,
         aero=weight_forces(aero, disturbances.aero, robot, "disturbances.aero"),
@@ -178,6 +184,7 @@ def start_plant(
         jet_faults=faults,
         actuation=way,
         joint_faults=joint_faults,
+        pushes=pushes,
         time_step=jnp.asarray(leaf(config.time_step)),
         lever_arm=config.lever_arm,
         integrator=config.integrator,
@@ -197,7 +204,7 @@ def start_plant(
         state = _fall_freely(plant, state)
     first = state if config.kinematics == "frozen" else None
     begun = jets.start(jnp.asarray(leaf(initial.thrust)))
-    return plant, PlantState(state, begun, first, fault_state, on_the_way, joint_state)
+    return plant, PlantState(state, begun, first, fault_state, on_the_way, joint_state, until)
 
 
 def _check(initial: InitialConfig, robot: RobotModel) -> None:
@@ -301,7 +308,8 @@ def _advance_part(
     for substep in range(substeps):
         now = seen if substep == 0 else observe(plant, state, wind)
         acting = torque if way is None else actuation.acting(way.torque, substep, substeps)
-        state = state._replace(robot=_advance_robot(plant, state, now, acting, step))
+        left = None if state.pushes is None else state.pushes - step
+        state = state._replace(robot=_advance_robot(plant, state, now, acting, step), pushes=left)
     if way is not None:
         state = state._replace(actuation=way._replace(torque=actuation.hold(way.torque, substeps)))
     return state
@@ -330,6 +338,8 @@ def _advance_robot(plant: Plant, state: PlantState, seen: Observation, torque: A
         + generalised_aero_force(robot, seen.placed, seen.link_forces, seen.link_forces.arm_points)
         + jnp.concatenate([jnp.zeros_like(state.robot.velocity[:6]), torque])
     )
+    if plant.pushes is not None and state.pushes is not None:
+        force = force + pushing_force(robot, kin, plant.pushes, state.pushes, step)
     dyn = seen.dynamics
     if plant.joint_faults is not None and state.joint_faults is not None:
         is_held = plant.joint_faults.is_stuck & state.joint_faults.acts

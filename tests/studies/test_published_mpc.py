@@ -322,38 +322,15 @@ def test_throttles_change_every_tenth_of_a_second_and_models_when_they_are_linea
     assert pilot.missing == 0
 
 
-def test_a_push_changes_the_momentum_by_its_impulse(robot, agree):
-    push = flight.Push((30.0, -20.0, 10.0), (5.0, 4.0, -3.0), start=0.0, duration=0.01)
-    changes = {"simulator.aero": {"model": "off"}, "simulator.time_step": 0.001}
-    config = rust.load_config("mk3_hover", changes)
-    config["simulator"]["initial"]["thrust"] = [0.0] * 4  # they turn with the robot
-    pusher, momentum = flight.Pusher(config, robot, push), []
-    for pushed in (True, False):
-        plant = rust.Plant(config)
-        measured = plant.reset()
-        for _ in range(20):
-            forces = pusher.forces(measured) if pushed else None
-            measured = plant.step(np.zeros(4), np.zeros(23), forces)
-        momentum.append(rust.dynamics(robot, measured.state).momentum)
-    change = momentum[0] - momentum[1]
-    # Semi-implicit steps of 1 ms, in which limp limbs swing, do not keep the momentum exactly.
-    agree("linear", change[:3], 0.01 * np.array(push.force), 1e-2)
-    reader = rust.dynamics(robot, rust.Plant(config).reset().state)
-    centre = reader.body_positions[pusher.body] + reader.body_rotations[pusher.body] @ pusher.places.mean(axis=0)
-    moment = np.array(push.moment) + np.cross(centre - reader.com_position, push.force)
-    # The robot moves on within 20 ms; of 0.1 N m s.
-    agree("angular", change[3:], 0.01 * moment, 2e-3)
-
-
 def test_it_hovers_and_is_judged(agree):
-    config, _ = study.configure("published", study.CASES["still air"], 0, 0.3)
+    config = study.configure("published", study.CASES["still air"], 0, 0.3)
     flown = flight.fly(config, study.maker("published"))
     assert (flown.outcome, flown.pilot.missing) == ("completed", 0)
     assert flown.rotation_error < np.radians(1.0)
     limits = {"rotation_error_deg": 0.1, "com_error": 1.0}
     lost = flight.fly({**config, "simulator": config["simulator"] | {"fall": limits}}, study.maker("published"))
     assert (lost.outcome, lost.end) == ("fell", 0.0)
-    ours, _ = study.configure("recommended", study.CASES["still air"], 0, 0.3)
+    ours = study.configure("recommended", study.CASES["still air"], 0, 0.3)
     flown, whole = flight.fly(ours, study.maker("recommended")), rust.fly(ours)
     agree("rotation error", flown.rotation_error, whole.summary["max_rotation_error"], 1e-9)
 
@@ -391,15 +368,15 @@ def test_the_table_is_made_of_what_was_flown_and_goes_on(monkeypatch, tmp_path):
 
 
 def test_flights_differ_in_direction_and_perturbation():
-    first, _ = study.configure("published", study.CASES["10 m/s"], 0, 1.0)
-    third, _ = study.configure("published", study.CASES["10 m/s"], 2, 1.0)
+    first = study.configure("published", study.CASES["10 m/s"], 0, 1.0)
+    third = study.configure("published", study.CASES["10 m/s"], 2, 1.0)
     assert first["wind"]["velocity"][0] < -8.0
     assert third["wind"]["velocity"][1] < -8.0
     assert first["simulator"]["initial"] != third["simulator"]["initial"]
     assert first["simulator"]["time_step"] == plan.PERIOD
-    _, push = study.configure("published", study.CASES["push of 50 N"], 2, 1.0)
-    assert np.allclose(push.force, [0.0, -50.0, 0.0])
-    turbulent, _ = study.configure("predictive", study.CASES["10 m/s, turbulence"], 0, 1.0)
+    [push] = study.configure("published", study.CASES["push of 50 N"], 2, 1.0)["disturbances"]["pushes"]
+    assert push["force"] == [0.0, -50.0, 0.0]
+    turbulent = study.configure("predictive", study.CASES["10 m/s, turbulence"], 0, 1.0)
     assert turbulent["wind"]["std"] == [2.0, 2.0, 1.0]
     assert turbulent["simulator"]["jets"]["dynamics"] == "second_order"
 

@@ -32,6 +32,7 @@ FLIGHTS: dict[str, dict[str, Any]] = {
         "controller.joints": {"acceleration_max": 20.0, "displacement_min": 0.02, "share_max": 0.8},
         "controller.wind_observer": {},
         "disturbances.joints": [{"joint": "l_elbow", "kind": "stuck", "start": 0.0}],
+        "disturbances.pushes": [{"body": "chest", "moment": [1.0, 0.0, 0.0], "start": 0.0, "duration": 0.1}],
     },
     "min_time": {"disturbances.aero_estimate.scale": 0.9, "disturbances.model_error.mass_scale": 1.1},
     "test1_published": {},

@@ -183,17 +183,6 @@ class Ours:
         return Command(tick.thrust_rate, tick.joint_torque)
 
 
-class Push(NamedTuple):
-    """A force [N] and a moment [N m], inertial axes, on the chest."""
-
-    force: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    moment: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    start: float = 3.0
-    """[s]."""
-    duration: float = 0.2
-    """[s]."""
-
-
 @dataclass(frozen=True)
 class Flown:
     """Outcome of a flight, judged as the crate's."""
@@ -208,11 +197,10 @@ class Flown:
     pilot: Any = field(repr=False)
 
 
-def fly(config: rust.Config, make: Callable[[rust.Config, rust.Measurement], Pilot], push: Push | None = None) -> Flown:
+def fly(config: rust.Config, make: Callable[[rust.Config, rust.Measurement], Pilot]) -> Flown:
     """Fly a configuration by a pilot until its end or until it is lost, over the limits of `simulator.fall`."""
     simulator = config["simulator"]
     plant, robot = rust.Plant(config), rust.Robot(config["robot"])
-    pusher = None if push is None else Pusher(config, robot, push)
     measured = plant.reset()
     pilot = make(config, measured)
     com = rust.dynamics(robot, measured.state).com_position
@@ -237,33 +225,7 @@ def fly(config: rust.Config, make: Callable[[rust.Config, rust.Measurement], Pil
         if tick == last:
             break
         command = pilot.command(measured)
-        forces = None if pusher is None else pusher.forces(measured)
-        measured = plant.step(command.thrust_rate, command.joint_torque, forces)
+        measured = plant.step(command.thrust_rate, command.joint_torque)
     if outcome == "completed" and com_max > simulator["course_error"]:
         outcome = "off_course"
     return Flown(outcome, measured.time, rotation_max, com_max, pilot)
-
-
-class Pusher:
-    """Forces of the air, and during a push those that amount to it, on the links of the chest."""
-
-    def __init__(self, config: rust.Config, robot: rust.Robot, push: Push) -> None:
-        links = robot.arrays()["aero_links"]
-        chest = robot.body_names.index("chest")
-        self.robot, self.push, self.aero = robot, push, config["simulator"]["aero"]
-        self.body = chest
-        self.which = [at for at, body in enumerate(links["bodies"]) if body == chest]
-        centres = links["positions"] + np.einsum("lab,lb->la", links["rotations"], links["centres"])
-        self.places: Array = centres[self.which]
-
-    def forces(self, measured: rust.Measurement) -> Array:
-        """Return the force on every link [N], inertial axes, (links, 3)."""
-        found = rust.link_forces(self.robot, self.aero, measured.state, measured.wind)
-        if not self.push.start <= measured.time < self.push.start + self.push.duration - 1e-9:
-            return found
-        rotation = rust.dynamics(self.robot, measured.state).body_rotations[self.body]
-        arms = (self.places - self.places.mean(axis=0)) @ rotation.T
-        map_to_wrench = np.vstack([np.hstack([np.eye(3)] * len(arms)), np.hstack([model.skew(arm) for arm in arms])])
-        share = np.linalg.pinv(map_to_wrench) @ np.concatenate([self.push.force, self.push.moment])
-        found[self.which] += share.reshape(-1, 3)
-        return found

@@ -17,7 +17,7 @@ import xarray as xr
 
 from experiments import Refused
 from experiments.studies.published_mpc import flight, plan
-from experiments.studies.published_mpc.flight import Ours, Published, Push, Settings
+from experiments.studies.published_mpc.flight import Ours, Published, Settings
 from experiments.study import Findings, Study
 from experiments.sweep.perturbation import Perturbation
 from experiments.sweep.table import wilson
@@ -26,7 +26,7 @@ from jax_aero.wind_direction import wind_from
 
 EXPERIMENT, PERTURBATION = "mk3_min_jerk", places.CONFIGS / "perturbation" / "flight.toml"
 PUSHED = 6.0
-"""Duration of a flight with a push, which begins at 3 s [s]."""
+"""Duration of a flight with a push on the chest, from 3 to 3.2 s [s]."""
 
 
 class Case(NamedTuple):
@@ -152,12 +152,15 @@ def cells(asked: Compared) -> Iterator[tuple[str, str]]:
                 yield controller, case
 
 
-def configure(controller: str, case: Case, repeat: int, duration: float) -> tuple[rust.Config, Push | None]:
-    """Return the perturbed configuration of a flight, and its push."""
+def configure(controller: str, case: Case, repeat: int, duration: float) -> rust.Config:
+    """Return the perturbed configuration of a flight."""
     base, changes = OURS.get(controller, (EXPERIMENT, {}))
     direction = 45.0 * (repeat % 8)
     settings = {"simulator.duration": PUSHED if case.is_push else duration, **changes}
     settings["wind.velocity"] = wind_from(case.speed, direction)
+    if case.is_push:
+        push = {"force": wind_from(case.force, direction), "moment": wind_from(case.moment, direction)}
+        settings["disturbances.pushes"] = [{"body": "chest", "start": 3.0, "duration": 0.2, **push}]
     if case.turbulence:
         std = [case.turbulence, case.turbulence, 0.5 * case.turbulence]
         ramp = {"ramp_start": 5.0, "ramp_end": 10.0}
@@ -169,11 +172,7 @@ def configure(controller: str, case: Case, repeat: int, duration: float) -> tupl
         settings["simulator.jets.dynamics"] = "second_order"
     config = rust.load_config(base, settings)
     tables.load(PERTURBATION, Perturbation).apply(config, 0, repeat, rust.Robot(config["robot"]))
-    x, y, _ = wind_from(1.0, direction)
-    push = (
-        Push((case.force * x, case.force * y, 0.0), (case.moment * x, case.moment * y, 0.0)) if case.is_push else None
-    )
-    return rust.resolve_config(config), push
+    return rust.resolve_config(config)
 
 
 def fly_cell(controller: str, case: Case, asked: Compared) -> list[tuple[int, str, float, float]]:
@@ -181,11 +180,11 @@ def fly_cell(controller: str, case: Case, asked: Compared) -> list[tuple[int, st
     counts = {"published": asked.published_flights} | dict.fromkeys(VARIANTS, asked.variant_flights)
     count = counts.get(controller, asked.flights)
     asked_for = [configure(controller, case, repeat, asked.duration) for repeat in range(count)]
-    if controller in OURS and not case.is_push:
-        results = rust.fly_batch([config for config, _ in asked_for], 1)
+    if controller in OURS:
+        results = rust.fly_batch(asked_for, 1)
         found = [(str(one.outcome), one.summary["max_rotation_error"], one.summary["max_com_error"]) for one in results]
     else:
-        flown = [flight.fly(config, maker(controller), push) for config, push in asked_for]
+        flown = [flight.fly(config, maker(controller)) for config in asked_for]
         found = [(one.outcome, one.rotation_error, one.com_error) for one in flown]
     return [(int(outcome == "completed"), outcome, float(np.degrees(turn)), off) for outcome, turn, off in found]
 
@@ -227,7 +226,7 @@ def compare_times(asked: Compared) -> dict[str, float]:
     """Return processor times of the controllers, hovering in turns in still air."""
     loops = []
     for controller in ("published", "predictive"):
-        config, _ = configure(controller, CASES["still air"], 0, asked.duration)
+        config = configure(controller, CASES["still air"], 0, asked.duration)
         plant = rust.Plant(config)
         measured = plant.reset()
         loops.append((plant, maker(controller)(config, measured)))

@@ -4,7 +4,8 @@
     ē ← e after a lag of τ_e,  m ← e after a lag of τ_m,  x = ē − m
     z_j = g_jᵀ x / |g_j|                       its part along G's column g_j: what a torque of joint j causes
 
-A faulty joint causes `x` along one column; errors of the model accelerate several joints at once. The regression of the
+A faulty joint causes `x` along one column; errors of the model accelerate several joints at once, and a push changes
+the momentum. The regression of the
 unexplained torque on the commanded one gives the share of the torque that acts. A stuck joint does not move while it is
 commanded to. Equation M143 of `docs/model.md`.
 """
@@ -34,6 +35,8 @@ FREE_SHARE, HEALTHY_SHARE = 0.15, 0.85
 """A joint with less of its torque is free, and one with more is as it should be."""
 MOVED, RELEASED = 0.002, 0.02
 """Displacements of a joint that is not stuck, and of one that moves again [rad, m]."""
+PUSH_SHARE = 0.1
+"""Share of the observer's greatest moment that its residual has in a push, and beyond which nothing is judged."""
 TRIED_VELOCITY = 0.02
 """Velocity with which a stuck joint is tried [rad/s, m/s]."""
 

@@ -259,6 +259,8 @@ class JointStage(Stage):
 
     settings: JointLimits
     time_step: Float[Array, ""]
+    observer: ObserverGains | None
+    """Of the same guard."""
 
     def start(self, memory: ControllerState, state: State) -> ControllerState:
         """Begin with joints that follow."""
@@ -285,6 +287,9 @@ class JointStage(Stage):
         moved = (used.state.velocity[6:] - last.velocity) / used.elapsed
         judged = joints.judge(self.settings, last, used.elapsed, moved - memory.channels.acceleration[6:], gain)
         is_doubted = memory.engines is not None and jnp.any(memory.engines.is_doubted)
+        if memory.observer is not None and self.observer is not None:
+            moment_max = joints.PUSH_SHARE * self.observer.moment_max
+            is_doubted |= jnp.linalg.norm(memory.observer.residual[3:]) > moment_max
         found = where(used.has_momentum & ~jnp.asarray(is_doubted), judged, joints.hold(last))
         is_free = found.share == 0.0
         usual = tick.limits.joint_velocity

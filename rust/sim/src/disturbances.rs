@@ -1,16 +1,18 @@
-//! Disturbances: errors of the controller's inputs and model, and faults of its actuators. None is part of the
+//! Disturbances: errors of the controller's inputs and model, faults of its actuators, and pushes. None is part of the
 //! controller.
 
 pub mod jet_faults;
 pub mod joint_faults;
 pub mod model_error;
 pub mod outages;
+pub mod pushes;
 pub mod wind_estimate;
 
 pub use jet_faults::{FailureKind, JetFailure, JetFaults, JetFaultsConfig, MeasurementNoise};
 pub use joint_faults::{JointFault, JointFaultKind, JointFaults};
 pub use model_error::ModelError;
 pub use outages::{Outage, OutageChannel, OutageKind, Outages, Sample};
+pub use pushes::{Push, Pushes};
 pub use wind_estimate::{WindEstimateConfig, WindEstimator};
 
 use crate::wind::WindConfig;
@@ -40,6 +42,9 @@ pub struct Disturbances {
     pub joints: Vec<JointFault>,
     /// Measurements that are lost or corrupted on the way to the controller.
     pub outages: Vec<Outage>,
+    /// Forces and moments on bodies of the simulated robot.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub pushes: Vec<Push>,
 }
 
 impl Disturbances {

@@ -1,16 +1,16 @@
 //! The simulated flying robot: rigid bodies, thrusts and wind.
 //!
 //! ```text
-//! M(q) ν̇ = S τ + Σ Jᵀ T a + w_aero − h(q, ν)
+//! M(q) ν̇ = S τ + Σ Jᵀ T a + w_aero + w_push − h(q, ν)
 //! ```
 //!
 //! Without ground; joint stops act unless they are disabled, and drives if they are configured.
 //!
-//! Equations M78, M79, M87, M140, M142, M153 and M154 of `docs/model.md`; what a step adds to the momentum is M85.
+//! Equations M78, M79, M87, M140, M142 and M153 to M155 of `docs/model.md`; what a step adds to the momentum is M85.
 
 use crate::actuation::Actuation;
 use crate::config::{AeroKinematics, DynamicsBackend, Integrator, SimulatorConfig};
-use crate::disturbances::{Disturbances, JointFaults};
+use crate::disturbances::{Disturbances, JointFaults, Pushes};
 use crate::fuel::Fuel;
 use crate::jets::Jets;
 use crate::motors::Motors;
@@ -47,6 +47,7 @@ pub struct Plant {
     /// Commands on their way; `None` if they act at once.
     actuation: Option<Actuation>,
     joint_faults: JointFaults,
+    pushes: Pushes,
     /// `None` if torques act on the joints themselves.
     motors: Option<Motors>,
     /// `None` if the mass is constant.
@@ -136,6 +137,7 @@ impl Plant {
                 .with_faults(&disturbances.jets, &robot.jets)?,
             actuation,
             joint_faults: JointFaults::new(&disturbances.joints, &robot.joints)?,
+            pushes: Pushes::new(&disturbances.pushes, &robot)?,
             kinematics: Kinematics::new(&robot),
             dynamics: Dynamics::new(&robot),
             link_forces: LinkForces::new(&robot),
@@ -286,7 +288,7 @@ impl Plant {
         self.actuation = actuation;
     }
 
-    /// `S τ + Σ Jᵀ T a + w_aero − h`
+    /// `S τ + Σ Jᵀ T a + w_aero + w_push − h`
     fn gather_forces(&mut self, torque: &[f64], step: f64) {
         let force = &mut self.force;
         force.copy_from(&self.dynamics.bias);
@@ -301,6 +303,7 @@ impl Plant {
         }
         let thrusts = (0..self.robot.jets.len()).map(|jet| self.jets.force(jet));
         self.kinematics.add_thrusts(&self.robot, thrusts, force);
+        self.pushes.add(&self.robot, &self.kinematics, step, force);
         let placed = self.frozen.as_ref().map_or(&self.kinematics, |(_, kinematics)| kinematics);
         for (index, link) in self.robot.aero_links.iter().enumerate() {
             // Moment and Jacobian use the same point, which is exact for a rigid body.

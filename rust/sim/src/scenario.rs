@@ -446,7 +446,8 @@ fn check_mujoco(config: &ScenarioConfig) -> Result<(), BuildError> {
     check_only("disturbances.aero", &disturbances.aero, &none.aero)?;
     check_only("disturbances.jets", &disturbances.jets, &none.jets)?;
     check_only("disturbances.joints", &disturbances.joints, &none.joints)?;
-    check_only("disturbances.outages", &disturbances.outages, &none.outages)
+    check_only("disturbances.outages", &disturbances.outages, &none.outages)?;
+    check_only("disturbances.pushes", &disturbances.pushes, &none.pushes)
 }
 
 /// Refuses every value but the one that MuJoCo simulates.

@@ -14,6 +14,7 @@ mod fuzz;
 mod jets;
 mod joint_faults;
 mod motors;
+mod pushes;
 mod rates;
 mod recorded;
 mod replay;

@@ -416,7 +416,7 @@ fn build_guard(
     let feet = contact.as_ref().map(|_| Feet { time_step });
     // Torques that change within a tick are not compared with the joints' response.
     let joints = joints.filter(|_| config.torque.steps == 1);
-    let joints = joints.map(|joints| Joints::new(joints, robot.joints.len(), time_step));
+    let joints = joints.map(|joints| Joints::new(joints, observer.as_ref(), robot.joints.len(), time_step));
     let stages = [
         stage(wind_observer),
         stage(feet),

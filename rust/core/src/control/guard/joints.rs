@@ -6,8 +6,9 @@
 //! z_j = g_jᵀ x / |g_j|                       its part along G's column g_j: what a torque of joint j causes
 //! ```
 //!
-//! Air, pushes, thrusts and masses that differ from the model accelerate several joints at once; a faulty joint causes
-//! `x` along one column. While it does, the regression of the unexplained torque on the commanded one gives the share of
+//! Air, thrusts and masses that differ from the model accelerate several joints at once; a faulty joint causes `x` along
+//! one column. So does a push on the body that a joint carries, but it changes the momentum, which no torque of a joint
+//! does: nothing is judged while the moment that [`super::observer`] does not contain exceeds a share of its greatest. While it does, the regression of the unexplained torque on the commanded one gives the share of
 //! the torque that acts: that of a weak joint, or about zero for a free one. A stuck joint does not move while it is
 //! commanded to. What is found is revised in the same way: a share by the regression, a stuck joint when it moves.
 //! Equation M143 of `docs/model.md`.
@@ -53,6 +54,8 @@ const REVISION: f64 = 0.1;
 /// A joint with less of its torque is free, and one with more is as it should be.
 const FREE_SHARE: f64 = 0.15;
 const HEALTHY_SHARE: f64 = 0.85;
+/// Share of the observer's greatest moment that its residual has in a push, and beyond which nothing is judged.
+pub const PUSH_SHARE: f64 = 0.1;
 /// Displacement by which a weak joint differs from a stuck one \[rad, m\].
 const MOVED: f64 = 0.002;
 /// Displacement by which a stuck joint is found to move again \[rad, m\], and the velocity with which it is tried

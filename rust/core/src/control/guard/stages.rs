@@ -399,14 +399,22 @@ impl Stage for Engines {
 pub struct Joints {
     config: JointsConfig,
     time_step: f64,
+    /// Residual of the moment beyond which something pushes the robot \[N m\].
+    moment_max: f64,
     unexplained: DVector<f64>,
 }
 
 impl Joints {
-    /// The stage for `joints` joints, with ticks every `time_step` \[s\].
+    /// The stage for `joints` joints, with ticks every `time_step` \[s\], beside this observer.
     #[must_use]
-    pub fn new(config: JointsConfig, joints: usize, time_step: f64) -> Self {
-        Self { config, time_step, unexplained: DVector::zeros(joints) }
+    pub fn new(
+        config: JointsConfig,
+        observer: Option<&ObserverConfig>,
+        joints: usize,
+        time_step: f64,
+    ) -> Self {
+        let moment_max = observer.map_or(f64::INFINITY, |observer| joints::PUSH_SHARE * observer.moment_max);
+        Self { config, time_step, moment_max, unexplained: DVector::zeros(joints) }
     }
 }
 
@@ -434,12 +442,13 @@ impl Stage for Joints {
     }
 
     fn judge(&mut self, tick: &mut Tick) {
-        let ControllerState { joints, engines, channels, contact, velocity_error_integral, .. } =
+        let ControllerState { joints, engines, channels, contact, observer, velocity_error_integral, .. } =
             &mut *tick.state;
         let Some(joints) = joints else { return };
         let Terms { measurement: used, inverse_mass, limits, .. } = &mut *tick.terms;
         let is_comparable = used.has_momentum && inverse_mass.is_known && !contact.is_active;
-        if is_comparable && !engines.iter().any(|engine| engine.is_doubted) {
+        let is_pushed = parts(&observer.residual).1.norm() > self.moment_max;
+        if is_comparable && !is_pushed && !engines.iter().any(|engine| engine.is_doubted) {
             let last = channels.commanded_in.joint_velocity();
             let predicted = channels.acceleration.rows(6, self.unexplained.len());
             for (joint, velocity) in used.state.joint_velocity().iter().enumerate() {
