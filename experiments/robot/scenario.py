@@ -21,6 +21,13 @@ the gains of `configs/control` belong."""
 JOINT_MOMENTUM = 300.0
 """Weight of the angular-momentum task times the square of the joints' least share in it [kg² m⁴]; published: 57."""
 
+FOLLOWING = {"kd": 60.0, "kp": 900.0}
+"""Gains with which joints follow their velocities [1/s, 1/s²]: critically damped, and 0.6 of an error in a tick of 10 ms.
+The published 20 and 100 give way to a push: a moment of 50 N m turns the waist of iRonCub-Mk3 by 20 degrees."""
+
+JOINT_VELOCITY = 90.0
+"""Greatest commanded velocity of a joint [deg/s]; published: 45."""
+
 AIR, COEFFICIENTS = places.CONFIGS / "aero" / "axisymmetric_corrected.toml", "estimated"
 """Aerodynamic model of an imported robot, and the name of its force areas."""
 
@@ -39,8 +46,9 @@ RULES = f"""\
 #   posture_gain                    20 1/s in every group
 #   bounds.thrust_rate_max          half the greatest thrust per second; near a limit it fades out over twice the
 #                                   thrust that it can change in a tick
-#   joint_velocity_max_deg          that of the slowest joint if it is less
-#   torque                          the robot's own limits of torques and of their rates
+#   joint_velocity_max_deg          {JOINT_VELOCITY:g}, or that of the slowest joint if it is less
+#   torque                          kd 60 1/s, kp 900 1/s^2: with the published 20 and 100 the joints give way to a
+#                                   push; the robot's own limits of torques and of their rates
 #   setpoint.nose_down_limits_deg   from the pitch of the trim to the greatest lean from it, in steps of 5 deg up to the
 #                                   published 30, with which it can hover, a fifth of every torque in reserve
 #   mpc.joint_groups, posture       all groups, each with the weight of an arm
@@ -88,9 +96,9 @@ def controller(name: str, robot: RobotModel, dynamics: rust.Dynamics, *, leans: 
 
     descent = table.get("engines", {}).get("descent", {})
     slowest = float(np.degrees(np.asarray(robot.joint_velocity_max)[robot.joint_turns > 0.0].min(initial=np.inf)))
-    for limited in (bounds, descent):
-        if "joint_velocity_max_deg" in limited:
-            limited["joint_velocity_max_deg"] = min(limited["joint_velocity_max_deg"], slowest)
+    for limited in (bounds, descent) if descent else (bounds,):
+        limited["joint_velocity_max_deg"] = min(JOINT_VELOCITY, slowest)
+    table["torque"] |= FOLLOWING
     table["torque"].pop("torque_rate_max", None)
     if descent:
         descent["torque_rate_max"] *= of_inertia

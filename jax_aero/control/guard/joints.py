@@ -35,7 +35,7 @@ FREE_SHARE, HEALTHY_SHARE = 0.15, 0.85
 """A joint with less of its torque is free, and one with more is as it should be."""
 MOVED, RELEASED = 0.002, 0.02
 """Displacements of a joint that is not stuck, and of one that moves again [rad, m]."""
-PUSH_SHARE = 0.1
+PUSH_SHARE = 0.05
 """Share of the observer's greatest moment that its residual has in a push, and beyond which nothing is judged."""
 TRIED_VELOCITY = 0.02
 """Velocity with which a stuck joint is tried [rad/s, m/s]."""

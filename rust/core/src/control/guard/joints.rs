@@ -55,7 +55,7 @@ const REVISION: f64 = 0.1;
 const FREE_SHARE: f64 = 0.15;
 const HEALTHY_SHARE: f64 = 0.85;
 /// Share of the observer's greatest moment that its residual has in a push, and beyond which nothing is judged.
-pub const PUSH_SHARE: f64 = 0.1;
+pub const PUSH_SHARE: f64 = 0.05;
 /// Displacement by which a weak joint differs from a stuck one \[rad, m\].
 const MOVED: f64 = 0.002;
 /// Displacement by which a stuck joint is found to move again \[rad, m\], and the velocity with which it is tried
