@@ -447,6 +447,14 @@ class Outage(Struct, frozen=True, kw_only=True):
     start: float
 
 
+class Push(Struct, frozen=True, kw_only=True):
+    body: str
+    duration: float
+    force: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    moment: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    start: float
+
+
 class WindEstimateConfig(Struct, frozen=True, kw_only=True):
     bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
     delay: float = 0.0
@@ -464,6 +472,7 @@ class Disturbances(Struct, frozen=True, kw_only=True):
     joints: tuple[JointFault, ...] = ()
     model_error: ModelError = ModelError()
     outages: tuple[Outage, ...] = ()
+    pushes: tuple[Push, ...] = ()
     wind_estimate: WindEstimateConfig | None = None
 
 

@@ -43,7 +43,6 @@ pub struct Disturbances {
     /// Measurements that are lost or corrupted on the way to the controller.
     pub outages: Vec<Outage>,
     /// Forces and moments on bodies of the simulated robot.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
     pub pushes: Vec<Push>,
 }
 
