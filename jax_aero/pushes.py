@@ -36,9 +36,10 @@ class Pushes:
 def start_pushes(pushes: Sequence[Push], robot: RobotModel) -> tuple[Pushes, Float[Array, " p"]]:
     """Return the pushes of a flight, and the times until their starts [s]; the crate has checked their bodies."""
     bodies = tuple(robot.body_names.index(push.body) for push in pushes)
-    wrenches = [jnp.asarray(leaf([getattr(push, name) for push in pushes])) for name in ("force", "moment")]
-    durations, left = (jnp.asarray(leaf([getattr(push, name) for push in pushes])) for name in ("duration", "start"))
-    return Pushes(bodies, *wrenches, durations), left
+    forces, moments, durations, left = (
+        jnp.asarray(leaf([getattr(push, name) for push in pushes])) for name in ("force", "moment", "duration", "start")
+    )
+    return Pushes(bodies, forces, moments, durations), left
 
 
 def pushing_force(

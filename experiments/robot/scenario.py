@@ -22,7 +22,7 @@ JOINT_MOMENTUM = 300.0
 """Weight of the angular-momentum task times the square of the joints' least share in it [kg² m⁴]; published: 57."""
 
 FOLLOWING = {"kd": 60.0, "kp": 900.0}
-"""Gains with which joints follow their velocities [1/s, 1/s²]: critically damped, and 0.6 of an error in a tick of 10 ms.
+"""Gains with which joints follow their velocities [1/s, 1/s²], critically damped: 0.6 of an error in a tick of 10 ms.
 The published 20 and 100 give way to a push: a moment of 50 N m turns the waist of iRonCub-Mk3 by 20 degrees."""
 
 JOINT_VELOCITY = 90.0

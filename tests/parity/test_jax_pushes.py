@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -23,10 +24,10 @@ def test_pushes_between_ticks(agree):
     table = rust.load_config("test2", changes | {"simulator.initial.free_fall_tick": False})
     crate, config = rust.Plant(table), scenario_config(table)
     plant, state = start_plant(config.simulator, config.disturbances, load_robot(table["robot"]))
-    torque, rest = np.zeros(23), np.zeros(3)
-    step = jax.jit(lambda state: advance(plant, state, observe(plant, state, rest), torque, np.zeros(4), rest))
+    torque, thrust_rate, rest = jnp.zeros(23), jnp.zeros(4), jnp.zeros(3)
+    step = jax.jit(lambda state: advance(plant, state, observe(plant, state, rest), torque, thrust_rate, rest))
     crate.reset()
     for _ in range(5):
-        state, measured = step(state), crate.step(np.zeros(4), torque)
+        state, measured = step(state), crate.step(np.zeros(4), np.zeros(23))
         agree("velocities", state.robot.velocity, measured.state.velocity, 1e-10)
         agree("joints", state.robot.joint_position, measured.state.joint_position, 1e-10)
