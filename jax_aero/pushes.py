@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_aero.config import Push
-from jax_aero.kinematics import carriers, generalised_force
+from jax_aero.kinematics import generalised_force
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import rotate
 from jax_aero.types import Array, Kinematics, Static, leaf, pytree
@@ -50,8 +50,4 @@ def pushing_force(
     share = jnp.maximum(acts, 0.0)[:, None] / step
     at = np.array(pushes.bodies, dtype=int)
     points = rotate(kin.body_rotations[at], robot.coms[at]) + kin.body_positions[at]
-    moments = share * pushes.moments
-    about_joints = carriers(robot, pushes.bodies, moments.dtype).T @ moments
-    joints = jnp.sum(kin.joint_angular * about_joints, axis=1)
-    turning = jnp.concatenate([jnp.zeros_like(moments[0]), moments.sum(0), joints])
-    return generalised_force(robot, kin, pushes.bodies, points, share * pushes.forces) + turning
+    return generalised_force(robot, kin, pushes.bodies, points, share * pushes.forces, share * pushes.moments)
