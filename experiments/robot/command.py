@@ -163,7 +163,8 @@ def import_robot(
         twin = load_twin(path)
         free = scenario.joints_of_jets(twin)
         lean = float(np.degrees(greatest_lean(robot, free, trim.joint_position, trim.base_rpy, forward)))
-        text = scenario.controller_text(controller, twin, dynamics, leans=(down, down + lean), folder=draft)
+        leans = (down, down + lean)
+        text = scenario.controller_text(controller, twin, dynamics, leans=leans, soles=feet, folder=draft)
         _write(draft / "controller.toml", "control", text)
         hover = _fly(draft, robot, trim, "hover", mission=HOVER, wind="still", duration=10.0)
         mission = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +58,13 @@ RULES = f"""\
 
 
 def controller_text(
-    name: str, robot: RobotModel, dynamics: rust.Dynamics, *, leans: tuple[float, float], folder: Path
+    name: str,
+    robot: RobotModel,
+    dynamics: rust.Dynamics,
+    *,
+    leans: tuple[float, float],
+    soles: Collection[str],
+    folder: Path,
 ) -> str:
     """Return the controller `configs/control/NAME.toml` for another robot by the `RULES`.
 
@@ -67,13 +74,17 @@ def controller_text(
         Those of the trim.
     leans
         Pitch of the heading frame, positive nose down, in the trim and as far as the robot can lean [deg].
+    soles
+        Frames of the feet.
     """
-    table = controller(name, robot, dynamics, leans=leans)
+    table = controller(name, robot, dynamics, leans=leans, soles=soles)
     table["aero"] = {"base": _relative_path(AIR, folder), "coefficients": COEFFICIENTS}
     return f"{RULES}\n{tables.toml(table)}\n"
 
 
-def controller(name: str, robot: RobotModel, dynamics: rust.Dynamics, *, leans: tuple[float, float]) -> dict[str, Any]:
+def controller(
+    name: str, robot: RobotModel, dynamics: rust.Dynamics, *, leans: tuple[float, float], soles: Collection[str]
+) -> dict[str, Any]:
     """Return the table of `controller_text`, without its air."""
     table = rust.load_controller(name)
     thrust_max = dict(zip(robot.jets.names, np.asarray(robot.jets.thrust_max).tolist(), strict=True))
@@ -111,7 +122,7 @@ def controller(name: str, robot: RobotModel, dynamics: rust.Dynamics, *, leans: 
     if engines := table.get("engines"):
         engines["deviation_max"] *= float(np.mean([*thrust_max.values()] or [0.0])) / THRUST
     if mpc := table.get("mpc"):
-        _predictive(mpc, robot, of_force)
+        _predictive(mpc, robot, of_force, soles)
     return table
 
 
@@ -120,15 +131,16 @@ def joints_of_jets(robot: RobotModel) -> tuple[int, ...]:
     return tuple(map(int, np.flatnonzero(robot.ancestors[list(robot.jets.bodies)].any(axis=0))))
 
 
-def _predictive(mpc: dict[str, Any], robot: RobotModel, of_force: float) -> None:
+def _predictive(mpc: dict[str, Any], robot: RobotModel, of_force: float, soles: Collection[str]) -> None:
     """Change the predictive law by the rules."""
     mpc["joint_groups"] = [group for group, _ in robot.joint_groups]
     mpc["thrust_excess"] *= of_force
     for weights in (mpc["weights"], mpc["descent"]):
         weights["thrust_rate"] *= of_force
         weights["posture"] = dict.fromkeys(mpc["joint_groups"], weights["posture"]["left_arm"])
-    links = {*robot.aero_links.names, *robot.body_names}
-    if not links.issuperset(mpc["clearance"]["links"]):
+    known, clearance = {*robot.aero_links.names, *soles}, mpc["clearance"]
+    clearance["apart_from"] = [link for link in clearance["apart_from"] if link in known]
+    if not known.issuperset(clearance["links"]):
         del mpc["clearance"]
 
 

@@ -126,7 +126,11 @@ def test_the_shipped_controllers_of_mk3_follow_from_those_of_mk1_by_the_rules(na
     robot, posture = load_twin(config["robot"]), np.array(config["simulator"]["initial"]["joint_position"])
     crate = rust.Robot(config["robot"])
     dynamics = rust.dynamics(crate, rust.State.at_rest(crate, posture))
-    ruled = scenario.controller(name, robot, dynamics, leans=(0.0, 20.0))
+    soles = ("l_sole", "r_sole")
+    ruled = scenario.controller(name, robot, dynamics, leans=(0.0, 20.0), soles=soles)
+    without = scenario.controller(name, robot, dynamics, leans=(0.0, 20.0), soles=())
+    for law, same in ((ruled.get("mpc"), set(soles)), (without.get("mpc"), set())):
+        assert law is None or set(law["clearance"]["apart_from"]) & set(soles) == same
     shipped = rust.load_controller(f"mk3_{name}")
     assert shipped["torque"].pop("torque_rate_max") == 1e4  # none, where the rules leave the robot's own: none
     ruled["aero"] = shipped["aero"]
