@@ -16,12 +16,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from experiments import Refused, record
+from experiments import Refused
 from experiments.cfd.command import dataset_of
 from experiments.cfd.goals import verdicts
 from experiments.cfd.models import MODEL_FILES, NEWTON_METRES, model_areas
 from experiments.data.import_cfd import POSTURES
 from experiments.study import Findings, Study
+from experiments.training.result import held_out_network, training_of
 from jax_aero import places, tables
 from jax_aero.aero.dataset import LINKS, Dataset, Floats, Indices, load, tunnel_from_base
 from jax_aero.aero.posture import total_wrench, vector_rms
@@ -140,22 +141,6 @@ def model_errors(robot: RobotModel, models: Mapping[str, Floats], truth: Dataset
         for model, areas in models.items()
         for key, value in errors(robot, areas, truth).items()
     }
-
-
-def training_of(name: str) -> Path:
-    """Return the result of `train NAME`."""
-    return places.RESULTS / "training" / name / places.RUN_FILE
-
-
-def held_out_network(name: str, data: Dataset) -> Floats | None:
-    """Return the force areas (N, 13, 3) that `train NAME` predicted for postures held out, if it was run."""
-    path = training_of(name)
-    if (found := record.read_manifest(path.parent)) is None:
-        return None
-    if found.get("dataset") not in (data.sha256, data.add_mirror_images().sha256):
-        raise Refused(f"{path} is of another dataset; train again on this one, or move it away")
-    run = record.load_result(path)
-    return np.asarray(run["area_grouped"].values[run["is_mirrored"].values == 0], dtype=np.float64)
 
 
 def match_cases(ours: Dataset, table: Dataset) -> tuple[Dataset, Dataset, Indices]:

@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from experiments.cfd.compare import held_out_network, training_of
 from experiments.cfd.models import NEWTON_METRES
 from experiments.study import Findings, Study
+from experiments.training.result import held_out_network, training_of
 from jax_aero import places, tables
 from jax_aero.aero import fit
 from jax_aero.aero.dataset import Dataset, Floats, load

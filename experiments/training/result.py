@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 import xarray as xr
 
+from experiments import Refused, record
 from experiments.data.import_cfd import COMMIT
 from experiments.training.parts import FinishedPart
+from jax_aero import places
 from jax_aero.aero import fit
-from jax_aero.aero.dataset import JOINTS, Dataset
+from jax_aero.aero.dataset import JOINTS, Dataset, Floats
 from jax_aero.aero.network import Network, with_precision
 from jax_aero.aero.posture import link_axes
 from jax_aero.robot import RobotModel
@@ -31,6 +34,22 @@ OPEN_NOTE = (
 OTHER_NOTE = "Trained on data that are no part of this project; `dataset` and `dataset_sha256` say which."
 NOTES = {"openfoam": OPEN_NOTE, COMMIT: FREESTREAM_NOTE}
 """Text of a card about its data, by a word in their provenance."""
+
+
+def training_of(name: str) -> Path:
+    """Return the result of `train NAME`."""
+    return places.RESULTS / "training" / name / places.RUN_FILE
+
+
+def held_out_network(name: str, data: Dataset) -> Floats | None:
+    """Return the force areas (N, links, 3) that `train NAME` predicted for postures held out, if it was run."""
+    path = training_of(name)
+    if (found := record.read_manifest(path.parent)) is None:
+        return None
+    if found.get("dataset") not in (data.sha256, data.add_mirror_images().sha256):
+        raise Refused(f"{path} is of another dataset; train again on this one, or move it away")
+    run = record.load_result(path)
+    return np.asarray(run["area_grouped"].values[run["is_mirrored"].values == 0], dtype=np.float64)
 
 
 def summarise(finished: Sequence[FinishedPart], chosen_on: Sequence[str], links: Sequence[str]) -> dict[str, Any]:

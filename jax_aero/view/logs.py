@@ -137,7 +137,7 @@ def read_mcap(path: Path, mapping: Path | None) -> tuple[dict[str, Series], rust
     config, start = None, None
     try:
         with path.open("rb") as file:
-            reader = make_reader(file)
+            reader = make_reader(file, validate_crcs=True)
             for _schema, channel, message in reader.iter_messages(topics):
                 if channel.message_encoding != "json":
                     continue

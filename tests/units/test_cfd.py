@@ -30,6 +30,7 @@ from experiments.cfd import (
     verify,
 )
 from experiments.data import import_cfd
+from experiments.training.result import held_out_network
 from jax_aero import mesh, places, rust, tables
 from jax_aero.aero import dataset as ds
 from jax_aero.aero.dataset import LINKS
@@ -615,7 +616,7 @@ def test_cases_are_compared_with_models_and_with_rows_of_a_table(collected, tmp_
 
 def test_a_network_is_judged_on_the_rows_it_was_trained_beside(collected, tmp_path, monkeypatch):
     monkeypatch.setattr(places, "RESULTS", tmp_path)
-    assert compare.held_out_network("small", collected) is None
+    assert held_out_network("small", collected) is None
     both = collected.add_mirror_images()
     run = xr.Dataset(
         {
@@ -625,10 +626,10 @@ def test_a_network_is_judged_on_the_rows_it_was_trained_beside(collected, tmp_pa
         }
     )
     record.write_run(tmp_path / "training" / "small", run, {"dataset": both.sha256})
-    found = compare.held_out_network("small", collected)
+    found = held_out_network("small", collected)
     np.testing.assert_allclose(found, 2.0 * collected.force_area_b)
     with pytest.raises(Refused, match="is of another dataset"):
-        compare.held_out_network("small", dataclasses.replace(collected, force_area_b=2.0 * collected.force_area_b))
+        held_out_network("small", dataclasses.replace(collected, force_area_b=2.0 * collected.force_area_b))
 
 
 def test_the_wake_is_where_air_is_slow_and_counts_by_area(monkeypatch, agree):
