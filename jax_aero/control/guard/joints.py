@@ -5,9 +5,8 @@
     z_j = g_jᵀ x / |g_j|                       its part along G's column g_j: what a torque of joint j causes
 
 A faulty joint causes `x` along one column; errors of the model accelerate several joints at once, and a push changes
-the momentum. The regression of the
-unexplained torque on the commanded one gives the share of the torque that acts. A stuck joint does not move while it is
-commanded to. Equation M143 of `docs/model.md`.
+the momentum. The regression of the unexplained torque on the commanded one gives the share of the torque that acts. A
+stuck joint does not move while it is commanded to. Equation M143 of `docs/model.md`.
 """
 
 from __future__ import annotations

@@ -7,10 +7,12 @@
 //! ```
 //!
 //! Air, thrusts and masses that differ from the model accelerate several joints at once; a faulty joint causes `x` along
-//! one column. So does a push on the body that a joint carries, but it changes the momentum, which no torque of a joint
-//! does: nothing is judged while the moment that [`super::observer`] does not contain exceeds a share of its greatest. While it does, the regression of the unexplained torque on the commanded one gives the share of
-//! the torque that acts: that of a weak joint, or about zero for a free one. A stuck joint does not move while it is
-//! commanded to. What is found is revised in the same way: a share by the regression, a stuck joint when it moves.
+//! one column. While it does, the regression of the unexplained torque on the commanded one gives the share of the torque
+//! that acts: that of a weak joint, or about zero for a free one. A stuck joint does not move while it is commanded to.
+//! What is found is revised in the same way: a share by the regression, a stuck joint when it moves.
+//!
+//! A push on a body that one joint carries causes `x` along one column as well. It changes the momentum, which no torque of
+//! a joint does: nothing is judged while the moment's residual of [`super::observer`] exceeds a share of its greatest.
 //! Equation M143 of `docs/model.md`.
 
 use crate::control::law::limits::JointCondition;
