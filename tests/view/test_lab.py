@@ -194,10 +194,10 @@ def test_a_chosen_controller_is_that_of_its_file(controller, name):
     ],
 )
 def test_a_wind_is_dragged_from_what_it_was(wind, until):
-    told = about("test1")
-    told["config"]["wind"] = wind
+    given = about("test1")
+    given["config"]["wind"] = wind
     found = in_node(f"""
-        const shown = new scenario.Scenario({json.dumps(told)});
+        const shown = new scenario.Scenario({json.dumps(given)});
         const [, ...now] = shown.windUntil(shown.start, 8).at(-1);
         console.log(JSON.stringify(shown.windOf({{ ...shown.start, steer: [[8, ...now], [8.2, 0, 5]] }})));""")
     before = [float(part) for part in wind["velocity"]]
