@@ -9,7 +9,8 @@ MODULE := $(VENV)/.module
 TESTING := $(VENV)/.testing
 PACKAGES := $(VENV)/.packages
 RUST_SOURCES := Cargo.toml Cargo.lock $(shell find rust -name '*.rs' -o -name Cargo.toml)
-DEMO := test1 test2 test1_observer test1_published test2_published test1_published_observer
+DEMO := test1 test2 test1_observer test1_published test2_published test1_published_observer engine_out_mpc
+FILM := test1_published --beside test1_published_observer engine_out_mpc --start 10 --end 27 --speed 3 --fps 10 --size 960x480
 
 # Duration of `make fuzz`.
 MINUTES ?= 60
@@ -82,10 +83,11 @@ help: ## list the targets
 
 setup: $(PACKAGES) ## create .venv, compile the Rust module, install all pinned packages
 
-demo: $(MODULE) ## fly three controllers with corrected and with published lever arms: table and figure
-	@echo "six flights of 50 s and two figures (half a minute)"
+demo: $(MODULE) ## fly three controllers with corrected and with published lever arms, and one without an engine: table, figure, film
+	@echo "seven flights, two figures and a film (a minute)"
 	$(BIN)/jax-aero fly $(DEMO) --overwrite
 	$(BIN)/jax-aero figures demo fig5
+	$(BIN)/jax-aero view video $(FILM) --renderer pillow --out results/figures/demo.webp --overwrite
 
 view: $(MODULE) lab ## fly in the browser: drag the wind until the robot falls
 	$(BIN)/jax-aero view

@@ -51,11 +51,11 @@ def _serve(given: Any) -> int:
 
 def video(words: Sequence[str]) -> int:
     """Write a video."""
-    parser = Parser("view video", "Film a flight, or two, as MP4 or, where --out ends so, as .gif or .webp.")
+    parser = Parser("view video", "Film flights as MP4 or, where --out ends so, as .gif or .webp.")
     _add_common_options(parser, Path("flight.mp4"), "1280x720")
     second = parser.add_mutually_exclusive_group()
     second.add_argument("--ghost", metavar="RESULT", help="another flight in the same scene, drawn translucent")
-    second.add_argument("--beside", metavar="RESULT", help="another flight in the right half of the picture")
+    second.add_argument("--beside", nargs="+", default=[], metavar="RESULT", help="other flights, to the right of it")
     parser.add_argument("--fps", type=float, default=30.0, help="pictures per second (default 30)")
     parser.add_argument("--speed", type=float, default=1.0, help="flight seconds per second of video (default 1)")
     parser.add_argument("--start", type=float, default=0.0, metavar="S", help="start time [s]")
@@ -69,7 +69,8 @@ def video(words: Sequence[str]) -> int:
             recording.read(given.result, given.robot),
             given.out,
             ghost=None if given.ghost is None else recording.read(given.ghost, given.robot),
-            beside=None if given.beside is None else recording.read(given.beside, given.robot),
+            beside=[recording.read(result, given.robot) for result in given.beside],
+            renderer=given.renderer,
             fps=given.fps,
             speed=given.speed,
             size=given.size,
@@ -95,7 +96,8 @@ def snapshot(words: Sequence[str]) -> int:
         from jax_aero.view.video import write_snapshot
 
         flight = recording.read(given.result, given.robot)
-        write_snapshot(flight, given.out, given.at, size=given.size, viewpoint=given.camera, progress=progress)
+        drawn = {"renderer": given.renderer, "size": given.size, "viewpoint": given.camera}
+        write_snapshot(flight, given.out, given.at, **drawn, progress=progress)
 
     return _write(given, "picture", work)
 
@@ -149,6 +151,12 @@ def _add_common_options(parser: Parser, out: Path, size: str) -> None:
     _files(parser, out)
     parser.add_argument("--size", type=_size, default=_size(size), metavar="WxH", help=f"pixels (default {size})")
     parser.add_argument("--camera", choices=("chase", "side"), default="chase", help="point of view (default chase)")
+    parser.add_argument(
+        "--renderer",
+        choices=("mujoco", "pillow"),
+        default="mujoco",
+        help="what draws: MuJoCo with OpenGL, or Pillow alone, without shadows on the robot (default mujoco)",
+    )
 
 
 def _write(given: Any, unit: str, work: Callable[[Progress], None]) -> int:

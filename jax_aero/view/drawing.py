@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from jax_aero.mesh import Mesh, revolve
 from jax_aero.urdf import Vector
-from jax_aero.view.recording import Instant
+from jax_aero.view.recording import Instant, Recording
 from jax_aero.view.shapes import Look, Role, Shape, rotation_onto
 
 Colour = tuple[int, int, int]
@@ -26,6 +26,11 @@ PLUME: Colour = (230, 159, 0)
 GHOST: Colour = (104, 78, 170)
 FELL: Colour = (213, 94, 0)
 COMPLETED: Colour = (0, 120, 90)
+
+SHADOW: Colour = (92, 96, 106)
+SUN = (0.25, 0.35, -1.0)  # direction of the sunlight
+FIELD_OF_VIEW_DEG = 38.0
+AHEAD = 12.0  # s of the reference's path that are drawn before the robot
 
 ROLES: dict[Role, Colour] = {
     "shell": (226, 223, 214),
@@ -113,6 +118,68 @@ def wind_arrow(instant: Instant, scales: Scales) -> Vector | None:
     return np.stack([above - half, above + half])
 
 
-def cone() -> Mesh:
+class Arrow(NamedTuple):
+    """Unit vector, length [m], and length and radius of the head [m]."""
+
+    axis: Vector
+    length: float
+    head: float
+    head_radius: float
+
+
+def arrow(ends: Vector, radius: float) -> Arrow | None:
+    """Return the arrow of a radius [m] between two points, (2, 3) [m]; `None` if it is shorter than thick."""
+    along = ends[1] - ends[0]
+    length = float(np.linalg.norm(along))
+    if length < 2.0 * radius:
+        return None
+    return Arrow(along / length, length, min(5.0 * radius, 0.6 * length), 2.3 * radius)
+
+
+def path(recording: Recording, name: str, until: float) -> Vector:
+    """Return points at least 5 cm apart of a signal's path over the last 20 s before `until` [s], (n, 3) [m]."""
+    first, last = np.searchsorted(recording.signals["time"], [until - 20.0, until])
+    points = recording.signals[name][first : max(last, first + 1) : 10]
+    chosen = [*points[:1]]
+    for point in points[1:]:
+        if np.linalg.norm(point - chosen[-1]) > 0.05:
+            chosen.append(point)
+    return np.reshape(chosen, (-1, 3))
+
+
+def cone(segments: int = 24) -> Mesh:
     """Return a cone: base of radius 1 at the origin, tip at height 1."""
-    return revolve([(0.0, 0.0), (1.0, 0.0), (1.0, 0.0), (0.0, 1.0)])
+    return revolve([(0.0, 0.0), (1.0, 0.0), (1.0, 0.0), (0.0, 1.0)], segments)
+
+
+Viewpoint = Literal["chase", "side"]
+
+
+class Camera(NamedTuple):
+    """Viewpoint of a picture: the point looked at [m], and the camera's angles [deg] and distance [m] from it.
+
+    `azimuth_deg` is the direction of view about +z from +x, `elevation_deg` negative from above.
+    """
+
+    look_at: Vector
+    azimuth_deg: float
+    elevation_deg: float
+    distance: float
+
+
+def camera_at(recording: Recording, time: float, viewpoint: Viewpoint, distance: float) -> Camera:
+    """Return a camera at a distance [m] from the centre of mass: behind and above it, or to the robot's right.
+
+    It rotates with the reference heading, so that the picture stays upright when the robot tumbles.
+    """
+    s = recording.signals
+    yaw = np.rad2deg(np.unwrap(s["base_rpy_setpoint"][:, 2]))
+    turned = float(np.interp(time, s["time"], yaw) - yaw[0])
+    look_at = recording.at(time).com + np.array([0.0, 0.0, 0.1])
+    azimuth, elevation = {"chase": (32.0, -16.0), "side": (72.0, -7.0)}[viewpoint]
+    return Camera(look_at, azimuth + turned, elevation, distance)
+
+
+def focal_length(height: int) -> float:
+    """Return the focal length of a picture of this height [pixels]."""
+    return float(0.5 * height / np.tan(0.5 * np.deg2rad(FIELD_OF_VIEW_DEG)))

@@ -34,8 +34,9 @@ def letter_video(
     ghost: Recording | None = None,
     *,
     ended: Sequence[Recording],
+    end: float,
 ) -> Any:
-    """Add all text to a frame of a video, with the outcomes of `ended` flights; (h, w, 3) in and out."""
+    """Add all text to a frame (h, w, 3) of a video until `end` [s], with the outcomes of `ended` flights."""
     picture = Image.fromarray(pixels)
     draw = ImageDraw.Draw(picture, "RGBA")
     width, height = picture.size
@@ -64,38 +65,46 @@ def letter_video(
         if any(flight is one for one in ended):
             words = flight.verdict if flight is recording else f"ghost: {flight.verdict}"
             badge(draw, (margin + size // 2, below), flight, size, "lm", words)
-    share = time / max(*(flight.duration for flight in flights), 1e-9)
-    draw.rectangle((0, height - max(size // 4, 2), width * share, height), fill=(*drawing.FORCE, 255))
+    _bar(draw, picture.size, time / max(end, 1e-9))
     return np.asarray(picture)
 
 
-def letter_pair(scenes: Sequence[Any], flights: Sequence[Recording], time: float) -> Any:
-    """Join two pictures (h, w, 3) with one clock; each has its flight's title, rotation error and, at its end, outcome.
+def letter_row(pictures: Sequence[Any], below: int, flights: Sequence[Recording], time: float, end: float) -> Any:
+    """Join pictures (h, w, 3), with `below` rows of a clock that runs until `end` [s].
 
-    The letters are twice as large as those of a whole video.
+    Each has its flight's title, rotation error and, at its end, outcome. Letters are twice as large as those of a whole
+    video.
     """
-    picture = Image.fromarray(np.hstack(scenes))
-    draw = ImageDraw.Draw(picture, "RGBA")
-    width, height = picture.size
-    half, size = width // 2, max(height // 19, 9)
-    bottom = height - int(1.3 * size)
-    # At the outer corners, beside the clock.
-    for left, corner, anchor, flight in zip((0, half), (size, width - size), ("lm", "rm"), flights, strict=True):
-        lines = _lines(flight.title)
-        letters = int(size * min(1.0, (half - size) / max(font(size).getlength(words) for words in lines)))
-        for number, words in enumerate(lines):
-            text(draw, (left + size // 2, (0.4 + 1.25 * number) * size), words, letters, INK)
+    height, panel = pictures[0].shape[:2]
+    row = np.hstack(pictures)
+    joined = Image.fromarray(np.vstack([row, np.full((below, *row.shape[1:]), PAPER, np.uint8)]))
+    draw = ImageDraw.Draw(joined, "RGBA")
+    size = max(height // 19, 9)
+    titles = [_lines(flight.title) for flight in flights]
+    longest = max(font(size).getlength(words) for lines in titles for words in lines)
+    letters = int(size * min(1.0, (panel - size) / longest))
+    for number, (flight, lines) in enumerate(zip(flights, titles, strict=True)):
+        left, bottom = number * panel, height - int(1.3 * letters)
+        for line, words in enumerate(lines):
+            text(draw, (left + size // 2, 0.4 * size + 1.25 * line * letters), words, letters, INK)
         if time >= flight.duration:
-            badge(draw, (corner, bottom), flight, size, anchor, flight.verdict.partition(" (")[0])
+            badge(draw, (left + panel // 2, bottom), flight, letters, "mm", flight.verdict.partition(" (")[0])
         else:
             error = np.rad2deg(flight.at(time).rotation_error)
-            text(draw, (corner, bottom), f"rotation error {error:.0f}°", size, INK, anchor)
-    draw.rectangle((half - 1, 0, half, height), fill=PAPER)
+            text(draw, (left + panel // 2, bottom), f"rotation error {error:.0f}°", letters, INK, "mm")
+        if number:
+            draw.rectangle((left - 1, 0, left, height), fill=PAPER)
     wind = max(np.linalg.norm(flight.at(time).wind) for flight in flights)
-    label(draw, (half, bottom), f"{time:.1f} s, wind {wind:.0f} m/s", size, INK, "mm")
-    share = time / max(*(flight.duration for flight in flights), 1e-9)
-    draw.rectangle((0, height - max(size // 6, 2), width * share, height), fill=(*drawing.FORCE, 255))
-    return np.asarray(picture)
+    middle = joined.width // 2, (height + joined.height) // 2
+    text(draw, middle, f"{time:.1f} s, wind {wind:.0f} m/s", letters, INK, "mm")
+    _bar(draw, joined.size, time / end)
+    return np.asarray(joined)
+
+
+def _bar(draw: ImageDraw.ImageDraw, size: tuple[int, int], share: float) -> None:
+    """Draw the share of a video that is over at the bottom of a picture of this size."""
+    width, height = size
+    draw.rectangle((0, height - max(height // 130, 2), width * min(share, 1.0), height), fill=(*drawing.FORCE, 255))
 
 
 def _lines(words: str) -> list[str]:

@@ -7,38 +7,22 @@ import importlib
 import os
 import subprocess
 import sys
-from typing import Any, Literal, NamedTuple
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero.urdf import Vector
 from jax_aero.view import Refused, drawing, require
-from jax_aero.view.drawing import Colour, Scales
+from jax_aero.view.drawing import FIELD_OF_VIEW_DEG, SHADOW, SUN, Camera, Colour, Scales
 from jax_aero.view.recording import Instant, Recording
 from jax_aero.view.shapes import Shape, rotation_onto
 
 Image = NDArray[np.uint8]
 
 BACKENDS = ("egl", "osmesa")
-FIELD_OF_VIEW_DEG = 38.0
 GROUND = 400.0  # m, half the edge length
-SUN = (0.25, 0.35, -1.0)  # direction of the sunlight
-SHADOW: Colour = (92, 96, 106)
-
-Viewpoint = Literal["chase", "side"]
-
-
-class Camera(NamedTuple):
-    """Viewpoint of a picture: the point looked at [m], and the camera's angles [deg] and distance [m] from it.
-
-    `azimuth_deg` is the direction of view about +z from +x, `elevation_deg` negative from above.
-    """
-
-    look_at: Vector
-    azimuth_deg: float
-    elevation_deg: float
-    distance: float
 
 
 _PROBE = """
@@ -167,7 +151,7 @@ class Studio:
 
     def pixels_per_metre(self, camera: Camera) -> float:
         """Return the scale of the picture at the distance of the point looked at [pixels/m]."""
-        return float(0.5 * self.height / np.tan(0.5 * np.deg2rad(FIELD_OF_VIEW_DEG)) / camera.distance)
+        return drawing.focal_length(self.height) / camera.distance
 
     def _pose(self, time: float) -> None:
         for recording, start, joints in self._flights:
@@ -193,16 +177,14 @@ class Studio:
         return geom
 
     def _arrow(self, ends: Vector, radius: float, colour: Colour) -> None:
-        along = ends[1] - ends[0]
-        length = float(np.linalg.norm(along))
-        if length < 2.0 * radius:
+        arrow = drawing.arrow(ends, radius)
+        if arrow is None:
             return
-        rotation = rotation_onto(along / length)
-        head = min(5.0 * radius, 0.6 * length)
-        middle = ends[0] + 0.5 * (length - head) * along / length
+        rotation = rotation_onto(arrow.axis)
+        half = 0.5 * (arrow.length - arrow.head)
         kind = self._mj.mjtGeom.mjGEOM_CYLINDER
-        self._geom(kind, [radius, 0.5 * (length - head), 0.0], middle, rotation, colour)
-        self._cone_at(ends[1] - head * along / length, rotation, 2.3 * radius, head, colour)
+        self._geom(kind, [radius, half, 0.0], ends[0] + half * arrow.axis, rotation, colour)
+        self._cone_at(ends[1] - arrow.head * arrow.axis, rotation, arrow.head_radius, arrow.head, colour)
 
     def _cone_at(
         self, base: Vector, rotation: Vector, radius: float, height: float, colour: Colour, opacity: float = 1.0
@@ -248,19 +230,12 @@ class Studio:
         for axis in np.eye(3):
             self._line(at - 0.28 * axis, at + 0.28 * axis, 0.006, drawing.REFERENCE)
         if trail:
-            self._path("com_setpoint", instant.time + 12.0, drawing.REFERENCE, 0.006)
+            self._path("com_setpoint", instant.time + drawing.AHEAD, drawing.REFERENCE, 0.006)
             self._path("com_position", instant.time, drawing.TRAIL, 0.009)
 
     def _path(self, name: str, until: float, colour: Colour, radius: float) -> None:
-        """Draw the path of a signal over the last 20 s before `until`, if it moves."""
-        t = self.recording.signals["time"]
-        first, last = np.searchsorted(t, [until - 20.0, until])
-        points = self.recording.signals[name][first : max(last, first + 1) : 10]
-        start = 0
-        for end in range(1, len(points)):
-            if np.linalg.norm(points[end] - points[start]) > 0.05:
-                self._line(points[start], points[end], radius, colour)
-                start = end
+        for start, end in pairwise(drawing.path(self.recording, name, until)):
+            self._line(start, end, radius, colour)
 
     def _line(self, start: Vector, end: Vector, radius: float, colour: Colour) -> None:
         length = float(np.linalg.norm(end - start))
@@ -391,16 +366,3 @@ def _add_world(spec: Any, width: int, height: int) -> None:
     spec.stat.center = [0.0, 0.0, 1.0]
     spec.visual.map.znear, spec.visual.map.zfar = 0.02, 200.0
     spec.visual.map.haze = 0.3
-
-
-def camera_at(recording: Recording, time: float, viewpoint: Viewpoint, distance: float = 3.3) -> Camera:
-    """Return a camera that follows the centre of mass: from behind and above, or from the robot's right.
-
-    It rotates with the reference heading, so that the picture stays upright when the robot tumbles.
-    """
-    s = recording.signals
-    yaw = np.rad2deg(np.unwrap(s["base_rpy_setpoint"][:, 2]))
-    turned = float(np.interp(time, s["time"], yaw) - yaw[0])
-    look_at = recording.at(time).com + np.array([0.0, 0.0, 0.1])
-    azimuth, elevation = {"chase": (32.0, -16.0), "side": (72.0, -7.0)}[viewpoint]
-    return Camera(look_at, azimuth + turned, elevation, distance)

@@ -2,26 +2,66 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, Protocol, get_args
 
 import numpy as np
 
 from jax_aero.files import complete_file
 from jax_aero.result import Progress
 from jax_aero.view import Refused, check_out, require
-from jax_aero.view.drawing import Scales
-from jax_aero.view.offscreen import Studio, Viewpoint, camera_at
+from jax_aero.view.drawing import Camera, Scales, Viewpoint, camera_at
 from jax_aero.view.recording import Recording
 
 HOLD = 1.5  # s for which the last picture stays, to read the outcome
 PANELS = 6  # number of times in a snapshot by default
 WEBP_QUALITY = 55  # of 100
-MIN_PANEL = 64  # pixels, least width of one of several times in a snapshot
+MIN_PANEL = 64  # pixels, least width of one of several pictures side by side
+CLOCK = 0.08  # share of the height of pictures side by side
+NARROW = 0.7  # height by width of a picture above which the camera keeps a larger distance, so that the robot fits in
+DISTANCE = {"video": 3.3, "snapshot": 2.9}  # m, of the camera
+
+Renderer = Literal["mujoco", "pillow"]
+RENDERERS = get_args(Renderer)
+"""What draws: MuJoCo with OpenGL, or Pillow alone."""
+
+
+class Scene(Protocol):
+    """What draws the pictures of a flight: `offscreen.Studio`, `painter.Painter`."""
+
+    recording: Recording
+    ghost: Recording | None
+    scales: Scales
+
+    def picture(self, time: float, camera: Camera) -> Any:
+        """Return the picture at a time [s], (height, width, 3), without text."""
+
+    def pixels_per_metre(self, camera: Camera) -> float:
+        """Return the scale of the picture at the distance of the point looked at [pixels/m]."""
+
+
+def open_scene(
+    renderer: Renderer, recording: Recording, width: int, height: int, ghost: Recording | None = None
+) -> AbstractContextManager[Scene]:
+    """Return a scene of a size [pixels], which is to be closed.
+
+    Raises
+    ------
+    Refused
+        If it cannot be drawn on this machine.
+    """
+    if renderer == "pillow":
+        require(["PIL"], "drawing")
+        from jax_aero.view.painter import Painter
+
+        return Painter(recording, width, height, ghost)
+    from jax_aero.view.offscreen import Studio
+
+    return Studio(recording, width, height, ghost)
 
 
 def frame_times(duration: float, fps: float, speed: float, start: float, end: float) -> list[float]:
@@ -40,7 +80,8 @@ def write_video(
     out: Path,
     *,
     ghost: Recording | None = None,
-    beside: Recording | None = None,
+    beside: Sequence[Recording] = (),
+    renderer: Renderer = "mujoco",
     fps: float = 30.0,
     speed: float = 1.0,
     size: tuple[int, int] = (1280, 720),
@@ -49,9 +90,9 @@ def write_video(
     end: float | None = None,
     progress: Progress | None = None,
 ) -> int:
-    """Draw and encode a video: of one flight, of two in one scene if there is a ghost, of two side by side.
+    """Draw and encode a video: of one flight, of two in one scene if there is a ghost, of several side by side.
 
-    The camera follows the first flight, and that beside it another one. A flight that has ended stays as it ended.
+    A camera follows each flight, but not a ghost. A flight that has ended stays as it ended.
     `out` is written completely or not at all. Returns the number of frames.
 
     Raises
@@ -59,56 +100,68 @@ def write_video(
     Refused
         If drawing or encoding is impossible on this machine, or if a number is invalid.
     """
-    flights = [flight for flight in (recording, ghost, beside) if flight is not None]
-    duration = max(flight.duration for flight in flights)
+    flights = [recording, *beside]
+    duration = max(flight.duration for flight in (*flights, *([] if ghost is None else [ghost])))
     end = duration if end is None else min(end, duration)
     _check(fps, speed, size, start, end, out)
-    if len(flights) == 3:
+    if ghost is not None and beside:
         raise Refused("a ghost and a flight beside are given; expected at most one of them")
+    panel = size[0] // len(flights)
+    if panel < MIN_PANEL:
+        raise Refused(f"{len(flights)} flights are given; expected at most {size[0] // MIN_PANEL} in {size[0]} pixels")
     require(["av", "PIL"] if out.suffix == ".mp4" else ["PIL"], "writing a video")
     times = frame_times(duration, fps, speed, start, end)
-    with complete_file(out) as draft, ExitStack() as open_studios:
-        if beside is None:
-            studios = [open_studios.enter_context(Studio(recording, *size, ghost=ghost))]
-        else:
-            half = size[0] // 2, size[1]
-            studios = [open_studios.enter_context(Studio(flight, *half)) for flight in flights]
-        _ENCODERS[out.suffix](draft, _frames(studios, times, viewpoint, progress), fps, size)
+    with complete_file(out) as draft, ExitStack() as opened:
+        below = round(CLOCK * size[1]) if beside else 0
+        height = size[1] - below
+        # The last one is as wide as what the others leave of the picture.
+        widths = [*[panel] * len(beside), size[0] - panel * len(beside)]
+        scenes = [
+            opened.enter_context(open_scene(renderer, flight, width, height, ghost))
+            for flight, width in zip(flights, widths, strict=True)
+        ]
+        distance = _distance("video", panel, height) if beside else DISTANCE["video"]
+
+        def frame(time: float) -> Any:
+            cameras = [camera_at(scene.recording, time, viewpoint, distance) for scene in scenes]
+            return _row(scenes, below, cameras, time, end) if beside else _single(scenes[0], cameras[0], time, end)
+
+        _ENCODERS[out.suffix](draft, _frames(frame, times, progress), fps, size)
     return len(times)
 
 
-def _frames(
-    studios: Sequence[Studio], times: Sequence[float], viewpoint: Viewpoint, progress: Progress | None
-) -> Iterator[Any]:
+def _distance(kind: str, width: int, height: int) -> float:
+    """Return the camera's distance for a picture of this size [m]."""
+    return DISTANCE[kind] * max(1.0, NARROW * height / width)
+
+
+def _frames(draw: Callable[[float], Any], times: Sequence[float], progress: Progress | None) -> Iterator[Any]:
     """Yield the pixels (h, w, 3) of every frame; repeated times are drawn once."""
     drawn_at, pixels = -1.0, np.zeros((0, 0, 3), dtype=np.uint8)
     for number, time in enumerate(times):
         if time != drawn_at:
-            pixels = _pair(studios, time, viewpoint) if len(studios) == 2 else _frame(studios[0], time, viewpoint)
-            drawn_at = time
+            drawn_at, pixels = time, draw(time)
         yield pixels
         if progress is not None:
             progress(number + 1, len(times))
 
 
-def _frame(studio: Studio, time: float, viewpoint: Viewpoint) -> Any:
+def _single(scene: Scene, camera: Camera, time: float, end: float) -> Any:
     """Return one scene with all text."""
     from jax_aero.view.labels import letter_video
 
-    recording = studio.recording
-    camera = camera_at(recording, time, viewpoint)
-    pixels, scale = studio.picture(time, camera), studio.pixels_per_metre(camera)
-    ended = [flight for flight in (recording, studio.ghost) if flight is not None and time >= flight.duration]
-    return letter_video(pixels, recording, time, studio.scales, scale, studio.ghost, ended=ended)
+    recording = scene.recording
+    pixels, scale = scene.picture(time, camera), scene.pixels_per_metre(camera)
+    ended = [flight for flight in (recording, scene.ghost) if flight is not None and time >= flight.duration]
+    return letter_video(pixels, recording, time, scene.scales, scale, scene.ghost, ended=ended, end=end)
 
 
-def _pair(studios: Sequence[Studio], time: float, viewpoint: Viewpoint) -> Any:
-    """Return two scenes side by side, with few words that remain legible when the picture is small."""
-    from jax_aero.view.labels import letter_pair
+def _row(scenes: Sequence[Scene], below: int, cameras: Sequence[Camera], time: float, end: float) -> Any:
+    """Return scenes side by side, with few words that remain legible when the picture is small."""
+    from jax_aero.view.labels import letter_row
 
-    flights = [studio.recording for studio in studios]
-    scenes = [studio.picture(time, camera_at(studio.recording, time, viewpoint)) for studio in studios]
-    return letter_pair(scenes, flights, time)
+    pictures = [scene.picture(time, camera) for scene, camera in zip(scenes, cameras, strict=True)]
+    return letter_row(pictures, below, [scene.recording for scene in scenes], time, end)
 
 
 def _encode_mp4(draft: Path, frames: Iterator[Any], fps: float, size: tuple[int, int]) -> None:
@@ -176,6 +229,7 @@ def write_snapshot(
     out: Path,
     times: Sequence[float] = (),
     *,
+    renderer: Renderer = "mujoco",
     size: tuple[int, int] = (1920, 1080),
     viewpoint: Viewpoint = "chase",
     progress: Progress | None = None,
@@ -200,27 +254,37 @@ def write_snapshot(
     from PIL import Image
 
     picture = _draw_single if len(chosen) == 1 else _strip
-    pixels = picture(recording, chosen, size, viewpoint, progress)
+    pixels = picture(recording, chosen, renderer, size, viewpoint, progress)
     with complete_file(out) as draft:
         Image.fromarray(pixels).save(draft, format="PNG")
 
 
 def _draw_single(
-    recording: Recording, times: list[float], size: tuple[int, int], viewpoint: Viewpoint, progress: Progress | None
+    recording: Recording,
+    times: list[float],
+    renderer: Renderer,
+    size: tuple[int, int],
+    viewpoint: Viewpoint,
+    progress: Progress | None,
 ) -> Any:
     from jax_aero.view.labels import letter_video
 
-    with Studio(recording, *size) as studio:
-        camera = camera_at(recording, times[0], viewpoint)
-        pixels = studio.picture(times[0], camera)
+    with open_scene(renderer, recording, *size) as scene:
+        camera = camera_at(recording, times[0], viewpoint, DISTANCE["video"])
+        pixels = scene.picture(times[0], camera)
         if progress is not None:
             progress(1, 1)
-        scale = studio.pixels_per_metre(camera)
-        return letter_video(pixels, recording, times[0], studio.scales, scale, ended=[recording])
+        scale = scene.pixels_per_metre(camera)
+        return letter_video(pixels, recording, times[0], scene.scales, scale, ended=[recording], end=recording.duration)
 
 
 def _strip(
-    recording: Recording, times: list[float], size: tuple[int, int], viewpoint: Viewpoint, progress: Progress | None
+    recording: Recording,
+    times: list[float],
+    renderer: Renderer,
+    size: tuple[int, int],
+    viewpoint: Viewpoint,
+    progress: Progress | None,
 ) -> Any:
     """Return numbered pictures side by side; below them the path from the side with the same numbers."""
     from PIL import Image, ImageDraw
@@ -232,15 +296,13 @@ def _strip(
     top, below = int(4.6 * letters), int(0.27 * height)
     panel = width // len(times), height - top - below
     sheet = Image.new("RGB", size, labels.PAPER)
-    with Studio(recording, *panel) as studio:
+    with open_scene(renderer, recording, *panel) as scene:
         for i, time in enumerate(times):
-            # Narrow panels use a larger distance, so that the robot fits in with its plumes.
-            distance = 2.9 * max(1.0, 0.7 * panel[1] / panel[0])
-            camera = camera_at(recording, time, viewpoint, distance)
-            sheet.paste(Image.fromarray(studio.picture(time, camera)), (i * panel[0], top))
+            camera = camera_at(recording, time, viewpoint, _distance("snapshot", *panel))
+            sheet.paste(Image.fromarray(scene.picture(time, camera)), (i * panel[0], top))
             if progress is not None:
                 progress(i + 1, len(times))
-        scale = studio.pixels_per_metre(camera)
+        scale = scene.pixels_per_metre(camera)
     draw = ImageDraw.Draw(sheet, "RGBA")
     labels.text(draw, (letters, 0.5 * letters), recording.title, int(1.3 * letters), labels.INK)
     labels.badge(draw, (width - int(1.2 * letters), int(1.4 * letters)), recording, letters, "rm")

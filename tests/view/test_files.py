@@ -12,6 +12,7 @@ import pytest
 from jax_aero import __main__ as commands
 from jax_aero import places
 from jax_aero.view import Refused, command, offscreen, recording, video
+from jax_aero.view.drawing import camera_at
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
 Image = pytest.importorskip("PIL.Image", reason="Pillow is not installed")
@@ -108,7 +109,7 @@ def test_two_flights_side_by_side_are_each_drawn_alone_and_with_their_outcomes(f
     later = replace(seen, signals={**seen.signals, "time": seen.signals["time"] - 2.0})
     out = tmp_path / "pair.webp"
     times = {"start": seen.duration - 1.0, "end": seen.duration - 0.5, "fps": 2.0}
-    assert video.write_video(seen, out, beside=later, size=(320, 128), **times) == 2
+    assert video.write_video(seen, out, beside=[later], size=(320, 128), **times) == 2
     with Image.open(out) as film:
         assert (film.n_frames, film.size, film.info["loop"]) == (2, (320, 128), 0)
         halves = []
@@ -121,7 +122,9 @@ def test_two_flights_side_by_side_are_each_drawn_alone_and_with_their_outcomes(f
     (left, right), (left_later, right_later) = halves
     assert np.abs(left - left_later).mean() > 10.0 * np.abs(right - right_later).mean()
     with pytest.raises(Refused, match="expected at most one of them"):
-        video.write_video(seen, out, ghost=later, beside=later)
+        video.write_video(seen, out, ghost=later, beside=[later])
+    with pytest.raises(Refused, match="3 flights are given; expected at most 2 in 128 pixels"):
+        video.write_video(seen, out, beside=[later, later], size=(128, 96))
 
 
 @pytest.mark.parametrize("fps", [25.0, 30.0, 48.0])
@@ -184,7 +187,7 @@ def test_a_ghost_flies_in_the_same_picture(seen):
     """Both robots are where their flights have them: the ghost is the same flight, a second later."""
     later = replace(seen, signals={**seen.signals, "time": seen.signals["time"] - 1.0})
     with offscreen.Studio(seen, 160, 96, ghost=later) as studio:
-        picture = studio.picture(12.0, offscreen.camera_at(seen, 12.0, "chase"))
+        picture = studio.picture(12.0, camera_at(seen, 12.0, "chase", 3.3))
         for prefix, time in (("", 12.0), ("ghost_", 13.0)):
             now = seen.at(time)
             for name, position in zip(seen.robot.body_names, now.body_positions, strict=True):
@@ -201,7 +204,7 @@ def test_the_robot_drawn_is_the_robot_that_flew(seen):
     """MuJoCo's bodies, from its own kinematics, are where the crate's are."""
     moment = float(seen.signals["time"][1500])
     with offscreen.Studio(seen, 64, 64) as studio:
-        studio.picture(moment, offscreen.camera_at(seen, moment, "chase"))
+        studio.picture(moment, camera_at(seen, moment, "chase", 3.3))
         now = seen.at(moment)
         for name, position, rotation in zip(seen.robot.body_names, now.body_positions, now.body_rotations, strict=True):
             body = studio.data.body(name)

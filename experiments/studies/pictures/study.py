@@ -22,7 +22,8 @@ from jax_aero.places import ROBOT
 from jax_aero.symbolic import load_robot
 from jax_aero.symbolic.kinematics import Kinematics
 from jax_aero.view import recording
-from jax_aero.view.offscreen import Camera, Studio, camera_at
+from jax_aero.view.drawing import Camera, camera_at
+from jax_aero.view.offscreen import Studio
 
 FLIGHT_SIZE, POSTURE_SIZE = (960, 720), (240, 320)
 """Width and height [pixels]."""
