@@ -232,6 +232,7 @@ lab: $(MODULE) $(LAB_PAGE)/node_modules ## build the flight lab into target/lab/
 	RUSTFLAGS="-C target-feature=+simd128" cargo rustc --locked --quiet --release --package flight-lab \
 		--target wasm32-unknown-unknown -- -C link-arg=--strip-all
 	node $(LAB_PAGE)/build.mjs jax_aero/view/page.html
+	rm -rf $(LAB)
 	$(BIN)/python rust/lab/build.py $(LAB_WASM) $(LAB)
 
 $(LAB_PAGE)/node_modules: $(LAB_PAGE)/package-lock.json

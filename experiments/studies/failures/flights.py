@@ -189,16 +189,18 @@ def descent(every: int) -> list[Row]:
     rows = []
     for failure, flight in fly(failures(), every):
         since, height = flight["time"] - failure.since, flight["com_position"][:, 2]
-        ground = np.flatnonzero((since > 0.0) & (height < height[0]))[0]
+        is_down = (since > 0.0) & (height < height[0])
+        # A flight that never comes down is judged to its end.
+        ground = int(np.argmax(is_down)) if is_down.any() else len(height) - 1
         until = slice(None, ground + 1)
         found = np.flatnonzero(flight["degraded_modes"].astype(int) & MODES["engine_limited"])
         rows.append(
             {
                 "case": failure.case,
-                "completed": True,
+                "completed": bool(is_down.any()),
                 "lean": float(np.degrees(flight["rotation_error"][until].max())),
                 "found": float(since[found[0]]) if found.size else np.nan,
-                "down": float(since[ground]),
+                "down": float(since[ground]) if is_down.any() else np.nan,
                 "sink": float(-flight["com_velocity"][ground, 2]),
             }
         )
