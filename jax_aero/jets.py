@@ -87,7 +87,10 @@ class JetDynamics(Protocol):
 
 @pytree
 class IdealJets:
-    """Thrust as the integral of the commanded rate, never negative; upper limits are left to the controller."""
+    """Thrust as the integral of the commanded rate, not below its least; upper limits are left to the controller."""
+
+    thrust_min: Float[Array, " j"]
+    """Least thrusts [N]."""
 
     def start(self, thrust: Float[Array, " j"]) -> JetsState:
         """Return the state at `thrust` [N] with thrust rate zero."""
@@ -104,9 +107,8 @@ class IdealJets:
         dt: Float[Array, ""] | float,
         measured: Float[Array, " j"] | None = None,  # noqa: ARG002 - there is no estimator
     ) -> JetsState:
-        """Return the state after `T ← max(0, T + Ṫ* dt)`."""
-        thrust = state.thrust + dt * command
-        return JetsState(jnp.where(thrust < 0.0, 0.0, thrust), jnp.where(thrust < 0.0, 0.0, command))
+        """Return the state after `T ← max(T_min, T + Ṫ* dt)`."""
+        return JetsState(*_not_below(self.thrust_min, state.thrust + dt * command, command))
 
 
 class EngineState(NamedTuple):
@@ -127,6 +129,8 @@ class SecondOrderJets:
     """Identified engines with their throttle loop and the noise covariances of their estimator."""
 
     engines: Engines
+    thrust_min: Float[Array, " j"]
+    """Least thrusts [N]."""
     rate_gain_p: Float[Array, ""]
     """`k_p` of the throttle loop [1/s]."""
     rate_gain_i: Float[Array, ""]
@@ -171,12 +175,27 @@ class SecondOrderJets:
         # T̈ at the start of the step, as in the published simulator.
         acceleration = thrust_acceleration(self.engines, state.thrust, state.thrust_rate, throttle)
         thrust = state.thrust + dt * (state.thrust_rate + 0.5 * dt * acceleration)
-        rate, is_out = state.thrust_rate + dt * acceleration, thrust < 0.0
-        return JetsState(
-            thrust=jnp.where(is_out, 0.0, thrust),
-            thrust_rate=jnp.where(is_out, jnp.maximum(rate, 0.0), rate),
-            engine=EngineState(throttle, integral, estimate, covariance),
-        )
+        thrust, rate = _not_below(self.thrust_min, thrust, state.thrust_rate + dt * acceleration)
+        return JetsState(thrust, rate, EngineState(throttle, integral, estimate, covariance))
+
+
+def predict_thrust(
+    thrust: Float[Array, " j"],
+    thrust_rate: Float[Array, " j"],
+    dt: Float[Array, ""],
+    thrust_min: Float[Array, " j"],
+) -> Float[Array, " j"]:
+    """Return thrusts [N] after `dt` [s] at these rates [N/s] (M31), not below the least of each engine.
+
+    A thrust that is below it already is that of an engine that has stopped: it does not rise by itself, and never
+    becomes negative.
+    """
+    return jnp.maximum(thrust + dt * thrust_rate, jnp.clip(thrust, 0.0, thrust_min))
+
+
+def _not_below(least: Array, thrust: Array, thrust_rate: Array) -> tuple[Array, Array]:
+    is_below = thrust < least
+    return jnp.where(is_below, least, thrust), jnp.where(is_below, jnp.maximum(thrust_rate, 0.0), thrust_rate)
 
 
 def jet_dynamics(settings: JetsConfig, robot: RobotModel) -> JetDynamics:
@@ -189,10 +208,11 @@ def jet_dynamics(settings: JetsConfig, robot: RobotModel) -> JetDynamics:
     """
     match settings:
         case IdealJetsConfig():
-            return IdealJets()
+            return IdealJets(robot.jets.thrust_min)
         case SecondOrderJetsConfig():
             return SecondOrderJets(
                 engines=engines(robot, settings.engines or robot.jets.engines),
+                thrust_min=robot.jets.thrust_min,
                 rate_gain_p=leaf(settings.rate_gain_p),
                 rate_gain_i=leaf(settings.rate_gain_i),
                 q=leaf(settings.ekf.Q),

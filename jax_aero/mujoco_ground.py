@@ -90,7 +90,9 @@ class GroundPlant:
         """Thrust of every jet [N]."""
         self._jets = [self.model.site(f"jet_{jet}").id for jet in self.robot.jet_names]
         jets = self.robot.arrays()["jets"]
-        self._axes, self._torque_to_thrust = jets["axes"], jets["torque_to_thrust"]
+        self._thrust_min, self._axes, self._torque_to_thrust = (
+            jets[key] for key in ("thrust_min", "axes", "torque_to_thrust")
+        )
         self._links = [self.model.site(f"aero_{link}").id for link in self.robot.aero_link_names]
         self._stand(simulator["initial"], simulator["ground"]["settling"])
         self.model.jnt_stiffness[1:] = simulator.get("motors", {}).get("stiffness", 0.0)
@@ -152,11 +154,11 @@ class GroundPlant:
         return bool(np.isfinite(self.data.qpos).all() and np.isfinite(self.data.qvel).all())
 
     def advance(self, torque: Float[np.ndarray, " n"], thrust_rate: Float[np.ndarray, " jets"]) -> None:
-        """Advance one tick under held torques [N m]; thrusts ≥ 0 follow their rates [N/s] (M31)."""
+        """Advance one tick under held torques [N m]; thrusts follow their rates [N/s] (M31)."""
         self.data.ctrl[:] = torque
         mujoco.mj_step(self.model, self.data, self._substeps)
         tick = self._substeps * self.model.opt.timestep
-        self.thrust = np.maximum(self.thrust + tick * np.asarray(thrust_rate), 0.0)
+        self.thrust = np.maximum(self.thrust + tick * np.asarray(thrust_rate), self._thrust_min)
 
     def _foot_wrenches(self) -> Array:
         data = self.data

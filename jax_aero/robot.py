@@ -37,6 +37,8 @@ class Jets:
     """Direction of the force on the robot, in frame axes."""
     torque_to_thrust: Float[Array, " j"]
     """Moments on the robot about the axes per thrust [m]: reaction torques of rotors, 0 for jets."""
+    thrust_min: Float[Array, " j"]
+    """Least thrusts of engines that run [N]."""
     thrust_max: Float[Array, " j"]
     """Greatest thrusts [N]."""
 

@@ -82,8 +82,8 @@ class Perturbation(tables.Table, frozen=True):
             if getattr(self, name):
                 initial[name] = draw_around(name, initial[name])
         if self.thrust:
-            pairs = zip(initial["thrust"], robot.thrust_max, strict=True)
-            initial["thrust"] = [min(max(0.0, thrust), greatest) for thrust, greatest in pairs]
+            ranges = zip(initial["thrust"], robot.thrust_min, robot.thrust_max, strict=True)
+            initial["thrust"] = [min(max(least, thrust), greatest) for thrust, least, greatest in ranges]
         self._blow(config["wind"], draw_around)
         self._reshape(config, draw_around, robot.aero_link_names)
         if self.ensemble:

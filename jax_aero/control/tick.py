@@ -138,10 +138,10 @@ class MomentumController:
 
     def limits(self, robot: RobotModel) -> Limits:
         """Return what the law may use while the guard finds nothing."""
-        greatest = jnp.asarray(robot.jets.thrust_max)
+        thrusts = jnp.asarray(robot.jets.thrust_min), jnp.asarray(robot.jets.thrust_max)
         fast = self.tasks.joint_velocity_max, self.torque_rate_max
         whole = jnp.ones_like(self.torque_rate_max)
-        return Limits(self.momentum, jnp.array(True), jnp.zeros_like(greatest), greatest, *fast, whole, whole < 0.0)
+        return Limits(self.momentum, jnp.array(True), *thrusts, *fast, whole, whole < 0.0)
 
     def law(self) -> Law:
         """Return the law, from the set-point to thrust rates and joint velocities."""

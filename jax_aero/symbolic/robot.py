@@ -63,6 +63,8 @@ class Jet:
     axis: Array
     torque_to_thrust: float
     """Moment about the axis per thrust [m]."""
+    thrust_min: float
+    """Least thrust of an engine that runs [N]."""
     thrust_max: float
     """Greatest thrust [N]."""
 
@@ -114,6 +116,11 @@ class Robot:
         return sum(inertial.mass for inertial in self.inertials)
 
     @property
+    def thrust_min(self) -> Array:
+        """(jets,) least thrusts of engines that run [N]."""
+        return np.array([jet.thrust_min for jet in self.jets])
+
+    @property
     def thrust_max(self) -> Array:
         """(jets,) greatest thrusts [N]."""
         return np.array([jet.thrust_max for jet in self.jets])
@@ -155,6 +162,7 @@ def load_robot(path: str | Path) -> Robot:
                 position=np.array(row.get("position", [0.0, 0.0, 0.0]), dtype=float),
                 axis=_unit_vector(row["axis"]),
                 torque_to_thrust=row.get("torque_to_thrust", 0.0),
+                thrust_min=row.get("thrust_min", 0.0),
                 thrust_max=row["thrust_max"],
             )
             for row in table.get("jets", [])

@@ -79,7 +79,7 @@ class TrajectoryConfig(tables.Table, frozen=True):
     height_min: float
     """Least height of the centre of mass [m]."""
     thrust_reserve: tables.Fraction
-    """Margin of every thrust from 0 and from its greatest value, as a fraction of the latter, left to feedback."""
+    """Margin of every thrust from both its limits, as a fraction of its greatest value, left to feedback."""
     thrust_rate_max: tables.Positive
     """Greatest thrust rate [N/s]."""
     joint_velocity_max_deg: tables.Positive
@@ -320,7 +320,7 @@ class TrajectoryProblem:
         sides = (left[0] - config.sideways_max, left[1] + config.sideways_max)
         low = np.array([-reach, sides[0], config.height_min, *[-reach] * 3, roll[0], pitch[0], yaw - slack])
         high = np.array([reach, sides[1], reach, *[reach] * 3, roll[1], pitch[1], yaw + slack])
-        low = np.concatenate([low, [-reach] * 3, reserve, joints[:, 0]])
+        low = np.concatenate([low, [-reach] * 3, robot.thrust_min + reserve, joints[:, 0]])
         high = np.concatenate([high, [reach] * 3, top - reserve, joints[:, 1]])
 
         def hover(at: tuple[float, float, float]) -> tuple[Array, Array]:

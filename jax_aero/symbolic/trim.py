@@ -162,7 +162,7 @@ class Trim:
         rows = self._rows(thrust, margin, balance, torque, distances)
         self._names = rows
         constraints = ca.vertcat(*(row.value / row.scale for row in rows))
-        self._lower = np.array([row.lower / row.scale for row in rows])
+        self._least = np.array([row.lower / row.scale for row in rows])
         self._upper = np.array([row.upper / row.scale for row in rows])
         total = ca.sum1(thrust) / (robot.mass * robot.gravity)
         posture = settings.posture_weight * ca.sumsqr(s - ca.DM(settings.posture)) / max(n, 1)
@@ -197,8 +197,8 @@ class Trim:
             for i, (name, tau) in enumerate(zip(robot.joint_names, settings.torque_max.tolist(), strict=True))
         ]
         for i, jet in enumerate(robot.jets):
-            top = jet.thrust_max
-            rows.append(_Row(f"lower thrust margin of {jet.name}", "N", top, thrust[i] - margin * top, 0.0, np.inf))
+            top, lower = jet.thrust_max, thrust[i] - margin * jet.thrust_max
+            rows.append(_Row(f"lower thrust margin of {jet.name}", "N", top, lower, jet.thrust_min, np.inf))
             rows.append(
                 _Row(f"upper thrust margin of {jet.name}", "N", top, (1 - margin) * top - thrust[i], 0.0, np.inf)
             )
@@ -217,12 +217,13 @@ class Trim:
         held = np.setdiff1d(np.arange(robot.n_joints), settings.free_joints)
         # A posture may be slightly outside a limit: the published knees are, by 0.0004 rad.
         lower[held] = upper[held] = settings.posture[held]
-        top = robot.thrust_max
-        low = [settings.roll[0], settings.pitch[0], settings.yaw, *lower, *(0.0 * top), settings.margin_min]
+        least, top = robot.thrust_min, robot.thrust_max
+        low = [settings.roll[0], settings.pitch[0], settings.yaw, *lower, *least, settings.margin_min]
         high = [settings.roll[1], settings.pitch[1], settings.yaw, *upper, *top, 0.5]
         if self.lost is not None:
             # A jet without thrust has no margin, so none is required; attitude is only kept away from gimbal lock.
-            high[3 + robot.n_joints + self.lost] = 0.0
+            jet = 3 + robot.n_joints + self.lost
+            low[jet] = high[jet] = 0.0
             low[-1] = high[-1] = 0.0
             low[:2], high[:2] = [-np.pi / 2] * 2, [np.pi / 2] * 2
         return np.array(low), np.array(high)
@@ -274,7 +275,7 @@ class Trim:
         return self._result(x, cost, parameters, message, violations, iterations, elapsed)
 
     def _run(self, solver: Any, x: Array, p: Array, low: Array, high: Array) -> tuple[Array, float, dict[str, Any]]:
-        answer = solver(x0=x, p=p, lbx=low, ubx=high, lbg=self._lower, ubg=self._upper)
+        answer = solver(x0=x, p=p, lbx=low, ubx=high, lbg=self._lower(), ubg=self._upper)
         return np.array(answer["x"].full())[:, 0], float(answer["f"]), solver.stats()
 
     def _nearest_point(self, p: Array, low: Array, high: Array) -> tuple[Array, float, Array, dict[str, Any]]:
@@ -286,10 +287,18 @@ class Trim:
         x, cost, stats = self._run(self._elastic, start, p, low, high)
         return x[:size], cost, x[size : size + count] - x[size + count :], stats
 
+    def _lower(self) -> Array:
+        lower = self._least.copy()
+        if self.lost is not None:
+            # A jet without thrust is below its least.
+            names = [row.name for row in self._names]
+            lower[names.index(f"lower thrust margin of {self.model.robot.jets[self.lost].name}")] = -np.inf
+        return lower
+
     def _is_met(self, x: Array, p: Array) -> bool:
         """Return whether a point satisfies all constraints."""
         values = self._constraints(x, p).full()[:, 0]
-        return bool(np.all((values >= self._lower - TOLERANCE) & (values <= self._upper + TOLERANCE)))
+        return bool(np.all((values >= self._lower() - TOLERANCE) & (values <= self._upper + TOLERANCE)))
 
     def _violations(self, missed: Array) -> tuple[Violation, ...]:
         order = np.argsort(-np.abs(missed))
@@ -313,7 +322,7 @@ class Trim:
         n, jets = robot.n_joints, len(robot.jets)
         balance, torque, distances, wrench = (np.array(value.full())[:, 0] for value in self._report(x, parameters))
         thrust = x[3 + n : 3 + n + jets]
-        top = robot.thrust_max
+        least, top = robot.thrust_min, robot.thrust_max
         nearest = min(range(distances.size), key=lambda pair: float(distances[pair]), default=None)
         return TrimResult(
             feasible=not violations,
@@ -325,7 +334,7 @@ class Trim:
             joint_position=x[3 : 3 + n],
             thrust=thrust,
             joint_torque=torque,
-            margin=float(np.min(np.minimum(thrust, top - thrust) / top, initial=0.5)),
+            margin=float(np.min(np.minimum(thrust - least, top - thrust) / top, initial=0.5)),
             residual=balance,
             aero_force=wrench[:3],
             aero_moment=wrench[3:],

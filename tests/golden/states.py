@@ -219,7 +219,7 @@ def compute_control(given: Values, found: Values, config: dict[str, Any]) -> Val
     g[n_jets:] += weights["posture"] * np.array([posture_gain[name] for name in robot.joint_names]) * posture_error
 
     value = np.concatenate([given["thrust"], given["joint_position"]])
-    limits = np.vstack([[(0.0, jet.thrust_max) for jet in robot.jets], robot.joint_limits])
+    limits = np.vstack([[(jet.thrust_min, jet.thrust_max) for jet in robot.jets], robot.joint_limits])
     steepness = np.repeat([bounds["thrust_steepness"], bounds["joint_steepness"]], [n_jets, robot.n_joints])
     rate_max = [bounds["thrust_rate_max"][jet] for jet in jets]
     rate_max = np.array(rate_max + [np.radians(bounds["joint_velocity_max_deg"])] * robot.n_joints)

@@ -65,7 +65,8 @@ def test_limits_hold(climb, plan):
     config = climb.config
     top = np.array([jet.thrust_max for jet in climb.model.robot.jets])
     slack = 1e-3  # between the points where they are imposed
-    assert (plan.thrust >= config.thrust_reserve * top - slack * top).all()
+    least = np.array([jet.thrust_min for jet in climb.model.robot.jets])
+    assert (plan.thrust >= least + config.thrust_reserve * top - slack * top).all()
     assert (plan.thrust <= (1 - config.thrust_reserve) * top + slack * top).all()
     assert np.abs(plan.thrust_rate).max() <= config.thrust_rate_max + 1e-6
     assert np.abs(plan.joint_velocity).max() <= np.radians(config.joint_velocity_max_deg) + 1e-6

@@ -158,6 +158,36 @@ def test_a_robot_without_joints_and_links_has_a_trim(agree):
         assert "greatest joint torque             0.00 N m" in experiment.report(trim, result)
 
 
+def test_an_engine_that_runs_has_its_least_thrust(agree):
+    """The platform hovers with 31.3 N in each of six engines, also if one has stopped and needs no least thrust."""
+    platform = load_robot(ROOT / "configs/robot/platform.toml")
+    nothing = np.zeros(0)
+    settings = TrimSettings(
+        nothing, (), (-0.1, 0.1), (-0.1, 0.1), 0.0, 0.05, nothing, -1.0, 1.0, posture_weight=1.0, spread_weight=1.0
+    )
+    top = float(platform.thrust_max[0])
+
+    def trim_with(least):
+        jets = (replace(platform.jets[0], thrust_min=least), *platform.jets[1:])
+        return Trim(MomentumModel(replace(platform, jets=jets), {"model": "off"}), settings)
+
+    least = 31.5 - 0.05 * top
+    trim = trim_with(least)
+    result = trim.solve((0.0, 0.0, 0.0))
+    assert result.feasible, result.message
+    agree("thrust", result.thrust[0], 31.5, 1e-3)
+    agree("margin", result.margin, (result.thrust[0] - least) / top, 1e-12)
+    trim.lost = 0
+    result = trim.solve((0.0, 0.0, 0.0))
+    assert result.thrust[0] == 0.0
+    assert all("thrust margin" not in violation.constraint for violation in result.violations)
+
+
+def test_mk3_is_read_with_its_least_thrusts():
+    robot = ROOT / "configs/robot/ironcub_mk3.toml"
+    assert load_robot(robot).thrust_min.tolist() == rust.Robot(robot).thrust_min == 4 * [11.0]
+
+
 def test_the_command_line(capsys):
     assert experiment.main(["hover_posture", "--without", "tail_jet"]) == 2
     for option in ("--wind", "--velocity"):

@@ -431,6 +431,17 @@ def test_a_pose_far_below_the_ground_is_refused(tmp_path, monkeypatch):
         fly(standing(**buried | {"simulator.ground.settling": 0.2}))
 
 
+def test_a_jet_that_runs_has_its_least_thrust(tmp_path):
+    robot = ROOT / "configs/robot/ironcub_mk1.toml"
+    for name, text in (("ironcub_mk1.urdf", None), ("robot.toml", robot.read_text())):
+        source = robot.with_name(name).read_text() if text is None else text
+        (tmp_path / name).write_text(source.replace("thrust_max = 160.0", "thrust_min = 11.0\nthrust_max = 160.0"))
+    thrusts = {"simulator.initial.thrust": [12.0, 12.0, 0.5, 0.5]}
+    plant = GroundPlant(standing(robot=str(tmp_path / "robot.toml"), **thrusts))
+    plant.advance(np.zeros(23), np.full(4, -1e5))
+    np.testing.assert_array_equal(plant.thrust, [11.0, 11.0, 0.0, 0.0])
+
+
 def test_engines_refuse_what_they_do_not_know(monkeypatch):
     flying = rust.load_config(ROOT / "configs/experiments/test2.toml")
     with pytest.raises(ValueError, match=r"simulator.ground.* is absent"):

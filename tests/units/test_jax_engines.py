@@ -12,6 +12,7 @@ import pytest
 from jax_aero import jets
 from jax_aero.control.guard import engines
 from jax_aero.control.law.attitude import MomentumGains
+from jax_aero.control.tick import momentum_controller
 from jax_aero.io import scenario_config
 from jax_aero.robot import load_robot
 from jax_aero.rust import load_config
@@ -121,9 +122,9 @@ def test_an_engine_that_follows_as_fast_as_it_can_is_not_limited(lags):
     """100 N/s at once are more than its throttle gives: it lags by more than the limit, and is not blamed."""
     start = jnp.array([60.0, 60.0])
     model = jets.SecondOrderJets(
-        MODELS, jnp.array(150.0), jnp.array(0.0), jnp.eye(2), jnp.array(1.0), False, None, jnp.eye(2)
+        MODELS, jnp.zeros(2), jnp.array(150.0), jnp.array(0.0), jnp.eye(2), jnp.array(1.0), False, None, jnp.eye(2)
     )
-    dynamics = model if lags else jets.IdealJets()
+    dynamics = model if lags else jets.IdealJets(jnp.zeros(2))
     state, now, farthest = engines.start(start), dynamics.start(start), 0.0
     advance = jax.jit(lambda now, command: dynamics.advance(now, command, STEP))
     for tick in range(150):
@@ -134,6 +135,39 @@ def test_an_engine_that_follows_as_fast_as_it_can_is_not_limited(lags):
         assert not (is_wrong | state.is_limited).any()
         farthest = max(farthest, float(jnp.abs(state.deviation).max()))
     assert (farthest > 15.0) == lags
+
+
+def test_thrusts_end_at_the_least_of_running_engines():
+    """Those of ideal and of identified engines; a prediction leaves an engine that has stopped where it is."""
+    least, start = jnp.array([40.0, 50.0]), jnp.array([42.0, 51.0])
+    model = jets.SecondOrderJets(
+        MODELS, least, jnp.array(150.0), jnp.array(0.0), jnp.eye(2), jnp.array(1.0), False, None, jnp.eye(2)
+    )
+    for dynamics in (jets.IdealJets(least), model):
+        now, lowest = dynamics.start(start), start
+        for _ in range(100):
+            now = dynamics.advance(now, jnp.array([-300.0, -300.0]), jnp.array(STEP))
+            lowest = jnp.minimum(lowest, now.thrust)
+            assert (now.thrust_rate[now.thrust == least] >= 0.0).all()
+        np.testing.assert_array_equal(lowest, least)
+    thrust = jnp.array([20.0, 20.0, 11.0, 4.0, 4.0, 0.0, -3.0])
+    rate = jnp.array([-10.0, -30.0, 4.0, -2.0, 2.0, -2.0, -2.0])
+    found = jets.predict_thrust(thrust, rate, jnp.array(0.5), jnp.full(7, 11.0))
+    np.testing.assert_array_equal(found, [15.0, 11.0, 13.0, 4.0, 5.0, 0.0, 0.0])
+
+
+def test_the_least_thrust_of_the_law_is_that_of_a_running_engine():
+    """Also of an engine that was found to reach less; one that stopped has what is left of it."""
+    robot = load_robot(CONFIGS / "robot" / "ironcub_mk3.toml")
+    controller = momentum_controller(scenario_config(load_config(CONFIGS / "experiments" / "mk3_hover.toml")), robot)
+    usual = controller.limits(robot)
+    np.testing.assert_array_equal(usual.thrust_least, 4 * [11.0])
+    state = engines.start(jnp.zeros(4))._replace(
+        least=jnp.array([0.0, 0.0, 0.0, 60.0]), greatest=jnp.array([jnp.inf, 80.0, 2.0, 90.0])
+    )
+    limits, _ = engines.limit(LIMITS, state, usual)
+    np.testing.assert_array_equal(limits.thrust_least, [11.0, 11.0, 2.0, 60.0])
+    np.testing.assert_array_equal(limits.thrust_greatest, [227.0, 80.0, 2.0, 90.0])
 
 
 def test_nothing_is_judged_without_a_momentum():

@@ -415,12 +415,14 @@ def test_each_kind_perturbs_its_own_numbers_within_its_size(kind, size):
     assert np.all(apart <= size)
 
 
-def test_no_thrust_is_drawn_that_its_jet_cannot_give():
-    made = design(repeats=8, perturbation={"thrust": 300.0})
+@pytest.mark.parametrize("base", ["test2", "mk3_hover"])
+def test_no_thrust_is_drawn_that_its_jet_cannot_give(base):
+    made = design(repeats=8, perturbation={"thrust": 300.0}, base=base)
     drawn = np.array([made.row_config(row)["simulator"]["initial"]["thrust"] for row in range(8)])
-    greatest = np.array(rust.Robot(made.row_config(0)["robot"]).thrust_max)
-    assert np.all((drawn >= 0.0) & (drawn <= greatest))
-    assert np.any(drawn == 0.0)
+    robot = rust.Robot(made.row_config(0)["robot"])
+    least, greatest = np.array(robot.thrust_min), np.array(robot.thrust_max)
+    assert np.all((drawn >= least) & (drawn <= greatest))
+    assert np.any(drawn == least)
     assert np.any(drawn == greatest)
 
 

@@ -73,7 +73,7 @@ class Published:
         arrays = self.robot.arrays()
         self.torque_max = arrays["joint_torque_max"] if self.settings.torque_limits else np.inf
         self.joint_limits = np.array(self.robot.joint_limits).T
-        self.thrust_max = arrays["jets"]["thrust_max"]
+        self.thrust_range = arrays["jets"]["thrust_min"], arrays["jets"]["thrust_max"]
         self.reader = model.Reader(self.robot)
         self.planner = plan.Planner(plan.knots(warped=self.settings.warped))
         self.ahead = np.concatenate([[0.0], np.cumsum(self.planner.lengths)])
@@ -149,7 +149,7 @@ class Published:
         thrust, v = self.thrust, model.drive(self.throttle)
         for _ in range(round(plan.PERIOD / ENGINE_STEP)):
             drift, gain = model.drift_and_gain(thrust, self.rate)
-            thrust = np.clip(thrust + ENGINE_STEP * self.rate, 0.0, self.thrust_max)
+            thrust = np.clip(thrust + ENGINE_STEP * self.rate, *self.thrust_range)
             self.rate = self.rate + ENGINE_STEP * (drift + gain * v)
         rate: Array = (thrust - self.thrust) / plan.PERIOD
         return rate

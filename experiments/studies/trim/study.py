@@ -57,7 +57,7 @@ class TrimConfig(tables.Table, frozen=True):
     roll_limits_deg: tables.Interval
     pitch_limits_deg: tables.Interval
     margin_min: tables.Fraction
-    """Least distance of a thrust from zero and from its greatest value, relative to the latter."""
+    """Least distance of a thrust from both its limits, relative to its greatest value."""
     clearance_min: tables.NonNegative
     """Least distance from the axis of a jet to the surface of a link [m]."""
     plume_length: tables.Positive

@@ -25,6 +25,7 @@ from msgspec.structs import astuple
 from jax_aero.config import ControllerSection, DivergenceConfig, Greatest, Jumps
 from jax_aero.control.measurement import UsedMeasurement
 from jax_aero.control.modes import MODES, WITHOUT_MOMENTUM
+from jax_aero.jets import predict_thrust
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import exp_so3, is_rotation, multiply, vee_of_skew_part
 from jax_aero.types import Array, State, Static, join, leaf, pytree, where
@@ -126,6 +127,8 @@ class ChannelLimits:
     """Gain with which the base velocity follows the pose when it is not measured [1/s]."""
     descend_after: Float[Array, ""]
     """Age of a channel of joints or base after which the robot descends [s]."""
+    thrust_min: Float[Array, " j"]
+    """Least thrusts of engines that run [N]."""
     greatest: Float[Array, " E"]
     jump: Float[Array, " E"]
     """Largest accepted distance from the prediction, in the unit of the entry; infinite if unlimited."""
@@ -196,6 +199,7 @@ def channel_limits(controller: ControllerSection, robot: RobotModel, divergence:
         widening=leaf(config.widening),
         velocity_gain=leaf(config.velocity_gain),
         descend_after=leaf(config.descend_after),
+        thrust_min=leaf(np.asarray(robot.jets.thrust_min)),
         greatest=entries(most.wind, leaf(most.thrust * thrust_max), 2.0, most),
         jump=entries(near.wind, leaf(np.full(thrust_max.shape, np.inf)), near.rotation, near),
         compares=config.jump is not None,
@@ -449,7 +453,8 @@ def _predict(limits: ChannelLimits, layout: Layout, memory: ChannelsState, dt: A
     """
     last, acceleration = memory.predicted, memory.acceleration
     rates = last[layout.joint_velocity] + dt * acceleration[6:]
-    moved = last.at[layout.thrust].set(jnp.maximum(last[layout.thrust] + dt * memory.thrust_rate, 0.0))
+    thrust = predict_thrust(last[layout.thrust], memory.thrust_rate, dt, limits.thrust_min)
+    moved = last.at[layout.thrust].set(thrust)
     moved = moved.at[layout.joint_velocity].set(rates)
     moved = moved.at[layout.joint_position].add(dt * rates)
     moved = moved.at[layout.velocity].add(dt * acceleration[:6])

@@ -189,7 +189,8 @@ def limit(settings: EngineLimits, engines: EngineState, usual: Limits) -> tuple[
     loss of an engine the limits are those of the descent.
     """
     greatest = jnp.minimum(engines.greatest, usual.thrust_greatest)
-    limits = usual._replace(thrust_least=jnp.minimum(engines.least, greatest), thrust_greatest=greatest)
+    least = jnp.minimum(jnp.maximum(engines.least, usual.thrust_least), greatest)
+    limits = usual._replace(thrust_least=least, thrust_greatest=greatest)
     descent = settings.descent
     if descent is None:
         return limits, jnp.array(False)

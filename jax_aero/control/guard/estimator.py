@@ -24,6 +24,7 @@ from jax_aero.aero import AeroModel, LinkConventions, generalised_aero_force, li
 from jax_aero.config import EstimatorConfig, LatencyConfig
 from jax_aero.control.measurement import Reading
 from jax_aero.dynamics import dynamics, forward_dynamics
+from jax_aero.jets import predict_thrust
 from jax_aero.kinematics import generalised_thrust, kinematics, move
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import cross, exp_so3, log_so3, multiply, project_to_so3
@@ -298,8 +299,8 @@ def advance(
     linear = wrench[:3] / robot.mass - cross(angular, kin.com - state.base_position)
     whole = jnp.concatenate([linear, angular, disturbance])
     velocity = state.velocity + step * (forward_dynamics(dyn, force) + whole)
-    moved = Reading(move(state, velocity, step), jnp.maximum(reading.thrust + step * order.thrust_rate, 0.0))
-    return estimate._replace(reading=moved)
+    thrust = predict_thrust(reading.thrust, order.thrust_rate, step, robot.jets.thrust_min)
+    return estimate._replace(reading=Reading(move(state, velocity, step), thrust))
 
 
 def _prefer_measured(measured: Reading, estimate: Reading) -> Reading:

@@ -175,6 +175,8 @@ pub struct Jet {
     pub axis_f: Unit<Vector3<f64>>,
     /// Moment on the robot about the axis per thrust \[m\]: the reaction torque of a rotor, 0 for a jet.
     pub torque_to_thrust: f64,
+    /// Least thrust of its engine while it runs \[N\].
+    pub thrust_min: f64,
     /// Greatest thrust \[N\].
     pub thrust_max: f64,
     /// Name of the engine in [`RobotModel::engines`].

@@ -52,6 +52,7 @@ impl Rig {
     fn new(config: &ChannelsConfig) -> Self {
         let mut robot: RobotModel = load_robot(&experiment("test2").robot).unwrap();
         robot.feet.clear();
+        robot.jets[1].thrust_min = 89.5;
         robot.joints.iter_mut().for_each(|joint| joint.stops = (-1.5, 1.5));
         let mut rng = rng(3);
         let state = random_state(&mut rng, &robot);
@@ -180,8 +181,8 @@ fn what_is_missing_is_predicted() {
         expected.base.rotation = exp_so3(&(w * STEP)) * expected.base.rotation;
         let joints = expected.velocity.rows(6, 23).into_owned();
         expected.joint_position += STEP * joints;
-        for (thrust, rate) in thrust.iter_mut().zip(&rate) {
-            *thrust = (*thrust + STEP * rate).max(0.0);
+        for ((thrust, rate), least) in thrust.iter_mut().zip(&rate).zip([0.0, 89.5, 0.0, 0.0]) {
+            *thrust = (*thrust + STEP * rate).max(least);
         }
         let used = rig.tick(lose_everything);
         for (found, expected) in [
@@ -208,7 +209,7 @@ fn what_is_missing_is_predicted() {
             ]
         );
     }
-    assert_eq!(thrust[2], 0.0, "no engine pulls");
+    assert_eq!(thrust[1..3], [89.5, 0.0], "no engine pulls, or runs below its least thrust");
 }
 
 /// One number that is none, or that cannot be, loses its channel and no other.

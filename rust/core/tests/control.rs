@@ -1020,6 +1020,27 @@ fn commands_obey_their_bounds_at_the_limits() {
     }
 }
 
+/// Thrusts of engines that run end at their least one, and return to it from below.
+#[test]
+fn thrust_rates_fade_out_at_the_least_thrust() {
+    let config = experiment("test2");
+    let mut robot = load_robot(&config.robot).unwrap();
+    robot.jets.iter_mut().for_each(|jet| jet.thrust_min = 11.0);
+    let mut controller = Running::new(config.controller(robot).unwrap());
+    let start = Sample::start(&config);
+    start.tick(&mut controller);
+    let thrust = vec![11.0, 11.4, 10.8, 90.0];
+    Sample { thrust: thrust.clone(), ..start }.tick(&mut controller);
+    let problem = &controller.terms().momentum_qp.problem;
+    for (jet, thrust) in thrust.into_iter().enumerate() {
+        let full = if jet < 2 { 160.0 } else { 220.0 };
+        let bounds = rate_bounds(thrust, (11.0, full), 100.0, 2.0);
+        assert_eq!((problem.lower[jet], problem.upper[jet]), bounds, "jet {jet}");
+    }
+    assert_eq!(problem.lower[0], 0.0);
+    assert!(problem.lower[2] > 0.0, "the way back");
+}
+
 /// The rate limiter moves each torque by at most rate × step towards its target; the first answer is taken
 /// as it is.
 #[test]

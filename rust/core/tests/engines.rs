@@ -259,6 +259,23 @@ fn nothing_is_judged_without_a_momentum() {
     assert!(found.unwrap() > 5, "{findings:?}");
 }
 
+/// An engine that runs has at least its least thrust, also if it was found to reach less; one that stopped has what is
+/// left of it.
+#[test]
+fn the_least_thrust_is_that_of_a_running_engine() {
+    let config = experiment("test2_observer");
+    let mut robot = load_robot(&config.robot).unwrap();
+    robot.jets.iter_mut().for_each(|jet| jet.thrust_min = 11.0);
+    let mut limits = Limits::new(config.controller.law.momentum, &robot);
+    let engines = Engines::new(&CONFIG, &limits, &robot, [1.0; 2]).unwrap();
+    let mut states = engines.start();
+    states[1].range = (0.0, 80.0);
+    states[2].range = (0.0, 2.0);
+    states[3].range = (60.0, 90.0);
+    engines.limit(&states, false, &mut limits);
+    assert_eq!(limits.thrust, [(11.0, 160.0), (11.0, 80.0), (2.0, 2.0), (60.0, 90.0)]);
+}
+
 /// On the way down revolute joints are as fast as the descent says where their own limits are less; sliding ones are not:
 /// degrees and newton metres are not theirs.
 #[test]

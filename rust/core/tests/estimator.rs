@@ -5,11 +5,11 @@
 use crate::common::{Loop, assert_within, experiment, robot, uniform_estimator};
 use flight_core::control::guard::estimator::{ChannelConfig, EstimatorConfig, EstimatorState, LatencyConfig};
 use flight_core::control::{Command, Modes};
-use flight_core::{Estimator, Measurement, Reading, RobotState};
+use flight_core::{Estimator, Measurement, Reading, RobotModel, RobotState};
 use flight_io::{AeroConfig, load_aero, load_robot};
 use flight_sim::sensors::{EncoderConfig, SensorConfig, ThrustSensorConfig};
 use flight_sim::{ScenarioConfig, Sensors, SensorsConfig};
-use nalgebra::{Vector3, Vector6};
+use nalgebra::{DVector, Vector3, Vector6};
 
 const STEP: f64 = 0.01;
 const WIND: Vector3<f64> = Vector3::new(1.0, -6.0, 0.5);
@@ -121,6 +121,36 @@ fn with_the_worlds_own_model_it_is_ahead_of_every_delay() {
         estimator.command(world.controller.command(), &Vector6::zeros());
         world.advance(&WIND);
     }
+}
+
+/// Thrusts that fall by 10 N in a tick end at their least; that of an engine that has stopped stays.
+#[test]
+fn a_predicted_thrust_ends_at_its_least() {
+    let config = flight(EstimatorConfig { thrust: late(0.02), ..EstimatorConfig::default() });
+    let robot = load_robot(&config.robot).unwrap();
+    let aero = load_aero(&config.controller.aero, &robot).unwrap();
+    let settings = config.controller.law.estimator.as_ref().unwrap();
+    let mut running = robot.clone();
+    running.jets.iter_mut().for_each(|jet| jet.thrust_min = 11.0);
+    let state = config.simulator.initial.state();
+    let after = |robot: RobotModel| {
+        let estimator = Estimator::new(settings, robot, aero.clone(), STEP).unwrap();
+        let start = estimator.start(&state, &[90.0, 18.0, 13.0, 2.0]);
+        let mut estimating = Estimating { state: start, estimator, elapsed: STEP };
+        let command = Command {
+            thrust_rate: DVector::from_element(4, -1000.0),
+            ..Loop::new(&config).controller.command().clone()
+        };
+        for _ in 0..2 {
+            estimating.command(&command, &Vector6::zeros());
+            estimating.update(&state, &[f64::NAN; 4]);
+        }
+        estimating.update(&state, &[f64::NAN; 4]).thrust
+    };
+    assert_eq!(
+        (after(running)[1..].to_vec(), after(robot)[1..].to_vec()),
+        (vec![11.0, 11.0, 2.0], vec![8.0, 3.0, 0.0])
+    );
 }
 
 /// Torques act two ticks late and thrust rates five: the estimate is the state in which the torques of this tick begin

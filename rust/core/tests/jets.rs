@@ -5,7 +5,9 @@
 
 use crate::common::engines::{ENGINES, coefficients, model, models};
 use crate::common::{assert_within, relative};
-use flight_core::jets::{EkfConfig, EngineDynamics, EngineModel, ThrustEkf, ThrustRateController};
+use flight_core::jets::{
+    EkfConfig, EngineDynamics, EngineModel, ThrustEkf, ThrustRateController, predict_thrust,
+};
 use flight_core::robot::EngineCoefficients;
 
 const DT: f64 = 0.01;
@@ -210,12 +212,13 @@ fn estimate_converges_to_the_truth() {
     }
 }
 
-/// An engine without thrust does not pull, and its thrust rate is not negative.
+/// Above its least, at it, and of an engine that has stopped or whose sensor is wrong.
 #[test]
-fn the_thrust_of_an_engine_is_never_negative() {
-    let mut engine = EngineDynamics::new(model("P220"), 0.1, -200.0);
-    engine.step(0.0, DT);
-    assert_eq!((engine.thrust, engine.thrust_rate), (0.0, 0.0));
+fn a_predicted_thrust_stays_above_its_least() {
+    let at = |thrust, rate| predict_thrust(thrust, rate, 0.5, 11.0);
+    assert_eq!((at(20.0, -10.0), at(20.0, -30.0), at(11.0, -30.0), at(11.0, 4.0)), (15.0, 11.0, 11.0, 13.0));
+    assert_eq!((at(4.0, -2.0), at(4.0, 2.0), at(0.0, -2.0), at(-3.0, -2.0)), (4.0, 5.0, 0.0, 0.0));
+    assert_eq!((predict_thrust(1.0, -4.0, 0.5, 0.0), predict_thrust(-1.0, 0.0, 0.5, 0.0)), (0.0, 0.0));
 }
 
 #[test]

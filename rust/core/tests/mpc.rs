@@ -528,6 +528,8 @@ fn a_plan_minimises_the_cost_with_all_excesses() {
         *position = joint.limits.1 - 0.02;
     }
     case.thrust = case.robot.jets.iter().map(|jet| jet.thrust_max - 1.0).collect();
+    // One engine is below its least thrust.
+    (case.thrust[1], case.robot.jets[1].thrust_min) = (20.0, 40.0);
     let controller = case.controller(&config);
     let terms = controller.terms();
     let joints = moved_joints(&config, &case.robot);
@@ -574,6 +576,7 @@ fn a_plan_minimises_the_cost_with_all_excesses() {
         horizon.update_excess(&model, terms, &limits, &inputs);
     }
     assert!(passes > 1, "no value was beyond its limit");
+    assert!(case.thrust[1] + mpc.knots[0] * inputs[horizon.thrust_rate(0, 1)] < 40.0);
 
     let clearance = mpc.clearance.as_ref().unwrap();
     let (least_distance, weight) = (clearance.least, clearance.weight);
@@ -585,7 +588,7 @@ fn a_plan_minimises_the_cost_with_all_excesses() {
             let mut thrust = case.thrust[jet];
             for (knot, duration) in mpc.knots.iter().enumerate() {
                 thrust += duration * u[horizon.thrust_rate(knot, jet)];
-                let (low, high) = terms.limits.thrust[jet];
+                let (low, high) = (case.robot.jets[jet].thrust_min, case.robot.jets[jet].thrust_max);
                 let over = thrust - thrust.clamp(low, high);
                 total += 0.5 * mpc.thrust_excess * over * over;
             }

@@ -14,7 +14,7 @@ mod urdf;
 use crate::files::absolute_path;
 use crate::toml::{from_value, parse};
 use crate::{read_bytes, read_text};
-use flight_core::error::{BuildError, place_of};
+use flight_core::error::{BuildError, check as check_number, place_of};
 use flight_core::jets::EngineModel;
 use flight_core::robot::{
     AeroLink, AxisymmetricCoefficients, EngineCoefficients, Foot, Jet, JointGroup, RobotModel, check,
@@ -134,6 +134,10 @@ struct JetEntry {
     /// anticlockwise as seen from where the thrust points.
     #[serde(default)]
     torque_to_thrust: f64,
+    /// Least thrust of its engine while it runs \[N\].
+    #[schemars(range(min = 0))]
+    #[serde(default)]
+    thrust_min: f64,
     /// Greatest thrust \[N\].
     #[schemars(extend("exclusiveMinimum" = 0))]
     thrust_max: f64,
@@ -344,6 +348,14 @@ fn jets(file: &RobotFile, tree: &Tree<'_>) -> Result<Vec<Jet>, BuildError> {
         if !file.engines.contains_key(&entry.engine) {
             return Err(BuildError::unknown_name(of("engine"), &entry.engine, file.engines.keys()));
         }
+        let greatest = entry.thrust_max;
+        let expected = format!("newtons from 0 to less than {greatest}, its greatest");
+        check_number(
+            &of("thrust_min"),
+            entry.thrust_min,
+            |thrust| (0.0..greatest).contains(&thrust),
+            &expected,
+        )?;
         let mut frame = tree.frame(&of("frame"), &entry.frame)?;
         frame.body_from_frame.position =
             frame.body_from_frame.transform_point(&Vector3::from(entry.position));
@@ -352,6 +364,7 @@ fn jets(file: &RobotFile, tree: &Tree<'_>) -> Result<Vec<Jet>, BuildError> {
             frame,
             axis_f: check::unit(&of("axis"), &entry.axis)?,
             torque_to_thrust: entry.torque_to_thrust,
+            thrust_min: entry.thrust_min,
             thrust_max: entry.thrust_max,
             engine: entry.engine.clone(),
         })

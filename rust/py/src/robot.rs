@@ -144,6 +144,12 @@ impl Robot {
         self.model.jets.iter().map(|jet| jet.name.clone()).collect()
     }
 
+    /// Least thrust of every jet [N].
+    #[getter]
+    fn thrust_min(&self) -> Vec<f64> {
+        self.model.jets.iter().map(|jet| jet.thrust_min).collect()
+    }
+
     /// Greatest thrust of every jet [N].
     #[getter]
     fn thrust_max(&self) -> Vec<f64> {

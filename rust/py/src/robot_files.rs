@@ -109,6 +109,7 @@ fn jets<'py>(py: Python<'py>, model: &RobotModel) -> PyResult<Bound<'py, PyDict>
     out.set_item("engines", tuple(py, jets.iter().map(|jet| &jet.engine))?)?;
     out.set_item("axes", rows(py, jets.iter().map(|jet| jet.axis_f.into_inner()))?)?;
     out.set_item("torque_to_thrust", numbers(py, jets.iter().map(|jet| jet.torque_to_thrust))?)?;
+    out.set_item("thrust_min", numbers(py, jets.iter().map(|jet| jet.thrust_min))?)?;
     out.set_item("thrust_max", numbers(py, jets.iter().map(|jet| jet.thrust_max))?)?;
     Ok(out)
 }

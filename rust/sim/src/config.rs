@@ -363,9 +363,10 @@ impl SimulatorConfig {
         length("joint_position", initial.joint_position.len(), robot.joints.len(), "joint")?;
         length("thrust", initial.thrust.len(), robot.jets.len(), "jet")?;
         initial.thrust.iter().zip(&robot.jets).try_for_each(|(thrust, jet)| {
-            let (name, most) = (&jet.name, jet.thrust_max);
-            let expected = format!("newtons from 0 to {most}, the greatest of jet `{name}`");
-            table.check("initial.thrust", *thrust, |thrust| (0.0..=most).contains(&thrust), &expected)
+            let (name, range) = (&jet.name, jet.thrust_min..=jet.thrust_max);
+            let expected =
+                format!("newtons from {} to {}, the range of jet `{name}`", range.start(), range.end());
+            table.check("initial.thrust", *thrust, |thrust| range.contains(&thrust), &expected)
         })
     }
 

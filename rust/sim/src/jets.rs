@@ -7,7 +7,7 @@
 //! Two dynamics: `ideal` follows the command exactly, as in every published flight; `second_order` is the
 //! identified engine with the throttle loop and thrust estimator that the real robot needs.
 //!
-//! Thrust is never negative.
+//! Thrust is never below the least of a running engine, unless a fault stops the engine.
 //!
 //! Equation M31 of `docs/model.md`.
 
@@ -178,7 +178,7 @@ impl Jets {
 
     /// Advances every jet by `dt` \[s\] with constant commanded thrust rates \[N/s\].
     ///
-    /// Ideal: `T ← max(0, T + Ṫ* dt)`; upper bounds are left to the controller. Second order: throttle from the
+    /// Ideal: `T ← max(T_min, T + Ṫ* dt)`; upper bounds are left to the controller. Second order: throttle from the
     /// present estimate, then estimator and engine over `dt`. Faults act on the command before and on the thrust
     /// after. A jet without a command does not change. Does not allocate.
     pub fn advance(&mut self, thrust_rate_command: &[f64], dt: f64) {
@@ -187,9 +187,7 @@ impl Jets {
             Dynamics::Ideal => {
                 let jets = self.thrust.iter_mut().zip(&mut self.thrust_rate);
                 for ((thrust, thrust_rate), &command) in jets.zip(commands) {
-                    let next = *thrust + dt * command;
-                    // A comparison, because `f64::max` would hide a NaN.
-                    (*thrust, *thrust_rate) = if next < 0.0 { (0.0, 0.0) } else { (next, command) };
+                    (*thrust, *thrust_rate) = (*thrust + dt * command, command);
                 }
             }
             Dynamics::SecondOrder { jets, .. } => {

@@ -408,6 +408,11 @@ fn what_makes_no_sense_is_refused_by_name() {
     assert!(lag.contains("disturbances.jets.lag is -0.1"), "{lag}");
     let limit = message(&|config| config.disturbances.jets.thrust_limit_scale = Some(0.0));
     assert!(limit.contains("disturbances.jets.thrust_limit_scale is 0"), "{limit}");
+    let below = message(&|config| {
+        *config = experiment("mk3_hover");
+        config.disturbances.jets.thrust_limit_scale = Some(0.04);
+    });
+    assert!(below.contains("leaves jet `l_arm_jet` more than 11 N"), "{below}");
     let jet = message(&|config| {
         config.disturbances.jets = failure(FailureKind::Off, 0.0);
         config.disturbances.jets.failure.as_mut().unwrap().jet = "tail".to_owned();

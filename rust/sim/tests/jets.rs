@@ -7,6 +7,7 @@ use crate::common::engines::engines;
 use crate::common::{assert_says, assert_within, relative};
 use flight_core::robot::{Frame, Jet};
 use flight_core::spatial::Pose;
+use flight_sim::disturbances::JetFaultsConfig;
 use flight_sim::jets::{Jets, JetsConfig, SecondOrderConfig, ThrustFeedback};
 use nalgebra::Vector3;
 
@@ -24,6 +25,7 @@ fn jets() -> Vec<Jet> {
         frame: Frame { name: name.to_owned(), body: 0, body_from_frame: Pose::identity() },
         axis_f: -Vector3::z_axis(),
         torque_to_thrust: 0.0,
+        thrust_min: 0.0,
         thrust_max,
         engine: engine.to_owned(),
     })
@@ -79,6 +81,34 @@ fn second_order_jets_hold_their_thrust_at_zero_command() {
         assert_within!((jets.thrust()[i] - HOVER[i]).abs(), 1e-6);
         assert_within!((jets.throttle()[i] - throttle[i]).abs(), 1e-6);
     }
+}
+
+/// A jet that runs has its least thrust, at which its thrust rate is not negative.
+#[test]
+fn thrust_is_never_below_its_least() {
+    let running = || jets().into_iter().map(|jet| Jet { thrust_min: 40.0, ..jet }).collect::<Vec<_>>();
+    for config in [JetsConfig::Ideal {}, JetsConfig::SecondOrder(SecondOrderConfig::default())] {
+        let mut jets = Jets::new(&config, &running(), &engines(), &[60.0; 4]).unwrap();
+        let mut least = f64::INFINITY;
+        for _ in 0..100 {
+            jets.advance(&[-90.0; 4], DT);
+            least = jets.thrust().iter().copied().fold(least, f64::min);
+            let mut at_least =
+                jets.thrust().iter().zip(jets.thrust_rate()).filter(|(thrust, _)| **thrust == 40.0);
+            assert!(at_least.all(|(_, rate)| *rate >= 0.0), "{config:?}");
+        }
+        assert_eq!(least, 40.0, "{config:?}");
+    }
+    // A failed engine gives less.
+    let failed: JetFaultsConfig =
+        toml::from_str("failure = { jet = 'chest_l', kind = 'off', time = 0.1, decay = 0.1 }").unwrap();
+    let jets = Jets::new(&JetsConfig::Ideal {}, &running(), &engines(), &[60.0; 4]).unwrap();
+    let mut jets = jets.with_faults(&failed, &running()).unwrap();
+    for _ in 0..200 {
+        jets.advance(&[0.0; 4], DT);
+    }
+    assert_eq!(jets.thrust()[0], 60.0);
+    assert_within!(relative(jets.thrust()[2], 60.0 * (-19.0_f64).exp()), 1e-12);
 }
 
 /// A jet without thrust does not pull, and its thrust rate is not negative; a NaN stays one.

@@ -175,15 +175,12 @@ impl EngineDynamics {
     /// T ← T + Ṫ dt + T̈ dt²/2,   Ṫ ← Ṫ + T̈ dt,   T̈ at the start of the step
     /// ```
     ///
-    /// Source: the published simulator. Thrust is never negative: where the step would end below zero, `T ← 0`
-    /// and `Ṫ ← max(0, Ṫ)`. A NaN throttle results in NaN.
+    /// Source: the published simulator. The range of the thrust is left to the simulated jets. A NaN throttle results in
+    /// NaN.
     pub fn step(&mut self, throttle: f64, dt: f64) {
         let acceleration = self.model.thrust_acceleration(self.thrust, self.thrust_rate, throttle);
         self.thrust += dt * (self.thrust_rate + 0.5 * dt * acceleration);
         self.thrust_rate += dt * acceleration;
-        if self.thrust < 0.0 {
-            (self.thrust, self.thrust_rate) = (0.0, self.thrust_rate.max(0.0));
-        }
     }
 }
 

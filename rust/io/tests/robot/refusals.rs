@@ -75,6 +75,12 @@ fn impossible_toml_is_refused_by_name_and_value() {
         ),
         spoil("thrust_max = 100.0", "thrust_max = 0.0", &["].thrust_max`", "0"]),
         spoil("thrust_max = 100.0", "thrust_max = nan", &["].thrust_max`", "NaN"]),
+        spoil("thrust_max = 100.0", "thrust_min = -1.0\nthrust_max = 100.0", &["].thrust_min`", "-1"]),
+        spoil(
+            "thrust_max = 100.0",
+            "thrust_min = 100.0\nthrust_max = 100.0",
+            &["thrust_min of jet", "is 100", "from 0 to less than 100"],
+        ),
         spoil("axis = [-1.0, 0.0, 0.0]", "axis = [-1.0, 0.1, 0.0]", &["axis of jet `l_jet`", "0.1"]),
         spoil(
             "axis = [0.0, 0.0, 1.0]",

@@ -95,6 +95,12 @@ impl JetFaultsConfig {
         }
         if let Some(scale) = self.thrust_limit_scale {
             table.check("thrust_limit_scale", scale, |x| x > 0.0, "a positive factor")?;
+            for jet in jets {
+                let expected =
+                    format!("a factor that leaves jet `{}` more than {} N", jet.name, jet.thrust_min);
+                let is_above = |scale| scale * jet.thrust_max > jet.thrust_min;
+                table.check("thrust_limit_scale", scale, is_above, &expected)?;
+            }
         } else if self.limit_is_known {
             let expected = "false without disturbances.jets.thrust_limit_scale";
             return Err(BuildError::bad_value("disturbances.jets.limit_is_known", true, expected));
@@ -131,8 +137,8 @@ pub struct JetFaults {
     pub response: Response,
     /// Noise between the jets and their estimators.
     pub sensor: Sensor,
-    /// Greatest thrust of each jet \[N\]; infinite without a limit.
-    limits: Vec<f64>,
+    /// Least and greatest thrust of each jet \[N\]; infinite without a limit.
+    limits: Vec<(f64, f64)>,
     /// Ratio of each jet's force to its thrust.
     force_scale: Vec<f64>,
     failing: Option<Failing>,
@@ -202,7 +208,7 @@ impl JetFaults {
         Ok(Self {
             response: Response { lag: config.lag, command: vec![0.0; jets.len()] },
             sensor: Sensor { std, noise: Noise::new(seed, MEASUREMENT_STREAM) },
-            limits: jets.iter().map(|jet| jet.thrust_max * limit_scale).collect(),
+            limits: jets.iter().map(|jet| (jet.thrust_min, jet.thrust_max * limit_scale)).collect(),
             force_scale: jets
                 .iter()
                 .map(|jet| config.force_scale.get(&jet.name).copied().unwrap_or(1.0))
@@ -221,9 +227,13 @@ impl JetFaults {
     /// Call once per step and jet.
     pub fn limit_thrust(&mut self, jet: usize, thrust: f64, thrust_rate: f64, dt: f64) -> (f64, f64) {
         let (mut thrust, mut thrust_rate) = (thrust, thrust_rate);
-        let limit = self.limits[jet];
-        if thrust > limit {
-            (thrust, thrust_rate) = (limit, thrust_rate.min(0.0));
+        let (least, greatest) = self.limits[jet];
+        // Comparisons, because `f64::max` would hide a NaN.
+        if thrust < least {
+            (thrust, thrust_rate) = (least, thrust_rate.max(0.0));
+        }
+        if thrust > greatest {
+            (thrust, thrust_rate) = (greatest, thrust_rate.min(0.0));
         }
         let Some(failing) = self.failing.as_mut().filter(|failing| failing.jet == jet) else {
             return (thrust, thrust_rate);

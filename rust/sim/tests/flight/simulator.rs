@@ -536,11 +536,14 @@ fn bad_simulators_are_refused_by_name() {
         ("simulator.initial.joint_position", |c| c.simulator.initial.joint_position[7] = f64::NAN, "is NaN"),
         ("simulator.initial.thrust", |c| c.simulator.initial.thrust[3] = -1.0, "is -1"),
         ("simulator.initial.thrust", |c| c.simulator.initial.thrust[3] = f64::NAN, "is NaN"),
-        ("simulator.initial.thrust", |c| c.simulator.initial.thrust[1] = 160.5, "is 160.5; expected newtons from 0 to 160, the greatest of jet `r_arm_jet`"),
+        ("simulator.initial.thrust", |c| c.simulator.initial.thrust[1] = 160.5, "is 160.5; expected newtons from 0 to 160, the range of jet `r_arm_jet`"),
         ("length of simulator.initial.joint_position", |c| { c.simulator.initial.joint_position.pop(); }, "is 22; expected 23"),
         ("length of simulator.initial.thrust", |c| c.simulator.initial.thrust.push(0.0), "is 5; expected 4"),
         ("coefficients", |c| c.simulator.aero = serde_json::from_str(r#"{"model": "axisymmetric", "coefficients": "nobodys", "air_density": 1.2}"#).unwrap(), "nobodys"),
     ];
+    let low = with(experiment("mk3_hover"), |c| c.simulator.initial.thrust[1] = 10.9);
+    let message = Scenario::new(&low).unwrap_err().to_string();
+    assert!(message.contains("newtons from 11 to 227, the range of jet `r_arm_jet`"), "{message}");
     for (item, spoil, value) in refusals {
         let message = Scenario::new(&with(experiment("test2"), spoil)).unwrap_err().to_string();
         assert!(message.contains(item) && message.contains(value), "{item}: {message}");

@@ -43,6 +43,7 @@ pub struct Channels {
     time_step: f64,
     layout: Layout,
     entries: Vec<Entry>,
+    thrust_min: Vec<f64>,
     greatest: Vec<f64>,
     jump: Vec<f64>,
     /// Whether joint velocities must be measured; a joint observer estimates them from positions.
@@ -103,6 +104,7 @@ impl Channels {
             ranges: stops.map(|(lower, upper)| (lower - beyond, upper + beyond)).collect(),
             now: vec![0.0; layout.len()],
             entries: entries.map(|(kind, range)| Entry { kind, range }).collect(),
+            thrust_min: robot.jets.iter().map(|jet| jet.thrust_min).collect(),
             greatest,
             jump,
             needs_joint_velocity,
@@ -228,7 +230,7 @@ impl Channels {
         let is_step = state.update_clock(time, self.time_step, self.config.jump.is_some(), used);
         let (was_begun, dt) = (state.is_begun, used.elapsed);
         if was_begun {
-            state.predict(&self.layout, &self.greatest, dt);
+            state.predict(&self.layout, &self.thrust_min, &self.greatest, dt);
         }
         let now = &self.now[self.layout.thrust.clone()];
         for ((to, now), predicted) in used.thrust_innovation.iter_mut().zip(now).zip(self.thrust(state)) {

@@ -327,9 +327,9 @@ impl Engines {
         });
         let chosen = descending.filter(|_| !is_standing).map_or(&self.usual, |(_, limits)| limits);
         limits.copy_from(chosen);
-        for ((engine, (_, thrust_max)), range) in thrusts().zip(&mut limits.thrust) {
+        for ((engine, (thrust_min, thrust_max)), range) in thrusts().zip(&mut limits.thrust) {
             let greatest = engine.range.1.min(*thrust_max);
-            *range = (engine.range.0.min(greatest), greatest);
+            *range = (engine.range.0.max(*thrust_min).min(greatest), greatest);
         }
         descending.is_some()
     }

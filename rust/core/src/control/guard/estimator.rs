@@ -22,6 +22,7 @@ use crate::control::law::contact::WRENCH;
 use crate::control::measurement::Reading;
 use crate::dynamics::{Dynamics, MassFactor};
 use crate::error::BuildError;
+use crate::jets::predict_thrust;
 use crate::kinematics::{Kinematics, RobotState};
 use crate::robot::RobotModel;
 use crate::spatial::{GREATEST, exp_so3, log_so3, parts, project_to_so3};
@@ -138,8 +139,8 @@ impl Model {
         }
         state.velocity.axpy(duration, acceleration, 1.0);
         state.advance_pose(duration);
-        for (jet, thrust) in thrust.iter_mut().enumerate() {
-            *thrust = (*thrust + duration * thrust_rate.at(jet)).max(0.0);
+        for (index, (thrust, jet)) in thrust.iter_mut().zip(&robot.jets).enumerate() {
+            *thrust = predict_thrust(*thrust, thrust_rate.at(index), duration, jet.thrust_min);
         }
     }
 }

@@ -64,7 +64,7 @@ impl Limits {
         Self {
             gains,
             holds_position: true,
-            thrust: robot.jets.iter().map(|jet| (0.0, jet.thrust_max)).collect(),
+            thrust: robot.jets.iter().map(|jet| (jet.thrust_min, jet.thrust_max)).collect(),
             joint_velocity: robot.joints.iter().map(|joint| joint.velocity_max).collect(),
             torque_rate: robot.joints.iter().map(|joint| joint.torque_rate_max).collect(),
             joints: vec![JointCondition::Healthy; robot.joints.len()],

@@ -3,6 +3,7 @@
 use super::layout::Layout;
 use crate::control::measurement::UsedMeasurement;
 use crate::control::modes::Modes;
+use crate::jets::predict_thrust;
 use crate::kinematics::RobotState;
 use nalgebra::DVector;
 
@@ -95,11 +96,12 @@ impl ChannelsState {
     /// Advances all values except the pose by `dt` \[s\] (M101): joints and base by M78, thrusts by M31. Values stay within
     /// the accepted range, because otherwise the predicted velocity could grow without limit while a measurement is
     /// missing.
-    pub(super) fn predict(&mut self, layout: &Layout, greatest: &[f64], dt: f64) {
+    pub(super) fn predict(&mut self, layout: &Layout, thrust_min: &[f64], greatest: &[f64], dt: f64) {
         let Self { predicted, acceleration, thrust_rate, foot_wrenches, .. } = self;
         predicted[layout.feet.clone()].copy_from_slice(foot_wrenches.as_slice());
-        for (thrust, rate) in predicted[layout.thrust.clone()].iter_mut().zip(thrust_rate.iter()) {
-            *thrust = (*thrust + dt * rate).max(0.0);
+        let rates = thrust_rate.iter().zip(thrust_min);
+        for (thrust, (rate, least)) in predicted[layout.thrust.clone()].iter_mut().zip(rates) {
+            *thrust = predict_thrust(*thrust, *rate, dt, *least);
         }
         let (base, joints) = acceleration.as_slice().split_at(6);
         let places = layout.joint_position.clone().zip(layout.joint_velocity.clone());
