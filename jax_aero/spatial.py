@@ -39,6 +39,12 @@ def rotate_back(a: Float[Array, "*#batch 3 3"], v: Float[Array, "*#batch 3"]) ->
     return sum_of_three(a[..., k, :] * v[..., k, None] for k in range(3))
 
 
+def inverse(a: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    """Return the inverse of a 3×3 matrix with rows a, b, c; its columns are `b × c / (a · b × c)` and cyclic."""
+    columns = cross(jnp.roll(a, -1, axis=0), jnp.roll(a, -2, axis=0))
+    return columns.T / jnp.sum(a[0] * columns[0])
+
+
 def sum_of_three(terms: Iterable[Float[Array, " *#batch"]]) -> Float[Array, " *#batch"]:
     """Sum the terms without starting from a Python zero."""
     a, b, c = terms
