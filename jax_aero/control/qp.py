@@ -28,7 +28,15 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float, Int
 
-from jax_aero.linalg import CHUNK, cholesky, dot, map_in_chunks, solve_factored, solve_positive_definite, with_batch_rule
+from jax_aero.linalg import (
+    CHUNK,
+    cholesky,
+    dot,
+    map_in_chunks,
+    solve_factored,
+    solve_positive_definite,
+    with_batch_rule,
+)
 from jax_aero.types import Array, where
 
 Dtype: TypeAlias = np.dtype[Any] | type[np.floating[Any]]

@@ -226,7 +226,10 @@ def zero_state(state: PlantState) -> PlantState:
 
 
 def observe(
-    plant: Plant, state: PlantState, wind: Float[Array, "3"], known: tuple[Kinematics, Dynamics, InverseMass] | None = None
+    plant: Plant,
+    state: PlantState,
+    wind: Float[Array, "3"],
+    known: tuple[Kinematics, Dynamics, InverseMass] | None = None,
 ) -> Observation:
     """Return everything that follows from the state and the given wind [m/s].
 

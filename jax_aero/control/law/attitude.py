@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 from jaxtyping import Float
 
 from jax_aero.spatial import cross, inverse, multiply, rotate, rotate_back, skew, vee_of_skew_part
