@@ -18,10 +18,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_aero.config import DynamicsBackend
-from jax_aero.linalg import solve_positive_definite
+from jax_aero.linalg import invert
 from jax_aero.robot import RobotModel
-from jax_aero.spatial import cross, multiply, rotate, rotate_back, skew
-from jax_aero.types import Array, Dynamics, Kinematics, State
+from jax_aero.spatial import cross, inverse, multiply, rotate, rotate_back, skew
+from jax_aero.types import Array, Dynamics, InverseMass, Kinematics, State
 
 
 def dynamics(robot: RobotModel, state: State, kin: Kinematics, backend: DynamicsBackend = "tree") -> Dynamics:
@@ -46,7 +46,37 @@ def dynamics(robot: RobotModel, state: State, kin: Kinematics, backend: Dynamics
 
 def forward_dynamics(dyn: Dynamics, force: Float[Array, " N"]) -> Float[Array, " N"]:
     """Return the acceleration `ν̇` under a generalised force: `M ν̇ = force − h`."""
-    return solve_positive_definite(dyn.mass_matrix, (force - dyn.bias)[:, None])[:, 0]
+    return accelerate(invert_mass(dyn), force - dyn.bias)
+
+
+def invert_mass(dyn: Dynamics) -> InverseMass:
+    """Return the inverse of the mass matrix.
+
+    About the centre of mass the base's block is diagonal: with `P` from base origin to centre of mass
+
+        M_b = P⁻¹ D⁻¹ P⁻ᵀ,   M_bs = P⁻¹ A_s,   D = diag(1/m, I_G⁻¹),   A_s the joints' columns of A_G
+    """
+    mass, eye = dyn.mass_matrix[0, 0], jnp.eye(3, dtype=dyn.bias.dtype)
+    zero, a_s = jnp.zeros_like(eye), dyn.momentum_matrix[:, 6:]
+    p = jnp.block([[eye, zero], [-dyn.mass_matrix[3:6, :3] / mass, eye]])
+    d = jnp.block([[eye / mass, zero], [zero, inverse(dyn.centroidal_inertia)]])
+    moved = d @ a_s
+    inertia = dyn.mass_matrix[6:, 6:] - a_s.T @ moved
+    return InverseMass(p.T @ d @ p, p.T @ moved, inertia, invert(inertia))
+
+
+def add_joint_inertia(inverse_mass: InverseMass, added: Float[Array, " n"]) -> InverseMass:
+    """Return the inverse of the mass matrix with more inertia on the diagonal of its joints."""
+    inertia = inverse_mass.joint_inertia + jnp.diag(added)
+    gain = invert(inertia, unless=(jnp.all(added == 0.0), inverse_mass.joint_gain))
+    return inverse_mass._replace(joint_inertia=inertia, joint_gain=gain)
+
+
+def accelerate(inverse_mass: InverseMass, force: Float[Array, " N"]) -> Float[Array, " N"]:
+    """Return `M⁻¹ force`."""
+    base, coupling, _, gain = inverse_mass
+    joints = gain @ (force[6:] - force[:6] @ coupling)
+    return jnp.concatenate([base @ force[:6] - coupling @ joints, joints])
 
 
 def momentum(robot: RobotModel, kin: Kinematics) -> tuple[Float[Array, "3"], Float[Array, "3"]]:

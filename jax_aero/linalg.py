@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.custom_batching import custom_vmap
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jax_aero.types import Array
 
@@ -33,6 +33,29 @@ def solve_positive_definite(a: Float[Array, "u u"], b: Float[Array, "u k"]) -> F
     """
     x: Array = lax.custom_linear_solve(lambda x: dot(a, x), b, solve=lambda _, b: _solve(a, b), symmetric=True)
     return x
+
+
+def invert(
+    a: Float[Array, "u u"], unless: tuple[Bool[Array, ""], Float[Array, "u u"]] | None = None
+) -> Float[Array, "u u"]:
+    """Return `A⁻¹` for a symmetric positive definite A; NaN if A is not positive definite.
+
+    `unless` says whether it is known already, and what it then is: on a CPU only the others of a batch are computed.
+    Differentiable in both modes and to any order.
+    """
+    return _invert(a, unless) if a.size else a
+
+
+@jax.custom_jvp
+def _invert(a: Array, unless: tuple[Array, Array] | None) -> Array:
+    inverse: Array = _inverse(a) if unless is None else _inverse_unless(*unless, a)
+    return inverse
+
+
+@_invert.defjvp
+def _invert_jvp(primals, tangents):  # type: ignore[no-untyped-def]
+    inverse = _invert(*primals)
+    return inverse, -dot(inverse, dot(tangents[0], inverse))
 
 
 def cholesky(a: Float[Array, "u u"]) -> Float[Array, "u u"]:
@@ -93,17 +116,45 @@ def map_in_chunks(
     return lax.fori_loop(0, (count + chunk - 1) // chunk, map_chunk, out)
 
 
-def _solve_one(a: Array, b: Array) -> Array:
-    return solve_factored(cholesky(a), b)
+def _in_chunks(one: Callable[..., Array]) -> Callable[..., Array]:
+    """Return a function of one sample that on a CPU computes a batch `CHUNK` samples at a time."""
+
+    def batch(*inputs: Array) -> Array:
+        def chunks(*inputs: Array) -> Array:
+            return cast(Array, lax.map(lambda sample: one(*sample), inputs, batch_size=CHUNK))
+
+        return cast(Array, lax.platform_dependent(*inputs, cpu=chunks, default=jax.vmap(one)))
+
+    return with_batch_rule(one, batch)
 
 
-def _solve_batch(a: Array, b: Array) -> Array:
-    def chunks(a: Array, b: Array) -> Array:
-        x: Array = map_in_chunks(lambda a, b, _: _solve_one(a, b), (a, b), b, jnp.arange(a.shape[0]), a.shape[0])
-        return x
-
-    solved: Array = lax.platform_dependent(a, b, cpu=chunks, default=jax.vmap(_solve_one))
-    return solved
+_solve = _in_chunks(lambda a, b: solve_factored(cholesky(a), b))
 
 
-_solve = with_batch_rule(_solve_one, _solve_batch)
+def _inverse_one(a: Array) -> Array:
+    """From `A = L Lᵀ`: `A⁻¹ = L⁻ᵀ L⁻¹`."""
+    eye = jnp.eye(a.shape[0], dtype=a.dtype)
+    inverse_factor = lax.linalg.triangular_solve(cholesky(a), eye, left_side=True, lower=True)
+    return dot(inverse_factor.T, inverse_factor)
+
+
+_inverse = _in_chunks(_inverse_one)
+
+
+def _inverse_unless_one(is_known: Array, known: Array, a: Array) -> Array:
+    inverse: Array = lax.cond(is_known, lambda: known, lambda: _inverse_one(a))
+    return inverse
+
+
+def _inverse_unless_batch(is_known: Array, known: Array, a: Array) -> Array:
+    def chunks(is_known: Array, known: Array, a: Array) -> Array:
+        def one(is_known: Array, a: Array, known: Array) -> Array:
+            return jnp.where(is_known, known, _inverse_one(a))
+
+        return cast(Array, map_in_chunks(one, (is_known, a), known, jnp.argsort(is_known), jnp.sum(~is_known)))
+
+    every = jax.vmap(_inverse_unless_one)
+    return cast(Array, lax.platform_dependent(is_known, known, a, cpu=chunks, default=every))
+
+
+_inverse_unless = with_batch_rule(_inverse_unless_one, _inverse_unless_batch)

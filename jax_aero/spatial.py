@@ -7,8 +7,6 @@ Equations M1 to M5 of `docs/model.md`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,46 +24,51 @@ def skew(v: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
 
 def multiply(a: Float[Array, "*#batch 3 3"], b: Float[Array, "*#batch 3 3"]) -> Float[Array, "*#batch 3 3"]:
     """Multiply 3×3 matrices as sums of products, which XLA fuses, unlike many small dot products."""
-    return sum_of_three(a[..., :, k, None] * b[..., None, k, :] for k in range(3))
+    first, second, third = (a[..., :, k : k + 1] * b[..., k : k + 1, :] for k in range(3))
+    return first + second + third
 
 
 def rotate(a: Float[Array, "*#batch 3 3"], v: Float[Array, "*#batch 3"]) -> Float[Array, "*#batch 3"]:
     """Return `A v` of 3×3 matrices and vectors; see `multiply`."""
-    return sum_of_three(a[..., :, k] * v[..., k, None] for k in range(3))
+    return jnp.sum(a * v[..., None, :], -1)
 
 
 def rotate_back(a: Float[Array, "*#batch 3 3"], v: Float[Array, "*#batch 3"]) -> Float[Array, "*#batch 3"]:
     """Return `Aᵀ v` of 3×3 matrices and vectors; see `multiply`."""
-    return sum_of_three(a[..., k, :] * v[..., k, None] for k in range(3))
+    return jnp.sum(a * v[..., :, None], -2)
 
 
-def sum_of_three(terms: Iterable[Float[Array, " *#batch"]]) -> Float[Array, " *#batch"]:
-    """Sum the terms without starting from a Python zero."""
-    a, b, c = terms
-    return a + b + c
+def inverse(a: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    """Return the inverse of a 3×3 matrix with rows a, b, c; its columns are `b × c / (a · b × c)` and cyclic."""
+    columns = cross(jnp.roll(a, -1, axis=0), jnp.roll(a, -2, axis=0))
+    return columns.T / jnp.sum(a[0] * columns[0])
 
 
 def cross(a: Float[Array, "*#batch 3"], b: Float[Array, "*#batch 3"]) -> Float[Array, "*#batch 3"]:
-    """Return `a × b` over the last axis."""
-    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
-    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    return jnp.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -1)
+    """Return `a × b` over the last axis, whose component `i + 2` is `a_i b_(i+1) − a_(i+1) b_i`, indices modulo 3."""
+
+    def following(v: Array) -> Array:
+        return jnp.concatenate([v[..., 1:], v[..., :1]], -1)
+
+    return following(a * following(b) - following(a) * b)
 
 
 def vee_of_skew_part(a: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3"]:
     """Return the vector of the antisymmetric part, `sk(A)^∨` with `sk(A) = (A − Aᵀ)/2`; inverse of `skew`."""
-    return 0.5 * jnp.stack([a[..., 2, 1] - a[..., 1, 2], a[..., 0, 2] - a[..., 2, 0], a[..., 1, 0] - a[..., 0, 1]], -1)
+    part = 0.5 * (a - jnp.swapaxes(a, -1, -2))
+    return jnp.stack([part[..., 2, 1], part[..., 0, 2], part[..., 1, 0]], -1)
 
 
 def exp_so3(phi: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
-    """Return the rotation by the vector `phi` [rad]: `exp(S(φ)) = I + A S + B S²`.
+    """Return the rotation by the vector `phi` [rad]: `exp(S(φ)) = I + A S + B S²`, with `S² = φ φᵀ − θ² I`.
 
     `A = sin θ/θ` and `B = (1 − cos θ)/θ²` are even in θ, and thus smooth functions of `θ²`, also at zero.
     """
     square = jnp.sum(phi * phi, -1)[..., None, None]
     a, b = _sinc_and_cosc(square)
     s = skew(phi)
-    return jnp.broadcast_to(jnp.eye(3, dtype=phi.dtype), s.shape) + a * s + b * multiply(s, s)
+    eye = jnp.broadcast_to(jnp.eye(3, dtype=phi.dtype), s.shape)
+    return (1.0 - b * square) * eye + a * s + b * phi[..., :, None] * phi[..., None, :]
 
 
 def _sinc_and_cosc(square: Array) -> tuple[Array, Array]:

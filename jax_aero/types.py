@@ -114,6 +114,19 @@ class Dynamics(NamedTuple):
     """Rotational inertia about the centre of mass [kg m²]."""
 
 
+class InverseMass(NamedTuple):
+    """Inverse of a mass matrix with the base eliminated first."""
+
+    base: Float[Array, "6 6"]
+    """`M_b⁻¹`, of the robot with rigid joints."""
+    coupling: Float[Array, "6 n"]
+    """`M_b⁻¹ M_bs`: velocity of the base per joint velocity without momentum, with the opposite sign."""
+    joint_inertia: Float[Array, "n n"]
+    """`M_s − M_sb M_b⁻¹ M_bs`: inertia of the joints on a base that floats freely."""
+    joint_gain: Float[Array, "n n"]
+    """`G = (M⁻¹)_ss`, its inverse: joint acceleration per unit of torque [1/(kg m²)]."""
+
+
 class LinkForces(NamedTuple):
     """Aerodynamic quantities of every link."""
 

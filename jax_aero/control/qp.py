@@ -28,8 +28,16 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float, Int
 
-from jax_aero.linalg import cholesky, dot, map_in_chunks, solve_factored, solve_positive_definite, with_batch_rule
-from jax_aero.types import Array
+from jax_aero.linalg import (
+    CHUNK,
+    cholesky,
+    dot,
+    map_in_chunks,
+    solve_factored,
+    solve_positive_definite,
+    with_batch_rule,
+)
+from jax_aero.types import Array, where
 
 Dtype: TypeAlias = np.dtype[Any] | type[np.floating[Any]]
 
@@ -125,15 +133,11 @@ def solve(qp: BoxQp, start: WarmStart | None = None) -> QpAnswer:
         return QpAnswer(nothing.x, nothing.side, zero, solved, jnp.zeros((), jnp.int32))
     if start is None:
         start = cold_start(qp.g.shape[0], qp.g.dtype)
-    x, side, status, iterations = _minimise(qp, jax.tree.map(lax.stop_gradient, start))
-    kkt = kkt_residual(*jax.tree.map(lax.stop_gradient, (qp, x)))
-    kkt = jnp.where(status == INFEASIBLE_BOUNDS, jnp.nan, kkt)
-    return QpAnswer(x, side, kkt, status, iterations)
+    return _minimise(qp, jax.tree.map(lax.stop_gradient, start))
 
 
 @jax.custom_jvp
-def _minimise(qp: BoxQp, start: WarmStart) -> tuple[Array, Array, Array, Array]:
-    """Return x, side, status, iterations."""
+def _minimise(qp: BoxQp, start: WarmStart) -> QpAnswer:
     scale = _jacobi_scale(qp.h)
     scaled = BoxQp(qp.h * scale[:, None] * scale[None], qp.g * scale, qp.lower / scale, qp.upper / scale)
     fault = _fault(scaled)
@@ -143,14 +147,15 @@ def _minimise(qp: BoxQp, start: WarmStart) -> tuple[Array, Array, Array, Array]:
     kkt = kkt_residual(qp, x)
     accepted = kkt <= kkt_tolerance(x.dtype)
     status = jnp.where((search.status == SOLVED) & ~accepted, INACCURATE, search.status)
-    return x, search.side, status, search.iterations
+    kkt = jnp.where(status == INFEASIBLE_BOUNDS, jnp.nan, kkt)
+    return QpAnswer(x, search.side, kkt, status, search.iterations)
 
 
 @_minimise.defjvp
 def _minimise_jvp(primals, tangents):  # type: ignore[no-untyped-def]
     (qp, start), (d_qp, _) = primals, tangents
-    out = _minimise(qp, start)
-    x, side, status, iterations = out
+    answer = _minimise(qp, start)
+    x, side, kkt, status, iterations = answer
     pressed_up = dot(qp.h, x) + qp.g < 0
     at_upper = jnp.where(qp.lower == qp.upper, pressed_up, x >= qp.upper)
     free = (x > qp.lower) & (x < qp.upper) & (status == SOLVED)
@@ -162,7 +167,7 @@ def _minimise_jvp(primals, tangents):  # type: ignore[no-untyped-def]
     reduced = _mask_hessian(qp.h * scale[:, None] * scale[None], free)
     d_x = d_held + scale * solve_positive_definite(reduced, (scale * right)[:, None])[:, 0]
     none = partial(np.zeros, dtype=jax.dtypes.float0)
-    return out, (d_x, none(side.shape), none(status.shape), none(iterations.shape))
+    return answer, QpAnswer(d_x, none(side.shape), jnp.zeros_like(kkt), none(status.shape), none(iterations.shape))
 
 
 # --- scaling to a diagonal near one -------------------------------------------------------------------------------
@@ -194,9 +199,6 @@ def _mask_hessian(h: Array, free: Array) -> Array:
 # --- active set ---------------------------------------------------------------------------------------------------
 
 
-NO_LIMIT = np.iinfo(np.int32).max
-
-
 class _Search(NamedTuple):
     y: Array
     side: Array
@@ -218,34 +220,19 @@ def _is_unfinished(search: _Search) -> Array:
     return (search.status == ITERATION_LIMIT) & (search.iterations < PASSES_PER_VARIABLE * search.y.shape[-1])
 
 
-def _search_up_to(limit: Array | int, qp: BoxQp, search: _Search) -> _Search:
-    """Take passes until the search has ended or a total of `limit` passes is reached."""
-
-    def is_running(search: _Search) -> Array:
-        return _is_unfinished(search) & (search.iterations < limit)
-
-    end: _Search = lax.while_loop(is_running, partial(_pass, qp), search)
+def _search_one(qp: BoxQp, search: _Search) -> _Search:
+    end: _Search = lax.while_loop(_is_unfinished, partial(_pass, qp), search)
     return end
 
 
-def _search_one(qp: BoxQp, search: _Search) -> _Search:
-    return _search_up_to(NO_LIMIT, qp, search)
-
-
 def _search_batch(qp: BoxQp, search: _Search) -> _Search:
-    """Search for a whole batch; on a CPU one pass for all, then further passes only for those that need them."""
+    """Search for a whole batch; on a CPU only those are searched for whose first working set is not the last."""
 
     def chunks(qp: BoxQp, search: _Search) -> _Search:
-        def one_round(index: Array, search: _Search) -> _Search:
-            limit = jnp.where(index == 0, 1, NO_LIMIT)
-            pending = _is_unfinished(search)
-            ended: _Search = map_in_chunks(
-                partial(_search_up_to, limit), (qp,), search, jnp.argsort(~pending), jnp.sum(pending)
-            )
-            return ended
-
-        rounds: _Search = lax.fori_loop(0, 2, one_round, search)
-        return rounds
+        tried = lax.map(lambda sample: _try(*sample), (qp, search), batch_size=CHUNK)
+        pending = _is_unfinished(tried)
+        ended: _Search = map_in_chunks(_search_one, (qp,), tried, jnp.argsort(~pending), jnp.sum(pending))
+        return ended
 
     found: _Search = lax.platform_dependent(qp, search, cpu=chunks, default=jax.vmap(_search_one))
     return found
@@ -254,14 +241,23 @@ def _search_batch(qp: BoxQp, search: _Search) -> _Search:
 _active_set = with_batch_rule(_search_one, _search_batch)
 
 
-def _pass(qp: BoxQp, search: _Search) -> _Search:
-    """One pass of the active set.
+class _Step(NamedTuple):
+    """Newton step of the free variables."""
 
-    Takes the Newton step of the free variables. If the whole step stays within the bounds, the point is the minimiser
-    of its working set, and variables whose bounds are not needed are freed. Otherwise the step, projected onto the
-    bounds, is followed to the breakpoint with the lowest objective, and the variables that have met their bounds are
-    held. The objective decreases from one such minimiser to the next, so no working set recurs.
-    """
+    gradient: Array
+    """Of the objective, where the step begins."""
+    step: Array
+    meets: Array
+    """Share of the step with which each variable meets a bound."""
+    fits: Array
+    """Whether the whole step stays within the bounds: its end is the minimiser of the working set."""
+    whole: Array
+    """The end of the step, refined once with the same factor."""
+    released: Array
+    """Which variables do not need their bounds there."""
+
+
+def _take_step(qp: BoxQp, search: _Search) -> _Step:
     y, side = search.y, search.side
     free = side == 0
     factor = cholesky(_mask_hessian(qp.h, free))
@@ -275,12 +271,32 @@ def _pass(qp: BoxQp, search: _Search) -> _Search:
     meets = jnp.where(moves, (jnp.where(step > 0, qp.upper, qp.lower) - y) / jnp.where(moves, step, 1.0), jnp.inf)
     fits = jnp.min(meets) >= 1
 
-    # The whole step, refined once with the same factor, and the variables that it frees.
     whole = jnp.clip(y + step, qp.lower, qp.upper)
     whole = jnp.clip(whole + newton(dot(qp.h, whole) + qp.g), qp.lower, qp.upper)
     slope = dot(qp.h, whole) + qp.g
     rounding = slope.shape[0] * np.finfo(slope.dtype).eps * jnp.maximum(_max_abs(qp.g), _max_abs(whole))
     released = ((side < 0) & (slope < -rounding) | (side > 0) & (slope > rounding)) & (qp.lower < qp.upper)
+    return _Step(gradient, step, meets, fits, whole, released)
+
+
+def _try(qp: BoxQp, search: _Search) -> _Search:
+    """Return the end of a search that one pass ends, and otherwise the search itself."""
+    taken = _take_step(qp, search)
+    ends = _is_unfinished(search) & taken.fits & ~jnp.any(taken.released) & jnp.all(jnp.isfinite(taken.step))
+    solved = jnp.full_like(search.status, SOLVED)
+    return where(ends, _Search(taken.whole, search.side, solved, search.iterations + 1), search)
+
+
+def _pass(qp: BoxQp, search: _Search) -> _Search:
+    """One pass of the active set.
+
+    Takes the Newton step of the free variables. If the whole step stays within the bounds, the point is the minimiser
+    of its working set, and variables whose bounds are not needed are freed. Otherwise the step, projected onto the
+    bounds, is followed to the breakpoint with the lowest objective, and the variables that have met their bounds are
+    held. The objective decreases from one such minimiser to the next, so no working set recurs.
+    """
+    y, side = search.y, search.side
+    gradient, step, meets, fits, whole, released = _take_step(qp, search)
 
     # Breakpoints of the projected step, one per variable, up to the whole step.
     t = jnp.minimum(meets, 1.0)
@@ -289,7 +305,7 @@ def _pass(qp: BoxQp, search: _Search) -> _Search:
     # A bound met at once (t = 0, degenerate) does not change the objective, but the variable is held from now on.
     corner = jnp.argmin(jnp.where(meets <= 1, objective, jnp.inf))
     t_corner = t[corner]
-    met = moves & (meets <= t_corner)
+    met = (step != 0) & (meets <= t_corner)
     bent = jnp.where(met, jnp.where(step > 0, qp.upper, qp.lower), y + t_corner * step)
     bent_side = jnp.where(met, jnp.sign(step).astype(jnp.int8), side)
 

@@ -13,10 +13,10 @@ from jax_aero.control.law.momentum import MomentumModel, momentum_model
 from jax_aero.control.law.momentum_qp import MomentumQp
 from jax_aero.control.law.torque import TorqueQp
 from jax_aero.control.measurement import Measurement, UsedMeasurement
-from jax_aero.dynamics import dynamics
+from jax_aero.dynamics import accelerate, dynamics, invert_mass
 from jax_aero.kinematics import generalised_thrust, kinematics
 from jax_aero.robot import RobotModel
-from jax_aero.types import Array, Dynamics, Kinematics, LinkForces, Setpoint, State
+from jax_aero.types import Array, Dynamics, InverseMass, Kinematics, LinkForces, Setpoint, State
 
 
 class Terms(NamedTuple):
@@ -32,6 +32,7 @@ class Terms(NamedTuple):
     """State of kinematics and dynamics: the given one itself if nothing is predicted."""
     kinematics: Kinematics
     dynamics: Dynamics
+    inverse_mass: InverseMass
     link_forces: LinkForces
     momentum: MomentumModel
     setpoint: Setpoint
@@ -49,10 +50,11 @@ class Model(NamedTuple):
 
     kinematics: Kinematics
     dynamics: Dynamics
+    inverse_mass: InverseMass
     link_forces: LinkForces
     momentum: MomentumModel
-    free_force: Float[Array, " N"]
-    """Generalised force without torques, `Σ Jᵀ T a + J_aᵀ f_a − h`."""
+    free_acceleration: Float[Array, " N"]
+    """Acceleration without torques, `M⁻¹ (Σ Jᵀ T a + J_aᵀ f_a − h)`."""
 
 
 def update_model(
@@ -74,4 +76,5 @@ def update_model(
     force = generalised_thrust(robot, kin, used.thrust) - dyn.bias
     if torque_feedback:
         force = force + generalised_aero_force(robot, kin, link, link.jacobian_points)
-    return Model(kin, dyn, link, momentum, force)
+    inverse_mass = invert_mass(dyn)
+    return Model(kin, dyn, inverse_mass, link, momentum, accelerate(inverse_mass, force))

@@ -38,7 +38,6 @@ from jax_aero.control.guard.stages import (
     ObserverStage,
     SupervisorStage,
     WindStage,
-    accelerate,
 )
 from jax_aero.control.guard.supervisor import SupervisorLimits
 from jax_aero.control.guard.wind_observer import WindObserver
@@ -61,7 +60,7 @@ from jax_aero.control.modes import MODES
 from jax_aero.control.preview import Preview
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model, Terms, update_model
-from jax_aero.dynamics import dynamics
+from jax_aero.dynamics import accelerate, dynamics
 from jax_aero.kinematics import kinematics
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import multiply
@@ -325,7 +324,7 @@ def tick(
             used,
             wind_std,
             used.state if params.channels.may_predict else estimates.state,
-            *model[:4],
+            *model[:5],
             rates.setpoint,
             rates.attitude,
             rates.momentum_qp,
@@ -399,7 +398,7 @@ def replace_command(
     rate limiter continues. `thrust_rate` [N/s], `joint_torque` [N m].
     """
     known, share = memory.channels, terms.limits.torque_share
-    change = accelerate(terms.dynamics, share * (joint_torque - command.joint_torque))
+    change = accelerate(terms.inverse_mass, jnp.pad(share * (joint_torque - command.joint_torque), (6, 0)))
     known = known._replace(acceleration=known.acceleration + change, thrust_rate=thrust_rate)
     memory = memory._replace(channels=known)
     if memory.estimator is not None:

@@ -37,7 +37,7 @@ from jax_aero.config import (
     LeverArm,
     SimulatorConfig,
 )
-from jax_aero.dynamics import dynamics, forward_dynamics
+from jax_aero.dynamics import accelerate, add_joint_inertia, dynamics, invert_mass
 from jax_aero.jet_faults import FaultState, JetFaults, delay_rates, limit_thrust, measure_thrust, start_faults
 from jax_aero.jets import JetDynamics, JetsState, jet_dynamics
 from jax_aero.joint_faults import JointFaults, JointFaultState, begin_tick, reduce_torque
@@ -48,7 +48,7 @@ from jax_aero.robot import RobotModel
 from jax_aero.sim import actuation
 from jax_aero.sim.actuation import Actuation, ActuationState
 from jax_aero.spatial import rotation_from_rpy
-from jax_aero.types import Array, Dynamics, Kinematics, LinkForces, State, Static, leaf, pytree
+from jax_aero.types import Array, Dynamics, InverseMass, Kinematics, LinkForces, State, Static, leaf, pytree
 
 Kept = TypeVar("Kept")
 Result = TypeVar("Result")
@@ -133,6 +133,7 @@ class Observation(NamedTuple):
 
     kinematics: Kinematics
     dynamics: Dynamics
+    inverse_mass: InverseMass
     placed: Kinematics
     """Kinematics of the links in the wind: the current or the frozen ones."""
     link_forces: LinkForces
@@ -225,22 +226,26 @@ def zero_state(state: PlantState) -> PlantState:
 
 
 def observe(
-    plant: Plant, state: PlantState, wind: Float[Array, "3"], known: tuple[Kinematics, Dynamics] | None = None
+    plant: Plant,
+    state: PlantState,
+    wind: Float[Array, "3"],
+    known: tuple[Kinematics, Dynamics, InverseMass] | None = None,
 ) -> Observation:
     """Return everything that follows from the state and the given wind [m/s].
 
-    `known` are kinematics and dynamics of this robot in this state, if already computed.
+    `known` are kinematics, dynamics and inverse mass matrix of this robot in this state, if already computed.
     """
     if known is None:
         kin = kinematics(plant.robot, state.robot)
-        known = kin, dynamics(plant.robot, state.robot, kin, plant.backend)
-    kin, dyn = known
+        dyn = dynamics(plant.robot, state.robot, kin, plant.backend)
+        known = kin, dyn, invert_mass(dyn)
+    kin, dyn, inverse_mass = known
     placed = kin
     if state.first is not None:
         placed = kinematics(plant.robot, state.first._replace(velocity=state.robot.velocity))
     conventions = LinkConventions(lever_arm=plant.lever_arm)
     forces = link_forces(plant.aero, plant.robot, placed, conventions, wind)
-    return Observation(kin, dyn, placed, forces)
+    return Observation(kin, dyn, inverse_mass, placed, forces)
 
 
 def advance(
@@ -340,11 +345,11 @@ def _advance_robot(plant: Plant, state: PlantState, seen: Observation, torque: A
     )
     if plant.pushes is not None and state.pushes is not None:
         force = force + pushing_force(robot, kin, plant.pushes, state.pushes, step)
-    dyn = seen.dynamics
+    force, inverse = force - seen.dynamics.bias, seen.inverse_mass
     if plant.joint_faults is not None and state.joint_faults is not None:
         is_held = plant.joint_faults.is_stuck & state.joint_faults.acts
-        dyn, force = _brace(plant, state.robot, dyn, force, is_held, state.joint_faults.held, step)
-    return _step(plant, state.robot, dyn, force, step)
+        inverse, force = _brace(plant, state.robot, inverse, force, is_held, state.joint_faults.held, step)
+    return _step(plant, state.robot, inverse, force, step)
 
 
 def _position_ahead(plant: Plant, state: State, step: Array) -> Array:
@@ -353,48 +358,44 @@ def _position_ahead(plant: Plant, state: State, step: Array) -> Array:
 
 
 def _brace(
-    plant: Plant, state: State, dyn: Dynamics, force: Array, is_held: Array, rest: Array, step: Array
-) -> tuple[Dynamics, Array]:
-    """Return mass matrix and force with springs, at rest in the positions `rest`, and dampers on some joints.
+    plant: Plant, state: State, inverse: InverseMass, force: Array, is_held: Array, rest: Array, step: Array
+) -> tuple[InverseMass, Array]:
+    """Return inverse mass matrix and force with springs, at rest in the positions `rest`, and dampers on some joints.
 
     They are implicit in the velocity after the step, and thus stable for every step size.
     """
     velocity = state.velocity[6:]
     push = STOP_STIFFNESS * (_position_ahead(plant, state, step) + step * velocity - rest) + STOP_DAMPING * velocity
     added = jnp.where(is_held, step * (step * STOP_STIFFNESS + STOP_DAMPING), 0.0)
-    base = jnp.zeros_like(state.velocity[:6])
-    mass_matrix = dyn.mass_matrix + jnp.diag(jnp.concatenate([base, added]))
-    force = force - jnp.concatenate([base, jnp.where(is_held, push, 0.0)])
-    return dyn._replace(mass_matrix=mass_matrix), force
+    return add_joint_inertia(inverse, added), force - jnp.pad(jnp.where(is_held, push, 0.0), (6, 0))
 
 
-def _step(plant: Plant, state: State, dyn: Dynamics, force: Array, step: Array) -> State:
-    """Take one step under a generalised force and the joint stops."""
-    acceleration = forward_dynamics(dyn, force)
+def _step(plant: Plant, state: State, inverse: InverseMass, force: Array, step: Array) -> State:
+    """Take one step under a generalised force, which includes `−h`, and the joint stops."""
+    acceleration = accelerate(inverse, force)
     if plant.has_stops and plant.robot.n_joints:
-        is_out, stopped, pushed = _stops(plant, state, dyn, force, acceleration, step)
-        acceleration = jax.lax.cond(jnp.any(is_out), lambda: forward_dynamics(stopped, pushed), lambda: acceleration)
+        acceleration = accelerate(*_stops(plant, state, inverse, force, acceleration, step))
     return integrate(plant, state, acceleration, step)
 
 
 def _stops(
-    plant: Plant, state: State, dyn: Dynamics, force: Array, acceleration: Array, step: Array
-) -> tuple[Array, Dynamics, Array]:
-    """Return which joints this acceleration takes out of their range, and mass matrix and force with their stops."""
+    plant: Plant, state: State, inverse: InverseMass, force: Array, acceleration: Array, step: Array
+) -> tuple[InverseMass, Array]:
+    """Return inverse mass matrix and force with the stops of the joints that this acceleration takes out of range."""
     velocity, (lower, upper) = state.velocity[6:], jnp.asarray(plant.robot.joint_stops).T
     position = _position_ahead(plant, state, step)
     ahead = position + step * (velocity + step * acceleration[6:])
     is_out = (ahead > upper) | (ahead < lower)
     # Ranges may be infinite, which must not enter derivatives.
     stop = jnp.where(ahead > upper, upper, jnp.where(ahead < lower, lower, 0.0))
-    return is_out, *_brace(plant, state, dyn, force, is_out, stop, step)
+    return _brace(plant, state, inverse, force, is_out, stop, step)
 
 
 @run_once
 def _fall_freely(plant: Plant, state: State) -> State:
     """Take the first step of the published model, under gravity alone."""
     dyn = dynamics(plant.robot, state, kinematics(plant.robot, state), plant.backend)
-    return _step(plant, state, dyn, jnp.zeros_like(state.velocity), plant.time_step)
+    return _step(plant, state, invert_mass(dyn), -dyn.bias, plant.time_step)
 
 
 def integrate(plant: Plant, state: State, acceleration: Float[Array, " N"], step: Float[Array, ""]) -> State:

@@ -512,7 +512,7 @@ def _observe(scenario: Scenario, state: PlantState, command: Command, wind: Arra
     is_known = terms is not None and terms.state is state.robot and scenario.controller_model is None
     if terms is None or not is_known or plant.backend != "tree":
         return world.observe(plant, state, wind)
-    return world.observe(plant, state, wind, (terms.kinematics, terms.dynamics))
+    return world.observe(plant, state, wind, (terms.kinematics, terms.dynamics, terms.inverse_mass))
 
 
 def _divergence(scenario: Scenario, state: PlantState, wind: Array) -> tuple[Array, Array]:

@@ -102,15 +102,14 @@ def test_attitude_demand(twin, rng):
 
 def test_torque_qp(twin, rng):
     _, _, params = twin
-    root = rng.normal(size=(6 + N_JOINTS, 6 + N_JOINTS))
-    mass, force = root @ root.T + np.eye(6 + N_JOINTS), rng.normal(size=6 + N_JOINTS)
-    errors = rng.normal(size=(2, N_JOINTS))
+    root = rng.normal(size=(N_JOINTS, N_JOINTS))
+    gain, free, errors = root @ root.T, rng.normal(size=N_JOINTS), rng.normal(size=(2, N_JOINTS))
 
     def build(x):
-        torque, root, force, errors = x
-        return torque_qp(torque, np.full(N_JOINTS, 50.0), root + root.T, force, *errors)
+        torque, root, free, errors = x
+        return torque_qp(torque, np.full(N_JOINTS, 50.0), root + root.T, free, *errors)
 
-    assert_derivatives_agree(build, (params.torque, 0.5 * mass, force, errors), rng, tolerance=1e-5)
+    assert_derivatives_agree(build, (params.torque, 0.5 * gain, free, errors), rng, tolerance=1e-5)
 
 
 def test_setpoints(twin, rng):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -10,7 +12,7 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
-from jax_aero.dynamics import dynamics, forward_dynamics
+from jax_aero.dynamics import accelerate, add_joint_inertia, dynamics, forward_dynamics, invert_mass
 from jax_aero.kinematics import frame_poses, generalised_force, kinematics, velocities_at
 from jax_aero.robot import load_robot
 from jax_aero.types import State
@@ -67,6 +69,29 @@ def test_dynamics(jax_robot, robot, states, agree, backend):
             agree(f"{backend}: {name}", getattr(dyn, name)[i], getattr(theirs, name), TOLERANCE)
         forces = np.cos(np.asarray(state.velocity))
         agree(f"{backend}: acceleration", acceleration[i], rust.forward_dynamics(robot, state, forces), TOLERANCE)
+
+
+@pytest.mark.parametrize("rotors", [None, 0.4])
+def test_the_inverse_of_the_mass_matrix(jax_robot, states, rotors):
+    """By blocks, also with inertia added to joints, against one of the whole matrix."""
+    n = jax_robot.n_joints
+    robot = jax_robot if rotors is None else replace(jax_robot, rotor_inertia=np.full(n, rotors))
+    added = np.where(np.arange(n) % 3 == 0, 0.7, 0.0)
+
+    @jax.jit
+    @jax.vmap
+    def evaluate(state):
+        dyn = dynamics(robot, state, kinematics(robot, state))
+        inverse = invert_mass(dyn)
+        columns = jnp.eye(6 + n, dtype=dyn.bias.dtype)
+        products = [jax.vmap(partial(accelerate, x))(columns) for x in (inverse, add_joint_inertia(inverse, added))]
+        return dyn.mass_matrix, *products
+
+    for mass, inverse, braced in zip(*jax.device_get(evaluate(stack_states(states[:20]))), strict=True):
+        for found, matrix in ((inverse, mass), (braced, mass + np.diag(np.pad(added, (6, 0))))):
+            error = np.abs(found.T @ matrix - np.eye(6 + n)).max()
+            # Of the inverse and of the product.
+            measured("inverse mass matrix", error, 2.0 * (6 + n) * np.finfo(float).eps * np.linalg.cond(matrix))
 
 
 def test_velocities_and_forces_follow_from_the_jacobian(jax_robot, robot, states, agree):

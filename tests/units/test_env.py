@@ -194,10 +194,10 @@ def test_the_added_torque_is_what_the_torque_law_would_add(x64):
     """Between two answers of the QP without bounds, for two commanded velocities."""
     rng = np.random.default_rng(1)
     root = rng.normal(size=(8, 8))
-    mass, force = jnp.asarray(root @ root.T + 8.0 * np.eye(8)), jnp.asarray(rng.normal(size=8))
+    gain, free = jnp.asarray(np.linalg.inv(root @ root.T + 8.0 * np.eye(8))[6:, 6:]), jnp.asarray(rng.normal(size=2))
     params = TorqueParams(*map(jnp.asarray, (20.0, 5.0, 3.0, 0.1, 1e-3)))
     more = np.array([0.3, -0.2])
-    law = jax.jit(lambda error: torque_qp(params, jnp.full(2, 1e9), mass, force, error, jnp.zeros(2)))
+    law = jax.jit(lambda error: torque_qp(params, jnp.full(2, 1e9), gain, free, error, jnp.zeros(2)))
     parts = [law(-more), law(0.0 * more)]
     ahead, behind = (-np.linalg.solve(part.problem.h, part.problem.g) for part in parts)
     added = added_torque(np, parts[0].problem.h, parts[0].gain, 3.0, 20.0, more)

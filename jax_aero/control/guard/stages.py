@@ -31,15 +31,14 @@ from jax_aero.control.guard.observer import ObserverGains
 from jax_aero.control.guard.supervisor import SupervisorLimits
 from jax_aero.control.guard.wind_observer import WindObserver
 from jax_aero.control.law.limits import Limits
-from jax_aero.control.law.torque import joint_response
 from jax_aero.control.measurement import Measurement, Reading, UsedMeasurement
 from jax_aero.control.modes import MODES
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model, Terms
-from jax_aero.dynamics import forward_dynamics
+from jax_aero.dynamics import accelerate
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import cross
-from jax_aero.types import Array, Dynamics, Setpoint, State, where
+from jax_aero.types import Array, Setpoint, State, where
 
 
 class Measured(NamedTuple):
@@ -133,10 +132,10 @@ class Guard:
 
         The channels continue with the acceleration under the command (M101), with the observed wrench on the base.
         """
-        kin, dyn, wrench = model.kinematics, model.dynamics, model.momentum.unmodelled_wrench
+        kin, wrench = model.kinematics, model.momentum.unmodelled_wrench
         moment = wrench[3:] + cross(kin.com - terms.measurement.state.base_position, wrench[:3])
         acting = jnp.concatenate([wrench[:3], moment, terms.limits.torque_share * command.joint_torque])
-        acceleration = forward_dynamics(dyn, model.free_force + dyn.bias + acting)
+        acceleration = model.free_acceleration + accelerate(model.inverse_mass, acting)
         known = memory.channels._replace(acceleration=acceleration, thrust_rate=command.thrust_rate)
         memory = memory._replace(channels=known)
         for stage in self.stages:
@@ -150,7 +149,7 @@ class Guard:
         between, known, acts = memory.between, memory.channels, terms.limits.torque_share
         assert between is not None
         more = torque - between.torque
-        change, mean = accelerate(terms.dynamics, acts * more), between.mean_torque + share * more
+        change, mean = accelerate(terms.inverse_mass, jnp.pad(acts * more, (6, 0))), between.mean_torque + share * more
         memory = memory._replace(
             channels=known._replace(acceleration=known.acceleration + share * change),
             between=between._replace(torque=torque, acceleration=between.acceleration + change[6:], mean_torque=mean),
@@ -159,11 +158,6 @@ class Guard:
             return memory
         corrected = estimator.replace_command(memory.estimator, acts * mean, known.thrust_rate)
         return memory._replace(estimator=corrected)
-
-
-def accelerate(dyn: Dynamics, torque: Float[Array, " n"]) -> Float[Array, " N"]:
-    """Return the acceleration by which `ν̇` changes under more joint torques [N m]: it is linear in them."""
-    return forward_dynamics(dyn, dyn.bias.at[6:].add(torque))
 
 
 @dataclass(frozen=True)
@@ -200,7 +194,7 @@ class ObserverStage(Stage):
 
     def judge(self, tick: Judged) -> Judged:
         """Add the observed wrench to the momentum rate."""
-        last, used, (_, dyn, _, momentum, _) = tick.memory.observer, tick.used, tick.model
+        last, used, (_, dyn, *_, momentum, _) = tick.memory.observer, tick.used, tick.model
         assert last is not None
         compared = observer.update(self.gains, used.elapsed, last, dyn.momentum, momentum.rate_estimate)
         observed = where(used.has_momentum, compared, observer.hold(last))
@@ -280,10 +274,9 @@ class JointStage(Stage):
 
     def judge(self, tick: Judged) -> Judged:
         """Find joints that are stuck, weak or free, and bound what the law demands of them."""
-        memory, used, dyn = tick.memory, tick.used, tick.model.dynamics
+        memory, used, gain = tick.memory, tick.used, tick.model.inverse_mass.joint_gain
         last = memory.joints
         assert last is not None
-        gain, _ = joint_response(dyn.mass_matrix, jnp.zeros_like(dyn.bias))
         moved = (used.state.velocity[6:] - last.velocity) / used.elapsed
         judged = joints.judge(self.settings, last, used.elapsed, moved - memory.channels.acceleration[6:], gain)
         is_doubted = memory.engines is not None and jnp.any(memory.engines.is_doubted)

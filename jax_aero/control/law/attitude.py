@@ -17,10 +17,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 from jaxtyping import Float
 
-from jax_aero.spatial import cross, multiply, rotate, rotate_back, skew, vee_of_skew_part
+from jax_aero.spatial import cross, inverse, multiply, rotate, rotate_back, skew, vee_of_skew_part
 from jax_aero.types import Array, Setpoint, pytree
 
 
@@ -73,9 +72,3 @@ def attitude_demand(
     k_ddot_desired = rotate(i0, setpoint.angular_jerk) - e_dot - k_dot_error - rotate(i0_inv, through_inertia)
     sigma_b = cross(w, cross(w, k) + 2.0 * k_dot) + cross(rotate(i0_inv, k_dot), k)
     return AttitudeDemand(k_ddot_desired, rotate(rotation, sigma_b))
-
-
-def inverse(a: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-    """Return the inverse of a 3×3 matrix with rows a, b, c; its columns are `b × c / (a · b × c)` and cyclic."""
-    columns = cross(jnp.roll(a, -1, axis=0), jnp.roll(a, -2, axis=0))
-    return columns.T / jnp.sum(a[0] * columns[0])

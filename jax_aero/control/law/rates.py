@@ -113,14 +113,12 @@ class MomentumLaw:
         self, memory: ControllerState, used: UsedMeasurement, given: Setpoint | None, preview: Preview
     ) -> tuple[ControllerState, Followed]:
         """Choose the set-point: during a descent that of the descent, otherwise the given one, or the mission's."""
-        state = memory.setpoint
+        state, is_descending = memory.setpoint, memory.channels.is_descending
         if given is None:
-            along = generator.update(self.setpoint, self.mission, state, used.time)
+            moved, followed = generator.update(self.setpoint, self.mission, state, used.time, is_descending)
         else:
             along = generator.follow(self.setpoint, state, generator.motion_of(given)), given
-        down = generator.descend(self.setpoint, state)
-        is_descending = memory.channels.is_descending
-        moved, followed = where(is_descending, down, along)
+            moved, followed = where(is_descending, generator.descend(self.setpoint, state), along)
         usual = generator.MISSION if given is None else generator.MOTION
         ahead = jnp.where(is_descending, generator.DESCENT, usual)
         due = generator.after(followed, self.latency) if self.latency else followed

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jax_aero.config import SetpointConfig
 from jax_aero.control.law.minimum_jerk import (
@@ -37,7 +37,7 @@ from jax_aero.spatial import (
     skew,
     vee_of_skew_part,
 )
-from jax_aero.types import Array, Setpoint, leaf
+from jax_aero.types import Array, Setpoint, leaf, where
 
 MISSION, MOTION, DESCENT = range(3)
 """What a set-point follows after a tick: the mission, the motion of the last given set-point, the descent."""
@@ -154,16 +154,21 @@ def after(setpoint: Setpoint, time: float | Float[Array, ""]) -> Setpoint:
 
 
 def update(
-    params: SetpointParams, mission: Mission, state: SetpointState, time: Float[Array, ""]
+    params: SetpointParams,
+    mission: Mission,
+    state: SetpointState,
+    time: Float[Array, ""],
+    is_descending: Bool[Array, ""] | bool = False,
 ) -> tuple[SetpointState, Setpoint]:
-    """Return the set-point of the tick at `time` [s], from the autopilot's commands or from a recording.
+    """Return the set-point of the tick at `time` [s], from the autopilot's commands, a recording, or the descent.
 
     The smoothed attitude follows the raw one by `ω = −K sk(R_rawᵀ R)^∨`, integrated by forward Euler on the matrix;
     projection onto SO(3) at every tick removes the drift of that step.
     """
     if isinstance(mission, Recording):
-        return _follow_recording(params, mission, state, time)
-    return _smooth(params, state, _advance_raw(params, state.raw, autopilot_command(mission, time)))
+        return where(is_descending, descend(params, state), _follow_recording(params, mission, state, time))
+    commanded = _advance_raw(params, state.raw, autopilot_command(mission, time))
+    return _smooth(params, state, where(is_descending, _descend_raw(params, state.raw), commanded))
 
 
 def motion_of(setpoint: Setpoint) -> RecordedMotion:
@@ -188,18 +193,19 @@ def follow(params: SetpointParams, state: SetpointState, motion: RecordedMotion)
 
 
 def descend(params: SetpointParams, state: SetpointState) -> tuple[SetpointState, Setpoint]:
-    """Return the set-point of a tick of the descent, which replaces the mission.
+    """Return the set-point of a tick of the descent, which replaces the mission."""
+    return _smooth(params, state, _descend_raw(params, state.raw))
 
-    The attitude becomes level, and the velocity approaches that of the descent (M115).
-    """
-    raw = state.raw
+
+def _descend_raw(params: SetpointParams, raw: RawSetpoint) -> RawSetpoint:
+    """Return the set-point whose attitude becomes level and whose velocity approaches that of the descent (M115)."""
     step = params.attitude_rate[0] * params.time_step
     rpy = raw.rpy.at[:2].add(-jnp.clip(raw.rpy[:2], -step, step))
     change = jnp.zeros_like(raw.velocity).at[2].set(-params.descent_speed) - raw.velocity
     greatest, size = params.deceleration * params.time_step, safe_norm(change)
     velocity = raw.velocity + change * jnp.where(size > greatest, greatest / jnp.maximum(size, greatest), 1.0)
     position = raw.position + velocity * params.time_step
-    return _smooth(params, state, RawSetpoint(position, velocity, rpy, jnp.zeros_like(raw.turbo_ticks)))
+    return RawSetpoint(position, velocity, rpy, jnp.zeros_like(raw.turbo_ticks))
 
 
 def ahead(

@@ -18,7 +18,6 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from jax_aero.control.qp import BoxQp
-from jax_aero.linalg import solve_positive_definite
 from jax_aero.types import Array, pytree
 
 
@@ -51,17 +50,16 @@ class TorqueQp(NamedTuple):
 def torque_qp(
     params: TorqueParams,
     torque_max: Float[Array, " n"],
-    mass_matrix: Float[Array, "N N"],
-    force: Float[Array, " N"],
+    gain: Float[Array, "n n"],
+    free: Float[Array, " n"],
     velocity_error: Float[Array, " n"],
     velocity_error_integral: Float[Array, " n"],
     share: Float[Array, " n"] | float = 1.0,
 ) -> TorqueQp:
-    """Build the QP; `torque_max` is in N m, `force` is `Σ Jᵀ T a + J_aᵀ f_a − h`.
+    """Build the QP; `torque_max` is in N m, `gain` is `G`, `free` is `s̈_free`.
 
     Of each torque a `share` acts. The acceleration of joints of which none acts is not controlled.
     """
-    gain, free = joint_response(mass_matrix, force)
     penalty = params.weight_torque + params.regularisation
     share = jnp.broadcast_to(share, torque_max.shape)
     weighted = _weigh(params, gain, share)
@@ -105,15 +103,6 @@ def commanded(
     of_free = jnp.clip(missing / jnp.diag(following.gain), -torque_max, torque_max)
     acts = share > 0.0
     return jnp.where(acts, torque / jnp.where(acts, share, 1.0), of_free)
-
-
-def joint_response(
-    mass_matrix: Float[Array, "v v"], force: Float[Array, " v"]
-) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:
-    """Return `(M⁻¹)_ss` and `[M⁻¹ force]_s`: joint accelerations per unit joint torque and under the force."""
-    unit = jnp.eye(mass_matrix.shape[0], dtype=force.dtype)[:, 6:]
-    response = solve_positive_definite(mass_matrix, jnp.concatenate([unit, force[:, None]], axis=1))[6:]
-    return response[:, :-1], response[:, -1]
 
 
 def limit_rate(torque: Float[Array, " n"], target: Float[Array, " n"], step: Float[Array, " n"]) -> Float[Array, " n"]:

@@ -58,7 +58,13 @@ class Torques:
         velocity_error, integral = used.state.velocity[6:] - rates.joint_velocity, memory.velocity_error_integral
         share = limits.torque_share
         following = torque_qp(
-            self.params, self.torque_max, model.dynamics.mass_matrix, model.free_force, velocity_error, integral, share
+            self.params,
+            self.torque_max,
+            model.inverse_mass.joint_gain,
+            model.free_acceleration[6:],
+            velocity_error,
+            integral,
+            share,
         )
         return self._decide(memory, following, velocity_error, limits, rates.status != MOMENTUM_HELD)
 
