@@ -17,7 +17,7 @@ import xarray as xr
 
 from experiments import Refused
 from jax_aero import documents, netcdf, rust
-from jax_aero.files import checksums, complete_folder, find_damaged, read_json, write_json, write_netcdf, write_text
+from jax_aero.files import checksums, complete_folder, find_damaged, read_json, write_json, write_netcdf
 from jax_aero.places import MANIFEST_FILE, RUN_FILE
 from jax_aero.result import FlightResult, RobotNames, is_repeated, labels_of
 
@@ -82,14 +82,14 @@ def write_run(
     manifest: Mapping[str, Any],
     *,
     replace: bool = False,
-    texts: Mapping[str, str] | None = None,
+    texts: Mapping[str, str | bytes] | None = None,
     more: Callable[[Path], object] = lambda _: None,
 ) -> None:
     """Write a whole result folder at once; `texts` are additional files by name, and `more` writes others into it."""
     with complete_folder(folder, replace=replace) as draft:
         write_dataset(dataset, draft / RUN_FILE)
         for name, text in (texts or {}).items():
-            write_text(draft / name, text)
+            write_bytes(draft / name, text if isinstance(text, bytes) else text.encode())
         more(draft)
         files = checksums(draft)
         write_json(draft / MANIFEST_FILE, {**manifest, "files": files})

@@ -47,7 +47,7 @@ class Findings:
     """Other inputs that the result depends on."""
     files: Sequence[Path] = ()
     """Files that the result depends on, besides those named in the configuration and read by the study."""
-    texts: Mapping[str, str] = field(default_factory=dict)
+    texts: Mapping[str, str | bytes] = field(default_factory=dict)
     """Additional files of the result, by name."""
     timings: Mapping[str, float] = field(default_factory=dict)
     """Wall times of parts of the study [s]."""

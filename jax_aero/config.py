@@ -254,6 +254,10 @@ class ObserverConfig(Struct, frozen=True, kw_only=True):
     moment_max: float
 
 
+class PolicyConfig(Struct, frozen=True, kw_only=True):
+    card: str
+
+
 Fallback: TypeAlias = Literal["hold", "clarabel"]
 
 
@@ -337,6 +341,7 @@ class ControllerSection(Struct, frozen=True, kw_only=True):
     momentum: MomentumGains
     mpc: MpcConfig | None = None
     observer: ObserverConfig | None = None
+    policy: PolicyConfig | None = None
     posture_gain: dict[str, float]
     qp: QpConfig = QpConfig()
     setpoint: SetpointConfig

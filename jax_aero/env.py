@@ -26,21 +26,10 @@ import numpy as np
 from jaxtyping import Float, Int, Key
 
 from jax_aero.control import Command, Measurement
-from jax_aero.control.tick import MomentumController, replace_command
-from jax_aero.env_task import (
-    Aim,
-    Observed,
-    Task,
-    TaskState,
-    added_torque,
-    aim_of,
-    is_lost,
-    limit_action,
-    observation,
-    observe_wrench,
-    rewards,
-    steer,
-)
+from jax_aero.control.law.residual import Steering
+from jax_aero.control.state import ControllerState
+from jax_aero.control.tick import MomentumController
+from jax_aero.env_task import Aim, Task, TaskState, aim_of, is_lost, limit_action, observation, rewards, steer
 from jax_aero.kinematics import kinematics
 from jax_aero.robot import RobotModel
 from jax_aero.rust import load_config
@@ -71,56 +60,34 @@ class EnvState(NamedTuple):
 
 
 class SteeredState(NamedTuple):
-    """State of the controller and of what observes it."""
+    """State of the controller, and what it follows."""
 
-    inner: Any
-    observed: Observed
+    inner: ControllerState
     aim: Aim
-
-
-def _at_start(robot: RobotModel, inner: Any, state: RobotState) -> SteeredState:
-    """Return the state in which a robot at rest hovers, with the controller's own."""
-    nothing = jnp.zeros_like(state.velocity[:6])
-    aim = Aim(kinematics(robot, state).com, state.base_rotation, nothing[:3], nothing[3:])
-    return SteeredState(inner, Observed(nothing, nothing, nothing), aim)
 
 
 @pytree
 class SteeredController:
-    """The flight controller, with its answer modified by an action."""
+    """The flight controller with an action as its residual."""
 
     inner: MomentumController
-    action: Float[Array, " u"]
     task: Static[Task]
-    dt: Static[float]
+
+    def steered(self, action: Float[Array, " u"]) -> SteeredController:
+        """Return the controller with the residual of this action."""
+        parts = steer(self.task, action, self.inner.tasks.thrust_rate.shape[0])
+        return replace(self, inner=replace(self.inner, residual=Steering(*parts, self.task.steering == "rates")))
 
     def init(self, robot: RobotModel, state: RobotState) -> SteeredState:
         """Return the initial state of the controller."""
-        return _at_start(robot, self.inner.init(robot, state), state)
+        nothing = jnp.zeros_like(state.velocity[:3])
+        aim = Aim(kinematics(robot, state).com, state.base_rotation, nothing, nothing)
+        return SteeredState(self.inner.init(robot, state), aim)
 
     def step(self, robot: RobotModel, state: SteeredState, measurement: Measurement) -> tuple[SteeredState, Command]:
-        """Compute one tick of the controller and modify its command by the action."""
-        inner = self.inner
-        memory, command = inner.step(robot, state.inner, measurement)
-        terms = command.terms
-        assert terms is not None
-        assert command.joint_velocity is not None
-        rates, velocities = steer(self.task, self.action, command.thrust_rate, command.joint_velocity)
-        bounds, j = terms.momentum_qp.problem, rates.shape[0]
-        rates = jnp.clip(rates, bounds.lower[:j], bounds.upper[:j])
-        more = added_torque(
-            jnp,
-            terms.torque_qp.problem.h,
-            terms.torque_qp.gain,
-            inner.torque.weight_acceleration,
-            inner.torque.kd,
-            velocities - command.joint_velocity,
-        )
-        torque = jnp.clip(command.joint_torque + more, -inner.torque_max, inner.torque_max)
-        memory, command = replace_command(memory, command, terms, rates, torque)
-        observed = observe_wrench(state.observed, terms.dynamics.momentum, terms.momentum.rate_estimate, self.dt)
-        aim = aim_of(command.setpoint) if self.task.tracking else state.aim
-        return SteeredState(memory, observed, aim), command._replace(joint_velocity=velocities)
+        """Compute one tick of the controller."""
+        memory, command = self.inner.step(robot, state.inner, measurement)
+        return SteeredState(memory, aim_of(command.setpoint) if self.task.tracking else state.aim), command
 
 
 class FlightEnv:
@@ -142,9 +109,12 @@ class FlightEnv:
         self._scenario, self._start = prepare(
             self.task.episode(load_config(self.task.experiment, changes)), dtype=precision
         )
-        robot = self._scenario.plant.robot
-        steered = _at_start(robot, self._start.controller, self._start.plant.robot)
-        self._start = self._start._replace(controller=steered)
+        robot, inner = self._scenario.plant.robot, self._scenario.controller
+        assert isinstance(inner, MomentumController)
+        self._steered = SteeredController(inner, self.task).steered(
+            jnp.zeros(robot.jets.count + robot.n_joints, precision)
+        )
+        self._start = self._start._replace(controller=self._steered.init(robot, self._start.plant.robot))
         self.action_size = robot.jets.count + robot.n_joints
         self.observation_size = 21 + 2 * robot.n_joints + robot.jets.count
         self.dt = float(self._scenario.plant.time_step)
@@ -180,16 +150,15 @@ class FlightEnv:
 
     def step(self, state: EnvState, action: Float[Array, " u"]) -> EnvState:
         """Fly one tick with an action between −1 and 1."""
-        inner = self._scenario.controller
-        assert isinstance(inner, MomentumController)
         action = limit_action(jnp, action, self.action_size, state.wind.dtype)
         scenario: Scenario = replace_values(self._scenario, {f"wind.{self.task.wind_key}": state.wind})
-        scenario = replace(scenario, controller=SteeredController(inner, action, self.task, self.dt))
+        scenario = replace(scenario, controller=self._steered.steered(action))
         flight, _ = step(scenario, state.flight, state.tick)
         state = state._replace(flight=flight, tick=state.tick + 1)
         task_state, obs = self._observe(state)
         parts = rewards(jnp, task_state, action)
-        lost = (flight.loss != FLYING) | is_lost(jnp, task_state, scenario.fall)
+        is_no_number = ~jnp.all(jnp.isfinite(action))
+        lost = (flight.loss != FLYING) | is_lost(jnp, task_state, scenario.fall) | is_no_number
         errors = {
             "attitude_error": rotation_angle(task_state.aim.rotation.T @ task_state.rotation),
             "position_error": jnp.linalg.norm(task_state.com - task_state.aim.com),
@@ -215,7 +184,7 @@ class FlightEnv:
             com=kinematics(robot, now.robot).com,
             aim=state.flight.controller.aim,
             posture=first.joint_position,
-            wrench=state.flight.controller.observed.wrench,
+            wrench=state.flight.controller.inner.residual.wrench,
         )
         obs: Array = observation(jnp, task_state, robot.jets.thrust_max)
         return task_state, obs

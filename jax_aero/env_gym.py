@@ -19,20 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero import rust
-from jax_aero.env_task import (
-    Aim,
-    Observed,
-    Task,
-    TaskState,
-    added_torque,
-    aim_of,
-    is_lost,
-    limit_action,
-    observation,
-    observe_wrench,
-    rewards,
-    steer,
-)
+from jax_aero.env_task import Aim, Task, TaskState, aim_of, is_lost, limit_action, observation, rewards, steer
 
 __all__ = ["HoverEnv"]
 
@@ -62,7 +49,7 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     _plant: rust.Plant
     _controller: rust.Controller
     _measurement: rust.Measurement
-    _observed: Observed
+    _wrench: NDArray[np.float64]
     _aim: Aim
     metadata = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
 
@@ -99,30 +86,18 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     def step(self, action: NDArray[np.floating]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Fly one tick."""
-        now, law = self._measurement, self._config["controller"]["torque"]
-        clipped = limit_action(np, action, self._thrust_max.size + self._posture.size, np.float64)
-        tick = self._controller.tick(now.state, now.thrust, now.wind, now.time)
-        rates, velocities = steer(self.task, clipped, tick.thrust_rate, tick.joint_velocity_command)
-        j = rates.shape[0]
-        rates = np.clip(rates, tick.momentum_qp.lower[:j], tick.momentum_qp.upper[:j])
-        more = added_torque(
-            np,
-            tick.torque_qp.h,
-            tick.torque_gain,
-            law["weight_acceleration"],
-            law["kd"],
-            velocities - tick.joint_velocity_command,
-        )
-        torque = np.clip(tick.joint_torque + more, tick.torque_qp.lower, tick.torque_qp.upper)
-        self._controller.replace_command(rates, torque)
-        self._observed = observe_wrench(self._observed, tick.momentum, tick.momentum_rate_estimate, self.dt)
+        now, jets = self._measurement, self._thrust_max.size
+        clipped = limit_action(np, action, jets + self._posture.size, np.float64)
+        residual = rust.Residual(*steer(self.task, clipped, jets), self.task.steering == "rates")
+        tick = self._controller.tick(now.state, now.thrust, now.wind, now.time, residual=residual)
+        self._wrench = tick.residual_wrench
         if self.task.tracking:
             self._aim = aim_of(tick.setpoint)
-        self._measurement = self._plant.step(rates, torque)
+        self._measurement = self._plant.step(tick.thrust_rate, tick.joint_torque)
         self._flown.append(clipped)
         task_state, obs = self._observe()
         parts = {name: float(value) for name, value in rewards(np, task_state, clipped).items()}
-        lost = bool(is_lost(np, task_state, self._fall))
+        lost = bool(is_lost(np, task_state, self._fall)) or not np.isfinite(clipped).all()
         return obs, 0.0 if lost else sum(parts.values()), lost, len(self._flown) >= self._last_tick, parts
 
     def __getstate__(self) -> dict[str, Any]:
@@ -142,7 +117,7 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._plant, self._controller = rust.Plant(self._config), rust.Controller(self._config)
         self._measurement = self._plant.reset()
         self._flown: list[NDArray[np.float64]] = []
-        self._observed = Observed(np.zeros(6), np.zeros(6), np.zeros(6))
+        self._wrench = np.zeros(6)
         state = self._measurement.state
         com = rust.dynamics(self._robot, state).com_position
         self._aim = Aim(com, np.array(state.base_rotation), np.zeros(3), np.zeros(3))
@@ -158,7 +133,7 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             com=rust.dynamics(self._robot, state).com_position,
             aim=self._aim,
             posture=self._posture,
-            wrench=self._observed.wrench,
+            wrench=self._wrench,
         )
         return task_state, observation(np, task_state, self._thrust_max).astype(np.float32)
 

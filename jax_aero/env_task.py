@@ -17,9 +17,6 @@ Steering = Literal["residual", "rates"]
 Profile = Literal["ramp", "gust"]
 """Course of the wind: a rise to a constant wind, or one gust of the same rise, followed by still air."""
 
-OBSERVER_GAIN = 3.0
-"""Gain of the observed wrench [1/s]."""
-
 
 @dataclass(frozen=True)
 class Task:
@@ -146,21 +143,22 @@ class TaskState(NamedTuple):
     """Observed wrench about the centre of mass (6,) [N, N m]."""
 
 
-class Observed(NamedTuple):
-    """Wrench that is not in the controller's model, observed from the momentum, in inertial axes."""
+def features(xp: Any, rotation: Any, velocity: Any, com: Any, aim: Aim, wrench: Any, thrust_max: Any) -> dict[str, Any]:
+    """Return what is observed of every robot, by name, each (3,) in base axes and of order one (M170).
 
-    wrench: Any
-    """(6,) [N, N m]."""
-    momentum: Any
-    """Centroidal momentum of the last tick (6,) [kg m/s, kg m²/s]."""
-    rate: Any
-    """Its rate as modelled (6,) [N, N m]."""
-
-
-def observe_wrench(last: Observed, momentum: Any, rate: Any, dt: float) -> Observed:
-    """Observe the wrench of a tick, as M84 does; it begins with zeros, which a robot at rest that hovers has."""
-    innovation = (momentum - last.momentum) / dt - last.rate - last.wrench
-    return Observed(last.wrench - math.expm1(-OBSERVER_GAIN * dt) * innovation, momentum, rate)
+    `rotation` is `inertial_from_base`, `velocity` that of the base and its angular velocity, `com` the centre of mass,
+    and `wrench` the observed one about it, in inertial axes.
+    """
+    error, force = aim.rotation.T @ rotation, 0.1 * xp.sum(thrust_max)
+    return {
+        "gravity": -rotation[2],
+        "rotation": 0.5 * xp.stack([error[2, 1] - error[1, 2], error[0, 2] - error[2, 0], error[1, 0] - error[0, 1]]),
+        "position": rotation.T @ (com - aim.com),
+        "velocity": rotation.T @ (velocity[:3] - aim.velocity),
+        "angular_velocity": rotation.T @ (velocity[3:6] - aim.angular_velocity),
+        "force": rotation.T @ wrench[:3] / force,
+        "moment": rotation.T @ wrench[3:] / (0.1 * force),
+    }
 
 
 def observation(xp: Any, state: TaskState, thrust_max: Any) -> Any:
@@ -169,21 +167,8 @@ def observation(xp: Any, state: TaskState, thrust_max: Any) -> Any:
     Direction of gravity in base axes, rotation from the set-point, errors of position and velocities in base axes, and
     the observed wrench in base axes.
     """
-    base, aim = state.rotation, state.aim
-    error, force = aim.rotation.T @ base, 0.1 * xp.sum(thrust_max)
-    skewed = 0.5 * xp.stack([error[2, 1] - error[1, 2], error[0, 2] - error[2, 0], error[1, 0] - error[0, 1]])
-    parts = [
-        -base[2],
-        skewed,
-        base.T @ (state.com - aim.com),
-        base.T @ (state.velocity[:3] - aim.velocity),
-        base.T @ (state.velocity[3:6] - aim.angular_velocity),
-        state.joint_position - state.posture,
-        0.1 * state.velocity[6:],
-        state.thrust / thrust_max,
-        base.T @ state.wrench[:3] / force,
-        base.T @ state.wrench[3:] / (0.1 * force),
-    ]
+    parts = list(features(xp, state.rotation, state.velocity, state.com, state.aim, state.wrench, thrust_max).values())
+    parts[5:5] = [state.joint_position - state.posture, 0.1 * state.velocity[6:], state.thrust / thrust_max]
     return xp.concatenate(parts)
 
 
@@ -223,19 +208,6 @@ def limit_action(xp: Any, action: Any, size: int, dtype: Any) -> Any:
     return xp.clip(xp.asarray(action, dtype), -1.0, 1.0)
 
 
-def steer(task: Task, action: Any, thrust_rate: Any, joint_velocity: Any) -> tuple[Any, Any]:
-    """Return the thrust rates and joint velocities of an action between −1 and 1, given the controller's own."""
-    j = thrust_rate.shape[0]
-    rates, velocities = task.thrust_rate * action[:j], task.joint_velocity * action[j:]
-    if task.steering == "residual":
-        return thrust_rate + rates, joint_velocity + velocities
-    return rates, velocities
-
-
-def added_torque(xp: Any, hessian: Any, gain: Any, weight: Any, kd: Any, velocity: Any) -> Any:
-    """Return the torque due to a joint velocity [rad/s] added to the command, if no bound is active.
-
-    The torque QP minimises with the Hessian `H` and the gradient term `w G (s̈_free − s̈*)`, in which `s̈*` contains
-    `kd` times the commanded velocity.
-    """
-    return xp.linalg.solve(hessian, weight * gain @ (kd * velocity))
+def steer(task: Task, action: Any, jets: int) -> tuple[Any, Any]:
+    """Return the thrust rates [N/s] and joint velocities [rad/s] of an action between −1 and 1."""
+    return task.thrust_rate * action[:jets], task.joint_velocity * action[jets:]

@@ -59,6 +59,7 @@ __all__ = [
     "Progress",
     "QpAnswer",
     "QpProblem",
+    "Residual",
     "Robot",
     "RowProblem",
     "Setpoint",
@@ -343,6 +344,17 @@ class Plant:
         return self.measure()
 
 
+class Residual(NamedTuple):
+    """What is added to the answer of the law for one tick, within its bounds."""
+
+    thrust_rate: ArrayLike
+    """[N/s], (jets,)."""
+    joint_velocity: ArrayLike
+    """[rad/s], (n,)."""
+    replaces: bool = False
+    """Whether it replaces the answer."""
+
+
 @dataclass(frozen=True)
 class Tick:
     """Every value of one controller tick, in inertial axes unless stated otherwise.
@@ -371,6 +383,10 @@ class Tick:
         The nine stacked task rows, `task @ u + task_offset`, of the unknowns u = (Ṫ, ṡ).
     momentum_qp, momentum_answer, thrust_rate, joint_velocity_command
         The QP in u and its answer: Ṫ* [N/s] and ṡ* [rad/s].
+    residual
+        What is to be added to u, by a policy or as given; zero without a residual, (jets + n,).
+    residual_wrench
+        Wrench that a policy observes: what of L̇ the model lacks [N, N m], (6,); zero without a residual.
     joint_acceleration_desired, joint_acceleration_free, torque_gain
         s̈*, s̈ without torque [rad/s²], and G = (M⁻¹)_ss.
     torque_qp, torque_answer, unlimited_torque, joint_torque
@@ -419,6 +435,8 @@ class Tick:
     momentum_answer: QpAnswer
     thrust_rate: Array
     joint_velocity_command: Array
+    residual: Array
+    residual_wrench: Array
     joint_acceleration_desired: Array
     joint_acceleration_free: Array
     torque_gain: Array
@@ -488,6 +506,7 @@ class Controller:
         setpoint: Setpoint | None = None,
         foot_wrenches: ArrayLike | None = None,
         preview: Preview | None = None,
+        residual: Residual | None = None,
     ) -> Tick:
         """Compute one tick.
 
@@ -509,13 +528,18 @@ class Controller:
         preview
             What is known of the future. Set-points or winds that are not valid are ignored, with the status
             `BadPreview`.
+        residual
+            What is added to the answer of the law, in place of a policy's residual. The mission is then followed,
+            without a preview.
         """
         now = None if setpoint is None else _numbers(setpoint)
         feet = None if foot_wrenches is None else _array(foot_wrenches)
         known = Preview() if preview is None else preview
         later = [(after, _numbers(given)) for after, given in known.setpoints]
         winds = None if known.wind is None else _array(known.wind)
-        raw = self._core.tick(time, _arrays(state), _array(thrust), _array(wind), now, feet, later, winds)
+        if residual is not None:
+            residual = Residual(_array(residual.thrust_rate), _array(residual.joint_velocity), residual.replaces)
+        raw = self._core.tick(time, _arrays(state), _array(thrust), _array(wind), now, feet, later, winds, residual)
         contact, estimates = raw.pop("contact", None), raw.pop("estimates")
         momentum = QpProblem(raw.pop("h"), raw.pop("g"), raw.pop("lower"), raw.pop("upper"))
         kind = QpProblem if contact is None else RowProblem

@@ -12,7 +12,7 @@ import json
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal, TypeVar, cast
 
 import jax
 import numpy as np
@@ -38,6 +38,8 @@ from jax_aero.command import ConfigError
 from jax_aero.files import read_bytes, read_text, write_bytes, write_text
 from jax_aero.robot import RobotModel
 from jax_aero.types import Array
+
+T = TypeVar("T")
 
 FORMAT = "flight-aero-network"
 VERSION = 1
@@ -147,7 +149,7 @@ def save_network(
         },
         "training": dict(training),
     }
-    _write(target, card, tensors)
+    write_card(target, card, tensors)
     return card
 
 
@@ -157,7 +159,7 @@ def copy_network(source: str | PathLike[str], path: str | PathLike[str]) -> None
     card = json.loads(read_text(origin))
     tensors = read_bytes(origin.with_name(card["weights"]["file"]))
     weights = {**card["weights"], "file": f"{target.stem}.safetensors"}
-    _write(target, {**card, "name": target.stem, "weights": weights}, tensors)
+    write_card(target, {**card, "name": target.stem, "weights": weights}, tensors)
 
 
 def card_path(path: str | PathLike[str]) -> Path:
@@ -168,11 +170,16 @@ def card_path(path: str | PathLike[str]) -> Path:
     return target
 
 
-def _write(target: Path, card: Mapping[str, Any], tensors: bytes) -> None:
-    text = json.dumps(card, indent=2, ensure_ascii=False, allow_nan=False)
+def write_card(target: Path, card: Mapping[str, Any], tensors: bytes) -> None:
+    """Write a card and, beside it, its weights."""
     # Weights first: a card never names missing weights, and an old card refuses new weights by their hash.
     write_bytes(target.with_suffix(".safetensors"), tensors)
-    write_text(target, f"{text}\n")
+    write_text(target, card_text(card))
+
+
+def card_text(card: Mapping[str, Any]) -> str:
+    """Return the content of a card's file."""
+    return f"{json.dumps(card, indent=2, ensure_ascii=False, allow_nan=False)}\n"
 
 
 def load_network(path: str | PathLike[str], robot: RobotModel) -> Network:
@@ -187,10 +194,10 @@ def load_network(path: str | PathLike[str], robot: RobotModel) -> Network:
     """
     card = read_card(path)
     joints = network_joints(robot)
-    _expect("inputs.joints", list(card.inputs.joints), [robot.joint_names[joint] for joint in joints])
-    _expect("inputs.links", list(card.inputs.links), list(robot.aero_links.names))
+    expect("inputs.joints", list(card.inputs.joints), [robot.joint_names[joint] for joint in joints])
+    expect("inputs.links", list(card.inputs.links), list(robot.aero_links.names))
     blocks, output, shape = card.inputs.features, card.output, card.architecture
-    tensors = _read_tensors(Path(path).parent / card.weights.file, card.weights.sha256)
+    tensors = read_tensors(Path(path).parent / card.weights.file, card.weights.sha256)
     layers, scale, offset = _layers(tensors, layer_sizes(robot, blocks, shape.hidden), shape.members)
     return Network(
         blocks=blocks,
@@ -208,20 +215,26 @@ def load_network(path: str | PathLike[str], robot: RobotModel) -> Network:
 
 def read_card(path: str | PathLike[str]) -> Card:
     """Read a card, with all checks that need neither a robot nor the weights."""
+    return read_table(path, Card)
+
+
+def read_table(path: str | PathLike[str], kind: type[T]) -> T:
+    """Read a card of this type."""
     origin = f"card {Path(path).name}"
     try:
         # A null key counts as missing.
         card = json.loads(read_text(Path(path)), object_pairs_hook=_with_values)
     except (ValueError, RecursionError) as reason:
         raise ValueError(f"{origin}: no JSON: {reason}") from None
-    return tables.convert(card, Card, origin)
+    return tables.convert(card, kind, origin)
 
 
 def _with_values(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
     return {key: value for key, value in pairs if value is not None}
 
 
-def _expect(key: str, value: Any, expected: Any) -> None:
+def expect(key: str, value: Any, expected: Any) -> None:
+    """Refuse another value of a card's key."""
     if value != expected:
         raise ValueError(f"`{key}` is {value!r}; expected {expected!r}")
 
@@ -235,13 +248,14 @@ def _tensors(network: Network) -> dict[str, Any]:
     named |= {"output.scale": network.scale, "output.offset": network.offset}
     tensors = {name: np.ascontiguousarray(value, dtype=np.float32) for name, value in named.items()}
     for name, value in tensors.items():
-        _check_finite(name, value)
+        check_finite(name, value)
     return tensors
 
 
-def _read_tensors(path: Path, sha256: str) -> dict[str, Any]:
+def read_tensors(path: Path, sha256: str) -> dict[str, Any]:
+    """Return the tensors of a file with this hash, by name."""
     content = read_bytes(path)
-    _expect("weights.sha256", sha256, hashlib.sha256(content).hexdigest())
+    expect("weights.sha256", sha256, hashlib.sha256(content).hexdigest())
     try:
         return parse_tensors(content)
     except (SafetensorError, KeyError) as reason:
@@ -262,7 +276,7 @@ def _layers(tensors: dict[str, Any], sizes: Sequence[int], members: int) -> tupl
         if tensors[name].shape != shape or tensors[name].dtype != np.float32:
             found = f"{tensors[name].dtype} of shape {tensors[name].shape}"
             raise ValueError(f"tensor `{name}` is {found}; expected float32 of shape {shape}")
-        _check_finite(name, tensors[name])
+        check_finite(name, tensors[name])
     layers = tuple(
         Layer(
             *(
@@ -275,7 +289,8 @@ def _layers(tensors: dict[str, Any], sizes: Sequence[int], members: int) -> tupl
     return layers, jax.numpy.asarray(tensors["output.scale"]), jax.numpy.asarray(tensors["output.offset"])
 
 
-def _check_finite(name: str, value: Any) -> None:
+def check_finite(name: str, value: Any) -> None:
+    """Refuse a tensor with a number that is not finite."""
     if not np.isfinite(value).all():
         place = tuple(int(index) for index in np.argwhere(~np.isfinite(value))[0])
         raise ValueError(f"tensor `{name}` is {value[place]} at {place}; expected finite numbers")
@@ -294,6 +309,6 @@ def _baseline_table(rows: Array | None, names: Sequence[str]) -> dict[str, Any] 
 def _baseline_rows(baseline: Baseline | None, names: Sequence[str]) -> Array | None:
     if baseline is None:
         return None
-    _expect("architecture.baseline.links", sorted(baseline.links), sorted(names))
+    expect("architecture.baseline.links", sorted(baseline.links), sorted(names))
     rows = [baseline.links[name] for name in names]
     return cast(Array, np.array([[*row.cda, row.cna] for row in rows]))

@@ -55,3 +55,5 @@ class ControllerState(NamedTuple):
     """Plan of the predictive law; `None` without one."""
     between: JointsBetween | None = None
     """Joints between two ticks of the law; `None` if each computes the torques once."""
+    residual: ObserverState | None = None
+    """Wrench that a residual observes, without that of the observer; `None` without a residual."""

@@ -24,7 +24,7 @@ from jax_aero.aero.network_card import load_network
 from jax_aero.config import RateFeedback, ScenarioConfig
 from jax_aero.control import qp
 from jax_aero.control.command import BOTH_HELD, MOMENTUM_HELD, TORQUE_HELD, Command
-from jax_aero.control.guard import channels, engines, estimator
+from jax_aero.control.guard import channels, engines, estimator, observer
 from jax_aero.control.guard.channels import ChannelLimits
 from jax_aero.control.guard.engines import EngineLimits
 from jax_aero.control.guard.estimator import Estimator
@@ -50,7 +50,9 @@ from jax_aero.control.law.mission import Mission, load_mission
 from jax_aero.control.law.momentum_qp import Task
 from jax_aero.control.law.mpc.config import Mpc, mpc_params
 from jax_aero.control.law.mpc.law import PredictiveLaw
+from jax_aero.control.law.policy_card import load_policy
 from jax_aero.control.law.rates import Law, MomentumLaw, Rates
+from jax_aero.control.law.residual import Residual, steer
 from jax_aero.control.law.setpoint import SetpointParams
 from jax_aero.control.law.tasks import TaskParams, choose_limits, symmetric_pairs, task_params
 from jax_aero.control.law.torque import TorqueParams
@@ -120,6 +122,8 @@ class MomentumController:
     mission: Mission
     time_step: Float[Array, ""]
     """[s]."""
+    residual: Residual | None = None
+    """What is added to the answer of the law; `None` for nothing."""
 
     def guard(self, robot: RobotModel) -> Guard:
         """Return the channels and the stages that are configured."""
@@ -239,6 +243,7 @@ def momentum_controller(
         between=None if is_of_one_rate else joint_tracker(controller, config.simulator.time_step),
         mission=load_mission(config.mission),
         time_step=time_step,
+        residual=None if controller.policy is None else load_policy(controller.policy.card, robot),
     )
 
 
@@ -261,6 +266,7 @@ def init(params: MomentumController, robot: RobotModel, state: State) -> Control
         torque_start=qp.cold_start(n, zeros.dtype),
         plan=params.law().plan(jets, zeros.dtype),
         between=None if params.between is None else JointsBetween(zeros, zeros, zeros, zeros, zeros, jnp.array(False)),
+        residual=None if params.residual is None else observer.start(zeros),
     )
     return params.guard(robot).start(memory, state)
 
@@ -317,6 +323,11 @@ def tick(
         memory, followed = law.follow(memory, used, setpoint, known)
         memory, used, model, _, limits, _, _ = guard.judge(memory, used, model, followed.due, params.limits(robot))
         memory, rates = law.solve(robot, memory, used, model, limits, followed)
+        added = None
+        if params.residual is not None:
+            due = generator.without_place(followed.due, model.kinematics.com)
+            due = where(limits.holds_position, followed.due, due)
+            memory, used, rates, added = steer(params.residual, robot, memory, used, model, due, rates)
         memory, torque = torques.solve(memory, used, model, limits, rates)
         command = _command(used, rates, torque)
         terms = Terms(
@@ -331,6 +342,7 @@ def tick(
             torque.torque_qp,
             torque.unlimited_torque,
             limits,
+            added,
         )
         memory = guard.predict(memory, terms, model, command)
         if params.between is not None:

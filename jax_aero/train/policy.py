@@ -1,8 +1,7 @@
-"""Training of a policy by gradients through short flights: analytic policy gradient.
+"""Training of a policy (`control.law.residual`) by gradients through short flights: analytic policy gradient.
 
 ```text
-x = s ∘ o                                     features: base and observed wrench in the observation o
-a = tanh( W₂ tanh( W₁ x + b₁ ) + W₃ x + b₂ )
+x = s ∘ o                                     features of base and observed wrench in the observation o
 J = 1/n Σ r                                   of a window of n ticks, which begins where the last one ended
 ```
 
@@ -27,16 +26,27 @@ from jaxtyping import Float, Int, Key
 
 from jax_aero import tables
 from jax_aero.adam import AdamState, adam_start, adam_step
-from jax_aero.env import EnvState, FlightEnv
+from jax_aero.control.law.residual import Policy, PolicyResidual, evaluate
+from jax_aero.env import EnvState, FlightEnv, Task
 from jax_aero.sim.plant import COMPILER_OPTIONS
 from jax_aero.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from jax_aero.types import Array, pytree, where
+from jax_aero.types import Array, leaf, pytree, where
 
 BASE, WRENCH = 15, 6
 """Numbers of an observation that describe the base, at its beginning, and the observed wrench, at its end."""
 
-SCALE = np.repeat([0.3, 3.0, 2.0, 0.5, 0.5, 8.0, 8.0], 3)
-"""Factors `s`: of gravity, rotation, position, velocities, force and moment."""
+FEATURES = {
+    "gravity": 0.3,
+    "rotation": 3.0,
+    "position": 2.0,
+    "velocity": 0.5,
+    "angular_velocity": 0.5,
+    "force": 8.0,
+    "moment": 8.0,
+}
+"""Factors `s` of what a policy observes, in the order of an observation."""
+
+SCALE = np.repeat(list(FEATURES.values()), 3)
 
 
 class Settings(tables.Table, frozen=True):
@@ -58,22 +68,6 @@ class Settings(tables.Table, frozen=True):
     """Width of the hidden layer."""
 
 
-@pytree
-class Policy:
-    """A policy; a batch of them has a leading axis."""
-
-    hidden: Float[Array, "h x"]
-    """`W₁`."""
-    hidden_bias: Float[Array, " h"]
-    """`b₁`."""
-    output: Float[Array, "u h"]
-    """`W₂`."""
-    direct: Float[Array, "u x"]
-    """`W₃`."""
-    output_bias: Float[Array, " u"]
-    """`b₂`."""
-
-
 def init_policy(key: Key[Array, ""], action_size: int, hidden: int) -> Policy:
     """Return a policy whose actions are zero, with random weights of the hidden layer."""
     return Policy(
@@ -87,9 +81,14 @@ def init_policy(key: Key[Array, ""], action_size: int, hidden: int) -> Policy:
 
 def act(xp: Any, policy: Policy, obs: Any) -> Any:
     """Return the action, between −1 and 1; `xp` is `numpy` or `jax.numpy`."""
-    x = SCALE * xp.concatenate([obs[:BASE], obs[-WRENCH:]])
-    hidden = xp.tanh(policy.hidden @ x + policy.hidden_bias)
-    return xp.tanh(policy.output @ hidden + policy.direct @ x + policy.output_bias)
+    return evaluate(xp, policy, SCALE * xp.concatenate([obs[:BASE], obs[-WRENCH:]]))
+
+
+def residual_of(policy: Policy, task: Task, jets: int) -> PolicyResidual:
+    """Return the residual with which a controller flies the task, for a number of jets."""
+    return PolicyResidual(
+        policy, tuple(FEATURES), leaf(list(FEATURES.values())), leaf(task.thrust_rate), leaf(task.joint_velocity), jets
+    )
 
 
 class Curve(NamedTuple):

@@ -18,10 +18,9 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import SyncVectorEnv
 
 from jax_aero import rust
-from jax_aero.control.law.torque import TorqueParams, torque_qp
 from jax_aero.env import FlightEnv
 from jax_aero.env_gym import HoverEnv
-from jax_aero.env_task import Aim, Task, TaskState, added_torque, limit_action, rewards, steer
+from jax_aero.env_task import Aim, Task, TaskState, limit_action, rewards, steer
 from tests.measurements import measured
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -97,12 +96,11 @@ def test_both_environments_are_one_task(x64, tmp_path):
     after = step(lost, jnp.zeros((2, 27), jnp.float32))
     assert after.done.tolist() == [1.0, 0.0]
     assert float(after.reward[0]) == 0.0
-    # A command that is no number: the robot is lost, and what is said of it stays finite.
-    after = states
-    for action in (jnp.nan, 0.0):
-        after = step(after, jnp.full((2, 27), action, jnp.float32).at[1].set(0.0))
-        assert after.done.tolist() == [1.0, 0.0]
-        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((after.obs, after.reward, after.metrics)))
+    # An action that is no number is not flown, but the episode ends, and what is said of it stays finite.
+    after = step(states, jnp.full((2, 27), jnp.nan, jnp.float32).at[1].set(0.0))
+    assert after.done.tolist() == [1.0, 0.0]
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((after.obs, after.reward, after.metrics)))
+    assert crate.step(np.full(27, np.nan, np.float32))[1:3] == (0.0, True)
     # Down 0.99 m from the set-point and 1.01 m after the step: lost in this one, as in the environment of the crate.
     plant = states.flight.plant
     falling = plant.robot._replace(
@@ -179,29 +177,11 @@ def test_a_task_refuses(what, tmp_path):
             environment(Task(str(tmp_path / "own.toml")))
 
 
-def test_an_action_is_a_residual_or_takes_the_controllers_place():
+def test_an_action_is_thrust_rates_and_joint_velocities():
     action = limit_action(np, [1.0, -3.0, 0.5], 3, np.float64)
-    own = np.array([5.0, 6.0]), np.array([0.1])
-    rates, velocities = steer(Task(thrust_rate=10.0, joint_velocity=2.0), action, *own)
-    assert rates.tolist() == [15.0, -4.0]
-    assert velocities.tolist() == [1.1]
-    rates, velocities = steer(Task("test1", "rates", thrust_rate=10.0, joint_velocity=2.0), action, *own)
+    rates, velocities = steer(Task(thrust_rate=10.0, joint_velocity=2.0), action, 2)
     assert rates.tolist() == [10.0, -10.0]
     assert velocities.tolist() == [1.0]
-
-
-def test_the_added_torque_is_what_the_torque_law_would_add(x64):
-    """Between two answers of the QP without bounds, for two commanded velocities."""
-    rng = np.random.default_rng(1)
-    root = rng.normal(size=(8, 8))
-    gain, free = jnp.asarray(np.linalg.inv(root @ root.T + 8.0 * np.eye(8))[6:, 6:]), jnp.asarray(rng.normal(size=2))
-    params = TorqueParams(*map(jnp.asarray, (20.0, 5.0, 3.0, 0.1, 1e-3)))
-    more = np.array([0.3, -0.2])
-    law = jax.jit(lambda error: torque_qp(params, jnp.full(2, 1e9), gain, free, error, jnp.zeros(2)))
-    parts = [law(-more), law(0.0 * more)]
-    ahead, behind = (-np.linalg.solve(part.problem.h, part.problem.g) for part in parts)
-    added = added_torque(np, parts[0].problem.h, parts[0].gain, 3.0, 20.0, more)
-    measured("added torque [N m]", np.abs(added - (ahead - behind)).max(), 1e-10)
 
 
 def test_a_task_names_what_it_does_not_know():

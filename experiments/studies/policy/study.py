@@ -8,6 +8,7 @@ by the same command. Compilation takes minutes, once if JAX_COMPILATION_CACHE_DI
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -24,11 +25,14 @@ from experiments import study
 from experiments.sources import code_hash
 from experiments.study import Findings, Study
 from jax_aero import rust, tables
+from jax_aero.aero.network_card import card_text
 from jax_aero.command import ConfigError
+from jax_aero.control.law.policy_card import make_card
 from jax_aero.env import FlightEnv
 from jax_aero.env_gym import HoverEnv
 from jax_aero.env_task import Task
-from jax_aero.train.policy import Policy, Settings, act, train
+from jax_aero.robot import load_robot
+from jax_aero.train.policy import Policy, Settings, act, residual_of, train
 
 SEED = 2**40
 """Seed of the winds in which policies are judged."""
@@ -111,9 +115,27 @@ def compute(_: str, config: PolicyConfig, checkpoint: Path) -> Findings:
         "processor, training": trained,
         "processor, flights of judgement": time.process_time() - started - trained,
     }
+    texts: dict[str, str | bytes] = {}
+    robot = load_robot(flights[task.experiment]["robot"])
+    for number, seed in enumerate(seeds):
+        card, weights = make_card(
+            f"seed_{seed}",
+            residual_of(found.policy(number), task, robot.jets.count),
+            robot,
+            description=f"{config.title}: {task.experiment}, seed {seed}.",
+            training={
+                "task": dataclasses.asdict(task),
+                "settings": tables.to_builtins(training),
+                "seed": seed,
+                "flight": kept["flights"][task.experiment],
+                "mean_reward": float(rewards[f"seed {seed}"].mean()),
+                "mean_reward_without": float(rewards[task.experiment].mean()),
+            },
+        )
+        texts |= {f"seed_{seed}.json": card_text(card), f"seed_{seed}.safetensors": weights}
     dataset = to_dataset(seeds, [curve.reward for curve in found.curves], winds, rewards, found.policies)
     dataset.attrs["ticks_per_step"] = training.batch * training.ticks
-    return Findings(config.title, dataset, summary, flights=flights, timings=timings)
+    return Findings(config.title, dataset, summary, flights=flights, timings=timings, texts=texts)
 
 
 STUDY = Study(

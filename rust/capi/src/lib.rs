@@ -148,6 +148,8 @@ pub enum FlightMode {
     FlightJointLimited = 4096,
     /// The flight strays from its set-point.
     FlightStraying = 16384,
+    /// The residual of a policy is not finite and not used.
+    FlightResidualIgnored = 32768,
 }
 
 /// Names of the modes, by bit.

@@ -21,6 +21,7 @@ mod observer;
 mod qp;
 mod qp_rows;
 mod recorded;
+mod residual;
 mod robot;
 mod setpoint;
 mod spatial;

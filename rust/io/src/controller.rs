@@ -1,7 +1,9 @@
 //! Loads a controller from a file of `configs/control/`.
 
-use crate::{AeroConfig, MissionConfig, load_aero, load_mission};
+use crate::{AeroConfig, MissionConfig, PolicyConfig, load_aero, load_mission, load_policy};
+use flight_core::aero::AeroModel;
 use flight_core::control::config::ControllerConfig;
+use flight_core::control::law::residual::Policy;
 use flight_core::{BuildError, Controller, RobotModel};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -12,9 +14,46 @@ use serde::{Deserialize, Serialize};
 pub struct ControllerSection {
     /// The controller's own aerodynamic model; `off` is the baseline controller.
     pub aero: AeroConfig,
+    /// Learned policy whose residual is added to the answer of the law; without it nothing is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub policy: Option<PolicyConfig>,
     /// The control law; its keys are at the same level as `aero`.
     #[serde(flatten)]
     pub law: ControllerConfig,
+}
+
+impl ControllerSection {
+    /// Builds the controller of `robot` with the tick `time_step` \[s\] and this aerodynamic model.
+    ///
+    /// # Errors
+    /// [`BuildError`] naming the file, or the item that does not match the robot.
+    pub fn build(
+        &self,
+        robot: RobotModel,
+        aero: impl FnOnce(&RobotModel) -> Result<AeroModel, BuildError>,
+        mission: &MissionConfig,
+        time_step: f64,
+    ) -> Result<Controller, BuildError> {
+        let Self { policy, law, .. } = self;
+        let policy = policy.as_ref().map(|policy| self.load_policy(policy, &robot)).transpose()?;
+        let mut controller = Controller::new(robot, aero, load_mission(mission)?, law, time_step)?;
+        if let Some(policy) = policy {
+            controller.set_policy(policy);
+        }
+        Ok(controller)
+    }
+
+    fn load_policy(&self, policy: &PolicyConfig, robot: &RobotModel) -> Result<Policy, BuildError> {
+        for (is_refused, expected) in [
+            (self.law.contact.is_some(), "none with controller.contact: policies learn in flight"),
+            (!self.law.use_jets, "none without controller.use_jets: policies act on jets"),
+        ] {
+            if is_refused {
+                return Err(BuildError::bad_value("controller.policy.card", policy.card.display(), expected));
+            }
+        }
+        load_policy(policy, robot)
+    }
 }
 
 /// Builds a controller of `robot` with the tick `time_step` \[s\].
@@ -28,5 +67,5 @@ pub fn load_controller(
     time_step: f64,
 ) -> Result<Controller, BuildError> {
     let aero = |robot: &RobotModel| load_aero(&controller.aero, robot);
-    Controller::new(robot, aero, load_mission(mission)?, &controller.law, time_step)
+    controller.build(robot, aero, mission, time_step)
 }

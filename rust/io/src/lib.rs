@@ -16,6 +16,7 @@ pub mod csv;
 pub mod files;
 pub mod mission;
 pub mod network;
+pub mod policy;
 pub mod robot;
 pub mod schema;
 mod tensors;
@@ -26,6 +27,7 @@ pub use controller::{ControllerSection, load_controller};
 pub use files::{hold, read_bytes, read_text};
 pub use mission::{MissionConfig, load_mission, read_recording};
 pub use network::NetworkConfig;
+pub use policy::{PolicyConfig, load_policy};
 pub use robot::{LoadedRobot, RobotFile, RobotFiles, load_robot, read_urdf, robot_from_text};
 pub use schema::Schema;
 pub use toml::{

@@ -41,7 +41,7 @@ struct CardFile {
     _name: String,
     #[serde(rename = "description")]
     _description: String,
-    weights: Weights,
+    weights: WeightsFile,
     inputs: Inputs,
     output: Output,
     architecture: Architecture,
@@ -53,7 +53,7 @@ struct CardFile {
 /// File of the weights.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Weights {
+pub(crate) struct WeightsFile {
     /// Name of the safetensors file, in the folder of the card.
     file: PathBuf,
     /// SHA-256 of that file in hexadecimal digits.
@@ -68,7 +68,7 @@ pub fn load_network(config: &NetworkConfig, robot: &RobotModel) -> Result<Networ
     let origin = config.card.display().to_string();
     let file: CardFile = serde_json::from_str(&read_text(&config.card)?)
         .map_err(|error| BuildError::malformed(&origin, error))?;
-    file.check(&origin)?;
+    file.weights.check(&origin, (&file.format, file.version), FORMAT)?;
     let CardFile { weights, inputs, output, architecture, .. } = file;
     let card = Card { origin, inputs, output, architecture };
     let tensors = || {
@@ -78,28 +78,32 @@ pub fn load_network(config: &NetworkConfig, robot: &RobotModel) -> Result<Networ
     Network::new(card, tensors, config.precision, config.air_density, robot)
 }
 
-impl CardFile {
-    fn check(&self, origin: &str) -> Result<(), BuildError> {
+impl WeightsFile {
+    /// Checks format and version of the card, and that it names a file beside it.
+    pub(crate) fn check(
+        &self,
+        origin: &str,
+        (format, version): (&str, u32),
+        expected: &str,
+    ) -> Result<(), BuildError> {
         let refuse = |key: &str, value: String, expected: &str| {
             Err(BuildError::bad_value(format!("`{key}` in {origin}"), value, expected))
         };
-        if self.format != FORMAT {
-            return refuse("format", self.format.clone(), FORMAT);
+        if format != expected {
+            return refuse("format", format.to_owned(), expected);
         }
-        if self.version != VERSION {
-            return refuse("version", self.version.to_string(), &VERSION.to_string());
+        if version != VERSION {
+            return refuse("version", version.to_string(), &VERSION.to_string());
         }
-        if self.weights.file.components().count() != 1 || self.weights.file.file_name().is_none() {
-            return refuse("weights.file", self.weights.file.display().to_string(), "a name beside the card");
+        if self.file.components().count() != 1 || self.file.file_name().is_none() {
+            return refuse("weights.file", self.file.display().to_string(), "a name beside the card");
         }
         Ok(())
     }
-}
 
-impl Weights {
     /// Reads the weights file in the folder of `card` and checks its hash; returns its path and its
     /// bytes.
-    fn read(&self, card: &Path) -> Result<(PathBuf, Arc<[u8]>), BuildError> {
+    pub(crate) fn read(&self, card: &Path) -> Result<(PathBuf, Arc<[u8]>), BuildError> {
         let file = card.with_file_name(&self.file);
         let bytes = read_bytes(&file)?;
         let digest =

@@ -11,6 +11,7 @@ use flight_core::control::law::between::JointMeasurement;
 use flight_core::control::law::contact::ContactState;
 use flight_core::control::law::mpc::horizon::{Horizon, Target};
 use flight_core::control::law::mpc::model::Linearised;
+use flight_core::control::law::residual::Residual;
 use flight_core::control::law::setpoint::{Setpoint, SetpointGenerator};
 use flight_core::control::law::tasks::MOMENTUM_ROWS;
 use flight_core::control::{ControllerState as State, Estimates, Preview, Terms};
@@ -129,9 +130,11 @@ impl Controller {
     /// Compute one tick; returns every intermediate value and the command by name. The first tick starts the flight.
     /// `setpoint` (a dict with the keys of the result's `setpoint`) replaces that of the mission. `foot_wrenches`
     /// (feet, 6) is the wrench on each foot, force first, about the origin of its sole. `setpoints_ahead` are pairs of a
-    /// time after the tick and a set-point, `wind_ahead` (samples, 4) times after it and velocities.
+    /// time after the tick and a set-point, `wind_ahead` (samples, 4) times after it and velocities. `residual` are thrust
+    /// rates, joint velocities, and whether they replace the answer of the law; then the mission is followed.
     #[pyo3(signature = (
-        time, state, thrust, wind, setpoint = None, foot_wrenches = None, setpoints_ahead = vec![], wind_ahead = None
+        time, state, thrust, wind, setpoint = None, foot_wrenches = None, setpoints_ahead = vec![], wind_ahead = None,
+        residual = None
     ))]
     #[allow(clippy::too_many_arguments)]
     fn tick<'py>(
@@ -145,6 +148,7 @@ impl Controller {
         foot_wrenches: Option<Input<'py>>,
         setpoints_ahead: Vec<(f64, Bound<'py, PyDict>)>,
         wind_ahead: Option<Input<'py>>,
+        residual: Option<(Input<'py>, Input<'py>, bool)>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let setpoint = setpoint.map(setpoint_from_dict).transpose()?;
         let later = |(time, given): &(f64, Bound<'py, PyDict>)| Ok((*time, setpoint_from_dict(given)?));
@@ -162,7 +166,15 @@ impl Controller {
             Some(state) => state,
             none => none.insert(self.controller.start(&measurement).map_err(plain_error)?),
         };
-        self.controller.tick_ahead(state, &measurement, setpoint.as_ref(), &preview);
+        if let Some((thrust_rate, joint_velocity, replaces)) = residual {
+            let thrust_rate = entries("residual.thrust_rate", &thrust_rate, &[self.controller.n_jets()])?;
+            let joints = self.controller.model().joints.len();
+            let joint_velocity = entries("residual.joint_velocity", &joint_velocity, &[joints])?;
+            let residual = Residual { thrust_rate: &thrust_rate, joint_velocity: &joint_velocity, replaces };
+            self.controller.tick_steered(state, &measurement, &residual);
+        } else {
+            self.controller.tick_ahead(state, &measurement, setpoint.as_ref(), &preview);
+        }
         self.last_tick(py)
     }
 
@@ -320,6 +332,7 @@ impl Controller {
         out.set_item("thrust_rate", vector(py, command.thrust_rate.as_slice())?)?;
         out.set_item("joint_velocity_command", vector(py, command.joint_velocity.as_slice())?)?;
         out.set_item("momentum_qp", answer(py, &command.momentum_qp)?)?;
+        out.set_item("residual", vector(py, terms.residual.as_slice())?)?;
 
         out.set_item(
             "joint_acceleration_desired",
@@ -345,6 +358,7 @@ impl Controller {
         let conditions: Vec<f64> = terms.limits.joints.iter().map(|found| f64::from(found.code())).collect();
         out.set_item("joint_condition", vector(py, &conditions)?)?;
         if let Some(state) = &self.state {
+            out.set_item("residual_wrench", vector(py, state.residual_wrench().as_slice())?)?;
             out.set_item("posture", vector(py, state.posture().as_slice())?)?;
             out.set_item("inertia_0_b", matrix(py, state.inertia_0_b())?)?;
             let integral = state.velocity_error_integral().as_slice();

@@ -3,8 +3,8 @@
 use crate::arrays::{Input, Output, array, entries, finite_entries, value_error, vector, vectors};
 use flight_core::BuildError;
 use flight_io::{
-    AeroConfig, ControllerSection, NetworkConfig, RobotFiles, Schema, from_json, load, load_robot,
-    read_bytes, read_recording, typed,
+    AeroConfig, ControllerSection, NetworkConfig, PolicyConfig, RobotFiles, Schema, from_json, load,
+    load_robot, read_bytes, read_recording, typed,
 };
 use flight_sim::log::Series;
 use flight_sim::{
@@ -197,6 +197,10 @@ pub fn config_digest(config_json: &str) -> PyResult<String> {
             value[part]["aero"]["card"] = file_name(card).into();
             hash.update(read_bytes(card).map_err(value_error)?); // the card contains the hash of the weights
         }
+    }
+    if let Some(PolicyConfig { card }) = &config.controller.policy {
+        value["controller"]["policy"]["card"] = file_name(card).into();
+        hash.update(read_bytes(card).map_err(value_error)?);
     }
     hash.update(value.to_string());
     hash.update(&robot.toml);

@@ -16,9 +16,7 @@ use flight_core::error::{BuildError, Table};
 use flight_core::kinematics::RobotState;
 use flight_core::robot::RobotModel;
 use flight_core::spatial::{Pose, rotation_from_rpy};
-use flight_io::{
-    AeroConfig, ControllerSection, MissionConfig, RobotFile, Schema, load, load_aero, load_mission,
-};
+use flight_io::{AeroConfig, ControllerSection, MissionConfig, RobotFile, Schema, load, load_aero};
 use nalgebra::{DVector, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -59,13 +57,16 @@ impl ScenarioConfig {
     /// # Errors
     /// [`BuildError`] naming the invalid part of the configuration.
     pub fn controller(&self, robot: RobotModel) -> Result<Controller, BuildError> {
-        let ControllerSection { aero, law, .. } = &self.controller;
         let robot = self.disturbances.controller_robot(robot)?;
         let factors = &self.disturbances.aero_estimate;
         let aero = |robot: &RobotModel| {
-            load_aero(aero, robot)?.weight_forces(factors, robot, "disturbances.aero_estimate")
+            load_aero(&self.controller.aero, robot)?.weight_forces(
+                factors,
+                robot,
+                "disturbances.aero_estimate",
+            )
         };
-        Controller::new(robot, aero, load_mission(&self.mission)?, law, self.simulator.time_step)
+        self.controller.build(robot, aero, &self.mission, self.simulator.time_step)
     }
 }
 

@@ -17,6 +17,7 @@ mod mlp;
 mod tensors;
 
 pub use card::{Activation, Architecture, Baseline, Card, Feature, Inputs, Layout, Output, OutputFrame};
+pub(crate) use mlp::Layer;
 pub use tensors::{Tensor, Tensors};
 
 use super::links::check_air_density;

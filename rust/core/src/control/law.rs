@@ -13,6 +13,7 @@ pub mod momentum_qp;
 pub mod mpc;
 pub mod rates;
 pub mod recorded;
+pub mod residual;
 pub mod setpoint;
 pub mod tasks;
 pub mod torque;

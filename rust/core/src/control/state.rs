@@ -12,7 +12,7 @@ use super::law::mpc::plan::Plan;
 use super::law::setpoint::SetpointState;
 use crate::error::{BuildError, check};
 use crate::qp::WarmStart;
-use nalgebra::{DVector, Matrix3};
+use nalgebra::{DVector, Matrix3, Vector6};
 
 /// State of a controller, created by [`super::Controller::start`] and changed by every tick.
 ///
@@ -49,6 +49,8 @@ pub struct ControllerState {
     pub(super) joints: Option<JointsState>,
     /// State of the observer: the observed wrench, its residual and the last accepted measurement.
     pub(super) observer: ObserverState,
+    /// Observer of the wrench that a residual sees, without that of the observer above; unused without a residual.
+    pub(super) residual: ObserverState,
     /// Time for which the supervisor's limits have been exceeded \[s\]; zero without a supervisor.
     pub(super) exceeded: f64,
     /// Plan of the predictive law; empty without one.
@@ -100,6 +102,12 @@ impl ControllerState {
     #[must_use]
     pub fn velocity_error_integral(&self) -> &DVector<f64> {
         &self.velocity_error_integral
+    }
+
+    /// Wrench that a residual sees \[N, N m\]; zero without a residual.
+    #[must_use]
+    pub fn residual_wrench(&self) -> &Vector6<f64> {
+        self.residual.wrench()
     }
 
     /// Whether the rate limiter has a previous torque.

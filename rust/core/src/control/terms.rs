@@ -66,6 +66,8 @@ pub struct Terms {
     pub attitude: AttitudeDemand,
     /// Tasks and the momentum QP.
     pub momentum_qp: MomentumQp,
+    /// What is to be added to the answer of the law, thrust rates first; zero without a residual \[N/s, rad/s\].
+    pub residual: DVector<f64>,
     /// The torque QP.
     pub torque_qp: TorqueQp,
     /// Torques before the rate limiter \[N m\].
@@ -85,7 +87,8 @@ impl Terms {
         torque_qp: TorqueQp,
     ) -> Self {
         let (joints, zero) = (robot.joints.len(), Vector3::zeros());
-        let reading = Reading::zero(joints, measurement.thrust.len());
+        let jets = measurement.thrust.len();
+        let reading = Reading::zero(joints, jets);
         Self {
             estimates: Estimates { reading, wind: zero, wind_std: zero },
             measurement,
@@ -101,6 +104,7 @@ impl Terms {
             limits,
             attitude: AttitudeDemand { k_ddot_desired_b: zero, sigma_i: zero },
             momentum_qp,
+            residual: DVector::zeros(jets + joints),
             torque_qp,
             unlimited_torque: DVector::zeros(joints),
             acting_torque: DVector::zeros(joints),

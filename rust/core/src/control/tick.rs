@@ -19,6 +19,7 @@ use super::law::mpc::horizon::Horizon;
 use super::law::mpc::model::Linearised;
 use super::law::mpc::plan::Plan;
 use super::law::rates::{Law, MomentumLaw};
+use super::law::residual::{Policy, Residual, steer};
 use super::law::setpoint::{Setpoint, SetpointGenerator};
 use super::law::tasks::standard_tasks;
 use super::law::torque::TorqueQp;
@@ -48,6 +49,7 @@ pub struct Controller {
     feedback: AeroFeedback,
     guard: Guard,
     law: Box<dyn Law>,
+    policy: Option<Policy>,
     torques: Torques,
     joints: JointTracker,
     /// Ticks of the torques in a tick of the law.
@@ -106,6 +108,7 @@ impl Controller {
             feedback: config.aero_feedback,
             guard,
             law,
+            policy: None,
             torques: Torques::new(torques, joints, period),
             joints: JointTracker::new(config.estimator.as_ref(), &config.channels, period),
             torque_steps,
@@ -149,6 +152,7 @@ impl Controller {
             joints: None,
             exceeded: 0.0,
             observer: ObserverState::default(),
+            residual: ObserverState::default(),
             plan: Plan::none(law.unknowns()),
             momentum_start: WarmStart::cold(terms.momentum_qp.problem.len()),
             torque_start: WarmStart::cold(terms.torque_qp.problem.len()),
@@ -187,8 +191,31 @@ impl Controller {
         given: Option<&Setpoint>,
         preview: &Preview,
     ) -> &Command {
+        self.advance(state, measurement, given, preview, None)
+    }
+
+    /// One tick that follows the mission, with a given residual in place of the policy's. One of another robot's sizes is
+    /// not used, as is one that is not finite.
+    pub fn tick_steered(
+        &mut self,
+        state: &mut ControllerState,
+        measurement: &Measurement,
+        residual: &Residual,
+    ) -> &Command {
+        self.advance(state, measurement, None, &Preview::default(), Some(residual))
+    }
+
+    fn advance(
+        &mut self,
+        state: &mut ControllerState,
+        measurement: &Measurement,
+        given: Option<&Setpoint>,
+        preview: &Preview,
+        residual: Option<&Residual>,
+    ) -> &Command {
         let is_state_of_this = self.fits(state);
-        let Self { model, aero, conventions, feedback, guard, law, torques, terms, command, .. } = self;
+        let Self { model, aero, conventions, feedback, guard, law, policy, torques, terms, command, .. } =
+            self;
         if !is_state_of_this {
             command.set_hold(CommandStatus::BadState, Modes::default());
             return command;
@@ -205,6 +232,7 @@ impl Controller {
         command.joint_torque.copy_from(&state.joint_torque);
         if is_usable {
             law.solve(model, aero, state, &preview, terms, command);
+            steer(policy.as_mut(), residual, state, terms, command);
             torques.solve(state, terms, command);
         } else {
             command.set_hold(CommandStatus::BadMeasurement, command.modes);
@@ -287,6 +315,11 @@ impl Controller {
     /// As [`MomentumQp::add`].
     pub fn add_task(&mut self, task: Arc<dyn Task>) -> Result<(), BuildError> {
         self.terms.momentum_qp.add(task)
+    }
+
+    /// Sets the policy whose residual is added to the answer of the law; not to be called in a tick.
+    pub fn set_policy(&mut self, policy: Policy) {
+        self.policy = Some(policy);
     }
 
     /// Whether a state has the sizes of this controller.

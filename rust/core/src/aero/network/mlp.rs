@@ -18,7 +18,7 @@ use std::fmt::Debug;
 pub type Pair = [f64; 2];
 
 /// Floating-point type that the weights are converted to.
-trait Real: Copy + Debug + Default + 'static {
+pub trait Real: Copy + Debug + Default + 'static {
     /// Numbers in a vector of 64 bytes, the longest supported.
     const LANES: usize = 64 / size_of::<Self>();
     /// A vector of these numbers.
@@ -145,7 +145,7 @@ impl Real for f64 {
 
 /// One layer: `W x + b`.
 #[derive(Debug, Clone)]
-struct Layer<T> {
+pub struct Layer<T> {
     /// By panel, then input, V vectors of 64 bytes each; padding rows are zero. Aligned to cache lines: a vector across
     /// two of them is read twice.
     weights: AVec<T>,
@@ -155,7 +155,8 @@ struct Layer<T> {
 }
 
 impl<T: Real> Layer<T> {
-    fn new<const V: usize>(weights: &[f32], bias: &[f32], inputs: usize) -> Self {
+    /// A layer in panels of `V` vectors; weights by row.
+    pub fn new<const V: usize>(weights: &[f32], bias: &[f32], inputs: usize) -> Self {
         let height = V * T::LANES;
         let panels = bias.len().div_ceil(height);
         let entry = |row: usize, input: usize| weights.get(row * inputs + input).copied().unwrap_or(0.0);
@@ -174,7 +175,7 @@ impl<T: Real> Layer<T> {
     }
 
     /// Writes `activate(W x + b)` to `out` for every sample, including the padding rows.
-    fn apply<const V: usize, const B: usize>(
+    pub fn apply<const V: usize, const B: usize>(
         &self,
         x: &[Vec<T>; B],
         out: &mut [Vec<T>; B],

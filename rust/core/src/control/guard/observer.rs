@@ -72,6 +72,12 @@ pub struct ObserverState {
 }
 
 impl ObserverState {
+    /// `ŵ` \[N, N m\].
+    #[must_use]
+    pub fn wrench(&self) -> &Vector6<f64> {
+        &self.wrench
+    }
+
     /// Updates the observer with a sample `elapsed` \[s\] after the last one, and returns `ŵ`.
     ///
     /// `ŵ` does not change without a last sample, or if numbers overflow.

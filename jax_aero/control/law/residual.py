@@ -1,0 +1,168 @@
+"""What is added to the answer of the law: the action of a learned policy, or a given one.
+
+```text
+x = s ∘ o                                     features o of M170, the wrench observed with the gain of M84
+a = tanh( W₂ tanh( W₁ x + b₁ ) + W₃ x + b₂ )  action of a policy, between −1 and 1 (M171)
+u = clip( u* + S a, l, u )                    thrust rates and joint velocities, in the bounds of M65 (M172)
+```
+
+Equations M170 to M172 of `docs/model.md`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from jax_aero.control.command import DEGRADED, MOMENTUM_HELD, NOMINAL
+from jax_aero.control.guard import observer
+from jax_aero.control.guard.observer import ObserverGains
+from jax_aero.control.law.rates import Rates
+from jax_aero.control.measurement import UsedMeasurement
+from jax_aero.control.modes import MODES
+from jax_aero.control.state import ControllerState
+from jax_aero.control.terms import Model
+from jax_aero.env_task import aim_of, features
+from jax_aero.robot import RobotModel
+from jax_aero.types import Array, Setpoint, Static, pytree, where
+
+OBSERVER_GAIN = 3.0
+"""Gain of the observed wrench [1/s]."""
+
+
+@pytree
+class Policy:
+    """Weights of a policy; a batch of them has a leading axis."""
+
+    hidden: Float[Array, "h x"]
+    """`W₁`."""
+    hidden_bias: Float[Array, " h"]
+    """`b₁`."""
+    output: Float[Array, "u h"]
+    """`W₂`."""
+    direct: Float[Array, "u x"]
+    """`W₃`."""
+    output_bias: Float[Array, " u"]
+    """`b₂`."""
+
+
+def evaluate(xp: Any, policy: Policy, x: Any) -> Any:
+    """Return the action of scaled features, between −1 and 1 (M171); `xp` is `numpy` or `jax.numpy`."""
+    hidden = xp.tanh(policy.hidden @ x + policy.hidden_bias)
+    return xp.tanh(policy.output @ hidden + policy.direct @ x + policy.output_bias)
+
+
+class Added(NamedTuple):
+    """A residual of one tick."""
+
+    thrust_rate: Float[Array, " j"]
+    """[N/s]."""
+    joint_velocity: Float[Array, " n"]
+    """[rad/s]."""
+
+
+@pytree
+class Steering:
+    """A given residual."""
+
+    thrust_rate: Float[Array, " j"]
+    """[N/s]."""
+    joint_velocity: Float[Array, " n"]
+    """[rad/s]."""
+    replaces: Static[bool] = False
+    """Whether it replaces the answer of the law."""
+
+    def act(self, _features: dict[str, Array]) -> Added:
+        """Return the residual."""
+        return Added(self.thrust_rate, self.joint_velocity)
+
+
+@pytree
+class PolicyResidual:
+    """The residual of a learned policy."""
+
+    policy: Policy
+    features: Static[tuple[str, ...]]
+    """Names of what it observes, three numbers each."""
+    scale: Float[Array, " f"]
+    """`s` of each of them."""
+    thrust_rate: Float[Array, ""]
+    """Thrust rate of an action of 1 [N/s]."""
+    joint_velocity: Float[Array, ""]
+    """Joint velocity of an action of 1 [rad/s]."""
+    jets: Static[int]
+    """Number of actions that are thrust rates, the first ones."""
+
+    @property
+    def replaces(self) -> bool:
+        """Return that it is added."""
+        return False
+
+    def act(self, features: dict[str, Array]) -> Added:
+        """Return the residual of what is observed."""
+        seen = jnp.concatenate([features[name] for name in self.features])
+        action = evaluate(jnp, self.policy, jnp.repeat(self.scale, 3) * seen)
+        return Added(self.thrust_rate * action[: self.jets], self.joint_velocity * action[self.jets :])
+
+
+Residual = Steering | PolicyResidual
+
+
+def steer(
+    residual: Residual,
+    robot: RobotModel,
+    memory: ControllerState,
+    used: UsedMeasurement,
+    model: Model,
+    due: Setpoint,
+    rates: Rates,
+) -> tuple[ControllerState, UsedMeasurement, Rates, Added]:
+    """Add a residual to thrust rates and joint velocities, within their bounds, and observe the wrench for the next.
+
+    A residual that is not finite is not used, nor is one without an answer of the law.
+    """
+    last = memory.residual
+    assert last is not None
+    state = used.state
+    seen = features(
+        jnp,
+        state.base_rotation,
+        state.velocity,
+        model.kinematics.com,
+        aim_of(due),
+        last.wrench,
+        jnp.asarray(robot.jets.thrust_max),
+    )
+    added = residual.act(seen)
+    is_finite = jnp.all(jnp.isfinite(jnp.concatenate(added)))
+    own = Added(rates.thrust_rate, rates.joint_velocity)
+    wanted = added if residual.replaces else Added(*(a + b for a, b in zip(own, added, strict=True)))
+    problem, jets = rates.momentum_qp.problem, rates.thrust_rate.shape[0]
+    lower, upper = (Added(bound[:jets], bound[jets:]) for bound in (problem.lower, problem.upper))
+    chosen = where(
+        is_finite & (rates.status != MOMENTUM_HELD),
+        Added(*(jnp.clip(*parts) for parts in zip(wanted, lower, upper, strict=True))),
+        own,
+    )
+    status = jnp.where(~is_finite & (rates.status == NOMINAL), DEGRADED, rates.status)
+    modes = used.modes | jnp.where(is_finite, 0, MODES["residual_ignored"])
+    gain, most = (jnp.asarray(number, last.wrench.dtype) for number in (OBSERVER_GAIN, jnp.inf))
+    observed = where(
+        used.has_momentum,
+        observer.update(
+            ObserverGains(gain, gain, most, most),
+            used.elapsed,
+            last,
+            model.dynamics.momentum,
+            model.momentum.rate_estimate,
+        ),
+        observer.hold(last),
+    )
+    return (
+        memory._replace(residual=observed),
+        used._replace(modes=modes),
+        rates._replace(**chosen._asdict(), status=status),
+        added,
+    )

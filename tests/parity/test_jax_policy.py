@@ -1,0 +1,156 @@
+"""Learned policies: crate, JAX and the environment in which they are trained agree, and read the same cards."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jax_aero import rust
+from jax_aero.aero.network_card import copy_network
+from jax_aero.control import Measurement
+from jax_aero.control.law.policy_card import load_policy, save_policy
+from jax_aero.env import FlightEnv
+from jax_aero.env_task import Task
+from jax_aero.robot import load_robot
+from jax_aero.sim.step import prepare, step
+from jax_aero.spatial import rotation_from_wxyz
+from jax_aero.train.policy import act, init_policy, residual_of
+from jax_aero.types import State
+
+EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
+CARD = EXPERIMENTS.parent / "policies" / "hover.json"
+TASK = Task(str(EXPERIMENTS / "test1.toml"), duration=1.0, ramp=0.1, thrust_rate=100.0, joint_velocity=1.0)
+WIND = [3.0, -9.0, 0.0]
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return load_robot(rust.load_config("test1")["robot"])
+
+
+def test_both_act_alike(x64, measured, robot):
+    """Two ticks in drawn states: the second one has an observed wrench."""
+    config = rust.load_config("test1_policy", {"controller.channels.jump": False})
+    scenario, _ = prepare(config)
+    controller, crate = scenario.controller, rust.Controller(config)
+    tick = jax.jit(controller.step)
+    rng = np.random.default_rng(0)
+    posture = np.asarray(config["simulator"]["initial"]["joint_position"])
+
+    def draw(size):
+        turned = np.array([1.0, *(0.2 * size * rng.normal(size=3))])
+        return State(
+            base_position=size * rng.normal(size=3),
+            base_rotation=np.asarray(rotation_from_wxyz(turned / np.linalg.norm(turned))),
+            joint_position=posture + 0.02 * rng.normal(size=23),
+            velocity=0.1 * size * rng.normal(size=29),
+        )
+
+    thrust, still = np.full(4, 100.0), np.zeros(3)
+    for _ in range(5):
+        crate, first = rust.Controller(config), draw(0.0)
+        memory = controller.init(robot, first)
+        for number, state in enumerate((first, draw(0.2), draw(0.2))):
+            time = 0.01 * number
+            memory, command = tick(robot, memory, Measurement(jnp.asarray(time), state, thrust, still))
+            theirs = crate.tick(state, thrust, still, time)
+            ours = np.concatenate(command.terms.residual)
+            measured("observed wrench [N, N m]", np.abs(memory.residual.wrench - theirs.residual_wrench).max(), 1e-7)
+            # In an action of 100 N/s a rounding of the wrench, of some 1e-10 of thousands of N, is multiplied by a few.
+            measured("residual [N/s, rad/s]", np.abs(ours - theirs.residual).max(), 1e-7)
+            measured("thrust rates [N/s]", np.abs(command.thrust_rate - theirs.thrust_rate).max(), 1e-6)
+        assert np.abs(ours).max() > 1.0
+
+
+def test_a_policy_flies_in_the_crate_as_in_the_environment(x64, measured, robot):
+    """In the environment it is a function of the observation, in crate and twin a part of the controller."""
+    trained = load_policy(CARD, robot)
+    env, ticks = FlightEnv(TASK), 60
+    assert (float(trained.thrust_rate), float(trained.joint_velocity)) == (TASK.thrust_rate, TASK.joint_velocity)
+
+    def fly_on(state, _):
+        after = env.step(state, act(jnp, trained.policy, state.obs))
+        return after, state.flight.plant.robot.base_position
+
+    _, ours = jax.jit(lambda state: jax.lax.scan(fly_on, state, length=ticks))(env.start(jnp.array(WIND)))
+    config = TASK.episode(rust.load_config(TASK.experiment, {"controller.policy": {"card": CARD}}))
+    config = {**config, "wind": {**config["wind"], "velocity": WIND}}
+    law = {key: value for key, value in config["controller"].items() if key != "policy"}
+    theirs, without = (rust.fly(one) for one in (config, {**config, "controller": law}))
+    scenario, begun = prepare(config)
+
+    def fly_twin(state):
+        return jax.lax.scan(lambda one, tick: step(scenario, one, tick), state, jnp.arange(ticks))[1]
+
+    twin = jax.jit(fly_twin)(begun)
+    moved = np.abs(theirs["base_position"][:ticks] - without["base_position"][:ticks]).max()
+    assert moved > 1e-3
+    # The loop multiplies roundings of 1e-12 by a hundred within half a second.
+    measured("environment: base [m]", np.abs(ours - theirs["base_position"][:ticks]).max(), 1e-9)
+    measured("twin: base [m]", np.abs(twin.base_position - theirs["base_position"][:ticks]).max(), 1e-9)
+    measured("twin: thrust rates [N/s]", np.abs(twin.thrust_rate - theirs["thrust_rate"][:ticks]).max(), 1e-5)
+
+
+def test_a_residual_that_is_no_number_is_named(x64, robot):
+    """As in the crate; without it the command is that of the law."""
+    scenario, begun = prepare(rust.load_config("test1_policy"))
+    controller, memory = scenario.controller, begun.controller._replace(residual=None)
+    spoilt = replace(controller, residual=replace(controller.residual, scale=controller.residual.scale * jnp.nan))
+
+    def first_tick(law, begun):
+        return jax.jit(lambda begun: step(replace(scenario, controller=law), begun, 0)[1])(begun)
+
+    with_nan = first_tick(spoilt, begun)
+    alone = first_tick(replace(controller, residual=None), begun._replace(controller=memory))
+    assert int(with_nan.degraded_modes) == 32768
+    np.testing.assert_array_equal(with_nan.thrust_rate, alone.thrust_rate)
+    np.testing.assert_array_equal(with_nan.joint_torque, alone.joint_torque)
+
+
+def test_a_card_is_read_as_it_was_written(x64, tmp_path, robot):
+    policy = init_policy(jax.random.key(1), 27, 4)
+    written = residual_of(policy, TASK, robot.jets.count)
+    card = save_policy(tmp_path / "own.json", written, robot, description="Ours.", training={"seed": 1})
+    read = load_policy(tmp_path / "own.json", robot)
+    assert card["architecture"] == {"hidden": 4}
+    assert read.features == written.features
+    np.testing.assert_array_equal(read.scale, written.scale)
+    for ours, theirs in zip(jax.tree.leaves(read.policy), jax.tree.leaves(policy), strict=True):
+        np.testing.assert_array_equal(ours, np.asarray(theirs, np.float32))
+    copy_network(tmp_path / "own.json", tmp_path / "again.json")
+    rust.load_config(TASK.experiment, {"controller.policy": {"card": tmp_path / "again.json"}})
+
+
+REFUSED = {
+    "output.jets": ["nose"],
+    "output.thrust_rate": -1.0,
+    "inputs.features": ["gravity", "gravity"],
+    "inputs.scale": [1.0],
+    "architecture.hidden": 0,
+    "format": "flight-aero-network",
+    "weights.sha256": "00",
+}
+
+
+@pytest.mark.parametrize("key", REFUSED)
+def test_both_refuse_a_card_by_its_key(key, tmp_path, robot):
+    copy_network(CARD, tmp_path / "own.json")
+    card = json.loads((tmp_path / "own.json").read_text())
+    *tables, last = key.split(".")
+    table = card[tables[0]] if tables else card
+    table[last] = REFUSED[key]
+    (tmp_path / "own.json").write_text(json.dumps(card))
+    with pytest.raises(ValueError, match=last):
+        load_policy(tmp_path / "own.json", robot)
+    with pytest.raises(ValueError, match="SHA-256" if last == "sha256" else last):
+        rust.load_config("test1", {"controller.policy": {"card": tmp_path / "own.json"}})
+
+
+def test_a_controller_without_jets_is_refused():
+    expected = r"controller\.policy\.card is .*; expected none without controller\.use_jets"
+    with pytest.raises(ValueError, match=expected):
+        rust.load_config("test1_policy", {"controller.use_jets": False})
