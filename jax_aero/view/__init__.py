@@ -1,7 +1,8 @@
 """Viewing of flights: `jax-aero view` in a browser, `video` and `snapshot` as files, `export` for other viewers.
 
 ```
-run.nc or rust.FlightResult ► Recording ► page of rust/lab, or Instant ► drawing ► offscreen (MuJoCo) or painter (Pillow) ► video, snapshot
+run.nc or rust.FlightResult ► Recording ► page of rust/lab, or Instant ► drawing ► video, snapshot
+                                                    by offscreen (MuJoCo) or painter (Pillow)
 ```
 The rest of the library does not import this package; its own dependencies are the extra `view`.
 """

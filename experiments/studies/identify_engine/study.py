@@ -287,6 +287,7 @@ def estimate(engine: Array, log: Log, q: Array, r: float) -> tuple[Array, float]
     """Return thrust and rate (n, 2) estimated by M35, and the log likelihood of the innovations up to a constant."""
     model = SecondOrderJets(
         engines=Engines(*(jnp.array([value]) for value in engine)),
+        thrust_min=jnp.zeros(1),
         rate_gain_p=jnp.array(0.0),
         rate_gain_i=jnp.array(0.0),
         q=jnp.asarray(q),
