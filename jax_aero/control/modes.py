@@ -17,6 +17,7 @@ MODES = {
     "begun_again": 2048,
     "joint_limited": 4096,
     "straying": 16384,
+    "late": 32768,
 }
 """Bits of a tick's modes, as in the Rust crate."""
 

@@ -42,6 +42,8 @@ class Terms(NamedTuple):
     """Torques before the rate limiter [N m]."""
     limits: Limits
     """Gains and limits of the law in this tick."""
+    measured_latency: Float[Array, "2"]
+    """Latency of torques and thrust rates as measured; NaN where it is not known [s]."""
 
 
 class Model(NamedTuple):

@@ -36,12 +36,15 @@ impl Modes {
     /// The flight strays from its set-point.
     pub const STRAYING: Self = Self(1 << 14);
 
+    /// Commands act later or earlier than the controller knows.
+    pub const LATE: Self = Self(1 << 15);
+
     /// Modes in which a tick does not measure the momentum.
     pub(super) const WITHOUT_MOMENTUM: Self =
         Self(Self::JOINTS_PREDICTED.0 | Self::ROTATION_PREDICTED.0 | Self::VELOCITY_PREDICTED.0);
 
     /// All modes with their names.
-    pub const NAMES: [(Self, &'static str); 14] = [
+    pub const NAMES: [(Self, &'static str); 15] = [
         (Self::WIND_HELD, "wind_held"),
         (Self::WIND_LOST, "wind_lost"),
         (Self::THRUST_MODELLED, "thrust_modelled"),
@@ -56,6 +59,7 @@ impl Modes {
         (Self::BEGUN_AGAIN, "begun_again"),
         (Self::JOINT_LIMITED, "joint_limited"),
         (Self::STRAYING, "straying"),
+        (Self::LATE, "late"),
     ];
 
     /// The set as a number, as in logs.
