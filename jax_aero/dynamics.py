@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_aero.config import DynamicsBackend
-from jax_aero.linalg import invert
+from jax_aero.linalg import invert, solve_positive_definite
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import cross, inverse, multiply, rotate, rotate_back, skew
 from jax_aero.types import Array, Dynamics, InverseMass, Kinematics, State
@@ -46,7 +46,7 @@ def dynamics(robot: RobotModel, state: State, kin: Kinematics, backend: Dynamics
 
 def forward_dynamics(dyn: Dynamics, force: Float[Array, " N"]) -> Float[Array, " N"]:
     """Return the acceleration `ν̇` under a generalised force: `M ν̇ = force − h`."""
-    return accelerate(invert_mass(dyn), force - dyn.bias)
+    return solve_positive_definite(dyn.mass_matrix, (force - dyn.bias)[:, None])[:, 0]
 
 
 def invert_mass(dyn: Dynamics) -> InverseMass:

@@ -38,6 +38,11 @@ def rotate_back(a: Float[Array, "*#batch 3 3"], v: Float[Array, "*#batch 3"]) ->
     return jnp.sum(a * v[..., :, None], -2)
 
 
+def trace(a: Float[Array, "*batch 3 3"]) -> Float[Array, " *batch"]:
+    """Return the trace of a 3×3 matrix."""
+    return a[..., 0, 0] + a[..., 1, 1] + a[..., 2, 2]
+
+
 def inverse(a: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
     """Return the inverse of a 3×3 matrix with rows a, b, c; its columns are `b × c / (a · b × c)` and cyclic."""
     columns = cross(jnp.roll(a, -1, axis=0), jnp.roll(a, -2, axis=0))
@@ -99,13 +104,13 @@ def safe_norm(v: Float[Array, "*batch _"]) -> Float[Array, " *batch"]:
 
 def rotation_angle(r: Float[Array, "*batch 3 3"]) -> Float[Array, " *batch"]:
     """Return the angle of a rotation [rad], in [0, π]; accurate near both ends, since it avoids `acos`."""
-    return jnp.arctan2(safe_norm(vee_of_skew_part(r)), 0.5 * (jnp.trace(r, axis1=-2, axis2=-1) - 1.0))
+    return jnp.arctan2(safe_norm(vee_of_skew_part(r)), 0.5 * (trace(r) - 1.0))
 
 
 def log_so3(r: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3"]:
     """Return the rotation vector [rad] of a rotation by less than 180°, the inverse of `exp_so3`."""
     v = vee_of_skew_part(r)
-    square, cosine = jnp.sum(v * v, -1), 0.5 * (jnp.trace(r, axis1=-2, axis2=-1) - 1.0)
+    square, cosine = jnp.sum(v * v, -1), 0.5 * (trace(r) - 1.0)
     # For small θ, θ/sin θ = 1 + sin²θ/6 to the last bit. At 180° sin θ may be zero, and the axis is undefined.
     is_small = (cosine > 0.0) & (square < np.finfo(r.dtype).eps) | (square == 0.0)
     sine = jnp.sqrt(jnp.where(is_small, 1.0, square))
@@ -172,16 +177,16 @@ def wxyz_from_rotation(r: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 4"
     Of four expressions that each divide by one component, the one with the largest divisor is used.
     """
     m = r
-    trace = jnp.trace(m, axis1=-2, axis2=-1)
     xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    whole = trace(m)
     a, b, c = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
     xy, xz, yz = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
     rows = jnp.stack(
         [
-            jnp.stack([1.0 + trace, a, b, c], -1),
-            jnp.stack([a, 1.0 + 2.0 * xx - trace, xy, xz], -1),
-            jnp.stack([b, xy, 1.0 + 2.0 * yy - trace, yz], -1),
-            jnp.stack([c, xz, yz, 1.0 + 2.0 * zz - trace], -1),
+            jnp.stack([1.0 + whole, a, b, c], -1),
+            jnp.stack([a, 1.0 + 2.0 * xx - whole, xy, xz], -1),
+            jnp.stack([b, xy, 1.0 + 2.0 * yy - whole, yz], -1),
+            jnp.stack([c, xz, yz, 1.0 + 2.0 * zz - whole], -1),
         ],
         -2,
     )

@@ -21,7 +21,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Key
-from scipy.linalg import block_diag
 
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
 from jax_aero.command import ConfigError
@@ -208,6 +207,8 @@ def mirror_of(robot: RobotModel, blocks: Sequence[str], layout: str, frame: str)
                 output[component * count + other, component * count + link] = sign
     else:
         output = links_by_turn if frame == "link" else links_by_s
+    from scipy.linalg import block_diag  # SciPy is loaded only when needed
+
     return Mirror(cast(Array, block_diag(*(parts[block] for block in blocks))), cast(Array, output))
 
 

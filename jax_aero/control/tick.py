@@ -209,7 +209,7 @@ def momentum_controller(
     ValueError
         If the configuration does not fit the robot; the message names the key.
     """
-    controller, time_step = config.controller, jnp.asarray(config.simulator.time_step, float)
+    controller, time_step = config.controller, leaf(config.simulator.time_step)
     if controller.contact is not None or not controller.use_jets:
         key, value = ("contact", "given") if controller.contact is not None else ("use_jets", "false")
         raise ValueError(f"`controller.{key}` is {value}; expected a controller that flies: JAX has no feet")

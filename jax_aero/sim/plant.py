@@ -186,7 +186,7 @@ def start_plant(
         actuation=way,
         joint_faults=joint_faults,
         pushes=pushes,
-        time_step=jnp.asarray(leaf(config.time_step)),
+        time_step=leaf(config.time_step),
         lever_arm=config.lever_arm,
         integrator=config.integrator,
         has_stops=config.joint_stops,
@@ -194,17 +194,17 @@ def start_plant(
         torque_steps=torque_steps,
         backend=config.dynamics,
     )
-    joint_position = jnp.asarray(leaf(initial.joint_position))
+    joint_position = leaf(initial.joint_position)
     state = State(
-        base_position=jnp.asarray(leaf(initial.base_position)),
-        base_rotation=rotation_from_rpy(jnp.deg2rad(leaf(initial.base_rpy_deg))),
+        base_position=leaf(initial.base_position),
+        base_rotation=rotation_from_rpy(np.deg2rad(leaf(initial.base_rpy_deg))),
         joint_position=joint_position,
-        velocity=jnp.concatenate([jnp.asarray(leaf(initial.base_velocity)), jnp.zeros_like(joint_position)]),
+        velocity=np.concatenate([leaf(initial.base_velocity), np.zeros_like(joint_position)]),
     )
     if initial.free_fall_tick:
         state = _fall_freely(plant, state)
     first = state if config.kinematics == "frozen" else None
-    begun = jets.start(jnp.asarray(leaf(initial.thrust)))
+    begun = _start_jets(jets, leaf(initial.thrust))
     return plant, PlantState(state, begun, first, fault_state, on_the_way, joint_state, until)
 
 
@@ -389,6 +389,11 @@ def _stops(
     # Ranges may be infinite, which must not enter derivatives.
     stop = jnp.where(ahead > upper, upper, jnp.where(ahead < lower, lower, 0.0))
     return _brace(plant, state, inverse, force, is_out, stop, step)
+
+
+@run_once
+def _start_jets(jets: JetDynamics, thrust: Array) -> JetsState:
+    return jets.start(thrust)
 
 
 @run_once

@@ -290,7 +290,7 @@ def prepare(
         if settings is None
         else sensing.sensors(settings, plant.time_step, ticks, robot.n_joints, robot.jets.count),
         outages=outages_of(config.disturbances.outages, robot),
-        n_ticks=jnp.array(ticks, jnp.int32),
+        n_ticks=np.array(ticks, np.int32),
         precision="",
     )
     scenario, flight_state = jax.device_put((scenario, _begin_once(scenario, state)))

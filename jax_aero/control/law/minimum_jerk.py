@@ -7,12 +7,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
 from jax_aero.spatial import multiply
-from jax_aero.types import Array
+from jax_aero.types import Array, library
 
 # Coefficients of the linear minimum-jerk trajectory generator of the iCub control library; the denominator has one
 # real pole of multiplicity three at -5.3223/T.
@@ -33,7 +32,6 @@ class FilterState(NamedTuple):
     previous_input: Float[Array, "3"]
 
 
-@jax.jit  # otherwise each operation would be compiled separately
 def filter_gains(smoothing_time: Float[Array, ""], time_step: Float[Array, ""]) -> FilterGains:
     """Discretise `H(s) = (A/T³) / (s³ + (C/T) s² + (B/T²) s + A/T³)` by the bilinear transform (Tustin).
 
@@ -46,16 +44,16 @@ def filter_gains(smoothing_time: Float[Array, ""], time_step: Float[Array, ""]) 
     """
     half = 0.5 * time_step
     a, b, c = _A / smoothing_time**3, _B / smoothing_time**2, _C / smoothing_time
-    one = jnp.ones_like(a * half)
-    adjugate = jnp.array(
+    xp = library(smoothing_time, time_step)
+    adjugate = xp.array(
         [
-            [one + half * (c + half * b), half * (1.0 + half * c), half * half],
-            [-a * half * half, one + half * c, half],
-            [-a * half, -half * (b + half * a), one],
+            [1.0 + half * (c + half * b), half * (1.0 + half * c), half * half],
+            [-a * half * half, 1.0 + half * c, half],
+            [-a * half, -half * (b + half * a), 1.0],
         ]
     )
     inverse = adjugate / (1.0 + half * (c + half * (b + half * a)))
-    return FilterGains(2.0 * inverse - jnp.eye(3, dtype=inverse.dtype), half * a * inverse[:, 2])
+    return FilterGains(2.0 * inverse - xp.eye(3, dtype=inverse.dtype), half * a * inverse[:, 2])
 
 
 def filter_start(initial: Float[Array, "3"]) -> FilterState:
@@ -71,4 +69,4 @@ def filter_update(gains: FilterGains, state: FilterState, value: Float[Array, "3
 
 def filter_lags(smoothing_time: Float[Array, ""]) -> Float[Array, "2"]:
     """Return `T B / A` [s] and `T² C / A` [s²], with which an input leads an output without jerk."""
-    return jnp.stack([smoothing_time * (_B / _A), smoothing_time**2 * (_C / _A)])
+    return library(smoothing_time).stack([smoothing_time * (_B / _A), smoothing_time**2 * (_C / _A)])

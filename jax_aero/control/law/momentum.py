@@ -23,7 +23,7 @@ from jaxtyping import Float
 from jax_aero.aero import wrench_about
 from jax_aero.kinematics import carriers, frame_poses
 from jax_aero.robot import RobotModel
-from jax_aero.spatial import cross, rotate, skew
+from jax_aero.spatial import cross, rotate, skew, trace
 from jax_aero.types import Array, Dynamics, Kinematics, LinkForces
 
 
@@ -151,7 +151,7 @@ def _lambda_a(robot: RobotModel, kin: Kinematics, com_jacobian: Array, link: Lin
     total, total_p = link.forces.sum(0), sums[:, 3:].sum(0).reshape(3, 3)
     p = jnp.concatenate([jnp.broadcast_to(total_p, (3, 3, 3)), p])
     forces = jnp.concatenate([jnp.zeros((3, 3), force.dtype), force])
-    moving = (rotate(p, axes) - axes * jnp.trace(p, axis1=1, axis2=2)[:, None] + cross(shifts, forces)).T
+    moving = (rotate(p, axes) - axes * trace(p)[:, None] + cross(shifts, forces)).T
     moment = jnp.concatenate([-skew(total), moving], axis=1)
     return jnp.concatenate([jnp.zeros_like(moment), moment]) + _com_motion(total, com_jacobian)
 

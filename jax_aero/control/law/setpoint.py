@@ -12,6 +12,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Bool, Float, Int
 
@@ -27,7 +28,6 @@ from jax_aero.control.law.minimum_jerk import (
 from jax_aero.control.law.mission import AutopilotCommand, Mission, autopilot_command
 from jax_aero.control.law.recorded import RecordedMotion, Recording, motion_at
 from jax_aero.spatial import (
-    cross,
     exp_so3,
     multiply,
     project_to_so3,
@@ -37,10 +37,14 @@ from jax_aero.spatial import (
     skew,
     vee_of_skew_part,
 )
-from jax_aero.types import Array, Setpoint, leaf, where
+from jax_aero.types import Array, Setpoint, leaf, library, where
 
 MISSION, MOTION, DESCENT = range(3)
 """What a set-point follows after a tick: the mission, the motion of the last given set-point, the descent."""
+
+
+DEGREE = np.pi / 180.0
+"""[rad]."""
 
 
 class SetpointParams(NamedTuple):
@@ -101,13 +105,12 @@ def setpoint_params(
     config: SetpointConfig, forward_axis: Float[Array, "3"], time_step: Float[Array, ""]
 ) -> SetpointParams:
     """Return the parameters for ticks of `time_step` [s] and a robot's forward axis in base axes."""
-    forward_axis = jnp.asarray(forward_axis)
-    up = jnp.array([0.0, 0.0, 1.0], forward_axis.dtype)
     smoothing = leaf(config.position_smoothing)
+    xp, (x, y, _) = library(forward_axis), forward_axis
     return SetpointParams(
         speed=leaf(config.speed),
-        attitude_rate=jnp.deg2rad(leaf(config.attitude_rate_deg)),
-        nose_down_limits=jnp.deg2rad(leaf(config.nose_down_limits_deg)),
+        attitude_rate=leaf(config.attitude_rate_deg) * DEGREE,
+        nose_down_limits=leaf(config.nose_down_limits_deg) * DEGREE,
         turbo_boost=leaf(config.turbo_boost),
         turbo_rate=leaf(config.turbo_rate),
         attitude_gain=leaf(config.attitude_gain),
@@ -117,7 +120,7 @@ def setpoint_params(
         position_filter=filter_gains(smoothing, time_step),
         jerk_filter=filter_gains(leaf(config.acceleration_smoothing), time_step),
         angular_velocity_filter=filter_gains(leaf(config.angular_velocity_smoothing), time_step),
-        base_from_heading=jnp.stack([forward_axis, cross(up, forward_axis), up], axis=1),
+        base_from_heading=xp.array([[x, -y, 0.0], [y, x, 0.0], [0.0, 0.0, 1.0]]),
         time_step=time_step,
     )
 

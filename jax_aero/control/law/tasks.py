@@ -16,7 +16,7 @@ with `K = K_P + K_D + K_O⁻¹`. Equations M57 and M61 to M63 of `docs/model.md`
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +30,7 @@ from jax_aero.control.law.limits import Limits
 from jax_aero.control.law.momentum_qp import Diagonal, Rows, TaskInputs
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import multiply, rotate_back
-from jax_aero.types import Array, leaf
+from jax_aero.types import Array, leaf, library
 
 
 class TaskParams(NamedTuple):
@@ -80,7 +80,8 @@ def task_params(config: ControllerSection, robot: RobotModel, time_step: float) 
     none = leaf(np.zeros(robot.n_joints))
     fast = none if descent is None else choose_limits(none, np.deg2rad(descent.joint_velocity_max_deg), robot)
     _check_steepness("thrust_steepness", bounds.thrust_steepness, thrust_rate_max, time_step)
-    _check_steepness("joint_steepness", bounds.joint_steepness, jnp.maximum(velocity_max, fast), time_step)
+    fastest = library(velocity_max, fast).maximum(velocity_max, fast)
+    _check_steepness("joint_steepness", bounds.joint_steepness, fastest, time_step)
     return TaskParams(
         momentum=leaf(weights.momentum),
         angular_momentum=leaf(weights.angular_momentum),
@@ -129,8 +130,7 @@ def choose_limits(
     """Return the joint limits: the robot's own, or for revolute joints the common one if given."""
     if common is None:
         return leaf(own)
-    where = jnp.where if isinstance(cast(Any, own), jax.Array) else np.where
-    return leaf(where(np.array(robot.joint_is_prismatic, dtype=bool), own, common))
+    return leaf(library(own).where(np.array(robot.joint_is_prismatic, dtype=bool), own, common))
 
 
 def symmetric_pairs(config: ControllerSection, robot: RobotModel) -> tuple[tuple[int, int], ...]:
