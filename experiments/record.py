@@ -17,7 +17,7 @@ import xarray as xr
 
 from experiments import Refused
 from jax_aero import documents, netcdf, rust
-from jax_aero.files import checksums, complete_folder, find_damaged, read_json, write_json, write_netcdf
+from jax_aero.files import checksums, complete_folder, find_damaged, read_json, write_bytes, write_json, write_netcdf
 from jax_aero.places import MANIFEST_FILE, RUN_FILE
 from jax_aero.result import FlightResult, RobotNames, is_repeated, labels_of
 

@@ -86,6 +86,8 @@ typedef enum FlightMode {
   FLIGHT_JOINT_LIMITED = 4096,
   // The flight strays from its set-point.
   FLIGHT_STRAYING = 16384,
+  // The residual of a policy is not finite and not used.
+  FLIGHT_RESIDUAL_IGNORED = 32768,
 } FlightMode;
 
 // A controller with its flight, for one thread at a time; several threads may read it (functions that take a pointer

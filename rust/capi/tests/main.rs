@@ -138,6 +138,12 @@ fn an_estimator_through_c_is_that_of_the_crate() {
     fly_both("test2_sensors");
 }
 
+/// So is one with a learned policy.
+#[test]
+fn a_policy_through_c_is_that_of_the_crate() {
+    fly_both("test1_policy");
+}
+
 fn fly_both(name: &str) {
     let scenario = load_scenario(&config(name)).unwrap();
     let robot = load_robot(&scenario.robot).unwrap();

@@ -7,7 +7,7 @@ mod common;
 use flight_core::kinematics::RobotState;
 use flight_core::qp::{ClarabelSolver, DualActiveSet, QpSolver};
 use flight_core::{BuildError, Measurement};
-use flight_io::load_robot;
+use flight_io::{load_policy, load_robot};
 use flight_sim::{Plant, Scenario, ScenarioConfig, Wind};
 use std::hint::black_box;
 use std::ops::ControlFlow;
@@ -31,10 +31,12 @@ fn main() -> Result<(), BuildError> {
     for (title, name) in [
         ("tick, TEST2", "test2"),
         ("tick, TEST2, published arms", "test2_published"),
+        ("tick, hover with a learned policy", "test1_policy"),
         ("tick, TEST1, published arms, until the fall", "test1_published"),
     ] {
         report(title, &tick_times(&common::configuration(name)?)?);
     }
+    report("the policy alone", &policy_times()?);
     for (title, config, from) in common::planned_flights()? {
         report(&format!("tick that plans, {title}"), &plan_times(&config, from)?);
     }
@@ -88,6 +90,27 @@ fn tick_times(config: &ScenarioConfig) -> Result<Replays, BuildError> {
             let measurement = Measurement { state: &measured, ..tick.measurement() };
             let Some(state) = common::begin_flight(&mut controller, &mut state, &measurement) else { break };
             times.push(microseconds(|| controller.tick(state, black_box(&measurement)).status));
+        }
+        Ok(())
+    })
+}
+
+/// Replays the measurements of a flight with a policy, and times the policy after each tick.
+fn policy_times() -> Result<Replays, BuildError> {
+    let config = common::configuration("test1_policy")?;
+    let robot = load_robot(&config.robot)?;
+    let ticks = common::record(&config, &(0.0..=20.0))?;
+    replay(ticks.len(), |times| {
+        let mut controller = common::controller(&config)?;
+        let Some(selected) = &config.controller.policy else { return Ok(()) };
+        let mut policy = load_policy(selected, &robot)?;
+        let mut state = None;
+        for tick in &ticks {
+            let measurement = tick.measurement();
+            let Some(state) = common::begin_flight(&mut controller, &mut state, &measurement) else { break };
+            controller.tick(state, &measurement);
+            let (mut terms, wrench) = (controller.terms().clone(), *state.residual_wrench());
+            times.push(microseconds(|| policy.act(black_box(&wrench), &mut terms)));
         }
         Ok(())
     })

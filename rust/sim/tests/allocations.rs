@@ -154,6 +154,7 @@ fn no_model_allocates() {
         ("published", experiment("test2_published")),
         ("baseline", experiment("test1")),
         ("observer", experiment("test2_observer")),
+        ("policy", experiment("test1_policy")),
         (
             "sphere/cylinder",
             with("test2", |config| {
