@@ -212,6 +212,12 @@ class JointsConfig(Struct, frozen=True, kw_only=True):
     share_max: float
 
 
+class LatencyMonitorConfig(Struct, frozen=True, kw_only=True):
+    confirmation: float
+    thrust_max: float
+    torque_max: float
+
+
 LeverArm: TypeAlias = Literal["rotated", "unrotated"]
 
 
@@ -336,6 +342,7 @@ class ControllerSection(Struct, frozen=True, kw_only=True):
     estimator: EstimatorConfig | None = None
     jacobian_offset: JacobianOffset = "link_rotation"
     joints: JointsConfig | None = None
+    latency_monitor: LatencyMonitorConfig | None = None
     lever_arm: LeverArm = "rotated"
     link_velocity: LinkVelocity = "at_centre"
     momentum: MomentumGains

@@ -372,6 +372,8 @@ def _row(
         "qp_iterations": [tick.momentum_answer.iterations, tick.torque_answer.iterations],
         "degraded_modes": float(sum(MODES[mode] for mode in tick.degraded_modes)),
         "joint_condition": tick.joint_condition,
+        "measured_torque_latency": tick.measured_latency[0],
+        "measured_thrust_latency": tick.measured_latency[1],
         "joint_torque_measured": seen.joint_torque,
         "foot_wrench": seen.foot_wrenches,
         "sole_position": seen.soles,

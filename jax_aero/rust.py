@@ -397,6 +397,8 @@ class Tick:
         Names of the modes of a tick with missing or implausible measurements.
     joint_condition
         What is found of each joint, (n,): 0 healthy, 1 stuck, 2 weak, 3 free.
+    measured_latency
+        Latency of torques and thrust rates as measured [s]; NaN where it is not known.
     posture, inertia_0_b, velocity_error_integral
         Part of the controller's state after the tick, see `Controller.state`.
     setpoint
@@ -447,6 +449,7 @@ class Tick:
     status: str
     degraded_modes: list[str]
     joint_condition: Array
+    measured_latency: Array
     posture: Array
     inertia_0_b: Array
     velocity_error_integral: Array

@@ -171,6 +171,8 @@ def made_up_flight(duration: float = 50.0, lost_time: float | None = None, step:
         "raw_wind": np.full((n, 3), 0.1),
         "degraded_modes": np.zeros(n),
         "joint_condition": np.zeros((n, 23)),
+        "measured_torque_latency": np.zeros(n),
+        "measured_thrust_latency": np.zeros(n),
         "qp_status": np.zeros((n, 2)),
         "qp_kkt": np.full((n, 2), 1e-12),
         "qp_iterations": np.full((n, 2), 3.0),

@@ -18,6 +18,7 @@ MODES = {
     "joint_limited": 4096,
     "straying": 16384,
     "residual_ignored": 32768,
+    "late": 65536,
 }
 """Bits of a tick's modes, as in the Rust crate."""
 

@@ -10,6 +10,7 @@ from jax_aero.control.guard.channels import ChannelsState
 from jax_aero.control.guard.engines import EngineState
 from jax_aero.control.guard.estimator import EstimatorState
 from jax_aero.control.guard.joints import JointsState
+from jax_aero.control.guard.latency import LatencyState
 from jax_aero.control.guard.observer import ObserverState
 from jax_aero.control.guard.wind_observer import WindState
 from jax_aero.control.law.between import JointsBetween
@@ -49,6 +50,8 @@ class ControllerState(NamedTuple):
     """State of the engines' detection; `None` without one."""
     joints: JointsState | None = None
     """State of the joints' detection; `None` without one."""
+    latency: LatencyState | None = None
+    """State of the measurement of latencies; `None` without one."""
     exceeded: Float[Array, ""] | None = None
     """Time for which the supervisor's limits have been exceeded [s]; `None` without one."""
     plan: Plan | None = None

@@ -43,6 +43,8 @@ class Terms(NamedTuple):
     """Torques before the rate limiter [N m]."""
     limits: Limits
     """Gains and limits of the law in this tick."""
+    measured_latency: Float[Array, "2"]
+    """Latency of torques and thrust rates as measured; NaN where it is not known [s]."""
     residual: tuple[Float[Array, " j"], Float[Array, " n"]] | None = None
     """Thrust rates [N/s] and joint velocities [rad/s] to be added to the answer of the law; `None` without any."""
 

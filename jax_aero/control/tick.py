@@ -24,17 +24,19 @@ from jax_aero.aero.network_card import load_network
 from jax_aero.config import RateFeedback, ScenarioConfig
 from jax_aero.control import qp
 from jax_aero.control.command import BOTH_HELD, MOMENTUM_HELD, TORQUE_HELD, Command
-from jax_aero.control.guard import channels, engines, estimator, observer
+from jax_aero.control.guard import channels, engines, estimator, latency, observer
 from jax_aero.control.guard.channels import ChannelLimits
 from jax_aero.control.guard.engines import EngineLimits
 from jax_aero.control.guard.estimator import Estimator
 from jax_aero.control.guard.joints import JointLimits
+from jax_aero.control.guard.latency import LatencyMonitor
 from jax_aero.control.guard.observer import ObserverGains
 from jax_aero.control.guard.stages import (
     EngineStage,
     EstimatorStage,
     Guard,
     JointStage,
+    LatencyStage,
     ObserverStage,
     SupervisorStage,
     WindStage,
@@ -114,6 +116,8 @@ class MomentumController:
     engines: EngineLimits | None
     joints: JointLimits | None
     """Detection of faulty joints; `None` without it."""
+    latency_monitor: LatencyMonitor | None
+    """Measurement of latencies; `None` without it."""
     supervisor: SupervisorLimits | None
     mpc: Mpc | None
     """The predictive law; `None` where the momentum QP decides."""
@@ -133,7 +137,8 @@ class MomentumController:
             None if winds is None else WindStage(winds, robot, self.aero),
             None if observes is None else ObserverStage(observes),
             None if monitors is None else EngineStage(monitors, robot, shares),
-            None if self.joints is None else JointStage(self.joints, self.time_step, observes),
+            None if self.joints is None else JointStage(self.joints, robot, self.time_step, observes),
+            None if self.latency_monitor is None else LatencyStage(self.latency_monitor, robot),
             None if self.supervisor is None else SupervisorStage(self.supervisor),
             None if estimates is None else EstimatorStage(estimates, robot, self.aero, self.channels),
         )
@@ -234,10 +239,12 @@ def momentum_controller(
         wind_observer=None if winds is None else leaves(WindObserver, winds),
         observer=None if controller.observer is None else leaves(ObserverGains, controller.observer),
         engines=None if controller.engines is None else engines.engine_limits(controller.engines, robot),
-        # Torques that change within a tick are not compared with the joints' response.
-        joints=leaves(JointLimits, controller.joints)
-        if controller.joints is not None and robot.n_joints and is_of_one_rate
-        else None,
+        joints=leaves(JointLimits, controller.joints) if controller.joints is not None and robot.n_joints else None,
+        latency_monitor=None
+        if controller.latency_monitor is None or not robot.n_joints
+        else latency.latency_monitor(
+            controller.latency_monitor, estimates, controller.torque.steps, config.simulator.time_step
+        ),
         supervisor=None if controller.supervisor is None else leaves(SupervisorLimits, controller.supervisor),
         mpc=None if controller.mpc is None else mpc_params(controller.mpc, robot, config.simulator.time_step),
         between=None if is_of_one_rate else joint_tracker(controller, config.simulator.time_step),
@@ -342,6 +349,7 @@ def tick(
             torque.torque_qp,
             torque.unlimited_torque,
             limits,
+            jnp.full(2, jnp.nan, time.dtype) if memory.latency is None else memory.latency.measured,
             added,
         )
         memory = guard.predict(memory, terms, model, command)
@@ -418,6 +426,8 @@ def replace_command(
         memory = memory._replace(estimator=replaced)
     if memory.joints is not None:
         memory = memory._replace(joints=memory.joints._replace(torque=joint_torque))
+    if memory.latency is not None:
+        memory = memory._replace(latency=memory.latency._replace(torque=joint_torque))
     if memory.between is not None:
         acting = {"torque": joint_torque, "mean_torque": joint_torque, "acceleration": known.acceleration[6:]}
         memory = memory._replace(between=memory.between._replace(**acting))

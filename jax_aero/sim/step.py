@@ -212,6 +212,8 @@ class FlightRow(NamedTuple):
     qp_iterations: Float[Array, "2"]
     degraded_modes: Float[Array, ""]
     joint_condition: Float[Array, " n"]
+    measured_torque_latency: Float[Array, ""]
+    measured_thrust_latency: Float[Array, ""]
 
 
 def prepare(
@@ -623,4 +625,6 @@ def _row(
             if terms is None
             else terms.limits.joint_condition.astype(time.dtype)
         ),
+        measured_torque_latency=jnp.full_like(time, jnp.nan) if terms is None else terms.measured_latency[0],
+        measured_thrust_latency=jnp.full_like(time, jnp.nan) if terms is None else terms.measured_latency[1],
     )

@@ -17,6 +17,7 @@ EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
 NAMES = sorted(path.stem for path in EXPERIMENTS.glob("*.toml"))
 
 NOT_STORED = {"time", "qp_kkt", "qp_iterations", "max_kkt", "max_qp_iterations", "degraded_modes", "joint_condition"}
+NOT_STORED |= {"measured_torque_latency", "measured_thrust_latency"}
 """Residuals of the QP are rounding, and the number of iterations is no property of the flight."""
 
 DOUBLE = 1e-9

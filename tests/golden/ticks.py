@@ -70,7 +70,7 @@ def values(tick: rust.Tick) -> Values:
 
     for key, value in vars(tick).items():
         # Without estimators the former are the measurement; these flights do not look for faulty joints.
-        if key not in {"estimates", "joint_condition"}:
+        if key not in {"estimates", "joint_condition", "measured_latency"}:
             add(stored_names.get(key, key), value)
     return found
 

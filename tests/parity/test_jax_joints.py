@@ -76,6 +76,6 @@ def test_a_weak_joint_is_found_with_its_share():
         for tick in range(8):
             state = joints.measure(state, jnp.array([0.1 + 0.01 * tick, 0.2]), jnp.array(True), dt)
             lost = (0.4 - state.share[0]) * 4.0
-            state = step(limits, state, dt, gain @ jnp.array([lost, 0.0]), gain)
+            state = step(limits, state, dt, gain @ jnp.array([lost, 0.0]), gain, jnp.array([[-1.0, 1.0]] * 2))
         np.testing.assert_allclose(state.share, [0.4, 1.0], rtol=0, atol=1e-12)
         assert state.is_limited.tolist() == [True, False]

@@ -56,7 +56,7 @@ def table(path):
 @pytest.mark.parametrize("name", ["observer_tests", "observer_missions"])
 def test_a_sweep_that_adds_the_recommended_controller_adds_all_of_it(name):
     recommended = table("control/observer.toml")
-    assert recommended.keys() == {"base", "observer", "weights", "channels", "engines", "joints", "supervisor"}
+    assert recommended.keys() == {"base", "observer", "weights", "channels", "engines", "joints", "latency_monitor", "supervisor"}
     added = {key: value for key, value in table(f"sweeps/{name}.toml")["set"].items() if key.startswith("controller.")}
     assert added == {
         "controller.observer": recommended["observer"],
@@ -64,6 +64,7 @@ def test_a_sweep_that_adds_the_recommended_controller_adds_all_of_it(name):
         "controller.channels.jump": recommended["channels"]["jump"],
         "controller.engines": recommended["engines"],
         "controller.joints": recommended["joints"],
+        "controller.latency_monitor": recommended["latency_monitor"],
         "controller.supervisor": recommended["supervisor"],
     }
     assert recommended["weights"].keys() == {"joint_velocity"}

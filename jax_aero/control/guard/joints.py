@@ -28,6 +28,8 @@ DOMINANCE, STUCK_DOMINANCE = 0.75, 0.5
 """Share of `|x|²` that is along one column if one joint causes it, and for a joint that stands still too."""
 STUCK_SHARE, STILL, STILL_WAY = 0.4, 0.1, 0.004
 """Share of `acceleration_max` that a stuck joint has at least; share of its commanded displacement that it moves."""
+STOP_MARGIN, STOP_CONFIRMATION = 0.087, 0.3
+"""Distance from a stop within which a joint may be at it [rad, m], and time for which it has to stand still there [s]."""
 CONFIRMATION, STUCK_CONFIRMATION, REVISION, SUSPICION_MAX = 0.06, 0.03, 0.1, 0.2
 """Times until something is found, and until a suspicion is an error of the model [s]."""
 FREE_SHARE, HEALTHY_SHARE = 0.15, 0.85
@@ -156,8 +158,12 @@ def judge(
     dt: Float[Array, ""],
     unexplained: Float[Array, " n"],
     gain: Float[Array, "n n"],
+    stops: Float[Array, "n 2"],
 ) -> JointsState:
-    """Compare a tick with the last one: `unexplained` is `e` [rad/s²], `gain` is `G` [1/(kg m²)]."""
+    """Compare a tick with the last one.
+
+    `unexplained` is `e` [rad/s²], `gain` is `G` [1/(kg m²)], `stops` are the lower and upper ones [rad, m].
+    """
     norm = jnp.sqrt(jnp.sum(gain**2, axis=0))
     acceleration = last.acceleration - jnp.expm1(-dt / LAG) * (unexplained - last.acceleration)
     pause = last.pause - dt
@@ -187,16 +193,27 @@ def judge(
     found = jnp.where(acting < FREE_SHARE, 0.0, jnp.where(acting > HEALTHY_SHARE, 1.0, acting))
     share = jnp.where(is_found, last.share.at[worst].set(found[worst]), last.share)
 
+    lower, upper = stops.T
+    above, below = upper - last.position, last.position - lower
+    ahead, behind = jnp.where(last.commanded < 0.0, jnp.stack([below, above]), jnp.stack([above, below]))
+    with_mean = (gain.T @ acceleration) / norm  # the mean contains what a stop behind the joint carries
+
+    def opposes(z: Array) -> Array:
+        return -z * jnp.sign(last.commanded) > STUCK_SHARE * limits.acceleration_max
+
     is_still = (
         (jnp.abs(last.commanded) > limits.displacement_min)
+        & (ahead > STOP_MARGIN)
+        & ((behind > STOP_MARGIN) | opposes(with_mean))
         & (last.way < jnp.minimum(STILL_WAY, STILL * jnp.abs(last.commanded)))
-        & (-along * jnp.sign(last.commanded) > STUCK_SHARE * limits.acceleration_max)
+        & opposes(along)
         & (along**2 > STUCK_DOMINANCE * size)
         & ~last.is_stuck
         & ~is_found
     )
     still = jnp.where(judges, jnp.where(is_still, last.still + dt, 0.0), last.still)
-    sticks = judges & (still > STUCK_CONFIRMATION - 0.5 * dt)
+    confirmation = jnp.where(behind > STOP_MARGIN, STUCK_CONFIRMATION, STOP_CONFIRMATION)
+    sticks = judges & (still > confirmation - 0.5 * dt)
     stuck_at = jnp.where(sticks, last.position, last.stuck_at)
     moves = judges & (jnp.abs(last.position - stuck_at) > RELEASED)
     is_suspected = suspects & ~is_found

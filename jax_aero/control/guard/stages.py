@@ -7,6 +7,7 @@ wind_observer   its wind, for the measured                                      
 observer                                      unmodelled wrench of the momentum
 engines                                       limits of thrusts, wrong sensors
 joints          length of their ways          which do not follow their torques      commanded displacements
+latency         measured joints and thrusts   whether commands are late
 supervisor                                    whether the flight strays
 estimator       its state, for the measured   without what wrong sensors measured    stores the command
 ```
@@ -22,11 +23,12 @@ from jaxtyping import Bool, Float
 
 from jax_aero.aero import AeroModel
 from jax_aero.control.command import Command
-from jax_aero.control.guard import channels, engines, estimator, joints, observer, supervisor, wind_observer
+from jax_aero.control.guard import channels, engines, estimator, joints, latency, observer, supervisor, wind_observer
 from jax_aero.control.guard.channels import ChannelLimits
 from jax_aero.control.guard.engines import EngineLimits
 from jax_aero.control.guard.estimator import Estimator, Order
 from jax_aero.control.guard.joints import TRIED_VELOCITY, JointLimits
+from jax_aero.control.guard.latency import LatencyMonitor
 from jax_aero.control.guard.observer import ObserverGains
 from jax_aero.control.guard.supervisor import SupervisorLimits
 from jax_aero.control.guard.wind_observer import WindObserver
@@ -252,6 +254,7 @@ class JointStage(Stage):
     """The detection of joints that do not follow their torques."""
 
     settings: JointLimits
+    robot: RobotModel
     time_step: Float[Array, ""]
     observer: ObserverGains | None
     """Of the same guard."""
@@ -277,8 +280,17 @@ class JointStage(Stage):
         memory, used, gain = tick.memory, tick.used, tick.model.inverse_mass.joint_gain
         last = memory.joints
         assert last is not None
+        if memory.between is not None:
+            last = last._replace(torque=memory.between.mean_torque)
         moved = (used.state.velocity[6:] - last.velocity) / used.elapsed
-        judged = joints.judge(self.settings, last, used.elapsed, moved - memory.channels.acceleration[6:], gain)
+        judged = joints.judge(
+            self.settings,
+            last,
+            used.elapsed,
+            moved - memory.channels.acceleration[6:],
+            gain,
+            jnp.asarray(self.robot.joint_stops),
+        )
         is_doubted = memory.engines is not None and jnp.any(memory.engines.is_doubted)
         if memory.observer is not None and self.observer is not None:
             moment_max = joints.PUSH_SHARE * self.observer.moment_max
@@ -306,6 +318,52 @@ class JointStage(Stage):
                 torque=command.joint_torque,
             )
         )
+
+
+@dataclass(frozen=True)
+class LatencyStage(Stage):
+    """The measurement of latencies."""
+
+    settings: LatencyMonitor
+    robot: RobotModel
+
+    def start(self, memory: ControllerState, state: State) -> ControllerState:
+        """Begin with nothing measured."""
+        position = jnp.asarray(state.joint_position)
+        jets = jnp.zeros(self.robot.jets.count, position.dtype)
+        return memory._replace(latency=latency.start(self.settings, position, jets))
+
+    def measure(self, tick: Measured) -> Measured:
+        """Take in positions of joints and thrusts."""
+        last, used = tick.memory.latency, tick.used
+        assert last is not None
+
+        def is_accepted(mode: str) -> Bool[Array, ""]:
+            return (used.modes & (MODES[mode] | MODES["begun_again"])) == 0
+
+        are_measured = is_accepted("joints_predicted"), is_accepted("thrust_modelled")
+        position, thrust = used.state.joint_position, used.thrust
+        taken = latency.measure(self.settings, last, position, thrust, are_measured, used.elapsed)
+        return tick._replace(memory=tick.memory._replace(latency=taken))
+
+    def judge(self, tick: Judged) -> Judged:
+        """Compare them with commands of different ages."""
+        memory, used, limits, gain = tick.memory, tick.used, tick.limits, tick.model.inverse_mass.joint_gain
+        last, known = memory.latency, memory.channels
+        assert last is not None
+        torque = last.torque if memory.between is None else memory.between.mean_torque
+        by_torque = gain @ (limits.torque_share * torque)
+        is_comparable = used.has_momentum & ~jnp.any(limits.is_stuck)
+        compared, is_late = latency.compare(
+            self.settings, last, known.acceleration[6:], by_torque, known.thrust_rate, is_comparable, used.elapsed
+        )
+        modes = used.modes | jnp.where(is_late, MODES["late"], 0)
+        return tick._replace(memory=memory._replace(latency=compared), used=used._replace(modes=modes))
+
+    def predict(self, memory: ControllerState, _terms: Terms, command: Command) -> ControllerState:
+        """Store the torques."""
+        assert memory.latency is not None
+        return memory._replace(latency=memory.latency._replace(torque=command.joint_torque))
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,15 @@ use nalgebra::{DMatrix, DVector};
 const STEP: f64 = 0.01;
 const CONFIG: JointsConfig = JointsConfig { acceleration_max: 20.0, share_max: 0.7, displacement_min: 0.005 };
 
+const STOPS: [(f64, f64); 3] = [(-1.0, 1.0), (-1.5, 1.5), (-2.0, 2.0)];
+
 /// Three joints, of which each moves the others a little.
 struct Robot {
     state: JointsState,
     gain: DMatrix<f64>,
     torque: DVector<f64>,
     position: DVector<f64>,
+    stops: [(f64, f64); 3],
 }
 
 impl Robot {
@@ -24,7 +27,7 @@ impl Robot {
         let position = DVector::from_vec(vec![0.1, 0.2, 0.3]);
         let gain = DMatrix::from_row_slice(3, 3, &[40.0, -8.0, 2.0, -8.0, 60.0, -10.0, 2.0, -10.0, 200.0]);
         let torque = DVector::from_vec(vec![4.0, -3.0, 2.0]);
-        Self { state: JointsState::new(&position), gain, torque, position }
+        Self { state: JointsState::new(&position), gain, torque, position, stops: STOPS }
     }
 
     /// One that has been flying for long enough to be judged.
@@ -45,7 +48,8 @@ impl Robot {
     fn tick_accelerated(&mut self, unexplained: &DVector<f64>, moved: &[f64], commanded: &[f64]) {
         self.position += DVector::from_column_slice(moved);
         self.state.measure(&self.position, true, STEP);
-        let sample = Sample { dt: STEP, unexplained, gain: &self.gain, torque: &self.torque };
+        let sample =
+            Sample { dt: STEP, unexplained, gain: &self.gain, torque: &self.torque, stops: &self.stops };
         self.state.judge(&CONFIG, &sample);
         self.state.command(&DVector::from_column_slice(commanded), STEP);
     }
@@ -159,6 +163,43 @@ fn a_joint_that_stands_where_it_should_is_not_stuck() {
             );
             assert_ne!(robot.found()[2], Stuck, "{unexplained} N m, {moved} rad, {commanded} rad/s");
         }
+    }
+}
+
+/// A joint that is commanded towards a stop may stand at it, by 5° of its encoder's offset; away from it, it is stuck, after
+/// a longer time.
+#[test]
+fn a_joint_at_its_stop_is_not_stuck() {
+    for (room, towards, expected) in
+        [(0.05, 1.0, Healthy), (-0.05, 1.0, Healthy), (0.12, 1.0, Stuck), (0.05, -1.0, Stuck)]
+    {
+        for side in [1.0, -1.0] {
+            let mut robot = Robot::settled();
+            let stop = robot.position[2] + side * room;
+            robot.stops[2] = if side > 0.0 { (-2.0, stop) } else { (stop, 2.0) };
+            let (mut pushed, towards) = (0.0, side * towards);
+            for _ in 0..50 {
+                pushed -= 0.08 * towards;
+                robot.tick(&[0.0, 0.0, pushed], &[0.0; 3], &[0.0, 0.0, 0.2 * towards]);
+            }
+            assert_eq!(robot.found(), [Healthy, Healthy, expected], "{room} rad from {stop}");
+        }
+    }
+}
+
+/// What a stop carries is in the mean. Where it carries less, because the joint is commanded away, nothing holds the joint.
+#[test]
+fn a_joint_that_leaves_its_stop_is_not_stuck() {
+    for (room, expected) in [(0.05, Healthy), (0.12, Stuck)] {
+        let mut robot = Robot::settled();
+        robot.stops[2] = (robot.position[2] - room, 2.0);
+        for _ in 0..200 {
+            robot.tick(&[0.0, 0.0, 4.0], &[0.0; 3], &[0.0; 3]);
+        }
+        for tick in 0..45 {
+            robot.tick(&[0.0, 0.0, 4.0 - 0.08 * f64::from(tick)], &[0.0; 3], &[0.0, 0.0, 0.2]);
+        }
+        assert_eq!(robot.found(), [Healthy, Healthy, expected], "{room} rad");
     }
 }
 

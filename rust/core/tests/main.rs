@@ -13,6 +13,7 @@ mod engines;
 mod estimator;
 mod jets;
 mod joints;
+mod latency;
 mod linalg;
 mod link_forces;
 mod mpc;

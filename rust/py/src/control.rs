@@ -357,6 +357,8 @@ impl Controller {
         out.set_item("degraded_modes", command.modes.names().collect::<Vec<_>>())?;
         let conditions: Vec<f64> = terms.limits.joints.iter().map(|found| f64::from(found.code())).collect();
         out.set_item("joint_condition", vector(py, &conditions)?)?;
+        let latency = terms.measured_latency.map(|delay| delay.unwrap_or(f64::NAN));
+        out.set_item("measured_latency", vector(py, &latency)?)?;
         if let Some(state) = &self.state {
             out.set_item("residual_wrench", vector(py, state.residual_wrench().as_slice())?)?;
             out.set_item("posture", vector(py, state.posture().as_slice())?)?;

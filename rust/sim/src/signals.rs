@@ -204,7 +204,7 @@ const WRENCH: &str = "N (force), N m (moment)";
 
 /// All signals. Joint quantities are in the units of revolute joints; for prismatic ones replace rad by m
 /// and N m by N.
-pub static SIGNALS: [Signal; 49] = [
+pub static SIGNALS: [Signal; 51] = [
     tick("time", TIME, "s", "time", |row, out| out.push(row.measurement.time)),
     world("base_position", XYZ, "m", "position of the base origin, inertial frame", |row, out| {
         out.extend(&row.plant.state().base.position);
@@ -373,7 +373,7 @@ pub static SIGNALS: [Signal; 49] = [
         "1",
         "in which ways the tick is degraded, a sum of bits: 1 wind held, 2 wind lost, 4 thrust modelled, 8 joints, \
          16 position, 32 rotation, 64 velocity predicted, 128 feet predicted, 256 clock predicted, 512 descending, 1024 engine limited, \
-         2048 begun again, 4096 joint limited, 16384 straying, 32768 residual ignored",
+         2048 begun again, 4096 joint limited, 16384 straying, 32768 residual ignored, 65536 late",
         |row, out| out.push(f64::from(row.command.modes.bits())),
     )),
     integer(tick(
@@ -383,6 +383,20 @@ pub static SIGNALS: [Signal; 49] = [
         "what the controller finds of each joint: 0 healthy, 1 stuck, 2 weak, 3 free",
         |row, out| out.extend(row.terms.limits.joints.iter().map(|found| f64::from(found.code()))),
     )),
+    tick(
+        "measured_torque_latency",
+        TIME,
+        "s",
+        "time from a tick until its torques act, as measured; NaN while it is not known",
+        |row, out| out.push(row.terms.measured_latency[0].unwrap_or(f64::NAN)),
+    ),
+    tick(
+        "measured_thrust_latency",
+        TIME,
+        "s",
+        "time from a tick until its thrust rates act, as measured, with the lag of the engines",
+        |row, out| out.push(row.terms.measured_latency[1].unwrap_or(f64::NAN)),
+    ),
     Signal {
         name: "joint_setpoint",
         dims: &[Dimension::Joint],

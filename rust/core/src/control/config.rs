@@ -4,6 +4,7 @@ use super::guard::channels::ChannelsConfig;
 use super::guard::engines::EnginesConfig;
 use super::guard::estimator::EstimatorConfig;
 use super::guard::joints::JointsConfig;
+use super::guard::latency::LatencyMonitorConfig;
 use super::guard::observer::ObserverConfig;
 use super::guard::supervisor::SupervisorConfig;
 use super::guard::wind_observer::WindObserverConfig;
@@ -87,9 +88,12 @@ pub struct ControllerConfig {
     /// When an engine counts as lost; without it, never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub engines: Option<EnginesConfig>,
-    /// When a joint counts as stuck, weak or free; without it and with `torque.steps` above 1, never.
+    /// When a joint counts as stuck, weak or free; without it, never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub joints: Option<JointsConfig>,
+    /// When commands count as late; without it, never.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub latency_monitor: Option<LatencyMonitorConfig>,
     /// When a flight strays from its set-point; without it, never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub supervisor: Option<SupervisorConfig>,
@@ -245,6 +249,7 @@ impl ControllerConfig {
                 return Err(BuildError::bad_value("controller.engines", "given", expected));
             }
         }
+        self.latency_monitor.map_or(Ok(()), |monitor| monitor.check())?;
         self.supervisor.map_or(Ok(()), |supervisor| supervisor.check())?;
         if let Some(contact) = &self.contact {
             contact.check(robot)?;

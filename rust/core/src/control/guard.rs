@@ -5,6 +5,7 @@ pub mod channels;
 pub mod engines;
 pub mod estimator;
 pub mod joints;
+pub mod latency;
 pub mod observer;
 pub mod stages;
 pub mod supervisor;

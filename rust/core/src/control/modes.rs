@@ -37,13 +37,15 @@ impl Modes {
     pub const STRAYING: Self = Self(1 << 14);
     /// The residual of a policy, or a given one, is not finite and not used.
     pub const RESIDUAL_IGNORED: Self = Self(1 << 15);
+    /// Commands act later or earlier than the controller knows.
+    pub const LATE: Self = Self(1 << 16);
 
     /// Modes in which a tick does not measure the momentum.
     pub(super) const WITHOUT_MOMENTUM: Self =
         Self(Self::JOINTS_PREDICTED.0 | Self::ROTATION_PREDICTED.0 | Self::VELOCITY_PREDICTED.0);
 
     /// All modes with their names.
-    pub const NAMES: [(Self, &'static str); 15] = [
+    pub const NAMES: [(Self, &'static str); 16] = [
         (Self::WIND_HELD, "wind_held"),
         (Self::WIND_LOST, "wind_lost"),
         (Self::THRUST_MODELLED, "thrust_modelled"),
@@ -59,6 +61,7 @@ impl Modes {
         (Self::JOINT_LIMITED, "joint_limited"),
         (Self::STRAYING, "straying"),
         (Self::RESIDUAL_IGNORED, "residual_ignored"),
+        (Self::LATE, "late"),
     ];
 
     /// The set as a number, as in logs.

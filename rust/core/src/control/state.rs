@@ -4,6 +4,7 @@ use super::guard::channels::ChannelsState;
 use super::guard::engines::EngineState;
 use super::guard::estimator::EstimatorState;
 use super::guard::joints::JointsState;
+use super::guard::latency::LatencyState;
 use super::guard::observer::ObserverState;
 use super::guard::wind_observer::WindState;
 use super::law::between::JointsBetween;
@@ -47,6 +48,8 @@ pub struct ControllerState {
     pub(super) engines: Vec<EngineState>,
     /// Detection of faulty joints; `None` without it.
     pub(super) joints: Option<JointsState>,
+    /// Measurement of latencies; `None` without it.
+    pub(super) latency: Option<LatencyState>,
     /// State of the observer: the observed wrench, its residual and the last accepted measurement.
     pub(super) observer: ObserverState,
     /// Observer of the wrench that a residual sees, without that of the observer above; unused without a residual.

@@ -74,6 +74,8 @@ pub struct Terms {
     pub unlimited_torque: DVector<f64>,
     /// Torques of the command that act, as far as the guard finds \[N m\].
     pub acting_torque: DVector<f64>,
+    /// Measured latency of torques and thrust rates, as far as it is known \[s\].
+    pub measured_latency: [Option<f64>; 2],
 }
 
 impl Terms {
@@ -108,6 +110,7 @@ impl Terms {
             torque_qp,
             unlimited_torque: DVector::zeros(joints),
             acting_torque: DVector::zeros(joints),
+            measured_latency: [None; 2],
         }
     }
 

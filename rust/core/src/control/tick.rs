@@ -5,6 +5,7 @@ use super::config::{ControllerConfig, check_time_step};
 use super::guard::channels::Channels;
 use super::guard::engines::Engines;
 use super::guard::estimator::Estimator;
+use super::guard::latency::LatencyMonitor;
 use super::guard::observer::ObserverState;
 use super::guard::stages::{Feet, Guard, Joints, Stage};
 use super::guard::wind_observer::WindObserver;
@@ -150,6 +151,7 @@ impl Controller {
             contact: ContactState::new(terms.contact.soles.len()),
             engines: Vec::new(),
             joints: None,
+            latency: None,
             exceeded: 0.0,
             observer: ObserverState::default(),
             residual: ObserverState::default(),
@@ -434,6 +436,10 @@ fn build_guard(
     let ControllerConfig { estimator, wind_observer, observer, engines, joints, supervisor, contact, .. } =
         config;
     let estimator = estimator.as_ref();
+    let (n, jets) = (robot.joints.len(), robot.jets.len());
+    let latency = config
+        .latency_monitor
+        .map(|monitor| LatencyMonitor::new(monitor, estimator, config.torque.steps, n, jets, time_step));
     let observes_joints = estimator.is_some_and(|estimator| estimator.joint_observer.is_some());
     let estimator = estimator
         .map(|estimator| Estimator::new(estimator, robot.clone(), aero.clone(), time_step))
@@ -447,15 +453,14 @@ fn build_guard(
     let engines =
         engines.map(|engines| Engines::new(&engines, limits, robot, momentum_shares)).transpose()?;
     let feet = contact.as_ref().map(|_| Feet { time_step });
-    // Torques that change within a tick are not compared with the joints' response.
-    let joints = joints.filter(|_| config.torque.steps == 1);
-    let joints = joints.map(|joints| Joints::new(joints, observer.as_ref(), robot.joints.len(), time_step));
+    let joints = joints.map(|joints| Joints::new(joints, observer.as_ref(), robot, time_step));
     let stages = [
         stage(wind_observer),
         stage(feet),
         stage(*observer),
         stage(engines),
         stage(joints),
+        stage(latency),
         stage(*supervisor),
         stage(estimator),
     ];

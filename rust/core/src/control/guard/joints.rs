@@ -42,6 +42,11 @@ const STUCK_SHARE: f64 = 0.4;
 const STILL: f64 = 0.1;
 /// Longest way within [`WINDOW`] of a joint that stands still, with the steps of its encoder \[rad, m\].
 const STILL_WAY: f64 = 0.004;
+/// Distance from a stop within which a joint may be at it: 3° of an encoder's offset and some more \[rad, m\]. There it is
+/// not stuck if it is commanded towards the stop, or if the stop may be what is not explained.
+const STOP_MARGIN: f64 = 0.087;
+/// Time for which a joint has to stand still in the latter case \[s\].
+const STOP_CONFIRMATION: f64 = 0.3;
 /// A joint is judged when it was suspected for this time with the least `z` of a suspicion, or for less with more, but for
 /// two ticks \[s\].
 const CONFIRMATION: f64 = 0.06;
@@ -143,8 +148,10 @@ pub struct Sample<'a> {
     pub unexplained: &'a DVector<f64>,
     /// `G` \[1/(kg m²)\].
     pub gain: &'a DMatrix<f64>,
-    /// Torques commanded in the last tick \[N m\].
+    /// Torques commanded in the last tick, the mean of several \[N m\].
     pub torque: &'a DVector<f64>,
+    /// Stops of every joint, lower and upper \[rad, m\].
+    pub stops: &'a [(f64, f64)],
 }
 
 impl JointsState {
@@ -253,7 +260,7 @@ impl JointsState {
 
     /// Follows joints along whose columns `x` is, until their shares of the torque are known.
     fn suspect(&mut self, config: &JointsConfig, sample: &Sample) {
-        let Sample { dt, unexplained, gain, torque } = *sample;
+        let Sample { dt, unexplained, gain, torque, .. } = *sample;
         let size = self.size_squared();
         let mut worst: Option<(usize, f64, JointCondition)> = None;
         for joint in 0..self.found.len() {
@@ -299,13 +306,25 @@ impl JointsState {
         for joint in 0..self.found.len() {
             let commanded = self.commanded[joint];
             let (z, _) = self.along(sample.gain, joint);
+            let (position, (lower, upper)) = (self.position[joint], sample.stops[joint]);
+            let (mut ahead, mut behind) = (upper - position, position - lower);
+            if commanded < 0.0 {
+                (ahead, behind) = (behind, ahead);
+            }
+            let opposes = |z: f64| -z * commanded.signum() > STUCK_SHARE * config.acceleration_max;
+            // The mean contains what a stop behind the joint carries.
+            let column = sample.gain.column(joint);
+            let with_mean = column.dot(&self.acceleration) / column.norm();
             let is_still = self.found[joint] != JointCondition::Stuck
                 && commanded.abs() > config.displacement_min
+                && ahead > STOP_MARGIN
+                && (behind > STOP_MARGIN || opposes(with_mean))
                 && self.way[joint] < STILL_WAY.min(STILL * commanded.abs())
-                && -z * commanded.signum() > STUCK_SHARE * config.acceleration_max
+                && opposes(z)
                 && z * z > STUCK_DOMINANCE * size;
             self.still[joint] = if is_still { self.still[joint] + sample.dt } else { 0.0 };
-            if self.still[joint] > STUCK_CONFIRMATION - 0.5 * sample.dt {
+            let confirmation = if behind > STOP_MARGIN { STUCK_CONFIRMATION } else { STOP_CONFIRMATION };
+            if self.still[joint] > confirmation - 0.5 * sample.dt {
                 self.found[joint] = JointCondition::Stuck;
                 self.stuck_at[joint] = self.position[joint];
                 self.still[joint] = 0.0;

@@ -8,6 +8,7 @@
 //! observer                                      unmodelled wrench of the momentum
 //! engines                                       limits of thrusts, wrong sensors
 //! joints          length of their ways          which do not follow their torques      commanded displacements
+//! latency         measured joints and thrusts   whether commands are late
 //! supervisor                                    whether the flight strays
 //! estimator       its state, for the measured   without what wrong sensors measured    stores the command
 //! ```
@@ -16,6 +17,7 @@ use super::channels::{Channels, ChannelsState};
 use super::engines::{EngineSample, EngineState, Engines};
 use super::estimator::Estimator;
 use super::joints::{self, JointsConfig, JointsState};
+use super::latency::{self, LatencyMonitor};
 use super::observer::{ObserverConfig, ObserverState, Sample};
 use super::supervisor::{Errors, SupervisorConfig};
 use super::wind_observer::WindObserver;
@@ -401,20 +403,23 @@ pub struct Joints {
     time_step: f64,
     /// Residual of the moment beyond which something pushes the robot \[N m\].
     moment_max: f64,
+    /// Stops of the joints, lower and upper \[rad, m\].
+    stops: Vec<(f64, f64)>,
     unexplained: DVector<f64>,
 }
 
 impl Joints {
-    /// The stage for `joints` joints, with ticks every `time_step` \[s\], beside this observer.
+    /// The stage for the joints of `robot`, with ticks every `time_step` \[s\], beside this observer.
     #[must_use]
     pub fn new(
         config: JointsConfig,
         observer: Option<&ObserverConfig>,
-        joints: usize,
+        robot: &RobotModel,
         time_step: f64,
     ) -> Self {
+        let stops: Vec<_> = robot.joints.iter().map(|joint| joint.stops).collect();
         let moment_max = observer.map_or(f64::INFINITY, |observer| joints::PUSH_SHARE * observer.moment_max);
-        Self { config, time_step, moment_max, unexplained: DVector::zeros(joints) }
+        Self { config, time_step, moment_max, unexplained: DVector::zeros(stops.len()), stops }
     }
 }
 
@@ -461,6 +466,7 @@ impl Stage for Joints {
                     unexplained: &self.unexplained,
                     gain: &inverse_mass.joint_gain,
                     torque: &channels.joint_torque,
+                    stops: &self.stops,
                 },
             );
         } else {
@@ -480,6 +486,52 @@ impl Stage for Joints {
         if let Some(joints) = &mut tick.state.joints {
             joints.command(&command.joint_velocity, self.time_step);
         }
+    }
+}
+
+impl Stage for LatencyMonitor {
+    fn name(&self) -> &'static str {
+        "latency"
+    }
+
+    fn start(&self, state: &mut ControllerState, robot: &RobotState, thrust: &[f64]) {
+        state.latency = Some(LatencyMonitor::start(self, &robot.joint_position, thrust.len()));
+    }
+
+    fn fits(&self, state: &ControllerState) -> bool {
+        state.latency.as_ref().is_some_and(|latency| LatencyMonitor::fits(self, latency))
+    }
+
+    fn measure(&mut self, tick: &mut Tick) {
+        let Some(latency) = &mut tick.state.latency else { return };
+        let used = &tick.terms.measurement;
+        let accepted = |mode| !used.modes.contains(mode) && !used.modes.contains(Modes::BEGUN_AGAIN);
+        let position = accepted(Modes::JOINTS_PREDICTED).then(|| used.state.joint_position.as_slice());
+        let thrust = accepted(Modes::THRUST_MODELLED).then_some(&used.thrust[..]);
+        LatencyMonitor::measure(self, latency, position, thrust, used.elapsed);
+    }
+
+    fn judge(&mut self, tick: &mut Tick) {
+        let ControllerState { latency, channels, contact, .. } = &mut *tick.state;
+        let Some(latency) = latency else { return };
+        tick.terms.reduce_torque(channels.joint_torque.as_slice());
+        let Terms { measurement: used, inverse_mass, limits, acting_torque, .. } = &mut *tick.terms;
+        let is_comparable = used.has_momentum
+            && inverse_mass.is_known
+            && !contact.is_active
+            && !limits.joints.contains(&JointCondition::Stuck);
+        let sample = latency::Sample {
+            acceleration: &channels.acceleration.as_slice()[6..],
+            gain: &inverse_mass.joint_gain,
+            torque: acting_torque,
+            thrust_rate: channels.thrust_rate.as_slice(),
+        };
+        self.compare(latency, &sample, is_comparable);
+        let measured = self.measured(latency);
+        if self.is_late(latency, measured, used.elapsed) {
+            used.modes.insert(Modes::LATE);
+        }
+        tick.terms.measured_latency = measured;
     }
 }
 

@@ -1,0 +1,203 @@
+//! Latencies that are measured from responses that are written here.
+
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+#![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
+
+use crate::common::assert_within;
+use flight_core::control::guard::estimator::EstimatorConfig;
+use flight_core::control::guard::latency::{LatencyMonitor, LatencyMonitorConfig, LatencyState, Sample};
+use nalgebra::{DMatrix, DVector};
+
+const STEP: f64 = 0.01;
+const CONFIG: LatencyMonitorConfig =
+    LatencyMonitorConfig { torque_max: 0.007, thrust_max: 0.04, confirmation: 1.0 };
+
+/// Two joints, each of which moves the other, and two jets.
+struct Robot {
+    monitor: LatencyMonitor,
+    state: LatencyState,
+    gain: DMatrix<f64>,
+    position: DVector<f64>,
+    velocity: DVector<f64>,
+    thrust: DVector<f64>,
+    tick: i32,
+    /// Ticks after which torques and thrust rates act.
+    late: [i32; 2],
+    /// Whether a torque that is held for a tick moves a joint by `h² s̈ / 2` in it, and not by `h² s̈`.
+    holds: bool,
+    /// Ticks by which accelerations are predicted.
+    lead: i32,
+}
+
+fn torque(tick: i32) -> DVector<f64> {
+    let t = f64::from(tick) * STEP;
+    DVector::from_vec(vec![0.4 * (11.0 * t).sin() + 0.2 * (31.0 * t).sin(), 0.1 * (17.0 * t).cos()])
+}
+
+/// What accelerates the joints besides, against which torques act.
+fn free(tick: i32) -> DVector<f64> {
+    let t = f64::from(tick) * STEP;
+    DVector::from_vec(vec![30.0 * (5.0 * t).sin(), -20.0 * (7.0 * t).cos()])
+}
+
+fn rate(tick: i32) -> DVector<f64> {
+    let t = f64::from(tick) * STEP;
+    DVector::from_vec(vec![30.0 * (3.0 * t).sin(), 20.0 * (5.0 * t).cos()])
+}
+
+impl Robot {
+    fn new(late: [i32; 2], estimator: Option<&EstimatorConfig>) -> Self {
+        let monitor = LatencyMonitor::new(CONFIG, estimator, 1, 2, 2, STEP);
+        let position = DVector::from_vec(vec![0.1, 0.2]);
+        Self {
+            state: monitor.start(&position, 2),
+            monitor,
+            gain: DMatrix::from_row_slice(2, 2, &[40.0, -8.0, -8.0, 60.0]),
+            velocity: DVector::zeros(2),
+            position,
+            thrust: DVector::from_element(2, 100.0),
+            tick: 0,
+            late,
+            holds: false,
+            lead: 0,
+        }
+    }
+
+    /// A tick; returns whether commands are late.
+    fn fly(&mut self, is_measured: bool) -> bool {
+        let position = is_measured.then(|| self.position.as_slice());
+        let thrust = is_measured.then(|| self.thrust.as_slice());
+        self.monitor.measure(&mut self.state, position, thrust, STEP);
+        let last = self.tick - 1;
+        let acceleration = free(last + self.lead) + &self.gain * torque(last);
+        let (torques, rates) = (torque(last), rate(last));
+        let sample = Sample {
+            acceleration: acceleration.as_slice(),
+            gain: &self.gain,
+            torque: &torques,
+            thrust_rate: rates.as_slice(),
+        };
+        self.monitor.compare(&mut self.state, &sample, true);
+        let measured = self.monitor.measured(&self.state);
+        let is_late = self.monitor.is_late(&mut self.state, measured, STEP);
+
+        let accelerated = free(self.tick) + &self.gain * torque(self.tick - self.late[0]);
+        if self.holds {
+            // The free acceleration is that of the middle of two ticks, as the difference of positions sees it.
+            let held = &self.gain * torque(self.tick - self.late[0]);
+            self.position.axpy(-0.5 * STEP * STEP, &held, 1.0);
+        }
+        self.velocity.axpy(STEP, &accelerated, 1.0);
+        self.position.axpy(STEP, &self.velocity, 1.0);
+        self.thrust.axpy(STEP, &rate(self.tick - self.late[1]), 1.0);
+        self.tick += 1;
+        is_late
+    }
+
+    fn measured(&self) -> [f64; 2] {
+        self.monitor.measured(&self.state).map(Option::unwrap)
+    }
+}
+
+#[test]
+fn whole_ticks_are_measured() {
+    for late in [[0, 0], [1, 2], [2, 5], [5, 20]] {
+        let mut robot = Robot::new(late, None);
+        for _ in 0..1000 {
+            robot.fly(true);
+        }
+        for (measured, ticks) in robot.measured().into_iter().zip(late) {
+            // Mean squares of before and after the best delay differ by the forgetting.
+            assert_within!((measured - f64::from(ticks) * STEP).abs(), 2e-4, "{late:?}: {measured} s");
+        }
+    }
+}
+
+/// A torque that is held for a tick acts half a tick later.
+#[test]
+fn half_a_tick_is_measured() {
+    let mut robot = Robot { holds: true, ..Robot::new([1, 0], None) };
+    for _ in 0..1000 {
+        robot.fly(true);
+    }
+    assert_within!((robot.measured()[0] - 0.015).abs(), 2e-4, "{} s", robot.measured()[0]);
+}
+
+/// Accelerations are predicted for when the command acts, and measurements of sensors that are late are older.
+#[test]
+fn known_latencies_and_ages_are_allowed_for() {
+    let mut config = EstimatorConfig::default();
+    (config.latency.torque, config.latency.thrust) = (0.02, 0.02);
+    let mut robot = Robot { lead: 2, ..Robot::new([2, 2], Some(&config)) };
+    for _ in 0..1000 {
+        assert!(!robot.fly(true));
+    }
+    for measured in robot.measured() {
+        assert_within!((measured - 0.02).abs(), 2e-4, "{measured} s");
+    }
+    (config.joint_position.delay, config.thrust.delay) = (0.01, 0.01);
+    let mut robot = Robot { lead: 3, ..Robot::new([3, 3], Some(&config)) };
+    for _ in 0..1000 {
+        robot.fly(true);
+    }
+    for measured in robot.measured() {
+        assert_within!((measured - 0.02).abs(), 2e-4, "{measured} s");
+    }
+}
+
+/// The mean of several torques in a tick is given after it.
+#[test]
+fn torques_within_a_tick_are_given_after_it() {
+    for (steps, after) in [(1, 0.0), (2, 0.25), (10, 0.45)] {
+        let mut robot = Robot::new([2, 2], None);
+        robot.monitor = LatencyMonitor::new(CONFIG, None, steps, 2, 2, STEP);
+        for _ in 0..1000 {
+            robot.fly(true);
+        }
+        assert_within!((robot.measured()[0] - (2.0 - after) * STEP).abs(), 2e-4, "{steps} steps");
+        assert_within!((robot.measured()[1] - 2.0 * STEP).abs(), 2e-4, "{steps} steps");
+    }
+}
+
+#[test]
+fn late_commands_are_reported_after_their_confirmation() {
+    for (late, expected) in [([0, 4], false), ([1, 0], true), ([0, 5], true)] {
+        let mut robot = Robot::new(late, None);
+        let said = (0..1000).filter(|_| robot.fly(true)).count();
+        assert_eq!(said > 0, expected, "{late:?}: {said} ticks");
+        assert!(said < 1000 - 100, "{late:?}: {said} ticks");
+    }
+}
+
+/// After a gap nothing is compared until commands of before have acted; what was measured stays.
+#[test]
+fn a_gap_changes_nothing() {
+    let mut robot = Robot::new([2, 5], None);
+    for _ in 0..600 {
+        robot.fly(true);
+    }
+    let before = robot.measured();
+    robot.fly(false);
+    assert_eq!(robot.measured(), before);
+    for _ in 0..25 {
+        robot.fly(true);
+    }
+    assert_eq!(robot.measured(), before);
+    for _ in 0..600 {
+        robot.fly(true);
+    }
+    for (measured, ticks) in robot.measured().into_iter().zip([2.0, 5.0]) {
+        assert_within!((measured - ticks * STEP).abs(), 2e-4, "{measured} s");
+    }
+}
+
+/// Without excitation nothing is known.
+#[test]
+fn commands_that_do_not_change_tell_nothing() {
+    let mut robot = Robot::new([0, 0], None);
+    robot.gain.fill(0.0);
+    for _ in 0..1000 {
+        robot.fly(true);
+    }
+    assert_eq!(robot.monitor.measured(&robot.state)[0], None);
+}
