@@ -17,8 +17,8 @@ MODES = {
     "begun_again": 2048,
     "joint_limited": 4096,
     "straying": 16384,
-    "late": 32768,
-    "residual_ignored": 65536,
+    "residual_ignored": 32768,
+    "late": 65536,
 }
 """Bits of a tick's modes, as in the Rust crate."""
 

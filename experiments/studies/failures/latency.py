@@ -34,7 +34,11 @@ def _cases(delays: str) -> Iterator[tuple[str, Case]]:
     knowns = (False, True) if is_torque else (False,)
     for experiment, delay, is_known in product(CONTROLLERS, TORQUES if is_torque else THRUSTS, knowns):
         for is_turbulent, seed in product((False, True), range(1, 6)):
-            air = TURBULENCE | {"seed": seed} if is_turbulent else {"profile": "constant", "velocity": [0.0, 1.0 - seed, 0.0]}
+            air = (
+                TURBULENCE | {"seed": seed}
+                if is_turbulent
+                else {"profile": "constant", "velocity": [0.0, 1.0 - seed, 0.0]}
+            )
             torque = delay if is_torque else 0.0
             changes: dict[str, Any] = {
                 "simulator.duration": 20.0,
@@ -52,7 +56,7 @@ def _cases(delays: str) -> Iterator[tuple[str, Case]]:
 
 
 def _judge(case: Case, flight: rust.FlightResult) -> Row:
-    """Return how far the estimates are from the truth, from when on they are known, and whether commands count as late."""
+    """Return errors of the estimates, from when on they are known, and from when on commands count as late."""
     name, _, torque, thrust = case
     time, modes = flight["time"], flight["degraded_modes"].astype(int)
     row: Row = {"case": name, "completed": flight.outcome == "completed"}

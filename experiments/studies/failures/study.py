@@ -2,8 +2,8 @@
 
 `jax-aero study failures [PART]` flies one part of the question, or all: `losses` and `planned` (the base is no longer
 measured), `thrust`, `thrust_checked` and `thrust_scaled` (thrusts are measured wrong), `engines` and `descent` (an
-engine fails), `pauses` (the controller does not tick), `take_off_base`, `take_off_engines` and `take_off_scaled` (on
-the ground). `--set every=10` flies only every tenth flight. The result goes to `results/failures/PART/`.
+engine fails), `pauses` (the controller does not tick), `late_torques` and `late_thrusts` (commands act late),
+`take_off_base`, `take_off_engines` and `take_off_scaled` (on the ground). `--set every=10` flies only every tenth flight. The result goes to `results/failures/PART/`.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import pandas as pd
 import xarray as xr
 
 from experiments import Refused
-from experiments.studies.failures import flights, ground
+from experiments.studies.failures import flights, ground, latency
 from experiments.study import Findings, Study
 from jax_aero import places, rust, tables
 
-PARTS = {**flights.PARTS, **ground.PARTS}
+PARTS = {**flights.PARTS, **latency.PARTS, **ground.PARTS}
 
 MEANING = {
     "case": ("", "what fails, and in which flight"),
@@ -27,6 +27,13 @@ MEANING = {
     "sink": ("m s-1", "speed of sinking at the end, or at the height of the start"),
     "down": ("s", "time from the failure until the height of the start is reached"),
     "distance": ("m", "greatest distance of the centre of mass from its set-point"),
+    "torque_error": ("ms", "median error of the measured latency of torques"),
+    "torque_worst": ("ms", "its greatest error"),
+    "torque_known": ("s", "time from which it is known"),
+    "thrust_error": ("ms", "median error of the measured latency of thrust rates"),
+    "thrust_worst": ("ms", "its greatest error"),
+    "thrust_known": ("s", "time from which it is known"),
+    "late": ("s", "time from which commands count as late"),
     "feet": ("1", "whether the foot sensors are taken for wrong"),
 }
 

@@ -29,7 +29,7 @@ DOMINANCE, STUCK_DOMINANCE = 0.75, 0.5
 STUCK_SHARE, STILL, STILL_WAY = 0.4, 0.1, 0.004
 """Share of `acceleration_max` that a stuck joint has at least; share of its commanded displacement that it moves."""
 STOP_MARGIN, STOP_CONFIRMATION = 0.087, 0.3
-"""Distance from a stop within which a joint may be at it [rad, m], and time for which it has to stand still there [s]."""
+"""Distance from a stop within which a joint may be at it [rad, m], and how long it has to stand still there [s]."""
 CONFIRMATION, STUCK_CONFIRMATION, REVISION, SUSPICION_MAX = 0.06, 0.03, 0.1, 0.2
 """Times until something is found, and until a suspicion is an error of the model [s]."""
 FREE_SHARE, HEALTHY_SHARE = 0.15, 0.85

@@ -22,8 +22,8 @@ from jax_aero.config import EstimatorConfig, LatencyMonitorConfig
 from jax_aero.types import Array, Static, leaf, pytree, where
 
 DELAY_MAX, MEMORY, SETTLING, JITTER = 0.25, 3.0, 3.0, 0.1
-"""Greatest delay [s]; time in which residuals are forgotten [s]; filter times after a gap until residuals count; share of
-a tick by which the time between two measurements may differ from it."""
+"""Greatest delay [s]; memory of residuals [s]; filter times after a gap until residuals count; share of a tick by which
+the time between two measurements may differ from it."""
 
 
 class Kind(NamedTuple):
@@ -52,8 +52,7 @@ class LatencyMonitor:
     known: Float[Array, "2"]
     """Latencies that the controller knows [s]."""
     ages: Float[Array, "2"]
-    """Ages of the measured joints and thrusts, the former with the mean time after a tick at which its torques are given
-    [s]."""
+    """Ages of the measured joints, with the mean time after a tick when its torques are given, and of thrusts [s]."""
     time_step: Float[Array, ""]
     """[s]."""
     rest: Float[Array, ""]

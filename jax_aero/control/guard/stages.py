@@ -348,11 +348,10 @@ class LatencyStage(Stage):
 
     def judge(self, tick: Judged) -> Judged:
         """Compare them with commands of different ages."""
-        memory, used, dyn, limits = tick.memory, tick.used, tick.model.dynamics, tick.limits
+        memory, used, limits, gain = tick.memory, tick.used, tick.limits, tick.model.inverse_mass.joint_gain
         last, known = memory.latency, memory.channels
         assert last is not None
         torque = last.torque if memory.between is None else memory.between.mean_torque
-        gain, _ = joint_response(dyn.mass_matrix, jnp.zeros_like(dyn.bias))
         by_torque = gain @ (limits.torque_share * torque)
         is_comparable = used.has_momentum & ~jnp.any(limits.is_stuck)
         compared, is_late = latency.compare(

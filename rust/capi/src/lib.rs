@@ -149,9 +149,9 @@ pub enum FlightMode {
     /// The flight strays from its set-point.
     FlightStraying = 16384,
     /// Commands act later or earlier than the controller knows.
-    FlightLate = 32768,
+    FlightLate = 65536,
     /// The residual of a policy is not finite and not used.
-    FlightResidualIgnored = 65536,
+    FlightResidualIgnored = 32768,
 }
 
 /// Names of the modes, by bit.

@@ -373,7 +373,7 @@ pub static SIGNALS: [Signal; 51] = [
         "1",
         "in which ways the tick is degraded, a sum of bits: 1 wind held, 2 wind lost, 4 thrust modelled, 8 joints, \
          16 position, 32 rotation, 64 velocity predicted, 128 feet predicted, 256 clock predicted, 512 descending, 1024 engine limited, \
-         2048 begun again, 4096 joint limited, 16384 straying, 32768 late, 65536 residual ignored",
+         2048 begun again, 4096 joint limited, 16384 straying, 32768 residual ignored, 65536 late",
         |row, out| out.push(f64::from(row.command.modes.bits())),
     )),
     integer(tick(

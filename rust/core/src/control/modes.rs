@@ -35,10 +35,10 @@ impl Modes {
     pub const JOINT_LIMITED: Self = Self(1 << 12);
     /// The flight strays from its set-point.
     pub const STRAYING: Self = Self(1 << 14);
-    /// Commands act later or earlier than the controller knows.
-    pub const LATE: Self = Self(1 << 15);
     /// The residual of a policy, or a given one, is not finite and not used.
-    pub const RESIDUAL_IGNORED: Self = Self(1 << 16);
+    pub const RESIDUAL_IGNORED: Self = Self(1 << 15);
+    /// Commands act later or earlier than the controller knows.
+    pub const LATE: Self = Self(1 << 16);
 
     /// Modes in which a tick does not measure the momentum.
     pub(super) const WITHOUT_MOMENTUM: Self =
@@ -60,8 +60,8 @@ impl Modes {
         (Self::BEGUN_AGAIN, "begun_again"),
         (Self::JOINT_LIMITED, "joint_limited"),
         (Self::STRAYING, "straying"),
-        (Self::LATE, "late"),
         (Self::RESIDUAL_IGNORED, "residual_ignored"),
+        (Self::LATE, "late"),
     ];
 
     /// The set as a number, as in logs.
