@@ -58,10 +58,11 @@ class Misled(rust.Controller):
         setpoint: rust.Setpoint | None = None,
         foot_wrenches: ArrayLike | None = None,
         preview: rust.Preview | None = None,
+        residual: rust.Residual | None = None,
     ) -> rust.Tick:
         """Compute one tick of the changed measurement."""
         seen = self._change(Seen(time, state, np.array(thrust), np.array(foot_wrenches)))
-        return super().tick(seen.state, seen.thrust, wind, time, setpoint, seen.feet, preview)
+        return super().tick(seen.state, seen.thrust, wind, time, setpoint, seen.feet, preview, residual)
 
 
 class Failing(mujoco_ground.GroundPlant):

@@ -148,10 +148,10 @@ pub enum FlightMode {
     FlightJointLimited = 4096,
     /// The flight strays from its set-point.
     FlightStraying = 16384,
-    /// Commands act later or earlier than the controller knows.
-    FlightLate = 65536,
     /// The residual of a policy is not finite and not used.
     FlightResidualIgnored = 32768,
+    /// Commands act later or earlier than the controller knows.
+    FlightLate = 65536,
 }
 
 /// Names of the modes, by bit.
