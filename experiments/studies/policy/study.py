@@ -24,8 +24,11 @@ from numpy.typing import NDArray
 from experiments import study
 from experiments.sources import code_hash
 from experiments.study import Findings, Study
+from experiments.sweep import spec
+from experiments.sweep.design import Design
+from experiments.sweep.keys import set_all
 from jax_aero import rust, tables
-from jax_aero.aero.network_card import card_text
+from jax_aero.aero.network_card import card_text, write_card
 from jax_aero.command import ConfigError
 from jax_aero.control.law.policy_card import make_card
 from jax_aero.env import FlightEnv
@@ -58,6 +61,10 @@ class PolicyConfig(tables.Table, frozen=True):
     joint_velocity: tables.Positive = 1.0
     """Joint velocity of an action of 1 [rad/s]."""
     seeds: Annotated[tuple[tables.Seed, ...], msgspec.Meta(min_length=1)] = (0, 1, 2)
+    worlds: tuple[Path, ...] = ()
+    """Sweeps of sampled design whose cells the crate flies: as they are, with every policy, and with other values."""
+    others: dict[str, dict[str, Any]] = msgspec.field(default_factory=dict)
+    """Those values, by name and dotted key."""
     winds: tables.Count = 64
     """Winds in which policies are judged."""
 
@@ -95,7 +102,7 @@ def compute(_: str, config: PolicyConfig, checkpoint: Path) -> Findings:
             digest=f"{study.digest(kept, [])} {code_hash(__name__)}",
         )
     trained = time.process_time() - started
-    winds = unseen_winds(config.winds, task.wind_max)
+    winds = draw_winds(SEED, config.winds, task)
     policies = {f"seed {seed}": found.policy(number) for number, seed in enumerate(seeds)}
     rewards = {task.experiment: mean_rewards(task, winds)}
     rewards |= {key: mean_rewards(task, winds, policy) for key, policy in policies.items()}
@@ -116,6 +123,7 @@ def compute(_: str, config: PolicyConfig, checkpoint: Path) -> Findings:
         "processor, flights of judgement": time.process_time() - started - trained,
     }
     texts: dict[str, str | bytes] = {}
+    laws: dict[str, Mapping[str, Any]] = {"alone": {}}
     robot = load_robot(flights[task.experiment]["robot"])
     for number, seed in enumerate(seeds):
         card, weights = make_card(
@@ -132,7 +140,15 @@ def compute(_: str, config: PolicyConfig, checkpoint: Path) -> Findings:
                 "mean_reward_without": float(rewards[task.experiment].mean()),
             },
         )
+        folder = checkpoint.parent / f".{checkpoint.stem}.cards"
+        folder.mkdir(exist_ok=True)
+        path = folder / f"seed_{seed}.json"
+        write_card(path, card, weights)
+        laws[f"seed {seed}"] = {"controller.policy": {"card": path}}
         texts |= {f"seed_{seed}.json": card_text(card), f"seed_{seed}.safetensors": weights}
+    laws |= config.others
+    for worlds in config.worlds:
+        summary |= fly_worlds(worlds, laws)
     dataset = to_dataset(seeds, [curve.reward for curve in found.curves], winds, rewards, found.policies)
     dataset.attrs["ticks_per_step"] = training.batch * training.ticks
     return Findings(config.title, dataset, summary, flights=flights, timings=timings, texts=texts)
@@ -151,14 +167,47 @@ STUDY = Study(
 main = STUDY.main
 
 
-def unseen_winds(count: int, greatest: float) -> NDArray[np.float64]:
+def fly_worlds(path: Path, laws: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+    """Return medians over the worlds of rms errors, and their ratio to the first law's, with its 95 % interval."""
+    worlds = Design(spec.load(str(path)))
+    cells = []
+    for number in range(len(worlds.cells)):
+        config = worlds.cell_config(number)
+        worlds.perturb(config, number)
+        cells.append(config)
+    found: dict[str, float] = {}
+    firsts: dict[str, NDArray[np.float64]] = {}
+    for law, changes in laws.items():
+        flown = rust.fly_batch([set_all(config, changes) for config in cells], threads=1)
+        found[f"{path.stem}, {law}, lost"] = sum(one.outcome not in ("completed", "off_course") for one in flown)
+        for figure in ("rms_rotation_error", "rms_com_error"):
+            values = np.array([one.summary[figure] for one in flown])
+            first = firsts.setdefault(figure, values)
+            draws = np.random.default_rng(1).integers(values.size, size=(DRAWS, values.size))
+            ratios = np.median(values[draws] / first[draws], axis=1)
+            found[f"{path.stem}, {law}, {figure}"] = float(np.median(values))
+            if law != "alone":
+                low, high = np.percentile(ratios, [2.5, 97.5])
+                found |= {
+                    f"{path.stem}, {law}, {figure}, ratio": float(np.median(values / first)),
+                    f"{path.stem}, {law}, {figure}, ratio, low": float(low),
+                    f"{path.stem}, {law}, {figure}, ratio, high": float(high),
+                }
+    return found
+
+
+def draw_winds(seed: int, count: int, task: Task) -> NDArray[np.float64]:
     """Return winds of the task's distribution (count, 3) [m/s]."""
-    rng = np.random.default_rng(SEED)
-    speed, angle = rng.uniform(0.0, greatest, count), rng.uniform(0.0, 2.0 * np.pi, count)
+    rng = np.random.default_rng(seed)
+    speed, angle = rng.uniform(task.wind_min, task.wind_max, count), rng.uniform(0.0, 2.0 * np.pi, count)
     return np.column_stack([speed * np.cos(angle), speed * np.sin(angle), np.zeros(count)])
 
 
-def mean_rewards(task: Task, winds: NDArray[np.float64], policy: Policy | None = None) -> NDArray[np.float64]:
+def mean_rewards(
+    task: Task,
+    winds: NDArray[np.float64],
+    policy: Policy | None = None,
+) -> NDArray[np.float64]:
     """Return the mean reward of a tick, at most 1, of one flight of the crate in each of the winds (w, 3) [m/s]."""
     env, found = HoverEnv(task), []
     nothing = np.zeros(env.action_space.shape or ())

@@ -35,7 +35,7 @@ FORMAT = "flight-policy"
 VERSION = 1
 
 Feature = Literal["gravity", "rotation", "position", "velocity", "angular_velocity", "force", "moment"]
-NotNegative = Annotated[float, msgspec.Meta(ge=0)]
+
 
 TENSORS = {
     "hidden.weight": "hidden",
@@ -65,8 +65,8 @@ class Output(tables.Table, frozen=True):
 
     jets: tuple[str, ...]
     joints: tuple[str, ...]
-    thrust_rate: NotNegative
-    joint_velocity: NotNegative
+    thrust_rate: tables.NonNegative
+    joint_velocity: tables.NonNegative
 
 
 class Architecture(tables.Table, frozen=True):

@@ -260,7 +260,7 @@ fn a_residual_that_is_no_number_is_not_used() {
     let overflowing = weights(&mut || signs.next().unwrap());
     let mut steered = controller();
     // In double precision only a factor beyond those of single precision overflows.
-    let far = ("/inputs/scale", json!([1e300; 7]));
+    let far = ("/inputs/scale", json!([1e300_f64; 7].to_vec()));
     steered.set_policy(load(&robot("ironcub_mk1"), &tensors(overflowing), &[far]).unwrap());
     let (steered, own) = (two_ticks(steered).0, two_ticks(controller()).0);
     let (command, before) = (steered.controller.command(), own.controller.command());
