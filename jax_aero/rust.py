@@ -540,9 +540,10 @@ class Controller:
         known = Preview() if preview is None else preview
         later = [(after, _numbers(given)) for after, given in known.setpoints]
         winds = None if known.wind is None else _array(known.wind)
+        added = None
         if residual is not None:
-            residual = Residual(_array(residual.thrust_rate), _array(residual.joint_velocity), residual.replaces)
-        raw = self._core.tick(time, _arrays(state), _array(thrust), _array(wind), now, feet, later, winds, residual)
+            added = _array(residual.thrust_rate), _array(residual.joint_velocity), residual.replaces
+        raw = self._core.tick(time, _arrays(state), _array(thrust), _array(wind), now, feet, later, winds, added)
         contact, estimates = raw.pop("contact", None), raw.pop("estimates")
         momentum = QpProblem(raw.pop("h"), raw.pop("g"), raw.pop("lower"), raw.pop("upper"))
         kind = QpProblem if contact is None else RowProblem

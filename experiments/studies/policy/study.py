@@ -31,11 +31,12 @@ from jax_aero import rust, tables
 from jax_aero.aero.network_card import card_text, write_card
 from jax_aero.command import ConfigError
 from jax_aero.control.law.policy_card import make_card
+from jax_aero.control.law.residual import Policy
 from jax_aero.env import FlightEnv
 from jax_aero.env_gym import HoverEnv
 from jax_aero.env_task import Task
 from jax_aero.robot import load_robot
-from jax_aero.train.policy import Policy, Settings, act, residual_of, train
+from jax_aero.train.policy import Settings, act, residual_of, train
 
 SEED = 2**40
 """Seed of the winds in which policies are judged."""
