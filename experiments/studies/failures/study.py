@@ -3,7 +3,8 @@
 `jax-aero study failures [PART]` flies one part of the question, or all: `losses` and `planned` (the base is no longer
 measured), `thrust`, `thrust_checked` and `thrust_scaled` (thrusts are measured wrong), `engines` and `descent` (an
 engine fails), `pauses` (the controller does not tick), `late_torques` and `late_thrusts` (commands act late),
-`take_off_base`, `take_off_engines` and `take_off_scaled` (on the ground). `--set every=10` flies only every tenth flight. The result goes to `results/failures/PART/`.
+`take_off_base`, `take_off_engines` and `take_off_scaled` (on the ground). `--set every=10` flies only every tenth
+flight. The result goes to `results/failures/PART/`.
 """
 
 from __future__ import annotations
