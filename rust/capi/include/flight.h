@@ -88,6 +88,8 @@ typedef enum FlightMode {
   FLIGHT_STRAYING = 16384,
   // The residual of a policy is not finite and not used.
   FLIGHT_RESIDUAL_IGNORED = 32768,
+  // Commands act later or earlier than the controller knows.
+  FLIGHT_LATE = 65536,
 } FlightMode;
 
 // A controller with its flight, for one thread at a time; several threads may read it (functions that take a pointer
