@@ -186,6 +186,23 @@ def test_the_robot_takes_off_and_lands(measured, tmp_path):
     assert (out / "take_off.pdf").read_bytes().startswith(b"%PDF")
 
 
+def test_another_robot_takes_off_and_lands(measured):
+    """IRonCub-Mk3, whose feet are shorter and narrower for its weight, up and down as far."""
+    times = {"mission.up": [(0.5, 2.5)], "mission.down": [(4.5, 10.0)], "simulator.duration": 9.5}
+    result = fly(rust.load_config(ROOT / "configs/experiments/mk3_take_off.toml", COARSE | times))
+    log, summary = result.log, result.summary
+    assert result.outcome == "completed"
+    assert not log["degraded_modes"].any()
+    carried = log["feet_carry"] == 1.0
+    assert carried[:50].all()
+    assert carried[-150:].all()
+    assert log["sole_position"][~carried, :, 2].max() > 0.3
+    measured("touchdown speed [m/s]", summary["touchdown_speed"], 0.3)
+    measured("rotation error [deg]", np.degrees(summary["max_rotation_error"]), 10.0)
+    assert summary["ticks_without_solution"] == 0
+    assert 11.0 <= log["thrust"].min() < 11.01
+
+
 @pytest.mark.parametrize("back", [1.2, 99.0])
 def test_feet_that_are_not_measured_stand_take_off_and_land(monkeypatch, back):
     """Held as they were last measured, they keep their load: the robot fell on leaving the ground. It fell after it had
