@@ -13,6 +13,7 @@ from jax_aero import rust
 from jax_aero.aero.network_card import copy_network
 from jax_aero.control import Measurement
 from jax_aero.control.law.policy_card import load_policy, save_policy
+from jax_aero.control.modes import MODES
 from jax_aero.env import FlightEnv
 from jax_aero.env_task import Task
 from jax_aero.robot import load_robot
@@ -106,7 +107,7 @@ def test_a_residual_that_is_no_number_is_named(x64, robot):
 
     with_nan = first_tick(spoilt, begun)
     alone = first_tick(replace(controller, residual=None), begun._replace(controller=memory))
-    assert int(with_nan.degraded_modes) == 32768
+    assert int(with_nan.degraded_modes) == MODES["residual_ignored"]
     np.testing.assert_array_equal(with_nan.thrust_rate, alone.thrust_rate)
     np.testing.assert_array_equal(with_nan.joint_torque, alone.joint_torque)
 
