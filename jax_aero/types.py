@@ -168,7 +168,7 @@ class Setpoint(NamedTuple):
     """Angular jerk [rad/s³]."""
 
 
-def where(condition: Bool[Array, ""], yes: Tree, no: Tree) -> Tree:
+def where(condition: Bool[Array, ""] | bool, yes: Tree, no: Tree) -> Tree:
     """Return `yes` if the condition holds and `no` otherwise, for every leaf."""
     chosen: Tree = jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
     return chosen

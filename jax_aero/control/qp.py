@@ -166,7 +166,7 @@ def _minimise_jvp(primals, tangents):  # type: ignore[no-untyped-def]
     scale = jnp.where(free, lax.rsqrt(jnp.where(free, jnp.diagonal(qp.h), 1.0)), 1.0)
     reduced = _mask_hessian(qp.h * scale[:, None] * scale[None], free)
     d_x = d_held + scale * solve_positive_definite(reduced, (scale * right)[:, None])[:, 0]
-    none = partial(np.zeros, dtype=jax.dtypes.float0)
+    none: Any = partial(np.zeros, dtype=jax.dtypes.float0)
     return answer, QpAnswer(d_x, none(side.shape), jnp.zeros_like(kkt), none(status.shape), none(iterations.shape))
 
 

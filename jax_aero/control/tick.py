@@ -132,7 +132,7 @@ class MomentumController:
     def guard(self, robot: RobotModel) -> Guard:
         """Return the channels and the stages that are configured."""
         winds, observes, monitors, estimates = self.wind_observer, self.observer, self.engines, self.estimator
-        shares = jnp.ones(2, self.time_step.dtype) if estimates is None else estimates.momentum_shares
+        shares = jnp.ones_like(self.time_step, shape=2) if estimates is None else estimates.momentum_shares
         stages = (
             None if winds is None else WindStage(winds, robot, self.aero),
             None if observes is None else ObserverStage(observes),

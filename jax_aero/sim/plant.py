@@ -199,7 +199,7 @@ def start_plant(
         base_position=leaf(initial.base_position),
         base_rotation=rotation_from_rpy(np.deg2rad(leaf(initial.base_rpy_deg))),
         joint_position=joint_position,
-        velocity=np.concatenate([leaf(initial.base_velocity), np.zeros_like(joint_position)]),
+        velocity=leaf(np.concatenate([initial.base_velocity, np.zeros(robot.n_joints)])),
     )
     if initial.free_fall_tick:
         state = _fall_freely(plant, state)

@@ -290,7 +290,7 @@ def prepare(
         if settings is None
         else sensing.sensors(settings, plant.time_step, ticks, robot.n_joints, robot.jets.count),
         outages=outages_of(config.disturbances.outages, robot),
-        n_ticks=np.array(ticks, np.int32),
+        n_ticks=jnp.asarray(np.int32(ticks)),
         precision="",
     )
     scenario, flight_state = jax.device_put((scenario, _begin_once(scenario, state)))
@@ -313,7 +313,7 @@ def convert_precision(scenario: Scenario, state: FlightState, dtype: Any) -> tup
 
 def _winds(wind: Wind, ticks: int, time_step: Array) -> Array:
     """Return the wind at every tick of a flight (ticks + 1, 3) [m/s]."""
-    times = jnp.arange(ticks + 1, dtype=time_step.dtype) * time_step
+    times = np.arange(ticks + 1) * np.asarray(time_step)
     winds: Array = jax.jit(jax.vmap(wind_velocity, in_axes=(None, 0)))(wind, times)
     return winds
 

@@ -69,4 +69,5 @@ def filter_update(gains: FilterGains, state: FilterState, value: Float[Array, "3
 
 def filter_lags(smoothing_time: Float[Array, ""]) -> Float[Array, "2"]:
     """Return `T B / A` [s] and `T² C / A` [s²], with which an input leads an output without jerk."""
-    return library(smoothing_time).stack([smoothing_time * (_B / _A), smoothing_time**2 * (_C / _A)])
+    lags: Array = library(smoothing_time).stack([smoothing_time * (_B / _A), smoothing_time**2 * (_C / _A)])
+    return lags
