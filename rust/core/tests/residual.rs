@@ -216,8 +216,8 @@ fn a_residual_is_added_within_the_bounds() {
         let (command, terms) = (steered.controller.command(), steered.controller.terms());
         let problem = &terms.momentum_qp.problem;
         let kept = f64::from(u8::from(!replaces));
-        for jet in 0..4 {
-            let wanted = kept * own_command.thrust_rate[jet] + rates[jet];
+        for (jet, rate) in rates.iter().enumerate() {
+            let wanted = kept * own_command.thrust_rate[jet] + rate;
             assert_eq!(
                 command.thrust_rate[jet],
                 wanted.clamp(problem.lower[jet], problem.upper[jet]),
@@ -242,12 +242,13 @@ fn a_residual_is_added_within_the_bounds() {
 fn a_residual_that_is_no_number_is_not_used() {
     let own = tick(controller(), None);
     let (good, bad) = ([0.0; 23], [f64::NAN; 23]);
-    let given = |thrust_rate, joint_velocity| Residual { thrust_rate, joint_velocity, replaces: true };
-    for (what, steered) in [
-        ("NaN", tick(controller(), Some(&given(&[0.0; 4], &bad)))),
-        ("infinite", tick(controller(), Some(&given(&[f64::INFINITY, 0.0, 0.0, 0.0], &good)))),
-        ("three jets", tick(controller(), Some(&given(&[0.0; 3], &good)))),
+    for (what, thrust_rate, joint_velocity) in [
+        ("NaN", &[0.0; 4][..], &bad),
+        ("infinite", &[f64::INFINITY, 0.0, 0.0, 0.0], &good),
+        ("three jets", &[0.0; 3], &good),
     ] {
+        let residual = Residual { thrust_rate, joint_velocity, replaces: true };
+        let steered = tick(controller(), Some(&residual));
         let (command, before) = (steered.controller.command(), own.controller.command());
         assert!(command.modes.contains(Modes::RESIDUAL_IGNORED), "{what}");
         assert_eq!(command.status, CommandStatus::Degraded, "{what}");
