@@ -186,6 +186,7 @@ def test_the_robot_takes_off_and_lands(measured, tmp_path):
     assert (out / "take_off.pdf").read_bytes().startswith(b"%PDF")
 
 
+@pytest.mark.close_to_tolerance("the tolerances are what the flight is meant to keep")
 def test_another_robot_takes_off_and_lands(measured):
     """IRonCub-Mk3, whose feet are shorter and narrower for its weight, up and down as far."""
     times = {"mission.up": [(0.5, 2.5)], "mission.down": [(4.5, 10.0)], "simulator.duration": 9.5}
