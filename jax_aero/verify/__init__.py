@@ -83,11 +83,15 @@ class Comparison:
     ) -> None:
         """Record the difference between `ours` and `theirs`; `rounded` is theirs with inputs changed by a rounding."""
         ours, theirs = np.asarray(ours, np.float64), np.asarray(theirs, np.float64)
+        # What neither knows is equal.
+        is_known = ~(np.isnan(ours) & np.isnan(theirs))
+        ours, theirs = np.where(is_known, ours, 0.0), np.where(is_known, theirs, 0.0)
         row = self._rows.setdefault((group, quantity), Row(group, quantity, tolerance, relative))
         # `np.maximum` propagates NaN; `max` would drop it.
         row.absolute = float(np.maximum(row.absolute, np.max(np.abs(ours - theirs), initial=0.0)))
         row.scale = max(row.scale, float(np.max(np.abs(theirs), initial=0.0)))
-        change = 0.0 if rounded is None else np.max(np.abs(np.asarray(rounded) - theirs), initial=0.0)
+        changed = theirs if rounded is None else np.where(is_known, rounded, 0.0)
+        change = np.max(np.abs(changed - theirs), initial=0.0)
         row.rounding = max(row.rounding, float(change))
 
 
