@@ -172,9 +172,10 @@ def card_path(path: str | PathLike[str]) -> Path:
 
 def write_card(target: Path, card: Mapping[str, Any], tensors: bytes) -> None:
     """Write a card and, beside it, its weights."""
+    text = card_text(card)  # refused before anything is written
     # Weights first: a card never names missing weights, and an old card refuses new weights by their hash.
     write_bytes(target.with_suffix(".safetensors"), tensors)
-    write_text(target, card_text(card))
+    write_text(target, text)
 
 
 def card_text(card: Mapping[str, Any]) -> str:

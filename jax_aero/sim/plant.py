@@ -78,7 +78,9 @@ def run_once(function: Callable[P, Result]) -> Callable[P, Result]:
     compiled = jax.jit(function, compiler_options=COMPILER_OPTIONS | {"xla_backend_optimization_level": 0})
 
     def call(*args: P.args, **named: P.kwargs) -> Result:
-        is_traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((args, named)))
+        # A number made in a program that is traced is a part of it, too.
+        values = jax.tree.leaves((args, named, jnp.zeros(())))
+        is_traced = any(isinstance(value, jax.core.Tracer) for value in values)
         return (function if is_traced else compiled)(*args, **named)
 
     return call

@@ -69,8 +69,8 @@ def values(tick: rust.Tick) -> Values:
                 add(f"{name}.{key}", part)
 
     for key, value in vars(tick).items():
-        # Without estimators the former are the measurement; these flights do not look for faulty joints.
-        if key not in {"estimates", "joint_condition", "measured_latency"}:
+        # Without estimators the former are the measurement; these flights have no faulty joints and no residuals.
+        if key not in {"estimates", "joint_condition", "measured_latency", "residual", "residual_wrench"}:
             add(stored_names.get(key, key), value)
     return found
 

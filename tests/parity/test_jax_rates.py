@@ -75,7 +75,7 @@ def test_a_flight_at_two_rates(name, measured):
     """Commands are late, and some are lost: each torque of a tick has its own delay."""
     step = 0.01 / FLIGHTS[name]["simulator.substeps"]
     actuation = {"thrust_delay": 6 * step, "torque_delay": step, "jitter": step, "drop": 0.1, "seed": 3}
-    changes = {**FLIGHTS[name], "simulator.duration": 0.6, "simulator.actuation": actuation}
+    changes = {**FLIGHTS[name], "simulator.duration": 0.4, "simulator.actuation": actuation}
     table = rust.load_config(name, changes)
     theirs, ours = rust.fly(table), sim.fly(table)
     assert ours.outcome == theirs.outcome == "completed"

@@ -53,7 +53,7 @@ def agree(structure: Any, sizes: dict[str, int], place: str = "") -> None:
         for name, hint in hints.items():
             part = getattr(structure, name)
             if states_shape(hint):
-                assert is_bearable(part, hint), f"{place}.{name} has shape {np.shape(part)}; expected {hint}"
+                assert is_bearable(part, hint), f"{place}.{name} is {part}; expected {hint}"
     if not isinstance(structure, STACKED):
         for name in hints:
             agree(getattr(structure, name), sizes, f"{place}.{name}")

@@ -182,7 +182,7 @@ def test_what_a_terminal_would_obey_is_shown(monkeypatch, capsys):
     ("line", "expected"),
     [
         ("jax-aero ver", {"verify"}),
-        ("jax-aero fly test1_p", {"test1_published", "test1_published_observer"}),
+        ("jax-aero fly test1_p", {"test1_policy", "test1_published", "test1_published_observer"}),
         *((f"jax-aero study {name[:-1]}", {name}) for name in studies.names()[:1]),
         *((f"jax-aero study {name} {places.names(name)[0][:-1]}", {places.names(name)[0]}) for name in CONFIGURED[:1]),
     ],

@@ -90,7 +90,7 @@ def test_a_log_of_ours_replays_from_every_format(form, result, tmp_path, capsys)
     if form == "csv":  # which holds no configuration; only the controller of this one is used
         words = ("--experiment", "test2_sensors")
     status, out, _ = run(capsys, "replay", path, *words)
-    assert (status, out.splitlines()[-1]) == (0, "equal to the last bit: 21 of 21 signals")
+    assert (status, out.splitlines()[-1]) == (0, "equal to the last bit: 23 of 23 signals")
 
 
 def test_another_controller_differs_and_is_drawn(result, tmp_path, capsys):

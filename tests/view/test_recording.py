@@ -164,7 +164,9 @@ def test_a_frame_says_what_flies_and_whose_ghost(seen, monkeypatch):
     words = []
     monkeypatch.setattr(labels, "text", lambda _, __, text, *___, **____: words.append(text))
     ghost = replace(seen, title="another")
-    labels.letter_video(np.zeros((340, 600, 3), np.uint8), seen, 18.0, drawing.Scales(), 100.0, ghost, ended=[])
+    labels.letter_video(
+        np.zeros((340, 600, 3), np.uint8), seen, 18.0, drawing.Scales(), 100.0, ghost, ended=[], end=20.0
+    )
     assert words[:3] == [seen.title, "ghost: another", "18.0 s"]
 
 

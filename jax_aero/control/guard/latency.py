@@ -68,15 +68,15 @@ class LatencyMonitor:
 class BankState(NamedTuple):
     """State of the comparison of one kind of command."""
 
-    response: tuple[Float[Array, " n"], ...]
+    response: tuple[Float[Array, " c"], ...]
     """Lags of the response."""
-    command: tuple[Float[Array, " n"], ...]
+    command: tuple[Float[Array, " c"], ...]
     """Lags of the command."""
-    last: Float[Array, " n"]
+    last: Float[Array, " c"]
     """`ν` of the last tick."""
-    line: Float[Array, "d n"]
+    line: Float[Array, "d c"]
     """`φ` of the last ticks, the latest first."""
-    square: Float[Array, "d n"]
+    square: Float[Array, "d c"]
     """`J`: mean squares."""
     best: Int[Array, ""]
     """Number of the best delay."""
@@ -246,7 +246,7 @@ def _update(
 
     responses, commands = lag(last.response, response), lag(last.command, command)
     line = jnp.concatenate([commands[-1][None], last.line[:-1]])
-    residual = last.last - line
+    residual = last.last[None] - line
     square = jnp.where(last.ticks >= wait, last.square + share * (residual**2 - last.square), last.square)
     sums = _sums(kind, square, last.best)
     after = BankState(responses, commands, responses[-1], line, square, jnp.argmin(sums), last.ticks + 1)
@@ -263,7 +263,7 @@ def _update(
 
 def _sums(kind: Kind, square: Float[Array, "d n"], weights: Int[Array, ""]) -> Float[Array, " d"]:
     """Return `L` of every delay, with the weights of one."""
-    return jnp.sum(square / (square[weights] + kind.floor**2), axis=1)
+    return jnp.sum(square / (square[weights][None] + kind.floor**2), axis=1)
 
 
 def _delay(settings: LatencyMonitor, kind: Kind, state: BankState) -> Float[Array, ""]:

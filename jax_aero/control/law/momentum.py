@@ -158,4 +158,4 @@ def _lambda_a(robot: RobotModel, kin: Kinematics, com_jacobian: Array, link: Lin
 
 def _com_motion(total_force: Array, com_jacobian: Array) -> Array:
     """Part `(0 ; Σ S(f) J_G)` common to all forces: the arms change as the centre of mass moves."""
-    return jnp.concatenate([jnp.zeros_like(com_jacobian), cross(total_force, com_jacobian.T).T])
+    return jnp.concatenate([jnp.zeros_like(com_jacobian), cross(total_force[None], com_jacobian.T).T])

@@ -74,7 +74,7 @@ class Steering:
     replaces: Static[bool] = False
     """Whether it replaces the answer of the law."""
 
-    def act(self, _features: dict[str, Array]) -> Added:
+    def act(self, _features: dict[str, Float[Array, "3"]]) -> Added:
         """Return the residual."""
         return Added(self.thrust_rate, self.joint_velocity)
 
@@ -100,7 +100,7 @@ class PolicyResidual:
         """Return that it is added."""
         return False
 
-    def act(self, features: dict[str, Array]) -> Added:
+    def act(self, features: dict[str, Float[Array, "3"]]) -> Added:
         """Return the residual of what is observed."""
         seen = jnp.concatenate([features[name] for name in self.features])
         action = evaluate(jnp, self.policy, jnp.repeat(self.scale, 3) * seen)

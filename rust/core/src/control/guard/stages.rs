@@ -519,6 +519,7 @@ impl Stage for LatencyMonitor {
         let is_comparable = used.has_momentum
             && inverse_mass.is_known
             && !contact.is_active
+            && !used.modes.contains(Modes::FEET_PREDICTED)
             && !limits.joints.contains(&JointCondition::Stuck);
         let sample = latency::Sample {
             acceleration: &channels.acceleration.as_slice()[6..],
