@@ -273,5 +273,5 @@ def _delay(settings: LatencyMonitor, kind: Kind, state: BankState) -> Float[Arra
     before, at, after = sums[inner - 1], sums[inner], sums[inner + 1]
     curvature = before - 2.0 * at + after
     is_known = (inner == state.best) & (curvature * MEMORY / h * kind.deviation_max**2 > h**2)
-    delay = h * (inner - 1.0 + 0.5 * (before - after) / jnp.where(is_known, curvature, 1.0))
+    delay = h * (inner.astype(h.dtype) - 1.0 + 0.5 * (before - after) / jnp.where(is_known, curvature, 1.0))
     return jnp.where(is_known, delay, jnp.nan)
