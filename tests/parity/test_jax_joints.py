@@ -48,6 +48,7 @@ def test_faults_act_from_their_onset_on():
 def test_a_flight_with_faulty_joints(experiment, faults, measured):
     """Both engines find the same in the same ticks; the mission moves the joints of a robot that stands in the wind."""
     changes = {
+        "controller.joints": {"acceleration_max": 20.0, "share_max": 0.7, "displacement_min": 0.005},
         "simulator.duration": 2.8,
         "mission.forward": [[0.2, 2.8]],
         "disturbances.joints": [{"joint": joint, "kind": kind, "start": start} for joint, kind, start in faults],
