@@ -8,6 +8,7 @@ import tomllib
 from importlib import metadata
 from pathlib import Path
 
+import pytest
 import yaml
 
 import jax_aero
@@ -15,11 +16,14 @@ import jax_aero
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def make(*arguments: str) -> str:
-    environment = {key: value for key, value in os.environ.items() if not key.startswith("MAKE")}
-    return subprocess.run(
-        ["make", *arguments], cwd=ROOT, env=environment, capture_output=True, text=True, check=True, timeout=60
-    ).stdout
+def make(*arguments: str, status: int = 0) -> str:
+    """Return the output of a make that does not know of the one that runs the tests, and so prints no directory."""
+    environment = {key: value for key, value in os.environ.items() if not key.startswith(("MAKE", "MFLAGS"))}
+    done = subprocess.run(
+        ["make", *arguments], cwd=ROOT, env=environment, capture_output=True, text=True, check=False, timeout=60
+    )
+    assert done.returncode == status
+    return done.stdout
 
 
 def test_make_alone_lists_targets_with_what_they_do_and_each_has_a_recipe():
@@ -29,12 +33,22 @@ def test_make_alone_lists_targets_with_what_they_do_and_each_has_a_recipe():
     assert all(lines)
 
 
-def test_bits_are_not_compared_without_compiler_and_emulator():
-    refused = subprocess.run(
-        ["make", "bits", "ARM_TOOLS=no-emulator"], cwd=ROOT, capture_output=True, text=True, check=False, timeout=60
-    )
-    assert refused.returncode == 2
-    assert refused.stdout == "no-emulator is missing: apt-get install gcc-aarch64-linux-gnu qemu-user\n"
+@pytest.mark.parametrize("flags", ["w", "--no-print-directory"])
+def test_bits_are_not_compared_without_compiler_and_emulator(flags, monkeypatch):
+    """Whether or not the make that runs the tests prints its directory."""
+    for key, value in {"MAKELEVEL": "1", "MAKEFLAGS": flags, "MFLAGS": f"-{flags.strip('-')}"}.items():
+        monkeypatch.setenv(key, value)
+    refused = make("bits", "ARM_TOOLS=no-emulator", status=2)
+    assert refused == "no-emulator is missing: apt-get install gcc-aarch64-linux-gnu qemu-user\n"
+
+
+def test_ci_calls_the_commands_of_the_readme_as_they_stand_there():
+    readme, ci = ((ROOT / name).read_text(encoding="utf-8") for name in ("README.md", ".ci/run"))
+    shown = re.findall(r"^make (?:demo|test)$", readme, re.M) + re.findall(r"`(make test-all)`", readme)
+    assert shown == ["make demo", "make test", "make test-all"]
+    called = [line.split("#")[0].strip() for line in ci.splitlines()]
+    assert {"make demo", "make test-all"} <= {*called}  # the latter begins with `make test`
+    assert "--no-print-directory" not in ci
 
 
 def test_there_is_one_version():
