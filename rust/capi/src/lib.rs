@@ -11,7 +11,7 @@
 use flight_core::control::law::between::JointMeasurement;
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::modes::Modes;
-use flight_core::control::{BadCommand, Command, CommandStatus, ControllerState, Preview};
+use flight_core::control::{BadCommand, Command, CommandStatus, ControllerState, Given, Preview};
 use flight_core::spatial::Pose;
 use flight_core::{BuildError, Controller, Measurement, RobotState};
 use flight_io::load_robot;
@@ -797,7 +797,11 @@ pub unsafe extern "C" fn flight_tick_ahead(
         let (controller, flight, measurement, preview) = controller.parts(given);
         let Some(flight) = flight else { return FlightStatus::FlightNotStarted };
         let setpoint = setpoint.map(setpoint_of);
-        let answer = controller.tick_ahead(flight, &measurement, setpoint.as_ref(), &preview);
+        let answer = controller.tick_with(
+            flight,
+            &measurement,
+            &Given { setpoint: setpoint.as_ref(), preview, ..Given::default() },
+        );
         // SAFETY: not null, and of these lengths by this function's contract.
         unsafe {
             copy_out(answer.thrust_rate.as_slice(), command.thrust_rate);

@@ -20,7 +20,7 @@ use flight_core::Measurement;
 use flight_core::control::law::between::JointMeasurement;
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::modes::Modes;
-use flight_core::control::{CommandStatus, Preview};
+use flight_core::control::{CommandStatus, Given, Preview};
 use flight_io::load_robot;
 use flight_sim::{Plant, load_scenario};
 use nalgebra::{Matrix3, Vector3};
@@ -231,7 +231,14 @@ fn fly_both(name: &str) {
                 };
             });
             let preview = Preview { setpoints: &setpoints, wind: &winds };
-            (controller.tick_ahead(ours, &measurement, Some(&setpoint), &preview), allocated)
+            (
+                controller.tick_with(
+                    ours,
+                    &measurement,
+                    &Given { setpoint: Some(&setpoint), preview, ..Given::default() },
+                ),
+                allocated,
+            )
         } else {
             let allocated = allocations(|| {
                 status = unsafe { flight_tick(c.0, &raw const given, null(), &raw const c_command) };
@@ -726,7 +733,11 @@ fn the_example_in_cpp_gives_the_command_of_the_crate() {
     };
     let mut flight = controller.start(&measurement).unwrap();
     let setpoint = Setpoint::hold(Vector3::new(0.0, 0.0, 1.0), Matrix3::identity());
-    let command = controller.tick_towards(&mut flight, &measurement, &setpoint);
+    let command = controller.tick_with(
+        &mut flight,
+        &measurement,
+        &Given { setpoint: Some(&setpoint), ..Given::default() },
+    );
     assert_eq!(numbers(&text)[0..], *command.thrust_rate.as_slice(), "{text}");
 }
 

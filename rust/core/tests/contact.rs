@@ -11,7 +11,7 @@ use flight_core::control::guard::estimator::{ChannelConfig, EstimatorConfig};
 use flight_core::control::guard::wind_observer::WindObserverConfig;
 use flight_core::control::law::contact::{Contact, ContactConfig, ContactState, LoadTransfer, WRENCH_ROWS};
 use flight_core::control::law::setpoint::Setpoint;
-use flight_core::control::{CommandStatus, Terms};
+use flight_core::control::{CommandStatus, Given, Terms};
 use flight_core::dynamics::Dynamics;
 use flight_core::kinematics::Kinematics;
 use flight_core::robot::Foot;
@@ -154,7 +154,7 @@ fn tick_with_load(
         Measurement { time, state, thrust: &QUARTER, wind: Vector3::zeros(), foot_wrenches: feet };
     let Running { controller, state: carried } = running;
     let carried = carried.get_or_insert_with(|| controller.start(&measurement).unwrap());
-    controller.tick_towards(carried, &measurement, &setpoint);
+    controller.tick_with(carried, &measurement, &Given { setpoint: Some(&setpoint), ..Given::default() });
 }
 
 /// M111: offsets of the two rate tasks, entry by entry, and which side is relieved.
@@ -684,7 +684,8 @@ fn a_robot_on_its_way_down_does_not_take_off() {
         };
         let Running { controller, state: carried } = &mut running;
         let setpoint = Setpoint::hold(Vector3::new(0.0, 0.0, 1.1), state.base.rotation);
-        controller.tick_towards(carried.as_mut().unwrap(), &measurement, &setpoint);
+        let given = Given { setpoint: Some(&setpoint), ..Given::default() };
+        controller.tick_with(carried.as_mut().unwrap(), &measurement, &given);
         let is_descending = controller.command().modes.contains(Modes::DESCENDING);
         assert_eq!(controller.terms().contact.takes_off, !is_descending, "tick {tick}");
     }

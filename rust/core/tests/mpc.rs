@@ -12,7 +12,7 @@ use flight_core::control::law::mpc::config::Air;
 use flight_core::control::law::mpc::horizon::{Horizon, Target};
 use flight_core::control::law::mpc::model::Linearised;
 use flight_core::control::law::setpoint::Setpoint;
-use flight_core::control::{Command, CommandStatus, Preview, Terms};
+use flight_core::control::{Command, CommandStatus, Given, Preview, Terms};
 use flight_core::dynamics::Dynamics;
 use flight_core::kinematics::Kinematics;
 use flight_core::qp::{PrimalActiveSet, QpSolver, QpStatus};
@@ -703,7 +703,11 @@ fn a_given_future_is_followed_as_that_of_the_mission() {
                 none => none.insert(controller.start(&measurement).unwrap()),
             };
             let preview = Preview { setpoints, ..Preview::default() };
-            let command = controller.tick_ahead(state, &measurement, given, &preview);
+            let command = controller.tick_with(
+                state,
+                &measurement,
+                &Given { setpoint: given, preview, ..Given::default() },
+            );
             (rates(command), command.status)
         };
         let (found, status) = ticked(&mut informed, &next);
@@ -732,7 +736,7 @@ fn a_plan_expects_the_wind_ahead() {
         let measurement = Measurement { time: 0.0, state, thrust, wind: calm, foot_wrenches: &[] };
         let mut flight = controller.start(&measurement).unwrap();
         let preview = Preview { wind, ..Preview::default() };
-        let command = controller.tick_ahead(&mut flight, &measurement, None, &preview);
+        let command = controller.tick_with(&mut flight, &measurement, &Given { preview, ..Given::default() });
         (command.status, command.thrust_rate.clone())
     };
     let side = Vector3::new(0.0, -8.0, 0.0);

@@ -9,7 +9,7 @@ use crate::common::{
     Running, TIME_STEP, assert_says, assert_within, experiment, random_state, random_vector, rng, robot,
 };
 use flight_core::control::law::residual::{Policy, Residual};
-use flight_core::control::{CommandStatus, Modes};
+use flight_core::control::{CommandStatus, Given, Modes};
 use flight_core::spatial::{exp_so3, log_so3};
 use flight_core::{BuildError, Controller, Measurement, RobotModel, RobotState};
 use flight_io::{PolicyConfig, load_policy};
@@ -196,7 +196,10 @@ fn tick(controller: Controller, residual: Option<&Residual>) -> Running {
     let measurement = at(0.0, &state, &thrust);
     let mut first = running.controller.start(&measurement).unwrap();
     match residual {
-        Some(residual) => running.controller.tick_steered(&mut first, &measurement, residual),
+        Some(residual) => {
+            let given = Given { residual: Some(residual), ..Given::default() };
+            running.controller.tick_with(&mut first, &measurement, &given)
+        }
         None => running.controller.tick(&mut first, &measurement),
     };
     running.state = Some(first);

@@ -6,6 +6,7 @@
 
 use crate::common::{Running, assert_within, experiment, random_state, random_vector, rng};
 use flight_core::aero::LinkForces;
+use flight_core::control::Given;
 use flight_core::control::law::attitude::{MomentumGains, attitude_demand};
 use flight_core::control::law::momentum::{AeroFeedback, MomentumModel};
 use flight_core::control::law::momentum_qp::{Equations, Layout, Task, TaskInputs};
@@ -59,7 +60,8 @@ fn run_tick(name: &str, seed: u64) -> (Running, RobotState, Vec<f64>) {
     controller.tick(&measure(0.0, &start));
     let setpoint = moving_setpoint(&mut rng);
     let Running { controller: second, state: flight } = &mut controller;
-    second.tick_towards(flight.as_mut().unwrap(), &measure(0.01, &state), &setpoint);
+    let given = Given { setpoint: Some(&setpoint), ..Given::default() };
+    second.tick_with(flight.as_mut().unwrap(), &measure(0.01, &state), &given);
     (controller, state, thrust)
 }
 

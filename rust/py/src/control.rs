@@ -14,7 +14,7 @@ use flight_core::control::law::mpc::model::Linearised;
 use flight_core::control::law::residual::Residual;
 use flight_core::control::law::setpoint::{Setpoint, SetpointGenerator};
 use flight_core::control::law::tasks::MOMENTUM_ROWS;
-use flight_core::control::{ControllerState as State, Estimates, Preview, Terms};
+use flight_core::control::{ControllerState as State, Estimates, Given, Preview, Terms};
 use flight_core::{Measurement, RobotState};
 use flight_io::{load_aero, load_mission, load_robot};
 use nalgebra::{DVector, Vector3, Vector6};
@@ -166,15 +166,19 @@ impl Controller {
             Some(state) => state,
             none => none.insert(self.controller.start(&measurement).map_err(plain_error)?),
         };
-        if let Some((thrust_rate, joint_velocity, replaces)) = residual {
-            let thrust_rate = entries("residual.thrust_rate", &thrust_rate, &[self.controller.n_jets()])?;
-            let joints = self.controller.model().joints.len();
-            let joint_velocity = entries("residual.joint_velocity", &joint_velocity, &[joints])?;
-            let residual = Residual { thrust_rate: &thrust_rate, joint_velocity: &joint_velocity, replaces };
-            self.controller.tick_steered(state, &measurement, &residual);
-        } else {
-            self.controller.tick_ahead(state, &measurement, setpoint.as_ref(), &preview);
-        }
+        let (jets, joints) = (self.controller.n_jets(), self.controller.model().joints.len());
+        let residual = residual.map(|(thrust_rate, joint_velocity, replaces)| -> PyResult<_> {
+            let thrust_rate = entries("residual.thrust_rate", &thrust_rate, &[jets])?;
+            Ok((thrust_rate, entries("residual.joint_velocity", &joint_velocity, &[joints])?, replaces))
+        });
+        let residual = residual.transpose()?;
+        let residual = residual.as_ref().map(|(thrust_rate, joint_velocity, replaces)| Residual {
+            thrust_rate,
+            joint_velocity,
+            replaces: *replaces,
+        });
+        let given = Given { setpoint: setpoint.as_ref(), preview, residual: residual.as_ref() };
+        self.controller.tick_with(state, &measurement, &given);
         self.last_tick(py)
     }
 

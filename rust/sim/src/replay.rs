@@ -6,7 +6,7 @@ use crate::sensors::Sensors;
 use crate::signals::TickRow;
 use crate::wind::Wind;
 use flight_core::control::law::between::JointMeasurement;
-use flight_core::control::{Measurement, Preview};
+use flight_core::control::{Given, Measurement, Preview};
 use flight_core::error::BuildError;
 use flight_core::kinematics::RobotState;
 use flight_core::spatial::Pose;
@@ -87,7 +87,8 @@ pub fn replay(config: &ScenarioConfig, log: &FlightLog) -> Result<FlightLog, Bui
             }
         };
         let ahead = sensors.as_mut().map_or(&[][..], |sensors| sensors.look_ahead(&wind, measurement.time));
-        controller.tick_ahead(state, &measurement, None, &Preview { wind: ahead, ..Preview::default() });
+        let preview = Preview { wind: ahead, ..Preview::default() };
+        controller.tick_with(state, &measurement, &Given { preview, ..Given::default() });
         replayed
             .push(&TickRow { measurement, terms: controller.terms(), command: controller.command() }, None);
     }

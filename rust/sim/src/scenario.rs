@@ -26,7 +26,7 @@ use crate::summary::Summary;
 use crate::wind::Wind;
 use flight_core::aero::LeverArm;
 use flight_core::control::law::between::JointMeasurement;
-use flight_core::control::{Controller, ControllerState, Measurement, Modes, Preview};
+use flight_core::control::{Controller, ControllerState, Given, Measurement, Modes, Preview};
 use flight_core::error::{BuildError, check};
 use flight_core::robot::RobotModel;
 use flight_io::{load_changed, load_robot};
@@ -305,7 +305,8 @@ impl Flight {
             return false;
         };
         let ahead = sensors.as_mut().map_or(&[][..], |sensors| sensors.look_ahead(profile, time));
-        controller.tick_ahead(state, &measurement, None, &Preview { wind: ahead, ..Preview::default() });
+        let preview = Preview { wind: ahead, ..Preview::default() };
+        controller.tick_with(state, &measurement, &Given { preview, ..Given::default() });
         let (terms, command) = (controller.terms(), controller.command());
         if self.tick == 0 || command.modes.contains(Modes::BEGUN_AGAIN) {
             self.log.joint_setpoint = state.posture().as_slice().to_vec();

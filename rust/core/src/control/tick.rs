@@ -5,10 +5,12 @@ use super::config::{ControllerConfig, check_time_step};
 use super::guard::channels::Channels;
 use super::guard::engines::Engines;
 use super::guard::estimator::Estimator;
+use super::guard::feet::Feet;
+use super::guard::joints::Joints;
 use super::guard::latency::LatencyMonitor;
 use super::guard::observer::ObserverState;
-use super::guard::stages::{Feet, Guard, Joints, Stage};
 use super::guard::wind_observer::WindObserver;
+use super::guard::{Guard, Stage};
 use super::law::between::{JointMeasurement, JointTracker, JointsBetween};
 use super::law::contact::{Contact, ContactState};
 use super::law::limits::Limits;
@@ -59,6 +61,19 @@ pub struct Controller {
     last_tick: u64,
     terms: Terms,
     command: Command,
+}
+
+/// What a tick is given beside its measurement; by default nothing: it follows the mission.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Given<'a> {
+    /// Set-point in place of the mission's. An invalid one results in the status [`CommandStatus::BadSetpoint`], and the
+    /// robot brakes from the motion of the last valid one (M115). During a descent set-points are ignored.
+    pub setpoint: Option<&'a Setpoint>,
+    /// What is known of the future. Set-points or winds of an invalid preview are ignored, with the status
+    /// [`CommandStatus::BadPreview`].
+    pub preview: Preview<'a>,
+    /// Residual in place of the policy's. One of another robot's sizes is not used, as is one that is not finite.
+    pub residual: Option<&'a Residual<'a>>,
 }
 
 impl Controller {
@@ -169,51 +184,15 @@ impl Controller {
     /// ([`channels`](super::guard::channels)); the command says what. Of a measurement that is not of this robot
     /// everything is missing, and the command holds: thrust rates and joint velocities are zero, torques stay.
     pub fn tick(&mut self, state: &mut ControllerState, measurement: &Measurement) -> &Command {
-        self.tick_ahead(state, measurement, None, &Preview::default())
+        self.tick_with(state, measurement, &Given::default())
     }
 
-    /// One tick that follows the given set-point instead of the mission. An invalid set-point results in the status
-    /// [`CommandStatus::BadSetpoint`], and the robot brakes from the motion of the last valid one (M115). During a
-    /// descent set-points are ignored.
-    pub fn tick_towards(
+    /// One tick with what is [`Given`] beside the measurement.
+    pub fn tick_with(
         &mut self,
         state: &mut ControllerState,
         measurement: &Measurement,
-        setpoint: &Setpoint,
-    ) -> &Command {
-        self.tick_ahead(state, measurement, Some(setpoint), &Preview::default())
-    }
-
-    /// One tick that follows the mission or a given set-point, with what is known of the future. Set-points or winds of
-    /// an invalid preview are ignored, with the status [`CommandStatus::BadPreview`].
-    pub fn tick_ahead(
-        &mut self,
-        state: &mut ControllerState,
-        measurement: &Measurement,
-        given: Option<&Setpoint>,
-        preview: &Preview,
-    ) -> &Command {
-        self.advance(state, measurement, given, preview, None)
-    }
-
-    /// One tick that follows the mission, with a given residual in place of the policy's. One of another robot's sizes is
-    /// not used, as is one that is not finite.
-    pub fn tick_steered(
-        &mut self,
-        state: &mut ControllerState,
-        measurement: &Measurement,
-        residual: &Residual,
-    ) -> &Command {
-        self.advance(state, measurement, None, &Preview::default(), Some(residual))
-    }
-
-    fn advance(
-        &mut self,
-        state: &mut ControllerState,
-        measurement: &Measurement,
-        given: Option<&Setpoint>,
-        preview: &Preview,
-        residual: Option<&Residual>,
+        given: &Given,
     ) -> &Command {
         let is_state_of_this = self.fits(state);
         let Self { model, aero, conventions, feedback, guard, law, policy, torques, terms, command, .. } =
@@ -226,15 +205,15 @@ impl Controller {
         if terms.measurement.modes.contains(Modes::BEGUN_AGAIN) {
             begin_again(model, law.generator(), state, terms);
         }
-        let is_valid = law.follow(state, given, terms);
-        let (preview, has_valid_preview) = preview.checked(law.greatest());
+        let is_valid = law.follow(state, given.setpoint, terms);
+        let (preview, has_valid_preview) = given.preview.checked(law.greatest());
         terms.update_model(model, aero, *conventions, *feedback);
         guard.judge(model, state, terms);
         command.modes = terms.measurement.modes;
         command.joint_torque.copy_from(&state.joint_torque);
         if is_usable {
             law.solve(model, aero, state, &preview, terms, command);
-            steer(policy.as_mut(), residual, state, terms, command);
+            steer(policy.as_mut(), given.residual, state, terms, command);
             torques.solve(state, terms, command);
         } else {
             command.set_hold(CommandStatus::BadMeasurement, command.modes);

@@ -7,7 +7,7 @@ use crate::common::counting::allocations;
 use crate::common::{configs, experiment, hover_of, random_state, random_vector, robot};
 use flight_core::control::config::Solver;
 use flight_core::control::law::setpoint::Setpoint;
-use flight_core::control::{CommandStatus, ControllerState, Preview};
+use flight_core::control::{CommandStatus, ControllerState, Given, Preview};
 use flight_core::qp::{KKT_TOLERANCE, QpProblem, QpStatus, kkt_residual};
 use flight_core::robot::RobotModel;
 use flight_core::{BuildError, Controller, Measurement};
@@ -333,7 +333,8 @@ impl Episode {
             let Sample { state: seen, wind, .. } = sample;
             let measurement = Measurement { time, state: seen, thrust, wind: *wind, foot_wrenches };
             let begin = Instant::now();
-            controller.tick_ahead(state, &measurement, given.as_ref(), &preview);
+            let setpoint = given.as_ref();
+            controller.tick_with(state, &measurement, &Given { setpoint, preview, ..Given::default() });
             duration = begin.elapsed();
         });
         let command = self.controller.command();

@@ -11,9 +11,9 @@ pub mod network;
 #[allow(unused_imports, reason = "no test binary needs everything")]
 pub(crate) use measured::{assert_within, difference, relative};
 
-use flight_core::control::ControllerState;
 use flight_core::control::guard::estimator::{ChannelConfig, EstimatorConfig};
 use flight_core::control::law::setpoint::Setpoint;
+use flight_core::control::{ControllerState, Given};
 use flight_core::spatial::{Pose, rotation_from_wxyz};
 use flight_core::{Command, Controller, Measurement, RobotModel, RobotState};
 use flight_io::load_robot;
@@ -159,7 +159,8 @@ impl Running {
 
     /// A tick of a flight that has begun, towards a given set-point.
     pub fn tick_towards(&mut self, measurement: &Measurement, setpoint: &Setpoint) -> &Command {
-        self.controller.tick_towards(self.state.as_mut().unwrap(), measurement, setpoint)
+        let given = Given { setpoint: Some(setpoint), ..Given::default() };
+        self.controller.tick_with(self.state.as_mut().unwrap(), measurement, &given)
     }
 
     pub fn state(&self) -> &ControllerState {

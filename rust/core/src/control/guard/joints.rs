@@ -15,9 +15,17 @@
 //! a joint does: nothing is judged while the moment's residual of [`super::observer`] exceeds a share of its greatest.
 //! Equation M143 of `docs/model.md`.
 
+use super::observer::ObserverConfig;
+use super::{Stage, Tick};
+use crate::control::command::Command;
 use crate::control::law::limits::JointCondition;
 use crate::control::modes::Modes;
+use crate::control::state::ControllerState;
+use crate::control::terms::Terms;
 use crate::error::{BuildError, Table};
+use crate::kinematics::RobotState;
+use crate::robot::RobotModel;
+use crate::spatial::parts;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
@@ -374,5 +382,98 @@ pub fn modes(found: &[JointCondition]) -> Modes {
         Modes::default()
     } else {
         Modes::JOINT_LIMITED
+    }
+}
+
+/// Finds joints that do not follow their torques, and bounds what the law demands of them.
+#[derive(Debug, Clone)]
+pub struct Joints {
+    config: JointsConfig,
+    time_step: f64,
+    /// Residual of the moment beyond which something pushes the robot \[N m\].
+    moment_max: f64,
+    /// Stops of the joints, lower and upper \[rad, m\].
+    stops: Vec<(f64, f64)>,
+    unexplained: DVector<f64>,
+}
+
+impl Joints {
+    /// The stage for the joints of `robot`, with ticks every `time_step` \[s\], beside this observer.
+    #[must_use]
+    pub fn new(
+        config: JointsConfig,
+        observer: Option<&ObserverConfig>,
+        robot: &RobotModel,
+        time_step: f64,
+    ) -> Self {
+        let stops: Vec<_> = robot.joints.iter().map(|joint| joint.stops).collect();
+        let moment_max = observer.map_or(f64::INFINITY, |observer| PUSH_SHARE * observer.moment_max);
+        Self { config, time_step, moment_max, unexplained: DVector::zeros(stops.len()), stops }
+    }
+}
+
+impl Stage for Joints {
+    fn name(&self) -> &'static str {
+        "joints"
+    }
+
+    fn start(&self, state: &mut ControllerState, robot: &RobotState, _: &[f64]) {
+        state.joints = Some(JointsState::new(&robot.joint_position));
+    }
+
+    fn fits(&self, state: &ControllerState) -> bool {
+        state.joints.as_ref().is_some_and(|joints| joints.fits(self.unexplained.len()))
+    }
+
+    fn measure(&mut self, tick: &mut Tick) {
+        let Some(joints) = &mut tick.state.joints else { return };
+        let used = &tick.terms.measurement;
+        if used.modes.contains(Modes::BEGUN_AGAIN) {
+            joints.begin_again(&used.state.joint_position);
+        }
+        let is_measured = !used.modes.contains(Modes::JOINTS_PREDICTED);
+        joints.measure(&used.state.joint_position, is_measured, used.elapsed);
+    }
+
+    fn judge(&mut self, tick: &mut Tick) {
+        let ControllerState { joints, engines, channels, contact, observer, velocity_error_integral, .. } =
+            &mut *tick.state;
+        let Some(joints) = joints else { return };
+        let Terms { measurement: used, inverse_mass, limits, .. } = &mut *tick.terms;
+        let is_comparable = used.has_momentum && inverse_mass.is_known && !contact.is_active;
+        let is_pushed = parts(&observer.residual).1.norm() > self.moment_max;
+        if is_comparable && !is_pushed && !engines.iter().any(|engine| engine.is_doubted) {
+            let last = channels.commanded_in.joint_velocity();
+            let predicted = channels.acceleration.rows(6, self.unexplained.len());
+            for (joint, velocity) in used.state.joint_velocity().iter().enumerate() {
+                self.unexplained[joint] = (velocity - last[joint]) / used.elapsed - predicted[joint];
+            }
+            joints.judge(
+                &self.config,
+                &Sample {
+                    dt: used.elapsed,
+                    unexplained: &self.unexplained,
+                    gain: &inverse_mass.joint_gain,
+                    torque: &channels.joint_torque,
+                    stops: &self.stops,
+                },
+            );
+        } else {
+            joints.hold();
+        }
+        limits.joints.copy_from_slice(&joints.found);
+        for (joint, found) in joints.found.iter().enumerate() {
+            limits.joint_velocity[joint] = found.velocity_max(limits.joint_velocity[joint]);
+            if matches!(found, JointCondition::Stuck | JointCondition::Free) {
+                velocity_error_integral[joint] = 0.0; // it follows no velocity
+            }
+        }
+        used.modes.insert(modes(&joints.found));
+    }
+
+    fn predict(&mut self, tick: &mut Tick, command: &Command) {
+        if let Some(joints) = &mut tick.state.joints {
+            joints.command(&command.joint_velocity, self.time_step);
+        }
     }
 }

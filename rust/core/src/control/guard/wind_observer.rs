@@ -15,11 +15,15 @@
 //! Equations M94 and M110 of `docs/model.md`.
 
 use super::observer::{ObserverConfig, ObserverState, Sample};
+use super::{Stage, Tick};
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
+use crate::control::command::Command;
 use crate::control::law::contact::add_wrenches;
 use crate::control::measurement::UsedMeasurement;
+use crate::control::state::ControllerState;
+use crate::control::terms::Terms;
 use crate::error::{BuildError, Table};
-use crate::kinematics::Kinematics;
+use crate::kinematics::{Kinematics, RobotState};
 use crate::robot::RobotModel;
 use crate::spatial::{Pose, parts};
 use nalgebra::{Matrix3, Matrix6xX, Vector3, Vector6};
@@ -171,7 +175,7 @@ impl WindObserver {
         soles: &[Pose],
     ) {
         let step = measurement.elapsed;
-        self.predict(state, step);
+        self.drift(state, step);
         if !measurement.has_momentum {
             state.hold();
             return;
@@ -191,7 +195,7 @@ impl WindObserver {
     }
 
     /// Prediction: random walk of the horizontal wind, decay of the vertical wind.
-    fn predict(&self, state: &mut WindState, step: f64) {
+    fn drift(&self, state: &mut WindState, step: f64) {
         let config = &self.config;
         let kept = libm::exp(-step / config.vertical_time);
         state.wind.z *= kept;
@@ -270,5 +274,22 @@ impl WindState {
     pub fn std(&self) -> Vector3<f64> {
         let considered = self.covariance + self.lasting * self.sensitivity * self.sensitivity.transpose();
         considered.diagonal().map(f64::sqrt)
+    }
+}
+
+impl Stage for WindObserver {
+    fn name(&self) -> &'static str {
+        "wind observer"
+    }
+
+    fn start(&self, state: &mut ControllerState, _: &RobotState, _: &[f64]) {
+        state.wind = Some(WindObserver::start(self));
+    }
+
+    fn predict(&mut self, tick: &mut Tick, _: &Command) {
+        let Terms { measurement, kinematics, dynamics, momentum, contact, .. } = &*tick.terms;
+        if let Some(wind) = &mut tick.state.wind {
+            self.update(wind, measurement, kinematics, &dynamics.momentum, &momentum.a_t, &contact.soles);
+        }
     }
 }
