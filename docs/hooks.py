@@ -26,7 +26,8 @@ INLINE = re.compile(
 )
 NUMBER = re.compile(r"\\tag\{(?P<number>M\d+)\}")
 CODE = re.compile(r"^Code: (?P<places>.*)$", re.MULTILINE)
-MODEL = "model.md"
+MODEL = "model"
+"""Folder of the pages that hold the equations."""
 WIDE = {"deviations.md", "paper.md"}
 LAB = Path(__file__).resolve().parents[1] / "target/lab"
 """The flight lab, if `make lab` has built it."""
@@ -108,7 +109,11 @@ def on_page_markdown(markdown: str, *, page: Any, config: Any, **_: Any) -> str:
     markdown = INLINE.sub(inline_formula, markdown)
     markdown = CODE.sub(r'<div class="places" markdown>\g<places></div>', markdown)
     markdown = markdown.replace("<!-- lab -->", embedded_lab(page.url))
-    links = [f"[{number}]: /{MODEL}#{number.lower()}" for number in NUMBER.findall((docs / MODEL).read_text())]
+    links = [
+        f"[{number}]: /{MODEL}/{path.name}#{number.lower()}"
+        for path in sorted((docs / MODEL).glob("*.md"))
+        for number in NUMBER.findall(path.read_text(encoding="utf-8"))
+    ]
     markdown = NOTEBOOK.sub(lambda match: notebook(docs / match["path"]), markdown)
     return "\n".join([markdown, "", *links])
 

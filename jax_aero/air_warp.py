@@ -11,7 +11,7 @@ The forces are those of `jax_aero.aero.axisymmetric_forces` and `sphere_cylinder
 only launches one kernel; it neither allocates nor waits, so that it can be captured in a CUDA graph, and a captured
 graph reads `wind` anew at every launch.
 
-Equations M18 to M22 of `docs/model.md`.
+Equations M18 to M22 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@
 Two backends compute `M` and `h`, from which everything else follows. `tree` is written for this package, with sums over
 ancestors and descendants as products with one static matrix. `mjx` uses MuJoCo's JAX implementation.
 
-Equations M11 to M14, M17 and M69 (`joint_gain`) of `docs/model.md`.
+Equations M11 to M14, M17 and M69 (`joint_gain`) of `docs/model`.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 Separate from `jets`, so that every fault can be combined with every jet dynamics. Faults are numbers, not structure, so
 flights with different faults share one compilation.
 
-Equation M41 of `docs/model.md`.
+Equation M41 of `docs/model`.
 """
 
 from __future__ import annotations

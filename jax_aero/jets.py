@@ -6,7 +6,7 @@ There are two dynamics: `ideal` follows the command exactly, as in every publish
 identified engine with the throttle loop and the estimator that the real robot needs. All functions process all jets at
 once. `JetDynamics` is a protocol: any pytree with its methods can be used.
 
-Equations M31 to M35 and M144 of `docs/model.md`.
+Equations M31 to M35 and M144 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Faults are numbers, not structure, so flights with different faults share one compilation.
 
-Equation M142 of `docs/model.md`.
+Equation M142 of `docs/model`.
 """
 
 from __future__ import annotations

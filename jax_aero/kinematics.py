@@ -3,7 +3,7 @@
 Only rotations are composed along the tree. All other quantities of a body are sums over its ancestors, computed as one
 product with the static matrix of ancestors: few large operations instead of a loop over bodies.
 
-Equations M8 to M10 of `docs/model.md`.
+Equations M8 to M10 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""State of a standing robot from its joints and its stationary soles: M113 of `docs/model.md`.
+"""State of a standing robot from its joints and its stationary soles: M113 of `docs/model`.
 
 This is how the paper's robot estimates its state on the ground: the pose of the base from one sole, its velocity from
 all soles, and joint velocities through a low pass.

@@ -9,7 +9,7 @@ Good Algorithms for Random Number Generation", 2014.
 >>> [f"{word:08x}" for word in words(seed=42, stream=54, count=3)]
 ['a15c02b7', '7b47f409', 'ba1d3330']
 
-Equation M42 of `docs/model.md`.
+Equation M42 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Outages of measurements: missing, frozen or wrong channels.
 
-Equation M104 of `docs/model.md`.
+Equation M104 of `docs/model`.
 """
 
 from __future__ import annotations

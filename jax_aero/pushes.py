@@ -2,7 +2,7 @@
 
 Bodies are structure; wrenches and times are numbers.
 
-Equation M155 of `docs/model.md`.
+Equation M155 of `docs/model`.
 """
 
 from __future__ import annotations

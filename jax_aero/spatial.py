@@ -2,7 +2,7 @@
 
 Transforms are named `a_from_b`: `p_a = a_from_b @ p_b`. Quaternions are `wxyz`.
 
-Equations M1 to M5 of `docs/model.md`.
+Equations M1 to M5 of `docs/model`.
 """
 
 from __future__ import annotations

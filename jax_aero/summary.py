@@ -2,7 +2,7 @@
 
 log ──condense──► the few signals needed for the figures ──figures──► figures of merit
 
-Equation M81 of `docs/model.md`.
+Equation M81 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 SI units and radians; vectors and Jacobians are in inertial axes unless a suffix says otherwise. The axes named in
 shapes are listed in `docs/conventions.md`.
 
-Equation M7 of `docs/model.md`.
+Equation M7 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -282,20 +282,20 @@ FIGURE_ROWS: Sequence[Row] = (
 )
 
 EQUATION_ROWS: Sequence[Row] = (
-    Item("Network layer, ReLU", "forward pass", links=("model.md#m23",), verdict=AGREES),
+    Item("Network layer, ReLU", "forward pass", links=("model/air.md#m23",), verdict=AGREES),
     Item("Mean squared error", "loss", links=("configs/training/paper.toml",), verdict=AGREES),
     Item(
         "Eq. axisymmetric force",
         "drag and normal force of a link",
-        links=("model.md#m20",),
+        links=("model/air.md#m20",),
         verdict=AGREES.but(", with the division by sin α carried out"),
     ),
-    Item("Eq. conditions 1, 2", "slopes and values at 0° and 180°", links=("model.md#m29",), verdict=AGREES),
-    Item("Eq. C_D A, C_N A", "force areas over the angle of attack", links=("model.md#m20",), verdict=AGREES),
-    Item("Assumption 1", "no aerodynamic moments on links", links=("model.md#m27",), verdict=AGREES),
-    Item("Eq. generalised force", "forces of all links in joint space", links=("model.md#m27",), verdict=AGREES),
-    Item("Eq. momentum rate", "centroidal momentum under jets and air", links=("model.md#m56",), verdict=AGREES),
-    Item("Eq. second derivative", "linear in thrust rates and joint velocities", links=("model.md#m55",)),
+    Item("Eq. conditions 1, 2", "slopes and values at 0° and 180°", links=("model/air.md#m29",), verdict=AGREES),
+    Item("Eq. C_D A, C_N A", "force areas over the angle of attack", links=("model/air.md#m20",), verdict=AGREES),
+    Item("Assumption 1", "no aerodynamic moments on links", links=("model/air.md#m27",), verdict=AGREES),
+    Item("Eq. generalised force", "forces of all links in joint space", links=("model/air.md#m27",), verdict=AGREES),
+    Item("Eq. momentum rate", "centroidal momentum under jets and air", links=("model/law.md#m56",), verdict=AGREES),
+    Item("Eq. second derivative", "linear in thrust rates and joint velocities", links=("model/law.md#m55",)),
     Claim(
         "lambda",
         "Flight control design",
@@ -307,20 +307,20 @@ EQUATION_ROWS: Sequence[Row] = (
     Item(
         "Eq. QP",
         "thrust rates and joint velocities",
-        links=("model.md#m64",),
+        links=("model/law.md#m64",),
         verdict=differs("two weights in print, eight tasks in the published code and here"),
     ),
-    Item("Eq. joint dynamics", "rows of the joints", links=("model.md#m69",), verdict=AGREES),
+    Item("Eq. joint dynamics", "rows of the joints", links=("model/law.md#m69",), verdict=AGREES),
     Item(
         "Eq. joint accelerations",
         "high-gain law",
-        links=("model.md#m68",),
+        links=("model/law.md#m68",),
         verdict=differs("s* is the integral of ṡ − ṡ* in the published code and here"),
     ),
     Item(
         "Eq. torques",
         "inverse dynamics",
-        links=("model.md#m70", "deviations.md#paper-against-its-own-code"),
+        links=("model/law.md#m70", "deviations.md#paper-against-its-own-code"),
         verdict=differs("the printed law has M̄⁻¹ for M̄ and contradicts the equation before it"),
     ),
 )
@@ -464,10 +464,10 @@ SUPPLEMENT_ROWS: Sequence[Row] = (
     _fact("reynolds", "Suppl. Note 1", "The Reynolds number is high", facts.reynolds),
     _fact("mach", "Suppl. Note 1", "The Mach number is negligible", facts.mach),
     BLOCKAGE,
-    Item("Suppl. Note 2", "force areas", links=("model.md#m20", "conventions.md"), verdict=AGREES),
+    Item("Suppl. Note 2", "force areas", links=("model/air.md#m20", "conventions.md"), verdict=AGREES),
     Item("Suppl. Note 3", "averaged Navier-Stokes equations", verdict=NO_MESH),
-    Item("Suppl. Note 4", "spheres and cylinders from the literature", links=("model.md#m21",), verdict=AGREES),
-    Item("Suppl. Note 5", "robot model and derivation of the controller", links=("model.md",), verdict=AGREES),
+    Item("Suppl. Note 4", "spheres and cylinders from the literature", links=("model/air.md#m21",), verdict=AGREES),
+    Item("Suppl. Note 5", "robot model and derivation of the controller", links=("model/index.md",), verdict=AGREES),
     Item("Suppl. Note 6", "jets away from the body", "along"),
     Claim(
         "clearance",

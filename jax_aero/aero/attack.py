@@ -1,6 +1,6 @@
 """Angle of attack of a link, and the direction of its normal force.
 
-Equation M19 of `docs/model.md`.
+Equation M19 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The paper's axisymmetric model: drag and normal force areas of each link, fitted to CFD.
 
-Equation M20 of `docs/model.md`.
+Equation M20 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ All vectors are in base (`root_link`) axes: x backward, y to the robot's right, 
 x along the wind and z up. The robot's attitude in it is `R_tunnel_from_base = Rz(yaw) Ry(pitch − 90°)`, so pitch is the
 angle of the robot's vertical axis above the horizontal: 90° upright, 0° prone with the head upstream.
 
-Equation M28 of `docs/model.md`.
+Equation M28 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Factors on the aerodynamic forces of a model: along the relative wind, across it, and by link.
 
-Equation M40 of `docs/model.md`.
+Equation M40 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ Source: paper, Methods, "Aerodynamic modelling for learning and online control".
 with its sign, along `(v × k̂) × v`, whereas the published coefficients are fits of its magnitude, which we fit only for
 comparison. The Lasso penalty, which the paper does not give, is chosen by leaving postures out.
 
-Equation M29 of `docs/model.md`.
+Equation M29 of `docs/model`.
 """
 
 from __future__ import annotations

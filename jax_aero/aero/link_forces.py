@@ -2,7 +2,7 @@
 
 The published code misplaces the points. Each of its errors is a switch; the physically correct way is the default.
 
-Equations M18 and M27 of `docs/model.md`.
+Equations M18 and M27 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ axisymmetric model.
 
     wind, joints, LinkGeometry ──features──► x (n,) ──raw_output──► y (39,) ──to_base_axes──► areas (13, 3) [m²]
 
-Equations M23 to M26 of `docs/model.md`.
+Equations M23 to M26 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Model of links as spheres and finite cylinders, with drag from the literature at the Reynolds number of each link.
 
-Equations M21 and M22 of `docs/model.md`.
+Equations M21 and M22 of `docs/model`.
 """
 
 from __future__ import annotations

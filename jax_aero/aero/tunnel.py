@@ -3,7 +3,7 @@
     GVP files, or reduced tables ──► Points ──reduce_points──► xarray.Dataset
 
 Balance axes of iRonCub-Mk1 are X forward, Y left, Z up and turn with the robot; those of Mk3 are X left, Y down, Z
-backward. Base (`root_link`) axes are x backward, y right, z up. Equations M28 and M95 of `docs/model.md`.
+backward. Base (`root_link`) axes are x backward, y right, z up. Equations M28 and M95 of `docs/model`.
 """
 
 from __future__ import annotations

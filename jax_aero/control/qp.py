@@ -14,7 +14,7 @@ theorem), in both modes and to any order. For the exceptions see `solve`.
 
 An accuracy of 1e-9 requires float64, since `H` of the flight has a condition number of about 2e8.
 
-Equation M66 of `docs/model.md`.
+Equation M66 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ command of a tick ──► lost? ──► delay + jitter ──► held until 
 
 Delays and losses are drawn before the flight; the length of the way is structure.
 
-Equation M140 of `docs/model.md`.
+Equation M140 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 There is no ground, no joint friction and no motor inertia; joint stops act unless they are disabled. The integration is
 identical to the Rust crate's.
 
-Equations M78, M79, M87, M140, M142 and M155 of `docs/model.md`.
+Equations M78, M79, M87, M140, M142 and M155 of `docs/model`.
 """
 
 from __future__ import annotations

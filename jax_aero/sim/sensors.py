@@ -8,7 +8,7 @@ joints ──► delay ──► + bias + tremble ──► steps of the encoder
 Noise is drawn before the flight. All sizes, and whether encoders differentiate, are numbers; the length of the delay
 line is structure.
 
-Equations M88 to M90 of `docs/model.md`.
+Equations M88 to M90 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ At tick k, t = k h:
 
 as in the Rust crate. A lost flight keeps the state in which it was lost: its status is permanent and later rows repeat.
 
-Equations M77 and M80 of `docs/model.md`.
+Equations M77 and M80 of `docs/model`.
 """
 
 from __future__ import annotations

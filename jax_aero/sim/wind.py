@@ -1,6 +1,6 @@
 """Wind as a function of time: the velocity of the air in inertial axes, uniform in space.
 
-Equations M36 to M38 of `docs/model.md`.
+Equations M36 to M38 of `docs/model`.
 """
 
 from __future__ import annotations

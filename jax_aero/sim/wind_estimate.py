@@ -6,7 +6,7 @@ wind ──(mean only)──► delay ──► + bias + noise ──► low pas
 
 The wind is a function of time, so the delay needs no state; noise is drawn before the flight.
 
-Equation M39 of `docs/model.md`.
+Equation M39 of `docs/model`.
 """
 
 from __future__ import annotations

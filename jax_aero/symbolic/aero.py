@@ -1,6 +1,6 @@
 """Aerodynamic force on a link from its velocity relative to the air, following the paper.
 
-Equations M19 to M22 of `docs/model.md`.
+Equations M19 to M22 of `docs/model`.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def _axisymmetric(config: Mapping[str, Any], robot: Robot) -> LinkForce:
 
 
 def _sphere_cylinder(config: Mapping[str, Any], links: Sequence[AeroLink]) -> LinkForce:
-    """Spheres and finite cylinders with drag from the literature; M21 and M22 of `docs/model.md`.
+    """Spheres and finite cylinders with drag from the literature; M21 and M22 of `docs/model`.
 
     With the Reynolds number ρ|v|d/μ, the crosswind drag C₉₀ of a finite cylinder (on d l) and the axial drag C₀, the
     drag is C₀ + (C₉₀ − C₀) sin³ α and the normal force C₉₀ sin² α cos α, which is then divided by sin α.

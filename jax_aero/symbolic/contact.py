@@ -4,7 +4,7 @@ A wrench (f, m) about the origin p of a sole contributes (f ; (p − p_G) × f +
 with respect to the wrench gives A_c, with respect to the coordinates Λ_c. Differentiation of the soles' velocities
 (ṗ, ω) with respect to ν gives J_c, and along the motion J̇_c ν.
 
-Equations M54 and M73 of `docs/model.md`.
+Equations M54 and M73 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Energy and momentum of the tree, and the terms derived from them by differentiation.
 
-Equations M10 to M14 of `docs/model.md`.
+Equations M10 to M14 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The tree of links as transforms that depend on the coordinates; velocities are derivatives along the motion.
 
-Equations M7 and M8 of `docs/model.md`.
+Equations M7 and M8 of `docs/model`.
 """
 
 from __future__ import annotations

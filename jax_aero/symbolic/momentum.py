@@ -2,11 +2,11 @@
 
     L̇ = Σ_i T_i (a_i ; r_i × a_i) + Σ_j (f_j ; r_j × f_j) − m g e₃    r: arm from the centre of mass
 
-Differentiation along q̇ gives M50 to M53 of `docs/model.md`: A_T from the change of the thrusts, Λ_T from the change of
+Differentiation along q̇ gives M50 to M53 of `docs/model`: A_T from the change of the thrusts, Λ_T from the change of
 the jets' positions and directions, and Λ_a from the change of the points at which the link forces act, with the forces
 held constant. The remainder is the change of the link forces themselves, which the paper neglects: `force_rate`.
 
-Equations M9, M18, M27 and M56 of `docs/model.md`.
+Equations M9, M18, M27 and M56 of `docs/model`.
 """
 
 from __future__ import annotations
@@ -254,7 +254,7 @@ class MomentumModel:
         thrust: ArrayLike,
         wind: ArrayLike,
     ) -> Linearised:
-        """Return the derivatives of L̇ and ω_B at one state, by all joints; M116 to M119 of `docs/model.md`."""
+        """Return the derivatives of L̇ and ω_B at one state, by all joints; M116 to M119 of `docs/model`."""
         parts = self._linearised(base_position, base_rotation, joint_position, velocity, thrust, wind)
         return Linearised(*(np.array(part.full()) for part in parts))
 

@@ -1,6 +1,6 @@
 """Rotations and rigid transforms as symbolic expressions.
 
-Equations M2 and M3 of `docs/model.md`.
+Equations M2 and M3 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
     bodies, joints and frames           Pinocchio, which reads the same URDF
     M, h, A_G, L, centre of mass        Pinocchio
     link forces, jets, A_T, Λ_T, Λ_a    `jax_aero.symbolic`: CasADi derivatives of momentum and energy
-    tasks, H, g, bounds, torque QP      here, from the equations of `docs/model.md`, in NumPy
+    tasks, H, g, bounds, torque QP      here, from the equations of `docs/model`, in NumPy
     answers of the QPs                  active bounds from DAQP, then one linear system
 
 Gains, coefficients and limits are read from `configs/`. `python -m tests.golden.states` writes `states.json`.
@@ -165,7 +165,7 @@ def robot_figures() -> dict[str, Any]:
 
 
 def compute_control(given: Values, found: Values, config: dict[str, Any]) -> Values:
-    """Compute tasks, QPs and their answers; the numbers of the equations are those of `docs/model.md`."""
+    """Compute tasks, QPs and their answers; the numbers of the equations are those of `docs/model`."""
     robot = load_robot(ROBOT)
     mass, nu, n_jets = robot.mass, given["velocity"], len(robot.jets)
     gains, weights, bounds, torque = (config[key] for key in ("momentum", "weights", "bounds", "torque"))

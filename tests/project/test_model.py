@@ -1,4 +1,4 @@
-"""Equations of docs/model.md: numbers are unique, places exist, and files that compute an equation cite its number."""
+"""Equations of docs/model: numbers are unique, places exist, and files that compute an equation cite its number."""
 
 import re
 from pathlib import Path
@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-MODEL = (ROOT / "docs/model.md").read_text(encoding="utf-8")
+PAGES = sorted((ROOT / "docs/model").glob("*.md"))
+MODEL = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
 EQUATION = re.compile(r"^```math\n(?P<latex>.*?)^```\nCode: (?P<places>[^\n]*)$", re.M | re.S)
 TAG = re.compile(r"\\tag\{M(\d+)\}")
 CITATION = re.compile(r"\bM(\d+)\b(?: to M(\d+)\b)?")

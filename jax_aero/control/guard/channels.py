@@ -8,7 +8,7 @@ ones contradict the prediction, and agree with each other, than it rests on, the
 
 All numbers of a measurement form one vector of `E` entries, see `Layout`. Each entry belongs to one of `C` channels.
 
-Equations M101 to M103 and M141 of `docs/model.md`.
+Equations M101 to M103 and M141 of `docs/model`.
 """
 
 from __future__ import annotations

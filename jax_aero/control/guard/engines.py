@@ -5,7 +5,7 @@
     d̄ ← d − [0, λ l] after lags of τ_e and τ_n  the part outside, delayed as the estimated momentum is
     n ← n + (1 − e^{−Δt/τ_n}) (w − ŵ − n)       wrench in the momentum in excess of the observed wrench
 
-A limited engine's last thrust bounds its commands from then on. Equations M105, M106 and M144 of `docs/model.md`.
+A limited engine's last thrust bounds its commands from then on. Equations M105, M106 and M144 of `docs/model`.
 """
 
 from __future__ import annotations

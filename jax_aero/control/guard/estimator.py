@@ -8,7 +8,7 @@ x̂(t − D) ──► D ticks of the model under the past commands ──► x�
 
 Ages and shares are numbers; only the greatest age is structure, fixed at compilation.
 
-Equations M91 to M93, M145 and M150 of `docs/model.md`.
+Equations M91 to M93, M145 and M150 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@
 
 A faulty joint causes `x` along one column; errors of the model accelerate several joints at once, and a push changes
 the momentum. The regression of the unexplained torque on the commanded one gives the share of the torque that acts. A
-stuck joint does not move while it is commanded to. Equation M143 of `docs/model.md`.
+stuck joint does not move while it is commanded to. Equation M143 of `docs/model`.
 """
 
 from __future__ import annotations

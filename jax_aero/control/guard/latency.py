@@ -7,7 +7,7 @@ thrust rates   y = T_k − T_{k−1},                              u = Ṫ* Δt
 L_d = Σ_j J_dj / (J_d̂j + σ²)          d̂ = argmin L, with a parabola through its neighbours
 ```
 
-Equations M164 and M165 of `docs/model.md`; the Rust crate says why.
+Equations M164 and M165 of `docs/model`; the Rust crate says why.
 """
 
 from __future__ import annotations

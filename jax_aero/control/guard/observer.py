@@ -8,7 +8,7 @@ dŵ/dt = K_o (w − ŵ)                                               observed w
 
 `Δt` is the time between the two measurements. Inertial axes, about the centre of mass, force first.
 
-Equations M82 to M84 and M106 of `docs/model.md`.
+Equations M82 to M84 and M106 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ p̂ = p_G − p_d + T (ṗ_G − ṗ_d)              error of the centre of mass
 
 A flight strays if one of their lengths, or the speed of a joint, exceeds its limit for a confirmation time.
 
-Equations M148 and M149 of `docs/model.md`.
+Equations M148 and M149 of `docs/model`.
 """
 
 from __future__ import annotations

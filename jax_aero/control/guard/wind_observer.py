@@ -7,7 +7,7 @@ dẑ/dt = K_o (L̇ − A_T T + m g e₃ − ẑ)                   wrench of all
 
 It runs at the end of a controller tick on the values computed there; its wind is used by the next tick.
 
-Equations M94 and M110 of `docs/model.md`.
+Equations M94 and M110 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ k̈* = I₀ ω̈_d − ė − (1 + c₀ I₀⁻¹)(k̇ − I₀ ω̇_d) − c₀
 ```
 
 The task is `Rᵀ (L̈_ang − σ) = k̈*`. There is no integral action: a constant moment `d` that the controller's model does
-not contain leaves the steady error `e = (1 + I₀/c₀) d`. Equations M59 to M61 of `docs/model.md`.
+not contain leaves the steady error `e = (1 + I₀/c₀) d`. Equations M59 to M61 of `docs/model`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from jax_aero.types import Array, Setpoint, pytree
 
 @pytree
 class MomentumGains:
-    """Gains of the momentum task (M57 of `docs/model.md`) and of the attitude task (M60)."""
+    """Gains of the momentum task (M57 of `docs/model`) and of the attitude task (M60)."""
 
     kp_linear: Float[Array, "3"]
     """[1/s²]."""

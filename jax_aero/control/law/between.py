@@ -3,7 +3,7 @@
 The torque law can run faster than the momentum law (`controller.torque.steps`). In a tick of the torques only joint
 positions and velocities are new; what the torque QP takes from the model is that of the last tick of the law.
 
-Equation M152 of `docs/model.md`.
+Equation M152 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -23,6 +23,6 @@ def rate_bounds(
 
     Far from the limits the bounds are ±r; at a limit the rate towards it is zero; beyond a limit the bound changes sign
     and forces the value back. `lower ≤ upper` holds for every x, since `tanh a + tanh b` has the sign of
-    `a + b = ε (x_max − x_min) ≥ 0`. Equation M65 of `docs/model.md`.
+    `a + b = ε (x_max − x_min) ≥ 0`. Equation M65 of `docs/model`.
     """
     return -rate_max * jnp.tanh(steepness * (value - lower)), rate_max * jnp.tanh(steepness * (upper - value))

@@ -10,7 +10,7 @@ with `r` the arm from the centre of mass. Source: paper, Methods, "Flight Contro
 A column of `Λ` is the change of all forces per unit speed of one joint. It needs no Jacobian, only the sums of forces
 and moments over the joint's subtree, which are one product with the static matrix of ancestors.
 
-Equations M50 to M52, M55, M56 and M86 of `docs/model.md`.
+Equations M50 to M52, M55, M56 and M86 of `docs/model`.
 """
 
 from __future__ import annotations

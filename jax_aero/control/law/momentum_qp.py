@@ -8,7 +8,7 @@ H = Σ A_kᵀ W_k A_k,   g = Σ A_kᵀ W_k b_k
 Tasks with rows contribute low-rank terms to `H`; tasks whose matrix is the identity on some unknowns contribute to its
 diagonal. The controller's own tasks are in `tasks`; `momentum_controller(..., tasks=...)` adds others.
 
-Equations M64 and M65 of `docs/model.md`.
+Equations M64 and M65 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A precomputed reference: `mission = { file = "…" }`.
 
-Equation M49 of `docs/model.md`.
+Equation M49 of `docs/model`.
 """
 
 from __future__ import annotations

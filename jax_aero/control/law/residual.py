@@ -6,7 +6,7 @@ a = tanh( W₂ tanh( W₁ x + b₁ ) + W₃ x + b₂ )  action of a policy, betw
 u = clip( u* + S a, l, u )                    thrust rates and joint velocities, in the bounds of M65 (M172)
 ```
 
-Equations M170 to M172 of `docs/model.md`.
+Equations M170 to M172 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Call `start` once, then `update` once per tick; the state is a pytree for `lax.s
 counter are floating-point, so set-points can be differentiated with respect to speeds, gains and smoothing times. The
 raw attitude is that of the heading frame: forward, left, up, fixed to the base by the robot's forward axis.
 
-Equations M43, M44, M47, M48, M107 and M115 of `docs/model.md`. Source: the published flight-control library.
+Equations M43, M44, M47, M48, M107 and M115 of `docs/model`. Source: the published flight-control library.
 """
 
 from __future__ import annotations

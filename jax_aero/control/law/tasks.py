@@ -10,7 +10,7 @@ posture            ṡ + K_s (s − s_d) = 0
 and Ṫ, ṡ and all unknowns towards zero
 ```
 
-with `K = K_P + K_D + K_O⁻¹`. Equations M57 and M61 to M63 of `docs/model.md`.
+with `K = K_P + K_D + K_O⁻¹`. Equations M57 and M61 to M63 of `docs/model`.
 """
 
 from __future__ import annotations

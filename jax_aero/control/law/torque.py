@@ -7,7 +7,7 @@ min ½ w_a |s̈(τ) − s̈*|² + ½ (w_τ + ε) |τ|²   subject to |τ| ≤ τ
 ```
 
 followed by a rate limiter. Since the base floats, `G` is the joint block of the inverse mass matrix, not the inverse of
-the joint block. Equations M68 to M72 of `docs/model.md`.
+the joint block. Equations M68 to M72 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """From commanded joint velocities to torques, by the torque QP and a rate limiter.
 
-This file has the integral of M68 of `docs/model.md`.
+This file has the integral of M68 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@
 //! negative of the paper's `v_a`, so drag points along `+v_air_i`. Forces act at the link's aerodynamic
 //! centre; no model gives a moment about it.
 //!
-//! Equation M19 of `docs/model.md`.
+//! Equation M19 of `docs/model`.
 
 pub mod attack;
 pub mod axisymmetric;

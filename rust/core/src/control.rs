@@ -19,7 +19,7 @@
 //! A tick does not allocate, does not panic and ends after a bounded number of iterations. (Clarabel allocates, if the
 //! configuration selects it.)
 //!
-//! Equations: `docs/model.md`. Unknowns `u = (Ṫ, ṡ)`: thrust rates and joint velocities. With `contact` in its
+//! Equations: `docs/model`. Unknowns `u = (Ṫ, ṡ)`: thrust rates and joint velocities. With `contact` in its
 //! configuration the same controller also stands on its feet: `u = (Ṫ, ḟ_c, ṡ)`, and torques and foot wrenches are
 //! determined together.
 

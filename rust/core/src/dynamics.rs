@@ -9,7 +9,7 @@
 //! from the tips to the base, gives `M`, `A_G`, the centre-of-mass Jacobian `l / m` and the centroidal
 //! inertia.
 //!
-//! Equations M11 to M17 of `docs/model.md`.
+//! Equations M11 to M17 of `docs/model`.
 
 use crate::kinematics::{Kinematics, RobotState};
 use crate::linalg;
@@ -132,7 +132,7 @@ impl Dynamics {
     /// ∂k = ∂k_O − J_G,j × l − (p − O) × ∂l
     /// ```
     ///
-    /// Equation M117 of `docs/model.md`.
+    /// Equation M117 of `docs/model`.
     #[must_use]
     pub fn momentum_by_joint(
         &self,

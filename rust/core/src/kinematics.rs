@@ -8,7 +8,7 @@
 //! (`docs/deviations.md`) apply a force at a wrong point in space, so correct and published lever arms differ in this
 //! point only.
 //!
-//! Equations M7 to M10 of `docs/model.md`.
+//! Equations M7 to M10 of `docs/model`.
 
 use crate::robot::{Frame, JointKind, RobotModel};
 use crate::spatial::{Pose, axis_angle, exp_so3, parts, stack};

@@ -3,7 +3,7 @@
 //! Transforms are named `a_from_b`: `p_a = a_from_b * p_b`. Suffixes name frames: `_i` inertial, `_b` body.
 //! Quaternions have the order `wxyz` and are used in this file only.
 //!
-//! Equations M1 to M5 of `docs/model.md`.
+//! Equations M1 to M5 of `docs/model`.
 
 use nalgebra::{Matrix3, Quaternion, Rotation3, Unit, UnitQuaternion, Vector3, Vector6};
 

@@ -11,7 +11,7 @@
 //! Σ f × v + r × (f × ω) + c × ω = F × v_o + M × ω            moving forces and couples that turn with their bodies
 //! ```
 //!
-//! Equations M27, M51 and M52 of `docs/model.md`.
+//! Equations M27, M51 and M52 of `docs/model`.
 
 use crate::kinematics::Kinematics;
 use crate::robot::RobotModel;

@@ -4,7 +4,7 @@
 //! command of a tick ──► lost? ──► delay + jitter ──► held until a later command arrives
 //! ```
 //!
-//! Times are whole physics steps, so that a command acts from the beginning of a step. Equation M140 of `docs/model.md`.
+//! Times are whole physics steps, so that a command acts from the beginning of a step. Equation M140 of `docs/model`.
 
 use crate::noise::Noise;
 use flight_core::error::{BuildError, Table};

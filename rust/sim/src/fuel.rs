@@ -4,7 +4,7 @@
 //! ṁ_f = −Σ_i (c_0 + c_1 T_i)        a body loses a point mass in its tank
 //! ```
 //!
-//! Equation M154 of `docs/model.md`.
+//! Equation M154 of `docs/model`.
 
 use flight_core::error::{BuildError, Table, place_of};
 use flight_core::robot::{Body, RobotModel};

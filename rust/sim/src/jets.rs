@@ -9,7 +9,7 @@
 //!
 //! Thrust is never below the least of a running engine, unless a fault stops the engine.
 //!
-//! Equation M31 of `docs/model.md`.
+//! Equation M31 of `docs/model`.
 
 use crate::disturbances::{JetFaults, JetFaultsConfig};
 use flight_core::error::{BuildError, check};

@@ -7,7 +7,7 @@
 //! ```
 //!
 //! Everything is implicit in the velocities after the step, so that drives are stable at every step. Equation M153 of
-//! `docs/model.md`.
+//! `docs/model`.
 
 use flight_core::error::{BuildError, Table, place_of};
 use flight_core::robot::RobotModel;

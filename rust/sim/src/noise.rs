@@ -1,6 +1,6 @@
 //! Repeatable noise: a seed gives the same numbers in every run and for every number of threads.
 //!
-//! Equation M42 of `docs/model.md`.
+//! Equation M42 of `docs/model`.
 
 use std::f64::consts::TAU;
 

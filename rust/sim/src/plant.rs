@@ -6,7 +6,7 @@
 //!
 //! Without ground; joint stops act unless they are disabled, and drives if they are configured.
 //!
-//! Equations M78, M79, M87, M140, M142 and M153 to M155 of `docs/model.md`; what a step adds to the momentum is M85.
+//! Equations M78, M79, M87, M140, M142 and M153 to M155 of `docs/model`; what a step adds to the momentum is M85.
 
 use crate::actuation::Actuation;
 use crate::config::{AeroKinematics, DynamicsBackend, Integrator, SimulatorConfig};

@@ -10,7 +10,7 @@
 //! ```
 //!
 //! This is the published order of execution with its unit delays written out: the published physics block is first in a
-//! tick and uses the outputs of the tick before. Equation M77 of `docs/model.md`; the end of a flight is M80.
+//! tick and uses the outputs of the tick before. Equation M77 of `docs/model`; the end of a flight is M80.
 
 use crate::config::{
     AeroKinematics, DivergenceConfig, DynamicsBackend, Engine, FallConfig, Integrator, ScenarioConfig,

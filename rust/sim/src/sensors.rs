@@ -5,7 +5,7 @@
 //! joints ──► delay ──► + bias + tremble ──► quantisation of the encoder ──► differences ──► low pass
 //! ```
 //!
-//! Equations M88 to M90 of `docs/model.md`.
+//! Equations M88 to M90 of `docs/model`.
 
 use crate::noise::Noise;
 use crate::wind::Wind;

@@ -1,6 +1,6 @@
 //! Figures of merit of a flight, each declared once: name, unit, meaning.
 //!
-//! Equation M81 of `docs/model.md`.
+//! Equation M81 of `docs/model`.
 
 use crate::log::FlightLog;
 use nalgebra::Vector3;

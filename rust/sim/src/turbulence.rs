@@ -1,6 +1,6 @@
 //! Turbulent wind as a function of time: a sum of waves, which needs no state and no table.
 //!
-//! Equation M38 of `docs/model.md`.
+//! Equation M38 of `docs/model`.
 
 use crate::noise::Noise;
 use nalgebra::Vector3;

@@ -1,6 +1,6 @@
 //! Wind as a function of time: velocity of the air in inertial axes, uniform in space.
 //!
-//! Equations M36 and M37 of `docs/model.md`.
+//! Equations M36 and M37 of `docs/model`.
 
 use crate::turbulence::Turbulence;
 use flight_core::control::preview::interpolate;

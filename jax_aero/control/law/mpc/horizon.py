@@ -10,7 +10,7 @@ u = (Ṫ*, ṡ*)             thrust rates; joint velocities of the moved joints
 
 `z = (y, d, u, w, 1)` has one constant matrix over a knot, in which `u` and `w` do not change: a Taylor series for the
 shortest knot, and squares of it. Everything at the ends of the knots is then affine in the unknowns; H and g collect
-the squares of the outputs' errors. Equations M120 to M126 of `docs/model.md`.
+the squares of the outputs' errors. Equations M120 to M126 of `docs/model`.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ plan      its answer, followed until the next one
 ```
 
 The momentum law prepares its own problem too: its bounds are those of the first knot, and it decides where there is no
-plan. Equations M116 to M126 of `docs/model.md`.
+plan. Equations M116 to M126 of `docs/model`.
 """
 
 from __future__ import annotations

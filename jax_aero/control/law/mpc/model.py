@@ -6,7 +6,7 @@
 ```
 
 `θ` rotates the whole robot about its centre of mass, which stays. All in inertial axes. Equations M116 to M119 of
-`docs/model.md`.
+`docs/model`.
 """
 
 from __future__ import annotations

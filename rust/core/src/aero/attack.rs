@@ -1,6 +1,6 @@
 //! Angle between a link and the air that flows past it.
 //!
-//! Equation M19 of `docs/model.md`.
+//! Equation M19 of `docs/model`.
 
 use nalgebra::Vector3;
 

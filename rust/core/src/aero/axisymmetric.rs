@@ -1,6 +1,6 @@
 //! The paper's axisymmetric model: drag and normal force areas fitted per link to CFD.
 //!
-//! Equation M20 of `docs/model.md`.
+//! Equation M20 of `docs/model`.
 
 use super::attack::{Attack, normal_direction};
 use super::links::check_air_density;

@@ -1,6 +1,6 @@
 //! Derivatives of the force on a link by the velocity of the air and by the link's axis.
 //!
-//! Equation M116 of `docs/model.md`.
+//! Equation M116 of `docs/model`.
 
 use super::attack::{Attack, normal_direction};
 use super::{AeroModel, Axisymmetric, ForceFactors};

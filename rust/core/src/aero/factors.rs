@@ -4,7 +4,7 @@
 //! In the simulator they represent errors of the coefficients; in the controller they remove parts of the
 //! estimated forces.
 //!
-//! Equation M40 of `docs/model.md`.
+//! Equation M40 of `docs/model`.
 
 use crate::error::{BuildError, check, place_of};
 use crate::robot::AeroLink;

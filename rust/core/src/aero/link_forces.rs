@@ -3,7 +3,7 @@
 //! The published code misplaces the points (`docs/deviations.md`). Each way of doing so has an enum here,
 //! whose default is physically correct.
 //!
-//! Equations M18 and M27 of `docs/model.md`.
+//! Equations M18 and M27 of `docs/model`.
 
 use super::{AeroModel, LinksInAir};
 use crate::kinematics::Kinematics;

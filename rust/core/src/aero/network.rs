@@ -9,7 +9,7 @@
 //! `mlp` evaluates. Card and weights are checked once, when the network is built; the evaluation neither panics nor
 //! allocates.
 //!
-//! Equations M23, M24 and M26 of `docs/model.md`.
+//! Equations M23, M24 and M26 of `docs/model`.
 
 mod card;
 mod mirror;

@@ -1,7 +1,7 @@
 //! Links as spheres and finite cylinders, with drag coefficients from the literature at the link's Reynolds
 //! number.
 //!
-//! Equations M21 and M22 of `docs/model.md`.
+//! Equations M21 and M22 of `docs/model`.
 
 use super::Pchip;
 use super::attack::{Attack, normal_direction};

@@ -1,6 +1,6 @@
 //! Extended Kalman filter for thrust and thrust rate of one engine, from its measured thrust.
 //!
-//! Equation M35 of `docs/model.md`.
+//! Equation M35 of `docs/model`.
 
 use super::EngineModel;
 use crate::error::{BuildError, check};

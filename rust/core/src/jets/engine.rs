@@ -1,6 +1,6 @@
 //! The identified second-order jet engine, and the throttle loop that tracks a thrust rate.
 //!
-//! Equations M32 to M34 and M144 of `docs/model.md`.
+//! Equations M32 to M34 and M144 of `docs/model`.
 
 use crate::error::{BuildError, check};
 use crate::robot::EngineCoefficients;

@@ -1,4 +1,4 @@
-//! Result of a solver, and the residual by which it is accepted: equation M66 of `docs/model.md`.
+//! Result of a solver, and the residual by which it is accepted: equation M66 of `docs/model`.
 
 use super::{QpProblem, QpStatus};
 use crate::linalg;

@@ -1,6 +1,6 @@
 //! Merges links without relative motion into one body.
 //!
-//! Equation M6 of `docs/model.md`.
+//! Equation M6 of `docs/model`.
 
 use super::urdf::Link;
 use flight_core::error::{BuildError, check as check_number};

@@ -2,7 +2,7 @@
 //!
 //! Separate from [`crate::jets::JetsConfig`], so that every fault can be combined with all thrust dynamics.
 //!
-//! Equation M41 of `docs/model.md`.
+//! Equation M41 of `docs/model`.
 
 use crate::noise::Noise;
 use flight_core::error::{BuildError, Table, place_of};

@@ -1,6 +1,6 @@
 //! Faults of joints: stuck, weak, free.
 //!
-//! Equation M142 of `docs/model.md`.
+//! Equation M142 of `docs/model`.
 
 use flight_core::error::{BuildError, check, place_of};
 use flight_core::robot::Joint;

@@ -1,6 +1,6 @@
 //! Outages of measurements: missing, frozen or wrong channels.
 //!
-//! Equation M104 of `docs/model.md`.
+//! Equation M104 of `docs/model`.
 
 use flight_core::error::{BuildError, check, place_of};
 use flight_core::kinematics::RobotState;

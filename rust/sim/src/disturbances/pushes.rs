@@ -4,7 +4,7 @@
 //! w = Σ_i σ_i Jᵀ (f_i, μ_i),   σ_i = |[t, t + Δt] ∩ [t_i, t_i + d_i]| / Δt
 //! ```
 //!
-//! Equation M155 of `docs/model.md`.
+//! Equation M155 of `docs/model`.
 
 use flight_core::error::{BuildError, check, place_of};
 use flight_core::kinematics::Kinematics;

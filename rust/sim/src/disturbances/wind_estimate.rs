@@ -4,7 +4,7 @@
 //! wind ──(mean_only)──► delay ──► + bias + noise ──► low pass ──► Measurement::wind
 //! ```
 //!
-//! Equation M39 of `docs/model.md`.
+//! Equation M39 of `docs/model`.
 
 use crate::noise::Noise;
 use flight_core::error::{BuildError, Table};

@@ -1,4 +1,4 @@
-//! Joint stops: what the equation M87 of `docs/model.md` says of them.
+//! Joint stops: what the equation M87 of `docs/model` says of them.
 
 use super::{NO_AIR, with};
 use crate::common::{assert_within, experiment, robot};

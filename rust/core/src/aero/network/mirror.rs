@@ -1,6 +1,6 @@
 //! Mirror symmetry of a robot: the image of every joint and link, determined from the robot's model.
 //!
-//! Equation M25 of `docs/model.md`.
+//! Equation M25 of `docs/model`.
 
 use crate::error::{BuildError, place_of};
 use crate::kinematics::Kinematics;

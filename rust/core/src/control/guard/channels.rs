@@ -16,7 +16,7 @@
 //!
 //! A base velocity that is not measured follows the differences of the pose, if the pose is measured.
 //!
-//! Equations M101 to M103 and M141 of `docs/model.md`.
+//! Equations M101 to M103 and M141 of `docs/model`.
 
 mod config;
 mod layout;

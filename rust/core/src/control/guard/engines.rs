@@ -11,7 +11,7 @@
 //! its sensor is wrong. Wrong sensors add `−d` times their jets' columns of `A_T` to the residual of the momentum,
 //! engines add nothing; several that deviate at once are one or the other together. The thrust at which an engine
 //! stops becomes a bound on its commanded thrust, and an engine whose bounds are close together is lost. Equations
-//! M105, M106 and M144 of `docs/model.md`.
+//! M105, M106 and M144 of `docs/model`.
 
 use super::observer::residual_share;
 use super::{Stage, Tick};

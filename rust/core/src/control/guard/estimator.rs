@@ -11,7 +11,7 @@
 //! the former, and the state in which a late command begins to act. Forces that are not in the model enter through the
 //! controller's observed wrench. Without delays, latency and time constants the estimate equals the measurement.
 //!
-//! Equations M91 to M93, M145 and M150 of `docs/model.md`.
+//! Equations M91 to M93, M145 and M150 of `docs/model`.
 
 mod config;
 

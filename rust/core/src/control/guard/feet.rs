@@ -1,4 +1,4 @@
-//! The stage that decides whether the feet carry load, and adds them to the momentum. Equation M114 of `docs/model.md`.
+//! The stage that decides whether the feet carry load, and adds them to the momentum. Equation M114 of `docs/model`.
 
 use super::observer::ObserverState;
 use super::{Stage, Tick};

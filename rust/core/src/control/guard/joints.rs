@@ -13,7 +13,7 @@
 //!
 //! A push on a body that one joint carries causes `x` along one column as well. It changes the momentum, which no torque of
 //! a joint does: nothing is judged while the moment's residual of [`super::observer`] exceeds a share of its greatest.
-//! Equation M143 of `docs/model.md`.
+//! Equation M143 of `docs/model`.
 
 use super::observer::ObserverConfig;
 use super::{Stage, Tick};

@@ -10,7 +10,7 @@
 //! Both sides pass the same filter, which removes what the model does not contain and changes slowly. Each joint or thrust
 //! counts by what its best delay leaves unexplained. The result contains lags of drives and engines, and half of the tick
 //! for which a torque is held. It is known while its standard deviation, were the residuals white, is small enough.
-//! Equations M164 and M165 of `docs/model.md`.
+//! Equations M164 and M165 of `docs/model`.
 
 use super::estimator::EstimatorConfig;
 use super::{Stage, Tick};

@@ -8,7 +8,7 @@
 //!
 //! `f_c` is the wrench that the feet measure, whether they carry load or not, so the ground is part of the model and
 //! the law is the same in flight and standing. `Δt` is the time between the two measurements. Inertial axes, about the
-//! centre of mass, force first. Equations M82 to M84 and M106 of `docs/model.md`.
+//! centre of mass, force first. Equations M82 to M84 and M106 of `docs/model`.
 
 use super::{Stage, Tick};
 use crate::control::terms::Terms;

@@ -12,7 +12,7 @@
 //! The observer reads the results of a tick, and the next tick uses its wind. On an upright robot a vertical wind
 //! causes little force; the vertical component is therefore held near zero by the prior of vertical winds.
 //!
-//! Equations M94 and M110 of `docs/model.md`.
+//! Equations M94 and M110 of `docs/model`.
 
 use super::observer::{ObserverConfig, ObserverState, Sample};
 use super::{Stage, Tick};

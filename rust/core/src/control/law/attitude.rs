@@ -12,7 +12,7 @@
 //! The task demands `Rᵀ (L̈_ang − σ) = k̈*`. It has no integral action: a constant moment `d` that is not in
 //! the controller's model causes the steady-state error `e = (1 + I₀/c₀) d`.
 //!
-//! Equations M59 to M61 and, for the last sentence, M67 of `docs/model.md`.
+//! Equations M59 to M61 and, for the last sentence, M67 of `docs/model`.
 
 use super::setpoint::Setpoint;
 use crate::error::{BuildError, Table};
@@ -20,7 +20,7 @@ use crate::spatial::{skew, vee_of_skew_part};
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Gains of the momentum task (M57 of `docs/model.md`) and the attitude task (M60).
+/// Gains of the momentum task (M57 of `docs/model`) and the attitude task (M60).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]

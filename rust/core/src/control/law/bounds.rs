@@ -35,7 +35,7 @@ pub struct BoundsConfig {
 /// changes sign and demands a return. `lower ≤ upper` holds for every x, because `tanh a + tanh b` has the sign of
 /// `a + b = ε (x_max − x_min) ≥ 0`.
 ///
-/// Equation M65 of `docs/model.md` (paper: "bounds on the input and its integral").
+/// Equation M65 of `docs/model` (paper: "bounds on the input and its integral").
 #[derive(Debug, Clone)]
 pub struct LimitedValues {
     /// `x`.

@@ -8,7 +8,7 @@
 //!
 //! `f_c*` is the integral of the momentum QP's own answer, not a measurement; the estimated momentum rate and the
 //! torque QP both use it. Wrenches are about the sole's origin, force first, inertial axes. Equations M54, M74, M75,
-//! M82, M111, M112 and M114 of `docs/model.md`.
+//! M82, M111, M112 and M114 of `docs/model`.
 
 use crate::dynamics::Dynamics;
 use crate::error::{BuildError, Table, place_of};

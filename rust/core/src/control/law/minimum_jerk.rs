@@ -1,6 +1,6 @@
 //! The minimum-jerk filter, which smooths references.
 //!
-//! Equations M45 and M46 of `docs/model.md`.
+//! Equations M45 and M46 of `docs/model`.
 
 use nalgebra::{Matrix3, Vector3};
 

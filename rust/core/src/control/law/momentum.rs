@@ -8,7 +8,7 @@
 //!
 //! with `r` the arm from the centre of mass. Source: paper, Methods, "Flight Control Design".
 //!
-//! Equations M50 to M52, M54 to M56 and M86 of `docs/model.md`.
+//! Equations M50 to M52, M54 to M56 and M86 of `docs/model`.
 
 use super::contact::WRENCH;
 use crate::aero::LinkForces;

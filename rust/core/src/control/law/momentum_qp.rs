@@ -34,7 +34,7 @@
 //! }
 //! ```
 //!
-//! Equations M64 and M65 of `docs/model.md`.
+//! Equations M64 and M65 of `docs/model`.
 
 use super::attitude::{AttitudeDemand, MomentumGains};
 use super::bounds::{BoundsConfig, LimitedValues};

@@ -8,7 +8,7 @@
 //! ```
 //!
 //! The momentum law prepares its own problem too: its bounds are those of the first knot, and it decides where there is
-//! no plan. Equations M116 to M126 of `docs/model.md`.
+//! no plan. Equations M116 to M126 of `docs/model`.
 
 pub mod clearance;
 pub mod config;

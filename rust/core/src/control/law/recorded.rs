@@ -1,6 +1,6 @@
 //! A recorded reference: samples in time, and interpolation between them.
 //!
-//! Equation M49 of `docs/model.md`.
+//! Equation M49 of `docs/model`.
 
 use crate::error::BuildError;
 use crate::spatial::{GREATEST, exp_so3, log_so3, rotation_from_rpy};

@@ -7,7 +7,7 @@
 //! ```
 //!
 //! The torques follow the joint velocities that result. A residual that is not finite is not used
-//! ([`Modes::RESIDUAL_IGNORED`]), nor is one without an answer of the law. Equations M170 to M172 of `docs/model.md`.
+//! ([`Modes::RESIDUAL_IGNORED`]), nor is one without an answer of the law. Equations M170 to M172 of `docs/model`.
 
 use crate::aero::network::{Layer, Tensors};
 use crate::control::command::{Command, CommandStatus};

@@ -5,7 +5,7 @@
 //! attitude. The raw attitude is that of the *heading frame*: forward, left, up, fixed to the base by the robot's
 //! forward axis. Its pitch is positive nose down.
 //!
-//! Equations M43, M44, M47, M48, M107 and M115 of `docs/model.md`. Source: the published flight-control library, whose
+//! Equations M43, M44, M47, M48, M107 and M115 of `docs/model`. Source: the published flight-control library, whose
 //! steps per tick of 10 ms are speeds here.
 
 use super::minimum_jerk::{FilterState, MinimumJerkFilter};
@@ -136,7 +136,7 @@ impl Setpoint {
     }
 
     /// Set-point without position control: the centre of mass is the present one \[m\], without acceleration or jerk
-    /// (M107 of `docs/model.md`).
+    /// (M107 of `docs/model`).
     #[must_use]
     pub fn without_place(&self, com: &Vector3<f64>) -> Self {
         let zero = Vector3::zeros();

@@ -13,7 +13,7 @@
 //! ```
 //!
 //! with `K = K_P + K_D + K_O⁻¹`. The linear task is `e⃛ + 8.75 ë + 22.8 ė + 15 e = 0` in the position
-//! error at the published gains. Equations M57, M58, M61 to M64, M73 and M111 of `docs/model.md`.
+//! error at the published gains. Equations M57, M58, M61 to M64, M73 and M111 of `docs/model`.
 
 use super::contact::ContactConfig;
 use super::momentum_qp::{Equations, Layout, Task, TaskInputs, Unknowns};

@@ -12,7 +12,7 @@
 //! A rate limiter follows. One matrix gives both accelerations, because forces act on the same coordinates (feet,
 //! joints) as are controlled. In flight `f_c` is empty. The base floats, so the joint block of `P` is `G`, the joint
 //! block of the inverse mass matrix ([`InverseMass`]), not the inverse of the joint block. Equations M68 to M72, M75
-//! and M76 of `docs/model.md` (the paper prints `τ = b̄ − M̄⁻¹ s̈**`, which contradicts its own `M̄ s̈ + b̄ = τ`; see
+//! and M76 of `docs/model` (the paper prints `τ = b̄ − M̄⁻¹ s̈**`, which contradicts its own `M̄ s̈ + b̄ = τ`; see
 //! `docs/deviations.md`).
 
 use super::contact::{Contact, ContactConfig, ContactState, WRENCH, WRENCH_ROWS};

@@ -1,6 +1,6 @@
 //! Distances that a plan keeps: exhausts and links from other links, as capsules.
 //!
-//! Equation M126 of `docs/model.md`. The trims compute the same distances, in `jax_aero/symbolic/clearance.py`.
+//! Equation M126 of `docs/model`. The trims compute the same distances, in `jax_aero/symbolic/clearance.py`.
 
 use crate::error::{BuildError, Table, place_of};
 use crate::kinematics::Kinematics;

@@ -10,7 +10,7 @@
 //!
 //! `u` and `w` are constant between knots, so every knot is exact: a Taylor series for the shortest, and squares of it.
 //! The states are eliminated; H and g collect the squares of the outputs' errors. Equations M120 to M126 of
-//! `docs/model.md`.
+//! `docs/model`.
 
 use super::clearance::Clearance;
 use super::config::{MpcConfig, MpcWeights};
