@@ -33,6 +33,7 @@ LAB = Path(__file__).resolve().parents[1] / "target/lab"
 """The flight lab, if `make lab` has built it."""
 LAB_PAGE = "lab/fly/index.html"
 PICTURE = re.compile(r"(?P<shown>!\[[^\]]*\])\((?P<path>\w+\.png)\)")
+STUDY = re.compile(r"\[(?P<text>[^\]]+)\]\((?:\.\./)*studies/(?P<name>\w+)\.md(?:#[^)]*)?\)")
 INDEX = (
     "Questions beyond single flights, each in a folder of its own in `experiments/studies`, which can be deleted or "
     "[copied](../howto/experiment.md#a-study). `jax-aero study NAME` answers one, `jax-aero study NAME --help` says "
@@ -100,6 +101,12 @@ def study_page(name: str) -> str:
     return PICTURE.sub(rf"\g<shown>({name}/\g<path>)", text.replace("](../../../docs/", "](../"))
 
 
+def link_studies(markdown: str) -> str:
+    """Return a page without its links to studies that are not there: of these the text stays."""
+    there = {"index", *studies.names()}
+    return STUDY.sub(lambda link: link[0] if link["name"] in there else link["text"], markdown)
+
+
 def on_page_markdown(markdown: str, *, page: Any, config: Any, **_: Any) -> str:
     """Typeset equations, put notebooks and the lab in place of their comments, link `[M12]` to its equation."""
     docs = Path(config["docs_dir"])
@@ -114,7 +121,7 @@ def on_page_markdown(markdown: str, *, page: Any, config: Any, **_: Any) -> str:
         for path in sorted((docs / MODEL).glob("*.md"))
         for number in NUMBER.findall(path.read_text(encoding="utf-8"))
     ]
-    markdown = NOTEBOOK.sub(lambda match: notebook(docs / match["path"]), markdown)
+    markdown = link_studies(NOTEBOOK.sub(lambda match: notebook(docs / match["path"]), markdown))
     return "\n".join([markdown, "", *links])
 
 

@@ -174,16 +174,23 @@ def test_shown_commands_name_what_exists(page):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
-def test_a_page_names_no_study_but_its_own(page):
-    """A study can be deleted with its folder."""
+def test_a_page_shows_no_command_of_another_study(page):
+    """A study can be deleted with its folder: pages link its page, and the link goes with it."""
     others = {name for name in studies.names() if studies.FOLDER / name != page.parent}
     figures = {figure for figure, entry in FIGURES.items() if entry.kind in others}
     text = page.read_text(encoding="utf-8")
     for words in shown_commands(text):
         if words[:2] in (["jax-aero", "study"], ["jax-aero", "figures"]):
             assert {*words[2:]}.isdisjoint(others | figures), words
-    for link in LINK.findall(FENCE.sub("", text)):
-        assert {*Path(link).with_suffix("").parts[-2:]}.isdisjoint(others) or "studies" not in link, link
+
+
+def test_links_to_studies_lead_to_studies_and_vanish_with_them(monkeypatch):
+    linked = {found["name"] for page in PAGES for found in hooks.STUDY.finditer(page.read_text(encoding="utf-8"))}
+    assert linked <= {"index", *studies.names()}
+    text = "[one](../studies/tune.md#what) of [all](studies/index.md)"
+    assert hooks.link_studies(text) == text
+    monkeypatch.setattr(studies, "names", list)
+    assert hooks.link_studies(text) == "one of [all](studies/index.md)"
 
 
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]+)(?:#[^)]*)?\)")
@@ -195,7 +202,7 @@ generated = functools.cache(hooks.generated)
 @pytest.mark.parametrize("page", PAGES, ids=name)
 def test_links_of_a_page_lead_to_files_or_generated_pages(page):
     made = {DOCS / path for path in generated()}
-    for link in LINK.findall(FENCE.sub("", page.read_text(encoding="utf-8"))):
+    for link in LINK.findall(FENCE.sub("", hooks.link_studies(page.read_text(encoding="utf-8")))):
         target = (page.parent / link).resolve()
         assert target.exists() or target in made, link
 
