@@ -206,10 +206,14 @@ class EstimatorConfig(Struct, frozen=True, kw_only=True):
 JacobianOffset: TypeAlias = Literal["link_rotation", "base_rotation"]
 
 
+JetDynamics: TypeAlias = Literal["ideal", "second_order"]
+
+
 class JointsConfig(Struct, frozen=True, kw_only=True):
-    acceleration_max: float
+    confirmation: float
     displacement_min: float
     share_max: float
+    torque_min: float
 
 
 class LatencyMonitorConfig(Struct, frozen=True, kw_only=True):
@@ -341,6 +345,7 @@ class ControllerSection(Struct, frozen=True, kw_only=True):
     engines: EnginesConfig | None = None
     estimator: EstimatorConfig | None = None
     jacobian_offset: JacobianOffset = "link_rotation"
+    jet_dynamics: JetDynamics = "ideal"
     joints: JointsConfig | None = None
     latency_monitor: LatencyMonitorConfig | None = None
     lever_arm: LeverArm = "rotated"
@@ -441,7 +446,9 @@ class JointFault(Struct, frozen=True, kw_only=True):
 
 class ModelError(Struct, frozen=True, kw_only=True):
     com_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    inertia_scale: float = 1.0
     mass_scale: float = 1.0
+    thrust_axes: tuple[tuple[float, float, float], ...] = ()
 
 
 OutageChannel: TypeAlias = Literal["wind", "thrust", "joints", "base_position", "base_rotation", "base_velocity"]

@@ -436,6 +436,7 @@ class Tick:
     momentum_qp: QpProblem
     momentum_answer: QpAnswer
     thrust_rate: Array
+    throttle: Array
     joint_velocity_command: Array
     residual: Array
     residual_wrench: Array

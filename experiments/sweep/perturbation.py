@@ -39,6 +39,11 @@ STREAMS = (
     "link",
     "seeds",
     "ensemble",
+    "mass",
+    "com",
+    "inertia",
+    "thrust_axis_deg",
+    "direction",
 )
 """Kinds of draws; the index is the number of the random stream, so new kinds are appended at the end."""
 
@@ -64,6 +69,16 @@ class Perturbation(tables.Table, frozen=True):
     """Half width for the normal force of all links in the simulator, relative."""
     link: tables.NonNegative = 0.0
     """Half width for the force on each link in the simulator, relative."""
+    mass: tables.NonNegative = 0.0
+    """Half width for the masses of the controller's robot, relative."""
+    com: tables.NonNegative = 0.0
+    """Half width for the centre of mass of its base body, along each axis [m]."""
+    inertia: tables.NonNegative = 0.0
+    """Half width for its inertias, beside that of the masses, relative."""
+    thrust_axis_deg: tables.NonNegative = 0.0
+    """Half width for the rotation of each of its jets about each axis [deg]."""
+    any_direction: bool = False
+    """Whether pushes and the wind's gust get random directions, equally likely: on the sphere, about the vertical."""
     ensemble: Path | None = None
     """`ensemble.json` of train-ensemble: the network of `simulator.aero` is one of its members, all equally often."""
 
@@ -85,6 +100,9 @@ class Perturbation(tables.Table, frozen=True):
             ranges = zip(initial["thrust"], robot.thrust_min, robot.thrust_max, strict=True)
             initial["thrust"] = [min(max(least, thrust), greatest) for thrust, least, greatest in ranges]
         self._blow(config["wind"], draw_around)
+        self._mislead(config, draw_around, robot)
+        if self.any_direction:
+            _turn(config, draws["direction"])
         self._reshape(config, draw_around, robot.aero_link_names)
         if self.ensemble:
             _draw(config["simulator"]["aero"], members(self.ensemble), seed, repeat)
@@ -97,6 +115,18 @@ class Perturbation(tables.Table, frozen=True):
         x, y, z = wind["velocity"]
         cos, sin = math.cos(math.radians(turn)), math.sin(math.radians(turn))
         wind["velocity"] = [factor * (cos * x - sin * y), factor * (sin * x + cos * y), factor * z]
+
+    def _mislead(self, config: dict[str, Any], around: Any, robot: Robot) -> None:
+        drawn = {
+            "mass_scale": around("mass", [1.0])[0],
+            "com_offset": around("com", [0.0] * 3),
+            "inertia_scale": around("inertia", [1.0])[0],
+            "thrust_axes": np.radians(around("thrust_axis_deg", [0.0] * 3 * len(robot.jet_names))).reshape(-1, 3).tolist(),
+        }
+        widths = (self.mass, self.com, self.inertia, self.thrust_axis_deg)
+        error = {key: value for (key, value), width in zip(drawn.items(), widths, strict=True) if width}
+        if error:
+            config.setdefault("disturbances", {}).setdefault("model_error", {}).update(error)
 
     def _reshape(self, config: dict[str, Any], around: Any, links: Sequence[str]) -> None:
         if not (self.drag or self.normal or self.link):
@@ -122,6 +152,19 @@ def members(ensemble: Path) -> tuple[Path, ...]:
         wanted = "the ensemble.json of train-ensemble, with its networks beside it"
         raise ConfigError.of("perturbation.ensemble", str(ensemble), wanted)
     return cards
+
+
+def _turn(config: dict[str, Any], stream: np.random.Generator) -> None:
+    """Give pushes and a gust random directions; their sizes stay."""
+    for push in config.get("disturbances", {}).get("pushes", []):
+        for name in ("force", "moment"):
+            direction = stream.normal(size=3)
+            size = math.hypot(*push.get(name, [0.0]))
+            push[name] = [float(part) for part in size * direction / np.linalg.norm(direction)]
+    turn = stream.uniform(0.0, 2.0 * math.pi)
+    if "gust" in config["wind"]:
+        size = math.hypot(*config["wind"]["gust"])
+        config["wind"]["gust"] = [size * math.cos(turn), size * math.sin(turn), 0.0]
 
 
 def _draw(aero: dict[str, Any], cards: Sequence[Path], seed: int, repeat: int) -> None:

@@ -70,7 +70,7 @@ def values(tick: rust.Tick) -> Values:
 
     for key, value in vars(tick).items():
         # Without estimators the former are the measurement; these flights have no faulty joints and no residuals.
-        if key not in {"estimates", "joint_condition", "measured_latency", "residual", "residual_wrench"}:
+        if key not in {"estimates", "joint_condition", "measured_latency", "residual", "residual_wrench", "throttle"}:
             add(stored_names.get(key, key), value)
     return found
 

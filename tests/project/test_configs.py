@@ -56,7 +56,7 @@ def table(path):
 @pytest.mark.parametrize("name", ["observer_tests", "observer_missions"])
 def test_a_sweep_that_adds_the_recommended_controller_adds_all_of_it(name):
     recommended = table("control/observer.toml")
-    parts = {"observer", "weights", "channels", "engines", "latency_monitor", "supervisor"}
+    parts = {"observer", "weights", "channels", "engines", "joints", "latency_monitor", "supervisor"}
     assert recommended.keys() == {"base"} | parts
     added = {key: value for key, value in table(f"sweeps/{name}.toml")["set"].items() if key.startswith("controller.")}
     assert added == {
@@ -64,6 +64,7 @@ def test_a_sweep_that_adds_the_recommended_controller_adds_all_of_it(name):
         "controller.weights.joint_velocity": recommended["weights"]["joint_velocity"],
         "controller.channels.jump": recommended["channels"]["jump"],
         "controller.engines": recommended["engines"],
+        "controller.joints": recommended["joints"],
         "controller.latency_monitor": recommended["latency_monitor"],
         "controller.supervisor": recommended["supervisor"],
     }

@@ -8,7 +8,7 @@ use flight_core::control::guard::engines::{
     DescentConfig, EngineSample, EngineState, Engines, EnginesConfig, explains,
 };
 use flight_core::control::law::limits::Limits;
-use flight_core::jets::{EngineDynamics, EngineModel, ThrustRateController};
+use flight_core::jets::{EngineDynamics, EngineModel, JetDynamics, ThrustRateController};
 use flight_core::robot::JointKind;
 use flight_io::load_robot;
 use nalgebra::{Matrix6xX, Vector6};
@@ -41,7 +41,8 @@ impl Monitors {
         let mut robot = load_robot(&config.robot).unwrap();
         robot.jets.truncate(jets);
         let limits = Limits::new(config.controller.law.momentum, &robot);
-        let engines = Engines::new(&CONFIG, &limits, &robot, [momentum_share; 2]).unwrap();
+        let engines =
+            Engines::new(&CONFIG, &limits, &robot, [momentum_share; 2], JetDynamics::Ideal).unwrap();
         let column = |jet: usize| Vector6::new(0.0, 0.0, 1.0, 0.0, 0.3 - 0.6 * (jet % 2) as f64, 0.0);
         let a_t = Matrix6xX::from_columns(&(0..jets).map(column).collect::<Vec<_>>());
         Self { states: engines.start(), engines, a_t }
@@ -267,7 +268,7 @@ fn the_least_thrust_is_that_of_a_running_engine() {
     let mut robot = load_robot(&config.robot).unwrap();
     robot.jets.iter_mut().for_each(|jet| jet.thrust_min = 11.0);
     let mut limits = Limits::new(config.controller.law.momentum, &robot);
-    let engines = Engines::new(&CONFIG, &limits, &robot, [1.0; 2]).unwrap();
+    let engines = Engines::new(&CONFIG, &limits, &robot, [1.0; 2], JetDynamics::Ideal).unwrap();
     let mut states = engines.start();
     states[1].range = (0.0, 80.0);
     states[2].range = (0.0, 2.0);

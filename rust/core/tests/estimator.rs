@@ -5,6 +5,7 @@
 use crate::common::{Loop, assert_within, experiment, robot, uniform_estimator};
 use flight_core::control::guard::estimator::{ChannelConfig, EstimatorConfig, EstimatorState, LatencyConfig};
 use flight_core::control::{Command, Modes};
+use flight_core::jets::JetDynamics;
 use flight_core::{Estimator, Measurement, Reading, RobotModel, RobotState};
 use flight_io::{AeroConfig, load_aero, load_robot};
 use flight_sim::sensors::{EncoderConfig, SensorConfig, ThrustSensorConfig};
@@ -69,7 +70,8 @@ impl Estimating {
     fn update(&mut self, state: &RobotState, thrust: &[f64]) -> Reading {
         let mut reading = Reading { state: state.clone(), thrust: thrust.to_vec() };
         let mut innovation = vec![0.0; thrust.len()];
-        self.estimator.update(&mut self.state, &mut reading, self.elapsed, &mut innovation);
+        let mut rates = innovation.clone();
+        self.estimator.update(&mut self.state, &mut reading, self.elapsed, &mut innovation, &mut rates);
         reading
     }
 
@@ -83,7 +85,7 @@ fn estimator(config: &ScenarioConfig) -> Estimating {
     let robot = load_robot(&config.robot).unwrap();
     let aero = load_aero(&config.controller.aero, &robot).unwrap();
     let settings = config.controller.law.estimator.as_ref().unwrap();
-    let estimator = Estimator::new(settings, robot, aero, STEP).unwrap();
+    let estimator = Estimator::new(settings, robot, JetDynamics::Ideal, aero, STEP).unwrap();
     let initial = &config.simulator.initial;
     Estimating { state: estimator.start(&initial.state(), &initial.thrust), estimator, elapsed: STEP }
 }
@@ -134,7 +136,7 @@ fn a_predicted_thrust_ends_at_its_least() {
     running.jets.iter_mut().for_each(|jet| jet.thrust_min = 11.0);
     let state = config.simulator.initial.state();
     let after = |robot: RobotModel| {
-        let estimator = Estimator::new(settings, robot, aero.clone(), STEP).unwrap();
+        let estimator = Estimator::new(settings, robot, JetDynamics::Ideal, aero.clone(), STEP).unwrap();
         let start = estimator.start(&state, &[90.0, 18.0, 13.0, 2.0]);
         let mut estimating = Estimating { state: start, estimator, elapsed: STEP };
         let command = Command {
@@ -485,7 +487,7 @@ fn a_state_of_another_estimator_does_not_fit() {
         let (state, thrust) = (RobotState::zero(robot.joints.len()), vec![10.0; jets]);
         let aero = load_aero(&AeroConfig::Off {}, &robot).unwrap();
         let settings = EstimatorConfig { thrust: late(delay), ..EstimatorConfig::default() };
-        let estimator = Estimator::new(&settings, robot, aero, STEP).unwrap();
+        let estimator = Estimator::new(&settings, robot, JetDynamics::Ideal, aero, STEP).unwrap();
         let state = estimator.start(&state, &thrust);
         (estimator, state)
     };

@@ -5,9 +5,7 @@
 
 use crate::common::engines::{ENGINES, coefficients, model, models};
 use crate::common::{assert_within, relative};
-use flight_core::jets::{
-    EkfConfig, EngineDynamics, EngineModel, ThrustEkf, ThrustRateController, predict_thrust,
-};
+use flight_core::jets::{EkfConfig, EngineDynamics, EngineModel, JetModel, ThrustEkf, ThrustRateController};
 use flight_core::robot::EngineCoefficients;
 
 const DT: f64 = 0.01;
@@ -215,10 +213,33 @@ fn estimate_converges_to_the_truth() {
 /// Above its least, at it, and of an engine that has stopped or whose sensor is wrong.
 #[test]
 fn a_predicted_thrust_stays_above_its_least() {
-    let at = |thrust, rate| predict_thrust(thrust, rate, 0.5, 11.0);
+    let predict =
+        |thrust, rate, thrust_min| JetModel { thrust_min, engine: None }.advance(thrust, 0.0, rate, 0.5).0;
+    let at = |thrust, rate| predict(thrust, rate, 11.0);
     assert_eq!((at(20.0, -10.0), at(20.0, -30.0), at(11.0, -30.0), at(11.0, 4.0)), (15.0, 11.0, 11.0, 13.0));
     assert_eq!((at(4.0, -2.0), at(4.0, 2.0), at(0.0, -2.0), at(-3.0, -2.0)), (4.0, 5.0, 0.0, 0.0));
-    assert_eq!((predict_thrust(1.0, -4.0, 0.5, 0.0), predict_thrust(-1.0, 0.0, 0.5, 0.0)), (0.0, 0.0));
+    assert_eq!((predict(1.0, -4.0, 0.0), predict(-1.0, 0.0, 0.0)), (0.0, 0.0));
+}
+
+/// The throttle of a command brings the engine to the predicted rate and thrust; beyond its limits, as near as they allow.
+#[test]
+fn an_engine_follows_its_predicted_rate() {
+    for (name, k) in ENGINES {
+        let engine = EngineModel::new(name, coefficients(k)).unwrap();
+        let jet = JetModel { thrust_min: 0.0, engine: Some(engine) };
+        for (thrust, rate, command) in
+            [(60.0, 0.0, 0.5), (60.0, -3.0, -3.4), (40.0, 5.0, 100.0), (70.0, 4.0, -100.0)]
+        {
+            let mut real = EngineDynamics::new(engine, thrust, rate);
+            real.step(jet.throttle(thrust, rate, command, DT), DT);
+            let (after, reached) = jet.advance(thrust, rate, command, DT);
+            assert_within!((real.thrust_rate - reached).abs(), 1e-9, because "rounding of the inverted throttle", "{name}");
+            assert_within!((real.thrust - after).abs(), 1e-11, because "the same, times a tick", "{name}");
+            let (least, greatest) = engine.acceleration_range(thrust, rate);
+            assert_eq!(reached, command.clamp(rate + DT * least, rate + DT * greatest), "{name}");
+        }
+        assert_eq!(JetModel { thrust_min: 0.0, engine: None }.throttle(60.0, 0.0, 5.0, DT), 0.0);
+    }
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Joints that do not follow their torques, judged from accelerations and positions that are written here.
+//! Joints that do not follow their torques, judged from residuals and positions that are written here.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
@@ -6,17 +6,16 @@
 use crate::common::assert_within;
 use flight_core::control::guard::joints::{JointsConfig, JointsState, Sample};
 use flight_core::control::law::limits::JointCondition::{self, Free, Healthy, Stuck, Weak};
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DVector;
 
 const STEP: f64 = 0.01;
-const CONFIG: JointsConfig = JointsConfig { acceleration_max: 20.0, share_max: 0.7, displacement_min: 0.005 };
+const CONFIG: JointsConfig =
+    JointsConfig { torque_min: 0.5, confirmation: 0.05, share_max: 0.7, displacement_min: 0.005 };
 
 const STOPS: [(f64, f64); 3] = [(-1.0, 1.0), (-1.5, 1.5), (-2.0, 2.0)];
 
-/// Three joints, of which each moves the others a little.
 struct Robot {
     state: JointsState,
-    gain: DMatrix<f64>,
     torque: DVector<f64>,
     position: DVector<f64>,
     stops: [(f64, f64); 3],
@@ -25,9 +24,8 @@ struct Robot {
 impl Robot {
     fn new() -> Self {
         let position = DVector::from_vec(vec![0.1, 0.2, 0.3]);
-        let gain = DMatrix::from_row_slice(3, 3, &[40.0, -8.0, 2.0, -8.0, 60.0, -10.0, 2.0, -10.0, 200.0]);
         let torque = DVector::from_vec(vec![4.0, -3.0, 2.0]);
-        Self { state: JointsState::new(&position), gain, torque, position, stops: STOPS }
+        Self { state: JointsState::new(&position), torque, position, stops: STOPS }
     }
 
     /// One that has been flying for long enough to be judged.
@@ -42,15 +40,16 @@ impl Robot {
     /// A tick with these unexplained torques \[N m\], in which the joints move so far while they are commanded these
     /// velocities.
     fn tick(&mut self, unexplained: &[f64], moved: &[f64], commanded: &[f64]) {
-        self.tick_accelerated(&(&self.gain * DVector::from_column_slice(unexplained)), moved, commanded);
+        self.touch([0.0; 6], unexplained, moved, commanded);
     }
 
-    fn tick_accelerated(&mut self, unexplained: &DVector<f64>, moved: &[f64], commanded: &[f64]) {
+    /// A tick in which also the rows of the base are not explained \[N, N m\].
+    fn touch(&mut self, base: [f64; 6], unexplained: &[f64], moved: &[f64], commanded: &[f64]) {
         self.position += DVector::from_column_slice(moved);
         self.state.measure(&self.position, true, STEP);
-        let sample =
-            Sample { dt: STEP, unexplained, gain: &self.gain, torque: &self.torque, stops: &self.stops };
-        self.state.judge(&CONFIG, &sample);
+        let residual = DVector::from_iterator(9, base.into_iter().chain(unexplained.iter().copied()));
+        let (torque, stops) = (&self.torque, &self.stops[..]);
+        self.state.judge(&CONFIG, &Sample { dt: STEP, residual: &residual, torque, stops });
         self.state.command(&DVector::from_column_slice(commanded), STEP);
     }
 
@@ -71,13 +70,15 @@ fn a_weak_or_free_joint_is_found_with_its_share() {
         let (mut unexplained, mut moved) = ([0.0; 3], [0.0; 3]);
         unexplained[joint] = robot.lost(joint, share);
         moved[joint] = 0.01;
-        let ticks = (1..=10).find(|_| {
+        let ticks = (1..=20).find(|_| {
             robot.tick(&unexplained, &moved, &[0.0; 3]);
             robot.found()[joint] != Healthy
         });
-        assert!(ticks.unwrap() <= 8, "joint {joint} with {share}: {ticks:?} ticks of 10 ms");
+        assert!(ticks.unwrap() <= 12, "joint {joint} with {share}: {ticks:?} ticks of 10 ms");
         match robot.found()[joint] {
-            Weak(found) => assert_within!((found - share).abs(), 1e-12, "joint {joint}: {found}"),
+            Weak(found) => {
+                assert_within!((found - share).abs(), 0.06, because "the mean follows at 1 1/s until the residual, at 20 1/s, is suspected", "joint {joint}: {found}");
+            }
             found => assert!(found == Free && share < 0.15, "joint {joint}: {found:?}"),
         }
         assert_eq!(robot.found().iter().filter(|found| **found != Healthy).count(), 1);
@@ -100,26 +101,37 @@ fn a_share_that_changes_is_revised() {
     }
 }
 
-/// Errors of the model are there from the start, accelerate several joints at once, are small, or act on a joint in the
-/// direction of its torque.
+/// Errors of the model are there from the start, are small, or act on a joint in the direction of its torque.
 #[test]
 fn errors_of_the_model_are_no_faults() {
     let mut robot = Robot::new();
     for _ in 0..500 {
-        robot.tick(&[0.0, 0.0, -1.0], &[0.0; 3], &[0.0; 3]);
+        robot.tick(&[0.0, 0.0, -1.0], &[0.01; 3], &[0.0; 3]);
     }
     assert_eq!(robot.found(), [Healthy; 3], "constant");
-    let mut robot = Robot::settled();
-    for _ in 0..500 {
-        robot.tick_accelerated(&DVector::from_element(3, -60.0), &[0.01; 3], &[0.0; 3]);
-    }
-    assert_eq!(robot.found(), [Healthy; 3], "common to all joints");
-    for unexplained in [[-0.2, 0.0, 0.0], [4.0, 0.0, 0.0], [-20.0, 0.0, 0.0]] {
+    for unexplained in [[-0.45, 0.0, 0.0], [4.0, 0.0, 0.0], [-20.0, 0.0, 0.0]] {
         let mut robot = Robot::settled();
         for _ in 0..500 {
             robot.tick(&unexplained, &[0.01, 0.0, 0.0], &[0.0; 3]);
         }
         assert_eq!(robot.found(), [Healthy; 3], "{unexplained:?}");
+    }
+}
+
+/// What a touch does to a joint is at most its force times a metre and its moment, which the rows of the base show; half of the
+/// torque is no touch where the base shows less.
+#[test]
+fn a_touch_is_no_fault_of_a_joint() {
+    for (base, expected) in [
+        ([0.0, 1.6, 0.0, 0.0, 0.0, 0.0], true),
+        ([0.0, 0.0, 0.0, 0.9, 0.0, 1.2], true),
+        ([0.0, 0.3, 0.0, 0.0, 0.0, 0.4], false),
+    ] {
+        let mut robot = Robot::settled();
+        for _ in 0..20 {
+            robot.touch(base, &[-2.0, 0.0, 0.0], &[0.01, 0.0, 0.0], &[0.0; 3]);
+        }
+        assert_eq!(robot.found()[0] == Healthy, expected, "{base:?}");
     }
 }
 
@@ -129,12 +141,12 @@ fn errors_of_the_model_are_no_faults() {
 fn a_stuck_joint_is_found_and_taken_up_again() {
     let mut robot = Robot::settled();
     let mut pushed = 0.0;
-    let ticks = (1..=20).find(|_| {
+    let ticks = (1..=30).find(|_| {
         pushed -= 0.08;
         robot.tick(&[0.0, 0.0, pushed], &[0.0; 3], &[0.0, 0.0, 0.2]);
         robot.found()[2] == Stuck
     });
-    assert!(ticks.unwrap() <= 10, "{ticks:?} ticks of 10 ms");
+    assert!(ticks.unwrap() <= 20, "{ticks:?} ticks of 10 ms");
     assert_eq!(robot.found(), [Healthy, Healthy, Stuck]);
     for _ in 0..300 {
         robot.tick(&[0.0; 3], &[0.0; 3], &[0.0, 0.0, 0.02]);

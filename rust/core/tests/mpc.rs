@@ -14,6 +14,7 @@ use flight_core::control::law::mpc::model::Linearised;
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::{Command, CommandStatus, Given, Preview, Terms};
 use flight_core::dynamics::Dynamics;
+use flight_core::jets::{EngineModel, JetDynamics, JetModel};
 use flight_core::kinematics::Kinematics;
 use flight_core::qp::{PrimalActiveSet, QpSolver, QpStatus};
 use flight_core::spatial::{exp_so3, log_so3, stack};
@@ -344,11 +345,13 @@ fn links_on_one_body_are_not_kept_apart() {
     assert!(refused.contains("controller.mpc.clearance.apart_from"), "{refused}");
 }
 
-/// Continuous dynamics of `(δp, δv, θ, δk, δT, δs, ṡ, e)`, from the model's matrices alone, with a change of the wrench.
+/// Continuous dynamics of `(δp, δv, θ, δk, δT, δs, ṡ, e, Ṫ)`, from the model's matrices and the engines' slopes alone, with a
+/// change of the wrench.
 fn slope(
     model: &Linearised,
     terms: &Terms,
     (kd, kp): (f64, f64),
+    engines: &[Option<(f64, f64)>],
     x: &DVector<f64>,
     (u, wrench): (&[f64], &Vector6<f64>),
 ) -> DVector<f64> {
@@ -384,7 +387,14 @@ fn slope(
     dx.fixed_rows_mut::<3>(6).copy_from(&(turn + omega.cross(&theta) * 0.5));
     dx.fixed_rows_mut::<3>(9).copy_from(&rate.fixed_rows::<3>(3));
     for jet in 0..jets {
-        dx[12 + jet] = u[jet];
+        let rate = 12 + jets + 3 * free + jet;
+        match engines[jet] {
+            None => dx[12 + jet] = u[jet],
+            Some((by_thrust, by_rate)) => {
+                dx[12 + jet] = x[rate];
+                dx[rate] = by_thrust * x[12 + jet] + by_rate * x[rate] + u[jet];
+            }
+        }
     }
     for joint in 0..free {
         let command = u[jets + joint];
@@ -415,20 +425,36 @@ fn outputs(model: &Linearised, terms: &Terms, x: &DVector<f64>, dx: &DVector<f64
     [terms.kinematics.com + rows(x, 0), rows(dx, 0), rows(x, 6), omega, rows(dx, 3), alpha]
 }
 
-/// The cost that H and g have is that of the motion in fine steps, up to a constant.
+/// The cost that H and g have is that of the motion in fine steps, up to a constant, with ideal jets and with engines.
 #[test]
 fn the_horizon_is_the_motion_in_fine_steps() {
+    fine_steps(JetDynamics::Ideal);
+    fine_steps(JetDynamics::SecondOrder);
+}
+
+fn fine_steps(dynamics: JetDynamics) {
     let config = experiment("test2_mpc");
     let mpc = config.controller.law.mpc.clone().unwrap();
     let case = Case::draw(3);
     let controller = case.controller(&config);
-    let terms = controller.terms();
+    let mut terms = controller.terms().clone();
+    terms.measurement.thrust_rate.copy_from_slice(&[20.0, -30.0, 4.0, 0.0]);
+    let terms = &terms;
     let joints = moved_joints(&config, &case.robot);
     let (jets, free) = (case.thrust.len(), joints.len());
+    let jets_of = |dynamics| JetModel::all(&case.robot, dynamics).unwrap();
+    let engines: Vec<Option<(f64, f64)>> = (jets_of(dynamics).iter().zip(&case.thrust))
+        .map(|(jet, thrust)| {
+            let slopes = |engine: EngineModel| {
+                engine.acceleration_slopes(*thrust, 0.0, engine.steady_throttle(*thrust))
+            };
+            jet.engine.map(slopes)
+        })
+        .collect();
     let mut model = Linearised::new(&case.robot, joints.clone());
     assert!(model.update(&case.robot, &axisymmetric(&case.robot), Air::Linear, terms));
     let gains = (20.0, 100.0);
-    let mut horizon = Horizon::new(&mpc, gains, &case.robot, &joints).unwrap();
+    let mut horizon = Horizon::new(&mpc, gains, &case.robot, jets_of(dynamics), &joints).unwrap();
     let mut rng = rng(5);
     let targets: Vec<Target> = (0..horizon.knots())
         .map(|_| Target {
@@ -446,7 +472,10 @@ fn the_horizon_is_the_motion_in_fine_steps() {
     let [posture_weights, _] = mpc.posture_weights(&case.robot, &joints);
     let cost = |inputs: &[f64]| {
         let weights = &mpc.weights;
-        let mut x = DVector::zeros(12 + jets + 3 * free);
+        let mut x = DVector::zeros(12 + 2 * jets + 3 * free);
+        for (jet, engine) in engines.iter().enumerate() {
+            x[12 + jets + 3 * free + jet] = engine.map_or(0.0, |_| terms.measurement.thrust_rate[jet]);
+        }
         for (place, joint) in joints.iter().enumerate() {
             x[12 + jets + free + place] = case.state.joint_velocity()[*joint];
         }
@@ -455,20 +484,20 @@ fn the_horizon_is_the_motion_in_fine_steps() {
             let mean = (before + wrenches[knot]) / 2.0;
             before = wrenches[knot];
             let u: Vec<f64> = (0..jets)
-                .map(|jet| inputs[horizon.thrust_rate(knot, jet)])
+                .map(|jet| inputs[horizon.thrust_input(knot, jet)])
                 .chain((0..free).map(|joint| inputs[horizon.joint_velocity(knot, joint)]))
                 .collect();
             let steps = 40;
             let h = duration / f64::from(steps);
             for _ in 0..steps {
-                let f = |x: &DVector<f64>| slope(&model, terms, gains, x, (&u, &mean));
+                let f = |x: &DVector<f64>| slope(&model, terms, gains, &engines, x, (&u, &mean));
                 let k1 = f(&x);
                 let k2 = f(&(&x + &k1 * (h / 2.0)));
                 let k3 = f(&(&x + &k2 * (h / 2.0)));
                 let k4 = f(&(&x + &k3 * h));
                 x += (k1 + k2 * 2.0 + k3 * 2.0 + k4) * (h / 6.0);
             }
-            let dx = slope(&model, terms, gains, &x, (&u, &wrenches[knot]));
+            let dx = slope(&model, terms, gains, &engines, &x, (&u, &wrenches[knot]));
             let [p, v, theta, omega, a, alpha] = outputs(&model, terms, &x, &dx);
             let target = &targets[knot];
             let (p, v, a) = (p - target.com[0], v - target.com[1], a - target.com[2]);
@@ -490,7 +519,11 @@ fn the_horizon_is_the_motion_in_fine_steps() {
                     + weights.joint_velocity * velocity * velocity
                     + weights.joint_command * u[jets + place] * u[jets + place];
             }
-            of_knot += u[..jets].iter().map(|rate| weights.thrust_rate * rate * rate).sum::<f64>();
+            for (jet, engine) in engines.iter().enumerate() {
+                let rate = engine.map_or(u[jet], |_| x[12 + jets + 3 * free + jet]);
+                let input = engine.map_or(0.0, |_| 0.03 * u[jet]);
+                of_knot += weights.thrust_rate * (rate * rate + input * input);
+            }
             total += 0.5 * duration * of_knot;
             if knot + 1 == mpc.knots.len() {
                 let d = mpc.decay;
@@ -537,7 +570,8 @@ fn a_plan_minimises_the_cost_with_all_excesses() {
     let limits: Vec<(f64, f64)> = case.robot.joints.iter().map(|joint| joint.limits).collect();
     let mut model = Linearised::new(&case.robot, joints.clone());
     assert!(model.update(&case.robot, &axisymmetric(&case.robot), Air::Linear, terms));
-    let mut horizon = Horizon::new(&mpc, (20.0, 100.0), &case.robot, &joints).unwrap();
+    let ideal = JetModel::all(&case.robot, JetDynamics::Ideal).unwrap();
+    let mut horizon = Horizon::new(&mpc, (20.0, 100.0), &case.robot, ideal, &joints).unwrap();
     let zeros = DVector::zeros(case.robot.joints.len());
     let targets = vec![
         Target {
@@ -551,7 +585,7 @@ fn a_plan_minimises_the_cost_with_all_excesses() {
     let base = horizon.problem.clone();
     for knot in 0..horizon.knots() {
         for jet in 0..jets {
-            let unknown = horizon.thrust_rate(knot, jet);
+            let unknown = horizon.thrust_input(knot, jet);
             (horizon.problem.lower[unknown], horizon.problem.upper[unknown]) = (-100.0, 100.0);
         }
         for joint in 0..free {
@@ -576,7 +610,7 @@ fn a_plan_minimises_the_cost_with_all_excesses() {
         horizon.update_excess(&model, terms, &limits, &inputs);
     }
     assert!(passes > 1, "no value was beyond its limit");
-    assert!(case.thrust[1] + mpc.knots[0] * inputs[horizon.thrust_rate(0, 1)] < 40.0);
+    assert!(case.thrust[1] + mpc.knots[0] * inputs[horizon.thrust_input(0, 1)] < 40.0);
 
     let clearance = mpc.clearance.as_ref().unwrap();
     let (least_distance, weight) = (clearance.least, clearance.weight);
@@ -587,7 +621,7 @@ fn a_plan_minimises_the_cost_with_all_excesses() {
         for jet in 0..jets {
             let mut thrust = case.thrust[jet];
             for (knot, duration) in mpc.knots.iter().enumerate() {
-                thrust += duration * u[horizon.thrust_rate(knot, jet)];
+                thrust += duration * u[horizon.thrust_input(knot, jet)];
                 let (low, high) = (case.robot.jets[jet].thrust_min, case.robot.jets[jet].thrust_max);
                 let over = thrust - thrust.clamp(low, high);
                 total += 0.5 * mpc.thrust_excess * over * over;

@@ -15,6 +15,7 @@ use flight_core::control::law::residual::Residual;
 use flight_core::control::law::setpoint::{Setpoint, SetpointGenerator};
 use flight_core::control::law::tasks::MOMENTUM_ROWS;
 use flight_core::control::{ControllerState as State, Estimates, Given, Preview, Terms};
+use flight_core::jets::JetModel;
 use flight_core::{Measurement, RobotState};
 use flight_io::{load_aero, load_mission, load_robot};
 use nalgebra::{DVector, Vector3, Vector6};
@@ -242,7 +243,8 @@ impl Controller {
             return Err(PyValueError::new_err("the centroidal inertia cannot be inverted"));
         }
         let gains = (section.law.torque.kd, section.law.torque.kp);
-        let mut horizon = Horizon::new(mpc, gains, robot, &model.joints).map_err(value_error)?;
+        let jets = JetModel::all(robot, section.law.jet_dynamics).map_err(value_error)?;
+        let mut horizon = Horizon::new(mpc, gains, robot, jets, &model.joints).map_err(value_error)?;
         let targets = entries("targets", &targets, &[horizon.knots(), 6, 3])?;
         let target = |target: &[f64]| {
             let [p, v, rotation, omega, a, alpha] =
@@ -334,6 +336,7 @@ impl Controller {
         out.set_item("lower", vector(py, terms.momentum_qp.problem.lower.as_slice())?)?;
         out.set_item("upper", vector(py, terms.momentum_qp.problem.upper.as_slice())?)?;
         out.set_item("thrust_rate", vector(py, command.thrust_rate.as_slice())?)?;
+        out.set_item("throttle", vector(py, command.throttle.as_slice())?)?;
         out.set_item("joint_velocity_command", vector(py, command.joint_velocity.as_slice())?)?;
         out.set_item("momentum_qp", answer(py, &command.momentum_qp)?)?;
         out.set_item("residual", vector(py, terms.residual.as_slice())?)?;

@@ -53,7 +53,7 @@ impl Disturbances {
     /// # Errors
     /// As [`ModelError::check`] and [`JetFaultsConfig::check`].
     pub fn controller_robot(&self, mut robot: RobotModel) -> Result<RobotModel, BuildError> {
-        self.model_error.check()?;
+        self.model_error.check(robot.jets.len())?;
         self.jets.check(&robot.jets)?;
         self.jets.apply_known_limits(&mut robot.jets);
         Ok(self.model_error.apply(robot))

@@ -4,6 +4,7 @@
 #![allow(clippy::float_cmp, reason = "the same computation gives the same bits")]
 
 use crate::common::{assert_within, experiment, fly, robot};
+use flight_core::spatial::exp_so3;
 use flight_io::from_value;
 use flight_sim::disturbances::{
     FailureKind, JetFailure, JetFaults, JetFaultsConfig, MeasurementNoise, ModelError, Outage, OutageChannel,
@@ -141,7 +142,7 @@ fn only_the_controller_gets_wrong_values() {
 #[test]
 fn a_controller_can_have_the_model_of_another_robot() {
     let real = robot("ironcub_mk1");
-    let error = ModelError { mass_scale: 1.1, com_offset: [0.02, 0.0, -0.01] };
+    let error = ModelError { mass_scale: 1.1, com_offset: [0.02, 0.0, -0.01], ..ModelError::default() };
     let assumed = error.apply(real.clone());
     assert_within!((assumed.mass() - 1.1 * real.mass()).abs(), 1e-12);
     assert_eq!(assumed.bodies[0].com_b, real.bodies[0].com_b + Vector3::new(0.02, 0.0, -0.01));
@@ -337,16 +338,22 @@ fn turbulence_has_its_standard_deviation_and_rises_with_the_ramp() {
     }
 }
 
-/// Masses and inertias of every body have the factor, the base's centre of mass alone the offset.
+/// Masses and inertias of every body have their factors, the base's centre of mass alone the offset, every jet its turn.
 #[test]
 fn a_model_error_scales_masses_and_inertias() {
     let right = robot("ironcub_mk1");
     let offset = Vector3::new(0.01, -0.02, 0.03);
-    let error = ModelError { mass_scale: 1.25, com_offset: offset.into() };
+    let turns = vec![[0.0, 0.02, 0.0]; right.jets.len()];
+    let error =
+        ModelError { mass_scale: 1.25, inertia_scale: 0.9, com_offset: offset.into(), thrust_axes: turns };
     let wrong = error.apply(right.clone());
+    for (right, wrong) in right.jets.iter().zip(&wrong.jets) {
+        let expected = exp_so3(&Vector3::new(0.0, 0.02, 0.0)) * right.axis_f.into_inner();
+        assert_within!((wrong.axis_f.into_inner() - expected).norm(), 1e-15, because "rounding");
+    }
     for (index, (right, wrong)) in right.bodies.iter().zip(&wrong.bodies).enumerate() {
         assert_eq!(wrong.mass, 1.25 * right.mass);
-        assert_eq!(wrong.inertia_b, 1.25 * right.inertia_b);
+        assert_eq!(wrong.inertia_b, 1.25 * 0.9 * right.inertia_b);
         assert_eq!(wrong.com_b, if index == 0 { right.com_b + offset } else { right.com_b });
     }
 }

@@ -86,6 +86,8 @@ impl fmt::Display for CommandStatus {
 pub struct Command {
     /// Thrust rates `Ṫ*` \[N/s\].
     pub thrust_rate: DVector<f64>,
+    /// Throttles that follow these rates \[%\], for a robot whose engines take no rates; zero for ideal jets.
+    pub throttle: DVector<f64>,
     /// Joint velocities `ṡ*` \[rad/s\].
     pub joint_velocity: DVector<f64>,
     /// Joint torques after the rate limiter \[N m\].
@@ -106,6 +108,7 @@ impl Command {
     pub fn hold(jets: usize, joints: usize) -> Self {
         Self {
             thrust_rate: DVector::zeros(jets),
+            throttle: DVector::zeros(jets),
             joint_velocity: DVector::zeros(joints),
             joint_torque: DVector::zeros(joints),
             momentum_qp: QpAnswer::from_status(QpStatus::NonFinite),

@@ -18,6 +18,7 @@ use super::law::tasks::MomentumWeights;
 use super::law::torque::TorqueConfig;
 use crate::aero::{JacobianOffset, LeverArm, LinkConventions, LinkVelocity};
 use crate::error::{BuildError, Table, check, place_of};
+use crate::jets::JetDynamics;
 #[cfg(feature = "clarabel")]
 use crate::qp::ClarabelSolver;
 use crate::qp::{DualActiveSet, PrimalActiveSet, QpChain, QpSolver};
@@ -97,6 +98,9 @@ pub struct ControllerConfig {
     /// When a flight strays from its set-point; without it, never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub supervisor: Option<SupervisorConfig>,
+    /// How thrusts follow their commanded rates in the controller's model, as `simulator.jets.dynamics` in the plant.
+    #[serde(default)]
+    pub jet_dynamics: JetDynamics,
     /// Whether the controller uses the jets; without them it neither reads thrusts nor commands thrust rates.
     #[serde(default = "default_true")]
     pub use_jets: bool,

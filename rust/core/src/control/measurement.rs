@@ -61,6 +61,8 @@ pub struct UsedMeasurement {
     pub state: RobotState,
     /// Thrust of every jet \[N\].
     pub thrust: Vec<f64>,
+    /// Predicted rate of every thrust \[N/s\].
+    pub thrust_rate: Vec<f64>,
     /// Difference of each thrust from its prediction, or its correction by the estimator; zero where the thrust is not
     /// measured \[N\].
     pub thrust_innovation: Vec<f64>,
@@ -90,6 +92,7 @@ impl UsedMeasurement {
             time: 0.0,
             state: RobotState::zero(robot.joints.len()),
             thrust: vec![0.0; jets],
+            thrust_rate: vec![0.0; jets],
             thrust_innovation: vec![0.0; jets],
             sensor_error: vec![None; jets],
             elapsed: time_step,

@@ -36,6 +36,7 @@ use crate::aero::{AeroModel, LinkConventions};
 use crate::dynamics::Dynamics;
 use crate::error::BuildError;
 use crate::float::unusual_mode;
+use crate::jets::JetModel;
 use crate::kinematics::{Kinematics, RobotState};
 use crate::qp::WarmStart;
 use crate::robot::RobotModel;
@@ -47,6 +48,8 @@ use std::sync::Arc;
 pub struct Controller {
     /// Model of the robot; without jets if the controller does not use them.
     model: RobotModel,
+    jets: Vec<JetModel>,
+    time_step: f64,
     aero: AeroModel,
     conventions: LinkConventions,
     feedback: AeroFeedback,
@@ -131,6 +134,8 @@ impl Controller {
             last_tick: 0,
             terms: Terms::new(&model, measurement, limits, contact, momentum_qp, torque_qp),
             command,
+            jets: JetModel::all(&robot, config.jet_dynamics)?,
+            time_step,
             model,
             aero,
         })
@@ -195,8 +200,8 @@ impl Controller {
         given: &Given,
     ) -> &Command {
         let is_state_of_this = self.fits(state);
-        let Self { model, aero, conventions, feedback, guard, law, policy, torques, terms, command, .. } =
-            self;
+        let Self { model, jets, aero, conventions, feedback, guard, law, policy, .. } = self;
+        let Self { torques, terms, command, time_step, .. } = self;
         if !is_state_of_this {
             command.set_hold(CommandStatus::BadState, Modes::default());
             return command;
@@ -217,6 +222,10 @@ impl Controller {
             torques.solve(state, terms, command);
         } else {
             command.set_hold(CommandStatus::BadMeasurement, command.modes);
+        }
+        let thrusts = terms.measurement.thrust.iter().zip(&terms.measurement.thrust_rate);
+        for (place, (jet, (thrust, rate))) in jets.iter().zip(thrusts).enumerate() {
+            command.throttle[place] = jet.throttle(*thrust, *rate, command.thrust_rate[place], *time_step);
         }
         guard.predict(model, state, terms, command);
         let acceleration = &state.channels.acceleration;
@@ -398,8 +407,18 @@ fn build_law(
     let gains = (config.torque.kd, config.torque.kp);
     let thrust_rate_max = robot.by_jet(&config.bounds.thrust_rate_max);
     let joints = mpc.joints(robot)?;
-    let law =
-        PredictiveLaw::new(mpc, conventions, momentum, robot, joints, gains, thrust_rate_max, time_step)?;
+    let jets = JetModel::all(robot, config.jet_dynamics)?;
+    let law = PredictiveLaw::new(
+        mpc,
+        conventions,
+        momentum,
+        robot,
+        jets,
+        joints,
+        gains,
+        thrust_rate_max,
+        time_step,
+    )?;
     Ok(Box::new(law))
 }
 
@@ -420,8 +439,11 @@ fn build_guard(
         .latency_monitor
         .map(|monitor| LatencyMonitor::new(monitor, estimator, config.torque.steps, n, jets, time_step));
     let observes_joints = estimator.is_some_and(|estimator| estimator.joint_observer.is_some());
+    let jet_models = JetModel::all(robot, config.jet_dynamics)?;
     let estimator = estimator
-        .map(|estimator| Estimator::new(estimator, robot.clone(), aero.clone(), time_step))
+        .map(|estimator| {
+            Estimator::new(estimator, robot.clone(), config.jet_dynamics, aero.clone(), time_step)
+        })
         .transpose()?;
     let wind_observer = wind_observer
         .map(|observer| WindObserver::new(&observer, robot.clone(), aero.clone(), time_step))
@@ -429,10 +451,11 @@ fn build_guard(
     config.check_rate_bounds(robot, time_step)?;
     observer.map_or(Ok(()), |observer| observer.check(time_step))?;
     let momentum_shares = estimator.as_ref().map_or([1.0; 2], |estimator| estimator.momentum_shares);
-    let engines =
-        engines.map(|engines| Engines::new(&engines, limits, robot, momentum_shares)).transpose()?;
+    let engines = engines
+        .map(|engines| Engines::new(&engines, limits, robot, momentum_shares, config.jet_dynamics))
+        .transpose()?;
     let feet = contact.as_ref().map(|_| Feet { time_step });
-    let joints = joints.map(|joints| Joints::new(joints, observer.as_ref(), robot, time_step));
+    let joints = joints.map(|joints| Joints::new(joints, robot, time_step));
     let stages = [
         stage(wind_observer),
         stage(feet),
@@ -443,7 +466,7 @@ fn build_guard(
         stage(*supervisor),
         stage(estimator),
     ];
-    let channels = Channels::new(&config.channels, robot, time_step, !observes_joints);
+    let channels = Channels::new(&config.channels, robot, jet_models, time_step, !observes_joints);
     Ok(Guard::new(channels, stages.into_iter().flatten().collect(), limits.clone(), robot))
 }
 

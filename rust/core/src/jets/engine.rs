@@ -1,6 +1,6 @@
 //! The identified second-order jet engine, and the throttle loop that tracks a thrust rate.
 //!
-//! Equations M32 to M34 and M144 of `docs/model`.
+//! Equations M32 to M34, M144 and M173 of `docs/model`.
 
 use crate::error::{BuildError, check};
 use crate::robot::EngineCoefficients;
@@ -129,9 +129,16 @@ impl EngineModel {
     /// Thrust rate \[N/s\] after `dt` \[s\] at the throttle within the limits that brings it nearest to a commanded one.
     #[must_use]
     pub fn nearest_rate(&self, thrust: f64, thrust_rate: f64, command: f64, dt: f64) -> f64 {
+        let (least, greatest) = self.acceleration_range(thrust, thrust_rate);
+        thrust_rate + (command - thrust_rate).max(dt * least).min(dt * greatest)
+    }
+
+    /// Least and greatest thrust acceleration between the limits of the throttle \[N/s²\].
+    #[must_use]
+    pub fn acceleration_range(&self, thrust: f64, thrust_rate: f64) -> (f64, f64) {
         let [a, b] = [self.coefficients.throttle_min, self.coefficients.throttle_max]
-            .map(|throttle| dt * self.thrust_acceleration(thrust, thrust_rate, throttle));
-        thrust_rate + (command - thrust_rate).max(a.min(b)).min(a.max(b))
+            .map(|throttle| self.thrust_acceleration(thrust, thrust_rate, throttle));
+        (a.min(b), a.max(b))
     }
 
     /// Derivatives of `T̈` with respect to `T` \[1/s²\] and `Ṫ` \[1/s\], at a throttle \[%\].

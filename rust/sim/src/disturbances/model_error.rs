@@ -2,7 +2,8 @@
 
 use flight_core::error::{BuildError, check};
 use flight_core::robot::RobotModel;
-use nalgebra::Vector3;
+use flight_core::spatial::exp_so3;
+use nalgebra::{Rotation3, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Differences between the controller's robot and the simulated one; none by default.
@@ -12,6 +13,12 @@ pub struct ModelError {
     /// Factor on all masses and inertias of the controller's robot.
     #[schemars(range(min = 0.01, max = 100))]
     pub mass_scale: f64,
+    /// Factor on all inertias about the bodies' own centres of mass, beside that of the masses.
+    #[schemars(range(min = 0.01, max = 100))]
+    pub inertia_scale: f64,
+    /// Rotation of each jet's axis in the controller's robot, in the robot's order \[rad, axes of the jet's frame\]; none if
+    /// empty.
+    pub thrust_axes: Vec<[f64; 3]>,
     /// Offset of the base body's centre of mass in the controller's robot \[m, base axes\].
     #[schemars(inner(range(min = -10, max = 10)))]
     pub com_offset: [f64; 3],
@@ -19,7 +26,7 @@ pub struct ModelError {
 
 impl Default for ModelError {
     fn default() -> Self {
-        Self { mass_scale: 1.0, com_offset: [0.0; 3] }
+        Self { mass_scale: 1.0, inertia_scale: 1.0, thrust_axes: Vec::new(), com_offset: [0.0; 3] }
     }
 }
 
@@ -28,14 +35,23 @@ impl ModelError {
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
-    pub fn check(&self) -> Result<(), BuildError> {
+    pub fn check(&self, jets: usize) -> Result<(), BuildError> {
         let expected = "a factor from 0.01 to 100";
-        check(
-            "disturbances.model_error.mass_scale",
-            self.mass_scale,
-            |x| (0.01..=100.0).contains(&x),
-            expected,
-        )?;
+        for (key, scale) in [("mass_scale", self.mass_scale), ("inertia_scale", self.inertia_scale)] {
+            let key = format!("disturbances.model_error.{key}");
+            check(&key, scale, |x| (0.01..=100.0).contains(&x), expected)?;
+        }
+        for turn in self.thrust_axes.as_flattened() {
+            let key = "disturbances.model_error.thrust_axes";
+            check(key, *turn, |x| x.abs() <= 1.0, "rotations of at most 1 rad about each axis")?;
+        }
+        if !self.thrust_axes.is_empty() && self.thrust_axes.len() != jets {
+            return Err(BuildError::bad_value(
+                "length of disturbances.model_error.thrust_axes",
+                self.thrust_axes.len(),
+                format!("{jets}, one rotation for each jet, or none"),
+            ));
+        }
         for offset in self.com_offset {
             check(
                 "disturbances.model_error.com_offset",
@@ -52,7 +68,10 @@ impl ModelError {
     pub fn apply(&self, mut robot: RobotModel) -> RobotModel {
         for body in &mut robot.bodies {
             body.mass *= self.mass_scale;
-            body.inertia_b *= self.mass_scale;
+            body.inertia_b *= self.mass_scale * self.inertia_scale;
+        }
+        for (jet, turn) in robot.jets.iter_mut().zip(&self.thrust_axes) {
+            jet.axis_f = Rotation3::from_matrix_unchecked(exp_so3(&Vector3::from(*turn))) * jet.axis_f;
         }
         if let Some(base) = robot.bodies.first_mut() {
             base.com_b += Vector3::from(self.com_offset);

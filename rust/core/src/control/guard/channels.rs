@@ -10,7 +10,7 @@
 //! ```text
 //! wind              its last value, which fades to zero
 //! feet              the wrenches that keep them at rest in the model
-//! thrusts           T ← max(0, T + Δt Ṫ*)
+//! thrusts           as the jets follow their commands
 //! joints and base   a step of the model with the last torques and the observed wrench
 //! ```
 //!
@@ -27,6 +27,7 @@ pub use state::ChannelsState;
 
 use crate::control::measurement::{BadStart, Measurement, Reading, UsedMeasurement};
 use crate::control::modes::Modes;
+use crate::jets::JetModel;
 use crate::robot::RobotModel;
 use crate::spatial::{exp_so3, is_rotation, vee_of_skew_part};
 use layout::{Entry, Kind, Layout, rotation_of, vector};
@@ -43,7 +44,7 @@ pub struct Channels {
     time_step: f64,
     layout: Layout,
     entries: Vec<Entry>,
-    thrust_min: Vec<f64>,
+    jets: Vec<JetModel>,
     greatest: Vec<f64>,
     jump: Vec<f64>,
     /// Whether joint velocities must be measured; a joint observer estimates them from positions.
@@ -60,6 +61,7 @@ impl Channels {
     pub fn new(
         config: &ChannelsConfig,
         robot: &RobotModel,
+        models: Vec<JetModel>,
         time_step: f64,
         needs_joint_velocity: bool,
     ) -> Self {
@@ -104,7 +106,7 @@ impl Channels {
             ranges: stops.map(|(lower, upper)| (lower - beyond, upper + beyond)).collect(),
             now: vec![0.0; layout.len()],
             entries: entries.map(|(kind, range)| Entry { kind, range }).collect(),
-            thrust_min: robot.jets.iter().map(|jet| jet.thrust_min).collect(),
+            jets: models,
             greatest,
             jump,
             needs_joint_velocity,
@@ -177,6 +179,7 @@ impl Channels {
             commanded_in: measurement.state.clone(),
             joint_torque: DVector::zeros(joints),
             thrust_rate: DVector::zeros(jets),
+            jet_rate: DVector::zeros(jets),
             foot_wrenches: DVector::zeros(self.layout.feet.len()),
             time: measurement.time,
             clock_offset: 0.0,
@@ -230,7 +233,7 @@ impl Channels {
         let is_step = state.update_clock(time, self.time_step, self.config.jump.is_some(), used);
         let (was_begun, dt) = (state.is_begun, used.elapsed);
         if was_begun {
-            state.predict(&self.layout, &self.thrust_min, &self.greatest, dt);
+            state.predict(&self.layout, &self.jets, &self.greatest, dt);
         }
         let now = &self.now[self.layout.thrust.clone()];
         for ((to, now), predicted) in used.thrust_innovation.iter_mut().zip(now).zip(self.thrust(state)) {
@@ -259,6 +262,7 @@ impl Channels {
         used.has_momentum = (is_step || !was_begun) && !used.modes.intersects(Modes::WITHOUT_MOMENTUM);
         state.is_begun = true;
         self.layout.write(&self.now, used);
+        used.thrust_rate.copy_from_slice(state.jet_rate.as_slice());
     }
 
     /// Accepts the numbers of a channel, or lets its age grow by `dt` \[s\]. Returns whether it is measured in this tick

@@ -22,7 +22,7 @@ use crate::control::modes::Modes;
 use crate::control::state::ControllerState;
 use crate::control::terms::Terms;
 use crate::error::{BuildError, Table};
-use crate::jets::EngineModel;
+use crate::jets::{EngineModel, JetDynamics};
 use crate::kinematics::RobotState;
 use crate::robot::{Joint, JointKind, RobotModel};
 use crate::spatial::parts;
@@ -179,17 +179,19 @@ impl EngineState {
     pub fn update(
         &mut self,
         config: &EnginesConfig,
-        model: &EngineModel,
+        model: Option<&EngineModel>,
         dt: f64,
         sample: EngineSample,
         momentum_shares: Option<[f64; 2]>,
     ) {
         let EngineSample { thrust, innovation, is_measured, command } = sample;
         let kept = libm::exp(-dt / config.time_constant);
-        let rate = model.nearest_rate(thrust, self.rate, command, dt);
         self.deviation = kept * self.deviation + innovation;
-        self.lag = kept * self.lag + dt * (0.5 * (self.rate + rate) - command);
-        self.rate = rate;
+        if let Some(model) = model {
+            let rate = model.nearest_rate(thrust, self.rate, command, dt);
+            self.lag = kept * self.lag + dt * (0.5 * (self.rate + rate) - command);
+            self.rate = rate;
+        }
         let half = 0.5 * config.deviation_max;
         // A deviation that may be a fault teaches nothing.
         if is_measured && self.deviation.abs() <= half {
@@ -242,7 +244,8 @@ pub struct Engines {
     config: EnginesConfig,
     /// Fractions of a change of force and moment that appear in the estimated momentum per tick, 1 where measured.
     momentum_shares: [f64; 2],
-    models: Vec<EngineModel>,
+    /// Engines that the predictions do not contain, by jet.
+    models: Vec<Option<EngineModel>>,
     usual: Limits,
     /// Limits after the loss of an engine.
     descending: Option<(DescentConfig, Limits)>,
@@ -258,15 +261,17 @@ impl Engines {
         usual: &Limits,
         robot: &RobotModel,
         momentum_shares: [f64; 2],
+        dynamics: JetDynamics,
     ) -> Result<Self, BuildError> {
         let models = robot.jets.iter().map(|jet| {
             let known = robot.engines.get(&jet.engine).copied();
             let name = || format!("engine of jet `{}`", jet.name);
             let known =
                 known.ok_or_else(|| BuildError::unknown_name(name(), &jet.engine, robot.engines.keys()))?;
-            EngineModel::new(&jet.engine, known)
+            let engine = EngineModel::new(&jet.engine, known)?;
+            Ok((dynamics == JetDynamics::Ideal).then_some(engine))
         });
-        let models = models.collect::<Result<_, _>>()?;
+        let models = models.collect::<Result<_, BuildError>>()?;
         let joints = robot.joints.iter();
         let descending = |descent: DescentConfig| Limits {
             gains: descent.momentum,
@@ -301,7 +306,7 @@ impl Engines {
         let Self { config, models, .. } = self;
         let shares = momentum.map(|_| self.momentum_shares);
         for (jet, (engine, model)) in engines.iter_mut().zip(models).enumerate() {
-            engine.update(config, model, dt, samples(jet), shares);
+            engine.update(config, model.as_ref(), dt, samples(jet), shares);
         }
         let Some((a_t, residual)) = momentum else { return };
         if !engines.iter().any(|engine| engine.is_confirmed(config, dt)) {

@@ -27,7 +27,7 @@ use crate::control::state::ControllerState;
 use crate::control::terms::Terms;
 use crate::dynamics::{Dynamics, MassFactor};
 use crate::error::BuildError;
-use crate::jets::predict_thrust;
+use crate::jets::{JetDynamics, JetModel};
 use crate::kinematics::{Kinematics, RobotState};
 use crate::robot::RobotModel;
 use crate::spatial::{GREATEST, exp_so3, log_so3, parts, project_to_so3};
@@ -54,6 +54,8 @@ struct Estimate {
     disturbance: DVector<f64>,
     /// Bias of the gyroscopes \[rad/s, base axes\].
     gyro_bias: Vector3<f64>,
+    /// Rates of the thrusts \[N/s\].
+    thrust_rate: Vec<f64>,
 }
 
 impl Estimate {
@@ -61,6 +63,7 @@ impl Estimate {
         self.reading.copy_from(&other.reading);
         self.disturbance.copy_from(&other.disturbance);
         self.gyro_bias = other.gyro_bias;
+        self.thrust_rate.copy_from_slice(&other.thrust_rate);
     }
 }
 
@@ -87,6 +90,7 @@ impl Mixed<'_> {
 #[derive(Debug, Clone)]
 struct Model {
     robot: RobotModel,
+    jets: Vec<JetModel>,
     aero: AeroModel,
     kinematics: Kinematics,
     dynamics: Dynamics,
@@ -104,8 +108,8 @@ impl Model {
         (order, duration): (&Order, f64),
         (torque, thrust_rate): (Mixed, Mixed),
     ) {
-        let Estimate { reading, disturbance, .. } = estimate;
-        let Self { robot, aero, kinematics, dynamics, link_forces, mass_factor, acceleration } = self;
+        let Estimate { reading, disturbance, thrust_rate: rates, .. } = estimate;
+        let Self { robot, jets, aero, kinematics, dynamics, link_forces, mass_factor, acceleration } = self;
         let Reading { state, thrust } = reading;
         kinematics.update(robot, state);
         dynamics.update(robot, state, kinematics);
@@ -144,8 +148,8 @@ impl Model {
         }
         state.velocity.axpy(duration, acceleration, 1.0);
         state.advance_pose(duration);
-        for (index, (thrust, jet)) in thrust.iter_mut().zip(&robot.jets).enumerate() {
-            *thrust = predict_thrust(*thrust, thrust_rate.at(index), duration, jet.thrust_min);
+        for (index, ((thrust, rate), jet)) in thrust.iter_mut().zip(rates).zip(jets).enumerate() {
+            (*thrust, *rate) = jet.advance(*thrust, *rate, thrust_rate.at(index), duration);
         }
     }
 }
@@ -168,7 +172,7 @@ impl Gains {
     /// Corrects an estimate of `age` ticks by the measurements of its time that have arrived, the last of which is number
     /// `last` in `line`; `step` is the duration of the tick before it \[s\] (M91, M93, M145).
     fn correct(&self, estimate: &mut Estimate, line: &[Reading], last: usize, age: usize, step: f64) {
-        let Estimate { reading, disturbance, gyro_bias } = estimate;
+        let Estimate { reading, disturbance, gyro_bias, .. } = estimate;
         let arrived = self.ages.map(|of_channel| age.checked_sub(of_channel));
         let measured = arrived.map(|since| &line[(last + line.len() - since.unwrap_or(0)) % line.len()]);
         let share = |channel: usize| if arrived[channel].is_some() { self.shares[channel] } else { 0.0 };
@@ -223,10 +227,11 @@ impl Estimator {
     /// Builds an estimator with models of the robot and of its aerodynamics, updated every `time_step` \[s\].
     ///
     /// # Errors
-    /// As [`EstimatorConfig::check`].
+    /// As [`EstimatorConfig::check`] and [`JetModel::all`].
     pub fn new(
         config: &EstimatorConfig,
         robot: RobotModel,
+        jet_dynamics: JetDynamics,
         aero: AeroModel,
         time_step: f64,
     ) -> Result<Self, BuildError> {
@@ -252,6 +257,7 @@ impl Estimator {
             link_forces: LinkForces::new(&robot),
             mass_factor: MassFactor::new(6 + joints),
             acceleration: DVector::zeros(6 + joints),
+            jets: JetModel::all(&robot, jet_dynamics)?,
             robot,
             aero,
         };
@@ -263,6 +269,7 @@ impl Estimator {
             reading: Reading::zero(joints, model.robot.jets.len()),
             disturbance: DVector::zeros(joints),
             gyro_bias: Vector3::zeros(),
+            thrust_rate: vec![0.0; model.robot.jets.len()],
         };
         let gains = Gains { ages, shares, by_position, of_bias };
         Ok(Self { model, time_step, oldest, latency, lags, gains, momentum_shares, ahead })
@@ -289,6 +296,7 @@ impl Estimator {
                 reading: first,
                 disturbance: DVector::zeros(joints),
                 gyro_bias: Vector3::zeros(),
+                thrust_rate: vec![0.0; jets],
             },
         }
     }
@@ -309,13 +317,15 @@ impl Estimator {
     /// measurement.
     ///
     /// `elapsed` is the time since the last measurement \[s\], rounded to whole time steps; delays count measurements.
-    /// `thrust_innovation` returns the correction of each thrust by the measurement \[N\].
+    /// `thrust_innovation` returns the correction of each thrust by the measurement \[N\], `thrust_rate` the rate of each at
+    /// the present time \[N/s\].
     pub fn update(
         &mut self,
         memory: &mut EstimatorState,
         now: &mut Reading,
         elapsed: f64,
         thrust_innovation: &mut [f64],
+        thrust_rate: &mut [f64],
     ) {
         memory.last_order().duration = self.time_step * (elapsed / self.time_step).round().max(1.0);
         let Self { model, time_step, oldest, latency, lags, gains, ahead, .. } = self;
@@ -352,6 +362,7 @@ impl Estimator {
             then.reading.copy_from(now);
             then.disturbance.fill(0.0);
             then.gyro_bias.fill(0.0);
+            then.thrust_rate.fill(0.0);
         }
         thrust_innovation.copy_from_slice(&then.reading.thrust);
         gains.correct(then, line, *ticks, oldest, step);
@@ -373,6 +384,7 @@ impl Estimator {
             }
         }
         now.copy_from(&ahead.reading);
+        thrust_rate.copy_from_slice(&ahead.thrust_rate);
         *ticks += 1;
     }
 }
@@ -517,7 +529,8 @@ impl Stage for Estimator {
         if used.pause > 0.0 || used.modes.contains(Modes::BEGUN_AGAIN) {
             memory.restart();
         }
-        self.update(memory, &mut estimates.reading, used.elapsed, &mut used.thrust_innovation);
+        let (innovation, rate) = (&mut used.thrust_innovation, &mut used.thrust_rate);
+        self.update(memory, &mut estimates.reading, used.elapsed, innovation, rate);
         channels.replace(&mut estimates.reading, used);
     }
 

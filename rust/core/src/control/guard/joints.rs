@@ -1,21 +1,19 @@
 //! Detection of joints that do not follow their torques: stuck, weak, free.
 //!
 //! ```text
-//! e = (ν_k − ν_{k−1}) / Δt − ν̇_{k−1}          acceleration of the joints that the model does not explain
-//! ē ← e after a lag of τ_e,  m ← e after a lag of τ_m,  x = ē − m
-//! z_j = g_jᵀ x / |g_j|                       its part along G's column g_j: what a torque of joint j causes
+//! r = M ((ν_k − ν_{k−1}) / Δt − ν̇_{k−1}) + (ŵ; 0)      generalised force that the model does not explain, all rows
+//! r̄ ← r after a lag of τ_r,  m ← r after a lag of τ_m,  x = r̄ − m
+//! ρ_j = |x_j| / (ℓ |x_F| + |x_M| + τ_0)                x_F, x_M: rows of the base
 //! ```
 //!
-//! Air, thrusts and masses that differ from the model accelerate several joints at once; a faulty joint causes `x` along
-//! one column. While it does, the regression of the unexplained torque on the commanded one gives the share of the torque
-//! that acts: that of a weak joint, or about zero for a free one. A stuck joint does not move while it is commanded to.
-//! What is found is revised in the same way: a share by the regression, a stuck joint when it moves.
-//!
-//! A push on a body that one joint carries causes `x` along one column as well. It changes the momentum, which no torque of
-//! a joint does: nothing is judged while the moment's residual of [`super::observer`] exceeds a share of its greatest.
-//! Equation M143 of `docs/model`.
+//! A joint's fault is internal: it shows in the joint's own row alone. Whatever touches the robot from outside, or errors of
+//! thrusts and air, show in the rows of the base, and in those of the joints by at most their reach ℓ times the force. A joint
+//! with ρ > 1 for a confirmation time is faulty: stuck if it stands still while it is commanded to move; otherwise the
+//! regression of x on the commanded torque gives the share of the torque that acts. What is found is revised in the same way.
+//! Equation M143 of `docs/model/guard.md`; Haddadin, De Luca and Albu-Schäffer, "Robot collisions", IEEE T-RO 2017, have the
+//! residual of the momentum.
 
-use super::observer::ObserverConfig;
+use super::channels::ChannelsState;
 use super::{Stage, Tick};
 use crate::control::command::Command;
 use crate::control::law::limits::JointCondition;
@@ -26,66 +24,50 @@ use crate::error::{BuildError, Table};
 use crate::kinematics::RobotState;
 use crate::robot::RobotModel;
 use crate::spatial::parts;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 
-/// Lag `τ_e` of the unexplained acceleration \[s\].
-const LAG: f64 = 0.02;
+/// Lag `τ_r` of the residual \[s\].
+const LAG: f64 = 0.05;
 /// Lag `τ_m` of its mean, which errors of the model have \[s\].
-const MEAN_LAG: f64 = 0.3;
-/// Lag of the mean of `z²`, which errors of the model have in wind, and how often its root `z` has to be \[s\].
-const LEVEL_LAG: f64 = 1.0;
-const LEVELS: f64 = 4.0;
+const MEAN_LAG: f64 = 1.0;
+/// Distance `ℓ` beyond which no joint carries a body \[m\].
+const REACH: f64 = 1.0;
 /// Time in which displacements are forgotten \[s\].
 const WINDOW: f64 = 0.3;
-/// Time without judgement after the start, until the mean is known \[s\].
+/// Time without judgement after the start, until the mean is known, and after something was found \[s\].
 const SETTLING: f64 = 2.0;
-/// Share of `|x|²` that is along one column if one joint causes it.
-const DOMINANCE: f64 = 0.75;
-/// Share of `|x|²` along its column that a stuck joint has at least, and of `acceleration_max`: it shows by its
-/// displacement, too.
-const STUCK_DOMINANCE: f64 = 0.5;
-const STUCK_SHARE: f64 = 0.4;
-/// Share of the commanded displacement that a stuck joint moves at most.
-const STILL: f64 = 0.1;
-/// Longest way within [`WINDOW`] of a joint that stands still, with the steps of its encoder \[rad, m\].
-const STILL_WAY: f64 = 0.004;
-/// Distance from a stop within which a joint may be at it: 3° of an encoder's offset and some more \[rad, m\]. There it is
-/// not stuck if it is commanded towards the stop, or if the stop may be what is not explained.
-const STOP_MARGIN: f64 = 0.087;
-/// Time for which a joint has to stand still in the latter case \[s\].
-const STOP_CONFIRMATION: f64 = 0.3;
-/// A joint is judged when it was suspected for this time with the least `z` of a suspicion, or for less with more, but for
-/// two ticks \[s\].
-const CONFIRMATION: f64 = 0.06;
-/// Time for which a joint that is commanded to move has to stand still \[s\].
-const STUCK_CONFIRMATION: f64 = 0.03;
-/// A suspicion that is not confirmed in this time is an error of the model \[s\].
-const SUSPICION_MAX: f64 = 0.2;
-/// Time without judgement after something was found, because estimates follow late; and least time of a suspicion that
-/// changes what was found \[s\].
 const PAUSE: f64 = 0.2;
-const REVISION: f64 = 0.1;
-/// A joint with less of its torque is free, and one with more is as it should be.
-const FREE_SHARE: f64 = 0.15;
-const HEALTHY_SHARE: f64 = 0.85;
-/// Share of the observer's greatest moment that its residual has in a push, and beyond which nothing is judged.
-pub const PUSH_SHARE: f64 = 0.05;
+/// Share of the commanded displacement that a stuck joint moves at most, and its longest way within [`WINDOW`], with the steps
+/// of its encoder \[rad, m\].
+const STILL: f64 = 0.1;
+const STILL_WAY: f64 = 0.004;
+/// Distance from a stop within which a joint may be at it, with an encoder that is wrong by 3° \[rad, m\]: there it is not
+/// stuck if it is commanded towards the stop.
+const STOP_MARGIN: f64 = 0.087;
 /// Displacement by which a weak joint differs from a stuck one \[rad, m\].
 const MOVED: f64 = 0.002;
 /// Displacement by which a stuck joint is found to move again \[rad, m\], and the velocity with which it is tried
 /// \[rad/s, m/s\].
 const RELEASED: f64 = 0.02;
 const TRIED_VELOCITY: f64 = 0.02;
+/// Time after which a residual that is not judged is an error of the model \[s\].
+const SUSPICION_MAX: f64 = 1.0;
+/// A joint with less of its torque is free, and one with more is as it should be.
+const FREE_SHARE: f64 = 0.15;
+const HEALTHY_SHARE: f64 = 0.85;
 
 /// When a joint counts as stuck, weak or free.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct JointsConfig {
-    /// Greatest unexplained acceleration in the direction of one joint's torque \[rad/s²\].
+    /// `τ_0`: unexplained torque that friction and noise cause \[N m, N\].
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub acceleration_max: f64,
+    pub torque_min: f64,
+    /// Time for which a joint has to be suspected \[s\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub confirmation: f64,
     /// Greatest share of the torque that acts at a weak joint; with more it is not judged.
     #[cfg_attr(feature = "schema", schemars(range(min = 0, max = 1)))]
     pub share_max: f64,
@@ -101,7 +83,8 @@ impl JointsConfig {
     /// [`BuildError::BadValue`] naming the key.
     pub fn check(&self) -> Result<(), BuildError> {
         let table = Table("controller.joints");
-        table.check_positive("acceleration_max", self.acceleration_max)?;
+        table.check_positive("torque_min", self.torque_min)?;
+        table.check_non_negative("confirmation", self.confirmation)?;
         table.check("share_max", self.share_max, |x| (0.0..=1.0).contains(&x), "a share from 0 to 1")?;
         table.check_positive("displacement_min", self.displacement_min)
     }
@@ -112,9 +95,7 @@ impl JointsConfig {
 struct Suspicion {
     /// Time since its first tick; zero without a suspicion \[s\].
     time: f64,
-    /// Time that counts for the judgement \[s\].
-    evidence: f64,
-    /// `Σ u τ` of unexplained and commanded torques, and `Σ τ²`.
+    /// `Σ x τ` of unexplained and commanded torques, and `Σ τ²`.
     product: f64,
     square: f64,
     /// Position of the joint at the beginning \[rad, m\].
@@ -124,20 +105,15 @@ struct Suspicion {
 /// State of the detection, kept from tick to tick.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JointsState {
-    /// `ē` \[rad/s²\].
-    acceleration: DVector<f64>,
-    /// `m` \[rad/s²\].
+    /// `r̄` and `m` \[N, N m\].
+    residual: DVector<f64>,
     mean: DVector<f64>,
-    /// Mean of `z²` of every joint \[rad²/s⁴\].
-    level: DVector<f64>,
     /// Last measured positions \[rad, m\].
     position: DVector<f64>,
     /// Length of the measured way of every joint \[rad, m\], forgotten with [`WINDOW`].
     way: DVector<f64>,
     /// Commanded displacement \[rad, m\], likewise.
     commanded: DVector<f64>,
-    /// Time for which the joint has stood still against its command \[s\].
-    still: DVector<f64>,
     suspicions: Vec<Suspicion>,
     /// Time until judgement begins \[s\].
     pause: f64,
@@ -147,16 +123,14 @@ pub struct JointsState {
     stuck_at: DVector<f64>,
 }
 
-/// Values of a tick, by joint.
+/// Values of a tick.
 #[derive(Debug)]
 pub struct Sample<'a> {
     /// Time since the last tick \[s\].
     pub dt: f64,
-    /// `e` \[rad/s²\].
-    pub unexplained: &'a DVector<f64>,
-    /// `G` \[1/(kg m²)\].
-    pub gain: &'a DMatrix<f64>,
-    /// Torques commanded in the last tick, the mean of several \[N m\].
+    /// `r`, base first \[N, N m\].
+    pub residual: &'a DVector<f64>,
+    /// Torques commanded in the last tick, the mean of several \[N m, N\].
     pub torque: &'a DVector<f64>,
     /// Stops of every joint, lower and upper \[rad, m\].
     pub stops: &'a [(f64, f64)],
@@ -166,15 +140,13 @@ impl JointsState {
     /// State of a flight that starts in these positions \[rad, m\].
     #[must_use]
     pub fn new(position: &DVector<f64>) -> Self {
-        let none = DVector::zeros(position.len());
+        let (none, rows) = (DVector::zeros(position.len()), DVector::zeros(6 + position.len()));
         Self {
-            acceleration: none.clone(),
-            mean: none.clone(),
-            level: none.clone(),
+            residual: rows.clone(),
+            mean: rows,
             position: position.clone(),
             way: none.clone(),
             commanded: none.clone(),
-            still: none.clone(),
             suspicions: vec![Suspicion::default(); position.len()],
             pause: SETTLING,
             found: vec![JointCondition::Healthy; position.len()],
@@ -194,7 +166,6 @@ impl JointsState {
         self.way.fill(0.0);
         self.commanded.fill(0.0);
         self.mean.fill(0.0);
-        self.level.fill(0.0);
         self.pause = SETTLING;
         self.hold();
     }
@@ -221,123 +192,93 @@ impl JointsState {
     /// Forgets what is not explained, in a tick in which nothing can be compared, and judges nothing for a while.
     pub fn hold(&mut self) {
         self.pause = self.pause.max(PAUSE);
-        self.acceleration.copy_from(&self.mean);
-        self.still.fill(0.0);
+        self.residual.copy_from(&self.mean);
         self.suspicions.fill(Suspicion::default());
     }
 
     /// Compares a tick with the last one, and changes [`Self::found`] where a joint is found to be otherwise.
     pub fn judge(&mut self, config: &JointsConfig, sample: &Sample) {
-        let Sample { dt, unexplained, .. } = *sample;
+        let Sample { dt, residual, .. } = *sample;
         let share = |lag: f64| -libm::expm1(-dt / lag);
-        let (fast, slow, slowest) = (share(LAG), share(MEAN_LAG), share(LEVEL_LAG));
-        for (to, e) in self.acceleration.iter_mut().zip(unexplained) {
-            *to += fast * (e - *to);
+        let (fast, slow) = (share(LAG), share(MEAN_LAG));
+        for (to, now) in self.residual.iter_mut().zip(residual) {
+            *to += fast * (now - *to);
         }
         self.pause -= dt;
         // Half a tick absorbs rounding.
         if self.pause < 0.5 * dt {
             self.suspect(config, sample);
-            self.find_stuck(config, sample);
             self.release();
         }
-        let is_usual = |now: &Suspicion| now.time == 0.0 || now.time > SUSPICION_MAX;
-        for joint in 0..self.found.len() {
-            if is_usual(&self.suspicions[joint]) {
-                let (z, _) = self.along(sample.gain, joint);
-                self.level[joint] += slowest * (z * z - self.level[joint]);
-            }
-        }
-        if self.suspicions.iter().all(is_usual) {
-            for (to, e) in self.mean.iter_mut().zip(unexplained) {
-                *to += slow * (e - *to);
+        if self.suspicions.iter().all(|now| now.time == 0.0 || now.time > SUSPICION_MAX) {
+            for (to, now) in self.mean.iter_mut().zip(residual) {
+                *to += slow * (now - *to);
             }
         }
     }
 
-    /// `x` along `g_j`, and the norm of `g_j`.
-    fn along(&self, gain: &DMatrix<f64>, joint: usize) -> (f64, f64) {
-        let column = gain.column(joint);
-        let norm = column.norm();
-        ((column.dot(&self.acceleration) - column.dot(&self.mean)) / norm, norm)
-    }
-
-    fn size_squared(&self) -> f64 {
-        self.acceleration.iter().zip(&self.mean).map(|(e, mean)| (e - mean) * (e - mean)).sum()
-    }
-
-    /// Follows joints along whose columns `x` is, until their shares of the torque are known.
+    /// Follows joints whose rows are more than a touch can cause, until it is known what they do.
     fn suspect(&mut self, config: &JointsConfig, sample: &Sample) {
-        let Sample { dt, unexplained, gain, torque, .. } = *sample;
-        let size = self.size_squared();
+        let Sample { dt, residual, torque, .. } = *sample;
+        let x = |row: usize| self.residual[row] - self.mean[row];
+        let norm = |first: usize| x(first).hypot(x(first + 1)).hypot(x(first + 2));
+        let bound = REACH * norm(0) + norm(3) + config.torque_min;
         let mut worst: Option<(usize, f64, JointCondition)> = None;
         for joint in 0..self.found.len() {
-            let (along, norm) = self.along(gain, joint);
-            let (z, last) = (along.abs(), self.found[joint]);
-            let is_known = last != JointCondition::Healthy;
-            let level = if is_known { 0.0 } else { self.level[joint] };
-            let least = config.acceleration_max.max(LEVELS * level.sqrt());
-            if last == JointCondition::Stuck || z <= least || z * z <= DOMINANCE * size {
+            let (size, last) = (x(6 + joint).abs(), self.found[joint]);
+            if size <= bound || last == JointCondition::Stuck {
                 self.suspicions[joint] = Suspicion::default();
                 continue;
             }
             let now = &mut self.suspicions[joint];
-            let is_second = now.time > 0.0;
-            if !is_second {
+            if now.time == 0.0 {
                 now.position = self.position[joint];
             }
-            let column = gain.column(joint);
-            let u = (column.dot(unexplained) - column.dot(&self.mean)) / (norm * norm);
             now.time += dt;
-            now.evidence += dt * z / least;
-            now.product += u * torque[joint];
+            // Without the lag, which a regression over a short time would take for a share.
+            now.product += (residual[6 + joint] - self.mean[6 + joint]) * torque[joint];
             now.square += torque[joint] * torque[joint];
-            let is_sure =
-                if is_known { now.time > REVISION } else { is_second && now.evidence > CONFIRMATION };
+            if now.time < config.confirmation + 0.5 * dt {
+                continue;
+            }
             let has_moved = (self.position[joint] - now.position).abs() > MOVED;
             let acting = last.share() + now.product / now.square;
-            let greatest = if is_known { 1.0 + FREE_SHARE } else { config.share_max };
-            let is_share = acting > -2.0 * FREE_SHARE && acting < greatest;
-            if is_sure && has_moved && is_share && worst.is_none_or(|(_, greatest, _)| z > greatest) {
-                worst = Some((joint, z, JointCondition::of_share(acting)));
+            let greatest = if last == JointCondition::Healthy { config.share_max } else { 1.0 + FREE_SHARE };
+            let found = if self.is_still(config, sample, joint) {
+                JointCondition::Stuck
+            } else if has_moved && acting > -2.0 * FREE_SHARE && acting < greatest {
+                JointCondition::of_share(acting)
+            } else {
+                continue;
+            };
+            if worst.is_none_or(|(_, greatest, _)| size > greatest) {
+                worst = Some((joint, size, found));
             }
         }
         if let Some((joint, _, found)) = worst {
             self.found[joint] = found;
+            self.stuck_at[joint] = self.position[joint];
             self.hold();
         }
     }
 
-    /// Finds joints that stand still although they are commanded to move, and are unexplained in that direction.
-    fn find_stuck(&mut self, config: &JointsConfig, sample: &Sample) {
-        let size = self.size_squared();
-        for joint in 0..self.found.len() {
-            let commanded = self.commanded[joint];
-            let (z, _) = self.along(sample.gain, joint);
-            let (position, (lower, upper)) = (self.position[joint], sample.stops[joint]);
-            let (mut ahead, mut behind) = (upper - position, position - lower);
-            if commanded < 0.0 {
-                (ahead, behind) = (behind, ahead);
-            }
-            let opposes = |z: f64| -z * commanded.signum() > STUCK_SHARE * config.acceleration_max;
-            // The mean contains what a stop behind the joint carries.
-            let column = sample.gain.column(joint);
-            let with_mean = column.dot(&self.acceleration) / column.norm();
-            let is_still = self.found[joint] != JointCondition::Stuck
-                && commanded.abs() > config.displacement_min
-                && ahead > STOP_MARGIN
-                && (behind > STOP_MARGIN || opposes(with_mean))
-                && self.way[joint] < STILL_WAY.min(STILL * commanded.abs())
-                && opposes(z)
-                && z * z > STUCK_DOMINANCE * size;
-            self.still[joint] = if is_still { self.still[joint] + sample.dt } else { 0.0 };
-            let confirmation = if behind > STOP_MARGIN { STUCK_CONFIRMATION } else { STOP_CONFIRMATION };
-            if self.still[joint] > confirmation - 0.5 * sample.dt {
-                self.found[joint] = JointCondition::Stuck;
-                self.stuck_at[joint] = self.position[joint];
-                self.still[joint] = 0.0;
-            }
+    /// Whether a joint stands still although it is commanded to move, against a torque that the model does not contain, and
+    /// not by a stop.
+    fn is_still(&self, config: &JointsConfig, sample: &Sample, joint: usize) -> bool {
+        let (commanded, position) = (self.commanded[joint], self.position[joint]);
+        let (lower, upper) = sample.stops[joint];
+        let (mut ahead, mut behind) = (upper - position, position - lower);
+        if commanded < 0.0 {
+            (ahead, behind) = (behind, ahead);
         }
+        let (residual, mean) = (self.residual[6 + joint], self.mean[6 + joint]);
+        // The mean contains what a stop behind the joint carries, which is no resistance when it carries less.
+        let resisted = if behind > STOP_MARGIN { residual - mean } else { residual };
+        let opposes = resisted * commanded < 0.0;
+        commanded.abs() > config.displacement_min
+            && opposes
+            && ahead > STOP_MARGIN
+            && self.way[joint] < STILL_WAY.min(STILL * commanded.abs())
     }
 
     /// Takes up stuck joints that move.
@@ -390,25 +331,37 @@ pub fn modes(found: &[JointCondition]) -> Modes {
 pub struct Joints {
     config: JointsConfig,
     time_step: f64,
-    /// Residual of the moment beyond which something pushes the robot \[N m\].
-    moment_max: f64,
     /// Stops of the joints, lower and upper \[rad, m\].
     stops: Vec<(f64, f64)>,
     unexplained: DVector<f64>,
+    residual: DVector<f64>,
 }
 
 impl Joints {
-    /// The stage for the joints of `robot`, with ticks every `time_step` \[s\], beside this observer.
+    /// The stage for the joints of `robot`, with ticks every `time_step` \[s\].
     #[must_use]
-    pub fn new(
-        config: JointsConfig,
-        observer: Option<&ObserverConfig>,
-        robot: &RobotModel,
-        time_step: f64,
-    ) -> Self {
+    pub fn new(config: JointsConfig, robot: &RobotModel, time_step: f64) -> Self {
         let stops: Vec<_> = robot.joints.iter().map(|joint| joint.stops).collect();
-        let moment_max = observer.map_or(f64::INFINITY, |observer| PUSH_SHARE * observer.moment_max);
-        Self { config, time_step, moment_max, unexplained: DVector::zeros(stops.len()), stops }
+        let rows = DVector::zeros(6 + stops.len());
+        Self { config, time_step, stops, unexplained: rows.clone(), residual: rows }
+    }
+
+    /// `r` of a tick.
+    fn update(&mut self, terms: &Terms, last: &ChannelsState) {
+        let Terms { measurement: used, dynamics, kinematics, momentum, .. } = terms;
+        let velocities = used.state.velocity.iter().zip(&last.commanded_in.velocity);
+        for ((to, (now, before)), predicted) in
+            self.unexplained.iter_mut().zip(velocities).zip(&last.acceleration)
+        {
+            *to = (now - before) / used.elapsed - predicted;
+        }
+        self.residual.gemv(1.0, &dynamics.mass_matrix, &self.unexplained, 0.0);
+        let (force, moment) = parts(&momentum.unmodelled_wrench);
+        let arm = kinematics.com - kinematics.bodies[0].i_from_b.position;
+        let mut rows = self.residual.fixed_rows_mut::<3>(0);
+        rows += force;
+        let mut rows = self.residual.fixed_rows_mut::<3>(3);
+        rows += moment + arm.cross(&force);
     }
 }
 
@@ -422,7 +375,7 @@ impl Stage for Joints {
     }
 
     fn fits(&self, state: &ControllerState) -> bool {
-        state.joints.as_ref().is_some_and(|joints| joints.fits(self.unexplained.len()))
+        state.joints.as_ref().is_some_and(|joints| joints.fits(self.stops.len()))
     }
 
     fn measure(&mut self, tick: &mut Tick) {
@@ -436,31 +389,17 @@ impl Stage for Joints {
     }
 
     fn judge(&mut self, tick: &mut Tick) {
-        let ControllerState { joints, engines, channels, contact, observer, velocity_error_integral, .. } =
-            &mut *tick.state;
+        let ControllerState { joints, channels, contact, velocity_error_integral, .. } = &mut *tick.state;
         let Some(joints) = joints else { return };
-        let Terms { measurement: used, inverse_mass, limits, .. } = &mut *tick.terms;
-        let is_comparable = used.has_momentum && inverse_mass.is_known && !contact.is_active;
-        let is_pushed = parts(&observer.residual).1.norm() > self.moment_max;
-        if is_comparable && !is_pushed && !engines.iter().any(|engine| engine.is_doubted) {
-            let last = channels.commanded_in.joint_velocity();
-            let predicted = channels.acceleration.rows(6, self.unexplained.len());
-            for (joint, velocity) in used.state.joint_velocity().iter().enumerate() {
-                self.unexplained[joint] = (velocity - last[joint]) / used.elapsed - predicted[joint];
-            }
-            joints.judge(
-                &self.config,
-                &Sample {
-                    dt: used.elapsed,
-                    unexplained: &self.unexplained,
-                    gain: &inverse_mass.joint_gain,
-                    torque: &channels.joint_torque,
-                    stops: &self.stops,
-                },
-            );
+        let used = &tick.terms.measurement;
+        if used.has_momentum && tick.terms.inverse_mass.is_known && !contact.is_active {
+            self.update(tick.terms, channels);
+            let (residual, torque, stops) = (&self.residual, &channels.joint_torque, &self.stops[..]);
+            joints.judge(&self.config, &Sample { dt: used.elapsed, residual, torque, stops });
         } else {
             joints.hold();
         }
+        let Terms { measurement: used, limits, .. } = &mut *tick.terms;
         limits.joints.copy_from_slice(&joints.found);
         for (joint, found) in joints.found.iter().enumerate() {
             limits.joint_velocity[joint] = found.velocity_max(limits.joint_velocity[joint]);

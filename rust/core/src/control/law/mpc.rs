@@ -25,6 +25,7 @@ use crate::control::preview::Preview;
 use crate::control::state::ControllerState;
 use crate::control::terms::Terms;
 use crate::error::BuildError;
+use crate::jets::JetModel;
 use crate::qp::{PrimalActiveSet, QpAnswer, QpSolver, QpStatus};
 use crate::robot::RobotModel;
 use crate::spatial::{log_so3, stack};
@@ -80,12 +81,13 @@ impl PredictiveLaw {
         conventions: LinkConventions,
         momentum: MomentumLaw,
         robot: &RobotModel,
+        jets: Vec<JetModel>,
         joints: Vec<usize>,
         gains: (f64, f64),
         thrust_rate_max: Vec<f64>,
         time_step: f64,
     ) -> Result<Self, BuildError> {
-        let horizon = Horizon::new(config, gains, robot, &joints)?;
+        let horizon = Horizon::new(config, gains, robot, jets, &joints)?;
         let place = |joint| joints.iter().position(|moved| *moved == joint);
         Ok(Self {
             momentum,
@@ -242,10 +244,13 @@ impl PredictiveLaw {
         let unknowns = &of_tick.unknowns;
         for knot in 0..horizon.knots() {
             for (jet, rate_max) in self.thrust_rate_max.iter().enumerate() {
-                let unknown = horizon.thrust_rate(knot, jet);
+                let unknown = horizon.thrust_input(knot, jet);
                 let of_tick = unknowns.thrust_rate.start + jet;
-                let (lower, upper) =
-                    if knot == 0 { bounds_of(terms, of_tick) } else { (-rate_max, *rate_max) };
+                let (lower, upper) = match horizon.input_range(knot, jet, terms) {
+                    Some(of_engine) => of_engine,
+                    None if knot == 0 => bounds_of(terms, of_tick),
+                    None => (-rate_max, *rate_max),
+                };
                 (horizon.problem.lower[unknown], horizon.problem.upper[unknown]) = (lower, upper);
             }
             for (place, joint) in self.model.joints.iter().enumerate() {
@@ -275,7 +280,9 @@ impl PredictiveLaw {
         let inputs = &state.plan.inputs;
         command.thrust_rate.fill(0.0); // also of unused jets, whose rates may have been replaced
         for jet in 0..unknowns.thrust_rate.len() {
-            let rate = inputs[self.horizon.thrust_rate(knot, jet)];
+            let input = inputs[self.horizon.thrust_input(knot, jet)];
+            let rate = terms.measurement.thrust_rate[jet];
+            let rate = self.horizon.commanded_rate(jet, input, rate, self.time_step);
             command.thrust_rate[jet] = clamp(unknowns.thrust_rate.start + jet, rate);
         }
         for (joint, place) in self.place.iter().enumerate() {

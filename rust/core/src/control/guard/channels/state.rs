@@ -3,7 +3,7 @@
 use super::layout::Layout;
 use crate::control::measurement::UsedMeasurement;
 use crate::control::modes::Modes;
-use crate::jets::predict_thrust;
+use crate::jets::JetModel;
 use crate::kinematics::RobotState;
 use nalgebra::DVector;
 
@@ -49,6 +49,8 @@ pub struct ChannelsState {
     pub joint_torque: DVector<f64>,
     /// Thrust rates of the last command, or those that replaced them \[N/s\].
     pub thrust_rate: DVector<f64>,
+    /// Predicted rates of the thrusts \[N/s\].
+    pub jet_rate: DVector<f64>,
     /// Wrenches that keep the feet at rest, foot after foot \[N, N m\].
     pub foot_wrenches: DVector<f64>,
     /// Time of the last tick (M108) \[s\].
@@ -93,15 +95,15 @@ impl ChannelsState {
         is_step
     }
 
-    /// Advances all values except the pose by `dt` \[s\] (M101): joints and base by M78, thrusts by M31. Values stay within
+    /// Advances all values except the pose by `dt` \[s\] (M101): joints and base by M78, thrusts by M31 or M173. Values stay within
     /// the accepted range, because otherwise the predicted velocity could grow without limit while a measurement is
     /// missing.
-    pub(super) fn predict(&mut self, layout: &Layout, thrust_min: &[f64], greatest: &[f64], dt: f64) {
-        let Self { predicted, acceleration, thrust_rate, foot_wrenches, .. } = self;
+    pub(super) fn predict(&mut self, layout: &Layout, jets: &[JetModel], greatest: &[f64], dt: f64) {
+        let Self { predicted, acceleration, thrust_rate, jet_rate, foot_wrenches, .. } = self;
         predicted[layout.feet.clone()].copy_from_slice(foot_wrenches.as_slice());
-        let rates = thrust_rate.iter().zip(thrust_min);
-        for (thrust, (rate, least)) in predicted[layout.thrust.clone()].iter_mut().zip(rates) {
-            *thrust = predict_thrust(*thrust, *rate, dt, *least);
+        let thrusts = predicted[layout.thrust.clone()].iter_mut().zip(jet_rate.iter_mut());
+        for ((thrust, rate), (jet, command)) in thrusts.zip(jets.iter().zip(thrust_rate.iter())) {
+            (*thrust, *rate) = jet.advance(*thrust, *rate, *command, dt);
         }
         let (base, joints) = acceleration.as_slice().split_at(6);
         let places = layout.joint_position.clone().zip(layout.joint_velocity.clone());

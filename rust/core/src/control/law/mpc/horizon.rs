@@ -3,13 +3,15 @@
 //! ```text
 //! w                        change of the wrench of the air with the wind ahead
 //! y = (δp, δv, θ, δk)      motion of the centre of mass, rotation, angular momentum; the present one is zero
-//! d = (δT, δs, ṡ, δe)      thrusts, joints, their velocities and velocity errors: driven by the inputs alone
-//! u = (Ṫ*, ṡ*)             thrust rates; joint velocities of the moved joints
+//! d = (δT, δs, ṡ, δe, Ṫ)   thrusts, joints, their velocities and velocity errors, thrust rates: driven by the inputs alone
+//! u = (u_T, ṡ*)            inputs of the thrusts; joint velocities of the moved joints
+//! Ṫ = u_T                  ideal jets: the inputs are thrust rates
+//! T̈ = α δT + β Ṫ + u_T     engines about the steady thrust T, at the throttle that holds it (M174)
 //! ẏ = A_c y + A_d d + B w + c    δë of the torque law: s̈ = K_D (ṡ* − ṡ) − K_P δe,  δė = ṡ − ṡ*
 //! ```
 //!
 //! `u` and `w` are constant between knots, so every knot is exact: a Taylor series for the shortest, and squares of it.
-//! The states are eliminated; H and g collect the squares of the outputs' errors. Equations M120 to M126 of
+//! The states are eliminated; H and g collect the squares of the outputs' errors. Equations M120 to M126 and M174 of
 //! `docs/model`.
 
 use super::clearance::Clearance;
@@ -17,11 +19,12 @@ use super::config::{MpcConfig, MpcWeights};
 use super::model::Linearised;
 use crate::control::terms::Terms;
 use crate::error::BuildError;
+use crate::jets::JetModel;
 use crate::linalg;
 use crate::qp::QpProblem;
 use crate::robot::RobotModel;
 use crate::spatial::skew;
-use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, SVector, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3, Vector6};
 
 /// Entries of `y`, and of the outputs that are not entries of it: ω, a and α.
 const CORE: usize = 12;
@@ -33,6 +36,8 @@ const OUTPUTS: usize = 18;
 const TAIL: usize = 6;
 /// Terms of the Taylor series of the shortest knot: with `K_D h = 0.2` the remainder is below 1e-12.
 const TERMS: u32 = 8;
+/// Time that makes the input of an engine \[N/s²\] comparable with a thrust rate \[s\].
+const INPUT_TIME: f64 = 0.03;
 /// Steps of the bisection for the least cost on a way.
 const BISECTIONS: u32 = 40;
 
@@ -84,6 +89,39 @@ impl Chain {
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a few halvings")]
         for _ in 0..halvings as u32 {
             chain = chain.twice();
+        }
+        chain
+    }
+
+    fn twice(&self) -> Self {
+        Self {
+            transition: self.transition * self.transition,
+            input: self.transition * self.input + self.input,
+        }
+    }
+}
+
+/// Answer of the states `(δT, Ṫ)` of a jet to its own values, and to a constant input, over some time.
+#[derive(Debug, Clone, Copy)]
+struct JetChain {
+    transition: Matrix2<f64>,
+    input: Vector2<f64>,
+}
+
+impl JetChain {
+    /// Over `time` \[s\]: ideal, or with the slopes `α` \[1/s²\] and `β` \[1/s\] of an engine, by a Taylor series, which a
+    /// knot's first duration makes exact to rounding.
+    fn new(slopes: Option<(f64, f64)>, time: f64) -> Self {
+        let mut chain = Self { transition: Matrix2::identity(), input: Vector2::new(time, 0.0) };
+        let Some((by_thrust, by_rate)) = slopes else { return chain };
+        let (a, b) = (Matrix2::new(0.0, 1.0, by_thrust, by_rate), Vector2::new(0.0, 1.0));
+        chain.input = Vector2::zeros();
+        let (mut power, mut scale) = (Matrix2::identity(), time);
+        for order in 1..=TERMS {
+            chain.input += power * b * scale;
+            power *= a;
+            chain.transition += power * scale;
+            scale *= time / f64::from(order + 1);
         }
         chain
     }
@@ -148,7 +186,7 @@ fn by_joint<const N: usize>(
     joint: usize,
     state: &Vector3<f64>,
 ) -> SVector<f64, N> {
-    let Places { s, sigma, e } = places;
+    let Places { s, sigma, e, .. } = places;
     columns[s + joint] * state[0] + columns[sigma + joint] * state[1] + columns[e + joint] * state[2]
 }
 
@@ -208,12 +246,13 @@ fn times_core(a: &Core, b: &Core) -> Core {
     product
 }
 
-/// Where the entries of `d` stand: thrusts, joint positions, velocities, velocity errors.
+/// Where the entries of `d` stand: thrusts, joint positions, velocities, velocity errors, thrust rates.
 #[derive(Debug, Clone, Copy)]
 struct Places {
     s: usize,
     sigma: usize,
     e: usize,
+    rate: usize,
 }
 
 /// A limited value at the end of a knot: within its limits or beyond one of them.
@@ -295,6 +334,17 @@ pub struct Horizon {
     /// `K_D` and `K_P` of the torque law.
     gains: (f64, f64),
     decay: f64,
+    models: Vec<JetModel>,
+    /// Range of every thrust while its engine works \[N\].
+    usual: Vec<(f64, f64)>,
+    /// Slopes `α` \[1/s²\] and `β` \[1/s\] of every engine; `None` for ideal jets.
+    slopes: Vec<Option<(f64, f64)>>,
+    /// Thrust states over each power of the first duration, by jet.
+    jet_chains: Vec<Vec<JetChain>>,
+    /// Thrust states at the end of a knot by a unit input in an earlier one, by jet.
+    jet_reach: Vec<Vec<Vec<Vector2<f64>>>>,
+    /// Thrust states at the end of each knot without inputs, by jet.
+    free_thrust: Vec<Vec<Vector2<f64>>>,
     /// Joint states over each power of the first duration.
     chains: Vec<Chain>,
     /// Joint states at the end of a knot by a unit command of a block.
@@ -346,6 +396,7 @@ impl Horizon {
         config: &MpcConfig,
         gains: (f64, f64),
         robot: &RobotModel,
+        models: Vec<JetModel>,
         joints: &[usize],
     ) -> Result<Self, BuildError> {
         let (jets, free) = (robot.jets.len(), joints.len());
@@ -361,7 +412,7 @@ impl Horizon {
         let doublings: Vec<usize> =
             durations.iter().map(|duration| (duration / durations[0]).log2().round() as usize).collect();
         let powers = doublings.last().map_or(1, |last| last + 1);
-        let (n, states) = (jets * knots + free * blocks, jets + 3 * free);
+        let (n, states) = (jets * knots + free * blocks, 2 * jets + 3 * free);
         let mut chains = vec![Chain::new(gains, durations[0])];
         for power in 1..powers {
             chains.push(chains[power - 1].twice());
@@ -396,6 +447,12 @@ impl Horizon {
             free,
             gains,
             decay: config.decay,
+            usual: robot.jets.iter().map(|jet| (jet.thrust_min, jet.thrust_max)).collect(),
+            slopes: vec![None; jets],
+            jet_chains: vec![vec![JetChain::new(None, 0.0); jets]; powers],
+            jet_reach: vec![vec![vec![Vector2::zeros(); jets]; knots]; knots],
+            free_thrust: vec![vec![Vector2::zeros(); jets]; knots],
+            models,
             chains,
             reach,
             weights,
@@ -439,9 +496,9 @@ impl Horizon {
         &self.durations
     }
 
-    /// Unknown of the rate of a thrust in a knot.
+    /// Unknown of the input of a thrust in a knot: its rate for ideal jets.
     #[must_use]
-    pub fn thrust_rate(&self, knot: usize, jet: usize) -> usize {
+    pub fn thrust_input(&self, knot: usize, jet: usize) -> usize {
         knot * self.jets + jet
     }
 
@@ -456,7 +513,8 @@ impl Horizon {
     }
 
     fn places(&self) -> Places {
-        Places { s: self.jets, sigma: self.jets + self.free, e: self.jets + 2 * self.free }
+        let (jets, free) = (self.jets, self.free);
+        Places { s: jets, sigma: jets + free, e: jets + 2 * free, rate: jets + 3 * free }
     }
 
     /// Second derivatives of the cost of joints and inputs, which do not depend on the state.
@@ -465,8 +523,9 @@ impl Horizon {
         let mut h = DMatrix::zeros(self.problem.len(), self.problem.len());
         for (knot, duration) in self.durations.iter().enumerate() {
             for jet in 0..self.jets {
-                let unknown = self.thrust_rate(knot, jet);
-                h[(unknown, unknown)] += duration * weights.thrust_rate;
+                let unknown = self.thrust_input(knot, jet);
+                let of_engine = self.models[jet].engine.map_or(1.0, |_| INPUT_TIME * INPUT_TIME);
+                h[(unknown, unknown)] += duration * weights.thrust_rate * of_engine;
             }
             for joint in 0..self.free {
                 let unknown = self.joint_velocity(knot, joint);
@@ -492,16 +551,94 @@ impl Horizon {
         ahead: (&[Target], &[Vector6<f64>]),
         is_descending: bool,
     ) {
+        self.write_thrusts(terms);
         self.write_dynamics(model, terms);
         self.write_rates(model, terms);
         self.write_steps();
         let weights = usize::from(is_descending);
         self.write_motion_cost(terms, ahead, weights, model);
         self.write_joint_cost(model, terms, posture, weights);
+        self.write_engine_cost(weights);
         self.clearance.update(&terms.kinematics, &model.joints);
         self.limited.iter_mut().for_each(|limited| limited.beyond = Beyond::No);
         self.problem.h.copy_from(&self.base_h);
         self.problem.g.copy_from(&self.base_g);
+    }
+
+    /// What each jet does by itself and by its inputs. An engine that does not reach its thrusts keeps the present one.
+    fn write_thrusts(&mut self, terms: &Terms) {
+        let (jets, knots, measured) = (self.jets, self.knots(), &terms.measurement);
+        for jet in 0..jets {
+            let engine = self.models[jet].engine.as_ref();
+            self.slopes[jet] = engine.map(|engine| {
+                let thrust = measured.thrust[jet];
+                engine.acceleration_slopes(thrust, 0.0, engine.steady_throttle(thrust))
+            });
+            self.jet_chains[0][jet] = JetChain::new(self.slopes[jet], self.durations[0]);
+            for power in 1..self.jet_chains.len() {
+                self.jet_chains[power][jet] = self.jet_chains[power - 1][jet].twice();
+            }
+            let mut state = self.present(jet, terms);
+            for knot in 0..knots {
+                let chain = self.jet_chains[self.doublings[knot]][jet];
+                state = chain.transition * state;
+                self.free_thrust[knot][jet] = state;
+                for earlier in 0..knot {
+                    self.jet_reach[knot][earlier][jet] =
+                        chain.transition * self.jet_reach[knot - 1][earlier][jet];
+                }
+                self.jet_reach[knot][knot][jet] = chain.input;
+            }
+        }
+    }
+
+    /// Present state of a jet. The rate of an ideal one is its input.
+    fn present(&self, jet: usize, terms: &Terms) -> Vector2<f64> {
+        let works = self.slopes[jet].is_some() && terms.limits.thrust[jet] == self.usual[jet];
+        Vector2::new(0.0, if works { terms.measurement.thrust_rate[jet] } else { 0.0 })
+    }
+
+    /// State of a jet at the beginning of a knot without inputs.
+    fn free_before(&self, knot: usize, jet: usize, terms: &Terms) -> Vector2<f64> {
+        knot.checked_sub(1).map_or_else(|| self.present(jet, terms), |last| self.free_thrust[last][jet])
+    }
+
+    /// Least and greatest input of a jet's engine in a knot, from the limits of its throttle along the motion without inputs
+    /// (M174); `None` for ideal jets. An engine that does not reach its thrusts has none.
+    #[must_use]
+    pub fn input_range(&self, knot: usize, jet: usize, terms: &Terms) -> Option<(f64, f64)> {
+        let (engine, (by_thrust, by_rate)) = (self.models[jet].engine?, self.slopes[jet]?);
+        if terms.limits.thrust[jet] != self.usual[jet] {
+            return Some((0.0, 0.0));
+        }
+        let state = self.free_before(knot, jet, terms);
+        let thrust = terms.measurement.thrust[jet] + state[0];
+        let (least, greatest) = engine.acceleration_range(thrust, state[1]);
+        let free = by_thrust * state[0] + by_rate * state[1];
+        Some((least - free, greatest - free))
+    }
+
+    /// Thrust rate that an input asks for within `time` \[s; N/s\], from the present one.
+    #[must_use]
+    pub fn commanded_rate(&self, jet: usize, input: f64, rate: f64, time: f64) -> f64 {
+        self.slopes[jet].map_or(input, |(_, by_rate)| rate + time * (input + by_rate * rate))
+    }
+
+    /// Adds the cost of the engines' thrust rates.
+    fn write_engine_cost(&mut self, weights: usize) {
+        let (jets, weight) = (self.jets, self.weights[weights].thrust_rate);
+        for jet in (0..jets).filter(|jet| self.slopes[*jet].is_some()) {
+            for (knot, duration) in self.durations.iter().enumerate() {
+                let (of_rate, reach) = (weight * duration, &self.jet_reach[knot]);
+                for (one, of_one) in reach[..=knot].iter().enumerate() {
+                    let by_one = of_rate * of_one[jet][1];
+                    self.base_g[one * jets + jet] += by_one * self.free_thrust[knot][jet][1];
+                    for (other, of_other) in reach[..=knot].iter().enumerate() {
+                        self.base_h[(one * jets + jet, other * jets + jet)] += by_one * of_other[jet][1];
+                    }
+                }
+            }
+        }
     }
 
     /// `A_c`, `A_d`, B and c.
@@ -583,9 +720,9 @@ impl Horizon {
 
     /// Transitions: the Taylor series of the shortest duration, then squares.
     fn write_steps(&mut self) {
-        let Places { s, sigma, e } = self.places();
+        let Places { s, sigma, e, rate } = self.places();
         let (kd, kp) = self.gains;
-        let Self { steps, power, dynamics, jets, free, chains, durations, .. } = self;
+        let Self { steps, power, dynamics, jets, free, chains, jet_chains, slopes, durations, .. } = self;
         let (jets, free) = (*jets, *free);
         // Rows of y of the powers of the whole matrix: X ← X A h / order.
         let first = &mut steps[0];
@@ -595,9 +732,17 @@ impl Horizon {
         for order in 1..=TERMS {
             let scale = durations[0] / f64::from(order);
             // Inputs first, then d, from the columns of d and y of the power before.
-            for jet in 0..jets {
-                power.by_u[jet] = power.by_d[jet] * scale;
-                power.by_d[jet] = times(&power.by_y, &dynamics.by_d[jet]) * scale;
+            for (jet, slopes) in slopes.iter().enumerate() {
+                let (by_thrust, by_rate) = (power.by_d[jet], power.by_d[rate + jet]);
+                let through_y = times(&power.by_y, &dynamics.by_d[jet]);
+                if let Some((alpha, beta)) = *slopes {
+                    power.by_u[jet] = by_rate * scale;
+                    power.by_d[jet] = (through_y + by_rate * alpha) * scale;
+                    power.by_d[rate + jet] = (by_thrust + by_rate * beta) * scale;
+                } else {
+                    power.by_u[jet] = by_thrust * scale;
+                    power.by_d[jet] = through_y * scale;
+                }
             }
             for joint in 0..free {
                 let (by_s, by_sigma, by_e) =
@@ -623,10 +768,15 @@ impl Horizon {
             whole.by_y = times_core(&half.by_y, &half.by_y);
             whole.by_w = half.by_w.each_ref().map(|column| times(&half.by_y, column) + column);
             whole.drift = times(&half.by_y, &half.drift) + half.drift;
-            let time = durations[0] * f64::from(1_u32 << (doubling - 1));
-            for jet in 0..jets {
-                whole.by_d[jet] = times(&half.by_y, &half.by_d[jet]) + half.by_d[jet];
-                whole.by_u[jet] = times(&half.by_y, &half.by_u[jet]) + half.by_d[jet] * time + half.by_u[jet];
+            for (jet, JetChain { transition, input }) in jet_chains[doubling - 1].iter().enumerate() {
+                let (by_thrust, by_rate) = (half.by_d[jet], half.by_d[rate + jet]);
+                let along = |thrust: f64, rate: f64| by_thrust * thrust + by_rate * rate;
+                whole.by_d[jet] =
+                    times(&half.by_y, &by_thrust) + along(transition[(0, 0)], transition[(1, 0)]);
+                whole.by_d[rate + jet] =
+                    times(&half.by_y, &by_rate) + along(transition[(0, 1)], transition[(1, 1)]);
+                whole.by_u[jet] =
+                    times(&half.by_y, &half.by_u[jet]) + along(input[0], input[1]) + half.by_u[jet];
             }
             for joint in 0..free {
                 let columns = [s, sigma, e].map(|first| half.by_d[first + joint]);
@@ -695,6 +845,10 @@ impl Horizon {
             next += by_joint(&step.by_d, places, place, &before);
             self.free_joint[knot][place] = self.chains[power].transition * before;
         }
+        for jet in (0..self.jets).filter(|jet| self.slopes[*jet].is_some()) {
+            let before = self.free_before(knot, jet, terms);
+            next += step.by_d[jet] * before[0] + step.by_d[places.rate + jet] * before[1];
+        }
         next
     }
 
@@ -708,7 +862,9 @@ impl Horizon {
             *column = if earlier == knot {
                 step.by_u[jet]
             } else {
-                times(&step.by_y, column) + step.by_d[jet] * self.durations[earlier]
+                let before = &self.jet_reach[knot - 1][earlier][jet];
+                let by_state = step.by_d[jet] * before[0] + step.by_d[places.rate + jet] * before[1];
+                times(&step.by_y, column) + by_state
             };
         }
         for (index, column) in of_joints.iter_mut().take(free * (block + 1)).enumerate() {
@@ -733,6 +889,9 @@ impl Horizon {
         for (place, now) in self.free_joint[knot].iter().enumerate() {
             rates += by_joint(&self.rates_by_d, self.places(), place, now);
         }
+        for (by_thrust, now) in self.rates_by_d.iter().zip(&self.free_thrust[knot]) {
+            rates += by_thrust * now[0];
+        }
         let [p, v, theta, omega, a, alpha] = join(y, &rates);
         [position + p, velocity + v, theta, omega, a, alpha]
     }
@@ -749,7 +908,8 @@ impl Horizon {
                 rates += self.rates_by_u[jets + joint];
             }
         } else {
-            rates += self.rates_by_d[unknown % jets] * self.durations[unknown / jets];
+            rates +=
+                self.rates_by_d[unknown % jets] * self.jet_reach[knot][unknown / jets][unknown % jets][0];
         }
         join(column, &rates)
     }
@@ -830,12 +990,14 @@ impl Horizon {
     fn read_limited(&mut self, model: &Linearised, terms: &Terms, joint_limits: &[(f64, f64)], u: &[f64]) {
         let (jets, free, knots) = (self.jets, self.free, self.knots());
         for jet in 0..jets {
-            let mut thrust = terms.measurement.thrust[jet];
-            let free_value = thrust;
+            let mut by_inputs = Vector2::zeros();
             for knot in 0..knots {
-                thrust += self.durations[knot] * u[knot * jets + jet];
+                let JetChain { transition, input } = &self.jet_chains[self.doublings[knot]][jet];
+                by_inputs = transition * by_inputs + input * u[knot * jets + jet];
+                let free = terms.measurement.thrust[jet] + self.free_thrust[knot][jet][0];
                 let limited = &mut self.limited[knot * jets + jet];
-                (limited.value, limited.free, limited.range) = (thrust, free_value, terms.limits.thrust[jet]);
+                (limited.value, limited.free) = (free + by_inputs[0], free);
+                limited.range = terms.limits.thrust[jet];
             }
         }
         for (place, joint) in model.joints.iter().enumerate() {
@@ -955,10 +1117,10 @@ impl Horizon {
             let Some(over) = limited.over() else { continue };
             let (knot, jet) = (index / jets, index % jets);
             for one in 0..=knot {
-                let a = limited.weight * self.durations[one];
+                let a = limited.weight * self.jet_reach[knot][one][jet][0];
                 g[one * jets + jet] += a * over;
                 for other in 0..=knot {
-                    h[(one * jets + jet, other * jets + jet)] += a * self.durations[other];
+                    h[(one * jets + jet, other * jets + jet)] += a * self.jet_reach[knot][other][jet][0];
                 }
             }
         }

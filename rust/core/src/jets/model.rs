@@ -1,0 +1,87 @@
+//! The thrust of a jet under commanded thrust rates, as a controller assumes it.
+//!
+//! ```text
+//! ideal          Ṫ = Ṫ*                                                     M31
+//! second order   Ṫ moves towards Ṫ* as fast as the throttle's limits allow     M173
+//! ```
+//!
+//! Channels, estimator and the monitor of the engines predict thrusts with it, and the plan has the engine among its states.
+
+use super::EngineModel;
+use crate::error::BuildError;
+use crate::robot::RobotModel;
+use serde::{Deserialize, Serialize};
+
+/// How thrusts follow their commanded rates in the controller's model.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum JetDynamics {
+    /// At once, as published.
+    #[default]
+    Ideal,
+    /// As the robot's engines do, within the limits of their throttles.
+    SecondOrder,
+}
+
+/// One jet of the controller's model.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct JetModel {
+    /// Least thrust of the running engine \[N\].
+    pub thrust_min: f64,
+    /// Its engine; `None` for ideal dynamics.
+    pub engine: Option<EngineModel>,
+}
+
+impl JetModel {
+    /// The jets of `robot`.
+    ///
+    /// # Errors
+    /// [`BuildError`] for an engine that the robot does not define, or as [`EngineModel::new`].
+    pub fn all(robot: &RobotModel, dynamics: JetDynamics) -> Result<Vec<Self>, BuildError> {
+        let jets = robot.jets.iter().map(|jet| {
+            let engine = match dynamics {
+                JetDynamics::Ideal => None,
+                JetDynamics::SecondOrder => {
+                    let known = robot.engines.get(&jet.engine).copied();
+                    let name = || format!("engine of jet `{}`", jet.name);
+                    let known = known
+                        .ok_or_else(|| BuildError::unknown_name(name(), &jet.engine, robot.engines.keys()))?;
+                    Some(EngineModel::new(&jet.engine, known)?)
+                }
+            };
+            Ok(Self { thrust_min: jet.thrust_min, engine })
+        });
+        jets.collect()
+    }
+
+    /// Thrust \[N\] and thrust rate \[N/s\] after `dt` \[s\] under a commanded rate \[N/s\] (M31, M173).
+    ///
+    /// The thrust is not below the least one of the engine. A thrust that is below it already is that of an engine that has
+    /// stopped: it does not rise by itself, and never becomes negative.
+    #[must_use]
+    pub fn advance(&self, thrust: f64, thrust_rate: f64, command: f64, dt: f64) -> (f64, f64) {
+        let (rate, mean) = match &self.engine {
+            None => (command, command),
+            Some(engine) => {
+                let rate = engine.nearest_rate(thrust, thrust_rate, command, dt);
+                (rate, 0.5 * (thrust_rate + rate))
+            }
+        };
+        ((thrust + dt * mean).max(thrust.min(self.thrust_min).max(0.0)), rate)
+    }
+
+    /// Throttle \[%\] that brings the thrust rate to a command within `dt` \[s; N/s\], as far as the engine can; zero for ideal
+    /// dynamics, which have no throttle.
+    #[must_use]
+    pub fn throttle(&self, thrust: f64, thrust_rate: f64, command: f64, dt: f64) -> f64 {
+        let Some(engine) = &self.engine else { return 0.0 };
+        let gain = engine.input_gain(thrust, thrust_rate);
+        let input = ((command - thrust_rate) / dt - engine.drift(thrust, thrust_rate)) / gain;
+        if input.is_finite() {
+            engine.limit_throttle(engine.throttle_from_input(engine.limit_input(input)))
+        } else {
+            engine.steady_throttle(thrust)
+        }
+    }
+}
