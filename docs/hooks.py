@@ -46,8 +46,9 @@ TIGHT = {"|", "\u2016", "/"}
 
 def on_config(config: Any) -> Any:
     """Add the page of every study to the navigation."""
-    for section in config["nav"]:
-        section.get("Studies", []).extend(f"studies/{name}.md" for name in studies.names())
+    results = next(section["Results"] for section in config["nav"] if "Results" in section)
+    listed = next(entry["Studies"] for entry in results if "Studies" in entry)
+    listed.extend(f"studies/{name}.md" for name in studies.names())
     return config
 
 
