@@ -134,7 +134,7 @@ def totals(summary: dict, of: str, names: dict[str, str]) -> list[str]:
 
 def test_the_table_of_mk3_is_that_of_the_result():
     rows, tunnel = rows_of(MK3), KEPT["mk3_tunnel"]["summary"]
-    shown = [("flight postures", "estimated"), *((label, "cfd") for label in GROUPS)]
+    shown = [("flight postures", "estimated"), ("flight postures", "cfd"), ("hovering, yaw of 60 to 90°", "cfd")]
     for label, name in shown:
         group = f"{name}, {GROUPS[label]}"
         mean = f"{signed(100 * tunnel[f'{group}: drag, mean over mean'], 1)} %"
