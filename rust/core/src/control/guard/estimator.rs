@@ -317,8 +317,8 @@ impl Estimator {
     /// measurement.
     ///
     /// `elapsed` is the time since the last measurement \[s\], rounded to whole time steps; delays count measurements.
-    /// `thrust_innovation` returns the correction of each thrust by the measurement \[N\], `thrust_rate` the rate of each at
-    /// the present time \[N/s\].
+    /// `thrust_innovation` returns the correction of each thrust by the measurement \[N\], `thrust_rate` the rate of each
+    /// when the thrust rates of this tick begin to act \[N/s\].
     pub fn update(
         &mut self,
         memory: &mut EstimatorState,
@@ -384,7 +384,14 @@ impl Estimator {
             }
         }
         now.copy_from(&ahead.reading);
-        thrust_rate.copy_from_slice(&ahead.thrust_rate);
+        // When this tick's thrust rates begin to act, those on their way have acted.
+        for (jet, (to, model)) in thrust_rate.iter_mut().zip(&model.jets).enumerate() {
+            let mut reached = (ahead.reading.thrust[jet], ahead.thrust_rate[jet]);
+            for age in (1..=whole(thrust)).rev() {
+                reached = model.advance(reached.0, reached.1, given(age).thrust_rate[jet], *time_step);
+            }
+            *to = reached.1;
+        }
         *ticks += 1;
     }
 }
