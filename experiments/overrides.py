@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from jax_aero import places, tables
+from jax_aero import places, plain
 from jax_aero.keys import parse_assignments as parse
 
 __all__ = ["folder_suffix", "options", "parse"]
@@ -26,7 +26,7 @@ def folder_suffix(overrides: Mapping[str, Any]) -> str:
 
 def options(changes: Mapping[str, Any], named: str | None = None) -> list[str]:
     """Return the command line options that make these changes and give the result this name."""
-    assignments = (f"{key}={tables.toml_value(value)}" for key, value in changes.items())
+    assignments = (f"{key}={plain.toml_value(value)}" for key, value in changes.items())
     words = [word for assignment in assignments for word in ("--set", assignment)]
     return words if named is None else [*words, "--name", named]
 

@@ -2,7 +2,7 @@
 
 LOG is a result of `jax-aero fly`, an MCAP or CSV file of `jax-aero export`, or one of others with --map FILE. The log
 of a flight of the crate with its own configuration gives the same bits; otherwise the differences of every signal are
-printed, and with --plot drawn.
+printed, and with --plot drawn, and the exit status is 1. Ticks that the log has lost are replayed as not measured.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from jax_aero import cli, rust
 from jax_aero.command import exit_status
 from jax_aero.files import complete_file
 from jax_aero.view import check_out, logs
-from jax_aero.view.export import column_name, entries_of
+from jax_aero.view.export import column_name
+from jax_aero.view.recording import entries_of
 
 Array = NDArray[np.float64]
 
@@ -64,7 +65,7 @@ def main(words: Sequence[str]) -> int:
     return exit_status(lambda: _replay(given))
 
 
-def _replay(given: argparse.Namespace) -> None:
+def _replay(given: argparse.Namespace) -> int:
     if given.plot is not None:
         check_out(given.plot, *FORMATS)
         if given.plot.exists() and not given.overwrite:
@@ -85,15 +86,19 @@ def _replay(given: argparse.Namespace) -> None:
     if given.plot is not None:
         _draw(recorded, computed, differences, rust.Robot(config["robot"]), given.plot)
         print(given.plot)
+    return int(any(difference.greatest != 0.0 for difference in differences))
 
 
 def replay(log: logs.Log, config: rust.Config, path: Path) -> tuple[Mapping[str, Array], Mapping[str, Array]]:
-    """Return the signals of a log at the ticks of the momentum law, and those that the controller computes from it."""
+    """Return the signals of a log, and those that the controller computes from it, at the law's ticks that it holds."""
     steps = int(rust.resolve_config(config)["controller"]["torque"]["steps"])
     period = float(config["simulator"]["time_step"]) / steps
-    recorded = logs.at_ticks(log, rust.Robot(config["robot"]), period, path)
-    computed = rust.replay(config, recorded)
-    return {name: rows[::steps] for name, rows in recorded.items()}, computed
+    recorded, is_recorded = logs.at_ticks(log, rust.Robot(config["robot"]), period, path)
+    computed, is_there = rust.replay(config, recorded), is_recorded[::steps]
+    return (
+        {name: rows[::steps][is_there] for name, rows in recorded.items()},
+        {name: rows[is_there] for name, rows in computed.items()},
+    )
 
 
 def compare(recorded: Mapping[str, Array], computed: Mapping[str, Array]) -> list[Difference]:

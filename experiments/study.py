@@ -12,6 +12,7 @@ import argparse
 import hashlib
 import json
 import os
+import re
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,7 +23,7 @@ import xarray as xr
 
 from experiments import Refused, manifest, overrides, record
 from experiments.sources import file_hash
-from jax_aero import cli, places, rust, tables
+from jax_aero import cli, places, plain, rust, tables
 from jax_aero.cli import Parser, complete_with
 from jax_aero.command import exit_status
 from jax_aero.files import lock_work
@@ -153,7 +154,7 @@ class Study(Generic[C]):
             flights = {key: rust.config_digest(flight) for key, flight in findings.flights.items()}
             flights |= findings.results
             files = [*read, *findings.files]
-            table, inputs = tables.to_builtins(config), findings.inputs
+            table, inputs = plain.to_builtins(config), findings.inputs
             digested = digest({"config": table, "inputs": inputs, "flights": flights}, files)
             document = manifest.build(
                 folder.name,
@@ -184,7 +185,7 @@ class Study(Generic[C]):
 def _is_of(config: tables.Table, files: Sequence[Path], kept: Mapping[str, Any]) -> bool:
     """Return whether a manifest is that of a result with these keys and with these files in their present state."""
     same_files = file_hashes(files).items() <= kept.get("sources", {}).get("files", {}).items()
-    return same_files and bool(kept.get("config") == manifest.make_portable(tables.to_builtins(config)))
+    return same_files and bool(kept.get("config") == manifest.make_portable(plain.to_builtins(config)))
 
 
 def file_hashes(files: Iterable[Path]) -> dict[str, str]:
@@ -275,20 +276,38 @@ def result_name(kind: str, path: Path, named: str | None = None) -> str:
 
 
 def print_titles(kind: str) -> None:
-    """Print name and title of every file of `configs/KIND`, or the error if it cannot be read."""
-    names = places.names(kind)
-    width = max(map(len, names), default=0)
-    for name in names:
-        try:
-            title = tables.read(places.find(kind, name)).get("title", "")
-        except Refused as reason:
-            title = f"({reason})"
-        print(f"  {name:<{width}}  {title}")
+    """Print name and title of every file of `configs/KIND` by its source, or the error if it cannot be read."""
+    groups: dict[str, list[str]] = {"after the paper": [], "iRonCub-Mk3": [], "ours": []}
+    for name in places.names(kind):
+        groups[_group(places.find(kind, name))].append(name)
+    width = max((len(name) for names in groups.values() for name in names), default=0)
+    for group, names in groups.items():
+        if names:
+            print(f"{group}:")
+        for name in names:
+            try:
+                title = tables.read(places.find(kind, name)).get("title", "")
+            except Refused as reason:
+                title = f"({reason})"
+            print(f"  {name:<{width}}  {title}")
+
+
+def _group(path: Path) -> str:
+    """Return the group of a configuration in a list: by the comment that names its source."""
+    if path.stem.startswith("mk3_"):
+        return "iRonCub-Mk3"
+    text = path.read_text(encoding="utf-8", errors="replace")
+    return "after the paper" if re.search(r"^# Source: (paper|the published)\b", text, re.MULTILINE) else "ours"
 
 
 def schema_of(kind: str, folder: Path) -> str:
     """Return the path of the schema for a kind of file, relative to a folder."""
     return os.path.relpath(places.CONFIGS / "schema" / f"{kind}.schema.json", folder.resolve())
+
+
+def write_with_schema(path: Path, kind: str, text: str) -> None:
+    """Write a file whose first line names the schema of its kind, with which editors complete keys."""
+    path.write_text(f"#:schema {schema_of(kind, path.parent)}\n{text}", encoding="utf-8")
 
 
 def digest(config: Mapping[str, Any], files: Sequence[Path]) -> str:

@@ -41,7 +41,12 @@ COMMANDS = {
     "fly": Command("experiments.fly:main", "figs", "fly experiments by name: jax-aero fly test2"),
     "sweep": Command("experiments.sweep.command:main", "sweeps", "fly many perturbed flights, and count"),
     "figures": Command("paper_figs.command:main", "figs", "draw figures from results"),
-    "report": Command("experiments.report.command:main", "sweeps", "write all results on one page"),
+    "report": Command(
+        "experiments.report.command:main",
+        "sweeps",
+        "write all results on one page, or keep some in the documentation",
+        {"keep": ("experiments.report.keep:main", "sweeps")},
+    ),
     "view": Command(
         "jax_aero.view.command:view",
         "view",
@@ -230,6 +235,8 @@ first steps:
   jax-aero figures fig5 --runs test2 test1
   jax-aero COMMAND --help                what a command takes
 
+Results go to results/ of the clone, wherever a command is called, or without a clone of the current folder;
+--out names another place.
 Exit status: 0 done, 1 something disagrees or is missing, 2 refused, 130 interrupted with Ctrl-C, 141 output closed.
 Tab completes after: eval "$(register-python-argcomplete jax-aero)"
 """

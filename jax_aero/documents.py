@@ -105,7 +105,13 @@ class _Device(msgspec.Struct):
 class FinishedSweep(_Drawing, kw_only=True):
     """`sweep.json` of a finished sweep, for the report."""
 
+    config_hash: str
+    code_hash: str
     description: str
+    design: str = "grid"
+    repeats: int
+    seed: int
+    perturbation: dict[str, Any]
     rows: int
     engine: str
     device: _Device

@@ -25,18 +25,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int, Key
 
-from jax_aero.control import Command, Measurement
 from jax_aero.control.law.residual import Steering
-from jax_aero.control.state import ControllerState
+from jax_aero.control.law.setpoint import update
 from jax_aero.control.tick import MomentumController
-from jax_aero.env_task import Aim, Task, TaskState, aim_of, is_lost, limit_action, observation, rewards, steer
+from jax_aero.env_task import Task, TaskState, is_lost, limit_action, observation, rewards, steer
+from jax_aero.features import Aim, aim_of
 from jax_aero.kinematics import kinematics
-from jax_aero.robot import RobotModel
 from jax_aero.rust import load_config
-from jax_aero.sim.step import FLYING, FlightState, Scenario, prepare, step
+from jax_aero.sim.step import FLYING, FlightState, Scenario, begin, prepare, step
 from jax_aero.spatial import rotation_angle
-from jax_aero.types import Array, Static, pytree, replace_values
-from jax_aero.types import State as RobotState
+from jax_aero.types import Array, replace_values
 
 __all__ = ["EnvState", "FlightEnv", "Task"]
 
@@ -59,37 +57,6 @@ class EnvState(NamedTuple):
     """For wrappers; not changed here."""
 
 
-class SteeredState(NamedTuple):
-    """State of the controller, and what it follows."""
-
-    inner: ControllerState
-    aim: Aim
-
-
-@pytree
-class SteeredController:
-    """The flight controller with an action as its residual."""
-
-    inner: MomentumController
-    task: Static[Task]
-
-    def steered(self, action: Float[Array, " u"]) -> SteeredController:
-        """Return the controller with the residual of this action."""
-        parts = steer(self.task, action, self.inner.tasks.thrust_rate.shape[0])
-        return replace(self, inner=replace(self.inner, residual=Steering(*parts, self.task.steering == "rates")))
-
-    def init(self, robot: RobotModel, state: RobotState) -> SteeredState:
-        """Return the initial state of the controller."""
-        nothing = jnp.zeros_like(state.velocity[:3])
-        aim = Aim(kinematics(robot, state).com, state.base_rotation, nothing, nothing)
-        return SteeredState(self.inner.init(robot, state), aim)
-
-    def step(self, robot: RobotModel, state: SteeredState, measurement: Measurement) -> tuple[SteeredState, Command]:
-        """Compute one tick of the controller."""
-        memory, command = self.inner.step(robot, state.inner, measurement)
-        return SteeredState(memory, aim_of(command.setpoint) if self.task.tracking else state.aim), command
-
-
 class FlightEnv:
     """Fly a task in a wind drawn anew for every episode; `reset` and `step` are pure, for `jit` and `vmap`.
 
@@ -109,13 +76,12 @@ class FlightEnv:
         self._scenario, self._start = prepare(
             self.task.episode(load_config(self.task.experiment, changes)), dtype=precision
         )
-        robot, inner = self._scenario.plant.robot, self._scenario.controller
-        assert isinstance(inner, MomentumController)
-        self._steered = SteeredController(inner, self.task).steered(
-            jnp.zeros(robot.jets.count + robot.n_joints, precision)
-        )
-        self._start = self._start._replace(controller=self._steered.init(robot, self._start.plant.robot))
+        robot, first = self._scenario.plant.robot, self._start.plant.robot
         self.action_size = robot.jets.count + robot.n_joints
+        steered = replace(self._scenario, controller=self._steered(jnp.zeros(self.action_size, precision)))
+        self._start = begin(steered, self._start.plant)
+        still = jnp.zeros_like(first.velocity[:3])
+        self._first = Aim(kinematics(robot, first).com, first.base_rotation, still, still)
         self.observation_size = 21 + 2 * robot.n_joints + robot.jets.count
         self.dt = float(self._scenario.plant.time_step)
         self.episode_length = self.task.ticks(self.dt)
@@ -152,7 +118,7 @@ class FlightEnv:
         """Fly one tick with an action between −1 and 1."""
         action = limit_action(jnp, action, self.action_size, state.wind.dtype)
         scenario: Scenario = replace_values(self._scenario, {f"wind.{self.task.wind_key}": state.wind})
-        scenario = replace(scenario, controller=self._steered.steered(action))
+        scenario = replace(scenario, controller=self._steered(action))
         flight, _ = step(scenario, state.flight, state.tick)
         state = state._replace(flight=flight, tick=state.tick + 1)
         task_state, obs = self._observe(state)
@@ -174,6 +140,22 @@ class FlightEnv:
             metrics=metrics,
         )
 
+    def _steered(self, action: Float[Array, " u"]) -> MomentumController:
+        """Return the controller with an action as its residual."""
+        controller, jets = self._scenario.controller, self._scenario.plant.robot.jets.count
+        assert isinstance(controller, MomentumController)
+        residual = Steering(*steer(self.task, action, jets), self.task.steering == "rates")
+        return replace(controller, residual=residual)
+
+    def _aim(self, state: EnvState) -> Aim:
+        """Return what the next tick follows."""
+        if not self.task.tracking:
+            return self._first
+        controller, memory = self._scenario.controller, state.flight.controller
+        assert isinstance(controller, MomentumController)
+        time = state.tick.astype(state.wind.dtype) * self._scenario.plant.time_step
+        return aim_of(update(controller.setpoint, controller.mission, memory.setpoint, time)[1])
+
     def _observe(self, state: EnvState) -> tuple[TaskState, Array]:
         robot, now, first = self._scenario.plant.robot, state.flight.plant, self._start.plant.robot
         task_state = TaskState(
@@ -182,9 +164,9 @@ class FlightEnv:
             joint_position=now.robot.joint_position,
             thrust=self._scenario.plant.jets.feedback(now.jets),
             com=kinematics(robot, now.robot).com,
-            aim=state.flight.controller.aim,
+            aim=self._aim(state),
             posture=first.joint_position,
-            wrench=state.flight.controller.inner.residual.wrench,
+            wrench=state.flight.controller.residual.wrench,
         )
         obs: Array = observation(jnp, task_state, robot.jets.thrust_max)
         return task_state, obs

@@ -1,4 +1,4 @@
-"""The flight as a Gymnasium environment: a loop over the crate's plant and controller, without JAX.
+"""The flight as a Gymnasium environment: `rust.Flight` with the action as its residual, without JAX.
 
 >>> from jax_aero.env_gym import HoverEnv
 >>> hover = HoverEnv()
@@ -6,7 +6,8 @@
 >>> obs, reward, terminated, truncated, info = hover.step(hover.action_space.sample())
 
 Needs the extra `rl`. Task, observation and reward are those of `jax_aero.env`. Once this module is imported,
-`gymnasium.make` has it as `jax_aero/Hover-v0`; `jax_aero.env_gym:jax_aero/Hover-v0` imports it.
+`gymnasium.make` has it as `jax_aero/Hover-v0`; `jax_aero.env_gym:jax_aero/Hover-v0` imports it. Sensors, outages and
+faults of the experiment act on the controller; what is observed is the true state.
 """
 
 from __future__ import annotations
@@ -19,23 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero import rust
-from jax_aero.env_task import Aim, Task, TaskState, aim_of, is_lost, limit_action, observation, rewards, steer
+from jax_aero.env_task import Task, TaskState, is_lost, limit_action, observation, rewards, steer
+from jax_aero.features import Aim, aim_of
 
 __all__ = ["HoverEnv"]
 
 LARGEST = 1e6
 """Bound that no observation reaches before the flight counts as lost."""
 
-BETWEEN = (
-    ("simulator", "sensors"),
-    ("disturbances", "outages"),
-    ("disturbances", "wind_estimate"),
-    ("disturbances", "controller_wind"),
-)
-"""Tables and keys of a configuration that would alter signals between plant and controller."""
-
-
-OF_THE_CRATE = {"_robot", "_plant", "_controller", "_measurement"}
+OF_THE_CRATE = {"_robot", "_flight"}
 """Attributes that cannot be copied: they are made anew."""
 
 
@@ -46,20 +39,13 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     """
 
     _robot: rust.Robot
-    _plant: rust.Plant
-    _controller: rust.Controller
-    _measurement: rust.Measurement
-    _wrench: NDArray[np.float64]
-    _aim: Aim
+    _flight: rust.Flight
+    _first: Aim
     metadata = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
 
     def __init__(self, task: Task | None = None) -> None:
         self.task = task or Task()
         self._config = self.task.episode(rust.load_config(self.task.experiment))
-        for table, key in BETWEEN:
-            if self._config[table].get(key):
-                expected = "expected none: here the controller is given what the plant measures"
-                raise ValueError(f"`{table}.{key}` of {self.task.experiment} is given; {expected}")
         self._fall = SimpleNamespace(**self._config["simulator"]["fall"])
         self._robot = rust.Robot(self._config["robot"])
         self._thrust_max = np.array(self._robot.thrust_max)
@@ -86,18 +72,14 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     def step(self, action: NDArray[np.floating]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Fly one tick."""
-        now, jets = self._measurement, self._thrust_max.size
+        jets = self._thrust_max.size
         clipped = limit_action(np, action, jets + self._posture.size, np.float64)
         residual = rust.Residual(*steer(self.task, clipped, jets), self.task.steering == "rates")
-        tick = self._controller.tick(now.state, now.thrust, now.wind, now.time, residual=residual)
-        self._wrench = tick.residual_wrench
-        if self.task.tracking:
-            self._aim = aim_of(tick.setpoint)
-        self._measurement = self._plant.step(tick.thrust_rate, tick.joint_torque)
+        goes_on = self._flight.step(residual=residual)
         self._flown.append(clipped)
         task_state, obs = self._observe()
         parts = {name: float(value) for name, value in rewards(np, task_state, clipped).items()}
-        lost = bool(is_lost(np, task_state, self._fall)) or not np.isfinite(clipped).all()
+        lost = not goes_on or bool(is_lost(np, task_state, self._fall)) or not np.isfinite(clipped).all()
         return obs, 0.0 if lost else sum(parts.values()), lost, len(self._flown) >= self._last_tick, parts
 
     def __getstate__(self) -> dict[str, Any]:
@@ -114,26 +96,24 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def _begin(self, wind: list[float]) -> None:
         self._wind = wind
         self._config = {**self._config, "wind": {**self._config["wind"], self.task.wind_key: wind}}
-        self._plant, self._controller = rust.Plant(self._config), rust.Controller(self._config)
-        self._measurement = self._plant.reset()
+        self._flight = rust.Flight(self._config)
         self._flown: list[NDArray[np.float64]] = []
-        self._wrench = np.zeros(6)
-        state = self._measurement.state
+        state = self._flight.truth.state
         com = rust.dynamics(self._robot, state).com_position
-        self._aim = Aim(com, np.array(state.base_rotation), np.zeros(3), np.zeros(3))
+        self._first = Aim(com, np.array(state.base_rotation), np.zeros(3), np.zeros(3))
         self._posture: NDArray[np.float64] = np.array(state.joint_position)
 
     def _observe(self) -> tuple[TaskState, NDArray[np.float32]]:
-        state = self._measurement.state
+        now = self._flight.truth
         task_state = TaskState(
-            rotation=np.asarray(state.base_rotation),
-            velocity=np.asarray(state.velocity),
-            joint_position=np.asarray(state.joint_position),
-            thrust=self._measurement.thrust,
-            com=rust.dynamics(self._robot, state).com_position,
-            aim=self._aim,
+            rotation=np.asarray(now.state.base_rotation),
+            velocity=np.asarray(now.state.velocity),
+            joint_position=np.asarray(now.state.joint_position),
+            thrust=now.thrust,
+            com=rust.dynamics(self._robot, now.state).com_position,
+            aim=aim_of(self._flight.try_tick().setpoint) if self.task.tracking else self._first,
             posture=self._posture,
-            wrench=self._wrench,
+            wrench=self._flight.residual_wrench,
         )
         return task_state, observation(np, task_state, self._thrust_max).astype(np.float32)
 

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from numbers import Real
 from typing import Any, Literal, NamedTuple, get_args
 
+from jax_aero.features import Aim, features
+
 Steering = Literal["residual", "rates"]
 """Meaning of an action: added to the controller's answer, or its replacement."""
 
@@ -104,25 +106,6 @@ def _check(name: str, value: Any, least: float, expected: str) -> None:
         raise ValueError(f"`{name}` is {value!r}; expected {expected}")
 
 
-class Aim(NamedTuple):
-    """Set-point of a tick, in inertial axes."""
-
-    com: Any
-    """Centre of mass (3,) [m]."""
-    rotation: Any
-    """Desired `inertial_from_base` (3, 3)."""
-    velocity: Any
-    """Of the centre of mass (3,) [m/s]."""
-    angular_velocity: Any
-    """Of the base (3,) [rad/s]."""
-
-
-def aim_of(setpoint: Any) -> Aim:
-    """Return what a set-point of the controller asks for."""
-    rotation = setpoint.rotation
-    return Aim(setpoint.com_position, rotation, setpoint.com_velocity, rotation @ setpoint.angular_velocity)
-
-
 class TaskState(NamedTuple):
     """State for observation and reward, in inertial axes unless a suffix says otherwise."""
 
@@ -141,24 +124,6 @@ class TaskState(NamedTuple):
     """Joint positions of the first tick (n,) [rad]."""
     wrench: Any
     """Observed wrench about the centre of mass (6,) [N, N m]."""
-
-
-def features(xp: Any, rotation: Any, velocity: Any, com: Any, aim: Aim, wrench: Any, thrust_max: Any) -> dict[str, Any]:
-    """Return what is observed of every robot, by name, each (3,) in base axes and of order one (M170).
-
-    `rotation` is `inertial_from_base`, `velocity` that of the base and its angular velocity, `com` the centre of mass,
-    and `wrench` the observed one about it, in inertial axes.
-    """
-    error, force = aim.rotation.T @ rotation, 0.1 * xp.sum(thrust_max)
-    return {
-        "gravity": -rotation[2],
-        "rotation": 0.5 * xp.stack([error[2, 1] - error[1, 2], error[0, 2] - error[2, 0], error[1, 0] - error[0, 1]]),
-        "position": rotation.T @ (com - aim.com),
-        "velocity": rotation.T @ (velocity[:3] - aim.velocity),
-        "angular_velocity": rotation.T @ (velocity[3:6] - aim.angular_velocity),
-        "force": rotation.T @ wrench[:3] / force,
-        "moment": rotation.T @ wrench[3:] / (0.1 * force),
-    }
 
 
 def observation(xp: Any, state: TaskState, thrust_max: Any) -> Any:

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jax_aero import noise
+from jax_aero import rust
 from jax_aero.config import IdealJetsConfig, JetFaultsConfig, JetsConfig
 from jax_aero.robot import RobotModel
 from jax_aero.types import Array, leaf
@@ -99,7 +99,7 @@ def _sensor_noise(settings: JetFaultsConfig, n_ticks: int, jets: int) -> Array:
     found = settings.measurement_noise
     if found is None:
         return jnp.zeros((n_ticks + 1, jets))
-    drawn = noise.normals(found.seed, MEASUREMENT_STREAM, (n_ticks + 1) * jets)
+    drawn = rust.normals(found.seed, MEASUREMENT_STREAM, (n_ticks + 1) * jets)
     return jnp.asarray(found.std) * drawn.reshape(-1, jets)
 
 

@@ -6,7 +6,7 @@ There are two dynamics: `ideal` follows the command exactly, as in every publish
 identified engine with the throttle loop and the estimator that the real robot needs. All functions process all jets at
 once. `JetDynamics` is a protocol: any pytree with its methods can be used.
 
-Equations M31 to M35 and M144 of `docs/model`.
+Equations M31 to M35 of `docs/model`.
 """
 
 from __future__ import annotations
@@ -284,18 +284,6 @@ def thrust_acceleration(
     """Return `T̈` [N/s²] at a throttle [%], limited to its range."""
     v = throttle_input(e, jnp.clip(throttle, e.throttle_min, e.throttle_max))
     return drift(e, thrust, thrust_rate) + input_gain(e, thrust, thrust_rate) * v
-
-
-def nearest_rate(
-    e: Engines,
-    thrust: Float[Array, " j"],
-    thrust_rate: Float[Array, " j"],
-    command: Float[Array, " j"],
-    dt: Float[Array, ""],
-) -> Float[Array, " j"]:
-    """Return the rate [N/s] after `dt` [s] at the throttle within its limits that brings it nearest to the command."""
-    a, b = (dt * thrust_acceleration(e, thrust, thrust_rate, end) for end in (e.throttle_min, e.throttle_max))
-    return thrust_rate + jnp.clip(command - thrust_rate, jnp.minimum(a, b), jnp.maximum(a, b))
 
 
 def _limited_throttle(e: Engines, v: Array) -> Array:

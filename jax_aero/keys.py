@@ -74,7 +74,12 @@ def parts(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     else:
         entries = enumerate(value) if isinstance(value, list | tuple) else ()
     for name, entry in entries:
-        yield from parts(entry, f"{key}.{name}" if key else str(name))
+        yield from parts(entry, join(key, str(name)))
+
+
+def join(key: str, name: str) -> str:
+    """Return the dotted key of a name in the table at `key`, which is empty for the whole."""
+    return f"{key}.{name}" if key else name
 
 
 def set_key(config: dict[str, Any], key: str, value: Any) -> None:

@@ -26,24 +26,40 @@ from __future__ import annotations
 import functools
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jax_aero import _core, tables
-from jax_aero._core import BoxQpSolver, ControllerState, Robot, __version__, kkt_residual, read_urdf
+from jax_aero import _core
+from jax_aero._core import (
+    SETTLING_TIME,
+    BoxQpSolver,
+    ControllerState,
+    Robot,
+    __version__,
+    kkt_residual,
+    normals,
+    read_network,
+    read_policy,
+    read_urdf,
+    uniforms,
+)
 from jax_aero.command import ConfigError
 from jax_aero.keys import parts
 from jax_aero.places import find
+from jax_aero.plain import to_builtins
 from jax_aero.result import FlightResult, Progress
+from jax_aero.rotations import rotation_from_wxyz
 
 __all__ = [
+    "SETTLING_TIME",
     "BoxQpSolver",
+    "Command",
     "Config",
     "ContactTick",
     "Controller",
@@ -51,10 +67,10 @@ __all__ = [
     "Dynamics",
     "Estimates",
     "Figure",
+    "Flight",
     "FlightResult",
     "Jacobian",
     "Measurement",
-    "Plant",
     "Preview",
     "Progress",
     "QpAnswer",
@@ -62,13 +78,16 @@ __all__ = [
     "Residual",
     "Robot",
     "RowProblem",
+    "Seen",
     "Setpoint",
     "Signal",
     "State",
     "Tick",
+    "World",
     "__version__",
     "aero_forces",
     "check_config",
+    "check_table",
     "config_digest",
     "config_keys",
     "dynamics",
@@ -83,7 +102,12 @@ __all__ = [
     "load_aero",
     "load_config",
     "load_controller",
+    "normals",
     "path_keys",
+    "read_network",
+    "read_policy",
+    "read_table",
+    "read_toml",
     "read_urdf",
     "recorded_reference",
     "recorded_wind",
@@ -95,6 +119,8 @@ __all__ = [
     "set_keys",
     "setpoint_trajectory",
     "signals",
+    "summarise",
+    "uniforms",
     "wind_velocity",
 ]
 
@@ -172,12 +198,16 @@ class Measurement(NamedTuple):
         Thrust of every jet [N].
     wind
         Velocity of the air [m/s, inertial axes].
+    foot_wrenches
+        Wrench on each of the controller's feet about the origin of its sole, force first [N, N m, inertial axes],
+        (feet, 6).
     """
 
     time: float
     state: State
     thrust: Array
     wind: Array
+    foot_wrenches: Array
 
 
 class Jacobian(NamedTuple):
@@ -294,54 +324,6 @@ class Estimates:
     thrust: Array
     wind: Array
     wind_std: Array
-
-
-class Plant:
-    """The simulated robot of a configuration, with its jets and wind, for a user-defined control loop.
-
-    >>> plant = Plant(load_config("test2"))
-    >>> measurement = plant.reset()
-    >>> measurement = plant.step(thrust_rate=[0.0] * 4, joint_torque=[0.0] * 23)
-    >>> measurement.time
-    0.01
-    """
-
-    def __init__(self, config: Mapping[str, Any]) -> None:
-        self._core = _core.Plant(_to_json(config))
-        self.link_forces: Array | None = None
-        """Aerodynamic forces that acted in the last step [N], (links, 3), inertial axes; `None` before the first."""
-
-    def reset(self) -> Measurement:
-        """Return to the initial state and measure it."""
-        self._core.reset()
-        self.link_forces = None
-        return self.measure()
-
-    def measure(self) -> Measurement:
-        """Return state, thrusts and wind, without the configured sensors, outages and wind estimate.
-
-        All values are true, except that thrusts are estimates if `jets.feedback` is "estimated".
-        """
-        raw = self._core.measure()
-        return Measurement(raw["time"], State(*raw["state"]), raw["thrust"], raw["wind"])
-
-    def step(
-        self, thrust_rate: ArrayLike, joint_torque: ArrayLike, link_forces: ArrayLike | None = None
-    ) -> Measurement:
-        """Advance one tick and measure.
-
-        Parameters
-        ----------
-        thrust_rate
-            Commanded rate of every thrust [N/s], held.
-        joint_torque
-            Torque of every joint [N m], held.
-        link_forces
-            Aerodynamic force on every link [N], (links, 3), inertial axes, held; replaces the configured model.
-        """
-        forces = None if link_forces is None else _array(link_forces)
-        self.link_forces = self._core.step(_array(thrust_rate), _array(joint_torque), forces)
-        return self.measure()
 
 
 class Residual(NamedTuple):
@@ -544,20 +526,8 @@ class Controller:
         added = None
         if residual is not None:
             added = _array(residual.thrust_rate), _array(residual.joint_velocity), residual.replaces
-        raw = self._core.tick(time, _arrays(state), _array(thrust), _array(wind), now, feet, later, winds, added)
-        contact, estimates = raw.pop("contact", None), raw.pop("estimates")
-        momentum = QpProblem(raw.pop("h"), raw.pop("g"), raw.pop("lower"), raw.pop("upper"))
-        kind = QpProblem if contact is None else RowProblem
-        torque = kind(*(raw.pop(f"torque_{part}") for part in kind._fields))
-        return Tick(
-            momentum_answer=QpAnswer(**raw.pop("momentum_qp")),
-            torque_answer=QpAnswer(**raw.pop("torque_qp")),
-            momentum_qp=momentum,
-            torque_qp=torque,
-            setpoint=Setpoint(**raw.pop("setpoint")),
-            estimates=Estimates(State(*estimates.pop("state")), **estimates),
-            contact=None if contact is None else ContactTick(**contact),
-            **raw,
+        return _tick(
+            self._core.tick(time, _arrays(state), _array(thrust), _array(wind), now, feet, later, winds, added)
         )
 
     def tick_torques(self, joint_position: ArrayLike, joint_velocity: ArrayLike) -> tuple[NDArray[np.float64], str]:
@@ -613,6 +583,203 @@ class Controller:
             Without `controller.mpc`, before the first tick, and for arrays of the wrong size.
         """
         return self._core.prediction(self._config, _array(targets), _array(wrenches))
+
+
+class Command(NamedTuple):
+    """What acts until the next tick."""
+
+    thrust_rate: ArrayLike
+    """[N/s], (jets,)."""
+    joint_torque: ArrayLike
+    """[N m, N], (n,)."""
+
+
+class Seen(NamedTuple):
+    """What a world shows at a tick.
+
+    Attributes
+    ----------
+    state
+        Pose and velocity of the robot.
+    measured
+        The same as the robot finds it before the errors of its sensors, such as by its legs.
+    foot_wrenches, soles
+        Wrench on each foot of the robot about the origin of its sole, force first [N, N m, inertial axes], (feet, 6),
+        and these origins [m], (feet, 3).
+    joint_torque
+        Torque that reaches each joint: of the motor, less its friction [N m, N], (n,).
+    """
+
+    state: State
+    measured: State
+    foot_wrenches: ArrayLike
+    joint_torque: ArrayLike
+    soles: ArrayLike
+
+
+class World(Protocol):
+    """Another simulation of the robot's bodies, such as one with ground; engines, air and sensors are the crate's."""
+
+    def observe(self) -> Seen:
+        """Return what is seen at the beginning of a tick, or of a tick of the torques."""
+
+    def advance(self, torque: Array, force: Array) -> None:
+        """Advance by one physics step under each row of joint torques [N m, N], (steps, n).
+
+        `force` is the generalised force of jets, air and pushes throughout (6 + n,): on the base, force and moment
+        about its origin in inertial axes, then on the joints [N, N m].
+        """
+
+
+class _World:
+    """A world for the compiled module, which receives plain arrays."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self.advance = world.advance
+
+    def observe(self) -> tuple[Any, ...]:
+        seen = self._world.observe()
+        return _arrays(seen.state), _arrays(seen.measured), *(_array(part) for part in seen[2:])
+
+
+class Flight:
+    """A flight of a configuration, tick by tick.
+
+    >>> flight = Flight(load_config("test2", {"simulator.duration": 1.0}))
+    >>> while not flight.has_ended:
+    ...     goes_on = flight.step()
+    >>> flight.result().outcome
+    'completed'
+
+    Sensors, outages, delays, log, judgement and figures of merit are those of `fly`, whatever is handed in. With
+    another controller, or a command, the configuration's ticks too: the flight is judged by its set-point, and it is
+    told what acts.
+
+    Parameters
+    ----------
+    config
+        A resolved configuration.
+    world
+        What moves the robot's bodies in place of the crate.
+    controller
+        What commands in every tick in place of the configuration's, from the measurement that it is given.
+
+    Raises
+    ------
+    ConfigError
+        For a configuration that cannot be flown, in this world.
+    """
+
+    def __init__(
+        self,
+        config: Mapping[str, Any],
+        world: World | None = None,
+        controller: Callable[[Measurement], Command] | None = None,
+    ) -> None:
+        self._core = _core.Flight(_to_json(config), None if world is None else _World(world))
+        self._controller = controller
+
+    @property
+    def tick(self) -> int:
+        """Number of the next tick; of a flight that is lost, of the tick in which it is."""
+        return self._core.tick
+
+    @property
+    def n_ticks(self) -> int:
+        """Number of ticks after the one at time zero."""
+        return self._core.n_ticks
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether the last tick has been flown or the flight is lost."""
+        return self._core.has_ended
+
+    @property
+    def truth(self) -> Measurement:
+        """The simulated robot at the next tick; thrusts are those that the engines report (`jets.feedback`)."""
+        return _measurement(self._core.truth())
+
+    @property
+    def measurement(self) -> Measurement:
+        """What the controller is given in the next tick."""
+        return _measurement(self._core.measurement())
+
+    @property
+    def last(self) -> Tick:
+        """Every value of the controller's last tick, or of one that was tried since."""
+        return _tick(self._core.last_tick())
+
+    def try_tick(self) -> Tick:
+        """Compute the next tick with a copy of the controller's state, and return every value; nothing advances."""
+        return _tick(self._core.try_tick())
+
+    @property
+    def controller_state(self) -> ControllerState | None:
+        """State of the controller after the last tick; `None` before the first."""
+        return self._core.controller_state
+
+    @property
+    def residual_wrench(self) -> Array:
+        """Wrench that a residual's policy observes (6,) [N, N m]; zero without a residual."""
+        return self._core.residual_wrench()
+
+    def step(
+        self,
+        *,
+        setpoint: Setpoint | None = None,
+        residual: Residual | None = None,
+        command: Command | None = None,
+        measurement: Measurement | None = None,
+        link_forces: ArrayLike | None = None,
+    ) -> bool:
+        """Fly one tick; return whether the flight goes on.
+
+        Parameters
+        ----------
+        setpoint
+            What the controller follows in place of the mission.
+        residual
+            What is added to the answer of the law, in place of a policy's residual.
+        command
+            What acts in place of the controller's command.
+        measurement
+            What the controller is given in place of `self.measurement`; its time is not read.
+        link_forces
+            Aerodynamic force on every link [N], (links, 3), inertial axes, in place of that of the model in this tick.
+
+        Raises
+        ------
+        ValueError
+            For arrays of the wrong size, and commands or forces that are not finite; the flight then has not advanced.
+        """
+        if self.has_ended:
+            return False
+        if command is None and self._controller is not None:
+            command = self._controller(self.measurement if measurement is None else measurement)
+        added = None if residual is None else (_array(residual.thrust_rate), _array(residual.joint_velocity))
+        given = None
+        if measurement is not None:
+            _, state, thrust, wind, foot_wrenches = measurement
+            given = _arrays(state), _array(thrust), _array(wind), _array(foot_wrenches)
+        return self._core.step(
+            setpoint=None if setpoint is None else _numbers(setpoint),
+            residual=None if residual is None or added is None else (*added, residual.replaces),
+            command=None if command is None else (_array(command.thrust_rate), _array(command.joint_torque)),
+            measurement=given,
+            link_forces=None if link_forces is None else _array(link_forces),
+        )
+
+    def result(self) -> FlightResult:
+        """Return the result; before the end, as if the flight ended now."""
+        return FlightResult(**self._core.result())
+
+    def run(self, progress: Progress | None = None) -> FlightResult:
+        """Fly to the end, or until the flight is lost; return the result. Ctrl-C interrupts it."""
+        while self.step():
+            if progress is not None:
+                progress(self.tick - 1, self.n_ticks)
+        return self.result()
 
 
 def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None = None) -> Config:
@@ -675,6 +842,24 @@ def _load_table(kind: str, path: str | PathLike[str]) -> Config:
 def resolve_aero(aero: Mapping[str, Any]) -> Config:
     """Return an aerodynamic model's configuration with every default, as `resolve_config`."""
     found: Config = json.loads(_core.resolve_aero(_to_json(aero)))
+    return found
+
+
+def read_toml(path: str | PathLike[str]) -> Config:
+    """Read a TOML file, without a check of its keys."""
+    found: Config = json.loads(_core.read_toml(path))
+    return found
+
+
+def read_table(path: str | PathLike[str], schema: Mapping[str, Any], changes: Mapping[str, Any]) -> Config:
+    """Read a TOML file with its base files, set dotted keys as by `load_config`, and check it by a JSON Schema."""
+    found: Config = json.loads(_core.read_table(path, _changes(changes), json.dumps(schema)))
+    return found
+
+
+def check_table(table: Mapping[str, Any], schema: Mapping[str, Any], folder: str | PathLike[str]) -> Config:
+    """Return a table whose paths start at `folder`, as `read_table` does that of a file."""
+    found: Config = json.loads(_core.check_table(_to_json(table), folder, json.dumps(schema)))
     return found
 
 
@@ -762,6 +947,14 @@ def replay(config: Mapping[str, Any], log: Mapping[str, ArrayLike]) -> dict[str,
     return _core.replay(_to_json(config), {name: _array(value) for name, value in inputs.items()})
 
 
+def summarise(log: Mapping[str, ArrayLike], joint_setpoint: ArrayLike) -> dict[str, float]:
+    """Return the figures of merit (`figures`) of a log, or of one whose rows have fewer numbers with the same figures.
+
+    `joint_setpoint` has the joints of its rows.
+    """
+    return _core.summarise({name: _array(values) for name, values in log.items()}, _array(joint_setpoint))
+
+
 def is_input(signal: str) -> bool:
     """Return whether `replay` reads a signal."""
     return signal in ("time", "foot_wrench") or signal.startswith("raw_")
@@ -817,18 +1010,6 @@ def aero_forces(robot: Robot, aero: Mapping[str, Any], axes: ArrayLike, v_air: A
     return _core.aero_forces(robot, _to_json(aero), _array(axes), _array(v_air))
 
 
-def rotation_from_wxyz(wxyz: ArrayLike) -> Array:
-    """Return the rotation matrices (..., 3, 3) of quaternions (..., 4) of any nonzero length."""
-    quaternions = _array(wxyz)
-    w, x, y, z = np.moveaxis(quaternions / np.linalg.norm(quaternions, axis=-1, keepdims=True), -1, 0)
-    rows = [
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
-
-
 def link_forces(robot: Robot, aero: Mapping[str, Any], state: State, wind: ArrayLike) -> Array:
     """Return the aerodynamic force on each link [N], (links, 3), inertial axes, for a robot's state and a wind.
 
@@ -876,6 +1057,27 @@ def config_keys(config: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
             yield from config_keys(value, f"{prefix}{name}.")
 
 
+def _measurement(raw: _core._Measurement) -> Measurement:
+    return Measurement(raw["time"], State(*raw["state"]), raw["thrust"], raw["wind"], raw["foot_wrenches"])
+
+
+def _tick(raw: dict[str, Any]) -> Tick:
+    contact, estimates = raw.pop("contact", None), raw.pop("estimates")
+    momentum = QpProblem(raw.pop("h"), raw.pop("g"), raw.pop("lower"), raw.pop("upper"))
+    kind = QpProblem if contact is None else RowProblem
+    torque = kind(*(raw.pop(f"torque_{part}") for part in kind._fields))
+    return Tick(
+        momentum_answer=QpAnswer(**raw.pop("momentum_qp")),
+        torque_answer=QpAnswer(**raw.pop("torque_qp")),
+        momentum_qp=momentum,
+        torque_qp=torque,
+        setpoint=Setpoint(**raw.pop("setpoint")),
+        estimates=Estimates(State(*estimates.pop("state")), **estimates),
+        contact=None if contact is None else ContactTick(**contact),
+        **raw,
+    )
+
+
 def _array(value: ArrayLike) -> Array:
     return np.ascontiguousarray(value, dtype=np.float64)
 
@@ -895,7 +1097,7 @@ def _changes(changes: Mapping[str, Any]) -> str:
 
 def _to_json(value: Any, key: str = "") -> str:
     """Return a configuration, or the value of a key, as JSON."""
-    plain = tables.to_builtins(value)
+    plain = to_builtins(value)
     try:
         return json.dumps(plain, allow_nan=False)
     except ValueError:

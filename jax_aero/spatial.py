@@ -10,7 +10,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from jax_aero.types import Array
 
@@ -145,13 +145,6 @@ def rpy_from_rotation(r: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3"]
     roll = jnp.arctan2(jnp.where(is_locked, 0.0, r[..., 2, 1]), jnp.where(is_locked, 1.0, r[..., 2, 2]))
     sine, cosine = jnp.where(is_locked, -r[..., 0, 1], r[..., 1, 0]), jnp.where(is_locked, r[..., 1, 1], r[..., 0, 0])
     return jnp.stack([roll, pitch, jnp.arctan2(sine, cosine)], -1)
-
-
-def is_rotation(matrix: Float[Array, "3 3"]) -> Bool[Array, ""]:
-    """Return whether a matrix is a rotation to six digits; a matrix with NaN is not."""
-    error = jnp.abs(multiply(matrix.T, matrix) - jnp.eye(3, dtype=matrix.dtype)).max()
-    tolerance = 1e-6 if matrix.dtype == jnp.float64 else 1e-4
-    return (error < tolerance) & (jnp.dot(cross(matrix[:, 0], matrix[:, 1]), matrix[:, 2]) > 0.0)
 
 
 def project_to_so3(near: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3 3"]:

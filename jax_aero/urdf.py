@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,14 +67,26 @@ class Shape:
     """File of a mesh, as the URDF names it."""
 
 
+class Inertial(NamedTuple):
+    """Mass of a link [kg], its centre of mass [m], and the inertia about it [kg m²], in link axes."""
+
+    mass: float
+    com: Vector
+    inertia: Vector
+
+
 @dataclass(frozen=True)
 class Urdf:
     """Links, joints and shapes, in the order of the file."""
 
     name: str | None
     links: Sequence[str]
+    inertials: Mapping[str, Inertial]
+    """Of the links that have a mass."""
     joints: Sequence[Joint]
     shapes: Sequence[Shape]
+    unused: Mapping[str, int]
+    """How often each tag is there that is not used."""
 
 
 def read_urdf(path: str | PathLike[str]) -> Urdf:
@@ -87,7 +99,8 @@ def read_urdf(path: str | PathLike[str]) -> Urdf:
     """
     read = rust.read_urdf(path)
     joints = [Joint(**{**joint, "origin": Pose(*joint["origin"])}) for joint in read["joints"]]
-    return Urdf(read["name"], read["links"], joints, _shapes(read["shapes"]))
+    inertials = {link: Inertial(*numbers) for link, numbers in read["inertials"].items()}
+    return Urdf(read["name"], read["links"], inertials, joints, _shapes(read["shapes"]), read["unused"])
 
 
 def shapes_of(robot: rust.Robot) -> list[Shape]:

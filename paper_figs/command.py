@@ -1,4 +1,4 @@
-"""Draw figures of finished flights and sweeps as PDF and PNG; missing results are named and their figures left out."""
+"""Draw figures of finished flights and sweeps as PDF and PNG; of all, those whose results are there."""
 
 from __future__ import annotations
 
@@ -28,22 +28,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     given = _parser().parse_args(arguments)
     known = [*FIGURES, *_sweep_names(given.sweeps)]
-    names = known if not given.names or given.names == ["all"] else given.names
+    is_all = given.names in ([], ["all"])
+    names = [name for name in known if not _is_of_any(name)] if is_all else given.names
     if unknown := [name for name in names if name not in known]:
         print(f"error: no figure `{unknown[0]}`{places.did_you_mean(unknown[0], known)}", file=sys.stderr)
         return cli.REFUSED
     style.use()
     missing = 0
     for name in names:
-        expected = len(FIGURES[name].runs) if name in FIGURES else 0
-        if given.runs and len(given.runs) != expected:
-            print(f"error: {name} shows {expected} runs, not {len(given.runs)}", file=sys.stderr)
-            return 2
+        if wrong := _wrong_number(name, given.runs or ()):
+            print(f"error: {wrong}", file=sys.stderr)
+            return cli.REFUSED
         try:
             figure, hashes = _draw(name, given)
         except runs.NotDrawn as reason:
-            print(f"error: {name}: {reason}", file=sys.stderr)
             missing += 1
+            if not is_all:
+                print(f"error: {name}: {reason}", file=sys.stderr)
             continue
         for path in style.save(figure, _file_name(name, given.runs), given.out, hashes, dark=given.dark):
             print(path)
@@ -51,17 +52,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in hidden:
         print(f"error: the sweep {name} is not drawn, since a figure has its name; give it another", file=sys.stderr)
     if missing:
-        print(f"{missing} of {len(names)} figures were not drawn", file=sys.stderr)
-    return 1 if missing or hidden else 0
+        why = "; each says by its name what it needs" if is_all else ""
+        print(f"{missing} of {len(names)} figures were not drawn{why}", file=sys.stderr)
+    return 1 if (missing and not is_all) or hidden else 0
+
+
+def _is_of_any(name: str) -> bool:
+    return name in FIGURES and FIGURES[name].is_of_any
+
+
+def _wrong_number(name: str, chosen: Sequence[str]) -> str:
+    """Return what is wrong with the number of the runs that are asked for; empty if nothing is."""
+    if _is_of_any(name):
+        return "" if chosen else f"{name} shows the flights of --runs, and none is named"
+    expected = len(FIGURES[name].runs) if name in FIGURES else 0
+    return f"{name} shows {expected} runs, not {len(chosen)}" if chosen and len(chosen) != expected else ""
 
 
 def _draw(name: str, given: argparse.Namespace) -> tuple[Figure, dict[str, str]]:
     if name in FIGURES:
         return FIGURES[name].draw_from_results(given.results, given.runs or ())
     sweep = sweeps.load(given.sweeps, name)
+    return draw_sweep(sweep), sweep.hashes
+
+
+def draw_sweep(sweep: sweeps.Sweep) -> Figure:
+    """Return the figure of a sweep, drawn as its file says."""
     try:
         with mpl.rc_context({"text.parse_math": False}):  # texts come from files, in which $ is an ordinary character
-            return DRAWINGS[sweep.document["drawing"]](sweep), sweep.hashes
+            return DRAWINGS[sweep.document["drawing"]](sweep)
     except KeyError as missing:
         raise runs.NotDrawn(f"its tables have no {missing}; --overwrite flies it again") from None
 
@@ -81,7 +100,8 @@ def _sweep_names(folder: Path) -> Iterator[str]:
 
 def _parser() -> argparse.ArgumentParser:
     listed = "figures, and the runs that fill them:\n" + "\n".join(
-        f"  {name:<18}{entry.shows}; {' '.join(entry.runs) or 'none'}" for name, entry in FIGURES.items()
+        f"  {name:<18}{entry.shows}; {' '.join(entry.runs) or ('--runs' if entry.is_of_any else 'none')}"
+        for name, entry in FIGURES.items()
     )
     parser = cli.Parser("figures", __doc__, epilog=listed)
     named = parser.add_argument("names", nargs="*", metavar="FIGURE", help="figures or sweeps (default: all)")

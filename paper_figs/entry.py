@@ -21,9 +21,14 @@ class Entry:
     kind: str = ""
     """Kind of the results: "flight" or a kind of study; empty without results."""
     runs: tuple[str, ...] = ()
-    """Names of the results that are shown by default."""
+    """Names of the results that are shown by default; none for a figure of those that are asked for."""
     tables: tuple[str, ...] = ()
     """Files of `configs/tables` that are shown if there are no results."""
+
+    @property
+    def is_of_any(self) -> bool:
+        """Return whether it shows any number of results, which have to be named."""
+        return bool(self.kind) and not self.runs
 
     @property
     def commands(self) -> list[str]:

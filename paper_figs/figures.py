@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from jax_aero import places
 from paper_figs import (
     cfd_flow,
+    compare,
     demo,
     fig4_fit,
     fig4_network,
@@ -52,6 +53,9 @@ OURS: Mapping[str, Entry] = {
     "fig5": Entry(fig5_flight.draw, "Fig. 5 b-i: one mission flown twice", "flight", ("test2", "test1")),
     "fig5_robustness": Entry(
         fig5_flight.draw, "Fig. 5 b-i as the paper fills it: TEST4, robustness", "flight", ("test4", "robustness")
+    ),
+    "compare": Entry(
+        compare.draw, "own flights beside each other, one to eight: rotation, position, wind, thrusts", "flight"
     ),
     "fig6": Entry(
         fig6_balancing.draw,

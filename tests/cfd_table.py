@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from jax_aero.aero import cfd_import, fit
+from experiments.data import cfd, fit
 from jax_aero.aero.dataset import tunnel_from_base, wind_direction
 
 Array = NDArray[np.float64]
@@ -18,7 +18,7 @@ CFD_COLUMNS = [
     "config",
     "pitchAngle",
     "yawAngle",
-    *(f"{part}-{kind}" for part in ["ironcub", *cfd_import.SURFACES] for kind in ("cd", "cl", "cs")),
+    *(f"{part}-{kind}" for part in ["ironcub", *cfd.SURFACES] for kind in ("cd", "cl", "cs")),
 ]
 
 

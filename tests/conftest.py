@@ -6,6 +6,7 @@ import gc
 import signal
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -24,6 +25,24 @@ pytest_plugins = ["tests.measurements"]
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put tests in a browser first: at the end one process would wait for them alone."""
     items.sort(key=lambda item: "view" not in item.path.parts)
+
+
+# --- durations ----------------------------------------------------------------------------------------------------
+
+_seconds: Counter[str] = Counter()
+"""Durations of set-up, call and tear-down, by folder of `tests/` [s]."""
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """Add a duration to those of its folder; the controller of several processes receives all reports."""
+    path = report.nodeid.partition("::")[0]
+    _seconds[path.rpartition("/")[0].removeprefix("tests/")] += report.duration
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Write the durations of the folders, as if one process had run all tests."""
+    said = ", ".join(f"{folder} {seconds:.0f} s" for folder, seconds in _seconds.most_common())
+    terminalreporter.write_line(f"durations, all processes together: {said}; {_seconds.total():.0f} s in all")
 
 
 # --- memory -------------------------------------------------------------------------------------------------------

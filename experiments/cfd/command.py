@@ -28,9 +28,9 @@ from experiments.cfd.geometry import Surface
 from experiments.cfd.settings import Settings
 from experiments.cfd.simulate import Result, simulate
 from experiments.cluster import Ray, add_options
+from experiments.data.cfd import checks
 from experiments.sources import code_hash
-from jax_aero import documents, places, tables
-from jax_aero.aero.cfd_import import checks
+from jax_aero import documents, places, plain, tables
 from jax_aero.aero.dataset import Dataset, Floats, save
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status, terminal
@@ -103,7 +103,7 @@ def compute(design: Design, folder: Path, simulator: Simulate = simulate, cluste
             solved = cluster.spread(_solve_remotely, shared, jobs, (__name__,), settings.solver.ranks)
         for name, results in solved:
             for case, result in zip(missing[name], results, strict=True):
-                write_json(_path(folder, case), tables.to_builtins(result))
+                write_json(_path(folder, case), plain.to_builtins(result))
                 bar.update()
 
 
@@ -130,7 +130,7 @@ def _begin(design: Design, folder: Path, *, is_whole: bool) -> None:
     about = {"digest": design.digest, "code_hash": code_hash(*MODULES)}
     found, shown = _read_header(design, folder), os.path.relpath(folder)
     if not found:
-        write_json(folder / "design.json", {**about, "settings": tables.to_builtins(design.spec.settings)})
+        write_json(folder / "design.json", {**about, "settings": plain.to_builtins(design.spec.settings)})
     elif found.get("code_hash") != about["code_hash"]:
         if not is_whole:
             raise Refused(f"{shown} holds cases that were computed by other code; choose another --out, or remove them")
@@ -167,7 +167,7 @@ def collect(design: Design, folder: Path) -> str:
     document = manifest.build(
         design.name,
         design.spec.title,
-        tables.to_builtins(design.spec),
+        plain.to_builtins(design.spec),
         design.digest,
         summary=summary,
         command=["jax-aero", KIND, design.name, *overrides.options(design.changes, design.named)],
@@ -207,7 +207,7 @@ def to_dataset(design: Design, accepted: Mapping[Case, Result]) -> Dataset:
         provenance={
             "source": f"OpenFOAM (simpleFoam, k-omega SST) around {design.spec.geometry} of the URDF; jax-aero cfd",
             "design": design.name,
-            "settings": json.dumps(tables.to_builtins(design.spec.settings), sort_keys=True),
+            "settings": json.dumps(plain.to_builtins(design.spec.settings), sort_keys=True),
             "robot_sha256": design.digest,
         },
     )

@@ -19,7 +19,7 @@ from experiments.cfd.geometry import Surface, robot_surfaces
 from experiments.cfd.settings import Settings
 from experiments.data.import_cfd import POSTURES, known_postures
 from experiments.sweep.design import unit_points
-from jax_aero import rust, tables
+from jax_aero import plain, rust, tables
 from jax_aero.aero.dataset import Floats, read_postures, wind_direction
 from jax_aero.command import ConfigError
 from jax_aero.view.shapes import look_of
@@ -178,7 +178,7 @@ class Design:
     @property
     def digest(self) -> str:
         """Return a hash of everything that determines a case's result; postures and winds can be added to a design."""
-        settings = tables.to_builtins(self.spec.settings)
+        settings = plain.to_builtins(self.spec.settings)
         settings["solver"].pop("ranks")
         text = json.dumps(settings, sort_keys=True) + self.robot.urdf_text + self.robot.toml_text
         found = hashlib.sha256(text.encode() + (self.spec.joints or POSTURES).read_bytes())

@@ -13,14 +13,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 import xarray as xr
 
 from experiments.cfd.models import NEWTON_METRES
+from experiments.data import fit
 from experiments.study import Findings, Study
 from experiments.training.result import held_out_network, training_of
 from jax_aero import places, tables
-from jax_aero.aero import fit
 from jax_aero.aero.dataset import Dataset, Floats, load
 from jax_aero.aero.posture import interval_by_posture, link_axes, total_wrench, vector_rms
 from jax_aero.places import ROBOT
@@ -36,7 +37,7 @@ class FitConfig(tables.Table, frozen=True):
 
     dataset: Path | None = None
     """Dataset of import-cfd or cfd; by default `results/datasets/NAME.nc`, or else the shipped one of that name."""
-    robot: Path = ROBOT
+    robot: Path = msgspec.field(default_factory=lambda: ROBOT)
     """Robot of the dataset."""
 
 

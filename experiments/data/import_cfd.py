@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from experiments import Refused
+from experiments.data.cfd import read_mat, read_solver_table
 from jax_aero import places, tables
-from jax_aero.aero.cfd_import import read_mat, read_solver_table
 from jax_aero.aero.dataset import JOINTS, Dataset, Floats, read_postures, save
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status

@@ -17,12 +17,12 @@ import numpy as np
 import xarray as xr
 
 from experiments import Refused, record
+from experiments.data import tunnel
 from experiments.data.import_cfd import OUT, POSTURES, known_postures, read_table
+from experiments.data.tunnel import Points, Test
 from jax_aero import places, tables
-from jax_aero.aero import tunnel
 from jax_aero.aero.dataset import Floats
 from jax_aero.aero.posture import axes_of, link_frames
-from jax_aero.aero.tunnel import Points, Test
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
 from jax_aero.places import ROBOT

@@ -13,7 +13,7 @@ from experiments import Refused, manifest
 from experiments.report import engines, findings, index, judges
 from experiments.report.findings import Finding
 from experiments.report.page import Contents, Heading, Mark, Page, Picture, Table, Text
-from experiments.report.paper import all_claims, all_items, whole
+from experiments.report.paper import all_claims, all_items, commands, whole
 from experiments.report.results import NotFlownError, Results, Sweep, count
 from experiments.report.verdicts import ANOTHER, Kind, Verdict
 from jax_aero import places
@@ -56,9 +56,14 @@ def main(arguments: Sequence[str]) -> int:
         help="file of the claims of the documentation (default claims.json beside the report)",
     )
     parser.add_argument("--index", action="store_true", help="print the documentation's page: the paper, item by item")
+    parser.add_argument("--commands", action="store_true", help="print the commands that make the paper's results")
+    parser.add_argument("--all", action="store_true", help="print those of our own results too")
     given = parser.parse_args(arguments)
 
     def work() -> None:
+        if given.commands:
+            print("\n".join(commands(ours=given.all)))
+            return
         if given.index:
             if not places.IS_CHECKOUT:
                 raise Refused("--index reads docs/ of a checkout of the repository, and this is none")
@@ -68,7 +73,7 @@ def main(arguments: Sequence[str]) -> int:
             raise Refused(f"`{given.results}` is no folder; expected one with results, as `jax-aero fly` makes it")
         results = Results(given.results)
         found = {key: claim.find(results) for key, claim in all_claims().items()}
-        measured = {key: found[key] for key, claim in all_claims().items() if claim.commands}
+        measured = {key: found[key] for key, claim in all_claims().items() if claim.commands and not claim.is_of_sweep}
         kept: Path = given.claims or results.folder / "claims.json"
         page = build(results, found)
         for path, text in (

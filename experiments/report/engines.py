@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from jax_aero import tables
+from jax_aero import plain, tables
 from jax_aero.places import ROBOT
 from jax_aero.tables import Positive
 
@@ -69,7 +69,7 @@ class Choice(tables.Table, frozen=True):
 def results(choice: Choice) -> dict[str, Any]:
     """Return every figure of the comparison."""
     return {
-        "inputs": tables.to_builtins(choice),
+        "inputs": plain.to_builtins(choice),
         "battery_kg": choice.battery(),
         "battery_at_1_kW_per_kg_kg": choice.battery(1.0),
         "power_per_thrust_behind_the_printed_battery_kW_per_kg": choice.power_per_thrust_for(PAPER_BATTERY),

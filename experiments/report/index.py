@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from experiments.report import facts, findings
+from experiments.report import facts, findings, kept
 from experiments.report.findings import Finding
 from experiments.report.paper import Item, all_claims, sections
 from experiments.report.results import Results
@@ -37,8 +37,8 @@ TABLES = {
 
 def found() -> dict[str, Finding]:
     """Return the finding of every claim: kept, from files, or that it is not flown here."""
-    kept, nothing = findings.read(CLAIMS), Results(DOCS)
-    return {key: kept[key] if key in kept else claim.find(nothing) for key, claim in all_claims().items()}
+    known, nothing = findings.read(CLAIMS) | kept.findings(), Results(DOCS)
+    return {key: known[key] if key in known else claim.find(nothing) for key, claim in all_claims().items()}
 
 
 def page() -> str:

@@ -398,3 +398,24 @@ def wake_meshes(results: Results) -> Judged:
     )
     change = areas[1] / areas[2] - 1.0
     return text, judge(abs(change) < 0.1, f"{100.0 * change:+.0f} % from the finest to that of the recipe")
+
+
+def wind_estimate(results: Results) -> Judged:
+    """Judge the wind estimated from the wrench."""
+    found = results.study("wind_observer", "turbulence")
+    worlds: dict[str, list[Mapping[str, float]]] = {}
+    for name, figures in found.items():
+        worlds.setdefault(name.rpartition(", ")[0], []).append(figures)
+    speeds = [name.rpartition(", ")[2].removesuffix(" m/s") for name in found]
+    texts, bad = [], []
+    for world, cells in worlds.items():
+        rms, inside = ([cell[key] for cell in cells] for key in ("rms", "inside"))
+        shown = f"{min(rms):.2f} to {max(rms):.2f} m/s rms, {100 * min(inside):.0f} to {100 * max(inside):.0f} % inside"
+        texts.append(f"{world}: {shown}")
+        wrong = {
+            f"up to {max(rms):.1f} m/s": max(rms) > 1.5,
+            "interval too wide": max(inside) > 0.95,
+            "interval too narrow": min(inside) < 0.85,
+        }
+        bad += [f"{world}: {how}" for how, holds in wrong.items() if holds]
+    return f"{speeds[0]} to {speeds[-1]} m/s; " + "; ".join(texts), judge(not bad, ", ".join(bad))

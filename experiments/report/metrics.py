@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from experiments import record
 from jax_aero import places
 from jax_aero.result import ending
-from jax_aero.summary import SETTLING_TIME
+from jax_aero.rust import SETTLING_TIME
 
 WINDY = 3.0
 """Least relative wind whose direction is meaningful [m/s]."""

@@ -14,7 +14,7 @@ from experiments.cfd.settings import FlowConfig
 from experiments.sources import file_hash
 from experiments.sweep import run, spec
 from experiments.sweep.design import Design
-from jax_aero import places, rust, tables
+from jax_aero import places, plain, rust, tables
 
 MOST = 4
 """Greatest number of differing keys that are named."""
@@ -57,7 +57,7 @@ def study(kind: str, name: str, document: Mapping[str, Any]) -> str:
         return "it does not say which flights and files it was made of"
     found = []
     if kind in WITH_FILES and name in places.names(kind):
-        today = tables.to_builtins(tables.load(places.find(kind, name), WITH_FILES[kind]))
+        today = plain.to_builtins(tables.load(places.find(kind, name), WITH_FILES[kind]))
         found.append(_list_keys(_differing_keys(config, manifest.make_portable(today))))
     for one, digest in sources["flights"].items():
         differs = flight(one, digest, sources.get("configurations", {}).get(one))

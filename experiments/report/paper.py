@@ -1,20 +1,21 @@
 """The table of the paper: its figures, tables, equations and numbers, their claims, how each is measured, our verdict.
 
-`SECTIONS` is the only table; the report (`jax-aero report`) and the documentation's page (`jax-aero report --index`)
-follow from it. Verdicts on claims are computed. Entries of studies whose folders are not there are left out, and
-figures and sweeps that the table does not name are added to its end.
+`SECTIONS` is the only table, to which the claims in the files of sweeps are added; the report (`jax-aero report`) and
+the documentation's page (`jax-aero report --index`) follow from it. Verdicts on claims are computed. Entries of studies
+whose folders are not there are left out, and figures and sweeps that the table does not name are added to its end.
 """
 
 from __future__ import annotations
 
+import shutil
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import TypeAlias
 
 from experiments import Refused, studies
-from experiments.report import facts, judges, observer, tunnel
+from experiments.report import claims, facts, judges, tunnel
 from experiments.report.findings import Finding
 from experiments.report.judges import Judge
 from experiments.report.results import NotFlownError, Results
@@ -23,6 +24,7 @@ from experiments.report.verdicts import (
     ANOTHER,
     NOT_FLOWN,
     Judged,
+    Kind,
     Verdict,
     differs,
     mark_outdated,
@@ -46,6 +48,8 @@ class Claim:
     """Commands that make the results, without `jax-aero`; none if committed files suffice."""
     figure: str = ""
     """Figure or sweep that shows it, if not that of its item."""
+    is_of_sweep: bool = False
+    """Whether it stands in the file of a sweep, with which its finding is kept."""
 
     def find(self, results: Results) -> Finding:
         """Return measurement and verdict from the results that exist."""
@@ -121,11 +125,6 @@ def _tested(key: str, states: str, judge: Judge) -> Claim:
     flights = f"fly {key} {key}_published"
     where = key.upper() if key.startswith("test") else key.capitalize()
     return Claim(key, where, states, judge, (flights, "sweep paper_tests"))
-
-
-def _ours(key: str, states: str, judge: Judge, command: str) -> Claim:
-    """Return a claim of ours about the recommended controller, which the paper does not contain."""
-    return Claim(key, "ours", states, judge, (command,))
 
 
 # Claims that stand under several items.
@@ -481,99 +480,22 @@ SUPPLEMENT_ROWS: Sequence[Row] = (
 OTHER_ROWS: Sequence[Row] = (
     Item("beyond", "loss curves", "training", made_by=TRAINING),
     Item("beyond", "the wind from the wrench", "wind_from_wrench", ("observer.md#the-wind-from-the-wrench",)),
-    _ours(
+    Claim(
         "wind_estimate",
+        "ours",
         "The wind is known to 1.5 m/s above 6 m/s, its 90 % interval covers 85 to 95 %",
-        observer.wind_estimate,
-        "study wind_observer",
-    ),
-    Item("beyond", figure="observer_tests"),
-    _ours(
-        "observer_corrected",
-        "Without an aerodynamic model the observer flies TEST1 and TEST3 within 5° (corrected arms)",
-        observer.tests("corrected", 5.0),
-        "sweep observer_tests",
-    ),
-    _ours(
-        "observer_published",
-        "Without an aerodynamic model the observer flies TEST1 and TEST3 within 7° (published arms)",
-        observer.tests("published", 7.0),
-        "sweep observer_tests",
-    ),
-    _ours(
-        "false_alarms",
-        "Where nothing fails, no channel and no engine is found to fail, and no flight strays",
-        observer.false_alarms,
-        "sweep observer_tests sensors_tests",
-    ),
-    Item("beyond", figure="observer_wind"),
-    _ours(
-        "observer_26",
-        "Winds of 26 m/s from everywhere are flown, within 12° in the median",
-        observer.fast_wind,
-        "sweep observer_wind",
-    ),
-    _ours("observer_40", "Winds of up to 40 m/s are flown", observer.every_wind, "sweep observer_wind"),
-    Item("beyond", figure="observer_errors"),
-    _ours(
-        "observer_errors",
-        "Mass +10 %, CoM 4 cm, an arm jet -10 %: flown, within 10° in the median",
-        observer.model_errors,
-        "sweep observer_errors",
-    ),
-    Item("beyond", figure="sensors_tests"),
-    _ours(
-        "sensors",
-        "With realistic sensors observer and estimator fly within 12°",
-        observer.sensors,
-        "sweep sensors_tests",
-    ),
-    Item("beyond", figure="outages_observer"),
-    _ours(
-        "outages_lasting",
-        "Without wind or thrust sensors for good the flight completes",
-        observer.permanent_outages,
-        "sweep outages_observer",
-    ),
-    _ours(
-        "outages_short",
-        "Without base rotation, velocity or position for 0.3 and 1 s the flight completes",
-        observer.temporary_outages,
-        "sweep outages_observer",
-    ),
-    Item("beyond", figure="engine_loss"),
-    _ours(
-        "engines_lost", "Without one engine the robot flies to the ground", observer.lost_engines, "sweep engine_loss"
-    ),
-    Item("beyond", figure="fault_pairs"),
-    _ours(
-        "announced_losses",
-        "With one or two faults at most 2 % of the lost flights are not degraded 0.3 s before",
-        observer.announced_losses,
-        "sweep faults fault_pairs",
-    ),
-    Item("beyond", figure="ahead_turbulence"),
-    _ours(
-        "ahead_turbulence",
-        "Looking ahead turns the robot by at most 5° in turbulence of 18 m/s, without an aerodynamic model too",
-        observer.ahead_in_turbulence,
-        "sweep ahead_turbulence",
-    ),
-    Item("beyond", figure="ahead_engine_loss"),
-    _ours(
-        "ahead_engines",
-        "After any engine stops at once in hover, looking ahead brings the robot down",
-        observer.ahead_without_engine,
-        "sweep ahead_engine_loss",
+        judges.wind_estimate,
+        ("study wind_observer",),
     ),
 )
 
+OURS = "Beyond the paper"
 SECTIONS: Mapping[str, Sequence[Row]] = {
     "Figures": FIGURE_ROWS,
     "Equations": EQUATION_ROWS,
     "Numbers of the text": NUMBER_ROWS,
     "Supplement": SUPPLEMENT_ROWS,
-    "Beyond the paper": OTHER_ROWS,
+    OURS: OTHER_ROWS,
 }
 
 
@@ -589,9 +511,24 @@ def sections() -> Mapping[str, Sequence[Item]]:
                 shows = item.shows or _title(item.figure)
                 found[title].append(replace(item, shows=shows, claims=claims, made_by=made_by))
     shown = {item.figure for items in found.values() for item in items}
-    others = [name for name in (*FIGURES, *SWEEPS) if name not in shown]
-    found["Beyond the paper"] += [Item("beyond", _title(name), name) for name in others]
+    others = [
+        name for name in (*(name for name in FIGURES if not FIGURES[name].is_of_any), *SWEEPS) if name not in shown
+    ]
+    found[OURS] += [Item("beyond", _title(name), name) for name in others]
+    waiting = set(SWEEPS)
+    for items in found.values():
+        for place, item in enumerate(items):
+            if item.figure in waiting:
+                waiting.remove(item.figure)
+                items[place] = replace(item, claims=[*item.claims, *_of_sweep(item.figure)])
     return found
+
+
+def _of_sweep(name: str) -> Iterator[Claim]:
+    """Yield the claims in the file of a sweep."""
+    for claim in claims.of_sweep(name):
+        judge = partial(claims.judge_claim, name, claim)
+        yield Claim(claim.key, "ours", claim.states, judge, (f"sweep {name}",), is_of_sweep=True)
 
 
 def _items(rows: Sequence[Row]) -> Sequence[Item]:
@@ -613,6 +550,41 @@ def all_items() -> list[Item]:
 def all_claims() -> dict[str, Claim]:
     """Return all claims by key, in order."""
     return {claim.key: claim for item in all_items() for claim in item.claims}
+
+
+def commands(*, ours: bool) -> list[str]:
+    """Return the commands that make what the table judges, each once; with `ours`, also what is beyond the paper.
+
+    Flights come first, since studies read them, and all flights, and all sweeps, are one command. A command that needs
+    more than is shipped, data or OpenFOAM, becomes a comment.
+    """
+    whole_table = [(title, item) for title, items in sections().items() for item in items]
+    items = [item for title, item in whole_table if ours or (title != OURS and not _is_out_of_reach(item))]
+    wanted = [_without_drawing(item.commands) for item in items]
+    lines = dict.fromkeys(command.removeprefix("jax-aero ") for commands in wanted for command in commands)
+    together: dict[str, dict[str, None]] = {"fly": {}, "sweep": {}}
+    others = []
+    for line in lines:
+        word, *names = line.split()
+        if word in together:
+            together[word] |= dict.fromkeys(names)
+        else:
+            others.append(line)
+    joined = [f"{word} {' '.join(names)}" for word, names in together.items() if names]
+    return [line if line.startswith("#") else f"jax-aero {line}" for line in (*joined, *others)]
+
+
+def _is_out_of_reach(item: Item) -> bool:
+    return not item.claims and item.verdict is not None and item.verdict.kind is Kind.OUT_OF_REACH
+
+
+def _without_drawing(commands: Sequence[str]) -> list[str]:
+    """Return the commands without the drawing, as comments if they need what is not here."""
+    made = [command for command in commands if not command.startswith("jax-aero figures")]
+    lacks = "data" if any(command.startswith("jax-aero data import") for command in made) else ""
+    if not shutil.which("simpleFoam") and any(command.startswith("jax-aero cfd") for command in made):
+        lacks = "OpenFOAM"
+    return [f"# needs {lacks} that is not here: {command}" for command in made] if lacks else made
 
 
 def _is_here(command: str) -> bool:

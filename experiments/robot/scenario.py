@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from jax_aero import places, rust, tables
+from jax_aero import places, plain, rust
 from jax_aero.mirror import mirror_name
 from jax_aero.robot import RobotModel
 from jax_aero.symbolic.robot import Robot
@@ -79,7 +79,7 @@ def controller_text(
     """
     table = controller(name, robot, dynamics, leans=leans, soles=soles)
     table["aero"] = {"base": _relative_path(AIR, folder), "coefficients": COEFFICIENTS}
-    return f"{RULES}\n{tables.toml(table)}\n"
+    return f"{RULES}\n{plain.toml(table)}\n"
 
 
 def controller(
@@ -144,16 +144,18 @@ def _predictive(mpc: dict[str, Any], robot: RobotModel, of_force: float, soles: 
         del mpc["clearance"]
 
 
-def scenario_text(robot: Robot, trim: TrimResult, folder: Path, *, mission: str, wind: str, duration: float) -> str:
-    """Return a flight that starts in the trim, with the project's mission and wind of these names."""
+def scenario_text(
+    robot: Robot, trim: TrimResult, folder: Path, *, mission: str, wind: str, duration: float, height: float
+) -> str:
+    """Return a flight that starts in the trim, the base at a height [m], with the mission and wind of these names."""
     joints = ", ".join(repr(float(value)) for value in trim.joint_position)
     thrust = ", ".join(repr(float(value)) for value in trim.thrust)
     attitude = ", ".join(repr(float(value)) for value in np.degrees(trim.base_rpy))
 
     def path_of(kind: str, name: str) -> str:
-        return tables.toml_value(_relative_path(places.CONFIGS / kind / f"{name}.toml", folder))
+        return plain.toml_value(_relative_path(places.CONFIGS / kind / f"{name}.toml", folder))
 
-    return f"""title = {tables.toml_value(f"{robot.name}: {mission} in wind {wind}")}
+    return f"""title = {plain.toml_value(f"{robot.name}: {mission} in wind {wind}")}
 description = "Starts in the trim that `jax-aero robot import` found."
 robot = "robot.toml"
 controller = {{ base = "controller.toml" }}
@@ -168,7 +170,7 @@ jets = {{ dynamics = "ideal" }}
 fall = {{ rotation_error_deg = 90.0, com_error = 1.0 }}
 
 [simulator.initial]                               # the trim in still air
-base_position = [0.0, 0.0, 1.0]
+base_position = [0.0, 0.0, {height!r}]
 base_rpy_deg = [{attitude}]
 joint_position = [{joints}]
 thrust = [{thrust}]

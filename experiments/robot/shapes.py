@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import itertools
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments import Refused
 from jax_aero.mesh import mesh_file, read_mesh
 from jax_aero.urdf import Pose, Shape, Urdf
 
@@ -30,12 +32,25 @@ class Box:
         return np.asarray(signs * self.size @ self.pose.rotation.T + self.pose.position)
 
 
-def boxes(urdf: Urdf, folder: Path) -> dict[str, Box]:
-    """Return the box of every link with geometry; mesh paths are relative to the URDF's `folder`."""
-    found = {}
+def boxes(urdf: Urdf, folder: Path, *, skip_meshes: bool = False) -> dict[str, Box]:
+    """Return the box of every link with geometry; mesh paths are relative to the URDF's `folder`.
+
+    With `skip_meshes` a warning replaces the refusal of meshes that are missing or cannot be read.
+    """
+    found, skipped = {}, []
     for link, shapes in itertools.groupby(urdf.shapes, key=lambda shape: shape.link):
-        parts = [_box(shape, folder) for shape in shapes]
-        found[link] = parts[0] if len(parts) == 1 else _bounding_box(parts)
+        parts = []
+        for shape in shapes:
+            try:
+                parts.append(_box(shape, folder))
+            except Refused as reason:
+                if not skip_meshes:
+                    raise Refused(f"link `{link}`: {reason}; --skip-meshes leaves such meshes out") from None
+                skipped.append(f"{shape.file} of link `{link}`")
+        if parts:
+            found[link] = parts[0] if len(parts) == 1 else _bounding_box(parts)
+    if skipped:
+        warnings.warn(f"left out, as if they were not there: {', '.join(skipped)}", stacklevel=2)
     return found
 
 

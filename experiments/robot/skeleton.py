@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from experiments import Refused
 from experiments.robot.shapes import Array, Box
-from jax_aero.tables import toml_key, toml_value
+from jax_aero.places import did_you_mean
+from jax_aero.plain import toml_key, toml_value
 from jax_aero.urdf import IDENTITY, Joint, Pose, Urdf
 
 AXES = {
@@ -43,7 +45,7 @@ class Tree:
     """Links and joints of a URDF, in order from the root."""
 
     def __init__(self, urdf: Urdf) -> None:
-        self.links, self.joints = urdf.links, urdf.joints
+        self.links, self.joints, self.inertials = urdf.links, urdf.joints, urdf.inertials
         carried = {joint.child for joint in self.joints}
         roots = [link for link in self.links if link not in carried]
         if len(roots) != 1:
@@ -51,6 +53,14 @@ class Tree:
         self.base = roots[0]
         if len(carried) < len(self.joints):
             raise Refused("a link of the URDF is the child of more than one joint")
+
+    def check_frames(self, jets: Sequence[str], feet: Sequence[str], held: Sequence[str]) -> None:
+        """Refuse options that name no link or joint of the URDF."""
+        joints = [joint.name for joint in self.joints]
+        for option, names, known in (("jet", jets, self.links), ("foot", feet, self.links), ("hold", held, joints)):
+            if unknown := [name for name in names if name not in known]:
+                kind = "joint" if option == "hold" else "link"
+                raise Refused(f"--{option}: `{unknown[0]}` is no {kind} of the URDF{did_you_mean(unknown[0], known)}")
 
     def child_joints(self, link: str) -> list[Joint]:
         """Return the joints whose parent is this link."""
@@ -71,6 +81,10 @@ class Tree:
 
         walk(self.base, [])
         return chains
+
+    def moving(self, held: Sequence[str]) -> list[Joint]:
+        """Return the joints of the chains."""
+        return [joint for chain in self.chains(held) for joint in chain]
 
     def _next(self, link: str, held: Sequence[str]) -> Iterator[Joint]:
         for joint in self.child_joints(link):
@@ -95,6 +109,26 @@ class Tree:
             f"joint `{joint.name}` is a mimic of `{joint.mimics}`; expected one that moves on its own: "
             f"--hold {joint.name} locks it, --hold {joint.mimics} locks both"
         )
+
+    def rigid(self, link: str, moving: Collection[str]) -> list[str]:
+        """Return a link and those below it that no moving joint separates from it."""
+        found = [link]
+        for here in found:
+            found += [joint.child for joint in self.child_joints(here) if joint.name not in moving]
+        return found
+
+    def points(self, boxes: Mapping[str, Box]) -> dict[str, Array]:
+        """Return the origin of every link and the corners of its box (k, 3) in base axes, in the posture zero [m]."""
+        placed, found = [(self.base, IDENTITY)], {}
+        for link, pose in placed:
+            corners = boxes[link].corners if link in boxes else np.zeros((0, 3))
+            found[link] = np.vstack([np.zeros(3), corners]) @ pose.rotation.T + pose.position
+            placed += [(joint.child, pose @ joint.origin) for joint in self.child_joints(link)]
+        return found
+
+    def lowest(self, boxes: Mapping[str, Box]) -> float:
+        """Return the height of the lowest of the `points` above the base [m]."""
+        return min(float(points[:, 2].min()) for points in self.points(boxes).values())
 
     def rigid_part(self, link: str) -> dict[str, Pose]:
         """Return the links joined rigidly to this one, with their poses in its axes."""
@@ -134,11 +168,6 @@ def write(
     forward: str,
 ) -> str:
     """Return the text of the TOML file in `folder`."""
-    for kind, frames in (("jet", [jet.frame for jet in jets]), ("foot", feet)):
-        if unknown := [frame for frame in frames if frame not in tree.links]:
-            raise Refused(f"{kind} frame `{unknown[0]}` is no link of the URDF; there are {', '.join(tree.links)}")
-    if unknown := [joint for joint in held if joint not in [known.name for known in tree.joints]]:
-        raise Refused(f"`{unknown[0]}` is no joint of the URDF")
     lines = [
         "# Robot made from its URDF by `jax-aero robot import`. Check what is marked with (?).",
         "# SI units and radians, except keys ending in `_deg`; throttle is in percent.",
@@ -155,6 +184,8 @@ def write(
     lines += ["", "# --- joints, in tree order, a group for each chain ---", *_groups(tree.chains(held))]
     links = {link: box for link, box in boxes.items() if box.size.max() >= SMALLEST_LINK}
     lines += ["", "# --- aerodynamic links: cylinders and spheres of the size of the geometry (?) ---"]
+    if small := [link for link in boxes if link not in links]:
+        lines.append(f"# None of {', '.join(map(toml_value, small))}, smaller than {SMALLEST_LINK} m.")
     for link, box in links.items():
         lines += _aero_link(link, box)
     lines += [
@@ -186,20 +217,50 @@ def _groups(chains: Sequence[Sequence[Joint]]) -> list[str]:
     lines = []
     for chain in chains:
         lines += ["", "[[joint_groups]]", f"name = {toml_value(group_name(chain))}", "joints = ["]
-        lines += [f"    {{ {', '.join(_joint_entry(joint))} }}," for joint in chain]
+        lines += [_joint_entry(joint) for joint in chain]
         lines += ["]"]
     return lines
 
 
-def _joint_entry(joint: Joint) -> list[str]:
-    entry = [f"name = {toml_value(joint.name)}"]
+def _joint_entry(joint: Joint) -> str:
+    entries = {"name": joint.name, **(found := guesses(joint))}
+    line = f"    {{ {', '.join(f'{key} = {toml_value(value)}' for key, value in entries.items())} }},"
+    return f"{line}  # (?)" if found else line
+
+
+def guesses(joint: Joint) -> dict[str, Any]:
+    """Return values of what the URDF does not say of a joint, by key of the TOML file."""
+    unit, half, fast = ("", 1.0, 1.0) if joint.is_prismatic else ("_deg", 180.0, 180.0)
+    found: dict[str, Any] = {}
     if joint.limits is None:
-        entry.append("limits = [-1.0, 1.0]" if joint.is_prismatic else "limits_deg = [-180.0, 180.0]")
+        found[f"limits{unit}"] = [-half, half]
     if not 0.0 < joint.effort < PLACEHOLDER:
-        entry.append("torque_max = 100.0")
+        found["torque_max"] = 100.0
     if not 0.0 < joint.velocity < PLACEHOLDER:
-        entry.append("velocity_max = 1.0" if joint.is_prismatic else "velocity_max_deg = 180.0")
-    return entry
+        found[f"velocity_max{unit}"] = fast
+    return found
+
+
+def guessed(joints: Sequence[Joint]) -> list[str]:
+    """Return a warning for each key that some joints have a guess of."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for joint in joints:
+        for key, value in guesses(joint).items():
+            found.setdefault((key, toml_value(value)), []).append(f"`{joint.name}`")
+    return [
+        f"{key} = {value} of joint {', '.join(names)} is a guess, marked (?): the URDF says nothing usable"
+        for (key, value), names in found.items()
+    ]
+
+
+def shown_limits(joint: Joint) -> tuple[float, float, str]:
+    """Return the range of a joint's positions in degrees or metres, with the unit."""
+    unit = "m" if joint.is_prismatic else "deg"
+    if joint.limits is None:
+        lower, upper = guesses(joint)["limits" if joint.is_prismatic else "limits_deg"]
+        return lower, upper, unit
+    lower, upper = joint.limits if joint.is_prismatic else np.degrees(joint.limits).tolist()
+    return lower, upper, unit
 
 
 def _cylinder(box: Box) -> tuple[Array, float, float, bool]:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from experiments import Refused, study
-from jax_aero import places, rust, tables
+from jax_aero import places, plain, rust, tables
 from jax_aero.cli import Parser
 from jax_aero.command import ConfigError, exit_status
 from jax_aero.files import write_text
@@ -151,7 +151,7 @@ def write(path: Path, points: Waypoints, folder: Path, *, overwrite: bool = Fals
     files = {
         mission: text,
         flight: f"# Source: ours, jax-aero robot waypoints {path.stem}\n"
-        f"base = {tables.toml_value(base)}\ntitle = {tables.toml_value(points.title)}\n"
+        f"base = {plain.toml_value(base)}\ntitle = {plain.toml_value(points.title)}\n"
         f'mission = {{ file = "mission.csv"{without} }}\nsimulator = {{ duration = {duration:g} }}\n',
     }
     for file, content in files.items():

@@ -15,7 +15,7 @@ from experiments.sources import file_hash
 from experiments.sweep import keys, table
 from experiments.sweep.perturbation import members
 from experiments.sweep.spec import Level, Spec
-from jax_aero import rust, tables
+from jax_aero import plain, rust
 from jax_aero.command import ConfigError
 
 
@@ -102,7 +102,7 @@ class Design:
             "labels": [[level.label for level in levels] for levels in self.cells],
             "cells": [table.config_hash(self.cell_config(cell)) for cell in range(len(self.cells))],
             "networks": [[card.name, file_hash(card)] for card in members(ensemble)] if ensemble else [],
-            "perturbation": manifest.make_portable(tables.to_builtins(self.spec.perturbation)),
+            "perturbation": manifest.make_portable(plain.to_builtins(self.spec.perturbation)),
             "numbers": [self.spec.seed, self.spec.repeats, self.spec.chunk, self.spec.engine],
         }
         return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()

@@ -6,9 +6,9 @@ import itertools
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
+from experiments.wind_direction import speed_and_direction, wind_from
 from jax_aero import rust, tables
 from jax_aero.keys import get, parts
-from jax_aero.wind_direction import speed_and_direction, wind_from
 
 WIND = ("wind", "wind.velocity")
 POLAR = ("wind.speed", "wind.direction_deg")

@@ -121,7 +121,9 @@ class Perturbation(tables.Table, frozen=True):
             "mass_scale": around("mass", [1.0])[0],
             "com_offset": around("com", [0.0] * 3),
             "inertia_scale": around("inertia", [1.0])[0],
-            "thrust_axes": np.radians(around("thrust_axis_deg", [0.0] * 3 * len(robot.jet_names))).reshape(-1, 3).tolist(),
+            "thrust_axes": np.radians(around("thrust_axis_deg", [0.0] * 3 * len(robot.jet_names)))
+            .reshape(-1, 3)
+            .tolist(),
         }
         widths = (self.mass, self.com, self.inertia, self.thrust_axis_deg)
         error = {key: value for (key, value), width in zip(drawn.items(), widths, strict=True) if width}

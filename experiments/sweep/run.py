@@ -27,7 +27,7 @@ from experiments.sweep import table
 from experiments.sweep.chunks import Chunks, parquet
 from experiments.sweep.design import Design
 from experiments.sweep.spec import Spec
-from jax_aero import documents, places, rust, tables
+from jax_aero import documents, places, plain, rust
 from jax_aero.command import progress_bar
 from jax_aero.files import checksums, find_damaged, lock, read_json, resolve, write_bytes, write_json
 
@@ -186,7 +186,7 @@ def describe(spec: Spec) -> dict[str, Any]:
         ],
         "base": manifest.make_portable(spec.base),
         "set": manifest.make_portable(dict(spec.set)),
-        "perturbation": manifest.make_portable(tables.to_builtins(spec.perturbation)),
+        "perturbation": manifest.make_portable(plain.to_builtins(spec.perturbation)),
         "seed": spec.seed,
         "repeats": spec.repeats,
         "chunk": spec.chunk,

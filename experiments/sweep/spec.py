@@ -10,6 +10,7 @@ import msgspec
 
 from experiments import study
 from experiments.sweep import keys
+from experiments.sweep.claims import Claim
 from experiments.sweep.perturbation import Perturbation
 from jax_aero import places, tables
 from jax_aero.command import ConfigError
@@ -119,6 +120,16 @@ class Axis(tables.Table, frozen=True):
         return Level(label=value, set=dict.fromkeys(self.written_keys, int(value) if value.is_integer() else value))
 
 
+class Tabled(tables.Table, frozen=True):
+    """The table of a kept result (`jax-aero report keep`)."""
+
+    pooled: tuple[str, ...] = ()
+    """Axes over whose levels the flights are pooled."""
+    shows: tuple[Literal["errors", "found", "announced", "modes"], ...] = ("errors",)
+    """Figures beside the number of flights that complete: errors of rotation and position, when the first failure is
+    found, how long before a loss it is announced, and the modes of the controller."""
+
+
 class Spec(tables.Table, frozen=True):
     """One sweep: what varies, around which flight, how often."""
 
@@ -145,7 +156,10 @@ class Spec(tables.Table, frozen=True):
     perturbation: Perturbation = Perturbation()
     drawing: Drawing = "curve"
     panels: str = ""
-    """Axis whose levels are panels of a figure, if any."""
+    """Axis whose levels are panels of a figure and columns of a table, if any."""
+    tabled: Tabled = Tabled()
+    claim: tuple[Claim, ...] = ()
+    """Statements that the sweep decides."""
 
     def __post_init__(self) -> None:
         names = [axis.name for axis in self.axes]
@@ -160,12 +174,16 @@ class Spec(tables.Table, frozen=True):
             raise ConfigError.of("samples", self.samples, f"{wanted} for a {self.design}")
         if self.panels and self.panels not in names:
             raise ConfigError.of("panels", self.panels, f"the name of an axis: {', '.join(names)}")
+        if unknown := {*self.tabled.pooled} - {*names}:
+            raise ConfigError.of("tabled.pooled", min(unknown), f"names of axes: {', '.join(names)}")
         if self.design == "list" and len({axis.n_levels for axis in self.axis}) > 1:
             raise ConfigError.of(
                 "axis", [axis.n_levels for axis in self.axis], "equally many values of all axes of a list"
             )
         self._check_size()
         self._check_keys()
+        for index, claim in enumerate(self.claim):
+            claim.check({axis.name: [level.label for level in axis.levels] for axis in self.axes}, f"claim[{index}]")
 
     def _check_size(self) -> None:
         cells = self.samples or 1

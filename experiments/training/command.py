@@ -26,7 +26,8 @@ from experiments.training.parts import FinishedPart
 from jax_aero import documents, places
 from jax_aero.aero.dataset import Dataset, load
 from jax_aero.aero.network import Network
-from jax_aero.aero.network_card import card_path, copy_network, save_network
+from jax_aero.aero.network_card import save_network
+from jax_aero.cards import card_path, copy_card
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status, terminal
 from jax_aero.files import lock_work, resolve
@@ -74,7 +75,7 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
         if found is None:
             found = _train_parts(given, training, document, digest, dataset, folder)
     if given.write:
-        copy_network(folder / f"{folder.name}.json", given.write)
+        copy_card(folder / f"{folder.name}.json", given.write)
     summary = found["summary"]
     print(f"{manifest.make_portable(folder)}: {summary['parameters']} parameters")
     return dict(summary["errors"])

@@ -12,10 +12,10 @@ import numpy as np
 import xarray as xr
 
 from experiments import Refused, record
+from experiments.data import fit
 from experiments.data.import_cfd import COMMIT
 from experiments.training.parts import FinishedPart
 from jax_aero import places
-from jax_aero.aero import fit
 from jax_aero.aero.dataset import JOINTS, Dataset, Floats
 from jax_aero.aero.network import Network, with_precision
 from jax_aero.aero.posture import link_axes

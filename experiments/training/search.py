@@ -29,7 +29,7 @@ from msgspec.structs import replace
 from experiments import Refused, manifest, study
 from experiments.sources import code_hash
 from experiments.training import config
-from jax_aero import documents, places, tables
+from jax_aero import documents, places, plain, tables
 from jax_aero.aero.dataset import Dataset, load
 from jax_aero.cli import Parser, count
 from jax_aero.command import ConfigError, exit_status
@@ -103,7 +103,7 @@ def run(given: argparse.Namespace) -> None:
     dataset = load(given.dataset)
     out = resolve(given.out or RESULTS / study.result_name("training_search", path))
     # One study per question: another dataset, space or code must not be mixed in.
-    digest = study.digest({"table": tables.to_builtins(settings), "base": base, "data": dataset.sha256}, [])
+    digest = study.digest({"table": plain.to_builtins(settings), "base": base, "data": dataset.sha256}, [])
     if (out / places.RUN_FILE).exists() or _digest_in(out) not in (None, digest):
         raise Refused(f"{manifest.make_portable(out)} holds another result; choose another --out, or remove it")
     out.mkdir(parents=True, exist_ok=True)
@@ -134,7 +134,7 @@ def run(given: argparse.Namespace) -> None:
             seed = _take_seed(search, settings.seed, out, held)
             search.sampler = optuna.samplers.TPESampler(seed=seed)
             search.optimize(objective, n_trials=1, callbacks=[say])
-    _write(out, search, {**tables.to_builtins(settings), "base": base}, digest, dataset.sha256)
+    _write(out, search, {**plain.to_builtins(settings), "base": base}, digest, dataset.sha256)
     print(f"best of {_count_complete(search)}: {search.best_value:.3e} m4 with {search.best_params}")
 
 

@@ -81,7 +81,7 @@ class Network:
     layout: Static[Layout]
     activation: Static[Activation]
     joints: Static[tuple[int, ...]]
-    """Indices of the 19 input joints in the robot's joint vector."""
+    """Indices of the input joints in the robot's joint vector."""
     layers: tuple[Layer, ...]
     scale: Float[Array, " y"]
     """Factors on the mean output of the members [m²]."""
@@ -178,8 +178,10 @@ def link_shadow(wind_b: Float[Array, "3"], centres: Float[Array, "L 3"]) -> Floa
     return jnp.sum(shadow * (1.0 - jnp.eye(len(centres), dtype=shadow.dtype)), axis=1)
 
 
-def mirror_of(robot: RobotModel, blocks: Sequence[str], layout: str, frame: str) -> Mirror:
+def mirror_of(robot: RobotModel, joints: Sequence[int], blocks: Sequence[str], layout: str, frame: str) -> Mirror:
     """Return the reflection of features and raw output about the base's x-z plane, from names and kinematics.
+
+    `joints` are indices of those that are inputs.
 
         joint l ↔ r, torso roll and yaw change sign;   link l ↔ r;   base vectors by S = diag(1, −1, 1)
         vectors in link axes by T_l = R_l'ᵀ S R_l, at zero joints; l' is the link opposite to l
@@ -192,13 +194,13 @@ def mirror_of(robot: RobotModel, blocks: Sequence[str], layout: str, frame: str)
     s = np.diag([1.0, -1.0, 1.0])
     opposite_link = opposite_indices(robot.aero_links.names)
     turns = [rotations[other].T @ s @ rotations[link] for link, other in enumerate(opposite_link)]
-    names = [robot.joint_names[joint] for joint in network_joints(robot)]
-    joints = np.zeros((len(names), len(names)))
+    names = [robot.joint_names[joint] for joint in joints]
+    angles = np.zeros((len(names), len(names)))
     for joint, other in enumerate(opposite_indices(names)):
-        joints[other, joint] = -1.0 if names[joint] in ODD_JOINTS else 1.0
+        angles[other, joint] = -1.0 if names[joint] in ODD_JOINTS else 1.0
     links_by_turn, links_by_s = _blocks(opposite_link, turns), _blocks(opposite_link, [s] * len(turns))
     swap = np.eye(len(opposite_link))[opposite_link]
-    parts = {"wind": s, "joints": joints, "link_wind": links_by_turn, "link_position": links_by_s, "link_shadow": swap}
+    parts = {"wind": s, "joints": angles, "link_wind": links_by_turn, "link_position": links_by_s, "link_shadow": swap}
     if layout == "component":
         count = len(opposite_link)
         output = np.zeros((3 * count, 3 * count))
@@ -228,6 +230,7 @@ def init_network(
     *,
     hidden: Sequence[int],
     blocks: Sequence[Block] = ("wind", "joints"),
+    joints: Sequence[int] | None = None,
     activation: Activation = "relu",
     members: int = 1,
     mirror: bool = False,
@@ -240,9 +243,13 @@ def init_network(
 
     `published` draws weights and biases uniformly within ±1/√in, the default of the library of the published training;
     `unit` draws weights within ±√(3/in), which preserves the variance from layer to layer, and sets biases to zero.
+    `joints` are the inputs, in the robot's order; unless given, those that move a link.
     """
     check_output(frame, layout)
-    sizes = layer_sizes(robot, blocks, hidden)
+    seen = network_joints(robot) if joints is None else tuple(joints)
+    links = robot.aero_links.count
+    known = block_sizes(len(seen), links)
+    sizes = [sum(known[block] for block in blocks), *hidden, 3 * links]
     layers = []
     for narrow, wide in itertools.pairwise(sizes):
         key, for_weight, for_bias = jax.random.split(key, 3)
@@ -255,11 +262,11 @@ def init_network(
         frame=frame,
         layout=layout,
         activation=activation,
-        joints=network_joints(robot),
+        joints=seen,
         layers=tuple(layers),
         scale=jnp.ones(sizes[-1], jnp.float32),
         offset=jnp.zeros(sizes[-1], jnp.float32),
-        mirror=mirror_of(robot, blocks, layout, frame) if mirror else None,
+        mirror=mirror_of(robot, seen, blocks, layout, frame) if mirror else None,
         baseline=baseline,
     )
 
@@ -267,13 +274,6 @@ def init_network(
 def block_sizes(joints: int, links: int) -> dict[Block, int]:
     """Return the number of features in every block, from the numbers of input joints and links."""
     return {"wind": 3, "joints": joints, "link_wind": 3 * links, "link_position": 3 * links, "link_shadow": links}
-
-
-def layer_sizes(robot: RobotModel, blocks: Sequence[Block], hidden: Sequence[int]) -> list[int]:
-    """Return the widths of the input, the hidden layers and the output of a robot's network."""
-    links = robot.aero_links.count
-    known = block_sizes(len(network_joints(robot)), links)
-    return [sum(known[block] for block in blocks), *hidden, 3 * links]
 
 
 def check_output(frame: str, layout: str) -> None:

@@ -1,10 +1,11 @@
 """The flight controller: from a measurement to thrust rates and joint torques, one pure function of one sample.
 
-    measure ► guard ► law ► torques ► predict
+    measure ► model ► observe ► law ► torques ► predict
 
 `tick.py` has the sequence: `momentum_controller` collects its numbers from a configuration, `init` returns the initial
-state, and `tick` is called once per tick. The other modules are its parts, with the names of the Rust crate's modules.
-The simulator accepts any `Controller`.
+state, and `tick` is called once per tick. The other modules are its parts, with the names of the Rust crate's modules;
+of its guard there are estimator and observers (`guard`), not what watches for failures. The simulator accepts any
+`Controller`.
 """
 
 from jax_aero.control.command import Command

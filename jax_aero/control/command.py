@@ -15,11 +15,10 @@ from jax_aero.types import Array, Setpoint
 NOMINAL, DEGRADED, MOMENTUM_HELD, TORQUE_HELD, BOTH_HELD, PLAN_KEPT, PLAN_MISSING = range(7)
 """Codes of `Command.status`, which says whether the control law produced the command, as in the Rust crate.
 
-Degraded: a part of the measurement was predicted, or the robot is descending; see `Command.degraded_modes`. Momentum
-held: the momentum QP has no certified answer; rates and velocities are as near to zero as their bounds allow, and
-torques brake the joints. Torque held: the torque QP has no certified answer; torques keep their last values. Plan kept:
-the predictive law has no new certified plan and follows the last one. Plan missing: it has none, and the momentum QP
-decides.
+Degraded: a residual was not finite; see `Command.degraded_modes`. Momentum held: the momentum QP has no certified
+answer; rates and velocities are as near to zero as their bounds allow, and torques brake the joints. Torque held: the
+torque QP has no certified answer; torques keep their last values. Plan kept: the predictive law has no new certified
+plan and follows the last one. Plan missing: it has none, and the momentum QP decides.
 """
 
 

@@ -20,7 +20,4 @@ MODES = {
     "residual_ignored": 32768,
     "late": 65536,
 }
-"""Bits of a tick's modes, as in the Rust crate."""
-
-WITHOUT_MOMENTUM = MODES["joints_predicted"] | MODES["rotation_predicted"] | MODES["velocity_predicted"]
-"""Modes of a tick in which the momentum is not measured."""
+"""Bits of a tick's modes, as in the Rust crate; a flight of JAX has `residual_ignored` alone."""

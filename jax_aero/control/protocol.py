@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Protocol, TypeVar, runtime_checkable
-
-from jaxtyping import Float, Int
+from typing import Protocol, TypeVar
 
 from jax_aero.control.command import Command
-from jax_aero.control.law.between import JointMeasurement
 from jax_aero.control.measurement import Measurement
 from jax_aero.robot import RobotModel
-from jax_aero.types import Array, State
+from jax_aero.types import State
 
 S = TypeVar("S")
 
@@ -38,18 +35,4 @@ class Controller(Protocol[S]):
 
     def step(self, robot: RobotModel, state: S, measurement: Measurement) -> tuple[S, Command]:
         """Compute one tick; return the next state of the controller and the command."""
-        ...
-
-
-@runtime_checkable
-class TorqueController(Controller[S], Protocol[S]):
-    """A controller that can compute torques several times in a tick, as `controller.torque.steps` requires."""
-
-    def step_torques(
-        self, robot: RobotModel, state: S, command: Command, measured: JointMeasurement, tick: Int[Array, ""]
-    ) -> tuple[S, Float[Array, " n"]]:
-        """Compute tick number `tick` of the torques, from one on, after the tick whose `command` this is.
-
-        Return the next state of the controller and the torques [N m, N].
-        """
         ...

@@ -8,15 +8,14 @@ from jaxtyping import Float
 
 from jax_aero.aero import AeroModel, LinkConventions, generalised_aero_force, link_forces
 from jax_aero.control.law.attitude import AttitudeDemand
-from jax_aero.control.law.limits import Limits
 from jax_aero.control.law.momentum import MomentumModel, momentum_model
 from jax_aero.control.law.momentum_qp import MomentumQp
 from jax_aero.control.law.torque import TorqueQp
-from jax_aero.control.measurement import Measurement, UsedMeasurement
+from jax_aero.control.measurement import Measurement
 from jax_aero.dynamics import accelerate, dynamics, invert_mass
 from jax_aero.kinematics import generalised_thrust, kinematics
 from jax_aero.robot import RobotModel
-from jax_aero.types import Array, Dynamics, InverseMass, Kinematics, LinkForces, Setpoint, State
+from jax_aero.types import Array, Dynamics, InverseMass, Kinematics, LinkForces, Setpoint
 
 
 class Terms(NamedTuple):
@@ -24,12 +23,8 @@ class Terms(NamedTuple):
 
     estimates: Measurement
     """Output of the estimators; without estimators the measurement."""
-    measurement: UsedMeasurement
-    """Usable measurement, with predictions of missing values."""
     wind_std: Float[Array, "3"]
     """Standard deviation of the wind in `estimates` [m/s]; zero without a wind observer."""
-    state: State
-    """State of kinematics and dynamics: the given one itself if nothing is predicted."""
     kinematics: Kinematics
     dynamics: Dynamics
     inverse_mass: InverseMass
@@ -41,11 +36,7 @@ class Terms(NamedTuple):
     torque_qp: TorqueQp
     unlimited_torque: Float[Array, " n"]
     """Torques before the rate limiter [N m]."""
-    limits: Limits
-    """Gains and limits of the law in this tick."""
-    measured_latency: Float[Array, "2"]
-    """Latency of torques and thrust rates as measured; NaN where it is not known [s]."""
-    residual: tuple[Float[Array, " j"], Float[Array, " n"]] | None = None
+    residual: tuple[Float[Array, " j"], Float[Array, " n"]] | None
     """Thrust rates [N/s] and joint velocities [rad/s] to be added to the answer of the law; `None` without any."""
 
 
@@ -68,16 +59,16 @@ def update_model(
     rate_feedback: Float[Array, "6"],
     lambda_feedback: bool,
     torque_feedback: bool,
-    used: UsedMeasurement,
+    now: Measurement,
 ) -> Model:
     """Compute the model; the feedbacks say which of its terms contain the link forces, see `momentum_model`."""
-    kin = kinematics(robot, used.state)
-    dyn = dynamics(robot, used.state, kin)
-    link = link_forces(aero, robot, kin, conventions, used.wind)
+    kin = kinematics(robot, now.state)
+    dyn = dynamics(robot, now.state, kin)
+    link = link_forces(aero, robot, kin, conventions, now.wind)
     momentum = momentum_model(
-        robot, kin, dyn, used.thrust, link, rate_feedback=rate_feedback, lambda_feedback=lambda_feedback
+        robot, kin, dyn, now.thrust, link, rate_feedback=rate_feedback, lambda_feedback=lambda_feedback
     )
-    force = generalised_thrust(robot, kin, used.thrust) - dyn.bias
+    force = generalised_thrust(robot, kin, now.thrust) - dyn.bias
     if torque_feedback:
         force = force + generalised_aero_force(robot, kin, link, link.jacobian_points)
     inverse_mass = invert_mass(dyn)

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jax_aero import noise
+from jax_aero import rust
 from jax_aero.config import ActuationConfig
 from jax_aero.types import Array, Static, pytree
 
@@ -31,8 +31,8 @@ LOST = -1
 class Actuation:
     """Delays of the commands of one flight."""
 
-    lag: Int[Array, "ticks 1+steps"]
-    """Delay of the thrust rates of a tick and of the torques of each of its parts [physics steps]; `LOST` if lost."""
+    lag: Int[Array, "ticks 2"]
+    """Delay of thrust rates and torques of a tick [physics steps]; `LOST` if lost."""
     ticks: Static[int]
     """Commands that can be on their way: ticks of the greatest delay plus one."""
 
@@ -57,53 +57,39 @@ class ActuationState(NamedTuple):
 
 
 def start(
-    config: ActuationConfig, time_step: float, substeps: int, ticks: int, jets: int, joints: int, torque_steps: int = 1
+    config: ActuationConfig, time_step: float, substeps: int, ticks: int, jets: int, joints: int
 ) -> tuple[Actuation, ActuationState]:
-    """Return the actuation of a flight of `ticks` ticks, and its first state.
+    """Return the actuation of a flight of `ticks` ticks, and its first state; `time_step` [s].
 
-    Call it outside loops, since it draws delays and losses. `time_step` [s]. In each tick torques are commanded
-    `torque_steps` times.
+    Call it outside loops, since it draws delays and losses.
     """
     step = time_step / substeps
     thrust, torque, jitter = (
         int(np.floor(time / step + 0.5)) for time in (config.thrust_delay, config.torque_delay, config.jitter)
     )
-    drawn = noise.uniforms(config.seed, STREAM, 2 * torque_steps * (ticks + 1)).reshape(-1, torque_steps, 2)
-    # Thrust rates are sent with the first torques.
-    loss, late = np.moveaxis(np.concatenate([drawn[:, :1], drawn], axis=1), -1, 0)
-    delay = np.array([thrust, *[torque] * torque_steps], np.int32)
+    # Thrust rates and torques of a tick are sent together.
+    loss, late = rust.uniforms(config.seed, STREAM, 2 * (ticks + 1)).reshape(-1, 2).T[:, :, None]
+    delay = np.array([thrust, torque], np.int32)
     lag = np.where(loss >= config.drop, np.floor(late * (jitter + 1.0)).astype(np.int32) + delay, LOST)
     length = (max(thrust, torque) + jitter) // substeps + 1
 
-    def line(size: int, length: int) -> Line:
+    def line(size: int) -> Line:
         return Line(jnp.zeros((length, size)), jnp.full(length, LOST, jnp.int32), jnp.zeros(size))
 
-    lines = line(jets, length), line(joints, torque_steps * length)
-    return Actuation(jnp.asarray(lag), length), ActuationState(*lines, jnp.array(0, jnp.int32))
+    return Actuation(jnp.asarray(lag), length), ActuationState(line(jets), line(joints), jnp.array(0, jnp.int32))
 
 
 def send(
     way: Actuation, before: ActuationState, thrust_rate: Float[Array, " j"], torque: Float[Array, " n"]
 ) -> ActuationState:
     """Send the command of a tick; the first one acts at once and until another arrives."""
-    lag, is_first = _lag(way, before.tick), before.tick == 0
+    lag, is_first = way.lag[jnp.minimum(before.tick, way.lag.shape[0] - 1)], before.tick == 0
     rates, torques = _send(before.thrust_rate, thrust_rate, lag[0]), _send(before.torque, torque, lag[1])
     return ActuationState(
         rates._replace(held=jnp.where(is_first, thrust_rate, rates.held)),
         torques._replace(held=jnp.where(is_first, torque, torques.held)),
         before.tick + 1,
     )
-
-
-def send_torque(
-    way: Actuation, before: ActuationState, torque: Float[Array, " n"], part: Int[Array, ""]
-) -> ActuationState:
-    """Send the torques of a later part of the tick whose command was sent last, from one on."""
-    return before._replace(torque=_send(before.torque, torque, _lag(way, before.tick - 1)[1 + part]))
-
-
-def _lag(way: Actuation, tick: Array) -> Array:
-    return way.lag[jnp.minimum(tick, way.lag.shape[0] - 1)]
 
 
 def _send(line: Line, command: Array, lag: Array) -> Line:

@@ -25,7 +25,6 @@ from jax_aero.robot import RobotModel, load_robot
 from jax_aero.sim.plant import COMPILER_OPTIONS
 from jax_aero.sim.rollout import CHUNK, Ending, make_result
 from jax_aero.sim.step import FLYING, FlightState, Scenario, prepare, read_config, step
-from jax_aero.summary import condense
 from jax_aero.types import Array
 
 MOST_TOGETHER = {"cpu": 64}
@@ -34,6 +33,34 @@ MOST_ELSEWHERE = 1024
 
 SIZE_STEP = 8
 """Larger batches are padded to a multiple of this size: few sizes to compile, few superfluous flights."""
+
+
+SAME = (
+    "time",
+    "com_position",
+    "com_setpoint",
+    "rotation_error",
+    "thrust",
+    "qp_status",
+    "qp_kkt",
+    "qp_iterations",
+    "degraded_modes",
+)
+"""Signals from which figures of merit are computed as they are."""
+
+
+def condense(log: Mapping[str, Any], joint_setpoint: Any) -> dict[str, Any]:
+    """Return a log, or a tick of it, with fewer numbers in a row and the same figures of merit; NumPy or JAX arrays.
+
+    Its only joint has the greatest torque, and its position is the sum of the joint errors; its only link has the sums
+    of the forces.
+    """
+    return {name: log[name] for name in SAME} | {
+        "joint_torque": abs(log["joint_torque"]).max(-1, initial=0.0, keepdims=True),
+        "joint_position": abs(log["joint_position"] - joint_setpoint).sum(-1, keepdims=True),
+        "aero_force_sim": log["aero_force_sim"].sum(-2, keepdims=True),
+        "aero_force_control": log["aero_force_control"].sum(-2, keepdims=True),
+    }
 
 
 class Group(NamedTuple):

@@ -5,7 +5,7 @@
 There is no ground, no joint friction and no motor inertia; joint stops act unless they are disabled. The integration is
 identical to the Rust crate's.
 
-Equations M78, M79, M87, M140, M142 and M155 of `docs/model`.
+Equations M78, M79, M87, M140 and M155 of `docs/model`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import NamedTuple, ParamSpec, TypeVar, assert_never
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from jax_aero.aero import (
     AeroModel,
@@ -40,8 +40,6 @@ from jax_aero.config import (
 from jax_aero.dynamics import accelerate, add_joint_inertia, dynamics, invert_mass
 from jax_aero.jet_faults import FaultState, JetFaults, delay_rates, limit_thrust, measure_thrust, start_faults
 from jax_aero.jets import JetDynamics, JetsState, jet_dynamics
-from jax_aero.joint_faults import JointFaults, JointFaultState, begin_tick, reduce_torque
-from jax_aero.joint_faults import start_faults as start_joint_faults
 from jax_aero.kinematics import generalised_thrust, kinematics, move
 from jax_aero.pushes import Pushes, pushing_force, start_pushes
 from jax_aero.robot import RobotModel
@@ -50,14 +48,13 @@ from jax_aero.sim.actuation import Actuation, ActuationState
 from jax_aero.spatial import rotation_from_rpy
 from jax_aero.types import Array, Dynamics, InverseMass, Kinematics, LinkForces, State, Static, leaf, pytree
 
-Kept = TypeVar("Kept")
 Result = TypeVar("Result")
 P = ParamSpec("P")
 
 STOP_STIFFNESS = 1e5
-"""Stiffness of a joint stop, and of what holds a stuck joint [N m/rad, N/m]: 50 N m deflect it by half a mrad."""
+"""Stiffness of a joint stop [N m/rad, N/m]: 50 N m deflect it by half a mrad."""
 STOP_DAMPING = 200.0
-"""Damping of both [N m s/rad, N s/m]: a time constant of 2 ms with the stiffness."""
+"""Its damping [N m s/rad, N s/m]: a time constant of 2 ms with the stiffness."""
 
 
 def options_of(version: tuple[int, ...]) -> dict[str, bool | int]:
@@ -97,8 +94,6 @@ class Plant:
     """Faults of the jets."""
     actuation: Actuation | None
     """Delay and loss of commands; `None` if they act at once."""
-    joint_faults: JointFaults | None
-    """Faults of the joints."""
     pushes: Pushes | None
     """Forces and moments on bodies."""
     time_step: Float[Array, ""]
@@ -108,8 +103,6 @@ class Plant:
     has_stops: Static[bool]
     """Whether joints have stops."""
     substeps: Static[int]
-    torque_steps: Static[int]
-    """Times that torques are commanded in a tick."""
     backend: Static[DynamicsBackend]
 
 
@@ -124,8 +117,6 @@ class PlantState(NamedTuple):
     """State of the jets' faults, if any."""
     actuation: ActuationState | None = None
     """Commands on their way, if they do not act at once."""
-    joint_faults: JointFaultState | None = None
-    """State of the joints' faults, if any."""
     pushes: Float[Array, " p"] | None = None
     """Times until the pushes start, negative after it [s]."""
 
@@ -153,11 +144,10 @@ def start_plant(
     aero: AeroModel | None = None,
     jets: JetDynamics | None = None,
     read_network: ReadNetwork = load_network,
-    torque_steps: int = 1,
 ) -> tuple[Plant, PlantState]:
     """Return a plant and its state at the first tick. Call it outside loops, since it draws noise.
 
-    `aero` and `jets` replace the models of the configuration. In each tick torques are commanded `torque_steps` times.
+    `aero` and `jets` replace the models of the configuration.
 
     Raises
     ------
@@ -174,11 +164,8 @@ def start_plant(
         faults, fault_state = start_faults(disturbances.jets, config.jets, robot, n_ticks(config))
     way, on_the_way = None, None
     if config.actuation is not None:
-        sizes = robot.jets.count, robot.n_joints, torque_steps
-        way, on_the_way = actuation.start(config.actuation, config.time_step, config.substeps, n_ticks(config), *sizes)
-    joint_faults, joint_state = None, None
-    if disturbances.joints:
-        joint_faults, joint_state = start_joint_faults(disturbances.joints, robot)
+        steps, sizes = (config.substeps, n_ticks(config)), (robot.jets.count, robot.n_joints)
+        way, on_the_way = actuation.start(config.actuation, config.time_step, *steps, *sizes)
     pushes, until = start_pushes(disturbances.pushes, robot) if disturbances.pushes else (None, None)
     plant = Plant(
         robot=robot,
@@ -186,14 +173,12 @@ def start_plant(
         jets=jets,
         jet_faults=faults,
         actuation=way,
-        joint_faults=joint_faults,
         pushes=pushes,
         time_step=leaf(config.time_step),
         lever_arm=config.lever_arm,
         integrator=config.integrator,
         has_stops=config.joint_stops,
         substeps=config.substeps,
-        torque_steps=torque_steps,
         backend=config.dynamics,
     )
     joint_position = leaf(initial.joint_position)
@@ -207,7 +192,7 @@ def start_plant(
         state = _fall_freely(plant, state)
     first = state if config.kinematics == "frozen" else None
     begun = _start_jets(jets, leaf(initial.thrust))
-    return plant, PlantState(state, begun, first, fault_state, on_the_way, joint_state, until)
+    return plant, PlantState(state, begun, first, fault_state, on_the_way, until)
 
 
 def _check(initial: InitialConfig, robot: RobotModel) -> None:
@@ -263,63 +248,20 @@ def advance(
     They act throughout, or as the actuation lets them arrive. `seen` is the observation of `state`; later sub-steps of
     the tick observe anew.
     """
-    return advance_in_steps(plant, state, seen, torque, thrust_rate, wind, lambda kept, *_: (kept, torque), ())[0]
-
-
-def advance_in_steps(
-    plant: Plant,
-    state: PlantState,
-    seen: Observation,
-    torque: Float[Array, " n"],
-    thrust_rate: Float[Array, " j"],
-    wind: Float[Array, "3"],
-    command: Callable[[Kept, Int[Array, ""], State], tuple[Kept, Float[Array, " n"]]],
-    kept: Kept,
-) -> tuple[PlantState, Kept]:
-    """Advance one tick in which torques are commanded at the beginning of each of its `torque_steps` parts.
-
-    `torque` is that of the first part. For later ones `command` receives what it has kept, the number of the part and
-    the robot's state then; it returns what it keeps and the torques [N m].
-    """
-    on_the_way = state.actuation
-    if plant.actuation is not None and on_the_way is not None:
-        on_the_way = actuation.send(plant.actuation, on_the_way, thrust_rate, torque)
-        thrust_rate = actuation.mean(on_the_way.thrust_rate, plant.substeps)
-    step = plant.time_step / plant.substeps
-    state = state._replace(actuation=on_the_way)
-    if plant.joint_faults is not None and state.joint_faults is not None:
-        joints = begin_tick(plant.joint_faults, state.joint_faults, plant.time_step, state.robot.joint_position)
-        state = state._replace(joint_faults=joints)
-    state = _advance_part(plant, state, seen, torque, wind, step)
-
-    def advance_later(before: tuple[PlantState, Kept], part: Array) -> tuple[tuple[PlantState, Kept], None]:
-        state, kept = before
-        kept, torque = command(kept, part, state.robot)
-        if plant.actuation is not None and state.actuation is not None:
-            state = state._replace(actuation=actuation.send_torque(plant.actuation, state.actuation, torque, part))
-        return (_advance_part(plant, state, observe(plant, state, wind), torque, wind, step), kept), None
-
-    if plant.torque_steps > 1:
-        (state, kept), _ = jax.lax.scan(advance_later, (state, kept), jnp.arange(1, plant.torque_steps))
-    jets, faults = _advance_jets(plant, state, thrust_rate)
-    if (way := state.actuation) is not None:
-        state = state._replace(actuation=way._replace(thrust_rate=actuation.hold(way.thrust_rate, plant.substeps)))
-    return state._replace(jets=jets, faults=faults), kept
-
-
-def _advance_part(
-    plant: Plant, state: PlantState, seen: Observation, torque: Array, wind: Array, step: Array
-) -> PlantState:
-    """Advance the robot by the sub-steps for which torques are commanded."""
-    substeps, way = plant.substeps // plant.torque_steps, state.actuation
+    way, substeps, step = state.actuation, plant.substeps, plant.time_step / plant.substeps
+    if plant.actuation is not None and way is not None:
+        way = actuation.send(plant.actuation, way, thrust_rate, torque)
+        thrust_rate = actuation.mean(way.thrust_rate, substeps)
     for substep in range(substeps):
         now = seen if substep == 0 else observe(plant, state, wind)
         acting = torque if way is None else actuation.acting(way.torque, substep, substeps)
         left = None if state.pushes is None else state.pushes - step
         state = state._replace(robot=_advance_robot(plant, state, now, acting, step), pushes=left)
     if way is not None:
-        state = state._replace(actuation=way._replace(torque=actuation.hold(way.torque, substeps)))
-    return state
+        rates, torques = (actuation.hold(line, substeps) for line in way[:2])
+        way = way._replace(thrust_rate=rates, torque=torques)
+    jets, faults = _advance_jets(plant, state, thrust_rate)
+    return state._replace(jets=jets, faults=faults, actuation=way)
 
 
 def _advance_jets(plant: Plant, state: PlantState, command: Array) -> tuple[JetsState, FaultState | None]:
@@ -337,8 +279,6 @@ def _advance_robot(plant: Plant, state: PlantState, seen: Observation, torque: A
     thrust = state.jets.thrust
     if plant.jet_faults is not None:
         thrust = plant.jet_faults.force_scale * thrust
-    if plant.joint_faults is not None and state.joint_faults is not None:
-        torque = reduce_torque(plant.joint_faults, state.joint_faults, torque)
     # One point for moment and Jacobian; for a rigid body both are equivalent.
     force = (
         generalised_thrust(robot, kin, thrust)
@@ -347,29 +287,7 @@ def _advance_robot(plant: Plant, state: PlantState, seen: Observation, torque: A
     )
     if plant.pushes is not None and state.pushes is not None:
         force = force + pushing_force(robot, kin, plant.pushes, state.pushes, step)
-    force, inverse = force - seen.dynamics.bias, seen.inverse_mass
-    if plant.joint_faults is not None and state.joint_faults is not None:
-        is_held = plant.joint_faults.is_stuck & state.joint_faults.acts
-        inverse, force = _brace(plant, state.robot, inverse, force, is_held, state.joint_faults.held, step)
-    return _step(plant, state.robot, inverse, force, step)
-
-
-def _position_ahead(plant: Plant, state: State, step: Array) -> Array:
-    """Return the position from which the velocity after the step acts: with explicit Euler, the end of the step."""
-    return state.joint_position + (step * state.velocity[6:] if plant.integrator == "explicit_euler" else 0.0)
-
-
-def _brace(
-    plant: Plant, state: State, inverse: InverseMass, force: Array, is_held: Array, rest: Array, step: Array
-) -> tuple[InverseMass, Array]:
-    """Return inverse mass matrix and force with springs, at rest in the positions `rest`, and dampers on some joints.
-
-    They are implicit in the velocity after the step, and thus stable for every step size.
-    """
-    velocity = state.velocity[6:]
-    push = STOP_STIFFNESS * (_position_ahead(plant, state, step) + step * velocity - rest) + STOP_DAMPING * velocity
-    added = jnp.where(is_held, step * (step * STOP_STIFFNESS + STOP_DAMPING), 0.0)
-    return add_joint_inertia(inverse, added), force - jnp.pad(jnp.where(is_held, push, 0.0), (6, 0))
+    return _step(plant, state.robot, seen.inverse_mass, force - seen.dynamics.bias, step)
 
 
 def _step(plant: Plant, state: State, inverse: InverseMass, force: Array, step: Array) -> State:
@@ -383,14 +301,20 @@ def _step(plant: Plant, state: State, inverse: InverseMass, force: Array, step: 
 def _stops(
     plant: Plant, state: State, inverse: InverseMass, force: Array, acceleration: Array, step: Array
 ) -> tuple[InverseMass, Array]:
-    """Return inverse mass matrix and force with the stops of the joints that this acceleration takes out of range."""
+    """Return inverse mass matrix and force with the stops of the joints that this acceleration takes out of range.
+
+    Stops are springs and dampers, implicit in the velocity after the step and thus stable for every step size.
+    """
     velocity, (lower, upper) = state.velocity[6:], jnp.asarray(plant.robot.joint_stops).T
-    position = _position_ahead(plant, state, step)
+    # From where the velocity after the step acts: with explicit Euler, the end of the step.
+    position = state.joint_position + (step * velocity if plant.integrator == "explicit_euler" else 0.0)
     ahead = position + step * (velocity + step * acceleration[6:])
     is_out = (ahead > upper) | (ahead < lower)
     # Ranges may be infinite, which must not enter derivatives.
     stop = jnp.where(ahead > upper, upper, jnp.where(ahead < lower, lower, 0.0))
-    return _brace(plant, state, inverse, force, is_out, stop, step)
+    push = STOP_STIFFNESS * (position + step * velocity - stop) + STOP_DAMPING * velocity
+    added = jnp.where(is_out, step * (step * STOP_STIFFNESS + STOP_DAMPING), 0.0)
+    return add_joint_inertia(inverse, added), force - jnp.pad(jnp.where(is_out, push, 0.0), (6, 0))
 
 
 @run_once

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
+from jax_aero import rust
 from jax_aero.config import ScenarioConfig
 from jax_aero.result import FlightResult, Outcome, Progress
 from jax_aero.sim.plant import COMPILER_OPTIONS
@@ -37,7 +38,6 @@ from jax_aero.sim.step import (
     prepare,
     step,
 )
-from jax_aero.summary import condense, figures
 from jax_aero.types import Array
 
 Kept = TypeVar("Kept")
@@ -72,11 +72,12 @@ def rollout(
     Raises
     ------
     ValueError
-        For a negative `n_ticks` and for `checkpoint_every` below one.
+        For an `n_ticks` that is negative or no integer, and for such a `checkpoint_every` or one of zero.
     """
-    for name, value, least in (("n_ticks", n_ticks, 0), ("checkpoint_every", checkpoint_every, 1)):
-        if value < least:
-            raise ValueError(f"`{name}` is {value}; expected at least {least}")
+    given: tuple[tuple[str, Any, int], ...] = (("n_ticks", n_ticks, 0), ("checkpoint_every", checkpoint_every, 1))
+    for name, value, least in given:
+        if not isinstance(value, int | np.integer) or value < least:
+            raise ValueError(f"`{name}` is {value}; expected an integer ≥ {least}")
 
     def fly_tick(state: FlightState, tick: Array) -> tuple[FlightState, Kept]:
         state, row = step(scenario, state, tick)
@@ -158,9 +159,9 @@ def make_result(
     is_lost = 0 <= ending.tick <= n_ticks
     signals = {name: signal[: (ending.tick if is_lost else n_ticks) + 1] for name, signal in signals.items()}
     has_diverged = is_lost and ending.loss >= NOT_FINITE
-    condensed = condense(signals, posture) if is_whole_log else signals
     # The row that exceeds the divergence limits is in the log, but not in the figures of merit.
-    summary = figures({name: signal[:-1] for name, signal in condensed.items()} if has_diverged else condensed)
+    judged = {name: signal[:-1] for name, signal in signals.items()} if has_diverged else signals
+    summary = rust.summarise(judged, posture if is_whole_log else [0.0])
     flown: Outcome = "off_course" if summary["max_com_error"] > ending.course_error else "completed"
     return FlightResult(
         log=signals if is_whole_log else {},
@@ -179,7 +180,7 @@ def lost_reason(loss: int, size: float) -> str:
         BY_ROTATION: f"rotation error {np.rad2deg(size):.1f} deg",
         BY_COM: f"CoM error {size:.2f} m",
         NOT_FINITE: "state not finite",
-        BY_SPEED: f"speed above {limit} m/s",
+        BY_SPEED: f"speed of base or air above {limit} m/s",
         BY_ANGULAR_VELOCITY: f"angular velocity above {limit} rad/s",
         BY_JOINT_VELOCITY: f"joint velocity above {limit} rad/s",
         BY_JOINT_POSITION: f"joint more than {limit} rad beyond its stop",

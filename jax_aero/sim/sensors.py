@@ -20,9 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jax_aero import noise
+from jax_aero import rust
 from jax_aero.config import SensorsConfig
-from jax_aero.control.law.between import JointMeasurement
 from jax_aero.control.measurement import Reading
 from jax_aero.spatial import exp_so3, multiply
 from jax_aero.types import Array, State, Static, join, leaf, pytree
@@ -88,7 +87,7 @@ def sensors(config: SensorsConfig, time_step: Float[Array, ""], ticks: int, join
         drift=leaf([sensor.drift for sensor in base]),
         noise_std=leaf([sensor.noise_std for sensor in base]),
         age=jnp.asarray(age),
-        noise=jnp.asarray(noise.normals(config.seed, STREAM, width * (ticks + 1)).reshape(-1, width)),
+        noise=jnp.asarray(rust.normals(config.seed, STREAM, width * (ticks + 1)).reshape(-1, width)),
         joint_bias=leaf(np.asarray(config.joints.bias or np.zeros(joints))),
         tremble=leaf([0.0, 0.0] if tremble is None else [tremble.amplitude, 2.0 * np.pi * tremble.frequency]),
         resolution=leaf(config.joints.resolution),
@@ -140,15 +139,6 @@ def read(errors: Sensors, before: SensorState, truth: Reading, tick: Int[Array, 
         line.thrust[errors.age[5]] + errors.thrust_bias + errors.thrust_noise_std * drawn[12:],
     )
     return SensorState(line, said), said
-
-
-def read_joints(errors: Sensors, state: State, time: Float[Array, ""]) -> JointMeasurement:
-    """Return what the encoders measure between two ticks, at `time` [s].
-
-    Velocities that a low pass computes from the positions of the ticks are NaN.
-    """
-    velocity = jnp.where(errors.is_difference, jnp.nan, state.velocity[6:])
-    return JointMeasurement(_encode(errors, state.joint_position, time), velocity)
 
 
 def _encode(errors: Sensors, position: Array, time: Array) -> Array:

@@ -27,18 +27,13 @@ from jaxtyping import Float, Int
 from jax_aero import rust
 from jax_aero.aero import AeroModel, ReadNetwork
 from jax_aero.aero.network_card import load_network
-from jax_aero.config import ModelError, ScenarioConfig
+from jax_aero.config import Disturbances, ModelError, ScenarioConfig
 from jax_aero.control import Command, Controller, Measurement
-from jax_aero.control.law.between import JointMeasurement
 from jax_aero.control.measurement import Reading
-from jax_aero.control.modes import MODES
 from jax_aero.control.preview import Preview
-from jax_aero.control.protocol import TorqueController
 from jax_aero.control.tick import momentum_controller
 from jax_aero.io import scenario_config
 from jax_aero.jets import JetDynamics
-from jax_aero.outages import Outage, OutageState, outages_of, spoil
-from jax_aero.outages import begin as begin_outages
 from jax_aero.robot import RobotModel, load_robot
 from jax_aero.sim import plant as world
 from jax_aero.sim import sensors as sensing
@@ -47,7 +42,7 @@ from jax_aero.sim.sensors import Sensors, SensorState
 from jax_aero.sim.wind import Wind, wind_model, wind_velocity
 from jax_aero.sim.wind_estimate import WindEstimate, measured_wind, wind_estimate
 from jax_aero.spatial import multiply, rotation_angle, rpy_from_rotation, safe_norm, wxyz_from_rotation
-from jax_aero.types import Array, State, Static, leaf, leaves, pytree, where, with_dtype
+from jax_aero.types import Array, Static, leaf, leaves, pytree, where, with_dtype
 
 (
     FLYING,
@@ -121,8 +116,6 @@ class Scenario:
     """Errors of the measured wind; `None` if exact."""
     sensors: Sensors | None
     """Errors of the robot's sensors; `None` if exact."""
-    outages: tuple[Outage, ...]
-    """Temporary failures of measurements."""
     n_ticks: Int[Array, ""]
     """Number of ticks after the one at time zero."""
     precision: Static[str]
@@ -153,10 +146,8 @@ class FlightState(NamedTuple):
     """Measured wind of the last tick [m/s]."""
     sensors: SensorState | None
     """State of the sensors; `None` if exact."""
-    outages: tuple[OutageState, ...]
-    """State of each outage."""
     posture: Float[Array, " n"]
-    """Joint positions measured at the tick at which the flight began, or began again [rad]."""
+    """Joint positions measured at the first tick [rad]."""
     loss: Int[Array, ""]
     """`FLYING`, or the criterion by which the flight was lost."""
     loss_size: Float[Array, ""]
@@ -169,6 +160,7 @@ class FlightRow(NamedTuple):
     """One tick of the log, with the signals and names of the Rust crate.
 
     Signals that a controller does not compute are NaN, as is everything that follows from a state that is not finite.
+    Of what the crate's guard finds, the condition of joints is that of healthy ones, and latencies are not known.
     """
 
     time: Float[Array, ""]
@@ -228,6 +220,12 @@ def prepare(
 ) -> tuple[Scenario, FlightState]:
     """Return a scenario and its state at the first tick. Call it outside loops, since it computes tables and noise.
 
+    The guard, which finds failures and answers them, is the crate's alone. Its detectors (`controller.channels`,
+    `engines`, `joints`, `latency_monitor`, `supervisor`, `mpc.descent`) do nothing here: a flight is the crate's as
+    long as the crate's signal `degraded_modes` is zero. Refused by key, since the crate alone flies them
+    (`engine = "rust"`), are failures that a guard answers: outages, faulty joints, and jets that fail or do not reach
+    their thrust if the controller has `engines`; so are fuel, ground, motors and torques of a second rate.
+
     Parameters
     ----------
     config
@@ -247,7 +245,8 @@ def prepare(
     Raises
     ------
     ValueError
-        If the configuration does not fit the robot; or if JAX does not compute in this precision.
+        If the configuration does not fit the robot, or contains what the crate alone flies; or if JAX does not compute
+        in this precision.
     """
     if np.dtype(dtype) == np.float64 and jnp.result_type(float) != np.float64:
         raise ValueError(
@@ -257,22 +256,13 @@ def prepare(
     config = read_config(config)
     if robot is None:
         robot = load_robot(config.robot)
-    for key in ("fuel", "ground", "motors"):
-        if getattr(config.simulator, key) is not None:
-            expected = "none: this engine has neither ground, motors nor fuel"
-            raise ValueError(f"`simulator.{key}` is given; expected {expected}")
+    _refuse(config)
     wind, replaced = wind_model(config.wind), config.disturbances.controller_wind
     controller_wind = None if replaced is None else wind_model(replaced)
-    torque_steps = config.controller.torque.steps
-    plant, state = world.start_plant(
-        config.simulator, config.disturbances, robot, aero, jets, read_network, torque_steps
-    )
+    plant, state = world.start_plant(config.simulator, config.disturbances, robot, aero, jets, read_network)
     model, settings = controller_model(config, robot), config.simulator.sensors
     if controller is None:
         controller = momentum_controller(config, model or robot, read_network)
-    if torque_steps > 1 and not isinstance(controller, TorqueController):
-        expected = "1 with a controller without `step_torques`"
-        raise ValueError(f"`controller.torque.steps` is {torque_steps}; expected {expected}")
     estimate, ticks, errors = config.disturbances.wind_estimate, world.n_ticks(config.simulator), None
     if estimate is not None:
         errors = wind_estimate(estimate, plant.time_step, _winds(controller_wind or wind, ticks, plant.time_step))
@@ -289,12 +279,45 @@ def prepare(
         sensors=None
         if settings is None
         else sensing.sensors(settings, plant.time_step, ticks, robot.n_joints, robot.jets.count),
-        outages=outages_of(config.disturbances.outages, robot),
         n_ticks=jnp.asarray(np.int32(ticks)),
         precision="",
     )
     scenario, flight_state = jax.device_put((scenario, _begin_once(scenario, state)))
     return convert_precision(scenario, flight_state, dtype)
+
+
+def _refuse(config: ScenarioConfig) -> None:
+    """Refuse what the crate, or MuJoCo's engine, flies and JAX does not, by its key."""
+    simulator, disturbances, steps = config.simulator, config.disturbances, config.controller.torque.steps
+    for key in ("fuel", "ground", "motors"):
+        if getattr(simulator, key) is not None:
+            expected = "none: JAX has neither ground, motors nor fuel"
+            raise ValueError(f"`simulator.{key}` is given; expected {expected}")
+    if steps > 1:
+        expected = '1: JAX has no second rate of torques; the crate flies it (`engine = "rust"`)'
+        raise ValueError(f"`controller.torque.steps` is {steps}; expected {expected}")
+    if config.controller.jet_dynamics != "ideal":
+        expected = '"ideal": engines in the controller are flown by the crate (`engine = "rust"`)'
+        raise ValueError(f"`controller.jet_dynamics` is {config.controller.jet_dynamics!r}; expected {expected}")
+    error = disturbances.model_error
+    if error.inertia_scale != 1.0 or error.thrust_axes:
+        expected = 'no inertia_scale and no thrust_axes: the crate flies them (`engine = "rust"`)'
+        raise ValueError(f"`disturbances.model_error` is {error}; expected {expected}")
+    for key, given in _failures(disturbances, has_monitor=config.controller.engines is not None).items():
+        if given:
+            expected = 'none: JAX has no guard that answers it; the crate flies it (`engine = "rust"`)'
+            raise ValueError(f"`disturbances.{key}` is given; expected {expected}")
+
+
+def _failures(disturbances: Disturbances, *, has_monitor: bool) -> dict[str, bool]:
+    """Return which failures that the crate's guard answers are given; those of engines need a monitor."""
+    jets = disturbances.jets
+    return {
+        "outages": bool(disturbances.outages),
+        "joints": bool(disturbances.joints),
+        "jets.failure": has_monitor and jets.failure is not None,
+        "jets.thrust_limit_scale": has_monitor and jets.thrust_limit_scale is not None and not jets.limit_is_known,
+    }
 
 
 def read_config(config: ScenarioConfig | Mapping[str, Any]) -> ScenarioConfig:
@@ -345,16 +368,12 @@ def begin(scenario: Scenario, plant: PlantState) -> FlightState:
     if scenario.sensors is not None:
         before = sensing.start(scenario.sensors, seen)
         _, seen = sensing.read(scenario.sensors, before, seen, jnp.array(0))
-    outages = begin_outages(scenario.outages, first.robot, plant.jets.thrust)
-    time, still = jnp.zeros_like(seen.thrust, shape=()), jnp.zeros_like(plant.robot.velocity[:3])
-    _, measured = spoil(scenario.outages, outages, Measurement(time, *seen, still))
     return FlightState(
         plant=plant,
-        controller=scenario.controller.init(robot, measured.state),
-        measured_wind=still,
+        controller=scenario.controller.init(robot, seen.state),
+        measured_wind=jnp.zeros_like(plant.robot.velocity[:3]),
         sensors=before,
-        outages=outages,
-        posture=measured.state.joint_position,
+        posture=seen.state.joint_position,
         loss=jnp.array(FLYING, jnp.int32),
         loss_size=jnp.zeros_like(plant.robot.velocity[0]),
         loss_tick=jnp.array(-1, jnp.int32),
@@ -392,8 +411,7 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
     said, sensors = Reading(now.robot, plant.jets.feedback(now.jets)), state.sensors
     if scenario.sensors is not None and sensors is not None:
         sensors, said = sensing.read(scenario.sensors, sensors, said, tick)
-    held, measurement = spoil(scenario.outages, state.outages, Measurement(time, *said, wind_measured))
-    sample = measurement
+    measurement = Measurement(time, *said, wind_measured)
     if scenario.sensors is not None and scenario.sensors.wind_ahead is not None:
         ahead = scenario.sensors.wind_ahead
         winds = jax.vmap(wind_velocity, in_axes=(None, 0))(scenario.wind, time + ahead)
@@ -401,10 +419,9 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
         measurement = measurement._replace(preview=preview)
     memory, command = scenario.controller.step(model, state.controller, measurement)
     command.check(plant.robot)
-    estimates, wind_std, posture = measurement, jnp.zeros_like(wind), state.posture
+    estimates, wind_std = measurement, jnp.zeros_like(wind)
     if command.terms is not None:
-        estimates, used, wind_std = command.terms.estimates, command.terms.measurement, command.terms.wind_std
-        posture = jnp.where((used.modes & MODES["begun_again"]) != 0, used.state.joint_position, posture)
+        estimates, wind_std = command.terms.estimates, command.terms.wind_std
     seen = _observe(scenario, now, command, air)
 
     # Without a set-point there is no error of a fall.
@@ -431,55 +448,18 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
     lost_now = (state.loss == FLYING) & (loss != FLYING)
     goes_on = (state.loss == FLYING) & (loss == FLYING)
     # The next step of a lost flight may overflow.
-    moved, (memory, held, _) = world.advance_in_steps(
-        plant,
-        where(goes_on, now, at_rest),
-        seen,
-        command.joint_torque,
-        command.thrust_rate,
-        air,
-        partial(_command_torques, scenario, model, command, time),
-        (memory, held, sample),
-    )
+    moved = world.advance(plant, where(goes_on, now, at_rest), seen, command.joint_torque, command.thrust_rate, air)
     after = FlightState(
         plant=where(goes_on, moved, state.plant),
         controller=where(goes_on, memory, state.controller),
         measured_wind=wind_measured,
         sensors=sensors,
-        outages=where(goes_on, held, state.outages),
-        posture=where(goes_on, posture, state.posture),
+        posture=state.posture,
         loss=jnp.where(lost_now, loss, state.loss),
         loss_size=jnp.where(lost_now, size, state.loss_size),
         loss_tick=jnp.where(lost_now, tick, state.loss_tick),
     )
     return after, row
-
-
-def _command_torques(
-    scenario: Scenario,
-    model: RobotModel,
-    command: Command,
-    time: Array,
-    kept: tuple[Any, tuple[OutageState, ...], Measurement],
-    part: Array,
-    robot: State,
-) -> tuple[tuple[Any, tuple[OutageState, ...], Measurement], Array]:
-    """Measure the joints at the beginning of a part of a tick, and compute torques.
-
-    Kept are the controller's state, the outages' and the measurement, of which the joints are new.
-    """
-    (memory, held, sample), controller = kept, scenario.controller
-    assert isinstance(controller, TorqueController)
-    now = time + part.astype(time.dtype) * (scenario.plant.time_step / scenario.plant.torque_steps)
-    joints = JointMeasurement(robot.joint_position, robot.velocity[6:])
-    if scenario.sensors is not None:
-        joints = sensing.read_joints(scenario.sensors, robot, now)
-    velocity = sample.state.velocity.at[6:].set(joints.velocity)
-    state = sample.state._replace(joint_position=joints.position, velocity=velocity)
-    held, sample = spoil(scenario.outages, held, sample._replace(time=now, state=state))
-    measured = JointMeasurement(sample.state.joint_position, sample.state.velocity[6:])
-    memory, torque = controller.step_torques(model, memory, command, measured, part)
-    return (memory, held, sample), torque
 
 
 def _check_precision(scenario: Scenario) -> None:
@@ -510,8 +490,8 @@ def _mask_unless(condition: Array, tree: Tree) -> Tree:
 def _observe(scenario: Scenario, state: PlantState, command: Command, wind: Array) -> Observation:
     """Observe the plant; reuse what the controller computed for the same robot in the same state."""
     plant, terms = scenario.plant, command.terms
-    # With sensors, outages, estimators or predictions, also within a wrapped controller, the state is another object.
-    is_known = terms is not None and terms.state is state.robot and scenario.controller_model is None
+    # With sensors or an estimator, also within a wrapped controller, the state is another object.
+    is_known = terms is not None and terms.estimates.state is state.robot and scenario.controller_model is None
     if terms is None or not is_known or plant.backend != "tree":
         return world.observe(plant, state, wind)
     return world.observe(plant, state, wind, (terms.kinematics, terms.dynamics, terms.inverse_mass))
@@ -620,11 +600,7 @@ def _row(
         qp_kkt=stack_answers("kkt", time.dtype),
         qp_iterations=stack_answers("iterations", time.dtype),
         degraded_modes=jnp.asarray(jnp.nan if command.degraded_modes is None else command.degraded_modes, time.dtype),
-        joint_condition=(
-            jnp.full_like(command.joint_torque, jnp.nan)
-            if terms is None
-            else terms.limits.joint_condition.astype(time.dtype)
-        ),
-        measured_torque_latency=jnp.full_like(time, jnp.nan) if terms is None else terms.measured_latency[0],
-        measured_thrust_latency=jnp.full_like(time, jnp.nan) if terms is None else terms.measured_latency[1],
+        joint_condition=jnp.full_like(command.joint_torque, jnp.nan if terms is None else 0.0),
+        measured_torque_latency=jnp.full_like(time, jnp.nan),
+        measured_thrust_latency=jnp.full_like(time, jnp.nan),
     )

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from jax_aero import config, noise, rust
+from jax_aero import config, rust
 from jax_aero.types import Array, leaf, leaves, pytree
 
 
@@ -111,7 +111,7 @@ def _recorded_wind(samples: Float[np.ndarray, "k 4"]) -> RecordedWind:
 
 def _waves(seed: int) -> tuple[Array, Array]:
     """Draw the sines of turbulence: axis by axis, a position in every band and a phase."""
-    draws = noise.uniforms(seed, TURBULENCE_STREAM, 3 * WAVES * 2).reshape(3, WAVES, 2)
+    draws = rust.uniforms(seed, TURBULENCE_STREAM, 3 * WAVES * 2).reshape(3, WAVES, 2)
     # The edges of bands are excluded, since the upper edge of the last band has infinite frequency.
     places = (np.arange(WAVES) + 0.25 + 0.5 * draws[..., 0]) / WAVES
     return leaf(places), leaf(2.0 * np.pi * draws[..., 1])

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jax_aero import noise
+from jax_aero import rust
 from jax_aero.config import WindEstimateConfig
 from jax_aero.types import Array, leaf, pytree
 
@@ -54,7 +54,7 @@ def wind_estimate(
     return WindEstimate(
         bias=leaf(settings.bias),
         noise_std=leaf(settings.noise_std),
-        noise=jnp.asarray(noise.normals(settings.seed, NOISE_STREAM, 3 * ticks).reshape(ticks, 3)),
+        noise=jnp.asarray(rust.normals(settings.seed, NOISE_STREAM, 3 * ticks).reshape(ticks, 3)),
         delay_ticks=jnp.asarray(delay, jnp.int32),
         time_constant=leaf(settings.time_constant),
         mean=jnp.mean(winds, axis=0),

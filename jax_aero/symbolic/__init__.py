@@ -1,6 +1,6 @@
 """A third, independent derivation of the model: from energy, momentum and their symbolic derivatives, in CasADi.
 
-Nothing here is translated from Rust or JAX. The three implementations share numbers (TOML, URDF) but no expressions,
+Nothing here is translated from Rust or JAX. The three implementations share a robot's numbers but no expressions,
 so that a sign error passes `tests/parity` only if it is made three times.
 
     robot (numbers) ► spatial ► kinematics (tree) ► dynamics (energy) ► aero ► momentum ► contact, trim, trajectory

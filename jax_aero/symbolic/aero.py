@@ -5,9 +5,7 @@ Equations M19 to M22 of `docs/model`.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -25,11 +23,6 @@ ROOT_FLOOR = 1e-24
 
 LinkForce = Callable[[int, SX, SX], Any]
 """Force (`SX`) [N] on link `i`, from its unit axis and its velocity relative to the air [m/s], inertial axes."""
-
-
-def load_aero(path: str | Path) -> dict[str, Any]:
-    """Read a table of `configs/aero`."""
-    return tomllib.loads(Path(path).read_text(encoding="utf-8"))
 
 
 def link_force(config: Mapping[str, Any], robot: Robot) -> LinkForce:
@@ -58,11 +51,10 @@ def _attack(axis: SX, v_a: SX) -> tuple[SX, SX, SX, SX]:
 def _axisymmetric(config: Mapping[str, Any], robot: Robot) -> LinkForce:
     """Paper, eq. `aero-force-model`: F = −k_a |v_a| C_D A v_a + k_a C_N A (v_a × k̂ × v_a)/sin α, k_a = ρ/2."""
     k_a = 0.5 * config["air_density"]
-    sets = robot.coefficients[config["coefficients"]]
-    areas = [(*sets[link.family]["cda"], sets[link.family]["cna"]) for link in robot.aero_links]
+    areas = robot.coefficients[config["coefficients"]] if robot.aero_links else ()
 
     def force(link: int, axis: SX, v_a: SX) -> Any:
-        w0, w1, w2, w3, w4, w5 = areas[link]
+        w0, w1, w2, w3, w4, w5 = areas[link].tolist()
         speed, cos, sin, normal = _attack(axis, v_a)
         drag_area = w0 + w1 * cos + w2 * sin**2 + w3 * sin**3 + w4 * cos**3
         normal_area_over_sin = w5 * sin * cos  # C_N A = w₅ sin² α cos α

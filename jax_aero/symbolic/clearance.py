@@ -41,14 +41,14 @@ class Pair(NamedTuple):
 
 def exhaust(tree: Kinematics, jet: Jet, length: float) -> Capsule:
     """Return the segment of `length` [m] from the nozzle opposite to the thrust."""
-    pose = tree.poses[jet.frame]
+    pose = tree.bodies[jet.body]
     return Capsule(pose.point(jet.position), -length * pose.direction(jet.axis), 0.0)
 
 
 def around(tree: Kinematics, link: AeroLink) -> Capsule:
     """Return the capsule around the cylinder (centre, axis, length, diameter) of a link."""
     half = 0.0 if link.is_sphere else 0.5 * link.length
-    pose = tree.poses[link.frame]
+    pose = tree.bodies[link.body]
     return Capsule(
         pose.point(link.centre - half * link.axis), pose.direction(2 * half * link.axis), 0.5 * link.diameter
     )

@@ -13,7 +13,7 @@ from jax_aero.symbolic.kinematics import Kinematics
 class Dynamics:
     """Lagrange's equations and the centroidal momentum of the tree.
 
-    A link is a cloud of points r = p + R ρ with mass m, centre p and scatter E = ∫ ρ ρᵀ dm. Summing over the cloud,
+    A body is a cloud of points r = p + R ρ with mass m, centre p and scatter E = ∫ ρ ρᵀ dm. Summing over the cloud,
 
         kinetic energy      ½ m |ṗ|² + ½ tr(Ṙ E Ṙᵀ)
         potential energy    m g p_z
@@ -28,8 +28,8 @@ class Dynamics:
 
     def __init__(self, tree: Kinematics) -> None:
         robot = tree.robot
-        centres = [tree.poses[part.link].point(part.centre) for part in robot.inertials]
-        turns = [tree.poses[part.link].rotation for part in robot.inertials]
+        centres = [pose.point(body.centre) for pose, body in zip(tree.bodies, robot.bodies, strict=True)]
+        turns = [pose.rotation for pose in tree.bodies]
         # All rates in one pass through the tree.
         rates = tree.rate(ca.vertcat(*centres, *(ca.vec(turn) for turn in turns)))
         count = len(centres)
@@ -37,19 +37,19 @@ class Dynamics:
         turn_rates = [ca.reshape(rates[3 * count + 9 * i : 3 * count + 9 * i + 9], 3, 3) for i in range(count)]
 
         mass = robot.mass
-        self.com = sum((part.mass * c for part, c in zip(robot.inertials, centres, strict=True)), ca.SX(3, 1)) / mass
+        self.com = sum((body.mass * c for body, c in zip(robot.bodies, centres, strict=True)), ca.SX(3, 1)) / mass
         linear, angular, scatter = ca.SX.zeros(3), ca.SX.zeros(3), ca.SX.zeros(3, 3)
         kinetic = ca.SX(0)
-        for part, centre, turn, v, turn_rate in zip(
-            robot.inertials, centres, turns, centre_rates, turn_rates, strict=True
+        for body, centre, turn, v, turn_rate in zip(
+            robot.bodies, centres, turns, centre_rates, turn_rates, strict=True
         ):
-            carried = ca.mtimes(turn_rate, ca.DM(part.scatter))
-            kinetic += 0.5 * part.mass * ca.dot(v, v) + 0.5 * ca.trace(ca.mtimes(carried, turn_rate.T))
-            linear += part.mass * v
+            carried = ca.mtimes(turn_rate, ca.DM(body.scatter))
+            kinetic += 0.5 * body.mass * ca.dot(v, v) + 0.5 * ca.trace(ca.mtimes(carried, turn_rate.T))
+            linear += body.mass * v
             arm = centre - self.com
-            scatter += part.mass * ca.mtimes(arm, arm.T) + ca.mtimes([turn, ca.DM(part.scatter), turn.T])
+            scatter += body.mass * ca.mtimes(arm, arm.T) + ca.mtimes([turn, ca.DM(body.scatter), turn.T])
             # The angular momentum Σ r × ṙ of points with Σ ṙ rᵀ = A is the axial vector of A − Aᵀ.
-            angular += part.mass * ca.cross(arm, v) + 2 * ca.inv_skew(ca.mtimes(carried, turn.T))
+            angular += body.mass * ca.cross(arm, v) + 2 * ca.inv_skew(ca.mtimes(carried, turn.T))
         self.kinetic = kinetic
         self.potential = mass * robot.gravity * self.com[2]
         self.momentum = ca.vertcat(linear, angular)

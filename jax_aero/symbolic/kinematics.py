@@ -1,18 +1,20 @@
-"""The tree of links as transforms that depend on the coordinates; velocities are derivatives along the motion.
+"""The tree of bodies as transforms that depend on the coordinates; velocities are derivatives along the motion.
 
 Equations M7 and M8 of `docs/model`.
 """
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import casadi as ca
 
 from jax_aero.symbolic.robot import Robot
-from jax_aero.symbolic.spatial import SX, Pose, small_turn, turn_about, turn_from_rpy
+from jax_aero.symbolic.spatial import SX, Pose, constant, small_turn, turn_about
 
 
 class Kinematics:
-    """Pose of every link as a function of the coordinates q = (p_B, φ, s).
+    """Pose of every body as a function of the coordinates q = (p_B, φ, s).
 
     The base has the rotation `small_turn(φ) R_B`. At φ = 0, where everything is finally evaluated, q̇ is the mixed
     velocity ν = (v_B, ω_B, ṡ) of `docs/conventions.md` and q̈ its derivative. Derivatives are taken before φ is set to
@@ -28,20 +30,27 @@ class Kinematics:
         self._phi = ca.SX.sym("phi", 3)
         self.q = ca.vertcat(self.base_position, self._phi, self.joint_position)
         self.velocity = ca.SX.sym("nu", 6 + n)
-        self.poses = self._place(robot)
+        self.bodies = self._place(robot)
 
-    def _place(self, robot: Robot) -> dict[str, Pose]:
-        base = Pose(ca.mtimes(small_turn(self._phi), self.base_rotation), self.base_position)
-        poses = {robot.base: base}
-        for joint in robot.joints:
-            along = joint.locked_at if joint.index is None else self.joint_position[joint.index]
-            mount = Pose(turn_from_rpy(ca.SX(ca.DM(joint.rpy))), ca.SX(ca.DM(joint.position)))
+    def _place(self, robot: Robot) -> list[Pose]:
+        bodies = [Pose(ca.mtimes(small_turn(self._phi), self.base_rotation), self.base_position)]
+        for joint, along in zip(robot.joints, ca.vertsplit(self.joint_position), strict=True):
             if joint.is_prismatic:
-                moved = Pose(ca.SX.eye(3), ca.SX(ca.DM(joint.axis)) * along)
+                moved = Pose(ca.SX.eye(3), constant(joint.axis) * along)
             else:
                 moved = Pose(turn_about(joint.axis, along), ca.SX.zeros(3))
-            poses[joint.child] = poses[joint.parent] @ mount @ moved
-        return poses
+            mount = Pose(constant(joint.rotation), constant(joint.position))
+            bodies.append(bodies[joint.parent] @ mount @ moved)
+        return bodies
+
+    @cached_property
+    def poses(self) -> dict[str, Pose]:
+        """Pose of every link of the URDF."""
+        frames = self.robot.frames.items()
+        return {
+            name: self.bodies[frame.body] @ Pose(constant(frame.rotation), constant(frame.position))
+            for name, frame in frames
+        }
 
     def rate(self, expression: SX) -> SX:
         """Return the time derivative of a function of the coordinates."""

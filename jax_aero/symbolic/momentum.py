@@ -114,10 +114,10 @@ class MomentumModel:
         self.wind = ca.SX.sym("w", 3)
         model = link_force(aero, robot)
 
-        self.jet_points = [tree.poses[jet.frame].point(jet.position) for jet in robot.jets]
-        self.jet_axes = [tree.poses[jet.frame].direction(jet.axis) for jet in robot.jets]
-        self.link_points = [tree.poses[link.frame].point(link.centre) for link in robot.aero_links]
-        self.link_axes = [tree.poses[link.frame].direction(link.axis) for link in robot.aero_links]
+        self.jet_points = [tree.bodies[jet.body].point(jet.position) for jet in robot.jets]
+        self.jet_axes = [tree.bodies[jet.body].direction(jet.axis) for jet in robot.jets]
+        self.link_points = [tree.bodies[link.body].point(link.centre) for link in robot.aero_links]
+        self.link_axes = [tree.bodies[link.body].direction(link.axis) for link in robot.aero_links]
         velocities = tree.rate(ca.vertcat(ca.SX(0, 1), *self.link_points))
         self.link_forces = [
             model(i, axis, velocities[3 * i : 3 * i + 3] - self.wind) for i, axis in enumerate(self.link_axes)
@@ -149,7 +149,7 @@ class MomentumModel:
         forces, points = [], []
         jets = zip(ca.vertsplit(self.thrust), self.robot.jets, self.jet_axes, self.jet_points, strict=True)
         for thrust, thruster, axis, point in jets:
-            units = [tree.poses[thruster.frame].direction(unit) for unit in np.eye(3)]
+            units = [tree.bodies[thruster.body].direction(unit) for unit in np.eye(3)]
             couple = thruster.torque_to_thrust * thrust * axis
             forces += [thrust * axis, *(ca.cross(couple, unit) / 2 for unit in units)]
             points += [point, *units]

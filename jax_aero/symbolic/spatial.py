@@ -15,6 +15,11 @@ from jax_aero.symbolic.robot import Array
 SX = ca.SX
 
 
+def constant(numbers: Array) -> SX:
+    """Return numbers as an expression."""
+    return ca.SX(ca.DM(numbers))
+
+
 def turn_about(axis: Array, angle: SX | float) -> SX:
     """Return the rotation by an angle about a constant unit axis: 1 + sin S + (1 − cos) S²."""
     s = ca.skew(ca.DM(axis))
@@ -54,4 +59,4 @@ class Pose:
 
     def direction(self, vector_b: SX | Array) -> SX:
         """Rotate a direction from frame b to frame a."""
-        return ca.mtimes(self.rotation, ca.SX(ca.DM(vector_b)) if isinstance(vector_b, np.ndarray) else vector_b)
+        return ca.mtimes(self.rotation, constant(vector_b) if isinstance(vector_b, np.ndarray) else vector_b)

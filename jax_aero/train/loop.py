@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import msgspec
 import numpy as np
 
-from jax_aero import tables
+from jax_aero import plain, tables
 from jax_aero.adam import AdamState, adam_start, adam_step
 from jax_aero.aero.network import BLOCKS, Layer, Network, block_sizes, raw_output
 from jax_aero.command import ConfigError
@@ -143,7 +143,7 @@ def fit(
     Interrupted
         On Ctrl-C, after the checkpoint is written.
     """
-    settings = tables.convert(tables.to_table(settings), Settings, "settings")
+    settings = tables.convert(plain.to_table(settings), Settings, "settings")
     count = len(training.x)
     batch = settings.batch or count
     if batch > count:
@@ -301,7 +301,7 @@ def _noise(network: Network, settings: Settings) -> Array:
 
 
 def _digest(network: Network, training: Samples, validation: Samples | None, settings: Settings, seed: int) -> str:
-    total = hashlib.sha256(json.dumps([tables.to_builtins(settings), seed], sort_keys=True).encode())
+    total = hashlib.sha256(json.dumps([plain.to_builtins(settings), seed], sort_keys=True).encode())
     shape = (network.blocks, network.frame, network.layout, network.activation, network.mirror is None)
     total.update(repr(shape).encode())
     arrays = (*training, *(validation or ()), *jax.tree.leaves(network.layers))

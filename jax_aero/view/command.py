@@ -109,6 +109,8 @@ def export(words: Sequence[str]) -> int:
     for name, about in FORMATS.items():
         formats.add_argument(f"--{name}", dest="format", action="store_const", const=name, help=about)
     parser.add_argument("--ghost", metavar="RESULT", help="another flight, drawn translucent beside it, with --html")
+    about = "messages of the MCAP file: JSON for Foxglove (default), or standard types of ROS 2"
+    parser.add_argument("--profile", choices=("json", "ros2"), metavar="PROFILE", help=f"{about}; json or ros2")
     _files(parser, None)
     given = parser.parse_args(words)
     given.out = given.out or Path(f"flight.{given.format}")
@@ -119,12 +121,14 @@ def export(words: Sequence[str]) -> int:
 
         if given.ghost is not None and given.format != "html":
             raise Refused(f"--ghost is given with --{given.format}; expected --html, which alone shows two flights")
+        if given.profile is not None and given.format != "mcap":
+            raise Refused(f"--profile is given with --{given.format}; expected --mcap, which alone has profiles")
         results = [given.result] if given.ghost is None else [given.result, given.ghost]
         flight, *ghost = [recording.read(result, given.robot) for result in results]
         if given.format == "html":
             write_page([flight, *ghost], given.out)
         elif given.format == "mcap":
-            write_mcap(flight, given.out, progress)
+            write_mcap(flight, given.out, progress, given.profile or "json")
         else:
             write_csv(flight, given.out)
 

@@ -14,7 +14,9 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterator, Mapping
+import shlex
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,7 +28,8 @@ from jax_aero.command import ConfigError
 from jax_aero.files import parse_json, read_bytes
 from jax_aero.places import did_you_mean
 from jax_aero.view import Refused, recording, require
-from jax_aero.view.export import METADATA, column_name, entries_of
+from jax_aero.view.export import METADATA, column_name
+from jax_aero.view.recording import entries_of
 
 Array = NDArray[np.float64]
 
@@ -41,6 +44,21 @@ PERIOD_TOLERANCE = 0.01
 
 ROUNDING = 5e-7
 """Time that absorbs the rounding of times [s]."""
+
+HELD = 1.5
+"""Longest time for which a row is held, in periods of its topic or of the ticks; after it there is no measurement."""
+
+LATE = 10
+"""Number of rows within which a late row is followed by early ones; otherwise rows were lost."""
+
+LONGEST_GAP = 60.0
+"""Longest time between two rows of one flight [s]."""
+
+MAGIC = b"\x89MCAP0\r\n"
+"""First and last bytes of an MCAP file."""
+
+SEPARATORS = ",;\t"
+"""Separators of columns; after the comma, in that order, those of tables with decimal commas."""
 
 
 class Source(tables.Table, frozen=True):
@@ -72,6 +90,21 @@ class Log(NamedTuple):
 
     signals: Mapping[str, list[Series]]
     config: rust.Config | None
+
+
+class Ticks(NamedTuple):
+    """Signals of a log at the ticks of a controller.
+
+    Attributes
+    ----------
+    signals
+        Every signal; NaN where the log holds none.
+    is_recorded
+        Whether the log has a row for a tick, (n,).
+    """
+
+    signals: dict[str, Array]
+    is_recorded: NDArray[np.bool_]
 
 
 def read(path: Path, config: rust.Config | None, mapping: Path | None = None) -> Log:
@@ -113,47 +146,100 @@ def read_csv(path: Path, mapping: Path | None) -> tuple[dict[str, Series], None]
     time = sources.get("time", Source(columns="time"))
     name = time.columns if isinstance(time.columns, str) else next(iter(time.columns), "")
     try:
-        text = read_bytes(path).decode()
-        header, *lines = [row for row in csv.reader(text.splitlines()) if row]
-        numbers = np.array([[float(cell) if cell.strip() else np.nan for cell in row] for row in lines], dtype=float)
-        table = numbers.reshape(len(lines), len(header))
-    except (OSError, ValueError, csv.Error) as reason:
+        lines = read_bytes(path).decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError:
+        raise Refused(f"`{path}` is no text in UTF-8; expected a table with a header") from None
+    try:
+        # The separator by which the header has the column of times.
+        headers = ((mark, next(_rows(lines, mark), (0, []))[1]) for mark in SEPARATORS)
+        separator = next((mark for mark, header in headers if name in header), ",")
+        numbered = _rows(lines, separator)
+        header = next(numbered, (0, []))[1]
+        if name not in header:
+            raise Refused(f"`{path}` has no column `{name}` of times{did_you_mean(name, header)}")
+        rows = [_numbers(cells, header, separator, f"line {line} of `{path}`") for line, cells in numbered]
+    except csv.Error as reason:
         raise Refused(f"`{path}` is no table of numbers with a header ({reason})") from None
-    header = [word.strip() for word in header]
-    if name not in header:
-        raise Refused(f"`{path}` has no column `{name}` of times{did_you_mean(name, header)}")
+    table = np.reshape(rows, (len(rows), len(header)))
     times = table[:, header.index(name)]
     times = (times - times[:1]) * time.scale  # which would be rounded coarsely if they began in 1970
     return {word: Series(times, table[:, place]) for place, word in enumerate(header)}, None
+
+
+def _rows(lines: Sequence[str], separator: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield the cells of every row that is not empty, with the number of its line."""
+    reader = csv.reader(lines, delimiter=separator)
+    for row in reader:
+        cells = [cell.strip() for cell in row]
+        if any(cells):
+            yield reader.line_num, cells
+
+
+def _numbers(cells: Sequence[str], header: Sequence[str], separator: str, place: str) -> list[float]:
+    """Return the numbers of a row; an empty cell is NaN, and a comma that does not separate is decimal."""
+    if len(cells) != len(header):
+        hint = "; with decimal commas, `;` between them" if separator == "," and len(cells) > len(header) else ""
+        raise Refused(f"{place} has {len(cells)} cells; expected {len(header)}, as its header{hint}")
+    numbers = []
+    for name, cell in zip(header, cells, strict=True):
+        try:
+            numbers.append(float(cell if separator == "," else cell.replace(",", ".")) if cell else np.nan)
+        except ValueError:
+            raise Refused(f"{place}: column `{name}` is `{cell}`; expected a number") from None
+    return numbers
 
 
 def read_mcap(path: Path, mapping: Path | None) -> tuple[dict[str, Series], rust.Config | None]:
     """Return the numbers in the JSON messages of an MCAP file, and the configuration if `jax-aero export` wrote it."""
     require(["mcap"], f"reading `{path}`", "logs")
     from mcap.reader import make_reader
+    from mcap.records import Metadata
+    from mcap.stream_reader import StreamReader
 
+    _check_whole(path)
     topics = [f"/signals/{name}" for name in rust.signals()] if mapping is None else None
     found: dict[str, tuple[list[float], list[float]]] = {}
-    config, start = None, None
+    config, start, others = None, None, set()
     try:
         with path.open("rb") as file:
-            reader = make_reader(file, validate_crcs=True)
-            for _schema, channel, message in reader.iter_messages(topics):
+            for _schema, channel, message in make_reader(file, validate_crcs=True).iter_messages(topics):
                 if channel.message_encoding != "json":
+                    others.add(channel.message_encoding)
                     continue
                 start = message.log_time if start is None else start
                 for name, number in _flatten(parse_json(message.data), channel.topic):
                     times, numbers = found.setdefault(name, ([], []))
                     times.append((message.log_time - start) * 1e-9)
                     numbers.append(number)
-            for record in reader.iter_metadata():
-                if record.name == METADATA and "config" in record.metadata:
+            file.seek(0)
+            # The index of metadata may be missing.
+            for record in StreamReader(file, emit_chunks=True).records:
+                if isinstance(record, Metadata) and record.name == METADATA and "config" in record.metadata:
                     config = io.make_paths_absolute(json.loads(record.metadata["config"]))
     except Exception as reason:  # the package raises many types for damaged files
-        raise Refused(f"`{path}` cannot be read ({type(reason).__name__}: {reason}); expected an MCAP file") from None
+        what = f"({type(reason).__name__}: {reason})"
+        raise Refused(f"`{path}` is damaged {what}; {_recovery(path)}") from None
     if not found:
-        raise Refused(f"`{path}` has no message in JSON; expected those of `jax-aero export`, or others in JSON")
+        held = f", but in {', '.join(sorted(others))}" if others else ""
+        raise Refused(f"`{path}` has no message in JSON{held}; expected those of `jax-aero export`, or others in JSON")
     return {name: Series(np.array(times), np.array(numbers)) for name, (times, numbers) in found.items()}, config
+
+
+def _check_whole(path: Path) -> None:
+    """Refuse a file that does not begin and end as an MCAP file."""
+    with path.open("rb") as file:
+        first = file.read(len(MAGIC))
+        file.seek(max(len(MAGIC), path.stat().st_size - len(MAGIC)))
+        last = file.read()
+    if first != MAGIC:
+        raise Refused(f"`{path}` {'does not begin as an MCAP file' if first else 'is empty'}; expected an MCAP file")
+    if last != MAGIC:
+        raise Refused(f"`{path}` has no end: the recording was cut off; {_recovery(path)}")
+
+
+def _recovery(path: Path) -> str:
+    command = shlex.join(["mcap", "recover", str(path), "-o", f"{path.stem}_recovered.mcap"])
+    return f"`{command}` saves what is sound (the program is at mcap.dev)"
 
 
 def _flatten(part: Any, name: str) -> Iterator[tuple[str, float]]:
@@ -209,40 +295,117 @@ def _mapped_signals(
     return found
 
 
-def at_ticks(log: Log, robot: rust.Robot, period: float, path: Path) -> dict[str, Array]:
-    """Return every signal at the ticks of a controller, from time zero.
+def at_ticks(log: Log, robot: rust.Robot, period: float, path: Path) -> Ticks:
+    """Return every signal at the ticks of a controller, from time zero: when all that a flight begins with is measured.
 
-    A log with this period [s] has a tick in every row. In a faster one a tick has the last values until then; entries
-    that are slower are held too.
+    A log with this period [s] has a tick in every row, and ticks without a measurement where rows were lost. In a
+    faster one a tick has the last values until then. Entries that are slower are held for `HELD` of their periods.
+
+    Warns about lost rows, and about rows with the time of the next one, which count as lost.
 
     Raises
     ------
     Refused
-        For a log that lacks a signal without which no flight can begin, or whose times do not increase.
+        For a log that lacks a signal without which no flight can begin, or whose times decrease.
     """
-    there = {*log.signals} | ({"raw_base_rotation"} if QUATERNION in log.signals else set())
-    if lacking := [name for name in NEEDED if name not in there]:
-        raise Refused(f"`{path}` has no {', '.join(f'`{name}`' for name in lacking)}; expected what a tick is given")
-    base = log.signals["raw_joint_position"][0].times
-    if base.size == 0 or not np.all(np.diff(base, prepend=-np.inf) > 0.0) or not np.isfinite(base[-1]):
-        raise Refused(f"times in `{path}` do not increase from row to row")
-    ticks, is_denser = base, base.size > 1 and np.mean(np.diff(base)) < (1.0 - PERIOD_TOLERANCE) * period
-    if is_denser:
-        ticks = base[0] + period * np.arange(int((base[-1] - base[0] + ROUNDING) / period) + 1)
+    needed = [QUATERNION if name not in log.signals and name == "raw_base_rotation" else name for name in NEEDED]
+    if lacking := [name for name in needed if name not in log.signals]:
+        names = ", ".join(f"`{name}`" for name in lacking).replace(QUATERNION, "raw_base_rotation")
+        raise Refused(f"`{path}` has no {names}; expected what a tick is given")
+    stamps = log.signals["raw_joint_position"][0].times
+    rows = _check_times(stamps, path)
+    begin = max(one.times[0] for name in needed for one in log.signals[name])
+    rows = rows[rows >= min(begin, rows[-1])]
+    typical = _typical_step(rows)
+    if is_denser := typical < (1.0 - PERIOD_TOLERANCE) * period:
+        ticks = rows[0] + period * np.arange(int((rows[-1] - rows[0] + ROUNDING) / period) + 1)
+        is_lost = np.zeros(ticks.size, dtype=np.bool_)
+    elif typical <= (1.0 + PERIOD_TOLERANCE) * period:
+        ticks, is_lost = _add_lost(rows, period)
+    else:  # which no controller of this period replays
+        ticks, is_lost = rows, np.zeros(rows.size, dtype=np.bool_)
+    # A row less than half a period before the tick of a lost one is another one's.
+    held = np.where(is_lost, 0.5, HELD)
+    is_recorded = ticks - rows[_last_row(rows, ticks)] <= held * period
+    if not is_recorded.all():
+        warnings.warn(_describe_gaps(stamps, ticks, is_recorded, path), stacklevel=2)
     found = {}
     for name, series in log.signals.items():
-        rows = np.concatenate([np.reshape(_hold(one, ticks), (ticks.size, -1)) for one in series], axis=1)
+        entries = [_hold(one, ticks, held * max(period, _typical_step(one.times))) for one in series]
+        flat = np.concatenate([entry.reshape(ticks.size, -1) for entry in entries], axis=1)
         if name == QUATERNION:
-            found["raw_base_rotation"] = rust.rotation_from_wxyz(rows)
+            found["raw_base_rotation"] = rust.rotation_from_wxyz(flat)
         else:
             shape = [len(names) for names in recording.axes_of(name, robot)]
-            found[name] = rows.reshape(ticks.size, *shape)
-    # The times of ticks are those of the rows, and not of a message about them.
-    times = ticks if is_denser or "time" not in found else found["time"]
-    return found | {"time": times - times[0]}
+            found[name] = flat.reshape(ticks.size, *shape)
+    times = ticks - ticks[0]
+    if not is_denser and "time" in found:
+        # The stamps of messages are rounded, the times that they state are not.
+        stated = np.where(is_lost, times, found["time"] - found["time"][0])
+        times = stated if np.all(np.abs(stated - times) < ROUNDING) else times
+    return Ticks(found | {"time": times}, is_recorded)
 
 
-def _hold(series: Series, ticks: Array) -> Array:
-    """Return the last row until each tick; NaN before the first."""
-    place = np.searchsorted(series.times, ticks + ROUNDING, side="right") - 1
-    return np.where((place < 0).reshape(-1, *[1] * (series.rows.ndim - 1)), np.nan, series.rows[np.maximum(place, 0)])
+def _check_times(times: Array, path: Path) -> Array:
+    """Return the times of rows without those that the next row repeats, which are warned about."""
+    if times.size == 0:
+        raise Refused(f"`{path}` has no row")
+    if not np.isfinite(times).all():
+        raise Refused(f"row {np.isfinite(times).argmin() + 1} of `{path}` has no time")
+    steps = np.diff(times)
+    for is_wrong, expected in (
+        (steps < 0.0, "times that increase"),
+        (steps > LONGEST_GAP, f"at most {LONGEST_GAP:g} s"),
+    ):
+        if is_wrong.any():
+            row = int(is_wrong.argmax())
+            what = f"row {row + 2} of `{path}` is {steps[row]:g} s after the one at {times[row]:g} s"
+            raise Refused(f"{what}; expected {expected} between the rows of a flight")
+    if (doubled := np.flatnonzero(steps == 0.0)).size:
+        more = f", and {doubled.size - 1} more do so" if doubled.size > 1 else ""
+        what = f"row {doubled[0] + 2} of `{path}` repeats the time of the row before, {times[doubled[0]]:g} s{more}"
+        warnings.warn(f"{what}; the later one is used", stacklevel=3)
+    later: Array = times[np.append(steps > 0.0, True)]
+    return later
+
+
+def _typical_step(times: Array) -> float:
+    """Return the median time from row to row [s]; infinite for a single row."""
+    return float(np.median(np.diff(times))) if times.size > 1 else np.inf
+
+
+def _add_lost(rows: Array, period: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the times of rows, with those of lost ones in between, and which ones were lost.
+
+    As many were lost before a row as it and the next `LATE` rows are later, in periods, than the row before it.
+    """
+    late = (rows - rows[0]) / period - np.arange(rows.size)
+    after = np.lib.stride_tricks.sliding_window_view(np.pad(late[1:], (0, LATE), constant_values=np.inf), LATE + 1)
+    lost = np.append(np.maximum(np.rint(after.min(axis=1) - late[:-1]), 0.0).astype(int), 0)
+    steps = np.append(np.diff(rows), 0.0) / (lost + 1)
+    row = np.repeat(np.arange(rows.size), lost + 1)
+    number = np.arange(row.size) - np.searchsorted(row, row)
+    return rows[row] + number * steps[row], number > 0
+
+
+def _describe_gaps(stamps: Array, ticks: Array, is_recorded: NDArray[np.bool_], path: Path) -> str:
+    edges = np.flatnonzero(np.diff(is_recorded, prepend=True, append=True))
+    begin, end = edges[:2]
+    after = int(_last_row(stamps, ticks[begin : begin + 1])[0])
+    others = np.count_nonzero(~is_recorded) - (end - begin)
+    more = f", and for {others} in {edges.size // 2 - 1} other places" if others else ""
+    what = f"`{path}` has no row for {end - begin} ticks after row {after + 1} at {stamps[after]:g} s{more}"
+    return f"{what}; they are replayed as ticks without a measurement"
+
+
+def _last_row(times: Array, ticks: Array) -> NDArray[np.int64]:
+    """Return the place of the last row until each tick; −1 before the first."""
+    return np.searchsorted(times, ticks + ROUNDING, side="right") - 1
+
+
+def _hold(series: Series, ticks: Array, longest: Array) -> Array:
+    """Return the last row until each tick; NaN before the first, and after the longest time since it [s]."""
+    place = _last_row(series.times, ticks)
+    held: Array = series.rows[place]
+    held[(place < 0) | (ticks - series.times[place] > longest)] = np.nan
+    return held

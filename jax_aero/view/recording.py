@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -161,6 +162,15 @@ def axes_of(signal: str, robot: rust.Robot) -> list[Sequence[str]]:
     """Return the names along every axis of a signal's row."""
     labels = labels_of(robot)
     return [labels[dim] for dim in rust.signals()[signal].dims[1:]]
+
+
+def entries_of(signal: str, robot: rust.Robot) -> list[tuple[str, ...]]:
+    """Return the names of the entries of a signal's row, one for each of its dimensions; empty names for a scalar.
+
+    >>> entries_of("wind", rust.Robot("configs/robot/sparrow.toml"))
+    [('x',), ('y',), ('z',)]
+    """
+    return list(itertools.product(*axes_of(signal, robot)))
 
 
 def from_flight(flight: rust.FlightResult, config: rust.Config, title: str) -> Recording:

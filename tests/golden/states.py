@@ -23,7 +23,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from jax_aero import rust
 from jax_aero.symbolic import MomentumModel, load_robot
-from jax_aero.symbolic.aero import load_aero
 from tests.golden.inputs import AERO, EXPERIMENT, FILE, ROBOT, TORQUE_MAX
 from tests.parity.test_dynamics_pinocchio import Oracle
 
@@ -278,13 +277,13 @@ def compute_controllers(given: Values) -> dict[str, Values]:
     found: dict[str, Values] = {"given": given}
     for name in ("aero_aware", "baseline"):
         config = rust.load_config(EXPERIMENT)["controller"]
-        aero = load_aero(AERO[name]) if name in AERO else {"model": "off"}
+        aero = rust.load_aero(AERO[name]) if name in AERO else {"model": "off"}
         values = compute_physics(given, MomentumModel(robot, aero))
         found[name] = values | compute_control(given, values, config)
     del found["aero_aware"]["generalised_force"]
     changed = ("momentum_qp.h", "momentum_qp.g", "thrust_rate", "joint_velocity_command", "unlimited_torque")
     found["baseline"] = {key: found["baseline"][key] for key in changed}
-    cylinders = compute_physics(given, MomentumModel(robot, load_aero(AERO["sphere_cylinder"])))
+    cylinders = compute_physics(given, MomentumModel(robot, rust.load_aero(AERO["sphere_cylinder"])))
     found["sphere_cylinder"] = {"aero_force": cylinders["aero_force"]}
     return found
 

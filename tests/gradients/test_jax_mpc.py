@@ -14,7 +14,7 @@ from jax_aero import rust
 from jax_aero.control import qp
 from jax_aero.control.law.mpc.horizon import Target, horizon
 from jax_aero.control.law.mpc.model import linearise
-from jax_aero.control.measurement import UsedMeasurement
+from jax_aero.control.measurement import Measurement
 from jax_aero.sim import begin, prepare, rollout
 
 pytestmark = pytest.mark.usefixtures("x64")
@@ -25,7 +25,7 @@ WEIGHTS = ("position", "attitude", "angular_velocity", "posture", "joint_command
 
 
 def prepared():
-    """The predictive law without the guard's stages, which would only take time."""
+    """The predictive law without an observer, which would only take time."""
     table = rust.load_config(ROOT / "configs/experiments/test2.toml", {"wind.ramp_start": -1.0, "wind.ramp_end": 0.1})
     table["controller"]["mpc"] = rust.load_config(ROOT / "configs/experiments/test2_mpc.toml")["controller"]["mpc"]
     return prepare(table)
@@ -43,13 +43,12 @@ def test_gradient_of_a_plan(check_gradient):
     mpc, gains = params.mpc, (params.torque.kd, params.torque.kp)
     rng = np.random.default_rng(3)
     thrust, wind = np.array([60.0, 70.0, 150.0, 110.0]), np.array([2.0, -9.0, 1.0])
-    none, no = jnp.zeros(()), jnp.zeros((), bool)
-    used = UsedMeasurement(none, state, thrust, wind, none.astype(int), 0.0 * thrust, none, none, no)
+    now = Measurement(jnp.zeros(()), state, thrust, wind)
     target = Target(*0.3 * rng.normal(size=(6, len(mpc.structure.durations), 3)))
 
     @jax.jit
     def at_state():
-        model = params.model(robot, used)
+        model = params.model(robot, now)
         return model, linearise(robot, params.aero, mpc.structure.air, mpc.structure.joints, state, thrust, wind)
 
     model, linear = at_state()
@@ -57,8 +56,7 @@ def test_gradient_of_a_plan(check_gradient):
     def plan(at, beyond):
         changed = weighted(mpc, at["weights"])
         wrenches = jnp.zeros((len(mpc.structure.durations), 6))
-        args = at["linear"], used, model, params.limits(robot), state.joint_position, target, wrenches
-        ahead = horizon(changed, changed.weights, gains, robot, *args)
+        ahead = horizon(changed, gains, robot, at["linear"], now, model, state.joint_position, target, wrenches)
         u = qp.solve(ahead.problem(beyond, jnp.full(ahead.g.shape, -40.0), jnp.full(ahead.g.shape, 40.0))).x
         return {"u": u, "values": ahead.free + ahead.by_inputs @ u}
 

@@ -8,7 +8,6 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.rust import Robot, State
-from jax_aero.symbolic.aero import load_aero
 from tests.golden import ticks
 from tests.golden.inputs import AERO, FILE, ROBOT, ROOT, TORQUE_MAX
 
@@ -37,7 +36,7 @@ def test_every_value_of_a_tick(golden, controller, agree):
     experiment = {"aero_aware": "test2", "baseline": "test1"}[controller]
     config = rust.load_config(ROOT / "configs" / "experiments" / f"{experiment}.toml")
     if controller in AERO:
-        config["controller"]["aero"] = load_aero(AERO[controller])
+        config["controller"]["aero"] = rust.load_aero(AERO[controller])
     config["controller"]["torque"]["torque_max"] = TORQUE_MAX
     found = ticks.compute(config, golden["given"] | {"time": 0.0})
     expected = golden[controller]
@@ -60,6 +59,6 @@ def test_jacobians_of_the_link_centres(golden, iron_cub, agree):
 
 def test_forces_of_spheres_and_cylinders(golden, iron_cub, agree):
     state = golden["aero_aware"]
-    model = load_aero(AERO["sphere_cylinder"])
+    model = rust.load_aero(AERO["sphere_cylinder"])
     found = rust.aero_forces(iron_cub, model, state["link_axes"], state["link_v_air"])
     agree("aero_force", found, golden["sphere_cylinder"]["aero_force"], TOLERANCE)

@@ -87,10 +87,10 @@ def test_a_motion_that_is_followed_goes_on_without_jerk(agree):
     agree("raw position", state.raw.position, expected, 1e-14)
     agree("raw velocity", state.raw.velocity, com[1] + lag * com[2], 1e-14)
     position, velocity, _, _ = com + np.vstack([1e-3 * com[1:], np.zeros(3)])
-    _, descending = setpoint.descend(params, state)
-    np.testing.assert_allclose(descending.com_position, position, rtol=0.0, atol=1e-5)
-    np.testing.assert_allclose(descending.com_velocity, velocity, rtol=0.0, atol=1e-4)
-    np.testing.assert_allclose(descending.com_acceleration, com[2], rtol=0.0, atol=0.02)
+    _, after = setpoint.move_on(params, state)
+    np.testing.assert_allclose(after.com_position, position, rtol=0.0, atol=1e-5)
+    np.testing.assert_allclose(after.com_velocity, velocity, rtol=0.0, atol=1e-4)
+    np.testing.assert_allclose(after.com_acceleration, com[2], rtol=0.0, atol=0.02)
 
 
 HEADER = ["time", "x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "ax", "ay", "az", "jx", "jy", "jz"]

@@ -19,7 +19,6 @@ COMMON = {
     "disturbances.model_error.mass_scale": 1.01,
     "disturbances.aero_estimate.drag": 0.8,
     "disturbances.aero_estimate.normal": 1.2,
-    "controller.channels.greatest.thrust": 5.0,
 }
 TURBULENT = {
     "profile": "turbulent",
@@ -48,7 +47,6 @@ CASES = {
         "disturbances.wind_estimate": {"noise_std": 1.5, "seed": 2**40 + 1},
         "disturbances.aero_estimate.links": {"chest": 0.3, "l_upper_leg": 1.6},
         "disturbances.jets": {"thrust_limit_scale": 0.62, "limit_is_known": True},
-        "controller.channels.greatest.thrust": 1.0,
     },
     "a jet that fails at once": {
         "disturbances.wind_estimate": {"delay": 0.5},

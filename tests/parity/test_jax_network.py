@@ -31,6 +31,7 @@ ALL = ("wind", "joints", "link_wind", "link_position", "link_shadow")
 SHAPES = {
     "paper": {"hidden": (64, 64, 64)},
     "linear": {"hidden": ()},
+    "torso alone": {"hidden": (9,), "joints": (0, 1, 2), "mirror": True},
     "symmetric": {"hidden": (33,), "activation": "tanh", "members": 3, "mirror": True},
     "tunnel axes": {"hidden": (20, 70), "frame": "wind", "mirror": True},
     "base axes by link": {

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
-from jax_aero.aero.network_card import copy_network
+from jax_aero.cards import copy_card
 from jax_aero.control import Measurement
 from jax_aero.control.law.policy_card import load_policy, save_policy
 from jax_aero.control.modes import MODES
@@ -103,10 +103,14 @@ def test_a_residual_that_is_no_number_is_named(x64, robot):
     spoilt = replace(controller, residual=replace(controller.residual, scale=controller.residual.scale * jnp.nan))
 
     def first_tick(law, begun):
-        return jax.jit(lambda begun: step(replace(scenario, controller=law), begun, 0)[1])(begun)
+        return step(replace(scenario, controller=law), begun, 0)[1]
 
-    with_nan = first_tick(spoilt, begun)
-    alone = first_tick(replace(controller, residual=None), begun._replace(controller=memory))
+    @jax.jit
+    def first_ticks(begun):  # of one program, which rounds the law once
+        without = replace(controller, residual=None)
+        return first_tick(spoilt, begun), first_tick(without, begun._replace(controller=memory))
+
+    with_nan, alone = first_ticks(begun)
     assert int(with_nan.degraded_modes) == MODES["residual_ignored"]
     np.testing.assert_array_equal(with_nan.thrust_rate, alone.thrust_rate)
     np.testing.assert_array_equal(with_nan.joint_torque, alone.joint_torque)
@@ -122,7 +126,7 @@ def test_a_card_is_read_as_it_was_written(x64, tmp_path, robot):
     np.testing.assert_array_equal(read.scale, written.scale)
     for ours, theirs in zip(jax.tree.leaves(read.policy), jax.tree.leaves(policy), strict=True):
         np.testing.assert_array_equal(ours, np.asarray(theirs, np.float32))
-    copy_network(tmp_path / "own.json", tmp_path / "again.json")
+    copy_card(tmp_path / "own.json", tmp_path / "again.json")
     rust.load_config(TASK.experiment, {"controller.policy": {"card": tmp_path / "again.json"}})
 
 
@@ -139,7 +143,7 @@ REFUSED = {
 
 @pytest.mark.parametrize("key", REFUSED)
 def test_both_refuse_a_card_by_its_key(key, tmp_path, robot):
-    copy_network(CARD, tmp_path / "own.json")
+    copy_card(CARD, tmp_path / "own.json")
     card = json.loads((tmp_path / "own.json").read_text())
     *tables, last = key.split(".")
     table = card[tables[0]] if tables else card

@@ -22,12 +22,12 @@ def test_pushes_between_ticks(agree):
     ]
     changes = {"simulator.substeps": 2, "simulator.aero": {"model": "off"}, "disturbances.pushes": pushes}
     table = rust.load_config("test2", changes | {"simulator.initial.free_fall_tick": False})
-    crate, config = rust.Plant(table), scenario_config(table)
+    crate, config = rust.Flight(table), scenario_config(table)
     plant, state = start_plant(config.simulator, config.disturbances, load_robot(table["robot"]))
     torque, thrust_rate, rest = jnp.zeros(23), jnp.zeros(4), jnp.zeros(3)
     step = jax.jit(lambda state: advance(plant, state, observe(plant, state, rest), torque, thrust_rate, rest))
-    crate.reset()
     for _ in range(5):
-        state, measured = step(state), crate.step(np.zeros(4), np.zeros(23))
+        crate.step(command=rust.Command(np.zeros(4), np.zeros(23)))
+        state, measured = step(state), crate.truth
         agree("velocities", state.robot.velocity, measured.state.velocity, 1e-10)
         agree("joints", state.robot.joint_position, measured.state.joint_position, 1e-10)

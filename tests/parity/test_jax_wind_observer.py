@@ -12,7 +12,6 @@ import pytest
 from jax_aero import rust
 from jax_aero.aero import aero_model
 from jax_aero.control.guard import wind_observer
-from jax_aero.control.measurement import UsedMeasurement
 from jax_aero.dynamics import dynamics
 from jax_aero.identify import states_of
 from jax_aero.io import scenario_config
@@ -47,10 +46,8 @@ def replayed(x64):
             a_t = jnp.concatenate([axes, cross(points - kin.com, axes)], axis=1).T
             # The force is that of three more jets, through the centre of mass.
             a_t, momentum = jnp.hstack([a_t, -jnp.eye(6, 3)]), dynamics(robot, now, kin).momentum
-            used = UsedMeasurement(**dict.fromkeys(UsedMeasurement._fields))._replace(
-                thrust=jnp.concatenate([thrust, force]), elapsed=step, has_momentum=jnp.array(True)
-            )
-            return wind_observer.update(settings, robot, air, state, used, kin, momentum, a_t), state
+            seen = kin, momentum, a_t, jnp.concatenate([thrust, force])
+            return wind_observer.update(settings, robot, air, step, state, *seen), state
 
         return jax.lax.scan(tick, wind_observer.start(settings), rows)[1]
 

@@ -22,7 +22,6 @@ from jax_aero.kinematics import kinematics
 from jax_aero.robot import load_robot as twin_robot
 from jax_aero.rust import Controller, Robot
 from jax_aero.symbolic import MomentumModel, load_robot
-from jax_aero.symbolic.aero import load_aero
 from jax_aero.types import State as TwinState
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -93,7 +92,7 @@ def _flight(path, aero):
 
 
 def aero_tables(robot_name):
-    cylinders = load_aero(ROOT / "configs/aero/sphere_cylinder.toml")
+    cylinders = rust.load_aero(ROOT / "configs/aero/sphere_cylinder.toml")
     sets = load_robot(ROOT / f"configs/robot/{robot_name}.toml").coefficients
     fitted = [{"model": "axisymmetric", "coefficients": name, "air_density": 1.225} for name in sorted(sets)]
     return [{"model": "off"}, cylinders, *fitted]

@@ -61,6 +61,11 @@ KINDS = {
 }
 
 
+WRITTEN = [page for page in PAGES if page.parent != DOCS / "results"]
+"""Pages that are written by hand; those of kept results follow from their figures."""
+MOST_WORDS, OF_A_PAGE, OF_THE_MODEL = 49_500, 2500, 4000
+
+
 def name(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
@@ -87,6 +92,18 @@ def test_the_architecture_page_names_every_module_of_the_core_crate():
     page = (DOCS / "architecture.md").read_text(encoding="utf-8")
     named = set(re.findall(r"^\| `(\w+)` \|", page, re.M))
     assert named == {path.stem for path in (ROOT / "rust/core/src").glob("*.rs")} - {"lib"}
+
+
+def test_pages_stay_short():
+    """Figures belong to kept results: a page says what they mean, and links them."""
+    words = {page: len(page.read_text(encoding="utf-8").split()) for page in WRITTEN}
+    long = {
+        name(page): count
+        for page, count in words.items()
+        if count > (OF_THE_MODEL if page.parent == DOCS / "model" else OF_A_PAGE)
+    }
+    assert long == {}
+    assert sum(words.values()) <= MOST_WORDS
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
@@ -174,7 +191,7 @@ def test_shown_commands_name_what_exists(page):
             assert all((ROOT / word).exists() for word in words if word.startswith(("rust/", "configs/"))), words
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name)
+@pytest.mark.parametrize("page", WRITTEN, ids=name)
 def test_a_page_shows_no_command_of_another_study(page):
     """A study can be deleted with its folder: pages link its page, and the link goes with it."""
     others = {name for name in studies.names() if studies.FOLDER / name != page.parent}

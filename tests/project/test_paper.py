@@ -8,14 +8,14 @@ import pytest
 
 from experiments import studies
 from experiments.fly import main as fly
-from experiments.report import findings, index, paper
+from experiments.report import findings, index, kept, paper
 from experiments.report.results import Results
 from experiments.report.verdicts import Kind
 from jax_aero.cli import COMMANDS, main
 from paper_figs.figures import FIGURES, OURS, SWEEPS
 
 ROOT = Path(__file__).resolve().parents[2]
-KEPT = findings.read(index.CLAIMS)
+KEPT = findings.read(index.CLAIMS) | kept.findings()
 CLAIMS = paper.all_claims()
 ITEMS = paper.all_items()
 
@@ -32,7 +32,8 @@ def test_the_index_is_the_page(capsys):
 
 
 def test_every_figure_and_sweep_has_an_item():
-    assert {item.figure for item in ITEMS} - {""} == {*FIGURES, *SWEEPS}
+    drawn = {name for name, entry in FIGURES.items() if not entry.is_of_any}
+    assert {item.figure for item in ITEMS} - {""} == {*drawn, *SWEEPS}
 
 
 def test_a_key_is_that_of_one_claim():
@@ -40,10 +41,7 @@ def test_a_key_is_that_of_one_claim():
 
 
 def test_what_needs_results_is_kept_with_a_verdict_and_nothing_else_is():
-    written = {
-        row.key for rows in paper.SECTIONS.values() for row in rows if isinstance(row, paper.Claim) and row.commands
-    }
-    assert set(KEPT) == written
+    assert set(KEPT) == {key for key, claim in CLAIMS.items() if claim.commands}
     assert {finding.verdict.kind for finding in index.found().values()} <= {
         Kind.AGREES, Kind.IN_PART, Kind.DIFFERS, Kind.OUT_OF_REACH,
     }  # fmt: skip
@@ -66,7 +64,7 @@ def test_without_studies_nothing_of_the_table_names_one(monkeypatch):
     commands = [command for items in sections.values() for item in items for command in item.commands]
     assert not [command for command in commands if command.startswith("jax-aero study")]
     shown = {item.figure for items in sections.values() for item in items} - {""}
-    assert shown == {*OURS, *SWEEPS}
+    assert shown == {*(name for name, entry in OURS.items() if not entry.is_of_any), *SWEEPS}
     (battery,) = [item for item in sections["Numbers of the text"] if item.shows == "battery against fuel"]
     assert [claim.key for claim in battery.claims] == ["battery", "fuel"]
 
@@ -82,6 +80,26 @@ def test_links_lead_somewhere(link):
         page = ROOT / "docs" / path
         assert not path or page.is_file()
         assert not anchor or anchor in anchors(page.read_text(encoding="utf-8") if path else index.page())
+
+
+def test_what_reproduces_the_paper_makes_what_every_claim_needs(monkeypatch):
+    monkeypatch.setattr(paper.shutil, "which", lambda _: "simpleFoam")
+    made = [command.split()[1:] for command in paper.commands(ours=False) if not command.startswith("#")]
+    needed = {key: claim.commands for key, claim in CLAIMS.items() if claim.where != "ours"}
+    for key, commands in needed.items():
+        for word, *names in (command.split() for command in commands):
+            assert any(word == one[0] and set(names) <= set(one[1:]) for one in made), key
+    assert [words[0] for words in made].count("fly") == [words[0] for words in made].count("sweep") == 1
+    asked = {name for commands in needed.values() for command in commands for name in command.split()[1:]}
+    assert {name for word, *names in made for name in names if word == "sweep"} <= asked
+    assert set(made[0]) < set(paper.commands(ours=True)[0].split())
+
+
+def test_what_is_not_here_is_named_and_not_asked_for(monkeypatch):
+    monkeypatch.setattr(paper.shutil, "which", lambda _: None)
+    commands = paper.commands(ours=True)
+    assert "# needs OpenFOAM that is not here: jax-aero cfd flow flight30" in commands
+    assert not [command for command in commands if command.startswith(("jax-aero cfd", "jax-aero data import"))]
 
 
 def test_commands_name_what_exists():
@@ -122,6 +140,6 @@ def git(*words: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.skipif(git("rev-parse", "--is-shallow-repository").stdout != "false\n", reason="no history of commits")
 def test_a_claim_names_a_commit_that_a_clone_has():
-    for commit in {finding.commit for finding in KEPT.values()}:
+    for commit in {finding.commit for finding in findings.read(index.CLAIMS).values()}:
         assert commit is not None
         assert git("merge-base", "--is-ancestor", commit, "HEAD").returncode == 0, commit

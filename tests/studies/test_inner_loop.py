@@ -85,12 +85,11 @@ def test_the_loop_is_linearised_where_the_robot_hovers(monkeypatch, capsys, agre
 def test_the_step_of_the_linearised_world_is_that_of_the_simulator(agree):
     """From the same state under the same command; the rotation is a vector in the axes of the base before the step."""
     config = rust.load_config("no_wind", {"mission": {}, "simulator.time_step": STEP})
-    plant, controller = rust.Plant(config), rust.Controller(config)
-    before = plant.reset()
+    flight = rust.Flight(config)
     for _ in range(3):
-        tick = controller.tick(before.state, before.thrust, before.wind, before.time)
-        state, thrust = before.state, before.thrust
-        before = plant.step(tick.thrust_rate, tick.joint_torque)
+        state, thrust = flight.truth.state, flight.truth.thrust
+        flight.step()
+    tick, before = flight.last, flight.truth
     at = np.concatenate([state.base_position, np.zeros(3), state.joint_position, state.velocity, thrust])
     rotation = np.asarray(state.base_rotation)
     found = inner_loop._step_state(

@@ -35,9 +35,7 @@ def test_a_flight_comes_back_below_the_limit_and_not_above(config, gain):
 
 
 def test_the_couple_is_one(config, agree, measured):
-    plant = observer_limit.rust.Plant(config)
-    start = plant.reset()
-    tick = observer_limit.rust.Controller(config).tick(start.state, start.thrust, np.zeros(3), 0.0)
+    tick = observer_limit.rust.Flight(config).try_tick()
     wanted = np.array([1.0, -2.0, 3.0])
     forces = observer_limit.couple(tick, wanted)
     measured("total force", np.abs(forces.sum(axis=0)).max(), 1e-12)

@@ -12,7 +12,7 @@ import pytest
 
 from experiments.studies.tune import pairs
 from experiments.studies.tune import study as tune
-from jax_aero import places, rust, sim, tables
+from jax_aero import places, plain, rust, sim, tables
 from jax_aero.command import Refused
 from jax_aero.files import lock_work
 from jax_aero.places import CONFIGS
@@ -97,9 +97,9 @@ def test_the_gradient_is_that_of_the_cost(scenario, monkeypatch, measured):
 
 def test_a_table_is_written_as_it_is_read():
     for path in sorted((CONFIGS / "control").glob("*.toml")):
-        assert tomllib.loads(tables.toml(tables.read(path))) == tables.read(path), path.name
+        assert tomllib.loads(plain.toml(tables.read(path))) == tables.read(path), path.name
     empty = {"a": {"b": {}, "c": {"d": [1, 2.5, "é"]}}}
-    assert tomllib.loads(tables.toml(empty)) == empty
+    assert tomllib.loads(plain.toml(empty)) == empty
 
 
 def test_a_factor_scales_what_its_key_names(scenario):

@@ -9,10 +9,10 @@ import pytest
 import xarray as xr
 
 from experiments import record
+from experiments.data import fit
 from experiments.data.import_cfd import known_postures
 from experiments.data.import_tunnel import MK3, POSTURES_OF_MK3
 from experiments.studies.tunnel_mk3 import study as tunnel_mk3
-from jax_aero.aero import fit
 from jax_aero.aero.dataset import wind_direction
 from jax_aero.aero.posture import axes_of, link_axes, total_wrench
 from jax_aero.robot import load_robot

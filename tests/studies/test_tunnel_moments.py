@@ -7,13 +7,13 @@ import xarray as xr
 
 from experiments import Refused
 from experiments.cfd import models
-from experiments.data import import_tunnel
+from experiments.data import import_tunnel, tunnel
+from experiments.data.fit import predicted_areas
 from experiments.studies.tunnel_moments import correction as tunnel_correction
 from experiments.studies.tunnel_moments import figure
 from experiments.studies.tunnel_moments import study as tunnel_moments
 from jax_aero import tables
-from jax_aero.aero import dataset, tunnel
-from jax_aero.aero.fit import predicted_areas
+from jax_aero.aero import dataset
 from jax_aero.aero.posture import link_axes, rms_by_posture, total_wrench
 from jax_aero.robot import load_robot
 from paper_figs import model_pairs

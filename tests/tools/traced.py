@@ -30,9 +30,9 @@ EVERYTHING = {
     "simulator.jets": {"dynamics": "second_order"},
     "controller.wind_observer": {},
     "disturbances.wind_estimate": {"noise_std": 1.0},
-    "disturbances.outages": [{"channel": "thrust", "jet": "l_arm_jet", "start": 1.0, "duration": 1.0, "kind": "nan"}],
     "disturbances.aero": {"drag": 1.1},
     "disturbances.model_error": {"mass_scale": 1.1},
+    "controller.engines": False,
     "disturbances.jets": {"lag": 0.1, "failure": {"jet": "chest_l_jet", "time": 1.0, "kind": "off", "decay": 0.5}},
 }
 """What a flight may have beside its defaults."""

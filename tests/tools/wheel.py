@@ -1,6 +1,7 @@
 """A package alone: install it in an empty environment outside the checkout, fly with it, compare with the checkout.
 
-A wheel is installed and flown without a compiler. Of a wheel for another processor, size and files are checked.
+A wheel is installed and flown without a compiler. Of a wheel for another machine, size, files, and what its library
+exports and needs are checked.
 
 python tests/tools/wheel.py dist/*.whl
 python tests/tools/wheel.py dist/*.tar.gz   the source package, which compiles first: minutes
@@ -9,6 +10,7 @@ python tests/tools/wheel.py dist/*.tar.gz   the source package, which compiles f
 import json
 import os
 import platform
+import re
 import subprocess
 import sys
 import sysconfig
@@ -19,6 +21,10 @@ import zipfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+
+from tests.tools import library  # noqa: E402
+
 FLY = """
 import json, sys
 import jax_aero
@@ -30,10 +36,14 @@ print(json.dumps([jax_aero.__file__, rust.config_digest(config), flight.outcome,
 """
 LARGEST = 6e6
 """Size of a wheel [bytes]."""
-LIBRARY = "jax_aero/_core.abi3.so"
-PROCESSORS = {0x3E: "x86_64", 0xB7: "aarch64"}
-"""By `e_machine` of ELF."""
-PARTS = {LIBRARY, "jax_aero/_core.pyi", "jax_aero/py.typed", "jax_aero/configs/experiments/test2.toml"}
+LIBRARIES = ("jax_aero/_core.abi3.so", "jax_aero/_core.pyd")
+"""The compiled module, elsewhere and for Windows."""
+SYSTEM = {
+    "win_amd64": r"(?i)(python3|kernel32|ntdll|msvcrt|api-ms-win-[a-z0-9-]+|bcryptprimitives|ws2_32|userenv)\.dll",
+    "arm64": r"/usr/lib/lib(System\.B|iconv\.2|c\+\+\.1)\.dylib",
+}
+"""Libraries that Windows, macOS or Python have, by the end of the wheel's name."""
+PARTS = {"jax_aero/_core.pyi", "jax_aero/py.typed", "jax_aero/configs/experiments/test2.toml"}
 # Those that `make lab` has built.
 PARTS |= {str(part.relative_to(ROOT)) for part in (ROOT / "jax_aero/view").glob("*.html")}
 PARTS |= {str(part.relative_to(ROOT)) for part in (ROOT / "jax_aero/view").glob("*.xz")}
@@ -45,11 +55,16 @@ def check_contents(wheel: Path) -> dict[str, int]:
     assert size <= LARGEST, f"{wheel.name} has {size / 1e6:.1f} MB; expected at most {LARGEST / 1e6:.0f} MB"
     with zipfile.ZipFile(wheel) as archive:
         files = {entry.filename: entry.CRC for entry in archive.infolist()}
-        with archive.open(LIBRARY) as library:
-            processor = PROCESSORS[int.from_bytes(library.read(20)[18:], "little")]
+        (name,) = files.keys() & LIBRARIES
+        module = library.read(archive.read(name))
     assert files.keys() >= PARTS, PARTS - files.keys()
-    assert wheel.stem.endswith(processor), f"{wheel.name} has a library for {processor}"
-    return {name: checksum for name, checksum in files.items() if name != LIBRARY and ".dist-info/" not in name}
+    assert wheel.stem.endswith(module.platform), f"{wheel.name} has a library for {module.platform}"
+    assert name.endswith("pyd") == (module.platform == "win_amd64"), f"{wheel.name} has {name}"
+    assert "PyInit__core" in module.exports, f"{wheel.name} has no module of Python"
+    if system := SYSTEM.get(module.platform):
+        missing = sorted(each for each in module.needs if not re.fullmatch(system, each))
+        assert not missing, f"{wheel.name} needs {', '.join(missing)}"
+    return {file: checksum for file, checksum in files.items() if file != name and ".dist-info/" not in file}
 
 
 def run(folder: Path, *command: str, path: str = os.environ["PATH"]) -> str:
@@ -66,8 +81,8 @@ def main(packages: list[Path]) -> None:
     wheels = [package for package in packages if package.suffix == ".whl"]
     assert len({tuple(sorted(check_contents(wheel).items())) for wheel in wheels}) <= 1, "other files"
     for package in packages:
-        if package in wheels and not package.stem.endswith(platform.machine()):
-            print(f"{package.name} is for another processor; {package.stat().st_size / 1e6:.1f} MB")
+        if package in wheels and not re.search(rf"linux.*{platform.machine()}$", package.stem):
+            print(f"{package.name} is for another machine; {package.stat().st_size / 1e6:.1f} MB")
         else:
             fly(package)
 

@@ -7,7 +7,7 @@ import xarray as xr
 
 from experiments.training import config, ensemble
 from jax_aero.aero.dataset import save
-from jax_aero.aero.network_card import load_network, read_card
+from jax_aero.aero.network_card import load_network
 from jax_aero.cli import main
 
 
@@ -69,10 +69,11 @@ def test_members_of_an_ensemble_differ_and_miss_one_posture(made_up_dataset):
 def test_the_shipped_ensemble_has_the_listed_networks():
     folder = config.ROBOT.parents[1] / "aero" / "networks" / "ensemble"
     for number, changes in enumerate(ensemble.MEMBERS):
-        shipped, listed = read_card(folder / f"member_{number}.json"), ensemble.member_training(changes, 1).network
-        assert shipped.inputs.features == tuple(listed.features)
-        assert shipped.architecture.hidden == tuple(listed.hidden)
-        assert shipped.architecture.activation == listed.activation
+        shipped = load_network(folder / f"member_{number}.json", config.robot())
+        listed = ensemble.member_training(changes, 1).network
+        assert shipped.blocks == tuple(listed.features)
+        assert shipped.hidden == tuple(listed.hidden)
+        assert shipped.activation == listed.activation
 
 
 def test_networks_predict_postures_that_they_have_not_seen(made_up_dataset, tmp_path, monkeypatch, capsys, agree):

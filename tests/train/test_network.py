@@ -83,7 +83,7 @@ def test_an_ordinary_network_does_not_mirror(ironcub):
 def test_the_mirror_of_the_features_is_that_of_the_robot(ironcub):
     """Features of the mirrored posture in the mirrored wind, as far as the robot is symmetric (its centres: 3 mm)."""
     blocks = ("wind", "joints", "link_wind", "link_position", "link_shadow")
-    mirror = N.mirror_of(ironcub, blocks, "link", "link")
+    mirror = N.mirror_of(ironcub, N.network_joints(ironcub), blocks, "link", "link")
     q, wind = sample(ironcub, 1)
     seen = np.array(N.network_joints(ironcub))
     twin = np.zeros(ironcub.n_joints)

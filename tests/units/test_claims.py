@@ -5,12 +5,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from experiments.report import judges, paper
+from experiments.report import claims, judges, paper
 from experiments.report.ground import Ground
 from experiments.report.metrics import Metrics
 from experiments.report.results import Sweep
 from experiments.report.verdicts import Kind
+from experiments.sweep import spec
+from experiments.sweep.claims import Claim, Share
 from experiments.sweep.table import wilson
+from jax_aero.command import ConfigError
 
 JUDGES = {row.key: row.judge for rows in paper.SECTIONS.values() for row in rows if isinstance(row, paper.Claim)}
 
@@ -286,77 +289,71 @@ def test_the_wake_is_that_of_the_finest_mesh_within_a_tenth(area, verdict):
     assert judge("wake_meshes", studies=found)[1].startswith(verdict)
 
 
-# --- claims of our own
+# --- claims in the files of sweeps
 
-OBSERVED = [{"test": f"TEST{n}, {arms} arms"} for n in (1, 3) for arms in ("corrected", "published")]
-WINDS = [
-    {"controller": "observer", "speed": speed, "direction": direction, "median": 2.0}
-    for speed in (26.0, 40.0)
-    for direction in (0.0, 90.0)
-]
-ERRORS = [
-    {"controller": "observer and model", "model_error": name} for name in ("mass +10 %", "mass -10 %", "CoM 4 cm")
-]
-SENSED = [{"controller": "observer and estimator", "flight": name} for name in ("TEST1", "TEST2")]
-OUTAGES = [
-    {"channel": channel, "duration": duration, "speed": speed}
-    for channel in ("wind", "all thrusts", "rotation", "velocity", "position")
-    for duration in (0.3, 1.0, 60.0)
-    for speed in (10.0, 20.0)
-]
-FAILURES = [
-    {"engines": "found, descends", "failure": name} for name in ("fades at 18 s", "stops at 18 s", "fades at 9 s")
-]
+AXES = ["controller", "speed"]
+CELLS = [cell(controller=name, speed=speed) for name in ("observer", "observer, no model") for speed in (10.0, 26.0)]
 
-AHEAD = [
-    {"controller": controller, "world": "network air", "speed": speed}
-    for controller in ("observer", "predictive", "predictive, no model")
-    for speed in (10.0, 18.0)
-]
-STOPS = [
-    {"controller": controller, "failure": f"left arm at {time} s"}
-    for controller in ("observer", "predictive", "predictive, sensors")
-    for time in (18, 28)
-]
+
+def judged(found, **asked):
+    claim = Claim(key="k", states="", **asked)
+    measured, verdict = claims.judge_cells([one for one in found if claim.covers(one)], AXES, claim)
+    return measured, verdict.text
 
 
 @pytest.mark.parametrize(
-    ("key", "sweep", "cells", "place", "holds", "fails"),
+    ("chosen", "count"),
     [
-        ("observer_corrected", "observer_tests", OBSERVED, 2, {"worst": 5.0}, {"worst": 5.1}),
-        ("observer_published", "observer_tests", OBSERVED, 1, {"worst": 7.0}, {"completed": 99}),
-        ("observer_26", "observer_wind", WINDS, 1, {"median": 12.0}, {"median": 12.1}),
-        ("observer_40", "observer_wind", WINDS, 3, {"median": 80.0}, {"completed": 99}),
-        ("observer_errors", "observer_errors", ERRORS, 2, {"median": 10.0}, {"median": 10.1}),
-        ("sensors", "sensors_tests", SENSED, 1, {"worst": 12.0}, {"worst": 12.1}),
-        ("outages_lasting", "outages_observer", OUTAGES, 10, {"worst": 90.0}, {"worst": 90.1}),
-        ("outages_short", "outages_observer", OUTAGES, 20, {"worst": 90.0}, {"completed": 99}),
-        ("engines_lost", "engine_loss", FAILURES, 1, {"worst": 90.0}, {"worst": 90.1}),
-        ("ahead_turbulence", "ahead_turbulence", AHEAD, 5, {"worst": 5.0}, {"worst": 5.1}),
-        ("ahead_engines", "ahead_engine_loss", STOPS, 4, {"worst": 90.0}, {"completed": 99}),
+        ({}, 4),
+        ({"speed": 26}, 2),
+        ({"speed": [10, 26], "controller": "observer"}, 2),
+        ({"controller": "observer*", "speed": 10.0}, 2),
+        ({"controller": "*no model"}, 2),
     ],
 )
-def test_a_claim_of_ours_fails_with_one_of_its_cells(key, sweep, cells, place, holds, fails):
-    for figures, verdict in ((holds, "agrees"), (fails, "differs")):
-        changed = [one | figures if at == place else one for at, one in enumerate(cells)]
-        assert judge(key, sweeps={sweep: changed})[1].startswith(verdict), figures
+def test_a_claim_covers_the_cells_of_its_levels(chosen, count):
+    assert sum(Claim(key="k", states="", cells=chosen).covers(one) for one in CELLS) == count
 
 
-def test_losses_are_announced_while_at_most_two_in_a_hundred_are_not():
-    some = {"controller": "observer", "fell": 40, "diverged": 10, "unwarned": 1}
-    sweeps = {name: [some, {**some, "controller": "other", "unwarned": 0}] for name in ("faults", "fault_pairs")}
-    measured, verdict = judge("announced_losses", sweeps=sweeps)
-    assert verdict == "agrees"
-    assert measured.startswith("2 of 200 (0.3 to 3.6 %); faults, observer: 1 of 50 lost ones of 100; faults,")
-    sweeps["fault_pairs"] = [{**some, "unwarned": 3}]
-    assert judge("announced_losses", sweeps=sweeps)[1] == "differs: 4 of 150 (1.0 to 6.7 %)"
+def test_a_claim_fails_with_one_of_its_cells_that_it_names():
+    limit = {"rotation_error_deg_worst": 5.0}
+    assert judged(CELLS, at_most=limit) == (
+        "400 of 400 (99.0 to 100.0 %) complete; rotation error in the median 2.0°, at most 4.0°", "agrees"
+    )  # fmt: skip
+    for figures, how in (({"worst": 5.1}, "5.1°"), ({"completed": 99}, "1 of 100 do not complete")):
+        cells = [*CELLS[:3], cell(controller="observer, no model", speed=26.0, **figures)]
+        assert judged(cells, at_most=limit)[1] == f"differs: observer, no model, 26: {how}"
+        assert judged(cells, at_most=limit, cells={"controller": "observer"})[1] == "agrees"
+    cells = [*CELLS[:3], cell(controller="observer, no model", speed=26.0, worst=5.0)]
+    assert judged(cells, at_most=limit)[1] == "agrees"
 
 
-def test_one_alarm_in_either_sweep_is_a_false_alarm():
-    sweeps = {"observer_tests": OBSERVED, "sensors_tests": [*SENSED, {"controller": "other", "degraded": 7}]}
-    assert judge("false_alarms", sweeps=sweeps) == ("0 of 600 flights, 0.0 to 6.4 of 1000 (95 %)", "agrees")
-    sweeps["sensors_tests"] = [{**SENSED[0], "degraded": 2}]
-    assert judge("false_alarms", sweeps=sweeps)[1] == "differs: 2 false alarms"
+def test_a_share_is_that_of_all_cells_together():
+    some = [cell(fell=40, diverged=10, unwarned=1), cell(fell=50, diverged=0, unwarned=1)]
+    asked = {"of": "unwarned", "among": ("fell", "diverged"), "at_most": 0.02}
+    assert judged(some, share=Share(**asked)) == ("unwarned 2 of 100 (0.6 to 7.0 %)", "agrees")
+    some[0]["unwarned"] = 2
+    assert judged(some, share=Share(**asked))[1] == "differs: unwarned 3 of 100 (1.0 to 8.5 %)"
+    assert judged(some, share=Share(of="degraded", at_most=0.0))[1] == "agrees"
+
+
+def test_a_claim_on_levels_that_a_sweep_has_not_is_refused():
+    table = {
+        "title": "t", "description": "d", "base": "test2",
+        "axis": [{"name": "wind", "key": "wind.speed", "values": [1, 2]}],
+    }  # fmt: skip
+    claim = {"key": "k", "states": "s", "cells": {"wind": 3}}
+    with pytest.raises(ConfigError, match=r"`claim\[0\].cells.wind` is 3; expected a level of an axis: wind"):
+        spec.from_table("s", {**table, "claim": [claim]})
+    assert spec.from_table("s", {**table, "claim": [{**claim, "cells": {"wind": [1, 2]}}]}).claim[0].key == "k"
+
+
+def test_a_claim_of_a_sweep_is_judged_by_its_result():
+    claim = paper.all_claims()["observer_40"]
+    document = {"axes": [{"name": name} for name in AXES]}
+    results = SimpleNamespace(sweep=lambda name: {"observer_wind": Sweep(document, CELLS)}[name])
+    assert claim.judge(results)[1].text == "agrees"
+    assert (claim.commands, claim.is_of_sweep) == (("sweep observer_wind",), True)
 
 
 @pytest.mark.parametrize(

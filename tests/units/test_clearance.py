@@ -82,13 +82,15 @@ def test_a_sole_is_the_capsule_along_its_rectangle(measured):
     assert len(found) == 4 * 2
     for pair in found:
         jet = next(jet for jet in robot.jets if jet.name == pair.jet)
-        exhaust, sole = tree.poses[jet.frame], tree.poses[pair.link]
+        carrier, sole = tree.bodies[jet.body], tree.poses[pair.link]
         corners = robot.soles[pair.link]
         low, high = corners.min(axis=0), corners.max(axis=0)
         along, across = np.argsort(high - low)[[-1, -2]]
         ends = [0.5 * (low + high) for _ in range(2)]
         ends[0][along], ends[1][along] = low[along], high[along]
-        wanted = ca.vertcat(pair.distance, exhaust.position, -1.5 * exhaust.direction(jet.axis), *map(sole.point, ends))
+        wanted = ca.vertcat(
+            pair.distance, carrier.point(jet.position), -1.5 * carrier.direction(jet.axis), *map(sole.point, ends)
+        )
         (here,) = tree.evaluate_at_base(wanted)
         at = ca.Function("at", [tree.base_position, tree.base_rotation, tree.joint_position], [here])
         distance, *points = np.split(at(*place).full()[:, 0], [1, 4, 7, 10])

@@ -3,9 +3,11 @@
 import ast
 import functools
 import importlib
+import importlib.util
 import io
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -205,6 +207,26 @@ def test_a_configuration_is_found_by_name_and_by_path():
     assert rust.load_config("test2") == rust.load_config(ROOT / "configs/experiments/test2.toml")
     with pytest.raises(ValueError, match="there is no `tset2` in configs/experiments; did you mean test2"):
         rust.load_config("tset2")
+
+
+@pytest.mark.parametrize("is_clone", [True, False])
+def test_results_go_to_the_clone_or_without_one_to_the_current_folder(is_clone, tmp_path, monkeypatch, capsys):
+    for folder in ("here", "library/jax_aero", "clone/jax_aero", "clone/configs", "clone/rust"):
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "library/jax_aero/configs").mkdir()
+    (tmp_path / "clone/jax_aero/configs").symlink_to("../configs")
+    package = tmp_path / ("clone" if is_clone else "library") / "jax_aero"
+    shutil.copy(places.__file__, package)
+    monkeypatch.chdir(tmp_path / "here")
+    spec = importlib.util.spec_from_file_location("places_of_another", package / "places.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    assert tmp_path / ("clone/results" if is_clone else "here/results") == module.RESULTS
+    cli.main(["help"])
+    rule = (
+        "Results go to results/ of the clone, wherever the command is called, or without a clone of the current folder"
+    )
+    assert rule in capsys.readouterr().out
 
 
 def test_rotations_of_quaternions_are_those_of_scipy():

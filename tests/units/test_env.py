@@ -20,7 +20,8 @@ from gymnasium.vector import SyncVectorEnv
 from jax_aero import rust
 from jax_aero.env import FlightEnv
 from jax_aero.env_gym import HoverEnv
-from jax_aero.env_task import Aim, Task, TaskState, limit_action, rewards, steer
+from jax_aero.env_task import Task, TaskState, limit_action, rewards, steer
+from jax_aero.features import Aim
 from tests.measurements import measured
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -52,7 +53,7 @@ def test_without_a_residual_the_controller_flies_as_it_does():
         assert not terminated
         assert truncated == (tick == 49)
     flown = rust.fly(hover._config)["base_position"][50]
-    measured("base after 50 ticks [m]", np.abs(hover._measurement.state.base_position - flown).max(), 1e-12)
+    measured("base after 50 ticks [m]", np.abs(hover._flight.truth.state.base_position - flown).max(), 1e-12)
 
 
 def test_both_environments_are_one_task(x64, tmp_path):
@@ -83,13 +84,14 @@ def test_both_environments_are_one_task(x64, tmp_path):
         states = step(states, jnp.stack([jnp.asarray(action), jnp.zeros(27, jnp.float32)]))
         measured("observation", np.abs(states.obs[0] - task_state).max(), 1e-6)
         measured("reward", abs(float(states.reward[0]) - reward), 1e-9)
-        turned = crate._measurement.state.base_rotation.T @ crate._aim.rotation
+        turned = crate._flight.truth.state.base_rotation.T @ crate._observe()[0].aim.rotation
         angle = np.arccos(np.clip(0.5 * (np.trace(turned) - 1.0), -1.0, 1.0))
         # An arc cosine next to 1 has the square root of the rounding of its argument.
         measured("attitude error", abs(float(states.metrics["attitude_error"][0]) - angle), 1e-7)
         assert float(states.done[0]) == terminated == 0.0
-    assert crate._aim.velocity[2] > 1e-6
-    assert np.abs(crate._aim.angular_velocity).max() > 1e-6
+    aim = crate._observe()[0].aim
+    assert aim.velocity[2] > 1e-6
+    assert np.abs(aim.angular_velocity).max() > 1e-6
     assert set(parts) < set(states.metrics)
     assert states.metrics["position_error"].shape == (2,)
     lost = states._replace(flight=states.flight._replace(loss=jnp.array([1, 0], jnp.int32)))
@@ -146,20 +148,50 @@ def test_environments_of_vectors_and_of_jax_are_copied(how):
     assert jax.tree.all(jax.tree.map(np.array_equal, ours.start(jnp.array(WIND)), twin.start(jnp.array(WIND))))
 
 
-BETWEEN = {
-    "simulator.sensors": "{}",
-    "disturbances.outages": '[{ channel = "wind", start = 1.0, kind = "missing" }]',
+LEARNT = {
+    "simulator.sensors": "{ base_position = { noise_std = 0.01 }, seed = 2 }",
+    "disturbances.outages": '[{ channel = "base_position", start = 0.1, kind = "missing" }]',
     "disturbances.wind_estimate": "{ delay = 0.1 }",
-    "disturbances.controller_wind": '{ profile = "constant", velocity = [0.0, 0.0, 0.0] }',
+    "disturbances.controller_wind": '{ profile = "constant", velocity = [0.0, 5.0, 0.0] }',
+    "disturbances.jets.failure": '{ jet = "l_arm_jet", time = 0.1, kind = "off" }',
 }
 
 
-@pytest.mark.parametrize("key", BETWEEN)
-def test_gymnasium_refuses_what_stands_between_plant_and_controller(key, tmp_path):
-    """Its loop would leave it out; the environment in JAX has it."""
-    (tmp_path / "own.toml").write_text(f'base = "{EXPERIMENTS}/test1.toml"\n{key} = {BETWEEN[key]}\n')
-    with pytest.raises(ValueError, match=rf"`{key}` of .*own\.toml is given; expected none"):
-        HoverEnv(Task(str(tmp_path / "own.toml")))
+@pytest.mark.parametrize("key", LEARNT)
+def test_failures_are_learnt_in_gymnasium(key, tmp_path):
+    """Without an action the episode is the crate's flight, with sensors, outages and faults; the true state is seen."""
+    (tmp_path / "own.toml").write_text(f'base = "{EXPERIMENTS}/test2_observer.toml"\n{key} = {LEARNT[key]}\n')
+    hover = HoverEnv(Task(str(tmp_path / "own.toml"), duration=0.3, ramp=0.1))
+    hover.reset(options={"wind": WIND})
+    flown = rust.fly(hover._config)
+    for tick in range(1, 31):
+        hover.step(np.zeros(27, np.float32))
+        assert np.array_equal(hover._flight.truth.state.base_position, flown["base_position"][tick])
+    told = hover._flight.measurement.state.base_position
+    is_told = {
+        "simulator.sensors": (told != flown["base_position"][30]).all(),
+        "disturbances.outages": np.isnan(told).all(),
+    }
+    assert is_told.get(key, True)
+
+
+def test_an_episode_ends_where_the_flight_is_lost(tmp_path):
+    (tmp_path / "own.toml").write_text(f'base = "{EXPERIMENTS}/test1.toml"\nsimulator.divergence.speed = 1.0\n')
+    hover = HoverEnv(Task(str(tmp_path / "own.toml"), ramp=0.05))
+    hover.reset(options={"wind": WIND})
+    steps = [hover.step(np.zeros(27, np.float32))[1:4] for _ in range(3)]
+    assert [terminated for _, terminated, _ in steps] == [False, True, True]
+    assert steps[1][0] == 0.0
+
+
+def test_the_set_point_that_is_observed_is_that_of_the_next_tick(tmp_path):
+    (tmp_path / "own.toml").write_text(f'base = "{EXPERIMENTS}/test1.toml"\nmission = {{ up = [[0.0, 1.0]] }}\n')
+    hover = HoverEnv(Task(str(tmp_path / "own.toml"), tracking=True, duration=1.0))
+    hover.reset(seed=0)
+    for _ in range(20):
+        aim = hover._observe()[0].aim
+        hover.step(np.zeros(27, np.float32))
+        assert np.array_equal(aim.com, hover._flight.result()["com_setpoint"][-1])
 
 
 REFUSED = {
@@ -229,15 +261,17 @@ def test_a_hover_is_that_of_the_robot_and_a_mission_that_of_the_controller(track
     )
     hover = HoverEnv(Task(str(tmp_path / "own.toml"), tracking=tracking, duration=1.0))
     first, _ = hover.reset(seed=0)
-    assert not np.any(first[3:9])
-    start = hover._aim.com
+    assert not np.any(first[3:6])
+    assert np.any(first[6:9]) == tracking
+    start = rust.dynamics(hover._robot, hover._flight.truth.state).com_position
     for _ in range(40):
         hover.step(np.zeros(27, np.float32))
+    aim = hover._observe()[0].aim
     if tracking:
-        assert np.hypot(*(hover._aim.com - start)[:2]) > 1e-3
-        assert hover._aim.com[2] > start[2] + 1e-4
+        assert np.hypot(*(aim.com - start)[:2]) > 1e-3
+        assert aim.com[2] > start[2] + 1e-4
     else:
-        np.testing.assert_array_equal(hover._aim.com, start)
+        np.testing.assert_array_equal(aim.com, start)
 
 
 def test_a_gust_passes():
@@ -246,7 +280,7 @@ def test_a_gust_passes():
     hover.reset(options={"wind": WIND})
     winds = []
     for _ in range(25):
-        winds.append(hover._measurement.wind)
+        winds.append(hover._flight.truth.wind)
         hover.step(np.zeros(27, np.float32))
     np.testing.assert_allclose(winds[10], WIND, atol=1e-12)
     assert not np.any(winds[0])

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from experiments.data import fit_aero, import_cfd
-from jax_aero.aero import cfd_import, dataset
+from experiments.data import cfd, fit_aero, import_cfd
+from jax_aero.aero import dataset
 from jax_aero.aero.dataset import JOINTS, LINKS
 from jax_aero.aero.posture import link_axes
 from jax_aero.robot import load_robot
@@ -26,14 +26,14 @@ def table(changes=None, rows=None) -> str:
 
 
 def read(text):
-    return cfd_import.read_solver_table(text, import_cfd.known_postures(), source="table.csv")
+    return cfd.read_solver_table(text, import_cfd.known_postures(), source="table.csv")
 
 
 def test_a_row_comes_out_as_it_went_in_turned_into_base_axes():
     text = table()
     data = read(text)
     cells = dict(zip(CFD_COLUMNS, text.splitlines()[2].split(","), strict=True))
-    for surface, link in cfd_import.SURFACES.items():
+    for surface, link in cfd.SURFACES.items():
         drag, side, lift = (float(cells[f"{surface}-{kind}"]) for kind in ("cd", "cs", "cl"))
         np.testing.assert_allclose(data.force_area_w[1, LINKS.index(link)], (drag, side, lift), atol=1e-14)
     # Prone, yaw 40 deg: p = -90 deg.
@@ -148,7 +148,7 @@ def mat(path, **changes):
 @pytest.mark.parametrize("frame", ["base", "wind"])
 def test_the_training_file_is_read_in_either_frame(tmp_path, frame):
     written = mat(tmp_path / "data.mat")
-    data = cfd_import.read_mat(tmp_path / "data.mat", frame=frame)
+    data = cfd.read_mat(tmp_path / "data.mat", frame=frame)
     areas = data.force_area_b if frame == "base" else data.force_area_w
     expected = np.stack([written[f"link{kind}As_matrix"] for kind in ("Cd", "Cs", "Cl")], axis=2)
     np.testing.assert_allclose(areas, expected, atol=1e-15)
@@ -168,13 +168,13 @@ def test_the_training_file_is_read_in_either_frame(tmp_path, frame):
 def test_a_bad_training_file_is_refused(tmp_path, changes, message):
     mat(tmp_path / "data.mat", **changes)
     with pytest.raises(ValueError, match=message):
-        cfd_import.read_mat(tmp_path / "data.mat")
+        cfd.read_mat(tmp_path / "data.mat")
 
 
 def test_what_is_no_training_file_is_refused(tmp_path):
     (tmp_path / "data.mat").write_text("text")
     with pytest.raises(ValueError, match="not a MATLAB file"):
-        cfd_import.read_mat(tmp_path / "data.mat")
+        cfd.read_mat(tmp_path / "data.mat")
 
 
 def test_a_symmetric_robots_table_is_symmetric_and_written_twice_at_the_poles(tmp_path):

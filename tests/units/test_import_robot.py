@@ -1,8 +1,10 @@
 """A URDF becomes a robot that is described, checked, trimmed and flown by one command."""
 
 import dataclasses
+import re
 import struct
 import tomllib
+import warnings
 import xml.etree.ElementTree as ET
 from itertools import product
 from pathlib import Path
@@ -13,12 +15,14 @@ import numpy as np
 import pytest
 
 from experiments import Refused
-from experiments.robot import command, scenario, shapes, skeleton
-from jax_aero import mesh, mujoco_model, places, rust
+from experiments.robot import command, flight, masses, scenario, shapes, skeleton
+from jax_aero import mesh, mujoco_model, places, plain, rust
 from jax_aero.result import FlightResult
 from jax_aero.robot import load_robot as load_twin
 from jax_aero.symbolic import load_robot
 from jax_aero.urdf import IDENTITY, read_urdf
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*(limits_deg|is a guess|guess):UserWarning")
 
 ROBOTS = Path(__file__).resolve().parents[2] / "configs" / "robot"
 
@@ -155,14 +159,14 @@ def numbers_of(table, place=""):
 
 def test_the_greatest_lean_is_one_that_the_torques_can_hold(monkeypatch):
     """The sparrow's arms turn two of its jets against the body, which the third is fixed to."""
-    monkeypatch.setattr(command, "LEANS", (10.0,))
+    monkeypatch.setattr(flight, "LEANS", (10.0,))
     robot = load_robot(ROBOTS / "sparrow.toml")
     free = scenario.joints_of_jets(load_twin(ROBOTS / "sparrow.toml"))
     assert [robot.joint_names[joint] for joint in free] == ["waist", "l_shoulder", "r_shoulder"]
-    trim = command._trim(robot, {}, "x")
+    trim = flight._trim(robot, {}, "x")
     for scale, lean in ((1.0, 10.0), (1e-3, 0.0)):
         weak = dataclasses.replace(robot, joint_torque_max=scale * robot.joint_torque_max)
-        found = command.greatest_lean(weak, free, trim.joint_position, trim.base_rpy, "x")
+        found = flight.greatest_lean(weak, free, trim.joint_position, trim.base_rpy, "x")
         assert np.degrees(found) == pytest.approx(lean)
 
 
@@ -172,9 +176,9 @@ def test_the_trim_keeps_joints_from_their_limits(tmp_path):
     nozzles = "".join(nozzle(name, place) for name, place in corners.items())
     (tmp_path / "raft.urdf").write_text(RAFT.format(nozzles=nozzles))
     jets = [skeleton.Thruster(name, "z", 40.0) for name in corners]
-    result = command.import_robot(tmp_path / "raft.urdf", tmp_path / "out", jets=jets, posture_deg={"hinge": 60.0})
+    result = command.import_robot(tmp_path / "raft.urdf", tmp_path / "out", jets=jets, posture_deg={"hinge": 57.0})
     assert result.trim.message == "Solve_Succeeded"
-    assert 0.85 < result.trim.joint_position[0] <= 1.0 - 2.0 * command.RESERVE  # of a range from -1 to 1
+    assert 0.85 < result.trim.joint_position[0] <= 1.0 - 2.0 * flight.RESERVE  # of a range from -1 to 1
 
 
 @pytest.mark.parametrize(("along", "missed"), [(0.0, None), (0.1, "moment balance along y")])
@@ -190,11 +194,9 @@ def test_one_jet_on_one_link_has_a_trim_or_the_missed_balance_is_named(tmp_path,
 
 
 def test_of_a_flight_lost_before_it_settles_no_distance_is_reported(tmp_path):
-    flight = FlightResult(
-        {}, np.zeros(0), "fell", 2.0, "CoM error", {"max_com_error": np.nan, "max_rotation_error": 0.1}
-    )
+    lost = FlightResult({}, np.zeros(0), "fell", 2.0, "CoM error", {"max_com_error": np.nan, "max_rotation_error": 0.1})
     trim = SimpleNamespace(message="found", residual=np.zeros(6), margin=0.1, thrust=np.ones(1))
-    said = command.report(command.ImportResult(tmp_path, trim, flight, None))
+    said = flight.report(flight.ImportResult(tmp_path, trim, lost, None))
     assert "hover                fell at 2.0 s (CoM error); attitude within 5.73 deg" in said
 
 
@@ -204,7 +206,7 @@ def test_of_a_lost_flight_the_limits_that_it_reached_are_reported():
     torque[:150, 0] = robot.joint_torque_max[0]  # long before
     torque[400:, 2], thrust[490:, 1] = -robot.joint_torque_max[2], robot.jets.thrust_max[1]
     log = {"time": 0.01 * np.arange(500), "joint_torque": torque, "thrust": thrust}
-    found = command.limits_reached(log, robot)
+    found = flight.limits_reached(log, robot)
     assert found == ["joint_torque at its limit: waist"]
 
 
@@ -260,6 +262,172 @@ def test_a_joint_is_held_as_near_to_zero_as_it_can_be(limit, position, tmp_path)
     assert skeleton.nearest_zero(neck) == position
 
 
+@pytest.fixture
+def unflown(monkeypatch):
+    """No robot is trimmed and flown."""
+
+    def fly(path, **_):
+        return flight.ImportResult(path.parent, SimpleNamespace(feasible=True), None, None)
+
+    monkeypatch.setattr(flight, "fly", fly)
+
+
+def raft(folder, *changes):
+    """Return the file of a raft with one nozzle, after replacements in its text."""
+    text = RAFT.format(nozzles=nozzle("n", (0.0, 0.0)))
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (folder / "raft.urdf").write_text(text)
+    return folder / "raft.urdf"
+
+
+LIMIT = '<limit lower="-1" upper="1" effort="30" velocity="0.5"/>'
+
+
+@pytest.mark.parametrize(
+    ("limit", "guesses"),
+    [
+        (LIMIT, {}),
+        (LIMIT.replace("30", "0"), {"torque_max": 100.0}),
+        (LIMIT.replace("30", "1e5"), {"torque_max": 100.0}),
+        (LIMIT.replace('velocity="0.5"', ""), {"velocity_max_deg": 180.0}),
+        (LIMIT.replace('upper="1"', 'upper="-1"'), {"limits_deg": [-180.0, 180.0]}),
+        ("", {"limits_deg": [-180.0, 180.0], "torque_max": 100.0, "velocity_max_deg": 180.0}),
+    ],
+)
+@pytest.mark.usefixtures("unflown")
+def test_guesses_are_printed_and_marked(limit, guesses, tmp_path):
+    warned, result = imported(raft(tmp_path, (LIMIT, limit)), tmp_path / "out")
+    reason = "of joint `hinge` is a guess, marked (?): the URDF says nothing usable"
+    found = [warning for warning in warned if "is a guess" in warning]
+    assert found == [f"{key} = {plain.toml_value(value)} {reason}" for key, value in guesses.items()]
+    assert len(warned) - len(found) == ('upper="-1"' in limit)  # the range is said to be empty
+    text = (result.folder / "robot.toml").read_text()
+    (entry,) = tomllib.loads(text)["joint_groups"][0]["joints"]
+    assert entry == {"name": "hinge", **guesses}
+    (line,) = (line for line in text.splitlines() if line.startswith("    {"))
+    assert line.endswith("# (?)") == bool(guesses)
+
+
+def imported(urdf, out, **options):
+    """Import a robot; return the warnings, and the result."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        result = command.import_robot(urdf, out, jets=[skeleton.Thruster("n", "z", 90.0)], **options)
+    return [str(warning.message) for warning in caught], result
+
+
+@pytest.mark.usefixtures("unflown")
+def test_what_of_a_urdf_is_not_used_is_printed(tmp_path):
+    spare = "<gazebo/><transmission><joint/></transmission><gazebo/></robot>"
+    urdf = raft(tmp_path, ("</robot>", spare), (LIMIT, f'{LIMIT}<dynamics friction="2" damping="5"/>'))
+    warned, result = imported(urdf, tmp_path / "out")
+    assert result.unused == {"dynamics": 1, "gazebo": 2, "transmission": 1}
+    assert len(warned) == 1
+    assert "<dynamics> of joint `hinge` is not used" in warned[0]
+    assert "simulator.motors" in warned[0]
+    trim = SimpleNamespace(message="found", residual=np.zeros(6), margin=0.1, thrust=np.ones(1))
+    said = flight.report(dataclasses.replace(result, trim=trim))
+    assert said.splitlines()[-1] == "not used             1 <dynamics>, 2 <gazebo>, 1 <transmission>"
+
+
+def test_what_moves_has_a_mass_or_the_option_that_helps_is_named(tmp_path):
+    """A dummy link behind a joint, and one before the robot."""
+
+    def with_dummy(parent, child):
+        ends = f'<parent link="{parent}"/><child link="{child}"/>'
+        joint = f'<link name="dummy"/><joint name="dj" type="revolute">{ends}{LIMIT}</joint></robot>'
+        return skeleton.Tree(read_urdf(raft(tmp_path, ("</robot>", joint))))
+
+    for tree, message in (
+        (with_dummy("keel", "dummy"), r"link `dummy` has no mass, but joint `dj` moves it.* --hold dj$"),
+        (with_dummy("dummy", "deck"), r"the base, link `dummy`, has no mass.* --hold dj$"),
+    ):
+        with pytest.raises(Refused, match=message):
+            masses.require(tree, tree.moving([]))
+        masses.require(tree, tree.moving(["dj"]))
+    with pytest.raises(Refused, match=r"the base, link `deck`, has no mass; expected an <inertial>$"):
+        masses.require(skeleton.Tree(read_urdf(raft(tmp_path, ("inertial>", "massless>")))), [])
+
+
+BASE = '<link name="b"><inertial><origin xyz="{com}"/><mass value="8"/>{inertia}</inertial>{shape}</link>'
+INERTIA = '<inertia ixx="{0}" iyy="{0}" izz="{0}" ixy="0" ixz="0" iyz="0"/>'
+SHAPE = '<visual><origin xyz="1 0 0"/><geometry><box size="0.5 0.3 0.1"/></geometry></visual>'
+
+
+@pytest.mark.parametrize(
+    ("com", "moment", "words"),
+    [
+        ("1 0 0", 0.2, None),
+        ("1 0 0", 8.0 * 0.58**2, None),  # twice half the diagonal of 0.592 m is the greatest radius
+        ("1 0 0", 8.0 * 0.60**2, "radius of gyration of link `b` is 0.6 m .* its geometry reaches 0.3 m"),
+        ("1 0 0", 2e5, "radius of gyration of link `b` is 158 m"),  # kg mm2
+        ("1.55 0 0", 0.2, None),
+        ("0.4 0 0", 0.2, "centre of mass of link `b` is 0.6 m from the middle of its geometry"),
+        ("1000 0 0", 0.2, "centre of mass of link `b` is 999 m"),  # mm
+    ],
+)
+def test_masses_that_geometry_contradicts_are_named(com, moment, words, tmp_path):
+    def doubts(shape, rest=""):
+        link = BASE.format(com=com, inertia=INERTIA.format(moment), shape=shape)
+        (tmp_path / "r.urdf").write_text(f'<robot name="r">{link}{rest}</robot>')
+        listing = read_urdf(tmp_path / "r.urdf")
+        return masses.doubts(skeleton.Tree(listing), shapes.boxes(listing, tmp_path))
+
+    found = doubts(SHAPE)
+    assert len(found) == (words is not None)
+    assert words is None or re.match(words, found[0])
+    # A link without geometry is within the robot.
+    mount = f'<joint name="m" type="fixed"><parent link="b"/><child link="c"/></joint><link name="c">{SHAPE}</link>'
+    assert len(doubts("", mount)) == (moment > 100.0 or com.startswith("1000"))
+    assert doubts("") == []  # nothing to compare with
+
+
+def test_no_mass_of_the_shipped_robots_is_doubtful():
+    for path in ROBOTS.glob("*.urdf"):
+        listing = read_urdf(path)
+        assert masses.doubts(skeleton.Tree(listing), shapes.boxes(listing, ROBOTS)) == []
+
+
+@pytest.mark.usefixtures("unflown")
+def test_a_posture_outside_the_limits_is_named(tmp_path):
+    urdf = raft(tmp_path)
+    warned, _ = imported(urdf, tmp_path / "out", posture_deg={"hinge": 500.0})
+    limits = "-57.2958 to 57.2958 deg"
+    assert warned == [f"--posture hinge=500 is outside its limits, {limits}: the trim starts at the nearest"]
+    assert imported(urdf, tmp_path / "other", posture_deg={"hinge": 57.0})[0] == []
+    with pytest.raises(Refused, match="--posture: `hinge` is no joint that moves"):
+        imported(urdf, tmp_path / "third", held=["hinge"], posture_deg={"hinge": 1.0})
+
+
+def test_a_robot_starts_above_the_ground(tmp_path):
+    """The lowest corner of the posture zero is the keel's, 0.3 m and half its length below the deck."""
+    shape = '<visual><origin xyz="0 0 -0.3"/><geometry><box size="0.1 0.1 {}"/></geometry></visual>'
+    for length in (0.2, 3.0):
+        urdf = raft(tmp_path, ('<link name="keel">', f'<link name="keel">{shape.format(length)}'))
+        listing = read_urdf(urdf)
+        lowest = skeleton.Tree(listing).lowest(shapes.boxes(listing, tmp_path))
+        assert lowest == pytest.approx(-0.3 - length / 2.0, abs=1e-15)
+
+
+@pytest.mark.usefixtures("unflown")
+def test_meshes_that_are_missing_are_left_out_by_an_option(tmp_path):
+    meshes = ("missing.stl", "odd.ply")
+    (tmp_path / meshes[1]).write_text("ply")
+    visuals = "".join(f'<visual><geometry><mesh filename="{mesh}"/></geometry></visual>' for mesh in meshes)
+    shape = '<visual><geometry><box size="1 1 0.1"/></geometry></visual>'
+    drawn = {"keel": visuals, "deck": shape}
+    changes = [(opening := f'<link name="{link}">', opening + parts) for link, parts in drawn.items()]
+    urdf = raft(tmp_path, *changes)
+    with pytest.raises(Refused, match=r"link `keel`: mesh missing.stl: .*; --skip-meshes leaves such meshes out"):
+        imported(urdf, tmp_path / "out")
+    warned, result = imported(urdf, tmp_path / "out", skip_meshes=True)
+    assert warned == ["left out, as if they were not there: missing.stl of link `keel`, odd.ply of link `keel`"]
+    links = tomllib.loads((result.folder / "robot.toml").read_text())["aero_links"]
+    assert [link["name"] for link in links] == ["deck"]
+
+
 def box_of(folder, *parts):
     """Return the box of a link with some `<visual>` parts."""
     text = "".join(f"<visual>{part}</visual>" for part in parts)
@@ -299,6 +467,7 @@ def test_a_link_is_as_large_as_its_geometry(shape, size, tmp_path):
             '<joint name="t" type="fixed"><parent link="torso"/><child link="torso"/></joint></robot>',
             "child of more than one joint",
         ),
+        ('effort="40"', 'effort="-40"', "URDF effort limit of joint `.*` is -40"),
     ],
 )
 def test_a_spoilt_urdf_is_refused_by_name_and_leaves_no_file(tmp_path, written, spoilt, words):
@@ -332,10 +501,18 @@ def test_what_an_option_expects_is_said(words, message, capsys):
     assert message in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("option", "words"), [("--hold", ["knee"] * 2), ("--posture", ["knee=1", "knee=2"])])
-def test_a_joint_is_named_once(option, words, capsys):
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        ("--hold", ["knee"] * 2),
+        ("--posture", ["knee=1", "knee=2"]),
+        ("--foot", ["knee"] * 2),
+        ("--jet", ["knee:3"] * 2),
+    ],
+)
+def test_what_an_option_names_it_names_once(option, words, capsys):
     assert command.main(["robot.urdf", "--jet", "nozzle:3", *(part for word in words for part in (option, word))]) == 2
-    assert f"error: {option} names `knee` more than once; expected each joint once" in capsys.readouterr().err
+    assert f"error: {option} names `knee` more than once; expected each once" in capsys.readouterr().err
 
 
 def test_what_is_not_there_is_refused_by_name(tmp_path):
@@ -344,8 +521,8 @@ def test_what_is_not_there_is_refused_by_name(tmp_path):
         command.import_robot(urdf, folder, jets=[skeleton.Thruster("tail", "z", 100.0)])
     with pytest.raises(Refused, match="`nack` is no joint"):
         command.import_robot(urdf, folder, jets=[], held=["nack"])
-    with pytest.raises(Refused, match=r"`tial` is no joint of iRonCub-Mk1: .*l_knee"):
-        command._trim(load_robot(ROBOTS / "ironcub_mk1.toml"), {"tial": 1.0}, "x")
+    with pytest.raises(Refused, match=r"--posture: `nack` is no joint that moves; did you mean neck"):
+        command.import_robot(urdf, folder, jets=[], posture_deg={"nack": 1.0})
     with pytest.raises(Refused, match=r"package://nowhere/a.stl: 0 files"):
         mesh.mesh_file("package://nowhere/a.stl", tmp_path)
     assert not folder.exists()

@@ -31,14 +31,6 @@ def test_roll_pitch_yaw_and_back():
     assert np.allclose(spatial.rpy_from_rotation(rotations), rpy, rtol=0, atol=1e-13)
 
 
-def test_what_is_a_rotation():
-    turned = spatial.exp_so3(jnp.asarray(VECTORS[-1]))
-    assert spatial.is_rotation(turned)
-    mirrored = turned @ jnp.diag(jnp.array([1.0, 1.0, -1.0]))
-    for other in (turned + 1e-5, 1.00001 * turned, mirrored, jnp.zeros((3, 3)), turned.at[0, 0].set(jnp.nan)):
-        assert not spatial.is_rotation(other)
-
-
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_logarithm_and_its_derivative(dtype):
     """Inverse of the exponential to 8 roundings, a small turn included; finite derivatives, at the identity too."""

@@ -8,7 +8,6 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.symbolic import MomentumModel, load_robot
-from jax_aero.symbolic.aero import load_aero
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 WEIGHTS = np.repeat([0.04, 1.0], 3)[:, None]
@@ -20,7 +19,7 @@ def derivatives():
     """Derivatives of the hovering robot's momentum rate by thrusts (6, 4), a side wind of 10 m/s (6, 3) and joints."""
     model = MomentumModel(
         load_robot(CONFIGS / "robot" / "ironcub_mk1.toml"),
-        load_aero(CONFIGS / "aero" / "axisymmetric_corrected.toml"),
+        rust.load_aero(CONFIGS / "aero" / "axisymmetric_corrected.toml"),
     )
     variables = model.thrust, model.wind, model.tree.joint_position
     by = [ca.jacobian(model.momentum_rate, variable) for variable in variables]

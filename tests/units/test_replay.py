@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ from experiments import manifest, record
 from experiments.replay import compare
 from jax_aero import __main__ as commands
 from jax_aero import rust
-from jax_aero.view import export, recording
+from jax_aero.rotations import rpy_from_rotation, wxyz_from_rotation
+from jax_aero.view import export, logs, recording
 
 mcap_reader = pytest.importorskip("mcap.reader", reason="mcap is not installed")
 
@@ -96,7 +98,7 @@ def test_a_log_of_ours_replays_from_every_format(form, result, tmp_path, capsys)
 def test_another_controller_differs_and_is_drawn(result, tmp_path, capsys):
     plot = tmp_path / "apart.png"
     status, out, _ = run(capsys, "replay", result, "--control", "baseline", "--plot", plot)
-    assert status == 0
+    assert status == 1
     assert "joint_torque" in out
     assert plot.stat().st_size > 1000
     status, _, err = run(capsys, "replay", result, "--plot", plot)
@@ -153,13 +155,8 @@ def test_an_mcap_file_has_what_viewers_draw(written, flight, config):
     for name, signal in (("position", "joint_position"), ("velocity", "joint_velocity"), ("effort", "joint_torque")):
         assert [joint[name] for joint in joints] == list(log[signal][k])
     desired = written["/setpoint"][2][k][1]["pose"]["orientation"]
-    assert np.allclose(
-        rpy(rust.rotation_from_wxyz([desired[i] for i in "wxyz"])), log["base_rpy_setpoint"][k], atol=1e-14
-    )
-
-
-def rpy(r):
-    return [np.arctan2(r[2, 1], r[2, 2]), -np.arcsin(r[2, 0]), np.arctan2(r[1, 0], r[0, 0])]
+    found = rpy_from_rotation(rust.rotation_from_wxyz([desired[i] for i in "wxyz"]))
+    assert np.allclose(found, log["base_rpy_setpoint"][k], atol=1e-14)
 
 
 def test_an_mcap_file_has_every_bit_of_every_signal_with_its_unit(written, flight):
@@ -191,17 +188,6 @@ def test_a_csv_file_has_a_column_for_every_scalar(result, flight, tmp_path):
     assert float(cells[names.index("thrust/l_arm_jet")]) == flight["thrust"][12, 0]
 
 
-def test_quaternions_of_all_turns():
-    """Also those half a turn from the identity, where the scalar part is zero."""
-    rng = np.random.default_rng(0)
-    wxyz = np.concatenate([rng.normal(size=(50, 4)), np.eye(4)])
-    wxyz /= np.linalg.norm(wxyz, axis=1, keepdims=True)
-    rotations = rust.rotation_from_wxyz(wxyz)
-    found = export.wxyz_from_rotation(rotations)
-    np.testing.assert_allclose(np.abs(np.sum(found * wxyz, axis=1)), 1.0, atol=1e-14)
-    assert (found[:, 0] >= 0.0).all()
-
-
 MAP = """
 time = { columns = "stamp", scale = 1e-9 }
 raw_base_position = { columns = ["px", "py", "pz"] }
@@ -223,7 +209,7 @@ def foreign(tmp_path_factory):
     columns = {"stamp": 1e18 + np.arange(101) * 2e6}
     for letter, values in zip("xyz", log["raw_base_position"].T, strict=True):
         columns[f"p{letter}"] = values
-    for letter, values in zip("wxyz", export.wxyz_from_rotation(log["raw_base_rotation"]).T, strict=True):
+    for letter, values in zip("wxyz", wxyz_from_rotation(log["raw_base_rotation"]).T, strict=True):
         columns[f"q{letter}"] = values
     for part, values in zip(["linear_x", "linear_y", "linear_z"], log["raw_base_velocity"].T, strict=False):
         columns[f"v_{part}"] = values
@@ -245,7 +231,7 @@ def foreign(tmp_path_factory):
 def test_a_faster_log_of_others_is_read_at_the_ticks(foreign, capsys):
     words = ("replay", foreign / "log.csv", "--experiment", "test2", "--map", foreign / "map.toml")
     status, out, err = run(capsys, *words)
-    assert status == 0, err
+    assert status == 1, err
     assert out.startswith("21 ticks")
     (line,) = (line.split() for line in out.splitlines() if line.startswith("joint_torque"))
     assert float(line[1]) < 1e-9  # the rounding of degrees and quaternions
@@ -255,7 +241,7 @@ def test_a_log_at_the_rate_of_the_torques_replays_both_laws(foreign, capsys):
     """Rows every 2 ms: five ticks of the torques in one of the law."""
     words = ("replay", foreign / "log.csv", "--experiment", "test2", "--map", foreign / "map.toml")
     status, out, err = run(capsys, *words, "--set", "controller.torque.steps=5")
-    assert status == 0, err
+    assert status == 1, err
     assert out.startswith("21 ticks")
 
 
@@ -286,7 +272,7 @@ def test_messages_of_others_replay(foreign, tmp_path, capsys):
     mapping += '\nraw_wind = { columns = ["/wind/v/0", "/wind/v/1", "/wind/v/2"] }\n'
     (tmp_path / "map.toml").write_text(mapping)
     status, out, err = run(capsys, "replay", path, "--experiment", "test2", "--map", tmp_path / "map.toml")
-    assert status == 0, err
+    assert status == 1, err
     (line,) = (line.split() for line in out.splitlines() if line.startswith("joint_torque"))
     assert float(line[1]) < 1e-6  # before 5 s there is no wind
 
@@ -298,7 +284,8 @@ def test_messages_of_others_replay(foreign, tmp_path, capsys):
         (lambda text: text.replace("raw_thrust", "thrusts"), "there is no signal `thrusts`"),
         (lambda text: text.replace('["px", "py", "pz"]', '["px", "py"]'), "expected 3 names"),
         (lambda text: text.replace("scale = 1e-9", 'scale = "ns"'), "`time.scale` is"),
-        (lambda text: text.replace('"stamp"', '"px"'), "do not increase"),
+        (lambda text: text.replace('"stamp"', '"pz"'), "expected times that increase"),
+        (lambda text: text.replace("scale = 1e-9", "scale = 1e6"), "expected at most 60 s between"),
         (lambda text: text.replace("raw_joint_position", "joint_position"), "has no `raw_joint_position`; expected"),
         (lambda text: text.replace("scale = 1e-9", "scale = 1e-8"), "period of the log is 0.02"),
     ],
@@ -311,9 +298,152 @@ def test_a_mapping_that_does_not_fit_is_refused(change, expected, foreign, tmp_p
     assert err.count("\n") == 1
 
 
+# --- damaged and incomplete logs ----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def exact(tmp_path_factory):
+    """Lines of a flight with exact measurements as CSV, and the flight."""
+    config = rust.load_config("test2", {"simulator.duration": 0.5})
+    flown = rust.fly(config)
+    path = tmp_path_factory.mktemp("exact") / "log.csv"
+    export.write_csv(recording.from_flight(flown, config, "exact"), path)
+    return path.read_text().splitlines(), flown
+
+
+def differences(out):
+    """Greatest differences by signal, from the printed table."""
+    rows = (line.split() for line in out.splitlines()[3:-1])
+    return {row[0]: float(row[1]) for row in rows}
+
+
+def test_lost_rows_are_ticks_without_a_measurement(exact, tmp_path, capsys):
+    """The controller flies on with its predictions: open loop, they come back to the log within rounding."""
+    lines, flown = exact
+    (tmp_path / "lost.csv").write_text("\n".join(lines[:21] + lines[26:41] + lines[42:]))
+    message = r"no row for 5 ticks after row 20 at 0\.19 s, and for 1 in 1 other places; they are replayed as ticks"
+    with pytest.warns(UserWarning, match=message):
+        status, out, _ = run(capsys, "replay", tmp_path / "lost.csv", "--experiment", "test2")
+    assert (status, out.splitlines()[0].split()[0]) == (1, "45")
+    assert 0.0 < differences(out)["joint_torque"] < 1e-6 * np.abs(flown.log["joint_torque"]).max()
+
+
+def test_the_ticks_of_lost_rows_are_the_missing_ones(exact, tmp_path):
+    lines, flown = exact
+    (tmp_path / "lost.csv").write_text("\n".join(lines[:21] + lines[26:]))
+    config = rust.load_config("test2")
+    log = logs.read(tmp_path / "lost.csv", config)
+    with pytest.warns(UserWarning, match="no row for 5 ticks"):
+        signals, is_recorded = logs.at_ticks(log, rust.Robot(config["robot"]), 0.01, Path("lost.csv"))
+    np.testing.assert_array_equal(np.flatnonzero(~is_recorded), np.arange(20, 25))
+    np.testing.assert_allclose(signals["time"], flown.log["time"], rtol=1e-14)
+    for name, rows in signals.items():
+        if name != "time":
+            assert bits(rows[is_recorded]) == bits(flown.log[name][is_recorded]), name
+            assert np.isnan(rows[20:25]).all()
+
+
+def test_a_late_row_is_not_a_lost_one():
+    """Rows that wait for each other, and a period a little off that of the ticks, have the ticks of the rows."""
+    period, number = 0.01, np.arange(400)
+    regular = 1.009 * period * number
+    late = regular.copy()
+    late[100:103] = late[103] - 1e-4 * np.arange(3, 0, -1)  # three at once
+    late[200] += 0.9 * period
+    for rows in (regular, late):
+        ticks, is_lost = logs._add_lost(rows, period)
+        assert not is_lost.any()
+        assert bits(ticks) == bits(rows)
+    lost = np.delete(late, [150, 151, 210, 300])
+    ticks, is_lost = logs._add_lost(lost, period)
+    np.testing.assert_array_equal(np.flatnonzero(is_lost), [150, 151, 210, 300])
+    assert bits(ticks[~is_lost]) == bits(lost)
+    np.testing.assert_allclose(ticks[is_lost], late[is_lost], atol=0.5 * period)
+
+
+def test_doubled_times_are_the_later_row(exact, tmp_path, capsys):
+    lines, _ = exact
+    spoilt = ",".join(["0.29", *lines[20].split(",")[1:]])
+    (tmp_path / "doubled.csv").write_text("\n".join([*lines[:30], spoilt, *lines[30:]]))
+    with pytest.warns(UserWarning, match=r"row 31 of .* repeats the time of the row before, 0\.29 s; the later"):
+        status, out, _ = run(capsys, "replay", tmp_path / "doubled.csv", "--experiment", "test2")
+    assert (status, out.splitlines()[-1]) == (0, "equal to the last bit: 23 of 23 signals")
+
+
+def test_rows_in_another_order_are_refused(exact, tmp_path, capsys):
+    lines, _ = exact
+    (tmp_path / "order.csv").write_text("\n".join(lines[:30] + lines[10:]))
+    status, _, err = run(capsys, "replay", tmp_path / "order.csv", "--experiment", "test2")
+    assert status == 2
+    assert "row 30" in err
+    assert "0.28 s" in err
+
+
+def test_a_gap_in_a_faster_log_is_not_measured(foreign, tmp_path, capsys):
+    """Rows every 2 ms, of which 30 ms are lost: the first tick after the last row is still within its reach."""
+    header, *rows = (foreign / "log.csv").read_text().splitlines()
+    (tmp_path / "log.csv").write_text("\n".join([header, *rows[:41], *rows[56:]]))
+    words = ("--experiment", "test2", "--map", foreign / "map.toml")
+    with pytest.warns(UserWarning, match=r"no row for 2 ticks after row 41 at 0\.08 s; "):
+        status, out, _ = run(capsys, "replay", tmp_path / "log.csv", *words)
+    assert (status, out.split()[0]) == (1, "19")
+
+
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_a_table_with_decimal_commas_is_read(separator, exact, tmp_path, capsys):
+    text = "\n".join(exact[0]).replace(",", separator).replace(".", ",")
+    (tmp_path / "table.csv").write_text(text, encoding="utf-8-sig")
+    status, out, _ = run(capsys, "replay", tmp_path / "table.csv", "--experiment", "test2")
+    assert (status, out.splitlines()[-1]) == (0, "equal to the last bit: 23 of 23 signals")
+
+
+def test_an_mcap_file_that_was_cut_off_says_so(result, tmp_path, capsys):
+    path = tmp_path / "flight.mcap"
+    export.write_mcap(recording.read(result), path)
+    content = path.read_bytes()
+    for length in (8, 100, len(content) // 2, len(content) - 9, len(content) - 1):
+        path.write_bytes(content[:length])
+        status, _, err = run(capsys, "replay", path)
+        assert status == 2
+        assert "cut off" in err, length
+        assert f"mcap recover {path} -o" in err
+
+
+def test_the_configuration_is_found_without_an_index(result, tmp_path, capsys):
+    """As in files of writers that index chunks alone."""
+    from mcap.writer import IndexType, Writer
+
+    export.write_mcap(recording.read(result), tmp_path / "whole.mcap")
+    with (tmp_path / "whole.mcap").open("rb") as file, (tmp_path / "part.mcap").open("wb") as other:
+        reader, writer = mcap_reader.make_reader(file), Writer(other, index_types=IndexType.CHUNK)
+        writer.start()
+        for record in reader.iter_metadata():
+            writer.add_metadata(record.name, record.metadata)
+        channels = {}
+        for _, channel, message in reader.iter_messages():
+            if channel.id not in channels:
+                channels[channel.id] = writer.register_channel(channel.topic, "json", 0)
+            writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time)
+        writer.finish()
+    status, out, err = run(capsys, "replay", tmp_path / "part.mcap")
+    assert (status, out.splitlines()[-1]) == (0, "equal to the last bit: 23 of 23 signals"), err
+
+
 def test_what_does_not_fit_is_refused(result, foreign, tmp_path, capsys):
     (tmp_path / "empty.mcap").write_bytes(b"no such file")
-    (tmp_path / "text.csv").write_text("time,a\n0,b\n")
+    tables = {
+        "text": "time,a\n0,b\n",
+        "short": "time,a\n\n0,1\n1\n",
+        "decimal": "time,a\n0,0,5,0\n",
+        "thousands": "time;a\n0,5;1.000,5\n",
+        "letter": "a letter\nof two lines\n",
+        "empty": "",
+    }
+    for name, content in tables.items():
+        (tmp_path / f"{name}.csv").write_text(content)
+    (tmp_path / "latin.csv").write_bytes("time,größe\n0,1\n".encode("latin-1"))
+    (tmp_path / "nothing.mcap").write_bytes(b"")
+    csv = ("--experiment", "test2")
     export.write_mcap(recording.read(result), tmp_path / "damaged.mcap")
     content = bytearray((tmp_path / "damaged.mcap").read_bytes())
     content[len(content) // 2] ^= 0xFF  # within a compressed chunk
@@ -323,9 +453,22 @@ def test_what_does_not_fit_is_refused(result, foreign, tmp_path, capsys):
         ("replay", result, "--map", foreign / "map.toml"): "expected it with a .csv or .mcap file",
         ("replay", foreign / "log.csv", "--experiment", "test2"): "has no column `time`",
         ("replay", foreign / "log.csv", "--map", foreign / "map.toml"): "expected --experiment NAME",
-        ("replay", tmp_path / "empty.mcap"): "expected an MCAP file",
-        ("replay", tmp_path / "damaged.mcap"): "expected an MCAP file",
-        ("replay", tmp_path / "text.csv", "--experiment", "test2"): "is no table of numbers",
+        ("replay", tmp_path / "empty.mcap"): "does not begin as an MCAP file",
+        ("replay", tmp_path / "nothing.mcap"): "is empty; expected an MCAP file",
+        ("replay", tmp_path / "nowhere.mcap"): "No such file",
+        ("replay", tmp_path / "damaged.mcap"): "mcap recover",
+        ("replay", tmp_path / "text.csv", *csv): "text.csv`: column `a` is `b`; expected a number",
+        ("replay", tmp_path / "short.csv", *csv): "line 4 of",
+        (
+            "replay",
+            tmp_path / "decimal.csv",
+            *csv,
+        ): "has 4 cells; expected 2, as its header; with decimal commas",
+        ("replay", tmp_path / "thousands.csv", *csv): "column `a` is `1.000,5`",
+        ("replay", tmp_path / "letter.csv", *csv): "has no column `time`",
+        ("replay", tmp_path / "empty.csv", *csv): "has no column `time`",
+        ("replay", tmp_path / "latin.csv", *csv): "is no text in UTF-8",
+        ("replay", tmp_path / "nowhere.csv", *csv): "No such file",
         ("export", result, "--csv", "--out", tmp_path / "a.mcap"): "does not end in .csv",
         ("export", result, "--csv", "--ghost", result, "--out", tmp_path / "a.csv"): "expected --html",
     }

@@ -39,7 +39,7 @@ from experiments.sources import file_hash
 from experiments.sweep import run, spec
 from experiments.sweep.design import Design
 from experiments.sweep.table import wilson
-from jax_aero import places, rust, tables
+from jax_aero import places, plain, rust, tables
 from jax_aero.cli import main
 from jax_aero.places import ROBOT
 
@@ -84,7 +84,7 @@ def write_sweep(results, name, cells, axes, **document):
         },
     }
     shipped = spec.load(name)
-    digest = {"config_hash": Design(shipped).digest}
+    digest = {"config_hash": Design(shipped).digest, "code_hash": "0" * 64}
     (folder / "sweep.json").write_text(json.dumps(run.describe(shipped) | base | digest | document))
 
 
@@ -221,7 +221,7 @@ def test_a_study_of_another_flight_or_file_is_outdated():
 
 
 def test_a_study_of_another_file_of_its_name_is_outdated():
-    config = manifest.make_portable(tables.to_builtins(tables.load(places.find("cfd_flow", "flight30"), FlowConfig)))
+    config = manifest.make_portable(plain.to_builtins(tables.load(places.find("cfd_flow", "flight30"), FlowConfig)))
     document = {"config": config, "sources": {"flights": {}, "files": {}}}
     assert outdated.study("cfd_flow", "flight30", document) == ""
     config["settings"]["air"]["speed"] = 10.0
@@ -240,7 +240,7 @@ def test_a_sweep_under_way_is_not_there_yet(tmp_path):
     folder = tmp_path / "sweeps" / "made"
     folder.mkdir(parents=True)
     pq.write_table(pa.table({"cell": [0]}), folder / "cells.parquet")
-    (folder / "sweep.json").write_text(json.dumps({"config_hash": "0"}))
+    (folder / "sweep.json").write_text(json.dumps({"config_hash": "0", "code_hash": "0"}))
     assert Results(tmp_path).sweeps == {}
 
 

@@ -8,6 +8,7 @@ import threading
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from experiments import record
 from jax_aero import rust
@@ -137,8 +138,7 @@ def test_a_number_of_threads_is_positive(threads):
 
 def test_a_command_is_replaced_after_a_tick_and_by_numbers():
     config = rust.load_config(TEST2)
-    plant, controller = rust.Plant(config), rust.Controller(config)
-    now = plant.reset()
+    now, controller = rust.Flight(config).truth, rust.Controller(config)
     with pytest.raises(ValueError, match="no flight has begun"):
         controller.replace_command(np.zeros(4), np.zeros(23))
     controller.tick(now.state, now.thrust, now.wind, now.time)
@@ -177,7 +177,7 @@ def test_setpoints_begin_where_a_robot_can_be_and_are_not_endless():
 
 def test_a_state_without_feet_is_a_status():
     flying, standing = (rust.Controller(rust.load_config(name)) for name in ("test2", "balancing_front"))
-    now = rust.Plant(rust.load_config(TEST2)).reset()
+    now = rust.Flight(rust.load_config(TEST2)).truth
     flying.tick(now.state, now.thrust, now.wind, now.time)
     standing.state = flying.state
     assert standing.tick(now.state, now.thrust, now.wind, now.time).status == "BadState"
@@ -222,73 +222,194 @@ def test_ctrl_c_ends_a_long_call_at_once(call, start):
     assert "KeyboardInterrupt" in errors
 
 
-def test_a_loop_over_the_plant_is_the_flight():
-    """The crate's controller in a Python loop: the same bits at every tick."""
-    config = rust.load_config(TEST2, {"simulator.duration": 0.2, "wind.ramp_start": 0.0, "wind.ramp_end": 0.1})
-    plant, controller, flight = rust.Plant(config), rust.Controller(config), rust.fly(config)
-    for _ in range(2):
-        now, controller = plant.reset(), rust.Controller(config)
-        for tick, time_of_log in enumerate(flight["time"]):
-            assert now.time == time_of_log
-            assert np.array_equal(now.state.base_position, flight["base_position"][tick])
-            assert np.array_equal(now.thrust, flight["thrust"][tick])
-            assert np.array_equal(now.wind, flight["wind"][tick])
-            command = controller.tick(now.state, now.thrust, now.wind, now.time)
-            now = plant.step(command.thrust_rate, command.joint_torque)
-            assert np.array_equal(plant.link_forces, flight["aero_force_sim"][tick])
+SEEN = {"simulator.duration": 0.2, "wind.ramp_start": 0.0, "wind.ramp_end": 0.1, "simulator.sensors.seed": 3}
 
 
-def test_a_controller_of_ones_own_over_the_plant():
-    """It keeps height by thrust alone; without it the robot falls 0.1 m in that time."""
-    config = rust.load_config(HOME / "configs/experiments/no_wind.toml")
-    robot, plant = rust.Robot(config["robot"]), rust.Plant(config)
-    now = plant.reset()
-    com = rust.dynamics(robot, now.state).com_position[2]
-    for _ in range(15):
-        dynamics = rust.dynamics(robot, now.state)
-        velocity = dynamics.momentum[2] / robot.mass
-        climb = 900.0 * (com - dynamics.com_position[2]) - 60.0 * velocity
-        wanted = now.thrust * robot.mass * (robot.gravity + climb) / now.thrust.sum()
-        now = plant.step((wanted - now.thrust) / 0.05, np.zeros(23))
-    assert abs(rust.dynamics(robot, now.state).com_position[2] - com) < 0.02
+def same(flight, other):
+    """Whether two flights have the same bits."""
+    figures = [list(one.summary.values()) for one in (flight, other)]
+    is_ending = (flight.outcome, flight.lost_time) == (other.outcome, other.lost_time)
+    is_ending &= np.array_equal(*figures, equal_nan=True)
+    return is_ending and all(np.array_equal(flight[name], other[name], equal_nan=True) for name in other.log)
+
+
+def test_a_flight_tick_by_tick_is_the_flight():
+    """With sensors, an outage and a delay: whatever is looked at in between, every bit is the same."""
+    lost = {"channel": "base_position", "start": 0.1, "kind": "missing"}
+    changes = SEEN | {"simulator.substeps": 2, "simulator.actuation": {"torque_delay": 0.005}}
+    config = rust.load_config("test2_sensors", changes | {"disturbances.outages": [lost]})
+    config["simulator"]["fall"]["com_error"] = 100.0
+    whole, flight = rust.fly(config), rust.Flight(config)
+    assert flight.n_ticks == 20
+    for tick, time in enumerate(whole["time"]):
+        assert (flight.tick, flight.truth.time, flight.has_ended) == (tick, time, False)
+        assert np.array_equal(flight.truth.state.base_position, whole["base_position"][tick])
+        assert np.array_equal(flight.truth.wind, whole["wind"][tick])
+        seen = flight.measurement
+        assert np.array_equal(seen.thrust, whole["raw_thrust"][tick])
+        assert np.array_equal(seen.state.base_position, whole["raw_base_position"][tick], equal_nan=True)
+        tried = flight.try_tick()
+        assert np.array_equal(tried.setpoint.com_position, whole["com_setpoint"][tick])
+        assert flight.step()
+        assert np.array_equal(flight.last.joint_torque, tried.joint_torque)
+        assert np.array_equal(flight.last.joint_torque, whole["joint_torque"][tick])
+    assert flight.has_ended
+    assert not flight.step()
+    assert same(flight.result(), whole)
+    reports = []
+    assert same(rust.Flight(config).run(lambda *report: reports.append(report)), whole)
+    assert reports == [(tick, 20) for tick in range(21)]
+
+
+def test_what_is_handed_in_as_the_flight_has_it_changes_nothing():
+    """Its own measurement, its own command, the own forces of its air."""
+    config = rust.load_config("test2_sensors", SEEN | {"simulator.substeps": 1})
+    whole, flight, other = rust.fly(config), rust.Flight(config), rust.Controller(config)
+
+    def command(seen):
+        tick = other.tick(seen.state, seen.thrust, seen.wind, seen.time)
+        return rust.Command(tick.thrust_rate, tick.joint_torque)
+
+    for forces in whole["aero_force_sim"]:
+        flight.step(measurement=flight.measurement, link_forces=forces)
+    assert same(flight.result(), whole)
+    assert same(rust.Flight(config, controller=command).run(), whole)
+
+
+def test_a_residual_is_flown_within_its_bounds():
+    config = rust.load_config(TEST2, {"simulator.duration": 0.1})
+    flights = rust.Flight(config), rust.Flight(config)
+    for _ in range(10):
+        flights[0].step()
+        flights[1].step(residual=rust.Residual([5.0, 0.0, 0.0, 0.0], np.zeros(23)))
+    added = flights[1].last.thrust_rate - flights[0].last.thrust_rate
+    assert flights[1].last.residual[0] == 5.0
+    assert added[0] > 1.0
+    assert np.any(flights[1].residual_wrench)
+    assert not np.any(flights[0].residual_wrench)
+
+
+def test_a_controller_of_ones_own():
+    """It keeps height by thrust alone; without it the robot falls 0.1 m in that time. The log has what acts."""
+    config = rust.load_config("no_wind", {"simulator.duration": 0.14})
+    robot, commanded = rust.Robot(config["robot"]), []
+
+    def keep_height(seen):
+        dynamics = rust.dynamics(robot, seen.state)
+        climb = 900.0 * (height - dynamics.com_position[2]) - 60.0 * dynamics.momentum[2] / robot.mass
+        wanted = seen.thrust * robot.mass * (robot.gravity + climb) / seen.thrust.sum()
+        commanded.append((wanted - seen.thrust) / 0.05)
+        return rust.Command(commanded[-1], np.zeros(23))
+
+    flight = rust.Flight(config, controller=keep_height)
+    height = rust.dynamics(robot, flight.truth.state).com_position[2]
+    log = flight.run().log
+    assert np.abs(log["com_position"][:, 2] - height).max() < 0.02
+    assert np.array_equal(log["thrust_rate"], commanded)
+    assert not log["joint_torque"].any()
 
 
 @pytest.mark.close_to_tolerance("of the second order in the step, and the step is as it is")
-def test_forces_of_ones_own_over_the_plant(agree):
+def test_forces_of_ones_own(agree):
     """1 N on each of 13 links for one tick from rest adds their impulse, to the second order in the step."""
     changes = {"simulator.substeps": 3, "simulator.initial.free_fall_tick": False}
     config = rust.load_config(TEST2, changes | {"wind.ramp_start": -1.0, "wind.ramp_end": 0.0})
-    robot, plant = rust.Robot(config["robot"]), rust.Plant(config)
-    momenta = []
+    robot, momenta = rust.Robot(config["robot"]), []
     for force in (0.0, -1.0):
-        plant.reset()
-        now = plant.step(np.zeros(4), np.zeros(23), np.tile([0.0, force, 0.0], (13, 1)))
-        assert np.array_equal(plant.link_forces, np.tile([0.0, force, 0.0], (13, 1)))
-        momenta.append(rust.dynamics(robot, now.state).momentum)
+        flight = rust.Flight(config)
+        forces = np.tile([0.0, force, 0.0], (13, 1))
+        flight.step(command=rust.Command(np.zeros(4), np.zeros(23)), link_forces=forces)
+        momenta.append(rust.dynamics(robot, flight.truth.state).momentum)
+        flight.step()
+        assert np.array_equal(flight.result()["aero_force_sim"][0], forces)
     agree("momentum added", momenta[1][1] - momenta[0][1], -0.13, 0.01)
-    plant.reset()
-    plant.step(np.zeros(4), np.zeros(23))
-    assert np.any(plant.link_forces), "without given forces the model's act again"
+    assert np.any(flight.result()["aero_force_sim"][1]), "without given forces the model's act again"
 
 
 @pytest.mark.parametrize(
-    ("name", "value"),
-    [("thrust_rate", np.zeros(3)), ("joint_torque", np.full(23, np.nan)), ("link_forces", np.zeros((12, 3)))],
+    ("name", "given"),
+    [
+        ("thrust_rate", {"command": rust.Command(np.zeros(3), np.zeros(23))}),
+        ("joint_torque", {"command": rust.Command(np.zeros(4), np.full(23, np.nan))}),
+        ("link_forces", {"link_forces": np.zeros((12, 3))}),
+        ("residual.thrust_rate", {"residual": rust.Residual(np.zeros(3), np.zeros(23))}),
+    ],
 )
-def test_a_step_that_cannot_be_taken_is_refused(name, value):
-    plant = rust.Plant(rust.load_config(TEST2))
-    command = {"thrust_rate": np.zeros(4), "joint_torque": np.zeros(23)} | {name: value}
+def test_a_step_that_cannot_be_taken_is_refused(name, given):
+    flight = rust.Flight(rust.load_config(TEST2))
     with pytest.raises(ValueError, match=f"`{name}`"):
-        plant.step(**command)
+        flight.step(**given)
+    assert flight.tick == 0
+
+
+class Bodies:
+    """A world in Python, of the crate's equations of motion: semi-implicit Euler."""
+
+    def __init__(self, config):
+        self.robot = rust.Robot(config["robot"])
+        self.step = config["simulator"]["time_step"] / config["simulator"]["substeps"]
+        self.state = rust.Flight(config).truth.state
+        self.torque = np.zeros(len(self.robot.joint_names))
+
+    def observe(self):
+        feet = len(self.robot.foot_names)
+        return rust.Seen(self.state, self.state, np.ones((feet, 6)), self.torque, np.zeros((feet, 3)))
+
+    def advance(self, torque, force):
+        for row in torque:
+            generalised = force + np.append(np.zeros(6), row)
+            velocity = self.state.velocity + self.step * rust.forward_dynamics(self.robot, self.state, generalised)
+            position, rotation, joints, _ = self.state
+            turn = Rotation.from_rotvec(self.step * velocity[3:6]).as_matrix()
+            moved = position + self.step * velocity[:3], turn @ rotation, joints + self.step * velocity[6:]
+            self.state, self.torque = rust.State(*moved, velocity), row
+
+
+@pytest.mark.close_to_tolerance("the same equations in another order, for a second")
+def test_a_world_of_ones_own_is_flown_as_the_crates(measured):
+    """With engines, a push, sensors, delays and two rates, which are the crate's: the same flight but for rounding."""
+    push = {"body": "chest", "force": [20.0, 0.0, 5.0], "moment": [0.0, 1.0, 0.0], "start": 0.3, "duration": 0.2}
+    changes = {
+        "simulator.duration": 1.0,
+        "simulator.substeps": 1,
+        "simulator.initial.free_fall_tick": False,
+        "simulator.jets": {"dynamics": "second_order"},
+        "simulator.actuation": {"torque_delay": 0.01},
+        "simulator.sensors.joints.resolution": 0.0,  # steps of encoders amplify rounding
+        "disturbances.pushes": [push],
+    }
+    config = rust.load_config("test2_sensors", changes)
+    theirs, crates = rust.Flight(config, Bodies(config)).run(), rust.fly(config)
+    assert theirs.outcome == crates.outcome == "completed"
+    for name in crates.log.keys() - {"qp_iterations"}:
+        measured(name, np.abs(theirs[name] - crates[name]).max(), 1e-6, because="rounding, amplified in a second")
+    assert set(theirs.log) - set(crates.log) == {name for name, one in rust.signals().items() if one.is_of_ground}
+    assert (theirs["foot_wrench"] == 1.0).all()
+    assert np.array_equal(theirs["joint_torque_measured"][2:], crates["joint_torque"][:-2])
+    assert theirs.summary["time_off_the_ground"] == pytest.approx(1.01)
+
+
+def test_what_a_world_raises_is_raised():
+    class Broken(Bodies):
+        def advance(self, *_):
+            raise RuntimeError("out of order")
+
+    config = rust.load_config("test2", {"simulator.initial.free_fall_tick": False})
+    with pytest.raises(RuntimeError, match="out of order"):
+        rust.Flight(config, Broken(config)).step()
+    world = Bodies(config)
+    world.torque = np.zeros(3)
+    with pytest.raises(ValueError, match=r"`joint_torque` has shape \[3\]; expected \[23\]"):
+        rust.Flight(config, world).step()
+    with pytest.raises(ValueError, match=r"free_fall_tick is true"):
+        rust.Flight(rust.load_config("test2"), world)
 
 
 @pytest.mark.parametrize("factor", [1.01, np.nan])
 def test_a_rotation_that_is_none_is_predicted_not_refused(factor):
     config = rust.load_config(TEST2)
-    plant, controller = rust.Plant(config), rust.Controller(config)
-    now = plant.reset()
+    now, controller = rust.Flight(config).truth, rust.Controller(config)
     assert controller.tick(now.state, now.thrust, now.wind, now.time).degraded_modes == []
-    now = plant.measure()
     stretched = now.state._replace(base_rotation=factor * now.state.base_rotation)
     tick = controller.tick(stretched, now.thrust, now.wind, now.time + 0.01)
     assert tick.degraded_modes == ["rotation_predicted"]

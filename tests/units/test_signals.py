@@ -11,7 +11,7 @@ import pytest
 
 from jax_aero import rust, sim
 from jax_aero.control.modes import MODES
-from jax_aero.summary import condense, figures
+from jax_aero.sim.batch import condense
 from jax_aero.view import recording
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -42,9 +42,10 @@ def flight():
     return rust.fly(rust.load_config(TEST2, {"simulator.duration": 4.0}))
 
 
-def test_figures_are_those_of_the_crate(flight):
-    """The same log, the same names in the same order, the same numbers but for the order of sums."""
-    found = figures(condense(flight.log, flight.joint_setpoint))
+def test_a_log_and_its_condensed_form_have_the_figures_of_the_flight(flight):
+    """The same names in the same order, the same numbers but for the order of sums."""
+    assert rust.summarise(flight.log, flight.joint_setpoint) == flight.summary
+    found = rust.summarise(condense(flight.log, flight.joint_setpoint), [0.0])
     declared = [name for name, figure in rust.figures().items() if not figure.is_of_ground]
     assert list(found) == list(flight.summary) == declared
     for name, value in flight.summary.items():
@@ -53,13 +54,12 @@ def test_figures_are_those_of_the_crate(flight):
 
 
 def test_a_warning_lasts_from_its_first_degraded_tick_on_but_for_gaps_of_a_second():
-    """In both languages, of flights without wind for 0.1 s each time."""
+    """Of flights without wind for 0.1 s each time."""
 
-    def summaries(*outages):
+    def summary_of(*outages):
         wind = [{"channel": "wind", "start": start, "duration": 0.1, "kind": "missing"} for start in outages]
         changes = {"simulator.duration": 4.0, "disturbances.outages": wind}
-        flight = rust.fly(rust.load_config(TEST2, changes))
-        return flight.summary, figures(condense(flight.log, flight.joint_setpoint))
+        return rust.fly(rust.load_config(TEST2, changes)).summary
 
     for outages, warning, nominal_until in (
         ((), 0.0, 4.0),
@@ -68,37 +68,32 @@ def test_a_warning_lasts_from_its_first_degraded_tick_on_but_for_gaps_of_a_secon
         ((1.0, 2.09, 3.18), 3.0, 1.0),
         ((1.0, 2.11, 3.2), 1.89, 1.0),
     ):
-        for summary in summaries(*outages):
-            assert summary["warning_time"] == pytest.approx(warning, abs=1e-9), outages
-            assert summary["nominal_until"] == pytest.approx(nominal_until, abs=1e-9)
-            assert summary["all_modes"] == (MODES["wind_held"] if outages else 0)
+        summary = summary_of(*outages)
+        assert summary["warning_time"] == pytest.approx(warning, abs=1e-9), outages
+        assert summary["nominal_until"] == pytest.approx(nominal_until, abs=1e-9)
+        assert summary["all_modes"] == (MODES["wind_held"] if outages else 0)
 
 
 def test_a_flight_that_ends_while_it_settles_has_no_figure_of_what_comes_after():
-    """In both languages; the others are there, and the flight is as complete as any."""
+    """The others are there, and the flight is as complete as any."""
     flight = rust.fly(rust.load_config(TEST2, {"simulator.duration": 1.0}))
-    found = figures(condense(flight.log, flight.joint_setpoint))
     after = {"max_com_error", "max_com_error_x", "max_com_error_y", "max_com_error_z"}
     after |= {"rms_com_error", "rms_rotation_error"}
-    for summary in (found, flight.summary):
-        assert {name for name, value in summary.items() if np.isnan(value)} == after
+    assert {name for name, value in flight.summary.items() if np.isnan(value)} == after
     assert flight.outcome == "completed"
 
 
 def test_a_flight_without_a_sound_tick_has_no_figures():
-    """In both languages."""
     flight = rust.fly(rust.load_config(TEST2, {"wind": {"profile": "constant", "velocity": [0.0, 301.0, 0.0]}}))
     assert (flight.outcome, flight.lost_time) == ("diverged", 0.0)
-    found = figures(condense({name: values[:0] for name, values in flight.log.items()}, flight.joint_setpoint))
-    for summary in (found, flight.summary):
-        assert np.isnan(list(summary.values())).all(), summary
+    assert np.isnan(list(flight.summary.values())).all(), flight.summary
 
 
 @pytest.mark.parametrize("signal", ["com_position", "rotation_error", "thrust", "joint_torque", "aero_force_sim"])
 def test_figures_do_not_hide_what_is_no_number(flight, signal):
     log = {name: values.copy() for name, values in flight.log.items()}
     log[signal][350] = np.nan
-    found = figures(condense(log, flight.joint_setpoint))
+    found = rust.summarise(condense(log, flight.joint_setpoint), [0.0])
     spoilt = {name for name, value in found.items() if np.isnan(value)}
     expected = {
         "com_position": {"max_com_error", "max_com_error_x", "max_com_error_y", "max_com_error_z", "rms_com_error"}

@@ -272,9 +272,9 @@ def test_a_rollout_has_a_row_for_every_tick(ticks, checkpoint_every):
     assert {leaf.shape[0] for leaf in jax.tree.leaves(rows)} == {ticks}
 
 
-@pytest.mark.parametrize(("name", "value"), [("n_ticks", -1), ("checkpoint_every", 0)])
+@pytest.mark.parametrize(("name", "value"), [("n_ticks", -1), ("n_ticks", 1.5), ("checkpoint_every", 0)])
 def test_a_rollout_refuses_a_number_that_counts_nothing(name, value):
-    with pytest.raises(ValueError, match=f"`{name}` is {value}; expected at least"):
+    with pytest.raises(ValueError, match=f"`{name}` is {value}; expected an integer"):
         sim.rollout(None, None, keep=sim.keep_row, **{"n_ticks": 9, name: value})
 
 

@@ -19,19 +19,15 @@ FLIGHTS: dict[str, dict[str, Any]] = {
     "test2_sensors": {
         "wind": {"profile": "turbulent", "velocity": [0.0, -10.0, 0.0], "std": [1.0, 1.0, 1.0]}
         | {"ramp_start": 0.0, "ramp_end": 1.0, "time_scale": 1.0, "seed": 1},
-        "controller.torque.steps": 2,
         "controller.estimator.latency": {"torque": 0.008, "thrust": 0.025},
         "simulator.substeps": 2,
         "simulator.actuation": {"torque_delay": 0.005, "drop": 0.1},
         "simulator.jets": {"dynamics": "second_order"},
         "disturbances.wind_estimate": {"delay": 0.1, "noise_std": 0.1},
-        "disturbances.outages": [{"channel": "base_rotation", "start": 0.1, "kind": "wrong", "error": 0.1}],
-        "disturbances.jets": {"lag": 0.02, "thrust_limit_scale": 0.9},
+        "disturbances.jets": {"lag": 0.02, "thrust_limit_scale": 0.9, "limit_is_known": True},
     },
     "robustness_mpc": {
-        "controller.joints": {"acceleration_max": 20.0, "displacement_min": 0.02, "share_max": 0.8},
         "controller.wind_observer": {},
-        "disturbances.joints": [{"joint": "l_elbow", "kind": "stuck", "start": 0.0}],
         "disturbances.pushes": [{"body": "chest", "moment": [1.0, 0.0, 0.0], "start": 0.0, "duration": 0.1}],
     },
     "min_time": {"disturbances.aero_estimate.scale": 0.9, "disturbances.model_error.mass_scale": 1.1},

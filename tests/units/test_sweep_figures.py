@@ -169,7 +169,7 @@ def test_the_same_results_give_the_same_bytes(tmp_path):
     assert pictures[0] == pictures[1]
 
 
-def test_all_draws_what_there_is_and_names_what_is_missing(tmp_path, capsys):
+def test_all_draws_what_there_is_and_counts_what_is_missing(tmp_path, capsys):
     write(tmp_path / "sweeps", SWEEPS[0], "levels", ["world", "terms"])
     arguments = [
         "all",
@@ -180,11 +180,10 @@ def test_all_draws_what_there_is_and_names_what_is_missing(tmp_path, capsys):
         "--out",
         str(tmp_path / "out"),
     ]
-    assert main(arguments) == 1
+    assert main(arguments) == 0
     said = capsys.readouterr()
     assert f"{SWEEPS[0]}.png" in said.out
-    for name in SWEEPS[1:]:
-        assert f"jax-aero sweep {name}" in said.err
+    assert "error:" not in said.err
     assert "figures were not drawn" in said.err
 
 

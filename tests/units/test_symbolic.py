@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from jax_aero import rust
 from jax_aero.mujoco_model import mujoco_model
 from jax_aero.symbolic import MomentumModel, load_robot
-from jax_aero.symbolic.aero import load_aero
 from tests.measurements import measured
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -20,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.fixture(scope="module", params=["axisymmetric_corrected", "sphere_cylinder"])
 def model(request):
     return MomentumModel(
-        load_robot(ROOT / "configs/robot/ironcub_mk1.toml"), load_aero(ROOT / f"configs/aero/{request.param}.toml")
+        load_robot(ROOT / "configs/robot/ironcub_mk1.toml"), rust.load_aero(ROOT / f"configs/aero/{request.param}.toml")
     )
 
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from experiments.data import import_cfd, import_tunnel
+from experiments.data import import_cfd, import_tunnel, tunnel
 from experiments.data.import_cfd import known_postures
-from jax_aero.aero import tunnel
 from jax_aero.aero.dataset import tunnel_from_base
 from tests.measurements import measured
 

@@ -176,12 +176,15 @@ def test_another_robot_flies_and_one_without_configuration_is_played(visit, stan
     assert page.complaints == []
     alone = visit([standing(Path("configs/robot/sparrow.toml").resolve())])
     assert alone.tab.locator("#choices").inner_text() == ""
+    for shown, is_there in ((page, True), (alone, False)):
+        assert shown.tab.locator("#legend label", has_text="ghost").is_visible() is is_there
     assert not alone.tab.locator("#compass").is_visible()
     assert alone.complaints == []
 
 
 def test_what_is_not_wanted_is_hidden_and_the_camera_can_stand(visit, fallen):
-    page = visit([recording.read(fallen)])
+    seen = recording.read(fallen)
+    page = visit([seen, replace(seen, title="another")])
     for name in ("aerodynamic force on a link", "thrust:", "wind:", "set-point", "trail", "ghost"):
         page.tab.locator("#legend label", has_text=name).locator("input").uncheck()
     assert page.tab.evaluate("Object.values(page.scene.layers).some((layer) => layer.visible)") is False

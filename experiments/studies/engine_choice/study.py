@@ -7,7 +7,7 @@ from pathlib import Path
 
 from experiments import Refused
 from experiments.report.engines import PAPER_BATTERY, PAPER_FUEL, Choice, engines, results
-from jax_aero import places, tables
+from jax_aero import places, plain, tables
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
 from jax_aero.files import write_json
@@ -16,7 +16,7 @@ from jax_aero.files import write_json
 def main(arguments: Sequence[str]) -> int:
     """Print the comparison and the engines; write both beside the other results."""
     parser = Parser("study engine_choice", __doc__)
-    for name, value in tables.to_builtins(Choice()).items():
+    for name, value in plain.to_builtins(Choice()).items():
         parser.add_argument(f"--{name.replace('_', '-')}", type=float, default=value, metavar="X")
     parser.add_argument("--out", type=Path, default=places.RESULTS, metavar="DIR", help="folder of engine_choice.json")
     given = vars(parser.parse_args(arguments))

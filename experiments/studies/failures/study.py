@@ -1,10 +1,10 @@
-"""What the recommended controller does after a failure: losses, wrong sensors, engines, pauses, on the ground.
+"""What the recommended controller does after failures that no sweep can fly: pauses, scaled thrusts, on the ground.
 
-`jax-aero study failures [PART]` flies one part of the question, or all: `losses` and `planned` (the base is no longer
-measured), `thrust`, `thrust_checked` and `thrust_scaled` (thrusts are measured wrong), `engines` and `descent` (an
-engine fails), `pauses` (the controller does not tick), `late_torques` and `late_thrusts` (commands act late),
-`take_off_base`, `take_off_engines` and `take_off_scaled` (on the ground). `--set every=10` flies only every tenth
-flight. The result goes to `results/failures/PART/`.
+`jax-aero study failures [PART]` flies one part of the question, or all: `thrust_scaled` (all thrusts are measured
+wrong by one factor), `descent` (an engine stops, and the flight goes on to the ground), `pauses` (the controller does
+not tick), `late_torques` and `late_thrusts` (commands act late), `take_off_base`, `take_off_engines` and
+`take_off_scaled` (on the ground). `--set every=10` flies only every tenth flight. The result goes to
+`results/failures/PART/`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ MEANING = {
     "completed": ("1", "whether the flight completes"),
     "lean": ("deg", "greatest rotation error after the failure"),
     "found": ("s", "time from the failure to the first tick that detects one"),
-    "held": ("1", "whether a thrust sensor is what is found wrong"),
     "sink": ("m s-1", "speed of sinking at the end, or at the height of the start"),
     "down": ("s", "time from the failure until the height of the start is reached"),
     "distance": ("m", "greatest distance of the centre of mass from its set-point"),

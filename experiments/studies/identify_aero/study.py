@@ -32,9 +32,9 @@ from jax_aero.aero import Axisymmetric
 from jax_aero.identify import descend, misfit_of, segments_of, wrenches_along
 from jax_aero.io import scenario_config
 from jax_aero.robot import load_robot
+from jax_aero.rotations import wxyz_from_rotation
 from jax_aero.sim.rollout import fly_chunk
 from jax_aero.view import logs
-from jax_aero.view.export import wxyz_from_rotation
 
 FLIGHT, VALIDATION = "test2", "head_wind"
 SPREAD = 0.3
@@ -116,7 +116,7 @@ def read_log(path: Path, mapping: Path | None, config: rust.Config) -> dict[str,
         For a log that lacks a signal, or a number of it, and one that is too short.
     """
     robot, step = rust.Robot(config["robot"]), float(config["simulator"]["time_step"])
-    found = logs.at_ticks(logs.read(path, config, mapping), robot, step, path)
+    found = logs.at_ticks(logs.read(path, config, mapping), robot, step, path).signals
     names = {name: f"raw_{name}" for name in MEASURED} | {name: name for name in ("joint_torque", "thrust_rate")}
     if lacking := [name for name in names.values() if name not in found]:
         raise Refused(

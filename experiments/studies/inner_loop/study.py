@@ -76,12 +76,10 @@ def linearise(weight: float, time_step: float) -> Loop:
     """Return the loop linearised about hovering in still air."""
     settings = {"simulator.time_step": time_step, "controller.weights.joint_velocity": weight}
     config = rust.load_config("no_wind", {**settings, "mission": {}, "simulator.duration": 2 * SETTLING})
-    plant, controller = rust.Plant(config), rust.Controller(config)
-    measured = plant.reset()
+    flight, controller = rust.Flight(config), rust.Controller(config)
     for _ in range(round(SETTLING / time_step)):
-        tick = controller.tick(measured.state, measured.thrust, measured.wind, measured.time)
-        measured = plant.step(tick.thrust_rate, tick.joint_torque)
-    memory = controller.state
+        flight.step()
+    memory, tick, measured = flight.controller_state, flight.last, flight.truth
     assert memory is not None
     before = tick.velocity_error_integral
     state = measured.state

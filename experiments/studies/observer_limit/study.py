@@ -23,7 +23,8 @@ from jax_aero import rust, tables
 AXES = {"roll": 0, "yaw": 2}
 """Indices of the axes in base axes."""
 EXPERIMENT = "test1_observer"
-SETTINGS = {"mission": {}, "simulator.initial.free_fall_tick": False}
+STILL = {"profile": "constant", "velocity": [0.0, 0.0, 0.0]}
+SETTINGS = {"mission": {}, "wind": STILL, "simulator.initial.free_fall_tick": False}
 PUSH, PUSHED = 0.1, 0.3
 """Initial moment and its duration [N m, s]."""
 LOST = 0.5
@@ -102,30 +103,28 @@ def flown_limit(config: Mapping[str, Any], axis: int, gain: float, duration: flo
 
 def comes_back(config: Mapping[str, Any], axis: int, gain: float, slope: float, duration: float) -> bool:
     """Return whether the robot recovers from a push about one base axis, with a moment proportional to the rotation."""
-    settings = rust.load_config(EXPERIMENT, {**SETTINGS, "controller.observer.gain_moment": gain})
-    plant, controller = rust.Plant(settings), rust.Controller(settings)
-    measured = plant.reset()
-    desired = np.asarray(measured.state.base_rotation)
+    changes = {"simulator.duration": duration, "controller.observer.gain_moment": gain}
+    flight = rust.Flight(rust.load_config(EXPERIMENT, {**SETTINGS, **changes}))
+    desired = np.asarray(flight.truth.state.base_rotation)
     angles = []
     for _ in range(round(duration / config["simulator"]["time_step"])):
-        tick = controller.tick(measured.state, measured.thrust, np.zeros(3), measured.time)
-        rotation = np.asarray(measured.state.base_rotation)
+        now = flight.truth
+        rotation = np.asarray(now.state.base_rotation)
         angles.append(_rotation_about(axis, desired.T @ rotation))
         if abs(angles[-1]) > LOST:
             return False
-        push = PUSH if measured.time < PUSHED else 0.0
+        push = PUSH if now.time < PUSHED else 0.0
         acting = rotation[:, axis] * (slope * angles[-1] + push)
-        measured = plant.step(tick.thrust_rate, tick.joint_torque, couple(tick, acting))
+        flight.step(link_forces=couple(flight.try_tick(), acting))
     middle, end = np.array_split(np.abs(angles), 3)[1:]
     return bool(end.max() < middle.max())
 
 
 def hovering_inertia(config: Mapping[str, Any]) -> NDArray[np.float64]:
     """Return the centroidal inertia of the hovering robot, base axes [kg m²]."""
-    measured = rust.Plant(config).reset()
-    tick = rust.Controller(config).tick(measured.state, measured.thrust, np.zeros(3), 0.0)
-    rotation = np.asarray(measured.state.base_rotation)
-    inertia: NDArray[np.float64] = rotation.T @ tick.centroidal_inertia @ rotation
+    flight = rust.Flight(config)
+    rotation = np.asarray(flight.truth.state.base_rotation)
+    inertia: NDArray[np.float64] = rotation.T @ flight.try_tick().centroidal_inertia @ rotation
     return inertia
 
 

@@ -109,7 +109,7 @@ def capsules(joints: Array) -> tuple[Array, Array, Array]:
     tree = Kinematics(described)
     points = []
     for link in described.aero_links:
-        pose, half = tree.poses[link.frame], 0.0 if link.is_sphere else 0.5 * link.length
+        pose, half = tree.bodies[link.body], 0.0 if link.is_sphere else 0.5 * link.length
         points += [pose.point(link.centre - half * link.axis), pose.point(link.centre + half * link.axis)]
     here = tree.evaluate_at_base(*points)
     at = ca.Function("at", [tree.base_position, tree.base_rotation, tree.joint_position], [ca.horzcat(*here)])

@@ -27,8 +27,8 @@ from experiments.study import Findings, Study
 from experiments.sweep import spec
 from experiments.sweep.design import Design
 from experiments.sweep.keys import set_all
-from jax_aero import rust, tables
-from jax_aero.aero.network_card import card_text, write_card
+from jax_aero import plain, rust, tables
+from jax_aero.cards import card_text, write_card
 from jax_aero.command import ConfigError
 from jax_aero.control.law.policy_card import make_card
 from jax_aero.control.law.residual import Policy
@@ -90,7 +90,7 @@ def compute(_: str, config: PolicyConfig, checkpoint: Path) -> Findings:
     task, training, seeds = config.task, config.training, config.seeds
     flights = {base: rust.load_config(base) for base in (task.experiment, *config.compared)}
     kept = {
-        "config": tables.to_builtins(config),
+        "config": plain.to_builtins(config),
         "flights": {key: rust.config_digest(one) for key, one in flights.items()},
     }
     started = time.process_time()
@@ -134,7 +134,7 @@ def compute(_: str, config: PolicyConfig, checkpoint: Path) -> Findings:
             description=f"{config.title}: {task.experiment}, seed {seed}.",
             training={
                 "task": dataclasses.asdict(task),
-                "settings": tables.to_builtins(training),
+                "settings": plain.to_builtins(training),
                 "seed": seed,
                 "flight": kept["flights"][task.experiment],
                 "mean_reward": float(rewards[f"seed {seed}"].mean()),

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -17,7 +16,6 @@ import numpy as np
 from experiments.studies.published_mpc import model, plan
 from experiments.studies.published_mpc.model import Array, Body
 from jax_aero import rust
-from jax_aero.summary import SETTLING_TIME
 
 JOINT_FREQUENCY = 50.0
 """Natural frequency of the joints' positions about their references, critically damped [rad/s]."""
@@ -42,17 +40,10 @@ class Settings(NamedTuple):
     """Whether the joints' references stay within the joints' limits."""
 
 
-class Command(NamedTuple):
-    """What a pilot commands until its next tick: thrust rates [N/s] and joint torques [N m]."""
-
-    thrust_rate: Array
-    joint_torque: Array
-
-
 class Pilot(Protocol):
-    """A controller in a loop with the plant."""
+    """A controller of a flight."""
 
-    def command(self, measured: rust.Measurement) -> Command:
+    def command(self, measured: rust.Measurement) -> rust.Command:
         """Compute one tick."""
 
 
@@ -114,7 +105,7 @@ class Published:
         self.integrals = self.integrals + plan.PERIOD * errors
         return state
 
-    def command(self, measured: rust.Measurement) -> Command:
+    def command(self, measured: rust.Measurement) -> rust.Command:
         """Compute one tick: plan, move the engines by one period, and drive the joints to their references."""
         started = time.process_time()
         self.thrust = np.array(measured.thrust)
@@ -143,7 +134,7 @@ class Published:
         self.ticks += 1
         self.times.append(time.process_time() - started)
         rate = self._move_engines()
-        return Command(rate, self._torque(measured.state, dynamics, forces))
+        return rust.Command(rate, self._torque(measured.state, dynamics, forces))
 
     def _move_engines(self) -> Array:
         thrust, v = self.thrust, model.drive(self.throttle)
@@ -175,57 +166,25 @@ class Ours:
         self.controller = rust.Controller(config)
         self.times: list[float] = []
 
-    def command(self, measured: rust.Measurement) -> Command:
+    def command(self, measured: rust.Measurement) -> rust.Command:
         """Compute one tick."""
         started = time.process_time()
         tick = self.controller.tick(measured.state, measured.thrust, measured.wind, measured.time)
         self.times.append(time.process_time() - started)
-        return Command(tick.thrust_rate, tick.joint_torque)
+        return rust.Command(tick.thrust_rate, tick.joint_torque)
 
 
-@dataclass(frozen=True)
-class Flown:
-    """Outcome of a flight, judged as the crate's."""
+class Flown(NamedTuple):
+    """A flight and what flew it."""
 
-    outcome: str
-    end: float
-    """[s]."""
-    rotation_error: float
-    """Greatest [rad]."""
-    com_error: float
-    """Greatest after 3 s [m]; zero if the flight ended before."""
-    pilot: Any = field(repr=False)
+    result: rust.FlightResult
+    pilot: Any
 
 
 def fly(config: rust.Config, make: Callable[[rust.Config, rust.Measurement], Pilot]) -> Flown:
-    """Fly a configuration by a pilot until its end or until it is lost, over the limits of `simulator.fall`."""
-    simulator = config["simulator"]
-    plant, robot = rust.Plant(config), rust.Robot(config["robot"])
-    measured = plant.reset()
-    pilot = make(config, measured)
-    com = rust.dynamics(robot, measured.state).com_position
-    reference = rust.setpoint_trajectory(config, com, np.asarray(measured.state.base_rotation))
-    rotation_max = com_max = 0.0
-    outcome = "completed"
-    last = round(simulator["duration"] / simulator["time_step"])
-    for tick in range(last + 1):
-        com = rust.dynamics(robot, measured.state).com_position
-        turned = reference["rotation"][tick].T @ np.asarray(measured.state.base_rotation)
-        rotation = float(np.arccos(np.clip((np.trace(turned) - 1.0) / 2.0, -1.0, 1.0)))
-        distance = float(np.linalg.norm(com - reference["com_position"][tick]))
-        if not np.isfinite(distance + rotation):
-            outcome = "diverged"
-            break
-        rotation_max = max(rotation_max, rotation)
-        com_max = max(com_max, distance) if measured.time >= SETTLING_TIME else com_max
-        fall = simulator["fall"]
-        if np.degrees(rotation) > fall["rotation_error_deg"] or distance > fall["com_error"]:
-            outcome = "fell"
-            break
-        if tick == last:
-            break
-        command = pilot.command(measured)
-        measured = plant.step(command.thrust_rate, command.joint_torque)
-    if outcome == "completed" and com_max > simulator["course_error"]:
-        outcome = "off_course"
-    return Flown(outcome, measured.time, rotation_max, com_max, pilot)
+    """Fly a configuration by a pilot until its end or until it is lost."""
+    flight = rust.Flight(config)
+    pilot = make(config, flight.measurement)
+    while not flight.has_ended:
+        flight.step(command=pilot.command(flight.measurement))
+    return Flown(flight.result(), pilot)

@@ -21,8 +21,8 @@ from experiments.studies.published_mpc.flight import Ours, Published, Settings
 from experiments.study import Findings, Study
 from experiments.sweep.perturbation import Perturbation
 from experiments.sweep.table import wilson
-from jax_aero import places, rust, tables
-from jax_aero.wind_direction import wind_from
+from experiments.wind_direction import wind_from
+from jax_aero import places, plain, rust, tables
 
 EXPERIMENT, PERTURBATION = "mk3_min_jerk", places.CONFIGS / "perturbation" / "flight.toml"
 PUSHED = 6.0
@@ -109,7 +109,7 @@ class Compared(tables.Table, frozen=True):
 def compute(_: str, asked: Compared, progress: Path) -> Findings:
     """Fly what is not flown yet, and make the table."""
     bases = {base: rust.load_config(base) for base, _ in OURS.values()}
-    key = json.dumps([tables.to_builtins(asked), {name: rust.config_digest(one) for name, one in bases.items()}])
+    key = json.dumps([plain.to_builtins(asked), {name: rust.config_digest(one) for name, one in bases.items()}])
     kept: dict[str, Any] = json.loads(progress.read_text(encoding="utf-8")) if progress.is_file() else {}
     flown: dict[str, list[Any]] = kept["flown"] if kept.get("key") == key else {}
     for controller, case in cells(asked):
@@ -168,6 +168,7 @@ def configure(controller: str, case: Case, repeat: int, duration: float) -> rust
         settings["wind"]["time_scale"] = 2.0
     if controller in PUBLISHED:
         settings["simulator.time_step"] = plan.PERIOD  # with engines of its own
+        settings |= WITHOUT  # of the configuration's controller only the set-point counts
     else:
         settings["simulator.jets.dynamics"] = "second_order"
     config = rust.load_config(base, settings)
@@ -181,12 +182,18 @@ def fly_cell(controller: str, case: Case, asked: Compared) -> list[tuple[int, st
     count = counts.get(controller, asked.flights)
     asked_for = [configure(controller, case, repeat, asked.duration) for repeat in range(count)]
     if controller in OURS:
-        results = rust.fly_batch(asked_for, 1)
-        found = [(str(one.outcome), one.summary["max_rotation_error"], one.summary["max_com_error"]) for one in results]
+        flown = rust.fly_batch(asked_for, 1)
     else:
-        flown = [flight.fly(config, maker(controller)) for config in asked_for]
-        found = [(one.outcome, one.rotation_error, one.com_error) for one in flown]
-    return [(int(outcome == "completed"), outcome, float(np.degrees(turn)), off) for outcome, turn, off in found]
+        flown = [flight.fly(config, maker(controller)).result for config in asked_for]
+    return [
+        (
+            int(one.outcome == "completed"),
+            str(one.outcome),
+            float(np.degrees(one.summary["max_rotation_error"])),
+            one.summary["max_com_error"],
+        )
+        for one in flown
+    ]
 
 
 def maker(controller: str) -> Callable[[rust.Config, rust.Measurement], flight.Pilot]:
@@ -227,13 +234,11 @@ def compare_times(asked: Compared) -> dict[str, float]:
     loops = []
     for controller in ("published", "predictive"):
         config = configure(controller, CASES["still air"], 0, asked.duration)
-        plant = rust.Plant(config)
-        measured = plant.reset()
-        loops.append((plant, maker(controller)(config, measured)))
+        hover = rust.Flight(config)
+        loops.append((hover, maker(controller)(config, hover.measurement)))
     for _ in range(200):
-        for plant, pilot in loops:
-            command = pilot.command(plant.measure())
-            plant.step(command.thrust_rate, command.joint_torque)
+        for hover, pilot in loops:
+            hover.step(command=pilot.command(hover.measurement))
     (_, published), (_, predictive) = loops
     assert isinstance(published, Published)
     assert isinstance(predictive, Ours)

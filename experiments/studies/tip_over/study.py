@@ -19,10 +19,10 @@ from tqdm import tqdm
 
 from experiments.sources import code_hash
 from experiments.study import Findings, Study
+from experiments.wind_direction import wind_from
 from jax_aero import documents, mujoco_ground, rust, tables
 from jax_aero.command import terminal
 from jax_aero.files import read_json, write_json
-from jax_aero.wind_direction import wind_from
 
 
 class TipOverConfig(tables.Table, frozen=True):

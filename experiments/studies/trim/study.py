@@ -17,13 +17,12 @@ from tqdm import tqdm
 from experiments import Refused, overrides, study
 from experiments.robot.groups import joints_of
 from experiments.study import Findings, Study
-from jax_aero import tables
+from experiments.wind_direction import wind_from
+from jax_aero import rust, tables
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status, terminal
 from jax_aero.symbolic import MomentumModel, load_robot
-from jax_aero.symbolic.aero import load_aero
 from jax_aero.symbolic.trim import Objective, Trim, TrimResult, TrimSettings
-from jax_aero.wind_direction import wind_from
 
 OBJECTIVES: tuple[Objective, ...] = ("max_margin", "min_thrust")
 STILL = [0.0, 0.0, 0.0]
@@ -133,7 +132,7 @@ def build(config: TrimConfig) -> Trim:
         posture_weight=config.posture_weight,
         spread_weight=config.spread_weight,
     )
-    return Trim(MomentumModel(robot, load_aero(config.aero)), settings)
+    return Trim(MomentumModel(robot, rust.load_aero(config.aero)), settings)
 
 
 def report(trim: Trim, result: TrimResult) -> str:

@@ -24,7 +24,7 @@ from experiments.sources import code_hash
 from experiments.study import Findings, Study
 from experiments.sweep import spec
 from experiments.sweep.design import Design
-from jax_aero import keys, places, rust, tables
+from jax_aero import keys, places, plain, rust, tables
 from jax_aero.command import ConfigError, Refused
 from jax_aero.sim.batch import Group, group_flights
 from jax_aero.train.gains import Cost, Sample, Steps, TuningResult, gradients, tune
@@ -63,7 +63,7 @@ def compute(name: str, config: TuneConfig, checkpoint: Path) -> Findings:
     if not worlds.is_sampled:
         raise Refused(f"{config.worlds.name} is a {worlds.design}; expected a sampled design")
     base = rust.load_config(worlds.base)
-    digest = study.digest({**tables.to_builtins(config), "base": rust.config_digest(base)}, [*tables.files(config)])
+    digest = study.digest({**plain.to_builtins(config), "base": rust.config_digest(base)}, [*tables.files(config)])
     with jax.enable_x64(True):
         found = tune(
             _sample(config, controller, worlds),
@@ -139,7 +139,7 @@ def tuned_controller(
         f"# {config.controller.name} with values tuned by gradient: `jax-aero study tune {folder.name}`. Ours.",
         f'base = "{os.path.relpath(config.controller, folder.resolve())}"',
     ]
-    return "\n".join([*lines, "", tables.toml(table)]) + "\n"
+    return "\n".join([*lines, "", plain.toml(table)]) + "\n"
 
 
 def _times(value: Any, factor: float) -> Any:

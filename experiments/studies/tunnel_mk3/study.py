@@ -19,11 +19,11 @@ import xarray as xr
 from experiments import Refused, record
 from experiments.cfd.models import NEWTON_METRES, evaluate_areas
 from experiments.cfd.tunnel import SUPPORT
+from experiments.data import fit, tunnel
 from experiments.data.import_cfd import OUT
 from experiments.data.import_tunnel import MK3
 from experiments.study import Findings, Study
 from jax_aero import tables
-from jax_aero.aero import fit, tunnel
 from jax_aero.aero.dataset import Floats, wind_direction
 from jax_aero.aero.posture import axes_of, interval_by_posture, link_axes, total_wrench, vector_rms
 from jax_aero.robot import RobotModel, load_robot

@@ -20,11 +20,11 @@ import xarray as xr
 
 from experiments import Refused, record
 from experiments.cfd.models import MODEL_FILES, NEWTON_METRES, model_areas
+from experiments.data import tunnel
 from experiments.data.import_cfd import OUT
 from experiments.studies.tunnel_moments.correction import Points, columns, held_out_errors
 from experiments.study import Findings, Study
 from jax_aero import tables
-from jax_aero.aero import tunnel
 from jax_aero.aero.dataset import Floats, tunnel_from_base, wind_direction
 from jax_aero.aero.posture import link_frames, rms_by_posture, total_wrench, vector_rms
 from jax_aero.places import ROBOT

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from jax_aero.aero import AeroModel, LinkConventions, generalised_aero_force, link_forces
 from jax_aero.config import EstimatorConfig, LatencyConfig
@@ -29,9 +29,6 @@ from jax_aero.kinematics import generalised_thrust, kinematics, move
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import cross, exp_so3, log_so3, multiply, project_to_so3
 from jax_aero.types import Array, State, Static, join, leaf, pytree, where
-
-GREATEST = 1e6
-"""Largest absolute value that is accepted as a measurement [m, m/s, rad/s, N]."""
 
 
 class Order(NamedTuple):
@@ -44,9 +41,7 @@ class Order(NamedTuple):
     unmodelled: Float[Array, "6"]
     """Observed wrench that is in no model, about the centre of mass [N, N m]."""
     wind: Float[Array, "3"]
-    """Wind that the controller uses, always finite [m/s]."""
-    duration: Float[Array, ""]
-    """Duration [s]; known only at the next tick."""
+    """Wind that the controller uses [m/s]."""
 
 
 @pytree
@@ -65,9 +60,6 @@ class Estimator:
     """Shares of the joint positions' innovation that correct velocities, per tick, and accelerations, per tick²."""
     of_bias: Float[Array, ""]
     """Share of the rate with which the rotation is corrected that the bias of the gyroscopes receives."""
-    momentum_shares: Float[Array, "2"]
-    """Shares of an unmodelled force and moment that appear in the estimated momentum per tick: those of lags with age
-    and time constant of the linear and of the angular velocity."""
     time_step: Float[Array, ""]
     """Time step of the controller [s]."""
     greatest_age: Static[int]
@@ -127,14 +119,11 @@ def estimator(config: EstimatorConfig, time_step: Float[Array, ""]) -> Estimator
         pole = 1.0 - left
         age[5], share[4], share[5] = latency, 1.0 - pole**3, 0.0
         by_position = [left * left * (1.0 + 2.0 * pole), left**3]
-    velocities = config.base_linear_velocity, config.base_angular_velocity
-    delays = [(age[2 + of] + lags[0]) * step + channel.time_constant for of, channel in enumerate(velocities)]
     return Estimator(
         age=jnp.asarray(age, jnp.int32),
         share=leaf(share),
         by_position=leaf(by_position),
         of_bias=leaf(0.0 if config.gyro_bias is None else share_of(config.gyro_bias)),
-        momentum_shares=leaf([share_of(delay) for delay in delays]),
         time_step=time_step,
         greatest_age=max(age),
         latency=latency,
@@ -161,48 +150,30 @@ def start(settings: Estimator, state: State, jets: int) -> EstimatorState:
 
     rest = jnp.zeros_like(state.velocity)
     nothing = Reading(jax.tree.map(jnp.asarray, state), jnp.zeros(jets, rest.dtype))
-    order = Order(rest[6:], nothing.thrust, rest[:6], rest[:3], jnp.asarray(settings.time_step))
+    order = Order(rest[6:], nothing.thrust, rest[:6], rest[:3])
     line = jax.tree.map(lambda x: jnp.stack([x] * length), nothing)
     orders = jax.tree.map(lambda x: jnp.stack([x] * (length + int(np.ceil(settings.lags[1])))), order)
     return EstimatorState(line, orders, Estimate(nothing, rest[6:], rest[:3]), jnp.array(0, jnp.int32))
 
 
-def restart(state: EstimatorState, is_new: Bool[Array, ""]) -> EstimatorState:
-    """Restart at the next measurement where the estimates before it are worth nothing."""
-    return state._replace(ticks=jnp.where(is_new, 0, state.ticks))
-
-
 def update(
-    settings: Estimator,
-    robot: RobotModel,
-    aero: AeroModel,
-    before: EstimatorState,
-    measured: Reading,
-    elapsed: Float[Array, ""],
-) -> tuple[EstimatorState, Reading, Float[Array, " j"]]:
-    """Process a measurement; return the next state, the present estimate and the correction of thrusts [N].
+    settings: Estimator, robot: RobotModel, aero: AeroModel, before: EstimatorState, measured: Reading
+) -> tuple[EstimatorState, Reading]:
+    """Process a measurement, one time step after the last one; return the next state and the present estimate.
 
-    `elapsed` is the time since the last measurement [s], rounded to whole time steps; ages count measurements.
-
-    The first measurement also stands for all earlier ones, as far as it is valid. Numbers beyond `GREATEST` and NaN
-    correct nothing, so the model's estimate remains. If the estimate itself is not finite, it restarts from the
-    measurement.
+    The first measurement also stands for all earlier ones.
     """
     # Selected before the computation, so that values and derivatives of the first tick do not depend on `start`.
     always = jax.tree.map(lambda old, new: jnp.broadcast_to(new, old.shape), before.line, measured)
-    first = (always, _prefer_measured(measured, before.then.reading))
-    line, reading = where(before.ticks == 0, first, (before.line, before.then.reading))
-    then = before.then._replace(reading=reading)
+    line, reading = where(before.ticks == 0, (always, measured), (before.line, before.then.reading))
     line = jax.tree.map(lambda old, new: jnp.concatenate([new[None], old[:-1]]), line, measured)
-    oldest = settings.greatest_age
-    duration = settings.time_step * jnp.maximum(jnp.round(elapsed / settings.time_step), 1.0)
-    given = before.orders._replace(duration=before.orders.duration.at[0].set(duration))
+    then, oldest = before.then._replace(reading=reading), settings.greatest_age
     # Inputs of `age` ticks ago; the first ones also stand for the time before (M140).
     whole, torque_lag, thrust_lag = settings.latency, *settings.lags
 
     def given_at(age: Array | int) -> Order:
         place = jnp.minimum(age, jnp.maximum(before.ticks, 1)) - 1
-        found: Order = jax.tree.map(lambda x: x[place], given)
+        found: Order = jax.tree.map(lambda x: x[place], before.orders)
         return found
 
     def acting(age: Array | int, late: tuple[float, float]) -> Order:
@@ -217,33 +188,23 @@ def update(
             torque=mixed(torque_lag, late[0], "torque"), thrust_rate=mixed(thrust_lag, late[1], "thrust_rate")
         )
 
-    late, longest = (torque_lag, thrust_lag % 1.0), oldest - whole
-    has_begun = before.ticks > longest
-    last = acting(oldest + 1, late)
-    then = where(has_begun, advance(robot, aero, then, last), then)
-    is_sound = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(then.reading)]))
-    fresh = Estimate(measured, jnp.zeros_like(then.disturbance), jnp.zeros_like(then.gyro_bias))
-    predicted = where(is_sound, then, fresh)
-    step = jnp.where(has_begun, last.duration, settings.time_step)
-    then = _correct(settings, predicted, line, jnp.array(oldest, jnp.int32), step)
+    late, longest, step = (torque_lag, thrust_lag % 1.0), oldest - whole, settings.time_step
+    then = where(before.ticks > longest, advance(robot, aero, then, acting(oldest + 1, late), step), then)
+    then = _correct(settings, then, line, jnp.array(oldest, jnp.int32))
 
     def predict(now: Estimate, age: Array) -> tuple[Estimate, None]:
-        order = acting(age + 1, late)
         # What is younger than the latest measurement is only predicted: its age is below all of the channels.
-        moved = _correct(settings, advance(robot, aero, now, order), line, age, order.duration)
+        moved = _correct(settings, advance(robot, aero, now, acting(age + 1, late), step), line, age)
         is_past = (before.ticks > 0) & (age < whole + jnp.minimum(longest, before.ticks))
         return where(is_past, moved, now), None
 
     now, _ = jax.lax.scan(predict, then, jnp.arange(oldest, dtype=jnp.int32)[::-1])
     if torque_lag:
         # To when the torques of this tick begin to act.
-        others, sent = given_at(1), acting(0, (1.0, 1.0))
-        part = others._replace(
-            torque=sent.torque, thrust_rate=sent.thrust_rate, duration=torque_lag * settings.time_step
-        )
-        now = where(before.ticks > 0, advance(robot, aero, now, part), now)
-    after = EstimatorState(line, given, then, before.ticks + 1)
-    return after, now.reading, then.reading.thrust - predicted.reading.thrust
+        sent = acting(0, (1.0, 1.0))
+        part = given_at(1)._replace(torque=sent.torque, thrust_rate=sent.thrust_rate)
+        now = where(before.ticks > 0, advance(robot, aero, now, part, torque_lag * step), now)
+    return EstimatorState(line, before.orders, then, before.ticks + 1), now.reading
 
 
 def command(state: EstimatorState, order: Order) -> EstimatorState:
@@ -265,30 +226,20 @@ def replace_command(
     )
 
 
-def correct_thrusts(
-    state: EstimatorState, is_wrong: Bool[Array, " j"], deviation: Float[Array, " j"]
-) -> EstimatorState:
-    """Return the state with the deviations [N] of faulty sensors removed, which are no longer used."""
-    lost = jnp.where(is_wrong[None], jnp.nan, state.line.thrust)
-    reading = state.then.reading
-    reading = reading._replace(thrust=reading.thrust - jnp.where(is_wrong, deviation, 0.0))
-    return state._replace(line=state.line._replace(thrust=lost), then=state.then._replace(reading=reading))
-
-
 def advance(
     robot: RobotModel,
     aero: AeroModel,
     estimate: Estimate,
     order: Order,
+    step: Float[Array, ""],
 ) -> Estimate:
-    """Integrate one tick of the model under its inputs and unexplained joint accelerations, semi-implicitly."""
-    reading, disturbance = estimate.reading, estimate.disturbance
-    state, step = reading.state, order.duration
+    """Integrate the model for `step` [s] under its inputs and unexplained joint accelerations, semi-implicitly."""
+    (state, thrust), disturbance = estimate.reading, estimate.disturbance
     kin = kinematics(robot, state)
     dyn = dynamics(robot, state, kin)
     link = link_forces(aero, robot, kin, LinkConventions(), order.wind)
     force = (
-        generalised_thrust(robot, kin, reading.thrust)
+        generalised_thrust(robot, kin, thrust)
         + generalised_aero_force(robot, kin, link, link.jacobian_points)
         + jnp.concatenate([jnp.zeros_like(order.unmodelled), order.torque])
     )
@@ -299,55 +250,45 @@ def advance(
     linear = wrench[:3] / robot.mass - cross(angular, kin.com - state.base_position)
     whole = jnp.concatenate([linear, angular, disturbance])
     velocity = state.velocity + step * (forward_dynamics(dyn, force) + whole)
-    thrust = predict_thrust(reading.thrust, order.thrust_rate, step, robot.jets.thrust_min)
+    thrust = predict_thrust(thrust, order.thrust_rate, step, robot.jets.thrust_min)
     return estimate._replace(reading=Reading(move(state, velocity, step), thrust))
 
 
-def _prefer_measured(measured: Reading, estimate: Reading) -> Reading:
-    """Return the measurement, with invalid values replaced by the estimate."""
-    known: Reading = jax.tree.map(lambda said, own: jnp.where(jnp.abs(said) <= GREATEST, said, own), measured, estimate)
-    return known
-
-
-def _correct(settings: Estimator, estimate: Estimate, line: Reading, age: Array, step: Array) -> Estimate:
+def _correct(settings: Estimator, estimate: Estimate, line: Reading, age: Array) -> Estimate:
     """Correct an estimate of an age [ticks] by what has arrived of its time, each by its share (M91, M93, M145).
 
-    `line` has the last measurements, the latest first; `step` is the duration of the tick before the estimate [s].
+    `line` has the last measurements, the latest first.
     """
-    since = age - settings.age
+    since, step = age - settings.age, settings.time_step
     has_arrived = since >= 0
     share = jnp.where(has_arrived, settings.share, 0.0)
-    found, places = estimate.reading, jnp.maximum(since, 0)
-    aligned = [jax.tree.map(lambda x, place=places[channel]: x[place], line) for channel in range(7)]
-    measured = [_prefer_measured(reading, found) for reading in aligned]
-    now, (position, rotation, linear, angular, joints, joint_velocities, thrusts) = found.state, measured
-    # What is not measured says what is expected of gyroscopes with their bias.
-    turning = now.velocity[3:6] + now.base_rotation @ estimate.gyro_bias
-    said = aligned[3].state.velocity[3:6]
-    said = jnp.where(jnp.abs(said) <= GREATEST, said, turning)
+    places = jnp.maximum(since, 0)
+    (now, thrust), measured = estimate.reading, line.state
+
+    turned, turning = measured.base_rotation[places[3]], measured.velocity[places[3], 3:6]
     gyro = now.base_rotation.T @ now.velocity[3:6]
-    gyros = gyro + share[3] * (angular.state.base_rotation.T @ said - estimate.gyro_bias - gyro)
-    turn = share[1] * log_so3(multiply(now.base_rotation.T, rotation.state.base_rotation))
+    gyros = gyro + share[3] * (turned.T @ turning - estimate.gyro_bias - gyro)
+    turn = share[1] * log_so3(multiply(now.base_rotation.T, measured.base_rotation[places[1]]))
     base_rotation = project_to_so3(multiply(now.base_rotation, exp_so3(turn)))
     of_velocity, of_acceleration = jnp.where(has_arrived[4], settings.by_position, 0.0)
-    innovation = joints.state.joint_position - now.joint_position
+    innovation = measured.joint_position[places[4]] - now.joint_position
 
     def correct_channel(channel: int, found: Array, said: Array) -> Array:
         return found + share[channel] * (said - found)
 
     rates = now.velocity[6:] + of_velocity / step * innovation
     state = State(
-        base_position=correct_channel(0, now.base_position, position.state.base_position),
+        base_position=correct_channel(0, now.base_position, measured.base_position[places[0]]),
         base_rotation=base_rotation,
-        joint_position=correct_channel(4, now.joint_position, joints.state.joint_position),
+        joint_position=now.joint_position + share[4] * innovation,
         velocity=join(
-            correct_channel(2, now.velocity[:3], linear.state.velocity[:3]),
+            correct_channel(2, now.velocity[:3], measured.velocity[places[2], :3]),
             base_rotation @ gyros,
-            correct_channel(5, rates, joint_velocities.state.velocity[6:]),
+            correct_channel(5, rates, measured.velocity[places[5], 6:]),
         ),
     )
     return Estimate(
-        Reading(state, jnp.maximum(correct_channel(6, found.thrust, thrusts.thrust), 0.0)),
+        Reading(state, jnp.maximum(correct_channel(6, thrust, line.thrust[places[6]]), 0.0)),
         estimate.disturbance + of_acceleration / step**2 * innovation,
         estimate.gyro_bias - settings.of_bias / step * turn,
     )

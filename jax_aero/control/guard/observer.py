@@ -3,12 +3,12 @@
 ```text
 w    = L̇ − r,   r = A_T T + A_a f_a − m g e₃                      unmodelled wrench
 dŵ/dt = K_o (w − ŵ)                                               observed wrench
-ŵ   += (1 − exp(−K_o Δt)) ((L_k − L_{k−1})/Δt − r_{k−1} − ŵ)      per measurement, then limited
+ŵ   += (1 − exp(−K_o Δt)) ((L_k − L_{k−1})/Δt − r_{k−1} − ŵ)      per tick, then limited
 ```
 
-`Δt` is the time between the two measurements. Inertial axes, about the centre of mass, force first.
+Inertial axes, about the centre of mass, force first.
 
-Equations M82 to M84 and M106 of `docs/model`.
+Equations M82 to M84 of `docs/model`.
 """
 
 from __future__ import annotations
@@ -19,9 +19,6 @@ import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
 from jax_aero.types import Array, pytree
-
-RESIDUAL_TIME = 0.02
-"""Time constant of the residual [s]."""
 
 
 @pytree
@@ -43,10 +40,8 @@ class ObserverState(NamedTuple):
 
     wrench: Float[Array, "6"]
     """`ŵ` [N, N m]."""
-    residual: Float[Array, "6"]
-    """Low-passed difference between the unmodelled and the observed wrench, `n` of M106 [N, N m]."""
     is_known: Bool[Array, ""]
-    """Whether momentum and rate below are those of a last measurement."""
+    """Whether momentum and rate below are those of a last tick."""
     momentum: Float[Array, "6"]
     """Centroidal momentum `L` [kg m/s, kg m²/s]."""
     rate: Float[Array, "6"]
@@ -56,39 +51,23 @@ class ObserverState(NamedTuple):
 def start(like: Float[Array, "..."]) -> ObserverState:
     """Return the initial state, in the precision of `like`."""
     nothing = jnp.zeros(6, like.dtype)
-    return ObserverState(nothing, nothing, jnp.array(False), nothing, nothing)
+    return ObserverState(nothing, jnp.array(False), nothing, nothing)
 
 
 def update(
     gains: ObserverGains,
-    elapsed: Float[Array, ""],
+    time_step: Float[Array, ""],
     last: ObserverState,
     momentum: Float[Array, "6"],
     rate: Float[Array, "6"],
 ) -> ObserverState:
-    """Process a measurement `elapsed` [s] after the last one.
-
-    `ŵ` is unchanged if there is no last measurement or if numbers overflow.
-    """
-    shares = -jnp.expm1(-elapsed * _repeat_axes(gains.gain_force, gains.gain_moment))
-    innovation = (momentum - last.momentum) / elapsed - last.rate - last.wrench
-    moved = last.wrench + shares * innovation
+    """Process a tick, `time_step` [s] after the last one; `ŵ` stays in the first one, and if numbers overflow."""
+    shares = -jnp.expm1(-time_step * _repeat_axes(gains.gain_force, gains.gain_moment))
+    moved = last.wrench + shares * ((momentum - last.momentum) / time_step - last.rate - last.wrench)
     limits = _repeat_axes(gains.force_max, gains.moment_max)
     is_used = last.is_known & jnp.all(jnp.isfinite(moved))
     wrench = jnp.where(is_used, jnp.clip(moved, -limits, limits), last.wrench)
-    newer = last.residual + residual_share(elapsed) * (innovation - last.residual)
-    residual = jnp.where(is_used, newer, last.residual)
-    return ObserverState(wrench, residual, jnp.array(True), momentum, rate)
-
-
-def residual_share(elapsed: Float[Array, ""]) -> Float[Array, ""]:
-    """Return the share of an innovation that the residual follows in `elapsed` [s]."""
-    return -jnp.expm1(-elapsed / RESIDUAL_TIME)
-
-
-def hold(last: ObserverState) -> ObserverState:
-    """Return the state, with `ŵ` unchanged, after a tick without measured momentum or long after the last one."""
-    return last._replace(residual=jnp.zeros_like(last.residual), is_known=jnp.array(False))
+    return ObserverState(wrench, jnp.array(True), momentum, rate)
 
 
 def _repeat_axes(force: Array, moment: Array) -> Array:

@@ -21,7 +21,6 @@ from jaxtyping import Float
 from jax_aero.aero import AeroModel, LinkConventions, link_forces, wrench_about
 from jax_aero.control.guard import observer
 from jax_aero.control.guard.observer import ObserverGains, ObserverState
-from jax_aero.control.measurement import UsedMeasurement
 from jax_aero.robot import RobotModel
 from jax_aero.types import Array, Kinematics, pytree, where
 
@@ -91,22 +90,18 @@ def update(
     settings: WindObserver,
     robot: RobotModel,
     aero: AeroModel,
+    step: Float[Array, ""],
     before: WindState,
-    used: UsedMeasurement,
     kinematics: Kinematics,
     momentum: Float[Array, "6"],
     a_t: Float[Array, "6 j"],
+    thrust: Float[Array, " j"],
 ) -> WindState:
-    """Process a tick: the measurement, its kinematics, the centroidal momentum [kg m/s, kg m²/s], and `A_T`.
-
-    Without measured momentum nothing is corrected.
-    """
-    step, has_momentum = used.elapsed, used.has_momentum
-    rate = jnp.sum(a_t * used.thrust[None], axis=1).at[2].add(-robot.mass * robot.gravity)
+    """Process a tick, `step` [s] after the last one: centroidal momentum [kg m/s, kg m²/s], `A_T` and thrusts [N]."""
+    rate = jnp.sum(a_t * thrust[None], axis=1).at[2].add(-robot.mass * robot.gravity)
     greatest = jnp.full_like(settings.gain, GREATEST)
     gains = ObserverGains(settings.gain, settings.gain, greatest, greatest)
     wrench = observer.update(gains, step, before.wrench, momentum, rate)
-    wrench = where(has_momentum, wrench, observer.hold(before.wrench))
     force = wrench.wrench[:3]
 
     # Horizontal winds are a random walk; vertical ones return to zero.
@@ -142,4 +137,4 @@ def update(
     after = WindState(wrench, moved, less, left @ sensitivity + gain, lasting, unexplained)
     before = WindState(wrench, wind, covariance, sensitivity, before.lasting, before.unexplained)
     is_finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in after[1:]]))
-    return where(is_finite & has_momentum, after, before)
+    return where(is_finite, after, before)

@@ -1,30 +1,27 @@
-"""The laws that a tick calls: from the set-point to thrust rates and joint velocities, here by the momentum QP."""
+"""The momentum law: from the set-point to thrust rates and joint velocities, by the momentum QP."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
 from jax_aero.control import qp
-from jax_aero.control.command import DEGRADED, MOMENTUM_HELD, NOMINAL
+from jax_aero.control.command import MOMENTUM_HELD, NOMINAL
 from jax_aero.control.law import setpoint as generator
-from jax_aero.control.law.attitude import AttitudeDemand, attitude_demand
-from jax_aero.control.law.limits import Limits
+from jax_aero.control.law.attitude import AttitudeDemand, MomentumGains, attitude_demand
 from jax_aero.control.law.mission import Mission
 from jax_aero.control.law.momentum_qp import MomentumQp, Task, TaskInputs, momentum_qp
-from jax_aero.control.law.mpc.plan import Plan
 from jax_aero.control.law.setpoint import SetpointParams
 from jax_aero.control.law.tasks import TaskParams, standard_tasks, unknown_bounds
-from jax_aero.control.measurement import UsedMeasurement
-from jax_aero.control.preview import Preview
-from jax_aero.control.qp import Dtype, QpAnswer
+from jax_aero.control.measurement import Measurement
+from jax_aero.control.qp import QpAnswer
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model
 from jax_aero.robot import RobotModel
-from jax_aero.types import Array, Setpoint, where
+from jax_aero.types import Array, Setpoint
 
 
 class Followed(NamedTuple):
@@ -33,10 +30,8 @@ class Followed(NamedTuple):
     setpoint: Setpoint
     due: Setpoint
     """Set-point of when the command acts, as is the state; without a latency it is `setpoint` (M151)."""
-    ahead: Int[Array, ""]
-    """What it follows after this tick: `MISSION`, `MOTION` or `DESCENT` of the set-point generator."""
-    preview: Preview
-    """What is known of the future."""
+    is_given: bool
+    """Whether it comes from outside, and not from the mission."""
 
 
 class Prepared(NamedTuple):
@@ -65,36 +60,11 @@ class Rates(NamedTuple):
     """Status of the command if the torque QP is solved."""
 
 
-class Law(Protocol):
-    """A law that a tick calls."""
-
-    def plan(self, jets: int, dtype: Dtype) -> Plan | None:
-        """Return the plan of a controller that starts, for a number of jets; `None` if the law does not plan."""
-        ...
-
-    def follow(
-        self, memory: ControllerState, used: UsedMeasurement, given: Setpoint | None, preview: Preview
-    ) -> tuple[ControllerState, Followed]:
-        """Choose the set-point: during a descent that of the descent, otherwise the given one, or the mission's."""
-        ...
-
-    def solve(
-        self,
-        robot: RobotModel,
-        memory: ControllerState,
-        used: UsedMeasurement,
-        model: Model,
-        limits: Limits,
-        followed: Followed,
-    ) -> tuple[ControllerState, Rates]:
-        """Compute thrust rates and joint velocities that control momentum and attitude."""
-        ...
-
-
 @dataclass(frozen=True)
 class MomentumLaw:
-    """The momentum law of one controller, a `Law`."""
+    """The momentum law of one controller."""
 
+    gains: MomentumGains
     setpoint: SetpointParams
     mission: Mission
     tasks: TaskParams
@@ -105,86 +75,60 @@ class MomentumLaw:
     lead: int
     """Whole ticks of that."""
 
-    def plan(self, jets: int, dtype: Dtype) -> None:
-        """Return none: the law does not plan."""
-        del jets, dtype
-
     def follow(
-        self, memory: ControllerState, used: UsedMeasurement, given: Setpoint | None, preview: Preview
+        self, memory: ControllerState, time: Float[Array, ""], given: Setpoint | None
     ) -> tuple[ControllerState, Followed]:
-        """Choose the set-point: during a descent that of the descent, otherwise the given one, or the mission's."""
-        state, is_descending = memory.setpoint, memory.channels.is_descending
+        """Choose the set-point of the tick at `time` [s]: the given one, or the mission's."""
         if given is None:
-            moved, followed = generator.update(self.setpoint, self.mission, state, used.time, is_descending)
+            state, setpoint = generator.update(self.setpoint, self.mission, memory.setpoint, time)
         else:
-            along = generator.follow(self.setpoint, state, generator.motion_of(given)), given
-            moved, followed = where(is_descending, generator.descend(self.setpoint, state), along)
-        usual = generator.MISSION if given is None else generator.MOTION
-        ahead = jnp.where(is_descending, generator.DESCENT, usual)
-        due = generator.after(followed, self.latency) if self.latency else followed
-        return memory._replace(setpoint=moved), Followed(followed, due, ahead, preview)
+            state, setpoint = generator.follow(self.setpoint, memory.setpoint, generator.motion_of(given)), given
+        due = generator.after(setpoint, self.latency) if self.latency else setpoint
+        return memory._replace(setpoint=state), Followed(setpoint, due, given is not None)
 
     def solve(
-        self,
-        robot: RobotModel,
-        memory: ControllerState,
-        used: UsedMeasurement,
-        model: Model,
-        limits: Limits,
-        followed: Followed,
+        self, robot: RobotModel, memory: ControllerState, now: Measurement, model: Model, followed: Followed
     ) -> tuple[ControllerState, Rates]:
         """Compute thrust rates and joint velocities that control momentum and attitude."""
-        return self.decide(memory, used, self.prepare(robot, memory, used, model, limits, followed))
+        return self.decide(memory, self.prepare(robot, memory, now, model, followed))
 
     def prepare(
-        self,
-        robot: RobotModel,
-        memory: ControllerState,
-        used: UsedMeasurement,
-        model: Model,
-        limits: Limits,
-        followed: Followed,
+        self, robot: RobotModel, memory: ControllerState, now: Measurement, model: Model, followed: Followed
     ) -> Prepared:
         """Build the momentum QP of this tick, with its bounds."""
-        state, momentum = used.state, model.momentum
-        setpoint, due = (
-            where(limits.holds_position, goal, generator.without_place(goal, model.kinematics.com))
-            for goal in (followed.setpoint, followed.due)
-        )
+        state, momentum = now.state, model.momentum
         attitude = attitude_demand(
-            limits.gains,
-            due,
+            self.gains,
+            followed.due,
             state.base_rotation,
             state.velocity[3:6],
             momentum.rate_estimate[3:],
             memory.inertia_0,
         )
         inputs = TaskInputs(
-            limits.gains,
+            self.gains,
             robot,
             state,
-            used.thrust,
+            now.thrust,
             model.kinematics,
             model.dynamics,
             momentum,
-            due,
+            followed.due,
             attitude,
             memory.inertia_0,
             memory.posture,
         )
         tasks = standard_tasks(self.tasks, self.symmetric_pairs, inputs)
         tasks += [task.equations(inputs) for task in self.other_tasks]
-        return Prepared(setpoint, attitude, momentum_qp(tasks, *unknown_bounds(self.tasks, limits, inputs)))
+        return Prepared(followed.setpoint, attitude, momentum_qp(tasks, *unknown_bounds(self.tasks, inputs)))
 
-    def decide(
-        self, memory: ControllerState, used: UsedMeasurement, prepared: Prepared
-    ) -> tuple[ControllerState, Rates]:
+    def decide(self, memory: ControllerState, prepared: Prepared) -> tuple[ControllerState, Rates]:
         """Solve the momentum QP."""
-        problem, jets = prepared.shaping.problem, used.thrust.shape[0]
+        problem, jets = prepared.shaping.problem, self.tasks.thrust_rate.shape[0]
         answer = qp.solve(problem, memory.momentum_start)
         is_solved = answer.status == qp.SOLVED
         # Zero rates, as far as the bounds allow.
         u = jnp.where(is_solved, answer.x, jnp.clip(0.0, problem.lower, problem.upper))
-        status = jnp.where(is_solved, jnp.where(used.modes == 0, NOMINAL, DEGRADED), MOMENTUM_HELD)
+        status = jnp.where(is_solved, NOMINAL, MOMENTUM_HELD)
         rates = Rates(*prepared, answer, thrust_rate=u[:jets], joint_velocity=u[jets:], status=status)
         return memory._replace(momentum_start=answer.warm_start), rates

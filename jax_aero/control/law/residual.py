@@ -14,19 +14,18 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jax_aero.control.command import DEGRADED, MOMENTUM_HELD, NOMINAL
 from jax_aero.control.guard import observer
 from jax_aero.control.guard.observer import ObserverGains
 from jax_aero.control.law.rates import Rates
-from jax_aero.control.measurement import UsedMeasurement
 from jax_aero.control.modes import MODES
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model
-from jax_aero.env_task import aim_of, features
+from jax_aero.features import aim_of, features
 from jax_aero.robot import RobotModel
-from jax_aero.types import Array, Setpoint, Static, pytree, where
+from jax_aero.types import Array, Setpoint, State, Static, pytree, where
 
 OBSERVER_GAIN = 3.0
 """Gain of the observed wrench [1/s]."""
@@ -113,19 +112,19 @@ Residual = Steering | PolicyResidual
 def steer(
     residual: Residual,
     robot: RobotModel,
+    time_step: Float[Array, ""],
     memory: ControllerState,
-    used: UsedMeasurement,
+    state: State,
     model: Model,
     due: Setpoint,
     rates: Rates,
-) -> tuple[ControllerState, UsedMeasurement, Rates, Added]:
+) -> tuple[ControllerState, Rates, Added, Int[Array, ""]]:
     """Add a residual to thrust rates and joint velocities, within their bounds, and observe the wrench for the next.
 
-    A residual that is not finite is not used, nor is one without an answer of the law.
+    A residual that is not finite is not used, nor is one without an answer of the law. The modes name the former.
     """
     last = memory.residual
     assert last is not None
-    state = used.state
     seen = features(
         jnp,
         state.base_rotation,
@@ -147,22 +146,8 @@ def steer(
         own,
     )
     status = jnp.where(~is_finite & (rates.status == NOMINAL), DEGRADED, rates.status)
-    modes = used.modes | jnp.where(is_finite, 0, MODES["residual_ignored"])
+    modes = jnp.where(is_finite, 0, MODES["residual_ignored"])
     gain, most = (jnp.asarray(number, last.wrench.dtype) for number in (OBSERVER_GAIN, jnp.inf))
-    observed = where(
-        used.has_momentum,
-        observer.update(
-            ObserverGains(gain, gain, most, most),
-            used.elapsed,
-            last,
-            model.dynamics.momentum,
-            model.momentum.rate_estimate,
-        ),
-        observer.hold(last),
-    )
-    return (
-        memory._replace(residual=observed),
-        used._replace(modes=modes),
-        rates._replace(**chosen._asdict(), status=status),
-        added,
-    )
+    gains, momentum, rate = ObserverGains(gain, gain, most, most), model.dynamics.momentum, model.momentum.rate_estimate
+    observed = observer.update(gains, time_step, last, momentum, rate)
+    return memory._replace(residual=observed), rates._replace(**chosen._asdict(), status=status), added, modes

@@ -4,7 +4,7 @@ Call `start` once, then `update` once per tick; the state is a pytree for `lax.s
 counter are floating-point, so set-points can be differentiated with respect to speeds, gains and smoothing times. The
 raw attitude is that of the heading frame: forward, left, up, fixed to the base by the robot's forward axis.
 
-Equations M43, M44, M47, M48, M107 and M115 of `docs/model`. Source: the published flight-control library.
+Equations M43, M44, M47 and M48 of `docs/model`. Source: the published flight-control library.
 """
 
 from __future__ import annotations
@@ -13,8 +13,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from jax_aero.config import SetpointConfig
 from jax_aero.control.law.minimum_jerk import (
@@ -33,15 +32,10 @@ from jax_aero.spatial import (
     project_to_so3,
     rotation_from_rpy,
     rpy_from_rotation,
-    safe_norm,
     skew,
     vee_of_skew_part,
 )
-from jax_aero.types import Array, Setpoint, leaf, library, where
-
-MISSION, MOTION, DESCENT = range(3)
-"""What a set-point follows after a tick: the mission, the motion of the last given set-point, the descent."""
-
+from jax_aero.types import Array, Setpoint, leaf, library
 
 DEGREE = np.pi / 180.0
 """[rad]."""
@@ -61,10 +55,6 @@ class SetpointParams(NamedTuple):
     """Rate of the turbo boost [1/s]."""
     attitude_gain: Float[Array, ""]
     """`K` of the attitude filter [1/s]."""
-    descent_speed: Float[Array, ""]
-    """Speed of a descent [m/s]."""
-    deceleration: Float[Array, ""]
-    """Deceleration to rest or to the descent speed [m/s²]."""
     position_lags: Float[Array, "2"]
     """Constants of the position filter: `T B / A` [s] and `T² C / A` [s²]."""
     position_filter: FilterGains
@@ -114,8 +104,6 @@ def setpoint_params(
         turbo_boost=leaf(config.turbo_boost),
         turbo_rate=leaf(config.turbo_rate),
         attitude_gain=leaf(config.attitude_gain),
-        descent_speed=leaf(config.descent_speed),
-        deceleration=leaf(config.deceleration),
         position_lags=filter_lags(smoothing),
         position_filter=filter_gains(smoothing, time_step),
         jerk_filter=filter_gains(leaf(config.acceleration_smoothing), time_step),
@@ -157,21 +145,16 @@ def after(setpoint: Setpoint, time: float | Float[Array, ""]) -> Setpoint:
 
 
 def update(
-    params: SetpointParams,
-    mission: Mission,
-    state: SetpointState,
-    time: Float[Array, ""],
-    is_descending: Bool[Array, ""] | bool = False,
+    params: SetpointParams, mission: Mission, state: SetpointState, time: Float[Array, ""]
 ) -> tuple[SetpointState, Setpoint]:
-    """Return the set-point of the tick at `time` [s], from the autopilot's commands, a recording, or the descent.
+    """Return the set-point of the tick at `time` [s], from the autopilot's commands or a recording.
 
     The smoothed attitude follows the raw one by `ω = −K sk(R_rawᵀ R)^∨`, integrated by forward Euler on the matrix;
     projection onto SO(3) at every tick removes the drift of that step.
     """
     if isinstance(mission, Recording):
-        return where(is_descending, descend(params, state), _follow_recording(params, mission, state, time))
-    commanded = _advance_raw(params, state.raw, autopilot_command(mission, time))
-    return _smooth(params, state, where(is_descending, _descend_raw(params, state.raw), commanded))
+        return _follow_recording(params, mission, state, time)
+    return _smooth(params, state, _advance_raw(params, state.raw, autopilot_command(mission, time)))
 
 
 def motion_of(setpoint: Setpoint) -> RecordedMotion:
@@ -181,7 +164,7 @@ def motion_of(setpoint: Setpoint) -> RecordedMotion:
 
 
 def follow(params: SetpointParams, state: SetpointState, motion: RecordedMotion) -> SetpointState:
-    """Set the state to a given motion, from which a descent would begin."""
+    """Set the state to a given motion, from which the next set-points go on."""
     com = motion.com
     # The filter input that keeps these outputs with zero jerk.
     ahead = com[0] + com[1] * params.position_lags[0] + com[2] * params.position_lags[1]
@@ -195,44 +178,10 @@ def follow(params: SetpointParams, state: SetpointState, motion: RecordedMotion)
     )
 
 
-def descend(params: SetpointParams, state: SetpointState) -> tuple[SetpointState, Setpoint]:
-    """Return the set-point of a tick of the descent, which replaces the mission."""
-    return _smooth(params, state, _descend_raw(params, state.raw))
-
-
-def _descend_raw(params: SetpointParams, raw: RawSetpoint) -> RawSetpoint:
-    """Return the set-point whose attitude becomes level and whose velocity approaches that of the descent (M115)."""
-    step = params.attitude_rate[0] * params.time_step
-    rpy = raw.rpy.at[:2].add(-jnp.clip(raw.rpy[:2], -step, step))
-    change = jnp.zeros_like(raw.velocity).at[2].set(-params.descent_speed) - raw.velocity
-    greatest, size = params.deceleration * params.time_step, safe_norm(change)
-    velocity = raw.velocity + change * jnp.where(size > greatest, greatest / jnp.maximum(size, greatest), 1.0)
-    position = raw.position + velocity * params.time_step
-    return RawSetpoint(position, velocity, rpy, jnp.zeros_like(raw.turbo_ticks))
-
-
-def ahead(
-    params: SetpointParams, mission: Mission, what: Int[Array, ""], state: SetpointState, time: Float[Array, ""]
-) -> tuple[SetpointState, Setpoint]:
-    """Return the set-point of a later tick, at `time` [s], from the state after all ticks before it.
-
-    `what` is followed: `MISSION`, `DESCENT`, or `MOTION`, whose raw position moves on at constant velocity.
-    """
-
-    def move_on() -> tuple[SetpointState, Setpoint]:
-        position = state.raw.position + state.raw.velocity * params.time_step
-        return _smooth(params, state, state.raw._replace(position=position))
-
-    chosen: tuple[SetpointState, Setpoint] = lax.switch(
-        what, [lambda: update(params, mission, state, time), move_on, lambda: descend(params, state)]
-    )
-    return chosen
-
-
-def without_place(setpoint: Setpoint, com: Float[Array, "3"]) -> Setpoint:
-    """Return the set-point at the present centre of mass [m], for a robot that cannot hold its position (M107)."""
-    zero = jnp.zeros_like(com)
-    return setpoint._replace(com_position=com, com_acceleration=zero, com_jerk=zero)
+def move_on(params: SetpointParams, state: SetpointState) -> tuple[SetpointState, Setpoint]:
+    """Return the set-point of the next tick after a given one, whose raw position moves on at constant velocity."""
+    position = state.raw.position + state.raw.velocity * params.time_step
+    return _smooth(params, state, state.raw._replace(position=position))
 
 
 def _smooth(params: SetpointParams, state: SetpointState, raw: RawSetpoint) -> tuple[SetpointState, Setpoint]:

@@ -26,7 +26,6 @@ from numpy.typing import ArrayLike
 
 from jax_aero.config import ControllerSection
 from jax_aero.control.law.bounds import rate_bounds
-from jax_aero.control.law.limits import Limits
 from jax_aero.control.law.momentum_qp import Diagonal, Rows, TaskInputs
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import multiply, rotate_back
@@ -34,7 +33,7 @@ from jax_aero.types import Array, leaf, library
 
 
 class TaskParams(NamedTuple):
-    """Weights of the momentum QP, and what its bounds need beside the limits of a tick; `j` jets, `n` joints."""
+    """Weights and bounds of the momentum QP; `j` jets, `n` joints."""
 
     momentum: Float[Array, ""]
     """Weight of the momentum and attitude rows."""
@@ -76,12 +75,8 @@ def task_params(config: ControllerSection, robot: RobotModel, time_step: float) 
     common = bounds.joint_velocity_max_deg
     velocity_max = choose_limits(robot.joint_velocity_max, None if common is None else np.deg2rad(common), robot)
     thrust_rate_max = _values_by_name("bounds.thrust_rate_max", bounds.thrust_rate_max, robot.jets.names, robot)
-    descent = None if config.engines is None else config.engines.descent
-    none = leaf(np.zeros(robot.n_joints))
-    fast = none if descent is None else choose_limits(none, np.deg2rad(descent.joint_velocity_max_deg), robot)
     _check_steepness("thrust_steepness", bounds.thrust_steepness, thrust_rate_max, time_step)
-    fastest = library(velocity_max, fast).maximum(velocity_max, fast)
-    _check_steepness("joint_steepness", bounds.joint_steepness, fastest, time_step)
+    _check_steepness("joint_steepness", bounds.joint_steepness, velocity_max, time_step)
     return TaskParams(
         momentum=leaf(weights.momentum),
         angular_momentum=leaf(weights.angular_momentum),
@@ -217,17 +212,12 @@ def keep_small(params: TaskParams, inputs: TaskInputs) -> tuple[Diagonal, ...]:
     )
 
 
-def unknown_bounds(
-    params: TaskParams, limits: Limits, inputs: TaskInputs
-) -> tuple[Float[Array, " u"], Float[Array, " u"]]:
+def unknown_bounds(params: TaskParams, inputs: TaskInputs) -> tuple[Float[Array, " u"], Float[Array, " u"]]:
     """Return lower and upper bounds of the unknowns, which keep thrusts and joints in their ranges (M65)."""
+    engines, (least, greatest) = inputs.robot.jets, inputs.robot.joint_limits.T
     jets = rate_bounds(
-        inputs.thrust, limits.thrust_least, limits.thrust_greatest, params.thrust_rate_max, params.thrust_steepness
+        inputs.thrust, engines.thrust_min, engines.thrust_max, params.thrust_rate_max, params.thrust_steepness
     )
-    least, greatest = inputs.robot.joint_limits[:, 0], inputs.robot.joint_limits[:, 1]
     position = inputs.state.joint_position
-    joints = rate_bounds(position, least, greatest, limits.joint_velocity, params.joint_steepness)
-    # A free joint follows no velocity but the one that it has.
-    is_free = limits.torque_share == 0.0
-    lower, upper = (jnp.where(is_free, inputs.state.velocity[6:], bound) for bound in joints)
-    return jnp.concatenate([jets[0], lower]), jnp.concatenate([jets[1], upper])
+    joints = rate_bounds(position, least, greatest, params.joint_velocity_max, params.joint_steepness)
+    return jnp.concatenate([jets[0], joints[0]]), jnp.concatenate([jets[1], joints[1]])

@@ -22,6 +22,13 @@ static size_t split(char *line, char **cells, size_t most) {
     return count;
 }
 
+// Whether a cell is a number, and which; an empty cell is NaN.
+static int parse(const char *cell, double *number) {
+    char *end;
+    *number = *cell == 0 ? NAN : strtod(cell, &end);
+    return *cell == 0 || (end != cell && end[strspn(end, " ")] == 0);
+}
+
 // First of the columns `NAME` or `NAME/…`, of which there are `width` in a row; exits if there are not.
 static size_t find(const char *name, size_t width, char **names, size_t columns) {
     const size_t length = strlen(name);
@@ -38,7 +45,7 @@ static size_t find(const char *name, size_t width, char **names, size_t columns)
             break;
         }
     }
-    fprintf(stderr, "error: the log has not %zu columns `%s`, as this robot has\n", width, name);
+    fprintf(stderr, "error: the log's first line has not %zu columns `%s`, as this robot has, separated by commas\n", width, name);
     exit(1);
 }
 
@@ -60,13 +67,17 @@ int main(int argc, char **argv) {
         fprintf(stderr, "usage: %s CONFIGURATION LOG.csv\n", argv[0]);
         return 2;
     }
-    char message[1024] = "cannot be read";
+    char message[1024] = "";
     FlightController *controller = flight_controller_create(flight_header(), argv[1], message, sizeof message);
-    FILE *log = controller == NULL ? NULL : fopen(argv[2], "r");
+    if (controller == NULL) {
+        fprintf(stderr, "error: %s: %s\n", argv[1], message);
+        return 1;
+    }
+    FILE *log = fopen(argv[2], "r");
     char *line = NULL;
     size_t space = 0;
     if (log == NULL || getline(&line, &space, log) < 0) {
-        fprintf(stderr, "error: %s: %s\n", argv[controller == NULL ? 1 : 2], message);
+        fprintf(stderr, "error: %s %s\n", argv[2], log == NULL ? "cannot be read" : "is empty; expected a log as CSV");
         return 1;
     }
     char *header = strdup(line);
@@ -92,12 +103,17 @@ int main(int argc, char **argv) {
     Difference torques = {0}, rates = {0};
     long ticks = 0, not_nominal = 0;
     for (; getline(&line, &space, log) > 0; ++ticks) {
-        if (split(line, cells, columns) != columns) {
-            fprintf(stderr, "error: %s: row %ld has not %zu cells\n", argv[2], ticks + 1, columns);
+        const size_t count = split(line, cells, columns);
+        if (count != columns) {
+            fprintf(stderr, "error: %s: row %ld has %zu cells; expected %zu\n", argv[2], ticks + 1, count, columns);
             return 1;
         }
         for (size_t column = 0; column < columns; ++column) {
-            row[column] = *cells[column] == 0 ? NAN : strtod(cells[column], NULL);
+            if (!parse(cells[column], &row[column])) {
+                const char *name = names[column], *cell = cells[column];
+                fprintf(stderr, "error: %s: row %ld, column `%s` is `%s`; expected a number\n", argv[2], ticks + 1, name, cell);
+                return 1;
+            }
         }
         measurement.time = *time;
         memcpy(measurement.base_position, position, sizeof measurement.base_position);
@@ -112,6 +128,10 @@ int main(int argc, char **argv) {
         not_nominal += flight_tick(controller, &measurement, NULL, &command) != FLIGHT_NOMINAL;
         compare(&torques, command.joint_torque, torque, joints, *time);
         compare(&rates, command.thrust_rate, rate, jets, *time);
+    }
+    if (ticks == 0) {
+        fprintf(stderr, "error: %s has no row below its header\n", argv[2]);
+        return 1;
     }
     printf("%ld ticks, %ld not nominal\n", ticks, not_nominal);
     printf("joint_torque  greatest difference %g N m, at %g s\n", torques.greatest, torques.time);

@@ -518,7 +518,12 @@ fn run(command: &mut Command) -> String {
 /// Compiles an example against the library that this test was built with, and runs it.
 fn run_example(compiler: &str, source: &str, arguments: &[&str]) -> Output {
     let folder = tempfile::tempdir().unwrap();
-    let program = folder.path().join("program");
+    Command::new(compile_example(folder.path(), compiler, source)).args(arguments).output().unwrap()
+}
+
+/// Compiles an example into a folder; returns the program.
+fn compile_example(folder: &Path, compiler: &str, source: &str) -> PathBuf {
+    let program = folder.join("program");
     let libraries = library_folder();
     run(Command::new(compiler)
         .args(["-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I"])
@@ -530,7 +535,7 @@ fn run_example(compiler: &str, source: &str, arguments: &[&str]) -> Output {
         .arg(&libraries)
         .arg(format!("-Wl,-rpath,{}", libraries.display()))
         .arg("-lflight"));
-    Command::new(program).args(arguments).output().unwrap()
+    program
 }
 
 fn numbers(line: &str) -> Vec<f64> {
@@ -591,10 +596,11 @@ fn a_log_replays_in_c_with_the_same_commands() {
     }
     let folder = tempfile::tempdir().unwrap();
     let log = folder.path().join("log.csv");
-    std::fs::write(&log, table).unwrap();
+    std::fs::write(&log, &table).unwrap();
+    let program = compile_example(folder.path(), "cc", "replay.c");
+    let run = |name: &str, log: &Path| Command::new(&program).arg(config(name)).arg(log).output().unwrap();
     let replay = |name: &str| {
-        let path = config(name);
-        let ran = run_example("cc", "replay.c", &[path.to_str().unwrap(), log.to_str().unwrap()]);
+        let ran = run(name, &log);
         let text = String::from_utf8(ran.stdout).unwrap();
         assert!(ran.status.success(), "{text}{}", String::from_utf8_lossy(&ran.stderr));
         assert!(text.starts_with("31 ticks, "), "{text}");
@@ -602,8 +608,27 @@ fn a_log_replays_in_c_with_the_same_commands() {
     };
     assert_eq!(replay("test2_sensors"), [0.0, 0.0]);
     assert!(replay("test2").iter().all(|difference| *difference > 0.1));
-    let refused = run_example("cc", "replay.c", &[config("test2").to_str().unwrap(), "no.csv"]);
-    assert_eq!(refused.status.code(), Some(1));
+    // Neither a missing nor an empty file, a text, or a number that is none, is a log.
+    let (header, rows) = table.split_once('\n').unwrap();
+    let (row, _) = rows.split_once('\n').unwrap();
+    let (first, others) = row.split_once(',').unwrap();
+    for (text, expected) in [
+        (None, "cannot be read"),
+        (Some(String::new()), "is empty"),
+        (Some("a letter\nof two lines\n".to_owned()), "has not 1 columns `time`"),
+        (Some(format!("{header}\n")), "has no row"),
+        (Some(format!("{header}\n{row}\n{first},1.0m{others}\n")), "row 2, column `"),
+        (Some(format!("{header}\n{first}\n")), "row 1 has 1 cells"),
+    ] {
+        let log = folder.path().join("refused.csv");
+        if let Some(text) = text {
+            std::fs::write(&log, text).unwrap();
+        }
+        let refused = run("test2", &log);
+        assert_eq!(refused.status.code(), Some(1));
+        let message = String::from_utf8(refused.stderr).unwrap();
+        assert!(message.contains(expected), "{message} does not say {expected}");
+    }
 }
 
 /// Torques of every part of a tick are those of the crate's own flight.
@@ -700,13 +725,15 @@ fn a_program_finds_what_is_installed() {
         };
         assert_eq!(flags(&["--modversion"]), [env!("CARGO_PKG_VERSION")]);
         let program = folder.path().join("program");
+        let libraries = flags(&["--variable=libdir"]).remove(0);
         for link in [&["--libs"] as &[&str], &["--static", "--libs"]] {
             run(Command::new("cc")
                 .args(flags(&["--cflags"]))
                 .arg(Path::new(HERE).join("examples/loop.c"))
                 .args(["-o", program.to_str().unwrap()])
-                .args(flags(link)));
-            run(Command::new(&program).args([path, "2"]).env("LD_LIBRARY_PATH", prefix.join("lib")));
+                .args(flags(link))
+                .arg(format!("-Wl,-rpath,{libraries}")));
+            run(Command::new(&program).env_remove("LD_LIBRARY_PATH").args([path, "2"]));
         }
     }
 }

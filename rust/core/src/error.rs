@@ -116,6 +116,11 @@ impl BuildError {
         Self::BadValue { item: item.into(), value: value.to_string(), expected: expected.into() }
     }
 
+    /// Shorthand for [`BuildError::BadEntry`].
+    pub fn bad_entry(key: impl Into<String>, value: impl ToString, expected: impl Into<String>) -> Self {
+        Self::BadEntry { key: key.into(), value: value.to_string(), expected: expected.into() }
+    }
+
     /// Shorthand for [`BuildError::UnknownName`].
     pub fn unknown_name<S: AsRef<str>>(
         item: impl Into<String>,

@@ -229,7 +229,13 @@ fn bad_cards_are_refused() {
         ("/weights/file", json!("absent.safetensors"), vec!["cannot read", "absent.safetensors"]),
         ("/inputs/features", json!([]), vec!["inputs.features", "empty"]),
         ("/inputs/features", json!(["wind", "wind"]), vec!["Wind twice"]),
-        ("/inputs/features", json!(["smell"]), vec!["smell"]),
+        (
+            "/inputs/features",
+            json!(["wind", "smell"]),
+            vec!["small.json: `inputs.features[1]` is \"smell\"; expected"],
+        ),
+        ("/inputs/features", json!(5), vec!["`inputs.features` is 5; expected a list"]),
+        ("/inputs/scaling", json!(1.0), vec!["unknown key `inputs.scaling`"]),
         ("/inputs/features", json!(["wind"]), vec!["member.0.layer.0.weight", "[5, 113]", "[5, 3]"]),
         ("/inputs/joints", json!(["torso_pitch", "tail"]), vec!["inputs.joints", "tail", "known", "l_elbow"]),
         ("/inputs/joints", json!(["l_elbow", "torso_pitch"]), vec!["order", "l_elbow, torso_pitch"]),
@@ -241,13 +247,20 @@ fn bad_cards_are_refused() {
         ("/output/frame", json!("wind"), vec!["output", "frame Wind with layout Link"]),
         ("/output/unit", json!("ft^2"), vec!["output.unit", "ft^2", "m^2"]),
         ("/architecture/hidden", json!([5, 0]), vec!["architecture.hidden", "0", "65536"]),
+        ("/architecture/hidden", json!([5, -1]), vec!["`architecture.hidden[1]` is -1; expected an integer"]),
         ("/architecture/hidden", json!([5]), vec!["member.0.layer.1.weight", "shape"]),
         ("/architecture/members", json!(0), vec!["architecture.members", "0"]),
         ("/architecture/members", json!(3), vec!["member.2.layer.0.weight", "does not exist"]),
         ("/architecture/members", json!(1), vec!["member.1.layer.0.bias", "no layer"]),
         ("/architecture/activation", json!("step"), vec!["step", "silu"]),
         ("/architecture/baseline/links", json!({}), vec!["baseline", "without `head`"]),
-        ("/architecture/baseline/kind", json!("magic"), vec!["magic"]),
+        (
+            "/architecture/baseline/links/head/cda",
+            json!([1.0]),
+            vec!["links.head.cda` is [1.0]; expected a list of 5"],
+        ),
+        ("/architecture/baseline/kind", json!("magic"), vec!["`architecture.baseline.kind` is \"magic\""]),
+        ("/training", json!("much"), vec!["`training` is \"much\"; expected a table"]),
     ] {
         assert_says(&error_of_card(pointer, value), &words);
     }

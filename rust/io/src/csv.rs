@@ -1,4 +1,5 @@
 //! Numbers in a CSV file: a header, and a line of numbers for each row. Empty lines and `#` comments are left out.
+//! Where semicolons or tabs separate the columns, a comma is decimal.
 
 use crate::read_text;
 use flight_core::BuildError;
@@ -31,7 +32,7 @@ impl Csv {
     /// Parses the text of `file`, whose columns are named as `accept` decides; `header` describes them.
     ///
     /// # Errors
-    /// [`BuildError::BadValue`] naming `file`, the line and what was expected.
+    /// [`BuildError::BadValue`] naming `file`, the line, the column and what was expected.
     pub fn parse(
         text: &str,
         file: &str,
@@ -39,20 +40,33 @@ impl Csv {
         accept: impl Fn(&[&str]) -> bool,
     ) -> Result<Self, BuildError> {
         let mut csv = Self { rows: Vec::new(), file: file.to_owned(), lines: Vec::new() };
-        let mut lines = text.lines().enumerate().filter(|(_, line)| {
+        // Spreadsheets begin a file with a byte order mark.
+        let lines = text.trim_start_matches('\u{feff}').lines().enumerate();
+        let mut lines = lines.filter(|(_, line)| {
             let line = line.trim();
             !line.is_empty() && !line.starts_with('#')
         });
         let (number, first) = lines.next().unwrap_or((0, "empty"));
-        let names: Vec<&str> = first.split(',').map(str::trim).collect();
-        if !accept(&names) {
+        let split = |separator| first.split(separator).map(str::trim).collect::<Vec<_>>();
+        let Some(separator) = [',', ';', '\t'].into_iter().find(|separator| accept(&split(*separator)))
+        else {
             return Err(BuildError::bad_value(csv.line(number), first, header));
-        }
+        };
+        let names = split(separator);
         for (number, line) in lines {
-            let fields: Result<Vec<f64>, _> = line.split(',').map(|field| field.trim().parse()).collect();
-            let row = fields.ok().filter(|row| row.len() == names.len());
-            let expected = || format!("{} numbers: {}", names.len(), names.join(", "));
-            csv.rows.push(row.ok_or_else(|| BuildError::bad_value(csv.line(number), line, expected()))?);
+            let fields: Vec<&str> = line.split(separator).map(str::trim).collect();
+            if fields.len() != names.len() {
+                let hint = if separator == ',' { "; with decimal commas, `;` between them" } else { "" };
+                let expected = format!("{} numbers: {}{hint}", names.len(), names.join(", "));
+                return Err(BuildError::bad_value(csv.line(number), line, expected));
+            }
+            let mut row = Vec::with_capacity(names.len());
+            for (name, field) in names.iter().zip(fields) {
+                let parsed = if separator == ',' { field.parse() } else { field.replace(',', ".").parse() };
+                let item = || format!("column {name} in {}", csv.line(number));
+                row.push(parsed.map_err(|_| BuildError::bad_value(item(), field, "a number"))?);
+            }
+            csv.rows.push(row);
             csv.lines.push(number);
         }
         Ok(csv)

@@ -11,6 +11,7 @@
 #![forbid(unsafe_code)]
 
 pub mod aero;
+mod card;
 pub mod controller;
 pub mod csv;
 pub mod files;
@@ -26,10 +27,10 @@ pub use aero::{AeroConfig, load_aero};
 pub use controller::{ControllerSection, load_controller};
 pub use files::{hold, read_bytes, read_text};
 pub use mission::{MissionConfig, load_mission, read_recording};
-pub use network::NetworkConfig;
-pub use policy::{PolicyConfig, load_policy};
+pub use network::{NetworkConfig, read_network};
+pub use policy::{PolicyConfig, load_policy, read_policy};
 pub use robot::{LoadedRobot, RobotFile, RobotFiles, load_robot, read_urdf, robot_from_text};
 pub use schema::Schema;
 pub use toml::{
-    from_json, from_value, load, load_changed, path_keys, resolve, resolve_table, set_keys, typed,
+    from_json, from_value, load, load_by, load_changed, path_keys, resolve, resolve_table, set_keys, typed,
 };

@@ -13,6 +13,10 @@ use serde_json::{Map, Value};
 /// the certificate of a QP, does not overflow.
 const LARGEST: f64 = 1e9;
 
+/// Keys that are taken for one another.
+const SYNONYMS: [&[&str]; 3] =
+    [&["velocity", "speed", "direction"], &["time", "start"], &["duration", "end", "length"]];
+
 /// Schema of one kind of file.
 #[derive(Debug, Clone)]
 pub struct Schema {
@@ -31,6 +35,12 @@ impl Schema {
     #[must_use]
     pub fn of_type<T: JsonSchema>() -> Self {
         Self { root: schemars::schema_for!(T).to_value() }
+    }
+
+    /// A schema of types that only a program beside the crate has, in the form of [`Self::json`].
+    #[must_use]
+    pub fn of_json(root: Value) -> Self {
+        Self { root }
     }
 
     /// Schema as JSON.
@@ -53,17 +63,23 @@ impl Schema {
 }
 
 impl<'a> Node<'a> {
-    /// Resolves references, and removes `null` alternatives.
+    /// Resolves references, and removes `null` beside one alternative.
     fn follow(self) -> Self {
         let at = |node| Self { root: self.root, node }.follow();
         if let Some(target) = self.node.get("$ref").and_then(Value::as_str) {
             return self.root.pointer(target.trim_start_matches('#')).map_or(self, at);
         }
-        let present = |option: &&Value| option.get("type").is_none_or(|kind| kind != "null");
-        match self.node.get("anyOf").and_then(Value::as_array) {
-            Some(options) => options.iter().find(present).map_or(self, at),
-            None => self,
+        let mut options = self.options();
+        match (options.next(), options.next()) {
+            (Some(only), None) => at(only),
+            _ => self,
         }
+    }
+
+    /// Alternatives of `anyOf`, except `null`.
+    fn options(self) -> impl Iterator<Item = &'a Value> {
+        let options = self.node.get("anyOf").and_then(Value::as_array).into_iter().flatten();
+        options.filter(|option| option.get("type").is_none_or(|kind| kind != "null"))
     }
 
     fn alternatives(self) -> impl Iterator<Item = Self> + Clone {
@@ -76,12 +92,16 @@ impl<'a> Node<'a> {
         self.node.get("properties").and_then(Value::as_object)
     }
 
+    /// Whether a table here has this key.
+    pub(crate) fn has(self, key: &str) -> bool {
+        self.alternatives().filter_map(Self::properties).any(|properties| properties.contains_key(key))
+    }
+
     /// Node of a key of this table, in whichever alternative has it.
     pub(crate) fn key(self, key: &str) -> Option<Self> {
         self.alternatives().find_map(|option| {
             let named = option.properties().and_then(|properties| properties.get(key));
-            let any = || option.node.get("additionalProperties").filter(|_| option.is_of_names());
-            named.or_else(any).map(|node| Self { root: self.root, node }.follow())
+            named.or_else(|| option.others()).map(|node| Self { root: self.root, node }.follow())
         })
     }
 
@@ -96,13 +116,23 @@ impl<'a> Node<'a> {
 
     /// Whether the keys of the table here are names that the schema does not know.
     pub(crate) fn is_of_names(self) -> bool {
-        self.node.get("additionalProperties").is_some_and(Value::is_object)
+        self.others().is_some()
+    }
+
+    /// Schema of keys that this table does not name; of any, if it says nothing about keys.
+    fn others(self) -> Option<&'a Value> {
+        static ANY: Value = Value::Bool(true);
+        let silent =
+            self.properties().is_none() && self.node.get("type").is_some_and(|kind| kind == "object");
+        let others = self.node.get("additionalProperties").or(silent.then_some(&ANY));
+        others.filter(|others| **others != false)
     }
 
     /// Node of the items of this list, which have one type.
     pub(crate) fn item(self) -> Option<Self> {
         let of_tuple = || self.node.get("prefixItems").and_then(|items| items.get(0));
-        self.node.get("items").or_else(of_tuple).map(|node| Self { root: self.root, node }.follow())
+        let items = self.node.get("items").filter(|items| **items != false);
+        items.or_else(of_tuple).map(|node| Self { root: self.root, node }.follow())
     }
 
     /// Whether a text here is a path.
@@ -117,7 +147,27 @@ impl<'a> Node<'a> {
         first.iter().find(|(_, schema)| schema.get("const").is_some()).map(|(key, _)| key.as_str())
     }
 
+    /// Keys of the alternative with this discriminant, those first that have no default.
+    pub(crate) fn keys_of_kind(self, discriminant: &str, kind: &Value) -> Option<Vec<&'a str>> {
+        let is_it = |option: &Self| {
+            option.properties().is_some_and(|keys| {
+                keys.get(discriminant).is_some_and(|node| node.get("const") == Some(kind))
+            })
+        };
+        let option =
+            (self.discriminant() == Some(discriminant)).then(|| self.alternatives().find(is_it))??;
+        let required = option.node.get("required").and_then(Value::as_array);
+        let is_required = |key: &&str| required.is_some_and(|names| names.iter().any(|name| name == *key));
+        let keys = option.properties()?.keys().map(String::as_str).filter(|key| *key != discriminant);
+        let (first, rest): (Vec<_>, Vec<_>) = keys.partition(is_required);
+        Some([first, rest].concat())
+    }
+
     fn check(self, value: &Value, key: &str) -> Result<(), BuildError> {
+        let tried = self.options().map(|node| Self { root: self.root, node }.follow().check(value, key));
+        if let Some(found) = tried.reduce(Result::or) {
+            return found;
+        }
         match self.discriminant() {
             Some(discriminant) => self.choose(discriminant, value, key)?.check_plain(value, key),
             None => self.check_plain(value, key),
@@ -199,6 +249,7 @@ impl<'a> Node<'a> {
         for (name, value) in table {
             let place = join(key, name);
             match self.key(name) {
+                _ if value.is_null() && self.may_lack(name) => {}
                 Some(node) => node.check(value, &place)?,
                 None => return Err(unknown_key(&place, name, properties.keys())),
             }
@@ -229,7 +280,10 @@ impl<'a> Node<'a> {
             "object" => "a table".to_owned(),
             "array" => match (limit("minItems"), limit("maxItems")) {
                 (Some(least), Some(greatest)) if least == greatest => format!("a list of {least}"),
-                _ => "a list".to_owned(),
+                (Some(least), Some(greatest)) => format!("a list of {least} to {greatest}"),
+                (Some(least), None) => format!("a list of {least} or more"),
+                (None, Some(greatest)) => format!("a list of at most {greatest}"),
+                (None, None) => "a list".to_owned(),
             },
             "string" if self.is_path() => "the path of a file".to_owned(),
             "string" => "a text".to_owned(),
@@ -239,7 +293,8 @@ impl<'a> Node<'a> {
         };
         let limits =
             [("minimum", "≥"), ("exclusiveMinimum", ">"), ("maximum", "≤"), ("exclusiveMaximum", "<")];
-        let limits = limits.iter().filter_map(|(name, sign)| Some(format!("{sign} {}", limit(name)?)));
+        let limits =
+            limits.iter().filter_map(|(name, sign)| Some(format!("{sign} {}", limit(name)?.as_f64()?)));
         let limits = limits.collect::<Vec<_>>().join(" and ");
         if limits.is_empty() { words } else { format!("{words} {limits}") }
     }
@@ -263,15 +318,18 @@ pub(crate) fn refusal(key: &str, value: &Value, expected: &str) -> BuildError {
 }
 
 fn unknown_key<'a>(place: &str, name: &str, known: impl Iterator<Item = &'a String> + Clone) -> BuildError {
-    let near = known
+    let synonym = SYNONYMS.iter().find(|names| names.contains(&name));
+    let is_synonym = |key: &&String| synonym.is_some_and(|names| names.contains(&key.as_str()));
+    let likest = known
         .clone()
         .map(|key| (strsim::jaro_winkler(name, key), key))
         .max_by(|a, b| a.0.total_cmp(&b.0))
         .filter(|(likeness, _)| *likeness > 0.8);
+    let near = known.clone().find(is_synonym).or(likest.map(|(_, key)| key));
     let table = &place[..place.len() - name.len()];
     BuildError::UnknownKey {
         key: place.to_owned(),
-        suggestions: near.map(|(_, key)| format!("{table}{key}")).into_iter().collect(),
+        suggestions: near.map(|key| format!("{table}{key}")).into_iter().collect(),
         known: known.map(String::as_str).collect::<Vec<_>>().join(", "),
     }
 }

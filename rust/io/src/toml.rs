@@ -3,7 +3,7 @@
 //! A table may name another file as its `base`: that file's table is read first, and the keys beside
 //! `base` are laid over it, table by table. A key that may be absent is removed by `false`. Paths start at the file
 //! that names them. In a table whose keys are names of the robot's parts, `base` is such a name unless its value is a
-//! text.
+//! text; in one that has a key `base` of its own, it is that.
 //!
 //! ```toml
 //! controller = { base = "../control/observer.toml", momentum = { c0 = 60.0 }, engines = false }
@@ -42,22 +42,51 @@ pub fn load_changed<T: Serialize + DeserializeOwned + JsonSchema>(
     changes: &[(String, Value)],
     mut check: impl FnMut(&T) -> Result<(), BuildError>,
 ) -> Result<T, BuildError> {
-    let schema = Schema::of_type::<T>();
-    let table = resolve(path, &schema)?;
-    let mut checked = |table| typed(table).and_then(|config| check(&config).map(|()| config));
+    let checked = |table| typed(table).and_then(|config| check(&config).map(|()| config));
+    changed(path, changes, &Schema::of_type::<T>(), checked)
+}
+
+/// As [`load_changed`], for a table whose type only its schema states.
+///
+/// # Errors
+/// As [`load_changed`].
+pub fn load_by(path: &Path, changes: &[(String, Value)], schema: &Schema) -> Result<Value, BuildError> {
+    changed(path, changes, schema, |table| schema.check(&table).map(|()| table))
+}
+
+fn changed<T: Serialize>(
+    path: &Path,
+    changes: &[(String, Value)],
+    schema: &Schema,
+    mut checked: impl FnMut(Value) -> Result<T, BuildError>,
+) -> Result<T, BuildError> {
+    let table = resolve(path, schema)?;
     let of_file = |error: BuildError| error.in_file(path.display());
-    if changes.is_empty() {
-        return checked(table).map_err(of_file);
-    }
-    let changed = set_keys(table.clone(), changes.iter().cloned(), Path::new(""), &schema);
-    changed.and_then(&mut checked).map_err(|error| match checked(table) {
+    let mut changed = |changes: &[(String, Value)]| {
+        set_keys(table.clone(), changes.iter().cloned(), Path::new(""), schema).and_then(&mut checked)
+    };
+    changed(changes).map_err(|error| match changed(&[]) {
         Err(without_changes) => of_file(without_changes),
-        Ok(config) => of_changes(error, changes, &config),
+        Ok(config) => {
+            // One change may be to blame by itself.
+            let mut alone = changes.iter().map(std::slice::from_ref);
+            let culprit = alone.find_map(|change| changed(change).err().map(|error| (error, change)));
+            let (error, changes) = culprit.unwrap_or((error, changes));
+            of_changes(error, changes, &config, schema)
+        }
     })
 }
 
-/// An error of changed keys: an unknown one is named with the keys of `config` that were probably meant.
-fn of_changes(error: BuildError, changes: &[(String, Value)], config: &impl Serialize) -> BuildError {
+/// An error of changed keys: what was probably meant by an unknown one, or else what was to be set.
+fn of_changes(
+    error: BuildError,
+    changes: &[(String, Value)],
+    config: &impl Serialize,
+    schema: &Schema,
+) -> BuildError {
+    if let Some(error) = changes.iter().find_map(|change| of_kind(&error, change, schema)) {
+        return error;
+    }
     if let BuildError::UnknownKey { key, suggestions, known } = &error {
         let is_in_it =
             |(changed, _): &&(String, Value)| format!("{changed}.").starts_with(&format!("{key}."));
@@ -70,8 +99,27 @@ fn of_changes(error: BuildError, changes: &[(String, Value)], config: &impl Seri
             return BuildError::UnknownKey { key: changed.clone(), suggestions, known: known.clone() };
         }
     }
+    let key = error.parts().key;
+    if changes.iter().any(|(changed, _)| Some(changed) == key.as_ref()) {
+        return error; // which names key and value
+    }
     let listed = changes.iter().map(|(key, value)| format!("`{key}` = {}", shorten(value)));
     error.in_context(format!("cannot set {}", listed.collect::<Vec<_>>().join(", ")))
+}
+
+/// The error of a change that makes a table one of another kind, which has other keys.
+fn of_kind(error: &BuildError, (key, value): &(String, Value), schema: &Schema) -> Option<BuildError> {
+    let (BuildError::UnknownKey { key: bad, .. } | BuildError::MissingKey { key: bad }) = error else {
+        return None;
+    };
+    let (table, discriminant) = key.rsplit_once('.')?;
+    let node = table.split('.').try_fold(schema.root(), Node::key)?;
+    let keys = node.keys_of_kind(discriminant, value).filter(|_| bad.starts_with(&format!("{table}.")))?;
+    let expected = format!(
+        "the whole table, since it has other keys: {table}={{{discriminant}={value}, …}} with {}",
+        keys.join(", ")
+    );
+    Some(BuildError::BadEntry { key: key.clone(), value: shorten(value), expected })
 }
 
 /// Up to three dotted keys of a table whose last part is that of `key`.
@@ -286,6 +334,10 @@ impl Reader {
             Value::String(text) if node.is_some_and(Node::is_path) => {
                 *text = absolute_path(&folder.join(&*text))?.display().to_string();
             }
+            Value::Array(list) => {
+                let item = node.and_then(Node::item);
+                list.iter_mut().try_for_each(|value| self.resolve_value(value, item, folder, depth))?;
+            }
             _ => {}
         }
         Ok(())
@@ -298,8 +350,10 @@ impl Reader {
         folder: &Path,
         depth: usize,
     ) -> Result<Map<String, Value>, BuildError> {
-        let is_name = |base: &Value| !base.is_string() && node.is_some_and(Node::is_of_names);
-        let base = if table.get("base").is_some_and(is_name) { None } else { table.remove("base") };
+        let is_key = |base: &Value| {
+            node.is_some_and(|node| node.has("base") || !base.is_string() && node.is_of_names())
+        };
+        let base = if table.get("base").is_some_and(is_key) { None } else { table.remove("base") };
         for (key, value) in &mut table {
             self.resolve_value(value, node.and_then(|node| node.key(key)), folder, depth)?;
         }

@@ -186,13 +186,17 @@ fn cards_are_of_their_weights() {
         (
             "/format",
             json!("other"),
-            &["`format` in networks/card.json is other; expected flight-aero-network"][..],
+            &["networks/card.json: `format` is other; expected flight-aero-network"][..],
         ),
-        ("/version", json!(2), &["`version` in networks/card.json is 2; expected 1"]),
+        ("/version", json!(2), &["networks/card.json: `version` is 2; expected 1"]),
         ("/weights/file", json!("../card.safetensors"), &["`weights.file`", "a name beside the card"]),
         ("/weights/file", json!(".."), &["`weights.file`", "a name beside the card"]),
         ("/weights/file", json!(""), &["`weights.file`", "a name beside the card"]),
-        ("/weights/sha256", json!("00"), &["SHA-256 of networks/card.safetensors", "00, as on the card"]),
+        (
+            "/weights/sha256",
+            json!("00"),
+            &["`weights.sha256` is 00; expected", "the hash of networks/card.safetensors"],
+        ),
     ] {
         assert_says(&network(&robot, "card", &weights, &[(pointer, value)]).unwrap_err(), words);
     }

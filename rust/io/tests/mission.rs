@@ -15,7 +15,9 @@ fn what_cannot_be_flown_is_refused_by_line() {
         (format!("{header},vx\n"), "the first 7, 10, 13 or 16 names"),
         (format!("# source\n{header}\n0,0,0,1,0,0,0\n1,0,0,1,0,0\n"), "line 4"),
         (format!("{header}\n0,0,0,1,0,0,0\n1,0,0,1,0,0,0,0\n"), "7 numbers"),
-        (format!("{header}\n0,0,0,1,0,0,0\n1,0,0,one,0,0,0\n"), "7 numbers"),
+        (format!("{header}\n0,0,0,1,0,0,0\n1,0,0,one,0,0,0\n"), "column z in line 3"),
+        (format!("{header}\n0,0,0,1,5,0,0,0,0\n"), "with decimal commas, `;` between them"),
+        (format!("{}\n0;0;0;1.0,5;0;0;0\n", header.replace(',', ";")), "column z in line 2"),
         (format!("{header}\n0,0,0,1,0,0,0\n1,0,0,NaN,0,0,0\n"), "finite numbers"),
     ];
     for (text, expected) in cases {
@@ -24,6 +26,19 @@ fn what_cannot_be_flown_is_refused_by_line() {
     }
     let nowhere = MissionConfig { file: Some("nowhere.csv".into()), ..MissionConfig::default() };
     assert!(load_mission(&nowhere).unwrap_err().to_string().contains("nowhere.csv"));
+}
+
+/// With a semicolon or a tab between the columns, commas are decimal; the byte order mark of a spreadsheet is none.
+#[test]
+fn a_table_of_a_spreadsheet_is_read() {
+    let header = COLUMNS[..7].join(",");
+    let expected = format!("{header}\n0,0,0,1.25,0,0,0\n1.5,0,-2,1,0,0,0\n");
+    let read = |text: &str| format!("{:?}", parse_recording(text, "r.csv").unwrap());
+    for separator in [";", "\t"] {
+        let rows = ["0;0;0;1,25;0;0;0", "1,5;0;-2;1;0;0;0"].join("\n");
+        let text = format!("\u{feff}{}\n{}", header.replace(',', ";"), rows).replace(';', separator);
+        assert_eq!(read(&text), read(&expected));
+    }
 }
 
 #[test]

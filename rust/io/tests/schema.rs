@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
 use flight_core::BuildError;
-use flight_io::{Schema, from_json, from_value, hold, load_changed, set_keys};
+use flight_io::{Schema, from_json, from_value, hold, load_by, load_changed, resolve_table, set_keys};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -90,8 +90,8 @@ fn ends_of_ranges() {
         ),
         (json!({"count": -1}), "here: `count` is -1; expected an integer ≥ 0"),
         (json!({"count": 1.5}), "here: `count` is 1.5; expected an integer ≥ 0"),
-        (json!({"list": []}), "here: `list` is []; expected a list"),
-        (json!({"list": [1, 2, 3]}), "here: `list` is [1,2,3]; expected a list"),
+        (json!({"list": []}), "here: `list` is []; expected a list of 1 to 2"),
+        (json!({"list": [1, 2, 3]}), "here: `list` is [1,2,3]; expected a list of 1 to 2"),
         (json!({"list": [1, -2]}), "here: `list[1]` is -2; expected a number ≥ 0"),
         (json!({"three": [1, 2]}), "here: `three` is [1,2]; expected a list of 3"),
         (json!({"three": [1, 2, "x"]}), "here: `three[2]` is \"x\"; expected a number"),
@@ -184,13 +184,20 @@ fn changes_of_a_file() {
     }
     for (file, key, value, expected) in [
         ("wrong.toml", "free", 1, "wrong.toml: `closed` is 9; expected a number ≥ 1 and ≤ 3"),
-        ("limits.toml", "closed", 9, "cannot set `closed` = 9: `closed` is 9; expected a number ≥ 1 and ≤ 3"),
+        ("limits.toml", "closed", 9, "`closed` is 9; expected a number ≥ 1 and ≤ 3"),
         ("limits.toml", "closed", 1, "cannot set `closed` = 1: open is 1; expected less"),
         ("limits.toml", "optinal", 1, "unknown key `optinal`; did you mean `optional`? (known: "),
         ("limits.toml", "x.closed", 1, "unknown key `x.closed`; did you mean `closed`? (known: "),
     ] {
         let message = load(file, &[(key, json!(value))]).unwrap_err();
         assert!(message.starts_with(expected), "{message}");
+        // Another change, before or after it, is not to blame.
+        for changes in
+            [[("optional", json!(1)), (key, json!(value))], [(key, json!(value)), ("optional", json!(1))]]
+        {
+            let message = load(file, &changes).unwrap_err();
+            assert!(message.starts_with(expected), "{message}");
+        }
     }
 }
 
@@ -200,4 +207,48 @@ fn a_text_that_is_no_json_is_refused() {
     let message = from_json::<Limits>("{\"closed\": }", "here").unwrap_err().to_string();
     assert!(message.starts_with("here: ") && message.contains("line 1 column 12"), "{message}");
     assert_eq!(from_json::<Limits>("{}", "here").unwrap(), Limits::default());
+}
+
+/// What the types of other programs have: alternatives of a value, tuples, tables of any keys, lists of files, a key
+/// `base` of their own.
+#[test]
+fn a_schema_of_another_program() {
+    let schema = Schema::of_json(json!({
+        "$ref": "#/$defs/All",
+        "$defs": {"All": {"type": "object", "additionalProperties": false, "properties": {
+            "label": {"anyOf": [{"type": "string"}, {"type": "number", "minimum": 0.0}]},
+            "pair": {
+                "type": "array", "minItems": 2, "maxItems": 2, "items": false,
+                "prefixItems": [{"type": "number"}, {"type": "number"}],
+            },
+            "set": {"type": "object"},
+            "base": {"anyOf": [{"type": "string"}, {"type": "null"}]},
+            "files": {"type": "array", "items": {"type": "string", "format": "path"}},
+        }}},
+    }));
+    hold(Path::new("listed/a.toml"), b"label = 1\nbase = \"b\"\nset = { x = [1, \"y\"] }".to_vec());
+    let load = |key: &str, value: Value| {
+        load_by(Path::new("listed/a.toml"), &[(key.to_owned(), value)], &schema)
+            .map_err(|error| error.to_string())
+    };
+    let loaded = load("pair", json!([0, 1])).unwrap();
+    assert_eq!(loaded, json!({"label": 1, "base": "b", "set": {"x": [1, "y"]}, "pair": [0, 1]}));
+    assert_eq!(load("base", json!(false)).unwrap().get("base"), None);
+    let resolved = resolve_table(
+        json!({"files": ["a.toml"]}).as_object().unwrap().clone(),
+        Path::new("listed"),
+        &schema,
+    );
+    assert_eq!(resolved.unwrap(), json!({"files": ["listed/a.toml"]}));
+    for (key, value, expected) in [
+        ("label", json!([]), "`label` is []; expected a number ≥ 0"),
+        ("label", json!(-1), "`label` is -1; expected a number ≥ 0"),
+        ("pair", json!([1]), "`pair` is [1]; expected a list of 2"),
+        ("pair", json!([1, "x"]), "`pair[1]` is \"x\"; expected a number"),
+        ("set", json!(1), "`set` is 1; expected a table"),
+        ("sets", json!(1), "unknown key `sets`"),
+    ] {
+        let message = load(key, value).unwrap_err();
+        assert!(message.contains(expected), "{message}");
+    }
 }

@@ -75,6 +75,7 @@ export class Player {
     this.isPlaying = !matchMedia("(prefers-reduced-motion: reduce)").matches;
     this.rate = 1;
     this.times = { simulation: [], drawing: [], plots: [] };
+    this.legend = {}; // entries by layer
     this.#build();
   }
 
@@ -211,6 +212,7 @@ export class Player {
 
   #showFigures() {
     const flights = [this.solid, this.ghost].filter(Boolean);
+    this.legend.ghost.hidden = !this.ghost;
     const merits = flights.map((flight) => this.merit(flight));
     const said = JSON.stringify([flights.map(({ title }) => title), merits.map(Boolean)]);
     if (said === this.saidFigures && merits.every((merit, index) => merit === this.shownMerits[index])) return;
@@ -286,7 +288,8 @@ export class Player {
       const toggle = () => ((layer.visible = box.checked), (this.isStale = true));
       const box = make("input", { type: "checkbox", checked: true, onchange: toggle });
       const bar = Object.assign(make("i"), { style: `background: rgb(${this.look.colours[name]})` });
-      $("legend").append(make("label", {}, box, bar, make("span", {}, ...said)));
+      this.legend[name] = make("label", {}, box, bar, make("span", {}, ...said));
+      $("legend").append(this.legend[name]);
     }
     const rescale = () => {
       this.scene.scales.force = length.value / 100;

@@ -4,7 +4,7 @@ use flight_core::error::BuildError;
 use flight_core::kinematics::{Kinematics, RobotState};
 use flight_core::spatial::{Pose, rotation_from_wxyz};
 use flight_io::{Schema, from_value, resolve_table, set_keys};
-use flight_sim::{Flight, Scenario, ScenarioConfig, Wind, WindConfig, figures};
+use flight_sim::{Flight, Scenario, ScenarioConfig, Wind, WindConfig};
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
 use std::path::Path;
@@ -149,10 +149,8 @@ impl Flights {
 impl HeldFlight {
     fn result(&self) -> Value {
         let (summary, loss) = (self.flight.summary(), self.flight.loss());
-        let figures = figures()
-            .into_iter()
-            .zip(summary.values())
-            .map(|(figure, value)| (figure.name.to_owned(), value.into()));
+        let figures = summary.figures(self.flight.log().has_ground());
+        let figures = figures.map(|(figure, value)| (figure.name.to_owned(), value.into()));
         json!({
             "has_ended": self.flight.has_ended(),
             "outcome": self.flight.outcome(&summary).name(),

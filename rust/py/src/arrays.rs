@@ -3,7 +3,7 @@
 use flight_core::BuildError;
 use nalgebra::{Dim, Matrix, Matrix3, RawStorage, Vector3};
 use numpy::ndarray::{ArrayD, IxDyn};
-use numpy::{IntoPyArray, PyArrayDyn, PyReadonlyArrayDyn};
+use numpy::{Element, IntoPyArray, PyArrayDyn, PyReadonlyArrayDyn};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -66,7 +66,11 @@ pub fn matrix3(name: &str, array: &Input<'_>) -> PyResult<Matrix3<f64>> {
 }
 
 /// Row-major array of the given shape, whose size must be the length of `data`.
-pub fn array<'py>(py: Python<'py>, shape: &[usize], data: Vec<f64>) -> PyResult<Output<'py>> {
+pub fn array<'py, T: Element>(
+    py: Python<'py>,
+    shape: &[usize],
+    data: Vec<T>,
+) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
     let array = ArrayD::from_shape_vec(IxDyn(shape), data).map_err(plain_error)?;
     Ok(array.into_pyarray(py))
 }

@@ -48,6 +48,12 @@ pub struct ControllerState {
     state: State,
 }
 
+impl From<State> for ControllerState {
+    fn from(state: State) -> Self {
+        Self { state }
+    }
+}
+
 #[pymethods]
 impl ControllerState {
     /// Returns this state with another posture (n), inertia_0_b (3, 3) and integral of the joint velocity error (n).
@@ -180,7 +186,7 @@ impl Controller {
         });
         let given = Given { setpoint: setpoint.as_ref(), preview, residual: residual.as_ref() };
         self.controller.tick_with(state, &measurement, &given);
-        self.last_tick(py)
+        tick_dict(py, &self.controller, self.state.as_ref())
     }
 
     /// Compute one tick of the torques between two ticks of the law; returns torques and status.
@@ -300,86 +306,88 @@ impl Controller {
         let wrenches = entries("foot_wrenches", &wrenches, &[feet, 6])?;
         Ok(wrenches.chunks_exact(6).map(Vector6::from_column_slice).collect())
     }
+}
 
-    fn last_tick<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let (terms, command) = (self.controller.terms(), self.controller.command());
-        let out = PyDict::new(py);
-        let kinematics = &terms.kinematics;
-        out.set_item("com_position", vector(py, kinematics.com.as_slice())?)?;
-        out.set_item("mass_matrix", matrix(py, &terms.dynamics.mass_matrix)?)?;
-        out.set_item("bias", vector(py, terms.dynamics.bias.as_slice())?)?;
-        out.set_item("momentum_matrix", matrix(py, &terms.dynamics.momentum_matrix)?)?;
-        out.set_item("momentum", vector(py, terms.dynamics.momentum.as_slice())?)?;
-        out.set_item("centroidal_inertia", matrix(py, &terms.dynamics.centroidal_inertia)?)?;
+/// Every value of the last tick of a controller, by name.
+pub fn tick_dict<'py>(
+    py: Python<'py>,
+    controller: &flight_core::Controller,
+    state: Option<&State>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let (terms, command) = (controller.terms(), controller.command());
+    let out = PyDict::new(py);
+    let kinematics = &terms.kinematics;
+    out.set_item("com_position", vector(py, kinematics.com.as_slice())?)?;
+    out.set_item("mass_matrix", matrix(py, &terms.dynamics.mass_matrix)?)?;
+    out.set_item("bias", vector(py, terms.dynamics.bias.as_slice())?)?;
+    out.set_item("momentum_matrix", matrix(py, &terms.dynamics.momentum_matrix)?)?;
+    out.set_item("momentum", vector(py, terms.dynamics.momentum.as_slice())?)?;
+    out.set_item("centroidal_inertia", matrix(py, &terms.dynamics.centroidal_inertia)?)?;
 
-        out.set_item("link_axes", vectors(py, &terms.link_forces.axes_i)?)?;
-        out.set_item("link_v_air", vectors(py, &terms.link_forces.v_air_i)?)?;
-        out.set_item("link_arm_points", vectors(py, &terms.link_forces.arm_points_i)?)?;
-        out.set_item("link_jacobian_points", vectors(py, &terms.link_forces.jacobian_points_i)?)?;
-        out.set_item("aero_force", vectors(py, &terms.link_forces.forces_i)?)?;
+    out.set_item("link_axes", vectors(py, &terms.link_forces.axes_i)?)?;
+    out.set_item("link_v_air", vectors(py, &terms.link_forces.v_air_i)?)?;
+    out.set_item("link_arm_points", vectors(py, &terms.link_forces.arm_points_i)?)?;
+    out.set_item("link_jacobian_points", vectors(py, &terms.link_forces.jacobian_points_i)?)?;
+    out.set_item("aero_force", vectors(py, &terms.link_forces.forces_i)?)?;
 
-        out.set_item("jet_axes", vectors(py, &terms.momentum.jet_axes_i)?)?;
-        out.set_item("jet_points", vectors(py, &terms.momentum.jet_points_i)?)?;
-        out.set_item("a_t", matrix(py, &terms.momentum.a_t)?)?;
-        out.set_item("lambda_t", matrix(py, &terms.momentum.lambda_t)?)?;
-        out.set_item("lambda_a", matrix(py, &terms.momentum.lambda_a)?)?;
-        out.set_item("momentum_rate_estimate", vector(py, terms.momentum.rate_estimate.as_slice())?)?;
-        out.set_item("unmodelled_wrench", vector(py, terms.momentum.unmodelled_wrench.as_slice())?)?;
+    out.set_item("jet_axes", vectors(py, &terms.momentum.jet_axes_i)?)?;
+    out.set_item("jet_points", vectors(py, &terms.momentum.jet_points_i)?)?;
+    out.set_item("a_t", matrix(py, &terms.momentum.a_t)?)?;
+    out.set_item("lambda_t", matrix(py, &terms.momentum.lambda_t)?)?;
+    out.set_item("lambda_a", matrix(py, &terms.momentum.lambda_a)?)?;
+    out.set_item("momentum_rate_estimate", vector(py, terms.momentum.rate_estimate.as_slice())?)?;
+    out.set_item("unmodelled_wrench", vector(py, terms.momentum.unmodelled_wrench.as_slice())?)?;
 
-        out.set_item("k_ddot_desired", vector(py, terms.attitude.k_ddot_desired_b.as_slice())?)?;
-        out.set_item("sigma", vector(py, terms.attitude.sigma_i.as_slice())?)?;
-        let tasks = &terms.momentum_qp;
-        out.set_item("task", matrix(py, &tasks.matrix.columns(0, MOMENTUM_ROWS).transpose())?)?;
-        out.set_item("task_offset", vector(py, &tasks.offset.as_slice()[..MOMENTUM_ROWS])?)?;
-        out.set_item("h", matrix(py, &terms.momentum_qp.problem.h)?)?;
-        out.set_item("g", vector(py, terms.momentum_qp.problem.g.as_slice())?)?;
-        out.set_item("lower", vector(py, terms.momentum_qp.problem.lower.as_slice())?)?;
-        out.set_item("upper", vector(py, terms.momentum_qp.problem.upper.as_slice())?)?;
-        out.set_item("thrust_rate", vector(py, command.thrust_rate.as_slice())?)?;
-        out.set_item("throttle", vector(py, command.throttle.as_slice())?)?;
-        out.set_item("joint_velocity_command", vector(py, command.joint_velocity.as_slice())?)?;
-        out.set_item("momentum_qp", answer(py, &command.momentum_qp)?)?;
-        out.set_item("residual", vector(py, terms.residual.as_slice())?)?;
+    out.set_item("k_ddot_desired", vector(py, terms.attitude.k_ddot_desired_b.as_slice())?)?;
+    out.set_item("sigma", vector(py, terms.attitude.sigma_i.as_slice())?)?;
+    let tasks = &terms.momentum_qp;
+    out.set_item("task", matrix(py, &tasks.matrix.columns(0, MOMENTUM_ROWS).transpose())?)?;
+    out.set_item("task_offset", vector(py, &tasks.offset.as_slice()[..MOMENTUM_ROWS])?)?;
+    out.set_item("h", matrix(py, &terms.momentum_qp.problem.h)?)?;
+    out.set_item("g", vector(py, terms.momentum_qp.problem.g.as_slice())?)?;
+    out.set_item("lower", vector(py, terms.momentum_qp.problem.lower.as_slice())?)?;
+    out.set_item("upper", vector(py, terms.momentum_qp.problem.upper.as_slice())?)?;
+    out.set_item("thrust_rate", vector(py, command.thrust_rate.as_slice())?)?;
+    out.set_item("throttle", vector(py, command.throttle.as_slice())?)?;
+    out.set_item("joint_velocity_command", vector(py, command.joint_velocity.as_slice())?)?;
+    out.set_item("momentum_qp", answer(py, &command.momentum_qp)?)?;
+    out.set_item("residual", vector(py, terms.residual.as_slice())?)?;
 
-        out.set_item(
-            "joint_acceleration_desired",
-            vector(py, terms.torque_qp.acceleration_desired.as_slice())?,
-        )?;
-        let free = &terms.torque_qp.acceleration_free.as_slice()[terms.torque_qp.joint_torque.clone()];
-        out.set_item("joint_acceleration_free", vector(py, free)?)?;
-        out.set_item("torque_gain", matrix(py, &terms.inverse_mass.joint_gain)?)?;
-        out.set_item("torque_h", matrix(py, &terms.torque_qp.problem.h)?)?;
-        out.set_item("torque_g", vector(py, terms.torque_qp.problem.g.as_slice())?)?;
-        out.set_item("torque_lower", vector(py, terms.torque_qp.problem.lower.as_slice())?)?;
-        out.set_item("torque_upper", vector(py, terms.torque_qp.problem.upper.as_slice())?)?;
-        out.set_item("unlimited_torque", vector(py, terms.unlimited_torque.as_slice())?)?;
-        out.set_item("joint_torque", vector(py, command.joint_torque.as_slice())?)?;
-        out.set_item("torque_qp", answer(py, &command.torque_qp)?)?;
+    out.set_item("joint_acceleration_desired", vector(py, terms.torque_qp.acceleration_desired.as_slice())?)?;
+    let free = &terms.torque_qp.acceleration_free.as_slice()[terms.torque_qp.joint_torque.clone()];
+    out.set_item("joint_acceleration_free", vector(py, free)?)?;
+    out.set_item("torque_gain", matrix(py, &terms.inverse_mass.joint_gain)?)?;
+    out.set_item("torque_h", matrix(py, &terms.torque_qp.problem.h)?)?;
+    out.set_item("torque_g", vector(py, terms.torque_qp.problem.g.as_slice())?)?;
+    out.set_item("torque_lower", vector(py, terms.torque_qp.problem.lower.as_slice())?)?;
+    out.set_item("torque_upper", vector(py, terms.torque_qp.problem.upper.as_slice())?)?;
+    out.set_item("unlimited_torque", vector(py, terms.unlimited_torque.as_slice())?)?;
+    out.set_item("joint_torque", vector(py, command.joint_torque.as_slice())?)?;
+    out.set_item("torque_qp", answer(py, &command.torque_qp)?)?;
 
-        if !terms.contact.soles.is_empty() {
-            out.set_item("torque_rows", matrix(py, &terms.torque_qp.problem.normals.transpose())?)?;
-            out.set_item("torque_limit", vector(py, terms.torque_qp.problem.limit.as_slice())?)?;
-        }
-        out.set_item("status", format!("{:?}", command.status))?;
-        out.set_item("degraded_modes", command.modes.names().collect::<Vec<_>>())?;
-        let conditions: Vec<f64> = terms.limits.joints.iter().map(|found| f64::from(found.code())).collect();
-        out.set_item("joint_condition", vector(py, &conditions)?)?;
-        let latency = terms.measured_latency.map(|delay| delay.unwrap_or(f64::NAN));
-        out.set_item("measured_latency", vector(py, &latency)?)?;
-        if let Some(state) = &self.state {
-            out.set_item("residual_wrench", vector(py, state.residual_wrench().as_slice())?)?;
-            out.set_item("posture", vector(py, state.posture().as_slice())?)?;
-            out.set_item("inertia_0_b", matrix(py, state.inertia_0_b())?)?;
-            let integral = state.velocity_error_integral().as_slice();
-            out.set_item("velocity_error_integral", vector(py, integral)?)?;
-            if !terms.contact.soles.is_empty() {
-                out.set_item("contact", contact_dict(py, terms, state.contact())?)?;
-            }
-        }
-        out.set_item("setpoint", setpoint_to_dict(py, &terms.setpoint)?)?;
-        out.set_item("estimates", estimates_to_dict(py, &terms.estimates)?)?;
-        Ok(out)
+    if !terms.contact.soles.is_empty() {
+        out.set_item("torque_rows", matrix(py, &terms.torque_qp.problem.normals.transpose())?)?;
+        out.set_item("torque_limit", vector(py, terms.torque_qp.problem.limit.as_slice())?)?;
     }
+    out.set_item("status", format!("{:?}", command.status))?;
+    out.set_item("degraded_modes", command.modes.names().collect::<Vec<_>>())?;
+    let conditions: Vec<f64> = terms.limits.joints.iter().map(|found| f64::from(found.code())).collect();
+    out.set_item("joint_condition", vector(py, &conditions)?)?;
+    let latency = terms.measured_latency.map(|delay| delay.unwrap_or(f64::NAN));
+    out.set_item("measured_latency", vector(py, &latency)?)?;
+    if let Some(state) = state {
+        out.set_item("residual_wrench", vector(py, state.residual_wrench().as_slice())?)?;
+        out.set_item("posture", vector(py, state.posture().as_slice())?)?;
+        out.set_item("inertia_0_b", matrix(py, state.inertia_0_b())?)?;
+        let integral = state.velocity_error_integral().as_slice();
+        out.set_item("velocity_error_integral", vector(py, integral)?)?;
+        if !terms.contact.soles.is_empty() {
+            out.set_item("contact", contact_dict(py, terms, state.contact())?)?;
+        }
+    }
+    out.set_item("setpoint", setpoint_to_dict(py, &terms.setpoint)?)?;
+    out.set_item("estimates", estimates_to_dict(py, &terms.estimates)?)?;
+    Ok(out)
 }
 
 /// Contact quantities of a controller that can stand.
@@ -415,7 +423,8 @@ fn estimates_to_dict<'py>(py: Python<'py>, estimates: &Estimates) -> PyResult<Bo
     Ok(out)
 }
 
-fn setpoint_from_dict(given: &Bound<'_, PyDict>) -> PyResult<Setpoint> {
+/// A set-point from Python's names.
+pub fn setpoint_from_dict(given: &Bound<'_, PyDict>) -> PyResult<Setpoint> {
     let item = |key: &str| -> PyResult<Input<'_>> {
         let value =
             given.get_item(key)?.ok_or_else(|| PyKeyError::new_err(format!("`setpoint` lacks `{key}`")))?;
@@ -457,7 +466,7 @@ pub fn setpoint_trajectory<'py>(
     let com = Vector3::from_vec(finite_entries("com", &com, &[3])?);
     let mut state = generator.start(com, &checked_rotation("rotation", &rotation)?);
     let mut signals: [Vec<Vector3<f64>>; 2 + SETPOINT_VECTORS.len()] = Default::default();
-    let mut rotations = Vec::with_capacity(9 * ticks);
+    let mut rotations = Vec::<f64>::with_capacity(9 * ticks);
     for tick in 0..ticks {
         let setpoint = generator.update(&mut state, tick as f64 * dt);
         let raw = state.raw();

@@ -7,8 +7,10 @@ use flight_io::{
     load_robot, read_bytes, read_recording, typed,
 };
 use flight_sim::log::Series;
+use flight_sim::signals::Signal;
 use flight_sim::{
-    BatchError, FlightLog, FlightResult, SIGNALS, Scenario, ScenarioConfig, Wind, WindConfig, load_flyable,
+    BatchError, FIGURES, FlightLog, FlightResult, SIGNALS, Scenario, ScenarioConfig, Summary, Wind,
+    WindConfig, load_flyable,
 };
 use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError, PyUserWarning, PyValueError};
 use pyo3::prelude::*;
@@ -155,7 +157,7 @@ pub fn signals() -> String {
 /// Declarations of all figures of merit of a flight, as a JSON list.
 #[pyfunction]
 pub fn figures() -> String {
-    serde_json::json!(flight_sim::figures()).to_string()
+    serde_json::json!(FIGURES).to_string()
 }
 
 /// Raise ValueError if this configuration cannot be flown.
@@ -273,18 +275,7 @@ pub fn replay<'py>(
 ) -> PyResult<Bound<'py, PyDict>> {
     let config = parse(config_json)?;
     let robot = load_robot(&config.robot).map_err(value_error)?;
-    let rows = log.get("time").and_then(|time| time.as_array().shape().first().copied()).unwrap_or_default();
-    let read = |(name, values): (&String, &Input<'py>)| {
-        let Some(signal) = SIGNALS.iter().find(|signal| signal.name == name) else {
-            let known = SIGNALS.iter().map(|signal| signal.name);
-            return Err(value_error(BuildError::unknown_name("the log", name, known)));
-        };
-        let row_shape: Vec<usize> = signal.row_shape(&robot).collect();
-        let shape: Vec<usize> = std::iter::once(rows).chain(row_shape.iter().copied()).collect();
-        Ok(Series { signal, row_shape, data: entries(name, values, &shape)? })
-    };
-    let series = log.iter().map(read).collect::<PyResult<_>>()?;
-    let log = FlightLog { series, joint_setpoint: Vec::new() };
+    let log = read_log(&log, Vec::new(), |signal, _| signal.row_shape(&robot).collect())?;
     let replayed = py.detach(|| flight_sim::replay(&config, &log)).map_err(value_error)?;
     signals_dict(py, replayed)
 }
@@ -392,21 +383,60 @@ impl Reporter {
     }
 }
 
-fn flight_dict(py: Python<'_>, result: FlightResult, full_log: bool) -> PyResult<Bound<'_, PyDict>> {
+/// Result of a flight, by Python's names; without `full_log` its log is empty.
+pub fn flight_dict(py: Python<'_>, result: FlightResult, full_log: bool) -> PyResult<Bound<'_, PyDict>> {
     let FlightResult { outcome, loss, log, summary } = result;
     let out = PyDict::new(py);
+    out.set_item("summary", figures_dict(py, &summary, log.has_ground())?)?;
     out.set_item("joint_setpoint", vector(py, &log.joint_setpoint)?)?;
     out.set_item("log", if full_log { signals_dict(py, log)? } else { PyDict::new(py) })?;
     out.set_item("outcome", outcome.name())?;
     out.set_item("lost_time", loss.map(|loss| loss.time))?;
     out.set_item("lost_reason", loss.map(|loss| loss.reason.to_string()))?;
+    Ok(out)
+}
 
+fn figures_dict<'py>(py: Python<'py>, summary: &Summary, has_ground: bool) -> PyResult<Bound<'py, PyDict>> {
     let figures = PyDict::new(py);
-    for (figure, value) in flight_sim::figures().iter().zip(summary.values()) {
+    for (figure, value) in summary.figures(has_ground) {
         figures.set_item(figure.name, value)?;
     }
-    out.set_item("summary", figures)?;
-    Ok(out)
+    Ok(figures)
+}
+
+/// Figures of merit of a log (arrays by signal, the first axis is time), whose rows may have fewer numbers with the same
+/// figures; `joint_setpoint` has the joints of its rows.
+#[pyfunction]
+pub fn summarise<'py>(
+    py: Python<'py>,
+    log: BTreeMap<String, Input<'py>>,
+    joint_setpoint: Input<'py>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let joints = joint_setpoint.as_array().len();
+    let joint_setpoint = entries("joint_setpoint", &joint_setpoint, &[joints])?;
+    let of_array =
+        |_: &Signal, values: &Input<'py>| values.as_array().shape().iter().skip(1).copied().collect();
+    let log = read_log(&log, joint_setpoint, of_array)?;
+    figures_dict(py, &Summary::new(&log, log.len()), log.has_ground())
+}
+
+/// A log from arrays by signal, each with as many rows as there are times.
+fn read_log<'py>(
+    log: &BTreeMap<String, Input<'py>>,
+    joint_setpoint: Vec<f64>,
+    row_shape: impl Fn(&Signal, &Input<'py>) -> Vec<usize>,
+) -> PyResult<FlightLog> {
+    let rows = log.get("time").and_then(|time| time.as_array().shape().first().copied()).unwrap_or_default();
+    let read = |(name, values): (&String, &Input<'py>)| {
+        let Some(signal) = SIGNALS.iter().find(|signal| signal.name == name) else {
+            let known = SIGNALS.iter().map(|signal| signal.name);
+            return Err(value_error(BuildError::unknown_name("the log", name, known)));
+        };
+        let row_shape = row_shape(signal, values);
+        let shape: Vec<usize> = std::iter::once(rows).chain(row_shape.iter().copied()).collect();
+        Ok(Series { signal, row_shape, data: entries(name, values, &shape)? })
+    };
+    Ok(FlightLog { series: log.iter().map(read).collect::<PyResult<_>>()?, joint_setpoint })
 }
 
 /// The signals of a log as arrays by name.

@@ -9,33 +9,42 @@
 #![allow(clippy::doc_markdown)]
 
 mod arrays;
+mod cards;
 mod control;
 mod flight;
-mod plant;
+mod noise;
 mod qp;
 mod robot;
 mod robot_files;
+mod stepwise;
+mod tables;
 
 use pyo3::prelude::*;
 
 #[pymodule]
 mod _core {
     #[pymodule_export]
+    use super::cards::{read_network, read_policy};
+    #[pymodule_export]
     use super::control::{Controller, ControllerState, setpoint_trajectory};
     #[pymodule_export]
     use super::flight::{
         check_config, config_digest, figures, fly, fly_batch, load_config, load_table, path_keys,
         recorded_reference, recorded_wind, replay, resolve_aero, resolve_config, schemas, set_keys, signals,
-        wind_velocity,
+        summarise, wind_velocity,
     };
     #[pymodule_export]
-    use super::plant::Plant;
+    use super::noise::{normals, uniforms};
     #[pymodule_export]
     use super::qp::{BoxQpSolver, kkt_residual};
     #[pymodule_export]
     use super::robot::{Robot, aero_forces, link_forces};
     #[pymodule_export]
     use super::robot_files::read_urdf;
+    #[pymodule_export]
+    use super::stepwise::Flight;
+    #[pymodule_export]
+    use super::tables::{check_table, read_table, read_toml};
     use pyo3::prelude::*;
 
     use pyo3::exceptions::PyRuntimeError;
@@ -48,6 +57,7 @@ mod _core {
         let panic = module.py().get_type::<PanicException>();
         panic.setattr("__bases__", (module.py().get_type::<PyRuntimeError>(),))?;
         module.add("PanicException", panic)?;
+        module.add("SETTLING_TIME", flight_sim::summary::SETTLING_TIME)?;
         module.add("__version__", env!("CARGO_PKG_VERSION"))
     }
 }

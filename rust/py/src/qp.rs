@@ -1,9 +1,9 @@
 //! Solvers for box-constrained QPs.
 
 use crate::arrays::{Input, Output, entries, vector};
-use flight_core::qp::{
-    ClarabelSolver, DualActiveSet, PrimalActiveSet, QpAnswer, QpProblem, QpSolver, WarmStart,
-};
+#[cfg(feature = "clarabel")]
+use flight_core::qp::ClarabelSolver;
+use flight_core::qp::{DualActiveSet, PrimalActiveSet, QpAnswer, QpProblem, QpSolver, WarmStart};
 use nalgebra::{DMatrix, DVector};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -59,10 +59,13 @@ impl BoxQpSolver {
         let method: Box<dyn QpSolver> = match solver {
             "active_set" => Box::new(PrimalActiveSet::new(n)),
             "dual_active_set" => Box::new(DualActiveSet::new(n, 0)),
+            #[cfg(feature = "clarabel")]
             "clarabel" => Box::new(ClarabelSolver::new(n, 0)),
             _ => {
+                let clarabel =
+                    if cfg!(feature = "clarabel") { " or clarabel" } else { "; this build lacks clarabel" };
                 return Err(PyValueError::new_err(format!(
-                    "solver is `{solver}`; expected active_set, dual_active_set or clarabel"
+                    "solver is `{solver}`; expected active_set, dual_active_set{clarabel}"
                 )));
             }
         };

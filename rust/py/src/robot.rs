@@ -7,7 +7,7 @@ use flight_core::aero::{LinkConventions, LinkForces, LinksInAir};
 use flight_core::control::law::mpc::clearance::Clearance;
 use flight_core::dynamics::{Dynamics, MassFactor};
 use flight_core::kinematics::{Kinematics, RobotState};
-use flight_core::robot::Frame;
+use flight_core::robot::{Foot, Frame};
 use flight_core::spatial::{Pose, is_rotation, orthonormality_error};
 use flight_core::{BuildError, RobotModel};
 use flight_io::{AeroConfig, LoadedRobot, RobotFiles, from_json, load_aero};
@@ -144,6 +144,18 @@ impl Robot {
         self.model.jets.iter().map(|jet| jet.name.clone()).collect()
     }
 
+    /// Name of the link that each aerodynamic link is.
+    #[getter]
+    fn aero_link_frames(&self) -> Vec<String> {
+        self.model.aero_links.iter().map(|link| link.frame.name.clone()).collect()
+    }
+
+    /// Name of the link that carries each jet.
+    #[getter]
+    fn jet_frames(&self) -> Vec<String> {
+        self.model.jets.iter().map(|jet| jet.frame.name.clone()).collect()
+    }
+
     /// Least thrust of every jet [N].
     #[getter]
     fn thrust_min(&self) -> Vec<f64> {
@@ -159,6 +171,12 @@ impl Robot {
     #[getter]
     fn foot_names(&self) -> Vec<String> {
         self.model.feet.iter().map(|foot| foot.name.clone()).collect()
+    }
+
+    /// Contact points (k, 3) of every foot in the axes of its sole [m], by frame of the sole.
+    fn soles<'py>(&self, py: Python<'py>) -> PyResult<BTreeMap<String, Output<'py>>> {
+        let sole = |foot: &Foot| Ok((foot.frame.name.clone(), vectors(py, &foot.vertices_f)?));
+        self.model.feet.iter().map(sole).collect()
     }
 
     /// Text of the TOML file.

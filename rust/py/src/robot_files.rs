@@ -4,7 +4,7 @@ use crate::arrays::{Output, array, matrix, value_error, vector, vectors};
 use flight_core::RobotModel;
 use flight_core::robot::{EngineCoefficients, Frame, JointKind};
 use flight_core::spatial::Pose;
-use flight_io::robot::{Joint, Shape};
+use flight_io::robot::{Inertial, Joint, Shape};
 use nalgebra::{Matrix3, Vector3};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -18,16 +18,26 @@ pub fn pose_arrays<'py>(py: Python<'py>, pose: &Pose) -> PyResult<PoseOutput<'py
     Ok((matrix(py, &pose.rotation)?, vector(py, pose.position.as_slice())?))
 }
 
-/// Link names, joints and shapes of a URDF; `jax_aero.urdf` has their meaning.
+/// Links, joints, shapes and unused tags of a URDF; `jax_aero.urdf` has their meaning.
 #[pyfunction]
 pub fn read_urdf(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyDict>> {
     let (urdf, shapes) = flight_io::read_urdf(&path).map_err(value_error)?;
     let out = PyDict::new(py);
     out.set_item("name", urdf.name)?;
-    out.set_item("links", urdf.links.into_iter().map(|link| link.name).collect::<Vec<_>>())?;
+    out.set_item("links", urdf.links.iter().map(|link| &link.name).collect::<Vec<_>>())?;
+    let inertials = PyDict::new(py);
+    for link in &urdf.links {
+        if let Some(Inertial { origin: Pose { rotation, position }, mass, inertia }) = &link.inertial {
+            let inertia_l = rotation * inertia * rotation.transpose();
+            let entry = (*mass, vector(py, position.as_slice())?, matrix(py, &inertia_l)?);
+            inertials.set_item(&link.name, entry)?;
+        }
+    }
+    out.set_item("inertials", inertials)?;
     let joints = urdf.joints.iter().map(|joint| joint_dict(py, joint));
     out.set_item("joints", joints.collect::<PyResult<Vec<_>>>()?)?;
     out.set_item("shapes", shape_dicts(py, &shapes)?)?;
+    out.set_item("unused", urdf.unused)?;
     Ok(out)
 }
 

@@ -73,22 +73,34 @@ impl FlightLog {
         Table("simulator").check("duration", duration, |x| x <= most, &expected)
     }
 
-    /// Reserves memory for `n_ticks` rows of a robot's signals.
+    /// Reserves memory for `n_ticks` rows of a robot's signals in flight.
     #[must_use]
     pub fn new(robot: &RobotModel, n_ticks: usize) -> Self {
-        Self::of(robot, n_ticks, Option::is_some)
+        Self::of(robot, n_ticks, |signal| !signal.is_of_ground)
+    }
+
+    /// As [`Self::new`], with those of the ground.
+    #[must_use]
+    pub fn with_ground(robot: &RobotModel, n_ticks: usize) -> Self {
+        Self::of(robot, n_ticks, |_| true)
     }
 
     /// As [`Self::new`], for the signals of the controller alone.
     #[must_use]
     pub fn of_ticks(robot: &RobotModel, n_ticks: usize) -> Self {
-        Self::of(robot, n_ticks, |read| matches!(read, Some(Read::Tick(_))))
+        Self::of(robot, n_ticks, |signal| !signal.is_of_ground && matches!(signal.read, Some(Read::Tick(_))))
     }
 
-    fn of(robot: &RobotModel, n_ticks: usize, is_logged: impl Fn(&Option<Read>) -> bool) -> Self {
-        let logged = SIGNALS.iter().filter(|signal| is_logged(&signal.read));
+    fn of(robot: &RobotModel, n_ticks: usize, is_logged: impl Fn(&Signal) -> bool) -> Self {
+        let logged = SIGNALS.iter().filter(|signal| signal.read.is_some() && is_logged(signal));
         let series = logged.map(|signal| Series::new(signal, robot, n_ticks)).collect();
         Self { series, joint_setpoint: Vec::new() }
+    }
+
+    /// Whether it has the signals of the ground.
+    #[must_use]
+    pub fn has_ground(&self) -> bool {
+        self.series.iter().any(|series| series.signal.is_of_ground)
     }
 
     /// Number of rows.

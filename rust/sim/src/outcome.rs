@@ -1,7 +1,13 @@
-//! How a flight ended.
+//! How a flight ended, and the limits that decide.
+//!
+//! The end of a flight is M80 of `docs/model`.
 
+use crate::config::{DivergenceConfig, FallConfig, SimulatorConfig};
 use crate::log::FlightLog;
+use crate::plant::Plant;
+use crate::signals::TrackingErrors;
 use crate::summary::Summary;
+use nalgebra::Vector3;
 use std::fmt;
 
 /// Outcome of a flight.
@@ -77,7 +83,7 @@ impl fmt::Display for LossReason {
             Self::RotationError(angle) => write!(f, "rotation error {:.1} deg", angle.to_degrees()),
             Self::ComError(distance) => write!(f, "CoM error {distance:.2} m"),
             Self::NotFinite => write!(f, "state not finite"),
-            Self::Speed(limit) => write!(f, "speed above {limit} m/s"),
+            Self::Speed(limit) => write!(f, "speed of base or air above {limit} m/s"),
             Self::AngularVelocity(limit) => write!(f, "angular velocity above {limit} rad/s"),
             Self::JointVelocity(limit) => write!(f, "joint velocity above {limit} rad/s"),
             Self::JointPosition(limit) => write!(f, "joint more than {limit} rad beyond its stop"),
@@ -97,4 +103,79 @@ pub struct FlightResult {
     pub log: FlightLog,
     /// Figures of merit, without the row in which a flight diverged.
     pub summary: Summary,
+}
+
+/// Limits beyond which a flight is lost, or off its course.
+#[derive(Debug, Clone)]
+pub struct Judge {
+    fall: FallConfig,
+    divergence: DivergenceConfig,
+    /// \[m\]
+    course_error: f64,
+}
+
+impl Judge {
+    /// The limits of a configuration.
+    #[must_use]
+    pub fn new(config: &SimulatorConfig) -> Self {
+        let SimulatorConfig { fall, divergence, course_error, .. } = config;
+        Self { fall: fall.clone(), divergence: divergence.clone(), course_error: *course_error }
+    }
+
+    /// Reason why a flight is lost, if it is: a physically impossible state, or a fall.
+    #[must_use]
+    pub fn loss(&self, plant: &Plant, wind: &Vector3<f64>, errors: &TrackingErrors) -> Option<LossReason> {
+        self.divergence(plant, wind).or_else(|| {
+            if !errors.rotation.is_finite() || !errors.com.is_finite() {
+                Some(LossReason::NotFinite)
+            } else if errors.rotation > self.fall.rotation_error_deg.to_radians() {
+                Some(LossReason::RotationError(errors.rotation))
+            } else if errors.com > self.fall.com_error {
+                Some(LossReason::ComError(errors.com))
+            } else {
+                None
+            }
+        })
+    }
+
+    /// Reason why the state is physically impossible, if it is.
+    #[must_use]
+    pub fn divergence(&self, plant: &Plant, wind: &Vector3<f64>) -> Option<LossReason> {
+        let (state, thrusts, robot) = (plant.state(), plant.jets().thrust(), plant.robot());
+        let limits = &self.divergence;
+        let is_finite = state.is_finite() && thrusts.iter().chain(wind).all(|number| number.is_finite());
+        let speed = state.base_linear_velocity().norm().max(wind.norm());
+        let joints = || robot.joints.iter().zip(state.joint_position.iter());
+        let excess =
+            joints().map(|(joint, position)| (joint.stops.0 - position).max(position - joint.stops.1));
+        let excess = excess.fold(f64::NEG_INFINITY, f64::max);
+        let fastest =
+            state.joint_velocity().iter().fold(0.0, |fastest: f64, velocity| fastest.max(velocity.abs()));
+        let is_too_strong = robot
+            .jets
+            .iter()
+            .zip(thrusts)
+            .any(|(jet, thrust)| *thrust > limits.thrust_ratio * jet.thrust_max);
+        [
+            (!is_finite, LossReason::NotFinite),
+            (speed > limits.speed, LossReason::Speed(limits.speed)),
+            (
+                state.base_angular_velocity().norm() > limits.angular_velocity,
+                LossReason::AngularVelocity(limits.angular_velocity),
+            ),
+            (fastest > limits.joint_velocity, LossReason::JointVelocity(limits.joint_velocity)),
+            (excess > limits.joint_excess, LossReason::JointPosition(limits.joint_excess)),
+            (is_too_strong, LossReason::Thrust(limits.thrust_ratio)),
+        ]
+        .into_iter()
+        .find_map(|(is_beyond, reason)| is_beyond.then_some(reason))
+    }
+
+    /// Outcome of a flight that was lost or flown to its end.
+    #[must_use]
+    pub fn outcome(&self, loss: Option<Loss>, summary: &Summary) -> Outcome {
+        let is_off_course = summary.max_com_error > self.course_error;
+        let flown = if is_off_course { Outcome::OffCourse } else { Outcome::Completed };
+        loss.map_or(flown, |loss| loss.reason.outcome())
+    }
 }

@@ -4,7 +4,8 @@
 //! M(q) ν̇ = S τ + Σ Jᵀ T a + w_aero + w_push − h(q, ν)
 //! ```
 //!
-//! Without ground; joint stops act unless they are disabled, and drives if they are configured.
+//! Without ground; joint stops act unless they are disabled, and drives if they are configured. Another [`World`] can move
+//! the bodies instead.
 //!
 //! Equations M78, M79, M87, M140, M142 and M153 to M155 of `docs/model`; what a step adds to the momentum is M85.
 
@@ -14,6 +15,7 @@ use crate::disturbances::{Disturbances, JointFaults, Pushes};
 use crate::fuel::Fuel;
 use crate::jets::Jets;
 use crate::motors::Motors;
+use crate::world::{Seen, World};
 use flight_core::aero::{AeroModel, LinkConventions, LinkForces};
 use flight_core::dynamics::{Dynamics, MassFactor};
 use flight_core::error::BuildError;
@@ -42,6 +44,8 @@ pub struct Plant {
     torque_steps: u32,
     /// Torques that are commanded \[N m, N\].
     torque: Vec<f64>,
+    /// Those of every physics step between two of these commands, which a world receives.
+    torques: Vec<f64>,
     state: RobotState,
     jets: Jets,
     /// Commands on their way; `None` if they act at once.
@@ -132,6 +136,7 @@ impl Plant {
             substeps: config.substeps,
             torque_steps,
             torque: vec![0.0; joints],
+            torques: vec![0.0; joints * (config.substeps / torque_steps) as usize],
             state,
             jets: Jets::new(&config.jets, &robot.jets, &robot.engines, &config.initial.thrust)?
                 .with_faults(&disturbances.jets, &robot.jets)?,
@@ -200,6 +205,11 @@ impl Plant {
         &self.link_forces
     }
 
+    /// Places the robot where a world shows it.
+    pub fn place(&mut self, state: &RobotState) {
+        self.state.copy_from(state);
+    }
+
     /// Evaluates all quantities that depend on the state, in the given wind \[m/s\].
     pub fn observe(&mut self, wind_i: &Vector3<f64>) {
         self.kinematics.update(&self.robot, &self.state);
@@ -218,20 +228,21 @@ impl Plant {
         }
     }
 
-    /// Replaces the aerodynamic forces by `forces_i` \[N, inertial axes\], one for each link, from the next
-    /// [`Self::observe`] on; `None` returns to the model.
+    /// Replaces the aerodynamic forces by `forces_i` \[N, inertial axes\], one for each link, from now on; `None` returns
+    /// to the model at the next [`Self::observe`].
     ///
     /// # Errors
     /// [`BuildError::BadValue`] if the number of forces is not that of the links.
     pub fn replace_link_forces(&mut self, forces_i: Option<Vec<Vector3<f64>>>) -> Result<(), BuildError> {
         let links = self.robot.aero_links.len();
-        match &forces_i {
-            Some(forces) if forces.len() != links => {
+        if let Some(forces) = &forces_i {
+            if forces.len() != links {
                 let expected = format!("{links}, one for each aerodynamic link");
                 return Err(BuildError::bad_value("number of link forces", forces.len(), expected));
             }
-            _ => self.given_forces = forces_i,
+            self.link_forces.forces_i.copy_from_slice(forces);
         }
+        self.given_forces = forces_i;
         Ok(())
     }
 
@@ -280,12 +291,52 @@ impl Plant {
             self.integrate(step);
         }
         self.torque = torque;
-        let thrust_rate = actuation.as_mut().map_or(thrust_rate_command, Actuation::thrust_rate);
+        self.actuation = actuation;
+        self.advance_jets(thrust_rate_command, time_step);
+    }
+
+    /// As [`Self::advance_in_steps`], with the bodies in `world`, under the forces of the last [`Self::observe`] throughout.
+    /// Drives, joint stops and fuel are the world's.
+    pub fn advance_in(
+        &mut self,
+        (world, seen): (&mut dyn World, &mut Seen),
+        thrust_rate_command: &[f64],
+        time_step: f64,
+        mut command: impl FnMut(u32, &RobotState, &mut [f64]),
+    ) {
+        let steps = self.substeps / self.torque_steps;
+        self.joint_faults.begin_tick(time_step, self.state.joint_position.as_slice());
+        self.force.fill(0.0);
+        self.gather_external_forces(time_step);
+        for part in 0..self.torque_steps {
+            if part > 0 {
+                world.observe(seen);
+                self.state.copy_from(&seen.state);
+            }
+            command(part, &self.state, &mut self.torque);
+            match &mut self.actuation {
+                Some(way) if part == 0 => way.send(&self.torque, thrust_rate_command),
+                Some(way) => way.send_torque(&self.torque),
+                None => {}
+            }
+            for within in 0..steps {
+                let torque = self.actuation.as_mut().map_or(&self.torque[..], |way| way.torque(within));
+                let acting = self.joint_faults.reduce(torque);
+                let row = within as usize * acting.len();
+                self.torques[row..row + acting.len()].copy_from_slice(acting);
+            }
+            world.advance(steps, &self.torques, self.force.as_slice());
+        }
+        self.advance_jets(thrust_rate_command, time_step);
+    }
+
+    /// Advances the engines by one tick \[s\], and what they burn.
+    fn advance_jets(&mut self, thrust_rate_command: &[f64], time_step: f64) {
+        let thrust_rate = self.actuation.as_mut().map_or(thrust_rate_command, Actuation::thrust_rate);
         if let Some(fuel) = &mut self.fuel {
             fuel.burn(self.jets.thrust(), time_step, &mut self.robot);
         }
         self.jets.advance(thrust_rate, time_step);
-        self.actuation = actuation;
     }
 
     /// `S τ + Σ Jᵀ T a + w_aero + w_push − h`
@@ -301,6 +352,12 @@ impl Plant {
                 force[6 + joint] += torque;
             }
         }
+        self.gather_external_forces(step);
+    }
+
+    /// `Σ Jᵀ T a + w_aero + w_push`, added to the force.
+    fn gather_external_forces(&mut self, step: f64) {
+        let force = &mut self.force;
         let thrusts = (0..self.robot.jets.len()).map(|jet| self.jets.force(jet));
         self.kinematics.add_thrusts(&self.robot, thrusts, force);
         self.pushes.add(&self.robot, &self.kinematics, step, force);

@@ -3,7 +3,7 @@
 use crate::config::ScenarioConfig;
 use crate::log::FlightLog;
 use crate::sensors::Sensors;
-use crate::signals::TickRow;
+use crate::signals::{TickRow, feet_of};
 use crate::wind::Wind;
 use flight_core::control::law::between::JointMeasurement;
 use flight_core::control::{Given, Measurement, Preview};
@@ -13,7 +13,7 @@ use flight_core::spatial::Pose;
 use flight_io::load_robot;
 use nalgebra::{DVector, Matrix3, Vector3, Vector6};
 
-/// Greatest relative difference between the mean period of a log and that of its ticks.
+/// Greatest relative difference between the median period of a log and that of its ticks.
 const PERIOD_TOLERANCE: f64 = 0.01;
 
 /// Replays the measurements of a log, its `time` and `raw_*` signals and, where there is one, `foot_wrench`, through
@@ -21,13 +21,14 @@ const PERIOD_TOLERANCE: f64 = 0.01;
 ///
 /// A row is a tick; with `controller.torque.steps` > 1 a row is a tick of the torques, of which the first and every
 /// `steps`-th is one of the law too, with a row in the result. A signal that is absent is not measured; foot wrenches
-/// are then zero. What the controller knows of future wind is computed from the configuration.
+/// are then zero. A tick whose row was lost is one of NaN, except for its time; a longer step between two rows is a pause
+/// of the controller. What the controller knows of future wind is computed from the configuration.
 ///
 /// With the log of a flight and the configuration that it flew, the result has the same bits.
 ///
 /// # Errors
-/// [`BuildError`] for a configuration without a controller, for a log of another period, and where the controller
-/// cannot start with its first row.
+/// [`BuildError`] for a configuration without a controller, for a log of another period or with a time that does not
+/// follow that of the row before, and where the controller cannot start with its first row.
 pub fn replay(config: &ScenarioConfig, log: &FlightLog) -> Result<FlightLog, BuildError> {
     let robot = load_robot(&config.robot)?;
     let (joints, jets) = (robot.joints.len(), robot.jets.len());
@@ -38,11 +39,9 @@ pub fn replay(config: &ScenarioConfig, log: &FlightLog) -> Result<FlightLog, Bui
     let mut sensors = sensors.map(|sensors| Sensors::new(sensors, time_step, joints, jets)).transpose()?;
     let wind = Wind::new(&config.wind)?;
     let mut replayed = FlightLog::of_ticks(&robot, log.len());
-    let feet: Vec<String> = robot.feet.iter().map(|foot| foot.name.clone()).collect();
-    let mut controller = config.controller(robot)?;
-    // Places in the log of the feet that the controller uses.
-    let used = controller.model().feet.iter();
-    let used: Vec<usize> = used.filter_map(|foot| feet.iter().position(|name| *name == foot.name)).collect();
+    let mut controller = config.controller(robot.clone())?;
+    let feet = feet_of(&robot, &controller.model().feet);
+    let mut foot_wrenches = vec![Vector6::zeros(); controller.model().feet.len()];
     let mut state = None;
     for row in 0..log.len() {
         let numbers = |name: &str| log.series(name).map_or(&[][..], |series| series.row(row));
@@ -64,13 +63,11 @@ pub fn replay(config: &ScenarioConfig, log: &FlightLog) -> Result<FlightLog, Bui
             joint_position: DVector::from_vec(position),
             velocity: DVector::from_vec([read("raw_base_velocity", 6), velocity].concat()),
         };
-        let wrench = |foot: &usize| {
-            numbers("foot_wrench")
-                .chunks_exact(6)
-                .nth(*foot)
-                .map_or_else(Vector6::zeros, Vector6::from_column_slice)
-        };
-        let foot_wrenches: Vec<_> = used.iter().map(wrench).collect();
+        for (foot, wrench) in feet.iter().zip(numbers("foot_wrench").chunks_exact(6)) {
+            if let Some(foot) = foot {
+                foot_wrenches[*foot] = Vector6::from_column_slice(wrench);
+            }
+        }
         let thrust = read("raw_thrust", jets);
         let measurement = Measurement {
             time: read("time", 1)[0],
@@ -89,8 +86,9 @@ pub fn replay(config: &ScenarioConfig, log: &FlightLog) -> Result<FlightLog, Bui
         let ahead = sensors.as_mut().map_or(&[][..], |sensors| sensors.look_ahead(&wind, measurement.time));
         let preview = Preview { wind: ahead, ..Preview::default() };
         controller.tick_with(state, &measurement, &Given { preview, ..Given::default() });
-        replayed
-            .push(&TickRow { measurement, terms: controller.terms(), command: controller.command() }, None);
+        let (terms, command) = (controller.terms(), controller.command());
+        let row = TickRow { measurement, terms, command, contact: state.contact(), feet: &feet };
+        replayed.push(&row, None);
     }
     Ok(replayed)
 }
@@ -98,13 +96,22 @@ pub fn replay(config: &ScenarioConfig, log: &FlightLog) -> Result<FlightLog, Bui
 /// Refuses a log whose rows are not as far apart as the ticks.
 fn check_period(log: &FlightLog, time_step: f64, steps: u32) -> Result<(), BuildError> {
     let time = log.series("time").map_or(&[][..], |series| &series.data);
-    let (Some(first), Some(last)) = (time.first(), time.last()) else {
+    if time.is_empty() {
         return Err(BuildError::bad_value("number of rows of the log", 0, "one or more"));
-    };
-    if time.len() == 1 && steps == 1 {
-        return Ok(());
     }
-    let (period, expected) = ((last - first) / (time.len() - 1) as f64, time_step / f64::from(steps));
+    let mut periods: Vec<f64> = time.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    if let Some(row) = periods.iter().position(|period| period.is_nan() || *period <= 0.0) {
+        let expected = format!("a time after that of row {}, {} s", row + 1, time[row]);
+        let item = format!("time of row {} of the log", row + 2);
+        return Err(BuildError::bad_value(item, format!("{} s", time[row + 1]), expected));
+    }
+    let expected = time_step / f64::from(steps);
+    let middle = periods.len() / 2;
+    let period = match periods.is_empty() {
+        true if steps == 1 => expected,
+        true => f64::NAN,
+        false => *periods.select_nth_unstable_by(middle, f64::total_cmp).1,
+    };
     if (period / expected - 1.0).abs() <= PERIOD_TOLERANCE {
         return Ok(());
     }

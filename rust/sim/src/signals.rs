@@ -3,12 +3,14 @@
 //! Log, Python bindings, result files and figures use these declarations.
 
 use crate::plant::Plant;
+use crate::world::Seen;
+use flight_core::control::law::contact::ContactState;
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::{Command, Measurement, Terms};
 use flight_core::qp::QpAnswer;
-use flight_core::robot::RobotModel;
+use flight_core::robot::{Foot, RobotModel};
 use flight_core::spatial::{rotation_angle, rpy_from_rotation, wxyz_from_rotation};
-use nalgebra::Vector3;
+use nalgebra::{DVector, Vector3};
 use serde::Serialize;
 
 /// Dimension of a signal.
@@ -65,6 +67,10 @@ pub struct TickRow<'a> {
     pub terms: &'a Terms,
     /// The controller's command.
     pub command: &'a Command,
+    /// Its feet after the tick.
+    pub contact: &'a ContactState,
+    /// Number of each foot of the robot among the controller's; `None` for one that it does not use.
+    pub feet: &'a [Option<usize>],
 }
 
 /// The simulated side of a tick.
@@ -75,9 +81,34 @@ pub struct WorldRow<'a> {
     pub plant: &'a Plant,
     /// Errors with respect to the set-point.
     pub errors: TrackingErrors,
+    /// What is seen in a world with ground.
+    pub seen: Option<&'a Seen>,
+}
+
+impl WorldRow<'_> {
+    /// Numbers that only a world with ground shows.
+    fn seen<'a, T: IntoIterator<Item = &'a f64>>(&'a self, read: fn(&'a Seen) -> T, out: &mut Vec<f64>) {
+        out.extend(self.seen.into_iter().flat_map(read));
+    }
+}
+
+/// Number of each foot of a robot among those that a controller uses.
+#[must_use]
+pub fn feet_of(robot: &RobotModel, used: &[Foot]) -> Vec<Option<usize>> {
+    robot.feet.iter().map(|foot| used.iter().position(|other| other.name == foot.name)).collect()
 }
 
 impl TickRow<'_> {
+    /// Wrenches of the controller's feet, as those of all feet of the robot.
+    fn every_foot(&self, of_controller: &DVector<f64>, out: &mut Vec<f64>) {
+        for foot in self.feet {
+            match foot {
+                Some(foot) => out.extend(&of_controller.as_slice()[6 * foot..6 * foot + 6]),
+                None => out.extend([0.0; 6]),
+            }
+        }
+    }
+
     /// Answers of momentum QP and torque QP.
     fn qps(&self) -> [&QpAnswer; 2] {
         [&self.command.momentum_qp, &self.command.torque_qp]
@@ -158,16 +189,6 @@ const fn world(
     Signal { name, dims, unit, meaning, is_integer: false, is_of_ground: false, read }
 }
 
-/// A signal that only engines with ground log.
-const fn ground_signal(
-    name: &'static str,
-    dims: &'static [Dimension],
-    unit: &'static str,
-    meaning: &'static str,
-) -> Signal {
-    Signal { name, dims, unit, meaning, is_integer: false, is_of_ground: true, read: None }
-}
-
 impl Signal {
     /// Shape of one row of the log of a robot.
     pub fn row_shape(&self, robot: &RobotModel) -> impl Iterator<Item = usize> {
@@ -183,6 +204,10 @@ impl Signal {
 
 const fn integer(signal: Signal) -> Signal {
     Signal { is_integer: true, ..signal }
+}
+
+const fn of_ground(signal: Signal) -> Signal {
+    Signal { is_of_ground: true, ..signal }
 }
 
 const TIME: &[Dimension] = &[Dimension::Time];
@@ -406,21 +431,49 @@ pub static SIGNALS: [Signal; 51] = [
         is_of_ground: false,
         read: None,
     },
-    ground_signal(
+    of_ground(world(
         "joint_torque_measured",
         JOINT,
         "N m",
         "torque that reaches the joint: of the motor, less its friction",
-    ),
-    ground_signal("foot_wrench", FOOT_SIX, WRENCH, "wrench on each sole about its origin, inertial axes"),
-    ground_signal("sole_position", FOOT_XYZ, "m", "origin of each sole, inertial frame"),
-    integer(ground_signal("feet_carry", TIME, "1", "whether the controller takes the feet to carry")),
-    ground_signal("contact_force", FOOT_SIX, WRENCH, "foot wrenches f_c* that the controller integrates"),
-    ground_signal(
+        |row, out| row.seen(|seen| &seen.joint_torque, out),
+    )),
+    of_ground(world(
+        "foot_wrench",
+        FOOT_SIX,
+        WRENCH,
+        "wrench on each sole about its origin, inertial axes",
+        |row, out| row.seen(|seen| seen.foot_wrenches.iter().flatten(), out),
+    )),
+    of_ground(world("sole_position", FOOT_XYZ, "m", "origin of each sole, inertial frame", |row, out| {
+        row.seen(|seen| seen.soles.iter().flatten(), out);
+    })),
+    of_ground(integer(tick(
+        "feet_carry",
+        TIME,
+        "1",
+        "whether the controller takes the feet to carry",
+        |row, out| out.push(f64::from(u8::from(row.contact.is_active))),
+    ))),
+    of_ground(tick(
+        "contact_force",
+        FOOT_SIX,
+        WRENCH,
+        "foot wrenches f_c* that the controller integrates",
+        |row, out| row.every_foot(&row.contact.force, out),
+    )),
+    of_ground(tick(
         "contact_force_rate",
         FOOT_SIX,
         "N s-1 (force), N m s-1 (moment)",
         "rate of f_c* commanded by the momentum QP",
-    ),
-    ground_signal("contact_force_torque", FOOT_SIX, WRENCH, "foot wrenches that come with the torques"),
+        |row, out| row.every_foot(&row.contact.force_rate, out),
+    )),
+    of_ground(tick(
+        "contact_force_torque",
+        FOOT_SIX,
+        WRENCH,
+        "foot wrenches that come with the torques",
+        |row, out| row.every_foot(&row.terms.contact.force_of_torques, out),
+    )),
 ];

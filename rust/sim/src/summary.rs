@@ -2,7 +2,7 @@
 //!
 //! Equation M81 of `docs/model`.
 
-use crate::log::FlightLog;
+use crate::log::{FlightLog, Series};
 use nalgebra::Vector3;
 use serde::Serialize;
 
@@ -19,12 +19,17 @@ pub struct Figure {
     pub is_of_ground: bool,
 }
 
-const fn figure(name: &'static str, unit: &'static str, meaning: &'static str) -> Figure {
-    Figure { name, unit, meaning, is_of_ground: false }
+macro_rules! is_of_ground {
+    () => {
+        false
+    };
+    (ground) => {
+        true
+    };
 }
 
 macro_rules! figures {
-    ($($name:ident [$unit:literal] $meaning:literal;)*) => {
+    ($($name:ident [$unit:literal] $meaning:literal $(of $ground:ident)?;)*) => {
         /// Figures of merit of a flight. Each is NaN if a number from which it is computed is NaN, or if there is no
         /// tick to compute it from; for figures after settling, if the flight ended before.
         #[derive(Debug, Clone, Copy, PartialEq)]
@@ -32,15 +37,20 @@ macro_rules! figures {
             $(#[doc = concat!($meaning, " \\[", $unit, "\\]")] pub $name: f64,)*
         }
 
-        const OF_FLIGHTS: &[Figure] = &[$(figure(stringify!($name), $unit, $meaning)),*];
+        /// All figures of merit.
+        pub const FIGURES: &[Figure] = &[$(Figure {
+            name: stringify!($name),
+            unit: $unit,
+            meaning: $meaning,
+            is_of_ground: is_of_ground!($($ground)?),
+        }),*];
 
         impl Summary {
             /// Figures without any tick.
             const NONE: Self = Self { $($name: f64::NAN),* };
 
-            /// The figures, in the order of [`figures`].
-            #[must_use]
-            pub fn values(&self) -> Vec<f64> {
+            /// The figures, in the order of [`FIGURES`].
+            fn values(&self) -> Vec<f64> {
                 vec![$(self.$name),*]
             }
         }
@@ -71,21 +81,8 @@ figures! {
     nominal_until ["s"] "time of the first such tick, without one of the last tick";
     all_modes ["1"] "modes that any tick has, a sum of bits";
     warning_time ["s"] "time before the end since which it was degraded, but for gaps of at most a second";
-}
-
-/// All figures of merit: those of [`Summary`], and those of engines with ground.
-#[must_use]
-pub fn figures() -> Vec<Figure> {
-    let of_ground = [
-        figure("time_off_the_ground", "s", "time in which the feet do not carry"),
-        figure(
-            "touchdown_speed",
-            "m/s",
-            "greatest speed downwards with which feet that carried nothing touch the ground",
-        ),
-    ];
-    let of_ground = of_ground.map(|figure| Figure { is_of_ground: true, ..figure });
-    OF_FLIGHTS.iter().copied().chain(of_ground).collect()
+    time_off_the_ground ["s"] "time in which the feet do not carry" of ground;
+    touchdown_speed ["m/s"] "greatest speed downwards with which feet that carried nothing touch the ground" of ground;
 }
 
 /// Rotation error above which a robot in flight counts as leaning \[rad\].
@@ -120,15 +117,24 @@ impl Summary {
         let tick = time.get(1).copied().unwrap_or_default();
         let modes = data("degraded_modes");
         let degraded = || time.iter().zip(modes).filter(|(_, modes)| **modes > 0.0).map(|(time, _)| *time);
-        let above = rotation.iter().filter(|angle| **angle > LEANING).count();
+        let are_known = !modes.iter().any(|modes| modes.is_nan());
+        let of_modes = |value: f64| if are_known { value } else { f64::NAN };
         let joints = log.joint_setpoint.len().max(1);
         let joint_errors = data("joint_position").chunks_exact(joints).map(|positions| {
             positions.iter().zip(&log.joint_setpoint).map(|(s, s_d)| (s - s_d).abs()).sum::<f64>()
         });
         let simulated = total_forces(log, "aero_force_sim", ticks);
         let estimated = total_forces(log, "aero_force_control", ticks);
-        let solved = |status: &&[f64]| !status.iter().any(|code| *code > 0.0);
+        // The greater number of both QPs, or of the one that there is.
+        let of_qps = |name: &str| data(name).chunks_exact(2).map(|both| both[0].max(both[1]));
         let thrust = || data("thrust").iter().copied();
+        let feet = log.series("foot_wrench").map_or(0, Series::width).max(1);
+        let loads = data("foot_wrench")
+            .chunks_exact(feet)
+            .map(|wrenches| wrenches.chunks_exact(6).map(|wrench| wrench[2]).sum::<f64>());
+        let loads: Vec<f64> = loads.collect();
+        let touchdowns =
+            rows("com_velocity").zip(loads.windows(2)).filter(|(_, load)| load[0] == 0.0 && load[1] > 0.0);
         Self {
             max_com_error: greatest_of(distances()),
             max_com_error_x: along(0),
@@ -140,24 +146,38 @@ impl Summary {
             max_torque: greatest(data("joint_torque").iter().map(|torque| torque.abs())),
             min_com_height: least(rows("com_position").map(|com| com.z)),
             min_com_x_settling: least(rows("com_position").take(settling).map(|com| com.x)),
-            ticks_without_solution: data("qp_status").chunks_exact(2).filter(|status| !solved(status)).count()
-                as f64,
+            ticks_without_solution: ticks_above(of_qps("qp_status"), 0.0),
             rms_com_error: root_mean_square(distances()),
             rms_rotation_error: root_mean_square(rotation.iter().skip(settling).copied()),
-            time_above_45_deg: above as f64 * tick,
+            time_above_45_deg: tick * ticks_above(rotation.iter().copied(), LEANING),
             max_joint_error: greatest(joint_errors),
             max_aero_force: greatest(simulated.iter().map(Vector3::norm)),
             max_aero_force_difference: greatest(
                 simulated.iter().zip(&estimated).map(|(simulated, estimated)| (simulated - estimated).norm()),
             ),
             max_kkt: greatest_of(data("qp_kkt").iter().copied().filter(|kkt| kkt.is_finite())),
-            max_qp_iterations: greatest(data("qp_iterations").iter().copied()),
-            degraded_time: degraded().count() as f64 * tick,
-            nominal_until: degraded().next().unwrap_or(end),
-            all_modes: all_modes(modes),
-            warning_time: warning_time(end, degraded().rev()),
+            max_qp_iterations: greatest(of_qps("qp_iterations")),
+            degraded_time: tick * ticks_above(modes.iter().copied(), 0.0),
+            nominal_until: of_modes(degraded().next().unwrap_or(end)),
+            all_modes: of_modes(all_modes(modes)),
+            warning_time: of_modes(warning_time(end, degraded().rev())),
+            time_off_the_ground: tick * ticks_above(data("feet_carry").iter().map(|carry| 1.0 - carry), 0.0),
+            touchdown_speed: greatest(touchdowns.map(|(velocity, _)| (-velocity.z).max(0.0))),
         }
     }
+
+    /// The figures that a flight has, with or without ground.
+    pub fn figures(&self, has_ground: bool) -> impl Iterator<Item = (&'static Figure, f64)> {
+        let every = FIGURES.iter().zip(self.values());
+        every.filter(move |(figure, _)| has_ground || !figure.is_of_ground)
+    }
+}
+
+/// Number of values above a limit; NaN if one is NaN.
+fn ticks_above(mut values: impl Iterator<Item = f64>, limit: f64) -> f64 {
+    values
+        .try_fold(0.0, |count, value| (!value.is_nan()).then_some(count + f64::from(u8::from(value > limit))))
+        .unwrap_or(f64::NAN)
 }
 
 /// Union of sets of modes.

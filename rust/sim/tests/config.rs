@@ -10,7 +10,9 @@ use flight_core::control::law::momentum::RateFeedback;
 use flight_io::{AeroConfig, ControllerSection, MissionConfig, Schema, from_value, load, load_aero};
 use flight_sim::disturbances::WindEstimateConfig;
 use flight_sim::jets::JetsConfig;
-use flight_sim::{Engine, Scenario, ScenarioConfig, SimulatorConfig, Wind, WindConfig, load_scenario};
+use flight_sim::{
+    Engine, Scenario, ScenarioConfig, SimulatorConfig, Wind, WindConfig, load_flyable, load_scenario,
+};
 use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
@@ -426,6 +428,78 @@ fn every_experiment_file_is_a_flight() {
         let config = load_scenario(&file).unwrap();
         assert!(!config.title.is_empty() && !config.description.is_empty(), "{}", file.display());
         assert_eq!(Scenario::check(&config).unwrap(), [""; 0], "{}", file.display());
+    }
+}
+
+/// The message names what was probably meant, and how another kind of wind is set.
+#[test]
+fn a_wind_that_cannot_be_set_says_what_can() {
+    let refusal = |key: &str, value: Value| {
+        let change = [(key.to_owned(), value)];
+        load_flyable(&configs("experiments").join("test2.toml"), &change).unwrap_err().to_string()
+    };
+    for key in ["wind.speed", "wind.direction"] {
+        let message = refusal(key, json!(10));
+        assert!(
+            message.contains(&format!("unknown key `{key}`; did you mean `wind.velocity`?")),
+            "{message}"
+        );
+    }
+    let message = refusal("wind.profile", json!("gust"));
+    for words in [
+        "`wind.profile` is \"gust\"; expected the whole table",
+        "wind={profile=\"gust\", …}",
+        "duration, gust, start, velocity",
+    ] {
+        assert!(message.contains(words), "{message}");
+    }
+    let message = refusal("wind.profile", json!("calm"));
+    assert!(message.contains("expected one of ") && message.contains("constant"), "{message}");
+}
+
+/// What begins after the end, a start that cannot be, and a wind that no flight survives are warned of, by key.
+#[test]
+fn what_is_probably_not_meant_is_warned_of() {
+    let warnings = |changes: &[(&str, Value)]| {
+        let changes: Vec<_> = changes.iter().map(|(key, value)| ((*key).to_owned(), value.clone())).collect();
+        load_flyable(&configs("experiments").join("test2.toml"), &changes).unwrap().1
+    };
+    let failure = |time: f64| json!({ "jet": "l_arm_jet", "time": time, "kind": "off" });
+    let push =
+        |start: f64| json!([{ "body": "chest", "force": [1.0, 0.0, 0.0], "start": start, "duration": 0.1 }]);
+    let outage = |start: f64| json!([{ "channel": "wind", "kind": "missing", "start": start }]);
+    let joint = |start: f64| json!([{ "joint": "l_knee", "kind": "stuck", "start": start }]);
+    let end = 50.0;
+    for (key, named, of_start) in [
+        ("disturbances.jets.failure", "jets.failure.time", &failure as &dyn Fn(f64) -> Value),
+        ("disturbances.pushes", "pushes[0].start", &push),
+        ("disturbances.outages", "outages[0].start", &outage),
+        ("disturbances.joints", "joints[0].start", &joint),
+    ] {
+        assert_eq!(warnings(&[(key, of_start(end - 0.01))]), [""; 0]);
+        let found = warnings(&[(key, of_start(end))]);
+        let [only] = found.as_slice() else { panic!("{key}: {found:?}") };
+        assert!(only.starts_with(&format!("disturbances.{named} is 50 s; expected less than")), "{only}");
+    }
+    for (key, value, words) in [
+        (
+            "simulator.initial.joint_position.0",
+            json!(8.7),
+            "joint_position of `torso_pitch` is 8.7 rad; expected",
+        ),
+        ("simulator.initial.base_position", json!([0.0, 0.0, -5.0]), "base_position puts foot `"),
+        (
+            "wind.velocity",
+            json!([0.0, -400.0, 0.0]),
+            "wind reaches 400 m/s; expected at most simulator.divergence.speed, 300",
+        ),
+    ] {
+        let found = warnings(&[(key, value)]);
+        assert!(found.iter().any(|warning| warning.contains(words)), "{key}: {found:?}");
+    }
+    for height in [0.62, 0.625] {
+        // soles at the ground, to the rounding of their heights
+        assert_eq!(warnings(&[("simulator.initial.base_position", json!([0.0, 0.0, height]))]), [""; 0]);
     }
 }
 

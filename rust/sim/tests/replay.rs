@@ -124,4 +124,41 @@ fn a_log_that_no_tick_fits_is_refused() {
     assert_says(&replay(&config, &without).unwrap_err(), &["number of rows of the log is 0"]);
     config.simulator.time_step = 0.005;
     assert_says(&replay(&config, &log).unwrap_err(), &["period of the log", "0.005", "simulator.time_step"]);
+    config.simulator.time_step = 0.01;
+    let mut doubled = log.clone();
+    let time = doubled.series.iter_mut().find(|series| series.signal.name == "time").unwrap();
+    time.data[5] = time.data[4];
+    assert_says(&replay(&config, &doubled).unwrap_err(), &["row 6", "0.04 s", "row 5"]);
+}
+
+/// Ticks without a measurement, and a pause of the ticks, in place of lost rows; the period is that of most rows.
+#[test]
+fn a_log_with_lost_rows_replays() {
+    let mut config = experiment("test2");
+    config.simulator.duration = 0.5;
+    let log = log_of(&config);
+    let lost = 20..25;
+    let mut missing = log.clone();
+    for series in missing.series.iter_mut().filter(|series| series.signal.name.starts_with("raw_")) {
+        let width = series.width();
+        series.data[lost.start * width..lost.end * width].fill(f64::NAN);
+    }
+    let mut paused = log.clone();
+    for series in &mut paused.series {
+        let width = series.width();
+        series.data.drain(lost.start * width..lost.end * width);
+    }
+    let last = |log: &FlightLog| log.series("joint_torque").unwrap().row(log.len() - 1).to_vec();
+    let torques = |log: &FlightLog| log.series("joint_torque").unwrap().data.clone();
+    for (log_with_gap, rows) in [(&missing, log.len()), (&paused, log.len() - lost.len())] {
+        let replayed = replay(&config, log_with_gap).unwrap();
+        assert_eq!(replayed.len(), rows);
+        assert!(torques(&replayed).iter().all(|torque| torque.is_finite()));
+    }
+    // The integral of the joints' errors continues through missing ticks, but not through a pause.
+    let replayed = replay(&config, &missing).unwrap();
+    let range = torques(&replayed).iter().fold(0.0_f64, |most, torque| most.max(torque.abs()));
+    let (found, expected) = (last(&replayed), last(&log));
+    let apart = found.iter().zip(&expected).map(|(a, b)| (a - b).abs());
+    assert!(apart.fold(0.0, f64::max) < 0.01 * range, "it did not recover");
 }

@@ -57,8 +57,6 @@ class Structure(NamedTuple):
     """Of every knot, the block in which the joint velocities are constant."""
     ends: tuple[int, ...]
     """Ticks from now to the end of every knot."""
-    flies_descent: bool
-    """Whether the law flies the descent too."""
 
     @property
     def doublings(self) -> tuple[int, ...]:
@@ -87,9 +85,6 @@ class Mpc:
     """Weight of a joint position beyond its limits [1/rad²]."""
     clearance: Clearance
     weights: MpcWeights
-    """While all engines work."""
-    descent: MpcWeights
-    """After the loss of an engine."""
 
 
 def mpc_params(settings: config.MpcConfig, robot: RobotModel, time_step: float) -> Mpc:
@@ -102,7 +97,6 @@ def mpc_params(settings: config.MpcConfig, robot: RobotModel, time_step: float) 
         durations=tuple(settings.knots),
         blocks=tuple(blocks.tolist()),
         ends=tuple(accumulate(round(duration / time_step) for duration in settings.knots)),
-        flies_descent=settings.descent is not None,
     )
     return Mpc(
         structure,
@@ -113,7 +107,6 @@ def mpc_params(settings: config.MpcConfig, robot: RobotModel, time_step: float) 
         joint_excess=leaf(settings.joint_excess),
         clearance=clearance_params(settings.clearance, robot),
         weights=_weights(settings.weights, robot, structure.joints),
-        descent=_weights(settings.descent or settings.weights, robot, structure.joints),
     )
 
 

@@ -22,11 +22,10 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float, Int
 
-from jax_aero.control.law.limits import Limits
 from jax_aero.control.law.mpc.clearance import distances
 from jax_aero.control.law.mpc.config import Mpc, MpcWeights, Structure
 from jax_aero.control.law.mpc.model import Linearised
-from jax_aero.control.measurement import UsedMeasurement
+from jax_aero.control.measurement import Measurement
 from jax_aero.control.qp import BoxQp
 from jax_aero.control.terms import Model
 from jax_aero.linalg import dot
@@ -134,13 +133,11 @@ class _Places:
 
 def horizon(
     mpc: Mpc,
-    weights: MpcWeights,
     gains: tuple[Float[Array, ""], Float[Array, ""]],
     robot: RobotModel,
     linear: Linearised,
-    used: UsedMeasurement,
+    now: Measurement,
     model: Model,
-    limits: Limits,
     posture: Float[Array, " n"],
     target: Target,
     wrenches: Float[Array, "K 6"],
@@ -150,54 +147,54 @@ def horizon(
     `posture` are the wanted positions of the joints [rad],
     `wrenches` the changes of the air's wrench with the wind at the ends of the knots [N, N m].
     """
-    structure, moved = mpc.structure, np.array(mpc.structure.joints, dtype=int)
-    places = _Places(used.thrust.shape[0], moved.size)
-    of, sigma_now = places.of, used.state.velocity[6 + moved]
-    dynamics = _dynamics(places, robot.mass, linear, used, model, gains, sigma_now)
+    structure, weights, moved = mpc.structure, mpc.weights, np.array(mpc.structure.joints, dtype=int)
+    places = _Places(now.thrust.shape[0], moved.size)
+    of, sigma_now = places.of, now.state.velocity[6 + moved]
+    dynamics = _dynamics(places, robot.mass, linear, now, model, gains, sigma_now)
     start = jnp.concatenate([jnp.zeros(of["sigma"].start, sigma_now.dtype), sigma_now, jnp.zeros_like(sigma_now)])
     z = _propagate(structure, places, dynamics, start, wrenches)
 
-    position = used.state.joint_position[moved]
+    position = now.state.joint_position[moved]
     com, velocity = model.kinematics.com, model.dynamics.momentum[:3] / robot.mass
     motion = target._replace(position=target.position - com[None], velocity=target.velocity - velocity[None])
-    errors = dot(_outputs(places, dynamics, linear, used), z.at[:, of["wrench"], -1].set(wrenches))
+    errors = dot(_outputs(places, dynamics, linear, now), z.at[:, of["wrench"], -1].set(wrenches))
     errors = errors.at[:, :, -1].add(-jnp.concatenate(motion, axis=1))
     s = z[:, of["s"]]
     away = s.at[:, :, -1].add(position - posture[moved])
     by_knot = jnp.concatenate([errors, away, z[:, of["sigma"]], z[:, of["rate"]], z[:, of["command"]]], axis=1)
     squares = np.array(structure.durations)[:, None] * _squares(weights, places)[None]
-    rows = jnp.concatenate([by_knot.reshape(-1, by_knot.shape[-1]), _tail(mpc, weights, errors[-1])])
+    rows = jnp.concatenate([by_knot.reshape(-1, by_knot.shape[-1]), _tail(mpc, errors[-1])])
     cost = dot(rows.T, jnp.concatenate([squares.reshape(-1), jnp.repeat(weights.tail, 3)])[:, None] * rows)
 
-    distance, by_joint = distances(robot, mpc.clearance, structure.joints, used.state.joint_position)
+    distance, by_joint = distances(robot, mpc.clearance, structure.joints, now.state.joint_position)
     limited = jnp.concatenate([z[:, of["t"]], s, dot(by_joint, s)], axis=1)
 
     def at_knots(thrusts: Array, joints: Array, distances: Array) -> Array:
         return jnp.tile(jnp.concatenate([thrusts, joints, distances]), len(structure.durations))
 
-    least = limits.thrust_least, robot.joint_limits[moved, 0], jnp.full_like(distance, mpc.clearance.least)
-    greatest = limits.thrust_greatest, robot.joint_limits[moved, 1], jnp.full_like(distance, jnp.inf)
-    now = used.thrust, position, distance
+    least = robot.jets.thrust_min, robot.joint_limits[moved, 0], jnp.full_like(distance, mpc.clearance.least)
+    greatest = robot.jets.thrust_max, robot.joint_limits[moved, 1], jnp.full_like(distance, jnp.inf)
+    values = now.thrust, position, distance
     factors = mpc.thrust_excess, mpc.joint_excess, mpc.clearance.weight
-    excess = (jnp.full_like(value, weight) for value, weight in zip(now, factors, strict=True))
+    excess = (jnp.full_like(value, weight) for value, weight in zip(values, factors, strict=True))
     return Horizon(
         h=0.5 * (cost + cost.T)[:-1, :-1],
         g=cost[:-1, -1],
         by_inputs=limited[:, :, :-1].reshape(-1, limited.shape[-1] - 1),
-        free=limited[:, :, -1].reshape(-1) + at_knots(*now),
+        free=limited[:, :, -1].reshape(-1) + at_knots(*values),
         least=at_knots(*least),
         greatest=at_knots(*greatest),
         weight=at_knots(*excess),
     )
 
 
-def _tail(mpc: Mpc, weights: MpcWeights, errors: Array) -> Array:
+def _tail(mpc: Mpc, errors: Array) -> Array:
     """Return what is left of motion and attitude (6, u + 1) from the errors of the last knot's outputs.
 
     It is `a + 2 λ v + λ² p`; along an axis whose position has no weight only the velocity decays, `a + λ v`.
     """
     p, v, theta, omega, a, alpha = jnp.split(errors, 6)
-    holds = jnp.concatenate([weights.position, weights.attitude])[:, None] > 0.0
+    holds = jnp.concatenate([mpc.weights.position, mpc.weights.attitude])[:, None] > 0.0
     by_position, by_velocity = jnp.where(holds, mpc.decay**2, 0.0), jnp.where(holds, 2.0 * mpc.decay, mpc.decay)
     decaying = by_position * jnp.concatenate([p, theta]) + by_velocity * jnp.concatenate([v, omega])
     return jnp.concatenate([a, alpha]) + decaying
@@ -207,13 +204,13 @@ def _dynamics(
     places: _Places,
     mass: float | Array,
     linear: Linearised,
-    used: UsedMeasurement,
+    now: Measurement,
     model: Model,
     gains: tuple[Array, Array],
     sigma_now: Array,
 ) -> Array:
     """Return the matrix (N, N) with which `z` changes."""
-    dtype, omega = used.state.velocity.dtype, used.state.velocity[3:6]
+    dtype, omega = now.state.velocity.dtype, now.state.velocity[3:6]
     by = {"v": linear.rate_v, "theta": linear.rate_theta, "k": linear.rate_k, "t": linear.rate_t}
     by |= {"s": linear.rate_s, "sigma": linear.rate_sigma, "one": model.momentum.rate_estimate[:, None]}
     by |= {"wrench": jnp.eye(6, dtype=dtype)}
@@ -236,7 +233,7 @@ def _dynamics(
     )
     # `d` holds velocities, of which the present ones are part of the present rates.
     core = core.at[:, -1].add(-core[:, places.of["sigma"]] @ sigma_now)
-    jets, joints = jnp.eye(used.thrust.shape[0], dtype=dtype), jnp.eye(sigma_now.shape[0], dtype=dtype)
+    jets, joints = jnp.eye(now.thrust.shape[0], dtype=dtype), jnp.eye(sigma_now.shape[0], dtype=dtype)
     kd, kp = gains
     return jnp.concatenate(
         [
@@ -250,11 +247,11 @@ def _dynamics(
     )
 
 
-def _outputs(places: _Places, dynamics: Array, linear: Linearised, used: UsedMeasurement) -> Array:
+def _outputs(places: _Places, dynamics: Array, linear: Linearised, now: Measurement) -> Array:
     """Return p, v, θ, ω, a and α by `z` (18, N): `α = ω_θ θ̇ + ω_k k̇ + ω_s ṡ + ω_ṡ s̈`."""
     of, values = places.of, jnp.eye(places.size, dtype=dynamics.dtype)
     # ω itself has no half of S(ω), which belongs to θ̇.
-    omega = dynamics[of["theta"]].at[:, of["theta"]].add(-0.5 * skew(used.state.velocity[3:6]))
+    omega = dynamics[of["theta"]].at[:, of["theta"]].add(-0.5 * skew(now.state.velocity[3:6]))
     turn = [linear.omega_theta, linear.omega_k, linear.omega_s, linear.omega_sigma]
     rates = [dynamics[of[name]] for name in ("theta", "k", "s", "sigma")]
     alpha = dot(jnp.concatenate(turn, axis=1), jnp.concatenate(rates))

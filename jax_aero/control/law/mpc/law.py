@@ -23,22 +23,21 @@ from jaxtyping import Bool, Float, Int
 
 from jax_aero.aero import AeroModel, LinkConventions, link_forces, wrench_about
 from jax_aero.control import qp
-from jax_aero.control.command import DEGRADED, MOMENTUM_HELD, NOMINAL, PLAN_KEPT, PLAN_MISSING
+from jax_aero.control.command import MOMENTUM_HELD, NOMINAL, PLAN_KEPT, PLAN_MISSING
 from jax_aero.control.law import setpoint as generator
-from jax_aero.control.law.limits import Limits
 from jax_aero.control.law.mpc.config import Mpc
 from jax_aero.control.law.mpc.horizon import Horizon, Target, horizon
 from jax_aero.control.law.mpc.model import linearise
-from jax_aero.control.law.mpc.plan import Plan, no_plan
+from jax_aero.control.law.mpc.plan import Plan
 from jax_aero.control.law.rates import Followed, MomentumLaw, Prepared, Rates
-from jax_aero.control.measurement import UsedMeasurement
-from jax_aero.control.preview import Preview, setpoints_at, wind_change
-from jax_aero.control.qp import BoxQp, Dtype, QpAnswer
+from jax_aero.control.measurement import Measurement
+from jax_aero.control.preview import setpoints_at, wind_change
+from jax_aero.control.qp import BoxQp, QpAnswer
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import log_so3, rotate
-from jax_aero.types import Array, Setpoint, where
+from jax_aero.types import Array, Setpoint
 
 EXCESS_PASSES = 30
 """Limit of QPs of one plan: each has the values beyond their limits that the last answer brought there."""
@@ -61,7 +60,7 @@ class _Search(NamedTuple):
 
 @dataclass(frozen=True)
 class PredictiveLaw:
-    """The predictive law of one controller, a `Law`."""
+    """The predictive law of one controller."""
 
     mpc: Mpc
     momentum: MomentumLaw
@@ -72,51 +71,31 @@ class PredictiveLaw:
     time_step: Float[Array, ""]
     """[s]."""
 
-    def plan(self, jets: int, dtype: Dtype) -> Plan:
-        """Return the plan of a controller that starts."""
-        return no_plan(self.mpc.structure.unknowns(jets), dtype)
-
-    def follow(
-        self, memory: ControllerState, used: UsedMeasurement, given: Setpoint | None, preview: Preview
-    ) -> tuple[ControllerState, Followed]:
-        """Choose the set-point as the momentum law does."""
-        return self.momentum.follow(memory, used, given, preview)
-
     def solve(
-        self,
-        robot: RobotModel,
-        memory: ControllerState,
-        used: UsedMeasurement,
-        model: Model,
-        limits: Limits,
-        followed: Followed,
+        self, robot: RobotModel, memory: ControllerState, now: Measurement, model: Model, followed: Followed
     ) -> tuple[ControllerState, Rates]:
         """Compute thrust rates and joint velocities from the plan, which is made anew where that is due."""
-        prepared = self.momentum.prepare(robot, memory, used, model, limits, followed)
-        structure, last = self.mpc.structure, memory.plan
+        prepared, last = self.momentum.prepare(robot, memory, now, model, followed), memory.plan
         if last is None:
             raise AssertionError("a controller with this law has a plan")
-        may_plan = limits.holds_position | structure.flies_descent
-        waits = (used.time >= last.tried) & (used.time - last.tried <= self.mpc.period - 0.5 * self.time_step)
+        waits = (now.time >= last.tried) & (now.time - last.tried <= self.mpc.period - 0.5 * self.time_step)
 
         def make() -> Plan:
-            return self._make(robot, memory, used, model, limits, prepared, last, followed)
+            return self._make(robot, memory, now, model, prepared, last, followed)
 
         # Reverse mode would store some megabytes of intermediate values for every tick.
-        remade = jax.checkpoint(make, prevent_cse=False)
-        plan: Plan = lax.cond(may_plan & ~waits, remade, lambda: last)
-        plan = plan._replace(since=jnp.where(may_plan, plan.since, -jnp.inf))
+        plan: Plan = lax.cond(waits, lambda: last, jax.checkpoint(make, prevent_cse=False))
         memory = memory._replace(plan=plan)
-        age = used.time - plan.since
-        is_current = (age >= 0.0) & (age <= PLAN_SHARE * sum(structure.durations))
+        age = now.time - plan.since
+        is_current = (age >= 0.0) & (age <= PLAN_SHARE * sum(self.mpc.structure.durations))
 
         def decide() -> tuple[ControllerState, Rates]:
-            after, rates = self.momentum.decide(memory, used, prepared)
-            is_missing = may_plan & (rates.status != MOMENTUM_HELD)
-            return after, rates._replace(status=jnp.where(is_missing, PLAN_MISSING, rates.status))
+            after, rates = self.momentum.decide(memory, prepared)
+            is_held = rates.status == MOMENTUM_HELD
+            return after, rates._replace(status=jnp.where(is_held, rates.status, PLAN_MISSING))
 
         chosen: tuple[ControllerState, Rates] = lax.cond(
-            is_current, lambda: (memory, self._follow(memory, used, prepared, plan, age)), decide
+            is_current, lambda: (memory, self._follow(memory, now, prepared, plan, age)), decide
         )
         return chosen
 
@@ -124,23 +103,18 @@ class PredictiveLaw:
         self,
         robot: RobotModel,
         memory: ControllerState,
-        used: UsedMeasurement,
+        now: Measurement,
         model: Model,
-        limits: Limits,
         prepared: Prepared,
         last: Plan,
         followed: Followed,
     ) -> Plan:
         """Make a plan; the last one remains where there is no certified answer."""
-        mpc, structure = self.mpc, self.mpc.structure
-        joints = structure.air, structure.joints
-        linear = linearise(robot, self.aero, *joints, used.state, used.thrust, used.wind)
-        weights = where(limits.holds_position, mpc.weights, mpc.descent)
-        target = self._targets(memory, used, followed)
-        wrenches = self._wrenches(robot, used, model, followed.preview)
-        following = memory.posture, target, wrenches
-        ahead = horizon(mpc, weights, self.gains, robot, linear, used, model, limits, *following)
-        bounds = self._bounds(limits, prepared.shaping.problem)
+        structure = self.mpc.structure
+        linear = linearise(robot, self.aero, structure.air, structure.joints, now.state, now.thrust, now.wind)
+        target, wrenches = self._targets(memory, now, followed), self._wrenches(robot, now, model)
+        ahead = horizon(self.mpc, self.gains, robot, linear, now, model, memory.posture, target, wrenches)
+        bounds = self._bounds(prepared.shaping.problem)
         search = _find_beyond(*jax.tree.map(lax.stop_gradient, (ahead, bounds, last)))
         # Differentiated once, with the values beyond their limits that have been found.
         x = qp.solve(ahead.problem(search.beyond, *bounds), search.answer.warm_start).x
@@ -148,41 +122,42 @@ class PredictiveLaw:
         answer = search.answer._replace(status=jnp.where(is_unending, qp.ITERATION_LIMIT, search.answer.status))
         return Plan(
             inputs=jnp.where(search.is_found, x, last.inputs),
-            since=jnp.where(search.is_found, used.time, last.since),
-            tried=used.time,
+            since=jnp.where(search.is_found, now.time, last.since),
+            tried=now.time,
             answer=answer,
         )
 
-    def _targets(self, memory: ControllerState, used: UsedMeasurement, followed: Followed) -> Target:
+    def _targets(self, memory: ControllerState, now: Measurement, followed: Followed) -> Target:
         """Return the motion to follow at the ends of the knots."""
-        law, what = self.momentum, followed.ahead
+        law = self.momentum
         # The first knot begins when the command acts.
         ends = [law.lead + end for end in self.mpc.structure.ends]
         known: tuple[Array, Setpoint] | None = None
-        if followed.preview.setpoints is not None:
-            times, later = followed.preview.setpoints
+        if followed.is_given and now.preview.setpoints is not None:
+            times, later = now.preview.setpoints
             after = self.time_step * jnp.arange(1, ends[-1] + 1)
-            is_known = (what == generator.MOTION) & (after < times[-1] + 0.5 * self.time_step)
-            known = is_known, setpoints_at(times, later, followed.setpoint, after)
+            known = after < times[-1] + 0.5 * self.time_step, setpoints_at(times, later, followed.setpoint, after)
 
         def advance(
             carry: tuple[generator.SetpointState, Array], known: tuple[Array, Setpoint] | None
         ) -> tuple[tuple[generator.SetpointState, Array], Setpoint]:
             state, time = carry[0], carry[1] + self.time_step
 
-            def move_on() -> tuple[generator.SetpointState, Setpoint]:
-                return generator.ahead(law.setpoint, law.mission, what, state, time)
-
             def follow(given: Setpoint) -> tuple[generator.SetpointState, Setpoint]:
                 return generator.follow(law.setpoint, state, generator.motion_of(given)), given
 
-            if known is None:
-                state, setpoint = move_on()
+            if not followed.is_given:
+                state, setpoint = generator.update(law.setpoint, law.mission, state, time)
+            elif known is None:
+                state, setpoint = generator.move_on(law.setpoint, state)
             else:
-                state, setpoint = lax.cond(known[0], lambda: follow(known[1]), move_on)
+                is_known, given = known
+                state, setpoint = lax.cond(
+                    is_known, lambda: follow(given), lambda: generator.move_on(law.setpoint, state)
+                )
             return (state, time), setpoint
 
-        _, setpoints = lax.scan(advance, (memory.setpoint, used.time), known, length=ends[-1])
+        _, setpoints = lax.scan(advance, (memory.setpoint, now.time), known, length=ends[-1])
         at: Setpoint = jax.tree.map(lambda part: part[np.array(ends) - 1], setpoints)
         if law.latency:
             rest = law.latency - law.lead * self.time_step
@@ -191,30 +166,30 @@ class PredictiveLaw:
         return Target(
             at.com_position,
             at.com_velocity,
-            log_so3(rotation @ used.state.base_rotation.T),
+            log_so3(rotation @ now.state.base_rotation.T),
             rotate(rotation, at.angular_velocity),
             at.com_acceleration,
             rotate(rotation, at.angular_acceleration),
         )
 
-    def _wrenches(self, robot: RobotModel, used: UsedMeasurement, model: Model, preview: Preview) -> Array:
+    def _wrenches(self, robot: RobotModel, now: Measurement, model: Model) -> Array:
         """Return changes of the air's wrench on the robot in its present motion, by the wind at the ends of knots."""
         ends, com = np.cumsum(self.mpc.structure.durations), model.kinematics.com
-        if preview.wind is None:
+        if now.preview.wind is None:
             return jnp.zeros((ends.size, 6), com.dtype)
 
         def wrench(wind: Array) -> Array:
             return wrench_about(link_forces(self.aero, robot, model.kinematics, self.conventions, wind), com)
 
-        winds = used.wind + wind_change(preview.wind, self.momentum.latency + jnp.asarray(ends, com.dtype))
+        winds = now.wind + wind_change(now.preview.wind, self.momentum.latency + jnp.asarray(ends, com.dtype))
         changes: Array = jax.vmap(wrench)(winds) - wrench_about(model.link_forces, com)
         return changes
 
-    def _bounds(self, limits: Limits, of_tick: BoxQp) -> tuple[Array, Array]:
+    def _bounds(self, of_tick: BoxQp) -> tuple[Array, Array]:
         """Return bounds of the inputs: in the first knot and block those of this tick, then the greatest rates."""
-        structure, rate_max = self.mpc.structure, self.momentum.tasks.thrust_rate_max
-        jets, moved = rate_max.shape[0], np.array(structure.joints, dtype=int)
-        most = limits.joint_velocity[moved]
+        structure, tasks = self.mpc.structure, self.momentum.tasks
+        jets, moved = tasks.thrust_rate.shape[0], np.array(structure.joints, dtype=int)
+        rate_max, most = tasks.thrust_rate_max, tasks.joint_velocity_max[moved]
         knots, blocks = len(structure.durations), structure.blocks[-1] + 1
 
         def all_of(first: Array, sign: float) -> Array:
@@ -223,22 +198,19 @@ class PredictiveLaw:
 
         return all_of(of_tick.lower, -1.0), all_of(of_tick.upper, 1.0)
 
-    def _follow(
-        self, memory: ControllerState, used: UsedMeasurement, prepared: Prepared, plan: Plan, age: Array
-    ) -> Rates:
+    def _follow(self, memory: ControllerState, now: Measurement, prepared: Prepared, plan: Plan, age: Array) -> Rates:
         """Return the inputs of the plan `age` [s] after its start, within the bounds of this tick."""
         structure, of_tick = self.mpc.structure, prepared.shaping.problem
         ends = np.cumsum(structure.durations)[:-1]
         knot = jnp.sum(age > ends - 0.5 * self.time_step)
-        jets, moved = used.thrust.shape[0], np.array(structure.joints, dtype=int)
+        jets, moved = now.thrust.shape[0], np.array(structure.joints, dtype=int)
         thrusts, joints = jnp.split(plan.inputs, [jets * len(structure.durations)])
-        back = -self.mpc.posture_gain * (used.state.joint_position - memory.posture)
+        back = -self.mpc.posture_gain * (now.state.joint_position - memory.posture)
         joint_velocity = back.at[moved].set(joints.reshape(-1, moved.size)[jnp.array(structure.blocks)[knot]])
         u = jnp.concatenate([thrusts.reshape(-1, jets)[knot], joint_velocity])
         u = jnp.clip(u, of_tick.lower, of_tick.upper)
         answer = plan.answer._replace(x=u, side=jnp.zeros(u.shape, plan.answer.side.dtype))
-        usual = jnp.where(used.modes == 0, NOMINAL, DEGRADED)
-        status = jnp.where(plan.answer.status == qp.SOLVED, usual, PLAN_KEPT)
+        status = jnp.where(plan.answer.status == qp.SOLVED, NOMINAL, PLAN_KEPT)
         return Rates(*prepared, answer, thrust_rate=u[:jets], joint_velocity=u[jets:], status=status)
 
 

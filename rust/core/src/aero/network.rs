@@ -16,7 +16,9 @@ mod mirror;
 mod mlp;
 mod tensors;
 
-pub use card::{Activation, Architecture, Baseline, Card, Feature, Inputs, Layout, Output, OutputFrame};
+pub use card::{
+    Activation, Architecture, Baseline, Card, Feature, Inputs, Layout, Output, OutputFrame, Unit, Weights,
+};
 pub(crate) use mlp::Layer;
 pub use tensors::{Tensor, Tensors};
 
@@ -98,16 +100,14 @@ impl Network {
         robot: &RobotModel,
     ) -> Result<Self, BuildError> {
         let air_density = check_air_density(air_density)?;
-        card.check(robot)?;
-        let mut tensors = tensors()?;
-        let (inputs, outputs) = (card.n_inputs(), 3 * robot.aero_links.len());
-        let is_double = precision == Precision::F64;
-        let evaluator = Evaluator::load(&mut tensors, &card.architecture, (inputs, outputs), is_double)?;
-        let (scale, offset) =
-            (tensors.take("output.scale", &[outputs])?, tensors.take("output.offset", &[outputs])?);
-        tensors.finish()?;
+        let joints: Vec<_> = robot.joints.iter().map(|joint| joint.name.as_str()).collect();
+        let links: Vec<_> = robot.aero_links.iter().map(|link| link.name.as_str()).collect();
+        let weights = card.weights(tensors, &joints, &links)?;
+        let evaluator = Evaluator::new(&card, &weights, precision == Precision::F64);
+        let Weights { scale, offset, .. } = weights;
         let joints: Vec<usize> =
             card.inputs.joints.iter().filter_map(|name| robot.joint_index(name)).collect();
+        let inputs = card.widths()[0];
         let at_base = PlacedLink {
             b_from_l: Matrix3::identity(),
             centre_b: Vector3::zeros(),
@@ -126,7 +126,7 @@ impl Network {
             offset,
             evaluator,
             inputs: vec![[0.0; 2]; inputs],
-            outputs: vec![[0.0; 2]; outputs],
+            outputs: vec![[0.0; 2]; 3 * robot.aero_links.len()],
             links: vec![at_base; robot.aero_links.len()],
             pairs: vec![[0.0; 2]; robot.aero_links.len() * robot.aero_links.len().saturating_sub(1) / 2],
         })

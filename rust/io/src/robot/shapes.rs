@@ -45,6 +45,10 @@ fn shape(link: &str, node: Node<'_, '_>, geometry: Node<'_, '_>) -> Result<Shape
     let Some(solid) = geometry.first_element_child() else {
         return Err(format!("{} is empty; {expected}", describe(geometry)));
     };
+    if let Some(other) = solid.next_sibling_element() {
+        let (first, second) = (solid.tag_name().name(), other.tag_name().name());
+        return Err(format!("{} has <{first}> and <{second}>; expected one solid", describe(geometry)));
+    }
     let of = |key| number(solid, key, None);
     let (kind, size) = match solid.tag_name().name() {
         "sphere" => ("sphere", [of("radius")?; 3]),

@@ -6,7 +6,9 @@
 use flight_core::robot::JointKind;
 use flight_core::spatial::{Pose, rotation_from_rpy};
 use nalgebra::{Matrix3, Unit, Vector3};
-use roxmltree::{Document, Node};
+use roxmltree::{Document, Error, Node};
+use std::collections::BTreeMap;
+use std::f64::consts::TAU;
 
 /// Greatest depth of nested tags.
 const MAX_DEPTH: usize = 64;
@@ -14,11 +16,14 @@ const MAX_DEPTH: usize = 64;
 /// Greatest number of attributes of a tag; the parser compares each with all others.
 const MAX_ATTRIBUTES: usize = 256;
 
+/// Name and usual prefix of the namespace of macros.
+const XACRO: &str = "xacro";
+
 /// Largest number that is accepted, so that products of three are finite.
 const GREATEST: f64 = 1e100;
 
-/// Deviation of an axis from length 1 that is rounding.
-const ROUNDING_OF_AXES: f64 = 1e-3;
+/// Deviation of an axis from length 1, and of a limit from a whole turn, that is rounding.
+const ROUNDING: f64 = 1e-3;
 
 /// Links and joints of a URDF, in the order of the file.
 #[derive(Debug)]
@@ -29,8 +34,10 @@ pub struct Urdf {
     pub links: Vec<Link>,
     /// Its joints.
     pub joints: Vec<Joint>,
-    /// What is doubtful, but has one meaning.
+    /// What is doubtful, but has one meaning, and what changes a flight but is not used.
     pub warnings: Vec<String>,
+    /// How often each tag is there that is not used; what it contains is not counted.
+    pub unused: BTreeMap<String, usize>,
 }
 
 /// A link, which is a frame and may have a mass.
@@ -137,15 +144,45 @@ pub(super) fn parse(text: &str) -> Result<Document<'_>, String> {
     if text.split('<').any(|tag| tag.matches(['"', '\'']).count() > 2 * MAX_ATTRIBUTES) {
         return Err(format!("a tag has more than {MAX_ATTRIBUTES} attributes"));
     }
-    let document = Document::parse(text).map_err(|error| format!("the URDF is no XML: {error}"))?;
+    let document = Document::parse(text).map_err(|error| match error {
+        Error::UnknownNamespace(prefix, place) if prefix == XACRO => unexpanded("<xacro:…>", place.row),
+        error => format!("the URDF is no XML: {error}"),
+    })?;
     // The count includes the tag itself and the document.
     if document.descendants().any(|node| node.is_element() && node.ancestors().count() > MAX_DEPTH + 1) {
         return Err(format!("tags nest more than {MAX_DEPTH} deep"));
     }
+    check_expanded(&document)?;
     match document.root_element().tag_name().name() {
         "robot" => Ok(document),
         other => Err(format!("the outermost tag is <{other}>; expected <robot>")),
     }
+}
+
+/// Refuses macros, which would be links, joints and numbers of another program.
+fn check_expanded(document: &Document<'_>) -> Result<(), String> {
+    let elements = || document.descendants().filter(Node::is_element);
+    let found = elements().find_map(|node| {
+        let namespace = node.tag_name().namespace()?;
+        let is_macro = namespace.contains(XACRO) || node.lookup_prefix(namespace) == Some(XACRO);
+        is_macro.then(|| (node, format!("<{XACRO}:{}>", node.tag_name().name())))
+    });
+    // Plugins may have a use for such values.
+    let is_ours = |node: &Node<'_, '_>| {
+        node.ancestors().any(|node| node.has_tag_name("link") || node.has_tag_name("joint"))
+    };
+    let found = found.or_else(|| {
+        elements().filter(is_ours).find_map(|node| {
+            let mut values = node.attributes().map(|attribute| attribute.value());
+            let value = values.find(|value| value.contains("${") || value.contains("$("))?;
+            Some((node, format!("`{value}`")))
+        })
+    });
+    found.map_or(Ok(()), |(node, what)| Err(unexpanded(&what, document.text_pos_at(node.range().start).row)))
+}
+
+fn unexpanded(what: &str, line: u32) -> String {
+    format!("line {line} has {what}; expand it with xacro first: `xacro FILE > robot.urdf`")
 }
 
 impl Urdf {
@@ -153,15 +190,77 @@ impl Urdf {
     pub(super) fn read(text: &str) -> Result<Self, String> {
         let document = parse(text)?;
         let robot = document.root_element();
-        let mut warnings = Vec::new();
+        let (mut warnings, mut unused) = (Vec::new(), BTreeMap::new());
+        let joints =
+            children(robot, "joint").map(|node| joint(node, &mut warnings)).collect::<Result<_, _>>()?;
+        warnings.extend(unused_motion(robot)?);
+        count_unused(robot, &mut unused);
         Ok(Self {
             name: robot.attribute("name").map(str::to_owned),
             links: children(robot, "link").map(link).collect::<Result<_, _>>()?,
-            joints: children(robot, "joint")
-                .map(|node| joint(node, &mut warnings))
-                .collect::<Result<_, _>>()?,
+            joints,
             warnings,
+            unused,
         })
+    }
+}
+
+/// Names the joints that move with friction, damping or a range other than a flight's.
+fn unused_motion(robot: Node<'_, '_>) -> Result<Vec<String>, String> {
+    let (mut rubbing, mut guarded) = (Vec::new(), Vec::new());
+    let (mut friction, mut damping) = (0.0_f64, 0.0_f64);
+    for joint in children(robot, "joint").filter(|joint| joint.attribute("type") != Some("fixed")) {
+        let name = format!("`{}`", attribute(joint, "name")?);
+        if let Some(dynamics) = child(joint, "dynamics")? {
+            let of = |key| number(dynamics, key, Some(0.0));
+            if (of("friction")?, of("damping")?) != (0.0, 0.0) {
+                (friction, damping) = (friction.max(of("friction")?), damping.max(of("damping")?));
+                rubbing.push(name.clone());
+            }
+        }
+        if child(joint, "safety_controller")?.is_some() {
+            guarded.push(name);
+        }
+    }
+    let mut warnings = Vec::new();
+    if !rubbing.is_empty() {
+        warnings.push(format!(
+            "<dynamics> of joint {} is not used: friction up to {friction}, damping up to {damping}; a flight has both in \
+             simulator.motors",
+            rubbing.join(", ")
+        ));
+    }
+    if !guarded.is_empty() {
+        warnings.push(format!(
+            "<safety_controller> of joint {} is not used; limits_deg or limits of the robot's TOML file narrow a range",
+            guarded.join(", ")
+        ));
+    }
+    Ok(warnings)
+}
+
+/// Counts the tags within this one that are not used.
+fn count_unused(node: Node<'_, '_>, unused: &mut BTreeMap<String, usize>) {
+    let is_fixed = node.attribute("type") == Some("fixed");
+    let is_drawn = children(node, "visual").any(|visual| children(visual, "geometry").next().is_some());
+    let used: &[&str] = match node.tag_name().name() {
+        "robot" => &["link", "joint"],
+        "link" if is_drawn => &["inertial", "visual"],
+        "link" => &["inertial", "visual", "collision"],
+        "inertial" => &["origin", "mass", "inertia"],
+        "visual" | "collision" => &["origin", "geometry"],
+        "geometry" => &["sphere", "cylinder", "capsule", "box", "mesh"],
+        "joint" if is_fixed => &["origin", "parent", "child"],
+        "joint" => &["origin", "parent", "child", "axis", "limit", "mimic"],
+        _ => &[],
+    };
+    for inner in node.children().filter(Node::is_element) {
+        let (tag, namespace) = (inner.tag_name().name(), inner.tag_name().namespace());
+        if used.contains(&tag) && namespace == node.tag_name().namespace() {
+            count_unused(inner, unused);
+        } else {
+            *unused.entry(tag.to_owned()).or_default() += 1;
+        }
     }
 }
 
@@ -190,14 +289,32 @@ fn joint(node: Node<'_, '_>, warnings: &mut Vec<String>) -> Result<Joint, String
         kind @ ("revolute" | "continuous") => Some((JointKind::Revolute, kind == "revolute")),
         "prismatic" => Some((JointKind::Prismatic, true)),
         other => {
-            let expected = "revolute, continuous, prismatic or fixed (the base link floats without a joint)";
-            return Err(format!("type of joint `{name}` is {other}; expected {expected}"));
+            let root = root_and_base(node).map(|(root, base)| {
+                format!("; without this joint and link `{root}`, link `{base}` is the base, which floats")
+            });
+            return Err(format!(
+                "type of joint `{name}` is {other}; expected revolute, continuous, prismatic or fixed{}",
+                root.unwrap_or_default()
+            ));
         }
     };
     let motion = |(kind, has_range)| {
         let limit = child(node, "limit")?;
+        let has_either =
+            limit.is_some_and(|limit| ["lower", "upper"].iter().any(|key| limit.has_attribute(*key)));
         let limit = |key| limit.map_or(Ok(0.0), |limit| number(limit, key, Some(0.0)));
         let (lower, upper) = if has_range { (limit("lower")?, limit("upper")?) } else { (0.0, 0.0) };
+        if has_range && has_either && lower >= upper {
+            warnings.push(format!(
+                "limits of joint `{name}` are {lower} to {upper}, and taken as none; expected a range"
+            ));
+        }
+        if kind == JointKind::Revolute && lower.abs().max(upper.abs()) > TAU * (1.0 + ROUNDING) {
+            warnings.push(format!(
+                "limits of joint `{name}` are {lower} and {upper} rad; expected at most a turn, {TAU:.2} rad: a URDF has no \
+                 degrees"
+            ));
+        }
         Ok::<_, String>(Motion {
             kind,
             axis: axis(node, warnings)?,
@@ -216,12 +333,21 @@ fn joint(node: Node<'_, '_>, warnings: &mut Vec<String>) -> Result<Joint, String
     })
 }
 
+/// Links that a joint connects, if its parent is the root.
+fn root_and_base<'a>(joint: Node<'a, '_>) -> Option<(&'a str, &'a str)> {
+    let end = |joint, tag| child(joint, tag).ok().flatten()?.attribute("link");
+    let (root, base) = (end(joint, "parent")?, end(joint, "child")?);
+    let is_carried =
+        |link| children(joint.parent()?, "joint").find(|other| end(*other, "child") == Some(link));
+    is_carried(root).is_none().then_some((root, base))
+}
+
 /// Direction of a joint's axis, whatever its length: a URDF states a direction, in numbers that may be rounded.
 fn axis(joint: Node<'_, '_>, warnings: &mut Vec<String>) -> Result<Unit<Vector3<f64>>, String> {
     let xyz = child(joint, "axis")?.map_or(Ok([1.0, 0.0, 0.0]), |axis| numbers(axis, "xyz", None))?;
     let length = Vector3::from(xyz).norm();
     let item = format!("axis of {} is {xyz:?}", describe(joint));
-    if (length - 1.0).abs() > ROUNDING_OF_AXES {
+    if (length - 1.0).abs() > ROUNDING {
         warnings.push(format!("{item}; its direction is taken, at length 1"));
     }
     Unit::try_new(Vector3::from(xyz), 1e-9).ok_or_else(|| format!("{item}; expected a direction"))

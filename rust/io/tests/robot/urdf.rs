@@ -45,6 +45,112 @@ fn only_tags_directly_within_the_robot_count() {
     }
 }
 
+/// Of a macro neither links nor numbers are known.
+#[test]
+fn macros_are_refused_with_element_and_line() {
+    let within = |namespace: &str, tag: &str| {
+        two_parts("name=\"two_parts\">", &format!("name=\"two_parts\" {namespace}>\n{tag}"))
+    };
+    let ros = "http://www.ros.org/wiki/xacro";
+    for (namespace, tag) in [
+        (format!("xmlns:xacro='{ros}'"), "<xacro:leg prefix='l'/>"),
+        (format!("xmlns:macro='{ros}'"), "<macro:leg/>"),
+        ("xmlns:xacro='urn:any'".to_owned(), "<gazebo><xacro:leg/></gazebo>"),
+        (String::new(), "<xacro:leg/>"),
+    ] {
+        let message = within(&namespace, tag).unwrap_err();
+        assert!(message.contains("two.urdf") && message.contains("line 2 has <xacro:"), "{message}");
+        assert!(message.contains("expand it with xacro first"), "{message}");
+    }
+    for (from, to, line) in [
+        ("<mass value=\"2\"/>", "<mass value=\"${2 * m}\"/>", 4),
+        ("<child link=\"load\"/>", "<child link=\"$(arg side)_load\"/>", 10),
+    ] {
+        let message = two_parts(from, to).unwrap_err();
+        assert!(
+            message.contains(&format!("line {line} has `$")) && message.contains("xacro first"),
+            "{message}"
+        );
+    }
+    assert!(within("", "<gazebo><plugin path='${HOME}/worlds'/></gazebo>").is_ok());
+}
+
+#[test]
+fn tags_that_are_not_used_are_counted() {
+    let path = PathBuf::from("counted/two.urdf");
+    let count = |text: &str| {
+        hold(&path, text.as_bytes().to_vec());
+        let unused = read_urdf(&path).unwrap().0.unused;
+        unused.into_iter().map(|(tag, count)| format!("{count} {tag}")).collect::<Vec<_>>().join(", ")
+    };
+    assert_eq!(count(TWO_PARTS), "");
+    let shape = "<geometry><box size='1 1 1'/></geometry>";
+    let of_link = format!("<visual>{shape}<material/></visual><visual/><collision>{shape}</collision>");
+    let text = TWO_PARTS
+        .replace("<link name=\"load\">", &format!("<link name=\"load\"><collision>{shape}</collision>"))
+        .replace("<link name=\"base\">", &format!("<link name=\"base\">{of_link}"))
+        .replace("<child link=\"load\"/>", "<child link=\"load\"/><axis xyz='0 0 1'/>")
+        .replace("</robot>", "<gazebo><link/></gazebo><gazebo/><o:link xmlns:o='urn:o'/></robot>");
+    assert_eq!(count(&text), "1 axis, 1 collision, 2 gazebo, 1 link, 1 material");
+}
+
+/// A robot moves otherwise than its URDF says: the joints are named, with what has these numbers in a flight.
+#[test]
+fn friction_damping_and_soft_limits_are_not_used_without_a_word() {
+    let (toml, urdf) = sparrow_texts();
+    let with = |joint: &str, tag: &str| {
+        let opening = format!("<joint name=\"{joint}\"");
+        assert!(urdf.contains(&opening));
+        let (before, after) = urdf.split_once(&opening).unwrap();
+        load(&toml, &format!("{before}{opening}{}", after.replacen('>', &format!(">{tag}"), 1)))
+            .unwrap()
+            .warnings
+    };
+    let found = with("waist", "<dynamics friction='2' damping='5'/>");
+    let [only] = found.as_slice() else { panic!("one warning expected: {found:?}") };
+    for words in ["`waist`", "friction up to 2", "damping up to 5", "simulator.motors"] {
+        assert!(only.contains(words), "{only}");
+    }
+    let found =
+        with("neck", "<safety_controller soft_lower_limit='-0.1' soft_upper_limit='0.1' k_velocity='1'/>");
+    assert!(matches!(found.as_slice(), [only] if only.contains("`neck`") && only.contains("limits_deg")));
+    for nothing in ["<dynamics/>", "<dynamics friction='0' damping='0'/>"] {
+        assert!(with("waist", nothing).is_empty());
+    }
+    assert!(with("l_ankle", "<dynamics friction='2'/>").is_empty(), "a fixed joint");
+}
+
+#[test]
+fn limits_beyond_a_turn_are_degrees() {
+    let (toml, urdf) = sparrow_texts();
+    for (range, warns) in
+        [("-90\" upper=\"90", true), ("-1.2\" upper=\"7", true), ("-6.2832\" upper=\"6.2832", false)]
+    {
+        let turned = urdf.replacen("-1.2\" upper=\"1.5", range, 1);
+        assert_ne!(turned, urdf);
+        let warnings = load(&toml, &turned).unwrap().warnings;
+        let named = |warning: &String| warning.contains("`l_shoulder`") && warning.contains("rad");
+        assert!(warnings.len() == usize::from(warns) && warnings.iter().all(named), "{range}: {warnings:?}");
+    }
+    let metres = HAND.replacen("upper=\"1\"", "upper=\"90\"", 1);
+    assert!(load(&format!("{NO_JOINTS}\nlocked = {{ lead = 0.4 }}"), &metres).unwrap().warnings.is_empty());
+}
+
+/// A joint that only lets the robot float is not needed, and the message says what is left without it.
+#[test]
+fn a_floating_root_says_what_to_do() {
+    for kind in ["floating", "planar"] {
+        let message = two_parts("type=\"fixed\"", &format!("type=\"{kind}\"")).unwrap_err();
+        let way = format!(
+            "is {kind}; expected revolute, continuous, prismatic or fixed; without this joint and link `base`"
+        );
+        assert!(message.contains(&way) && message.contains("`load` is the base, which floats"), "{message}");
+    }
+    let below = "<link name='end'/><joint name='b' type='floating'><parent link='load'/><child link='end'/></joint></robot>";
+    let message = two_parts("</robot>", below).unwrap_err();
+    assert!(message.contains("joint `b` is floating") && !message.contains("without"), "{message}");
+}
+
 /// By the file's own mark or declaration; what cannot be decoded is refused with the file and a way on.
 #[test]
 fn a_urdf_may_be_of_several_encodings() {
@@ -209,6 +315,7 @@ fn a_urdf_alone_lists_links_joints_and_shapes() {
     }
     for (solid, words) in [
         ("", "<geometry> of link `load` is empty"),
+        ("<sphere radius='1'/><box size='1 1 1'/>", "has <sphere> and <box>; expected one solid"),
         ("<cone/>", "<geometry> of link `load` is a <cone>"),
         ("<cylinder length='1'/>", "<cylinder> of link `load` has no `radius`"),
         ("<sphere radius='wide'/>", "`radius` of the <sphere> of link `load` is `wide`"),
@@ -235,4 +342,8 @@ fn a_joint_without_a_range_needs_one_only_to_move() {
         toml.replacen("{ name = \"l_shoulder\"", "{ name = \"l_shoulder\", limits_deg = [-70.0, 80.0]", 1);
     let found = robot_from_text(&given, &without, "robot.toml").unwrap();
     assert!(found.joints[3].stops.1.is_infinite());
+    let empty = urdf.replacen("lower=\"-1.2\" upper=\"1.5\"", "lower=\"1.5\" upper=\"-1.2\"", 1);
+    let found = load(&given, &empty).unwrap();
+    assert!(found.model.joints[3].stops.1.is_infinite());
+    assert!(matches!(found.warnings.as_slice(), [only] if only.contains("`l_shoulder` are 1.5 to -1.2")));
 }

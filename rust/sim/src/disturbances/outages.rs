@@ -2,11 +2,12 @@
 //!
 //! Equation M104 of `docs/model`.
 
+use flight_core::control::Measurement;
 use flight_core::error::{BuildError, check, place_of};
 use flight_core::kinematics::RobotState;
 use flight_core::robot::Jet;
 use flight_core::spatial::axis_angle;
-use nalgebra::Vector3;
+use nalgebra::{Vector3, Vector6};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -114,6 +115,17 @@ pub struct Sample {
     pub thrust: Vec<f64>,
     /// Velocity of the air \[m/s\].
     pub wind: Vector3<f64>,
+    /// Wrench on each of the controller's feet \[N, N m\].
+    pub foot_wrenches: Vec<Vector6<f64>>,
+}
+
+impl Sample {
+    /// The same for the controller, at `time` \[s\].
+    #[must_use]
+    pub fn measurement(&self, time: f64) -> Measurement<'_> {
+        let Self { state, thrust, wind, foot_wrenches } = self;
+        Measurement { time, state, thrust, wind: *wind, foot_wrenches }
+    }
 }
 
 /// State of all outages.

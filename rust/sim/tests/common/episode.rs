@@ -225,7 +225,6 @@ pub struct Episode {
     state: ControllerState,
     outages: Outages,
     sample: Sample,
-    feet: Vec<Vector6<f64>>,
     mean_wind: Vector3<f64>,
     begin: f64,
     time_step: f64,
@@ -251,18 +250,11 @@ impl Episode {
             state: plant.state().clone(),
             thrust: plant.jets().thrust_feedback().to_vec(),
             wind: random_vector(&mut rng, speed),
+            foot_wrenches: vec![Vector6::new(0.0, 0.0, 200.0, 0.0, 0.0, 0.0); controller.model().feet.len()],
         };
-        let feet = vec![Vector6::new(0.0, 0.0, 200.0, 0.0, 0.0, 0.0); controller.model().feet.len()];
         let begin = rng.random_range(0.0..40.0);
-        let first = Measurement {
-            time: begin,
-            state: &sample.state,
-            thrust: &sample.thrust,
-            wind: sample.wind,
-            foot_wrenches: &feet,
-        };
         let state = controller
-            .start(&first)
+            .start(&sample.measurement(begin))
             .map_err(|refusal| BuildError::bad_value("first measurement", refusal, "one of a flight"))?;
         let absurd = [0.0, 0.001, 0.1][rng.random_range(0..3)];
         Ok(Self {
@@ -281,7 +273,6 @@ impl Episode {
             controller,
             state,
             sample,
-            feet,
             begin,
             time_step,
         })
@@ -290,7 +281,7 @@ impl Episode {
     /// Measures something and ticks.
     pub fn tick(&mut self) -> Ticked {
         let mut time = self.measure();
-        let mut foot_wrenches = self.feet.as_slice();
+        let mut foot_wrenches = self.sample.foot_wrenches.as_slice();
         let (mut thrust, rng) = (self.sample.thrust.as_slice(), &mut self.rng);
         if self.absurd > 0.0 && rng.random_bool(0.1 * self.absurd) {
             match rng.random_range(0..4) {
@@ -370,7 +361,7 @@ impl Episode {
                 *thrust = rng.random_range(-0.2..1.5) * jet.thrust_max;
             }
         }
-        for foot in &mut self.feet {
+        for foot in &mut sample.foot_wrenches {
             *foot = Vector6::from_fn(|_, _| rng.random_range(-20.0..20.0));
             foot[2] = if rng.random_bool(0.1) { 0.0 } else { rng.random_range(0.0..400.0) };
         }
@@ -389,7 +380,7 @@ impl Episode {
                 3 => one(rng, sample.state.velocity.as_mut_slice()),
                 4 => one(rng, sample.state.base.position.as_mut_slice()),
                 5 => one(rng, sample.state.base.rotation.as_mut_slice()),
-                _ => self.feet.iter_mut().for_each(|foot| one(rng, foot.as_mut_slice())),
+                _ => sample.foot_wrenches.iter_mut().for_each(|foot| one(rng, foot.as_mut_slice())),
             }
         }
         self.begin + elapsed

@@ -8,7 +8,7 @@ use flight_sim::signals::Dimension;
 use flight_sim::{
     BatchError, FlightLog, FlightResult, Interrupted, Loss, LossReason, Scenario, ScenarioConfig, fly_batch,
 };
-use flight_sim::{Outcome, SIGNALS, Summary, figures};
+use flight_sim::{FIGURES, Outcome, SIGNALS, Summary};
 use nalgebra::Vector3;
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
@@ -30,18 +30,18 @@ fn signals_and_figures_are_declared_once() {
     for signal in &SIGNALS {
         assert!(!signal.dims.is_empty() && !signal.unit.is_empty() && !signal.meaning.is_empty());
         let per_tick = signal.dims[0] == Dimension::Time;
-        assert_eq!(signal.read.is_some(), per_tick && !signal.is_of_ground, "{}", signal.name);
+        assert_eq!(signal.read.is_some(), per_tick, "{}", signal.name);
     }
     let result = run(&short(0.05));
     let logged: Vec<_> = result.log.series.iter().map(|series| series.signal.name).collect();
-    let declared = SIGNALS.iter().filter(|signal| signal.read.is_some());
+    let declared = SIGNALS.iter().filter(|signal| signal.read.is_some() && !signal.is_of_ground);
     assert_eq!(logged, declared.map(|signal| signal.name).collect::<Vec<_>>());
 
-    let figures = figures();
-    let names: BTreeSet<_> = figures.iter().map(|figure| figure.name).collect();
-    assert_eq!(names.len(), figures.len());
-    let of_flights = figures.iter().filter(|figure| !figure.is_of_ground).count();
-    assert_eq!(result.summary.values().len(), of_flights);
+    let names: BTreeSet<_> = FIGURES.iter().map(|figure| figure.name).collect();
+    assert_eq!(names.len(), FIGURES.len());
+    let of_flights = FIGURES.iter().filter(|figure| !figure.is_of_ground);
+    let found = result.summary.figures(result.log.has_ground());
+    assert!(found.map(|(figure, _)| figure.name).eq(of_flights.map(|figure| figure.name)));
 }
 
 /// The log has every signal of a result file, a row of the stated shape for every tick, time 0 included.
@@ -239,23 +239,27 @@ fn figures_of_an_early_end() {
 #[test]
 fn figures_do_not_hide_what_is_no_number() {
     let times: Vec<f64> = (0..20).map(|tick| 0.25 * f64::from(tick)).collect();
-    for signal in
-        ["com_position", "rotation_error", "thrust", "joint_torque", "aero_force_sim", "qp_iterations"]
-    {
+    let of_forces = ["com_position", "rotation_error", "thrust", "joint_torque", "aero_force_sim"];
+    for signal in of_forces.into_iter().chain(["qp_status", "qp_iterations", "degraded_modes"]) {
         for tick in [0, 13, 19] {
             let mut log = made_up_log(&times);
             let width = log.series(signal).unwrap().width();
-            set(&mut log, signal, tick * width, f64::NAN);
+            // A controller may have one QP; without either nothing is known.
+            for entry in 0..width.min(2) {
+                set(&mut log, signal, tick * width + entry, f64::NAN);
+            }
             set(&mut log, signal, (tick * width + width) % (20 * width), 1.0);
             let of = Summary::new(&log, times.len());
             let figures = match signal {
                 "com_position" if tick == 0 => vec![of.min_com_x_settling],
                 "com_position" => vec![of.max_com_error, of.max_com_error_x, of.rms_com_error],
-                "rotation_error" => vec![of.max_rotation_error],
+                "rotation_error" => vec![of.max_rotation_error, of.time_above_45_deg],
                 "thrust" => vec![of.thrust_min, of.thrust_max],
                 "joint_torque" => vec![of.max_torque],
                 "aero_force_sim" => vec![of.max_aero_force, of.max_aero_force_difference],
-                _ => vec![of.max_qp_iterations],
+                "qp_status" => vec![of.ticks_without_solution],
+                "qp_iterations" => vec![of.max_qp_iterations],
+                _ => vec![of.degraded_time, of.nominal_until, of.all_modes, of.warning_time],
             };
             assert!(figures.iter().all(|figure| figure.is_nan()), "{signal} {tick}: {figures:?}");
         }
@@ -363,7 +367,7 @@ fn falls_have_their_reason() {
     assert!(flights[..2].iter().all(|flight| flight.outcome == Outcome::Fell));
 
     assert_eq!(reason(2), LossReason::Speed(300.0));
-    assert_eq!(reason(2).to_string(), "speed above 300 m/s");
+    assert_eq!(reason(2).to_string(), "speed of base or air above 300 m/s");
     assert_eq!((flights[2].outcome, flights[2].loss.unwrap().time), (Outcome::Diverged, 0.0));
 }
 
@@ -389,11 +393,15 @@ fn a_flight_that_reaches_its_end_is_on_course_or_not() {
 fn numbers_that_physics_excludes_diverge() {
     type Spoil = fn(&mut ScenarioConfig);
     let spoilt: [(Spoil, LossReason, &str); 6] = [
-        (|c| c.simulator.initial.base_velocity[1] = 301.0, LossReason::Speed(300.0), "speed above 300 m/s"),
+        (
+            |c| c.simulator.initial.base_velocity[1] = 301.0,
+            LossReason::Speed(300.0),
+            "speed of base or air above 300 m/s",
+        ),
         (
             |c| c.wind = flight_sim::WindConfig::Constant { velocity: [0.0, 301.0, 0.0] },
             LossReason::Speed(300.0),
-            "speed above 300 m/s",
+            "speed of base or air above 300 m/s",
         ),
         (
             |c| c.simulator.initial.base_velocity[4] = -101.0,
@@ -430,9 +438,10 @@ fn numbers_that_physics_excludes_diverge() {
         assert_eq!(loss.reason.to_string(), text);
         assert_eq!(flight.log.len(), tick_at(loss.time) + 1);
         let merits = flight.summary;
-        let missing = merits.values().iter().filter(|figure| figure.is_nan()).count();
+        let values: Vec<f64> = merits.figures(false).map(|(_, value)| value).collect();
+        let missing = values.iter().filter(|figure| figure.is_nan()).count();
         if loss.time == 0.0 {
-            assert_eq!(missing, merits.values().len(), "{merits:?}");
+            assert_eq!(missing, values.len(), "{merits:?}");
         } else {
             assert_eq!(missing, 6, "those after settling: {merits:?}");
             assert!(merits.max_aero_force < 100.0, "{merits:?}");

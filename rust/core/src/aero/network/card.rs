@@ -1,8 +1,9 @@
 //! The card of a network: inputs, outputs and architecture of its weights.
 
+use super::tensors::Tensors;
 use crate::error::{BuildError, check, place_of};
-use crate::robot::{AxisymmetricCoefficients, RobotModel};
-use serde::Deserialize;
+use crate::robot::AxisymmetricCoefficients;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// Upper limit of layer width and of the number of layers or members, far above any practical network.
@@ -23,6 +24,7 @@ pub struct Card {
 
 /// Inputs of a network.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Inputs {
     /// Blocks of features, in the order of the input vector.
@@ -35,7 +37,8 @@ pub struct Inputs {
 
 /// One block of the input vector. `û` is the unit vector of the air's velocity relative to the base origin;
 /// in still air it is the x axis of the base.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Feature {
     /// `û` in base axes.
@@ -52,18 +55,29 @@ pub enum Feature {
 
 /// Output of a network: a force area for each link.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Output {
     /// Axes of the areas.
     pub frame: OutputFrame,
     /// Order of the numbers.
     pub layout: Layout,
-    /// Unit of the areas; always `m^2`.
-    pub unit: String,
+    /// Unit of the areas.
+    pub unit: Unit,
+}
+
+/// Unit of the force areas.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub enum Unit {
+    /// m²
+    #[serde(rename = "m^2")]
+    SquareMetre,
 }
 
 /// Axes of the force areas.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum OutputFrame {
     /// Axes of the base.
@@ -75,7 +89,8 @@ pub enum OutputFrame {
 }
 
 /// Order of the numbers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Layout {
     /// All `C_D A`, then all `C_L A`, then all `C_S A`: x, z and y, as published.
@@ -86,6 +101,7 @@ pub enum Layout {
 
 /// Architecture of a network.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Architecture {
     /// Widths of the hidden layers.
@@ -101,7 +117,8 @@ pub struct Architecture {
 }
 
 /// Activation after every hidden layer.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Activation {
     /// `max(x, 0)`
@@ -114,6 +131,7 @@ pub enum Activation {
 
 /// Model to whose force areas the network's output is added.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Baseline {
     /// The axisymmetric model, evaluated with the network's wind.
@@ -123,20 +141,30 @@ pub enum Baseline {
     },
 }
 
+/// Weights of a network.
+#[derive(Debug, Clone)]
+pub struct Weights {
+    /// Layers of every member: weights by row, then biases.
+    pub members: Vec<Vec<(Vec<f32>, Vec<f32>)>>,
+    /// Factor of every output \[m²\].
+    pub scale: Vec<f32>,
+    /// Offset of every output \[m²\].
+    pub offset: Vec<f32>,
+}
+
 impl Card {
-    /// Length of the input vector.
+    /// Lengths of the input vector, of the hidden layers and of the output.
     #[must_use]
-    pub fn n_inputs(&self) -> usize {
+    pub fn widths(&self) -> Vec<usize> {
         let (joints, links) = (self.inputs.joints.len(), self.inputs.links.len());
-        let features = self.inputs.features.iter();
-        features
-            .map(|feature| match feature {
-                Feature::Wind => 3,
-                Feature::Joints => joints,
-                Feature::LinkWind | Feature::LinkPosition => 3 * links,
-                Feature::LinkShadow => links,
-            })
-            .sum()
+        let of_feature = |feature: &Feature| match feature {
+            Feature::Wind => 3,
+            Feature::Joints => joints,
+            Feature::LinkWind | Feature::LinkPosition => 3 * links,
+            Feature::LinkShadow => links,
+        };
+        let inputs = self.inputs.features.iter().map(of_feature).sum();
+        [inputs].into_iter().chain(self.architecture.hidden.iter().copied()).chain([3 * links]).collect()
     }
 
     /// Coefficients of the baseline in the order of the links.
@@ -147,83 +175,102 @@ impl Card {
         Some(self.inputs.links.iter().filter_map(|link| links.get(link).copied()).collect())
     }
 
-    /// Checks that the card is consistent and matches `robot`.
+    /// Checks the card, then reads `tensors` as its weights: the card of another robot gives the clearer error.
+    /// `joints` and `links` are the robot's.
     ///
     /// # Errors
-    /// [`BuildError`] naming the card, the key, its value and what was expected.
-    pub(super) fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
-        let origin = self.origin.as_str();
-        let refuse = |key: &str, value: String, expected: &str| {
-            Err(BuildError::bad_value(format!("`{key}` in {origin}"), value, expected))
-        };
-        if self.output.unit != "m^2" {
-            return refuse("output.unit", self.output.unit.clone(), "m^2");
-        }
+    /// [`BuildError`] naming the file, and key or tensor, its value and what was expected.
+    pub fn weights(
+        &self,
+        tensors: impl FnOnce() -> Result<Tensors, BuildError>,
+        joints: &[&str],
+        links: &[&str],
+    ) -> Result<Weights, BuildError> {
+        self.check(joints, links).map_err(|error| error.in_file(&self.origin))?;
+        let (mut tensors, widths) = (tensors()?, self.widths());
+        let members = (0..self.architecture.members).map(|member| {
+            let layers = widths.windows(2).enumerate().map(|(index, width)| {
+                let name = format!("member.{member}.layer.{index}");
+                let weights = tensors.take(&format!("{name}.weight"), &[width[1], width[0]])?;
+                Ok((weights, tensors.take(&format!("{name}.bias"), &[width[1]])?))
+            });
+            layers.collect::<Result<Vec<_>, BuildError>>()
+        });
+        let members = members.collect::<Result<_, _>>()?;
+        let outputs = [3 * links.len()];
+        let (scale, offset) =
+            (tensors.take("output.scale", &outputs)?, tensors.take("output.offset", &outputs)?);
+        tensors.finish()?;
+        Ok(Weights { members, scale, offset })
+    }
+
+    fn check(&self, joints: &[&str], links: &[&str]) -> Result<(), BuildError> {
         let Output { frame, layout, .. } = self.output;
         if (frame, layout) == (OutputFrame::Link, Layout::Component)
             || (frame, layout) == (OutputFrame::Wind, Layout::Link)
         {
             let expected = "base with either layout, link with link, wind with component";
-            return refuse("output", format!("frame {frame:?} with layout {layout:?}"), expected);
+            let found = format!("frame {frame:?} with layout {layout:?}");
+            return Err(BuildError::bad_entry("output", found, expected));
         }
-        self.check_inputs(origin, robot)?;
+        self.check_inputs(joints, links)?;
         let Architecture { hidden, members, .. } = &self.architecture;
-        if *members == 0 || *members > MAX_SIZE {
-            return refuse("architecture.members", members.to_string(), "at least one network");
+        if !(1..=MAX_SIZE).contains(members) {
+            return Err(BuildError::bad_entry("architecture.members", members, "1 to 65536 networks"));
         }
         if hidden.len() > MAX_SIZE {
-            return refuse("architecture.hidden", format!("{} layers", hidden.len()), "fewer layers");
+            let found = format!("{} layers", hidden.len());
+            return Err(BuildError::bad_entry("architecture.hidden", found, "fewer layers"));
         }
         if let Some(width) = hidden.iter().find(|width| !(1..=MAX_SIZE).contains(*width)) {
-            return refuse("architecture.hidden", width.to_string(), "widths from 1 to 65536");
+            return Err(BuildError::bad_entry("architecture.hidden", width, "widths from 1 to 65536"));
         }
-        self.check_baseline(origin)
+        self.check_baseline()
     }
 
-    fn check_inputs(&self, origin: &str, robot: &RobotModel) -> Result<(), BuildError> {
+    fn check_inputs(&self, robot_joints: &[&str], robot_links: &[&str]) -> Result<(), BuildError> {
         let Inputs { features, joints, links } = &self.inputs;
         if features.is_empty() {
-            let item = format!("`inputs.features` in {origin}");
-            return Err(BuildError::bad_value(item, "empty", "at least one block of features"));
+            return Err(BuildError::bad_entry("inputs.features", "empty", "at least one block of features"));
         }
         for (index, feature) in features.iter().enumerate() {
             if features[..index].contains(feature) {
-                let item = format!("`inputs.features` in {origin}");
-                return Err(BuildError::bad_value(item, format!("{feature:?} twice"), "each block once"));
+                let found = format!("{feature:?} twice");
+                return Err(BuildError::bad_entry("inputs.features", found, "each block once"));
             }
         }
-        let robot_links = robot.aero_links.iter().map(|link| link.name.as_str());
-        if !robot_links.clone().eq(links.iter().map(String::as_str)) {
-            let item = format!("`inputs.links` in {origin}");
-            let expected: Vec<&str> = robot_links.collect();
-            return Err(BuildError::bad_value(item, links.join(", "), expected.join(", ")));
+        if links != robot_links {
+            return Err(BuildError::bad_entry("inputs.links", links.join(", "), robot_links.join(", ")));
         }
         let mut last = None;
         for name in joints {
-            let known = robot.joints.iter().map(|joint| &joint.name);
-            let index = place_of(format!("`inputs.joints` in {origin}"), name, known)?;
+            let index = place_of("`inputs.joints`", name, robot_joints)?;
             if last.is_some_and(|last| index <= last) {
-                let item = format!("order of `inputs.joints` in {origin}");
-                return Err(BuildError::bad_value(item, joints.join(", "), "joints in the robot's order"));
+                let expected = "joints in the robot's order";
+                return Err(BuildError::bad_entry("inputs.joints", joints.join(", "), expected));
             }
             last = Some(index);
         }
         Ok(())
     }
 
-    fn check_baseline(&self, origin: &str) -> Result<(), BuildError> {
+    fn check_baseline(&self) -> Result<(), BuildError> {
         let Some(Baseline::Axisymmetric { links }) = &self.architecture.baseline else { return Ok(()) };
-        let item = || format!("`architecture.baseline.links` in {origin}");
+        let key = "architecture.baseline.links";
         for name in links.keys() {
-            place_of(item(), name, &self.inputs.links)?;
+            place_of(format!("`{key}`"), name, &self.inputs.links)?;
         }
         for name in &self.inputs.links {
             let Some(set) = links.get(name) else {
-                return Err(BuildError::bad_value(item(), format!("without `{name}`"), "all links"));
+                return Err(BuildError::bad_entry(key, format!("without `{name}`"), "all links"));
             };
             for (index, w) in set.cda.iter().chain([&set.cna]).enumerate() {
-                let coefficient = format!("coefficient w{index} of link `{name}` in {origin}");
-                check(&coefficient, *w, |_| true, "a finite area in m²")?;
+                check(
+                    &format!("coefficient w{index} of link `{name}`"),
+                    *w,
+                    |_| true,
+                    "a finite area in m²",
+                )?;
             }
         }
         Ok(())

@@ -5,9 +5,7 @@
 //! processor. Multiplication and addition are rounded separately, so that every processor computes the same
 //! bits.
 
-use super::card::{Activation, Architecture};
-use super::tensors::Tensors;
-use crate::error::BuildError;
+use super::card::{Activation, Architecture, Card, Weights};
 use crate::exponential::exp_f32;
 use crate::linalg::{dispatch, dispatch_plain};
 use aligned_vec::{AVec, CACHELINE_ALIGN};
@@ -249,34 +247,20 @@ struct Mlp<T, const V: usize, const B: usize> {
 }
 
 impl<T: Real, const V: usize, const B: usize> Mlp<T, V, B> {
-    fn load(
-        tensors: &mut Tensors,
-        architecture: &Architecture,
-        inputs: usize,
-        outputs: usize,
-    ) -> Result<Self, BuildError> {
-        let widths: Vec<usize> =
-            [inputs].iter().chain(&architecture.hidden).chain([&outputs]).copied().collect();
-        let mut members = Vec::new();
-        for member in 0..architecture.members {
-            let mut layers = Vec::new();
-            for (index, width) in widths.windows(2).enumerate() {
-                let name = format!("member.{member}.layer.{index}");
-                let weights = tensors.take(&format!("{name}.weight"), &[width[1], width[0]])?;
-                let bias = tensors.take(&format!("{name}.bias"), &[width[1]])?;
-                layers.push(Layer::new::<V>(&weights, &bias, width[0]));
-            }
-            members.push(layers);
-        }
+    fn new(weights: &Weights, activation: Activation, widths: &[usize]) -> Self {
+        let layers = |member: &Vec<(Vec<f32>, Vec<f32>)>| {
+            let layers = member.iter().zip(widths);
+            layers.map(|((weights, bias), inputs)| Layer::new::<V>(weights, bias, *inputs)).collect()
+        };
         let widest = widths.iter().max().copied().unwrap_or(0).next_multiple_of(V * T::LANES);
         let space = |length| std::array::from_fn(|_| vec![T::default(); length]);
-        Ok(Self {
-            members,
-            activation: architecture.activation,
-            input: space(inputs),
+        Self {
+            members: weights.members.iter().map(layers).collect(),
+            activation,
+            input: space(widths[0]),
             front: space(widest),
             back: space(widest),
-        })
+        }
     }
 
     /// Writes the mean of the members' outputs.
@@ -326,22 +310,15 @@ enum Kind {
 }
 
 impl Evaluator {
-    /// Takes the weights of all members from `tensors`.
-    ///
-    /// # Errors
-    /// [`BuildError`] naming the tensor that is absent, has the wrong shape or is not finite.
-    pub fn load(
-        tensors: &mut Tensors,
-        architecture: &Architecture,
-        (inputs, outputs): (usize, usize),
-        is_double: bool,
-    ) -> Result<Self, BuildError> {
-        Ok(Self(match (is_double, architecture.mirror) {
-            (false, false) => Kind::Single(Mlp::load(tensors, architecture, inputs, outputs)?),
-            (false, true) => Kind::SinglePair(Mlp::load(tensors, architecture, inputs, outputs)?),
-            (true, false) => Kind::Double(Mlp::load(tensors, architecture, inputs, outputs)?),
-            (true, true) => Kind::DoublePair(Mlp::load(tensors, architecture, inputs, outputs)?),
-        }))
+    /// The networks of a card, in the precision of their sums.
+    pub fn new(card: &Card, weights: &Weights, is_double: bool) -> Self {
+        let (Architecture { activation, mirror, .. }, widths) = (&card.architecture, &card.widths());
+        Self(match (is_double, mirror) {
+            (false, false) => Kind::Single(Mlp::new(weights, *activation, widths)),
+            (false, true) => Kind::SinglePair(Mlp::new(weights, *activation, widths)),
+            (true, false) => Kind::Double(Mlp::new(weights, *activation, widths)),
+            (true, true) => Kind::DoublePair(Mlp::new(weights, *activation, widths)),
+        })
     }
 
     /// Writes the mean of the members' outputs for both samples; the second stays zero without mirroring.

@@ -14,7 +14,7 @@
 //! M105, M106 and M144 of `docs/model`.
 
 use super::observer::residual_share;
-use super::{Stage, Tick};
+use super::stage::{Stage, Tick};
 use crate::control::law::attitude::MomentumGains;
 use crate::control::law::limits::Limits;
 use crate::control::measurement::UsedMeasurement;

@@ -17,7 +17,7 @@ mod config;
 
 pub use config::{ChannelConfig, EstimatorConfig, LatencyConfig};
 
-use super::{Stage, Tick};
+use super::stage::{Stage, Tick};
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::control::command::Command;
 use crate::control::law::contact::WRENCH;

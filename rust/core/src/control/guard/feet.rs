@@ -1,7 +1,7 @@
 //! The stage that decides whether the feet carry load, and adds them to the momentum. Equation M114 of `docs/model`.
 
 use super::observer::ObserverState;
-use super::{Stage, Tick};
+use super::stage::{Stage, Tick};
 use crate::control::law::contact::add_wrenches;
 use crate::control::modes::Modes;
 use crate::control::state::ControllerState;

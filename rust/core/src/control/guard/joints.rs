@@ -14,7 +14,7 @@
 //! residual of the momentum.
 
 use super::channels::ChannelsState;
-use super::{Stage, Tick};
+use super::stage::{Stage, Tick};
 use crate::control::command::Command;
 use crate::control::law::limits::JointCondition;
 use crate::control::modes::Modes;

@@ -13,7 +13,7 @@
 //! Equations M164 and M165 of `docs/model`.
 
 use super::estimator::EstimatorConfig;
-use super::{Stage, Tick};
+use super::stage::{Stage, Tick};
 use crate::control::law::limits::JointCondition;
 use crate::control::modes::Modes;
 use crate::control::state::ControllerState;

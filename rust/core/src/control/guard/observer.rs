@@ -10,7 +10,7 @@
 //! the law is the same in flight and standing. `Δt` is the time between the two measurements. Inertial axes, about the
 //! centre of mass, force first. Equations M82 to M84 and M106 of `docs/model`.
 
-use super::{Stage, Tick};
+use super::stage::{Stage, Tick};
 use crate::control::terms::Terms;
 use crate::error::{BuildError, Table};
 use nalgebra::Vector6;

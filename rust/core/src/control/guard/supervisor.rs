@@ -8,7 +8,7 @@
 //! A flight strays if one of their lengths, or the speed of a joint, exceeds its limit for a confirmation time, whatever
 //! the cause is. Equations M148 and M149 of `docs/model`.
 
-use super::{Stage, Tick};
+use super::stage::{Stage, Tick};
 use crate::control::law::setpoint::Setpoint;
 use crate::control::modes::Modes;
 use crate::control::terms::Terms;

@@ -15,7 +15,7 @@
 //! Equations M94 and M110 of `docs/model`.
 
 use super::observer::{ObserverConfig, ObserverState, Sample};
-use super::{Stage, Tick};
+use super::stage::{Stage, Tick};
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::control::command::Command;
 use crate::control::law::contact::add_wrenches;

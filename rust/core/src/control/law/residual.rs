@@ -20,7 +20,7 @@ use crate::exponential::tanh_f64;
 use crate::robot::RobotModel;
 use crate::spatial::parts;
 use nalgebra::{DVector, Matrix3, Vector3, Vector6};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// Observer of the wrench that a policy sees.
 const OBSERVER: ObserverConfig =
@@ -44,7 +44,8 @@ pub struct Residual<'a> {
 }
 
 /// Three numbers that a policy observes, in base axes (M170).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Feature {
     /// Direction of gravity.
@@ -78,6 +79,7 @@ pub struct PolicyCard {
 
 /// What a policy observes.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct PolicyInputs {
     /// Features, in the order of the input vector.
@@ -88,6 +90,7 @@ pub struct PolicyInputs {
 
 /// What a policy acts on: every jet and joint of the robot.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct PolicyOutput {
     /// Jets, in the robot's order.
@@ -102,55 +105,97 @@ pub struct PolicyOutput {
 
 /// Layers of a policy.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct PolicyArchitecture {
     /// Number of hidden units.
     pub hidden: usize,
 }
 
+/// Weights of a policy, matrices by row.
+#[derive(Debug, Clone)]
+pub struct PolicyWeights {
+    /// `W₁`.
+    pub hidden: Vec<f32>,
+    /// `b₁`.
+    pub hidden_bias: Vec<f32>,
+    /// `W₂`.
+    pub output: Vec<f32>,
+    /// `W₃`.
+    pub direct: Vec<f32>,
+    /// `b₂`.
+    pub output_bias: Vec<f32>,
+}
+
 impl PolicyCard {
-    /// Checks that the card is consistent and matches `robot`.
+    /// Numbers of inputs, hidden units and actions.
+    #[must_use]
+    pub fn sizes(&self) -> [usize; 3] {
+        let PolicyOutput { jets, joints, .. } = &self.output;
+        [3 * self.inputs.features.len(), self.architecture.hidden, jets.len() + joints.len()]
+    }
+
+    /// Checks the card, then reads `tensors` as its weights: the card of another robot gives the clearer error.
+    /// `jets` and `joints` are the robot's.
     ///
     /// # Errors
-    /// [`BuildError`] naming the card, the key, its value and what was expected.
-    fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
-        let item = |key: &str| format!("`{key}` in {}", self.origin);
-        let refuse = |key: &str, value: String, expected: String| {
-            Err(BuildError::bad_value(item(key), value, expected))
+    /// [`BuildError`] naming the file, and key or tensor, its value and what was expected.
+    pub fn weights(
+        &self,
+        tensors: impl FnOnce() -> Result<Tensors, BuildError>,
+        jets: &[&str],
+        joints: &[&str],
+    ) -> Result<PolicyWeights, BuildError> {
+        self.check(jets, joints).map_err(|error| error.in_file(&self.origin))?;
+        let (mut tensors, [inputs, hidden, actions]) = (tensors()?, self.sizes());
+        let weights = PolicyWeights {
+            hidden: tensors.take("hidden.weight", &[hidden, inputs])?,
+            hidden_bias: tensors.take("hidden.bias", &[hidden])?,
+            output: tensors.take("output.weight", &[actions, hidden])?,
+            direct: tensors.take("direct.weight", &[actions, inputs])?,
+            output_bias: tensors.take("output.bias", &[actions])?,
         };
+        tensors.finish()?;
+        Ok(weights)
+    }
+
+    fn check(&self, robot_jets: &[&str], robot_joints: &[&str]) -> Result<(), BuildError> {
         let PolicyInputs { features, scale } = &self.inputs;
         for (index, feature) in features.iter().enumerate() {
             if features[..index].contains(feature) {
-                return refuse("inputs.features", format!("{feature:?} twice"), "each once".into());
+                return Err(BuildError::bad_entry(
+                    "inputs.features",
+                    format!("{feature:?} twice"),
+                    "each once",
+                ));
             }
         }
         if features.is_empty() {
-            return refuse("inputs.features", "empty".into(), "at least one".into());
+            return Err(BuildError::bad_entry("inputs.features", "empty", "at least one"));
         }
         if scale.len() != features.len() {
             let expected = format!("{}, one for each feature", features.len());
-            return refuse("inputs.scale", format!("{} numbers", scale.len()), expected);
+            return Err(BuildError::bad_entry("inputs.scale", format!("{} numbers", scale.len()), expected));
         }
         for factor in scale {
-            check(&item("inputs.scale"), *factor, |_| true, "finite numbers")?;
+            check("`inputs.scale`", *factor, |_| true, "finite numbers")?;
         }
         let PolicyOutput { jets, joints, thrust_rate, joint_velocity } = &self.output;
-        let of_robot = robot.joints.iter().map(|joint| joint.name.as_str()).collect::<Vec<_>>();
-        for (key, names, expected) in [
-            ("output.jets", jets, robot.jet_names().collect::<Vec<_>>()),
-            ("output.joints", joints, of_robot),
-        ] {
-            if *names != expected {
-                let expected = format!("{}, as of {}", expected.join(", "), robot.name);
-                return refuse(key, names.join(", "), expected);
+        for (key, names, expected) in
+            [("output.jets", jets, robot_jets), ("output.joints", joints, robot_joints)]
+        {
+            if names != expected {
+                let expected = format!("{}, as of the robot", expected.join(", "));
+                return Err(BuildError::bad_entry(key, names.join(", "), expected));
             }
         }
-        for (key, value) in [("output.thrust_rate", thrust_rate), ("output.joint_velocity", joint_velocity)] {
-            check(&item(key), *value, |x| x >= 0.0, "a number ≥ 0")?;
+        for (key, value) in [("thrust_rate", thrust_rate), ("joint_velocity", joint_velocity)] {
+            check(&format!("`output.{key}`"), *value, |x| x >= 0.0, "a number ≥ 0")?;
         }
         let hidden = self.architecture.hidden;
         if !(1..=MAX_HIDDEN).contains(&hidden) {
-            return refuse("architecture.hidden", hidden.to_string(), format!("1 to {MAX_HIDDEN} units"));
+            let expected = format!("1 to {MAX_HIDDEN} units");
+            return Err(BuildError::bad_entry("architecture.hidden", hidden, expected));
         }
         Ok(())
     }
@@ -189,24 +234,18 @@ impl Policy {
         tensors: impl FnOnce() -> Result<Tensors, BuildError>,
         robot: &RobotModel,
     ) -> Result<Self, BuildError> {
-        card.check(robot)?;
-        let mut tensors = tensors()?;
-        let PolicyCard { inputs: PolicyInputs { features, scale }, output, architecture, .. } = card;
-        let (hidden, inputs) = (architecture.hidden, 3 * features.len());
-        let actions = output.jets.len() + output.joints.len();
-        let first =
-            (tensors.take("hidden.weight", &[hidden, inputs])?, tensors.take("hidden.bias", &[hidden])?);
-        let second =
-            (tensors.take("output.weight", &[actions, hidden])?, tensors.take("output.bias", &[actions])?);
-        let direct = tensors.take("direct.weight", &[actions, inputs])?;
-        tensors.finish()?;
-        let rows = second.0.chunks_exact(hidden).zip(direct.chunks_exact(inputs));
+        let (jets, joints): (Vec<_>, Vec<_>) =
+            (robot.jet_names().collect(), robot.joints.iter().map(|joint| joint.name.as_str()).collect());
+        let weights = card.weights(tensors, &jets, &joints)?;
+        let [inputs, hidden, actions] = card.sizes();
+        let rows = weights.output.chunks_exact(hidden).zip(weights.direct.chunks_exact(inputs));
         let joined: Vec<f32> = rows.flat_map(|(units, inputs)| [units, inputs].concat()).collect();
+        let PolicyCard { inputs: PolicyInputs { features, scale }, output, .. } = card;
         let padded = |count: usize| [vec![0.0; count.next_multiple_of(8 * PANEL)]];
         Ok(Self {
             force: 0.1 * robot.jets.iter().map(|jet| jet.thrust_max).sum::<f64>(),
-            first: Layer::new::<PANEL>(&first.0, &first.1, inputs),
-            second: Layer::new::<PANEL>(&joined, &second.1, hidden + inputs),
+            first: Layer::new::<PANEL>(&weights.hidden, &weights.hidden_bias, inputs),
+            second: Layer::new::<PANEL>(&joined, &weights.output_bias, hidden + inputs),
             inputs: [vec![0.0; inputs]],
             units: padded(hidden),
             joined: [vec![0.0; hidden + inputs]],

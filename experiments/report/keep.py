@@ -1,0 +1,288 @@
+"""Keep the figures of finished results in `docs/results/`, with the pages that show them.
+
+`jax-aero report keep NAME` reads the sweep NAME, or any other result given by its folder below `results/`, such as
+`wind_observer/turbulence`, and writes NAME.json, NAME.md and, for a sweep, its picture. `--all` does so for everything
+that is kept, where its result is there; `--list` says how old each is.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import itertools
+import math
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from PIL import Image
+
+from experiments import Refused
+from experiments.report import claims, kept
+from experiments.report.findings import Finding
+from experiments.report.kept import ALL, Axis, Kept
+from experiments.report.results import Results
+from experiments.sweep import run, spec, table
+from experiments.sweep.claims import Claim
+from experiments.sweep.design import Design
+from experiments.sweep.spec import Spec
+from jax_aero import documents, places
+from jax_aero.cli import Parser, complete_with
+from jax_aero.command import exit_status
+from jax_aero.control.modes import MODES
+from jax_aero.files import find_damaged, read_json, write_bytes, write_text
+from jax_aero.parquet import read_table
+from paper_figs import style, sweeps
+from paper_figs.command import draw_sweep
+
+DIGITS = 5
+"""Significant digits of a kept number."""
+
+WIDTH, COLOURS = 1100, 256
+"""Of a kept picture: pixels, of which a page shows 760; with half of the colours, those of two lines become one."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Keep results; return the exit status."""
+    given = _parser().parse_args(arguments)
+
+    def work() -> None:
+        if not places.IS_CHECKOUT:
+            raise Refused("results are kept in docs/ of a checkout of the repository, and this is none")
+        if given.list:
+            for name in kept.names():
+                _say(kept.read(name))
+            return
+        for folder in _chosen(given):
+            document = of_folder(folder, given.named)
+            write_text(kept.FOLDER / f"{document.name}.json", kept.to_json(document))
+            if _is_drawn(document):
+                write_bytes(kept.FOLDER / f"{document.name}.webp", picture_of(folder))
+        kept.read.cache_clear()
+        for path, text in kept.pages().items():
+            write_text(path, text)
+
+    return exit_status(work)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser("report keep", __doc__)
+    named = parser.add_argument("names", nargs="*", metavar="NAME", help="a sweep, or a folder below results/")
+    complete_with(named, lambda: places.names("sweeps"))
+    parser.add_argument("--name", dest="named", metavar="NAME", help="name of the kept result")
+    parser.add_argument("--all", action="store_true", help="everything that is kept, where its result is there")
+    parser.add_argument("--list", action="store_true", help="list what is kept, and whether its configuration changed")
+    parser.add_argument("--results", type=Path, default=places.RESULTS, metavar="DIR", help="folder of results")
+    return parser
+
+
+def _chosen(given: argparse.Namespace) -> Iterator[Path]:
+    """Yield the folders of the results to keep."""
+    if given.named and len(given.names) != 1:
+        raise Refused(f"--name is {given.named} for {len(given.names)} results; expected one")
+    for name in given.names:
+        yield given.results / (name if "/" in name else f"sweeps/{name}")
+    for name in kept.names() if given.all else ():
+        folder = given.results / kept.read(name).result
+        if folder.is_dir():
+            yield folder
+        else:
+            print(f"{name} stays as it is: {os.path.relpath(folder)} is not there")
+
+
+MOST_LEVELS = 16
+"""Greatest number of levels that are drawn in rows."""
+
+
+def _say(document: Kept) -> None:
+    """Print when a result was made, and whether its sweep is another one by now."""
+    kind, _, name = document.result.partition("/")
+    is_shipped = kind == "sweeps" and name in places.names("sweeps")
+    changed = "configuration changed since" if is_shipped and Design(spec.load(name)).digest != document.digest else ""
+    print(f"  {document.name:<24}{document.created[:10]}  {changed}".rstrip())
+
+
+def of_folder(folder: Path, named: str | None = None) -> Kept:
+    """Return what is kept of a finished result, under its own name or another."""
+    if (folder / run.SWEEP_FILE).is_file():
+        return of_sweep(folder, named)
+    if not (folder / places.MANIFEST_FILE).is_file():
+        raise Refused(f"{os.path.relpath(folder)} holds no finished result")
+    document = read_json(folder / places.MANIFEST_FILE, documents.Manifest)
+    return Kept(
+        name=named or f"{folder.parent.name}_{folder.name}",
+        result=f"{folder.parent.name}/{folder.name}",
+        title=document["title"],
+        command=document["command"],
+        created=document["created"],
+        commit=_commit(document),
+        digest=document["config_digest"],
+        code=document["code_hash"],
+        config=document["config"],
+        summary=_shorten(document["summary"] | document.get("quality", {})),
+    )
+
+
+def _commit(document: Mapping[str, Any]) -> str | None:
+    """Return the commit whose code made a result; `None` if it was changed, or is unknown."""
+    git = document["git"] or {}
+    return None if git.get("dirty") else git.get("commit")
+
+
+def of_sweep(folder: Path, named: str | None = None) -> Kept:
+    """Return what is kept of a finished sweep: rows of flights, and the findings of its claims."""
+    document = read_json(folder / run.SWEEP_FILE, documents.FinishedSweep)
+    if name := find_damaged(folder, document["finished"]["files"]):
+        raise Refused(f"{os.path.relpath(folder / name)} is not what was written there; --overwrite flies it again")
+    asked = spec.load(folder.name) if folder.name in places.names("sweeps") else None
+    tabled = asked.tabled if asked else spec.Tabled()
+    is_paired, is_sampled = document["design"] == "pairs", asked is not None and asked.is_sampled
+    whole = [Axis(axis["name"], axis["label"], axis["unit"], axis["levels"]) for axis in document["axes"]]
+    second = [whole[1].name] if is_paired else []
+    axes = [axis for axis in whole if not is_sampled and axis.name not in (*tabled.pooled, *second)]
+    flights = read_table(folder / "table.parquet").to_pandas()
+    flights["onset"] = flights["cell"].map(_onsets(asked, document["config_hash"]))
+    flights = flights[flights["outcome"] != "error"]
+    rows = list(_rows(flights, axes, (whole[0].name, whole[1].name) if is_paired else None))
+    found = _findings(folder, asked.claim) if asked else {}
+    return Kept(
+        name=named or folder.name,
+        result=f"sweeps/{folder.name}",
+        title=document["title"],
+        about=document["description"],
+        command=f"jax-aero sweep {folder.name}",
+        created=document["finished"]["created"],
+        commit=_commit(document),
+        digest=document["config_hash"],
+        code=document["code_hash"],
+        seed=document["seed"],
+        each=_each(document),
+        axes=axes,
+        drawing=document["drawing"],
+        panels=document["panels"],
+        pooled=[axis.label for axis in whole if axis.name in tabled.pooled],
+        shows=list(tabled.shows),
+        outcomes=document["finished"]["outcomes"],
+        columns=[*(axis.name for axis in axes), *FIGURES],
+        rows=[[*levels, *_shorten(list(figures.values()))] for levels, figures in rows],
+        claims=found,
+        states={claim.key: claim.states for claim in asked.claim} if asked else {},
+    )
+
+
+def _is_drawn(document: Kept) -> bool:
+    """Return whether a picture adds to the table; that of many levels in rows repeats it."""
+    return bool(document.rows) and not (document.drawing == "levels" and len(document.axes[-1].levels) > MOST_LEVELS)
+
+
+def picture_of(folder: Path) -> bytes:
+    """Return the figure of a sweep, small enough to keep."""
+    style.use()
+    drawn, picture = io.BytesIO(), io.BytesIO()
+    draw_sweep(sweeps.load(folder.parent, folder.name)).savefig(drawn)
+    image = Image.open(drawn).convert("RGB")
+    size = (WIDTH, round(image.height * WIDTH / image.width))
+    image = image.resize(size, Image.Resampling.LANCZOS).quantize(COLOURS).convert("RGB")
+    image.save(picture, "WEBP", lossless=True, method=6)
+    return picture.getvalue()
+
+
+def _onsets(asked: Spec | None, digest: str) -> dict[int, float]:
+    """Return when the first failure of each cell begins [s]; nothing if the flights were of another configuration."""
+    design = Design(asked) if asked else None
+    if design is None or design.digest != digest:
+        return {}
+    return {cell: _onset(design.cell_config(cell)) for cell in range(len(design.cells))}
+
+
+def _onset(config: Mapping[str, Any]) -> float:
+    disturbances = config.get("disturbances", {})
+    failure = disturbances.get("jets", {}).get("failure")
+    begins = [fault["start"] for kind in ("outages", "joints", "pushes") for fault in disturbances.get(kind, ())]
+    return float(min([*begins, *([failure["time"]] if failure else [])], default=0.0))
+
+
+def _each(document: Mapping[str, Any]) -> str:
+    """Return how many flights a cell has, and whether they are perturbed."""
+    repeats = document["repeats"]
+    perturbed = "perturbed" if any(document["perturbation"].values()) else "unperturbed"
+    return f"{'one' if repeats == 1 else repeats} in each cell, {perturbed}"
+
+
+def _findings(folder: Path, asked: Sequence[Claim]) -> dict[str, Finding]:
+    results = Results(folder.parents[1])
+    return {claim.key: Finding(*claims.judge_claim(folder.name, claim, results)) for claim in asked}
+
+
+def _rows(
+    flights: pd.DataFrame, axes: Sequence[Axis], pair: tuple[str, str] | None
+) -> Iterator[tuple[list[Any], dict[str, Any]]]:
+    """Yield levels and figures of the flights for every combination of levels, each axis also pooled.
+
+    Of pairs, a level of the first axis has all flights in which it is one of the two.
+    """
+    either = flights
+    if pair is not None:
+        first, other = pair
+        either = pd.concat([flights, flights.assign(**{first: flights[other]})])
+    for levels in itertools.product(*([*axis.levels, ALL] for axis in axes)):
+        chosen = {axis.name: level for axis, level in zip(axes, levels, strict=True) if level != ALL}
+        mine = either if pair is not None and pair[0] in chosen else flights
+        for name, level in chosen.items():
+            mine = mine[mine[name] == level]
+        if len(mine):
+            yield list(levels), figures(mine)
+
+
+FIGURES: tuple[str, ...] = (
+    *("flights", "completed", "on_course", "off_course", "lost", "unwarned", "degraded"),
+    *("rotation_deg_median", "rotation_deg_high", "rotation_deg_worst", "com_cm_median", "com_cm_high", "com_cm_worst"),
+    *("found_s", "announced_s", "lost_s", "modes"),
+)
+"""Columns of the rows, beside the axes."""
+
+QUANTILES = {"median": 0.5, "high": 0.9, "worst": 1.0}
+
+
+def figures(flights: pd.DataFrame) -> dict[str, Any]:
+    """Return counts of flights, and quantiles of the errors of those that complete."""
+    outcome = flights["outcome"]
+    completed, lost = flights[outcome == "completed"], flights[outcome.isin(("fell", "diverged"))]
+    degraded = flights[flights["degraded_time"] > 0.0]
+    rotation, com = np.degrees(completed["max_rotation_error"]), 100.0 * completed["max_com_error"]
+    on_course = (rotation <= math.degrees(table.ON_COURSE_ROTATION)) & (com <= 100.0 * table.ON_COURSE_COM)
+    found: dict[str, Any] = {
+        "flights": len(flights),
+        "completed": len(completed),
+        "on_course": int(on_course.sum()),
+        "off_course": int((outcome == "off_course").sum()),
+        "lost": len(lost),
+        "unwarned": int((lost["warning_time"] < table.LEAST_WARNING).sum()),
+        "degraded": len(degraded),
+    }
+    for name, values in (("rotation_deg", rotation), ("com_cm", com)):
+        found |= {f"{name}_{quantile}": _quantile(values, share) for quantile, share in QUANTILES.items()}
+    bits = flights["all_modes"].fillna(0).to_numpy().astype(int)
+    return found | {
+        "found_s": _quantile(degraded["nominal_until"] - degraded["onset"], 0.5),
+        "announced_s": _quantile(lost["warning_time"], 0.5),
+        "lost_s": _quantile(lost["lost_time"], 0.5),
+        "modes": sum(bit for bit in MODES.values() if np.mean((bits & bit) > 0) >= 0.5),
+    }
+
+
+def _quantile(values: pd.Series, share: float) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(known.quantile(share)) if len(known) else None
+
+
+def _shorten(value: Any) -> Any:
+    """Return numbers with `DIGITS` significant digits."""
+    if isinstance(value, float):
+        return float(f"{value:.{DIGITS}g}")
+    if isinstance(value, Mapping):
+        return {key: _shorten(item) for key, item in value.items()}
+    return [_shorten(item) for item in value] if isinstance(value, list) else value

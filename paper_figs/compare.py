@@ -1,0 +1,83 @@
+"""Own flights beside each other: rotation error, position error, wind and every thrust, one colour per flight."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from paper_figs import panels, style
+from paper_figs.runs import NotDrawn, Run, Series
+
+LOOKS = (
+    (style.VERMILION, "-"),
+    (style.BLUE, "--"),
+    (style.GREEN, "-."),
+    (style.ORANGE, ":"),
+    (style.PURPLE, "-"),
+    (style.SKY, "--"),
+    (style.BLACK, "-."),
+    (style.GREY, ":"),
+)
+WIDTH = 4.4
+"""Narrow, so that the text is legible on a telephone [inches]."""
+
+
+def draw(*runs: Run) -> Figure:
+    """Draw up to eight flights; each jet that one of the robots has is a panel."""
+    if len(runs) > len(LOOKS):
+        raise NotDrawn(f"{len(runs)} flights; expected at most {len(LOOKS)}")
+    jets = list(dict.fromkeys(jet for run in runs for jet in run.data["jet"].values.tolist()))
+    heights = [1.25] * len(ERRORS) + [1.1] * -(-len(jets) // 2)
+    figure = style.figure(0.4 + 0.14 * len(runs) + sum(heights), WIDTH)
+    grid = figure.add_gridspec(len(heights), 2, height_ratios=heights)
+    for row, (label, of) in enumerate(ERRORS.items()):
+        axes = figure.add_subplot(grid[row, :], sharex=figure.axes[0] if row else None)
+        _lines(axes, runs, of)
+        axes.set_ylabel(label)
+        axes.set_ylim(bottom=0.0)
+    for place, jet in enumerate(jets):
+        row, column = divmod(place, 2)
+        axes = figure.add_subplot(grid[len(ERRORS) + row, column], sharex=figure.axes[0])
+        _lines(axes, runs, partial(_thrust, jet))
+        axes.set_title(panels.readable_name(jet))
+        axes.set_ylabel("" if column else "thrust [N]")
+    for axes in figure.axes:
+        axes.label_outer()
+    for axes in figure.axes[-2:]:
+        axes.set_xlabel("time [s]")
+    first = figure.axes[0]
+    first.set_xlim(0.0, max(float(run.data["time"][-1]) for run in runs))
+    figure.legend(*first.get_legend_handles_labels(), loc="outside upper left", fontsize=7)
+    return figure
+
+
+def _lines(axes: Axes, runs: Sequence[Run], of: Callable[[Run], Series | None]) -> None:
+    """Draw a quantity of every flight that has it; a lost flight ends with a cross."""
+    for run, (colour, dash) in zip(runs, LOOKS, strict=False):
+        values = of(run)
+        if values is None:
+            continue
+        ending = "" if run.lost_time is None else f", {run.ending}"
+        axes.plot(values["time"], values, dash, color=colour, label=f"{run.name}{ending}")
+        if run.lost_time is not None:
+            axes.plot(values["time"][-1], values[-1], "X", color=colour, markersize=5, clip_on=False)
+
+
+def _wind_speed(run: Run) -> Series:
+    return (run.log_to_loss["wind"] ** 2).sum("xyz") ** 0.5
+
+
+def _thrust(jet: str, run: Run) -> Series | None:
+    thrust = run.log_to_loss["thrust"]
+    return thrust.sel(jet=jet) if jet in thrust["jet"] else None
+
+
+ERRORS: Mapping[str, Callable[[Run], Series]] = {
+    "rotation error [deg]": Run.rotation_error_deg,
+    "CoM error [m]": Run.com_error,
+    "wind speed [m/s]": _wind_speed,
+}
+"""Panels above the thrusts."""

@@ -1,0 +1,123 @@
+//! What the controller is given of the simulated robot: sensors, errors of the measured wind, outages.
+//!
+//! ```text
+//! truth ──► sensors ──► outages ──► Measurement ──► controller
+//! wind ──► errors of the measured wind ──┘
+//! ```
+
+use crate::config::ScenarioConfig;
+use crate::disturbances::{Outages, Sample, WindEstimator};
+use crate::sensors::Sensors;
+use crate::wind::Wind;
+use flight_core::control::law::between::JointMeasurement;
+use flight_core::control::{Measurement, Preview};
+use flight_core::error::BuildError;
+use flight_core::kinematics::RobotState;
+use flight_core::robot::RobotModel;
+use nalgebra::{Vector3, Vector6};
+
+/// What stands between the simulated robot and its controller, and the measurement of a tick.
+#[derive(Debug)]
+pub struct Measuring {
+    /// Sensors of the robot's state; `None` if they are exact.
+    sensors: Option<Sensors>,
+    /// Wind that the controller receives in place of the simulated one.
+    controller_wind: Option<Wind>,
+    /// Errors of the measured wind; `None` without errors.
+    wind_estimator: Option<WindEstimator>,
+    outages: Outages,
+    /// Measurement of the tick.
+    sample: Sample,
+}
+
+impl Measuring {
+    /// Measures `robot` as configured; `wind` is the simulated one, `feet` the number of feet of the controller.
+    ///
+    /// # Errors
+    /// [`BuildError`] naming the invalid part of the configuration.
+    pub fn new(
+        config: &ScenarioConfig,
+        robot: &RobotModel,
+        wind: &Wind,
+        feet: usize,
+    ) -> Result<Self, BuildError> {
+        let (joints, jets) = (robot.joints.len(), robot.jets.len());
+        let (disturbances, simulator) = (&config.disturbances, &config.simulator);
+        let (time_step, n_ticks) = (simulator.time_step, simulator.n_ticks());
+        let controller_wind = disturbances.controller_wind.as_ref();
+        let controller_wind =
+            controller_wind.map(|wind| Wind::from_table(wind, "disturbances.controller_wind")).transpose()?;
+        let given = controller_wind.as_ref().unwrap_or(wind);
+        let estimator = |estimate| {
+            let times = (0..=n_ticks).map(|tick| tick as f64 * time_step);
+            let sum: Vector3<f64> = times.map(|time| given.velocity(time)).sum();
+            WindEstimator::new(estimate, time_step, sum / (n_ticks + 1) as f64)
+        };
+        let sensors = simulator.sensors.as_ref();
+        Ok(Self {
+            sensors: sensors.map(|sensors| Sensors::new(sensors, time_step, joints, jets)).transpose()?,
+            wind_estimator: disturbances.wind_estimate.as_ref().map(estimator).transpose()?,
+            controller_wind,
+            outages: Outages::new(&disturbances.outages, &robot.jets)?,
+            sample: Sample {
+                state: RobotState::zero(joints),
+                thrust: vec![0.0; jets],
+                wind: Vector3::zeros(),
+                foot_wrenches: vec![Vector6::zeros(); feet],
+            },
+        })
+    }
+
+    /// Measures a robot in this state, with these thrusts \[N\] and wrenches of the controller's feet \[N, N m\], in a wind
+    /// \[m/s\], at `time` \[s\]. Once per tick.
+    pub fn measure(
+        &mut self,
+        time: f64,
+        (state, thrust): (&RobotState, &[f64]),
+        foot_wrenches: impl IntoIterator<Item = (usize, Vector6<f64>)>,
+        wind: &Vector3<f64>,
+    ) {
+        for (foot, wrench) in foot_wrenches {
+            self.sample.foot_wrenches[foot] = wrench;
+        }
+        let given = self.controller_wind.as_ref().map_or(*wind, |wind| wind.velocity(time));
+        self.sample.wind = self.wind_estimator.as_mut().map_or(given, |estimator| estimator.update(&given));
+        let (seen, thrust) = self.sensors.as_mut().map_or((state, thrust), |sensors| {
+            let reading = sensors.read(state, thrust);
+            (&reading.state, &reading.thrust)
+        });
+        self.sample.state.copy_from(seen);
+        self.sample.thrust.copy_from_slice(thrust);
+        self.outages.spoil(time, &mut self.sample);
+    }
+
+    /// Measures the joints of a robot `after` the tick at `time` \[s\].
+    pub fn measure_joints(&mut self, time: f64, after: f64, robot: &RobotState) -> JointMeasurement<'_> {
+        let truth = (robot.joint_position.as_slice(), robot.joint_velocity());
+        let (position, velocity) =
+            self.sensors.as_mut().map_or(truth, |sensors| sensors.read_joints(robot, after));
+        let state = &mut self.sample.state;
+        state.joint_position.as_mut_slice().copy_from_slice(position);
+        state.velocity.as_mut_slice()[6..].copy_from_slice(velocity);
+        self.outages.spoil(time + after, &mut self.sample);
+        let state = &self.sample.state;
+        JointMeasurement { position: state.joint_position.as_slice(), velocity: state.joint_velocity() }
+    }
+
+    /// The measurement of the tick at `time` \[s\], with what is known of the wind ahead.
+    pub fn look_ahead(&mut self, time: f64, wind: &Wind) -> (Measurement<'_>, Preview<'_>) {
+        let ahead = self.sensors.as_mut().map_or(&[][..], |sensors| sensors.look_ahead(wind, time));
+        (self.sample.measurement(time), Preview { wind: ahead, ..Preview::default() })
+    }
+
+    /// The measurement of the tick.
+    #[must_use]
+    pub fn sample(&self) -> &Sample {
+        &self.sample
+    }
+
+    /// The same, to be changed.
+    pub fn sample_mut(&mut self) -> &mut Sample {
+        &mut self.sample
+    }
+}

@@ -1,0 +1,89 @@
+//! What of a configuration can be flown but is probably not meant: key, value and what was expected.
+
+use crate::config::ScenarioConfig;
+use crate::wind::Wind;
+use flight_core::error::BuildError;
+use flight_core::kinematics::Kinematics;
+use flight_core::robot::{JointKind, RobotModel};
+
+/// Depth below the ground that is rounding \[m\].
+const ROUNDING_OF_HEIGHTS: f64 = 0.01;
+
+/// Excess beyond a joint's stop that is rounding \[rad, m\].
+const ROUNDING_OF_JOINTS: f64 = 1e-6;
+
+/// Warnings of a configuration whose parts have been checked.
+pub(crate) fn warnings(config: &ScenarioConfig, robot: &RobotModel) -> Result<Vec<String>, BuildError> {
+    let found = [too_late(config), outside_stops(config, robot), below_ground(config, robot)];
+    Ok(found.into_iter().flatten().chain(too_strong(config)?).collect())
+}
+
+/// Failures that begin when the flight has ended.
+fn too_late(config: &ScenarioConfig) -> Vec<String> {
+    let disturbances = &config.disturbances;
+    let failure =
+        disturbances.jets.failure.iter().map(|failure| ("jets.failure.time".to_owned(), failure.time));
+    let joints = disturbances.joints.iter().enumerate();
+    let joints = joints.map(|(index, fault)| (format!("joints[{index}].start"), fault.start));
+    let outages = disturbances.outages.iter().enumerate();
+    let outages = outages.map(|(index, outage)| (format!("outages[{index}].start"), outage.start));
+    let pushes = disturbances.pushes.iter().enumerate();
+    let pushes = pushes.map(|(index, push)| (format!("pushes[{index}].start"), push.start));
+    let end = config.simulator.duration;
+    let late = failure.chain(joints).chain(outages).chain(pushes).filter(|(_, start)| *start >= end);
+    let warning = |(key, start)| {
+        format!("disturbances.{key} is {start} s; expected less than simulator.duration, {end} s, to see it")
+    };
+    late.map(warning).collect()
+}
+
+/// Joints that start beyond their stops.
+fn outside_stops(config: &ScenarioConfig, robot: &RobotModel) -> Vec<String> {
+    let joints = robot.joints.iter().zip(&config.simulator.initial.joint_position);
+    let beyond = joints.filter(|(joint, position)| {
+        joint.stops.0 - **position > ROUNDING_OF_JOINTS || **position - joint.stops.1 > ROUNDING_OF_JOINTS
+    });
+    let warning = |(joint, position): (&flight_core::robot::Joint, &f64)| {
+        let unit = if joint.kind == JointKind::Revolute { "rad" } else { "m" };
+        let (name, (lower, upper)) = (&joint.name, joint.stops);
+        format!(
+            "simulator.initial.joint_position of `{name}` is {position} {unit}; expected {lower:.4} to {upper:.4} {unit}, \
+             within its stops"
+        )
+    };
+    beyond.map(warning).collect()
+}
+
+/// The lowest of the base and the soles, if it starts below the ground, which is at height zero.
+fn below_ground(config: &ScenarioConfig, robot: &RobotModel) -> Vec<String> {
+    let state = config.simulator.initial.state();
+    let mut kinematics = Kinematics::new(robot);
+    kinematics.update(robot, &state);
+    let soles = robot.soles.iter().flat_map(|sole| {
+        let pose = kinematics.bodies[sole.frame.body].i_from_b * sole.frame.body_from_frame;
+        let height = move |vertex| pose.transform_point(vertex).z;
+        sole.vertices_f.iter().map(height).map(|height| (format!("foot `{}`", sole.name), height))
+    });
+    let base = ("the base".to_owned(), state.base.position.z);
+    let lowest = soles.chain([base]).min_by(|a, b| a.1.total_cmp(&b.1));
+    let warning = |(what, height): (String, f64)| {
+        let place = format!("simulator.initial.base_position puts {what} at a height of {height:.3} m");
+        format!("{place}; expected 0 or more: the ground is at 0")
+    };
+    lowest.filter(|(_, height)| *height < -ROUNDING_OF_HEIGHTS).map(warning).into_iter().collect()
+}
+
+/// A wind in which every flight diverges.
+fn too_strong(config: &ScenarioConfig) -> Result<Option<String>, BuildError> {
+    let (wind, limit, step) =
+        (Wind::new(&config.wind)?, config.simulator.divergence.speed, config.simulator.time_step);
+    let speed = |tick| wind.velocity(f64::from(tick) * step).norm();
+    let ticks = u32::try_from(config.simulator.n_ticks()).unwrap_or(u32::MAX);
+    let greatest = (0..=ticks).map(speed).fold(0.0, f64::max);
+    Ok((greatest > limit).then(|| {
+        format!(
+            "wind reaches {greatest:.0} m/s; expected at most simulator.divergence.speed, {limit} m/s, above which a flight \
+             ends as diverged"
+        )
+    }))
+}

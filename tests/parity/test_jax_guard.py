@@ -1,0 +1,107 @@
+"""The crate with its whole guard flies as JAX without one while nothing fails, and as itself without one.
+
+What the guard is there to answer, JAX refuses.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from jax_aero import rust, sim
+from jax_aero.io import scenario_config
+from jax_aero.verify import GUARD_SIGNALS, Comparison, verify_flight
+
+EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
+DETECTORS = ("channels", "engines", "joints", "latency_monitor", "supervisor")
+
+
+def healthy():
+    """Flights of controllers with an observer, an estimator or a predictive law, in which nothing fails."""
+    for path in sorted(EXPERIMENTS.glob("*.toml")):
+        table = rust.load_config(path)
+        controller, jets = table["controller"], table["disturbances"]["jets"]
+        watches = any(controller.get(name) for name in ("observer", "estimator", "mpc"))
+        if watches and table.get("engine") != "mujoco" and "failure" not in jets:
+            yield path.stem
+
+
+HEALTHY = tuple(healthy())
+
+
+def test_flights_of_every_kind_are_healthy():
+    assert {"test1_observer", "test2_sensors", "test2_sensors_mpc", "robustness_mpc", "mk3_min_jerk_mpc"} < {*HEALTHY}
+
+
+@pytest.mark.parametrize("name", HEALTHY)
+def test_the_guard_does_nothing_while_nothing_fails(name):
+    """To the last bit."""
+    table = rust.load_config(name)
+    if table["controller"].get("mpc"):
+        table["simulator"]["duration"] = 12.0  # until the mission has begun
+    without = {key: value for key, value in table["controller"].items() if key not in DETECTORS}
+    guarded, free = rust.fly(table), rust.fly(table | {"controller": without})
+    assert not guarded["degraded_modes"].any()
+    for signal in guarded.log.keys() - set(GUARD_SIGNALS):
+        np.testing.assert_array_equal(guarded[signal], free[signal], err_msg=signal)
+
+
+@pytest.mark.parametrize("name", HEALTHY)
+def test_jax_flies_as_the_guarded_crate(name, measured, monkeypatch):
+    """Into a wind that rises at once. Encoders are exact, since their steps multiply rounding; networks are double."""
+    table = rust.load_config(name)
+    duration = 0.3 if table["controller"].get("mpc") else 1.5
+    table["wind"] |= {"ramp_start": 0.0, "ramp_end": 0.5 * duration}
+    simulator = table["simulator"]
+    simulator["duration"] = duration
+    for model in (simulator["aero"], table["controller"]["aero"]):
+        if model["model"] == "network":
+            model["precision"] = "f64"
+    if simulator.get("sensors"):
+        simulator["sensors"]["joints"]["resolution"] = 0.0
+    monkeypatch.setattr(sys.modules[sim.fly.__module__], "CHUNK", 1 + round(duration / simulator["time_step"]))
+    comparison = Comparison()
+    expected, _ = verify_flight(table, comparison)
+    assert not expected["degraded_modes"].any()
+    for row in comparison.rows:
+        scale = max(1.0, row.scale)
+        measured(row.quantity, row.absolute / scale, 1e-9, because="rounding, which a predictive law of Mk3 multiplies")
+
+
+REFUSED = {
+    "disturbances.outages": [{"channel": "wind", "start": 1.0, "kind": "missing"}],
+    "disturbances.joints": [{"joint": "l_elbow", "kind": "stuck", "start": 1.0}],
+    "disturbances.jets.failure": {"jet": "l_arm_jet", "time": 1.0, "kind": "off"},
+    "disturbances.jets.thrust_limit_scale": 0.7,
+    "controller.torque.steps": 5,
+}
+
+
+@pytest.mark.parametrize("key", REFUSED)
+def test_what_the_crate_alone_flies_is_refused(key):
+    table = rust.load_config("test2_observer", {key: REFUSED[key], "simulator.substeps": 5})
+    with pytest.raises(ValueError, match=rf"`{key}` is .*; expected .*; the crate flies it \(`engine = \"rust\"`\)"):
+        sim.prepare(table, dtype=np.float32)
+
+
+@pytest.mark.parametrize("key", ["fuel", "motors"])
+def test_what_this_engine_has_not_is_refused(key):
+    config = scenario_config(rust.load_config("test2"))
+    simulator = msgspec.structs.replace(config.simulator, **{key: object()})
+    with pytest.raises(ValueError, match=rf"`simulator\.{key}` is given; expected none"):
+        sim.prepare(msgspec.structs.replace(config, simulator=simulator), dtype=np.float32)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"disturbances.jets.failure": REFUSED["disturbances.jets.failure"], "controller.engines": False},
+        {"disturbances.jets": {"thrust_limit_scale": 0.7, "limit_is_known": True}},
+    ],
+)
+def test_what_no_monitor_would_find_is_flown(changes):
+    sim.prepare(rust.load_config("test2_observer", changes), dtype=np.float32)
