@@ -1,5 +1,6 @@
 """Committed files that follow from others are up to date, and numbers in pages of results are those of the results."""
 
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -29,3 +30,15 @@ def test_numbers_of_a_page_of_results_are_tied_to_them(page):
 
 def test_a_picture_is_that_of_a_kept_result():
     assert {path.stem for path in kept.FOLDER.glob("*.webp")} <= set(kept.names())
+
+
+def git(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.skipif(git("rev-parse", "--is-shallow-repository").stdout != "false\n", reason="no history of commits")
+def test_a_kept_result_names_a_commit_that_a_clone_has():
+    for name in kept.names():
+        commit = kept.read(name).commit
+        assert commit is not None
+        assert git("merge-base", "--is-ancestor", commit, "HEAD").returncode == 0, name

@@ -49,7 +49,7 @@ def probe(missing):
 def probe_documents():
     from tests.project import test_docs
 
-    for page in test_docs.WRITTEN:
+    for page in test_docs.PAGES:
         test_docs.test_shown_commands_name_what_exists(page)
         test_docs.test_links_of_a_page_lead_to_files_or_generated_pages(page)
     test_docs.test_links_of_generated_pages_lead_to_pages_and_pictures()
