@@ -29,7 +29,7 @@ def run(
 ) -> dict[str, Any]:
     """Fly one configuration and write its folder, unless it is already there; return the manifest.
 
-    Warnings about the configuration are stored in the manifest.
+    Warnings about the configuration and the files of its robot are stored in the manifest.
     """
     if out:
         name = named or path.stem
@@ -39,6 +39,7 @@ def run(
         with warnings.catch_warnings(record=True) as raised:
             warnings.simplefilter("always")
             config = rust.load_config(path, changes)
+            robot = rust.Robot(config["robot"])
     except ValueError as reason:
         raise Refused(f"{path.stem}: {reason}") from None
     warned = [str(warning.message) for warning in raised]
@@ -69,16 +70,20 @@ def run(
             lost_time=flight.lost_time,
             lost_reason=flight.lost_reason,
             overrides=manifest.make_portable(changes),
-            warnings=warned or None,
+            warnings=[_portable_warning(text) for text in warned] or None,
             seed=dict(manifest.seeds(config)) or None,
             wall_time_s=round(time.perf_counter() - started, 3),
         )
-        dataset = record.to_dataset(
-            flight, rust.Robot(config["robot"]), title=document["title"], config_digest=digest, engine=engine
-        )
+        dataset = record.to_dataset(flight, robot, title=document["title"], config_digest=digest, engine=engine)
         record.write_run(folder, dataset, document, replace=overwrite)
     print(os.path.relpath(folder / places.RUN_FILE))
     return document
+
+
+def _portable_warning(text: str) -> str:
+    """Return a warning that may begin with a file, without the place of that file on this machine."""
+    file, separator, words = text.partition(": ")
+    return f"{manifest.make_portable(file)}{separator}{words}"
 
 
 def _fly(config: rust.Config, name: str) -> rust.FlightResult:

@@ -11,7 +11,7 @@ from experiments import flight as runner
 from experiments import manifest
 from experiments.fly import main
 from experiments.table import outcome_table
-from jax_aero import cli, places, rust
+from jax_aero import cli, command, places, rust
 from jax_aero.result import ending
 
 
@@ -74,6 +74,24 @@ def test_what_is_probably_not_meant_is_warned_of_and_stored(flown, tmp_path):
         stored = json.loads((tmp_path / str(pitch) / "test2" / "manifest.json").read_text())["warnings"] or []
         assert len(stored) == count
         assert [str(warning.message) for warning in raised] == stored
+
+
+def test_what_a_flight_does_not_use_of_a_urdf_is_named_once(flown, tmp_path, monkeypatch):
+    monkeypatch.setattr(command, "_WARNED", set())
+    for file in (places.ROBOT, places.ROBOT.with_suffix(".urdf")):
+        text = file.read_text()
+        (tmp_path / file.name).write_text(text.replace("<limit ", '<dynamics friction="2" damping="5"/><limit ', 1))
+    own = ["--set", f"robot={tmp_path / places.ROBOT.name}", "--out", str(tmp_path)]
+    with warnings.catch_warnings(record=True) as raised:
+        warnings.simplefilter("always")
+        assert main(["test1", "test2", *own]) == 0
+    printed = [warnings.formatwarning(warning.message, UserWarning, "", 0) for warning in raised]
+    (line,) = "".join(printed).splitlines()
+    words = "<dynamics> of joint `torso_pitch` is not used: friction up to 2, damping up to 5; a flight has both in "
+    assert line.startswith(f"warning: {tmp_path / 'ironcub_mk1.urdf'}: {words}")
+    for name in ("test1", "test2"):
+        (stored,) = json.loads((tmp_path / name / "manifest.json").read_text())["warnings"]
+        assert stored.startswith(f"(outside the repository)/ironcub_mk1.urdf: {words}")
 
 
 def test_an_equal_result_is_kept_and_another_one_protected(flown, tmp_path, capsys):

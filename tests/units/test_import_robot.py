@@ -325,7 +325,7 @@ def test_what_of_a_urdf_is_not_used_is_printed(tmp_path):
     warned, result = imported(urdf, tmp_path / "out")
     assert result.unused == {"dynamics": 1, "gazebo": 2, "transmission": 1}
     assert len(warned) == 1
-    assert "<dynamics> of joint `hinge` is not used" in warned[0]
+    assert "<dynamics> of joint `hinge` is not used: friction up to 2, damping up to 5; a flight has" in warned[0]
     assert "simulator.motors" in warned[0]
     trim = SimpleNamespace(message="found", residual=np.zeros(6), margin=0.1, thrust=np.ones(1))
     said = flight.report(dataclasses.replace(result, trim=trim))
