@@ -44,7 +44,9 @@ def to_dataset(
         if is_repeated(name, values):
             continue
         attributes = {"units": signal.unit, "long_name": signal.meaning}
-        variables[name] = (signal.dims, values[name].astype("i4" if signal.is_integer else "f8"), attributes)
+        # No integer stands for an unknown one, such as those of a tick that no controller has answered.
+        kind = "i4" if signal.is_integer and np.isfinite(values[name]).all() else "f8"
+        variables[name] = (signal.dims, values[name].astype(kind), attributes)
     if undeclared := values.keys() - declared.keys():
         raise ValueError(f"the crate declares no signal {', '.join(sorted(undeclared))}")
     facts: dict[str, str | float] = {

@@ -48,6 +48,17 @@ def test_a_file_has_what_the_crate_declares(dataset):
         assert np.issubdtype(variable.dtype, np.integer) == signal.is_integer, name
 
 
+def test_an_integer_that_is_unknown_stays_so(make_flight, robot, tmp_path):
+    """The last tick of a flight that diverges has no answer of a controller where JAX flies."""
+    flight = make_flight()
+    modes = np.append(flight["degraded_modes"][:-1], np.nan)
+    flight = dataclasses.replace(flight, log={**flight.log, "degraded_modes": modes})
+    record.write_dataset(record.to_dataset(flight, robot, title="made up", config_digest=""), tmp_path / "run.nc")
+    with xr.open_dataset(tmp_path / "run.nc", engine="h5netcdf") as stored:
+        np.testing.assert_array_equal(stored["degraded_modes"].values, modes)
+        assert stored["qp_status"].dtype == np.int32
+
+
 def test_every_signal_has_unit_meaning_and_named_dimensions(dataset):
     assert set(dataset.dims) == {"time", "xyz", "base_axis", "wxyz", "rpy", "six", "joint", "jet", "link", "qp"}
     assert set(dataset.dims) <= set(dataset.coords)
