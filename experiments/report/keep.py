@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from PIL import Image
 
 from experiments import Refused
 from experiments.report import claims, kept
@@ -32,8 +31,8 @@ from experiments.sweep.spec import Spec
 from jax_aero import documents, places
 from jax_aero.cli import Parser, complete_with
 from jax_aero.command import exit_status
-from jax_aero.control.modes import MODES
 from jax_aero.files import find_damaged, read_json, write_bytes, write_text
+from jax_aero.modes import MODES
 from jax_aero.parquet import read_table
 from paper_figs import style, sweeps
 from paper_figs.command import draw_sweep
@@ -180,6 +179,8 @@ def _is_drawn(document: Kept) -> bool:
 
 def picture_of(folder: Path) -> bytes:
     """Return the figure of a sweep, small enough to keep."""
+    from PIL import Image
+
     style.use()
     drawn, picture = io.BytesIO(), io.BytesIO()
     draw_sweep(sweeps.load(folder.parent, folder.name)).savefig(drawn)

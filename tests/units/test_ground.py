@@ -11,7 +11,7 @@ import xarray as xr
 from experiments import Refused, engines, record
 from experiments.report import ground
 from jax_aero import rust
-from jax_aero.control.modes import MODES
+from jax_aero.modes import MODES
 from jax_aero.mujoco_ground import GroundPlant, begin, fly
 from paper_figs.command import main as draw
 

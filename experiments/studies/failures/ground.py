@@ -9,7 +9,7 @@ import numpy as np
 
 from experiments.studies.failures.flights import ARMS, CHEST, Row
 from jax_aero import mujoco_ground, rust
-from jax_aero.control.modes import MODES
+from jax_aero.modes import MODES
 
 DURATION = 24.0
 """Duration of a flight [s]."""

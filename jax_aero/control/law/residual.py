@@ -20,10 +20,10 @@ from jax_aero.control.command import DEGRADED, MOMENTUM_HELD, NOMINAL
 from jax_aero.control.guard import observer
 from jax_aero.control.guard.observer import ObserverGains
 from jax_aero.control.law.rates import Rates
-from jax_aero.control.modes import MODES
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model
 from jax_aero.features import aim_of, features
+from jax_aero.modes import MODES
 from jax_aero.robot import RobotModel
 from jax_aero.types import Array, Setpoint, State, Static, pytree, where
 
