@@ -788,7 +788,8 @@ def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None =
     Parameters
     ----------
     path
-        The name of an experiment, such as `test2`, or the path of a TOML file.
+        The name of an experiment, such as `test2`, or the path of a TOML file. A file anywhere reads as if it stood in
+        `configs/experiments`: `base = "test2"`, and every path in it, means a file beside it, or else one from there.
     overrides
         Values by dotted key, such as `{"wind.velocity": [0, -12, 0]}`; arrays and paths are also accepted. Paths start
         at the current folder, and `false` removes what may be absent.

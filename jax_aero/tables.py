@@ -70,13 +70,14 @@ class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 def read(path: Path) -> dict[str, Any]:
-    """Read a TOML file, without a check of its keys."""
+    """Read a TOML file, without a check of its keys, which have the order of the file."""
     return rust.read_toml(path)
 
 
 def load(path: Path, kind: type[T], changes: Mapping[str, Any] | None = None) -> T:
     """Read a file into its type, with some dotted keys replaced as by `rust.load_config`."""
-    return _typed(rust.read_table(path, schema(kind), changes or {}), kind, str(path))
+    table = rust.read_table(path, schema(kind), changes or {})
+    return _typed(_in_order_of(read(path), table), kind, str(path))
 
 
 def convert(table: Mapping[str, Any], kind: type[T], origin: str, folder: Path = Path()) -> T:
@@ -85,7 +86,7 @@ def convert(table: Mapping[str, Any], kind: type[T], origin: str, folder: Path =
         plain = rust.check_table(table, schema(kind), folder)
     except ConfigError as refusal:
         raise refusal.in_file(origin) from None
-    return _typed(plain, kind, origin)
+    return _typed(_in_order_of(table, plain), kind, origin)
 
 
 def files(config: Any) -> Iterator[Path]:
@@ -110,6 +111,17 @@ def schema(kind: Any) -> dict[str, Any]:
     return msgspec.json.schema(kind, schema_hook=lambda _: {"type": "string", "format": "path"})
 
 
+def _in_order_of(written: Any, plain: Any) -> Any:
+    """Return a checked value, whose keys the crate sorts, with its keys in the order in which they were written."""
+    if isinstance(plain, dict) and isinstance(written, Mapping):
+        return {
+            key: _in_order_of(written.get(key), plain[key]) for key in dict.fromkeys((*written, *plain)) if key in plain
+        }
+    if isinstance(plain, list) and isinstance(written, list | tuple) and len(plain) == len(written):
+        return [_in_order_of(*pair) for pair in zip(written, plain, strict=True)]
+    return plain
+
+
 def _typed(plain: Mapping[str, Any], kind: type[T], origin: str) -> T:
     """Return a table that matches the schema as its type, whose own checks may refuse it."""
     try:
@@ -124,7 +136,10 @@ def _build(value: Any, kind: inspect.Type, key: str) -> Any:
     match kind:
         case inspect.UnionType():
             others = [one for one in kind.types if not isinstance(one, inspect.NoneType)]
-            return _build(value, others[0], key) if len(others) == 1 else value
+            if len(others) == 1:
+                return _build(value, others[0], key)
+            is_number = isinstance(value, int) and any(isinstance(one, inspect.FloatType) for one in others)
+            return float(value) if is_number else value
         case inspect.StructType():
             types = {field.name: field.type for field in kind.fields}
             named = zip(types, value, strict=True) if kind.array_like else value.items()

@@ -209,6 +209,18 @@ def test_a_configuration_is_found_by_name_and_by_path():
         rust.load_config("tset2")
 
 
+def test_a_file_anywhere_has_a_shipped_flight_as_its_base(tmp_path):
+    own = tmp_path / "own.toml"
+    own.write_text('base = "test2"\nwind = { base = "../wind/still.toml" }\n')
+    assert rust.load_config(own) == rust.load_config("test2", {"wind": rust.load_config("no_wind")["wind"]})
+    own.write_text('base = "tset2"\n')
+    places_tried = f"there is no {tmp_path}/tset2.toml, and no {ROOT}/configs/experiments/tset2.toml"
+    with pytest.raises(
+        ValueError, match=f'`base` is "tset2.toml"; expected the path of a file that exists; {places_tried}'
+    ):
+        rust.load_config(own)
+
+
 @pytest.mark.parametrize("is_clone", [True, False])
 def test_results_go_to_the_clone_or_without_one_to_the_current_folder(is_clone, tmp_path, monkeypatch, capsys):
     for folder in ("here", "library/jax_aero", "clone/jax_aero", "clone/configs", "clone/rust"):
@@ -224,7 +236,7 @@ def test_results_go_to_the_clone_or_without_one_to_the_current_folder(is_clone, 
     assert tmp_path / ("clone/results" if is_clone else "here/results") == module.RESULTS
     cli.main(["help"])
     rule = (
-        "Results go to results/ of the clone, wherever the command is called, or without a clone of the current folder"
+        "Results go to results/ of the clone, wherever a command is called, or without a clone of the current folder;"
     )
     assert rule in capsys.readouterr().out
 

@@ -237,7 +237,7 @@ def test_a_lock_that_says_nothing_is_taken_over(tmp_path):
         assert json.loads((tmp_path / ".mine.lock").read_text())["pid"] == os.getpid()
 
 
-@pytest.mark.parametrize("depth", [MAX_DEPTH, 10**5])
+@pytest.mark.parametrize("depth", [100, 10**5])
 def test_a_deep_configuration_is_named(depth, tmp_path):
     path = tmp_path / "deep.toml"
     path.write_text(f"a = {'[' * depth}{']' * depth}")

@@ -280,7 +280,7 @@ def level_axis(name, count):
             r"`axis` is \[1000,1000.*; expected numbers of levels that make at most 100000 cells",
         ),
         ({"axis": [range_axis(number, 2) for number in range(101)]}, "`axis` is .*; expected a list of 1 to 100"),
-        ({"axis": [level_axis("x", 1001)]}, r"`axis\[0\]\.level` is .*; expected a list of 0 to 1000"),
+        ({"axis": [level_axis("x", 1001)]}, r"`axis\[0\]\.level` is .*; expected a list of at most 1000"),
         (
             {"axis": [level_axis(name, 1000) for name in "xy"]},
             r"`axis` is \[1000,1000.*; expected numbers of levels that make at most 100000 cells",

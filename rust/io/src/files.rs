@@ -46,6 +46,11 @@ pub fn read_text(path: &Path) -> Result<String, BuildError> {
         .map_err(|error| BuildError::malformed(path.display().to_string(), error))
 }
 
+/// Whether a path leads to anything.
+pub(crate) fn exists(path: &Path) -> bool {
+    find_held(path).is_some() || path.exists()
+}
+
 /// Canonical path, which identifies a file wherever it is named.
 ///
 /// # Errors

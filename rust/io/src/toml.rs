@@ -1,9 +1,12 @@
 //! Resolves a TOML file and its base files to one table.
 //!
 //! A table may name another file as its `base`: that file's table is read first, and the keys beside
-//! `base` are laid over it, table by table. A key that may be absent is removed by `false`. Paths start at the file
-//! that names them. In a table whose keys are names of the robot's parts, `base` is such a name unless its value is a
-//! text; in one that has a key `base` of its own, it is that.
+//! `base` are laid over it, table by table. A key that may be absent is removed by `false`. In a table whose keys are
+//! names of the robot's parts, `base` is such a name unless its value is a text; in one that has a key `base` of its own,
+//! it is that.
+//!
+//! Paths start at the file that names them. Where that leads nowhere, they start at the folder of the shipped files of this
+//! kind, if the program has one: a file reads there as if it stood among them. `base = "test2"` is `test2.toml`.
 //!
 //! ```toml
 //! controller = { base = "../control/observer.toml", momentum = { c0 = 60.0 }, engines = false }
@@ -11,14 +14,19 @@
 //!
 //! A program changes a resolved table by [`set_keys`], under the same rules.
 
-use crate::files::{absolute_path, read_text};
+mod order;
+
+use crate::files::{absolute_path, exists, read_text};
 use crate::schema::{Node, Schema, join, refusal, shorten};
 use flight_core::BuildError;
 use schemars::JsonSchema;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value, json};
-use std::path::Path;
+use std::borrow::Cow;
+use std::path::{Path, PathBuf};
+
+pub use order::to_json;
 
 /// Greatest depth of references between `base` files.
 const MAX_DEPTH: usize = 16;
@@ -33,17 +41,20 @@ pub fn load<T: DeserializeOwned + JsonSchema>(path: &Path) -> Result<T, BuildErr
     from_value(resolve(path, &Schema::of_type::<T>())?, &path.display().to_string())
 }
 
-/// As [`load`], after setting `changes` of dotted keys, which [`set_keys`] describes; `check` checks the whole.
+/// As [`load`], with the folder of the `shipped` files of this kind, after setting `changes` of dotted keys, which
+/// [`set_keys`] describes; `check` checks the whole.
 ///
 /// # Errors
 /// As [`load`], or naming the keys that cannot be set.
 pub fn load_changed<T: Serialize + DeserializeOwned + JsonSchema>(
     path: &Path,
+    shipped: Option<&Path>,
     changes: &[(String, Value)],
     mut check: impl FnMut(&T) -> Result<(), BuildError>,
 ) -> Result<T, BuildError> {
     let checked = |table| typed(table).and_then(|config| check(&config).map(|()| config));
-    changed(path, changes, &Schema::of_type::<T>(), checked)
+    let schema = Schema::of_type::<T>();
+    changed(path, resolve_beside(path, shipped, &schema)?, changes, &schema, checked)
 }
 
 /// As [`load_changed`], for a table whose type only its schema states.
@@ -51,16 +62,18 @@ pub fn load_changed<T: Serialize + DeserializeOwned + JsonSchema>(
 /// # Errors
 /// As [`load_changed`].
 pub fn load_by(path: &Path, changes: &[(String, Value)], schema: &Schema) -> Result<Value, BuildError> {
-    changed(path, changes, schema, |table| schema.check(&table).map(|()| table))
+    let table = resolve(path, schema)?;
+    changed(path, table, changes, schema, |table| schema.check(&table).map(|()| table))
 }
 
+/// The `table` that was read from a file, with changes.
 fn changed<T: Serialize>(
     path: &Path,
+    table: Value,
     changes: &[(String, Value)],
     schema: &Schema,
     mut checked: impl FnMut(Value) -> Result<T, BuildError>,
 ) -> Result<T, BuildError> {
-    let table = resolve(path, schema)?;
     let of_file = |error: BuildError| error.in_file(path.display());
     let mut changed = |changes: &[(String, Value)]| {
         set_keys(table.clone(), changes.iter().cloned(), Path::new(""), schema).and_then(&mut checked)
@@ -179,8 +192,16 @@ pub fn from_json<T: DeserializeOwned + JsonSchema>(text: &str, origin: &str) -> 
 /// [`BuildError`] naming `origin`, and the line or the key.
 pub fn parse(text: &str, origin: &str) -> Result<Map<String, Value>, BuildError> {
     let table: ::toml::Table =
-        ::toml::from_str(text).map_err(|error| BuildError::malformed(origin, error))?;
+        ::toml::from_str(text).map_err(|error| BuildError::malformed(origin, in_one_line(&error, text)))?;
     json_table(table, "").map_err(|error| error.in_file(origin))
+}
+
+/// A parser's error, with its place, without the line of the text, which may be long.
+fn in_one_line(error: &::toml::de::Error, text: &str) -> String {
+    let before = error.span().and_then(|span| text.get(..span.start)).unwrap_or_default();
+    let (line, column) =
+        (before.split('\n').count(), before.chars().rev().take_while(|c| *c != '\n').count() + 1);
+    format!("no TOML at line {line}, column {column}: {}", error.message().replace('\n', ", "))
 }
 
 fn json_table(table: ::toml::Table, key: &str) -> Result<Map<String, Value>, BuildError> {
@@ -213,9 +234,16 @@ fn json(value: ::toml::Value, key: &str) -> Result<Value, BuildError> {
 /// Reads a TOML file and resolves every `base` and path in it, as declared by a schema. Keys are not checked.
 ///
 /// # Errors
-/// [`BuildError`] naming the file that cannot be read or parsed, or that refers to itself.
+/// [`BuildError`] naming the file that cannot be read or parsed, or that refers to itself, or the key whose file is not
+/// there.
 pub fn resolve(path: &Path, schema: &Schema) -> Result<Value, BuildError> {
-    Reader { files: 0 }.read(path, Some(schema.root()), 0).map(|table| without_absent(table, schema))
+    resolve_beside(path, None, schema)
+}
+
+/// As [`resolve`], with the folder of the `shipped` files of this kind.
+fn resolve_beside(path: &Path, shipped: Option<&Path>, schema: &Schema) -> Result<Value, BuildError> {
+    let table = Reader { files: 0, shipped }.read(path, Some(schema.root()), "", 0);
+    table.map(|table| without_absent(table, schema))
 }
 
 /// As [`resolve`], for a table that is not in a file; its paths start at `folder`.
@@ -223,7 +251,7 @@ pub fn resolve(path: &Path, schema: &Schema) -> Result<Value, BuildError> {
 /// # Errors
 /// As [`resolve`].
 pub fn resolve_table(table: Map<String, Value>, folder: &Path, schema: &Schema) -> Result<Value, BuildError> {
-    let resolved = Reader { files: 0 }.resolve_table(table, Some(schema.root()), folder, 0);
+    let resolved = Reader::default().resolve_table(table, Some(schema.root()), "", folder, 0);
     resolved.map(|table| without_absent(table, schema))
 }
 
@@ -256,7 +284,7 @@ pub fn set_keys(
             }
             parent = join(&parent, part);
         }
-        Reader { files: 0 }.resolve_value(&mut value, node, folder, 0)?;
+        Reader::default().resolve_value(&mut value, node, &key, folder, 0)?;
         *place = value;
     }
     if let Value::Object(table) = &mut changed {
@@ -293,15 +321,19 @@ fn drop_absent(table: &mut Map<String, Value>, node: Node<'_>) {
 }
 
 /// Reader of the files of one configuration.
-struct Reader {
+#[derive(Default)]
+struct Reader<'s> {
     files: usize,
+    /// Folder in which files are looked for that are not where the file that names them says.
+    shipped: Option<&'s Path>,
 }
 
-impl Reader {
+impl Reader<'_> {
     fn read(
         &mut self,
         path: &Path,
         node: Option<Node<'_>>,
+        key: &str,
         depth: usize,
     ) -> Result<Map<String, Value>, BuildError> {
         let origin = path.display().to_string();
@@ -317,26 +349,29 @@ impl Reader {
             ));
         }
         let table = parse(&read_text(path)?, &origin)?;
-        self.resolve_table(table, node, path.parent().unwrap_or(Path::new(".")), depth)
+        self.resolve_table(table, node, key, path.parent().unwrap_or(Path::new(".")), depth)
     }
 
     fn resolve_value(
         &mut self,
         value: &mut Value,
         node: Option<Node<'_>>,
+        key: &str,
         folder: &Path,
         depth: usize,
     ) -> Result<(), BuildError> {
         match value {
             Value::Object(table) => {
-                *table = self.resolve_table(std::mem::take(table), node, folder, depth)?;
+                *table = self.resolve_table(std::mem::take(table), node, key, folder, depth)?;
             }
             Value::String(text) if node.is_some_and(Node::is_path) => {
-                *text = absolute_path(&folder.join(&*text))?.display().to_string();
+                *text = absolute_path(&self.find(text, key, folder)?)?.display().to_string();
             }
             Value::Array(list) => {
                 let item = node.and_then(Node::item);
-                list.iter_mut().try_for_each(|value| self.resolve_value(value, item, folder, depth))?;
+                for (index, value) in list.iter_mut().enumerate() {
+                    self.resolve_value(value, item, &format!("{key}[{index}]"), folder, depth)?;
+                }
             }
             _ => {}
         }
@@ -347,6 +382,7 @@ impl Reader {
         &mut self,
         mut table: Map<String, Value>,
         node: Option<Node<'_>>,
+        key: &str,
         folder: &Path,
         depth: usize,
     ) -> Result<Map<String, Value>, BuildError> {
@@ -354,17 +390,33 @@ impl Reader {
             node.is_some_and(|node| node.has("base") || !base.is_string() && node.is_of_names())
         };
         let base = if table.get("base").is_some_and(is_key) { None } else { table.remove("base") };
-        for (key, value) in &mut table {
-            self.resolve_value(value, node.and_then(|node| node.key(key)), folder, depth)?;
+        for (name, value) in &mut table {
+            self.resolve_value(value, node.and_then(|node| node.key(name)), &join(key, name), folder, depth)?;
         }
         let Some(base) = base else { return Ok(table) };
         let Value::String(file) = base else {
             let expected = "the path of a TOML file";
             return Err(refusal("base", &base, expected).in_file(folder.display()));
         };
-        let mut merged = self.read(&folder.join(file), node, depth + 1)?;
+        let is_path = file.contains('/') || Path::new(&file).extension().is_some_and(|end| end == "toml");
+        let file = if is_path { Cow::Borrowed(&file) } else { Cow::Owned(format!("{file}.toml")) };
+        let base = self.find(&file, &join(key, "base"), folder)?;
+        let mut merged = self.read(&base, node, key, depth + 1)?;
         lay_over(&mut merged, table, node);
         Ok(merged)
+    }
+
+    /// The file that a path leads to from a folder or, where that is nowhere, from that of the shipped files.
+    fn find(&self, file: &str, key: &str, folder: &Path) -> Result<PathBuf, BuildError> {
+        let folders = [folder].into_iter().chain(self.shipped);
+        let mut tried: Vec<_> = folders.map(|folder| folder.join(file)).collect();
+        tried.dedup();
+        if let Some(place) = tried.iter().position(|path| exists(path)) {
+            return Ok(tried.swap_remove(place));
+        }
+        let places: Vec<_> = tried.iter().map(|path| format!("no {}", path.display())).collect();
+        let expected = format!("the path of a file that exists; there is {}", places.join(", and "));
+        Err(refusal(key, &file.into(), &expected))
     }
 }
 

@@ -8,7 +8,9 @@ use crate::common::{assert_says, robot};
 use flight_core::aero::Precision;
 use flight_core::{BuildError, RobotModel};
 use flight_io::network::load_network;
-use flight_io::{AeroConfig, NetworkConfig, Schema, hold, read_bytes, read_text, resolve, resolve_table};
+use flight_io::{
+    AeroConfig, NetworkConfig, Schema, hold, load_changed, read_bytes, read_text, resolve, resolve_table,
+};
 use serde_json::{Value, json};
 use std::fmt::Write;
 use std::path::Path;
@@ -35,6 +37,72 @@ fn paths_of_held_files() {
         &read_bytes(Path::new(".")).unwrap_err(),
         &["expected a regular file of at most 67108864 bytes"],
     );
+}
+
+/// A file anywhere reads as if it stood among the shipped ones: their names and paths lead to them, unless its own do.
+#[test]
+fn files_beside_the_shipped_ones() {
+    hold_text(
+        "shipped/aero/base.toml",
+        "model = 'network'\nair_density = 1.2\ncard = '../cards/shipped.json'\n",
+    );
+    hold_text("shipped/cards/shipped.json", "{}");
+    let shipped = Path::new("shipped/aero");
+    let load = |text: &str, changes: &[(String, Value)]| {
+        hold_text("own/own.toml", text);
+        load_changed(Path::new("own/own.toml"), Some(shipped), changes, |_: &AeroConfig| Ok(()))
+    };
+    let card_of = |text: &str| match load(text, &[]).unwrap() {
+        AeroConfig::Network(NetworkConfig { card, .. }) => card,
+        other => panic!("{other:?}"),
+    };
+    let of_shipped = Path::new("shipped/cards/shipped.json");
+    for text in [
+        "base = 'base'",
+        "base = 'base.toml'",
+        "model = 'network'\nair_density = 1.2\ncard = '../cards/shipped.json'",
+    ] {
+        assert_eq!(card_of(text), of_shipped, "{text}");
+    }
+    hold_text("own/base.toml", "model = 'network'\nair_density = 1.2\ncard = 'card.json'\n");
+    hold_text("own/card.json", "{}");
+    assert_eq!(card_of("base = 'base'"), Path::new("own/card.json"));
+    let expected =
+        "expected the path of a file that exists; there is no own/esab.toml, and no shipped/aero/esab.toml";
+    assert_says(&load("base = 'esab'", &[]).unwrap_err(), &[&format!("`base` is \"esab.toml\"; {expected}")]);
+    let changes = [("card".to_owned(), json!("absent.json"))];
+    assert_says(
+        &load("base = 'base'", &changes).unwrap_err(),
+        &["`card` is \"absent.json\"; expected the path of a file that exists; there is no absent.json"],
+    );
+}
+
+/// The JSON of a text has its keys in the order of the text, in every table, and is otherwise that of its table.
+#[test]
+fn order_of_keys() {
+    let text = "z = 1.5\na = [{ y = 'é', b = -0.0 }, [true]]\n[m]\nq.w = 1e-300\nd = 2\nq.c = 3\n[[k]]\nx = 1\n[[k]]\ny = []\n";
+    let expected = "{\"z\":1.5,\"a\":[{\"y\":\"é\",\"b\":-0.0},[true]],\"m\":{\"q\":{\"w\":1e-300,\"c\":3},\"d\":2},\
+                    \"k\":[{\"x\":1},{\"y\":[]}]}";
+    let json = flight_io::toml::to_json(text, "here").unwrap();
+    assert_eq!(json, expected);
+    let table = flight_io::toml::parse(text, "here").unwrap();
+    assert_eq!(serde_json::from_str::<Value>(&json).unwrap(), Value::Object(table));
+    let error = flight_io::toml::to_json("a = 1979-05-27", "here").unwrap_err();
+    assert_says(&error, &["here: `a` is 1979-05-27; expected a number, text, list or table"]);
+}
+
+/// An error of the parser is one line with its place, however long that of the file is.
+#[test]
+fn errors_of_the_parser() {
+    for (text, place) in [
+        ("title", "line 1, column 6: key with no value, expected `=`"),
+        (&format!("é = 1\né = = {}", "2".repeat(10_000)), "line 2, column 5: "),
+        (&format!("a = {}", "[".repeat(100)), "line 1, column 8"),
+    ] {
+        let message = flight_io::toml::parse(text, "own.toml").unwrap_err().to_string();
+        assert!(message.starts_with(&format!("own.toml: no TOML at {place}")), "{message}");
+        assert!(message.len() < 150 && !message.contains('\n'), "{message}");
+    }
 }
 
 /// A configuration of 256 files is read, one of 257 is not; the same for a table that is no file.

@@ -169,7 +169,7 @@ fn changes_of_a_file() {
     hold(Path::new("wrong.toml"), b"closed = 9\n".to_vec());
     let load = |file: &str, changes: &[(&str, Value)]| {
         let changes: Vec<_> = changes.iter().map(|(key, value)| ((*key).to_owned(), value.clone())).collect();
-        load_changed(Path::new(file), &changes, |limits: &Limits| {
+        load_changed(Path::new(file), None, &changes, |limits: &Limits| {
             if limits.open < limits.closed {
                 Ok(())
             } else {

@@ -77,11 +77,13 @@ fn parse_changes(changes_json: &str) -> PyResult<Vec<(String, Value)>> {
     serde_json::from_str(changes_json).map_err(|error| PyValueError::new_err(error.to_string()))
 }
 
-/// Read a flight configuration with its base files, set dotted keys (a list of pairs) and check it; return JSON that
-/// states every default. Warns of what can be flown but is probably not meant.
+/// Read a flight configuration with its base files, also of those that the package ships; set dotted keys (a list of
+/// pairs) and check it; return JSON that states every default. Warns of what can be flown but is probably not meant.
 #[pyfunction]
 pub fn load_config(py: Python<'_>, path: PathBuf, changes_json: &str) -> PyResult<String> {
-    let (config, warnings) = load_flyable(&path, &parse_changes(changes_json)?).map_err(value_error)?;
+    let configs: PathBuf = py.import("jax_aero.places")?.getattr("CONFIGS")?.extract()?;
+    let (shipped, changes) = (configs.join("experiments"), parse_changes(changes_json)?);
+    let (config, warnings) = load_flyable(&path, Some(shipped.as_path()), &changes).map_err(value_error)?;
     warn(py, warnings)?;
     let table = to_value(&config)?;
     let text = table.to_string();

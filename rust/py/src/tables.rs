@@ -6,12 +6,11 @@ use pyo3::prelude::*;
 use serde_json::{Map, Value};
 use std::path::PathBuf;
 
-/// Read a TOML file; return its table as JSON.
+/// Read a TOML file; return its table as JSON, with its keys in the order of the file.
 #[pyfunction]
 pub fn read_toml(path: PathBuf) -> PyResult<String> {
     let text = flight_io::read_text(&path).map_err(value_error)?;
-    let table = flight_io::toml::parse(&text, &path.display().to_string()).map_err(value_error)?;
-    Ok(Value::Object(table).to_string())
+    flight_io::toml::to_json(&text, &path.display().to_string()).map_err(value_error)
 }
 
 /// Read a TOML file with its base files, set dotted keys (a list of pairs), and check it by a schema; return its table

@@ -123,18 +123,19 @@ impl Scenario {
     }
 }
 
-/// As [`load_scenario`](crate::load_scenario), with `changes` of dotted keys, and with a check that its engine can fly
-/// it, which returns [warnings](Scenario::warnings).
+/// As [`load_scenario`](crate::load_scenario), with the folder of `shipped` flights, `changes` of dotted keys, and a check
+/// that its engine can fly it, which returns [warnings](Scenario::warnings).
 ///
 /// # Errors
 /// As [`load_changed`] and [`Scenario::check`].
 pub fn load_flyable(
     path: &Path,
+    shipped: Option<&Path>,
     changes: &[(String, Value)],
 ) -> Result<(ScenarioConfig, Vec<String>), BuildError> {
     let mut warnings = Vec::new();
     let check = |config: &_| Scenario::check(config).map(|found| warnings = found);
-    load_changed(path, changes, check).map(|config| (config, warnings))
+    load_changed(path, shipped, changes, check).map(|config| (config, warnings))
 }
 
 /// Refuses a flight without ground, or without feet to stand on it.

@@ -213,9 +213,16 @@ fn circles_are_refused() {
 fn unreadable_files_are_named() {
     let folder = tempdir().unwrap();
     let absent = write(&folder, "top.toml", "base = 'absent.toml'\n");
-    assert_says(&resolve(&absent).unwrap_err(), &["cannot read", "absent.toml"]);
-    let robot = write(&folder, "robot.toml", "robot = 'missing.toml'\n");
-    assert_says(&resolve(&robot).unwrap_err(), &["cannot read", "missing.toml"]);
+    assert_says(
+        &resolve(&absent).unwrap_err(),
+        &["`base` is \"absent.toml\"", "expected the path of a file"],
+    );
+    let robot = write(&folder, "robot.toml", "robot = 'missing.toml'\nbase = 'top.toml'\n");
+    let missing = [
+        "`robot` is \"missing.toml\"; expected the path of a file that exists; there is no ",
+        "missing.toml",
+    ];
+    assert_says(&resolve(&robot).unwrap_err(), &missing);
     let broken = write(&folder, "broken.toml", "a = 1\nb = = 2\n");
     assert_says(&resolve(&broken).unwrap_err(), &["broken.toml", "line 2"]);
     let number = write(&folder, "number.toml", "base = 7\n");
@@ -436,7 +443,7 @@ fn every_experiment_file_is_a_flight() {
 fn a_wind_that_cannot_be_set_says_what_can() {
     let refusal = |key: &str, value: Value| {
         let change = [(key.to_owned(), value)];
-        load_flyable(&configs("experiments").join("test2.toml"), &change).unwrap_err().to_string()
+        load_flyable(&configs("experiments").join("test2.toml"), None, &change).unwrap_err().to_string()
     };
     for key in ["wind.speed", "wind.direction"] {
         let message = refusal(key, json!(10));
@@ -462,7 +469,7 @@ fn a_wind_that_cannot_be_set_says_what_can() {
 fn what_is_probably_not_meant_is_warned_of() {
     let warnings = |changes: &[(&str, Value)]| {
         let changes: Vec<_> = changes.iter().map(|(key, value)| ((*key).to_owned(), value.clone())).collect();
-        load_flyable(&configs("experiments").join("test2.toml"), &changes).unwrap().1
+        load_flyable(&configs("experiments").join("test2.toml"), None, &changes).unwrap().1
     };
     let failure = |time: f64| json!({ "jet": "l_arm_jet", "time": time, "kind": "off" });
     let push =
