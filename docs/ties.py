@@ -181,7 +181,7 @@ def source(name: str) -> Known:
 
 
 COLUMN_UNITS = {"deg": "°", "cm": "cm", "s": "s"}
-SHARES = ("completed", "on_course", "off_course", "lost", "unwarned", "degraded")
+SHARES = ("completed", "descended", "on_course", "off_course", "lost", "unwarned", "degraded")
 
 
 def _add_kept(known: Known, result: kept.Kept) -> None:

@@ -14,7 +14,7 @@ Progress = Callable[[int, int], None]
 """Called with (ticks flown, all ticks), or with numbers of flights for a batch, and of pictures for a video."""
 
 
-Outcome = Literal["completed", "off_course", "fell", "diverged"]
+Outcome = Literal["completed", "off_course", "descended", "fell", "diverged"]
 """How a flight ended."""
 
 
@@ -41,7 +41,8 @@ class FlightResult:
         Posture of the first tick, to which the posture task returns [rad].
     outcome
         "completed"; "off_course": flown to the end, but further from its set-point than `simulator.course_error`;
-        "fell"; "diverged": numbers beyond the divergence limits.
+        "descended": the mission was given up, and the robot is down at the height of its start, or was on its way
+        (`summary["end_com_z"]`); "fell"; "diverged": numbers beyond the divergence limits.
     lost_time, lost_reason
         Time [s] and criterion of the loss; `None` if the flight reached its end.
     summary

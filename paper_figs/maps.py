@@ -13,7 +13,7 @@ from paper_figs import style
 from paper_figs.sweeps import Sweep, axis_label
 
 ROWS = (
-    ("completed", "flights completed [%]", "cividis", 100.0),
+    ("upright", "flights that complete or come down [%]", "cividis", 100.0),
     ("rotation_error_deg_worst", "worst rotation error [deg]", "cividis_r", 90.0),
     ("com_error_cm_worst", "worst CoM error [cm]", "cividis_r", 100.0),
 )
@@ -48,16 +48,16 @@ def draw(sweep: Sweep) -> Figure:
 
 
 def _least_share(cells: pd.DataFrame) -> float:
-    """Return the low end of the interval of a cell in which every flight completed [%]."""
-    full = cells[cells["completed"] == cells["flights"]]
-    return 100.0 * float(full["completed_low"].min()) if len(full) else 0.0
+    """Return the low end of the interval of a cell without a flight that is lost or off its course [%]."""
+    full = cells[cells["upright"] == cells["flights"]]
+    return 100.0 * float(full["upright_low"].min()) if len(full) else 0.0
 
 
 def _map(
     axes: Axes, cells: pd.DataFrame, names: tuple[str, str], quantity: str, colours: str, most: float
 ) -> AxesImage:
     table = cells.assign(
-        completed=100.0 * cells["completed"] / cells["flights"].clip(lower=1),
+        upright=100.0 * cells["upright"] / cells["flights"].clip(lower=1),
         com_error_cm_worst=100.0 * cells["com_error_worst"],
     )
     # Not `pivot_table`, which drops a level without numbers and thereby shifts the others.

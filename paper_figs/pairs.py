@@ -16,11 +16,14 @@ from paper_figs.sweeps import Sweep
 
 KINDS = (
     ("completed", style.SKY),
+    ("descended", style.GREEN),
     ("off course", style.PURPLE),
     ("lost, announced", style.ORANGE),
     ("lost, less than 0.3 s before", style.BLACK),
 )
 """Names and colours of what the worst flight of a pair can be, from the best to the worst."""
+COUNTS = ("completed", "descended", "off_course", "lost", "unwarned")
+"""Numbers of such flights in a cell."""
 
 
 def draw(sweep: Sweep) -> Figure:
@@ -65,6 +68,6 @@ def worst(cells: pd.DataFrame, name: str, levels: list[str]) -> NDArray[np.float
     for (row, first), (column, second) in combinations(enumerate(levels), 2):
         if (first, second) in by_pair.index:
             cell = by_pair.loc[(first, second)]
-            is_lost = cell["fell"] + cell["diverged"] > 0
-            kinds[row, column] = 3 if cell["unwarned"] else 2 if is_lost else 1 if cell["off_course"] else 0
+            cell = cell.to_dict() | {"lost": cell["fell"] + cell["diverged"]}
+            kinds[row, column] = next(kind for kind in range(len(KINDS))[::-1] if kind == 0 or cell[COUNTS[kind]])
     return kinds

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 import xarray as xr
 
@@ -48,7 +49,7 @@ class TunnelConfig(tables.Table, frozen=True):
 
     tunnel: Path
     """Dataset of `import-tunnel`."""
-    robot: Path = ROBOT
+    robot: Path = msgspec.field(default_factory=lambda: ROBOT)
     """Robot of the design, for its forward axis and its centre of mass."""
     dataset: Path | None = None
     """Dataset of the design; by default `results/cfd/NAME/dataset.nc`."""

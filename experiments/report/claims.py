@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 from experiments.report.results import Cell, Results, Sweep
 from experiments.report.verdicts import Judged, judge
@@ -46,9 +46,9 @@ def judge_cells(cells: Sequence[Cell], axes: Sequence[str], claim: Claim) -> Jud
         text = f"{claim.share.of} {_count(part, whole)}"
         return text, judge(part <= claim.share.at_most * whole, text)
     varying = [axis for axis in axes if len({cell[axis] for cell in cells}) > 1]
-    bad = [f"{_label(cell, varying)}: {how}" for cell in cells for how in _failures(cell, claim.at_most)]
-    completed, flights = _sum(cells, ["completed"]), _sum(cells, ["flights"])
-    said = [f"{_count(completed, flights)} complete", *_ranges(cells, claim.at_most)]
+    bad = [f"{_label(cell, varying)}: {how}" for cell in cells for how in _failures(cell, claim)]
+    ended, flights = _sum(cells, claim.outcomes), _sum(cells, ["flights"])
+    said = [f"{_count(ended, flights)} {' or '.join(claim.outcomes)}", *_ranges(cells, claim.at_most)]
     return "; ".join(said), judge(not bad, ", ".join(bad))
 
 
@@ -61,12 +61,13 @@ def _count(part: int, whole: int) -> str:
     return f"{part} of {whole} ({low:.1f} to {high:.1f} %)"
 
 
-def _failures(cell: Cell, at_most: Mapping[str, float]) -> Iterator[str]:
-    """Yield how a cell misses what is asked: flights that do not complete, or else quantities beyond their limits."""
-    if cell["completed"] < cell["flights"]:
-        yield f"{cell['flights'] - cell['completed']} of {cell['flights']} do not complete"
+def _failures(cell: Cell, claim: Claim) -> Iterator[str]:
+    """Yield how a cell misses what is asked: flights that end otherwise, or else quantities beyond their limits."""
+    others = cell["flights"] - _sum([cell], claim.outcomes)
+    if others:
+        yield f"{others} of {cell['flights']} not {' or '.join(claim.outcomes)}"
         return
-    for column, limit in at_most.items():
+    for column, limit in claim.at_most.items():
         if not cell[column] <= limit:
             yield _value(column, cell[column])
 

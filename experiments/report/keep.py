@@ -239,7 +239,7 @@ def _rows(
 
 
 FIGURES: tuple[str, ...] = (
-    *("flights", "completed", "on_course", "off_course", "lost", "unwarned", "degraded"),
+    *("flights", "completed", "descended", "on_course", "off_course", "lost", "unwarned", "degraded"),
     *("rotation_deg_median", "rotation_deg_high", "rotation_deg_worst", "com_cm_median", "com_cm_high", "com_cm_worst"),
     *("found_s", "announced_s", "lost_s", "modes"),
 )
@@ -249,15 +249,17 @@ QUANTILES = {"median": 0.5, "high": 0.9, "worst": 1.0}
 
 
 def figures(flights: pd.DataFrame) -> dict[str, Any]:
-    """Return counts of flights, and quantiles of the errors of those that complete."""
+    """Return counts of flights, and quantiles of the errors of those that complete or come down."""
     outcome = flights["outcome"]
-    completed, lost = flights[outcome == "completed"], flights[outcome.isin(("fell", "diverged"))]
+    upright, lost = (flights[outcome.isin(ends)] for ends in (("completed", "descended"), ("fell", "diverged")))
     degraded = flights[flights["degraded_time"] > 0.0]
-    rotation, com = np.degrees(completed["max_rotation_error"]), 100.0 * completed["max_com_error"]
-    on_course = (rotation <= math.degrees(table.ON_COURSE_ROTATION)) & (com <= 100.0 * table.ON_COURSE_COM)
+    rotation, com = np.degrees(upright["max_rotation_error"]), 100.0 * upright["max_com_error"]
+    near = (rotation <= math.degrees(table.ON_COURSE_ROTATION)) & (com <= 100.0 * table.ON_COURSE_COM)
+    on_course = near & (upright["outcome"] == "completed")
     found: dict[str, Any] = {
         "flights": len(flights),
-        "completed": len(completed),
+        "completed": int((outcome == "completed").sum()),
+        "descended": int((outcome == "descended").sum()),
         "on_course": int(on_course.sum()),
         "off_course": int((outcome == "off_course").sum()),
         "lost": len(lost),

@@ -221,14 +221,16 @@ def _parts(kept: Kept) -> list[Callable[[Mapping[str, Any]], str]]:
 
 
 def _count(row: Mapping[str, Any]) -> str:
-    return f"{row['completed']} of {row['flights']}"
+    """Return the flights that complete, and those that come down."""
+    down = f" + {row['descended']}" if row["descended"] else ""
+    return f"{row['completed']}{down} of {row['flights']}"
 
 
 def _errors(row: Mapping[str, Any]) -> str:
     angle, distance = row["rotation_deg_median"], row["com_cm_median"]
     if angle is None:
         return ""
-    if row["completed"] == 1:
+    if row["completed"] + row["descended"] == 1:
         return f"{_number(angle)}°, {_number(distance)} cm"
     worst_angle, worst_distance = row["rotation_deg_worst"], row["com_cm_worst"]
     return f"{_number(angle)}° ({_number(worst_angle)}), {_number(distance)} cm ({_number(worst_distance)})"

@@ -10,6 +10,7 @@ import msgspec
 
 from jax_aero import tables
 from jax_aero.command import ConfigError
+from jax_aero.result import Outcome
 
 
 class Share(tables.Table, frozen=True):
@@ -23,7 +24,7 @@ class Share(tables.Table, frozen=True):
 
 
 class Claim(tables.Table, frozen=True):
-    """A statement that a sweep decides: in each of the chosen cells all flights complete, within limits."""
+    """A statement that a sweep decides: in each of the chosen cells all flights end as stated, within limits."""
 
     key: Annotated[str, msgspec.Meta(pattern=r"^\w+$")]
     """Name of the claim in the report."""
@@ -32,6 +33,8 @@ class Claim(tables.Table, frozen=True):
     """Levels by axis, one or a list; in a text `*` stands for any characters. All levels of the other axes."""
     at_most: dict[str, float] = msgspec.field(default_factory=dict)
     """Greatest values of columns of the table of cells, such as `rotation_error_deg_worst`."""
+    outcomes: tuple[Outcome, ...] = ("completed",)
+    """How the flights may end."""
     share: Share | None = None
     """What is asked instead: a share of the flights of all cells."""
 

@@ -121,7 +121,7 @@ def cells(spec: Spec, levels: Cells, table: pa.Table) -> pa.Table:
         mine = table.slice(cell * spec.repeats, spec.repeats)
         records.append(record | _cell({name: mine[name].to_numpy(zero_copy_only=False) for name in mine.column_names}))
     axis_columns = dict(_axis_columns(spec, levels))
-    whole = ("cell", "flights", "errors", "on_course", "degraded", "unwarned", *OUTCOMES)
+    whole = ("cell", "flights", "errors", "upright", "on_course", "degraded", "unwarned", *OUTCOMES)
     fields = [(name, axis_columns.get(name, pa.int64() if name in whole else pa.float64())) for name in records[0]]
     return pa.Table.from_pylist(records, pa.schema(fields))
 
@@ -132,12 +132,14 @@ def _cell(flights: Mapping[str, Any]) -> dict[str, Any]:
     warning_time = np.where(is_lost, flights["warning_time"], np.nan)
     flights = {**flights, "warning_time": warning_time}
     completed = flights["outcome"] == "completed"
+    upright = completed | (flights["outcome"] == "descended")
     errors = int((flights["outcome"] == "error").sum())
     near = (flights["max_rotation_error"] <= ON_COURSE_ROTATION) & (flights["max_com_error"] <= ON_COURSE_COM)
     trials = len(completed) - errors
     record: dict[str, Any] = {"flights": trials, "errors": errors}
     degraded = flights["degraded_time"] > 0.0
-    for name, which in (("completed", completed), ("on_course", completed & near), ("degraded", degraded)):
+    shares = {"completed": completed, "upright": upright, "on_course": completed & near, "degraded": degraded}
+    for name, which in shares.items():
         low, high = wilson(int(which.sum()), trials)
         record |= {name: int(which.sum()), f"{name}_low": low, f"{name}_high": high}
     for outcome in OUTCOMES:

@@ -38,6 +38,7 @@ SIZE_STEP = 8
 SAME = (
     "time",
     "com_position",
+    "com_velocity",
     "com_setpoint",
     "rotation_error",
     "thrust",

@@ -153,7 +153,7 @@ def badge(
     words: str | None = None,
 ) -> None:
     """Draw the outcome, or `words` instead, on a background of the outcome's colour."""
-    colour = drawing.COMPLETED if recording.outcome == "completed" else drawing.FELL
+    colour = drawing.COMPLETED if recording.outcome in ("completed", "descended") else drawing.FELL
     label(draw, place, recording.verdict if words is None else words, size, colour, anchor)
 
 

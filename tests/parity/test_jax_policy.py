@@ -106,14 +106,15 @@ def test_a_residual_that_is_no_number_is_named(x64, robot):
         return step(replace(scenario, controller=law), begun, 0)[1]
 
     @jax.jit
-    def first_ticks(begun):  # of one program, which rounds the law once
+    def first_ticks(begun):
         without = replace(controller, residual=None)
         return first_tick(spoilt, begun), first_tick(without, begun._replace(controller=memory))
 
     with_nan, alone = first_ticks(begun)
     assert int(with_nan.degraded_modes) == MODES["residual_ignored"]
-    np.testing.assert_array_equal(with_nan.thrust_rate, alone.thrust_rate)
-    np.testing.assert_array_equal(with_nan.joint_torque, alone.joint_torque)
+    # Two laws in a program, which a compiler orders each in its own way.
+    np.testing.assert_allclose(with_nan.thrust_rate, alone.thrust_rate, rtol=1e-10)
+    np.testing.assert_allclose(with_nan.joint_torque, alone.joint_torque, rtol=1e-10, atol=1e-10)
 
 
 def test_a_card_is_read_as_it_was_written(x64, tmp_path, robot):
@@ -151,7 +152,7 @@ def test_both_refuse_a_card_by_its_key(key, tmp_path, robot):
     (tmp_path / "own.json").write_text(json.dumps(card))
     with pytest.raises(ValueError, match=last):
         load_policy(tmp_path / "own.json", robot)
-    with pytest.raises(ValueError, match="SHA-256" if last == "sha256" else last):
+    with pytest.raises(ValueError, match=last):
         rust.load_config("test1", {"controller.policy": {"card": tmp_path / "own.json"}})
 
 

@@ -1,5 +1,6 @@
 """Studies of flights, with flights that are made up in place of the crate's."""
 
+import importlib
 import json
 from pathlib import Path
 
@@ -42,6 +43,14 @@ def test_ones_own_file_with_a_shipped_name_replaces_no_result(command, kind, tmp
         f"its result would take the place of that of {places.shown_folder(kind)}/{own.name}; rename it"
         in capsys.readouterr().err
     )
+
+
+@pytest.mark.parametrize("name", studies.names())
+def test_every_configuration_of_a_study_has_a_schema(name):
+    module = importlib.import_module(f"experiments.studies.{name}.study")
+    for study in vars(module).values():
+        if isinstance(study, Study):
+            assert tables.schema(study.config)
 
 
 class MadeUp(tables.Table, frozen=True):

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import casadi as ca
+import msgspec
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -48,7 +49,7 @@ class Along(tables.Table, frozen=True):
         "test1_published",
         "no_wind",
     )
-    fuel: Path = places.CONFIGS / "tables" / "fuel.toml"
+    fuel: Path = msgspec.field(default_factory=lambda: places.CONFIGS / "tables" / "fuel.toml")
     """File with the fuel consumption of the jets."""
     plume_length: tables.Positive = 1.5
     """Length of a jet's axis from which the clearance is measured [m]. Ours."""

@@ -53,7 +53,7 @@ def _row(case: str, flight: rust.FlightResult) -> Row:
     modes = flight["degraded_modes"].astype(int)
     return {
         "case": case,
-        "completed": flight.outcome == "completed",
+        "completed": flight.outcome in ("completed", "descended"),
         "feet": bool((modes & MODES["feet_predicted"]).any()),
     }
 

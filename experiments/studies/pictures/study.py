@@ -10,6 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import casadi as ca
+import msgspec
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -35,7 +36,7 @@ Array = NDArray[np.float64]
 class Pictures(tables.Table, frozen=True):
     """Settings of Fig. 5 a."""
 
-    flight: Path = places.RESULTS / "flight" / "test2" / places.RUN_FILE
+    flight: Path = msgspec.field(default_factory=lambda: places.RESULTS / "flight" / "test2" / places.RUN_FILE)
     moment: tables.NonNegative = 14.0
     """Time at which the robot hovers in the wind [s]."""
 

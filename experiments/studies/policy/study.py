@@ -180,7 +180,7 @@ def fly_worlds(path: Path, laws: Mapping[str, Mapping[str, Any]]) -> dict[str, f
     firsts: dict[str, NDArray[np.float64]] = {}
     for law, changes in laws.items():
         flown = rust.fly_batch([set_all(config, changes) for config in cells], threads=1)
-        found[f"{path.stem}, {law}, lost"] = sum(one.outcome not in ("completed", "off_course") for one in flown)
+        found[f"{path.stem}, {law}, lost"] = sum(one.outcome in ("fell", "diverged") for one in flown)
         for figure in ("rms_rotation_error", "rms_com_error"):
             values = np.array([one.summary[figure] for one in flown])
             first = firsts.setdefault(figure, values)

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
+import msgspec
 import numpy as np
 import xarray as xr
 
@@ -39,9 +40,9 @@ TURNED = np.array([-1.0, -1.0, 1.0])
 class TunnelConfig(tables.Table, frozen=True):
     """Settings of a comparison."""
 
-    tunnel: Path = OUT / "tunnel_mk3.nc"
+    tunnel: Path = msgspec.field(default_factory=lambda: OUT / "tunnel_mk3.nc")
     """Dataset of `import-tunnel`."""
-    robot: Path = MK3
+    robot: Path = msgspec.field(default_factory=lambda: MK3)
     network: Path | None = None
     """Card of a network of `train` to compare too."""
 

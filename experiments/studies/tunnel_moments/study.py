@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import xarray as xr
 
@@ -43,7 +44,7 @@ ADDED = ("2.5 %", "97.5 %", "share above zero")
 class MomentsConfig(tables.Table, frozen=True):
     """Settings of a comparison."""
 
-    dataset: Path = OUT / "tunnel_mk1.nc"
+    dataset: Path = msgspec.field(default_factory=lambda: OUT / "tunnel_mk1.nc")
     """Dataset from import-tunnel."""
 
 

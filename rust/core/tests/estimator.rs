@@ -156,13 +156,18 @@ fn a_predicted_thrust_ends_at_its_least() {
 }
 
 /// Torques act two ticks late and thrust rates five: the estimate is the state in which the torques of this tick begin
-/// to act, with the thrusts of then, from exact measurements and from those that are late as well.
+/// to act, with the thrusts of then, from exact measurements and from those that are late as well; also
+/// where the latency of the torques is found during the flight.
 #[test]
 fn with_late_commands_it_is_the_state_in_which_they_act() {
     const TORQUE: usize = 2;
     const THRUST: usize = 5;
-    let latency = LatencyConfig { torque: 0.02, thrust: 0.05 };
-    for (sensors, settings) in [(SensorsConfig::default(), EstimatorConfig::default()), ages()] {
+    const FOUND: usize = 10;
+    let worlds = || [(SensorsConfig::default(), EstimatorConfig::default()), ages()];
+    let known = [(0.02, 0), (0.0, FOUND), (0.05, FOUND)].into_iter();
+    for ((sensors, settings), (torque, start)) in known.flat_map(|known| worlds().map(|world| (world, known)))
+    {
+        let latency = LatencyConfig { torque, thrust: 0.05 };
         let config = flight(EstimatorConfig { latency, ..settings });
         let mut estimator = estimator(&config);
         let mut world = world(&config);
@@ -172,7 +177,10 @@ fn with_late_commands_it_is_the_state_in_which_they_act() {
             world.observe(&WIND);
             let (state, thrust) = (world.plant.state(), world.plant.jets().thrust());
             let truth = Reading { state: state.clone(), thrust: thrust.to_vec() };
-            if tick > TORQUE {
+            if tick == FOUND {
+                estimator.state.use_torque_latency(0.02);
+            }
+            if tick > TORQUE + start {
                 assert_within!(distance(&found[tick - TORQUE], &truth), 1e-9, because "two steps of the same equations in another order", "tick {tick}");
             }
             let said = sensors.read(state, thrust);

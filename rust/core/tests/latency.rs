@@ -79,7 +79,7 @@ impl Robot {
         };
         self.monitor.compare(&mut self.state, &sample, true);
         let measured = self.monitor.measured(&self.state);
-        let is_late = self.monitor.is_late(&mut self.state, measured, STEP);
+        let is_late = self.monitor.are_late(&mut self.state, measured, STEP).contains(&true);
 
         let accelerated = free(self.tick) + &self.gain * torque(self.tick - self.late[0]);
         if self.holds {

@@ -54,7 +54,7 @@ pub fn load_changed<T: Serialize + DeserializeOwned + JsonSchema>(
 ) -> Result<T, BuildError> {
     let checked = |table| typed(table).and_then(|config| check(&config).map(|()| config));
     let schema = Schema::of_type::<T>();
-    changed(path, resolve_beside(path, shipped, &schema)?, changes, &schema, checked)
+    changed(path, &resolve_beside(path, shipped, &schema)?, changes, &schema, checked)
 }
 
 /// As [`load_changed`], for a table whose type only its schema states.
@@ -63,13 +63,13 @@ pub fn load_changed<T: Serialize + DeserializeOwned + JsonSchema>(
 /// As [`load_changed`].
 pub fn load_by(path: &Path, changes: &[(String, Value)], schema: &Schema) -> Result<Value, BuildError> {
     let table = resolve(path, schema)?;
-    changed(path, table, changes, schema, |table| schema.check(&table).map(|()| table))
+    changed(path, &table, changes, schema, |table| schema.check(&table).map(|()| table))
 }
 
 /// The `table` that was read from a file, with changes.
 fn changed<T: Serialize>(
     path: &Path,
-    table: Value,
+    table: &Value,
     changes: &[(String, Value)],
     schema: &Schema,
     mut checked: impl FnMut(Value) -> Result<T, BuildError>,

@@ -52,9 +52,11 @@ fn files_beside_the_shipped_ones() {
         hold_text("own/own.toml", text);
         load_changed(Path::new("own/own.toml"), Some(shipped), changes, |_: &AeroConfig| Ok(()))
     };
-    let card_of = |text: &str| match load(text, &[]).unwrap() {
-        AeroConfig::Network(NetworkConfig { card, .. }) => card,
-        other => panic!("{other:?}"),
+    let card_of = |text: &str| {
+        let AeroConfig::Network(NetworkConfig { card, .. }) = load(text, &[]).unwrap() else {
+            unreachable!()
+        };
+        card
     };
     let of_shipped = Path::new("shipped/cards/shipped.json");
     for text in [

@@ -38,6 +38,8 @@ pub struct Flight {
     /// `None` before the first tick.
     state: Option<ControllerState>,
     loss: Option<Loss>,
+    /// Whether the robot has given up its mission and come down.
+    is_down: bool,
     /// Index of the next tick.
     tick: usize,
     /// Whether that tick is observed and measured.
@@ -75,6 +77,7 @@ impl Scenario {
             log: log(robot, rows),
             state: None,
             loss: None,
+            is_down: false,
             tick: 0,
             is_measured: false,
             air: Vector3::zeros(),
@@ -127,10 +130,24 @@ impl Flight {
             Some(self.divergence().unwrap_or(LossReason::NotFinite))
         };
         self.loss = reason.map(|reason| Loss { time: self.time(), reason });
-        if self.loss.is_none() {
+        self.is_down = self.has_come_down();
+        if !self.has_ended() {
             self.advance(handed.command.map(|(_, torque)| torque));
         }
         Ok(self.loss.is_none())
+    }
+
+    /// Whether the robot descends instead of following its mission.
+    fn is_descending(&self) -> bool {
+        self.state.is_some() && self.scenario.controller.command().modes.contains(Modes::DESCENDING)
+    }
+
+    /// Whether it descends, and has reached the height at which the flight began, where the ground would be. In a world with
+    /// ground, it stands there.
+    fn has_come_down(&self) -> bool {
+        let com = self.log.series("com_position").map_or(&[][..], |series| &series.data);
+        let is_low = matches!(com, [_, _, first, .., last] if last <= first);
+        is_low && self.seen.is_none() && self.is_descending()
     }
 
     /// Observes the robot at the next tick, and measures it. Does nothing where that is done.
@@ -213,13 +230,13 @@ impl Flight {
         self.scenario.judge.divergence(&self.scenario.plant, &self.air)
     }
 
-    /// Whether the last tick has been flown or the flight is lost.
+    /// Whether the last tick has been flown, the robot has come down, or the flight is lost.
     #[must_use]
     pub fn has_ended(&self) -> bool {
-        self.loss.is_some() || self.tick > self.scenario.n_ticks
+        self.loss.is_some() || self.is_down || self.tick > self.scenario.n_ticks
     }
 
-    /// Index of the next tick; of a flight that is lost, of the tick in which it is.
+    /// Index of the next tick; of a flight that ended early, of its last tick.
     #[must_use]
     pub fn tick(&self) -> usize {
         self.tick
@@ -324,7 +341,7 @@ impl Flight {
     /// Outcome of the flight; before its end, as if it ended now.
     #[must_use]
     pub fn outcome(&self, summary: &Summary) -> Outcome {
-        self.scenario.judge.outcome(self.loss, summary)
+        self.scenario.judge.outcome(self.loss, self.is_descending(), summary)
     }
 
     /// Result of the flight.

@@ -17,6 +17,8 @@ pub enum Outcome {
     Completed,
     /// The mission was flown to its end, but after the start-up the errors exceeded `simulator.course_error`.
     OffCourse,
+    /// The robot gave up its mission and came down to the height at which the flight began, or was on its way down at the end.
+    Descended,
     /// The robot fell: its rotation error or position error passed its limit.
     Fell,
     /// The computation diverged: numbers are not finite or physically impossible, so the result has no meaning.
@@ -30,6 +32,7 @@ impl Outcome {
         match self {
             Self::Completed => "completed",
             Self::OffCourse => "off_course",
+            Self::Descended => "descended",
             Self::Fell => "fell",
             Self::Diverged => "diverged",
         }
@@ -171,11 +174,14 @@ impl Judge {
         .find_map(|(is_beyond, reason)| is_beyond.then_some(reason))
     }
 
-    /// Outcome of a flight that was lost or flown to its end.
+    /// Outcome of a flight that was lost or flown to its end, in which the robot descends or follows its mission.
     #[must_use]
-    pub fn outcome(&self, loss: Option<Loss>, summary: &Summary) -> Outcome {
-        let is_off_course = summary.max_com_error > self.course_error;
-        let flown = if is_off_course { Outcome::OffCourse } else { Outcome::Completed };
-        loss.map_or(flown, |loss| loss.reason.outcome())
+    pub fn outcome(&self, loss: Option<Loss>, is_descending: bool, summary: &Summary) -> Outcome {
+        match loss {
+            Some(loss) => loss.reason.outcome(),
+            None if is_descending => Outcome::Descended,
+            None if summary.max_com_error > self.course_error => Outcome::OffCourse,
+            None => Outcome::Completed,
+        }
     }
 }

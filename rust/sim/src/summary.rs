@@ -3,6 +3,7 @@
 //! Equation M81 of `docs/model`.
 
 use crate::log::{FlightLog, Series};
+use flight_core::control::Modes;
 use nalgebra::Vector3;
 use serde::Serialize;
 
@@ -58,7 +59,7 @@ macro_rules! figures {
 }
 
 figures! {
-    max_com_error ["m"] "greatest distance of the centre of mass from its set-point after settling";
+    max_com_error ["m"] "greatest distance of the centre of mass from its set-point after settling, until the robot descends";
     max_com_error_x ["m"] "greatest distance from the set-point along x after settling";
     max_com_error_y ["m"] "greatest distance from the set-point along y after settling";
     max_com_error_z ["m"] "greatest distance from the set-point along z after settling";
@@ -80,6 +81,10 @@ figures! {
     degraded_time ["s"] "time in which a channel is not measured, an engine is limited or the robot descends";
     nominal_until ["s"] "time of the first such tick, without one of the last tick";
     all_modes ["1"] "modes that any tick has, a sum of bits";
+    end_com_x ["m"] "x of the centre of mass at the end";
+    end_com_y ["m"] "y of the centre of mass at the end";
+    end_com_z ["m"] "height of the centre of mass at the end";
+    end_speed ["m/s"] "speed of the centre of mass at the end";
     warning_time ["s"] "time before the end since which it was degraded, but for gaps of at most a second";
     time_off_the_ground ["s"] "time in which the feet do not carry" of ground;
     touchdown_speed ["m/s"] "greatest speed downwards with which feet that carried nothing touch the ground" of ground;
@@ -107,15 +112,17 @@ impl Summary {
         let Some(&end) = time.last() else { return Self::NONE };
         let is_settled = |time: &&f64| **time >= SETTLING_TIME;
         let settling = time.iter().take_while(|time| !is_settled(time)).count();
+        let modes = data("degraded_modes");
+        let flown = time.len() - modes.iter().filter(|modes| is_descending(**modes)).count();
         let com_errors: Vec<Vector3<f64>> = rows("com_position")
             .zip(rows("com_setpoint"))
+            .take(flown)
             .skip(settling)
             .map(|(com, desired)| com - desired)
             .collect();
         let distances = || com_errors.iter().map(Vector3::norm);
         let along = |axis: usize| greatest_of(com_errors.iter().map(|error| error[axis].abs()));
         let tick = time.get(1).copied().unwrap_or_default();
-        let modes = data("degraded_modes");
         let degraded = || time.iter().zip(modes).filter(|(_, modes)| **modes > 0.0).map(|(time, _)| *time);
         let are_known = !modes.iter().any(|modes| modes.is_nan());
         let of_modes = |value: f64| if are_known { value } else { f64::NAN };
@@ -128,6 +135,7 @@ impl Summary {
         // The greater number of both QPs, or of the one that there is.
         let of_qps = |name: &str| data(name).chunks_exact(2).map(|both| both[0].max(both[1]));
         let thrust = || data("thrust").iter().copied();
+        let end_com = rows("com_position").next_back().unwrap_or(Vector3::repeat(f64::NAN));
         let feet = log.series("foot_wrench").map_or(0, Series::width).max(1);
         let loads = data("foot_wrench")
             .chunks_exact(feet)
@@ -160,6 +168,10 @@ impl Summary {
             degraded_time: tick * ticks_above(modes.iter().copied(), 0.0),
             nominal_until: of_modes(degraded().next().unwrap_or(end)),
             all_modes: of_modes(all_modes(modes)),
+            end_com_x: end_com.x,
+            end_com_y: end_com.y,
+            end_com_z: end_com.z,
+            end_speed: rows("com_velocity").next_back().map_or(f64::NAN, |velocity| velocity.norm()),
             warning_time: of_modes(warning_time(end, degraded().rev())),
             time_off_the_ground: tick * ticks_above(data("feet_carry").iter().map(|carry| 1.0 - carry), 0.0),
             touchdown_speed: greatest(touchdowns.map(|(velocity, _)| (-velocity.z).max(0.0))),
@@ -178,6 +190,12 @@ fn ticks_above(mut values: impl Iterator<Item = f64>, limit: f64) -> f64 {
     values
         .try_fold(0.0, |count, value| (!value.is_nan()).then_some(count + f64::from(u8::from(value > limit))))
         .unwrap_or(f64::NAN)
+}
+
+/// Whether the robot follows its mission no longer; a descent lasts to the end.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // bits of `Modes`, which are 32
+fn is_descending(modes: f64) -> bool {
+    modes as u32 & Modes::DESCENDING.bits() != 0
 }
 
 /// Union of sets of modes.

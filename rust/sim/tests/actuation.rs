@@ -155,6 +155,33 @@ fn a_known_latency_is_compensated() {
     }
 }
 
+/// Torques that are later than the controller knows: with an estimator it uses the latency that it measures.
+#[test]
+fn a_measured_latency_is_used() {
+    let fly = |name: &str, torque_delay: f64, is_used: bool| {
+        let mut config = experiment(name);
+        config.simulator.duration = 20.0;
+        let actuation = config.simulator.actuation.unwrap_or_default();
+        config.simulator.actuation = Some(ActuationConfig { torque_delay, ..actuation });
+        let law = &mut config.controller.law;
+        law.estimator.get_or_insert_default();
+        if let Some(monitor) = law.latency_monitor.as_mut() {
+            monitor.torque_max = if is_used { 0.007 } else { 1.0 };
+        }
+        fly(&config)
+    };
+    // The observer's law with exact measurements and with sensors, and the predictive law in a robot's world.
+    for (name, torque_delay, greatest) in
+        [("test2_observer", 0.01, 5.0), ("test2_sensors", 0.01, 8.0), ("robot", 0.025, 20.0)]
+    {
+        assert_eq!(fly(name, torque_delay, false).outcome, Outcome::Fell, "{name}");
+        let flight = fly(name, torque_delay, true);
+        assert_eq!(flight.outcome, Outcome::Completed, "{name}: {:?}", flight.loss);
+        let rotation = flight.summary.max_rotation_error.to_degrees();
+        assert_within!(rotation, greatest, because "margin of the flight", "{name}: {rotation} deg");
+    }
+}
+
 #[test]
 fn bad_actuation_is_refused_by_name() {
     type Change = fn(&mut ActuationConfig);

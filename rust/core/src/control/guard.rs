@@ -1,5 +1,5 @@
 //! The guard of the law: which measurements are used, what replaces the others, and what is known of disturbances,
-//! engines and sensors. It consists of the channels of the measurement and the stages that are configured, each in its file.
+//! engines and sensors. It consists of the channels of the measurement and the stages that are configured, each in a file beside its detection.
 //!
 //! ```text
 //!                 measure                       judge                                  predict

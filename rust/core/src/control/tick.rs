@@ -6,7 +6,7 @@ use super::guard::channels::Channels;
 use super::guard::engines::Engines;
 use super::guard::estimator::Estimator;
 use super::guard::feet::Feet;
-use super::guard::joints::Joints;
+use super::guard::joints::stage::Joints;
 use super::guard::latency::LatencyMonitor;
 use super::guard::observer::ObserverState;
 use super::guard::stage::{Guard, Stage};

@@ -13,17 +13,13 @@
 //! stops becomes a bound on its commanded thrust, and an engine whose bounds are close together is lost. Equations
 //! M105, M106 and M144 of `docs/model`.
 
+mod stage;
+
 use super::observer::residual_share;
-use super::stage::{Stage, Tick};
 use crate::control::law::attitude::MomentumGains;
 use crate::control::law::limits::Limits;
-use crate::control::measurement::UsedMeasurement;
-use crate::control::modes::Modes;
-use crate::control::state::ControllerState;
-use crate::control::terms::Terms;
 use crate::error::{BuildError, Table};
 use crate::jets::{EngineModel, JetDynamics};
-use crate::kinematics::RobotState;
 use crate::robot::{Joint, JointKind, RobotModel};
 use crate::spatial::parts;
 use nalgebra::{Matrix6xX, Vector6};
@@ -355,39 +351,4 @@ pub fn explains(wrench: &Vector6<f64>, residual: &Vector6<f64>) -> bool {
         FORCE_ARM * FORCE_ARM * force.norm_squared() + moment.norm_squared()
     };
     square(residual + wrench) < square(*residual)
-}
-
-impl Stage for Engines {
-    fn name(&self) -> &'static str {
-        "engines"
-    }
-
-    fn start(&self, state: &mut ControllerState, _: &RobotState, _: &[f64]) {
-        state.engines = Engines::start(self);
-    }
-
-    fn judge(&mut self, tick: &mut Tick) {
-        let ControllerState { engines, observer, channels, contact, .. } = &mut *tick.state;
-        let Terms { measurement, momentum, limits, .. } = &mut *tick.terms;
-        let UsedMeasurement { thrust, thrust_innovation, sensor_error, elapsed, has_momentum, modes, .. } =
-            &mut *measurement;
-        let is_measured = !modes.contains(Modes::THRUST_MODELLED);
-        let samples = |jet: usize| EngineSample {
-            thrust: thrust[jet],
-            innovation: thrust_innovation[jet],
-            is_measured,
-            command: channels.thrust_rate[jet],
-        };
-        let residual = has_momentum.then_some((&momentum.a_t, &observer.residual));
-        self.update(engines, *elapsed, samples, residual, sensor_error);
-        for (jet, error) in sensor_error.iter().enumerate() {
-            if let Some(error) = error {
-                tick.channels.reject_sensor(channels, jet, *error);
-            }
-        }
-        if engines.iter().any(EngineState::is_limited) {
-            measurement.modes.insert(Modes::ENGINE_LIMITED);
-        }
-        channels.is_descending |= self.limit(engines, contact.is_active, limits);
-    }
 }

@@ -14,17 +14,13 @@
 //! Equations M91 to M93, M145 and M150 of `docs/model`.
 
 mod config;
+mod stage;
 
 pub use config::{ChannelConfig, EstimatorConfig, LatencyConfig};
 
-use super::stage::{Stage, Tick};
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
-use crate::control::command::Command;
 use crate::control::law::contact::WRENCH;
 use crate::control::measurement::Reading;
-use crate::control::modes::Modes;
-use crate::control::state::ControllerState;
-use crate::control::terms::Terms;
 use crate::dynamics::{Dynamics, MassFactor};
 use crate::error::BuildError;
 use crate::jets::{JetDynamics, JetModel};
@@ -32,6 +28,9 @@ use crate::kinematics::{Kinematics, RobotState};
 use crate::robot::RobotModel;
 use crate::spatial::{GREATEST, exp_so3, log_so3, parts, project_to_so3};
 use nalgebra::{DVector, Vector3, Vector6};
+
+/// Greatest latency of torques beyond the configured one that is used when it is measured \[s\].
+pub const LATENCY_UNKNOWN: f64 = 0.05;
 
 /// Inputs of the model from one tick to the next.
 #[derive(Debug, Clone, PartialEq)]
@@ -157,8 +156,8 @@ impl Model {
 /// How measurements correct an estimate.
 #[derive(Debug, Clone)]
 struct Gains {
-    /// Age of each channel in ticks when the command of this tick begins to act, in the order of the configuration.
-    ages: [usize; 7],
+    /// Age of each channel on arrival in ticks, in the order of the configuration.
+    delays: [usize; 7],
     /// Fraction of each channel's innovation that corrects the estimate.
     shares: [f64; 7],
     /// Fractions of the joint position innovation that correct velocities, per tick, and accelerations, per tick
@@ -169,11 +168,19 @@ struct Gains {
 }
 
 impl Gains {
-    /// Corrects an estimate of `age` ticks by the measurements of its time that have arrived, the last of which is number
-    /// `last` in `line`; `step` is the duration of the tick before it \[s\] (M91, M93, M145).
-    fn correct(&self, estimate: &mut Estimate, line: &[Reading], last: usize, age: usize, step: f64) {
+    /// Corrects an estimate by the measurements of its time that have arrived, the last of which is number `last` in
+    /// `line`; it is as old as measurements without delay of `since` ticks ago, `None` if it is younger. `step` is the
+    /// duration of the tick before it \[s\] (M91, M93, M145).
+    fn correct(
+        &self,
+        estimate: &mut Estimate,
+        line: &[Reading],
+        last: usize,
+        since: Option<usize>,
+        step: f64,
+    ) {
         let Estimate { reading, disturbance, gyro_bias, .. } = estimate;
-        let arrived = self.ages.map(|of_channel| age.checked_sub(of_channel));
+        let arrived = self.delays.map(|delay| since.and_then(|since| since.checked_sub(delay)));
         let measured = arrived.map(|since| &line[(last + line.len() - since.unwrap_or(0)) % line.len()]);
         let share = |channel: usize| if arrived[channel].is_some() { self.shares[channel] } else { 0.0 };
         let shares = std::array::from_fn(share);
@@ -196,12 +203,11 @@ impl Gains {
 pub struct Estimator {
     model: Model,
     time_step: f64,
-    /// Age of the oldest channel in ticks.
-    oldest: usize,
-    /// Whole ticks until torques act, which are part of the ages.
-    latency: usize,
-    /// What is left of the latencies of torques, below one, and thrust rates after these \[ticks\].
-    lags: [f64; 2],
+    /// Age of the oldest channel on arrival in ticks.
+    waiting: usize,
+    /// Latencies of torques and thrust rates \[ticks\], and the greatest that is used.
+    latency: LatencyConfig,
+    latency_max: f64,
     gains: Gains,
     /// Fractions of an unmodelled force and moment that appear in the estimated momentum per tick: those of lags with
     /// age and time constant of the linear and of the angular velocity.
@@ -221,6 +227,8 @@ pub struct EstimatorState {
     ticks: usize,
     /// Estimate at the greatest age.
     then: Estimate,
+    /// Latency of the torques, where it is not as configured \[s\].
+    torque_latency: Option<f64>,
 }
 
 impl Estimator {
@@ -239,15 +247,14 @@ impl Estimator {
         let channels = config.channels().map(|(_, channel)| *channel);
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked: 0 to 0.2 s
         let ticks = |time: f64| (time / time_step).round() as usize;
-        let (latency, lags) = config.latency.in_ticks(time_step);
-        let mut ages = channels.map(|channel| latency + ticks(channel.delay));
+        let mut delays = channels.map(|channel| ticks(channel.delay));
         let share = |time: f64| if time > 0.0 { -libm::expm1(-time_step / time) } else { 1.0 };
         let mut shares = channels.map(|channel| share(channel.time_constant));
         let mut by_position = [0.0; 2];
         if let Some(time) = config.joint_observer {
             // Observer gains that place all three poles at e^(-Δt/T).
             let (left, pole) = (share(time), 1.0 - share(time));
-            (ages[5], shares[4], shares[5]) = (latency, 1.0 - pole * pole * pole, 0.0);
+            (delays[5], shares[4], shares[5]) = (0, 1.0 - pole * pole * pole, 0.0);
             by_position = [left * left * (1.0 + 2.0 * pole), left * left * left];
         }
         let joints = robot.joints.len();
@@ -261,9 +268,11 @@ impl Estimator {
             robot,
             aero,
         };
-        let oldest = ages.into_iter().max().unwrap_or(0);
-        let momentum_shares =
-            [2, 3].map(|of| share((ages[of] as f64 + lags[0]) * time_step + channels[of].time_constant));
+        let waiting = delays.into_iter().max().unwrap_or(0);
+        let latency = config.latency;
+        let (whole, [left, _]) = latency.in_ticks(time_step);
+        let momentum_shares = [2, 3]
+            .map(|of| share(((whole + delays[of]) as f64 + left) * time_step + channels[of].time_constant));
         let of_bias = config.gyro_bias.map_or(0.0, share);
         let ahead = Estimate {
             reading: Reading::zero(joints, model.robot.jets.len()),
@@ -271,8 +280,9 @@ impl Estimator {
             gyro_bias: Vector3::zeros(),
             thrust_rate: vec![0.0; model.robot.jets.len()],
         };
-        let gains = Gains { ages, shares, by_position, of_bias };
-        Ok(Self { model, time_step, oldest, latency, lags, gains, momentum_shares, ahead })
+        let gains = Gains { delays, shares, by_position, of_bias };
+        let latency_max = latency.torque + LATENCY_UNKNOWN;
+        Ok(Self { model, time_step, waiting, latency, latency_max, gains, momentum_shares, ahead })
     }
 
     /// State before the first measurement, for a flight that starts from `state` and `thrust` \[N\].
@@ -289,8 +299,8 @@ impl Estimator {
             duration: self.time_step,
         };
         EstimatorState {
-            line: vec![first.clone(); 1 + self.oldest],
-            orders: vec![order; 1 + self.oldest + reach(self.lags[1])],
+            line: vec![first.clone(); 1 + self.waiting],
+            orders: vec![order; self.orders()],
             ticks: 0,
             then: Estimate {
                 reading: first,
@@ -298,14 +308,21 @@ impl Estimator {
                 gyro_bias: Vector3::zeros(),
                 thrust_rate: vec![0.0; jets],
             },
+            torque_latency: None,
         }
+    }
+
+    /// Number of inputs that are stored: those that the step to the oldest estimate needs.
+    fn orders(&self) -> usize {
+        1 + self.waiting + reach(self.latency_max.max(self.latency.thrust) / self.time_step)
     }
 
     /// Whether a state has the sizes of this estimator.
     #[must_use]
     pub fn fits(&self, state: &EstimatorState) -> bool {
         let robot = &self.model.robot;
-        state.line.len() == 1 + self.oldest
+        state.line.len() == 1 + self.waiting
+            && state.orders.len() == self.orders()
             && state.then.disturbance.len() == robot.joints.len()
             && state.then.reading.thrust.len() == robot.jets.len()
     }
@@ -328,13 +345,16 @@ impl Estimator {
         thrust_rate: &mut [f64],
     ) {
         memory.last_order().duration = self.time_step * (elapsed / self.time_step).round().max(1.0);
-        let Self { model, time_step, oldest, latency, lags, gains, ahead, .. } = self;
-        let EstimatorState { line, orders, ticks, then } = memory;
-        let (oldest, length) = (*oldest, line.len());
+        let Self { model, time_step, waiting, latency, latency_max, gains, ahead, .. } = self;
+        let EstimatorState { line, orders, ticks, then, torque_latency } = memory;
+        let torque = torque_latency.map_or(latency.torque, |torque| torque.clamp(0.0, *latency_max));
+        let acting_in = LatencyConfig { torque, thrust: latency.thrust.max(torque) };
+        // Ages count from when the torques of this tick begin to act, in whole ticks.
+        let (latency, [torque, thrust]) = acting_in.in_ticks(*time_step);
+        let (waiting, oldest, length) = (*waiting, latency + *waiting, line.len());
         // Inputs of `age` ticks ago; the first ones also stand for the time before (M140).
         let given = |age: usize| &orders[ticks.saturating_sub(age) % orders.len()];
         // Torques and thrust rates that act under these inputs, with the shares of the earlier ones.
-        let [torque, thrust] = *lags;
         let acting = |age: usize, late: [f64; 2]| {
             let sent = |lag: f64| (given(age + reach(lag)), given(age + whole(lag)));
             let ((torques, next_torques), (rates, next_rates)) = (sent(torque), sent(thrust));
@@ -344,10 +364,9 @@ impl Estimator {
             )
         };
         let late = [torque, thrust.fract()];
-        let waiting = oldest - *latency;
         let begun = *ticks > waiting;
         // Duration of the step that leads to `then`.
-        let step = if begun { given(length).duration } else { *time_step };
+        let step = if begun { given(oldest + 1).duration } else { *time_step };
         if *ticks == 0 {
             for reading in line.iter_mut() {
                 reading.copy_from(now);
@@ -356,7 +375,7 @@ impl Estimator {
         }
         line[*ticks % length].copy_from(now);
         if begun {
-            model.advance(then, (given(length), step), acting(length, late));
+            model.advance(then, (given(oldest + 1), step), acting(oldest + 1, late));
         }
         if !then.reading.is_finite() {
             then.reading.copy_from(now);
@@ -365,17 +384,17 @@ impl Estimator {
             then.thrust_rate.fill(0.0);
         }
         thrust_innovation.copy_from_slice(&then.reading.thrust);
-        gains.correct(then, line, *ticks, oldest, step);
+        gains.correct(then, line, *ticks, Some(waiting), step);
         for (innovation, corrected) in thrust_innovation.iter_mut().zip(&then.reading.thrust) {
             *innovation = corrected - *innovation;
         }
         ahead.copy_from(then);
         if *ticks > 0 {
             // What is younger than the latest measurement is only predicted: its age is below all of the channels.
-            for age in (0..*latency + waiting.min(*ticks)).rev() {
+            for age in (0..latency + waiting.min(*ticks)).rev() {
                 let order = given(age + 1);
                 model.advance(ahead, (order, order.duration), acting(age + 1, late));
-                gains.correct(ahead, line, *ticks, age, order.duration);
+                gains.correct(ahead, line, *ticks, age.checked_sub(latency), order.duration);
             }
             if torque > 0.0 {
                 // To when the torques of this tick begin to act.
@@ -400,6 +419,12 @@ impl EstimatorState {
     /// Restarts from the next measurement, because the estimates before it are worth nothing.
     pub(super) fn restart(&mut self) {
         self.ticks = 0;
+    }
+
+    /// Uses a latency of the torques other than the configured one \[s\], from the next tick on. Not more than
+    /// [`LATENCY_UNKNOWN`] beyond that is used.
+    pub fn use_torque_latency(&mut self, latency: f64) {
+        self.torque_latency = Some(latency);
     }
 
     /// Subtracts the error `deviation` \[N\] of a jet's sensor from its thrust; its stored measurements are discarded.
@@ -514,51 +539,4 @@ fn correct(
         *found = (*found + shares[6] * (prefer_measured(*measured, *found) - *found)).max(0.0);
     }
     turn
-}
-
-impl Stage for Estimator {
-    fn name(&self) -> &'static str {
-        "estimator"
-    }
-
-    fn start(&self, state: &mut ControllerState, robot: &RobotState, thrust: &[f64]) {
-        state.estimator = Some(Estimator::start(self, robot, thrust));
-    }
-
-    fn fits(&self, state: &ControllerState) -> bool {
-        state.estimator.as_ref().is_some_and(|memory| Estimator::fits(self, memory))
-    }
-
-    fn measure(&mut self, tick: &mut Tick) {
-        let (Some(memory), channels) = (&mut tick.state.estimator, &mut *tick.channels) else { return };
-        let Terms { estimates, measurement: used, .. } = &mut *tick.terms;
-        channels.select_accepted(&tick.state.channels, &mut estimates.reading);
-        if used.pause > 0.0 || used.modes.contains(Modes::BEGUN_AGAIN) {
-            memory.restart();
-        }
-        let (innovation, rate) = (&mut used.thrust_innovation, &mut used.thrust_rate);
-        self.update(memory, &mut estimates.reading, used.elapsed, innovation, rate);
-        channels.replace(&mut estimates.reading, used);
-    }
-
-    fn judge(&mut self, tick: &mut Tick) {
-        let Some(memory) = &mut tick.state.estimator else { return };
-        for (jet, error) in tick.terms.measurement.sensor_error.iter().enumerate() {
-            if let Some(error) = error {
-                memory.correct_thrust(jet, *error);
-            }
-        }
-    }
-
-    fn predict(&mut self, tick: &mut Tick, command: &Command) {
-        let Some(memory) = &mut tick.state.estimator else { return };
-        let Terms { momentum, measurement: used, contact, acting_torque, .. } = &*tick.terms;
-        memory.command(
-            command.thrust_rate.as_slice(),
-            acting_torque.as_slice(),
-            &momentum.unmodelled_wrench,
-            &used.wind,
-            contact.force_of_torques.as_slice(),
-        );
-    }
 }

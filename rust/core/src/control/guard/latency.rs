@@ -12,14 +12,10 @@
 //! for which a torque is held. It is known while its standard deviation, were the residuals white, is small enough.
 //! Equations M164 and M165 of `docs/model`.
 
+mod stage;
+
 use super::estimator::EstimatorConfig;
-use super::stage::{Stage, Tick};
-use crate::control::law::limits::JointCondition;
-use crate::control::modes::Modes;
-use crate::control::state::ControllerState;
-use crate::control::terms::Terms;
 use crate::error::{BuildError, Table};
-use crate::kinematics::RobotState;
 use crate::linalg::add_mat_vec;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
@@ -400,60 +396,13 @@ impl LatencyMonitor {
         std::array::from_fn(|of| self.banks[of].delay(&state.banks[of]).map(|delay| delay - self.ages[of]))
     }
 
-    /// Whether commands are late, or earlier than is known, `elapsed` \[s\] after the last tick.
-    pub fn is_late(&self, state: &mut LatencyState, measured: [Option<f64>; 2], elapsed: f64) -> bool {
+    /// Whether torques and thrust rates are late, or earlier than is known, `elapsed` \[s\] after the last tick.
+    pub fn are_late(&self, state: &mut LatencyState, measured: [Option<f64>; 2], elapsed: f64) -> [bool; 2] {
         let greatest = [self.config.torque_max, self.config.thrust_max];
         for of in 0..2 {
             let differs = measured[of].is_some_and(|delay| (delay - self.known[of]).abs() > greatest[of]);
             state.exceeded[of] = if differs { state.exceeded[of] + elapsed } else { 0.0 };
         }
-        state.exceeded.iter().any(|time| *time > self.config.confirmation)
-    }
-}
-
-impl Stage for LatencyMonitor {
-    fn name(&self) -> &'static str {
-        "latency"
-    }
-
-    fn start(&self, state: &mut ControllerState, robot: &RobotState, thrust: &[f64]) {
-        state.latency = Some(LatencyMonitor::start(self, &robot.joint_position, thrust.len()));
-    }
-
-    fn fits(&self, state: &ControllerState) -> bool {
-        state.latency.as_ref().is_some_and(|latency| LatencyMonitor::fits(self, latency))
-    }
-
-    fn measure(&mut self, tick: &mut Tick) {
-        let Some(latency) = &mut tick.state.latency else { return };
-        let used = &tick.terms.measurement;
-        let accepted = |mode| !used.modes.contains(mode) && !used.modes.contains(Modes::BEGUN_AGAIN);
-        let position = accepted(Modes::JOINTS_PREDICTED).then(|| used.state.joint_position.as_slice());
-        let thrust = accepted(Modes::THRUST_MODELLED).then_some(&used.thrust[..]);
-        LatencyMonitor::measure(self, latency, position, thrust, used.elapsed);
-    }
-
-    fn judge(&mut self, tick: &mut Tick) {
-        let ControllerState { latency, channels, contact, .. } = &mut *tick.state;
-        let Some(latency) = latency else { return };
-        tick.terms.reduce_torque(channels.joint_torque.as_slice());
-        let Terms { measurement: used, inverse_mass, limits, acting_torque, .. } = &mut *tick.terms;
-        let is_comparable = used.has_momentum
-            && inverse_mass.is_known
-            && !contact.is_active
-            && !used.modes.contains(Modes::FEET_PREDICTED)
-            && !limits.joints.contains(&JointCondition::Stuck);
-        let sample = Sample {
-            acceleration: &channels.acceleration.as_slice()[6..],
-            gain: &inverse_mass.joint_gain,
-            torque: acting_torque,
-            thrust_rate: channels.thrust_rate.as_slice(),
-        };
-        self.compare(latency, &sample, is_comparable);
-        let measured = self.measured(latency);
-        if self.is_late(latency, measured, used.elapsed) {
-            used.modes.insert(Modes::LATE);
-        }
-        tick.terms.measured_latency = measured;
+        state.exceeded.map(|time| time > self.config.confirmation)
     }
 }

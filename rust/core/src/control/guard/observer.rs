@@ -10,8 +10,8 @@
 //! the law is the same in flight and standing. `Δt` is the time between the two measurements. Inertial axes, about the
 //! centre of mass, force first. Equations M82 to M84 and M106 of `docs/model`.
 
-use super::stage::{Stage, Tick};
-use crate::control::terms::Terms;
+mod stage;
+
 use crate::error::{BuildError, Table};
 use nalgebra::Vector6;
 use serde::{Deserialize, Serialize};
@@ -116,21 +116,4 @@ fn share(gain: f64, elapsed: f64) -> f64 {
 /// Fraction of an innovation that the residual receives after `elapsed` \[s\].
 pub(super) fn residual_share(elapsed: f64) -> f64 {
     share(1.0 / RESIDUAL_TIME, elapsed)
-}
-
-impl Stage for ObserverConfig {
-    fn name(&self) -> &'static str {
-        "observer"
-    }
-
-    fn judge(&mut self, tick: &mut Tick) {
-        let (observer, Terms { measurement, dynamics, momentum, .. }) =
-            (&mut tick.state.observer, &mut *tick.terms);
-        let sample = Sample { momentum: dynamics.momentum, rate: momentum.measured_rate };
-        momentum.add_unmodelled(if measurement.has_momentum {
-            observer.update(self, measurement.elapsed, sample)
-        } else {
-            observer.hold()
-        });
-    }
 }

@@ -8,10 +8,9 @@
 //! A flight strays if one of their lengths, or the speed of a joint, exceeds its limit for a confirmation time, whatever
 //! the cause is. Equations M148 and M149 of `docs/model`.
 
-use super::stage::{Stage, Tick};
+mod stage;
+
 use crate::control::law::setpoint::Setpoint;
-use crate::control::modes::Modes;
-use crate::control::terms::Terms;
 use crate::dynamics::Dynamics;
 use crate::error::{BuildError, Table};
 use crate::kinematics::{Kinematics, RobotState};
@@ -100,20 +99,5 @@ impl SupervisorConfig {
         *exceeded = if is_beyond { *exceeded + elapsed } else { 0.0 };
         // A billionth absorbs the rounding of the sum.
         is_beyond && *exceeded >= self.confirmation * (1.0 - 1e-9)
-    }
-}
-
-impl Stage for SupervisorConfig {
-    fn name(&self) -> &'static str {
-        "supervisor"
-    }
-
-    fn judge(&mut self, tick: &mut Tick) {
-        let Terms { measurement, due, kinematics, dynamics, .. } = &mut *tick.terms;
-        let errors = Errors::ahead(self.horizon, &measurement.state, kinematics, dynamics, due);
-        if self.update(&mut tick.state.exceeded, measurement.elapsed, &errors) {
-            measurement.modes.insert(Modes::STRAYING);
-            tick.state.channels.is_descending |= self.descend;
-        }
     }
 }

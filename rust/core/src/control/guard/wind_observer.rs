@@ -14,16 +14,14 @@
 //!
 //! Equations M94 and M110 of `docs/model`.
 
+mod stage;
+
 use super::observer::{ObserverConfig, ObserverState, Sample};
-use super::stage::{Stage, Tick};
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
-use crate::control::command::Command;
 use crate::control::law::contact::add_wrenches;
 use crate::control::measurement::UsedMeasurement;
-use crate::control::state::ControllerState;
-use crate::control::terms::Terms;
 use crate::error::{BuildError, Table};
-use crate::kinematics::{Kinematics, RobotState};
+use crate::kinematics::Kinematics;
 use crate::robot::RobotModel;
 use crate::spatial::{Pose, parts};
 use nalgebra::{Matrix3, Matrix6xX, Vector3, Vector6};
@@ -274,22 +272,5 @@ impl WindState {
     pub fn std(&self) -> Vector3<f64> {
         let considered = self.covariance + self.lasting * self.sensitivity * self.sensitivity.transpose();
         considered.diagonal().map(f64::sqrt)
-    }
-}
-
-impl Stage for WindObserver {
-    fn name(&self) -> &'static str {
-        "wind observer"
-    }
-
-    fn start(&self, state: &mut ControllerState, _: &RobotState, _: &[f64]) {
-        state.wind = Some(WindObserver::start(self));
-    }
-
-    fn predict(&mut self, tick: &mut Tick, _: &Command) {
-        let Terms { measurement, kinematics, dynamics, momentum, contact, .. } = &*tick.terms;
-        if let Some(wind) = &mut tick.state.wind {
-            self.update(wind, measurement, kinematics, &dynamics.momentum, &momentum.a_t, &contact.soles);
-        }
     }
 }
