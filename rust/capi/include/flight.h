@@ -278,6 +278,14 @@ uint32_t flight_torque_steps(const struct FlightController *controller);
 // As for `flight_joint_count`.
 uint32_t flight_modes(const struct FlightController *controller);
 
+// Throttle \[%\] with which a jet's engine follows the thrust rate of the last tick, for robots whose engines take no
+// rates. Zero with `controller.jet_dynamics = "ideal"`, which has no engines, for null or an index outside of the range.
+//
+// # Safety
+// As for `flight_joint_count`.
+double flight_throttle(const struct FlightController *controller,
+                       size_t index);
+
 // Starts a flight, in place of the present one if any: position, attitude and posture of this measurement become the
 // reference. Only the wind may be NaN, and joint velocities that need not be measured. If no flight can start with it,
 // the present one continues, and `message`, unless null, contains the reason in at most `message_size` bytes, the last

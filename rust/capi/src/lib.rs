@@ -700,6 +700,18 @@ pub unsafe extern "C" fn flight_modes(controller: *const FlightController) -> u3
     unsafe { controller.as_ref() }.map_or(0, |controller| controller.controller.command().modes.bits())
 }
 
+/// Throttle \[%\] with which a jet's engine follows the thrust rate of the last tick, for robots whose engines take no
+/// rates. Zero with `controller.jet_dynamics = "ideal"`, which has no engines, for null or an index outside of the range.
+///
+/// # Safety
+/// As for `flight_joint_count`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn flight_throttle(controller: *const FlightController, index: usize) -> f64 {
+    // SAFETY: by this function's contract.
+    let controller = unsafe { controller.as_ref() };
+    controller.and_then(|c| c.controller.command().throttle.as_slice().get(index).copied()).unwrap_or(0.0)
+}
+
 /// Starts a flight, in place of the present one if any: position, attitude and posture of this measurement become the
 /// reference. Only the wind may be NaN, and joint velocities that need not be measured. If no flight can start with it,
 /// the present one continues, and `message`, unless null, contains the reason in at most `message_size` bytes, the last

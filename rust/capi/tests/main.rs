@@ -13,8 +13,8 @@ use flight::{
     flight_controller_free, flight_foot_count, flight_jet_count, flight_jet_name, flight_joint_count,
     flight_joint_name, flight_mode_name, flight_modes, flight_replace_command, flight_robot_advance,
     flight_robot_advance_in_steps, flight_robot_create, flight_robot_free, flight_robot_measure,
-    flight_start, flight_status_name, flight_tick, flight_tick_ahead, flight_tick_torques, flight_time_step,
-    flight_torque_steps, flight_version,
+    flight_start, flight_status_name, flight_throttle, flight_tick, flight_tick_ahead, flight_tick_torques,
+    flight_time_step, flight_torque_steps, flight_version,
 };
 use flight_core::Measurement;
 use flight_core::control::law::between::JointMeasurement;
@@ -139,6 +139,12 @@ fn an_estimator_through_c_is_that_of_the_crate() {
 }
 
 /// So is one with a learned policy.
+/// With throttles, in a robot's world.
+#[test]
+fn a_recommended_controller_through_c_is_that_of_the_crate() {
+    fly_both("robot");
+}
+
 #[test]
 fn a_policy_through_c_is_that_of_the_crate() {
     fly_both("test1_policy");
@@ -255,6 +261,9 @@ fn fly_both(name: &str) {
         assert_eq!(arrays.thrust_rate, expected.thrust_rate.as_slice(), "tick {tick}");
         assert_eq!(arrays.velocity_command, expected.joint_velocity.as_slice(), "tick {tick}");
         assert_eq!(arrays.torque, expected.joint_torque.as_slice(), "tick {tick}");
+        for (jet, throttle) in expected.throttle.iter().enumerate() {
+            assert_eq!(unsafe { flight_throttle(c.0, jet) }.to_bits(), throttle.to_bits(), "tick {tick}");
+        }
         if tick % 5 == 2 {
             // A tick of the torques, of which every other joint is measured.
             let mut position = plant.state().joint_position.as_slice().to_vec();
