@@ -318,9 +318,9 @@ def test_a_claim_covers_the_cells_of_its_levels(chosen, count):
 def test_a_claim_fails_with_one_of_its_cells_that_it_names():
     limit = {"rotation_error_deg_worst": 5.0}
     assert judged(CELLS, at_most=limit) == (
-        "400 of 400 (99.0 to 100.0 %) complete; rotation error in the median 2.0°, at most 4.0°", "agrees"
+        "400 of 400 (99.0 to 100.0 %) completed; rotation error in the median 2.0°, at most 4.0°", "agrees"
     )  # fmt: skip
-    for figures, how in (({"worst": 5.1}, "5.1°"), ({"completed": 99}, "1 of 100 do not complete")):
+    for figures, how in (({"worst": 5.1}, "5.1°"), ({"completed": 99}, "1 of 100 not completed")):
         cells = [*CELLS[:3], cell(controller="observer, no model", speed=26.0, **figures)]
         assert judged(cells, at_most=limit)[1] == f"differs: observer, no model, 26: {how}"
         assert judged(cells, at_most=limit, cells={"controller": "observer"})[1] == "agrees"

@@ -164,15 +164,16 @@ def test_failures_are_learnt_in_gymnasium(key, tmp_path):
     hover = HoverEnv(Task(str(tmp_path / "own.toml"), duration=0.3, ramp=0.1))
     hover.reset(options={"wind": WIND})
     flown = rust.fly(hover._config)
-    for tick in range(1, 31):
+    assert len(flown["time"]) > 15  # without an engine it comes down
+    for tick in range(1, len(flown["time"])):
         hover.step(np.zeros(27, np.float32))
         assert np.array_equal(hover._flight.truth.state.base_position, flown["base_position"][tick])
-    told = hover._flight.measurement.state.base_position
-    is_told = {
-        "simulator.sensors": (told != flown["base_position"][30]).all(),
-        "disturbances.outages": np.isnan(told).all(),
+    measured = hover._flight.measurement.state.base_position
+    is_measured = {
+        "simulator.sensors": (measured != flown["base_position"][-1]).all(),
+        "disturbances.outages": np.isnan(measured).all(),
     }
-    assert is_told.get(key, True)
+    assert is_measured.get(key, True)
 
 
 def test_an_episode_ends_where_the_flight_is_lost(tmp_path):

@@ -242,7 +242,7 @@ def test_an_engine_that_stops_before_the_robot_leaves_the_ground_ends_the_take_o
     stops = {"jet": jet, "time": 2.64, "kind": "off", "decay": 0.0}
     changes = {"simulator.duration": 9.0, "disturbances.jets.failure": stops}
     result = fly(rust.load_config(ROOT / "configs/experiments/take_off.toml", changes))
-    assert result.outcome == "completed"
+    assert result.outcome == "descended"
     log = result.log
     assert (log["feet_carry"] == 1.0).all()
     assert log["thrust"][265].sum() > 50.0
@@ -259,7 +259,7 @@ def test_a_robot_that_loses_a_measurement_of_its_base_lands_and_stands(lost, sta
     outage = {"channel": lost, "start": start, "kind": "missing"}
     changes = {"simulator.duration": duration, "disturbances.outages": [outage]}
     result = fly(rust.load_config(ROOT / "configs/experiments/take_off.toml", changes))
-    assert result.outcome == "completed"
+    assert result.outcome == "descended"
     assert (result.log["feet_carry"][-200:] == 1.0).all()
     assert (result.log["degraded_modes"][-200:].astype(int) & MODES["descending"]).all()
 
