@@ -65,6 +65,27 @@ def test_no_key_is_a_date(value, tmp_path):
         tables.read(file)
 
 
+class Named(tables.Table, frozen=True):
+    entries: dict[str, dict[str, float]]
+    label: str | float = ""
+
+
+def test_tables_keep_the_order_of_their_file(tmp_path):
+    """Designs of random points count postures, and searches draw from ranges, in the order of a file."""
+    file = tmp_path / "own.toml"
+    file.write_text("label = 8\n[entries.z]\nb = 1\na = 2\n[entries.y]\n")
+    changed = tables.load(file, Named, {"entries.y.d": 3.0, "entries.x": {}})
+    for entries in (
+        tables.read(file)["entries"],
+        changed.entries,
+        tables.convert(tables.read(file), Named, "").entries,
+    ):
+        assert list(entries)[:2] == ["z", "y"]
+        assert list(entries["z"]) == ["b", "a"]
+    assert changed.entries["y"] == {"d": 3.0}
+    assert isinstance(changed.label, float)  # as the other labels of an axis with fractions
+
+
 def test_the_suffix_names_what_was_set():
     assert folder_suffix({"wind.velocity": [0, -12, 0]}) == "--wind.velocity=0_-12_0"
     assert folder_suffix({"b": True, "a": "x-y-z"}) == "--a=x-y-z--b=true"
