@@ -585,7 +585,13 @@ class SecondOrderJetsConfig(Struct, frozen=True, kw_only=True, tag_field="dynami
     rate_gain_p: float = 150.0
 
 
-JetsConfig: TypeAlias = IdealJetsConfig | SecondOrderJetsConfig
+class MeasuredJetsConfig(Struct, frozen=True, kw_only=True, tag_field="dynamics", tag="measured"):
+    rate: tuple[tuple[float, ...], ...]
+    throttle: tuple[float, ...]
+    thrust: tuple[float, ...]
+
+
+JetsConfig: TypeAlias = IdealJetsConfig | SecondOrderJetsConfig | MeasuredJetsConfig
 
 
 class MissionConfig(Struct, frozen=True, kw_only=True):

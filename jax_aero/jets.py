@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, Protocol, assert_never
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from jax_aero.config import IdealJetsConfig, JetsConfig, SecondOrderJetsConfig
+from jax_aero.config import IdealJetsConfig, JetsConfig, MeasuredJetsConfig, SecondOrderJetsConfig
 from jax_aero.robot import ENGINE_KEYS, RobotModel
 from jax_aero.types import Array, Static, leaf, pytree
 
@@ -221,6 +221,8 @@ def jet_dynamics(settings: JetsConfig, robot: RobotModel) -> JetDynamics:
                 init_state=None if settings.ekf.init_state is None else leaf(settings.ekf.init_state),
                 init_p=leaf(settings.ekf.init_P),
             )
+        case MeasuredJetsConfig():
+            raise ValueError('`simulator.jets.dynamics` is "measured"; expected "ideal" or "second_order": JAX has no maps')
         case _:
             assert_never(settings)
 

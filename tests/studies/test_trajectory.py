@@ -135,7 +135,7 @@ def test_fuel_is_the_line_through_idle_and_full_thrust(base):
 def test_a_jet_without_consumption_is_refused(base):
     robot = load_robot(base["robot"])
     fuel = trajectory.load_fuel(ROOT / "configs/tables/fuel.toml")
-    with pytest.raises(Refused, match=r"`fuel` has chest_l_jet, .*; expected one table for each jet"):
+    with pytest.raises(Refused, match=r"`fuel` has l_arm_jet, .*; expected one table for each jet"):
         trajectory.fuel_lines({name: line for name, line in fuel.items() if name != "r_arm_jet"}, robot)
 
 

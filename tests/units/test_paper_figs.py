@@ -15,13 +15,15 @@ DRAWN = [name for name, entry in FIGURES.items() if entry.kind in ("", "flight")
 
 @pytest.mark.parametrize("name", DRAWN)
 def test_every_figure_is_drawn_as_pdf_and_png_and_names_its_runs(name, made_up_results, tmp_path):
-    chosen = ["--runs", "test1", "test2", "test4"] if name == "compare" else []
+    runs = ["test1", "test2", "test4"] if name == "compare" else []
+    chosen = ["--runs", *runs] if runs else []
     assert main([name, *chosen, "--results", str(made_up_results), "--out", str(tmp_path / "out")]) == 0
-    assert (tmp_path / "out" / f"{name}.pdf").read_bytes().startswith(b"%PDF")
-    with Image.open(tmp_path / "out" / f"{name}.png") as picture:
+    file = tmp_path / "out" / "--".join([name, *(["_".join(runs)] if runs else [])])
+    assert file.with_suffix(".pdf").read_bytes().startswith(b"%PDF")
+    with Image.open(file.with_suffix(".png")) as picture:
         assert picture.width >= 800  # on paper 101 mm, at 200 points an inch
         assert round(picture.info["dpi"][0]) == 200
-        for run in FIGURES[name].runs:
+        for run in runs or FIGURES[name].runs:
             assert f"{run} config {run.encode().hex()}" in picture.info["Description"]
 
 

@@ -383,12 +383,13 @@ def test_a_world_of_ones_own_is_flown_as_the_crates(measured):
     theirs, crates = rust.Flight(config, Bodies(config)).run(), rust.fly(config)
     assert theirs.outcome == crates.outcome == "completed"
     for name in crates.log.keys() - {"qp_iterations"}:
-        scale = max(1.0, np.abs(crates[name]).max())
-        error = np.abs(theirs[name] - crates[name]).max() / scale
+        scale = np.nanmax(np.abs(crates[name]), initial=1.0)
+        both = ~(np.isnan(theirs[name]) & np.isnan(crates[name]))  # a latency that is not known yet
+        error = np.abs(theirs[name] - crates[name])[both].max(initial=0.0) / scale
         measured(name, error, 1e-6, because="rounding, amplified in a second")
     assert set(theirs.log) - set(crates.log) == {name for name, one in rust.signals().items() if one.is_of_ground}
     assert (theirs["foot_wrench"] == 1.0).all()
-    assert np.array_equal(theirs["joint_torque_measured"][2:], crates["joint_torque"][:-2])
+    assert np.array_equal(theirs["joint_torque_measured"][2:], theirs["joint_torque"][:-2])
     assert theirs.summary["time_off_the_ground"] == pytest.approx(1.01)
 
 

@@ -633,7 +633,7 @@ def test_a_sweep_leaves_a_table_of_flights_one_of_cells_and_says_what_was_flown(
     assert [cell["completed"] for cell in cells] == [3, 3, 3, 3]
     agree("lower end of the interval", cells[0]["completed_low"], table.wilson(3, 3)[0], 1e-12)
     document = json.loads((flown / "sweep.json").read_text())
-    assert document["finished"]["outcomes"] == {"completed": 12, "off_course": 0, "fell": 0, "diverged": 0, "error": 0}
+    assert document["finished"]["outcomes"] == {"completed": 12, "off_course": 0, "descended": 0, "fell": 0, "diverged": 0, "error": 0}
     assert {"config_hash", "code_hash", "git", "versions", "device", "perturbation"} <= document.keys()
     assert str(ROOT) not in (flown / "sweep.json").read_text()
 

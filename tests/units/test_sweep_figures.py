@@ -34,8 +34,9 @@ def write(folder, name, drawing, axes, panels="world"):
     cells = []
     for index, labels in enumerate(itertools.product(*(AXES[axis]["levels"] for axis in axes))):
         record = {"cell": index, **dict(zip(axes, labels, strict=True)), "flights": 8, "errors": 0}
-        record |= {"completed": index % 9, "completed_low": 0.1, "completed_high": 0.9}
-        record |= {"off_course": index % 2, "fell": index % 3, "diverged": 0, "unwarned": 0}
+        for share in ("completed", "upright"):
+            record |= {share: index % 9, f"{share}_low": 0.1, f"{share}_high": 0.9}
+        record |= {"descended": index % 4, "off_course": index % 2, "fell": index % 3, "diverged": 0, "unwarned": 0}
         for quantity in ("rotation_error_deg", "com_error"):
             record |= {f"{quantity}_{end}": float(index + step) for step, end in enumerate(("low", "median", "high"))}
             record[f"{quantity}_worst"] = None if index == 1 else 3.0 * index
@@ -149,14 +150,17 @@ def test_a_map_keeps_the_row_of_a_level_without_any_number(tmp_path):
 
 
 def test_a_pair_is_as_bad_as_its_worst_flight():
-    """None, off course, lost with a warning, lost without one; what was not flown has no number."""
+    """None, down, off course, lost with a warning, lost without one; what was not flown has no number."""
     levels = ["a", "b", "c", "d"]
-    ends = {("a", "b"): (0, 0, 0, 0), ("a", "c"): (1, 0, 0, 0), ("a", "d"): (1, 0, 1, 0), ("b", "d"): (0, 2, 0, 1)}
-    names = ("off_course", "fell", "diverged", "unwarned")
+    ends = {
+        ("a", "b"): (0, 0, 0, 0, 0), ("a", "c"): (0, 1, 0, 0, 0), ("a", "d"): (2, 1, 0, 1, 0), ("b", "d"): (0, 0, 2, 0, 1),
+        ("b", "c"): (3, 0, 0, 0, 0),
+    }  # fmt: skip
+    names = ("descended", "off_course", "fell", "diverged", "unwarned")
     cells = [{"x": x, "x_2": y, **dict(zip(names, end, strict=True))} for (x, y), end in ends.items()]
     found = pairs.worst(pd.DataFrame(cells), "x", levels)
     expected = np.full((4, 4), np.nan)
-    expected[0, 1:], expected[1, 3] = (0, 1, 2), 3
+    expected[0, 1:], expected[1, 2:] = (0, 2, 3), (1, 4)
     np.testing.assert_array_equal(found, expected)
 
 

@@ -311,6 +311,9 @@ impl SimulatorConfig {
                 &expected,
             )?;
         }
+        if let JetsConfig::Measured(map) = &self.jets {
+            map.check()?;
+        }
         if !(1..=1000).contains(&self.substeps) {
             return Err(BuildError::bad_value(
                 "simulator.substeps",

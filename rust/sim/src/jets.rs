@@ -4,14 +4,16 @@
 //! thrust_rate_command ──Jets::advance──► thrust (physics),  thrust_feedback (controller)
 //! ```
 //!
-//! Two dynamics: `ideal` follows the command exactly, as in every published flight; `second_order` is the
-//! identified engine with the throttle loop and thrust estimator that the real robot needs.
+//! Three dynamics: `ideal` follows the command exactly, as in every published flight; `second_order` is the
+//! identified engine with the throttle loop and thrust estimator that the real robot needs; `measured` is a turbine by its
+//! map, whose throttle is that of the rate nearest to the command.
 //!
 //! Thrust is never below the least of a running engine, unless a fault stops the engine.
 //!
 //! Equation M31 of `docs/model`.
 
 use crate::disturbances::{JetFaults, JetFaultsConfig};
+use crate::turbine::TurbineConfig;
 use flight_core::error::{BuildError, check};
 use flight_core::jets::{EkfConfig, EngineDynamics, EngineModel, ThrustEkf, ThrustRateController};
 use flight_core::robot::{EngineCoefficients, Jet};
@@ -28,6 +30,8 @@ pub enum JetsConfig {
     Ideal {},
     /// Identified second-order engines with a throttle loop.
     SecondOrder(SecondOrderConfig),
+    /// A turbine by its measured map, the same for every jet.
+    Measured(TurbineConfig),
 }
 
 impl JetsConfig {
@@ -37,6 +41,7 @@ impl JetsConfig {
         match self {
             Self::Ideal {} => "ideal",
             Self::SecondOrder(_) => "second_order",
+            Self::Measured(_) => "measured",
         }
     }
 }
@@ -96,6 +101,7 @@ struct ThrottledEngine {
 enum Dynamics {
     Ideal,
     SecondOrder { jets: Vec<ThrottledEngine>, feedback: ThrustFeedback },
+    Measured { map: TurbineConfig, throttle: Vec<f64> },
 }
 
 /// The jets of a robot and their present thrust.
@@ -133,7 +139,16 @@ impl Jets {
             thrust_rate: vec![0.0; jets.len()],
             estimate: Vec::new(),
         };
-        let JetsConfig::SecondOrder(config) = config else { return Ok(new) };
+        let config = match config {
+            JetsConfig::Ideal {} => return Ok(new),
+            JetsConfig::Measured(map) => {
+                map.check()?;
+                let throttle = initial_thrust.iter().map(|thrust| map.nearest(*thrust, 0.0).0).collect();
+                new.dynamics = Dynamics::Measured { map: map.clone(), throttle };
+                return Ok(new);
+            }
+            JetsConfig::SecondOrder(config) => config,
+        };
         if let Some(names) = &config.engines {
             check_one_per_jet("engines", names.len(), jets)?;
         }
@@ -165,10 +180,11 @@ impl Jets {
     /// # Errors
     /// As [`JetFaultsConfig::check`]; also measurement noise without an estimator that uses the measurement.
     pub fn with_faults(mut self, config: &JetFaultsConfig, jets: &[Jet]) -> Result<Self, BuildError> {
-        if config.measurement_noise.is_some() && matches!(self.dynamics, Dynamics::Ideal) {
+        if config.measurement_noise.is_some() && !matches!(self.dynamics, Dynamics::SecondOrder { .. }) {
+            let of = if matches!(self.dynamics, Dynamics::Ideal) { "ideal" } else { "measured" };
             return Err(BuildError::bad_value(
                 "simulator.jets.dynamics",
-                "ideal",
+                of,
                 "second_order, whose estimators disturbances.jets.measurement_noise disturbs",
             ));
         }
@@ -178,8 +194,8 @@ impl Jets {
 
     /// Advances every jet by `dt` \[s\] with constant commanded thrust rates \[N/s\].
     ///
-    /// Ideal: `T ← max(T_min, T + Ṫ* dt)`; upper bounds are left to the controller. Second order: throttle from the
-    /// present estimate, then estimator and engine over `dt`. Faults act on the command before and on the thrust
+    /// Ideal: `T ← max(T_min, T + Ṫ* dt)`; upper bounds are left to the controller. Measured: the same with the rate of the
+    /// map nearest to the command. Second order: throttle from the present estimate, then estimator and engine over `dt`. Faults act on the command before and on the thrust
     /// after. A jet without a command does not change. Does not allocate.
     pub fn advance(&mut self, thrust_rate_command: &[f64], dt: f64) {
         let commands = self.faults.response.delay_rates(thrust_rate_command, dt);
@@ -188,6 +204,13 @@ impl Jets {
                 let jets = self.thrust.iter_mut().zip(&mut self.thrust_rate);
                 for ((thrust, thrust_rate), &command) in jets.zip(commands) {
                     (*thrust, *thrust_rate) = (*thrust + dt * command, command);
+                }
+            }
+            Dynamics::Measured { map, throttle } => {
+                let jets = self.thrust.iter_mut().zip(&mut self.thrust_rate).zip(throttle);
+                for (((thrust, thrust_rate), throttle), &command) in jets.zip(commands) {
+                    (*throttle, *thrust_rate) = map.nearest(*thrust, command);
+                    *thrust += dt * *thrust_rate;
                 }
             }
             Dynamics::SecondOrder { jets, .. } => {
@@ -252,6 +275,7 @@ impl Jets {
         match &self.dynamics {
             Dynamics::Ideal => Vec::new(),
             Dynamics::SecondOrder { jets, .. } => jets.iter().map(|jet| jet.controller.throttle()).collect(),
+            Dynamics::Measured { throttle, .. } => throttle.clone(),
         }
     }
 }

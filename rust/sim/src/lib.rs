@@ -26,6 +26,7 @@ pub mod scenario;
 pub mod sensors;
 pub mod signals;
 pub mod summary;
+pub mod turbine;
 pub mod turbulence;
 mod warnings;
 pub mod wind;

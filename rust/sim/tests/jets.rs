@@ -9,6 +9,7 @@ use flight_core::robot::{Frame, Jet};
 use flight_core::spatial::Pose;
 use flight_sim::disturbances::JetFaultsConfig;
 use flight_sim::jets::{Jets, JetsConfig, SecondOrderConfig, ThrustFeedback};
+use flight_sim::turbine::TurbineConfig;
 use nalgebra::Vector3;
 
 const DT: f64 = 0.01;
@@ -80,6 +81,50 @@ fn second_order_jets_hold_their_thrust_at_zero_command() {
     for i in 0..4 {
         assert_within!((jets.thrust()[i] - HOVER[i]).abs(), 1e-6);
         assert_within!((jets.throttle()[i] - throttle[i]).abs(), 1e-6);
+    }
+}
+
+/// A map of `(T_s(u) − T) / τ`, which linear interpolation has exactly: every rate between those of the least and the
+/// greatest throttle is followed, others as far as these go, and beyond the map its edge counts.
+#[test]
+fn a_turbine_follows_the_rates_of_its_map() {
+    const TIME: f64 = 0.3;
+    let steady = |throttle: f64| 20.0 + 2.0 * throttle;
+    let (thrust, throttle) = (vec![10.0, 50.0, 100.0, 200.0], vec![0.0, 30.0, 100.0]);
+    let rate = |u: &f64| thrust.iter().map(|t| (steady(*u) - t) / TIME).collect();
+    let map = TurbineConfig { rate: throttle.iter().map(rate).collect(), thrust: thrust.clone(), throttle };
+    let close = |found: (f64, f64), expected: (f64, f64)| {
+        assert_within!((found.0 - expected.0).abs() / 100.0, 1e-13, because "rounding", "{found:?}");
+        assert_within!((found.1 - expected.1).abs() / 1000.0, 1e-13, because "rounding", "{found:?}");
+    };
+    for (thrust, command) in [(10.0, 40.0), (72.0, -100.0), (137.0, 20.0), (200.0, 0.0)] {
+        close(map.nearest(thrust, command), ((TIME * command + thrust - 20.0) / 2.0, command));
+    }
+    close(map.nearest(72.0, 1e4), (100.0, (steady(100.0) - 72.0) / TIME));
+    close(map.nearest(72.0, -1e4), (0.0, (steady(0.0) - 72.0) / TIME));
+    close(map.nearest(250.0, 0.0), map.nearest(200.0, 0.0));
+    // The jets of a flight: explicit Euler at the rate of the map.
+    let mut jets = Jets::new(&JetsConfig::Measured(map.clone()), &jets(), &engines(), &[60.0; 4]).unwrap();
+    jets.advance(&[50.0, 1e4, -1e4, 0.0], DT);
+    let rates = [50.0, (steady(100.0) - 60.0) / TIME, (steady(0.0) - 60.0) / TIME, 0.0];
+    for (jet, rate) in rates.into_iter().enumerate() {
+        assert_within!((jets.thrust()[jet] - (60.0 + DT * rate)).abs() / 60.0, 1e-13, because "rounding");
+        assert_within!((jets.thrust_rate()[jet] - rate).abs() / 1000.0, 1e-13, because "rounding");
+    }
+    close((jets.throttle()[3], 0.0), (20.0, 0.0));
+    for (spoilt, expected) in [
+        (
+            TurbineConfig { thrust: vec![1.0], ..map.clone() },
+            "simulator.jets.thrust is [1.0]; expected two ascending",
+        ),
+        (TurbineConfig { throttle: vec![1.0, 1.0], ..map.clone() }, "simulator.jets.throttle is [1.0, 1.0]"),
+        (
+            TurbineConfig { rate: vec![vec![0.0; 3]; 3], ..map },
+            "simulator.jets.rate is 3 rows; expected 3 rows",
+        ),
+    ] {
+        let refusal = spoilt.check().unwrap_err();
+        assert!(refusal.to_string().contains(expected), "{refusal}");
     }
 }
 
