@@ -36,9 +36,16 @@ def git(*words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
 
 
+WITHOUT_COMMIT = {"cfd_mk3_fit", "cfd_mk3_meshes", "cfd_mk3_primitives", "cfd_mk3_tunnel"}
+"""Results of commits that are no longer in the history: days of flow cases, of which the digest of the code is known."""
+
+
 @pytest.mark.skipif(git("rev-parse", "--is-shallow-repository").stdout != "false\n", reason="no history of commits")
 def test_a_kept_result_names_a_commit_that_a_clone_has():
     for name in kept.names():
         commit = kept.read(name).commit
+        if name in WITHOUT_COMMIT:
+            assert commit is None
+            continue
         assert commit is not None
         assert git("merge-base", "--is-ancestor", commit, "HEAD").returncode == 0, name
