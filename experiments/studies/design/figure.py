@@ -22,14 +22,13 @@ def matters(study: xr.Dataset) -> Figure:
     scale = ScalarMappable(LogNorm(0.1, 100.0), COLOURS)
     for axes, robot in zip(panels, np.unique(study["robot"].values), strict=True):
         mine = study.isel(shape=np.flatnonzero(study["robot"].values == robot))
-        order = np.argsort(np.where(mine["kind"] == "com", -1.0, 0.0) * 10.0 + mine["ends"].sel(axis="x").mean("end"))
-        for shape in order.values:
-            one = mine.isel(shape=shape)
-            start, end = one["ends"].sel(axis=["y", "z"]).values
-            colour, radius = scale.to_rgba(max(float(one["effect"]), 0.1)), 0.5 * float(one["width"])
-            if one["kind"] == "joint":
+        ends, kinds = mine["ends"].values, mine["kind"].values
+        for shape in np.lexsort([ends[:, :, 0].mean(axis=1), kinds != "com"]):
+            start, end = ends[shape, :, 1:]
+            colour, radius = scale.to_rgba(mine["effect"].values[shape]), 0.5 * mine["width"].values[shape]
+            if kinds[shape] == "joint":
                 axes.plot(*start, "o", color=colour, markeredgecolor=style.BLACK, markersize=5, markeredgewidth=0.6)
-            elif one["kind"] == "axis":
+            elif kinds[shape] == "axis":
                 arrow = {"arrowstyle": "-|>", "color": colour, "linewidth": 3.0, "mutation_scale": 14}
                 axes.annotate("", end, start, arrowprops=arrow, zorder=5)
             elif (length := float(np.hypot(*(end - start)))) < radius:

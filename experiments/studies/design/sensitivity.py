@@ -164,3 +164,35 @@ def _add(origin: ET.Element | None, key: str, axis: int, by: float) -> None:
     values = np.array(origin.get(key, "0 0 0").split(), dtype=np.float64)
     values[axis] += by
     origin.set(key, " ".join(map(repr, values.tolist())))
+
+
+def placed(config: rust.Config, effects: Numbers) -> list[dict[str, Any]]:
+    """Return links, joints and jets in space [m], with what one unit of change does to the cost [%].
+
+    A centimetre of a link's centre of mass, of a joint, a degree of a jet: the root of the squares over the axes.
+    """
+    robot, initial = rust.Robot(config["robot"]), config["simulator"]["initial"]
+    rotation = rotation_from_rpy(np.radians(initial["base_rpy_deg"]))
+    state = rust.State.at_rest(robot, initial["joint_position"])._replace(base_rotation=rotation)
+    found, numbers = rust.dynamics(robot, state), robot.arrays()
+    links, jets = numbers["aero_links"], numbers["jets"]
+    size = {kind: np.linalg.norm(np.atleast_2d(one.T).T, axis=1) for kind, one in effects.items()}
+
+    def put(body: int, *points: Array) -> list[Array]:
+        return [found.body_positions[body] + found.body_rotations[body] @ point for point in points]
+
+    shapes = []
+    for i, (name, body) in enumerate(zip(robot.aero_link_names, links["bodies"], strict=True)):
+        half = 0.0 if links["is_sphere"][i] else 0.5 * links["lengths"][i]
+        turn, middle = links["rotations"][i], links["centres"][i]
+        along = [links["positions"][i] + turn @ (middle + sign * half * links["axes"][i]) for sign in (-1.0, 1.0)]
+        width, ends = links["diameters"][i], put(body, *along)
+        shapes.append({"kind": "com", "name": name, "ends": ends, "width": width, "effect": size["com"][body]})
+    for i, name in enumerate(robot.joint_names):
+        at = found.body_positions[i + 1]
+        shapes.append({"kind": "joint", "name": name, "ends": [at, at], "width": 0.0, "effect": size["joint"][i]})
+    for i, (name, body) in enumerate(zip(robot.jet_names, jets["bodies"], strict=True)):
+        axis = jets["rotations"][i] @ jets["axes"][i]
+        ends = put(body, jets["positions"][i], jets["positions"][i] - 0.35 * axis)
+        shapes.append({"kind": "axis", "name": name, "ends": ends, "width": 0.0, "effect": size["axis"][i]})
+    return shapes
