@@ -654,7 +654,7 @@ class Flight:
 
     Sensors, outages, delays, log, judgement and figures of merit are those of `fly`, whatever is handed in. With
     another controller, or a command, the configuration's ticks too: the flight is judged by its set-point, and it is
-    told what acts.
+    given what acts.
 
     Parameters
     ----------

@@ -296,9 +296,9 @@ fn feet_carry_what_nothing_else_explains() {
 /// robot does not move; its thrusts leave 320 N to the feet.
 #[test]
 fn wrenches_that_contradict_the_momentum_are_not_believed() {
-    let believes = |running: &Running| !running.controller.command().modes.contains(Modes::FEET_PREDICTED);
+    let trusts = |running: &Running| !running.controller.command().modes.contains(Modes::FEET_PREDICTED);
     let feet = |vertical: f64| [Vector6::new(0.0, 0.0, 0.5 * vertical, 0.0, 0.0, 0.0); 2];
-    for (climb, force_max, first, then, until, is_believed) in [
+    for (climb, force_max, first, then, until, is_trusted) in [
         (0.0, 50.0, 320.0, 320.0, 100, true),
         (0.0, 90.0, 320.0, 424.0, 100, false),
         (0.0, 120.0, 320.0, 424.0, 100, true),
@@ -320,10 +320,10 @@ fn wrenches_that_contradict_the_momentum_are_not_believed() {
             state.velocity[0] = -state.velocity[0] + 1e-12;
             state.base.position.x += 1e-12;
             let vertical = if (10..until).contains(&tick) { then } else { first };
-            let was_believed = believes(&running);
+            let was_trusted = trusts(&running);
             tick_with_load(&mut running, &state, 0.01 * f64::from(tick), climb, &feet(vertical));
             let terms = running.controller.terms();
-            if was_believed && !believes(&running) {
+            if was_trusted && !trusts(&running) {
                 // Ten ticks after the momentum shows it.
                 assert!((20..28).contains(&tick), "{case}: tick {tick}");
                 assert_eq!(terms.momentum.unmodelled_wrench, Vector6::zeros());
@@ -332,7 +332,7 @@ fn wrenches_that_contradict_the_momentum_are_not_believed() {
                 assert_within!((force - 0.5 * left).abs(), 1e-12 * 400.0, "rounding of a sum of thrusts");
             }
         }
-        assert_eq!(believes(&running), is_believed, "{case}");
+        assert_eq!(trusts(&running), is_trusted, "{case}");
     }
 }
 

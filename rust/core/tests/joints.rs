@@ -182,19 +182,19 @@ fn a_joint_that_stands_where_it_should_is_not_stuck() {
 /// a longer time.
 #[test]
 fn a_joint_at_its_stop_is_not_stuck() {
-    for (room, towards, expected) in
+    for (distance, towards, expected) in
         [(0.05, 1.0, Healthy), (-0.05, 1.0, Healthy), (0.12, 1.0, Stuck), (0.05, -1.0, Stuck)]
     {
         for side in [1.0, -1.0] {
             let mut robot = Robot::settled();
-            let stop = robot.position[2] + side * room;
+            let stop = robot.position[2] + side * distance;
             robot.stops[2] = if side > 0.0 { (-2.0, stop) } else { (stop, 2.0) };
             let (mut pushed, towards) = (0.0, side * towards);
             for _ in 0..50 {
                 pushed -= 0.08 * towards;
                 robot.tick(&[0.0, 0.0, pushed], &[0.0; 3], &[0.0, 0.0, 0.2 * towards]);
             }
-            assert_eq!(robot.found(), [Healthy, Healthy, expected], "{room} rad from {stop}");
+            assert_eq!(robot.found(), [Healthy, Healthy, expected], "{distance} rad from {stop}");
         }
     }
 }
@@ -202,16 +202,16 @@ fn a_joint_at_its_stop_is_not_stuck() {
 /// What a stop carries is in the mean. Where it carries less, because the joint is commanded away, nothing holds the joint.
 #[test]
 fn a_joint_that_leaves_its_stop_is_not_stuck() {
-    for (room, expected) in [(0.05, Healthy), (0.12, Stuck)] {
+    for (distance, expected) in [(0.05, Healthy), (0.12, Stuck)] {
         let mut robot = Robot::settled();
-        robot.stops[2] = (robot.position[2] - room, 2.0);
+        robot.stops[2] = (robot.position[2] - distance, 2.0);
         for _ in 0..200 {
             robot.tick(&[0.0, 0.0, 4.0], &[0.0; 3], &[0.0; 3]);
         }
         for tick in 0..45 {
             robot.tick(&[0.0, 0.0, 4.0 - 0.08 * f64::from(tick)], &[0.0; 3], &[0.0, 0.0, 0.2]);
         }
-        assert_eq!(robot.found(), [Healthy, Healthy, expected], "{room} rad");
+        assert_eq!(robot.found(), [Healthy, Healthy, expected], "{distance} rad");
     }
 }
 

@@ -62,7 +62,7 @@ pub struct Handed<'a> {
     /// Added to the answer of the law, in place of a policy's residual.
     pub residual: Option<&'a Residual<'a>>,
     /// Thrust rates \[N/s\] and joint torques \[N m, N\] that act until the next tick in place of the controller's, which
-    /// is told of them.
+    /// is given them.
     pub command: Option<(&'a [f64], &'a [f64])>,
 }
 
