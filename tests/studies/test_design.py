@@ -59,7 +59,7 @@ def test_blocks_are_not_flown_twice(tmp_path, monkeypatch):
 
 
 def test_scores_are_relative_to_the_first_and_infinite_for_the_lost():
-    rows = [{"missed": "", "mass": 1.0, "pitch": 0.0, "figures": np.full((1, 3, 7), 2.0)} for _ in range(3)]
+    rows = [{"missed": "", "mass": 1.0, "pitch": 0.0, "figures": np.full((1, 2, 7), 2.0)} for _ in range(3)]
     for row, lost in zip(rows, (0.0, 0.0, 1.0), strict=True):
         row["figures"][:, :, 0] = lost
     found = study.scores(study.to_dataset(np.zeros((3, len(robots.RANGES))), rows, list(campaign.FLIGHTS)))
