@@ -22,7 +22,7 @@ from experiments.sweep.table import wilson
 
 ROOT = Path(__file__).resolve().parents[1]
 
-PAGES: tuple[str, ...] = ()
+PAGES: tuple[str, ...] = ("failures.md",)
 """Pages whose numbers are tied, in `docs/`."""
 
 UNITS: Mapping[str, tuple[str, float]] = {
@@ -191,7 +191,7 @@ def _add_kept(known: Known, result: kept.Kept) -> None:
             if unit and value is not None:
                 _add(known, value, unit)
         flights = row["flights"]
-        for column in SHARES:
+        for column in row.keys() & SHARES:
             known.counts.update({(row[column], flights), (flights - row[column], flights)})
             for share in (row[column] / flights, *wilson(row[column], flights)):
                 known.of.setdefault("", []).extend((share, 1.0 - share))
