@@ -22,7 +22,17 @@ from experiments.sweep.table import wilson
 
 ROOT = Path(__file__).resolve().parents[1]
 
-PAGES: tuple[str, ...] = ("failures.md", "observer.md", "ahead.md", "mk3.md", "ground.md", "moments.md", "cfd.md", "training.md")
+PAGES: tuple[str, ...] = (
+    "failures.md",
+    "observer.md",
+    "ahead.md",
+    "mk3.md",
+    "ground.md",
+    "moments.md",
+    "cfd.md",
+    "training.md",
+    "deviations.md",
+)
 """Pages whose numbers are tied, in `docs/`."""
 
 UNITS: Mapping[str, tuple[str, float]] = {
