@@ -105,7 +105,7 @@ def main() -> int:
 def loose(page: str) -> Iterator[str]:
     """Yield what is wrong with the numbers of a page: line, number, and why."""
     for line, block, names in blocks(page):
-        shown = [*quantities(block), *COUNT.finditer(block)]
+        shown: list[Number | re.Match[str]] = [*quantities(block), *COUNT.finditer(block)]
         if shown and not names:
             first = shown[0]
             yield f"line {line}: {first.text if isinstance(first, Number) else first[0]} is not tied to a result"
