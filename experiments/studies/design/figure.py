@@ -17,9 +17,9 @@ COLOURS = "viridis_r"
 
 def matters(study: xr.Dataset) -> Figure:
     """Draw both robots from ahead; links, joints and jets have the colour of what a change of them does to the cost."""
-    figure = style.figure(4.6)
-    panels = figure.subplots(1, 2)
-    scale = ScalarMappable(LogNorm(0.1, 100.0), COLOURS)
+    figure = style.figure(4.2)
+    panels = figure.subplots(1, 2, sharey=True)
+    scale = ScalarMappable(LogNorm(0.1, 50.0), COLOURS)
     for axes, robot in zip(panels, np.unique(study["robot"].values), strict=True):
         mine = study.isel(shape=np.flatnonzero(study["robot"].values == robot))
         ends, kinds = mine["ends"].values, mine["kind"].values
@@ -37,9 +37,8 @@ def matters(study: xr.Dataset) -> Figure:
                 side = radius * np.array([start[1] - end[1], end[0] - start[0]]) / length
                 corners = [start + side, end + side, end - side, start - side]
                 axes.add_patch(Polygon(corners, facecolor=colour, edgecolor=style.BLACK, linewidth=0.5))
-        axes.set(aspect="equal", title=robot, xlim=(-0.75, 0.75), xlabel="left [m]")
-        axes.autoscale(axis="y")
-    panels[0].set_ylabel("height [m]")
+        axes.set(aspect="equal", title=robot, xlim=(-0.5, 0.5), xlabel="left [m]")
+    panels[0].set(ylabel="height [m]", ylim=(-0.7, 0.7))
     label = "cost of a hover in 10 m/s: change [%]\nlinks, joints: by 1 cm; jets: by 1°"
     figure.colorbar(scale, ax=panels, label=label, shrink=0.8)
     style.letters(panels)

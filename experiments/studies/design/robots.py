@@ -65,45 +65,40 @@ def write(design: Mapping[str, float], folder: Path, name: str = "robot") -> Pat
     links = {link["name"]: link for link in table["aero_links"]}
     for side, sign in (("l", 1.0), ("r", -1.0)):
         for kind, jet, carrier in (
-            ("arm_jet", f"{side}_arm_jet", f"{side}_elbow_1"),
-            ("chest_jet", f"chest_{side}_jet", "chest"),
+            ("arm", f"{side}_arm_jet", f"{side}_elbow_1"),
+            ("chest", f"chest_{side}_jet", "chest"),
         ):
-            back, out, up, splay, tilt = (
-                design.get(f"{kind}_{way}", 0.0) for way in ("back", "out", "up", "splay", "tilt")
-            )
-            origin, centre = _find(parts["joint", f"{jet}_turbine_frame"], "origin"), links[f"{jet}_turbine"]["centre"]
-            old, rotation = _numbers(origin, "xyz"), rotation_from_rpy(_numbers(origin, "rpy"))
+            ways = ("back", "out", "up", "splay", "tilt")
+            back, out, up, splay, tilt = (design.get(f"{kind}_jet_{way}", 0.0) for way in ways)
+            origin, centre = find(parts["joint", f"{jet}_turbine_frame"], "origin"), links[f"{jet}_turbine"]["centre"]
+            old, rotation = numbers(origin, "xyz"), rotation_from_rpy(numbers(origin, "rpy"))
             new = old + [-back, sign * out, up]  # noqa: RUF005 - a sum of arrays
             turned = rotation_from_rpy(np.radians([sign * splay, tilt, 0.0])) @ rotation
-            _set(origin, "xyz", new)
-            _set(origin, "rpy", rpy_from_rotation(turned))
-            mass, com, inertia = _inertial(parts["link", carrier])
+            set_numbers(origin, "xyz", new)
+            set_numbers(origin, "rpy", rpy_from_rotation(turned))
+            mass, com, inertia = inertial(parts["link", carrier])
             before, after = rotation @ centre + old, turned @ centre + new
             moved = com + TURBINE / mass * (after - before)
             inertia += mass * (_about(com) - _about(moved)) + TURBINE * (_about(after) - _about(before))
-            _set_inertial(parts["link", carrier], mass, moved, inertia)
-        shoulder = _find(parts["joint", f"{side}_shoulder_pitch"], "origin")
-        _set(
-            shoulder,
-            "xyz",
-            np.add(_numbers(shoulder, "xyz"), [0.0, sign * design["shoulder_out"], design["shoulder_up"]]),
-        )
+            set_inertial(parts["link", carrier], mass, moved, inertia)
+        shoulder = find(parts["joint", f"{side}_shoulder_pitch"], "origin")
+        moved = np.array([0.0, sign * design["shoulder_out"], design["shoulder_up"]])
+        set_numbers(shoulder, "xyz", numbers(shoulder, "xyz") + moved)
         for limb, bodies in LIMBS.items():
             for body in (f"{side}_{body}" for body in bodies):
-                carried = [part for part in tree.iter("joint") if _find(part, "parent").get("link") == body]
+                carried = [part for part in tree.iter("joint") if find(part, "parent").get("link") == body]
                 _stretch(parts["link", body], carried, links.get(body), design[limb])
     shed = 0.0
     for link in (parts["link", f"{side}_{body}"] for side in "lr" for body in LEG):
-        mass, com, inertia = _inertial(link)
+        mass, com, inertia = inertial(link)
         shed += (1.0 - design["leg_mass"]) * mass
-        _set_inertial(link, design["leg_mass"] * mass, com, design["leg_mass"] * inertia)
-    mass, com, inertia = _inertial(parts["link", "chest"])
-    _set_inertial(parts["link", "chest"], mass + shed, com, (1.0 + shed / mass) * inertia)
+        set_inertial(link, design["leg_mass"] * mass, com, design["leg_mass"] * inertia)
+    mass, com, inertia = inertial(parts["link", "chest"])
+    set_inertial(parts["link", "chest"], mass + shed, com, (1.0 + shed / mass) * inertia)
+    factors = {body: design[limb] for limb, bodies in LIMBS.items() for body in bodies}
     for areas in table["coefficients"].values():
-        for family, factor in (
-            (body, design[limb]) for limb, bodies in LIMBS.items() for body in bodies if body in areas
-        ):
-            areas[family] = {key: (factor * np.array(area)).tolist() for key, area in areas[family].items()}
+        for family in factors.keys() & areas.keys():
+            areas[family] = {key: (factors[family] * np.array(area)).tolist() for key, area in areas[family].items()}
     tree.write(folder / f"{name}.urdf", encoding="utf-8", xml_declaration=True)
     path = folder / f"{name}.toml"
     path.write_text(plain.toml(table | {"urdf": f"{name}.urdf"}) + "\n", encoding="utf-8")
@@ -112,46 +107,50 @@ def write(design: Mapping[str, float], folder: Path, name: str = "robot") -> Pat
 
 def _stretch(link: ET.Element, carried: list[ET.Element], shape: dict[str, Any] | None, factor: float) -> None:
     """Stretch a link along z, with what it carries and its aerodynamic shape."""
-    mass, com, inertia = _inertial(link)
+    mass, com, inertia = inertial(link)
     along = np.array([1.0, 1.0, factor])
     scatter = np.outer(along, along) * (0.5 * np.trace(inertia) * np.eye(3) - inertia)
-    _set_inertial(link, factor * mass, along * com, factor * (np.trace(scatter) * np.eye(3) - scatter))
-    for origin in (*link.iterfind("visual/origin"), *(_find(joint, "origin") for joint in carried)):
-        _set(origin, "xyz", along * _numbers(origin, "xyz"))
+    set_inertial(link, factor * mass, along * com, factor * (np.trace(scatter) * np.eye(3) - scatter))
+    for origin in (*link.iterfind("visual/origin"), *(find(joint, "origin") for joint in carried)):
+        set_numbers(origin, "xyz", along * numbers(origin, "xyz"))
     for cylinder in link.iter("cylinder"):
-        _set(cylinder, "length", factor * _numbers(cylinder, "length"))
+        set_numbers(cylinder, "length", factor * numbers(cylinder, "length"))
     if shape:
         shape |= {"centre": (along * shape["centre"]).tolist(), "length": factor * shape["length"]}
 
 
-def _find(part: ET.Element, path: str) -> ET.Element:
+def find(part: ET.Element, path: str) -> ET.Element:
+    """Return what is at a path within a part of a URDF."""
     found = part.find(path)
     if found is None:
         raise AssertionError(f"`{part.get('name')}` of iRonCub-Mk3 has a {path}")
     return found
 
 
-def _numbers(part: ET.Element, key: str) -> Array:
+def numbers(part: ET.Element, key: str) -> Array:
+    """Return the numbers of an attribute."""
     return np.array(part.get(key, "0 0 0").split(), dtype=np.float64)
 
 
-def _set(part: ET.Element, key: str, values: Array) -> None:
+def set_numbers(part: ET.Element, key: str, values: Array) -> None:
+    """Set the numbers of an attribute."""
     part.set(key, " ".join(f"{value:.12g}" for value in values))
 
 
-def _inertial(link: ET.Element) -> tuple[float, Array, Array]:
+def inertial(link: ET.Element) -> tuple[float, Array, Array]:
     """Return mass [kg], centre of mass [m] and inertia about it [kg m²], in link axes."""
-    about = _find(link, "inertial/inertia")
+    about = find(link, "inertial/inertia")
     inertia = [[float(about.get(f"i{min(a, b)}{max(a, b)}", 0.0)) for b in "xyz"] for a in "xyz"]
-    mass = float(_numbers(_find(link, "inertial/mass"), "value")[0])
-    return mass, _numbers(_find(link, "inertial/origin"), "xyz"), np.array(inertia)
+    mass = float(numbers(find(link, "inertial/mass"), "value")[0])
+    return mass, numbers(find(link, "inertial/origin"), "xyz"), np.array(inertia)
 
 
-def _set_inertial(link: ET.Element, mass: float, com: Array, inertia: Array) -> None:
-    _set(_find(link, "inertial/mass"), "value", np.array([mass]))
-    _set(_find(link, "inertial/origin"), "xyz", com)
+def set_inertial(link: ET.Element, mass: float, com: Array, inertia: Array) -> None:
+    """Set what `inertial` returns."""
+    set_numbers(find(link, "inertial/mass"), "value", np.array([mass]))
+    set_numbers(find(link, "inertial/origin"), "xyz", com)
     for (i, a), (j, b) in ((one, other) for one in enumerate("xyz") for other in enumerate("xyz") if one <= other):
-        _find(link, "inertial/inertia").set(f"i{a}{b}", f"{inertia[i, j]:.12g}")
+        find(link, "inertial/inertia").set(f"i{a}{b}", f"{inertia[i, j]:.12g}")
 
 
 def _about(r: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Sensitivity of a short flight in wind to every number of a robot: one gradient, and differences of the crate."""
+"""Sensitivity of a hover in wind to every number of a robot: one gradient, and differences of the crate."""
 
 from __future__ import annotations
 
@@ -12,18 +12,16 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
+from experiments.studies.design.campaign import POSITION, ROTATION, Row
+from experiments.studies.design.robots import find, inertial, numbers, set_inertial, set_numbers
 from jax_aero import plain, rust, tables
 from jax_aero.rotations import rotation_from_rpy, rpy_from_rotation
 from jax_aero.sim import FlightState, Scenario, begin, prepare, rollout
 from jax_aero.sim.plant import COMPILER_OPTIONS
 from jax_aero.spatial import rotation_from_rpy as turn_from_rpy
 
-Array = NDArray[np.float64]
 Numbers = dict[str, Any]
-POSITION, ROTATION = 0.05, np.radians(3.0)
-"""Errors of unit cost [m, rad], as those of the study `tune`."""
 UNITS = {"mass": 0.01, "com": 0.01, "joint": 0.01, "jet": 0.01, "axis": np.radians(1.0), "area": 0.01}
 """What counts as one change: a hundredth of a mass or an area, a centimetre, a degree."""
 STEPS = {"mass": 1e-5, "com": 1e-6, "joint": 1e-6, "jet": 1e-6, "axis": 1e-5, "area": 1e-4}
@@ -36,24 +34,19 @@ def cost_of(com_error: Any, rotation_error: Any) -> Any:
 
 
 def nothing(robot: rust.Robot) -> Numbers:
-    """Return the changes of a robot's numbers by kind, all zero.
-
-    Masses, with their inertias, and areas change relatively. A jet moves with the link in whose frame it is.
-    """
-    bodies, joints, jets, links = (
-        len(names) for names in (robot.body_names, robot.joint_names, robot.jet_names, robot.aero_link_names)
-    )
+    """Return no change of a robot's numbers, by kind; masses, with their inertias, and areas change relatively."""
+    bodies, joints, jets = len(robot.body_names), len(robot.joint_names), len(robot.jet_names)
     shapes = {"mass": (bodies,), "com": (bodies, 3), "joint": (joints, 3), "jet": (jets, 3), "axis": (jets, 3)}
-    return {kind: np.zeros(shape) for kind, shape in (shapes | {"area": (links,)}).items()}
+    return {kind: np.zeros(shape) for kind, shape in (shapes | {"area": (len(robot.aero_link_names),)}).items()}
 
 
 def change(scenario: Any, state: FlightState, by: Numbers, frames: list[str]) -> tuple[Scenario, FlightState]:
-    """Return a flight of the changed robot, whose controller knows the change."""
+    """Return a flight of the changed robot, whose controller knows the change; a jet takes its turbine along."""
     robot, replace = scenario.plant.robot, dataclasses.replace
-    jets, links = robot.jets, robot.aero_links
+    jets, links, factor = robot.jets, robot.aero_links, (1.0 + by["area"])[:, None]
     turns = jax.vmap(turn_from_rpy)(by["axis"])
     own = np.array([[float(jet == link) for jet in frames[: jets.count]] for link in frames[jets.count :]])
-    turned = jnp.einsum("lj,jab->lab", own, turns) + jnp.where((own.sum(axis=1) > 0.0)[:, None, None], 0.0, jnp.eye(3))
+    turned = jnp.einsum("lj,jab->lab", own, turns) + (1.0 - own.sum(axis=1))[:, None, None] * np.eye(3)
     changed = replace(
         robot,
         masses=robot.masses * (1.0 + by["mass"]),
@@ -63,30 +56,27 @@ def change(scenario: Any, state: FlightState, by: Numbers, frames: list[str]) ->
         jets=replace(jets, positions=jets.positions + by["jet"], rotations=turns @ jets.rotations),
         aero_links=replace(links, positions=links.positions + own @ by["jet"], rotations=turned @ links.rotations),
     )
-    factor = (1.0 + by["area"])[:, None]
-    air, controller = scenario.plant.aero, scenario.controller
-    known = replace(controller.aero, areas=controller.aero.areas * factor)
+    air, known = scenario.plant.aero, scenario.controller.aero
     plant = replace(scenario.plant, robot=changed, aero=replace(air, areas=air.areas * factor))
-    scenario = replace(scenario, plant=plant, controller=replace(controller, aero=known))
+    controller = replace(scenario.controller, aero=replace(known, areas=known.areas * factor))
+    scenario = replace(scenario, plant=plant, controller=controller)
     return scenario, begin(scenario, state.plant)
 
 
 def gradient(config: rust.Config) -> tuple[float, Numbers, dict[str, float]]:
     """Return the cost of a flight, its derivatives by every number in reverse mode, and times [s]."""
     robot = rust.Robot(config["robot"])
+    frames, by, times = [*robot.jet_frames, *robot.aero_link_frames], nothing(robot), {}
     with jax.enable_x64(True):
         scenario, state = prepare(config)
-        ticks, frames = int(scenario.n_ticks), [*robot.jet_frames, *robot.aero_link_frames]
+        ticks = int(scenario.n_ticks)
 
         def cost(by: Numbers) -> Any:
-            flown, start = change(scenario, state, by, frames)
-            _, (com, rotation) = rollout(
-                flown, start, ticks, lambda row: (row.com_position - row.com_setpoint, row.rotation_error), 0, 100
-            )
-            return cost_of(com, rotation)
+            changed = change(scenario, state, by, frames)
+            kept = rollout(*changed, ticks, lambda row: (row.com_position - row.com_setpoint, row.rotation_error))
+            return cost_of(*kept[1])
 
         slope = jax.jit(jax.value_and_grad(cost), compiler_options=COMPILER_OPTIONS)
-        by, times = nothing(robot), {}
         for name in ("gradient, with compilation", "gradient"):
             started = time.perf_counter()
             value, slopes = jax.device_get(slope(by))
@@ -96,8 +86,7 @@ def gradient(config: rust.Config) -> tuple[float, Numbers, dict[str, float]]:
 
 def differences(config: rust.Config) -> tuple[float, Numbers, float]:
     """Return the same by central differences of the crate, whose robots are files, and the time [s]."""
-    started = time.perf_counter()
-    robot = rust.Robot(config["robot"])
+    started, robot = time.perf_counter(), rust.Robot(config["robot"])
     found = nothing(robot)
     with TemporaryDirectory() as folder:
 
@@ -111,62 +100,43 @@ def differences(config: rust.Config) -> tuple[float, Numbers, float]:
             step = STEPS[kind]
             for index in np.ndindex(values.shape):
                 values[index] = (cost(kind, index, step) - cost(kind, index, -step)) / (2.0 * step)
-        value = cost()
-    return value, found, time.perf_counter() - started
+        return cost(), found, time.perf_counter() - started
 
 
 def change_files(source: Path, robot: rust.Robot, folder: Path, kind: str, index: tuple[int, ...], by: float) -> Path:
     """Write a robot with one changed number into a folder; return the path of its TOML file."""
     table = tables.read(source)
     tree = ET.parse(source.with_name(table["urdf"]))
-    root, (first, *axis) = tree.getroot(), index
+    parts = {(part.tag, part.get("name")): part for part in tree.getroot()}
+    shift = by * np.eye(3)[index[-1]] if len(index) > 1 else np.zeros(3)
     if kind in ("mass", "com"):
-        link = _named(root, "link", robot.body_names[first])
-        if kind == "com":
-            _add(link.find("inertial/origin"), "xyz", axis[0], by)
-        else:
-            for part in link.iterfind("inertial/*"):
-                for key in {*part.keys()} - {"xyz", "rpy"}:
-                    part.set(key, repr(float(part.get(key, 0.0)) * (1.0 + by)))
+        link, factor = parts["link", robot.body_names[index[0]]], 1.0 + by * (kind == "mass")
+        mass, com, inertia = inertial(link)
+        set_inertial(link, factor * mass, com + shift, factor * inertia)
     elif kind == "area":
         families = {link["name"]: link["family"] for link in table["aero_links"]}
-        factors = {link: 1.0 + by * (link == robot.aero_link_names[first]) for link in families}
+        factors = {link: 1.0 + by * (link == robot.aero_link_names[index[0]]) for link in families}
         table["aero_links"] = [link | {"family": link["name"]} for link in table["aero_links"]]
-        table["coefficients"] = {
-            name: {
+        for name, areas in table["coefficients"].items():
+            table["coefficients"][name] = {
                 link: {key: (factors[link] * np.array(area)).tolist() for key, area in areas[family].items()}
                 for link, family in families.items()
             }
-            for name, areas in table["coefficients"].items()
-        }
     else:
-        name = robot.joint_names[first] if kind == "joint" else f"{robot.jet_frames[first]}_frame"
-        origin = _named(root, "joint", name).find("origin")
-        if kind == "axis" and origin is not None:
-            turn = rotation_from_rpy(by * np.eye(3)[axis[0]])
-            rotation = rotation_from_rpy(np.array(origin.get("rpy", "0 0 0").split(), dtype=np.float64))
-            origin.set("rpy", " ".join(map(repr, rpy_from_rotation(turn @ rotation).tolist())))
+        name = robot.joint_names[index[0]] if kind == "joint" else f"{robot.jet_frames[index[0]]}_frame"
+        origin = find(parts["joint", name], "origin")
+        if kind == "axis":
+            turned = rotation_from_rpy(shift) @ rotation_from_rpy(numbers(origin, "rpy"))
+            set_numbers(origin, "rpy", rpy_from_rotation(turned))
         else:
-            _add(origin, "xyz", axis[0], by)
+            set_numbers(origin, "xyz", numbers(origin, "xyz") + shift)
     path = folder / "robot.toml"
     tree.write(path.with_suffix(".urdf"))
     path.write_text(plain.toml(table | {"urdf": "robot.urdf"}), encoding="utf-8")
     return path
 
 
-def _named(root: ET.Element, tag: str, name: str) -> ET.Element:
-    return next(part for part in root.iterfind(tag) if part.get("name") == name)
-
-
-def _add(origin: ET.Element | None, key: str, axis: int, by: float) -> None:
-    if origin is None:
-        raise AssertionError("a link or joint with numbers has an origin")
-    values = np.array(origin.get(key, "0 0 0").split(), dtype=np.float64)
-    values[axis] += by
-    origin.set(key, " ".join(map(repr, values.tolist())))
-
-
-def placed(config: rust.Config, effects: Numbers) -> list[dict[str, Any]]:
+def placed(config: rust.Config, effects: Numbers) -> list[Row]:
     """Return links, joints and jets in space [m], with what one unit of change does to the cost [%].
 
     A centimetre of a link's centre of mass, of a joint, a degree of a jet: the root of the squares over the axes.
@@ -174,25 +144,24 @@ def placed(config: rust.Config, effects: Numbers) -> list[dict[str, Any]]:
     robot, initial = rust.Robot(config["robot"]), config["simulator"]["initial"]
     rotation = rotation_from_rpy(np.radians(initial["base_rpy_deg"]))
     state = rust.State.at_rest(robot, initial["joint_position"])._replace(base_rotation=rotation)
-    found, numbers = rust.dynamics(robot, state), robot.arrays()
-    links, jets = numbers["aero_links"], numbers["jets"]
-    size = {kind: np.linalg.norm(np.atleast_2d(one.T).T, axis=1) for kind, one in effects.items()}
-
-    def put(body: int, *points: Array) -> list[Array]:
-        return [found.body_positions[body] + found.body_rotations[body] @ point for point in points]
-
+    found, known = rust.dynamics(robot, state), robot.arrays()
+    size = {kind: np.linalg.norm(effects[kind], axis=1) for kind in ("com", "joint", "axis")}
     shapes = []
-    for i, (name, body) in enumerate(zip(robot.aero_link_names, links["bodies"], strict=True)):
-        half = 0.0 if links["is_sphere"][i] else 0.5 * links["lengths"][i]
-        turn, middle = links["rotations"][i], links["centres"][i]
-        along = [links["positions"][i] + turn @ (middle + sign * half * links["axes"][i]) for sign in (-1.0, 1.0)]
-        width, ends = links["diameters"][i], put(body, *along)
-        shapes.append({"kind": "com", "name": name, "ends": ends, "width": width, "effect": size["com"][body]})
+
+    def add(kind: str, name: str, body: int, points: Any, effect: float, width: float = 0.0) -> None:
+        ends = found.body_positions[body] + points @ found.body_rotations[body].T
+        shapes.append({"kind": kind, "name": name, "ends": ends, "width": width, "effect": effect})
+
+    one, jets = known["aero_links"], known["jets"]
+    for i, (name, body) in enumerate(zip(robot.aero_link_names, one["bodies"], strict=True)):
+        half = (0.0 if one["is_sphere"][i] else 0.5 * one["lengths"][i]) * one["axes"][i]
+        points = (
+            one["positions"][i] + np.stack([one["centres"][i] - half, one["centres"][i] + half]) @ one["rotations"][i].T
+        )
+        add("com", name, body, points, size["com"][body], one["diameters"][i])
     for i, name in enumerate(robot.joint_names):
-        at = found.body_positions[i + 1]
-        shapes.append({"kind": "joint", "name": name, "ends": [at, at], "width": 0.0, "effect": size["joint"][i]})
+        add("joint", name, i + 1, np.zeros((2, 3)), size["joint"][i])
     for i, (name, body) in enumerate(zip(robot.jet_names, jets["bodies"], strict=True)):
-        axis = jets["rotations"][i] @ jets["axes"][i]
-        ends = put(body, jets["positions"][i], jets["positions"][i] - 0.35 * axis)
-        shapes.append({"kind": "axis", "name": name, "ends": ends, "width": 0.0, "effect": size["axis"][i]})
+        down = -0.35 * jets["rotations"][i] @ jets["axes"][i]
+        add("axis", name, body, jets["positions"][i] + np.stack([0.0 * down, down]), size["axis"][i])
     return shapes

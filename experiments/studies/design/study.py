@@ -219,12 +219,27 @@ def confirmed(asked: DesignConfig, path: Path) -> Findings:
                 if figure in ("tracking", "thrust", "lean", "sink") and not np.isnan(found).all():
                     beside = f"; over Mk3's {ratio(found / of_mk3)}" if at else ""
                     summary[f"{name}, {flight}, {figure}"] = f"{np.nanmedian(found):.4g}{beside}"
-    texts: dict[str, str | bytes] = {}
+    texts, base = dict[str, str | bytes](), rust.load_config(campaign.BASE)
     with TemporaryDirectory() as folder:
         for name, index in chosen.items():
             written = robots.write(dict(zip(RANGES, few[index].tolist(), strict=True)), Path(folder), name)
+            own = changed(robots.fit(written, base)[1], base) | {"base": f"{campaign.BASE}.toml"}
             texts |= {file.name: file.read_bytes() for file in (written, written.with_suffix(".urdf"))}
+            texts[f"fly_{name}.toml"] = plain.toml(own | {"robot": f"../robot/{written.name}"})
     return Findings("The best designs again", data, summary, flights=_base(), files=[source, robots.MK3], texts=texts)
+
+
+def changed(table: Row, base: Row) -> Row:
+    """Return what a configuration has that another has not."""
+    nested = {
+        key: changed(value, base[key]) if isinstance(value, dict) and key in base else value
+        for key, value in table.items()
+    }
+    return {
+        key: value
+        for key, value in nested.items()
+        if value != {} and (isinstance(value, dict) or value != base.get(key))
+    }
 
 
 def share(lost: Any) -> str:
