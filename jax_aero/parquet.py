@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +12,21 @@ MAX_TABLE = 1 << 30
 """Greatest size of a table of a sweep in memory [bytes]: a million flights."""
 
 
-def read_table(path: Path) -> Any:
-    """Read a table (pyarrow), whose size is known before reading; a damaged one is refused by name."""
+def read_parquet(content: bytes) -> Any:
+    """Return a file (pyarrow) that starts no threads where it is read without: those abort some processes at their end."""
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
+    return pq.ParquetFile(pa.BufferReader(content))
+
+
+def read_table(path: Path) -> Any:
+    """Read a table (pyarrow), whose size is known before reading; a damaged one is refused by name."""
     try:
-        file = pq.ParquetFile(io.BytesIO(read_bytes(path, MAX_TABLE)))
+        file = read_parquet(read_bytes(path, MAX_TABLE))
         parts = [file.metadata.row_group(index) for index in range(file.metadata.num_row_groups)]
         size = sum(max(part.total_byte_size, 8 * part.num_rows * part.num_columns) for part in parts)
-        table = file.read() if size <= MAX_TABLE else None
+        table = file.read(use_threads=False) if size <= MAX_TABLE else None
     except Exception as reason:  # the readers raise many types
         raise Refused(f"{path} is damaged ({reason})") from None
     if table is None:

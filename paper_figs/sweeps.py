@@ -96,7 +96,7 @@ def load(results: Path, name: str) -> Sweep:
 
 def _read(path: Path) -> pd.DataFrame:
     try:
-        return read_table(path).to_pandas()
+        return read_table(path).to_pandas(use_threads=False)
     except Refused as reason:
         raise MissingRun(f"{reason}; --overwrite flies it again") from reason
 

@@ -142,7 +142,7 @@ def of_sweep(folder: Path, named: str | None = None) -> Kept:
     whole = [Axis(axis["name"], axis["label"], axis["unit"], axis["levels"]) for axis in document["axes"]]
     second = [whole[1].name] if is_paired else []
     axes = [axis for axis in whole if not is_sampled and axis.name not in (*tabled.pooled, *second)]
-    flights = read_table(folder / "table.parquet").to_pandas()
+    flights = read_table(folder / "table.parquet").to_pandas(use_threads=False)
     flights["onset"] = flights["cell"].map(_onsets(asked, document["config_hash"]))
     flights = flights[flights["outcome"] != "error"]
     rows = list(_rows(flights, axes, (whole[0].name, whole[1].name) if is_paired else None))

@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 
 from jax_aero.command import Refused
 from jax_aero.files import seal, unseal, write_bytes
+from jax_aero.parquet import read_parquet
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Chunks:
         content = self._content(chunk)
         if content is None:
             raise Refused(f"{self.path(chunk)} has changed meanwhile; the same command flies it again")
-        return pq.read_table(io.BytesIO(content))
+        return read_parquet(content).read(use_threads=False)
 
     def find_whole(self, count: int) -> set[int]:
         """Return which of the first `count` chunks are complete."""

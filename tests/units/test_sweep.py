@@ -623,6 +623,29 @@ def flown(tmp_path_factory) -> Path:
     return folder / "quick"
 
 
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="no list of threads")
+def test_tables_are_written_and_read_without_a_thread(tmp_path):
+    """A process that ends while one of pyarrow's threads begins is aborted, after its results."""
+    script = """
+import os, sys
+from pathlib import Path
+import pyarrow as pa
+from experiments.sweep.chunks import Chunks, parquet
+from jax_aero.parquet import read_table
+count = lambda: len(os.listdir("/proc/self/task"))
+chunks, before = Chunks(Path(sys.argv[1]), "identity"), count()
+chunks.write(0, pa.table({"a": [1.0, 2.0], "b": ["x", "y"]}))
+chunks.read(0)
+(Path(sys.argv[1]) / "table.parquet").write_bytes(parquet(chunks.read(0)))
+read_table(Path(sys.argv[1]) / "table.parquet").to_pandas(use_threads=False)
+print(count() - before)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script, tmp_path], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    assert done.stdout == "0\n"
+
+
 def test_a_sweep_leaves_a_table_of_flights_one_of_cells_and_says_what_was_flown(flown, agree):
     assert sorted(entry.name for entry in flown.iterdir()) == ["cells.parquet", "sweep.json", "table.parquet"]
     flights = pq.read_table(flown / "table.parquet").to_pylist()
@@ -633,7 +656,14 @@ def test_a_sweep_leaves_a_table_of_flights_one_of_cells_and_says_what_was_flown(
     assert [cell["completed"] for cell in cells] == [3, 3, 3, 3]
     agree("lower end of the interval", cells[0]["completed_low"], table.wilson(3, 3)[0], 1e-12)
     document = json.loads((flown / "sweep.json").read_text())
-    assert document["finished"]["outcomes"] == {"completed": 12, "off_course": 0, "descended": 0, "fell": 0, "diverged": 0, "error": 0}
+    assert document["finished"]["outcomes"] == {
+        "completed": 12,
+        "off_course": 0,
+        "descended": 0,
+        "fell": 0,
+        "diverged": 0,
+        "error": 0,
+    }
     assert {"config_hash", "code_hash", "git", "versions", "device", "perturbation"} <= document.keys()
     assert str(ROOT) not in (flown / "sweep.json").read_text()
 

@@ -42,4 +42,4 @@ def report(table: pd.DataFrame) -> str:
 
 
 if __name__ == "__main__":
-    print(report(read_table(TABLE).to_pandas()))
+    print(report(read_table(TABLE).to_pandas(use_threads=False)))
