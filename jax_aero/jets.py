@@ -222,7 +222,8 @@ def jet_dynamics(settings: JetsConfig, robot: RobotModel) -> JetDynamics:
                 init_p=leaf(settings.ekf.init_P),
             )
         case MeasuredJetsConfig():
-            raise ValueError('`simulator.jets.dynamics` is "measured"; expected "ideal" or "second_order": JAX has no maps')
+            expected = 'expected "ideal" or "second_order": JAX has no maps'
+            raise ValueError(f'`simulator.jets.dynamics` is "measured"; {expected}')
         case _:
             assert_never(settings)
 

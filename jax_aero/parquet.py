@@ -13,7 +13,7 @@ MAX_TABLE = 1 << 30
 
 
 def read_parquet(content: bytes) -> Any:
-    """Return a file (pyarrow) that starts no threads where it is read without: those abort some processes at their end."""
+    """Return a file (pyarrow) that starts no threads if it is read without: they abort some processes at their end."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

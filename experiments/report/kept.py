@@ -162,7 +162,8 @@ def _tone(finding: Finding) -> Literal["good", "bad"]:
 
 
 def _made(kept: Kept) -> str:
-    commit = f", commit {kept.commit[:10]}" if kept.commit else f", code {kept.code} of a commit that is not in the history"
+    unknown = f", code {kept.code} of a commit that is not in the history"
+    commit = f", commit {kept.commit[:10]}" if kept.commit else unknown
     seed = "" if kept.seed is None else f", seed {kept.seed}"
     return f"{kept.created[:10]}{commit}{seed}"
 

@@ -37,7 +37,7 @@ def git(*words: str) -> subprocess.CompletedProcess[str]:
 
 
 WITHOUT_COMMIT = {"cfd_mk3_fit", "cfd_mk3_meshes", "cfd_mk3_primitives", "cfd_mk3_tunnel"}
-"""Results of commits that are no longer in the history: days of flow cases, of which the digest of the code is known."""
+"""Results of commits that the history lacks: days of flow cases, of which the digest of the code is known."""
 
 
 @pytest.mark.skipif(git("rev-parse", "--is-shallow-repository").stdout != "false\n", reason="no history of commits")

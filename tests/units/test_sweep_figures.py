@@ -153,8 +153,8 @@ def test_a_pair_is_as_bad_as_its_worst_flight():
     """None, down, off course, lost with a warning, lost without one; what was not flown has no number."""
     levels = ["a", "b", "c", "d"]
     ends = {
-        ("a", "b"): (0, 0, 0, 0, 0), ("a", "c"): (0, 1, 0, 0, 0), ("a", "d"): (2, 1, 0, 1, 0), ("b", "d"): (0, 0, 2, 0, 1),
-        ("b", "c"): (3, 0, 0, 0, 0),
+        ("a", "b"): (0, 0, 0, 0, 0), ("a", "c"): (0, 1, 0, 0, 0), ("a", "d"): (2, 1, 0, 1, 0),
+        ("b", "c"): (3, 0, 0, 0, 0), ("b", "d"): (0, 0, 2, 0, 1),
     }  # fmt: skip
     names = ("descended", "off_course", "fell", "diverged", "unwarned")
     cells = [{"x": x, "x_2": y, **dict(zip(names, end, strict=True))} for (x, y), end in ends.items()]
