@@ -32,6 +32,7 @@ PAGES: tuple[str, ...] = (
     "cfd.md",
     "training.md",
     "deviations.md",
+    "robot.md",
 )
 """Pages whose numbers are tied, in `docs/`."""
 
