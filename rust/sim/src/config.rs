@@ -74,6 +74,7 @@ impl ScenarioConfig {
 ///
 /// # Errors
 /// As [`load`], for unknown, missing or mistyped keys.
+#[inline]
 pub fn load_scenario(path: &Path) -> Result<ScenarioConfig, BuildError> {
     load(path)
 }

@@ -128,6 +128,8 @@ impl Scenario {
 ///
 /// # Errors
 /// As [`load_changed`] and [`Scenario::check`].
+// Inlined, as the reading of tables is compiled where it is called: for size, not for speed, and once.
+#[inline]
 pub fn load_flyable(
     path: &Path,
     shipped: Option<&Path>,
