@@ -300,10 +300,10 @@ def _python_type(name: str, node: Node) -> str:
 
 def _class(name: str, node: Node, options: str) -> str:
     lines = [f"\n\nclass {name}(Struct, frozen=True, kw_only=True{options}):\n"]
-    required = node.get("required", ())
-    for key, value in node["properties"].items():
+    required, properties = node.get("required", ()), node.get("properties", {})
+    for key, value in properties.items():
         lines.append(f"    {_field(key, value, key in required)}\n")
-    return "".join(lines if node["properties"] else [*lines, "    pass\n"])
+    return "".join(lines if properties else [*lines, "    pass\n"])
 
 
 def _field(key: str, node: Node, required: bool) -> str:

@@ -326,14 +326,7 @@ class MomentumWeights(Struct, frozen=True, kw_only=True):
 
 
 class WindObserverConfig(Struct, frozen=True, kw_only=True):
-    force_noise: tuple[float, float, float] = (0.3, 0.3, 4.0)
-    force_std: float = 0.1
-    gain: float = 10.0
-    moment_arm: float = 0.25
-    relative_std: float = 0.045
-    vertical_std: float = 1.0
-    vertical_time: float = 2.0
-    walk: float = 0.6
+    pass
 
 
 class ControllerSection(Struct, frozen=True, kw_only=True):

@@ -27,7 +27,6 @@ from jax_aero.control.command import BOTH_HELD, MOMENTUM_HELD, TORQUE_HELD, Comm
 from jax_aero.control.guard import estimator, observer, wind_observer
 from jax_aero.control.guard.estimator import Estimator, Order
 from jax_aero.control.guard.observer import ObserverGains
-from jax_aero.control.guard.wind_observer import WindObserver
 from jax_aero.control.law import setpoint as generator
 from jax_aero.control.law.attitude import MomentumGains
 from jax_aero.control.law.mission import Mission, load_mission
@@ -68,6 +67,8 @@ class Switches(NamedTuple):
     """Time until torques act [s]."""
     lead: int
     """Whole ticks of that."""
+    estimates_wind: bool
+    """Whether the wind observer's wind replaces the measured one."""
 
 
 @pytree
@@ -91,8 +92,6 @@ class MomentumController:
     setpoint: SetpointParams
     estimator: Estimator | None
     """State estimator that replaces the measured state; `None` without one."""
-    wind_observer: WindObserver | None
-    """Observer whose wind replaces the measured one; `None` without one."""
     observer: ObserverGains | None
     """Observer of the unmodelled wrench; `None` without one."""
     mpc: Mpc | None
@@ -165,7 +164,7 @@ def momentum_controller(
         key, value = ("contact", "given") if controller.contact is not None else ("use_jets", "false")
         raise ValueError(f"`controller.{key}` is {value}; expected a controller that flies: JAX has no feet")
     feedback, aero = controller.aero_feedback, aero_model(controller.aero, robot, read_network)
-    estimates, winds = controller.estimator, controller.wind_observer
+    estimates = controller.estimator
     return MomentumController(
         switches=Switches(
             LinkConventions(controller.lever_arm, controller.jacobian_offset, controller.link_velocity),
@@ -174,6 +173,7 @@ def momentum_controller(
             symmetric_pairs=symmetric_pairs(controller, robot),
             latency=0.0 if estimates is None else estimates.latency.torque,
             lead=0 if estimates is None else estimator.latency_in_ticks(estimates.latency, float(time_step))[0],
+            estimates_wind=controller.wind_observer is not None,
         ),
         aero=weight_forces(aero, config.disturbances.aero_estimate, robot, "disturbances.aero_estimate"),
         rate_feedback=_components(feedback.momentum_rate),
@@ -185,7 +185,6 @@ def momentum_controller(
         torque_rate_max=choose_limits(robot.joint_torque_rate_max, controller.torque.torque_rate_max, robot),
         setpoint=generator.setpoint_params(controller.setpoint, robot.forward_axis, time_step),
         estimator=None if estimates is None else estimator.estimator(estimates, time_step),
-        wind_observer=None if winds is None else leaves(WindObserver, winds),
         observer=None if controller.observer is None else leaves(ObserverGains, controller.observer),
         mpc=None if controller.mpc is None else mpc_params(controller.mpc, robot, config.simulator.time_step),
         mission=load_mission(config.mission),
@@ -215,7 +214,7 @@ def init(params: MomentumController, robot: RobotModel, state: State) -> Control
         momentum_start=qp.cold_start(jets + n, zeros.dtype),
         torque_start=qp.cold_start(n, zeros.dtype),
         estimator=None if params.estimator is None else estimator.start(params.estimator, state, jets),
-        wind=None if params.wind_observer is None else wind_observer.start(params.wind_observer),
+        wind=wind_observer.start(zeros) if params.switches.estimates_wind else None,
         observer=None if params.observer is None else observer.start(zeros),
         plan=None if params.mpc is None else no_plan(params.mpc.structure.unknowns(jets), zeros.dtype),
         residual=None if params.residual is None else observer.start(zeros),
@@ -296,9 +295,9 @@ def _predict(
 ) -> ControllerState:
     """Store what the next tick expects: the wind, and what the estimator's model does under the command."""
     now, momentum = terms.estimates, terms.momentum
-    if params.wind_observer is not None and memory.wind is not None:
+    if memory.wind is not None:
         seen = memory.wind, terms.kinematics, terms.dynamics.momentum, momentum.a_t, now.thrust
-        wind = wind_observer.update(params.wind_observer, robot, params.aero, params.time_step, *seen)
+        wind = wind_observer.update(robot, params.aero, params.time_step, *seen)
         memory = memory._replace(wind=wind)
     if memory.estimator is not None:
         order = Order(command.joint_torque, command.thrust_rate, momentum.unmodelled_wrench, now.wind)

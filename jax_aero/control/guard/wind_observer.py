@@ -22,7 +22,7 @@ from jax_aero.aero import AeroModel, LinkConventions, link_forces, wrench_about
 from jax_aero.control.guard import observer
 from jax_aero.control.guard.observer import ObserverGains, ObserverState
 from jax_aero.robot import RobotModel
-from jax_aero.types import Array, Kinematics, pytree, where
+from jax_aero.types import Array, Kinematics, where
 
 DIFFERENCE = 0.1
 """Step of the finite differences for the Jacobian [m/s]."""
@@ -34,26 +34,29 @@ GREATEST = 1e4
 """Greatest wrench that is used for the estimate [N, N m]."""
 
 
-@pytree
-class WindObserver:
-    """Parameters of the wind estimate."""
+GAIN = 10.0
+"""`K_o`, with which the acting force is observed [1/s]."""
 
-    gain: Float[Array, ""]
-    """`K_o` of the force [1/s]."""
-    walk: Float[Array, ""]
-    """Standard deviation of the change of a horizontal wind in one second [m/s]."""
-    vertical_std: Float[Array, ""]
-    """Standard deviation of vertical winds [m/s]."""
-    vertical_time: Float[Array, ""]
-    """Correlation time of vertical winds [s]."""
-    force_noise: Float[Array, "3"]
-    """Standard deviation of the noise of the observed force [N]."""
-    force_std: Float[Array, ""]
-    """Standard deviation of lasting errors of the force [N]."""
-    relative_std: Float[Array, ""]
-    """Standard deviation of lasting errors of the model's force, as a fraction of the observed one."""
-    moment_arm: Float[Array, ""]
-    """Arm by which the unexplained moment is converted into a lasting force error [m]."""
+WALK = 0.6
+"""Standard deviation of the change of a horizontal wind in one second [m/s]."""
+
+VERTICAL_STD = 1.0
+"""Standard deviation of vertical winds [m/s]."""
+
+VERTICAL_TIME = 2.0
+"""Correlation time of vertical winds [s]."""
+
+FORCE_NOISE = (0.3, 0.3, 4.0)
+"""Standard deviation of the noise of the observed force along each axis [N]."""
+
+FORCE_STD = 0.1
+"""Standard deviation of lasting errors of the force [N]."""
+
+RELATIVE_STD = 0.045
+"""Standard deviation of lasting errors of the model's force, as a fraction of the observed one."""
+
+MOMENT_ARM = 0.25
+"""Arm by which the unexplained moment is converted into a lasting force error [m]."""
 
 
 class WindState(NamedTuple):
@@ -78,16 +81,14 @@ class WindState(NamedTuple):
         return jnp.sqrt(jnp.diagonal(considered))
 
 
-def start(settings: WindObserver) -> WindState:
-    """Return the state before the first tick: zero wind, with the uncertainty of one second of its random walk."""
-    std = jnp.stack([jnp.asarray(x) for x in (settings.walk, settings.walk, settings.vertical_std)])
-    zero = jnp.zeros_like(std[0])
+def start(like: Float[Array, "..."]) -> WindState:
+    """Return the state before the first tick in the precision of `like`: zero wind, uncertain by a second's walk."""
+    std, zero = jnp.array([WALK, WALK, VERTICAL_STD], like.dtype), jnp.zeros((), like.dtype)
     none = jnp.zeros((3, 3), std.dtype)
     return WindState(observer.start(std), jnp.zeros_like(std), jnp.diag(std * std), none, zero, zero)
 
 
 def update(
-    settings: WindObserver,
     robot: RobotModel,
     aero: AeroModel,
     step: Float[Array, ""],
@@ -99,16 +100,15 @@ def update(
 ) -> WindState:
     """Process a tick, `step` [s] after the last one: centroidal momentum [kg m/s, kg m²/s], `A_T` and thrusts [N]."""
     rate = jnp.sum(a_t * thrust[None], axis=1).at[2].add(-robot.mass * robot.gravity)
-    greatest = jnp.full_like(settings.gain, GREATEST)
-    gains = ObserverGains(settings.gain, settings.gain, greatest, greatest)
+    gains = ObserverGains(*(jnp.full_like(step, x) for x in (GAIN, GAIN, GREATEST, GREATEST)))
     wrench = observer.update(gains, step, before.wrench, momentum, rate)
     force = wrench.wrench[:3]
 
     # Horizontal winds are a random walk; vertical ones return to zero.
-    kept = jnp.exp(-step / settings.vertical_time)
+    kept = jnp.exp(-step / VERTICAL_TIME)
     keep = jnp.stack([jnp.ones_like(kept), jnp.ones_like(kept), kept])
-    walk = settings.walk**2 * step
-    wandering = jnp.diag(jnp.stack([walk, walk, settings.vertical_std**2 * (1.0 - kept * kept)]))
+    walk = WALK**2 * step
+    wandering = jnp.diag(jnp.stack([walk, walk, VERTICAL_STD**2 * (1.0 - kept * kept)]))
     wind, covariance = keep * before.wind, keep[:, None] * before.covariance * keep[None] + wandering
 
     def wrench_in(wind: Array) -> Array:
@@ -121,12 +121,10 @@ def update(
     share = -jnp.expm1(-step / MEMORY)
     moment = jnp.sum((wrench.wrench - modelled)[3:] ** 2)
     unexplained = before.unexplained + share * (moment - before.unexplained)
-    lasting = (
-        settings.force_std**2 + settings.relative_std**2 * jnp.sum(force * force) + unexplained / settings.moment_arm**2
-    )
+    lasting = FORCE_STD**2 + RELATIVE_STD**2 * jnp.sum(force * force) + unexplained / MOMENT_ARM**2
     # The observer correlates measurements over its time constant, so those count as one.
-    together = jnp.maximum(1.0 / (settings.gain * step), 1.0)
-    error = jnp.diag(together * settings.force_noise**2)
+    together = jnp.maximum(1.0 / (GAIN * step), 1.0)
+    error = jnp.diag(together * jnp.array(FORCE_NOISE, wind.dtype) ** 2)
     innovation = jacobian @ covariance @ jacobian.T + error
     gain = jnp.linalg.solve(innovation, jacobian @ covariance).T
     moved = wind + gain @ (force - modelled[:3])

@@ -595,7 +595,7 @@ fn small_force_rates_are_dropped() {
 /// A robot that stands still in still air feels no wind: what carries it is its feet.
 #[test]
 fn the_ground_is_no_wind() {
-    let mut standing = controller(|law| law.wind_observer = Some(WindObserverConfig::default()));
+    let mut standing = controller(|law| law.wind_observer = Some(WindObserverConfig {}));
     let (mut state, mass) = (at_rest(), standing.model().mass());
     let feet = [Vector6::new(0.0, 0.0, mass * 9.81 / 2.0, 0.0, 0.0, 0.0); 2];
     for tick in 0..200 {

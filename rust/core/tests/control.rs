@@ -567,7 +567,7 @@ fn the_law_is_given_what_the_estimators_make() {
     let slow = ChannelConfig { delay: 0.0, time_constant: 1e9 };
     let estimator = EstimatorConfig { base_position: slow, ..EstimatorConfig::default() };
     config.controller.law.estimator = Some(estimator);
-    config.controller.law.wind_observer = Some(WindObserverConfig::default());
+    config.controller.law.wind_observer = Some(WindObserverConfig {});
     let good = Sample::start(&config);
     let mut controller = controller(&config);
     good.tick(&mut controller);
@@ -631,7 +631,7 @@ fn a_restored_state_continues_to_the_same_bits() {
     let late = ChannelConfig { delay: 0.02, time_constant: 0.05 };
     let estimator = EstimatorConfig { base_position: late, ..EstimatorConfig::default() };
     estimating.controller.law.estimator = Some(estimator);
-    estimating.controller.law.wind_observer = Some(WindObserverConfig::default());
+    estimating.controller.law.wind_observer = Some(WindObserverConfig {});
     let missions = ["test1", "test2", "closed_circuit", "test4"].map(|name| (name, experiment(name)));
     for (name, config) in missions.into_iter().chain([("estimators", estimating)]) {
         let mut flight = Loop::new(&config);

@@ -216,7 +216,7 @@ fn a_tick_of_a_flight_does_not_allocate() {
             Some(JetFailure { jet: "chest_l_jet".into(), time: 0.3, kind: FailureKind::Off, decay: 0.1 });
     });
     let seen = with("test2_sensors", |config| {
-        config.controller.law.wind_observer = Some(WindObserverConfig::default());
+        config.controller.law.wind_observer = Some(WindObserverConfig {});
         config.simulator.duration = 1.0;
     });
     for (what, config, modes) in [("channels", predicted, 0b110_0111_1101), ("sensors", seen, 0)] {

@@ -603,7 +603,7 @@ fn what_the_schema_refuses_cannot_be_built() {
     let mut flights: Vec<_> = shipped.iter().map(|file| json!(load_scenario(file).unwrap())).collect();
     // Tables that no shipped flight has.
     let mut own = json!(experiment("test2_observer"));
-    own["controller"]["wind_observer"] = json!(WindObserverConfig::default());
+    own["controller"]["wind_observer"] = json!(WindObserverConfig {});
     own["disturbances"]["wind_estimate"] = json!(WindEstimateConfig::default());
     own["disturbances"]["outages"] =
         json!([{ "channel": "wind", "kind": "missing", "start": 1.0, "duration": 1.0 }]);

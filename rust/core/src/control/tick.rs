@@ -445,9 +445,7 @@ fn build_guard(
             Estimator::new(estimator, robot.clone(), config.jet_dynamics, aero.clone(), time_step)
         })
         .transpose()?;
-    let wind_observer = wind_observer
-        .map(|observer| WindObserver::new(&observer, robot.clone(), aero.clone(), time_step))
-        .transpose()?;
+    let wind_observer = wind_observer.map(|_| WindObserver::new(robot.clone(), aero.clone())).transpose()?;
     config.check_rate_bounds(robot, time_step)?;
     observer.map_or(Ok(()), |observer| observer.check(time_step))?;
     let momentum_shares = estimator.as_ref().map_or([1.0; 2], |estimator| estimator.momentum_shares);

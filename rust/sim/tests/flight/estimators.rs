@@ -37,7 +37,7 @@ fn a_late_robot_flies_with_an_estimator() {
 #[test]
 fn a_lost_thrust_sensor_is_no_wind() {
     let mut config = experiment("test2_observer");
-    config.controller.law.wind_observer = Some(WindObserverConfig::default());
+    config.controller.law.wind_observer = Some(WindObserverConfig {});
     config.simulator.duration = 14.0;
     let lost = Outage {
         channel: OutageChannel::Thrust,
@@ -58,7 +58,7 @@ fn a_lost_thrust_sensor_is_no_wind() {
 #[test]
 fn a_robot_without_a_measured_wind_flies() {
     let mut config = experiment("test2_observer");
-    config.controller.law.wind_observer = Some(WindObserverConfig::default());
+    config.controller.law.wind_observer = Some(WindObserverConfig {});
     config.simulator.duration = 14.0;
     let result = fly(&[config]).remove(0);
     assert_eq!(result.outcome, Outcome::Completed);

@@ -20,7 +20,7 @@ use super::observer::{ObserverConfig, ObserverState, Sample};
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::control::law::contact::add_wrenches;
 use crate::control::measurement::UsedMeasurement;
-use crate::error::{BuildError, Table};
+use crate::error::BuildError;
 use crate::kinematics::Kinematics;
 use crate::robot::RobotModel;
 use crate::spatial::{Pose, parts};
@@ -37,75 +37,40 @@ const MEMORY: f64 = 2.0;
 /// Greatest magnitude of the observed wrench \[N, N m\].
 const GREATEST: f64 = 1e4;
 
-/// Parameters of the wind estimation.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+/// Gain `K_o` with which the acting force is observed \[1/s\]: over 0.1 s the noise of ten ticks averages out.
+pub const GAIN: f64 = 10.0;
+
+/// Rate of change of a horizontal wind: standard deviation after one second \[m/s\].
+pub const WALK: f64 = 0.6;
+
+/// Standard deviation of vertical winds \[m/s\]: the force says little of them.
+pub const VERTICAL_STD: f64 = 1.0;
+
+/// Correlation time of vertical winds \[s\].
+pub const VERTICAL_TIME: f64 = 2.0;
+
+/// Standard deviation of the noise of the observed force, by axis \[N\]: thrusts, whose noise it contains, are mostly
+/// vertical.
+pub const FORCE_NOISE: Vector3<f64> = Vector3::new(0.3, 0.3, 4.0);
+
+/// Standard deviation of lasting errors of the force: of mass, thrusts and attitude \[N\].
+pub const FORCE_STD: f64 = 0.1;
+
+/// Standard deviation of lasting errors of the aerodynamic model, as a fraction of the observed force.
+pub const RELATIVE_STD: f64 = 0.045;
+
+/// Lever arm that converts an unexplained moment to an unexplained force of the model \[m\].
+pub const MOMENT_ARM: f64 = 0.25;
+
+/// The wind is estimated; the numbers of the estimation are the constants of this file.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(default, deny_unknown_fields)]
-pub struct WindObserverConfig {
-    /// Gain `K_o` with which the acting force is observed \[1/s\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub gain: f64,
-    /// Rate of change of a horizontal wind: standard deviation after one second \[m/s\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub walk: f64,
-    /// Standard deviation of vertical winds \[m/s\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub vertical_std: f64,
-    /// Correlation time of vertical winds \[s\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub vertical_time: f64,
-    /// Standard deviation of the noise of the observed force, by axis \[N\].
-    #[cfg_attr(feature = "schema", schemars(extend("items" = { "type": "number", "format": "double", "exclusiveMinimum": 0 })))]
-    pub force_noise: [f64; 3],
-    /// Standard deviation of lasting errors of the force: of mass, thrusts and attitude \[N\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
-    pub force_std: f64,
-    /// Standard deviation of lasting errors of the aerodynamic model, as a fraction of the observed force.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
-    pub relative_std: f64,
-    /// Lever arm that converts an unexplained moment to an unexplained force of the model \[m\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub moment_arm: f64,
-}
-
-impl Default for WindObserverConfig {
-    fn default() -> Self {
-        Self {
-            gain: 10.0,
-            walk: 0.6,
-            vertical_std: 1.0,
-            vertical_time: 2.0,
-            force_noise: [0.3, 0.3, 4.0],
-            force_std: 0.1,
-            relative_std: 0.045,
-            moment_arm: 0.25,
-        }
-    }
-}
-
-impl WindObserverConfig {
-    /// Checks that every value is in its range.
-    ///
-    /// # Errors
-    /// [`BuildError::BadValue`] naming the key.
-    pub fn check(&self, time_step: f64) -> Result<(), BuildError> {
-        let table = Table("controller.wind_observer");
-        table.check_positive("gain", self.gain)?;
-        table.gain("gain", self.gain, time_step)?;
-        table.check_positive("walk", self.walk)?;
-        table.check_positive("vertical_std", self.vertical_std)?;
-        table.check_positive("vertical_time", self.vertical_time)?;
-        table.check_positive("moment_arm", self.moment_arm)?;
-        self.force_noise.into_iter().try_for_each(|std| table.check_positive("force_noise", std))?;
-        table.check_non_negative("force_std", self.force_std)?;
-        table.check_non_negative("relative_std", self.relative_std)
-    }
-}
+#[serde(deny_unknown_fields)]
+pub struct WindObserverConfig {}
 
 /// Observer of the wind, with its workspace; its state is a [`WindState`].
 #[derive(Debug, Clone)]
 pub struct WindObserver {
-    config: WindObserverConfig,
     robot: RobotModel,
     aero: AeroModel,
     link_forces: LinkForces,
@@ -127,30 +92,23 @@ pub struct WindState {
 }
 
 impl WindObserver {
-    /// Builds an observer with models of the robot and of its aerodynamics, updated about every `time_step` \[s\].
+    /// Builds an observer with models of the robot and of its aerodynamics.
     ///
     /// # Errors
-    /// As [`WindObserverConfig::check`]; also for an aerodynamic model without forces.
-    pub fn new(
-        config: &WindObserverConfig,
-        robot: RobotModel,
-        aero: AeroModel,
-        time_step: f64,
-    ) -> Result<Self, BuildError> {
-        config.check(time_step)?;
+    /// [`BuildError::BadValue`] for an aerodynamic model without forces.
+    pub fn new(robot: RobotModel, aero: AeroModel) -> Result<Self, BuildError> {
         if aero.is_off() {
             let expected = "a model of the air: without one no force says anything of the wind";
             return Err(BuildError::bad_value("controller.aero.model", "off", expected));
         }
-        Ok(Self { config: *config, link_forces: LinkForces::new(&robot), robot, aero })
+        Ok(Self { link_forces: LinkForces::new(&robot), robot, aero })
     }
 
     /// State before the first tick: zero wind, with the covariance of one second of the random walk and of the vertical
     /// winds.
     #[must_use]
     pub fn start(&self) -> WindState {
-        let Self { config, .. } = self;
-        let std = Vector3::new(config.walk, config.walk, config.vertical_std);
+        let std = Vector3::new(WALK, WALK, VERTICAL_STD);
         WindState {
             wrench: ObserverState::default(),
             wind: Vector3::zeros(),
@@ -173,7 +131,7 @@ impl WindObserver {
         soles: &[Pose],
     ) {
         let step = measurement.elapsed;
-        self.drift(state, step);
+        state.drift(step);
         if !measurement.has_momentum {
             state.hold();
             return;
@@ -184,24 +142,11 @@ impl WindObserver {
         }
         rate[2] -= kinematics.mass() * self.robot.gravity;
         add_wrenches(soles, &measurement.foot_wrenches, &kinematics.com, &mut rate);
-        let gain = self.config.gain;
         let gains =
-            ObserverConfig { gain_force: gain, gain_moment: gain, force_max: GREATEST, moment_max: GREATEST };
+            ObserverConfig { gain_force: GAIN, gain_moment: GAIN, force_max: GREATEST, moment_max: GREATEST };
         let sample = Sample { momentum: *momentum, rate };
         let observed = state.wrench.update(&gains, step, sample);
         self.correct(state, kinematics, &observed, step);
-    }
-
-    /// Prediction: random walk of the horizontal wind, decay of the vertical wind.
-    fn drift(&self, state: &mut WindState, step: f64) {
-        let config = &self.config;
-        let kept = libm::exp(-step / config.vertical_time);
-        state.wind.z *= kept;
-        let keep = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, kept));
-        let walk = config.walk * config.walk * step;
-        let noise = Vector3::new(walk, walk, config.vertical_std * config.vertical_std * (1.0 - kept * kept));
-        state.covariance = keep * state.covariance * keep + Matrix3::from_diagonal(&noise);
-        state.sensitivity = keep * state.sensitivity;
     }
 
     fn correct(
@@ -219,16 +164,15 @@ impl WindObserver {
             shifted[axis] += DIFFERENCE;
             jacobian.set_column(axis, &((self.wrench_in(kinematics, &shifted).0 - modelled.0) / DIFFERENCE));
         }
-        let config = &self.config;
         let share = -libm::expm1(-step / MEMORY);
         let unexplained =
             state.unexplained + share * ((observed.1 - modelled.1).norm_squared() - state.unexplained);
-        let lasting = config.force_std * config.force_std
-            + config.relative_std * config.relative_std * observed.0.norm_squared()
-            + unexplained / (config.moment_arm * config.moment_arm);
+        let lasting = FORCE_STD * FORCE_STD
+            + RELATIVE_STD * RELATIVE_STD * observed.0.norm_squared()
+            + unexplained / (MOMENT_ARM * MOMENT_ARM);
         // The ticks of one time constant of the observer count as one measurement.
-        let together = (1.0 / (config.gain * step)).max(1.0);
-        let error = Vector3::from(config.force_noise).map(|std| together * std * std);
+        let together = (1.0 / (GAIN * step)).max(1.0);
+        let error = FORCE_NOISE.map(|std| together * std * std);
         let innovation = jacobian * state.covariance * jacobian.transpose() + Matrix3::from_diagonal(&error);
         let Some(inverse) = innovation.try_inverse() else {
             return;
@@ -256,6 +200,17 @@ impl WindObserver {
 }
 
 impl WindState {
+    /// Prediction: random walk of the horizontal wind, decay of the vertical wind.
+    fn drift(&mut self, step: f64) {
+        let kept = libm::exp(-step / VERTICAL_TIME);
+        self.wind.z *= kept;
+        let keep = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, kept));
+        let walk = WALK * WALK * step;
+        let noise = Vector3::new(walk, walk, VERTICAL_STD * VERTICAL_STD * (1.0 - kept * kept));
+        self.covariance = keep * self.covariance * keep + Matrix3::from_diagonal(&noise);
+        self.sensitivity = keep * self.sensitivity;
+    }
+
     /// Discards the last sample: for a tick whose momentum is not measured.
     fn hold(&mut self) {
         self.wrench.hold();
