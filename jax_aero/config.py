@@ -92,18 +92,6 @@ class ChannelConfig(Struct, frozen=True, kw_only=True):
     time_constant: float = 0.0
 
 
-class Greatest(Struct, frozen=True, kw_only=True):
-    angular_velocity: float = 100.0
-    foot_force: float = 100000.0
-    foot_moment: float = 100000.0
-    joint_position: float = 100.0
-    joint_velocity: float = 100.0
-    position: float = 1000000.0
-    thrust: float = 10.0
-    velocity: float = 300.0
-    wind: float = 300.0
-
-
 class Jumps(Struct, frozen=True, kw_only=True):
     angular_velocity: float = 2.0
     joint_position: float = 0.5
@@ -115,14 +103,8 @@ class Jumps(Struct, frozen=True, kw_only=True):
 
 
 class ChannelsConfig(Struct, frozen=True, kw_only=True):
-    confirmation: float = 0.2
     descend_after: float = 3.0
-    frozen_ticks: int = 5
-    greatest: Greatest = Greatest()
     jump: Jumps | None = None
-    velocity_gain: float = 100.0
-    widening: float = 1.0
-    wind_fade: float = 2.0
     wind_hold: float = 1.0
 
 

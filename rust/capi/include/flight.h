@@ -26,7 +26,7 @@ typedef enum FlightStatus {
   FLIGHT_NOMINAL = 0,
   // The measurement is not of this robot: thrust rates and joint velocities are zero, torques keep their values.
   FLIGHT_BAD_MEASUREMENT = 1,
-  // The set-point exceeds the accepted range (`channels.greatest`), or its matrix is not a rotation: the robot brakes
+  // The set-point exceeds the accepted range, or its matrix is not a rotation: the robot brakes
   // from the motion of the last valid one.
   FLIGHT_BAD_SETPOINT = 2,
   // The momentum QP has no answer: thrust rates and joint velocities are as near to zero as their bounds allow.

@@ -86,7 +86,7 @@ pub enum FlightStatus {
     FlightNominal = 0,
     /// The measurement is not of this robot: thrust rates and joint velocities are zero, torques keep their values.
     FlightBadMeasurement = 1,
-    /// The set-point exceeds the accepted range (`channels.greatest`), or its matrix is not a rotation: the robot brakes
+    /// The set-point exceeds the accepted range, or its matrix is not a rotation: the robot brakes
     /// from the motion of the last valid one.
     FlightBadSetpoint = 2,
     /// The momentum QP has no answer: thrust rates and joint velocities are as near to zero as their bounds allow.

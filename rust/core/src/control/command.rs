@@ -24,7 +24,7 @@ pub enum CommandStatus {
     BadMeasurement,
     /// The state belongs to another controller; the command is as for a bad measurement.
     BadState,
-    /// The given set-point exceeds the accepted range (`channels.greatest`), or its matrix is not a rotation: the command
+    /// The given set-point exceeds the accepted range, or its matrix is not a rotation: the command
     /// of the control law, which brakes from the motion of the last valid set-point.
     BadSetpoint,
     /// Set-points or winds of the preview exceed the accepted range, or their times do not increase: the command of the

@@ -1,6 +1,6 @@
 //! What is known of the future at a tick: set-points and wind.
 
-use super::guard::channels::Greatest;
+use super::guard::channels::greatest;
 use super::law::setpoint::Setpoint;
 use nalgebra::Vector3;
 
@@ -17,14 +17,14 @@ pub struct Preview<'a> {
 }
 
 impl Preview<'_> {
-    /// Its valid parts, and whether it has no other. Set-points and winds must be within the range `greatest`.
+    /// Its valid parts, and whether it has no other. Set-points and winds must be within the range of [`greatest`].
     #[must_use]
-    pub fn checked(self, greatest: &Greatest) -> (Self, bool) {
+    pub fn checked(self) -> (Self, bool) {
         let first = self.setpoints.first().is_none_or(|(time, _)| *time > 0.0);
-        let are_setpoints = |(_, setpoint): &(f64, Setpoint)| setpoint.is_valid(greatest);
+        let are_setpoints = |(_, setpoint): &(f64, Setpoint)| setpoint.is_valid();
         let has_setpoints = first && are_ordered(self.setpoints) && self.setpoints.iter().all(are_setpoints);
         let first = self.wind.first().is_none_or(|(time, _)| *time >= 0.0);
-        let are_winds = |(_, wind): &(f64, Vector3<f64>)| wind.iter().all(|x| x.abs() <= greatest.wind);
+        let are_winds = |(_, wind): &(f64, Vector3<f64>)| wind.iter().all(|x| x.abs() <= greatest::WIND);
         let has_wind = first && are_ordered(self.wind) && self.wind.iter().all(are_winds);
         let valid = Self {
             setpoints: if has_setpoints { self.setpoints } else { &[] },

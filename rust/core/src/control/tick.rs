@@ -113,9 +113,8 @@ impl Controller {
         let (unknowns, joints) = (momentum_qp.problem.len(), model.joints.len());
         let generator = SetpointGenerator::new(&config.setpoint, mission, &model.forward_axis_b, time_step)?;
         let solver = |n, rows| config.qp.chain(n, rows);
-        let greatest = config.channels.greatest.clone();
         let latency = config.latency();
-        let momentum = MomentumLaw::new(generator, greatest, solver(unknowns, 0), unknowns, latency);
+        let momentum = MomentumLaw::new(generator, solver(unknowns, 0), unknowns, latency);
         let law = build_law(config, momentum, &model, &aero, time_step)?;
         let torques = solver(torque_qp.problem.len(), torque_qp.problem.rows());
         let torque_steps = config.torque.steps;
@@ -211,7 +210,7 @@ impl Controller {
             begin_again(model, law.generator(), state, terms);
         }
         let is_valid = law.follow(state, given.setpoint, terms);
-        let (preview, has_valid_preview) = given.preview.checked(law.greatest());
+        let (preview, has_valid_preview) = given.preview.checked();
         terms.update_model(model, aero, *conventions, *feedback);
         guard.judge(model, state, terms);
         command.modes = terms.measurement.modes;

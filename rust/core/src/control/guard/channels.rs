@@ -19,10 +19,11 @@
 //! Equations M101 to M103 and M141 of `docs/model`.
 
 mod config;
+pub mod greatest;
 mod layout;
 mod state;
 
-pub use config::{ChannelsConfig, Greatest, Jumps};
+pub use config::{ChannelsConfig, Jumps};
 pub use state::ChannelsState;
 
 use crate::control::measurement::{BadStart, Measurement, Reading, UsedMeasurement};
@@ -36,6 +37,22 @@ use state::{Channel, bound, time_is_plausible};
 
 /// Fraction of [`Jumps`] by which a value must differ from the prediction to count as frozen.
 const FROZEN_SHARE: f64 = 0.02;
+
+/// Number of ticks with the same bits after which a value may count as frozen.
+const FROZEN_TICKS: u32 = 5;
+
+/// Share of [`Jumps`] within which the second measurement confirms the first, and a first joint position may be beyond
+/// its stops: less than a wrong first measurement can do harm with, more than noise of sensors.
+const CONFIRMATION: f64 = 0.2;
+
+/// Relative growth of [`Jumps`] with the age of a channel \[1/s\]: predictions drift.
+const WIDENING: f64 = 1.0;
+
+/// Time in which the wind fades to zero after it was held \[s\].
+const WIND_FADE: f64 = 2.0;
+
+/// Gain with which a base velocity that is not measured follows the differences of the pose \[1/s\].
+const VELOCITY_GAIN: f64 = 100.0;
 
 /// The channels of one controller; preallocated.
 #[derive(Debug, Clone)]
@@ -67,28 +84,27 @@ impl Channels {
     ) -> Self {
         let (jets, joints, feet) = (robot.jets.len(), robot.joints.len(), robot.feet.len());
         let layout = Layout::new(jets, joints, feet);
-        let most = &config.greatest;
         let near = config.jump.clone().unwrap_or(Jumps::NONE);
         let mut greatest = vec![f64::INFINITY; layout.len()];
         let mut jump = vec![f64::INFINITY; layout.len()];
         for (entry, jet) in layout.thrust.clone().zip(&robot.jets) {
-            greatest[entry] = most.thrust * jet.thrust_max;
+            greatest[entry] = greatest::THRUST * jet.thrust_max;
         }
         for (range, most, near) in [
-            (&layout.wind, most.wind, near.wind),
-            (&layout.joint_position, most.joint_position, near.joint_position),
-            (&layout.joint_velocity, most.joint_velocity, near.joint_velocity),
-            (&layout.linear_velocity, most.velocity, near.velocity),
-            (&layout.angular_velocity, most.angular_velocity, near.angular_velocity),
-            (&layout.position, most.position, near.position),
+            (&layout.wind, greatest::WIND, near.wind),
+            (&layout.joint_position, greatest::JOINT_POSITION, near.joint_position),
+            (&layout.joint_velocity, greatest::JOINT_VELOCITY, near.joint_velocity),
+            (&layout.linear_velocity, greatest::VELOCITY, near.velocity),
+            (&layout.angular_velocity, greatest::ANGULAR_VELOCITY, near.angular_velocity),
+            (&layout.position, greatest::POSITION, near.position),
             (&layout.rotation, 2.0, near.rotation),
         ] {
             greatest[range.clone()].fill(most);
             jump[range.clone()].fill(near);
         }
         for foot in greatest[layout.feet.clone()].chunks_exact_mut(6) {
-            foot[..3].fill(most.foot_force);
-            foot[3..].fill(most.foot_moment);
+            foot[..3].fill(greatest::FOOT_FORCE);
+            foot[3..].fill(greatest::FOOT_MOMENT);
         }
         let thrusts = layout.thrust.clone().map(|number| (Kind::Thrust, number..number + 1));
         let entries = [(Kind::Wind, layout.wind.clone())].into_iter().chain(thrusts).chain([
@@ -98,7 +114,7 @@ impl Channels {
             (Kind::Rotation, layout.rotation.clone()),
             (Kind::Feet, layout.feet.clone()),
         ]);
-        let beyond = config.confirmation * near.joint_position;
+        let beyond = CONFIRMATION * near.joint_position;
         let stops = robot.joints.iter().map(|joint| joint.stops);
         Self {
             config: config.clone(),
@@ -192,7 +208,7 @@ impl Channels {
     fn check_ranges(&self, joint_position: &DVector<f64>) -> Result<(), BadStart> {
         for Entry { range, .. } in self.entries.iter().filter(|entry| entry.kind.is_vital()) {
             if let Some(index) = range.clone().find(|index| self.now[*index].abs() > self.greatest[*index]) {
-                let expected = "at most controller.channels.greatest in magnitude";
+                let expected = "at most 1e6 m, 300 m/s, 100 rad or 100 rad/s in magnitude";
                 let (name, value) = (self.layout.name(index), self.now[index]);
                 return Err(BadStart::BadValue { name, value, expected });
             }
@@ -287,8 +303,8 @@ impl Channels {
         channel.same = if is_same { channel.same.saturating_add(1) } else { 0 };
         let is_plausible = is_within(now, &self.greatest[range.clone()])
             && (*kind != Kind::Rotation || is_rotation(&rotation_of(now)));
-        let width = if channel.support > 1 { 1.0 } else { self.config.confirmation };
-        let gate = width + self.config.widening * channel.age + missed_ticks;
+        let width = if channel.support > 1 { 1.0 } else { CONFIRMATION };
+        let gate = width + WIDENING * channel.age + missed_ticks;
         let is_sound = is_plausible && is_near(predicted, gate);
         // Of joints and base the same bits are no other measurement.
         let counts = !is_same || !kind.is_vital();
@@ -301,8 +317,7 @@ impl Channels {
         channel.is_distrusted |=
             *kind == Kind::Wind && is_plausible && !is_sound && channel.age > self.config.wind_hold;
         // The prediction of a wind does not move.
-        let leaves =
-            kind.is_vital() && channel.same >= self.config.frozen_ticks && !is_near(predicted, FROZEN_SHARE);
+        let leaves = kind.is_vital() && channel.same >= FROZEN_TICKS && !is_near(predicted, FROZEN_SHARE);
         channel.is_frozen = is_same && (channel.is_frozen || leaves);
         if (is_sound || is_outvoted) && !channel.is_frozen && !channel.is_distrusted {
             channel.age = 0.0;
@@ -344,7 +359,7 @@ impl Channels {
 
     /// Lets the predicted base velocity follow the difference of the last two poses.
     fn follow_pose(&self, state: &mut ChannelsState, dt: f64) {
-        let share = -libm::expm1(-self.config.velocity_gain * dt);
+        let share = -libm::expm1(-VELOCITY_GAIN * dt);
         let (position, rotation) = (self.layout.position.clone(), self.layout.rotation.clone());
         let moved = vector(&self.now[position.clone()]) - vector(&state.last[position]);
         let turned =
@@ -370,7 +385,7 @@ impl Channels {
                 *innovation = 0.0;
             }
             if *kind == Kind::Wind {
-                let left = 1.0 - (channel.age - self.config.wind_hold) / self.config.wind_fade;
+                let left = 1.0 - (channel.age - self.config.wind_hold) / WIND_FADE;
                 for x in now {
                     *x *= left.clamp(0.0, 1.0);
                 }

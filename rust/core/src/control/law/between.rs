@@ -5,7 +5,7 @@
 //!
 //! Equation M152 of `docs/model`.
 
-use crate::control::guard::channels::{ChannelsConfig, Jumps};
+use crate::control::guard::channels::{ChannelsConfig, Jumps, greatest};
 use crate::control::guard::estimator::EstimatorConfig;
 use crate::kinematics::RobotState;
 use nalgebra::{DVector, DVectorView};
@@ -104,7 +104,7 @@ impl JointTracker {
             period,
             position,
             velocity,
-            greatest: [channels.greatest.joint_position, channels.greatest.joint_velocity],
+            greatest: [greatest::JOINT_POSITION, greatest::JOINT_VELOCITY],
             jump: channels.jump.as_ref().map(of_jumps),
         }
     }

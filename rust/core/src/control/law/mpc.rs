@@ -20,7 +20,6 @@ use super::rates::{Law, MomentumLaw};
 use super::setpoint::{Ahead, Setpoint, SetpointGenerator};
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::control::command::{Command, CommandStatus};
-use crate::control::guard::channels::Greatest;
 use crate::control::preview::Preview;
 use crate::control::state::ControllerState;
 use crate::control::terms::Terms;
@@ -305,10 +304,6 @@ fn bounds_of(terms: &Terms, unknown: usize) -> (f64, f64) {
 impl Law for PredictiveLaw {
     fn generator(&self) -> &SetpointGenerator {
         &self.momentum.generator
-    }
-
-    fn greatest(&self) -> &Greatest {
-        self.momentum.greatest()
     }
 
     fn unknowns(&self) -> usize {

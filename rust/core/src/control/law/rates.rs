@@ -8,7 +8,6 @@ use super::mpc::model::Linearised;
 use super::setpoint::{Setpoint, SetpointGenerator};
 use crate::aero::AeroModel;
 use crate::control::command::{Command, CommandStatus};
-use crate::control::guard::channels::Greatest;
 use crate::control::preview::Preview;
 use crate::control::state::ControllerState;
 use crate::control::terms::Terms;
@@ -22,9 +21,6 @@ use std::fmt::Debug;
 pub trait Law: Debug + Send + Sync {
     /// Its set-points from the mission.
     fn generator(&self) -> &SetpointGenerator;
-
-    /// Range of the set-points and winds that are accepted.
-    fn greatest(&self) -> &Greatest;
 
     /// Number of unknowns of its plan, which is a part of the state; zero if it does not plan.
     fn unknowns(&self) -> usize {
@@ -58,8 +54,6 @@ pub trait Law: Debug + Send + Sync {
 pub struct MomentumLaw {
     /// Set-points from the mission.
     pub generator: SetpointGenerator,
-    /// Range of the set-points that are followed.
-    greatest: Greatest,
     solver: QpChain,
     solution: DVector<f64>,
     /// Time from a tick until its command acts \[s\].
@@ -67,16 +61,10 @@ pub struct MomentumLaw {
 }
 
 impl MomentumLaw {
-    /// A law in `unknowns` unknowns that follows a mission, or given set-points in the range of `greatest`.
+    /// A law in `unknowns` unknowns that follows a mission, or given set-points.
     #[must_use]
-    pub fn new(
-        generator: SetpointGenerator,
-        greatest: Greatest,
-        solver: QpChain,
-        unknowns: usize,
-        latency: f64,
-    ) -> Self {
-        Self { generator, greatest, solver, solution: DVector::zeros(unknowns), latency }
+    pub fn new(generator: SetpointGenerator, solver: QpChain, unknowns: usize, latency: f64) -> Self {
+        Self { generator, solver, solution: DVector::zeros(unknowns), latency }
     }
 
     /// Time from a tick until its command acts \[s\].
@@ -155,13 +143,9 @@ impl Law for MomentumLaw {
         &self.generator
     }
 
-    fn greatest(&self) -> &Greatest {
-        &self.greatest
-    }
-
     fn follow(&mut self, state: &mut ControllerState, given: Option<&Setpoint>, terms: &mut Terms) -> bool {
         let ControllerState { setpoint: state, channels, contact, .. } = state;
-        let is_valid = given.is_none_or(|given| given.is_valid(&self.greatest));
+        let is_valid = given.is_none_or(|given| given.is_valid());
         terms.setpoint = match given {
             _ if channels.is_descending => self.generator.descend(state, terms.contact.stays(contact)),
             None => self.generator.update(state, terms.measurement.time),

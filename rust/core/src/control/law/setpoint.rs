@@ -11,7 +11,7 @@
 use super::minimum_jerk::{FilterState, MinimumJerkFilter};
 use super::mission::{AutopilotCommand, Mission};
 use super::recorded::RecordedMotion;
-use crate::control::guard::channels::Greatest;
+use crate::control::guard::channels::greatest::{ANGULAR_VELOCITY, POSITION, VELOCITY};
 use crate::error::{BuildError, Table};
 use crate::spatial::{
     GREATEST, axis_angle, exp_so3, is_rotation, log_so3, project_to_so3, rotation_from_rpy,
@@ -143,13 +143,12 @@ impl Setpoint {
         Self { com_position: *com, com_acceleration: zero, com_jerk: zero, ..*self }
     }
 
-    /// Whether a robot whose state is accepted up to `greatest` can follow this set-point: position and velocities are
+    /// Whether a robot whose state is accepted can follow this set-point: position and velocities are
     /// within that range, the acceleration changes the velocity by at most its range in a second, all other
     /// derivatives are at most 10⁶ (m, rad, s), and the matrix is a rotation.
     #[must_use]
-    pub fn is_valid(&self, greatest: &Greatest) -> bool {
-        let Greatest { position, velocity, angular_velocity, .. } = *greatest;
-        let limits = [position, velocity, velocity, GREATEST, angular_velocity, GREATEST, GREATEST];
+    pub fn is_valid(&self) -> bool {
+        let limits = [POSITION, VELOCITY, VELOCITY, GREATEST, ANGULAR_VELOCITY, GREATEST, GREATEST];
         let mut vectors = self.vectors().into_iter().zip(limits);
         vectors.all(|(vector, most)| vector.iter().all(|x| x.abs() <= most)) && is_rotation(&self.rotation)
     }
