@@ -277,7 +277,6 @@ class SetpointConfig(Struct, frozen=True, kw_only=True):
 
 class SupervisorConfig(Struct, frozen=True, kw_only=True):
     confirmation: float
-    descend: bool = False
     horizon: float
     joint_velocity: float
     position: float

@@ -1,4 +1,4 @@
-//! The supervisor: which errors count as straying, after which time, and what is done then.
+//! The supervisor: which errors count as straying, and after which time.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
@@ -10,14 +10,8 @@ use flight_core::spatial::axis_angle;
 use flight_io::load_robot;
 use nalgebra::Vector3;
 
-const LIMITS: SupervisorConfig = SupervisorConfig {
-    horizon: 0.5,
-    rotation: 0.6,
-    position: 0.4,
-    joint_velocity: 2.0,
-    confirmation: 0.03,
-    descend: false,
-};
+const LIMITS: SupervisorConfig =
+    SupervisorConfig { horizon: 0.5, rotation: 0.6, position: 0.4, joint_velocity: 2.0, confirmation: 0.03 };
 
 /// A limit counts after the confirmation time, in which it has been exceeded throughout.
 #[test]
@@ -36,13 +30,10 @@ fn a_limit_has_to_be_exceeded_for_a_while() {
 }
 
 /// What a controller says in its fourth tick towards a set-point, from a robot in this state.
-fn says(
-    supervisor: SupervisorConfig,
-    change: impl Fn(&mut Sample, &mut Setpoint),
-) -> (CommandStatus, Modes, bool) {
+fn says(change: impl Fn(&mut Sample, &mut Setpoint)) -> (CommandStatus, Modes) {
     let mut config = experiment("test2_observer");
     let law = &mut config.controller.law;
-    (law.supervisor, law.channels.jump, law.engines) = (Some(supervisor), None, None);
+    (law.supervisor, law.channels.jump, law.engines) = (Some(LIMITS), None, None);
     let mut controller = Running::new(config.controller(load_robot(&config.robot).unwrap()).unwrap());
     let mut sample = Sample::start(&config);
     controller.tick(&sample.measurement());
@@ -52,11 +43,7 @@ fn says(
         sample.time += TIME_STEP;
         controller.tick_towards(&sample.measurement(), &setpoint);
     }
-    let (status, modes) = (controller.command().status, controller.command().modes);
-    sample.time += TIME_STEP;
-    let descends =
-        controller.tick_towards(&sample.measurement(), &setpoint).modes.contains(Modes::DESCENDING);
-    (status, modes, descends)
+    (controller.command().status, controller.command().modes)
 }
 
 /// Errors of rotation and centre of mass count with the rates at which they grow or shrink, those of the set-point
@@ -95,19 +82,10 @@ fn errors_count_with_their_rates() {
         ("a joint at 2.1 rad/s", true, |sample, _| sample.state.velocity[12] = -2.1),
     ];
     for (what, expected, change) in cases {
-        let (status, modes, descends) = says(LIMITS, change);
+        let (status, modes) = says(change);
         assert_eq!(modes.contains(Modes::STRAYING), expected, "{what}");
         assert_eq!(status == CommandStatus::Degraded, expected, "{what}: {status}, {modes}");
-        assert!(!descends, "{what}");
     }
-}
-
-/// With `descend` it gives up its mission.
-#[test]
-fn a_flight_that_strays_descends_where_that_is_configured() {
-    let change = |_: &mut Sample, setpoint: &mut Setpoint| setpoint.com_position.y += 0.5;
-    assert!(says(SupervisorConfig { descend: true, ..LIMITS }, change).2);
-    assert!(!says(SupervisorConfig { descend: true, ..LIMITS }, |_, _| {}).2);
 }
 
 /// Each number of `controller.supervisor` that means nothing is refused by its key.

@@ -17,7 +17,7 @@ use crate::kinematics::{Kinematics, RobotState};
 use crate::spatial::{log_so3, parts};
 use serde::{Deserialize, Serialize};
 
-/// When a flight strays from its set-point, and what is then done.
+/// When a flight strays from its set-point.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -37,9 +37,6 @@ pub struct SupervisorConfig {
     /// Time for which a limit has to be exceeded \[s\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub confirmation: f64,
-    /// Whether a flight that strays levels and descends instead of following its mission.
-    #[serde(default)]
-    pub descend: bool,
 }
 
 /// What is compared with the limits.

@@ -1,4 +1,4 @@
-//! Its stage: straying flights are reported, and descend if configured.
+//! Its stage: straying flights are reported.
 
 use super::{Errors, SupervisorConfig};
 use crate::control::guard::stage::{Stage, Tick};
@@ -15,7 +15,6 @@ impl Stage for SupervisorConfig {
         let errors = Errors::ahead(self.horizon, &measurement.state, kinematics, dynamics, due);
         if self.update(&mut tick.state.exceeded, measurement.elapsed, &errors) {
             measurement.modes.insert(Modes::STRAYING);
-            tick.state.channels.is_descending |= self.descend;
         }
     }
 }
