@@ -38,6 +38,96 @@ def schema_named_by(path: Path):
     return json.loads((path.parent / first.removeprefix("#:schema ")).read_text(encoding="utf-8"))
 
 
+UNSET = {
+    "ChannelsConfig": {"descend_after", "wind_hold"},
+    "Disturbances": {"aero"},
+    "DivergenceConfig": {"angular_velocity", "joint_excess", "joint_velocity", "speed", "thrust_ratio"},
+    "EkfConfig": {"Q", "R", "init_P", "init_state"},
+    "EncoderConfig": {"bias", "tremble"},
+    "ForceFactorsConfig": {"scale"},
+    "FuelConfig": {"body", "by_thrust", "idle", "mass", "position"},
+    "InitialConfig": {"base_velocity"},
+    "JetsConfig": {"ekf", "rate_gain_i", "rate_gain_p"},
+    "JointFault": {"share"},
+    "ModelError": {"inertia_scale", "thrust_axes"},
+    "SensorConfig": {"drift"},
+    "SimulatorConfig": {"course_error", "divergence", "dynamics", "fuel"},
+    "TrembleConfig": {"amplitude", "frequency"},
+    "WindConfig": {"path", "samples"},
+    "WindEstimateConfig": {"seed"},
+}
+"""Keys that no file sets, by their table.
+
+* Perturbations of sweeps draw `aero`, `base_velocity`, `inertia_scale`, `thrust_axes` and every `seed`.
+* A wind can be a recording (`path`, `samples`), and JAX's bodies those of MuJoCo (`dynamics`).
+* How long a robot may be blind is up to those who fly it (`descend_after`, `wind_hold`).
+* Tests set limits and gains of the published simulation (`divergence`, `course_error`, `ekf`, `rate_gain_i`,
+  `rate_gain_p`), and errors of a robot that no sweep has yet (`bias`, `drift`, `fuel`, `scale`, `share`, `tremble`).
+"""
+
+
+def tables_at(node, types, name):
+    """Yield the tables that a node of a schema allows, with their types."""
+    if "$ref" in node:
+        name = node["$ref"].removeprefix("#/$defs/")
+        yield from tables_at(types[name], types, name)
+    if "properties" in node:
+        yield name, node["properties"]
+    for inner in (*node.get("anyOf", ()), *node.get("oneOf", ()), node.get("items"), node.get("additionalProperties")):
+        if isinstance(inner, dict):
+            yield from tables_at(inner, types, name)
+
+
+def keys_set(node, value, types, name=""):
+    """Yield type and key of everything that a table sets; `a.b = 1` is a table, too."""
+    if isinstance(value, list):
+        for entry in value:
+            yield from keys_set(node, entry, types, name)
+    elif isinstance(value, dict):
+        known = list(tables_at(node, types, name))
+        for key, inner in value.items():
+            first, _, rest = key.partition(".")
+            inside = {rest: inner} if rest else inner
+            found = [(kind, table[first]) for kind, table in known if first in table]
+            for kind, below in found:
+                yield kind, first
+                yield from keys_set(below, inside, types, kind)
+            if not found:  # the number of an entry, or a name of the robot
+                yield from keys_set(node, inside, types, name)
+
+
+def changes_in(value):
+    """Yield the changes to flights in a file of a sweep, training or study."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            if "." in key or key in ("wind", "disturbances", "mission"):
+                yield {key: inner}
+            yield from changes_in(inner)
+    elif isinstance(value, list):
+        for entry in value:
+            yield from changes_in(entry)
+
+
+def test_every_key_of_a_flight_is_set_by_a_file():
+    """A number that no file changes is a constant beside its equation."""
+    crate = rust.schemas()
+    flights, types = crate["experiments"], crate["experiments"]["$defs"]
+    found = set()
+    for path in FILES:
+        table, kind = tomllib.loads(path.read_text(encoding="utf-8")), path.parent.name
+        if path.parent.parent == CONFIGS and kind in crate and kind != "robot":
+            found |= set(keys_set(crate[kind], table, types, crate[kind]["title"]))
+        else:
+            for change in changes_in(table):
+                found |= set(keys_set(flights, change, types, flights["title"]))
+    keys = {(name, key) for kind in types for name, table in tables_at(types[kind], types, kind) for key in table}
+    keys |= {(flights["title"], key) for key in flights["properties"]}
+    unset = {}
+    for name, key in keys - found:
+        unset.setdefault(name, set()).add(key)
+    assert unset == UNSET
+
+
 def test_everything_made_from_the_types_is_up_to_date():
     made = schema.files()
     committed = {*(CONFIGS / "schema").iterdir(), *(ROOT / "experiments/studies").glob("*/schema.json")}
