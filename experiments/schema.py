@@ -410,7 +410,7 @@ def _places(root: str, definitions: Mapping[str, Node]) -> dict[str, list[str]]:
     def walk_inside(node: Node, key: str) -> None:
         tagged = _find_tags(node)
         for option in tagged.kinds.values() if tagged else [node]:
-            for name, inner in option["properties"].items():
+            for name, inner in option.get("properties", {}).items():
                 walk(inner, f"{key}.{name}".lstrip("."))
 
     walk_inside(definitions[root], "")
@@ -421,7 +421,11 @@ def _section(node: Node, definitions: Mapping[str, Node]) -> str:
     text = f"\n{_markdown(node.get('description', ''))[0]}\n"
     tagged = _find_tags(node)
     if tagged is None:
-        return f"{text}\n{COLUMNS}{_rows(node, definitions)}"
+        return (
+            f"{text}\n{COLUMNS}{_rows(node, definitions)}"
+            if node.get("properties")
+            else f"{text}\nA table without keys.\n"
+        )
     for kind, option in tagged.kinds.items():
         text += f'\n`{tagged.tag} = "{kind}"`: {_prose(option.get("description", ""))}\n'
         if option["properties"]:
