@@ -54,8 +54,9 @@ impl TurbineConfig {
         let mut best = (self.throttle[0], rate(0));
         for row in 1..self.throttle.len() {
             let (from, to) = (rate(row - 1), rate(row));
-            let part = if to == from { 1.0 } else { ((command - from) / (to - from)).clamp(0.0, 1.0) };
-            let found = from + part * (to - from);
+            let rise = to - from;
+            let part = if rise.abs() > 0.0 { ((command - from) / rise).clamp(0.0, 1.0) } else { 1.0 };
+            let found = from + part * rise;
             if (found - command).abs() <= (best.1 - command).abs() {
                 let throttle = self.throttle[row - 1] + part * (self.throttle[row] - self.throttle[row - 1]);
                 best = (throttle, found);

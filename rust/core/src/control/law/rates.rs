@@ -145,7 +145,7 @@ impl Law for MomentumLaw {
 
     fn follow(&mut self, state: &mut ControllerState, given: Option<&Setpoint>, terms: &mut Terms) -> bool {
         let ControllerState { setpoint: state, channels, contact, .. } = state;
-        let is_valid = given.is_none_or(|given| given.is_valid());
+        let is_valid = given.is_none_or(Setpoint::is_valid);
         terms.setpoint = match given {
             _ if channels.is_descending => self.generator.descend(state, terms.contact.stays(contact)),
             None => self.generator.update(state, terms.measurement.time),
