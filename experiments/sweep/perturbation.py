@@ -128,7 +128,11 @@ class Perturbation(tables.Table, frozen=True):
         widths = (self.mass, self.com, self.inertia, self.thrust_axis_deg)
         error = {key: value for (key, value), width in zip(drawn.items(), widths, strict=True) if width}
         if error:
-            config.setdefault("disturbances", {}).setdefault("model_error", {}).update(error)
+            of_flight = config.setdefault("disturbances", {}).setdefault("model_error", {})
+            for key in ("mass_scale", "inertia_scale"):
+                if key in error:
+                    error[key] *= of_flight.get(key, 1.0)
+            of_flight.update(error)
 
     def _reshape(self, config: dict[str, Any], around: Any, links: Sequence[str]) -> None:
         if not (self.drag or self.normal or self.link):
