@@ -12,8 +12,8 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from jax_aero import rust
-from jax_aero.kinematics import Kinematics, frame_poses, kinematics
-from jax_aero.robot import RobotModel, load_robot
+from jax_aero.body.kinematics import Kinematics, frame_poses, kinematics
+from jax_aero.body.robot import RobotModel, load_robot
 from jax_aero.types import State
 
 ROOT = Path(__file__).resolve().parents[1]

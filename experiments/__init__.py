@@ -1,3 +1,3 @@
 """Flights, sweeps and studies by name: each turns a configuration into a folder of results."""
 
-from jax_aero.command import Refused as Refused
+from jax_aero.base.terminal import Refused as Refused

@@ -26,16 +26,17 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.data.import_cfd import known_postures
-from jax_aero import air, places
+from jax_aero import air
 from jax_aero.aero import AeroModel, LinkConventions, aero_model, link_forces
 from jax_aero.aero.dataset import JOINTS, Floats, reorder_joints, tunnel_from_base
+from jax_aero.base import places
+from jax_aero.base.files import complete_file
+from jax_aero.base.tables import LARGEST, read
+from jax_aero.base.terminal import exit_status
+from jax_aero.body.kinematics import kinematics_at_rest
+from jax_aero.body.robot import RobotModel, load_robot
+from jax_aero.body.spatial import cross
 from jax_aero.cli import Parser, add_name, complete_with
-from jax_aero.command import exit_status
-from jax_aero.files import complete_file
-from jax_aero.kinematics import kinematics_at_rest
-from jax_aero.robot import RobotModel, load_robot
-from jax_aero.spatial import cross
-from jax_aero.tables import LARGEST, read
 from jax_aero.types import Array
 
 MAX_ANGLES = 10_000

@@ -35,7 +35,8 @@ from experiments.bench_native import (
     take_turns,
     tick_times,
 )
-from jax_aero import files, places, rust
+from jax_aero import rust
+from jax_aero.base import files, places
 from jax_aero.cli import count
 from jax_aero.rust import QpProblem, State
 

@@ -24,16 +24,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments import manifest
-from jax_aero import places, rust, sim
+from jax_aero import rust, sim
 from jax_aero.aero import LinkConventions, aero_model, link_forces
+from jax_aero.base import places
+from jax_aero.base.typed import aero_config, scenario_config
+from jax_aero.body.dynamics import dynamics, forward_dynamics
+from jax_aero.body.kinematics import kinematics
+from jax_aero.body.linalg import CHUNK
+from jax_aero.body.robot import RobotModel
 from jax_aero.cli import count
 from jax_aero.control import qp
 from jax_aero.control import tick as control
-from jax_aero.dynamics import dynamics, forward_dynamics
-from jax_aero.io import aero_config, scenario_config
-from jax_aero.kinematics import kinematics
-from jax_aero.linalg import CHUNK
-from jax_aero.robot import RobotModel
 from jax_aero.sim.rollout import fly_chunk
 from jax_aero.types import State, with_dtype
 
@@ -288,7 +289,7 @@ def _control_cases(scenario: Any, hover: Any, wind: Any) -> Iterator[Case]:
 
 def _mjx_cases(robot: RobotModel, state: State) -> Iterator[Case]:
     """Yield the cases of plain MJX on the same URDF: unchanged, with its joint limits, and without constraints."""
-    from jax_aero.mujoco_model import mujoco_spec, to_mujoco
+    from jax_aero.mujoco.model import mujoco_spec, to_mujoco
 
     mjx: Any = importlib.import_module("mujoco.mjx")
 
@@ -309,7 +310,7 @@ def _mjx_cases(robot: RobotModel, state: State) -> Iterator[Case]:
                 after = function(model, load(state))
                 return after.qpos, after.qacc
 
-            # MJX factorises matrices with jaxlib's batched kernels; see `jax_aero.linalg`.
+            # MJX factorises matrices with jaxlib's batched kernels; see `jax_aero.body.linalg`.
             yield Case(f"mjx.{function.__name__}{name}", run, mjx_model, state, in_pieces=True)
 
 

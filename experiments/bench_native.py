@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments import Refused
-from jax_aero import places
+from jax_aero.base import places
 
 Times = dict[str, float]
 """Processor times by name [ns]: the median over rounds of the fastest run.

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from experiments import Refused, sources
-from jax_aero import places
+from jax_aero.base import places
 from jax_aero.cli import count
 
 Key = TypeVar("Key")

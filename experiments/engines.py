@@ -24,7 +24,7 @@ class Failure:
     reason: str
 
 
-MODULES = {"rust": "jax_aero.rust", "jax": "jax_aero.sim", "mujoco": "jax_aero.mujoco_ground"}
+MODULES = {"rust": "jax_aero.rust", "jax": "jax_aero.sim", "mujoco": "jax_aero.mujoco.ground"}
 """Module of each engine."""
 
 

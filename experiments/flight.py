@@ -11,9 +11,10 @@ from typing import Any
 
 from experiments import Refused, engines, manifest, record, study
 from experiments.sources import code_hash
-from jax_aero import documents, places, rust
-from jax_aero.command import progress_bar
-from jax_aero.files import lock_work
+from jax_aero import rust
+from jax_aero.base import documents, places
+from jax_aero.base.files import lock_work
+from jax_aero.base.terminal import progress_bar
 
 RESULTS = places.RESULTS / "flight"
 

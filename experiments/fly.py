@@ -13,8 +13,9 @@ from pathlib import Path
 from experiments import flight, overrides, study
 from experiments.engines import MODULES
 from experiments.table import outcome_table
-from jax_aero import cli, places
-from jax_aero.command import exit_status
+from jax_aero import cli
+from jax_aero.base import places
+from jax_aero.base.terminal import exit_status
 
 
 def main(words: Sequence[str]) -> int:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from experiments import schema
 from experiments.report import kept
-from jax_aero import places
+from jax_aero.base import places
 from jax_aero.cli import REFUSED
 
 

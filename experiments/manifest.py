@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from experiments.sources import code_hash
-from jax_aero import places, rust
-from jax_aero.files import replace_infinite
-from jax_aero.io import make_portable as make_portable
+from jax_aero import rust
+from jax_aero.base import places
+from jax_aero.base.files import replace_infinite
+from jax_aero.base.typed import make_portable as make_portable
 
 
 def build(

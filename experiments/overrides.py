@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from jax_aero import places, plain
-from jax_aero.keys import parse_assignments as parse
+from jax_aero.base import places, plain
+from jax_aero.base.keys import parse_assignments as parse
 
 __all__ = ["folder_suffix", "options", "parse"]
 

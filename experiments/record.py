@@ -16,10 +16,19 @@ import numpy as np
 import xarray as xr
 
 from experiments import Refused
-from jax_aero import documents, netcdf, rust
-from jax_aero.files import checksums, complete_folder, find_damaged, read_json, write_bytes, write_json, write_netcdf
-from jax_aero.places import MANIFEST_FILE, RUN_FILE
-from jax_aero.result import FlightResult, RobotNames, is_repeated, labels_of
+from jax_aero import rust
+from jax_aero.base import documents, netcdf
+from jax_aero.base.files import (
+    checksums,
+    complete_folder,
+    find_damaged,
+    read_json,
+    write_bytes,
+    write_json,
+    write_netcdf,
+)
+from jax_aero.base.places import MANIFEST_FILE, RUN_FILE
+from jax_aero.base.result import FlightResult, RobotNames, is_repeated, labels_of
 
 
 def to_dataset(

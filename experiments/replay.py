@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from experiments import Refused, overrides, study
 from experiments.table import text_table
 from jax_aero import cli, rust
-from jax_aero.command import exit_status
-from jax_aero.files import complete_file
+from jax_aero.base.files import complete_file
+from jax_aero.base.terminal import exit_status
 from jax_aero.view import check_out, logs
 from jax_aero.view.export import column_name
 from jax_aero.view.recording import entries_of

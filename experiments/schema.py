@@ -25,7 +25,8 @@ from experiments.sweep.perturbation import Perturbation
 from experiments.sweep.spec import Axis, Spec
 from experiments.training.config import Training
 from experiments.training.search import SearchConfig
-from jax_aero import places, rust, tables
+from jax_aero import rust
+from jax_aero.base import places, tables
 from jax_aero.cli import REFUSED
 
 Node = dict[str, Any]
@@ -249,7 +250,7 @@ def _references(node: Any) -> Iterator[str]:
 HEADER = f'''"""Types of a flight's configuration; `docs/reference/configuration.md` describes every key.
 
 Made {MADE}: not to be edited.
-They are filled from what the crate has checked (`jax_aero.io`).
+They are filled from what the crate has checked (`jax_aero.base.typed`).
 """
 
 # ruff: noqa: D101, N815

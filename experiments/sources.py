@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 import jax_aero
-from jax_aero import tables
-from jax_aero.command import Refused
-from jax_aero.files import parse_json
+from jax_aero.base import tables
+from jax_aero.base.files import parse_json
+from jax_aero.base.terminal import Refused
 
 FOLDERS = {"jax_aero": Path(jax_aero.__file__).parent, "experiments": Path(__file__).parent}
 """Packages whose imports are followed."""

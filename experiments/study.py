@@ -23,11 +23,12 @@ import xarray as xr
 
 from experiments import Refused, manifest, overrides, record
 from experiments.sources import file_hash
-from jax_aero import cli, places, plain, rust, tables
+from jax_aero import cli, rust
+from jax_aero.base import places, plain, tables
+from jax_aero.base.files import lock_work
+from jax_aero.base.keys import set_key
+from jax_aero.base.terminal import exit_status
 from jax_aero.cli import Parser, complete_with
-from jax_aero.command import exit_status
-from jax_aero.files import lock_work
-from jax_aero.keys import set_key
 
 C = TypeVar("C", bound=tables.Table)
 

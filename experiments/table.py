@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from jax_aero.result import ending
+from jax_aero.base.result import ending
 
 HEADINGS = ("flight", "outcome", "max CoM error [m]", "max rotation error [deg]", "thrusts [N]")
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from jax_aero import extras
+from jax_aero.base import extras
 
 if TYPE_CHECKING:
     from jax_aero import air as air

@@ -30,13 +30,14 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from jax_aero import config, io, places, rust
+from jax_aero import config, rust
 from jax_aero.aero import AeroModel, LinkConventions, aero_model, link_forces
 from jax_aero.aero.axisymmetric import Axisymmetric
-from jax_aero.mujoco_model import mjx as mjx
-from jax_aero.mujoco_model import mujoco_spec
-from jax_aero.robot import AeroLinks, RobotModel, load_robot
-from jax_aero.spatial import cross
+from jax_aero.base import places, typed
+from jax_aero.body.robot import AeroLinks, RobotModel, load_robot
+from jax_aero.body.spatial import cross
+from jax_aero.mujoco.model import mjx as mjx
+from jax_aero.mujoco.model import mujoco_spec
 from jax_aero.types import Array, Kinematics, Static, leaf, pytree
 
 __all__ = [
@@ -189,7 +190,7 @@ def _xfrc(air: Air, data: _MujocoState, wind: Array) -> Array:
 
 def settings(name: str) -> config.AeroConfig:
     """Return the configuration of an aerodynamic model, given its name in `configs/aero` or the path of a file."""
-    return io.aero_config(rust.load_aero(name))
+    return typed.aero_config(rust.load_aero(name))
 
 
 def default_model(robot: RobotModel) -> str:

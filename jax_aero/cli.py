@@ -19,12 +19,12 @@ from typing import Any, NamedTuple
 
 import argcomplete
 
-from jax_aero import extras, places
-from jax_aero.command import CLOSED as CLOSED
-from jax_aero.command import INTERRUPTED as INTERRUPTED
-from jax_aero.command import REFUSED as REFUSED
-from jax_aero.command import refuse, run_with_output
-from jax_aero.places import did_you_mean
+from jax_aero.base import extras, places
+from jax_aero.base.places import did_you_mean
+from jax_aero.base.terminal import CLOSED as CLOSED
+from jax_aero.base.terminal import INTERRUPTED as INTERRUPTED
+from jax_aero.base.terminal import REFUSED as REFUSED
+from jax_aero.base.terminal import refuse, run_with_output
 
 
 class Command(NamedTuple):
@@ -48,18 +48,16 @@ COMMANDS = {
         {"keep": ("experiments.report.keep:main", "sweeps")},
     ),
     "view": Command(
-        "jax_aero.view.command:view",
+        "jax_aero.view.cli:view",
         "view",
         "show a flight in the browser, and fly it again",
-        {name: (f"jax_aero.view.command:{name}", "view") for name in ("video", "snapshot")},
+        {name: (f"jax_aero.view.cli:{name}", "view") for name in ("video", "snapshot")},
     ),
-    "export": Command(
-        "jax_aero.view.command:export", "view,logs", "write a flight as HTML, MCAP or CSV for other viewers"
-    ),
+    "export": Command("jax_aero.view.cli:export", "view,logs", "write a flight as HTML, MCAP or CSV for other viewers"),
     "replay": Command("experiments.replay:main", "logs", "replay a log through the tick of a controller, and compare"),
     "study": Command("experiments.studies:main", "view,symbolic", "answer a question: jax-aero study lists them"),
     "air": Command("experiments.air:main", "twin", "force and moment of robot and links by angle and posture"),
-    "verify": Command("jax_aero.verify.command:main", "twin", "compare the Rust crate with JAX"),
+    "verify": Command("jax_aero.verify.cli:main", "twin", "compare the Rust crate with JAX"),
     "robot": Command(
         "",
         "twin,symbolic",

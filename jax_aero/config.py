@@ -1,7 +1,7 @@
 """Types of a flight's configuration; `docs/reference/configuration.md` describes every key.
 
 Made by `python -m experiments.schema` from the crate's types: not to be edited.
-They are filled from what the crate has checked (`jax_aero.io`).
+They are filled from what the crate has checked (`jax_aero.base.typed`).
 """
 
 # ruff: noqa: D101, N815

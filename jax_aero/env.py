@@ -25,15 +25,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int, Key
 
+from jax_aero.base.features import Aim, aim_of
+from jax_aero.body.kinematics import kinematics
+from jax_aero.body.spatial import rotation_angle
 from jax_aero.control.law.residual import Steering
 from jax_aero.control.law.setpoint import update
 from jax_aero.control.tick import MomentumController
 from jax_aero.env_task import Task, TaskState, is_lost, limit_action, observation, rewards, steer
-from jax_aero.features import Aim, aim_of
-from jax_aero.kinematics import kinematics
 from jax_aero.rust import load_config
 from jax_aero.sim.step import FLYING, FlightState, Scenario, begin, prepare, step
-from jax_aero.spatial import rotation_angle
 from jax_aero.types import Array, replace_values
 
 __all__ = ["EnvState", "FlightEnv", "Task"]

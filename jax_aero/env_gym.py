@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero import rust
+from jax_aero.base.features import Aim, aim_of
 from jax_aero.env_task import Task, TaskState, is_lost, limit_action, observation, rewards, steer
-from jax_aero.features import Aim, aim_of
 
 __all__ = ["HoverEnv"]
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from numbers import Real
 from typing import Any, Literal, NamedTuple, get_args
 
-from jax_aero.features import Aim, features
+from jax_aero.base.features import Aim, features
 
 Steering = Literal["residual", "rates"]
 """Meaning of an action: added to the controller's answer, or its replacement."""

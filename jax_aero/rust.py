@@ -49,12 +49,12 @@ from jax_aero._core import (
     read_urdf,
     uniforms,
 )
-from jax_aero.command import ConfigError
-from jax_aero.keys import parts
-from jax_aero.places import find
-from jax_aero.plain import to_builtins
-from jax_aero.result import FlightResult, Progress
-from jax_aero.rotations import rotation_from_wxyz
+from jax_aero.base.keys import parts
+from jax_aero.base.places import find
+from jax_aero.base.plain import to_builtins
+from jax_aero.base.result import FlightResult, Progress
+from jax_aero.base.terminal import ConfigError
+from jax_aero.body.rotations import rotation_from_wxyz
 
 __all__ = [
     "SETTLING_TIME",

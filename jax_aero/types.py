@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
-from jax_aero.places import did_you_mean
+from jax_aero.base.places import did_you_mean
 
 if TYPE_CHECKING:
     Array: TypeAlias = jax.Array

@@ -10,7 +10,8 @@ from pathlib import Path
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from jax_aero import cli, places
+from jax_aero import cli
+from jax_aero.base import places
 from paper_figs import ablation, maps, model_pairs, pairs, runs, scatter, style, sweeps
 from paper_figs.figures import FIGURES, SWEEPS
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Iterator, Mapping, Sequence
 
-from jax_aero import places
+from jax_aero.base import places
 from paper_figs import (
     cfd_flow,
     compare,

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from jax_aero import netcdf
-from jax_aero.places import RESULTS, RUN_FILE
+from jax_aero.base import netcdf
+from jax_aero.base.places import RESULTS, RUN_FILE
 
 Series = xr.DataArray
 

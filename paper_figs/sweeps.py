@@ -9,10 +9,10 @@ from typing import Any
 
 import pandas as pd
 
-from jax_aero import documents
-from jax_aero.command import Refused
-from jax_aero.files import read_json
-from jax_aero.parquet import read_table
+from jax_aero.base import documents
+from jax_aero.base.files import read_json
+from jax_aero.base.parquet import read_table
+from jax_aero.base.terminal import Refused
 from paper_figs.runs import MissingRun, NotDrawn
 
 

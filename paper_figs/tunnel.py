@@ -12,7 +12,7 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jax_aero.places import CONFIGS
+from jax_aero.base.places import CONFIGS
 from paper_figs import style
 
 TABLES = CONFIGS / "tables"

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from experiments import record
-from jax_aero.result import FlightResult
+from jax_aero.base.result import FlightResult
 
 pytest_plugins = ["tests.measurements"]
 

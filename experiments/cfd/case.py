@@ -17,7 +17,7 @@ import numpy as np
 from experiments.cfd.geometry import Surface, write_stl
 from experiments.cfd.settings import Air, Mesh, Settings, Solver
 from jax_aero.aero.dataset import Floats
-from jax_aero.files import write_text
+from jax_aero.base.files import write_text
 
 FAR = "far"
 """Name of the patch on the sides of the cube."""

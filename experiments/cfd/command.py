@@ -30,11 +30,11 @@ from experiments.cfd.simulate import Result, simulate
 from experiments.cluster import Ray, add_options
 from experiments.data.cfd import checks
 from experiments.sources import code_hash
-from jax_aero import documents, places, plain, tables
 from jax_aero.aero.dataset import Dataset, Floats, save
+from jax_aero.base import documents, places, plain, tables
+from jax_aero.base.files import lock, read_json, write_json
+from jax_aero.base.terminal import exit_status, terminal
 from jax_aero.cli import Parser
-from jax_aero.command import exit_status, terminal
-from jax_aero.files import lock, read_json, write_json
 
 RESULTS = places.RESULTS / KIND
 MODULES = geometry.__name__, simulate.__module__

@@ -23,11 +23,11 @@ from experiments.cfd.models import MODEL_FILES, NEWTON_METRES, model_areas
 from experiments.data.import_cfd import POSTURES
 from experiments.study import Findings, Study
 from experiments.training.result import held_out_network, training_of
-from jax_aero import places, tables
 from jax_aero.aero.dataset import LINKS, Dataset, Floats, Indices, load, tunnel_from_base
 from jax_aero.aero.posture import total_wrench, vector_rms
-from jax_aero.places import ROBOT
-from jax_aero.robot import RobotModel, load_robot
+from jax_aero.base import places, tables
+from jax_aero.base.places import ROBOT
+from jax_aero.body.robot import RobotModel, load_robot
 
 OPEN = "open solver"
 SHOWN = ("axisymmetric, corrected", "network, shipped")

@@ -19,9 +19,10 @@ from experiments.cfd.geometry import Surface, robot_surfaces
 from experiments.cfd.settings import Settings
 from experiments.data.import_cfd import POSTURES, known_postures
 from experiments.sweep.design import unit_points
-from jax_aero import plain, rust, tables
+from jax_aero import rust
 from jax_aero.aero.dataset import Floats, read_postures, wind_direction
-from jax_aero.command import ConfigError
+from jax_aero.base import plain, tables
+from jax_aero.base.terminal import ConfigError
 from jax_aero.view.shapes import look_of
 
 KIND = "cfd"

@@ -25,7 +25,7 @@ from experiments.data.import_cfd import POSTURES, known_postures
 from experiments.study import Findings, Study
 from jax_aero import rust
 from jax_aero.aero.dataset import wind_direction
-from jax_aero.places import ROBOT
+from jax_aero.base.places import ROBOT
 
 FIELDS = {
     "pressure": "pressure coefficient",

@@ -11,9 +11,9 @@ import numpy as np
 from experiments import Refused
 from jax_aero import rust
 from jax_aero.aero.dataset import JOINTS, Floats, reorder_joints
-from jax_aero.files import write_text
-from jax_aero.mesh import Mesh, box, revolve
-from jax_aero.urdf import Pose
+from jax_aero.base.files import write_text
+from jax_aero.body.mesh import Mesh, box, revolve
+from jax_aero.body.urdf import Pose
 from jax_aero.view.shapes import Kind, Look, Mount, Shape, look_of
 
 SEGMENTS = 48

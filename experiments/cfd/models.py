@@ -10,12 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from jax_aero import io, places, rust
+from jax_aero import rust
 from jax_aero.aero import LinkConventions, aero_model, link_forces
 from jax_aero.aero.dataset import Floats, reorder_joints, wind_direction
-from jax_aero.kinematics import kinematics_at_rest
-from jax_aero.places import ROBOT
-from jax_aero.robot import RobotModel
+from jax_aero.base import places, typed
+from jax_aero.base.places import ROBOT
+from jax_aero.body.kinematics import kinematics_at_rest
+from jax_aero.body.robot import RobotModel
 
 AERO = places.CONFIGS / "aero"
 MODELS = {
@@ -45,7 +46,7 @@ def model_areas(robot: RobotModel, data: xr.Dataset) -> dict[str, Floats]:
 def evaluate_areas(robot: RobotModel, table: Mapping[str, Any], joints: Floats, air: Floats) -> Floats:
     """Return the force areas (N, 13, 3) [m²] of a model at rest in air of velocity (N, 3) [m/s], base axes."""
     with jax.enable_x64(True):
-        model = aero_model(io.aero_config(table), robot)
+        model = aero_model(typed.aero_config(table), robot)
 
         def areas_in_wind(position: Any, wind: Any) -> Any:
             link = link_forces(model, robot, kinematics_at_rest(robot, position), LinkConventions(), wind)

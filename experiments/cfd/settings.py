@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from jax_aero import tables
-from jax_aero.command import ConfigError
-from jax_aero.tables import Count, Fraction, Natural, Positive
+from jax_aero.base import tables
+from jax_aero.base.tables import Count, Fraction, Natural, Positive
+from jax_aero.base.terminal import ConfigError
 
 
 class Shell(tables.Table, frozen=True):

@@ -21,7 +21,6 @@ from experiments.cfd.command import dataset_of
 from experiments.cfd.goals import verdicts
 from experiments.cfd.models import NEWTON_METRES
 from experiments.study import Findings, Study
-from jax_aero import tables
 from jax_aero.aero.dataset import (
     MIRROR_AXES,
     Dataset,
@@ -32,8 +31,9 @@ from jax_aero.aero.dataset import (
     wind_direction,
 )
 from jax_aero.aero.posture import axes_of, total_wrench
-from jax_aero.places import ROBOT
-from jax_aero.robot import RobotModel, load_robot
+from jax_aero.base import tables
+from jax_aero.base.places import ROBOT
+from jax_aero.body.robot import RobotModel, load_robot
 
 NEAR = 1.0
 """Greatest angle between the wind of a point and that of a case [deg]."""

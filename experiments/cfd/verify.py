@@ -31,9 +31,10 @@ from experiments.cfd.settings import Mesh, Settings, Shell
 from experiments.cfd.simulate import Result, simulate
 from experiments.data.import_cfd import POSTURES, known_postures
 from experiments.study import Findings, Study
-from jax_aero import rust, tables
+from jax_aero import rust
 from jax_aero.aero.dataset import Floats, wind_direction
-from jax_aero.places import ROBOT
+from jax_aero.base import tables
+from jax_aero.base.places import ROBOT
 
 DIAMETER = 0.0864
 """Diameter of sphere and cylinder [m], for a Reynolds number of 1e5 at 17 m/s; about that of an arm."""

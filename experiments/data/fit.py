@@ -20,9 +20,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from jax_aero import tables
 from jax_aero.aero.dataset import Dataset, Floats, Indices
-from jax_aero.robot import RobotModel
+from jax_aero.base import tables
+from jax_aero.body.robot import RobotModel
 
 MODEL_TERMS = ((0, 0), (1, 0), (0, 2), (0, 3), (3, 0))
 """Powers (i, j) of cos and sin of the terms of `w0 .. w4` in the drag area.

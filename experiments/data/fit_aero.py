@@ -21,11 +21,11 @@ from experiments.cfd.models import NEWTON_METRES
 from experiments.data import fit
 from experiments.study import Findings, Study
 from experiments.training.result import held_out_network, training_of
-from jax_aero import places, tables
 from jax_aero.aero.dataset import Dataset, Floats, load
 from jax_aero.aero.posture import interval_by_posture, link_axes, total_wrench, vector_rms
-from jax_aero.places import ROBOT
-from jax_aero.robot import RobotModel, load_robot
+from jax_aero.base import places, tables
+from jax_aero.base.places import ROBOT
+from jax_aero.body.robot import RobotModel, load_robot
 
 PRINTED, RIGHT = "published", "corrected"
 """Coefficient sets of the robot: as printed, and with the head's misprint corrected."""

@@ -16,10 +16,10 @@ import numpy as np
 
 from experiments import Refused
 from experiments.data.cfd import read_mat, read_solver_table
-from jax_aero import places, tables
 from jax_aero.aero.dataset import JOINTS, Dataset, Floats, read_postures, save
+from jax_aero.base import places, tables
+from jax_aero.base.terminal import exit_status
 from jax_aero.cli import Parser
-from jax_aero.command import exit_status
 
 POSTURES = places.CONFIGS / "tables" / "postures.toml"
 OUT = places.RESULTS / "datasets"

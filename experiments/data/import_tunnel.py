@@ -20,13 +20,13 @@ from experiments import Refused, record
 from experiments.data import tunnel
 from experiments.data.import_cfd import OUT, POSTURES, known_postures, read_table
 from experiments.data.tunnel import Points, Test
-from jax_aero import places, tables
 from jax_aero.aero.dataset import Floats
 from jax_aero.aero.posture import axes_of, link_frames
+from jax_aero.base import places, tables
+from jax_aero.base.places import ROBOT
+from jax_aero.base.terminal import exit_status
+from jax_aero.body.robot import load_robot
 from jax_aero.cli import Parser
-from jax_aero.command import exit_status
-from jax_aero.places import ROBOT
-from jax_aero.robot import load_robot
 
 MK3 = places.CONFIGS / "robot" / "ironcub_mk3.toml"
 POSTURES_OF_MK3 = places.CONFIGS / "tables" / "postures_mk3.toml"

@@ -8,7 +8,7 @@ from experiments.report.results import Cell, Results, Sweep
 from experiments.report.verdicts import Judged, judge
 from experiments.sweep.claims import Claim
 from experiments.sweep.table import wilson
-from jax_aero import places, tables
+from jax_aero.base import places, tables
 
 UNITS = {"rotation_error_deg": "°", "com_error": " m", "joint_error_deg": "°"}
 """Units of quantities, as they follow a number."""

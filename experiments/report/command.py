@@ -16,10 +16,10 @@ from experiments.report.page import Contents, Heading, Mark, Page, Picture, Tabl
 from experiments.report.paper import all_claims, all_items, commands, whole
 from experiments.report.results import NotFlownError, Results, Sweep, count
 from experiments.report.verdicts import ANOTHER, Kind, Verdict
-from jax_aero import places
+from jax_aero.base import places
+from jax_aero.base.files import write_text
+from jax_aero.base.terminal import exit_status
 from jax_aero.cli import Parser
-from jax_aero.command import exit_status
-from jax_aero.files import write_text
 
 PAPER_RUNS = ("test1", "test2", "test3", "test4", "robustness")
 PUBLISHED_RUNS = tuple(f"{name}_published" for name in PAPER_RUNS)

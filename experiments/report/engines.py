@@ -17,9 +17,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from jax_aero import plain, tables
-from jax_aero.places import ROBOT
-from jax_aero.tables import Positive
+from jax_aero.base import plain, tables
+from jax_aero.base.places import ROBOT
+from jax_aero.base.tables import Positive
 
 PAPER_BATTERY, PAPER_FUEL = 26.31, 4.61
 """Values printed in the paper [kg]."""

@@ -14,8 +14,9 @@ import numpy as np
 
 from experiments.report import engines
 from experiments.report.verdicts import Judged, in_parts, judge, judge_range, out_of_reach
-from jax_aero import rust, tables
-from jax_aero.places import CONFIGS, ROBOT
+from jax_aero import rust
+from jax_aero.base import tables
+from jax_aero.base.places import CONFIGS, ROBOT
 
 NETWORK = CONFIGS / "aero" / "networks" / "default.json"
 GRAVITY = 9.81

@@ -12,7 +12,7 @@ import msgspec
 
 from experiments import manifest
 from experiments.report.verdicts import Kind, Verdict
-from jax_aero.files import read_json
+from jax_aero.base.files import read_json
 
 
 @dataclass(frozen=True)

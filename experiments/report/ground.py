@@ -12,8 +12,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from experiments import record
-from jax_aero import keys, places
-from jax_aero.result import ending
+from jax_aero.base import keys, places
+from jax_aero.base.result import ending
 
 GRAVITY = 9.81
 VISIBLE = 1e-3

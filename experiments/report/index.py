@@ -8,7 +8,7 @@ from experiments.report import facts, findings, kept
 from experiments.report.findings import Finding
 from experiments.report.paper import Item, all_claims, sections
 from experiments.report.results import Results
-from jax_aero import places
+from jax_aero.base import places
 
 DOCS = places.HOME / "docs"
 CLAIMS = DOCS / "claims.json"

@@ -28,12 +28,12 @@ from experiments.sweep import run, spec, table
 from experiments.sweep.claims import Claim
 from experiments.sweep.design import Design
 from experiments.sweep.spec import Spec
-from jax_aero import documents, places
+from jax_aero.base import documents, places
+from jax_aero.base.files import find_damaged, read_json, write_bytes, write_text
+from jax_aero.base.modes import MODES
+from jax_aero.base.parquet import read_table
+from jax_aero.base.terminal import exit_status
 from jax_aero.cli import Parser, complete_with
-from jax_aero.command import exit_status
-from jax_aero.files import find_damaged, read_json, write_bytes, write_text
-from jax_aero.modes import MODES
-from jax_aero.parquet import read_table
 from paper_figs import style, sweeps
 from paper_figs.command import draw_sweep
 

@@ -18,9 +18,9 @@ from experiments import Refused
 from experiments.report.findings import Finding
 from experiments.report.page import Heading, Mark, Page, Picture, Table, Text
 from experiments.report.verdicts import Kind
-from jax_aero import places
-from jax_aero.files import read_json
-from jax_aero.modes import MODES
+from jax_aero.base import places
+from jax_aero.base.files import read_json
+from jax_aero.base.modes import MODES
 
 FOLDER = places.HOME / "docs" / "results"
 INDEX = "index"

@@ -10,8 +10,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from experiments import record
-from jax_aero import places
-from jax_aero.result import ending
+from jax_aero.base import places
+from jax_aero.base.result import ending
 from jax_aero.rust import SETTLING_TIME
 
 WINDY = 3.0

@@ -14,7 +14,8 @@ from experiments.cfd.settings import FlowConfig
 from experiments.sources import file_hash
 from experiments.sweep import run, spec
 from experiments.sweep.design import Design
-from jax_aero import places, plain, rust, tables
+from jax_aero import rust
+from jax_aero.base import places, plain, tables
 
 MOST = 4
 """Greatest number of differing keys that are named."""

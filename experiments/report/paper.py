@@ -30,7 +30,7 @@ from experiments.report.verdicts import (
     mark_outdated,
     out_of_reach,
 )
-from jax_aero import places
+from jax_aero.base import places
 from paper_figs.figures import FIGURES, SWEEPS
 
 

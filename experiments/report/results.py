@@ -11,9 +11,10 @@ from typing import Any, NamedTuple, TypeVar
 
 from experiments import Refused
 from experiments.report import ground, metrics, outdated
-from jax_aero import documents, places, rust
-from jax_aero.files import find_damaged, read_json
-from jax_aero.parquet import read_table
+from jax_aero import rust
+from jax_aero.base import documents, places
+from jax_aero.base.files import find_damaged, read_json
+from jax_aero.base.parquet import read_table
 
 Cell = Mapping[str, Any]
 Flown = TypeVar("Flown")

@@ -21,11 +21,12 @@ from typing import TYPE_CHECKING
 
 from experiments import Refused, study
 from experiments.robot import masses, shapes, skeleton
-from jax_aero import places, rust, tables
+from jax_aero import rust
+from jax_aero.base import places, tables
+from jax_aero.base.files import complete_folder
+from jax_aero.base.terminal import exit_status
+from jax_aero.body.urdf import Joint, read_urdf
 from jax_aero.cli import Parser
-from jax_aero.command import exit_status
-from jax_aero.files import complete_folder
-from jax_aero.urdf import Joint, read_urdf
 
 if TYPE_CHECKING:
     from experiments.robot.flight import ImportResult

@@ -9,7 +9,7 @@ import numpy as np
 from experiments import Refused
 from experiments.robot.shapes import Box
 from experiments.robot.skeleton import Tree
-from jax_aero.urdf import Joint
+from jax_aero.body.urdf import Joint
 
 GREATEST = 2.0
 """Greatest radius of gyration, and distance of the centre of mass from the middle of the geometry, relative to half the

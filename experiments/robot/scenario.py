@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from jax_aero import places, plain, rust
-from jax_aero.mirror import mirror_name
-from jax_aero.robot import RobotModel
+from jax_aero import rust
+from jax_aero.base import places, plain
+from jax_aero.body.mirror import mirror_name
+from jax_aero.body.robot import RobotModel
 from jax_aero.symbolic.robot import Robot
 from jax_aero.symbolic.trim import TrimResult
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments import Refused
-from jax_aero.mesh import mesh_file, read_mesh
-from jax_aero.urdf import Pose, Shape, Urdf
+from jax_aero.body.mesh import mesh_file, read_mesh
+from jax_aero.body.urdf import Pose, Shape, Urdf
 
 Array = NDArray[np.float64]
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from experiments import Refused
 from experiments.robot.shapes import Array, Box
-from jax_aero.places import did_you_mean
-from jax_aero.plain import toml_key, toml_value
-from jax_aero.urdf import IDENTITY, Joint, Pose, Urdf
+from jax_aero.base.places import did_you_mean
+from jax_aero.base.plain import toml_key, toml_value
+from jax_aero.body.urdf import IDENTITY, Joint, Pose, Urdf
 
 AXES = {
     f"{sign}{name}": (-1.0 if sign else 1.0) * row

@@ -25,11 +25,12 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from experiments import Refused, study
-from jax_aero import places, plain, rust, tables
+from jax_aero import rust
+from jax_aero.base import places, plain, tables
+from jax_aero.base.files import write_text
+from jax_aero.base.tables import Positive, Table
+from jax_aero.base.terminal import ConfigError, exit_status
 from jax_aero.cli import Parser
-from jax_aero.command import ConfigError, exit_status
-from jax_aero.files import write_text
-from jax_aero.tables import Positive, Table
 
 Array = NDArray[np.float64]
 

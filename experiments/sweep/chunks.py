@@ -15,9 +15,9 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from jax_aero.command import Refused
-from jax_aero.files import seal, unseal, write_bytes
-from jax_aero.parquet import read_parquet
+from jax_aero.base.files import seal, unseal, write_bytes
+from jax_aero.base.parquet import read_parquet
+from jax_aero.base.terminal import Refused
 
 
 @dataclass(frozen=True)

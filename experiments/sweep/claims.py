@@ -8,9 +8,9 @@ from typing import Annotated, Any
 
 import msgspec
 
-from jax_aero import tables
-from jax_aero.command import ConfigError
-from jax_aero.result import Outcome
+from jax_aero.base import tables
+from jax_aero.base.result import Outcome
+from jax_aero.base.terminal import ConfigError
 
 
 class Share(tables.Table, frozen=True):

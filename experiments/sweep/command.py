@@ -14,10 +14,10 @@ from pathlib import Path
 from experiments import cluster, study
 from experiments.sweep import run, spec, table
 from experiments.sweep.design import Design
-from jax_aero import places
+from jax_aero.base import places
+from jax_aero.base.parquet import read_table
+from jax_aero.base.terminal import exit_status
 from jax_aero.cli import Parser
-from jax_aero.command import exit_status
-from jax_aero.parquet import read_table
 
 MOST_CELLS = 100
 """Greatest number of cells that are printed."""

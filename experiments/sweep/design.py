@@ -15,8 +15,9 @@ from experiments.sources import file_hash
 from experiments.sweep import keys, table
 from experiments.sweep.perturbation import members
 from experiments.sweep.spec import Level, Spec
-from jax_aero import plain, rust
-from jax_aero.command import ConfigError
+from jax_aero import rust
+from jax_aero.base import plain
+from jax_aero.base.terminal import ConfigError
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from experiments.wind_direction import speed_and_direction, wind_from
-from jax_aero import rust, tables
-from jax_aero.keys import get, parts
+from jax_aero import rust
+from jax_aero.base import tables
+from jax_aero.base.keys import get, parts
 
 WIND = ("wind", "wind.velocity")
 POLAR = ("wind.speed", "wind.direction_deg")

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from jax_aero import documents, keys, tables
-from jax_aero.command import ConfigError
-from jax_aero.files import read_json
+from jax_aero.base import documents, keys, tables
+from jax_aero.base.files import read_json
+from jax_aero.base.terminal import ConfigError
 from jax_aero.rust import Robot
 
 CHANCE = {

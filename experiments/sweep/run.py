@@ -27,9 +27,10 @@ from experiments.sweep import table
 from experiments.sweep.chunks import Chunks, parquet
 from experiments.sweep.design import Design
 from experiments.sweep.spec import Spec
-from jax_aero import documents, places, plain, rust
-from jax_aero.command import progress_bar
-from jax_aero.files import checksums, find_damaged, lock, read_json, resolve, write_bytes, write_json
+from jax_aero import rust
+from jax_aero.base import documents, places, plain
+from jax_aero.base.files import checksums, find_damaged, lock, read_json, resolve, write_bytes, write_json
+from jax_aero.base.terminal import progress_bar
 
 RESULTS = places.RESULTS / "sweeps"
 

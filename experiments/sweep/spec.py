@@ -12,9 +12,9 @@ from experiments import study
 from experiments.sweep import keys
 from experiments.sweep.claims import Claim
 from experiments.sweep.perturbation import Perturbation
-from jax_aero import places, tables
-from jax_aero.command import ConfigError
-from jax_aero.documents import Drawing
+from jax_aero.base import places, tables
+from jax_aero.base.documents import Drawing
+from jax_aero.base.terminal import ConfigError
 
 MAX_FILES = 128
 """Greatest number of files in a sweep; nested files are as deep in recursive calls."""

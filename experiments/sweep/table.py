@@ -22,8 +22,8 @@ from experiments.sources import file_hash
 from experiments.sweep.spec import Level, Spec
 from experiments.table import text_table
 from jax_aero import rust
-from jax_aero.keys import get, set_key
-from jax_aero.result import FlightResult, Outcome
+from jax_aero.base.keys import get, set_key
+from jax_aero.base.result import FlightResult, Outcome
 
 Cells: TypeAlias = Sequence[tuple[Level, ...]]
 """The levels of all axes, for each cell of a sweep."""

@@ -23,14 +23,14 @@ from experiments import Refused, manifest, overrides, record, study
 from experiments.sources import code_hash
 from experiments.training import config, parts, result
 from experiments.training.parts import FinishedPart
-from jax_aero import documents, places
 from jax_aero.aero.dataset import Dataset, load
 from jax_aero.aero.network import Network
 from jax_aero.aero.network_card import save_network
-from jax_aero.cards import card_path, copy_card
+from jax_aero.base import documents, places
+from jax_aero.base.cards import card_path, copy_card
+from jax_aero.base.files import lock_work, resolve
+from jax_aero.base.terminal import exit_status, terminal
 from jax_aero.cli import Parser
-from jax_aero.command import exit_status, terminal
-from jax_aero.files import lock_work, resolve
 
 RESULTS = places.RESULTS / "training"
 

@@ -21,14 +21,14 @@ import xarray as xr
 from experiments import manifest, record, study
 from experiments.sources import code_hash
 from experiments.training import config, result
-from jax_aero import places, tables
 from jax_aero.aero.dataset import Dataset, Floats, Indices, load
 from jax_aero.aero.network import Network
 from jax_aero.aero.network_card import save_network
 from jax_aero.aero.posture import link_arms, total_wrench, vector_rms
+from jax_aero.base import places, tables
+from jax_aero.base.files import lock_work, resolve, write_json
+from jax_aero.base.terminal import exit_status
 from jax_aero.cli import Parser, count
-from jax_aero.command import exit_status
-from jax_aero.files import lock_work, resolve, write_json
 from jax_aero.train import Checkpoint, fit, load_checkpoint, predict_areas, samples_of, save_checkpoint
 
 BASE = places.CONFIGS / "training" / "compact.toml"

@@ -17,7 +17,7 @@ from experiments.training.config import Training
 from jax_aero.aero.dataset import Dataset, Floats, Indices
 from jax_aero.aero.network import Layer, Network
 from jax_aero.aero.posture import total_wrench, vector_rms
-from jax_aero.robot import RobotModel
+from jax_aero.body.robot import RobotModel
 from jax_aero.train import (
     Checkpoint,
     FitResult,

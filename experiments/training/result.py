@@ -15,11 +15,11 @@ from experiments import Refused, record
 from experiments.data import fit
 from experiments.data.import_cfd import COMMIT
 from experiments.training.parts import FinishedPart
-from jax_aero import places
 from jax_aero.aero.dataset import JOINTS, Dataset, Floats
 from jax_aero.aero.network import Network, with_precision
 from jax_aero.aero.posture import link_axes
-from jax_aero.robot import RobotModel
+from jax_aero.base import places
+from jax_aero.body.robot import RobotModel
 from jax_aero.train.samples import predict_areas
 
 FREESTREAM_NOTE = (

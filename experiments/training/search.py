@@ -29,12 +29,12 @@ from msgspec.structs import replace
 from experiments import Refused, manifest, study
 from experiments.sources import code_hash
 from experiments.training import config
-from jax_aero import documents, places, plain, tables
 from jax_aero.aero.dataset import Dataset, load
+from jax_aero.base import documents, places, plain, tables
+from jax_aero.base.files import lock, read_json, resolve, write_json, write_text
+from jax_aero.base.keys import set_key
+from jax_aero.base.terminal import ConfigError, exit_status
 from jax_aero.cli import Parser, count
-from jax_aero.command import ConfigError, exit_status
-from jax_aero.files import lock, read_json, resolve, write_json, write_text
-from jax_aero.keys import set_key
 from jax_aero.train import fit, samples_of
 
 RESULTS = places.RESULTS / "training_search"

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from jax_aero.spatial import cross, safe_norm
+from jax_aero.body.spatial import cross, safe_norm
 from jax_aero.types import Array
 
 SPEED_EPSILON = 1e-9

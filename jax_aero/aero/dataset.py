@@ -25,9 +25,9 @@ import numpy.typing as npt
 import xarray as xr
 from jaxtyping import Bool, Float, Int
 
-from jax_aero import netcdf
-from jax_aero.files import write_netcdf
-from jax_aero.mirror import ODD_JOINTS, opposite_indices
+from jax_aero.base import netcdf
+from jax_aero.base.files import write_netcdf
+from jax_aero.body.mirror import ODD_JOINTS, opposite_indices
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 Indices: TypeAlias = npt.NDArray[np.int64]

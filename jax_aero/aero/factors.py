@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from jax_aero.aero.protocol import AeroModel, LinksInAir, forces_of
+from jax_aero.body.robot import RobotModel
 from jax_aero.config import ForceFactorsConfig
-from jax_aero.robot import RobotModel
 from jax_aero.types import Array, leaf, pytree
 
 

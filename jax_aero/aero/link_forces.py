@@ -13,10 +13,10 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from jax_aero.aero.protocol import AeroModel, LinksInAir, forces_of
+from jax_aero.body.kinematics import frame_poses, generalised_force, velocities_at
+from jax_aero.body.robot import RobotModel
+from jax_aero.body.spatial import cross, rotate
 from jax_aero.config import JacobianOffset, LeverArm, LinkVelocity
-from jax_aero.kinematics import frame_poses, generalised_force, velocities_at
-from jax_aero.robot import RobotModel
-from jax_aero.spatial import cross, rotate
 from jax_aero.types import Array, Kinematics, LinkForces
 
 

@@ -15,7 +15,7 @@ from jax_aero.aero.network import Network, network_forces, with_precision
 from jax_aero.aero.network_card import load_network
 from jax_aero.aero.protocol import AeroModel, LinksInAir
 from jax_aero.aero.sphere_cylinder import sphere_cylinder_model
-from jax_aero.robot import RobotModel
+from jax_aero.body.robot import RobotModel
 from jax_aero.types import Array, Static, leaf, pytree
 
 

@@ -23,11 +23,11 @@ import numpy as np
 from jaxtyping import Float, Key
 
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
-from jax_aero.command import ConfigError
-from jax_aero.kinematics import frame_poses, kinematics_at_rest
-from jax_aero.mirror import ODD_JOINTS, opposite_indices
-from jax_aero.robot import RobotModel
-from jax_aero.spatial import rotate, rotate_back, safe_norm
+from jax_aero.base.terminal import ConfigError
+from jax_aero.body.kinematics import frame_poses, kinematics_at_rest
+from jax_aero.body.mirror import ODD_JOINTS, opposite_indices
+from jax_aero.body.robot import RobotModel
+from jax_aero.body.spatial import rotate, rotate_back, safe_norm
 from jax_aero.types import Array, Kinematics, Static, pytree, with_dtype
 
 Block: TypeAlias = Literal["wind", "joints", "link_wind", "link_position", "link_shadow"]

@@ -1,4 +1,4 @@
-"""Files of a trained network; see `jax_aero.cards`."""
+"""Files of a trained network; see `jax_aero.base.cards`."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 
 from jax_aero import rust
 from jax_aero.aero.network import Layer, Network, mirror_of
-from jax_aero.cards import card_path, make_card, write_card
-from jax_aero.robot import RobotModel
+from jax_aero.base.cards import card_path, make_card, write_card
+from jax_aero.body.robot import RobotModel
 from jax_aero.types import Array
 
 FORMAT = "flight-aero-network"

@@ -12,8 +12,8 @@ import numpy.typing as npt
 from jaxtyping import Float
 
 from jax_aero.aero.dataset import JOINTS, Floats, reorder_joints
-from jax_aero.kinematics import frame_poses, kinematics_at_rest
-from jax_aero.robot import RobotModel
+from jax_aero.body.kinematics import frame_poses, kinematics_at_rest
+from jax_aero.body.robot import RobotModel
 from jax_aero.types import Array
 
 

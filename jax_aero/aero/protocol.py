@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from jaxtyping import Float
 
-from jax_aero.robot import RobotModel
+from jax_aero.body.robot import RobotModel
 from jax_aero.types import Array, Kinematics
 
 

@@ -12,8 +12,8 @@ from jaxtyping import Bool, Float
 from jax_aero.aero.attack import attack, normal_directions
 from jax_aero.aero.pchip import Pchip, interpolate, pchip
 from jax_aero.aero.protocol import LinksInAir
+from jax_aero.body.robot import AeroLinks
 from jax_aero.config import SphereCylinderAeroConfig
-from jax_aero.robot import AeroLinks
 from jax_aero.types import Array, leaf, pytree
 
 

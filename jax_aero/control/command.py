@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from jax_aero.body.robot import RobotModel
 from jax_aero.control.qp import QpAnswer
 from jax_aero.control.terms import Terms
-from jax_aero.robot import RobotModel
 from jax_aero.types import Array, Setpoint
 
 NOMINAL, DEGRADED, MOMENTUM_HELD, TORQUE_HELD, BOTH_HELD, PLAN_KEPT, PLAN_MISSING = range(7)

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
+from jax_aero.body.spatial import log_so3, multiply
 from jax_aero.control.law.recorded import Recording, motion_at
 from jax_aero.control.law.setpoint import motion_of
-from jax_aero.spatial import log_so3, multiply
 from jax_aero.types import Array, Setpoint
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Protocol, TypeVar
 
+from jax_aero.body.robot import RobotModel
 from jax_aero.control.command import Command
 from jax_aero.control.measurement import Measurement
-from jax_aero.robot import RobotModel
 from jax_aero.types import State
 
 S = TypeVar("S")

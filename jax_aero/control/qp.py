@@ -28,7 +28,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float, Int
 
-from jax_aero.linalg import (
+from jax_aero.body.linalg import (
     CHUNK,
     cholesky,
     dot,

@@ -7,14 +7,14 @@ from typing import NamedTuple
 from jaxtyping import Float
 
 from jax_aero.aero import AeroModel, LinkConventions, generalised_aero_force, link_forces
+from jax_aero.body.dynamics import accelerate, dynamics, invert_mass
+from jax_aero.body.kinematics import generalised_thrust, kinematics
+from jax_aero.body.robot import RobotModel
 from jax_aero.control.law.attitude import AttitudeDemand
 from jax_aero.control.law.momentum import MomentumModel, momentum_model
 from jax_aero.control.law.momentum_qp import MomentumQp
 from jax_aero.control.law.torque import TorqueQp
 from jax_aero.control.measurement import Measurement
-from jax_aero.dynamics import accelerate, dynamics, invert_mass
-from jax_aero.kinematics import generalised_thrust, kinematics
-from jax_aero.robot import RobotModel
 from jax_aero.types import Array, Dynamics, InverseMass, Kinematics, LinkForces, Setpoint
 
 

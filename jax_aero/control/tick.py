@@ -21,6 +21,10 @@ from jaxtyping import Float
 
 from jax_aero.aero import AeroModel, LinkConventions, ReadNetwork, aero_model, weight_forces
 from jax_aero.aero.network_card import load_network
+from jax_aero.body.dynamics import dynamics
+from jax_aero.body.kinematics import kinematics
+from jax_aero.body.robot import RobotModel
+from jax_aero.body.spatial import multiply
 from jax_aero.config import RateFeedback, ScenarioConfig
 from jax_aero.control import qp
 from jax_aero.control.command import BOTH_HELD, MOMENTUM_HELD, TORQUE_HELD, Command
@@ -45,10 +49,6 @@ from jax_aero.control.measurement import Measurement, Reading
 from jax_aero.control.preview import Preview
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model, Terms, update_model
-from jax_aero.dynamics import dynamics
-from jax_aero.kinematics import kinematics
-from jax_aero.robot import RobotModel
-from jax_aero.spatial import multiply
 from jax_aero.types import Array, Setpoint, State, Static, leaf, leaves, pytree
 
 

@@ -3,8 +3,8 @@
 `prepare` builds a `Scenario`, whose controller, aerodynamics and jets may be user-defined; `run` flies it to its end.
 """
 
+from jax_aero.base.result import FlightResult
 from jax_aero.control import Command, Controller, Measurement
-from jax_aero.result import FlightResult
 from jax_aero.sim.batch import fly_batch
 from jax_aero.sim.plant import COMPILER_OPTIONS
 from jax_aero.sim.rollout import fly, keep_row, rollout, run

@@ -19,9 +19,9 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jax_aero.aero.network import Network
 from jax_aero.aero.network_card import load_network
+from jax_aero.base.result import FlightResult, Progress
+from jax_aero.body.robot import RobotModel, load_robot
 from jax_aero.config import ScenarioConfig
-from jax_aero.result import FlightResult, Progress
-from jax_aero.robot import RobotModel, load_robot
 from jax_aero.sim.plant import COMPILER_OPTIONS
 from jax_aero.sim.rollout import CHUNK, Ending, make_result
 from jax_aero.sim.step import FLYING, FlightState, Scenario, prepare, read_config, step

@@ -28,6 +28,11 @@ from jax_aero.aero import (
     weight_forces,
 )
 from jax_aero.aero.network_card import load_network
+from jax_aero.body.dynamics import accelerate, add_joint_inertia, dynamics, invert_mass
+from jax_aero.body.jets import JetDynamics, JetsState, jet_dynamics
+from jax_aero.body.kinematics import generalised_thrust, kinematics, move
+from jax_aero.body.robot import RobotModel
+from jax_aero.body.spatial import rotation_from_rpy
 from jax_aero.config import (
     Disturbances,
     DynamicsBackend,
@@ -37,15 +42,10 @@ from jax_aero.config import (
     LeverArm,
     SimulatorConfig,
 )
-from jax_aero.dynamics import accelerate, add_joint_inertia, dynamics, invert_mass
-from jax_aero.jet_faults import FaultState, JetFaults, delay_rates, limit_thrust, measure_thrust, start_faults
-from jax_aero.jets import JetDynamics, JetsState, jet_dynamics
-from jax_aero.kinematics import generalised_thrust, kinematics, move
-from jax_aero.pushes import Pushes, pushing_force, start_pushes
-from jax_aero.robot import RobotModel
 from jax_aero.sim import actuation
 from jax_aero.sim.actuation import Actuation, ActuationState
-from jax_aero.spatial import rotation_from_rpy
+from jax_aero.sim.jet_faults import FaultState, JetFaults, delay_rates, limit_thrust, measure_thrust, start_faults
+from jax_aero.sim.pushes import Pushes, pushing_force, start_pushes
 from jax_aero.types import Array, Dynamics, InverseMass, Kinematics, LinkForces, State, Static, leaf, pytree
 
 Result = TypeVar("Result")

@@ -21,9 +21,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jax_aero import rust
+from jax_aero.body.spatial import exp_so3, multiply
 from jax_aero.config import SensorsConfig
 from jax_aero.control.measurement import Reading
-from jax_aero.spatial import exp_so3, multiply
 from jax_aero.types import Array, State, Static, join, leaf, pytree
 
 STREAM = 2

@@ -27,21 +27,21 @@ from jaxtyping import Float, Int
 from jax_aero import rust
 from jax_aero.aero import AeroModel, ReadNetwork
 from jax_aero.aero.network_card import load_network
+from jax_aero.base.typed import scenario_config
+from jax_aero.body.jets import JetDynamics
+from jax_aero.body.robot import RobotModel, load_robot
+from jax_aero.body.spatial import multiply, rotation_angle, rpy_from_rotation, safe_norm, wxyz_from_rotation
 from jax_aero.config import Disturbances, ModelError, ScenarioConfig
 from jax_aero.control import Command, Controller, Measurement
 from jax_aero.control.measurement import Reading
 from jax_aero.control.preview import Preview
 from jax_aero.control.tick import momentum_controller
-from jax_aero.io import scenario_config
-from jax_aero.jets import JetDynamics
-from jax_aero.robot import RobotModel, load_robot
 from jax_aero.sim import plant as world
 from jax_aero.sim import sensors as sensing
 from jax_aero.sim.plant import Observation, Plant, PlantState
 from jax_aero.sim.sensors import Sensors, SensorState
 from jax_aero.sim.wind import Wind, wind_model, wind_velocity
 from jax_aero.sim.wind_estimate import WindEstimate, measured_wind, wind_estimate
-from jax_aero.spatial import multiply, rotation_angle, rpy_from_rotation, safe_norm, wxyz_from_rotation
 from jax_aero.types import Array, Static, leaf, leaves, pytree, where, with_dtype
 
 (

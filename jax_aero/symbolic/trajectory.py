@@ -12,8 +12,8 @@ import casadi as ca
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from jax_aero import tables
-from jax_aero.command import Refused
+from jax_aero.base import tables
+from jax_aero.base.terminal import Refused
 from jax_aero.symbolic.momentum import MomentumModel
 from jax_aero.symbolic.robot import Array, Robot
 from jax_aero.symbolic.spatial import SX, turn_from_rpy

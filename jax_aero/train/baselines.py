@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 
 from jax_aero.aero.dataset import Dataset, Floats
 from jax_aero.aero.network import init_network
-from jax_aero.robot import RobotModel
+from jax_aero.body.robot import RobotModel
 from jax_aero.train.samples import samples_of
 
 AXISYMMETRIC = ("published", "corrected", "signed", "estimated")

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jax_aero.files import seal, unseal, write_bytes
+from jax_aero.base.files import seal, unseal, write_bytes
 
 KIND = "checkpoint"
 

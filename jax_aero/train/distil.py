@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from jax_aero.aero.dataset import Dataset
 from jax_aero.aero.network import Network, raw_output
-from jax_aero.robot import RobotModel
+from jax_aero.body.robot import RobotModel
 from jax_aero.train.samples import Samples, chunks, make_samples, totals_of
 from jax_aero.types import Array
 

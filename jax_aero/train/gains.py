@@ -26,14 +26,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jax_aero import tables
-from jax_aero.adam import AdamState, adam_start, adam_step
-from jax_aero.command import ConfigError
-from jax_aero.places import did_you_mean
+from jax_aero.base import tables
+from jax_aero.base.places import did_you_mean
+from jax_aero.base.terminal import ConfigError
 from jax_aero.sim.batch import Group
 from jax_aero.sim.plant import COMPILER_OPTIONS
 from jax_aero.sim.rollout import rollout
 from jax_aero.sim.step import FlightRow, FlightState, Scenario
+from jax_aero.train.adam import AdamState, adam_start, adam_step
 from jax_aero.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from jax_aero.types import Array, pytree, replace_values
 

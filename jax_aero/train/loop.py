@@ -16,10 +16,10 @@ import jax.numpy as jnp
 import msgspec
 import numpy as np
 
-from jax_aero import plain, tables
-from jax_aero.adam import AdamState, adam_start, adam_step
 from jax_aero.aero.network import BLOCKS, Layer, Network, block_sizes, raw_output
-from jax_aero.command import ConfigError
+from jax_aero.base import plain, tables
+from jax_aero.base.terminal import ConfigError
+from jax_aero.train.adam import AdamState, adam_start, adam_step
 from jax_aero.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from jax_aero.train.loss import batch_output, mean_squared_error, total_error
 from jax_aero.train.samples import Samples, chunks

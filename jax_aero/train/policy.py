@@ -24,11 +24,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int, Key
 
-from jax_aero import tables
-from jax_aero.adam import AdamState, adam_start, adam_step
+from jax_aero.base import tables
 from jax_aero.control.law.residual import Policy, PolicyResidual, evaluate
 from jax_aero.env import EnvState, FlightEnv, Task
 from jax_aero.sim.plant import COMPILER_OPTIONS
+from jax_aero.train.adam import AdamState, adam_start, adam_step
 from jax_aero.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from jax_aero.types import Array, leaf, pytree, where
 

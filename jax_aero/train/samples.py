@@ -23,7 +23,7 @@ from jax_aero.aero.network import (
     to_base_axes,
 )
 from jax_aero.aero.posture import link_arms
-from jax_aero.robot import RobotModel
+from jax_aero.body.robot import RobotModel
 from jax_aero.types import Array
 
 CHUNK = 1024

@@ -3,7 +3,7 @@
 Kernels are compared relative to the largest entry of the crate's results. A quantity that vanishes, as a sum of terms
 that cancel, consists of rounding only; its difference may be as large as that rounding, which is measured as the change
 of the crate's result when every input changes by one rounding. Flights are compared by the absolute difference of every
-logged signal. `jax_aero.verify.command` is the command line.
+logged signal. `jax_aero.verify.cli` is the command line.
 """
 
 from __future__ import annotations
@@ -107,9 +107,9 @@ def verify_robot(robot_path: str, n_states: int, comparison: Comparison, backend
     import jax
     import jax.numpy as jnp
 
-    from jax_aero.dynamics import dynamics, forward_dynamics
-    from jax_aero.kinematics import kinematics
-    from jax_aero.robot import load_robot
+    from jax_aero.body.dynamics import dynamics, forward_dynamics
+    from jax_aero.body.kinematics import kinematics
+    from jax_aero.body.robot import load_robot
     from jax_aero.types import State
 
     crate_robot, robot = rust.Robot(robot_path), load_robot(robot_path)
@@ -142,9 +142,9 @@ def verify_ticks(config: Mapping[str, Any], samples: Sequence[Sample], group: st
     import jax
     import jax.numpy as jnp
 
+    from jax_aero.base.typed import scenario_config
+    from jax_aero.body.robot import load_robot
     from jax_aero.control import tick as control
-    from jax_aero.io import scenario_config
-    from jax_aero.robot import load_robot
     from jax_aero.types import Setpoint, State
 
     typed = scenario_config(config)

@@ -13,8 +13,8 @@ import importlib
 from collections.abc import Iterable
 from pathlib import Path
 
-from jax_aero import extras
-from jax_aero.command import Refused as Refused
+from jax_aero.base import extras
+from jax_aero.base.terminal import Refused as Refused
 
 
 def require(modules: Iterable[str], purpose: str, extra: str = "view") -> None:

@@ -11,8 +11,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from jax_aero.mesh import Mesh, revolve
-from jax_aero.urdf import Vector
+from jax_aero.body.mesh import Mesh, revolve
+from jax_aero.body.urdf import Vector
 from jax_aero.view.recording import Instant, Recording
 from jax_aero.view.shapes import Look, Role, Shape, rotation_onto
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from jax_aero.urdf import Vector
+from jax_aero.body.urdf import Vector
 from jax_aero.view import drawing
 from jax_aero.view.drawing import Colour, Scales
 from jax_aero.view.recording import Recording

@@ -23,10 +23,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jax_aero import io, rust, tables
-from jax_aero.command import ConfigError
-from jax_aero.files import parse_json, read_bytes
-from jax_aero.places import did_you_mean
+from jax_aero import rust
+from jax_aero.base import tables, typed
+from jax_aero.base.files import parse_json, read_bytes
+from jax_aero.base.places import did_you_mean
+from jax_aero.base.terminal import ConfigError
 from jax_aero.view import Refused, recording, require
 from jax_aero.view.export import METADATA, column_name
 from jax_aero.view.recording import entries_of
@@ -215,7 +216,7 @@ def read_mcap(path: Path, mapping: Path | None) -> tuple[dict[str, Series], rust
             # The index of metadata may be missing.
             for record in StreamReader(file, emit_chunks=True).records:
                 if isinstance(record, Metadata) and record.name == METADATA and "config" in record.metadata:
-                    config = io.make_paths_absolute(json.loads(record.metadata["config"]))
+                    config = typed.make_paths_absolute(json.loads(record.metadata["config"]))
     except Exception as reason:  # the package raises many types for damaged files
         what = f"({type(reason).__name__}: {reason})"
         raise Refused(f"`{path}` is damaged {what}; {_recovery(path)}") from None

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jax_aero.urdf import Vector
+from jax_aero.body.urdf import Vector
 from jax_aero.view import Refused, drawing, require
 from jax_aero.view.drawing import FIELD_OF_VIEW_DEG, SHADOW, SUN, Camera, Colour, Scales
 from jax_aero.view.recording import Instant, Recording
@@ -93,13 +93,13 @@ class Studio:
 
         import mujoco  # type: ignore[import-untyped]
 
-        from jax_aero import mujoco_model
+        from jax_aero.mujoco.model import order_of
 
         self._mj = mujoco
         self.model = display_model(recording, width, height, ghost)
         self.data = mujoco.MjData(self.model)
         flights = [flight for flight in (recording, ghost) if flight is not None]
-        orders = [mujoco_model.order_of(str(f.robot_path), tuple(f.robot.joint_names)) for f in flights]
+        orders = [order_of(str(f.robot_path), tuple(f.robot.joint_names)) for f in flights]
         # The ghost's positions follow the robot's: seven of its base, then its joints.
         starts = (0, 7 + len(recording.robot.joint_names))
         self._flights = list(zip(flights, starts, [order.joints for order in orders], strict=False))
@@ -263,9 +263,9 @@ def _robot_spec(recording: Recording, *, is_ghost: bool) -> Any:
     """Return a robot with the shapes of its look, coloured by role or as a ghost."""
     import mujoco
 
-    from jax_aero import mujoco_model
+    from jax_aero.mujoco.model import mujoco_spec
 
-    spec = mujoco_model.mujoco_spec(str(recording.robot_path))
+    spec = mujoco_spec(str(recording.robot_path))
     spec.compiler.discardvisual = False
     types = {
         "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,

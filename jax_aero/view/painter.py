@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from jax_aero.mesh import Mesh, box, revolve
-from jax_aero.urdf import Vector
+from jax_aero.body.mesh import Mesh, box, revolve
+from jax_aero.body.urdf import Vector
 from jax_aero.view import drawing
 from jax_aero.view.drawing import SHADOW, SUN, Camera, Colour, Scales
 from jax_aero.view.recording import Instant, Recording

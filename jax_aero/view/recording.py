@@ -12,12 +12,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jax_aero import documents, io, netcdf, rust
-from jax_aero.command import ConfigError
-from jax_aero.files import find_damaged, read_json
-from jax_aero.places import MANIFEST_FILE, RESULTS, RUN_FILE
-from jax_aero.result import add_repeated, ending, labels_of
-from jax_aero.urdf import Vector
+from jax_aero import rust
+from jax_aero.base import documents, netcdf, typed
+from jax_aero.base.files import find_damaged, read_json
+from jax_aero.base.places import MANIFEST_FILE, RESULTS, RUN_FILE
+from jax_aero.base.result import add_repeated, ending, labels_of
+from jax_aero.base.terminal import ConfigError
+from jax_aero.body.urdf import Vector
 from jax_aero.view import Refused, require
 from jax_aero.view.shapes import Look, look_of
 
@@ -220,7 +221,7 @@ def _read(path: Path, robot: str | Path | None) -> Recording:
         raise Refused(f"`{path}` is not what was written there, by the checksum in {MANIFEST_FILE}; {EXPECTED}")
     signals, facts = _read_signals(path)
     try:
-        config = io.make_paths_absolute(manifest["config"]) if "config" in manifest else None
+        config = typed.make_paths_absolute(manifest["config"]) if "config" in manifest else None
     except ConfigError as reason:
         raise reason.in_file(str(described)) from None
     robot_path = _robot_path(path, config, robot)

@@ -11,10 +11,10 @@ from typing import Any, Literal
 import numpy as np
 
 from jax_aero import rust
-from jax_aero.command import Refused
-from jax_aero.mesh import Mesh, mesh_file, read_mesh
-from jax_aero.urdf import IDENTITY, Pose, Vector, shapes_of
-from jax_aero.urdf import Shape as UrdfShape
+from jax_aero.base.terminal import Refused
+from jax_aero.body.mesh import Mesh, mesh_file, read_mesh
+from jax_aero.body.urdf import IDENTITY, Pose, Vector, shapes_of
+from jax_aero.body.urdf import Shape as UrdfShape
 
 STRUT_RADIUS = 0.022  # m
 

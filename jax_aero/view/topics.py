@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jax_aero.rotations import rotation_from_rpy, wxyz_from_rotation
+from jax_aero.body.rotations import rotation_from_rpy, wxyz_from_rotation
 from jax_aero.view.recording import Recording
 
 WORLD = "world"

@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 
 from jax_aero import rust
-from jax_aero.files import complete_file, read_json
-from jax_aero.keys import get, set_key
-from jax_aero.places import CONFIGS, HOME
-from jax_aero.result import is_repeated, labels_of
+from jax_aero.base.files import complete_file, read_json
+from jax_aero.base.keys import get, set_key
+from jax_aero.base.places import CONFIGS, HOME
+from jax_aero.base.result import is_repeated, labels_of
 from jax_aero.view import Refused, check_out, drawing
 from jax_aero.view.recording import Recording
 from jax_aero.view.shapes import Look, Mount, Shape, look_of

@@ -17,14 +17,14 @@ import pytest
 from msgspec import structs
 
 from jax_aero import rust
+from jax_aero.base.typed import scenario_config
+from jax_aero.body.robot import load_robot
+from jax_aero.body.spatial import exp_so3, rotation_from_rpy
 from jax_aero.control import tick
 from jax_aero.control.law import setpoint
 from jax_aero.control.law.attitude import attitude_demand
 from jax_aero.control.law.bounds import rate_bounds
 from jax_aero.control.law.torque import limit_rate, torque_qp
-from jax_aero.io import scenario_config
-from jax_aero.robot import load_robot
-from jax_aero.spatial import exp_so3, rotation_from_rpy
 from jax_aero.types import Setpoint, State, leaf
 from tests.measurements import measured
 

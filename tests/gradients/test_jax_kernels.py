@@ -12,14 +12,14 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.aero import LinkConventions, LinksInAir, aero_model, link_forces, wrench_about
+from jax_aero.base.typed import aero_config, scenario_config
+from jax_aero.body.dynamics import dynamics, forward_dynamics
+from jax_aero.body.jets import jet_dynamics
+from jax_aero.body.kinematics import generalised_force, kinematics, velocities_at
+from jax_aero.body.robot import load_robot
+from jax_aero.body.spatial import exp_so3, rotation_angle, rotation_from_rpy, rpy_from_rotation, wxyz_from_rotation
 from jax_aero.config import SecondOrderJetsConfig
-from jax_aero.dynamics import dynamics, forward_dynamics
-from jax_aero.io import aero_config, scenario_config
-from jax_aero.jets import jet_dynamics
-from jax_aero.kinematics import generalised_force, kinematics, velocities_at
-from jax_aero.robot import load_robot
 from jax_aero.sim.wind import wind_model, wind_velocity
-from jax_aero.spatial import exp_so3, rotation_angle, rotation_from_rpy, rpy_from_rotation, wxyz_from_rotation
 from jax_aero.types import State
 
 pytestmark = pytest.mark.usefixtures("x64")

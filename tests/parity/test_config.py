@@ -10,9 +10,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from jax_aero import io, rust
-from jax_aero.command import ConfigError
-from jax_aero.keys import get, set_key
+from jax_aero import rust
+from jax_aero.base import typed
+from jax_aero.base.keys import get, set_key
+from jax_aero.base.terminal import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIGS = ROOT / "configs"
@@ -148,4 +149,4 @@ def to_written(table):
 @pytest.mark.parametrize("path", EXPERIMENTS, ids=lambda path: path.stem)
 def test_the_typed_view_has_every_key(path):
     config = rust.load_config(path)
-    assert to_written(msgspec.to_builtins(io.scenario_config(config))) == config
+    assert to_written(msgspec.to_builtins(typed.scenario_config(config))) == config

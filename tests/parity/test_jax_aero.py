@@ -13,9 +13,9 @@ from scipy.interpolate import PchipInterpolator
 from jax_aero import rust
 from jax_aero.aero import LinkConventions, LinksInAir, aero_model, link_forces, wrench_about
 from jax_aero.aero.pchip import interpolate, pchip
-from jax_aero.io import aero_config, scenario_config
-from jax_aero.kinematics import kinematics
-from jax_aero.robot import load_robot
+from jax_aero.base.typed import aero_config, scenario_config
+from jax_aero.body.kinematics import kinematics
+from jax_aero.body.robot import load_robot
 from jax_aero.types import State
 
 pytestmark = pytest.mark.usefixtures("x64")

@@ -12,8 +12,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from jax_aero import rust
+from jax_aero.base.typed import scenario_config
 from jax_aero.control.law import mission, recorded, setpoint
-from jax_aero.io import scenario_config
 from jax_aero.sim.plant import n_ticks
 from tests.measurements import measured
 

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
+from jax_aero.base.typed import scenario_config
+from jax_aero.body.robot import load_robot
 from jax_aero.control import qp, tick
 from jax_aero.control.command import NOMINAL
-from jax_aero.identify import states_of
-from jax_aero.io import scenario_config
-from jax_aero.robot import load_robot
+from jax_aero.train.identify import states_of
 from jax_aero.types import Setpoint, State
 from jax_aero.verify import SOLUTIONS, crate_quantity, tick_quantities
 

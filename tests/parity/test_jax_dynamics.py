@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
-from jax_aero.dynamics import accelerate, add_joint_inertia, dynamics, forward_dynamics, invert_mass
-from jax_aero.kinematics import frame_poses, generalised_force, kinematics, velocities_at
-from jax_aero.robot import load_robot
+from jax_aero.body.dynamics import accelerate, add_joint_inertia, dynamics, forward_dynamics, invert_mass
+from jax_aero.body.kinematics import frame_poses, generalised_force, kinematics, velocities_at
+from jax_aero.body.robot import load_robot
 from jax_aero.types import State
 from tests.measurements import measured
 

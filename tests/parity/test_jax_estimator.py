@@ -11,16 +11,16 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.aero import aero_model
+from jax_aero.base.typed import scenario_config
+from jax_aero.body.robot import load_robot
+from jax_aero.body.spatial import rotation_from_wxyz
 from jax_aero.control import Measurement
 from jax_aero.control.guard import estimator
 from jax_aero.control.guard.estimator import Order
 from jax_aero.control.measurement import Reading
 from jax_aero.control.tick import momentum_controller, replace_command
-from jax_aero.identify import states_of
-from jax_aero.io import scenario_config
-from jax_aero.robot import load_robot
 from jax_aero.sim import sensors
-from jax_aero.spatial import rotation_from_wxyz
+from jax_aero.train.identify import states_of
 from jax_aero.types import State
 
 EXPERIMENT = Path(__file__).resolve().parents[2] / "configs" / "experiments" / "test2_sensors.toml"

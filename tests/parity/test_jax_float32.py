@@ -11,10 +11,10 @@ import pytest
 
 from jax_aero import rust, sim
 from jax_aero.aero import Axisymmetric, LinkConventions, link_forces
-from jax_aero.dynamics import dynamics, forward_dynamics
-from jax_aero.io import scenario_config
-from jax_aero.kinematics import kinematics
-from jax_aero.robot import load_robot
+from jax_aero.base.typed import scenario_config
+from jax_aero.body.dynamics import dynamics, forward_dynamics
+from jax_aero.body.kinematics import kinematics
+from jax_aero.body.robot import load_robot
 from jax_aero.types import State, with_dtype
 
 pytestmark = pytest.mark.usefixtures("x64")

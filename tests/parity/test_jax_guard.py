@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from jax_aero import rust, sim
-from jax_aero.io import scenario_config
+from jax_aero.base.typed import scenario_config
 from jax_aero.verify import GUARD_SIGNALS, Comparison, verify_flight
 
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from jax_aero import rust, sim
+from jax_aero.base.typed import scenario_config
+from jax_aero.body.robot import load_robot
 from jax_aero.control import tick
 from jax_aero.control.command import NOMINAL, PLAN_KEPT, PLAN_MISSING
 from jax_aero.control.law.mpc.clearance import distances
@@ -18,9 +20,7 @@ from jax_aero.control.law.mpc.horizon import Target, horizon
 from jax_aero.control.law.mpc.model import linearise
 from jax_aero.control.measurement import Measurement
 from jax_aero.control.preview import Preview
-from jax_aero.identify import states_of
-from jax_aero.io import scenario_config
-from jax_aero.robot import load_robot
+from jax_aero.train.identify import states_of
 from jax_aero.types import Setpoint, State
 
 pytestmark = pytest.mark.usefixtures("x64")

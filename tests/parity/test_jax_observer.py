@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
+from jax_aero.base.typed import scenario_config
+from jax_aero.body.robot import load_robot
 from jax_aero.control import tick
 from jax_aero.control.guard import observer
 from jax_aero.control.guard.observer import ObserverGains
-from jax_aero.io import scenario_config
-from jax_aero.robot import load_robot
 from jax_aero.types import State
 
 pytestmark = pytest.mark.usefixtures("x64")

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
-from jax_aero.io import scenario_config
-from jax_aero.robot import load_robot
+from jax_aero.base.typed import scenario_config
+from jax_aero.body.robot import load_robot
 from jax_aero.sim.plant import advance, observe, start_plant
 
 

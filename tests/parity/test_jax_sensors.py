@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax_aero import rust
+from jax_aero.base.typed import scenario_config
 from jax_aero.control.measurement import Reading
-from jax_aero.identify import states_of
-from jax_aero.io import scenario_config
 from jax_aero.sim.sensors import read, sensors, start
+from jax_aero.train.identify import states_of
 
 EXPERIMENT = Path(__file__).resolve().parents[2] / "configs" / "experiments" / "test2_observer.toml"
 SENSORS = {

@@ -11,13 +11,13 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.aero import aero_model
+from jax_aero.base.typed import scenario_config
+from jax_aero.body.dynamics import dynamics
+from jax_aero.body.kinematics import frame_poses, kinematics
+from jax_aero.body.robot import load_robot
+from jax_aero.body.spatial import cross, rotate
 from jax_aero.control.guard import wind_observer
-from jax_aero.dynamics import dynamics
-from jax_aero.identify import states_of
-from jax_aero.io import scenario_config
-from jax_aero.kinematics import frame_poses, kinematics
-from jax_aero.robot import load_robot
-from jax_aero.spatial import cross, rotate
+from jax_aero.train.identify import states_of
 
 EXPERIMENT = Path(__file__).resolve().parents[2] / "configs" / "experiments" / "test2_observer.toml"
 WIND = {"profile": "ramp", "velocity": [3.0, -9.0, 1.0], "ramp_start": 0.0, "ramp_end": 0.5}

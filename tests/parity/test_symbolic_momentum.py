@@ -15,11 +15,11 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.aero import LinkConventions, aero_model, link_forces
+from jax_aero.base.typed import scenario_config
+from jax_aero.body.dynamics import dynamics
+from jax_aero.body.kinematics import kinematics
+from jax_aero.body.robot import load_robot as twin_robot
 from jax_aero.control.law.momentum import momentum_model
-from jax_aero.dynamics import dynamics
-from jax_aero.io import scenario_config
-from jax_aero.kinematics import kinematics
-from jax_aero.robot import load_robot as twin_robot
 from jax_aero.rust import Controller, Robot
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.types import State as TwinState

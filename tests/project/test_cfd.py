@@ -3,7 +3,7 @@
 from experiments import manifest
 from experiments.cfd.design import Design
 from experiments.report import kept
-from jax_aero import plain
+from jax_aero.base import plain
 
 
 def test_the_results_are_of_the_designs_as_they_are():

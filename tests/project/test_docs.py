@@ -32,7 +32,8 @@ from experiments.report.page import Page, Table, Text
 from experiments.robot import waypoints
 from experiments.sweep import spec
 from experiments.sweep.design import Design
-from jax_aero import air, cli, env, env_gym, places, rust, sim, tables
+from jax_aero import air, cli, env, env_gym, rust, sim
+from jax_aero.base import places, tables
 from paper_figs.figures import FIGURES
 from tests.browser import CHROMIUM, SLOWEST, open_chromium
 

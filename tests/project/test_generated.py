@@ -8,7 +8,7 @@ import pytest
 from docs import ties
 from experiments import generated
 from experiments.report import kept
-from jax_aero import places
+from jax_aero.base import places
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -6,7 +6,7 @@ import xarray as xr
 
 from experiments import Refused
 from experiments.studies.ahead import study as ahead
-from jax_aero import places
+from jax_aero.base import places
 from paper_figs.figures import FIGURES
 
 

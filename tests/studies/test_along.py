@@ -5,8 +5,9 @@ import pytest
 
 from experiments import Refused, record
 from experiments.studies.along import study as along
-from jax_aero import places, rust, tables
-from jax_aero.places import ROBOT
+from jax_aero import rust
+from jax_aero.base import places, tables
+from jax_aero.base.places import ROBOT
 from jax_aero.symbolic import load_robot
 from jax_aero.symbolic.trajectory import Consumption
 from paper_figs.figures import FIGURES

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from experiments.studies.arm_engines import study as arm_engines
-from jax_aero import places, rust
-from jax_aero.places import ROBOT
+from jax_aero import rust
+from jax_aero.base import places
+from jax_aero.base.places import ROBOT
 
 
 @pytest.mark.parametrize("made_up", [{"lost_time": None}, {"lost_time": 21.5}])

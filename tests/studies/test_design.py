@@ -6,7 +6,7 @@ import pytest
 from experiments.studies.design import campaign, robots, sensitivity, study
 from experiments.studies.design.campaign import Job
 from jax_aero import rust
-from jax_aero.keys import get
+from jax_aero.base.keys import get
 
 SAME = robots.draw(1, 1)[0]
 

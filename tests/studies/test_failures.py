@@ -8,7 +8,8 @@ import xarray as xr
 
 from experiments.studies.failures import flights, ground
 from experiments.studies.failures import study as failures
-from jax_aero import places, rust
+from jax_aero import rust
+from jax_aero.base import places
 
 
 def test_a_descent_is_flown_as_it_says(monkeypatch):

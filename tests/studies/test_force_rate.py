@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 from experiments.studies.force_rate import study as force_rate
-from jax_aero import places
+from jax_aero.base import places
 from paper_figs.figures import FIGURES
 from paper_figs.runs import MissingRun
 

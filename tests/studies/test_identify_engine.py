@@ -6,8 +6,8 @@ import pytest
 
 from experiments import Refused, record
 from experiments.studies.identify_engine import study as bench
-from jax_aero import tables
-from jax_aero.places import ROBOT
+from jax_aero.base import tables
+from jax_aero.base.places import ROBOT
 from paper_figs.figures import FIGURES
 
 
@@ -79,7 +79,7 @@ def test_smoothing_leaves_a_cubic_alone(measured):
 
 def test_the_generator_obeys_the_crates_engine(truth, agree):
     """Plain numbers against the arrays of the JAX twin, whose parity with the crate other tests hold."""
-    from jax_aero.jets import Engines, thrust_acceleration
+    from jax_aero.body.jets import Engines, thrust_acceleration
 
     plain = Engines(*truth.tolist())
     with jax.enable_x64(True):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from experiments.studies.observer_limit import study as observer_limit
-from jax_aero import places
+from jax_aero.base import places
 from paper_figs.figures import FIGURES
 
 

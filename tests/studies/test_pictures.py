@@ -10,9 +10,10 @@ from experiments import record
 from experiments.data.import_cfd import known_postures
 from experiments.studies.pictures import figure as pictures_figure
 from experiments.studies.pictures import study as pictures
-from jax_aero import rust, tables
+from jax_aero import rust
 from jax_aero.aero.dataset import reorder_joints
-from jax_aero.places import ROBOT
+from jax_aero.base import tables
+from jax_aero.base.places import ROBOT
 from paper_figs.figures import FIGURES
 
 

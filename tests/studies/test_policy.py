@@ -9,8 +9,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from experiments.studies.policy import study as policy
-from jax_aero import places
-from jax_aero.command import ConfigError
+from jax_aero.base import places
+from jax_aero.base.terminal import ConfigError
 from jax_aero.env_task import Task
 from jax_aero.train.policy import Curve, TrainingResult, init_policy
 from paper_figs.figures import FIGURES

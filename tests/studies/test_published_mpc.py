@@ -9,7 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from experiments.studies.published_mpc import flight, model, plan, study
-from jax_aero import places, rust
+from jax_aero import rust
+from jax_aero.base import places
 
 THRUST, RATE = np.array([150.0, 171.0, 120.0, 165.0]), np.array([20.0, -30.0, 5.0, 40.0])
 THROTTLE = np.array([60.0, 70.0, 80.0, 50.0])

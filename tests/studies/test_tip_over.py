@@ -11,7 +11,9 @@ import xarray as xr
 from experiments import Refused, sources
 from experiments.studies.tip_over import figure
 from experiments.studies.tip_over import study as tip_over
-from jax_aero import mujoco_ground, places, rust
+from jax_aero import rust
+from jax_aero.base import places
+from jax_aero.mujoco import ground
 from paper_figs.command import main as draw
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -65,7 +67,7 @@ def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
         }
         return rust.FlightResult(log, np.zeros(23), "fell" if speed > 15.0 else "completed", None, None, {})
 
-    monkeypatch.setattr(mujoco_ground, "fly", fly)
+    monkeypatch.setattr(ground, "fly", fly)
     text = (
         (ROOT / "experiments/studies/tip_over/ground.toml")
         .read_text()
@@ -80,7 +82,7 @@ def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
     document = tip_over.STUDY.run(str(path))
     assert all(14.5 <= value <= 15.0 for value in document["summary"].values())
     assert len(document["summary"]) == 4
-    assert document["code_hash"] == sources.code_hash("experiments.studies.tip_over.study", "jax_aero.mujoco_ground")
+    assert document["code_hash"] == sources.code_hash("experiments.studies.tip_over.study", "jax_aero.mujoco.ground")
     assert list((tmp_path / "tip_over").glob(".*")) == []
     # Four cells of two ends and seven halvings; the four trials before the interrupt are not made again.
     assert len(made) == 4 * 9 + 1

@@ -15,7 +15,8 @@ from experiments import Refused, study
 from experiments.robot import waypoints
 from experiments.studies.trajectory import figure
 from experiments.studies.trajectory import study as experiment
-from jax_aero import places, rust, tables
+from jax_aero import rust
+from jax_aero.base import places, tables
 from jax_aero.symbolic import load_robot, trajectory
 from jax_aero.symbolic.trajectory import TrajectoryProblem, _lagrange, _lagrange_derivatives, _radau_weights
 from paper_figs.figures import FIGURES

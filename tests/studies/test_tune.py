@@ -12,10 +12,11 @@ import pytest
 
 from experiments.studies.tune import pairs
 from experiments.studies.tune import study as tune
-from jax_aero import places, plain, rust, sim, tables
-from jax_aero.command import Refused
-from jax_aero.files import lock_work
-from jax_aero.places import CONFIGS
+from jax_aero import rust, sim
+from jax_aero.base import places, plain, tables
+from jax_aero.base.files import lock_work
+from jax_aero.base.places import CONFIGS
+from jax_aero.base.terminal import Refused
 from jax_aero.sim import FlightRow
 from jax_aero.train import gains
 from paper_figs.figures import FIGURES

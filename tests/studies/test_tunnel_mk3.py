@@ -15,7 +15,7 @@ from experiments.data.import_tunnel import MK3, POSTURES_OF_MK3
 from experiments.studies.tunnel_mk3 import study as tunnel_mk3
 from jax_aero.aero.dataset import wind_direction
 from jax_aero.aero.posture import axes_of, link_axes, total_wrench
-from jax_aero.robot import load_robot
+from jax_aero.body.robot import load_robot
 from tests.measurements import measured
 
 SUPPORT = 0.05

@@ -12,10 +12,10 @@ from experiments.data.fit import predicted_areas
 from experiments.studies.tunnel_moments import correction as tunnel_correction
 from experiments.studies.tunnel_moments import figure
 from experiments.studies.tunnel_moments import study as tunnel_moments
-from jax_aero import tables
 from jax_aero.aero import dataset
 from jax_aero.aero.posture import link_axes, rms_by_posture, total_wrench
-from jax_aero.robot import load_robot
+from jax_aero.base import tables
+from jax_aero.body.robot import load_robot
 from paper_figs import model_pairs
 from tests.units.test_tunnel import clone, gvp
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from experiments.studies.wind_observer import study as wind_observer
-from jax_aero import places, rust
+from jax_aero import rust
+from jax_aero.base import places
 
 
 def test_a_wind_is_judged_by_its_horizontal_components_when_it_has_risen():

@@ -25,8 +25,8 @@ import xarray as xr
 from experiments import record
 from experiments.sweep import run, spec
 from experiments.sweep.design import Design
-from jax_aero import places
-from jax_aero.files import checksums, find_damaged
+from jax_aero.base import places
+from jax_aero.base.files import checksums, find_damaged
 
 SWEEP = {
     "title": "killed",

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jax_aero.aero.dataset import JOINTS, LINKS, Dataset, wind_direction
-from jax_aero.robot import RobotModel, load_robot
+from jax_aero.body.robot import RobotModel, load_robot
 
 ROOT = Path(__file__).parents[2]
 COMPACT = ("link_wind", "link_position", "link_shadow")

@@ -9,8 +9,8 @@ from jax_aero.aero import network as N  # noqa: N812 (many of its functions are 
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
 from jax_aero.aero.dataset import JOINTS, LINKS, mirrored_joints, tunnel_from_base
 from jax_aero.aero.network import init_network
-from jax_aero.command import ConfigError
-from jax_aero.kinematics import kinematics
+from jax_aero.base.terminal import ConfigError
+from jax_aero.body.kinematics import kinematics
 from jax_aero.types import State
 from tests.measurements import measured
 

@@ -10,7 +10,7 @@ import pytest
 
 from jax_aero.aero.network import init_network, with_precision
 from jax_aero.aero.network_card import load_network, save_network
-from jax_aero.command import ConfigError
+from jax_aero.base.terminal import ConfigError
 from jax_aero.train.samples import predict_areas
 
 SHIPPED = sorted((Path(__file__).parents[2] / "configs" / "aero" / "networks").glob("*.json"))
@@ -69,7 +69,7 @@ def test_weights_whose_card_did_not_follow_are_recognised(card, ironcub, monkeyp
     kept.hardlink_to(card.with_suffix(".safetensors"))
     before = kept.read_bytes()
     with monkeypatch.context() as patched:
-        patched.setattr("jax_aero.cards.write_text", interrupt)
+        patched.setattr("jax_aero.base.cards.write_text", interrupt)
         with pytest.raises(KeyboardInterrupt):
             save_network(card, network, ironcub, description="made up", training={})
     with pytest.raises(ValueError, match=r"`weights\.sha256` is "):

@@ -15,11 +15,11 @@ from PIL import Image
 from experiments import record
 from experiments.training import command, config
 from experiments.training.result import card_facts
-from jax_aero import files, places, tables
 from jax_aero.aero.dataset import load, save
 from jax_aero.aero.network_card import load_network
+from jax_aero.base import files, places, tables
+from jax_aero.base.terminal import INTERRUPTED, Refused
 from jax_aero.cli import main
-from jax_aero.command import INTERRUPTED, Refused
 from jax_aero.train import Interrupted, fit, predict_areas, samples_of
 from paper_figs.command import main as draw
 

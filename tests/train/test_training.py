@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from jax_aero import tables
-from jax_aero.adam import adam_start, adam_step
 from jax_aero.aero.network import init_network
-from jax_aero.command import ConfigError
+from jax_aero.base import tables
+from jax_aero.base.terminal import ConfigError
 from jax_aero.train import (
     Checkpoint,
     Interrupted,
@@ -28,6 +27,7 @@ from jax_aero.train import (
     samples_of,
     save_checkpoint,
 )
+from jax_aero.train.adam import adam_start, adam_step
 from jax_aero.train.loop import MATMUL, validation_error
 from tests.measurements import measured
 

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from experiments import air as command
-from jax_aero import air, cli, places, rust
+from jax_aero import air, cli, rust
 from jax_aero.aero import aero_model
-from jax_aero.robot import load_robot
+from jax_aero.base import places
+from jax_aero.body.robot import load_robot
 from tests.measurements import measured
 
 

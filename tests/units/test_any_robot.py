@@ -8,8 +8,8 @@ import pytest
 
 from experiments import engines
 from jax_aero import rust
-from jax_aero.command import exit_status
-from jax_aero.robot import load_robot
+from jax_aero.base.terminal import exit_status
+from jax_aero.body.robot import load_robot
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from experiments import Refused, bench, bench_native
-from jax_aero import files
+from jax_aero.base import files
 from jax_aero.rust import QpProblem
 
 CALM = {f"{name} QP, calm, warm": time for name, time in (("momentum", 2e3), ("torque", 3e3))}

@@ -10,7 +10,7 @@ import pytest
 
 from experiments import bench_jax
 from jax_aero import rust, sim
-from jax_aero.io import scenario_config
+from jax_aero.base.typed import scenario_config
 
 pytestmark = pytest.mark.usefixtures("x64")
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from experiments.sweep import spec
-from jax_aero import _core, files, rust
-from jax_aero.command import ConfigError
+from jax_aero import _core, rust
+from jax_aero.base import files
+from jax_aero.base.terminal import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]
 SPARROW = ROOT / "configs" / "robot" / "sparrow.toml"

@@ -31,13 +31,15 @@ from experiments.cfd import (
 )
 from experiments.data import import_cfd
 from experiments.training.result import held_out_network
-from jax_aero import mesh, places, rust, tables
+from jax_aero import rust
 from jax_aero.aero import dataset as ds
 from jax_aero.aero.dataset import LINKS
 from jax_aero.aero.posture import total_wrench
-from jax_aero.command import REFUSED, Refused
-from jax_aero.mirror import mirror_name
-from jax_aero.robot import load_robot
+from jax_aero.base import places, tables
+from jax_aero.base.terminal import REFUSED, Refused
+from jax_aero.body import mesh
+from jax_aero.body.mirror import mirror_name
+from jax_aero.body.robot import load_robot
 from paper_figs import cfd_flow
 from paper_figs.command import main as figures
 from paper_figs.figures import FIGURES

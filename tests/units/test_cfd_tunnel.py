@@ -10,7 +10,7 @@ from experiments.cfd import tunnel
 from experiments.data.import_cfd import known_postures
 from jax_aero.aero import dataset as ds
 from jax_aero.aero.posture import total_wrench
-from jax_aero.robot import load_robot
+from jax_aero.body.robot import load_robot
 
 ROBOT = "configs/robot/ironcub_mk1.toml"
 

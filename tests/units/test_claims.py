@@ -13,7 +13,7 @@ from experiments.report.verdicts import Kind
 from experiments.sweep import spec
 from experiments.sweep.claims import Claim, Share
 from experiments.sweep.table import wilson
-from jax_aero.command import ConfigError
+from jax_aero.base.terminal import ConfigError
 
 JUDGES = {row.key: row.judge for rows in paper.SECTIONS.values() for row in rows if isinstance(row, paper.Claim)}
 

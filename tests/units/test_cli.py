@@ -20,8 +20,9 @@ from scipy.spatial.transform import Rotation
 
 from experiments import engines, studies
 from experiments.sources import closure
-from jax_aero import cli, extras, places, rust
-from jax_aero.command import exit_status, progress_bar
+from jax_aero import cli, rust
+from jax_aero.base import extras, places
+from jax_aero.base.terminal import exit_status, progress_bar
 from tests.measurements import measured
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jax_aero
-from jax_aero.jets import JetsState
+from jax_aero.body.jets import JetsState
 from jax_aero.types import pytree, replace_values
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -18,10 +18,10 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import SyncVectorEnv
 
 from jax_aero import rust
+from jax_aero.base.features import Aim
 from jax_aero.env import FlightEnv
 from jax_aero.env_gym import HoverEnv
 from jax_aero.env_task import Task, TaskState, limit_action, rewards, steer
-from jax_aero.features import Aim
 from tests.measurements import measured
 
 ROOT = Path(__file__).resolve().parents[2]

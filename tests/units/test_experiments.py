@@ -11,8 +11,9 @@ from experiments import flight as runner
 from experiments import manifest
 from experiments.fly import main
 from experiments.table import outcome_table
-from jax_aero import cli, command, places, rust
-from jax_aero.result import ending
+from jax_aero import cli, rust
+from jax_aero.base import places, terminal
+from jax_aero.base.result import ending
 
 
 @pytest.fixture
@@ -77,7 +78,7 @@ def test_what_is_probably_not_meant_is_warned_of_and_stored(flown, tmp_path):
 
 
 def test_what_a_flight_does_not_use_of_a_urdf_is_named_once(flown, tmp_path, monkeypatch):
-    monkeypatch.setattr(command, "_WARNED", set())
+    monkeypatch.setattr(terminal, "_WARNED", set())
     for file in (places.ROBOT, places.ROBOT.with_suffix(".urdf")):
         text = file.read_text()
         (tmp_path / file.name).write_text(text.replace("<limit ", '<dynamics friction="2" damping="5"/><limit ', 1))

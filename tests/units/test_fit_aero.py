@@ -11,11 +11,11 @@ import xarray as xr
 from experiments.cfd import models
 from experiments.data import fit, fit_aero, import_cfd
 from experiments.data.import_tunnel import MK3, POSTURES_OF_MK3
-from jax_aero import places
 from jax_aero.aero import dataset as ds
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
 from jax_aero.aero.posture import link_axes, link_frames
-from jax_aero.robot import load_robot
+from jax_aero.base import places
+from jax_aero.body.robot import load_robot
 from paper_figs.figures import FIGURES
 from tests.cfd_table import modelled_rows, solver_table
 from tests.measurements import measured

@@ -11,8 +11,8 @@ import xarray as xr
 from experiments import Refused, engines, record
 from experiments.report import ground
 from jax_aero import rust
-from jax_aero.modes import MODES
-from jax_aero.mujoco_ground import GroundPlant, begin, fly
+from jax_aero.base.modes import MODES
+from jax_aero.mujoco.ground import GroundPlant, begin, fly
 from paper_figs.command import main as draw
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -432,7 +432,7 @@ def test_engines_refuse_what_they_do_not_know(monkeypatch):
         rust.fly(standing())
     with pytest.raises(ValueError, match=r"disturbances\.joints"):
         fly(standing() | {"disturbances": {"joints": [STUCK]}})
-    monkeypatch.setitem(__import__("sys").modules, "jax_aero.mujoco_ground", None)
+    monkeypatch.setitem(__import__("sys").modules, "jax_aero.mujoco.ground", None)
     with pytest.raises(Refused, match='engine = "mujoco" needs'):
         engines.engine("mujoco")
 

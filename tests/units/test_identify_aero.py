@@ -5,8 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_aero import identify, rust, sim
-from jax_aero.io import scenario_config
+from jax_aero import rust, sim
+from jax_aero.base.typed import scenario_config
+from jax_aero.train import identify
 
 
 @pytest.mark.usefixtures("x64")

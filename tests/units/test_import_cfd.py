@@ -11,7 +11,7 @@ from experiments.data import cfd, fit_aero, import_cfd
 from jax_aero.aero import dataset
 from jax_aero.aero.dataset import JOINTS, LINKS
 from jax_aero.aero.posture import link_axes
-from jax_aero.robot import load_robot
+from jax_aero.body.robot import load_robot
 from tests.cfd_table import CFD_COLUMNS, modelled_rows, solver_table
 from tests.measurements import measured
 

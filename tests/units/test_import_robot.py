@@ -16,11 +16,14 @@ import pytest
 
 from experiments import Refused
 from experiments.robot import command, flight, masses, scenario, shapes, skeleton
-from jax_aero import mesh, mujoco_model, places, plain, rust
-from jax_aero.result import FlightResult
-from jax_aero.robot import load_robot as load_twin
+from jax_aero import rust
+from jax_aero.base import places, plain
+from jax_aero.base.result import FlightResult
+from jax_aero.body import mesh
+from jax_aero.body.robot import load_robot as load_twin
+from jax_aero.body.urdf import IDENTITY, read_urdf
+from jax_aero.mujoco.model import mujoco_model, order_of
 from jax_aero.symbolic import load_robot
-from jax_aero.urdf import IDENTITY, read_urdf
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*(limits_deg|is a guess|guess):UserWarning")
 
@@ -595,9 +598,9 @@ def test_gimbals_hold_the_reaction_torques_of_rotors(tmp_path, moment, measured)
 
 def mujoco_at_start(robot, flight):
     """MuJoCo's model of a robot, with the kinematics of a flight's first state."""
-    model = mujoco_model.mujoco_model(str(robot))
+    model = mujoco_model(str(robot))
     data = mujoco.MjData(model)
-    order = mujoco_model.order_of(str(robot), tuple(rust.Robot(robot).joint_names))
+    order = order_of(str(robot), tuple(rust.Robot(robot).joint_names))
     data.qpos[:3], data.qpos[3:7] = flight["base_position"][0], flight["base_quaternion"][0]
     data.qpos[order.joints] = flight["joint_position"][0]
     mujoco.mj_fwdPosition(model, data)

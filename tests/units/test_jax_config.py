@@ -14,13 +14,13 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.aero.model import aero_model
-from jax_aero.command import ConfigError
+from jax_aero.base.keys import set_key
+from jax_aero.base.terminal import ConfigError
+from jax_aero.base.typed import scenario_config
+from jax_aero.body.robot import ancestors_of, levels_of, load_robot
 from jax_aero.config import AxisymmetricAeroConfig, FileWindConfig
 from jax_aero.control.law.recorded import read_reference
 from jax_aero.control.tick import momentum_controller
-from jax_aero.io import scenario_config
-from jax_aero.keys import set_key
-from jax_aero.robot import ancestors_of, levels_of, load_robot
 from jax_aero.sim import prepare
 from jax_aero.sim.plant import n_ticks
 from jax_aero.sim.wind import wind_model, wind_velocity

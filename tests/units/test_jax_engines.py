@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_aero import jets
-from jax_aero.robot import load_robot
+from jax_aero.body import jets
+from jax_aero.body.robot import load_robot
 
 pytestmark = pytest.mark.usefixtures("x64")
 

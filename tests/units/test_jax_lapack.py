@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from jax_aero import rust, sim
+from jax_aero.base.typed import scenario_config
+from jax_aero.body.linalg import CHUNK, invert, solve_positive_definite
 from jax_aero.control import qp
-from jax_aero.io import scenario_config
-from jax_aero.linalg import CHUNK, invert, solve_positive_definite
 
 pytestmark = pytest.mark.usefixtures("x64")
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from jax_aero import spatial
+from jax_aero.body import spatial
 
 pytestmark = pytest.mark.usefixtures("x64")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from jax_aero.mirror import mirror_name
+from jax_aero.body.mirror import mirror_name
 
 
 @pytest.mark.parametrize(

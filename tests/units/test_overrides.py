@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 
 from experiments import Refused
 from experiments.overrides import folder_suffix, options, parse
-from jax_aero import places, tables
+from jax_aero.base import places, tables
 
 
 def test_values_are_written_as_in_toml():

@@ -5,7 +5,8 @@ import pytest
 import xarray as xr
 
 from experiments import Refused, record
-from jax_aero import places, rust
+from jax_aero import rust
+from jax_aero.base import places
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from experiments import manifest, record
 from experiments.replay import compare
 from jax_aero import __main__ as commands
 from jax_aero import rust
-from jax_aero.rotations import rpy_from_rotation, wxyz_from_rotation
+from jax_aero.body.rotations import rpy_from_rotation, wxyz_from_rotation
 from jax_aero.view import export, logs, recording
 
 mcap_reader = pytest.importorskip("mcap.reader", reason="mcap is not installed")

@@ -39,9 +39,10 @@ from experiments.sources import file_hash
 from experiments.sweep import run, spec
 from experiments.sweep.design import Design
 from experiments.sweep.table import wilson
-from jax_aero import places, plain, rust, tables
+from jax_aero import rust
+from jax_aero.base import places, plain, tables
+from jax_aero.base.places import ROBOT
 from jax_aero.cli import main
-from jax_aero.places import ROBOT
 
 
 def cell(index, flights, completed, on_course, rotation=5.0, **labels):

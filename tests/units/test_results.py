@@ -18,7 +18,8 @@ from experiments.engines import MODULES
 from experiments.sweep import run, spec
 from experiments.sweep.chunks import Chunks
 from experiments.sweep.design import Design
-from jax_aero import cli, files, keys, rust
+from jax_aero import cli, rust
+from jax_aero.base import files, keys
 from jax_aero.cli import main
 from jax_aero.view import recording
 from paper_figs import runs
@@ -273,7 +274,9 @@ def test_an_empty_path_is_refused(command, capsys):
 # --- one process at a time
 
 
-HOLDS = "import sys, time; from pathlib import Path; from jax_aero.files import lock\nwith lock(Path(sys.argv[1])):"
+HOLDS = (
+    "import sys, time; from pathlib import Path; from jax_aero.base.files import lock\nwith lock(Path(sys.argv[1])):"
+)
 
 
 def test_who_holds_a_sweep_is_named_and_a_dead_holder_followed(tmp_path, start):

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jax_aero import rotations
+from jax_aero.body import rotations
 
 
 def test_quaternions_of_all_turns():

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from experiments import record
 from jax_aero import rust
-from jax_aero.command import ConfigError
-from jax_aero.places import HOME, ROBOT
+from jax_aero.base.places import HOME, ROBOT
+from jax_aero.base.terminal import ConfigError
 
 TEST2 = HOME / "configs" / "experiments" / "test2.toml"
 SHORT = {"simulator.duration": 1.0}

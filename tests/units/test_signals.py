@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jax_aero import rust, sim
-from jax_aero.modes import MODES
+from jax_aero.base.modes import MODES
 from jax_aero.sim.batch import condense
 from jax_aero.view import recording
 

@@ -13,14 +13,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_aero import keys, rust, sim
+from jax_aero import rust, sim
 from jax_aero.aero import WeightedModel
-from jax_aero.dynamics import dynamics, forward_dynamics
-from jax_aero.io import scenario_config
-from jax_aero.jets import JetsState
-from jax_aero.kinematics import frame_poses, generalised_force, kinematics
+from jax_aero.base import keys
+from jax_aero.base.typed import scenario_config
+from jax_aero.body.dynamics import dynamics, forward_dynamics
+from jax_aero.body.jets import JetsState
+from jax_aero.body.kinematics import frame_poses, generalised_force, kinematics
+from jax_aero.body.spatial import rotate
 from jax_aero.sim import plant
-from jax_aero.spatial import rotate
 from jax_aero.types import Array, Setpoint, pytree, replace_values
 
 ROOT = Path(__file__).resolve().parents[2]

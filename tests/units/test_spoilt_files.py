@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from experiments import record
 from jax_aero import rust
-from jax_aero.places import HOME
+from jax_aero.base.places import HOME
 from jax_aero.view import Refused, recording
 from tests.conftest import MadeUpRobot, made_up_flight
 

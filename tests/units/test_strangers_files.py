@@ -16,11 +16,11 @@ from experiments import Refused, record
 from experiments.report.findings import Record
 from experiments.report.results import Results
 from experiments.sweep import run as sweep_run
-from jax_aero import documents, netcdf, parquet, tables
 from jax_aero.aero import dataset
+from jax_aero.base import documents, netcdf, parquet, tables
+from jax_aero.base.files import MAX_DEPTH, complete_folder, lock, parse_json, read_json
+from jax_aero.base.parquet import read_table
 from jax_aero.cli import main
-from jax_aero.files import MAX_DEPTH, complete_folder, lock, parse_json, read_json
-from jax_aero.parquet import read_table
 from jax_aero.view import recording
 from paper_figs import runs, sweeps
 

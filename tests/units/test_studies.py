@@ -9,7 +9,8 @@ import xarray as xr
 
 from experiments import studies
 from experiments.study import Findings, Study, file_hashes
-from jax_aero import cli, places, tables
+from jax_aero import cli
+from jax_aero.base import places, tables
 
 
 def test_every_file_of_one_name_is_hashed(tmp_path):

@@ -21,7 +21,8 @@ from experiments import Refused, cluster, engines
 from experiments.sweep import command, keys, run, spec, table
 from experiments.sweep.design import Design
 from experiments.sweep.perturbation import Perturbation, members
-from jax_aero import places, rust
+from jax_aero import rust
+from jax_aero.base import places
 from jax_aero.cli import main
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -631,7 +632,7 @@ import os, sys
 from pathlib import Path
 import pyarrow as pa
 from experiments.sweep.chunks import Chunks, parquet
-from jax_aero.parquet import read_table
+from jax_aero.base.parquet import read_table
 count = lambda: len(os.listdir("/proc/self/task"))
 chunks, before = Chunks(Path(sys.argv[1]), "identity"), count()
 chunks.write(0, pa.table({"a": [1.0, 2.0], "b": ["x", "y"]}))

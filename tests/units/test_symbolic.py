@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from jax_aero import rust
-from jax_aero.mujoco_model import mujoco_model
+from jax_aero.mujoco.model import mujoco_model
 from jax_aero.symbolic import MomentumModel, load_robot
 from tests.measurements import measured
 

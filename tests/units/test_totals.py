@@ -10,7 +10,7 @@ import pytest
 from jax_aero.aero.dataset import JOINTS
 from jax_aero.aero.network import init_network, raw_output
 from jax_aero.aero.posture import link_arms, link_frames, total_wrench
-from jax_aero.robot import load_robot
+from jax_aero.body.robot import load_robot
 from jax_aero.train import Settings, fit, samples_of, total_error, totals_of
 from jax_aero.train.samples import make_samples
 from tests.measurements import measured

@@ -7,7 +7,8 @@ import pytest
 
 from experiments.robot import waypoints
 from experiments.robot.waypoints import Step, Waypoints, reference
-from jax_aero import cli, places, rust, tables
+from jax_aero import cli, rust
+from jax_aero.base import places, tables
 from tests.measurements import measured
 
 EAST = np.array([1.0, 0.0, 0.0])

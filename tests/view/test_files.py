@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jax_aero import __main__ as commands
-from jax_aero import places
+from jax_aero.base import places
 from jax_aero.view import Refused, command, offscreen, recording, video
 from jax_aero.view.drawing import camera_at
 

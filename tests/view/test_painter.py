@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from jax_aero.mesh import box
+from jax_aero.body.mesh import box
 from jax_aero.view import recording
 from jax_aero.view.drawing import FORCE, PLUME, TRAIL, Camera, focal_length
 

@@ -10,7 +10,9 @@ import pytest
 import xarray as xr
 
 from jax_aero import __main__ as commands
-from jax_aero import mesh, places, rust
+from jax_aero import rust
+from jax_aero.base import places
+from jax_aero.body import mesh
 from jax_aero.view import Refused, drawing, labels, recording, web
 from jax_aero.view.shapes import look_of
 
@@ -250,7 +252,7 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch, fallen, capsys):
 
 def test_the_library_needs_nothing_of_the_viewer():
     code = (
-        "import sys, jax_aero, jax_aero.__main__, jax_aero.view.command, jax_aero.view.web;"
+        "import sys, jax_aero, jax_aero.__main__, jax_aero.view.cli, jax_aero.view.web;"
         "print({'mujoco', 'av', 'PIL', 'jax', 'h5py', 'playwright'} & set(sys.modules))"
     )
     answer = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)

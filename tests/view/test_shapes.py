@@ -13,8 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jax_aero import mesh, places, rust
-from jax_aero.mesh import read_mesh
+from jax_aero import rust
+from jax_aero.base import places
+from jax_aero.body import mesh
+from jax_aero.body.mesh import read_mesh
 from jax_aero.view import Refused, web
 from jax_aero.view.shapes import Look, look_of
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from jax_aero import places
+from jax_aero.base import places
 from jax_aero.view import web
 
 pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")

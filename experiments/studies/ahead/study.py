@@ -14,7 +14,8 @@ import xarray as xr
 
 from experiments import Refused
 from experiments.study import Findings, Study
-from jax_aero import places, rust, tables
+from jax_aero import rust
+from jax_aero.base import places, tables
 from jax_aero.rust import SETTLING_TIME
 
 CONTROLLERS = {"aware": "test2", "observer": "test2_observer", "predictive": "test2_mpc"}

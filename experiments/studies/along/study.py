@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from experiments import Refused, record
 from experiments.report.engines import Choice
 from experiments.study import Findings, Study
-from jax_aero import places, tables
-from jax_aero.places import ROBOT
+from jax_aero.base import places, tables
+from jax_aero.base.places import ROBOT
 from jax_aero.symbolic import load_robot
 from jax_aero.symbolic.clearance import around, pairs
 from jax_aero.symbolic.kinematics import Kinematics

@@ -16,8 +16,9 @@ import numpy as np
 import xarray as xr
 
 from experiments.study import Findings, Study
-from jax_aero import rust, tables
-from jax_aero.places import ROBOT
+from jax_aero import rust
+from jax_aero.base import tables
+from jax_aero.base.places import ROBOT
 
 ENGINES = {"P160": 160.0, "P100": 100.0}
 """Greatest thrust of each arm [N]: in the published flights, and in the published balancing experiments."""

@@ -17,7 +17,8 @@ from experiments.cluster import Ray
 from experiments.studies.design import robots
 from experiments.sweep.keys import set_all
 from experiments.sweep.perturbation import Perturbation
-from jax_aero import places, rust, tables
+from jax_aero import rust
+from jax_aero.base import places, tables
 
 BASE, PERTURBATION = "mk3_robot", places.CONFIGS / "perturbation" / "robot.toml"
 POSITION, ROTATION = 0.05, np.radians(3.0)

@@ -15,11 +15,12 @@ import numpy as np
 
 from experiments.studies.design.campaign import POSITION, ROTATION, Row
 from experiments.studies.design.robots import find, inertial, numbers, set_inertial, set_numbers
-from jax_aero import plain, rust, tables
-from jax_aero.rotations import rotation_from_rpy, rpy_from_rotation
+from jax_aero import rust
+from jax_aero.base import plain, tables
+from jax_aero.body.rotations import rotation_from_rpy, rpy_from_rotation
+from jax_aero.body.spatial import rotation_from_rpy as turn_from_rpy
 from jax_aero.sim import FlightState, Scenario, begin, prepare, rollout
 from jax_aero.sim.plant import COMPILER_OPTIONS
-from jax_aero.spatial import rotation_from_rpy as turn_from_rpy
 
 Numbers = dict[str, Any]
 UNITS = {"mass": 0.01, "com": 0.01, "joint": 0.01, "jet": 0.01, "axis": np.radians(1.0), "area": 0.01}

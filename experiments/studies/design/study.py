@@ -23,7 +23,8 @@ from experiments.studies.design.campaign import AGAIN, FIGURES, FLIGHTS, Job, Ro
 from experiments.studies.design.robots import RANGES, Array
 from experiments.study import Findings, Study
 from experiments.sweep.table import wilson
-from jax_aero import places, plain, rust, tables
+from jax_aero import rust
+from jax_aero.base import places, plain, tables
 
 HOVERS = {"iRonCub-Mk1": "test2_observer", "iRonCub-Mk3": "mk3_test2"}
 IN_WIND = {

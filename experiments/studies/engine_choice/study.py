@@ -7,10 +7,10 @@ from pathlib import Path
 
 from experiments import Refused
 from experiments.report.engines import PAPER_BATTERY, PAPER_FUEL, Choice, engines, results
-from jax_aero import places, plain, tables
+from jax_aero.base import places, plain, tables
+from jax_aero.base.files import write_json
+from jax_aero.base.terminal import exit_status
 from jax_aero.cli import Parser
-from jax_aero.command import exit_status
-from jax_aero.files import write_json
 
 
 def main(arguments: Sequence[str]) -> int:

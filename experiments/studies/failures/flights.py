@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from jax_aero import rust
-from jax_aero.modes import MODES
+from jax_aero.base.modes import MODES
 
 Row = dict[str, Any]
 EXACT, SENSORS = "test2_observer", "test2_sensors"

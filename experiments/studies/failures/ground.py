@@ -8,8 +8,9 @@ from itertools import islice, product
 import numpy as np
 
 from experiments.studies.failures.flights import ARMS, CHEST, Row
-from jax_aero import mujoco_ground, rust
-from jax_aero.modes import MODES
+from jax_aero import rust
+from jax_aero.base.modes import MODES
+from jax_aero.mujoco import ground
 
 DURATION = 24.0
 """Duration of a flight [s]."""
@@ -43,7 +44,7 @@ def take_off(
     if engine is not None:
         jet, time = engine
         changes["disturbances.jets.failure"] = {"jet": jet, "time": time, "kind": "off", "decay": 0.0}
-    flight = mujoco_ground.begin(rust.load_config("take_off", changes))
+    flight = ground.begin(rust.load_config("take_off", changes))
     while not flight.has_ended:
         flight.step(measurement=None if change is None else change(flight.measurement))
     return flight.result()

@@ -15,7 +15,8 @@ import xarray as xr
 from experiments import Refused
 from experiments.studies.failures import flights, ground, latency
 from experiments.study import Findings, Study
-from jax_aero import places, rust, tables
+from jax_aero import rust
+from jax_aero.base import places, tables
 
 PARTS = {**flights.PARTS, **latency.PARTS, **ground.PARTS}
 

@@ -19,7 +19,8 @@ import xarray as xr
 
 from experiments import Refused
 from experiments.study import Findings, Study
-from jax_aero import rust, tables
+from jax_aero import rust
+from jax_aero.base import tables
 from jax_aero.rust import SETTLING_TIME
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.momentum import ForceRate

@@ -27,13 +27,14 @@ from numpy.typing import NDArray
 
 from experiments import Refused
 from experiments.study import Findings, Study
-from jax_aero import rust, sim, tables
+from jax_aero import rust, sim
 from jax_aero.aero import Axisymmetric
-from jax_aero.identify import descend, misfit_of, segments_of, wrenches_along
-from jax_aero.io import scenario_config
-from jax_aero.robot import load_robot
-from jax_aero.rotations import wxyz_from_rotation
+from jax_aero.base import tables
+from jax_aero.base.typed import scenario_config
+from jax_aero.body.robot import load_robot
+from jax_aero.body.rotations import wxyz_from_rotation
 from jax_aero.sim.rollout import fly_chunk
+from jax_aero.train.identify import descend, misfit_of, segments_of, wrenches_along
 from jax_aero.view import logs
 
 FLIGHT, VALIDATION = "test2", "head_wind"

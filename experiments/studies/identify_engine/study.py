@@ -30,9 +30,10 @@ from scipy.signal import savgol_coeffs, savgol_filter
 
 from experiments import Refused
 from experiments.study import Findings, Study
-from jax_aero import tables
-from jax_aero.command import ConfigError
-from jax_aero.jets import (
+from jax_aero.base import tables
+from jax_aero.base.places import ROBOT
+from jax_aero.base.terminal import ConfigError
+from jax_aero.body.jets import (
     Engines,
     EngineState,
     SecondOrderJets,
@@ -42,8 +43,7 @@ from jax_aero.jets import (
     thrust_acceleration,
     update_ekf,
 )
-from jax_aero.places import ROBOT
-from jax_aero.robot import ENGINE_KEYS
+from jax_aero.body.robot import ENGINE_KEYS
 
 COLUMNS = ("time_s", "throttle_percent", "thrust_n")
 STEP = 0.01

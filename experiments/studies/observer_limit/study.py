@@ -18,7 +18,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from experiments.study import Findings, Study
-from jax_aero import rust, tables
+from jax_aero import rust
+from jax_aero.base import tables
 
 AXES = {"roll": 0, "yaw": 2}
 """Indices of the axes in base axes."""

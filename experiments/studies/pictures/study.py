@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from experiments.data.import_cfd import POSTURES, known_postures
 from experiments.study import Findings, Study
-from jax_aero import places, rust, tables
+from jax_aero import rust
 from jax_aero.aero.dataset import reorder_joints
-from jax_aero.places import ROBOT
+from jax_aero.base import places, tables
+from jax_aero.base.places import ROBOT
 from jax_aero.symbolic import load_robot
 from jax_aero.symbolic.kinematics import Kinematics
 from jax_aero.view import recording

@@ -27,15 +27,16 @@ from experiments.study import Findings, Study
 from experiments.sweep import spec
 from experiments.sweep.design import Design
 from experiments.sweep.keys import set_all
-from jax_aero import plain, rust, tables
-from jax_aero.cards import card_text, write_card
-from jax_aero.command import ConfigError
+from jax_aero import rust
+from jax_aero.base import plain, tables
+from jax_aero.base.cards import card_text, write_card
+from jax_aero.base.terminal import ConfigError
+from jax_aero.body.robot import load_robot
 from jax_aero.control.law.policy_card import make_card
 from jax_aero.control.law.residual import Policy
 from jax_aero.env import FlightEnv
 from jax_aero.env_gym import HoverEnv
 from jax_aero.env_task import Task
-from jax_aero.robot import load_robot
 from jax_aero.train.policy import Settings, act, residual_of, train
 
 SEED = 2**40

@@ -22,7 +22,8 @@ from experiments.study import Findings, Study
 from experiments.sweep.perturbation import Perturbation
 from experiments.sweep.table import wilson
 from experiments.wind_direction import wind_from
-from jax_aero import places, plain, rust, tables
+from jax_aero import rust
+from jax_aero.base import places, plain, tables
 
 EXPERIMENT, PERTURBATION = "mk3_min_jerk", places.CONFIGS / "perturbation" / "flight.toml"
 PUSHED = 6.0

@@ -20,9 +20,11 @@ from tqdm import tqdm
 from experiments.sources import code_hash
 from experiments.study import Findings, Study
 from experiments.wind_direction import wind_from
-from jax_aero import documents, mujoco_ground, rust, tables
-from jax_aero.command import terminal
-from jax_aero.files import read_json, write_json
+from jax_aero import rust
+from jax_aero.base import documents, tables
+from jax_aero.base.files import read_json, write_json
+from jax_aero.base.terminal import terminal
+from jax_aero.mujoco import ground
 
 
 class TipOverConfig(tables.Table, frozen=True):
@@ -105,7 +107,7 @@ class Trials:
         """Return the outcome of a trial, which is simulated if it is new."""
         key = f"{rust.config_digest(config)} {code_hash(__name__)}"
         if key not in self._made:
-            self._made[key] = _outcome(mujoco_ground.fly(config))
+            self._made[key] = _outcome(ground.fly(config))
             write_json(self.path, self._made)
         return self._made[key]
 

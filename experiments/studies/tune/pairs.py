@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from jax_aero import places
-from jax_aero.parquet import read_table
+from jax_aero.base import places
+from jax_aero.base.parquet import read_table
 
 TABLE = places.RESULTS / "sweeps" / "tuned" / "table.parquet"
 ERRORS = {"rotation": "max_rotation_error", "position": "max_com_error"}

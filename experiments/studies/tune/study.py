@@ -24,8 +24,9 @@ from experiments.sources import code_hash
 from experiments.study import Findings, Study
 from experiments.sweep import spec
 from experiments.sweep.design import Design
-from jax_aero import keys, places, plain, rust, tables
-from jax_aero.command import ConfigError, Refused
+from jax_aero import rust
+from jax_aero.base import keys, places, plain, tables
+from jax_aero.base.terminal import ConfigError, Refused
 from jax_aero.sim.batch import Group, group_flights
 from jax_aero.train.gains import Cost, Sample, Steps, TuningResult, gradients, tune
 

@@ -24,10 +24,10 @@ from experiments.data import fit, tunnel
 from experiments.data.import_cfd import OUT
 from experiments.data.import_tunnel import MK3
 from experiments.study import Findings, Study
-from jax_aero import tables
 from jax_aero.aero.dataset import Floats, wind_direction
 from jax_aero.aero.posture import axes_of, interval_by_posture, link_axes, total_wrench, vector_rms
-from jax_aero.robot import RobotModel, load_robot
+from jax_aero.base import tables
+from jax_aero.body.robot import RobotModel, load_robot
 
 SPEED = 17.0
 """Speed at which a model is evaluated; areas do not depend on it [m/s]."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from jax_aero.aero.dataset import LINKS, Floats
 from jax_aero.aero.posture import link_arms, link_axes
-from jax_aero.robot import RobotModel
+from jax_aero.body.robot import RobotModel
 
 FAMILIES: dict[str, tuple[str, ...]] = {
     "head": ("head",),

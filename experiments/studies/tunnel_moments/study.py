@@ -25,11 +25,11 @@ from experiments.data import tunnel
 from experiments.data.import_cfd import OUT
 from experiments.studies.tunnel_moments.correction import Points, columns, held_out_errors
 from experiments.study import Findings, Study
-from jax_aero import tables
 from jax_aero.aero.dataset import Floats, tunnel_from_base, wind_direction
 from jax_aero.aero.posture import link_frames, rms_by_posture, total_wrench, vector_rms
-from jax_aero.places import ROBOT
-from jax_aero.robot import RobotModel, load_robot
+from jax_aero.base import tables
+from jax_aero.base.places import ROBOT
+from jax_aero.body.robot import RobotModel, load_robot
 
 NOTHING = "no moment"
 CORRECTED = ("axisymmetric, corrected", "network, shipped")

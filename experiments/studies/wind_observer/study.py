@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from experiments.study import Findings, Study
 from experiments.sweep.perturbation import Perturbation
-from jax_aero import keys, places, rust, tables
+from jax_aero import rust
+from jax_aero.base import keys, places, tables
 
 DURATION, KNOWN = 20.0, 8.0
 """Duration of a flight, and time from which on it is judged [s]."""

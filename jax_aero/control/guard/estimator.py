@@ -21,13 +21,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jax_aero.aero import AeroModel, LinkConventions, generalised_aero_force, link_forces
+from jax_aero.body.dynamics import dynamics, forward_dynamics
+from jax_aero.body.jets import predict_thrust
+from jax_aero.body.kinematics import generalised_thrust, kinematics, move
+from jax_aero.body.robot import RobotModel
+from jax_aero.body.spatial import cross, exp_so3, log_so3, multiply, project_to_so3
 from jax_aero.config import EstimatorConfig, LatencyConfig
 from jax_aero.control.measurement import Reading
-from jax_aero.dynamics import dynamics, forward_dynamics
-from jax_aero.jets import predict_thrust
-from jax_aero.kinematics import generalised_thrust, kinematics, move
-from jax_aero.robot import RobotModel
-from jax_aero.spatial import cross, exp_so3, log_so3, multiply, project_to_so3
 from jax_aero.types import Array, State, Static, join, leaf, pytree, where
 
 

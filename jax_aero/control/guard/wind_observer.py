@@ -19,9 +19,9 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from jax_aero.aero import AeroModel, LinkConventions, link_forces, wrench_about
+from jax_aero.body.robot import RobotModel
 from jax_aero.control.guard import observer
 from jax_aero.control.guard.observer import ObserverGains, ObserverState
-from jax_aero.robot import RobotModel
 from jax_aero.types import Array, Kinematics, where
 
 DIFFERENCE = 0.1

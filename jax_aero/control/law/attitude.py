@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from jaxtyping import Float
 
-from jax_aero.spatial import cross, inverse, multiply, rotate, rotate_back, skew, vee_of_skew_part
+from jax_aero.body.spatial import cross, inverse, multiply, rotate, rotate_back, skew, vee_of_skew_part
 from jax_aero.types import Array, Setpoint, pytree
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from jax_aero.spatial import multiply
+from jax_aero.body.spatial import multiply
 from jax_aero.types import Array, library
 
 # Coefficients of the linear minimum-jerk trajectory generator of the iCub control library; the denominator has one

@@ -21,9 +21,9 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from jax_aero.aero import wrench_about
-from jax_aero.kinematics import carriers, frame_poses
-from jax_aero.robot import RobotModel
-from jax_aero.spatial import cross, rotate, skew, trace
+from jax_aero.body.kinematics import carriers, frame_poses
+from jax_aero.body.robot import RobotModel
+from jax_aero.body.spatial import cross, rotate, skew, trace
 from jax_aero.types import Array, Dynamics, Kinematics, LinkForces
 
 

@@ -20,10 +20,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from jax_aero.body.robot import RobotModel
 from jax_aero.control.law.attitude import AttitudeDemand, MomentumGains
 from jax_aero.control.law.momentum import MomentumModel
 from jax_aero.control.qp import BoxQp
-from jax_aero.robot import RobotModel
 from jax_aero.types import Array, Dynamics, Kinematics, Setpoint, State
 
 MOMENTUM_TASKS = 3

@@ -1,4 +1,4 @@
-"""Files of a learned policy; see `jax_aero.cards`."""
+"""Files of a learned policy; see `jax_aero.base.cards`."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from jax_aero import cards, rust
+from jax_aero import rust
+from jax_aero.base import cards
+from jax_aero.body.robot import RobotModel
 from jax_aero.control.law.residual import Policy, PolicyResidual
-from jax_aero.robot import RobotModel
 from jax_aero.types import leaf
 
 FORMAT = "flight-policy"

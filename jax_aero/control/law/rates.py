@@ -8,6 +8,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
+from jax_aero.body.robot import RobotModel
 from jax_aero.control import qp
 from jax_aero.control.command import MOMENTUM_HELD, NOMINAL
 from jax_aero.control.law import setpoint as generator
@@ -20,7 +21,6 @@ from jax_aero.control.measurement import Measurement
 from jax_aero.control.qp import QpAnswer
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model
-from jax_aero.robot import RobotModel
 from jax_aero.types import Array, Setpoint
 
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from jax_aero import rust
-from jax_aero.spatial import exp_so3, log_so3, multiply, rotation_from_rpy
+from jax_aero.body.spatial import exp_so3, log_so3, multiply, rotation_from_rpy
 from jax_aero.types import Array, leaf
 
 

@@ -16,15 +16,15 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
+from jax_aero.base.features import aim_of, features
+from jax_aero.base.modes import MODES
+from jax_aero.body.robot import RobotModel
 from jax_aero.control.command import DEGRADED, MOMENTUM_HELD, NOMINAL
 from jax_aero.control.guard import observer
 from jax_aero.control.guard.observer import ObserverGains
 from jax_aero.control.law.rates import Rates
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model
-from jax_aero.features import aim_of, features
-from jax_aero.modes import MODES
-from jax_aero.robot import RobotModel
 from jax_aero.types import Array, Setpoint, State, Static, pytree, where
 
 OBSERVER_GAIN = 3.0

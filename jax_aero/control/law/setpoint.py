@@ -15,6 +15,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from jax_aero.body.spatial import (
+    exp_so3,
+    multiply,
+    project_to_so3,
+    rotation_from_rpy,
+    rpy_from_rotation,
+    skew,
+    vee_of_skew_part,
+)
 from jax_aero.config import SetpointConfig
 from jax_aero.control.law.minimum_jerk import (
     FilterGains,
@@ -26,15 +35,6 @@ from jax_aero.control.law.minimum_jerk import (
 )
 from jax_aero.control.law.mission import AutopilotCommand, Mission, autopilot_command
 from jax_aero.control.law.recorded import RecordedMotion, Recording, motion_at
-from jax_aero.spatial import (
-    exp_so3,
-    multiply,
-    project_to_so3,
-    rotation_from_rpy,
-    rpy_from_rotation,
-    skew,
-    vee_of_skew_part,
-)
 from jax_aero.types import Array, Setpoint, leaf, library
 
 DEGREE = np.pi / 180.0

@@ -24,11 +24,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from jax_aero.body.robot import RobotModel
+from jax_aero.body.spatial import multiply, rotate_back
 from jax_aero.config import ControllerSection
 from jax_aero.control.law.bounds import rate_bounds
 from jax_aero.control.law.momentum_qp import Diagonal, Rows, TaskInputs
-from jax_aero.robot import RobotModel
-from jax_aero.spatial import multiply, rotate_back
 from jax_aero.types import Array, leaf, library
 
 

@@ -23,7 +23,7 @@ pub fn value_error(error: BuildError) -> PyErr {
             attributes.set_item(name, text)?;
         }
         attributes.set_item("suggestions", PyTuple::new(py, parts.suggestions)?)?;
-        let class = py.import("jax_aero.command")?.getattr("ConfigError")?;
+        let class = py.import("jax_aero.base.terminal")?.getattr("ConfigError")?;
         Ok(PyErr::from_value(class.call((error.to_string(),), Some(&attributes))?))
     };
     Python::attach(convert).unwrap_or_else(|failed| failed)

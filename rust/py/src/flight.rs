@@ -81,7 +81,7 @@ fn parse_changes(changes_json: &str) -> PyResult<Vec<(String, Value)>> {
 /// pairs) and check it; return JSON that states every default. Warns of what can be flown but is probably not meant.
 #[pyfunction]
 pub fn load_config(py: Python<'_>, path: PathBuf, changes_json: &str) -> PyResult<String> {
-    let configs: PathBuf = py.import("jax_aero.places")?.getattr("CONFIGS")?.extract()?;
+    let configs: PathBuf = py.import("jax_aero.base.places")?.getattr("CONFIGS")?.extract()?;
     let (shipped, changes) = (configs.join("experiments"), parse_changes(changes_json)?);
     let (config, warnings) = load_flyable(&path, Some(shipped.as_path()), &changes).map_err(value_error)?;
     warn(py, warnings)?;

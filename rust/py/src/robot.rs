@@ -197,7 +197,7 @@ impl Robot {
         self.held.clone()
     }
 
-    /// Every number of the robot, by the names of `jax_aero.robot.RobotModel`.
+    /// Every number of the robot, by the names of `jax_aero.body.robot.RobotModel`.
     fn arrays<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         robot_arrays(py, &self.model)
     }

@@ -18,7 +18,7 @@ pub fn pose_arrays<'py>(py: Python<'py>, pose: &Pose) -> PyResult<PoseOutput<'py
     Ok((matrix(py, &pose.rotation)?, vector(py, pose.position.as_slice())?))
 }
 
-/// Links, joints, shapes and unused tags of a URDF; `jax_aero.urdf` has their meaning.
+/// Links, joints, shapes and unused tags of a URDF; `jax_aero.body.urdf` has their meaning.
 #[pyfunction]
 pub fn read_urdf(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyDict>> {
     let (urdf, shapes) = flight_io::read_urdf(&path).map_err(value_error)?;
@@ -71,7 +71,7 @@ pub fn shape_dicts<'py>(py: Python<'py>, shapes: &[Shape]) -> PyResult<Vec<Bound
     shapes.iter().map(dict).collect()
 }
 
-/// Every number of a robot, by the names of `jax_aero.robot.RobotModel`.
+/// Every number of a robot, by the names of `jax_aero.body.robot.RobotModel`.
 pub fn robot_arrays<'py>(py: Python<'py>, model: &RobotModel) -> PyResult<Bound<'py, PyDict>> {
     let (bodies, joints) = (&model.bodies, &model.joints);
     let out = PyDict::new(py);
@@ -147,7 +147,7 @@ fn aero_links<'py>(py: Python<'py>, model: &RobotModel) -> PyResult<Bound<'py, P
     Ok(out)
 }
 
-/// In the order of `jax_aero.robot.ENGINE_KEYS`.
+/// In the order of `jax_aero.body.robot.ENGINE_KEYS`.
 fn engine_numbers(e: &EngineCoefficients) -> [f64; 12] {
     [e.k_t, e.k_tt, e.k_d, e.k_dd, e.k_td, e.b_u, e.b_t, e.b_d, e.b_uu, e.c, e.throttle_min, e.throttle_max]
 }

@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_aero import config, rust
-from jax_aero.kinematics import kinematics_at_rest
-from jax_aero.robot import RobotModel
-from jax_aero.spatial import rotate
+from jax_aero.body.kinematics import kinematics_at_rest
+from jax_aero.body.robot import RobotModel
+from jax_aero.body.spatial import rotate
 from jax_aero.types import Array, Static, leaf, pytree
 
 TINY = 1e-12

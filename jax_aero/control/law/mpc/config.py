@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_aero import config
+from jax_aero.body.robot import RobotModel
 from jax_aero.config import Air
 from jax_aero.control.law.mpc.clearance import Clearance, clearance_params
-from jax_aero.robot import RobotModel
 from jax_aero.types import Array, Static, leaf, pytree
 
 

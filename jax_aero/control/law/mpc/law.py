@@ -22,6 +22,8 @@ from jax import lax
 from jaxtyping import Bool, Float, Int
 
 from jax_aero.aero import AeroModel, LinkConventions, link_forces, wrench_about
+from jax_aero.body.robot import RobotModel
+from jax_aero.body.spatial import log_so3, rotate
 from jax_aero.control import qp
 from jax_aero.control.command import MOMENTUM_HELD, NOMINAL, PLAN_KEPT, PLAN_MISSING
 from jax_aero.control.law import setpoint as generator
@@ -35,8 +37,6 @@ from jax_aero.control.preview import setpoints_at, wind_change
 from jax_aero.control.qp import BoxQp, QpAnswer
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model
-from jax_aero.robot import RobotModel
-from jax_aero.spatial import log_so3, rotate
 from jax_aero.types import Array, Setpoint
 
 EXCESS_PASSES = 30

@@ -19,12 +19,12 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_aero.aero import AeroModel, LinkConventions, link_forces, wrench_about
+from jax_aero.body.dynamics import momentum
+from jax_aero.body.kinematics import kinematics
+from jax_aero.body.robot import RobotModel
+from jax_aero.body.spatial import exp_so3, inverse, multiply
 from jax_aero.config import Air
 from jax_aero.control.law.momentum import thrust_map
-from jax_aero.dynamics import momentum
-from jax_aero.kinematics import kinematics
-from jax_aero.robot import RobotModel
-from jax_aero.spatial import exp_so3, inverse, multiply
 from jax_aero.types import Array, State
 
 

@@ -12,7 +12,7 @@ from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from jax_aero.result import Progress
+    from jax_aero.base.result import Progress
 
 REFUSED, INTERRUPTED, CLOSED = 2, 130, 141
 """Exit statuses of a command; the last one after the reader of its output has gone, as with `| head`."""

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_aero import rust
-from jax_aero.mujoco_model import Order
+from jax_aero.mujoco.model import Order
 
 DAMPING = 1e-7
 """Damping of the pseudo-inverse, as published."""

@@ -24,8 +24,8 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from jax_aero import rust
-from jax_aero.robot import RobotModel
-from jax_aero.spatial import multiply, rotate_back, skew, wxyz_from_rotation
+from jax_aero.body.robot import RobotModel
+from jax_aero.body.spatial import multiply, rotate_back, skew, wxyz_from_rotation
 from jax_aero.types import Array, State
 
 with contextlib.redirect_stdout(io.StringIO()):  # MJX prints that an unused GPU backend is not installed

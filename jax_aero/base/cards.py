@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from safetensors.numpy import save as dump_tensors
 
-from jax_aero.files import read_bytes, read_text, write_bytes, write_text
+from jax_aero.base.files import read_bytes, read_text, write_bytes, write_text
 
 VERSION = 1
 

@@ -20,8 +20,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from jax_aero import mujoco_model, rust
-from jax_aero.leg_odometry import LegOdometry
+from jax_aero import rust
+from jax_aero.mujoco.leg_odometry import LegOdometry
+from jax_aero.mujoco.model import mujoco_spec, order_of
 
 Array = NDArray[np.float64]
 
@@ -52,7 +53,7 @@ class GroundPlant:
         simulator = config["simulator"]
         self.model = _model(self.source, self.robot, table.get("feet", []), simulator)
         self.data = mujoco.MjData(self.model)
-        self._order = mujoco_model.order_of(self.source, tuple(self.robot.joint_names))
+        self._order = order_of(self.source, tuple(self.robot.joint_names))
         feet = self.robot.foot_names
         self._soles = [self.model.site(f"foot_{foot}").id for foot in feet]
         self._foot_of_geom = {
@@ -155,7 +156,7 @@ class GroundPlant:
 def _model(source: str, robot: rust.Robot, feet: Sequence[Mapping[str, Any]], simulator: Mapping[str, Any]) -> Any:
     """Return MuJoCo's model of the robot on a plane, with `feet` as in its file and motors as configured."""
     ground, motors = simulator["ground"], simulator.get("motors", {})
-    spec = mujoco_model.mujoco_spec(source)
+    spec = mujoco_spec(source)
     option = spec.option
     # Without automatic reset, so that a diverging run ends instead of restarting.
     option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jax_aero.robot import AeroLinks, Jets, RobotModel
-from jax_aero.spatial import axis_angle, cross, exp_so3, multiply, rotate
+from jax_aero.body.robot import AeroLinks, Jets, RobotModel
+from jax_aero.body.spatial import axis_angle, cross, exp_so3, multiply, rotate
 from jax_aero.types import Array, Kinematics, State
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from jax_aero.command import Refused
-from jax_aero.files import read_bytes
+from jax_aero.base.files import read_bytes
+from jax_aero.base.terminal import Refused
 
 MAX_TABLE = 1 << 30
 """Greatest size of a table of a sweep in memory [bytes]: a million flights."""

@@ -6,7 +6,7 @@ from typing import Any, Literal, TypeAlias
 
 import msgspec
 
-from jax_aero.result import Outcome
+from jax_aero.base.result import Outcome
 
 Drawing: TypeAlias = Literal["levels", "curve", "map", "scatter", "matrix", "pairs"]
 """How the figure of a sweep is drawn."""

@@ -9,9 +9,9 @@ from collections.abc import Iterable
 from os import PathLike, fspath
 from pathlib import Path
 
-from jax_aero.command import Refused
+from jax_aero.base.terminal import Refused
 
-CONFIGS = (Path(__file__).parent / "configs").resolve()
+CONFIGS = (Path(__file__).parents[1] / "configs").resolve()
 """`configs/` of a checkout, through a link in the package, or the package's own copy."""
 
 ROBOT = CONFIGS / "robot" / "ironcub_mk1.toml"
@@ -22,7 +22,7 @@ HOME = CONFIGS.parent
 
 IS_CHECKOUT = (HOME / "rust").is_dir()
 
-STUDIES = Path(__file__).parents[1] / "experiments" / "studies"
+STUDIES = Path(__file__).parents[2] / "experiments" / "studies"
 """Folders of studies, with their configurations."""
 
 RESULTS = (HOME if IS_CHECKOUT else Path.cwd()) / "results"

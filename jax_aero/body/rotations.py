@@ -1,4 +1,4 @@
-"""Rotations in NumPy: matrices, quaternions `wxyz`, and roll, pitch and yaw; `jax_aero.spatial` has them in JAX.
+"""Rotations in NumPy: matrices, quaternions `wxyz`, and roll, pitch and yaw; `jax_aero.body.spatial` has them in JAX.
 
 Equations M1 to M5 of `docs/model.md`.
 """

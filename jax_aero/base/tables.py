@@ -8,10 +8,10 @@ those of flights. A refusal names file, key and value, and what was expected:
 ...     is_gusty: bool = False
 >>> convert({"speeds": [3.0, -1.0]}, Wind, "wind.toml")
 Traceback (most recent call last):
-jax_aero.command.ConfigError: wind.toml: `speeds[1]` is -1.0; expected a number > 0
+jax_aero.base.terminal.ConfigError: wind.toml: `speeds[1]` is -1.0; expected a number > 0
 >>> convert({"speed": [3.0]}, Wind, "wind.toml")
 Traceback (most recent call last):
-jax_aero.command.ConfigError: wind.toml: unknown key `speed`; did you mean `speeds`? (known: is_gusty, speeds)
+jax_aero.base.terminal.ConfigError: wind.toml: unknown key `speed`; did you mean `speeds`? (known: is_gusty, speeds)
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ import msgspec
 from msgspec import inspect
 
 from jax_aero import rust
-from jax_aero.command import ConfigError
-from jax_aero.keys import join
+from jax_aero.base.keys import join
+from jax_aero.base.terminal import ConfigError
 
 T = TypeVar("T")
 

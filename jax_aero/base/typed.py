@@ -15,9 +15,9 @@ from typing import Any
 import msgspec
 
 from jax_aero import rust
+from jax_aero.base.keys import get, set_key
+from jax_aero.base.places import HOME
 from jax_aero.config import AeroConfig, ScenarioConfig
-from jax_aero.keys import get, set_key
-from jax_aero.places import HOME
 
 
 def scenario_config(config: Mapping[str, Any]) -> ScenarioConfig:

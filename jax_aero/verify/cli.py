@@ -25,11 +25,12 @@ from typing import Any
 
 import numpy as np
 
-from jax_aero import places, rust
+from jax_aero import rust
+from jax_aero.base import places
+from jax_aero.base.files import complete_file, read_json, replace_infinite, write_json, write_text
+from jax_aero.base.keys import parse_assignments
+from jax_aero.base.terminal import Refused, exit_status
 from jax_aero.cli import Parser, complete_with, count
-from jax_aero.command import Refused, exit_status
-from jax_aero.files import complete_file, read_json, replace_infinite, write_json, write_text
-from jax_aero.keys import parse_assignments
 from jax_aero.verify import (
     Comparison,
     Row,

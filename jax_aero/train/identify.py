@@ -15,13 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jax_aero.adam import AdamState, adam_start, adam_step
 from jax_aero.aero import Axisymmetric, LinkConventions, link_forces, wrench_about
-from jax_aero.jets import JetsState
-from jax_aero.kinematics import kinematics
-from jax_aero.robot import RobotModel
+from jax_aero.body.jets import JetsState
+from jax_aero.body.kinematics import kinematics
+from jax_aero.body.robot import RobotModel
+from jax_aero.body.spatial import rotation_from_wxyz
 from jax_aero.sim.plant import Plant, PlantState, advance, observe
-from jax_aero.spatial import rotation_from_wxyz
+from jax_aero.train.adam import AdamState, adam_start, adam_step
 from jax_aero.types import Array, State
 
 

@@ -22,7 +22,7 @@ from typing import Any
 
 import msgspec
 
-from jax_aero.command import Refused
+from jax_aero.base.terminal import Refused
 
 
 @contextmanager
@@ -241,7 +241,7 @@ def read_json(path: Path, form: Any = dict[str, Any], greatest: int = MAX_SIZE) 
     Parameters
     ----------
     form
-        Type of the keys that are read (`jax_aero.documents`).
+        Type of the keys that are read (`jax_aero.base.documents`).
     greatest
         Greatest size of the file [bytes].
 

@@ -13,10 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jax_aero.body.kinematics import generalised_force
+from jax_aero.body.robot import RobotModel
+from jax_aero.body.spatial import rotate
 from jax_aero.config import Push
-from jax_aero.kinematics import generalised_force
-from jax_aero.robot import RobotModel
-from jax_aero.spatial import rotate
 from jax_aero.types import Array, Kinematics, Static, leaf, pytree
 
 

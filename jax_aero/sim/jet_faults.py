@@ -17,8 +17,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jax_aero import rust
+from jax_aero.body.robot import RobotModel
 from jax_aero.config import IdealJetsConfig, JetFaultsConfig, JetsConfig
-from jax_aero.robot import RobotModel
 from jax_aero.types import Array, leaf
 
 MEASUREMENT_STREAM = 1

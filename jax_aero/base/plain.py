@@ -10,8 +10,8 @@ from typing import Any
 
 import msgspec
 
-from jax_aero.command import ConfigError
-from jax_aero.keys import join
+from jax_aero.base.keys import join
+from jax_aero.base.terminal import ConfigError
 
 
 def to_builtins(config: Any) -> Any:

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from jax_aero import rust
+from jax_aero.base.result import Progress
+from jax_aero.base.terminal import exit_status, progress_bar
 from jax_aero.cli import Parser
-from jax_aero.command import exit_status, progress_bar
-from jax_aero.result import Progress
 from jax_aero.view import Refused, recording
 
 RESULT = "a folder or run.nc that `jax-aero fly NAME` wrote, or the NAME of one in results/flight"

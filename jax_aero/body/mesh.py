@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jax_aero.command import Refused
-from jax_aero.files import read_bytes
+from jax_aero.base.files import read_bytes
+from jax_aero.base.terminal import Refused
 
 
 class Mesh(NamedTuple):

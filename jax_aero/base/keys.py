@@ -9,7 +9,7 @@ import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from jax_aero.command import ConfigError, Refused
+from jax_aero.base.terminal import ConfigError, Refused
 
 BARE_WORD = re.compile(r"[A-Za-z_./][\w./-]*")
 

@@ -17,10 +17,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jax_aero.body.linalg import invert, solve_positive_definite
+from jax_aero.body.robot import RobotModel
+from jax_aero.body.spatial import cross, inverse, multiply, rotate, rotate_back, skew
 from jax_aero.config import DynamicsBackend
-from jax_aero.linalg import invert, solve_positive_definite
-from jax_aero.robot import RobotModel
-from jax_aero.spatial import cross, inverse, multiply, rotate, rotate_back, skew
 from jax_aero.types import Array, Dynamics, InverseMass, Kinematics, State
 
 
@@ -30,7 +30,7 @@ def dynamics(robot: RobotModel, state: State, kin: Kinematics, backend: Dynamics
         case "tree":
             mass_matrix, bias = _tree_mass_matrix_and_bias(robot, state, kin)
         case "mjx":
-            from jax_aero.mujoco_model import mass_matrix_and_bias  # MuJoCo is loaded only when needed
+            from jax_aero.mujoco.model import mass_matrix_and_bias  # MuJoCo is loaded only when needed
 
             mass_matrix, bias = mass_matrix_and_bias(robot, state)
         case _:

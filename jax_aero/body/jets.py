@@ -17,8 +17,8 @@ from typing import Any, NamedTuple, Protocol, assert_never
 import jax.numpy as jnp
 from jaxtyping import Float
 
+from jax_aero.body.robot import ENGINE_KEYS, RobotModel
 from jax_aero.config import IdealJetsConfig, JetsConfig, MeasuredJetsConfig, SecondOrderJetsConfig
-from jax_aero.robot import ENGINE_KEYS, RobotModel
 from jax_aero.types import Array, Static, leaf, pytree
 
 MIN_INPUT_GAIN = 1e-9

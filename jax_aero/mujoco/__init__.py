@@ -1,0 +1,1 @@
+"""The robot in MuJoCo: its model, and flights from the ground."""
