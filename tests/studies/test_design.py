@@ -67,6 +67,11 @@ def test_scores_are_relative_to_the_first_and_infinite_for_the_lost():
     assert found["still"].tolist() == [1.0, 1.0, 1.0]
 
 
+def test_a_front_holds_what_nothing_dominates():
+    costs = np.array([[1.0, 3.0], [2.0, 2.0], [3.0, 1.0], [2.0, 3.0], [2.0, 2.0], [0.0, np.nan]])
+    assert study.front(costs).tolist() == [True, True, True, False, True, False]
+
+
 @pytest.mark.parametrize(("kind", "index"), [("mass", (3,)), ("axis", (0, 1)), ("area", (2,)), ("joint", (2, 0))])
 def test_files_of_a_change_differ_in_one_number(kind, index, tmp_path):
     robot = rust.Robot(robots.MK3)

@@ -46,34 +46,37 @@ def matters(study: xr.Dataset) -> Figure:
 
 
 def fronts(study: xr.Dataset) -> Figure:
-    """Draw the scores of all designs, and tracking and lean of the chosen ones in the flights that judge them."""
-    figure = style.figure(3.0)
-    left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.3))
-    still, wind = study["first"].values.T
-    known = np.isfinite(still) & np.isfinite(wind)
-    left.plot(still[known], wind[known], ".", color=style.LIGHT, markersize=2, label="designs, one draw")
-    for group, colour in (("still", style.ORANGE), ("wind", style.BLUE), ("three", style.GREEN)):
-        few = study["few"].values[study["group"].values == group]
-        left.plot(*few.T, ".", color=colour, markersize=4, label=f"best: {group}, again")
-    left.plot(1.0, 1.0, "*", color=style.BLACK, markersize=8, label="iRonCub-Mk3")
-    left.set(
-        xscale="log", yscale="log", xlabel="score in still air", ylabel="score in wind", xlim=(0.6, 3), ylim=(0.3, 8)
-    )
-    left.legend()
-    flights = study["flight"].values
+    """Draw tracking and thrust of all designs in still air and in wind, and the chosen ones in harder flights."""
+    figure = style.figure(5.0)
+    panels = figure.subplot_mosaic([["still", "fast"], ["lean", "lean"]], height_ratios=(1.0, 1.1))
+    front = {"still": style.ORANGE, "wind": style.BLUE}
+    for flight, title in (("still", "climb in still air"), ("fast", "fast leg, turbulence of 15 m/s")):
+        axes, (tracking, thrust) = panels[flight], study["first"].sel(loss=flight).values.T
+        lost = study["first_lost"].sel(loss=flight).values
+        axes.plot(tracking[~lost], thrust[~lost], ".", color=style.LIGHT, markersize=2, label="designs")
+        axes.plot(tracking[lost], thrust[lost], "x", color=style.VERMILION, markersize=3, label="lost after an arm engine")
+        for of, colour in front.items():
+            best = study["front"].sel(of=of).values
+            axes.plot(tracking[best], thrust[best], "o", color=colour, markersize=4, label=f"front: {of}")
+        axes.plot(tracking[0], thrust[0], "*", color=style.BLACK, markersize=9, label="iRonCub-Mk3")
+        axes.set(xscale="log", xlim=(0.2, 8.0), xlabel="cost of tracking [1]", title=title)
+    panels["still"].set(ylabel="mean thrust [N]")
+    panels["fast"].legend(fontsize="x-small")
+    flights, names = study["flight"].values, {"Mk3": "iRonCub-Mk3", "three": "three numbers"}
     colours = dict(zip(study["robot"].values, (style.BLACK, style.ORANGE, style.BLUE, style.GREEN), strict=True))
     losses = [flight for flight in flights if "arm" in flight or "chest" in flight]
+    place = np.arange(len(losses))
     for at, (robot, colour) in enumerate(colours.items()):
         lean = study["again"].sel(robot=robot, flight=losses, figure="lean")
         low, middle, high = lean.quantile([0.1, 0.5, 0.9], "repeat").values
-        place = np.arange(len(losses)) + 0.18 * (at - 1.5)
-        right.errorbar(
-            middle, place, xerr=[middle - low, high - middle], fmt="o", color=colour, markersize=3, label=robot
+        bars, label = [middle - low, high - middle], names.get(robot, f"best: {robot}")
+        panels["lean"].errorbar(
+            middle, place + 0.18 * (at - 1.5), xerr=bars, fmt="o", color=colour, markersize=3, label=label
         )
-    right.set_yticks(np.arange(len(losses)), losses)
-    right.set(xlabel="greatest lean after the loss [deg], median, 10 to 90 %", xscale="log")
-    right.legend()
-    style.letters((left, right))
+    panels["lean"].set_yticks(place, losses)
+    panels["lean"].set(xlabel="greatest lean after the loss [deg], median, 10 to 90 %", xscale="log")
+    panels["lean"].legend()
+    style.letters(list(panels.values()))
     return figure
 
 

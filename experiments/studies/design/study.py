@@ -149,6 +149,17 @@ def scores(data: xr.Dataset) -> dict[str, Array]:
     }
 
 
+def front(costs: Array) -> Array:
+    """Return which rows of costs are not dominated: no other is as low in every column and lower in one.
+
+    A row with a cost that is not finite is on no front.
+    """
+    known = np.flatnonzero(np.isfinite(costs).all(axis=1))
+    points, best = costs[known], np.zeros(len(costs), dtype=bool)
+    best[known] = [not ((points <= one).all(axis=1) & (points < one).any(axis=1)).any() for one in points]
+    return best
+
+
 def decisive(drawn: Array, score: Array) -> list[int]:
     """Return the three numbers of jets and shoulders that matter most, by a quadratic model of its logarithm."""
     known, (low, high) = np.isfinite(score), np.array(list(RANGES.values())).T
@@ -188,21 +199,31 @@ def confirmed(asked: DesignConfig, path: Path) -> Findings:
     jobs = [Job(robot[None], (draw,), flights, asked.seed) for robot in picked for draw in repeats]
     last = np.array([row["figures"] for row in fly(asked, path, dict(enumerate(jobs)))], dtype=np.float64)
     figures = last.reshape(len(chosen), asked.repeats, len(flights), len(FIGURES))
+    costs = first["figures"].isel(draw=0).sel(figure=["tracking", "thrust", "sink"]).values
+    fell = (first["figures"].isel(draw=0).sel(figure="lost") != 0.0).values
+    alive = np.where(fell.any(axis=1)[:, None], np.nan, costs[:, 1])
+    fronts = np.column_stack([front(costs[:, 0, :2]), front(alive[:, :2]), front(alive)])
     data = xr.Dataset(
         {
             "again": (("robot", "repeat", "flight", "figure"), figures),
             "number": (("robot", "parameter"), picked),
-            "first": (("design", "score"), np.column_stack([score["still"], score["wind"]])),
-            "few": (("candidate", "score"), np.column_stack([again["still"], again["wind"]])),
-            "group": ("candidate", group),
+            "first": (("design", "loss", "cost"), costs[:, :, :2]),
+            "first_lost": (("design", "loss"), fell),
+            "front": (("design", "of"), fronts),
         },
-        {"robot": list(chosen), "flight": list(flights), "figure": list(FIGURES), "parameter": list(RANGES)},
+        {"robot": list(chosen), "flight": list(flights), "figure": list(FIGURES), "parameter": list(RANGES)}
+        | {"loss": list(FLIGHTS), "cost": ["tracking", "thrust"], "of": ["still", "wind", "wind, sink"]},
     )
     both = np.isfinite(score["still"]) & np.isfinite(score["wind"])
     summary: dict[str, Any] = {
         "numbers of jets and shoulders that matter most in wind": ", ".join(list(RANGES)[at] for at in three),
         "rank correlation of the scores": float(spearmanr(score["still"][both], score["wind"][both])[0]),
         "better than Mk3 in wind": int((score["wind"] < 1.0).sum()),
+        "on the front of tracking and thrust in still air": int(fronts[:, 0].sum()),
+        "of these, lost in 15 m/s, the fast leg and the loss of an arm engine": int(fell[fronts[:, 0], 1].sum()),
+        "of these, on the front of tracking and thrust in wind": int((fronts[:, 0] & fronts[:, 1]).sum()),
+        "on the front of tracking and thrust in wind": int(fronts[:, 1].sum()),
+        "on the front of tracking, thrust and sinking in wind": int(fronts[:, 2].sum()),
         "of the best of still air, among the best in wind": len({*best["still"]} & {*best["wind"]}),
         "the best of still air, lost in 15 m/s, the fast leg and the loss of an arm engine": share(
             lost[group == "still"][:, :, 1]
