@@ -1,11 +1,14 @@
 """Designs of iRonCub-Mk3: files, trims and controllers; blocks that are not flown twice; derivatives of a cost."""
 
+import json
+
 import numpy as np
 import pytest
 
 from experiments.studies.design import campaign, robots, sensitivity, study
 from experiments.studies.design.campaign import Job
 from jax_aero import rust
+from jax_aero.base import places
 from jax_aero.base.keys import get
 
 SAME = robots.draw(1, 1)[0]
@@ -29,6 +32,17 @@ def test_a_design_keeps_what_it_does_not_change(tmp_path, agree):
         rust.Robot(robots.MK3).arrays()["jets"]["positions"]
     )
     agree("outwards, on both sides", moved[:, 1], [0.05, -0.05, 0.0, 0.0], 1e-9)
+
+
+def test_the_chosen_design_is_the_robot_of_the_kept_result(tmp_path, agree):
+    figures = json.loads((places.HOME / "docs/results/design_confirmed.json").read_text())["figures"]
+    kept = (part.split() for part in figures["three, numbers"].split(", "))
+    written = robots.write({name: float(value) for name, value in kept}, tmp_path)
+    made, chosen = (rust.Robot(path).arrays() for path in (written, places.CONFIGS / "robot" / "mk3_design.toml"))
+    for key in ("masses", "coms", "inertias", "joint_positions"):
+        agree(key, np.asarray(made[key]), np.asarray(chosen[key]), 1e-4)
+    for key in ("positions", "rotations"):
+        agree(key, np.asarray(made["jets"][key]), np.asarray(chosen["jets"][key]), 1e-4)
 
 
 def test_the_trim_balances_the_robot(tmp_path, measured):

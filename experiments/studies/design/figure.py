@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import xarray as xr
+from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
+from matplotlib.ticker import NullFormatter
 
 from paper_figs import style
 from paper_figs.entry import Entry
@@ -54,12 +58,14 @@ def fronts(study: xr.Dataset) -> Figure:
         axes, (tracking, thrust) = panels[flight], study["first"].sel(loss=flight).values.T
         lost = study["first_lost"].sel(loss=flight).values
         axes.plot(tracking[~lost], thrust[~lost], ".", color=style.LIGHT, markersize=2, label="designs")
-        axes.plot(tracking[lost], thrust[lost], "x", color=style.VERMILION, markersize=3, label="lost after an arm engine")
+        of_lost = {"color": style.VERMILION, "markersize": 3, "label": "lost after an arm engine"}
+        axes.plot(tracking[lost], thrust[lost], "x", **of_lost)
         for of, colour in front.items():
             best = study["front"].sel(of=of).values
             axes.plot(tracking[best], thrust[best], "o", color=colour, markersize=4, label=f"front: {of}")
         axes.plot(tracking[0], thrust[0], "*", color=style.BLACK, markersize=9, label="iRonCub-Mk3")
         axes.set(xscale="log", xlim=(0.2, 8.0), xlabel="cost of tracking [1]", title=title)
+        _ticks(axes, (0.2, 0.5, 1, 2, 4))
     panels["still"].set(ylabel="mean thrust [N]")
     panels["fast"].legend(fontsize="x-small")
     flights, names = study["flight"].values, {"Mk3": "iRonCub-Mk3", "three": "three numbers"}
@@ -75,9 +81,16 @@ def fronts(study: xr.Dataset) -> Figure:
         )
     panels["lean"].set_yticks(place, losses)
     panels["lean"].set(xlabel="greatest lean after the loss [deg], median, 10 to 90 %", xscale="log")
+    _ticks(panels["lean"], (2, 3, 5, 10, 20, 40))
     panels["lean"].legend()
     style.letters(list(panels.values()))
     return figure
+
+
+def _ticks(axes: Axes, values: Sequence[float]) -> None:
+    """Mark a logarithmic axis by plain numbers."""
+    axes.set_xticks(values, [f"{value:g}" for value in values])
+    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 FIGURES = {
