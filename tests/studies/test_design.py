@@ -35,7 +35,7 @@ def test_a_design_keeps_what_it_does_not_change(tmp_path, agree):
 
 
 def test_the_chosen_design_is_the_robot_of_the_kept_result(tmp_path, agree):
-    figures = json.loads((places.HOME / "docs/results/design_confirmed.json").read_text())["figures"]
+    figures = json.loads((places.HOME / "docs/results/design_confirmed.json").read_text())["summary"]
     kept = (part.split() for part in figures["three, numbers"].split(", "))
     written = robots.write({name: float(value) for name, value in kept}, tmp_path)
     made, chosen = (rust.Robot(path).arrays() for path in (written, places.CONFIGS / "robot" / "mk3_design.toml"))
