@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from jax_aero import rust
+from jax_aero.base.result import FlightResult
 from jax_aero.rust import Robot, State
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -51,3 +52,23 @@ def random_states(robot: Robot) -> Iterator[tuple[State, NDArray[np.float64]]]:
         return State(rng.normal(scale=10, size=3), rust.rotation_from_wxyz(wxyz), joints, velocity), wxyz
 
     return map(draw, range(200))
+
+
+@pytest.fixture(scope="module")
+def fly_with_last_bits() -> Callable[..., list[tuple[FlightResult, FlightResult, list[FlightResult]]]]:
+    """Fly in JAX, as one batch, and in the crate; and there again with some last bits of a thrust changed."""
+    from jax_aero import sim
+
+    def nudge(table: rust.Config, bits: int) -> rust.Config:
+        simulator = table["simulator"]
+        first, *others = simulator["initial"]["thrust"]
+        initial = simulator["initial"] | {"thrust": [first * (1.0 + bits * np.finfo(float).eps), *others]}
+        return table | {"simulator": simulator | {"initial": initial}}
+
+    def fly(
+        tables: list[rust.Config], bits: tuple[int, ...]
+    ) -> list[tuple[FlightResult, FlightResult, list[FlightResult]]]:
+        changed = [[rust.fly(nudge(table, some)) for some in bits] for table in tables]
+        return list(zip(sim.fly_batch(tables, full_log=True), map(rust.fly, tables), changed, strict=True))
+
+    return fly

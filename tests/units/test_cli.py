@@ -14,16 +14,13 @@ import sys
 import tomllib
 from pathlib import Path
 
-import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from experiments import engines, studies
 from experiments.sources import closure
 from jax_aero import cli, rust
 from jax_aero.base import extras, places
 from jax_aero.base.terminal import exit_status, progress_bar
-from tests.measurements import measured
 
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -240,14 +237,6 @@ def test_results_go_to_the_clone_or_without_one_to_the_current_folder(is_clone, 
         "Results go to results/ of the clone, wherever a command is called, or without a clone of the current folder;"
     )
     assert rule in capsys.readouterr().out
-
-
-def test_rotations_of_quaternions_are_those_of_scipy():
-    wxyz = np.random.default_rng(0).normal(size=(7, 4))
-    expected = Rotation.from_quat(wxyz, scalar_first=True).as_matrix()
-    error = np.abs(rust.rotation_from_wxyz(wxyz) - expected).max()
-    measured("rotation of a quaternion", error, 5e-15, because="a dozen roundings of numbers below 2")
-    assert rust.rotation_from_wxyz(wxyz[0]).shape == (3, 3)
 
 
 @pytest.mark.parametrize("size", [1, 100_000])
