@@ -637,7 +637,11 @@ fn a_state_of_other_stages_is_refused() {
         std::mem::swap(&mut with.state, &mut without.state);
         for controller in [&mut with, &mut without] {
             let command = sample.tick(controller);
-            assert_eq!((command.status, command.thrust_rate.amax()), (CommandStatus::BadState, 0.0), "{number}");
+            assert_eq!(
+                (command.status, command.thrust_rate.amax()),
+                (CommandStatus::BadState, 0.0),
+                "{number}"
+            );
         }
     }
 }
