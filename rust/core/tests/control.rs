@@ -1,12 +1,11 @@
-//! The controller tick by tick: safe commands, bounds, feedback that can be left out, refusals, and a
-//! second robot.
+//! The controller tick by tick: safe commands, bounds, feedback that can be left out, and refusals.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::{
-    Loop, Running, Sample, TIME_STEP, assert_within, configs, experiment, move_state, random_state,
-    random_vector, rng, robot, tick_at, uniform_estimator,
+    Loop, Running, Sample, TIME_STEP, assert_within, experiment, move_state, random_state, random_vector,
+    rng, robot, tick_at, uniform_estimator,
 };
 use crate::setpoint::distance_to_rest;
 use flight_core::control::config::{Fallback, Solver};
@@ -17,10 +16,9 @@ use flight_core::control::law::bounds::LimitedValues;
 use flight_core::control::law::momentum::RateFeedback;
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::law::torque::limit_rate;
-use flight_core::control::{BadCommand, CommandStatus, ControllerState, Modes};
+use flight_core::control::{BadCommand, CommandStatus, Modes};
 use flight_core::qp::QpStatus;
-use flight_core::spatial::rotation_angle;
-use flight_core::{Command, Controller, Measurement, RobotModel, RobotState};
+use flight_core::{Command, Controller, Measurement, RobotState};
 use flight_io::{AeroConfig, from_value, load_robot};
 use flight_sim::{Plant, ScenarioConfig};
 use nalgebra::{DVector, Matrix3, Vector3};
