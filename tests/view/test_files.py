@@ -12,7 +12,7 @@ import pytest
 
 from jax_aero import __main__ as commands
 from jax_aero.base import places
-from jax_aero.view import Refused, command, offscreen, recording, video
+from jax_aero.view import Refused, cli, offscreen, recording, video
 from jax_aero.view.drawing import camera_at
 from tests.view.conftest import near
 
@@ -199,7 +199,7 @@ def test_an_interrupted_video_leaves_nothing(fallen, tmp_path, monkeypatch, caps
             seen_halfway.extend(sorted(path.name for path in tmp_path.iterdir()))
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(command, "progress_bar", bar)
+    monkeypatch.setattr(cli, "progress_bar", bar)
     words = ["view", "video", str(fallen), "--out", str(out), "--size", "128x96", "--overwrite"]
     assert commands.main(words) == 130
     assert "interrupted" in capsys.readouterr().err
