@@ -19,7 +19,7 @@ use flight_core::control::law::torque::limit_rate;
 use flight_core::control::{BadCommand, CommandStatus, Modes};
 use flight_core::qp::QpStatus;
 use flight_core::{Command, Controller, Measurement, RobotState};
-use flight_io::{AeroConfig, from_value, load_robot};
+use flight_io::{AeroConfig, load_robot};
 use flight_sim::{Plant, ScenarioConfig};
 use nalgebra::{DVector, Matrix3, Vector3};
 use rand::RngExt;
