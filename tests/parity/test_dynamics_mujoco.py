@@ -49,6 +49,7 @@ class Oracle:
             spec.delete(joint)
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
+        self.bodies = [self.model.body(name).id for name in robot.body_names]
         joints = [self.model.joint(name) for name in robot.joint_names]
         self.q = np.array([joint.qposadr[0] for joint in joints])
         self.v = np.array([*range(6), *(joint.dofadr[0] for joint in joints)])
@@ -87,6 +88,17 @@ class Oracle:
             [self.model.body_subtreemass[1] * self.data.subtree_linvel[1], self.data.subtree_angmom[1]]
         )
 
+    def kinematics(self) -> dict[str, np.ndarray]:
+        matrix = self.momentum_matrix()
+        return {
+            "body_positions": self.data.xpos[self.bodies],
+            "body_rotations": self.data.xmat[self.bodies].reshape(-1, 3, 3),
+            "com_position": self.data.subtree_com[1],
+            "momentum_matrix": matrix,
+            "momentum": self.momentum(),
+            "centroidal_inertia": matrix[3:, 3:6],
+        }
+
     def jacobian(self, body: str) -> tuple[np.ndarray, np.ndarray]:
         linear, angular = np.zeros((3, self.model.nv)), np.zeros((3, self.model.nv))
         mujoco.mj_jacBody(self.model, self.data, linear, angular, self.model.body(body).id)
@@ -104,28 +116,9 @@ def oracle(robot_name, robot, urdf) -> Oracle:
     return Oracle(urdf, robot, LOCKED.get(robot_name, {}))
 
 
-def test_the_whole_state_agrees(robot, oracle, random_states, agree):
+def test_the_whole_state_agrees(robot, oracle, agree, agree_with_dynamics):
     agree("mass of the robot", robot.mass, oracle.model.body_subtreemass[1], 1e-14)
-    bodies = [oracle.model.body(name).id for name in robot.body_names]
-    for state, wxyz in random_states:
-        oracle.set(state, wxyz)
-        ours = rust.dynamics(robot, state)
-        agree("body positions", ours.body_positions, oracle.data.xpos[bodies], TOLERANCE)
-        agree("body rotations", ours.body_rotations, oracle.data.xmat[bodies].reshape(-1, 3, 3), TOLERANCE)
-        agree("CoM", ours.com_position, oracle.data.subtree_com[1], TOLERANCE)
-        agree("momentum matrix, linear", ours.momentum_matrix[:3], oracle.momentum_matrix()[:3], TOLERANCE)
-        agree("momentum matrix, angular", ours.momentum_matrix[3:], oracle.momentum_matrix()[3:], TOLERANCE)
-        agree("momentum, linear", ours.momentum[:3], oracle.momentum()[:3], TOLERANCE)
-        agree("momentum, angular", ours.momentum[3:], oracle.momentum()[3:], TOLERANCE)
-        agree("centroidal inertia", ours.centroidal_inertia, oracle.momentum_matrix()[3:, 3:6], TOLERANCE)
-
-        # In units of √(M_ii M_jj): small inertias of wrists count as much as the mass of the robot.
-        mass_matrix = oracle.mass_matrix()
-        unit = 1 / np.sqrt(np.diag(mass_matrix))
-        scale = np.outer(unit, unit)
-        agree("mass matrix, every entry scaled", ours.mass_matrix * scale, mass_matrix * scale, TOLERANCE)
-        for name, rows in (("force", slice(3)), ("moment", slice(3, 6)), ("joints", slice(6, None))):
-            agree(f"bias, {name}", ours.bias[rows], oracle.bias()[rows], TOLERANCE)
+    agree_with_dynamics(oracle, TOLERANCE)
 
 
 def test_every_frame_jacobian_agrees(robot, oracle, random_states, agree):
@@ -139,15 +132,6 @@ def test_every_frame_jacobian_agrees(robot, oracle, random_states, agree):
             ours, (linear, angular) = rust.frame_jacobian(robot, frame, state), oracle.jacobian(frame)
             agree("frame Jacobians, linear", ours.linear, linear, TOLERANCE)
             agree("frame Jacobians, angular", ours.angular, angular, TOLERANCE)
-
-
-def test_forward_dynamics_agrees(robot, oracle, random_states, agree):
-    rng = np.random.default_rng(7)
-    for state, wxyz in random_states:
-        oracle.set(state, wxyz)
-        force = rng.normal(size=oracle.model.nv) * np.where(np.arange(oracle.model.nv) < 6, 200, 20)
-        ours, theirs = rust.forward_dynamics(robot, state, force), oracle.forward_dynamics(force)
-        agree("acceleration", ours, theirs, TOLERANCE)
 
 
 def test_the_map_between_velocities_has_no_acceleration(robot, oracle, random_states, agree):

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_aero import rust, sim
+from jax_aero import rust
 from jax_aero.config import ActuationConfig
 from jax_aero.sim import actuation
 
@@ -49,7 +49,7 @@ def test_lost_commands_are_drawn_before_the_flight():
 @pytest.mark.parametrize(
     ("substeps", "latency"), [(1, {"torque": 0.01, "thrust": 0.03}), (2, {"torque": 0.008, "thrust": 0.025})]
 )
-def test_a_flight_with_late_and_lost_commands(substeps, latency, measured):
+def test_a_flight_with_late_and_lost_commands(substeps, latency, fly_both):
     """Both engines draw the same delays and losses, compensate what is known, and the robot moves alike."""
     changes = {
         "controller.estimator": {"latency": latency},
@@ -63,15 +63,12 @@ def test_a_flight_with_late_and_lost_commands(substeps, latency, measured):
             "seed": 3,
         },
     }
-    table = rust.load_config(EXPERIMENT, changes)
-    theirs, ours = rust.fly(table), sim.fly(table)
-    assert ours.outcome == theirs.outcome == "completed"
+    signals = ("base_position", "joint_position", "thrust", "joint_torque", "unmodelled_wrench")
+    because = "rounding, as in flights whose commands act at once"
+    expected, _ = fly_both(rust.load_config(EXPERIMENT, changes), 1e-9, signals, floor=1.0, because=because)
+    assert expected.outcome == "completed"
     at_once = rust.fly(rust.load_config(EXPERIMENT, {**changes, "simulator.actuation": {}}))
-    assert np.abs(at_once.log["joint_position"] - theirs.log["joint_position"]).max() > 1e-3
-    for name in ("base_position", "joint_position", "thrust", "joint_torque", "unmodelled_wrench"):
-        scale = max(1.0, np.abs(theirs.log[name]).max())
-        difference = np.abs(ours.log[name] - theirs.log[name]).max() / scale
-        measured(name, difference, 1e-9, because="rounding, as in flights whose commands act at once")
+    assert np.abs(at_once.log["joint_position"] - expected.log["joint_position"]).max() > 1e-3
 
 
 def test_late_commands_have_derivatives():

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jax_aero import rust, sim
+from jax_aero import rust
 
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
 TOLERANCE = 1e-9
@@ -55,25 +55,15 @@ CASES = {
 }
 
 
-def nudge(table, bits):
-    """Return the flight with the last bits of one thrust changed."""
-    simulator = table["simulator"]
-    first, *others = simulator["initial"]["thrust"]
-    initial = simulator["initial"] | {"thrust": [first * (1.0 + bits * np.finfo(float).eps), *others]}
-    return table | {"simulator": simulator | {"initial": initial}}
-
-
 @pytest.fixture(scope="module")
-def flights():
+def flights(fly_with_last_bits):
     """Every case as both engines fly it, and as the crate flies it after a change of last bits."""
     configs = []
     for changes in CASES.values():
         table = rust.load_config(EXPERIMENTS / "sensor_noise.toml", COMMON | changes) | {"wind": TURBULENT}
         rust.check_config(table)
         configs.append(table)
-    changed = [[rust.fly(nudge(table, bits)) for bits in (1, 2, 5)] for table in configs]
-    rows = zip(sim.fly_batch(configs, full_log=True), map(rust.fly, configs), changed, strict=True)
-    return dict(zip(CASES, rows, strict=True))
+    return dict(zip(CASES, fly_with_last_bits(configs, (1, 2, 5)), strict=True))
 
 
 @pytest.mark.parametrize("case", CASES)

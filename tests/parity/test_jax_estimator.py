@@ -13,7 +13,6 @@ from jax_aero import rust
 from jax_aero.aero import aero_model
 from jax_aero.base.typed import scenario_config
 from jax_aero.body.robot import load_robot
-from jax_aero.body.spatial import rotation_from_wxyz
 from jax_aero.control import Measurement
 from jax_aero.control.guard import estimator
 from jax_aero.control.guard.estimator import Order
@@ -29,7 +28,7 @@ STEP = jnp.asarray(0.01)
 WIND = {"profile": "ramp", "velocity": [3.0, -9.0, 1.0], "ramp_start": 0.0, "ramp_end": 0.5}
 
 
-def test_both_estimate_the_same_state(x64, measured):
+def test_both_estimate_the_same_state(x64, agree_with_the_log):
     """Truth and commands are those of a flight of the crate, whose log has what its estimator gave the controller. The
     gyroscopes have a bias, which the estimator finds."""
     bias = [0.05, -0.04, 0.03]
@@ -63,15 +62,7 @@ def test_both_estimate_the_same_state(x64, measured):
     (_, last), found = jax.lax.scan(tick, (sensors.start(errors, first), begun), rows)
     np.testing.assert_allclose(last.then.gyro_bias, bias, rtol=0, atol=0.03)
     because = "fifty ticks of a model whose joints run away by a factor of 1.5 in each, held by measurements"
-    for name, ours in {
-        "measured_base_position": found.state.base_position,
-        "measured_base_velocity": found.state.velocity[:, :6],
-        "measured_joint_velocity": found.state.velocity[:, 6:],
-        "measured_thrust": found.thrust,
-    }.items():
-        measured(name, np.max(np.abs(ours - flown[name])), 1e-9, because=because)
-    turned = found.state.base_rotation - jax.vmap(rotation_from_wxyz)(jnp.asarray(flown["measured_base_quaternion"]))
-    measured("measured_base_quaternion", np.max(np.abs(turned)), 1e-9, because=because)
+    agree_with_the_log(found, flown, 1e-9, because)
 
 
 @pytest.fixture(scope="module")

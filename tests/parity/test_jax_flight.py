@@ -19,52 +19,39 @@ from jax_aero.control.tick import MomentumController
 from jax_aero.sim.plant import PlantState, advance, observe, start_plant
 from jax_aero.sim.wind import wind_model, wind_velocity
 from jax_aero.types import State, pytree
-from jax_aero.verify import Comparison, verify_flight
 
 ROOT = Path(__file__).resolve().parents[2]
 EXPERIMENTS = ROOT / "configs" / "experiments"
 
 
-def test_a_flight_of_50_s(measured):
+def test_a_flight_of_50_s(fly_both):
     """Every signal at every tick to 1e-6, and the same figures of merit."""
-    comparison = Comparison()
-    expected, ours = verify_flight(rust.load_config(EXPERIMENTS / "test2.toml"), comparison)
-    for row in comparison.rows:
-        if row.quantity in ("base_position", "joint_position", "thrust", "joint_torque"):
-            measured(f"TEST2, 50 s: {row.quantity}", row.absolute)
-    assert [row.quantity for row in comparison.rows if not row.agrees] == []
+    _, ours = fly_both(rust.load_config(EXPERIMENTS / "test2.toml"))
     assert len(ours["time"]) == 5001
-    assert ours.log.keys() == expected.log.keys()
-    assert ours.summary.keys() == expected.summary.keys()
-    for name in set(expected.summary) - {"max_kkt", "max_qp_iterations"}:
-        measured(name, abs(ours.summary[name] - expected.summary[name]), 1e-9 + 1e-6 * abs(expected.summary[name]))
 
 
-@pytest.mark.parametrize(("criterion", "limit"), [("com_error", 0.02), ("rotation_error_deg", 0.5)])
-def test_a_flight_that_is_lost(criterion, limit):
-    """The same flight under a strict judge: lost at the same tick for the same reason, and the log ends there."""
-    config = rust.load_config(EXPERIMENTS / "test2.toml", {f"simulator.fall.{criterion}": limit})
-    expected, ours = rust.fly(config), sim.fly(config)
-    assert ours.outcome == expected.outcome == "fell"
-    assert (ours.lost_time, ours.lost_reason) == (expected.lost_time, expected.lost_reason)
-    assert ours["time"].shape == expected["time"].shape
+@pytest.mark.parametrize(
+    ("changes", "outcome"),
+    [
+        ({"simulator.fall.com_error": 0.02}, "fell"),
+        ({"simulator.fall.rotation_error_deg": 0.5}, "fell"),
+        ({"simulator.duration": 3.5, "simulator.course_error": 1e-4}, "off_course"),
+    ],
+)
+def test_a_flight_under_a_strict_judge(changes, outcome, fly_both):
+    """Lost at the same tick for the same reason, where the log ends, or off course."""
+    expected, _ = fly_both(rust.load_config(EXPERIMENTS / "test2.toml", changes))
+    assert expected.outcome == outcome
 
 
 RECORDED = ("min_time", "min_fuel")
 
 
 @pytest.fixture(scope="module")
-def recorded_flights():
-    """Along recorded references, as both engines fly them, and as the crate does with the last bit of a thrust changed.
-
-    Both recordings have as many samples, so they fly together.
-    """
+def recorded_flights(fly_with_last_bits):
+    """Along recorded references: both have as many samples, so they fly together."""
     tables = [rust.load_config(EXPERIMENTS / f"{name}.toml") for name in RECORDED]
-    nudged = [rust.load_config(EXPERIMENTS / f"{name}.toml") for name in RECORDED]
-    for table in nudged:
-        table["simulator"]["initial"]["thrust"][0] *= 1.0 + 1e-15
-    flights = zip(sim.fly_batch(tables, full_log=True), map(rust.fly, tables), map(rust.fly, nudged), strict=True)
-    return dict(zip(RECORDED, flights, strict=True))
+    return dict(zip(RECORDED, fly_with_last_bits(tables, (5,)), strict=True))
 
 
 STATES = ("base_position", "base_velocity", "joint_position", "joint_velocity", "com_position", "thrust")
@@ -85,7 +72,7 @@ def test_a_flight_along_a_recorded_reference(recorded_flights, measured, name):
     itself is multiplied by 1000. Minimum fuel has a second in which an error grows tenfold every 0.1 s, in either
     implementation: from there on neither state nor outcome are a claim.
     """
-    ours, expected, nudged = recorded_flights[name]
+    ours, expected, (nudged,) = recorded_flights[name]
     apart, own = departures(ours, expected), departures(nudged, expected)
     reproducible = own <= 1e-9
     until = len(own) if reproducible.all() else int(np.argmin(reproducible))
@@ -186,7 +173,7 @@ SPOILT = {
 
 
 @pytest.mark.parametrize("criterion", SPOILT)
-def test_numbers_that_physics_excludes_diverge(criterion):
+def test_numbers_that_physics_excludes_diverge(criterion, fly_both):
     """The same tick, words and figures in both engines; the row is in the log and in no figure."""
     changes = SPOILT[criterion] | {"simulator.duration": 0.5, "simulator.initial.free_fall_tick": False}
     if criterion == "joint more":
@@ -196,19 +183,9 @@ def test_numbers_that_physics_excludes_diverge(criterion):
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "simulator.initial.joint_position of `l_elbow`")
         config = rust.load_config(EXPERIMENTS / "test2.toml", changes)
-    expected, ours = rust.fly(config), sim.fly(config)
-    assert ours.outcome == expected.outcome == "diverged"
-    assert (ours.lost_time, ours.lost_reason) == (expected.lost_time, expected.lost_reason)
-    assert criterion in ours.lost_reason
-    assert ours["time"].shape == expected["time"].shape
-    for name in set(expected.summary) - {"max_kkt", "max_qp_iterations"}:
-        assert ours.summary[name] == pytest.approx(expected.summary[name], rel=1e-6, abs=1e-9, nan_ok=True), name
-
-
-def test_a_flight_that_is_off_course():
-    config = rust.load_config(EXPERIMENTS / "test2.toml", {"simulator.duration": 3.5, "simulator.course_error": 1e-4})
-    expected, ours = rust.fly(config), sim.fly(config)
-    assert (ours.outcome, ours.lost_time) == (expected.outcome, expected.lost_time) == ("off_course", None)
+    expected, _ = fly_both(config)
+    assert expected.outcome == "diverged"
+    assert criterion in expected.lost_reason
 
 
 PERTURBED = {
@@ -223,11 +200,9 @@ PERTURBED = {
 }
 
 
-def test_a_flight_with_everything_wrong():
+def test_a_flight_with_everything_wrong(fly_both):
     """Published lever arms, forces that are not those of the model, masses that are not those of the controller."""
-    comparison = Comparison()
-    verify_flight(rust.load_config(EXPERIMENTS / "test2_published.toml", PERTURBED), comparison)
-    assert [row.quantity for row in comparison.rows if not row.agrees] == []
+    fly_both(rust.load_config(EXPERIMENTS / "test2_published.toml", PERTURBED))
 
 
 TURBULENT = {
@@ -331,18 +306,12 @@ def test_the_world_is_not_where_the_controller_estimates_it(monkeypatch, changes
     assert taken == [shares]
 
 
-def test_a_controller_whose_model_has_rotors(measured):
+def test_a_controller_whose_model_has_rotors(fly_both):
     """With an estimator, which contains them too; small ones, since the simulated robot has none."""
     changes = {"controller.torque.rotor_inertia": 0.002, "simulator.duration": 0.3}
-    table = rust.load_config(EXPERIMENTS / "test2_sensors.toml", changes)
-    comparison = Comparison()
-    expected, _ = verify_flight(table, comparison)
+    expected, _ = fly_both(rust.load_config(EXPERIMENTS / "test2_sensors.toml", changes))
     without = rust.fly(rust.load_config(EXPERIMENTS / "test2_sensors.toml", {"simulator.duration": 0.3}))
     assert np.abs(expected["joint_torque"] - without["joint_torque"]).max() > 1e-3
-    for row in comparison.rows:
-        if row.quantity in ("joint_position", "joint_torque"):
-            measured(f"rotors: {row.quantity}", row.absolute)
-    assert [row.quantity for row in comparison.rows if not row.agrees] == []
 
 
 RISING = {
@@ -356,13 +325,8 @@ RISING = {
     ("name", "duration"),
     [("mk3_test2", 0.2), ("mk3_test2_mpc", 0.5)],
 )
-def test_another_robot_whose_thrusts_are_at_their_least(name, duration, measured):
+def test_another_robot_whose_thrusts_are_at_their_least(name, duration, fly_both):
     """IRonCub-Mk3 rises too fast; 4 m/s would amplify a rounding of the start to 1e-4 N m in 0.4 s in either engine."""
-    comparison = Comparison()
-    table = rust.load_config(EXPERIMENTS / f"{name}.toml", {"simulator.duration": duration} | RISING)
-    expected, _ = verify_flight(table, comparison)
+    changes = {"simulator.duration": duration} | RISING
+    expected, _ = fly_both(rust.load_config(EXPERIMENTS / f"{name}.toml", changes))
     assert expected["thrust"].min() == 11.0
-    for row in comparison.rows:
-        if row.quantity in ("base_position", "joint_position", "thrust", "joint_torque"):
-            measured(f"{name}: {row.quantity}", row.absolute)
-    assert [row.quantity for row in comparison.rows if not row.agrees] == []

@@ -14,7 +14,7 @@ import pytest
 
 from jax_aero import rust, sim
 from jax_aero.base.typed import scenario_config
-from jax_aero.verify import GUARD_SIGNALS, Comparison, verify_flight
+from jax_aero.verify import GUARD_SIGNALS
 
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
 DETECTORS = ("channels", "engines", "joints", "latency_monitor", "supervisor")
@@ -53,7 +53,7 @@ def test_the_guard_does_nothing_while_nothing_fails(name):
 
 
 @pytest.mark.parametrize("name", OF_BOTH)
-def test_jax_flies_as_the_guarded_crate(name, measured, monkeypatch):
+def test_jax_flies_as_the_guarded_crate(name, fly_both, monkeypatch):
     """Into a wind that rises at once. Encoders are exact, since their steps multiply rounding; networks are double."""
     table = rust.load_config(name)
     duration = 0.3 if table["controller"].get("mpc") else 1.5
@@ -66,12 +66,9 @@ def test_jax_flies_as_the_guarded_crate(name, measured, monkeypatch):
     if simulator.get("sensors"):
         simulator["sensors"]["joints"]["resolution"] = 0.0
     monkeypatch.setattr(sys.modules[sim.fly.__module__], "CHUNK", 1 + round(duration / simulator["time_step"]))
-    comparison = Comparison()
-    expected, _ = verify_flight(table, comparison)
+    because = "rounding, which a predictive law of Mk3 multiplies"
+    expected, _ = fly_both(table, 1e-9, floor=1.0, because=because)
     assert not expected["degraded_modes"].any()
-    for row in comparison.rows:
-        scale = max(1.0, row.scale)
-        measured(row.quantity, row.absolute / scale, 1e-9, because="rounding, which a predictive law of Mk3 multiplies")
 
 
 REFUSED = {

@@ -17,11 +17,12 @@ from jax_aero.base.typed import aero_config
 from jax_aero.body.kinematics import kinematics
 from jax_aero.body.robot import load_robot
 from jax_aero.types import State
-from jax_aero.verify import Comparison, random_states, verify_flight
+from jax_aero.verify import random_states
 
 pytestmark = pytest.mark.usefixtures("x64")
 
 ROOT = Path(__file__).resolve().parents[2]
+EXPERIMENTS = ROOT / "configs" / "experiments"
 ROBOT = ROOT / "configs" / "robot" / "ironcub_mk1.toml"
 TOLERANCE = {"f32": 1e-6, "f64": 1e-12}
 """On the forces of all links, relative to the greatest."""
@@ -94,7 +95,7 @@ def test_forces(name, precision, ours, tmp_path, measured):
     ("experiment", "precision", "tolerance"),
     [("test4_published", "f64", 1e-9), ("test4", "f32", 1e-4)],
 )
-def test_a_flight(experiment, precision, tolerance, measured):
+def test_a_flight(experiment, precision, tolerance, fly_both):
     """Two seconds in a wind that rises at once; single precision rounds differently here and there."""
     changes = {
         "simulator.duration": 2.0,
@@ -103,16 +104,12 @@ def test_a_flight(experiment, precision, tolerance, measured):
         "simulator.aero.precision": precision,
         "controller.aero.precision": precision,
     }
-    comparison = Comparison()
-    config = rust.load_config(ROOT / "configs" / "experiments" / f"{experiment}.toml", changes)
-    expected, _ = verify_flight(config, comparison)
+    expected, _ = fly_both(rust.load_config(EXPERIMENTS / f"{experiment}.toml", changes), tolerance)
     assert np.linalg.norm(expected["aero_force_sim"].sum(axis=1), axis=1).max() > 5.0
-    worst = max(comparison.rows, key=lambda row: row.absolute)
-    measured(f"network, {experiment}, {precision}, 2 s: {worst.quantity}", worst.absolute, tolerance)
 
 
 def test_the_function_for_single_links_refuses_a_network(ours):
-    table = rust.load_config(ROOT / "configs" / "experiments" / "test4.toml")["simulator"]["aero"]
+    table = rust.load_config(EXPERIMENTS / "test4.toml")["simulator"]["aero"]
     axes = np.tile([0.0, 0.0, 1.0], (ours.aero_links.count, 1))
     with pytest.raises(ValueError, match=r"aero\.model is network"):
         rust.aero_forces(rust.Robot(ROBOT), table, axes, axes)

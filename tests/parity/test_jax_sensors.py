@@ -7,7 +7,6 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jax_aero import rust
 from jax_aero.base.typed import scenario_config
@@ -33,7 +32,7 @@ SENSORS = {
 }
 
 
-def test_both_read_the_same(x64, measured):
+def test_both_read_the_same(x64, agree_with_the_log):
     """The truth is that of a flight of the crate, whose log has what its sensors measured.
 
     It begins with every joint in the middle between two steps of its encoder.
@@ -53,12 +52,4 @@ def test_both_read_the_same(x64, measured):
 
     _, said = jax.lax.scan(tick, before, (truth, jnp.arange(ticks)))
     because = "one rotation from a quaternion, and a difference of positions over 10 ms"
-    for name, ours in {
-        "measured_base_position": said.state.base_position,
-        "measured_base_velocity": said.state.velocity[:, :6],
-        "measured_joint_velocity": said.state.velocity[:, 6:],
-        "measured_thrust": said.thrust,
-    }.items():
-        measured(name, np.max(np.abs(ours - flown[name])), 1e-12, because=because)
-    turned = np.asarray(said.state.base_rotation) - rust.rotation_from_wxyz(flown["measured_base_quaternion"])
-    measured("measured_base_quaternion", np.max(np.abs(turned)), 1e-12, because=because)
+    agree_with_the_log(said, flown, 1e-12, because)

@@ -142,16 +142,27 @@ def test_without_an_arm_jet_the_others_hold_the_robot(free, flight, monkeypatch)
     assert abs(imbalance).max() < 1e-4  # N, N m; IPOPT's tolerance is 1e-8 of 100 N
 
 
+LEVEL = TrimSettings(
+    posture=np.zeros(0),
+    free_joints=(),
+    roll=(-0.1, 0.1),
+    pitch=(-0.1, 0.1),
+    yaw=0.0,
+    margin_min=0.05,
+    torque_max=np.zeros(0),
+    clearance_min=-1.0,
+    plume_length=1.0,
+    posture_weight=1.0,
+    spread_weight=1.0,
+)
+"""Of the platform, which has no joints."""
+
+
 def test_a_robot_without_joints_and_links_has_a_trim(agree):
     """The platform: six thrusts and two angles for six equations, with a plate or with nothing near the exhausts."""
     platform = load_robot(ROOT / "configs/robot/platform.toml")
-    level = {"roll": (-0.1, 0.1), "pitch": (-0.1, 0.1), "yaw": 0.0, "margin_min": 0.05}
-    weights = {"posture_weight": 1.0, "spread_weight": 1.0}
-    exhausts = {"clearance_min": -1.0, "plume_length": 1.0}
-    nothing = np.zeros(0)
-    settings = TrimSettings(nothing, (), torque_max=nothing, **level, **exhausts, **weights)
     for robot in (platform, replace(platform, aero_links=())):
-        trim = Trim(MomentumModel(robot, {"model": "off"}), settings)
+        trim = Trim(MomentumModel(robot, {"model": "off"}), LEVEL)
         result = trim.solve((0.0, 0.0, 0.0))
         assert result.feasible, result.message
         assert np.isinf(result.clearance) == (not robot.aero_links)
@@ -162,15 +173,11 @@ def test_a_robot_without_joints_and_links_has_a_trim(agree):
 def test_an_engine_that_runs_has_its_least_thrust(agree):
     """The platform hovers with 31.3 N in each of six engines, also if one has stopped and needs no least thrust."""
     platform = load_robot(ROOT / "configs/robot/platform.toml")
-    nothing = np.zeros(0)
-    settings = TrimSettings(
-        nothing, (), (-0.1, 0.1), (-0.1, 0.1), 0.0, 0.05, nothing, -1.0, 1.0, posture_weight=1.0, spread_weight=1.0
-    )
     top = float(platform.thrust_max[0])
 
     def trim_with(least):
         jets = (replace(platform.jets[0], thrust_min=least), *platform.jets[1:])
-        return Trim(MomentumModel(replace(platform, jets=jets), {"model": "off"}), settings)
+        return Trim(MomentumModel(replace(platform, jets=jets), {"model": "off"}), LEVEL)
 
     least = 31.5 - 0.05 * top
     trim = trim_with(least)
@@ -220,16 +227,22 @@ def test_an_option_without_effect_is_refused(words, named, capsys):
     assert capsys.readouterr().err == f"error: {named}, where it has no effect\n"
 
 
+def shipped_text():
+    """Return the shipped configuration of a posture, for a file elsewhere."""
+    text = (ROOT / "experiments/studies/trim/hover_posture.toml").read_text()
+    return text.replace("../../../jax_aero", str(ROOT / "jax_aero"))
+
+
+def own_map(path, speeds, directions):
+    """Write the shipped configuration with another map."""
+    text = shipped_text()
+    path.write_text(f"{text[: text.index('[map]')]}[map]\nspeeds = {speeds}\ndirections_deg = {directions}\n")
+    return path
+
+
 def test_a_map_is_a_result_with_a_manifest(tmp_path, monkeypatch):
     monkeypatch.setattr(places, "RESULTS", tmp_path)
-    text = (
-        (ROOT / "experiments/studies/trim/hover_posture.toml")
-        .read_text()
-        .replace("../../../jax_aero", str(ROOT / "jax_aero"))
-    )
-    head = text[: text.index("[map]")]
-    path = tmp_path / "small.toml"
-    path.write_text(head + "[map]\nspeeds = [0.0, 10.0, 20.0]\ndirections_deg = [0.0, 90.0]\n")
+    path = own_map(tmp_path / "small.toml", speeds=[0.0, 10.0, 20.0], directions=[0.0, 90.0])
     document = experiment.STUDY.run(str(path))
     assert document["summary"]["trims requested"] == 12
     assert document["summary"]["strongest wind with a trim from every direction [m/s]"] == 10.0
@@ -249,13 +262,7 @@ def test_a_map_is_a_result_with_a_manifest(tmp_path, monkeypatch):
 
 def test_a_map_without_any_trim_is_written_and_says_so(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(places, "RESULTS", tmp_path)
-    text = (
-        (ROOT / "experiments/studies/trim/hover_posture.toml")
-        .read_text()
-        .replace("../../../jax_aero", str(ROOT / "jax_aero"))
-    )
-    path = tmp_path / "storm.toml"
-    path.write_text(text[: text.index("[map]")] + "[map]\nspeeds = [20.0]\ndirections_deg = [90.0]\n")
+    path = own_map(tmp_path / "storm.toml", speeds=[20.0], directions=[90.0])
     assert experiment.main([str(path), "--map"]) == 1
     assert "NO TRIM in any of these winds" in capsys.readouterr().out
     summary = json.loads((tmp_path / "trim/storm/manifest.json").read_text())["summary"]
@@ -277,10 +284,10 @@ def test_a_map_without_any_trim_is_written_and_says_so(tmp_path, monkeypatch, ca
     ],
 )
 def test_a_configuration_that_cannot_be_meant_is_refused(tmp_path, old, new, complaint):
-    text = (ROOT / "experiments/studies/trim/hover_posture.toml").read_text()
+    text = shipped_text()
     assert old in text
     path = tmp_path / "odd.toml"
-    path.write_text(text.replace("../../../jax_aero", str(ROOT / "jax_aero")).replace(old, new))
+    path.write_text(text.replace(old, new))
     with pytest.raises(Refused, match=complaint):
         experiment.build(experiment.STUDY.read(str(path))[1])
 

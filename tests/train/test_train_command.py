@@ -1,6 +1,7 @@
 """The training commands from end to end, on a small made-up dataset."""
 
 import csv
+import importlib
 import json
 import sys
 from collections import namedtuple
@@ -314,17 +315,24 @@ def test_a_search_keeps_its_trials_and_goes_on(data, tmp_path, capsys):
 
 
 @pytest.fixture
-def small_search(data, tmp_path):
-    search = tmp_path / "small.toml"
-    search.write_text(
+def search():
+    """The module of searches, whose package is not always there."""
+    pytest.importorskip("optuna")
+    return importlib.import_module("experiments.training.search")
+
+
+@pytest.fixture
+def small_search(search, data, tmp_path):
+    """A search in the learning rate: how to write its command, with a folder for the result."""
+    settings = tmp_path / "small.toml"
+    settings.write_text(
         f'base = "{places.CONFIGS}/training/plain.toml"\ntrials = 3\nseed = 1\nfold_seed = 0\nfolds = 3\n'
         'folds_run = 1\n[space]\n"training.learning_rate" = { low = 1e-3, high = 1e-2 }\n'
     )
-    return lambda name: ["train", "search", str(search), "--dataset", str(data), "--out", str(tmp_path / name)]
+    return lambda name: ["train", "search", str(settings), "--dataset", str(data), "--out", str(tmp_path / name)]
 
 
 def test_an_interrupted_search_draws_what_it_would_have_drawn(small_search, tmp_path, monkeypatch, capsys):
-    pytest.importorskip("optuna")
     calls = []
 
     def stop_at_the_second(training, *_):
@@ -374,7 +382,6 @@ def test_a_killed_trial_has_failed_and_one_under_way_has_not(small_search, tmp_p
 
 
 def test_a_search_replaces_no_other_result(small_search, tmp_path, monkeypatch, capsys):
-    pytest.importorskip("optuna")
     monkeypatch.setattr("experiments.training.search.error_of", lambda *_: 1.0)
     record.write_run(tmp_path / "flight", xr.Dataset(), {})
     (tmp_path / "search").mkdir()
@@ -399,7 +406,6 @@ def test_a_search_replaces_no_other_result(small_search, tmp_path, monkeypatch, 
     ],
 )
 def test_a_range_that_holds_nothing_is_refused_before_the_search(small_search, tmp_path, capsys, text, expected):
-    pytest.importorskip("optuna")
     settings = tmp_path / "small.toml"
     settings.write_text(settings.read_text().replace("low = 1e-3, high = 1e-2", text))
     assert main(small_search("out")) == 2
@@ -409,10 +415,7 @@ def test_a_range_that_holds_nothing_is_refused_before_the_search(small_search, t
     assert not (tmp_path / "out").exists()
 
 
-def test_a_search_trains_on_totals_where_the_loss_contains_them(made_up_dataset, monkeypatch):
-    pytest.importorskip("optuna")
-    from experiments.training import search
-
+def test_a_search_trains_on_totals_where_the_loss_contains_them(search, made_up_dataset, monkeypatch):
     seen = []
     monkeypatch.setattr(search, "fit", lambda _, samples, *__: seen.append(samples) or Found(error=1.0))
     table = {"base": Path(), "trials": 1, "seed": 1, "fold_seed": 0, "folds": 3, "folds_run": 1, "space": {}}
@@ -421,10 +424,7 @@ def test_a_search_trains_on_totals_where_the_loss_contains_them(made_up_dataset,
     assert seen[0].totals is not None
 
 
-def test_a_search_starts_from_a_file_that_leaves_noise_at_its_default():
-    pytest.importorskip("optuna")
-    from experiments.training import search
-
+def test_a_search_starts_from_a_file_that_leaves_noise_at_its_default(search):
     path = places.CONFIGS / "training" / "compact.toml"
     table = tables.read(path)
     kept = search.replace_keys(path, table, {"network.features": ["link_wind"]})
@@ -433,13 +433,8 @@ def test_a_search_starts_from_a_file_that_leaves_noise_at_its_default():
     assert search.replace_keys(path, table, {}).training.noise == {}
 
 
-def test_a_trial_that_another_process_runs_stops_no_search(data, tmp_path, monkeypatch, capsys):
-    search = tmp_path / "small.toml"
-    search.write_text(
-        f'base = "{places.CONFIGS}/training/plain.toml"\ntrials = 1\nseed = 1\nfold_seed = 0\nfolds = 3\n'
-        'folds_run = 1\n[space]\n"training.learning_rate" = { low = 1e-3, high = 1e-2 }\n'
-    )
-    arguments = ["train", "search", str(search), "--dataset", str(data), "--out", str(tmp_path / "out")]
+def test_a_trial_that_another_process_runs_stops_no_search(small_search, tmp_path, monkeypatch, capsys):
+    optuna = pytest.importorskip("optuna")
 
     def add_trial(*_):
         """A trial that another process begins meanwhile; a network that diverges."""
@@ -447,27 +442,20 @@ def test_a_trial_that_another_process_runs_stops_no_search(data, tmp_path, monke
         optuna.load_study(study_name=None, storage=database).ask()
         return float("inf")
 
-    optuna = pytest.importorskip("optuna")
     monkeypatch.setattr("experiments.training.search.error_of", add_trial)
-    assert main(arguments) == 0
+    assert main([*small_search("out"), "--trials", "1"]) == 0
     assert "trial 1 of 1: inf m4" in capsys.readouterr().out
 
 
-def test_a_trial_whose_network_diverges_has_an_infinite_error(made_up_dataset):
-    pytest.importorskip("optuna")
-    from experiments.training import search
-
+def test_a_trial_whose_network_diverges_has_an_infinite_error(search, made_up_dataset):
     changes = {"network.hidden": [4, 4, 4], "training.epochs": 2, "training.batch": 32, "training.learning_rate": 1e9}
     path = places.CONFIGS / "training" / "plain.toml"
     settings = search.SearchConfig(path, trials=1, seed=1, fold_seed=0, folds=3, folds_run=1, space={})
     assert search.error_of(search.replace_keys(path, tables.read(path), changes), made_up_dataset, settings) == np.inf
 
 
-def test_a_trial_is_judged_by_the_weights_that_it_keeps(made_up_dataset):
+def test_a_trial_is_judged_by_the_weights_that_it_keeps(search, made_up_dataset):
     """With patience those of the best validation, not of the last."""
-    pytest.importorskip("optuna")
-    from experiments.training import search
-
     changes = {"network.hidden": [4], "training.epochs": 30, "training.batch": 32, "training.learning_rate": 0.5}
     path = places.CONFIGS / "training" / "plain.toml"
     settings = search.SearchConfig(path, trials=1, seed=1, fold_seed=0, folds=3, folds_run=1, space={})

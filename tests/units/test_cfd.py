@@ -76,11 +76,6 @@ def test_a_primitive_closes_and_has_its_volume(kind, size, volume, agree):
     agree(f"volume of a {kind}", geometry.volume(triangles) / volume, 1.0 - 0.25 * chord**2, chord**4 + 1e-12)
 
 
-def test_an_open_body_is_refused_by_name():
-    with pytest.raises(Refused, match="the surface of `shell` does not close"):
-        geometry.check_closed("shell", geometry.triangles_of("box", (1.0, 1.0, 1.0))[:-1])
-
-
 def test_every_link_has_a_surface_and_the_robot_is_its_own_mirror_image(hovering):
     assert tuple(hovering) == LINKS
     for name, surface in hovering.items():

@@ -14,16 +14,13 @@ import sys
 import tomllib
 from pathlib import Path
 
-import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from experiments import engines, studies
 from experiments.sources import closure
 from jax_aero import cli, rust
 from jax_aero.base import extras, places
 from jax_aero.base.terminal import exit_status, progress_bar
-from tests.measurements import measured
 
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -132,7 +129,6 @@ def test_help_names_every_command(capsys):
         (["view", "--prot", "1"], "did you mean --port"),
         (["train", "compact", "--datset", "x"], "did you mean --dataset"),
         (["study", "inner_loop", "--hepl"], "did you mean --help"),
-        (["fly", "test1", "--out", ""], "the path is empty"),
         (["sweep", "tuned", "--workers", "0"], "--workers: `0`; expected an integer ≥ 1"),
         (["sweep", "tuned", "--address", "somewhere"], "--address is somewhere; expected --cluster ray beside it"),
         (["robot", "import", "none.urdf", "--jet", "a:1", "--forward", "-x"], "none.urdf: No such file"),
@@ -223,7 +219,7 @@ def test_a_file_anywhere_has_a_shipped_flight_as_its_base(tmp_path):
 
 
 @pytest.mark.parametrize("is_clone", [True, False])
-def test_results_go_to_the_clone_or_without_one_to_the_current_folder(is_clone, tmp_path, monkeypatch, capsys):
+def test_results_go_to_the_clone_or_without_one_to_the_current_folder(is_clone, tmp_path, monkeypatch):
     for folder in ("here", "library/jax_aero", "clone/jax_aero", "clone/configs", "clone/rust"):
         (tmp_path / folder).mkdir(parents=True)
     (tmp_path / "library/jax_aero/configs").mkdir()
@@ -235,19 +231,6 @@ def test_results_go_to_the_clone_or_without_one_to_the_current_folder(is_clone, 
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     assert tmp_path / ("clone/results" if is_clone else "here/results") == module.RESULTS
-    cli.main(["help"])
-    rule = (
-        "Results go to results/ of the clone, wherever a command is called, or without a clone of the current folder;"
-    )
-    assert rule in capsys.readouterr().out
-
-
-def test_rotations_of_quaternions_are_those_of_scipy():
-    wxyz = np.random.default_rng(0).normal(size=(7, 4))
-    expected = Rotation.from_quat(wxyz, scalar_first=True).as_matrix()
-    error = np.abs(rust.rotation_from_wxyz(wxyz) - expected).max()
-    measured("rotation of a quaternion", error, 5e-15, because="a dozen roundings of numbers below 2")
-    assert rust.rotation_from_wxyz(wxyz[0]).shape == (3, 3)
 
 
 @pytest.mark.parametrize("size", [1, 100_000])

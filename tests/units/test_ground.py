@@ -49,11 +49,6 @@ def frontal():
     return fly(early_wind([-12.0, 0.0, 0.0]))
 
 
-def test_the_world_of_the_crate_has_no_ground():
-    with pytest.raises(ValueError, match=r"simulator\.ground.*mujoco"):
-        rust.Flight(standing())
-
-
 @pytest.mark.close_to_tolerance("the robot still moves: mass times an acceleration of 1 mm/s²")
 def test_the_feet_carry_the_robot(measured):
     plant = GroundPlant(standing())
@@ -380,19 +375,9 @@ def test_the_ground_figure_is_drawn_from_its_runs(frontal, tmp_path):
     assert (out / "fig6.pdf").read_bytes().startswith(b"%PDF")
 
 
-def test_an_incomplete_log_is_refused(frontal):
-    robot = rust.Robot(standing()["robot"])
-    log = {name: signal for name, signal in frontal.log.items() if name != "foot_wrench"}
-    broken = rust.FlightResult(log, frontal.joint_setpoint, "completed", None, None, {})
-    with pytest.raises(ValueError, match="no `foot_wrench`"):
-        record.to_dataset(broken, robot, title="t", config_digest="d")
-
-
 @pytest.mark.parametrize(
     ("overrides", "named"),
     [
-        ({"simulator.ground.friction": 0.0}, "`simulator.ground.friction` is 0"),
-        ({"simulator.motors.friction_of": {"tail": 1.0}}, "friction_of names `tail`"),
         ({"controller.contact.wrench.friction": -1.0}, "wrench.friction` is -1"),
         ({"engine": "rust"}, 'engine = "mujoco"'),
         ({"simulator.integrator": "explicit_euler"}, r'integrator is "explicit_euler"; expected "semi_implicit_euler"'),

@@ -58,17 +58,6 @@ def test_a_flight_replays_with_the_same_bits(flight, config):
     assert np.isnan(flight.log["raw_joint_position"]).any()
 
 
-def test_a_replay_is_what_the_controller_computes(flight, config):
-    """Tick by tick, through `rust.Controller`."""
-    log, controller = flight.log, rust.Controller(config)
-    replayed = rust.replay(config, log)
-    for k, time in enumerate(log["time"]):
-        velocity = np.concatenate([log["raw_base_velocity"][k], log["raw_joint_velocity"][k]])
-        pose = log["raw_base_position"][k], log["raw_base_rotation"][k], log["raw_joint_position"][k]
-        tick = controller.tick(rust.State(*pose, velocity), log["raw_thrust"][k], log["raw_wind"][k], time)
-        assert bits(tick.joint_torque) == bits(replayed["joint_torque"][k])
-
-
 def test_a_file_has_exact_measurements_once(config, tmp_path):
     """Only the rotation, which the signal without `raw_` holds as a quaternion; with sensors all but the exact wind."""
     exact = rust.load_config("test2", {"simulator.duration": 0.1})

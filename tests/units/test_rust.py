@@ -111,17 +111,6 @@ def test_an_exception_in_the_progress_callback_ends_the_flight():
         rust.fly(rust.load_config(TEST2), stop)
 
 
-def test_a_batch_equals_single_flights_whatever_the_number_of_threads():
-    configs = [rust.load_config(TEST2, {**SHORT, "wind.velocity": [0.0, -speed, 0.0]}) for speed in (0.0, 5.0, 10.0)]
-    single = [rust.fly(config) for config in configs]
-    for threads in (1, 3):
-        batch = rust.fly_batch(configs, threads, full_log=True)
-        for alone, together in zip(single, batch, strict=True):
-            np.testing.assert_equal(alone.summary, together.summary)  # NaN before a flight has settled
-            for name, values in alone.log.items():
-                np.testing.assert_array_equal(values, together[name], err_msg=name)
-
-
 def test_a_refused_configuration_costs_no_flight():
     config, reports = rust.load_config(TEST2, SHORT), []
     lacking = config | {"wind": {"profile": "file", "path": "no/such.csv"}}

@@ -136,23 +136,6 @@ def test_arrays_and_paths_are_values(monkeypatch):
     assert scenario_config(composed).wind == scenario_config(table).wind
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ('base = "self.toml"', ["more than 16 deep"]),
-        ("base = 3", ["`base`", "3"]),
-        ('base = "nowhere.toml"', ["nowhere.toml"]),
-        ("a = ", ["self.toml"]),
-        ('robot = "nowhere.toml"', ["nowhere.toml"]),
-    ],
-)
-def test_files_that_cannot_be_resolved_are_refused(tmp_path, text, words):
-    (tmp_path / "self.toml").write_text(text)
-    with pytest.raises(ValueError, match=r"^") as refusal:
-        rust.load_config(tmp_path / "self.toml")
-    assert all(word in str(refusal.value) for word in words), refusal.value
-
-
 @pytree
 class Answers:
     """A controller and an aerodynamic model of one's own that answer the same always."""

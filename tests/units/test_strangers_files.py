@@ -20,7 +20,6 @@ from jax_aero.aero import dataset
 from jax_aero.base import documents, netcdf, parquet, tables
 from jax_aero.base.files import MAX_DEPTH, complete_folder, lock, parse_json, read_json
 from jax_aero.base.parquet import read_table
-from jax_aero.cli import main
 from jax_aero.view import recording
 from paper_figs import runs, sweeps
 
@@ -243,11 +242,3 @@ def test_a_deep_configuration_is_named(depth, tmp_path):
     path.write_text(f"a = {'[' * depth}{']' * depth}")
     with pytest.raises(Refused, match=r"deep\.toml: "):
         tables.read(path)
-
-
-def test_commands_refuse_in_one_line(tmp_path, capsys):
-    path = tmp_path / "flight" / "test1" / "manifest.json"
-    path.parent.mkdir(parents=True)
-    of_other_types(path)
-    assert main(["report", "--results", str(tmp_path)]) == 2
-    assert capsys.readouterr().err.startswith(f"error: {path} is damaged: ")

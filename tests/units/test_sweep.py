@@ -719,31 +719,6 @@ def test_a_finished_sweep_takes_over_how_it_is_drawn(tmp_path):
     assert json.loads((folder / "sweep.json").read_text()) == before | drawn
 
 
-def test_a_killed_sweep_goes_on_and_ends_with_the_same_bytes(tmp_path, start):
-    path = quick_sweep(tmp_path, repeats=60, duration=1.0)
-
-    def sweep(out: str) -> subprocess.Popen[bytes]:
-        command = (sys.executable, "-m", "jax_aero", "sweep", path, "--out", tmp_path / out)
-        return start(*command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-
-    whole, killed = sweep("whole"), sweep("killed")
-    chunks = tmp_path / "killed" / "quick" / "chunks"
-    while len(list(chunks.glob("0*.chunk"))) < 3:
-        assert killed.poll() is None, "it ended before it could be killed"
-        time.sleep(0.002)
-    killed.send_signal(signal.SIGKILL)
-    killed.communicate()
-    assert 3 <= len(list(chunks.glob("0*.chunk"))) < 60
-    assert not (tmp_path / "killed" / "quick" / "table.parquet").exists()
-
-    again = sweep("killed")
-    _, said = again.communicate(timeout=120)
-    assert again.returncode == 0, said.decode()
-    assert "flights are there already" in said.decode()
-    whole.communicate(timeout=120)
-    assert read(tmp_path / "killed" / "quick") == read(tmp_path / "whole" / "quick")
-
-
 def test_chunks_of_other_code_are_not_mixed_in(tmp_path, monkeypatch, stopped_sweep):
     made = Design(spec.load(str(quick_sweep(tmp_path))))
     stopped_sweep(made, 1, tmp_path)
@@ -772,13 +747,6 @@ def test_a_flight_that_fails_is_recorded_and_said_and_the_others_go_on(tmp_path,
     assert [row["outcome"] for row in flights].count("completed") == 11
     cells = pq.read_table(folder / "cells.parquet").to_pylist()
     assert (cells[1]["flights"], cells[1]["errors"], cells[1]["completed"]) == (2, 1, 2)
-
-
-def test_a_folder_with_something_else_in_it_is_not_overwritten(tmp_path, capsys):
-    (tmp_path / "quick").mkdir()
-    (tmp_path / "quick" / "notes.txt").write_text("mine")
-    assert main(["sweep", str(quick_sweep(tmp_path)), "--out", str(tmp_path), "--overwrite"]) == 2
-    assert "also holds notes.txt" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

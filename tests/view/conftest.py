@@ -7,9 +7,11 @@ import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from experiments import manifest, record
 from jax_aero import rust
@@ -81,3 +83,10 @@ def _standing(path: Path, title: str = "standing") -> Recording:
         "aero_force_sim": np.zeros((n, links, 3)),
     }
     return Recording(title, still, robot, path, "completed", None, None)
+
+
+def near(picture: NDArray[Any], colour: tuple[int, int, int]) -> int:
+    """Number of pixels with the hue of a colour, in light or shade."""
+    p, c = picture.reshape(-1, 3).astype(float), np.array(colour, dtype=float)
+    cosine = p @ c / (np.linalg.norm(p, axis=1) * np.linalg.norm(c) + 1e-9)
+    return int((cosine > 0.995).sum())

@@ -5,14 +5,16 @@ from __future__ import annotations
 import os
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from jax_aero import __main__ as commands
 from jax_aero.base import places
-from jax_aero.view import Refused, command, offscreen, recording, video
+from jax_aero.view import Refused, cli, offscreen, recording, video
 from jax_aero.view.drawing import camera_at
+from tests.view.conftest import near
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
 Image = pytest.importorskip("PIL.Image", reason="Pillow is not installed")
@@ -36,31 +38,16 @@ def colours(picture: np.ndarray) -> int:
     return len(np.unique(picture.reshape(-1, 3), axis=0))
 
 
-def near(picture: np.ndarray, colour: tuple[int, int, int]) -> int:
-    """Number of pixels with the hue of a colour, in light or shade."""
-    p, c = picture.reshape(-1, 3).astype(float), np.array(colour, dtype=float)
-    cosine = p @ c / (np.linalg.norm(p, axis=1) * np.linalg.norm(c) + 1e-9)
-    return int((cosine > 0.995).sum())
+def clip_from_17_s(result: Path, out: Path, *, end: str, size: str) -> list[str]:
+    """The words of a command for a clip with five frames a second."""
+    times = ["--start", "17", "--end", end, "--fps", "5"]
+    return ["view", "video", str(result), "--out", str(out), *times, "--size", size]
 
 
 @pytest.mark.usefixtures("_can_draw")
 def test_a_clip_has_the_frames_that_were_asked_for(fallen, tmp_path, capsys):
     out = tmp_path / "clip.mp4"
-    words = [
-        "view",
-        "video",
-        str(fallen),
-        "--out",
-        str(out),
-        "--start",
-        "17",
-        "--end",
-        "18",
-        "--fps",
-        "5",
-        "--size",
-        "320x180",
-    ]
+    words = clip_from_17_s(fallen, out, end="18", size="320x180")
     assert commands.main(words) == 0
     assert capsys.readouterr().out.strip() == str(out)
     with av.open(out) as film:
@@ -76,21 +63,7 @@ def test_a_clip_has_the_frames_that_were_asked_for(fallen, tmp_path, capsys):
 @pytest.mark.usefixtures("_can_draw")
 def test_a_gif_has_its_frames_and_what_is_there_is_spared(fallen, tmp_path, capsys):
     out = tmp_path / "clip.gif"
-    words = [
-        "view",
-        "video",
-        str(fallen),
-        "--out",
-        str(out),
-        "--start",
-        "17",
-        "--end",
-        "17.4",
-        "--fps",
-        "5",
-        "--size",
-        "160x96",
-    ]
+    words = clip_from_17_s(fallen, out, end="17.4", size="160x96")
     assert commands.main(words) == 0
     with Image.open(out) as film:
         assert (film.n_frames, film.size, film.info["duration"], film.info["loop"]) == (3, (160, 96), 200, 0)
@@ -156,22 +129,9 @@ def test_a_video_ends_where_the_flight_ends(seen, agree):
 @pytest.mark.usefixtures("_can_draw")
 def test_a_snapshot_shows_robot_forces_thrusts_and_wind(fallen, tmp_path):
     several, one, before = (tmp_path / f"{name}.png" for name in ("several", "one", "before"))
-    assert commands.main(["view", "snapshot", str(fallen), "--out", str(several), "--size", "640x360"]) == 0
-    assert commands.main(["view", "snapshot", str(fallen), "--at", "18", "--out", str(one), "--size", "640x360"]) == 0
-    words = [
-        "view",
-        "snapshot",
-        str(fallen),
-        "--at",
-        "1",
-        "--out",
-        str(before),
-        "--size",
-        "640x360",
-        "--camera",
-        "side",
-    ]
-    assert commands.main(words) == 0
+    for path, options in ((several, []), (one, ["--at", "18"]), (before, ["--at", "1", "--camera", "side"])):
+        words = ["view", "snapshot", str(fallen), *options, "--out", str(path), "--size", "640x360"]
+        assert commands.main(words) == 0
     pictures = {path.stem: np.asarray(Image.open(path).convert("RGB")) for path in (several, one, before)}
     assert {picture.shape for picture in pictures.values()} == {(360, 640, 3)}
     assert min(colours(picture) for picture in pictures.values()) > 1000
@@ -239,7 +199,7 @@ def test_an_interrupted_video_leaves_nothing(fallen, tmp_path, monkeypatch, caps
             seen_halfway.extend(sorted(path.name for path in tmp_path.iterdir()))
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(command, "progress_bar", bar)
+    monkeypatch.setattr(cli, "progress_bar", bar)
     words = ["view", "video", str(fallen), "--out", str(out), "--size", "128x96", "--overwrite"]
     assert commands.main(words) == 130
     assert "interrupted" in capsys.readouterr().err

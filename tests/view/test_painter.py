@@ -14,6 +14,7 @@ from jax_aero.view.drawing import FORCE, PLUME, TRAIL, Camera, focal_length
 
 pytest.importorskip("PIL.Image", reason="Pillow is not installed")
 from jax_aero.view import painter
+from tests.view.conftest import near
 
 CAMERA = Camera(np.array([1.0, -2.0, 1.5]), 30.0, -20.0, 4.0)
 WIDTH, HEIGHT = 200, 120
@@ -97,10 +98,3 @@ def test_a_ghost_is_translucent_and_in_the_same_scene(fallen):
     alone = painter.Painter(seen, 160, 96).picture(20.0, camera).astype(int)
     ghost = painter.Painter(seen, 160, 96, ghost=seen).picture(20.0, camera).astype(int)
     assert (np.abs(alone - ghost).sum(axis=2) > 20).sum() > 300
-
-
-def near(picture, colour):
-    """Number of pixels with the hue of a colour, in light or shade."""
-    p, c = picture.reshape(-1, 3).astype(float), np.array(colour, dtype=float)
-    cosine = p @ c / (np.linalg.norm(p, axis=1) * np.linalg.norm(c) + 1e-9)
-    return int((cosine > 0.995).sum())

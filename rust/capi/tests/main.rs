@@ -120,34 +120,13 @@ impl Arrays {
 }
 
 /// A second of flight through C and through the crate, each measurement with every field different from zero: the
-/// same bits in every tick. A field that is copied to a wrong place or by columns would differ.
+/// same bits in every tick. A field that is copied to a wrong place or by columns would differ. With the future of
+/// set-points and wind, with a state estimator, with throttles in a robot's world, and with a learned policy too.
 #[test]
-fn a_flight_through_c_is_that_of_the_crate() {
-    fly_both("test2");
-}
-
-/// So is one of the predictive law, with the future of set-points and wind.
-#[test]
-fn a_flight_with_a_preview_through_c_is_that_of_the_crate() {
-    fly_both("test2_mpc");
-}
-
-/// So is one with a state estimator.
-#[test]
-fn an_estimator_through_c_is_that_of_the_crate() {
-    fly_both("test2_sensors");
-}
-
-/// So is one with a learned policy.
-/// With throttles, in a robot's world.
-#[test]
-fn a_recommended_controller_through_c_is_that_of_the_crate() {
-    fly_both("robot");
-}
-
-#[test]
-fn a_policy_through_c_is_that_of_the_crate() {
-    fly_both("test1_policy");
+fn flights_through_c_are_those_of_the_crate() {
+    for name in ["test2", "test2_mpc", "test2_sensors", "robot", "test1_policy"] {
+        fly_both(name);
+    }
 }
 
 fn fly_both(name: &str) {

@@ -7,8 +7,8 @@ use flight_core::BuildError;
 use flight_core::aero::axisymmetric::axisymmetric_force;
 use flight_core::aero::{AeroModel, Attack, LinksInAir, Pchip, SphereCylinder, SphereCylinderConfig};
 use flight_core::kinematics::Kinematics;
-use flight_core::robot::{AeroLink, AxisymmetricCoefficients, Frame, RobotModel};
-use flight_core::spatial::{Pose, axis_angle};
+use flight_core::robot::{AeroLink, AxisymmetricCoefficients, RobotModel};
+use flight_core::spatial::axis_angle;
 use flight_io::{AeroConfig, load_aero, load_robot};
 use nalgebra::{Matrix3, Unit, Vector3};
 use rand::rngs::ChaCha8Rng;
@@ -17,57 +17,9 @@ use std::f64::consts::{FRAC_PI_4, PI};
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
-const SETS: [&str; 4] = ["published", "corrected", "signed", "alternative"];
-
-/// Name, diameter, length, published `C_D A`, published and signed `C_N A`, alternative `C_D A` and
-/// `C_N A`.
-type LinkRow = (&'static str, f64, f64, [f64; 5], f64, f64, [f64; 5], f64);
-
-/// The links of iRonCub-Mk1, typed from the published controller; the signed `C_N A` are refits to
-/// the free-stream CFD. Apart from the robot's own file, so that neither can hide a slip in the other.
-#[rustfmt::skip]
-const LINKS: [LinkRow; 13] = [
-    ("head", 0.1929, 0.1929, [0.00373, 0.0189, 0.0123, 0.00163, -0.175], 0.0402, 0.0125, [0.0, 0.0188, 0.0310, -0.0136, -0.0172], 0.0578),
-    ("chest", 0.2467, 0.1734, [0.0396, 0.0, -0.00818, 0.0, 0.0], 0.0500, -0.0147, [0.0399, 0.0, -0.00817, 0.0, 0.0], 0.0511),
-    ("chest_l_jet_turbine", 0.102, 0.2955, [0.00941, -0.00308, 0.00320, 0.0, 0.00433], 0.0323, 0.0076, [0.00956, -0.00319, 0.00302, 0.0, 0.00461], 0.0325),
-    ("chest_r_jet_turbine", 0.102, 0.2955, [0.00941, -0.00308, 0.00320, 0.0, 0.00433], 0.0323, 0.0076, [0.00956, -0.00319, 0.00302, 0.0, 0.00461], 0.0325),
-    ("l_upper_arm", 0.0864, 0.135, [0.00113, 0.00225, 0.00684, 0.0, 0.0], 0.0114, 0.0073, [0.00172, 0.00167, 0.00575, 0.0, 0.0], 0.0108),
-    ("l_arm_jet_turbine", 0.0845, 0.223, [0.00520, 0.00128, 0.00860, 0.0, 0.00163], 0.0152, 0.0102, [0.00559, 0.00150, 0.00769, 0.0, 0.00136], 0.0146),
-    ("r_upper_arm", 0.0864, 0.135, [0.00113, 0.00225, 0.00684, 0.0, 0.0], 0.0114, 0.0073, [0.00172, 0.00167, 0.00575, 0.0, 0.0], 0.0108),
-    ("r_arm_jet_turbine", 0.0845, 0.223, [0.00520, 0.00128, 0.00860, 0.0, 0.00163], 0.0152, 0.0102, [0.00559, 0.00150, 0.00769, 0.0, 0.00136], 0.0146),
-    ("root_link", 0.1476, 0.2282, [0.0154, 0.0, 0.0346, -0.0331, 0.0], 0.0289, 0.0022, [0.0156, 0.0, 0.0362, -0.0353, 0.0], 0.0289),
-    ("l_upper_leg", 0.1256, 0.1573, [0.0, -0.00261, 0.0152, 0.0, 0.0], 0.0219, 0.0157, [0.0, -0.00219, 0.0152, 0.0, 0.0], 0.0224),
-    ("l_lower_leg", 0.1197, 0.2351, [0.00853, -0.00881, 0.0424, -0.0258, 0.00434], 0.0321, 0.0178, [0.00920, -0.00712, 0.0428, -0.0276, 0.00242], 0.0324),
-    ("r_upper_leg", 0.1256, 0.1573, [0.0, -0.00261, 0.0152, 0.0, 0.0], 0.0219, 0.0157, [0.0, -0.00219, 0.0152, 0.0, 0.0], 0.0224),
-    ("r_lower_leg", 0.1197, 0.2351, [0.00853, -0.00881, 0.0424, -0.0258, 0.00434], 0.0321, 0.0178, [0.00920, -0.00712, 0.0428, -0.0276, 0.00242], 0.0324),
-];
-
+/// The links of iRonCub-Mk1, whose numbers `rust/io/tests/robot/ironcub.rs` compares with the published ones.
 fn links() -> Vec<AeroLink> {
-    LINKS
-        .iter()
-        .map(|&(name, diameter, length, cda, cna, signed_cna, cda_alternative, cna_alternative)| {
-            let mut corrected = cda;
-            if name == "head" {
-                corrected[4] = -0.0175;
-            }
-            let sets =
-                [(cda, cna), (corrected, cna), (corrected, signed_cna), (cda_alternative, cna_alternative)];
-            AeroLink {
-                name: name.to_owned(),
-                frame: Frame { name: name.to_owned(), body: 0, body_from_frame: Pose::identity() },
-                axis_l: Vector3::z_axis(),
-                centre_l: Vector3::zeros(),
-                diameter,
-                length,
-                is_sphere: name == "head",
-                coefficients: SETS
-                    .iter()
-                    .zip(sets)
-                    .map(|(set, (cda, cna))| ((*set).to_owned(), AxisymmetricCoefficients { cda, cna }))
-                    .collect(),
-            }
-        })
-        .collect()
+    load_robot(&configs().join("../robot/ironcub_mk1.toml")).unwrap().aero_links
 }
 
 fn configs() -> PathBuf {
@@ -99,9 +51,7 @@ fn models() -> Vec<(String, AeroModel)> {
         .unwrap()
         .filter_map(|entry| entry.unwrap().path().file_stem()?.to_str().map(str::to_owned))
         .filter(|stem| {
-            // The refit's coefficients stand in the robot's file alone, not in `SETS`.
-            ["off", "sphere_cylinder"].contains(&stem.as_str())
-                || (stem.starts_with("axisymmetric") && stem != "axisymmetric_refit")
+            ["off", "sphere_cylinder"].contains(&stem.as_str()) || stem.starts_with("axisymmetric")
         })
         .collect();
     assert!(stems.len() >= 6, "{stems:?}");
@@ -305,9 +255,9 @@ fn forces_equal_the_golden_states() {
             evaluate(&model, &axes_i, &v_air_i, &mut forces_i);
             let expected = vectors(&state[key]["aero_force"]);
             assert_eq!(expected.len(), 13);
-            for ((force, expected), link) in forces_i.iter().zip(expected).zip(LINKS) {
+            for ((force, expected), link) in forces_i.iter().zip(expected).zip(links()) {
                 let error = (force - expected).norm() / expected.norm();
-                assert_within!(error, 1e-12, "{stem}, {}", link.0);
+                assert_within!(error, 1e-12, "{stem}, {}", link.name);
             }
         }
     }
@@ -351,7 +301,8 @@ fn crosswind_drag_is_the_product_of_the_tables() {
     let model = SphereCylinder::new(&config, &links()).unwrap();
     let tables = &config.cylinder;
     let finite = Pchip::new("", &tables.diameter_over_length, "", &tables.finite_length_drag).unwrap();
-    for (index, &(_, d, l, ..)) in LINKS.iter().enumerate().skip(1) {
+    for (index, link) in links().iter().enumerate().skip(1) {
+        let (d, l) = (link.diameter, link.length);
         for speed in [0.3, 10.0, 60.0] {
             let force = model.link_force(index, &Vector3::z(), &(speed * Vector3::x()));
             let c90 = model.cylinder_drag(1.225 * speed * d / 1.8e-5) * finite.at(d / l) / 1.19;
@@ -370,7 +321,8 @@ fn axial_drag_is_the_scaled_axial_table() {
     let model = SphereCylinder::new(&config, &links()).unwrap();
     let tables = &config.cylinder;
     let axial = Pchip::new("", &tables.length_over_diameter, "", &tables.axial_drag).unwrap();
-    for (index, &(_, d, l, ..)) in LINKS.iter().enumerate().skip(1) {
+    for (index, link) in links().iter().enumerate().skip(1) {
+        let (d, l) = (link.diameter, link.length);
         let force = model.link_force(index, &Vector3::z(), &(-10.0 * Vector3::z()));
         // 1.17 twice: the maximum of the axial table, and the crosswind drag at the reference.
         let c0 = axial.at(l / d) / 1.17 * model.cylinder_drag(1.225 * 10.0 * d / 1.8e-5) / 1.17;
@@ -500,7 +452,7 @@ fn unknown_coefficient_set_names_link_and_known_sets() {
     let config: AeroConfig =
         toml::from_str("model = 'axisymmetric'\ncoefficients = 'best'\nair_density = 1.2").unwrap();
     let message = model_of(&config, &links()).unwrap_err().to_string();
-    assert_says(&message, &["`head`", "`best`", "alternative, corrected, published, signed"]);
+    assert_says(&message, &["`head`", "`best`", "alternative, corrected, published, refit, signed"]);
 }
 
 #[test]
@@ -564,16 +516,6 @@ fn unknown_and_missing_keys_are_refused() {
     ] {
         let message = toml::from_str::<AeroConfig>(text).unwrap_err().to_string();
         assert_says(&message, &[mentions]);
-    }
-}
-
-/// A manifest can write the config it ran with, and read it back.
-#[test]
-fn config_survives_a_round_trip() {
-    for stem in ["off", "axisymmetric_signed", "sphere_cylinder"] {
-        let once = config(stem);
-        let again: AeroConfig = toml::from_str(&toml::to_string(&once).unwrap()).unwrap();
-        assert_eq!(once, again);
     }
 }
 

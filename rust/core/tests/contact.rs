@@ -96,31 +96,6 @@ fn wrench_rows_are_the_geometry_they_stand_for() {
     assert!(inside > 5_000 && outside > 5_000, "{inside} inside, {outside} outside");
 }
 
-/// Any forces at the corners of the allowed sole, each within the polygon's inner circle, give a wrench that
-/// the rows accept but for torsion, which corners can exceed.
-#[test]
-fn what_corners_can_do_is_allowed() {
-    let (limits, foot) = (contact_config().wrench, foot());
-    let rows = limits.rows(&foot);
-    let mut rng = rng(2);
-    let inner = limits.friction * (std::f64::consts::PI / 12.0).cos();
-    for _ in 0..20_000 {
-        let mut wrench = Vector6::zeros();
-        for x in [-0.07, 0.12] {
-            for y in [-0.045, 0.05] {
-                let fz = rng.random_range(0.25..50.0_f64);
-                let (direction, size) = (rng.random_range(0.0..6.3_f64), rng.random_range(0.0..inner) * fz);
-                let force = Vector3::new(size * direction.cos(), size * direction.sin(), fz);
-                let moment = Vector3::new(x, y, 0.0).cross(&force);
-                wrench += Vector6::new(force.x, force.y, force.z, moment.x, moment.y, moment.z);
-            }
-        }
-        for (k, (row, bound)) in rows.iter().enumerate() {
-            assert!(k == 12 || k == 13 || row.dot(&wrench) <= bound + 1e-9, "row {k}: {wrench}");
-        }
-    }
-}
-
 /// A controller that can take off, behind its first tick on the ground with thrusts that carry a quarter of the weight.
 fn able_to_take_off() -> (Running, RobotState) {
     able_to_take_off_with(|_, _| ())
@@ -747,33 +722,6 @@ fn the_law_of_a_lost_engine_is_that_of_the_air() {
         );
         assert_eq!(carries, tick < 59, "tick {tick}: to the end of the hold");
         assert!(if carries { apart == 0.0 } else { apart > 0.1 }, "tick {tick}: {apart} rad/s");
-    }
-}
-
-/// In the air a controller that could stand flies as one that could not.
-#[test]
-fn in_the_air_feet_change_nothing() {
-    let flight = experiment("test2");
-    let robot = load_robot(&flight.robot).unwrap();
-    let make = |contact: Option<ContactConfig>| {
-        let mut controller = flight.controller.clone();
-        controller.law.contact = contact;
-        Running::new(load_controller(robot.clone(), &controller, &flight.mission, TIME_STEP).unwrap())
-    };
-    let (mut with, mut without) = (make(Some(contact_config())), make(None));
-    let mut rng = rng(7);
-    let mut state = flight.simulator.initial.state();
-    for tick in 0..200 {
-        state.joint_position.iter_mut().for_each(|s| *s += rng.random_range(-0.01..0.01));
-        let thrust = [98.0, 98.0, 113.0, 113.0];
-        let wind = crate::common::random_vector(&mut rng, 10.0);
-        let time = f64::from(tick) * TIME_STEP;
-        let foot_wrenches = &[Vector6::zeros(); 2];
-        let measurement = Measurement { time, state: &state, thrust: &thrust, wind, foot_wrenches };
-        let (a, b) = (with.tick(&measurement).clone(), without.tick(&measurement).clone());
-        assert_within!((a.thrust_rate - b.thrust_rate).amax(), 1e-7);
-        assert_within!((a.joint_velocity - b.joint_velocity).amax(), 1e-9);
-        assert_within!((a.joint_torque - b.joint_torque).amax(), 1e-7);
     }
 }
 

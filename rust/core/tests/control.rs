@@ -1,12 +1,11 @@
-//! The controller tick by tick: safe commands, bounds, feedback that can be left out, refusals, and a
-//! second robot.
+//! The controller tick by tick: safe commands, bounds, feedback that can be left out, and refusals.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::{
-    Loop, Running, Sample, TIME_STEP, assert_within, configs, experiment, move_state, random_state,
-    random_vector, rng, robot, tick_at, uniform_estimator,
+    Loop, Running, Sample, TIME_STEP, assert_within, experiment, move_state, random_state, random_vector,
+    rng, robot, tick_at, uniform_estimator,
 };
 use crate::setpoint::distance_to_rest;
 use flight_core::control::config::{Fallback, Solver};
@@ -17,11 +16,10 @@ use flight_core::control::law::bounds::LimitedValues;
 use flight_core::control::law::momentum::RateFeedback;
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::law::torque::limit_rate;
-use flight_core::control::{BadCommand, CommandStatus, ControllerState, Modes};
+use flight_core::control::{BadCommand, CommandStatus, Modes};
 use flight_core::qp::QpStatus;
-use flight_core::spatial::rotation_angle;
-use flight_core::{Command, Controller, Measurement, RobotModel, RobotState};
-use flight_io::{AeroConfig, from_value, load_robot};
+use flight_core::{Command, Controller, Measurement, RobotState};
+use flight_io::{AeroConfig, load_robot};
 use flight_sim::{Plant, ScenarioConfig};
 use nalgebra::{DVector, Matrix3, Vector3};
 use rand::RngExt;
@@ -581,47 +579,6 @@ fn the_law_is_given_what_the_estimators_make() {
     assert_within!((used.state.base.position - good.state.base.position).amax(), 1e-2, because "a tick of the model");
     assert_eq!(used.wind, wind, "that of the tick before");
     assert_eq!(controller.terms().estimates.reading.state, used.state);
-
-    // A state without one of the estimators is not one of this controller, nor the other way round.
-    let forget: [fn(&mut ScenarioConfig); 2] = [
-        |config| config.controller.law.estimator = None,
-        |config| config.controller.law.wind_observer = None,
-    ];
-    for forget in forget {
-        let mut without = config.clone();
-        forget(&mut without);
-        let mut other = self::controller(&without);
-        good.tick(&mut other);
-        let mut controller = self::controller(&config);
-        good.tick(&mut controller);
-        std::mem::swap(&mut controller.state, &mut other.state);
-        for running in [&mut controller, &mut other] {
-            assert_eq!(moved.tick(running).status, CommandStatus::BadState);
-        }
-    }
-}
-
-/// What is not configured is not there: a state has no part of it, and is none of a controller with it.
-#[test]
-fn a_state_of_other_stages_is_refused() {
-    let config = experiment("test2_observer");
-    let forget: [fn(&mut ScenarioConfig); 2] = [
-        |config| config.controller.law.engines = None,
-        |config| (config.controller.law.engines, config.controller.law.observer) = (None, None),
-    ];
-    for forget in forget {
-        let mut without = config.clone();
-        forget(&mut without);
-        let (mut with, mut without) = (controller(&config), controller(&without));
-        let sample = Sample::start(&config);
-        for controller in [&mut with, &mut without] {
-            assert_eq!(sample.tick(controller).status, CommandStatus::Nominal);
-        }
-        std::mem::swap(&mut with.state, &mut without.state);
-        for controller in [&mut with, &mut without] {
-            assert_eq!(sample.tick(controller).status, CommandStatus::BadState);
-        }
-    }
 }
 
 /// A state that was recorded, restored after other ticks: every number of the ticks that follow is the same.
@@ -653,23 +610,38 @@ fn a_restored_state_continues_to_the_same_bits() {
     }
 }
 
-/// A state of another robot's controller is refused.
+/// What is not configured is not there: a state has no part of it, and is none of a controller with it, nor the other way
+/// round.
 #[test]
-fn a_state_of_another_robot_is_refused() {
-    let good = Sample::start(&experiment("test2"));
-    let mut humanoid = controller(&experiment("test2"));
-    good.tick(&mut humanoid);
-    let other: ControllerState = {
-        let mut config = experiment("test2");
-        config.controller.law.use_jets = false;
-        let mut other = controller(&config);
-        good.tick(&mut other);
-        other.state().clone()
-    };
-    humanoid.state = Some(other);
-    let command = good.tick(&mut humanoid);
-    assert_eq!(command.status, CommandStatus::BadState);
-    assert_eq!(command.thrust_rate.amax(), 0.0);
+fn a_state_of_other_stages_is_refused() {
+    let mut config = experiment("test2_observer");
+    config.controller.law.estimator = Some(EstimatorConfig::default());
+    config.controller.law.wind_observer = Some(WindObserverConfig {});
+    let forget: [fn(&mut ScenarioConfig); 5] = [
+        |config| config.controller.law.engines = None,
+        |config| (config.controller.law.engines, config.controller.law.observer) = (None, None),
+        |config| config.controller.law.estimator = None,
+        |config| config.controller.law.wind_observer = None,
+        |config| config.controller.law.use_jets = false,
+    ];
+    for (number, forget) in forget.into_iter().enumerate() {
+        let mut without = config.clone();
+        forget(&mut without);
+        let (mut with, mut without) = (controller(&config), controller(&without));
+        let sample = Sample::start(&config);
+        for controller in [&mut with, &mut without] {
+            assert_eq!(sample.tick(controller).status, CommandStatus::Nominal, "{number}");
+        }
+        std::mem::swap(&mut with.state, &mut without.state);
+        for controller in [&mut with, &mut without] {
+            let command = sample.tick(controller);
+            assert_eq!(
+                (command.status, command.thrust_rate.amax()),
+                (CommandStatus::BadState, 0.0),
+                "{number}"
+            );
+        }
+    }
 }
 
 /// A controller that does not use jets commands no thrust rate, whatever thrust is measured.
@@ -690,21 +662,6 @@ fn without_jets_no_thrust_rate_is_commanded() {
     let Running { controller: law, state } = &mut controller;
     law.replace_command(state.as_mut().unwrap(), &[5.0; 4], &torque).unwrap();
     assert_eq!(sample.tick(&mut controller).thrust_rate.amax(), 0.0);
-}
-
-/// Bounds of rates that oscillate from tick to tick are refused: 1 − h r ε below −1.
-#[test]
-fn bounds_that_oscillate_are_refused() {
-    let mut config = experiment("test2");
-    let mut build = |time_step: f64| {
-        config.simulator.time_step = time_step;
-        config.controller(load_robot(&config.robot).unwrap())
-    };
-    assert!(build(0.01).is_ok(), "the published numbers lie on the edge");
-    let message = build(0.02).unwrap_err().to_string();
-    for part in ["controller.bounds.thrust_steepness is 2", "at most 1", "0.02 s"] {
-        assert!(message.contains(part), "{message}");
-    }
 }
 
 /// A momentum QP that overflows has no answer: thrust rates and joint velocities are the values within
@@ -1290,59 +1247,4 @@ fn a_controller_does_not_fit_another_robot() {
     let message = error.to_string();
     assert!(message.contains("controller.posture_gain names `left_arm`"), "{message}");
     assert!(message.contains("known: legs, upper_body"), "{message}");
-}
-
-/// Sparrow: five joints, three jets, facing forwards. Its attitude gains are smaller, as its inertia is,
-/// and its arm jets get the reserve that a hover needs.
-fn sparrow() -> (ScenarioConfig, RobotModel) {
-    let mut value = serde_json::to_value(experiment("test2")).unwrap();
-    value["robot"] = json!(configs("robot/sparrow.toml"));
-    value["mission"] = json!({});
-    for side in ["simulator", "controller"] {
-        value[side]["aero"]["coefficients"] = json!("estimated");
-    }
-    let controller = &mut value["controller"];
-    controller["posture_gain"] = json!({"legs": 30.0, "upper_body": 20.0});
-    controller["weights"]["thrust_rate"] = json!({"back_jet": 0.01, "l_jet": 0.01, "r_jet": 0.01});
-    controller["weights"]["symmetric_jets"] = json!([["l_jet", "r_jet"]]);
-    controller["bounds"]["thrust_rate_max"] = json!({"back_jet": 100.0, "l_jet": 100.0, "r_jet": 100.0});
-    controller["momentum"]["c0"] = json!(20.0);
-    controller["momentum"]["c1"] = json!(50.0);
-    let initial = &mut value["simulator"]["initial"];
-    initial["base_rpy_deg"] = json!([0.0, 0.0, 0.0]);
-    initial["joint_position"] = json!([0.0, 0.0, 0.0, 0.0, 0.0]);
-    initial["thrust"] = json!([12.0, 61.0, 61.0]);
-    let config: ScenarioConfig = from_value(value, "sparrow").unwrap();
-    let mut robot = load_robot(&config.robot).unwrap();
-    for jet in &mut robot.jets {
-        jet.thrust_max = 100.0;
-    }
-    (config, robot)
-}
-
-/// Nothing is about one robot: the controller hovers a smaller one with other joints, jets and axes.
-///
-/// For six seconds: its jets hardly turn it about the vertical, and such a motion grows from rounding to
-/// a few degrees in ten.
-#[test]
-fn another_robot_hovers() {
-    let (config, robot) = sparrow();
-    let mut flight = Loop::with_robot(&config, robot);
-    for second in 1..=6 {
-        flight.run(1.0, |_| Vector3::zeros());
-        assert_eq!(flight.controller.command().status, CommandStatus::Nominal);
-        let terms = flight.controller.terms();
-        let offset = (terms.kinematics.com - terms.setpoint.com_position).norm();
-        let tilt = rotation_angle(&flight.plant.state().base.rotation);
-        assert!(offset < 0.06 && tilt < 0.2, "{second} s: CoM off by {offset} m, tilted by {tilt} rad");
-    }
-    let terms = flight.controller.terms();
-    let offset = (terms.kinematics.com - terms.setpoint.com_position).norm();
-    assert!(offset < 0.005, "settled: CoM off by {offset} m");
-    assert_within!(flight.plant.state().velocity.amax(), 0.01, "{}", flight.plant.state().velocity);
-    // It carries its weight.
-    let weight = terms.kinematics.mass() * 9.81;
-    let lift: f64 =
-        terms.momentum.a_t.row(2).iter().zip(flight.plant.jets().thrust()).map(|(a, t)| a * t).sum();
-    assert_within!((lift - weight).abs(), 0.02 * weight, "lift {lift} N of {weight} N");
 }

@@ -9,7 +9,7 @@ use crate::common::{assert_within, both_robots, random_state, random_vector, rng
 use flight_core::dynamics::{Dynamics, InverseMass, MassFactor};
 use flight_core::kinematics::{Kinematics, RobotState};
 use flight_core::robot::{Frame, JointKind, RobotModel};
-use flight_core::spatial::{Pose, exp_so3, project_to_so3, skew, vee_of_skew_part};
+use flight_core::spatial::{Pose, exp_so3, skew, vee_of_skew_part};
 use flight_core::subtree::SubtreeLoads;
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use rand::RngExt;
@@ -129,32 +129,6 @@ fn frame_jacobians_are_differences_of_poses() {
     });
 }
 
-/// Column by column: each entry of ν alone moves a frame as its column says.
-#[test]
-fn jacobian_columns_are_partial_derivatives() {
-    const STEP: f64 = 1e-6;
-    for robot in both_robots() {
-        let mut rng = rng(3);
-        for _ in 0..5 {
-            let sample = Sample::new(&robot, random_state(&mut rng, &robot));
-            for frame in frames(&robot) {
-                let point = sample.kinematics.frame_pose(frame).position;
-                let (linear, _) = sample.kinematics.jacobian(frame.body, &point);
-                for column in 0..sample.kinematics.n_velocities() {
-                    let mut direction = DVector::zeros(sample.state.velocity.len());
-                    direction[column] = 1.0;
-                    let at = |time| {
-                        let there = Sample::new(&robot, move_state(&sample.state, &direction, time));
-                        there.kinematics.frame_pose(frame).position
-                    };
-                    let difference = (at(STEP) - at(-STEP)) / (2.0 * STEP);
-                    assert_small(&frame.name, (difference - linear.column(column)).amax(), 1.0, 1e-8);
-                }
-            }
-        }
-    }
-}
-
 /// The mass matrix equals its transpose, to the last bit but one, and is positive definite.
 #[test]
 fn mass_matrix_is_symmetric_and_positive_definite() {
@@ -165,7 +139,6 @@ fn mass_matrix_is_symmetric_and_positive_definite() {
     });
 }
 
-/// `½ νᵀ M ν` is the sum of the kinetic energies of the bodies.
 /// A rotor turns with its joint, and does not change what acts on the whole robot.
 #[test]
 fn rotors_add_to_the_inertia_of_their_joints_alone() {
@@ -179,6 +152,7 @@ fn rotors_add_to_the_inertia_of_their_joints_alone() {
     assert_eq!((with.momentum, with.bias), (without.momentum, without.bias));
 }
 
+/// `½ νᵀ M ν` is the sum of the kinetic energies of the bodies.
 #[test]
 fn kinetic_energy_is_that_of_the_bodies() {
     check_on_random_states(5, |robot, sample| {
@@ -234,16 +208,6 @@ fn centroidal_inertia_is_that_of_the_bodies() {
     });
 }
 
-/// The Jacobian of the centre of mass is the rate of change of the centre of mass.
-#[test]
-fn com_jacobian_is_the_difference_of_the_com() {
-    check_on_random_states(8, |robot, sample| {
-        let found = sample.dynamics.momentum_matrix.rows(0, 3) * &sample.state.velocity / robot.mass();
-        let difference = rate(robot, &sample.state, |s| s.kinematics.com);
-        assert_small("com velocity", (difference - found).amax(), 10.0, 1e-9);
-    });
-}
-
 /// d'Alembert: with ν constant the bias is what the bodies' momenta need to change as they do, and
 /// what their weights need to be carried, through each body's Jacobian.
 #[test]
@@ -264,20 +228,6 @@ fn bias_is_the_rate_of_the_bodies_momenta() {
     });
 }
 
-/// At rest the bias is the weight: `h = m g J_Gᵀ e₃`.
-#[test]
-fn bias_at_rest_is_the_weight() {
-    check_on_random_states(10, |robot, mut sample| {
-        sample.state.velocity.fill(0.0);
-        let sample = Sample::new(robot, sample.state);
-        let weight = robot.mass() * robot.gravity;
-        for column in 0..sample.dynamics.bias.len() {
-            let expected = robot.gravity * sample.dynamics.momentum_matrix[(2, column)];
-            assert_small("bias", (sample.dynamics.bias[column] - expected).abs(), weight, 1e-13);
-        }
-    });
-}
-
 /// What forces do goes into the energy: `νᵀ M ν̇ + ½ νᵀ Ṁ ν + V̇ = νᵀ f`, so `νᵀ h = ½ νᵀ Ṁ ν + V̇`.
 #[test]
 fn bias_takes_no_power_but_that_of_weight() {
@@ -287,37 +237,6 @@ fn bias_takes_no_power_but_that_of_weight() {
         let power = sample.state.velocity.dot(&sample.dynamics.bias);
         let scale = kinetic.abs() + potential.abs() + sample.kinetic_energy();
         assert_small("power", (power - kinetic - potential).abs(), scale, 1e-8);
-    });
-}
-
-/// Turning the world about the vertical and moving it turn `M`, `A_G` and `h` and change no number.
-#[test]
-fn dynamics_do_not_depend_on_yaw_or_place() {
-    let mut draw = rng(12);
-    check_on_random_states(12, |robot, sample| {
-        let world = Pose {
-            rotation: exp_so3(&(Vector3::z() * draw.random_range(-3.0..3.0))),
-            position: random_vector(&mut draw, 50.0),
-        };
-        let n = sample.state.velocity.len();
-        let mut turn = DMatrix::identity(n, n);
-        turn.fixed_view_mut::<3, 3>(0, 0).copy_from(&world.rotation);
-        turn.fixed_view_mut::<3, 3>(3, 3).copy_from(&world.rotation);
-        let mut state = sample.state.clone();
-        state.base = world * state.base;
-        state.velocity = &turn * &state.velocity;
-        let turned = Sample::new(robot, state);
-
-        let m = &sample.dynamics.mass_matrix;
-        let expected = &turn * m * turn.transpose();
-        assert_small("M", (&turned.dynamics.mass_matrix - expected).amax(), m.amax(), 1e-12);
-        let h = &sample.dynamics.bias;
-        assert_small("h", (&turned.dynamics.bias - &turn * h).amax(), h.amax(), 1e-12);
-        let a_g = &sample.dynamics.momentum_matrix;
-        let expected = turn.view((0, 0), (6, 6)) * a_g * turn.transpose();
-        assert_small("A_G", (&turned.dynamics.momentum_matrix - expected).amax(), a_g.amax(), 1e-12);
-        let com = world.transform_point(&sample.kinematics.com);
-        assert_small("CoM", (turned.kinematics.com - com).amax(), 100.0, 1e-15);
     });
 }
 
@@ -451,100 +370,6 @@ fn loads_of_subtrees_act_through_jacobians() {
             assert_small("f × v", (found - moved[column]).amax(), scale, 1e-15);
         });
     });
-}
-
-/// ν̇ and ẋ of the robot under joint torques and its weight.
-fn derivative(robot: &RobotModel, state: &RobotState, torque: &DVector<f64>) -> (Matrix3<f64>, DVector<f64>) {
-    let sample = Sample::new(robot, state.clone());
-    let mut acceleration = -&sample.dynamics.bias;
-    let mut joints = acceleration.rows_mut(6, torque.len());
-    joints += torque;
-    let mut factor = MassFactor::new(acceleration.len());
-    assert!(factor.factorise(&sample.dynamics.mass_matrix));
-    factor.solve_in_place(&mut acceleration);
-    (skew(&state.base_angular_velocity()) * state.base.rotation, acceleration)
-}
-
-/// The classical Runge–Kutta method of fourth order.
-fn runge_kutta(robot: &RobotModel, state: &RobotState, torque: &DVector<f64>, step: f64) -> RobotState {
-    let advance = |slope: &(Matrix3<f64>, DVector<f64>), velocity: &DVector<f64>, time: f64| {
-        let mut next = state.clone();
-        next.base.rotation += slope.0 * time;
-        next.base.position += velocity.fixed_rows::<3>(0) * time;
-        next.joint_position.axpy(time, &velocity.rows(6, state.n_joints()), 1.0);
-        next.velocity.axpy(time, &slope.1, 1.0);
-        next
-    };
-    let k1 = derivative(robot, state, torque);
-    let s2 = advance(&k1, &state.velocity, 0.5 * step);
-    let k2 = derivative(robot, &s2, torque);
-    let s3 = advance(&k2, &s2.velocity, 0.5 * step);
-    let k3 = derivative(robot, &s3, torque);
-    let s4 = advance(&k3, &s3.velocity, step);
-    let k4 = derivative(robot, &s4, torque);
-    let mean = |a: &DVector<f64>, b: &DVector<f64>, c: &DVector<f64>, d: &DVector<f64>| {
-        (a + (b + c) * 2.0 + d) / 6.0
-    };
-    let slope = ((k1.0 + (k2.0 + k3.0) * 2.0 + k4.0) / 6.0, mean(&k1.1, &k2.1, &k3.1, &k4.1));
-    let velocity = mean(&state.velocity, &s2.velocity, &s3.velocity, &s4.velocity);
-    let mut next = advance(&slope, &velocity, step);
-    next.base.rotation = project_to_so3(&next.base.rotation);
-    next
-}
-
-/// A slow tumble: fast enough that every velocity term matters, slow enough to integrate exactly.
-fn tumbling(robot: &RobotModel, seed: u64) -> RobotState {
-    let mut state = random_state(&mut rng(seed), robot);
-    state.joint_position *= 0.3;
-    state.velocity *= 0.5;
-    state
-}
-
-/// A robot left to itself keeps its energy, and its centre of mass flies a parabola.
-#[test]
-fn energy_is_conserved_in_free_fall() {
-    const STEP: f64 = 5e-4;
-    const STEPS: u32 = 400;
-    for robot in both_robots() {
-        let mut state = tumbling(&robot, 16);
-        let start = Sample::new(&robot, state.clone());
-        let torque = DVector::zeros(robot.joints.len());
-        for _ in 0..STEPS {
-            state = runge_kutta(&robot, &state, &torque, STEP);
-        }
-        let end = Sample::new(&robot, state);
-        let energy = |sample: &Sample| sample.kinetic_energy() + sample.potential_energy(&robot);
-        let exchanged = (end.kinetic_energy() - start.kinetic_energy()).abs();
-        assert!(exchanged > 1.0, "{}: {exchanged} J went between weight and motion", robot.name);
-        assert_small(&robot.name, (energy(&end) - energy(&start)).abs(), start.kinetic_energy(), 1e-9);
-
-        let time = STEP * f64::from(STEPS);
-        let velocity: Vector3<f64> = start.dynamics.momentum.fixed_rows::<3>(0) / robot.mass();
-        let parabola =
-            start.kinematics.com + velocity * time - Vector3::z() * (0.5 * robot.gravity * time * time);
-        assert_small("parabola", (end.kinematics.com - parabola).amax(), 1.0, 1e-9);
-    }
-}
-
-/// Without weight neither the motion nor torques between the bodies change linear and angular momentum.
-#[test]
-fn momentum_is_conserved_without_gravity() {
-    const STEP: f64 = 5e-4;
-    for mut robot in both_robots() {
-        robot.gravity = 0.0;
-        let mut draw = rng(17);
-        let torque = DVector::from_fn(robot.joints.len(), |_, _| draw.random_range(-0.2..0.2));
-        let mut state = tumbling(&robot, 17);
-        let start = Sample::new(&robot, state.clone());
-        for _ in 0..400 {
-            state = runge_kutta(&robot, &state, &torque, STEP);
-        }
-        let end = Sample::new(&robot, state);
-        let moved = (end.state.joint_velocity()[0] - start.state.joint_velocity()[0]).abs();
-        assert!(moved > 1e-3, "{}: the motion changed by {moved}", robot.name);
-        let drift = end.dynamics.momentum - start.dynamics.momentum;
-        assert_small(&robot.name, drift.amax(), start.dynamics.momentum.norm(), 1e-9);
-    }
 }
 
 /// External forces change the momentum as Newton and Euler say: `L̇ = (Σ f − m g e₃, Σ (p − c) × f)`.

@@ -187,29 +187,6 @@ fn estimators_are_stable_for_every_measurement_noise() {
     }
 }
 
-/// Started wrong, the estimate finds thrust and thrust rate of an engine that follows a throttle.
-#[test]
-fn estimate_converges_to_the_truth() {
-    for (name, thrust) in [("P100", 60.0), ("P160", 80.0), ("P220", 113.0)] {
-        let model = model(name);
-        let throttle = model.steady_throttle(thrust);
-        let mut engine = EngineDynamics::new(model, thrust, 0.0);
-        let config = EkfConfig { init_state: Some([thrust - 20.0, 10.0]), ..EkfConfig::default() };
-        let mut ekf = ThrustEkf::new(&config, model, thrust).unwrap();
-        for tick in 0..1500 {
-            let throttle = throttle + 5.0 * (0.01 * f64::from(tick)).sin();
-            ekf.update(engine.thrust, throttle, DT);
-            engine.step(throttle, DT);
-            let p = ekf.covariance();
-            assert!(p.m11 > 0.0 && p.determinant() > 0.0, "{name}, tick {tick}");
-            if tick > 500 {
-                assert_within!((ekf.thrust() - engine.thrust).abs(), 0.1, because "what an estimate still misses after that time", "{name}, tick {tick}");
-                assert_within!((ekf.thrust_rate() - engine.thrust_rate).abs(), 0.3, "{name}, tick {tick}");
-            }
-        }
-    }
-}
-
 /// Above its least, at it, and of an engine that has stopped or whose sensor is wrong.
 #[test]
 fn a_predicted_thrust_stays_above_its_least() {

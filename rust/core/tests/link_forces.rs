@@ -156,21 +156,6 @@ fn each_quirk_moves_its_own_point() {
     assert_eq!(published.axes_i, right.axes_i);
 }
 
-/// The names in configuration files choose these quirks.
-#[test]
-fn configuration_names_choose_the_quirks() {
-    let published = experiment("test2_published");
-    assert_eq!(published.controller.law.lever_arm, LeverArm::Unrotated);
-    assert_eq!(published.controller.law.jacobian_offset, JacobianOffset::BaseRotation);
-    assert_eq!(published.controller.law.link_velocity, LinkVelocity::ShiftedTwice);
-    assert_eq!(published.simulator.lever_arm, LeverArm::Unrotated);
-    let right = experiment("test2");
-    assert_eq!(right.controller.law.lever_arm, LeverArm::Rotated);
-    assert_eq!(right.controller.law.jacobian_offset, JacobianOffset::LinkRotation);
-    assert_eq!(right.controller.law.link_velocity, LinkVelocity::AtCentre);
-    assert_eq!(right.simulator.lever_arm, LeverArm::Rotated);
-}
-
 /// The chest jets' centres stand 0.194 m above the CoM; unrotated they come to lie 0.126 m below it.
 #[test]
 fn unrotated_arms_turn_the_chest_jets_upside_down() {
@@ -260,24 +245,6 @@ fn generalised_force_uses_the_jacobian_points() {
             assert_within!((generalised - &expected).amax(), 1e-12 * expected.amax());
             assert!(expected.amax() > 0.01);
         }
-    }
-}
-
-/// Without quirks the link forces do the work of the air on the moving links: `νᵀ Σ Jᵀ f = Σ f · v`.
-#[test]
-fn link_forces_do_their_work() {
-    let mut rng = rng(3);
-    let robot = robot("ironcub_mk1");
-    let model = axisymmetric(&robot, "corrected");
-    for _ in 0..100 {
-        let state = random_state(&mut rng, &robot);
-        let wind = random_vector(&mut rng, 10.0);
-        let (kinematics, found) = forces_of(&robot, &state, LinkConventions::default(), &model, &wind);
-        let mut generalised = DVector::zeros(kinematics.n_velocities());
-        found.add_generalised_force(&robot, &kinematics, &mut generalised);
-        let power: f64 = found.forces_i.iter().zip(&found.v_air_i).map(|(f, v)| f.dot(&(wind - v))).sum();
-        let scale: f64 = found.forces_i.iter().map(Vector3::norm).sum::<f64>() * 10.0;
-        assert_within!((generalised.dot(&state.velocity) - power).abs(), 1e-13 * scale);
     }
 }
 

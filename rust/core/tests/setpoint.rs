@@ -509,45 +509,6 @@ fn the_filter_has_a_triple_pole() {
     }
 }
 
-/// The filter starts at rest at its initial value and has unit gain.
-#[test]
-fn the_filter_starts_in_equilibrium_and_ends_at_its_input() {
-    for smoothing_time in [1.5, 0.05, 0.005] {
-        let initial = Vector3::new(1.0, -2.0, 3.0);
-        let filter = MinimumJerkFilter::new(smoothing_time, TIME_STEP);
-        let mut state = FilterState::at_rest(initial);
-        for _ in 0..100 {
-            filter.update(&mut state, &initial);
-            let scale = smoothing_time.powi(-2);
-            assert_within!((state.value() - initial).amax(), 1e-13);
-            assert_within!(state.rate().amax(), 1e-11 * scale);
-            assert_within!(state.acceleration().amax(), 1e-11 * scale);
-        }
-        let target = Vector3::new(-5.0, 0.0, 0.5);
-        for _ in 0..=1000 {
-            filter.update(&mut state, &target);
-        }
-        assert_within!((state.value() - target).amax(), 1e-9, "{}", state.value());
-    }
-}
-
-/// The step response is smooth: without overshoot, half way after T/2 or so.
-#[test]
-fn the_step_response_resembles_a_minimum_jerk_motion() {
-    let filter = MinimumJerkFilter::new(1.5, TIME_STEP);
-    let mut state = FilterState::at_rest(Vector3::zeros());
-    let response: Vec<f64> = (0..600)
-        .map(|_| {
-            filter.update(&mut state, &Vector3::x());
-            state.value().x
-        })
-        .collect();
-    assert!(response.windows(2).all(|pair| pair[1] >= pair[0] - 1e-12), "monotone");
-    assert!(response.iter().all(|y| *y <= 1.0 + 1e-9), "no overshoot");
-    let half = response.iter().position(|y| *y > 0.5).unwrap() as f64 * TIME_STEP;
-    assert_within!((half - 0.75).abs(), 0.02, "half way after {half} s");
-}
-
 /// A turn by more than half a circle is followed the way it was commanded, not by the short cut.
 #[test]
 fn the_smoothed_yaw_follows_a_whole_circle() {
@@ -598,7 +559,6 @@ fn braking_generator(mission: &str) -> SetpointGenerator {
     SetpointGenerator::new(&config, Mission::Commands(commands(mission)), &BACKWARDS, TIME_STEP).unwrap()
 }
 
-/// The set-point ahead is that of the samples, between them that of M49, and ends with the last one.
 /// Each part a short time later is the integral of the next one.
 #[test]
 fn a_set_point_goes_on_by_its_derivatives() {
@@ -634,6 +594,7 @@ fn a_set_point_goes_on_by_its_derivatives() {
     }
 }
 
+/// The set-point ahead is that of the samples, between them that of M49, and ends with the last one.
 #[test]
 fn a_preview_is_interpolated_between_its_samples() {
     let spin = Vector3::new(0.0, 0.0, 0.4);

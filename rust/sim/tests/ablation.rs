@@ -84,22 +84,6 @@ fn force_and_moment_together_are_the_whole_wrench() {
 }
 
 #[test]
-fn drag_lies_along_the_air_and_the_normal_part_across_it() {
-    let whole = first_tick(&with(|_| {}));
-    let drag = first_tick(&with(|config| config.disturbances.aero_estimate.normal = 0.0));
-    let normal = first_tick(&with(|config| config.disturbances.aero_estimate.drag = 0.0));
-    let forces = |controller: &Running| controller.terms().link_forces.forces_i.clone();
-    let air = &whole.terms().link_forces.v_air_i;
-    for (link, v_air) in air.iter().enumerate() {
-        let (f, d, n) = (forces(&whole)[link], forces(&drag)[link], forces(&normal)[link]);
-        assert_within!((d + n - f).norm(), 1e-12, "link {link}");
-        assert_within!(d.cross(v_air).norm(), 1e-12 * v_air.norm(), "link {link}: drag is askew");
-        assert_within!(n.dot(v_air).abs(), 1e-12 * v_air.norm(), "link {link}: the normal part does work");
-    }
-    assert!(forces(&normal).iter().map(nalgebra::Matrix::norm).sum::<f64>() > 1.0);
-}
-
-#[test]
 fn a_link_can_be_left_out() {
     let whole = first_tick(&with(|_| {}));
     let without = with(|config| {
@@ -130,14 +114,6 @@ fn the_simulator_has_the_same_factors() {
     assert!(force(0, 0).norm() > 0.0);
     assert_within!((force(1, 0) - 2.0 * force(0, 0)).norm(), 1e-12 * force(0, 0).norm());
     assert!(results[1].summary.max_aero_force > 1.8 * results[0].summary.max_aero_force);
-}
-
-#[test]
-fn a_feedback_of_scale_zero_flies_like_no_feedback() {
-    let off = with(|config| config.disturbances.aero_estimate.scale = 0.0);
-    let results = fly(&[short("test1"), off]);
-    let angle = |flight: usize| results[flight].summary.max_rotation_error;
-    assert_within!((angle(0) - angle(1)).abs(), 1e-6, "{} against {}", angle(0), angle(1));
 }
 
 #[test]

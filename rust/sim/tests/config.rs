@@ -6,7 +6,6 @@
 use crate::common::{assert_says, configs, experiment, robot};
 use flight_core::BuildError;
 use flight_core::control::guard::wind_observer::WindObserverConfig;
-use flight_core::control::law::momentum::RateFeedback;
 use flight_io::{AeroConfig, ControllerSection, MissionConfig, Schema, from_value, load, load_aero};
 use flight_sim::disturbances::WindEstimateConfig;
 use flight_sim::jets::JetsConfig;
@@ -147,24 +146,6 @@ fn base_may_be_a_name() {
     let expected =
         json!({"aero": {"links": {"base": 0.5}}, "aero_estimate": {"links": {"chest": 0.2, "base": 0.3}}});
     assert_eq!(resolve(&write(&folder, "top.toml", text)).unwrap()["disturbances"], expected);
-}
-
-/// Our own experiments rely on it: `head_wind` keeps the ramp, `no_wind` drops it, `baseline` and
-/// `second_order_jets` change their model.
-#[test]
-fn our_experiments_merge_as_meant() {
-    let head_wind = experiment("head_wind");
-    let expected = WindConfig::Ramp { velocity: [-10.0, 0.0, 0.0], ramp_start: 5.0, ramp_end: 10.0 };
-    assert_eq!(head_wind.wind, expected);
-    assert_eq!(head_wind.controller, experiment("test2").controller);
-    assert_eq!(head_wind.title, "Head wind: aerodynamic-aware controller");
-    assert_eq!(experiment("no_wind").wind, WindConfig::Constant { velocity: [0.0; 3] });
-    assert_eq!(experiment("test1").controller.aero, AeroConfig::Off {});
-    assert!(matches!(experiment("second_order_jets").simulator.jets, JetsConfig::SecondOrder(_)));
-    let ablation = experiment("test2_without_aero_momentum").controller;
-    let mut expected = experiment("test2_published").controller;
-    expected.law.aero_feedback.momentum_rate = RateFeedback::None;
-    assert_eq!(ablation, expected);
 }
 
 /// Baseline and aware controller are the same but for their aerodynamics.
@@ -346,29 +327,9 @@ fn missing_and_ill_typed_keys_are_named() {
     }
 }
 
-/// Numbers that are not finite are refused where they stand; they do not become an absent value.
+/// A device is not read. How many files may build on one another: `rust/io/tests/files.rs`.
 #[test]
-fn numbers_that_are_not_finite_are_refused() {
-    let folder = tempdir().unwrap();
-    for number in ["nan", "-inf"] {
-        let text = format!("[disturbances.jet_faults]\nthrust_limit_scale = {number}\n");
-        let file = write(&folder, "faults.toml", &text);
-        let key = "`disturbances.jet_faults.thrust_limit_scale`";
-        assert_says(&resolve(&file).unwrap_err(), &["faults.toml", key, "expected a finite number"]);
-    }
-}
-
-/// Files that build on one another many times over are refused before they are all read; devices are not read.
-#[test]
-fn reading_is_bounded() {
-    let folder = tempdir().unwrap();
-    for depth in 0..16 {
-        let base = format!("base = 'f{}.toml'", depth + 1);
-        let text = format!("a = {{ {base} }}\nb = {{ {base} }}\nc = {{ {base} }}\n");
-        write(&folder, &format!("f{depth}.toml"), &text);
-    }
-    write(&folder, "f16.toml", "");
-    assert_says(&resolve(&folder.path().join("f0.toml")).unwrap_err(), &["more than 256 `base` files"]);
+fn a_device_is_not_read() {
     let mut device = experiment("test2");
     device.robot = PathBuf::from("/dev/zero");
     assert_says(&Scenario::new(&device).unwrap_err(), &["/dev/zero", "a regular file"]);

@@ -235,17 +235,6 @@ fn engines_can_be_chosen_per_jet() {
     assert_eq!(own.throttle()[1..], other.throttle()[1..]);
 }
 
-/// Commands at the bounds of the momentum QP, reversed every half second.
-#[test]
-fn throttle_stays_within_limits_under_hard_commands() {
-    let mut jets = build(&second_order(|_| {}));
-    for tick in 0..1000 {
-        jets.advance(&[if tick % 100 < 50 { 100.0 } else { -100.0 }; 4], DT);
-        assert!(jets.throttle().iter().all(|u| (0.0..=120.0).contains(u)));
-        assert!(jets.thrust().iter().all(|t| t.is_finite()), "tick {tick}");
-    }
-}
-
 // --------------------------------------------------------------------------------------- refusals
 
 fn assert_refused(config: &JetsConfig, parts: &[&str]) {

@@ -54,19 +54,6 @@ fn a_flight_replays_with_the_same_bits() {
     }
 }
 
-/// Another controller computes other torques from the same measurements.
-#[test]
-fn another_controller_commands_otherwise() {
-    let mut config = experiment("test2");
-    config.simulator.duration = 0.2;
-    let log = log_of(&config);
-    config.controller = experiment("test2_observer").controller;
-    let replayed = replay(&config, &log).unwrap();
-    assert_eq!(replayed.len(), log.len());
-    assert_eq!(bits(&replayed, "raw_thrust"), bits(&log, "raw_thrust"));
-    assert_ne!(bits(&replayed, "joint_torque"), bits(&log, "joint_torque"));
-}
-
 /// Every tenth row is a tick of the law; those between are of the torques.
 #[test]
 fn a_log_at_the_rate_of_the_torques_has_a_tick_of_the_law_in_every_tenth_row() {
