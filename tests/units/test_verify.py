@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jax_aero import rust, sim, verify
-from jax_aero.verify import command
+from jax_aero.verify import cli
 
 
 def test_the_worst_sample_counts_against_the_greatest_answer():
@@ -132,16 +132,16 @@ def compared(monkeypatch):
         return "the crate's", "ours"
 
     for name, made_up in (("verify_robot", robot), ("verify_ticks", ticks), ("verify_flight", flight)):
-        monkeypatch.setattr(command, name, made_up)
-    monkeypatch.setattr(command, "random_samples", lambda _, states, seed: ("random", states, seed))
-    monkeypatch.setattr(command, "recorded_samples", lambda _, flight, states: (flight, states))
+        monkeypatch.setattr(cli, name, made_up)
+    monkeypatch.setattr(cli, "random_samples", lambda _, states, seed: ("random", states, seed))
+    monkeypatch.setattr(cli, "recorded_samples", lambda _, flight, states: (flight, states))
     return calls, size
 
 
 def test_the_command_compares_robot_ticks_and_flight(compared, tmp_path, capsys):
     calls, size = compared
     words = ["--config", "test1", "--states", "7", "--seed", "3", "--out", str(tmp_path)]
-    assert command.main(words) == 0
+    assert cli.main(words) == 0
     assert [call[1:] for call in calls] == [(7, "tree", 3), (("random", 7, 3),), (("the crate's", 7),)]
     printed = capsys.readouterr().out
     row = "| {:8} | {:26} | {:8} | {:8} |  0.0e+00 | {}     | agrees    |".format
@@ -155,7 +155,7 @@ def test_the_command_compares_robot_ticks_and_flight(compared, tmp_path, capsys)
     assert "config: " in (tmp_path / "verify.md").read_text()
 
     size["tick"] = 10.0
-    assert command.main(words) == 1
+    assert cli.main(words) == 1
     printed = capsys.readouterr().out
     assert "DISAGREES" in printed
     assert "2 of 4 quantities agree" in printed
@@ -163,33 +163,33 @@ def test_the_command_compares_robot_ticks_and_flight(compared, tmp_path, capsys)
 
 def test_the_result_of_another_comparison_is_kept(compared, tmp_path, capsys):
     words = ["--config", "test1", "--states", "7", "--out", str(tmp_path)]
-    assert command.main(words) == 0
+    assert cli.main(words) == 0
     others = [["--config", "test2"], ["--states", "8"], ["--seed", "1"], ["--set", "simulator.duration=1"]]
-    robots = [["--robot", str(command.places.CONFIGS / "robot" / f"{name}.toml")] for name in ("platform", "sparrow")]
+    robots = [["--robot", str(cli.places.CONFIGS / "robot" / f"{name}.toml")] for name in ("platform", "sparrow")]
     before = (tmp_path / "verify.json").read_bytes()
     for other in others:
-        assert command.main([*words, *other]) == 2
+        assert cli.main([*words, *other]) == 2
         assert "is the result of another comparison; choose another --out" in capsys.readouterr().err
     assert (tmp_path / "verify.json").read_bytes() == before
     assert len(compared[0]) == 3  # refused before anything is compared
-    assert command.main([*robots[0], "--out", str(tmp_path), "--overwrite"]) == 0
-    assert command.main([*robots[0], "--out", str(tmp_path)]) == 0
-    assert command.main([*robots[1], "--out", str(tmp_path)]) == 2
+    assert cli.main([*robots[0], "--out", str(tmp_path), "--overwrite"]) == 0
+    assert cli.main([*robots[0], "--out", str(tmp_path)]) == 0
+    assert cli.main([*robots[1], "--out", str(tmp_path)]) == 2
 
 
 def test_results_of_robots_are_named_after_them(monkeypatch, tmp_path):
-    monkeypatch.setattr(command.places, "RESULTS", tmp_path)
-    text = (command.places.CONFIGS / "robot" / "platform.toml").read_text().replace('"platform.urdf"', '"robot.urdf"')
+    monkeypatch.setattr(cli.places, "RESULTS", tmp_path)
+    text = (cli.places.CONFIGS / "robot" / "platform.toml").read_text().replace('"platform.urdf"', '"robot.urdf"')
     (tmp_path / "robot.toml").write_text(text.replace("name = ", 'name = "my robot" # ', 1))
-    (tmp_path / "robot.urdf").write_text((command.places.CONFIGS / "robot" / "platform.urdf").read_text())
-    folder, facts = command._subject(command._parse(["--robot", str(tmp_path / "robot.toml")]), None)
-    assert folder == tmp_path / "verify" / command.places.file_name("my robot")
+    (tmp_path / "robot.urdf").write_text((cli.places.CONFIGS / "robot" / "platform.urdf").read_text())
+    folder, facts = cli._subject(cli._parse(["--robot", str(tmp_path / "robot.toml")]), None)
+    assert folder == tmp_path / "verify" / cli.places.file_name("my robot")
     assert facts["robot"] == "my robot"
 
 
 def test_a_robot_alone_is_compared_without_a_flight(compared, tmp_path):
     path = str(rust.load_config("test1")["robot"])
-    assert command.main(["--robot", path, "--backend", "mjx", "--out", str(tmp_path)]) == 0
+    assert cli.main(["--robot", path, "--backend", "mjx", "--out", str(tmp_path)]) == 0
     assert compared[0] == [(path, 50, "mjx", 0)]
     assert json.loads((tmp_path / "verify.json").read_text())["backend"] == "mjx"
 
@@ -197,24 +197,24 @@ def test_a_robot_alone_is_compared_without_a_flight(compared, tmp_path):
 @pytest.mark.parametrize("flight", ["--config=test1", "--controller=a.toml", "--set=wind.velocity=[0,0,0]"])
 def test_a_robot_alone_has_no_flight(flight, capsys):
     with pytest.raises(SystemExit, match="2"):
-        command.main(["--robot", "a.toml", flight])
+        cli.main(["--robot", "a.toml", flight])
     assert "--robot" in capsys.readouterr().err
 
 
 def test_another_controller_takes_the_place_of_the_flights(tmp_path, capsys):
     controller = rust.load_config("test1")
-    observer = command.places.CONFIGS / "control" / "observer.toml"
-    options = command._parse(["--config", "test1", "--controller", str(observer), "--set", "simulator.duration=1"])
-    found = command._config(options)
+    observer = cli.places.CONFIGS / "control" / "observer.toml"
+    options = cli._parse(["--config", "test1", "--controller", str(observer), "--set", "simulator.duration=1"])
+    found = cli._config(options)
     assert found["controller"] != controller["controller"]
     assert found["controller"]["observer"]
     assert found["simulator"]["duration"] == 1
-    assert command.main(["--config", "nowhere", "--out", str(tmp_path)]) == 2
+    assert cli.main(["--config", "nowhere", "--out", str(tmp_path)]) == 2
     assert capsys.readouterr().err.startswith("error: there is no `nowhere`")
 
 
 def test_a_robot_that_is_not_there_is_refused(tmp_path, capsys):
-    assert command.main(["--robot", str(tmp_path / "none.toml"), "--out", str(tmp_path / "out")]) == 2
+    assert cli.main(["--robot", str(tmp_path / "none.toml"), "--out", str(tmp_path / "out")]) == 2
     shown = capsys.readouterr()
     assert shown.out == ""
     assert shown.err.startswith("error: ")
@@ -225,13 +225,13 @@ def test_a_robot_that_is_not_there_is_refused(tmp_path, capsys):
 def test_every_file_is_replaced_whole(tmp_path):
     comparison = verify.Comparison()
     comparison.add("dynamics", "bias", [np.nan], [1.0], 0.02)
-    written = command.write(comparison.rows, tmp_path, {"crate": "first"})
+    written = cli.write(comparison.rows, tmp_path, {"crate": "first"})
     assert json.loads(written[1].read_text())["rows"][0]["absolute"] is None
     kept = [tmp_path / f"kept{path.suffix}" for path in written]
     for path, old in zip(written, kept, strict=True):
         old.hardlink_to(path)
     before = [old.read_bytes() for old in kept]
-    command.write(comparison.rows, tmp_path, {"crate": "second"})
+    cli.write(comparison.rows, tmp_path, {"crate": "second"})
     # Who had the old file open still has all of it.
     assert [old.read_bytes() for old in kept] == before
     assert json.loads(written[1].read_text())["crate"] == "second"
