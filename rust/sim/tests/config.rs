@@ -494,7 +494,7 @@ fn what_is_probably_not_meant_is_warned_of() {
         (
             "wind.velocity",
             json!([0.0, -400.0, 0.0]),
-            "wind reaches 400 m/s; expected at most simulator.divergence.speed, 300",
+            "wind reaches 400 m/s; expected at most 300",
         ),
     ] {
         let found = warnings(&[(key, value)]);
