@@ -60,7 +60,13 @@ from jax_aero.types import Array, Static, leaf, leaves, pytree, where, with_dtyp
 LARGEST_NUMBER = 1e9
 """Limit in SI units beyond which a state counts as not finite, since the next step may overflow."""
 
-LIMITS = {BY_SPEED: 300.0, BY_ANGULAR_VELOCITY: 100.0, BY_JOINT_VELOCITY: 100.0, BY_JOINT_POSITION: 6.0, BY_THRUST: 10.0}
+LIMITS = {
+    BY_SPEED: 300.0,
+    BY_ANGULAR_VELOCITY: 100.0,
+    BY_JOINT_VELOCITY: 100.0,
+    BY_JOINT_POSITION: 6.0,
+    BY_THRUST: 10.0,
+}
 """Limits of physically possible values, as in the crate.
 
 Speed of base and air [m/s], angular velocity of the base [rad/s], velocity of a joint and its distance beyond its stops

@@ -167,11 +167,8 @@ impl Judge {
         let excess = excess.fold(f64::NEG_INFINITY, f64::max);
         let fastest =
             state.joint_velocity().iter().fold(0.0, |fastest: f64, velocity| fastest.max(velocity.abs()));
-        let is_too_strong = robot
-            .jets
-            .iter()
-            .zip(thrusts)
-            .any(|(jet, thrust)| *thrust > THRUST_RATIO * jet.thrust_max);
+        let is_too_strong =
+            robot.jets.iter().zip(thrusts).any(|(jet, thrust)| *thrust > THRUST_RATIO * jet.thrust_max);
         [
             (!is_finite, LossReason::NotFinite),
             (speed > SPEED, LossReason::Speed),

@@ -69,7 +69,8 @@ fn a_stuck_joint_keeps_its_position() {
 #[test]
 fn bad_faults_are_refused_by_name() {
     let mut config = experiment("test2");
-    config.disturbances.joints = vec![JointFault { joint: "l_elbo".into(), ..fault(JointFaultKind::Free, 1.0) }];
+    config.disturbances.joints =
+        vec![JointFault { joint: "l_elbo".into(), ..fault(JointFaultKind::Free, 1.0) }];
     assert_says(&Scenario::new(&config).unwrap_err(), &["disturbances.joints[0].joint", "l_elbo"]);
     config.disturbances.joints = vec![fault(JointFaultKind::Weak, 1.0), fault(JointFaultKind::Free, 2.0)];
     let refusal = Scenario::new(&config).unwrap_err();

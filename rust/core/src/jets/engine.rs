@@ -225,8 +225,7 @@ impl ThrustRateController {
     /// division by zero.
     pub fn update(&mut self, model: &EngineModel, thrust: f64, thrust_rate: f64, command: f64) -> f64 {
         let gain = model.input_gain(thrust, thrust_rate);
-        let wanted =
-            -(RATE_GAIN * (thrust_rate - command) + model.drift(thrust, thrust_rate)) / gain;
+        let wanted = -(RATE_GAIN * (thrust_rate - command) + model.drift(thrust, thrust_rate)) / gain;
         if wanted.is_finite() && gain.abs() >= MIN_INPUT_GAIN {
             self.throttle = model.limit_throttle(model.throttle_from_input(model.limit_input(wanted)));
         }
