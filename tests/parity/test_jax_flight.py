@@ -221,7 +221,7 @@ def test_what_no_controller_commands_diverges(criterion):
 
 
 def test_a_flight_that_is_off_course():
-    changes = {"simulator.duration": 3.5, "disturbances.model_error.mass_scale": 0.8}
+    changes = {"simulator.duration": 3.5, "disturbances.model_error.mass_scale": 0.9}
     config = rust.load_config(EXPERIMENTS / "test2.toml", changes)
     expected, ours = rust.fly(config), sim.fly(config)
     assert (ours.outcome, ours.lost_time) == (expected.outcome, expected.lost_time) == ("off_course", None)
