@@ -207,10 +207,12 @@ def test_numbers_that_physics_excludes_diverge(criterion):
 @pytest.mark.parametrize("criterion", ["joint velocity", "thrust"])
 @pytest.mark.usefixtures("x64")
 def test_what_no_controller_commands_diverges(criterion):
-    config = rust.load_config(EXPERIMENTS / "test2.toml", {"simulator.duration": 0.5})
+    changes = {"simulator.duration": 0.5, "simulator.joint_stops": False}
+    config = rust.load_config(EXPERIMENTS / "test2.toml", changes)
     crate, (scenario, state) = rust.Flight(config), sim.prepare(config)
     surges = criterion == "thrust"
-    while crate.step(command=rust.Command(np.full(4, 1e6 * surges), np.full(23, 1e5 * (not surges)))):
+    elbow = np.where(np.arange(23) == 6, 300.0, 0.0)
+    while crate.step(command=rust.Command(np.full(4, 1e6 * surges), elbow * (not surges))):
         pass
     plant, robot = state.plant, state.plant.robot
     too_strong = plant._replace(jets=plant.jets._replace(thrust=10.01 * scenario.plant.robot.jets.thrust_max))
