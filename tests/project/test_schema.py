@@ -40,7 +40,6 @@ def schema_named_by(path: Path):
 
 UNSET = {
     "ChannelsConfig": {"descend_after", "wind_hold"},
-    "Disturbances": {"aero"},
     "EkfConfig": {"Q", "R"},
     "InitialConfig": {"base_velocity"},
     "JetsConfig": {"ekf"},
@@ -51,7 +50,7 @@ UNSET = {
 }
 """Keys that no file sets, by their table.
 
-* Perturbations of sweeps draw `aero`, `base_velocity`, `inertia_scale`, `thrust_axes` and every `seed`.
+* Perturbations of sweeps draw `base_velocity`, `inertia_scale`, `thrust_axes` and every `seed`.
 * A wind can be a recording (`path`, `samples`), and JAX's bodies those of MuJoCo (`dynamics`).
 * How long a robot may be blind is up to those who fly it (`descend_after`, `wind_hold`).
 * Another engine's estimator has other noise (`ekf`; the study identify_engine finds it).
