@@ -253,7 +253,7 @@ Made {MADE}: not to be edited.
 They are filled from what the crate has checked (`jax_aero.base.typed`).
 """
 
-# ruff: noqa: D101, N815
+# ruff: noqa: D101
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ Made by `python -m experiments.schema` from the crate's types: not to be edited.
 They are filled from what the crate has checked (`jax_aero.base.typed`).
 """
 
-# ruff: noqa: D101, N815
+# ruff: noqa: D101
 
 from __future__ import annotations
 
@@ -414,7 +414,6 @@ JointFaultKind: TypeAlias = Literal["stuck", "weak", "free"]
 class JointFault(Struct, frozen=True, kw_only=True):
     joint: str
     kind: JointFaultKind
-    share: float = 0.5
     start: float
 
 
@@ -469,22 +468,12 @@ class Disturbances(Struct, frozen=True, kw_only=True):
     wind_estimate: WindEstimateConfig | None = None
 
 
-class DivergenceConfig(Struct, frozen=True, kw_only=True):
-    angular_velocity: float = 100.0
-    joint_excess: float = 6.0
-    joint_velocity: float = 100.0
-    speed: float = 300.0
-    thrust_ratio: float = 10.0
-
-
 DynamicsBackend: TypeAlias = Literal["tree", "mjx"]
 
 
 class EkfConfig(Struct, frozen=True, kw_only=True):
     Q: tuple[tuple[float, float], tuple[float, float]] = ((10.0, 1.0), (1.0, 10.0))
     R: float = 1.0
-    init_P: tuple[tuple[float, float], tuple[float, float]] = ((1.0, 0.1), (0.1, 1.0))
-    init_state: tuple[float, float] | None = None
 
 
 class ElasticityConfig(Struct, frozen=True, kw_only=True):
@@ -555,8 +544,6 @@ class SecondOrderJetsConfig(Struct, frozen=True, kw_only=True, tag_field="dynami
     ekf: EkfConfig = EkfConfig()
     engines: tuple[str, ...] | None = None
     feedback: ThrustFeedback = "measured"
-    rate_gain_i: float = 0.0
-    rate_gain_p: float = 150.0
 
 
 class MeasuredJetsConfig(Struct, frozen=True, kw_only=True, tag_field="dynamics", tag="measured"):
@@ -615,8 +602,6 @@ class SensorsConfig(Struct, frozen=True, kw_only=True):
 class SimulatorConfig(Struct, frozen=True, kw_only=True):
     actuation: ActuationConfig | None = None
     aero: AeroConfig
-    course_error: float = 0.5
-    divergence: DivergenceConfig = DivergenceConfig()
     duration: float
     dynamics: DynamicsBackend = "tree"
     fall: FallConfig

@@ -40,8 +40,8 @@ class FlightResult:
     joint_setpoint
         Posture of the first tick, to which the posture task returns [rad].
     outcome
-        "completed"; "off_course": flown to the end, but further from its set-point than `simulator.course_error`;
-        "descended": the mission was given up, and the robot is down at the height of its start, or was on its way
+        "completed"; "off_course": flown to the end, but further than 0.5 m from its set-point; "descended": the mission
+        was given up, and the robot is down at the height of its start, or was on its way
         (`summary["end_com_z"]`); "fell"; "diverged": numbers beyond the divergence limits.
     lost_time, lost_reason
         Time [s] and criterion of the loss; `None` if the flight reached its end.

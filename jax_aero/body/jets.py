@@ -24,6 +24,12 @@ from jax_aero.types import Array, Static, leaf, pytree
 MIN_INPUT_GAIN = 1e-9
 """Input gain below which the throttle loop holds the throttle, since the throttle has no effect [N/s² per %]."""
 
+RATE_GAIN = 150.0
+"""`k_p` of the throttle loop, of the published controller [1/s]."""
+
+INITIAL_COVARIANCE = ((1.0, 0.1), (0.1, 1.0))
+"""Covariance of the initial estimate, as published."""
+
 
 class Engines(NamedTuple):
     """Coefficients of every jet's engine; thrust T [N], throttle u [%].
@@ -116,8 +122,6 @@ class EngineState(NamedTuple):
 
     throttle: Float[Array, " j"]
     """Throttle of the last step [%]."""
-    integral: Float[Array, " j"]
-    """`∫ (Ṫ − Ṫ*) dt` [N]."""
     estimate: Float[Array, "j 2"]
     """Estimated thrust and thrust rate [N, N/s]."""
     covariance: Float[Array, "j 2 2"]
@@ -131,30 +135,20 @@ class SecondOrderJets:
     engines: Engines
     thrust_min: Float[Array, " j"]
     """Least thrusts [N]."""
-    rate_gain_p: Float[Array, ""]
-    """`k_p` of the throttle loop [1/s]."""
-    rate_gain_i: Float[Array, ""]
-    """`k_i` of the throttle loop [1/s²]."""
     q: Float[Array, "2 2"]
     """Process noise `Q` of the estimator."""
     r: Float[Array, ""]
     """Measurement noise `R` of the estimator."""
     feedback_is_estimated: Static[bool]
     """Whether the flight controller receives the estimated instead of the true thrust."""
-    init_state: Float[Array, "2"] | None
-    """Initial estimate of thrust and thrust rate [N, N/s]; (thrust, 0) if `None`."""
-    init_p: Float[Array, "2 2"]
-    """Covariance of the initial estimate."""
 
     def start(self, thrust: Float[Array, " j"]) -> JetsState:
         """Return the state at `thrust` [N] with thrust rate zero and the throttle in equilibrium."""
         rest = jnp.zeros_like(thrust)
         estimate = jnp.stack([thrust, rest], axis=1)
-        if self.init_state is not None:
-            estimate = jnp.broadcast_to(jnp.asarray(self.init_state), estimate.shape)
-        covariance = jnp.broadcast_to(jnp.asarray(self.init_p), (*thrust.shape, 2, 2))
+        covariance = jnp.broadcast_to(jnp.asarray(INITIAL_COVARIANCE, thrust.dtype), (*thrust.shape, 2, 2))
         throttle = steady_throttle(self.engines, thrust)
-        return JetsState(thrust, rest, EngineState(throttle, rest, estimate, covariance))
+        return JetsState(thrust, rest, EngineState(throttle, estimate, covariance))
 
     def feedback(self, state: JetsState) -> Float[Array, " j"]:
         """Return the thrust [N], true or estimated."""
@@ -169,14 +163,14 @@ class SecondOrderJets:
         measured: Float[Array, " j"] | None = None,
     ) -> JetsState:
         """Advance throttles from the present estimate, then estimators and engines, by `dt` [s]."""
-        throttle, integral = _throttle_loop(self, state.engine, command, dt)
+        throttle = _throttle_loop(self, state.engine, command)
         seen = state.thrust if measured is None else measured
         estimate, covariance = update_ekf(self, state.engine, seen, throttle, dt)
         # T̈ at the start of the step, as in the published simulator.
         acceleration = thrust_acceleration(self.engines, state.thrust, state.thrust_rate, throttle)
         thrust = state.thrust + dt * (state.thrust_rate + 0.5 * dt * acceleration)
         thrust, rate = _not_below(self.thrust_min, thrust, state.thrust_rate + dt * acceleration)
-        return JetsState(thrust, rate, EngineState(throttle, integral, estimate, covariance))
+        return JetsState(thrust, rate, EngineState(throttle, estimate, covariance))
 
 
 def predict_thrust(
@@ -213,13 +207,9 @@ def jet_dynamics(settings: JetsConfig, robot: RobotModel) -> JetDynamics:
             return SecondOrderJets(
                 engines=engines(robot, settings.engines or robot.jets.engines),
                 thrust_min=robot.jets.thrust_min,
-                rate_gain_p=leaf(settings.rate_gain_p),
-                rate_gain_i=leaf(settings.rate_gain_i),
                 q=leaf(settings.ekf.Q),
                 r=leaf(settings.ekf.R),
                 feedback_is_estimated=settings.feedback == "estimated",
-                init_state=None if settings.ekf.init_state is None else leaf(settings.ekf.init_state),
-                init_p=leaf(settings.ekf.init_P),
             )
         case MeasuredJetsConfig():
             expected = 'expected "ideal" or "second_order": JAX has no maps'
@@ -294,25 +284,21 @@ def _limited_throttle(e: Engines, v: Array) -> Array:
     return jnp.clip(throttle_from_input(e, limited), e.throttle_min, e.throttle_max)
 
 
-def _throttle_loop(
-    model: SecondOrderJets, state: EngineState, command: Array, dt: Array | float
-) -> tuple[Array, Array]:
-    """Linearise the engine by feedback to `T̈ = −k_p e − k_i ∫e`, `e = Ṫ − Ṫ*`; return throttle [%] and integral [N].
+def _throttle_loop(model: SecondOrderJets, state: EngineState, command: Array) -> Array:
+    """Linearise the engine by feedback to `T̈ = −k_p (Ṫ − Ṫ*)`; return the throttle [%].
 
-        v = −( k_p e + f(T, Ṫ) + k_i ∫e ) / g(T, Ṫ),   u = v⁻¹(clamp v)
+        v = −( k_p (Ṫ − Ṫ*) + f(T, Ṫ) ) / g(T, Ṫ),   u = v⁻¹(clamp v)
 
-    Source: the published controller. The throttle is held if `g` is zero or a number is not finite. There is no
-    anti-windup, as published.
+    Source: the published controller. The throttle is held if `g` is zero or a number is not finite.
     """
     thrust, rate = state.estimate[:, 0], state.estimate[:, 1]
-    error = rate - command
     gain = input_gain(model.engines, thrust, rate)
     acts = jnp.abs(gain) >= MIN_INPUT_GAIN
-    feedback = model.rate_gain_p * error + drift(model.engines, thrust, rate) + model.rate_gain_i * state.integral
+    feedback = RATE_GAIN * (rate - command) + drift(model.engines, thrust, rate)
     wanted = -feedback / jnp.where(acts, gain, 1.0)
     acts = acts & jnp.isfinite(wanted)
     throttle = _limited_throttle(model.engines, jnp.where(acts, wanted, 0.0))
-    return jnp.where(acts, throttle, state.throttle), state.integral + jnp.where(acts, dt * error, 0.0)
+    return jnp.where(acts, throttle, state.throttle)
 
 
 def update_ekf(

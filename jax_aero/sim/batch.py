@@ -75,8 +75,6 @@ class Group(NamedTuple):
     """Leaves of each flight."""
     states: list[FlightState]
     n_ticks: int
-    course_errors: list[float]
-    """`Scenario.course_error` of each flight [m]."""
     places: list[int]
     """Indices of these flights in the batch."""
 
@@ -129,7 +127,6 @@ def fly_batch(
                 part = group._replace(
                     leaves=group.leaves[first : first + size],
                     states=group.states[first : first + size],
-                    course_errors=group.course_errors[first : first + size],
                     places=group.places[first : first + size],
                 )
                 flights.update(zip(part.places, _fly_together(part, size, full_log, workers), strict=True))
@@ -148,10 +145,9 @@ def group_flights(configs: Iterable[ScenarioConfig | Mapping[str, Any]], dtype: 
         shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
         n_ticks = int(scenario.n_ticks)
         key = structure, shapes, jax.tree.structure(state), n_ticks, hash(common)
-        group = found.setdefault(key, Group(structure, is_shared, [], [], n_ticks, [], []))
+        group = found.setdefault(key, Group(structure, is_shared, [], [], n_ticks, []))
         group.leaves.append(tuple(leaves))
         group.states.append(state)
-        group.course_errors.append(float(scenario.course_error))
         group.places.append(place)
     return list(found.values())
 
@@ -226,7 +222,7 @@ def _fly_together(group: Group, size: int, full_log: bool, devices: tuple[jax.De
     flights = []
     for row in range(len(group.places)):
         own = {name: signal[row] for name, signal in signals.items()}
-        ending = Ending(int(losses[row]), float(sizes[row]), int(ticks[row]), group.course_errors[row])
+        ending = Ending(int(losses[row]), float(sizes[row]), int(ticks[row]))
         posture = postures[row].astype(np.float64)
         flights.append(make_result(own, posture, ending, group.n_ticks, is_whole_log=full_log))
     return flights

@@ -31,6 +31,7 @@ from jax_aero.sim.step import (
     BY_SPEED,
     BY_THRUST,
     FLYING,
+    LIMITS,
     NOT_FINITE,
     FlightRow,
     FlightState,
@@ -47,6 +48,9 @@ CHECKPOINT_EVERY = 100
 
 CHUNK = 250
 """Ticks that `fly` computes between checks for a loss and for Ctrl-C."""
+
+COURSE_ERROR = 0.5
+"""Greatest position error after the start-up of a flight that is on course [m]."""
 
 
 def keep_row(row: FlightRow) -> FlightRow:
@@ -139,17 +143,16 @@ def run(scenario: Scenario, state: FlightState, progress: Progress | None = None
         name: np.concatenate([np.asarray(getattr(chunk, name), np.float64) for chunk in rows])
         for name in FlightRow._fields
     }
-    ending = Ending(int(state.loss), float(state.loss_size), int(state.loss_tick), float(scenario.course_error))
+    ending = Ending(int(state.loss), float(state.loss_size), int(state.loss_tick))
     return make_result(log, np.asarray(state.posture, np.float64), ending, n_ticks)
 
 
 class Ending(NamedTuple):
-    """Loss of a flight, as in `FlightState`, and the greatest position error of a flight on course [m]."""
+    """Loss of a flight, as in `FlightState`."""
 
     loss: int
     size: float
     tick: int
-    course_error: float
 
 
 def make_result(
@@ -162,7 +165,7 @@ def make_result(
     # The row that exceeds the divergence limits is in the log, but not in the figures of merit.
     judged = {name: signal[:-1] for name, signal in signals.items()} if has_diverged else signals
     summary = rust.summarise(judged, posture if is_whole_log else [0.0])
-    flown: Outcome = "off_course" if summary["max_com_error"] > ending.course_error else "completed"
+    flown: Outcome = "off_course" if summary["max_com_error"] > COURSE_ERROR else "completed"
     return FlightResult(
         log=signals if is_whole_log else {},
         joint_setpoint=posture,
@@ -175,7 +178,7 @@ def make_result(
 
 def lost_reason(loss: int, size: float) -> str:
     """Return the reason for a loss in words, as the crate does."""
-    limit = np.format_float_positional(size, trim="-")
+    limit = f"{LIMITS.get(loss, 0.0):g}"
     return {
         BY_ROTATION: f"rotation error {np.rad2deg(size):.1f} deg",
         BY_COM: f"CoM error {size:.2f} m",

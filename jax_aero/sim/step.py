@@ -60,6 +60,19 @@ from jax_aero.types import Array, Static, leaf, leaves, pytree, where, with_dtyp
 LARGEST_NUMBER = 1e9
 """Limit in SI units beyond which a state counts as not finite, since the next step may overflow."""
 
+LIMITS = {
+    BY_SPEED: 300.0,
+    BY_ANGULAR_VELOCITY: 100.0,
+    BY_JOINT_VELOCITY: 100.0,
+    BY_JOINT_POSITION: 6.0,
+    BY_THRUST: 10.0,
+}
+"""Limits of physically possible values, as in the crate.
+
+Speed of base and air [m/s], angular velocity of the base [rad/s], velocity of a joint and its distance beyond its stops
+[rad, m], ratio of a thrust to the jet's greatest.
+"""
+
 Tree = TypeVar("Tree")
 
 
@@ -71,22 +84,6 @@ class FallLimits:
     """Greatest rotation between base and set-point [deg]."""
     com_error: Float[Array, ""]
     """Greatest distance between centre of mass and set-point [m]."""
-
-
-@pytree
-class DivergenceLimits:
-    """Limits beyond which physics is violated; a flight that exceeds them has diverged."""
-
-    speed: Float[Array, ""]
-    """Greatest speed of base and air [m/s]."""
-    angular_velocity: Float[Array, ""]
-    """Greatest angular velocity of the base [rad/s]."""
-    joint_velocity: Float[Array, ""]
-    """Greatest joint velocity [rad/s, m/s]."""
-    joint_excess: Float[Array, ""]
-    """Greatest displacement of a joint beyond its stops [rad, m]."""
-    thrust_ratio: Float[Array, ""]
-    """Greatest ratio of a thrust to the jet's greatest thrust."""
 
 
 @pytree
@@ -105,9 +102,6 @@ class Scenario:
     """Controller, including its mission."""
     wind: Wind
     fall: FallLimits
-    divergence: DivergenceLimits
-    course_error: Float[Array, ""]
-    """Greatest position error of a flight that is on course [m]."""
     controller_model: RobotModel | None
     """The controller's model of the robot; `None` if it is the robot that flies."""
     controller_wind: Wind | None
@@ -151,7 +145,7 @@ class FlightState(NamedTuple):
     loss: Int[Array, ""]
     """`FLYING`, or the criterion by which the flight was lost."""
     loss_size: Float[Array, ""]
-    """Error of a fall, or the limit exceeded by a diverged flight, in the criterion's unit."""
+    """Error of a fall, in the criterion's unit."""
     loss_tick: Int[Array, ""]
     """Tick at which the flight was lost, −1 while it flies."""
 
@@ -271,8 +265,6 @@ def prepare(
         controller=controller,
         wind=wind,
         fall=leaves(FallLimits, config.simulator.fall),
-        divergence=leaves(DivergenceLimits, config.simulator.divergence),
-        course_error=leaf(config.simulator.course_error),
         controller_model=model,
         controller_wind=controller_wind,
         wind_estimate=errors,
@@ -362,7 +354,7 @@ def begin(scenario: Scenario, plant: PlantState) -> FlightState:
     """Start the controller for a plant in this state."""
     robot = scenario.plant.robot if scenario.controller_model is None else scenario.controller_model
     # A state beyond the divergence limits is lost at once, and must not make derivatives infinite before that.
-    divergence, _ = _divergence(scenario, plant, jnp.zeros_like(plant.robot.velocity[:3]))
+    divergence = _divergence(scenario, plant, jnp.zeros_like(plant.robot.velocity[:3]))
     first = where(divergence == FLYING, plant, world.zero_state(plant))
     seen, before = Reading(first.robot, scenario.plant.jets.feedback(first.jets)), None
     if scenario.sensors is not None:
@@ -397,7 +389,7 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
     time = tick.astype(plant.time_step.dtype) * plant.time_step
     wind = wind_velocity(scenario.wind, time)
     # Both branches of `where` are differentiated, so values beyond the limits must not enter the computation.
-    divergence, limit = _divergence(scenario, state.plant, wind)
+    divergence = _divergence(scenario, state.plant, wind)
     is_sound = divergence == FLYING
     at_rest = world.zero_state(state.plant)
     now, air = where(is_sound, (state.plant, wind), (at_rest, jnp.zeros_like(wind)))
@@ -425,8 +417,8 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
     seen = _observe(scenario, now, command, air)
 
     # Without a set-point there is no error of a fall.
-    fall, error = jnp.full_like(divergence, FLYING), jnp.zeros_like(limit)
-    rotation_error = jnp.full_like(limit, jnp.nan)
+    fall, error = jnp.full_like(divergence, FLYING), jnp.zeros_like(time)
+    rotation_error = jnp.full_like(time, jnp.nan)
     if command.setpoint is not None:
         rotation_error = rotation_angle(multiply(command.setpoint.rotation.T, now.robot.base_rotation))
         com_error = safe_norm(seen.kinematics.com - command.setpoint.com_position)
@@ -444,7 +436,7 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
         thrust=state.plant.jets.thrust,
     )
 
-    loss, size = jnp.where(is_sound, fall, divergence), jnp.where(is_sound, error, limit)
+    loss = jnp.where(is_sound, fall, divergence)
     lost_now = (state.loss == FLYING) & (loss != FLYING)
     goes_on = (state.loss == FLYING) & (loss == FLYING)
     # The next step of a lost flight may overflow.
@@ -456,7 +448,7 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
         sensors=sensors,
         posture=state.posture,
         loss=jnp.where(lost_now, loss, state.loss),
-        loss_size=jnp.where(lost_now, size, state.loss_size),
+        loss_size=jnp.where(lost_now, error, state.loss_size),
         loss_tick=jnp.where(lost_now, tick, state.loss_tick),
     )
     return after, row
@@ -497,28 +489,22 @@ def _observe(scenario: Scenario, state: PlantState, command: Command, wind: Arra
     return world.observe(plant, state, wind, (terms.kinematics, terms.dynamics, terms.inverse_mass))
 
 
-def _divergence(scenario: Scenario, state: PlantState, wind: Array) -> tuple[Array, Array]:
-    """Return the criterion by which the plant has diverged, `FLYING` if by none, and its limit."""
-    robot, limits, now = scenario.plant.robot, scenario.divergence, state.robot
+def _divergence(scenario: Scenario, state: PlantState, wind: Array) -> Array:
+    """Return the criterion by which the plant has diverged, `FLYING` if by none."""
+    robot, now = scenario.plant.robot, state.robot
     lower, upper = jnp.asarray(robot.joint_stops).T
-    joints, thrust = now.joint_position, state.jets.thrust
-    speed = jnp.maximum(jnp.linalg.norm(now.velocity[:3]), jnp.linalg.norm(wind))
-    excess = jnp.max(jnp.maximum(lower - joints, joints - upper), initial=-jnp.inf)
-    criteria = {
-        NOT_FINITE: (~_is_in_range((state, wind)), jnp.zeros_like(speed)),
-        BY_SPEED: (speed > limits.speed, limits.speed),
-        BY_ANGULAR_VELOCITY: (jnp.linalg.norm(now.velocity[3:6]) > limits.angular_velocity, limits.angular_velocity),
-        BY_JOINT_VELOCITY: (
-            jnp.max(jnp.abs(now.velocity[6:]), initial=0.0) > limits.joint_velocity,
-            limits.joint_velocity,
-        ),
-        BY_JOINT_POSITION: (excess > limits.joint_excess, limits.joint_excess),
-        BY_THRUST: (jnp.any(thrust > limits.thrust_ratio * robot.jets.thrust_max), limits.thrust_ratio),
+    joints, ratios = now.joint_position, state.jets.thrust / robot.jets.thrust_max
+    found = {
+        BY_SPEED: jnp.maximum(jnp.linalg.norm(now.velocity[:3]), jnp.linalg.norm(wind)),
+        BY_ANGULAR_VELOCITY: jnp.linalg.norm(now.velocity[3:6]),
+        BY_JOINT_VELOCITY: jnp.max(jnp.abs(now.velocity[6:]), initial=0.0),
+        BY_JOINT_POSITION: jnp.max(jnp.maximum(lower - joints, joints - upper), initial=-jnp.inf),
+        BY_THRUST: jnp.max(ratios, initial=0.0),
     }
-    code, limit = jnp.array(FLYING, jnp.int32), jnp.zeros_like(speed)
-    for name, (is_beyond, bound) in reversed(criteria.items()):
-        code, limit = jnp.where(is_beyond, name, code), jnp.where(is_beyond, bound, limit)
-    return code, limit
+    code = jnp.array(FLYING, jnp.int32)
+    for criterion, value in reversed(found.items()):
+        code = jnp.where(value > LIMITS[criterion], criterion, code)
+    return jnp.where(_is_in_range((state, wind)), code, NOT_FINITE)
 
 
 def _judge(limits: FallLimits, rotation_error: Array, com_error: Array) -> tuple[Array, Array]:

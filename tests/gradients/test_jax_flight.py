@@ -51,7 +51,7 @@ def problem(x64, tmp_path_factory):
         "posture_gain": controller.tasks.posture_gain,
         "network_scale": scenario.plant.aero.network.scale.astype(np.float64),
         "modelled_areas": controller.aero.areas,
-        "engine_gain": scenario.plant.jets.rate_gain_p,
+        "engine_gain": scenario.plant.jets.engines.b_u,
         "wind": scenario.wind.velocity,
         "velocity": robot_state.velocity,
         "joint_position": robot_state.joint_position,
@@ -69,10 +69,11 @@ def problem(x64, tmp_path_factory):
             aero=replace(controller.aero, areas=p["modelled_areas"]),
         )
         plant = scenario.plant
+        engines = plant.jets.engines._replace(b_u=p["engine_gain"])
         air = replace(plant.aero, network=replace(plant.aero.network, scale=p["network_scale"]))
         perturbed = replace(
             scenario,
-            plant=replace(plant, aero=air, jets=replace(plant.jets, rate_gain_p=p["engine_gain"])),
+            plant=replace(plant, aero=air, jets=replace(plant.jets, engines=engines)),
             controller=changed,
             wind=replace(scenario.wind, velocity=p["wind"]),
             fall=replace(scenario.fall, com_error=p["com_error"]),

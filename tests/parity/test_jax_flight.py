@@ -17,6 +17,7 @@ from jax_aero.body.robot import load_robot
 from jax_aero.body.spatial import rotation_from_wxyz
 from jax_aero.control.tick import MomentumController
 from jax_aero.sim.plant import PlantState, advance, observe, start_plant
+from jax_aero.sim.rollout import lost_reason
 from jax_aero.sim.wind import wind_model, wind_velocity
 from jax_aero.types import State, pytree
 
@@ -35,7 +36,7 @@ def test_a_flight_of_50_s(fly_both):
     [
         ({"simulator.fall.com_error": 0.02}, "fell"),
         ({"simulator.fall.rotation_error_deg": 0.5}, "fell"),
-        ({"simulator.duration": 3.5, "simulator.course_error": 1e-4}, "off_course"),
+        ({"simulator.duration": 3.5, "disturbances.model_error.mass_scale": 0.9}, "off_course"),
     ],
 )
 def test_a_flight_under_a_strict_judge(changes, outcome, fly_both):
@@ -166,9 +167,7 @@ def test_joints_meet_their_stops(integrator, agree):
 SPOILT = {
     "speed": {"simulator.initial.base_velocity": [0.0, 301.0, 0.0, 0.0, 0.0, 0.0]},
     "angular velocity": {"simulator.initial.base_velocity": [0.0, 0.0, 0.0, 0.0, -101.0, 0.0]},
-    "joint velocity": {"simulator.divergence.joint_velocity": 1e-6},
-    "joint more": {"simulator.divergence.joint_excess": 0.25, "simulator.joint_stops": False},
-    "thrust": {"simulator.divergence.thrust_ratio": 0.5},
+    "joint more": {"simulator.joint_stops": False},
 }
 
 
@@ -178,7 +177,7 @@ def test_numbers_that_physics_excludes_diverge(criterion, fly_both):
     changes = SPOILT[criterion] | {"simulator.duration": 0.5, "simulator.initial.free_fall_tick": False}
     if criterion == "joint more":
         elbow_out = list(rust.load_config(EXPERIMENTS / "test2.toml")["simulator"]["initial"]["joint_position"])
-        elbow_out[6] -= 0.4
+        elbow_out[6] -= 8.0
         changes["simulator.initial.joint_position"] = elbow_out
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "simulator.initial.joint_position of `l_elbow`")
@@ -186,6 +185,24 @@ def test_numbers_that_physics_excludes_diverge(criterion, fly_both):
     expected, _ = fly_both(config)
     assert expected.outcome == "diverged"
     assert criterion in expected.lost_reason
+
+
+@pytest.mark.parametrize("criterion", ["joint velocity", "thrust"])
+@pytest.mark.usefixtures("x64")
+def test_what_no_controller_commands_diverges(criterion):
+    changes = {"simulator.duration": 0.5, "simulator.joint_stops": False}
+    config = rust.load_config(EXPERIMENTS / "test2.toml", changes)
+    crate, (scenario, state) = rust.Flight(config), sim.prepare(config)
+    surges = criterion == "thrust"
+    elbow = np.where(np.arange(23) == 6, 300.0, 0.0)
+    while crate.step(command=rust.Command(np.full(4, 1e6 * surges), elbow * (not surges))):
+        pass
+    plant, robot = state.plant, state.plant.robot
+    too_strong = plant._replace(jets=plant.jets._replace(thrust=10.01 * scenario.plant.robot.jets.thrust_max))
+    too_fast = plant._replace(robot=robot._replace(velocity=robot.velocity.at[10].set(-101.0)))
+    after, _ = jax.jit(sim.step)(scenario, state._replace(plant=too_strong if surges else too_fast), 0)
+    assert lost_reason(int(after.loss), 0.0) == crate.result().lost_reason
+    assert criterion in crate.result().lost_reason
 
 
 PERTURBED = {

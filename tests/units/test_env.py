@@ -177,9 +177,8 @@ def test_failures_are_learnt_in_gymnasium(key, tmp_path):
 
 
 def test_an_episode_ends_where_the_flight_is_lost(tmp_path):
-    (tmp_path / "own.toml").write_text(f'base = "{EXPERIMENTS}/test1.toml"\nsimulator.divergence.speed = 1.0\n')
-    with pytest.warns(UserWarning, match="wind reaches 10 m/s"):
-        hover = HoverEnv(Task(str(tmp_path / "own.toml"), ramp=0.05))
+    (tmp_path / "own.toml").write_text(f'base = "{EXPERIMENTS}/test1.toml"\nsimulator.fall.com_error = 0.0015\n')
+    hover = HoverEnv(Task(str(tmp_path / "own.toml"), ramp=0.05))
     hover.reset(options={"wind": WIND})
     steps = [hover.step(np.zeros(27, np.float32))[1:4] for _ in range(3)]
     assert [terminated for _, terminated, _ in steps] == [False, True, True]

@@ -288,13 +288,9 @@ def estimate(engine: Array, log: Log, q: Array, r: float) -> tuple[Array, float]
     model = SecondOrderJets(
         engines=Engines(*(jnp.array([value]) for value in engine)),
         thrust_min=jnp.zeros(1),
-        rate_gain_p=jnp.array(0.0),
-        rate_gain_i=jnp.array(0.0),
         q=jnp.asarray(q),
         r=jnp.asarray(r),
         feedback_is_estimated=True,
-        init_state=None,
-        init_p=jnp.eye(2),
     )
     one = jnp.ones(1)
 
@@ -306,7 +302,7 @@ def estimate(engine: Array, log: Log, q: Array, r: float) -> tuple[Array, float]
         likelihood = -0.5 * (jnp.log(variance) + error * error / variance)
         return state._replace(estimate=found, covariance=covariance), (state.estimate[0], likelihood)
 
-    start = EngineState(one, 0.0 * one, jnp.array([[smooth(log.thrust).thrust[0], 0.0]]), 10.0 * jnp.eye(2)[None])
+    start = EngineState(one, jnp.array([[smooth(log.thrust).thrust[0], 0.0]]), 10.0 * jnp.eye(2)[None])
     _, (states, likelihood) = jax.lax.scan(step, start, (jnp.asarray(log.thrust), jnp.asarray(log.throttle)))
     return np.asarray(states), float(likelihood[10:].sum())
 

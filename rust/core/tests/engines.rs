@@ -196,13 +196,13 @@ fn an_engine_that_follows_as_fast_as_it_can_is_not_limited() {
     for lags in [true, false] {
         let mut monitor = Monitors::new(1, 1.0);
         let mut engine = EngineDynamics::new(model, 60.0, 0.0);
-        let mut throttle = ThrustRateController::new(150.0, 0.0, model.steady_throttle(60.0)).unwrap();
+        let mut throttle = ThrustRateController::new(model.steady_throttle(60.0));
         let (mut farthest, mut before) = (0.0_f64, 60.0);
         for tick in 0..300 {
             let command = if tick % 100 < 50 { 100.0 } else { -100.0 };
             if lags {
                 let rate = engine.thrust_rate;
-                engine.step(throttle.update(&model, engine.thrust, rate, command, STEP), STEP);
+                engine.step(throttle.update(&model, engine.thrust, rate, command), STEP);
             } else {
                 engine.thrust += STEP * command;
             }

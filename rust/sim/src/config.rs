@@ -13,6 +13,7 @@ use flight_core::aero::LeverArm;
 use flight_core::control::check_time_step;
 use flight_core::control::law::mpc::config::MpcConfig;
 use flight_core::error::{BuildError, Table};
+use flight_core::jets::RATE_GAIN;
 use flight_core::kinematics::RobotState;
 use flight_core::robot::RobotModel;
 use flight_core::spatial::{Pose, rotation_from_rpy};
@@ -159,22 +160,10 @@ pub struct SimulatorConfig {
     pub initial: InitialConfig,
     /// Limits beyond which a robot counts as fallen.
     pub fall: FallConfig,
-    /// Greatest distance of the centre of mass from its set-point after the start-up; a flight that exceeds it
-    /// is `off_course` \[m\].
-    #[serde(default = "half_a_metre")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub course_error: f64,
-    /// Limits beyond which a flight counts as diverged.
-    #[serde(default)]
-    pub divergence: DivergenceConfig,
 }
 
 fn default_one() -> u32 {
     1
-}
-
-fn half_a_metre() -> f64 {
-    0.5
 }
 
 /// Implementation that computes mass matrix and bias.
@@ -237,41 +226,6 @@ fn default_true() -> bool {
     true
 }
 
-/// Limits of physically possible values; a flight that exceeds them, or has a state that is not finite, has
-/// diverged.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct DivergenceConfig {
-    /// Speed of base and air \[m/s\]; by default near the speed of sound, where no aerodynamic model here is
-    /// valid.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub speed: f64,
-    /// Angular velocity of the base \[rad/s\]; by default 16 turns per second.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub angular_velocity: f64,
-    /// Velocity of a joint \[rad/s, m/s\]; by default ten times that of motors of such robots.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub joint_velocity: f64,
-    /// Distance of a joint beyond its stops \[rad, m\]; by default about one turn.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub joint_excess: f64,
-    /// Ratio of a thrust to the jet's greatest.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub thrust_ratio: f64,
-}
-
-impl Default for DivergenceConfig {
-    fn default() -> Self {
-        Self {
-            speed: 300.0,
-            angular_velocity: 100.0,
-            joint_velocity: 100.0,
-            joint_excess: 6.0,
-            thrust_ratio: 10.0,
-        }
-    }
-}
-
 /// Limits beyond which a robot counts as fallen.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -294,23 +248,11 @@ impl SimulatorConfig {
         table.check_positive("duration", self.duration)?;
         check_time_step("simulator.time_step", self.time_step)?;
         table.check_positive("fall.com_error", self.fall.com_error)?;
-        table.check_positive("course_error", self.course_error)?;
-        table.check_positive("divergence.speed", self.divergence.speed)?;
-        table.check_positive("divergence.angular_velocity", self.divergence.angular_velocity)?;
-        table.check_positive("divergence.joint_velocity", self.divergence.joint_velocity)?;
-        table.check_positive("divergence.joint_excess", self.divergence.joint_excess)?;
-        table.check_positive("divergence.thrust_ratio", self.divergence.thrust_ratio)?;
         let angle = self.fall.rotation_error_deg;
         table.check("fall.rotation_error_deg", angle, |x| 0.0 < x && x <= 180.0, "degrees in (0, 180]")?;
-        if let JetsConfig::SecondOrder(jets) = &self.jets {
-            let most = 2.0 / self.time_step;
-            let expected = format!("a number from 0 to below {most}, 2 / time step of {} s", self.time_step);
-            table.check(
-                "jets.rate_gain_p",
-                jets.rate_gain_p,
-                |gain| (0.0..most).contains(&gain),
-                &expected,
-            )?;
+        if let JetsConfig::SecondOrder(_) = &self.jets {
+            let expected = format!("below 2 / ({RATE_GAIN}/s), for the throttle loops of second-order jets");
+            table.check("time_step", self.time_step, |step| step * RATE_GAIN < 2.0, &expected)?;
         }
         if let JetsConfig::Measured(map) = &self.jets {
             map.check()?;

@@ -15,7 +15,7 @@
 
 use crate::disturbances::Sample;
 use crate::log::FlightLog;
-use crate::outcome::{FlightResult, Loss, LossReason, Outcome};
+use crate::outcome::{FlightResult, Judge, Loss, LossReason, Outcome};
 use crate::plant::Plant;
 use crate::scenario::{Interrupted, Scenario};
 use crate::signals::{TickRow, TrackingErrors, WorldRow, feet_of};
@@ -227,7 +227,7 @@ impl Flight {
     }
 
     fn divergence(&self) -> Option<LossReason> {
-        self.scenario.judge.divergence(&self.scenario.plant, &self.air)
+        Judge::divergence(&self.scenario.plant, &self.air)
     }
 
     /// Whether the last tick has been flown, the robot has come down, or the flight is lost.

@@ -47,15 +47,9 @@ impl JetsConfig {
 }
 
 /// Parameters of the second-order engines; the defaults are the published ones.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SecondOrderConfig {
-    /// Proportional gain of the thrust-rate loop \[1/s\].
-    #[schemars(range(min = 0))]
-    pub rate_gain_p: f64,
-    /// Integral gain of the thrust-rate loop \[1/s²\].
-    #[schemars(range(min = 0))]
-    pub rate_gain_i: f64,
     /// The thrust estimator.
     pub ekf: EkfConfig,
     /// Thrust that the flight controller receives; the throttle loop always uses the estimate.
@@ -63,18 +57,6 @@ pub struct SecondOrderConfig {
     /// Engine of each jet, by name; by default those of the robot.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub engines: Option<Vec<String>>,
-}
-
-impl Default for SecondOrderConfig {
-    fn default() -> Self {
-        Self {
-            rate_gain_p: 150.0,
-            rate_gain_i: 0.0,
-            ekf: EkfConfig::default(),
-            feedback: ThrustFeedback::default(),
-            engines: None,
-        }
-    }
 }
 
 /// Thrust that the flight controller receives.
@@ -120,7 +102,7 @@ impl Jets {
     ///
     /// # Errors
     /// The thrust of a jet is missing or not finite; for second-order dynamics also an engine that does not
-    /// exist, a negative gain, or values that [`EngineModel::new`] or [`ThrustEkf::new`] refuse.
+    /// exist, or values that [`EngineModel::new`] or [`ThrustEkf::new`] refuse.
     pub fn new(
         config: &JetsConfig,
         jets: &[Jet],
@@ -165,7 +147,7 @@ impl Jets {
                 let throttle = model.steady_throttle(thrust);
                 Ok(ThrottledEngine {
                     engine: EngineDynamics::new(model, thrust, 0.0),
-                    controller: ThrustRateController::new(config.rate_gain_p, config.rate_gain_i, throttle)?,
+                    controller: ThrustRateController::new(throttle),
                     ekf: ThrustEkf::new(&config.ekf, model, thrust)?,
                 })
             })
@@ -222,7 +204,6 @@ impl Jets {
                         jet.ekf.thrust(),
                         jet.ekf.thrust_rate(),
                         command,
-                        dt,
                     );
                     jet.ekf.update(self.faults.sensor.measure_thrust(jet.engine.thrust), throttle, dt);
                     jet.engine.step(throttle, dt);

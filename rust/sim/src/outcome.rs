@@ -2,7 +2,7 @@
 //!
 //! The end of a flight is M80 of `docs/model`.
 
-use crate::config::{DivergenceConfig, FallConfig, SimulatorConfig};
+use crate::config::{FallConfig, SimulatorConfig};
 use crate::log::FlightLog;
 use crate::plant::Plant;
 use crate::signals::TrackingErrors;
@@ -10,12 +10,30 @@ use crate::summary::Summary;
 use nalgebra::Vector3;
 use std::fmt;
 
+/// Greatest distance of the centre of mass from its set-point after the start-up of a flight on course \[m\].
+const COURSE_ERROR: f64 = 0.5;
+
+/// Greatest speed of base and air \[m/s\]: near that of sound, where no aerodynamic model here is valid.
+pub(crate) const SPEED: f64 = 300.0;
+
+/// Greatest angular velocity of the base \[rad/s\]: 16 turns per second.
+const ANGULAR_VELOCITY: f64 = 100.0;
+
+/// Greatest velocity of a joint \[rad/s, m/s\]: ten times that of motors of such robots.
+const JOINT_VELOCITY: f64 = 100.0;
+
+/// Greatest distance of a joint beyond its stops \[rad, m\]: about one turn.
+const JOINT_EXCESS: f64 = 6.0;
+
+/// Greatest ratio of a thrust to the jet's greatest.
+const THRUST_RATIO: f64 = 10.0;
+
 /// Outcome of a flight.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Outcome {
     /// The mission was flown to its end, on course.
     Completed,
-    /// The mission was flown to its end, but after the start-up the errors exceeded `simulator.course_error`.
+    /// The mission was flown to its end, but after the start-up further than 0.5 m from its set-point.
     OffCourse,
     /// The robot gave up its mission and came down to the height at which the flight began, or was on its way down at the end.
     Descended,
@@ -48,7 +66,7 @@ pub struct Loss {
     pub reason: LossReason,
 }
 
-/// Reason of an early end, with the limit: the first two are falls, the others a divergence.
+/// Reason of an early end: the first two are falls, the others a divergence.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum LossReason {
     /// Angle between base and desired base \[rad\].
@@ -57,16 +75,16 @@ pub enum LossReason {
     ComError(f64),
     /// The state contains a number that is not finite.
     NotFinite,
-    /// Speed of base or air \[m/s\].
-    Speed(f64),
-    /// Angular velocity of the base \[rad/s\].
-    AngularVelocity(f64),
-    /// Velocity of a joint \[rad/s, m/s\].
-    JointVelocity(f64),
-    /// Distance of a joint beyond its stops \[rad, m\].
-    JointPosition(f64),
+    /// Speed of base or air.
+    Speed,
+    /// Angular velocity of the base.
+    AngularVelocity,
+    /// Velocity of a joint.
+    JointVelocity,
+    /// Distance of a joint beyond its stops.
+    JointPosition,
     /// Ratio of a thrust to the jet's greatest.
-    Thrust(f64),
+    Thrust,
 }
 
 impl LossReason {
@@ -86,11 +104,11 @@ impl fmt::Display for LossReason {
             Self::RotationError(angle) => write!(f, "rotation error {:.1} deg", angle.to_degrees()),
             Self::ComError(distance) => write!(f, "CoM error {distance:.2} m"),
             Self::NotFinite => write!(f, "state not finite"),
-            Self::Speed(limit) => write!(f, "speed of base or air above {limit} m/s"),
-            Self::AngularVelocity(limit) => write!(f, "angular velocity above {limit} rad/s"),
-            Self::JointVelocity(limit) => write!(f, "joint velocity above {limit} rad/s"),
-            Self::JointPosition(limit) => write!(f, "joint more than {limit} rad beyond its stop"),
-            Self::Thrust(limit) => write!(f, "thrust above {limit} times its greatest"),
+            Self::Speed => write!(f, "speed of base or air above {SPEED} m/s"),
+            Self::AngularVelocity => write!(f, "angular velocity above {ANGULAR_VELOCITY} rad/s"),
+            Self::JointVelocity => write!(f, "joint velocity above {JOINT_VELOCITY} rad/s"),
+            Self::JointPosition => write!(f, "joint more than {JOINT_EXCESS} rad beyond its stop"),
+            Self::Thrust => write!(f, "thrust above {THRUST_RATIO} times its greatest"),
         }
     }
 }
@@ -112,23 +130,19 @@ pub struct FlightResult {
 #[derive(Debug, Clone)]
 pub struct Judge {
     fall: FallConfig,
-    divergence: DivergenceConfig,
-    /// \[m\]
-    course_error: f64,
 }
 
 impl Judge {
     /// The limits of a configuration.
     #[must_use]
     pub fn new(config: &SimulatorConfig) -> Self {
-        let SimulatorConfig { fall, divergence, course_error, .. } = config;
-        Self { fall: fall.clone(), divergence: divergence.clone(), course_error: *course_error }
+        Self { fall: config.fall.clone() }
     }
 
     /// Reason why a flight is lost, if it is: a physically impossible state, or a fall.
     #[must_use]
     pub fn loss(&self, plant: &Plant, wind: &Vector3<f64>, errors: &TrackingErrors) -> Option<LossReason> {
-        self.divergence(plant, wind).or_else(|| {
+        Self::divergence(plant, wind).or_else(|| {
             if !errors.rotation.is_finite() || !errors.com.is_finite() {
                 Some(LossReason::NotFinite)
             } else if errors.rotation > self.fall.rotation_error_deg.to_radians() {
@@ -143,9 +157,8 @@ impl Judge {
 
     /// Reason why the state is physically impossible, if it is.
     #[must_use]
-    pub fn divergence(&self, plant: &Plant, wind: &Vector3<f64>) -> Option<LossReason> {
+    pub fn divergence(plant: &Plant, wind: &Vector3<f64>) -> Option<LossReason> {
         let (state, thrusts, robot) = (plant.state(), plant.jets().thrust(), plant.robot());
-        let limits = &self.divergence;
         let is_finite = state.is_finite() && thrusts.iter().chain(wind).all(|number| number.is_finite());
         let speed = state.base_linear_velocity().norm().max(wind.norm());
         let joints = || robot.joints.iter().zip(state.joint_position.iter());
@@ -154,21 +167,15 @@ impl Judge {
         let excess = excess.fold(f64::NEG_INFINITY, f64::max);
         let fastest =
             state.joint_velocity().iter().fold(0.0, |fastest: f64, velocity| fastest.max(velocity.abs()));
-        let is_too_strong = robot
-            .jets
-            .iter()
-            .zip(thrusts)
-            .any(|(jet, thrust)| *thrust > limits.thrust_ratio * jet.thrust_max);
+        let is_too_strong =
+            robot.jets.iter().zip(thrusts).any(|(jet, thrust)| *thrust > THRUST_RATIO * jet.thrust_max);
         [
             (!is_finite, LossReason::NotFinite),
-            (speed > limits.speed, LossReason::Speed(limits.speed)),
-            (
-                state.base_angular_velocity().norm() > limits.angular_velocity,
-                LossReason::AngularVelocity(limits.angular_velocity),
-            ),
-            (fastest > limits.joint_velocity, LossReason::JointVelocity(limits.joint_velocity)),
-            (excess > limits.joint_excess, LossReason::JointPosition(limits.joint_excess)),
-            (is_too_strong, LossReason::Thrust(limits.thrust_ratio)),
+            (speed > SPEED, LossReason::Speed),
+            (state.base_angular_velocity().norm() > ANGULAR_VELOCITY, LossReason::AngularVelocity),
+            (fastest > JOINT_VELOCITY, LossReason::JointVelocity),
+            (excess > JOINT_EXCESS, LossReason::JointPosition),
+            (is_too_strong, LossReason::Thrust),
         ]
         .into_iter()
         .find_map(|(is_beyond, reason)| is_beyond.then_some(reason))
@@ -180,7 +187,7 @@ impl Judge {
         match loss {
             Some(loss) => loss.reason.outcome(),
             None if is_descending => Outcome::Descended,
-            None if summary.max_com_error > self.course_error => Outcome::OffCourse,
+            None if summary.max_com_error > COURSE_ERROR => Outcome::OffCourse,
             None => Outcome::Completed,
         }
     }

@@ -1,6 +1,7 @@
 //! What of a configuration can be flown but is probably not meant: key, value and what was expected.
 
 use crate::config::ScenarioConfig;
+use crate::outcome::SPEED;
 use crate::wind::Wind;
 use flight_core::error::BuildError;
 use flight_core::kinematics::Kinematics;
@@ -75,15 +76,13 @@ fn below_ground(config: &ScenarioConfig, robot: &RobotModel) -> Vec<String> {
 
 /// A wind in which every flight diverges.
 fn too_strong(config: &ScenarioConfig) -> Result<Option<String>, BuildError> {
-    let (wind, limit, step) =
-        (Wind::new(&config.wind)?, config.simulator.divergence.speed, config.simulator.time_step);
+    let (wind, step) = (Wind::new(&config.wind)?, config.simulator.time_step);
     let speed = |tick| wind.velocity(f64::from(tick) * step).norm();
     let ticks = u32::try_from(config.simulator.n_ticks()).unwrap_or(u32::MAX);
     let greatest = (0..=ticks).map(speed).fold(0.0, f64::max);
-    Ok((greatest > limit).then(|| {
+    Ok((greatest > SPEED).then(|| {
         format!(
-            "wind reaches {greatest:.0} m/s; expected at most simulator.divergence.speed, {limit} m/s, above which a flight \
-             ends as diverged"
+            "wind reaches {greatest:.0} m/s; expected at most {SPEED} m/s, above which a flight ends as diverged"
         )
     }))
 }

@@ -53,7 +53,7 @@ pub struct ControllerState {
     /// State of the observer: the observed wrench, its residual and the last accepted measurement.
     pub(super) observer: ObserverState,
     /// Observer of the wrench that a residual sees, without that of the observer above; unused without a residual.
-    pub(super) residual: ObserverState,
+    pub(super) residual_observer: ObserverState,
     /// Time for which the supervisor's limits have been exceeded \[s\]; zero without a supervisor.
     pub(super) exceeded: f64,
     /// Plan of the predictive law; empty without one.
@@ -110,7 +110,7 @@ impl ControllerState {
     /// Wrench that a residual sees \[N, N m\]; zero without a residual.
     #[must_use]
     pub fn residual_wrench(&self) -> &Vector6<f64> {
-        self.residual.wrench()
+        self.residual_observer.wrench()
     }
 
     /// Whether the rate limiter has a previous torque.

@@ -173,7 +173,7 @@ impl Controller {
             latency: None,
             exceeded: 0.0,
             observer: ObserverState::default(),
-            residual: ObserverState::default(),
+            residual_observer: ObserverState::default(),
             plan: Plan::none(law.unknowns()),
             momentum_start: WarmStart::cold(terms.momentum_qp.problem.len()),
             torque_start: WarmStart::cold(terms.torque_qp.problem.len()),

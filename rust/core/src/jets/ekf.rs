@@ -7,19 +7,14 @@ use crate::error::{BuildError, check};
 use nalgebra::{Matrix2, Vector2};
 use serde::{Deserialize, Serialize};
 
-/// Parameters of the filter, with the symbols of its equations. Except for the initial state, the defaults are
-/// the published values.
+/// Covariance of the initial state, as published.
+const INITIAL: Matrix2<f64> = Matrix2::new(1.0, 0.1, 0.1, 1.0);
+
+/// Parameters of the filter, with the symbols of its equations; the defaults are the published values.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct EkfConfig {
-    /// `x̂(0) = (T, Ṫ)` \[N, N/s\]; without it `(initial thrust, 0)`. The published value is (0, 0), with which
-    /// the throttle loop uses too small a thrust for the first two seconds.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub init_state: Option<[f64; 2]>,
-    /// `P(0)`: covariance of the initial state.
-    #[serde(rename = "init_P")]
-    pub init_p: [[f64; 2]; 2],
     /// `Q`: intensity of the process noise.
     #[serde(rename = "Q")]
     pub q: [[f64; 2]; 2],
@@ -31,7 +26,7 @@ pub struct EkfConfig {
 
 impl Default for EkfConfig {
     fn default() -> Self {
-        Self { init_state: None, init_p: [[1.0, 0.1], [0.1, 1.0]], q: [[10.0, 1.0], [1.0, 10.0]], r: 1.0 }
+        Self { q: [[10.0, 1.0], [1.0, 10.0]], r: 1.0 }
     }
 }
 
@@ -54,21 +49,16 @@ pub struct ThrustEkf {
 }
 
 impl ThrustEkf {
-    /// Builds the filter of `model`; it starts from the given thrust \[N\] unless the configuration states an
-    /// initial state.
+    /// Builds the filter of `model`; it starts from the given thrust \[N\], which is finite, at rest. The published filter
+    /// starts at zero: its throttle loop uses too small a thrust for the first two seconds.
     ///
     /// # Errors
-    /// A matrix that is not symmetric and positive semidefinite, an `R` that is not positive, a
-    /// state that is not finite.
+    /// A `Q` that is not symmetric and positive semidefinite, an `R` that is not positive.
     pub fn new(config: &EkfConfig, model: EngineModel, initial_thrust: f64) -> Result<Self, BuildError> {
-        let state = config.init_state.unwrap_or([initial_thrust, 0.0]);
-        for (index, value) in state.iter().enumerate() {
-            check(&format!("ekf.init_state[{index}]"), *value, |_| true, "a finite number")?;
-        }
         Ok(Self {
             model,
-            state: Vector2::from(state),
-            covariance: covariance("ekf.init_P", &config.init_p)?,
+            state: Vector2::new(initial_thrust, 0.0),
+            covariance: INITIAL,
             q: covariance("ekf.Q", &config.q)?,
             r: check("ekf.R", config.r, |r| r > 0.0, "a positive noise intensity")?,
         })

@@ -191,27 +191,22 @@ impl EngineDynamics {
     }
 }
 
-/// Throttle loop: feedback linearisation of [`EngineModel`] to `T̈ = −k_p e − k_i ∫e`, `e = Ṫ − Ṫ*`.
+/// Gain of the throttle loop \[1/s\], of the published controller. The error decays only if `k_p dt < 2`; with the
+/// published 1.5 it changes sign and halves every tick.
+pub const RATE_GAIN: f64 = 150.0;
+
+/// Throttle loop: feedback linearisation of [`EngineModel`] to `T̈ = −k_p (Ṫ − Ṫ*)`, `k_p` = [`RATE_GAIN`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ThrustRateController {
-    gain_p: f64,
-    gain_i: f64,
-    /// `∫ (Ṫ − Ṫ*) dt` \[N\].
-    integral: f64,
     /// Last throttle \[%\].
     throttle: f64,
 }
 
 impl ThrustRateController {
-    /// A loop with gains `k_p` \[1/s\] and `k_i` \[1/s²\], and the initial throttle \[%\].
-    ///
-    /// # Errors
-    /// A gain that is negative or not finite.
-    pub fn new(gain_p: f64, gain_i: f64, throttle: f64) -> Result<Self, BuildError> {
-        let expected = "a gain that is not negative";
-        check("rate_gain_p", gain_p, |k| k >= 0.0, expected)?;
-        check("rate_gain_i", gain_i, |k| k >= 0.0, expected)?;
-        Ok(Self { gain_p, gain_i, integral: 0.0, throttle })
+    /// A loop with the initial throttle \[%\].
+    #[must_use]
+    pub fn new(throttle: f64) -> Self {
+        Self { throttle }
     }
 
     /// Last throttle \[%\].
@@ -220,30 +215,19 @@ impl ThrustRateController {
         self.throttle
     }
 
-    /// Returns the throttle \[%\] for a commanded thrust rate \[N/s\], to be held for `dt` \[s\].
+    /// Returns the throttle \[%\] for a commanded thrust rate \[N/s\].
     ///
     /// ```text
-    /// v = −( k_p (Ṫ − Ṫ*) + f(T, Ṫ) + k_i ∫(Ṫ − Ṫ*) ) / g(T, Ṫ),   u = v⁻¹(clamp v)
+    /// v = −( k_p (Ṫ − Ṫ*) + f(T, Ṫ) ) / g(T, Ṫ),   u = v⁻¹(clamp v)
     /// ```
     ///
-    /// Source: the published controller, `k_p = 150`, `k_i = 0`. The error decays only if `k_p dt < 2`; with
-    /// the published 1.5 it changes sign and halves every tick. Where `g` is zero or a number is not finite
-    /// the throttle is held, instead of a division by zero. No anti-windup, as published.
-    pub fn update(
-        &mut self,
-        model: &EngineModel,
-        thrust: f64,
-        thrust_rate: f64,
-        command: f64,
-        dt: f64,
-    ) -> f64 {
-        let error = thrust_rate - command;
+    /// Source: the published controller. Where `g` is zero or a number is not finite the throttle is held, instead of a
+    /// division by zero.
+    pub fn update(&mut self, model: &EngineModel, thrust: f64, thrust_rate: f64, command: f64) -> f64 {
         let gain = model.input_gain(thrust, thrust_rate);
-        let wanted =
-            -(self.gain_p * error + model.drift(thrust, thrust_rate) + self.gain_i * self.integral) / gain;
+        let wanted = -(RATE_GAIN * (thrust_rate - command) + model.drift(thrust, thrust_rate)) / gain;
         if wanted.is_finite() && gain.abs() >= MIN_INPUT_GAIN {
             self.throttle = model.limit_throttle(model.throttle_from_input(model.limit_input(wanted)));
-            self.integral += dt * error;
         }
         self.throttle
     }

@@ -7,7 +7,7 @@ use flight_core::robot::Joint;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Share of the torque that acts at a weak joint, unless it is given.
+/// Share of the torque that acts at a weak joint.
 const HALF: f64 = 0.5;
 
 /// A joint that no longer follows its torque.
@@ -21,14 +21,6 @@ pub struct JointFault {
     /// Time from which it acts \[s\].
     #[schemars(range(min = 0))]
     pub start: f64,
-    /// Share of the commanded torque that acts at a weak joint.
-    #[serde(default = "half")]
-    #[schemars(range(min = 0, max = 1))]
-    pub share: f64,
-}
-
-fn half() -> f64 {
-    HALF
 }
 
 /// Kind of a joint's fault.
@@ -37,14 +29,14 @@ fn half() -> f64 {
 pub enum JointFaultKind {
     /// The joint keeps its position.
     Stuck,
-    /// A share of the torque acts.
+    /// Half of the torque acts.
     Weak,
     /// No torque acts.
     Free,
 }
 
 impl JointFault {
-    /// Checks name, time and share for `joints`; `index` is the position of the fault in the list. Returns the index of
+    /// Checks name and time for `joints`; `index` is the position of the fault in the list. Returns the index of
     /// the joint.
     ///
     /// # Errors
@@ -52,11 +44,6 @@ impl JointFault {
     fn check(&self, index: usize, joints: &[Joint]) -> Result<usize, BuildError> {
         let key = |name: &str| format!("disturbances.joints[{index}].{name}");
         check(&key("start"), self.start, |t| t >= 0.0, "seconds ≥ 0")?;
-        check(&key("share"), self.share, |x| (0.0..=1.0).contains(&x), "a share from 0 to 1")?;
-        if self.kind != JointFaultKind::Weak {
-            let expected = "none, but for the kind weak";
-            check(&key("share"), self.share, |share| share.total_cmp(&HALF).is_eq(), expected)?;
-        }
         place_of(key("joint"), &self.joint, joints.iter().map(|joint| &joint.name))
     }
 }
@@ -96,7 +83,7 @@ impl JointFaults {
             }
             let share = match config.kind {
                 JointFaultKind::Stuck => 1.0,
-                JointFaultKind::Weak => config.share,
+                JointFaultKind::Weak => HALF,
                 JointFaultKind::Free => 0.0,
             };
             let is_stuck = config.kind == JointFaultKind::Stuck;

@@ -315,16 +315,16 @@ pub fn steer(
 ) {
     match (given, policy) {
         (Some(given), _) => given.write(command, &mut terms.residual),
-        (None, Some(policy)) => policy.act(state.residual.wrench(), terms),
+        (None, Some(policy)) => policy.act(state.residual_observer.wrench(), terms),
         (None, None) => return,
     }
     add(given.is_some_and(|given| given.replaces), terms, command);
     let Terms { measurement, dynamics, momentum, .. } = terms;
     if measurement.has_momentum {
         let sample = Sample { momentum: dynamics.momentum, rate: momentum.rate_estimate };
-        state.residual.update(&OBSERVER, measurement.elapsed, sample);
+        state.residual_observer.update(&OBSERVER, measurement.elapsed, sample);
     } else {
-        state.residual.hold();
+        state.residual_observer.hold();
     }
 }
 
