@@ -58,8 +58,8 @@ def fronts(study: xr.Dataset) -> Figure:
         axes, (tracking, thrust) = panels[flight], study["first"].sel(loss=flight).values.T
         lost = study["first_lost"].sel(loss=flight).values
         axes.plot(tracking[~lost], thrust[~lost], ".", color=style.LIGHT, markersize=2, label="designs")
-        of_lost = {"color": style.VERMILION, "markersize": 3, "label": "lost after an arm engine"}
-        axes.plot(tracking[lost], thrust[lost], "x", **of_lost)
+        points = tracking[lost], thrust[lost]
+        axes.plot(*points, "x", color=style.VERMILION, markersize=3, label="lost after an arm engine")
         for of, colour in front.items():
             best = study["front"].sel(of=of).values
             axes.plot(tracking[best], thrust[best], "o", color=colour, markersize=4, label=f"front: {of}")

@@ -201,7 +201,7 @@ def confirmed(asked: DesignConfig, path: Path) -> Findings:
     figures = last.reshape(len(chosen), asked.repeats, len(flights), len(FIGURES))
     costs = first["figures"].isel(draw=0).sel(figure=["tracking", "thrust", "sink"]).values
     fell = (first["figures"].isel(draw=0).sel(figure="lost") != 0.0).values
-    alive = np.where(fell.any(axis=1)[:, None], np.nan, costs[:, 1])
+    alive = np.where(fell.any(axis=1, keepdims=True), np.nan, costs[:, 1])
     fronts = np.column_stack([front(costs[:, 0, :2]), front(alive[:, :2]), front(alive)])
     data = xr.Dataset(
         {
@@ -221,7 +221,7 @@ def confirmed(asked: DesignConfig, path: Path) -> Findings:
         "better than Mk3 in wind": int((score["wind"] < 1.0).sum()),
         "on the front of tracking and thrust in still air": int(fronts[:, 0].sum()),
         "of these, lost in 15 m/s, the fast leg and the loss of an arm engine": int(fell[fronts[:, 0], 1].sum()),
-        "of these, on the front of tracking and thrust in wind": int((fronts[:, 0] & fronts[:, 1]).sum()),
+        "of these, on the front of tracking and thrust in wind": int(fronts[:, :2].all(axis=1).sum()),
         "on the front of tracking and thrust in wind": int(fronts[:, 1].sum()),
         "on the front of tracking, thrust and sinking in wind": int(fronts[:, 2].sum()),
         "of the best of still air, among the best in wind": len({*best["still"]} & {*best["wind"]}),
