@@ -67,7 +67,7 @@ def fronts(study: xr.Dataset) -> Figure:
         axes.set(xscale="log", xlim=(0.2, 8.0), xlabel="cost of tracking [1]", title=title)
         _ticks(axes, (0.2, 0.5, 1, 2, 4))
     panels["still"].set(ylabel="mean thrust [N]")
-    panels["fast"].legend(fontsize="x-small")
+    panels["still"].legend(fontsize="x-small", loc="upper left")
     flights, names = study["flight"].values, {"Mk3": "iRonCub-Mk3", "three": "three numbers"}
     colours = dict(zip(study["robot"].values, (style.BLACK, style.ORANGE, style.BLUE, style.GREEN), strict=True))
     losses = [flight for flight in flights if "arm" in flight or "chest" in flight]
