@@ -51,18 +51,31 @@ NUMPY_FEATURES = $(shell $(BIN)/python -c 'import numpy; \
 NUMERICAL := $(if $(QUICK),tests/parity/test_qp.py tests/parity/test_jax_qp_box.py tests/parity/test_aero.py, \
 	tests/parity tests/gradients tests/units tests/train)
 
-# 64-bit ARM, its cross compiler and emulator, and what `make bits` flies: force models, observer, sensors, plan.
+# Other machines whose bits `make bits` compares: cross compiler and emulator of each; and what it flies: force models,
+# observer, sensors, plan. Windows needs wine 9 or newer.
 ARM := aarch64-unknown-linux-gnu
-ARM_TOOLS := aarch64-linux-gnu-gcc qemu-aarch64
+WINDOWS := x86_64-pc-windows-gnu
+BITS_TOOLS := aarch64-linux-gnu-gcc qemu-aarch64 x86_64-w64-mingw32-gcc wine
+run-$(ARM) := qemu-aarch64 -L /usr/aarch64-linux-gnu
+run-$(WINDOWS) := WINEDEBUG=-all wine
 BITS := $(patsubst %,configs/experiments/%.toml,test1 test2 test4 test1_published_observer test2_sensors test2_mpc)
+BITS_PROGRAM := --locked --quiet --release --package flight-sim --no-default-features --example bits
 
-# Machines of `make wheels`. Those for the last two have no Clarabel, whose crate is a library of its own besides.
-WHEELS := x86_64-unknown-linux-gnu $(ARM) x86_64-pc-windows-gnu aarch64-apple-darwin
+# Machines of `make wheels`. Those for the last two have no Clarabel, whose crate is a library of its own besides. Windows is
+# linked by mingw: maturin (1.16) tells zig to export a module by its name with the package.
+LINUX := x86_64-unknown-linux-gnu
+WHEELS := $(LINUX) $(ARM) aarch64-apple-darwin $(WINDOWS)
+wheel-$(LINUX) := --zig --compatibility manylinux2014
+wheel-$(ARM) := $(wheel-$(LINUX))
+wheel-aarch64-apple-darwin := --zig --no-default-features
+wheel-$(WINDOWS) := --no-default-features
 
 # The flight lab: a page that flies in a browser. Vector instructions that every browser has since 2023.
 LAB := target/lab
 LAB_PAGE := rust/lab/page
 LAB_WASM := target/wasm32-unknown-unknown/release/flight_lab.wasm
+
+BUILD_WHEEL = $(BIN)/maturin build --release --locked --quiet --compression-level 9 --out dist
 
 # Refuses where one of Rust's targets is not installed.
 need-targets = @for target in $(1); do rustc --print target-libdir --target $$target | xargs test -d || \
@@ -109,33 +122,32 @@ portability: $(TESTING) ## run the numerical tests as another processor would, o
 	$(OTHER_PROCESSOR) taskset --cpu-list 0,1 $(BIN)/python -m pytest -q $(PARALLEL) --dist loadfile $(NUMERICAL)
 	$(if $(QUICK),,$(MAKE) bits)
 
-bits: ## fly six experiments of 20 s here and as 64-bit ARM, in emulation, and compare every recorded bit
-	@for tool in $(ARM_TOOLS); do command -v $$tool >/dev/null || \
-		{ echo "$$tool is missing: apt-get install gcc-aarch64-linux-gnu qemu-user"; exit 1; }; done
-	$(call need-targets,$(ARM))
-	CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER=aarch64-linux-gnu-gcc cargo build --locked --quiet --release \
-		--package flight-sim --no-default-features --example bits --target $(ARM)
-	cargo build --locked --quiet --release --package flight-sim --no-default-features --example bits
+bits: ## fly six experiments of 20 s here and, in emulation, as 64-bit ARM and Windows, and compare every recorded bit
+	@for tool in $(BITS_TOOLS); do command -v $$tool >/dev/null || \
+		{ echo "$$tool is missing: apt-get install gcc-aarch64-linux-gnu qemu-user gcc-mingw-w64-x86-64 wine"; exit 1; }; done
+	$(call need-targets,$(ARM) $(WINDOWS))
+	cargo build $(BITS_PROGRAM)
 	target/release/examples/bits 20 $(BITS) > target/bits.here
-	qemu-aarch64 -L /usr/aarch64-linux-gnu target/$(ARM)/release/examples/bits 20 $(BITS) > target/bits.arm
-	diff target/bits.here target/bits.arm
+	$(foreach other,$(ARM) $(WINDOWS),CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER=aarch64-linux-gnu-gcc \
+		cargo build $(BITS_PROGRAM) --target $(other) && \
+		$(run-$(other)) target/$(other)/release/examples/bits$(if $(findstring windows,$(other)),.exe) 20 $(BITS) > target/bits.$(other) && \
+		diff target/bits.here target/bits.$(other) && ) true
 	@echo "the same bits in all $$(wc -l < target/bits.here) signals of $(words $(BITS)) flights"
 
 wheel: $(PACKAGES) ## build wheel and source package into dist/, and fly with the wheel alone in an empty environment
 	@$(MAKE) --no-print-directory lab || echo "the wheel will lack the page of \`jax-aero view\`"
 	rm -rf dist
 	$(BIN)/maturin sdist --out dist
-	$(BIN)/maturin build --release --locked --quiet --out dist
+	$(BUILD_WHEEL)
 	$(BIN)/python tests/tools/wheel.py dist/*.whl
 
-wheels: $(PACKAGES) lab ## build wheels for Linux (x86-64, 64-bit ARM), Windows and macOS into dist/ with zig, and fly with the first
+wheels: $(PACKAGES) lab ## build wheels for Linux (x86-64, 64-bit ARM), macOS (zig) and Windows (mingw) into dist/, and fly with the first
 	@PATH="$(abspath $(BIN)):$$PATH"; command -v zig >/dev/null || python3 -c "import ziglang" 2>/dev/null || \
 		{ echo "zig is missing: $(BIN)/pip install ziglang (100 MB), or https://ziglang.org"; exit 1; }
+	@command -v x86_64-w64-mingw32-gcc >/dev/null || { echo "mingw is missing: apt-get install gcc-mingw-w64-x86-64"; exit 1; }
 	$(call need-targets,$(WHEELS))
 	rm -rf dist
-	for target in $(WHEELS); do PATH="$(abspath $(BIN)):$$PATH" $(BIN)/maturin build --release --locked --quiet \
-		--zig --target $$target $$(case $$target in *linux*) echo --compatibility manylinux2014;; \
-		*) echo --no-default-features; esac) --out dist || exit 1; done
+	$(foreach target,$(WHEELS),PATH="$(abspath $(BIN)):$$PATH" $(BUILD_WHEEL) --target $(target) $(wheel-$(target)) && ) true
 	$(BIN)/python tests/tools/wheel.py dist/*.whl
 
 install-capi: ## install libflight for C and C++: header, libraries, files for pkg-config and CMake (PREFIX=/usr/local)

@@ -40,7 +40,7 @@ LIBRARIES = ("jax_aero/_core.abi3.so", "jax_aero/_core.pyd")
 """The compiled module, elsewhere and for Windows."""
 SYSTEM = {
     "win_amd64": r"(?i)(python3|kernel32|ntdll|msvcrt|api-ms-win-[a-z0-9-]+|bcryptprimitives|ws2_32|userenv)\.dll",
-    "arm64": r"/usr/lib/lib(System\.B|iconv\.2|c\+\+\.1)\.dylib",
+    "arm64": r"/usr/lib/lib(System\.B|charset\.1|iconv\.2|c\+\+\.1)\.dylib",
 }
 """Libraries that Windows, macOS or Python have, by the end of the wheel's name."""
 PARTS = {"jax_aero/_core.pyi", "jax_aero/py.typed", "jax_aero/configs/experiments/test2.toml"}
