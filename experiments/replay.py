@@ -57,6 +57,7 @@ def main(words: Sequence[str]) -> int:
     about = "experiment with the robot, mission and controller (default: what the log was flown with)"
     parser.add_argument("--experiment", metavar="NAME", help=about)
     parser.add_argument("--control", metavar="NAME", help="another controller, of configs/control, or the path of one")
+    parser.add_argument("--robot", metavar="FILE", help="robot file, for a log of a robot of your own")
     study.add_set(parser)
     parser.add_argument("--map", type=Path, metavar="FILE", help="TOML file that names the columns of a log of others")
     parser.add_argument("--plot", type=Path, metavar="FILE", help=f"draw what differs most ({', '.join(FORMATS)})")
@@ -72,10 +73,12 @@ def _replay(given: argparse.Namespace) -> int:
             raise Refused(f"`{given.plot}` is there already; choose another --plot, or --overwrite it")
     changes = overrides.parse(given.set)
     named = None if given.experiment is None else rust.load_config(given.experiment)
-    log = logs.read(given.log, named, given.map)
+    log = logs.read(given.log, named, given.map, given.robot)
     config = named or log.config
     if config is None:
         raise Refused(f"`{given.log}` does not hold the configuration of a flight; expected --experiment NAME")
+    if given.robot is not None:
+        config = {**config, "robot": str(Path(given.robot).resolve())}
     if given.control is not None:
         config = {**config, "controller": rust.load_controller(given.control)}
     config = rust.set_keys(config, changes)
@@ -108,6 +111,9 @@ def compare(recorded: Mapping[str, Array], computed: Mapping[str, Array]) -> lis
         if rust.is_input(name) or name not in recorded:
             continue
         before = recorded[name]
+        if name.endswith("quaternion"):  # both signs are one rotation
+            is_opposite = np.sum(before * after, axis=1) < 0.0
+            before = np.where(is_opposite[:, None], -before, before)
         # Where neither is a number, or both are the same infinity, they agree.
         agrees = (before == after) | (np.isnan(before) & np.isnan(after))
         with np.errstate(invalid="ignore"):

@@ -27,9 +27,12 @@ def text_table(rows: Sequence[Sequence[str]]) -> str:
 def _row(manifest: Mapping[str, Any]) -> Sequence[str]:
     summary = manifest["summary"]
     rotation = summary.get("max_rotation_error")
+    outcome = ending(manifest["outcome"], manifest["lost_time"], manifest["lost_reason"])
+    if manifest["outcome"] == "descended":
+        outcome += f", arrives at {_number(summary.get('end_speed'), '.1f')} m/s"
     return (
         manifest["name"],
-        ending(manifest["outcome"], manifest["lost_time"], manifest["lost_reason"]),
+        outcome,
         _number(summary.get("max_com_error"), ".3f"),
         _number(None if rotation is None else math.degrees(rotation), ".1f"),
         f"{_number(summary.get('thrust_min'), '.1f')} to {_number(summary.get('thrust_max'), '.1f')}",

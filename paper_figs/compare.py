@@ -23,6 +23,8 @@ LOOKS = (
 )
 WIDTH = 4.4
 """Narrow, so that the text is legible on a telephone [inches]."""
+LONGEST = 48
+"""Letters of a flight's name in the legend."""
 
 
 def draw(*runs: Run) -> Figure:
@@ -38,15 +40,18 @@ def draw(*runs: Run) -> Figure:
         _lines(axes, runs, of)
         axes.set_ylabel(label)
         axes.set_ylim(bottom=0.0)
+    thrusts = None
     for place, jet in enumerate(jets):
         row, column = divmod(place, 2)
-        axes = figure.add_subplot(grid[len(ERRORS) + row, column], sharex=figure.axes[0])
+        axes = figure.add_subplot(grid[len(ERRORS) + row, column], sharex=figure.axes[0], sharey=thrusts)
+        thrusts = axes
         _lines(axes, runs, partial(_thrust, jet))
         axes.set_title(panels.readable_name(jet))
         axes.set_ylabel("" if column else "thrust [N]")
     for axes in figure.axes:
         axes.label_outer()
-    for axes in figure.axes[-2:]:
+    figure.axes[len(ERRORS) - 1].tick_params(labelbottom=True)
+    for axes in [figure.axes[len(ERRORS) - 1], *figure.axes[-2:]]:
         axes.set_xlabel("time [s]")
     first = figure.axes[0]
     first.set_xlim(0.0, max(float(run.data["time"][-1]) for run in runs))
@@ -55,15 +60,17 @@ def draw(*runs: Run) -> Figure:
 
 
 def _lines(axes: Axes, runs: Sequence[Run], of: Callable[[Run], Series | None]) -> None:
-    """Draw a quantity of every flight that has it; a lost flight ends with a cross."""
+    """Draw a quantity of every flight that has it; one that is lost ends with a cross, that descends with a dot."""
     for run, (colour, dash) in zip(runs, LOOKS, strict=False):
         values = of(run)
         if values is None:
             continue
-        ending = "" if run.lost_time is None else f", {run.ending}"
-        axes.plot(values["time"], values, dash, color=colour, label=f"{run.name}{ending}")
-        if run.lost_time is not None:
-            axes.plot(values["time"][-1], values[-1], "X", color=colour, markersize=5, clip_on=False)
+        is_whole = run.data.attrs["outcome"] == "completed"
+        name = run.name if len(run.name) <= LONGEST else f"{run.name[:12]}…{run.name[13 - LONGEST :]}"
+        axes.plot(values["time"], values, dash, color=colour, label=name + ("" if is_whole else f", {run.ending}"))
+        if not is_whole:
+            mark = "o" if run.lost_time is None else "X"
+            axes.plot(values["time"][-1], values[-1], mark, color=colour, markersize=5, clip_on=False)
 
 
 def _wind_speed(run: Run) -> Series:

@@ -48,8 +48,9 @@ class Run:
 
     @property
     def ending(self) -> str:
-        """Return the outcome in words: "fell at 21.4 s"."""
-        return f"{self.data.attrs['outcome']} at {self.lost_time:.1f} s"
+        """Return the outcome in words: "fell at 21.4 s", "descended at 30.2 s"."""
+        end = float(self.data["time"][-1]) if self.lost_time is None else self.lost_time
+        return f"{self.data.attrs['outcome']} at {end:.1f} s"
 
     @cached_property
     def log_to_loss(self) -> xr.Dataset:

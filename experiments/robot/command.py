@@ -61,6 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             controller=given.controller,
             fly_mission=given.mission,
             skip_meshes=given.skip_meshes,
+            overwrite=given.overwrite,
         )
         from experiments.robot.flight import report
 
@@ -84,6 +85,7 @@ def _parser() -> Parser:
     add("--forward", choices=["x", "y", "-x", "-y"], default="x", help="forward axis of the base")
     add("--controller", choices=CONTROLLERS, default=CONTROLLERS[0], help="of configs/control, scaled to the robot")
     add("--skip-meshes", action="store_true", help="leave out meshes that are missing or cannot be read")
+    add("--overwrite", action="store_true", help="replace the folder of an earlier import")
     add("--mission", action="store_true", help="fly the paper's mission in 10 m/s of lateral wind as well")
     return parser
 
@@ -120,13 +122,20 @@ def import_robot(
     controller: str = CONTROLLERS[0],
     fly_mission: bool = False,
     skip_meshes: bool = False,
+    overwrite: bool = False,
 ) -> ImportResult:
-    """Write a robot's files into `folder`, which must be new or empty, and fly it; a refusal leaves no files there."""
+    """Write a robot's files into `folder`, and fly it; a refusal leaves no files there.
+
+    The folder must be new or empty, or with `overwrite` that of an earlier import, which is replaced.
+    """
     listing, posture_deg = read_urdf(urdf), posture_deg or {}
     name = name or listing.name or urdf.stem
     folder = folder or places.RESULTS / "robot" / places.file_name(name)
-    if folder.exists() and any(folder.iterdir()):
-        raise Refused(f"{folder} is not empty; choose another --out")
+    is_import = (folder / "robot.toml").is_file()
+    if folder.exists() and any(folder.iterdir()) and not (overwrite and is_import):
+        raise Refused(
+            f"{folder} is not empty; choose another --out{', or --overwrite the import' if is_import else ''}"
+        )
     tree = skeleton.Tree(listing)
     tree.check_frames([jet.frame for jet in jets], feet, held)
     joints = tree.moving(held)
@@ -135,7 +144,7 @@ def import_robot(
     for warning in (*skeleton.guessed(joints), *posture_doubts(joints, posture_deg), *masses.doubts(tree, boxes)):
         warnings.warn(warning, stacklevel=2)
     height = max(START_HEIGHT, CLEARANCE - tree.lowest(boxes))
-    with complete_folder(folder) as draft:
+    with complete_folder(folder, replace=is_import) as draft:
         text = skeleton.write(
             tree, boxes, name=name, urdf=urdf, folder=draft, jets=jets, feet=feet, held=held, forward=forward
         )

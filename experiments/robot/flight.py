@@ -145,6 +145,12 @@ def report(result: ImportResult) -> str:
         f"thrust margin        {100.0 * trim.margin:.1f} %",
         "thrusts [N]          " + "  ".join(f"{thrust:.1f}" for thrust in trim.thrust),
     ]
+    if not trim.feasible:
+        crate = rust.Robot(result.folder / "robot.toml")
+        lines.append(
+            f"weight               {crate.mass * crate.gravity:.1f} N; greatest thrusts {sum(crate.thrust_max):.1f} N "
+            "together, the axis in --jet FRAME:AXIS:MAX is the direction of the force on the robot"
+        )
     for name, flight in (("hover", result.hover), ("mission", result.mission)):
         if flight is None:
             continue

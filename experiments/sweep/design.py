@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -87,12 +87,12 @@ class Design:
         """Return the configuration of a row: its cell's, perturbed by the random numbers of its repeat."""
         cell, repeat = divmod(row, self.spec.repeats)
         config = self.cell_config(cell)
-        self.perturb(config, repeat)
+        self.perturb(config, repeat, {key for level in self.cells[cell] for key in level.set})
         return config
 
-    def perturb(self, config: rust.Config, repeat: int) -> None:
-        """Perturb a configuration in place by the draws of a repeat."""
-        self.spec.perturbation.apply(config, self.spec.seed, repeat, _robot(config["robot"]))
+    def perturb(self, config: rust.Config, repeat: int, chosen: Set[str] = frozenset()) -> None:
+        """Perturb a configuration in place by the draws of a repeat, but for the `chosen` keys of seeds."""
+        self.spec.perturbation.apply(config, self.spec.seed, repeat, _robot(config["robot"]), chosen)
 
     @cached_property
     def digest(self) -> str:

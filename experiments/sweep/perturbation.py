@@ -6,7 +6,7 @@ Repeat r has the same random numbers in every cell, so that cells are compared o
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -82,8 +82,10 @@ class Perturbation(tables.Table, frozen=True):
     ensemble: Path | None = None
     """`ensemble.json` of train-ensemble: the network of `simulator.aero` is one of its members, all equally often."""
 
-    def apply(self, config: dict[str, Any], seed: int, repeat: int, robot: Robot) -> None:
-        """Perturb a configuration of this robot in place."""
+    def apply(
+        self, config: dict[str, Any], seed: int, repeat: int, robot: Robot, chosen: Set[str] = frozenset()
+    ) -> None:
+        """Perturb a configuration of this robot in place, but for the `chosen` keys of seeds."""
         # Every number is drawn whether it is used or not, and each kind from a stream of its own: a perturbation that
         # is switched on leaves the others as they were.
         draws = {kind: np.random.default_rng([seed, repeat, number]) for number, kind in enumerate(STREAMS)}
@@ -106,7 +108,7 @@ class Perturbation(tables.Table, frozen=True):
         self._reshape(config, draw_around, robot.aero_link_names)
         if self.ensemble:
             _draw(config["simulator"]["aero"], members(self.ensemble), seed, repeat)
-        _seed(config, draws["seeds"])
+        _seed(config, draws["seeds"], chosen)
 
     def _blow(self, wind: dict[str, Any], around: Any) -> None:
         if "velocity" not in wind or not (self.wind_speed or self.wind_direction_deg):
@@ -183,10 +185,10 @@ def _draw(aero: dict[str, Any], cards: Sequence[Path], seed: int, repeat: int) -
     aero["card"] = str(cards[order[place]])
 
 
-def _seed(config: dict[str, Any], stream: np.random.Generator) -> None:
-    """Set the seeds of all tables with random numbers for this repeat."""
+def _seed(config: dict[str, Any], stream: np.random.Generator, chosen: Set[str]) -> None:
+    """Set the seeds of all tables with random numbers for this repeat, but for those that an axis has chosen."""
     for key, marks in CHANCE.items():
         drawn = int(stream.integers(2**31))
         table = keys.get(config, key)
-        if isinstance(table, dict) and all(mark in table for mark in marks):
+        if isinstance(table, dict) and all(mark in table for mark in marks) and f"{key}.seed" not in chosen:
             table["seed"] = drawn

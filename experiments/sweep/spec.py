@@ -134,10 +134,10 @@ class Spec(tables.Table, frozen=True):
     """One sweep: what varies, around which flight, how often."""
 
     title: str
-    description: str
     base: str
     """Name or path of the base experiment."""
     axis: Annotated[tuple[Axis, ...], msgspec.Meta(min_length=1, max_length=MAX_AXES)]
+    description: str = ""
     name: Annotated[str, msgspec.Meta(pattern=places.NAME)] = ""
     """Name of the result's folder; by default that of the file."""
     design: Literal["grid", "list", "pairs", "latin_hypercube", "sobol"] = "grid"
@@ -236,13 +236,16 @@ def from_table(name: str, table: Mapping[str, Any]) -> Spec:
 def _with_files(value: Any, folder: Path, count: Iterator[int]) -> Any:
     """Return `value` with every table `{ file = "..." }` replaced by that file's table, while `count` lasts.
 
-    Paths, including those that replace names of flights, are relative to the file that contains them.
+    Paths, including those that replace names of flights, are relative to the file that contains them, or to the shipped
+    sweeps.
     """
     if isinstance(value, Mapping):
         if value.keys() == {"file"}:
             if next(count, None) is None:
                 raise ConfigError(f"{value['file']}: more than {MAX_FILES} files are read", file=value["file"])
-            return _with_files(tables.read(folder / value["file"]), (folder / value["file"]).parent, count)
+            shipped = places.CONFIGS / "sweeps" / value["file"]
+            path = shipped if shipped.is_file() and not (folder / value["file"]).exists() else folder / value["file"]
+            return _with_files(tables.read(path), path.parent, count)
         return {
             key: str((folder / item).resolve())
             if isinstance(item, str) and (key.rpartition(".")[2] in PATHS or (key == "base" and places.is_path(item)))

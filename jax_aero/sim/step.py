@@ -14,7 +14,7 @@ Equations M77 and M80 of `docs/model`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple, TypeVar
@@ -250,7 +250,7 @@ def prepare(
     config = read_config(config)
     if robot is None:
         robot = load_robot(config.robot)
-    _refuse(config)
+    refuse(config)
     wind, replaced = wind_model(config.wind), config.disturbances.controller_wind
     controller_wind = None if replaced is None else wind_model(replaced)
     plant, state = world.start_plant(config.simulator, config.disturbances, robot, aero, jets, read_network)
@@ -278,27 +278,36 @@ def prepare(
     return convert_precision(scenario, flight_state, dtype)
 
 
-def _refuse(config: ScenarioConfig) -> None:
-    """Refuse what the crate, or MuJoCo's engine, flies and JAX does not, by its key."""
+def refuse(config: ScenarioConfig) -> None:
+    """Refuse what the crate, or MuJoCo's engine, flies and JAX does not, by all its keys.
+
+    Raises
+    ------
+    ValueError
+        If the configuration contains any.
+    """
+    if found := list(_unflown(config)):
+        raise ValueError("\n".join(f"`{key}` is {value}; expected {expected}" for key, value, expected in found))
+
+
+def _unflown(config: ScenarioConfig) -> Iterator[tuple[str, Any, str]]:
+    """Yield key, value and expectation of all that JAX does not fly."""
     simulator, disturbances, steps = config.simulator, config.disturbances, config.controller.torque.steps
+    by_crate = 'the crate flies it (`engine = "rust"`)'
     for key in ("fuel", "ground", "motors"):
         if getattr(simulator, key) is not None:
-            expected = "none: JAX has neither ground, motors nor fuel"
-            raise ValueError(f"`simulator.{key}` is given; expected {expected}")
+            yield f"simulator.{key}", "given", "none: JAX has neither ground, motors nor fuel"
     if steps > 1:
-        expected = '1: JAX has no second rate of torques; the crate flies it (`engine = "rust"`)'
-        raise ValueError(f"`controller.torque.steps` is {steps}; expected {expected}")
+        yield "controller.torque.steps", steps, f"1: JAX has no second rate of torques; {by_crate}"
     if config.controller.jet_dynamics != "ideal":
-        expected = '"ideal": engines in the controller are flown by the crate (`engine = "rust"`)'
-        raise ValueError(f"`controller.jet_dynamics` is {config.controller.jet_dynamics!r}; expected {expected}")
+        found = repr(config.controller.jet_dynamics)
+        yield "controller.jet_dynamics", found, f'"ideal": JAX has no engines in the law; {by_crate}'
     error = disturbances.model_error
     if error.inertia_scale != 1.0 or error.thrust_axes:
-        expected = 'no inertia_scale and no thrust_axes: the crate flies them (`engine = "rust"`)'
-        raise ValueError(f"`disturbances.model_error` is {error}; expected {expected}")
+        yield "disturbances.model_error", error, f"no inertia_scale and no thrust_axes; {by_crate}"
     for key, given in _failures(disturbances, has_monitor=config.controller.engines is not None).items():
         if given:
-            expected = 'none: JAX has no guard that answers it; the crate flies it (`engine = "rust"`)'
-            raise ValueError(f"`disturbances.{key}` is given; expected {expected}")
+            yield f"disturbances.{key}", "given", f"none: JAX has no guard that answers it; {by_crate}"
 
 
 def _failures(disturbances: Disturbances, *, has_monitor: bool) -> dict[str, bool]:

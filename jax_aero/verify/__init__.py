@@ -1,9 +1,10 @@
 """Comparison of the Rust crate with JAX, on the same states and in the same flight.
 
-Kernels are compared relative to the largest entry of the crate's results. A quantity that vanishes, as a sum of terms
-that cancel, consists of rounding only; its difference may be as large as that rounding, which is measured as the change
-of the crate's result when every input changes by one rounding. Flights are compared by the absolute difference of every
-logged signal. `jax_aero.verify.cli` is the command line.
+Kernels are compared relative to the largest entry of the crate's results, flights by the absolute difference of every
+logged signal. A quantity that vanishes, as a sum of terms that cancel, consists of rounding only, and a flight
+amplifies it, most where encoders have a resolution: a difference may be as large as that rounding, which is measured as
+the change of the crate's result when every input, or the start of the flight, changes by one rounding.
+`jax_aero.verify.cli` is the command line.
 """
 
 from __future__ import annotations
@@ -27,7 +28,15 @@ ROUNDINGS = 30.0
 TRUSTED_WHEN_LOST = 8.0
 """Time up to which the signals of a lost flight are compared [s], since it is chaotic before its end."""
 
-SOLUTIONS = {"thrust_rate", "joint_velocity_command", "unlimited_torque", "joint_torque"}
+NEARBY = 3
+"""Flights from starts that differ by a rounding."""
+
+ROUNDINGS_OF_A_FLIGHT = 5.0
+"""Factor by which two flights may differ more than those; 1.5 is usual."""
+
+SOLUTIONS = {
+    "thrust_rate", "joint_velocity_command", "joint_acceleration_desired", "unlimited_torque", "joint_torque",
+}  # fmt: skip
 """Quantities that are solutions of a QP or follow from one."""
 
 
@@ -59,8 +68,8 @@ class Row:
     @property
     def agrees(self) -> bool:
         """Whether the difference is within the tolerance, or within rounding; false for NaN."""
-        tolerance = self.tolerance * (self.scale if self.is_relative else 1.0)
-        return bool(self.absolute <= max(tolerance, ROUNDINGS * self.rounding))
+        scale, roundings = (self.scale, ROUNDINGS) if self.is_relative else (1.0, ROUNDINGS_OF_A_FLIGHT)
+        return bool(self.absolute <= max(self.tolerance * scale, roundings * self.rounding))
 
 
 class Comparison:
@@ -227,23 +236,30 @@ def verify_flight(
     from jax_aero.sim import fly
 
     expected = rust.fly(config)
+    rng = np.random.default_rng(0)
+    nearby = [rust.fly(_round_start(rng, config)) for _ in range(NEARBY)]
     ours = fly({**config, "simulator": {**config["simulator"], "dynamics": backend}})
     latest = TRUSTED_WHEN_LOST if expected.lost_time is not None else np.inf
     trusted = int(np.count_nonzero(expected["time"] <= latest))
-    last = min(trusted, len(ours["time"]))
-    ends_otherwise = ours.outcome != expected.outcome or last < trusted
-    comparison.add("flight", "outcome", ends_otherwise, 0.0, 0.0, relative=False)
+    last = min(trusted, *(len(flight["time"]) for flight in (ours, *nearby)))
+
+    def ends_otherwise(flight: rust.FlightResult) -> bool:
+        return flight.outcome != expected.outcome or len(flight["time"]) < trusted
+
+    ends_so_too = any(map(ends_otherwise, nearby))
+    comparison.add("flight", "outcome", ends_otherwise(ours), 0.0, 0.0, rounded=ends_so_too, relative=False)
     for name, signal in expected.log.items():
         is_of_guard = name in GUARD_SIGNALS and not np.isnan(signal).all()
         if name not in ("qp_iterations", "qp_kkt") and not is_of_guard:  # properties of the solver, not of the solution
-            same = _match_branch(name, ours[name][:last], signal[:last])
-            comparison.add("flight", name, same, signal[:last], FLIGHT_TOLERANCE, relative=False)
+            same, *rounded = (_match_branch(name, flight[name][:last], signal[:last]) for flight in (ours, *nearby))
+            for one in rounded:
+                comparison.add("flight", name, same, signal[:last], FLIGHT_TOLERANCE, rounded=one, relative=False)
     return expected, ours
 
 
 def _match_branch(name: str, ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return, of equivalent angles, those nearest to the crate's, since this robot starts at a yaw of π."""
-    if name == "base_quaternion":
+    if name.endswith("base_quaternion"):
         return np.asarray(ours * np.where(np.sum(ours * theirs, axis=1) < 0.0, -1.0, 1.0)[:, None])
     if name == "base_rpy_setpoint":
         return np.asarray(ours - 2.0 * np.pi * np.round((ours - theirs) / (2.0 * np.pi)))
@@ -297,6 +313,13 @@ def round_sample(rng: np.random.Generator, sample: Sample) -> Sample:
 def _round(rng: np.random.Generator, value: ArrayLike) -> NDArray[np.float64]:
     value = np.asarray(value, np.float64)
     return np.asarray(value * (1.0 + np.spacing(1.0) * rng.choice([-1.0, 1.0], value.shape)))
+
+
+def _round_start(rng: np.random.Generator, config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the flight with an initial velocity that moves a place of one metre by a rounding in a tick."""
+    velocity = np.asarray(config["simulator"]["initial"]["base_velocity"])
+    moved = velocity + np.spacing(1.0) / config["simulator"]["time_step"] * rng.choice([-1.0, 1.0], velocity.shape)
+    return rust.set_keys(config, {"simulator.initial.base_velocity": moved.tolist()})
 
 
 def _round_rotation(rng: np.random.Generator, rotation: ArrayLike) -> NDArray[np.float64]:

@@ -32,6 +32,7 @@ from jax_aero.base.keys import parse_assignments
 from jax_aero.base.terminal import Refused, exit_status
 from jax_aero.cli import Parser, complete_with, count
 from jax_aero.verify import (
+    TRUSTED_WHEN_LOST,
     Comparison,
     Row,
     random_samples,
@@ -55,22 +56,31 @@ def main(arguments: Sequence[str]) -> int:
 def _compare(options: argparse.Namespace) -> int:
     import jax
 
+    from jax_aero.sim.step import read_config, refuse
+
     comparison = Comparison()
     config = None if options.robot else use_double_precision(_config(options))
+    if config is not None:
+        refuse(read_config(config))
     folder, facts = _subject(options, config)
     _check_replaceable(folder, facts, overwrite=options.overwrite)
     robot = options.robot if config is None else config["robot"]
+    until = ""
     with jax.enable_x64(True):
         verify_robot(robot, options.states, comparison, options.backend, options.seed)
         if config is not None:
             verify_ticks(config, random_samples(config, options.states, options.seed), "random", comparison)
             expected, _ = verify_flight(config, comparison, options.backend)
+            if expected.lost_time is not None:
+                trusted = min(expected.lost_time, TRUSTED_WHEN_LOST)
+                until = f"\nthe flight {expected.outcome} at {expected.lost_time:.1f} s; compared up to {trusted:.1f} s"
             verify_ticks(config, recorded_samples(config, expected, options.states), "recorded", comparison)
     rows = comparison.rows
     print(table(rows))
     written = write(rows, folder, {"crate": rust.__version__, "jax": jax.__version__, **facts})
     bad = [row for row in rows if not row.agrees]
-    print(f"\n{len(rows) - len(bad)} of {len(rows)} quantities agree; see {', '.join(map(str, written))}")
+    but = f", not {', '.join(f'{row.group} {row.quantity}' for row in bad)}" if bad else ""
+    print(f"{until}\n{len(rows) - len(bad)} of {len(rows)} quantities agree{but}; see {', '.join(map(str, written))}")
     return 1 if bad else 0
 
 

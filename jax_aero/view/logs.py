@@ -108,7 +108,7 @@ class Ticks(NamedTuple):
     is_recorded: NDArray[np.bool_]
 
 
-def read(path: Path, config: rust.Config | None, mapping: Path | None = None) -> Log:
+def read(path: Path, config: rust.Config | None, mapping: Path | None = None, robot_file: str | None = None) -> Log:
     """Read a log.
 
     Parameters
@@ -119,6 +119,8 @@ def read(path: Path, config: rust.Config | None, mapping: Path | None = None) ->
         Configuration of the robot that it is of; `None` for that of the log.
     mapping
         File that names the columns; without it they are those of `jax-aero export`.
+    robot_file
+        File of the robot, in place of that of either configuration.
 
     Raises
     ------
@@ -128,14 +130,14 @@ def read(path: Path, config: rust.Config | None, mapping: Path | None = None) ->
     if path.suffix not in (".csv", ".mcap"):
         if mapping is not None:
             raise Refused(f"--map is given for `{path}`; expected it with a .csv or .mcap file, whose columns it names")
-        flight = recording.read(path, None if config is None else config["robot"])
+        flight = recording.read(path, robot_file or (None if config is None else config["robot"]))
         series = {name: [Series(flight.signals["time"], flight.rows(name))] for name in flight.signals}
         return Log(series, flight.config)
     read_columns = {".csv": read_csv, ".mcap": read_mcap}[path.suffix]
     columns, own = read_columns(path, mapping)
     if config is None and own is None:
         raise Refused(f"`{path}` holds no configuration of a flight; expected --experiment NAME")
-    robot = rust.Robot((config or own or {})["robot"])
+    robot = rust.Robot(robot_file or (config or own or {})["robot"])
     if mapping is None:
         return Log(_own_signals(columns, robot, path), own)
     return Log(_mapped_signals(columns, robot, path, mapping), own)

@@ -248,6 +248,13 @@ def test_the_table_says_when_and_why_a_flight_fell():
     assert "fell at 16.3 s (rotation error above 90 deg)" in table
     assert "0.500" in table
     assert "1.0 to ?" in table
+    down = fallen | {
+        "outcome": "descended",
+        "lost_time": float("nan"),
+        "lost_reason": "",
+        "summary": {"end_speed": 1.23},
+    }
+    assert "descended, arrives at 1.2 m/s" in outcome_table([down])
 
 
 def test_paths_become_portable():

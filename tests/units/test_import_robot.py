@@ -198,7 +198,7 @@ def test_one_jet_on_one_link_has_a_trim_or_the_missed_balance_is_named(tmp_path,
 
 def test_of_a_flight_lost_before_it_settles_no_distance_is_reported(tmp_path):
     lost = FlightResult({}, np.zeros(0), "fell", 2.0, "CoM error", {"max_com_error": np.nan, "max_rotation_error": 0.1})
-    trim = SimpleNamespace(message="found", residual=np.zeros(6), margin=0.1, thrust=np.ones(1))
+    trim = SimpleNamespace(feasible=True, message="found", residual=np.zeros(6), margin=0.1, thrust=np.ones(1))
     said = flight.report(flight.ImportResult(tmp_path, trim, lost, None))
     assert "hover                fell at 2.0 s (CoM error); attitude within 5.73 deg" in said
 
@@ -330,9 +330,27 @@ def test_what_of_a_urdf_is_not_used_is_printed(tmp_path):
     assert len(warned) == 1
     assert "<dynamics> of joint `hinge` is not used: friction up to 2, damping up to 5; a flight has" in warned[0]
     assert "simulator.motors" in warned[0]
-    trim = SimpleNamespace(message="found", residual=np.zeros(6), margin=0.1, thrust=np.ones(1))
+    trim = SimpleNamespace(feasible=True, message="found", residual=np.zeros(6), margin=0.1, thrust=np.ones(1))
     said = flight.report(dataclasses.replace(result, trim=trim))
     assert said.splitlines()[-1] == "not used             1 <dynamics>, 2 <gazebo>, 1 <transmission>"
+
+
+@pytest.mark.usefixtures("unflown")
+def test_an_import_is_replaced_where_that_is_asked_and_nothing_else_is(tmp_path):
+    urdf, out = raft(tmp_path), tmp_path / "out"
+    _, result = imported(urdf, out)
+    trim = SimpleNamespace(feasible=False, message="z missed", residual=np.zeros(6), margin=0.0, thrust=np.ones(1))
+    said = flight.report(dataclasses.replace(result, trim=trim))
+    assert "greatest thrusts 90.0 N together, the axis in --jet FRAME:AXIS:MAX" in said
+    with pytest.raises(Refused, match="or --overwrite the import"):
+        imported(urdf, out)
+    (out / "note.txt").write_text("of the one before")
+    imported(urdf, out, overwrite=True)
+    assert {path.name for path in out.iterdir()} >= {"robot.toml"}
+    assert not (out / "note.txt").exists()
+    (out / "robot.toml").rename(out / "note.txt")
+    with pytest.raises(Refused, match=r"choose another --out$"):
+        imported(urdf, out, overwrite=True)
 
 
 def test_what_moves_has_a_mass_or_the_option_that_helps_is_named(tmp_path):

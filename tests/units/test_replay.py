@@ -101,6 +101,22 @@ def test_differences_are_those_of_the_signals():
     assert found == ("thrust_rate", 0.5, 0.01, 4.0)
     computed["thrust_rate"][1, 1] = np.nan
     assert np.isnan(compare(recorded, computed)[0].greatest)
+    turned = np.array([[1.0, 0.0, 0.0, 0.0], [0.6, 0.8, 0.0, 0.0]])
+    times, name = {"time": np.array([0.0, 0.01])}, "measured_base_quaternion"
+    (same,) = compare(times | {name: turned}, times | {name: turned * [[1.0], [-1.0]]})
+    assert same.greatest == 0.0  # both signs are one rotation
+
+
+def test_a_robot_that_is_elsewhere_is_given(config, result, tmp_path, capsys):
+    """The manifest of a result names no folder outside of the project."""
+    facts = json.loads((result / recording.MANIFEST_FILE).read_text())
+    facts["config"]["robot"] = "(outside the repository)/robot.toml"
+    (tmp_path / recording.MANIFEST_FILE).write_text(json.dumps(facts))
+    (tmp_path / "run.nc").write_bytes((result / "run.nc").read_bytes())
+    status, _, err = run(capsys, "replay", tmp_path)
+    assert (status, "give it with --robot FILE" in err) == (2, True)
+    status, out, _ = run(capsys, "replay", tmp_path, "--robot", config["robot"])
+    assert (status, out.splitlines()[-1]) == (0, "equal to the last bit: 23 of 23 signals")
 
 
 @pytest.fixture(scope="module")

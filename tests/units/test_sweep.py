@@ -462,6 +462,20 @@ def test_files_of_one_name_that_change_places_make_another_sweep_of_other_rows(t
     assert swapped == [other, one]
 
 
+@pytest.mark.parametrize("key", ["wind.seed", "simulator.sensors.seed"])
+def test_a_seed_that_an_axis_chooses_is_flown_and_others_are_drawn(key):
+    wind = {"profile": "turbulent", "velocity": [0.0, -9.0, 0.0], "ramp_start": 2.0, "ramp_end": 5.0}
+    wind |= {"std": [1.0, 1.0, 0.3], "time_scale": 2.0, "seed": 1}
+    made = design(
+        base="test2_sensors", set={"wind": wind}, axis=[{"name": "seed", "key": key, "values": [3, 4]}], repeats=2
+    )
+    flown = [[keys.get(made.row_config(row), of) for row in range(4)] for of in ("wind.seed", "simulator.sensors.seed")]
+    chosen, drawn = flown if key == "wind.seed" else flown[::-1]
+    assert chosen == [3, 3, 4, 4]
+    assert drawn[:2] == drawn[2:]
+    assert drawn[0] != drawn[1]
+
+
 def test_without_sizes_nothing_is_perturbed():
     made = design()
     assert made.row_config(0) == made.cell_config(0)

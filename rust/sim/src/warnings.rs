@@ -2,7 +2,7 @@
 
 use crate::config::ScenarioConfig;
 use crate::outcome::SPEED;
-use crate::wind::Wind;
+use crate::wind::{Wind, WindConfig};
 use flight_core::error::BuildError;
 use flight_core::kinematics::Kinematics;
 use flight_core::robot::{JointKind, RobotModel};
@@ -15,27 +15,38 @@ const ROUNDING_OF_JOINTS: f64 = 1e-6;
 
 /// Warnings of a configuration whose parts have been checked.
 pub(crate) fn warnings(config: &ScenarioConfig, robot: &RobotModel) -> Result<Vec<String>, BuildError> {
-    let found = [too_late(config), outside_stops(config, robot), below_ground(config, robot)];
+    let found =
+        [too_late(config), without_effect(config), outside_stops(config, robot), below_ground(config, robot)];
     Ok(found.into_iter().flatten().chain(too_strong(config)?).collect())
 }
 
-/// Failures that begin when the flight has ended.
+/// What begins when the flight has ended.
 fn too_late(config: &ScenarioConfig) -> Vec<String> {
     let disturbances = &config.disturbances;
-    let failure =
-        disturbances.jets.failure.iter().map(|failure| ("jets.failure.time".to_owned(), failure.time));
+    let of = |key: &str, start: f64| (format!("disturbances.{key}"), start);
+    let failure = disturbances.jets.failure.iter().map(|failure| of("jets.failure.time", failure.time));
     let joints = disturbances.joints.iter().enumerate();
-    let joints = joints.map(|(index, fault)| (format!("joints[{index}].start"), fault.start));
+    let joints = joints.map(|(index, fault)| of(&format!("joints[{index}].start"), fault.start));
     let outages = disturbances.outages.iter().enumerate();
-    let outages = outages.map(|(index, outage)| (format!("outages[{index}].start"), outage.start));
+    let outages = outages.map(|(index, outage)| of(&format!("outages[{index}].start"), outage.start));
     let pushes = disturbances.pushes.iter().enumerate();
-    let pushes = pushes.map(|(index, push)| (format!("pushes[{index}].start"), push.start));
+    let pushes = pushes.map(|(index, push)| of(&format!("pushes[{index}].start"), push.start));
+    let gust = if let WindConfig::Gust { start, .. } = config.wind { Some(start) } else { None };
+    let gust = gust.map(|start| ("wind.start".to_owned(), start));
     let end = config.simulator.duration;
-    let late = failure.chain(joints).chain(outages).chain(pushes).filter(|(_, start)| *start >= end);
+    let all = failure.chain(joints).chain(outages).chain(pushes).chain(gust);
     let warning = |(key, start)| {
-        format!("disturbances.{key} is {start} s; expected less than simulator.duration, {end} s, to see it")
+        format!("{key} is {start} s; expected less than simulator.duration, {end} s, to see it")
     };
-    late.map(warning).collect()
+    all.filter(|(_, start)| *start >= end).map(warning).collect()
+}
+
+/// Pushes without force and moment.
+fn without_effect(config: &ScenarioConfig) -> Vec<String> {
+    let pushes = config.disturbances.pushes.iter().enumerate();
+    let idle = pushes.filter(|(_, push)| push.force.iter().chain(&push.moment).all(|part| *part == 0.0));
+    idle.map(|(index, _)| format!("disturbances.pushes[{index}] has neither force nor moment; expected one"))
+        .collect()
 }
 
 /// Joints that start beyond their stops.

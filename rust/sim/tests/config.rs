@@ -433,19 +433,26 @@ fn what_is_probably_not_meant_is_warned_of() {
         |start: f64| json!([{ "body": "chest", "force": [1.0, 0.0, 0.0], "start": start, "duration": 0.1 }]);
     let outage = |start: f64| json!([{ "channel": "wind", "kind": "missing", "start": start }]);
     let joint = |start: f64| json!([{ "joint": "l_knee", "kind": "stuck", "start": start }]);
+    let gust = |start: f64| json!({ "profile": "gust", "velocity": [0.0, 5.0, 0.0], "gust": [0.0, 2.0, 0.0], "start": start, "duration": 2.0 });
     let end = 50.0;
     for (key, named, of_start) in [
-        ("disturbances.jets.failure", "jets.failure.time", &failure as &dyn Fn(f64) -> Value),
-        ("disturbances.pushes", "pushes[0].start", &push),
-        ("disturbances.outages", "outages[0].start", &outage),
-        ("disturbances.joints", "joints[0].start", &joint),
+        ("disturbances.jets.failure", "disturbances.jets.failure.time", &failure as &dyn Fn(f64) -> Value),
+        ("disturbances.pushes", "disturbances.pushes[0].start", &push),
+        ("disturbances.outages", "disturbances.outages[0].start", &outage),
+        ("disturbances.joints", "disturbances.joints[0].start", &joint),
+        ("wind", "wind.start", &gust),
     ] {
         assert_eq!(warnings(&[(key, of_start(end - 0.01))]), [""; 0]);
         let found = warnings(&[(key, of_start(end))]);
         let [only] = found.as_slice() else { panic!("{key}: {found:?}") };
-        assert!(only.starts_with(&format!("disturbances.{named} is 50 s; expected less than")), "{only}");
+        assert!(only.starts_with(&format!("{named} is 50 s; expected less than")), "{only}");
     }
     for (key, value, words) in [
+        (
+            "disturbances.pushes",
+            json!([{ "body": "chest", "start": 1.0, "duration": 0.1 }]),
+            "disturbances.pushes[0] has neither",
+        ),
         (
             "simulator.initial.joint_position.0",
             json!(8.7),
