@@ -7,8 +7,15 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from jax_aero.base.result import ending
+from jax_aero.rust import SETTLING_TIME
 
-HEADINGS = ("flight", "outcome", "max CoM error [m]", "max rotation error [deg]", "thrusts [N]")
+HEADINGS = (
+    "flight",
+    "outcome",
+    f"max CoM error from {SETTLING_TIME:g} s [m]",
+    "max rotation error [deg]",
+    "thrusts [N]",
+)
 
 
 def outcome_table(manifests: Iterable[Mapping[str, Any]]) -> str:

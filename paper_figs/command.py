@@ -108,7 +108,9 @@ def _parser() -> argparse.ArgumentParser:
     named = parser.add_argument("names", nargs="*", metavar="FIGURE", help="figures or sweeps (default: all)")
     cli.complete_with(named, lambda: [*FIGURES, *SWEEPS, "all"])
     parser.add_argument("--dark", action="store_true", help="also write NAME_dark.png, for a dark page")
-    parser.add_argument("--runs", nargs="+", metavar="RUN", help="runs that the figure shows, in its order")
+    parser.add_argument(
+        "--runs", nargs="+", metavar="RUN", help="runs that the figure shows, in its order: names, or folders"
+    )
     parser.add_argument(
         "--results", type=Path, default=places.RESULTS / "flight", metavar="DIR", help="folder of flights"
     )

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from jax_aero.base import netcdf
-from jax_aero.base.places import RESULTS, RUN_FILE
+from jax_aero.base.places import RESULTS, RUN_FILE, is_path
 
 Series = xr.DataArray
 
@@ -83,8 +83,10 @@ def escape_text(text: object) -> str:
 
 
 def load(results: Path, name: str) -> Run:
-    """Read the run of this name."""
-    path = results / name / RUN_FILE
+    """Read the run of this name, or in a folder given by its path."""
+    path = (Path(name) if is_path(name) else results / name) / RUN_FILE
+    if is_path(name) and not path.is_file():
+        raise MissingRun(f"no flight in `{name}`; expected the folder of one")
     if not path.is_file():
         elsewhere = "" if results.resolve() == (RESULTS / "flight").resolve() else f" --out {results}"
         raise MissingRun(f"no flight `{name}` in {results}; fly it with: jax-aero fly {result_words(name, elsewhere)}")

@@ -45,6 +45,14 @@ def test_the_runs_of_a_figure_can_be_chosen(made_up_results, tmp_path):
     assert (tmp_path / "fig5.png").is_file()
 
 
+def test_flights_of_any_folder_are_drawn_beside_each_other(made_up_results, tmp_path, capsys):
+    words = ["compare", "--results", str(made_up_results), "--out", str(tmp_path), "--runs", "test1_published"]
+    assert main([*words, str(made_up_results / "test2")]) == 0
+    assert len(list(tmp_path.glob("compare--*.png"))) == 1
+    assert main([*words, f"{tmp_path}/none"]) == 1
+    assert f"no flight in `{tmp_path}/none`" in capsys.readouterr().err
+
+
 def test_a_missing_flight_is_named_with_the_command_that_flies_it(tmp_path, capsys):
     assert main(["fig5", "--results", str(tmp_path), "--out", str(tmp_path)]) == 1
     answer = capsys.readouterr().err

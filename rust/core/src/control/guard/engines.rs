@@ -343,7 +343,7 @@ impl Engines {
 }
 
 /// Whether sensors that are wrong explain the residual `n` of the momentum: `|n + Σ a_i d̄_i| < |n|`, forces at
-/// [`FORCE_ARM`]. `wrench` is `Σ a_i d̄_i` \[N, N m\]. Where it says as little, engines fail, the worse of the two cases.
+/// `FORCE_ARM`. `wrench` is `Σ a_i d̄_i` \[N, N m\]. Where it says as little, engines fail, the worse of the two cases.
 #[must_use]
 pub fn explains(wrench: &Vector6<f64>, residual: &Vector6<f64>) -> bool {
     let square = |wrench: Vector6<f64>| {
