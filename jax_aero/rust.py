@@ -1098,6 +1098,8 @@ def _changes(changes: Mapping[str, Any]) -> str:
 
 def _to_json(value: Any, key: str = "") -> str:
     """Return a configuration, or the value of a key, as JSON."""
+    if isinstance(value, str | PathLike) and not key:
+        raise ConfigError.of("", str(value), f"a table, such as load_config({str(value)!r}) returns")
     plain = to_builtins(value)
     try:
         return json.dumps(plain, allow_nan=False)

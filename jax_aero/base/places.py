@@ -73,6 +73,8 @@ def find(kind: str, name: str | PathLike[str]) -> Path:
         return Path(text)
     folder = folder_of(kind)
     if text not in (known := names(kind)):
+        if Path(f"{text}.toml").is_file():
+            raise Refused(f"there is no `{text}` in {shown_folder(kind)}; did you mean {text}.toml, which is here?")
         raise Refused(f"there is no `{text}` in {shown_folder(kind)}{did_you_mean(text, known)}")
     return folder / f"{text}.toml"
 

@@ -10,6 +10,8 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from jax_aero.base.places import did_you_mean
+
 Progress = Callable[[int, int], None]
 """Called with (ticks flown, all ticks), or with numbers of flights for a batch, and of pictures for a video."""
 
@@ -57,6 +59,8 @@ class FlightResult:
     summary: Mapping[str, float]
 
     def __getitem__(self, signal: str) -> NDArray[np.float64]:
+        if signal not in self.log:
+            raise KeyError(f"no signal `{signal}`{did_you_mean(signal, self.log)}")
         return self.log[signal]
 
 

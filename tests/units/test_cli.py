@@ -199,11 +199,17 @@ def test_tab_completes_commands_and_names(line, expected, tmp_path):
     assert {word.strip() for word in answer.read_text().split("\v") if word.strip()} == expected
 
 
-def test_a_configuration_is_found_by_name_and_by_path():
+def test_a_configuration_is_found_by_name_and_by_path(tmp_path, monkeypatch):
     assert places.find("experiments", "test2") == ROOT / "configs/experiments/test2.toml"
     assert rust.load_config("test2") == rust.load_config(ROOT / "configs/experiments/test2.toml")
     with pytest.raises(ValueError, match="there is no `tset2` in configs/experiments; did you mean test2"):
         rust.load_config("tset2")
+    monkeypatch.chdir(tmp_path)
+    Path("mine.toml").touch()
+    with pytest.raises(ValueError, match=r"there is no `mine` in .*; did you mean mine\.toml, which is here\?"):
+        rust.load_config("mine")
+    with pytest.raises(ValueError, match=r'is "test2"; expected a table, such as load_config'):
+        rust.fly("test2")
 
 
 def test_a_file_anywhere_has_a_shipped_flight_as_its_base(tmp_path):
