@@ -52,8 +52,8 @@ from jax_aero._core import (
 from jax_aero.base.keys import parts
 from jax_aero.base.places import find
 from jax_aero.base.plain import to_builtins
-from jax_aero.base.result import FlightResult, Progress
-from jax_aero.base.terminal import ConfigError
+from jax_aero.base.result import FlightResult
+from jax_aero.base.terminal import ConfigError, Progress
 from jax_aero.body.rotations import rotation_from_wxyz
 
 __all__ = [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -11,10 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero.base.places import did_you_mean
-
-Progress = Callable[[int, int], None]
-"""Called with (ticks flown, all ticks), or with numbers of flights for a batch, and of pictures for a video."""
-
 
 Outcome = Literal["completed", "off_course", "descended", "fell", "diverged"]
 """How a flight ended."""

@@ -9,10 +9,10 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from jax_aero.base.result import Progress
+Progress = Callable[[int, int], None]
+"""Called with (ticks flown, all ticks), or with numbers of flights for a batch, and of pictures for a video."""
 
 REFUSED, INTERRUPTED, CLOSED = 2, 130, 141
 """Exit statuses of a command; the last one after the reader of its output has gone, as with `| head`."""

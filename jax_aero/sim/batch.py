@@ -19,7 +19,8 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jax_aero.aero.network import Network
 from jax_aero.aero.network_card import load_network
-from jax_aero.base.result import FlightResult, Progress
+from jax_aero.base.result import FlightResult
+from jax_aero.base.terminal import Progress
 from jax_aero.body.robot import RobotModel, load_robot
 from jax_aero.config import ScenarioConfig
 from jax_aero.sim.plant import COMPILER_OPTIONS

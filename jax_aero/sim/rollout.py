@@ -19,7 +19,8 @@ import numpy as np
 from jaxtyping import Int
 
 from jax_aero import rust
-from jax_aero.base.result import FlightResult, Outcome, Progress
+from jax_aero.base.result import FlightResult, Outcome
+from jax_aero.base.terminal import Progress
 from jax_aero.config import ScenarioConfig
 from jax_aero.sim.plant import COMPILER_OPTIONS
 from jax_aero.sim.step import (

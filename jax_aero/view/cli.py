@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from jax_aero import rust
-from jax_aero.base.result import Progress
-from jax_aero.base.terminal import exit_status, progress_bar
+from jax_aero.base.terminal import Progress, exit_status, progress_bar
 from jax_aero.cli import Parser
 from jax_aero.view import Refused, recording
 

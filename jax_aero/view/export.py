@@ -26,7 +26,7 @@ import numpy as np
 
 from jax_aero import rust
 from jax_aero.base.files import complete_file
-from jax_aero.base.result import Progress
+from jax_aero.base.terminal import Progress
 from jax_aero.base.typed import make_portable
 from jax_aero.view import check_out, foxglove, require, ros2
 from jax_aero.view.recording import Recording, entries_of

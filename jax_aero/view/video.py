@@ -12,7 +12,7 @@ from typing import Any, Literal, Protocol, get_args
 import numpy as np
 
 from jax_aero.base.files import complete_file
-from jax_aero.base.result import Progress
+from jax_aero.base.terminal import Progress
 from jax_aero.view import Refused, check_out, require
 from jax_aero.view.drawing import Camera, Scales, Viewpoint, camera_at
 from jax_aero.view.recording import Recording
