@@ -1,14 +1,15 @@
-"""Made-up simulations in the layout of the solver's table of the free-stream campaign."""
+"""Made-up simulations: datasets, and the layout of the solver's table of the free-stream campaign."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from experiments.data import cfd, fit
-from jax_aero.aero.dataset import tunnel_from_base, wind_direction
+from jax_aero.aero.dataset import LINKS, Dataset, tunnel_from_base, wind_direction
 
 Array = NDArray[np.float64]
 Row = tuple[str, float, float, Array]
@@ -20,6 +21,23 @@ CFD_COLUMNS = [
     "yawAngle",
     *(f"{part}-{kind}" for part in ["ironcub", *cfd.SURFACES] for kind in ("cd", "cl", "cs")),
 ]
+
+
+def made_up_dataset(postures: Mapping[str, Array], pitch: Array, yaw: Array, areas: Any = 0.0, **more: Any) -> Dataset:
+    """Return a dataset of postures, given by their joints [deg], that each stand in all winds."""
+    n, count = len(postures) * len(pitch), len(pitch)
+    return Dataset(
+        posture=np.repeat([*postures], count),
+        is_mirrored=np.zeros(n, dtype=bool),
+        joint_position_deg=np.repeat([*postures.values()], count, axis=0),
+        wind_b=np.tile(wind_direction(pitch, yaw), (len(postures), 1)),
+        pitch_deg=np.tile(pitch, len(postures)),
+        yaw_deg=np.tile(yaw, len(postures)),
+        force_area_b=np.broadcast_to(areas, (n, len(more.get("links", LINKS)), 3)),
+        speed=np.full(n, 17.0),
+        air_density=np.full(n, 1.225),
+        **more,
+    )
 
 
 def solver_table(rows: Iterable[Row], changes: Mapping[tuple[int, str], str] | None = None) -> str:

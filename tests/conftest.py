@@ -1,4 +1,4 @@
-"""What many tests use: measurements, processes that end, a made-up flight of a made-up robot."""
+"""What many tests use: measurements, processes that end, a made-up flight."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,9 @@ import numpy as np
 import pytest
 
 from experiments import record
-from jax_aero.base.result import FlightResult
+from jax_aero import rust
+from jax_aero.base import places
+from jax_aero.base.result import FlightResult, labels_of
 
 pytest_plugins = ["tests.measurements"]
 
@@ -105,37 +106,12 @@ def stopped_sweep(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any, int, Path],
 # --- a made-up flight ---------------------------------------------------------------------------------------------
 
 
-def _leg(side: str) -> list[str]:
-    return [f"{side}_{joint}" for joint in ("hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll")]
-
-
-def _arm(side: str) -> list[str]:
-    return [f"{side}_{joint}" for joint in ("shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow")]
-
-
-GROUPS = {
-    "torso": ["torso_pitch", "torso_roll", "torso_yaw"],
-    "left_arm": _arm("l"),
-    "right_arm": _arm("r"),
-    "left_leg": _leg("l"),
-    "right_leg": _leg("r"),
-}
-
-
-@dataclass(frozen=True)
-class MadeUpRobot:
-    joint_groups: dict[str, list[str]] = field(default_factory=lambda: GROUPS)
-    joint_names: list[str] = field(default_factory=lambda: [joint for group in GROUPS.values() for joint in group])
-    aero_link_names: list[str] = field(default_factory=lambda: [f"link_{i}" for i in range(13)])
-    jet_names: list[str] = field(
-        default_factory=lambda: [f"{jet}_jet_turbine" for jet in ("l_arm", "r_arm", "chest_l", "chest_r")]
-    )
-    foot_names: list[str] = field(default_factory=lambda: ["l_sole", "r_sole"])
+ROBOT = rust.Robot(places.ROBOT)
 
 
 @pytest.fixture
-def robot() -> MadeUpRobot:
-    return MadeUpRobot()
+def robot() -> rust.Robot:
+    return ROBOT
 
 
 def made_up_flight(duration: float = 50.0, lost_time: float | None = None, step: float = 0.1) -> FlightResult:
@@ -150,49 +126,29 @@ def made_up_flight(duration: float = 50.0, lost_time: float | None = None, step:
     force = np.zeros((n, 13, 3))
     force[:, :, 1] = -ramp[:, None]
     force[:, :, 0] = -0.5 * np.sin(t / 8.0)[:, None] ** 2
+    sizes = {"time": n} | {dim: len(labels) for dim, labels in labels_of(ROBOT).items()}
     log = {
+        name: np.full([sizes[dim] for dim in signal.dims], 0.1 if name.startswith("raw_") else 0.0)
+        for name, signal in rust.signals().items()
+        if signal.dims[0] == "time" and not signal.is_of_ground
+    }
+    log |= {
         "time": t,
         "base_position": reference + 0.05,
         "base_quaternion": np.tile([0.0, 0.0, 0.0, 1.0], (n, 1)),
-        "base_velocity": np.zeros((n, 6)),
         "joint_position": 0.2 + wobble,
-        "joint_velocity": np.zeros((n, 23)),
         "com_position": reference + drift[:, None] * np.array([0.1, -0.6, 0.05]),
-        "com_velocity": np.zeros((n, 3)),
         "com_setpoint": reference,
         "rotation_error": 0.03 + 1.5 * drift,
         "base_rpy_setpoint": np.tile([0.0, 0.0, np.pi], (n, 1)),
         "thrust": np.array([98.0, 98.0, 113.0, 113.0])
         + np.outer(ramp, [20.0, -15.0, 30.0, -25.0]) * (1 + drift[:, None]),
-        "thrust_rate": np.zeros((n, 4)),
-        "joint_velocity_command": np.zeros((n, 23)),
-        "joint_torque": np.zeros((n, 23)),
         "wind": np.outer(ramp, [0.0, -10.0, 0.0]),
         "aero_force_sim": force,
         "aero_force_control": 0.8 * force,
-        "momentum": np.zeros((n, 6)),
-        "momentum_setpoint": np.zeros((n, 6)),
-        "momentum_rate_estimate": np.zeros((n, 6)),
-        "unmodelled_wrench": np.zeros((n, 6)),
-        "measured_base_position": np.zeros((n, 3)),
         "measured_base_quaternion": np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
-        "measured_base_velocity": np.zeros((n, 6)),
-        "measured_joint_velocity": np.zeros((n, 23)),
-        "measured_thrust": np.zeros((n, 4)),
         "measured_wind": np.outer(ramp, [0.0, -10.0, 0.0]),
-        "measured_wind_std": np.zeros((n, 3)),
-        "raw_base_position": np.full((n, 3), 0.1),
         "raw_base_rotation": np.tile(np.eye(3), (n, 1, 1)),
-        "raw_base_velocity": np.full((n, 6), 0.1),
-        "raw_joint_position": np.full((n, 23), 0.1),
-        "raw_joint_velocity": np.full((n, 23), 0.1),
-        "raw_thrust": np.full((n, 4), 0.1),
-        "raw_wind": np.full((n, 3), 0.1),
-        "degraded_modes": np.zeros(n),
-        "joint_condition": np.zeros((n, 23)),
-        "measured_torque_latency": np.zeros(n),
-        "measured_thrust_latency": np.zeros(n),
-        "qp_status": np.zeros((n, 2)),
         "qp_kkt": np.full((n, 2), 1e-12),
         "qp_iterations": np.full((n, 2), 3.0),
     }
@@ -214,7 +170,7 @@ def make_flight() -> Callable[..., FlightResult]:
 @pytest.fixture(scope="session")
 def made_up_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A results folder with the flights the figures show; one of them falls. A test that changes it copies it."""
-    results, robot = tmp_path_factory.mktemp("made_up") / "flight", MadeUpRobot()
+    results = tmp_path_factory.mktemp("made_up") / "flight"
     falls = {"test1": None, "test2": None, "test1_published": 21.5, "test2_published": None}
     falls |= dict.fromkeys(["test1_observer", "test1_published_observer"])
     falls |= dict.fromkeys(["test3", "test4", "robustness", "test4_published", "robustness_published"])
@@ -222,7 +178,7 @@ def made_up_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, lost_time in falls.items():
         digest = name.encode().hex().ljust(64, "0")
         dataset = record.to_dataset(
-            made_up_flight(lost_time=lost_time), robot, title=f"{name}: made up", config_digest=digest
+            made_up_flight(lost_time=lost_time), ROBOT, title=f"{name}: made up", config_digest=digest
         )
         record.write_run(results / name, dataset, {"name": name, "config_digest": digest})
     return results

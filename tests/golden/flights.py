@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from experiments import engines
 from jax_aero import rust
+from jax_aero.base import places
 
 FOLDER = Path(__file__).parent / "flights"
-EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
-NAMES = sorted(path.stem for path in EXPERIMENTS.glob("*.toml"))
+NAMES = places.names("experiments")
 
 NOT_STORED = {"time", "qp_kkt", "qp_iterations", "max_kkt", "max_qp_iterations", "degraded_modes", "joint_condition"}
 NOT_STORED |= {"measured_torque_latency", "measured_thrust_latency"}
@@ -42,11 +42,6 @@ class Stored(NamedTuple):
     signals: dict[str, NDArray[np.float64]]
     tolerance: dict[str, NDArray[np.float64]]
     """Of each signal in each row."""
-
-
-def load(name: str) -> rust.Config:
-    """Return the resolved configuration of an experiment."""
-    return rust.load_config(EXPERIMENTS / f"{name}.toml")
 
 
 def fly(config: rust.Config) -> rust.FlightResult:

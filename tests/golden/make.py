@@ -36,7 +36,7 @@ def main(names: list[str]) -> None:
         subprocess.run(command, check=True, env=os.environ | {"GLIBC_TUNABLES": PLAIN_PROCESSOR})
         plain = pickle.loads(path.read_bytes())
     for name in names:
-        config = flights.load(name)
+        config = rust.load_config(name)
         neighbours = [plain[name], *map(flights.fly, neighbours_of(config))]
         store(name, config, flights.fly(config), neighbours)
 
@@ -100,7 +100,7 @@ def store(name: str, config: rust.Config, flight: rust.FlightResult, neighbours:
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--plain"]:
-        found = {name: flights.fly(flights.load(name)) for name in sys.argv[3:]}
+        found = {name: flights.fly(rust.load_config(name)) for name in sys.argv[3:]}
         Path(sys.argv[2]).write_bytes(pickle.dumps(found))
     else:
         main(sys.argv[1:])

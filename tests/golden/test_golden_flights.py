@@ -5,13 +5,14 @@
 
 import pytest
 
+from jax_aero import rust
 from tests.golden import flights
 
 
 @pytest.mark.parametrize("name", flights.NAMES)
 def test_a_flight_is_the_stored_one(name):
     stored = flights.load_stored(name)
-    config = flights.load(name)
+    config = rust.load_config(name)
     flight = flights.fly(config)
     found = flights.signals(flight)
     assert set(found) >= set(stored.signals)  # a signal may be younger than the flight

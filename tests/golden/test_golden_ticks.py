@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from jax_aero import rust
 from tests.golden import flights, ticks
 
 NAMES = [f"{name}_{row}" for name, rows in ticks.INSTANTS.items() for row in rows]
@@ -20,7 +21,7 @@ def tolerance(key, expected):
 @pytest.mark.parametrize("name", NAMES)
 def test_a_tick_is_the_stored_one(name):
     given, expected = ticks.load_stored(name)
-    found = ticks.compute(flights.load(name.rpartition("_")[0]), given)
+    found = ticks.compute(rust.load_config(name.rpartition("_")[0]), given)
     assert set(found) == set(expected)
     wrong = {}
     for key, value in expected.items():

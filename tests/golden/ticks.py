@@ -1,7 +1,6 @@
 """Complete ticks of the controller: what it was given, and every intermediate value it computed.
 
-`python -m tests.golden.ticks [NAME ...]` stores those of some flights again, of all if there is none. A stored name
-stays when a value is renamed; `TICK_NAMES` says what it is called in `rust.Tick` now.
+`python -m tests.golden.ticks [NAME ...]` stores those of some flights again, of all if there is none.
 """
 
 from __future__ import annotations
@@ -34,9 +33,6 @@ CHANGED: dict[str, dict[str, Any]] = {
 """Where a tick is given something else than its flight had, so that torques and foot wrenches reach their bounds: joint
 errors in rad s, wrenches in N and N m with their centre of pressure beyond the toes."""
 
-TICK_NAMES: dict[str, str] = {}
-"""First word of a stored name to that of the value in `Tick`, where the two differ."""
-
 MEMORY = ("posture", "inertia_0_b", "velocity_error_integral")
 GIVEN = ("base_position", "base_rotation", "joint_position", "velocity", "thrust", "wind", "time")
 FEET = "foot_wrenches"
@@ -45,7 +41,7 @@ Values = dict[str, NDArray[np.float64]]
 
 
 def compute(config: rust.Config, given: Values) -> Values:
-    """Compute the tick of a controller with this memory and set-point, all values by their stored names."""
+    """Compute the tick of a controller with this memory and set-point, all values by their names."""
     controller = Controller(config)
     state = State(*(given[key] for key in GIVEN[:4]))
     setpoint = {key.split(".")[1]: value for key, value in given.items() if key.startswith("setpoint.")}
@@ -56,8 +52,7 @@ def compute(config: rust.Config, given: Values) -> Values:
 
 
 def values(tick: rust.Tick) -> Values:
-    """Return every number of a tick by its stored name, nested ones with a dot."""
-    stored_names = {now: name for name, now in TICK_NAMES.items()}
+    """Return every number of a tick by its name, nested ones with a dot."""
     found: Values = {}
 
     def add(name: str, value: Any) -> None:
@@ -71,7 +66,7 @@ def values(tick: rust.Tick) -> Values:
     for key, value in vars(tick).items():
         # Without estimators the former are the measurement; these flights have no faulty joints and no residuals.
         if key not in {"estimates", "joint_condition", "measured_latency", "residual", "residual_wrench", "throttle"}:
-            add(stored_names.get(key, key), value)
+            add(key, value)
     return found
 
 
@@ -88,14 +83,14 @@ def make(names: list[str]) -> None:
     FOLDER.mkdir(exist_ok=True)
     for name in names or INSTANTS:
         rows = INSTANTS[name]
-        config = flights.load(name)
+        config = rust.load_config(name)
         log = flights.fly(config).log
         controller = Controller(config)
         before: rust.Tick | None = None
         for row in range(max(rows) + 1):
             given: Values = {
                 "base_position": log["base_position"][row],
-                "base_rotation": _rotation(log["base_quaternion"][row]),
+                "base_rotation": rust.rotation_from_wxyz(log["base_quaternion"][row]),
                 "joint_position": log["joint_position"][row],
                 "velocity": np.concatenate([log["base_velocity"][row], log["joint_velocity"][row]]),
                 "thrust": log["thrust"][row],
@@ -114,12 +109,6 @@ def make(names: list[str]) -> None:
                 prefixed = {f"given {key}": value for key, value in given.items()}
                 np.savez_compressed(FOLDER / f"{name}_{row}.npz", **prefixed, **found)
             before = tick
-
-
-def _rotation(wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
-    """R(q) = (w² − |v|²) 1 + 2 v vᵀ + 2 w S(v); the rows of `cross` are e_k × v, and S is antisymmetric."""
-    w, v = wxyz[0], wxyz[1:]
-    return (w * w - v @ v) * np.eye(3) + 2.0 * np.outer(v, v) + 2.0 * w * np.cross(np.eye(3), v)
 
 
 if __name__ == "__main__":

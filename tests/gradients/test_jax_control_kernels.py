@@ -8,7 +8,6 @@ bounds of the momentum QP active.
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +29,6 @@ from tests.measurements import measured
 
 pytestmark = pytest.mark.usefixtures("x64")
 
-EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
 N_JOINTS = 23
 
 
@@ -71,7 +69,7 @@ def rng():
 
 @pytest.fixture(scope="module")
 def twin(x64):
-    config = scenario_config(rust.load_config(EXPERIMENTS / "test2.toml"))
+    config = scenario_config(rust.load_config("test2"))
     robot = load_robot(config.robot)
     return config, robot, tick.momentum_controller(config, robot)
 

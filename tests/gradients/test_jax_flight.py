@@ -6,7 +6,6 @@ The simulator has a network, second-order jets and a recorded reference, so that
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +17,6 @@ from jax_aero.sim import begin, prepare, rollout
 
 pytestmark = pytest.mark.usefixtures("x64")
 
-ROOT = Path(__file__).resolve().parents[2]
 TICKS = 200
 PARAMETERS = (
     *("kp_linear", "kd_linear", "c0", "c1", "torque_kd", "posture_gain"),
@@ -29,10 +27,10 @@ PARAMETERS = (
 @pytest.fixture(scope="module")
 def problem(x64, tmp_path_factory):
     """A cost of tracking as long as the flight lasts: compiled, and its value with the gradient."""
-    table = rust.load_config(ROOT / "configs" / "experiments" / "test2.toml")
+    table = rust.load_config("test2")
     table["wind"] |= {"ramp_start": -1.0, "ramp_end": 0.5}
     table["simulator"]["jets"] = {"dynamics": "second_order"}
-    network = rust.load_config(ROOT / "configs" / "experiments" / "test4.toml")["simulator"]["aero"]
+    network = rust.load_config("test4")["simulator"]["aero"]
     table["simulator"]["aero"] = network | {"precision": "f64"}
     table["mission"] = {"file": str(tmp_path_factory.mktemp("reference") / "sway.csv")}
     first = rust.fly(table | {"mission": {}, "simulator": table["simulator"] | {"duration": 0.01}})

@@ -25,7 +25,6 @@ from jax_aero.types import State
 pytestmark = pytest.mark.usefixtures("x64")
 
 ROOT = Path(__file__).resolve().parents[2]
-EXPERIMENTS = ROOT / "configs" / "experiments"
 
 
 @pytest.fixture(scope="module")
@@ -94,12 +93,9 @@ def test_mjx_has_the_same_reverse_mode(state):
         assert np.allclose(tree, mjx, rtol=1e-9, atol=1e-9 * np.abs(tree).max())
 
 
-SPHERE_CYLINDER = "robustness_axisymmetric_vs_sphere_cylinder"
-
-
 @pytest.fixture(scope="module")
 def models(robot, x64):
-    table = rust.load_config(EXPERIMENTS / f"{SPHERE_CYLINDER}.toml")
+    table = rust.load_config("robustness_axisymmetric_vs_sphere_cylinder")
     return {part: aero_model(aero_config(table[part]["aero"]), robot) for part in ("simulator", "controller")}
 
 
@@ -155,12 +151,12 @@ def fly_jets(inputs, model):
 @pytest.mark.parametrize("thrust", [0.0, 60.0, 150.0])
 def test_second_order_jets(check_gradient, robot, thrust):
     """Also with the throttle at its lower limit."""
-    settings = scenario_config(rust.load_config(EXPERIMENTS / "second_order_jets.toml")).simulator.jets
+    settings = scenario_config(rust.load_config("second_order_jets")).simulator.jets
     assert isinstance(settings, SecondOrderJetsConfig)
     inputs = (jnp.full(4, thrust + 0.5), jnp.array([-40.0, 3.0, 10.0, -3.0]))
     check_gradient(fly_jets, inputs, jet_dynamics(settings, robot), tolerance=1e-5)
 
 
 def test_wind(check_gradient):
-    wind = wind_model(scenario_config(rust.load_config(EXPERIMENTS / "test2.toml")).wind)
+    wind = wind_model(scenario_config(rust.load_config("test2")).wind)
     check_gradient(lambda inputs: wind_velocity(*inputs), (wind, jnp.array(6.0)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -19,15 +18,14 @@ from jax_aero.sim import begin, prepare, rollout
 
 pytestmark = pytest.mark.usefixtures("x64")
 
-ROOT = Path(__file__).resolve().parents[2]
 TICKS = 12
 WEIGHTS = ("position", "attitude", "angular_velocity", "posture", "joint_command", "thrust_rate", "tail")
 
 
 def prepared():
     """The predictive law without an observer, which would only take time."""
-    table = rust.load_config(ROOT / "configs/experiments/test2.toml", {"wind.ramp_start": -1.0, "wind.ramp_end": 0.1})
-    table["controller"]["mpc"] = rust.load_config(ROOT / "configs/experiments/test2_mpc.toml")["controller"]["mpc"]
+    table = rust.load_config("test2", {"wind.ramp_start": -1.0, "wind.ramp_end": 0.1})
+    table["controller"]["mpc"] = rust.load_config("test2_mpc")["controller"]["mpc"]
     return prepare(table)
 
 

@@ -132,16 +132,3 @@ def test_every_frame_jacobian_agrees(robot, oracle, random_states, agree):
             ours, (linear, angular) = rust.frame_jacobian(robot, frame, state), oracle.jacobian(frame)
             agree("frame Jacobians, linear", ours.linear, linear, TOLERANCE)
             agree("frame Jacobians, angular", ours.angular, angular, TOLERANCE)
-
-
-def test_the_map_between_velocities_has_no_acceleration(robot, oracle, random_states, agree):
-    """Turning on, ν(t) = X(t) v with constant v keeps its value: Ẋ v = 0."""
-    state, wxyz = next(iter(random_states))
-    oracle.set(state, wxyz)
-    velocity = oracle.data.qvel.copy()
-    step = 1e-6
-    mujoco.mj_integratePos(oracle.model, oracle.data.qpos, velocity, step)
-    turned = np.zeros(9)
-    mujoco.mju_quat2Mat(turned, oracle.data.qpos[3:7])
-    agree("ω_B after a turn", turned.reshape(3, 3) @ velocity[3:6], np.asarray(state.velocity)[3:6], 1e-14)
-    assert not np.allclose(turned.reshape(3, 3), state.base_rotation, rtol=0, atol=1e-7)

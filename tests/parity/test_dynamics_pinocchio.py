@@ -19,7 +19,6 @@ from jax_aero.rust import Robot
 
 TOLERANCE = 1e-10
 LOCKED = {"sparrow": {"neck": 0.2}, "slider": {"hatch_rail": 0.04}}
-WORLD_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
 
 class Oracle:
@@ -94,28 +93,3 @@ def oracle(robot_name, robot, urdf) -> Oracle:
 
 def test_the_whole_state_agrees(oracle, agree_with_dynamics):
     agree_with_dynamics(oracle, TOLERANCE)
-
-
-def test_every_frame_jacobian_agrees(robot, oracle, random_states, agree):
-    frames = [frame.name for frame in oracle.model.frames if frame.type == pin.FrameType.BODY]
-    known = {*robot.body_names, *robot.aero_link_names}
-    frames = [frame for frame in frames if frame in known or frame.endswith("sole")]
-    ids = [oracle.model.getFrameId(frame, pin.FrameType.BODY) for frame in frames]
-    assert len(frames) >= len(robot.body_names)
-    for state, wxyz in random_states:
-        oracle.set(state, wxyz)
-        pin.computeJointJacobians(oracle.model, oracle.data, oracle.q)
-        for frame, index in zip(frames, ids, strict=True):
-            ours = rust.frame_jacobian(robot, frame, state)
-            theirs = oracle.mixed(pin.getFrameJacobian(oracle.model, oracle.data, index, WORLD_AXES))
-            agree("frame Jacobians, linear", ours.linear, theirs[:3], TOLERANCE)
-            agree("frame Jacobians, angular", ours.angular, theirs[3:], TOLERANCE)
-
-
-def test_without_the_acceleration_of_the_map_biases_differ(robot, oracle, random_states):
-    """The term matters: else the tests above would prove nothing about it."""
-    state, wxyz = next(iter(random_states))
-    oracle.set(state, wxyz)
-    agreeing = oracle.bias()
-    oracle.map_acceleration[:] = 0
-    assert np.max(np.abs(agreeing - oracle.bias())) > 1e-2 * np.max(np.abs(agreeing))

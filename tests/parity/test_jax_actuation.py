@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +11,7 @@ from jax_aero import rust
 from jax_aero.config import ActuationConfig
 from jax_aero.sim import actuation
 
-EXPERIMENT = Path(__file__).resolve().parents[2] / "configs" / "experiments" / "test2_observer.toml"
+EXPERIMENT = "test2_observer"
 
 
 @pytest.mark.parametrize(("delay", "substeps"), [(0, 1), (3, 1), (3, 4), (9, 4)])

@@ -21,7 +21,6 @@ from jax_aero.types import State
 pytestmark = pytest.mark.usefixtures("x64")
 
 ROOT = Path(__file__).resolve().parents[2]
-EXPERIMENTS = ROOT / "configs" / "experiments"
 TOLERANCE = 1e-10
 MODELS = {
     "axisymmetric": {"model": "axisymmetric", "coefficients": "corrected", "air_density": 1.225},
@@ -32,7 +31,7 @@ SPEEDS = (0.0, 1e-12, 1e-9, 1e-6, 1e-3, 0.1, 1.0, 10.0, 40.0, 300.0)
 
 @pytest.fixture(scope="module")
 def models():
-    robustness = rust.load_config(EXPERIMENTS / "robustness_axisymmetric_vs_sphere_cylinder.toml")
+    robustness = rust.load_config("robustness_axisymmetric_vs_sphere_cylinder")
     return {**MODELS, "sphere_cylinder": robustness["controller"]["aero"]}
 
 
@@ -73,7 +72,7 @@ def test_forces(models, name, robot, robot_name, agree):
 @pytest.mark.parametrize("experiment", ["test2", "test2_published", "robustness_axisymmetric_vs_sphere_cylinder"])
 def test_where_the_controller_places_links(experiment, agree):
     """Axes, relative winds, points and forces of the controller, corrected and published conventions."""
-    table = rust.load_config(EXPERIMENTS / f"{experiment}.toml")
+    table = rust.load_config(experiment)
     config = scenario_config(table).controller
     robot = load_robot(table["robot"])
     model = aero_model(config.aero, robot)

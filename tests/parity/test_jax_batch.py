@@ -17,7 +17,6 @@ from jax_aero import rust, sim
 from jax_aero.sim import batch
 
 ROOT = Path(__file__).resolve().parents[2]
-EXPERIMENTS = ROOT / "configs" / "experiments"
 SCRIPT = """
 import json, sys
 import jax
@@ -31,7 +30,7 @@ def test_flights_on_two_devices(measured):
     """Three flights on two devices, so that one flies twice and is dropped; the second one is lost, and ends there."""
     changes = {"simulator.duration": 1.5, "wind.ramp_start": 0.2, "wind.ramp_end": 0.8, "wind.velocity": [0, -6.0, 0]}
     tables = [
-        rust.load_config(EXPERIMENTS / "test2.toml", changes | more)
+        rust.load_config("test2", changes | more)
         for more in ({}, {"simulator.fall.com_error": 0.02}, {"controller.momentum.c0": 40.0, "title": "softer"})
     ]
     # Two devices are made of one processor.
@@ -83,16 +82,8 @@ def counted(monkeypatch):
 
 
 def flights(*changes):
-    table = rust.load_config(EXPERIMENTS / "test2.toml", {"simulator.duration": 0.03})
     for change in changes:
-        changed = json.loads(json.dumps(table))
-        for key, value in change.items():
-            *parents, name = key.split(".")
-            inner = changed
-            for parent in parents:
-                inner = inner[parent]
-            inner[name] = value
-        yield changed
+        yield rust.load_config("test2", {"simulator.duration": 0.03} | change)
 
 
 def test_what_differs_does_not_decide_what_compiles(counted):
@@ -177,7 +168,7 @@ def test_a_network_is_read_once_and_shared(counted, monkeypatch):
 
 
 def test_a_flight_that_cannot_be_flown_is_named():
-    table = rust.load_config(EXPERIMENTS / "test2.toml")
+    table = rust.load_config("test2")
     spoilt = table | {"wind": {"profile": "storm"}}
     with pytest.raises(ValueError, match=r'flight 1 of the batch: .*`wind.profile` is "storm"'):
         sim.fly_batch([table, spoilt])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +18,6 @@ from tests.measurements import measured
 
 pytestmark = pytest.mark.usefixtures("x64")
 
-EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
 START = (np.array([-0.00365, 0.00041, 0.751881]), np.diag([-1.0, -1.0, 1.0]))
 FORWARD = np.array([-1.0, 0.0, 0.0])
 # Positions of 80 m are rounded to 1e-14; three differentiations at T = 1.5 s and 5 ms make 1e-12 of it.
@@ -45,7 +43,7 @@ def follow(params, mission, start, ticks):
 def test_setpoints(name, boost, agree):
     """With the mission's boost, or with one that takes two and a half ticks to grow."""
     grown = {} if boost is None else {"controller.setpoint.turbo_boost": boost, "controller.setpoint.turbo_rate": 10.0}
-    table = rust.load_config(EXPERIMENTS / f"{name}.toml", grown)
+    table = rust.load_config(name, grown)
     config = scenario_config(table)
     time_step = jnp.array(config.simulator.time_step)
     params = setpoint.setpoint_params(config.controller.setpoint, FORWARD, time_step)
@@ -60,7 +58,7 @@ def test_setpoints(name, boost, agree):
 def test_setpoints_of_a_start_without_a_heading(pitch, agree):
     """A base that is pitched to the vertical, where rounding would decide on roll and yaw, keeps its attitude."""
     rotation = Rotation.from_euler("ZYX", [0.7, pitch, 0.4]).as_matrix()
-    table = rust.load_config(EXPERIMENTS / "test2.toml", {"simulator.duration": 2.0})
+    table = rust.load_config("test2", {"simulator.duration": 2.0})
     table["controller"]["setpoint"]["nose_down_limits_deg"] = [-90.0, 90.0]
     config = scenario_config(table)
     params = setpoint.setpoint_params(config.controller.setpoint, FORWARD, jnp.array(config.simulator.time_step))
@@ -74,7 +72,7 @@ def test_setpoints_of_a_start_without_a_heading(pitch, agree):
 
 def test_a_motion_that_is_followed_goes_on_without_jerk(agree):
     """The raw set-point is the input that the filter of the position follows with these outputs."""
-    config = scenario_config(rust.load_config(EXPERIMENTS / "test2.toml")).controller.setpoint
+    config = scenario_config(rust.load_config("test2")).controller.setpoint
     params = setpoint.setpoint_params(config, FORWARD, jnp.array(1e-3))
     rng = np.random.default_rng(6)
     com = np.concatenate([rng.normal(size=(3, 3)), np.zeros((1, 3))])
@@ -105,7 +103,7 @@ def test_recorded_setpoints(columns, agree, tmp_path):
     path = tmp_path / "reference.csv"
     lines = ["# made up", ",".join(HEADER[:columns]), *(",".join(map(repr, map(float, row))) for row in rows)]
     path.write_text("\n".join(lines) + "\n")
-    table = rust.load_config(EXPERIMENTS / "min_time.toml", {"simulator.duration": 2.0})
+    table = rust.load_config("min_time", {"simulator.duration": 2.0})
     table["mission"]["file"] = str(path)
     rust.check_config(table)
     config = scenario_config(table)
@@ -120,7 +118,7 @@ def test_recorded_setpoints(columns, agree, tmp_path):
 
 @pytest.mark.close_to_tolerance("80 m in float32 after 5001 sums: 80 m eps sqrt(5001) = 0.3 mm and more, as claimed")
 def test_float32_setpoints_stay_within_a_millimetre_and_a_hundredth_of_a_degree():
-    table = rust.load_config(EXPERIMENTS / "test2.toml")
+    table = rust.load_config("test2")
     with jax.enable_x64(False):
         config = scenario_config(table)
         time_step = jnp.float32(config.simulator.time_step)

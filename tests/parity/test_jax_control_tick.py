@@ -23,7 +23,6 @@ from jax_aero.verify import SOLUTIONS, crate_quantity, tick_quantities
 pytestmark = pytest.mark.usefixtures("x64")
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-EXPERIMENTS = REPOSITORY / "configs" / "experiments"
 TOLERANCE = 1e-10
 STATUS = ["Nominal", "Degraded", "MomentumHeld", "TorqueHeld", "BothHeld"]
 BATCH = 32
@@ -75,7 +74,7 @@ class Twin:
     """The controller of an experiment in both implementations."""
 
     def __init__(self, name, overrides=None):
-        self.table = rust.load_config(EXPERIMENTS / f"{name}.toml", overrides)
+        self.table = rust.load_config(name, overrides)
         config = scenario_config(self.table)
         self.robot = load_robot(config.robot)
         self.params = tick.momentum_controller(config, self.robot)

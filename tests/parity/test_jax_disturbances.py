@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from jax_aero import rust
 
-EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
 TOLERANCE = 1e-9
 """Relative to the largest value of a signal over the flight; below one, absolute."""
 
@@ -60,7 +57,7 @@ def flights(fly_with_last_bits):
     """Every case as both engines fly it, and as the crate flies it after a change of last bits."""
     configs = []
     for changes in CASES.values():
-        table = rust.load_config(EXPERIMENTS / "sensor_noise.toml", COMMON | changes) | {"wind": TURBULENT}
+        table = rust.load_config("sensor_noise", COMMON | changes) | {"wind": TURBULENT}
         rust.check_config(table)
         configs.append(table)
     return dict(zip(CASES, fly_with_last_bits(configs, (1, 2, 5)), strict=True))

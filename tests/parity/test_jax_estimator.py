@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,9 +20,7 @@ from jax_aero.sim import sensors
 from jax_aero.train.identify import states_of
 from jax_aero.types import State
 
-EXPERIMENT = Path(__file__).resolve().parents[2] / "configs" / "experiments" / "test2_sensors.toml"
-BOTH = {"controller.wind_observer": {}}
-STEP = jnp.asarray(0.01)
+EXPERIMENT = "test2_sensors"
 WIND = {"profile": "ramp", "velocity": [3.0, -9.0, 1.0], "ramp_start": 0.0, "ramp_end": 0.5}
 
 
@@ -68,7 +64,7 @@ def test_both_estimate_the_same_state(x64, agree_with_the_log):
 @pytest.fixture(scope="module")
 def alone(x64):
     """A controller with both estimators, its compiled step, its robot, and readings of one that hardly moves."""
-    config = scenario_config(rust.load_config(EXPERIMENT, BOTH))
+    config = scenario_config(rust.load_config(EXPERIMENT, {"controller.wind_observer": {}}))
     robot, first = load_robot(config.robot), config.simulator.initial
     rng = np.random.default_rng(7)
 

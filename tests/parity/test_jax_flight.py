@@ -22,12 +22,11 @@ from jax_aero.sim.wind import wind_model, wind_velocity
 from jax_aero.types import State, pytree
 
 ROOT = Path(__file__).resolve().parents[2]
-EXPERIMENTS = ROOT / "configs" / "experiments"
 
 
 def test_a_flight_of_50_s(fly_both):
     """Every signal at every tick to 1e-6, and the same figures of merit."""
-    _, ours = fly_both(rust.load_config(EXPERIMENTS / "test2.toml"))
+    _, ours = fly_both(rust.load_config("test2"))
     assert len(ours["time"]) == 5001
 
 
@@ -41,7 +40,7 @@ def test_a_flight_of_50_s(fly_both):
 )
 def test_a_flight_under_a_strict_judge(changes, outcome, fly_both):
     """Lost at the same tick for the same reason, where the log ends, or off course."""
-    expected, _ = fly_both(rust.load_config(EXPERIMENTS / "test2.toml", changes))
+    expected, _ = fly_both(rust.load_config("test2", changes))
     assert expected.outcome == outcome
 
 
@@ -51,7 +50,7 @@ RECORDED = ("min_time", "min_fuel")
 @pytest.fixture(scope="module")
 def recorded_flights(fly_with_last_bits):
     """Along recorded references: both have as many samples, so they fly together."""
-    tables = [rust.load_config(EXPERIMENTS / f"{name}.toml") for name in RECORDED]
+    tables = [rust.load_config(name) for name in RECORDED]
     return dict(zip(RECORDED, fly_with_last_bits(tables, (5,)), strict=True))
 
 
@@ -108,7 +107,7 @@ VARIANTS = {
 def test_every_tick_of_the_world(experiment, agree):
     """From each logged state, one tick under the logged commands leads to the next logged state."""
     changes = {"simulator.duration": 8.0} | VARIANTS[experiment]
-    table = rust.load_config(EXPERIMENTS / f"{experiment}.toml", changes)
+    table = rust.load_config(experiment, changes)
     rust.check_config(table)
     config, log = scenario_config(table), rust.fly(table).log
     robot, wind_now = load_robot(table["robot"]), wind_model(config.wind)
@@ -143,7 +142,7 @@ def test_every_tick_of_the_world(experiment, agree):
 def test_joints_meet_their_stops(integrator, agree):
     """Elbow, knee and torso pressed against their stops for 0.3 s, without thrust: both engines, step by step."""
     changes = {"simulator.integrator": integrator, "simulator.substeps": 2, "simulator.aero": {"model": "off"}}
-    table = rust.load_config(EXPERIMENTS / "test2.toml") | {"disturbances": {}}
+    table = rust.load_config("test2") | {"disturbances": {}}
     for key, value in changes.items():
         table["simulator"][key.removeprefix("simulator.")] = value
     table["simulator"]["initial"] |= {"thrust": [0.0] * 4, "free_fall_tick": False}
@@ -176,12 +175,12 @@ def test_numbers_that_physics_excludes_diverge(criterion):
     """The same tick, words and figures in both engines; the row is in the log and in no figure."""
     changes = SPOILT[criterion] | {"simulator.duration": 0.5, "simulator.initial.free_fall_tick": False}
     if criterion == "joint more":
-        elbow_out = list(rust.load_config(EXPERIMENTS / "test2.toml")["simulator"]["initial"]["joint_position"])
+        elbow_out = list(rust.load_config("test2")["simulator"]["initial"]["joint_position"])
         elbow_out[6] -= 8.0
         changes["simulator.initial.joint_position"] = elbow_out
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "simulator.initial.joint_position of `l_elbow`")
-        config = rust.load_config(EXPERIMENTS / "test2.toml", changes)
+        config = rust.load_config("test2", changes)
     expected, ours = rust.fly(config), sim.fly(config)  # nothing of such a flight can be compared by value
     assert ours.outcome == expected.outcome == "diverged"
     assert (ours.lost_time, ours.lost_reason) == (expected.lost_time, expected.lost_reason)
@@ -195,7 +194,7 @@ def test_numbers_that_physics_excludes_diverge(criterion):
 @pytest.mark.usefixtures("x64")
 def test_what_no_controller_commands_diverges(criterion):
     changes = {"simulator.duration": 0.5, "simulator.joint_stops": False}
-    config = rust.load_config(EXPERIMENTS / "test2.toml", changes)
+    config = rust.load_config("test2", changes)
     crate, (scenario, state) = rust.Flight(config), sim.prepare(config)
     surges = criterion == "thrust"
     elbow = np.where(np.arange(23) == 6, 300.0, 0.0)
@@ -223,7 +222,7 @@ PERTURBED = {
 
 def test_a_flight_with_everything_wrong(fly_both):
     """Published lever arms, forces that are not those of the model, masses that are not those of the controller."""
-    fly_both(rust.load_config(EXPERIMENTS / "test2_published.toml", PERTURBED))
+    fly_both(rust.load_config("test2_published", PERTURBED))
 
 
 TURBULENT = {
@@ -255,7 +254,7 @@ def test_winds(profile, tmp_path):
     samples = tmp_path / "wind.csv"
     samples.write_text("time,x,y,z\n0.05,1,2,3\n0.1,-1,0.5,0\n0.25,4,-3,1\n")
     wind = WINDS.get(profile, {"profile": "file", "path": str(samples)})
-    table = rust.load_config(EXPERIMENTS / "test2.toml", {"simulator.duration": 0.4}) | {"wind": wind}
+    table = rust.load_config("test2", {"simulator.duration": 0.4}) | {"wind": wind}
     log, model = rust.fly(table).log, wind_model(scenario_config(table).wind)
     ours = jax.vmap(lambda time: wind_velocity(model, time))(jnp.asarray(log["time"]))
     np.testing.assert_allclose(ours, log["wind"], rtol=0, atol=1e-12)
@@ -277,9 +276,8 @@ def test_both_kinds_of_dynamics_fly_the_same():
     """`simulator.dynamics`: one step to the rounding of M⁻¹ h (condition 1e5), and 0.2 s with what it grows to."""
     heights = {}
     for dynamics in ("tree", "mjx"):
-        table = rust.load_config(
-            EXPERIMENTS / "test2.toml", {"engine": "jax", "simulator.dynamics": dynamics, "wind.ramp_start": -9.0}
-        )
+        changes = {"engine": "jax", "simulator.dynamics": dynamics, "wind.ramp_start": -9.0}
+        table = rust.load_config("test2", changes)
         scenario, start = sim.prepare(table, controller=Damper())
         assert scenario.plant.backend == dynamics
         rows = jax.jit(lambda scenario, start: sim.rollout(scenario, start, 20, sim.keep_row)[1])(scenario, start)
@@ -314,7 +312,7 @@ class Wrapped:
 @pytest.mark.usefixtures("x64")
 def test_the_world_is_not_where_the_controller_estimates_it(monkeypatch, changes, shares):
     """It takes over what a controller computed for its own state alone."""
-    config = scenario_config(rust.load_config(EXPERIMENTS / "no_wind.toml", changes))
+    config = scenario_config(rust.load_config("no_wind", changes))
     scenario, start = sim.prepare(config)
     scenario, taken = dataclasses.replace(scenario, controller=Wrapped(scenario.controller)), []
 
@@ -330,8 +328,8 @@ def test_the_world_is_not_where_the_controller_estimates_it(monkeypatch, changes
 def test_a_controller_whose_model_has_rotors(fly_both):
     """With an estimator, which contains them too; small ones, since the simulated robot has none."""
     changes = {"controller.torque.rotor_inertia": 0.002, "simulator.duration": 0.3}
-    expected, _ = fly_both(rust.load_config(EXPERIMENTS / "test2_sensors.toml", changes))
-    without = rust.fly(rust.load_config(EXPERIMENTS / "test2_sensors.toml", {"simulator.duration": 0.3}))
+    expected, _ = fly_both(rust.load_config("test2_sensors", changes))
+    without = rust.fly(rust.load_config("test2_sensors", {"simulator.duration": 0.3}))
     assert np.abs(expected["joint_torque"] - without["joint_torque"]).max() > 1e-3
 
 
@@ -346,5 +344,5 @@ RISING = {
 def test_another_robot_whose_thrusts_are_at_their_least(name, fly_both):
     """IRonCub-Mk3 rises too fast; 4 m/s would amplify a rounding of the start to 1e-4 N m in 0.4 s in either engine."""
     changes = {"simulator.duration": 0.2} | RISING
-    expected, _ = fly_both(rust.load_config(EXPERIMENTS / f"{name}.toml", changes))
+    expected, _ = fly_both(rust.load_config(name, changes))
     assert expected["thrust"].min() == 11.0

@@ -57,7 +57,7 @@ def test_the_budget_of_single_precision(agree):
 
 @pytest.mark.parametrize("name", ["test2", "test2_observer", "test2_sensors"])
 def test_a_flight_in_single_precision_has_no_number_in_double_precision(name):
-    config = scenario_config(rust.load_config(ROOT / "configs" / "experiments" / f"{name}.toml"))
+    config = scenario_config(rust.load_config(name))
     scenario, start = sim.convert_precision(*sim.prepare(config), np.float32)
     flown = jax.eval_shape(lambda scenario, start: sim.rollout(scenario, start, 2, sim.keep_row), scenario, start)
     doubled = [

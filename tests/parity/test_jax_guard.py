@@ -6,28 +6,27 @@ What the guard is there to answer, JAX refuses.
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 
 from jax_aero import rust, sim
+from jax_aero.base import places
 from jax_aero.base.typed import scenario_config
 from jax_aero.verify import GUARD_SIGNALS
 
-EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
 DETECTORS = ("channels", "engines", "joints", "latency_monitor", "supervisor")
 
 
 def healthy():
     """Flights of controllers with an observer, an estimator or a predictive law, in which nothing fails."""
-    for path in sorted(EXPERIMENTS.glob("*.toml")):
-        table = rust.load_config(path)
+    for name in places.names("experiments"):
+        table = rust.load_config(name)
         controller, jets = table["controller"], table["disturbances"]["jets"]
-        watches = any(controller.get(name) for name in ("observer", "estimator", "mpc"))
+        watches = any(controller.get(part) for part in ("observer", "estimator", "mpc"))
         if watches and table.get("engine") != "mujoco" and "failure" not in jets:
-            yield path.stem
+            yield name
 
 
 HEALTHY = tuple(healthy())

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,7 +22,6 @@ from jax_aero.types import Setpoint, State
 
 pytestmark = pytest.mark.usefixtures("x64")
 
-ROOT = Path(__file__).resolve().parents[2]
 TOLERANCE = 1e-9
 COUNT = 6
 DISTANCES = ("distance", "distance_by_joint")
@@ -34,7 +31,7 @@ OVERFLOW = (-299.0, -299.0, -299.0)
 
 
 def flight(overrides=None):
-    table = rust.load_config(ROOT / "configs/experiments/test2_mpc.toml", overrides)
+    table = rust.load_config("test2_mpc", overrides)
     config = scenario_config(table)
     robot = load_robot(config.robot)
     return table, robot, tick.momentum_controller(config, robot)
@@ -118,8 +115,8 @@ def test_a_flight_with_a_preview_of_the_wind(fly_both):
     changes = {"simulator.duration": 0.3, "simulator.sensors": {"wind_preview": 0.5}, "wind": gust}
     changes |= {"controller.estimator": {"latency": {"torque": 0.02, "thrust": 0.02}}}
     changes |= {"simulator.actuation": {"torque_delay": 0.02, "thrust_delay": 0.02}}
-    seen = rust.load_config(ROOT / "configs/experiments/test2_mpc.toml", changes)
-    unseen = rust.load_config(ROOT / "configs/experiments/test2_mpc.toml", changes | {"simulator.sensors": {}})
+    seen = rust.load_config("test2_mpc", changes)
+    unseen = rust.load_config("test2_mpc", changes | {"simulator.sensors": {}})
     signals = ("thrust_rate", "joint_velocity_command", "joint_torque")
     expected, _ = fly_both(seen, TOLERANCE, signals, floor=0.0)
     assert np.max(np.abs(rust.fly(unseen)["thrust_rate"] - expected["thrust_rate"])) > 1.0

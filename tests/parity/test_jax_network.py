@@ -22,7 +22,6 @@ from jax_aero.verify import random_states
 pytestmark = pytest.mark.usefixtures("x64")
 
 ROOT = Path(__file__).resolve().parents[2]
-EXPERIMENTS = ROOT / "configs" / "experiments"
 ROBOT = ROOT / "configs" / "robot" / "ironcub_mk1.toml"
 TOLERANCE = {"f32": 1e-6, "f64": 1e-12}
 """On the forces of all links, relative to the greatest."""
@@ -104,12 +103,12 @@ def test_a_flight(experiment, precision, tolerance, fly_both):
         "simulator.aero.precision": precision,
         "controller.aero.precision": precision,
     }
-    expected, _ = fly_both(rust.load_config(EXPERIMENTS / f"{experiment}.toml", changes), tolerance)
+    expected, _ = fly_both(rust.load_config(experiment, changes), tolerance)
     assert np.linalg.norm(expected["aero_force_sim"].sum(axis=1), axis=1).max() > 5.0
 
 
 def test_the_function_for_single_links_refuses_a_network(ours):
-    table = rust.load_config(EXPERIMENTS / "test4.toml")["simulator"]["aero"]
+    table = rust.load_config("test4")["simulator"]["aero"]
     axes = np.tile([0.0, 0.0, 1.0], (ours.aero_links.count, 1))
     with pytest.raises(ValueError, match=r"aero\.model is network"):
         rust.aero_forces(rust.Robot(ROBOT), table, axes, axes)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,7 +17,6 @@ from jax_aero.types import State
 
 pytestmark = pytest.mark.usefixtures("x64")
 
-EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
 TOLERANCE = 1e-10
 LIMITS = {"gain_force": 4.0, "gain_moment": 7.0, "force_max": 8.0, "moment_max": 0.5}
 
@@ -33,7 +30,7 @@ def flown():
         "wind.ramp_end": 1.0,
         "controller.observer": LIMITS,
     }
-    table = rust.load_config(EXPERIMENTS / "test1_observer.toml", changes)
+    table = rust.load_config("test1_observer", changes)
     log = rust.fly(table).log
     rotations = np.stack([rust.rotation_from_wxyz(wxyz) for wxyz in log["base_quaternion"]])
     velocity = np.concatenate([log["base_velocity"], log["joint_velocity"]], axis=1)

@@ -22,9 +22,8 @@ from jax_aero.sim.step import prepare, step
 from jax_aero.train.policy import act, init_policy, residual_of
 from jax_aero.types import State
 
-EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
-CARD = EXPERIMENTS.parent / "policies" / "hover.json"
-TASK = Task(str(EXPERIMENTS / "test1.toml"), duration=1.0, ramp=0.1, thrust_rate=100.0, joint_velocity=1.0)
+CARD = Path(__file__).resolve().parents[2] / "configs/policies/hover.json"
+TASK = Task("test1", duration=1.0, ramp=0.1, thrust_rate=100.0, joint_velocity=1.0)
 WIND = [3.0, -9.0, 0.0]
 
 

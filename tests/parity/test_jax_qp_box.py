@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +13,6 @@ from jax_aero.control.qp import BoxQp
 
 pytestmark = pytest.mark.usefixtures("x64")
 
-EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
 EVERY = 12
 OF_RANGE = 1e-9
 COUNT = 1024
@@ -24,7 +21,7 @@ UNIT_ROUNDOFF = np.finfo(np.float64).eps / 2
 
 def harvest(name):
     """Momentum and torque QPs of every `EVERY`th tick of a flight."""
-    config = rust.load_config(EXPERIMENTS / f"{name}.toml")
+    config = rust.load_config(name)
     log = rust.fly(config).log
     controller = rust.Controller(config)
     momentum, torque = [], []

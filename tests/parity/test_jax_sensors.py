@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +13,7 @@ from jax_aero.control.measurement import Reading
 from jax_aero.sim.sensors import read, sensors, start
 from jax_aero.train.identify import states_of
 
-EXPERIMENT = Path(__file__).resolve().parents[2] / "configs" / "experiments" / "test2_observer.toml"
+EXPERIMENT = "test2_observer"
 SENSORS = {
     "seed": 3,
     "base_position": {"bias": [0.01, 0.0, 0.02], "noise_std": 0.003, "delay": 0.02},

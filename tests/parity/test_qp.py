@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import clarabel
@@ -23,7 +22,6 @@ from scipy import sparse
 from jax_aero import rust
 from jax_aero.rust import BoxQpSolver, Controller, QpProblem, State
 
-EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
 HARVESTED, ADVERSARIAL, EVERY = 6000, 4000, 5
 KKT_TOLERANCE, X_TOLERANCE = 1e-9, 1e-8
 # By what Clarabel says of its own answer.
@@ -48,7 +46,7 @@ def cases_of(tick: rust.Tick, kind: str) -> Iterator[Case]:
 
 def harvest(name: str, thrown: int, rng: np.random.Generator) -> Iterator[Case]:
     """Every fifth tick of a flight, and `thrown` ticks at states that it never came near."""
-    config = rust.load_config(EXPERIMENTS / f"{name}.toml")
+    config = rust.load_config(name)
     flight = rust.fly(config)
     flown, elsewhere = Controller(config), Controller(config)
     log = [flight[key] for key in ("base_position", "base_quaternion", "joint_position", "base_velocity")]

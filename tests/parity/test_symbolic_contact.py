@@ -18,13 +18,13 @@ TOLERANCE = 1e-9
 @pytest.fixture(scope="module")
 def model():
     robot = load_robot(ROOT / "configs/robot/ironcub_mk1.toml")
-    aero = rust.load_config(ROOT / "configs/experiments/take_off.toml")["controller"]["aero"]
+    aero = rust.load_config("take_off")["controller"]["aero"]
     return MomentumModel(robot, aero), ContactModel(robot, FEET)
 
 
 def ticks(count):
     """Second ticks of a robot that stands, takes off or lands: configuration, what was given, what came out."""
-    config = rust.load_config(ROOT / "configs/experiments/take_off.toml")
+    config = rust.load_config("take_off")
     law = config["controller"]
     for key in ("observer", "channels", "engines"):  # a random state does not follow from the one before
         del law[key]

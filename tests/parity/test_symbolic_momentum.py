@@ -4,9 +4,6 @@ An implementation is a function from (robot file, aerodynamic table) to a functi
 `IMPLEMENTATIONS` lists them. What is said nothing about is not compared.
 """
 
-import copy
-import json
-import os
 from pathlib import Path
 
 import jax
@@ -20,9 +17,10 @@ from jax_aero.body.dynamics import dynamics
 from jax_aero.body.kinematics import kinematics
 from jax_aero.body.robot import load_robot as twin_robot
 from jax_aero.control.law.momentum import momentum_model
-from jax_aero.rust import Controller, Robot
+from jax_aero.rust import Controller
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.types import State as TwinState
+from tests.parity.fitted import fitted
 
 ROOT = Path(__file__).resolve().parents[2]
 ROBOTS = ("ironcub_mk1", "sparrow", "slider")
@@ -33,7 +31,7 @@ COUNT = 60
 
 def crate(path, aero):
     """The Rust crate, through one tick of its controller."""
-    controller = Controller(_flight(path, aero))
+    controller = Controller(fitted("test2", path, aero)[1])
 
     def terms(state, thrust, wind):
         tick = controller.tick(state, thrust, wind)
@@ -50,7 +48,7 @@ def crate(path, aero):
 def twin(path, aero):
     """The JAX implementation, one compiled function of a state."""
     with jax.enable_x64(True):
-        config = scenario_config(_flight(path, aero))
+        config = scenario_config(fitted("test2", path, aero)[1])
         robot = twin_robot(path)
         model = aero_model(config.controller.aero, robot)
 
@@ -74,28 +72,11 @@ def twin(path, aero):
 IMPLEMENTATIONS = {"rust": crate, "jax": twin}
 
 
-def _flight(path, aero):
-    """The TEST2 configuration, fitted to the names and lengths of another robot."""
-    robot = Robot(path)
-    config = copy.deepcopy(rust.load_config(ROOT / "configs/experiments/test2.toml"))
-    config["robot"] = os.fspath(path)
-    config["simulator"]["aero"] = config["controller"]["aero"] = json.loads(json.dumps(aero))
-    config["simulator"]["initial"] |= {
-        "joint_position": [0.0] * len(robot.joint_names),
-        "thrust": [0.0] * len(robot.jet_names),
-    }
-    controller = config["controller"]
-    controller["posture_gain"] = dict.fromkeys(robot.joint_groups, 20.0)
-    controller["weights"] |= {"thrust_rate": dict.fromkeys(robot.jet_names, 0.01), "symmetric_jets": []}
-    controller["bounds"]["thrust_rate_max"] = dict.fromkeys(robot.jet_names, 100.0)
-    return config
-
-
 def aero_tables(robot_name):
     cylinders = rust.load_aero(ROOT / "configs/aero/sphere_cylinder.toml")
     sets = load_robot(ROOT / f"configs/robot/{robot_name}.toml").coefficients
-    fitted = [{"model": "axisymmetric", "coefficients": name, "air_density": 1.225} for name in sorted(sets)]
-    return [{"model": "off"}, cylinders, *fitted]
+    printed = [{"model": "axisymmetric", "coefficients": name, "air_density": 1.225} for name in sorted(sets)]
+    return [{"model": "off"}, cylinders, *printed]
 
 
 CASES = [

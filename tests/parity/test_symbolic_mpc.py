@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import json
 from pathlib import Path
 
 import casadi as ca
@@ -11,10 +9,10 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
-from jax_aero.rust import Robot
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.clearance import around, exhaust, under
 from jax_aero.symbolic.kinematics import Kinematics
+from tests.parity.fitted import fitted
 
 ROOT = Path(__file__).resolve().parents[2]
 TOLERANCE = 1e-9
@@ -25,23 +23,13 @@ SMOOTHING = 1e-6
 
 def flight(path, aero):
     """The predictive law for another robot, of which it moves all joints that are in groups."""
-    robot = Robot(path)
-    config = copy.deepcopy(rust.load_config(ROOT / "configs/experiments/test2_mpc.toml"))
-    config["robot"] = str(path)
-    config["simulator"]["aero"] = config["controller"]["aero"] = json.loads(json.dumps(aero))
-    config["simulator"]["initial"] |= {
-        "joint_position": [0.0] * len(robot.joint_names),
-        "thrust": [0.0] * len(robot.jet_names),
-    }
+    robot, config = fitted("test2_mpc", path, aero)
     controller = config["controller"]
     controller["mpc"]["joint_groups"] = list(robot.joint_groups)
     del controller["mpc"]["clearance"]  # has links of one robot
     del controller["channels"]["jump"]  # would refuse postures beyond the stops
     for weights in ("weights", "descent"):
         controller["mpc"][weights]["posture"] = dict.fromkeys(robot.joint_groups, 1.0)
-    controller["posture_gain"] = dict.fromkeys(robot.joint_groups, 20.0)
-    controller["weights"] |= {"thrust_rate": dict.fromkeys(robot.jet_names, 0.01), "symmetric_jets": []}
-    controller["bounds"]["thrust_rate_max"] = dict.fromkeys(robot.jet_names, 100.0)
     return config, [robot.joint_names.index(name) for names in robot.joint_groups.values() for name in names]
 
 
@@ -74,7 +62,7 @@ def test_distances_and_their_derivatives(robot_name, random_states, agree):
     """Of all capsules that a plan keeps apart, beside the expressions of the trim."""
     path = ROOT / f"configs/robot/{robot_name}.toml"
     robot, described = load_robot(path), rust.Robot(path)
-    config = copy.deepcopy(rust.load_config(ROOT / "configs/experiments/test2_mpc.toml"))
+    config = rust.load_config("test2_mpc")
     del config["controller"]["channels"]["jump"]  # would refuse postures beyond the stops
     settings, groups = config["controller"]["mpc"]["clearance"], config["controller"]["mpc"]["joint_groups"]
     tree = Kinematics(robot)

@@ -26,25 +26,19 @@ def test_a_config_is_toml_and_names_its_source(path):
     assert SOURCE.search(text), "no comment says where this comes from"
 
 
-@pytest.mark.parametrize("path", EXPERIMENTS, ids=name_of)
-def test_an_experiment_resolves_and_can_fly(path):
-    config = rust.load_config(path)
-    assert config["title"]
-    assert config["description"]
-    assert len(rust.config_digest(config)) == 64
-
-
-def test_no_two_experiments_are_the_same():
+def test_every_experiment_is_described_and_no_two_are_the_same():
     described = {}
     for path in EXPERIMENTS:
         config = rust.load_config(path)
+        assert config["title"], path
+        assert config["description"], path
         text = repr({key: value for key, value in config.items() if key not in ("title", "description")})
         assert text not in described, f"{path.stem} flies what {described.get(text)} flies"
         described[text] = path.stem
 
 
 def test_test1_and_test2_differ_in_the_controller_alone():
-    first, second = (rust.load_config(ROOT / f"configs/experiments/test{n}.toml") for n in (1, 2))
+    first, second = (rust.load_config(f"test{n}") for n in (1, 2))
     different = {key for key in first if first[key] != second[key]}
     assert different == {"title", "description", "controller"}
 

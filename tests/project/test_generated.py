@@ -7,7 +7,7 @@ import pytest
 
 from docs import ties
 from experiments import generated
-from experiments.report import kept
+from experiments.report import findings, index, kept
 from jax_aero.base import places
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -19,6 +19,7 @@ def test_everything_generated_is_up_to_date():
     assert not stale, "outdated: run `make generated`"
     folders = (places.CONFIGS / "schema", kept.FOLDER)
     committed = {path for folder in folders for path in folder.iterdir() if path.suffix in (".md", ".json")}
+    committed |= set((ROOT / "experiments/studies").glob("*/schema.json"))
     sources = {kept.FOLDER / f"{name}.json" for name in kept.names()}
     assert committed - sources <= set(made), "made from nothing that is there"
 
@@ -41,11 +42,10 @@ WITHOUT_COMMIT = {"cfd_mk3_fit", "cfd_mk3_meshes", "cfd_mk3_primitives", "cfd_mk
 
 
 @pytest.mark.skipif(git("rev-parse", "--is-shallow-repository").stdout != "false\n", reason="no history of commits")
-def test_a_kept_result_names_a_commit_that_a_clone_has():
-    for name in kept.names():
-        commit = kept.read(name).commit
-        if name in WITHOUT_COMMIT:
-            assert commit is None
-            continue
-        assert commit is not None
-        assert git("merge-base", "--is-ancestor", commit, "HEAD").returncode == 0, name
+def test_kept_results_and_claims_name_a_commit_that_a_clone_has():
+    commits = {name: kept.read(name).commit for name in kept.names()}
+    assert {name for name, commit in commits.items() if commit is None} == WITHOUT_COMMIT
+    commits |= {claim: finding.commit for claim, finding in findings.read(index.CLAIMS).items()}
+    for name in commits.keys() - WITHOUT_COMMIT:
+        assert commits[name] is not None, name
+        assert git("merge-base", "--is-ancestor", commits[name], "HEAD").returncode == 0, name

@@ -1,7 +1,6 @@
 """The page of the paper: every figure has an item, what an item names exists, and figures are those of the files."""
 
 import re
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -133,14 +132,3 @@ def test_claims_of_single_flights_are_those_of_the_code(tmp_path, capsys):
     for claim in flown:
         kept = KEPT[claim.key]
         assert claim.judge(results) == (kept.measured, kept.verdict), claim.key
-
-
-def git(*words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
-
-
-@pytest.mark.skipif(git("rev-parse", "--is-shallow-repository").stdout != "false\n", reason="no history of commits")
-def test_a_claim_names_a_commit_that_a_clone_has():
-    for commit in {finding.commit for finding in findings.read(index.CLAIMS).values()}:
-        assert commit is not None
-        assert git("merge-base", "--is-ancestor", commit, "HEAD").returncode == 0, commit

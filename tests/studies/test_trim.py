@@ -35,7 +35,7 @@ def free():
 
 @pytest.fixture(scope="module")
 def flight():
-    return rust.load_config(ROOT / "configs/experiments/test2.toml")
+    return rust.load_config("test2")
 
 
 def rust_imbalance(flight, result, wind, velocity=(0.0, 0.0, 0.0)):

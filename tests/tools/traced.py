@@ -88,7 +88,7 @@ class Checked:
 
 def trace_flight() -> None:
     """Trace a tick of a batch of flights, and a gradient through a QP."""
-    config = typed.scenario_config(rust.load_config(CONFIGS / "experiments" / "test2_sensors.toml", EVERYTHING))
+    config = typed.scenario_config(rust.load_config("test2_sensors", EVERYTHING))
     model = robot.load_robot(config.robot)
     scenario, state = sim.prepare(config, model, controller=Checked(momentum_controller(config, model)))
 

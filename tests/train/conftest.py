@@ -7,6 +7,7 @@ import pytest
 
 from jax_aero.aero.dataset import JOINTS, LINKS, Dataset, wind_direction
 from jax_aero.body.robot import RobotModel, load_robot
+from tests import cfd_table
 
 ROOT = Path(__file__).parents[2]
 COMPACT = ("link_wind", "link_position", "link_shadow")
@@ -25,16 +26,5 @@ def made_up_dataset() -> Dataset:
     joints = rng.uniform(-25.0, 35.0, size=(6, len(JOINTS)))
     wind = wind_direction(pitch, yaw)
     areas = [0.02 * wind[:, None, :] * np.linspace(0.2, 1.0, len(LINKS))[:, None] * (1.0 + q[3] / 90.0) for q in joints]
-    n = 6 * len(wind)
-    return Dataset(
-        posture=np.repeat([f"posture{i}" for i in range(6)], len(wind)),
-        is_mirrored=np.zeros(n, dtype=bool),
-        joint_position_deg=np.repeat(joints, len(wind), axis=0),
-        wind_b=np.tile(wind, (6, 1)),
-        pitch_deg=np.tile(pitch, 6),
-        yaw_deg=np.tile(yaw, 6),
-        force_area_b=np.concatenate(areas),
-        speed=np.full(n, 17.0),
-        air_density=np.full(n, 1.225),
-        provenance={"source": "made up"},
-    )
+    postures = {f"posture{i}": q for i, q in enumerate(joints)}
+    return cfd_table.made_up_dataset(postures, pitch, yaw, np.concatenate(areas), provenance={"source": "made up"})

@@ -73,13 +73,6 @@ def test_a_symmetric_network_mirrors_exactly(ironcub, name):
         np.testing.assert_allclose(there, back, rtol=0.0, atol=1e-12)
 
 
-def test_an_ordinary_network_does_not_mirror(ironcub):
-    network = make(ironcub, "plain", mirror=False)
-    mirror = make(ironcub, "plain").mirror
-    x = jnp.concatenate(sample(ironcub, 0)[::-1])[:22]
-    assert jnp.abs(raw_output(network, mirror.features @ x) - mirror.output @ raw_output(network, x)).max() > 1e-3
-
-
 def test_the_mirror_of_the_features_is_that_of_the_robot(ironcub):
     """Features of the mirrored posture in the mirrored wind, as far as the robot is symmetric (its centres: 3 mm)."""
     blocks = ("wind", "joints", "link_wind", "link_position", "link_shadow")
@@ -95,12 +88,6 @@ def test_the_mirror_of_the_features_is_that_of_the_robot(ironcub):
     measured("difference below the limit", difference[:61].max(), 1e-7)
     assert 1e-5 < difference[61:100].max() < 3e-3
     assert difference[100:].max() < 0.05
-
-
-@pytest.mark.parametrize("name", SHAPES)
-def test_mirroring_twice_is_nothing(ironcub, name):
-    for matrix in (make(ironcub, name).mirror.features, make(ironcub, name).mirror.output):
-        np.testing.assert_allclose(matrix @ matrix, np.eye(len(matrix)), rtol=0.0, atol=1e-14)
 
 
 def test_the_gradient_in_wind_and_joints_is_that_of_differences(ironcub):

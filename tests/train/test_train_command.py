@@ -18,7 +18,7 @@ from experiments.training import command, config
 from experiments.training.result import card_facts
 from jax_aero.aero.dataset import load, save
 from jax_aero.aero.network_card import load_network
-from jax_aero.base import files, places, tables
+from jax_aero.base import files, places, plain, tables
 from jax_aero.base.terminal import INTERRUPTED, Refused
 from jax_aero.cli import main
 from jax_aero.train import Interrupted, fit, predict_areas, samples_of
@@ -277,12 +277,9 @@ def test_a_refused_training_does_not_hold_the_next_one_up(data, tmp_path, monkey
 def test_a_search_keeps_its_trials_and_goes_on(data, tmp_path, capsys):
     pytest.importorskip("optuna")
     base = tmp_path / "base.toml"
-    options = "\n".join(f"{key} = {value}" for key, value in {"epochs": 2, "batch": 32, "validate_every": 1}.items())
-    text = (places.CONFIGS / "training" / "plain.toml").read_text()
-    for line in options.splitlines():
-        key = line.split(" ")[0]
-        text = "\n".join(line if row.startswith(f"{key} ") else row for row in text.splitlines())
-    base.write_text(text)
+    table = tables.read(places.CONFIGS / "training" / "plain.toml")
+    table["training"] |= {"epochs": 2, "batch": 32, "validate_every": 1}
+    base.write_text(plain.toml(table))
     search = tmp_path / "small.toml"
     search.write_text(
         'base = "base.toml"\ntrials = 2\nseed = 1\nfold_seed = 0\nfolds = 3\nfolds_run = 1\n[space]\n'

@@ -1,17 +1,14 @@
 """Robots without joints, without jets and with prismatic joints fly, in both engines alike; limits are each joint's."""
 
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from jax_aero import rust
+from jax_aero.base.places import CONFIGS
 from jax_aero.base.terminal import exit_status
 from jax_aero.body.robot import load_robot
-
-CONFIGS = Path(__file__).resolve().parents[2] / "configs"
-
 
 DECIDED = ("com_position", "base_quaternion", "base_velocity", "joint_position", "joint_torque", "thrust")
 """Signals that an engine decides itself; the last entries of a QP's own report are rounding."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from types import SimpleNamespace
 
 import jax
@@ -14,11 +13,9 @@ from jax_aero.base.typed import scenario_config
 
 pytestmark = pytest.mark.usefixtures("x64")
 
-TEST2 = Path(__file__).resolve().parents[2] / "configs" / "experiments" / "test2.toml"
-
 
 def test_the_cases_of_ours_can_be_traced():
-    scenario, start = sim.prepare(scenario_config(rust.load_config(TEST2)))
+    scenario, start = sim.prepare(scenario_config(rust.load_config("test2")))
     traced = []
     for case in bench_jax.cases(scenario, start):
         if case.name.startswith("mjx."):  # from here on what others wrote

@@ -9,11 +9,10 @@ import pytest
 
 from experiments.sweep import spec
 from jax_aero import _core, rust
-from jax_aero.base import files
+from jax_aero.base import files, places
 from jax_aero.base.terminal import ConfigError
 
-ROOT = Path(__file__).resolve().parents[2]
-SPARROW = ROOT / "configs" / "robot" / "sparrow.toml"
+SPARROW = places.find("robot", "sparrow")
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ from experiments.data.import_cfd import known_postures
 from jax_aero.aero import dataset as ds
 from jax_aero.aero.posture import total_wrench
 from jax_aero.body.robot import load_robot
+from tests.cfd_table import made_up_dataset
 
 ROBOT = "configs/robot/ironcub_mk1.toml"
 
@@ -36,21 +37,9 @@ def points_of(rows, **changes):
 @pytest.fixture
 def cases():
     """A posture that is its own mirror image, and one that is not, in head wind: 0.01 m² along it on every link."""
-    names = ["hovering", "Config5"]
-    wind = np.tile([1.0, 0.0, 0.0], (2, 1))
-    load = np.tile(0.01 * wind[:, None], (1, len(ds.LINKS), 1))
-    return ds.Dataset(
-        posture=np.array(names),
-        is_mirrored=np.zeros(2, dtype=bool),
-        joint_position_deg=np.stack([known_postures()[name] for name in names]),
-        wind_b=wind,
-        pitch_deg=np.full(2, 90.0),
-        yaw_deg=np.zeros(2),
-        force_area_b=load,
-        couple_volume_b=load,
-        speed=np.full(2, 17.0),
-        air_density=np.full(2, 1.2),
-    )
+    postures = {name: known_postures()[name] for name in ("hovering", "Config5")}
+    load = np.broadcast_to([0.01, 0.0, 0.0], (2, len(ds.LINKS), 3))
+    return made_up_dataset(postures, np.array([90.0]), np.array([0.0]), load, couple_volume_b=load)
 
 
 def test_points_beside_a_case_have_its_posture_wind_and_speed_and_no_mark(cases):

@@ -1,7 +1,6 @@
 """Distances of segments, and of the jets' axes from the body in the paper's posture."""
 
 import tomllib
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -9,11 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from jax_aero.base import places
 from jax_aero.symbolic import load_robot
 from jax_aero.symbolic.clearance import pairs, segment_distance
 from jax_aero.symbolic.kinematics import Kinematics
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -57,13 +55,13 @@ def test_special_segments(distance, a, u, b, v, expected, measured):
 
 @pytest.mark.close_to_tolerance("the expected figure is typed to the digits that the tolerance allows")
 def test_the_paper_chose_its_posture_to_keep_jets_from_the_body(measured):
-    robot = load_robot(ROOT / "configs/robot/ironcub_mk1.toml")
+    robot = load_robot(places.ROBOT)
     tree = Kinematics(robot)
     found = pairs(tree, 1.5)
     assert len(found) == 4 * (13 - 1 + 2)
     (distances,) = tree.evaluate_at_base(ca.vertcat(*(pair.distance for pair in found)))
     at = ca.Function("at", [tree.base_position, tree.base_rotation, tree.joint_position], [distances])
-    table = tomllib.loads((ROOT / "configs/simulator/flight.toml").read_text())
+    table = tomllib.loads(places.find("simulator", "flight").read_text())
     values = at(np.zeros(3), np.eye(3), table["initial"]["joint_position"]).full()[:, 0]
     nearest = found[int(values.argmin())]
     measured("clearance", abs(values.min() - 0.0352), 2e-4)
@@ -74,7 +72,7 @@ def test_the_paper_chose_its_posture_to_keep_jets_from_the_body(measured):
 
 def test_a_sole_is_the_capsule_along_its_rectangle(measured):
     """Standing in another place and turned, beside the distance from a cloud of points along its spine."""
-    robot = load_robot(ROOT / "configs/robot/ironcub_mk1.toml")
+    robot = load_robot(places.ROBOT)
     tree = Kinematics(robot)
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     place = (np.array([1.0, 2.0, 3.0]), turn, np.linspace(-0.3, 0.3, robot.n_joints))

@@ -8,6 +8,7 @@ import pytest
 
 from jax_aero.aero import dataset as ds
 from jax_aero.aero.dataset import JOINTS, LINKS, Dataset
+from tests.cfd_table import made_up_dataset
 
 
 def made_up(postures=6, winds=20, seed=3) -> Dataset:
@@ -16,20 +17,10 @@ def made_up(postures=6, winds=20, seed=3) -> Dataset:
     shapes = rng.uniform(-40.0, 40.0, (postures, len(JOINTS)))
     shapes[0] = 0.5 * (shapes[0] + ds.mirrored_joints(shapes[0]))
     pitch, yaw = rng.uniform(0.0, 180.0, winds), rng.uniform(-180.0, 180.0, winds)
-    n = postures * winds
-    return Dataset(
-        posture=np.repeat([f"posture_{index}" for index in range(postures)], winds),
-        is_mirrored=np.zeros(n, dtype=bool),
-        joint_position_deg=np.repeat(shapes, winds, axis=0),
-        wind_b=np.tile(ds.wind_direction(pitch, yaw), (postures, 1)),
-        pitch_deg=np.tile(pitch, postures),
-        yaw_deg=np.tile(yaw, postures),
-        force_area_b=rng.normal(scale=0.01, size=(n, len(LINKS), 3)),
-        speed=np.full(n, 17.0),
-        air_density=np.full(n, 1.225),
-        provenance={"source": "made up"},
-        checks={"rows": float(n)},
-    )
+    areas = rng.normal(scale=0.01, size=(postures * winds, len(LINKS), 3))
+    named = {f"posture_{index}": shape for index, shape in enumerate(shapes)}
+    facts = {"provenance": {"source": "made up"}, "checks": {"rows": float(len(areas))}}
+    return made_up_dataset(named, pitch, yaw, areas, **facts)
 
 
 @pytest.fixture(scope="module")

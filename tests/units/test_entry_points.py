@@ -3,16 +3,14 @@
 import importlib
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import jax_aero
+from jax_aero.base.places import HOME
 from jax_aero.body.jets import JetsState
 from jax_aero.types import pytree, replace_values
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytree
@@ -32,7 +30,7 @@ def test_the_crate_flies_without_jax():
         "import sys, jax_aero; config = jax_aero.load('test2', {'simulator.duration': 0.1});"
         "print(jax_aero.fly(config).outcome, {'jax', 'scipy', 'mujoco', 'xarray'} & set(sys.modules))"
     )
-    answer = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    answer = subprocess.run([sys.executable, "-c", code], cwd=HOME, capture_output=True, text=True, check=True)
     assert answer.stdout.strip() == "completed set()"
 
 
@@ -73,15 +71,3 @@ def test_numbers_change_by_dotted_names():
     assert float(after.gain) == 5.0
     assert after.gain.dtype == np.float32
     assert list(before.jets.thrust) == [1.0] * 4
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "message"),
-    [
-        ("jets.thurst", np.zeros(4), "`thurst` in `jets.thurst` is unknown; did you mean thrust"),
-        ("jets.thrust", np.zeros(3), r"`jets.thrust` has shape \(3,\); expected \(4,\)"),
-    ],
-)
-def test_a_change_that_does_not_fit_is_refused(name, value, message):
-    with pytest.raises(ValueError, match=message):
-        replace_values(Outer(JetsState(np.ones(4), np.zeros(4)), np.float32(2.0)), {name: value})

@@ -7,7 +7,6 @@ import pickle
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import gymnasium
 import jax
@@ -19,13 +18,13 @@ from gymnasium.vector import SyncVectorEnv
 
 from jax_aero import rust
 from jax_aero.base.features import Aim
+from jax_aero.base.places import CONFIGS, HOME
 from jax_aero.env import FlightEnv
 from jax_aero.env_gym import HoverEnv
 from jax_aero.env_task import Task, TaskState, limit_action, rewards, steer
 from tests.measurements import measured
 
-ROOT = Path(__file__).resolve().parents[2]
-EXAMPLE, EXPERIMENTS = ROOT / "docs/howto/residual.py", ROOT / "configs/experiments"
+EXAMPLE, EXPERIMENTS = HOME / "docs/howto/residual.py", CONFIGS / "experiments"
 
 WIND = [3.0, -9.0, 0.0]
 

@@ -17,7 +17,7 @@ from jax_aero.aero.posture import link_axes, link_frames
 from jax_aero.base import places
 from jax_aero.body.robot import load_robot
 from paper_figs.figures import FIGURES
-from tests.cfd_table import modelled_rows, solver_table
+from tests.cfd_table import made_up_dataset, modelled_rows, solver_table
 from tests.measurements import measured
 
 
@@ -51,18 +51,7 @@ def sampled():
     names = ["hovering", "Config2", "Config101", "Config114"]
     rng = np.random.default_rng(4)
     pitch, yaw = rng.uniform(0.0, 180.0, 150), rng.uniform(-180.0, 180.0, 150)
-    n = len(names) * len(pitch)
-    return ds.Dataset(
-        posture=np.repeat(names, len(pitch)),
-        is_mirrored=np.zeros(n, dtype=bool),
-        joint_position_deg=np.repeat([postures[name] for name in names], len(pitch), axis=0),
-        wind_b=np.tile(ds.wind_direction(pitch, yaw), (len(names), 1)),
-        pitch_deg=np.tile(pitch, len(names)),
-        yaw_deg=np.tile(yaw, len(names)),
-        force_area_b=np.zeros((n, 13, 3)),
-        speed=np.full(n, 17.0),
-        air_density=np.full(n, 1.225),
-    )
+    return made_up_dataset({name: postures[name] for name in names}, pitch, yaw)
 
 
 @pytest.fixture(scope="module")
@@ -119,40 +108,17 @@ def test_frames_have_their_links_where_the_robot_has_them(robot):
     np.testing.assert_allclose(at["root_link"], 0.0, atol=1e-12)
 
 
-def test_coefficients_are_recovered_from_data_made_with_them(robot, sampled, axes, families):
-    truth = np.asarray(robot.aero_links.coefficients["signed"])
-    made = dataclasses.replace(sampled, force_area_b=fit.predicted_areas(truth, axes, sampled.wind_b))
-    found = fit.coefficients_of(fit.fit(made, axes, families), families, made.links)
-    np.testing.assert_allclose(found[:, 5], truth[:, 5], atol=1e-9)
-    np.testing.assert_allclose(found[:, :5], truth[:, :5], atol=1e-9)
-    measured(
-        "mean square error of exact data [m4]",
-        fit.quality(fit.predicted_areas(found, axes, made.wind_b), made).mse,
-        1e-18,
-    )
-
-
 def test_a_robot_with_other_links_and_no_published_coefficients_is_fitted(tmp_path, monkeypatch):
     """Of iRonCub-Mk3 the estimated areas are recovered, also on postures left out, by families of its own file."""
     robot, postures = load_robot(MK3), import_cfd.known_postures(path=POSTURES_OF_MK3)
-    joints = np.repeat([postures[name] for name in ("homePos", "flight30", "flight_config1")], 40, axis=0)
+    stands = {name: postures[name] for name in ("homePos", "flight30", "flight_config1")}
     rng = np.random.default_rng(7)
-    pitch, yaw = rng.uniform(0.0, 180.0, 120), rng.uniform(-180.0, 180.0, 120)
-    wind = ds.wind_direction(pitch, yaw)
+    pitch, yaw = rng.uniform(0.0, 180.0, 40), rng.uniform(-180.0, 180.0, 40)
     truth = np.asarray(robot.aero_links.coefficients["estimated"])
-    made = ds.Dataset(
-        posture=np.repeat(["homePos", "flight30", "flight_config1"], 40),
-        is_mirrored=np.zeros(120, dtype=bool),
-        joint_position_deg=joints,
-        wind_b=wind,
-        pitch_deg=pitch,
-        yaw_deg=yaw,
-        force_area_b=fit.predicted_areas(truth, link_axes(robot, joints), wind),
-        couple_volume_b=np.full((120, 16, 3), 1e-3),
-        speed=np.full(120, 17.0),
-        air_density=np.full(120, 1.225),
-        links=robot.aero_links.names,
-    )
+    links = {"links": robot.aero_links.names, "couple_volume_b": np.full((120, 16, 3), 1e-3)}
+    made = made_up_dataset(stands, pitch, yaw, **links)
+    areas = fit.predicted_areas(truth, link_axes(robot, made.joint_position_deg), made.wind_b)
+    made = dataclasses.replace(made, force_area_b=areas)
     monkeypatch.setattr(places, "RESULTS", tmp_path)
     ds.save(made, tmp_path / "datasets" / "made.nc")
     found = fit_aero.STUDY.run("made", {"robot": str(MK3)})["summary"]
@@ -291,7 +257,7 @@ def test_a_solver_table_goes_through_import_and_fit(tmp_path, monkeypatch, robot
     assert found["published: R2"] < found["corrected: R2"]
     table = xr.load_dataset(tmp_path / "fit_aero" / "made" / "run.nc", engine="h5netcdf")
     refit = table["coefficients"].sel(variant="refit").values
-    np.testing.assert_allclose(refit, truth, atol=1e-9)  # as in the test on exact data above
+    np.testing.assert_allclose(refit, truth, atol=1e-9)
 
 
 @pytest.mark.close_to_tolerance("two fits to rounded data: the differences of the coefficients, not rounding")

@@ -1,7 +1,6 @@
 """Tables of the free-stream simulations become datasets; bad ones are refused by file, line, column and value."""
 
 import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,8 +13,6 @@ from jax_aero.aero.posture import link_axes
 from jax_aero.body.robot import load_robot
 from tests.cfd_table import CFD_COLUMNS, modelled_rows, solver_table
 from tests.measurements import measured
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def table(changes=None, rows=None) -> str:

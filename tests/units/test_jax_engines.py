@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jax_aero.base import places
 from jax_aero.body import jets
 from jax_aero.body.robot import load_robot
 
 pytestmark = pytest.mark.usefixtures("x64")
 
-ROBOT = load_robot(Path(__file__).resolve().parents[2] / "configs" / "robot" / "ironcub_mk1.toml")
+ROBOT = load_robot(places.ROBOT)
 MODELS = jets.engines(ROBOT, ROBOT.jets.engines[:2])
 STEP = 0.01
 

@@ -6,7 +6,6 @@ The programs are made for a CPU but not compiled, so nothing can hang here; see 
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +19,6 @@ from jax_aero.control import qp
 
 pytestmark = pytest.mark.usefixtures("x64")
 
-ROOT = Path(__file__).resolve().parents[2]
 BATCH = 64
 """Large enough for jaxlib to split: it does at 33."""
 
@@ -50,7 +48,7 @@ def test_ours_goes_in_pieces():
 
 def test_a_tick_of_many_flights():
     """The whole closed loop: controller, both QPs, plant, jets."""
-    config = scenario_config(rust.load_config(ROOT / "configs" / "experiments" / "second_order_jets.toml"))
+    config = scenario_config(rust.load_config("second_order_jets"))
     # Shapes are enough: nothing is computed.
     flight, state = jax.eval_shape(lambda: sim.prepare(config))
     states = jax.tree.map(lambda x: jax.ShapeDtypeStruct((BATCH, *x.shape), x.dtype), state)

@@ -60,13 +60,9 @@ def test_a_missing_flight_is_named_with_the_command_that_flies_it(tmp_path, caps
     assert f"jax-aero fly test2 --out {tmp_path}" in answer
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [(["fig99"], "no figure `fig99`; did you mean fig"), (["fig5", "--runs", "test2"], "fig5 shows 2 runs, not 1")],
-)
-def test_a_mistake_is_named(arguments, message, capsys):
-    assert main(arguments) == 2
-    assert message in capsys.readouterr().err
+def test_a_wrong_number_of_runs_is_named(capsys):
+    assert main(["fig5", "--runs", "test2"]) == 2
+    assert "fig5 shows 2 runs, not 1" in capsys.readouterr().err
 
 
 def test_a_figure_for_a_dark_page_has_no_background_and_light_text(tmp_path):

@@ -33,12 +33,6 @@ def test_a_run_reads_back_as_it_was_flown(make_flight, robot, dataset, tmp_path)
         assert stored.attrs["config_hash"] == "f" * 64
 
 
-def test_a_fall_is_reported_with_time_and_reason(make_flight, robot):
-    facts = record.to_dataset(make_flight(lost_time=21.5), robot, title="made up", config_digest="").attrs
-    assert (facts["outcome"], facts["lost_time"]) == ("fell", 21.5)
-    assert "90 deg" in facts["lost_reason"]
-
-
 def test_a_file_has_what_the_crate_declares(dataset):
     declared = {name: signal for name, signal in rust.signals().items() if not signal.is_of_ground}
     assert dataset.data_vars.keys() | {"time"} == declared.keys()

@@ -334,7 +334,7 @@ def test_metrics_are_those_of_the_log(results, make_flight, robot, agree):
     agree("joint error", found.joint_errors["torso"], torso, 1e-12)
     agree("thrust asymmetry", found.asymmetry[0], np.abs(log["thrust"][settled] @ [1, -1, 0, 0]).max(), 1e-12)
     agree("force difference", found.force_difference, 0.2 * found.force, 1e-12)
-    assert results.flights["test1_published"].ending.startswith("fell at 21.5 s")
+    assert results.flights["test1_published"].ending == "fell at 21.5 s (rotation error above 90 deg)"
 
 
 def test_a_force_along_the_wind_has_no_angle(make_flight, robot, measured):
@@ -504,14 +504,6 @@ def test_a_flight_without_a_signal_of_today_is_named(results, capsys):
     change_manifest(path.with_name("manifest.json"), files={})
     assert main(["report", "--results", str(results.folder)]) == 2
     assert f"error: {path}: No variable named 'wind'; other code made it" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("place", ["flight/test1/manifest.json", "sweeps/paper_tests/sweep.json", "claims.json"])
-def test_a_result_that_is_cut_short_is_named(results, place, capsys):
-    path = results.folder / place
-    path.write_bytes(path.read_bytes()[:100] if path.is_file() else b'{"claims": {')
-    assert main(["report", "--results", str(results.folder)]) == 2
-    assert f"error: {path} is damaged" in capsys.readouterr().err
 
 
 def test_a_folder_without_results_is_not_made(tmp_path, capsys):

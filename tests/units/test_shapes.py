@@ -4,18 +4,18 @@ import ast
 import os
 import subprocess
 import sys
-from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+from jax_aero.base.places import HOME
+
 KINDS = {"Bool", "Float", "Int", "Key", "Shaped"}
 
 
 def test_public_functions_and_structures_state_the_shapes_of_their_arrays():
     bare = []
-    for path in sorted((ROOT / "jax_aero").rglob("*.py")):
+    for path in sorted((HOME / "jax_aero").rglob("*.py")):
         tree = ast.parse(path.read_text(encoding="utf-8"))
         if _imports_array(tree):
-            bare += [f"{path.relative_to(ROOT)}:{hint.lineno}" for hint in _hints(tree) if _is_bare(hint)]
+            bare += [f"{path.relative_to(HOME)}:{hint.lineno}" for hint in _hints(tree) if _is_bare(hint)]
     assert bare == []
 
 
@@ -48,7 +48,7 @@ def test_the_shapes_hold_where_flights_and_aerodynamic_models_are_traced():
     options = {"JAX_ENABLE_X64": "1", "JAX_PLATFORMS": "cpu", "JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}
     done = subprocess.run(
         [sys.executable, "-m", "tests.tools.traced"],
-        cwd=ROOT,
+        cwd=HOME,
         env=os.environ | options,
         capture_output=True,
         text=True,

@@ -2,44 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_aero import rust, sim
+from jax_aero import rust
 from jax_aero.base.modes import MODES
 from jax_aero.sim.batch import condense
-from jax_aero.view import recording
-
-ROOT = Path(__file__).resolve().parents[2]
-TEST2 = ROOT / "configs" / "experiments" / "test2.toml"
-FIXED = {"xyz": 3, "base_axis": 3, "wxyz": 4, "rpy": 3, "six": 6, "qp": 2}
-
-
-def test_the_row_in_jax_has_the_declared_signals(x64):
-    config = rust.load_config(TEST2, {"simulator.duration": 0.1})
-    robot = rust.Robot(config["robot"])
-    of_robot = {"joint": robot.joint_names, "jet": robot.jet_names, "link": robot.aero_link_names}
-    sizes = FIXED | {dim: len(names) for dim, names in of_robot.items()}
-    declared = {
-        name: tuple(sizes[dim] for dim in signal.dims[1:])
-        for name, signal in rust.signals().items()
-        if signal.dims[0] == "time" and not signal.is_of_ground
-    }
-    row = jax.eval_shape(sim.step, *sim.prepare(config), jnp.array(0))[1]
-    assert {name: leaf.shape for name, leaf in row._asdict().items()} == declared
-
-
-def test_the_viewer_reads_declared_signals():
-    assert set(recording.SIGNALS) <= rust.signals().keys()
 
 
 @pytest.fixture(scope="module")
 def flight():
-    return rust.fly(rust.load_config(TEST2, {"simulator.duration": 4.0}))
+    return rust.fly(rust.load_config("test2", {"simulator.duration": 4.0}))
 
 
 def test_a_log_and_its_condensed_form_have_the_figures_of_the_flight(flight):
@@ -59,7 +32,7 @@ def test_a_warning_lasts_from_its_first_degraded_tick_on_but_for_gaps_of_a_secon
     def summary_of(*outages):
         wind = [{"channel": "wind", "start": start, "duration": 0.1, "kind": "missing"} for start in outages]
         changes = {"simulator.duration": 4.0, "disturbances.outages": wind}
-        return rust.fly(rust.load_config(TEST2, changes)).summary
+        return rust.fly(rust.load_config("test2", changes)).summary
 
     for outages, warning, nominal_until in (
         ((), 0.0, 4.0),

@@ -16,6 +16,7 @@ import pytest
 from jax_aero import rust, sim
 from jax_aero.aero import WeightedModel
 from jax_aero.base import keys
+from jax_aero.base.places import HOME
 from jax_aero.base.typed import scenario_config
 from jax_aero.body.dynamics import dynamics, forward_dynamics
 from jax_aero.body.jets import JetsState
@@ -23,10 +24,6 @@ from jax_aero.body.kinematics import frame_poses, generalised_force, kinematics
 from jax_aero.body.spatial import rotate
 from jax_aero.sim import plant
 from jax_aero.types import Array, Setpoint, pytree, replace_values
-
-ROOT = Path(__file__).resolve().parents[2]
-EXPERIMENTS = sorted((ROOT / "configs" / "experiments").glob("*.toml"))
-TEST2 = ROOT / "configs" / "experiments" / "test2.toml"
 
 
 @pytree
@@ -119,18 +116,18 @@ def test_models_without_fields_are_used_too():
         def feedback(self, state):
             return state.thrust
 
-    scenario, _ = sim.prepare(rust.load_config(TEST2), controller=Own(), aero=Own(), jets=Own(), dtype=np.float32)
+    scenario, _ = sim.prepare(rust.load_config("test2"), controller=Own(), aero=Own(), jets=Own(), dtype=np.float32)
     assert all(isinstance(model, Own) for model in (scenario.controller, scenario.plant.aero, scenario.plant.jets))
 
 
 def test_arrays_and_paths_are_values(monkeypatch):
     """Where keys are set, and in a configuration that is put together; a path starts at the current folder."""
-    monkeypatch.chdir(ROOT)
+    monkeypatch.chdir(HOME)
     robot = Path("configs/robot/ironcub_mk1.toml")
     changes = {"wind.velocity": np.array([0.0, 1.0, 2.0]), "simulator.duration": np.float32(1.0), "robot": robot}
     expected = {"wind.velocity": [0.0, 1.0, 2.0], "simulator.duration": 1.0, "robot": str(robot)}
-    table = rust.load_config(TEST2, changes)
-    assert json.loads(json.dumps(table)) == table == rust.load_config(TEST2, expected)
+    table = rust.load_config("test2", changes)
+    assert json.loads(json.dumps(table)) == table == rust.load_config("test2", expected)
     composed = table | {"robot": robot, "wind": table["wind"] | {"velocity": jnp.array([0.0, 1.0, 2.0])}}
     assert rust.config_digest(composed) == rust.config_digest(table)
     assert scenario_config(composed).wind == scenario_config(table).wind
@@ -154,7 +151,7 @@ class Answers:
 
 @pytest.fixture(scope="module")
 def prepared():
-    return sim.prepare(rust.load_config(TEST2, {"simulator.duration": 0.1}), dtype=np.float32)
+    return sim.prepare(rust.load_config("test2", {"simulator.duration": 0.1}), dtype=np.float32)
 
 
 HOLD = Setpoint(*[jnp.zeros(3)] * 4, jnp.eye(3), *[jnp.zeros(3)] * 3)
@@ -199,7 +196,7 @@ def test_forces_of_another_shape_are_refused_when_they_are_traced(prepared, shap
 
 
 def test_double_precision_is_never_silently_missing():
-    config = rust.load_config(TEST2, {"simulator.duration": 0.1})
+    config = rust.load_config("test2", {"simulator.duration": 0.1})
     with pytest.raises(ValueError, match=r"float64.*jax.enable_x64"):
         sim.prepare(config)
     single = sim.prepare(config, dtype=np.float32)
@@ -213,7 +210,7 @@ def test_double_precision_is_never_silently_missing():
 
 def test_what_others_were_computed_from_does_not_change():
     """They would stay as they are: filters, delays, noise, and the mean of a wind that the controller is given."""
-    config = rust.load_config(TEST2, {"simulator.duration": 0.1, "disturbances.wind_estimate": {"mean_only": True}})
+    config = rust.load_config("test2", {"simulator.duration": 0.1, "disturbances.wind_estimate": {"mean_only": True}})
     scenario, _ = sim.prepare(config, dtype=np.float32)
     other, wind = replace(scenario, controller_wind=scenario.wind), {"wind.velocity": jnp.zeros(3)}
     names = ("plant.time_step", "controller.time_step", "controller.setpoint.time_step")
@@ -237,18 +234,19 @@ def test_what_others_were_computed_from_does_not_change():
         ("wind", 1.0, r"`wind` is \w+; expected the name of a number or an array"),
         ("wind.velocity", "fast", r"`wind\.velocity` is 'fast'; expected a number or an array"),
         ("wind.velocity", None, r"`wind\.velocity` is None; expected a number or an array"),
+        ("wind.velocty", 1.0, "`velocty` in `wind.velocty` is unknown; did you mean velocity"),
         ("wind.velocity", [0.0, 1.0], r"`wind\.velocity` has shape \(2,\); expected \(3,\)"),
     ],
 )
 def test_changed_refuses_what_is_no_leaf(name, value, words):
-    scenario, _ = sim.prepare(rust.load_config(TEST2, {"simulator.duration": 0.1}), dtype=np.float32)
+    scenario, _ = sim.prepare(rust.load_config("test2", {"simulator.duration": 0.1}), dtype=np.float32)
     with pytest.raises(ValueError, match=words):
         replace_values(scenario, {name: value})
 
 
 @pytest.mark.parametrize(("ticks", "checkpoint_every"), [(0, 1), (2, 2), (4, 2), (5, 2)])
 def test_a_rollout_has_a_row_for_every_tick(ticks, checkpoint_every):
-    start = sim.prepare(rust.load_config(TEST2, {"simulator.duration": 0.1}), dtype=np.float32)
+    start = sim.prepare(rust.load_config("test2", {"simulator.duration": 0.1}), dtype=np.float32)
     after, rows = jax.eval_shape(
         lambda *flight: sim.rollout(*flight, ticks, sim.keep_row, checkpoint_every=checkpoint_every), *start
     )
@@ -276,7 +274,7 @@ SPOILT = {
 @pytest.mark.parametrize("key", SPOILT)
 def test_what_cannot_fly_is_refused_by_key_and_expectation(key):
     value, expected = SPOILT[key]
-    table = rust.load_config(TEST2)
+    table = rust.load_config("test2")
     keys.set_key(table, key, value)
     for fly in (sim.fly, lambda table: sim.fly_batch([table])):
         with pytest.raises(ValueError, match=rf"{key}.*{expected}|{expected}.*{key}"):
@@ -284,15 +282,15 @@ def test_what_cannot_fly_is_refused_by_key_and_expectation(key):
 
 
 def test_an_empty_mission_hovers():
-    table = rust.load_config(TEST2) | {"mission": {}}
+    table = rust.load_config("test2") | {"mission": {}}
     rust.check_config(table)
     assert scenario_config(table).mission.up == ()
 
 
 def test_the_crate_flies_one_kind_of_dynamics():
-    rust.load_config(TEST2, {"simulator.dynamics": "tree"})
+    rust.load_config("test2", {"simulator.dynamics": "tree"})
     with pytest.raises(ValueError, match=r"simulator.dynamics.*mjx.*tree"):
-        rust.load_config(TEST2, {"simulator.dynamics": "mjx"})
+        rust.load_config("test2", {"simulator.dynamics": "mjx"})
 
 
 def test_compilers_without_the_option_are_not_asked_for_it():

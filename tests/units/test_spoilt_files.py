@@ -14,7 +14,7 @@ from experiments import record
 from jax_aero import rust
 from jax_aero.base.places import HOME
 from jax_aero.view import Refused, recording
-from tests.conftest import MadeUpRobot, made_up_flight
+from tests.conftest import ROBOT, made_up_flight
 
 CONFIGS = HOME / "configs"
 
@@ -82,7 +82,7 @@ def test_a_configuration(folder, name, edits):
 @pytest.fixture(scope="module")
 def result(folder):
     run = folder / "run"
-    flight = record.to_dataset(made_up_flight(1.0), MadeUpRobot(), title="made up", config_digest="")
+    flight = record.to_dataset(made_up_flight(1.0), ROBOT, title="made up", config_digest="")
     manifest = {"title": "made up", "config": {"robot": str(CONFIGS / "robot/ironcub_mk1.toml")}}
     record.write_run(run, flight, manifest)
     return run

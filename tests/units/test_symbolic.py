@@ -1,7 +1,6 @@
 """The symbolic derivation against itself: laws that tie its terms together, and corners of its derivatives."""
 
 import itertools
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -9,18 +8,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from jax_aero import rust
+from jax_aero.base import places
 from jax_aero.mujoco.model import mujoco_model
 from jax_aero.symbolic import MomentumModel, load_robot
 from tests.measurements import measured
 
-ROOT = Path(__file__).resolve().parents[2]
-
 
 @pytest.fixture(scope="module", params=["axisymmetric_corrected", "sphere_cylinder"])
 def model(request):
-    return MomentumModel(
-        load_robot(ROOT / "configs/robot/ironcub_mk1.toml"), rust.load_aero(ROOT / f"configs/aero/{request.param}.toml")
-    )
+    return MomentumModel(load_robot(places.ROBOT), rust.load_aero(request.param))
 
 
 def draw(model, seed):
@@ -164,4 +160,4 @@ def test_a_robot_that_the_crate_refuses_is_refused(tmp_path):
 
 def test_an_unknown_model_of_the_air_is_refused():
     with pytest.raises(ValueError, match="`vortex` is unknown"):
-        MomentumModel(load_robot(ROOT / "configs/robot/sparrow.toml"), {"model": "vortex"})
+        MomentumModel(load_robot(places.find("robot", "sparrow")), {"model": "vortex"})

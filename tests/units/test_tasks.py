@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,8 +15,6 @@ from jax_aero.control.tick import init, momentum_controller, tick
 from jax_aero.types import Array, State, Static, pytree
 
 pytestmark = pytest.mark.usefixtures("x64")
-
-TEST2 = Path(__file__).resolve().parents[2] / "configs" / "experiments" / "test2.toml"
 
 
 @pytree
@@ -42,7 +38,7 @@ class KeepVelocity:
 def first_tick():
     """The first tick of TEST2 in still air, with tasks."""
     with jax.enable_x64(True):
-        config = scenario_config(rust.load_config(TEST2))
+        config = scenario_config(rust.load_config("test2"))
         robot = load_robot(config.robot)
         start = config.simulator.initial
         rotation = jnp.diag(jnp.array([-1.0, -1.0, 1.0]))

@@ -10,16 +10,17 @@ import pytest
 from jax_aero.aero.dataset import JOINTS
 from jax_aero.aero.network import init_network, raw_output
 from jax_aero.aero.posture import link_arms, link_frames, total_wrench
+from jax_aero.base.places import ROBOT
 from jax_aero.body.robot import load_robot
 from jax_aero.train import Settings, fit, samples_of, total_error, totals_of
 from jax_aero.train.samples import make_samples
 from tests.measurements import measured
-from tests.units.test_import_cfd import ROOT, read, table
+from tests.units.test_import_cfd import read, table
 
 
 @pytest.fixture(scope="module")
 def robot():
-    return load_robot(ROOT / "configs" / "robot" / "ironcub_mk1.toml")
+    return load_robot(ROBOT)
 
 
 def test_a_moment_is_that_of_forces_at_the_links_centres_about_the_centre_of_mass(robot):

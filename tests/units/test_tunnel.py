@@ -160,12 +160,11 @@ def reduced_table(load) -> dict[str, str]:
         ("q", "8;5", "t.csv, line 2, column `q`: '8;5'; expected a finite number"),
         ("sdMx", "nan", "t.csv, line 2, column `sdMx`: 'nan'; expected a finite number"),
         ("point", "1.5", "t.csv, line 2, column `point`: '1.5'; expected an integer"),
-        ("zrMz", None, "t.csv, line 2, column `zrMz`: the line ends before it"),
     ],
 )
 def test_a_table_of_points_is_refused_with_line_and_column(column, text, message):
     row = reduced_table((1.0,) * 6) | {column: text}
-    cells = ",".join(cell for cell in row.values() if cell is not None)
+    cells = ",".join(row.values())
     with pytest.raises(ValueError, match=message):
         tunnel.read_reduced(",".join(row) + "\n" + cells, import_tunnel.known_tests(), "t.csv")
 

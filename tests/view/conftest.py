@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.fixture(scope="session")
 def fallen(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """TEST1 with published arms, which falls at about 21 s."""
-    config = rust.load_config(ROOT / "configs/experiments/test1_published.toml")
+    config = rust.load_config("test1_published")
     flight = rust.fly(config)
     dataset = record.to_dataset(
         flight,

@@ -246,7 +246,7 @@ def test_the_papers_flights_are_those_of_the_crate(visit):
     page = visit()
     for name in ("TEST1", "TEST2", "TEST3", "TEST4"):
         outcome, ours = page.fly(name)
-        native = rust.fly(rust.load_config(ROOT / f"configs/experiments/{name.lower()}.toml"))
+        native = rust.fly(rust.load_config(name.lower()))
         assert outcome == native.outcome
         for state in STATES:
             np.testing.assert_array_equal(ours[state], np.ravel(native[state]), f"{name}: {state}")

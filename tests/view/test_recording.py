@@ -26,7 +26,7 @@ def seen(fallen):
 
 
 def test_a_result_says_how_it_ended(seen):
-    flight = rust.fly(rust.load_config(ROOT / "configs/experiments/test1_published.toml"))
+    flight = rust.fly(rust.load_config("test1_published"))
     assert seen.verdict == f"fell at {flight.lost_time:.1f} s ({flight.lost_reason})"
     np.testing.assert_array_equal(seen.signals["aero_force_sim"], flight["aero_force_sim"])
 

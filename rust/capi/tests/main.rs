@@ -35,6 +35,18 @@ static ALLOCATOR: Counting = Counting;
 
 const HERE: &str = env!("CARGO_MANIFEST_DIR");
 
+/// A set-point that does not move; its rotation is none yet.
+const AT_REST: FlightSetpoint = FlightSetpoint {
+    com_position: [0.0; 3],
+    com_velocity: [0.0; 3],
+    com_acceleration: [0.0; 3],
+    com_jerk: [0.0; 3],
+    rotation: [0.0; 9],
+    angular_velocity: [0.0; 3],
+    angular_acceleration: [0.0; 3],
+    angular_jerk: [0.0; 3],
+};
+
 fn config(name: &str) -> PathBuf {
     Path::new(HERE).join("../../configs/experiments").join(name).with_extension("toml")
 }
@@ -189,15 +201,8 @@ fn fly_both(name: &str) {
             let setpoints =
                 [(0.1, setpoint), (0.3, Setpoint::hold(setpoint.com_position, setpoint.rotation))];
             let winds = [(0.0, wind), (0.2, wind * 1.2), (0.5, wind * 0.5)];
-            let held = FlightSetpoint {
-                com_velocity: [0.0; 3],
-                com_acceleration: [0.0; 3],
-                com_jerk: [0.0; 3],
-                angular_velocity: [0.0; 3],
-                angular_acceleration: [0.0; 3],
-                angular_jerk: [0.0; 3],
-                ..c_setpoint
-            };
+            let FlightSetpoint { com_position, rotation, .. } = c_setpoint;
+            let held = FlightSetpoint { com_position, rotation, ..AT_REST };
             let (c_times, c_setpoints) = (setpoints.map(|(time, _)| time), [c_setpoint, held]);
             let (c_wind_times, c_winds) =
                 (winds.map(|(time, _)| time), winds.map(|(_, wind)| <[f64; 3]>::from(wind)));
@@ -335,16 +340,7 @@ fn what_cannot_be_used_is_refused() {
     assert_eq!(tick(&measurement), FlightStatus::FlightNominal);
     assert_eq!(unsafe { flight_modes(c.0) }, 0);
     assert_eq!(unsafe { flight_modes(null()) }, 0);
-    let setpoint = FlightSetpoint {
-        com_position: [0.0; 3],
-        com_velocity: [0.0; 3],
-        com_acceleration: [0.0; 3],
-        com_jerk: [0.0; 3],
-        rotation: [0.0; 9],
-        angular_velocity: [0.0; 3],
-        angular_acceleration: [0.0; 3],
-        angular_jerk: [0.0; 3],
-    };
+    let setpoint = AT_REST;
     unsafe {
         let status = flight_tick(c.0, &raw const measurement, &raw const setpoint, &raw const command);
         assert_eq!(status, FlightStatus::FlightBadSetpoint);

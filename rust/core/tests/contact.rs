@@ -11,7 +11,7 @@ use flight_core::control::guard::estimator::{ChannelConfig, EstimatorConfig};
 use flight_core::control::guard::wind_observer::WindObserverConfig;
 use flight_core::control::law::contact::{Contact, ContactConfig, ContactState, LoadTransfer, WRENCH_ROWS};
 use flight_core::control::law::setpoint::Setpoint;
-use flight_core::control::{CommandStatus, Given, Terms};
+use flight_core::control::{CommandStatus, Terms};
 use flight_core::dynamics::Dynamics;
 use flight_core::kinematics::Kinematics;
 use flight_core::robot::Foot;
@@ -125,11 +125,15 @@ fn tick_with_load(
     kinematics.update(running.model(), state);
     let com = kinematics.com + Vector3::new(0.0, 0.0, climb);
     let setpoint = Setpoint::hold(com, state.base.rotation);
-    let measurement =
-        Measurement { time, state, thrust: &QUARTER, wind: Vector3::zeros(), foot_wrenches: feet };
-    let Running { controller, state: carried } = running;
-    let carried = carried.get_or_insert_with(|| controller.start(&measurement).unwrap());
-    controller.tick_with(carried, &measurement, &Given { setpoint: Some(&setpoint), ..Given::default() });
+    let measured = Measurement { time, thrust: &QUARTER, ..measurement(state, Vector3::zeros(), feet) };
+    running.tick_towards(&measured, &setpoint);
+}
+
+/// Moves a robot that stands hardly at all: a measurement with the same bits in tick after tick would count as frozen.
+fn tremble(state: &mut RobotState) {
+    state.joint_position[0] += 1e-12;
+    state.velocity[0] = -state.velocity[0] + 1e-12;
+    state.base.position.x += 1e-12;
 }
 
 /// M111: offsets of the two rate tasks, entry by entry, and which side is relieved.
@@ -214,10 +218,7 @@ fn feet_carry_through_a_short_loss_of_contact_unless_the_robot_takes_off() {
         tick_with_load(&mut controller, &state, 0.0, climb, &weight_on_both());
         let mut ticks = 0;
         for k in 1..40 {
-            // A measurement with the same bits in tick after tick would count as frozen.
-            state.joint_position[0] += 1e-12;
-            state.velocity[0] = -state.velocity[0] + 1e-12;
-            state.base.position.x += 1e-12;
+            tremble(&mut state);
             tick_with_load(&mut controller, &state, 0.01 * f64::from(k), climb, &in_the_air);
             ticks += i32::from(controller.state().contact().is_active);
         }
@@ -246,10 +247,7 @@ fn feet_carry_what_nothing_else_explains() {
         tick_with_load(&mut running, &state, 0.0, 0.0, &weightless);
         let mut carries = false;
         for tick in 1..300 {
-            // A measurement with the same bits in tick after tick would count as frozen.
-            state.joint_position[0] += 1e-12;
-            state.velocity[0] = -state.velocity[0] + 1e-12;
-            state.base.position.x += 1e-12;
+            tremble(&mut state);
             let before = running.terms().momentum.unmodelled_wrench[2];
             tick_with_load(&mut running, &state, 0.01 * f64::from(tick), climb, &feet);
             let carries_now = running.state().contact().is_active;
@@ -290,10 +288,7 @@ fn wrenches_that_contradict_the_momentum_are_not_believed() {
             able_to_take_off_with(|transfer, _| transfer.unmodelled_force_max = Some(force_max));
         let case = format!("climb of {climb} m, {first} N, then {then} N, {force_max} N");
         for tick in 0..60 {
-            // A measurement with the same bits in tick after tick would count as frozen.
-            state.joint_position[0] += 1e-12;
-            state.velocity[0] = -state.velocity[0] + 1e-12;
-            state.base.position.x += 1e-12;
+            tremble(&mut state);
             let vertical = if (10..until).contains(&tick) { then } else { first };
             let was_trusted = trusts(&running);
             tick_with_load(&mut running, &state, 0.01 * f64::from(tick), climb, &feet(vertical));
@@ -620,14 +615,8 @@ fn a_replaced_command_leaves_the_predicted_motion_of_a_robot_that_stands() {
         state.base.position.fill(f64::NAN); // or the velocity follows it
         let thrust = [f64::NAN; 4];
         let feet = weight_on_both();
-        let measurement = Measurement {
-            time: TIME_STEP,
-            state: &state,
-            thrust: &thrust,
-            wind: Vector3::zeros(),
-            foot_wrenches: &feet,
-        };
-        running.tick(&measurement);
+        let measured = measurement(&state, Vector3::zeros(), &feet);
+        running.tick(&Measurement { time: TIME_STEP, thrust: &thrust, ..measured });
         let used = &running.terms().measurement;
         (used.state.velocity.clone(), used.thrust[0])
     };
@@ -646,23 +635,13 @@ fn a_robot_on_its_way_down_does_not_take_off() {
     assert!(running.terms().contact.takes_off);
     state.base.position.fill(f64::NAN);
     for tick in 1..700 {
-        // A measurement with the same bits in tick after tick would count as frozen.
-        state.joint_position[0] += 1e-12;
-        state.velocity[0] = -state.velocity[0] + 1e-12;
+        tremble(&mut state);
         let (time, feet) = (f64::from(tick) * TIME_STEP, weight_on_both());
-        let measurement = Measurement {
-            time,
-            state: &state,
-            thrust: &QUARTER,
-            wind: Vector3::zeros(),
-            foot_wrenches: &feet,
-        };
-        let Running { controller, state: carried } = &mut running;
+        let measured = Measurement { time, thrust: &QUARTER, ..measurement(&state, Vector3::zeros(), &feet) };
         let setpoint = Setpoint::hold(Vector3::new(0.0, 0.0, 1.1), state.base.rotation);
-        let given = Given { setpoint: Some(&setpoint), ..Given::default() };
-        controller.tick_with(carried.as_mut().unwrap(), &measurement, &given);
-        let is_descending = controller.command().modes.contains(Modes::DESCENDING);
-        assert_eq!(controller.terms().contact.takes_off, !is_descending, "tick {tick}");
+        let command = running.tick_towards(&measured, &setpoint);
+        let is_descending = command.modes.contains(Modes::DESCENDING);
+        assert_eq!(running.terms().contact.takes_off, !is_descending, "tick {tick}");
     }
     assert!(running.controller.command().modes.contains(Modes::DESCENDING));
     let (raw, com) = (running.state().setpoint().raw().position.z, running.terms().kinematics.com.z);

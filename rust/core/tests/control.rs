@@ -366,13 +366,7 @@ fn predictions_go_on_while_measurements_are_bad() {
         let next = |world: &mut Loop| {
             world.advance(&wind());
             world.plant.observe(&wind());
-            let (plant, time) = (&world.plant, world.tick as f64 * TIME_STEP);
-            Sample {
-                time,
-                state: plant.state().clone(),
-                thrust: plant.jets().thrust().to_vec(),
-                wind: wind(),
-            }
+            world.sample(wind())
         };
         let begin = world.plant.state().base.position;
         for _ in 0..10 {
@@ -421,12 +415,7 @@ fn predictions_follow_a_replaced_command() {
         world.plant.advance(&torque, &rate, &wind(), TIME_STEP);
         world.tick += 1;
         let truth = world.plant.state();
-        let mut sample = Sample {
-            time: world.tick as f64 * TIME_STEP,
-            state: truth.clone(),
-            thrust: world.plant.jets().thrust().to_vec(),
-            wind: wind(),
-        };
+        let mut sample = world.sample(wind());
         if !has_estimator {
             sample.state.velocity.fill(f64::NAN);
             sample.state.base.position.fill(f64::NAN); // or the velocity follows it
@@ -453,12 +442,7 @@ fn a_replaced_command_belongs_to_its_state() {
     let torque: Vec<f64> = command.joint_torque.iter().map(|torque| torque + 5.0).collect();
     let (rate, before) = (command.thrust_rate.as_slice(), command.joint_torque.as_slice());
     let after_tick = world.controller.state().clone();
-    let mut unmeasured = Sample {
-        time: (world.tick + 1) as f64 * TIME_STEP,
-        state: world.plant.state().clone(),
-        thrust: world.plant.jets().thrust().to_vec(),
-        wind: wind(),
-    };
+    let mut unmeasured = Sample { time: (world.tick + 1) as f64 * TIME_STEP, ..world.sample(wind()) };
     unmeasured.state.velocity.fill(f64::NAN);
     unmeasured.state.base.position.fill(f64::NAN); // or the velocity follows it
     let predicted = |running: &mut Running, replacements: &[&[f64]]| {
@@ -512,12 +496,7 @@ fn a_controller_that_pauses_flies_on() {
             height[1] += TIME_STEP * (acceleration + 0.5 * TIME_STEP * jerk);
             height[2] += TIME_STEP * jerk;
             if !(51..72).contains(&tick) {
-                let sample = Sample {
-                    time: world.tick as f64 * TIME_STEP,
-                    state: world.plant.state().clone(),
-                    thrust: world.plant.jets().thrust().to_vec(),
-                    wind: Vector3::zeros(),
-                };
+                let sample = world.sample(Vector3::zeros());
                 let command = world.controller.tick_towards(&sample.measurement(), &setpoint);
                 modes.extend(command.modes.names());
             }
@@ -539,13 +518,7 @@ fn an_observer_of_joints_needs_no_velocities() {
     let mut world = Loop::new(&config);
     for tick in 0..20 {
         world.observe(&wind());
-        let thrust = world.plant.jets().thrust().to_vec();
-        let mut sample = Sample {
-            time: f64::from(tick) * TIME_STEP,
-            state: world.plant.state().clone(),
-            thrust,
-            wind: wind(),
-        };
+        let mut sample = world.sample(wind());
         if tick == 0 {
             sample.state.velocity.rows_range_mut(6..).fill(0.0);
         }

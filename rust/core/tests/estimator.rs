@@ -432,36 +432,32 @@ fn a_measurement_that_is_no_number_corrects_nothing() {
 #[test]
 fn a_lost_channel_leaves_the_others_corrected() {
     for lost_at in [0, 10] {
-        lose_a_thrust(lost_at);
-    }
-}
-
-fn lose_a_thrust(lost_at: usize) {
-    let slow = || ChannelConfig { delay: 0.02, time_constant: 0.05 };
-    let config = flight(EstimatorConfig {
-        joint_position: slow(),
-        base_position: slow(),
-        ..EstimatorConfig::default()
-    });
-    let mut world = world(&config);
-    let [mut whole, mut half] = [estimator(&config), estimator(&config)];
-    for tick in 0..60 {
-        world.observe(&WIND);
-        let (state, thrust) = (world.plant.state().clone(), world.plant.jets().thrust().to_vec());
-        let mut measured = thrust.clone();
-        if tick >= lost_at {
-            measured[2] = f64::NAN;
+        let slow = || ChannelConfig { delay: 0.02, time_constant: 0.05 };
+        let config = flight(EstimatorConfig {
+            joint_position: slow(),
+            base_position: slow(),
+            ..EstimatorConfig::default()
+        });
+        let mut world = world(&config);
+        let [mut whole, mut half] = [estimator(&config), estimator(&config)];
+        for tick in 0..60 {
+            world.observe(&WIND);
+            let (state, thrust) = (world.plant.state().clone(), world.plant.jets().thrust().to_vec());
+            let mut measured = thrust.clone();
+            if tick >= lost_at {
+                measured[2] = f64::NAN;
+            }
+            let expected = whole.update(&state, &thrust);
+            let mut found = half.update(&state, &measured);
+            assert_within!((found.thrust[2] - expected.thrust[2]).abs(), 1e-6, because "it begins as it was");
+            found.thrust[2] = expected.thrust[2];
+            // Jets are ideal here: they do what is commanded, as the model has it.
+            assert_within!(distance(&found, &expected), 1e-6, because "rounding, in a flight that magnifies it");
+            for estimator in [&mut whole, &mut half] {
+                estimator.command(world.controller.command(), &Vector6::zeros());
+            }
+            world.advance(&WIND);
         }
-        let expected = whole.update(&state, &thrust);
-        let mut found = half.update(&state, &measured);
-        assert_within!((found.thrust[2] - expected.thrust[2]).abs(), 1e-6, because "it begins as it was");
-        found.thrust[2] = expected.thrust[2];
-        // Jets are ideal here: they do what is commanded, as the model has it.
-        assert_within!(distance(&found, &expected), 1e-6, because "rounding, in a flight that magnifies it");
-        for estimator in [&mut whole, &mut half] {
-            estimator.command(world.controller.command(), &Vector6::zeros());
-        }
-        world.advance(&WIND);
     }
 }
 

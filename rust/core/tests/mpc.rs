@@ -4,7 +4,7 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::{
-    Loop, Running, Sample, assert_within, experiment, random_state, random_vector, rng, robot,
+    Loop, Running, Sample, assert_within, at, experiment, random_state, random_vector, rng, robot,
 };
 use flight_core::aero::{AeroModel, ForceFactorsConfig, LinkConventions, LinkForces};
 use flight_core::control::law::mpc::clearance::{Clearance, ClearanceConfig};
@@ -729,19 +729,11 @@ fn a_given_future_is_followed_as_that_of_the_mission() {
             (1..80).map(|after| (0.01 * after as f64, setpoints[tick + after])).collect();
         let mut unordered = next.clone();
         unordered.swap(3, 4);
-        let given = Some(&setpoints[tick]);
+        let setpoint = setpoints[tick];
         let ticked = |controller: &mut Running, setpoints: &[(f64, Setpoint)]| {
-            let Running { controller, state } = controller;
-            let state = match state {
-                Some(state) => state,
-                none => none.insert(controller.start(&measurement).unwrap()),
-            };
             let preview = Preview { setpoints, ..Preview::default() };
-            let command = controller.tick_with(
-                state,
-                &measurement,
-                &Given { setpoint: given, preview, ..Given::default() },
-            );
+            let given = Given { setpoint: Some(&setpoint), preview, ..Given::default() };
+            let command = controller.tick_with(&measurement, &given);
             (rates(command), command.status)
         };
         let (found, status) = ticked(&mut informed, &next);
@@ -764,13 +756,10 @@ fn a_plan_expects_the_wind_ahead() {
     let world = Loop::new(&config);
     let plan = |wind: &[(f64, Vector3<f64>)]| {
         let robot = load_robot(&config.robot).unwrap();
-        let mut controller = config.controller(robot).unwrap();
+        let mut controller = Running::new(config.controller(robot).unwrap());
         let (state, thrust) = (world.plant.state(), world.plant.jets().thrust_feedback());
-        let calm = Vector3::zeros();
-        let measurement = Measurement { time: 0.0, state, thrust, wind: calm, foot_wrenches: &[] };
-        let mut flight = controller.start(&measurement).unwrap();
         let preview = Preview { wind, ..Preview::default() };
-        let command = controller.tick_with(&mut flight, &measurement, &Given { preview, ..Given::default() });
+        let command = controller.tick_with(&at(0.0, state, thrust), &Given { preview, ..Given::default() });
         (command.status, command.thrust_rate.clone())
     };
     let side = Vector3::new(0.0, -8.0, 0.0);

@@ -235,22 +235,21 @@ fn controller(config: &ScenarioConfig) -> Running {
     Running::new(config.controller(load_robot(&config.robot).unwrap()).unwrap())
 }
 
-fn observer_of(config: &mut ScenarioConfig) -> &mut Option<ObserverConfig> {
-    &mut config.controller.law.observer
+/// TEST2 for a body that moves as it likes: what guards against motions that no robot makes is off.
+fn unguarded(observer: Option<ObserverConfig>) -> ScenarioConfig {
+    let mut config = experiment("test2_observer");
+    let law = &mut config.controller.law;
+    (law.channels.jump, law.engines, law.supervisor) = (None, None, None);
+    law.observer = observer;
+    config
 }
 
 /// In whole ticks of the humanoid: the wrench is observed at the stated rate, and it is the only thing that is added
 /// to the momentum rate of the same controller without an observer.
 #[test]
 fn a_tick_observes_what_its_model_leaves_out() {
-    let mut config = experiment("test2_observer");
-    // What moves here is no robot.
-    (config.controller.law.channels.jump, config.controller.law.engines) = (None, None);
-    config.controller.law.supervisor = None;
-    *observer_of(&mut config) = Some(WIDE);
-    let mut plain = config.clone();
-    *observer_of(&mut plain) = None;
-    let (mut observing, mut plain) = (controller(&config), controller(&plain));
+    let config = unguarded(Some(WIDE));
+    let (mut observing, mut plain) = (controller(&config), controller(&unguarded(None)));
     let mut body = Prescribed::new(&config);
     for tick in 0..60 {
         // The momentum matrix belongs to the pose, so a first tick at this pose finds it.
@@ -273,10 +272,7 @@ fn a_tick_observes_what_its_model_leaves_out() {
 /// Over a refused measurement nothing is compared, and a state that is restored continues to the same bits.
 #[test]
 fn a_refused_tick_is_held_and_a_state_is_restored() {
-    let mut config = experiment("test2_observer");
-    // What moves here is no robot.
-    (config.controller.law.channels.jump, config.controller.law.engines) = (None, None);
-    *observer_of(&mut config) = Some(WIDE);
+    let config = unguarded(Some(WIDE));
     let mut flying = controller(&config);
     let mut sample = Prescribed::new(&config);
     let wrench_after = |flying: &mut Running, sample: &Prescribed| {
@@ -312,12 +308,8 @@ fn a_refused_tick_is_held_and_a_state_is_restored() {
 /// that observes nothing, `Δν̇ = M⁻¹ (S Δτ + [f; m + (p_com − p_base) × f])`.
 #[test]
 fn the_prediction_of_a_velocity_has_the_observed_wrench() {
-    let mut config = experiment("test2_observer");
-    (config.controller.law.channels.jump, config.controller.law.engines) = (None, None);
-    *observer_of(&mut config) = Some(WIDE);
-    let mut observing = controller(&config);
-    *observer_of(&mut config) = None;
-    let mut unaware = controller(&config);
+    let config = unguarded(Some(WIDE));
+    let (mut observing, mut unaware) = (controller(&config), controller(&unguarded(None)));
     let mut sample = Prescribed::new(&config);
     for _ in 0..3 {
         observing.tick(&sample.measurement());
@@ -358,7 +350,7 @@ fn the_prediction_of_a_velocity_has_the_observed_wrench() {
 #[test]
 fn the_ground_is_part_of_the_model() {
     let mut config = experiment("balancing_front");
-    *observer_of(&mut config) = Some(WIDE);
+    config.controller.law.observer = Some(WIDE);
     let state = config.simulator.initial.state();
     for (vertical, carries) in [(212.5, true), (2.0, false)] {
         let mut standing = controller(&config);
@@ -409,7 +401,7 @@ fn momentum_matrix(
 fn the_integrator_is_observed_as_stated() {
     let beyond = |time_step: f64| {
         let mut config = experiment("platform_hover");
-        *observer_of(&mut config) = Some(WIDE);
+        config.controller.law.observer = Some(WIDE);
         config.simulator.time_step = time_step;
         config.simulator.initial.base_velocity = [0.5, -0.3, 0.2, 0.4, -0.6, 0.9];
         let mut robot = load_robot(&config.robot).unwrap();

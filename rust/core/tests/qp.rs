@@ -68,16 +68,18 @@ fn spectrum_problem(rng: &mut ChaCha8Rng, n: usize, condition: f64, push: f64) -
     QpProblem::without_rows(h, g, lower, upper)
 }
 
-/// Fixes some variables, frees some sides, and lets some bounds touch the start `clamp(0)`.
+/// Fixes some variables, some of them but for a billionth of their range, frees some sides, and lets some bounds
+/// touch the start `clamp(0)`.
 fn make_awkward(rng: &mut ChaCha8Rng, qp: &mut QpProblem) {
     for i in 0..qp.len() {
-        match rng.random_range(0..7) {
+        match rng.random_range(0..8) {
             0 => qp.lower[i] = qp.upper[i],
             1 => qp.lower[i] = f64::NEG_INFINITY,
             2 => qp.upper[i] = f64::INFINITY,
             3 => (qp.lower[i], qp.upper[i]) = (f64::NEG_INFINITY, f64::INFINITY),
             4 => qp.lower[i] = 0.0,
             5 => qp.upper[i] = 0.0,
+            6 => qp.upper[i] = qp.lower[i] + 1e-9 * (qp.upper[i] - qp.lower[i]),
             _ => {}
         }
     }

@@ -289,17 +289,6 @@ fn a_chain_has_point_and_multipliers_of_the_method_that_answered() {
     }
 }
 
-/// Of a box problem whose answer presses on its bounds, too, steps are counted.
-#[test]
-fn the_primal_method_counts_its_steps() {
-    let qp = random_problem(&mut rng(12), 5, 0);
-    let mut solver = PrimalActiveSet::new(5);
-    let answer = solver.solve(&qp);
-    let presses = |i: usize| solver.x()[i] == qp.lower[i] || solver.x()[i] == qp.upper[i];
-    assert!((0..5).any(presses));
-    assert!(answer.iterations > 0);
-}
-
 /// An answer that fails says after how many steps: rows that exclude one another, and a step that overflows.
 #[test]
 fn a_failure_counts_the_steps_before_it() {

@@ -6,12 +6,12 @@
 
 use crate::common::network::{Tensor, digest, file_of};
 use crate::common::{
-    Running, TIME_STEP, assert_says, assert_within, experiment, random_state, random_vector, rng, robot,
+    Running, TIME_STEP, assert_says, assert_within, at, experiment, random_state, random_vector, rng, robot,
 };
 use flight_core::control::law::residual::{Policy, Residual};
 use flight_core::control::{CommandStatus, Given, Modes};
 use flight_core::spatial::{exp_so3, log_so3};
-use flight_core::{BuildError, Controller, Measurement, RobotModel, RobotState};
+use flight_core::{BuildError, Controller, RobotModel, RobotState};
 use flight_io::{PolicyConfig, load_policy};
 use nalgebra::{DMatrix, DVector, Vector3, Vector6};
 use rand::RngExt;
@@ -87,10 +87,6 @@ fn sample(robot: &RobotModel, seed: u64) -> (RobotState, Vec<f64>) {
         *position = 0.5 * (joint.limits.0 + joint.limits.1);
     }
     (state, vec![100.0; robot.jets.len()])
-}
-
-fn at<'a>(time: f64, state: &'a RobotState, thrust: &'a [f64]) -> Measurement<'a> {
-    Measurement { time, state, thrust, wind: Vector3::zeros(), foot_wrenches: &[] }
 }
 
 /// A first tick, then one of another state, as if it had been pushed there: set-point and wrench are then not zero.
@@ -193,16 +189,7 @@ fn tick(controller: Controller, residual: Option<&Residual>) -> Running {
     let initial = experiment("test1").simulator.initial;
     let (state, thrust) = (initial.state(), initial.thrust);
     let mut running = Running::new(controller);
-    let measurement = at(0.0, &state, &thrust);
-    let mut first = running.controller.start(&measurement).unwrap();
-    match residual {
-        Some(residual) => {
-            let given = Given { residual: Some(residual), ..Given::default() };
-            running.controller.tick_with(&mut first, &measurement, &given)
-        }
-        None => running.controller.tick(&mut first, &measurement),
-    };
-    running.state = Some(first);
+    running.tick_with(&at(0.0, &state, &thrust), &Given { residual, ..Given::default() });
     running
 }
 

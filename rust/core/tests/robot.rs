@@ -3,20 +3,8 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-use crate::common::{assert_within, both_robots};
-use flight_core::kinematics::Kinematics;
 use flight_core::robot::check::{inertia_of_moving_body, interval, moments, triangle, unit};
 use nalgebra::{Matrix3, Vector3};
-
-#[test]
-fn the_mass_is_that_of_the_bodies() {
-    for robot in both_robots() {
-        let sum: f64 = robot.bodies.iter().map(|body| body.mass).sum();
-        assert_within!((robot.mass() - sum).abs(), 1e-12);
-        assert_within!((Kinematics::new(&robot).mass() - sum).abs(), 1e-12);
-        assert!(sum > 10.0);
-    }
-}
 
 #[test]
 fn limits_without_an_interval_are_refused() {

@@ -127,12 +127,14 @@ fn rpy_is_roll_then_pitch_then_yaw() {
 fn rpy_near_gimbal_lock_still_names_the_rotation() {
     for distance in [1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 1e-14] {
         for pitch in [FRAC_PI_2 - distance, distance - FRAC_PI_2] {
-            let r = axis_angle(&Vector3::z(), 0.7)
-                * axis_angle(&Vector3::y(), pitch)
-                * axis_angle(&Vector3::x(), -0.4);
-            let rpy = rpy_from_rotation(&r);
-            assert_within!((rpy.y - pitch).abs(), 1e-15);
-            assert_close(&rotation_from_rpy(&rpy), &r, (1e-15 / distance).min(distance + 1e-15));
+            for yaw in [0.7, -2.0, 3.0] {
+                let r = axis_angle(&Vector3::z(), yaw)
+                    * axis_angle(&Vector3::y(), pitch)
+                    * axis_angle(&Vector3::x(), -0.4);
+                let rpy = rpy_from_rotation(&r);
+                assert_within!((rpy.y - pitch).abs(), 1e-15);
+                assert_close(&rotation_from_rpy(&rpy), &r, (1e-15 / distance).min(distance + 1e-15));
+            }
         }
     }
 }

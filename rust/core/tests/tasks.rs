@@ -6,7 +6,6 @@
 
 use crate::common::{Running, assert_within, experiment, random_state, random_vector, rng};
 use flight_core::aero::LinkForces;
-use flight_core::control::Given;
 use flight_core::control::law::attitude::{MomentumGains, attitude_demand};
 use flight_core::control::law::momentum::{AeroFeedback, MomentumModel};
 use flight_core::control::law::momentum_qp::{Equations, Layout, Task, TaskInputs};
@@ -59,9 +58,7 @@ fn run_tick(name: &str, seed: u64) -> (Running, RobotState, Vec<f64>) {
     };
     controller.tick(&measure(0.0, &start));
     let setpoint = moving_setpoint(&mut rng);
-    let Running { controller: second, state: flight } = &mut controller;
-    let given = Given { setpoint: Some(&setpoint), ..Given::default() };
-    second.tick_with(flight.as_mut().unwrap(), &measure(0.01, &state), &given);
+    controller.tick_towards(&measure(0.01, &state), &setpoint);
     (controller, state, thrust)
 }
 
@@ -341,7 +338,7 @@ fn tasks_are_added_where_they_apply() {
 struct KeepVelocity {
     unknown: usize,
     velocity: f64,
-    weight: f64,
+    weights: Vec<f64>,
     is_row: bool,
 }
 
@@ -351,7 +348,7 @@ impl Task for KeepVelocity {
     }
 
     fn layout(&self) -> Layout {
-        let weights = vec![self.weight];
+        let weights = self.weights.clone();
         if self.is_row { Layout::Rows(weights) } else { Layout::Diagonal { first: self.unknown, weights } }
     }
 
@@ -401,7 +398,8 @@ fn a_task_of_ones_own_does_what_it_asks() {
             expected[i] += response * step;
         }
         for is_row in [false, true] {
-            let (found, _) = tick(Some(KeepVelocity { unknown, velocity, weight, is_row }));
+            let weights = vec![weight];
+            let (found, _) = tick(Some(KeepVelocity { unknown, velocity, weights, is_row }));
             // Two QPs of condition 1e8, each solved to 1e-15 of its scale.
             assert_within!((&found - &expected).amax(), 1e-7 * (1.0 + expected.amax()), "weight {weight}");
             let left = (found[unknown] - velocity) / (plain[unknown] - velocity);
@@ -414,10 +412,9 @@ fn a_task_of_ones_own_does_what_it_asks() {
 fn tasks_that_mean_nothing_are_refused() {
     let config = experiment("test2");
     let mut controller = config.controller(load_robot(&config.robot).unwrap()).unwrap();
-    let task = |unknown, weight, is_row| Arc::new(KeepVelocity { unknown, velocity: 0.0, weight, is_row });
-    let mut refusal = |unknown, weight, is_row| match controller.add_task(task(unknown, weight, is_row)) {
-        Ok(()) => String::new(),
-        Err(error) => error.to_string(),
+    let mut refusal = |unknown, weight, is_row| {
+        let task = KeepVelocity { unknown, velocity: 0.0, weights: vec![weight], is_row };
+        controller.add_task(Arc::new(task)).map_or_else(|error| error.to_string(), |()| String::new())
     };
     assert!(refusal(27, 1.0, false).contains("at most 27 unknowns"));
     assert!(refusal(3, -1.0, true).contains("weight of task `keep velocity` is -1"));
@@ -426,22 +423,7 @@ fn tasks_that_mean_nothing_are_refused() {
     assert!(refusal(3, 1.0, false).contains("keep velocity"), "twice");
 }
 
-/// Two weights of which the second is none.
-#[derive(Debug)]
-struct HalfWrong;
-
-impl Task for HalfWrong {
-    fn name(&self) -> &'static str {
-        "half wrong"
-    }
-
-    fn layout(&self) -> Layout {
-        Layout::Diagonal { first: 4, weights: vec![1.0, -1.0] }
-    }
-
-    fn update(&self, _: &TaskInputs, _: &mut Equations) {}
-}
-
+/// Refused for its second weight, when the first has been read.
 #[test]
 fn a_task_that_is_refused_leaves_nothing() {
     let config = experiment("test2");
@@ -450,7 +432,9 @@ fn a_task_that_is_refused_leaves_nothing() {
     let tick = |is_tried: bool| {
         let mut controller = config.controller(load_robot(&config.robot).unwrap()).unwrap();
         if is_tried {
-            controller.add_task(Arc::new(HalfWrong)).unwrap_err();
+            let weights = vec![1.0, -1.0];
+            let task = KeepVelocity { unknown: 4, velocity: 0.0, weights, is_row: false };
+            controller.add_task(Arc::new(task)).unwrap_err();
         }
         let mut controller = Running::new(controller);
         controller.tick(&Measurement {

@@ -12,6 +12,10 @@ fn what_cannot_be_flown_is_refused_by_line() {
     let cases = [
         (String::new(), "the first 7, 10, 13 or 16 names"),
         ("time,x,y,z\n".to_owned(), "line 1 of reference file r.csv is time,x,y,z"),
+        (
+            "time,y,x,z,roll,pitch,yaw\n0,0,0,1,0,0,0\n".to_owned(),
+            "line 1 of reference file r.csv is time,y,x,z,roll",
+        ),
         (format!("{header},vx\n"), "the first 7, 10, 13 or 16 names"),
         (format!("# source\n{header}\n0,0,0,1,0,0,0\n1,0,0,1,0,0\n"), "line 4"),
         (format!("{header}\n0,0,0,1,0,0,0\n1,0,0,1,0,0,0,0\n"), "7 numbers"),
@@ -49,10 +53,4 @@ fn commands_beside_a_file_are_refused() {
     };
     let message = load_mission(&mission).unwrap_err().to_string();
     assert!(message.contains("mission.up") && message.contains("r.csv"), "{message}");
-}
-
-#[test]
-fn a_mission_without_a_file_is_written_without_the_key() {
-    let text = serde_json::to_string(&MissionConfig::default()).unwrap();
-    assert!(!text.contains("file"), "{text}");
 }

@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 #![allow(clippy::float_cmp, reason = "the same computation gives the same bits")]
 
-use crate::common::{Running, assert_within, experiment, fly};
+use crate::common::{Running, assert_within, at, experiment, fly};
 use flight_core::Measurement;
 use flight_core::control::law::momentum::RateFeedback;
 use flight_io::load_robot;
@@ -32,13 +32,8 @@ fn first_tick(config: &ScenarioConfig) -> Running {
     let robot = load_robot(&config.robot).unwrap();
     let mut controller = Running::new(config.controller(robot).unwrap());
     let state = config.simulator.initial.state();
-    controller.tick(&Measurement {
-        time: 0.0,
-        state: &state,
-        thrust: &config.simulator.initial.thrust,
-        wind: Vector3::new(-4.0, -9.0, 1.5),
-        foot_wrenches: &[],
-    });
+    let wind = Vector3::new(-4.0, -9.0, 1.5);
+    controller.tick(&Measurement { wind, ..at(0.0, &state, &config.simulator.initial.thrust) });
     controller
 }
 

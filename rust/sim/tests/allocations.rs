@@ -14,7 +14,7 @@ mod episode;
 use cases::cases;
 use common::counting::{Counting, allocations};
 use common::network::{SMALL, random_network};
-use common::{Loop, Running, experiment, tick_at};
+use common::{Loop, Running, experiment, outage, tick_at};
 use episode::Episodes;
 use flight_core::Measurement;
 use flight_core::aero::Precision;
@@ -23,7 +23,7 @@ use flight_core::control::config::{Fallback, Solver};
 use flight_core::control::guard::wind_observer::WindObserverConfig;
 use flight_io::{AeroConfig, load_robot};
 use flight_sim::config::AeroKinematics;
-use flight_sim::disturbances::{FailureKind, JetFailure, Outage, OutageChannel, OutageKind};
+use flight_sim::disturbances::{FailureKind, JetFailure, OutageChannel, OutageKind};
 use flight_sim::fuel::FuelConfig;
 use flight_sim::motors::{ElasticityConfig, MotorsConfig};
 use flight_sim::{Scenario, ScenarioConfig};
@@ -114,7 +114,6 @@ fn small_network(folder: &Path) -> AeroConfig {
     random_network(folder, &common::robot("ironcub_mk1"), &SMALL, "small", Precision::F32)
 }
 
-/// Calm flight, through climb and turbo, with either fallback.
 /// Plans, also after the loss of an engine, work in preallocated space.
 #[test]
 fn the_predictive_law_does_not_allocate() {
@@ -125,6 +124,7 @@ fn the_predictive_law_does_not_allocate() {
     assert_no_allocations("plans of a descent", &config, 1.0, SIDE);
 }
 
+/// Calm flight, through climb and turbo, with either fallback.
 #[test]
 fn a_calm_tick_does_not_allocate() {
     for fallback in [Fallback::Hold, Fallback::Clarabel] {
@@ -198,14 +198,7 @@ fn a_tick_that_holds_does_not_allocate() {
 /// that is lost, and the log.
 #[test]
 fn a_tick_of_a_flight_does_not_allocate() {
-    let lost = |channel| Outage {
-        channel,
-        jet: None,
-        start: 0.02,
-        duration: Some(0.1),
-        kind: OutageKind::Missing,
-        error: 1.0,
-    };
+    let lost = |channel| outage(channel, OutageKind::Missing, 0.02, Some(0.1));
     let channels =
         [OutageChannel::Wind, OutageChannel::Thrust, OutageChannel::Joints, OutageChannel::BasePosition];
     let channels = channels.into_iter().chain([OutageChannel::BaseRotation, OutageChannel::BaseVelocity]);

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 #![allow(clippy::float_cmp, reason = "the same computation gives the same bits")]
 
-use crate::common::{assert_within, experiment, fly, robot};
+use crate::common::{assert_within, experiment, fly, outage, robot};
 use flight_core::spatial::exp_so3;
 use flight_io::from_value;
 use flight_sim::disturbances::{
@@ -407,15 +407,8 @@ fn what_makes_no_sense_is_refused_by_name() {
     assert!(known.contains("disturbances.jets.limit_is_known is true; expected false without"), "{known}");
     for kind in [OutageKind::Missing, OutageKind::Nan, OutageKind::Frozen] {
         let error = message(&|config| {
-            let outage = Outage {
-                channel: OutageChannel::Wind,
-                jet: None,
-                start: 1.0,
-                duration: None,
-                kind,
-                error: 0.5,
-            };
-            config.disturbances.outages = vec![outage];
+            let lost = outage(OutageChannel::Wind, kind, 1.0, None);
+            config.disturbances.outages = vec![Outage { error: 0.5, ..lost }];
         });
         assert!(
             error.contains("disturbances.outages[0].error is 0.5; expected none, but for the kind wrong"),

@@ -3,15 +3,14 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-use crate::common::{assert_says, assert_within, experiment, robot};
+use crate::common::{assert_says, assert_within, at, experiment, robot};
+use flight_core::Controller;
 use flight_core::control::guard::channels::ChannelsConfig;
 use flight_core::control::guard::estimator::{EstimatorConfig, LatencyConfig};
 use flight_core::control::law::between::{JointMeasurement, JointTracker, JointsBetween};
 use flight_core::control::{CommandStatus, ControllerState};
-use flight_core::{Controller, Measurement};
 use flight_sim::sensors::EncoderConfig;
 use flight_sim::{ActuationConfig, Outcome, Scenario, ScenarioConfig, SensorsConfig};
-use nalgebra::Vector3;
 use std::ops::ControlFlow;
 
 const PERIOD: f64 = 0.001;
@@ -52,9 +51,8 @@ fn what_is_not_measured_is_predicted() {
 /// A controller after its first tick, in the initial state of its flight.
 fn ticked(config: &ScenarioConfig) -> (Controller, ControllerState) {
     let mut controller = config.controller(robot("ironcub_mk1")).unwrap();
-    let (state, thrust) = (config.simulator.initial.state(), config.simulator.initial.thrust.clone());
-    let measurement =
-        Measurement { time: 0.0, state: &state, thrust: &thrust, wind: Vector3::zeros(), foot_wrenches: &[] };
+    let state = config.simulator.initial.state();
+    let measurement = at(0.0, &state, &config.simulator.initial.thrust);
     let mut memory = controller.start(&measurement).unwrap();
     controller.tick(&mut memory, &measurement);
     (controller, memory)
@@ -93,10 +91,8 @@ fn a_state_of_another_tick_is_refused() {
     assert_eq!(controller.tick_torques(&mut state, &measured).status, CommandStatus::Nominal);
     let too_few = JointMeasurement { position: &rest[1..], velocity: &velocity };
     assert_eq!(controller.tick_torques(&mut state, &too_few).status, CommandStatus::BadMeasurement);
-    let (seen, thrust) = (config.simulator.initial.state(), config.simulator.initial.thrust.clone());
-    let measurement =
-        Measurement { time: 0.01, state: &seen, thrust: &thrust, wind: Vector3::zeros(), foot_wrenches: &[] };
-    controller.tick(&mut state, &measurement);
+    let seen = config.simulator.initial.state();
+    controller.tick(&mut state, &at(0.01, &seen, &config.simulator.initial.thrust));
     assert_eq!(controller.tick_torques(&mut other, &measured).status, CommandStatus::BadState);
 }
 

@@ -2,11 +2,11 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 
-use crate::common::{assert_says, experiment};
+use crate::common::{assert_says, experiment, outage};
 use flight_core::control::law::between::JointMeasurement;
 use flight_core::{Measurement, RobotState};
 use flight_io::load_robot;
-use flight_sim::disturbances::{Outage, OutageChannel, OutageKind};
+use flight_sim::disturbances::{OutageChannel, OutageKind};
 use flight_sim::signals::Read;
 use flight_sim::{FlightLog, Scenario, ScenarioConfig, replay};
 use nalgebra::Vector3;
@@ -24,14 +24,7 @@ fn bits(log: &FlightLog, name: &str) -> Vec<u64> {
 /// With exact measurements; with sensors, an estimator, outages and a wrong model; with a plan and the wind ahead.
 #[test]
 fn a_flight_replays_with_the_same_bits() {
-    let missing = |channel| Outage {
-        channel,
-        jet: None,
-        start: 0.3,
-        duration: Some(0.2),
-        kind: OutageKind::Missing,
-        error: 1.0,
-    };
+    let missing = |channel| outage(channel, OutageKind::Missing, 0.3, Some(0.2));
     for (name, duration) in [("test2", 0.6), ("test2_sensors", 0.6), ("test2_mpc", 0.1)] {
         let mut config = experiment(name);
         config.simulator.duration = duration;

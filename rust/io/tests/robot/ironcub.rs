@@ -2,7 +2,8 @@
 
 use super::{assert_close, robot_file};
 use crate::common::assert_within;
-use flight_core::robot::{AxisymmetricCoefficients, EngineCoefficients, Frame, RobotModel};
+use crate::common::engines::engines;
+use flight_core::robot::{AxisymmetricCoefficients, Frame, RobotModel};
 use flight_core::spatial::{Pose, axis_angle};
 use flight_io::{RobotFiles, load_robot};
 use nalgebra::{Matrix3, Vector3};
@@ -228,34 +229,8 @@ fn jets_and_feet() {
 }
 
 #[test]
-#[allow(clippy::unreadable_literal, reason = "written as they are published")]
-fn engines() {
-    let robot = ironcub();
-    let engine = |v: [f64; 10]| EngineCoefficients {
-        k_t: v[0],
-        k_tt: v[1],
-        k_d: v[2],
-        k_dd: v[3],
-        k_td: v[4],
-        b_u: v[5],
-        b_t: v[6],
-        b_d: v[7],
-        b_uu: v[8],
-        c: v[9],
-        throttle_min: 0.0,
-        throttle_max: 120.0,
-    };
-    #[rustfmt::skip]
-    let expected = [
-        ("P100", [-1.497225, -0.059093, -2.429288, 0.107146, 0.124828, 0.520267, 0.01847, -0.046559, 0.014813, -19.928301]),
-        ("P160", [0.30653, -0.024867, -0.973422, 0.055786, 0.022618, 0.68871, 0.038025, -0.089879, -0.001393, -0.958953]),
-        ("P160_diesel", [-1.49676, -0.045206, -2.43303, 0.020352, 0.064188, 0.589177, 0.016715, -0.021258, 0.013878, -19.926756]),
-        ("P220", [0.237755, -0.012799, -0.860374, 0.023606, 0.008599, 1.139026, 0.019914, -0.050257, 0.000302, -0.692913]),
-        ("P220_balancing", [-1.953561, -0.045804, 1.781593, 0.023776, -0.006976, 0.27746, 0.079341, -0.071026, 0.003995, -5.844843]),
-        ("P220_diesel", [-0.482993, -0.013562, 1.292093, 0.055923, 0.006887, 0.130662, 0.022564, -0.052168, 0.004485, -5.436267]),
-    ];
-    let found: Vec<_> = robot.engines.clone().into_iter().collect();
-    assert_eq!(found, expected.map(|(name, values)| (name.to_owned(), engine(values))));
+fn engines_are_the_published_ones() {
+    assert_eq!(ironcub().engines, engines());
 }
 
 /// At the first tick of the published flight the centre of mass is where the authors' model has it,

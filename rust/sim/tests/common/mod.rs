@@ -17,6 +17,7 @@ use flight_core::control::{ControllerState, Given};
 use flight_core::spatial::{Pose, rotation_from_wxyz};
 use flight_core::{Command, Controller, Measurement, RobotModel, RobotState};
 use flight_io::load_robot;
+use flight_sim::disturbances::{Outage, OutageChannel, OutageKind};
 use flight_sim::{FlightResult, Plant, ScenarioConfig, fly_batch, load_scenario};
 use nalgebra::Vector3;
 use rand::rngs::ChaCha8Rng;
@@ -71,6 +72,11 @@ pub fn uniform_estimator(channel: ChannelConfig) -> EstimatorConfig {
     }
 }
 
+/// An outage of a whole channel; a wrong one is wrong by 1.
+pub fn outage(channel: OutageChannel, kind: OutageKind, start: f64, duration: Option<f64>) -> Outage {
+    Outage { channel, jet: None, start, duration, kind, error: 1.0 }
+}
+
 pub fn rng(seed: u64) -> ChaCha8Rng {
     ChaCha8Rng::seed_from_u64(seed)
 }
@@ -105,6 +111,11 @@ pub fn move_state(state: &RobotState, time: f64) -> RobotState {
     let mut moved = state.clone();
     moved.advance_pose(time);
     moved
+}
+
+/// A measurement in still air, without feet.
+pub fn at<'a>(time: f64, state: &'a RobotState, thrust: &'a [f64]) -> Measurement<'a> {
+    Measurement { time, state, thrust, wind: Vector3::zeros(), foot_wrenches: &[] }
 }
 
 /// A measurement that owns its parts.
@@ -149,18 +160,17 @@ impl Running {
     }
 
     pub fn tick(&mut self, measurement: &Measurement) -> &Command {
-        let Self { controller, state } = self;
-        let state = match state {
-            Some(state) => state,
-            none => none.insert(controller.start(measurement).unwrap()),
-        };
-        controller.tick(state, measurement)
+        self.tick_with(measurement, &Given::default())
     }
 
-    /// A tick of a flight that has begun, towards a given set-point.
     pub fn tick_towards(&mut self, measurement: &Measurement, setpoint: &Setpoint) -> &Command {
-        let given = Given { setpoint: Some(setpoint), ..Given::default() };
-        self.controller.tick_with(self.state.as_mut().unwrap(), measurement, &given)
+        self.tick_with(measurement, &Given { setpoint: Some(setpoint), ..Given::default() })
+    }
+
+    pub fn tick_with(&mut self, measurement: &Measurement, given: &Given) -> &Command {
+        let Self { controller, state } = self;
+        let state = state.get_or_insert_with(|| controller.start(measurement).unwrap());
+        controller.tick_with(state, measurement, given)
     }
 
     pub fn state(&self) -> &ControllerState {
@@ -202,6 +212,16 @@ impl Loop {
         let thrust = self.plant.jets().thrust_feedback();
         let state = self.plant.state();
         self.controller.tick(&Measurement { time, state, thrust, wind: *wind, foot_wrenches: &[] });
+    }
+
+    /// An exact measurement of the plant.
+    pub fn sample(&self, wind: Vector3<f64>) -> Sample {
+        Sample {
+            time: self.tick as f64 * TIME_STEP,
+            state: self.plant.state().clone(),
+            thrust: self.plant.jets().thrust().to_vec(),
+            wind,
+        }
     }
 
     /// The plant follows the last command.

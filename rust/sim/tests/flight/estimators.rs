@@ -1,6 +1,6 @@
 //! What the state estimator and the wind observer make of a whole flight.
 
-use crate::common::{assert_within, experiment, fly, uniform_estimator};
+use crate::common::{assert_within, experiment, fly, outage, uniform_estimator};
 use flight_core::control::Modes;
 use flight_core::control::guard::estimator::{ChannelConfig, EstimatorConfig};
 use flight_core::control::guard::wind_observer::WindObserverConfig;
@@ -39,15 +39,8 @@ fn a_lost_thrust_sensor_is_no_wind() {
     let mut config = experiment("test2_observer");
     config.controller.law.wind_observer = Some(WindObserverConfig {});
     config.simulator.duration = 14.0;
-    let lost = Outage {
-        channel: OutageChannel::Thrust,
-        jet: Some("chest_l_jet".into()),
-        start: 8.0,
-        duration: None,
-        kind: OutageKind::Missing,
-        error: 1.0,
-    };
-    config.disturbances.outages = vec![lost];
+    let lost = outage(OutageChannel::Thrust, OutageKind::Missing, 8.0, None);
+    config.disturbances.outages = vec![Outage { jet: Some("chest_l_jet".into()), ..lost }];
     let result = fly(&[config]).remove(0);
     let row = |name: &str| Vector3::from_column_slice(result.log.series(name).unwrap().row(1400));
     let error = (row("measured_wind") - row("wind")).norm();
@@ -83,9 +76,7 @@ fn an_estimator_loses_nothing_else_with_a_channel() {
         (OutageChannel::BaseVelocity, Modes::VELOCITY_PREDICTED),
     ] {
         let mut config = whole.clone();
-        let (start, duration) = (1.0, Some(0.5));
-        let lost = Outage { channel, jet: None, start, duration, kind: OutageKind::Missing, error: 1.0 };
-        config.disturbances.outages = vec![lost];
+        config.disturbances.outages = vec![outage(channel, OutageKind::Missing, 1.0, Some(0.5))];
         let result = fly(&[config]).remove(0);
         assert_eq!(result.outcome, Outcome::Completed, "{channel:?}");
         let modes = &result.log.series("degraded_modes").unwrap().data;
@@ -122,9 +113,8 @@ fn an_estimator_follows_no_measurement_that_is_not_accepted() {
         (OutageChannel::BaseVelocity, Modes::VELOCITY_PREDICTED, 5.0),
     ] {
         let mut config = whole.clone();
-        let (start, duration) = (1.0, Some(0.3));
-        config.disturbances.outages =
-            vec![Outage { channel, jet: None, start, duration, kind: OutageKind::Wrong, error }];
+        let wrong = outage(channel, OutageKind::Wrong, 1.0, Some(0.3));
+        config.disturbances.outages = vec![Outage { error, ..wrong }];
         let result = fly(&[config]).remove(0);
         assert_eq!(result.outcome, Outcome::Completed, "{channel:?}");
         let modes = &result.log.series("degraded_modes").unwrap().data;
@@ -146,14 +136,8 @@ fn a_thrust_sensor_that_is_wrong_is_found_with_realistic_sensors() {
     for (jet, error) in
         [("l_arm_jet", 90.0), ("chest_r_jet", 90.0), ("chest_l_jet", -40.0), ("chest_r_jet", -90.0)]
     {
-        config.disturbances.outages = vec![Outage {
-            channel: OutageChannel::Thrust,
-            jet: Some(jet.into()),
-            start: 18.0,
-            duration: None,
-            kind: OutageKind::Wrong,
-            error,
-        }];
+        let wrong = outage(OutageChannel::Thrust, OutageKind::Wrong, 18.0, None);
+        config.disturbances.outages = vec![Outage { jet: Some(jet.into()), error, ..wrong }];
         let result = fly(&[config.clone()]).remove(0);
         assert_eq!(result.outcome, Outcome::Completed, "{jet}, {error} N");
         let modes = result.log.series("degraded_modes").unwrap().data.last().copied();
@@ -170,9 +154,8 @@ fn without_its_joints_for_a_moment_a_robot_with_realistic_sensors_flies_on() {
     let flights = [1, 2, 3, 4].map(|seed| {
         let mut config = config.clone();
         config.simulator.sensors.as_mut().unwrap().seed = seed;
-        let (start, duration) = (20.0, Some(0.1));
-        let (channel, kind) = (OutageChannel::Joints, OutageKind::Missing);
-        config.disturbances.outages = vec![Outage { channel, jet: None, start, duration, kind, error: 1.0 }];
+        config.disturbances.outages =
+            vec![outage(OutageChannel::Joints, OutageKind::Missing, 20.0, Some(0.1))];
         config
     });
     for result in fly(&flights) {

@@ -1,7 +1,7 @@
 //! A first measurement that is wrong: the following ones outvote it, and the flight begins again from them (M141).
 
 use super::with;
-use crate::common::{Loop, TIME_STEP, assert_says, assert_within, experiment, tick_at};
+use crate::common::{Loop, TIME_STEP, assert_says, assert_within, experiment, outage, tick_at};
 use crate::fuzz::cases::cases;
 use flight_core::control::{Measurement, Modes};
 use flight_core::kinematics::RobotState;
@@ -93,8 +93,8 @@ fn a_flight_begins_again_with_its_reference() {
         (OutageChannel::BasePosition, 0.5),
         (OutageChannel::BaseRotation, 0.7),
     ] {
-        let kind = OutageKind::Wrong;
-        let flight = fly(vec![Outage { channel, jet: None, start: 0.0, duration: Some(0.01), kind, error }]);
+        let wrong = outage(channel, OutageKind::Wrong, 0.0, Some(0.01));
+        let flight = fly(vec![Outage { error, ..wrong }]);
         assert_eq!(flight.outcome, Outcome::Completed, "{channel:?}: {:?}", flight.loss);
         let modes = flight.log.series("degraded_modes").unwrap();
         let again = f64::from(Modes::BEGUN_AGAIN.bits());
@@ -114,9 +114,8 @@ fn a_flight_begins_again_with_its_reference() {
 #[test]
 fn a_flight_does_not_begin_where_nothing_is_measured() {
     for kind in [OutageKind::Missing, OutageKind::Nan, OutageKind::Frozen] {
-        let channel = OutageChannel::Joints;
-        let outage = Outage { channel, jet: None, start: 0.0, duration: None, kind, error: 1.0 };
-        let config = with(experiment("test2_observer"), |config| config.disturbances.outages = vec![outage]);
+        let lost = outage(OutageChannel::Joints, kind, 0.0, None);
+        let config = with(experiment("test2_observer"), |config| config.disturbances.outages = vec![lost]);
         assert_says(
             &Scenario::new(&config).unwrap_err(),
             &["disturbances.outages[0].start is 0", "seconds > 0"],

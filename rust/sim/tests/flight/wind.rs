@@ -117,6 +117,7 @@ fn bad_wind_files_are_refused_with_their_line() {
     for (name, text, words) in [
         ("empty.csv", "", ["line 1", "empty"]),
         ("header.csv", "t,x,y,z\n0,1,2,3\n", ["line 1", "t,x,y,z"]),
+        ("order.csv", "time,y,x,z\n0,0,-1,0\n", ["line 1", "time,y,x,z"]),
         ("no_header.csv", "0,1,2,3\n", ["line 1", "the header time,x,y,z"]),
         ("no_samples.csv", "time,x,y,z\n", ["no_samples.csv", "at least one sample"]),
         ("short.csv", "time,x,y,z\n0,1,2,3\n1,2,3\n", ["line 3", "1,2,3"]),
