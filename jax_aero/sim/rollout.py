@@ -132,12 +132,13 @@ def run(scenario: Scenario, state: FlightState, progress: Progress | None = None
     """Fly a scenario from its state at tick zero to its end or until the flight is lost, as `fly` does."""
     n_ticks = int(scenario.n_ticks)
     rows: list[FlightRow] = []
-    for first in range(0, n_ticks + 1, CHUNK):
+    together = min(CHUNK, n_ticks + 1)
+    for first in range(0, n_ticks + 1, together):
         # Chunks have equal length, so that they compile once; the last one flies beyond the end.
-        state, chunk = fly_chunk(scenario, state, jnp.array(first, jnp.int32), CHUNK)
+        state, chunk = fly_chunk(scenario, state, jnp.array(first, jnp.int32), together)
         rows.append(jax.device_get(chunk))
         if progress is not None:
-            progress(min(first + CHUNK, n_ticks), n_ticks)
+            progress(min(first + together, n_ticks), n_ticks)
         if int(state.loss) != FLYING:
             break
     log = {

@@ -5,8 +5,6 @@ What the guard is there to answer, JAX refuses.
 
 from __future__ import annotations
 
-import sys
-
 import msgspec
 import numpy as np
 import pytest
@@ -52,7 +50,7 @@ def test_the_guard_does_nothing_while_nothing_fails(name):
 
 
 @pytest.mark.parametrize("name", OF_BOTH)
-def test_jax_flies_as_the_guarded_crate(name, fly_both, monkeypatch):
+def test_jax_flies_as_the_guarded_crate(name, fly_both):
     """Into a wind that rises at once. Encoders are exact, since their steps multiply rounding; networks are double."""
     table = rust.load_config(name)
     duration = 0.3 if table["controller"].get("mpc") else 1.5
@@ -64,7 +62,6 @@ def test_jax_flies_as_the_guarded_crate(name, fly_both, monkeypatch):
             model["precision"] = "f64"
     if simulator.get("sensors"):
         simulator["sensors"]["joints"]["resolution"] = 0.0
-    monkeypatch.setattr(sys.modules[sim.fly.__module__], "CHUNK", 1 + round(duration / simulator["time_step"]))
     because = "rounding, which a predictive law of Mk3 multiplies"
     expected, _ = fly_both(table, 1e-9, floor=1.0, because=because)
     assert not expected["degraded_modes"].any()
