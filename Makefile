@@ -108,13 +108,14 @@ demo: $(MODULE) ## fly three controllers with corrected and with published lever
 view: $(MODULE) lab ## fly in the browser: drag the wind until the robot falls
 	$(BIN)/jax-aero view
 
-# Rust's tests compile beside the set-up, which waits for the network and for single crates. (Not `$(MAKE)`: `make -n`
-# would compile.)
+# Rust's tests compile beside the set-up, which waits for the network and for single crates, and stop with it. (Not
+# `$(MAKE)`: `make -n` would compile.)
 test: ## test the crate, and its agreement with JAX, CasADi and MuJoCo
-	@nice -n 19 cargo test --locked --no-run & $${MAKE:-make} --no-print-directory $(TESTING) && wait $$!
+	@trap 'kill $$! 2>/dev/null' EXIT; trap 'exit 130' INT TERM; \
+	nice -n 19 cargo test --locked --no-run & $${MAKE:-make} --no-print-directory $(TESTING) && wait $$!
 	rm -rf $(MEASURED)
 	MEASURED=$(MEASURED) cargo test --locked
-	$(PYTEST) --numprocesses 2 $(CORE) --ignore=$(PINOCCHIO)
+	$(PYTEST) $(CORE) --ignore=$(PINOCCHIO)
 
 test-all: test $(PACKAGES) ## run every test: commands, studies, viewer, training, documents too
 	$(PYTEST) $(OTHERS)

@@ -20,6 +20,7 @@ from experiments.table import text_table
 from jax_aero import cli, rust
 from jax_aero.base.files import complete_file
 from jax_aero.base.terminal import exit_status
+from jax_aero.body.rotations import match_branch
 from jax_aero.view import check_out, logs
 from jax_aero.view.export import column_name
 from jax_aero.view.recording import entries_of
@@ -110,10 +111,7 @@ def compare(recorded: Mapping[str, Array], computed: Mapping[str, Array]) -> lis
     for name, after in computed.items():
         if rust.is_input(name) or name not in recorded:
             continue
-        before = recorded[name]
-        if name.endswith("quaternion"):  # both signs are one rotation
-            is_opposite = np.sum(before * after, axis=1) < 0.0
-            before = np.where(is_opposite[:, None], -before, before)
+        before = match_branch(name, recorded[name], after)
         # Where neither is a number, or both are the same infinity, they agree.
         agrees = (before == after) | (np.isnan(before) & np.isnan(after))
         with np.errstate(invalid="ignore"):

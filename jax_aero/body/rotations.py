@@ -65,3 +65,15 @@ def rotation_angle(rotations: ArrayLike) -> Array:
     """Return the angles (...) of rotation matrices (..., 3, 3) [rad], in [0, π]."""
     wxyz = wxyz_from_rotation(rotations)
     return np.asarray(2.0 * np.arctan2(np.linalg.norm(wxyz[..., 1:], axis=-1), wxyz[..., 0]))
+
+
+def match_branch(signal: str, ours: Array, theirs: Array) -> Array:
+    """Return, of equivalent values of a logged signal (n, ...), those nearest to others: iRonCub starts at a yaw of π.
+
+    Both signs of a quaternion are one rotation, as are angles a turn apart; other signals stay.
+    """
+    if signal.endswith("base_quaternion"):
+        return np.asarray(ours * np.where(np.sum(ours * theirs, axis=1) < 0.0, -1.0, 1.0)[:, None])
+    if signal == "base_rpy_setpoint":
+        return np.asarray(ours - 2.0 * np.pi * np.round((ours - theirs) / (2.0 * np.pi)))
+    return ours

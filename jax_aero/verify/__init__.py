@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jax_aero import rust
+from jax_aero.body.rotations import match_branch
 
 KERNEL_TOLERANCE = 1e-10
 QP_TOLERANCE = 1e-8
@@ -251,19 +252,10 @@ def verify_flight(
     for name, signal in expected.log.items():
         is_of_guard = name in GUARD_SIGNALS and not np.isnan(signal).all()
         if name not in ("qp_iterations", "qp_kkt") and not is_of_guard:  # properties of the solver, not of the solution
-            same, *rounded = (_match_branch(name, flight[name][:last], signal[:last]) for flight in (ours, *nearby))
+            same, *rounded = (match_branch(name, flight[name][:last], signal[:last]) for flight in (ours, *nearby))
             for one in rounded:
                 comparison.add("flight", name, same, signal[:last], FLIGHT_TOLERANCE, rounded=one, relative=False)
     return expected, ours
-
-
-def _match_branch(name: str, ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return, of equivalent angles, those nearest to the crate's, since this robot starts at a yaw of π."""
-    if name.endswith("base_quaternion"):
-        return np.asarray(ours * np.where(np.sum(ours * theirs, axis=1) < 0.0, -1.0, 1.0)[:, None])
-    if name == "base_rpy_setpoint":
-        return np.asarray(ours - 2.0 * np.pi * np.round((ours - theirs) / (2.0 * np.pi)))
-    return ours
 
 
 # --- samples -------------------------------------------------------------------------------------------------------

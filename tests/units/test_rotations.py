@@ -26,3 +26,13 @@ def test_roll_pitch_and_yaw():
     expected = Rotation.from_euler("xyz", rpy.reshape(-1, 3)).as_matrix().reshape(4, 5, 3, 3)
     np.testing.assert_allclose(turns, expected, atol=1e-15)
     np.testing.assert_allclose(rotations.rpy_from_rotation(turns), rpy, atol=1e-13)
+
+
+def test_equivalent_rotations_are_compared_on_one_branch(agree):
+    quaternions = np.array([[1.0, 0, 0, 0], [0.6, 0.8, 0, 0]])
+    same = rotations.match_branch("base_quaternion", quaternions * np.array([[1.0], [-1.0]]), quaternions)
+    np.testing.assert_array_equal(same, quaternions)
+    angles = np.array([[0.1, 0.0, np.pi - 0.01]])
+    turned = rotations.match_branch("base_rpy_setpoint", angles + np.array([[0.0, 0.0, -2.0 * np.pi]]), angles)
+    agree("angles", turned, angles, 1e-15)
+    assert rotations.match_branch("wind", angles, 0.0 * angles) is angles

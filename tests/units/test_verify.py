@@ -59,16 +59,6 @@ def test_a_sample_is_rounded_in_every_number_that_is_not_zero():
         assert np.abs(value - other).max() <= 4.0 * np.spacing(np.abs(value).max())
 
 
-def test_rotations_are_compared_on_the_crates_branch(agree):
-    quaternions = np.array([[1.0, 0, 0, 0], [0.6, 0.8, 0, 0]])
-    same = verify._match_branch("base_quaternion", quaternions * np.array([[1.0], [-1.0]]), quaternions)
-    np.testing.assert_array_equal(same, quaternions)
-    angles = np.array([[0.1, 0.0, np.pi - 0.01]])
-    turned = verify._match_branch("base_rpy_setpoint", angles + np.array([[0.0, 0.0, -2.0 * np.pi]]), angles)
-    agree("angles", turned, angles, 1e-15)
-    assert verify._match_branch("wind", angles, 0.0 * angles) is angles
-
-
 def test_a_flight_that_is_lost_too_early_ends_otherwise(monkeypatch):
     config = rust.load_config("test2", {"simulator.duration": 0.5, "simulator.fall.com_error": 1e-3})
     crate = rust.fly(config)

@@ -265,7 +265,7 @@ fn feet_carry_what_nothing_else_explains() {
     }
 }
 
-/// M114: wrenches that the momentum contradicts for longer than an impact lasts are not believed, from that tick on. The
+/// M114: wrenches that the momentum contradicts for longer than an impact lasts are not used, from that tick on. The
 /// robot does not move; its thrusts leave 320 N to the feet.
 #[test]
 fn wrenches_that_contradict_the_momentum_are_not_believed() {

@@ -346,10 +346,10 @@ impl SetpointGenerator {
     /// turn a set-point that starts there; `None` if it is within them, and for a recording, which has none.
     #[must_use]
     pub fn pitch_beyond_limits(&self, rotation: &Matrix3<f64>) -> Option<(f64, [f64; 2])> {
-        const ROUNDING: f64 = 1e-3; // deg: a base that turns may pitch by less before the first set-point
+        const NEGLIGIBLE: f64 = 1e-3; // deg: a base that turns may pitch by less before the first set-point
         let pitch = self.heading_rpy(rotation).y.to_degrees();
         let [low, high] = self.config.nose_down_limits_deg;
-        let is_within = (low - ROUNDING..=high + ROUNDING).contains(&pitch);
+        let is_within = (low - NEGLIGIBLE..=high + NEGLIGIBLE).contains(&pitch);
         (!is_within && matches!(self.mission, Mission::Commands(_))).then_some((pitch, [low, high]))
     }
 
