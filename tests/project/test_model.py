@@ -70,6 +70,15 @@ def test_the_architecture_page_cites_the_equations_of_every_module_of_the_core_c
                 assert number in find_cited(rows[module]), f"{module}: M{number}"
 
 
+def test_the_index_names_the_equations_of_each_page():
+    page = (ROOT / "docs/model/index.md").read_text(encoding="utf-8").replace("[", "").replace("]", "")
+    named = dict(re.findall(r"^\| (?:\w[\w ]*\((\w+\.md)\)|this one).*\| ([^|]*) \|$", page, re.M))
+    assert {path: find_cited(text) for path, text in named.items()} == {
+        "" if path.stem == "index" else path.name: {int(tag) for tag in TAG.findall(path.read_text(encoding="utf-8"))}
+        for path in PAGES
+    }
+
+
 def test_every_number_that_is_cited_exists():
     known = set(equations())
     pages = sorted((ROOT / "docs").rglob("*.md"))
