@@ -33,7 +33,10 @@ from jax_aero.control.law.setpoint import update
 from jax_aero.control.tick import MomentumController
 from jax_aero.env_task import Task, TaskState, is_lost, limit_action, observation, rewards, steer
 from jax_aero.rust import load_config
-from jax_aero.sim.step import FLYING, FlightState, Scenario, begin, prepare, step
+from jax_aero.sim.outcome import FLYING
+from jax_aero.sim.prepare import prepare
+from jax_aero.sim.scenario import Scenario
+from jax_aero.sim.step import FlightState, begin, step
 from jax_aero.types import Array, replace_values
 
 __all__ = ["EnvState", "FlightEnv", "Task"]

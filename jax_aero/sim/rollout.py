@@ -22,24 +22,12 @@ from jax_aero import rust
 from jax_aero.base.result import FlightResult, Outcome
 from jax_aero.base.terminal import Progress
 from jax_aero.config import ScenarioConfig
+from jax_aero.sim.outcome import COURSE_ERROR, FLYING, NOT_FINITE, lost_reason
 from jax_aero.sim.plant import COMPILER_OPTIONS
-from jax_aero.sim.step import (
-    BY_ANGULAR_VELOCITY,
-    BY_COM,
-    BY_JOINT_POSITION,
-    BY_JOINT_VELOCITY,
-    BY_ROTATION,
-    BY_SPEED,
-    BY_THRUST,
-    FLYING,
-    LIMITS,
-    NOT_FINITE,
-    FlightRow,
-    FlightState,
-    Scenario,
-    prepare,
-    step,
-)
+from jax_aero.sim.prepare import prepare
+from jax_aero.sim.scenario import Scenario
+from jax_aero.sim.signals import FlightRow
+from jax_aero.sim.step import FlightState, step
 from jax_aero.types import Array
 
 Kept = TypeVar("Kept")
@@ -49,9 +37,6 @@ CHECKPOINT_EVERY = 100
 
 CHUNK = 250
 """Ticks that `fly` computes between checks for a loss and for Ctrl-C."""
-
-COURSE_ERROR = 0.5
-"""Greatest position error after the start-up of a flight that is on course [m]."""
 
 
 def keep_row(row: FlightRow) -> FlightRow:
@@ -176,18 +161,3 @@ def make_result(
         lost_reason=lost_reason(ending.loss, ending.size) if is_lost else None,
         summary=summary,
     )
-
-
-def lost_reason(loss: int, size: float) -> str:
-    """Return the reason for a loss in words, as the crate does."""
-    limit = f"{LIMITS.get(loss, 0.0):g}"
-    return {
-        BY_ROTATION: f"rotation error {np.rad2deg(size):.1f} deg",
-        BY_COM: f"CoM error {size:.2f} m",
-        NOT_FINITE: "state not finite",
-        BY_SPEED: f"speed of base or air above {limit} m/s",
-        BY_ANGULAR_VELOCITY: f"angular velocity above {limit} rad/s",
-        BY_JOINT_VELOCITY: f"joint velocity above {limit} rad/s",
-        BY_JOINT_POSITION: f"joint more than {limit} rad beyond its stop",
-        BY_THRUST: f"thrust above {limit} times its greatest",
-    }[loss]

@@ -32,7 +32,9 @@ from jax_aero.base.terminal import ConfigError
 from jax_aero.sim.batch import Group
 from jax_aero.sim.plant import COMPILER_OPTIONS
 from jax_aero.sim.rollout import rollout
-from jax_aero.sim.step import FlightRow, FlightState, Scenario
+from jax_aero.sim.scenario import Scenario
+from jax_aero.sim.signals import FlightRow
+from jax_aero.sim.step import FlightState
 from jax_aero.train.adam import AdamState, adam_start, adam_step
 from jax_aero.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from jax_aero.types import Array, pytree, replace_values

@@ -56,7 +56,7 @@ def main(arguments: Sequence[str]) -> int:
 def _compare(options: argparse.Namespace) -> int:
     import jax
 
-    from jax_aero.sim.step import read_config, refuse
+    from jax_aero.sim.prepare import read_config, refuse
 
     comparison = Comparison()
     config = None if options.robot else use_double_precision(_config(options))

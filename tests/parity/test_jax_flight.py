@@ -16,8 +16,8 @@ from jax_aero.base.typed import scenario_config
 from jax_aero.body.robot import load_robot
 from jax_aero.body.spatial import rotation_from_wxyz
 from jax_aero.control.tick import MomentumController
+from jax_aero.sim.outcome import lost_reason
 from jax_aero.sim.plant import PlantState, advance, observe, start_plant
-from jax_aero.sim.rollout import lost_reason
 from jax_aero.sim.wind import wind_model, wind_velocity
 from jax_aero.types import State, pytree
 

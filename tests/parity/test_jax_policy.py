@@ -18,7 +18,7 @@ from jax_aero.control import Measurement
 from jax_aero.control.law.policy_card import load_policy, save_policy
 from jax_aero.env import FlightEnv
 from jax_aero.env_task import Task
-from jax_aero.sim.step import prepare, step
+from jax_aero.sim import prepare, step
 from jax_aero.train.policy import act, init_policy, residual_of
 from jax_aero.types import State
 

@@ -1,0 +1,182 @@
+"""From a configuration to a scenario and its state at the first tick; what the crate alone flies is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jax_aero import rust
+from jax_aero.aero import AeroModel, ReadNetwork
+from jax_aero.aero.network_card import load_network
+from jax_aero.base.typed import scenario_config
+from jax_aero.body.jets import JetDynamics
+from jax_aero.body.robot import RobotModel, load_robot
+from jax_aero.config import Disturbances, ModelError, ScenarioConfig
+from jax_aero.control import Controller
+from jax_aero.control.tick import momentum_controller
+from jax_aero.sim import plant as world
+from jax_aero.sim import sensors as sensing
+from jax_aero.sim.outcome import FallLimits
+from jax_aero.sim.scenario import Scenario, convert_precision
+from jax_aero.sim.step import FlightState, begin
+from jax_aero.sim.wind import Wind, wind_model, wind_velocity
+from jax_aero.sim.wind_estimate import wind_estimate
+from jax_aero.types import Array, leaf, leaves
+
+_begin_once = world.run_once(begin)
+
+
+def prepare(
+    config: ScenarioConfig | Mapping[str, Any],
+    robot: RobotModel | None = None,
+    *,
+    controller: Controller[Any] | None = None,
+    aero: AeroModel | None = None,
+    jets: JetDynamics | None = None,
+    dtype: Any = np.float64,
+    read_network: ReadNetwork = load_network,
+) -> tuple[Scenario, FlightState]:
+    """Return a scenario and its state at the first tick. Call it outside loops, since it computes tables and noise.
+
+    The guard, which finds failures and answers them, is the crate's alone. Its detectors (`controller.channels`,
+    `engines`, `joints`, `latency_monitor`, `supervisor`, `mpc.descent`) do nothing here: a flight is the crate's as
+    long as the crate's signal `degraded_modes` is zero. Refused by key, since the crate alone flies them
+    (`engine = "rust"`), are failures that a guard answers: outages, faulty joints, and jets that fail or do not reach
+    their thrust if the controller has `engines`; so are fuel, ground, motors and torques of a second rate.
+
+    Parameters
+    ----------
+    config
+        A configuration, as `jax_aero.load` returns it, or what `read_config` made of it.
+    robot
+        The robot that flies, if it is loaded already.
+    controller
+        Replaces the configured controller.
+    aero, jets
+        Aerodynamics and jets of the simulator, replacing the configured ones.
+    dtype
+        Precision of all numbers. The controller's QPs have condition numbers near 1e8, so use single precision only
+        for throughput where it is known to suffice.
+    read_network
+        Function that reads the networks named in the configuration.
+
+    Raises
+    ------
+    ValueError
+        If the configuration does not fit the robot, or contains what the crate alone flies; or if JAX does not compute
+        in this precision.
+    """
+    if np.dtype(dtype) == np.float64 and jnp.result_type(float) != np.float64:
+        raise ValueError(
+            "dtype is float64, but JAX computes in single precision here; "
+            "expected a call inside `with jax.enable_x64(True):`, or dtype=np.float32"
+        )
+    config = read_config(config)
+    if robot is None:
+        robot = load_robot(config.robot)
+    refuse(config)
+    wind, replaced = wind_model(config.wind), config.disturbances.controller_wind
+    controller_wind = None if replaced is None else wind_model(replaced)
+    plant, state = world.start_plant(config.simulator, config.disturbances, robot, aero, jets, read_network)
+    model, settings = controller_model(config, robot), config.simulator.sensors
+    if controller is None:
+        controller = momentum_controller(config, model or robot, read_network)
+    estimate, ticks, errors = config.disturbances.wind_estimate, world.n_ticks(config.simulator), None
+    if estimate is not None:
+        errors = wind_estimate(estimate, plant.time_step, _winds(controller_wind or wind, ticks, plant.time_step))
+    scenario = Scenario(
+        plant=plant,
+        controller=controller,
+        wind=wind,
+        fall=leaves(FallLimits, config.simulator.fall),
+        controller_model=model,
+        controller_wind=controller_wind,
+        wind_estimate=errors,
+        sensors=None
+        if settings is None
+        else sensing.sensors(settings, plant.time_step, ticks, robot.n_joints, robot.jets.count),
+        n_ticks=jnp.asarray(np.int32(ticks)),
+        precision="",
+    )
+    scenario, flight_state = jax.device_put((scenario, _begin_once(scenario, state)))
+    return convert_precision(scenario, flight_state, dtype)
+
+
+def refuse(config: ScenarioConfig) -> None:
+    """Refuse what the crate, or MuJoCo's engine, flies and JAX does not, by all its keys.
+
+    Raises
+    ------
+    ValueError
+        If the configuration contains any.
+    """
+    if found := list(_unflown(config)):
+        raise ValueError("\n".join(f"`{key}` is {value}; expected {expected}" for key, value, expected in found))
+
+
+def _unflown(config: ScenarioConfig) -> Iterator[tuple[str, Any, str]]:
+    """Yield key, value and expectation of all that JAX does not fly."""
+    simulator, disturbances, steps = config.simulator, config.disturbances, config.controller.torque.steps
+    by_crate = 'the crate flies it (`engine = "rust"`)'
+    for key in ("fuel", "ground", "motors"):
+        if getattr(simulator, key) is not None:
+            yield f"simulator.{key}", "given", "none: JAX has neither ground, motors nor fuel"
+    if steps > 1:
+        yield "controller.torque.steps", steps, f"1: JAX has no second rate of torques; {by_crate}"
+    if config.controller.jet_dynamics != "ideal":
+        found = repr(config.controller.jet_dynamics)
+        yield "controller.jet_dynamics", found, f'"ideal": JAX has no engines in the law; {by_crate}'
+    error = disturbances.model_error
+    if error.inertia_scale != 1.0 or error.thrust_axes:
+        yield "disturbances.model_error", error, f"no inertia_scale and no thrust_axes; {by_crate}"
+    for key, given in _failures(disturbances, has_monitor=config.controller.engines is not None).items():
+        if given:
+            yield f"disturbances.{key}", "given", f"none: JAX has no guard that answers it; {by_crate}"
+
+
+def _failures(disturbances: Disturbances, *, has_monitor: bool) -> dict[str, bool]:
+    """Return which failures that the crate's guard answers are given; those of engines need a monitor."""
+    jets = disturbances.jets
+    return {
+        "outages": bool(disturbances.outages),
+        "joints": bool(disturbances.joints),
+        "jets.failure": has_monitor and jets.failure is not None,
+        "jets.thrust_limit_scale": has_monitor and jets.thrust_limit_scale is not None and not jets.limit_is_known,
+    }
+
+
+def read_config(config: ScenarioConfig | Mapping[str, Any]) -> ScenarioConfig:
+    """Return the typed view of a configuration, which the crate checks; one that is typed has been checked."""
+    if isinstance(config, ScenarioConfig):
+        return config
+    flown = {**config, "engine": "jax"}
+    rust.check_config(flown)
+    return scenario_config(flown)
+
+
+def controller_model(config: ScenarioConfig, robot: RobotModel) -> RobotModel | None:
+    """Return the controller's model of the robot; `None` if it is the robot that flies."""
+    error, faults = config.disturbances.model_error, config.disturbances.jets
+    model = robot
+    if faults.limit_is_known and faults.thrust_limit_scale is not None:
+        limits = jnp.asarray(faults.thrust_limit_scale * robot.jets.thrust_max)
+        model = replace(robot, jets=replace(robot.jets, thrust_max=limits))
+    if error != ModelError():
+        masses, inertias = error.mass_scale * robot.masses, error.mass_scale * robot.inertias
+        coms = jnp.asarray(robot.coms).at[0].add(leaf(error.com_offset))
+        model = replace(model, masses=masses, coms=coms, inertias=inertias)
+    if config.controller.torque.rotor_inertia > 0.0:
+        model = replace(model, rotor_inertia=leaf(config.controller.torque.rotor_inertia * robot.joint_turns))
+    return None if model is robot else model
+
+
+def _winds(wind: Wind, ticks: int, time_step: Array) -> Array:
+    """Return the wind at every tick of a flight (ticks + 1, 3) [m/s]."""
+    times = np.arange(ticks + 1) * np.asarray(time_step)
+    winds: Array = jax.jit(jax.vmap(wind_velocity, in_axes=(None, 0)))(wind, times)
+    return winds
