@@ -197,35 +197,12 @@ figures: $(PACKAGES) ## draw every figure whose results are there; flies the dem
 	$(BIN)/jax-aero fly $(DEMO)
 	$(BIN)/jax-aero figures all
 
-# Force models are fitted to and trained on our own simulations, or the authors' table: make reproduce PUBLIC_TABLE=FILE.
-ifdef PUBLIC_TABLE
-DATA := freestream
-DATASET := results/datasets/$(DATA).nc
-TRAINING := compact
-else
-DATA := open
-DATASET := configs/aero/datasets/$(DATA).nc
-TRAINING := $(DATA)
-endif
-CARD := $(abspath results/training/$(TRAINING)/$(TRAINING).json)
-
-# What reproduces the table of the paper; SWEEPS=--all adds our own results: 20,000 flights.
+# SWEEPS=--all adds our own results: 18,000 flights. SKIP=cfd leaves out the flow around the robot, which takes OpenFOAM.
+# Force models are fitted to and trained on our own simulations, or with PUBLIC_TABLE=FILE on the authors' table.
 SWEEPS :=
 
 reproduce: $(PACKAGES) ## fly, train, draw and judge what the paper has, write results/report.md and .html (half an hour of processor time)
-	$(if $(PUBLIC_TABLE),$(BIN)/jax-aero data import-cfd --table $(PUBLIC_TABLE) --out $(DATASET))
-	$(BIN)/jax-aero data fit-aero $(DATA)
-	$(BIN)/jax-aero train $(TRAINING) --dataset $(DATASET)
-	$(BIN)/jax-aero fly test3 --out results/trained --overwrite --set simulator.aero.card=$(CARD)
-	$(BIN)/jax-aero fly test4 --out results/trained --overwrite --set simulator.aero.card=$(CARD) \
-		--set controller.aero.card=$(CARD)
-	$(BIN)/jax-aero report --commands $(SWEEPS) > results/commands.sh
-	PATH="$(abspath $(BIN)):$$PATH" bash -c 'failed=0; while read -r line; do echo "$$line"; \
-		eval "$$line" </dev/null || { echo "failed: $$line" >&2; failed=1; }; done < results/commands.sh; exit $$failed'
-	$(BIN)/jax-aero figures all
-	$(BIN)/jax-aero figures fig4_fit --runs $(DATA)
-	$(BIN)/jax-aero figures fig4_network --runs $(TRAINING)
-	$(BIN)/jax-aero report
+	$(BIN)/python -m experiments.reproduce $(SWEEPS) $(if $(SKIP),--skip $(SKIP)) $(if $(PUBLIC_TABLE),--table $(PUBLIC_TABLE))
 
 generated: $(PACKAGES) ## write what follows from types and kept results: schemas, types, pages
 	$(BIN)/python -m experiments.generated

@@ -16,7 +16,20 @@ from jax_aero.base import documents, places
 from jax_aero.base.files import lock_work
 from jax_aero.base.terminal import progress_bar
 
-RESULTS = places.RESULTS / "flight"
+
+def folder_of(name: str) -> Path:
+    """Return the folder of the result of this name."""
+    return places.RESULTS / "flight" / name
+
+
+def obtain(name: str) -> Path:
+    """Return the file of a flight by its name; that of an experiment is flown if it is not there."""
+    path = folder_of(name) / places.RUN_FILE
+    if name in places.names("experiments"):
+        run(study.find("experiments", name), {}, command=["jax-aero", "fly", name])
+    elif not path.is_file():
+        raise Refused(f"no flight `{name}`; fly it with: jax-aero fly {name}")
+    return path
 
 
 def run(
@@ -46,7 +59,7 @@ def run(
     warned = [str(warning.message) for warning in raised]
     for text in warned:
         warnings.warn(text, stacklevel=2)
-    folder = (out or RESULTS) / name
+    folder = out / name if out else folder_of(name)
     digest, engine = rust.config_digest(config), engines.engine_of(config)
     code = (__name__, engines.MODULES[engine])
     with lock_work(folder):

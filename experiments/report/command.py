@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -13,7 +14,7 @@ from experiments import Refused, manifest
 from experiments.report import engines, findings, index, judges
 from experiments.report.findings import Finding
 from experiments.report.page import Contents, Heading, Mark, Page, Picture, Table, Text
-from experiments.report.paper import all_claims, all_items, commands, whole
+from experiments.report.paper import all_claims, all_items, whole
 from experiments.report.results import NotFlownError, Results, Sweep, count
 from experiments.report.verdicts import ANOTHER, Kind, Verdict
 from jax_aero.base import places
@@ -56,19 +57,15 @@ def main(arguments: Sequence[str]) -> int:
         help="file of the claims of the documentation (default claims.json beside the report)",
     )
     parser.add_argument("--index", action="store_true", help="print the documentation's page: the paper, item by item")
-    parser.add_argument("--commands", action="store_true", help="print the commands that make the paper's results")
-    parser.add_argument("--all", action="store_true", help="print those of our own results too")
+    parser.add_argument("--check", action="store_true", help="status 1 if a verdict is not that of the documentation")
     given = parser.parse_args(arguments)
 
-    def work() -> None:
-        if given.commands:
-            print("\n".join(commands(ours=given.all)))
-            return
+    def work() -> int:
+        if (given.index or given.check) and not places.IS_CHECKOUT:
+            raise Refused("--index and --check read docs/ of a checkout of the repository, and this is none")
         if given.index:
-            if not places.IS_CHECKOUT:
-                raise Refused("--index reads docs/ of a checkout of the repository, and this is none")
             print(index.page(), end="")
-            return
+            return 0
         if not given.results.is_dir():
             raise Refused(f"`{given.results}` is no folder; expected one with results, as `jax-aero fly` makes it")
         results = Results(given.results)
@@ -83,8 +80,20 @@ def main(arguments: Sequence[str]) -> int:
         ):
             write_text(path, text)
             print(path)
+        return _check(found) if given.check else 0
 
     return exit_status(work)
+
+
+def _check(found: Mapping[str, Finding]) -> int:
+    """Print the verdicts from results that are not the kept ones; return the exit status."""
+    kept, claims = index.found(), all_claims()
+    judged = [key for key, one in found.items() if claims[key].commands and one.verdict.kind is not Kind.NOT_FLOWN]
+    unlike = [key for key in judged if found[key].verdict != kept[key].verdict]
+    for key in unlike:
+        print(f"{key}: {found[key].verdict}; the documentation has: {kept[key].verdict}", file=sys.stderr)
+    print(f"{len(judged) - len(unlike)} of {len(judged)} verdicts from results are those of the documentation")
+    return int(bool(unlike))
 
 
 def build(results: Results, found: Mapping[str, Finding]) -> Page:

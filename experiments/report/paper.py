@@ -57,7 +57,7 @@ class Claim:
         try:
             measured, verdict = self.judge(results)
         except NotFlownError as reason:
-            return Finding(str(reason), NOT_FLOWN)
+            return Finding("; ".join(results.failures(each(self.commands))) or str(reason), NOT_FLOWN)
         except Refused:
             raise
         except (AttributeError, LookupError, TypeError, ValueError) as reason:
@@ -107,9 +107,18 @@ Row: TypeAlias = Item | Claim
 """A row of the table; claims stand below their item."""
 
 
+def each(commands: Sequence[str]) -> list[str]:
+    """Return commands as they are typed, one for each flight and each sweep."""
+    made: list[str] = []
+    for line in whole(commands):
+        word, *names = line.split()[1:]
+        made += [f"jax-aero {word} {name}" for name in names] if word in ("fly", "sweep") else [line]
+    return made
+
+
 def whole(commands: Sequence[str]) -> list[str]:
     """Return commands as they are typed."""
-    return [f"jax-aero {command}" for command in commands]
+    return [command if command.startswith("jax-aero ") else f"jax-aero {command}" for command in commands]
 
 
 def _fact(key: str, where: str, states: str, judge: Callable[[], Judged], figure: str = "") -> Claim:
@@ -168,7 +177,7 @@ FIGURE_ROWS: Sequence[Row] = (
         "tunnel, test section, robot on its support, as a drawing",
         "fig2_setup",
         verdict=AGREES.but(" in its parts; the point where the strut holds the robot is not public"),
-        made_by=("fly test2", "study pictures"),
+        made_by=("study pictures",),
     ),
     Item("Fig. 2 d", "drag by speed", "fig2"),
     _fact(
@@ -220,7 +229,7 @@ FIGURE_ROWS: Sequence[Row] = (
         "the flight, rendered with forces, exhausts and wind",
         "fig5a",
         verdict=AGREES,
-        made_by=("fly test2", "study pictures"),
+        made_by=("study pictures",),
     ),
     Item("Fig. 5 b–i", "TEST2 and TEST1", "fig5"),
     TEST1,
@@ -334,7 +343,7 @@ NUMBER_ROWS: Sequence[Row] = (
         "Actuators selection",
         "Five minutes need 4.61 kg of fuel: the same from a flight",
         judges.mission_fuel,
-        ("fly no_wind", "study along"),
+        ("study along",),
     ),
     Item("Actuators selection", "engines", links=("#suppl-table-1",)),
     CHEST_ENGINE,
@@ -429,7 +438,7 @@ SUPPLEMENT_ROWS: Sequence[Row] = (
         "postures",
         ("configs/tables/postures.toml",),
         verdict=out_of_reach("the list of the supplement's 19 postures; those of the public tables are drawn"),
-        made_by=("fly test2", "study pictures"),
+        made_by=("study pictures",),
     ),
     Item(
         "Suppl. Fig. 10–14",
@@ -473,7 +482,7 @@ SUPPLEMENT_ROWS: Sequence[Row] = (
         "Discussion, Suppl. Note 6",
         "In flight the jets stay as far as possible from the robot's surfaces",
         judges.clearance,
-        ("fly test2 test2_published test4 robustness test1 test1_published", "study along"),
+        ("study along",),
     ),
 )
 
@@ -555,23 +564,12 @@ def all_claims() -> dict[str, Claim]:
 def commands(*, ours: bool) -> list[str]:
     """Return the commands that make what the table judges, each once; with `ours`, also what is beyond the paper.
 
-    Flights come first, since studies read them, and all flights, and all sweeps, are one command. A command that needs
-    more than is shipped, data or OpenFOAM, becomes a comment.
+    Every flight and every sweep is a command of its own. One that needs more than is shipped, data or OpenFOAM, becomes
+    a comment.
     """
     whole_table = [(title, item) for title, items in sections().items() for item in items]
     items = [item for title, item in whole_table if ours or (title != OURS and not _is_out_of_reach(item))]
-    wanted = [_without_drawing(item.commands) for item in items]
-    lines = dict.fromkeys(command.removeprefix("jax-aero ") for commands in wanted for command in commands)
-    together: dict[str, dict[str, None]] = {"fly": {}, "sweep": {}}
-    others = []
-    for line in lines:
-        word, *names = line.split()
-        if word in together:
-            together[word] |= dict.fromkeys(names)
-        else:
-            others.append(line)
-    joined = [f"{word} {' '.join(names)}" for word, names in together.items() if names]
-    return [line if line.startswith("#") else f"jax-aero {line}" for line in (*joined, *others)]
+    return list(dict.fromkeys(command for item in items for command in _without_drawing(item.commands)))
 
 
 def _is_out_of_reach(item: Item) -> bool:
@@ -584,7 +582,7 @@ def _without_drawing(commands: Sequence[str]) -> list[str]:
     lacks = "data" if any(command.startswith("jax-aero data import") for command in made) else ""
     if not shutil.which("simpleFoam") and any(command.startswith("jax-aero cfd") for command in made):
         lacks = "OpenFOAM"
-    return [f"# needs {lacks} that is not here: {command}" for command in made] if lacks else made
+    return [f"# needs {lacks} that is not here: {command}" for command in made] if lacks else each(made)
 
 
 def _is_here(command: str) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +18,9 @@ from jax_aero.base.parquet import read_table
 
 Cell = Mapping[str, Any]
 Flown = TypeVar("Flown")
+
+FAILED = "failed.json"
+"""File of a results folder: the commands of `make reproduce` that failed, each with the reason."""
 
 
 class NotFlownError(Exception):
@@ -67,6 +70,16 @@ class Results:
     folder: Path
     made: dict[str, Origin] = field(default_factory=dict)
     """Origins of the results that were used, by name."""
+
+    @cached_property
+    def failed(self) -> dict[str, str]:
+        """Return the commands of the last `make reproduce` that failed, each with the reason."""
+        path = self.folder / FAILED
+        return read_json(path, dict[str, str]) if path.is_file() else {}
+
+    def failures(self, commands: Iterable[str]) -> list[str]:
+        """Return which of these commands failed, and why."""
+        return [f"`{command}` failed: {self.failed[command]}" for command in commands if command in self.failed]
 
     def note(self, name: str, document: Mapping[str, Any], differs: str) -> None:
         """Record the origin of a result."""

@@ -1,9 +1,9 @@
 """Quantities computed from flight logs: fuel burnt, and clearance of jets from the body.
 
-`jax-aero study along` reads `results/flight/NAME/`. Fuel consumption is linear in the thrust of every jet
-(`configs/tables/fuel.toml`); the clearance is that of a trim, from the axis of an exhaust to the surface of a link,
-including soles, and from a turbine to the links that it does not touch at the start. The result goes to
-`results/along/flights/`; `jax-aero figures along` draws it.
+`jax-aero study along` reads `results/flight/NAME/`, and flies experiments that are not there. Fuel consumption is
+linear in the thrust of every jet (`configs/tables/fuel.toml`); the clearance is that of a trim, from the axis of an
+exhaust to the surface of a link, including soles, and from a turbine to the links that it does not touch at the start.
+The result goes to `results/along/flights/`; `jax-aero figures along` draws it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from experiments import Refused, record
+from experiments import Refused, flight, record
 from experiments.report.engines import Choice
 from experiments.study import Findings, Study
 from jax_aero.base import places, tables
@@ -68,7 +68,7 @@ def compute(_: str, asked: Along) -> Findings:
         for name, found in summary.items()
     )
     read = {name: run.attrs["config_hash"] for name, run in runs.items()}
-    files = [ROBOT, *map(_file, runs)]
+    files = [ROBOT, *(flight.folder_of(name) / places.RUN_FILE for name in runs)]
     return Findings("Fuel and clearance along flights", data, summary, results=read, files=files, report=report)
 
 
@@ -76,15 +76,8 @@ STUDY = Study("along", __doc__, Along, compute, ("flights",))
 main = STUDY.main
 
 
-def _file(name: str) -> Path:
-    return places.RESULTS / "flight" / name / places.RUN_FILE
-
-
 def _read(name: str) -> xr.Dataset:
-    path = _file(name)
-    if not path.is_file():
-        raise Refused(f"no flight `{name}`; fly it with: jax-aero fly {name}")
-    with record.open_result(path) as opened:
+    with record.open_result(flight.obtain(name)) as opened:
         return opened[["joint_position", "thrust"]].load().assign_attrs(opened.attrs)
 
 

@@ -7,19 +7,17 @@ fig2_setup` draws the figures. The flight is `results/flight/test2`.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import casadi as ca
-import msgspec
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from experiments import flight
 from experiments.data.import_cfd import POSTURES, known_postures
 from experiments.study import Findings, Study
 from jax_aero import rust
 from jax_aero.aero.dataset import reorder_joints
-from jax_aero.base import places, tables
+from jax_aero.base import tables
 from jax_aero.base.places import ROBOT
 from jax_aero.symbolic import load_robot
 from jax_aero.symbolic.kinematics import Kinematics
@@ -37,16 +35,18 @@ Array = NDArray[np.float64]
 class Pictures(tables.Table, frozen=True):
     """Settings of Fig. 5 a."""
 
-    flight: Path = msgspec.field(default_factory=lambda: places.RESULTS / "flight" / "test2" / places.RUN_FILE)
+    flight: str = "test2"
+    """Name of the flight, which is flown if it is not there."""
     moment: tables.NonNegative = 14.0
     """Time at which the robot hovers in the wind [s]."""
 
 
 def compute(_: str, asked: Pictures) -> Findings:
     """Render all pictures."""
-    flown = recording.read(asked.flight.parent)
+    path = flight.obtain(asked.flight)
+    flown = recording.read(path.parent)
     with Studio(flown, *FLIGHT_SIZE) as studio:
-        flight = studio.picture(asked.moment, camera_at(flown, asked.moment, "chase", 2.5), trail=False)
+        picture = studio.picture(asked.moment, camera_at(flown, asked.moment, "chase", 2.5), trail=False)
     robot = rust.Robot(str(ROBOT))
     # Postures of the public table and of the tunnel.
     named = known_postures(["free_stream", "tunnel"])
@@ -54,7 +54,7 @@ def compute(_: str, asked: Pictures) -> Findings:
     starts, ends, diameters = capsules(reorder_joints(robot.joint_names, named["hovering"]))
     data = xr.Dataset(
         {
-            "flight": (("row", "column", "colour"), flight, {"long_name": f"{flown.title}, {asked.moment:g} s"}),
+            "flight": (("row", "column", "colour"), picture, {"long_name": f"{flown.title}, {asked.moment:g} s"}),
             "posture_picture": (("posture", "posture_row", "posture_column", "colour"), np.stack(pictures)),
             "link_start": (("link", "xyz"), starts, {"units": "m", "long_name": "capsule of the link, base axes"}),
             "link_end": (("link", "xyz"), ends, {"units": "m"}),
@@ -67,7 +67,7 @@ def compute(_: str, asked: Pictures) -> Findings:
             "link": list(robot.aero_link_names),
         },
     )
-    return Findings("Pictures of the paper", data, {"postures": len(named)}, files=[ROBOT, POSTURES])
+    return Findings("Pictures of the paper", data, {"postures": len(named)}, files=[path, ROBOT, POSTURES])
 
 
 STUDY = Study("pictures", __doc__, Pictures, compute, ("paper",), engine="mujoco")

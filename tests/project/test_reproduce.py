@@ -1,0 +1,67 @@
+"""`make reproduce`: what fails is named and costs nothing else, and a verdict that is not the kept one fails."""
+
+import dataclasses
+
+import pytest
+
+from experiments import reproduce
+from experiments.report import index, paper
+from experiments.report.command import _check
+from experiments.report.results import Results
+from experiments.report.verdicts import AGREES, NOT_FLOWN, differs
+from jax_aero.base import places
+
+
+@pytest.fixture
+def ran(monkeypatch, tmp_path):
+    """The commands that were run; those of the list that fail."""
+    found, failing = [], {}
+    monkeypatch.setattr(places, "RESULTS", tmp_path)
+    monkeypatch.setattr(reproduce, "run", lambda line: found.append(line) or failing.get(line, ""))
+    return found, failing
+
+
+def test_one_failure_costs_neither_the_other_commands_nor_the_report(ran, tmp_path):
+    found, failing = ran
+    assert reproduce.main([]) == 0
+    every = list(found)
+    assert every[-1] == "jax-aero report --check"
+    found.clear()
+    failing["jax-aero study along"] = "error: no power"
+    assert reproduce.main([]) == 1
+    assert found == every
+    results = Results(tmp_path)
+    clearance = paper.all_claims()["clearance"].find(results)
+    assert (clearance.measured, clearance.verdict) == ("`jax-aero study along` failed: error: no power", NOT_FLOWN)
+
+
+def test_the_reason_of_a_failure_is_what_the_command_says_last(capfd):
+    assert reproduce.run("jax-aero fly no_such_flight").startswith("error: ")
+    assert "no_such_flight" in capfd.readouterr().err
+    assert reproduce.run("jax-aero fly --list") == ""
+
+
+def test_what_is_not_wanted_is_left_out(ran, monkeypatch):
+    monkeypatch.setattr(paper.shutil, "which", lambda _: "simpleFoam")
+    reproduce.main(["--skip", "cfd"])
+    assert not [line for line in ran[0] if line.startswith("jax-aero cfd")]
+    assert "jax-aero study along" in ran[0]
+
+
+def test_a_verdict_that_is_not_the_kept_one_fails(capsys):
+    kept = index.found()
+    key, finding = next((key, one) for key, one in kept.items() if paper.all_claims()[key].commands)
+    assert _check(kept) == 0
+    assert _check(kept | {key: dataclasses.replace(finding, verdict=NOT_FLOWN)}) == 0
+    for wrong in (AGREES, differs("it does not")):
+        if wrong != finding.verdict:
+            assert _check(kept | {key: dataclasses.replace(finding, verdict=wrong)}) == 1
+            assert f"{key}: {wrong}; the documentation has: {finding.verdict}" in capsys.readouterr().err
+
+
+def test_a_command_of_several_flights_is_one_of_each():
+    assert paper.each(["fly test1 test2", "study along"]) == [
+        "jax-aero fly test1",
+        "jax-aero fly test2",
+        "jax-aero study along",
+    ]
