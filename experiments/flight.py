@@ -16,6 +16,11 @@ from jax_aero.base import documents, places
 from jax_aero.base.files import lock_work
 from jax_aero.base.terminal import progress_bar
 
+PAPER_RUNS = tuple(
+    f"{name}{arms}" for arms in ("", "_published") for name in ("test1", "test2", "test3", "test4", "robustness")
+)
+"""The paper's flights, with corrected and with published lever arms."""
+
 
 def folder_of(name: str) -> Path:
     """Return the folder of the result of this name."""

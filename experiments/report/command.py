@@ -11,6 +11,7 @@ from typing import Literal
 
 import jax_aero
 from experiments import Refused, manifest
+from experiments.flight import PAPER_RUNS
 from experiments.report import engines, findings, index, judges
 from experiments.report.findings import Finding
 from experiments.report.page import Contents, Heading, Mark, Page, Picture, Table, Text
@@ -22,8 +23,6 @@ from jax_aero.base.files import write_text
 from jax_aero.base.terminal import exit_status
 from jax_aero.cli import Parser
 
-PAPER_RUNS = ("test1", "test2", "test3", "test4", "robustness")
-PUBLISHED_RUNS = tuple(f"{name}_published" for name in PAPER_RUNS)
 PARTS = {
     "The paper's runs, perturbed": ("paper_tests", "model_pairs"),
     "Ablation of the aerodynamic feedback": ("ablation_",),
@@ -36,7 +35,8 @@ PARTS = {
 
 TONES: dict[Kind, Literal["good", "bad", "open"]] = {
     Kind.AGREES: "good", Kind.IN_PART: "bad", Kind.DIFFERS: "bad",
-    Kind.OUT_OF_REACH: "open", Kind.NOT_FLOWN: "open", Kind.OUTDATED: "open",
+    Kind.OUT_OF_REACH: "open", Kind.NOT_COMPARED: "open", Kind.NOT_FLOWN: "open", Kind.OUTDATED: "open",
+    Kind.ERROR: "bad",
 }  # fmt: skip
 
 
@@ -62,7 +62,8 @@ def main(arguments: Sequence[str]) -> int:
 
     def work() -> int:
         if (given.index or given.check) and not places.IS_CHECKOUT:
-            raise Refused("--index and --check read docs/ of a checkout of the repository, and this is none")
+            option = "--index" if given.index else "--check"
+            raise Refused(f"{option} reads docs/ of a checkout of the repository, and this is none")
         if given.index:
             print(index.page(), end="")
             return 0
@@ -80,7 +81,11 @@ def main(arguments: Sequence[str]) -> int:
         ):
             write_text(path, text)
             print(path)
-        return _check(found) if given.check else 0
+        failed = [key for key, finding in found.items() if finding.verdict.kind is Kind.ERROR]
+        for key in failed:
+            print(f"{key}: {found[key].verdict}", file=sys.stderr)
+        unlike = _check(found) if given.check else 0
+        return int(bool(failed) or unlike)
 
     return exit_status(work)
 
@@ -112,7 +117,7 @@ def build(results: Results, found: Mapping[str, Finding]) -> Page:
         Text(_count_verdicts(found.values())),
     )
     kinds = {key: finding.verdict.kind for key, finding in found.items()}
-    unlike = [key for key in found if kinds[key] in (Kind.IN_PART, Kind.DIFFERS)]
+    unlike = [key for key in found if kinds[key] in (Kind.IN_PART, Kind.DIFFERS, Kind.ERROR)]
     if unlike:
         page.add(
             Text("What does not agree, or only in part:"),
@@ -255,7 +260,7 @@ def _runs(page: Page, results: Results) -> None:
         "total force, max [N]",
         "simulator − controller, max [N]",
     )
-    named = (*PAPER_RUNS, *PUBLISHED_RUNS)
+    named = PAPER_RUNS
     page.add(
         Text("The network is ours: the paper's weights are not public. Its card says what it was trained on."),
         Table(headings, [_run(results, name) for name in named if name in results.flights]),

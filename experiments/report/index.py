@@ -16,9 +16,10 @@ GALLERY = "img/gallery"
 HEADINGS = ("item", "ours", "command", "paper", "measured", "verdict")
 ABOUT = (
     "This page compares every figure, table, equation and claim of the paper with what we measured. A verdict is "
-    "*agrees*, *differs* (with the difference) or *out of reach* (with the reason). [Deviations](deviations.md) "
-    "explains the differences. `jax-aero report --index` makes this page: what follows from committed files alone is "
-    "computed, and `jax-aero report --claims docs/claims.json` stores the other measurements with their commit."
+    "*agrees*, *differs* (with the difference), *not compared* or *out of reach* (with the reason). What agrees "
+    "without a measurement names the test that holds it. [Deviations](deviations.md) explains the differences. "
+    "`jax-aero report --index` makes this page: what follows from committed files alone is computed, and "
+    "`jax-aero report --claims docs/claims.json` stores the other measurements with their commit."
 )
 TABLES = {
     "The robot": (
@@ -56,9 +57,14 @@ def _rows(item: Item, known: Mapping[str, Finding]) -> Iterator[tuple[str, ...]]
     ours = ", ".join([*([_figure(item.figure)] if item.figure else []), *map(_link, item.links)])
     command = "; ".join(f"`{word}`" for word in item.commands)
     stated = [(claim.states, known[claim.key].measured, str(known[claim.key].verdict)) for claim in item.claims]
-    for number, row in enumerate(stated or [("", "", str(item.verdict or ""))]):
+    for number, row in enumerate(stated or [("", _held_by(item), str(item.verdict or ""))]):
         first = (f"{item.name}: {item.shows}", ours, command) if number == 0 else ("", "", "")
         yield (*first, *row)
+
+
+def _held_by(item: Item) -> str:
+    """Return the tests that hold the verdict on an item for which nothing is measured, or why it holds without."""
+    return ", ".join(f"`{one}`" if one.startswith("tests/") else one for one in item.held_by)
 
 
 def _figure(name: str) -> str:

@@ -14,8 +14,10 @@ class Kind(Enum):
     IN_PART = "agrees in part"
     DIFFERS = "differs"
     OUT_OF_REACH = "out of reach"
+    NOT_COMPARED = "not compared"
     NOT_FLOWN = "not flown here"
     OUTDATED = "outdated"
+    ERROR = "error"
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,16 @@ def differs(how: str) -> Verdict:
 def out_of_reach(why: str) -> Verdict:
     """Return the verdict for a measurement that is impossible here, and why."""
     return Verdict(Kind.OUT_OF_REACH, f"out of reach: {why}")
+
+
+def not_compared(why: str) -> Verdict:
+    """Return the verdict for what is public and was not held against ours yet, and where it is."""
+    return Verdict(Kind.NOT_COMPARED, f"not compared: {why}")
+
+
+def error(reason: Exception) -> Verdict:
+    """Return the verdict of a judge that failed."""
+    return Verdict(Kind.ERROR, f"error: {type(reason).__name__}: {reason}")
 
 
 def mark_outdated(verdict: Verdict) -> Verdict:

@@ -51,8 +51,20 @@ def test_every_item_of_the_paper_has_a_verdict():
         for item in items:
             judged = bool(item.claims) + bool(item.verdict)
             assert judged == 1 or (title == "Beyond the paper" and not item.verdict), item.name
-            out_of_reach = item.verdict and item.verdict.kind is Kind.OUT_OF_REACH
+            out_of_reach = item.verdict and item.verdict.kind in (Kind.OUT_OF_REACH, Kind.NOT_COMPARED)
             assert item.figure or item.links or item.claims or out_of_reach, item.name
+
+
+def test_what_agrees_without_a_measurement_names_the_test_that_holds_it():
+    for item in ITEMS:
+        agrees = bool(item.verdict) and item.verdict.kind in (Kind.AGREES, Kind.IN_PART)
+        assert agrees == bool(item.held_by), item.name
+        for named in item.held_by:
+            if named.startswith("tests/"):
+                path, _, function = named.partition("::")
+                assert f"\ndef {function}(" in (ROOT / path).read_text(encoding="utf-8"), named
+            else:
+                assert named.startswith("by construction: "), named
 
 
 def test_without_studies_nothing_of_the_table_names_one(monkeypatch):

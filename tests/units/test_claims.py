@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from experiments.flight import PAPER_RUNS
 from experiments.report import claims, judges, paper
 from experiments.report.ground import Ground
 from experiments.report.metrics import Metrics
@@ -240,14 +241,16 @@ def test_the_fuel_of_a_flight_is_that_of_the_paper_within_a_quarter_of_a_kilogra
     ("baseline", "aware", "verdict"),
     [
         (0.1, 0.1, "agrees"),
-        (0.0, 0.1, "agrees with an aware controller; differs: an exhaust meets the body in test1"),
-        (9.0, 0.0, "differs: an exhaust meets the body in test4"),
+        (0.0, 0.1, "agrees in 9 of the paper's 10 flights; an exhaust meets the body in test1"),
+        (9.0, 0.0, "agrees in 9 of the paper's 10 flights; an exhaust meets the body in test4_published"),
     ],
 )
 def test_an_exhaust_that_touches_is_named(baseline, aware, verdict):
-    clear = {"test1": baseline, "test2": 5.0, "test2_published": 5.0, "test4": aware}
+    clear = dict.fromkeys(PAPER_RUNS, 5.0) | {"test1": baseline, "test4_published": aware, "mine": -1.0}
     found = {name: {"clearance_mm": distance} for name, distance in clear.items()}
     assert judge("clearance", studies={"along": found})[1] == verdict
+    with pytest.raises(KeyError, match="test3"):
+        judge("clearance", studies={"along": {name: one for name, one in found.items() if name != "test3"}})
 
 
 def test_engines_are_exchangeable_if_every_flight_ends_alike():

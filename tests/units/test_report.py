@@ -258,19 +258,20 @@ def test_a_sweep_with_flights_that_could_not_be_flown_decides_no_claim(results):
         assert claim.measured == "2 flights of `jax-aero sweep paper_tests` could not be flown"
 
 
-def test_a_sweep_of_other_levels_decides_no_claim(results):
-    """As one that was flown before a level was renamed."""
+def test_a_judge_that_fails_is_an_error_and_keeps_no_older_verdict(results, tmp_path, capsys):
+    """As on a sweep that was flown before a level was renamed."""
     for name in ("paper_tests", "ablation_terms"):
         path = results.folder / "sweeps" / name / "cells.parquet"
         pq.write_table(pq.read_table(path).slice(0, 1), path)
     found = Results(results.folder)
     claim = find(found)["test2"]
-    assert claim.verdict == NOT_FLOWN
-    assert claim.measured == (
-        "a result has no 'test = TEST2, corrected arms'; make it again with --overwrite: "
-        "`jax-aero fly test2 test2_published; jax-aero sweep paper_tests`"
-    )
+    assert claim.verdict == Verdict(Kind.ERROR, "error: KeyError: 'test = TEST2, corrected arms'")
     assert "## The minimum" not in build(found, {}).markdown()
+    kept = tmp_path / "claims.json"
+    kept.write_text(findings.to_json({"test2": Finding("all of it", AGREES)}, kept))
+    assert main(["report", "--results", str(results.folder), "--claims", str(kept)]) == 1
+    assert "test2: error: KeyError" in capsys.readouterr().err
+    assert findings.read(kept)["test2"].verdict == claim.verdict
 
 
 @pytest.mark.parametrize(

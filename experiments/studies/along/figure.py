@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import xarray as xr
 from matplotlib.figure import Figure
 
@@ -15,9 +17,11 @@ def draw(study: xr.Dataset) -> Figure:
     """Draw fuel on the left and the least clearance of the four jets on the right."""
     figure = style.figure(3.1)
     left, right = figure.subplots(1, 2, sharex=True)
-    for index, flight in enumerate(study["flight"].values.tolist()):
+    flights = study["flight"].values.tolist()
+    colours = dict(zip(dict.fromkeys(map(_without_arms, flights)), itertools.cycle(COLOURS), strict=False))
+    for flight in flights:
         one = study.sel(flight=flight)
-        look = {"color": COLOURS[index % len(COLOURS)], "linestyle": "--" if "published" in flight else "-"}
+        look = {"color": colours[_without_arms(flight)], "linestyle": "--" if "published" in flight else "-"}
         fuel = one["fuel"].dropna("time")
         left.plot(fuel["time"], fuel, label=flight.replace("_", " "), **look)
         nearest = 1e3 * one["clearance"].min("jet").dropna("time")
@@ -34,6 +38,11 @@ def draw(study: xr.Dataset) -> Figure:
     style.letters((left, right))
     left.legend()
     return figure
+
+
+def _without_arms(flight: str) -> str:
+    """Return the name that a flight shares with that of other lever arms."""
+    return flight.removesuffix("_published")
 
 
 FIGURES = {

@@ -39,16 +39,7 @@ Array = NDArray[np.float64]
 class Along(tables.Table, frozen=True):
     """Flights to read, and files with the parameters."""
 
-    flights: tuple[str, ...] = (
-        "test2",
-        "test2_mpc",
-        "test2_published",
-        "test4",
-        "robustness",
-        "test1",
-        "test1_published",
-        "no_wind",
-    )
+    flights: tuple[str, ...] = (*flight.PAPER_RUNS, "no_wind", "test2_mpc")
     fuel: Path = msgspec.field(default_factory=lambda: places.CONFIGS / "tables" / "fuel.toml")
     """File with the fuel consumption of the jets."""
     plume_length: tables.Positive = 1.5
