@@ -1,24 +1,32 @@
-"""Ties of the numbers in prose to results: `python -m docs.ties` names every number that is not tied, or is wrong.
+"""Ties of the numbers in prose to results: `python -m docs.ties` names every number that is not what its cell holds.
 
-A paragraph, list or table of a page of results that has a number with a unit, or a count such as 7 of 8, says where
-they are from: `<!-- from: NAME ... -->`, within it or right after it. A NAME is a kept result (`docs/results/`),
-`claims` (`docs/claims.json`), or a file of the repository; `paper` and `arXiv:...` stand for what others have
-published, which is not checked. Each number has to occur there, to the rounding that is shown, in whatever unit. Code,
-formulas, headings and links are left out.
+A comment after a sentence, list or table, `<!-- from: CELL; CELL -->`, names a cell for each number with a unit, and
+for each count such as 7 of 8, since the comment before, in their order. A cell is
+
+* `NAME[LEVEL|LEVEL] COLUMN`: of a kept result (`docs/results/`), in the row of these levels; a level of several axes
+  is `AXIS=LEVEL`, and axes that are left out range over all levels. If rows differ, `sum`, `least` or `greatest`
+  follows. A count stands beside its flights. A column that is an axis, or `title`, is a text. `[LEVEL] COLUMN` is of
+  the result of the cell before, for axes that it leaves out in the row of that cell;
+* `NAME[FIGURE]`: a figure of a study;
+* `claims[KEY]`, `NAME[KEY]`: a text, what a claim has measured; `FILE`: a text, a file of the repository;
+* of a text, the number at `#` in `"words # words"`, whose places have to agree, quotation marks left out and
+  `…` for anything on the way; `in UNIT` follows if the text does not say its unit and it is not that of the SI.
+
+The number has to be that of the cell, rounded as it is shown; `--write` makes it so. `paper` and `arXiv:NUMBER` stand
+for what others have published, which is not checked. Code, formulas, headings and links are left out.
 """
 
 from __future__ import annotations
 
+import argparse
 import math
 import re
-import sys
 from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from experiments.report import kept
-from experiments.sweep.table import wilson
+from experiments.report import findings, kept
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -52,198 +60,292 @@ UNITS: Mapping[str, tuple[str, float]] = {
 
 NUMBER = r"[+−-]?(?:\d{1,3}(?:,\d{3})+|\d+)(?:\.\d+)?(?:e[−-]?\d+)?"
 UNIT = "|".join(re.escape(unit) for unit in sorted(UNITS, key=len, reverse=True))
-BETWEEN = r"(?:,? (?:to|and|or) |, |; | \(|\) to )\(?"
+BETWEEN = r"(?:,?\s+(?:to|and|or)\s+|,\s+|;\s+|\s+\(|\)\s+to\s+)\(?"
 """Between numbers that share a unit."""
 QUANTITY = re.compile(
-    rf"(?<![\w.\-−/^])(?P<numbers>{NUMBER}(?:{BETWEEN}{NUMBER}\)?)*)\)?[ \u00a0]?(?P<unit>{UNIT})(?![\w/²³⁴^])"
+    rf"(?<![\w.\-−/^])(?P<numbers>{NUMBER}(?:{BETWEEN}{NUMBER}\)?)*)\)?\s*(?P<unit>{UNIT})(?![\w/²³⁴^])"
 )
 WHOLE = r"\d+(?:,\d{3})*"
-COUNT = re.compile(rf"(?<![\w.])(?P<part>{WHOLE}|[Nn]one|[Aa]ll) of (?:the |these )?(?P<whole>{WHOLE})(?![\w.%°])")
-TIE = re.compile(r"<!-- from: (?P<names>.+?) -->")
+COUNT = re.compile(rf"(?<![\w.])(?P<part>{WHOLE}|[Nn]one|[Aa]ll)\s+of\s+(?P<whole>{WHOLE})(?![\w%°]|\.\d)")
+TIE = re.compile(r"<!-- from: (?P<cells>.+?) -->", re.DOTALL)
+TABLE = re.compile(r"(?:^\|.*\n)+", re.MULTILINE)
 LEFT_OUT = re.compile(
-    r"^```.*?^```$ | <!--(?!\ from:).*?--> | ^\#.*?$ | `[^`\n]+` | \$[^$\n]+\$ | (?<=\])\([^)]*\) | ^\ *!\[[^\]]*\]",
+    r"^```.*?^```$ | <!--.*?--> | ^\#.*?$ | `[^`\n]+` | \$[^$\n]+\$ | (?<=\])\([^)]*\) | ^\ *!\[[^\]]*\]",
     re.MULTILINE | re.DOTALL | re.VERBOSE,
 )
+BETWEEN_CELLS = re.compile(r""";(?=(?:[^"]*"[^"]*")*[^"]*$)""")
+"""Not within quotes."""
+AFTER = "||"
+"""Between keys of the cell before and those of a cell, which replace them."""
 PUBLISHED = re.compile(r"paper|arXiv:\S+")
+CELL = re.compile(
+    rf"""(?P<source>[\w./-]+)  (?:\[(?P<keys>.+?)\](?=\ |$))?
+    (?:\ (?P<column>\w+))??  (?:\ (?P<over>sum|least|greatest))?
+    (?:\ "(?P<text>[^"]+)")?  (?:\ in\ (?P<unit>{UNIT}))?""",
+    re.VERBOSE,
+)
+COLUMN_UNITS = {"deg": "°", "cm": "cm", "s": "s"}
 
 
-class Number(NamedTuple):
-    """A number that a page shows."""
+class Wrong(ValueError):
+    """A cell is not there, or not one."""
 
+
+class Shown(NamedTuple):
+    """A number that a page shows, or a count such as 7 of 8, and where."""
+
+    start: int
     text: str
-    value: float
-    half: float
-    """Half of the last digit."""
     unit: str
+    """Empty for a count."""
 
-    def is_among(self, known: Known) -> bool:
-        """Return whether it is one of the numbers of a source, rounded."""
+    @property
+    def end(self) -> int:
+        """Return the end of its place."""
+        return self.start + len(self.text)
+
+    def as_of(self, value: Value) -> str:
+        """Return how a value would be written in its place."""
+        if not self.unit:
+            if value.flights is None:
+                raise Wrong("is no count")
+            part, whole = value.flights
+            count = COUNT.fullmatch(self.text)
+            assert count is not None
+            is_word = {"none": 0, "all": whole}.get(count["part"].lower()) == part
+            between = self.text[count.end("part") : count.start("whole")]
+            comma = "," if "," in self.text else ""
+            return f"{count['part'] if is_word else f'{part:{comma}}'}{between}{whole:{comma}}"
         unit, factor = UNITS[self.unit]
-        value, half = factor * self.value, factor * self.half * (1.0 + 1e-9)
-        without_unit = [scale * other for other in known.plain for scale in (1.0, factor)]
-        return any(abs(abs(other) - abs(value)) <= half for other in (*known.of.get(unit, ()), *without_unit))
+        if value.unit not in (unit, None):
+            raise Wrong(f"has the unit {value.unit or 'of a ratio'}")
+        mantissa, e, exponent = self.text.replace("−", "-").partition("e")
+        decimals = len(mantissa.partition(".")[2])
+        number = value.number / factor / 10.0 ** int(exponent or 0)
+        sign = "" if self.text[0].isdecimal() else "+" if number >= 0 else self.text[0].replace("+", "−")
+        comma = "," if "," in mantissa else ""
+        return f"{sign}{abs(number):{comma}.{decimals}f}{e}{self.text.partition('e')[2]}"
 
 
-class Known(NamedTuple):
-    """The numbers of a source."""
+class Value(NamedTuple):
+    """What a cell holds."""
 
-    of: dict[str, list[float]]
-    """By the unit that they are compared in."""
-    plain: list[float]
-    """Without a unit."""
-    counts: set[tuple[int, int]]
-    """Numbers of flights among others."""
+    number: float
+    unit: str | None
+    """As units are compared; `None` if the source does not say it, then that of the SI."""
+    flights: tuple[int, int] | None = None
+    """Flights that a count counts, and all."""
 
 
 def main() -> int:
-    """Print every number that is not tied, or wrong; return whether there is one."""
-    names = [Path(word) for word in sys.argv[1:]] or [ROOT / "docs" / page for page in PAGES]
-    found = [f"{path}: {text}" for path in names for text in loose(path.read_text(encoding="utf-8"))]
+    """Print every number that is wrong, or write it; return whether there is one."""
+    parser = argparse.ArgumentParser("python -m docs.ties", description="Compare numbers in prose with their cells.")
+    parser.add_argument("pages", nargs="*", type=Path, default=[ROOT / "docs" / page for page in PAGES])
+    parser.add_argument("--write", action="store_true", help="write what the cells hold")
+    given = parser.parse_args()
+    found = []
+    for path in given.pages:
+        page = path.read_text(encoding="utf-8")
+        if given.write:
+            path.write_text(page := written(page), encoding="utf-8")
+        found += [f"{path}: {text}" for text in loose(page)]
     print("\n".join(found))
     return 1 if found else 0
 
 
 def loose(page: str) -> Iterator[str]:
     """Yield what is wrong with the numbers of a page: line, number, and why."""
-    for line, block, names in blocks(page):
-        shown: list[Number | re.Match[str]] = [*quantities(block), *COUNT.finditer(block)]
-        if shown and not names:
-            first = shown[0]
-            yield f"line {line}: {first.text if isinstance(first, Number) else first[0]} is not tied to a result"
-        if not names or any(map(PUBLISHED.fullmatch, names)):
+    for shown, cell in ties(page):
+        at = f"line {page.count(chr(10), 0, shown.start) + 1}: {' '.join(f'{shown.text} {shown.unit}'.split())}"
+        if not cell:
+            yield f"{at} has no cell"
+        elif not shown.text:
+            yield f"{at}`{cell}` is a cell without a number"
+        elif not PUBLISHED.fullmatch(cell):
+            try:
+                expected = shown.as_of(value(cell))
+            except Wrong as reason:
+                yield f"{at}: `{cell}` {reason}"
+            else:
+                if expected != shown.text:
+                    yield f"{at} is {expected} in `{cell}`"
+
+
+def written(page: str) -> str:
+    """Return a page with the numbers that the cells hold."""
+    for shown, cell in reversed(list(ties(page))):
+        if cell and shown.text and not PUBLISHED.fullmatch(cell):
+            page = page[: shown.start] + shown.as_of(value(cell)) + page[shown.end :]
+    return page
+
+
+def mutations(page: str) -> Iterator[str]:
+    """Yield a page with each of its tied numbers wrong: in its last digit, a count by one."""
+    for shown, cell in ties(page):
+        if PUBLISHED.fullmatch(cell):
             continue
-        known = [source(name) for name in names]
-        for number in quantities(block):
-            if not any(map(number.is_among, known)):
-                yield f"line {line}: {number.text} is not in {', '.join(names)}"
-        for count in COUNT.finditer(block):
-            if not any(_pair(count) in one.counts for one in known):
-                yield f"line {line}: {count[0]} is not in {', '.join(names)}"
+        digits = list(re.finditer(r"\d+", shown.text.partition("e")[0] if shown.unit else shown.text))
+        for found in digits[-1:] if shown.unit else digits:
+            for by in (1, -1):
+                other = f"{abs(int(found[0]) + by):0{len(found[0])}d}"
+                start = shown.start + found.start()
+                yield page[:start] + other + page[start + len(found[0]) :]
 
 
-def blocks(page: str) -> Iterator[tuple[int, str, list[str]]]:
-    """Yield every block of a page: its line, its text without what is left out, and what it is tied to."""
-    text = LEFT_OUT.sub(lambda found: "\n" * found[0].count("\n"), page)
-    found: list[tuple[int, str, list[str]]] = []
-    line = 1
-    for part in re.split(r"(\n\s*\n)", text):
-        names = [name for tie in TIE.finditer(part) for name in tie["names"].split()]
-        prose = TIE.sub("", part)
-        if names and not prose.strip() and found:
-            at, before, earlier = found.pop()
-            found.append((at, before, [*earlier, *names]))
-        elif part.strip():
-            found.append((line, " ".join(_with_units(prose).split()), names))
-        line += part.count("\n")
-    yield from found
+def ties(page: str) -> Iterator[tuple[Shown, str]]:
+    """Yield every number of a page with its cell; either is empty without the other."""
+    text = LEFT_OUT.sub(lambda found: re.sub(r"[^\n]", " ", found[0]), page)
+    numbers = sorted([*counts(text), *quantities(text), *in_columns(text)])
+    begin = 0
+    for tie in [*TIE.finditer(page), None]:
+        end = tie.start() if tie else len(page)
+        cells = list(whole(tie["cells"])) if tie else []
+        mine = [shown for shown in numbers if begin <= shown.start < end]
+        for place in range(max(len(mine), len(cells))):
+            shown = mine[place] if place < len(mine) else Shown(end, "", "")
+            yield shown, cells[place] if place < len(cells) else ""
+        begin = end
 
 
-def _with_units(block: str) -> str:
-    """Return a table with the units of its headings, `drag [m²]`, behind the numbers that have none."""
-    rows = [line.strip().strip("|").split("|") for line in block.strip().splitlines()]
-    if not block.lstrip().startswith("|") or len(rows) < 3:
-        return block
-    units = [found[1] if (found := re.search(r"\[(.+?)\]", heading)) else "" for heading in rows[0]]
-    for row in rows[2:]:
-        for place, (cell, unit) in enumerate(zip(row, units, strict=False)):
-            if unit in UNITS and re.search(r"\d", cell) and not QUANTITY.search(cell):
-                row[place] = f"{cell.strip()} {unit}"
-    return "\n".join(" | ".join(row) for row in rows)
+def whole(cells: str) -> Iterator[str]:
+    """Yield the cells of a comment, each with the source, and the keys, that it takes from the cell before."""
+    source = keys = ""
+    for cell in (" ".join(cell.split()) for cell in BETWEEN_CELLS.split(cells)):
+        named, own, rest = re.fullmatch(r"([^\s\[\"]*)(?:\[(.*?)\](?= |$))?(.*)", cell).groups("")  # type: ignore[union-attr]
+        source, keys = (named, "") if named else (source, keys)
+        keys = AFTER.join(filter(None, (keys, own)))
+        yield " ".join(filter(None, (f"{source}[{keys}]" if keys else source, rest.strip())))
 
 
-def quantities(text: str) -> Iterator[Number]:
+def counts(text: str) -> Iterator[Shown]:
+    """Yield every count of some among others."""
+    for found in COUNT.finditer(text):
+        yield Shown(found.start(), found[0], "")
+
+
+def quantities(text: str) -> Iterator[Shown]:
     """Yield every number with a unit, also those that share one: 1.0, 2.0 and 3.0 m."""
-    for found in QUANTITY.finditer(COUNT.sub("", text)):
-        for number in re.findall(NUMBER, found["numbers"]):
-            yield read_number(number, found["unit"])
+    for found in QUANTITY.finditer(COUNT.sub(lambda count: " " * len(count[0]), text)):
+        for number in re.finditer(NUMBER, found["numbers"]):
+            yield Shown(found.start() + number.start(), number[0], found["unit"])
 
 
-def read_number(text: str, unit: str) -> Number:
-    """Return a number as it is written."""
-    plain = text.replace(",", "").replace("−", "-")
-    mantissa, _, exponent = plain.partition("e")
-    decimals = len(mantissa.partition(".")[2])
-    return Number(f"{text} {unit}", float(plain), 0.5 * 10.0 ** (int(exponent or 0) - decimals), unit)
+def in_columns(text: str) -> Iterator[Shown]:
+    """Yield the numbers of tables that have their unit from the heading, `drag [m²]`."""
+    for table in TABLE.finditer(text):
+        headings = table[0].partition("\n")[0].split("|")
+        units = [found[1] if (found := re.search(r"\[(.+?)\]", heading)) else "" for heading in headings]
+        for line in list(re.finditer(r".+", table[0]))[2:]:
+            cells = list(re.finditer(r"[^|]+(?=\|)", line[0]))
+            for cell, unit in zip(cells, units[1:], strict=False):
+                number = re.search(NUMBER, cell[0])
+                if unit in UNITS and number and not QUANTITY.search(cell[0]):
+                    yield Shown(table.start() + line.start() + cell.start() + number.start(), number[0], unit)
 
 
-def _pair(count: re.Match[str]) -> tuple[int, int]:
-    whole = int(count["whole"].replace(",", ""))
-    part = {"none": 0, "all": whole}.get(count["part"].lower())
-    return (int(count["part"].replace(",", "")) if part is None else part), whole
-
-
-# --- sources ---------------------------------------------------------------------------------------------------------
+# --- cells -----------------------------------------------------------------------------------------------------------
 
 
 @cache
-def source(name: str) -> Known:
-    """Return the numbers of a kept result or of a file."""
-    known = Known({}, [], set())
-    if (kept.FOLDER / f"{name}.json").is_file():
-        _add_kept(known, kept.read(name))
-    else:
-        path = ROOT / ("docs/claims.json" if name == "claims" else name)
-        if not path.is_file():
-            raise ValueError(f"`from: {name}` is no kept result and no file")
-        text = path.read_text(encoding="utf-8")
-        _add_text(known, text)
-        known.plain.extend(float(number.replace(",", "").replace("−", "-")) for number in re.findall(NUMBER, text))
-    return known
+def value(cell: str) -> Value:
+    """Return what a cell holds."""
+    words = CELL.fullmatch(cell)
+    if words is None:
+        raise Wrong("is no cell")
+    is_kept = (kept.FOLDER / f"{words['source']}.json").is_file()
+    found = _of_kept(kept.read(words["source"]), words) if is_kept else _of_text(_text(words), words)
+    unit = words["unit"]
+    return found if unit is None else Value(found.number * UNITS[unit][1], UNITS[unit][0])
 
 
-COLUMN_UNITS = {"deg": "°", "cm": "cm", "s": "s"}
-SHARES = ("completed", "descended", "on_course", "off_course", "lost", "unwarned", "degraded")
+def _text(words: re.Match[str]) -> str:
+    if words["source"] == "claims":
+        claims = findings.read(ROOT / "docs/claims.json")
+        if (key := _last(words["keys"])) not in claims:
+            raise Wrong("names no claim")
+        return claims[key].measured
+    path = ROOT / words["source"]
+    if not path.is_file():
+        raise Wrong("names no kept result and no file")
+    return path.read_text(encoding="utf-8").replace('"', "")
 
 
-def _add_kept(known: Known, result: kept.Kept) -> None:
-    for row in result.table():
-        for column, value in row.items():
-            unit = next((COLUMN_UNITS[part] for part in column.split("_")[1:] if part in COLUMN_UNITS), None)
-            if unit and value is not None:
-                _add(known, value, unit)
-        flights = row["flights"]
-        for column in row.keys() & SHARES:
-            known.counts.update({(row[column], flights), (flights - row[column], flights)})
-            for share in (row[column] / flights, *wilson(row[column], flights)):
-                known.of.setdefault("", []).extend((share, 1.0 - share))
-        known.counts.add((row["unwarned"], row["lost"]))
-    for axis in result.axes:
-        for level in axis.levels:
-            if isinstance(level, int | float):
-                _add(known, level, axis.unit) if axis.unit in UNITS else known.plain.append(level)
-    _add_value(known, "", result.summary)
-    labels = [str(level) for axis in result.axes for level in axis.levels]
-    _add_text(known, " | ".join([result.title, result.about, *labels]))
-    for key, finding in result.claims.items():
-        _add_text(known, f"{result.states[key]} {finding.measured} {finding.verdict}")
+def _last(keys: str | None) -> str:
+    return (keys or "").rpartition(AFTER)[2]
 
 
-def _add(known: Known, value: float, unit: str) -> None:
-    to, factor = UNITS[unit]
-    known.of.setdefault(to, []).append(factor * value)
+def _of_text(text: str, words: re.Match[str]) -> Value:
+    before, hash_, after = (words["text"] or "#").partition("#")
+    if not hash_:
+        raise Wrong("has no #")
+    around = [r"\s+".join(map(re.escape, re.split(r"\s+", part))).replace("…", ".*?") for part in (before, after)]
+    unit = rf"(?: of (?P<whole>{WHOLE}))?(?=(?:[ \u00a0]?(?P<unit>{UNIT})(?![\w/²³⁴^]))?)"
+    places = re.finditer(rf"{around[0]}(?<![\d.])(?P<number>{NUMBER}){unit}{around[1]}", text, re.DOTALL)
+    found = {place.group("number", "whole", "unit") for place in places}
+    if len(found) != 1:
+        raise Wrong(f"holds {', '.join(' '.join(filter(None, one)) for one in found) or 'nothing'}")
+    ((text_, of, name),) = found
+    number = float(text_.replace(",", "").replace("−", "-"))
+    if of is not None:
+        return Value(number, "", (int(number), int(of.replace(",", ""))))
+    return Value(number, None) if name is None else Value(number * UNITS[name][1], UNITS[name][0])
 
 
-def _add_text(known: Known, text: str) -> None:
-    for number in quantities(text):
-        _add(known, number.value, number.unit)
-    known.counts.update(map(_pair, COUNT.finditer(text)))
+def _of_kept(result: kept.Kept, words: re.Match[str]) -> Value:
+    key, column = _last(words["keys"]), words["column"]
+    if column == "title":
+        return _of_text(f"{result.title}. {result.about}", words)
+    if key in result.claims:
+        return _of_text(f"{result.states[key]}: {result.claims[key].measured}", words)
+    if isinstance(result.summary, Mapping) and column is None:
+        return _of_summary(result.summary, key)
+    rows = _rows(result, (words["keys"] or "").replace(AFTER, "|"))
+    if column in {axis.name for axis in result.axes}:
+        return _of_text("\n".join({str(row[column]) for row in rows}), words)
+    if column not in result.columns or not rows:
+        raise Wrong(f"names no {'row' if column in result.columns else 'column'}")
+    held = [row[column] for row in rows]
+    flights = [row["flights"] for row in rows]
+    if words["over"] is None and (len(set(held)) > 1 or len(set(flights)) > 1):
+        raise Wrong(f"holds {', '.join(map(str, sorted(set(held))))}")
+    number, of = (sum(held), sum(flights)) if words["over"] == "sum" else _extreme(words["over"], held, flights)
+    unit, factor = next((UNITS[COLUMN_UNITS[part]] for part in column.split("_")[1:] if part in COLUMN_UNITS), ("", 1))
+    return Value(number * factor, unit, (number, of))
 
 
-def _add_value(known: Known, key: str, value: Any) -> None:
-    """Add the figures of a study, whose keys may end in a unit: `drag [m2]`."""
-    if isinstance(value, Mapping):
-        for name, item in value.items():
-            _add_value(known, str(name), item)
-            _add_text(known, str(name))
-    elif isinstance(value, list):
-        for item in value:
-            _add_value(known, key, item)
-    elif isinstance(value, str):
-        _add_text(known, value)
-    elif isinstance(value, int | float) and not isinstance(value, bool):
-        bracket = re.search(r"\[(.+?)\]", key)
-        unit = re.sub(r"(?<=m)([234])", lambda found: "⁰¹²³⁴"[int(found[1])], bracket[1]) if bracket else ""
-        _add(known, value, unit) if unit in UNITS else known.plain.append(float(value))
+def _extreme(over: str | None, held: list[Any], flights: list[int]) -> tuple[Any, int]:
+    return (max if over == "greatest" else min)(zip(held, flights, strict=True))
+
+
+def _rows(result: kept.Kept, keys: str) -> list[dict[str, Any]]:
+    """Return the rows of these levels, of each of the others for axes that are left out."""
+    chosen: dict[str, str] = {}
+    for key in keys.split("|") if keys else ():
+        name, is_named, level = key.partition("=")
+        axes = [name] if is_named else [axis.name for axis in result.axes if key in map(axis.show, axis.levels)]
+        if len(axes) != 1:
+            raise Wrong(f"has the level {key} of {len(axes)} axes")
+        chosen[axes[0]] = level if is_named else key
+    return [
+        row
+        for row in result.table()
+        if all(
+            axis.show(row[axis.name]) == chosen[axis.name] if axis.name in chosen else row[axis.name] != kept.ALL
+            for axis in result.axes
+        )
+    ]
+
+
+def _of_summary(summary: Mapping[str, Any], key: str) -> Value:
+    """Return a figure of a study, whose name may end in a unit: `drag [m2]`."""
+    number: Any = summary
+    for part in key.split("|"):
+        number = number.get(part) if isinstance(number, Mapping) else None
+    if not isinstance(number, int | float):
+        raise Wrong("names no figure")
+    bracket = re.search(r"\[(.+?)\]", key)
+    unit = re.sub(r"(?<=m)([234])", lambda found: "⁰¹²³⁴"[int(found[1])], bracket[1]) if bracket else ""
+    return Value(number * UNITS[unit][1], UNITS[unit][0]) if unit in UNITS else Value(float(number), None)
 
 
 if __name__ == "__main__":

@@ -274,7 +274,7 @@ def _legend(kept: Kept) -> str:
 def _summary(summary: Any) -> Iterator[Text | Table]:
     """Yield a text as it is, and figures as tables: one of plain ones, one for cases with the same figures.
 
-    The cases of a study are nested tables, or the first part of the names: `lean mesh: drag [m2]`.
+    The cases of a study are nested tables, or the first part of the names: `fine mesh: drag [m2]`.
     """
     if isinstance(summary, str):
         yield Text(summary)

@@ -46,6 +46,10 @@ def test_what_needs_results_is_kept_with_a_verdict_and_nothing_else_is():
     }  # fmt: skip
 
 
+def test_a_finding_is_kept_once():
+    assert not findings.read(index.CLAIMS).keys() & kept.findings().keys()
+
+
 def test_every_item_of_the_paper_has_a_verdict():
     for title, items in paper.sections().items():
         for item in items:

@@ -1,4 +1,4 @@
-//! What the recommended controller does without a channel: every cell but the last of the first table in docs/failures.md,
+//! What the observer's controller does without a channel, from an exact start (docs/failures.md has perturbed flights),
 //! descents out of fast motion, engines that fail.
 
 use super::with;
