@@ -6,5 +6,5 @@ pub mod engine;
 pub mod model;
 
 pub use ekf::{EkfConfig, ThrustEkf};
-pub use engine::{EngineDynamics, EngineModel, RATE_GAIN, ThrustRateController};
+pub use engine::{EngineCoefficients, EngineDynamics, EngineModel, RATE_GAIN, ThrustRateController};
 pub use model::{JetDynamics, JetModel};

@@ -6,6 +6,7 @@
 
 pub mod check;
 
+use crate::jets::{EngineModel, JetDynamics, JetModel};
 use crate::spatial::Pose;
 use nalgebra::{Matrix3, Unit, Vector3};
 use serde::{Deserialize, Serialize};
@@ -32,8 +33,8 @@ pub struct RobotModel {
     pub feet: Vec<Foot>,
     /// All feet, as shapes.
     pub soles: Vec<Foot>,
-    /// Engine models by name, also those that no jet uses.
-    pub engines: BTreeMap<String, EngineCoefficients>,
+    /// Engines by name, also those that no jet uses.
+    pub engines: BTreeMap<String, EngineModel>,
     /// Magnitude of gravity \[m/s²\]; it acts along −z of the inertial frame.
     pub gravity: f64,
 }
@@ -54,6 +55,13 @@ impl RobotModel {
     /// Names of the jets, in their order.
     pub fn jet_names(&self) -> impl Iterator<Item = &str> + Clone {
         self.jets.iter().map(|jet| jet.name.as_str())
+    }
+
+    /// What a controller assumes of the jets.
+    #[must_use]
+    pub fn jet_models(&self, dynamics: JetDynamics) -> Vec<JetModel> {
+        let engine = |jet: &Jet| (dynamics == JetDynamics::SecondOrder).then_some(jet.engine);
+        self.jets.iter().map(|jet| JetModel { thrust_min: jet.thrust_min, engine: engine(jet) }).collect()
     }
 
     /// Values of a table in the order of the jets; zero for jets that it does not name.
@@ -179,43 +187,10 @@ pub struct Jet {
     pub thrust_min: f64,
     /// Greatest thrust \[N\].
     pub thrust_max: f64,
+    /// Its engine.
+    pub engine: EngineModel,
     /// Name of the engine in [`RobotModel::engines`].
-    pub engine: String,
-}
-
-/// Second-order model of an engine with thrust `T` \[N\] and throttle `u` in percent.
-///
-/// ```text
-/// T̈ = k_t T + k_tt T² + k_d Ṫ + k_dd Ṫ² + k_td T Ṫ + c + (b_u + b_t T + b_d Ṫ)(u + b_uu u²)
-/// ```
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(deny_unknown_fields)]
-pub struct EngineCoefficients {
-    /// Stiffness \[1/s²\].
-    pub k_t: f64,
-    /// Quadratic stiffness \[1/(N s²)\].
-    pub k_tt: f64,
-    /// Damping \[1/s\].
-    pub k_d: f64,
-    /// Quadratic damping \[1/N\].
-    pub k_dd: f64,
-    /// Damping proportional to thrust \[1/(N s)\].
-    pub k_td: f64,
-    /// Gain of the throttle \[N/s² per percent\].
-    pub b_u: f64,
-    /// Gain proportional to thrust \[1/s² per percent\].
-    pub b_t: f64,
-    /// Gain proportional to the thrust rate \[1/s per percent\].
-    pub b_d: f64,
-    /// Curvature of the throttle \[1/percent\].
-    pub b_uu: f64,
-    /// Constant drift \[N/s²\].
-    pub c: f64,
-    /// Least throttle \[percent\].
-    pub throttle_min: f64,
-    /// Greatest throttle \[percent\].
-    pub throttle_max: f64,
+    pub engine_name: String,
 }
 
 /// A foot: a sole frame and the corners that can touch the ground.

@@ -7,7 +7,7 @@ use crate::common::{Sample, assert_within, experiment, random_state, rng};
 use flight_core::Reading;
 use flight_core::control::guard::channels::{Channels, ChannelsConfig, ChannelsState, Jumps, greatest};
 use flight_core::control::{Modes, UsedMeasurement};
-use flight_core::jets::{JetDynamics, JetModel};
+use flight_core::jets::JetDynamics;
 use flight_core::robot::RobotModel;
 use flight_core::spatial::exp_so3;
 use flight_io::load_robot;
@@ -63,7 +63,7 @@ impl Rig {
             thrust: vec![80.0, 90.0, 5.0, 110.0],
             wind: Vector3::new(6.0, -8.0, 1.0),
         };
-        let jets = JetModel::all(&robot, JetDynamics::Ideal).unwrap();
+        let jets = robot.jet_models(JetDynamics::Ideal);
         let mut channels = Channels::new(config, &robot, jets, STEP, true);
         let mut state = channels.start(&sample.measurement()).unwrap();
         state.acceleration = DVector::from_fn(29, |_, _| rng.random_range(-2.0..2.0));

@@ -8,7 +8,7 @@ use flight_core::control::guard::engines::{
     DescentConfig, EngineSample, EngineState, Engines, EnginesConfig, explains,
 };
 use flight_core::control::law::limits::Limits;
-use flight_core::jets::{EngineDynamics, EngineModel, JetDynamics, ThrustRateController};
+use flight_core::jets::{EngineDynamics, JetDynamics, ThrustRateController};
 use flight_core::robot::JointKind;
 use flight_io::load_robot;
 use nalgebra::{Matrix6xX, Vector6};
@@ -41,8 +41,7 @@ impl Monitors {
         let mut robot = load_robot(&config.robot).unwrap();
         robot.jets.truncate(jets);
         let limits = Limits::new(config.controller.law.momentum, &robot);
-        let engines =
-            Engines::new(&CONFIG, &limits, &robot, [momentum_share; 2], JetDynamics::Ideal).unwrap();
+        let engines = Engines::new(&CONFIG, &limits, &robot, [momentum_share; 2], JetDynamics::Ideal);
         let column = |jet: usize| Vector6::new(0.0, 0.0, 1.0, 0.0, 0.3 - 0.6 * (jet % 2) as f64, 0.0);
         let a_t = Matrix6xX::from_columns(&(0..jets).map(column).collect::<Vec<_>>());
         Self { states: engines.start(), engines, a_t }
@@ -191,8 +190,7 @@ fn a_common_step_is_of_the_sensors_where_the_force_shows_it() {
 #[test]
 fn an_engine_that_follows_as_fast_as_it_can_is_not_limited() {
     let robot = load_robot(&experiment("test2_observer").robot).unwrap();
-    let name = &robot.jets[0].engine;
-    let model = EngineModel::new(name, robot.engines[name]).unwrap();
+    let model = robot.jets[0].engine;
     for lags in [true, false] {
         let mut monitor = Monitors::new(1, 1.0);
         let mut engine = EngineDynamics::new(model, 60.0, 0.0);
@@ -268,7 +266,7 @@ fn the_least_thrust_is_that_of_a_running_engine() {
     let mut robot = load_robot(&config.robot).unwrap();
     robot.jets.iter_mut().for_each(|jet| jet.thrust_min = 11.0);
     let mut limits = Limits::new(config.controller.law.momentum, &robot);
-    let engines = Engines::new(&CONFIG, &limits, &robot, [1.0; 2], JetDynamics::Ideal).unwrap();
+    let engines = Engines::new(&CONFIG, &limits, &robot, [1.0; 2], JetDynamics::Ideal);
     let mut states = engines.start();
     states[1].range = (0.0, 80.0);
     states[2].range = (0.0, 2.0);

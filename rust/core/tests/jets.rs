@@ -5,8 +5,9 @@
 
 use crate::common::engines::{ENGINES, coefficients, model, models};
 use crate::common::{assert_within, relative};
-use flight_core::jets::{EkfConfig, EngineDynamics, EngineModel, JetModel, ThrustEkf, ThrustRateController};
-use flight_core::robot::EngineCoefficients;
+use flight_core::jets::{
+    EkfConfig, EngineCoefficients, EngineDynamics, EngineModel, JetModel, ThrustEkf, ThrustRateController,
+};
 
 const DT: f64 = 0.01;
 
@@ -16,9 +17,7 @@ const DT: f64 = 0.01;
 #[test]
 fn engine_equations_equal_a_calculation_by_hand() {
     let model = model("P160");
-    assert_within!(relative(model.drift(100.0, 10.0), -200.513_573), 1e-12);
-    assert_within!(relative(model.input_gain(100.0, 10.0), 3.592_42), 1e-12);
-    assert_within!(relative(model.input(50.0), 46.5175), 1e-12);
+    assert_within!(relative(model.thrust_acceleration(100.0, 10.0, 0.0), -200.513_573), 1e-12);
     let acceleration = -200.513_573 + 3.592_42 * 46.5175;
     assert_within!(relative(model.thrust_acceleration(100.0, 10.0, 50.0), acceleration), 1e-12);
     let mut engine = EngineDynamics::new(model, 100.0, 10.0);
@@ -41,29 +40,32 @@ fn throttle_is_limited() {
 }
 
 #[test]
-fn throttle_inverts_input_for_every_engine() {
+fn the_throttle_of_an_acceleration_has_it_for_every_engine() {
     for (name, model) in models() {
         for i in 0..=240 {
             let throttle = 0.5 * f64::from(i);
-            let again = model.throttle_from_input(model.input(throttle));
+            let again =
+                model.throttle_for(60.0, 1.0, model.thrust_acceleration(60.0, 1.0, throttle)).unwrap();
             assert_within!((again - throttle).abs(), 1e-10, "{name} at {throttle} %");
         }
     }
 }
 
-/// The published formula divides by `2 B_UU`; ours has the same value and the right limit.
+/// The published formula divides by `2 B_UU`; ours has the same value and the right limit. `T̈ = v(u)` here.
 #[test]
-fn input_inverse_is_continuous_at_zero_curvature_and_beyond_the_top() {
-    let with =
-        |b_uu| EngineModel::new("test", EngineCoefficients { b_uu, ..coefficients(ENGINES[1].1) }).unwrap();
+fn input_inverse_is_continuous_at_zero_curvature_and_limited() {
+    let (k, throttle_max) = (coefficients([0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0]), 358.0);
+    let with = |b_uu| EngineModel::new("test", EngineCoefficients { b_uu, throttle_max, ..k }).unwrap();
+    let inverse = |b_uu, v| with(b_uu).throttle_for(0.0, 0.0, v).unwrap();
     for b_uu in [0.0, 1e-300, 1e-14, -1e-14] {
-        assert_within!(relative(with(b_uu).throttle_from_input(80.0), 80.0), 1e-11);
+        assert_within!(relative(inverse(b_uu, 80.0), 80.0), 1e-11);
     }
     let b_uu: f64 = -0.001_393;
-    let published = |v: f64| (-1.0 + (1.0 + 4.0 * b_uu * v).max(0.0).sqrt()) / (2.0 * b_uu);
-    for v in [0.0, 10.0, 99.9, 170.0, 179.4, 179.6, 400.0] {
-        assert_within!(relative(with(b_uu).throttle_from_input(v), published(v)), 1e-9);
+    let published = |v: f64| (-1.0 + (1.0 + 4.0 * b_uu * v).sqrt()) / (2.0 * b_uu);
+    for v in [0.0, 10.0, 99.9, 170.0, 179.4] {
+        assert_within!(relative(inverse(b_uu, v), published(v)), 1e-9);
     }
+    assert_eq!((inverse(b_uu, 179.6), inverse(b_uu, 400.0), inverse(b_uu, -1.0)), (358.0, 358.0, 0.0));
 }
 
 /// The throttle that holds a thrust holds it: exactly as an equilibrium, and in time from nearby.
@@ -110,7 +112,12 @@ fn throttle_holds_where_it_cannot_steer() {
     let mut controller = ThrustRateController::new(61.0);
     // g = 0 on the line Ṫ = (B_U + B_T T)/|B_D|.
     let thrust_rate = 0.688_710 / 0.089_879;
-    assert_within!(model.input_gain(0.0, thrust_rate).abs(), 1e-12);
+    let by_throttle = |throttle| model.thrust_acceleration(0.0, thrust_rate, throttle);
+    assert_within!((by_throttle(90.0) - by_throttle(0.0)).abs(), 1e-9);
+    assert_eq!(
+        JetModel { thrust_min: 0.0, engine: Some(model) }.throttle(0.0, thrust_rate, 0.0, DT),
+        model.steady_throttle(0.0)
+    );
     assert_eq!(controller.update(&model, 0.0, thrust_rate, 0.0), 61.0);
     assert_eq!(controller.update(&model, 90.0, 0.0, f64::NAN), 61.0);
     assert_eq!(controller.update(&model, f64::INFINITY, 0.0, 0.0), 61.0);

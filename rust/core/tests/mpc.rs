@@ -14,7 +14,7 @@ use flight_core::control::law::mpc::model::Linearised;
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::{Command, CommandStatus, Given, Preview, Terms};
 use flight_core::dynamics::Dynamics;
-use flight_core::jets::{EngineModel, JetDynamics, JetModel};
+use flight_core::jets::{EngineModel, JetDynamics};
 use flight_core::kinematics::Kinematics;
 use flight_core::qp::{PrimalActiveSet, QpSolver, QpStatus};
 use flight_core::spatial::{exp_so3, log_so3, stack};
@@ -442,7 +442,7 @@ fn fine_steps(dynamics: JetDynamics) {
     let terms = &terms;
     let joints = moved_joints(&config, &case.robot);
     let (jets, free) = (case.thrust.len(), joints.len());
-    let jets_of = |dynamics| JetModel::all(&case.robot, dynamics).unwrap();
+    let jets_of = |dynamics| case.robot.jet_models(dynamics);
     let engines: Vec<Option<(f64, f64)>> = (jets_of(dynamics).iter().zip(&case.thrust))
         .map(|(jet, thrust)| {
             let slopes = |engine: EngineModel| {
@@ -570,7 +570,7 @@ fn a_plan_minimises_the_cost_with_all_excesses() {
     let limits: Vec<(f64, f64)> = case.robot.joints.iter().map(|joint| joint.limits).collect();
     let mut model = Linearised::new(&case.robot, joints.clone());
     assert!(model.update(&case.robot, &axisymmetric(&case.robot), Air::Linear, terms));
-    let ideal = JetModel::all(&case.robot, JetDynamics::Ideal).unwrap();
+    let ideal = case.robot.jet_models(JetDynamics::Ideal);
     let mut horizon = Horizon::new(&mpc, (20.0, 100.0), &case.robot, ideal, &joints).unwrap();
     let zeros = DVector::zeros(case.robot.joints.len());
     let targets = vec![

@@ -15,10 +15,8 @@ use crate::files::absolute_path;
 use crate::toml::{from_value, parse};
 use crate::{read_bytes, read_text};
 use flight_core::error::{BuildError, check as check_number, place_of};
-use flight_core::jets::EngineModel;
-use flight_core::robot::{
-    AeroLink, AxisymmetricCoefficients, EngineCoefficients, Foot, Jet, JointGroup, RobotModel, check,
-};
+use flight_core::jets::{EngineCoefficients, EngineModel};
+use flight_core::robot::{AeroLink, AxisymmetricCoefficients, Foot, Jet, JointGroup, RobotModel, check};
 use flight_core::spatial::{Pose, unit_vector};
 use joints::JointEntry;
 use nalgebra::{Unit, Vector3};
@@ -270,21 +268,20 @@ fn read_urdf_text(path: &Path) -> Result<String, BuildError> {
 
 fn model(file: RobotFile, tree: Tree<'_>) -> Result<RobotModel, BuildError> {
     check_coefficients(&file)?;
-    for (name, coefficients) in &file.engines {
-        EngineModel::new(name, *coefficients)?;
-    }
+    let engine = |(name, k): (&String, &EngineCoefficients)| Ok((name.clone(), EngineModel::new(name, *k)?));
+    let engines = file.engines.iter().map(engine).collect::<Result<BTreeMap<_, _>, BuildError>>()?;
     Ok(RobotModel {
         forward_axis_b: forward_axis(file.forward_axis)?,
         gravity: file.gravity,
         joints: joints::joints(file.joint_groups.iter().flat_map(|group| &group.joints), &tree)?,
         groups: groups(&file)?,
         aero_links: aero_links(&file, &tree)?,
-        jets: jets(&file, &tree)?,
+        jets: jets(&file, &tree, &engines)?,
         soles: feet(&file, &tree)?,
         feet: feet(&file, &tree)?,
         bodies: tree.bodies,
         name: file.name,
-        engines: file.engines,
+        engines,
     })
 }
 
@@ -341,13 +338,16 @@ fn check_coefficients(file: &RobotFile) -> Result<(), BuildError> {
     Ok(())
 }
 
-fn jets(file: &RobotFile, tree: &Tree<'_>) -> Result<Vec<Jet>, BuildError> {
+fn jets(
+    file: &RobotFile,
+    tree: &Tree<'_>,
+    engines: &BTreeMap<String, EngineModel>,
+) -> Result<Vec<Jet>, BuildError> {
     check::unique("jet", file.jets.iter().map(|jet| jet.name.as_str()))?;
     let jet = |entry: &JetEntry| {
         let of = |what: &str| format!("{what} of jet `{}`", entry.name);
-        if !file.engines.contains_key(&entry.engine) {
-            return Err(BuildError::unknown_name(of("engine"), &entry.engine, file.engines.keys()));
-        }
+        let unknown = || BuildError::unknown_name(of("engine"), &entry.engine, engines.keys());
+        let engine = *engines.get(&entry.engine).ok_or_else(unknown)?;
         let greatest = entry.thrust_max;
         let expected = format!("newtons from 0 to less than {greatest}, its greatest");
         check_number(
@@ -366,7 +366,8 @@ fn jets(file: &RobotFile, tree: &Tree<'_>) -> Result<Vec<Jet>, BuildError> {
             torque_to_thrust: entry.torque_to_thrust,
             thrust_min: entry.thrust_min,
             thrust_max: entry.thrust_max,
-            engine: entry.engine.clone(),
+            engine,
+            engine_name: entry.engine.clone(),
         })
     };
     file.jets.iter().map(jet).collect()

@@ -15,7 +15,6 @@ use flight_core::control::law::residual::Residual;
 use flight_core::control::law::setpoint::{Setpoint, SetpointGenerator};
 use flight_core::control::law::tasks::MOMENTUM_ROWS;
 use flight_core::control::{ControllerState as State, Estimates, Given, Preview, Terms};
-use flight_core::jets::JetModel;
 use flight_core::{Measurement, RobotState};
 use flight_io::{load_aero, load_mission, load_robot};
 use nalgebra::{DVector, Vector3, Vector6};
@@ -249,7 +248,7 @@ impl Controller {
             return Err(PyValueError::new_err("the centroidal inertia cannot be inverted"));
         }
         let gains = (section.law.torque.kd, section.law.torque.kp);
-        let jets = JetModel::all(robot, section.law.jet_dynamics).map_err(value_error)?;
+        let jets = robot.jet_models(section.law.jet_dynamics);
         let mut horizon = Horizon::new(mpc, gains, robot, jets, &model.joints).map_err(value_error)?;
         let targets = entries("targets", &targets, &[horizon.knots(), 6, 3])?;
         let target = |target: &[f64]| {

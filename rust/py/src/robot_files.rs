@@ -2,7 +2,8 @@
 
 use crate::arrays::{Output, array, matrix, value_error, vector, vectors};
 use flight_core::RobotModel;
-use flight_core::robot::{EngineCoefficients, Frame, JointKind};
+use flight_core::jets::EngineCoefficients;
+use flight_core::robot::{Frame, JointKind};
 use flight_core::spatial::Pose;
 use flight_io::robot::{Inertial, Joint, Shape};
 use nalgebra::{Matrix3, Vector3};
@@ -105,7 +106,7 @@ pub fn robot_arrays<'py>(py: Python<'py>, model: &RobotModel) -> PyResult<Bound<
     out.set_item("aero_links", aero_links(py, model)?)?;
     let engines = PyDict::new(py);
     for (name, engine) in &model.engines {
-        engines.set_item(name, vector(py, &engine_numbers(engine))?)?;
+        engines.set_item(name, vector(py, &engine_numbers(engine.coefficients()))?)?;
     }
     out.set_item("engines", engines)?;
     Ok(out)
@@ -116,7 +117,7 @@ fn jets<'py>(py: Python<'py>, model: &RobotModel) -> PyResult<Bound<'py, PyDict>
     let out = PyDict::new(py);
     out.set_item("names", tuple(py, jets.iter().map(|jet| &jet.name))?)?;
     set_frames(py, &out, jets.iter().map(|jet| &jet.frame).collect())?;
-    out.set_item("engines", tuple(py, jets.iter().map(|jet| &jet.engine))?)?;
+    out.set_item("engines", tuple(py, jets.iter().map(|jet| &jet.engine_name))?)?;
     out.set_item("axes", rows(py, jets.iter().map(|jet| jet.axis_f.into_inner()))?)?;
     out.set_item("torque_to_thrust", numbers(py, jets.iter().map(|jet| jet.torque_to_thrust))?)?;
     out.set_item("thrust_min", numbers(py, jets.iter().map(|jet| jet.thrust_min))?)?;

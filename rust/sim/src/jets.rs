@@ -16,7 +16,7 @@ use crate::disturbances::{JetFaults, JetFaultsConfig};
 use crate::turbine::TurbineConfig;
 use flight_core::error::{BuildError, check};
 use flight_core::jets::{EkfConfig, EngineDynamics, EngineModel, ThrustEkf, ThrustRateController};
-use flight_core::robot::{EngineCoefficients, Jet};
+use flight_core::robot::Jet;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -102,11 +102,11 @@ impl Jets {
     ///
     /// # Errors
     /// The thrust of a jet is missing or not finite; for second-order dynamics also an engine that does not
-    /// exist, or values that [`EngineModel::new`] or [`ThrustEkf::new`] refuse.
+    /// exist, or values that [`ThrustEkf::new`] refuses.
     pub fn new(
         config: &JetsConfig,
         jets: &[Jet],
-        engines: &BTreeMap<String, EngineCoefficients>,
+        engines: &BTreeMap<String, EngineModel>,
         initial_thrust: &[f64],
     ) -> Result<Self, BuildError> {
         check_one_per_jet("initial_thrust", initial_thrust.len(), jets)?;
@@ -139,11 +139,16 @@ impl Jets {
             .zip(initial_thrust)
             .enumerate()
             .map(|(i, (jet, &thrust))| {
-                let name = config.engines.as_ref().and_then(|names| names.get(i)).unwrap_or(&jet.engine);
-                let coefficients = engines.get(name).ok_or_else(|| {
-                    BuildError::unknown_name(format!("engine of jet `{}`", jet.name), name, engines.keys())
-                })?;
-                let model = EngineModel::new(name, *coefficients)?;
+                let model = match config.engines.as_ref().and_then(|names| names.get(i)) {
+                    None => jet.engine,
+                    Some(name) => *engines.get(name).ok_or_else(|| {
+                        BuildError::unknown_name(
+                            format!("engine of jet `{}`", jet.name),
+                            name,
+                            engines.keys(),
+                        )
+                    })?,
+                };
                 let throttle = model.steady_throttle(thrust);
                 Ok(ThrottledEngine {
                     engine: EngineDynamics::new(model, thrust, 0.0),

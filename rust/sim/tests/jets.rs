@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-use crate::common::engines::engines;
+use crate::common::engines::{engines, model};
 use crate::common::{assert_says, assert_within, relative};
 use flight_core::robot::{Frame, Jet};
 use flight_core::spatial::Pose;
@@ -28,7 +28,8 @@ fn jets() -> Vec<Jet> {
         torque_to_thrust: 0.0,
         thrust_min: 0.0,
         thrust_max,
-        engine: engine.to_owned(),
+        engine: model(engine),
+        engine_name: engine.to_owned(),
     })
     .to_vec()
 }

@@ -133,7 +133,7 @@ impl Controller {
             last_tick: 0,
             terms: Terms::new(&model, measurement, limits, contact, momentum_qp, torque_qp),
             command,
-            jets: JetModel::all(&robot, config.jet_dynamics)?,
+            jets: robot.jet_models(config.jet_dynamics),
             time_step,
             model,
             aero,
@@ -406,7 +406,7 @@ fn build_law(
     let gains = (config.torque.kd, config.torque.kp);
     let thrust_rate_max = robot.by_jet(&config.bounds.thrust_rate_max);
     let joints = mpc.joints(robot)?;
-    let jets = JetModel::all(robot, config.jet_dynamics)?;
+    let jets = robot.jet_models(config.jet_dynamics);
     let law = PredictiveLaw::new(
         mpc,
         conventions,
@@ -438,7 +438,7 @@ fn build_guard(
         .latency_monitor
         .map(|monitor| LatencyMonitor::new(monitor, estimator, config.torque.steps, n, jets, time_step));
     let observes_joints = estimator.is_some_and(|estimator| estimator.joint_observer.is_some());
-    let jet_models = JetModel::all(robot, config.jet_dynamics)?;
+    let jet_models = robot.jet_models(config.jet_dynamics);
     let estimator = estimator
         .map(|estimator| {
             Estimator::new(estimator, robot.clone(), config.jet_dynamics, aero.clone(), time_step)
@@ -448,9 +448,8 @@ fn build_guard(
     config.check_rate_bounds(robot, time_step)?;
     observer.map_or(Ok(()), |observer| observer.check(time_step))?;
     let momentum_shares = estimator.as_ref().map_or([1.0; 2], |estimator| estimator.momentum_shares);
-    let engines = engines
-        .map(|engines| Engines::new(&engines, limits, robot, momentum_shares, config.jet_dynamics))
-        .transpose()?;
+    let engines =
+        engines.map(|engines| Engines::new(&engines, limits, robot, momentum_shares, config.jet_dynamics));
     let feet = contact.as_ref().map(|_| Feet { time_step });
     let joints = joints.map(|joints| Joints::new(joints, robot, time_step));
     let stages = [

@@ -3,10 +3,45 @@
 //! Equations M32 to M34, M144 and M173 of `docs/model`.
 
 use crate::error::{BuildError, check};
-use crate::robot::EngineCoefficients;
+use serde::{Deserialize, Serialize};
 
 /// Input gain below which the throttle does not control the thrust and the loop holds it \[N/s² per %\].
 const MIN_INPUT_GAIN: f64 = 1e-9;
+
+/// Second-order model of an engine with thrust `T` \[N\] and throttle `u` in percent.
+///
+/// ```text
+/// T̈ = k_t T + k_tt T² + k_d Ṫ + k_dd Ṫ² + k_td T Ṫ + c + (b_u + b_t T + b_d Ṫ)(u + b_uu u²)
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct EngineCoefficients {
+    /// Stiffness \[1/s²\].
+    pub k_t: f64,
+    /// Quadratic stiffness \[1/(N s²)\].
+    pub k_tt: f64,
+    /// Damping \[1/s\].
+    pub k_d: f64,
+    /// Quadratic damping \[1/N\].
+    pub k_dd: f64,
+    /// Damping proportional to thrust \[1/(N s)\].
+    pub k_td: f64,
+    /// Gain of the throttle \[N/s² per percent\].
+    pub b_u: f64,
+    /// Gain proportional to thrust \[1/s² per percent\].
+    pub b_t: f64,
+    /// Gain proportional to the thrust rate \[1/s per percent\].
+    pub b_d: f64,
+    /// Curvature of the throttle \[1/percent\].
+    pub b_uu: f64,
+    /// Constant drift \[N/s²\].
+    pub c: f64,
+    /// Least throttle \[percent\].
+    pub throttle_min: f64,
+    /// Greatest throttle \[percent\].
+    pub throttle_max: f64,
+}
 
 /// Equations of one engine: its thrust acceleration is affine in a function of the throttle.
 ///
@@ -56,9 +91,14 @@ impl EngineModel {
         Ok(Self { coefficients })
     }
 
-    /// Drift `f(T, Ṫ)` \[N/s²\]: thrust acceleration for `v = 0`.
+    /// Coefficients of the equations.
     #[must_use]
-    pub fn drift(&self, thrust: f64, thrust_rate: f64) -> f64 {
+    pub fn coefficients(&self) -> &EngineCoefficients {
+        &self.coefficients
+    }
+
+    /// Drift `f(T, Ṫ)` \[N/s²\]: thrust acceleration for `v = 0`.
+    fn drift(&self, thrust: f64, thrust_rate: f64) -> f64 {
         let k = &self.coefficients;
         thrust * (k.k_t + k.k_tt * thrust + k.k_td * thrust_rate)
             + thrust_rate * (k.k_d + k.k_dd * thrust_rate)
@@ -66,64 +106,50 @@ impl EngineModel {
     }
 
     /// Input gain `g(T, Ṫ)` \[N/s² per %\]; changes sign where the thrust rises fast.
-    #[must_use]
-    pub fn input_gain(&self, thrust: f64, thrust_rate: f64) -> f64 {
+    fn input_gain(&self, thrust: f64, thrust_rate: f64) -> f64 {
         let k = &self.coefficients;
         k.b_u + k.b_t * thrust + k.b_d * thrust_rate
     }
 
-    /// Input `v(u) = u + B_UU u²` \[%\] for a throttle \[%\].
-    #[must_use]
-    pub fn input(&self, throttle: f64) -> f64 {
-        throttle * (1.0 + self.coefficients.b_uu * throttle)
+    /// Input `v(u)` \[%\] of a throttle \[%\], which is limited first.
+    fn input(&self, throttle: f64) -> f64 {
+        let k = &self.coefficients;
+        let throttle = throttle.clamp(k.throttle_min, k.throttle_max);
+        throttle * (1.0 + k.b_uu * throttle)
     }
 
-    /// Throttle \[%\] with `v(u) = input`, on the branch through `u = v = 0`; not limited.
+    /// Throttle \[%\] within the limits whose thrust acceleration is nearest to a wanted one \[N/s²\]; `None` where the
+    /// throttle does not act on the thrust, and for numbers that are not finite.
     ///
     /// ```text
-    /// u = 2 v / (1 + √(1 + 4 B_UU v)),   −1/(2 B_UU) where the root is not real
+    /// v = clamp (T̈ − f(T, Ṫ)) / g(T, Ṫ),   u = 2 v / (1 + √(1 + 4 B_UU v))
     /// ```
     ///
-    /// The published `(−1 + √…)/(2 B_UU)` with the root in the denominator, which is also correct for
-    /// `B_UU = 0`. Where no throttle gives `input`, the throttle at the vertex of the parabola, which keeps
-    /// the function continuous.
+    /// The published `(−1 + √…)/(2 B_UU)` with the root in the denominator, which is also correct for `B_UU = 0`.
     #[must_use]
-    pub fn throttle_from_input(&self, input: f64) -> f64 {
-        let b_uu = self.coefficients.b_uu;
-        let discriminant = 1.0 + 4.0 * b_uu * input;
-        // Beyond the vertex, with a root of zero, the formula would continue to increase with v.
-        if discriminant < 0.0 { -0.5 / b_uu } else { 2.0 * input / (1.0 + discriminant.sqrt()) }
-    }
-
-    /// Limits a throttle \[%\] to the engine's range.
-    #[must_use]
-    pub fn limit_throttle(&self, throttle: f64) -> f64 {
-        throttle.clamp(self.coefficients.throttle_min, self.coefficients.throttle_max)
-    }
-
-    /// Limits an input `v` \[%\] to the values of `v` at the throttle limits.
-    #[must_use]
-    pub fn limit_input(&self, input: f64) -> f64 {
+    pub fn throttle_for(&self, thrust: f64, thrust_rate: f64, acceleration: f64) -> Option<f64> {
         let k = &self.coefficients;
-        input.clamp(self.input(k.throttle_min), self.input(k.throttle_max))
+        let gain = self.input_gain(thrust, thrust_rate);
+        let wanted = (acceleration - self.drift(thrust, thrust_rate)) / gain;
+        (wanted.is_finite() && gain.abs() >= MIN_INPUT_GAIN).then(|| {
+            let input = wanted.clamp(self.input(k.throttle_min), self.input(k.throttle_max));
+            // The root is real between the limits, up to rounding.
+            let root = (1.0 + 4.0 * k.b_uu * input).max(0.0).sqrt();
+            (2.0 * input / (1.0 + root)).clamp(k.throttle_min, k.throttle_max)
+        })
     }
 
-    /// Throttle \[%\] that holds a thrust: `f(T, 0) + g(T, 0) v(u) = 0`, within the limits; the least throttle
-    /// if the throttle does not act on the thrust there.
+    /// Throttle \[%\] that holds a thrust, as nearly as the limits allow; the least throttle if the throttle does not act
+    /// on the thrust there.
     #[must_use]
     pub fn steady_throttle(&self, thrust: f64) -> f64 {
-        let gain = self.input_gain(thrust, 0.0);
-        if gain.abs() < MIN_INPUT_GAIN {
-            return self.coefficients.throttle_min;
-        }
-        self.limit_throttle(self.throttle_from_input(self.limit_input(-self.drift(thrust, 0.0) / gain)))
+        self.throttle_for(thrust, 0.0, 0.0).unwrap_or(self.coefficients.throttle_min)
     }
 
     /// Thrust acceleration `T̈` \[N/s²\] for a throttle \[%\], which is limited first.
     #[must_use]
     pub fn thrust_acceleration(&self, thrust: f64, thrust_rate: f64, throttle: f64) -> f64 {
-        self.drift(thrust, thrust_rate)
-            + self.input_gain(thrust, thrust_rate) * self.input(self.limit_throttle(throttle))
+        self.drift(thrust, thrust_rate) + self.input_gain(thrust, thrust_rate) * self.input(throttle)
     }
 
     /// Thrust rate \[N/s\] after `dt` \[s\] at the throttle within the limits that brings it nearest to a commanded one.
@@ -145,7 +171,7 @@ impl EngineModel {
     #[must_use]
     pub fn acceleration_slopes(&self, thrust: f64, thrust_rate: f64, throttle: f64) -> (f64, f64) {
         let k = &self.coefficients;
-        let v = self.input(self.limit_throttle(throttle));
+        let v = self.input(throttle);
         (
             k.k_t + 2.0 * k.k_tt * thrust + k.k_td * thrust_rate + k.b_t * v,
             k.k_d + 2.0 * k.k_dd * thrust_rate + k.k_td * thrust + k.b_d * v,
@@ -217,17 +243,11 @@ impl ThrustRateController {
 
     /// Returns the throttle \[%\] for a commanded thrust rate \[N/s\].
     ///
-    /// ```text
-    /// v = −( k_p (Ṫ − Ṫ*) + f(T, Ṫ) ) / g(T, Ṫ),   u = v⁻¹(clamp v)
-    /// ```
-    ///
-    /// Source: the published controller. Where `g` is zero or a number is not finite the throttle is held, instead of a
-    /// division by zero.
+    /// Source: the published controller. Where no throttle is found it is held, instead of a division by zero.
     pub fn update(&mut self, model: &EngineModel, thrust: f64, thrust_rate: f64, command: f64) -> f64 {
-        let gain = model.input_gain(thrust, thrust_rate);
-        let wanted = -(RATE_GAIN * (thrust_rate - command) + model.drift(thrust, thrust_rate)) / gain;
-        if wanted.is_finite() && gain.abs() >= MIN_INPUT_GAIN {
-            self.throttle = model.limit_throttle(model.throttle_from_input(model.limit_input(wanted)));
+        let acceleration = RATE_GAIN * (command - thrust_rate);
+        if let Some(throttle) = model.throttle_for(thrust, thrust_rate, acceleration) {
+            self.throttle = throttle;
         }
         self.throttle
     }

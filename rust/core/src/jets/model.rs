@@ -8,8 +8,6 @@
 //! Channels, estimator and the monitor of the engines predict thrusts with it, and the plan has the engine among its states.
 
 use super::EngineModel;
-use crate::error::BuildError;
-use crate::robot::RobotModel;
 use serde::{Deserialize, Serialize};
 
 /// How thrusts follow their commanded rates in the controller's model.
@@ -34,27 +32,6 @@ pub struct JetModel {
 }
 
 impl JetModel {
-    /// The jets of `robot`.
-    ///
-    /// # Errors
-    /// [`BuildError`] for an engine that the robot does not define, or as [`EngineModel::new`].
-    pub fn all(robot: &RobotModel, dynamics: JetDynamics) -> Result<Vec<Self>, BuildError> {
-        let jets = robot.jets.iter().map(|jet| {
-            let engine = match dynamics {
-                JetDynamics::Ideal => None,
-                JetDynamics::SecondOrder => {
-                    let known = robot.engines.get(&jet.engine).copied();
-                    let name = || format!("engine of jet `{}`", jet.name);
-                    let known = known
-                        .ok_or_else(|| BuildError::unknown_name(name(), &jet.engine, robot.engines.keys()))?;
-                    Some(EngineModel::new(&jet.engine, known)?)
-                }
-            };
-            Ok(Self { thrust_min: jet.thrust_min, engine })
-        });
-        jets.collect()
-    }
-
     /// Thrust \[N\] and thrust rate \[N/s\] after `dt` \[s\] under a commanded rate \[N/s\] (M31, M173).
     ///
     /// The thrust is not below the least one of the engine. A thrust that is below it already is that of an engine that has
@@ -76,12 +53,8 @@ impl JetModel {
     #[must_use]
     pub fn throttle(&self, thrust: f64, thrust_rate: f64, command: f64, dt: f64) -> f64 {
         let Some(engine) = &self.engine else { return 0.0 };
-        let gain = engine.input_gain(thrust, thrust_rate);
-        let input = ((command - thrust_rate) / dt - engine.drift(thrust, thrust_rate)) / gain;
-        if input.is_finite() {
-            engine.limit_throttle(engine.throttle_from_input(engine.limit_input(input)))
-        } else {
-            engine.steady_throttle(thrust)
-        }
+        engine
+            .throttle_for(thrust, thrust_rate, (command - thrust_rate) / dt)
+            .unwrap_or_else(|| engine.steady_throttle(thrust))
     }
 }

@@ -208,7 +208,7 @@ fn jets_and_feet() {
     let jets: Vec<(&str, &str, f64, &str)> = robot
         .jets
         .iter()
-        .map(|jet| (jet.name.as_str(), jet.frame.name.as_str(), jet.thrust_max, jet.engine.as_str()))
+        .map(|jet| (jet.name.as_str(), jet.frame.name.as_str(), jet.thrust_max, jet.engine_name.as_str()))
         .collect();
     let expected = [
         ("l_arm_jet", "l_arm_jet_turbine", 160.0, "P160"),
@@ -230,7 +230,11 @@ fn jets_and_feet() {
 
 #[test]
 fn engines_are_the_published_ones() {
-    assert_eq!(ironcub().engines, engines());
+    let robot = ironcub();
+    assert_eq!(robot.engines, engines());
+    for jet in robot.jets {
+        assert_eq!(jet.engine, robot.engines[&jet.engine_name], "{}", jet.name);
+    }
 }
 
 /// At the first tick of the published flight the centre of mass is where the authors' model has it,

@@ -2,8 +2,7 @@
 
 #![allow(clippy::unreadable_literal, reason = "coefficients stand as they were published")]
 
-use flight_core::jets::EngineModel;
-use flight_core::robot::EngineCoefficients;
+use flight_core::jets::{EngineCoefficients, EngineModel};
 use std::collections::BTreeMap;
 
 /// The published sets, in the order `K_T K_TT K_D K_DD K_TD B_U B_T B_D B_UU c`.
@@ -36,8 +35,8 @@ pub fn coefficients(k: [f64; 10]) -> EngineCoefficients {
     }
 }
 
-pub fn engines() -> BTreeMap<String, EngineCoefficients> {
-    ENGINES.iter().map(|(name, k)| ((*name).to_owned(), coefficients(*k))).collect()
+pub fn engines() -> BTreeMap<String, EngineModel> {
+    models().map(|(name, model)| (name.to_owned(), model)).collect()
 }
 
 pub fn models() -> impl Iterator<Item = (&'static str, EngineModel)> {

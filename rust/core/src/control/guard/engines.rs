@@ -249,25 +249,16 @@ pub struct Engines {
 
 impl Engines {
     /// Monitors of the engines of `robot`, for a law with these limits while all engines work.
-    ///
-    /// # Errors
-    /// An engine that the robot does not define, or as [`EngineModel::new`].
+    #[must_use]
     pub fn new(
         config: &EnginesConfig,
         usual: &Limits,
         robot: &RobotModel,
         momentum_shares: [f64; 2],
         dynamics: JetDynamics,
-    ) -> Result<Self, BuildError> {
-        let models = robot.jets.iter().map(|jet| {
-            let known = robot.engines.get(&jet.engine).copied();
-            let name = || format!("engine of jet `{}`", jet.name);
-            let known =
-                known.ok_or_else(|| BuildError::unknown_name(name(), &jet.engine, robot.engines.keys()))?;
-            let engine = EngineModel::new(&jet.engine, known)?;
-            Ok((dynamics == JetDynamics::Ideal).then_some(engine))
-        });
-        let models = models.collect::<Result<_, BuildError>>()?;
+    ) -> Self {
+        let is_ideal = dynamics == JetDynamics::Ideal;
+        let models = robot.jets.iter().map(|jet| is_ideal.then_some(jet.engine)).collect();
         let joints = robot.joints.iter();
         let descending = |descent: DescentConfig| Limits {
             gains: descent.momentum,
@@ -277,7 +268,7 @@ impl Engines {
             ..usual.clone()
         };
         let descending = config.descent.map(|descent| (descent, descending(descent)));
-        Ok(Self { config: *config, momentum_shares, models, usual: usual.clone(), descending })
+        Self { config: *config, momentum_shares, models, usual: usual.clone(), descending }
     }
 
     /// State before the first tick.

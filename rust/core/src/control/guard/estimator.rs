@@ -235,7 +235,7 @@ impl Estimator {
     /// Builds an estimator with models of the robot and of its aerodynamics, updated every `time_step` \[s\].
     ///
     /// # Errors
-    /// As [`EstimatorConfig::check`] and [`JetModel::all`].
+    /// As [`EstimatorConfig::check`].
     pub fn new(
         config: &EstimatorConfig,
         robot: RobotModel,
@@ -264,7 +264,7 @@ impl Estimator {
             link_forces: LinkForces::new(&robot),
             mass_factor: MassFactor::new(6 + joints),
             acceleration: DVector::zeros(6 + joints),
-            jets: JetModel::all(&robot, jet_dynamics)?,
+            jets: robot.jet_models(jet_dynamics),
             robot,
             aero,
         };
