@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure, FigureBase
 
+from jax_aero.base.result import LOST
 from paper_figs import style
 from paper_figs.sweeps import Sweep, axis_label
 
@@ -22,11 +23,11 @@ def draw(sweep: Sweep) -> Figure:
     top, bottom = figure.subfigures(2, 1, height_ratios=(2.1, 1.75 * rows), squeeze=False)[:, 0]
     _correlations(top, sweep, flights)
     grid = bottom.subplots(rows, columns, sharey=True, squeeze=False)
-    fell = flights["outcome"].isin(["fell", "diverged"])
+    lost = flights["outcome"].isin(LOST)
     for axes, axis in zip(grid.flat, axes_of, strict=False):
         x = flights[axis["name"]]
-        axes.plot(x[~fell], error[~fell], "o", color=style.BLUE, markersize=1.8, alpha=0.6, label="flown to the end")
-        axes.plot(x[fell], error[fell], "x", color=style.VERMILION, markersize=4, label="lost")
+        axes.plot(x[~lost], error[~lost], "o", color=style.BLUE, markersize=1.8, alpha=0.6, label="flown to the end")
+        axes.plot(x[lost], error[lost], "x", color=style.VERMILION, markersize=4, label="lost")
         axes.set_xlabel(axis_label(axis), fontsize=7)
         axes.set_ylim(0.0, 95.0)
     for axes in grid.flat[len(axes_of) :]:

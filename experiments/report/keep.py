@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments import Refused
+from experiments import Refused, engines
 from experiments.report import claims, kept
 from experiments.report.findings import Finding
 from experiments.report.kept import ALL, Axis, Kept
@@ -32,10 +32,14 @@ from jax_aero.base import documents, places
 from jax_aero.base.files import find_damaged, read_json, write_bytes, write_text
 from jax_aero.base.modes import MODES
 from jax_aero.base.parquet import read_table
+from jax_aero.base.result import LOST, UPRIGHT
 from jax_aero.base.terminal import exit_status
 from jax_aero.cli import Parser, complete_with
 from paper_figs import style, sweeps
 from paper_figs.command import draw_sweep
+
+FIRST = ("max_rotation_error", "thrust_max", "end_com_x", "end_com_z")
+"""Figures that are kept of the first flight of each cell."""
 
 DIGITS = 5
 """Significant digits of a kept number."""
@@ -144,6 +148,7 @@ def of_sweep(folder: Path, named: str | None = None) -> Kept:
     axes = [axis for axis in whole if not is_sampled and axis.name not in (*tabled.pooled, *second)]
     flights = read_table(folder / "table.parquet").to_pandas(use_threads=False)
     flights["onset"] = flights["cell"].map(_onsets(asked, document["config_hash"]))
+    firsts = [first_of(flight) for flight in flights[flights["repeat"] == 0].to_dict("records")]
     flights = flights[flights["outcome"] != "error"]
     rows = list(_rows(flights, axes, (whole[0].name, whole[1].name) if is_paired else None))
     found = _findings(folder, asked.claim) if asked else {}
@@ -167,6 +172,7 @@ def of_sweep(folder: Path, named: str | None = None) -> Kept:
         outcomes=document["finished"]["outcomes"],
         columns=[*(axis.name for axis in axes), *FIGURES],
         rows=[[*levels, *_shorten(list(figures.values()))] for levels, figures in rows],
+        firsts=firsts,
         claims=found,
         states={claim.key: claim.states for claim in asked.claim} if asked else {},
     )
@@ -239,7 +245,8 @@ def _rows(
 
 
 FIGURES: tuple[str, ...] = (
-    *("flights", "completed", "descended", "on_course", "off_course", "lost", "unwarned", "degraded"),
+    *("flights", "completed", "descended", "descending", "on_course", "off_course"),
+    *("lost", "crashed", "unwarned", "degraded"),
     *("rotation_deg_median", "rotation_deg_high", "rotation_deg_worst", "com_cm_median", "com_cm_high", "com_cm_worst"),
     *("found_s", "announced_s", "lost_s", "modes"),
 )
@@ -251,7 +258,7 @@ QUANTILES = {"median": 0.5, "high": 0.9, "worst": 1.0}
 def figures(flights: pd.DataFrame) -> dict[str, Any]:
     """Return counts of flights, and quantiles of the errors of those that complete or come down."""
     outcome = flights["outcome"]
-    upright, lost = (flights[outcome.isin(ends)] for ends in (("completed", "descended"), ("fell", "diverged")))
+    upright, lost = (flights[outcome.isin(ends)] for ends in (UPRIGHT, LOST))
     degraded = flights[flights["degraded_time"] > 0.0]
     rotation, com = np.degrees(upright["max_rotation_error"]), 100.0 * upright["max_com_error"]
     near = (rotation <= math.degrees(table.ON_COURSE_ROTATION)) & (com <= 100.0 * table.ON_COURSE_COM)
@@ -260,9 +267,11 @@ def figures(flights: pd.DataFrame) -> dict[str, Any]:
         "flights": len(flights),
         "completed": int((outcome == "completed").sum()),
         "descended": int((outcome == "descended").sum()),
+        "descending": int((outcome == "descending").sum()),
         "on_course": int(on_course.sum()),
         "off_course": int((outcome == "off_course").sum()),
         "lost": len(lost),
+        "crashed": int((outcome == "crashed").sum()),
         "unwarned": int((lost["warning_time"] < table.LEAST_WARNING).sum()),
         "degraded": len(degraded),
     }
@@ -280,6 +289,20 @@ def figures(flights: pd.DataFrame) -> dict[str, Any]:
 def _quantile(values: pd.Series, share: float) -> float | None:
     known = values[np.isfinite(values)]
     return float(known.quantile(share)) if len(known) else None
+
+
+def first_of(flight: Mapping[str, Any]) -> list[Any]:
+    """Return what is kept of the first flight of a cell, from its outcome and its figures."""
+    return [flight["outcome"], *_shorten([flight[name] for name in FIRST])]
+
+
+def fly_again(document: Kept, cell: int) -> list[Any]:
+    """Return what is kept of the first flight of a cell, flown anew from the present file of the sweep."""
+    sweep = Design(spec.load(document.result.removeprefix("sweeps/")))
+    if len(sweep.cells) != len(document.firsts):
+        raise Refused(f"{document.name} keeps {len(document.firsts)} cells; its sweep has {len(sweep.cells)}")
+    flight = engines.engine(sweep.spec.engine).fly(sweep.row_config(cell * sweep.spec.repeats))
+    return first_of({"outcome": flight.outcome, **flight.summary})
 
 
 def _shorten(value: Any) -> Any:

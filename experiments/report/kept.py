@@ -77,6 +77,10 @@ class Kept(msgspec.Struct, kw_only=True, omit_defaults=True):
     columns: list[str] = []
     rows: list[list[Any]] = []
     """Figures of flights; an axis over which they are pooled is "all"."""
+    firsts: list[list[Any]] = []
+    """Outcome and figures (`keep.FIRST`) of the first flight of each cell, in the order of the sweep's cells."""
+    firsts_flown: str = ""
+    """When and with which commit these were flown, if not with the other flights."""
     claims: dict[str, Finding] = {}
     states: dict[str, str] = {}
     """What the claims say."""
@@ -110,11 +114,11 @@ def findings() -> dict[str, Finding]:
 def to_json(kept: Kept) -> str:
     """Return a kept result as JSON, with a line for each row."""
     document = msgspec.to_builtins(kept)
-    rows = document.pop("rows", [])
+    tables = {name: document.pop(name) for name in ("rows", "firsts") if name in document}
     text = json.dumps(document, indent=1, ensure_ascii=False)
-    if rows:
+    for name, rows in tables.items():
         lines = ",\n".join(f"  {json.dumps(row, ensure_ascii=False)}" for row in rows)
-        text = f'{text[:-2]},\n "rows": [\n{lines}\n ]\n}}'
+        text = f'{text[:-2]},\n "{name}": [\n{lines}\n ]\n}}'
     return f"{text}\n"
 
 
@@ -222,7 +226,7 @@ def _parts(kept: Kept) -> list[Callable[[Mapping[str, Any]], str]]:
 
 
 def _count(row: Mapping[str, Any]) -> str:
-    """Return the flights that complete, and those that come down."""
+    """Return the flights that complete, and those that land."""
     down = f" + {row['descended']}" if row["descended"] else ""
     return f"{row['completed']}{down} of {row['flights']}"
 
@@ -258,7 +262,7 @@ def _modes(row: Mapping[str, Any]) -> str:
 
 
 def _legend(kept: Kept) -> str:
-    said = ["Flights that complete"]
+    said = ["Flights that complete" + (" + land" if kept.outcomes.get("descended") else "")]
     if "errors" in kept.shows:
         said.append("median (greatest) of their greatest rotation and position errors")
     if "found" in kept.shows:

@@ -131,9 +131,13 @@ class Perturbation(tables.Table, frozen=True):
         error = {key: value for (key, value), width in zip(drawn.items(), widths, strict=True) if width}
         if error:
             of_flight = config.setdefault("disturbances", {}).setdefault("model_error", {})
+            # The errors of the flight stay: scales multiply, offsets and rotations add up.
             for key in ("mass_scale", "inertia_scale"):
                 if key in error:
                     error[key] *= of_flight.get(key, 1.0)
+            for key in ("com_offset", "thrust_axes"):
+                if key in error and of_flight.get(key):
+                    error[key] = np.add(error[key], of_flight[key]).tolist()
             of_flight.update(error)
 
     def _reshape(self, config: dict[str, Any], around: Any, links: Sequence[str]) -> None:

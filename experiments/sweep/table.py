@@ -23,7 +23,7 @@ from experiments.sweep.spec import Level, Spec
 from experiments.table import text_table
 from jax_aero import rust
 from jax_aero.base.keys import get, set_key
-from jax_aero.base.result import FlightResult, Outcome
+from jax_aero.base.result import LOST, UPRIGHT, FlightResult, Outcome
 
 Cells: TypeAlias = Sequence[tuple[Level, ...]]
 """The levels of all axes, for each cell of a sweep."""
@@ -128,11 +128,11 @@ def cells(spec: Spec, levels: Cells, table: pa.Table) -> pa.Table:
 
 def _cell(flights: Mapping[str, Any]) -> dict[str, Any]:
     """Return counts and quantiles of the flights of one cell; of the warnings, those of lost flights."""
-    is_lost = np.isin(flights["outcome"], ("fell", "diverged"))
+    is_lost = np.isin(flights["outcome"], LOST)
     warning_time = np.where(is_lost, flights["warning_time"], np.nan)
     flights = {**flights, "warning_time": warning_time}
     completed = flights["outcome"] == "completed"
-    upright = completed | (flights["outcome"] == "descended")
+    upright = np.isin(flights["outcome"], UPRIGHT)
     errors = int((flights["outcome"] == "error").sum())
     near = (flights["max_rotation_error"] <= ON_COURSE_ROTATION) & (flights["max_com_error"] <= ON_COURSE_COM)
     trials = len(completed) - errors

@@ -12,8 +12,14 @@ from numpy.typing import NDArray
 
 from jax_aero.base.places import did_you_mean
 
-Outcome = Literal["completed", "off_course", "descended", "fell", "diverged"]
+Outcome = Literal["completed", "off_course", "descended", "descending", "crashed", "fell", "diverged"]
 """How a flight ended."""
+
+UPRIGHT: tuple[Outcome, ...] = ("completed", "descended")
+"""Outcomes of a flight that completes its mission or touches down within the limits of a landing."""
+
+LOST: tuple[Outcome, ...] = ("crashed", "fell", "diverged")
+"""Outcomes of a flight that is lost."""
 
 
 def ending(outcome: str, lost_time: float | None, lost_reason: str | None) -> str:
@@ -39,8 +45,8 @@ class FlightResult:
         Posture of the first tick, to which the posture task returns [rad].
     outcome
         "completed"; "off_course": flown to the end, but further than 0.5 m from its set-point; "descended": the mission
-        was given up, and the robot is down at the height of its start, or was on its way
-        (`summary["end_com_z"]`); "fell"; "diverged": numbers beyond the divergence limits.
+        was given up, and the robot touched down within the limits of a landing, "crashed": beyond them, "descending":
+        it was on its way at the end; "fell"; "diverged": numbers beyond the divergence limits.
     lost_time, lost_reason
         Time [s] and criterion of the loss; `None` if the flight reached its end.
     summary

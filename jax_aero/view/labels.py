@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from jax_aero.base.result import UPRIGHT
 from jax_aero.body.urdf import Vector
 from jax_aero.view import drawing
 from jax_aero.view.drawing import Colour, Scales
@@ -153,7 +154,7 @@ def badge(
     words: str | None = None,
 ) -> None:
     """Draw the outcome, or `words` instead, on a background of the outcome's colour."""
-    colour = drawing.COMPLETED if recording.outcome in ("completed", "descended") else drawing.FELL
+    colour = drawing.COMPLETED if recording.outcome in UPRIGHT else drawing.FELL
     label(draw, place, recording.verdict if words is None else words, size, colour, anchor)
 
 

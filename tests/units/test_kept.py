@@ -54,6 +54,14 @@ def test_errors_are_those_of_flights_that_complete():
     assert found["a", 0.0]["com_cm_worst"] == pytest.approx(2.0)
 
 
+def test_a_crash_is_a_loss():
+    ends = np.repeat(["completed", "descended", "descending", "crashed"], 2)
+    found = rows(flown(outcome=ends))["all", "all"]
+    counted = {"completed": 2, "descended": 2, "descending": 2, "crashed": 2, "lost": 2}
+    assert found | counted == found
+    assert found["rotation_deg_worst"] == pytest.approx(4.0)
+
+
 def test_a_failure_is_found_after_its_onset_and_a_loss_announced_before_it():
     found = rows(flown())
     assert found["b", 10.0]["found_s"] == pytest.approx(0.5)

@@ -618,6 +618,14 @@ def test_a_completed_flight_without_an_error_of_position_does_not_count_as_on_co
     assert table._cell(flights | {"max_com_error": np.full(2, np.nan)})["com_error_worst"] is None
 
 
+def test_a_flight_that_comes_down_lands_or_is_lost():
+    columns = {column for column, _ in table.QUANTITIES.values()} | {"degraded_time"}
+    flights = dict.fromkeys(columns, np.zeros(3)) | {"outcome": np.array(["descended", "descending", "crashed"])}
+    found = table._cell(flights)
+    assert [found[end] for end in ("completed", "descended", "descending", "crashed")] == [0, 1, 1, 1]
+    assert (found["upright"], found["unwarned"]) == (1, 1)
+
+
 def test_nothing_is_known_without_trials():
     assert table.wilson(0, 0) == (0.0, 1.0)
 
@@ -674,6 +682,8 @@ def test_a_sweep_leaves_a_table_of_flights_one_of_cells_and_says_what_was_flown(
         "completed": 12,
         "off_course": 0,
         "descended": 0,
+        "descending": 0,
+        "crashed": 0,
         "fell": 0,
         "diverged": 0,
         "error": 0,

@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 from jax_aero.base import places
+from jax_aero.base.result import LOST
 from paper_figs import ablation, maps, pairs
 from paper_figs.ablation import _is_geometric
 from paper_figs.command import DRAWINGS, main
@@ -34,7 +35,8 @@ def write(folder, name, drawing, axes, panels="world"):
         record = {"cell": index, **dict(zip(axes, labels, strict=True)), "flights": 8, "errors": 0}
         for share in ("completed", "upright"):
             record |= {share: index % 9, f"{share}_low": 0.1, f"{share}_high": 0.9}
-        record |= {"descended": index % 4, "off_course": index % 2, "fell": index % 3, "diverged": 0, "unwarned": 0}
+        record |= {"descended": index % 4, "off_course": index % 2, "fell": index % 3}
+        record |= dict.fromkeys(("descending", "crashed", "diverged", "unwarned"), 0)
         for quantity in ("rotation_error_deg", "com_error"):
             record |= {f"{quantity}_{end}": float(index + step) for step, end in enumerate(("low", "median", "high"))}
             record[f"{quantity}_worst"] = None if index == 1 else 3.0 * index
@@ -147,14 +149,14 @@ def test_a_pair_is_as_bad_as_its_worst_flight():
     """None, down, off course, lost with a warning, lost without one; what was not flown has no number."""
     levels = ["a", "b", "c", "d"]
     ends = {
-        ("a", "b"): (0, 0, 0, 0, 0), ("a", "c"): (0, 1, 0, 0, 0), ("a", "d"): (2, 1, 0, 1, 0),
-        ("b", "c"): (3, 0, 0, 0, 0), ("b", "d"): (0, 0, 2, 0, 1),
+        ("a", "b"): {}, ("a", "c"): {"off_course": 1}, ("a", "d"): {"descended": 2, "off_course": 1, "crashed": 1},
+        ("b", "c"): {"descended": 3}, ("b", "d"): {"fell": 2, "unwarned": 1}, ("c", "d"): {"descending": 1},
     }  # fmt: skip
-    names = ("descended", "off_course", "fell", "diverged", "unwarned")
-    cells = [{"x": x, "x_2": y, **dict(zip(names, end, strict=True))} for (x, y), end in ends.items()]
+    none = dict.fromkeys((*pairs.COUNTS, *LOST), 0)
+    cells = [{"x": x, "x_2": y} | none | end for (x, y), end in ends.items()]
     found = pairs.worst(pd.DataFrame(cells), "x", levels)
     expected = np.full((4, 4), np.nan)
-    expected[0, 1:], expected[1, 2:] = (0, 2, 3), (1, 4)
+    expected[0, 1:], expected[1, 2:], expected[2, 3] = (0, 3, 4), (1, 5), 2
     np.testing.assert_array_equal(found, expected)
 
 

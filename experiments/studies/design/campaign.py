@@ -19,6 +19,7 @@ from experiments.sweep.keys import set_all
 from experiments.sweep.perturbation import Perturbation
 from jax_aero import rust
 from jax_aero.base import places, tables
+from jax_aero.base.result import LOST
 
 BASE, PERTURBATION = "mk3_robot", places.CONFIGS / "perturbation" / "robot.toml"
 POSITION, ROTATION = 0.05, np.radians(3.0)
@@ -99,7 +100,7 @@ def judge(config: rust.Config, flown: rust.FlightResult) -> list[float]:
     failure, time = config.get("disturbances", {}).get("jets", {}).get("failure"), flown["time"]
     stop = failure["time"] if failure else np.inf
     before, after = (time >= SETTLED) & (time < stop), time >= stop
-    lost = float(flown.outcome in ("fell", "diverged"))
+    lost = float(flown.outcome in LOST)
     if not before.any() or (lost and failure and not after.any()):
         return [1.0, *[np.nan] * (len(FIGURES) - 1)]
     position, rotation = flown["com_position"] - flown["com_setpoint"], flown["rotation_error"]

@@ -11,6 +11,7 @@ import numpy as np
 
 from jax_aero import rust
 from jax_aero.base.modes import MODES
+from jax_aero.base.result import UPRIGHT
 
 Row = dict[str, Any]
 EXACT, SENSORS = "test2_observer", "test2_sensors"
@@ -60,7 +61,7 @@ def thrust_scaled(every: int) -> list[Row]:
         flown = fly_wrong(share, since)
         case = f"{share:+.0%}, {'growing in 5 s' if since > 0 else 'from the start'}"
         lean = float(np.degrees(flown.summary["max_rotation_error"]))
-        rows.append({"case": case, "completed": flown.outcome in ("completed", "descended"), "lean": lean})
+        rows.append({"case": case, "completed": flown.outcome in UPRIGHT, "lean": lean})
     return rows
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from experiments.studies.failures.flights import ARMS, CHEST, Row
 from jax_aero import rust
 from jax_aero.base.modes import MODES
+from jax_aero.base.result import UPRIGHT
 from jax_aero.mujoco import ground
 
 DURATION = 24.0
@@ -54,7 +55,7 @@ def _row(case: str, flight: rust.FlightResult) -> Row:
     modes = flight["degraded_modes"].astype(int)
     return {
         "case": case,
-        "completed": flight.outcome in ("completed", "descended"),
+        "completed": flight.outcome in UPRIGHT,
         "feet": bool((modes & MODES["feet_predicted"]).any()),
     }
 

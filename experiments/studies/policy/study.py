@@ -30,6 +30,7 @@ from experiments.sweep.keys import set_all
 from jax_aero import rust
 from jax_aero.base import plain, tables
 from jax_aero.base.cards import card_text, write_card
+from jax_aero.base.result import LOST
 from jax_aero.base.terminal import ConfigError
 from jax_aero.body.robot import load_robot
 from jax_aero.control.law.policy_card import make_card
@@ -181,7 +182,7 @@ def fly_worlds(path: Path, laws: Mapping[str, Mapping[str, Any]]) -> dict[str, f
     firsts: dict[str, NDArray[np.float64]] = {}
     for law, changes in laws.items():
         flown = rust.fly_batch([set_all(config, changes) for config in cells], threads=1)
-        found[f"{path.stem}, {law}, lost"] = sum(one.outcome in ("fell", "diverged") for one in flown)
+        found[f"{path.stem}, {law}, lost"] = sum(one.outcome in LOST for one in flown)
         for figure in ("rms_rotation_error", "rms_com_error"):
             values = np.array([one.summary[figure] for one in flown])
             first = firsts.setdefault(figure, values)

@@ -14,7 +14,7 @@
 //! tick and uses the outputs of the tick before. Equation M77 of `docs/model`.
 
 use crate::disturbances::Sample;
-use crate::log::FlightLog;
+use crate::log::{FlightLog, Series};
 use crate::outcome::{FlightResult, Judge, Loss, LossReason, Outcome};
 use crate::plant::Plant;
 use crate::scenario::{Interrupted, Scenario};
@@ -38,7 +38,7 @@ pub struct Flight {
     /// `None` before the first tick.
     state: Option<ControllerState>,
     loss: Option<Loss>,
-    /// Whether the robot has given up its mission and come down.
+    /// Whether the robot has given up its mission and touched down.
     is_down: bool,
     /// Index of the next tick.
     tick: usize,
@@ -130,7 +130,10 @@ impl Flight {
             Some(self.divergence().unwrap_or(LossReason::NotFinite))
         };
         self.loss = reason.map(|reason| Loss { time: self.time(), reason });
-        self.is_down = self.has_come_down();
+        if self.loss.is_none() && !self.is_down && self.touches_down() {
+            self.is_down = true;
+            self.loss = self.crash().map(|reason| Loss { time: self.time(), reason });
+        }
         if !self.has_ended() {
             self.advance(handed.command.map(|(_, torque)| torque));
         }
@@ -142,12 +145,24 @@ impl Flight {
         self.state.is_some() && self.scenario.controller.command().modes.contains(Modes::DESCENDING)
     }
 
-    /// Whether it descends, and has reached the height at which the flight began, where the ground would be. In a world with
-    /// ground, it stands there.
-    fn has_come_down(&self) -> bool {
-        let com = self.log.series("com_position").map_or(&[][..], |series| &series.data);
-        let is_low = matches!(com, [_, _, first, .., last] if last <= first);
-        is_low && self.seen.is_none() && self.is_descending()
+    /// Whether it descends and touches the ground, which is at the height at which the flight began where the world has none.
+    fn touches_down(&self) -> bool {
+        let is_low = || {
+            let com = self.log.series("com_position").map_or(&[][..], |series| &series.data);
+            matches!(com, [_, _, first, .., last] if last <= first)
+        };
+        let carries = |seen: &Seen| seen.foot_wrenches.iter().any(|wrench| wrench.z > 0.0);
+        self.is_descending() && self.seen.as_ref().map_or_else(is_low, carries)
+    }
+
+    /// Reason why this touch-down is a crash, if it is. The ground has slowed the robot within its first tick: the velocity is
+    /// then that of the tick before.
+    fn crash(&self) -> Option<LossReason> {
+        let before = 1 + usize::from(self.seen.is_some());
+        let row =
+            |series: &Series| Vector3::from_column_slice(series.row(self.log.len().saturating_sub(before)));
+        let velocity = self.log.series("com_velocity").map_or_else(Vector3::zeros, row);
+        Judge::crash(&velocity, self.scenario.plant.state().base.rotation[(2, 2)].min(1.0).acos())
     }
 
     /// Observes the robot at the next tick, and measures it. Does nothing where that is done.
@@ -230,10 +245,11 @@ impl Flight {
         Judge::divergence(&self.scenario.plant, &self.air)
     }
 
-    /// Whether the last tick has been flown, the robot has come down, or the flight is lost.
+    /// Whether the last tick has been flown, the flight is lost, or the robot has touched down where it cannot stand.
     #[must_use]
     pub fn has_ended(&self) -> bool {
-        self.loss.is_some() || self.is_down || self.tick > self.scenario.n_ticks
+        let has_landed = self.is_down && self.seen.is_none();
+        self.loss.is_some() || has_landed || self.tick > self.scenario.n_ticks
     }
 
     /// Index of the next tick; of a flight that ended early, of its last tick.
@@ -341,7 +357,9 @@ impl Flight {
     /// Outcome of the flight; before its end, as if it ended now.
     #[must_use]
     pub fn outcome(&self, summary: &Summary) -> Outcome {
-        self.scenario.judge.outcome(self.loss, self.is_descending(), summary)
+        let descending = self.is_descending().then_some(Outcome::Descending);
+        let descent = if self.is_down { Some(Outcome::Descended) } else { descending };
+        Judge::outcome(self.loss, descent, summary)
     }
 
     /// Result of the flight.

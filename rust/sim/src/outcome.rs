@@ -13,6 +13,15 @@ use std::fmt;
 /// Greatest distance of the centre of mass from its set-point after the start-up of a flight on course \[m\].
 const COURSE_ERROR: f64 = 0.5;
 
+/// Greatest speed downwards with which a robot that gave up its mission touches down \[m/s\]: that of a drop of 0.11 m.
+const TOUCHDOWN_DOWNWARDS: f64 = 1.5;
+
+/// Its greatest speed sideways \[m/s\].
+const TOUCHDOWN_SIDEWAYS: f64 = 1.0;
+
+/// Its greatest angle between base and vertical \[rad\]: 30 degrees.
+const TOUCHDOWN_LEAN: f64 = std::f64::consts::FRAC_PI_6;
+
 /// Greatest speed of base and air \[m/s\]: near that of sound, where no aerodynamic model here is valid.
 pub(crate) const SPEED: f64 = 300.0;
 
@@ -35,8 +44,12 @@ pub enum Outcome {
     Completed,
     /// The mission was flown to its end, but after the start-up further than 0.5 m from its set-point.
     OffCourse,
-    /// The robot gave up its mission and came down to the height at which the flight began, or was on its way down at the end.
+    /// The robot gave up its mission and touched down within the limits of a landing.
     Descended,
+    /// The robot gave up its mission and was on its way down at the end.
+    Descending,
+    /// The robot gave up its mission and touched down too fast or too inclined.
+    Crashed,
     /// The robot fell: its rotation error or position error passed its limit.
     Fell,
     /// The computation diverged: numbers are not finite or physically impossible, so the result has no meaning.
@@ -51,6 +64,8 @@ impl Outcome {
             Self::Completed => "completed",
             Self::OffCourse => "off_course",
             Self::Descended => "descended",
+            Self::Descending => "descending",
+            Self::Crashed => "crashed",
             Self::Fell => "fell",
             Self::Diverged => "diverged",
         }
@@ -66,13 +81,19 @@ pub struct Loss {
     pub reason: LossReason,
 }
 
-/// Reason of an early end: the first two are falls, the others a divergence.
+/// Reason of an early end: the first two are falls, the next three crashes, the others a divergence.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum LossReason {
     /// Angle between base and desired base \[rad\].
     RotationError(f64),
     /// Distance of the centre of mass from its set-point \[m\].
     ComError(f64),
+    /// Speed downwards at touch-down \[m/s\].
+    DownwardSpeed(f64),
+    /// Speed sideways at touch-down \[m/s\].
+    SidewaysSpeed(f64),
+    /// Angle between base and vertical at touch-down \[rad\].
+    Lean(f64),
     /// The state contains a number that is not finite.
     NotFinite,
     /// Speed of base or air.
@@ -88,11 +109,12 @@ pub enum LossReason {
 }
 
 impl LossReason {
-    /// Whether the robot fell or the computation diverged.
+    /// Whether the robot fell or crashed, or the computation diverged.
     #[must_use]
     pub fn outcome(self) -> Outcome {
         match self {
             Self::RotationError(_) | Self::ComError(_) => Outcome::Fell,
+            Self::DownwardSpeed(_) | Self::SidewaysSpeed(_) | Self::Lean(_) => Outcome::Crashed,
             _ => Outcome::Diverged,
         }
     }
@@ -103,6 +125,9 @@ impl fmt::Display for LossReason {
         match self {
             Self::RotationError(angle) => write!(f, "rotation error {:.1} deg", angle.to_degrees()),
             Self::ComError(distance) => write!(f, "CoM error {distance:.2} m"),
+            Self::DownwardSpeed(speed) => write!(f, "touches down at {speed:.1} m/s"),
+            Self::SidewaysSpeed(speed) => write!(f, "touches down at {speed:.1} m/s sideways"),
+            Self::Lean(angle) => write!(f, "touches down at {:.1} deg from upright", angle.to_degrees()),
             Self::NotFinite => write!(f, "state not finite"),
             Self::Speed => write!(f, "speed of base or air above {SPEED} m/s"),
             Self::AngularVelocity => write!(f, "angular velocity above {ANGULAR_VELOCITY} rad/s"),
@@ -181,14 +206,30 @@ impl Judge {
         .find_map(|(is_beyond, reason)| is_beyond.then_some(reason))
     }
 
-    /// Outcome of a flight that was lost or flown to its end, in which the robot descends or follows its mission.
+    /// Reason why a touch-down is a crash, if it is: from the velocity of the centre of mass \[m/s\] and the angle between base
+    /// and vertical \[rad\].
     #[must_use]
-    pub fn outcome(&self, loss: Option<Loss>, is_descending: bool, summary: &Summary) -> Outcome {
-        match loss {
-            Some(loss) => loss.reason.outcome(),
-            None if is_descending => Outcome::Descended,
-            None if summary.max_com_error > COURSE_ERROR => Outcome::OffCourse,
-            None => Outcome::Completed,
+    pub fn crash(velocity: &Vector3<f64>, lean: f64) -> Option<LossReason> {
+        let (down, sideways) = (-velocity.z, velocity.xy().norm());
+        if down > TOUCHDOWN_DOWNWARDS {
+            Some(LossReason::DownwardSpeed(down))
+        } else if sideways > TOUCHDOWN_SIDEWAYS {
+            Some(LossReason::SidewaysSpeed(sideways))
+        } else if lean > TOUCHDOWN_LEAN {
+            Some(LossReason::Lean(lean))
+        } else {
+            None
+        }
+    }
+
+    /// Outcome of a flight that was lost or flown to its end, with a descent or along its mission.
+    #[must_use]
+    pub fn outcome(loss: Option<Loss>, descent: Option<Outcome>, summary: &Summary) -> Outcome {
+        match (loss, descent) {
+            (Some(loss), _) => loss.reason.outcome(),
+            (None, Some(outcome)) => outcome,
+            (None, None) if summary.max_com_error > COURSE_ERROR => Outcome::OffCourse,
+            (None, None) => Outcome::Completed,
         }
     }
 }

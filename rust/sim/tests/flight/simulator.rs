@@ -4,6 +4,7 @@ use super::{STILL, data, ramp_to, with};
 use crate::common::{assert_within, difference, experiment, fly, tick_at};
 use flight_core::spatial::{orthonormality_error, rotation_from_wxyz};
 use flight_io::{load_controller, load_robot};
+use flight_sim::outcome::Judge;
 use flight_sim::signals::Dimension;
 use flight_sim::{
     BatchError, FlightLog, FlightResult, Handed, Interrupted, Loss, LossReason, Scenario, ScenarioConfig,
@@ -334,6 +335,24 @@ fn a_flight_that_reaches_its_end_is_on_course_or_not() {
         let flight = run(&config);
         assert_eq!((flight.outcome, flight.loss), (outcome, None));
     }
+}
+
+/// A touch-down is a landing within its limits, and beyond one of them a crash: of the speed downwards, the speed sideways, the
+/// angle from upright.
+#[test]
+fn a_touch_down_beyond_a_limit_is_a_crash() {
+    let crash = |x, y, z, degrees: f64| Judge::crash(&Vector3::new(x, y, z), degrees.to_radians());
+    for (landing, crashed, text) in [
+        (crash(0.0, 0.0, -1.49, 0.0), crash(0.0, 0.0, -1.51, 0.0), "touches down at 1.5 m/s"),
+        (crash(0.59, -0.8, 0.0, 0.0), crash(0.62, -0.8, 0.0, 0.0), "touches down at 1.0 m/s sideways"),
+        (crash(0.0, 0.0, 0.0, 29.9), crash(0.0, 0.0, 0.0, 30.1), "touches down at 30.1 deg from upright"),
+    ] {
+        assert_eq!(landing, None);
+        let reason = crashed.unwrap();
+        assert_eq!((reason.outcome(), reason.to_string().as_str()), (Outcome::Crashed, text));
+    }
+    assert_eq!(crash(0.59, 0.8, -1.49, 29.9), None, "the limits are separate");
+    assert_eq!(crash(0.0, 0.0, 3.0, 0.0), None, "upwards");
 }
 
 /// Each limit of what physics allows ends a flight at the tick that exceeds it, with its name; the row is in the
