@@ -14,6 +14,7 @@ from experiments.report.verdicts import Kind
 from experiments.sweep import spec
 from experiments.sweep.claims import Claim, Share
 from experiments.sweep.table import wilson
+from jax_aero.base import places
 from jax_aero.base.terminal import ConfigError
 
 JUDGES = {row.key: row.judge for rows in paper.SECTIONS.values() for row in rows if isinstance(row, paper.Claim)}
@@ -316,6 +317,15 @@ def judged(found, **asked):
 )
 def test_a_claim_covers_the_cells_of_its_levels(chosen, count):
     assert sum(Claim(key="k", states="", cells=chosen).covers(one) for one in CELLS) == count
+
+
+@pytest.mark.parametrize("name", places.names("sweeps"))
+def test_a_claim_says_its_bounds(name):
+    for claim in claims.of_sweep(name):
+        said = [f"{limit:g}°" for limit in claim.at_most.values()]
+        if claim.share is not None:
+            said.append(f"at most {100.0 * claim.share.at_most:g} %" if claim.share.at_most else "no flight")
+        assert not [bound for bound in said if f" {bound}" not in claim.states], claim.states
 
 
 def test_a_claim_fails_with_one_of_its_cells_that_it_names():

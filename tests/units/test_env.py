@@ -319,6 +319,17 @@ def test_the_effort_is_that_of_the_action_that_is_flown():
     assert sum(rewards(np, task_state, np.zeros(0)).values()) == 1.0
 
 
+def test_the_reward_falls_with_angle_distance_and_effort():
+    """At 1 - cos of 0.05, and at 0.05 m², each half of it is e times less; effort is a hundredth of the mean square."""
+    nothing, cosine = np.zeros(3), 0.95
+    sine = np.sqrt(1.0 - cosine**2)
+    turned = np.array([[1.0, 0.0, 0.0], [0.0, cosine, -sine], [0.0, sine, cosine]])
+    com, aim = np.array([0.1, 0.2, 0.0]), Aim(nothing, np.eye(3), nothing, nothing)
+    task_state = TaskState(turned, np.zeros(6), np.zeros(0), np.zeros(0), com, aim, np.zeros(0), np.zeros(6))
+    found = rewards(np, task_state, np.array([1.0, -0.5]))
+    assert found == pytest.approx({"attitude": 0.5 / np.e, "position": 0.5 / np.e, "effort": -0.00625}, rel=1e-12)
+
+
 def test_the_example_imports_names_that_exist():
     nodes = ast.walk(ast.parse(EXAMPLE.read_text(encoding="utf-8")))
     ours = [node for node in nodes if isinstance(node, ast.ImportFrom) and str(node.module).startswith("jax_aero")]

@@ -46,6 +46,16 @@ def test_flights_are_pooled_over_every_axis():
     )
 
 
+def test_the_high_error_is_that_of_nine_tenths():
+    """Of eleven flights with 0 to 10 degrees and 0 to 10 cm: 9, not the 8 or 10 of another share."""
+    ramp = np.arange(11.0)
+    flights = pd.concat([flown().iloc[:1]] * 11).assign(max_rotation_error=np.radians(ramp), max_com_error=0.01 * ramp)
+    found = keep.figures(flights)
+    ends = {"median": 5.0, "high": 9.0, "worst": 10.0}
+    expected = {f"{name}_{end}": value for name in ("rotation_deg", "com_cm") for end, value in ends.items()}
+    assert {name: found[name] for name in expected} == pytest.approx(expected)
+
+
 def test_errors_are_those_of_flights_that_complete():
     found = rows(flown())
     assert found["all", "all"]["rotation_deg_worst"] == pytest.approx(20.0)

@@ -395,6 +395,20 @@ def test_a_repeat_is_perturbed_alike_in_every_cell_and_unlike_the_others(agree):
     assert 0.02 < np.abs(offsets).max() <= 0.1
 
 
+def test_a_perturbation_adds_to_the_errors_of_a_level():
+    """It replaced them: a level of 4 cm flew at -0.75 cm."""
+    error = {"com_offset": [0.04, 0.0, -0.02], "thrust_axes": [[0.1, 0.0, 0.0]] * 4, "mass_scale": 0.9}
+    levels = [{"label": "none"}, {"label": "error", "set": {"disturbances.model_error": error}}]
+    made = design(
+        perturbation={"com": 0.01, "thrust_axis_deg": 1.0, "mass": 0.05}, axis=[{"name": "x", "level": levels}]
+    )
+    drawn, both = (made.row_config(cell * made.spec.repeats)["disturbances"]["model_error"] for cell in range(2))
+    assert np.all(np.abs(drawn["com_offset"]) > 0.0)
+    for key in ("com_offset", "thrust_axes"):
+        np.testing.assert_allclose(both[key], np.add(drawn[key], error[key]), atol=1e-15)
+    assert both["mass_scale"] == pytest.approx(0.9 * drawn["mass_scale"])
+
+
 def test_a_perturbation_that_is_switched_on_leaves_the_others_as_they_were():
     alone, both = (
         design(perturbation=sizes).row_config(0)["simulator"]["initial"]["joint_position"]

@@ -26,7 +26,7 @@ struct Robot {
     /// Whether a torque that is held for a tick moves a joint by `h² s̈ / 2` in it, and not by `h² s̈`.
     holds: bool,
     /// Ticks by which accelerations are predicted.
-    lead: i32,
+    lead: f64,
 }
 
 fn torque(tick: i32) -> DVector<f64> {
@@ -35,8 +35,8 @@ fn torque(tick: i32) -> DVector<f64> {
 }
 
 /// What accelerates the joints besides, against which torques act.
-fn free(tick: i32) -> DVector<f64> {
-    let t = f64::from(tick) * STEP;
+fn free(tick: f64) -> DVector<f64> {
+    let t = tick * STEP;
     DVector::from_vec(vec![30.0 * (5.0 * t).sin(), -20.0 * (7.0 * t).cos()])
 }
 
@@ -59,7 +59,7 @@ impl Robot {
             tick: 0,
             late,
             holds: false,
-            lead: 0,
+            lead: 0.0,
         }
     }
 
@@ -69,7 +69,7 @@ impl Robot {
         let thrust = is_measured.then(|| self.thrust.as_slice());
         self.monitor.measure(&mut self.state, position, thrust, STEP);
         let last = self.tick - 1;
-        let acceleration = free(last + self.lead) + &self.gain * torque(last);
+        let acceleration = free(f64::from(last) + self.lead) + &self.gain * torque(last);
         let (torques, rates) = (torque(last), rate(last));
         let sample = Sample {
             acceleration: acceleration.as_slice(),
@@ -81,7 +81,7 @@ impl Robot {
         let measured = self.monitor.measured(&self.state);
         let is_late = self.monitor.are_late(&mut self.state, measured, STEP).contains(&true);
 
-        let accelerated = free(self.tick) + &self.gain * torque(self.tick - self.late[0]);
+        let accelerated = free(f64::from(self.tick)) + &self.gain * torque(self.tick - self.late[0]);
         if self.holds {
             // The free acceleration is that of the middle of two ticks, as the difference of positions sees it.
             let held = &self.gain * torque(self.tick - self.late[0]);
@@ -123,12 +123,24 @@ fn half_a_tick_is_measured() {
     assert_within!((robot.measured()[0] - 0.015).abs(), 2e-4, "{} s", robot.measured()[0]);
 }
 
+/// An acceleration that is predicted by a part of a tick lies between those of two ticks, the nearer one counting more.
+#[test]
+fn parts_of_a_tick_are_interpolated() {
+    let mut config = EstimatorConfig::default();
+    config.latency.torque = 0.0125;
+    let mut robot = Robot { lead: 1.25, ..Robot::new([1, 0], Some(&config)) };
+    for _ in 0..1000 {
+        robot.fly(true);
+    }
+    assert_within!((robot.measured()[0] - 0.01).abs(), 2e-4, "{} s", robot.measured()[0]);
+}
+
 /// Accelerations are predicted for when the command acts, and measurements of sensors that are late are older.
 #[test]
 fn known_latencies_and_ages_are_allowed_for() {
     let mut config = EstimatorConfig::default();
     (config.latency.torque, config.latency.thrust) = (0.02, 0.02);
-    let mut robot = Robot { lead: 2, ..Robot::new([2, 2], Some(&config)) };
+    let mut robot = Robot { lead: 2.0, ..Robot::new([2, 2], Some(&config)) };
     for _ in 0..1000 {
         assert!(!robot.fly(true));
     }
@@ -136,7 +148,7 @@ fn known_latencies_and_ages_are_allowed_for() {
         assert_within!((measured - 0.02).abs(), 2e-4, "{measured} s");
     }
     (config.joint_position.delay, config.thrust.delay) = (0.01, 0.01);
-    let mut robot = Robot { lead: 3, ..Robot::new([3, 3], Some(&config)) };
+    let mut robot = Robot { lead: 3.0, ..Robot::new([3, 3], Some(&config)) };
     for _ in 0..1000 {
         robot.fly(true);
     }
