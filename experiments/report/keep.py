@@ -140,6 +140,8 @@ def of_sweep(folder: Path, named: str | None = None) -> Kept:
     document = read_json(folder / run.SWEEP_FILE, documents.FinishedSweep)
     if name := find_damaged(folder, document["finished"]["files"]):
         raise Refused(f"{os.path.relpath(folder / name)} is not what was written there; --overwrite flies it again")
+    if document["engine"] == "jax":
+        raise Refused(f"{os.path.relpath(folder)} is flown by JAX, which does not say what the guard finds")
     asked = spec.load(folder.name) if folder.name in places.names("sweeps") else None
     tabled = asked.tabled if asked else spec.Tabled()
     is_paired, is_sampled = document["design"] == "pairs", asked is not None and asked.is_sampled

@@ -31,6 +31,9 @@ Cells: TypeAlias = Sequence[tuple[Level, ...]]
 SUMMARY = tuple(name for name, figure in rust.figures().items() if not figure.is_of_ground)
 """Figures of merit of a flight that are stored in the tables."""
 
+OF_GUARD = ("degraded_time", "nominal_until", "all_modes", "warning_time")
+"""Those of what the guard finds, which flights of JAX do not have: its guard finds nothing."""
+
 OUTCOMES: tuple[str, ...] = typing.get_args(Outcome)
 
 ON_COURSE_ROTATION = math.radians(15.0)
@@ -106,7 +109,8 @@ def rows(
             record |= {"outcome": "error", "error": flown.reason}
         else:
             record |= {"outcome": flown.outcome, "lost_time": flown.lost_time, "lost_reason": flown.lost_reason}
-            record |= {name: flown.summary.get(name) for name in SUMMARY}
+            unknown = OF_GUARD if spec.engine == "jax" else ()
+            record |= {name: flown.summary.get(name) for name in SUMMARY if name not in unknown}
         records.append(record)
     return pa.Table.from_pylist(records, schema(spec, levels))
 
@@ -145,6 +149,8 @@ def _cell(flights: Mapping[str, Any]) -> dict[str, Any]:
     for outcome in OUTCOMES:
         record[outcome] = int((flights["outcome"] == outcome).sum())
     record["unwarned"] = int((warning_time < LEAST_WARNING).sum())
+    if trials and np.isnan(flights["degraded_time"]).all():
+        record |= dict.fromkeys(("degraded", "degraded_low", "degraded_high", "unwarned"))
     for name, (column, factor) in QUANTITIES.items():
         values = flights[column].astype(float) * factor
         values = values[np.isfinite(values)]

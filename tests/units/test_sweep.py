@@ -640,6 +640,18 @@ def test_a_flight_that_comes_down_lands_or_is_lost():
     assert (found["upright"], found["unwarned"]) == (1, 1)
 
 
+def test_what_the_guard_finds_is_unknown_of_jax():
+    summary = dict.fromkeys(table.SUMMARY, 1.0)
+    result = rust.FlightResult({}, np.zeros(0), "completed", None, None, summary)
+    for engine, known in (("rust", 1.0), ("jax", None)):
+        made = design(engine=engine, repeats=1)
+        flown = table.rows(made.spec, made.cells, [0], [made.row_config(0)], [result])
+        row = flown.to_pylist()[0]
+        assert {row[name] for name in table.OF_GUARD} == {known}
+        cell = table._cell({name: flown[name].to_numpy(zero_copy_only=False) for name in flown.column_names})
+        assert (cell["degraded"], cell["completed"]) == (known, 1)
+
+
 def test_nothing_is_known_without_trials():
     assert table.wilson(0, 0) == (0.0, 1.0)
 
