@@ -1,10 +1,13 @@
 """Kept results: rows of flights pooled over any axis, the page that shows them, and numbers in prose tied to them."""
 
+import hashlib
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from docs import ties
+from experiments import Refused, manifest
 from experiments.report import keep, kept
 from experiments.report.findings import Finding
 from experiments.report.kept import Axis, Kept
@@ -145,6 +148,26 @@ def test_cases_with_the_same_figures_are_a_table():
     assert "| case | rms | n |\n| --- | --- | --- |\n| a | 0.5 | 3 |" in text
     assert "| case | rms |\n| --- | --- |\n| b | 0.25 |\n| c, d | 0.125 |" in text
     assert "| mass [kg] | 4.61 |" in text
+
+
+# --- flown again
+
+SWEPT = [name for name in kept.names() if kept.read(name).firsts]
+
+
+@pytest.mark.parametrize("name", SWEPT)
+def test_a_kept_sweep_flies_as_it_did(name):
+    """The first flight of one cell, which the commit chooses. One that does not is flown anew, or withdrawn."""
+    document = kept.read(name)
+    commit = (manifest.git_state() or {}).get("commit")
+    cell = int(hashlib.sha256(f"{commit} {name}".encode()).hexdigest(), 16) % len(document.firsts)
+    assert keep.fly_again(document, cell) == document.firsts[cell], f"cell {cell}"
+
+
+def test_a_kept_sweep_of_other_cells_is_not_flown_again():
+    document = made_up(result="sweeps/mk3_mass", firsts=[["completed", 1.0, 2.0, 3.0, 4.0]])
+    with pytest.raises(Refused, match="made_up keeps 1 cells; its sweep has 3"):
+        keep.fly_again(document, 0)
 
 
 # --- ties
