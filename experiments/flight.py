@@ -45,9 +45,11 @@ def run(
     named: str | None = None,
     out: Path | None = None,
     overwrite: bool = False,
+    config: rust.Config | None = None,
 ) -> dict[str, Any]:
     """Fly one configuration and write its folder, unless it is already there; return the manifest.
 
+    It is that of a file with its changes, or `config` in its place.
     Warnings about the configuration and the files of its robot are stored in the manifest.
     """
     if out:
@@ -57,7 +59,7 @@ def run(
     try:
         with warnings.catch_warnings(record=True) as raised:
             warnings.simplefilter("always")
-            config = rust.load_config(path, changes)
+            config = rust.load_config(path, changes) if config is None else config
             robot = rust.Robot(config["robot"])
     except ValueError as reason:
         raise Refused(f"{path.stem}: {reason}") from None

@@ -718,6 +718,17 @@ def test_a_sweep_leaves_a_table_of_flights_one_of_cells_and_says_what_was_flown(
     assert str(places.HOME) not in (flown / "sweep.json").read_text()
 
 
+def test_a_row_is_flown_alone(flown, tmp_path, capsys):
+    words = ["fly", "--row", str(quick_sweep(tmp_path)), "7", "--out", str(tmp_path)]
+    assert main(words) == 0
+    row = pq.read_table(flown / "table.parquet").to_pylist()[7]
+    document = json.loads((tmp_path / "quick--row_7" / "manifest.json").read_text())
+    alone, before = (np.array([of[name] for name in table.SUMMARY], float) for of in (document["summary"], row))
+    np.testing.assert_array_equal(alone, before)
+    assert main([*words[:3], "12", *words[4:]]) == 2
+    assert "--row is 12 of" in capsys.readouterr().err
+
+
 def test_the_cells_of_a_sweep_are_printed_unless_they_are_many(flown, monkeypatch, capsys):
     words = ["sweep", str(quick_sweep(flown.parent)), "--out", str(flown.parent)]
     assert main(words) == 0
