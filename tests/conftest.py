@@ -46,6 +46,20 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     terminalreporter.write_line(f"durations, all processes together: {said}; {_seconds.total():.0f} s in all")
 
 
+# --- what was skipped ---------------------------------------------------------------------------------------------
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_sessionfinish(session: pytest.Session) -> Iterator[None]:
+    """Write as the last line what was skipped: how often, why, and the command that brings what it needs."""
+    yield
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if reporter is not None and (skipped := reporter.stats.get("skipped")):
+        reasons = Counter(report.longrepr[2].removeprefix("Skipped: ") for report in skipped)
+        each = "; ".join(f"{count} × {reason}" for reason, count in reasons.most_common())
+        reporter.write_line(f"{len(skipped)} skipped: {each}")
+
+
 # --- memory -------------------------------------------------------------------------------------------------------
 
 # JAX's traces are millions of small objects: with Python's usual thresholds a tenth of its tests' time goes into

@@ -33,14 +33,16 @@ def view(words: Sequence[str]) -> int:
 def _serve(given: Any) -> int:
     if len(given.results) > 2:
         raise Refused(f"{len(given.results)} results are given; expected at most two")
-    recordings = [recording.read(result, given.robot) for result in given.results]
     from jax_aero.view.web import fill_page, serve
 
-    for flight in recordings[:1]:
-        for reason in flight.look.missing:
-            print(f"not drawn, or as the aerodynamic models have it: {reason}")
-    page = fill_page(recordings, recordings[0].config if recordings else rust.load_config("test1"))
-    with serve(page, given.host, given.port) as server:
+    with serve(given.host, given.port) as server:
+        recordings = [recording.read(result, given.robot) for result in given.results]
+        for flight in recordings[:1]:
+            for reason in flight.look.missing:
+                print(f"not drawn, or as the aerodynamic models have it: {reason}")
+        config = recordings[0].config if recordings else rust.load_config("test1")
+        folders = [Path(given.robot).parent] if given.robot else []
+        server.page = fill_page(recordings, config, folders=folders).encode()
         shown = "localhost" if given.host in ("127.0.0.1", "0.0.0.0") else given.host
         title = recordings[0].title if recordings else "the flight lab"
         print(f"http://{shown}:{server.server_port} shows {title}; Ctrl-C ends it", flush=True)

@@ -90,6 +90,8 @@ class Recording:
         As in `rust.FlightResult`.
     config
         Resolved configuration, which can be flown again; `None` if the file has none.
+    folder
+        Folder of the result; `None` for a flight just flown.
     """
 
     title: str
@@ -100,6 +102,7 @@ class Recording:
     lost_time: float | None
     lost_reason: str | None
     config: rust.Config | None = field(default=None, repr=False)
+    folder: Path | None = None
 
     @property
     def duration(self) -> float:
@@ -242,6 +245,7 @@ def _read(path: Path, robot: str | Path | None) -> Recording:
         lost_time=float(lost_time) if lost_time is not None and np.isfinite(lost_time) else None,
         lost_reason=str(facts.get("lost_reason") or "") or None,
         config=config,
+        folder=path.parent,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import copy
 import errno
 import http.server
@@ -11,6 +12,7 @@ import lzma
 import os
 import re
 import socket
+import time
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,9 +21,9 @@ from typing import Any
 import numpy as np
 
 from jax_aero import rust
-from jax_aero.base.files import complete_file, read_json
+from jax_aero.base.files import complete_file, read_bytes, read_json, resolve
 from jax_aero.base.keys import get, set_key
-from jax_aero.base.places import CONFIGS, HOME
+from jax_aero.base.places import CONFIGS, HOME, RESULTS
 from jax_aero.base.result import is_repeated, labels_of
 from jax_aero.view import Refused, check_out, drawing
 from jax_aero.view.recording import Recording
@@ -73,7 +75,12 @@ def write_page(recordings: Sequence[Recording], out: Path) -> None:
         draft.write_text(page, encoding="utf-8")
 
 
-def fill_page(recordings: Sequence[Recording], config: rust.Config | None = None, networks: bool = True) -> str:
+def fill_page(
+    recordings: Sequence[Recording],
+    config: rust.Config | None = None,
+    networks: bool = True,
+    folders: Sequence[Path] = (),
+) -> str:
     """Return the page that plays flights and, with a configuration, flies it with changes.
 
     Parameters
@@ -84,12 +91,16 @@ def fill_page(recordings: Sequence[Recording], config: rust.Config | None = None
         Resolved configuration of the first robot, with absolute paths.
     networks
         Whether all networks of `configs/aero/networks` can be chosen, or only the default one.
+    folders
+        Folders whose files the page may contain, beside `configs/`, `results/` and those of the recordings. A
+        configuration may come from strangers and name any file.
 
     Raises
     ------
     Refused
         If the page is not built.
     """
+    own = [CONFIGS, RESULTS, *(one.folder for one in recordings if one.folder is not None), *folders]
     robots = {str(one.robot_path): (one.look, one.robot) for one in recordings}
     if config is not None and not robots:
         robot = rust.Robot(config["robot"])
@@ -98,7 +109,7 @@ def fill_page(recordings: Sequence[Recording], config: rust.Config | None = None
         "version": rust.__version__,
         "looks": [look_table(*robot) for robot in robots.values()],
         "flights": [flight_table(one) | {"look": list(robots).index(str(one.robot_path))} for one in recordings],
-        "simulator": None if config is None else simulator_table(config, networks),
+        "simulator": None if config is None else simulator_table(config, networks, own),
     }
     # Within a script, `<` may begin its end or a comment.
     words = json.dumps(table, allow_nan=False).replace("<", "\\u003c")
@@ -111,8 +122,8 @@ def _built(path: Path) -> bytes:
     return path.read_bytes()
 
 
-def simulator_table(config: rust.Config, networks: bool) -> dict[str, Any]:
-    """Return simulator and configuration, with the files that it and the page's choices name."""
+def simulator_table(config: rust.Config, networks: bool, folders: Sequence[Path]) -> dict[str, Any]:
+    """Return simulator and configuration, with the files in some folders that it and the page's choices name."""
     placed = copy.deepcopy(config)
     files = [path for kept in KEPT for path in sorted(CONFIGS.glob(kept))]
     for key in rust.path_keys(config):
@@ -123,8 +134,9 @@ def simulator_table(config: rust.Config, networks: bool) -> dict[str, Any]:
     others = ("default", "ensemble")
     cards = [path for path in sorted(NETWORKS.glob("**/*.json")) if networks and path.stem not in others]
     files += cards
-    files += [companion for path in files for companion in _companions(path)]
-    contents = {os.path.relpath(path, HOME): path.read_bytes() for path in files}
+    inside = [path for path in files if _is_within(path, folders)]
+    inside += [companion for path in inside for companion in _companions(path) if _is_within(companion, folders)]
+    contents = {os.path.relpath(path, HOME): read_bytes(path) for path in inside}
     weights = {name for name in contents if name.endswith(".safetensors")}
     return {
         "wasm": base64.b64encode(lzma.decompress(_built(SIMULATOR))).decode(),
@@ -133,6 +145,10 @@ def simulator_table(config: rust.Config, networks: bool) -> dict[str, Any]:
         "files": {name: contents[name].decode() for name in contents.keys() - weights},
         "binary": {name: base64.b64encode(contents[name]).decode() for name in weights},
     }
+
+
+def _is_within(path: Path, folders: Sequence[Path]) -> bool:
+    return any(resolve(path).is_relative_to(resolve(folder)) for folder in folders)
 
 
 def _companions(path: Path) -> list[Path]:
@@ -144,8 +160,50 @@ def _companions(path: Path) -> list[Path]:
     return [] if named is None else [path.parent / named]
 
 
-def serve(page: str, host: str, port: int) -> http.server.HTTPServer:
-    """Return a server of the page; if the port is taken, at the next free one.
+PATIENCE = 60.0
+"""Longest time for a request and its answer [s]."""
+
+CONNECTIONS = 64
+"""Greatest number of open connections, each with a thread; others are closed."""
+
+
+class Server(http.server.ThreadingHTTPServer):
+    """Answers with `page`, which is set once the address is known to be free."""
+
+    page = b""
+
+    def __init__(self, host: str, port: int) -> None:
+        self.own = host
+        self._begun: dict[Any, float] = {}
+        super().__init__((host, port), _Handler)
+
+    def verify_request(self, *_: Any) -> bool:
+        """Return whether there is a thread for one more connection."""
+        return len(self._begun) < CONNECTIONS
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer in a thread."""
+        self._begun[request] = time.monotonic()
+        super().process_request(request, client_address)
+
+    def shutdown_request(self, request: Any) -> None:
+        """Close a connection."""
+        self._begun.pop(request, None)
+        super().shutdown_request(request)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Print nothing, as of a browser that leaves."""
+
+    def service_actions(self) -> None:
+        """Close connections that send half a request, or read no answer; called twice in a second."""
+        for request, begun in list(self._begun.items()):
+            if time.monotonic() - begun > PATIENCE:
+                with contextlib.suppress(OSError):  # its thread may close it at this moment
+                    request.shutdown(socket.SHUT_RDWR)
+
+
+def serve(host: str, port: int) -> Server:
+    """Return a server of a page; if the port is taken, at the next free one.
 
     Raises
     ------
@@ -154,13 +212,9 @@ def serve(page: str, host: str, port: int) -> http.server.HTTPServer:
     """
     if not 0 <= port <= 65535:
         raise Refused(f"port is {port}; expected 0 (any) to 65535")
-
-    class Handler(_Handler):
-        content, own = page.encode(), host
-
     for tried in range(port, min(port + 100, 65536)):
         try:
-            return http.server.ThreadingHTTPServer((host, tried), Handler)
+            return Server(host, tried)
         except OSError as reason:
             if reason.errno != errno.EADDRINUSE:
                 words = f"cannot listen on `{host}` ({reason.strerror or reason}); expected an address of this machine"
@@ -171,21 +225,20 @@ def serve(page: str, host: str, port: int) -> http.server.HTTPServer:
 class _Handler(http.server.BaseHTTPRequestHandler):
     """Answers with the page, under its own name alone."""
 
-    content: bytes
-    own: str
+    server: Server
 
     def do_GET(self) -> None:
-        if not is_own(self.own, self.headers.get_all("Host") or []):
+        if not is_own(self.server.own, self.headers.get_all("Host") or []):
             self.send_error(403, "this page is served to its own host alone")
         elif self.path not in ("/", "/index.html"):
             self.send_error(404)
         else:
             self.send_response(200)
             self.send_header("Content-Type", "text/html; charset=utf-8")
-            self.send_header("Content-Length", str(len(self.content)))
+            self.send_header("Content-Length", str(len(self.server.page)))
             self.send_header("Cache-Control", "no-store")
             self.end_headers()
-            self.wfile.write(self.content)
+            self.wfile.write(self.server.page)
 
     def log_message(self, *_words: Any) -> None:
         """Print nothing."""

@@ -394,10 +394,10 @@ OUT_OF_SIGHT = """() => {
 }"""
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
+@pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed: apt-get install chromium")
 def test_pages_fit_the_screen(site):
     """Of a desk and of a telephone."""
-    pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+    pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: make setup")
     with open_chromium() as browser:
         tab = browser.new_page()
         tab.set_default_timeout(SLOWEST)
@@ -408,9 +408,9 @@ def test_pages_fit_the_screen(site):
                 assert tab.evaluate(OUT_OF_SIGHT) == [], f"{page.relative_to(site)} at {width} px"
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
+@pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed: apt-get install chromium")
 def test_a_report_fits_a_telephone_in_light_and_in_the_dark(tmp_path):
-    pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+    pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: make setup")
     page = Page("Report")
     page.add(
         Text("text " * 30), Table([f"heading {n}" for n in range(12)], [["`jax-aero fly test2`", *["0.001"] * 11]])

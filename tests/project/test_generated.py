@@ -44,7 +44,10 @@ WITHOUT_COMMIT = {"cfd_mk3_fit", "cfd_mk3_meshes", "cfd_mk3_primitives", "cfd_mk
 """Results of commits that the history lacks: days of flow cases, of which the digest of the code is known."""
 
 
-@pytest.mark.skipif(git("rev-parse", "--is-shallow-repository").stdout != "false\n", reason="no history of commits")
+@pytest.mark.skipif(
+    git("rev-parse", "--is-shallow-repository").stdout != "false\n",
+    reason="no history of commits: git fetch --unshallow",
+)
 def test_kept_results_and_claims_name_a_commit_that_a_clone_has():
     commits = {name: kept.read(name).commit for name in kept.names()}
     assert {name for name, commit in commits.items() if commit is None} == WITHOUT_COMMIT

@@ -21,7 +21,7 @@ def test_a_program_for_windows_needs_its_kernel():
     """pip brings one for scripts."""
     path = Path(pip.__file__).parent / "_vendor/distlib/w64.exe"
     if not path.is_file():
-        pytest.skip("this pip has no program for Windows")
+        pytest.skip("this pip has no program for Windows: make setup")
     found = library.read(path.read_bytes())
     assert (found.platform, found.exports) == ("win_amd64", set())
     assert "kernel32.dll" in {name.lower() for name in found.needs}

@@ -275,7 +275,7 @@ def test_a_refused_training_does_not_hold_the_next_one_up(data, tmp_path, monkey
 
 
 def test_a_search_keeps_its_trials_and_goes_on(data, tmp_path, capsys):
-    pytest.importorskip("optuna")
+    pytest.importorskip("optuna", reason="optuna is not installed: make setup")
     base = tmp_path / "base.toml"
     table = tables.read(places.CONFIGS / "training" / "plain.toml")
     table["training"] |= {"epochs": 2, "batch": 32, "validate_every": 1}
@@ -314,7 +314,7 @@ def test_a_search_keeps_its_trials_and_goes_on(data, tmp_path, capsys):
 @pytest.fixture
 def search():
     """The module of searches, whose package is not always there."""
-    pytest.importorskip("optuna")
+    pytest.importorskip("optuna", reason="optuna is not installed: make setup")
     return importlib.import_module("experiments.training.search")
 
 
@@ -351,7 +351,7 @@ def test_an_interrupted_search_draws_what_it_would_have_drawn(small_search, tmp_
 
 def test_a_killed_trial_has_failed_and_one_under_way_has_not(small_search, tmp_path, monkeypatch):
     """Whoever has a trial under way holds the lock of its seed."""
-    optuna = pytest.importorskip("optuna")
+    optuna = pytest.importorskip("optuna", reason="optuna is not installed: make setup")
     monkeypatch.setattr("experiments.training.search.error_of", lambda *_: 1.0)
     out = tmp_path / "out"
 
@@ -431,7 +431,7 @@ def test_a_search_starts_from_a_file_that_leaves_noise_at_its_default(search):
 
 
 def test_a_trial_that_another_process_runs_stops_no_search(small_search, tmp_path, monkeypatch, capsys):
-    optuna = pytest.importorskip("optuna")
+    optuna = pytest.importorskip("optuna", reason="optuna is not installed: make setup")
 
     def add_trial(*_):
         """A trial that another process begins meanwhile; a network that diverges."""

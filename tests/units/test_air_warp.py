@@ -15,7 +15,7 @@ from jax_aero.mujoco.model import to_mujoco
 from jax_aero.types import State
 from tests.measurements import measured
 
-wp = pytest.importorskip("warp", reason="pip install 'jax-aero[warp]'")
+wp = pytest.importorskip("warp", reason="Warp is not installed: make setup")
 from jax_aero import air_warp  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("x64")
@@ -220,7 +220,7 @@ def test_newton_gets_the_wrenches_in_addition_to_its_own(limbs):
 
 
 def test_newtons_own_kinematics_give_the_forces_of_mujoco(limbs):
-    newton = pytest.importorskip("newton", reason="pip install newton")
+    newton = pytest.importorskip("newton", reason="Newton is not installed: pip install newton")
     model, around = limbs
     rng = np.random.default_rng(19)
     worlds, winds = place(model, rng), draw_winds(rng)
@@ -246,7 +246,7 @@ def test_newtons_own_kinematics_give_the_forces_of_mujoco(limbs):
 
 
 def test_mujoco_warps_own_kinematics_give_the_forces_of_mujoco(limbs):
-    mjw = pytest.importorskip("mujoco_warp", reason="pip install 'jax-aero[warp]'")
+    mjw = pytest.importorskip("mujoco_warp", reason="Warp is not installed: make setup")
     model, around = limbs
     rng = np.random.default_rng(23)
     worlds, winds = place(model, rng), draw_winds(rng)

@@ -108,7 +108,7 @@ BOX = (0.1, 0.15, 0.2)
 
 def write_box(path, size, *, is_open=False):
     """Write a box as an STL, or one that lacks a triangle."""
-    box = pytest.importorskip("trimesh").creation.box(size)
+    box = pytest.importorskip("trimesh", reason="trimesh is not installed: make setup").creation.box(size)
     box.update_faces(np.arange(len(box.faces)) >= is_open)
     box.export(path)
 

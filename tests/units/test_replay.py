@@ -16,7 +16,7 @@ from jax_aero.base.result import labels_of
 from jax_aero.body.rotations import rpy_from_rotation, wxyz_from_rotation
 from jax_aero.view import export, logs, recording
 
-mcap_reader = pytest.importorskip("mcap.reader", reason="mcap is not installed")
+mcap_reader = pytest.importorskip("mcap.reader", reason="mcap is not installed: make setup")
 
 
 @pytest.fixture(scope="module")

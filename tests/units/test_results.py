@@ -359,7 +359,7 @@ def test_a_full_and_a_read_only_disk_are_one_line(flown, tmp_path, capsys):
         return subprocess.run(["mount", *options], capture_output=True).returncode == 0
 
     if not mount("-t", "tmpfs", "-o", "size=64k", "none", str(tmp_path)):
-        pytest.skip("no right to mount a small disk")
+        pytest.skip("no right to mount a small disk: sudo make test-all")
     try:
         assert main(["fly", "test1", "--out", str(tmp_path)]) == 2
         assert re.fullmatch(r"error: \S+run\.nc: No space left on device\n", capsys.readouterr().err)

@@ -12,7 +12,7 @@ from jax_aero import rust
 from jax_aero.view import export, recording, ros2
 from jax_aero.view.topics import wxyz_from_rotation
 
-pytest.importorskip("mcap", reason="mcap is not installed")
+pytest.importorskip("mcap", reason="mcap is not installed: make setup")
 
 
 def test_numbers_begin_at_multiples_of_their_size():
@@ -88,7 +88,7 @@ def bag(flight, tmp_path_factory):
 @pytest.fixture(scope="module")
 def read(bag):
     """Messages by topic, with their stamps; encoded anew they have the same bytes."""
-    rosbags = pytest.importorskip("rosbags.highlevel", reason="rosbags is not installed")
+    rosbags = pytest.importorskip("rosbags.highlevel", reason="rosbags is not installed: make setup")
     found = {}
     with rosbags.AnyReader([bag]) as reader:
         for connection, stamp, content in reader.messages():
@@ -105,7 +105,7 @@ def vector(part, names="xyz"):
 
 def test_types_are_those_of_ros(bag):
     """Their hashes, by which ROS 2 compares types, are those of ROS 2 Humble."""
-    rosbags = pytest.importorskip("rosbags.highlevel", reason="rosbags is not installed")
+    rosbags = pytest.importorskip("rosbags.highlevel", reason="rosbags is not installed: make setup")
     from rosbags.typesys import Stores, get_typestore
 
     humble = get_typestore(Stores.ROS2_HUMBLE)

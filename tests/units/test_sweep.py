@@ -671,7 +671,7 @@ def flown(tmp_path_factory) -> Path:
     return folder / "quick"
 
 
-@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="no list of threads")
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="no list of threads, which Linux has: make test-all")
 def test_tables_are_written_and_read_without_a_thread(tmp_path):
     """A process that ends while one of pyarrow's threads begins is aborted, after its results."""
     script = """
@@ -866,7 +866,7 @@ def kill_one_worker(mark: str, killed: list[int], addresses: set[str]) -> None:
 
 @pytest.mark.filterwarnings("ignore")
 def test_a_ray_cluster_gives_the_same_bytes_also_where_a_worker_is_killed(tmp_path, capsys, monkeypatch):
-    ray = pytest.importorskip("ray", reason="ray is not installed: the extra `cluster` brings it")
+    ray = pytest.importorskip("ray", reason="ray is not installed: make setup")
     monkeypatch.setenv("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     monkeypatch.setenv("CLUSTER_OF_THIS_TEST", str(tmp_path))
     killed: list[int] = []

@@ -40,17 +40,17 @@ def fallen(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The page, built by `make lab`; skips where a tool for that is missing."""
     if shutil.which("npm") is None or shutil.which("node") is None:
-        pytest.skip("the flight lab is not built: node and npm are not installed")
+        pytest.skip("node and npm are not installed: apt-get install nodejs npm")
     folder = subprocess.run(
         ["rustc", "--print", "target-libdir", "--target", "wasm32-unknown-unknown"], capture_output=True, text=True
     ).stdout.strip()
     if not folder or not Path(folder).is_dir():
-        pytest.skip("the flight lab is not built: rustup target add wasm32-unknown-unknown")
+        pytest.skip("the target for pages is not installed: rustup target add wasm32-unknown-unknown")
     with (ROOT / "target/lab.lock").open("w") as lock:  # test processes build one after the other
         fcntl.flock(lock, fcntl.LOCK_EX)
         packages = subprocess.run(["make", "rust/lab/page/node_modules"], cwd=ROOT, capture_output=True, text=True)
         if packages.returncode:
-            pytest.skip("the flight lab is not built: npm ci cannot fetch its packages")
+            pytest.skip("npm cannot fetch its packages: make rust/lab/page/node_modules")
         # The compiled module is the one that this test has imported.
         done = subprocess.run(["make", "-o", ".venv/.module", "lab"], cwd=ROOT, capture_output=True, text=True)
         assert done.returncode == 0, done.stdout + done.stderr

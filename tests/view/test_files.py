@@ -16,9 +16,9 @@ from jax_aero.view import Refused, cli, offscreen, recording, video
 from jax_aero.view.drawing import camera_at
 from tests.view.conftest import near
 
-av = pytest.importorskip("av", reason="PyAV is not installed")
-Image = pytest.importorskip("PIL.Image", reason="Pillow is not installed")
-mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed")
+av = pytest.importorskip("av", reason="PyAV is not installed: make setup")
+Image = pytest.importorskip("PIL.Image", reason="Pillow is not installed: make setup")
+mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed: make setup")
 
 
 @pytest.fixture(scope="module")

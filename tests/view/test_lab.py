@@ -20,18 +20,20 @@ from jax_aero import rust
 from jax_aero.base import typed
 from jax_aero.view import recording
 
-sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: make setup")
 
 from tests.browser import CHROMIUM, SLOWEST, open_chromium  # noqa: E402 - after the skip
 from tests.measurements import measured  # noqa: E402
 
-needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed")
+needs_node = pytest.mark.skipif(
+    shutil.which("node") is None, reason="node is not installed: apt-get install nodejs npm"
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "rust/lab/page"
 LAB = ROOT / "target/lab"
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed: apt-get install chromium")
 
 STATES = ("base_position", "base_quaternion", "base_velocity", "joint_position", "joint_velocity", "com_position")
 STATES += ("com_velocity", "momentum", "thrust")

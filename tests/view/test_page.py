@@ -16,12 +16,12 @@ from jax_aero import rust
 from jax_aero.view import recording, web
 from jax_aero.view.recording import Recording
 
-sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: make setup")
 
 from tests.browser import CHROMIUM, SLOWEST, open_chromium  # noqa: E402 - after the skip
 from tests.view.test_shapes import FACES, STL, draw_meshes  # noqa: E402
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed: apt-get install chromium")
 
 FALL = re.compile(r"Falls at 2[01]\.\d s")
 """Outcome of TEST1 as published; its last digits hang on rounding."""
@@ -68,7 +68,8 @@ def visit(browser: Any, built: Path) -> Iterator[Callable[..., Visit]]:
     opened = []
 
     def open_page(recordings: list[Recording], **options: Any) -> Visit:
-        server = web.serve(web.fill_page(recordings, recordings[0].config), "127.0.0.1", 0)
+        server = web.serve("127.0.0.1", 0)
+        server.page = web.fill_page(recordings, recordings[0].config).encode()
         threading.Thread(target=server.serve_forever, daemon=True).start()
         context = browser.new_context(**{"viewport": {"width": 800, "height": 420}, **options})
         context.set_default_timeout(SLOWEST)
@@ -146,7 +147,7 @@ def test_a_result_flies_anew_and_a_flight_is_kept_as_a_ghost(visit, fallen):
 
 
 def test_meshes_are_drawn(visit, standing, tmp_path):
-    pytest.importorskip("trimesh")
+    pytest.importorskip("trimesh", reason="trimesh is not installed: make setup")
     (tmp_path / "bird.stl").write_text(STL)
     draw_meshes(tmp_path, ["bird.stl"])
     page = visit([standing(tmp_path / "sparrow.toml")])

@@ -12,7 +12,7 @@ from jax_aero.body.mesh import box
 from jax_aero.view import recording
 from jax_aero.view.drawing import FORCE, PLUME, TRAIL, Camera, focal_length
 
-pytest.importorskip("PIL.Image", reason="Pillow is not installed")
+pytest.importorskip("PIL.Image", reason="Pillow is not installed: make setup")
 from jax_aero.view import painter
 from tests.view.conftest import near
 

@@ -229,6 +229,27 @@ def test_an_address_that_is_none_is_refused(words, expected, capsys):
     assert expected in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("as_companion", [False, True])
+def test_a_page_contains_no_file_that_a_stranger_names(as_companion, fallen, tmp_path, monkeypatch):
+    """A card of a result may be any file: it is in the page from the result's own folder, not from another one."""
+    monkeypatch.setattr(web, "SIMULATOR", tmp_path / "simulator")
+    web.SIMULATOR.write_bytes(lzma.compress(b""))
+    (tmp_path / "secret.json").write_text('{"of": "another folder"}')
+    (tmp_path / "result").mkdir()
+    own, link = (tmp_path / "result" / name for name in ("card.json", "link.json"))
+    own.write_text('{"weights": {"file": "../secret.json"}}')
+    link.symlink_to(tmp_path / "secret.json")
+    named = own if as_companion else tmp_path / "secret.json"
+    found = set()
+    for path in (named, link):
+        config = rust.set_keys(recording.read(fallen).config, {"simulator.aero.card": str(path)})
+        table = web.simulator_table(config, False, [places.CONFIGS, tmp_path / "result"])
+        found |= table["files"].keys() | table["binary"].keys()
+    assert not any("secret" in name or "link" in name for name in found)
+    assert any(name.endswith("card.json") for name in found) == as_companion
+    assert any(name.endswith("mission/hover.toml") for name in found)
+
+
 @pytest.mark.parametrize(
     ("words", "part"),
     [(["view"], "TEMPLATE"), (["view"], "SIMULATOR"), (["export", "--html", "--out", "a.html", "{}"], "TEMPLATE")],

@@ -5,6 +5,7 @@ import io
 import itertools
 import os
 import re
+import socket
 import threading
 import tomllib
 import zipfile
@@ -79,8 +80,8 @@ DAE = """<?xml version="1.0"?>
 
 
 def test_meshes_of_three_formats_are_drawn(tmp_path, monkeypatch):
-    pytest.importorskip("trimesh")
-    pytest.importorskip("collada")
+    pytest.importorskip("trimesh", reason="trimesh is not installed: make setup")
+    pytest.importorskip("collada", reason="collada is not installed: make setup")
     package = tmp_path / "packages" / "bird"
     package.mkdir(parents=True)
     texts = {"a.stl": STL, "b.obj": OBJ, "c.dae": DAE}
@@ -154,7 +155,7 @@ def test_the_triangles_of_a_mesh_are_bounded(tmp_path, monkeypatch):
 
 
 def test_nodes_of_a_mesh_move_what_they_repeat(tmp_path):
-    pytest.importorskip("collada")
+    pytest.importorskip("collada", reason="collada is not installed: make setup")
     text = repeating(1).replace('<node id="n1">', '<node id="n1"><translate>0 0 5</translate><scale>2 2 2</scale>')
     (tmp_path / "a.dae").write_text(text)
     read = read_mesh(tmp_path / "a.dae")
@@ -189,7 +190,8 @@ def test_a_request_is_for_this_machine(hosts, is_own):
 
 
 def test_the_server_answers_its_own_name_alone():
-    with web.serve("the page", "127.0.0.1", 0) as server, web.serve("", "127.0.0.1", server.server_port) as second:
+    with web.serve("127.0.0.1", 0) as server, web.serve("127.0.0.1", server.server_port) as second:
+        server.page = b"the page"
         assert second.server_port > server.server_port  # the next free one
         threading.Thread(target=server.serve_forever, daemon=True).start()
         for host, path, expected in (
@@ -204,3 +206,21 @@ def test_the_server_answers_its_own_name_alone():
             assert expected[1] in (None, answer.read())
             page.close()
         server.shutdown()
+
+
+def test_connections_end_and_are_few(monkeypatch):
+    """Half a request is not waited for, and of more connections than threads the last is closed at once."""
+    monkeypatch.setattr(web, "PATIENCE", 0.0)
+    monkeypatch.setattr(web, "CONNECTIONS", 2)
+    with web.serve("127.0.0.1", 0) as server:
+        address, begun = ("127.0.0.1", server.server_port), threading.active_count()
+        halves = [socket.create_connection(address, timeout=30) for _ in range(3)]
+        for half in halves:
+            half.sendall(b"GET / HTTP/1.1\r\nHost: localhost")
+        for _ in halves:
+            server.handle_request()
+        assert threading.active_count() - begun <= web.CONNECTIONS
+        server.service_actions()
+        assert [half.recv(100) for half in halves] == [b""] * 3
+        for half in halves:
+            half.close()

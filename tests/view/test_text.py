@@ -14,11 +14,11 @@ import pytest
 from jax_aero.base import places
 from jax_aero.view import web
 
-pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: make setup")
 
 from tests.browser import CHROMIUM, SLOWEST, open_chromium
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed: apt-get install chromium")
 
 ROBOT = places.CONFIGS / "robot/sparrow.toml"
 HOSTILE = "<img src=x onerror='window.hasRun = true'>"
