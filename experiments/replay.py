@@ -97,7 +97,13 @@ def replay(log: logs.Log, config: rust.Config, path: Path) -> tuple[Mapping[str,
     """Return the signals of a log, and those that the controller computes from it, at the law's ticks that it holds."""
     steps = int(rust.resolve_config(config)["controller"]["torque"]["steps"])
     period = float(config["simulator"]["time_step"]) / steps
-    recorded, is_recorded = logs.at_ticks(log, rust.Robot(config["robot"]), period, path)
+    needed = () if config["controller"].get("estimator") else ("raw_joint_velocity",)
+    try:
+        recorded, is_recorded = logs.at_ticks(log, rust.Robot(config["robot"]), period, path, also=needed)
+    except Refused as reason:
+        if not needed or needed[0] in log.signals:
+            raise
+        raise Refused(f"{reason}; a controller with an estimator needs none, e.g. --experiment test2_sensors") from None
     computed, is_there = rust.replay(config, recorded), is_recorded[::steps]
     return (
         {name: rows[::steps][is_there] for name, rows in recorded.items()},

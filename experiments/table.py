@@ -24,7 +24,8 @@ def outcome_table(manifests: Iterable[Mapping[str, Any]]) -> str:
 
 
 def text_table(rows: Sequence[Sequence[str]]) -> str:
-    """Return rows in columns of equal width; the first row is the heading."""
+    """Return rows in columns of equal width; the first row is the heading. A text of several lines is one line."""
+    rows = [[cell.replace("\n", "\\n") for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     lines.insert(1, "  ".join("-" * width for width in widths))

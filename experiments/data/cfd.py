@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+import struct
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -30,6 +31,8 @@ from jax_aero.aero.dataset import (
     tunnel_from_base,
     wind_direction,
 )
+from jax_aero.base import sizes
+from jax_aero.base.files import read_bytes
 
 SURFACES: Mapping[str, str] = {
     "head": "head",
@@ -165,9 +168,10 @@ def read_mat(path: str | PathLike[str], *, frame: Literal["base", "wind"] = "bas
     """
     from scipy.io import loadmat
 
-    data = Path(path).read_bytes()
+    data = read_bytes(Path(path))
     try:
-        variables = loadmat(io.BytesIO(data))
+        _expect_inflated(data)
+        variables = loadmat(io.BytesIO(data), variable_names=tuple(MAT_FIELDS))
     except Exception as reason:  # the reader raises many types for other formats
         raise ValueError(f"{path} is not a MATLAB file of version 4 to 7.2: {reason}") from reason
     table: dict[str, Floats] = {}
@@ -175,6 +179,8 @@ def read_mat(path: str | PathLike[str], *, frame: Literal["base", "wind"] = "bas
     for name, width in MAT_FIELDS.items():
         if name not in variables:
             raise ValueError(f"{path}: variable `{name}` is missing; expected {', '.join(MAT_FIELDS)}")
+        if not (isinstance(variables[name], np.ndarray) and variables[name].dtype.kind in "iuf"):
+            raise ValueError(f"{path}: `{name}` is no matrix of numbers")
         table[name] = np.asarray(variables[name], dtype=np.float64)
         rows = table[name].shape[0] if rows is None else rows
         if table[name].shape != (rows, width):
@@ -215,6 +221,19 @@ def read_mat(path: str | PathLike[str], *, frame: Literal["base", "wind"] = "bas
         },
     )
     return _with_checks(dataset, {})
+
+
+def _expect_inflated(data: bytes) -> None:
+    """Refuse a MATLAB file whose compressed variables (version 7) are too large in memory."""
+    begin, compressed = 128, 15  # of the first variable, after the header; kind of such a variable
+    order = "<" if data[begin - 2 : begin] == b"IM" else ">"
+    left = sizes.MAX_PART
+    while begin + 8 <= len(data):
+        kind, length = struct.unpack_from(f"{order}2I", data, begin)
+        begin += 8
+        if kind == compressed:
+            left -= sizes.expect_inflated(data[begin : begin + length], left)
+        begin += length
 
 
 def checks(dataset: Dataset) -> dict[str, float]:

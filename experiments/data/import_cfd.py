@@ -18,6 +18,7 @@ from experiments import Refused
 from experiments.data.cfd import read_mat, read_solver_table
 from jax_aero.aero.dataset import JOINTS, Dataset, Floats, read_postures, save
 from jax_aero.base import places, tables
+from jax_aero.base.files import read_bytes
 from jax_aero.base.terminal import exit_status
 from jax_aero.cli import Parser
 
@@ -71,7 +72,7 @@ def _read(given: argparse.Namespace) -> Dataset:
 def read_table(path: Path) -> str:
     """Return the text of a CSV table."""
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as reason:
         raise Refused(f"{path} is not text: {reason}; expected a CSV table") from None
 

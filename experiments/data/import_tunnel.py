@@ -23,6 +23,7 @@ from experiments.data.tunnel import Points, Test
 from jax_aero.aero.dataset import Floats
 from jax_aero.aero.posture import axes_of, link_frames
 from jax_aero.base import places, tables
+from jax_aero.base.files import read_bytes
 from jax_aero.base.places import ROBOT
 from jax_aero.base.terminal import exit_status
 from jax_aero.body.robot import load_robot
@@ -114,7 +115,7 @@ def from_clone(clone: Path) -> Iterator[Points]:
         for test, path in files_by_test(folder, ".gvp").items():
             if (about := tests.get((campaign, test))) is None:
                 continue  # trials and aborted runs, not in the list of tests
-            gvp = tunnel.read_gvp(path.read_text(encoding="utf-8", errors="replace"), f"{campaign}/{path.name}")
+            gvp = tunnel.read_gvp(read_bytes(path).decode("utf-8", "replace"), f"{campaign}/{path.name}")
             parts.setdefault(about.robot, []).append(tunnel.points_of(test, about, gvp))
     if not parts:
         raise Refused(f"{clone} has no balance file of a test that configs/tables/tunnel_tests.toml names")
@@ -141,7 +142,7 @@ def gravity_sweeps(clone: Path) -> dict[str, dict[str, tuple[Floats, Floats]]]:
     found: dict[str, dict[str, tuple[Floats, Floats]]] = {}
     for campaign, folder in folders(clone).items():
         for test, path in files_by_test(folder, ".tara").items():
-            sweep = tunnel.read_sweep(path.read_text(encoding="utf-8", errors="replace"), path.name)
+            sweep = tunnel.read_sweep(read_bytes(path).decode("utf-8", "replace"), path.name)
             found.setdefault(campaign, {})[test] = tunnel.centre_of_gravity(*sweep)
     return found
 

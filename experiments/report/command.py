@@ -14,7 +14,7 @@ from experiments import Refused, manifest
 from experiments.flight import PAPER_RUNS
 from experiments.report import engines, findings, index, judges
 from experiments.report.findings import Finding
-from experiments.report.page import Contents, Heading, Mark, Page, Picture, Table, Text
+from experiments.report.page import Contents, Heading, Mark, Page, Picture, Table, Text, literal
 from experiments.report.paper import all_claims, all_items, whole
 from experiments.report.results import NotFlownError, Results, Sweep, count
 from experiments.report.verdicts import ANOTHER, Kind, Verdict
@@ -285,7 +285,7 @@ def _mark_outdated(differs: str) -> str:
 def _run(results: Results, name: str) -> Sequence[str]:
     flight = results.flights[name]
     return (
-        f"`{flight.name}` {flight.title}{_mark_outdated(results.differences[name])}",
+        f"`{flight.name}` {literal(flight.title)}{_mark_outdated(results.differences[name])}",
         flight.ending,
         "–" if math.isnan(flight.com_error) else f"{flight.com_error:.3f}",
         f"{flight.rotation_error:.1f}",
@@ -307,7 +307,7 @@ def _pictures(results: Results, figures: Iterable[tuple[str, str]]) -> list[Pict
 
 def _sweep(page: Page, results: Results, name: str, sweep: Sweep) -> None:
     document = sweep.document
-    finished = document["finished"]["outcomes"]
+    finished, title = document["finished"]["outcomes"], literal(document["title"])
     counted = ", ".join(
         f"{number} {outcome.replace('_', ' ')}"
         for outcome, number in finished.items()
@@ -315,13 +315,13 @@ def _sweep(page: Page, results: Results, name: str, sweep: Sweep) -> None:
     )
     failed = f", {finished['error']} could not be flown" if finished["error"] else ""
     page.add(
-        Heading(3, document["title"]),
+        Heading(3, title),
         Text(
-            f"{document['description']} {document['rows']} flights: {counted}{failed}. {_edge(sweep)}".strip()
+            f"{literal(document['description'])} {document['rows']} flights: {counted}{failed}. {_edge(sweep)}".strip()
             + _mark_outdated(sweep.differs)
         ),
     )
-    page.add(*_pictures(results, [(name, f"{document['title']} (`{name}`)")]))
+    page.add(*_pictures(results, [(name, f"{title} (`{name}`)")]))
 
 
 def _edge(sweep: Sweep) -> str:
@@ -405,7 +405,7 @@ def _add_speed(page: Page, results: Results) -> None:
             rows.append((f"`{name}`", str(sweep.document["rows"]), sweep.document["engine"], "resumed, not timed", "—"))
             continue
         flights, seconds = flights + finished["flights"], seconds + finished["seconds"]
-        rate = f"{finished['flights_per_minute']:.0f}"
+        rate = f"{finished['flights_per_minute'] or 0.0:.0f}"
         rows.append(
             (f"`{name}`", str(finished["flights"]), sweep.document["engine"], f"{finished['seconds']:.0f}", rate)
         )

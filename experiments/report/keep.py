@@ -114,7 +114,7 @@ def of_folder(folder: Path, named: str | None = None) -> Kept:
         return of_sweep(folder, named)
     if not (folder / places.MANIFEST_FILE).is_file():
         raise Refused(f"{os.path.relpath(folder)} holds no finished result")
-    document = read_json(folder / places.MANIFEST_FILE, documents.Manifest)
+    document = read_json(folder / places.MANIFEST_FILE, documents.Kept)
     return Kept(
         name=named or f"{folder.parent.name}_{folder.name}",
         result=f"{folder.parent.name}/{folder.name}",

@@ -55,6 +55,15 @@ ELSEWHERE = r"\s*(?:[^/)]*:|[/\\])"
 """Beginning of a link that is no relative path."""
 
 
+def literal(text: str) -> str:
+    """Return a text of a file as one of a block that is shown as it stands, whatever its characters mean in Markdown.
+
+    >>> literal("[a](b) `c` & **d**")
+    '&#91;a&#93;(b) &#96;c&#96; &#38; &#42;&#42;d&#42;&#42;'
+    """
+    return re.sub(r"[\\`*\[\]<>|&~!]|\b_|_\b", lambda found: f"&#{ord(found[0])};", " ".join(text.split()))
+
+
 @dataclass(frozen=True)
 class Heading:
     """A heading with a level from 1."""
@@ -116,7 +125,7 @@ class Page:
     def markdown(self) -> str:
         """Return the page as Markdown, which shows the pictures that lie beside it; a list of its parts is left out."""
         shown = [_markdown(block) for block in self.blocks if not isinstance(block, Contents)]
-        return "\n\n".join([f"# {self.title}", *shown]) + "\n"
+        return "\n\n".join([f"# {_markdown_inline(self.title)}", *shown]) + "\n"
 
     def html(self, folder: Path) -> str:
         """Return the page as one HTML file that holds its pictures, which lie in `folder`."""
@@ -170,7 +179,10 @@ def _html(block: Block, folder: Path, pictures: Collection[str], parts: Sequence
             links = (f'<a href="#{_anchor(part)}">{inline(part)}</a>' for part in parts)
             return f"<nav>{' '.join(links)}</nav>"
         case Picture(path, caption):
-            shown, said = f'<img src="{_embed(folder / path)}" alt="{html.escape(caption)}">', inline(caption)
+            shown, said = (
+                f'<img src="{_embed(folder / path)}" alt="{html.escape(html.unescape(caption))}">',
+                inline(caption),
+            )
             return f'<figure id="{_anchor(path)}">{shown}<figcaption>{said}</figcaption></figure>'
         case Table(headings, rows):
             head = "".join(f"<th>{inline(heading)}</th>" for heading in headings)
@@ -202,7 +214,7 @@ def _inline(text: str, pictures: Collection[str]) -> str:
         shown, path = found.groups()
         return f'<a href="#{_anchor(path)}">{shown}</a>' if html.unescape(path) in pictures else shown
 
-    text = html.escape(text)
+    text = re.sub(r"&amp;(#\d+;)", r"&\1", html.escape(text))  # characters of `literal` stay as they are
     text = re.sub(r"`([^`]+)`", r"<code>\1</code>", text)
     text = re.sub(r"\*\*([^*]+)\*\*", r"<b>\1</b>", text)
     text = re.sub(r"\*(\w[^*]*\w)\*", r"<i>\1</i>", text)

@@ -14,7 +14,7 @@ from experiments.report import ground, metrics, outdated
 from jax_aero import rust
 from jax_aero.base import documents, places
 from jax_aero.base.files import find_damaged, read_json
-from jax_aero.base.parquet import read_table
+from jax_aero.base.parquet import read_rows
 
 Cell = Mapping[str, Any]
 Flown = TypeVar("Flown")
@@ -129,11 +129,10 @@ class Results:
             if "finished" in read_json(described):
                 document = read_json(described, documents.FinishedSweep)
                 _require_whole(path.parent, document["finished"])
-                name, table = path.parent.name, read_table(path)
+                name, (columns, cells) = path.parent.name, read_rows(path)
                 axes = [axis["name"] for axis in document["axes"]]
-                if missing := {*axes, "flights", "completed"} - set(table.column_names):
+                if missing := {*axes, "flights", "completed"} - set(columns):
                     raise Refused(f"{path} has no column `{min(missing)}`; --overwrite flies it again")
-                cells = table.to_pylist()
                 found[name] = Sweep(document, cells, outdated.sweep(name, document))
         return found
 

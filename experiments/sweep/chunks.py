@@ -41,7 +41,7 @@ class Chunks:
         content = self._content(chunk)
         if content is None:
             raise Refused(f"{self.path(chunk)} has changed meanwhile; the same command flies it again")
-        return read_parquet(content).read(use_threads=False)
+        return read_parquet(content)
 
     def find_whole(self, count: int) -> set[int]:
         """Return which of the first `count` chunks are complete."""

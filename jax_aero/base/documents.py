@@ -54,6 +54,20 @@ class _Axis(msgspec.Struct):
     name: str
     label: str
     unit: str
+    levels: list[str | float]
+
+
+class Kept(Manifest, kw_only=True):
+    """`manifest.json` of a result of which the documentation keeps what it found."""
+
+    title: str
+    command: str
+    created: str
+    git: _Git | None
+    code_hash: str
+    config: dict[str, Any]
+    config_digest: str
+    summary: dict[str, Any]
 
 
 class _TrainingSummary(msgspec.Struct):
@@ -72,7 +86,7 @@ class SweepUnderWay(msgspec.Struct):
 
     config_hash: str
     code_hash: str
-    finished: _Files | None = None
+    finished: _Files | msgspec.UnsetType = msgspec.UNSET
 
 
 class _Drawing(msgspec.Struct, kw_only=True):
@@ -90,12 +104,18 @@ class DrawnSweep(_Drawing, kw_only=True):
     perturbation: dict[str, Any]
 
 
+class _Counts(msgspec.Struct):
+    completed: int
+    fell: int
+    error: int
+
+
 class _Outcomes(_Files, kw_only=True):
-    created: str = ""
+    created: str
     flights: int
     seconds: float
     flights_per_minute: float | None
-    outcomes: dict[str, int]
+    outcomes: _Counts
 
 
 class _Device(msgspec.Struct):
@@ -108,7 +128,7 @@ class FinishedSweep(_Drawing, kw_only=True):
     config_hash: str
     code_hash: str
     description: str
-    design: str = "grid"
+    design: str
     repeats: int
     seed: int
     perturbation: dict[str, Any]
@@ -116,7 +136,7 @@ class FinishedSweep(_Drawing, kw_only=True):
     engine: str
     device: _Device
     finished: _Outcomes
-    git: _Git | None = None
+    git: _Git | None
 
 
 class Trial(msgspec.Struct):

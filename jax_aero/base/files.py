@@ -22,6 +22,7 @@ from typing import Any
 
 import msgspec
 
+from jax_aero.base import sizes
 from jax_aero.base.terminal import Refused
 
 
@@ -214,7 +215,8 @@ TOO_DEEP = f"lists and tables are more than {MAX_DEPTH} deep"
 
 
 def parse_json(content: bytes) -> Any:
-    """Parse JSON; raise `ValueError` if it is invalid, or deeper than `MAX_DEPTH`."""
+    """Parse JSON; raise `ValueError` if it is invalid, deeper than `MAX_DEPTH`, or has too many values."""
+    sizes.expect("values", sum(map(content.count, (b",", b"[", b"{"))), sizes.MAX_OBJECTS)
     try:
         document = msgspec.json.decode(content)
     except msgspec.MsgspecError as reason:

@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-MAX_SIZE = 2 << 30
-"""Greatest size of all numbers of a file in memory [bytes], 8 for each; the crate logs no more."""
+from jax_aero.base.sizes import MAX_NUMBERS, MAX_PART, expect
 
-MAX_TEXTS, MAX_LETTERS = 100_000, 64 << 20
-"""Greatest number of texts of a variable, and of letters of all texts; rows of our largest dataset have 5000 names."""
+MAX_TEXTS = 100_000
+"""Greatest number of texts of a variable; rows of our largest dataset have 5000 names."""
 
 
 def open_dataset(path: Path) -> Any:
@@ -25,7 +24,7 @@ def open_dataset(path: Path) -> Any:
 
 
 def check(path: Path) -> None:
-    """Refuse a file with data elsewhere (linked, external or virtual ones), or with more than this module's limits.
+    """Refuse a file with data elsewhere (linked, external or virtual ones), or with more than the limits of `sizes`.
 
     Compressed numbers count as they are in memory.
 
@@ -41,7 +40,7 @@ def check(path: Path) -> None:
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):
         raise ValueError("expected a regular file")
-    with h5py.File(path, "r", rdcc_nbytes=MAX_LETTERS) as file:  # so that no chunk of texts is unpacked twice
+    with h5py.File(path, "r", rdcc_nbytes=MAX_PART) as file:  # so that no chunk of texts is unpacked twice
         numbers, letters = 0, _letters_of_attributes(file, status.st_size)
         for name in file:
             if not isinstance(file.get(name, getlink=True), h5py.HardLink):
@@ -56,21 +55,16 @@ def check(path: Path) -> None:
             if variable.dtype.hasobject:
                 if h5py.check_string_dtype(variable.dtype) is None:
                     raise ValueError(f"`{name}` holds {variable.dtype}; expected numbers or texts")
-                _expect(f"texts of `{name}`", count, MAX_TEXTS)
+                expect(f"texts of `{name}`", count, MAX_TEXTS)
                 letters = _add_letters(letters, variable, status.st_size)
             else:
                 numbers += count * max(variable.dtype.itemsize, 8)
-            _expect("bytes of numbers", numbers, MAX_SIZE)
-            _expect("letters", letters, MAX_LETTERS)
+            expect("bytes of numbers", numbers, MAX_NUMBERS)
+            expect("letters", letters, MAX_PART)
 
 
 def _count(shape: Any) -> int:
     return math.prod(shape or ())
-
-
-def _expect(what: str, count: int, greatest: int) -> None:
-    if count > greatest:
-        raise ValueError(f"it holds {count} {what} or more; expected at most {greatest}")
 
 
 # Any number of texts may be stored as one, which may be as long as the file.
@@ -82,17 +76,17 @@ def _letters_of_attributes(owner: Any, file_size: int) -> int:
         found = owner.attrs.get_id(name)
         # `REFERENCE_LIST`, which no reader needs, is as long as a dimension has variables.
         if found.dtype.hasobject and found.shape is not None and name != "REFERENCE_LIST":
-            _expect(f"letters in `{name}`", _count(found.shape) * file_size, MAX_SIZE)
+            expect(f"letters in `{name}`", _count(found.shape) * file_size, MAX_NUMBERS)
             letters += sum(map(len, np.asarray(owner.attrs[name], dtype=object).ravel()))
-            _expect("letters", letters, MAX_LETTERS)
+            expect("letters", letters, MAX_PART)
     return letters
 
 
 def _add_letters(letters: int, variable: Any, file_size: int) -> int:
     rows, row = (variable.shape or (1,))[0], math.prod(variable.shape[1:])
-    _expect(f"letters in a row of `{variable.name}`", row * file_size, MAX_SIZE)
-    few = max(MAX_LETTERS // file_size // max(row, 1), 1)
+    expect(f"letters in a row of `{variable.name}`", row * file_size, MAX_NUMBERS)
+    few = max(MAX_PART // file_size // max(row, 1), 1)
     for start in range(0, rows, few):
         letters += sum(map(len, np.ravel(variable[start : start + few] if variable.shape else variable[()])))
-        _expect("letters", letters, MAX_LETTERS)
+        expect("letters", letters, MAX_PART)
     return letters

@@ -12,27 +12,22 @@ Columns of an MCAP file are the numbers of its JSON messages, such as `/topic/fi
 
 from __future__ import annotations
 
-import csv
-import json
-import shlex
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero import rust
-from jax_aero.base import tables, typed
-from jax_aero.base.files import parse_json, read_bytes
+from jax_aero.base import tables
 from jax_aero.base.places import did_you_mean
 from jax_aero.base.terminal import ConfigError
-from jax_aero.view import Refused, recording, require
-from jax_aero.view.export import METADATA, column_name
+from jax_aero.view import Refused, recording
+from jax_aero.view.columns import Array, Series, read_csv, read_mcap
+from jax_aero.view.export import column_name
 from jax_aero.view.recording import entries_of
-
-Array = NDArray[np.float64]
 
 QUATERNION = "raw_base_quaternion"
 """Signal of a mapping, in the place of `raw_base_rotation`: (w, x, y, z)."""
@@ -55,11 +50,8 @@ LATE = 10
 LONGEST_GAP = 60.0
 """Longest time between two rows of one flight [s]."""
 
-MAGIC = b"\x89MCAP0\r\n"
-"""First and last bytes of an MCAP file."""
-
-SEPARATORS = ",;\t"
-"""Separators of columns; after the comma, in that order, those of tables with decimal commas."""
+MARKS = (99.0, 99.9, 99.99, 999.0, 999.9, 999.99, 9999.0, 9999.9, 99999.0)
+"""Numbers that loggers write, with either sign, where nothing was measured."""
 
 
 class Source(tables.Table, frozen=True):
@@ -69,13 +61,8 @@ class Source(tables.Table, frozen=True):
     """Name of every entry, in our order; or one pattern, in which `{}` stands for the name of the entry."""
     scale: float = 1.0
     """Factor from the unit of the log to ours."""
-
-
-class Series(NamedTuple):
-    """Rows of a signal, or of an entry of it, with their times [s]."""
-
-    times: Array
-    rows: Array
+    missing: tuple[float, ...] | None = None
+    """Numbers of the log that mean that nothing was measured; without the key those of `MARKS` are refused."""
 
 
 class Log(NamedTuple):
@@ -133,140 +120,50 @@ def read(path: Path, config: rust.Config | None, mapping: Path | None = None, ro
         flight = recording.read(path, robot_file or (None if config is None else config["robot"]))
         series = {name: [Series(flight.signals["time"], flight.rows(name))] for name in flight.signals}
         return Log(series, flight.config)
-    read_columns = {".csv": read_csv, ".mcap": read_mcap}[path.suffix]
-    columns, own = read_columns(path, mapping)
+    sources = {} if mapping is None else _load_mapping(mapping)
+    columns, own = ({}, None) if path.suffix == ".csv" else read_mcap(path, is_ours=mapping is None)
     if config is None and own is None:
         raise Refused(f"`{path}` holds no configuration of a flight; expected --experiment NAME")
     robot = rust.Robot(robot_file or (config or own or {})["robot"])
-    if mapping is None:
-        return Log(_own_signals(columns, robot, path), own)
-    return Log(_mapped_signals(columns, robot, path, mapping), own)
+    named = _own_columns(robot, path.suffix) if mapping is None else _mapped_columns(sources, robot, mapping)
+    header: Collection[str] = columns
+    if path.suffix == ".csv":
+        time, wanted = sources.get("time", Source(columns="time")), {name for names in named.values() for name in names}
+        stamp = time.columns if isinstance(time.columns, str) else next(iter(time.columns), "")
+        columns, header = read_csv(path, stamp, time.scale, wanted, is_ours=mapping is None)
+    signals = {}
+    for signal, names in named.items():
+        absent = [name for name in names if name not in columns]
+        if absent and mapping is not None:
+            raise Refused(f"{mapping.name}: `{path}` has no column `{absent[0]}`{did_you_mean(absent[0], header)}")
+        if not absent:
+            signals[signal] = [_in_our_units(columns[name], sources.get(signal), name, path) for name in names]
+    return Log(signals, own)
 
 
-def read_csv(path: Path, mapping: Path | None) -> tuple[dict[str, Series], None]:
-    """Return the columns of a table with a header; an empty cell is NaN."""
-    sources = {} if mapping is None else _load_mapping(mapping)
-    time = sources.get("time", Source(columns="time"))
-    name = time.columns if isinstance(time.columns, str) else next(iter(time.columns), "")
-    try:
-        lines = read_bytes(path).decode("utf-8-sig").splitlines()
-    except UnicodeDecodeError:
-        raise Refused(f"`{path}` is no text in UTF-8; expected a table with a header") from None
-    try:
-        # The separator by which the header has the column of times.
-        headers = ((mark, next(_rows(lines, mark), (0, []))[1]) for mark in SEPARATORS)
-        separator = next((mark for mark, header in headers if name in header), ",")
-        numbered = _rows(lines, separator)
-        header = next(numbered, (0, []))[1]
-        if name not in header:
-            raise Refused(f"`{path}` has no column `{name}` of times{did_you_mean(name, header)}")
-        rows = [_numbers(cells, header, separator, f"line {line} of `{path}`") for line, cells in numbered]
-    except csv.Error as reason:
-        raise Refused(f"`{path}` is no table of numbers with a header ({reason})") from None
-    table = np.reshape(rows, (len(rows), len(header)))
-    times = table[:, header.index(name)]
-    times = (times - times[:1]) * time.scale  # which would be rounded coarsely if they began in 1970
-    return {word: Series(times, table[:, place]) for place, word in enumerate(header)}, None
+def _in_our_units(column: Series, source: Source | None, name: str, path: Path) -> Series:
+    """Return a column in SI units, with NaN for marks of a missing value; refuse what looks like one."""
+    if source is None:
+        return column
+    rows = np.where(np.isin(column.rows, source.missing or ()), np.nan, column.rows)
+    is_mark = np.isin(np.abs(rows), MARKS)
+    others = np.abs(rows[np.isfinite(rows) & ~is_mark]).max(initial=0.0)
+    if source.missing is None and is_mark.any() and np.abs(rows[is_mark]).min() > 2.0 * others:
+        row = int(is_mark.argmax())
+        what = f"column `{name}` of `{path}` is {rows[row]:g} in row {row + 1}, as where nothing was measured"
+        raise Refused(f"{what}; expected `missing = [{rows[row]:g}]` in the mapping, or `missing = []` for a number")
+    return Series(column.times, rows * source.scale)
 
 
-def _rows(lines: Sequence[str], separator: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield the cells of every row that is not empty, with the number of its line."""
-    reader = csv.reader(lines, delimiter=separator)
-    for row in reader:
-        cells = [cell.strip() for cell in row]
-        if any(cells):
-            yield reader.line_num, cells
-
-
-def _numbers(cells: Sequence[str], header: Sequence[str], separator: str, place: str) -> list[float]:
-    """Return the numbers of a row; an empty cell is NaN, and a comma that does not separate is decimal."""
-    if len(cells) != len(header):
-        hint = "; with decimal commas, `;` between them" if separator == "," and len(cells) > len(header) else ""
-        raise Refused(f"{place} has {len(cells)} cells; expected {len(header)}, as its header{hint}")
-    numbers = []
-    for name, cell in zip(header, cells, strict=True):
-        try:
-            numbers.append(float(cell if separator == "," else cell.replace(",", ".")) if cell else np.nan)
-        except ValueError:
-            raise Refused(f"{place}: column `{name}` is `{cell}`; expected a number") from None
-    return numbers
-
-
-def read_mcap(path: Path, mapping: Path | None) -> tuple[dict[str, Series], rust.Config | None]:
-    """Return the numbers in the JSON messages of an MCAP file, and the configuration if `jax-aero export` wrote it."""
-    require(["mcap"], f"reading `{path}`", "logs")
-    from mcap.reader import make_reader
-    from mcap.records import Metadata
-    from mcap.stream_reader import StreamReader
-
-    _check_whole(path)
-    topics = [f"/signals/{name}" for name in rust.signals()] if mapping is None else None
-    found: dict[str, tuple[list[float], list[float]]] = {}
-    config, start, others = None, None, set()
-    try:
-        with path.open("rb") as file:
-            for _schema, channel, message in make_reader(file, validate_crcs=True).iter_messages(topics):
-                if channel.message_encoding != "json":
-                    others.add(channel.message_encoding)
-                    continue
-                start = message.log_time if start is None else start
-                for name, number in _flatten(parse_json(message.data), channel.topic):
-                    times, numbers = found.setdefault(name, ([], []))
-                    times.append((message.log_time - start) * 1e-9)
-                    numbers.append(number)
-            file.seek(0)
-            # The index of metadata may be missing.
-            for record in StreamReader(file, emit_chunks=True).records:
-                if isinstance(record, Metadata) and record.name == METADATA and "config" in record.metadata:
-                    config = typed.make_paths_absolute(json.loads(record.metadata["config"]))
-    except Exception as reason:  # the package raises many types for damaged files
-        what = f"({type(reason).__name__}: {reason})"
-        raise Refused(f"`{path}` is damaged {what}; {_recovery(path)}") from None
-    if not found:
-        held = f", but in {', '.join(sorted(others))}" if others else ""
-        raise Refused(f"`{path}` has no message in JSON{held}; expected those of `jax-aero export`, or others in JSON")
-    return {name: Series(np.array(times), np.array(numbers)) for name, (times, numbers) in found.items()}, config
-
-
-def _check_whole(path: Path) -> None:
-    """Refuse a file that does not begin and end as an MCAP file."""
-    with path.open("rb") as file:
-        first = file.read(len(MAGIC))
-        file.seek(max(len(MAGIC), path.stat().st_size - len(MAGIC)))
-        last = file.read()
-    if first != MAGIC:
-        raise Refused(f"`{path}` {'does not begin as an MCAP file' if first else 'is empty'}; expected an MCAP file")
-    if last != MAGIC:
-        raise Refused(f"`{path}` has no end: the recording was cut off; {_recovery(path)}")
-
-
-def _recovery(path: Path) -> str:
-    command = shlex.join(["mcap", "recover", str(path), "-o", f"{path.stem}_recovered.mcap"])
-    return f"`{command}` saves what is sound (the program is at mcap.dev)"
-
-
-def _flatten(part: Any, name: str) -> Iterator[tuple[str, float]]:
-    """Yield the numbers of a message with their paths; null is NaN."""
-    if isinstance(part, dict | list):
-        for key, inner in part.items() if isinstance(part, dict) else enumerate(part):
-            yield from _flatten(inner, f"{name}/{key}")
-    elif part is None or isinstance(part, int | float):
-        yield name, np.nan if part is None else float(part)
-
-
-def _own_signals(columns: Mapping[str, Series], robot: rust.Robot, path: Path) -> dict[str, list[Series]]:
-    """Return the signals that `jax-aero export` wrote."""
+def _own_columns(robot: rust.Robot, suffix: str) -> dict[str, tuple[str, ...]]:
+    """Return the columns of every signal as `jax-aero export` names them."""
     found = {}
     for name, signal in rust.signals().items():
-        if signal.dims[0] != "time":
-            continue
-        entries = entries_of(name, robot)
-        if path.suffix == ".mcap":
-            names = [column_name(f"/signals/{name}", entry or ("value",)) for entry in entries]
-        else:
-            names = [column_name(name, entry) for entry in entries]
-        if names and all(column in columns for column in names):
-            found[name] = [columns[column] for column in names]
+        if signal.dims[0] == "time" and (entries := entries_of(name, robot)):
+            if suffix == ".mcap":
+                found[name] = tuple(column_name(f"/signals/{name}", entry or ("value",)) for entry in entries)
+            else:
+                found[name] = tuple(column_name(name, entry) for entry in entries)
     return found
 
 
@@ -279,46 +176,49 @@ def _load_mapping(path: Path) -> dict[str, Source]:
     return tables.convert(table, dict[str, Source], path.name)
 
 
-def _mapped_signals(
-    columns: Mapping[str, Series], robot: rust.Robot, path: Path, mapping: Path
-) -> dict[str, list[Series]]:
-    """Return the signals that a mapping file names."""
+def _mapped_columns(sources: Mapping[str, Source], robot: rust.Robot, mapping: Path) -> dict[str, tuple[str, ...]]:
+    """Return the columns of every signal that a mapping file names."""
     found = {}
-    for name, source in _load_mapping(mapping).items():
+    for name, source in sources.items():
         entries = [(letter,) for letter in "wxyz"] if name == QUATERNION else entries_of(name, robot)
         names = source.columns
         if isinstance(names, str):
             names = tuple(names.replace("{}", "/".join(entry)) for entry in entries)
         if len(names) != len(entries):
             raise ConfigError.of(f"{name}.columns", list(names), f"{len(entries)} names").in_file(mapping.name)
-        for column in names:
-            if column not in columns:
-                raise Refused(f"{mapping.name}: `{path}` has no column `{column}`{did_you_mean(column, columns)}")
-        found[name] = [Series(columns[column].times, columns[column].rows * source.scale) for column in names]
+        found[name] = names
     return found
 
 
-def at_ticks(log: Log, robot: rust.Robot, period: float, path: Path) -> Ticks:
+def at_ticks(log: Log, robot: rust.Robot, period: float, path: Path, *, also: Sequence[str] = ()) -> Ticks:
     """Return every signal at the ticks of a controller, from time zero: when all that a flight begins with is measured.
 
     A log with this period [s] has a tick in every row, and ticks without a measurement where rows were lost. In a
     faster one a tick has the last values until then. Entries that are slower are held for `HELD` of their periods.
+    Signals of `also` are needed too.
 
     Warns about lost rows, and about rows with the time of the next one, which count as lost.
 
     Raises
     ------
     Refused
-        For a log that lacks a signal without which no flight can begin, or whose times decrease.
+        For a log that lacks a signal without which no flight can begin, whose times decrease, or that has few of the
+        ticks between its first and its last one.
     """
     needed = [QUATERNION if name not in log.signals and name == "raw_base_rotation" else name for name in NEEDED]
+    needed += also
     if lacking := [name for name in needed if name not in log.signals]:
         names = ", ".join(f"`{name}`" for name in lacking).replace(QUATERNION, "raw_base_rotation")
         raise Refused(f"`{path}` has no {names}; expected what a tick is given")
     stamps = log.signals["raw_joint_position"][0].times
     rows = _check_times(stamps, path)
-    begin = max(one.times[0] for name in needed for one in log.signals[name])
+    begin = max(_first_time(one, name, path) for name in needed for one in log.signals[name])
     rows = rows[rows >= min(begin, rows[-1])]
+    most = LATE * rows.size + int(LONGEST_GAP / period)
+    if (rows[-1] - rows[0]) / period > most:
+        raise Refused(
+            f"`{path}` has {rows.size} rows in {rows[-1] - rows[0]:g} s; expected one in most of {period:g} s"
+        )
     typical = _typical_step(rows)
     if is_denser := typical < (1.0 - PERIOD_TOLERANCE) * period:
         ticks = rows[0] + period * np.arange(int((rows[-1] - rows[0] + ROUNDING) / period) + 1)
@@ -370,6 +270,16 @@ def _check_times(times: Array, path: Path) -> Array:
         warnings.warn(f"{what}; the later one is used", stacklevel=3)
     later: Array = times[np.append(steps > 0.0, True)]
     return later
+
+
+def _first_time(series: Series, name: str, path: Path) -> float:
+    """Return the time of the first row with a number [s]."""
+    is_measured = ~np.isnan(series.rows.reshape(len(series.times), -1)).any(axis=1)
+    if not is_measured.any():
+        raise Refused(f"`{path}` has no number of `{name}`, without which no flight begins")
+    if np.any(np.diff(series.times) < 0.0):
+        raise Refused(f"the times of `{name}` in `{path}` decrease; expected times that increase")
+    return float(series.times[is_measured.argmax()])
 
 
 def _typical_step(times: Array) -> float:

@@ -237,7 +237,7 @@ def _read(path: Path, robot: str | Path | None) -> Recording:
         config["robot"] = str(robot_path)
     lost_time = facts.get("lost_time")
     return Recording(
-        title=str(facts.get("title") or manifest.get("title") or path.parent.name),
+        title=" ".join(str(facts.get("title") or manifest.get("title") or path.parent.name).split()),
         signals=signals,
         robot=loaded,
         robot_path=robot_path,

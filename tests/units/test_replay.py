@@ -12,9 +12,11 @@ from experiments import manifest, record
 from experiments.replay import compare
 from jax_aero import __main__ as commands
 from jax_aero import rust
+from jax_aero.base import sizes
 from jax_aero.base.result import labels_of
 from jax_aero.body.rotations import rpy_from_rotation, wxyz_from_rotation
 from jax_aero.view import export, logs, recording
+from jax_aero.view.columns import read_mcap
 
 mcap_reader = pytest.importorskip("mcap.reader", reason="mcap is not installed: make setup")
 
@@ -427,10 +429,10 @@ def test_the_configuration_is_found_without_an_index(result, tmp_path, capsys):
 def test_what_does_not_fit_is_refused(result, foreign, tmp_path, capsys):
     (tmp_path / "empty.mcap").write_bytes(b"no such file")
     tables = {
-        "text": "time,a\n0,b\n",
+        "text": "time,raw_wind/x\n0,b\n",
         "short": "time,a\n\n0,1\n1\n",
         "decimal": "time,a\n0,0,5,0\n",
-        "thousands": "time;a\n0,5;1.000,5\n",
+        "thousands": "time;raw_wind/x\n0,5;1.000,5\n",
         "letter": "a letter\nof two lines\n",
         "empty": "",
     }
@@ -452,14 +454,14 @@ def test_what_does_not_fit_is_refused(result, foreign, tmp_path, capsys):
         ("replay", tmp_path / "nothing.mcap"): "is empty; expected an MCAP file",
         ("replay", tmp_path / "nowhere.mcap"): "No such file",
         ("replay", tmp_path / "damaged.mcap"): "mcap recover",
-        ("replay", tmp_path / "text.csv", *csv): "text.csv`: column `a` is `b`; expected a number",
+        ("replay", tmp_path / "text.csv", *csv): "text.csv`: column `raw_wind/x` is `b`; expected a number",
         ("replay", tmp_path / "short.csv", *csv): "line 4 of",
         (
             "replay",
             tmp_path / "decimal.csv",
             *csv,
         ): "has 4 cells; expected 2, as its header; with decimal commas",
-        ("replay", tmp_path / "thousands.csv", *csv): "column `a` is `1.000,5`",
+        ("replay", tmp_path / "thousands.csv", *csv): "column `raw_wind/x` is `1.000,5`",
         ("replay", tmp_path / "letter.csv", *csv): "has no column `time`",
         ("replay", tmp_path / "empty.csv", *csv): "has no column `time`",
         ("replay", tmp_path / "latin.csv", *csv): "is no text in UTF-8",
@@ -471,3 +473,139 @@ def test_what_does_not_fit_is_refused(result, foreign, tmp_path, capsys):
         status, _, err = run(capsys, *words)
         assert (status, expected in err) == (2, True), (words, err)
         assert err.count("\n") == 1, err
+
+
+# --- logs of others as loggers write them
+
+
+def others(foreign, change):
+    """Header and rows of the log of others at the rate of its ticks, as `change` makes them."""
+    header, *rows = [line.split(",") for line in (foreign / "log.csv").read_text().splitlines()]
+    return "\n".join(",".join(row) for row in change(header, rows[::5])) + "\n"
+
+
+def sparse(header, rows):
+    """Rows of the base, of the joints 2 ms later, and of thrusts and wind 3 ms later at half the rate."""
+    of_joint = [name.startswith(("q_", "dq_", "tau_")) for name in header]
+    of_base = [name[0] in "pv" or name in ("qw", "qx", "qy", "qz") for name in header]
+    sources = (
+        (of_base, 0),
+        (of_joint, 2_000_000),
+        ([not (b or j) for b, j in zip(of_base, of_joint, strict=True)], 3_000_000),
+    )
+    yield header
+    for number, row in enumerate(rows):
+        for source, (is_own, delay) in enumerate(sources):
+            if source < 2 or number % 2 == 0:
+                cells = [cell if own else "" for cell, own in zip(row, is_own, strict=True)]
+                yield [str(float(row[0]) + delay), *cells[1:]]
+
+
+def filled(header, rows):
+    """The same with empty cells filled from the row above."""
+    last = [""] * len(header)
+    yield header
+    for row in list(sparse(header, rows))[1:]:
+        last = [new or old for new, old in zip(row, last, strict=True)]
+        yield last
+
+
+@pytest.mark.parametrize("change", [sparse, filled])
+def test_sources_that_fill_their_own_rows_replay(change, foreign, tmp_path, capsys):
+    """Ticks begin where every source has written; the joints give their times."""
+    (tmp_path / "log.csv").write_text(others(foreign, change))
+    words = ("--experiment", "test2", "--map", foreign / "map.toml")
+    status, out, err = run(capsys, "replay", tmp_path / "log.csv", *words)
+    assert (status, err) == (1, "")
+    assert 18 <= int(out.split()[0]) <= 21
+    assert differences(out)["joint_torque"] < 1.0  # N m; the thrusts are those of up to two ticks before
+
+
+def test_columns_that_nobody_names_hold_anything(exact, tmp_path, capsys):
+    lines, _ = exact
+    words = [line + (",mode", ",HOVER")[number > 0] for number, line in enumerate(lines)]
+    (tmp_path / "log.csv").write_text("\n".join(words))
+    status, out, err = run(capsys, "replay", tmp_path / "log.csv", "--experiment", "test2")
+    assert (status, out.splitlines()[-1].split(":")[0]) == (0, "equal to the last bit"), err
+
+
+def test_a_controller_without_estimator_needs_joint_velocities_by_name(foreign, tmp_path, capsys):
+    mapping = "\n".join(line for line in MAP.splitlines() if not line.startswith("raw_joint_velocity"))
+    (tmp_path / "map.toml").write_text(mapping)
+    words = ("replay", foreign / "log.csv", "--map", tmp_path / "map.toml", "--experiment")
+    status, _, err = run(capsys, *words, "test2")
+    assert (status, "has no `raw_joint_velocity`" in err, "estimator needs none" in err) == (2, True, True)
+    status, _, err = run(capsys, *words, "test2_sensors")
+    assert status == 1, err
+
+
+def test_marks_of_a_missing_value_are_named(foreign, tmp_path, capsys):
+    def spoil(header, rows):
+        wind = header.index("wx")
+        yield header
+        yield from (
+            [*row[:wind], "99.0" if number in (3, 4) else row[wind], *row[wind + 1 :]]
+            for number, row in enumerate(rows)
+        )
+
+    (tmp_path / "log.csv").write_text(others(foreign, spoil))
+    (tmp_path / "map.toml").write_text(MAP.replace('["wx", "wy", "wz"]', '["wx", "wy", "wz"], missing = [99.0]'))
+    words = ("replay", tmp_path / "log.csv", "--experiment", "test2", "--map")
+    status, _, err = run(capsys, *words, foreign / "map.toml")
+    assert (status, "column `wx`" in err, "is 99 in row 4" in err, "missing = [99]" in err) == (2, True, True, True)
+    config = rust.load_config("test2")
+    log = logs.read(tmp_path / "log.csv", config, tmp_path / "map.toml")
+    wind = logs.at_ticks(log, rust.Robot(config["robot"]), 0.01, Path("log.csv")).signals["raw_wind"]
+    assert np.flatnonzero(np.isnan(wind).any(axis=1)).tolist() == [3, 4]
+    (tmp_path / "map.toml").write_text(MAP.replace('["wx", "wy", "wz"]', '["wx", "wy", "wz"], missing = []'))
+    assert logs.read(tmp_path / "log.csv", config, tmp_path / "map.toml").signals["raw_wind"][0].rows[3] == 99.0
+
+
+# --- what files of strangers need in memory
+
+
+def test_gaps_are_few(exact, tmp_path, capsys):
+    lines, _ = exact
+    times = (f"{55.0 * (number - 29)}{line[line.index(',') :]}" for number, line in enumerate(lines[1:]))
+    (tmp_path / "gaps.csv").write_text("\n".join([lines[0], *lines[1:30], *list(times)[30:]]))
+    status, _, err = run(capsys, "replay", tmp_path / "gaps.csv", "--experiment", "test2")
+    assert (status, "expected one in most of 0.01 s" in err) == (2, True), err
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+def test_a_chunk_that_grows_is_not_decompressed(compression, tmp_path, capsys, monkeypatch):
+    from mcap.writer import CompressionType, Writer
+
+    path = tmp_path / "zeros.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=1 << 30, compression=CompressionType[compression.upper()])
+        writer.start()
+        channel = writer.register_channel("/state", "json", 0)
+        writer.add_message(channel, 0, b"[" + b"0," * (1 << 20) + b"0]", 0)
+        writer.finish()
+    assert path.stat().st_size < 20_000
+    monkeypatch.setattr(sizes, "MAX_PART", 1 << 20)
+    status, _, err = run(capsys, "replay", path, "--experiment", "test2")
+    assert (status, "bytes in a chunk or more; expected at most" in err) == (2, True), err
+
+
+def test_messages_of_many_numbers_are_counted(tmp_path, capsys, monkeypatch, result):
+    export.write_mcap(recording.read(result), tmp_path / "log.mcap")
+    monkeypatch.setattr(sizes, "MAX_NUMBERS", 1 << 16)
+    status, _, err = run(capsys, "replay", tmp_path / "log.mcap")
+    assert (status, "bytes of numbers or more; expected at most 65536" in err) == (2, True), err
+
+
+def test_messages_are_in_the_order_of_their_times(tmp_path):
+    from mcap.writer import Writer
+
+    with (tmp_path / "log.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel("/state", "json", 0)
+        for stamp in (30, 10, 20):
+            writer.add_message(channel, 10**18 + stamp * 10**9, json.dumps({"n": stamp}).encode(), stamp)
+        writer.finish()
+    columns, config = read_mcap(tmp_path / "log.mcap", is_ours=False)
+    assert config is None
+    assert [part.tolist() for part in columns["/state/n"]] == [[0.0, 10.0, 20.0], [10.0, 20.0, 30.0]]

@@ -2,6 +2,7 @@
 
 import base64
 import dataclasses
+import html
 import io
 import json
 import re
@@ -21,7 +22,7 @@ from experiments.cfd.settings import FlowConfig
 from experiments.report import engines, facts, findings, ground, judges, metrics, outdated, paper
 from experiments.report.command import _count_verdicts, _edge, _pictures, _spans, build
 from experiments.report.findings import Finding
-from experiments.report.page import Contents, Heading, Mark, Page, Picture, Table, Text
+from experiments.report.page import Contents, Heading, Mark, Page, Picture, Table, Text, literal
 from experiments.report.results import Results, Sweep
 from experiments.report.verdicts import (
     AGREES,
@@ -73,11 +74,13 @@ def write_sweep(results, name, cells, axes, **document):
         "description": "Made up.",
         "drawing": "levels",
         "panels": "",
-        "axes": [{"name": axis, "label": axis, "unit": ""} for axis in axes],
+        "axes": [{"name": axis, "label": axis, "unit": "", "levels": []} for axis in axes],
+        "git": None,
         "rows": 10,
         "engine": "rust",
         "device": {"cores": 2},
         "finished": {
+            "created": "",
             "flights": 10,
             "seconds": 2.0,
             "flights_per_minute": 300.0,
@@ -451,6 +454,20 @@ def test_a_figure_of_other_runs_is_shown_with_their_name(tmp_path):
         ("figures/fig5.png", "One mission"),
         ("figures/fig5--half_test2.png", "One mission (`half_test2`)"),
     ]
+
+
+def test_a_title_of_a_stranger_is_shown_as_it_stands(tmp_path):
+    """In Markdown, whose readers know other markup than the page does, and in HTML."""
+    title = "![a](b.png) [c](d.md) **e** `f` <img> | \\ ~~g~~ &lt;\n# h"
+    page = Page(title)
+    page.add(Heading(3, literal(title)), Text(f"see {literal(title)}"), Table(["of"], [[literal(title)]]))
+    markdown, written = page.markdown(), page.html(tmp_path)
+    assert "<img>" not in markdown + written
+    assert re.search(r"^# h", markdown, re.M) is None
+    below = markdown.split("\n", 2)[2]
+    assert not re.search(r"[`*\[\]<>~\\]", below.replace("| --- |", ""))
+    shown = [html.unescape(part) for part in (below.splitlines()[0], re.findall("<p>(.*)</p>", written)[0])]
+    assert shown == [f"### {' '.join(title.split())}", f"see {' '.join(title.split())}"]
 
 
 def test_the_report_is_written_from_what_there_is(results, capsys):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 
 import h5py
@@ -10,15 +11,18 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import xarray as xr
+from scipy.io import savemat
 
 from experiments import Refused, record
+from experiments.data.cfd import read_mat
+from experiments.report import keep
 from experiments.report.findings import Record
 from experiments.report.results import Results
 from experiments.sweep import run as sweep_run
 from jax_aero.aero import dataset
-from jax_aero.base import documents, netcdf, parquet, tables
+from jax_aero.base import documents, netcdf, sizes, tables
 from jax_aero.base.files import MAX_DEPTH, complete_folder, lock, parse_json, read_json
-from jax_aero.base.parquet import read_table
+from jax_aero.base.parquet import read_rows, read_table
 from jax_aero.view import recording
 from paper_figs import runs, sweeps
 
@@ -49,11 +53,11 @@ def group(file, _):
 
 def small_numbers(file, _):
     """A byte for each number in the file, compressed; eight in memory."""
-    file.create_dataset("wind", (netcdf.MAX_SIZE // 8, 1), "i1", chunks=(1 << 20, 1), compression="gzip")
+    file.create_dataset("wind", (netcdf.MAX_NUMBERS // 8, 1), "i1", chunks=(1 << 20, 1), compression="gzip")
 
 
 def one_large_chunk(file, _):
-    file.create_dataset("wind", (1,), "i1", chunks=(netcdf.MAX_SIZE // 8,), maxshape=(None,), compression="gzip")
+    file.create_dataset("wind", (1,), "i1", chunks=(netcdf.MAX_NUMBERS // 8,), maxshape=(None,), compression="gzip")
 
 
 def many_texts(file, _):
@@ -212,13 +216,92 @@ def test_a_table_of_a_sweep_is_bounded_and_regular(tmp_path, monkeypatch):
     pq.write_table(pa.table({"cell": np.zeros(10**5)}), path)
     assert path.stat().st_size < 1e4
     assert read_table(path).num_rows == 10**5
-    monkeypatch.setattr(parquet, "MAX_TABLE", 10**5)
-    with pytest.raises(Refused, match=rf"{path} holds \d+ bytes"):
+    monkeypatch.setattr(sizes, "MAX_TABLE", 10**5)
+    with pytest.raises(Refused, match=rf"{path} is damaged \(it holds \d+ bytes of numbers or more"):
         read_table(path)
     path.unlink()
     os.mkfifo(path)
     with pytest.raises(Refused, match=rf"{path} is damaged \(cells\.parquet: expected a regular file"):
         read_table(path)
+
+
+def one_long_text():
+    return pa.table({"cell": pa.array(["x" * 10**5]).take(pa.array(np.zeros(10**4, np.int64)))})
+
+
+def texts_that_share_their_beginning():
+    return pa.table({"cell": ["x" * 10**5 + str(number) for number in range(10)]})
+
+
+def lists():
+    return pa.table({"cell": pa.array([[0.0] * 10**5])})
+
+
+@pytest.mark.parametrize("make", [one_long_text, texts_that_share_their_beginning, lists])
+def test_texts_and_lists_of_a_table_are_bounded(make, tmp_path, monkeypatch):
+    path, options = tmp_path / "cells.parquet", {}
+    if make is texts_that_share_their_beginning:
+        options = {"use_dictionary": False, "column_encoding": {"cell": "DELTA_BYTE_ARRAY"}}
+    pq.write_table(make(), path, compression="zstd", **options)
+    assert path.stat().st_size < 1e4
+    monkeypatch.setattr(sizes, "MAX_TABLE", 1 << 22)
+    with pytest.raises(Refused, match=rf"{path} is damaged \((it holds \d+ bytes of texts|column `.*cell.*` (is|has))"):
+        read_table(path)
+
+
+def test_a_table_reads_as_it_was_written(tmp_path):
+    """Texts pass through dictionaries, whose size is known, and are texts again."""
+    written = pa.table({"name": ["a", None, "bb"], "number": [1.0, np.nan, 3.0], "of": pa.array([1, 2, None])})
+    pq.write_table(written, tmp_path / "cells.parquet")
+    read = read_table(tmp_path / "cells.parquet")
+    assert (read.schema, read["name"].to_pylist()) == (written.schema, ["a", None, "bb"])
+
+
+def test_a_table_whose_rows_become_objects_is_small(tmp_path, monkeypatch):
+    """Each number of a report's cells takes some hundred bytes."""
+    pq.write_table(pa.table({"cell": np.zeros(10**5)}), tmp_path / "cells.parquet")
+    monkeypatch.setattr(sizes, "MAX_OBJECTS", 10**4)
+    with pytest.raises(Refused, match=r"cells\.parquet is damaged \(it holds 100000 values"):
+        read_rows(tmp_path / "cells.parquet")
+    with pytest.raises(ValueError, match="it holds 20001 values"):
+        parse_json(b"[" + b"0," * 20_000 + b"0]")
+
+
+def test_a_matrix_that_grows_is_not_decompressed(tmp_path, monkeypatch):
+    monkeypatch.setattr(sizes, "MAX_PART", 1 << 20)
+    savemat(tmp_path / "data.mat", {"x": np.zeros(10**6)}, do_compression=True)
+    assert (tmp_path / "data.mat").stat().st_size < 2e4
+    with pytest.raises(ValueError, match=r"it holds \d+ bytes or more; expected at most 1048576"):
+        read_mat(tmp_path / "data.mat")
+
+
+@pytest.mark.parametrize("key", ["title", "design", "finished", "levels", "error"])
+def test_a_description_of_a_sweep_without_a_key_is_named(key, tmp_path):
+    folder = tmp_path / "sweeps" / "mine"
+    folder.mkdir(parents=True)
+    (folder / "cells.parquet").touch()
+    document = {
+        **dict.fromkeys(("title", "description", "panels", "config_hash", "code_hash", "engine"), ""),
+        **dict.fromkeys(("repeats", "seed", "rows"), 1),
+        "drawing": "map",
+        "design": "grid",
+        "git": None,
+        "perturbation": {},
+        "axes": [{"name": "a", "label": "a", "unit": "", "levels": [1.0]}],
+        "device": {"cores": 1},
+        "finished": {
+            "created": "",
+            "flights": 1,
+            "seconds": 1.0,
+            "flights_per_minute": 1.0,
+            "outcomes": {"completed": 1, "fell": 0, "error": 0},
+        },
+    }
+    for table in (document, document["axes"][0], document["finished"]["outcomes"]):
+        table.pop(key, None)
+    (folder / "sweep.json").write_text(json.dumps(document))
+    with pytest.raises(Refused, match=f"sweep.json is damaged: Object missing required field `{key}`"):
+        keep.of_sweep(folder)
 
 
 def test_links_that_lead_to_themselves_are_named(tmp_path):
