@@ -197,7 +197,7 @@ figures: $(PACKAGES) ## draw every figure whose results are there; flies the dem
 	$(BIN)/jax-aero fly $(DEMO)
 	$(BIN)/jax-aero figures all
 
-# SWEEPS=--all adds our own results: 18,000 flights. SKIP=cfd leaves out the flow around the robot, which takes OpenFOAM.
+# SWEEPS=--all adds our own results, which takes hours. SKIP=cfd leaves out the flow around the robot, which takes OpenFOAM.
 # Force models are fitted to and trained on our own simulations, or with PUBLIC_TABLE=FILE on the authors' table.
 SWEEPS :=
 

@@ -1,43 +1,107 @@
-"""Copy the figures of the gallery and of the studies' pages from `results/figures/` beside them, small enough to keep.
+"""Draw pictures of pages anew: `python -m docs.gallery NAME ...`; without names, those of flights and tables.
 
-The demo's figure goes to `docs/img/` as it is, with the one for dark pages of `jax-aero figures demo --dark`. Run after
-`make reproduce SWEEPS=--all`; a figure that has not been drawn is named, and its old copy stays.
+A picture of flights flies them first, and names how each ended. One of a study computes the study.
+Pictures of kept results are drawn from their rows (`experiments.generated`).
 """
 
 from __future__ import annotations
 
+import json
 import re
-import shutil
+import subprocess
 import sys
+import tempfile
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
+
+from experiments import fly
+from jax_aero.base import places
+from jax_aero.base.files import read_json
+from paper_figs import style, tunnel
+from paper_figs.entry import Entry
+from paper_figs.figures import FIGURES
 
 ROOT = Path(__file__).resolve().parents[1]
-SHOWN = re.compile(r"!\[[^\]]*\]\((?P<path>(?:img/gallery/)?\w+\.png)\)")
-PAGES = (ROOT / "docs/gallery.md", ROOT / "docs/ahead.md", *sorted((ROOT / "experiments/studies").glob("*/README.md")))
+SHOWN = re.compile(r"!\[[^\]]*\]\((?P<path>(?:img/(?:gallery/)?)?\w+\.png)\)")
+PAGES = (*sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "experiments/studies").glob("*/README.md")))
 WIDTH = 1100  # pixels; a page is 760 wide
 COLOURS = 256  # with half of them, colours of two lines become one
-DEMO = ("demo", "demo_dark")
+DEMO = "demo"
+"""Figure that is drawn small, and also for dark pages."""
+MADE_OF = "Made of"
+"""Text of a PNG that says what a picture shows."""
+FIGURES_OF_A_FLIGHT = ("max_rotation_error", "max_com_error", "thrust_max", "end_com_z")
 
 
 def main() -> int:
-    """Copy every figure that is shown; return how many are missing."""
+    """Draw pictures; return the exit status."""
+    names = sys.argv[1:] or [name for name in pictures() if FIGURES[name].kind in ("flight", "")]
+    if unknown := [name for name in names if name not in pictures()]:
+        print(f"error: no page shows a figure `{unknown[0]}`", file=sys.stderr)
+        return 2
+    style.use()
+    for name in names:
+        with tempfile.TemporaryDirectory() as folder:
+            draw(name, pictures()[name], Path(folder))
+    return 0
+
+
+def pictures() -> dict[str, Path]:
+    """Return the pictures of figures that pages show, by the figure's name."""
     shown = [page.parent / path for page in PAGES for path in SHOWN.findall(page.read_text(encoding="utf-8"))]
-    missing = 0
-    for target in (*(ROOT / f"docs/img/{name}.png" for name in DEMO), *shown):
-        drawn = ROOT / "results/figures" / target.name
-        if not drawn.is_file():
-            name = target.stem.removesuffix("_dark")
-            print(f"{target.stem}: not drawn yet; jax-aero figures {name} --dark", file=sys.stderr)
-            missing += 1
-        elif target.stem in DEMO:
-            shutil.copy(drawn, target)
-        else:
-            picture = Image.open(drawn).convert("RGB")
-            size = (WIDTH, round(picture.height * WIDTH / picture.width))
-            picture.resize(size, Image.Resampling.LANCZOS).quantize(COLOURS).save(target, optimize=True)
-    return missing
+    return {path.stem: path for path in (*shown, ROOT / f"docs/img/{DEMO}.png") if path.stem in FIGURES}
+
+
+def draw(name: str, target: Path, folder: Path) -> None:
+    """Fly or compute what a figure shows, draw it, and write it small enough to keep."""
+    entry, shown = FIGURES[name], dict[str, Any]()
+    results = folder / "flight"
+    if entry.kind == "flight":
+        fly.main([*entry.runs, "--out", str(results)])
+        shown = {run: of_flight(read_json(results / run / places.MANIFEST_FILE, dict)) for run in entry.runs}
+    elif entry.tables:
+        shown = tables(entry)
+    else:
+        results = places.RESULTS / "flight"
+        for command in entry.commands:
+            subprocess.run(command.split(), check=True)
+    figure, _ = entry.draw_from_results(results)
+    for drawn in style.save(figure, name, folder, {}, dark=name == DEMO):
+        if drawn.suffix == ".png":
+            _write(drawn, target.with_name(drawn.name), shown, is_small=name == DEMO)
+
+
+def _write(drawn: Path, target: Path, shown: Mapping[str, Any], *, is_small: bool) -> None:
+    picture: Image.Image = Image.open(drawn)
+    text = PngInfo()
+    text.add_text(MADE_OF, json.dumps(shown))
+    if not is_small:
+        size = (WIDTH, round(picture.height * WIDTH / picture.width))
+        picture = picture.convert("RGB").resize(size, Image.Resampling.LANCZOS).quantize(COLOURS)
+    picture.save(target, optimize=True, pnginfo=text)
+    print(target.relative_to(ROOT))
+
+
+def made_of(target: Path) -> dict[str, Any] | None:
+    """Return what a picture says that it shows."""
+    with Image.open(target) as picture:
+        text = getattr(picture, "text", {}).get(MADE_OF)
+    return None if text is None else dict(json.loads(text))
+
+
+def of_flight(flight: Mapping[str, Any]) -> list[Any]:
+    """Return how a flight ended, from its outcome and its summary."""
+    summary = flight["summary"]
+    return [flight["outcome"], *(float(f"{summary[figure]:.5g}") for figure in FIGURES_OF_A_FLIGHT)]
+
+
+def tables(entry: Entry) -> dict[str, str]:
+    """Return the hashes of the tables that a figure shows."""
+    return dict(tunnel.hashes(*entry.tables))
 
 
 if __name__ == "__main__":

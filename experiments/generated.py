@@ -1,6 +1,7 @@
 """Write every committed file that follows from others: `python -m experiments.generated`, or `make generated`.
 
-Schemas and Python types follow from the types of the configuration, and the pages of kept results from their figures.
+Schemas and Python types follow from the types of the configuration, pages and pictures of kept results from their
+figures.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from experiments import schema
-from experiments.report import kept
+from experiments.report import kept, pictures
 from jax_aero.base import places
 from jax_aero.cli import REFUSED
 
@@ -22,6 +23,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not places.IS_CHECKOUT:
         print("error: files of a checkout of the repository are generated, and this is none", file=sys.stderr)
         return REFUSED
+    for path in pictures.update():
+        print(path.relative_to(places.HOME))
     made = files()
     for path in outdated(made):
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -40,7 +40,7 @@ def draw(sweep: Sweep) -> Figure:
     groups = _groups(sweep.cells, [part for part in split if part is not None])
     sweep.require(len(groups) <= len(SERIES), f"at most {len(SERIES)} combinations of all axes but the last")
     figure = _curves(sweep, axis, groups) if sweep.is_numeric(axis) else _levels(sweep, axis, groups)
-    said = "completed: share and its Wilson 95 % interval; errors: median and 10 to 90 % of the flights"
+    said = f"completed: share and its Wilson 95 % interval; errors: {sweep.spread}"
     style.footnote(figure, f"{sweep.footnote()}; {said}")
     return figure
 

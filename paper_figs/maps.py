@@ -42,7 +42,7 @@ def draw(sweep: Sweep) -> Figure:
     grid[-1, 0].set_xlabel(axis_label(across), loc="left")  # once: beside each other labels overlap
     columns = "" if panel is None else f"; columns: {panel['label']}"
     style.title(figure, sweep.title + columns)
-    n, least = sweep.document["repeats"], _least_share(sweep.cells)
+    n, least = sweep.cells["flights"].max(), _least_share(sweep.cells)
     style.footnote(figure, f"{sweep.footnote()}; a cell of {n} of {n} stands for at least {least:.0f} % (Wilson 95 %)")
     return figure
 

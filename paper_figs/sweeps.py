@@ -69,6 +69,9 @@ class Sweep:
                 "Change the sweep's file and repeat the sweep: it flies nothing again"
             )
 
+    spread = "median and 10 to 90 % of the flights"
+    """What the centres and intervals of errors are."""
+
     def footnote(self) -> str:
         """Return the number of flights per point, and how they differ."""
         n = self.document["repeats"]

@@ -8,7 +8,6 @@ that is kept, where its result is there; `--list` says how old each is.
 from __future__ import annotations
 
 import argparse
-import io
 import itertools
 import math
 import os
@@ -20,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 from experiments import Refused, engines
-from experiments.report import claims, kept
+from experiments.report import claims, kept, pictures
 from experiments.report.findings import Finding
 from experiments.report.kept import ALL, Axis, Kept
 from experiments.report.results import Results
@@ -29,23 +28,18 @@ from experiments.sweep.claims import Claim
 from experiments.sweep.design import Design
 from experiments.sweep.spec import Spec
 from jax_aero.base import documents, places
-from jax_aero.base.files import find_damaged, read_json, write_bytes, write_text
+from jax_aero.base.files import find_damaged, read_json, write_text
 from jax_aero.base.modes import MODES
 from jax_aero.base.parquet import read_table
 from jax_aero.base.result import LOST, UPRIGHT
 from jax_aero.base.terminal import exit_status
 from jax_aero.cli import Parser, complete_with
-from paper_figs import style, sweeps
-from paper_figs.command import draw_sweep
 
 FIRST = ("max_rotation_error", "thrust_max", "end_com_x", "end_com_z")
 """Figures that are kept of the first flight of each cell."""
 
 DIGITS = 5
 """Significant digits of a kept number."""
-
-WIDTH, COLOURS = 1100, 256
-"""Of a kept picture: pixels, of which a page shows 760; with half of the colours, those of two lines become one."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -62,9 +56,8 @@ def main(arguments: Sequence[str]) -> int:
         for folder in _chosen(given):
             document = of_folder(folder, given.named)
             write_text(kept.FOLDER / f"{document.name}.json", kept.to_json(document))
-            if _is_drawn(document):
-                write_bytes(kept.FOLDER / f"{document.name}.webp", picture_of(folder))
         kept.read.cache_clear()
+        list(pictures.update())
         for path, text in kept.pages().items():
             write_text(path, text)
 
@@ -94,10 +87,6 @@ def _chosen(given: argparse.Namespace) -> Iterator[Path]:
             yield folder
         else:
             print(f"{name} stays as it is: {os.path.relpath(folder)} is not there")
-
-
-MOST_LEVELS = 16
-"""Greatest number of levels that are drawn in rows."""
 
 
 def _say(document: Kept) -> None:
@@ -178,25 +167,6 @@ def of_sweep(folder: Path, named: str | None = None) -> Kept:
         claims=found,
         states={claim.key: claim.states for claim in asked.claim} if asked else {},
     )
-
-
-def _is_drawn(document: Kept) -> bool:
-    """Return whether a picture adds to the table; that of many levels in rows repeats it."""
-    return bool(document.rows) and not (document.drawing == "levels" and len(document.axes[-1].levels) > MOST_LEVELS)
-
-
-def picture_of(folder: Path) -> bytes:
-    """Return the figure of a sweep, small enough to keep."""
-    from PIL import Image
-
-    style.use()
-    drawn, picture = io.BytesIO(), io.BytesIO()
-    draw_sweep(sweeps.load(folder.parent, folder.name)).savefig(drawn)
-    image = Image.open(drawn).convert("RGB")
-    size = (WIDTH, round(image.height * WIDTH / image.width))
-    image = image.resize(size, Image.Resampling.LANCZOS).quantize(COLOURS).convert("RGB")
-    image.save(picture, "WEBP", lossless=True, method=6)
-    return picture.getvalue()
 
 
 def _onsets(asked: Spec | None, digest: str) -> dict[int, float]:

@@ -5,10 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from docs import ties
+from docs import gallery, ties
 from experiments import generated
-from experiments.report import findings, index, kept
+from experiments.report import findings, index, kept, pictures
+from jax_aero import rust
 from jax_aero.base import places
+from paper_figs.figures import FIGURES
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -32,8 +34,19 @@ def test_numbers_of_a_page_of_results_are_those_of_their_cells(page):
     assert not passed, "a number with another last digit, or another count, passes"
 
 
-def test_a_picture_is_that_of_a_kept_result():
-    assert {path.stem for path in kept.FOLDER.glob("*.webp")} <= set(kept.names())
+def test_pictures_of_kept_results_are_of_their_rows():
+    assert not list(pictures.outdated()), "outdated: run `make generated`"
+
+
+@pytest.mark.parametrize("name", [name for name, path in gallery.pictures().items() if gallery.made_of(path)])
+def test_pictures_of_flights_are_of_these_flights(name):
+    shown, entry = gallery.made_of(gallery.pictures()[name]), FIGURES[name]
+    if entry.tables:
+        assert shown == gallery.tables(entry)
+    for run in entry.runs:
+        if (config := rust.load_config(run))["engine"] == "rust":  # the crate computes the same bits everywhere
+            flown = rust.fly(config)
+            assert shown[run] == gallery.of_flight({"outcome": flown.outcome, "summary": flown.summary}), run
 
 
 def git(*words: str) -> subprocess.CompletedProcess[str]:

@@ -8,7 +8,7 @@ import pytest
 
 from docs import ties
 from experiments import Refused, manifest
-from experiments.report import keep, kept
+from experiments.report import keep, kept, pictures
 from experiments.report.findings import Finding
 from experiments.report.kept import Axis, Kept
 from experiments.report.verdicts import AGREES
@@ -168,6 +168,50 @@ def test_a_kept_sweep_of_other_cells_is_not_flown_again():
     document = made_up(result="sweeps/mk3_mass", firsts=[["completed", 1.0, 2.0, 3.0, 4.0]])
     with pytest.raises(Refused, match="made_up keeps 1 cells; its sweep has 3"):
         keep.fly_again(document, 0)
+
+
+# --- pictures
+
+
+@pytest.fixture
+def folder(monkeypatch, tmp_path):
+    """A folder of kept results, one of which can be drawn."""
+    monkeypatch.setattr(kept, "FOLDER", tmp_path)
+
+    def keep_it(document):
+        (tmp_path / "made_up.json").write_text(kept.to_json(document), encoding="utf-8")
+        kept.read.cache_clear()
+
+    keep_it(made_up(drawing="curve"))
+    yield tmp_path, keep_it
+    kept.read.cache_clear()
+
+
+def test_a_picture_is_of_the_rows_of_its_result(folder):
+    path, keep_it = folder[0] / "made_up.webp", folder[1]
+    assert list(pictures.outdated()) == [path]
+    assert list(pictures.update()) == [path]
+    assert list(pictures.outdated()) == []
+    changed = made_up(drawing="curve")
+    changed.rows[0][2] += 1
+    keep_it(changed)
+    assert list(pictures.outdated()) == [path]
+
+
+def test_a_picture_of_nothing_goes(folder):
+    keep_it = folder[1]
+    list(pictures.update())
+    keep_it(made_up(drawing="pairs"))
+    (path,) = pictures.update()
+    assert not path.exists()
+
+
+def test_a_picture_has_the_figures_of_the_table(folder):
+    sweep = pictures.sweep_of(kept.read("made_up"))
+    cell = sweep.cells.set_index(["controller", "speed"]).loc["a", 10.0]
+    assert cell["rotation_error_deg_median"] == pytest.approx(3.5)
+    assert cell["com_error_worst"] == pytest.approx(0.02)
+    assert (cell["flights"], cell["completed"], len(sweep.cells)) == (2, 2, 4)
 
 
 # --- ties

@@ -1,6 +1,6 @@
 """Three controllers in turbulence and after an engine stops: what looking ahead changes.
 
-`jax-aero study ahead [PART]` flies TEST2's mission with the paper's controller, the recommended one and the predictive
+`jax-aero study ahead [PART]` flies TEST2's mission with the paper's controller, the observer's and the predictive
 law: `turbulence` in a wind of 18 m/s with turbulence, in the network's air; `engine` with the left arm engine stopping
 at once while hovering. The result goes to `results/ahead/PART/`.
 """
