@@ -38,7 +38,7 @@ def main(words: Sequence[str]) -> int:
         options = {"named": given.named, "out": given.out, "overwrite": given.overwrite}
         finished = [flight.run(path, changes, command=command, **options) for path in paths]
         if given.row:
-            finished.append(_fly_row(*given.row, changes, command=command, **options))
+            finished.append(_fly_row(given.row[0], given.row[1], changes, command=command, **options))
         print(outcome_table(finished))
 
     return exit_status(work, interrupted="the flight under way left nothing behind")
@@ -56,7 +56,7 @@ def _fly_row(sweep: str, number: str, changes: Mapping[str, Any], **options: Any
     labels = ", ".join(str(level.label) for level in design.cells[int(number) // design.spec.repeats])
     config["title"] = f"{design.spec.title}: {labels}"
     options["named"] = options["named"] or f"{design.spec.name}--row_{number}{overrides.folder_suffix(changes)}"
-    options["out"] = options["out"] or flight.RESULTS
+    options["out"] = options["out"] or places.RESULTS / "flight"
     return flight.run(study.find("sweeps", sweep), changes, config=config, **options)
 
 
