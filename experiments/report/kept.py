@@ -228,7 +228,10 @@ def _parts(kept: Kept) -> list[Callable[[Mapping[str, Any]], str]]:
 def _count(row: Mapping[str, Any]) -> str:
     """Return the flights that complete, and those that land."""
     down = f" + {row['descended']}" if row["descended"] else ""
-    return f"{row['completed']}{down} of {row['flights']}"
+    others = (
+        f"{row[end]} {word}" for end, word in (("descending", "still descend"), ("crashed", "crash")) if row.get(end)
+    )
+    return ", ".join([f"{row['completed']}{down} of {row['flights']}", *others])
 
 
 def _errors(row: Mapping[str, Any]) -> str:

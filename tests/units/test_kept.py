@@ -123,6 +123,12 @@ def test_the_page_has_a_table_with_the_panels_side_by_side():
     assert "2026-01-02, commit 0123456789, seed 1" in text
 
 
+def test_a_cell_says_how_many_land_and_crash():
+    row = {"flights": 9, "completed": 3, "descended": 2, "descending": 1, "crashed": 3}
+    assert kept._count(row) == "3 + 2 of 9, 1 still descend, 3 crash"
+    assert kept._count({"flights": 9, "completed": 9, "descended": 0}) == "9 of 9"
+
+
 def test_levels_that_repeat_the_row_before_are_left_out():
     table = kept.table(made_up(panels="", axes=[AXES[0], AXES[1]]))
     assert table.headings == ["wind speed", "a", "b"]
