@@ -157,7 +157,8 @@ def page(kept: Kept) -> Page:
         shown.add(Heading(2, "Claims"), Table(("claim", "measured", "verdict"), rows))
     if (FOLDER / f"{kept.name}.webp").is_file():
         shown.add(Picture(f"{kept.name}.webp", kept.title))
-    shown.add(Heading(2, "How it was made"), Text(f"`{kept.command}`; {_made(kept)}."))
+    again = f" The first flight of each cell: {kept.firsts_flown}." if kept.firsts_flown else ""
+    shown.add(Heading(2, "How it was made"), Text(f"`{kept.command}`; {_made(kept)}.{again}"))
     return shown
 
 
@@ -174,7 +175,11 @@ def _made(kept: Kept) -> str:
 
 def _outcomes(kept: Kept) -> str:
     counted = ", ".join(f"{number} {outcome.replace('_', ' ')}" for outcome, number in kept.outcomes.items() if number)
-    return f"{sum(kept.outcomes.values())} flights ({kept.each}): {counted}."
+    is_old = kept.outcomes.get("descended") and "crashed" not in kept.outcomes
+    known = (
+        " Flown before crashes were told from landings: *descended* is every flight that was given up and did not fall."
+    )
+    return f"{sum(kept.outcomes.values())} flights ({kept.each}): {counted}.{known if is_old else ''}"
 
 
 def table(kept: Kept) -> Table:

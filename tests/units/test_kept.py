@@ -123,6 +123,11 @@ def test_the_page_has_a_table_with_the_panels_side_by_side():
     assert "2026-01-02, commit 0123456789, seed 1" in text
 
 
+def test_a_page_says_where_crashes_were_not_told_from_landings():
+    for ends, is_said in (({"descended": 2}, True), ({"descended": 2, "crashed": 0}, False), ({"completed": 2}, False)):
+        assert ("before crashes were told" in kept.page(made_up(outcomes=ends)).markdown()) == is_said
+
+
 def test_a_cell_says_how_many_land_and_crash():
     row = {"flights": 9, "completed": 3, "descended": 2, "descending": 1, "crashed": 3}
     assert kept._count(row) == "3 + 2 of 9, 1 still descend, 3 crash"
