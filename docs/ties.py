@@ -7,7 +7,7 @@ for each count such as 7 of 8, since the comment before, in their order. A cell 
   is `AXIS=LEVEL`, and axes that are left out range over all levels. If rows differ, `sum`, `least` or `greatest`
   follows. A count stands beside its flights. A column that is an axis, or `title`, is a text. `[LEVEL] COLUMN` is of
   the result of the cell before, for axes that it leaves out in the row of that cell;
-* `NAME[FIGURE]`: a figure of a study;
+* `NAME[FIGURE]`: a figure of a study; `flight[EXPERIMENT] FIGURE`: of a flight, which is flown;
 * `claims[KEY]`, `NAME[KEY]`: a text, what a claim has measured; `FILE`: a text, a file of the repository;
 * of a text, the number at `#` in `"words # words"`, whose places have to agree, quotation marks left out and
   `…` for anything on the way; `in UNIT` follows if the text does not say its unit and it is not that of the SI.
@@ -27,6 +27,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from experiments.report import findings, kept
+from jax_aero import rust
+from jax_aero.base import places
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -252,8 +254,12 @@ def value(cell: str) -> Value:
     words = CELL.fullmatch(cell)
     if words is None:
         raise Wrong("is no cell")
-    is_kept = (kept.FOLDER / f"{words['source']}.json").is_file()
-    found = _of_kept(kept.read(words["source"]), words) if is_kept else _of_text(_text(words), words)
+    if words["source"] == "flight":
+        found = _of_flight(_last(words["keys"]), words["column"] or "")
+    elif (kept.FOLDER / f"{words['source']}.json").is_file():
+        found = _of_kept(kept.read(words["source"]), words)
+    else:
+        found = _of_text(_text(words), words)
     unit = words["unit"]
     return found if unit is None else Value(found.number * UNITS[unit][1], UNITS[unit][0])
 
@@ -289,6 +295,23 @@ def _of_text(text: str, words: re.Match[str]) -> Value:
     if of is not None:
         return Value(number, "", (int(number), int(of.replace(",", ""))))
     return Value(number, None) if name is None else Value(number * UNITS[name][1], UNITS[name][0])
+
+
+def _of_flight(name: str, figure: str) -> Value:
+    """Return a figure of an experiment's summary, or `lost_time`."""
+    if name not in places.names("experiments"):
+        raise Wrong("names no experiment")
+    flight = _flown(name)
+    number = flight.lost_time if figure == "lost_time" else flight.summary.get(figure)
+    if number is None:
+        raise Wrong("names no figure")
+    unit = "s" if figure == "lost_time" else rust.figures()[figure].unit
+    return Value(number, UNITS[unit][0] if unit in UNITS else "")
+
+
+@cache
+def _flown(name: str) -> rust.FlightResult:
+    return rust.fly(rust.load_config(name))
 
 
 def _of_kept(result: kept.Kept, words: re.Match[str]) -> Value:

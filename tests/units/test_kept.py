@@ -254,6 +254,8 @@ CELLS = [
     ("`5.5 s`, $6.6 s$, TEST2, [a link](x_7.7s.md), but 0.5 s.", "made_up[b|10 m/s] found_s"),
     ("| wind | lean [°] |\n|---|---|\n| 0 | 1.5 |\n", "made_up[a|0 m/s] rotation_deg_median"),
     ("A side wind of 10 m/s.", 'configs/wind/lateral_ramp.toml "velocity = [0.0, #"'),
+    ("It turns by 3.1°, 0.010 m off.", "flight[test2] max_rotation_error; [] max_com_error"),
+    ("It falls at 21.7 s.", "flight[test1_published] lost_time"),
     ("Within 15° and 25 cm.", 'experiments/sweep/table.py "math.radians(#)" in °; "ON_COURSE_COM = #"'),
 ]  # fmt: skip
 
@@ -279,6 +281,7 @@ def test_a_number_is_that_of_its_cell(wrong, text, cells):
         ("It takes 1 s.", "nothing", "names no kept result and no file"),
         ("It takes 1 s.", "made_up[k]", "holds"),
         ("1 of 2 complete.", "made_up[share]", "is no count"),
+        ("It falls at 1 s.", "flight[test2] lost_time", "names no figure"),
     ],
 )
 def test_another_number_is_named(wrong, text, cells, reason):
