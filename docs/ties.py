@@ -43,6 +43,7 @@ PAGES: tuple[str, ...] = (
     "training.md",
     "deviations.md",
     "robot.md",
+    "../README.md",
 )
 """Pages whose numbers are tied, in `docs/`."""
 
