@@ -10,8 +10,7 @@
 //! ```
 //!
 //! [`Controller::tick`] follows this order. Each step fills one plain struct that the next reads; after a tick
-//! [`Controller::terms`] gives access to all of them. Optional parts of the guard are stages ([`guard::stage::Stage`]) that
-//! are not there unless they are configured.
+//! [`Controller::terms`] gives access to all of them.
 //!
 //! [`Controller::start`] returns the [`ControllerState`], the only value that is changed by a tick and needed by the
 //! next. A clone of it that is restored later continues with the same bits.

@@ -44,14 +44,17 @@ pub enum CommandStatus {
 }
 
 impl CommandStatus {
+    /// Of a command of the law in a tick with these modes.
+    pub(super) fn of_modes(modes: Modes) -> Self {
+        if modes.is_empty() { Self::Nominal } else { Self::Degraded }
+    }
+
     /// Whether the torque QP is solved and the law has thrust rates and joint velocities, for a valid set-point.
     #[must_use]
     pub fn is_of_law(self) -> bool {
         matches!(self, Self::Nominal | Self::Degraded | Self::PlanKept | Self::PlanMissing)
     }
-}
 
-impl CommandStatus {
     /// Whether thrust rates, torques or both are not those of the law.
     #[must_use]
     pub fn is_held(self) -> bool {

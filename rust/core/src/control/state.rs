@@ -1,10 +1,6 @@
 //! State of a controller that is kept from tick to tick.
 
-use super::guard::channels::ChannelsState;
-use super::guard::engines::EngineState;
-use super::guard::estimator::EstimatorState;
-use super::guard::joints::JointsState;
-use super::guard::latency::LatencyState;
+use super::guard::GuardState;
 use super::guard::observer::ObserverState;
 use super::guard::wind_observer::WindState;
 use super::law::between::JointsBetween;
@@ -20,14 +16,8 @@ use nalgebra::{DVector, Matrix3, Vector6};
 /// A tick reads nothing else that changes: a clone that is restored later continues with the same bits.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ControllerState {
-    /// Names of the stages of the guard, whose parts of the state are below.
-    pub(super) stages: Vec<&'static str>,
-    /// State estimator; `None` if the control law uses the measurements.
-    pub(super) estimator: Option<EstimatorState>,
-    /// Wind estimate; `None` if the control law uses the measured wind.
-    pub(super) wind: Option<WindState>,
-    /// Predictions and acceptance of the measurement's channels.
-    pub(super) channels: ChannelsState,
+    /// What the guard keeps.
+    pub(super) guard: GuardState,
     /// State of the set-point generator.
     pub(super) setpoint: SetpointState,
     /// Reference posture `s_d`: the joint positions of the first tick \[rad\].
@@ -44,18 +34,8 @@ pub struct ControllerState {
     pub(super) between: JointsBetween,
     /// Whether the feet carry load, and their desired wrenches.
     pub(super) contact: ContactState,
-    /// Monitor state of each engine; empty without a monitor.
-    pub(super) engines: Vec<EngineState>,
-    /// Detection of faulty joints; `None` without it.
-    pub(super) joints: Option<JointsState>,
-    /// Measurement of latencies; `None` without it.
-    pub(super) latency: Option<LatencyState>,
-    /// State of the observer: the observed wrench, its residual and the last accepted measurement.
-    pub(super) observer: ObserverState,
-    /// Observer of the wrench that a residual sees, without that of the observer above; unused without a residual.
+    /// Observer of the wrench that a residual sees, without that of the guard's observer; unused without a residual.
     pub(super) residual_observer: ObserverState,
-    /// Time for which the supervisor's limits have been exceeded \[s\]; zero without a supervisor.
-    pub(super) exceeded: f64,
     /// Plan of the predictive law; empty without one.
     pub(super) plan: Plan,
     /// Warm start of the momentum QP.
@@ -68,13 +48,13 @@ impl ControllerState {
     /// Time of the last tick \[s\].
     #[must_use]
     pub fn time(&self) -> f64 {
-        self.channels.time
+        self.guard.channels.time
     }
 
     /// Wind estimate; `None` if the control law uses the measured wind.
     #[must_use]
     pub fn wind(&self) -> Option<&WindState> {
-        self.wind.as_ref()
+        self.guard.wind.as_ref()
     }
 
     /// State of the set-point generator.

@@ -2,15 +2,8 @@
 
 use super::command::{BadCommand, Command, CommandStatus};
 use super::config::{ControllerConfig, check_time_step};
-use super::guard::channels::Channels;
-use super::guard::engines::Engines;
-use super::guard::estimator::Estimator;
-use super::guard::feet::Feet;
-use super::guard::joints::stage::Joints;
-use super::guard::latency::LatencyMonitor;
+use super::guard::Guard;
 use super::guard::observer::ObserverState;
-use super::guard::stage::{Guard, Stage};
-use super::guard::wind_observer::WindObserver;
 use super::law::between::{JointMeasurement, JointTracker, JointsBetween};
 use super::law::contact::{Contact, ContactState};
 use super::law::limits::Limits;
@@ -21,7 +14,7 @@ use super::law::mpc::PredictiveLaw;
 use super::law::mpc::horizon::Horizon;
 use super::law::mpc::model::Linearised;
 use super::law::mpc::plan::Plan;
-use super::law::rates::{Law, MomentumLaw};
+use super::law::rates::Law;
 use super::law::residual::{Policy, Residual, steer};
 use super::law::setpoint::{Setpoint, SetpointGenerator};
 use super::law::tasks::standard_tasks;
@@ -54,7 +47,7 @@ pub struct Controller {
     conventions: LinkConventions,
     feedback: AeroFeedback,
     guard: Guard,
-    law: Box<dyn Law>,
+    law: Law,
     policy: Option<Policy>,
     torques: Torques,
     joints: JointTracker,
@@ -101,7 +94,8 @@ impl Controller {
             model.jets.clear();
         }
         let limits = Limits::new(config.momentum, &model);
-        let guard = build_guard(config, &robot, &aero, &limits, time_step)?;
+        config.check_rate_bounds(&robot, time_step)?;
+        let guard = Guard::new(config, &robot, &aero, &limits, time_step)?;
         let measurement = UsedMeasurement::new(&robot, time_step);
         let contact = config.contact.clone().unwrap_or_default();
         let torque_qp = TorqueQp::new(&config.torque, &contact, &model);
@@ -113,9 +107,8 @@ impl Controller {
         let (unknowns, joints) = (momentum_qp.problem.len(), model.joints.len());
         let generator = SetpointGenerator::new(&config.setpoint, mission, &model.forward_axis_b, time_step)?;
         let solver = |n, rows| config.qp.chain(n, rows);
-        let latency = config.latency();
-        let momentum = MomentumLaw::new(generator, solver(unknowns, 0), unknowns, latency);
-        let law = build_law(config, momentum, &model, &aero, time_step)?;
+        let predictive = build_predictive(config, &model, &aero, time_step)?;
+        let law = Law::new(generator, solver(unknowns, 0), unknowns, config.latency(), predictive);
         let torques = solver(torque_qp.problem.len(), torque_qp.problem.rows());
         let torque_steps = config.torque.steps;
         let period = time_step / f64::from(torque_steps);
@@ -150,16 +143,13 @@ impl Controller {
         if let Some(mode) = unusual_mode() {
             return Err(BadStart::FloatingPoint { mode });
         }
-        let channels = self.guard.start_channels(measurement)?;
+        let guard = self.guard.start(measurement)?;
         let (Self { model, law, terms, .. }, robot) = (&mut *self, measurement.state);
         let reference = reference(model, robot, &mut terms.kinematics, &mut terms.dynamics);
         let (com, inertia_0_b) = reference.ok_or(BadStart::SingularInertia)?;
         let joints = model.joints.len();
-        let mut state = ControllerState {
-            stages: Vec::new(),
-            estimator: None,
-            wind: None,
-            channels,
+        Ok(ControllerState {
+            guard,
             setpoint: law.generator().start(com, &robot.base.rotation),
             posture: robot.joint_position.clone(),
             inertia_0_b,
@@ -168,18 +158,11 @@ impl Controller {
             torque_is_known: false,
             between: JointsBetween::new(joints),
             contact: ContactState::new(terms.contact.soles.len()),
-            engines: Vec::new(),
-            joints: None,
-            latency: None,
-            exceeded: 0.0,
-            observer: ObserverState::default(),
             residual_observer: ObserverState::default(),
-            plan: Plan::none(law.unknowns()),
+            plan: Plan::none(law.predictive().map_or(0, PredictiveLaw::unknowns)),
             momentum_start: WarmStart::cold(terms.momentum_qp.problem.len()),
             torque_start: WarmStart::cold(terms.torque_qp.problem.len()),
-        };
-        self.guard.start(&mut state, robot);
-        Ok(state)
+        })
     }
 
     /// One tick, which follows the mission.
@@ -205,7 +188,7 @@ impl Controller {
             command.set_hold(CommandStatus::BadState, Modes::default());
             return command;
         }
-        let is_usable = guard.measure(measurement, model, state, terms);
+        let is_usable = guard.measure(measurement, &mut state.guard, terms);
         if terms.measurement.modes.contains(Modes::BEGUN_AGAIN) {
             begin_again(model, law.generator(), state, terms);
         }
@@ -226,8 +209,8 @@ impl Controller {
         for (place, (jet, (thrust, rate))) in jets.iter().zip(thrusts).enumerate() {
             command.throttle[place] = jet.throttle(*thrust, *rate, command.thrust_rate[place], *time_step);
         }
-        guard.predict(model, state, terms, command);
-        let acceleration = &state.channels.acceleration;
+        guard.predict(model, &mut state.guard, terms, command);
+        let acceleration = &state.guard.channels.acceleration;
         let (used, torque) = (&terms.measurement.state, command.joint_torque.as_slice());
         state.between.begin(used, torque, acceleration.rows_range(6..));
         self.last_tick = state.between.tick_of_law;
@@ -314,10 +297,10 @@ impl Controller {
     /// Whether a state has the sizes of this controller.
     fn fits(&self, state: &ControllerState) -> bool {
         state.posture.len() == self.model.joints.len()
-            && state.plan.len() == self.law.unknowns()
+            && state.plan.len() == self.law.predictive().map_or(0, PredictiveLaw::unknowns)
             && state.momentum_start.len() == self.terms.momentum_qp.problem.len()
             && state.contact.force.len() == self.terms.contact.force_of_torques.len()
-            && self.guard.fits(state)
+            && self.guard.fits(&state.guard)
     }
 
     /// The generator of its set-points.
@@ -330,7 +313,7 @@ impl Controller {
     #[doc(hidden)]
     #[must_use]
     pub fn prediction(&self) -> Option<(&Linearised, &Horizon)> {
-        self.law.prediction()
+        self.law.predictive().map(PredictiveLaw::prediction)
     }
 
     /// The controller's model of the robot; without jets if it does not use them.
@@ -391,15 +374,14 @@ fn begin_again(
     }
 }
 
-/// Builds the law: the predictive one where it is configured.
-fn build_law(
+/// Builds the predictive law, where it is configured.
+fn build_predictive(
     config: &ControllerConfig,
-    momentum: MomentumLaw,
     robot: &RobotModel,
     aero: &AeroModel,
     time_step: f64,
-) -> Result<Box<dyn Law>, BuildError> {
-    let Some(mpc) = &config.mpc else { return Ok(Box::new(momentum)) };
+) -> Result<Option<PredictiveLaw>, BuildError> {
+    let Some(mpc) = &config.mpc else { return Ok(None) };
     mpc.check(robot, time_step)?;
     let conventions = config.conventions();
     mpc.check_air(aero, conventions)?;
@@ -410,7 +392,7 @@ fn build_law(
     let law = PredictiveLaw::new(
         mpc,
         conventions,
-        momentum,
+        config.latency(),
         robot,
         jets,
         joints,
@@ -418,55 +400,5 @@ fn build_law(
         thrust_rate_max,
         time_step,
     )?;
-    Ok(Box::new(law))
-}
-
-/// Builds the channels of `robot` and the stages that are configured. Channels and estimators contain the jets also where
-/// the law, whose limits these are, does not use them.
-fn build_guard(
-    config: &ControllerConfig,
-    robot: &RobotModel,
-    aero: &AeroModel,
-    limits: &Limits,
-    time_step: f64,
-) -> Result<Guard, BuildError> {
-    let ControllerConfig { estimator, wind_observer, observer, engines, joints, supervisor, contact, .. } =
-        config;
-    let estimator = estimator.as_ref();
-    let (n, jets) = (robot.joints.len(), robot.jets.len());
-    let latency = config
-        .latency_monitor
-        .map(|monitor| LatencyMonitor::new(monitor, estimator, config.torque.steps, n, jets, time_step));
-    let observes_joints = estimator.is_some_and(|estimator| estimator.joint_observer.is_some());
-    let jet_models = robot.jet_models(config.jet_dynamics);
-    let estimator = estimator
-        .map(|estimator| {
-            Estimator::new(estimator, robot.clone(), config.jet_dynamics, aero.clone(), time_step)
-        })
-        .transpose()?;
-    let wind_observer = wind_observer.map(|_| WindObserver::new(robot.clone(), aero.clone())).transpose()?;
-    config.check_rate_bounds(robot, time_step)?;
-    observer.map_or(Ok(()), |observer| observer.check(time_step))?;
-    let momentum_shares = estimator.as_ref().map_or([1.0; 2], |estimator| estimator.momentum_shares);
-    let engines =
-        engines.map(|engines| Engines::new(&engines, limits, robot, momentum_shares, config.jet_dynamics));
-    let feet = contact.as_ref().map(|_| Feet { time_step });
-    let joints = joints.map(|joints| Joints::new(joints, robot, time_step));
-    let stages = [
-        stage(wind_observer),
-        stage(feet),
-        stage(*observer),
-        stage(engines),
-        stage(joints),
-        stage(latency),
-        stage(*supervisor),
-        stage(estimator),
-    ];
-    let channels = Channels::new(&config.channels, robot, jet_models, time_step, !observes_joints);
-    Ok(Guard::new(channels, stages.into_iter().flatten().collect(), limits.clone(), robot))
-}
-
-/// A stage, if it is configured.
-fn stage(stage: Option<impl Stage + 'static>) -> Option<Box<dyn Stage>> {
-    stage.map(|stage| Box::new(stage) as Box<dyn Stage>)
+    Ok(Some(law))
 }

@@ -13,8 +13,6 @@
 //! stops becomes a bound on its commanded thrust, and an engine whose bounds are close together is lost. Equations
 //! M105, M106 and M144 of `docs/model`.
 
-mod stage;
-
 use super::observer::residual_share;
 use crate::control::law::attitude::MomentumGains;
 use crate::control::law::limits::Limits;

@@ -14,7 +14,6 @@
 //! Equations M91 to M93, M145 and M150 of `docs/model`.
 
 mod config;
-mod stage;
 
 pub use config::{ChannelConfig, EstimatorConfig, LatencyConfig};
 

@@ -13,10 +13,9 @@
 //! Equation M143 of `docs/model/guard.md`; Haddadin, De Luca and Albu-Schäffer, "Robot collisions", IEEE T-RO 2017, have the
 //! residual of the momentum.
 
-pub mod stage;
+pub mod residual;
 
 use crate::control::law::limits::JointCondition;
-use crate::control::modes::Modes;
 use crate::error::{BuildError, Table};
 use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
@@ -307,15 +306,5 @@ impl JointCondition {
             Self::Stuck => usual.min(TRIED_VELOCITY),
             Self::Free => 0.0,
         }
-    }
-}
-
-/// Modes of joints in these conditions.
-#[must_use]
-pub fn modes(found: &[JointCondition]) -> Modes {
-    if found.iter().all(|found| *found == JointCondition::Healthy) {
-        Modes::default()
-    } else {
-        Modes::JOINT_LIMITED
     }
 }

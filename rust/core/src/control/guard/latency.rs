@@ -12,8 +12,6 @@
 //! for which a torque is held. It is known while its standard deviation, were the residuals white, is small enough.
 //! Equations M164 and M165 of `docs/model`.
 
-mod stage;
-
 use super::estimator::EstimatorConfig;
 use crate::error::{BuildError, Table};
 use crate::linalg::add_mat_vec;

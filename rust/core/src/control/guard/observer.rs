@@ -10,8 +10,6 @@
 //! the law is the same in flight and standing. `Δt` is the time between the two measurements. Inertial axes, about the
 //! centre of mass, force first. Equations M82 to M84 and M106 of `docs/model`.
 
-mod stage;
-
 use crate::error::{BuildError, Table};
 use nalgebra::Vector6;
 use serde::{Deserialize, Serialize};

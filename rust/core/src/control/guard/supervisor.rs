@@ -8,8 +8,6 @@
 //! A flight strays if one of their lengths, or the speed of a joint, exceeds its limit for a confirmation time, whatever
 //! the cause is. Equations M148 and M149 of `docs/model`.
 
-mod stage;
-
 use crate::control::law::setpoint::Setpoint;
 use crate::dynamics::Dynamics;
 use crate::error::{BuildError, Table};

@@ -14,8 +14,6 @@
 //!
 //! Equations M94 and M110 of `docs/model`.
 
-mod stage;
-
 use super::observer::{ObserverConfig, ObserverState, Sample};
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::control::law::contact::add_wrenches;

@@ -16,8 +16,7 @@ pub mod horizon;
 pub mod model;
 pub mod plan;
 
-use super::rates::{Law, MomentumLaw};
-use super::setpoint::{Ahead, Setpoint, SetpointGenerator};
+use super::setpoint::{Ahead, SetpointGenerator};
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::control::command::{Command, CommandStatus};
 use crate::control::preview::Preview;
@@ -42,7 +41,8 @@ const PLAN_SHARE: f64 = 0.25;
 /// The predictive law of one controller, with its workspace.
 #[derive(Debug)]
 pub struct PredictiveLaw {
-    momentum: MomentumLaw,
+    /// Time from a tick until its command acts \[s\].
+    latency: f64,
     air: Air,
     conventions: LinkConventions,
     period: f64,
@@ -65,11 +65,21 @@ pub struct PredictiveLaw {
     /// Inputs of the plan that is being made.
     inputs: Vec<f64>,
     solver: PrimalActiveSet,
-    ahead: Ahead,
+}
+
+/// What is known of the motion after this tick.
+#[derive(Debug)]
+pub struct Upcoming<'a> {
+    /// Its set-points from the mission.
+    pub generator: &'a SetpointGenerator,
+    /// What they follow.
+    pub ahead: Ahead,
+    /// What is given beside the measurement.
+    pub preview: &'a Preview<'a>,
 }
 
 impl PredictiveLaw {
-    /// A law for `robot` beside `momentum`, with the gains `K_D` and `K_P` of the torque law; joints are checked by the
+    /// A law for `robot`, whose commands act after `latency` \[s\], with the gains `K_D` and `K_P` of the torque law; joints are checked by the
     /// configuration.
     ///
     /// # Errors
@@ -78,7 +88,7 @@ impl PredictiveLaw {
     pub fn new(
         config: &MpcConfig,
         conventions: LinkConventions,
-        momentum: MomentumLaw,
+        latency: f64,
         robot: &RobotModel,
         jets: Vec<JetModel>,
         joints: Vec<usize>,
@@ -89,7 +99,7 @@ impl PredictiveLaw {
         let horizon = Horizon::new(config, gains, robot, jets, &joints)?;
         let place = |joint| joints.iter().position(|moved| *moved == joint);
         Ok(Self {
-            momentum,
+            latency,
             air: config.air,
             conventions,
             period: config.period,
@@ -106,8 +116,50 @@ impl PredictiveLaw {
             solver: PrimalActiveSet::new(horizon.problem.len()),
             model: Linearised::new(robot, joints),
             horizon,
-            ahead: Ahead::Mission,
         })
+    }
+
+    /// Linearised model and horizon of the last plan.
+    #[must_use]
+    pub fn prediction(&self) -> (&Linearised, &Horizon) {
+        (&self.model, &self.horizon)
+    }
+
+    /// Number of unknowns of the plan.
+    #[must_use]
+    pub fn unknowns(&self) -> usize {
+        self.horizon.problem.len()
+    }
+
+    /// Whether it flies in this tick: not on loaded feet, and a descent only where it is configured to.
+    pub(super) fn flies(&self, state: &ControllerState, terms: &Terms) -> bool {
+        !state.contact.is_active && (terms.limits.holds_position || self.flies_descent)
+    }
+
+    /// Commands the plan's inputs of this tick, of a new plan where one is due; `false` without a plan.
+    pub(super) fn command(
+        &mut self,
+        robot: &RobotModel,
+        aero: &mut AeroModel,
+        state: &mut ControllerState,
+        motion: &Upcoming,
+        terms: &Terms,
+        command: &mut Command,
+    ) -> bool {
+        let time = terms.measurement.time;
+        let is_due = time < state.plan.tried || time - state.plan.tried > self.period - 0.5 * self.time_step;
+        let is_planned = !is_due || self.plan(robot, aero, state, motion, terms);
+        let longest = PLAN_SHARE * self.horizon.durations().iter().sum::<f64>();
+        let Some(age) = state.plan.age(time).filter(|age| *age <= longest) else { return false };
+        self.follow_plan(state, terms, age, command);
+        let answer = state.plan.answer.unwrap_or(QpAnswer::from_status(QpStatus::NonFinite));
+        command.momentum_qp = answer;
+        command.status = if !is_planned || answer.status != QpStatus::Solved {
+            CommandStatus::PlanKept
+        } else {
+            CommandStatus::of_modes(command.modes)
+        };
+        true
     }
 
     /// Makes a plan from the state of `terms`; `false` without a certified one.
@@ -116,7 +168,7 @@ impl PredictiveLaw {
         robot: &RobotModel,
         aero: &mut AeroModel,
         state: &mut ControllerState,
-        preview: &Preview,
+        motion: &Upcoming,
         terms: &Terms,
     ) -> bool {
         state.plan.tried = terms.measurement.time;
@@ -124,8 +176,8 @@ impl PredictiveLaw {
             state.plan.answer = None;
             return false;
         }
-        self.set_targets(state, preview, terms);
-        self.set_wrenches(robot, aero, preview, terms);
+        self.set_targets(state, motion, terms);
+        self.set_wrenches(robot, aero, motion.preview, terms);
         let ahead = (self.targets.as_slice(), self.wrenches.as_slice());
         self.horizon.update(&self.model, terms, &state.posture, ahead, !terms.limits.holds_position);
         self.set_bounds(terms);
@@ -176,16 +228,15 @@ impl PredictiveLaw {
     }
 
     /// The motion to follow at the end of every knot, as rotation vectors from the present attitude.
-    fn set_targets(&mut self, state: &ControllerState, preview: &Preview, terms: &Terms) {
-        let (generator, time_step) = (&self.momentum.generator, self.time_step);
+    fn set_targets(&mut self, state: &ControllerState, motion: &Upcoming, terms: &Terms) {
+        let (Upcoming { generator, preview, .. }, time_step) = (motion, self.time_step);
         let mut ahead = state.setpoint;
         let (mut ticks, mut time) = (0_u32, terms.measurement.time);
         let present = terms.measurement.state.base.rotation.transpose();
         let mut setpoint = terms.setpoint;
         // The first knot begins when the command acts.
-        let latency = self.momentum.latency();
-        let mut lead = (latency / time_step + 1e-6).floor() * time_step;
-        let rest = latency - lead;
+        let mut lead = (self.latency / time_step + 1e-6).floor() * time_step;
+        let rest = self.latency - lead;
         for (target, duration) in self.targets.iter_mut().zip(self.horizon.durations()) {
             #[allow(
                 clippy::cast_possible_truncation,
@@ -195,7 +246,7 @@ impl PredictiveLaw {
             for _ in 0..((lead + duration) / time_step).round() as usize {
                 (ticks, time) = (ticks + 1, time + time_step);
                 let after = f64::from(ticks) * time_step;
-                let known = match self.ahead {
+                let known = match motion.ahead {
                     Ahead::Motion => preview.setpoint(&terms.setpoint, after, 0.5 * time_step),
                     _ => None,
                 };
@@ -203,7 +254,7 @@ impl PredictiveLaw {
                     generator.follow(&mut ahead, &known.motion());
                     known
                 } else {
-                    generator.ahead(self.ahead, &mut ahead, time)
+                    generator.ahead(motion.ahead, &mut ahead, time)
                 };
             }
             lead = 0.0;
@@ -228,7 +279,7 @@ impl PredictiveLaw {
             let (force, moment) = links.wrench_about(&kinematics.com);
             stack(&force, &moment)
         };
-        let (now, mut time) = (stacked(link_forces), self.momentum.latency());
+        let (now, mut time) = (stacked(link_forces), self.latency);
         for (wrench, duration) in self.wrenches.iter_mut().zip(self.horizon.durations()) {
             time += duration;
             let wind = measurement.wind + preview.wind_change(time);
@@ -299,68 +350,4 @@ impl PredictiveLaw {
 fn bounds_of(terms: &Terms, unknown: usize) -> (f64, f64) {
     let problem = &terms.momentum_qp.problem;
     (problem.lower[unknown], problem.upper[unknown])
-}
-
-impl Law for PredictiveLaw {
-    fn generator(&self) -> &SetpointGenerator {
-        &self.momentum.generator
-    }
-
-    fn unknowns(&self) -> usize {
-        self.horizon.problem.len()
-    }
-
-    fn prediction(&self) -> Option<(&Linearised, &Horizon)> {
-        Some((&self.model, &self.horizon))
-    }
-
-    fn follow(&mut self, state: &mut ControllerState, given: Option<&Setpoint>, terms: &mut Terms) -> bool {
-        let is_valid = self.momentum.follow(state, given, terms);
-        self.ahead = match given {
-            _ if state.channels.is_descending => Ahead::Descent,
-            None => Ahead::Mission,
-            Some(_) if is_valid => Ahead::Motion,
-            Some(_) => Ahead::Stop,
-        };
-        is_valid
-    }
-
-    fn solve(
-        &mut self,
-        robot: &RobotModel,
-        aero: &mut AeroModel,
-        state: &mut ControllerState,
-        preview: &Preview,
-        terms: &mut Terms,
-        command: &mut Command,
-    ) {
-        self.momentum.prepare(state, terms);
-        let time = terms.measurement.time;
-        let is_descent = !terms.limits.holds_position;
-        if state.contact.is_active || (is_descent && !self.flies_descent) {
-            state.plan.since = None;
-            self.momentum.decide(state, terms, command);
-            return;
-        }
-        let is_due = time < state.plan.tried || time - state.plan.tried > self.period - 0.5 * self.time_step;
-        let is_planned = !is_due || self.plan(robot, aero, state, preview, terms);
-        let longest = PLAN_SHARE * self.horizon.durations().iter().sum::<f64>();
-        if let Some(age) = state.plan.age(time).filter(|age| *age <= longest) {
-            self.follow_plan(state, terms, age, command);
-            let answer = state.plan.answer.unwrap_or(QpAnswer::from_status(QpStatus::NonFinite));
-            command.momentum_qp = answer;
-            command.status = if !is_planned || answer.status != QpStatus::Solved {
-                CommandStatus::PlanKept
-            } else if command.modes.is_empty() {
-                CommandStatus::Nominal
-            } else {
-                CommandStatus::Degraded
-            };
-        } else {
-            self.momentum.decide(state, terms, command);
-            if command.status.is_of_law() {
-                command.status = CommandStatus::PlanMissing;
-            }
-        }
-    }
 }

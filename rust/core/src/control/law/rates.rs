@@ -1,11 +1,10 @@
-//! The law that the tick calls: from the set-point to thrust rates and joint velocities, by the momentum QP.
+//! The law that the tick calls: from the set-point to thrust rates and joint velocities, by the momentum QP or a plan.
 
 use super::attitude::attitude_demand;
 use super::limits::JointCondition;
 use super::momentum_qp::TaskInputs;
-use super::mpc::horizon::Horizon;
-use super::mpc::model::Linearised;
-use super::setpoint::{Setpoint, SetpointGenerator};
+use super::mpc::{PredictiveLaw, Upcoming};
+use super::setpoint::{Ahead, Setpoint, SetpointGenerator};
 use crate::aero::AeroModel;
 use crate::control::command::{Command, CommandStatus};
 use crate::control::preview::Preview;
@@ -15,30 +14,71 @@ use crate::qp::{QpChain, QpSolver, QpStatus};
 use crate::robot::RobotModel;
 use crate::spatial::parts;
 use nalgebra::{DVector, Matrix3};
-use std::fmt::Debug;
 
-/// A law that a tick calls.
-pub trait Law: Debug + Send + Sync {
-    /// Its set-points from the mission.
-    fn generator(&self) -> &SetpointGenerator;
+/// The law of one controller, with its workspace.
+#[derive(Debug)]
+pub struct Law {
+    generator: SetpointGenerator,
+    solver: QpChain,
+    solution: DVector<f64>,
+    /// Time from a tick until its command acts \[s\].
+    latency: f64,
+    /// What the set-points after this tick follow.
+    ahead: Ahead,
+    predictive: Option<PredictiveLaw>,
+}
 
-    /// Number of unknowns of its plan, which is a part of the state; zero if it does not plan.
-    fn unknowns(&self) -> usize {
-        0
+impl Law {
+    /// A law in `unknowns` unknowns that follows a mission, or given set-points; the momentum QP decides where there is no
+    /// `predictive` law, or it has no plan.
+    #[must_use]
+    pub fn new(
+        generator: SetpointGenerator,
+        solver: QpChain,
+        unknowns: usize,
+        latency: f64,
+        predictive: Option<PredictiveLaw>,
+    ) -> Self {
+        let solution = DVector::zeros(unknowns);
+        Self { generator, solver, solution, latency, ahead: Ahead::Mission, predictive }
     }
 
-    /// Linearised model and horizon of its last plan, if it plans.
-    fn prediction(&self) -> Option<(&Linearised, &Horizon)> {
-        None
+    /// Its set-points from the mission.
+    #[must_use]
+    pub fn generator(&self) -> &SetpointGenerator {
+        &self.generator
+    }
+
+    /// The predictive law, if it plans.
+    #[must_use]
+    pub fn predictive(&self) -> Option<&PredictiveLaw> {
+        self.predictive.as_ref()
     }
 
     /// Chooses the set-point of this tick: during a descent that of the descent, otherwise the `given` one, or that of
     /// the mission. Returns whether the given one is valid; if it is not, the robot brakes from the motion of the last
     /// valid one (M115).
-    fn follow(&mut self, state: &mut ControllerState, given: Option<&Setpoint>, terms: &mut Terms) -> bool;
+    pub fn follow(&mut self, state: &mut ControllerState, given: Option<&Setpoint>, terms: &mut Terms) -> bool {
+        let ControllerState { setpoint: state, guard, contact, .. } = state;
+        let is_valid = given.is_none_or(Setpoint::is_valid);
+        (self.ahead, terms.setpoint) = match given {
+            _ if guard.channels.is_descending => {
+                (Ahead::Descent, self.generator.descend(state, terms.contact.stays(contact)))
+            }
+            None => (Ahead::Mission, self.generator.update(state, terms.measurement.time)),
+            Some(given) if is_valid => {
+                self.generator.follow(state, &given.motion());
+                (Ahead::Motion, *given)
+            }
+            Some(_) => (Ahead::Stop, self.generator.stop(state)),
+        };
+        let setpoint = &terms.setpoint;
+        terms.due = if self.latency > 0.0 { setpoint.after(self.latency) } else { *setpoint };
+        is_valid
+    }
 
     /// Computes thrust rates and joint velocities that control momentum and attitude.
-    fn solve(
+    pub fn solve(
         &mut self,
         robot: &RobotModel,
         aero: &mut AeroModel,
@@ -46,35 +86,24 @@ pub trait Law: Debug + Send + Sync {
         preview: &Preview,
         terms: &mut Terms,
         command: &mut Command,
-    );
-}
-
-/// The momentum law of one controller, with its workspace.
-#[derive(Debug)]
-pub struct MomentumLaw {
-    /// Set-points from the mission.
-    pub generator: SetpointGenerator,
-    solver: QpChain,
-    solution: DVector<f64>,
-    /// Time from a tick until its command acts \[s\].
-    latency: f64,
-}
-
-impl MomentumLaw {
-    /// A law in `unknowns` unknowns that follows a mission, or given set-points.
-    #[must_use]
-    pub fn new(generator: SetpointGenerator, solver: QpChain, unknowns: usize, latency: f64) -> Self {
-        Self { generator, solver, solution: DVector::zeros(unknowns), latency }
-    }
-
-    /// Time from a tick until its command acts \[s\].
-    #[must_use]
-    pub fn latency(&self) -> f64 {
-        self.latency
+    ) {
+        self.prepare(state, terms);
+        let Self { predictive, generator, ahead, .. } = self;
+        let Some(predictive) = predictive.as_mut().filter(|law| law.flies(state, terms)) else {
+            state.plan.discard();
+            return self.decide(state, terms, command);
+        };
+        let motion = Upcoming { generator, ahead: *ahead, preview };
+        if !predictive.command(robot, aero, state, &motion, terms, command) {
+            self.decide(state, terms, command);
+            if command.status.is_of_law() {
+                command.status = CommandStatus::PlanMissing;
+            }
+        }
     }
 
     /// Builds the momentum QP of this tick, with its bounds.
-    pub fn prepare(&self, state: &ControllerState, terms: &mut Terms) {
+    fn prepare(&self, state: &ControllerState, terms: &mut Terms) {
         let Terms { measurement, kinematics, dynamics, momentum, setpoint, due, .. } = terms;
         let Terms { limits, attitude, momentum_qp, contact, .. } = terms;
         let (_, moment_estimate) = parts(&momentum.rate_estimate);
@@ -116,13 +145,12 @@ impl MomentumLaw {
     }
 
     /// Solves the momentum QP.
-    pub fn decide(&mut self, state: &mut ControllerState, terms: &mut Terms, command: &mut Command) {
+    fn decide(&mut self, state: &mut ControllerState, terms: &mut Terms, command: &mut Command) {
         let Terms { momentum_qp, contact, .. } = terms;
         let answer = self.solver.solve_from(&mut state.momentum_start, &momentum_qp.problem);
         command.momentum_qp = answer;
         self.solution.as_mut_slice().copy_from_slice(self.solver.x());
-        command.status =
-            if command.modes.is_empty() { CommandStatus::Nominal } else { CommandStatus::Degraded };
+        command.status = CommandStatus::of_modes(command.modes);
         if answer.status != QpStatus::Solved {
             command.status = CommandStatus::MomentumHeld;
             // Zero rates, as far as the bounds allow.
@@ -135,41 +163,5 @@ impl MomentumLaw {
         command.thrust_rate.as_mut_slice()[..thrust_rate.len()].copy_from_slice(thrust_rate);
         command.joint_velocity.copy_from_slice(&u[unknowns.joint_velocity.clone()]);
         contact.store_rate(&mut state.contact, &u[unknowns.force_rate.clone()]);
-    }
-}
-
-impl Law for MomentumLaw {
-    fn generator(&self) -> &SetpointGenerator {
-        &self.generator
-    }
-
-    fn follow(&mut self, state: &mut ControllerState, given: Option<&Setpoint>, terms: &mut Terms) -> bool {
-        let ControllerState { setpoint: state, channels, contact, .. } = state;
-        let is_valid = given.is_none_or(Setpoint::is_valid);
-        terms.setpoint = match given {
-            _ if channels.is_descending => self.generator.descend(state, terms.contact.stays(contact)),
-            None => self.generator.update(state, terms.measurement.time),
-            Some(given) if is_valid => {
-                self.generator.follow(state, &given.motion());
-                *given
-            }
-            Some(_) => self.generator.stop(state),
-        };
-        let setpoint = &terms.setpoint;
-        terms.due = if self.latency > 0.0 { setpoint.after(self.latency) } else { *setpoint };
-        is_valid
-    }
-
-    fn solve(
-        &mut self,
-        _: &RobotModel,
-        _: &mut AeroModel,
-        state: &mut ControllerState,
-        _: &Preview,
-        terms: &mut Terms,
-        command: &mut Command,
-    ) {
-        self.prepare(state, terms);
-        self.decide(state, terms, command);
     }
 }

@@ -40,6 +40,11 @@ impl Plan {
         self.inputs.is_empty()
     }
 
+    /// It is not followed any further.
+    pub(in crate::control::law) fn discard(&mut self) {
+        self.since = None;
+    }
+
     /// Time since it began \[s\].
     pub(super) fn age(&self, time: f64) -> Option<f64> {
         self.since.map(|since| time - since).filter(|age| *age >= 0.0)
