@@ -12,6 +12,7 @@
 //! SI units and radians; vectors and Jacobians are in inertial axes unless a suffix states otherwise.
 
 #![forbid(unsafe_code)]
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))]
 
 pub mod aero;
 pub mod control;

@@ -17,6 +17,7 @@ use flight_core::control::law::momentum::RateFeedback;
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::law::torque::limit_rate;
 use flight_core::control::{BadCommand, CommandStatus, Modes};
+use flight_core::jets::JetDynamics;
 use flight_core::qp::QpStatus;
 use flight_core::{Command, Controller, Measurement, RobotState};
 use flight_io::{AeroConfig, load_robot};
@@ -615,6 +616,30 @@ fn a_state_of_other_stages_is_refused() {
             );
         }
     }
+}
+
+/// Throttles follow the thrust rates that act: also those that take the place of the law's, and the zeros of a tick that holds.
+#[test]
+fn throttles_follow_the_rates_that_act() {
+    let mut config = experiment("test2_observer");
+    config.controller.law.jet_dynamics = JetDynamics::SecondOrder;
+    let (mut ticked, sample) = (controller(&config), Sample::start(&config));
+    let command = sample.tick(&mut ticked).clone();
+    let Running { controller: law, state } = &mut ticked;
+    let mut throttle = |rate: &[f64]| {
+        law.replace_command(state.as_mut().unwrap(), rate, command.joint_torque.as_slice()).unwrap();
+        law.command().throttle.clone()
+    };
+    let (faster, held) = (throttle(&[5.0; 4]), throttle(&[0.0; 4]));
+    assert!(faster.iter().zip(&held).all(|(faster, held)| faster > held), "{faster} {held}");
+    assert_eq!(throttle(command.thrust_rate.as_slice()), command.throttle);
+    config.controller.law.observer = None;
+    config.controller.law.engines = None;
+    let mut other = controller(&config);
+    sample.tick(&mut other);
+    ticked.state = other.state;
+    let command = sample.tick(&mut ticked);
+    assert_eq!((command.status, &command.throttle), (CommandStatus::BadState, &held));
 }
 
 /// A controller that does not use jets commands no thrust rate, whatever thrust is measured.

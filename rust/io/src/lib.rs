@@ -9,6 +9,7 @@
 //! [`toml`] reads TOML files with their base files; [`files`] reads the bytes of every file.
 
 #![forbid(unsafe_code)]
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))]
 
 pub mod aero;
 mod card;

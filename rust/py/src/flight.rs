@@ -1,6 +1,6 @@
 //! Configurations and whole flights.
 
-use crate::arrays::{Input, Output, array, entries, finite_entries, value_error, vector, vectors};
+use crate::arrays::{Input, Output, array, entries, finite_entries, plain_error, value_error, vector, vectors};
 use flight_core::BuildError;
 use flight_io::{
     AeroConfig, ControllerSection, NetworkConfig, PolicyConfig, RobotFiles, Schema, from_json, load,
@@ -9,7 +9,7 @@ use flight_io::{
 use flight_sim::log::Series;
 use flight_sim::signals::Signal;
 use flight_sim::{
-    BatchError, FIGURES, FlightLog, FlightResult, SIGNALS, Scenario, ScenarioConfig, Summary, Wind,
+    BatchError, FIGURES, FlightLog, FlightResult, NoResult, SIGNALS, Scenario, ScenarioConfig, Summary, Wind,
     WindConfig, load_flyable,
 };
 use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError, PyUserWarning, PyValueError};
@@ -263,7 +263,8 @@ pub fn fly<'py>(
     match (result, reporter.raised) {
         (_, Some(error)) => Err(error),
         (Ok(result), None) => flight_dict(py, result, true),
-        (Err(_), None) => Err(PyKeyboardInterrupt::new_err("flight interrupted")),
+        (Err(NoResult::Refused(why)), None) => Err(plain_error(why)),
+        (Err(NoResult::Interrupted), None) => Err(PyKeyboardInterrupt::new_err("flight interrupted")),
     }
 }
 

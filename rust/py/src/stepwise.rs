@@ -11,7 +11,6 @@ use flight_sim::{FlightResult, Handed, Scenario, Seen, World};
 use nalgebra::{Vector3, Vector6};
 use numpy::IntoPyArray;
 use numpy::ndarray::Array2;
-use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -140,8 +139,7 @@ impl Flight {
     fn try_tick<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let state = self.flight.try_tick();
         self.check_world()?;
-        let why = "the flight cannot begin with its first measurement; expected one of this robot, with every number";
-        let state = state.ok_or_else(|| PyValueError::new_err(why))?;
+        let state = state.map_err(plain_error)?;
         tick_dict(py, self.flight.controller(), Some(&state))
     }
 
@@ -194,10 +192,11 @@ impl Flight {
             residual: residual.as_ref(),
             command: command.as_ref().map(|(rate, torque)| (&rate[..], &torque[..])),
         };
-        let goes_on = self.flight.step_with(&handed).map_err(plain_error)?;
+        let goes_on = self.flight.step_with(&handed);
         self.flight.replace_link_forces(None).map_err(value_error)?;
         self.check_world()?;
-        Ok(goes_on)
+        self.flight.refusal().map_or(Ok(()), |why| Err(plain_error(why)))?;
+        goes_on.map_err(plain_error)
     }
 
     /// Every value of the last tick, by name, as of `Controller.tick`.

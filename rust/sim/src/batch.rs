@@ -2,7 +2,7 @@
 
 use crate::config::ScenarioConfig;
 use crate::outcome::FlightResult;
-use crate::scenario::{Interrupted, Scenario};
+use crate::scenario::{NoResult, Scenario};
 use flight_core::error::BuildError;
 use rayon::prelude::*;
 use std::ops::ControlFlow;
@@ -10,7 +10,7 @@ use std::ops::ControlFlow;
 /// Reason why a batch has no results.
 #[derive(Debug, thiserror::Error)]
 pub enum BatchError {
-    /// The configuration with this index could not be built.
+    /// The configuration with this index could not be built, or its flight cannot begin.
     #[error("flight {0} of the batch: {1}")]
     Refused(usize, BuildError),
     /// The batch was stopped.
@@ -29,7 +29,7 @@ pub enum BatchError {
 /// every tick of every flight and can stop the batch.
 ///
 /// # Errors
-/// [`BatchError::Refused`] for the first configuration that cannot be built, [`BatchError::Interrupted`] if `go_on`
+/// [`BatchError::Refused`] for the first configuration that cannot be built or whose flight cannot begin, [`BatchError::Interrupted`] if `go_on`
 /// breaks, [`BatchError::NoThreads`].
 pub fn fly_batch<T: Send>(
     configs: &[ScenarioConfig],
@@ -45,8 +45,13 @@ pub fn fly_batch<T: Send>(
         }
         Scenario::new(config).map_err(|reason| BatchError::Refused(index, reason))
     };
-    let fly = |item| {
-        let result = build(item)?.run(|_, _| go_on()).map_err(|Interrupted| BatchError::Interrupted)?;
+    let fly = |item: (usize, _)| {
+        let result = build(item)?.run(|_, _| go_on()).map_err(|reason| match reason {
+            NoResult::Interrupted => BatchError::Interrupted,
+            NoResult::Refused(why) => {
+                BatchError::Refused(item.0, BuildError::malformed("first measurement", why))
+            }
+        })?;
         Ok(reduce(result))
     };
     pool.install(|| {

@@ -17,14 +17,14 @@ use crate::disturbances::Sample;
 use crate::log::{FlightLog, Series};
 use crate::outcome::{FlightResult, Judge, Loss, LossReason, Outcome};
 use crate::plant::Plant;
-use crate::scenario::{Interrupted, Scenario};
+use crate::scenario::{NoResult, Scenario};
 use crate::signals::{TickRow, TrackingErrors, WorldRow, feet_of};
 use crate::summary::Summary;
 use crate::wind::Wind;
 use crate::world::Seen;
 use flight_core::control::law::residual::Residual;
 use flight_core::control::law::setpoint::Setpoint;
-use flight_core::control::{BadCommand, Controller, ControllerState, Given, Measurement, Modes};
+use flight_core::control::{BadCommand, BadStart, Controller, ControllerState, Given, Measurement, Modes};
 use flight_core::error::BuildError;
 use flight_core::robot::RobotModel;
 use nalgebra::Vector3;
@@ -38,6 +38,8 @@ pub struct Flight {
     /// `None` before the first tick.
     state: Option<ControllerState>,
     loss: Option<Loss>,
+    /// Why it cannot begin; then it has no tick and no result.
+    refusal: Option<BadStart>,
     /// Whether the robot has given up its mission and touched down.
     is_down: bool,
     /// Index of the next tick.
@@ -77,6 +79,7 @@ impl Scenario {
             log: log(robot, rows),
             state: None,
             loss: None,
+            refusal: None,
             is_down: false,
             tick: 0,
             is_measured: false,
@@ -92,24 +95,24 @@ impl Scenario {
     /// flight.
     ///
     /// # Errors
-    /// [`Interrupted`] if `progress` stopped the flight.
+    /// [`NoResult`] if `progress` stopped the flight, and if it cannot begin with its first measurement.
     pub fn run(
         self,
         mut progress: impl FnMut(usize, usize) -> ControlFlow<()>,
-    ) -> Result<FlightResult, Interrupted> {
+    ) -> Result<FlightResult, NoResult> {
         let mut flight = self.begin();
         while !flight.has_ended() {
             let tick = flight.tick;
             if flight.step() && progress(tick, flight.n_ticks()).is_break() {
-                return Err(Interrupted);
+                return Err(NoResult::Interrupted);
             }
         }
-        Ok(flight.result())
+        flight.refusal.map_or_else(|| Ok(flight.result()), |refusal| Err(refusal.into()))
     }
 }
 
 impl Flight {
-    /// Flies one tick; `false` if the flight is lost in it or had ended before.
+    /// Flies one tick; `false` if the flight is lost in it, cannot begin, or had ended before.
     pub fn step(&mut self) -> bool {
         // Only a command that is handed in can be refused.
         self.step_with(&Handed::default()).unwrap_or(false)
@@ -118,16 +121,25 @@ impl Flight {
     /// Flies one tick with what is handed in, as [`Self::step`].
     ///
     /// # Errors
-    /// [`BadCommand`] for a command with a number that is not finite, or of another robot's size.
+    /// [`BadCommand`] for a command with a number that is not finite, or of another robot's size; nothing then changes.
     pub fn step_with(&mut self, handed: &Handed) -> Result<bool, BadCommand> {
         if self.has_ended() {
             return Ok(false);
         }
+        if let Some((thrust_rate, joint_torque)) = handed.command {
+            self.scenario.controller.check_command(thrust_rate, joint_torque)?;
+        }
         self.measure();
-        let reason = if self.control(handed)? {
-            self.record()
-        } else {
-            Some(self.divergence().unwrap_or(LossReason::NotFinite))
+        let reason = match self.start() {
+            Ok(()) => {
+                self.control(handed)?;
+                self.record()
+            }
+            Err(refusal) => {
+                let reason = self.divergence();
+                self.refusal = Some(refusal).filter(|_| reason.is_none());
+                reason
+            }
         };
         self.loss = reason.map(|reason| Loss { time: self.time(), reason });
         if self.loss.is_none() && !self.is_down && self.touches_down() {
@@ -137,7 +149,7 @@ impl Flight {
         if !self.has_ended() {
             self.advance(handed.command.map(|(_, torque)| torque));
         }
-        Ok(self.loss.is_none())
+        Ok(self.loss.is_none() && self.refusal.is_none())
     }
 
     /// Whether the robot descends instead of following its mission.
@@ -162,7 +174,7 @@ impl Flight {
         let row =
             |series: &Series| Vector3::from_column_slice(series.row(self.log.len().saturating_sub(before)));
         let velocity = self.log.series("com_velocity").map_or_else(Vector3::zeros, row);
-        Judge::crash(&velocity, self.scenario.plant.state().base.rotation[(2, 2)].min(1.0).acos())
+        Judge::crash(&velocity, libm::acos(self.scenario.plant.state().base.rotation[(2, 2)].min(1.0)))
     }
 
     /// Observes the robot at the next tick, and measures it. Does nothing where that is done.
@@ -186,15 +198,21 @@ impl Flight {
         measuring.measure(time, (state, plant.jets().thrust_feedback()), used, air);
     }
 
-    /// Ticks the controller; `false` if a flight cannot begin with this measurement.
-    fn control(&mut self, handed: &Handed) -> Result<bool, BadCommand> {
+    /// Starts the controller with its first measurement.
+    fn start(&mut self) -> Result<(), BadStart> {
+        if self.state.is_none() {
+            let measurement = self.scenario.measuring.sample().measurement(self.time());
+            self.state = Some(self.scenario.controller.start(&measurement)?);
+        }
+        Ok(())
+    }
+
+    /// Ticks the controller.
+    fn control(&mut self, handed: &Handed) -> Result<(), BadCommand> {
         let time = self.time();
         let Scenario { controller, measuring, wind, .. } = &mut self.scenario;
         let (measurement, preview) = measuring.look_ahead(time, wind);
-        if self.state.is_none() {
-            self.state = controller.start(&measurement).ok();
-        }
-        let Some(state) = &mut self.state else { return Ok(false) };
+        let Some(state) = &mut self.state else { return Ok(()) };
         let given = Given { setpoint: handed.setpoint, preview, residual: handed.residual };
         let command = controller.tick_with(state, &measurement, &given);
         if self.tick == 0 || command.modes.contains(Modes::BEGUN_AGAIN) {
@@ -203,7 +221,7 @@ impl Flight {
         if let Some((thrust_rate, joint_torque)) = handed.command {
             controller.replace_command(state, thrust_rate, joint_torque)?;
         }
-        Ok(true)
+        Ok(())
     }
 
     /// Appends a row to the log; returns the reason why the flight is lost, if it is.
@@ -249,7 +267,8 @@ impl Flight {
     #[must_use]
     pub fn has_ended(&self) -> bool {
         let has_landed = self.is_down && self.seen.is_none();
-        self.loss.is_some() || has_landed || self.tick > self.scenario.n_ticks
+        let has_begun = self.refusal.is_none();
+        self.loss.is_some() || !has_begun || has_landed || self.tick > self.scenario.n_ticks
     }
 
     /// Index of the next tick; of a flight that ended early, of its last tick.
@@ -289,18 +308,21 @@ impl Flight {
     }
 
     /// Computes the next tick with a copy of the controller's state, which is returned, and does not advance; the values of
-    /// this tick are those of [`Self::controller`]. `None` if the flight cannot begin.
-    pub fn try_tick(&mut self) -> Option<ControllerState> {
+    /// this tick are those of [`Self::controller`].
+    ///
+    /// # Errors
+    /// [`BadStart`] if the flight cannot begin.
+    pub fn try_tick(&mut self) -> Result<ControllerState, BadStart> {
         self.measure();
         let (time, Self { scenario, state, .. }) = (self.time(), self);
         let Scenario { controller, measuring, wind, .. } = scenario;
         let (measurement, preview) = measuring.look_ahead(time, wind);
         let mut copy = match state {
             Some(state) => state.clone(),
-            None => controller.start(&measurement).ok()?,
+            None => controller.start(&measurement)?,
         };
         controller.tick_with(&mut copy, &measurement, &Given { preview, ..Given::default() });
-        Some(copy)
+        Ok(copy)
     }
 
     /// The controller, with the values of its last tick.
@@ -344,6 +366,12 @@ impl Flight {
     #[must_use]
     pub fn loss(&self) -> Option<Loss> {
         self.loss
+    }
+
+    /// Why the flight cannot begin, if it cannot.
+    #[must_use]
+    pub fn refusal(&self) -> Option<BadStart> {
+        self.refusal
     }
 
     /// Figures of merit of the ticks flown so far.

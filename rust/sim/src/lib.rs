@@ -5,6 +5,7 @@
 //! ```
 
 #![forbid(unsafe_code)]
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))]
 
 pub mod actuation;
 #[cfg(feature = "threads")]
@@ -42,7 +43,7 @@ pub use log::FlightLog;
 pub use outcome::{FlightResult, Loss, LossReason, Outcome};
 pub use plant::Plant;
 pub use replay::replay;
-pub use scenario::{Interrupted, Scenario, load_flyable};
+pub use scenario::{NoResult, Scenario, load_flyable};
 pub use sensors::{Sensors, SensorsConfig};
 pub use signals::SIGNALS;
 pub use summary::{FIGURES, Summary};

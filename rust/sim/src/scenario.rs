@@ -9,7 +9,7 @@ use crate::plant::Plant;
 use crate::warnings::warnings;
 use crate::wind::Wind;
 use crate::world::World;
-use flight_core::control::Controller;
+use flight_core::control::{BadStart, Controller};
 use flight_core::error::{BuildError, check};
 use flight_core::robot::RobotModel;
 use flight_io::{load_changed, load_robot};
@@ -31,10 +31,16 @@ pub struct Scenario {
     pub(crate) n_ticks: usize,
 }
 
-/// A flight was stopped by the caller.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("interrupted")]
-pub struct Interrupted;
+/// Reason why a flight has no result.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum NoResult {
+    /// The caller stopped it.
+    #[error("interrupted")]
+    Interrupted,
+    /// It cannot begin with its first measurement.
+    #[error(transparent)]
+    Refused(#[from] BadStart),
+}
 
 impl Scenario {
     /// Builds plant and controller.

@@ -112,7 +112,7 @@ impl EncoderConfig {
 impl TrembleConfig {
     /// Error of a joint at `time` \[s\].
     fn of(self, joint: usize, time: f64) -> f64 {
-        self.amplitude * (std::f64::consts::TAU * self.frequency * time - joint as f64).sin()
+        self.amplitude * libm::sin(std::f64::consts::TAU * self.frequency * time - joint as f64)
     }
 }
 

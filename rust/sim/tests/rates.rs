@@ -96,6 +96,25 @@ fn a_state_of_another_tick_is_refused() {
     assert_eq!(controller.tick_torques(&mut other, &measured).status, CommandStatus::BadState);
 }
 
+/// A measurement of other sizes measures nothing: the torques stay for its tick, and the next one is as usual.
+#[test]
+fn a_measurement_of_other_sizes_costs_one_tick() {
+    let mut config = experiment("test2_observer");
+    config.controller.law.torque.steps = 10;
+    let rest = config.simulator.initial.joint_position.clone();
+    let mut velocity = vec![0.0; rest.len()];
+    velocity[12] = 0.1;
+    let measured = JointMeasurement { position: &rest, velocity: &velocity };
+    let too_few = JointMeasurement { position: &rest[1..], velocity: &velocity };
+    let (mut controller, mut state) = ticked(&config);
+    let torque = controller.command().joint_torque.clone();
+    let command = controller.tick_torques(&mut state, &too_few);
+    assert_eq!((command.status, &command.joint_torque), (CommandStatus::BadMeasurement, &torque));
+    let command = controller.tick_torques(&mut state, &measured);
+    assert_eq!(command.status, CommandStatus::Nominal);
+    assert!(command.joint_torque[12] < torque[12]);
+}
+
 /// TEST2 with torques at 1 kHz, 3 to 4 ms late, without and with the sensors and the estimator of a robot.
 #[test]
 fn a_flight_with_torques_at_a_kilohertz() {

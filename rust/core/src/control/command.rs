@@ -1,6 +1,8 @@
 //! Output of a tick.
 
+use super::measurement::UsedMeasurement;
 use super::modes::Modes;
+use crate::jets::JetModel;
 use crate::qp::{QpAnswer, QpStatus};
 use nalgebra::DVector;
 use std::fmt;
@@ -118,6 +120,14 @@ impl Command {
             torque_qp: QpAnswer::from_status(QpStatus::NonFinite),
             status: CommandStatus::Nominal,
             modes: Modes::default(),
+        }
+    }
+
+    /// Sets the throttles that follow the thrust rates, from the thrusts of a tick.
+    pub(super) fn set_throttle(&mut self, jets: &[JetModel], used: &UsedMeasurement, time_step: f64) {
+        let thrusts = used.thrust.iter().zip(&used.thrust_rate).zip(&self.thrust_rate);
+        for ((throttle, jet), ((thrust, rate), command)) in self.throttle.iter_mut().zip(jets).zip(thrusts) {
+            *throttle = jet.throttle(*thrust, *rate, *command, time_step);
         }
     }
 

@@ -181,13 +181,11 @@ impl Controller {
         measurement: &Measurement,
         given: &Given,
     ) -> &Command {
-        let is_state_of_this = self.fits(state);
+        if !self.fits(state) {
+            return self.refuse_state();
+        }
         let Self { model, jets, aero, conventions, feedback, guard, law, policy, .. } = self;
         let Self { torques, terms, command, time_step, .. } = self;
-        if !is_state_of_this {
-            command.set_hold(CommandStatus::BadState, Modes::default());
-            return command;
-        }
         let is_usable = guard.measure(measurement, &mut state.guard, terms);
         if terms.measurement.modes.contains(Modes::BEGUN_AGAIN) {
             begin_again(model, law.generator(), state, terms);
@@ -201,26 +199,25 @@ impl Controller {
         if is_usable {
             law.solve(model, aero, state, &preview, terms, command);
             steer(policy.as_mut(), given.residual, state, terms, command);
+            if command.status.is_of_law() {
+                command.status = match (is_valid, has_valid_preview) {
+                    (false, _) => CommandStatus::BadSetpoint,
+                    (true, false) => CommandStatus::BadPreview,
+                    (true, true) => command.status,
+                };
+            }
+            state.between.status = command.status;
             torques.solve(state, terms, command);
         } else {
             command.set_hold(CommandStatus::BadMeasurement, command.modes);
+            state.between.status = command.status;
         }
-        let thrusts = terms.measurement.thrust.iter().zip(&terms.measurement.thrust_rate);
-        for (place, (jet, (thrust, rate))) in jets.iter().zip(thrusts).enumerate() {
-            command.throttle[place] = jet.throttle(*thrust, *rate, command.thrust_rate[place], *time_step);
-        }
+        command.set_throttle(jets, &terms.measurement, *time_step);
         guard.predict(model, &mut state.guard, terms, command);
         let acceleration = &state.guard.channels.acceleration;
         let (used, torque) = (&terms.measurement.state, command.joint_torque.as_slice());
         state.between.begin(used, torque, acceleration.rows_range(6..));
         self.last_tick = state.between.tick_of_law;
-        if command.status.is_of_law() {
-            command.status = match (is_valid, has_valid_preview) {
-                (false, _) => CommandStatus::BadSetpoint,
-                (true, false) => CommandStatus::BadPreview,
-                (true, true) => command.status,
-            };
-        }
         command
     }
 
@@ -229,32 +226,48 @@ impl Controller {
     /// times after each of those, at equal times, with the state of that tick.
     ///
     /// Joints that are not measured are predicted. A tick without an answer of the QP, or with a measurement of other
-    /// sizes, keeps the torques and changes the status. With the state of another controller, or one with which this
+    /// sizes, keeps the torques and has another status; the next one is as usual. With the state of another controller, or one with which this
     /// controller did not tick last, the command holds ([`CommandStatus::BadState`]).
     pub fn tick_torques(&mut self, state: &mut ControllerState, measured: &JointMeasurement) -> &Command {
         let is_last =
             state.between.tick_of_law == self.last_tick && state.between.torque == self.command.joint_torque;
         if !self.fits(state) || !is_last {
-            self.command.set_hold(CommandStatus::BadState, Modes::default());
-            return &self.command;
+            return self.refuse_state();
         }
         let Self { guard, torques, joints, terms, command, torque_steps, .. } = self;
         let is_sized =
             [measured.position, measured.velocity].iter().all(|of| of.len() == state.posture.len());
-        if !is_sized {
-            command.status = CommandStatus::BadMeasurement;
-        }
+        let nothing = JointMeasurement { position: &[], velocity: &[] };
+        joints.update(&mut state.between, if is_sized { measured } else { &nothing });
+        state.between.ticks += 1;
+        command.status = if is_sized { state.between.status } else { CommandStatus::BadMeasurement };
         if command.status == CommandStatus::BadMeasurement {
             return command;
         }
-        joints.update(&mut state.between, measured);
-        state.between.ticks += 1;
         let velocity = std::mem::take(&mut state.between.velocity);
         torques.solve_again(velocity.as_slice(), state, terms, command);
         state.between.velocity = velocity;
         let left = torque_steps.saturating_sub(state.between.ticks);
         guard.change_torques(state, terms, command, f64::from(left) / f64::from(*torque_steps));
         command
+    }
+
+    /// Holds: this state is not the one with which the controller ticks.
+    fn refuse_state(&mut self) -> &Command {
+        let Self { command, jets, terms, time_step, .. } = self;
+        command.set_hold(CommandStatus::BadState, Modes::default());
+        command.set_throttle(jets, &terms.measurement, *time_step);
+        command
+    }
+
+    /// Checks that a command can act in place of the last one.
+    ///
+    /// # Errors
+    /// [`BadCommand`].
+    pub fn check_command(&self, thrust_rate: &[f64], joint_torque: &[f64]) -> Result<(), BadCommand> {
+        let is_finite = thrust_rate.iter().chain(joint_torque).all(|number| number.is_finite());
+        let is_sized = thrust_rate.len() == self.n_jets() && joint_torque.len() == self.model.joints.len();
+        if is_finite && is_sized { Ok(()) } else { Err(BadCommand) }
     }
 
     /// Reports that other thrust rates and torques act until the next tick in place of the last command, such as those
@@ -270,14 +283,14 @@ impl Controller {
         thrust_rate: &[f64],
         joint_torque: &[f64],
     ) -> Result<(), BadCommand> {
-        let is_finite = thrust_rate.iter().chain(joint_torque).all(|number| number.is_finite());
-        let is_sized = thrust_rate.len() == self.n_jets() && joint_torque.len() == self.model.joints.len();
-        if !is_finite || !is_sized || !self.fits(state) {
+        self.check_command(thrust_rate, joint_torque)?;
+        if !self.fits(state) {
             return Err(BadCommand);
         }
         self.guard.replace_command(&self.model, state, &mut self.terms, thrust_rate, joint_torque);
         self.command.thrust_rate.copy_from_slice(thrust_rate);
         self.command.joint_torque.copy_from_slice(joint_torque);
+        self.command.set_throttle(&self.jets, &self.terms.measurement, self.time_step);
         Ok(())
     }
 

@@ -7,7 +7,7 @@ use flight_io::{load_controller, load_robot};
 use flight_sim::outcome::Judge;
 use flight_sim::signals::Dimension;
 use flight_sim::{
-    BatchError, FlightLog, FlightResult, Handed, Interrupted, Loss, LossReason, Scenario, ScenarioConfig,
+    BatchError, FlightLog, FlightResult, Handed, Loss, LossReason, NoResult, Scenario, ScenarioConfig,
     fly_batch,
 };
 use flight_sim::{FIGURES, Outcome, SIGNALS, Summary};
@@ -244,6 +244,20 @@ fn batches_do_not_depend_on_threads() {
     assert!(alone[0] != alone[1]);
 }
 
+/// A command that is refused changes nothing: the flight goes on as if it had not been handed in.
+#[test]
+fn a_refused_command_changes_nothing() {
+    let config = short(0.05);
+    let mut flight = Scenario::new(&config).unwrap().begin();
+    for _ in 0..3 {
+        let command = Some((&[0.0; 3][..], &[0.0; 23][..]));
+        assert!(flight.step_with(&Handed { command, ..Handed::default() }).is_err());
+        assert!(flight.step());
+    }
+    while flight.step() {}
+    assert!(bits(flight.log()) == bits(&run(&config).log));
+}
+
 /// `progress` is called every tick and may end the flight.
 #[test]
 fn a_flight_can_be_interrupted() {
@@ -254,7 +268,7 @@ fn a_flight_can_be_interrupted() {
         seen.push((tick, of));
         if tick == 7 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
-    assert!(matches!(result, Err(Interrupted)));
+    assert!(matches!(result, Err(NoResult::Interrupted)));
     assert_eq!(seen, (0..=7).map(|tick| (tick, 100)).collect::<Vec<_>>());
 }
 

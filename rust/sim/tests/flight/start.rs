@@ -8,7 +8,7 @@ use flight_core::kinematics::RobotState;
 use flight_core::spatial::axis_angle;
 use flight_sim::disturbances::{Outage, OutageChannel, OutageKind};
 use flight_sim::signals::TrackingErrors;
-use flight_sim::{Outcome, Scenario, ScenarioConfig, Sensors, Wind};
+use flight_sim::{NoResult, Outcome, Scenario, ScenarioConfig, Sensors, Wind, fly_batch};
 use nalgebra::{Unit, Vector3};
 use proptest::prelude::*;
 use std::ops::ControlFlow;
@@ -121,6 +121,27 @@ fn a_flight_does_not_begin_where_nothing_is_measured() {
             &["disturbances.outages[0].start is 0", "seconds > 0"],
         );
     }
+}
+
+/// A flight that cannot begin with its first measurement has no result, and says why; its batch says which.
+#[test]
+fn a_start_that_is_refused_says_why() {
+    let wrong = outage(OutageChannel::Joints, OutageKind::Wrong, 0.0, Some(0.01));
+    let config = with(experiment("test2_observer"), |config| {
+        config.disturbances.outages = vec![Outage { error: 6.0, ..wrong }];
+    });
+    let mut flight = Scenario::new(&config).unwrap().begin();
+    assert!(flight.try_tick().is_err());
+    assert!(!flight.step() && flight.has_ended());
+    assert_eq!((flight.tick(), flight.loss()), (0, None));
+    let refusal = NoResult::Refused(flight.refusal().unwrap());
+    let why = refusal.to_string();
+    assert!(why.starts_with("a flight cannot begin: `joint_position[0]` holds "), "{why}");
+    let go_on = || ControlFlow::Continue(());
+    assert_eq!(Scenario::new(&config).unwrap().run(|_, _| go_on()).unwrap_err(), refusal);
+    let short = with(experiment("no_wind"), |config| config.simulator.duration = 0.02);
+    let batch = fly_batch(&[short, config], Some(1), go_on, |_| ());
+    assert_says(&batch.unwrap_err(), &["flight 1 of the batch", "first measurement", &why]);
 }
 
 proptest! {

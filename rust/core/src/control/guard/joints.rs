@@ -17,7 +17,7 @@ pub mod residual;
 
 use crate::control::law::limits::JointCondition;
 use crate::error::{BuildError, Table};
-use nalgebra::DVector;
+use nalgebra::{DVector, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Lag `τ_r` of the residual \[s\].
@@ -214,7 +214,7 @@ impl JointsState {
     fn suspect(&mut self, config: &JointsConfig, sample: &Sample) {
         let Sample { dt, residual, torque, .. } = *sample;
         let x = |row: usize| self.residual[row] - self.mean[row];
-        let norm = |first: usize| x(first).hypot(x(first + 1)).hypot(x(first + 2));
+        let norm = |first: usize| Vector3::from_fn(|axis, _| x(first + axis)).norm();
         let bound = REACH * norm(0) + norm(3) + config.torque_min;
         let mut worst: Option<(usize, f64, JointCondition)> = None;
         for joint in 0..self.found.len() {

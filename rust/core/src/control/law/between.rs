@@ -5,6 +5,7 @@
 //!
 //! Equation M152 of `docs/model`.
 
+use crate::control::command::CommandStatus;
 use crate::control::guard::channels::{ChannelsConfig, Jumps, greatest};
 use crate::control::guard::estimator::EstimatorConfig;
 use crate::kinematics::RobotState;
@@ -30,6 +31,8 @@ pub struct JointsBetween {
     pub torque: DVector<f64>,
     /// Accelerations under them \[rad/s², m/s²\].
     pub acceleration: DVector<f64>,
+    /// Status of the last tick of the law, without its torques.
+    pub status: CommandStatus,
     /// Ticks of the torques since the last tick of the law.
     pub ticks: u32,
     /// Number of that tick in the flight.
@@ -46,6 +49,7 @@ impl JointsBetween {
             velocity: zero.clone(),
             torque: zero.clone(),
             acceleration: zero,
+            status: CommandStatus::Nominal,
             ticks: 0,
             tick_of_law: 0,
         }
