@@ -752,6 +752,7 @@ class Flight:
         ------
         ValueError
             For arrays of the wrong size, and commands or forces that are not finite; the flight then has not advanced.
+            Where the flight cannot begin with its first measurement.
         """
         if self.has_ended:
             return False
@@ -922,7 +923,13 @@ def config_digest(config: Mapping[str, Any]) -> str:
 
 
 def fly(config: Mapping[str, Any], progress: Progress | None = None) -> FlightResult:
-    """Fly one configuration to its end or until the flight is lost. Ctrl-C interrupts it."""
+    """Fly one configuration to its end or until the flight is lost. Ctrl-C interrupts it.
+
+    Raises
+    ------
+    ValueError
+        For a flight that cannot be flown, or cannot begin with its first measurement.
+    """
     return FlightResult(**_core.fly(_to_json(config), progress))
 
 

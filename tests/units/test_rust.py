@@ -205,6 +205,15 @@ def test_a_flight_tick_by_tick_is_the_flight():
     assert reports == [(tick, 20) for tick in range(21)]
 
 
+def test_a_flight_that_cannot_begin_says_why():
+    """As a whole and tick by tick."""
+    wrong = {"channel": "joints", "start": 0.0, "duration": 0.01, "kind": "wrong", "error": 6.0}
+    config = rust.load_config("test2_observer", {"simulator.duration": 0.1, "disturbances.outages": [wrong]})
+    for begin in (rust.fly, lambda config: rust.Flight(config).step(), lambda config: rust.Flight(config).try_tick()):
+        with pytest.raises(ValueError, match=r"^a flight cannot begin: `joint_position\[0\]` holds "):
+            begin(config)
+
+
 def test_what_is_handed_in_as_the_flight_has_it_changes_nothing():
     """Its own measurement, its own command, the own forces of its air."""
     config = rust.load_config("test2_sensors", SEEN | {"simulator.substeps": 1})

@@ -14,6 +14,42 @@
 #include <stddef.h>
 #include <stdint.h>
 
+// Ways in which a tick differs from one with complete measurements; `flight_modes` is a sum of them.
+typedef enum FlightMode {
+  // The wind is the last measured one, held or fading.
+  FLIGHT_WIND_HELD = 1,
+  // The wind has been missing for so long that still air is assumed.
+  FLIGHT_WIND_LOST = 2,
+  // A thrust is predicted by the model of the jet.
+  FLIGHT_THRUST_MODELLED = 4,
+  // Joint positions and velocities are predicted by the model.
+  FLIGHT_JOINTS_PREDICTED = 8,
+  // The base position is predicted by the model.
+  FLIGHT_POSITION_PREDICTED = 16,
+  // The base rotation is predicted by the model.
+  FLIGHT_ROTATION_PREDICTED = 32,
+  // The base velocity is predicted by the model, or follows the pose.
+  FLIGHT_VELOCITY_PREDICTED = 64,
+  // The foot wrenches are those that keep the feet at rest in the model.
+  FLIGHT_FEET_PREDICTED = 128,
+  // The time is the controller's own, because the clock is missing or has jumped.
+  FLIGHT_CLOCK_PREDICTED = 256,
+  // The robot levels and descends instead of following its mission.
+  FLIGHT_DESCENDING = 512,
+  // An engine does not reach its commanded thrust.
+  FLIGHT_ENGINE_LIMITED = 1024,
+  // The first measurements are outvoted: the flight begins again from those of this tick.
+  FLIGHT_BEGUN_AGAIN = 2048,
+  // A joint does not follow its torque.
+  FLIGHT_JOINT_LIMITED = 4096,
+  // The flight strays from its set-point.
+  FLIGHT_STRAYING = 16384,
+  // The residual of a policy, or a given one, is not finite and not used.
+  FLIGHT_RESIDUAL_IGNORED = 32768,
+  // Commands act later or earlier than the controller knows.
+  FLIGHT_LATE = 65536,
+} FlightMode;
+
 // Version of the library to which this header belongs: 10000 major + 100 minor + patch.
 #define FLIGHT_VERSION 100
 
@@ -55,42 +91,6 @@ typedef enum FlightStatus {
   // A replaced command contains a number that is not finite. Nothing changes.
   FLIGHT_BAD_COMMAND = -4,
 } FlightStatus;
-
-// Ways in which a tick differs from one with complete measurements; `flight_modes` is a sum of them.
-typedef enum FlightMode {
-  // The wind is the last measured one, held or fading.
-  FLIGHT_WIND_HELD = 1,
-  // The wind has been missing for so long that still air is assumed.
-  FLIGHT_WIND_LOST = 2,
-  // A thrust is predicted by the model of the jet.
-  FLIGHT_THRUST_MODELLED = 4,
-  // Joint positions and velocities are predicted by the model.
-  FLIGHT_JOINTS_PREDICTED = 8,
-  // The base position is predicted by the model.
-  FLIGHT_POSITION_PREDICTED = 16,
-  // The base rotation is predicted by the model.
-  FLIGHT_ROTATION_PREDICTED = 32,
-  // The base velocity is predicted by the model, or follows the pose.
-  FLIGHT_VELOCITY_PREDICTED = 64,
-  // The foot wrenches are those that keep the feet at rest in the model.
-  FLIGHT_FEET_PREDICTED = 128,
-  // The time is the controller's own, because the clock is missing or has jumped.
-  FLIGHT_CLOCK_PREDICTED = 256,
-  // The robot levels and descends instead of following its mission.
-  FLIGHT_DESCENDING = 512,
-  // An engine does not reach its commanded thrust.
-  FLIGHT_ENGINE_LIMITED = 1024,
-  // The first measurements are outvoted: the flight begins again from those of this tick.
-  FLIGHT_BEGUN_AGAIN = 2048,
-  // A joint does not follow its torque.
-  FLIGHT_JOINT_LIMITED = 4096,
-  // The flight strays from its set-point.
-  FLIGHT_STRAYING = 16384,
-  // The residual of a policy is not finite and not used.
-  FLIGHT_RESIDUAL_IGNORED = 32768,
-  // Commands act later or earlier than the controller knows.
-  FLIGHT_LATE = 65536,
-} FlightMode;
 
 // A controller with its flight, for one thread at a time; several threads may read it (functions that take a pointer
 // to const) while none changes it.
@@ -299,7 +299,8 @@ enum FlightStatus flight_start(struct FlightController *controller,
                                char *message,
                                size_t message_size);
 
-// Computes one tick, which follows the mission of the configuration, or `setpoint` unless it is null.
+// Computes one tick, which follows the mission of the configuration, or `setpoint` unless it is null. Allocates only where
+// `controller.qp` selects Clarabel.
 //
 // # Safety
 // The pointers are null or point to objects of their types; the arrays of `measurement` and `command` have the

@@ -1,19 +1,21 @@
 //! The controller for C and C++: create it from the simulated configuration, start it, tick it; and the simulated robot,
 //! for a loop that has no other yet.
 //!
-//! `include/flight.h` is generated from this file by cbindgen. Of the controller only `flight_controller_create`,
-//! `flight_controller_free` and `flight_start` allocate. A panic does not leave the library: the call returns
+//! `include/flight.h` is generated from this file by cbindgen. Of the controller `flight_controller_create`,
+//! `flight_controller_free` and `flight_start` allocate, and, where `controller.qp` selects Clarabel, its ticks. A panic does not leave the library: the call returns
 //! `FLIGHT_PANICKED`, and so does every later call for that controller or robot.
 
 // Exporting symbols and using C pointers is unsafe; each block states its assumptions.
 #![allow(unsafe_code, reason = "C has pointers")]
 
-use flight_core::control::law::between::JointMeasurement;
+use flight_core::control::between::JointMeasurement;
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::modes::Modes;
-use flight_core::control::{BadCommand, Command, CommandStatus, ControllerState, Given, Preview};
+use flight_core::control::{
+    BadCommand, Command, CommandStatus, ControllerState, Given, OwnedMeasurement, Preview,
+};
 use flight_core::spatial::Pose;
-use flight_core::{BuildError, Controller, Measurement, RobotState};
+use flight_core::{BuildError, Controller, Measurement};
 use flight_io::load_robot;
 use flight_sim::{Plant, Wind, load_scenario};
 use nalgebra::{Matrix3, Vector3, Vector6};
@@ -116,47 +118,9 @@ pub enum FlightStatus {
     FlightBadCommand = -4,
 }
 
-/// Ways in which a tick differs from one with complete measurements; `flight_modes` is a sum of them.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum FlightMode {
-    /// The wind is the last measured one, held or fading.
-    FlightWindHeld = 1,
-    /// The wind has been missing for so long that still air is assumed.
-    FlightWindLost = 2,
-    /// A thrust is predicted by the model of the jet.
-    FlightThrustModelled = 4,
-    /// Joint positions and velocities are predicted by the model.
-    FlightJointsPredicted = 8,
-    /// The base position is predicted by the model.
-    FlightPositionPredicted = 16,
-    /// The base rotation is predicted by the model.
-    FlightRotationPredicted = 32,
-    /// The base velocity is predicted by the model, or follows the pose.
-    FlightVelocityPredicted = 64,
-    /// The foot wrenches are those that keep the feet at rest in the model.
-    FlightFeetPredicted = 128,
-    /// The time is the controller's own, because the clock is missing or has jumped.
-    FlightClockPredicted = 256,
-    /// The robot levels and descends instead of following its mission.
-    FlightDescending = 512,
-    /// An engine does not reach its commanded thrust.
-    FlightEngineLimited = 1024,
-    /// The first measurements are outvoted: the flight begins again from those of this tick.
-    FlightBegunAgain = 2048,
-    /// A joint does not follow its torque.
-    FlightJointLimited = 4096,
-    /// The flight strays from its set-point.
-    FlightStraying = 16384,
-    /// The residual of a policy is not finite and not used.
-    FlightResidualIgnored = 32768,
-    /// Commands act later or earlier than the controller knows.
-    FlightLate = 65536,
-}
-
 /// Names of the modes, by bit.
 static MODE_NAMES: LazyLock<Vec<CString>> =
-    LazyLock::new(|| Modes::NAMES.iter().filter_map(|(_, name)| CString::new(*name).ok()).collect());
+    LazyLock::new(|| Modes::NAMES.iter().filter_map(|(_, name, _)| CString::new(*name).ok()).collect());
 
 /// Measurement of a tick.
 #[repr(C)]
@@ -253,9 +217,7 @@ pub struct FlightController {
     joint_names: Vec<CString>,
     jet_names: Vec<CString>,
     /// The measurement in the types of the crate.
-    robot_state: RobotState,
-    thrust: Vec<f64>,
-    foot_wrenches: Vec<Vector6<f64>>,
+    measured: OwnedMeasurement,
     /// The preview in the types of the crate.
     setpoints: Vec<(f64, Setpoint)>,
     winds: Vec<(f64, Vector3<f64>)>,
@@ -281,9 +243,7 @@ impl FlightController {
             torque_steps: scenario.controller.law.torque.steps,
             joint_names,
             jet_names,
-            robot_state: RobotState::zero(joints),
-            thrust: vec![0.0; controller.n_jets()],
-            foot_wrenches: vec![Vector6::zeros(); feet],
+            measured: OwnedMeasurement::zero(joints, controller.n_jets(), feet),
             setpoints: Vec::with_capacity(FLIGHT_PREVIEW_MAX),
             winds: Vec::with_capacity(FLIGHT_PREVIEW_MAX),
             has_panicked: false,
@@ -296,17 +256,17 @@ impl FlightController {
     /// # Safety
     /// The arrays of `given` have the documented lengths.
     unsafe fn read(&mut self, given: &FlightMeasurement) -> Result<(), &'static str> {
-        let joints = self.robot_state.n_joints();
+        let OwnedMeasurement { state, thrust, wind, foot_wrenches } = &mut self.measured;
+        let joints = state.n_joints();
         let arrays = [
             ("joint_position", given.joint_position, joints),
             ("joint_velocity", given.joint_velocity, joints),
-            ("thrust", given.thrust, self.thrust.len()),
+            ("thrust", given.thrust, thrust.len()),
         ];
         let missing = arrays.into_iter().find(|(_, pointer, length)| pointer.is_null() && *length > 0);
         if let Some((name, ..)) = missing {
             return Err(name);
         }
-        let state = &mut self.robot_state;
         state.base = Pose {
             rotation: Matrix3::from_row_slice(&given.base_rotation),
             position: Vector3::from(given.base_position),
@@ -318,12 +278,13 @@ impl FlightController {
         unsafe {
             copy_in(given.joint_position, state.joint_position.as_mut_slice());
             copy_in(given.joint_velocity, &mut velocity[6..]);
-            copy_in(given.thrust, &mut self.thrust);
+            copy_in(given.thrust, thrust);
         }
+        *wind = Vector3::from(given.wind);
         if given.foot_wrenches.is_null() {
-            self.foot_wrenches.fill(Vector6::zeros());
+            foot_wrenches.fill(Vector6::zeros());
         } else {
-            for (foot, wrench) in self.foot_wrenches.iter_mut().enumerate() {
+            for (foot, wrench) in foot_wrenches.iter_mut().enumerate() {
                 // SAFETY: six numbers per foot by this function's contract.
                 unsafe { copy_in(given.foot_wrenches.add(6 * foot), wrench.as_mut_slice()) };
             }
@@ -366,13 +327,7 @@ impl FlightController {
         &mut self,
         given: &FlightMeasurement,
     ) -> (&mut Controller, &mut Option<ControllerState>, Measurement<'_>, Preview<'_>) {
-        let measurement = Measurement {
-            time: given.time,
-            state: &self.robot_state,
-            thrust: &self.thrust,
-            wind: Vector3::from(given.wind),
-            foot_wrenches: &self.foot_wrenches,
-        };
+        let measurement = self.measured.at(given.time);
         let preview = Preview { setpoints: &self.setpoints, wind: &self.winds };
         (&mut self.controller, &mut self.flight, measurement, preview)
     }
@@ -580,7 +535,7 @@ pub extern "C" fn flight_status_name(status: c_int) -> *const c_char {
 /// Name of a `FlightMode`, such as `wind_held`; null for other numbers.
 #[unsafe(no_mangle)]
 pub extern "C" fn flight_mode_name(mode: u32) -> *const c_char {
-    let index = Modes::NAMES.iter().position(|(named, _)| named.bits() == mode);
+    let index = Modes::NAMES.iter().position(|(named, ..)| named.bits() == mode);
     index.and_then(|index| MODE_NAMES.get(index)).map_or(null(), |name| name.as_ptr())
 }
 
@@ -642,7 +597,7 @@ pub unsafe extern "C" fn flight_jet_count(controller: *const FlightController) -
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn flight_foot_count(controller: *const FlightController) -> usize {
     // SAFETY: by this function's contract.
-    unsafe { controller.as_ref() }.map_or(0, |controller| controller.foot_wrenches.len())
+    unsafe { controller.as_ref() }.map_or(0, |controller| controller.measured.foot_wrenches.len())
 }
 
 /// Name of a joint, valid as long as the controller exists; null beyond the last joint.
@@ -759,7 +714,8 @@ pub unsafe extern "C" fn flight_start(
     status
 }
 
-/// Computes one tick, which follows the mission of the configuration, or `setpoint` unless it is null.
+/// Computes one tick, which follows the mission of the configuration, or `setpoint` unless it is null. Allocates only where
+/// `controller.qp` selects Clarabel.
 ///
 /// # Safety
 /// The pointers are null or point to objects of their types; the arrays of `measurement` and `command` have the

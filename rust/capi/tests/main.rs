@@ -8,16 +8,16 @@ mod counting;
 
 use counting::{Counting, allocations};
 use flight::{
-    FLIGHT_VERSION, FlightCommand, FlightController, FlightHeader, FlightMeasurement, FlightMode,
-    FlightPreview, FlightRobot, FlightSetpoint, FlightStatus, flight_controller_create,
-    flight_controller_free, flight_foot_count, flight_jet_count, flight_jet_name, flight_joint_count,
-    flight_joint_name, flight_mode_name, flight_modes, flight_replace_command, flight_robot_advance,
+    FLIGHT_VERSION, FlightCommand, FlightController, FlightHeader, FlightMeasurement, FlightPreview,
+    FlightRobot, FlightSetpoint, FlightStatus, flight_controller_create, flight_controller_free,
+    flight_foot_count, flight_jet_count, flight_jet_name, flight_joint_count, flight_joint_name,
+    flight_mode_name, flight_modes, flight_replace_command, flight_robot_advance,
     flight_robot_advance_in_steps, flight_robot_create, flight_robot_free, flight_robot_measure,
     flight_start, flight_status_name, flight_throttle, flight_tick, flight_tick_ahead, flight_tick_torques,
     flight_time_step, flight_torque_steps, flight_version,
 };
 use flight_core::Measurement;
-use flight_core::control::law::between::JointMeasurement;
+use flight_core::control::between::JointMeasurement;
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::modes::Modes;
 use flight_core::control::{CommandStatus, Given, Preview};
@@ -181,7 +181,7 @@ fn fly_both(name: &str) {
             angular_velocity_b: near(4.0),
             angular_acceleration_b: near(5.0),
             angular_jerk_b: near(6.0),
-            ..Setpoint::hold(plant.kinematics().com + near(0.0) * 0.1, state.base.rotation)
+            ..Setpoint::at_rest(plant.kinematics().com + near(0.0) * 0.1, state.base.rotation)
         };
         let c_setpoint = FlightSetpoint {
             com_position: setpoint.com_position.into(),
@@ -199,7 +199,7 @@ fn fly_both(name: &str) {
         let mut status = FlightStatus::FlightNotStarted;
         let (expected, allocated) = if towards {
             let setpoints =
-                [(0.1, setpoint), (0.3, Setpoint::hold(setpoint.com_position, setpoint.rotation))];
+                [(0.1, setpoint), (0.3, Setpoint::at_rest(setpoint.com_position, setpoint.rotation))];
             let winds = [(0.0, wind), (0.2, wind * 1.2), (0.5, wind * 0.5)];
             let FlightSetpoint { com_position, rotation, .. } = c_setpoint;
             let held = FlightSetpoint { com_position, rotation, ..AT_REST };
@@ -336,7 +336,7 @@ fn what_cannot_be_used_is_refused() {
     assert_eq!(tick(&lacking), FlightStatus::FlightNullPointer);
     assert_eq!(start(&wrong).0, FlightStatus::FlightNotStarted);
     assert_eq!(tick(&wrong), FlightStatus::FlightDegraded);
-    assert_eq!(unsafe { flight_modes(c.0) }, FlightMode::FlightPositionPredicted as u32);
+    assert_eq!(unsafe { flight_modes(c.0) }, Modes::POSITION_PREDICTED.bits());
     assert_eq!(tick(&measurement), FlightStatus::FlightNominal);
     assert_eq!(unsafe { flight_modes(c.0) }, 0);
     assert_eq!(unsafe { flight_modes(null()) }, 0);
@@ -379,7 +379,7 @@ fn a_program_with_another_header_is_refused() {
 #[test]
 fn names_of_modes_and_statuses_are_those_of_the_crate() {
     let header = std::fs::read_to_string(Path::new(HERE).join("include/flight.h")).unwrap();
-    for (mode, name) in Modes::NAMES {
+    for (mode, name, _) in Modes::NAMES {
         let line = format!("  FLIGHT_{} = {},\n", name.to_uppercase(), mode.bits());
         assert!(header.contains(&line), "{line}");
         assert_eq!(text(flight_mode_name(mode.bits())).unwrap(), name);
@@ -468,11 +468,19 @@ fn a_flight_of_the_robot_in_c_is_that_of_the_crate() {
     }
 }
 
-/// `include/flight.h` is what cbindgen makes of the source; with `UPDATE=1` it is written.
+/// `include/flight.h` is what cbindgen makes of the source, with the modes of the crate; with `UPDATE=1` it is written.
 #[test]
 fn the_header_is_that_of_the_source() {
     let target = Path::new(HERE).join("include/flight.h");
-    let config = cbindgen::Config::from_file(Path::new(HERE).join("cbindgen.toml")).unwrap();
+    let mut config = cbindgen::Config::from_file(Path::new(HERE).join("cbindgen.toml")).unwrap();
+    let modes = Modes::NAMES.map(|(mode, name, meaning)| {
+        format!("  //{meaning}\n  FLIGHT_{} = {},\n", name.to_uppercase(), mode.bits())
+    });
+    config.after_includes = Some(format!(
+        "\n// Ways in which a tick differs from one with complete measurements; `flight_modes` is a sum of them.\n\
+         typedef enum FlightMode {{\n{}}} FlightMode;",
+        modes.concat()
+    ));
     let mut made = Vec::new();
     cbindgen::Builder::new()
         .with_src(Path::new(HERE).join("src/lib.rs"))
@@ -743,7 +751,7 @@ fn the_example_in_cpp_gives_the_command_of_the_crate() {
         foot_wrenches: &feet,
     };
     let mut flight = controller.start(&measurement).unwrap();
-    let setpoint = Setpoint::hold(Vector3::new(0.0, 0.0, 1.0), Matrix3::identity());
+    let setpoint = Setpoint::at_rest(Vector3::new(0.0, 0.0, 1.0), Matrix3::identity());
     let command = controller.tick_with(
         &mut flight,
         &measurement,

@@ -22,10 +22,13 @@
 //! configuration the same controller also stands on its feet: `u = (Ṫ, ḟ_c, ṡ)`, and torques and foot wrenches are
 //! determined together.
 
+pub mod between;
 pub mod command;
 pub mod config;
+pub mod greatest;
 pub mod guard;
 pub mod law;
+pub mod limits;
 pub mod measurement;
 pub mod modes;
 pub mod preview;
@@ -35,7 +38,7 @@ pub mod tick;
 
 pub use command::{BadCommand, Command, CommandStatus};
 pub use config::check_time_step;
-pub use measurement::{BadStart, Measurement, Reading, UsedMeasurement};
+pub use measurement::{BadStart, Measurement, OwnedMeasurement, Reading, UsedMeasurement};
 pub use modes::Modes;
 pub use preview::Preview;
 pub use state::ControllerState;

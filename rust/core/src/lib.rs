@@ -7,7 +7,7 @@
 //!
 //! Each arrow is one plain struct, computed once per tick and passed on. Modules, each using only those
 //! before it: [`error`] · [`spatial`] · [`linalg`] · [`robot`] · [`kinematics`] · [`subtree`] · [`dynamics`]
-//! · [`aero`] · [`jets`] · [`qp`] · [`control`].
+//! · [`aero`] · [`jets`] · [`qp`] · [`timing`] · [`control`].
 //!
 //! SI units and radians; vectors and Jacobians are in inertial axes unless a suffix states otherwise.
 
@@ -27,6 +27,7 @@ pub mod qp;
 pub mod robot;
 pub mod spatial;
 pub mod subtree;
+pub mod timing;
 
 pub use nalgebra;
 

@@ -5,7 +5,8 @@
 
 use crate::common::{Sample, assert_within, experiment, random_state, rng};
 use flight_core::Reading;
-use flight_core::control::guard::channels::{Channels, ChannelsConfig, ChannelsState, Jumps, greatest};
+use flight_core::control::greatest;
+use flight_core::control::guard::channels::{Channels, ChannelsConfig, ChannelsState, Jumps};
 use flight_core::control::{Modes, UsedMeasurement};
 use flight_core::jets::JetDynamics;
 use flight_core::robot::RobotModel;

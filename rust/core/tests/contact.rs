@@ -124,7 +124,7 @@ fn tick_with_load(
     let mut kinematics = Kinematics::new(running.model());
     kinematics.update(running.model(), state);
     let com = kinematics.com + Vector3::new(0.0, 0.0, climb);
-    let setpoint = Setpoint::hold(com, state.base.rotation);
+    let setpoint = Setpoint::at_rest(com, state.base.rotation);
     let measured = Measurement { time, thrust: &QUARTER, ..measurement(state, Vector3::zeros(), feet) };
     running.tick_towards(&measured, &setpoint);
 }
@@ -638,7 +638,7 @@ fn a_robot_on_its_way_down_does_not_take_off() {
         tremble(&mut state);
         let (time, feet) = (f64::from(tick) * TIME_STEP, weight_on_both());
         let measured = Measurement { time, thrust: &QUARTER, ..measurement(&state, Vector3::zeros(), &feet) };
-        let setpoint = Setpoint::hold(Vector3::new(0.0, 0.0, 1.1), state.base.rotation);
+        let setpoint = Setpoint::at_rest(Vector3::new(0.0, 0.0, 1.1), state.base.rotation);
         let command = running.tick_towards(&measured, &setpoint);
         let is_descending = command.modes.contains(Modes::DESCENDING);
         assert_eq!(running.terms().contact.takes_off, !is_descending, "tick {tick}");

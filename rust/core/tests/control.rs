@@ -125,7 +125,7 @@ fn bad_measurements_hold_the_last_torques() {
         assert_eq!(command.thrust_rate.amax(), 0.0, "{what}");
         assert_eq!(command.joint_velocity.amax(), 0.0, "{what}");
         assert_eq!(command.joint_torque, torque, "{what}");
-        for answer in [command.momentum_qp, command.torque_qp] {
+        for answer in [command.rates_qp, command.torque_qp] {
             assert_eq!(answer.status, QpStatus::NonFinite);
             assert!(answer.kkt.is_nan() && answer.iterations == 0);
         }
@@ -270,7 +270,7 @@ fn what_is_no_rotation_or_time_is_predicted() {
     let command = controller.tick_towards(&good.measurement(), &setpoint);
     assert_eq!(command.status, CommandStatus::BadSetpoint);
     // Finite, but its filter would overflow, and for good.
-    let mut setpoint = Setpoint::hold(setpoint.com_position, good.state.base.rotation);
+    let mut setpoint = Setpoint::at_rest(setpoint.com_position, good.state.base.rotation);
     for (speed, status) in [(1e308, CommandStatus::BadSetpoint), (0.1, CommandStatus::Nominal)] {
         setpoint.angular_velocity_b.z = speed;
         assert_eq!(controller.tick_towards(&good.measurement(), &setpoint).status, status, "{speed} rad/s");
@@ -317,7 +317,7 @@ fn on_the_way_down_no_set_point_is_followed() {
     let good = Sample::start(&config);
     let mut controller = controller(&config);
     good.tick(&mut controller);
-    let given = Setpoint::hold(controller.terms().setpoint.com_position, good.state.base.rotation);
+    let given = Setpoint::at_rest(controller.terms().setpoint.com_position, good.state.base.rotation);
     let after = config.controller.law.channels.descend_after;
     let mut lost = good.clone();
     lost.state.base.position.fill(f64::NAN);
@@ -479,7 +479,7 @@ fn a_controller_that_pauses_flies_on() {
         let mut world = Loop::new(&config);
         world.run(1.0, |_| Vector3::zeros());
         world.advance(&Vector3::zeros());
-        let start = Setpoint::hold(world.controller.terms().setpoint.com_position, Matrix3::identity());
+        let start = Setpoint::at_rest(world.controller.terms().setpoint.com_position, Matrix3::identity());
         let (mut height, mut modes) = ([0.0_f64; 3], Vec::new());
         for tick in 0..300 {
             // Up, with a jerk that is 6 m/s³ for 0.4 s, −6 m/s³ for 0.8 s and 6 m/s³ for 0.4 s.
@@ -682,7 +682,7 @@ fn without_a_momentum_answer_nothing_moves() {
         assert!(sample.state.joint_position[knee] > 0.0, "beyond its limit");
         let command = sample.tick(&mut controller).clone();
         assert_eq!(command.status, CommandStatus::MomentumHeld);
-        assert_eq!(command.momentum_qp.status, QpStatus::NonFinite);
+        assert_eq!(command.rates_qp.status, QpStatus::NonFinite);
         assert_eq!(command.thrust_rate.amax(), 0.0);
         let upper = controller.terms().momentum_qp.problem.upper[4 + knee];
         assert!(upper < 0.0, "beyond its limit a joint must come back");
@@ -712,14 +712,14 @@ fn a_singular_momentum_qp_is_said_to_be_one() {
     let (held, asked) = (tick(Fallback::Hold), tick(Fallback::Clarabel));
     for command in [&held, &asked] {
         assert_eq!(command.status, CommandStatus::MomentumHeld);
-        assert_eq!(command.momentum_qp.status, QpStatus::NotPositiveDefinite);
+        assert_eq!(command.rates_qp.status, QpStatus::NotPositiveDefinite);
         assert_eq!(command.torque_qp.status, QpStatus::Solved);
         assert_eq!(command.thrust_rate.amax(), 0.0);
     }
     // The answer is that of the last method; both refuse before their first iteration.
     for command in [held, asked] {
-        assert_eq!(command.momentum_qp.iterations, 0);
-        assert!(command.momentum_qp.kkt.is_nan());
+        assert_eq!(command.rates_qp.iterations, 0);
+        assert!(command.rates_qp.kkt.is_nan());
     }
 }
 

@@ -7,7 +7,7 @@ use crate::common::{assert_within, experiment};
 use flight_core::control::guard::engines::{
     DescentConfig, EngineSample, EngineState, Engines, EnginesConfig, explains,
 };
-use flight_core::control::law::limits::Limits;
+use flight_core::control::limits::Limits;
 use flight_core::jets::{EngineDynamics, JetDynamics, ThrustRateController};
 use flight_core::robot::JointKind;
 use flight_io::load_robot;

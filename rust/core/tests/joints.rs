@@ -4,8 +4,8 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::assert_within;
-use flight_core::control::guard::joints::{JointsConfig, JointsState, Sample};
-use flight_core::control::law::limits::JointCondition::{self, Free, Healthy, Stuck, Weak};
+use flight_core::control::guard::joints::{JointSample, JointsConfig, JointsState};
+use flight_core::control::limits::JointCondition::{self, Free, Healthy, Stuck, Weak};
 use nalgebra::DVector;
 
 const STEP: f64 = 0.01;
@@ -49,7 +49,7 @@ impl Robot {
         self.state.measure(&self.position, true, STEP);
         let residual = DVector::from_iterator(9, base.into_iter().chain(unexplained.iter().copied()));
         let (torque, stops) = (&self.torque, &self.stops[..]);
-        self.state.judge(&CONFIG, &Sample { dt: STEP, residual: &residual, torque, stops });
+        self.state.update(&CONFIG, &JointSample { dt: STEP, residual: &residual, torque, stops });
         self.state.command(&DVector::from_column_slice(commanded), STEP);
     }
 
@@ -220,7 +220,7 @@ fn a_joint_that_leaves_its_stop_is_not_stuck() {
 fn nothing_is_judged_without_measurements() {
     let mut robot = Robot::settled();
     for _ in 0..100 {
-        robot.state.hold();
+        robot.state.interrupt();
     }
     assert_eq!(robot.found(), [Healthy; 3]);
     for _ in 0..20 {
@@ -231,7 +231,7 @@ fn nothing_is_judged_without_measurements() {
     }
     let found = robot.found();
     assert_ne!(found[0], Healthy);
-    robot.state.hold();
+    robot.state.interrupt();
     robot.state.begin_again(&robot.position);
     assert_eq!(robot.found(), found);
 }

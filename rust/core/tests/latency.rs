@@ -5,7 +5,9 @@
 
 use crate::common::assert_within;
 use flight_core::control::guard::estimator::EstimatorConfig;
-use flight_core::control::guard::latency::{LatencyMonitor, LatencyMonitorConfig, LatencyState, Sample};
+use flight_core::control::guard::latency::{
+    LatencyMonitor, LatencyMonitorConfig, LatencySample, LatencyState,
+};
 use nalgebra::{DMatrix, DVector};
 
 const STEP: f64 = 0.01;
@@ -71,7 +73,7 @@ impl Robot {
         let last = self.tick - 1;
         let acceleration = free(f64::from(last) + self.lead) + &self.gain * torque(last);
         let (torques, rates) = (torque(last), rate(last));
-        let sample = Sample {
+        let sample = LatencySample {
             acceleration: acceleration.as_slice(),
             gain: &self.gain,
             torque: &torques,

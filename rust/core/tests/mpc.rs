@@ -695,7 +695,7 @@ fn the_law_plans_every_period() {
         };
         let command = controller.tick(&sample.measurement());
         assert!(matches!(command.status, CommandStatus::Nominal | CommandStatus::Degraded));
-        answers.push(command.momentum_qp.kkt);
+        answers.push(command.rates_qp.kkt);
     }
     assert!(answers[0] == answers[1] && answers[1] == answers[2] && answers[2] != answers[3]);
     assert!(answers[3] == answers[5] && answers[5] != answers[6]);

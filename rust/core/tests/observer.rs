@@ -5,7 +5,7 @@
 
 use crate::common::{Running, TIME_STEP, assert_within, experiment};
 use flight_core::control::CommandStatus;
-use flight_core::control::guard::observer::{ObserverConfig, ObserverState, Sample};
+use flight_core::control::guard::observer::{MomentumSample, ObserverConfig, ObserverState};
 use flight_core::dynamics::Dynamics;
 use flight_core::kinematics::Kinematics;
 use flight_core::spatial::exp_so3;
@@ -24,11 +24,11 @@ const WIDE: ObserverConfig =
     ObserverConfig { gain_force: 2.0, gain_moment: 5.0, force_max: 600.0, moment_max: 100.0 };
 
 /// A momentum under a constant modelled rate and a constant wrench that the model does not know.
-fn at(time: f64) -> Sample {
-    Sample { momentum: MOMENTUM + (RATE + WRENCH) * time, rate: RATE }
+fn at(time: f64) -> MomentumSample {
+    MomentumSample { momentum: MOMENTUM + (RATE + WRENCH) * time, rate: RATE }
 }
 
-fn update(state: &mut ObserverState, sample: Sample) -> Vector6<f64> {
+fn update(state: &mut ObserverState, sample: MomentumSample) -> Vector6<f64> {
     state.update(&WIDE, TIME_STEP, sample)
 }
 
@@ -60,10 +60,10 @@ fn the_rate_that_acted_is_subtracted() {
     let mut momentum = MOMENTUM;
     for tick in 0..100 {
         let rate = RATE * f64::from(tick % 7);
-        update(&mut state, Sample { momentum, rate });
+        update(&mut state, MomentumSample { momentum, rate });
         momentum += rate * TIME_STEP;
     }
-    assert_within!(state.hold().amax(), 1e-12);
+    assert_within!(state.interrupt().amax(), 1e-12);
 }
 
 /// Each axis stops at its own limit, on both sides, and comes back at once.
@@ -74,14 +74,14 @@ fn the_estimate_stays_within_its_limits() {
     for sign in [1.0, -1.0] {
         let (mut state, mut momentum, mut found) = (ObserverState::default(), MOMENTUM, Vector6::zeros());
         for _ in 0..1000 {
-            let sample = Sample { momentum, rate: RATE };
+            let sample = MomentumSample { momentum, rate: RATE };
             found = state.update(&config, TIME_STEP, sample);
             momentum += (RATE + WRENCH * sign) * TIME_STEP;
         }
         let expected = (WRENCH * sign).zip_map(&limits, |x, limit| x.clamp(-limit, limit));
         assert_within!((found - expected).amax(), 1e-6, "10 s are 20 time constants");
         momentum -= WRENCH * sign * TIME_STEP;
-        let back = state.update(&config, TIME_STEP, Sample { momentum, rate: RATE });
+        let back = state.update(&config, TIME_STEP, MomentumSample { momentum, rate: RATE });
         assert!(back.iter().zip(&found).all(|(back, found)| back.abs() < found.abs()), "{back}");
     }
 }
@@ -101,11 +101,11 @@ fn missing_measurements_are_bridged_or_held() {
     update(&mut state, at(1.0));
     let before = update(&mut state, at(1.01));
     assert!(before.amax() > 1.0);
-    assert_eq!(state.hold(), before);
+    assert_eq!(state.interrupt(), before);
     // What happened meanwhile would be a wrench of any size.
-    let sample = Sample { momentum: MOMENTUM * 1e3, ..at(1.02) };
+    let sample = MomentumSample { momentum: MOMENTUM * 1e3, ..at(1.02) };
     assert_eq!(update(&mut state, sample), before);
-    let next = Sample { momentum: MOMENTUM * 1e3 + RATE * TIME_STEP, rate: RATE };
+    let next = MomentumSample { momentum: MOMENTUM * 1e3 + RATE * TIME_STEP, rate: RATE };
     let decayed = WRENCH - law(&WRENCH, TIME_STEP);
     let expected = before.component_mul(&decayed.component_div(&WRENCH));
     assert_within!((update(&mut state, next) - expected).amax(), 1e-9);
@@ -123,7 +123,7 @@ fn the_residual_follows_what_is_found_beside_the_estimate() {
         // As for the estimate: momenta of 100 N s over a step.
         assert_within!(error.amax(), 1e-11, "tick {tick}");
     }
-    state.hold();
+    state.interrupt();
     assert_eq!(state.residual, Vector6::zeros());
 }
 
@@ -134,7 +134,7 @@ fn an_overflow_is_not_observed() {
     update(&mut state, at(0.0));
     let before = update(&mut state, at(0.01));
     for momentum in [f64::MAX, f64::INFINITY, f64::NAN] {
-        let sample = Sample { momentum: Vector6::repeat(momentum), ..at(0.02) };
+        let sample = MomentumSample { momentum: Vector6::repeat(momentum), ..at(0.02) };
         assert_eq!(update(&mut state, sample), before);
     }
     let after = update(&mut state, at(0.03));

@@ -583,7 +583,7 @@ fn a_preview_is_interpolated_between_its_samples() {
             com_acceleration: jerk * a,
             com_jerk: jerk,
             angular_velocity_b: spin,
-            ..Setpoint::hold(jerk * (c / 6.0), exp_so3(&(spin * time)))
+            ..Setpoint::at_rest(jerk * (c / 6.0), exp_so3(&(spin * time)))
         }
     };
     let setpoints = [(0.1, at(0.1)), (0.5, at(0.5))];
@@ -636,7 +636,7 @@ fn what_was_given_goes_on_braking() {
         rotation: rotation_from_rpy(&Vector3::new(0.0, 0.0, PI)),
         angular_velocity_b: Vector3::zeros(),
     };
-    generator.follow(&mut state, &given);
+    generator.take_motion(&mut state, &given);
     for tick in 1..300 {
         let smooth = generator.stop(&mut state);
         let time = f64::from(tick) * TIME_STEP;
@@ -658,7 +658,7 @@ fn what_was_given_comes_to_rest_ahead() {
         rotation: rotation_from_rpy(&Vector3::new(0.0, 0.0, PI)),
         angular_velocity_b: zero,
     };
-    generator.follow(&mut state, &given);
+    generator.take_motion(&mut state, &given);
     let mut last = velocity;
     for tick in 0..1000 {
         let smooth = generator.stop(&mut state);
@@ -677,7 +677,7 @@ fn a_set_point_no_robot_can_be_at_is_none() {
     let limits = [1e6, 300.0, 300.0, 1e6, 100.0, 1e6, 1e6];
     for (place, limit) in limits.into_iter().enumerate() {
         for (number, is_valid) in [(limit, true), (-1.001 * limit, false), (f64::NAN, false)] {
-            let mut setpoint = Setpoint::hold(Vector3::zeros(), Matrix3::identity());
+            let mut setpoint = Setpoint::at_rest(Vector3::zeros(), Matrix3::identity());
             let vectors = [
                 &mut setpoint.com_position,
                 &mut setpoint.com_velocity,
@@ -691,6 +691,6 @@ fn a_set_point_no_robot_can_be_at_is_none() {
             assert_eq!(setpoint.is_valid(), is_valid, "{number} at {place}");
         }
     }
-    let turned = Setpoint::hold(Vector3::zeros(), Matrix3::identity() * 1.1);
+    let turned = Setpoint::at_rest(Vector3::zeros(), Matrix3::identity() * 1.1);
     assert!(!turned.is_valid());
 }

@@ -33,7 +33,7 @@ fn moving_setpoint(rng: &mut ChaCha8Rng) -> Setpoint {
         angular_velocity_b: random_vector(rng, 1.0),
         angular_acceleration_b: random_vector(rng, 1.0),
         angular_jerk_b: random_vector(rng, 1.0),
-        ..Setpoint::hold(random_vector(rng, 1.0), exp_so3(&random_vector(rng, 1.0)))
+        ..Setpoint::at_rest(random_vector(rng, 1.0), exp_so3(&random_vector(rng, 1.0)))
     }
 }
 
@@ -375,7 +375,7 @@ fn a_task_of_ones_own_does_what_it_asks() {
         let mut controller = Running::new(controller);
         let measurement =
             Measurement { time: 0.0, state: &start, thrust, wind: Vector3::zeros(), foot_wrenches: &[] };
-        assert_eq!(controller.tick(&measurement).momentum_qp.status, QpStatus::Solved);
+        assert_eq!(controller.tick(&measurement).rates_qp.status, QpStatus::Solved);
         let command = controller.command();
         let u: Vec<f64> = command.thrust_rate.iter().chain(&command.joint_velocity).copied().collect();
         (DVector::from_vec(u), controller.terms().momentum_qp.problem.clone())

@@ -5,7 +5,7 @@
 use crate::common::{Loop, assert_within, difference, experiment};
 use flight_core::aero::{LinkConventions, LinkForces};
 use flight_core::control::Terms;
-use flight_core::control::guard::observer::{ObserverConfig, ObserverState, Sample};
+use flight_core::control::guard::observer::{MomentumSample, ObserverConfig, ObserverState};
 use flight_core::control::guard::wind_observer::{
     FORCE_NOISE, FORCE_STD, GAIN, MOMENT_ARM, RELATIVE_STD, VERTICAL_STD, VERTICAL_TIME, WALK,
     WindObserverConfig, WindState,
@@ -110,7 +110,7 @@ fn each_tick_is_the_equations_of_the_filter() {
         let mut rate = &terms.momentum.a_t * DVector::from_column_slice(thrust);
         rate[2] -= terms.kinematics.mass() * robot.gravity;
         let rate = rate.fixed_rows::<6>(0).into_owned();
-        let observed = acting.update(&wide, STEP, Sample { momentum: terms.dynamics.momentum, rate });
+        let observed = acting.update(&wide, STEP, MomentumSample { momentum: terms.dynamics.momentum, rate });
         wind = a * wind;
         let (force, moment) = wrench_in(&terms.kinematics, wind);
         let h = Matrix3::from_columns(&[0, 1, 2].map(|axis| {

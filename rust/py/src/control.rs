@@ -7,15 +7,14 @@ use crate::arrays::{
 use crate::flight::parse;
 use crate::qp::answer;
 use crate::robot::{StateInput, measured_state, rotation as checked_rotation, state_arrays};
-use flight_core::control::law::between::JointMeasurement;
+use flight_core::control::between::JointMeasurement;
 use flight_core::control::law::contact::ContactState;
 use flight_core::control::law::mpc::horizon::{Horizon, Target};
 use flight_core::control::law::mpc::model::Linearised;
 use flight_core::control::law::residual::Residual;
 use flight_core::control::law::setpoint::{Setpoint, SetpointGenerator};
 use flight_core::control::law::tasks::MOMENTUM_ROWS;
-use flight_core::control::{ControllerState as State, Estimates, Given, Preview, Terms};
-use flight_core::{Measurement, RobotState};
+use flight_core::control::{ControllerState as State, Estimates, Given, OwnedMeasurement, Preview, Terms};
 use flight_io::{load_aero, load_mission, load_robot};
 use nalgebra::{DVector, Vector3, Vector6};
 use pyo3::exceptions::{PyKeyError, PyValueError};
@@ -76,27 +75,6 @@ impl ControllerState {
     }
 }
 
-/// An owned measurement from Python.
-struct OwnedMeasurement {
-    time: f64,
-    state: RobotState,
-    thrust: Vec<f64>,
-    wind: Vector3<f64>,
-    foot_wrenches: Vec<Vector6<f64>>,
-}
-
-impl OwnedMeasurement {
-    fn measurement(&self) -> Measurement<'_> {
-        Measurement {
-            time: self.time,
-            state: &self.state,
-            thrust: &self.thrust,
-            wind: self.wind,
-            foot_wrenches: &self.foot_wrenches,
-        }
-    }
-}
-
 #[pymethods]
 impl Controller {
     #[new]
@@ -128,8 +106,8 @@ impl Controller {
         wind: Input<'_>,
         foot_wrenches: Option<Input<'_>>,
     ) -> PyResult<()> {
-        let measured = self.read_measurement(time, &state, &thrust, &wind, foot_wrenches)?;
-        self.state = Some(self.controller.start(&measured.measurement()).map_err(plain_error)?);
+        let measured = self.read_measurement(&state, &thrust, &wind, foot_wrenches)?;
+        self.state = Some(self.controller.start(&measured.at(time)).map_err(plain_error)?);
         Ok(())
     }
 
@@ -166,8 +144,8 @@ impl Controller {
         let winds: Vec<_> =
             winds.chunks_exact(4).map(|row| (row[0], Vector3::from_column_slice(&row[1..]))).collect();
         let preview = Preview { setpoints: &setpoints, wind: &winds };
-        let measured = self.read_measurement(time, &state, &thrust, &wind, foot_wrenches)?;
-        let measurement = measured.measurement();
+        let measured = self.read_measurement(&state, &thrust, &wind, foot_wrenches)?;
+        let measurement = measured.at(time);
         let state = match &mut self.state {
             Some(state) => state,
             none => none.insert(self.controller.start(&measurement).map_err(plain_error)?),
@@ -283,14 +261,12 @@ impl Controller {
     /// Builds a measurement from arrays.
     fn read_measurement(
         &self,
-        time: f64,
         state: &StateInput<'_>,
         thrust: &Input<'_>,
         wind: &Input<'_>,
         foot_wrenches: Option<Input<'_>>,
     ) -> PyResult<OwnedMeasurement> {
         Ok(OwnedMeasurement {
-            time,
             state: measured_state(self.controller.model().joints.len(), state)?,
             thrust: entries("thrust", thrust, &[self.controller.n_jets()])?,
             wind: vector3("wind", wind)?,
@@ -349,7 +325,7 @@ pub fn tick_dict<'py>(
     out.set_item("thrust_rate", vector(py, command.thrust_rate.as_slice())?)?;
     out.set_item("throttle", vector(py, command.throttle.as_slice())?)?;
     out.set_item("joint_velocity_command", vector(py, command.joint_velocity.as_slice())?)?;
-    out.set_item("momentum_qp", answer(py, &command.momentum_qp)?)?;
+    out.set_item("momentum_qp", answer(py, &command.rates_qp)?)?;
     out.set_item("residual", vector(py, terms.residual.as_slice())?)?;
 
     out.set_item("joint_acceleration_desired", vector(py, terms.torque_qp.acceleration_desired.as_slice())?)?;

@@ -1,6 +1,8 @@
 //! Configurations and whole flights.
 
-use crate::arrays::{Input, Output, array, entries, finite_entries, plain_error, value_error, vector, vectors};
+use crate::arrays::{
+    Input, Output, array, entries, finite_entries, plain_error, value_error, vector, vectors,
+};
 use flight_core::BuildError;
 use flight_io::{
     AeroConfig, ControllerSection, NetworkConfig, PolicyConfig, RobotFiles, Schema, from_json, load,

@@ -11,7 +11,7 @@ pub mod wind_estimate;
 pub use jet_faults::{FailureKind, JetFailure, JetFaults, JetFaultsConfig, MeasurementNoise};
 pub use joint_faults::{JointFault, JointFaultKind, JointFaults};
 pub use model_error::ModelError;
-pub use outages::{Outage, OutageChannel, OutageKind, Outages, Sample};
+pub use outages::{Outage, OutageChannel, OutageKind, Outages};
 pub use pushes::{Push, Pushes};
 pub use wind_estimate::{WindEstimateConfig, WindEstimator};
 

@@ -13,7 +13,6 @@
 //! This is the published order of execution with its unit delays written out: the published physics block is first in a
 //! tick and uses the outputs of the tick before. Equation M77 of `docs/model`.
 
-use crate::disturbances::Sample;
 use crate::log::{FlightLog, Series};
 use crate::outcome::{FlightResult, Judge, Loss, LossReason, Outcome};
 use crate::plant::Plant;
@@ -24,7 +23,9 @@ use crate::wind::Wind;
 use crate::world::Seen;
 use flight_core::control::law::residual::Residual;
 use flight_core::control::law::setpoint::Setpoint;
-use flight_core::control::{BadCommand, BadStart, Controller, ControllerState, Given, Measurement, Modes};
+use flight_core::control::{
+    BadCommand, BadStart, Controller, ControllerState, Given, Measurement, Modes, OwnedMeasurement,
+};
 use flight_core::error::BuildError;
 use flight_core::robot::RobotModel;
 use nalgebra::Vector3;
@@ -201,7 +202,7 @@ impl Flight {
     /// Starts the controller with its first measurement.
     fn start(&mut self) -> Result<(), BadStart> {
         if self.state.is_none() {
-            let measurement = self.scenario.measuring.sample().measurement(self.time());
+            let measurement = self.scenario.measuring.sample().at(self.time());
             self.state = Some(self.scenario.controller.start(&measurement)?);
         }
         Ok(())
@@ -230,7 +231,7 @@ impl Flight {
         let Scenario { plant, controller, measuring, judge, .. } = &self.scenario;
         let (terms, command) = (controller.terms(), controller.command());
         let errors = TrackingErrors::new(plant, &terms.setpoint);
-        let measurement = measuring.sample().measurement(self.time());
+        let measurement = measuring.sample().at(self.time());
         let tick = TickRow { measurement, terms, command, contact: state.contact(), feet: &self.feet };
         self.log.push(&tick, Some(&WorldRow { wind: self.air, plant, errors, seen: self.seen.as_ref() }));
         judge.loss(plant, &self.air, &errors)
@@ -292,11 +293,11 @@ impl Flight {
     /// What the controller is given in the next tick.
     pub fn measurement(&mut self) -> Measurement<'_> {
         self.measure();
-        self.scenario.measuring.sample().measurement(self.time())
+        self.scenario.measuring.sample().at(self.time())
     }
 
     /// The same, to be changed.
-    pub fn sample_mut(&mut self) -> &mut Sample {
+    pub fn sample_mut(&mut self) -> &mut OwnedMeasurement {
         self.measure();
         self.scenario.measuring.sample_mut()
     }

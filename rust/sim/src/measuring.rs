@@ -6,11 +6,11 @@
 //! ```
 
 use crate::config::ScenarioConfig;
-use crate::disturbances::{Outages, Sample, WindEstimator};
+use crate::disturbances::{Outages, WindEstimator};
 use crate::sensors::Sensors;
 use crate::wind::Wind;
-use flight_core::control::law::between::JointMeasurement;
-use flight_core::control::{Measurement, Preview};
+use flight_core::control::between::JointMeasurement;
+use flight_core::control::{Measurement, OwnedMeasurement, Preview};
 use flight_core::error::BuildError;
 use flight_core::kinematics::RobotState;
 use flight_core::robot::RobotModel;
@@ -27,7 +27,7 @@ pub struct Measuring {
     wind_estimator: Option<WindEstimator>,
     outages: Outages,
     /// Measurement of the tick.
-    sample: Sample,
+    sample: OwnedMeasurement,
 }
 
 impl Measuring {
@@ -59,12 +59,7 @@ impl Measuring {
             wind_estimator: disturbances.wind_estimate.as_ref().map(estimator).transpose()?,
             controller_wind,
             outages: Outages::new(&disturbances.outages, &robot.jets)?,
-            sample: Sample {
-                state: RobotState::zero(joints),
-                thrust: vec![0.0; jets],
-                wind: Vector3::zeros(),
-                foot_wrenches: vec![Vector6::zeros(); feet],
-            },
+            sample: OwnedMeasurement::zero(joints, jets, feet),
         })
     }
 
@@ -107,17 +102,17 @@ impl Measuring {
     /// The measurement of the tick at `time` \[s\], with what is known of the wind ahead.
     pub fn look_ahead(&mut self, time: f64, wind: &Wind) -> (Measurement<'_>, Preview<'_>) {
         let ahead = self.sensors.as_mut().map_or(&[][..], |sensors| sensors.look_ahead(wind, time));
-        (self.sample.measurement(time), Preview { wind: ahead, ..Preview::default() })
+        (self.sample.at(time), Preview { wind: ahead, ..Preview::default() })
     }
 
     /// The measurement of the tick.
     #[must_use]
-    pub fn sample(&self) -> &Sample {
+    pub fn sample(&self) -> &OwnedMeasurement {
         &self.sample
     }
 
     /// The same, to be changed.
-    pub fn sample_mut(&mut self) -> &mut Sample {
+    pub fn sample_mut(&mut self) -> &mut OwnedMeasurement {
         &mut self.sample
     }
 }

@@ -11,6 +11,7 @@
 
 use flight_core::error::{BuildError, Table, place_of};
 use flight_core::robot::RobotModel;
+use flight_core::timing::share;
 use nalgebra::{DMatrix, DVector};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -145,11 +146,7 @@ impl Motors {
 
     /// `τ_a` after `step` \[s\] in which these torques are commanded \[N m\].
     pub fn lag(&mut self, command: &[f64], step: f64) -> &[f64] {
-        let share = if self.config.time_constant > 0.0 && self.is_commanded {
-            -libm::expm1(-step / self.config.time_constant)
-        } else {
-            1.0
-        };
+        let share = if self.is_commanded { share(step / self.config.time_constant) } else { 1.0 };
         for (torque, command) in self.torque.iter_mut().zip(command) {
             *torque += share * (command - *torque);
         }

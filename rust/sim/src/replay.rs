@@ -5,7 +5,7 @@ use crate::log::FlightLog;
 use crate::sensors::Sensors;
 use crate::signals::{TickRow, feet_of};
 use crate::wind::Wind;
-use flight_core::control::law::between::JointMeasurement;
+use flight_core::control::between::JointMeasurement;
 use flight_core::control::{Given, Measurement, Preview};
 use flight_core::error::BuildError;
 use flight_core::kinematics::RobotState;

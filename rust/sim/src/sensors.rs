@@ -13,6 +13,7 @@ use flight_core::Reading;
 use flight_core::error::{BuildError, Table};
 use flight_core::kinematics::RobotState;
 use flight_core::spatial::exp_so3;
+use flight_core::timing::share;
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -244,7 +245,7 @@ impl Sensors {
         Ok(Self {
             config: config.clone(),
             time_step,
-            share: if time_constant > 0.0 { -libm::expm1(-time_step / time_constant) } else { 1.0 },
+            share: share(time_step / time_constant),
             noise: Noise::new(config.seed, STREAM),
             line: vec![nothing.clone(); oldest + 1],
             now: 0,

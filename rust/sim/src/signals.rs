@@ -111,7 +111,7 @@ impl TickRow<'_> {
 
     /// Answers of momentum QP and torque QP.
     fn qps(&self) -> [&QpAnswer; 2] {
-        [&self.command.momentum_qp, &self.command.torque_qp]
+        [&self.command.rates_qp, &self.command.torque_qp]
     }
 }
 

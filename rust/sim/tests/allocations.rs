@@ -69,7 +69,7 @@ fn assert_no_allocations(
             in_ticks += of_this_tick;
         }
         let command = flight.controller.command();
-        active = active.max(command.momentum_qp.active).max(command.torque_qp.active);
+        active = active.max(command.rates_qp.active).max(command.torque_qp.active);
         nominal &= command.status == CommandStatus::Nominal;
         let (torque, rate) = (command.joint_torque.as_slice(), command.thrust_rate.as_slice());
         in_plant += allocations(|| flight.plant.advance(torque, rate, &blow, 0.01));

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 
 use crate::common::{assert_says, experiment, outage};
-use flight_core::control::law::between::JointMeasurement;
+use flight_core::control::between::JointMeasurement;
 use flight_core::{Measurement, RobotState};
 use flight_io::load_robot;
 use flight_sim::disturbances::{OutageChannel, OutageKind};

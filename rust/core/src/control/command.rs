@@ -97,8 +97,8 @@ pub struct Command {
     pub joint_velocity: DVector<f64>,
     /// Joint torques after the rate limiter \[N m\].
     pub joint_torque: DVector<f64>,
-    /// Answer of the momentum QP.
-    pub momentum_qp: QpAnswer,
+    /// Answer of the QP that decides thrust rates and joint velocities: that of the plan, or the momentum QP.
+    pub rates_qp: QpAnswer,
     /// Answer of the torque QP.
     pub torque_qp: QpAnswer,
     /// Whether this is the command of the control law.
@@ -110,13 +110,13 @@ pub struct Command {
 impl Command {
     /// The command of a robot with these numbers of jets and joints before its first tick: nothing moves.
     #[must_use]
-    pub fn hold(jets: usize, joints: usize) -> Self {
+    pub fn zero(jets: usize, joints: usize) -> Self {
         Self {
             thrust_rate: DVector::zeros(jets),
             throttle: DVector::zeros(jets),
             joint_velocity: DVector::zeros(joints),
             joint_torque: DVector::zeros(joints),
-            momentum_qp: QpAnswer::from_status(QpStatus::NonFinite),
+            rates_qp: QpAnswer::from_status(QpStatus::NonFinite),
             torque_qp: QpAnswer::from_status(QpStatus::NonFinite),
             status: CommandStatus::Nominal,
             modes: Modes::default(),
@@ -135,7 +135,7 @@ impl Command {
     pub(super) fn set_hold(&mut self, status: CommandStatus, modes: Modes) {
         self.thrust_rate.fill(0.0);
         self.joint_velocity.fill(0.0);
-        self.momentum_qp = QpAnswer::from_status(QpStatus::NonFinite);
+        self.rates_qp = QpAnswer::from_status(QpStatus::NonFinite);
         self.torque_qp = QpAnswer::from_status(QpStatus::NonFinite);
         self.status = status;
         self.modes = modes;

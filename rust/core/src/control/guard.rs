@@ -4,7 +4,7 @@
 //! measurement.
 //!
 //! ```text
-//!                 measure                       judge                                  predict
+//!                 measure                       detect                                 predict
 //! channels        missing values predicted                                             acceleration (M101)
 //! wind_observer   its wind, for the measured                                           the next wind
 //! feet                                          whether they carry load, M114
@@ -30,24 +30,60 @@ pub mod wind_observer;
 use super::command::Command;
 use super::config::ControllerConfig;
 use super::law::contact::ContactState;
-use super::law::limits::{JointCondition, Limits};
+use super::law::setpoint::SetpointState;
+use super::limits::{JointCondition, Limits};
 use super::measurement::{BadStart, Measurement, UsedMeasurement};
-use super::modes::Modes;
-use super::state::ControllerState;
+use super::modes::{Modes, modes};
 use super::terms::Terms;
 use crate::aero::AeroModel;
 use crate::error::BuildError;
 use crate::robot::RobotModel;
+use crate::timing::Exceeded;
 use channels::{Channels, ChannelsState};
 use engines::{EngineSample, EngineState, Engines};
 use estimator::{Estimator, EstimatorState};
 use joints::residual::JointResidual;
 use joints::{JointsConfig, JointsState};
-use latency::{LatencyMonitor, LatencyState};
+use latency::{LatencyMonitor, LatencySample, LatencyState};
 use nalgebra::DVector;
-use observer::{ObserverConfig, ObserverState, Sample};
+use observer::{MomentumSample, ObserverConfig, ObserverState};
 use supervisor::{Errors, SupervisorConfig};
 use wind_observer::{WindObserver, WindState};
+
+modes! {
+    /// The wind is the last measured one, held or fading.
+    WIND_HELD = 0, "wind_held";
+    /// The wind has been missing for so long that still air is assumed.
+    WIND_LOST = 1, "wind_lost";
+    /// A thrust is predicted by the model of the jet.
+    THRUST_MODELLED = 2, "thrust_modelled";
+    /// Joint positions and velocities are predicted by the model.
+    JOINTS_PREDICTED = 3, "joints_predicted";
+    /// The base position is predicted by the model.
+    POSITION_PREDICTED = 4, "position_predicted";
+    /// The base rotation is predicted by the model.
+    ROTATION_PREDICTED = 5, "rotation_predicted";
+    /// The base velocity is predicted by the model, or follows the pose.
+    VELOCITY_PREDICTED = 6, "velocity_predicted";
+    /// The foot wrenches are those that keep the feet at rest in the model.
+    FEET_PREDICTED = 7, "feet_predicted";
+    /// The time is the controller's own, because the clock is missing or has jumped.
+    CLOCK_PREDICTED = 8, "clock_predicted";
+    /// The robot levels and descends instead of following its mission.
+    DESCENDING = 9, "descending";
+    /// An engine does not reach its commanded thrust.
+    ENGINE_LIMITED = 10, "engine_limited";
+    /// The first measurements are outvoted: the flight begins again from those of this tick.
+    BEGUN_AGAIN = 11, "begun_again";
+    /// A joint does not follow its torque.
+    JOINT_LIMITED = 12, "joint_limited";
+    /// The flight strays from its set-point.
+    STRAYING = 14, "straying";
+    /// The residual of a policy, or a given one, is not finite and not used.
+    RESIDUAL_IGNORED = 15, "residual_ignored";
+    /// Commands act later or earlier than the controller knows.
+    LATE = 16, "late";
+}
 
 /// The guard of one controller, with its workspace.
 #[derive(Debug)]
@@ -82,8 +118,8 @@ pub struct GuardState {
     pub(super) joints: Option<JointsState>,
     /// Measurement of latencies.
     pub(super) latency: Option<LatencyState>,
-    /// Time for which the supervisor's limits have been exceeded \[s\].
-    pub(super) supervisor: Option<f64>,
+    /// For how long the supervisor's limits have been exceeded.
+    pub(super) supervisor: Option<Exceeded>,
     /// State estimator.
     pub(super) estimator: Option<EstimatorState>,
 }
@@ -143,7 +179,7 @@ impl Guard {
             engines: self.engines.as_ref().map(Engines::start),
             joints: self.joints.as_ref().map(|_| JointsState::new(&robot.joint_position)),
             latency: self.latency.as_ref().map(|of| of.start(&robot.joint_position, thrust.len())),
-            supervisor: self.supervisor.map(|_| 0.0),
+            supervisor: self.supervisor.map(|_| Exceeded::default()),
             estimator: self.estimator.as_ref().map(|of| of.start(robot, thrust)),
             channels,
         })
@@ -205,32 +241,38 @@ impl Guard {
     }
 
     /// Compares the model of this tick with its measurement.
-    pub fn judge(&mut self, robot: &RobotModel, state: &mut ControllerState, terms: &mut Terms) {
+    pub fn detect(
+        &mut self,
+        robot: &RobotModel,
+        state: &mut GuardState,
+        contact: &mut ContactState,
+        followed: &mut SetpointState,
+        terms: &mut Terms,
+    ) {
         terms.limits.copy_from(&self.usual);
         if self.has_feet {
-            self.place_feet(robot, state, terms);
+            self.place_feet(robot, state, contact, followed, terms);
         }
-        let ControllerState { guard, contact, velocity_error_integral, .. } = state;
-        if let Some((config, observer)) = self.observer.as_ref().zip(guard.observer.as_mut()) {
+        if let Some((config, observer)) = self.observer.as_ref().zip(state.observer.as_mut()) {
             let Terms { measurement: used, dynamics, momentum, .. } = terms;
-            let sample = Sample { momentum: dynamics.momentum, rate: momentum.measured_rate };
+            let sample = MomentumSample { momentum: dynamics.momentum, rate: momentum.measured_rate };
             momentum.add_unmodelled(if used.has_momentum {
                 observer.update(config, used.elapsed, sample)
             } else {
-                observer.hold()
+                observer.interrupt()
             });
         }
-        self.judge_engines(guard, contact, terms);
-        self.judge_joints(guard, contact, terms, velocity_error_integral);
-        self.judge_latency(guard, contact, terms);
+        self.limit_thrusts(state, contact, terms);
+        self.limit_joints(state, contact, terms);
+        self.measure_latency(state, contact, terms);
         let Terms { measurement: used, due, kinematics, dynamics, .. } = terms;
-        if let Some((config, exceeded)) = self.supervisor.as_ref().zip(guard.supervisor.as_mut()) {
+        if let Some((config, exceeded)) = self.supervisor.as_ref().zip(state.supervisor.as_mut()) {
             let errors = Errors::ahead(config.horizon, &used.state, kinematics, dynamics, due);
             if config.update(exceeded, used.elapsed, &errors) {
                 used.modes.insert(Modes::STRAYING);
             }
         }
-        if let Some(memory) = &mut guard.estimator {
+        if let Some(memory) = &mut state.estimator {
             for (jet, error) in used.sensor_error.iter().enumerate() {
                 if let Some(error) = error {
                     memory.correct_thrust(jet, *error);
@@ -240,7 +282,7 @@ impl Guard {
     }
 
     /// Limits of the thrusts, and sensors that are no longer used.
-    fn judge_engines(&self, state: &mut GuardState, contact: &ContactState, terms: &mut Terms) {
+    fn limit_thrusts(&self, state: &mut GuardState, contact: &ContactState, terms: &mut Terms) {
         let GuardState { engines: found, observer, channels, .. } = state;
         let Some((engines, found)) = self.engines.as_ref().zip(found.as_mut()) else { return };
         let Terms { measurement, momentum, limits, .. } = terms;
@@ -267,28 +309,19 @@ impl Guard {
     }
 
     /// Limits of the joints that do not follow their torques.
-    fn judge_joints(
-        &mut self,
-        state: &mut GuardState,
-        contact: &ContactState,
-        terms: &mut Terms,
-        velocity_error_integral: &mut DVector<f64>,
-    ) {
+    fn limit_joints(&mut self, state: &mut GuardState, contact: &ContactState, terms: &mut Terms) {
         let Some((config, model)) = &mut self.joints else { return };
         let Some(joints) = &mut state.joints else { return };
         let (used, last) = (&terms.measurement, &state.channels);
         if used.has_momentum && terms.inverse_mass.is_known && !contact.is_active {
-            joints.judge(config, &model.sample(terms, last));
+            joints.update(config, &model.sample(terms, last));
         } else {
-            joints.hold();
+            joints.interrupt();
         }
         let Terms { measurement: used, limits, .. } = terms;
         limits.joints.copy_from_slice(&joints.found);
         for (joint, found) in joints.found.iter().enumerate() {
             limits.joint_velocity[joint] = found.velocity_max(limits.joint_velocity[joint]);
-            if matches!(found, JointCondition::Stuck | JointCondition::Free) {
-                velocity_error_integral[joint] = 0.0; // it follows no velocity
-            }
         }
         if joints.found.iter().any(|found| *found != JointCondition::Healthy) {
             used.modes.insert(Modes::JOINT_LIMITED);
@@ -296,7 +329,7 @@ impl Guard {
     }
 
     /// Whether commands are late; the estimator then uses the measured latency of the torques.
-    fn judge_latency(&mut self, state: &mut GuardState, contact: &ContactState, terms: &mut Terms) {
+    fn measure_latency(&mut self, state: &mut GuardState, contact: &ContactState, terms: &mut Terms) {
         let GuardState { latency, channels: last, estimator, .. } = state;
         let Some((monitor, latency)) = self.latency.as_mut().zip(latency.as_mut()) else { return };
         terms.reduce_torque(last.joint_torque.as_slice());
@@ -306,7 +339,7 @@ impl Guard {
             && !contact.is_active
             && !used.modes.contains(Modes::FEET_PREDICTED)
             && !limits.joints.contains(&JointCondition::Stuck);
-        let sample = latency::Sample {
+        let sample = LatencySample {
             acceleration: &last.acceleration.as_slice()[6..],
             gain: &inverse_mass.joint_gain,
             torque: acting_torque,

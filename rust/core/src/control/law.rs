@@ -2,10 +2,8 @@
 //! ([`torques`]).
 
 pub mod attitude;
-pub mod between;
 pub mod bounds;
 pub mod contact;
-pub mod limits;
 pub mod minimum_jerk;
 pub mod mission;
 pub mod momentum;

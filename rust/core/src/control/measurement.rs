@@ -21,6 +21,39 @@ pub struct Measurement<'a> {
     pub foot_wrenches: &'a [Vector6<f64>],
 }
 
+/// A measurement that owns its numbers, for the loop around a controller.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OwnedMeasurement {
+    /// Pose and velocity of the robot.
+    pub state: RobotState,
+    /// Thrust of every jet \[N\].
+    pub thrust: Vec<f64>,
+    /// Velocity of the air \[m/s, inertial axes\].
+    pub wind: Vector3<f64>,
+    /// Wrench on each of the controller's feet \[N, N m\].
+    pub foot_wrenches: Vec<Vector6<f64>>,
+}
+
+impl OwnedMeasurement {
+    /// Zeros.
+    #[must_use]
+    pub fn zero(joints: usize, jets: usize, feet: usize) -> Self {
+        Self {
+            state: RobotState::zero(joints),
+            thrust: vec![0.0; jets],
+            wind: Vector3::zeros(),
+            foot_wrenches: vec![Vector6::zeros(); feet],
+        }
+    }
+
+    /// That of a tick at `time` \[s\].
+    #[must_use]
+    pub fn at(&self, time: f64) -> Measurement<'_> {
+        let Self { state, thrust, wind, foot_wrenches } = self;
+        Measurement { time, state, thrust, wind: *wind, foot_wrenches }
+    }
+}
+
 /// State and thrusts of a robot, measured or estimated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reading {

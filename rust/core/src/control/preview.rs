@@ -1,6 +1,6 @@
 //! What is known of the future at a tick: set-points and wind.
 
-use super::guard::channels::greatest;
+use super::greatest;
 use super::law::setpoint::Setpoint;
 use nalgebra::Vector3;
 

@@ -1,9 +1,9 @@
 //! State of a controller that is kept from tick to tick.
 
+use super::between::JointsBetween;
 use super::guard::GuardState;
 use super::guard::observer::ObserverState;
 use super::guard::wind_observer::WindState;
-use super::law::between::JointsBetween;
 use super::law::contact::ContactState;
 use super::law::mpc::plan::Plan;
 use super::law::setpoint::SetpointState;

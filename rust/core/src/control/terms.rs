@@ -3,11 +3,11 @@
 use super::guard::wind_observer::WindState;
 use super::law::attitude::AttitudeDemand;
 use super::law::contact::Contact;
-use super::law::limits::Limits;
 use super::law::momentum::{AeroFeedback, MomentumModel};
 use super::law::momentum_qp::MomentumQp;
 use super::law::setpoint::Setpoint;
 use super::law::torque::TorqueQp;
+use super::limits::Limits;
 use super::measurement::{Measurement, Reading, UsedMeasurement};
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::dynamics::{Dynamics, InverseMass};
@@ -94,8 +94,8 @@ impl Terms {
         Self {
             estimates: Estimates { reading, wind: zero, wind_std: zero },
             measurement,
-            setpoint: Setpoint::hold(zero, Matrix3::identity()),
-            due: Setpoint::hold(zero, Matrix3::identity()),
+            setpoint: Setpoint::at_rest(zero, Matrix3::identity()),
+            due: Setpoint::at_rest(zero, Matrix3::identity()),
             kinematics: Kinematics::new(robot),
             dynamics: Dynamics::new(robot),
             inverse_mass: InverseMass::new(joints),

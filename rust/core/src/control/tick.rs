@@ -1,15 +1,14 @@
 //! The controller of one robot, and its tick.
 
+mod build;
+
+use super::between::{JointMeasurement, JointTracker, JointsBetween};
 use super::command::{BadCommand, Command, CommandStatus};
-use super::config::{ControllerConfig, check_time_step};
 use super::guard::Guard;
 use super::guard::observer::ObserverState;
-use super::law::between::{JointMeasurement, JointTracker, JointsBetween};
-use super::law::contact::{Contact, ContactState};
-use super::law::limits::Limits;
-use super::law::mission::Mission;
+use super::law::contact::ContactState;
 use super::law::momentum::AeroFeedback;
-use super::law::momentum_qp::{MomentumQp, Task};
+use super::law::momentum_qp::Task;
 use super::law::mpc::PredictiveLaw;
 use super::law::mpc::horizon::Horizon;
 use super::law::mpc::model::Linearised;
@@ -17,8 +16,6 @@ use super::law::mpc::plan::Plan;
 use super::law::rates::Law;
 use super::law::residual::{Policy, Residual, steer};
 use super::law::setpoint::{Setpoint, SetpointGenerator};
-use super::law::tasks::standard_tasks;
-use super::law::torque::TorqueQp;
 use super::law::torques::Torques;
 use super::measurement::{BadStart, Measurement, UsedMeasurement};
 use super::modes::Modes;
@@ -73,66 +70,6 @@ pub struct Given<'a> {
 }
 
 impl Controller {
-    /// Builds a controller for `robot` with the tick `time_step` \[s\]. `aero` builds its aerodynamic model after
-    /// `config` has been checked, so that gains for another robot are reported before missing coefficients.
-    ///
-    /// # Errors
-    /// [`BuildError`] naming the part of the configuration that does not match the robot or the time step.
-    pub fn new(
-        robot: RobotModel,
-        aero: impl FnOnce(&RobotModel) -> Result<AeroModel, BuildError>,
-        mission: Mission,
-        config: &ControllerConfig,
-        time_step: f64,
-    ) -> Result<Self, BuildError> {
-        config.check(&robot)?;
-        check_time_step("controller time step", time_step)?;
-        let aero = aero(&robot)?;
-        let robot = config.restrict(robot);
-        let mut model = robot.clone();
-        if !config.use_jets {
-            model.jets.clear();
-        }
-        let limits = Limits::new(config.momentum, &model);
-        config.check_rate_bounds(&robot, time_step)?;
-        let guard = Guard::new(config, &robot, &aero, &limits, time_step)?;
-        let measurement = UsedMeasurement::new(&robot, time_step);
-        let contact = config.contact.clone().unwrap_or_default();
-        let torque_qp = TorqueQp::new(&config.torque, &contact, &model);
-        let mut momentum_qp = MomentumQp::new(&config.bounds, contact.force_rate_max, &model);
-        let (weights, gains) = (&config.weights, config.posture_gains(&model));
-        for task in standard_tasks(weights, gains, config.contact.as_ref(), &model, &momentum_qp.unknowns)? {
-            momentum_qp.add(task)?;
-        }
-        let (unknowns, joints) = (momentum_qp.problem.len(), model.joints.len());
-        let generator = SetpointGenerator::new(&config.setpoint, mission, &model.forward_axis_b, time_step)?;
-        let solver = |n, rows| config.qp.chain(n, rows);
-        let predictive = build_predictive(config, &model, &aero, time_step)?;
-        let law = Law::new(generator, solver(unknowns, 0), unknowns, config.latency(), predictive);
-        let torques = solver(torque_qp.problem.len(), torque_qp.problem.rows());
-        let torque_steps = config.torque.steps;
-        let period = time_step / f64::from(torque_steps);
-        let command = Command::hold(measurement.thrust.len(), joints);
-        let contact = Contact::new(&contact, &model);
-        Ok(Self {
-            conventions: config.conventions(),
-            feedback: config.aero_feedback,
-            guard,
-            law,
-            policy: None,
-            torques: Torques::new(torques, joints, period),
-            joints: JointTracker::new(config.estimator.as_ref(), &config.channels, period),
-            torque_steps,
-            last_tick: 0,
-            terms: Terms::new(&model, measurement, limits, contact, momentum_qp, torque_qp),
-            command,
-            jets: robot.jet_models(config.jet_dynamics),
-            time_step,
-            model,
-            aero,
-        })
-    }
-
     /// State of a controller whose first tick is that of `measurement`; position, attitude and posture of this
     /// measurement become its reference.
     ///
@@ -190,10 +127,10 @@ impl Controller {
         if terms.measurement.modes.contains(Modes::BEGUN_AGAIN) {
             begin_again(model, law.generator(), state, terms);
         }
-        let is_valid = law.follow(state, given.setpoint, terms);
+        let is_valid = law.choose_setpoint(state, given.setpoint, terms);
         let (preview, has_valid_preview) = given.preview.checked();
         terms.update_model(model, aero, *conventions, *feedback);
-        guard.judge(model, state, terms);
+        guard.detect(model, &mut state.guard, &mut state.contact, &mut state.setpoint, terms);
         command.modes = terms.measurement.modes;
         command.joint_torque.copy_from(&state.joint_torque);
         if is_usable {
@@ -385,33 +322,4 @@ fn begin_again(
         state.velocity_error_integral.fill(0.0);
         state.torque_is_known = false;
     }
-}
-
-/// Builds the predictive law, where it is configured.
-fn build_predictive(
-    config: &ControllerConfig,
-    robot: &RobotModel,
-    aero: &AeroModel,
-    time_step: f64,
-) -> Result<Option<PredictiveLaw>, BuildError> {
-    let Some(mpc) = &config.mpc else { return Ok(None) };
-    mpc.check(robot, time_step)?;
-    let conventions = config.conventions();
-    mpc.check_air(aero, conventions)?;
-    let gains = (config.torque.kd, config.torque.kp);
-    let thrust_rate_max = robot.by_jet(&config.bounds.thrust_rate_max);
-    let joints = mpc.joints(robot)?;
-    let jets = robot.jet_models(config.jet_dynamics);
-    let law = PredictiveLaw::new(
-        mpc,
-        conventions,
-        config.latency(),
-        robot,
-        jets,
-        joints,
-        gains,
-        thrust_rate_max,
-        time_step,
-    )?;
-    Ok(Some(law))
 }

@@ -7,6 +7,7 @@
 use crate::noise::Noise;
 use flight_core::error::{BuildError, Table, place_of};
 use flight_core::robot::Jet;
+use flight_core::timing::share;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -155,7 +156,7 @@ impl Response {
     /// Thrust rates \[N/s\] that reach the jets if `command` is commanded for the next `dt` \[s\].
     pub fn delay_rates(&mut self, command: &[f64], dt: f64) -> &[f64] {
         for (delayed, command) in self.command.iter_mut().zip(command) {
-            let share = if self.lag > 0.0 { -libm::expm1(-dt / self.lag) } else { 1.0 };
+            let share = share(dt / self.lag);
             *delayed = if share < 1.0 { *delayed + (command - *delayed) * share } else { *command };
         }
         &self.command[..command.len().min(self.command.len())]

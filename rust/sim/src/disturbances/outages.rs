@@ -2,12 +2,12 @@
 //!
 //! Equation M104 of `docs/model`.
 
-use flight_core::control::Measurement;
+use flight_core::control::OwnedMeasurement;
 use flight_core::error::{BuildError, check, place_of};
 use flight_core::kinematics::RobotState;
 use flight_core::robot::Jet;
 use flight_core::spatial::axis_angle;
-use nalgebra::{Vector3, Vector6};
+use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -106,33 +106,11 @@ impl Outage {
     }
 }
 
-/// Measurement of a tick.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Sample {
-    /// Pose and velocity of the robot.
-    pub state: RobotState,
-    /// Thrust of every jet \[N\].
-    pub thrust: Vec<f64>,
-    /// Velocity of the air \[m/s\].
-    pub wind: Vector3<f64>,
-    /// Wrench on each of the controller's feet \[N, N m\].
-    pub foot_wrenches: Vec<Vector6<f64>>,
-}
-
-impl Sample {
-    /// The same for the controller, at `time` \[s\].
-    #[must_use]
-    pub fn measurement(&self, time: f64) -> Measurement<'_> {
-        let Self { state, thrust, wind, foot_wrenches } = self;
-        Measurement { time, state, thrust, wind: *wind, foot_wrenches }
-    }
-}
-
 /// State of all outages.
 #[derive(Debug, Clone)]
 pub struct Outages {
     /// Each with its jets, and the measurement at its start.
-    outages: Vec<(Outage, Vec<usize>, Option<Sample>)>,
+    outages: Vec<(Outage, Vec<usize>, Option<OwnedMeasurement>)>,
 }
 
 impl Outages {
@@ -151,7 +129,7 @@ impl Outages {
     }
 
     /// Applies the outages to the measurement at `time` \[s\].
-    pub fn spoil(&mut self, time: f64, sample: &mut Sample) {
+    pub fn spoil(&mut self, time: f64, sample: &mut OwnedMeasurement) {
         for (outage, jets, held) in &mut self.outages {
             if !outage.is_on(time) {
                 continue;

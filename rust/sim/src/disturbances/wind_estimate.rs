@@ -8,6 +8,7 @@
 
 use crate::noise::Noise;
 use flight_core::error::{BuildError, Table};
+use flight_core::timing::share;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -88,11 +89,7 @@ impl WindEstimator {
             noise: Noise::new(config.seed, 0),
             line: Vec::with_capacity(age),
             next: 0,
-            step: if config.time_constant > 0.0 {
-                -libm::expm1(-time_step / config.time_constant)
-            } else {
-                1.0
-            },
+            step: share(time_step / config.time_constant),
             filtered: None,
         })
     }

@@ -7,12 +7,12 @@ use crate::common::counting::allocations;
 use crate::common::{configs, experiment, hover_of, random_state, random_vector, robot};
 use flight_core::control::config::Solver;
 use flight_core::control::law::setpoint::Setpoint;
-use flight_core::control::{CommandStatus, ControllerState, Given, Preview};
+use flight_core::control::{CommandStatus, ControllerState, Given, OwnedMeasurement, Preview};
 use flight_core::qp::{KKT_TOLERANCE, QpProblem, QpStatus, kkt_residual};
 use flight_core::robot::RobotModel;
 use flight_core::{BuildError, Controller, Measurement};
 use flight_io::{from_value, load_robot};
-use flight_sim::disturbances::{FailureKind, JetFailure, Outage, OutageChannel, OutageKind, Outages, Sample};
+use flight_sim::disturbances::{FailureKind, JetFailure, Outage, OutageChannel, OutageKind, Outages};
 use flight_sim::{Plant, ScenarioConfig};
 use nalgebra::{Unit, Vector3, Vector6};
 use rand::rngs::ChaCha8Rng;
@@ -224,7 +224,7 @@ pub struct Episode {
     controller: Controller,
     state: ControllerState,
     outages: Outages,
-    sample: Sample,
+    sample: OwnedMeasurement,
     mean_wind: Vector3<f64>,
     begin: f64,
     time_step: f64,
@@ -246,7 +246,7 @@ impl Episode {
         let mut controller = scenario.controller(robot.clone())?;
         let time_step = scenario.simulator.time_step;
         let speed = [1.0, 12.0, 60.0][rng.random_range(0..3)];
-        let sample = Sample {
+        let sample = OwnedMeasurement {
             state: plant.state().clone(),
             thrust: plant.jets().thrust_feedback().to_vec(),
             wind: random_vector(&mut rng, speed),
@@ -254,7 +254,7 @@ impl Episode {
         };
         let begin = rng.random_range(0.0..40.0);
         let state = controller
-            .start(&sample.measurement(begin))
+            .start(&sample.at(begin))
             .map_err(|refusal| BuildError::bad_value("first measurement", refusal, "one of a flight"))?;
         let absurd = [0.0, 0.001, 0.1][rng.random_range(0..3)];
         Ok(Self {
@@ -297,7 +297,7 @@ impl Episode {
                 com_velocity: random_vector(rng, 3.0),
                 com_jerk: random_vector(rng, if absurd { 1e200 } else { 3.0 }),
                 angular_velocity_b: random_vector(rng, 1.0),
-                ..Setpoint::hold(random_vector(rng, 3.0), random_state(rng, &self.robot).base.rotation)
+                ..Setpoint::at_rest(random_vector(rng, 3.0), random_state(rng, &self.robot).base.rotation)
             }
         };
         let is_given = rng.random_bool(self.towards);
@@ -321,7 +321,7 @@ impl Episode {
         let (controller, state, sample) = (&mut self.controller, &mut self.state, &self.sample);
         let mut duration = Duration::ZERO;
         let allocated = allocations(|| {
-            let Sample { state: seen, wind, .. } = sample;
+            let OwnedMeasurement { state: seen, wind, .. } = sample;
             let measurement = Measurement { time, state: seen, thrust, wind: *wind, foot_wrenches };
             let begin = Instant::now();
             let setpoint = given.as_ref();
@@ -403,7 +403,7 @@ impl Episode {
             answer.status == QpStatus::Solved && answer.kkt <= KKT_TOLERANCE
         };
         let is_minimiser = |problem: &QpProblem, x: &[f64]| kkt_residual(problem, x, &[]) <= KKT_TOLERANCE;
-        let momentum = says_so(&command.momentum_qp)
+        let momentum = says_so(&command.rates_qp)
             && (self.plans || !unknowns.force_rate.is_empty() || is_minimiser(&qp.problem, &self.answer));
         let torque = says_so(&command.torque_qp)
             && (terms.torque_qp.problem.rows() > 0

@@ -19,19 +19,20 @@
 //! Equations M101 to M103 and M141 of `docs/model`.
 
 mod config;
-pub mod greatest;
 mod layout;
 mod state;
 
 pub use config::{ChannelsConfig, Jumps};
 pub use state::ChannelsState;
 
+use crate::control::greatest;
 use crate::control::measurement::{BadStart, Measurement, Reading, UsedMeasurement};
 use crate::control::modes::Modes;
 use crate::jets::JetModel;
 use crate::robot::RobotModel;
 use crate::spatial::{exp_so3, is_rotation, vee_of_skew_part};
-use layout::{Entry, Kind, Layout, rotation_of, vector};
+use crate::timing::share;
+use layout::{ChannelKind, Entry, Numbers, rotation_of, vector};
 use nalgebra::{DVector, Vector3, Vector6};
 use state::{Channel, bound, time_is_plausible};
 
@@ -59,7 +60,7 @@ const VELOCITY_GAIN: f64 = 100.0;
 pub struct Channels {
     config: ChannelsConfig,
     time_step: f64,
-    layout: Layout,
+    layout: Numbers,
     entries: Vec<Entry>,
     jets: Vec<JetModel>,
     greatest: Vec<f64>,
@@ -83,7 +84,7 @@ impl Channels {
         needs_joint_velocity: bool,
     ) -> Self {
         let (jets, joints, feet) = (robot.jets.len(), robot.joints.len(), robot.feet.len());
-        let layout = Layout::new(jets, joints, feet);
+        let layout = Numbers::new(jets, joints, feet);
         let near = config.jump.clone().unwrap_or(Jumps::NONE);
         let mut greatest = vec![f64::INFINITY; layout.len()];
         let mut jump = vec![f64::INFINITY; layout.len()];
@@ -106,13 +107,13 @@ impl Channels {
             foot[..3].fill(greatest::FOOT_FORCE);
             foot[3..].fill(greatest::FOOT_MOMENT);
         }
-        let thrusts = layout.thrust.clone().map(|number| (Kind::Thrust, number..number + 1));
-        let entries = [(Kind::Wind, layout.wind.clone())].into_iter().chain(thrusts).chain([
-            (Kind::Joints, layout.joints()),
-            (Kind::Velocity, layout.velocity()),
-            (Kind::Position, layout.position.clone()),
-            (Kind::Rotation, layout.rotation.clone()),
-            (Kind::Feet, layout.feet.clone()),
+        let thrusts = layout.thrust.clone().map(|number| (ChannelKind::Thrust, number..number + 1));
+        let entries = [(ChannelKind::Wind, layout.wind.clone())].into_iter().chain(thrusts).chain([
+            (ChannelKind::Joints, layout.joints()),
+            (ChannelKind::Velocity, layout.velocity()),
+            (ChannelKind::Position, layout.position.clone()),
+            (ChannelKind::Rotation, layout.rotation.clone()),
+            (ChannelKind::Feet, layout.feet.clone()),
         ]);
         let beyond = CONFIRMATION * near.joint_position;
         let stops = robot.joints.iter().map(|joint| joint.stops);
@@ -260,14 +261,14 @@ impl Channels {
         let missed_ticks = if was_begun { used.pause / self.time_step } else { f64::INFINITY };
         let mut is_pose_new = is_step;
         for (place, Entry { kind, .. }) in self.entries.iter().enumerate() {
-            let is_new = self.judge(state, place, dt, missed_ticks, &mut used.modes);
+            let is_new = self.accept(state, place, dt, missed_ticks, &mut used.modes);
             match kind {
-                Kind::Velocity if was_begun => self.integrate_pose(state, place, dt),
-                Kind::Position | Kind::Rotation => is_pose_new &= is_new,
+                ChannelKind::Velocity if was_begun => self.integrate_pose(state, place, dt),
+                ChannelKind::Position | ChannelKind::Rotation => is_pose_new &= is_new,
                 _ => {}
             }
         }
-        if is_pose_new && used.modes.contains(Kind::Velocity.mode()) {
+        if is_pose_new && used.modes.contains(ChannelKind::Velocity.mode()) {
             self.follow_pose(state, dt);
         }
         state.last.copy_from_slice(&self.now);
@@ -283,7 +284,7 @@ impl Channels {
 
     /// Accepts the numbers of a channel, or lets its age grow by `dt` \[s\]. Returns whether it is measured in this tick
     /// and in the last one, with different bits.
-    fn judge(
+    fn accept(
         &self,
         state: &mut ChannelsState,
         place: usize,
@@ -302,7 +303,7 @@ impl Channels {
         let was_new = channel.age == 0.0 && channel.same == 0;
         channel.same = if is_same { channel.same.saturating_add(1) } else { 0 };
         let is_plausible = is_within(now, &self.greatest[range.clone()])
-            && (*kind != Kind::Rotation || is_rotation(&rotation_of(now)));
+            && (*kind != ChannelKind::Rotation || is_rotation(&rotation_of(now)));
         let width = if channel.support > 1 { 1.0 } else { CONFIRMATION };
         let gate = width + WIDENING * channel.age + missed_ticks;
         let is_sound = is_plausible && is_near(predicted, gate);
@@ -315,7 +316,7 @@ impl Channels {
         }
         let is_outvoted = channel.against > channel.support;
         channel.is_distrusted |=
-            *kind == Kind::Wind && is_plausible && !is_sound && channel.age > self.config.wind_hold;
+            *kind == ChannelKind::Wind && is_plausible && !is_sound && channel.age > self.config.wind_hold;
         // The prediction of a wind does not move.
         let leaves = kind.is_vital() && channel.same >= FROZEN_TICKS && !is_near(predicted, FROZEN_SHARE);
         channel.is_frozen = is_same && (channel.is_frozen || leaves);
@@ -359,7 +360,7 @@ impl Channels {
 
     /// Lets the predicted base velocity follow the difference of the last two poses.
     fn follow_pose(&self, state: &mut ChannelsState, dt: f64) {
-        let share = -libm::expm1(-VELOCITY_GAIN * dt);
+        let share = share(VELOCITY_GAIN * dt);
         let (position, rotation) = (self.layout.position.clone(), self.layout.rotation.clone());
         let moved = vector(&self.now[position.clone()]) - vector(&state.last[position]);
         let turned =
@@ -375,7 +376,7 @@ impl Channels {
     fn fill_predicted(&mut self, state: &ChannelsState, used: &mut UsedMeasurement) {
         let mut innovations = used.thrust_innovation.iter_mut();
         for (Entry { range, kind }, channel) in self.entries.iter().zip(&state.channels) {
-            let innovation = if *kind == Kind::Thrust { innovations.next() } else { None };
+            let innovation = if *kind == ChannelKind::Thrust { innovations.next() } else { None };
             if channel.age == 0.0 {
                 continue;
             }
@@ -384,7 +385,7 @@ impl Channels {
             if let Some(innovation) = innovation {
                 *innovation = 0.0;
             }
-            if *kind == Kind::Wind {
+            if *kind == ChannelKind::Wind {
                 let left = 1.0 - (channel.age - self.config.wind_hold) / WIND_FADE;
                 for x in now {
                     *x *= left.clamp(0.0, 1.0);
@@ -399,13 +400,13 @@ impl Channels {
     /// Rejects the measured foot wrenches from now on, including those of this tick.
     pub fn reject_feet(&self, state: &mut ChannelsState, used: &mut UsedMeasurement) {
         for (entry, channel) in self.entries.iter().zip(&mut state.channels) {
-            channel.is_distrusted |= entry.kind == Kind::Feet;
+            channel.is_distrusted |= entry.kind == ChannelKind::Feet;
         }
         let wrenches = state.foot_wrenches.as_slice().chunks_exact(6);
         for (to, wrench) in used.foot_wrenches.iter_mut().zip(wrenches) {
             to.copy_from_slice(wrench);
         }
-        used.modes.insert(Kind::Feet.mode());
+        used.modes.insert(ChannelKind::Feet.mode());
     }
 
     /// Rejects the measured thrust of a jet from now on; it was too large by `deviation` \[N\].
@@ -421,7 +422,7 @@ impl Channels {
     /// which then follows the pose.
     pub fn select_accepted(&mut self, state: &ChannelsState, reading: &mut Reading) {
         for (entry, channel) in self.entries.iter().zip(&state.channels) {
-            if channel.age > 0.0 && entry.kind != Kind::Velocity {
+            if channel.age > 0.0 && entry.kind != ChannelKind::Velocity {
                 self.now[entry.range.clone()].fill(f64::NAN);
             }
         }

@@ -15,11 +15,12 @@
 
 use super::observer::residual_share;
 use crate::control::law::attitude::MomentumGains;
-use crate::control::law::limits::Limits;
+use crate::control::limits::Limits;
 use crate::error::{BuildError, Table};
 use crate::jets::{EngineModel, JetDynamics};
 use crate::robot::{Joint, JointKind, RobotModel};
 use crate::spatial::parts;
+use crate::timing::Exceeded;
 use nalgebra::{Matrix6xX, Vector6};
 use serde::{Deserialize, Serialize};
 
@@ -119,8 +120,8 @@ pub struct EngineState {
     late: [[f64; 2]; 2],
     /// Whether the part of `d` outside exceeds half of its limit: the thrust may not be the one that is used.
     pub is_doubted: bool,
-    /// Time for which `|d̄|` has exceeded its limit \[s\].
-    suspected: f64,
+    /// For how long `|d̄|` has exceeded its limit.
+    suspected: Exceeded,
     /// Least and greatest thrust that the engine has been found to reach \[N\].
     pub range: (f64, f64),
 }
@@ -147,7 +148,7 @@ impl Default for EngineState {
             fit: [0.0; 2],
             late: [[0.0; 2]; 2],
             is_doubted: false,
-            suspected: 0.0,
+            suspected: Exceeded::default(),
             range: (0.0, f64::INFINITY),
         }
     }
@@ -197,26 +198,19 @@ impl EngineState {
         let outside = self.deviation - self.deviation.max(lag.min(0.0)).min(lag.max(0.0));
         self.is_doubted = outside.abs() > half;
         let Some(shares) = momentum_shares else {
-            (self.late, self.suspected) = ([[0.0; 2]; 2], 0.0);
+            (self.late, self.suspected) = ([[0.0; 2]; 2], Exceeded::default());
             return;
         };
         for ([estimated, late], share) in self.late.iter_mut().zip(shares) {
             *estimated += share * (outside - *estimated);
             *late += residual_share(dt) * (*estimated - *late);
         }
-        let is_beyond = self.late()[1].abs() > config.deviation_max;
-        self.suspected = if is_beyond { self.suspected + dt } else { 0.0 };
+        self.suspected.update(self.late()[1].abs() > config.deviation_max, dt);
     }
 
     /// `d̄` \[N\], as late as the momentum's force and as its moment.
     fn late(&self) -> [f64; 2] {
         self.late.map(|[_, late]| late)
-    }
-
-    /// Whether the thrust has not been the commanded one for the confirmation time.
-    fn is_confirmed(&self, config: &EnginesConfig, dt: f64) -> bool {
-        // Half a tick absorbs rounding.
-        self.suspected > 0.0 && self.suspected >= config.confirmation + 0.5 * dt
     }
 
     /// Whether the sensor may be wrong: half of the limit is enough beside another one.
@@ -294,7 +288,8 @@ impl Engines {
             engine.update(config, model.as_ref(), dt, samples(jet), shares);
         }
         let Some((a_t, residual)) = momentum else { return };
-        if !engines.iter().any(|engine| engine.is_confirmed(config, dt)) {
+        let is_confirmed = |engine: &EngineState| engine.suspected.has_lasted(config.confirmation, dt);
+        if !engines.iter().any(is_confirmed) {
             return;
         }
         let mut wrench = Vector6::zeros();
@@ -308,7 +303,7 @@ impl Engines {
             if are_sensors && engine.is_suspect(config) {
                 sensor_error[jet] = Some(engine.deviation);
                 *engine = EngineState::default();
-            } else if engine.is_confirmed(config, dt) {
+            } else if is_confirmed(engine) {
                 engine.narrow(samples(jet).thrust);
             }
         }

@@ -26,6 +26,7 @@ use crate::jets::{JetDynamics, JetModel};
 use crate::kinematics::{Kinematics, RobotState};
 use crate::robot::RobotModel;
 use crate::spatial::{GREATEST, exp_so3, log_so3, parts, project_to_so3};
+use crate::timing::share;
 use nalgebra::{DVector, Vector3, Vector6};
 
 /// Greatest latency of torques beyond the configured one that is used when it is measured \[s\].
@@ -247,7 +248,7 @@ impl Estimator {
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked: 0 to 0.2 s
         let ticks = |time: f64| (time / time_step).round() as usize;
         let mut delays = channels.map(|channel| ticks(channel.delay));
-        let share = |time: f64| if time > 0.0 { -libm::expm1(-time_step / time) } else { 1.0 };
+        let share = |time: f64| share(time_step / time);
         let mut shares = channels.map(|channel| share(channel.time_constant));
         let mut by_position = [0.0; 2];
         if let Some(time) = config.joint_observer {

@@ -2,17 +2,23 @@
 
 use super::observer::ObserverState;
 use super::{Guard, GuardState};
-use crate::control::law::contact::add_wrenches;
+use crate::control::law::contact::{ContactState, add_wrenches};
+use crate::control::law::setpoint::SetpointState;
 use crate::control::modes::Modes;
-use crate::control::state::ControllerState;
 use crate::control::terms::Terms;
 use crate::robot::RobotModel;
 
 impl Guard {
     /// Decides whether the feet carry load, and adds them to the momentum.
-    pub(super) fn place_feet(&self, robot: &RobotModel, state: &mut ControllerState, terms: &mut Terms) {
-        let ControllerState { contact: feet, guard, setpoint: following, .. } = state;
-        let GuardState { channels, observer, .. } = guard;
+    pub(super) fn place_feet(
+        &self,
+        robot: &RobotModel,
+        state: &mut GuardState,
+        feet: &mut ContactState,
+        followed: &mut SetpointState,
+        terms: &mut Terms,
+    ) {
+        let GuardState { channels, observer, .. } = state;
         let Terms { measurement, setpoint, kinematics, dynamics, momentum, contact, .. } = terms;
         let climb = setpoint.com_position.z - kinematics.com.z;
         // During a descent the robot must not take off.
@@ -46,7 +52,7 @@ impl Guard {
         if feet.is_active {
             momentum.add_contact(robot, kinematics, dynamics, &contact.soles, &feet.force);
             if let Some(height) = contact.stand_height() {
-                following.keep_above(kinematics.com.z - height);
+                followed.keep_above(kinematics.com.z - height);
             }
         }
     }

@@ -15,8 +15,9 @@
 
 pub mod residual;
 
-use crate::control::law::limits::JointCondition;
+use crate::control::limits::JointCondition;
 use crate::error::{BuildError, Table};
+use crate::timing::{Exceeded, share};
 use nalgebra::{DVector, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -86,8 +87,8 @@ impl JointsConfig {
 /// That the torque of a joint may not act.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 struct Suspicion {
-    /// Time since its first tick; zero without a suspicion \[s\].
-    time: f64,
+    /// For how long it has been there.
+    lasting: Exceeded,
     /// `Σ x τ` of unexplained and commanded torques, and `Σ τ²`.
     product: f64,
     square: f64,
@@ -118,7 +119,7 @@ pub struct JointsState {
 
 /// Values of a tick.
 #[derive(Debug)]
-pub struct Sample<'a> {
+pub struct JointSample<'a> {
     /// Time since the last tick \[s\].
     pub dt: f64,
     /// `r`, base first \[N, N m\].
@@ -160,7 +161,7 @@ impl JointsState {
         self.commanded.fill(0.0);
         self.mean.fill(0.0);
         self.pause = SETTLING;
-        self.hold();
+        self.interrupt();
     }
 
     /// Takes in the measured positions of a tick \[rad, m\], `dt` \[s\] after the last one, or that the joints are not
@@ -183,17 +184,16 @@ impl JointsState {
     }
 
     /// Forgets what is not explained, in a tick in which nothing can be compared, and judges nothing for a while.
-    pub fn hold(&mut self) {
+    pub fn interrupt(&mut self) {
         self.pause = self.pause.max(PAUSE);
         self.residual.copy_from(&self.mean);
         self.suspicions.fill(Suspicion::default());
     }
 
     /// Compares a tick with the last one, and changes [`Self::found`] where a joint is found to be otherwise.
-    pub fn judge(&mut self, config: &JointsConfig, sample: &Sample) {
-        let Sample { dt, residual, .. } = *sample;
-        let share = |lag: f64| -libm::expm1(-dt / lag);
-        let (fast, slow) = (share(LAG), share(MEAN_LAG));
+    pub fn update(&mut self, config: &JointsConfig, sample: &JointSample) {
+        let JointSample { dt, residual, .. } = *sample;
+        let (fast, slow) = (share(dt / LAG), share(dt / MEAN_LAG));
         for (to, now) in self.residual.iter_mut().zip(residual) {
             *to += fast * (now - *to);
         }
@@ -203,7 +203,7 @@ impl JointsState {
             self.suspect(config, sample);
             self.release();
         }
-        if self.suspicions.iter().all(|now| now.time == 0.0 || now.time > SUSPICION_MAX) {
+        if self.suspicions.iter().all(|now| now.lasting.time() == 0.0 || now.lasting.time() > SUSPICION_MAX) {
             for (to, now) in self.mean.iter_mut().zip(residual) {
                 *to += slow * (now - *to);
             }
@@ -211,8 +211,8 @@ impl JointsState {
     }
 
     /// Follows joints whose rows are more than a touch can cause, until it is known what they do.
-    fn suspect(&mut self, config: &JointsConfig, sample: &Sample) {
-        let Sample { dt, residual, torque, .. } = *sample;
+    fn suspect(&mut self, config: &JointsConfig, sample: &JointSample) {
+        let JointSample { dt, residual, torque, .. } = *sample;
         let x = |row: usize| self.residual[row] - self.mean[row];
         let norm = |first: usize| Vector3::from_fn(|axis, _| x(first + axis)).norm();
         let bound = REACH * norm(0) + norm(3) + config.torque_min;
@@ -224,14 +224,14 @@ impl JointsState {
                 continue;
             }
             let now = &mut self.suspicions[joint];
-            if now.time == 0.0 {
+            if now.lasting.time() == 0.0 {
                 now.position = self.position[joint];
             }
-            now.time += dt;
+            now.lasting.update(true, dt);
             // Without the lag, which a regression over a short time would take for a share.
             now.product += (residual[6 + joint] - self.mean[6 + joint]) * torque[joint];
             now.square += torque[joint] * torque[joint];
-            if now.time < config.confirmation + 0.5 * dt {
+            if !now.lasting.has_lasted(config.confirmation, dt) {
                 continue;
             }
             let has_moved = (self.position[joint] - now.position).abs() > MOVED;
@@ -251,13 +251,13 @@ impl JointsState {
         if let Some((joint, _, found)) = worst {
             self.found[joint] = found;
             self.stuck_at[joint] = self.position[joint];
-            self.hold();
+            self.interrupt();
         }
     }
 
     /// Whether a joint stands still although it is commanded to move, against a torque that the model does not contain, and
     /// not by a stop.
-    fn is_still(&self, config: &JointsConfig, sample: &Sample, joint: usize) -> bool {
+    fn is_still(&self, config: &JointsConfig, sample: &JointSample, joint: usize) -> bool {
         let (commanded, position) = (self.commanded[joint], self.position[joint]);
         let (lower, upper) = sample.stops[joint];
         let (mut ahead, mut behind) = (upper - position, position - lower);

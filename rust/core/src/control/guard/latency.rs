@@ -15,6 +15,7 @@
 use super::estimator::EstimatorConfig;
 use crate::error::{BuildError, Table};
 use crate::linalg::add_mat_vec;
+use crate::timing::{Exceeded, share};
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
@@ -29,7 +30,7 @@ const JITTER: f64 = 0.1;
 
 /// What of one kind of command is compared.
 #[derive(Debug, Clone, Copy)]
-struct Kind {
+struct Filter {
     /// Lags of the filter, and their time constant \[s\].
     lags: usize,
     lag: f64,
@@ -40,9 +41,9 @@ struct Kind {
 }
 
 /// Positions: three lags, as of an observer with three poles. Encoders have steps of a milliradian.
-const TORQUE: Kind = Kind { lags: 3, lag: 0.025, floor: 1e-4, deviation_max: 6e-4 };
+const TORQUE: Filter = Filter { lags: 3, lag: 0.025, floor: 1e-4, deviation_max: 6e-4 };
 /// Thrusts, with a noise of a newton.
-const THRUST: Kind = Kind { lags: 1, lag: 0.3, floor: 0.1, deviation_max: 4e-3 };
+const THRUST: Filter = Filter { lags: 1, lag: 0.3, floor: 0.1, deviation_max: 4e-3 };
 
 /// When commands count as late.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -76,7 +77,7 @@ impl LatencyMonitorConfig {
 /// Compares a response with commands of different ages.
 #[derive(Debug, Clone)]
 pub struct Bank {
-    kind: Kind,
+    kind: Filter,
     time_step: f64,
     /// Number of delays, from −1 tick on.
     delays: usize,
@@ -107,7 +108,7 @@ pub struct BankState {
 }
 
 impl Bank {
-    fn new(kind: Kind, time_step: f64) -> Self {
+    fn new(kind: Filter, time_step: f64) -> Self {
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
         // positive, and at most 0.25 s / 0.2 ms
         let ticks = |time: f64| (time / time_step).ceil() as usize;
@@ -118,7 +119,7 @@ impl Bank {
             delays,
             wait: delays + ticks(SETTLING * kind.lags as f64 * kind.lag),
             pole: libm::exp(-time_step / kind.lag),
-            share: -libm::expm1(-time_step / MEMORY),
+            share: share(time_step / MEMORY),
         }
     }
 
@@ -217,7 +218,7 @@ impl BankState {
 
 /// What a tick compares, by joint and jet.
 #[derive(Debug)]
-pub struct Sample<'a> {
+pub struct LatencySample<'a> {
     /// Predicted accelerations of the joints under the command of the last tick \[rad/s²\].
     pub acceleration: &'a [f64],
     /// `G` \[1/(kg m²)\].
@@ -262,8 +263,8 @@ pub struct LatencyState {
     free: Vec<DVector<f64>>,
     /// `y` and `u` of the torques before differences.
     last: [DVector<f64>; 2],
-    /// Time for which each differs from what is known \[s\].
-    exceeded: [f64; 2],
+    /// For how long each has differed from what is known.
+    exceeded: [Exceeded; 2],
 }
 
 impl LatencyMonitor {
@@ -312,7 +313,7 @@ impl LatencyMonitor {
             measured_thrusts: 0,
             free: vec![none.clone(); self.lead.0 + 2],
             last: [none.clone(), none],
-            exceeded: [0.0; 2],
+            exceeded: [Exceeded::default(); 2],
         }
     }
 
@@ -352,7 +353,7 @@ impl LatencyMonitor {
     }
 
     /// Compares a tick with the commands before it; torques only where they are comparable.
-    pub fn compare(&mut self, state: &mut LatencyState, sample: &Sample, is_torque_comparable: bool) {
+    pub fn compare(&mut self, state: &mut LatencyState, sample: &LatencySample, is_torque_comparable: bool) {
         let Self { banks, response, command, lead, by_torque, time_step, .. } = self;
         let LatencyState {
             banks: states, positions, measured, thrusts, measured_thrusts, free, last, ..
@@ -399,8 +400,8 @@ impl LatencyMonitor {
         let greatest = [self.config.torque_max, self.config.thrust_max];
         for of in 0..2 {
             let differs = measured[of].is_some_and(|delay| (delay - self.known[of]).abs() > greatest[of]);
-            state.exceeded[of] = if differs { state.exceeded[of] + elapsed } else { 0.0 };
+            state.exceeded[of].update(differs, elapsed);
         }
-        state.exceeded.map(|time| time > self.config.confirmation)
+        state.exceeded.map(|exceeded| exceeded.has_lasted(self.config.confirmation, elapsed))
     }
 }

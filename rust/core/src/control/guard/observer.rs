@@ -11,6 +11,7 @@
 //! centre of mass, force first. Equations M82 to M84 and M106 of `docs/model`.
 
 use crate::error::{BuildError, Table};
+use crate::timing::share;
 use nalgebra::Vector6;
 use serde::{Deserialize, Serialize};
 
@@ -52,7 +53,7 @@ impl ObserverConfig {
 
 /// Measured momentum and its modelled rate.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sample {
+pub struct MomentumSample {
     /// Centroidal momentum `L` \[kg m/s, kg m²/s\].
     pub momentum: Vector6<f64>,
     /// Modelled momentum rate `r` \[N, N m\].
@@ -68,7 +69,7 @@ pub struct ObserverState {
     /// m\].
     pub residual: Vector6<f64>,
     /// The last accepted sample.
-    pub(super) last: Option<Sample>,
+    pub(super) last: Option<MomentumSample>,
 }
 
 impl ObserverState {
@@ -81,9 +82,9 @@ impl ObserverState {
     /// Updates the observer with a sample `elapsed` \[s\] after the last one, and returns `ŵ`.
     ///
     /// `ŵ` does not change without a last sample, or if numbers overflow.
-    pub fn update(&mut self, config: &ObserverConfig, elapsed: f64, sample: Sample) -> Vector6<f64> {
+    pub fn update(&mut self, config: &ObserverConfig, elapsed: f64, sample: MomentumSample) -> Vector6<f64> {
         if let Some(last) = self.last.replace(sample) {
-            let (force, moment) = (share(config.gain_force, elapsed), share(config.gain_moment, elapsed));
+            let (force, moment) = (share(config.gain_force * elapsed), share(config.gain_moment * elapsed));
             let shares = Vector6::new(force, force, force, moment, moment, moment);
             let innovation = (sample.momentum - last.momentum) / elapsed - last.rate - self.wrench;
             let moved = self.wrench + shares.component_mul(&innovation);
@@ -99,19 +100,14 @@ impl ObserverState {
 
     /// Keeps `ŵ` and discards the last sample: for a tick whose momentum is not measured, or that is too long after the
     /// last one.
-    pub fn hold(&mut self) -> Vector6<f64> {
+    pub fn interrupt(&mut self) -> Vector6<f64> {
         self.last = None;
         self.residual.fill(0.0);
         self.wrench
     }
 }
 
-/// `1 − exp(−K_o Δt)`.
-fn share(gain: f64, elapsed: f64) -> f64 {
-    -libm::expm1(-gain * elapsed)
-}
-
 /// Fraction of an innovation that the residual receives after `elapsed` \[s\].
 pub(super) fn residual_share(elapsed: f64) -> f64 {
-    share(1.0 / RESIDUAL_TIME, elapsed)
+    share(elapsed / RESIDUAL_TIME)
 }

@@ -55,7 +55,8 @@ impl Guard {
         command: &Command,
         share: f64,
     ) {
-        let ControllerState { guard: GuardState { channels: last, estimator, .. }, between, contact, .. } = state;
+        let ControllerState { guard: GuardState { channels: last, estimator, .. }, between, contact, .. } =
+            state;
         let is_used = terms.inverse_mass.is_known && !contact.is_active; // under load, as in `replace_command`
         let change = &mut self.acceleration;
         change.fill(0.0);

@@ -13,6 +13,7 @@ use crate::dynamics::Dynamics;
 use crate::error::{BuildError, Table};
 use crate::kinematics::{Kinematics, RobotState};
 use crate::spatial::{log_so3, parts};
+use crate::timing::Exceeded;
 use serde::{Deserialize, Serialize};
 
 /// When a flight strays from its set-point.
@@ -85,14 +86,12 @@ impl SupervisorConfig {
         table.check_non_negative("confirmation", self.confirmation)
     }
 
-    /// Updates the time for which a limit has been exceeded \[s\], `elapsed` \[s\] after the last tick; returns whether
-    /// the flight strays.
-    pub fn update(&self, exceeded: &mut f64, elapsed: f64, errors: &Errors) -> bool {
+    /// Takes in the errors of a tick, `elapsed` \[s\] after the last one; returns whether the flight strays.
+    pub fn update(&self, exceeded: &mut Exceeded, elapsed: f64, errors: &Errors) -> bool {
         let is_beyond = errors.rotation > self.rotation
             || errors.position > self.position
             || errors.joint_velocity > self.joint_velocity;
-        *exceeded = if is_beyond { *exceeded + elapsed } else { 0.0 };
-        // A billionth absorbs the rounding of the sum.
-        is_beyond && *exceeded >= self.confirmation * (1.0 - 1e-9)
+        exceeded.update(is_beyond, elapsed);
+        exceeded.has_lasted(self.confirmation, elapsed)
     }
 }

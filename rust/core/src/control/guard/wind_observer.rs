@@ -14,7 +14,7 @@
 //!
 //! Equations M94 and M110 of `docs/model`.
 
-use super::observer::{ObserverConfig, ObserverState, Sample};
+use super::observer::{MomentumSample, ObserverConfig, ObserverState};
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::control::law::contact::add_wrenches;
 use crate::control::measurement::UsedMeasurement;
@@ -22,6 +22,7 @@ use crate::error::BuildError;
 use crate::kinematics::Kinematics;
 use crate::robot::RobotModel;
 use crate::spatial::{Pose, parts};
+use crate::timing::share;
 use nalgebra::{Matrix3, Matrix6xX, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 
@@ -131,7 +132,7 @@ impl WindObserver {
         let step = measurement.elapsed;
         state.drift(step);
         if !measurement.has_momentum {
-            state.hold();
+            state.interrupt();
             return;
         }
         let mut rate = Vector6::zeros();
@@ -142,7 +143,7 @@ impl WindObserver {
         add_wrenches(soles, &measurement.foot_wrenches, &kinematics.com, &mut rate);
         let gains =
             ObserverConfig { gain_force: GAIN, gain_moment: GAIN, force_max: GREATEST, moment_max: GREATEST };
-        let sample = Sample { momentum: *momentum, rate };
+        let sample = MomentumSample { momentum: *momentum, rate };
         let observed = state.wrench.update(&gains, step, sample);
         self.correct(state, kinematics, &observed, step);
     }
@@ -162,9 +163,8 @@ impl WindObserver {
             shifted[axis] += DIFFERENCE;
             jacobian.set_column(axis, &((self.wrench_in(kinematics, &shifted).0 - modelled.0) / DIFFERENCE));
         }
-        let share = -libm::expm1(-step / MEMORY);
-        let unexplained =
-            state.unexplained + share * ((observed.1 - modelled.1).norm_squared() - state.unexplained);
+        let unexplained = state.unexplained
+            + share(step / MEMORY) * ((observed.1 - modelled.1).norm_squared() - state.unexplained);
         let lasting = FORCE_STD * FORCE_STD
             + RELATIVE_STD * RELATIVE_STD * observed.0.norm_squared()
             + unexplained / (MOMENT_ARM * MOMENT_ARM);
@@ -210,8 +210,8 @@ impl WindState {
     }
 
     /// Discards the last sample: for a tick whose momentum is not measured.
-    fn hold(&mut self) {
-        self.wrench.hold();
+    fn interrupt(&mut self) {
+        self.wrench.interrupt();
     }
 
     /// Estimated wind \[m/s, inertial axes\].

@@ -15,6 +15,7 @@ use crate::error::{BuildError, Table, place_of};
 use crate::kinematics::Kinematics;
 use crate::robot::{Foot, RobotModel, check::unique};
 use crate::spatial::Pose;
+use crate::timing::Exceeded;
 use nalgebra::{DMatrix, DVector, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 
@@ -200,8 +201,8 @@ pub struct ContactState {
     pub force_rate: DVector<f64>,
     /// Time since all feet last carried load \[s\].
     unloaded_time: f64,
-    /// Time for which the model has not explained the vertical force \[s\].
-    unknown_time: f64,
+    /// For how long the model has not explained the vertical force.
+    unknown: Exceeded,
 }
 
 impl ContactState {
@@ -214,7 +215,7 @@ impl ContactState {
             force: nothing.clone(),
             force_rate: nothing,
             unloaded_time: f64::INFINITY,
-            unknown_time: 0.0,
+            unknown: Exceeded::default(),
         }
     }
 }
@@ -286,7 +287,7 @@ impl Contact {
             self.restart(state, measured, left);
         }
         if !is_found {
-            self.follow(state, measured, time_step);
+            self.follow_measured(state, measured, time_step);
         }
         for (sole, foot) in self.soles.iter_mut().zip(&robot.feet) {
             *sole = kinematics.frame_pose(&foot.frame);
@@ -330,9 +331,8 @@ impl Contact {
             let carried_just_now = are_measured && state.unloaded_time <= transfer.hold_time;
             unmodelled > greatest && (climb < -transfer.height || carried_just_now)
         };
-        state.unknown_time = if is_unknown { state.unknown_time + elapsed } else { 0.0 };
-        // Half a tick absorbs rounding.
-        is_unknown && (!are_measured || state.unknown_time > IMPACT_TIME + 0.5 * elapsed)
+        state.unknown.update(is_unknown, elapsed);
+        is_unknown && (!are_measured || state.unknown.has_lasted(IMPACT_TIME, elapsed))
     }
 
     /// Whether the feet carry load and the controller can neither take off nor land.
@@ -349,7 +349,7 @@ impl Contact {
 
     /// Sets `f_c*` to the measured wrenches during take-off; while the robot stands, `f_c*` follows them with a gain
     /// (M112).
-    fn follow(&self, state: &mut ContactState, measured: &[Vector6<f64>], time_step: f64) {
+    fn follow_measured(&self, state: &mut ContactState, measured: &[Vector6<f64>], time_step: f64) {
         let Some(transfer) = self.config.load_transfer.as_ref().filter(|_| state.is_active) else { return };
         let part = if self.takes_off { 1.0 } else { (transfer.measured_gain * time_step).min(1.0) };
         let wrenches = state.force.as_mut_slice().chunks_exact_mut(WRENCH);

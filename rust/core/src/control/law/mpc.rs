@@ -153,7 +153,7 @@ impl PredictiveLaw {
         let Some(age) = state.plan.age(time).filter(|age| *age <= longest) else { return false };
         self.follow_plan(state, terms, age, command);
         let answer = state.plan.answer.unwrap_or(QpAnswer::from_status(QpStatus::NonFinite));
-        command.momentum_qp = answer;
+        command.rates_qp = answer;
         command.status = if !is_planned || answer.status != QpStatus::Solved {
             CommandStatus::PlanKept
         } else {
@@ -251,7 +251,7 @@ impl PredictiveLaw {
                     _ => None,
                 };
                 setpoint = if let Some(known) = known {
-                    generator.follow(&mut ahead, &known.motion());
+                    generator.take_motion(&mut ahead, &known.motion());
                     known
                 } else {
                     generator.ahead(motion.ahead, &mut ahead, time)

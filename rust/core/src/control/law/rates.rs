@@ -1,12 +1,12 @@
 //! The law that the tick calls: from the set-point to thrust rates and joint velocities, by the momentum QP or a plan.
 
 use super::attitude::attitude_demand;
-use super::limits::JointCondition;
 use super::momentum_qp::TaskInputs;
 use super::mpc::{PredictiveLaw, Upcoming};
 use super::setpoint::{Ahead, Setpoint, SetpointGenerator};
 use crate::aero::AeroModel;
 use crate::control::command::{Command, CommandStatus};
+use crate::control::limits::JointCondition;
 use crate::control::preview::Preview;
 use crate::control::state::ControllerState;
 use crate::control::terms::Terms;
@@ -58,7 +58,12 @@ impl Law {
     /// Chooses the set-point of this tick: during a descent that of the descent, otherwise the `given` one, or that of
     /// the mission. Returns whether the given one is valid; if it is not, the robot brakes from the motion of the last
     /// valid one (M115).
-    pub fn follow(&mut self, state: &mut ControllerState, given: Option<&Setpoint>, terms: &mut Terms) -> bool {
+    pub fn choose_setpoint(
+        &mut self,
+        state: &mut ControllerState,
+        given: Option<&Setpoint>,
+        terms: &mut Terms,
+    ) -> bool {
         let ControllerState { setpoint: state, guard, contact, .. } = state;
         let is_valid = given.is_none_or(Setpoint::is_valid);
         (self.ahead, terms.setpoint) = match given {
@@ -67,7 +72,7 @@ impl Law {
             }
             None => (Ahead::Mission, self.generator.update(state, terms.measurement.time)),
             Some(given) if is_valid => {
-                self.generator.follow(state, &given.motion());
+                self.generator.take_motion(state, &given.motion());
                 (Ahead::Motion, *given)
             }
             Some(_) => (Ahead::Stop, self.generator.stop(state)),
@@ -87,7 +92,7 @@ impl Law {
         terms: &mut Terms,
         command: &mut Command,
     ) {
-        self.prepare(state, terms);
+        Self::prepare(state, terms);
         let Self { predictive, generator, ahead, .. } = self;
         let Some(predictive) = predictive.as_mut().filter(|law| law.flies(state, terms)) else {
             state.plan.discard();
@@ -103,7 +108,7 @@ impl Law {
     }
 
     /// Builds the momentum QP of this tick, with its bounds.
-    fn prepare(&self, state: &ControllerState, terms: &mut Terms) {
+    fn prepare(state: &ControllerState, terms: &mut Terms) {
         let Terms { measurement, kinematics, dynamics, momentum, setpoint, due, .. } = terms;
         let Terms { limits, attitude, momentum_qp, contact, .. } = terms;
         let (_, moment_estimate) = parts(&momentum.rate_estimate);
@@ -148,7 +153,7 @@ impl Law {
     fn decide(&mut self, state: &mut ControllerState, terms: &mut Terms, command: &mut Command) {
         let Terms { momentum_qp, contact, .. } = terms;
         let answer = self.solver.solve_from(&mut state.momentum_start, &momentum_qp.problem);
-        command.momentum_qp = answer;
+        command.rates_qp = answer;
         self.solution.as_mut_slice().copy_from_slice(self.solver.x());
         command.status = CommandStatus::of_modes(command.modes);
         if answer.status != QpStatus::Solved {

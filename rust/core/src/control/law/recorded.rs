@@ -39,7 +39,7 @@ impl RecordedMotion {
     }
 
     /// The same position and attitude, at rest.
-    fn hold(&self) -> Self {
+    fn at_rest(&self) -> Self {
         let zero = Vector3::zeros();
         Self { com: [self.com[0], zero, zero, zero], angular_velocity_b: zero, ..*self }
     }
@@ -143,11 +143,11 @@ impl Recording {
     #[must_use]
     pub fn at(&self, time: f64) -> RecordedMotion {
         let next = self.times.partition_point(|sample| *sample <= time);
-        let Some(before) = next.checked_sub(1) else { return self.motions[0].hold() };
+        let Some(before) = next.checked_sub(1) else { return self.motions[0].at_rest() };
         let (a, Some(b)) = (&self.motions[before], self.motions.get(next)) else {
             // The last sample itself is part of the recording.
             let last = &self.motions[before];
-            return if time > self.times[before] { last.hold() } else { *last };
+            return if time > self.times[before] { last.at_rest() } else { *last };
         };
         let h = self.times[next] - self.times[before];
         let s = (time - self.times[before]) / h;

@@ -11,7 +11,7 @@
 
 use crate::aero::network::{Layer, Tensors};
 use crate::control::command::{Command, CommandStatus};
-use crate::control::guard::observer::{ObserverConfig, Sample};
+use crate::control::guard::observer::{MomentumSample, ObserverConfig};
 use crate::control::modes::Modes;
 use crate::control::state::ControllerState;
 use crate::control::terms::Terms;
@@ -321,10 +321,10 @@ pub fn steer(
     add(given.is_some_and(|given| given.replaces), terms, command);
     let Terms { measurement, dynamics, momentum, .. } = terms;
     if measurement.has_momentum {
-        let sample = Sample { momentum: dynamics.momentum, rate: momentum.rate_estimate };
+        let sample = MomentumSample { momentum: dynamics.momentum, rate: momentum.rate_estimate };
         state.residual_observer.update(&OBSERVER, measurement.elapsed, sample);
     } else {
-        state.residual_observer.hold();
+        state.residual_observer.interrupt();
     }
 }
 

@@ -11,7 +11,7 @@
 use super::minimum_jerk::{FilterState, MinimumJerkFilter};
 use super::mission::{AutopilotCommand, Mission};
 use super::recorded::RecordedMotion;
-use crate::control::guard::channels::greatest::{ANGULAR_VELOCITY, POSITION, VELOCITY};
+use crate::control::greatest::{ANGULAR_VELOCITY, POSITION, VELOCITY};
 use crate::error::{BuildError, Table};
 use crate::spatial::{
     GREATEST, axis_angle, exp_so3, is_rotation, log_so3, project_to_so3, rotation_from_rpy,
@@ -121,7 +121,7 @@ pub struct Setpoint {
 impl Setpoint {
     /// A set-point at rest at a position and rotation.
     #[must_use]
-    pub fn hold(com_position: Vector3<f64>, rotation: Matrix3<f64>) -> Self {
+    pub fn at_rest(com_position: Vector3<f64>, rotation: Matrix3<f64>) -> Self {
         let zero = Vector3::zeros();
         Self {
             com_position,
@@ -369,7 +369,7 @@ impl SetpointGenerator {
             }
             Mission::Recorded(recording) => {
                 let motion = recording.at(time);
-                self.follow(state, &motion);
+                self.take_motion(state, &motion);
                 let turning = &state.angular_velocity;
                 Setpoint {
                     angular_velocity_b: turning.value(),
@@ -380,7 +380,7 @@ impl SetpointGenerator {
     }
 
     /// Sets the state to that of a given motion, from which a stop or a descent would start.
-    pub fn follow(&self, state: &mut SetpointState, motion: &RecordedMotion) {
+    pub fn take_motion(&self, state: &mut SetpointState, motion: &RecordedMotion) {
         let [position, velocity, acceleration, jerk] = motion.com;
         let outputs = [position, velocity, acceleration];
         let (raw_position, raw_velocity) = self.position_filter.input_of(outputs);

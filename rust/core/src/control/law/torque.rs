@@ -16,7 +16,7 @@
 //! `docs/deviations.md`).
 
 use super::contact::{Contact, ContactConfig, ContactState, WRENCH, WRENCH_ROWS};
-use super::limits::JointCondition;
+use crate::control::limits::JointCondition;
 use crate::dynamics::InverseMass;
 use crate::linalg;
 use crate::qp::QpProblem;

@@ -4,6 +4,7 @@
 
 use super::torque::limit_rate;
 use crate::control::command::{Command, CommandStatus};
+use crate::control::limits::JointCondition;
 use crate::control::state::ControllerState;
 use crate::control::terms::Terms;
 use crate::qp::{QpAnswer, QpChain, QpSolver, QpStatus};
@@ -32,6 +33,11 @@ impl Torques {
     pub fn solve(&mut self, state: &mut ControllerState, terms: &mut Terms, command: &mut Command) {
         let Terms { measurement, inverse_mass, free_acceleration, contact, limits, torque_qp, .. } = terms;
         self.compare(measurement.state.joint_velocity(), command);
+        for (integral, found) in state.velocity_error_integral.iter_mut().zip(&limits.joints) {
+            if matches!(found, JointCondition::Stuck | JointCondition::Free) {
+                *integral = 0.0; // it follows no velocity
+            }
+        }
         if inverse_mass.is_known {
             torque_qp.limit(&limits.joints);
             torque_qp.update(

@@ -9,7 +9,7 @@ use std::ops::Range;
 
 /// Positions of the channels in the vector of all numbers of a measurement.
 #[derive(Debug, Clone)]
-pub(super) struct Layout {
+pub(super) struct Numbers {
     pub(super) wind: Range<usize>,
     pub(super) thrust: Range<usize>,
     pub(super) joint_position: Range<usize>,
@@ -21,7 +21,7 @@ pub(super) struct Layout {
     pub(super) feet: Range<usize>,
 }
 
-impl Layout {
+impl Numbers {
     pub(super) fn new(jets: usize, joints: usize, feet: usize) -> Self {
         let mut end = 0;
         let mut next = |count: usize| {
@@ -120,7 +120,7 @@ pub(super) fn rotation_of(numbers: &[f64]) -> Matrix3<f64> {
 
 /// What a channel measures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum ChannelKind {
     Wind,
     Thrust,
     Joints,
@@ -130,7 +130,7 @@ pub(super) enum Kind {
     Feet,
 }
 
-impl Kind {
+impl ChannelKind {
     /// Mode of a tick without it.
     pub(super) fn mode(self) -> Modes {
         match self {
@@ -153,6 +153,6 @@ impl Kind {
 /// A channel: numbers that are accepted or predicted together.
 #[derive(Debug, Clone)]
 pub(super) struct Entry {
-    pub(super) kind: Kind,
+    pub(super) kind: ChannelKind,
     pub(super) range: Range<usize>,
 }

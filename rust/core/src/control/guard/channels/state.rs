@@ -1,6 +1,6 @@
 //! State of the channels from tick to tick: its prediction and its clock.
 
-use super::layout::Layout;
+use super::layout::Numbers;
 use crate::control::measurement::UsedMeasurement;
 use crate::control::modes::Modes;
 use crate::jets::JetModel;
@@ -98,7 +98,7 @@ impl ChannelsState {
     /// Advances all values except the pose by `dt` \[s\] (M101): joints and base by M78, thrusts by M31 or M173. Values stay within
     /// the accepted range, because otherwise the predicted velocity could grow without limit while a measurement is
     /// missing.
-    pub(super) fn predict(&mut self, layout: &Layout, jets: &[JetModel], greatest: &[f64], dt: f64) {
+    pub(super) fn predict(&mut self, layout: &Numbers, jets: &[JetModel], greatest: &[f64], dt: f64) {
         let Self { predicted, acceleration, thrust_rate, jet_rate, foot_wrenches, .. } = self;
         predicted[layout.feet.clone()].copy_from_slice(foot_wrenches.as_slice());
         let thrusts = predicted[layout.thrust.clone()].iter_mut().zip(jet_rate.iter_mut());

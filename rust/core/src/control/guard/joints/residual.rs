@@ -1,6 +1,6 @@
 //! The generalised force of a tick that the model does not explain, which the detection judges.
 
-use super::Sample;
+use super::JointSample;
 use crate::control::guard::channels::ChannelsState;
 use crate::control::terms::Terms;
 use crate::robot::RobotModel;
@@ -26,7 +26,7 @@ impl JointResidual {
     }
 
     /// What a tick shows of the joints, after the `last` one.
-    pub fn sample<'a>(&'a mut self, terms: &Terms, last: &'a ChannelsState) -> Sample<'a> {
+    pub fn sample<'a>(&'a mut self, terms: &Terms, last: &'a ChannelsState) -> JointSample<'a> {
         let Terms { measurement: used, dynamics, kinematics, momentum, .. } = terms;
         let velocities = used.state.velocity.iter().zip(&last.commanded_in.velocity);
         for ((to, (now, before)), predicted) in
@@ -41,7 +41,7 @@ impl JointResidual {
         rows += force;
         let mut rows = self.residual.fixed_rows_mut::<3>(3);
         rows += moment + arm.cross(&force);
-        Sample {
+        JointSample {
             dt: used.elapsed,
             residual: &self.residual,
             torque: &last.joint_torque,

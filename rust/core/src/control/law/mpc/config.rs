@@ -163,7 +163,7 @@ impl MpcConfig {
         }
         MPC.check("knots", self.knots[0], |x| x > 0.0 && is_whole(x), &expected)?;
         for pair in self.knots.windows(2) {
-            let power = (pair[1] / pair[0]).log2();
+            let power = libm::log2(pair[1] / pair[0]);
             let is_power = |_| power >= -1e-9 && (power - power.round()).abs() < 1e-9;
             MPC.check("knots", pair[1], is_power, "the knot before it times a power of two")?;
         }

@@ -75,8 +75,8 @@ impl Chain {
     fn new((kd, kp): (f64, f64), time: f64) -> Self {
         let a = Matrix3::new(0.0, 1.0, 0.0, 0.0, -kd, -kp, 0.0, 1.0, 0.0);
         let b = Vector3::new(0.0, kd, -1.0);
-        let halvings = (time * (kd + kp.sqrt() + 1.0) * 16.0).log2().ceil().max(0.0);
-        let step = time / halvings.exp2();
+        let halvings = libm::log2(time * (kd + kp.sqrt() + 1.0) * 16.0).ceil().max(0.0);
+        let step = time / libm::exp2(halvings);
         let (mut chain, mut power) =
             (Self { transition: Matrix3::identity(), input: Vector3::zeros() }, Matrix3::identity());
         let mut scale = step;
@@ -410,7 +410,7 @@ impl Horizon {
             reason = "checked by the configuration"
         )]
         let doublings: Vec<usize> =
-            durations.iter().map(|duration| (duration / durations[0]).log2().round() as usize).collect();
+            durations.iter().map(|duration| libm::log2(duration / durations[0]).round() as usize).collect();
         let powers = doublings.last().map_or(1, |last| last + 1);
         let (n, states) = (jets * knots + free * blocks, 2 * jets + 3 * free);
         let mut chains = vec![Chain::new(gains, durations[0])];

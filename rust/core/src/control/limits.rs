@@ -1,6 +1,6 @@
 //! What the law may use in a tick: as configured, or as the guard allows.
 
-use super::attitude::MomentumGains;
+use super::law::attitude::MomentumGains;
 use crate::robot::RobotModel;
 
 /// What a joint does with its torque.

@@ -5,10 +5,12 @@
 //!
 //! Equation M152 of `docs/model`.
 
-use crate::control::command::CommandStatus;
-use crate::control::guard::channels::{ChannelsConfig, Jumps, greatest};
-use crate::control::guard::estimator::EstimatorConfig;
+use super::command::CommandStatus;
+use super::greatest;
+use super::guard::channels::{ChannelsConfig, Jumps};
+use super::guard::estimator::EstimatorConfig;
 use crate::kinematics::RobotState;
+use crate::timing::share;
 use nalgebra::{DVector, DVectorView};
 
 /// What a tick of the torques receives: the joints in the robot's order. Entries that are not finite are not measured.
@@ -89,7 +91,7 @@ impl JointTracker {
     /// A tracker for ticks every `period` \[s\], which corrects as the estimator does, and accepts what channels accept.
     #[must_use]
     pub fn new(estimator: Option<&EstimatorConfig>, channels: &ChannelsConfig, period: f64) -> Self {
-        let share = |time: f64| if time > 0.0 { -libm::expm1(-period / time) } else { 1.0 };
+        let share = |time: f64| share(period / time);
         let of =
             |time_of: fn(&EstimatorConfig) -> f64| estimator.map_or(1.0, |config| share(time_of(config)));
         let (position, velocity) = match estimator.and_then(|config| config.joint_observer) {
