@@ -313,6 +313,7 @@ class WindObserverConfig(Struct, frozen=True, kw_only=True):
 class ControllerSection(Struct, frozen=True, kw_only=True):
     aero: AeroConfig
     aero_feedback: AeroFeedback = AeroFeedback()
+    axes_of: str | None = None
     bounds: BoundsConfig
     channels: ChannelsConfig = ChannelsConfig()
     contact: ContactConfig | None = None

@@ -369,6 +369,34 @@ def clearance(results: Results) -> Judged:
     return text, judge(not hit, how) if not hit or not flown else in_part
 
 
+def recorded_commands(results: Results) -> Judged:
+    """Judge the commands that follow from the standing robot's measurements by the recorded ones."""
+    runs = {name: results.study("standing", name) for name in ("front", "lateral")}
+
+    def greatest(variant: str, figure: str) -> float:
+        return float(max(run[f"{variant}: desired {figure}"] for run in runs.values()))
+
+    figures = {"torques, rms [N m]": "N m", "foot forces, rms [N]": "N"}
+    flown, right = (
+        [f"{greatest(variant, figure):.2f} {unit}" for figure, unit in figures.items()]
+        for variant in ("as flown", "right")
+    )
+    text = f"rms at most {flown[0]} and {flown[1]} with the air as flown, {right[0]} and {right[1]} with the right one"
+    agrees = greatest("as flown", "torques, rms [N m]") <= 0.5 and greatest("as flown", "foot forces, rms [N]") <= 0.1
+    return text, judge(agrees, "more than 0.5 N m or 0.1 N")
+
+
+def recorded_motion(results: Results) -> Judged:
+    """Judge how far the simulated experiment moves the centre of mass by how far the robot moved."""
+    moves = {name: results.study("standing", name) for name in ("front", "lateral")}
+    key = "centre of mass [mm]"
+    pairs = {name: (run[f"simulated: {key}"], run[f"recorded: {key}"]) for name, run in moves.items()}
+    text = ", ".join(f"{name} {ours:.0f} mm (record {robot:.0f})" for name, (ours, robot) in pairs.items())
+    # Equal experiments moved the robot by 31 and 51 mm.
+    agrees = all(abs(ours - robot) <= 20.0 for ours, robot in pairs.values())
+    return text, judge(agrees, "by more than the 20 mm between two equal runs of the robot")
+
+
 def pressure_share(results: Results) -> Judged:
     """Judge the share of the pressure in the force on the robot."""
     share = 100.0 * results.study("cfd_flow", "flight30")["pressure share of the force"]

@@ -163,6 +163,9 @@ def momentum_controller(
     if controller.contact is not None or not controller.use_jets:
         key, value = ("contact", "given") if controller.contact is not None else ("use_jets", "false")
         raise ValueError(f"`controller.{key}` is {value}; expected a controller that flies: JAX has no feet")
+    if controller.axes_of is not None:
+        message = "expected none: in JAX each link has its own axis"
+        raise ValueError(f"`controller.axes_of` is {controller.axes_of}; {message}")
     feedback, aero = controller.aero_feedback, aero_model(controller.aero, robot, read_network)
     estimates = controller.estimator
     return MomentumController(

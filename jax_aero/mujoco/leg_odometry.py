@@ -6,6 +6,8 @@ all soles, and joint velocities through a low pass.
 
 from __future__ import annotations
 
+import tomllib
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco  # type: ignore[import-untyped]
@@ -13,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_aero import rust
-from jax_aero.mujoco.model import Order
+from jax_aero.mujoco.model import Order, mujoco_spec, order_of
 
 DAMPING = 1e-7
 """Damping of the pseudo-inverse, as published."""
@@ -43,6 +45,20 @@ class LegOdometry:
         sole_rotation_b, sole_position_b = self._sole()
         self._rotation = rotation @ sole_rotation_b
         self._position = position + rotation @ sole_position_b
+
+    @classmethod
+    def on_first_sole(cls, source: str, feet: Sequence[str]) -> LegOdometry:
+        """Return the odometry of a robot, given by its file, in the axes of its first foot, without a low pass."""
+        robot, spec = rust.Robot(source), mujoco_spec(source)
+        frames = {foot["name"]: foot["frame"] for foot in tomllib.loads(robot.toml_text)["feet"]}
+        for name in feet:
+            spec.body(frames[name]).add_site(name=name)
+        model, names = spec.compile(), tuple(robot.joint_names)
+        n = len(names)
+        at_zero = rust.State(np.zeros(3), np.eye(3), np.zeros(n), np.zeros(6 + n))
+        odometry = cls(model, order_of(source, names), [model.site(name).id for name in feet], at_zero, share=1.0)
+        odometry._position, odometry._rotation = np.zeros(3), np.eye(3)
+        return odometry
 
     def measure(self, truth: rust.State) -> rust.State:
         """Return the state estimated from joints and soles; call once per tick. Only the joints of `truth` are used."""

@@ -1,4 +1,4 @@
-"""Columns of numbers in recorded logs, with their times: CSV files, and JSON messages of MCAP files."""
+"""Columns of numbers in recorded logs, with their times: CSV and parquet files, and JSON messages of MCAP files."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from jax_aero import rust
 from jax_aero.base import sizes, typed
 from jax_aero.base.files import parse_json, read_bytes
+from jax_aero.base.parquet import read_table
 from jax_aero.base.places import did_you_mean
 from jax_aero.view import Refused, require
 from jax_aero.view.export import METADATA
@@ -87,6 +88,31 @@ def read_csv(
         own = is_filled[:, column] if is_sparse else slice(None)
         found[header[place]] = Series(times[own], table[own, column])
     return found, header
+
+
+def read_parquet(
+    path: Path, time: str, scale: float, wanted: Collection[str], *, is_ours: bool
+) -> tuple[dict[str, Series], Sequence[str]]:
+    """Return the wanted columns of a parquet file of numbers, as `read_csv`; a missing number is NaN."""
+    del is_ours
+    table = read_table(path)
+    header = table.column_names
+    if time not in header:
+        raise Refused(f"`{path}` has no column `{time}` of times{did_you_mean(time, header)}")
+
+    def rows(name: str) -> Array:
+        try:
+            return np.asarray(table[name].to_numpy(), np.float64)
+        except (TypeError, ValueError):
+            raise Refused(f"column `{name}` of `{path}` holds no numbers") from None
+
+    times = rows(time)
+    times = (times - times[:1]) * scale
+    return {name: Series(times, rows(name)) for name in header if name in wanted}, header
+
+
+TABLES = {".csv": read_csv, ".parquet": read_parquet}
+"""Readers of tables, by suffix."""
 
 
 def _rows(path: Path, content: bytes, separator: str) -> Iterator[tuple[int, list[str]]]:

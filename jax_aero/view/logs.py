@@ -1,4 +1,4 @@
-"""Recorded logs to be replayed: our NetCDF, MCAP and CSV, and those of others with a file that names their columns.
+"""Recorded logs to be replayed: our NetCDF, MCAP and CSV, and tables of others with a file that names their columns.
 
 A mapping file is TOML: a table for each signal (`rust.signals`) that the log holds.
 
@@ -25,7 +25,7 @@ from jax_aero.base import tables
 from jax_aero.base.places import did_you_mean
 from jax_aero.base.terminal import ConfigError
 from jax_aero.view import Refused, recording
-from jax_aero.view.columns import Array, Series, read_csv, read_mcap
+from jax_aero.view.columns import TABLES, Array, Series, read_mcap
 from jax_aero.view.export import column_name
 from jax_aero.view.recording import entries_of
 
@@ -101,7 +101,7 @@ def read(path: Path, config: rust.Config | None, mapping: Path | None = None, ro
     Parameters
     ----------
     path
-        A result of `jax-aero fly`, or a `.csv` or `.mcap` file.
+        A result of `jax-aero fly`, or a `.mcap`, `.csv` or `.parquet` file.
     config
         Configuration of the robot that it is of; `None` for that of the log.
     mapping
@@ -114,23 +114,23 @@ def read(path: Path, config: rust.Config | None, mapping: Path | None = None, ro
     Refused
         For a file that cannot be read, or columns that are not there.
     """
-    if path.suffix not in (".csv", ".mcap"):
+    if path.suffix not in (".mcap", *TABLES):
         if mapping is not None:
-            raise Refused(f"--map is given for `{path}`; expected it with a .csv or .mcap file, whose columns it names")
+            raise Refused(f"--map is given for `{path}`; expected it with a file of {', '.join(('.mcap', *TABLES))}")
         flight = recording.read(path, robot_file or (None if config is None else config["robot"]))
         series = {name: [Series(flight.signals["time"], flight.rows(name))] for name in flight.signals}
         return Log(series, flight.config)
     sources = {} if mapping is None else _load_mapping(mapping)
-    columns, own = ({}, None) if path.suffix == ".csv" else read_mcap(path, is_ours=mapping is None)
+    columns, own = ({}, None) if path.suffix in TABLES else read_mcap(path, is_ours=mapping is None)
     if config is None and own is None:
         raise Refused(f"`{path}` holds no configuration of a flight; expected --experiment NAME")
     robot = rust.Robot(robot_file or (config or own or {})["robot"])
     named = _own_columns(robot, path.suffix) if mapping is None else _mapped_columns(sources, robot, mapping)
     header: Collection[str] = columns
-    if path.suffix == ".csv":
+    if path.suffix in TABLES:
         time, wanted = sources.get("time", Source(columns="time")), {name for names in named.values() for name in names}
         stamp = time.columns if isinstance(time.columns, str) else next(iter(time.columns), "")
-        columns, header = read_csv(path, stamp, time.scale, wanted, is_ours=mapping is None)
+        columns, header = TABLES[path.suffix](path, stamp, time.scale, wanted, is_ours=mapping is None)
     signals = {}
     for signal, names in named.items():
         absent = [name for name in names if name not in columns]

@@ -41,6 +41,9 @@ PERMITTED = {
 }
 """Licences of Python packages, none of which is in a wheel of ours."""
 
+COPYRIGHT_OF_RECORDS = "Copyright (c) 2024, Artificial and Mechanical Intelligence"
+"""Of the standing robot's records, whose licence is ours, BSD-3-Clause."""
+
 UNSTATED = {"cmeel-qhull": "Qhull", "jax-aero": "BSD-3-Clause"}
 """Licences of packages whose metadata do not name them, from their projects' own pages."""
 
@@ -131,6 +134,8 @@ def third_party() -> str:
         for text in _licence_texts(Path(each["manifest_path"]).parent):
             texts[text].append(f"{each['name']} {each['version']}")
     blocks = [f"## {', '.join(names)}\n\n```text\n{text}\n```\n" for text, names in texts.items()]
+    ours = (ROOT / "LICENSE").read_text(encoding="utf-8").strip()
+    of_data = re.sub(r"^Copyright .*$", COPYRIGHT_OF_RECORDS, ours, count=1, flags=re.MULTILINE)
     return f"""# Crates in a wheel, and their licences
 
 Written by `python -m tests.tools.supply_chain third-party` from `Cargo.lock`; part of every wheel. Of crates that offer
@@ -140,7 +145,16 @@ several licences, that of MIT is taken. A wheel holds no Python package but this
 |---|---|---|
 {chr(10).join(rows)}
 
-{chr(10).join(blocks)}"""
+{chr(10).join(blocks)}
+# Records
+
+`configs/records/standing_*.parquet`: digitised from plots of
+github.com/ami-iit/paper_paolino_2024_nature_learning-aerodynamics-control, commit de879f5.
+
+```text
+{of_data}
+```
+"""
 
 
 def expression(crate: dict[str, Any]) -> str:

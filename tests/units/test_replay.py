@@ -447,7 +447,7 @@ def test_what_does_not_fit_is_refused(result, foreign, tmp_path, capsys):
     (tmp_path / "damaged.mcap").write_bytes(content)
     refusals = {
         ("replay", result, "--set", "controller.torque.steps=10"): "whose ticks need the joints in between",
-        ("replay", result, "--map", foreign / "map.toml"): "expected it with a .csv or .mcap file",
+        ("replay", result, "--map", foreign / "map.toml"): "expected it with a file of .mcap, .csv, .parquet",
         ("replay", foreign / "log.csv", "--experiment", "test2"): "has no column `time`",
         ("replay", foreign / "log.csv", "--map", foreign / "map.toml"): "expected --experiment NAME",
         ("replay", tmp_path / "empty.mcap"): "does not begin as an MCAP file",

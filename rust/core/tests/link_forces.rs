@@ -108,6 +108,31 @@ fn points_are_right_by_default() {
     assert_is("drag", &found.forces_i[0], (v * (0.5 * 1.225 * 0.02 * v.norm())).into());
 }
 
+/// As flown: the rotation of one link turns the axes of all, and moves no point.
+#[test]
+fn one_link_may_turn_the_axes_of_all() {
+    let (mut robot, state) = one_arm();
+    let mut on_base = robot.aero_links[0].clone();
+    on_base.frame.body = 0;
+    robot.aero_links.insert(0, on_base);
+    let (model, wind) = (axisymmetric(&robot, "round"), Vector3::new(-4.0, 0.0, 0.0));
+    let axes_of = |axes_of| {
+        forces_of(&robot, &state, LinkConventions { axes_of, ..LinkConventions::default() }, &model, &wind).1
+    };
+    let (own, of_base, of_arm) = (axes_of(None), axes_of(Some(0)), axes_of(Some(1)));
+    // R_B y = −x, and R y = z for the arm.
+    let (base_axis, arm_axis) = ([-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]);
+    for (found, expected) in
+        [(&own, [base_axis, arm_axis]), (&of_base, [base_axis; 2]), (&of_arm, [arm_axis; 2])]
+    {
+        for (axis, expected) in found.axes_i.iter().zip(expected) {
+            assert_is("axis", axis, expected);
+        }
+        assert_eq!((&found.arm_points_i, &found.v_air_i), (&own.arm_points_i, &own.v_air_i));
+        assert_eq!(found.jacobian_points_i, own.jacobian_points_i);
+    }
+}
+
 /// Each quirk moves its own point and nothing else.
 #[test]
 fn each_quirk_moves_its_own_point() {

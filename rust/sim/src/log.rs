@@ -85,10 +85,13 @@ impl FlightLog {
         Self::of(robot, n_ticks, |_| true)
     }
 
-    /// As [`Self::new`], for the signals of the controller alone.
+    /// As [`Self::new`], for the signals of the controller alone; those of the ground only of one with feet.
     #[must_use]
-    pub fn of_ticks(robot: &RobotModel, n_ticks: usize) -> Self {
-        Self::of(robot, n_ticks, |signal| !signal.is_of_ground && matches!(signal.read, Some(Read::Tick(_))))
+    pub fn of_ticks(robot: &RobotModel, has_feet: bool, n_ticks: usize) -> Self {
+        let is_logged = |signal: &Signal| {
+            matches!(signal.read, Some(Read::Tick(_))) && (has_feet || !signal.is_of_ground)
+        };
+        Self::of(robot, n_ticks, is_logged)
     }
 
     fn of(robot: &RobotModel, n_ticks: usize, is_logged: impl Fn(&Signal) -> bool) -> Self {

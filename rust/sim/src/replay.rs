@@ -38,8 +38,8 @@ pub fn replay(config: &ScenarioConfig, log: &FlightLog) -> Result<FlightLog, Bui
     let sensors = config.simulator.sensors.as_ref();
     let mut sensors = sensors.map(|sensors| Sensors::new(sensors, time_step, joints, jets)).transpose()?;
     let wind = Wind::new(&config.wind)?;
-    let mut replayed = FlightLog::of_ticks(&robot, log.len());
     let mut controller = config.controller(robot.clone())?;
+    let mut replayed = FlightLog::of_ticks(&robot, !controller.model().feet.is_empty(), log.len());
     let feet = feet_of(&robot, &controller.model().feet);
     let mut foot_wrenches = vec![Vector6::zeros(); controller.model().feet.len()];
     let mut state = None;

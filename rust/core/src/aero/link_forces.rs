@@ -56,6 +56,8 @@ pub struct LinkConventions {
     pub jacobian_offset: JacobianOffset,
     /// Point whose velocity enters the relative wind.
     pub link_velocity: LinkVelocity,
+    /// Place of the aerodynamic link whose rotation turns the axes of all links (as flown); `None`: each its own.
+    pub axes_of: Option<usize>,
 }
 
 /// Aerodynamic state of every link in one tick; preallocated, recomputed by [`LinkForces::update`].
@@ -97,6 +99,8 @@ impl LinkForces {
         wind_i: &Vector3<f64>,
     ) {
         let base_rotation = &kinematics.bodies[0].i_from_b.rotation;
+        let turning = conventions.axes_of.and_then(|place| robot.aero_links.get(place));
+        let rotation_of_all = turning.map(|link| kinematics.frame_pose(&link.frame).rotation);
         for (index, link) in robot.aero_links.iter().enumerate() {
             let pose = kinematics.frame_pose(&link.frame);
             let origin = pose.position;
@@ -113,7 +117,7 @@ impl LinkForces {
                 LinkVelocity::AtCentre => centre,
                 LinkVelocity::ShiftedTwice => jacobian_point + link.centre_l,
             };
-            self.axes_i[index] = pose.rotation * link.axis_l.into_inner();
+            self.axes_i[index] = rotation_of_all.unwrap_or(pose.rotation) * link.axis_l.into_inner();
             self.v_air_i[index] = wind_i - kinematics.bodies[link.frame.body].velocity_at(&velocity_point);
             self.arm_points_i[index] = arm_point;
             self.jacobian_points_i[index] = jacobian_point;

@@ -57,6 +57,10 @@ pub struct ControllerConfig {
     /// Point whose velocity enters the relative wind.
     #[serde(default)]
     pub link_velocity: LinkVelocity,
+    /// Aerodynamic link whose rotation turns the axes of all links, as on the robot of the paper's ground experiments;
+    /// without it each link has its own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub axes_of: Option<String>,
     /// Gains of the momentum and attitude tasks.
     pub momentum: MomentumGains,
     /// Posture gain `K_s` by joint group \[1/s\].
@@ -340,14 +344,19 @@ impl ControllerConfig {
         gains
     }
 
-    /// Points at which the controller's link forces act.
-    #[must_use]
-    pub fn conventions(&self) -> LinkConventions {
-        LinkConventions {
+    /// Points at which the controller's link forces act, and what turns the axes of its links.
+    ///
+    /// # Errors
+    /// [`BuildError`] if the robot has no link `axes_of`.
+    pub fn conventions(&self, robot: &RobotModel) -> Result<LinkConventions, BuildError> {
+        let links = robot.aero_links.iter().map(|link| &link.name);
+        let axes_of = self.axes_of.as_ref().map(|name| place_of("controller.axes_of", name, links));
+        Ok(LinkConventions {
             lever_arm: self.lever_arm,
             jacobian_offset: self.jacobian_offset,
             link_velocity: self.link_velocity,
-        }
+            axes_of: axes_of.transpose()?,
+        })
     }
 }
 

@@ -64,7 +64,7 @@ impl Controller {
         let command = Command::zero(measurement.thrust.len(), joints);
         let contact = Contact::new(&contact, &model);
         Ok(Self {
-            conventions: config.conventions(),
+            conventions: config.conventions(&robot)?,
             feedback: config.aero_feedback,
             guard,
             law,
@@ -92,7 +92,7 @@ fn build_predictive(
 ) -> Result<Option<PredictiveLaw>, BuildError> {
     let Some(mpc) = &config.mpc else { return Ok(None) };
     mpc.check(robot, time_step)?;
-    let conventions = config.conventions();
+    let conventions = config.conventions(robot)?;
     mpc.check_air(aero, conventions)?;
     let gains = (config.torque.kd, config.torque.kp);
     let thrust_rate_max = robot.by_jet(&config.bounds.thrust_rate_max);

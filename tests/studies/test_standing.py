@@ -1,0 +1,63 @@
+"""The records of the standing robot through our controller: agreement as flown, refusal of others."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from experiments.replay import replay
+from experiments.studies.standing import study as standing
+from jax_aero import rust
+from jax_aero.view import logs
+
+TORQUE, FORCE, MOMENT = 0.5, 0.1, 0.3
+"""Greatest rms of desired torques [N m], foot forces [N] and foot moments [N m]; the record has 0.1 N of 200 N."""
+
+
+@pytest.fixture(scope="module", params=["front", "lateral"])
+def run(request):
+    """Name, configuration, log and flown controller of a recorded run."""
+    name, config = standing.STUDY.read(request.param)
+    flown = rust.load_config(config.flown)
+    return name, config, logs.read(config.record, flown, config.map), flown
+
+
+def judge(run, variant):
+    _, config, log, _ = run
+    recorded, computed = replay(log, variant, config.record)
+    found = standing.differences(recorded, computed)
+    return (
+        found["desired torques, rms [N m]"] <= TORQUE
+        and found["desired foot forces, rms [N]"] <= FORCE
+        and found["desired foot moments, rms [N m]"] <= MOMENT
+    )
+
+
+def test_the_flown_controller_gives_the_recorded_commands(run):
+    assert judge(run, run[3])
+
+
+@pytest.mark.parametrize("cause", standing.CAUSES)
+def test_a_controller_that_lacks_a_cause_is_refused(run, cause):
+    right = rust.load_config(run[1].right)
+    assert not judge(run, standing.restore(run[3], right, standing.CAUSES[cause]))
+
+
+@pytest.mark.parametrize("changes", [
+    {"controller.momentum.kp_linear": [16.5, 16.5, 16.5]},
+    {"controller.momentum.kd_linear": [9.0, 9.0, 9.0]},
+    {"disturbances.model_error.com_offset": [0.02, 0.0, 0.0]},
+])  # fmt: skip
+def test_another_gain_or_centre_of_mass_is_refused(run, changes):
+    assert not judge(run, rust.set_keys(run[3], changes))
+
+
+def test_the_base_follows_from_the_joints_as_the_robot_recorded_it(run):
+    """Units and signs of the joints, kinematics, axes of the record: 1 deg of a hip would move the base by 10 mm."""
+    from jax_aero.base.parquet import read_table
+
+    _, config, log, flown = run
+    recorded, _ = replay(log, flown, config.record)
+    table = read_table(config.record)
+    base = np.stack([table[f"base_{axis}"].to_numpy() for axis in "xyz"], axis=1)
+    assert np.abs(recorded["raw_base_position"] - base).max() < 2.5e-3
