@@ -326,6 +326,18 @@ class Estimates:
     wind_std: Array
 
 
+class Handed(NamedTuple):
+    """What the guard hands to the law."""
+
+    state: State
+    thrust: Array
+    """[N], (jets,)."""
+    thrust_rate: Array
+    """Predicted rate of every thrust [N/s], (jets,)."""
+    wind: Array
+    """[m/s, inertial axes], (3,)."""
+
+
 class Residual(NamedTuple):
     """What is added to the answer of the law for one tick, within its bounds."""
 
@@ -388,6 +400,8 @@ class Tick:
     estimates
         Outputs of the controller's estimators, or without estimators the measurement; missing values are not yet
         predicted.
+    handed
+        What the guard hands to the law: the estimates, predicted where nothing is measured.
     contact
         The feet; `None` for a controller that cannot stand. The rates of their forces are also unknowns of
         `momentum_qp`, between thrust rates and joint velocities.
@@ -438,6 +452,7 @@ class Tick:
     velocity_error_integral: Array
     setpoint: Setpoint
     estimates: Estimates
+    handed: Handed
     contact: ContactTick | None = None
 
 
@@ -1070,7 +1085,7 @@ def _measurement(raw: _core._Measurement) -> Measurement:
 
 
 def _tick(raw: dict[str, Any]) -> Tick:
-    contact, estimates = raw.pop("contact", None), raw.pop("estimates")
+    contact, estimates, handed = raw.pop("contact", None), raw.pop("estimates"), raw.pop("handed")
     momentum = QpProblem(raw.pop("h"), raw.pop("g"), raw.pop("lower"), raw.pop("upper"))
     kind = QpProblem if contact is None else RowProblem
     torque = kind(*(raw.pop(f"torque_{part}") for part in kind._fields))
@@ -1081,6 +1096,7 @@ def _tick(raw: dict[str, Any]) -> Tick:
         torque_qp=torque,
         setpoint=Setpoint(**raw.pop("setpoint")),
         estimates=Estimates(State(*estimates.pop("state")), **estimates),
+        handed=Handed(State(*handed.pop("state")), **handed),
         contact=None if contact is None else ContactTick(**contact),
         **raw,
     )

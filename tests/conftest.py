@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -209,50 +209,33 @@ def x64() -> Iterator[None]:
 
 # --- both engines -------------------------------------------------------------------------------------------------
 
-SHOWN = ("base_position", "joint_position", "thrust", "joint_torque")
-"""Signals whose differences stand in the table of figures."""
-
 
 @pytest.fixture
 def fly_both(measured: Callable[..., None]) -> Callable[..., tuple[FlightResult, FlightResult]]:
-    """Fly a configuration in the crate and in JAX, which end alike with the same signals; return both flights.
+    """Hold a flight of the crate to JAX as `jax-aero verify` does, and return both's; figures of merit agree to 1e-6.
 
-    Without a tolerance every signal agrees at every tick as `jax-aero verify` has it, and every figure of merit to
-    1e-6. With one, `signals` (all, if none is named) do to that, or, with a `floor`, to that part of their largest
-    value, which is at least the floor.
+    A `tolerance` relative to the greatest value of each signal replaces that of `verify`, tick by tick.
     """
     # Needs a package that the tests of the core do not.
-    from jax_aero.verify import Comparison, verify_flight
+    from jax_aero.verify.flight import verify_flight
 
-    def fly(
-        config: dict[str, Any],
-        tolerance: float | None = None,
-        signals: Collection[str] = (),
-        *,
-        floor: float | None = None,
-        because: str = "",
-    ) -> tuple[FlightResult, FlightResult]:
-        comparison = Comparison()
-        crate, twin = verify_flight(config, comparison)
-        endings = [(flight.outcome, flight.lost_time, flight.lost_reason) for flight in (crate, twin)]
-        assert endings[0] == endings[1]
+    def fly(config: dict[str, Any], tolerance: float | None = None) -> tuple[FlightResult, FlightResult]:
+        found = verify_flight(config)
+        crate, twin = found.crate, found.twin
+        assert found.share == 1.0
         shapes = [{name: values.shape for name, values in flight.log.items()} for flight in (crate, twin)]
         assert shapes[0] == shapes[1]
-        for row in comparison.rows:
-            if row.quantity in SHOWN:
-                measured(f"{config['title']}: {row.quantity}", row.absolute)
+        for row in found.rows:
             if tolerance is None:
                 assert row.agrees, row
-            elif not signals or row.quantity in signals:
-                scale = 1.0 if floor is None else max(floor, row.scale)
-                measured(row.quantity, row.absolute / scale, tolerance, because)
-        if tolerance is None:
-            assert twin.summary.keys() == crate.summary.keys()
-            for name in crate.summary.keys() - {"max_kkt", "max_qp_iterations"}:
-                expected = crate.summary[name]
-                assert np.isnan(twin.summary[name]) == np.isnan(expected), name
-                error = np.nan_to_num(abs(twin.summary[name] - expected))
-                measured(name, error, np.nan_to_num(max(1e-9, 1e-6 * abs(expected))))
+            elif row.group == "tick":
+                measured(f"{config['title']}: {row.quantity}", row.relative, tolerance)
+        assert twin.summary.keys() == crate.summary.keys()
+        for name in crate.summary.keys() - {"max_kkt", "max_qp_iterations"}:
+            expected = crate.summary[name]
+            assert np.isnan(twin.summary[name]) == np.isnan(expected), name
+            error = np.nan_to_num(abs(twin.summary[name] - expected))
+            measured(name, error, np.nan_to_num(max(1e-9, (tolerance or 1e-6) * abs(expected))))
         return crate, twin
 
     return fly

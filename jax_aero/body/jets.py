@@ -279,6 +279,20 @@ def thrust_acceleration(
     return drift(e, thrust, thrust_rate) + input_gain(e, thrust, thrust_rate) * v
 
 
+def acceleration_range(
+    e: Engines, thrust: Float[Array, " j"], thrust_rate: Float[Array, " j"]
+) -> tuple[Float[Array, " j"], Float[Array, " j"]]:
+    """Return the least and the greatest `T̈` [N/s²] between the limits of the throttle."""
+    ends = [thrust_acceleration(e, thrust, thrust_rate, end) for end in (e.throttle_min, e.throttle_max)]
+    return jnp.minimum(*ends), jnp.maximum(*ends)
+
+
+def acceleration_slopes(e: Engines, thrust: Float[Array, " j"]) -> tuple[Float[Array, " j"], Float[Array, " j"]]:
+    """Return the derivatives of `T̈` by `T` [1/s²] and `Ṫ` [1/s] at rest, at the throttle that holds the thrust."""
+    v = throttle_input(e, steady_throttle(e, thrust))
+    return e.k_t + 2.0 * e.k_tt * thrust + e.b_t * v, e.k_d + e.k_td * thrust + e.b_d * v
+
+
 def _limited_throttle(e: Engines, v: Array) -> Array:
     limited = jnp.clip(v, throttle_input(e, e.throttle_min), throttle_input(e, e.throttle_max))
     return jnp.clip(throttle_from_input(e, limited), e.throttle_min, e.throttle_max)

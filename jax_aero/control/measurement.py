@@ -22,6 +22,8 @@ class Measurement(NamedTuple):
     """Measured velocity of the air [m/s, inertial axes]."""
     preview: Preview = Preview()
     """What is known of the future."""
+    thrust_rate: Float[Array, " j"] | None = None
+    """Rates of the thrusts, which the crate's guard predicts, for a plan with engines; `None` for zero [N/s]."""
 
 
 class Reading(NamedTuple):

@@ -189,7 +189,9 @@ def momentum_controller(
         setpoint=generator.setpoint_params(controller.setpoint, robot.forward_axis, time_step),
         estimator=None if estimates is None else estimator.estimator(estimates, time_step),
         observer=None if controller.observer is None else leaves(ObserverGains, controller.observer),
-        mpc=None if controller.mpc is None else mpc_params(controller.mpc, robot, config.simulator.time_step),
+        mpc=None
+        if controller.mpc is None
+        else mpc_params(controller.mpc, robot, config.simulator.time_step, controller.jet_dynamics),
         mission=load_mission(config.mission),
         time_step=time_step,
         residual=None if controller.policy is None else load_policy(controller.policy.card, robot),
@@ -219,7 +221,7 @@ def init(params: MomentumController, robot: RobotModel, state: State) -> Control
         estimator=None if params.estimator is None else estimator.start(params.estimator, state, jets),
         wind=wind_observer.start(zeros) if params.switches.estimates_wind else None,
         observer=None if params.observer is None else observer.start(zeros),
-        plan=None if params.mpc is None else no_plan(params.mpc.structure.unknowns(jets), zeros.dtype),
+        plan=None if params.mpc is None else no_plan(params.mpc.structure.unknowns(jets), jets, zeros.dtype),
         residual=None if params.residual is None else observer.start(zeros),
     )
 
@@ -244,28 +246,43 @@ def tick(
     measured wind by its estimate from the previous ticks. Every number of a measurement has to be finite.
     """
     measurement = Measurement(time, state, thrust, wind, Preview() if preview is None else preview)
-    added, modes = None, jnp.zeros((), jnp.int32)
     with jax.default_matmul_precision("highest"):
         memory, estimates, wind_std = _measure(params, robot, memory, measurement)
         memory, model = _observe(params, memory, params.model(robot, estimates))
-        memory, followed = params.momentum_law().follow(memory, time, setpoint)
-        memory, rates = params.law().solve(robot, memory, estimates, model, followed)
-        if params.residual is not None:
-            known = robot, params.time_step, memory, estimates.state, model, followed.due
-            memory, rates, added, modes = steer(params.residual, *known, rates)
-        memory, torque = params.torques().solve(memory, estimates.state, model, rates)
-        held = jnp.where(rates.status == MOMENTUM_HELD, BOTH_HELD, TORQUE_HELD)
-        command = Command(
-            rates.thrust_rate,
-            torque.joint_torque,
-            joint_velocity=rates.joint_velocity,
-            momentum_qp=rates.answer,
-            torque_qp=torque.answer,
-            status=jnp.where(torque.is_solved, rates.status, held),
-            degraded_modes=modes,
-        )
-        terms = Terms(estimates, wind_std, *model[:5], *rates[:3], torque.torque_qp, torque.unlimited_torque, added)
+        memory, command, terms = decide(params, robot, memory, estimates, model, setpoint)
+        terms = terms._replace(wind_std=wind_std)
         return _predict(params, robot, memory, terms, command), command, terms
+
+
+def decide(
+    params: MomentumController,
+    robot: RobotModel,
+    memory: ControllerState,
+    estimates: Measurement,
+    model: Model,
+    setpoint: Setpoint | None = None,
+) -> tuple[ControllerState, Command, Terms]:
+    """Compute the part of a tick that is the law's, from the estimates and the model that follows from them."""
+    added, modes = None, jnp.zeros((), jnp.int32)
+    memory, followed = params.momentum_law().follow(memory, estimates.time, setpoint)
+    memory, rates = params.law().solve(robot, memory, estimates, model, followed)
+    if params.residual is not None:
+        known = robot, params.time_step, memory, estimates.state, model, followed.due
+        memory, rates, added, modes = steer(params.residual, *known, rates)
+    memory, torque = params.torques().solve(memory, estimates.state, model, rates)
+    held = jnp.where(rates.status == MOMENTUM_HELD, BOTH_HELD, TORQUE_HELD)
+    command = Command(
+        rates.thrust_rate,
+        torque.joint_torque,
+        joint_velocity=rates.joint_velocity,
+        momentum_qp=rates.answer,
+        torque_qp=torque.answer,
+        status=jnp.where(torque.is_solved, rates.status, held),
+        degraded_modes=modes,
+    )
+    exact = jnp.zeros_like(estimates.wind)
+    terms = Terms(estimates, exact, *model[:5], *rates[:3], torque.torque_qp, torque.unlimited_torque, added)
+    return memory, command, terms
 
 
 def _measure(

@@ -14,6 +14,7 @@ Equations M77 and M80 of `docs/model`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -80,8 +81,13 @@ def begin(scenario: Scenario, plant: PlantState) -> FlightState:
     )
 
 
-def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[FlightState, FlightRow]:
-    """Fly one tick, number `tick`, and record it.
+def step(
+    scenario: Scenario,
+    state: FlightState,
+    tick: Int[Array, ""],
+    hand: Callable[[Measurement], Measurement] = lambda measured: measured,
+) -> tuple[FlightState, FlightRow]:
+    """Fly one tick, number `tick`, and record it; `hand` returns what the controller is given for a measurement.
 
     Raises
     ------
@@ -100,7 +106,7 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
     now, air = where(is_sound, (state.plant, wind), (at_rest, jnp.zeros_like(wind)))
 
     measurement, sensors = _measure(scenario, state, now, air, tick, time)
-    memory, command = scenario.controller.step(scenario.model, state.controller, measurement)
+    memory, command = scenario.controller.step(scenario.model, state.controller, hand(measurement))
     command.check(plant.robot)
     seen = _observe(scenario, now, command, air)
 

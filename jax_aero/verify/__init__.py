@@ -1,39 +1,31 @@
-"""Comparison of the Rust crate with JAX, on the same states and in the same flight.
+"""Comparison of the Rust crate with JAX: on random states, and along a flight (`jax_aero.verify.flight`).
 
-Kernels are compared relative to the largest entry of the crate's results, flights by the absolute difference of every
-logged signal. A quantity that vanishes, as a sum of terms that cancel, consists of rounding only, and a flight
-amplifies it, most where encoders have a resolution: a difference may be as large as that rounding, which is measured as
-the change of the crate's result when every input, or the start of the flight, changes by one rounding.
-`jax_aero.verify.cli` is the command line.
+A difference is compared with the greatest entry of the crate's results. A quantity that vanishes, as a sum of terms
+that cancel, consists of rounding only: a difference may be as large as that rounding, which is measured as the change
+of the crate's result when every input changes by one rounding. `jax_aero.verify.cli` is the command line.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
 from jax_aero import rust
-from jax_aero.body.rotations import match_branch
 
 KERNEL_TOLERANCE = 1e-10
 QP_TOLERANCE = 1e-8
-FLIGHT_TOLERANCE = 1e-6
 
 ROUNDINGS = 30.0
 """Factor by which two orders of computation may differ more than by one rounding of every input; 4 is usual."""
 
-TRUSTED_WHEN_LOST = 8.0
-"""Time up to which the signals of a lost flight are compared [s], since it is chaotic before its end."""
-
-NEARBY = 3
-"""Flights from starts that differ by a rounding."""
-
-ROUNDINGS_OF_A_FLIGHT = 5.0
-"""Factor by which two flights may differ more than those; 1.5 is usual."""
+LEAST_SCALE = 1e-3
+"""Greatest entry, in its unit, below which a quantity is the difference of greater ones, and counts as this large."""
 
 SOLUTIONS = {
     "thrust_rate", "joint_velocity_command", "joint_acceleration_desired", "unlimited_torque", "joint_torque",
@@ -41,78 +33,66 @@ SOLUTIONS = {
 """Quantities that are solutions of a QP or follow from one."""
 
 
-GUARD_SIGNALS = ("measured_torque_latency", "measured_thrust_latency")
-"""Signals that the crate's guard measures, where it is configured, and JAX does not."""
-
-
-@dataclass
+@dataclass(frozen=True)
 class Row:
-    """Greatest difference of one quantity over all samples."""
+    """Comparison of one quantity over all samples."""
 
     group: str
     quantity: str
     tolerance: float
     is_relative: bool
     """Whether the tolerance is on the relative error."""
-    absolute: float = 0.0
+    absolute: float
     """Greatest difference."""
-    scale: float = 0.0
+    scale: float
     """Greatest entry of the crate's results over all samples, since in one sample it may be a small difference."""
-    rounding: float = 0.0
+    rounding: float
     """Greatest change of the crate's results when every input changes by one rounding."""
+    agrees: bool
+    """Whether every difference is within the tolerance, or within rounding; false for NaN."""
 
     @property
     def relative(self) -> float:
         """Greatest difference divided by the greatest entry."""
         return self.absolute / self.scale if self.scale > 0.0 else self.absolute
 
-    @property
-    def agrees(self) -> bool:
-        """Whether the difference is within the tolerance, or within rounding; false for NaN."""
-        scale, roundings = (self.scale, ROUNDINGS) if self.is_relative else (1.0, ROUNDINGS_OF_A_FLIGHT)
-        return bool(self.absolute <= max(self.tolerance * scale, roundings * self.rounding))
+
+def compare(
+    group: str,
+    quantity: str,
+    ours: ArrayLike,
+    theirs: ArrayLike,
+    tolerance: float,
+    *,
+    rounded: ArrayLike | None = None,
+    relative: bool = True,
+    carried: int | None = None,
+) -> Row:
+    """Compare samples, along the first axis; `rounded` are theirs with inputs changed by a rounding.
+
+    A sample may differ by the greatest rounding of the `carried` samples before and after it, or of all.
+    """
+    ours, theirs = np.asarray(ours, np.float64), np.asarray(theirs, np.float64)
+    apart, scale = differences(ours, theirs), float(np.max(np.abs(np.nan_to_num(theirs)), initial=0.0))
+    rounding = np.zeros_like(apart) if rounded is None else differences(rounded, theirs)
+    reach = rounding.size if carried is None else carried
+    near = sliding_window_view(np.pad(rounding, reach), 2 * reach + 1).max(axis=1)
+    allowed = np.maximum(tolerance * (max(scale, LEAST_SCALE) if relative else 1.0), ROUNDINGS * near)
+    greatest, agrees = float(np.max(apart, initial=0.0)), bool(np.all(apart <= allowed))
+    return Row(group, quantity, tolerance, relative, greatest, scale, float(np.max(rounding, initial=0.0)), agrees)
 
 
-class Comparison:
-    """Collection of the greatest difference of every quantity."""
-
-    def __init__(self) -> None:
-        self._rows: dict[tuple[str, str], Row] = {}
-
-    @property
-    def rows(self) -> list[Row]:
-        """Rows of all quantities, in order of their first comparison."""
-        return list(self._rows.values())
-
-    def add(
-        self,
-        group: str,
-        quantity: str,
-        ours: ArrayLike,
-        theirs: ArrayLike,
-        tolerance: float,
-        *,
-        rounded: ArrayLike | None = None,
-        relative: bool = True,
-    ) -> None:
-        """Record the difference between `ours` and `theirs`; `rounded` is theirs with inputs changed by a rounding."""
-        ours, theirs = np.asarray(ours, np.float64), np.asarray(theirs, np.float64)
-        # What neither knows is equal.
-        is_known = ~(np.isnan(ours) & np.isnan(theirs))
-        ours, theirs = np.where(is_known, ours, 0.0), np.where(is_known, theirs, 0.0)
-        row = self._rows.setdefault((group, quantity), Row(group, quantity, tolerance, relative))
-        # `np.maximum` propagates NaN; `max` would drop it.
-        row.absolute = float(np.maximum(row.absolute, np.max(np.abs(ours - theirs), initial=0.0)))
-        row.scale = max(row.scale, float(np.max(np.abs(theirs), initial=0.0)))
-        changed = theirs if rounded is None else np.where(is_known, rounded, 0.0)
-        change = np.max(np.abs(changed - theirs), initial=0.0)
-        row.rounding = max(row.rounding, float(change))
+def differences(ours: ArrayLike, theirs: ArrayLike) -> NDArray[np.float64]:
+    """Return the greatest difference in every sample (n, ...); what neither knows is equal."""
+    ours, theirs = np.asarray(ours, np.float64), np.asarray(theirs, np.float64)
+    apart = np.where(np.isnan(ours) & np.isnan(theirs), 0.0, np.abs(ours - theirs))
+    return np.asarray(np.max(apart.reshape(len(apart), -1), axis=1, initial=0.0))
 
 
 # --- samples and comparisons --------------------------------------------------------------------------------------
 
 
-def verify_robot(robot_path: str, n_states: int, comparison: Comparison, backend: Any = "tree", seed: int = 0) -> None:
+def verify_robot(robot_path: str, n_states: int, backend: Any = "tree", seed: int = 0) -> list[Row]:
     """Compare kinematics and dynamics on random states of any robot."""
     import jax
     import jax.numpy as jnp
@@ -141,13 +121,16 @@ def verify_robot(robot_path: str, n_states: int, comparison: Comparison, backend
     kin, dyn, accelerations = jax.device_get(evaluate(batch))
     ours = {"body_positions": kin.body_positions, "body_rotations": kin.body_rotations, "com_position": kin.com}
     ours |= dyn._asdict() | {"acceleration": accelerations}
-    for i, state in enumerate(states):
-        theirs, nearby = crate(state), crate(round_state(rng, state))
-        for name, values in ours.items():
-            comparison.add("dynamics", name, values[i], theirs[name], KERNEL_TOLERANCE, rounded=nearby[name])
+    theirs, near = [crate(state) for state in states], [crate(round_state(rng, state)) for state in states]
+
+    def compare_all(name: str) -> Row:
+        expected, rounded = ([tick[name] for tick in ticks] for ticks in (theirs, near))
+        return compare("dynamics", name, ours[name], expected, KERNEL_TOLERANCE, rounded=rounded)
+
+    return [compare_all(name) for name in ours]
 
 
-def verify_ticks(config: Mapping[str, Any], samples: Sequence[Sample], group: str, comparison: Comparison) -> None:
+def verify_ticks(config: Mapping[str, Any], samples: Sequence[Sample]) -> list[Row]:
     """Compare every intermediate value of the controller, and its command, on given samples."""
     import jax
     import jax.numpy as jnp
@@ -167,17 +150,22 @@ def verify_ticks(config: Mapping[str, Any], samples: Sequence[Sample], group: st
         _, command, terms = control.tick(params, robot, memory, jnp.zeros(()), state, thrust, wind, followed)
         return command, terms
 
-    rng = np.random.default_rng(0)
+    rng, ours = np.random.default_rng(0), []
     for sample in samples:
-        theirs, nearby = (_crate_tick(config, near) for near in (sample, round_sample(rng, sample)))
         memory = dict(zip(("posture", "inertia_0", "velocity_error_integral"), sample.memory, strict=True))
         followed = Setpoint(*(jnp.asarray(getattr(sample.setpoint, name)) for name in Setpoint._fields))
         state = State(*(jnp.asarray(value) for value in sample.state))
-        command, terms = jax.device_get(evaluate(memory, state, sample.thrust, sample.wind, followed))
-        for name, ours in tick_quantities(command, terms).items():
-            tolerance = QP_TOLERANCE if name in SOLUTIONS else KERNEL_TOLERANCE
-            expected, rounded = (crate_quantity(tick, name) for tick in (theirs, nearby))
-            comparison.add(group, name, ours, expected, tolerance, rounded=rounded)
+        found = jax.device_get(evaluate(memory, state, sample.thrust, sample.wind, followed))
+        ours.append(tick_quantities(*found))
+    theirs = [_crate_tick(config, sample) for sample in samples]
+    near = [_crate_tick(config, round_sample(rng, sample)) for sample in samples]
+
+    def compare_all(name: str) -> Row:
+        tolerance = QP_TOLERANCE if name in SOLUTIONS else KERNEL_TOLERANCE
+        expected, rounded = ([crate_quantity(tick, name) for tick in ticks] for ticks in (theirs, near))
+        return compare("random", name, [tick[name] for tick in ours], expected, tolerance, rounded=rounded)
+
+    return [compare_all(name) for name in ours[0]]
 
 
 def _crate_tick(config: Mapping[str, Any], sample: Sample) -> rust.Tick:
@@ -230,34 +218,6 @@ def crate_quantity(tick: rust.Tick, name: str) -> Any:
     return value
 
 
-def verify_flight(
-    config: Mapping[str, Any], comparison: Comparison, backend: str = "tree"
-) -> tuple[rust.FlightResult, rust.FlightResult]:
-    """Compare a whole flight, signal by signal and tick by tick; return the results of the crate and of JAX."""
-    from jax_aero.sim import fly
-
-    expected = rust.fly(config)
-    rng = np.random.default_rng(0)
-    nearby = [rust.fly(_round_start(rng, config)) for _ in range(NEARBY)]
-    ours = fly({**config, "simulator": {**config["simulator"], "dynamics": backend}})
-    latest = TRUSTED_WHEN_LOST if expected.lost_time is not None else np.inf
-    trusted = int(np.count_nonzero(expected["time"] <= latest))
-    last = min(trusted, *(len(flight["time"]) for flight in (ours, *nearby)))
-
-    def ends_otherwise(flight: rust.FlightResult) -> bool:
-        return flight.outcome != expected.outcome or len(flight["time"]) < trusted
-
-    ends_so_too = any(map(ends_otherwise, nearby))
-    comparison.add("flight", "outcome", ends_otherwise(ours), 0.0, 0.0, rounded=ends_so_too, relative=False)
-    for name, signal in expected.log.items():
-        is_of_guard = name in GUARD_SIGNALS and not np.isnan(signal).all()
-        if name not in ("qp_iterations", "qp_kkt") and not is_of_guard:  # properties of the solver, not of the solution
-            same, *rounded = (match_branch(name, flight[name][:last], signal[:last]) for flight in (ours, *nearby))
-            for one in rounded:
-                comparison.add("flight", name, same, signal[:last], FLIGHT_TOLERANCE, rounded=one, relative=False)
-    return expected, ours
-
-
 # --- samples -------------------------------------------------------------------------------------------------------
 
 
@@ -284,40 +244,36 @@ def random_states(rng: np.random.Generator, limits: ArrayLike, count: int) -> It
 
 def round_state(rng: np.random.Generator, state: rust.State) -> rust.State:
     """Return a state whose every number differs by one rounding."""
-    rounded = rust.State(*(_round(rng, value) for value in state))
-    return rounded._replace(base_rotation=_round_rotation(rng, state.base_rotation))
+    rounded = rust.State(*(round_numbers(rng, value) for value in state))
+    return rounded._replace(base_rotation=round_rotation(rng, state.base_rotation))
 
 
 def round_sample(rng: np.random.Generator, sample: Sample) -> Sample:
     """Return a sample whose every number differs by one rounding."""
-    followed = {name: _round(rng, value) for name, value in vars(sample.setpoint).items()}
-    followed["rotation"] = _round_rotation(rng, sample.setpoint.rotation)
-    posture, inertia, integral = (_round(rng, part) for part in sample.memory)
+    followed = {name: round_numbers(rng, value) for name, value in vars(sample.setpoint).items()}
+    followed["rotation"] = round_rotation(rng, sample.setpoint.rotation)
+    posture, inertia, integral = (round_numbers(rng, part) for part in sample.memory)
     return Sample(
         round_state(rng, sample.state),
-        _round(rng, sample.thrust),
-        _round(rng, sample.wind),
+        round_numbers(rng, sample.thrust),
+        round_numbers(rng, sample.wind),
         rust.Setpoint(**followed),
         (posture, inertia, integral),
     )
 
 
-def _round(rng: np.random.Generator, value: ArrayLike) -> NDArray[np.float64]:
+def round_numbers(rng: np.random.Generator, value: ArrayLike) -> NDArray[np.float64]:
+    """Return numbers, each changed by one rounding."""
     value = np.asarray(value, np.float64)
     return np.asarray(value * (1.0 + np.spacing(1.0) * rng.choice([-1.0, 1.0], value.shape)))
 
 
-def _round_start(rng: np.random.Generator, config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the flight with an initial velocity that moves a place of one metre by a rounding in a tick."""
-    velocity = np.asarray(config["simulator"]["initial"]["base_velocity"])
-    moved = velocity + np.spacing(1.0) / config["simulator"]["time_step"] * rng.choice([-1.0, 1.0], velocity.shape)
-    return rust.set_keys(config, {"simulator.initial.base_velocity": moved.tolist()})
-
-
-def _round_rotation(rng: np.random.Generator, rotation: ArrayLike) -> NDArray[np.float64]:
-    """Return a rotation turned by one rounding about every axis."""
-    turn = np.concatenate([[1.0], 0.5 * np.spacing(1.0) * rng.choice([-1.0, 1.0], 3)])
-    return np.asarray(np.asarray(rotation) @ rust.rotation_from_wxyz(turn))
+def round_rotation(rng: np.random.Generator, rotation: ArrayLike) -> NDArray[np.float64]:
+    """Return rotations (..., 3, 3), each turned by one rounding about every axis."""
+    rotation = np.asarray(rotation)
+    turn = 0.5 * np.spacing(1.0) * rng.choice([-1.0, 1.0], (*rotation.shape[:-2], 3))
+    wxyz = np.concatenate([np.ones_like(turn[..., :1]), turn], axis=-1)
+    return np.asarray(rotation @ rust.rotation_from_wxyz(wxyz))
 
 
 def random_samples(config: Mapping[str, Any], count: int, seed: int = 0) -> list[Sample]:
@@ -338,26 +294,17 @@ def random_samples(config: Mapping[str, Any], count: int, seed: int = 0) -> list
     return samples
 
 
-def recorded_samples(config: Mapping[str, Any], flight: rust.FlightResult, count: int) -> list[Sample]:
-    """Return evenly spaced ticks of a recorded flight, with its state and set-point but an integral of zero."""
-    robot, log = rust.Robot(config["robot"]), flight.log
+def compared(config: Mapping[str, Any]) -> Literal["tick", "law", "nothing"]:
+    """Return what of a flight JAX computes: every "tick", the "law" alone, or "nothing" of its controller."""
+    from jax_aero.base.typed import scenario_config
+    from jax_aero.sim.prepare import read_config, refuse
 
-    def state_at(tick: int) -> rust.State:
-        velocity = np.concatenate([log["base_velocity"][tick], log["joint_velocity"][tick]])
-        rotation = rust.rotation_from_wxyz(log["base_quaternion"][tick])
-        return rust.State(log["base_position"][tick], rotation, log["joint_position"][tick], velocity)
-
-    first = state_at(0)
-    rotation = np.asarray(first.base_rotation)
-    inertia = rotation.T @ rust.dynamics(robot, first).centroidal_inertia @ rotation
-    followed = rust.setpoint_trajectory(config, log["com_position"][0], rotation)
-    names = [name for name in rust.Setpoint.__annotations__ if name in followed]
-    samples = []
-    for tick in np.linspace(0, len(log["time"]) - 1, count, dtype=int):
-        target = rust.Setpoint(**{name: followed[name][tick] for name in names})
-        memory = (flight.joint_setpoint, inertia, np.zeros(len(robot.joint_names)))
-        samples.append(Sample(state_at(tick), log["thrust"][tick], log["wind"][tick], target, memory))
-    return samples
+    with suppress(ValueError):
+        refuse(read_config(config))
+        return "tick"
+    controller = scenario_config(config).controller
+    has_law = controller.use_jets and controller.contact is None and controller.torque.steps == 1
+    return "law" if has_law else "nothing"
 
 
 def use_double_precision(config: dict[str, Any]) -> dict[str, Any]:

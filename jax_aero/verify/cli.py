@@ -1,14 +1,16 @@
 """Comparison of the Rust crate with JAX, on the same states and in the same flight.
 
-    jax-aero verify                                    # TEST2: random and recorded states, whole flight
+    jax-aero verify                                    # TEST2: random states, every tick, the flight
     jax-aero verify --config test2_published --set wind.velocity=[0,-12,0]
     jax-aero verify --controller my_controller.toml    # another controller in the same flight
     jax-aero verify --robot my_robot.toml              # another robot: its kinematics and dynamics
     jax-aero verify --config test4                     # the network, in double precision
+    jax-aero verify --config robot                     # what the crate alone flies: its law
 
-Prints a table, writes it with a figure, and exits with status 1 if anything disagrees. Kernels are compared relative to
-the largest entry of the crate's results, or with its rounding where terms cancel; flights by the absolute difference of
-every logged signal. A result of the same files and options is replaced, that of others only with --overwrite.
+Prints a table, writes it with a figure, and exits with status 1 if anything disagrees. States and ticks are compared
+relative to the largest entry of the crate's results, or with its rounding where terms cancel; the flight from its start
+by the absolute difference of every logged signal, as far as it can be reproduced. A result of the same files and
+options is replaced, that of others only with --overwrite.
 """
 
 from __future__ import annotations
@@ -31,17 +33,7 @@ from jax_aero.base.files import complete_file, read_json, replace_infinite, writ
 from jax_aero.base.keys import parse_assignments
 from jax_aero.base.terminal import Refused, exit_status
 from jax_aero.cli import Parser, complete_with, count
-from jax_aero.verify import (
-    TRUSTED_WHEN_LOST,
-    Comparison,
-    Row,
-    random_samples,
-    recorded_samples,
-    use_double_precision,
-    verify_flight,
-    verify_robot,
-    verify_ticks,
-)
+from jax_aero.verify import Row, compared, random_samples, use_double_precision, verify_robot, verify_ticks
 
 NUMBERS = "verify.json"
 """File of a result with its subject and its numbers."""
@@ -57,30 +49,33 @@ def _compare(options: argparse.Namespace) -> int:
     import jax
 
     from jax_aero.sim.prepare import read_config, refuse
+    from jax_aero.verify.flight import verify_flight
+    from jax_aero.verify.law import verify_law
 
-    comparison = Comparison()
     config = None if options.robot else use_double_precision(_config(options))
-    if config is not None:
+    if config is not None and compared(config) == "nothing":
         refuse(read_config(config))
     folder, facts = _subject(options, config)
     _check_replaceable(folder, facts, overwrite=options.overwrite)
-    robot = options.robot if config is None else config["robot"]
-    until = ""
+    robot, found = options.robot if config is None else config["robot"], {}
     with jax.enable_x64(True):
-        verify_robot(robot, options.states, comparison, options.backend, options.seed)
+        rows = verify_robot(robot, options.states, options.backend, options.seed)
         if config is not None:
-            verify_ticks(config, random_samples(config, options.states, options.seed), "random", comparison)
-            expected, _ = verify_flight(config, comparison, options.backend)
-            if expected.lost_time is not None:
-                trusted = min(expected.lost_time, TRUSTED_WHEN_LOST)
-                until = f"\nthe flight {expected.outcome} at {expected.lost_time:.1f} s; compared up to {trusted:.1f} s"
-            verify_ticks(config, recorded_samples(config, expected, options.states), "recorded", comparison)
-    rows = comparison.rows
+            rows += verify_ticks(config, random_samples(config, options.states, options.seed))
+            if compared(config) == "tick":
+                flight = verify_flight(config, options.backend)
+                rows += flight.rows
+                found = {"compared": f"{flight.share:.1%} of the ticks, the flight up to {flight.until:.2f} s"}
+            else:
+                of_law, share = verify_law(config)
+                rows += of_law
+                found = {"compared": f"{share:.1%} of the ticks, the law alone"}
     print(table(rows))
-    written = write(rows, folder, {"crate": rust.__version__, "jax": jax.__version__, **facts})
+    written = write(rows, folder, {"crate": rust.__version__, "jax": jax.__version__, **facts, **found})
     bad = [row for row in rows if not row.agrees]
     but = f", not {', '.join(f'{row.group} {row.quantity}' for row in bad)}" if bad else ""
-    print(f"{until}\n{len(rows) - len(bad)} of {len(rows)} quantities agree{but}; see {', '.join(map(str, written))}")
+    print("\n" + "".join(f"{name}: {value}\n" for name, value in found.items()), end="")
+    print(f"{len(rows) - len(bad)} of {len(rows)} quantities agree{but}; see {', '.join(map(str, written))}")
     return 1 if bad else 0
 
 

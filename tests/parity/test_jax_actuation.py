@@ -61,9 +61,7 @@ def test_a_flight_with_late_and_lost_commands(substeps, latency, fly_both):
             "seed": 3,
         },
     }
-    signals = ("base_position", "joint_position", "thrust", "joint_torque", "unmodelled_wrench")
-    because = "rounding, as in flights whose commands act at once"
-    expected, _ = fly_both(rust.load_config(EXPERIMENT, changes), 1e-9, signals, floor=1.0, because=because)
+    expected, _ = fly_both(rust.load_config(EXPERIMENT, changes))
     assert expected.outcome == "completed"
     at_once = rust.fly(rust.load_config(EXPERIMENT, {**changes, "simulator.actuation": {}}))
     assert np.abs(at_once.log["joint_position"] - expected.log["joint_position"]).max() > 1e-3

@@ -12,7 +12,7 @@ import pytest
 from jax_aero import rust, sim
 from jax_aero.base import places
 from jax_aero.base.typed import scenario_config
-from jax_aero.verify import GUARD_SIGNALS
+from jax_aero.verify.flight import NOT_COMPARED
 
 DETECTORS = ("channels", "engines", "joints", "latency_monitor", "supervisor")
 
@@ -45,13 +45,13 @@ def test_the_guard_does_nothing_while_nothing_fails(name):
     without = {key: value for key, value in table["controller"].items() if key not in DETECTORS}
     guarded, free = rust.fly(table), rust.fly(table | {"controller": without})
     assert not guarded["degraded_modes"].any()
-    for signal in guarded.log.keys() - set(GUARD_SIGNALS):
+    for signal in guarded.log.keys() - set(NOT_COMPARED):
         np.testing.assert_array_equal(guarded[signal], free[signal], err_msg=signal)
 
 
 @pytest.mark.parametrize("name", OF_BOTH)
 def test_jax_flies_as_the_guarded_crate(name, fly_both):
-    """Into a wind that rises at once. Encoders are exact, since their steps multiply rounding; networks are double."""
+    """Into a wind that rises at once; networks in double precision."""
     table = rust.load_config(name)
     duration = 0.3 if table["controller"].get("mpc") else 1.5
     table["wind"] |= {"ramp_start": 0.0, "ramp_end": 0.5 * duration}
@@ -60,10 +60,7 @@ def test_jax_flies_as_the_guarded_crate(name, fly_both):
     for model in (simulator["aero"], table["controller"]["aero"]):
         if model["model"] == "network":
             model["precision"] = "f64"
-    if simulator.get("sensors"):
-        simulator["sensors"]["joints"]["resolution"] = 0.0
-    because = "rounding, which a predictive law of Mk3 multiplies"
-    expected, _ = fly_both(table, 1e-9, floor=1.0, because=because)
+    expected, _ = fly_both(table)
     assert not expected["degraded_modes"].any()
 
 

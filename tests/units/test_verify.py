@@ -1,47 +1,53 @@
 """The comparison of crate and JAX: its worst differences, its samples, its table, and its command without a flight."""
 
 import json
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from jax_aero import rust, sim, verify
-from jax_aero.verify import cli
+from jax_aero import rust, verify
+from jax_aero.verify import cli, compare, flight
 
 
 def test_the_worst_sample_counts_against_the_greatest_answer():
-    comparison = verify.Comparison()
-    comparison.add("dynamics", "bias", [1.0, 2.1], [1.0, 2.0], 0.02)
-    comparison.add("dynamics", "bias", [-4.0, 8.05], [-4.0, 8.0], 0.02)
-    comparison.add("flight", "wind", [0.0, 1e-6], [0.0, 0.0], 1e-6, relative=False)
-    relative, absolute = comparison.rows
-    assert (relative.absolute, relative.scale) == (pytest.approx(0.1), 8.0)
-    assert relative.agrees
-    assert absolute.agrees
-    assert absolute.relative == absolute.absolute == 1e-6  # there is nothing to be relative to
-    comparison.add("flight", "wind", [0.0, -3e-6], [0.0, 0.0], 1e-6, relative=False)
-    assert not absolute.agrees
-    comparison.add("dynamics", "bias", [np.nan], [1.0], 0.02)
-    comparison.add("dynamics", "bias", [1.0], [1.0], 0.02)
-    assert not relative.agrees
+    row = compare("dynamics", "bias", [[1.0, 2.1], [-4.0, 8.05]], [[1.0, 2.0], [-4.0, 8.0]], 0.02)
+    assert (row.absolute, row.scale) == (pytest.approx(0.1), 8.0)
+    assert row.agrees
+    for apart, agrees in ((1e-6, True), (-3e-6, False)):
+        row = compare("flight", "wind", [[0.0], [apart]], [[0.0], [0.0]], 1e-6, relative=False)
+        assert row.absolute == row.relative == abs(apart)  # there is nothing to be relative to
+        assert row.agrees == agrees
+    assert compare("tick", "wind", [np.nan], [np.nan], 0.0).agrees  # neither knows it
+    assert not compare("tick", "wind", [np.nan, 1.0], [1.0, 1.0], 0.02).agrees
+    assert not compare("tick", "wind", [1.0, 1.0], [1.0, np.nan], 0.02).agrees
+
+
+def test_a_rounding_excuses_only_the_samples_near_it():
+    theirs, rounded = np.ones(100), np.ones(100)
+    rounded[50] += 1e-6
+    for tick, agrees in ((50, True), (45, True), (55, True), (44, False), (56, False)):
+        ours = theirs + np.where(np.arange(100) == tick, 1e-5, 0.0)
+        assert compare("tick", "wind", ours, theirs, 1e-10, rounded=rounded, carried=5).agrees == agrees, tick
+        assert compare("random", "wind", ours, theirs, 1e-10, rounded=rounded).agrees
+    assert not compare("random", "wind", theirs + 4e-5, theirs, 1e-10, rounded=rounded).agrees
 
 
 def test_a_small_error_in_a_quantity_that_vanishes_is_found():
     """Where the jets carry the weight, lift minus weight is rounding: a relative tolerance has nothing to refer to."""
-    config = rust.load_config("platform_hover", {"simulator.duration": 0.02})
-    (sample,) = verify.recorded_samples(config, rust.fly(config), 1)
+    config = rust.load_config("platform_hover")
     robot = rust.Robot(config["robot"])
-    weight = robot.mass * robot.gravity
+    (sample,), weight = verify.random_samples(config, 1), robot.mass * robot.gravity
+    sample = replace(sample, state=rust.State.at_rest(robot), wind=np.zeros(3))
     sample = replace(sample, thrust=np.full(6, weight / verify._crate_tick(config, sample).jet_axes[:, 2].sum()))
     rounded = verify.round_sample(np.random.default_rng(0), sample)
     theirs, nearby = (verify._crate_tick(config, near).momentum_rate_estimate[2] for near in (sample, rounded))
     assert abs(theirs) < 1e-15 * weight
     for error, agrees in ((0.0, True), (2.0 * np.spacing(weight), True), (1e-13 * weight, False), (np.nan, False)):
-        comparison = verify.Comparison()
-        comparison.add("recorded", "momentum_rate_estimate", theirs + error, theirs, 1e-10, rounded=nearby)
-        assert comparison.rows[0].agrees == agrees, error
+        row = compare("random", "momentum_rate_estimate", [theirs + error], [theirs], 1e-10, rounded=[nearby])
+        assert row.agrees == agrees, error
 
 
 def test_a_sample_is_rounded_in_every_number_that_is_not_zero():
@@ -59,50 +65,74 @@ def test_a_sample_is_rounded_in_every_number_that_is_not_zero():
         assert np.abs(value - other).max() <= 4.0 * np.spacing(np.abs(value).max())
 
 
-def test_a_flight_that_is_lost_too_early_ends_otherwise(monkeypatch):
-    config = rust.load_config("test2", {"simulator.duration": 0.5, "simulator.fall.com_error": 1e-3})
+def as_flown(crate, **changes):
+    """Return a flight of the crate as if JAX had flown it, with some signals changed."""
+    return replace(crate, log={**crate.log, **changes})
+
+
+def test_every_signal_of_a_tick_is_compared():
+    config = rust.load_config("test2", {"simulator.duration": 0.1})
     crate = rust.fly(config)
-    assert crate.outcome == "fell"
-    for missing, agrees in ((0, True), (1, False)):
-        ticks = len(crate["time"]) - missing
-        ours = replace(crate, log={name: signal[:ticks] for name, signal in crate.log.items()})
-        monkeypatch.setattr(sim, "fly", lambda _, ours=ours: ours)
-        comparison = verify.Comparison()
-        verify.verify_flight(config, comparison)
-        assert all(row.agrees for row in comparison.rows) == agrees
+    rounded = flight.replay_rounded(config, crate)
+    ticks, rows = flight.compare_ticks(crate, crate, rounded)
+    assert ticks == 11
+    assert {row.quantity for row in rows} == {*crate.log, "outcome"} - {*flight.NOT_COMPARED}
+    assert all(row.agrees for row in rows)
+    for name in crate.log.keys() - {*flight.NOT_COMPARED}:
+        signal = crate[name].copy()
+        signal[7] += 1e-6 * max(1.0, np.abs(signal).max())
+        _, rows = flight.compare_ticks(crate, as_flown(crate, **{name: signal}), rounded)
+        assert [row.quantity for row in rows if not row.agrees] == [name]
+    shorter = as_flown(crate, **{name: signal[:9] for name, signal in crate.log.items()})
+    assert not any(row.agrees for row in flight.compare_ticks(crate, shorter, rounded)[1][:-1] if row.scale)
+    ended = replace(crate, outcome="fell", lost_time=0.1)
+    assert [row.quantity for row in flight.compare_ticks(crate, ended, rounded)[1] if not row.agrees] == ["outcome"]
 
 
-def test_a_flight_may_differ_by_what_a_rounding_of_its_start_makes(monkeypatch):
-    """With encoders, in whose resolution a rounding decides; a start that is another is found."""
-    config = rust.load_config("test2_sensors", {"simulator.duration": 2.0})
-    rounded = verify._round_start(np.random.default_rng(9), config)
-    other = rust.set_keys(config, {"simulator.initial.base_velocity": [0.01, 0, 0, 0, 0, 0]})
-    for flown, agrees in ((rounded, True), (other, False)):
-        ours = rust.fly(flown)
-        monkeypatch.setattr(sim, "fly", lambda _, ours=ours: ours)
-        comparison = verify.Comparison()
-        verify.verify_flight(config, comparison)
-        assert all(row.agrees for row in comparison.rows) == agrees
+def test_ticks_are_compared_until_the_guard_acts():
+    config = rust.load_config("test2", {"simulator.duration": 0.1})
+    crate = rust.fly(config)
+    guarded = as_flown(crate, degraded_modes=np.where(np.arange(11) > 6, 1.0, 0.0))
+    ticks, rows = flight.compare_ticks(guarded, crate, flight.replay_rounded(config, crate))
+    assert ticks == 7
+    assert all(row.agrees and row.quantity != "outcome" for row in rows)
 
 
-def test_all_keys_that_jax_does_not_fly_are_named_at_once(capsys):
-    assert cli.main(["--config", "robot"]) == 2
-    printed = capsys.readouterr().err
-    assert all(f"`{key}`" in printed for key in ("simulator.motors", "controller.jet_dynamics"))
+def test_a_flight_is_compared_until_a_rounding_decides():
+    crate = rust.fly(rust.load_config("test2", {"simulator.duration": 0.1}))
+    time = crate["time"]
+
+    def beginning(tick, size):
+        return as_flown(crate, thrust=crate["thrust"] + np.where(np.arange(11) < tick, 0.0, size)[:, None])
+
+    for rounded, twin, until, agrees in (
+        (crate, crate, 10, True),
+        (crate, beginning(10, 3e-6), 10, False),
+        (beginning(6, 3e-6), beginning(6, 1.0), 5, True),
+        (beginning(6, 3e-6), beginning(5, 3e-6), 5, False),
+        (beginning(2, 5e-7), beginning(2, 3e-6), 10, True),
+    ):
+        found, rows = flight.compare_flight(crate, twin, rounded)
+        assert found == time[until]
+        assert all(row.agrees for row in rows) == agrees
 
 
-def test_samples_of_a_flight_are_spread_from_its_first_to_its_last_tick(agree):
-    config = rust.load_config("test2", {"simulator.duration": 0.02, "simulator.time_step": 0.01})
-    flight = rust.fly(config)
-    first, last = verify.recorded_samples(config, flight, 2)
-    for sample, tick in ((first, 0), (last, -1)):
-        velocity = np.concatenate([flight["base_velocity"][tick], flight["joint_velocity"][tick]])
-        np.testing.assert_array_equal(sample.state.velocity, velocity)
-        np.testing.assert_array_equal(sample.thrust, flight["thrust"][tick])
-        np.testing.assert_array_equal(sample.setpoint.com_position, flight["com_setpoint"][tick])
-    assert np.any(first.state.velocity != last.state.velocity)
-    tick = rust.Controller(config).tick(first.state, first.thrust, first.wind, 0.0)
-    agree("first inertia", first.memory[1], tick.inertia_0_b, 1e-12)
+def test_a_controller_with_feet_is_refused(capsys):
+    assert cli.main(["--config", "take_off"]) == 2
+    assert "simulator.ground is given" in capsys.readouterr().err
+
+
+def test_the_page_names_what_is_compared():
+    """Every experiment of which JAX does not compute whole ticks, by what it computes."""
+    page = (cli.places.CONFIGS.parent / "docs/verify.md").read_text(encoding="utf-8")
+    named = {}
+    for line in page.splitlines():
+        if match := re.match(r"\| (`.*`) \| (the law alone|nothing)", line):
+            named |= dict.fromkeys(re.findall("`(.*?)`", match[1]), match[2])
+    words = {"law": "the law alone", "nothing": "nothing"}
+    found = {name: verify.compared(rust.load_config(name)) for name in cli.places.names("experiments")}
+    assert named == {name: words[how] for name, how in found.items() if how != "tick"}
+    assert list(found.values()).count("tick") == 42
 
 
 def test_random_states_have_joints_between_their_limits():
@@ -124,31 +154,27 @@ def test_networks_are_compared_in_double_precision():
     assert "precision" not in found["controller"]["aero"]
 
 
-CRATES = SimpleNamespace(lost_time=None)
-"""A flight in place of the crate's."""
-
-
 @pytest.fixture
 def compared(monkeypatch):
     """Put made-up differences in place of comparisons: of the robot 0.1 of its tolerance, of others as given."""
     calls, size = [], {"tick": 0.1}
 
-    def robot(path, states, comparison, backend, seed):
+    def robot(path, states, backend, seed):
         calls.append((path, states, backend, seed))
-        comparison.add("dynamics", "bias", [1.0 + 1e-11], [1.0], 1e-10)
+        return [compare("dynamics", "bias", [1.0 + 1e-11], [1.0], 1e-10)]
 
-    def ticks(config, samples, group, comparison):
-        calls.append((group, samples))
-        comparison.add(group, "task", [1.0 + size["tick"] * 1e-10], [1.0], 1e-10)
+    def ticks(config, samples):
+        calls.append(samples)
+        return [compare("random", "task", [1.0 + size["tick"] * 1e-10], [1.0], 1e-10)]
 
-    def flight(config, comparison, backend):
-        comparison.add("flight", "wind", [0.0], [0.0], 1e-6, relative=False)
-        return CRATES, CRATES
+    def fly(config, backend):
+        rows = [compare("flight", "wind", [0.0], [0.0], 1e-6, relative=False)]
+        return SimpleNamespace(rows=rows, share=0.998, until=12.34)
 
-    for name, made_up in (("verify_robot", robot), ("verify_ticks", ticks), ("verify_flight", flight)):
-        monkeypatch.setattr(cli, name, made_up)
+    monkeypatch.setattr(cli, "verify_robot", robot)
+    monkeypatch.setattr(cli, "verify_ticks", ticks)
+    monkeypatch.setattr(flight, "verify_flight", fly)
     monkeypatch.setattr(cli, "random_samples", lambda _, states, seed: ("random", states, seed))
-    monkeypatch.setattr(cli, "recorded_samples", lambda _, flight, states: (flight, states))
     return calls, size
 
 
@@ -156,14 +182,16 @@ def test_the_command_compares_robot_ticks_and_flight(compared, tmp_path, capsys)
     calls, size = compared
     words = ["--config", "test1", "--states", "7", "--seed", "3", "--out", str(tmp_path)]
     assert cli.main(words) == 0
-    assert [call[1:] for call in calls] == [(7, "tree", 3), (("random", 7, 3),), ((CRATES, 7),)]
+    assert calls[0][1:] == (7, "tree", 3)
+    assert calls[1:] == [("random", 7, 3)]
     printed = capsys.readouterr().out
     row = "| {:8} | {:26} | {:8} | {:8} |  0.0e+00 | {}     | agrees    |".format
     assert row("dynamics", "bias", " 1.0e-11", " 1.0e-11", "1e-10 rel") in printed
     assert row("flight", "wind", " 0.0e+00", " 0.0e+00", "1e-06 abs") in printed
-    assert "4 of 4 quantities agree" in printed
+    assert "compared: 99.8% of the ticks, the flight up to 12.34 s" in printed
+    assert "3 of 3 quantities agree" in printed
     document = json.loads((tmp_path / "verify.json").read_text())
-    assert [row["agrees"] for row in document["rows"]] == [True] * 4
+    assert [row["agrees"] for row in document["rows"]] == [True] * 3
     assert document["config"] == rust.config_digest(rust.load_config("test1"))[:12]
     assert (tmp_path / "verify.png").stat().st_size > 0
     assert "config: " in (tmp_path / "verify.md").read_text()
@@ -172,7 +200,7 @@ def test_the_command_compares_robot_ticks_and_flight(compared, tmp_path, capsys)
     assert cli.main(words) == 1
     printed = capsys.readouterr().out
     assert "DISAGREES" in printed
-    assert "2 of 4 quantities agree, not random task, recorded task" in printed
+    assert "2 of 3 quantities agree, not random task" in printed
 
 
 def test_the_result_of_another_comparison_is_kept(compared, tmp_path, capsys):
@@ -185,7 +213,7 @@ def test_the_result_of_another_comparison_is_kept(compared, tmp_path, capsys):
         assert cli.main([*words, *other]) == 2
         assert "is the result of another comparison; choose another --out" in capsys.readouterr().err
     assert (tmp_path / "verify.json").read_bytes() == before
-    assert len(compared[0]) == 3  # refused before anything is compared
+    assert len(compared[0]) == 2  # refused before anything is compared
     assert cli.main([*robots[0], "--out", str(tmp_path), "--overwrite"]) == 0
     assert cli.main([*robots[0], "--out", str(tmp_path)]) == 0
     assert cli.main([*robots[1], "--out", str(tmp_path)]) == 2
@@ -237,15 +265,14 @@ def test_a_robot_that_is_not_there_is_refused(tmp_path, capsys):
 
 
 def test_every_file_is_replaced_whole(tmp_path):
-    comparison = verify.Comparison()
-    comparison.add("dynamics", "bias", [np.nan], [1.0], 0.02)
-    written = cli.write(comparison.rows, tmp_path, {"crate": "first"})
+    rows = [compare("dynamics", "bias", [np.nan], [1.0], 0.02)]
+    written = cli.write(rows, tmp_path, {"crate": "first"})
     assert json.loads(written[1].read_text())["rows"][0]["absolute"] is None
     kept = [tmp_path / f"kept{path.suffix}" for path in written]
     for path, old in zip(written, kept, strict=True):
         old.hardlink_to(path)
     before = [old.read_bytes() for old in kept]
-    cli.write(comparison.rows, tmp_path, {"crate": "second"})
+    cli.write(rows, tmp_path, {"crate": "second"})
     # Who had the old file open still has all of it.
     assert [old.read_bytes() for old in kept] == before
     assert json.loads(written[1].read_text())["crate"] == "second"

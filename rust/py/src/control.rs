@@ -14,7 +14,9 @@ use flight_core::control::law::mpc::model::Linearised;
 use flight_core::control::law::residual::Residual;
 use flight_core::control::law::setpoint::{Setpoint, SetpointGenerator};
 use flight_core::control::law::tasks::MOMENTUM_ROWS;
-use flight_core::control::{ControllerState as State, Estimates, Given, OwnedMeasurement, Preview, Terms};
+use flight_core::control::{
+    ControllerState as State, Estimates, Given, OwnedMeasurement, Preview, Terms, UsedMeasurement,
+};
 use flight_io::{load_aero, load_mission, load_robot};
 use nalgebra::{DVector, Vector3, Vector6};
 use pyo3::exceptions::{PyKeyError, PyValueError};
@@ -362,6 +364,7 @@ pub fn tick_dict<'py>(
     }
     out.set_item("setpoint", setpoint_to_dict(py, &terms.setpoint)?)?;
     out.set_item("estimates", estimates_to_dict(py, &terms.estimates)?)?;
+    out.set_item("handed", handed_to_dict(py, &terms.measurement)?)?;
     Ok(out)
 }
 
@@ -395,6 +398,16 @@ fn estimates_to_dict<'py>(py: Python<'py>, estimates: &Estimates) -> PyResult<Bo
     out.set_item("thrust", vector(py, &estimates.reading.thrust)?)?;
     out.set_item("wind", vector(py, estimates.wind.as_slice())?)?;
     out.set_item("wind_std", vector(py, estimates.wind_std.as_slice())?)?;
+    Ok(out)
+}
+
+/// What the guard hands to the law.
+fn handed_to_dict<'py>(py: Python<'py>, used: &UsedMeasurement) -> PyResult<Bound<'py, PyDict>> {
+    let out = PyDict::new(py);
+    out.set_item("state", state_arrays(py, &used.state)?)?;
+    out.set_item("thrust", vector(py, &used.thrust)?)?;
+    out.set_item("thrust_rate", vector(py, &used.thrust_rate)?)?;
+    out.set_item("wind", vector(py, used.wind.as_slice())?)?;
     Ok(out)
 }
 

@@ -3,14 +3,16 @@
 ```text
 w                        change of the wrench of the air with the wind ahead
 y = (δp, δv, θ, δk)      motion of the centre of mass, rotation, angular momentum; the present one is zero
-d = (δT, δs, ṡ, δe)      thrusts, joints, their velocities and velocity errors: driven by the inputs alone
-u = (Ṫ*, ṡ*)             thrust rates; joint velocities of the moved joints
+d = (δT, Ṫ, δs, ṡ, δe)   thrusts, joints, their velocities and velocity errors: driven by the inputs alone
+u = (u_T, ṡ*)            inputs of the thrusts; joint velocities of the moved joints
+Ṫ = u_T                  ideal jets, whose rates are no states
+T̈ = α δT + β Ṫ + u_T     engines about the steady thrust T, at the throttle that holds it (M174)
 ẏ = A_c y + A_d d + B w + c    δë of the torque law: s̈ = K_D (ṡ* − ṡ) − K_P δe,  δė = ṡ − ṡ*
 ```
 
 `z = (y, d, u, w, 1)` has one constant matrix over a knot, in which `u` and `w` do not change: a Taylor series for the
 shortest knot, and squares of it. Everything at the ends of the knots is then affine in the unknowns; H and g collect
-the squares of the outputs' errors. Equations M120 to M126 of `docs/model`.
+the squares of the outputs' errors. Equations M120 to M126 and M174 of `docs/model`.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float, Int
 
+from jax_aero.body.jets import acceleration_range, acceleration_slopes
 from jax_aero.body.linalg import dot
 from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import skew
@@ -35,6 +38,9 @@ from jax_aero.types import Array
 
 TERMS = 16
 """Terms of the Taylor series: with `K_D h = 0.2` the remainder is below rounding."""
+
+INPUT_TIME = 0.03
+"""Time that makes the input of an engine [N/s²] comparable with a thrust rate [s]."""
 
 BISECTIONS = 40
 """Steps of the bisection for the least cost on a way."""
@@ -57,6 +63,16 @@ class Target(NamedTuple):
     """[rad/s²]."""
 
 
+class EngineHorizon(NamedTuple):
+    """What the engines' inputs may be."""
+
+    damping: Float[Array, " j"]
+    """`β` [1/s]."""
+    least: Float[Array, "K j"]
+    """Least inputs in every knot, from the limits of the throttle along the motion without inputs [N/s²]."""
+    greatest: Float[Array, "K j"]
+
+
 class Horizon(NamedTuple):
     """Cost and limited values of the inputs `u`; `m` thrusts, joints and distances at the ends of the knots."""
 
@@ -70,6 +86,8 @@ class Horizon(NamedTuple):
     greatest: Float[Array, " m"]
     weight: Float[Array, " m"]
     """`ρ` of the cost `½ ρ (x − b)²` of a value x beyond its limit b."""
+    engines: EngineHorizon | None
+    """`None` for ideal jets."""
 
     def beyond(self, u: Float[Array, " u"]) -> Int[Array, " m"]:
         """Return which values the inputs bring beyond their limits: -1 below, 1 above, 0 within."""
@@ -110,8 +128,9 @@ class Horizon(NamedTuple):
 class _Places:
     """Where the parts of `z` stand."""
 
-    def __init__(self, jets: int, free: int) -> None:
-        sizes = {"p": 3, "v": 3, "theta": 3, "k": 3, "t": jets, "s": free, "sigma": free, "e": free}
+    def __init__(self, jets: int, free: int, *, has_engines: bool) -> None:
+        sizes = {"p": 3, "v": 3, "theta": 3, "k": 3, "t": jets, "speed": jets * has_engines}
+        sizes |= {"s": free, "sigma": free, "e": free}
         sizes |= {"rate": jets, "command": free, "wrench": 6, "one": 1}
         ends = np.cumsum(list(sizes.values())).tolist()
         self.of = {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
@@ -148,10 +167,13 @@ def horizon(
     `wrenches` the changes of the air's wrench with the wind at the ends of the knots [N, N m].
     """
     structure, weights, moved = mpc.structure, mpc.weights, np.array(mpc.structure.joints, dtype=int)
-    places = _Places(now.thrust.shape[0], moved.size)
+    places = _Places(now.thrust.shape[0], moved.size, has_engines=mpc.engines is not None)
     of, sigma_now = places.of, now.state.velocity[6 + moved]
-    dynamics = _dynamics(places, robot.mass, linear, now, model, gains, sigma_now)
-    start = jnp.concatenate([jnp.zeros(of["sigma"].start, sigma_now.dtype), sigma_now, jnp.zeros_like(sigma_now)])
+    slopes = None if mpc.engines is None else acceleration_slopes(mpc.engines, now.thrust)
+    dynamics = _dynamics(places, robot.mass, linear, now, model, gains, sigma_now, slopes)
+    start = jnp.zeros(places.states, sigma_now.dtype).at[of["sigma"]].set(sigma_now)
+    if mpc.engines is not None and now.thrust_rate is not None:
+        start = start.at[of["speed"]].set(now.thrust_rate)
     z = _propagate(structure, places, dynamics, start, wrenches)
 
     position = now.state.joint_position[moved]
@@ -161,7 +183,8 @@ def horizon(
     errors = errors.at[:, :, -1].add(-jnp.concatenate(motion, axis=1))
     s = z[:, of["s"]]
     away = s.at[:, :, -1].add(position - posture[moved])
-    by_knot = jnp.concatenate([errors, away, z[:, of["sigma"]], z[:, of["rate"]], z[:, of["command"]]], axis=1)
+    driven = [z[:, of[name]] for name in ("sigma", "speed", "rate", "command")]
+    by_knot = jnp.concatenate([errors, away, *driven], axis=1)
     squares = np.array(structure.durations)[:, None] * _squares(weights, places)[None]
     rows = jnp.concatenate([by_knot.reshape(-1, by_knot.shape[-1]), _tail(mpc, errors[-1])])
     cost = dot(rows.T, jnp.concatenate([squares.reshape(-1), jnp.repeat(weights.tail, 3)])[:, None] * rows)
@@ -185,7 +208,20 @@ def horizon(
         least=at_knots(*least),
         greatest=at_knots(*greatest),
         weight=at_knots(*excess),
+        engines=_engine_horizon(mpc, now.thrust, start[of["speed"]], z[:, of["t"], -1], z[:, of["speed"], -1]),
     )
+
+
+def _engine_horizon(mpc: Mpc, thrust: Array, rate: Array, change: Array, rates: Array) -> EngineHorizon | None:
+    """Return what the inputs may be, from changes and rates of the thrusts at the ends of the knots without inputs."""
+    if mpc.engines is None:
+        return None
+    change = jnp.concatenate([jnp.zeros_like(change[:1]), change[:-1]])
+    rates = jnp.concatenate([rate[None], rates[:-1]])
+    by_thrust, by_rate = acceleration_slopes(mpc.engines, thrust)
+    free = by_thrust * change + by_rate * rates
+    least, greatest = acceleration_range(mpc.engines, thrust + change, rates)
+    return EngineHorizon(by_rate, least - free, greatest - free)
 
 
 def _tail(mpc: Mpc, errors: Array) -> Array:
@@ -208,6 +244,7 @@ def _dynamics(
     model: Model,
     gains: tuple[Array, Array],
     sigma_now: Array,
+    slopes: tuple[Array, Array] | None,
 ) -> Array:
     """Return the matrix (N, N) with which `z` changes."""
     dtype, omega = now.state.velocity.dtype, now.state.velocity[3:6]
@@ -235,10 +272,17 @@ def _dynamics(
     core = core.at[:, -1].add(-core[:, places.of["sigma"]] @ sigma_now)
     jets, joints = jnp.eye(now.thrust.shape[0], dtype=dtype), jnp.eye(sigma_now.shape[0], dtype=dtype)
     kd, kp = gains
+    thrusts = [places.rows(dtype, rate=jets)]
+    if slopes is not None:
+        by_thrust, by_rate = slopes
+        thrusts = [
+            places.rows(dtype, speed=jets),
+            places.rows(dtype, t=by_thrust * jets, speed=by_rate * jets, rate=jets),
+        ]
     return jnp.concatenate(
         [
             core,
-            places.rows(dtype, rate=jets),
+            *thrusts,
             places.rows(dtype, sigma=joints),
             places.rows(dtype, sigma=-kd * joints, e=-kp * joints, command=kd * joints),
             places.rows(dtype, sigma=joints, command=-joints),
@@ -305,11 +349,17 @@ def _exponential(matrix: Array) -> Array:
 
 def _squares(weights: MpcWeights, places: _Places) -> Array:
     """Return the weights of a knot's errors: outputs, joints, their velocities, inputs."""
-    jets, free = (places.of[name].stop - places.of[name].start for name in ("rate", "command"))
+    jets, speeds, free = (places.of[name].stop - places.of[name].start for name in ("rate", "speed", "command"))
+    of_input = weights.thrust_rate * (INPUT_TIME**2 if speeds else 1.0)
     counts = (
         *((weights.angular_velocity, 3), (weights.acceleration, 3), (weights.angular_acceleration, 3)),
-        *((weights.joint_velocity, free), (weights.thrust_rate, jets), (weights.joint_command, free)),
+        *(
+            (weights.joint_velocity, free),
+            (weights.thrust_rate, speeds),
+            (of_input, jets),
+            (weights.joint_command, free),
+        ),
     )
-    omega, a, alpha, joint_velocity, thrust_rate, joint_command = (jnp.repeat(x, count) for x, count in counts)
+    omega, a, alpha, *driven = (jnp.repeat(x, count) for x, count in counts)
     outputs = [weights.position, weights.velocity, weights.attitude, omega, a, alpha]
-    return jnp.concatenate([*outputs, weights.posture, joint_velocity, thrust_rate, joint_command])
+    return jnp.concatenate([*outputs, weights.posture, *driven])

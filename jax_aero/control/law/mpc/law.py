@@ -114,7 +114,7 @@ class PredictiveLaw:
         linear = linearise(robot, self.aero, structure.air, structure.joints, now.state, now.thrust, now.wind)
         target, wrenches = self._targets(memory, now, followed), self._wrenches(robot, now, model)
         ahead = horizon(self.mpc, self.gains, robot, linear, now, model, memory.posture, target, wrenches)
-        bounds = self._bounds(prepared.shaping.problem)
+        bounds = self._bounds(prepared.shaping.problem, ahead)
         search = _find_beyond(*jax.tree.map(lax.stop_gradient, (ahead, bounds, last)))
         # Differentiated once, with the values beyond their limits that have been found.
         x = qp.solve(ahead.problem(search.beyond, *bounds), search.answer.warm_start).x
@@ -125,6 +125,7 @@ class PredictiveLaw:
             since=jnp.where(search.is_found, now.time, last.since),
             tried=now.time,
             answer=answer,
+            damping=last.damping if ahead.engines is None else ahead.engines.damping,
         )
 
     def _targets(self, memory: ControllerState, now: Measurement, followed: Followed) -> Target:
@@ -185,18 +186,23 @@ class PredictiveLaw:
         changes: Array = jax.vmap(wrench)(winds) - wrench_about(model.link_forces, com)
         return changes
 
-    def _bounds(self, of_tick: BoxQp) -> tuple[Array, Array]:
-        """Return bounds of the inputs: in the first knot and block those of this tick, then the greatest rates."""
+    def _bounds(self, of_tick: BoxQp, ahead: Horizon) -> tuple[Array, Array]:
+        """Return bounds of the inputs: in the first knot and block those of this tick, then the greatest rates.
+
+        Those of engines are what their throttles reach.
+        """
         structure, tasks = self.mpc.structure, self.momentum.tasks
         jets, moved = tasks.thrust_rate.shape[0], np.array(structure.joints, dtype=int)
         rate_max, most = tasks.thrust_rate_max, tasks.joint_velocity_max[moved]
         knots, blocks = len(structure.durations), structure.blocks[-1] + 1
 
-        def all_of(first: Array, sign: float) -> Array:
-            thrusts = [first[:jets], sign * jnp.tile(rate_max, knots - 1)]
-            return jnp.concatenate([*thrusts, first[jets + moved], sign * jnp.tile(most, blocks - 1)])
+        def all_of(first: Array, sign: float, of_engines: Array | None) -> Array:
+            thrusts = jnp.concatenate([first[:jets], sign * jnp.tile(rate_max, knots - 1)])
+            thrusts = thrusts if of_engines is None else of_engines.reshape(-1)
+            return jnp.concatenate([thrusts, first[jets + moved], sign * jnp.tile(most, blocks - 1)])
 
-        return all_of(of_tick.lower, -1.0), all_of(of_tick.upper, 1.0)
+        least, greatest = (None, None) if ahead.engines is None else ahead.engines[1:]
+        return all_of(of_tick.lower, -1.0, least), all_of(of_tick.upper, 1.0, greatest)
 
     def _follow(self, memory: ControllerState, now: Measurement, prepared: Prepared, plan: Plan, age: Array) -> Rates:
         """Return the inputs of the plan `age` [s] after its start, within the bounds of this tick."""
@@ -207,7 +213,11 @@ class PredictiveLaw:
         thrusts, joints = jnp.split(plan.inputs, [jets * len(structure.durations)])
         back = -self.mpc.posture_gain * (now.state.joint_position - memory.posture)
         joint_velocity = back.at[moved].set(joints.reshape(-1, moved.size)[jnp.array(structure.blocks)[knot]])
-        u = jnp.concatenate([thrusts.reshape(-1, jets)[knot], joint_velocity])
+        thrust_rate = thrusts.reshape(-1, jets)[knot]
+        if self.mpc.engines is not None:
+            present = jnp.zeros_like(thrust_rate) if now.thrust_rate is None else now.thrust_rate
+            thrust_rate = present + self.time_step * (thrust_rate + plan.damping * present)
+        u = jnp.concatenate([thrust_rate, joint_velocity])
         u = jnp.clip(u, of_tick.lower, of_tick.upper)
         answer = plan.answer._replace(x=u, side=jnp.zeros(u.shape, plan.answer.side.dtype))
         status = jnp.where(plan.answer.status == qp.SOLVED, NOMINAL, PLAN_KEPT)

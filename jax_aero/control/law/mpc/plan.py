@@ -24,11 +24,13 @@ class Plan(NamedTuple):
     """Time of the last attempt [s]."""
     answer: QpAnswer
     """Answer of the last attempt, from which the next one starts."""
+    damping: Float[Array, " j"]
+    """`β` of the engines at the last attempt [1/s]; zero for ideal jets."""
 
 
-def no_plan(unknowns: int, dtype: Dtype) -> Plan:
+def no_plan(unknowns: int, jets: int, dtype: Dtype) -> Plan:
     """Return the plan before the first attempt."""
     never, start = jnp.full((), -np.inf, dtype), qp.cold_start(unknowns, dtype)
     count = jnp.zeros((), jnp.int32)
     answer = QpAnswer(*start, jnp.zeros((), dtype), count + qp.ITERATION_LIMIT, count)
-    return Plan(start.x, never, never, answer)
+    return Plan(start.x, never, never, answer, jnp.zeros(jets, dtype))
