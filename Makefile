@@ -193,8 +193,8 @@ bench: $(PACKAGES) ## measure every part of a tick, and the crate beside Pinocch
 	$(BIN)/python -m experiments.bench
 	$(BIN)/python -m experiments.bench_jax --quick
 
-figures: $(PACKAGES) ## draw every figure whose results are there; flies the demo's flights if they are not
-	$(BIN)/jax-aero fly $(DEMO)
+figures: $(PACKAGES) ## fly the demo's flights, and draw every figure whose results are there
+	$(BIN)/jax-aero fly $(DEMO) --overwrite
 	$(BIN)/jax-aero figures all
 
 # SWEEPS=--all adds our own results, which takes hours. SKIP=cfd leaves out the flow around the robot, which takes OpenFOAM.

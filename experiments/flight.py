@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments import Refused, engines, manifest, record, study
-from experiments.sources import code_hash
+from experiments.identity import Identity
 from jax_aero import rust
 from jax_aero.base import documents, places
 from jax_aero.base.files import lock_work
@@ -28,13 +28,18 @@ def folder_of(name: str) -> Path:
 
 
 def obtain(name: str) -> Path:
-    """Return the file of a flight by its name; that of an experiment is flown if it is not there."""
+    """Return the file of a flight by its name; that of an experiment is flown if it is not there, or not of today."""
     path = folder_of(name) / places.RUN_FILE
     if name in places.names("experiments"):
-        run(study.find("experiments", name), {}, command=["jax-aero", "fly", name])
+        run(study.find("experiments", name), {}, command=["jax-aero", "fly", name], renew=True)
     elif not path.is_file():
         raise Refused(f"no flight `{name}`; fly it with: jax-aero fly {name}")
     return path
+
+
+def identity_of(config: rust.Config) -> Identity:
+    """Return the identity of the flight of a configuration."""
+    return Identity(rust.config_digest(config), (__name__, engines.MODULES[engines.engine_of(config)]))
 
 
 def run(
@@ -45,11 +50,13 @@ def run(
     named: str | None = None,
     out: Path | None = None,
     overwrite: bool = False,
+    renew: bool = False,
     config: rust.Config | None = None,
 ) -> dict[str, Any]:
     """Fly one configuration and write its folder, unless it is already there; return the manifest.
 
-    It is that of a file with its changes, or `config` in its place.
+    It is that of a file with its changes, or `config` in its place. A result of another identity is refused, or
+    replaced with `overwrite` or `renew`; the former replaces any.
     Warnings about the configuration and the files of its robot are stored in the manifest.
     """
     if out:
@@ -67,10 +74,11 @@ def run(
     for text in warned:
         warnings.warn(text, stacklevel=2)
     folder = out / name if out else folder_of(name)
-    digest, engine = rust.config_digest(config), engines.engine_of(config)
-    code = (__name__, engines.MODULES[engine])
+    identity, engine = identity_of(config), engines.engine_of(config)
     with lock_work(folder):
-        finished = record.find_existing(folder, digest, code_hash(*code), documents.Flight, overwrite=overwrite)
+        if renew:
+            overwrite = bool(identity.difference(record.read_manifest(folder) or {}))
+        finished = record.find_existing(folder, identity, documents.Flight, overwrite=overwrite)
         if finished is not None:
             return finished
         started = time.perf_counter()
@@ -82,11 +90,10 @@ def run(
             name,
             config.get("title") or name,
             config,
-            digest,
+            identity,
             summary=flight.summary,
             command=command,
             engine=engine,
-            code=code,
             outcome=flight.outcome,
             lost_time=flight.lost_time,
             lost_reason=flight.lost_reason,
@@ -95,7 +102,9 @@ def run(
             seed=dict(manifest.seeds(config)) or None,
             wall_time_s=round(time.perf_counter() - started, 3),
         )
-        dataset = record.to_dataset(flight, robot, title=document["title"], config_digest=digest, engine=engine)
+        dataset = record.to_dataset(
+            flight, robot, title=document["title"], config_digest=identity.digest, engine=engine
+        )
         record.write_run(folder, dataset, document, replace=overwrite)
     print(os.path.relpath(folder / places.RUN_FILE))
     return document

@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from experiments.sources import code_hash
+from experiments.identity import Identity
 from jax_aero import rust
 from jax_aero.base import places
 from jax_aero.base.files import replace_infinite
@@ -24,25 +24,20 @@ def build(
     name: str,
     title: str,
     config: Mapping[str, Any],
-    digest: str,
+    identity: Identity,
     *,
     summary: Mapping[str, Any],
     command: Sequence[str],
     engine: str,
-    code: Sequence[str],
     **more: Any,
 ) -> dict[str, Any]:
-    """Return the manifest of one result, ready for JSON.
-
-    `code` are the modules that computed it, and `more` are entries specific to its kind.
-    """
+    """Return the manifest of one result, ready for JSON; `more` are entries specific to its kind."""
     return {
         "name": name,
         "title": title,
         "summary": replace_infinite(summary),
-        "config_digest": digest,
         "config": make_portable(config),
-        "code_hash": code_hash(*code),
+        **identity.facts,
         "command": shlex.join(map(_portable_word, command)),
         "engine": engine,
         **more,

@@ -16,6 +16,7 @@ import numpy as np
 import xarray as xr
 
 from experiments import Refused
+from experiments.identity import ANOTHER, Identity
 from jax_aero import rust
 from jax_aero.base import documents, netcdf
 from jax_aero.base.files import (
@@ -142,21 +143,22 @@ def load_result(path: Path) -> xr.Dataset:
         return found.load()
 
 
-def find_existing(folder: Path, digest: str, code: str | None, form: Any, *, overwrite: bool) -> dict[str, Any] | None:
-    """Return the manifest of an equal finished result; refuse to touch anything else that is there.
+def find_existing(folder: Path, identity: Identity, form: Any, *, overwrite: bool) -> dict[str, Any] | None:
+    """Return the manifest of a finished result of this identity; `None` if there is none, or it is to be replaced.
 
-    A result of other code (`code`, where that is known) is kept too, and its age printed.
+    A result of another identity, and a damaged one, are refused without `overwrite`.
     """
     finished = None if overwrite else read_manifest(folder, form)
-    if finished is None or finished.get("config_digest") != digest:
+    if finished is None or identity.difference(finished) == ANOTHER:
         check_replaceable(folder, lambda _: False, overwrite=overwrite)
         return None
     shown = os.path.relpath(folder)
     if name := find_damaged(folder, finished.get("files", {})):
         raise Refused(f"{shown}/{name} is not what was written there; --overwrite makes it again")
+    if difference := identity.difference(finished):
+        raise Refused(f"{shown} was made by {difference}; --overwrite makes it again")
     commit = (finished.get("git") or {}).get("commit") or "unknown"
-    other = "" if code in (None, finished.get("code_hash")) else ", made by other code"
-    print(f"{shown} is finished already{other} (commit {commit[:10]}); --overwrite makes it again")
+    print(f"{shown} is finished already (commit {commit[:10]}); --overwrite makes it again")
     return finished
 
 

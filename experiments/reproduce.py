@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from experiments import outdated
 from experiments.report.paper import commands
 from experiments.report.results import FAILED
 from jax_aero.base import places
@@ -33,7 +34,7 @@ def main(arguments: Sequence[str]) -> int:
         for line in [*made(given.table), *commands(ours=given.all)]:
             if line.startswith("#") or line.split()[1] == given.skip:
                 print(f"left out: {line}")
-            elif reason := run(line):
+            elif reason := run(line + renewal(line)):
                 failed[line] = reason
         write_json(places.RESULTS / FAILED, failed)
         judged = [bool(run(line)) for line in shown(given.table)]
@@ -71,6 +72,18 @@ def shown(table: Path | None) -> Iterator[str]:
     yield f"jax-aero figures fig4_fit --runs {data}"
     yield f"jax-aero figures fig4_network --runs {training}"
     yield "jax-aero report --check"
+
+
+def renewal(line: str) -> str:
+    """Return the option with which a command replaces a result of another configuration or code, if it made one."""
+    word, *names = shlex.split(line)[1:]
+    if word in ("study", "cfd", "data"):
+        word, *names = names
+    kinds = {"fly": "flight", "sweep": "sweeps", "train": "training", "flow": "cfd_flow"}
+    kind = kinds.get(word, word).replace("-", "_")
+    folders = [folder for folder in (places.RESULTS / kind).glob("[!.]*") if folder.is_dir()]
+    is_stale = any(outdated.result(kind, folder) for folder in folders if folder.name in names or not names)
+    return " --overwrite" if is_stale and "--overwrite" not in names else ""
 
 
 def run(line: str) -> str:

@@ -9,8 +9,6 @@ by which an outdated result is recognised.
 from __future__ import annotations
 
 import argparse
-import hashlib
-import json
 import os
 import re
 import time
@@ -22,6 +20,7 @@ from typing import Any, Generic, TypeVar
 import xarray as xr
 
 from experiments import Refused, manifest, overrides, record
+from experiments.identity import Identity
 from experiments.sources import file_hash
 from jax_aero import cli, rust
 from jax_aero.base import places, plain, tables
@@ -156,16 +155,16 @@ class Study(Generic[C]):
             flights |= findings.results
             files = [*read, *findings.files]
             table, inputs = plain.to_builtins(config), findings.inputs
-            digested = digest({"config": table, "inputs": inputs, "flights": flights}, files)
+            modules = [self.compute.__module__]
+            identity = Identity.of({"config": table, "inputs": inputs, "flights": flights}, modules, files)
             document = manifest.build(
                 folder.name,
                 findings.title,
                 table,
-                digested,
+                identity,
                 summary=findings.summary,
                 command=command,
                 engine=self.engine,
-                code=[self.compute.__module__],
                 sources={
                     "inputs": manifest.make_portable(inputs),
                     "flights": flights,
@@ -174,7 +173,7 @@ class Study(Generic[C]):
                 },
                 timings_s={key: round(seconds, 4) for key, seconds in timings.items()},
             )
-            dataset = findings.dataset.assign_attrs(title=findings.title, config_hash=digested)
+            dataset = findings.dataset.assign_attrs(title=findings.title, config_hash=identity.digest)
             record.write_run(folder, dataset, document, replace=True, texts=findings.texts)
             for path in under_way:
                 path.unlink(missing_ok=True)
@@ -309,10 +308,3 @@ def schema_of(kind: str, folder: Path) -> str:
 def write_with_schema(path: Path, kind: str, text: str) -> None:
     """Write a file whose first line names the schema of its kind, with which editors complete keys."""
     path.write_text(f"#:schema {schema_of(kind, path.parent)}\n{text}", encoding="utf-8")
-
-
-def digest(config: Mapping[str, Any], files: Sequence[Path]) -> str:
-    """Return the SHA-256 of a configuration and of files, with those that they name; equal on every machine."""
-    hashes = [file_hash(file) for file in files]
-    text = json.dumps([manifest.make_portable(config), hashes], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()

@@ -10,6 +10,7 @@ from pathlib import Path
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
+from experiments import outdated
 from jax_aero import cli
 from jax_aero.base import places
 from paper_figs import ablation, maps, model_pairs, pairs, runs, scatter, style, sweeps
@@ -41,12 +42,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"error: {wrong}", file=sys.stderr)
             return cli.REFUSED
         try:
+            stale = _check(name, given)
             figure, hashes = _draw(name, given)
         except runs.NotDrawn as reason:
             missing += 1
             if not is_all:
                 print(f"error: {name}: {reason}", file=sys.stderr)
             continue
+        if stale:
+            figure.text(
+                0.01, 0.01, f"made otherwise than today: {stale}", va="bottom", size="small", color=style.VERMILION
+            )
         for path in style.save(figure, _file_name(name, given.runs), given.out, hashes, dark=given.dark):
             print(path)
     hidden = [name for name in names if name in FIGURES and sweeps.is_finished(given.sweeps / name)]
@@ -68,6 +74,19 @@ def _wrong_number(name: str, chosen: Sequence[str]) -> str:
         return "" if chosen else f"{name} shows the flights of --runs, and none is named"
     expected = len(FIGURES[name].runs) if name in FIGURES else 0
     return f"{name} shows {expected} runs, not {len(chosen)}" if chosen and len(chosen) != expected else ""
+
+
+def _check(name: str, given: argparse.Namespace) -> str:
+    """Return which results of a figure differ from today's configuration and code; refuse them without --stale."""
+    if name in FIGURES:
+        kind, chosen = FIGURES[name].kind, FIGURES[name].folders(given.results, given.runs or ())
+    else:
+        kind, chosen = "sweeps", [given.sweeps / name]
+    found = {folder.name: outdated.result(kind, folder) for folder in chosen if folder.is_dir()}
+    stale = "; ".join(f"{folder} ({differs})" for folder, differs in found.items() if differs)
+    if stale and not given.stale:
+        raise runs.NotDrawn(f"made of another configuration or code than today's: {stale}; make it again, or --stale")
+    return stale
 
 
 def _draw(name: str, given: argparse.Namespace) -> tuple[Figure, dict[str, str]]:
@@ -107,6 +126,11 @@ def _parser() -> argparse.ArgumentParser:
     parser = cli.Parser("figures", __doc__, epilog=listed)
     named = parser.add_argument("names", nargs="*", metavar="FIGURE", help="figures or sweeps (default: all)")
     cli.complete_with(named, lambda: [*FIGURES, *SWEEPS, "all"])
+    parser.add_argument(
+        "--stale",
+        action="store_true",
+        help="draw results of another configuration or code too, and say so there",
+    )
     parser.add_argument("--dark", action="store_true", help="also write NAME_dark.png, for a dark page")
     parser.add_argument(
         "--runs", nargs="+", metavar="RUN", help="runs that the figure shows, in its order: names, or folders"

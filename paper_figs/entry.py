@@ -37,6 +37,10 @@ class Entry:
             return [f"jax-aero fly {' '.join(self.runs)}"]
         return [runs.study_command(self.kind, name) for name in self.runs]
 
+    def folders(self, results: Path, names: Sequence[str] = ()) -> list[Path]:
+        """Return the folders of the results that it shows."""
+        return [runs.folder_of(results, self.kind, name) for name in names or self.runs]
+
     def draw_from_results(self, results: Path, names: Sequence[str] = ()) -> tuple[Figure, dict[str, str]]:
         """Return the figure, and the hash of every result or table that it shows."""
         try:

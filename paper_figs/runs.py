@@ -82,9 +82,16 @@ def escape_text(text: object) -> str:
     return str(text).replace("$", r"\$")
 
 
+def folder_of(results: Path, kind: str, name: str) -> Path:
+    """Return the folder of a result of a kind; `results` is that of flights, and a flight's name may be a path."""
+    if kind != "flight":
+        return results.parent / kind / name
+    return Path(name) if is_path(name) else results / name
+
+
 def load(results: Path, name: str) -> Run:
     """Read the run of this name, or in a folder given by its path."""
-    path = (Path(name) if is_path(name) else results / name) / RUN_FILE
+    path = folder_of(results, "flight", name) / RUN_FILE
     if is_path(name) and not path.is_file():
         raise MissingRun(f"no flight in `{name}`; expected the folder of one")
     if not path.is_file():
@@ -95,7 +102,7 @@ def load(results: Path, name: str) -> Run:
 
 def load_study(results: Path, kind: str, name: str) -> xr.Dataset:
     """Read a study of a kind, with its name as an attribute; `results` is the folder of flights beside it."""
-    path = results.parent / kind / name / RUN_FILE
+    path = folder_of(results, kind, name) / RUN_FILE
     if not path.is_file():
         raise MissingRun(f"no study `{name}` in {path.parents[1]}; make it with: {study_command(kind, name)}")
     return read(path).assign_attrs(name=name)

@@ -42,7 +42,7 @@ class Sweep:
     @property
     def hashes(self) -> dict[str, str]:
         """Return the hash stored in a figure."""
-        return {f"sweep {self.name}": str(self.document["config_hash"])}
+        return {f"sweep {self.name}": str(self.document["config_digest"])}
 
     @property
     def axes(self) -> list[dict[str, Any]]:

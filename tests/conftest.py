@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from experiments import record
+from experiments.flight import identity_of
 from jax_aero import rust
 from jax_aero.base import places
 from jax_aero.base.result import FlightResult, labels_of
@@ -194,7 +195,8 @@ def made_up_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
         dataset = record.to_dataset(
             made_up_flight(lost_time=lost_time), ROBOT, title=f"{name}: made up", config_digest=digest
         )
-        record.write_run(results / name, dataset, {"name": name, "config_digest": digest})
+        facts = identity_of(rust.load_config(name)).facts
+        record.write_run(results / name, dataset, {"name": name, **facts})
     return results
 
 

@@ -16,7 +16,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from tqdm import tqdm
@@ -29,7 +29,7 @@ from experiments.cfd.settings import Settings
 from experiments.cfd.simulate import Result, simulate
 from experiments.cluster import Ray, add_options
 from experiments.data.cfd import checks
-from experiments.sources import code_hash
+from experiments.identity import ANOTHER, Identity
 from jax_aero.aero.dataset import Dataset, Floats, save
 from jax_aero.base import documents, places, plain, tables
 from jax_aero.base.files import lock, read_json, write_json
@@ -92,7 +92,7 @@ def compute(design: Design, folder: Path, simulator: Simulate = simulate, cluste
             name: [case for case in cases if not _path(folder, case).is_file()] for name, cases in design.cases.items()
         }
         missing = {name: cases for name, cases in left.items() if cases}
-        _begin(design, folder, is_whole=not missing)
+        _begin(design, folder)
         bar.update(bar.total - sum(map(len, missing.values())))
         jobs = {name: Job(surfaces[name], [case.wind_b for case in cases]) for name, cases in missing.items()}
         shared = simulator, settings
@@ -125,32 +125,32 @@ def _solve_remotely(shared: tuple[Simulate, Settings], job: Job) -> list[Result]
     return list(_solve_posture(*shared, job))
 
 
-def _begin(design: Design, folder: Path, *, is_whole: bool) -> None:
-    """Mark the folder as this design's; refuse one with cases of another design, or an incomplete set of other code."""
-    about = {"digest": design.digest, "code_hash": code_hash(*MODULES)}
-    found, shown = _read_header(design, folder), os.path.relpath(folder)
-    if not found:
-        write_json(folder / "design.json", {**about, "settings": plain.to_builtins(design.spec.settings)})
-    elif found.get("code_hash") != about["code_hash"]:
-        if not is_whole:
-            raise Refused(f"{shown} holds cases that were computed by other code; choose another --out, or remove them")
-        print(f"{shown} has all cases already, computed by other code")
+def _begin(design: Design, folder: Path) -> None:
+    """Mark a folder without cases as this design's; refuse one with cases of another design or code."""
+    if any((folder / "cases").glob("*.json")):
+        _check(design, folder)
+    else:
+        facts = _identity(design).facts
+        write_json(folder / "design.json", {**facts, "settings": plain.to_builtins(design.spec.settings)})
 
 
-def _read_header(design: Design, folder: Path) -> dict[str, Any]:
-    """Return the description of a folder's cases, which must be the design's; empty without cases."""
-    if not any((folder / "cases").glob("*.json")):
-        return {}
-    found = read_json(folder / "design.json", documents.CasesHeader)
-    if found.get("digest") != design.digest:
-        raise Refused(f"{os.path.relpath(folder)} holds cases of other settings; choose another --out")
-    return found
+def _check(design: Design, folder: Path) -> None:
+    """Refuse cases of another design or code."""
+    difference = _identity(design).difference(read_json(folder / "design.json", documents.CasesHeader))
+    if difference:
+        what = "of other settings" if difference == ANOTHER else f"that were computed by {difference}"
+        raise Refused(f"{os.path.relpath(folder)} holds cases {what}; choose another --out, or remove them")
+
+
+def _identity(design: Design) -> Identity:
+    return Identity(design.digest, MODULES)
 
 
 def collect(design: Design, folder: Path) -> str:
     """Write the dataset of the accepted cases and the manifest; return a message."""
-    about = _read_header(design, folder)
     found = {case: _read(_path(folder, case)) for case in design if _path(folder, case).is_file()}
+    if found:
+        _check(design, folder)
     accepted = {case: result for case, result in found.items() if not result.reason}
     if not accepted:
         raise Refused(f"{os.path.relpath(folder)} has no accepted case of {sum(1 for _ in design)}")
@@ -168,17 +168,15 @@ def collect(design: Design, folder: Path) -> str:
         design.name,
         design.spec.title,
         plain.to_builtins(design.spec),
-        design.digest,
+        _identity(design),
         summary=summary,
         command=["jax-aero", KIND, design.name, *overrides.options(design.changes, design.named)],
         engine="openfoam",
-        code=MODULES,
         refused=refused,
         quality=quality,
         dataset=dataset.sha256,
     )
-    # The hash of the code that computed the cases, which may be older.
-    write_json(folder / places.MANIFEST_FILE, document | {"code_hash": about["code_hash"]})
+    write_json(folder / places.MANIFEST_FILE, document)
     lines = [f"{design.spec.title}: " + ", ".join(f"{count} {what}" for what, count in summary.items())]
     lines += [f"  {name}: {reason}" for name, reason in refused.items()]
     lines += [f"  {name:<34} {median:.4g}" for name, median in quality.items()]

@@ -57,6 +57,9 @@ def main(arguments: Sequence[str]) -> int:
         help="file of the claims of the documentation (default claims.json beside the report)",
     )
     parser.add_argument("--index", action="store_true", help="print the documentation's page: the paper, item by item")
+    parser.add_argument(
+        "--stale", action="store_true", help="use results of another configuration or code too, and mark them"
+    )
     parser.add_argument("--check", action="store_true", help="status 1 if a verdict is not that of the documentation")
     given = parser.parse_args(arguments)
 
@@ -69,7 +72,7 @@ def main(arguments: Sequence[str]) -> int:
             return 0
         if not given.results.is_dir():
             raise Refused(f"`{given.results}` is no folder; expected one with results, as `jax-aero fly` makes it")
-        results = Results(given.results)
+        results = Results(given.results, stale=given.stale)
         found = {key: claim.find(results) for key, claim in all_claims().items()}
         measured = {key: found[key] for key, claim in all_claims().items() if claim.commands and not claim.is_of_sweep}
         kept: Path = given.claims or results.folder / "claims.json"
@@ -84,8 +87,10 @@ def main(arguments: Sequence[str]) -> int:
         failed = [key for key, finding in found.items() if finding.verdict.kind is Kind.ERROR]
         for key in failed:
             print(f"{key}: {found[key].verdict}", file=sys.stderr)
+        for name, differs in results.refused.items():
+            print(f"refused: {name} is {ANOTHER} ({differs})", file=sys.stderr)
         unlike = _check(found) if given.check else 0
-        return int(bool(failed) or unlike)
+        return int(bool(failed or results.refused) or unlike)
 
     return exit_status(work)
 
@@ -125,6 +130,11 @@ def build(results: Results, found: Mapping[str, Finding]) -> Page:
                 ("where", "claim", "measured", "verdict"),
                 [_claim(key, found[key]) for key in unlike],
             ),
+        )
+    if results.refused:
+        page.add(
+            Text(f"Refused, since {ANOTHER}; `make reproduce` makes them again, `report --stale` marks them:"),
+            Table(("result", "difference"), list(results.refused.items())),
         )
     _minimum(page, results)
     _runs(page, results)

@@ -39,8 +39,8 @@ def read(path: Path) -> dict[str, Finding]:
 def to_json(found: Mapping[str, Finding], kept: Path) -> str:
     """Return findings from results as JSON, each with its commit.
 
-    A claim that is not flown here, or with an outdated configuration, keeps its stored finding. The commit is that of
-    the results, which may be older than the code that judges them.
+    A claim that is not flown here, or otherwise than today, keeps its stored finding. The commit is that of the
+    results, which may be older than the code that judges them.
     """
     older, here = read(kept), manifest.git_state()["commit"]
     claims = {}

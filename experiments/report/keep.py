@@ -18,11 +18,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments import Refused, engines
+from experiments import Refused, engines, outdated
 from experiments.report import claims, kept, pictures
 from experiments.report.findings import Finding
 from experiments.report.kept import ALL, Axis, Kept
 from experiments.report.results import Results
+from experiments.report.verdicts import ANOTHER
 from experiments.sweep import run, spec, table
 from experiments.sweep.claims import Claim
 from experiments.sweep.design import Design
@@ -54,6 +55,9 @@ def main(arguments: Sequence[str]) -> int:
                 _say(kept.read(name))
             return
         for folder in _chosen(given):
+            kind = "sweeps" if (folder / run.SWEEP_FILE).is_file() else folder.parent.name
+            if folder.is_dir() and (difference := outdated.result(kind, folder)):
+                raise Refused(f"{os.path.relpath(folder)} is {ANOTHER} ({difference})")
             document = of_folder(folder, given.named)
             write_text(kept.FOLDER / f"{document.name}.json", kept.to_json(document))
         kept.read.cache_clear()
@@ -138,7 +142,7 @@ def of_sweep(folder: Path, named: str | None = None) -> Kept:
     second = [whole[1].name] if is_paired else []
     axes = [axis for axis in whole if not is_sampled and axis.name not in (*tabled.pooled, *second)]
     flights = read_table(folder / "table.parquet").to_pandas(use_threads=False)
-    flights["onset"] = flights["cell"].map(_onsets(asked, document["config_hash"]))
+    flights["onset"] = flights["cell"].map(_onsets(asked, document["config_digest"]))
     firsts = [first_of(flight) for flight in flights[flights["repeat"] == 0].to_dict("records")]
     flights = flights[flights["outcome"] != "error"]
     rows = list(_rows(flights, axes, (whole[0].name, whole[1].name) if is_paired else None))
@@ -151,7 +155,7 @@ def of_sweep(folder: Path, named: str | None = None) -> Kept:
         command=f"jax-aero sweep {folder.name}",
         created=document["finished"]["created"],
         commit=_commit(document),
-        digest=document["config_hash"],
+        digest=document["config_digest"],
         code=document["code_hash"],
         seed=document["seed"],
         each=_each(document),

@@ -18,11 +18,12 @@ from experiments import Refused, studies
 from experiments.report import claims, facts, judges, tunnel
 from experiments.report.findings import Finding
 from experiments.report.judges import Judge
-from experiments.report.results import NotFlownError, Results
+from experiments.report.results import NotFlownError, Results, StaleError
 from experiments.report.verdicts import (
     AGREES,
     ANOTHER,
     NOT_FLOWN,
+    OUTDATED,
     Judged,
     Kind,
     Verdict,
@@ -59,7 +60,8 @@ class Claim:
         try:
             measured, verdict = self.judge(results)
         except NotFlownError as reason:
-            return Finding("; ".join(results.failures(each(self.commands))) or str(reason), NOT_FLOWN)
+            verdict = OUTDATED if isinstance(reason, StaleError) else NOT_FLOWN
+            return Finding("; ".join(results.failures(each(self.commands))) or str(reason), verdict)
         except Refused:
             raise
         except Exception as reason:  # of a result that does not fit, or of the judge

@@ -9,8 +9,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from experiments import Refused
-from experiments.report import ground, metrics, outdated
+from experiments import Refused, outdated
+from experiments.report import ground, metrics
+from experiments.report.verdicts import ANOTHER
 from jax_aero import rust
 from jax_aero.base import documents, places
 from jax_aero.base.files import find_damaged, read_json
@@ -25,6 +26,10 @@ FAILED = "failed.json"
 
 class NotFlownError(Exception):
     """A measurement is missing; the message names the command that makes it."""
+
+
+class StaleError(NotFlownError):
+    """A result is of another configuration or code than today's, and is therefore refused."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +73,8 @@ class Results:
     """A results folder."""
 
     folder: Path
+    stale: bool = False
+    """Whether results of another configuration or code are used, and marked, instead of refused."""
     made: dict[str, Origin] = field(default_factory=dict)
     """Origins of the results that were used, by name."""
 
@@ -99,30 +106,43 @@ class Results:
 
     @cached_property
     def differences(self) -> dict[str, str]:
-        """Return the difference of every such flight's configuration from the present one, by name."""
-        return {
-            name: outdated.flight(name, document.get("config_digest"), document.get("config"))
-            for name, document in self.manifests.items()
-        }
+        """Return the difference of every such flight from today's, by name."""
+        return {name: outdated.flight(name, document) for name, document in self.manifests.items()}
 
     @cached_property
     def flights(self) -> dict[str, metrics.Metrics]:
-        """Return the metrics of every flight without --set, by name."""
-        return {name: metrics.read(self.folder / "flight" / name) for name in self.manifests}
+        """Return the metrics of every flight without --set, by name, unless it is refused."""
+        return {name: metrics.read(self.folder / "flight" / name) for name in self._used(self.differences)}
+
+    def _used(self, differences: Mapping[str, str]) -> list[str]:
+        return [name for name, difference in differences.items() if self.stale or not difference]
+
+    @cached_property
+    def refused(self) -> dict[str, str]:
+        """Return the flights and sweeps that are of another configuration or code, with the difference."""
+        flights = {name: self.differences[name] for name in self.manifests if name not in self.flights}
+        return flights | {
+            f"sweep {name}": sweep.differs for name, sweep in self._finished.items() if name not in self.sweeps
+        }
 
     @cached_property
     def ground_experiments(self) -> dict[str, ground.Ground]:
         """Return the metrics of every ground experiment without --set, by name."""
         mass = rust.Robot(str(places.ROBOT)).mass
         read = (
-            ground.read(self.folder / "flight" / name, document.get("config", {}), mass)
-            for name, document in self.manifests.items()
+            ground.read(self.folder / "flight" / name, self.manifests[name].get("config", {}), mass)
+            for name in self._used(self.differences)
         )
         return {found.name: found for found in read if found is not None}
 
     @cached_property
     def sweeps(self) -> dict[str, Sweep]:
-        """Return every finished sweep, by name."""
+        """Return every finished sweep, by name, unless it is refused."""
+        used = self._used({name: sweep.differs for name, sweep in self._finished.items()})
+        return {name: self._finished[name] for name in used}
+
+    @cached_property
+    def _finished(self) -> dict[str, Sweep]:
         found = {}
         for path in sorted((self.folder / "sweeps").glob("*/cells.parquet")):
             described = path.with_name("sweep.json")
@@ -145,6 +165,7 @@ class Results:
         return self._find(self.ground_experiments, name)
 
     def _find(self, found: Mapping[str, Flown], name: str) -> Flown:
+        self._refuse(name, self.differences.get(name, ""))
         if name not in found:
             raise NotFlownError(f"`jax-aero fly {name}` has not been run")
         self.note(name, self.manifests[name], self.differences[name])
@@ -152,9 +173,10 @@ class Results:
 
     def sweep(self, name: str) -> Sweep:
         """Return a finished sweep without failed flights."""
-        if name not in self.sweeps:
+        if name not in self._finished:
             raise NotFlownError(f"`jax-aero sweep {name}` has not been run")
-        found = self.sweeps[name]
+        found = self._finished[name]
+        self._refuse(f"sweep {name}", found.differs)
         if failed := found.document["finished"]["outcomes"].get("error"):
             raise NotFlownError(f"{failed} flights of `jax-aero sweep {name}` could not be flown")
         self.note(f"sweep {name}", found.document, found.differs)
@@ -167,8 +189,14 @@ class Results:
             command = "cfd flow" if kind == "cfd_flow" else f"study {kind}"
             raise NotFlownError(f"`jax-aero {command} {name}` has not been run")
         document = read_json(path, documents.Manifest)
-        self.note(f"{kind} {name}", document, outdated.study(kind, name, document))
+        differs = outdated.study(kind, name, document)
+        self._refuse(f"{kind} {name}", differs)
+        self.note(f"{kind} {name}", document, differs)
         return dict(document.get("summary", {}))
+
+    def _refuse(self, name: str, differs: str) -> None:
+        if differs and not self.stale:
+            raise StaleError(f"{ANOTHER}: {name} ({differs})")
 
     def figures(self, name: str) -> dict[str, str]:
         """Return the paths of a figure, relative to the report, by the runs it shows; "" for its default runs."""

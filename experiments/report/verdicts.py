@@ -39,8 +39,8 @@ class Verdict:
 Judged: TypeAlias = tuple[str, Verdict]
 """A measurement as text, and the verdict."""
 
-AGREES, NOT_FLOWN = (Verdict(kind, kind.value) for kind in (Kind.AGREES, Kind.NOT_FLOWN))
-ANOTHER = "made with another configuration than today's"
+AGREES, NOT_FLOWN, OUTDATED = (Verdict(kind, kind.value) for kind in (Kind.AGREES, Kind.NOT_FLOWN, Kind.OUTDATED))
+ANOTHER = "made of another configuration or code than today's"
 """Reason why a verdict is outdated, followed by the difference."""
 
 
@@ -65,7 +65,7 @@ def error(reason: Exception) -> Verdict:
 
 
 def mark_outdated(verdict: Verdict) -> Verdict:
-    """Return a verdict from results of another configuration."""
+    """Return a verdict from results of another configuration or code."""
     return Verdict(Kind.OUTDATED, f"outdated: {verdict}")
 
 

@@ -21,8 +21,9 @@ from typing import Any
 
 import pyarrow as pa
 
-from experiments import Refused, engines, manifest, sources
+from experiments import Refused, engines, manifest
 from experiments.cluster import Ray
+from experiments.identity import ANOTHER, Identity
 from experiments.sweep import table
 from experiments.sweep.chunks import Chunks, parquet
 from experiments.sweep.design import Design
@@ -94,17 +95,16 @@ def run(
 
 
 def _run(design: Design, workers: int | None, cluster: Ray | None, folder: Path, *, overwrite: bool) -> None:
-    document = _document(design)
-    found, shown = {} if overwrite else _read_document(folder, document), os.path.relpath(folder)
-    chunks = Chunks(folder / "chunks", f"{document['config_hash']} {document['code_hash']}")
+    document, identity = _document(design), identity_of(design)
+    found, shown = {} if overwrite else _read_document(folder, identity), os.path.relpath(folder)
+    chunks = Chunks(folder / "chunks", str(identity))
     for draft in folder.rglob(".*.draft.*"):  # left by a process that was killed
         draft.unlink()
     if "finished" in found:
         chunks.clear()  # in case a process was killed before this
         if found != (shown_anew := found | {key: document[key] for key in PRESENTATION}):
             write_json(folder / SWEEP_FILE, shown_anew)
-        other = "" if found["code_hash"] == document["code_hash"] else ", flown by other code"
-        print(f"{shown} is finished already{other}; --overwrite flies it again")
+        print(f"{shown} is finished already; --overwrite flies it again")
         return
     design.check()
     engines.engine(design.spec.engine)
@@ -159,8 +159,7 @@ def _document(design: Design) -> dict[str, Any]:
     return {
         **describe(design.spec),
         "rows": design.n_rows,
-        "config_hash": design.digest,
-        "code_hash": code_hash(design),
+        **identity_of(design).facts,
         "git": manifest.git_state(),
         "versions": manifest.versions(design.spec.engine),
         "device": manifest.device(),
@@ -195,9 +194,9 @@ def describe(spec: Spec) -> dict[str, Any]:
     }
 
 
-def code_hash(design: Design) -> str:
-    """Return a hash of the code that flies a sweep; rows of different code must not be in one table."""
-    return sources.code_hash(*modules_of(design))
+def identity_of(design: Design) -> Identity:
+    """Return the identity of a sweep; rows of different ones must not be in one table."""
+    return Identity(design.digest, modules_of(design))
 
 
 def modules_of(design: Design) -> tuple[str, ...]:
@@ -205,8 +204,8 @@ def modules_of(design: Design) -> tuple[str, ...]:
     return __name__, engines.MODULES[design.spec.engine]
 
 
-def _read_document(folder: Path, document: dict[str, Any]) -> dict[str, Any]:
-    """Return the description in a folder; refuse another sweep, one begun with other code, and damaged tables."""
+def _read_document(folder: Path, identity: Identity) -> dict[str, Any]:
+    """Return the description in a folder; refuse that of another identity, and damaged tables."""
     path, shown = folder / SWEEP_FILE, os.path.relpath(folder)
     if not os.path.lexists(path):
         return {}
@@ -214,12 +213,12 @@ def _read_document(folder: Path, document: dict[str, Any]) -> dict[str, Any]:
         found = read_json(path, documents.SweepUnderWay)
     except Refused as reason:
         raise Refused(f"{reason}; choose another --out, or --overwrite it") from None
-    is_finished, digest, code = "finished" in found, found["config_hash"], found["code_hash"]
-    if digest != document["config_hash"]:
+    if (difference := identity.difference(found)) == ANOTHER:
         raise Refused(f"{shown} holds another sweep of this name; choose another --out, or --overwrite it")
-    if not is_finished and code != document["code_hash"]:
-        raise Refused(f"{shown} was begun by other code; --overwrite starts from the beginning")
-    if is_finished and (name := find_damaged(folder, found["finished"].get("files", {}))):
+    if difference:
+        what = "flown" if "finished" in found else "begun"
+        raise Refused(f"{shown} was {what} by {difference}; --overwrite starts from the beginning")
+    if "finished" in found and (name := find_damaged(folder, found["finished"].get("files", {}))):
         raise Refused(f"{shown}/{name} is not what was written there; --overwrite flies it again")
     return found
 

@@ -9,7 +9,6 @@ An interrupted run is resumed by the same command; a finished one is only replac
 from __future__ import annotations
 
 import argparse
-import hashlib
 import shutil
 import sys
 import time
@@ -20,7 +19,7 @@ from typing import Any
 from tqdm import tqdm
 
 from experiments import Refused, manifest, overrides, record, study
-from experiments.sources import code_hash
+from experiments.identity import Identity
 from experiments.training import config, parts, result
 from experiments.training.parts import FinishedPart
 from jax_aero.aero.dataset import Dataset, load
@@ -67,13 +66,12 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
         dataset = dataset.add_mirror_images()
     named = given.out or RESULTS / (study.result_name("training", path) + overrides.folder_suffix(changes))
     folder = resolve(named)
-    digest = hashlib.sha256(
-        f"{study.digest(document, [training.robot or config.ROBOT])}{dataset.sha256}".encode()
-    ).hexdigest()
+    asked = {"training": document, "data": dataset.sha256}
+    identity = Identity.of(asked, [__name__], [training.robot or config.ROBOT])
     with lock_work(folder):
-        found = record.find_existing(folder, digest, code_hash(__name__), documents.Training, overwrite=given.overwrite)
+        found = record.find_existing(folder, identity, documents.Training, overwrite=given.overwrite)
         if found is None:
-            found = _train_parts(given, training, document, digest, dataset, folder)
+            found = _train_parts(given, training, document, identity, dataset, folder)
     if given.write:
         copy_card(folder / f"{folder.name}.json", given.write)
     summary = found["summary"]
@@ -85,14 +83,14 @@ def _train_parts(
     given: argparse.Namespace,
     training: config.Training,
     table: dict[str, Any],
-    digest: str,
+    identity: Identity,
     dataset: Dataset,
     folder: Path,
 ) -> dict[str, Any]:
     """Train all parts and write the result; return its manifest."""
     started = time.perf_counter()
     todo = list(parts.parts(training, dataset))
-    work = _work_folder(folder, f"{digest} {code_hash(__name__)}", restart=given.restart)
+    work = _work_folder(folder, str(identity), restart=given.restart)
     finished, network = _train(training, dataset, todo, work)
     errors = result.summarise(finished, training.chosen_on, dataset.links)
 
@@ -115,7 +113,7 @@ def _train_parts(
         folder.name,
         training.title,
         table,
-        digest,
+        identity,
         summary={
             "errors": errors,
             "parameters": training.start(config.robot(training.robot), 0).parameters * copies,
@@ -123,12 +121,11 @@ def _train_parts(
         },
         command=["jax-aero", "train", *sys.argv[2:]],
         engine="jax",
-        code=[__name__],
         dataset=dataset.sha256,
         timings_s=timings | {"this call": time.perf_counter() - started},
     )
     data = result.to_dataset(config.robot(training.robot), dataset, finished, training.title)
-    data.attrs["config_hash"] = digest
+    data.attrs["config_hash"] = identity.digest
     record.write_run(folder, data, document, replace=given.overwrite, more=save)
     shutil.rmtree(work)
     return document
@@ -181,18 +178,18 @@ def _train(
     return finished, network
 
 
-def _work_folder(folder: Path, digest: str, *, restart: bool) -> Path:
+def _work_folder(folder: Path, identity: str, *, restart: bool) -> Path:
     work = folder.with_name(f".{folder.name}.work")
     if restart and work.exists():
         shutil.rmtree(work)
-    mark = work / "digest"
+    mark = work / "identity"
     # Without a checkpoint there is nothing to resume, since the run was refused.
-    if any(work.glob("*.checkpoint")) and mark.is_file() and mark.read_text(encoding="utf-8") != digest:
+    if any(work.glob("*.checkpoint")) and mark.is_file() and mark.read_text(encoding="utf-8") != identity:
         raise Refused(
             f"{work.name} holds an unfinished run with other settings, data or code; finish that one, or add --restart"
         )
     work.mkdir(parents=True, exist_ok=True)
-    mark.write_text(digest, encoding="utf-8")
+    mark.write_text(identity, encoding="utf-8")
     return work
 
 

@@ -19,7 +19,7 @@ import numpy as np
 import xarray as xr
 
 from experiments import manifest, record, study
-from experiments.sources import code_hash
+from experiments.identity import ANOTHER, Identity
 from experiments.training import config, result
 from jax_aero.aero.dataset import Dataset, Floats, Indices, load
 from jax_aero.aero.network import Network
@@ -75,9 +75,11 @@ def run(path: Path, epochs: int, folder: Path, write: Path | None, *, overwrite:
     started = time.perf_counter()
     robot, dataset = config.robot(), load(path).add_mirror_images()
     trainings = [member_training(changes, epochs) for changes in MEMBERS]
-    digest = study.digest({"members": list(MEMBERS), "epochs": epochs, "data": dataset.sha256}, [config.ROBOT, BASE])
-    record.check_replaceable(folder, lambda kept: kept.get("config_digest") == digest, overwrite=overwrite)
-    work = folder.with_name(f".{folder.name}.{digest[:12]}{code_hash(__name__)}")
+    asked = {"members": list(MEMBERS), "epochs": epochs, "data": dataset.sha256}
+    identity = Identity.of(asked, [__name__], [config.ROBOT, BASE])
+    digest = identity.digest
+    record.check_replaceable(folder, lambda kept: identity.difference(kept) != ANOTHER, overwrite=overwrite)
+    work = folder.with_name(f".{folder.name}.{digest[:12]}{identity.code}")
     work.mkdir(parents=True, exist_ok=True)
     predicted = np.zeros((len(MEMBERS), len(dataset), *dataset.force_area_b.shape[1:]), np.float32)
     for fold, (train, held_out) in enumerate(dataset.grouped_folds(0, FOLDS)):
@@ -112,11 +114,10 @@ def run(path: Path, epochs: int, folder: Path, write: Path | None, *, overwrite:
         "ensemble",
         data.attrs["title"],
         settings,
-        digest,
+        identity,
         summary=summary,
         command=["jax-aero", "train", *sys.argv[2:]],
         engine="jax",
-        code=[__name__],
         dataset=dataset.sha256,
         timings_s={"this call": time.perf_counter() - started},
     )

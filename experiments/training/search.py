@@ -27,7 +27,7 @@ import optuna
 from msgspec.structs import replace
 
 from experiments import Refused, manifest, study
-from experiments.sources import code_hash
+from experiments.identity import Identity
 from experiments.training import config
 from jax_aero.aero.dataset import Dataset, load
 from jax_aero.base import documents, places, plain, tables
@@ -103,13 +103,14 @@ def run(given: argparse.Namespace) -> None:
     dataset = load(given.dataset)
     out = resolve(given.out or RESULTS / study.result_name("training_search", path))
     # One study per question: another dataset, space or code must not be mixed in.
-    digest = study.digest({"table": plain.to_builtins(settings), "base": base, "data": dataset.sha256}, [])
-    if (out / places.RUN_FILE).exists() or _digest_in(out) not in (None, digest):
+    asked = {"table": plain.to_builtins(settings), "base": base, "data": dataset.sha256}
+    identity = Identity.of(asked, [__name__])
+    if (out / places.RUN_FILE).exists() or _digest_in(out) not in (None, identity.digest):
         raise Refused(f"{manifest.make_portable(out)} holds another result; choose another --out, or remove it")
     out.mkdir(parents=True, exist_ok=True)
     optuna.logging.set_verbosity(optuna.logging.ERROR)  # with warnings it prints a traceback after Ctrl-C
     search = optuna.create_study(
-        study_name=f"{digest[:16]} {code_hash(__name__)}",
+        study_name=f"{identity.digest[:16]} {identity.code}",
         storage=f"sqlite:///{out / 'trials.db'}",
         direction="minimize",
         load_if_exists=True,
@@ -134,7 +135,7 @@ def run(given: argparse.Namespace) -> None:
             seed = _take_seed(search, settings.seed, out, held)
             search.sampler = optuna.samplers.TPESampler(seed=seed)
             search.optimize(objective, n_trials=1, callbacks=[say])
-    _write(out, search, {**plain.to_builtins(settings), "base": base}, digest, dataset.sha256)
+    _write(out, search, {**plain.to_builtins(settings), "base": base}, identity, dataset.sha256)
     print(f"best of {_count_complete(search)}: {search.best_value:.3e} m4 with {search.best_params}")
 
 
@@ -219,7 +220,7 @@ def error_of(training: config.Training, dataset: Dataset, settings: SearchConfig
     return float(np.mean(errors))
 
 
-def _write(out: Path, search: optuna.Study, table: Mapping[str, Any], digest: str, dataset: str) -> None:
+def _write(out: Path, search: optuna.Study, table: Mapping[str, Any], identity: Identity, dataset: str) -> None:
     keys = sorted({key for trial in search.trials for key in trial.params})
     text = io.StringIO()
     writer = csv.writer(text)
@@ -234,11 +235,10 @@ def _write(out: Path, search: optuna.Study, table: Mapping[str, Any], digest: st
         out.name,
         "Search for training settings",
         table,
-        digest,
+        identity,
         summary={"best_error_m4": search.best_value, "best": search.best_params, "trials": _count_complete(search)},
         command=["jax-aero", "train", *sys.argv[2:]],
         engine="optuna",
-        code=[__name__],
         dataset=dataset,
         timings_s={"all trials": sum(t.duration.total_seconds() for t in search.trials if t.duration)},
     )

@@ -33,6 +33,7 @@ class Manifest(msgspec.Struct, kw_only=True):
     created: str = ""
     git: _Git | None = None
     code_hash: str = ""
+    modules: list[str] = []
     config: dict[str, Any] = {}
     config_digest: str = ""
     summary: dict[str, Any] = {}
@@ -84,7 +85,7 @@ class Training(Manifest, kw_only=True):
 class SweepUnderWay(msgspec.Struct):
     """`sweep.json` of a sweep that may be unfinished."""
 
-    config_hash: str
+    config_digest: str
     code_hash: str
     finished: _Files | msgspec.UnsetType = msgspec.UNSET
 
@@ -99,7 +100,7 @@ class _Drawing(msgspec.Struct, kw_only=True):
 class DrawnSweep(_Drawing, kw_only=True):
     """`sweep.json` of a finished sweep, for its figure."""
 
-    config_hash: str
+    config_digest: str
     repeats: int
     perturbation: dict[str, Any]
 
@@ -125,7 +126,7 @@ class _Device(msgspec.Struct):
 class FinishedSweep(_Drawing, kw_only=True):
     """`sweep.json` of a finished sweep, for the report."""
 
-    config_hash: str
+    config_digest: str
     code_hash: str
     description: str
     design: str
@@ -139,18 +140,10 @@ class FinishedSweep(_Drawing, kw_only=True):
     git: _Git | None
 
 
-class Trial(msgspec.Struct):
-    """A trial of `tip-over`."""
-
-    stands: bool
-    slipped: bool
-    force: tuple[float, float, float]
-
-
 class CasesHeader(msgspec.Struct):
     """`design.json` of a folder of CFD cases."""
 
-    digest: str
+    config_digest: str
     code_hash: str
 
 

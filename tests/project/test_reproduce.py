@@ -1,6 +1,8 @@
 """`make reproduce`: what fails is named and costs nothing else, and a verdict that is not the kept one fails."""
 
 import dataclasses
+import json
+import shutil
 
 import pytest
 
@@ -46,6 +48,17 @@ def test_what_is_not_wanted_is_left_out(ran, monkeypatch):
     reproduce.main(["--skip", "cfd"])
     assert not [line for line in ran[0] if line.startswith("jax-aero cfd")]
     assert "jax-aero study along" in ran[0]
+
+
+def test_what_is_of_other_code_is_made_again(made_up_results, monkeypatch, tmp_path):
+    shutil.copytree(made_up_results, tmp_path / "flight")
+    path = tmp_path / "flight" / "test2" / "manifest.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"code_hash": "0"}))
+    monkeypatch.setattr(places, "RESULTS", tmp_path)
+    assert reproduce.renewal("jax-aero fly test2") == " --overwrite"
+    assert [reproduce.renewal(f"jax-aero {line}") for line in ("fly test1", "fly no_wind", "study engine_choice")] == [
+        ""
+    ] * 3
 
 
 def test_a_verdict_that_is_not_the_kept_one_fails(capsys):

@@ -5,6 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from experiments.identity import Identity
+from experiments.progress import Progress
 from experiments.studies.design import campaign, robots, sensitivity, study
 from experiments.studies.design.campaign import Job
 from jax_aero import rust
@@ -65,11 +67,9 @@ def test_a_design_without_trim_is_not_flown():
 
 
 def test_blocks_are_not_flown_twice(tmp_path, monkeypatch):
-    path = tmp_path / "blocks"
-    path.write_text(
-        '{"key": "k", "block": 0, "rows": [1]}\n{"key": "other", "block": 1, "rows": [2]}\n{"key": "k", "bl'
-    )
-    assert campaign.fly({0: None}, path, "k", 1, None) == {0: [1]}
+    progress = Progress(tmp_path / "blocks", Identity.of({}, [campaign.__name__]))
+    progress.add("0", [1])
+    assert campaign.fly({0: None}, progress, 1, None) == {0: [1]}
 
 
 def test_scores_are_relative_to_the_first_and_infinite_for_the_lost():

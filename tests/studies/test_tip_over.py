@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from experiments import Refused, sources
+from experiments import sources
 from experiments.studies.tip_over import figure
 from experiments.studies.tip_over import study as tip_over
 from jax_aero import rust
@@ -42,13 +42,6 @@ def test_a_trial_has_the_disturbances_of_its_experiment():
         config = tip_over.trial(base, study, 12.0, 90.0, 0.5, is_measured=is_measured)
         assert config["disturbances"]["aero_estimate"]["scale"] == 0.5
         assert (config["disturbances"]["controller_wind"] == config["wind"]) is is_measured
-
-
-def test_trials_that_are_cut_short_are_named(tmp_path):
-    path = tmp_path / ".ground.trials.json"
-    path.write_text('{"a": {')
-    with pytest.raises(Refused, match=r"\.ground\.trials\.json is damaged: "):
-        tip_over.Trials(path)
 
 
 def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):

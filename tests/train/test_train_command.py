@@ -152,6 +152,10 @@ def test_an_interrupted_run_goes_on_and_ends_as_if_nothing_had_been(result, data
     assert not out.exists()
     assert main(words(data, out, training__epochs="5")) == 2
     assert "holds an unfinished run with other settings" in capsys.readouterr().err
+    with monkeypatch.context() as patch:
+        patch.setattr("experiments.identity.code_hash", lambda *_: "other")
+        assert main(words(data, out)) == 2
+    assert "holds an unfinished run with other settings, data or code" in capsys.readouterr().err
     kept = tmp_path / ".compact.work" / "grouped-0-0.checkpoint"
     whole = kept.read_bytes()
     kept.write_bytes(whole[:-9] + bytes(9))

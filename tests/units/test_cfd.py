@@ -407,21 +407,16 @@ def test_a_case_that_is_cut_short_is_named(small, tmp_path, place):
         command.collect(small, tmp_path)
 
 
-def test_cases_of_other_code_are_kept_whole_or_refused(small, tmp_path, monkeypatch, capsys):
+def test_cases_of_other_code_are_refused(small, tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         command.compute(small, tmp_path, Fake(lives=4))
     own = json.loads((tmp_path / "design.json").read_text())["code_hash"]
     assert own == sources.code_hash("experiments.cfd.simulate", "experiments.cfd.geometry")
-    with monkeypatch.context() as patch:
-        patch.setattr(command, "code_hash", lambda *_: "other")
-        with pytest.raises(Refused, match="holds cases that were computed by other code; choose another --out"):
-            command.compute(small, tmp_path, Fake())
     command.compute(small, tmp_path, Fake())
-    monkeypatch.setattr(command, "code_hash", lambda *_: "other")
-    command.compute(small, tmp_path, Fake(lives=0))
-    command.collect(small, tmp_path)
-    assert "has all cases already, computed by other code" in capsys.readouterr().out
-    assert json.loads((tmp_path / "manifest.json").read_text())["code_hash"] == own
+    monkeypatch.setattr("experiments.identity.code_hash", lambda *_: "other")
+    for work in (lambda: command.compute(small, tmp_path, Fake(lives=0)), lambda: command.collect(small, tmp_path)):
+        with pytest.raises(Refused, match="holds cases that were computed by other code; choose another --out"):
+            work()
     shutil.rmtree(tmp_path / "cases")
     command.compute(small, tmp_path, Fake())
     assert json.loads((tmp_path / "design.json").read_text())["code_hash"] == "other"
@@ -776,7 +771,7 @@ def test_meshes_are_drawn_side_by_side_with_their_sizes(made_up_flow):
 
 
 def test_what_a_picture_of_a_flow_lacks_is_named(made_up_flow, monkeypatch, capsys):
-    arguments = ["cfd_flow", "--results", str(made_up_flow), "--out", str(made_up_flow)]
+    arguments = ["cfd_flow", "--stale", "--results", str(made_up_flow), "--out", str(made_up_flow)]
     monkeypatch.setattr(cfd_flow, "find_library", lambda _: None)
     monkeypatch.setenv("VTK_DEFAULT_OPENGL_WINDOW", "vtkOSOpenGLRenderWindow")
     assert figures(arguments) == 1

@@ -123,7 +123,7 @@ def test_half_a_result_and_a_folder_of_something_else_are_not_touched(flown, tmp
 
 
 def test_without_out_the_folder_names_what_was_set(flown, tmp_path, monkeypatch):
-    monkeypatch.setattr(runner, "RESULTS", tmp_path)
+    monkeypatch.setattr(runner, "folder_of", lambda name: tmp_path / name)
     assert main(["test1", "--set", "wind.velocity=[0,-12,0]"]) == 0
     assert [entry.name for entry in tmp_path.iterdir()] == ["test1--wind.velocity=0_-12_0"]
     assert len(flown) == 1
@@ -131,7 +131,7 @@ def test_without_out_the_folder_names_what_was_set(flown, tmp_path, monkeypatch)
 
 @pytest.mark.parametrize("place", ["default", "out"])
 def test_a_result_may_be_given_a_name(flown, tmp_path, monkeypatch, place):
-    monkeypatch.setattr(runner, "RESULTS", tmp_path)
+    monkeypatch.setattr(runner, "folder_of", lambda name: tmp_path / name)
     words = ["test1", "--set", "wind.velocity=[0,-12,0]", "--name", "strong wind"]
     assert main([*words, *(["--out", str(tmp_path)] if place == "out" else [])]) == 0
     assert [entry.name for entry in tmp_path.iterdir()] == ["strong wind"]
@@ -154,7 +154,7 @@ def test_a_result_may_be_given_a_name(flown, tmp_path, monkeypatch, place):
     ],
 )
 def test_a_name_that_cannot_be_given_is_refused(flown, words, message, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(runner, "RESULTS", tmp_path)
+    monkeypatch.setattr(runner, "folder_of", lambda name: tmp_path / name)
     try:
         status = main(["test1", *words])
     except SystemExit as ended:

@@ -17,9 +17,11 @@ import xarray as xr
 from matplotlib import image
 from PIL import Image
 
-from experiments import manifest, record
+from experiments import manifest, outdated, record
 from experiments.cfd.settings import FlowConfig
-from experiments.report import engines, facts, findings, ground, judges, metrics, outdated, paper
+from experiments.flight import identity_of
+from experiments.identity import Identity
+from experiments.report import engines, facts, findings, ground, judges, metrics, paper
 from experiments.report.command import _count_verdicts, _edge, _pictures, _spans, build
 from experiments.report.findings import Finding
 from experiments.report.page import Contents, Heading, Mark, Page, Picture, Table, Text, literal
@@ -28,6 +30,7 @@ from experiments.report.verdicts import (
     AGREES,
     ANOTHER,
     NOT_FLOWN,
+    OUTDATED,
     Kind,
     Verdict,
     differs,
@@ -64,6 +67,9 @@ def cell(index, flights, completed, on_course, rotation=5.0, **labels):
     }
 
 
+CODE = Identity("0", ("experiments.flight",)).facts
+
+
 def write_sweep(results, name, cells, axes, **document):
     folder = results / "sweeps" / name
     folder.mkdir(parents=True)
@@ -88,8 +94,8 @@ def write_sweep(results, name, cells, axes, **document):
         },
     }
     shipped = spec.load(name)
-    digest = {"config_hash": Design(shipped).digest, "code_hash": "0" * 64}
-    (folder / "sweep.json").write_text(json.dumps(run.describe(shipped) | base | digest | document))
+    facts = run.identity_of(Design(shipped)).facts
+    (folder / "sweep.json").write_text(json.dumps(run.describe(shipped) | base | facts | document))
 
 
 @pytest.fixture(scope="module")
@@ -102,8 +108,7 @@ def whole(tmp_path_factory, made_up_results):
             document |= {key: run.attrs[key] for key in ("outcome", "lost_reason")}
             document["lost_time"] = float(run.attrs["lost_time"]) if document["outcome"] == "fell" else None
         config = rust.load_config(path.parent.name)
-        document |= {"config_digest": rust.config_digest(config), "config": manifest.make_portable(config)}
-        path.write_text(json.dumps(document))
+        path.write_text(json.dumps(document | {"config": manifest.make_portable(config)}))
     tests = [("TEST1, corrected arms", 250), ("TEST2, corrected arms", 250), ("TEST1, published arms", 0)]
     tests += [("TEST2, published arms", 249), ("TEST3, corrected arms", 250), ("TEST3, published arms", 3)]
     tests += [("TEST4, corrected arms", 250), ("TEST4, published arms", 248), ("robustness, corrected arms", 250)]
@@ -170,31 +175,46 @@ def test_a_flight_of_another_configuration_is_named_in_its_row_and_in_the_claims
     entries = {"config_digest": rust.config_digest(config), "config": manifest.make_portable(config)}
     change_manifest(results.folder / "flight" / "test2" / "manifest.json", **entries)
     said = f"{ANOTHER}: test2 (`simulator.duration`, `wind.velocity`)"
+    assert find(results)["aligned"] == Finding(said, OUTDATED)
+    results = Results(results.folder, stale=True)
     found = find(results)
     assert found["aligned"].verdict == Verdict(Kind.OUTDATED, "outdated: differs: it does not hold")
     assert found["aligned"].measured.endswith(f"; {said}")
     assert found["test2"].verdict == Verdict(Kind.OUTDATED, "outdated: agrees")
     assert found["test1"].verdict.kind is Kind.IN_PART
     text = build(results, found).markdown()
-    assert (
-        "test2: made up **Made with another configuration than today's: `simulator.duration`, `wind.velocity`.** |"
-        in text
-    )
+    assert f"test2: made up **M{ANOTHER[1:]}: `simulator.duration`, `wind.velocity`.** |" in text
     assert "test1: made up |" in text
     assert "** outdated" in text
+
+
+@pytest.mark.parametrize("kind", ["flight/test2/manifest.json", "sweeps/paper_tests/sweep.json"])
+def test_a_result_of_other_code_is_refused(results, kind, tmp_path, capsys):
+    """The judge of the judges: nothing that it says counts, and the page and the exit status say so."""
+    change_manifest(results.folder / kind, code_hash="0" * 16, git={"commit": "a" * 40})
+    name = "sweep paper_tests" if kind.startswith("sweeps") else "test2"
+    assert find(results)["test2"] == Finding(f"{ANOTHER}: {name} (other code (commit aaaaaaaaaa))", OUTDATED)
+    words = ["report", "--results", str(results.folder), "--claims", str(tmp_path / "claims.json")]
+    assert main(words) == 1
+    assert f"refused: {name} is {ANOTHER} (other code" in capsys.readouterr().err
+    text = (results.folder / "report.md").read_text()
+    assert f"| {name} | other code (commit aaaaaaaaaa) |" in text
+    assert main([*words, "--stale"]) == 0
+    assert f"**M{ANOTHER[1:]}: other code (commit aaaaaaaaaa).**" in (results.folder / "report.md").read_text()
 
 
 def test_a_flight_of_another_file_that_it_names_is_outdated(results):
     change_manifest(results.folder / "flight" / "test4" / "manifest.json", config_digest="0" * 64)
     assert results.differences["test4"] == "a file that it names"
-    assert outdated.flight("no_shipped_name", "0" * 64, {}) == ""
+    assert outdated.flight("no_shipped_name", identity_of(rust.load_config("test1")).facts) == ""
+    assert outdated.flight("no_shipped_name", {"code_hash": "0", "modules": ["no.such"]}) == "other code"
 
 
 def test_a_sweep_of_another_configuration_is_named_in_its_claims(results):
     assert ANOTHER[1:] not in build(results, {}).markdown()
     for name in ("paper_tests", "ablation_terms"):
-        change_manifest(results.folder / "sweeps" / name / "sweep.json", config_hash="0" * 64)
-    found = Results(results.folder)
+        change_manifest(results.folder / "sweeps" / name / "sweep.json", config_digest="0" * 64)
+    found = Results(results.folder, stale=True)
     claim = find(found)["test2"]
     assert claim.verdict == mark_outdated(AGREES)
     assert f"{ANOTHER}: sweep paper_tests (`axes`, " in claim.measured
@@ -203,10 +223,10 @@ def test_a_sweep_of_another_configuration_is_named_in_its_claims(results):
 
 def test_what_differs_of_a_sweep_is_named():
     shipped = spec.load("paper_tests")
-    document = run.describe(shipped) | {"config_hash": "0" * 64}
+    document = run.describe(shipped) | {"config_digest": "0" * 64}
     assert outdated.sweep("paper_tests", document) == "the flights of its cells, or a file that they name"
     assert outdated.sweep("paper_tests", document | {"repeats": 7, "seed": 9}) == "`repeats`, `seed`"
-    assert outdated.sweep("paper_tests", {"config_hash": Design(shipped).digest}) == ""
+    assert outdated.sweep("paper_tests", run.identity_of(Design(shipped)).facts) == ""
 
 
 def test_a_study_of_another_flight_or_file_is_outdated():
@@ -217,16 +237,17 @@ def test_a_study_of_another_flight_or_file_is_outdated():
         "configurations": {"test2": flight},
         "files": {file: file_hash(places.HOME / file)},
     }
-    document = {"config": {}, "sources": sources}
+    document = {"config": {}, "sources": sources, **CODE}
     assert outdated.study("made_up", "own", document) == ""
     sources |= {"flights": {"test2": "0"}, "files": {file: "0"}}
     flight["simulator"]["duration"] = 1.0
     assert outdated.study("made_up", "own", document) == f"test2: `simulator.duration`; {file}"
+    assert outdated.study("training", "compact", document | {"code_hash": "0"}) == "other code"
 
 
 def test_a_study_of_another_file_of_its_name_is_outdated():
     config = manifest.make_portable(plain.to_builtins(tables.load(places.find("cfd_flow", "flight30"), FlowConfig)))
-    document = {"config": config, "sources": {"flights": {}, "files": {}}}
+    document = {"config": config, "sources": {"flights": {}, "files": {}}, **CODE}
     assert outdated.study("cfd_flow", "flight30", document) == ""
     config["settings"]["air"]["speed"] = 10.0
     assert outdated.study("cfd_flow", "flight30", document) == "`settings.air.speed`"
@@ -244,7 +265,7 @@ def test_a_sweep_under_way_is_not_there_yet(tmp_path):
     folder = tmp_path / "sweeps" / "made"
     folder.mkdir(parents=True)
     pq.write_table(pa.table({"cell": [0]}), folder / "cells.parquet")
-    (folder / "sweep.json").write_text(json.dumps({"config_hash": "0", "code_hash": "0"}))
+    (folder / "sweep.json").write_text(json.dumps({"config_digest": "0", "code_hash": "0"}))
     assert Results(tmp_path).sweeps == {}
 
 

@@ -13,13 +13,14 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from experiments import Refused, manifest, record, sources, study
+from experiments import Refused, flight, manifest, record, sources
 from experiments.engines import MODULES
+from experiments.identity import Identity
 from experiments.sweep import run, spec
 from experiments.sweep.chunks import Chunks
 from experiments.sweep.design import Design
 from jax_aero import cli, rust
-from jax_aero.base import files, keys
+from jax_aero.base import files, keys, places
 from jax_aero.cli import main
 from jax_aero.view import recording
 from paper_figs import runs
@@ -92,9 +93,9 @@ def test_a_file_stands_for_the_files_that_it_names(tmp_path):
     hashes = []
     for text in ("one", "other"):
         (tmp_path / "robot.urdf").write_text(text)
-        hashes.append(study.digest({}, [tmp_path / "robot.toml"]))
+        hashes.append(Identity.of({}, [], [tmp_path / "robot.toml"]).digest)
     (tmp_path / "other.toml").write_text('base = "robot.toml" # changed\n')
-    hashes.append(study.digest({}, [tmp_path / "robot.toml"]))
+    hashes.append(Identity.of({}, [], [tmp_path / "robot.toml"]).digest)
     assert len(set(hashes)) == 3
 
 
@@ -140,11 +141,16 @@ def test_no_module_that_an_engine_loads_is_left_out_of_its_hash():
     assert answer.stdout == "".join(f"{module} []\n" for module in MODULES.values())
 
 
-def test_a_result_of_other_code_is_kept_and_called_so(flown, tmp_path, capsys, monkeypatch):
-    assert main(["fly", "test1", "--out", str(tmp_path)]) == 0
-    monkeypatch.setattr("experiments.flight.code_hash", lambda *_: "other")
-    assert main(["fly", "test1", "--out", str(tmp_path)]) == 0
-    assert "is finished already, made by other code" in capsys.readouterr().out
+def test_a_result_of_other_code_is_refused_and_flown_again_for_a_study(flown, tmp_path, capsys, monkeypatch):
+    assert main(["fly", "test1", "--out", str(tmp_path / "flight")]) == 0
+    monkeypatch.setattr("experiments.identity.code_hash", lambda *_: "other")
+    assert main(["fly", "test1", "--out", str(tmp_path / "flight")]) == 2
+    assert "was made by other code" in capsys.readouterr().err
+    monkeypatch.setattr(places, "RESULTS", tmp_path)
+    path = flight.obtain("test1")
+    assert json.loads(path.with_name("manifest.json").read_text())["code_hash"] == "other"
+    written = path.stat().st_mtime_ns
+    assert flight.obtain("test1").stat().st_mtime_ns == written, "what is of today is not flown again"
 
 
 # --- damage
@@ -253,8 +259,8 @@ def test_a_result_behind_a_link_is_overwritten_each_time(flown, tmp_path):
 
 def test_a_number_that_json_lacks_is_null_however_deep_it_stands():
     summary = {"a": np.inf, "flight": {"com_error": np.nan, "outcome": "fell"}}
-    code = ["experiments.flight"]
-    document = manifest.build("x", "x", {}, "0", summary=summary, command=["x"], engine="rust", code=code)
+    identity = Identity("0", ("experiments.flight",))
+    document = manifest.build("x", "x", {}, identity, summary=summary, command=["x"], engine="rust")
     assert document["summary"] == {"a": None, "flight": {"com_error": None, "outcome": "fell"}}
 
 

@@ -15,6 +15,7 @@ from scipy.io import savemat
 
 from experiments import Refused, record
 from experiments.data.cfd import read_mat
+from experiments.identity import Identity
 from experiments.report import keep
 from experiments.report.findings import Record
 from experiments.report.results import Results
@@ -186,9 +187,9 @@ def test_a_damaged_manifest_is_named_by_every_reader_and_overwritten(damage, tmp
     with pytest.raises(Refused, match=f"{path} (is damaged|cannot be read): "):
         _ = Results(tmp_path).manifests
     with pytest.raises(Refused, match=rf"mine holds no finished result \({path} .*--overwrite it"):
-        record.find_existing(folder, "d", None, documents.Manifest, overwrite=False)
+        record.find_existing(folder, Identity("d", ()), documents.Manifest, overwrite=False)
     if damage is not a_folder:
-        assert record.find_existing(folder, "d", None, documents.Manifest, overwrite=True) is None
+        assert record.find_existing(folder, Identity("d", ()), documents.Manifest, overwrite=True) is None
         record.write_run(folder, flight, {"config_digest": "d"}, replace=True)
         assert record.read_manifest(folder)["config_digest"] == "d"
 
@@ -201,7 +202,7 @@ def test_a_damaged_description_of_a_sweep_is_named_by_every_reader_and_overwritt
     path = folder / "sweep.json"
     damage(path)
     with pytest.raises(Refused, match=r"sweep\.json (is damaged|cannot be read): .*--overwrite it"):
-        sweep_run._read_document(folder, {})
+        sweep_run._read_document(folder, Identity("d", ()))
     with pytest.raises(Refused, match=f"{path} (is damaged|cannot be read): "):
         _ = Results(tmp_path).sweeps
     with pytest.raises(runs.NotDrawn, match=f"{path} (is damaged|cannot be read): "):
@@ -281,7 +282,7 @@ def test_a_description_of_a_sweep_without_a_key_is_named(key, tmp_path):
     folder.mkdir(parents=True)
     (folder / "cells.parquet").touch()
     document = {
-        **dict.fromkeys(("title", "description", "panels", "config_hash", "code_hash", "engine"), ""),
+        **dict.fromkeys(("title", "description", "panels", "config_digest", "code_hash", "engine"), ""),
         **dict.fromkeys(("repeats", "seed", "rows"), 1),
         "drawing": "map",
         "design": "grid",

@@ -714,7 +714,7 @@ def test_a_sweep_leaves_a_table_of_flights_one_of_cells_and_says_what_was_flown(
         "diverged": 0,
         "error": 0,
     }
-    assert {"config_hash", "code_hash", "git", "versions", "device", "perturbation"} <= document.keys()
+    assert {"config_digest", "code_hash", "git", "versions", "device", "perturbation"} <= document.keys()
     assert str(places.HOME) not in (flown / "sweep.json").read_text()
 
 
@@ -782,10 +782,13 @@ def test_a_finished_sweep_takes_over_how_it_is_drawn(tmp_path):
 def test_chunks_of_other_code_are_not_mixed_in(tmp_path, monkeypatch, stopped_sweep):
     made = Design(spec.load(str(quick_sweep(tmp_path))))
     stopped_sweep(made, 1, tmp_path)
-    monkeypatch.setattr(run, "code_hash", lambda _: "another")
+    monkeypatch.setattr("experiments.identity.code_hash", lambda *_: "another")
     with pytest.raises(Refused, match="begun by other code"):
         run.run(made, workers=1, out=tmp_path)
     run.run(made, workers=1, out=tmp_path, overwrite=True)
+    monkeypatch.setattr("experiments.identity.code_hash", lambda *_: "a third")
+    with pytest.raises(Refused, match="flown by other code"):
+        run.run(made, workers=1, out=tmp_path)
 
 
 def test_a_flight_that_fails_is_recorded_and_said_and_the_others_go_on(tmp_path, monkeypatch, capsys):
@@ -822,7 +825,7 @@ def test_a_sweep_that_cannot_fly_overwrites_nothing(tmp_path, monkeypatch, chang
     folder = run.run(design(**short), workers=1, out=tmp_path)
     before = read(folder)
     monkeypatch.setitem(engines.MODULES, "jax", "nowhere.jax")
-    monkeypatch.setattr(run, "code_hash", lambda _: "")
+    monkeypatch.setattr("experiments.identity.code_hash", lambda *_: "")
     with pytest.raises(Refused, match=re.escape(words)):
         run.run(design(**short | change), workers=1, out=tmp_path, overwrite=True)
     assert read(folder) == before

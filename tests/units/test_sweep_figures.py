@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from PIL import Image
 
+from experiments.identity import Identity
 from jax_aero.base import places
 from jax_aero.base.result import LOST
 from paper_figs import ablation, maps, pairs
@@ -52,13 +53,27 @@ def write(folder, name, drawing, axes, panels="world"):
         "axes": [AXES[axis] for axis in axes],
         "repeats": 8,
         "perturbation": {"joint_position": 0.1},
-        "config_hash": "ab" * 32,
+        **Identity("ab" * 32, ("experiments.sweep.run",)).facts,
     }
     path = folder / name
     path.mkdir(parents=True)
     pd.DataFrame(cells).to_parquet(path / "cells.parquet")
     pd.DataFrame(flights).to_parquet(path / "table.parquet")
     (path / "sweep.json").write_text(json.dumps(document))
+
+
+def test_a_sweep_of_other_code_is_refused_or_drawn_and_marked(tmp_path, capsys):
+    write(tmp_path / "sweeps", "made_up", "levels", ["terms"], "")
+    path = tmp_path / "sweeps" / "made_up" / "sweep.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"code_hash": "0"}))
+    words = ["made_up", "--sweeps", str(tmp_path / "sweeps"), "--out", str(tmp_path)]
+    assert main(words) == 1
+    assert "made of another configuration or code than today's: made_up (other code)" in capsys.readouterr().err
+    assert main([*words, "--stale"]) == 0
+    marked = (tmp_path / "made_up.png").read_bytes()
+    write(tmp_path / "today", "made_up", "levels", ["terms"], "")
+    assert main(["made_up", "--sweeps", str(tmp_path / "today"), "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "made_up.png").read_bytes() != marked
 
 
 @pytest.mark.parametrize(
@@ -173,6 +188,7 @@ def test_all_draws_what_there_is_and_counts_what_is_missing(tmp_path, capsys):
     write(tmp_path / "sweeps", SWEEPS[0], "levels", ["world", "terms"])
     arguments = [
         "all",
+        "--stale",
         "--sweeps",
         str(tmp_path / "sweeps"),
         "--results",

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import multiprocessing
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -14,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from experiments.cluster import Ray
+from experiments.progress import Progress
 from experiments.studies.design import robots
 from experiments.sweep.keys import set_all
 from experiments.sweep.perturbation import Perturbation
@@ -111,25 +110,17 @@ def judge(config: rust.Config, flown: rust.FlightResult) -> list[float]:
     return [lost, *np.sqrt([tracking, *squares]), thrust, lean, sink]
 
 
-def fly(jobs: Mapping[int, Job], path: Path, key: str, processes: int, cluster: str | None) -> dict[int, list[Row]]:
-    """Return the rows of blocks; those of this key in the file, to which each finished one is added, are not flown."""
-    done: dict[int, list[Row]] = {}
-    for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else ():
-        with suppress(ValueError):  # of a line that was written in part
-            block = json.loads(line)
-            if block["key"] == key:
-                done[block["block"]] = block["rows"]
-    left = {number: job for number, job in jobs.items() if number not in done}
-    with multiprocessing.get_context("spawn").Pool(processes) as pool, path.open("a", encoding="utf-8") as file:
+def fly(jobs: Mapping[int, Job], progress: Progress, processes: int, cluster: str | None) -> dict[int, list[Row]]:
+    """Return the rows of blocks; finished ones are not flown."""
+    left = {number: job for number, job in jobs.items() if str(number) not in progress.done}
+    with multiprocessing.get_context("spawn").Pool(processes) as pool:
         answers: Iterator[tuple[int, list[Row]]] = pool.imap_unordered(_numbered, left.items())
         if cluster:
             answers = Ray(workers=processes).spread(fly_block, None, left, (__name__,))
         for number, rows in answers:
-            done[number] = rows
-            file.write(f"\n{json.dumps({'key': key, 'block': number, 'rows': rows})}")
-            file.flush()
-            print(f"\r{len(done)} of {len(jobs)} blocks", end="", file=sys.stderr, flush=True)
-    return {number: done[number] for number in jobs}
+            progress.add(str(number), rows)
+            print(f"\r{len(progress.done)} of {len(jobs)} blocks", end="", file=sys.stderr, flush=True)
+    return {number: progress.done[str(number)] for number in jobs}
 
 
 def _numbered(item: tuple[int, Job]) -> tuple[int, list[Row]]:

@@ -16,8 +16,9 @@ import numpy as np
 import xarray as xr
 from scipy.stats import spearmanr
 
-from experiments import Refused, record, study
-from experiments.sources import code_hash
+from experiments import Refused, record
+from experiments.identity import Identity
+from experiments.progress import Progress
 from experiments.studies.design import campaign, robots, sensitivity
 from experiments.studies.design.campaign import AGAIN, FIGURES, FLIGHTS, Job, Row
 from experiments.studies.design.robots import RANGES, Array
@@ -90,9 +91,9 @@ def fly(asked: DesignConfig, path: Path, jobs: dict[int, Job]) -> list[Row]:
     """Return the rows of jobs, but for those flown already by the same code."""
     flown = plain.to_builtins([{**job._asdict(), "designs": job.designs.tolist()} for job in jobs.values()])
     base = rust.config_digest(rust.load_config(campaign.BASE))
-    digest = study.digest({"flown": flown, "base": base}, [robots.MK3, campaign.PERTURBATION])
-    key = f"{digest} {code_hash(campaign.__name__)}"
-    done = campaign.fly(jobs, path, key, asked.processes, asked.cluster)
+    asks, files = {"flown": flown, "base": base}, [robots.MK3, campaign.PERTURBATION]
+    progress = Progress(path, Identity.of(asks, [campaign.__name__], files))
+    done = campaign.fly(jobs, progress, asked.processes, asked.cluster)
     return [row for block in done.values() for row in block]
 
 

@@ -21,8 +21,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from experiments import study
-from experiments.sources import code_hash
+from experiments.identity import Identity
 from experiments.study import Findings, Study
 from experiments.sweep import spec
 from experiments.sweep.design import Design
@@ -102,7 +101,7 @@ def compute(_: str, config: PolicyConfig, checkpoint: Path) -> Findings:
             training,
             seeds,
             checkpoint=checkpoint,
-            digest=f"{study.digest(kept, [])} {code_hash(__name__)}",
+            digest=str(Identity.of(kept, [__name__])),
         )
     trained = time.process_time() - started
     winds = draw_winds(SEED, config.winds, task)

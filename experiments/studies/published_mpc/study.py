@@ -7,7 +7,6 @@ Flight r has wind or push from 45 r degrees. An interrupted study is resumed by 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,6 +15,8 @@ import numpy as np
 import xarray as xr
 
 from experiments import Refused
+from experiments.identity import Identity
+from experiments.progress import Progress
 from experiments.studies.published_mpc import flight, plan
 from experiments.studies.published_mpc.flight import Ours, Published, Settings
 from experiments.study import Findings, Study
@@ -107,19 +108,18 @@ class Compared(tables.Table, frozen=True):
                     raise Refused(f"`{key}` has `{name}`{places.did_you_mean(name, known)}")
 
 
-def compute(_: str, asked: Compared, progress: Path) -> Findings:
+def compute(_: str, asked: Compared, path: Path) -> Findings:
     """Fly what is not flown yet, and make the table."""
     bases = {base: rust.load_config(base) for base, _ in OURS.values()}
-    key = json.dumps([plain.to_builtins(asked), {name: rust.config_digest(one) for name, one in bases.items()}])
-    kept: dict[str, Any] = json.loads(progress.read_text(encoding="utf-8")) if progress.is_file() else {}
-    flown: dict[str, list[Any]] = kept["flown"] if kept.get("key") == key else {}
+    asks = {"asked": plain.to_builtins(asked), "bases": {name: rust.config_digest(one) for name, one in bases.items()}}
+    progress = Progress(path, Identity.of(asks, [__name__], [PERTURBATION]))
+    flown: dict[str, list[Any]] = {}
     for controller, case in cells(asked):
         name = f"{controller} | {case}"
-        if name not in flown:
-            flown[name] = fly_cell(controller, CASES[case], asked)
-            progress.parent.mkdir(parents=True, exist_ok=True)
-            progress.write_text(json.dumps({"key": key, "flown": flown}), encoding="utf-8")
-            print(f"  {row(name, flown[name])}", flush=True)
+        if name not in progress.done:
+            progress.add(name, fly_cell(controller, CASES[case], asked))
+            print(f"  {row(name, progress.done[name])}", flush=True)
+        flown[name] = progress.done[name]
     times = compare_times(asked)
     rows = {name: figures(flights) for name, flights in flown.items()}
     most = max(map(len, flown.values()))
@@ -141,7 +141,7 @@ def compute(_: str, asked: Compared, progress: Path) -> Findings:
     )
 
 
-STUDY = Study("published_mpc", __doc__, Compared, compute, ("mk3",), engine="rust", progress=".json")
+STUDY = Study("published_mpc", __doc__, Compared, compute, ("mk3",), engine="rust", progress=".jobs")
 main = STUDY.main
 
 

@@ -17,12 +17,12 @@ import numpy as np
 import xarray as xr
 from tqdm import tqdm
 
-from experiments.sources import code_hash
+from experiments.identity import Identity
+from experiments.progress import Progress
 from experiments.study import Findings, Study
 from experiments.wind_direction import wind_from
 from jax_aero import rust
-from jax_aero.base import documents, tables
-from jax_aero.base.files import read_json, write_json
+from jax_aero.base import tables
 from jax_aero.base.terminal import terminal
 from jax_aero.mujoco import ground
 
@@ -57,7 +57,7 @@ STILL = {"profile": "constant", "velocity": [0.0, 0.0, 0.0]}
 def compute(_: str, config: TipOverConfig, under_way: Path) -> Findings:
     """Make every missing trial."""
     base = rust.load_config(config.experiment)
-    trials = Trials(under_way)
+    trials = Progress(under_way, Identity(rust.config_digest(base), (__name__,)))
     low, high = config.speeds.lower, config.speeds.upper
     shape = (len(FEEDBACK), len(config.friction), len(config.directions_deg))
     limit, slips = np.full(shape, np.nan), np.zeros(shape, dtype=np.int8)
@@ -70,7 +70,12 @@ def compute(_: str, config: TipOverConfig, under_way: Path) -> Findings:
             bar.update()
             feedback, friction, direction = cell
             direction_deg, mu = config.directions_deg[direction], config.friction[friction]
-            return trials.make(trial(base, config, speed, direction_deg, mu, is_measured=feedback == 0))
+            asked = trial(base, config, speed, direction_deg, mu, is_measured=feedback == 0)
+            job = rust.config_digest(asked)
+            if job not in trials.done:
+                trials.add(job, _outcome(ground.fly(asked)))
+            found: dict[str, Any] = trials.done[job]
+            return found
 
         for cell in cells:
             found = seek(partial(fly_cell, cell), low, high, config.resolution)
@@ -89,27 +94,9 @@ STUDY = Study(
     ("ground",),
     engine="mujoco",
     interrupted="the trials made so far are kept, the same command goes on",
-    progress=".trials.json",
+    progress=".trials",
 )
 main = STUDY.main
-
-
-class Trials:
-    """Completed trials of a study, by the digests of configuration and code."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._made: dict[str, dict[str, Any]] = {}
-        if path.is_file():
-            self._made = read_json(path, dict[str, documents.Trial])
-
-    def make(self, config: rust.Config) -> dict[str, Any]:
-        """Return the outcome of a trial, which is simulated if it is new."""
-        key = f"{rust.config_digest(config)} {code_hash(__name__)}"
-        if key not in self._made:
-            self._made[key] = _outcome(ground.fly(config))
-            write_json(self.path, self._made)
-        return self._made[key]
 
 
 def trial(

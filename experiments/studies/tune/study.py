@@ -20,7 +20,7 @@ import numpy as np
 import xarray as xr
 
 from experiments import study
-from experiments.sources import code_hash
+from experiments.identity import Identity
 from experiments.study import Findings, Study
 from experiments.sweep import spec
 from experiments.sweep.design import Design
@@ -64,14 +64,15 @@ def compute(name: str, config: TuneConfig, checkpoint: Path) -> Findings:
     if not worlds.is_sampled:
         raise Refused(f"{config.worlds.name} is a {worlds.design}; expected a sampled design")
     base = rust.load_config(worlds.base)
-    digest = study.digest({**plain.to_builtins(config), "base": rust.config_digest(base)}, [*tables.files(config)])
+    asked = {**plain.to_builtins(config), "base": rust.config_digest(base)}
+    identity = Identity.of(asked, [__name__], tables.files(config))
     with jax.enable_x64(True):
         found = tune(
             _sample(config, controller, worlds),
             len(config.keys),
             config.steps,
             checkpoint=checkpoint,
-            digest=f"{digest} {code_hash(__name__)}",
+            digest=str(identity),
         )
     before, after = found.validations[0], min(found.validations, key=lambda one: one.cost)
     factors = {key: math.exp(value) for key, value in zip(config.keys, after.logarithms, strict=True)}

@@ -1,0 +1,112 @@
+"""What differs between a local result and today's configuration, files and code of its name (`experiments.identity`).
+
+If the configuration differs, its keys are named; if no key differs, a file named in it does. A name that is not
+shipped, such as that of a user's file, is checked by its code alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from experiments import Refused, manifest
+from experiments.cfd.settings import FlowConfig
+from experiments.identity import other_code
+from experiments.sources import code_hash, file_hash
+from experiments.sweep import run, spec
+from experiments.sweep.design import Design
+from jax_aero import rust
+from jax_aero.base import documents, places, plain, tables
+from jax_aero.base.files import read_json
+
+MOST = 4
+"""Greatest number of differing keys that are named."""
+
+WITH_FILES = {"cfd_flow": FlowConfig}
+"""Types of the report's studies whose configurations are files of `configs/KIND/`."""
+
+
+def result(kind: str, folder: Path) -> str:
+    """Return the difference of a result: of a `flight`, of `sweeps` or a kind of study; empty if there is none."""
+    name = folder.name
+    if kind == "sweeps":
+        return sweep(name, read_json(folder / run.SWEEP_FILE, documents.SweepUnderWay))
+    try:
+        document = read_json(folder / places.MANIFEST_FILE, documents.Manifest)
+    except Refused:
+        return "no manifest that says what it was made of"
+    return flight(name, document) if kind == "flight" else study(kind, name, document)
+
+
+def flight(name: str, document: Mapping[str, Any]) -> str:
+    """Return the difference of a flight's manifest from the experiment of this name, or else in code."""
+    if document.get("overrides"):  # beside that of the experiment, as with --out
+        return _code(document)
+    return _configuration(name, document.get("config_digest"), document.get("config")) or _code(document)
+
+
+def sweep(name: str, document: Mapping[str, Any]) -> str:
+    """Return the difference of a result's description from the sweep of this name, or else in code."""
+    if name in places.names("sweeps"):
+        today = spec.load(name)
+        if Design(today).digest != document.get("config_digest"):
+            described = run.describe(today)
+            kept = {key: document.get(key) for key in described}
+            return _list_keys(_differing_keys(kept, described)) or "the flights of its cells, or a file that they name"
+    return _code(document)
+
+
+def study(kind: str, name: str, document: Mapping[str, Any]) -> str:
+    """Return the difference of a study's manifest in configuration, flights, files and code."""
+    config, sources = document.get("config", {}), document.get("sources")
+    if sources is None:  # of trainings and CFD, whose data are no part of this project
+        return _code(document)
+    found = []
+    if kind in WITH_FILES and name in places.names(kind):
+        today = plain.to_builtins(tables.load(places.find(kind, name), WITH_FILES[kind]))
+        found.append(_list_keys(_differing_keys(config, manifest.make_portable(today))))
+    for one, digest in sources["flights"].items():
+        differs = _configuration(one, digest, sources.get("configurations", {}).get(one))
+        found.append(f"{one}: {differs}" if differs else "")
+    for path, digest in sources["files"].items():
+        file = places.HOME / path
+        found.append(path if file.is_file() and file_hash(file) != digest else "")
+    return "; ".join(filter(None, found)) or _code(document)
+
+
+def _configuration(name: str, digest: str | None, kept: Mapping[str, Any] | None) -> str:
+    """Return the difference of the configuration that was flown, with its digest, from the experiment of this name."""
+    if name not in places.names("experiments"):
+        return ""
+    today = rust.load_config(places.find("experiments", name))
+    if rust.config_digest(today) == digest:
+        return ""
+    if kept is None:
+        return "its configuration"
+    return _list_keys(_differing_keys(kept, manifest.make_portable(today))) or "a file that it names"
+
+
+def _code(document: Mapping[str, Any]) -> str:
+    """Return that a result was made by other code than today's; empty if it was not."""
+    try:
+        is_same = code_hash(*document.get("modules", ())) == document.get("code_hash")
+    except Refused:  # of modules that are no longer there
+        is_same = False
+    return "" if is_same else other_code(document)
+
+
+def _differing_keys(kept: Mapping[str, Any], today: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    """Yield the dotted keys whose values differ."""
+    for key in sorted(kept.keys() | today.keys()):
+        one, other = kept.get(key), today.get(key)
+        if isinstance(one, Mapping) and isinstance(other, Mapping):
+            yield from _differing_keys(one, other, f"{prefix}{key}.")
+        elif one != other:
+            yield prefix + key
+
+
+def _list_keys(keys: Iterator[str]) -> str:
+    first = [f"`{key}`" for key in keys]
+    more = [f"{len(first) - MOST} more"] if len(first) > MOST else []
+    return ", ".join(first[:MOST] + more)
