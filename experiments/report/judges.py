@@ -102,24 +102,16 @@ def _explain_undecided(shares: Sequence[Mapping[str, float]]) -> str:
     return f"; with {' and '.join(arms)} lever arms not decided: {inside}" if arms else ""
 
 
-def judge_fall(test: str) -> Judge:
-    """Return the judge of a test that must fall: surely less than half of its repetitions complete."""
-
-    def judge(results: Results) -> Judged:
-        text, (right, published) = _pair(results, test)
-        return text, _agreement(right["completed_high"] < 0.5, published["completed_high"] < 0.5)
-
-    return judge
+def fall(results: Results, *, test: str) -> Judged:
+    """Judge a test that must fall: surely less than half of its repetitions complete."""
+    text, (right, published) = _pair(results, test)
+    return text, _agreement(right["completed_high"] < 0.5, published["completed_high"] < 0.5)
 
 
-def judge_flight(test: str) -> Judge:
-    """Return the judge of a test that must be flown."""
-
-    def judge(results: Results) -> Judged:
-        text, shares = _pair(results, test)
-        return text, _agreement(*map(_is_mostly_complete, shares)).but(_explain_undecided(shares))
-
-    return judge
+def flight(results: Results, *, test: str) -> Judged:
+    """Judge a test that must be flown."""
+    text, shares = _pair(results, test)
+    return text, _agreement(*map(_is_mostly_complete, shares)).but(_explain_undecided(shares))
 
 
 def joint_errors(results: Results) -> Judged:

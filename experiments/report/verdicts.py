@@ -54,9 +54,11 @@ def out_of_reach(why: str) -> Verdict:
     return Verdict(Kind.OUT_OF_REACH, f"out of reach: {why}")
 
 
-def not_compared(why: str) -> Verdict:
-    """Return the verdict for what is public and was not held against ours yet, and where it is."""
-    return Verdict(Kind.NOT_COMPARED, f"not compared: {why}")
+def of_text(text: str) -> Verdict:
+    """Return a written verdict: the word of its kind, then a colon and the reason, or what limits an agreement."""
+    if text.startswith(Kind.AGREES.value):
+        return AGREES.but(text.removeprefix(Kind.AGREES.value))
+    return Verdict(Kind(text.partition(":")[0]), text)
 
 
 def error(reason: Exception) -> Verdict:

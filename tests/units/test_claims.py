@@ -17,7 +17,8 @@ from experiments.sweep.table import wilson
 from jax_aero.base import places
 from jax_aero.base.terminal import ConfigError
 
-JUDGES = {row.key: row.judge for rows in paper.SECTIONS.values() for row in rows if isinstance(row, paper.Claim)}
+ITEMS = [item for items in paper.whole_table().values() for item in items]
+JUDGES = {claim.key: claim.judge for item in ITEMS for claim in item.claims}
 
 
 def flight(**figures):
