@@ -36,7 +36,7 @@ def draw(study: xr.Dataset) -> Figure:
     for axes in (left, right):
         axes.set_xlabel("time [s]")
     style.letters((left, right))
-    left.legend()
+    left.legend(loc="lower right", ncols=2, fontsize="x-small")
     return figure
 
 
