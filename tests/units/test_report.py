@@ -242,7 +242,7 @@ def test_a_study_of_another_flight_or_file_is_outdated():
     sources |= {"flights": {"test2": "0"}, "files": {file: "0"}}
     flight["simulator"]["duration"] = 1.0
     assert outdated.study("made_up", "own", document) == f"test2: `simulator.duration`; {file}"
-    assert outdated.study("training", "compact", document | {"code_hash": "0"}) == "other code"
+    assert outdated.study("training", "compact", {**CODE, "code_hash": "0"}) == "other code"
 
 
 def test_a_study_of_another_file_of_its_name_is_outdated():
