@@ -68,7 +68,7 @@ def draw(name: str, target: Path, folder: Path) -> None:
     else:
         results = places.RESULTS / "flight"
         for command in entry.commands:
-            subprocess.run(command.split(), check=True)
+            subprocess.run([sys.executable, "-m", "jax_aero", *command.split()[1:]], check=True)
     figure, _ = entry.draw_from_results(results)
     for drawn in style.save(figure, name, folder, {}, dark=name == DEMO):
         if drawn.suffix == ".png":
