@@ -1,7 +1,7 @@
 """Draw pictures of pages anew: `python -m docs.gallery NAME ...`; without names, those of flights and tables.
 
-A picture of flights flies them first, and names how each ended. One of a study computes the study.
-Pictures of kept results are drawn from their rows (`experiments.generated`).
+The name `film` stands for the front page's film. A picture of flights flies them first, and names how each ended. One
+of a study computes the study. Pictures of kept results are drawn from their rows (`experiments.generated`).
 """
 
 from __future__ import annotations
@@ -34,19 +34,27 @@ DEMO = "demo"
 """Figure that is drawn small, and also for dark pages."""
 MADE_OF = "Made of"
 """Text of a PNG that says what a picture shows."""
+DESCRIPTION = 0x010E
+"""EXIF's tag of the same text in a film."""
+FILM = ROOT / "docs/img/flight.webp"
+FILMED = ("test1_published", "test1_published_observer", "engine_out_mpc")
+CUT = "--size 960x480 --fps 10 --speed 3 --start 10 --end 27"
 FIGURES_OF_A_FLIGHT = ("max_rotation_error", "max_com_error", "thrust_max", "end_com_z")
 
 
 def main() -> int:
     """Draw pictures; return the exit status."""
     names = sys.argv[1:] or [name for name in pictures() if FIGURES[name].kind in ("flight", "")]
-    if unknown := [name for name in names if name not in pictures()]:
+    if unknown := [name for name in names if name not in {*pictures(), "film"}]:
         print(f"error: no page shows a figure `{unknown[0]}`", file=sys.stderr)
         return 2
     style.use()
     for name in names:
         with tempfile.TemporaryDirectory() as folder:
-            draw(name, pictures()[name], Path(folder))
+            if name == "film":
+                film(Path(folder))
+            else:
+                draw(name, pictures()[name], Path(folder))
     return 0
 
 
@@ -75,6 +83,26 @@ def draw(name: str, target: Path, folder: Path) -> None:
             _write(drawn, target.with_name(drawn.name), shown, is_small=name == DEMO)
 
 
+def film(folder: Path) -> None:
+    """Fly what the film shows, and film it."""
+    fly.main([*FILMED, "--out", str(folder)])
+    first, *others = (str(folder / name) for name in FILMED)
+    words = ["view", "video", first, "--beside", *others, "--out", str(folder / FILM.name), *CUT.split()]
+    subprocess.run([sys.executable, "-m", "jax_aero", *words], check=True)
+    shown = {run: of_flight(read_json(folder / run / places.MANIFEST_FILE, dict)) for run in FILMED}
+    FILM.write_bytes(described((folder / FILM.name).read_bytes(), json.dumps(shown)))
+
+
+def described(film: bytes, text: str) -> bytes:
+    """Return an animated WebP with a description, as a chunk of EXIF at its end, which the byte of flags announces."""
+    made_of = Image.Exif()
+    made_of[DESCRIPTION] = text
+    held = made_of.tobytes()
+    chunk = b"EXIF" + len(held).to_bytes(4, "little") + held + b"\0" * (len(held) % 2)
+    size = (len(film) - 8 + len(chunk)).to_bytes(4, "little")
+    return film[:4] + size + film[8:20] + bytes([film[20] | 8]) + film[21:] + chunk
+
+
 def _write(drawn: Path, target: Path, shown: Mapping[str, Any], *, is_small: bool) -> None:
     picture: Image.Image = Image.open(drawn)
     text = PngInfo()
@@ -89,7 +117,7 @@ def _write(drawn: Path, target: Path, shown: Mapping[str, Any], *, is_small: boo
 def made_of(target: Path) -> dict[str, Any] | None:
     """Return what a picture says that it shows."""
     with Image.open(target) as picture:
-        text = getattr(picture, "text", {}).get(MADE_OF)
+        text = getattr(picture, "text", {}).get(MADE_OF) or picture.getexif().get(DESCRIPTION)
     return None if text is None else dict(json.loads(text))
 
 
