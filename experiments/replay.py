@@ -23,6 +23,7 @@ from jax_aero.base.files import complete_file
 from jax_aero.base.terminal import exit_status
 from jax_aero.body.rotations import match_branch
 from jax_aero.view import check_out, logs
+from jax_aero.view.columns import Series
 from jax_aero.view.export import column_name
 from jax_aero.view.recording import entries_of
 
@@ -122,7 +123,7 @@ def _on_its_feet(log: logs.Log, config: rust.Config) -> logs.Log:
     controller, signals = config["controller"], dict(log.signals)
     if not controller.get("use_jets", True) and "raw_thrust" not in signals and "raw_joint_position" in signals:
         times = signals["raw_joint_position"][0].times
-        signals["raw_thrust"] = [logs.Series(times, np.zeros((times.size, len(rust.Robot(config["robot"]).jet_names))))]
+        signals["raw_thrust"] = [Series(times, np.zeros((times.size, len(rust.Robot(config["robot"]).jet_names))))]
     base = ("raw_base_position", "raw_base_rotation", "raw_base_velocity")
     joints = ("raw_joint_position", "raw_joint_velocity")
     if "contact" not in controller or signals.keys() & {*base, logs.QUATERNION} or not signals.keys() >= {*joints}:
@@ -142,7 +143,7 @@ def _on_its_feet(log: logs.Log, config: rust.Config) -> logs.Log:
         [np.asarray(state.base_rotation).ravel() for state in states],
         [np.asarray(state.velocity)[:6] for state in states],
     )
-    signals |= {name: [logs.Series(times, np.array(rows))] for name, rows in zip(base, found, strict=True)}
+    signals |= {name: [Series(times, np.array(rows))] for name, rows in zip(base, found, strict=True)}
     return log._replace(signals=signals)
 
 

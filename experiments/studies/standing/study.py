@@ -142,8 +142,8 @@ def centre_of_mass(signals: Mapping[str, Array], robot: rust.Robot) -> Array:
     if "com_position" in signals:
         return signals["com_position"]
     still = np.zeros(6 + len(robot.joint_names))
-    parts = (signals[f"raw_{part}"] for part in ("base_position", "base_rotation", "joint_position"))
-    states = (rust.State(*rows, still) for rows in zip(*parts, strict=True))
+    rows = zip(*(signals[f"raw_{part}"] for part in ("base_position", "base_rotation", "joint_position")), strict=True)
+    states = (rust.State(position, rotation, joints, still) for position, rotation, joints in rows)
     return np.array([rust.dynamics(robot, state).com_position for state in states])
 
 
