@@ -19,6 +19,9 @@ from jaxtyping import Float, Int
 
 from jax_aero import rust
 from jax_aero.config import ActuationConfig
+from jax_aero.control.measurement import Measurement
+from jax_aero.sim.disturbance import Disturbance
+from jax_aero.sim.plant import Acting
 from jax_aero.types import Array, Static, pytree
 
 STREAM = 3
@@ -28,13 +31,41 @@ LOST = -1
 
 
 @pytree
-class Actuation:
+class Actuation(Disturbance):
     """Delays of the commands of one flight."""
 
     lag: Int[Array, "ticks 2"]
     """Delay of thrust rates and torques of a tick [physics steps]; `LOST` if lost."""
     ticks: Static[int]
     """Commands that can be on their way: ticks of the greatest delay plus one."""
+
+    @property
+    def depends_on(self) -> tuple[str, ...]:
+        """Return the length for which delays are drawn."""
+        return ("n_ticks",)
+
+    def start(self, first: Measurement) -> ActuationState:
+        """Return a way without commands."""
+
+        def line(command: Array) -> Line:
+            sent = jnp.zeros((self.ticks, *command.shape), command.dtype)
+            return Line(sent, jnp.full(self.ticks, LOST, jnp.int32), jnp.zeros_like(command))
+
+        return ActuationState(line(first.thrust), line(first.state.joint_position), jnp.array(0, jnp.int32))
+
+    def act(
+        self,
+        state: ActuationState,
+        given: Acting,
+        step: Float[Array, ""],  # noqa: ARG002
+    ) -> tuple[ActuationState, Acting]:
+        """Let the command arrive that does; thrust rates act by their mean over the tick."""
+        substeps = len(given.torques)
+        way = send(self, state, given.thrust_rate, given.torques[0])
+        torques = tuple(acting(way.torque, substep, substeps) for substep in range(substeps))
+        arrived = given._replace(thrust_rate=mean(way.thrust_rate, substeps), torques=torques)
+        rates, held = (hold(line, substeps) for line in way[:2])
+        return way._replace(thrust_rate=rates, torque=held), arrived
 
 
 class Line(NamedTuple):
@@ -56,10 +87,8 @@ class ActuationState(NamedTuple):
     """Number of ticks taken."""
 
 
-def start(
-    config: ActuationConfig, time_step: float, substeps: int, ticks: int, jets: int, joints: int
-) -> tuple[Actuation, ActuationState]:
-    """Return the actuation of a flight of `ticks` ticks, and its first state; `time_step` [s].
+def actuation(config: ActuationConfig, time_step: float, substeps: int, ticks: int) -> Actuation:
+    """Return the actuation of a flight of `ticks` ticks; `time_step` [s].
 
     Call it outside loops, since it draws delays and losses.
     """
@@ -71,12 +100,7 @@ def start(
     loss, late = rust.uniforms(config.seed, STREAM, 2 * (ticks + 1)).reshape(-1, 2).T[:, :, None]
     delay = np.array([thrust, torque], np.int32)
     lag = np.where(loss >= config.drop, np.floor(late * (jitter + 1.0)).astype(np.int32) + delay, LOST)
-    length = (max(thrust, torque) + jitter) // substeps + 1
-
-    def line(size: int) -> Line:
-        return Line(jnp.zeros((length, size)), jnp.full(length, LOST, jnp.int32), jnp.zeros(size))
-
-    return Actuation(jnp.asarray(lag), length), ActuationState(line(jets), line(joints), jnp.array(0, jnp.int32))
+    return Actuation(jnp.asarray(lag), (max(thrust, torque) + jitter) // substeps + 1)
 
 
 def send(

@@ -1,32 +1,51 @@
-"""Faults of jets: slow response, reduced thrust, a dead engine, a noisy sensor.
+"""Faults of jets: slow response, reduced thrust, a dead jet, a noisy sensor.
 
     thrust rate command ──delayed──► jets ──limited──► thrust        thrust ──measured──► estimators
 
-Separate from `jets`, so that every fault can be combined with every jet dynamics. Faults are numbers, not structure, so
-flights with different faults share one compilation.
+They surround any jet dynamics. Faults are numbers, not structure, so flights with different faults share one
+compilation. That a jet's force differs from its thrust is `Plant.force_scale`.
 
 Equation M41 of `docs/model`.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jax_aero import rust
+from jax_aero.body.jets import JetDynamics, JetsState
 from jax_aero.body.robot import RobotModel
 from jax_aero.config import IdealJetsConfig, JetFaultsConfig, JetsConfig
-from jax_aero.types import Array, leaf
+from jax_aero.types import Array, leaf, pytree
 
 MEASUREMENT_STREAM = 1
 
 
-class JetFaults(NamedTuple):
-    """Faults of `j` jets; without a fault the numbers have no effect."""
+class FaultState(NamedTuple):
+    """State of the faults between two steps."""
 
+    engine: Any
+    """Additional state of the jets without faults."""
+    command: Float[Array, " j"]
+    """Thrust rates that reach the jets [N/s]."""
+    left: Float[Array, ""]
+    """Time until the failure [s]; negative after it."""
+    held: Float[Array, ""]
+    """Thrust of the failing jet at its failure [N]."""
+    tick: Int[Array, ""]
+    """Number of steps taken."""
+
+
+@pytree
+class FaultyJets:
+    """`JetDynamics` of `j` jets with faults; without a fault the numbers have no effect."""
+
+    jets: JetDynamics
+    """The jets without faults."""
     lag: Float[Array, ""]
     """Time constant of the response [s]."""
     upper: Float[Array, " j"]
@@ -39,29 +58,39 @@ class JetFaults(NamedTuple):
     """Time of the failure [s]."""
     decay: Float[Array, ""]
     """Time constant of the decay [s]."""
-    force_scale: Float[Array, " j"]
-    """Ratio of each jet's force to its thrust."""
     sensor_noise: Float[Array, "ticks j"] | None
     """Noise on the thrust measured for estimators [N]; `None` without estimators."""
 
+    def start(self, thrust: Float[Array, " j"]) -> JetsState:
+        """Return the state at `thrust` [N] with thrust rate zero."""
+        state, rest = self.jets.start(thrust), jnp.zeros_like(thrust)
+        left, tick = jnp.asarray(self.failure_time), jnp.array(0, jnp.int32)
+        return state._replace(engine=FaultState(state.engine, rest, left, rest[0], tick))
 
-class FaultState(NamedTuple):
-    """State of the faults between two steps."""
+    def feedback(self, state: JetsState) -> Float[Array, " j"]:
+        """Return the thrust that the flight controller receives [N]."""
+        return self.jets.feedback(state._replace(engine=state.engine.engine))
 
-    command: Float[Array, " j"]
-    """Thrust rates that reach the jets [N/s]."""
-    left: Float[Array, ""]
-    """Time until the failure [s]; negative after it."""
-    held: Float[Array, ""]
-    """Thrust of the failing jet at its failure [N]."""
-    tick: Int[Array, ""]
-    """Number of steps taken."""
+    def advance(
+        self,
+        state: JetsState,
+        command: Float[Array, " j"],
+        dt: Float[Array, ""] | float,
+        measured: Float[Array, " j"] | None = None,
+    ) -> JetsState:
+        """Advance every jet by `dt` [s] under constant commanded thrust rates [N/s]."""
+        faults: FaultState = state.engine
+        arriving = delay_rates(self, faults, command, dt)
+        seen = measure_thrust(self, faults, state.thrust if measured is None else measured)
+        jets = self.jets.advance(state._replace(engine=faults.engine), arriving, dt, seen)
+        thrust, thrust_rate, faults = limit_thrust(self, faults, jets.thrust, jets.thrust_rate, dt)
+        return JetsState(thrust, thrust_rate, faults._replace(engine=jets.engine, command=arriving))
 
 
-def start_faults(
-    settings: JetFaultsConfig, dynamics: JetsConfig, robot: RobotModel, n_ticks: int
-) -> tuple[JetFaults, FaultState]:
-    """Return the faults of a flight of `n_ticks` ticks, and their initial state.
+def faulty_jets(
+    jets: JetDynamics, settings: JetFaultsConfig, dynamics: JetsConfig, robot: RobotModel, n_ticks: int
+) -> FaultyJets:
+    """Return jets with the faults of a flight of `n_ticks` ticks.
 
     Raises
     ------
@@ -80,18 +109,16 @@ def start_faults(
     drawn: Array | None = None
     if not isinstance(dynamics, IdealJetsConfig):
         drawn = _sensor_noise(settings, n_ticks, len(names))
-    faults = JetFaults(
+    return FaultyJets(
+        jets=jets,
         lag=leaf(settings.lag),
         upper=jnp.full(thrust_max.shape, np.inf) if scale is None else scale * thrust_max,
         fails=jnp.array([failure is not None and name == failure.jet for name in names]),
         is_stuck=jnp.array(failure is not None and failure.kind == "stuck"),
         failure_time=zero if failure is None else leaf(failure.time),
         decay=zero if failure is None else leaf(failure.decay),
-        force_scale=leaf([settings.force_scale.get(name, 1.0) for name in names]),
         sensor_noise=drawn,
     )
-    rest = jnp.zeros_like(thrust_max)
-    return faults, FaultState(rest, jnp.asarray(faults.failure_time), rest[0], jnp.array(0, jnp.int32))
 
 
 def _sensor_noise(settings: JetFaultsConfig, n_ticks: int, jets: int) -> Array:
@@ -104,7 +131,7 @@ def _sensor_noise(settings: JetFaultsConfig, n_ticks: int, jets: int) -> Array:
 
 
 def delay_rates(
-    faults: JetFaults, state: FaultState, command: Float[Array, " j"], dt: Float[Array, ""]
+    faults: FaultyJets, state: FaultState, command: Float[Array, " j"], dt: Float[Array, ""] | float
 ) -> Float[Array, " j"]:
     """Return the thrust rates [N/s] that reach the jets under these commands for the next `dt` [s]."""
     has_lag = faults.lag > 0.0
@@ -112,7 +139,7 @@ def delay_rates(
     return jnp.where(has_lag, state.command + (command - state.command) * share, command)
 
 
-def measure_thrust(faults: JetFaults, state: FaultState, thrust: Float[Array, " j"]) -> Float[Array, " j"]:
+def measure_thrust(faults: FaultyJets, state: FaultState, thrust: Float[Array, " j"]) -> Float[Array, " j"]:
     """Return the thrusts measured for the estimators [N]."""
     if faults.sensor_noise is None:
         return thrust
@@ -120,11 +147,11 @@ def measure_thrust(faults: JetFaults, state: FaultState, thrust: Float[Array, " 
 
 
 def limit_thrust(
-    faults: JetFaults,
+    faults: FaultyJets,
     state: FaultState,
     thrust: Float[Array, " j"],
     thrust_rate: Float[Array, " j"],
-    dt: Float[Array, ""],
+    dt: Float[Array, ""] | float,
 ) -> tuple[Float[Array, " j"], Float[Array, " j"], FaultState]:
     """Return actual thrust and thrust rate of the jets after a step of `dt` [s], and the faults' new state.
 

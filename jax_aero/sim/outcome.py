@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jax_aero.sim.plant import Plant, PlantState
 from jax_aero.types import Array, pytree
@@ -59,7 +59,7 @@ class FallLimits:
     """Greatest distance between centre of mass and set-point [m]."""
 
 
-def divergence(plant: Plant, state: PlantState, wind: Float[Array, "3"]) -> Array:
+def divergence(plant: Plant, state: PlantState, wind: Float[Array, "3"]) -> Int[Array, ""]:
     """Return the criterion by which the plant has diverged, `FLYING` if by none."""
     robot, now = plant.robot, state.robot
     lower, upper = jnp.asarray(robot.joint_stops).T
@@ -77,7 +77,9 @@ def divergence(plant: Plant, state: PlantState, wind: Float[Array, "3"]) -> Arra
     return jnp.where(_is_in_range((state, wind)), code, NOT_FINITE)
 
 
-def fall(limits: FallLimits, rotation_error: Float[Array, ""], com_error: Float[Array, ""]) -> tuple[Array, Array]:
+def fall(
+    limits: FallLimits, rotation_error: Float[Array, ""], com_error: Float[Array, ""]
+) -> tuple[Int[Array, ""], Float[Array, ""]]:
     """Return whether and why the robot has fallen, and the error."""
     over_rotated = rotation_error > jnp.deg2rad(limits.rotation_error_deg)
     is_far = com_error > limits.com_error

@@ -30,9 +30,9 @@ from jax_aero.aero import (
 from jax_aero.aero.network_card import load_network
 from jax_aero.body.dynamics import accelerate, add_joint_inertia, dynamics, invert_mass
 from jax_aero.body.jets import JetDynamics, JetsState, jet_dynamics
-from jax_aero.body.kinematics import generalised_thrust, kinematics, move
+from jax_aero.body.kinematics import generalised_force, generalised_thrust, kinematics, move
 from jax_aero.body.robot import RobotModel
-from jax_aero.body.spatial import rotation_from_rpy
+from jax_aero.body.spatial import rotate, rotation_from_rpy
 from jax_aero.config import (
     Disturbances,
     DynamicsBackend,
@@ -42,10 +42,7 @@ from jax_aero.config import (
     LeverArm,
     SimulatorConfig,
 )
-from jax_aero.sim import actuation
-from jax_aero.sim.actuation import Actuation, ActuationState
-from jax_aero.sim.jet_faults import FaultState, JetFaults, delay_rates, limit_thrust, measure_thrust, start_faults
-from jax_aero.sim.pushes import Pushes, pushing_force, start_pushes
+from jax_aero.sim.jet_faults import faulty_jets
 from jax_aero.types import Array, Dynamics, InverseMass, Kinematics, LinkForces, State, Static, leaf, pytree
 
 Result = TypeVar("Result")
@@ -90,12 +87,8 @@ class Plant:
     robot: RobotModel
     aero: AeroModel
     jets: JetDynamics
-    jet_faults: JetFaults | None
-    """Faults of the jets."""
-    actuation: Actuation | None
-    """Delay and loss of commands; `None` if they act at once."""
-    pushes: Pushes | None
-    """Forces and moments on bodies."""
+    force_scale: Float[Array, " j"] | None
+    """Ratio of each jet's force to its thrust; `None` if they are equal."""
     time_step: Float[Array, ""]
     """Time step [s]."""
     lever_arm: Static[LeverArm]
@@ -113,12 +106,26 @@ class PlantState(NamedTuple):
     jets: JetsState
     first: State | None
     """State of the first tick, in which links are frozen for the aerodynamics (published); `None` if they move."""
-    faults: FaultState | None = None
-    """State of the jets' faults, if any."""
-    actuation: ActuationState | None = None
-    """Commands on their way, if they do not act at once."""
-    pushes: Float[Array, " p"] | None = None
-    """Times until the pushes start, negative after it [s]."""
+
+
+class Wrenches(NamedTuple):
+    """Forces and moments on bodies, at their centres of mass, in the `s` sub-steps of a tick; inertial axes."""
+
+    bodies: tuple[int, ...]
+    forces: Float[Array, "s p 3"]
+    """[N]."""
+    moments: Float[Array, "s p 3"]
+    """[N m]."""
+
+
+class Acting(NamedTuple):
+    """What acts on the plant in a tick."""
+
+    thrust_rate: Float[Array, " j"]
+    """Thrust rates that reach the jets [N/s]."""
+    torques: tuple[Float[Array, " n"], ...]
+    """Joint torques of each sub-step [N m]."""
+    wrenches: tuple[Wrenches, ...] = ()
 
 
 class Observation(NamedTuple):
@@ -159,21 +166,15 @@ def start_plant(
     # A model without fields, such as an empty NamedTuple, counts as false.
     aero = aero_model(config.aero, robot, read_network) if aero is None else aero
     jets = jet_dynamics(config.jets, robot) if jets is None else jets
-    faults, fault_state = None, None
+    force_scale = None
     if disturbances.jets != JetFaultsConfig():
-        faults, fault_state = start_faults(disturbances.jets, config.jets, robot, n_ticks(config))
-    way, on_the_way = None, None
-    if config.actuation is not None:
-        steps, sizes = (config.substeps, n_ticks(config)), (robot.jets.count, robot.n_joints)
-        way, on_the_way = actuation.start(config.actuation, config.time_step, *steps, *sizes)
-    pushes, until = start_pushes(disturbances.pushes, robot) if disturbances.pushes else (None, None)
+        jets = faulty_jets(jets, disturbances.jets, config.jets, robot, n_ticks(config))
+        force_scale = leaf([disturbances.jets.force_scale.get(name, 1.0) for name in robot.jets.names])
     plant = Plant(
         robot=robot,
         aero=weight_forces(aero, disturbances.aero, robot, "disturbances.aero"),
         jets=jets,
-        jet_faults=faults,
-        actuation=way,
-        pushes=pushes,
+        force_scale=force_scale,
         time_step=leaf(config.time_step),
         lever_arm=config.lever_arm,
         integrator=config.integrator,
@@ -184,7 +185,7 @@ def start_plant(
     joint_position = leaf(initial.joint_position)
     state = State(
         base_position=leaf(initial.base_position),
-        base_rotation=rotation_from_rpy(np.deg2rad(leaf(initial.base_rpy_deg))),
+        base_rotation=_rotation_from_rpy(np.deg2rad(leaf(initial.base_rpy_deg))),
         joint_position=joint_position,
         velocity=leaf(np.concatenate([initial.base_velocity, np.zeros(robot.n_joints)])),
     )
@@ -192,7 +193,7 @@ def start_plant(
         state = _fall_freely(plant, state)
     first = state if config.kinematics == "frozen" else None
     begun = _start_jets(jets, leaf(initial.thrust))
-    return plant, PlantState(state, begun, first, fault_state, on_the_way, until)
+    return plant, PlantState(state, begun, first)
 
 
 def _check(initial: InitialConfig, robot: RobotModel) -> None:
@@ -235,58 +236,27 @@ def observe(
     return Observation(kin, dyn, inverse_mass, placed, forces)
 
 
-def advance(
-    plant: Plant,
-    state: PlantState,
-    seen: Observation,
-    torque: Float[Array, " n"],
-    thrust_rate: Float[Array, " j"],
-    wind: Float[Array, "3"],
-) -> PlantState:
-    """Advance one tick in which these torques [N m] and thrust rates [N/s] are commanded.
-
-    They act throughout, or as the actuation lets them arrive. `seen` is the observation of `state`; later sub-steps of
-    the tick observe anew.
-    """
-    way, substeps, step = state.actuation, plant.substeps, plant.time_step / plant.substeps
-    if plant.actuation is not None and way is not None:
-        way = actuation.send(plant.actuation, way, thrust_rate, torque)
-        thrust_rate = actuation.mean(way.thrust_rate, substeps)
-    for substep in range(substeps):
+def advance(plant: Plant, state: PlantState, seen: Observation, acting: Acting, wind: Float[Array, "3"]) -> PlantState:
+    """Advance one tick under what acts in it, from the observation of `state`; later sub-steps observe anew."""
+    for substep in range(plant.substeps):
         now = seen if substep == 0 else observe(plant, state, wind)
-        acting = torque if way is None else actuation.acting(way.torque, substep, substeps)
-        left = None if state.pushes is None else state.pushes - step
-        state = state._replace(robot=_advance_robot(plant, state, now, acting, step), pushes=left)
-    if way is not None:
-        rates, torques = (actuation.hold(line, substeps) for line in way[:2])
-        way = way._replace(thrust_rate=rates, torque=torques)
-    jets, faults = _advance_jets(plant, state, thrust_rate)
-    return state._replace(jets=jets, faults=faults, actuation=way)
+        state = state._replace(robot=_advance_robot(plant, state, now, acting, substep))
+    return state._replace(jets=plant.jets.advance(state.jets, acting.thrust_rate, plant.time_step))
 
 
-def _advance_jets(plant: Plant, state: PlantState, command: Array) -> tuple[JetsState, FaultState | None]:
-    dt, wrong, faults = plant.time_step, plant.jet_faults, state.faults
-    if wrong is None or faults is None:
-        return plant.jets.advance(state.jets, command, dt), None
-    arriving = delay_rates(wrong, faults, command, dt)
-    jets = plant.jets.advance(state.jets, arriving, dt, measure_thrust(wrong, faults, state.jets.thrust))
-    thrust, thrust_rate, faults = limit_thrust(wrong, faults, jets.thrust, jets.thrust_rate, dt)
-    return jets._replace(thrust=thrust, thrust_rate=thrust_rate), faults._replace(command=arriving)
-
-
-def _advance_robot(plant: Plant, state: PlantState, seen: Observation, torque: Array, step: Array) -> State:
-    robot, kin = plant.robot, seen.kinematics
-    thrust = state.jets.thrust
-    if plant.jet_faults is not None:
-        thrust = plant.jet_faults.force_scale * thrust
+def _advance_robot(plant: Plant, state: PlantState, seen: Observation, acting: Acting, substep: int) -> State:
+    robot, kin, step = plant.robot, seen.kinematics, plant.time_step / plant.substeps
+    thrust = state.jets.thrust if plant.force_scale is None else plant.force_scale * state.jets.thrust
     # One point for moment and Jacobian; for a rigid body both are equivalent.
     force = (
         generalised_thrust(robot, kin, thrust)
         + generalised_aero_force(robot, seen.placed, seen.link_forces, seen.link_forces.arm_points)
-        + jnp.concatenate([jnp.zeros_like(state.robot.velocity[:6]), torque])
+        + jnp.concatenate([jnp.zeros_like(state.robot.velocity[:6]), acting.torques[substep]])
     )
-    if plant.pushes is not None and state.pushes is not None:
-        force = force + pushing_force(robot, kin, plant.pushes, state.pushes, step)
+    for bodies, forces, moments in acting.wrenches:
+        at = np.array(bodies, dtype=int)
+        points = rotate(kin.body_rotations[at], robot.coms[at]) + kin.body_positions[at]
+        force = force + generalised_force(robot, kin, bodies, points, forces[substep], moments[substep])
     return _step(plant, state.robot, seen.inverse_mass, force - seen.dynamics.bias, step)
 
 
@@ -315,6 +285,9 @@ def _stops(
     push = STOP_STIFFNESS * (position + step * velocity - stop) + STOP_DAMPING * velocity
     added = jnp.where(is_out, step * (step * STOP_STIFFNESS + STOP_DAMPING), 0.0)
     return add_joint_inertia(inverse, added), force - jnp.pad(jnp.where(is_out, push, 0.0), (6, 0))
+
+
+_rotation_from_rpy = run_once(rotation_from_rpy)
 
 
 @run_once

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from typing import Any
 
 import jax
@@ -16,17 +15,17 @@ from jax_aero.aero.network_card import load_network
 from jax_aero.base.typed import scenario_config
 from jax_aero.body.jets import JetDynamics
 from jax_aero.body.robot import RobotModel, load_robot
-from jax_aero.config import Disturbances, ModelError, ScenarioConfig
+from jax_aero.config import Disturbances, ScenarioConfig
 from jax_aero.control import Controller
 from jax_aero.control.tick import momentum_controller
 from jax_aero.sim import plant as world
-from jax_aero.sim import sensors as sensing
+from jax_aero.sim.disturbances import configured
+from jax_aero.sim.model_error import controller_model
 from jax_aero.sim.outcome import FallLimits
 from jax_aero.sim.scenario import Scenario, convert_precision
 from jax_aero.sim.step import FlightState, begin
-from jax_aero.sim.wind import Wind, wind_model, wind_velocity
-from jax_aero.sim.wind_estimate import wind_estimate
-from jax_aero.types import Array, leaf, leaves
+from jax_aero.sim.wind import wind_model
+from jax_aero.types import leaves
 
 _begin_once = world.run_once(begin)
 
@@ -83,24 +82,16 @@ def prepare(
     wind, replaced = wind_model(config.wind), config.disturbances.controller_wind
     controller_wind = None if replaced is None else wind_model(replaced)
     plant, state = world.start_plant(config.simulator, config.disturbances, robot, aero, jets, read_network)
-    model, settings = controller_model(config, robot), config.simulator.sensors
-    if controller is None:
-        controller = momentum_controller(config, model or robot, read_network)
-    estimate, ticks, errors = config.disturbances.wind_estimate, world.n_ticks(config.simulator), None
-    if estimate is not None:
-        errors = wind_estimate(estimate, plant.time_step, _winds(controller_wind or wind, ticks, plant.time_step))
+    model = controller_model(config, robot)
     scenario = Scenario(
         plant=plant,
-        controller=controller,
+        controller=momentum_controller(config, model or robot, read_network) if controller is None else controller,
         wind=wind,
         fall=leaves(FallLimits, config.simulator.fall),
         controller_model=model,
         controller_wind=controller_wind,
-        wind_estimate=errors,
-        sensors=None
-        if settings is None
-        else sensing.sensors(settings, plant.time_step, ticks, robot.n_joints, robot.jets.count),
-        n_ticks=jnp.asarray(np.int32(ticks)),
+        disturbances=configured(config, robot, controller_wind or wind),
+        n_ticks=jnp.asarray(np.int32(world.n_ticks(config.simulator))),
         precision="",
     )
     scenario, flight_state = jax.device_put((scenario, _begin_once(scenario, state)))
@@ -157,26 +148,3 @@ def read_config(config: ScenarioConfig | Mapping[str, Any]) -> ScenarioConfig:
     flown = {**config, "engine": "jax"}
     rust.check_config(flown)
     return scenario_config(flown)
-
-
-def controller_model(config: ScenarioConfig, robot: RobotModel) -> RobotModel | None:
-    """Return the controller's model of the robot; `None` if it is the robot that flies."""
-    error, faults = config.disturbances.model_error, config.disturbances.jets
-    model = robot
-    if faults.limit_is_known and faults.thrust_limit_scale is not None:
-        limits = jnp.asarray(faults.thrust_limit_scale * robot.jets.thrust_max)
-        model = replace(robot, jets=replace(robot.jets, thrust_max=limits))
-    if error != ModelError():
-        masses, inertias = error.mass_scale * robot.masses, error.mass_scale * robot.inertias
-        coms = jnp.asarray(robot.coms).at[0].add(leaf(error.com_offset))
-        model = replace(model, masses=masses, coms=coms, inertias=inertias)
-    if config.controller.torque.rotor_inertia > 0.0:
-        model = replace(model, rotor_inertia=leaf(config.controller.torque.rotor_inertia * robot.joint_turns))
-    return None if model is robot else model
-
-
-def _winds(wind: Wind, ticks: int, time_step: Array) -> Array:
-    """Return the wind at every tick of a flight (ticks + 1, 3) [m/s]."""
-    times = np.arange(ticks + 1) * np.asarray(time_step)
-    winds: Array = jax.jit(jax.vmap(wind_velocity, in_axes=(None, 0)))(wind, times)
-    return winds

@@ -5,18 +5,18 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, TypeVar
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
 from jax_aero.body.robot import RobotModel
 from jax_aero.control import Controller
+from jax_aero.sim.disturbance import Moment
+from jax_aero.sim.disturbances import Disturbances
+from jax_aero.sim.jet_faults import FaultyJets
 from jax_aero.sim.outcome import FallLimits
 from jax_aero.sim.plant import Plant
-from jax_aero.sim.sensors import Sensors
 from jax_aero.sim.wind import Wind
-from jax_aero.sim.wind_estimate import WindEstimate
 from jax_aero.types import Array, Static, pytree, with_dtype
 
 T = TypeVar("T")
@@ -42,10 +42,7 @@ class Scenario:
     """The controller's model of the robot; `None` if it is the robot that flies."""
     controller_wind: Wind | None
     """Wind that the controller measures instead of the true one."""
-    wind_estimate: WindEstimate | None
-    """Errors of the measured wind; `None` if exact."""
-    sensors: Sensors | None
-    """Errors of the robot's sensors; `None` if exact."""
+    disturbances: Disturbances
     n_ticks: Int[Array, ""]
     """Number of ticks after the one at time zero."""
     precision: Static[str]
@@ -56,19 +53,20 @@ class Scenario:
         """The controller's model of the robot."""
         return self.plant.robot if self.controller_model is None else self.controller_model
 
+    def moment(self, tick: Int[Array, ""]) -> Moment:
+        """Return a tick, with its time and the winds."""
+        time = tick.astype(self.plant.time_step.dtype) * self.plant.time_step
+        measured = self.wind if self.controller_wind is None else self.controller_wind
+        return Moment(tick, time, self.plant.time_step, self.wind, measured)
+
     @property
     def computed_from(self) -> tuple[str, ...]:
-        """Return the length for which noise is drawn, and the wind whose mean is used.
-
-        The wind is left out if its mean is known not to be used; a traced switch is not known.
-        """
-        faults, estimate = self.plant.jet_faults, self.wind_estimate
-        drawn = (self.sensors, self.plant.actuation, estimate, None if faults is None else faults.sensor_noise)
-        names: tuple[str, ...] = () if all(part is None for part in drawn) else ("n_ticks",)
-        is_mean = False if estimate is None else estimate.is_mean
-        if not isinstance(is_mean, jax.core.Tracer) and not np.asarray(is_mean).any():
-            return names
-        return (*names, "wind" if self.controller_wind is None else "controller_wind")
+        """Return the length for which noise is drawn, and the wind whose mean is used."""
+        names = [name for _, disturbance in self.disturbances.each() for name in disturbance.depends_on]
+        if isinstance(self.plant.jets, FaultyJets) and self.plant.jets.sensor_noise is not None:
+            names.append("n_ticks")
+        is_other = {"measured_wind": "wind" if self.controller_wind is None else "controller_wind"}
+        return tuple(is_other.get(name, name) for name in names)
 
 
 def convert_precision(scenario: Scenario, state: T, dtype: Any) -> tuple[Scenario, T]:

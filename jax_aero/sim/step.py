@@ -15,7 +15,6 @@ Equations M77 and M80 of `docs/model`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -24,18 +23,15 @@ from jaxtyping import Float, Int
 
 from jax_aero.body.spatial import multiply, rotation_angle, safe_norm
 from jax_aero.control import Command, Measurement
-from jax_aero.control.measurement import Reading
-from jax_aero.control.preview import Preview
 from jax_aero.sim import outcome
 from jax_aero.sim import plant as world
-from jax_aero.sim import sensors as sensing
+from jax_aero.sim.disturbance import Moment
+from jax_aero.sim.disturbances import States
 from jax_aero.sim.outcome import FLYING
-from jax_aero.sim.plant import Observation, PlantState
+from jax_aero.sim.plant import Acting, Observation, PlantState
 from jax_aero.sim.scenario import Scenario, check_precision
-from jax_aero.sim.sensors import SensorState
 from jax_aero.sim.signals import FlightRow, Tick, record, record_divergence
 from jax_aero.sim.wind import wind_velocity
-from jax_aero.sim.wind_estimate import measured_wind
 from jax_aero.types import Array, where
 
 
@@ -45,10 +41,7 @@ class FlightState(NamedTuple):
     plant: PlantState
     controller: Any
     """State of the controller."""
-    measured_wind: Float[Array, "3"]
-    """Measured wind of the last tick [m/s]."""
-    sensors: SensorState | None
-    """State of the sensors; `None` if exact."""
+    disturbances: States
     posture: Float[Array, " n"]
     """Joint positions measured at the first tick [rad]."""
     loss: Int[Array, ""]
@@ -65,15 +58,14 @@ def begin(scenario: Scenario, plant: PlantState) -> FlightState:
     # A state beyond the divergence limits is lost at once, and must not make derivatives infinite before that.
     divergence = outcome.divergence(scenario.plant, plant, jnp.zeros_like(plant.robot.velocity[:3]))
     first = where(divergence == FLYING, plant, world.zero_state(plant))
-    seen, before = Reading(first.robot, scenario.plant.jets.feedback(first.jets)), None
-    if scenario.sensors is not None:
-        before = sensing.start(scenario.sensors, seen)
-        _, seen = sensing.read(scenario.sensors, before, seen, jnp.array(0))
+    moment = scenario.moment(jnp.array(0, jnp.int32))
+    true = _truth(scenario, first, moment, jnp.zeros_like(plant.robot.velocity[:3]))
+    disturbances = scenario.disturbances.start(true)
+    seen = scenario.disturbances.measure(disturbances, true, moment)[1]
     return FlightState(
         plant=plant,
         controller=scenario.controller.init(scenario.model, seen.state),
-        measured_wind=jnp.zeros_like(plant.robot.velocity[:3]),
-        sensors=before,
+        disturbances=disturbances,
         posture=seen.state.joint_position,
         loss=jnp.array(FLYING, jnp.int32),
         loss_size=jnp.zeros_like(plant.robot.velocity[0]),
@@ -97,15 +89,16 @@ def step(
     """
     check_precision(scenario)
     plant, tick = scenario.plant, jnp.asarray(tick, jnp.int32)
-    time = tick.astype(plant.time_step.dtype) * plant.time_step
-    wind = wind_velocity(scenario.wind, time)
+    moment = scenario.moment(tick)
+    time, wind = moment.time, wind_velocity(scenario.wind, moment.time)
     # Both branches of `where` are differentiated, so values beyond the limits must not enter the computation.
     divergence = outcome.divergence(plant, state.plant, wind)
     is_sound = divergence == FLYING
     at_rest = world.zero_state(state.plant)
     now, air = where(is_sound, (state.plant, wind), (at_rest, jnp.zeros_like(wind)))
 
-    measurement, sensors = _measure(scenario, state, now, air, tick, time)
+    true = _truth(scenario, now, moment, air)
+    disturbances, measurement = scenario.disturbances.measure(state.disturbances, true, moment)
     memory, command = scenario.controller.step(scenario.model, state.controller, hand(measurement))
     command.check(plant.robot)
     seen = _observe(scenario, now, command, air)
@@ -118,12 +111,13 @@ def step(
     lost_now = (state.loss == FLYING) & (loss != FLYING)
     goes_on = (state.loss == FLYING) & (loss == FLYING)
     # The next step of a lost flight may overflow.
-    moved = world.advance(plant, where(goes_on, now, at_rest), seen, command.joint_torque, command.thrust_rate, air)
+    acting = Acting(command.thrust_rate, (command.joint_torque,) * plant.substeps)
+    disturbances, acting = scenario.disturbances.act(disturbances, acting, plant.time_step / plant.substeps)
+    moved = world.advance(plant, where(goes_on, now, at_rest), seen, acting, air)
     after = FlightState(
         plant=where(goes_on, moved, state.plant),
         controller=where(goes_on, memory, state.controller),
-        measured_wind=measurement.wind,
-        sensors=sensors,
+        disturbances=disturbances,
         posture=state.posture,
         loss=jnp.where(lost_now, loss, state.loss),
         loss_size=jnp.where(lost_now, error, state.loss_size),
@@ -132,26 +126,11 @@ def step(
     return after, row
 
 
-def _measure(
-    scenario: Scenario, state: FlightState, now: PlantState, wind: Array, tick: Array, time: Array
-) -> tuple[Measurement, SensorState | None]:
-    """Return what the controller measures of this plant in this wind, and the sensors' next state."""
-    plant, sensors = scenario.plant, state.sensors
+def _truth(scenario: Scenario, now: PlantState, moment: Moment, wind: Array) -> Measurement:
+    """Return what an undisturbed controller measures of this plant in this wind."""
     if scenario.controller_wind is not None:
-        wind = wind_velocity(scenario.controller_wind, time)
-    if scenario.wind_estimate is not None:
-        source = scenario.wind if scenario.controller_wind is None else scenario.controller_wind
-        wind_at = partial(wind_velocity, source)
-        wind = measured_wind(scenario.wind_estimate, wind_at, state.measured_wind, tick, plant.time_step)
-    reading = Reading(now.robot, plant.jets.feedback(now.jets))
-    if scenario.sensors is None or sensors is None:
-        return Measurement(time, *reading, wind), None
-    sensors, reading = sensing.read(scenario.sensors, sensors, reading, tick)
-    measurement = Measurement(time, *reading, wind)
-    if (ahead := scenario.sensors.wind_ahead) is not None:
-        winds = jax.vmap(wind_velocity, in_axes=(None, 0))(scenario.wind, time + ahead)
-        measurement = measurement._replace(preview=Preview(wind=jnp.concatenate([ahead[:, None], winds], axis=1)))
-    return measurement, sensors
+        wind = wind_velocity(scenario.controller_wind, moment.time)
+    return Measurement(moment.time, now.robot, scenario.plant.jets.feedback(now.jets), wind)
 
 
 def _errors(scenario: Scenario, now: PlantState, seen: Observation, command: Command) -> tuple[Array, Array, Array]:

@@ -20,7 +20,7 @@ from jax_aero.body.jets import JetsState
 from jax_aero.body.kinematics import kinematics
 from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import rotation_from_wxyz
-from jax_aero.sim.plant import Plant, PlantState, advance, observe
+from jax_aero.sim.plant import Acting, Plant, PlantState, advance, observe
 from jax_aero.train.adam import AdamState, adam_start, adam_step
 from jax_aero.types import Array, State
 
@@ -74,7 +74,8 @@ def simulated_velocity(plant: Plant, segment: Segments) -> Float[Array, " N"]:
 
     def tick(state: PlantState, commands: tuple[Array, Array, Array]) -> tuple[PlantState, None]:
         torque, thrust_rate, wind = commands
-        return advance(plant, state, observe(plant, state, wind), torque, thrust_rate, wind), None
+        acting = Acting(thrust_rate, (torque,) * plant.substeps)
+        return advance(plant, state, observe(plant, state, wind), acting, wind), None
 
     start = PlantState(segment.first, jets, None)
     end, _ = jax.lax.scan(jax.checkpoint(tick), start, (segment.torque, segment.thrust_rate, segment.wind))

@@ -9,24 +9,29 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.config import ActuationConfig
-from jax_aero.sim import actuation
+from jax_aero.control.measurement import Measurement
+from jax_aero.sim.actuation import LOST, actuation
+from jax_aero.sim.plant import Acting
+from jax_aero.types import State
 
 EXPERIMENT = "test2_observer"
+FIRST = Measurement(
+    jnp.zeros(()), State(jnp.zeros(3), jnp.eye(3), jnp.zeros(1), jnp.zeros(7)), jnp.zeros(1), jnp.zeros(3)
+)
+"""Of a robot with one joint and one jet."""
 
 
 @pytest.mark.parametrize(("delay", "substeps"), [(0, 1), (3, 1), (3, 4), (9, 4)])
 def test_a_delay_of_some_steps_shifts_commands_by_them(delay, substeps):
     step, ticks = 0.01 / substeps, 8
     config = ActuationConfig(torque_delay=delay * step, thrust_delay=delay * step)
-    way, state = actuation.start(config, 0.01, substeps, ticks, jets=1, joints=1)
-    torques, rates = [], []
+    way = actuation(config, 0.01, substeps, ticks)
+    state, torques, rates = way.start(FIRST), [], []
     for tick in range(ticks):
-        sent = actuation.send(way, state, jnp.array([-float(tick)]), jnp.array([float(tick)]))
-        torques += [float(actuation.acting(sent.torque, substep, substeps)[0]) for substep in range(substeps)]
-        rates.append(float(actuation.mean(sent.thrust_rate, substeps)[0]))
-        state = sent._replace(
-            thrust_rate=actuation.hold(sent.thrust_rate, substeps), torque=actuation.hold(sent.torque, substeps)
-        )
+        commanded = Acting(jnp.array([-float(tick)]), (jnp.array([float(tick)]),) * substeps)
+        state, acting = way.act(state, commanded, step)
+        torques += [float(torque[0]) for torque in acting.torques]
+        rates.append(float(acting.thrust_rate[0]))
     expected = np.maximum(np.arange(ticks * substeps) - delay, 0) // substeps
     np.testing.assert_array_equal(torques, expected)
     np.testing.assert_array_equal(rates, -expected.reshape(ticks, substeps).mean(axis=1))
@@ -34,10 +39,10 @@ def test_a_delay_of_some_steps_shifts_commands_by_them(delay, substeps):
 
 def test_lost_commands_are_drawn_before_the_flight():
     config = ActuationConfig(drop=0.3, jitter=0.02, thrust_delay=0.01, seed=7)
-    way, _ = actuation.start(config, 0.01, 1, 4000, jets=4, joints=23)
+    way = actuation(config, 0.01, 1, 4000)
     lag = np.asarray(way.lag)
-    lost = lag[:, 0] == actuation.LOST
-    np.testing.assert_array_equal(lost, lag[:, 1] == actuation.LOST)
+    lost = lag[:, 0] == LOST
+    np.testing.assert_array_equal(lost, lag[:, 1] == LOST)
     assert abs(lost.mean() - 0.3) < 0.03
     np.testing.assert_array_equal(lag[~lost, 0], lag[~lost, 1] + 1)
     assert set(lag[~lost, 1]) == {0, 1, 2}
@@ -71,10 +76,10 @@ def test_late_commands_have_derivatives():
     """A torque counts after its delay, not before."""
 
     def second(torques):
-        way, state = actuation.start(ActuationConfig(torque_delay=0.01), 0.01, 1, 3, jets=1, joints=1)
+        way = actuation(ActuationConfig(torque_delay=0.01), 0.01, 1, 3)
+        state = way.start(FIRST)
         for torque in torques:
-            sent = actuation.send(way, state, jnp.zeros(1), torque[None])
-            state = sent._replace(torque=actuation.hold(sent.torque, 1))
-        return state.torque.held[0]
+            state, acting = way.act(state, Acting(jnp.zeros(1), (torque[None],)), 0.01)
+        return acting.torques[0][0]
 
     np.testing.assert_array_equal(jax.grad(second)(jnp.array([1.0, 2.0, 3.0])), [0.0, 1.0, 0.0])

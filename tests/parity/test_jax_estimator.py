@@ -55,7 +55,7 @@ def test_both_estimate_the_same_state(x64, agree_with_the_log):
 
     first = jax.tree.map(lambda x: x[0], rows[0])
     begun = estimator.start(settings, first.state, len(first.thrust))
-    (_, last), found = jax.lax.scan(tick, (sensors.start(errors, first), begun), rows)
+    (_, last), found = jax.lax.scan(tick, (errors.start(first), begun), rows)
     np.testing.assert_allclose(last.then.gyro_bias, bias, rtol=0, atol=0.03)
     because = "fifty ticks of a model whose joints run away by a factor of 1.5 in each, held by measurements"
     agree_with_the_log(found, flown, 1e-9, because)

@@ -17,7 +17,7 @@ from jax_aero.body.robot import load_robot
 from jax_aero.body.spatial import rotation_from_wxyz
 from jax_aero.control.tick import MomentumController
 from jax_aero.sim.outcome import lost_reason
-from jax_aero.sim.plant import PlantState, advance, observe, start_plant
+from jax_aero.sim.plant import Acting, PlantState, advance, observe, start_plant
 from jax_aero.sim.wind import wind_model, wind_velocity
 from jax_aero.types import State, pytree
 
@@ -79,19 +79,19 @@ def test_every_tick_of_the_world(experiment, agree):
     velocity = np.concatenate([log["base_velocity"], log["joint_velocity"]], axis=1)
     agree("first state", start.robot.velocity, velocity[0], 1e-10)
 
-    def tick_world(remembered, logged):
+    def tick_world(jets, logged):
         time, position, wxyz, joints, velocity, torque, thrust_rate = logged
         robot = State(position, rotation_from_wxyz(wxyz), joints, velocity)
-        state = PlantState(robot, remembered[0], start.first, remembered[1])
+        state = PlantState(robot, jets, start.first)
         wind = wind_velocity(wind_now, time)
         seen = observe(plant, state, wind)
-        after = advance(plant, state, seen, torque, thrust_rate, wind)
-        return (after.jets, after.faults), (seen.link_forces.forces, after.robot, after.jets.thrust, wind)
+        after = advance(plant, state, seen, Acting(thrust_rate, (torque,) * plant.substeps), wind)
+        return after.jets, (seen.link_forces.forces, after.robot, after.jets.thrust, wind)
 
     names = ("time", "base_position", "base_quaternion", "joint_position")
     logged = (*(log[name] for name in names), velocity, log["joint_torque"], log["thrust_rate"])
     _, (forces, after, thrust, wind) = jax.jit(
-        lambda: jax.lax.scan(tick_world, (start.jets, start.faults), jax.tree.map(jnp.asarray, logged))
+        lambda: jax.lax.scan(tick_world, start.jets, jax.tree.map(jnp.asarray, logged))
     )()
     agree(f"{experiment}: wind", wind, log["wind"], 1e-12)
     agree(f"{experiment}: forces", forces, log["aero_force_sim"], 1e-10)
@@ -116,7 +116,8 @@ def test_joints_meet_their_stops(integrator, agree):
     torque, rest = np.zeros(23), np.zeros(3)
     pressed = [names.index(name) for name in ("l_elbow", "r_knee", "torso_roll")]
     torque[pressed] = -20.0, 30.0, 40.0
-    step = jax.jit(lambda state: advance(plant, state, observe(plant, state, rest), torque, np.zeros(4), rest))
+    acting = Acting(np.zeros(4), (torque,) * plant.substeps)
+    step = jax.jit(lambda state: advance(plant, state, observe(plant, state, rest), acting, rest))
     for _ in range(30):
         state, _ = step(state), crate.step(command=rust.Command(np.zeros(4), torque))
     measured = crate.truth

@@ -10,7 +10,8 @@ import pytest
 from jax_aero import rust
 from jax_aero.base.typed import scenario_config
 from jax_aero.body.robot import load_robot
-from jax_aero.sim.plant import advance, observe, start_plant
+from jax_aero.sim.plant import Acting, advance, observe, start_plant
+from jax_aero.sim.pushes import configured_pushes
 
 
 @pytest.mark.usefixtures("x64")
@@ -23,11 +24,18 @@ def test_pushes_between_ticks(agree):
     changes = {"simulator.substeps": 2, "simulator.aero": {"model": "off"}, "disturbances.pushes": pushes}
     table = rust.load_config("test2", changes | {"simulator.initial.free_fall_tick": False})
     crate, config = rust.Flight(table), scenario_config(table)
-    plant, state = start_plant(config.simulator, config.disturbances, load_robot(table["robot"]))
-    torque, thrust_rate, rest = jnp.zeros(23), jnp.zeros(4), jnp.zeros(3)
-    step = jax.jit(lambda state: advance(plant, state, observe(plant, state, rest), torque, thrust_rate, rest))
+    robot, rest = load_robot(table["robot"]), jnp.zeros(3)
+    plant, state = start_plant(config.simulator, config.disturbances, robot)
+    pushing = configured_pushes(config.disturbances.pushes, robot)
+    commanded, left = Acting(jnp.zeros(4), (jnp.zeros(23),) * 2), jnp.asarray(pushing.starts)
+
+    @jax.jit
+    def step(state, left):
+        left, acting = pushing.act(left, commanded, plant.time_step / 2)
+        return advance(plant, state, observe(plant, state, rest), acting, rest), left
+
     for _ in range(5):
         crate.step(command=rust.Command(np.zeros(4), np.zeros(23)))
-        state, measured = step(state), crate.truth
+        (state, left), measured = step(state, left), crate.truth
         agree("velocities", state.robot.velocity, measured.state.velocity, 1e-10)
         agree("joints", state.robot.joint_position, measured.state.joint_position, 1e-10)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax_aero import rust
 from jax_aero.base.typed import scenario_config
 from jax_aero.control.measurement import Reading
-from jax_aero.sim.sensors import read, sensors, start
+from jax_aero.sim.sensors import read, sensors
 from jax_aero.train.identify import states_of
 
 EXPERIMENT = "test2_observer"
@@ -44,7 +44,7 @@ def test_both_read_the_same(x64, agree_with_the_log):
     truth = Reading(states_of(flown.log, slice(None)), jnp.asarray(flown["thrust"]))
     ticks = len(flown["time"])
     errors = sensors(config.simulator.sensors, jnp.asarray(config.simulator.time_step), ticks - 1, 23, 4)
-    before = start(errors, jax.tree.map(lambda x: x[0], truth))
+    before = errors.start(jax.tree.map(lambda x: x[0], truth))
 
     def tick(state, now):
         return read(errors, state, *now)

@@ -45,6 +45,9 @@ STACKED = (estimator.EstimatorState, sensors.SensorState, recorded.Recording)
 
 def agree(structure: Any, sizes: dict[str, int], place: str = "") -> None:
     """Check that the arrays of a structure, and of those within it, have the shapes of their annotations."""
+    if isinstance(structure, dict):
+        for name, part in structure.items():
+            agree(part, sizes, f"{place}.{name}")
     if not type(structure).__module__.startswith("jax_aero"):
         return
     place = place or type(structure).__name__

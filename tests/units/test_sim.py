@@ -221,8 +221,9 @@ def test_what_others_were_computed_from_does_not_change():
     with pytest.raises(ValueError, match=r"wind\.velocity"):
         jax.eval_shape(lambda traced: replace_values(traced, wind), scenario)
     assert not replace_values(other, wind).wind.velocity.any()
-    assert replace_values(replace(scenario, wind_estimate=None), {"n_ticks": 20}).n_ticks == 20
-    exact = replace(scenario, wind_estimate=replace_values(scenario.wind_estimate, {"is_mean": False}))
+    exact = replace(scenario, disturbances=replace(scenario.disturbances, wind_estimate=None))
+    assert replace_values(exact, {"n_ticks": 20}).n_ticks == 20
+    exact = replace_values(scenario, {"disturbances.wind_estimate.is_mean": False})
     assert jax.eval_shape(lambda velocity: replace_values(exact, {"wind.velocity": velocity}), jnp.zeros(3))
 
 
@@ -230,7 +231,11 @@ def test_what_others_were_computed_from_does_not_change():
     ("name", "value", "words"),
     [
         ("n_ticks", 10.5, r"`n_ticks` is 10\.5; expected values of type int"),
-        ("sensors", None, r"`sensors` is NoneType; expected the name of a number or an array"),
+        (
+            "disturbances.sensors",
+            None,
+            r"`disturbances\.sensors` is NoneType; expected the name of a number or an array",
+        ),
         ("wind", 1.0, r"`wind` is \w+; expected the name of a number or an array"),
         ("wind.velocity", "fast", r"`wind\.velocity` is 'fast'; expected a number or an array"),
         ("wind.velocity", None, r"`wind\.velocity` is None; expected a number or an array"),
