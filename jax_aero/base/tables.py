@@ -138,7 +138,7 @@ def _build(value: Any, kind: inspect.Type, key: str) -> Any:
             others = [one for one in kind.types if not isinstance(one, inspect.NoneType)]
             if len(others) == 1:
                 return _build(value, others[0], key)
-            is_number = isinstance(value, int) and any(isinstance(one, inspect.FloatType) for one in others)
+            is_number = type(value) is int and any(isinstance(one, inspect.FloatType) for one in others)
             return float(value) if is_number else value
         case inspect.StructType():
             types = {field.name: field.type for field in kind.fields}
