@@ -24,8 +24,8 @@ from jax_aero.control.measurement import Measurement
 from jax_aero.control.preview import Preview
 from jax_aero.control.state import ControllerState
 from jax_aero.control.tick import MomentumController, decide, init, momentum_controller
+from jax_aero.sim.model_error import controller_model
 from jax_aero.sim.plant import COMPILER_OPTIONS
-from jax_aero.sim.prepare import controller_model
 from jax_aero.types import Array, State, leaf
 from jax_aero.verify import Row
 from jax_aero.verify.flight import compare_signals, replay_rounded, states_of, ticks_unguarded
