@@ -25,7 +25,7 @@ PARALLEL := --numprocesses $(WORKERS) --dist worksteal
 ONE_THREAD := NPROC=1
 
 # XLA's compilation cache, shared by the test processes and kept for their next run.
-JAX_CACHE := JAX_COMPILATION_CACHE_DIR=$(abspath target/jax) JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS=0 \
+JAX_CACHE := JAX_COMPILATION_CACHE_DIR="$(abspath target/jax)" JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS=0 \
 	JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES=-1
 
 # Tests start hundreds of processes: Python keeps the modules that it has compiled, whatever the environment says.
@@ -40,7 +40,7 @@ LEAST_OPTIMISED := XLA_FLAGS="--xla_backend_optimization_level=0 --xla_cpu_use_f
 CORE := tests/golden tests/parity tests/gradients
 PINOCCHIO := tests/parity/test_dynamics_pinocchio.py
 OTHERS := $(filter-out $(CORE) tests/__pycache__,$(patsubst %/,%,$(wildcard tests/*/))) $(PINOCCHIO)
-PYTEST = MEASURED=$(MEASURED) $(JAX_CACHE) $(ONE_THREAD) $(LEAST_OPTIMISED) $(BIN)/python -m pytest $(PARALLEL)
+PYTEST = MEASURED="$(MEASURED)" $(JAX_CACHE) $(ONE_THREAD) $(LEAST_OPTIMISED) $(BIN)/python -m pytest $(PARALLEL)
 
 # Emulation of another processor: no AVX in the C library's functions, in what XLA compiles, in OpenBLAS or in NumPy.
 OTHER_PROCESSOR = $(JAX_CACHE) GLIBC_TUNABLES=glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F,-AVX512VL,-AVX512DQ \
@@ -113,8 +113,8 @@ view: $(MODULE) lab ## fly in the browser: drag the wind until the robot falls
 test: ## test the crate, and its agreement with JAX, CasADi and MuJoCo
 	@trap 'kill $$! 2>/dev/null' EXIT; trap 'exit 130' INT TERM; \
 	nice -n 19 cargo test --locked --no-run & $${MAKE:-make} --no-print-directory $(TESTING) && wait $$!
-	rm -rf $(MEASURED)
-	MEASURED=$(MEASURED) cargo test --locked
+	rm -rf "$(MEASURED)"
+	MEASURED="$(MEASURED)" cargo test --locked
 	$(PYTEST) $(CORE) --ignore=$(PINOCCHIO)
 
 test-all: test $(PACKAGES) ## run every test: commands, studies, viewer, training, documents too
@@ -156,13 +156,13 @@ wheels: $(PACKAGES) lab ## build wheels for Linux (x86-64, 64-bit ARM), macOS (z
 
 install-capi: ## install libflight for C and C++: header, libraries, files for pkg-config and CMake (PREFIX=/usr/local)
 	$(if $(LIBFLIGHT),,cargo build --locked --release --package flight-capi)
-	install -D -m 644 -t $(INSTALLED)/include rust/capi/include/flight.h
-	install -D -m 644 -t $(INSTALLED)/lib $(addprefix $(or $(LIBFLIGHT),target/release)/,libflight.so libflight.a)
-	install -D -m 644 -t $(INSTALLED)/lib/cmake/flight rust/capi/cmake/flight-config.cmake
-	mkdir -p $(INSTALLED)/lib/pkgconfig
-	sed 's/@VERSION@/$(VERSION)/' rust/capi/flight.pc.in > $(INSTALLED)/lib/pkgconfig/flight.pc
+	install -D -m 644 -t "$(INSTALLED)/include" rust/capi/include/flight.h
+	install -D -m 644 -t "$(INSTALLED)/lib" $(foreach name,libflight.so libflight.a,"$(or $(LIBFLIGHT),target/release)/$(name)")
+	install -D -m 644 -t "$(INSTALLED)/lib/cmake/flight" rust/capi/cmake/flight-config.cmake
+	mkdir -p "$(INSTALLED)/lib/pkgconfig"
+	sed 's/@VERSION@/$(VERSION)/' rust/capi/flight.pc.in > "$(INSTALLED)/lib/pkgconfig/flight.pc"
 	sed 's/@VERSION@/$(VERSION)/' rust/capi/cmake/flight-config-version.cmake.in \
-		> $(INSTALLED)/lib/cmake/flight/flight-config-version.cmake
+		> "$(INSTALLED)/lib/cmake/flight/flight-config-version.cmake"
 
 audit: $(PACKAGES) ## check licences, duplicates and known vulnerabilities, as far as they can be had; write dist/sbom.json
 	$(BIN)/python -m tests.tools.supply_chain audit
@@ -249,7 +249,7 @@ $(VENV)/.first: requirements.hashed | $(BIN)/python
 
 $(MODULE): $(VENV)/.first pyproject.toml $(RUST_SOURCES)
 	@echo "set-up 2 of 2: compile the Rust module (two minutes on two cores)"
-	PIP_QUIET=1 PIP_NO_INDEX=1 VIRTUAL_ENV=$(abspath $(VENV)) env -u CONDA_PREFIX \
+	PIP_QUIET=1 PIP_NO_INDEX=1 VIRTUAL_ENV="$(abspath $(VENV))" env -u CONDA_PREFIX \
 		$(BIN)/maturin develop --release --locked --quiet --extras figs
 	@touch $@
 

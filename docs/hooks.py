@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import posixpath
 import re
 from itertools import pairwise
 from pathlib import Path
@@ -33,7 +34,14 @@ LAB = Path(__file__).resolve().parents[1] / "target/lab"
 """The flight lab, if `make lab` has built it."""
 LAB_PAGE = "lab/fly/index.html"
 PICTURE = re.compile(r"(?P<shown>!\[[^\]]*\])\((?P<path>\w+\.png)\)")
-STUDY = re.compile(r"\[(?P<text>[^\]]+)\]\((?:\.\./)*studies/(?P<name>\w+)\.md(?:#[^)]*)?\)")
+LINK = re.compile(r"\[(?P<text>[^\]]+)\]\((?P<path>(?:\.\./)+[^)#\s]+)(?P<part>#[^)]*)?\)")
+"""A link that may leave the folder of a page."""
+SITE = {
+    "experiments/studies": "studies/index.md",
+    "experiments/report/paper.py": "paper.md",
+    "configs/schema": schema.PAGE,
+} | {f"rust/{crate}/src/lib.rs": f"rust/flight_{crate}/index.html" for crate in ("core", "io", "sim")}
+"""Pages of the site, by the file or folder of a clone that they are made from, which pages link."""
 INDEX = (
     "Questions beyond single flights, each in a folder of its own in `experiments/studies`, which can be deleted or "
     "[copied](../howto/experiment.md#a-study). `jax-aero study NAME` answers one, `jax-aero study NAME --help` says "
@@ -102,10 +110,25 @@ def study_page(name: str) -> str:
     return PICTURE.sub(rf"\g<shown>({name}/\g<path>)", text.replace("](../../../docs/", "](../"))
 
 
-def link_studies(markdown: str) -> str:
-    """Return a page without its links to studies that are not there: of these the text stays."""
-    there = {"index", *studies.names()}
-    return STUDY.sub(lambda link: link[0] if link["name"] in there else link["text"], markdown)
+def link_site(markdown: str, page: str) -> str:
+    """Return a page, whose links lead to files of a clone, with those of the site; `page` is its path in `docs/`.
+
+    Of links to a study that is not there the text stays.
+    """
+
+    def moved(link: re.Match[str]) -> str:
+        place = posixpath.normpath(posixpath.join("docs", posixpath.dirname(page), link["path"]))
+        study = re.fullmatch(r"experiments/studies/(\w+)/README\.md", place)
+        if study and study[1] not in studies.names():
+            return link["text"]
+        target = f"studies/{study[1]}.md" if study else SITE.get(place)
+        if target is None:
+            return link[0]
+        # Addresses that are no page's are relative to the folder that a page becomes.
+        folder = posixpath.dirname(page) if target.endswith(".md") else page.removesuffix(".md")
+        return f"[{link['text']}]({posixpath.relpath(target, folder or '.')}{link['part'] or ''})"
+
+    return LINK.sub(moved, markdown)
 
 
 def on_page_markdown(markdown: str, *, page: Any, config: Any, **_: Any) -> str:
@@ -122,7 +145,8 @@ def on_page_markdown(markdown: str, *, page: Any, config: Any, **_: Any) -> str:
         for path in sorted((docs / MODEL).glob("*.md"))
         for number in NUMBER.findall(path.read_text(encoding="utf-8"))
     ]
-    markdown = link_studies(NOTEBOOK.sub(lambda match: notebook(docs / match["path"]), markdown))
+    markdown = NOTEBOOK.sub(lambda match: notebook(docs / match["path"]), markdown)
+    markdown = link_site(markdown, page.file.src_uri)
     return "\n".join([markdown, "", *links])
 
 

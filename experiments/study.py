@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import xarray as xr
+from msgspec import structs
 
 from experiments import Refused, manifest, overrides, record
 from experiments.identity import Identity
@@ -25,7 +26,7 @@ from experiments.sources import file_hash
 from jax_aero import cli, rust
 from jax_aero.base import places, plain, tables
 from jax_aero.base.files import lock_work
-from jax_aero.base.keys import set_key
+from jax_aero.base.keys import parts, set_key
 from jax_aero.base.terminal import exit_status
 from jax_aero.cli import Parser, complete_with
 
@@ -94,6 +95,11 @@ class Study(Generic[C]):
         """Return the kind of configurations that name it."""
         return "experiments" if self.experiments else self.kind
 
+    @property
+    def example(self) -> str:
+        """Return a key of its configuration with a value."""
+        return example_of("" if self.experiments else self.kind, self.config)
+
     def progress_of(self, folder: Path) -> Path:
         """Return the file of an unfinished study, given the folder of its result."""
         return folder.with_name(f".{folder.name}{self.progress}")
@@ -102,7 +108,7 @@ class Study(Generic[C]):
         """Run the command line; return its exit status."""
         parser = Parser(self.command, self.about)
         add_names(parser, self.config_kind, nargs="*", default=self.names)
-        add_set(parser)
+        add_set(parser, self.example)
         add_name(parser)
         add_overwrite(parser)
         given = parser.parse_args(arguments)
@@ -219,10 +225,23 @@ def add_choice(parser: argparse.ArgumentParser, kind: str) -> None:
     parser.add_argument("--list", action="store_true", help=f"list the files of configs/{kind} and stop")
 
 
-def add_set(parser: argparse.ArgumentParser) -> None:
-    """Add the option that changes keys of a configuration."""
-    text = "change one key of the configuration; the value as in TOML, e.g. wind.velocity=[0,-12,0]"
+def add_set(parser: argparse.ArgumentParser, example: str = "wind.velocity=[0,-12,0]") -> None:
+    """Add the option that changes keys of a configuration, with an example of the command's own."""
+    text = f"change one key of the configuration; the value as in TOML{example and f', e.g. {example}'}"
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=text)
+
+
+def example_of(kind: str, config: type[tables.Table] | None = None) -> str:
+    """Return a number of the first file of a kind, or of its type's own values, as `--set` takes it; empty for none."""
+    written = [tables.read(find(kind, name)) for name in places.names(kind)[:1]]
+    own = [] if config is None else [{field.name: field.default for field in structs.fields(config)}]
+    numbers = (
+        item
+        for table in (*written, *own)
+        for item in parts(table)
+        if type(item[1]) in (int, float) and not re.search(r"\.\d", item[0])
+    )
+    return "=".join(map(str, next(numbers, ())))
 
 
 def add_name(parser: argparse.ArgumentParser) -> None:

@@ -177,6 +177,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(words: Sequence[str]) -> int:
     """Run a command. Its module is imported here, so that no other command waits for it."""
+    try:
+        Path.cwd()
+    except FileNotFoundError:
+        return refuse("the current folder has been deleted; expected one that is there: cd to another one")
     name, *rest = words or ["help"]
     if name not in COMMANDS:
         _parser().parse_args(words)

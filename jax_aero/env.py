@@ -1,4 +1,4 @@
-"""The flight as a reinforcement-learning environment of pure functions, with the interface of MuJoCo Playground.
+"""The flight as a reinforcement-learning environment of pure functions, which MuJoCo Playground's wrappers train.
 
 >>> import jax
 >>> from jax_aero import env
@@ -16,7 +16,7 @@ the same task for Gymnasium, based on the crate.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -31,7 +31,7 @@ from jax_aero.body.spatial import rotation_angle
 from jax_aero.control.law.residual import Steering
 from jax_aero.control.law.setpoint import update
 from jax_aero.control.tick import MomentumController
-from jax_aero.env_task import Task, TaskState, is_lost, limit_action, observation, rewards, steer
+from jax_aero.env_task import Task, TaskState, is_lost, limit_action, observation, rewards, steer, task_of
 from jax_aero.rust import load_config
 from jax_aero.sim.outcome import FLYING
 from jax_aero.sim.prepare import prepare
@@ -42,14 +42,22 @@ from jax_aero.types import Array, replace_values
 __all__ = ["EnvState", "FlightEnv", "Task"]
 
 
-class EnvState(NamedTuple):
-    """State of the environment between two steps."""
+class Episode(NamedTuple):
+    """All that an episode goes on from, which a wrapper for restarts puts back as a whole."""
 
     flight: FlightState
     tick: Int[Array, ""]
     """Number of the next tick."""
     wind: Float[Array, "3"]
     """Of this episode, at its strongest [m/s]."""
+    drawn: Int[Array, ""]
+    """Number of the configuration that is flown."""
+
+
+class EnvState(NamedTuple):
+    """State of the environment between two steps."""
+
+    data: Episode
     obs: Float[Array, " o"]
     reward: Float[Array, ""]
     done: Float[Array, ""]
@@ -57,7 +65,19 @@ class EnvState(NamedTuple):
     metrics: dict[str, Float[Array, ""]]
     """Parts of the reward, and the errors of attitude [rad] and position [m]; zero if the robot is lost."""
     info: dict[str, Any]
-    """For wrappers; not changed here."""
+    """The wind of the episode [m/s], and what wrappers add."""
+
+    def replace(self, **changes: Any) -> EnvState:
+        """Return a state with other entries."""
+        return self._replace(**changes)
+
+
+class _Drawn(NamedTuple):
+    """A configuration, ready for its episodes; or several, stacked."""
+
+    scenario: Scenario
+    start: FlightState
+    first: Aim
 
 
 class FlightEnv:
@@ -66,65 +86,87 @@ class FlightEnv:
     Parameters
     ----------
     task
-        The task to learn.
+        The task to learn, or the name of an experiment to learn to hover in.
     changes
         Changes of the configuration by dotted key, as in `load_config`.
     dtype
         Precision of the simulation; by default that of JAX (`jax.enable_x64`).
+    drawn
+        Configurations of which every episode draws one, in place of the task's experiment: with other masses, latencies
+        or sensors, by hand or by the perturbations of a sweep. They have the same switches and differ in numbers.
+
+    Raises
+    ------
+    ValueError
+        For a task that is none, a configuration that JAX does not fly, and drawn ones of different structure.
     """
 
-    def __init__(self, task: Task | None = None, changes: Mapping[str, Any] | None = None, dtype: Any = None) -> None:
-        self.task = task or Task()
+    def __init__(
+        self,
+        task: Task | str | None = None,
+        changes: Mapping[str, Any] | None = None,
+        dtype: Any = None,
+        drawn: Sequence[Mapping[str, Any]] = (),
+    ) -> None:
+        self.task = task_of(task)
         precision = np.dtype(jnp.result_type(float)) if dtype is None else np.dtype(dtype)
-        self._scenario, self._start = prepare(
-            self.task.episode(load_config(self.task.experiment, changes)), dtype=precision
-        )
-        robot, first = self._scenario.plant.robot, self._start.plant.robot
+        configs = list(drawn) or [load_config(self.task.experiment, changes)]
+        ready = [self._prepare(config, precision) for config in configs]
+        shapes = [(jax.tree.structure(one), [jnp.shape(leaf) for leaf in jax.tree.leaves(one)]) for one in ready]
+        for number, shape in enumerate(shapes):
+            if shape != shapes[0]:
+                raise ValueError(
+                    f"`drawn[{number}]` differs from `drawn[0]` in more than numbers; expected the same switches"
+                )
+        self._count = len(ready)
+        self._drawn = ready[0] if self._count == 1 else jax.tree.map(lambda *leaves: jnp.stack(leaves), *ready)
+        robot, plant = ready[0].scenario.plant.robot, ready[0].scenario.plant
         self.action_size = robot.jets.count + robot.n_joints
-        steered = replace(self._scenario, controller=self._steered(jnp.zeros(self.action_size, precision)))
-        self._start = begin(steered, self._start.plant)
-        still = jnp.zeros_like(first.velocity[:3])
-        self._first = Aim(kinematics(robot, first).com, first.base_rotation, still, still)
         self.observation_size = 21 + 2 * robot.n_joints + robot.jets.count
-        self.dt = float(self._scenario.plant.time_step)
+        self.dt = float(plant.time_step)
         self.episode_length = self.task.ticks(self.dt)
 
+    @property
+    def unwrapped(self) -> FlightEnv:
+        """Return this environment, which wraps no other."""
+        return self
+
     def reset(self, key: Key[Array, ""]) -> EnvState:
-        """Begin an episode in a random wind."""
+        """Begin an episode in a random wind, with one of the drawn configurations."""
         speed_key, direction_key = jax.random.split(key)
-        dtype = self._start.plant.robot.velocity.dtype
+        dtype = self._drawn.start.plant.robot.velocity.dtype
         speed = jax.random.uniform(speed_key, (), dtype, self.task.wind_min, self.task.wind_max)
         angle = jax.random.uniform(direction_key, (), dtype, 0.0, 2.0 * jnp.pi)
         wind = speed * jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)])
-        return self.start(wind)
+        return self.start(wind, jax.random.randint(jax.random.fold_in(key, 2), (), 0, self._count))
 
-    def start(self, wind: Float[Array, "3"]) -> EnvState:
-        """Begin an episode in a given wind [m/s]."""
-        flight = self._start
-        robot = flight.plant.robot
-        wind = jnp.asarray(wind, robot.velocity.dtype)
-        zero = jnp.zeros((), robot.velocity.dtype)
+    def start(self, wind: Float[Array, "3"], drawn: Int[Array, ""] | int = 0) -> EnvState:
+        """Begin an episode in a given wind [m/s], with the drawn configuration of this number."""
+        number = jnp.asarray(drawn, jnp.int32)
+        flight = self._pick(number).start
+        wind = jnp.asarray(wind, flight.plant.robot.velocity.dtype)
+        zero = jnp.zeros((), wind.dtype)
         names = ("attitude", "position", "effort", "attitude_error", "position_error")
         state = EnvState(
-            flight=flight,
-            tick=jnp.zeros((), jnp.int32),
-            wind=wind,
+            data=Episode(flight, jnp.zeros((), jnp.int32), wind, number),
             obs=jnp.zeros(self.observation_size, zero.dtype),
             reward=zero,
             done=zero,
             metrics=dict.fromkeys(names, zero),
-            info={},
+            info={"wind": wind},
         )
-        return state._replace(obs=self._observe(state)[1])
+        return state.replace(obs=self._observe(state.data)[1])
 
     def step(self, state: EnvState, action: Float[Array, " u"]) -> EnvState:
         """Fly one tick with an action between −1 and 1."""
-        action = limit_action(jnp, action, self.action_size, state.wind.dtype)
-        scenario: Scenario = replace_values(self._scenario, {f"wind.{self.task.wind_key}": state.wind})
-        scenario = replace(scenario, controller=self._steered(action))
-        flight, _ = step(scenario, state.flight, state.tick)
-        state = state._replace(flight=flight, tick=state.tick + 1)
-        task_state, obs = self._observe(state)
+        episode = state.data
+        action = limit_action(jnp, action, self.action_size, episode.wind.dtype)
+        drawn = self._pick(episode.drawn).scenario
+        scenario: Scenario = replace_values(drawn, {f"wind.{self.task.wind_key}": episode.wind})
+        scenario = replace(scenario, controller=self._steered(drawn, action))
+        flight, _ = step(scenario, episode.flight, episode.tick)
+        episode = episode._replace(flight=flight, tick=episode.tick + 1)
+        task_state, obs = self._observe(episode)
         parts = rewards(jnp, task_state, action)
         is_no_number = ~jnp.all(jnp.isfinite(action))
         lost = (flight.loss != FLYING) | is_lost(jnp, task_state, scenario.fall) | is_no_number
@@ -136,40 +178,56 @@ class FlightEnv:
         metrics = {
             name: jnp.where(lost, 0.0, value).astype(state.reward.dtype) for name, value in (parts | errors).items()
         }
-        return state._replace(
+        return EnvState(
+            data=episode,
             obs=jnp.where(jnp.isfinite(obs), obs, 0.0),
             reward=sum((metrics[name] for name in parts), jnp.zeros_like(state.reward)),
             done=lost.astype(state.done.dtype),
-            metrics=metrics,
+            metrics=state.metrics | metrics,  # wrappers add to both
+            info=dict(state.info),
         )
 
-    def _steered(self, action: Float[Array, " u"]) -> MomentumController:
+    def _prepare(self, config: Mapping[str, Any], precision: Any) -> _Drawn:
+        scenario, start = prepare(self.task.episode(config), dtype=precision)
+        robot, first = scenario.plant.robot, start.plant.robot
+        size = robot.jets.count + robot.n_joints
+        steered = replace(scenario, controller=self._steered(scenario, jnp.zeros(size, precision)))
+        still = jnp.zeros_like(first.velocity[:3])
+        aim = Aim(kinematics(robot, first).com, first.base_rotation, still, still)
+        return _Drawn(scenario, begin(steered, start.plant), aim)
+
+    def _pick(self, number: Int[Array, ""]) -> _Drawn:
+        """Return the drawn configuration of this number."""
+        return self._drawn if self._count == 1 else jax.tree.map(lambda leaves: leaves[number], self._drawn)
+
+    def _steered(self, scenario: Scenario, action: Float[Array, " u"]) -> MomentumController:
         """Return the controller with an action as its residual."""
-        controller, jets = self._scenario.controller, self._scenario.plant.robot.jets.count
+        controller, jets = scenario.controller, scenario.plant.robot.jets.count
         assert isinstance(controller, MomentumController)
         residual = Steering(*steer(self.task, action, jets), self.task.steering == "rates")
         return replace(controller, residual=residual)
 
-    def _aim(self, state: EnvState) -> Aim:
+    def _aim(self, drawn: _Drawn, episode: Episode) -> Aim:
         """Return what the next tick follows."""
         if not self.task.tracking:
-            return self._first
-        controller, memory = self._scenario.controller, state.flight.controller
+            return drawn.first
+        controller, memory = drawn.scenario.controller, episode.flight.controller
         assert isinstance(controller, MomentumController)
-        time = state.tick.astype(state.wind.dtype) * self._scenario.plant.time_step
+        time = episode.tick.astype(episode.wind.dtype) * drawn.scenario.plant.time_step
         return aim_of(update(controller.setpoint, controller.mission, memory.setpoint, time)[1])
 
-    def _observe(self, state: EnvState) -> tuple[TaskState, Array]:
-        robot, now, first = self._scenario.plant.robot, state.flight.plant, self._start.plant.robot
+    def _observe(self, episode: Episode) -> tuple[TaskState, Array]:
+        drawn, now = self._pick(episode.drawn), episode.flight.plant
+        plant = drawn.scenario.plant
         task_state = TaskState(
             rotation=now.robot.base_rotation,
             velocity=now.robot.velocity,
             joint_position=now.robot.joint_position,
-            thrust=self._scenario.plant.jets.feedback(now.jets),
-            com=kinematics(robot, now.robot).com,
-            aim=self._aim(state),
-            posture=first.joint_position,
-            wrench=state.flight.controller.residual.wrench,
+            thrust=plant.jets.feedback(now.jets),
+            com=kinematics(plant.robot, now.robot).com,
+            aim=self._aim(drawn, episode),
+            posture=drawn.start.plant.robot.joint_position,
+            wrench=episode.flight.controller.residual.wrench,
         )
-        obs: Array = observation(jnp, task_state, robot.jets.thrust_max)
+        obs: Array = observation(jnp, task_state, plant.robot.jets.thrust_max)
         return task_state, obs

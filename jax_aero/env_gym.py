@@ -12,6 +12,7 @@ faults of the experiment act on the controller; what is observed is the true sta
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 
 from jax_aero import rust
 from jax_aero.base.features import Aim, aim_of
-from jax_aero.env_task import Task, TaskState, is_lost, limit_action, observation, rewards, steer
+from jax_aero.env_task import Task, TaskState, is_lost, limit_action, observation, rewards, steer, task_of
 
 __all__ = ["HoverEnv"]
 
@@ -36,6 +37,14 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     """Fly a task in a wind drawn anew for every episode; actions as in `jax_aero.env.FlightEnv`.
 
     A copy, also by `pickle`, flies the episode up to the present tick again.
+
+    Parameters
+    ----------
+    task
+        The task to learn, or the name of an experiment to learn to hover in.
+    drawn
+        Configurations of one robot of which every episode draws one, in place of the task's experiment: with other
+        masses, latencies, sensors or faults, by hand or by the perturbations of a sweep.
     """
 
     _robot: rust.Robot
@@ -43,9 +52,11 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     _first: Aim
     metadata = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
 
-    def __init__(self, task: Task | None = None) -> None:
-        self.task = task or Task()
-        self._config = self.task.episode(rust.load_config(self.task.experiment))
+    def __init__(self, task: Task | str | None = None, drawn: Sequence[Mapping[str, Any]] = ()) -> None:
+        self.task = task_of(task)
+        configs = list(drawn) or [rust.load_config(self.task.experiment)]
+        self._drawn = [self.task.episode(config) for config in configs]
+        self._config = self._drawn[0]
         self._fall = SimpleNamespace(**self._config["simulator"]["fall"])
         self._robot = rust.Robot(self._config["robot"])
         self._thrust_max = np.array(self._robot.thrust_max)
@@ -67,8 +78,10 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         speed = self.np_random.uniform(self.task.wind_min, self.task.wind_max)
         angle = self.np_random.uniform(0.0, 2.0 * np.pi)
         drawn = [speed * np.cos(angle), speed * np.sin(angle), 0.0]
+        if len(self._drawn) > 1:
+            self._config = self._drawn[self.np_random.integers(len(self._drawn))]
         self._begin([float(part) for part in options.get("wind", drawn)])
-        return self._observe()[1], {"wind": self._wind}
+        return self._observe()[1], {"wind": np.array(self._wind)}
 
     def step(self, action: NDArray[np.floating]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Fly one tick."""

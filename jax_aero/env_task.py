@@ -101,6 +101,15 @@ class Task:
         return {**config, "mission": mission, "wind": wind, "simulator": simulator}
 
 
+def task_of(given: Task | str | None) -> Task:
+    """Return a task: itself, a hover in an experiment given by name or path, or the default one."""
+    if isinstance(given, str):
+        return Task(experiment=given)
+    if not isinstance(given, Task | None):
+        raise ValueError(f"`task` is {given!r}; expected a Task, or the name of an experiment")
+    return given or Task()
+
+
 def _check(name: str, value: Any, least: float, expected: str) -> None:
     if not isinstance(value, Real) or not least <= float(value) < math.inf:
         raise ValueError(f"`{name}` is {value!r}; expected {expected}")

@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     parser = Parser(KIND, __doc__)
     study.add_names(parser, KIND, nargs="+")
-    study.add_set(parser)
+    study.add_set(parser, study.example_of(KIND))
     study.add_name(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/cfd)")
     add_options(parser, "postures", "processes of a local cluster")

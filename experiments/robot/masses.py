@@ -1,4 +1,4 @@
-"""Masses that a robot cannot have: none where links move, or more inertia than their geometry allows."""
+"""Masses that a robot cannot have: none where links move, or an inertia that their geometry does not allow."""
 
 from __future__ import annotations
 
@@ -14,6 +14,10 @@ from jax_aero.body.urdf import Joint
 GREATEST = 2.0
 """Greatest radius of gyration, and distance of the centre of mass from the middle of the geometry, relative to half the
 geometry's diagonal; of masses within the geometry neither exceeds 1."""
+
+
+LEAST, LEAST_OF_ALL = 0.01, 1e-5
+"""Least radius of gyration, relative to half the geometry's diagonal, or for a link without geometry to the robot's."""
 
 
 def require(tree: Tree, moving: Sequence[Joint]) -> None:
@@ -46,11 +50,11 @@ def doubts(tree: Tree, boxes: Mapping[str, Box]) -> list[str]:
         middle, reach = (box.pose.position, 0.5 * float(np.linalg.norm(box.size))) if box else (np.zeros(3), size)
         if mass <= 0.0 or reach == 0.0:
             continue
-        greatest = float(np.linalg.eigvalsh(inertia)[-1])
+        greatest, least = float(np.linalg.eigvalsh(inertia)[-1]), reach * (LEAST if box else LEAST_OF_ALL)
         radius, away = float(np.sqrt(max(greatest, 0.0) / mass)), float(np.linalg.norm(com - middle))
         place = "the middle of its geometry" if box else "its origin"
         extent = f"{'its geometry' if box else 'the robot'} reaches {reach:.2g} m"
-        if radius > GREATEST * reach:
+        if not least < radius <= GREATEST * reach:
             of = f"radius of gyration of link `{link}` is {radius:.3g} m ({greatest:.3g} kg m2, {mass:.3g} kg)"
             found.append(f"{of}, but {extent}; expected an inertia in kg m2")
         if away > GREATEST * reach:

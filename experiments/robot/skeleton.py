@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -69,29 +69,30 @@ class Tree:
     def chains(self, held: Sequence[str]) -> list[list[Joint]]:
         """Return the moving joints except `held` ones, in tree order, split into chains where the tree branches."""
         chains: list[list[Joint]] = []
-
-        def walk(link: str, chain: list[Joint]) -> None:
-            ahead = list(self._next(link, held))
-            for joint in ahead:
-                follows = chain if len(ahead) == 1 and chain else []
-                if not follows:
-                    chains.append(follows)
-                follows.append(joint)
-                walk(joint.child, follows)
-
-        walk(self.base, [])
+        waiting: list[tuple[Joint, list[Joint]]] = [(joint, []) for joint in reversed(self._next(self.base, held))]
+        while waiting:
+            joint, chain = waiting.pop()
+            if not chain:
+                chains.append(chain)
+            chain.append(joint)
+            ahead = self._next(joint.child, held)
+            waiting += [(other, chain if len(ahead) == 1 else []) for other in reversed(ahead)]
         return chains
 
     def moving(self, held: Sequence[str]) -> list[Joint]:
         """Return the joints of the chains."""
         return [joint for chain in self.chains(held) for joint in chain]
 
-    def _next(self, link: str, held: Sequence[str]) -> Iterator[Joint]:
-        for joint in self.child_joints(link):
+    def _next(self, link: str, held: Sequence[str]) -> list[Joint]:
+        """Return the moving joints that no other one separates from a link, in tree order."""
+        found, waiting = [], self.child_joints(link)[::-1]
+        while waiting:
+            joint = waiting.pop()
             if joint.moves and joint.name not in held and not self._follows(joint, held):
-                yield joint
+                found.append(joint)
             else:
-                yield from self._next(joint.child, held)
+                waiting += self.child_joints(joint.child)[::-1]
+        return found
 
     def _follows(self, joint: Joint, held: Sequence[str]) -> bool:
         """Return whether a joint mimics one that is held, so that it is held as well; refuse one that would move."""

@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = Parser("train", __doc__)
     study.add_names(parser, "training", "name")
     parser.add_argument("--dataset", type=Path, required=True, metavar="FILE", help="from import-cfd or cfd")
-    study.add_set(parser)
+    study.add_set(parser, study.example_of("training"))
     parser.add_argument("--out", type=Path, metavar="DIR", help="result folder (default results/training/NAME)")
     parser.add_argument("--write", type=Path, metavar="CARD", help="also write weights and card there (…/NAME.json)")
     parser.add_argument("--overwrite", action="store_true", help="train again and replace an existing result")

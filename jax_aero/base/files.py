@@ -6,7 +6,7 @@ the lock is therefore left over from a process that was killed.
 
 from __future__ import annotations
 
-import fcntl
+import errno
 import hashlib
 import json
 import math
@@ -14,6 +14,7 @@ import os
 import shutil
 import socket
 import stat
+import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from datetime import UTC, datetime
@@ -24,6 +25,16 @@ import msgspec
 
 from jax_aero.base import sizes
 from jax_aero.base.terminal import Refused
+
+try:
+    import fcntl
+
+    HAS_LOCKS = True
+except ModuleNotFoundError:  # Windows
+    HAS_LOCKS = False
+
+WITHOUT_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EINVAL)
+"""Errors of file systems that have no locks."""
 
 
 @contextmanager
@@ -130,12 +141,7 @@ def resolve(target: Path) -> Path:
 
 def _take(descriptor: int, path: Path, target: Path) -> None:
     """Lock an open lock file and write the holder into it."""
-    here = socket.gethostname()
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        is_taken = False
-    except BlockingIOError:
-        is_taken = True
+    here, is_taken = socket.gethostname(), _is_taken(descriptor, path)
     try:
         holder = parse_json(os.pread(descriptor, 4096, 0))
         who = f"process {holder['pid']} on {holder['host']} since {holder['since']}"
@@ -150,8 +156,26 @@ def _take(descriptor: int, path: Path, target: Path) -> None:
     os.pwrite(descriptor, json.dumps(me).encode(), 0)
 
 
+def _is_taken(descriptor: int, path: Path) -> bool:
+    """Lock an open file; return whether another process holds its lock. Where there are no locks, none is held."""
+    if not HAS_LOCKS:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError as reason:
+        if reason.errno not in WITHOUT_LOCKS:
+            raise
+        what = f"the file system of {path.parent} has no locks ({reason.strerror})"
+        warnings.warn(f"{what}; expected that no other command writes {path.name[1:-5]} meanwhile", stacklevel=2)
+    return False
+
+
 def _sync(path: Path) -> None:
-    """Flush a file, or the entries of a folder, to the disk."""
+    """Flush a file, or the entries of a folder, to the disk; Windows opens no folder."""
+    if os.name == "nt" and path.is_dir():
+        return
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -25,7 +25,7 @@ IS_CHECKOUT = (HOME / "rust").is_dir()
 STUDIES = Path(__file__).parents[2] / "experiments" / "studies"
 """Folders of studies, with their configurations."""
 
-RESULTS = (HOME if IS_CHECKOUT else Path.cwd()) / "results"
+RESULTS = Path("results") if not Path().exists() else (HOME if IS_CHECKOUT else Path.cwd()) / "results"
 
 
 RUN_FILE, MANIFEST_FILE = "run.nc", "manifest.json"

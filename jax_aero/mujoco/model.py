@@ -88,13 +88,22 @@ def mujoco_spec(source: str) -> Any:
     return spec
 
 
-@functools.lru_cache
 def mujoco_model(source: str) -> Any:
     """Return the compiled `mujoco.MjModel` of the robot whose TOML file is `source`."""
+    return _compiled(source, _contents(source))
+
+
+def _contents(source: str) -> tuple[str, str]:
+    """Return the present texts of a robot's files, which what is kept of the robot follows."""
+    robot = rust.Robot(source)
+    return robot.toml_text, robot.urdf_text
+
+
+@functools.lru_cache
+def _compiled(source: str, _: tuple[str, str]) -> Any:
     return mujoco_spec(source).compile()
 
 
-@functools.lru_cache
 def order_of(source: str, joint_names: tuple[str, ...]) -> Order:
     """Return the indices of our bodies, velocities and joint positions in MuJoCo's arrays."""
     model = mujoco_model(source)
@@ -179,7 +188,11 @@ def _mjx_model(robot: RobotModel, dtype: Any) -> Any:
     )
 
 
-@functools.lru_cache
 def _structure(source: str, dtype: str) -> Any:
+    return _on_device(source, _contents(source), dtype)
+
+
+@functools.lru_cache
+def _on_device(source: str, _: tuple[str, str], dtype: str) -> Any:
     model = mjx.put_model(mujoco_model(source))
     return jax.tree.map(lambda x: x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x, model)

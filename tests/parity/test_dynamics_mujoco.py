@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
+from jax_aero.base.places import CONFIGS
+from jax_aero.mujoco.model import mujoco_model
 from jax_aero.rust import Robot
 
 TOLERANCE = 1e-10
@@ -132,3 +134,15 @@ def test_every_frame_jacobian_agrees(robot, oracle, random_states, agree):
             ours, (linear, angular) = rust.frame_jacobian(robot, frame, state), oracle.jacobian(frame)
             agree("frame Jacobians, linear", ours.linear, linear, TOLERANCE)
             agree("frame Jacobians, angular", ours.angular, angular, TOLERANCE)
+
+
+def test_what_is_kept_of_a_robot_follows_its_files(tmp_path):
+    """As in a notebook, in which its files change between two calls."""
+    for name in ("sparrow.toml", "sparrow.urdf"):
+        (tmp_path / name).write_text((CONFIGS / "robot" / name).read_text())
+    source = str(tmp_path / "sparrow.toml")
+    before = mujoco_model(source)
+    assert mujoco_model(source) is before
+    urdf = tmp_path / "sparrow.urdf"
+    urdf.write_text(urdf.read_text().replace('<mass value="2.5"/>', '<mass value="3.5"/>'))
+    assert mujoco_model(source).body_mass.sum() == pytest.approx(before.body_mass.sum() + 1.0)

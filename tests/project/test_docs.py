@@ -44,7 +44,7 @@ PAGES = [README, *sorted(DOCS.rglob("*.md")), *sorted(studies.FOLDER.glob("*/REA
 FENCE = re.compile(r"(?:<!-- test: (?P<kind>[\w-]+) -->\n)?^```(?P<language>\w+)\n(?P<code>.*?)^```$", re.M | re.S)
 KINDS = {
     ("run", "python"),
-    ("parse", "python"),  # takes minutes, or needs results; its names are checked
+    ("parse", "python"),  # takes minutes, or is part of a program; its names are checked
     ("run", "sh"),
     ("show", "sh"),  # as commands within sentences: what they name is checked
     ("experiment", "toml"),
@@ -206,13 +206,16 @@ def test_a_page_shows_no_command_of_another_study(page):
             assert {*words[2:]}.isdisjoint(others | figures), words
 
 
-def test_links_to_studies_lead_to_studies_and_vanish_with_them(monkeypatch):
-    linked = {found["name"] for page in PAGES for found in hooks.STUDY.finditer(page.read_text(encoding="utf-8"))}
-    assert linked <= {"index", *studies.names()}
-    text = "[one](../studies/tune.md#what) of [all](studies/index.md)"
-    assert hooks.link_studies(text) == text
+def test_links_to_studies_vanish_with_them(monkeypatch):
+    text = "[one](../../experiments/studies/tune/README.md#what) of [all](../../experiments/studies)"
+    assert hooks.link_site(text, "howto/robot.md") == "[one](../studies/tune.md#what) of [all](../studies/index.md)"
+    crate = "[it](../../rust/core/src/lib.rs) in [a folder](../../rust/core)"
+    assert (
+        hooks.link_site(crate, "api/rust.md")
+        == "[it](../../rust/flight_core/index.html) in [a folder](../../rust/core)"
+    )
     monkeypatch.setattr(studies, "names", list)
-    assert hooks.link_studies(text) == "one of [all](studies/index.md)"
+    assert hooks.link_site(text, "howto/robot.md") == "one of [all](../studies/index.md)"
 
 
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]+)(?:#[^)]*)?\)")
@@ -222,11 +225,15 @@ generated = functools.cache(hooks.generated)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
-def test_links_of_a_page_lead_to_files_or_generated_pages(page):
-    made = {DOCS / path for path in generated()}
-    for link in LINK.findall(FENCE.sub("", hooks.link_studies(page.read_text(encoding="utf-8")))):
-        target = (page.parent / link).resolve()
-        assert target.exists() or target in made, link
+def test_links_of_a_page_lead_to_files_in_a_clone_and_to_pages_of_the_site(page):
+    text = FENCE.sub("", page.read_text(encoding="utf-8"))
+    assert [link for link in LINK.findall(text) if not (page.parent / link).exists()] == []
+    if DOCS in page.parents:
+        made = {DOCS / path for path in generated()} | {DOCS / path for path in hooks.SITE.values() if "rust/" in path}
+        for link in LINK.findall(hooks.link_site(text, page.relative_to(DOCS).as_posix())):
+            # Of an address that is no page's, the page is a folder.
+            target = ((page.with_suffix("") if link.endswith(".html") else page.parent) / link).resolve()
+            assert target in made or (target.is_file() and DOCS in target.parents), link
 
 
 def test_links_of_generated_pages_lead_to_pages_and_pictures():

@@ -3,6 +3,7 @@
 import datetime
 import os
 import re
+import shutil
 import subprocess
 import tomllib
 from importlib import metadata
@@ -128,3 +129,25 @@ def test_no_file_names_a_machine_a_package_host_or_a_folder_beside_the_project()
         matches = [pattern.search(text) for pattern in patterns]
         found += [f"{path.relative_to(ROOT)}: {match[0]}" for match in matches if match]
     assert found == []
+
+
+def test_make_works_below_a_path_with_a_space(tmp_path):
+    """The step of the set-up that compiles, with a stand-in for maturin; and the installation of the C library."""
+    clone = tmp_path / "my code"
+    (clone / ".venv/bin").mkdir(parents=True)
+    shutil.copytree(ROOT / "rust/capi", clone / "rust/capi", ignore=shutil.ignore_patterns("target"))
+    for name in ("Makefile", "Cargo.toml", "Cargo.lock", "pyproject.toml", "requirements.hashed"):
+        shutil.copy(ROOT / name, clone)
+    for name in (".first", "bin/python"):
+        (clone / ".venv" / name).touch()
+    maturin = clone / ".venv/bin/maturin"
+    maturin.write_text('#!/bin/sh\necho "$VIRTUAL_ENV"\n')
+    maturin.chmod(0o755)
+
+    assert str(clone / ".venv") in make("-C", str(clone), ".venv/.module").splitlines()
+    for name in ("libflight.so", "libflight.a"):
+        (clone / name).touch()
+    make("-C", str(clone), "install-capi", f"PREFIX={tmp_path / 'a b'}", f"LIBFLIGHT={clone}")
+    installed = {path.name for path in (tmp_path / "a b").rglob("*") if path.is_file()}
+    expected = {"flight.h", "libflight.so", "libflight.a", "flight.pc"}
+    assert installed == expected | {"flight-config.cmake", "flight-config-version.cmake"}

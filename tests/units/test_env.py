@@ -22,6 +22,7 @@ from jax_aero.base.places import CONFIGS, HOME
 from jax_aero.env import FlightEnv
 from jax_aero.env_gym import HoverEnv
 from jax_aero.env_task import Task, TaskState, limit_action, rewards, steer
+from jax_aero.rust import load_config
 from tests.measurements import measured
 
 EXAMPLE, EXPERIMENTS = HOME / "docs/howto/residual.py", CONFIGS / "experiments"
@@ -70,7 +71,7 @@ def test_both_environments_are_one_task(x64, tmp_path):
     assert (ours.action_size, ours.observation_size) == (27, 71)
     task_state, _ = crate.reset(options={"wind": WIND})
     reset = jax.jit(jax.vmap(ours.reset))(jax.random.split(jax.random.key(0), 2))
-    speeds = np.linalg.norm(reset.wind, axis=1)
+    speeds = np.linalg.norm(reset.info["wind"], axis=1)
     assert np.all(speeds <= task.wind_max)
     assert speeds[0] != speeds[1]
     states = jax.jit(jax.vmap(ours.start))(jnp.array([WIND, [0.0, 0.0, 0.0]]))
@@ -93,7 +94,11 @@ def test_both_environments_are_one_task(x64, tmp_path):
     assert np.abs(aim.angular_velocity).max() > 1e-6
     assert set(parts) < set(states.metrics)
     assert states.metrics["position_error"].shape == (2,)
-    lost = states._replace(flight=states.flight._replace(loss=jnp.array([1, 0], jnp.int32)))
+
+    def flown(flight):
+        return states.replace(data=states.data._replace(flight=flight))
+
+    lost = flown(states.data.flight._replace(loss=jnp.array([1, 0], jnp.int32)))
     after = step(lost, jnp.zeros((2, 27), jnp.float32))
     assert after.done.tolist() == [1.0, 0.0]
     assert float(after.reward[0]) == 0.0
@@ -103,14 +108,15 @@ def test_both_environments_are_one_task(x64, tmp_path):
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((after.obs, after.reward, after.metrics)))
     assert crate.step(np.full(27, np.nan, np.float32))[1:3] == (0.0, True)
     # Down 0.99 m from the set-point and 1.01 m after the step: lost in this one, as in the environment of the crate.
-    plant = states.flight.plant
+    plant = states.data.flight.plant
     falling = plant.robot._replace(
         base_position=plant.robot.base_position - jnp.array([[0.0, 0.0, 0.99], [0.0, 0.0, 0.0]]),
         velocity=plant.robot.velocity.at[0, 2].set(-2.0),
     )
-    flight = states.flight._replace(plant=plant._replace(robot=falling))
-    after = step(states._replace(flight=flight), jnp.zeros((2, 27), jnp.float32))
-    assert after.flight.loss.tolist() == [0, 0]
+    after = step(
+        flown(states.data.flight._replace(plant=plant._replace(robot=falling))), jnp.zeros((2, 27), jnp.float32)
+    )
+    assert after.data.flight.loss.tolist() == [0, 0]
     assert after.done.tolist() == [1.0, 0.0]
     assert float(after.reward[0]) == 0.0
 
@@ -286,7 +292,7 @@ def test_a_gust_passes():
     assert not np.any(winds[0])
     assert np.abs(winds[21:]).max() < 1e-12
     ours = FlightEnv(hover.task)
-    assert ours._scenario.wind.duration == 0.2
+    assert ours._drawn.scenario.wind.duration == 0.2
 
 
 def test_a_wind_that_is_not_finite_is_refused_by_its_key():
@@ -348,3 +354,85 @@ def test_the_example_trains_and_compares():
     )
     assert done.returncode == 0, done.stderr
     assert "mean reward in 2 unseen winds" in done.stdout
+
+
+# --- training
+
+
+class AutoReset:
+    """What MuJoCo Playground's wrappers do with an environment and its states, for where it is not installed."""
+
+    def __init__(self, env, episode_length):
+        self.env, self.episode_length = env.unwrapped, episode_length
+
+    def reset(self, keys):
+        state = jax.vmap(self.env.reset)(keys)
+        state.info.update(first_state=state.data, first_obs=state.obs, steps=jnp.zeros_like(state.reward))
+        state.metrics["reward"] = state.reward
+        return state
+
+    def step(self, state, action):
+        steps = jnp.where(state.done, 0.0, state.info["steps"])
+        state, _ = jax.lax.scan(
+            lambda state, _: (jax.vmap(self.env.step)(state, action), None),
+            state.replace(done=jnp.zeros_like(state.done)),
+            length=1,
+        )
+        done = jnp.where(steps + 1.0 >= self.episode_length, 1.0, state.done)
+        state.info["steps"] = steps + 1.0
+
+        def restart(first, now):
+            return jnp.where(done.reshape([-1] + [1] * (now.ndim - 1)), first, now)
+
+        first = (state.info["first_state"], state.info["first_obs"])
+        data, obs = jax.tree.map(restart, first, (state.data, state.obs))
+        return state.replace(data=data, obs=obs, done=done)
+
+
+def playground():
+    wrapper = pytest.importorskip(
+        "mujoco_playground._src.wrapper", reason="Playground is not installed: pip install brax playground"
+    )
+    return lambda env, length: wrapper.wrap_for_brax_training(env, episode_length=length, action_repeat=1)
+
+
+@pytest.mark.parametrize("wrap", [AutoReset, playground])
+def test_wrappers_restart_it(wrap):
+    """Two episodes of three ticks, of robots whose controllers have other masses: a restart is the first state."""
+    wrap = wrap() if wrap is playground else wrap
+    scales = (0.9, 1.05, 1.1)
+    drawn = [load_config("test1", {"disturbances.model_error.mass_scale": scale}) for scale in scales]
+    wrapped = wrap(FlightEnv(Task(duration=1.0), drawn=drawn), 3)
+    keys = jnp.stack([jax.random.PRNGKey(seed) for seed in range(6)])
+    states = first = jax.jit(wrapped.reset)(keys)
+    assert first.info["wind"].shape == (6, 3)
+    assert len(set(first.data.drawn.tolist())) > 1
+    step = jax.jit(wrapped.step)
+    flown = []
+    for _ in range(6):
+        states = step(states, jnp.zeros((6, 27)))
+        flown.append(states)
+    assert [one.done.tolist() for one in flown] == [[0.0] * 6, [0.0] * 6, [1.0] * 6] * 2
+    assert jax.tree.all(jax.tree.map(np.array_equal, flown[2].data, first.data))
+    assert np.array_equal(flown[3].obs, flown[0].obs)
+    assert float(flown[1].reward.min()) > 0.9  # no action is the hover of every robot that is drawn
+
+
+def test_an_episode_draws_a_robot_in_both_environments():
+    drawn = [load_config("test1", {"disturbances.model_error.mass_scale": scale}) for scale in (1.0, 1.2)]
+    hover = HoverEnv(drawn=drawn)
+    scales = set()
+    for seed in range(8):
+        _, info = hover.reset(seed=seed)
+        assert isinstance(info["wind"], np.ndarray)
+        scales.add(hover._config["disturbances"]["model_error"]["mass_scale"])
+    assert scales == {1.0, 1.2}
+    with pytest.raises(ValueError, match=r"`drawn\[1\]` differs from `drawn\[0\]` in more than numbers"):
+        FlightEnv(drawn=[drawn[0], load_config("mk3_hover")])
+
+
+@pytest.mark.parametrize("environment", [FlightEnv, HoverEnv])
+def test_a_task_may_be_the_name_of_an_experiment(environment):
+    assert environment("test2").task == Task(experiment="test2")
+    with pytest.raises(ValueError, match="`task` is 3; expected a Task, or the name of an experiment"):
+        environment(3)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import subprocess
+import sys
 
 import h5py
 import numpy as np
@@ -21,7 +24,7 @@ from experiments.report.findings import Record
 from experiments.report.results import Results
 from experiments.sweep import run as sweep_run
 from jax_aero.aero import dataset
-from jax_aero.base import documents, netcdf, sizes, tables
+from jax_aero.base import documents, files, netcdf, sizes, tables
 from jax_aero.base.files import MAX_DEPTH, complete_folder, lock, parse_json, read_json
 from jax_aero.base.parquet import read_rows, read_table
 from jax_aero.view import recording
@@ -319,3 +322,34 @@ def test_a_deep_configuration_is_named(depth, tmp_path):
     path.write_text(f"a = {'[' * depth}{']' * depth}")
     with pytest.raises(Refused, match=r"deep\.toml: "):
         tables.read(path)
+
+
+# --- machines that lack what ours has
+
+
+def test_a_result_is_written_where_there_are_no_locks(tmp_path, monkeypatch):
+    """On a file system without them, with a warning; on Windows, whose Python has no `fcntl`."""
+
+    def refuse(*_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(files.fcntl, "flock", refuse)
+    message = r"the file system of .* has no locks .* no other command writes mine"
+    with pytest.warns(UserWarning, match=message), complete_folder(tmp_path / "mine") as draft:
+        (draft / "a").touch()
+    monkeypatch.setattr(files, "HAS_LOCKS", False)
+    with complete_folder(tmp_path / "mine", replace=True) as draft:
+        (draft / "b").touch()
+    assert [path.name for path in (tmp_path / "mine").iterdir()] == ["b"]
+
+
+def test_a_current_folder_that_was_deleted_is_named(tmp_path):
+    (tmp_path / "here").mkdir()
+    program = (
+        f"import os; os.rmdir({str(tmp_path / 'here')!r}); from jax_aero.cli import main; exit(main(['fly', '--list']))"
+    )
+    run = subprocess.run([sys.executable, "-P", "-c", program], cwd=tmp_path / "here", capture_output=True, text=True)
+    assert (run.returncode, run.stderr) == (
+        2,
+        "error: the current folder has been deleted; expected one that is there: cd to another one\n",
+    )

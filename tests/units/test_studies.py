@@ -11,6 +11,7 @@ from experiments import studies
 from experiments.study import Findings, Study, file_hashes
 from jax_aero import cli
 from jax_aero.base import places, tables
+from jax_aero.base.keys import parse_assignments
 
 
 def test_every_file_of_one_name_is_hashed(tmp_path):
@@ -57,6 +58,18 @@ def test_every_configuration_of_a_study_has_a_schema(name):
 class MadeUp(tables.Table, frozen=True):
     level: float
     data: Path
+
+
+@pytest.mark.parametrize("name", studies.names())
+def test_the_help_of_a_study_has_an_example_that_it_takes(name, capsys):
+    found = getattr(importlib.import_module(f"experiments.studies.{name}.study"), "STUDY", None)
+    if found is None or not found.example:
+        return
+    with pytest.raises(SystemExit):
+        cli.main([*found.command.split(), "--help"])
+    assert found.example in capsys.readouterr().out.replace("\n" + 24 * " ", " ")
+    first = (places.names(found.config_kind) or found.names)[0]
+    found.read(first, parse_assignments([found.example]))
 
 
 def test_a_result_of_other_keys_or_files_is_only_replaced_when_told(tmp_path, monkeypatch, capsys):

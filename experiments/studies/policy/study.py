@@ -13,6 +13,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 import jax
@@ -127,30 +128,29 @@ def compute(_: str, config: PolicyConfig, checkpoint: Path) -> Findings:
     texts: dict[str, str | bytes] = {}
     laws: dict[str, Mapping[str, Any]] = {"alone": {}}
     robot = load_robot(flights[task.experiment]["robot"])
-    for number, seed in enumerate(seeds):
-        card, weights = make_card(
-            f"seed_{seed}",
-            residual_of(found.policy(number), task, robot.jets.count),
-            robot,
-            description=f"{config.title}: {task.experiment}, seed {seed}.",
-            training={
-                "task": dataclasses.asdict(task),
-                "settings": plain.to_builtins(training),
-                "seed": seed,
-                "flight": kept["flights"][task.experiment],
-                "mean_reward": float(rewards[f"seed {seed}"].mean()),
-                "mean_reward_without": float(rewards[task.experiment].mean()),
-            },
-        )
-        folder = checkpoint.parent / f".{checkpoint.stem}.cards"
-        folder.mkdir(exist_ok=True)
-        path = folder / f"seed_{seed}.json"
-        write_card(path, card, weights)
-        laws[f"seed {seed}"] = {"controller.policy": {"card": path}}
-        texts |= {f"seed_{seed}.json": card_text(card), f"seed_{seed}.safetensors": weights}
-    laws |= config.others
-    for worlds in config.worlds:
-        summary |= fly_worlds(worlds, laws)
+    with TemporaryDirectory() as folder:  # for the flights in other worlds; the result has the cards too
+        for number, seed in enumerate(seeds):
+            card, weights = make_card(
+                f"seed_{seed}",
+                residual_of(found.policy(number), task, robot.jets.count),
+                robot,
+                description=f"{config.title}: {task.experiment}, seed {seed}.",
+                training={
+                    "task": dataclasses.asdict(task),
+                    "settings": plain.to_builtins(training),
+                    "seed": seed,
+                    "flight": kept["flights"][task.experiment],
+                    "mean_reward": float(rewards[f"seed {seed}"].mean()),
+                    "mean_reward_without": float(rewards[task.experiment].mean()),
+                },
+            )
+            path = Path(folder) / f"seed_{seed}.json"
+            write_card(path, card, weights)
+            laws[f"seed {seed}"] = {"controller.policy": {"card": path}}
+            texts |= {f"seed_{seed}.json": card_text(card), f"seed_{seed}.safetensors": weights}
+        laws |= config.others
+        for worlds in config.worlds:
+            summary |= fly_worlds(worlds, laws)
     dataset = to_dataset(seeds, [curve.reward for curve in found.curves], winds, rewards, found.policies)
     dataset.attrs["ticks_per_step"] = training.batch * training.ticks
     return Findings(config.title, dataset, summary, flights=flights, timings=timings, texts=texts)

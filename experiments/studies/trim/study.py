@@ -80,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--without", metavar="JET", help="a jet without thrust; roll and pitch may be up to ±90° then")
     parser.add_argument("--objective", choices=OBJECTIVES, help="(default min_thrust)")
     parser.add_argument("--map", action="store_true", help="solve all winds of the configuration, write a result")
-    study.add_set(parser)
+    study.add_set(parser, STUDY.example)
     study.add_name(parser)
     study.add_overwrite(parser)
     given = parser.parse_args(arguments)
