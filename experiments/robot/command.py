@@ -139,9 +139,14 @@ def import_robot(
     tree = skeleton.Tree(listing)
     tree.check_frames([jet.frame for jet in jets], feet, held)
     joints = tree.moving(held)
-    masses.require(tree, joints)
+    notes = masses.require(tree, joints)
     boxes = shapes.boxes(listing, urdf.parent, skip_meshes=skip_meshes)
-    for warning in (*skeleton.guessed(joints), *posture_doubts(joints, posture_deg), *masses.doubts(tree, boxes)):
+    for warning in (
+        *notes,
+        *skeleton.guessed(joints),
+        *posture_doubts(joints, posture_deg),
+        *masses.doubts(tree, boxes),
+    ):
         warnings.warn(warning, stacklevel=2)
     height = max(START_HEIGHT, CLEARANCE - tree.lowest(boxes))
     with complete_folder(folder, replace=is_import) as draft:

@@ -20,15 +20,24 @@ LEAST, LEAST_OF_ALL = 0.01, 1e-5
 """Least radius of gyration, relative to half the geometry's diagonal, or for a link without geometry to the robot's."""
 
 
-def require(tree: Tree, moving: Sequence[Joint]) -> None:
-    """Refuse a base, or a joint that moves, without mass behind it, with the option that helps."""
+def require(tree: Tree, moving: Sequence[Joint]) -> list[str]:
+    """Refuse a base, or a joint that moves, without mass behind it, with the option that helps.
+
+    Return a note of every link without mass between two joints, which moves with what hangs from it.
+    """
     names = {joint.name for joint in moving}
 
     def has_mass(link: str) -> bool:
         return any(tree.inertials[part].mass != 0.0 for part in tree.rigid(link, names) if part in tree.inertials)
 
+    notes = []
     for joint in moving:
-        if not has_mass(joint.child):
+        if has_mass(joint.child):
+            continue
+        behind = [other for other in moving if other.parent in tree.rigid(joint.child, names)]
+        if any(has_mass(other.child) for other in behind):
+            notes.append(f"link `{joint.child}` has no mass: it moves with what joint `{behind[0].name}` carries")
+        else:
             raise Refused(
                 f"link `{joint.child}` has no mass, but joint `{joint.name}` moves it; expected an <inertial>, or that "
                 f"the joint is held: --hold {joint.name}"
@@ -38,6 +47,7 @@ def require(tree: Tree, moving: Sequence[Joint]) -> None:
         ways = [f"--hold {joint.name}" for joint in moving if joint.parent in base]
         way = f", or a held joint that adds one: {' or '.join(ways)}" if ways else ""
         raise Refused(f"the base, link `{tree.base}`, has no mass; expected an <inertial>{way}")
+    return notes
 
 
 def doubts(tree: Tree, boxes: Mapping[str, Box]) -> list[str]:

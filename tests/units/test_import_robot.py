@@ -371,6 +371,18 @@ def test_what_moves_has_a_mass_or_the_option_that_helps_is_named(tmp_path):
         masses.require(skeleton.Tree(read_urdf(raft(tmp_path, ("inertial>", "massless>")))), [])
 
 
+def test_a_link_without_mass_between_two_joints_is_noted(tmp_path):
+    ends = '<parent link="{}"/><child link="{}"/>'
+    parts = "".join(
+        f'<joint name="{name}" type="revolute">{ends.format(*link)}{LIMIT}<axis xyz="{axis}"/></joint>'
+        for name, link, axis in (("pitch", ("keel", "yoke"), "0 1 0"), ("roll", ("yoke", "arm"), "1 0 0"))
+    )
+    mass = '<inertial><mass value="2"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    arm = f'<link name="yoke"/><link name="arm">{mass}</link>{parts}</robot>'
+    tree = skeleton.Tree(read_urdf(raft(tmp_path, ("</robot>", arm))))
+    assert masses.require(tree, tree.moving([])) == ["link `yoke` has no mass: it moves with what joint `roll` carries"]
+
+
 def test_a_long_chain_is_walked():
     """Which no function follows by calling itself: Python allows a thousand calls within each other."""
     names = [f"j{number}" for number in range(1500)]

@@ -29,6 +29,9 @@ use std::sync::LazyLock;
 /// Version of the library to which this header belongs: 10000 major + 100 minor + patch.
 pub const FLIGHT_VERSION: u32 = 100;
 
+/// Greatest thrust rate and torque that a simulated robot accepts \[N/s, N m\].
+pub const FLIGHT_COMMAND_MAX: f64 = 1e6;
+
 /// Of the set-points and of the winds of a `FlightPreview` so many are read, the first ones.
 pub const FLIGHT_PREVIEW_MAX: usize = 128;
 
@@ -114,8 +117,11 @@ pub enum FlightStatus {
     /// Internal error of the library. Thrust rates and joint velocities are zero; the torques in the command are
     /// unchanged.
     FlightPanicked = -3,
-    /// A replaced command contains a number that is not finite. Nothing changes.
+    /// A replaced command contains a number that is not finite, or one for a simulated robot a number that is not or
+    /// exceeds `FLIGHT_COMMAND_MAX`. Nothing changes.
     FlightBadCommand = -4,
+    /// The motion of the simulated robot has no meaning any more: its numbers are not finite, or beyond any robot's.
+    FlightDiverged = -5,
 }
 
 /// Names of the modes, by bit.
@@ -399,6 +405,9 @@ impl FlightRobot {
     }
 }
 
+/// Velocity beyond which the motion of a simulated robot has no meaning \[m/s, rad/s\].
+const GREATEST_VELOCITY: f64 = 1e6;
+
 impl Guarded for FlightRobot {
     fn has_panicked(&mut self) -> &mut bool {
         &mut self.has_panicked
@@ -558,7 +567,7 @@ pub unsafe extern "C" fn flight_controller_create(
     unsafe { create(header, path, message, message_size, FlightController::load) }
 }
 
-/// Frees a controller; null is allowed.
+/// Frees a controller; null is allowed. No thread may use it then or later, nor free it again: it is not guarded against.
 ///
 /// # Safety
 /// `controller` comes from `flight_controller_create` and is not used afterwards.
@@ -868,7 +877,7 @@ pub unsafe extern "C" fn flight_robot_create(
     unsafe { create(header, path, message, message_size, FlightRobot::load) }
 }
 
-/// Frees a simulated robot; null is allowed.
+/// Frees a simulated robot; null is allowed. No thread may use it then or later, nor free it again.
 ///
 /// # Safety
 /// `robot` comes from `flight_robot_create` and is not used afterwards.
@@ -930,7 +939,7 @@ pub unsafe extern "C" fn flight_robot_advance(
 
 /// As `flight_robot_advance`, for torques that are computed `controller.torque.steps` times in a tick: those of `command`
 /// act in the first of as many equal parts, and what `torques` writes, which is called at the beginning of each other
-/// part with `context`. Null stands for torques that do not change.
+/// part with `context`; of that, numbers that no command may have act as zero. Null stands for torques that do not change.
 ///
 /// # Safety
 /// As for `flight_robot_advance`; `torques` is null or a function that keeps to the lengths of its arrays and does not
@@ -954,6 +963,10 @@ pub unsafe extern "C" fn flight_robot_advance_in_steps(
         let wind = robot.wind.velocity(robot.time());
         // SAFETY: not null unless empty, and of these lengths by this function's contract.
         let (rates, first) = unsafe { (view(command.thrust_rate, jets), view(command.joint_torque, joints)) };
+        let is_possible = |number: &f64| number.abs() <= FLIGHT_COMMAND_MAX; // false for NaN
+        if !rates.iter().chain(first).all(is_possible) {
+            return FlightStatus::FlightBadCommand;
+        }
         robot.plant.observe(&wind);
         robot.plant.advance_in_steps(rates, &wind, robot.time_step, |part, state, torque| {
             if part == 0 {
@@ -962,10 +975,13 @@ pub unsafe extern "C" fn flight_robot_advance_in_steps(
                 let (position, velocity) = (state.joint_position.as_ptr(), state.joint_velocity().as_ptr());
                 // SAFETY: by this function's contract.
                 unsafe { torques(part, position, velocity, torque.as_mut_ptr(), context) };
+                torque.iter_mut().filter(|number| !is_possible(number)).for_each(|number| *number = 0.0);
             }
         });
         robot.ticks += 1;
-        FlightStatus::FlightNominal
+        let state = robot.plant.state();
+        let is_possible = state.is_finite() && state.velocity.amax() < GREATEST_VELOCITY;
+        if is_possible { FlightStatus::FlightNominal } else { FlightStatus::FlightDiverged }
     })
 }
 

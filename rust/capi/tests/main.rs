@@ -463,6 +463,21 @@ fn a_flight_of_the_robot_in_c_is_that_of_the_crate() {
         assert_eq!(flight_robot_advance(robot, null()), null_pointer);
         let no_torque = FlightCommand { joint_torque: null_mut(), ..command };
         assert_eq!(flight_robot_advance(robot, &raw const no_torque), null_pointer);
+        let before = given.time;
+        for wrong in [f64::NAN, f64::INFINITY, 1e308, -2e6] {
+            *command.joint_torque = wrong;
+            assert_eq!(flight_robot_advance(robot, &raw const command), FlightStatus::FlightBadCommand);
+        }
+        *command.joint_torque = 0.0;
+        *command.thrust_rate = f64::NAN;
+        assert_eq!(flight_robot_advance(robot, &raw const command), FlightStatus::FlightBadCommand);
+        assert_eq!(flight_robot_measure(robot, &raw mut given), done);
+        assert_eq!(given.time, before + 0.01, "a command that is refused changes nothing");
+        // What may be commanded, but no joint can bear.
+        *command.thrust_rate = 0.0;
+        *command.joint_torque = 1e6;
+        let advance = || flight_robot_advance(robot, &raw const command);
+        assert!((0..100).any(|_| advance() == FlightStatus::FlightDiverged));
         flight_robot_free(robot);
         flight_robot_free(null_mut());
     }

@@ -17,7 +17,7 @@ const ROUNDING_OF_JOINTS: f64 = 1e-6;
 pub(crate) fn warnings(config: &ScenarioConfig, robot: &RobotModel) -> Result<Vec<String>, BuildError> {
     let found =
         [too_late(config), without_effect(config), outside_stops(config, robot), below_ground(config, robot)];
-    Ok(found.into_iter().flatten().chain(too_strong(config)?).collect())
+    Ok(found.into_iter().flatten().chain(never_met(config)?).chain(too_strong(config)?).collect())
 }
 
 /// What begins when the flight has ended.
@@ -83,6 +83,26 @@ fn below_ground(config: &ScenarioConfig, robot: &RobotModel) -> Vec<String> {
         format!("{place}; expected 0 or more: the ground is at 0")
     };
     lowest.filter(|(_, height)| *height < -ROUNDING_OF_HEIGHTS).map(warning).into_iter().collect()
+}
+
+/// A recorded wind of another time than the flight's, which is flown in its first or last sample.
+fn never_met(config: &ScenarioConfig) -> Result<Option<String>, BuildError> {
+    let Wind::Recorded(samples) = Wind::new(&config.wind)? else { return Ok(None) };
+    let (Some((first, _)), Some((last, _)), end) =
+        (samples.first(), samples.last(), config.simulator.duration)
+    else {
+        return Ok(None);
+    };
+    let what = match &config.wind {
+        WindConfig::File { path } => path.display().to_string(),
+        _ => "wind.samples".to_owned(),
+    };
+    Ok((*first > end || *last < 0.0).then(|| {
+        format!(
+            "{what} has samples from {first} to {last} s, none within the flight; expected 0 to {end} s: times are seconds \
+             since its start"
+        )
+    }))
 }
 
 /// A wind in which every flight diverges.

@@ -12,6 +12,9 @@ use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
 
+/// Least number in a recorded wind that stands for a missing one \[m/s\].
+const MISSING: f64 = 99.0;
+
 /// A wind profile; velocities in m/s, inertial axes, times in s.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "profile", rename_all = "snake_case", deny_unknown_fields)]
@@ -218,5 +221,14 @@ fn read_samples(path: &Path) -> Result<Vec<(f64, Vector3<f64>)>, BuildError> {
     const COLUMNS: [&str; 4] = ["time", "x", "y", "z"];
     let csv = Csv::read(path, "wind file", "the header time,x,y,z", |names| names == COLUMNS)?;
     let samples: Vec<[f64; 4]> = csv.rows.iter().map(|row| [row[0], row[1], row[2], row[3]]).collect();
+    if let Some(row) = samples
+        .iter()
+        .position(|sample| sample[1..].iter().any(|part| part.is_finite() && part.abs() >= MISSING))
+    {
+        let expected = format!(
+            "a wind below {MISSING} m/s, as {MISSING}, 999 and the like stand for no measurement, whose row is left out"
+        );
+        return Err(BuildError::bad_value(csv.place(row), format!("{:?}", samples[row]), expected));
+    }
     check_order(&samples, &csv.file, |row| csv.place(row))
 }

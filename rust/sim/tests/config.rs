@@ -464,6 +464,22 @@ fn what_is_probably_not_meant_is_warned_of() {
         let found = warnings(&[(key, value)]);
         assert!(found.iter().any(|warning| warning.contains(words)), "{key}: {found:?}");
     }
+    for (first, last, is_met) in [
+        (1_766_147_454.0, 1_766_147_514.0, false),
+        (-9.0, -1.0, false),
+        (-1.0, 1.0, true),
+        (50.0, 60.0, true),
+    ] {
+        let sample = |time: f64| json!([time, 0.0, -6.0, 0.0]);
+        let found =
+            warnings(&[("wind", json!({ "profile": "samples", "samples": [sample(first), sample(last)] }))]);
+        let [words @ ..] = found.as_slice();
+        assert_eq!(words.is_empty(), is_met, "{first} to {last} s: {words:?}");
+        assert!(
+            words.iter().all(|words| words.contains("none within the flight; expected 0 to 50 s")),
+            "{words:?}"
+        );
+    }
     for height in [0.62, 0.625] {
         // soles at the ground, to the rounding of their heights
         assert_eq!(warnings(&[("simulator.initial.base_position", json!([0.0, 0.0, height]))]), [""; 0]);

@@ -8,6 +8,9 @@ use nalgebra::{Matrix3, Unit, Vector3};
 /// digits, so those of a flat plate may violate them by that much.
 const ROUNDING_OF_MOMENTS: f64 = 1e-6;
 
+/// Radius of gyration \[m\] up to which a moment of inertia counts as none: no body is so thin.
+const LEAST_GYRATION: f64 = 1e-6;
+
 /// Checks that no name occurs twice.
 ///
 /// # Errors
@@ -89,15 +92,16 @@ pub fn triangle(item: &str, moments: &[f64; 3]) -> Result<(), BuildError> {
     Ok(())
 }
 
-/// Checks that an inertia is physically possible, and that the body resists rotation about every axis; otherwise the
-/// mass matrix could be singular.
+/// Checks that the inertia of a mass \[kg\] is physically possible, and that the body resists rotation about every axis;
+/// otherwise the mass matrix could be singular.
 ///
 /// # Errors
 /// [`BuildError::BadValue`] naming `item`.
-pub fn inertia_of_moving_body(item: &str, matrix: &Matrix3<f64>) -> Result<(), BuildError> {
+pub fn inertia_of_moving_body(item: &str, matrix: &Matrix3<f64>, mass: f64) -> Result<(), BuildError> {
     let moments = principal_moments(item, matrix)?;
-    if moments[0] <= 0.0 {
-        return Err(moments_error(item, &moments, "three positive moments"));
+    if moments[0] <= mass * LEAST_GYRATION * LEAST_GYRATION {
+        let expected = format!("three positive moments, with radii of gyration above {LEAST_GYRATION:e} m");
+        return Err(moments_error(item, &moments, &expected));
     }
     triangle(item, &moments)
 }

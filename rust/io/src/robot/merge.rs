@@ -45,19 +45,19 @@ pub(super) fn part(
     Ok(Some(Part { mass, com_b: body_from_inertial.position, inertia_b: r * inertia * r.transpose() }))
 }
 
-/// Merges parts into one body.
+/// Merges parts into one body, which has no mass if none of them has one; the base needs one.
 ///
 /// ```text
 /// I = Σ I_k + m_k (d_k² 1 − d_k d_kᵀ),   d_k = c_k − c
 /// ```
 pub(super) fn merge(name: String, parent: Option<usize>, parts: &[Part]) -> Result<Body, BuildError> {
+    if parts.is_empty() && parent.is_some() {
+        let (com_b, inertia_b) = (Vector3::zeros(), Matrix3::zeros());
+        return Ok(Body { name, parent, mass: 0.0, com_b, inertia_b }); // moves with what hangs from it
+    }
     // Starts at 0.0, because `sum` of nothing is −0, which is confusing in an error.
     let total = parts.iter().fold(0.0, |total, part| total + part.mass);
-    let expected = match parent {
-        None => "a positive mass, in kg",
-        Some(_) => "a positive mass, in kg, or a position in `locked` for the joint that moves it",
-    };
-    let mass = check_number(&format!("mass of body `{name}`"), total, |m| m > 0.0, expected)?;
+    let mass = check_number(&format!("mass of body `{name}`"), total, |m| m > 0.0, "a positive mass, in kg")?;
     let com_b = parts.iter().map(|part| part.mass * part.com_b).sum::<Vector3<f64>>() / mass;
     let about_com: Matrix3<f64> = parts
         .iter()
@@ -69,6 +69,6 @@ pub(super) fn merge(name: String, parent: Option<usize>, parts: &[Part]) -> Resu
         .sum();
     // Rotation of a part causes an asymmetry in the last digit.
     let inertia_b = 0.5 * (about_com + about_com.transpose());
-    check::inertia_of_moving_body(&format!("inertia of body `{name}`"), &inertia_b)?;
+    check::inertia_of_moving_body(&format!("inertia of body `{name}`"), &inertia_b, mass)?;
     Ok(Body { name, parent, mass, com_b, inertia_b })
 }

@@ -8,6 +8,13 @@ use flight_core::spatial::{Pose, axis_angle};
 use nalgebra::Vector3;
 use std::collections::{BTreeMap, BTreeSet};
 
+/// Least angle \[rad\], and least distance \[m\] of parallel axes, of two joints with a body without mass in between.
+const LEAST_ANGLE: f64 = 0.01;
+const LEAST_DISTANCE: f64 = 1e-3;
+
+/// Greatest number of joints, whose mass matrix has 6 MB.
+const MAX_JOINTS: usize = 512;
+
 /// A URDF robot without its fixed and locked joints.
 pub(super) struct Tree<'a> {
     /// The base, then the body of each joint in the joint order.
@@ -47,6 +54,10 @@ pub(super) fn build<'a>(
 ) -> Result<Tree<'a>, BuildError> {
     check::unique("URDF link", urdf.links.iter().map(|link| link.name.as_str()))?;
     check::unique("URDF joint", urdf.joints.iter().map(|joint| joint.name.as_str()))?;
+    if order.len() > MAX_JOINTS {
+        let expected = format!("at most {MAX_JOINTS} that move; others in `locked`");
+        return Err(BuildError::bad_value("number of joints", order.len(), expected));
+    }
     let children = children_of_links(urdf)?;
     let roles = roles(urdf, order, locked)?;
 
@@ -100,9 +111,44 @@ pub(super) fn build<'a>(
         .zip(parents)
         .zip(parts)
         .map(|((name, parent), parts)| merge(name, parent, &parts))
-        .collect::<Result<_, _>>()?;
+        .collect::<Result<Vec<_>, _>>()?;
     // Every joint of the order exists and every link has been reached, so none is missing.
-    Ok(Tree { bodies, joints: joints.into_iter().flatten().collect(), places, held, warnings })
+    let joints: Vec<TreeJoint> = joints.into_iter().flatten().collect();
+    check_moved(&bodies, &joints)?;
+    Ok(Tree { bodies, joints, places, held, warnings })
+}
+
+/// Checks that every body without mass moves one with mass, behind another joint: then no motion of the joints leaves all
+/// masses where they are, and the mass matrix is positive definite.
+fn check_moved(bodies: &[Body], joints: &[TreeJoint]) -> Result<(), BuildError> {
+    let behind = |body| bodies.iter().zip(0..).skip(1).filter(move |(other, _)| other.parent == Some(body));
+    for (body, joint) in (1..).zip(joints) {
+        let moves = |(other, place): (&Body, usize)| other.mass > 0.0 && differ(joint, &joints[place - 1]);
+        if bodies[body].mass == 0.0 && !behind(body).any(moves) {
+            let expected = "a positive mass, in kg, a position in `locked` for the joint that moves it, or a body with mass \
+                            behind it, on a joint with another axis";
+            return Err(BuildError::bad_value(
+                format!("mass of body `{}`", bodies[body].name),
+                0.0,
+                expected,
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// Whether a body moves otherwise by its joint than by that of its child, in every posture: both axes are fixed to it.
+fn differ(joint: &TreeJoint, child: &TreeJoint) -> bool {
+    let (axis, pose) = (joint.motion.axis, child.parent_from_child);
+    let other = pose.rotation * child.motion.axis.into_inner();
+    let is_parallel = axis.cross(&other).norm() < LEAST_ANGLE;
+    match (joint.motion.kind, child.motion.kind) {
+        (JointKind::Revolute, JointKind::Revolute) => {
+            !is_parallel || axis.cross(&pose.position).norm() > LEAST_DISTANCE
+        }
+        (JointKind::Prismatic, JointKind::Prismatic) => !is_parallel,
+        _ => true,
+    }
 }
 
 /// Role of a URDF joint in the tree.

@@ -2,6 +2,8 @@
 
 use super::{NO_JOINTS, TWO_PARTS, sparrow_texts};
 use crate::common::assert_within;
+use flight_core::dynamics::Dynamics;
+use flight_core::kinematics::{Kinematics, RobotState};
 use flight_core::robot::RobotModel;
 use flight_io::{LoadedRobot, RobotFiles, hold, read_urdf, robot_from_text};
 use std::path::PathBuf;
@@ -346,4 +348,61 @@ fn a_joint_without_a_range_needs_one_only_to_move() {
     let found = load(&given, &empty).unwrap();
     assert!(found.model.joints[3].stops.1.is_infinite());
     assert!(matches!(found.warnings.as_slice(), [only] if only.contains("`l_shoulder` are 1.5 to -1.2")));
+}
+
+/// A shoulder of two joints, with nothing but a frame between them, and an arm of 2.5 kg behind.
+fn shoulder(second: &str, at: &str) -> String {
+    let inertial = "<inertial><mass value='2.5'/><inertia ixx='0.03' iyy='0.03' izz='0.03' ixy='0' ixz='0' iyz='0'/></inertial>";
+    let limit = "<limit lower='-1' upper='1' effort='9' velocity='9'/>";
+    format!(
+        "<robot name='shoulder'><link name='base'>{inertial}</link><link name='yoke'/><link name='arm'>{inertial}</link>
+        <joint name='pitch' type='revolute'><parent link='base'/><child link='yoke'/><axis xyz='0 1 0'/>{limit}</joint>
+        <joint name='roll' {second}><parent link='yoke'/><child link='arm'/><origin xyz='{at}'/>{limit}</joint></robot>"
+    )
+}
+
+/// Both joints move the arm, each otherwise, in every posture: the mass matrix is positive definite.
+#[test]
+fn a_link_without_mass_between_two_joints_moves_with_what_hangs_from_it() {
+    let groups = "joint_groups = [{ name = 'arm', joints = [{ name = 'pitch' }, { name = 'roll' }] }]";
+    let toml = NO_JOINTS.replace("joint_groups = []", groups);
+    let across = "type='revolute'><axis xyz='1 0 0'/";
+    for (second, at) in [
+        (across, "0 0 0"),
+        ("type='revolute'><axis xyz='0 1 0'/", "0 0 -0.1"),
+        ("type='prismatic'><axis xyz='0 1 0'/", "0 0 0"),
+    ] {
+        let robot = load(&toml, &shoulder(second, at)).unwrap().model;
+        assert_eq!((robot.bodies[1].mass, robot.bodies[2].mass), (0.0, 2.5));
+        for angle in [-1.0, 0.0, 0.5] {
+            let mut state = RobotState::zero(2);
+            state.joint_position.fill(angle);
+            let (mut kinematics, mut dynamics) = (Kinematics::new(&robot), Dynamics::new(&robot));
+            kinematics.update(&robot, &state);
+            dynamics.update(&robot, &state, &kinematics);
+            let least = dynamics.mass_matrix.symmetric_eigenvalues().min();
+            assert!(least > 1e-3, "{second} at {angle} rad: {least}");
+        }
+    }
+    // The same axis twice, and nothing behind the yoke, leave a motion without inertia.
+    for urdf in [
+        shoulder("type='revolute'><axis xyz='0 1 0'/", "0 0.2 0"),
+        shoulder(across, "0 0 0").replacen(
+            "<link name='arm'><inertial><mass value='2.5'/>",
+            "<link name='arm'><inertial><mass value='0'/>",
+            1,
+        ),
+    ] {
+        let message = load(&toml, &urdf).unwrap_err();
+        assert!(message.contains("mass of body `") && message.contains("another axis"), "{message}");
+    }
+}
+
+#[test]
+fn a_robot_of_too_many_joints_is_refused_in_words() {
+    let names = (0..1500).map(|k| format!("{{ name = 'j{k}' }}")).collect::<Vec<_>>().join(", ");
+    let groups = format!("joint_groups = [{{ name = 'chain', joints = [{names}] }}]");
+    let toml = NO_JOINTS.replace("joint_groups = []", &groups);
+    let message = load(&toml, TWO_PARTS).unwrap_err();
+    assert!(message.contains("number of joints is 1500; expected at most 512"), "{message}");
 }

@@ -127,6 +127,7 @@ fn bad_wind_files_are_refused_with_their_line() {
         ("word.csv", "time,x,y,z\n0,1,strong,3\n", ["line 2", "strong"]),
         ("nan.csv", "time,x,y,z\n0,1,NaN,3\n", ["line 2", "finite numbers"]),
         ("inf.csv", "time,x,y,z\n0,1,inf,3\n", ["line 2", "finite numbers"]),
+        ("mark.csv", "time,x,y,z\n0,1,2,3\n1,1,99.0,3\n", ["line 3", "below 99 m/s"]),
         ("late.csv", "time,x,y,z\n1,0,0,0\n0,0,0,0\n", ["line 3", "later than the one before"]),
         ("twice.csv", "time,x,y,z\n1,0,0,0\n\n1,0,0,0\n", ["line 4", "later than the one before"]),
     ] {
