@@ -135,14 +135,11 @@ def verify_ticks(config: Mapping[str, Any], samples: Sequence[Sample]) -> list[R
     import jax
     import jax.numpy as jnp
 
-    from jax_aero.base.typed import scenario_config
-    from jax_aero.body.robot import load_robot
     from jax_aero.control import tick as control
     from jax_aero.types import Setpoint, State
+    from jax_aero.verify.law import law_of
 
-    typed = scenario_config(config)
-    robot = load_robot(typed.robot)
-    params = control.momentum_controller(typed, robot)
+    params, robot = law_of(config)
 
     @jax.jit
     def evaluate(memory: Any, state: State, thrust: Any, wind: Any, followed: Setpoint) -> Any:
