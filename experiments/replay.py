@@ -20,8 +20,8 @@ from experiments import Refused, overrides, study
 from experiments.table import text_table
 from jax_aero import cli, rust
 from jax_aero.base.files import complete_file
+from jax_aero.base.result import match_branch
 from jax_aero.base.terminal import exit_status
-from jax_aero.body.rotations import match_branch
 from jax_aero.view import check_out, logs
 from jax_aero.view.columns import Series
 from jax_aero.view.export import column_name

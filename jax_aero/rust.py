@@ -54,7 +54,7 @@ from jax_aero.base.places import find
 from jax_aero.base.plain import to_builtins
 from jax_aero.base.result import FlightResult
 from jax_aero.base.terminal import ConfigError, Progress
-from jax_aero.body.rotations import rotation_from_wxyz
+from jax_aero.body import spatial
 
 __all__ = [
     "SETTLING_TIME",
@@ -859,6 +859,12 @@ def _load_table(kind: str, path: str | PathLike[str]) -> Config:
 def resolve_aero(aero: Mapping[str, Any]) -> Config:
     """Return an aerodynamic model's configuration with every default, as `resolve_config`."""
     found: Config = json.loads(_core.resolve_aero(_to_json(aero)))
+    return found
+
+
+def rotation_from_wxyz(wxyz: ArrayLike) -> Array:
+    """Return the rotation matrices (..., 3, 3) of quaternions (..., 4) of any nonzero length."""
+    found: Array = spatial.rotation_from_wxyz(np.asarray(wxyz, dtype=np.float64))
     return found
 
 

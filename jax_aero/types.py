@@ -61,11 +61,6 @@ def leaves(cls: type[T], settings: Any) -> T:
     return cls(**{item.name: leaf(getattr(settings, item.name)) for item in fields(cast(Any, cls))})
 
 
-def library(*values: Any) -> Any:
-    """Return what computes with numbers before a flight: NumPy, which compiles nothing, or JAX if they are its own."""
-    return jnp if any(isinstance(value, jax.Array) for value in values) else np
-
-
 class State(NamedTuple):
     """Pose and velocity of the robot.
 

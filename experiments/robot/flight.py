@@ -16,7 +16,7 @@ from jax_aero.base import places
 from jax_aero.base.result import ending
 from jax_aero.body.robot import RobotModel
 from jax_aero.body.robot import load_robot as load_twin
-from jax_aero.body.rotations import rotation_from_rpy
+from jax_aero.body.spatial import rotation_from_rpy
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.robot import Array, Robot
 from jax_aero.symbolic.trim import Trim, TrimResult, TrimSettings

@@ -49,4 +49,5 @@ def normal_directions(axes: Float[Array, "L 3"], v_air: Float[Array, "L 3"]) -> 
 
     Computed as a double cross product, since `|v|² k̂ − (v·k̂) v` suffers cancellation when wind and axis align.
     """
-    return cross(cross(v_air, axes), v_air)
+    across: Array = cross(cross(v_air, axes), v_air)
+    return across

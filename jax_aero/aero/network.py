@@ -13,7 +13,7 @@ Equations M23 to M26 of `docs/model`.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, Literal, NamedTuple, TypeAlias, cast, get_args
 
@@ -154,7 +154,7 @@ def features(
 
     Angles are not standardised: joints that hardly move in the data would have huge inputs on unseen postures.
     """
-    made = {
+    made: dict[str, Callable[[], Array]] = {
         "wind": lambda: wind_b,
         "joints": lambda: joint_position / np.pi,
         "link_wind": lambda: rotate_back(geometry.rotations, wind_b[None]).reshape(-1),
@@ -405,7 +405,8 @@ def network_forces(
     v_air_b = rotate_back(base, wind - kin.linear_velocities[0])
     seen = joint_position[jnp.array(network.joints)]
     areas = network_areas(network, unit_wind(v_air_b), seen, geometry_from_kinematics(robot, kin))
-    return 0.5 * air_density * jnp.sum(v_air_b**2) * rotate(base[None], areas)
+    forces: Array = 0.5 * air_density * jnp.sum(v_air_b**2) * rotate(base[None], areas)
+    return forces
 
 
 def with_precision(network: Network, dtype: Any) -> Network:

@@ -114,3 +114,15 @@ def labels_of(robot: RobotNames) -> dict[str, Sequence[str]]:
         "qp": ["momentum", "torque"],
         "foot": robot.foot_names,
     }
+
+
+def match_branch(signal: str, ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return, of equivalent values of a logged signal (n, ...), those nearest to others: iRonCub starts at a yaw of π.
+
+    Both signs of a quaternion are one rotation, as are angles a turn apart; other signals stay.
+    """
+    if signal.endswith("base_quaternion"):
+        return np.asarray(ours * np.where(np.sum(ours * theirs, axis=1) < 0.0, -1.0, 1.0)[:, None])
+    if signal == "base_rpy_setpoint":
+        return np.asarray(ours - 2.0 * np.pi * np.round((ours - theirs) / (2.0 * np.pi)))
+    return ours

@@ -107,7 +107,8 @@ def generalised_thrust(robot: RobotModel, kin: Kinematics, thrust: Float[Array, 
 def velocities_at(kin: Kinematics, bodies: tuple[int, ...], points: Float[Array, "k 3"]) -> Float[Array, "k 3"]:
     """Return the velocities [m/s] of points [m] that move with `bodies`, inertial axes."""
     b = np.array(bodies, dtype=int)
-    return kin.linear_velocities[b] + cross(kin.angular_velocities[b], points - kin.body_positions[b])
+    turning: Array = cross(kin.angular_velocities[b], points - kin.body_positions[b])
+    return kin.linear_velocities[b] + turning
 
 
 def frame_poses(kin: Kinematics, frames: Jets | AeroLinks) -> tuple[Float[Array, "k 3 3"], Float[Array, "k 3"]]:

@@ -23,8 +23,7 @@ from jaxtyping import Bool, Float
 from numpy.typing import NDArray
 
 from jax_aero import rust
-from jax_aero.base.result import FlightResult
-from jax_aero.body.rotations import match_branch
+from jax_aero.base.result import FlightResult, match_branch
 from jax_aero.body.spatial import wxyz_from_rotation
 from jax_aero.control import Measurement
 from jax_aero.sim.plant import COMPILER_OPTIONS

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jax_aero.body.rotations import rotation_from_rpy, wxyz_from_rotation
+from jax_aero.body.spatial import rotation_from_rpy, wxyz_from_rotation
 from jax_aero.view.recording import Recording
 
 WORLD = "world"
@@ -38,7 +38,7 @@ def body_poses(recording: Recording) -> tuple[Any, Any]:
     """Return the positions [m] and quaternions of all bodies, (n, bodies, 3) and (n, bodies, 4)."""
     instants = [recording.at(time) for time in recording.signals["time"]]
     positions = np.array([now.body_positions for now in instants])
-    return positions, wxyz_from_rotation([now.body_rotations for now in instants])
+    return positions, wxyz_from_rotation(np.array([now.body_rotations for now in instants]))
 
 
 def setpoints(recording: Recording) -> tuple[Any, Any]:

@@ -14,7 +14,7 @@ from jax_aero import __main__ as commands
 from jax_aero import rust
 from jax_aero.base import sizes
 from jax_aero.base.result import labels_of
-from jax_aero.body.rotations import rpy_from_rotation, wxyz_from_rotation
+from jax_aero.body.spatial import rpy_from_rotation, wxyz_from_rotation
 from jax_aero.view import export, logs, recording
 from jax_aero.view.columns import read_mcap
 

@@ -17,7 +17,7 @@ from experiments.robot import flight, scenario
 from jax_aero import rust
 from jax_aero.base import keys, places, plain, tables
 from jax_aero.body.robot import load_robot
-from jax_aero.body.rotations import rotation_from_rpy, rpy_from_rotation
+from jax_aero.body.spatial import rotation_from_rpy, rpy_from_rotation
 
 Array = NDArray[np.float64]
 MK3 = places.CONFIGS / "robot" / "ironcub_mk3.toml"

@@ -17,8 +17,7 @@ from experiments.studies.design.campaign import POSITION, ROTATION, Row
 from experiments.studies.design.robots import find, inertial, numbers, set_inertial, set_numbers
 from jax_aero import rust
 from jax_aero.base import plain, tables
-from jax_aero.body.rotations import rotation_from_rpy, rpy_from_rotation
-from jax_aero.body.spatial import rotation_from_rpy as turn_from_rpy
+from jax_aero.body.spatial import rotation_from_rpy, rpy_from_rotation
 from jax_aero.sim import FlightState, Scenario, begin, prepare, rollout
 from jax_aero.sim.plant import COMPILER_OPTIONS
 
@@ -45,7 +44,7 @@ def change(scenario: Any, state: FlightState, by: Numbers, frames: list[str]) ->
     """Return a flight of the changed robot, whose controller knows the change; a jet takes its turbine along."""
     robot, replace = scenario.plant.robot, dataclasses.replace
     jets, links, factor = robot.jets, robot.aero_links, (1.0 + by["area"])[:, None]
-    turns = jax.vmap(turn_from_rpy)(by["axis"])
+    turns = jax.vmap(rotation_from_rpy)(by["axis"])
     own = np.array([[float(jet == link) for jet in frames[: jets.count]] for link in frames[jets.count :]])
     turned = jnp.einsum("lj,jab->lab", own, turns) + (1.0 - own.sum(axis=1))[:, None, None] * np.eye(3)
     changed = replace(

@@ -32,7 +32,7 @@ from jax_aero.aero import Axisymmetric
 from jax_aero.base import tables
 from jax_aero.base.typed import scenario_config
 from jax_aero.body.robot import load_robot
-from jax_aero.body.rotations import wxyz_from_rotation
+from jax_aero.body.spatial import wxyz_from_rotation
 from jax_aero.sim.rollout import fly_chunk
 from jax_aero.train.identify import descend, misfit_of, segments_of, wrenches_along
 from jax_aero.view import logs

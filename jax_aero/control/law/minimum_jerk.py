@@ -10,8 +10,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Float
 
+from jax_aero.base.arrays import namespace
 from jax_aero.body.spatial import multiply
-from jax_aero.types import Array, library
+from jax_aero.types import Array
 
 # Coefficients of the linear minimum-jerk trajectory generator of the iCub control library; the denominator has one
 # real pole of multiplicity three at -5.3223/T.
@@ -44,7 +45,7 @@ def filter_gains(smoothing_time: Float[Array, ""], time_step: Float[Array, ""]) 
     """
     half = 0.5 * time_step
     a, b, c = _A / smoothing_time**3, _B / smoothing_time**2, _C / smoothing_time
-    xp = library(smoothing_time, time_step)
+    xp = namespace(smoothing_time, time_step)
     adjugate = xp.array(
         [
             [1.0 + half * (c + half * b), half * (1.0 + half * c), half * half],
@@ -69,5 +70,5 @@ def filter_update(gains: FilterGains, state: FilterState, value: Float[Array, "3
 
 def filter_lags(smoothing_time: Float[Array, ""]) -> Float[Array, "2"]:
     """Return `T B / A` [s] and `T² C / A` [s²], with which an input leads an output without jerk."""
-    lags: Array = library(smoothing_time).stack([smoothing_time * (_B / _A), smoothing_time**2 * (_C / _A)])
+    lags: Array = namespace(smoothing_time).stack([smoothing_time * (_B / _A), smoothing_time**2 * (_C / _A)])
     return lags

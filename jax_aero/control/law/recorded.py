@@ -77,7 +77,7 @@ def recording(recorded: RecordedReference) -> Recording:
     com = [jnp.asarray(recorded.com_position)]
     for known in (recorded.com_velocity, recorded.com_acceleration, recorded.com_jerk):
         com.append(_differences(times, com[-1]) if known is None else jnp.asarray(known))
-    rotations = rotation_from_rpy(jnp.asarray(recorded.rpy))
+    rotations = jax.jit(rotation_from_rpy)(recorded.rpy)
     turns = log_so3(multiply(jnp.swapaxes(rotations[:-1], 1, 2), rotations[1:]))
     rates = turns / jnp.diff(times)[:, None]
     # Mean of the rates before and after; at the ends there is only one.

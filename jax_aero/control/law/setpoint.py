@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from jax_aero.base.arrays import namespace
 from jax_aero.body.spatial import (
     exp_so3,
     multiply,
@@ -35,7 +36,7 @@ from jax_aero.control.law.minimum_jerk import (
 )
 from jax_aero.control.law.mission import AutopilotCommand, Mission, autopilot_command
 from jax_aero.control.law.recorded import RecordedMotion, Recording, motion_at
-from jax_aero.types import Array, Setpoint, leaf, library
+from jax_aero.types import Array, Setpoint, leaf
 
 DEGREE = np.pi / 180.0
 """[rad]."""
@@ -96,7 +97,7 @@ def setpoint_params(
 ) -> SetpointParams:
     """Return the parameters for ticks of `time_step` [s] and a robot's forward axis in base axes."""
     smoothing = leaf(config.position_smoothing)
-    xp, (x, y, _) = library(forward_axis), forward_axis
+    xp, (x, y, _) = namespace(forward_axis), forward_axis
     return SetpointParams(
         speed=leaf(config.speed),
         attitude_rate=leaf(config.attitude_rate_deg) * DEGREE,
@@ -124,7 +125,8 @@ def start(params: SetpointParams, com: Float[Array, "3"], rotation: Float[Array,
 
 def _heading_rpy(params: SetpointParams, rotation: Array) -> Array:
     """Return roll, pitch and yaw (3,) of the heading frame for a base rotation [rad]."""
-    return rpy_from_rotation(multiply(rotation, params.base_from_heading))
+    heading: Array = rpy_from_rotation(multiply(rotation, params.base_from_heading))
+    return heading
 
 
 def after(setpoint: Setpoint, time: float | Float[Array, ""]) -> Setpoint:

@@ -24,12 +24,13 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from jax_aero.base.arrays import namespace
 from jax_aero.body.robot import RobotModel
 from jax_aero.body.spatial import multiply, rotate_back
 from jax_aero.config import ControllerSection
 from jax_aero.control.law.bounds import rate_bounds
 from jax_aero.control.law.momentum_qp import Diagonal, Rows, TaskInputs
-from jax_aero.types import Array, leaf, library
+from jax_aero.types import Array, leaf
 
 
 class TaskParams(NamedTuple):
@@ -125,7 +126,7 @@ def choose_limits(
     """Return the joint limits: the robot's own, or for revolute joints the common one if given."""
     if common is None:
         return leaf(own)
-    return leaf(library(own).where(np.array(robot.joint_is_prismatic, dtype=bool), own, common))
+    return leaf(namespace(own).where(np.array(robot.joint_is_prismatic, dtype=bool), own, common))
 
 
 def symmetric_pairs(config: ControllerSection, robot: RobotModel) -> tuple[tuple[int, int], ...]:
