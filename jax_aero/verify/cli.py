@@ -61,8 +61,8 @@ def _compare(options: argparse.Namespace) -> int:
     with jax.enable_x64(True):
         rows = verify_robot(robot, options.states, options.backend, options.seed)
         if config is not None:
-            rows += verify_ticks(config, random_samples(config, options.states, options.seed))
             if compared(config) == "tick":
+                rows += verify_ticks(config, random_samples(config, options.states, options.seed))
                 flight = verify_flight(config, options.backend)
                 rows += flight.rows
                 found = {"compared": f"{flight.share:.1%} of the ticks, the flight up to {flight.until:.2f} s"}
