@@ -174,6 +174,7 @@ fn each_quirk_moves_its_own_point() {
         lever_arm: LeverArm::Unrotated,
         jacobian_offset: JacobianOffset::BaseRotation,
         link_velocity: LinkVelocity::ShiftedTwice,
+        ..LinkConventions::default()
     });
     assert_is("arm point", &published.arm_points_i[0], [10.1, 21.2, 30.3]);
     assert_is("Jacobian point", &published.jacobian_points_i[0], [9.8, 21.1, 30.3]);
