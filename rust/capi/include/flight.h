@@ -53,6 +53,9 @@ typedef enum FlightMode {
 // Version of the library to which this header belongs: 10000 major + 100 minor + patch.
 #define FLIGHT_VERSION 100
 
+// Greatest thrust rate and torque that a simulated robot accepts \[N/s, N m\].
+#define FLIGHT_COMMAND_MAX 1e6
+
 // Of the set-points and of the winds of a `FlightPreview` so many are read, the first ones.
 #define FLIGHT_PREVIEW_MAX 128
 
@@ -88,8 +91,11 @@ typedef enum FlightStatus {
   // Internal error of the library. Thrust rates and joint velocities are zero; the torques in the command are
   // unchanged.
   FLIGHT_PANICKED = -3,
-  // A replaced command contains a number that is not finite. Nothing changes.
+  // A replaced command contains a number that is not finite, or one for a simulated robot a number that is not or
+  // exceeds `FLIGHT_COMMAND_MAX`. Nothing changes.
   FLIGHT_BAD_COMMAND = -4,
+  // The motion of the simulated robot has no meaning any more: its numbers are not finite, or beyond any robot's.
+  FLIGHT_DIVERGED = -5,
 } FlightStatus;
 
 // A controller with its flight, for one thread at a time; several threads may read it (functions that take a pointer
@@ -224,7 +230,7 @@ struct FlightController *flight_controller_create(struct FlightHeader header,
                                                   char *message,
                                                   size_t message_size);
 
-// Frees a controller; null is allowed.
+// Frees a controller; null is allowed. No thread may use it then or later, nor free it again: it is not guarded against.
 //
 // # Safety
 // `controller` comes from `flight_controller_create` and is not used afterwards.
@@ -350,7 +356,7 @@ struct FlightRobot *flight_robot_create(struct FlightHeader header,
                                         char *message,
                                         size_t message_size);
 
-// Frees a simulated robot; null is allowed.
+// Frees a simulated robot; null is allowed. No thread may use it then or later, nor free it again.
 //
 // # Safety
 // `robot` comes from `flight_robot_create` and is not used afterwards.
@@ -371,7 +377,7 @@ enum FlightStatus flight_robot_advance(struct FlightRobot *robot,
 
 // As `flight_robot_advance`, for torques that are computed `controller.torque.steps` times in a tick: those of `command`
 // act in the first of as many equal parts, and what `torques` writes, which is called at the beginning of each other
-// part with `context`. Null stands for torques that do not change.
+// part with `context`; of that, numbers that no command may have act as zero. Null stands for torques that do not change.
 //
 // # Safety
 // As for `flight_robot_advance`; `torques` is null or a function that keeps to the lengths of its arrays and does not
