@@ -398,7 +398,8 @@ fn names_of_modes_and_statuses_are_those_of_the_crate() {
             statuses += 1;
         }
     }
-    assert_eq!(statuses, header.split("} FlightStatus").next().unwrap().matches(",\n").count());
+    let (_, listed) = header.split_once("enum FlightStatus {").unwrap();
+    assert_eq!(statuses, listed.split_once("} FlightStatus").unwrap().0.matches(",\n").count());
     for (theirs, ours) in [
         (CommandStatus::Nominal, FlightStatus::FlightNominal),
         (CommandStatus::Degraded, FlightStatus::FlightDegraded),
