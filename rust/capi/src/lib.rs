@@ -536,6 +536,7 @@ pub extern "C" fn flight_status_name(status: c_int) -> *const c_char {
         -2 => c"null_pointer",
         -3 => c"panicked",
         -4 => c"bad_command",
+        -5 => c"diverged",
         _ => return null(),
     };
     name.as_ptr()
