@@ -39,6 +39,9 @@ FEET = "foot_wrenches"
 
 Values = dict[str, NDArray[np.float64]]
 
+LEFT_OUT = {"estimates", "handed", "joint_condition", "measured_latency", "residual", "residual_wrench", "throttle"}
+"""What a stored tick does not hold: without estimators the measurement, and what these flights have none of."""
+
 
 def compute(config: rust.Config, given: Values) -> Values:
     """Compute the tick of a controller with this memory and set-point, all values by their names."""
@@ -64,8 +67,7 @@ def values(tick: rust.Tick) -> Values:
                 add(f"{name}.{key}", part)
 
     for key, value in vars(tick).items():
-        # Without estimators the former are the measurement; these flights have no faulty joints and no residuals.
-        if key not in {"estimates", "joint_condition", "measured_latency", "residual", "residual_wrench", "throttle"}:
+        if key not in LEFT_OUT:
             add(key, value)
     return found
 

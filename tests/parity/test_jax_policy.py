@@ -74,7 +74,7 @@ def test_a_policy_flies_in_the_crate_as_in_the_environment(x64, measured, robot)
 
     def fly_on(state, _):
         after = env.step(state, act(jnp, trained.policy, state.obs))
-        return after, state.flight.plant.robot.base_position
+        return after, state.data.flight.plant.robot.base_position
 
     _, ours = jax.jit(lambda state: jax.lax.scan(fly_on, state, length=ticks))(env.start(jnp.array(WIND)))
     config = TASK.episode(rust.load_config(TASK.experiment, {"controller.policy": {"card": CARD}}))
