@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from jax_aero.rust import fly as fly
     from jax_aero.rust import fly_batch as fly_batch
     from jax_aero.rust import load_config
-    from jax_aero.sim.prepare import prepare as prepare
+    from jax_aero.sim.preparation import prepare as prepare
     from jax_aero.sim.rollout import rollout as rollout
     from jax_aero.types import replace_values as replace_values
 

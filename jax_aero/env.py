@@ -34,7 +34,7 @@ from jax_aero.control.tick import MomentumController
 from jax_aero.env_task import Task, TaskState, is_lost, limit_action, observation, rewards, steer, task_of
 from jax_aero.rust import load_config
 from jax_aero.sim.outcome import FLYING
-from jax_aero.sim.prepare import prepare
+from jax_aero.sim.preparation import prepare
 from jax_aero.sim.scenario import Scenario
 from jax_aero.sim.step import FlightState, begin, step
 from jax_aero.types import Array, replace_values

@@ -7,6 +7,7 @@ Pale lines: the real robot's record (`configs/records`), whose lateral run has n
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase
 
 from jax_aero.base import places
-from jax_aero.base.parquet import read_table
 from paper_figs import panels, style
 from paper_figs.runs import Run, Series
 
@@ -84,6 +84,10 @@ def _leg(axes: Axes, joints: Series, label: str) -> None:
 
 def _record(name: str) -> dict[str, Any]:
     """Return the columns of the real robot's record of an experiment; none of one that it did not do."""
+    if find_spec("pyarrow") is None:  # which the extra of figures does not bring
+        return {}
+    from jax_aero.base.parquet import read_table
+
     found = next((record for start, record in RECORDS.items() if name.startswith(start)), None)
     table = None if found is None else read_table(places.CONFIGS / "records" / f"{found}.parquet")
     return {} if table is None else {column: table[column].to_numpy() for column in table.column_names}

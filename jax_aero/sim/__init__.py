@@ -7,7 +7,7 @@ from jax_aero.base.result import FlightResult
 from jax_aero.control import Command, Controller, Measurement
 from jax_aero.sim.batch import fly_batch
 from jax_aero.sim.plant import COMPILER_OPTIONS
-from jax_aero.sim.prepare import prepare
+from jax_aero.sim.preparation import prepare
 from jax_aero.sim.rollout import fly, keep_row, rollout, run
 from jax_aero.sim.scenario import Scenario, convert_precision
 from jax_aero.sim.signals import FlightRow

@@ -24,7 +24,7 @@ from jax_aero.base.terminal import Progress
 from jax_aero.config import ScenarioConfig
 from jax_aero.sim.outcome import COURSE_ERROR, FLYING, NOT_FINITE, lost_reason
 from jax_aero.sim.plant import COMPILER_OPTIONS
-from jax_aero.sim.prepare import prepare
+from jax_aero.sim.preparation import prepare
 from jax_aero.sim.scenario import Scenario
 from jax_aero.sim.signals import FlightRow
 from jax_aero.sim.step import FlightState, step

@@ -33,7 +33,7 @@ from jax_aero.base.files import complete_file, read_json, replace_infinite, writ
 from jax_aero.base.keys import parse_assignments
 from jax_aero.base.terminal import Refused, exit_status
 from jax_aero.cli import Parser, complete_with, count
-from jax_aero.verify import Row, compared, random_samples, use_double_precision, verify_robot, verify_ticks
+from jax_aero.verify import Row, compared, random_samples, use_double_precision, verify_robot
 
 NUMBERS = "verify.json"
 """File of a result with its subject and its numbers."""
@@ -48,9 +48,10 @@ def main(arguments: Sequence[str]) -> int:
 def _compare(options: argparse.Namespace) -> int:
     import jax
 
-    from jax_aero.sim.prepare import read_config, refuse
+    from jax_aero.sim.preparation import read_config, refuse
     from jax_aero.verify.flight import verify_flight
     from jax_aero.verify.law import verify_law
+    from jax_aero.verify.ticks import verify_ticks
 
     config = None if options.robot else use_double_precision(_config(options))
     if config is not None and compared(config) == "nothing":

@@ -27,7 +27,7 @@ from jax_aero.base.result import FlightResult, match_branch
 from jax_aero.body.spatial import wxyz_from_rotation
 from jax_aero.control import Measurement
 from jax_aero.sim.plant import COMPILER_OPTIONS
-from jax_aero.sim.prepare import prepare
+from jax_aero.sim.preparation import prepare
 from jax_aero.sim.rollout import Ending, make_result
 from jax_aero.sim.scenario import Scenario
 from jax_aero.sim.signals import FlightRow

@@ -18,7 +18,8 @@ from jax_aero.control import qp, tick
 from jax_aero.control.command import NOMINAL
 from jax_aero.train.identify import states_of
 from jax_aero.types import Setpoint, State
-from jax_aero.verify import SOLUTIONS, crate_quantity, tick_quantities
+from jax_aero.verify import SOLUTIONS
+from jax_aero.verify.ticks import crate_quantity, tick_quantities
 
 pytestmark = pytest.mark.usefixtures("x64")
 

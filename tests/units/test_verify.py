@@ -10,6 +10,7 @@ import pytest
 
 from jax_aero import rust, verify
 from jax_aero.verify import cli, compare, flight
+from jax_aero.verify import ticks as verify_ticks
 
 
 def test_the_worst_sample_counts_against_the_greatest_answer():
@@ -172,7 +173,7 @@ def compared(monkeypatch):
         return SimpleNamespace(rows=rows, share=0.998, until=12.34)
 
     monkeypatch.setattr(cli, "verify_robot", robot)
-    monkeypatch.setattr(cli, "verify_ticks", ticks)
+    monkeypatch.setattr(verify_ticks, "verify_ticks", ticks)
     monkeypatch.setattr(flight, "verify_flight", fly)
     monkeypatch.setattr(cli, "random_samples", lambda _, states, seed: ("random", states, seed))
     return calls, size

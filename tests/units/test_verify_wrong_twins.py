@@ -12,8 +12,7 @@ from jaxtyping import Float
 
 from jax_aero import rust
 from jax_aero.aero import WeightedModel
-from jax_aero.config import ActuationConfig
-from jax_aero.sim import actuation, plant, prepare
+from jax_aero.sim import plant, prepare
 from jax_aero.sim.plant import Plant
 from jax_aero.sim.scenario import Scenario
 from jax_aero.sim.step import FlightState
@@ -51,22 +50,23 @@ def gyration():
 
 def changeable(config) -> tuple[Scenario, FlightState]:
     """Return JAX's flight with a leaf for every error: of plant and controller apart, of commands that may be late."""
-    scenario, start = prepare(config)
+    step = config["simulator"]["time_step"]
+    late = {"simulator.actuation": {"torque_delay": step, "thrust_delay": step}}
+    scenario, start = prepare(rust.set_keys(config, late))
     world, robot, one = scenario.plant, scenario.plant.robot, np.ones(())
-    late = ActuationConfig(torque_delay=float(world.time_step), thrust_delay=float(world.time_step))
-    sizes = (float(world.time_step), world.substeps, int(scenario.n_ticks), robot.jets.count, robot.n_joints)
-    way, on_the_way = actuation.start(late, *sizes)
+    way = scenario.disturbances.actuation
+    at_once = replace(scenario.disturbances, actuation=replace(way, lag=0 * way.lag))
     parts = {item.name: getattr(world, item.name) for item in fields(Plant)}
     parts["aero"] = WeightedModel(world.aero, one, one, np.ones(robot.aero_links.count))
-    parts["actuation"] = replace(way, lag=0 * way.lag)
     world = GyratingPlant(**parts, gyration=one)
-    start = start._replace(plant=start.plant._replace(actuation=on_the_way))
-    return replace(scenario, plant=world, controller_model=scenario.controller_model or robot), start
+    model = scenario.controller_model or robot
+    return replace(scenario, plant=world, disturbances=at_once, controller_model=model), start
 
 
 def wrong_twins(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
     world, controller, model = scenario.plant, scenario.controller, scenario.controller_model
-    robot, swapped = world.robot, [0, 1, 3, 2]
+    robot, swapped, given = world.robot, [0, 1, 3, 2], scenario.disturbances
+    way = given.actuation
 
     def of_plant(**parts) -> Scenario:
         return replace(scenario, plant=replace(world, **parts))
@@ -83,7 +83,7 @@ def wrong_twins(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
     yield "1 % of inertia", of_robot(inertias=1.01 * robot.inertias)
     yield (
         "a dead time of one tick",
-        of_plant(actuation=replace(world.actuation, lag=world.actuation.lag + world.substeps)),
+        replace(scenario, disturbances=replace(given, actuation=replace(way, lag=way.lag + world.substeps))),
     )
     yield "the sign of the gyroscopic moment", of_plant(gyration=jnp.array(-1.0))
     yield "swapped jets", of_robot(jets=replace(robot.jets, positions=robot.jets.positions[swapped, :]))
