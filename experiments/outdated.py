@@ -14,8 +14,6 @@ from experiments import Refused, manifest
 from experiments.cfd.settings import FlowConfig
 from experiments.identity import other_code
 from experiments.sources import code_hash, file_hash
-from experiments.sweep import run, spec
-from experiments.sweep.design import Design
 from jax_aero import rust
 from jax_aero.base import documents, places, plain, tables
 from jax_aero.base.files import read_json
@@ -31,6 +29,8 @@ def result(kind: str, folder: Path) -> str:
     """Return the difference of a result: of a `flight`, of `sweeps` or a kind of study; empty if there is none."""
     name = folder.name
     if kind == "sweeps":
+        from experiments.sweep import run
+
         return sweep(name, read_json(folder / run.SWEEP_FILE, documents.SweepUnderWay))
     try:
         document = read_json(folder / places.MANIFEST_FILE, documents.Manifest)
@@ -49,6 +49,10 @@ def flight(name: str, document: Mapping[str, Any]) -> str:
 def sweep(name: str, document: Mapping[str, Any]) -> str:
     """Return the difference of a result's description from the sweep of this name, or else in code."""
     if name in places.names("sweeps"):
+        # Sweeps need pyarrow, which the extra of figures does not bring.
+        from experiments.sweep import run, spec
+        from experiments.sweep.design import Design
+
         today = spec.load(name)
         if Design(today).digest != document.get("config_digest"):
             described = run.describe(today)

@@ -51,7 +51,6 @@ def probe_documents():
 
     for page in test_docs.PAGES:
         test_docs.test_shown_commands_name_what_exists(page)
-        test_docs.test_links_of_a_page_lead_to_files_in_a_clone_and_to_pages_of_the_site(page)
     test_docs.test_links_of_generated_pages_lead_to_pages_and_pictures()
 
 

@@ -42,9 +42,9 @@ def test_a_small_error_in_a_quantity_that_vanishes_is_found():
     robot = rust.Robot(config["robot"])
     (sample,), weight = verify.random_samples(config, 1), robot.mass * robot.gravity
     sample = replace(sample, state=rust.State.at_rest(robot), wind=np.zeros(3))
-    sample = replace(sample, thrust=np.full(6, weight / verify._crate_tick(config, sample).jet_axes[:, 2].sum()))
+    sample = replace(sample, thrust=np.full(6, weight / verify_ticks._crate_tick(config, sample).jet_axes[:, 2].sum()))
     rounded = verify.round_sample(np.random.default_rng(0), sample)
-    theirs, nearby = (verify._crate_tick(config, near).momentum_rate_estimate[2] for near in (sample, rounded))
+    theirs, nearby = (verify_ticks._crate_tick(config, near).momentum_rate_estimate[2] for near in (sample, rounded))
     assert abs(theirs) < 1e-15 * weight
     for error, agrees in ((0.0, True), (2.0 * np.spacing(weight), True), (1e-13 * weight, False), (np.nan, False)):
         row = compare("random", "momentum_rate_estimate", [theirs + error], [theirs], 1e-10, rounded=[nearby])
