@@ -34,8 +34,8 @@ flight = rust.fly(config)
 loaded = sorted(name for name in sys.modules if name in ("jax", "scipy", "xarray", "mujoco"))
 print(json.dumps([jax_aero.__file__, rust.config_digest(config), flight.outcome, flight.summary, loaded]))
 """
-LARGEST = 6e6
-"""Size of a wheel [bytes]."""
+LARGEST = 10e6
+"""Size of a wheel [bytes]: 5.2 MB, and 3.9 MB of the standing robot's records, which do not compress further."""
 LIBRARIES = ("jax_aero/_core.abi3.so", "jax_aero/_core.pyd")
 """The compiled module, elsewhere and for Windows."""
 SYSTEM = {
