@@ -29,9 +29,8 @@ LEAST_SCALE = 1e-3
 
 SOLUTIONS = {
     "thrust_rate", "joint_velocity_command", "joint_acceleration_desired", "unlimited_torque", "joint_torque",
-    "base_velocity", "joint_velocity",
 }  # fmt: skip
-"""Quantities that are solutions of a QP or follow from one; of the next state those that a torque moves most."""
+"""Quantities that are solutions of a QP or follow from one."""
 
 
 @dataclass(frozen=True)

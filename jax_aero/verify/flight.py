@@ -149,11 +149,37 @@ def _fly(
 
 
 def replay_rounded(config: Mapping[str, Any], crate: FlightResult) -> dict[str, NDArray[np.float64]]:
-    """Return the signals of the crate's controller along its flight, given what differs from that by a rounding."""
+    """Return signals of the crate's flight, every tick of it given what differs by a rounding.
+
+    They are those of the controller, and the velocities to which its command leads.
+    """
     rng, log = np.random.default_rng(0), crate.log
     rounded = {name: round_numbers(rng, signal) for name, signal in log.items() if name.startswith("raw_")}
     rounded["raw_base_rotation"] = round_rotation(rng, log["raw_base_rotation"])
-    return rust.replay(config, {**log, **rounded})
+    signals = rust.replay(config, {**log, **rounded})
+    after = _round_velocities(config, crate, signals["joint_torque"] - crate["joint_torque"])
+    return {**signals, "base_velocity": after[:, :6], "joint_velocity": after[:, 6:]}
+
+
+def _round_velocities(
+    config: Mapping[str, Any], crate: FlightResult, torque: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the velocities of a flight, (ticks, 6 + n), each after a step of the forward dynamics that was rounded.
+
+    `torque` is what the rounding changes of the command [N m], (ticks, n).
+    """
+    rng, robot, dt = np.random.default_rng(2), rust.Robot(config["robot"]), config["simulator"]["time_step"]
+    states = states_of(crate.log, "", rust.rotation_from_wxyz(crate["base_quaternion"]))
+    velocity, rounded = np.asarray(states.velocity), np.array(states.velocity)
+    for tick, accelerated in enumerate(np.diff(velocity, axis=0) / dt):
+        state = rust.State(*(np.asarray(part[tick]) for part in states))
+        dynamics = rust.dynamics(robot, state)
+        force = dynamics.mass_matrix @ accelerated + dynamics.bias
+        near = round_numbers(rng, force)
+        near[6:] += torque[tick]
+        moved = rust.forward_dynamics(robot, round_state(rng, state), near)
+        rounded[tick + 1] += dt * (moved - rust.forward_dynamics(robot, state, force))
+    return rounded
 
 
 def compare_ticks(
