@@ -39,15 +39,13 @@ def test_pictures_of_kept_results_are_of_their_rows():
 
 
 FLOWN = {name for name in gallery.pictures() if FIGURES[name].kind in ("flight", "")}
-UNSTAMPED = {"take_off"}
-"""A picture that was drawn before pictures said what they show."""
 
 
 def test_the_gallery_shows_flights_and_tables():
     assert {path.stem for path in (ROOT / "docs/img/gallery").glob("*.png")} <= FLOWN
 
 
-@pytest.mark.parametrize("name", sorted({*FLOWN, "film"} - UNSTAMPED))
+@pytest.mark.parametrize("name", sorted({*FLOWN, "film"}))
 def test_pictures_of_flights_are_of_these_flights(name):
     runs = gallery.FILMED if name == "film" else FIGURES[name].runs
     shown = gallery.made_of(gallery.FILM if name == "film" else gallery.pictures()[name])

@@ -29,6 +29,8 @@ struct Robot {
     holds: bool,
     /// Ticks by which accelerations are predicted.
     lead: f64,
+    /// Factor of what accelerates the joints besides torques.
+    free: f64,
 }
 
 fn torque(tick: i32) -> DVector<f64> {
@@ -62,6 +64,7 @@ impl Robot {
             late,
             holds: false,
             lead: 0.0,
+            free: 1.0,
         }
     }
 
@@ -71,7 +74,7 @@ impl Robot {
         let thrust = is_measured.then(|| self.thrust.as_slice());
         self.monitor.measure(&mut self.state, position, thrust, STEP);
         let last = self.tick - 1;
-        let acceleration = free(f64::from(last) + self.lead) + &self.gain * torque(last);
+        let acceleration = self.free * free(f64::from(last) + self.lead) + &self.gain * torque(last);
         let (torques, rates) = (torque(last), rate(last));
         let sample = LatencySample {
             acceleration: acceleration.as_slice(),
@@ -83,7 +86,8 @@ impl Robot {
         let measured = self.monitor.measured(&self.state);
         let is_late = self.monitor.are_late(&mut self.state, measured, STEP).contains(&true);
 
-        let accelerated = free(f64::from(self.tick)) + &self.gain * torque(self.tick - self.late[0]);
+        let accelerated =
+            self.free * free(f64::from(self.tick)) + &self.gain * torque(self.tick - self.late[0]);
         if self.holds {
             // The free acceleration is that of the middle of two ticks, as the difference of positions sees it.
             let held = &self.gain * torque(self.tick - self.late[0]);
@@ -130,7 +134,8 @@ fn half_a_tick_is_measured() {
 fn parts_of_a_tick_are_interpolated() {
     let mut config = EstimatorConfig::default();
     config.latency.torque = 0.0125;
-    let mut robot = Robot { lead: 1.25, ..Robot::new([1, 0], Some(&config)) };
+    // Of the greater acceleration half a tick would hide the torques.
+    let mut robot = Robot { lead: 1.25, free: 20.0, ..Robot::new([1, 0], Some(&config)) };
     for _ in 0..1000 {
         robot.fly(true);
     }
