@@ -32,6 +32,8 @@ def main(words: Sequence[str]) -> int:
 
     def work() -> None:
         changes = overrides.parse([*given.set, *([f"engine={given.engine}"] if given.engine else [])])
+        if given.controller:
+            changes["own_controller"] = _own_controller(given.controller)
         study.check_name(given)
         paths = [study.find("experiments", name) for name in names]
         command = ["jax-aero", "fly", *words]
@@ -60,6 +62,14 @@ def _fly_row(sweep: str, number: str, changes: Mapping[str, Any], **options: Any
     return flight.run(study.find("sweeps", sweep), changes, config=config, **options)
 
 
+def _own_controller(text: str) -> dict[str, str]:
+    """Return the table of a controller that is given as FILE:NAME."""
+    file, _, name = text.rpartition(":")
+    if not Path(file).is_file() or not name.isidentifier():
+        raise Refused(f"--controller is {text}; expected FILE.py:NAME, a function or class in a file that is there")
+    return {"file": str(Path(file).resolve()), "name": name}
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = cli.Parser("fly", __doc__)
     study.add_choice(parser, "experiments")
@@ -67,6 +77,7 @@ def _parser() -> argparse.ArgumentParser:
     study.add_name(parser)
     row = parser.add_argument("--row", nargs=2, metavar=("SWEEP", "N"), help="one row of a sweep")
     cli.complete_with(row, lambda: places.names("sweeps"))
+    parser.add_argument("--controller", metavar="FILE.py:NAME", help="a controller of your own: a function or class")
     parser.add_argument("--engine", choices=sorted(MODULES), help="engine (default: that of the configuration)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/flight)")
     parser.add_argument("--overwrite", action="store_true", help="fly again and replace an existing result")

@@ -7,6 +7,7 @@ A flight, study, training or CFD design changed by `--set` has a separate result
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from jax_aero.base import places, plain
@@ -36,4 +37,5 @@ def _flatten(value: Any) -> str:
         return "_".join(f"{key}={_flatten(item)}" for key, item in value.items())
     if isinstance(value, list):
         return "_".join(_flatten(item) for item in value)
-    return places.file_name(str(value).lower() if isinstance(value, bool) else str(value))
+    text = str(value).lower() if isinstance(value, bool) else str(value)
+    return places.file_name(Path(text).name if Path(text).is_absolute() else text)

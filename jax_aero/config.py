@@ -576,6 +576,11 @@ class MotorsConfig(Struct, frozen=True, kw_only=True):
     time_constant: float = 0.0
 
 
+class OwnController(Struct, frozen=True, kw_only=True):
+    file: str
+    name: str
+
+
 class SensorConfig(Struct, frozen=True, kw_only=True):
     bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
     delay: float = 0.0
@@ -626,6 +631,7 @@ class ScenarioConfig(Struct, frozen=True, kw_only=True):
     disturbances: Disturbances = Disturbances()
     engine: Engine = "rust"
     mission: MissionConfig
+    own_controller: OwnController | None = None
     robot: str
     simulator: SimulatorConfig
     title: str = ""

@@ -35,7 +35,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jax_aero import _core
+from jax_aero import _core, own
 from jax_aero._core import (
     SETTLING_TIME,
     BoxQpSolver,
@@ -201,6 +201,8 @@ class Measurement(NamedTuple):
     foot_wrenches
         Wrench on each of the controller's feet about the origin of its sole, force first [N, N m, inertial axes],
         (feet, 6).
+    setpoint
+        What a controller of one's own is to follow; `None` elsewhere.
     """
 
     time: float
@@ -208,6 +210,7 @@ class Measurement(NamedTuple):
     thrust: Array
     wind: Array
     foot_wrenches: Array
+    setpoint: Setpoint | None = None
 
 
 class Jacobian(NamedTuple):
@@ -678,7 +681,8 @@ class Flight:
     world
         What moves the robot's bodies in place of the crate.
     controller
-        What commands in every tick in place of the configuration's, from the measurement that it is given.
+        What commands in every tick in place of the configuration's, from the measurement that it is given and the
+        set-point; by default that of the configuration's `own_controller`, if any.
 
     Raises
     ------
@@ -692,8 +696,9 @@ class Flight:
         world: World | None = None,
         controller: Callable[[Measurement], Command] | None = None,
     ) -> None:
-        self._core = _core.Flight(_to_json(config), None if world is None else _World(world))
-        self._controller = controller
+        crates = {key: value for key, value in config.items() if key != "own_controller"}
+        self._core = _core.Flight(_to_json(crates), None if world is None else _World(world))
+        self._controller = own.load(config) if controller is None else controller
 
     @property
     def tick(self) -> int:
@@ -772,16 +777,17 @@ class Flight:
         if self.has_ended:
             return False
         if command is None and self._controller is not None:
-            command = self._controller(self.measurement if measurement is None else measurement)
+            given_to_it = self.measurement if measurement is None else measurement
+            command = self._controller(given_to_it._replace(setpoint=Setpoint(**self._core.setpoint())))
         added = None if residual is None else (_array(residual.thrust_rate), _array(residual.joint_velocity))
         given = None
         if measurement is not None:
-            _, state, thrust, wind, foot_wrenches = measurement
+            _, state, thrust, wind, foot_wrenches, _ = measurement
             given = _arrays(state), _array(thrust), _array(wind), _array(foot_wrenches)
         return self._core.step(
             setpoint=None if setpoint is None else _numbers(setpoint),
             residual=None if residual is None or added is None else (*added, residual.replaces),
-            command=None if command is None else (_array(command.thrust_rate), _array(command.joint_torque)),
+            command=None if command is None else (_array(command[0]), _array(command[1])),
             measurement=given,
             link_forces=None if link_forces is None else _array(link_forces),
         )
@@ -951,6 +957,8 @@ def fly(config: Mapping[str, Any], progress: Progress | None = None) -> FlightRe
     ValueError
         For a flight that cannot be flown, or cannot begin with its first measurement.
     """
+    if config.get("own_controller"):
+        return Flight(config).run(progress)
     return FlightResult(**_core.fly(_to_json(config), progress))
 
 
@@ -998,7 +1006,7 @@ def fly_batch(
 ) -> list[FlightResult]:
     """Fly many configurations in parallel threads; the results do not depend on their number.
 
-    Without `full_log` only outcome and summary are guaranteed.
+    Without `full_log` only outcome and summary are guaranteed. Those with an `own_controller` are flown one by one.
 
     Raises
     ------
@@ -1007,6 +1015,14 @@ def fly_batch(
     """
     if threads is not None and threads < 1:
         raise ValueError(f"`threads` is {threads}; expected at least 1, or None for one per core")
+    configs = list(configs)
+    if any(config.get("own_controller") for config in configs):
+        flown = []
+        for index, config in enumerate(configs):
+            flown.append(fly(config))
+            if progress is not None:
+                progress(index + 1, len(configs))
+        return flown
     texts = [_to_json(config) for config in configs]
     return [FlightResult(**raw) for raw in _core.fly_batch(texts, threads, progress, full_log)]
 

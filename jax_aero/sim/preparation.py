@@ -117,6 +117,12 @@ def _unflown(config: ScenarioConfig) -> Iterator[tuple[str, Any, str]]:
     for key in ("fuel", "ground", "motors"):
         if getattr(simulator, key) is not None:
             yield f"simulator.{key}", "given", "none: JAX has neither ground, motors nor fuel"
+    if config.own_controller is not None:
+        yield (
+            "own_controller",
+            repr(config.own_controller.name),
+            f"none: JAX compiles its own (`sim.Controller`); {by_crate}",
+        )
     if steps > 1:
         yield "controller.torque.steps", steps, f"1: JAX has no second rate of torques; {by_crate}"
     if config.controller.jet_dynamics != "ideal":

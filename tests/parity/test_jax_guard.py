@@ -70,6 +70,7 @@ REFUSED = {
     "disturbances.jets.failure": {"jet": "l_arm_jet", "time": 1.0, "kind": "off"},
     "disturbances.jets.thrust_limit_scale": 0.7,
     "controller.torque.steps": 5,
+    "own_controller": {"file": __file__, "name": "healthy"},
 }
 
 

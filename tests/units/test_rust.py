@@ -245,13 +245,14 @@ def test_a_residual_is_flown_within_its_bounds():
 def test_a_controller_of_ones_own():
     """It keeps height by thrust alone; without it the robot falls 0.1 m in that time. The log has what acts."""
     config = rust.load_config("no_wind", {"simulator.duration": 0.14})
-    robot, commanded = rust.Robot(config["robot"]), []
+    robot, commanded, followed = rust.Robot(config["robot"]), [], []
 
     def keep_height(seen):
         dynamics = rust.dynamics(robot, seen.state)
         climb = 900.0 * (height - dynamics.com_position[2]) - 60.0 * dynamics.momentum[2] / robot.mass
         wanted = seen.thrust * robot.mass * (robot.gravity + climb) / seen.thrust.sum()
         commanded.append((wanted - seen.thrust) / 0.05)
+        followed.append(seen.setpoint.com_position)
         return rust.Command(commanded[-1], np.zeros(23))
 
     flight = rust.Flight(config, controller=keep_height)
@@ -259,7 +260,59 @@ def test_a_controller_of_ones_own():
     log = flight.run().log
     assert np.abs(log["com_position"][:, 2] - height).max() < 0.02
     assert np.array_equal(log["thrust_rate"], commanded)
+    assert np.array_equal(log["com_setpoint"], followed)
     assert not log["joint_torque"].any()
+
+
+OWN = """
+from dataclasses import dataclass
+from constants import PUSH
+
+@dataclass
+class Same:
+    config: dict
+
+    def __call__(self, seen):
+        return [PUSH] * 4, [0.0] * len(seen.state.joint_position)
+
+def late(seen):
+    return None if seen.time > 0.03 else Same({})(seen)
+"""
+
+
+@pytest.fixture
+def own(tmp_path):
+    (tmp_path / "own.py").write_text(OWN, encoding="utf-8")
+    (tmp_path / "constants.py").write_text("PUSH = 2.0", encoding="utf-8")
+
+    def config(name, **changes):
+        table = {"file": str(tmp_path / "own.py"), "name": name}
+        return rust.load_config("no_wind", {"simulator.duration": 0.05, "own_controller": table, **changes})
+
+    return config
+
+
+def test_a_flight_s_file_names_a_controller_of_ones_own(own, tmp_path):
+    config = own("Same")
+    assert (rust.fly(config)["thrust_rate"] == 2.0).all()
+    flown = rust.fly_batch([config, config | {"own_controller": None}])
+    assert [flight.outcome for flight in flown] == ["completed", "completed"]
+    digest = rust.config_digest(config)
+    (tmp_path / "own.py").write_text(OWN.replace("0.03", "0.04"), encoding="utf-8")
+    assert rust.config_digest(config) != digest
+
+
+def test_a_controller_of_ones_own_is_refused_by_name_and_line(own):
+    with pytest.raises(ValueError, match=r"own controller at 0.04 s: .*NoneType"):
+        rust.fly(own("late"))
+    with pytest.raises(rust.ConfigError, match=r"`own_controller.name` is \"Other\"; expected the name of a function"):
+        rust.fly(own("Other"))
+    with pytest.raises(rust.ConfigError, match="own_controller"):
+        rust.Controller(own("Same"))
+    broken = own("Same")
+    broken["own_controller"]["file"] = str(rust.__file__)[:-3] + "_absent.py"
+    with pytest.raises(rust.ConfigError, match=r"own_controller.file"):
+        rust.fly(broken)
 
 
 @pytest.mark.close_to_tolerance("of the second order in the step, and the step is as it is")

@@ -382,7 +382,7 @@ fn contact_dict<'py>(py: Python<'py>, terms: &Terms, state: &ContactState) -> Py
     Ok(out)
 }
 
-fn setpoint_to_dict<'py>(py: Python<'py>, setpoint: &Setpoint) -> PyResult<Bound<'py, PyDict>> {
+pub fn setpoint_to_dict<'py>(py: Python<'py>, setpoint: &Setpoint) -> PyResult<Bound<'py, PyDict>> {
     let out = PyDict::new(py);
     for (name, numbers) in SETPOINT_VECTORS.into_iter().zip(setpoint.vectors()) {
         out.set_item(name, vector(py, numbers.as_slice())?)?;

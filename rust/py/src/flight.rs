@@ -5,14 +5,14 @@ use crate::arrays::{
 };
 use flight_core::BuildError;
 use flight_io::{
-    AeroConfig, ControllerSection, NetworkConfig, PolicyConfig, RobotFiles, Schema, from_json, load,
-    load_robot, read_bytes, read_recording, typed,
+    AeroConfig, ControllerSection, RobotFiles, Schema, from_json, load, load_robot, read_bytes,
+    read_recording, typed,
 };
 use flight_sim::log::Series;
 use flight_sim::signals::Signal;
 use flight_sim::{
     BatchError, FIGURES, FlightLog, FlightResult, NoResult, SIGNALS, Scenario, ScenarioConfig, Summary, Wind,
-    WindConfig, load_flyable,
+    load_flyable,
 };
 use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError, PyUserWarning, PyValueError};
 use pyo3::prelude::*;
@@ -185,28 +185,15 @@ pub fn config_digest(config_json: &str) -> PyResult<String> {
     // The location of the files does not affect the flight, their content does.
     value["robot"] = file_name(&config.robot).into();
     let mut hash = Sha256::new();
-    let controller_wind = config.disturbances.controller_wind.as_ref();
-    for (pointer, wind) in
-        [("/wind/path", Some(&config.wind)), ("/disturbances/controller_wind/path", controller_wind)]
-    {
-        if let (Some(WindConfig::File { path }), Some(written)) = (wind, value.pointer_mut(pointer)) {
-            *written = file_name(path).into();
-            hash.update(read_bytes(path).map_err(value_error)?);
+    for key in flight_io::path_keys(&value, &SCHEMA) {
+        // The card of a network contains the hash of its weights.
+        if let Some(written) = value.pointer_mut(&format!("/{}", key.replace('.', "/")))
+            && let Some(path) = written.as_str().map(PathBuf::from)
+            && key != "robot"
+        {
+            *written = file_name(&path).into();
+            hash.update(read_bytes(&path).map_err(value_error)?);
         }
-    }
-    if let Some(path) = &config.mission.file {
-        value["mission"]["file"] = file_name(path).into();
-        hash.update(read_bytes(path).map_err(value_error)?);
-    }
-    for (part, aero) in [("simulator", &config.simulator.aero), ("controller", &config.controller.aero)] {
-        if let AeroConfig::Network(NetworkConfig { card, .. }) = aero {
-            value[part]["aero"]["card"] = file_name(card).into();
-            hash.update(read_bytes(card).map_err(value_error)?); // the card contains the hash of the weights
-        }
-    }
-    if let Some(PolicyConfig { card }) = &config.controller.policy {
-        value["controller"]["policy"]["card"] = file_name(card).into();
-        hash.update(read_bytes(card).map_err(value_error)?);
     }
     hash.update(value.to_string());
     hash.update(&robot.toml);

@@ -1,7 +1,7 @@
 //! A flight tick by tick, in the crate's world or in one that Python simulates.
 
 use crate::arrays::{Input, Output, entries, finite_entries, plain_error, value_error, vector, vector3};
-use crate::control::{ControllerState, setpoint_from_dict, tick_dict};
+use crate::control::{ControllerState, setpoint_from_dict, setpoint_to_dict, tick_dict};
 use crate::flight::{flight_dict, parse};
 use crate::robot::{StateInput, measured_state, state_arrays};
 use flight_core::control::Measurement;
@@ -141,6 +141,12 @@ impl Flight {
         self.check_world()?;
         let state = state.map_err(plain_error)?;
         tick_dict(py, self.flight.controller(), Some(&state))
+    }
+
+    /// What the controller follows in the next tick, by name.
+    fn setpoint<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        self.flight.try_tick().map_err(plain_error)?;
+        setpoint_to_dict(py, &self.flight.controller().terms().setpoint)
     }
 
     /// Fly one tick; return whether the flight goes on. `setpoint` (a dict) replaces that of the mission; `residual` are

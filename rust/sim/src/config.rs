@@ -43,6 +43,10 @@ pub struct ScenarioConfig {
     pub simulator: SimulatorConfig,
     /// The controller.
     pub controller: ControllerSection,
+    /// What commands in place of the controller, which then follows the mission, by which the flight is judged, and is
+    /// given what acts. Flown from Python.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub own_controller: Option<OwnController>,
     /// Commands of the autopilot, or a recorded reference.
     pub mission: MissionConfig,
     /// The simulated wind; the controller also receives it, unless `disturbances` states otherwise.
@@ -58,6 +62,10 @@ impl ScenarioConfig {
     /// # Errors
     /// [`BuildError`] naming the invalid part of the configuration.
     pub fn controller(&self, robot: RobotModel) -> Result<Controller, BuildError> {
+        if let Some(own) = &self.own_controller {
+            let expected = "none: only Python flies it (`jax_aero.rust.Flight`)";
+            return Err(BuildError::bad_value("own_controller", own.file.display(), expected));
+        }
         let robot = self.disturbances.controller_robot(robot)?;
         let factors = &self.disturbances.aero_estimate;
         let aero = |robot: &RobotModel| {
@@ -93,6 +101,17 @@ pub fn schemas() -> [(&'static str, Schema); 8] {
         ("simulator", Schema::of_type::<SimulatorConfig>()),
         ("wind", Schema::of_type::<WindConfig>()),
     ]
+}
+
+/// A controller in Python, from measurement and set-point to thrust rates and torques.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct OwnController {
+    /// Python file.
+    #[schemars(extend("format" = "path"))]
+    pub file: PathBuf,
+    /// Name of a function in it, or of a class that is made for each flight.
+    pub name: String,
 }
 
 /// The program that simulates a configuration.

@@ -90,7 +90,7 @@ impl Scenario {
     /// # Errors
     /// [`BuildError`] naming the invalid part.
     pub fn check(config: &ScenarioConfig) -> Result<Vec<String>, BuildError> {
-        let mut of_this_engine = config.clone();
+        let mut of_this_engine = ScenarioConfig { own_controller: None, ..config.clone() };
         match config.engine {
             Engine::Rust => {}
             Engine::Jax => of_this_engine.simulator.dynamics = DynamicsBackend::Tree, // both can be flown
