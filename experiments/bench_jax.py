@@ -112,9 +112,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _machine() -> str:
     device = jax.devices()[0]
     versions = manifest.versions("jax")
-    facts = f"{device.device_kind} ({device.platform}), {os.cpu_count()} cores; jax {jax.__version__}, "
+    facts = f"{device.device_kind} ({device.platform}), {manifest.processors()} cores; jax {jax.__version__}, "
     text = f"Device: {facts}numpy {versions.get('numpy', '?')}; load {os.getloadavg()[0]:.1f}\n"
-    if os.getloadavg()[0] > 0.5 * (os.cpu_count() or 1):
+    if os.getloadavg()[0] > 0.5 * manifest.processors():
         text += "The machine is busy: ratios are more reliable than times.\n"
     return text
 

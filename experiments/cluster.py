@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from experiments import Refused, sources
+from experiments import Refused, manifest, sources
 from jax_aero.base import places
 from jax_aero.cli import count
 
@@ -98,17 +98,12 @@ def _connect(ray: Any, address: str | None, workers: int | None) -> None:
         return
     os.environ[ONLY_HERE] = "0"
     ray._private.ray_constants.ENABLE_RAY_CLUSTER = False  # here, where it is imported already
-    local = {"num_cpus": workers or _processors(), "include_dashboard": False, **quiet}
+    local = {"num_cpus": workers or manifest.processors(), "include_dashboard": False, **quiet}
     try:
         ray.init(**local)
     except Exception:  # Ray's time-out of 30 s may be too short on a busy machine
         ray.shutdown()
         ray.init(**local)
-
-
-def _processors() -> int:
-    """Return the number of processors of this process's job, which may be fewer than those of the machine."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _spread(ray: Any, common: Any, jobs: Mapping[Key, Any], cpus: int) -> Iterator[tuple[Key, Any]]:

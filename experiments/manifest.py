@@ -97,9 +97,14 @@ def versions(engine: str) -> dict[str, str]:
     return found | version_of(engine)
 
 
+def processors() -> int:
+    """Return the number of processors of this process's job, which may be fewer than those of the machine."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def device() -> dict[str, Any]:
     """Return processor and system, without the name of the machine."""
-    return {"cpu": _cpu_model(), "cores": os.cpu_count(), "system": f"{platform.system()} {platform.machine()}"}
+    return {"cpu": _cpu_model(), "cores": processors(), "system": f"{platform.system()} {platform.machine()}"}
 
 
 def _cpu_model() -> str:
