@@ -585,7 +585,9 @@ class SensorConfig(Struct, frozen=True, kw_only=True):
     bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
     delay: float = 0.0
     drift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gaps: float = 0.0
     noise_std: float = 0.0
+    period: float = 0.0
 
 
 class ThrustSensorConfig(Struct, frozen=True, kw_only=True):

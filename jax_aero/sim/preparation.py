@@ -117,6 +117,15 @@ def _unflown(config: ScenarioConfig) -> Iterator[tuple[str, Any, str]]:
     for key in ("fuel", "ground", "motors"):
         if getattr(simulator, key) is not None:
             yield f"simulator.{key}", "given", "none: JAX has neither ground, motors nor fuel"
+    for name in ("base_position", "base_rotation", "base_linear_velocity", "base_angular_velocity"):
+        sensor = getattr(simulator.sensors, name, None)
+        for key in ("period", "gaps"):
+            if sensor is not None and getattr(sensor, key):
+                yield (
+                    f"simulator.sensors.{name}.{key}",
+                    getattr(sensor, key),
+                    f"0: JAX measures in every tick; {by_crate}",
+                )
     if config.own_controller is not None:
         yield (
             "own_controller",

@@ -71,6 +71,8 @@ REFUSED = {
     "disturbances.jets.thrust_limit_scale": 0.7,
     "controller.torque.steps": 5,
     "own_controller": {"file": __file__, "name": "healthy"},
+    "simulator.sensors.base_position.period": 0.05,
+    "simulator.sensors.base_angular_velocity.gaps": 0.2,
 }
 
 

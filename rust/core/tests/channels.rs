@@ -98,8 +98,7 @@ fn lose_everything(sample: &mut Sample) {
     sample.wind.fill(f64::NAN);
 }
 
-/// An estimator follows what is measured, and a base velocity also where it is only known from the pose; of what is
-/// missing or has jumped it sees no number.
+/// An estimator follows what is measured; of what is missing or has jumped it sees no number.
 #[test]
 fn an_estimator_follows_what_is_accepted() {
     let mut rig = Rig::new(&with_jumps());
@@ -115,7 +114,7 @@ fn an_estimator_follows_what_is_accepted() {
     assert!(reading.state.base.position.iter().all(|number| number.is_nan()));
     assert_eq!(reading.state.base.rotation, state.base.rotation);
     assert_eq!(reading.state.joint_position, state.joint_position);
-    assert_eq!(reading.state.velocity.rows(0, 6), rig.used.state.velocity.rows(0, 6));
+    assert!(reading.state.velocity.rows(0, 6).iter().all(|number| number.is_nan()));
     assert_eq!(reading.state.velocity.rows(6, 23), state.velocity.rows(6, 23));
     assert!(reading.thrust[2].is_nan());
     for jet in [0, 1, 3] {
@@ -402,7 +401,31 @@ fn standing_still_is_not_frozen() {
     }
 }
 
-/// A base velocity that is not measured follows the differences of the pose by `1 − e^{−K Δt}` a tick.
+/// Linear and angular velocity are missing each by itself; between two measurements, up to 0.15 s, none follows the pose.
+#[test]
+fn velocities_have_rates_of_their_own() {
+    let mut rig = Rig::new(&ChannelsConfig::default());
+    rig.state.acceleration.fill(0.0);
+    let (before, gyro) = (rig.sample.state.velocity.clone(), Vector3::new(0.3, -0.2, 0.1));
+    let start = rig.sample.state.base.position;
+    for tick in 1..=15 {
+        let used = rig.tick(|sample| {
+            sample.state.base.position = start + Vector3::repeat(f64::from(tick) * STEP);
+            sample.state.velocity.rows_mut(0, 3).fill(f64::NAN);
+            sample.state.velocity.rows_mut(3, 3).copy_from(&gyro);
+        });
+        assert_eq!(used.state.velocity.rows(0, 3), before.rows(0, 3), "tick {tick}");
+        assert_eq!(used.state.base_angular_velocity(), gyro, "tick {tick}");
+        assert!(!used.has_momentum && used.is_between(), "tick {tick}");
+        assert_within!((used.gap - f64::from(tick) * STEP).abs(), 1e-12);
+    }
+    let used = rig.tick(|sample| sample.state.velocity.rows_mut(0, 3).fill(f64::NAN));
+    assert!(!used.is_between());
+    let used = rig.tick(|_| ());
+    assert!(used.has_momentum && !used.is_between());
+}
+
+/// A base velocity that has not been measured for 0.15 s follows the differences of the pose by `1 − e^{−K Δt}` a tick.
 #[test]
 fn a_lost_velocity_follows_the_pose() {
     let mut rig = Rig::new(&ChannelsConfig::default());
@@ -410,14 +433,14 @@ fn a_lost_velocity_follows_the_pose() {
     let before = rig.sample.state.velocity.clone();
     let (v, w) = (Vector3::new(0.7, -0.4, 0.2), Vector3::new(0.05, 0.02, -0.03));
     let (start, rotation) = (rig.sample.state.base.position, rig.sample.state.base.rotation);
-    for tick in 1..=50 {
+    for tick in 1..=60 {
         let time = f64::from(tick) * STEP;
         let used = rig.tick(|sample| {
             sample.state.base.position = start + v * time;
             sample.state.base.rotation = exp_so3(&(w * time)) * rotation;
             sample.state.velocity.rows_mut(0, 6).fill(f64::NAN);
         });
-        let left = (-100.0 * time).exp();
+        let left = (-100.0 * (time - 0.15).max(0.0)).exp();
         for axis in 0..3 {
             let expected = v[axis] + (before[axis] - v[axis]) * left;
             assert_within!((used.state.velocity[axis] - expected).abs(), 1e-11, "tick {tick}");

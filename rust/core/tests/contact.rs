@@ -133,6 +133,7 @@ fn tick_with_load(
 fn tremble(state: &mut RobotState) {
     state.joint_position[0] += 1e-12;
     state.velocity[0] = -state.velocity[0] + 1e-12;
+    state.velocity[5] = -state.velocity[5] + 1e-12;
     state.base.position.x += 1e-12;
 }
 

@@ -49,12 +49,22 @@ impl Monitors {
 
     /// A tick with these samples; the momentum is measured and has the residual of sensors that are wrong by so much \[N\].
     fn tick(&mut self, samples: &[EngineSample], sensor_errors: Option<&[f64]>) -> Vec<(bool, bool)> {
+        self.tick_between(samples, sensor_errors, false)
+    }
+
+    /// The same; a tick without a measured momentum may be between two with one.
+    fn tick_between(
+        &mut self,
+        samples: &[EngineSample],
+        sensor_errors: Option<&[f64]>,
+        is_between: bool,
+    ) -> Vec<(bool, bool)> {
         let residual = sensor_errors.map(|errors| {
             self.a_t.column_iter().zip(errors).map(|(column, error)| -*error * column).sum::<Vector6<f64>>()
         });
         let momentum = residual.as_ref().map(|residual| (&self.a_t, residual));
         let mut wrong = vec![None; samples.len()];
-        self.engines.update(&mut self.states, STEP, |jet| samples[jet], momentum, &mut wrong);
+        self.engines.update(&mut self.states, STEP, |jet| samples[jet], momentum, is_between, &mut wrong);
         let found = wrong.iter().zip(&self.states);
         found.map(|(wrong, engine)| (wrong.is_some(), engine.is_limited())).collect()
     }
@@ -256,6 +266,20 @@ fn nothing_is_judged_without_a_momentum() {
     let found = findings.iter().position(|finding| *finding == OUT_OF_REACH);
     assert!(findings[..found.unwrap()].iter().all(|finding| *finding == NOTHING));
     assert!(found.unwrap() > 5, "{findings:?}");
+}
+
+/// A thrust that is not reached is found at the first measurement after its confirmation, of one in every five ticks.
+#[test]
+fn a_momentum_with_a_rate_of_its_own_judges_when_it_is_measured() {
+    for (is_between, found) in [(true, Some(10)), (false, None)] {
+        let mut engine = Monitors::new(1, 1.0);
+        let first = (1..=40).find(|tick| {
+            let sample = [held(100.0, if *tick == 1 { 20.0 } else { 0.0 })];
+            let measured = (tick % 5 == 0).then_some(&[0.0][..]);
+            engine.tick_between(&sample, measured, is_between)[0] == OUT_OF_REACH
+        });
+        assert_eq!(first, found);
+    }
 }
 
 /// An engine that runs has at least its least thrust, also if it was found to reach less; one that stopped has what is

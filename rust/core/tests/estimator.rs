@@ -274,6 +274,35 @@ fn every_channel_is_corrected_by_its_share() {
     }
 }
 
+/// What the base measures in every fourth tick alone corrects as much as in four ticks, also while it is on its way.
+#[test]
+fn a_measurement_after_a_gap_corrects_for_all_of_it() {
+    for delay in [0.0, 0.02] {
+        let channel = ChannelConfig { delay, time_constant: 0.05 };
+        let config = flight(EstimatorConfig { base_position: channel, ..EstimatorConfig::default() });
+        let mut still = world(&config).plant.state().clone();
+        still.velocity.fill(0.0);
+        let thrust = config.simulator.initial.thrust.clone();
+        let found = [(0, 1), (1, 1), (0, 4), (1, 4)].map(|(has_moved, period)| {
+            let mut estimator = estimator(&config);
+            let ticks = (0..=24).map(|tick| {
+                let mut state = still.clone();
+                state.base.position.z += if tick == 0 { 0.0 } else { 0.1 * f64::from(has_moved) };
+                if tick % period != 0 {
+                    state.base.position.fill(f64::NAN);
+                }
+                estimator.update(&state, &thrust).state.base.position.z
+            });
+            ticks.collect::<Vec<_>>()
+        });
+        for tick in (8..=24).step_by(4) {
+            let [every, fourth] = [0, 2].map(|first| found[first + 1][tick] - found[first][tick]);
+            assert!(every > 0.01);
+            assert_within!((every - fourth).abs(), 1e-12, because "the same factors in another order", "tick {tick}");
+        }
+    }
+}
+
 /// Force and moment of the momentum are estimated as late as velocity and gyroscopes are, age and time constant together.
 #[test]
 fn the_momentum_is_known_as_late_as_the_velocities() {

@@ -21,6 +21,12 @@ use serde::{Deserialize, Serialize};
 /// Stream of the noise, the same as that of turbulence; measured wind and thrust estimators have others.
 const STREAM: u64 = 2;
 
+/// Stream of the seed from which gaps are drawn.
+const STREAM_OF_GAPS: u64 = 4;
+
+/// What is not measured.
+const NONE: Vector3<f64> = Vector3::new(f64::NAN, f64::NAN, f64::NAN);
+
 /// Greatest delay \[s\], because the delay line is kept in memory.
 const MAX_DELAY: f64 = 1.0;
 
@@ -64,6 +70,12 @@ pub struct SensorConfig {
     /// Age of the measurement, rounded to ticks \[s\].
     #[schemars(range(min = 0, max = 1))]
     pub delay: f64,
+    /// Time from one measurement to the next, rounded to ticks \[s\]; between them there is none. Zero: in every tick.
+    #[schemars(range(min = 0, max = 1))]
+    pub period: f64,
+    /// Share of the other measurements that are missing, drawn one by one.
+    #[schemars(range(min = 0, max = 1))]
+    pub gaps: f64,
 }
 
 /// Encoders of the joints.
@@ -160,6 +172,13 @@ impl SensorsConfig {
             }
             size(&format!("{key}.noise_std"), sensor.noise_std, unit)?;
             age(&format!("{key}.delay"), sensor.delay)?;
+            age(&format!("{key}.period"), sensor.period)?;
+            table.check(
+                &format!("{key}.gaps"),
+                sensor.gaps,
+                |x| (0.0..=1.0).contains(&x),
+                "a share from 0 to 1",
+            )?;
         }
         for bias in &self.joints.bias {
             table.check("joints.bias", *bias, |_| true, "finite numbers in rad or m")?;
@@ -200,6 +219,7 @@ pub struct Sensors {
     /// Fraction of the difference that the low pass of joint velocities corrects per tick.
     share: f64,
     noise: Noise,
+    gaps: Noise,
     /// The last ticks, a ring buffer; `now` is the latest.
     line: Vec<Reading>,
     now: usize,
@@ -247,6 +267,7 @@ impl Sensors {
             time_step,
             share: share(time_step / time_constant),
             noise: Noise::new(config.seed, STREAM),
+            gaps: Noise::new(config.seed, STREAM_OF_GAPS),
             line: vec![nothing.clone(); oldest + 1],
             now: 0,
             readings: 0,
@@ -284,7 +305,7 @@ impl Sensors {
     ///
     /// Until a delay has passed, the first state is measured; the low pass of the joints starts in its steady state.
     pub fn read(&mut self, state: &RobotState, thrust: &[f64]) -> &Reading {
-        let Self { config, time_step, line, reading, noise, .. } = self;
+        let Self { config, time_step, line, reading, noise, gaps, .. } = self;
         let (is_started, time) = (self.readings > 0, f64::from(self.readings) * *time_step);
         self.now = (self.now + 1) % line.len();
         for (place, tick) in line.iter_mut().enumerate() {
@@ -309,6 +330,21 @@ impl Sensors {
         let gyro = turning.base.rotation.transpose() * turning.base_angular_velocity()
             + errors(&config.base_angular_velocity);
         let angular = reading.state.base.rotation * gyro;
+        let readings = self.readings as usize;
+        let mut is_missing = |sensor: &SensorConfig| {
+            let every = age(sensor.period, *time_step).max(1);
+            // The first one begins the flight.
+            !readings.is_multiple_of(every)
+                || (sensor.gaps > 0.0 && gaps.uniform() < sensor.gaps && readings > 0)
+        };
+        if is_missing(&config.base_position) {
+            reading.state.base.position.fill(f64::NAN);
+        }
+        if is_missing(&config.base_rotation) {
+            reading.state.base.rotation.fill(f64::NAN);
+        }
+        let linear = if is_missing(&config.base_linear_velocity) { NONE } else { linear };
+        let angular = if is_missing(&config.base_angular_velocity) { NONE } else { angular };
         reading.state.velocity.as_mut_slice()[..3].copy_from_slice(linear.as_slice());
         reading.state.velocity.as_mut_slice()[3..6].copy_from_slice(angular.as_slice());
 

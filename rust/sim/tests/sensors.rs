@@ -129,6 +129,32 @@ fn every_channel_has_its_own_delay() {
     }
 }
 
+/// A sensor of the base with a period says nothing between, and with gaps as often as they say; the first measurement is
+/// there.
+#[test]
+fn sensors_of_the_base_have_rates_and_gaps() {
+    let every = |period| SensorConfig { period, ..SensorConfig::default() };
+    let config = SensorsConfig {
+        base_position: every(0.02),
+        base_rotation: every(0.0),
+        base_linear_velocity: every(0.05),
+        base_angular_velocity: SensorConfig { gaps: 0.2, ..SensorConfig::default() },
+        seed: 3,
+        ..SensorsConfig::default()
+    };
+    let motion = motion(1000);
+    let mut missing = 0;
+    for (tick, ((truth, _), said)) in motion.iter().zip(read_all(&config, &motion)).enumerate() {
+        let is_said = |numbers: Vector3<f64>| numbers.iter().all(|number| number.is_finite());
+        assert_eq!(is_said(said.state.base.position), tick.is_multiple_of(2), "tick {tick}");
+        assert_eq!(said.state.base.rotation, truth.base.rotation, "tick {tick}");
+        assert_eq!(is_said(said.state.base_linear_velocity()), tick.is_multiple_of(5), "tick {tick}");
+        missing += usize::from(!is_said(said.state.base_angular_velocity()));
+        assert!(tick > 0 || missing == 0);
+    }
+    assert_within!((missing as f64 - 200.0).abs(), 51.0, because "four standard deviations of a thousand draws");
+}
+
 /// Gyroscopes stand in the base, whose measured rotation turns what they say.
 #[test]
 fn the_measured_rotation_turns_the_gyroscopes() {

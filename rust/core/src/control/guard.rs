@@ -256,8 +256,13 @@ impl Guard {
         if let Some((config, observer)) = self.observer.as_ref().zip(state.observer.as_mut()) {
             let Terms { measurement: used, dynamics, momentum, .. } = terms;
             let sample = MomentumSample { momentum: dynamics.momentum, rate: momentum.measured_rate };
+            if used.modes.contains(Modes::BEGUN_AGAIN) {
+                observer.interrupt();
+            }
             momentum.add_unmodelled(if used.has_momentum {
                 observer.update(config, used.elapsed, sample)
+            } else if used.is_between() {
+                observer.wait(used.elapsed, sample.rate)
             } else {
                 observer.interrupt()
             });
@@ -286,6 +291,7 @@ impl Guard {
         let GuardState { engines: found, observer, channels, .. } = state;
         let Some((engines, found)) = self.engines.as_ref().zip(found.as_mut()) else { return };
         let Terms { measurement, momentum, limits, .. } = terms;
+        let is_between = measurement.is_between();
         let UsedMeasurement { thrust, thrust_innovation, sensor_error, elapsed, has_momentum, modes, .. } =
             measurement;
         let is_measured = !modes.contains(Modes::THRUST_MODELLED);
@@ -296,7 +302,7 @@ impl Guard {
             command: channels.thrust_rate[jet],
         };
         let residual = observer.as_ref().filter(|_| *has_momentum).map(|of| (&momentum.a_t, &of.residual));
-        engines.update(found, *elapsed, samples, residual, sensor_error);
+        engines.update(found, *elapsed, samples, residual, is_between && observer.is_some(), sensor_error);
         for (jet, error) in sensor_error.iter().enumerate() {
             if let Some(error) = error {
                 self.channels.reject_sensor(channels, jet, *error);
@@ -334,7 +340,7 @@ impl Guard {
         let Some((monitor, latency)) = self.latency.as_mut().zip(latency.as_mut()) else { return };
         terms.reduce_torque(last.joint_torque.as_slice());
         let Terms { measurement: used, inverse_mass, limits, acting_torque, .. } = terms;
-        let is_comparable = used.has_momentum
+        let is_comparable = (used.has_momentum || used.is_between())
             && inverse_mass.is_known
             && !contact.is_active
             && !used.modes.contains(Modes::FEET_PREDICTED)

@@ -80,6 +80,15 @@ impl Reading {
         self.copy(&other.state, &other.thrust);
     }
 
+    /// Whether position, rotation, linear and angular velocity of the base are measured.
+    pub(super) fn has_base(&self) -> [bool; 4] {
+        let (linear, angular) = (self.state.base_linear_velocity(), self.state.base_angular_velocity());
+        let are_finite = |numbers: &[f64]| numbers.iter().all(|number| number.is_finite());
+        let base = &self.state.base;
+        [base.position.as_slice(), base.rotation.as_slice(), linear.as_slice(), angular.as_slice()]
+            .map(are_finite)
+    }
+
     pub(super) fn is_finite(&self) -> bool {
         self.state.is_finite() && self.thrust.iter().all(|thrust| thrust.is_finite())
     }
@@ -108,6 +117,8 @@ pub struct UsedMeasurement {
     pub pause: f64,
     /// Whether the momentum is measured and the time since the last tick is known.
     pub has_momentum: bool,
+    /// Time for which the momentum has not been measured, this tick and those before it \[s\]; infinite if it is unknown.
+    pub gap: f64,
     /// Velocity of the air \[m/s, inertial axes\].
     pub wind: Vector3<f64>,
     /// Wrench on each foot \[N, N m, inertial axes\].
@@ -116,7 +127,16 @@ pub struct UsedMeasurement {
     pub modes: Modes,
 }
 
+/// Longest time between two measurements of a channel that has a rate of its own, 10 Hz and jitter \[s\].
+pub const GAP_MAX: f64 = 0.15;
+
 impl UsedMeasurement {
+    /// Whether this tick is between two measurements of the momentum.
+    #[must_use]
+    pub fn is_between(&self) -> bool {
+        !self.has_momentum && self.gap <= GAP_MAX
+    }
+
     /// Zeros, for a robot with the tick `time_step` \[s\].
     #[must_use]
     pub fn new(robot: &RobotModel, time_step: f64) -> Self {
@@ -131,6 +151,7 @@ impl UsedMeasurement {
             elapsed: time_step,
             pause: 0.0,
             has_momentum: false,
+            gap: 0.0,
             wind: Vector3::zeros(),
             foot_wrenches: vec![Vector6::zeros(); robot.feet.len()],
             modes: Modes::default(),

@@ -14,7 +14,8 @@
 //! joints and base   a step of the model with the last torques and the observed wrench
 //! ```
 //!
-//! A base velocity that is not measured follows the differences of the pose, if the pose is measured.
+//! A base velocity that is not measured, and not just between two measurements, follows the differences of the pose, if
+//! the pose is measured.
 //!
 //! Equations M101 to M103 and M141 of `docs/model`.
 
@@ -26,7 +27,7 @@ pub use config::{ChannelsConfig, Jumps};
 pub use state::ChannelsState;
 
 use crate::control::greatest;
-use crate::control::measurement::{BadStart, Measurement, Reading, UsedMeasurement};
+use crate::control::measurement::{BadStart, GAP_MAX, Measurement, Reading, UsedMeasurement};
 use crate::control::modes::Modes;
 use crate::jets::JetModel;
 use crate::robot::RobotModel;
@@ -62,6 +63,8 @@ pub struct Channels {
     time_step: f64,
     layout: Numbers,
     entries: Vec<Entry>,
+    /// Places of the linear and the angular velocity of the base among them.
+    velocities: [usize; 2],
     jets: Vec<JetModel>,
     greatest: Vec<f64>,
     jump: Vec<f64>,
@@ -110,7 +113,8 @@ impl Channels {
         let thrusts = layout.thrust.clone().map(|number| (ChannelKind::Thrust, number..number + 1));
         let entries = [(ChannelKind::Wind, layout.wind.clone())].into_iter().chain(thrusts).chain([
             (ChannelKind::Joints, layout.joints()),
-            (ChannelKind::Velocity, layout.velocity()),
+            (ChannelKind::LinearVelocity, layout.linear_velocity.clone()),
+            (ChannelKind::AngularVelocity, layout.angular_velocity.clone()),
             (ChannelKind::Position, layout.position.clone()),
             (ChannelKind::Rotation, layout.rotation.clone()),
             (ChannelKind::Feet, layout.feet.clone()),
@@ -123,6 +127,7 @@ impl Channels {
             ranges: stops.map(|(lower, upper)| (lower - beyond, upper + beyond)).collect(),
             now: vec![0.0; layout.len()],
             entries: entries.map(|(kind, range)| Entry { kind, range }).collect(),
+            velocities: [jets + 2, jets + 3],
             jets: models,
             greatest,
             jump,
@@ -200,6 +205,7 @@ impl Channels {
             foot_wrenches: DVector::zeros(self.layout.feet.len()),
             time: measurement.time,
             clock_offset: 0.0,
+            gap: 0.0,
             is_begun: false,
             is_descending: false,
         })
@@ -263,12 +269,12 @@ impl Channels {
         for (place, Entry { kind, .. }) in self.entries.iter().enumerate() {
             let is_new = self.accept(state, place, dt, missed_ticks, &mut used.modes);
             match kind {
-                ChannelKind::Velocity if was_begun => self.integrate_pose(state, place, dt),
+                ChannelKind::AngularVelocity if was_begun => self.integrate_pose(state, dt),
                 ChannelKind::Position | ChannelKind::Rotation => is_pose_new &= is_new,
                 _ => {}
             }
         }
-        if is_pose_new && used.modes.contains(ChannelKind::Velocity.mode()) {
+        if is_pose_new {
             self.follow_pose(state, dt);
         }
         state.last.copy_from_slice(&self.now);
@@ -277,6 +283,12 @@ impl Channels {
             used.modes.insert(Modes::DESCENDING);
         }
         used.has_momentum = (is_step || !was_begun) && !used.modes.intersects(Modes::WITHOUT_MOMENTUM);
+        used.gap = state.gap + if used.has_momentum { 0.0 } else { dt };
+        state.gap = match (used.has_momentum, is_step) {
+            (true, _) => 0.0,
+            (false, true) => used.gap,
+            (false, false) => f64::INFINITY,
+        };
         state.is_begun = true;
         self.layout.write(&self.now, used);
         used.thrust_rate.copy_from_slice(state.jet_rate.as_slice());
@@ -342,13 +354,14 @@ impl Channels {
         was_new && channel.age == 0.0 && !is_same && state.is_begun
     }
 
-    /// Advances the predicted pose by `dt` \[s\] with the velocity of this tick, measured or not (M78). `place` is the
-    /// channel of the velocity.
-    fn integrate_pose(&self, state: &mut ChannelsState, place: usize, dt: f64) {
-        let layout = &self.layout;
+    /// Advances the predicted pose by `dt` \[s\] with the velocity of this tick, measured or not (M78).
+    fn integrate_pose(&self, state: &mut ChannelsState, dt: f64) {
+        let (layout, ages) = (&self.layout, self.velocities.map(|place| state.channels[place].age));
         let (predicted, position) = (&mut state.predicted, layout.position.clone());
-        let numbers = if state.channels[place].age > 0.0 { &*predicted } else { &self.now };
-        let velocity = Vector6::from_column_slice(&numbers[layout.velocity()]);
+        let velocity = Vector6::from_fn(|row, _| {
+            let numbers = if ages[row / 3] > 0.0 { &*predicted } else { &self.now };
+            numbers[layout.velocity()][row]
+        });
         for (position, velocity) in predicted[position.clone()].iter_mut().zip(&velocity) {
             *position += dt * velocity;
         }
@@ -358,17 +371,20 @@ impl Channels {
         bound(&mut predicted[position.clone()], &self.greatest[position]);
     }
 
-    /// Lets the predicted base velocity follow the difference of the last two poses.
+    /// Lets predicted base velocities that have not been measured for long follow the difference of the last two poses.
     fn follow_pose(&self, state: &mut ChannelsState, dt: f64) {
         let share = share(VELOCITY_GAIN * dt);
         let (position, rotation) = (self.layout.position.clone(), self.layout.rotation.clone());
         let moved = vector(&self.now[position.clone()]) - vector(&state.last[position]);
         let turned =
             rotation_of(&self.now[rotation.clone()]) * rotation_of(&state.last[rotation]).transpose();
-        let (moved, turned) = (moved / dt, vee_of_skew_part(&turned) / dt);
-        let velocity = &mut state.predicted[self.layout.velocity()];
-        for (velocity, found) in velocity.iter_mut().zip(moved.iter().chain(&turned)) {
-            *velocity += share * (found - *velocity);
+        for (place, found) in self.velocities.into_iter().zip([moved, vee_of_skew_part(&turned)]) {
+            if state.channels[place].age > GAP_MAX {
+                let velocity = &mut state.predicted[self.entries[place].range.clone()];
+                for (velocity, found) in velocity.iter_mut().zip(&(found / dt)) {
+                    *velocity += share * (found - *velocity);
+                }
+            }
         }
     }
 
@@ -418,11 +434,12 @@ impl Channels {
         state.predicted[number] -= deviation;
     }
 
-    /// Writes the measurement for an estimator: NaN for values that were not accepted, except for a base velocity,
-    /// which then follows the pose.
+    /// Writes the measurement for an estimator: NaN for values that were not accepted, except for a base velocity that
+    /// follows the pose.
     pub fn select_accepted(&mut self, state: &ChannelsState, reading: &mut Reading) {
         for (entry, channel) in self.entries.iter().zip(&state.channels) {
-            if channel.age > 0.0 && entry.kind != ChannelKind::Velocity {
+            let follows_pose = entry.kind.is_velocity() && channel.age > GAP_MAX;
+            if channel.age > 0.0 && !follows_pose {
                 self.now[entry.range.clone()].fill(f64::NAN);
             }
         }

@@ -273,17 +273,19 @@ impl Engines {
     /// are found to be wrong, whose engines are as at the start, and the range of engines that do not reach their
     /// thrust is narrowed.
     ///
-    /// `momentum` is `A_T` and the residual of the momentum \[N, N m\], where it is measured; otherwise nothing is judged.
+    /// `momentum` is `A_T` and the residual of the momentum \[N, N m\], where it is measured; otherwise nothing is judged,
+    /// and the monitors start anew unless the tick `is_between` two measurements.
     pub fn update(
         &self,
         engines: &mut [EngineState],
         dt: f64,
         samples: impl Fn(usize) -> EngineSample,
         momentum: Option<(&Matrix6xX<f64>, &Vector6<f64>)>,
+        is_between: bool,
         sensor_error: &mut [Option<f64>],
     ) {
         let Self { config, models, .. } = self;
-        let shares = momentum.map(|_| self.momentum_shares);
+        let shares = (momentum.is_some() || is_between).then_some(self.momentum_shares);
         for (jet, (engine, model)) in engines.iter_mut().zip(models).enumerate() {
             engine.update(config, model.as_ref(), dt, samples(jet), shares);
         }

@@ -19,7 +19,7 @@ pub use config::{ChannelConfig, EstimatorConfig, LatencyConfig};
 
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::control::law::contact::WRENCH;
-use crate::control::measurement::Reading;
+use crate::control::measurement::{GAP_MAX, Reading};
 use crate::dynamics::{Dynamics, MassFactor};
 use crate::error::BuildError;
 use crate::jets::{JetDynamics, JetModel};
@@ -169,20 +169,27 @@ struct Gains {
 
 impl Gains {
     /// Corrects an estimate by the measurements of its time that have arrived, the last of which is number `last` in
-    /// `line`; it is as old as measurements without delay of `since` ticks ago, `None` if it is younger. `step` is the
+    /// `line`, with their gaps; it is as old as measurements without delay of `since` ticks ago, `None` if it is younger. `step` is the
     /// duration of the tick before it \[s\] (M91, M93, M145).
     fn correct(
         &self,
         estimate: &mut Estimate,
-        line: &[Reading],
+        (line, gaps): (&[Reading], &[[u8; 4]]),
         last: usize,
         since: Option<usize>,
         step: f64,
     ) {
         let Estimate { reading, disturbance, gyro_bias, .. } = estimate;
         let arrived = self.delays.map(|delay| since.and_then(|since| since.checked_sub(delay)));
-        let measured = arrived.map(|since| &line[(last + line.len() - since.unwrap_or(0)) % line.len()]);
-        let share = |channel: usize| if arrived[channel].is_some() { self.shares[channel] } else { 0.0 };
+        let place = |since: Option<usize>| (last + line.len() - since.unwrap_or(0)) % line.len();
+        let measured = arrived.map(|since| &line[place(since)]);
+        // A measurement after a gap corrects as much as one in every tick of it would have.
+        let share = |channel: usize| {
+            let Some(since) = arrived[channel] else { return 0.0 };
+            let gap = gaps[place(Some(since))].get(channel).copied().unwrap_or(0);
+            let once = self.shares[channel];
+            (0..gap).fold(once, |share, _| share + (1.0 - share) * once)
+        };
         let shares = std::array::from_fn(share);
         if arrived[4].is_some() {
             let [of_velocity, of_acceleration] = self.by_position;
@@ -205,6 +212,8 @@ pub struct Estimator {
     time_step: f64,
     /// Age of the oldest channel on arrival in ticks.
     waiting: usize,
+    /// Greatest gap of a channel that counts, in ticks.
+    gap_max: u8,
     /// Latencies of torques and thrust rates \[ticks\], and the greatest that is used.
     latency: LatencyConfig,
     latency_max: f64,
@@ -221,6 +230,10 @@ pub struct Estimator {
 pub struct EstimatorState {
     /// The last measurements: a ring buffer of the greatest age plus one.
     line: Vec<Reading>,
+    /// For how many ticks before each measurement its position, rotation and velocities of the base were missing.
+    gaps: Vec<[u8; 4]>,
+    /// The same of the next measurement.
+    gap: [u8; 4],
     /// The last inputs, a ring buffer that reaches back to the thrust rates under the oldest measurement.
     orders: Vec<Order>,
     /// Number of measurements processed.
@@ -282,7 +295,9 @@ impl Estimator {
         };
         let gains = Gains { delays, shares, by_position, of_bias };
         let latency_max = latency.torque + LATENCY_UNKNOWN;
-        Ok(Self { model, time_step, waiting, latency, latency_max, gains, momentum_shares, ahead })
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // at most 255
+        let gap_max = (GAP_MAX / time_step).min(255.0) as u8;
+        Ok(Self { model, time_step, waiting, gap_max, latency, latency_max, gains, momentum_shares, ahead })
     }
 
     /// State before the first measurement, for a flight that starts from `state` and `thrust` \[N\].
@@ -300,6 +315,8 @@ impl Estimator {
         };
         EstimatorState {
             line: vec![first.clone(); 1 + self.waiting],
+            gaps: vec![[0; 4]; 1 + self.waiting],
+            gap: [0; 4],
             orders: vec![order; self.orders()],
             ticks: 0,
             then: Estimate {
@@ -322,6 +339,7 @@ impl Estimator {
     pub fn fits(&self, state: &EstimatorState) -> bool {
         let robot = &self.model.robot;
         state.line.len() == 1 + self.waiting
+            && state.gaps.len() == state.line.len()
             && state.orders.len() == self.orders()
             && state.then.disturbance.len() == robot.joints.len()
             && state.then.reading.thrust.len() == robot.jets.len()
@@ -345,8 +363,8 @@ impl Estimator {
         thrust_rate: &mut [f64],
     ) {
         memory.last_order().duration = self.time_step * (elapsed / self.time_step).round().max(1.0);
-        let Self { model, time_step, waiting, latency, latency_max, gains, ahead, .. } = self;
-        let EstimatorState { line, orders, ticks, then, torque_latency } = memory;
+        let Self { model, time_step, waiting, gap_max, latency, latency_max, gains, ahead, .. } = self;
+        let EstimatorState { line, gaps, gap, orders, ticks, then, torque_latency } = memory;
         let torque = torque_latency.map_or(latency.torque, |torque| torque.clamp(0.0, *latency_max));
         let acting_in = LatencyConfig { torque, thrust: latency.thrust.max(torque) };
         // Ages count from when the torques of this tick begin to act, in whole ticks.
@@ -372,8 +390,14 @@ impl Estimator {
                 reading.copy_from(now);
             }
             take_over(&mut then.reading, now);
+            gaps.fill([0; 4]);
+            *gap = [0; 4];
         }
         line[*ticks % length].copy_from(now);
+        gaps[*ticks % length] = *gap;
+        for (gap, is_measured) in gap.iter_mut().zip(now.has_base()) {
+            *gap = if is_measured { 0 } else { (*gap + 1).min(*gap_max) };
+        }
         if begun {
             model.advance(then, (given(oldest + 1), step), acting(oldest + 1, late));
         }
@@ -384,7 +408,7 @@ impl Estimator {
             then.thrust_rate.fill(0.0);
         }
         thrust_innovation.copy_from_slice(&then.reading.thrust);
-        gains.correct(then, line, *ticks, Some(waiting), step);
+        gains.correct(then, (line, gaps), *ticks, Some(waiting), step);
         for (innovation, corrected) in thrust_innovation.iter_mut().zip(&then.reading.thrust) {
             *innovation = corrected - *innovation;
         }
@@ -394,7 +418,7 @@ impl Estimator {
             for age in (0..latency + waiting.min(*ticks)).rev() {
                 let order = given(age + 1);
                 model.advance(ahead, (order, order.duration), acting(age + 1, late));
-                gains.correct(ahead, line, *ticks, age.checked_sub(latency), order.duration);
+                gains.correct(ahead, (line, gaps), *ticks, age.checked_sub(latency), order.duration);
             }
             if torque > 0.0 {
                 // To when the torques of this tick begin to act.

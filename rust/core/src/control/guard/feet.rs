@@ -46,7 +46,9 @@ impl Guard {
         );
         contact.force_of_torques.copy_from(&feet.force);
         // Predicted wrenches of loaded feet are not a measurement of the acting forces.
-        measurement.has_momentum &= !(feet.is_active && measurement.modes.contains(Modes::FEET_PREDICTED));
+        if feet.is_active && measurement.modes.contains(Modes::FEET_PREDICTED) {
+            (measurement.has_momentum, measurement.gap) = (false, f64::INFINITY);
+        }
         let (wrenches, com) = (&measurement.foot_wrenches, &kinematics.com);
         add_wrenches(&contact.soles, wrenches, com, &mut momentum.measured_rate);
         if feet.is_active {

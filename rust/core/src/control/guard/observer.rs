@@ -6,7 +6,7 @@
 //! ŵ   += (1 − exp(−K_o Δt)) ((L_k − L_{k−1})/Δt − r_{k−1} − ŵ)      per measurement, then clamped
 //! ```
 //!
-//! `f_c` is the wrench that the feet measure, whether they carry load or not, so the ground is part of the model and
+//! Between measurements that are several ticks apart the modelled rate is its mean. `f_c` is the wrench that the feet measure, whether they carry load or not, so the ground is part of the model and
 //! the law is the same in flight and standing. `Δt` is the time between the two measurements. Inertial axes, about the
 //! centre of mass, force first. Equations M82 to M84 and M106 of `docs/model`.
 
@@ -68,8 +68,10 @@ pub struct ObserverState {
     /// Residual: unmodelled wrench of the last hundredths of a second that `ŵ` does not yet contain, `n` of M106 \[N, N
     /// m\].
     pub residual: Vector6<f64>,
-    /// The last accepted sample.
+    /// The last measured momentum, and the modelled rate of the last tick.
     pub(super) last: Option<MomentumSample>,
+    /// Time \[s\] and modelled impulse \[N s, N m s\] from that momentum to the last tick.
+    between: (f64, Vector6<f64>),
 }
 
 impl ObserverState {
@@ -83,10 +85,14 @@ impl ObserverState {
     ///
     /// `ŵ` does not change without a last sample, or if numbers overflow.
     pub fn update(&mut self, config: &ObserverConfig, elapsed: f64, sample: MomentumSample) -> Vector6<f64> {
+        let (waited, impulse) = std::mem::take(&mut self.between);
         if let Some(last) = self.last.replace(sample) {
+            let rate =
+                if waited > 0.0 { (impulse + elapsed * last.rate) / (waited + elapsed) } else { last.rate };
+            let elapsed = waited + elapsed;
             let (force, moment) = (share(config.gain_force * elapsed), share(config.gain_moment * elapsed));
             let shares = Vector6::new(force, force, force, moment, moment, moment);
-            let innovation = (sample.momentum - last.momentum) / elapsed - last.rate - self.wrench;
+            let innovation = (sample.momentum - last.momentum) / elapsed - rate - self.wrench;
             let moved = self.wrench + shares.component_mul(&innovation);
             if moved.iter().all(|x| x.is_finite()) {
                 let (force, moment) = (config.force_max, config.moment_max);
@@ -98,10 +104,20 @@ impl ObserverState {
         self.wrench
     }
 
-    /// Keeps `ŵ` and discards the last sample: for a tick whose momentum is not measured, or that is too long after the
-    /// last one.
+    /// Keeps `ŵ` in a tick between two measurements, `elapsed` \[s\] after the last one, with its modelled momentum rate.
+    pub fn wait(&mut self, elapsed: f64, rate: Vector6<f64>) -> Vector6<f64> {
+        if let Some(last) = &mut self.last {
+            self.between.0 += elapsed;
+            self.between.1 += elapsed * last.rate;
+            last.rate = rate;
+        }
+        self.wrench
+    }
+
+    /// Keeps `ŵ` and discards the last sample: for a tick whose momentum has not been measured for long, or that is too
+    /// long after the last one.
     pub fn interrupt(&mut self) -> Vector6<f64> {
-        self.last = None;
+        (self.last, self.between) = (None, <_>::default());
         self.residual.fill(0.0);
         self.wrench
     }

@@ -124,7 +124,8 @@ pub(super) enum ChannelKind {
     Wind,
     Thrust,
     Joints,
-    Velocity,
+    LinearVelocity,
+    AngularVelocity,
     Position,
     Rotation,
     Feet,
@@ -137,7 +138,7 @@ impl ChannelKind {
             Self::Wind => Modes::WIND_HELD,
             Self::Thrust => Modes::THRUST_MODELLED,
             Self::Joints => Modes::JOINTS_PREDICTED,
-            Self::Velocity => Modes::VELOCITY_PREDICTED,
+            Self::LinearVelocity | Self::AngularVelocity => Modes::VELOCITY_PREDICTED,
             Self::Position => Modes::POSITION_PREDICTED,
             Self::Rotation => Modes::ROTATION_PREDICTED,
             Self::Feet => Modes::FEET_PREDICTED,
@@ -146,7 +147,12 @@ impl ChannelKind {
 
     /// Whether the robot descends if it is missing.
     pub(super) fn is_vital(self) -> bool {
-        matches!(self, Self::Joints | Self::Velocity | Self::Position | Self::Rotation)
+        matches!(self, Self::Joints | Self::Position | Self::Rotation) || self.is_velocity()
+    }
+
+    /// Whether it is a velocity of the base.
+    pub(super) fn is_velocity(self) -> bool {
+        matches!(self, Self::LinearVelocity | Self::AngularVelocity)
     }
 }
 

@@ -57,6 +57,8 @@ pub struct ChannelsState {
     pub time: f64,
     /// Offset of the measurement's clock from this time \[s\].
     pub(super) clock_offset: f64,
+    /// Time for which the momentum has not been measured \[s\].
+    pub(super) gap: f64,
     /// Whether there has been a tick.
     pub(super) is_begun: bool,
     /// Whether the robot descends.
