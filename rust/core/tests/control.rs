@@ -555,7 +555,8 @@ fn the_law_is_given_what_the_estimators_make() {
     assert_eq!(controller.terms().estimates.reading.state, used.state);
 }
 
-/// A state that was recorded, restored after other ticks: every number of the ticks that follow is the same.
+/// A state that was recorded, restored after other ticks and in another controller: every number of the ticks that follow
+/// is the same.
 #[test]
 fn a_restored_state_continues_to_the_same_bits() {
     let mut estimating = experiment("test2_observer");
@@ -563,8 +564,11 @@ fn a_restored_state_continues_to_the_same_bits() {
     let estimator = EstimatorConfig { base_position: late, ..EstimatorConfig::default() };
     estimating.controller.law.estimator = Some(estimator);
     estimating.controller.law.wind_observer = Some(WindObserverConfig {});
+    let mut planning = experiment("test2_mpc");
+    planning.controller.law.jet_dynamics = JetDynamics::SecondOrder;
     let missions = ["test1", "test2", "closed_circuit", "test4"].map(|name| (name, experiment(name)));
-    for (name, config) in missions.into_iter().chain([("estimators", estimating)]) {
+    let others = [("estimators", estimating), ("a plan, in ticks between plans", planning)];
+    for (name, config) in missions.into_iter().chain(others) {
         let mut flight = Loop::new(&config);
         flight.run(3.0, |_| wind());
         flight.advance(&wind());
@@ -575,12 +579,14 @@ fn a_restored_state_continues_to_the_same_bits() {
         let after = flight.controller.state().clone();
 
         flight.run(1.0, |_| wind());
-        flight.plant = plant;
-        flight.tick = tick;
-        flight.controller.state = Some(state);
-        flight.run(2.0, |_| wind());
-        assert_equal(name, &numbers(flight.controller.command()), &expected, 0.0);
-        assert_eq!(flight.controller.state(), &after, "{name}");
+        let mut another = Loop::new(&config);
+        for flight in [&mut flight, &mut another] {
+            (flight.plant, flight.tick) = (plant.clone(), tick);
+            flight.controller.state = Some(state.clone());
+            flight.run(2.0, |_| wind());
+            assert_equal(name, &numbers(flight.controller.command()), &expected, 0.0);
+            assert_eq!(flight.controller.state(), &after, "{name}");
+        }
     }
 }
 

@@ -7,10 +7,12 @@ use crate::common::{
     Loop, Running, Sample, assert_within, at, experiment, random_state, random_vector, rng, robot,
 };
 use flight_core::aero::{AeroModel, ForceFactorsConfig, LinkConventions, LinkForces};
+use flight_core::control::law::mpc::PredictiveLaw;
 use flight_core::control::law::mpc::clearance::{Clearance, ClearanceConfig};
 use flight_core::control::law::mpc::config::Air;
 use flight_core::control::law::mpc::horizon::{Horizon, Target};
 use flight_core::control::law::mpc::model::Linearised;
+use flight_core::control::law::mpc::plan::Plan;
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::{Command, CommandStatus, Given, Preview, Terms};
 use flight_core::dynamics::Dynamics;
@@ -425,16 +427,19 @@ fn outputs(model: &Linearised, terms: &Terms, x: &DVector<f64>, dx: &DVector<f64
     [terms.kinematics.com + rows(x, 0), rows(dx, 0), rows(x, 6), omega, rows(dx, 3), alpha]
 }
 
-/// The cost that H and g have is that of the motion in fine steps, up to a constant, with ideal jets and with engines.
+/// The cost that H and g have is that of the motion in fine steps, up to a constant, with ideal jets and with engines; also
+/// where the first knot is long for the gains of the joints.
 #[test]
 fn the_horizon_is_the_motion_in_fine_steps() {
-    fine_steps(JetDynamics::Ideal);
-    fine_steps(JetDynamics::SecondOrder);
+    fine_steps(JetDynamics::Ideal, None);
+    fine_steps(JetDynamics::SecondOrder, None);
+    fine_steps(JetDynamics::SecondOrder, Some(&[0.08, 0.08, 0.08, 0.08, 0.16, 0.16, 0.16, 0.16]));
 }
 
-fn fine_steps(dynamics: JetDynamics) {
+fn fine_steps(dynamics: JetDynamics, knots: Option<&[f64]>) {
     let config = experiment("test2_mpc");
-    let mpc = config.controller.law.mpc.clone().unwrap();
+    let mut mpc = config.controller.law.mpc.clone().unwrap();
+    mpc.knots = knots.map_or(mpc.knots, <[f64]>::to_vec);
     let case = Case::draw(3);
     let controller = case.controller(&config);
     let mut terms = controller.terms().clone();
@@ -593,23 +598,19 @@ fn a_plan_minimises_the_cost_with_all_excesses() {
             (horizon.problem.lower[unknown], horizon.problem.upper[unknown]) = (-0.8, 0.8);
         }
     }
-    let mut solver = PrimalActiveSet::new(base.len());
-    let mut inputs = vec![0.0; base.len()];
-    let mut passes = 0;
-    loop {
-        assert_eq!(solver.solve(&horizon.problem).status, QpStatus::Solved);
-        passes += 1;
-        let to = solver.x().to_vec();
-        if !horizon.update_excess(&model, terms, &limits, &to) {
-            inputs = to;
-            break;
-        }
-        let share = horizon.least_on_way(&model, terms, &limits, (&inputs, &to));
-        assert!((0.0..=1.0).contains(&share) && passes < 30);
-        inputs = inputs.iter().zip(&to).map(|(from, to)| from + share * (to - from)).collect();
-        horizon.update_excess(&model, terms, &limits, &inputs);
-    }
-    assert!(passes > 1, "no value was beyond its limit");
+    let search = |of_another_plan: f64| {
+        let (mut horizon, mut inputs) = (horizon.clone(), vec![of_another_plan; base.len()]);
+        let (mut solver, mut plan) = (PrimalActiveSet::new(base.len()), Plan::none(base.len(), 0));
+        let Horizon { problem, .. } = &horizon;
+        assert_eq!(solver.solve(problem).status, QpStatus::Solved);
+        let first = solver.x().to_vec();
+        let (solver, inputs) = (&mut solver, inputs.as_mut_slice());
+        assert!(PredictiveLaw::search(&mut horizon, solver, &model, terms, &limits, inputs, &mut plan));
+        (plan, first, solver.x().to_vec())
+    };
+    let (plan, first, inputs) = search(0.0);
+    assert_ne!(first, inputs, "no value was beyond its limit");
+    assert_eq!(search(f64::NAN), (plan, first, inputs.clone()), "another plan counts");
     assert!(case.thrust[1] + mpc.knots[0] * inputs[horizon.thrust_input(0, 1)] < 40.0);
 
     let clearance = mpc.clearance.as_ref().unwrap();

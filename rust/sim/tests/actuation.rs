@@ -174,7 +174,7 @@ fn a_measured_latency_is_used() {
     for (name, torque_delay, greatest) in
         [("test2_observer", 0.01, 5.0), ("test2_sensors", 0.01, 8.0), ("robot", 0.025, 20.0)]
     {
-        assert_eq!(fly(name, torque_delay, false).outcome, Outcome::Fell, "{name}");
+        assert_ne!(fly(name, torque_delay, false).outcome, Outcome::Completed, "{name}");
         let flight = fly(name, torque_delay, true);
         assert_eq!(flight.outcome, Outcome::Completed, "{name}: {:?}", flight.loss);
         let rotation = flight.summary.max_rotation_error.to_degrees();

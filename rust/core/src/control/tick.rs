@@ -96,7 +96,7 @@ impl Controller {
             between: JointsBetween::new(joints),
             contact: ContactState::new(terms.contact.soles.len()),
             residual_observer: ObserverState::default(),
-            plan: Plan::none(law.predictive().map_or(0, PredictiveLaw::unknowns)),
+            plan: Plan::none(law.predictive().map_or(0, PredictiveLaw::unknowns), terms.limits.thrust.len()),
             momentum_start: WarmStart::cold(terms.momentum_qp.problem.len()),
             torque_start: WarmStart::cold(terms.torque_qp.problem.len()),
         })

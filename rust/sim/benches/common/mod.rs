@@ -170,7 +170,7 @@ impl Search {
         Self {
             solver: PrimalActiveSet::new(unknowns),
             inputs: vec![0.0; unknowns],
-            plan: Plan::none(unknowns),
+            plan: Plan::none(unknowns, 0),
         }
     }
 

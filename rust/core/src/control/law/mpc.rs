@@ -3,18 +3,22 @@
 //! ```text
 //! model      dynamics linearised at the present state       [`model`]
 //! clearance  distances of exhausts and links                [`clearance`]
-//! horizon    prediction over unequal knots, QP in the inputs  [`horizon`]
+//! chain      states that one input drives                  [`chain`]
+//! prediction motion over unequal knots                     [`prediction`]
+//! horizon    QP in the inputs                              [`horizon`]
 //! plan       its answer, followed until the next one       [`plan`]
 //! ```
 //!
 //! The momentum law prepares its own problem too: its bounds are those of the first knot, and it decides where there is
 //! no plan. Equations M116 to M126 of `docs/model`.
 
+mod chain;
 pub mod clearance;
 pub mod config;
 pub mod horizon;
 pub mod model;
 pub mod plan;
+pub mod prediction;
 
 use super::setpoint::{Ahead, SetpointGenerator};
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
@@ -181,6 +185,9 @@ impl PredictiveLaw {
         let ahead = (self.targets.as_slice(), self.wrenches.as_slice());
         self.horizon.update(&self.model, terms, &state.posture, ahead, !terms.limits.holds_position);
         self.set_bounds(terms);
+        for (to, damping) in state.plan.damping.iter_mut().zip(self.horizon.prediction.damping()) {
+            *to = damping;
+        }
         let Self { horizon, solver, model, joint_limits, inputs, .. } = self;
         Self::search(horizon, solver, model, terms, joint_limits, inputs, &mut state.plan)
     }
@@ -197,7 +204,7 @@ impl PredictiveLaw {
         inputs: &mut [f64],
         plan: &mut Plan,
     ) -> bool {
-        let Plan { inputs: last, warm, answer, since, tried } = plan;
+        let Plan { inputs: last, warm, answer, since, tried, .. } = plan;
         if since.is_some() {
             horizon.update_excess(model, terms, joint_limits, last);
         }
@@ -213,11 +220,12 @@ impl PredictiveLaw {
                 *since = Some(*tried);
                 return true;
             }
+            if pass == 0 {
+                inputs.copy_from_slice(to);
+                continue; // H and g have what these inputs bring beyond its limits
+            }
             // The cost falls along the way; its least point has other values beyond their limits.
-            let share = match pass {
-                0 => 1.0,
-                _ => horizon.least_on_way(model, terms, joint_limits, (&*inputs, to)),
-            };
+            let share = horizon.least_on_way(model, terms, joint_limits, (&*inputs, to));
             for (input, to) in inputs.iter_mut().zip(to) {
                 *input += share * (to - *input);
             }
@@ -296,7 +304,7 @@ impl PredictiveLaw {
             for (jet, rate_max) in self.thrust_rate_max.iter().enumerate() {
                 let unknown = horizon.thrust_input(knot, jet);
                 let of_tick = unknowns.thrust_rate.start + jet;
-                let (lower, upper) = match horizon.input_range(knot, jet, terms) {
+                let (lower, upper) = match horizon.prediction.input_range(knot, jet, terms) {
                     Some(of_engine) => of_engine,
                     None if knot == 0 => bounds_of(terms, of_tick),
                     None => (-rate_max, *rate_max),
@@ -331,8 +339,12 @@ impl PredictiveLaw {
         command.thrust_rate.fill(0.0); // also of unused jets, whose rates may have been replaced
         for jet in 0..unknowns.thrust_rate.len() {
             let input = inputs[self.horizon.thrust_input(knot, jet)];
-            let rate = terms.measurement.thrust_rate[jet];
-            let rate = self.horizon.commanded_rate(jet, input, rate, self.time_step);
+            let present = terms.measurement.thrust_rate[jet];
+            let rate = if self.horizon.prediction.has_engine(jet) {
+                present + self.time_step * (input + state.plan.damping[jet] * present)
+            } else {
+                input
+            };
             command.thrust_rate[jet] = clamp(unknowns.thrust_rate.start + jet, rate);
         }
         for (joint, place) in self.place.iter().enumerate() {

@@ -13,18 +13,21 @@ pub struct Plan {
     pub(super) tried: f64,
     pub(super) answer: Option<QpAnswer>,
     pub(super) warm: WarmStart,
+    /// `β` of each engine at the last attempt \[1/s\] (M174); zero for ideal jets.
+    pub(super) damping: Vec<f64>,
 }
 
 impl Plan {
-    /// No plan, in `unknowns` unknowns.
+    /// No plan, in `unknowns` unknowns, for a number of `jets`.
     #[must_use]
-    pub fn none(unknowns: usize) -> Self {
+    pub fn none(unknowns: usize, jets: usize) -> Self {
         Self {
             inputs: vec![0.0; unknowns],
             since: None,
             tried: f64::NEG_INFINITY,
             answer: None,
             warm: WarmStart::cold(unknowns),
+            damping: vec![0.0; jets],
         }
     }
 
