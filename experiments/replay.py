@@ -1,9 +1,9 @@
 """Replay a recorded log through the tick of a controller, open loop, and compare what it computes with the log.
 
-LOG is a result of `jax-aero fly`, an MCAP or CSV file of `jax-aero export`, or one of others (parquet too) with --map
-FILE. The log of a flight of the crate with its own configuration gives the same bits; otherwise the differences of
-every signal are printed, and with --plot drawn, and the exit status is 1. Ticks that the log has lost are replayed as
-not measured.
+LOG is a result of `jax-aero fly`, an MCAP, MATLAB or CSV file of `jax-aero export`, or one of others (parquet too) with
+--map FILE. The log of a flight of the crate with its own configuration gives the same bits; otherwise the differences
+of every signal are printed, and with --plot drawn, and the exit status is 1. Ticks that the log has lost are replayed
+as not measured.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Difference(NamedTuple):
 def main(words: Sequence[str]) -> int:
     """Replay a log; return the exit status."""
     parser = cli.Parser("replay", __doc__)
-    parser.add_argument("log", type=Path, metavar="LOG", help="result, or .mcap or .csv file")
+    parser.add_argument("log", type=Path, metavar="LOG", help="result, or .mcap, .mat or .csv file")
     about = "experiment with the robot, mission and controller (default: what the log was flown with)"
     parser.add_argument("--experiment", metavar="NAME", help=about)
     parser.add_argument("--control", metavar="NAME", help="another controller, of configs/control, or the path of one")

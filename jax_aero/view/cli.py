@@ -12,7 +12,7 @@ from jax_aero.base.terminal import Progress, exit_status, progress_bar
 from jax_aero.cli import Parser
 from jax_aero.view import Refused, recording
 
-RESULT = "a folder or run.nc that `jax-aero fly NAME` wrote, or the NAME of one in results/flight"
+RESULT = "a folder or run.nc that `jax-aero fly NAME` wrote, the NAME of one in results/flight, or a .mat log"
 
 
 def view(words: Sequence[str]) -> int:
@@ -118,6 +118,7 @@ def export(words: Sequence[str]) -> int:
 
     def work(progress: Progress) -> None:
         from jax_aero.view.export import write_csv, write_mcap
+        from jax_aero.view.matlab import write_mat
         from jax_aero.view.web import write_page
 
         if given.ghost is not None and given.format != "html":
@@ -131,7 +132,7 @@ def export(words: Sequence[str]) -> int:
         elif given.format == "mcap":
             write_mcap(flight, given.out, progress, given.profile or "json")
         else:
-            write_csv(flight, given.out)
+            (write_mat if given.format == "mat" else write_csv)(flight, given.out)
 
     return _write(given, "tick", work)
 
@@ -140,6 +141,7 @@ FORMATS = {
     "html": "a page that any browser plays, of two flights with --ghost",
     "mcap": "every signal, poses and the robot's URDF, for Foxglove, PlotJuggler and Rerun",
     "csv": "every signal as a table, for PlotJuggler and spreadsheets",
+    "mat": "every signal as iRonCub's own logger writes it (MATLAB 7.3), for robot-log-visualizer",
 }
 """Formats of `jax-aero export`, which are the suffixes of their files."""
 

@@ -33,7 +33,7 @@ from jax_aero.view.recording import Recording, entries_of
 from jax_aero.view.topics import Topic
 
 METADATA = "flight"
-"""Name of the metadata record of an MCAP file."""
+"""Name of the metadata record of an MCAP file, and of the text of a MATLAB file."""
 
 
 class Profile(NamedTuple):
@@ -109,7 +109,7 @@ def write_mcap(recording: Recording, out: Path, progress: Progress | None = None
             schema = writer.register_schema(topic.schema, form.schemas, topic.definition)
             channel = writer.register_channel(topic.name, form.messages, schema, dict(topic.metadata))
             channels.append((channel, topic.message))
-        writer.add_metadata(METADATA, _facts(recording))
+        writer.add_metadata(METADATA, facts_of(recording))
         for tick, stamp in enumerate(stamps):
             for channel, message in channels:
                 found = message(tick, stamp)
@@ -120,7 +120,8 @@ def write_mcap(recording: Recording, out: Path, progress: Progress | None = None
         writer.finish()
 
 
-def _facts(recording: Recording) -> dict[str, str]:
+def facts_of(recording: Recording) -> dict[str, str]:
+    """Return title, outcome and configuration of a flight as texts."""
     facts = {"title": recording.title, "outcome": recording.verdict}
     if recording.config is not None:
         facts["config"] = msgspec.json.encode(make_portable(recording.config)).decode()

@@ -1,4 +1,4 @@
-"""Recorded logs to be replayed: our NetCDF, MCAP and CSV, and tables of others with a file that names their columns.
+"""Recorded logs to be replayed: our NetCDF, MCAP, MATLAB and CSV, and others with a file that names their columns.
 
 A mapping file is TOML: a table for each signal (`rust.signals`) that the log holds.
 
@@ -7,7 +7,8 @@ A mapping file is TOML: a table for each signal (`rust.signals`) that the log ho
     raw_base_position  = { columns = ["px", "py", "pz"] }
     raw_base_quaternion = { columns = ["qw", "qx", "qy", "qz"] }                  # in place of raw_base_rotation
 
-Columns of an MCAP file are the numbers of its JSON messages, such as `/topic/field/0`, with the times of its topic.
+Columns of an MCAP file are the numbers of its JSON messages, such as `/topic/field/0`, with the times of its topic;
+those of a MATLAB file are named in `jax_aero.view.matlab`.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from jax_aero.base.terminal import ConfigError
 from jax_aero.view import Refused, recording
 from jax_aero.view.columns import TABLES, Array, Series, read_mcap
 from jax_aero.view.export import column_name
+from jax_aero.view.matlab import read_mat
 from jax_aero.view.recording import entries_of
 
 QUATERNION = "raw_base_quaternion"
@@ -101,7 +103,7 @@ def read(path: Path, config: rust.Config | None, mapping: Path | None = None, ro
     Parameters
     ----------
     path
-        A result of `jax-aero fly`, or a `.mcap`, `.csv` or `.parquet` file.
+        A result of `jax-aero fly`, or a `.mcap`, `.mat`, `.csv` or `.parquet` file.
     config
         Configuration of the robot that it is of; `None` for that of the log.
     mapping
@@ -114,14 +116,20 @@ def read(path: Path, config: rust.Config | None, mapping: Path | None = None, ro
     Refused
         For a file that cannot be read, or columns that are not there.
     """
-    if path.suffix not in (".mcap", *TABLES):
+    if path.suffix not in (formats := (".mcap", ".mat", *TABLES)):
         if mapping is not None:
-            raise Refused(f"--map is given for `{path}`; expected it with a file of {', '.join(('.mcap', *TABLES))}")
+            raise Refused(f"--map is given for `{path}`; expected it with a file of {', '.join(formats)}")
         flight = recording.read(path, robot_file or (None if config is None else config["robot"]))
         series = {name: [Series(flight.signals["time"], flight.rows(name))] for name in flight.signals}
         return Log(series, flight.config)
     sources = {} if mapping is None else _load_mapping(mapping)
-    columns, own = ({}, None) if path.suffix in TABLES else read_mcap(path, is_ours=mapping is None)
+    columns: dict[str, Series] = {}
+    own: rust.Config | None = None
+    if path.suffix == ".mcap":
+        columns, own = read_mcap(path, is_ours=mapping is None)
+    elif path.suffix == ".mat":
+        held, facts = read_mat(path)
+        columns, own = {name: Series(*series) for name, series in held.items()}, facts.get("config")
     if config is None and own is None:
         raise Refused(f"`{path}` holds no configuration of a flight; expected --experiment NAME")
     robot = rust.Robot(robot_file or (config or own or {})["robot"])
@@ -160,8 +168,9 @@ def _own_columns(robot: rust.Robot, suffix: str) -> dict[str, tuple[str, ...]]:
     found = {}
     for name, signal in rust.signals().items():
         if signal.dims[0] == "time" and (entries := entries_of(name, robot)):
-            if suffix == ".mcap":
-                found[name] = tuple(column_name(f"/signals/{name}", entry or ("value",)) for entry in entries)
+            if suffix in (".mcap", ".mat"):
+                head = f"/signals/{name}" if suffix == ".mcap" else name
+                found[name] = tuple(column_name(head, entry or ("value",)) for entry in entries)
             else:
                 found[name] = tuple(column_name(name, entry) for entry in entries)
     return found

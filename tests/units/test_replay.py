@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -15,7 +16,7 @@ from jax_aero import rust
 from jax_aero.base import sizes
 from jax_aero.base.result import labels_of
 from jax_aero.body.spatial import rpy_from_rotation, wxyz_from_rotation
-from jax_aero.view import export, logs, recording
+from jax_aero.view import export, logs, matlab, recording
 from jax_aero.view.columns import read_mcap
 
 mcap_reader = pytest.importorskip("mcap.reader", reason="mcap is not installed: make setup")
@@ -66,7 +67,7 @@ def test_a_file_has_exact_measurements_once(config, tmp_path):
         assert next(iter(read)) == "time"
 
 
-@pytest.mark.parametrize("form", ["nc", "mcap", "csv"])
+@pytest.mark.parametrize("form", ["nc", "mcap", "mat", "csv"])
 def test_a_log_of_ours_replays_from_every_format(form, result, tmp_path, capsys):
     path, words = result, ()
     if form != "nc":
@@ -173,6 +174,76 @@ def test_an_mcap_file_has_every_bit_of_every_signal_with_its_unit(written, fligh
 def numbers(message):
     for value in message.values():
         yield from numbers(value) if isinstance(value, dict) else [value]
+
+
+@pytest.fixture(scope="module")
+def logged(result, tmp_path_factory):
+    """The flight as a log of the robot's own software."""
+    path = tmp_path_factory.mktemp("matlab") / "flight.mat"
+    matlab.write_mat(recording.read(result), path)
+    return path
+
+
+def test_a_matlab_file_is_read_by_the_rules_of_the_robots_visualizer(logged, flight, config):
+    """Those of `robot-log-visualizer`, `matfile_signal_provider.py`: squeezed data, names behind references."""
+    robot = rust.Robot(config["robot"])
+
+    def texts(file, references):
+        return ["".join(chr(letter[0]) for letter in file[reference]) for reference in references[0]]
+
+    with h5py.File(logged) as file:
+        root = file["robot_logger_device"]
+        assert texts(file, root["description_list"]) == list(robot.joint_names)
+        assert "".join(chr(letter[0]) for letter in root["yarp_robot_name"]) == robot.name
+        for leaf, signal in {"joints_state/positions": "joint_position", "aero_force_sim": "aero_force_sim"}.items():
+            data = np.squeeze(np.array(root[leaf]["data"]))
+            assert bits(data) == bits(flight.log[signal].reshape(len(data), -1))
+            assert bits(np.squeeze(np.array(root[leaf]["timestamps"]))) == bits(flight.log["time"])
+        assert texts(root["aero_force_sim"], root["aero_force_sim"]["elements_names"])[:2] == ["head/x", "head/y"]
+        assert texts(root["thrust"], root["thrust"]["units_of_measure"]) == ["N"] * 4
+
+
+def test_a_matlab_file_of_ours_is_viewed_as_it_was_flown(logged, flight):
+    seen = recording.read(logged)
+    assert (seen.title, seen.verdict) == ("short", "completed")
+    assert all(bits(rows) == bits(flight.log[name]) for name, rows in seen.signals.items())
+    assert seen.signals.keys() == flight.log.keys()
+
+
+def robot_log(path, data, names=("positions",)):
+    """A log with the joints alone, stamped with the time of day."""
+    with h5py.File(path, "w") as file:
+        for name in names:
+            leaf = file.create_group(f"robot_logger_device/joints_state/{name}")
+            leaf["data"], leaf["timestamps"] = data, 1.7e9 + 0.01 * np.arange(3.0)[:, None]
+
+
+def test_a_log_of_the_robot_has_its_joints_alone(tmp_path, config):
+    robot = rust.Robot(config["robot"])
+    n = len(robot.joint_names)
+    robot_log(tmp_path / "log.mat", np.arange(3.0 * n).reshape(3, 1, n))
+    with pytest.raises(recording.Refused, match="has no column"):
+        recording.read(tmp_path / "log.mat", config["robot"])  # its elements have no names
+
+
+@pytest.mark.parametrize(
+    ("spoil", "expected"),
+    [
+        (lambda leaf: leaf.__delitem__("timestamps"), "has no data in `robot_logger_device`"),
+        (lambda leaf: leaf.create_dataset("more", (1 << 40,), "i1", chunks=True), "bytes of numbers"),
+        (lambda leaf: leaf.create_dataset("more", (4,), "u1", external=[("/etc/hostname", 0, 4)]), "in other files"),
+        (lambda leaf: leaf.__setitem__("loop", leaf.parent), None),
+    ],
+)
+def test_a_spoilt_matlab_file_is_refused(spoil, expected, tmp_path):
+    robot_log(tmp_path / "log.mat", np.zeros((3, 1, 2)))
+    with h5py.File(tmp_path / "log.mat", "a") as file:
+        spoil(file["robot_logger_device/joints_state/positions"])
+    if expected is None:  # a group that holds itself is read once
+        assert list(matlab.read_mat(tmp_path / "log.mat")[0]) == [f"joints_state/positions/{place}" for place in "01"]
+        return
+    with pytest.raises(recording.Refused, match=expected):
+        matlab.read_mat(tmp_path / "log.mat")
 
 
 def test_a_csv_file_has_a_column_for_every_scalar(result, flight, tmp_path):
@@ -447,7 +518,7 @@ def test_what_does_not_fit_is_refused(result, foreign, tmp_path, capsys):
     (tmp_path / "damaged.mcap").write_bytes(content)
     refusals = {
         ("replay", result, "--set", "controller.torque.steps=10"): "whose ticks need the joints in between",
-        ("replay", result, "--map", foreign / "map.toml"): "expected it with a file of .mcap, .csv, .parquet",
+        ("replay", result, "--map", foreign / "map.toml"): "expected it with a file of .mcap, .mat, .csv, .parquet",
         ("replay", foreign / "log.csv", "--experiment", "test2"): "has no column `time`",
         ("replay", foreign / "log.csv", "--map", foreign / "map.toml"): "expected --experiment NAME",
         ("replay", tmp_path / "empty.mcap"): "does not begin as an MCAP file",
