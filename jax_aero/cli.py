@@ -74,6 +74,7 @@ COMMANDS = {
         {
             "import-cfd": ("experiments.data.import_cfd:main", "twin"),
             "import-tunnel": ("experiments.data.import_tunnel:main", "twin"),
+            "import-pressures": ("experiments.data.import_pressures:main", "twin"),
             "fit-aero": ("experiments.data.fit_aero:main", "fit"),
         },
     ),

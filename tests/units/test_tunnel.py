@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from experiments.data import import_cfd, import_tunnel, tunnel
+from experiments.data import import_cfd, import_pressures, import_tunnel, tunnel
 from experiments.data.import_cfd import known_postures
 from jax_aero.aero.dataset import tunnel_from_base
 from tests.measurements import measured
@@ -249,3 +249,50 @@ def test_all_postures_of_the_tests_are_known(robot, table):
     assert named
     assert named <= set(known_postures(path=table))
     assert len(tests) == 157
+
+
+# --- surface pressures
+
+
+def pressures(tmp_path, campaign, values, ports=((101, "I1"), (102, "J5"), (103, "J6"), (104, "Ndef131"), (105, "E2"))):
+    """A clone with one test of a point at 80 Pa and its zero, whose ports read `values`, and without wind 1 Pa each."""
+    texts = {
+        f"TID_0003_PT{row:04}.prm": "\n".join(f"{port}.00000000\t{value:.8f}" for (port, _), value in rows)
+        for row, rows in enumerate((zip(ports, values, strict=True), ((port, 1.0) for port in ports)), start=1)
+    }
+    scanner = "\n".join(["Scanner ID;Sensor ID", *(f"{port};{tap}" for port, tap in ports), ""])
+    files = {"TID_0003.GVP": gvp([(1, 0.0, 10.0, 12.0, 80.0, (0.0,) * 6)]), "Pressure_Sensors_Map.csv": scanner}
+    folder = clone(tmp_path / campaign, files | texts, f"wind-tunnel/{campaign}")
+    ((robot, data),) = import_pressures.from_clone(folder)
+    return robot, data
+
+
+def test_pressures_become_coefficients_of_their_taps(tmp_path):
+    """J5 and J6, exchanged in November alone, are mended and stated; what is doubtful is flagged, and kept as it is."""
+    values = (80.0, -40.0, 20.0, 5.0, 8.0)
+    cp = {"I1": 1.0, "J5": 0.25, "J6": -0.5, "E2": 0.1}
+    for campaign, exchanged, doubtful in (
+        ("exp_2022_11_03", True, []),
+        ("exp_2022_03_21", False, ["E2"]),
+    ):
+        robot, data = pressures(tmp_path, campaign, values)
+        expected = cp if exchanged else cp | {"J5": -0.5, "J6": 0.25}
+        assert (robot, sorted(data["tap"].values)) == ("mk1", sorted(cp))  # a port without a tap is none
+        assert {tap: float(data["cp"].sel(tap=tap)[0]) for tap in cp} == expected
+        assert (data["zero"].values == 1.0).all()
+        assert [tap for tap in data["tap"].values if data["flag"].sel(tap=tap).item()] == doubtful
+        assert ("J5 and J6" in import_pressures.summary(data)) == exchanged
+        assert (float(data["yaw"][0]), data.sizes["point"]) == (10.0, 1)
+
+
+def test_pressures_of_other_ports_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="no map of ports"):
+        import_pressures.read_map("101;I1\n", "map.csv")
+    folder = clone(tmp_path, {"TID_0003.GVP": gvp([(1, 0.0, 0.0, 12.0, 80.0, (0.0,) * 6)])})
+    with pytest.raises(import_pressures.Refused, match="has no pressures"):
+        list(import_pressures.from_clone(folder))
+    data = folder / "wind-tunnel/exp_2022_11_03/data_GVPM"
+    (data / "Pressure_Sensors_Map.csv").write_text("Scanner ID;Sensor ID\n101;I1\n102;I2\n")
+    (data / "TID_0003_PT0001.prm").write_text("101.0\t1.0\n")
+    with pytest.raises(ValueError, match="no port 102"):
+        list(import_pressures.from_clone(folder))
