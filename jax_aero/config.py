@@ -572,7 +572,7 @@ class MotorsConfig(Struct, frozen=True, kw_only=True):
     friction: float
     friction_of: dict[str, float] = field(default_factory=dict)
     inertia: float
-    stiffness: float = 0.0
+    load_friction: dict[str, float] = field(default_factory=dict)
     time_constant: float = 0.0
 
 

@@ -61,7 +61,7 @@ OURS: Mapping[str, Entry] = {
         fig6_balancing.draw,
         "Fig. 6 a-l: ground experiments in frontal and lateral wind",
         "flight",
-        ("balancing_front", "balancing_lateral"),
+        ("balancing_front_as_flown", "balancing_lateral_as_flown"),
     ),
     "take_off": Entry(
         take_off.draw, "take-off and landing: height, load of jets and feet, attitude", "flight", ("take_off",)

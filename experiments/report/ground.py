@@ -50,7 +50,10 @@ class Ground:
 
 
 def read(folder: Path, config: Mapping[str, Any], mass: float) -> Ground | None:
-    """Return the metrics of a result, or `None` unless a robot stands first in calm and then in wind."""
+    """Return the metrics of a result, or `None` unless a robot stands first in calm and then in wind.
+
+    `mass` is the robot's [kg]; the controller's differs by its model error.
+    """
     wind = keys.get(config, "disturbances.controller_wind")
     if not isinstance(wind, Mapping):
         return None
@@ -60,7 +63,8 @@ def read(folder: Path, config: Mapping[str, Any], mass: float) -> Ground | None:
         start = float(wind.get("ramp_start", 0.0))
         if not 0.0 < start <= float(opened["time"][-1]):
             return None
-        return measure(folder.name, opened, start, mass)
+        scale = keys.get(config, "disturbances.model_error.mass_scale") or 1.0
+        return measure(folder.name, opened, start, scale * mass)
 
 
 def measure(name: str, run: xr.Dataset, ramp_start: float, mass: float) -> Ground:

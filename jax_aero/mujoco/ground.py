@@ -62,8 +62,10 @@ class GroundPlant:
             for corner in range(len(foot["vertices"]))
         }
         self._stand(simulator["initial"], simulator["ground"]["settling"])
-        self.model.jnt_stiffness[1:] = simulator.get("motors", {}).get("stiffness", 0.0)
-        self.model.qpos_spring[:] = self.data.qpos
+        motors = simulator.get("motors", {})
+        shares = [motors.get("load_friction", {}).get(joint, 0.0) for joint in self.robot.joint_names]
+        self._load_friction = np.array(shares) if any(shares) else None
+        self._friction = self.model.dof_frictionloss[self._order.dofs[6:]].copy()
         self._odometry: LegOdometry | None = None
         if settings := simulator["ground"].get("leg_odometry"):
             soles = [self._soles[feet.index(name)] for name in config["controller"]["contact"]["feet"]]
@@ -110,7 +112,7 @@ class GroundPlant:
             state=state,
             measured=self._odometry.measure(state) if self._odometry is not None and is_sound else state,
             foot_wrenches=self._foot_wrenches(),
-            joint_torque=(data.qfrc_actuator + data.qfrc_passive + self._dry_friction())[self._order.dofs[6:]],
+            joint_torque=self._load(),
             soles=data.site_xpos[self._soles].copy(),
         )
 
@@ -122,6 +124,8 @@ class GroundPlant:
     def advance(self, torque: Float[np.ndarray, "steps n"], force: Float[np.ndarray, " N"]) -> None:
         """Advance by one sub-step under each row of torques [N m], and this force throughout; see `rust.World`."""
         data, order = self.data, self._order
+        if self._load_friction is not None:  # as in M153, with the load of the last tick
+            self.model.dof_frictionloss[order.dofs[6:]] = self._friction + self._load_friction * np.abs(self._load())
         rotation = data.xmat[order.bodies[0]].reshape(3, 3)
         data.qfrc_applied[order.dofs] = np.concatenate([force[:3], rotation.T @ force[3:6], force[6:]])
         is_held = (torque == torque[0]).all()
@@ -145,12 +149,12 @@ class GroundPlant:
         np.add.at(wrenches, feet, np.hstack([force, np.cross(arm, force)]))
         return wrenches
 
-    def _dry_friction(self) -> Array:
-        """Return the generalised force of dry friction, which MuJoCo treats as a constraint."""
-        data, force = self.data, np.zeros(self.model.nv)
+    def _load(self) -> Array:
+        """Return the torques that reach the joints [N m]; MuJoCo treats dry friction as a constraint."""
+        data, friction = self.data, np.zeros(self.model.nv)
         rows = np.flatnonzero(data.efc_type[: data.nefc] == mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
-        force[data.efc_id[rows]] = data.efc_force[rows]
-        return force
+        friction[data.efc_id[rows]] = data.efc_force[rows]
+        return np.asarray((data.qfrc_actuator + data.qfrc_passive + friction)[self._order.dofs[6:]])
 
 
 def _model(source: str, robot: rust.Robot, feet: Sequence[Mapping[str, Any]], simulator: Mapping[str, Any]) -> Any:

@@ -61,3 +61,24 @@ def test_the_base_follows_from_the_joints_as_the_robot_recorded_it(run):
     table = read_table(config.record)
     base = np.stack([table[f"base_{axis}"].to_numpy() for axis in "xyz"], axis=1)
     assert np.abs(recorded["raw_base_position"] - base).max() < 2.5e-3
+
+
+@pytest.mark.parametrize(
+    ("name", "axis", "joint", "mirror"), [("front", 0, "ankle_pitch", 1), ("lateral", 1, "hip_roll", -1)]
+)
+def test_motion_is_the_mean_of_both_legs_from_calm_to_wind(name, axis, joint, mirror):
+    """3 and 5 of the legs are 4, of mirrored joints 3 and -5; the wind begins at 10 s, the motion at 12 s."""
+    config = rust.load_config(f"balancing_{name}_as_flown")
+    names = rust.Robot(config["robot"]).joint_names
+    time = np.arange(0.0, 36.0, 0.01)
+    moves = (time >= 12.0)[:, None]
+    legs = np.zeros((time.size, len(names)))
+    legs[:, [names.index(f"l_{joint}"), names.index(f"r_{joint}")]] = moves * [3.0, mirror * 5.0]
+    com = np.zeros((time.size, 3))
+    com[:, axis] = np.where(moves[:, 0], -0.04, 0.0)
+    signals = {"time": time, "com_position": com, "raw_joint_position": np.radians(legs)}
+    found = standing.moved(signals | {"joint_torque_measured": legs}, config)
+    words = joint.replace("_", " ")
+    expected = {"centre of mass [mm]": 40.0, "onset [s]": 2.0, f"{words} [deg]": 4.0, f"{words}, torque [N m]": 4.0}
+    assert {figure: found[figure] for figure in expected} == pytest.approx(expected)
+    assert not any(value for figure, value in found.items() if figure not in expected)

@@ -71,7 +71,7 @@ def judge(key, *, flights=None, standing=None, sweeps=None, studies=None):
 
 
 ROBUST = ("robustness", "robustness_published")
-STOOD = {"balancing_front": 0, "balancing_lateral": 1}
+STOOD = {"balancing_front_as_flown": 0, "balancing_lateral_as_flown": 1}
 
 
 @pytest.mark.parametrize(
@@ -110,7 +110,7 @@ def test_the_difference_of_the_models_may_be_late_with_one_kind_of_arms_alone():
 
 def test_what_was_measured_on_the_ground_is_said():
     standing = {name: ground_flight(axis) for name, axis in STOOD.items()}
-    standing["balancing_lateral"] = ground_flight(1, shift=np.array([4e-4, 5e-3, 9e-3]))
+    standing["balancing_lateral_as_flown"] = ground_flight(1, shift=np.array([4e-4, 5e-3, 9e-3]))
     assert judge("identities", standing=standing)[0].startswith(
         "s: rate less its terms at most 1e-12 N; vertical f_c* less the weight -3.00 N, with the assumed lift +0.10 N; "
     )
@@ -127,18 +127,18 @@ def test_what_was_measured_on_the_ground_is_said():
 @pytest.mark.parametrize(
     ("key", "name", "figures"),
     [
-        ("stands", "balancing_lateral", {"completed": False}),
-        ("stands", "balancing_front", {"always_carried": False}),
-        ("against", "balancing_front", {"force": np.array([1.0, -9.0, 0.0])}),
-        ("against", "balancing_front", {"force": np.array([0.0, -9.0, 0.0])}),
-        ("against", "balancing_front", {"shift": np.array([1.9e-3, 0.0, 0.0])}),
-        ("against", "balancing_lateral", {"shift": np.array([1.1e-3, 5e-3, 0.0])}),
-        ("ankle_pitch", "balancing_front", {"left_leg": {"ankle_pitch": 0.2, "hip_pitch": -0.3}}),
-        ("rolls", "balancing_lateral", {"left_leg": {"hip_pitch": -0.35, "hip_roll": 0.4, "ankle_roll": 0.3}}),
-        ("identities", "balancing_front", {"identity": 1e-8}),
-        ("identities", "balancing_lateral", {"vertical": (0.0, -0.6)}),
-        ("onset", "balancing_front", {"onset": 0.9}),
-        ("onset", "balancing_lateral", {"onset": 3.1}),
+        ("stands", "balancing_lateral_as_flown", {"completed": False}),
+        ("stands", "balancing_front_as_flown", {"always_carried": False}),
+        ("against", "balancing_front_as_flown", {"force": np.array([1.0, -9.0, 0.0])}),
+        ("against", "balancing_front_as_flown", {"force": np.array([0.0, -9.0, 0.0])}),
+        ("against", "balancing_front_as_flown", {"shift": np.array([1.9e-3, 0.0, 0.0])}),
+        ("against", "balancing_lateral_as_flown", {"shift": np.array([1.1e-3, 5e-3, 0.0])}),
+        ("ankle_pitch", "balancing_front_as_flown", {"left_leg": {"ankle_pitch": 0.2, "hip_pitch": -0.3}}),
+        ("rolls", "balancing_lateral_as_flown", {"left_leg": {"hip_pitch": -0.35, "hip_roll": 0.4, "ankle_roll": 0.3}}),
+        ("identities", "balancing_front_as_flown", {"identity": 1e-8}),
+        ("identities", "balancing_lateral_as_flown", {"vertical": (0.0, -0.6)}),
+        ("onset", "balancing_front_as_flown", {"onset": 0.9}),
+        ("onset", "balancing_lateral_as_flown", {"onset": 3.1}),
     ],
 )
 def test_a_claim_on_standing_needs_both_experiments(key, name, figures):
@@ -152,7 +152,7 @@ def test_a_claim_on_standing_needs_both_experiments(key, name, figures):
     [({"rate_end": 4.9}, "it falls,"), ({"rate_end": 5.1}, "not fall"), ({"rate_peak": 0.9}, "not fall")],
 )
 def test_the_momentum_rate_falls_to_a_quarter_of_the_force(figures, word):
-    standing = {"balancing_front": ground_flight(0), "balancing_lateral": ground_flight(1, **figures)}
+    standing = {"balancing_front_as_flown": ground_flight(0), "balancing_lateral_as_flown": ground_flight(1, **figures)}
     assert word in judge("momentum_rate", standing=standing)[1]
 
 
@@ -385,3 +385,19 @@ def test_an_estimated_wind_is_judged_by_error_and_interval(figures, verdict):
     text, answer = judge("wind_estimate", studies={"wind_observer": found})
     assert answer == verdict
     assert text.startswith("6 to 10 m/s; air: 0.50 to ")
+
+
+@pytest.mark.parametrize(
+    ("figure", "off", "verdict"),
+    [
+        ("centre of mass [mm]", 19.0, "agrees"),
+        ("centre of mass [mm]", -21.0, "differs: beyond its band: lateral: centre of mass [mm]"),
+        ("onset [s]", np.nan, "differs: beyond its band: lateral: onset [s]"),
+        ("ankle roll, torque [N m]", 1.6, "differs: beyond its band: lateral: ankle roll, torque [N m]"),
+    ],
+)
+def test_the_simulated_motion_is_judged_by_the_recorded_numbers(figure, off, verdict):
+    robot = {"centre of mass [mm]": 37.0, "onset [s]": 3.0, "ankle roll, torque [N m]": -6.8}
+    exact = {f"{source}: {name}": value for source in ("recorded", "simulated") for name, value in robot.items()}
+    studies = {"front": exact, "lateral": exact | {f"simulated: {figure}": robot[figure] + off}}
+    assert judge("recorded_motion", studies=studies)[1] == verdict

@@ -14,11 +14,11 @@ from jax_aero.mujoco.ground import GroundPlant, begin, fly
 from paper_figs.command import main as draw
 
 STILL = {"profile": "constant", "velocity": [0.0, 0.0, 0.0]}
-FREE_JOINTS = {
+DRY = {"simulator.motors.friction_of": {}, "simulator.motors.load_friction": {}}
+"""Dry friction that is the same in all joints."""
+FREE_JOINTS = DRY | {
     "simulator.motors.friction": 0.0,
-    "simulator.motors.friction_of": {},
     "simulator.motors.damping": 0.0,
-    "simulator.motors.stiffness": 0.0,
     "simulator.motors.inertia": 0.0,
     "simulator.substeps": 10,
 }
@@ -81,6 +81,20 @@ def test_state_and_dynamics_are_those_of_the_crate():
     omega = np.asarray(before.state.velocity)[3:6]
     assert np.linalg.norm(omega) > 0.1
     np.testing.assert_allclose(theirs, ours, rtol=1e-6, atol=1e-6 * np.abs(ours).max())
+
+
+def test_dry_friction_grows_with_the_torque_that_reaches_a_joint():
+    """As the drives of the crate (M153): an ankle that carries the robot is held by more than one without load."""
+    plant = GroundPlant(standing())
+    load = np.abs(plant.observe().joint_torque)
+    assert load[(ankle := plant.robot.joint_names.index("l_ankle_pitch"))] > 1.0
+    motors = standing()["simulator"]["motors"]
+    plant.advance(np.zeros((1, 23)), np.zeros(29))
+    found = plant.model.dof_frictionloss[plant._order.dofs[6:]]
+    assert (
+        found[ankle] == motors["friction_of"]["l_ankle_pitch"] + motors["load_friction"]["l_ankle_pitch"] * load[ankle]
+    )
+    assert found[plant.robot.joint_names.index("torso_pitch")] == motors["friction"]
 
 
 def odometry(time_constant):
@@ -284,8 +298,8 @@ def test_the_sums_are_right_at_every_tick(frontal, measured):
     weight = rust.Robot(standing()["robot"]).mass * 9.81
     expected = log["contact_force"][:, :, :3].sum(axis=1) + log["aero_force_control"].sum(axis=1) - [0.0, 0.0, weight]
     np.testing.assert_allclose(log["momentum_rate_estimate"][:, :3], expected, atol=1e-9)
-    lift = log["aero_force_control"].sum(axis=1)[-1, 2]
-    measured("weight carried", abs(log["contact_force"][-1, :, 2].sum() + lift - weight), 0.1)
+    calm = log["contact_force"][90]  # later, friction holds an error of the height
+    measured("weight carried", abs(calm[:, 2].sum() - weight), 0.1)
 
 
 def test_in_frontal_wind_it_leans_forward_by_its_ankles(frontal):
@@ -298,14 +312,14 @@ def test_in_frontal_wind_it_leans_forward_by_its_ankles(frontal):
     turned = np.abs(log["joint_position"][-1] - log["joint_position"][90])
     assert {names[index] for index in np.argsort(-turned)[:2]} == {"l_ankle_pitch", "r_ankle_pitch"}
     rate = np.abs(log["momentum_rate_estimate"][:, 0])
-    assert rate[-1] < min(0.95 * rate.max(), 0.25 * 18.9)
+    assert rate[-1] < min(0.95 * rate.max(), 0.5 * 18.9)  # friction holds the rest
     assert not log["qp_status"].any()
 
 
 def test_a_controller_with_the_measured_wind_withstands_more():
     gale = {"wind": {"profile": "ramp", "velocity": [-17.0, 0.0, 0.0], "ramp_start": 1.0, "ramp_end": 4.0}}
     # Held by dry friction alone, as in the study of the winds that tip the robot over.
-    dry = gale | {"simulator.motors.stiffness": 0.0, "simulator.motors.friction": 3.5, "simulator.duration": 8.0}
+    dry = gale | DRY | {"simulator.motors.friction": 3.5, "simulator.duration": 8.0}
     measured = fly(standing(**{"disturbances.controller_wind": gale["wind"]} | dry))
     ignores = fly(standing(**{"disturbances.controller_wind": STILL} | dry))
     assert measured.outcome == "completed"
@@ -364,7 +378,7 @@ def test_a_run_is_recorded_and_measured(frontal, tmp_path):
 
 def test_the_ground_figure_is_drawn_from_its_runs(frontal, tmp_path):
     robot = rust.Robot(standing()["robot"])
-    for name in ("balancing_front", "balancing_lateral"):
+    for name in ("balancing_front_as_flown", "balancing_lateral_as_flown"):
         dataset = record.to_dataset(frontal, robot, title=name, config_digest="d")
         record.write_run(tmp_path / "flight" / name, dataset, {"name": name, "config_digest": "d"})
     out = tmp_path / "out"

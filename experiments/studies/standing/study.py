@@ -41,6 +41,12 @@ START = 1.0
 MEAN = 1.0
 """Time over which signals are averaged in which noise of the velocities is amplified [s]."""
 
+VISIBLE = 2e-3
+"""Displacement of the centre of mass at the onset [m]."""
+
+JOINTS = (("ankle_pitch", "knee", "hip_pitch"), ("ankle_roll", "hip_roll"))
+"""Joints that move in wind along x and along y."""
+
 CALM, WINDY = (4.0, 9.0), (20.0, 32.0)
 """Times before the wind and in it whose means are compared [s]."""
 
@@ -75,7 +81,7 @@ def compute(_: str, config: StandingConfig) -> Findings:
     summary |= noisy(recorded, computed)
     summary |= {"assumed force as recorded [N]": assumed(recorded), "mass by the desired wrenches [kg]": mass(recorded)}
     summary |= {f"recorded: {figure}": value for figure, value in moved(recorded, flown).items()}
-    summary |= {f"simulated: {figure}": value for figure, value in moved(ground.fly(right).log, right).items()}
+    summary |= {f"simulated: {figure}": value for figure, value in moved(ground.fly(flown).log, flown).items()}
     dataset = to_dataset(recorded, {name: replays[name][1] for name in (AS_FLOWN, RIGHT)}, rust.Robot(flown["robot"]))
     return Findings(config.title, dataset, summary, flights={AS_FLOWN: flown, RIGHT: right})
 
@@ -120,20 +126,32 @@ def differences(recorded: Mapping[str, Array], computed: Mapping[str, Array]) ->
 
 
 def moved(signals: Mapping[str, Array], config: rust.Config) -> dict[str, float]:
-    """Return how far centre of mass and left leg move, and how its torques change, from calm to wind."""
+    """Return how centre of mass and legs move, and how their torques change, from calm to wind: the mean of both legs.
+
+    The onset is when the centre of mass has moved by `VISIBLE`, from when the wind begins to rise.
+    """
     time, robot = signals["time"], rust.Robot(config["robot"])
-    along = int(np.abs(config["disturbances"]["controller_wind"]["velocity"]).argmax())
+    wind = config["disturbances"]["controller_wind"]
+    along = int(np.abs(wind["velocity"]).argmax())
 
     def change(rows: Array) -> Array:
         calm, windy = ((time >= start) & (time <= end) for start, end in (CALM, WINDY))
         return np.asarray(rows[windy].mean(axis=0) - rows[calm].mean(axis=0))
 
     positions = signals.get("joint_position", signals["raw_joint_position"])
-    found = {"centre of mass [mm]": 1e3 * abs(float(change(centre_of_mass(signals, robot))[along]))}
-    for name in (("l_ankle_pitch", "l_knee"), ("l_ankle_roll", "l_hip_roll"))[along]:
-        joint, words = robot.joint_names.index(name), name.replace("_", " ")
-        found[f"{words} [deg]"] = float(np.degrees(change(positions)[joint]))
-        found[f"{words}, torque [N m]"] = float(change(signals["joint_torque_measured"])[joint])
+    com = centre_of_mass(signals, robot)[:, along]
+    begun = time >= wind["ramp_start"]
+    still = com[(time >= wind["ramp_start"] - 1.0) & ~begun].mean()
+    found = {
+        "centre of mass [mm]": 1e3 * abs(float(change(com))),
+        "onset [s]": float(time[begun][(np.abs(com[begun] - still) > VISIBLE).argmax()] - wind["ramp_start"]),
+    }
+    legs = [[robot.joint_names.index(f"{side}_{name}") for side in "lr"] for name in JOINTS[along]]
+    mirror = np.array([0.5, (0.5, -0.5)[along]])  # roll joints turn their legs the other way
+    for name, leg in zip(JOINTS[along], legs, strict=True):
+        words = name.replace("_", " ")
+        found[f"{words} [deg]"] = float(np.degrees(change(positions)[leg]) @ mirror)
+        found[f"{words}, torque [N m]"] = float(change(signals["joint_torque_measured"])[leg] @ mirror)
     return found
 
 

@@ -3,7 +3,7 @@
 //! ```text
 //! τ ──► lag ──► motor θ: inertia, friction, damping ──► spring ──► joint s        rigid: θ = s
 //! B θ̈ = τ_a − d θ̇ − F(θ̇) − τ_s,      τ_s = K (θ − s) + D (θ̇ − ṡ)
-//! F(θ̇) = f θ̇ / v_f,  at most ± f
+//! F(θ̇) = f θ̇ / v_f,  at most ± f,   f = f_0 + μ |τ_s|
 //! ```
 //!
 //! Everything is implicit in the velocities after the step, so that drives are stable at every step. Equation M153 of
@@ -23,7 +23,7 @@ const SLIP: f64 = 1e-3;
 /// Greatest number of passes in which motors are found to slip or to stick.
 const PASSES: u32 = 8;
 
-/// Friction, stiffness, inertia, lag and elasticity between a commanded torque and its joint.
+/// Friction, inertia, lag and elasticity between a commanded torque and its joint.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MotorsConfig {
@@ -33,13 +33,12 @@ pub struct MotorsConfig {
     /// Dry friction of joints that differ from `friction`, by name \[N m\].
     #[serde(default)]
     pub friction_of: BTreeMap<String, f64>,
+    /// Dry friction in addition, as a share of the torque that reaches the joint, by joint: that of a gear under load.
+    #[serde(default)]
+    pub load_friction: BTreeMap<String, f64>,
     /// Viscous friction of every drive \[N m s\].
     #[schemars(range(min = 0))]
     pub damping: f64,
-    /// Stiffness with which every drive holds the initial posture \[N m/rad\].
-    #[serde(default)]
-    #[schemars(range(min = 0))]
-    pub stiffness: f64,
     /// Rotor inertia reflected to every joint \[kg m²\].
     #[schemars(range(min = 0))]
     pub inertia: f64,
@@ -73,12 +72,16 @@ impl MotorsConfig {
         let table = Table("simulator.motors");
         table.check_non_negative("friction", self.friction)?;
         table.check_non_negative("damping", self.damping)?;
-        table.check_non_negative("stiffness", self.stiffness)?;
         table.check_non_negative("inertia", self.inertia)?;
         table.check_non_negative("time_constant", self.time_constant)?;
         for (joint, friction) in &self.friction_of {
             place_of("simulator.motors.friction_of", joint, robot.joints.iter().map(|joint| &joint.name))?;
             table.check_non_negative(&format!("friction_of.{joint}"), *friction)?;
+        }
+        for (joint, share) in &self.load_friction {
+            place_of("simulator.motors.load_friction", joint, robot.joints.iter().map(|joint| &joint.name))?;
+            let is_share = |share| (0.0..=1.0).contains(&share);
+            table.check(&format!("load_friction.{joint}"), *share, is_share, "a share from 0 to 1")?;
         }
         if let Some(spring) = &self.elasticity {
             table.check_positive("elasticity.stiffness", spring.stiffness)?;
@@ -93,10 +96,12 @@ impl MotorsConfig {
 /// One drive.
 #[derive(Debug, Clone)]
 struct Drive {
-    /// Dry friction `f` \[N m\].
+    /// Dry friction without load `f_0` \[N m\].
+    dry: f64,
+    /// Share of the load `μ`.
+    share: f64,
+    /// Dry friction with the load of the last step `f` \[N m\].
     friction: f64,
-    /// Position in which its stiffness is without torque \[rad\].
-    rest: f64,
     /// Torque of this step, after faults \[N m\].
     acting: f64,
     /// `θ` \[rad\] and `θ̇` \[rad/s\].
@@ -107,6 +112,8 @@ struct Drive {
     /// Force and inertia of the joint before the drive acts.
     force: f64,
     inertia: f64,
+    /// Torque on the joint: `torque − slope ṡ` with the velocity after the step.
+    on_joint: (f64, f64),
     /// `θ̇` after the step is `constant + gain ṡ`.
     constant: f64,
     gain: f64,
@@ -128,15 +135,19 @@ impl Motors {
     /// checked.
     #[must_use]
     pub fn new(config: &MotorsConfig, robot: &RobotModel, position: &[f64], velocity: &[f64]) -> Self {
+        let dry =
+            |joint: usize| *config.friction_of.get(&robot.joints[joint].name).unwrap_or(&config.friction);
         let drive = |joint: usize| Drive {
-            friction: *config.friction_of.get(&robot.joints[joint].name).unwrap_or(&config.friction),
-            rest: position[joint],
+            dry: dry(joint),
+            share: *config.load_friction.get(&robot.joints[joint].name).unwrap_or(&0.0),
+            friction: dry(joint),
             acting: 0.0,
             position: position[joint],
             velocity: velocity[joint],
             slip: 0.0,
             force: 0.0,
             inertia: 0.0,
+            on_joint: (0.0, 0.0),
             constant: 0.0,
             gain: 1.0,
         };
@@ -173,14 +184,14 @@ impl Motors {
         mut accelerate: impl FnMut(&DVector<f64>, &DMatrix<f64>, &mut DVector<f64>),
     ) {
         for (joint, drive) in self.drives.iter_mut().enumerate() {
-            let (place, stiffness) = (6 + joint, self.config.stiffness);
-            drive.force = force[place] - stiffness * (position[joint] + step * velocity[joint] - drive.rest);
-            drive.inertia = mass_matrix[(place, place)] + step * step * stiffness;
+            let place = 6 + joint;
+            (drive.force, drive.inertia) = (force[place], mass_matrix[(place, place)]);
         }
         for _ in 0..PASSES {
             for (joint, drive) in self.drives.iter_mut().enumerate() {
                 let place = 6 + joint;
                 let (torque, slope) = drive.act(&self.config, position[joint], velocity[joint], step);
+                drive.on_joint = (torque, slope);
                 force[place] = drive.force + torque - slope * velocity[joint];
                 mass_matrix[(place, place)] = drive.inertia + step * slope;
             }
@@ -202,6 +213,8 @@ impl Motors {
     pub fn advance(&mut self, position: &[f64], velocity: &[f64], step: f64) {
         for ((drive, position), velocity) in self.drives.iter_mut().zip(position).zip(velocity) {
             drive.velocity = drive.velocity_after(*velocity);
+            let (torque, slope) = drive.on_joint;
+            drive.friction = drive.dry + drive.share * (torque - slope * velocity).abs();
             drive.position = match self.config.elasticity {
                 Some(_) => drive.position + step * drive.velocity,
                 None => *position,

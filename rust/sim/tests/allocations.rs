@@ -87,7 +87,7 @@ fn drives_and_fuel_do_not_allocate() {
         friction: 0.5,
         friction_of: [].into(),
         damping: 0.5,
-        stiffness: 0.0,
+        load_friction: [].into(),
         inertia: 0.05,
         time_constant: 0.005,
         elasticity: Some(ElasticityConfig { stiffness: 500.0, damping: 0.5 }),

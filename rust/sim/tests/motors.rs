@@ -13,12 +13,12 @@ const STEP: f64 = 1e-3;
 /// Inertia of a limb \[kg m²\].
 const LIMB: f64 = 0.3;
 
-fn motors(friction: f64, damping: f64, stiffness: f64, inertia: f64) -> MotorsConfig {
+fn motors(friction: f64, damping: f64, inertia: f64) -> MotorsConfig {
     MotorsConfig {
         friction,
         friction_of: [].into(),
+        load_friction: [].into(),
         damping,
-        stiffness,
         inertia,
         time_constant: 0.0,
         elasticity: None,
@@ -64,15 +64,15 @@ impl Limb {
     }
 }
 
-/// `(J + B) a = τ − d ṡ₊ − k (s₊ − s₀)` with velocity and position after the step.
+/// `(J + B) a = τ − d ṡ₊` with the velocity after the step.
 #[test]
-fn inertia_damping_and_stiffness_act_after_the_step() {
+fn inertia_and_damping_act_after_the_step() {
     let robot = robot("sparrow");
-    let (damping, stiffness, inertia) = (1.7, 40.0, 0.05);
-    let mut limb = Limb::new(&motors(0.0, damping, stiffness, inertia), &robot, 0.4);
+    let (damping, inertia) = (1.7, 0.05);
+    let mut limb = Limb::new(&motors(0.0, damping, inertia), &robot, 0.4);
     for step in [0.01, 0.002] {
         let acceleration = limb.step(2.0, step);
-        let expected = 2.0 - damping * limb.velocity[0] - stiffness * (limb.position[0] - 0.1);
+        let expected = 2.0 - damping * limb.velocity[0];
         assert_within!(((LIMB + inertia) * acceleration - expected).abs(), 1e-14, "force");
     }
 }
@@ -81,7 +81,7 @@ fn inertia_damping_and_stiffness_act_after_the_step() {
 #[test]
 fn friction_holds_and_then_slips() {
     let robot = robot("sparrow");
-    let mut config = motors(9.0, 0.0, 0.0, 0.05);
+    let mut config = motors(9.0, 0.0, 0.05);
     config.friction_of = [(robot.joints[0].name.clone(), 2.0)].into();
     let mut limb = Limb::new(&config, &robot, 0.0);
     for _ in 0..1000 {
@@ -96,12 +96,27 @@ fn friction_holds_and_then_slips() {
     assert_within!((limb.step(0.0, STEP) - 2.0 / (LIMB + 0.05)).abs(), 1e-12, "against the motion");
 }
 
+/// A gear under load has `f = f₀ + μ |τ_s|`: of 5 N m a limb that slips gets `τ_s = 5 − 1 − 0.25 τ_s`, with what the
+/// rotor takes of it.
+#[test]
+fn friction_grows_with_the_load() {
+    let robot = robot("sparrow");
+    let mut config = motors(1.0, 0.0, 0.05);
+    config.load_friction = [(robot.joints[0].name.clone(), 0.25)].into();
+    let mut limb = Limb::new(&config, &robot, 0.5);
+    let acceleration = (0..40).map(|_| limb.step(5.0, STEP)).last().unwrap();
+    assert_within!((LIMB * acceleration * 1.25 + 0.05 * acceleration - 4.0).abs(), 1e-12, "slips");
+    let mut limb = Limb::new(&config, &robot, -0.5);
+    let last = (0..40).map(|_| limb.step(-5.0, STEP)).last().unwrap();
+    assert_within!((last + acceleration).abs(), 1e-12, "the other way");
+}
+
 /// A limb that slides comes to rest, at no step with more energy than before.
 #[test]
 fn friction_ends_a_motion() {
     let robot = robot("sparrow");
     for step in [0.01, 0.001] {
-        let mut limb = Limb::new(&motors(0.7, 0.0, 0.0, 0.05), &robot, 0.5);
+        let mut limb = Limb::new(&motors(0.7, 0.0, 0.05), &robot, 0.5);
         let mut last = limb.velocity[0];
         for _ in 0..100 {
             limb.step(0.0, step);
@@ -115,7 +130,7 @@ fn friction_ends_a_motion() {
 #[test]
 fn the_torque_lags() {
     let robot = robot("sparrow");
-    let mut config = motors(0.0, 0.0, 0.0, 0.0);
+    let mut config = motors(0.0, 0.0, 0.0);
     config.time_constant = 0.02;
     let mut limb = Limb::new(&config, &robot, 0.0);
     assert_within!((LIMB * limb.step(1.0, STEP) - 1.0).abs(), 1e-15, "first");
@@ -133,7 +148,7 @@ fn a_limb_on_a_spring_oscillates() {
     let (inertia, stiffness, damping, step) = (0.1, 300.0, 0.05, 2e-6);
     let config = MotorsConfig {
         elasticity: Some(ElasticityConfig { stiffness, damping }),
-        ..motors(0.0, 0.0, 0.0, inertia)
+        ..motors(0.0, 0.0, inertia)
     };
     let mut limb = Limb::new(&config, &robot, 0.0);
     limb.velocity.fill(0.4); // the motor is at rest
@@ -165,7 +180,7 @@ fn a_limb_on_a_spring_oscillates() {
 #[test]
 fn a_stiff_spring_is_rigid() {
     let robot = robot("sparrow");
-    let rigid = motors(0.5, 0.3, 20.0, 0.05);
+    let rigid = motors(0.5, 0.3, 0.05);
     let stiff = MotorsConfig {
         elasticity: Some(ElasticityConfig { stiffness: 1e10, damping: 0.0 }),
         ..rigid.clone()
@@ -196,7 +211,7 @@ fn drives_do_not_change_the_momentum() {
     config.simulator.motors = Some(MotorsConfig {
         time_constant: 0.01,
         elasticity: Some(ElasticityConfig { stiffness: 500.0, damping: 0.2 }),
-        ..motors(1.0, 0.3, 0.0, 0.05)
+        ..motors(1.0, 0.3, 0.05)
     });
     let (driven, with) = wrench(&config.simulator);
     assert_within!(
@@ -213,7 +228,7 @@ fn a_controller_with_the_rotors_in_its_model_flies_as_without_any() {
     let flight = |rotors: f64, in_the_model: f64| {
         let mut config = experiment("test2_observer");
         config.simulator.duration = 2.0;
-        config.simulator.motors = Some(motors(0.0, 0.0, 0.0, rotors));
+        config.simulator.motors = Some(motors(0.0, 0.0, rotors));
         config.controller.law.torque.rotor_inertia = in_the_model;
         config
     };
@@ -230,7 +245,7 @@ fn a_controller_with_the_rotors_in_its_model_flies_as_without_any() {
 fn bad_drives_are_refused_by_name() {
     let refused = |change: fn(&mut SimulatorConfig), expected: &[&str]| {
         let mut config = experiment("test2");
-        config.simulator.motors = Some(motors(0.5, 0.1, 0.0, 0.05));
+        config.simulator.motors = Some(motors(0.5, 0.1, 0.05));
         assert!(Scenario::new(&config).is_ok());
         change(&mut config.simulator);
         assert_says(&Scenario::new(&config).unwrap_err(), expected);
