@@ -70,8 +70,9 @@ COMMANDS = {
     "data": Command(
         "",
         "fit",
-        "read CFD tables and wind-tunnel files, fit coefficients",
+        "read logs of a turbine, CFD tables and wind-tunnel files, fit coefficients",
         {
+            "import-bench": ("experiments.data.import_bench:main", "twin"),
             "import-cfd": ("experiments.data.import_cfd:main", "twin"),
             "import-tunnel": ("experiments.data.import_tunnel:main", "twin"),
             "import-pressures": ("experiments.data.import_pressures:main", "twin"),

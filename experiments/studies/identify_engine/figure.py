@@ -20,7 +20,7 @@ def draw(study: xr.Dataset) -> Figure:
     thrust.plot(time, study["thrust_identified"], color=style.BLUE, label="identified, from the first sample")
     thrust.set_ylabel("thrust [N]")
     thrust.legend()
-    reference = study["thrust_file"] if study.attrs["made"] else study["thrust_smoothed"]
+    reference = study["thrust_file"]
     for name, colour, label in (
         ("thrust_identified", style.BLUE, "simulated"),
         ("estimate_tuned", style.GREEN, "estimator, tuned"),

@@ -1,0 +1,57 @@
+"""Logs of turbines become datasets: columns, gaps, clipped rows, and refusals with line and column."""
+
+import subprocess
+
+import numpy as np
+import pytest
+
+from experiments import Refused
+from experiments.data import import_bench
+from experiments.data.import_bench import load_bench, read_bench
+
+TABLE = """time_s,speed_rpm,thrust_n,clipped
+0.0,33000,12.5,0
+0.1,,13.0,0
+0.35,36000,195.0,1
+"""
+
+
+def test_a_table_becomes_a_dataset(tmp_path, capsys):
+    (tmp_path / "p100.csv").write_text(TABLE)
+    assert import_bench.main([str(tmp_path / "p100.csv"), "--out", str(tmp_path / "a.nc")]) == 0
+    assert "3 rows, speed, thrust; sha256" in capsys.readouterr().out
+    bench = load_bench(tmp_path / "a.nc")
+    np.testing.assert_array_equal(bench.time, [0.0, 0.1, 0.35])
+    np.testing.assert_array_equal(bench.speed, [33000.0, np.nan, 36000.0])
+    np.testing.assert_array_equal(bench.thrust, [12.5, 13.0, np.nan])
+    assert np.isnan(bench.throttle).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("time_s,force\n0,1\n", "has the columns .*; expected time_s and any of throttle_percent"),
+        ("time_s,thrust_n\n0,1\n0,2\n", "line 3, column `time_s`: '0'; expected ascending times"),
+        ("time_s,thrust_n\n0,1;5\n", "line 2, column `thrust_n`: '1;5'; expected a finite number"),
+        ("time_s,thrust_n\n0,inf\n", "line 2, column `thrust_n`: 'inf'; expected a finite number"),
+        ("time_s,thrust_n\n0,1\n", "1 rows; expected 2 or more"),
+    ],
+)
+def test_what_is_no_log_is_refused(text, words):
+    with pytest.raises(Refused, match=words):
+        read_bench(text, "a.csv")
+
+
+def test_rows_of_a_wrong_checksum_are_left_out_of_a_clone(tmp_path, monkeypatch):
+    monkeypatch.setattr(import_bench, "COMMIT", "HEAD")
+    (tmp_path / "log.csv").write_text(
+        ",RPM (setpoint),RPM (actual),CRC16_Given,CRC16_Calculated\n"
+        "0,33000,100,1,1\n1,33000,9999,1,2\n2,33000,300,3,3\n"
+    )
+    for words in (("init", "-q"), ("add", "."), ("-c", "user.name=a", "-c", "user.email=a", "commit", "-qm", "a")):
+        subprocess.run(["git", "-C", str(tmp_path), *words], check=True)
+    bench = read_bench(import_bench.from_clone(tmp_path, "log.csv"), "clone")
+    np.testing.assert_array_equal(bench.speed, [100.0, 300.0])
+    np.testing.assert_allclose(bench.time, [0.0, 2.0 / import_bench.UNIT_RATE])
+    with pytest.raises(Refused, match="expected a full clone of JetCat_Comms"):
+        import_bench.from_clone(tmp_path, "none.csv")
