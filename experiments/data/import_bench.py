@@ -35,6 +35,9 @@ UNIT_RATE = 8.55
 """Rows per second of the control unit's log, which has no stamps: with them its speeds fit the thrusts best."""
 
 
+SIGNALS = ("time", *UNITS)
+
+
 class Bench(NamedTuple):
     """Log of a run on a bench, N rows; NaN where nothing valid was read."""
 
@@ -48,6 +51,8 @@ class Bench(NamedTuple):
     """Speed of the shaft [rpm]."""
     thrust: Floats
     """Reading of the thrust [N]."""
+    sha256: str = ""
+    """Digest of the log as it was read."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -64,9 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         bench = read_bench(text, source.name)
         out = given.out or OUT / f"bench_{source.stem}.nc"
         digest = hashlib.sha256(text.encode()).hexdigest()
-        variables = {
-            name: (("row",), values, {"units": UNITS.get(name, "s")}) for name, values in bench._asdict().items()
-        }
+        variables = {name: (("row",), getattr(bench, name), {"units": UNITS.get(name, "s")}) for name in SIGNALS}
         record.write_dataset(xr.Dataset(variables, attrs={"source": source.name, "sha256": digest}), out)
         print(f"{out}: {len(bench.time)} rows, {', '.join(measured(bench))}; sha256 of the log {digest}")
 
@@ -128,6 +131,7 @@ def measured(bench: Bench) -> list[str]:
 def load_bench(path: Path) -> Bench:
     """Return the log of a dataset of this module."""
     with open_dataset(path) as data:
-        if missing := [name for name in Bench._fields if name not in data]:
+        if missing := [name for name in SIGNALS if name not in data]:
             raise Refused(f"{path} has no {', '.join(missing)}; expected a dataset of `jax-aero data import-bench`")
-        return Bench(*(np.asarray(data[name].values, dtype=np.float64) for name in Bench._fields))
+        signals = (np.asarray(data[name].values, dtype=np.float64) for name in SIGNALS)
+        return Bench(*signals, str(data.attrs.get("sha256", "")))  # type: ignore[arg-type]

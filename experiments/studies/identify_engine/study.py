@@ -98,14 +98,12 @@ def of_made_logs(name: str) -> Findings:
 def of_bench(name: str, logs: EngineLogs) -> Findings:
     """Identify an engine of the shaft's speed, and M32 beside it."""
     ambient = Ambient.of(logs.density, logs.temperature)
-    runs = [
-        shaft.sample(bench, _span(bench, span), ambient)
-        for bench, span in ((load_bench(path), span) for path, span in _logs(logs))
-    ]
+    benches = [(load_bench(path), span) for path, span in _logs(logs)]
+    runs = [shaft.sample(bench, _span(bench, span), ambient) for bench, span in benches]
     run = runs[0]
     fitted = shaft.identify(run)
     full = fitted.numbers["thrust_max"]
-    summary: dict[str, Any] = shaft.listing(run, fitted)
+    summary: dict[str, Any] = {"sha256 of the log": benches[0][0].sha256, **shaft.listing(run, fitted)}
     summary |= shaft.errors(run, fitted.speed, fitted.thrust, full, "simulated")
     summary |= shaft.errors(run, run.speed, fitted.thrust_of_speed, full, "of the measured speed")
     speed, thrust = fitted.held_out
