@@ -133,5 +133,5 @@ def load_bench(path: Path) -> Bench:
     with open_dataset(path) as data:
         if missing := [name for name in SIGNALS if name not in data]:
             raise Refused(f"{path} has no {', '.join(missing)}; expected a dataset of `jax-aero data import-bench`")
-        signals = (np.asarray(data[name].values, dtype=np.float64) for name in SIGNALS)
-        return Bench(*signals, str(data.attrs.get("sha256", "")))  # type: ignore[arg-type]
+        signals = {name: np.asarray(data[name].values, dtype=np.float64) for name in SIGNALS}
+        return Bench(**signals, sha256=str(data.attrs.get("sha256", "")))

@@ -1,4 +1,4 @@
-"""An engine of the speed of its shaft: control unit, shaft, thrust (M176 to M178 of `docs/model`).
+"""An engine of the speed of its shaft: control unit, shaft, thrust (M176 of `docs/model`).
 
     throttle ──control unit──► wanted speed ──shaft──► speed ──thrust_of──► thrust
 

@@ -1,4 +1,4 @@
-"""Identification of an engine of the shaft's speed (M176 to M178) from speeds, thrusts, or both.
+"""Identification of an engine of the shaft's speed (M176) from speeds, thrusts, or both.
 
 Least squares of the simulated speeds and of the thrusts, relative to their greatest values, over the whole run. Blocks
 of `BLOCK` seconds are predicted by the fit to all others, and intervals take residuals of a block for one error, since

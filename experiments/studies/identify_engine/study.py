@@ -4,7 +4,7 @@
 engine (M32, `second_order`) from one, validates it on the other, and tunes its estimator (M35).
 
 `--set bench=FILE` reads a dataset of `jax-aero data import-bench` with speeds of the shaft, thrusts, or both, and
-identifies an engine of the shaft's speed (M176 to M178, `shaft`), and M32 beside it from the thrusts. `span` is the
+identifies an engine of the shaft's speed (M176, `shaft`), and M32 beside it from the thrusts. `span` is the
 time of the run. Every 5 s of it are also predicted by the fit to the rest, and with `test` another run, from its first
 sample.
 
