@@ -218,12 +218,24 @@ def robot_log(path, data, names=("positions",)):
             leaf["data"], leaf["timestamps"] = data, 1.7e9 + 0.01 * np.arange(3.0)[:, None]
 
 
-def test_a_log_of_the_robot_has_its_joints_alone(tmp_path, config):
-    robot = rust.Robot(config["robot"])
-    n = len(robot.joint_names)
-    robot_log(tmp_path / "log.mat", np.arange(3.0 * n).reshape(3, 1, n))
+def test_a_log_of_the_robot_has_its_joints_alone(logged, flight, config, tmp_path):
+    """It is viewed where its base stays; without names of its elements it is refused."""
+    path, robot = tmp_path / "log.mat", rust.Robot(config["robot"])
+    with h5py.File(logged) as ours, h5py.File(path, "w") as theirs:
+        ours.copy("#refs#", theirs, expand_refs=True)
+        ours.copy("robot_logger_device/joints_state", theirs.create_group("robot_logger_device"), expand_refs=True)
+        positions = theirs["robot_logger_device/joints_state/positions"]
+        positions["elements_names"][...] = [
+            [theirs["#refs#"][f"text{place}"].ref for place in range(len(robot.joint_names))]
+        ]
+    with pytest.raises(recording.Refused, match="does not name its robot"):
+        recording.read(path)
+    seen = recording.read(path, config["robot"])
+    assert bits(seen.signals["joint_position"]) == bits(flight.log["joint_position"])
+    assert not seen.signals["base_position"].any()
+    robot_log(path, np.zeros((3, 1, len(robot.joint_names))))
     with pytest.raises(recording.Refused, match="has no column"):
-        recording.read(tmp_path / "log.mat", config["robot"])  # its elements have no names
+        recording.read(path, config["robot"])
 
 
 @pytest.mark.parametrize(
