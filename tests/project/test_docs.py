@@ -64,6 +64,10 @@ KINDS = {
 
 WRITTEN = [page for page in PAGES if page.parent != DOCS / "results"]
 """Pages that are written by hand; those of kept results follow from their figures."""
+OTHERS = [
+    *(ROOT / f"{title}.md" for title in ("CHANGELOG", "CONTRIBUTING", "SECURITY")),
+    *sorted(path for folder in ("configs", "tests") for path in (ROOT / folder).rglob("README.md")),
+]
 MOST_WORDS, OF_A_PAGE, OF_THE_MODEL = 48_500, 2500, 4000
 
 
@@ -105,6 +109,31 @@ def test_pages_stay_short():
     }
     assert long == {}
     assert sum(words.values()) <= MOST_WORDS
+
+
+LONGEST_SENTENCE = 29
+NOT_PROSE = re.compile(r"^```.*?^```|<!--.*?-->|^ *\|.*?$|(?<=\])\([^)]*\)", re.M | re.S)
+AS_A_WORD = re.compile(r"`[^`]*`|\$[^$]*\$")
+ENDS = re.compile(r"\n\s*\n|\n\s*(?=[*+-] |\d+\. |#)|(?<=[.?!])[\"*`)]*\s+(?=[A-Z`*\[(])")
+
+
+def long_sentences(text: str) -> list[str]:
+    """Sentences of a page, captions included, of too many words; code and a formula within a sentence count as one."""
+    sentences = ENDS.split(AS_A_WORD.sub("X", NOT_PROSE.sub("", text)))
+    return [sentence for sentence in sentences if len(sentence.split()) > LONGEST_SENTENCE]
+
+
+@pytest.mark.parametrize("page", [*WRITTEN, *OTHERS], ids=name)
+def test_sentences_stay_short(page):
+    assert long_sentences(page.read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.parametrize(
+    "form", ["{}.", "# A title\n* {}\n* next", "![{}](a.png)", "An `a b` {}. Next", "**Bold.** {}"]
+)
+def test_a_long_sentence_is_refused(form):
+    assert long_sentences(form.format(" ".join(["word"] * 27))) == []
+    assert len(long_sentences(form.format(" ".join(["word"] * 30)))) == 1
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
