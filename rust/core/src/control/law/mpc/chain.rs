@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! jet    x = (δT, Ṫ, 0)     Ṫ = u if it is ideal; T̈ = α δT + β Ṫ + u with an engine (M174)
-//! joint  x = (δs, ṡ, δe)    s̈ = K_D (u − ṡ) − K_P δe,  δė = ṡ − u
+//! joint  x = (δs, ṡ, δe)    s̈ = K_D (u − ṡ) − K_P δe,  δė = ṡ − u (M121)
 //! ```
 
 use crate::jets::EngineModel;

@@ -1,7 +1,7 @@
 //! The QP in the inputs over the horizon.
 //!
 //! H and g collect the squares of the errors of what the prediction has at the end of every knot, of the states of jets and
-//! joints and of the inputs, and of what is beyond its limits. Equations M122, M124 to M126 and M174 of `docs/model`.
+//! joints and of the inputs, and of what is beyond its limits. Equations M123, M124 and M126 of `docs/model`.
 
 use super::clearance::Clearance;
 use super::config::{MpcConfig, MpcWeights};

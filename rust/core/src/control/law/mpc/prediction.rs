@@ -9,7 +9,7 @@
 //! ```
 //!
 //! `u` and `w` are constant between knots, so every knot is exact: a Taylor series for a short time, and squares of it.
-//! Equations M120 to M124 and M174 of `docs/model`.
+//! Equations M120, M122, M125 and M174 of `docs/model`.
 
 use super::chain::{Answers, Chain, along};
 use super::config::MpcConfig;
