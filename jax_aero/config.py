@@ -275,6 +275,17 @@ class SetpointConfig(Struct, frozen=True, kw_only=True):
     turbo_rate: float
 
 
+class ShaftConfig(Struct, frozen=True, kw_only=True):
+    accelerations: tuple[float, float]
+    density: float = 1.225
+    exponent: float
+    idle: float
+    lags: tuple[float, float]
+    ramps: tuple[float, float]
+    square_share: float
+    temperature: float = 288.15
+
+
 class SupervisorConfig(Struct, frozen=True, kw_only=True):
     confirmation: float
     horizon: float
@@ -332,6 +343,7 @@ class ControllerSection(Struct, frozen=True, kw_only=True):
     posture_gain: dict[str, float]
     qp: QpConfig = QpConfig()
     setpoint: SetpointConfig
+    shaft: ShaftConfig | None = None
     supervisor: SupervisorConfig | None = None
     torque: TorqueConfig
     use_jets: bool = True
@@ -545,6 +557,7 @@ class SecondOrderJetsConfig(Struct, frozen=True, kw_only=True, tag_field="dynami
     ekf: EkfConfig = EkfConfig()
     engines: tuple[str, ...] | None = None
     feedback: ThrustFeedback = "measured"
+    shaft: ShaftConfig | None = None
 
 
 class MeasuredJetsConfig(Struct, frozen=True, kw_only=True, tag_field="dynamics", tag="measured"):

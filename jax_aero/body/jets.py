@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from jax_aero.body.robot import ENGINE_KEYS, RobotModel
-from jax_aero.config import IdealJetsConfig, JetsConfig, MeasuredJetsConfig, SecondOrderJetsConfig
+from jax_aero.config import IdealJetsConfig, JetsConfig, MeasuredJetsConfig, SecondOrderJetsConfig, ShaftConfig
 from jax_aero.types import Array, Static, leaf, pytree
 
 MIN_INPUT_GAIN = 1e-9
@@ -203,6 +203,8 @@ def jet_dynamics(settings: JetsConfig, robot: RobotModel) -> JetDynamics:
     match settings:
         case IdealJetsConfig():
             return IdealJets(robot.jets.thrust_min)
+        case SecondOrderJetsConfig(shaft=ShaftConfig()):
+            raise ValueError("`simulator.jets.shaft` is given; expected none: JAX's plant has no shafts")
         case SecondOrderJetsConfig():
             return SecondOrderJets(
                 engines=engines(robot, settings.engines or robot.jets.engines),

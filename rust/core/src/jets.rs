@@ -4,7 +4,11 @@
 pub mod ekf;
 pub mod engine;
 pub mod model;
+pub mod second_order;
+pub mod shaft;
 
 pub use ekf::{EkfConfig, ThrustEkf};
-pub use engine::{EngineCoefficients, EngineDynamics, EngineModel, RATE_GAIN, ThrustRateController};
+pub use engine::{EngineDynamics, EngineModel, RATE_GAIN, ThrustRateController};
 pub use model::{JetDynamics, JetModel};
+pub use second_order::{EngineCoefficients, SecondOrder};
+pub use shaft::{Shaft, ShaftConfig};

@@ -6,7 +6,8 @@
 
 pub mod check;
 
-use crate::jets::{EngineModel, JetDynamics, JetModel};
+use crate::error::BuildError;
+use crate::jets::{EngineModel, JetDynamics, JetModel, SecondOrder, Shaft, ShaftConfig};
 use crate::spatial::Pose;
 use nalgebra::{Matrix3, Unit, Vector3};
 use serde::{Deserialize, Serialize};
@@ -34,7 +35,7 @@ pub struct RobotModel {
     /// All feet, as shapes.
     pub soles: Vec<Foot>,
     /// Engines by name, also those that no jet uses.
-    pub engines: BTreeMap<String, EngineModel>,
+    pub engines: BTreeMap<String, SecondOrder>,
     /// Magnitude of gravity \[m/s²\]; it acts along −z of the inertial frame.
     pub gravity: f64,
 }
@@ -55,6 +56,17 @@ impl RobotModel {
     /// Names of the jets, in their order.
     pub fn jet_names(&self) -> impl Iterator<Item = &str> + Clone {
         self.jets.iter().map(|jet| jet.name.as_str())
+    }
+
+    /// The robot with engines of the shaft's speed, which at full speed give the greatest thrusts of its jets.
+    ///
+    /// # Errors
+    /// As [`Shaft::new`].
+    pub fn with_shafts(mut self, table: &'static str, config: &ShaftConfig) -> Result<Self, BuildError> {
+        for jet in &mut self.jets {
+            jet.engine = EngineModel::Shaft(Shaft::new(table, *config, jet.thrust_max)?);
+        }
+        Ok(self)
     }
 
     /// What a controller assumes of the jets.

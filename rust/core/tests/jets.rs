@@ -6,7 +6,7 @@
 use crate::common::engines::{ENGINES, coefficients, model, models};
 use crate::common::{assert_within, relative};
 use flight_core::jets::{
-    EkfConfig, EngineCoefficients, EngineDynamics, EngineModel, JetModel, ThrustEkf, ThrustRateController,
+    EkfConfig, EngineCoefficients, EngineDynamics, JetModel, SecondOrder, ThrustEkf, ThrustRateController,
 };
 
 const DT: f64 = 0.01;
@@ -55,7 +55,7 @@ fn the_throttle_of_an_acceleration_has_it_for_every_engine() {
 #[test]
 fn input_inverse_is_continuous_at_zero_curvature_and_limited() {
     let (k, throttle_max) = (coefficients([0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0]), 358.0);
-    let with = |b_uu| EngineModel::new("test", EngineCoefficients { b_uu, throttle_max, ..k }).unwrap();
+    let with = |b_uu| SecondOrder::new("test", EngineCoefficients { b_uu, throttle_max, ..k }).unwrap();
     let inverse = |b_uu, v| with(b_uu).throttle_for(0.0, 0.0, v).unwrap();
     for b_uu in [0.0, 1e-300, 1e-14, -1e-14] {
         assert_within!(relative(inverse(b_uu, 80.0), 80.0), 1e-11);
@@ -98,7 +98,7 @@ fn throttle_loop_linearises_the_engine() {
     for name in ["P100", "P160", "P220"] {
         let model = model(name);
         let mut controller = ThrustRateController::new(50.0);
-        let throttle = controller.update(&model, 90.0, 0.3, 0.2);
+        let throttle = controller.update(&model.into(), 90.0, 0.3, 0.2);
         assert!((0.1..119.9).contains(&throttle), "{name}");
         let acceleration = model.thrust_acceleration(90.0, 0.3, throttle);
         assert_within!(relative(acceleration, -150.0 * 0.1), 1e-9);
@@ -115,13 +115,13 @@ fn throttle_holds_where_it_cannot_steer() {
     let by_throttle = |throttle| model.thrust_acceleration(0.0, thrust_rate, throttle);
     assert_within!((by_throttle(90.0) - by_throttle(0.0)).abs(), 1e-9);
     assert_eq!(
-        JetModel { thrust_min: 0.0, engine: Some(model) }.throttle(0.0, thrust_rate, 0.0, DT),
+        JetModel { thrust_min: 0.0, engine: Some(model.into()) }.throttle(0.0, thrust_rate, 0.0, DT),
         model.steady_throttle(0.0)
     );
-    assert_eq!(controller.update(&model, 0.0, thrust_rate, 0.0), 61.0);
-    assert_eq!(controller.update(&model, 90.0, 0.0, f64::NAN), 61.0);
-    assert_eq!(controller.update(&model, f64::INFINITY, 0.0, 0.0), 61.0);
-    assert_ne!(controller.update(&model, 90.0, 0.0, 0.0), 61.0);
+    assert_eq!(controller.update(&model.into(), 0.0, thrust_rate, 0.0), 61.0);
+    assert_eq!(controller.update(&model.into(), 90.0, 0.0, f64::NAN), 61.0);
+    assert_eq!(controller.update(&model.into(), f64::INFINITY, 0.0, 0.0), 61.0);
+    assert_ne!(controller.update(&model.into(), 90.0, 0.0, 0.0), 61.0);
 }
 
 #[test]
@@ -200,8 +200,8 @@ fn a_predicted_thrust_stays_above_its_least() {
 #[test]
 fn an_engine_follows_its_predicted_rate() {
     for (name, k) in ENGINES {
-        let engine = EngineModel::new(name, coefficients(k)).unwrap();
-        let jet = JetModel { thrust_min: 0.0, engine: Some(engine) };
+        let engine = SecondOrder::new(name, coefficients(k)).unwrap();
+        let jet = JetModel { thrust_min: 0.0, engine: Some(engine.into()) };
         for (thrust, rate, command) in
             [(60.0, 0.0, 0.5), (60.0, -3.0, -3.4), (40.0, 5.0, 100.0), (70.0, 4.0, -100.0)]
         {
@@ -222,7 +222,7 @@ fn engine_coefficients_must_be_invertible() {
     let assert_says = |change: fn(&mut EngineCoefficients), parts: &[&str]| {
         let mut k = coefficients(ENGINES[0].1);
         change(&mut k);
-        let message = EngineModel::new("P100", k).unwrap_err().to_string();
+        let message = SecondOrder::new("P100", k).unwrap_err().to_string();
         assert!(parts.iter().all(|part| message.contains(part)), "{message}");
     };
     assert_says(|k| k.k_td = f64::NAN, &["k_td of engine `P100`", "NaN"]);

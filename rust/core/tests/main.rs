@@ -25,6 +25,7 @@ mod recorded;
 mod residual;
 mod robot;
 mod setpoint;
+mod shaft;
 mod spatial;
 mod supervisor;
 mod tasks;

@@ -16,7 +16,7 @@ use flight_core::control::law::mpc::plan::Plan;
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::{Command, CommandStatus, Given, Preview, Terms};
 use flight_core::dynamics::Dynamics;
-use flight_core::jets::{EngineModel, JetDynamics};
+use flight_core::jets::JetDynamics;
 use flight_core::kinematics::Kinematics;
 use flight_core::qp::{PrimalActiveSet, QpSolver, QpStatus};
 use flight_core::spatial::{exp_so3, log_so3, stack};
@@ -449,12 +449,7 @@ fn fine_steps(dynamics: JetDynamics, knots: Option<&[f64]>) {
     let (jets, free) = (case.thrust.len(), joints.len());
     let jets_of = |dynamics| case.robot.jet_models(dynamics);
     let engines: Vec<Option<(f64, f64)>> = (jets_of(dynamics).iter().zip(&case.thrust))
-        .map(|(jet, thrust)| {
-            let slopes = |engine: EngineModel| {
-                engine.acceleration_slopes(*thrust, 0.0, engine.steady_throttle(*thrust))
-            };
-            jet.engine.map(slopes)
-        })
+        .map(|(jet, thrust)| jet.engine.map(|engine| engine.steady_slopes(*thrust, 0.0)))
         .collect();
     let mut model = Linearised::new(&case.robot, joints.clone());
     assert!(model.update(&case.robot, &axisymmetric(&case.robot), Air::Linear, terms));

@@ -15,7 +15,7 @@ use crate::files::absolute_path;
 use crate::toml::{from_value, parse};
 use crate::{read_bytes, read_text};
 use flight_core::error::{BuildError, check as check_number, place_of};
-use flight_core::jets::{EngineCoefficients, EngineModel};
+use flight_core::jets::{EngineCoefficients, SecondOrder};
 use flight_core::robot::{AeroLink, AxisymmetricCoefficients, Foot, Jet, JointGroup, RobotModel, check};
 use flight_core::spatial::{Pose, unit_vector};
 use joints::JointEntry;
@@ -268,7 +268,7 @@ fn read_urdf_text(path: &Path) -> Result<String, BuildError> {
 
 fn model(file: RobotFile, tree: Tree<'_>) -> Result<RobotModel, BuildError> {
     check_coefficients(&file)?;
-    let engine = |(name, k): (&String, &EngineCoefficients)| Ok((name.clone(), EngineModel::new(name, *k)?));
+    let engine = |(name, k): (&String, &EngineCoefficients)| Ok((name.clone(), SecondOrder::new(name, *k)?));
     let engines = file.engines.iter().map(engine).collect::<Result<BTreeMap<_, _>, BuildError>>()?;
     Ok(RobotModel {
         forward_axis_b: forward_axis(file.forward_axis)?,
@@ -341,7 +341,7 @@ fn check_coefficients(file: &RobotFile) -> Result<(), BuildError> {
 fn jets(
     file: &RobotFile,
     tree: &Tree<'_>,
-    engines: &BTreeMap<String, EngineModel>,
+    engines: &BTreeMap<String, SecondOrder>,
 ) -> Result<Vec<Jet>, BuildError> {
     check::unique("jet", file.jets.iter().map(|jet| jet.name.as_str()))?;
     let jet = |entry: &JetEntry| {
@@ -366,7 +366,7 @@ fn jets(
             torque_to_thrust: entry.torque_to_thrust,
             thrust_min: entry.thrust_min,
             thrust_max: entry.thrust_max,
-            engine,
+            engine: engine.into(),
             engine_name: entry.engine.clone(),
         })
     };

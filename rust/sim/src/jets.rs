@@ -4,9 +4,9 @@
 //! thrust_rate_command ──Jets::advance──► thrust (physics),  thrust_feedback (controller)
 //! ```
 //!
-//! Three dynamics: `ideal` follows the command exactly, as in every published flight; `second_order` is the
-//! identified engine with the throttle loop and thrust estimator that the real robot needs; `measured` is a turbine by its
-//! map, whose throttle is that of the rate nearest to the command.
+//! Three dynamics: `ideal` follows the command exactly, as in every published flight; `second_order` is an
+//! [`EngineModel`] with the throttle loop that the real robot needs, and, without a shaft, its thrust estimator;
+//! `measured` is a network's table, whose throttle is that of the rate nearest to the command.
 //!
 //! Thrust is never below the least of a running engine, unless a fault stops the engine.
 //!
@@ -15,7 +15,9 @@
 use crate::disturbances::{JetFaults, JetFaultsConfig};
 use crate::turbine::TurbineConfig;
 use flight_core::error::{BuildError, check};
-use flight_core::jets::{EkfConfig, EngineDynamics, EngineModel, ThrustEkf, ThrustRateController};
+use flight_core::jets::{
+    EkfConfig, EngineDynamics, EngineModel, SecondOrder, Shaft, ShaftConfig, ThrustEkf, ThrustRateController,
+};
 use flight_core::robot::Jet;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -30,7 +32,7 @@ pub enum JetsConfig {
     Ideal {},
     /// Identified second-order engines with a throttle loop.
     SecondOrder(SecondOrderConfig),
-    /// A turbine by its measured map, the same for every jet.
+    /// A network's table of a turbine, partly extrapolated, the same for every jet.
     Measured(TurbineConfig),
 }
 
@@ -46,7 +48,7 @@ impl JetsConfig {
     }
 }
 
-/// Parameters of the second-order engines; the defaults are the published ones.
+/// Parameters of the engines; the defaults are the published ones.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SecondOrderConfig {
@@ -57,6 +59,9 @@ pub struct SecondOrderConfig {
     /// Engine of each jet, by name; by default those of the robot.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub engines: Option<Vec<String>>,
+    /// Engines of the shaft's speed in place of them: at full speed they give the greatest thrusts of the jets.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub shaft: Option<ShaftConfig>,
 }
 
 /// Thrust that the flight controller receives.
@@ -75,7 +80,16 @@ pub enum ThrustFeedback {
 struct ThrottledEngine {
     engine: EngineDynamics,
     controller: ThrustRateController,
-    ekf: ThrustEkf,
+    /// None with a shaft, whose speed is known.
+    ekf: Option<ThrustEkf>,
+}
+
+impl ThrottledEngine {
+    /// Thrust \[N\] and thrust rate \[N/s\] that the throttle loop takes for the engine's.
+    fn known(&self) -> (f64, f64) {
+        let of_engine = (self.engine.thrust, self.engine.thrust_rate);
+        self.ekf.as_ref().map_or(of_engine, |ekf| (ekf.thrust(), ekf.thrust_rate()))
+    }
 }
 
 /// Dynamics of the thrusts.
@@ -106,7 +120,7 @@ impl Jets {
     pub fn new(
         config: &JetsConfig,
         jets: &[Jet],
-        engines: &BTreeMap<String, EngineModel>,
+        engines: &BTreeMap<String, SecondOrder>,
         initial_thrust: &[f64],
     ) -> Result<Self, BuildError> {
         check_one_per_jet("initial_thrust", initial_thrust.len(), jets)?;
@@ -133,31 +147,45 @@ impl Jets {
         };
         if let Some(names) = &config.engines {
             check_one_per_jet("engines", names.len(), jets)?;
+            if config.shaft.is_some() {
+                let expected = "none beside simulator.jets.shaft";
+                return Err(BuildError::bad_value("simulator.jets.engines", format!("{names:?}"), expected));
+            }
         }
         let jets: Vec<ThrottledEngine> = jets
             .iter()
             .zip(initial_thrust)
             .enumerate()
             .map(|(i, (jet, &thrust))| {
-                let model = match config.engines.as_ref().and_then(|names| names.get(i)) {
-                    None => jet.engine,
-                    Some(name) => *engines.get(name).ok_or_else(|| {
+                let named = config.engines.as_ref().and_then(|names| names.get(i));
+                let model = match (&config.shaft, named) {
+                    (Some(shaft), _) => {
+                        EngineModel::Shaft(Shaft::new("simulator.jets.shaft", *shaft, jet.thrust_max)?)
+                    }
+                    (None, None) => jet.engine,
+                    (None, Some(name)) => (*engines.get(name).ok_or_else(|| {
                         BuildError::unknown_name(
                             format!("engine of jet `{}`", jet.name),
                             name,
                             engines.keys(),
                         )
-                    })?,
+                    })?)
+                    .into(),
                 };
                 let throttle = model.steady_throttle(thrust);
                 Ok(ThrottledEngine {
                     engine: EngineDynamics::new(model, thrust, 0.0),
                     controller: ThrustRateController::new(throttle),
-                    ekf: ThrustEkf::new(&config.ekf, model, thrust)?,
+                    ekf: match model {
+                        EngineModel::SecondOrder(engine) => {
+                            Some(ThrustEkf::new(&config.ekf, engine, thrust)?)
+                        }
+                        EngineModel::Shaft(_) => None,
+                    },
                 })
             })
             .collect::<Result<_, BuildError>>()?;
-        new.estimate = jets.iter().map(|jet| jet.ekf.thrust()).collect();
+        new.estimate = jets.iter().map(|jet| jet.known().0).collect();
         new.dynamics = Dynamics::SecondOrder { jets, feedback: config.feedback };
         Ok(new)
     }
@@ -204,17 +232,15 @@ impl Jets {
                 let thrusts = self.thrust.iter_mut().zip(&mut self.thrust_rate);
                 let jets = jets.iter_mut().zip(thrusts.zip(&mut self.estimate));
                 for ((jet, ((thrust, thrust_rate), estimate)), &command) in jets.zip(commands) {
-                    let throttle = jet.controller.update(
-                        jet.engine.model(),
-                        jet.ekf.thrust(),
-                        jet.ekf.thrust_rate(),
-                        command,
-                    );
-                    jet.ekf.update(self.faults.sensor.measure_thrust(jet.engine.thrust), throttle, dt);
+                    let (known, rate) = jet.known();
+                    let throttle = jet.controller.update(jet.engine.model(), known, rate, command);
+                    if let Some(ekf) = &mut jet.ekf {
+                        ekf.update(self.faults.sensor.measure_thrust(jet.engine.thrust), throttle, dt);
+                    }
                     jet.engine.step(throttle, dt);
                     *thrust = jet.engine.thrust;
                     *thrust_rate = jet.engine.thrust_rate;
-                    *estimate = jet.ekf.thrust();
+                    *estimate = jet.known().0;
                 }
             }
         }

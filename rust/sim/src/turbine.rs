@@ -1,10 +1,10 @@
-//! A turbine by its measured map: thrust rates by thrust and throttle, M175 of `docs/model`.
+//! A network's table of a turbine: thrust rates by thrust and throttle, M175 of `docs/model`.
 
 use flight_core::error::BuildError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Thrust rates that were measured at thrusts and throttles; linear between them, constant beyond.
+/// Thrust rates at thrusts and throttles, of which some are extrapolated; linear between them, constant beyond.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TurbineConfig {

@@ -28,7 +28,7 @@ fn jets() -> Vec<Jet> {
         torque_to_thrust: 0.0,
         thrust_min: 0.0,
         thrust_max,
-        engine: model(engine),
+        engine: model(engine).into(),
         engine_name: engine.to_owned(),
     })
     .to_vec()

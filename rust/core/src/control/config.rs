@@ -18,7 +18,7 @@ use super::law::tasks::MomentumWeights;
 use super::law::torque::TorqueConfig;
 use crate::aero::{JacobianOffset, LeverArm, LinkConventions, LinkVelocity};
 use crate::error::{BuildError, Table, check, place_of};
-use crate::jets::JetDynamics;
+use crate::jets::{JetDynamics, ShaftConfig};
 #[cfg(feature = "clarabel")]
 use crate::qp::ClarabelSolver;
 use crate::qp::{DualActiveSet, PrimalActiveSet, QpChain, QpSolver};
@@ -105,6 +105,9 @@ pub struct ControllerConfig {
     /// How thrusts follow their commanded rates in the controller's model, as `simulator.jets.dynamics` in the plant.
     #[serde(default)]
     pub jet_dynamics: JetDynamics,
+    /// Engines of the shaft's speed in place of the robot's: at full speed they give the greatest thrusts of the jets.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shaft: Option<ShaftConfig>,
     /// Whether the controller uses the jets; without them it neither reads thrusts nor commands thrust rates.
     #[serde(default = "default_true")]
     pub use_jets: bool,

@@ -2,7 +2,7 @@
 //!
 //! Equation M35 of `docs/model`.
 
-use super::EngineModel;
+use super::SecondOrder;
 use crate::error::{BuildError, check};
 use nalgebra::{Matrix2, Vector2};
 use serde::{Deserialize, Serialize};
@@ -41,7 +41,7 @@ impl Default for EkfConfig {
 /// Euler; it diverges for `dt P₁₁/R` above 1. Here P remains a covariance for every R.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ThrustEkf {
-    model: EngineModel,
+    model: SecondOrder,
     state: Vector2<f64>,
     covariance: Matrix2<f64>,
     q: Matrix2<f64>,
@@ -54,7 +54,7 @@ impl ThrustEkf {
     ///
     /// # Errors
     /// A `Q` that is not symmetric and positive semidefinite, an `R` that is not positive.
-    pub fn new(config: &EkfConfig, model: EngineModel, initial_thrust: f64) -> Result<Self, BuildError> {
+    pub fn new(config: &EkfConfig, model: SecondOrder, initial_thrust: f64) -> Result<Self, BuildError> {
         Ok(Self {
             model,
             state: Vector2::new(initial_thrust, 0.0),

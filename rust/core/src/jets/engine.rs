@@ -1,181 +1,97 @@
-//! The identified second-order jet engine, and the throttle loop that tracks a thrust rate.
+//! The model of a jet engine, its state, and the throttle loop that tracks a thrust rate.
 //!
-//! Equations M32 to M34, M144 and M173 of `docs/model`.
+//! Equations M33, M34, M144 and M173 of `docs/model`.
 
-use crate::error::{BuildError, check};
-use serde::{Deserialize, Serialize};
+use super::second_order::SecondOrder;
+use super::shaft::Shaft;
 
-/// Input gain below which the throttle does not control the thrust and the loop holds it \[N/s² per %\].
-const MIN_INPUT_GAIN: f64 = 1e-9;
-
-/// Second-order model of an engine with thrust `T` \[N\] and throttle `u` in percent.
-///
-/// ```text
-/// T̈ = k_t T + k_tt T² + k_d Ṫ + k_dd Ṫ² + k_td T Ṫ + c + (b_u + b_t T + b_d Ṫ)(u + b_uu u²)
-/// ```
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(deny_unknown_fields)]
-pub struct EngineCoefficients {
-    /// Stiffness \[1/s²\].
-    pub k_t: f64,
-    /// Quadratic stiffness \[1/(N s²)\].
-    pub k_tt: f64,
-    /// Damping \[1/s\].
-    pub k_d: f64,
-    /// Quadratic damping \[1/N\].
-    pub k_dd: f64,
-    /// Damping proportional to thrust \[1/(N s)\].
-    pub k_td: f64,
-    /// Gain of the throttle \[N/s² per percent\].
-    pub b_u: f64,
-    /// Gain proportional to thrust \[1/s² per percent\].
-    pub b_t: f64,
-    /// Gain proportional to the thrust rate \[1/s per percent\].
-    pub b_d: f64,
-    /// Curvature of the throttle \[1/percent\].
-    pub b_uu: f64,
-    /// Constant drift \[N/s²\].
-    pub c: f64,
-    /// Least throttle \[percent\].
-    pub throttle_min: f64,
-    /// Greatest throttle \[percent\].
-    pub throttle_max: f64,
+/// An engine. Its states are thrust and thrust rate, of which speed and wanted speed of a shaft are functions.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum EngineModel {
+    /// A polynomial (M32).
+    SecondOrder(SecondOrder),
+    /// An engine of the shaft's speed (M176).
+    Shaft(Shaft),
 }
 
-/// Equations of one engine: its thrust acceleration is affine in a function of the throttle.
-///
-/// ```text
-/// T̈ = f(T, Ṫ) + g(T, Ṫ) v(u)
-/// f = K_T T + K_TT T² + K_D Ṫ + K_DD Ṫ² + K_TD T Ṫ + c
-/// g = B_U + B_T T + B_D Ṫ,   v(u) = u + B_UU u²
-/// ```
-///
-/// T thrust \[N\], u throttle \[%\]. Source: the published flight controller's jet model, identified
-/// on the test bench by its authors.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct EngineModel {
-    coefficients: EngineCoefficients,
+impl From<SecondOrder> for EngineModel {
+    fn from(engine: SecondOrder) -> Self {
+        Self::SecondOrder(engine)
+    }
 }
 
 impl EngineModel {
-    /// Checks that coefficients are finite and that `v(u)` increases between the throttle limits.
-    ///
-    /// # Errors
-    /// [`BuildError`] naming `engine` and the coefficient.
-    pub fn new(engine: &str, coefficients: EngineCoefficients) -> Result<Self, BuildError> {
-        let k = &coefficients;
-        for (name, value) in [
-            ("k_t", k.k_t),
-            ("k_tt", k.k_tt),
-            ("k_d", k.k_d),
-            ("k_dd", k.k_dd),
-            ("k_td", k.k_td),
-            ("b_u", k.b_u),
-            ("b_t", k.b_t),
-            ("b_d", k.b_d),
-            ("b_uu", k.b_uu),
-            ("c", k.c),
-            ("throttle_min", k.throttle_min),
-        ] {
-            check(&format!("{name} of engine `{engine}`"), value, |_| true, "a finite number")?;
+    /// Throttle \[%\] within the limits that brings the thrust rate to a commanded one \[N, N/s\], a second-order engine
+    /// with this thrust acceleration \[N/s²\]; `None` where the throttle does not act on the thrust.
+    #[must_use]
+    pub fn throttle_for(
+        &self,
+        thrust: f64,
+        thrust_rate: f64,
+        command: f64,
+        acceleration: f64,
+    ) -> Option<f64> {
+        match self {
+            Self::SecondOrder(engine) => engine.throttle_for(thrust, thrust_rate, acceleration),
+            Self::Shaft(engine) => engine.throttle_for(thrust, command),
         }
-        let above = format!("a throttle above throttle_min = {} %", k.throttle_min);
-        let item = format!("throttle_max of engine `{engine}`");
-        check(&item, k.throttle_max, |max| max > k.throttle_min, &above)?;
-        // dv/du = 1 + 2 B_UU u is linear in u, so it is positive between the ends if it is positive at both.
-        let increases =
-            |b_uu: f64| [k.throttle_min, k.throttle_max].iter().all(|u| 1.0 + 2.0 * b_uu * u > 0.0);
-        let expected = "such that u + b_uu u² increases between the throttle limits";
-        check(&format!("b_uu of engine `{engine}`"), k.b_uu, increases, expected)?;
-        Ok(Self { coefficients })
     }
 
-    /// Coefficients of the equations.
-    #[must_use]
-    pub fn coefficients(&self) -> &EngineCoefficients {
-        &self.coefficients
-    }
-
-    /// Drift `f(T, Ṫ)` \[N/s²\]: thrust acceleration for `v = 0`.
-    fn drift(&self, thrust: f64, thrust_rate: f64) -> f64 {
-        let k = &self.coefficients;
-        thrust * (k.k_t + k.k_tt * thrust + k.k_td * thrust_rate)
-            + thrust_rate * (k.k_d + k.k_dd * thrust_rate)
-            + k.c
-    }
-
-    /// Input gain `g(T, Ṫ)` \[N/s² per %\]; changes sign where the thrust rises fast.
-    fn input_gain(&self, thrust: f64, thrust_rate: f64) -> f64 {
-        let k = &self.coefficients;
-        k.b_u + k.b_t * thrust + k.b_d * thrust_rate
-    }
-
-    /// Input `v(u)` \[%\] of a throttle \[%\], which is limited first.
-    fn input(&self, throttle: f64) -> f64 {
-        let k = &self.coefficients;
-        let throttle = throttle.clamp(k.throttle_min, k.throttle_max);
-        throttle * (1.0 + k.b_uu * throttle)
-    }
-
-    /// Throttle \[%\] within the limits whose thrust acceleration is nearest to a wanted one \[N/s²\]; `None` where the
-    /// throttle does not act on the thrust, and for numbers that are not finite.
-    ///
-    /// ```text
-    /// v = clamp (T̈ − f(T, Ṫ)) / g(T, Ṫ),   u = 2 v / (1 + √(1 + 4 B_UU v))
-    /// ```
-    ///
-    /// The published `(−1 + √…)/(2 B_UU)` with the root in the denominator, which is also correct for `B_UU = 0`.
-    #[must_use]
-    pub fn throttle_for(&self, thrust: f64, thrust_rate: f64, acceleration: f64) -> Option<f64> {
-        let k = &self.coefficients;
-        let gain = self.input_gain(thrust, thrust_rate);
-        let wanted = (acceleration - self.drift(thrust, thrust_rate)) / gain;
-        (wanted.is_finite() && gain.abs() >= MIN_INPUT_GAIN).then(|| {
-            let input = wanted.clamp(self.input(k.throttle_min), self.input(k.throttle_max));
-            // The root is real between the limits, up to rounding.
-            let root = (1.0 + 4.0 * k.b_uu * input).max(0.0).sqrt();
-            (2.0 * input / (1.0 + root)).clamp(k.throttle_min, k.throttle_max)
-        })
-    }
-
-    /// Throttle \[%\] that holds a thrust, as nearly as the limits allow; the least throttle if the throttle does not act
-    /// on the thrust there.
+    /// Throttle \[%\] that holds a thrust, as nearly as the limits allow.
     #[must_use]
     pub fn steady_throttle(&self, thrust: f64) -> f64 {
-        self.throttle_for(thrust, 0.0, 0.0).unwrap_or(self.coefficients.throttle_min)
-    }
-
-    /// Thrust acceleration `T̈` \[N/s²\] for a throttle \[%\], which is limited first.
-    #[must_use]
-    pub fn thrust_acceleration(&self, thrust: f64, thrust_rate: f64, throttle: f64) -> f64 {
-        self.drift(thrust, thrust_rate) + self.input_gain(thrust, thrust_rate) * self.input(throttle)
+        match self {
+            Self::SecondOrder(engine) => engine.steady_throttle(thrust),
+            Self::Shaft(engine) => engine.steady_throttle(thrust),
+        }
     }
 
     /// Thrust rate \[N/s\] after `dt` \[s\] at the throttle within the limits that brings it nearest to a commanded one.
     #[must_use]
     pub fn nearest_rate(&self, thrust: f64, thrust_rate: f64, command: f64, dt: f64) -> f64 {
         let (least, greatest) = self.acceleration_range(thrust, thrust_rate);
+        let (lowest, highest) = self.rate_range(thrust);
+        let command = command.max(lowest).min(highest);
         thrust_rate + (command - thrust_rate).max(dt * least).min(dt * greatest)
     }
 
-    /// Least and greatest thrust acceleration between the limits of the throttle \[N/s²\].
+    /// Least and greatest thrust acceleration \[N/s²\]: between the limits of the throttle, or of the ramps.
     #[must_use]
     pub fn acceleration_range(&self, thrust: f64, thrust_rate: f64) -> (f64, f64) {
-        let [a, b] = [self.coefficients.throttle_min, self.coefficients.throttle_max]
-            .map(|throttle| self.thrust_acceleration(thrust, thrust_rate, throttle));
-        (a.min(b), a.max(b))
+        match self {
+            Self::SecondOrder(engine) => engine.acceleration_range(thrust, thrust_rate),
+            Self::Shaft(engine) => engine.acceleration_range(thrust, thrust_rate),
+        }
     }
 
-    /// Derivatives of `T̈` with respect to `T` \[1/s²\] and `Ṫ` \[1/s\], at a throttle \[%\].
+    /// That of inputs which may last: the rate of a shaft ends where the gas limits it.
     #[must_use]
-    pub fn acceleration_slopes(&self, thrust: f64, thrust_rate: f64, throttle: f64) -> (f64, f64) {
-        let k = &self.coefficients;
-        let v = self.input(throttle);
-        (
-            k.k_t + 2.0 * k.k_tt * thrust + k.k_td * thrust_rate + k.b_t * v,
-            k.k_d + 2.0 * k.k_dd * thrust_rate + k.k_td * thrust + k.b_d * v,
-        )
+    pub fn lasting_range(&self, thrust: f64, thrust_rate: f64) -> (f64, f64) {
+        match self {
+            Self::SecondOrder(engine) => engine.acceleration_range(thrust, thrust_rate),
+            Self::Shaft(engine) => engine.lasting_range(thrust, thrust_rate),
+        }
+    }
+
+    /// Least and greatest thrust rate \[N/s\] at a thrust; a second-order engine has no bounds.
+    #[must_use]
+    pub fn rate_range(&self, thrust: f64) -> (f64, f64) {
+        match self {
+            Self::SecondOrder(_) => (f64::NEG_INFINITY, f64::INFINITY),
+            Self::Shaft(engine) => engine.rate_range(thrust),
+        }
+    }
+
+    /// Derivatives of the thrust acceleration by thrust \[1/s²\] and thrust rate \[1/s\], about the steady state at a thrust;
+    /// `thrust_rate` tells whether it rises or falls.
+    #[must_use]
+    pub fn steady_slopes(&self, thrust: f64, thrust_rate: f64) -> (f64, f64) {
+        match self {
+            Self::SecondOrder(engine) => {
+                engine.acceleration_slopes(thrust, 0.0, engine.steady_throttle(thrust))
+            }
+            Self::Shaft(engine) => engine.acceleration_slopes(thrust_rate >= 0.0),
+        }
     }
 }
 
@@ -187,13 +103,20 @@ pub struct EngineDynamics {
     pub thrust: f64,
     /// Thrust rate `Ṫ` \[N/s\].
     pub thrust_rate: f64,
+    /// Speed and wanted speed of a shaft, shares of the full speed.
+    speeds: [f64; 2],
 }
 
 impl EngineDynamics {
     /// An engine at a thrust \[N\] and thrust rate \[N/s\].
     #[must_use]
-    pub fn new(model: EngineModel, thrust: f64, thrust_rate: f64) -> Self {
-        Self { model, thrust, thrust_rate }
+    pub fn new(model: impl Into<EngineModel>, thrust: f64, thrust_rate: f64) -> Self {
+        let model = model.into();
+        let speeds = match &model {
+            EngineModel::SecondOrder(_) => [0.0; 2],
+            EngineModel::Shaft(shaft) => [shaft.speed(thrust); 2],
+        };
+        Self { model, thrust, thrust_rate, speeds }
     }
 
     /// The engine's equations.
@@ -205,15 +128,29 @@ impl EngineDynamics {
     /// Advances the engine by `dt` \[s\] at a constant throttle \[%\], limited to the engine's range.
     ///
     /// ```text
-    /// T ← T + Ṫ dt + T̈ dt²/2,   Ṫ ← Ṫ + T̈ dt,   T̈ at the start of the step
+    /// second order   T ← T + Ṫ dt + T̈ dt²/2,   Ṫ ← Ṫ + T̈ dt,   T̈ at the start of the step
+    /// shaft          n ← n + ṅ dt,   T = T(n)                     M176
     /// ```
     ///
     /// Source: the published simulator. The range of the thrust is left to the simulated jets. A NaN throttle results in
     /// NaN.
     pub fn step(&mut self, throttle: f64, dt: f64) {
-        let acceleration = self.model.thrust_acceleration(self.thrust, self.thrust_rate, throttle);
-        self.thrust += dt * (self.thrust_rate + 0.5 * dt * acceleration);
-        self.thrust_rate += dt * acceleration;
+        match &self.model {
+            EngineModel::SecondOrder(engine) => {
+                let acceleration = engine.thrust_acceleration(self.thrust, self.thrust_rate, throttle);
+                self.thrust += dt * (self.thrust_rate + 0.5 * dt * acceleration);
+                self.thrust_rate += dt * acceleration;
+            }
+            EngineModel::Shaft(shaft) => {
+                let [mut speed, wanted] = self.speeds;
+                if shaft.thrust(speed).to_bits() != self.thrust.to_bits() {
+                    speed = shaft.speed(self.thrust); // a fault has replaced the thrust
+                }
+                let (speed, wanted, rate) = shaft.step(speed, wanted, throttle, dt);
+                self.speeds = [speed, wanted];
+                (self.thrust, self.thrust_rate) = (shaft.thrust(speed), rate);
+            }
+        }
     }
 }
 
@@ -221,7 +158,7 @@ impl EngineDynamics {
 /// published 1.5 it changes sign and halves every tick.
 pub const RATE_GAIN: f64 = 150.0;
 
-/// Throttle loop: feedback linearisation of [`EngineModel`] to `T̈ = −k_p (Ṫ − Ṫ*)`, `k_p` = [`RATE_GAIN`].
+/// Throttle loop: feedback linearisation of an [`EngineModel`] to `T̈ = −k_p (Ṫ − Ṫ*)`, `k_p` = [`RATE_GAIN`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ThrustRateController {
     /// Last throttle \[%\].
@@ -246,7 +183,7 @@ impl ThrustRateController {
     /// Source: the published controller. Where no throttle is found it is held, instead of a division by zero.
     pub fn update(&mut self, model: &EngineModel, thrust: f64, thrust_rate: f64, command: f64) -> f64 {
         let acceleration = RATE_GAIN * (command - thrust_rate);
-        if let Some(throttle) = model.throttle_for(thrust, thrust_rate, acceleration) {
+        if let Some(throttle) = model.throttle_for(thrust, thrust_rate, command, acceleration) {
             self.throttle = throttle;
         }
         self.throttle

@@ -54,7 +54,7 @@ impl JetModel {
     pub fn throttle(&self, thrust: f64, thrust_rate: f64, command: f64, dt: f64) -> f64 {
         let Some(engine) = &self.engine else { return 0.0 };
         engine
-            .throttle_for(thrust, thrust_rate, (command - thrust_rate) / dt)
+            .throttle_for(thrust, thrust_rate, command, (command - thrust_rate) / dt)
             .unwrap_or_else(|| engine.steady_throttle(thrust))
     }
 }

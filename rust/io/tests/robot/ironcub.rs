@@ -3,6 +3,7 @@
 use super::{assert_close, robot_file};
 use crate::common::assert_within;
 use crate::common::engines::engines;
+use flight_core::jets::EngineModel;
 use flight_core::robot::{AxisymmetricCoefficients, Frame, RobotModel};
 use flight_core::spatial::{Pose, axis_angle};
 use flight_io::{RobotFiles, load_robot};
@@ -233,7 +234,7 @@ fn engines_are_the_published_ones() {
     let robot = ironcub();
     assert_eq!(robot.engines, engines());
     for jet in robot.jets {
-        assert_eq!(jet.engine, robot.engines[&jet.engine_name], "{}", jet.name);
+        assert_eq!(jet.engine, EngineModel::from(robot.engines[&jet.engine_name]), "{}", jet.name);
     }
 }
 

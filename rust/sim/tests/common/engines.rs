@@ -2,7 +2,7 @@
 
 #![allow(clippy::unreadable_literal, reason = "coefficients stand as they were published")]
 
-use flight_core::jets::{EngineCoefficients, EngineModel};
+use flight_core::jets::{EngineCoefficients, SecondOrder};
 use std::collections::BTreeMap;
 
 /// The published sets, in the order `K_T K_TT K_D K_DD K_TD B_U B_T B_D B_UU c`.
@@ -35,14 +35,14 @@ pub fn coefficients(k: [f64; 10]) -> EngineCoefficients {
     }
 }
 
-pub fn engines() -> BTreeMap<String, EngineModel> {
+pub fn engines() -> BTreeMap<String, SecondOrder> {
     models().map(|(name, model)| (name.to_owned(), model)).collect()
 }
 
-pub fn models() -> impl Iterator<Item = (&'static str, EngineModel)> {
-    ENGINES.iter().map(|(name, k)| (*name, EngineModel::new(name, coefficients(*k)).unwrap()))
+pub fn models() -> impl Iterator<Item = (&'static str, SecondOrder)> {
+    ENGINES.iter().map(|(name, k)| (*name, SecondOrder::new(name, coefficients(*k)).unwrap()))
 }
 
-pub fn model(name: &str) -> EngineModel {
+pub fn model(name: &str) -> SecondOrder {
     models().find(|(n, _)| *n == name).unwrap().1
 }

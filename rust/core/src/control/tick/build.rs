@@ -37,7 +37,10 @@ impl Controller {
         config.check(&robot)?;
         check_time_step("controller time step", time_step)?;
         let aero = aero(&robot)?;
-        let robot = config.restrict(robot);
+        let mut robot = config.restrict(robot);
+        if let Some(shaft) = &config.shaft {
+            robot = robot.with_shafts("controller.shaft", shaft)?;
+        }
         let mut model = robot.clone();
         if !config.use_jets {
             model.jets.clear();

@@ -29,9 +29,10 @@ impl Chain {
         Self { a: Matrix3::zeros(), b: Vector3::x(), states: 1, acting: 1 }
     }
 
-    /// A jet at a thrust \[N\], at the throttle that holds it.
-    pub(super) fn of_engine(engine: &EngineModel, thrust: f64) -> Self {
-        let (alpha, beta) = engine.acceleration_slopes(thrust, 0.0, engine.steady_throttle(thrust));
+    /// A jet at a thrust \[N\], at the throttle that holds it; a shaft lags differently where its thrust rate \[N/s\] is
+    /// negative.
+    pub(super) fn of_engine(engine: &EngineModel, thrust: f64, thrust_rate: f64) -> Self {
+        let (alpha, beta) = engine.steady_slopes(thrust, thrust_rate);
         let a = Matrix3::new(0.0, 1.0, 0.0, alpha, beta, 0.0, 0.0, 0.0, 0.0);
         Self { a, b: Vector3::y(), states: 2, acting: 1 }
     }

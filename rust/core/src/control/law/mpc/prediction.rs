@@ -214,7 +214,7 @@ impl Prediction {
         self.now.fill(Vector3::zeros());
         for jet in 0..self.jets {
             let Some(engine) = &self.models[jet].engine else { continue };
-            self.chains[jet] = Chain::of_engine(engine, measured.thrust[jet]);
+            self.chains[jet] = Chain::of_engine(engine, measured.thrust[jet], measured.thrust_rate[jet]);
             self.answers[jet].update(&self.chains[jet], self.series, &self.power);
             if self.works(jet, terms) {
                 self.now[jet][1] = measured.thrust_rate[jet];
@@ -251,7 +251,7 @@ impl Prediction {
         }
         let state = self.before(knot)[jet];
         let thrust = terms.measurement.thrust[jet] + state[0];
-        let (least, greatest) = engine.acceleration_range(thrust, state[1]);
+        let (least, greatest) = engine.lasting_range(thrust, state[1]);
         let free = (self.chains[jet].a.row(1) * state)[0];
         Some((least - free, greatest - free))
     }

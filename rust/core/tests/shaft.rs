@@ -1,0 +1,174 @@
+//! Every term of an engine of the shaft's speed (M176), by hand or by its own simulation.
+
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+#![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
+
+use crate::common::assert_within;
+use flight_core::jets::{EngineDynamics, EngineModel, JetModel, Shaft, ShaftConfig, ThrustRateController};
+
+const NUMBERS: ShaftConfig = ShaftConfig {
+    idle: 0.3,
+    ramps: [0.1, 0.2],
+    lags: [1.2, 1.6],
+    accelerations: [0.15, 0.4],
+    exponent: 2.0,
+    square_share: 0.25,
+    density: 1.225,
+    temperature: 288.15,
+};
+const DT: f64 = 0.01;
+
+fn shaft_of(change: impl FnOnce(&mut ShaftConfig)) -> Shaft {
+    let mut k = NUMBERS;
+    change(&mut k);
+    Shaft::new("simulator.jets.shaft", k, 200.0).unwrap()
+}
+
+fn shaft() -> Shaft {
+    shaft_of(|_| ())
+}
+
+#[test]
+fn thrust_has_a_square_and_a_cube() {
+    assert_within!((shaft().thrust(1.0) - 200.0).abs(), 1e-12);
+    assert_within!((shaft().thrust(0.5) - 200.0 * 0.25 * (0.25 + 0.75 * 0.5)).abs(), 1e-12);
+}
+
+#[test]
+fn a_thrust_has_one_speed() {
+    for share in [0.0, 1e-3, 0.06, 0.5, 1.0] {
+        let shaft = shaft_of(|k| k.square_share = share);
+        for thrust in [1e-6, 0.3, 20.0, 120.0, 200.0, 260.0] {
+            assert_within!((shaft.thrust(shaft.speed(thrust)) / thrust - 1.0).abs(), 1e-13);
+        }
+        assert!(shaft.speed(0.0).abs() < 1e-300 && shaft.speed(-1.0).abs() < 1e-300);
+    }
+}
+
+#[test]
+fn the_wanted_speed_moves_within_its_ramps() {
+    let wanted = |from: f64, throttle: f64| shaft().step(0.6, from, throttle, DT).1;
+    assert_within!((wanted(0.6, 100.0) - 0.601).abs(), 1e-15);
+    assert_within!((wanted(0.6, 0.0) - 0.598).abs(), 1e-15);
+    // A throttle of 40 % demands 0.3 + 0.7 · 0.4.
+    assert_within!((wanted(0.5799, 40.0) - 0.58).abs(), 1e-15);
+    assert_within!((wanted(0.9999, 130.0) - 1.0).abs(), 1e-15);
+}
+
+#[test]
+fn the_shaft_follows_it_with_its_lags_as_fast_as_the_gas_allows() {
+    let rate = |wanted: f64| (shaft().step(0.8, wanted, 100.0 * (wanted - 0.3) / 0.7, DT).0 - 0.8) / DT;
+    assert_within!((rate(0.86) - 0.06 / 1.2).abs(), 1e-12);
+    assert_within!((rate(0.72) + 0.08 / 1.6).abs(), 1e-12);
+    assert_within!((rate(1.0) - 0.15 * 0.64).abs(), 1e-12);
+    assert_within!((rate(0.3) + 0.4 * 0.64).max(-0.05), 1e-12); // 0.5/1.6 = 0.31 > 0.256
+}
+
+#[test]
+fn hot_and_thin_air_take_thrust_and_torque() {
+    // θ = 1.1, σ = 0.8: δ = 0.88.
+    let hot = shaft_of(|k| (k.density, k.temperature) = (0.8 * 1.225, 1.1 * 288.15));
+    let root = 1.1_f64.sqrt();
+    assert_within!((hot.thrust(0.7 * root) - 0.88 * shaft().thrust(0.7)).abs(), 1e-11);
+    assert_within!((hot.thrust(hot.speed(90.0)) - 90.0).abs(), 1e-11);
+    let gain = (hot.step(0.7, 1.0, 100.0, DT).0 - 0.7) / DT;
+    assert_within!((gain - 0.88 * 0.15 * 0.49 / 1.1).abs(), 1e-12);
+}
+
+#[test]
+fn the_thrust_rate_is_that_of_the_thrust() {
+    let (speed, _, rate) = shaft().step(0.7, 0.75, 90.0, 1e-6);
+    let change = (shaft().thrust(speed) - shaft().thrust(0.7)) / 1e-6;
+    assert_within!((change - rate).abs(), 1e-3 * rate.abs());
+}
+
+#[test]
+fn the_least_and_greatest_acceleration_are_those_of_the_ends_of_the_throttle() {
+    for (thrust, ahead) in [(60.0, 0.02), (110.0, 0.0), (150.0, -0.03)] {
+        let speed = shaft().speed(thrust);
+        let from = speed + ahead;
+        let rate = shaft().step(speed, from, 100.0 * (from - 0.3) / 0.7, 1e-9).2;
+        let (least, greatest) = shaft().acceleration_range(thrust, rate);
+        for (throttle, expected) in [(0.0, least), (100.0, greatest)] {
+            let (n, w, after) = shaft().step(speed, from, throttle, 1e-5);
+            let (_, _, later) = shaft().step(n, w, throttle, 1e-5);
+            assert_within!(((later - after) / 1e-5 - expected).abs(), 2e-3 * expected.abs().max(1.0));
+        }
+    }
+}
+
+#[test]
+fn lasting_inputs_end_at_the_rate_of_the_gas() {
+    let thrust = 40.0; // n = 0.63: the gas gives 0.06 1/s, the ramp 0.1
+    let engine = EngineModel::Shaft(shaft());
+    let (least, greatest) = engine.rate_range(thrust);
+    // At the rate of the gas a thrust accelerates by its curvature alone.
+    let (_, last) = engine.lasting_range(thrust, greatest);
+    let (_, ramp) = engine.acceleration_range(thrust, greatest);
+    assert!(last > 0.0 && last < 0.5 * ramp, "{last} {ramp}");
+    let (_, by_rate) = engine.steady_slopes(thrust, 1.0);
+    assert_within!((by_rate + 1.0 / 1.2).abs(), 1e-15);
+    assert_within!((engine.steady_slopes(thrust, -1.0).1 + 1.0 / 1.6).abs(), 1e-15);
+    // Both ends of the rate are those of the gas, 0.15 up and 0.4 down at full speed.
+    assert_within!((greatest / least + 0.15 / 0.4).abs(), 1e-12);
+}
+
+/// The controller's prediction against the engine behind its throttle loop: steps of the command, up and down.
+#[test]
+fn the_prediction_is_that_of_the_engine() {
+    let model = EngineModel::Shaft(shaft());
+    let jet = JetModel { thrust_min: 0.0, engine: Some(model) };
+    let mut engine = EngineDynamics::new(model, 110.0, 0.0);
+    let mut controller = ThrustRateController::new(model.steady_throttle(110.0));
+    for tick in 0..400 {
+        let command = match tick / 100 {
+            0 => 15.0,
+            1 => -20.0,
+            2 => 200.0,
+            _ => -200.0,
+        };
+        let (predicted, rate) = jet.advance(engine.thrust, engine.thrust_rate, command, DT);
+        let throttle = controller.update(&model, engine.thrust, engine.thrust_rate, command);
+        assert!((0.0..=100.0).contains(&throttle));
+        engine.step(throttle, DT);
+        assert_within!((engine.thrust - predicted).abs(), 0.02, "tick {tick}");
+        assert_within!((engine.thrust_rate - rate).abs(), 1.0, "tick {tick}");
+    }
+}
+
+#[test]
+fn a_stopped_engine_stays_where_it_is() {
+    let mut engine = EngineDynamics::new(EngineModel::Shaft(shaft()), 100.0, 0.0);
+    engine.thrust = 0.0;
+    engine.step(100.0, DT);
+    assert!(engine.thrust.abs() < 1e-12 && engine.thrust_rate.abs() < 1e-12);
+    assert_eq!(engine.model().acceleration_range(0.0, 0.0), (0.0, 0.0));
+}
+
+#[test]
+fn a_steady_throttle_holds_its_thrust() {
+    let model = EngineModel::Shaft(shaft());
+    let mut engine = EngineDynamics::new(model, 130.0, 0.0);
+    for _ in 0..200 {
+        engine.step(model.steady_throttle(130.0), DT);
+    }
+    assert_within!((engine.thrust - 130.0).abs(), 1e-10);
+}
+
+#[test]
+fn numbers_out_of_range_are_refused_by_their_key() {
+    let refused = |change: fn(&mut ShaftConfig), words: &str| {
+        let mut k = NUMBERS;
+        change(&mut k);
+        let message = Shaft::new("simulator.jets.shaft", k, 200.0).unwrap_err().to_string();
+        assert!(message.contains("simulator.jets.shaft.") && message.contains(words), "{message}");
+    };
+    refused(|k| k.idle = 1.0, "idle");
+    refused(|k| k.ramps[1] = 0.0, "ramps");
+    refused(|k| k.lags[0] = -1.0, "lags");
+    refused(|k| k.accelerations[0] = f64::NAN, "accelerations");
+    refused(|k| k.exponent = -0.1, "exponent");
+    refused(|k| k.square_share = 1.1, "square_share");
+    refused(|k| k.density = 0.0, "density");
+    refused(|k| k.temperature = 0.0, "temperature");
+}
