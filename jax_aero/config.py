@@ -215,6 +215,7 @@ class MpcWeights(Struct, frozen=True, kw_only=True):
     angular_acceleration: float
     angular_velocity: float
     attitude: tuple[float, float, float]
+    clearance: float | None = None
     joint_command: float
     joint_velocity: float
     position: tuple[float, float, float]

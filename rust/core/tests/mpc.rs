@@ -551,11 +551,20 @@ fn fine_steps(dynamics: JetDynamics, knots: Option<&[f64]>) {
     }
 }
 
-/// The plan is the minimum of its cost with all values beyond their limits, also where many are.
+/// The plan is the minimum of its cost with all values beyond their limits, also where many are; of a descent too, where
+/// distances weigh less.
 #[test]
 fn a_plan_minimises_the_cost_with_all_excesses() {
+    for is_descending in [false, true] {
+        check_excesses(is_descending);
+    }
+}
+
+fn check_excesses(is_descending: bool) {
     let config = experiment("test2_mpc");
-    let mpc = config.controller.law.mpc.clone().unwrap();
+    let mut mpc = config.controller.law.mpc.clone().unwrap();
+    let of_descent = 300.0;
+    mpc.descent.as_mut().unwrap().clearance = Some(of_descent);
     let mut case = Case::draw(11);
     for (position, joint) in case.state.joint_position.iter_mut().zip(&case.robot.joints) {
         *position = joint.limits.1 - 0.02;
@@ -581,7 +590,7 @@ fn a_plan_minimises_the_cost_with_all_excesses() {
         horizon.knots()
     ];
     let calm = vec![Vector6::zeros(); horizon.knots()];
-    horizon.update(&model, terms, &zeros, (&targets, &calm), false);
+    horizon.update(&model, terms, &zeros, (&targets, &calm), is_descending);
     let base = horizon.problem.clone();
     for knot in 0..horizon.knots() {
         for jet in 0..jets {
@@ -609,7 +618,8 @@ fn a_plan_minimises_the_cost_with_all_excesses() {
     assert!(case.thrust[1] + mpc.knots[0] * inputs[horizon.thrust_input(0, 1)] < 40.0);
 
     let clearance = mpc.clearance.as_ref().unwrap();
-    let (least_distance, weight) = (clearance.least, clearance.weight);
+    let (least_distance, weight) =
+        (clearance.least, if is_descending { of_descent } else { clearance.weight });
     assert!(horizon.clearance.distance.iter().any(|distance| *distance < least_distance));
     // Thrusts, joint positions and distances at the knots, written anew; joints in fine steps.
     let cost = |u: &[f64]| {

@@ -11,7 +11,7 @@ use flight_core::control::law::mission::{Commands, Mission};
 use flight_core::control::law::recorded::RecordedMotion;
 use flight_core::control::law::setpoint::{RawSetpoint, Setpoint, SetpointConfig, SetpointGenerator};
 use flight_core::spatial::{
-    exp_so3, log_so3, orthonormality_error, rotation_angle, rotation_from_rpy, rpy_from_rotation,
+    axis_angle, exp_so3, log_so3, orthonormality_error, rotation_angle, rotation_from_rpy, rpy_from_rotation,
 };
 use flight_io::load_robot;
 use flight_sim::Plant;
@@ -519,6 +519,36 @@ fn a_robot_that_sinks_has_no_place_to_hold() {
     let zero = Vector3::zeros();
     let expected = Setpoint { com_position: com, com_acceleration: zero, com_jerk: zero, ..before };
     assert_eq!(before.without_place(&com), expected);
+}
+
+/// M107: turned to the heading of a robot, a set-point differs from it by a rotation about a horizontal axis.
+#[test]
+fn a_set_point_takes_the_heading_of_the_robot() {
+    let mut rng = rng(12);
+    for _ in 0..20 {
+        let [from, base] = [(); 2].map(|()| exp_so3(&random_vector(&mut rng, 1.0)));
+        let before = Setpoint::at_rest(first_com(), from);
+        let found = before.with_heading_of(&base);
+        let turn = found.rotation * from.transpose();
+        assert_within!((turn * Vector3::z() - Vector3::z()).amax(), 1e-15, because "rounding");
+        let left = log_so3(&(base * found.rotation.transpose()));
+        assert_within!(left.z.abs(), 1e-14, because "rounding");
+        assert_eq!(Setpoint { rotation: from, ..found }, before);
+    }
+}
+
+/// M107: of the generator's state too, raw and smooth: the descent goes on with that heading.
+#[test]
+fn a_descent_goes_on_with_the_heading_of_the_robot() {
+    let generator = braking_generator("hover");
+    let heading = |yaw: f64| rotation_from_rpy(&Vector3::new(0.0, 0.0, yaw));
+    let mut state = generator.start(first_com(), &heading(PI));
+    state.take_heading(&(heading(PI - 1.0) * axis_angle(&Vector3::x(), 0.4)));
+    let expected = heading(PI - 1.0);
+    for tick in 0..200 {
+        let found = generator.descend(&mut state, false).rotation;
+        assert_within!((found - expected).amax(), 1e-13, because "rounding", "tick {tick}");
+    }
 }
 
 /// How far ahead a motion of `speed` \[m/s\] comes to rest that loses `loss` of it in each tick, the first one included \[m\]:

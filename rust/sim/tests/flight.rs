@@ -9,6 +9,8 @@
 
 #[path = "flight/estimators.rs"]
 mod estimators;
+#[path = "flight/landing.rs"]
+mod landing;
 #[path = "flight/laws.rs"]
 mod laws;
 #[path = "flight/network.rs"]

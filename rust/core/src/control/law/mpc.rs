@@ -51,8 +51,9 @@ pub struct PredictiveLaw {
     conventions: LinkConventions,
     period: f64,
     posture_gain: f64,
-    /// Whether it flies the descent too.
+    /// Whether it flies the descent too, and holds the heading there.
     flies_descent: bool,
+    holds_heading: bool,
     time_step: f64,
     /// Greatest thrust rates \[N/s\].
     thrust_rate_max: Vec<f64>,
@@ -109,6 +110,7 @@ impl PredictiveLaw {
             period: config.period,
             posture_gain: config.posture_gain,
             flies_descent: config.descent.is_some(),
+            holds_heading: config.descent.as_ref().is_none_or(|weights| weights.attitude[2] > 0.0),
             time_step,
             thrust_rate_max,
             joint_limits: robot.joints.iter().map(|joint| joint.limits).collect(),
@@ -138,6 +140,11 @@ impl PredictiveLaw {
     /// Whether it flies in this tick: not on loaded feet, and a descent only where it is configured to.
     pub(super) fn flies(&self, state: &ControllerState, terms: &Terms) -> bool {
         !state.contact.is_active && (terms.limits.holds_position || self.flies_descent)
+    }
+
+    /// Whether the heading is held without an engine: it is where the descent has a weight for it.
+    pub(super) fn holds_heading(&self) -> bool {
+        self.holds_heading
     }
 
     /// Commands the plan's inputs of this tick, of a new plan where one is due; `false` without a plan.

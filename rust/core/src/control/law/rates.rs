@@ -92,7 +92,8 @@ impl Law {
         terms: &mut Terms,
         command: &mut Command,
     ) {
-        Self::prepare(state, terms);
+        let holds_heading = self.predictive.as_ref().is_none_or(PredictiveLaw::holds_heading);
+        Self::prepare(holds_heading, state, terms);
         let Self { predictive, generator, ahead, .. } = self;
         let Some(predictive) = predictive.as_mut().filter(|law| law.flies(state, terms)) else {
             state.plan.discard();
@@ -107,8 +108,9 @@ impl Law {
         }
     }
 
-    /// Builds the momentum QP of this tick, with its bounds.
-    fn prepare(state: &ControllerState, terms: &mut Terms) {
+    /// Builds the momentum QP of this tick, with its bounds; without an engine the heading is the present one unless the
+    /// law holds it.
+    fn prepare(holds_heading: bool, state: &mut ControllerState, terms: &mut Terms) {
         let Terms { measurement, kinematics, dynamics, momentum, setpoint, due, .. } = terms;
         let Terms { limits, attitude, momentum_qp, contact, .. } = terms;
         let (_, moment_estimate) = parts(&momentum.rate_estimate);
@@ -116,6 +118,12 @@ impl Law {
         if !limits.holds_position {
             *setpoint = setpoint.without_place(&kinematics.com);
             *due = due.without_place(&kinematics.com);
+            if !holds_heading {
+                let base = &measurement.state.base.rotation;
+                state.setpoint.take_heading(base);
+                *setpoint = setpoint.with_heading_of(base);
+                *due = due.with_heading_of(base);
+            }
         }
         *attitude = attitude_demand(
             &limits.gains,

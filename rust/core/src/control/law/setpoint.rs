@@ -143,6 +143,12 @@ impl Setpoint {
         Self { com_position: *com, com_acceleration: zero, com_jerk: zero, ..*self }
     }
 
+    /// Set-point with the heading of a `base` (M107).
+    #[must_use]
+    pub fn with_heading_of(&self, base: &Matrix3<f64>) -> Self {
+        Self { rotation: turn_to(&self.rotation, base).0 * self.rotation, ..*self }
+    }
+
     /// Whether a robot whose state is accepted can follow this set-point: position and velocities are
     /// within that range, the acceleration changes the velocity by at most its range in a second, all other
     /// derivatives are at most 10⁶ (m, rad, s), and the matrix is a rotation.
@@ -227,6 +233,13 @@ impl Setpoint {
     }
 }
 
+/// The rotation about the vertical, and its angle \[rad\], that turns an attitude nearest to another one (M107).
+fn turn_to(from: &Matrix3<f64>, to: &Matrix3<f64>) -> (Matrix3<f64>, f64) {
+    let between = to * from.transpose();
+    let angle = libm::atan2(between[(1, 0)] - between[(0, 1)], between[(0, 0)] + between[(1, 1)]);
+    (axis_angle(&Vector3::z(), angle), angle)
+}
+
 /// Raw set-point before smoothing. It moves at constant speeds, brakes, or leads a given motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RawSetpoint {
@@ -257,6 +270,13 @@ impl SetpointState {
     #[must_use]
     pub fn raw(&self) -> &RawSetpoint {
         &self.raw
+    }
+
+    /// Turns the raw and the smoothed attitude to the heading of a `base` (M107).
+    pub fn take_heading(&mut self, base: &Matrix3<f64>) {
+        let (turn, angle) = turn_to(&self.rotation, base);
+        self.raw.rpy.z += angle;
+        self.rotation = turn * self.rotation;
     }
 
     /// Raises the raw position to a height \[m\] if it is lower, because of the ground.

@@ -63,6 +63,10 @@ pub struct MpcWeights {
     /// per second; `a + λ v` along an axis whose position has no weight \[s⁴/m², s⁴/rad²\].
     #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
     pub tail: [f64; 2],
+    /// Distances below the least one, in place of the weight of `clearance` \[1/m²\].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub clearance: Option<f64>,
 }
 
 impl MpcWeights {
@@ -81,6 +85,7 @@ impl MpcWeights {
             ("angular_velocity", self.angular_velocity),
             ("angular_acceleration", self.angular_acceleration),
             ("joint_velocity", self.joint_velocity),
+            ("clearance", self.clearance.unwrap_or_default()),
         ] {
             MPC.check_non_negative(&key(name), value)?;
         }

@@ -163,6 +163,8 @@ pub struct Horizon {
     residual: DVector<f64>,
     /// Least distance \[m\].
     least_distance: f64,
+    /// Weight of a lesser one \[1/m²\], while all engines work and in the descent.
+    distance_weight: [f64; 2],
     /// Thrusts and joint positions by knot, then distances by knot.
     limited: Vec<Limited>,
     /// Their values at the end of a way between two inputs, and the way.
@@ -208,6 +210,7 @@ impl Horizon {
         let clearance = Clearance::new(config.clearance.as_ref(), robot, joints.len())?;
         let (least_distance, weight) =
             config.clearance.as_ref().map_or((0.0, 0.0), |clearance| (clearance.least, clearance.weight));
+        let distance_weight = weights.each_ref().map(|weights| weights.clearance.unwrap_or(weight));
         let of_distances = std::iter::repeat_n(weight, clearance.len() * knots);
         let of_chains = (0..knots).flat_map(|_| of_chains.clone());
         let limited: Vec<Limited> = of_chains.chain(of_distances).map(Limited::new).collect();
@@ -223,6 +226,7 @@ impl Horizon {
             limited,
             clearance,
             least_distance,
+            distance_weight,
             row: vec![0.0; n - jets * knots],
             way: DVector::zeros(n),
             work: DVector::zeros(n),
@@ -273,6 +277,10 @@ impl Horizon {
         self.add_cost_of_chains(model, terms, posture, weights);
         self.clearance.update(&terms.kinematics, &model.joints);
         self.limited.iter_mut().for_each(|limited| limited.beyond = Beyond::No);
+        let distances = self.clearance.len() * self.knots();
+        for distance in self.limited.iter_mut().rev().take(distances) {
+            distance.weight = self.distance_weight[weights];
+        }
         self.problem.h.copy_from(&self.base_h);
         self.problem.g.copy_from(&self.base_g);
     }
