@@ -66,7 +66,7 @@ def size_of(name: str, variable: Any) -> int:
     if variable.is_virtual or variable.external:
         raise ValueError(f"`{name}` has its data in other files; expected data in the file itself")
     count = max(_count(variable.shape), _count(variable.chunks))  # a chunk is unpacked as a whole
-    return count * max(variable.dtype.itemsize, 8)
+    return int(count * max(variable.dtype.itemsize, 8))
 
 
 def _count(shape: Any) -> int:

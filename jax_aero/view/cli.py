@@ -36,7 +36,7 @@ def _serve(given: Any) -> int:
     from jax_aero.view.web import fill_page, serve
 
     with serve(given.host, given.port) as server:
-        recordings = [recording.read(result, given.robot) for result in given.results]
+        recordings = [_read(result, given.robot) for result in given.results]
         for flight in recordings[:1]:
             for reason in flight.look.missing:
                 print(f"not drawn, or as the aerodynamic models have it: {reason}")
@@ -67,10 +67,10 @@ def video(words: Sequence[str]) -> int:
         from jax_aero.view.video import write_video
 
         write_video(
-            recording.read(given.result, given.robot),
+            _read(given.result, given.robot),
             given.out,
-            ghost=None if given.ghost is None else recording.read(given.ghost, given.robot),
-            beside=[recording.read(result, given.robot) for result in given.beside],
+            ghost=None if given.ghost is None else _read(given.ghost, given.robot),
+            beside=[_read(result, given.robot) for result in given.beside],
             renderer=given.renderer,
             fps=given.fps,
             speed=given.speed,
@@ -96,7 +96,7 @@ def snapshot(words: Sequence[str]) -> int:
     def work(progress: Progress) -> None:
         from jax_aero.view.video import write_snapshot
 
-        flight = recording.read(given.result, given.robot)
+        flight = _read(given.result, given.robot)
         drawn = {"renderer": given.renderer, "size": given.size, "viewpoint": given.camera}
         write_snapshot(flight, given.out, given.at, **drawn, progress=progress)
 
@@ -126,7 +126,7 @@ def export(words: Sequence[str]) -> int:
         if given.profile is not None and given.format != "mcap":
             raise Refused(f"--profile is given with --{given.format}; expected --mcap, which alone has profiles")
         results = [given.result] if given.ghost is None else [given.result, given.ghost]
-        flight, *ghost = [recording.read(result, given.robot) for result in results]
+        flight, *ghost = [_read(result, given.robot) for result in results]
         if given.format == "html":
             write_page([flight, *ghost], given.out)
         elif given.format == "mcap":
@@ -164,6 +164,15 @@ def _add_common_options(parser: Parser, out: Path, size: str) -> None:
         default="mujoco",
         help="what draws: MuJoCo with OpenGL, or Pillow alone, without shadows on the robot (default mujoco)",
     )
+
+
+def _read(result: str | Path, robot: str | None) -> recording.Recording:
+    """Read a flight's result, or a `.mat` log of the robot."""
+    if Path(result).suffix == ".mat":
+        from jax_aero.view import matlab
+
+        return matlab.read_recording(Path(result), robot)
+    return recording.read(result, robot)
 
 
 def _write(given: Any, unit: str, work: Callable[[Progress], None]) -> int:

@@ -192,7 +192,7 @@ def from_flight(flight: rust.FlightResult, config: rust.Config, title: str) -> R
 
 
 def read(result: str | Path, robot: str | Path | None = None) -> Recording:
-    """Read a result folder, a `run.nc`, the name of a result in `results/flight`, or a `.mat` log of the robot.
+    """Read a result folder, a `run.nc`, or the name of a result in `results/flight`.
 
     Parameters
     ----------
@@ -207,10 +207,6 @@ def read(result: str | Path, robot: str | Path | None = None) -> Recording:
         If the result is invalid; the message names the file and what was expected.
     """
     path = _run_file(Path(result))
-    if path.suffix == ".mat":
-        from jax_aero.view import matlab
-
-        return matlab.read_recording(path, robot)
     try:
         return _read(path, robot)
     except Refused:

@@ -204,7 +204,7 @@ def test_a_matlab_file_is_read_by_the_rules_of_the_robots_visualizer(logged, fli
 
 
 def test_a_matlab_file_of_ours_is_viewed_as_it_was_flown(logged, flight):
-    seen = recording.read(logged)
+    seen = matlab.read_recording(logged, None)
     assert (seen.title, seen.verdict) == ("short", "completed")
     assert all(bits(rows) == bits(flight.log[name]) for name, rows in seen.signals.items())
     assert seen.signals.keys() == flight.log.keys()
@@ -229,13 +229,13 @@ def test_a_log_of_the_robot_has_its_joints_alone(logged, flight, config, tmp_pat
             [theirs["#refs#"][f"text{place}"].ref for place in range(len(robot.joint_names))]
         ]
     with pytest.raises(recording.Refused, match="does not name its robot"):
-        recording.read(path)
-    seen = recording.read(path, config["robot"])
+        matlab.read_recording(path, None)
+    seen = matlab.read_recording(path, config["robot"])
     assert bits(seen.signals["joint_position"]) == bits(flight.log["joint_position"])
     assert not seen.signals["base_position"].any()
     robot_log(path, np.zeros((3, 1, len(robot.joint_names))))
     with pytest.raises(recording.Refused, match="has no column"):
-        recording.read(path, config["robot"])
+        matlab.read_recording(path, config["robot"])
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from experiments.replay import replay
-from experiments.studies.standing.study import moved
+from experiments.standing import moved
 from experiments.study import Findings, Study
 from jax_aero import rust
 from jax_aero.base import tables

@@ -13,7 +13,7 @@ use flight_core::aero::LeverArm;
 use flight_core::control::check_time_step;
 use flight_core::control::law::mpc::config::MpcConfig;
 use flight_core::error::{BuildError, Table};
-use flight_core::jets::RATE_GAIN;
+use flight_core::jets::{RATE_GAIN, ShaftConfig};
 use flight_core::kinematics::RobotState;
 use flight_core::robot::RobotModel;
 use flight_core::spatial::{Pose, rotation_from_rpy};
@@ -90,10 +90,11 @@ pub fn load_scenario(path: &Path) -> Result<ScenarioConfig, BuildError> {
 
 /// The schemas of all files, by folder of `configs/`.
 #[must_use]
-pub fn schemas() -> [(&'static str, Schema); 8] {
+pub fn schemas() -> [(&'static str, Schema); 9] {
     [
         ("aero", Schema::of_type::<AeroConfig>()),
         ("control", Schema::of_type::<ControllerSection>()),
+        ("engines", Schema::of_type::<ShaftConfig>()),
         ("law", Schema::of_type::<MpcConfig>()),
         ("mission", Schema::of_type::<MissionConfig>()),
         ("experiments", Schema::of_type::<ScenarioConfig>()),
