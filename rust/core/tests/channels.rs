@@ -425,6 +425,24 @@ fn velocities_have_rates_of_their_own() {
     assert!(used.has_momentum && !used.is_between());
 }
 
+/// A linear velocity that jumps takes the angular one with it, which is within its own range.
+#[test]
+fn what_contradicts_one_velocity_contradicts_both() {
+    let mut rig = Rig::new(&with_jumps());
+    rig.tick(|_| ());
+    let predicted = rig.tick(|sample| sample.state.velocity.rows_mut(0, 6).fill(f64::NAN)).state.clone();
+    assert!((predicted.base_angular_velocity() - rig.sample.state.base_angular_velocity()).amax() < 0.5);
+    for jumping in [0, 3] {
+        let mut rig = Rig::new(&with_jumps());
+        rig.tick(|_| ());
+        let used = rig.tick(|sample| {
+            sample.state.velocity[jumping] += 9.0;
+            sample.state.velocity[3 - jumping] += 0.1;
+        });
+        assert_eq!(used.state.velocity.rows(0, 6), predicted.velocity.rows(0, 6), "number {jumping}");
+    }
+}
+
 /// A base velocity that has not been measured for 0.15 s follows the differences of the pose by `1 − e^{−K Δt}` a tick.
 #[test]
 fn a_lost_velocity_follows_the_pose() {

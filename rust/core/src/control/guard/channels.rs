@@ -294,6 +294,24 @@ impl Channels {
         used.thrust_rate.copy_from_slice(state.jet_rate.as_slice());
     }
 
+    /// Whether the numbers of a channel are in their range.
+    fn is_plausible(&self, place: usize) -> bool {
+        let Entry { range, kind } = &self.entries[place];
+        let now = &self.now[range.clone()];
+        is_within(now, &self.greatest[range.clone()])
+            && (*kind != ChannelKind::Rotation || is_rotation(&rotation_of(now)))
+    }
+
+    /// Whether they are, and near their prediction.
+    fn is_sound(&self, state: &ChannelsState, place: usize, missed_ticks: f64) -> bool {
+        let (range, channel) = (&self.entries[place].range, &state.channels[place]);
+        let width = if channel.support > 1 { 1.0 } else { CONFIRMATION };
+        let gate = width + WIDENING * channel.age + missed_ticks;
+        let numbers = self.now[range.clone()].iter().zip(&state.predicted[range.clone()]);
+        self.is_plausible(place)
+            && numbers.zip(&self.jump[range.clone()]).all(|((now, to), jump)| (now - to).abs() <= gate * jump)
+    }
+
     /// Accepts the numbers of a channel, or lets its age grow by `dt` \[s\]. Returns whether it is measured in this tick
     /// and in the last one, with different bits.
     fn accept(
@@ -304,6 +322,14 @@ impl Channels {
         missed_ticks: f64,
         modes: &mut Modes,
     ) -> bool {
+        // What contradicts one velocity of the base contradicts both.
+        let other =
+            self.velocities.into_iter().find(|other| self.velocities.contains(&place) && *other != place);
+        let is_contradicted = other.is_some_and(|other| {
+            let numbers = &self.now[self.entries[other].range.clone()];
+            numbers.iter().all(|x| x.is_finite()) && !self.is_sound(state, other, missed_ticks)
+        });
+        let is_sound = self.is_sound(state, place, missed_ticks) && !is_contradicted;
         let (Entry { range, kind }, channel) = (&self.entries[place], &mut state.channels[place]);
         let (now, predicted) = (&self.now[range.clone()], &mut state.predicted[range.clone()]);
         let last = &state.last[range.clone()];
@@ -314,11 +340,7 @@ impl Channels {
         let is_same = state.is_begun && *now == *last;
         let was_new = channel.age == 0.0 && channel.same == 0;
         channel.same = if is_same { channel.same.saturating_add(1) } else { 0 };
-        let is_plausible = is_within(now, &self.greatest[range.clone()])
-            && (*kind != ChannelKind::Rotation || is_rotation(&rotation_of(now)));
-        let width = if channel.support > 1 { 1.0 } else { CONFIRMATION };
-        let gate = width + WIDENING * channel.age + missed_ticks;
-        let is_sound = is_plausible && is_near(predicted, gate);
+        let is_plausible = self.is_plausible(place);
         // Of joints and base the same bits are no other measurement.
         let counts = !is_same || !kind.is_vital();
         if counts {
