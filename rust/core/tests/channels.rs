@@ -440,6 +440,7 @@ fn what_contradicts_one_velocity_contradicts_both() {
             sample.state.velocity[3 - jumping] += 0.1;
         });
         assert_eq!(used.state.velocity.rows(0, 6), predicted.velocity.rows(0, 6), "number {jumping}");
+        assert!(!used.is_between(), "what is wrong is not between two measurements");
     }
 }
 

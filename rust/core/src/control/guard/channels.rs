@@ -27,7 +27,7 @@ pub use config::{ChannelsConfig, Jumps};
 pub use state::ChannelsState;
 
 use crate::control::greatest;
-use crate::control::measurement::{BadStart, GAP_MAX, Measurement, Reading, UsedMeasurement};
+use crate::control::measurement::{BadStart, Measurement, Reading, UsedMeasurement};
 use crate::control::modes::Modes;
 use crate::jets::JetModel;
 use crate::robot::RobotModel;
@@ -283,12 +283,15 @@ impl Channels {
             used.modes.insert(Modes::DESCENDING);
         }
         used.has_momentum = (is_step || !was_begun) && !used.modes.intersects(Modes::WITHOUT_MOMENTUM);
-        used.gap = state.gap + if used.has_momentum { 0.0 } else { dt };
-        state.gap = match (used.has_momentum, is_step) {
-            (true, _) => 0.0,
-            (false, true) => used.gap,
-            (false, false) => f64::INFINITY,
+        let is_wrong = self.entries.iter().zip(&state.channels).any(|(entry, channel)| {
+            channel.age > 0.0 && !channel.is_missing && Modes::WITHOUT_MOMENTUM.contains(entry.kind.mode())
+        });
+        used.gap = match used.has_momentum {
+            true => state.gap,
+            false if is_step && !is_wrong => state.gap + dt,
+            false => f64::INFINITY,
         };
+        state.gap = if used.has_momentum { 0.0 } else { used.gap };
         state.is_begun = true;
         self.layout.write(&self.now, used);
         used.thrust_rate.copy_from_slice(state.jet_rate.as_slice());
@@ -339,6 +342,7 @@ impl Channels {
         };
         let is_same = state.is_begun && *now == *last;
         let was_new = channel.age == 0.0 && channel.same == 0;
+        channel.is_missing = now.iter().any(|x| !x.is_finite());
         channel.same = if is_same { channel.same.saturating_add(1) } else { 0 };
         let is_plausible = self.is_plausible(place);
         // Of joints and base the same bits are no other measurement.
@@ -401,7 +405,7 @@ impl Channels {
         let turned =
             rotation_of(&self.now[rotation.clone()]) * rotation_of(&state.last[rotation]).transpose();
         for (place, found) in self.velocities.into_iter().zip([moved, vee_of_skew_part(&turned)]) {
-            if state.channels[place].age > GAP_MAX {
+            if state.channels[place].follows_pose() {
                 let velocity = &mut state.predicted[self.entries[place].range.clone()];
                 for (velocity, found) in velocity.iter_mut().zip(&(found / dt)) {
                     *velocity += share * (found - *velocity);
@@ -460,8 +464,7 @@ impl Channels {
     /// follows the pose.
     pub fn select_accepted(&mut self, state: &ChannelsState, reading: &mut Reading) {
         for (entry, channel) in self.entries.iter().zip(&state.channels) {
-            let follows_pose = entry.kind.is_velocity() && channel.age > GAP_MAX;
-            if channel.age > 0.0 && !follows_pose {
+            if channel.age > 0.0 && !(entry.kind.is_velocity() && channel.follows_pose()) {
                 self.now[entry.range.clone()].fill(f64::NAN);
             }
         }

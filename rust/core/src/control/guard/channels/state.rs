@@ -1,7 +1,7 @@
 //! State of the channels from tick to tick: its prediction and its clock.
 
 use super::layout::Numbers;
-use crate::control::measurement::UsedMeasurement;
+use crate::control::measurement::{GAP_MAX as GAP, UsedMeasurement};
 use crate::control::modes::Modes;
 use crate::jets::JetModel;
 use crate::kinematics::RobotState;
@@ -27,10 +27,20 @@ pub(super) struct Channel {
     pub(super) support: u32,
     /// Number of successive measurements that contradict the prediction, but not each other.
     pub(super) against: u32,
+    /// Whether it has no number in this tick; one that is not accepted otherwise is wrong.
+    pub(super) is_missing: bool,
     /// Whether it counts as frozen, until its bits change.
     pub(super) is_frozen: bool,
     /// Whether its measurements are permanently rejected.
     pub(super) is_distrusted: bool,
+}
+
+impl Channel {
+    /// Whether a velocity of the base is to follow the pose: it is wrong, or has been missing for longer than between two
+    /// measurements.
+    pub(super) fn follows_pose(&self) -> bool {
+        self.age > 0.0 && (self.age > GAP || !self.is_missing)
+    }
 }
 
 /// State of the channels, kept from tick to tick.
