@@ -696,8 +696,10 @@ class Flight:
         world: World | None = None,
         controller: Callable[[Measurement], Command] | None = None,
     ) -> None:
-        crates = {key: value for key, value in config.items() if key != "own_controller"}
-        self._core = _core.Flight(_to_json(crates), None if world is None else _World(world))
+        text = _to_json(config)
+        if config.get("own_controller"):
+            text = _to_json({key: value for key, value in config.items() if key != "own_controller"})
+        self._core = _core.Flight(text, None if world is None else _World(world))
         self._controller = own.load(config) if controller is None else controller
 
     @property
@@ -957,9 +959,10 @@ def fly(config: Mapping[str, Any], progress: Progress | None = None) -> FlightRe
     ValueError
         For a flight that cannot be flown, or cannot begin with its first measurement.
     """
+    text = _to_json(config)
     if config.get("own_controller"):
         return Flight(config).run(progress)
-    return FlightResult(**_core.fly(_to_json(config), progress))
+    return FlightResult(**_core.fly(text, progress))
 
 
 def replay(config: Mapping[str, Any], log: Mapping[str, ArrayLike]) -> dict[str, Array]:
@@ -1016,6 +1019,7 @@ def fly_batch(
     if threads is not None and threads < 1:
         raise ValueError(f"`threads` is {threads}; expected at least 1, or None for one per core")
     configs = list(configs)
+    texts = [_to_json(config) for config in configs]
     if any(config.get("own_controller") for config in configs):
         flown = []
         for index, config in enumerate(configs):
@@ -1023,7 +1027,6 @@ def fly_batch(
             if progress is not None:
                 progress(index + 1, len(configs))
         return flown
-    texts = [_to_json(config) for config in configs]
     return [FlightResult(**raw) for raw in _core.fly_batch(texts, threads, progress, full_log)]
 
 
