@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jax_aero import rust, sim
-from jax_aero.base import places
+from jax_aero.base import places, tables
 from jax_aero.base.typed import scenario_config
 from jax_aero.verify.flight import NOT_COMPARED
 
@@ -81,6 +81,13 @@ def test_what_the_crate_alone_flies_is_refused(key):
     table = rust.load_config("test2_observer", {key: REFUSED[key], "simulator.substeps": 5})
     with pytest.raises(ValueError, match=rf"`{key}` is .*; expected .*; the crate flies it \(`engine = \"rust\"`\)"):
         sim.prepare(table, dtype=np.float32)
+
+
+def test_engines_of_shafts_are_refused():
+    shaft = places.CONFIGS / "engines/jetcat_p300.toml"
+    jets = {"dynamics": "second_order", "shaft": tables.read(shaft)}
+    with pytest.raises(ValueError, match=r"`simulator\.jets\.shaft` is given; expected none"):
+        sim.prepare(rust.load_config("test2", {"simulator.jets": jets}), dtype=np.float32)
 
 
 @pytest.mark.parametrize("key", ["fuel", "motors"])

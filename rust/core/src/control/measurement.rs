@@ -128,13 +128,13 @@ pub struct UsedMeasurement {
 }
 
 /// Longest time between two measurements of a channel that has a rate of its own, 10 Hz and jitter \[s\].
-pub const GAP_MAX: f64 = 0.15;
+pub const BETWEEN_MAX: f64 = 0.15;
 
 impl UsedMeasurement {
     /// Whether this tick is between two measurements of the momentum.
     #[must_use]
     pub fn is_between(&self) -> bool {
-        !self.has_momentum && self.gap <= GAP_MAX
+        !self.has_momentum && self.gap <= BETWEEN_MAX
     }
 
     /// Zeros, for a robot with the tick `time_step` \[s\].

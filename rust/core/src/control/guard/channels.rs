@@ -286,12 +286,12 @@ impl Channels {
         let is_wrong = self.entries.iter().zip(&state.channels).any(|(entry, channel)| {
             channel.age > 0.0 && !channel.is_missing && Modes::WITHOUT_MOMENTUM.contains(entry.kind.mode())
         });
-        used.gap = match used.has_momentum {
-            true => state.gap,
+        state.gap = match used.has_momentum {
+            true => 0.0,
             false if is_step && !is_wrong => state.gap + dt,
             false => f64::INFINITY,
         };
-        state.gap = if used.has_momentum { 0.0 } else { used.gap };
+        used.gap = state.gap;
         state.is_begun = true;
         self.layout.write(&self.now, used);
         used.thrust_rate.copy_from_slice(state.jet_rate.as_slice());
@@ -305,14 +305,20 @@ impl Channels {
             && (*kind != ChannelKind::Rotation || is_rotation(&rotation_of(now)))
     }
 
-    /// Whether they are, and near their prediction.
+    /// Whether they are within so many jumps of others.
+    fn is_near(&self, place: usize, to: &[f64], jumps: f64) -> bool {
+        let range = &self.entries[place].range;
+        let mut entries = self.now[range.clone()].iter().zip(to).zip(&self.jump[range.clone()]);
+        entries.all(|((now, to), jump)| (now - to).abs() <= jumps * jump)
+    }
+
+    /// Whether they are in their range, and near their prediction.
     fn is_sound(&self, state: &ChannelsState, place: usize, missed_ticks: f64) -> bool {
-        let (range, channel) = (&self.entries[place].range, &state.channels[place]);
+        let channel = &state.channels[place];
         let width = if channel.support > 1 { 1.0 } else { CONFIRMATION };
         let gate = width + WIDENING * channel.age + missed_ticks;
-        let numbers = self.now[range.clone()].iter().zip(&state.predicted[range.clone()]);
-        self.is_plausible(place)
-            && numbers.zip(&self.jump[range.clone()]).all(|((now, to), jump)| (now - to).abs() <= gate * jump)
+        let predicted = &state.predicted[self.entries[place].range.clone()];
+        self.is_plausible(place) && self.is_near(place, predicted, gate)
     }
 
     /// Accepts the numbers of a channel, or lets its age grow by `dt` \[s\]. Returns whether it is measured in this tick
@@ -326,20 +332,15 @@ impl Channels {
         modes: &mut Modes,
     ) -> bool {
         // What contradicts one velocity of the base contradicts both.
-        let other =
-            self.velocities.into_iter().find(|other| self.velocities.contains(&place) && *other != place);
-        let is_contradicted = other.is_some_and(|other| {
-            let numbers = &self.now[self.entries[other].range.clone()];
-            numbers.iter().all(|x| x.is_finite()) && !self.is_sound(state, other, missed_ticks)
-        });
+        let is_contradicted = self.entries[place].kind.is_velocity()
+            && self.velocities.into_iter().filter(|other| *other != place).any(|other| {
+                let numbers = &self.now[self.entries[other].range.clone()];
+                numbers.iter().all(|x| x.is_finite()) && !self.is_sound(state, other, missed_ticks)
+            });
         let is_sound = self.is_sound(state, place, missed_ticks) && !is_contradicted;
         let (Entry { range, kind }, channel) = (&self.entries[place], &mut state.channels[place]);
         let (now, predicted) = (&self.now[range.clone()], &mut state.predicted[range.clone()]);
         let last = &state.last[range.clone()];
-        let is_near = |to: &[f64], gate: f64| {
-            let mut entries = now.iter().zip(to).zip(&self.jump[range.clone()]);
-            entries.all(|((now, to), jump)| (now - to).abs() <= gate * jump)
-        };
         let is_same = state.is_begun && *now == *last;
         let was_new = channel.age == 0.0 && channel.same == 0;
         channel.is_missing = now.iter().any(|x| !x.is_finite());
@@ -348,7 +349,7 @@ impl Channels {
         // Of joints and base the same bits are no other measurement.
         let counts = !is_same || !kind.is_vital();
         if counts {
-            let agrees = channel.against > 0 && is_near(last, 1.0);
+            let agrees = channel.against > 0 && self.is_near(place, last, 1.0);
             channel.against =
                 u32::from(is_plausible && !is_sound) * (1 + u32::from(agrees) * channel.against);
         }
@@ -356,7 +357,8 @@ impl Channels {
         channel.is_distrusted |=
             *kind == ChannelKind::Wind && is_plausible && !is_sound && channel.age > self.config.wind_hold;
         // The prediction of a wind does not move.
-        let leaves = kind.is_vital() && channel.same >= FROZEN_TICKS && !is_near(predicted, FROZEN_SHARE);
+        let leaves =
+            kind.is_vital() && channel.same >= FROZEN_TICKS && !self.is_near(place, predicted, FROZEN_SHARE);
         channel.is_frozen = is_same && (channel.is_frozen || leaves);
         if (is_sound || is_outvoted) && !channel.is_frozen && !channel.is_distrusted {
             channel.age = 0.0;

@@ -19,7 +19,7 @@ pub use config::{ChannelConfig, EstimatorConfig, LatencyConfig};
 
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::control::law::contact::WRENCH;
-use crate::control::measurement::{GAP_MAX, Reading};
+use crate::control::measurement::{BETWEEN_MAX, Reading};
 use crate::dynamics::{Dynamics, MassFactor};
 use crate::error::BuildError;
 use crate::jets::{JetDynamics, JetModel};
@@ -296,7 +296,7 @@ impl Estimator {
         let gains = Gains { delays, shares, by_position, of_bias };
         let latency_max = latency.torque + LATENCY_UNKNOWN;
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // at most 255
-        let gap_max = (GAP_MAX / time_step).min(255.0) as u8;
+        let gap_max = (BETWEEN_MAX / time_step).min(255.0) as u8;
         Ok(Self { model, time_step, waiting, gap_max, latency, latency_max, gains, momentum_shares, ahead })
     }
 

@@ -1,7 +1,7 @@
 //! State of the channels from tick to tick: its prediction and its clock.
 
 use super::layout::Numbers;
-use crate::control::measurement::{GAP_MAX as GAP, UsedMeasurement};
+use crate::control::measurement::{BETWEEN_MAX, UsedMeasurement};
 use crate::control::modes::Modes;
 use crate::jets::JetModel;
 use crate::kinematics::RobotState;
@@ -39,7 +39,7 @@ impl Channel {
     /// Whether a velocity of the base is to follow the pose: it is wrong, or has been missing for longer than between two
     /// measurements.
     pub(super) fn follows_pose(&self) -> bool {
-        self.age > 0.0 && (self.age > GAP || !self.is_missing)
+        self.age > 0.0 && (self.age > BETWEEN_MAX || !self.is_missing)
     }
 }
 
