@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import posixpath
 import re
-from itertools import pairwise
+from itertools import cycle, pairwise
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -15,10 +15,9 @@ from mkdocs.structure.files import File
 from mkdocs.utils import get_relative_url
 
 from experiments import schema, studies
-from experiments.report import index
+from experiments.report import index, kept
 from jax_aero import rust
 
-NOTEBOOK = re.compile(r"<!-- notebook: (?P<path>\S+) -->")
 EQUATION = re.compile(r"^```math\n(?P<latex>.*?)^```$", re.MULTILINE | re.DOTALL)
 INLINE = re.compile(
     r"""^```.*?^```$ | `[^`\n]+`            # code, in which a dollar is one
@@ -32,15 +31,20 @@ MODEL = "model"
 WIDE = {"deviations.md", "paper.md"}
 LAB = Path(__file__).resolve().parents[1] / "target/lab"
 """The flight lab, if `make lab` has built it."""
-LAB_PAGE = "lab/fly/index.html"
+LAB_PAGE = "look/fly/index.html"
+TABLE = re.compile("<table>.*?</table>", re.DOTALL)
+HEADING = re.compile("<th[^>]*>(.*?)</th>", re.DOTALL)
+WIDE_TABLE = 4
+"""Least number of columns of a table that a telephone shows as cards."""
 PICTURE = re.compile(r"(?P<shown>!\[[^\]]*\])\((?P<path>\w+\.png)\)")
-LINK = re.compile(r"\[(?P<text>[^\]]+)\]\((?P<path>(?:\.\./)+[^)#\s]+)(?P<part>#[^)]*)?\)")
-"""A link that may leave the folder of a page."""
+LINK = re.compile(r"\[(?P<text>[^\]]+)\]\((?P<path>[^):#\s]+)(?P<part>#[^)]*)?\)")
+NOTEBOOKS = sorted(Path(__file__).parent.glob("notebooks/*.ipynb"))
 SITE = {
     "experiments/studies": "studies/index.md",
     "experiments/report/paper.py": "paper.md",
     "configs/schema": schema.PAGE,
-} | {f"rust/{crate}/src/lib.rs": f"rust/flight_{crate}/index.html" for crate in ("core", "io", "sim")}
+} | {f"docs/notebooks/{path.name}": f"notebooks/{path.stem}.md" for path in NOTEBOOKS}
+SITE |= {f"rust/{crate}/src/lib.rs": f"rust/flight_{crate}/index.html" for crate in ("core", "io", "sim")}
 """Pages of the site, by the file or folder of a clone that they are made from, which pages link."""
 INDEX = (
     "Questions beyond single flights, each in a folder of its own in `experiments/studies`, which can be deleted or "
@@ -53,15 +57,16 @@ TIGHT = {"|", "\u2016", "/"}
 
 
 def on_config(config: Any) -> Any:
-    """Add the page of every study to the navigation."""
+    """Add the pages of every study and of every kept result to the navigation."""
     results = next(section["Results"] for section in config["nav"] if "Results" in section)
-    listed = next(entry["Studies"] for entry in results if "Studies" in entry)
-    listed.extend(f"studies/{name}.md" for name in studies.names())
+    listed = {title: pages for entry in results for title, pages in entry.items()}
+    listed["Studies"].extend(f"studies/{name}.md" for name in studies.names())
+    listed["Kept results"].extend({name.replace("_", " "): f"results/{name}.md"} for name in kept.names())
     return config
 
 
 def on_files(files: Any, *, config: Any) -> Any:
-    """Add the pages that follow from the code and its records, which are not stored, and the pictures of studies."""
+    """Add the pages that follow from code, records and notebooks, which are not stored, and the pictures of studies."""
     for path, text in generated().items():
         files.append(File.generated(config, path, content=text))
     for picture in pictures():
@@ -101,6 +106,7 @@ def generated() -> dict[str, str]:
     pages["studies/index.md"] = "\n".join(
         ["# Studies", "", INDEX, "", "| `jax-aero study` | answers |", "|---|---|", *rows, ""]
     )
+    pages |= {f"notebooks/{path.stem}.md": notebook(path) for path in NOTEBOOKS}
     return pages | {f"studies/{name}.md": study_page(name) for name in studies.names()}
 
 
@@ -132,10 +138,12 @@ def link_site(markdown: str, page: str) -> str:
 
 
 def on_page_markdown(markdown: str, *, page: Any, config: Any, **_: Any) -> str:
-    """Typeset equations, put notebooks and the lab in place of their comments, link `[M12]` to its equation."""
+    """Typeset equations, put the lab in place of its comment, link `[M12]` to its equation."""
     docs = Path(config["docs_dir"])
     if page.file.src_path in WIDE:
         page.meta["hide"] = ["navigation", "toc"]
+    elif page.file.src_path.startswith("results/"):
+        page.meta["hide"] = ["toc"]
     markdown = EQUATION.sub(lambda match: numbered_equation(match["latex"]), markdown)
     markdown = INLINE.sub(inline_formula, markdown)
     markdown = CODE.sub(r'<div class="places" markdown>\g<places></div>', markdown)
@@ -145,9 +153,22 @@ def on_page_markdown(markdown: str, *, page: Any, config: Any, **_: Any) -> str:
         for path in sorted((docs / MODEL).glob("*.md"))
         for number in NUMBER.findall(path.read_text(encoding="utf-8"))
     ]
-    markdown = NOTEBOOK.sub(lambda match: notebook(docs / match["path"]), markdown)
     markdown = link_site(markdown, page.file.src_uri)
     return "\n".join([markdown, "", *links])
+
+
+def on_page_content(html: str, **_: Any) -> str:
+    """Name the column in every cell of a wide table, each row of which is a card on a narrow screen."""
+    return TABLE.sub(lambda table: cards(table[0]), html)
+
+
+def cards(table: str) -> str:
+    """Return a table of more columns than fit a telephone with the heading of each cell."""
+    headings = [re.sub("<[^>]+>", "", heading).replace('"', "&quot;") for heading in HEADING.findall(table)]
+    if len(headings) < WIDE_TABLE:
+        return table
+    names = cycle(headings)
+    return re.sub("<td", lambda _: f'<td data-of="{next(names)}"', table.replace("<table>", "<table data-wide>"))
 
 
 def inline_formula(found: re.Match[str]) -> str:

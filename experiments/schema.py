@@ -247,7 +247,7 @@ def _references(node: Any) -> Iterator[str]:
 
 # --- Python types ------------------------------------------------------------------------------------------------
 
-HEADER = f'''"""Types of a flight's configuration; `docs/reference/configuration.md` describes every key.
+HEADER = f'''"""Types of a flight's configuration; `configs/schema` describes every key.
 
 Made {MADE}: not to be edited.
 They are filled from what the crate has checked (`jax_aero.base.typed`).

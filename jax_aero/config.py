@@ -1,4 +1,4 @@
-"""Types of a flight's configuration; `docs/reference/configuration.md` describes every key.
+"""Types of a flight's configuration; `configs/schema` describes every key.
 
 Made by `python -m experiments.schema` from the crate's types: not to be edited.
 They are filled from what the crate has checked (`jax_aero.base.typed`).

@@ -6,6 +6,7 @@ pooled over any of its axes; those of a study or a benchmark are its summary.
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
@@ -28,9 +29,6 @@ INDEX = "index"
 
 ALL = "all"
 """Level of an axis over which the flights of a row are pooled."""
-
-MOST_COLUMNS = 6
-"""Greatest number of levels of the first axis for which they are columns, if the sweep has no panels."""
 
 
 class Axis(msgspec.Struct):
@@ -146,7 +144,8 @@ def page(kept: Kept) -> Page:
     if kept.about:
         shown.add(Text(kept.about))
     if kept.rows:
-        shown.add(Text(_outcomes(kept)), table(kept), Text(_legend(kept)))
+        flown = table(kept)
+        shown.add(Text(_outcomes(kept)), flown, Text(_legend(kept, flown.headings)))
     if kept.summary is not None:
         shown.add(*_summary(kept.summary))
     if kept.claims:
@@ -183,104 +182,72 @@ def _outcomes(kept: Kept) -> str:
 
 
 def table(kept: Kept) -> Table:
-    """Return the table of a sweep: its panels side by side."""
-    across = next((axis for axis in kept.axes if axis.name == kept.panels), None)
-    if across is None and len(kept.axes) > 1 and len(kept.axes[0].levels) <= MOST_COLUMNS:
-        across = kept.axes[0]
-    down = [axis for axis in kept.axes if axis is not across]
-    found = {tuple(row[axis.name] for axis in kept.axes): row for row in kept.table()}
-    parts = _parts(kept)
-
-    def cell(levels: Mapping[str, Any]) -> str:
-        row = found.get(tuple(levels[axis.name] for axis in kept.axes))
-        return "" if row is None else ", ".join(filter(None, (part(row) for part in parts)))
-
-    columns = [{}] if across is None else [{across.name: level} for level in across.levels]
-    headings = ["flights"] if across is None else [across.show(level) for level in across.levels]
-    combined = list(_combine(down))
-    shown = [each for each in combined if any(map(cell, ({**each, **column} for column in columns)))]
-    rows = [
-        [*_labels(down, each, before), *(cell({**each, **column}) for column in columns)]
-        for before, each in zip([{}, *shown], shown, strict=False)
-    ]
-    return Table([*(axis.label for axis in down), *headings], rows)
+    """Return the table of a sweep: one quantity a column, without those that no row has."""
+    axes = sorted(kept.axes, key=lambda axis: axis.name == kept.panels)
+    found = {tuple(row[axis.name] for axis in axes): row for row in kept.table()}
+    shown = [levels for levels in itertools.product(*(axis.levels for axis in axes)) if levels in found]
+    columns = {heading: [of(found[levels]) for levels in shown] for heading, of in _quantities(kept).items()}
+    held = {heading: cells for heading, cells in columns.items() if any(cells)}
+    labels = [_labels(axes, levels, before) for before, levels in zip([(), *shown], shown, strict=False)]
+    rows = [[*label, *cells] for label, *cells in zip(labels, *held.values(), strict=True)]
+    return Table([*(axis.label for axis in axes), *held], rows)
 
 
-def _combine(axes: Sequence[Axis]) -> Iterator[dict[str, Any]]:
-    if not axes:
-        yield {}
-        return
-    first, *others = axes
-    for level in first.levels:
-        for rest in _combine(others):
-            yield {first.name: level, **rest}
+def _labels(axes: Sequence[Axis], levels: Sequence[Any], before: Sequence[Any]) -> list[str]:
+    """Return the levels of a row, without those that repeat the row before."""
+    same = 0
+    while same < len(axes) - 1 and [*levels[: same + 1]] == [*before[: same + 1]]:
+        same += 1
+    return [""] * same + [axis.show(level) for axis, level in zip(axes[same:], levels[same:], strict=True)]
 
 
-def _labels(axes: Sequence[Axis], levels: Mapping[str, Any], before: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the levels of a row, without those that repeat the row before."""
-    is_same = True
-    for axis in axes:
-        is_same = is_same and before.get(axis.name) == levels[axis.name] and axis is not axes[-1]
-        yield "" if is_same else axis.show(levels[axis.name])
+Quantity = Callable[[Mapping[str, Any]], str]
+EXPLAINED = {
+    "rotation error [°]": "Errors: the greatest of a flight that completed or descended; median, and at most.",
+    "found after [s]": "Found after: median time since the failure, where half of the flights find one.",
+    "announced before [s]": "Announced before: median time from the first mode to the loss.",
+    "modes": "Modes: those of at least half of the flights.",
+}
 
 
-def _parts(kept: Kept) -> list[Callable[[Mapping[str, Any]], str]]:
-    """Return the functions from a row to the parts of its cell."""
-    known = {"errors": _errors, "found": _found, "announced": _announced, "modes": _modes}
-    return [_count, *(part for name, part in known.items() if name in kept.shows)]
+def _quantities(kept: Kept) -> dict[str, Quantity]:
+    """Return what a table shows of a row, by heading."""
 
+    def count(name: str) -> Quantity:
+        return lambda row: str(row.get(name) or ("0" if name == "completed" else ""))
 
-def _count(row: Mapping[str, Any]) -> str:
-    """Return the flights that complete, and those that land."""
-    down = f" + {row['descended']}" if row["descended"] else ""
-    others = (
-        f"{row[end]} {word}" for end, word in (("descending", "still descend"), ("crashed", "crash")) if row.get(end)
-    )
-    return ", ".join([f"{row['completed']}{down} of {row['flights']}", *others])
+    def number(name: str) -> Quantity:
+        return lambda row: _number(row[name])
 
-
-def _errors(row: Mapping[str, Any]) -> str:
-    angle, distance = row["rotation_deg_median"], row["com_cm_median"]
-    if angle is None:
-        return ""
-    if row["completed"] + row["descended"] == 1:
-        return f"{_number(angle)}°, {_number(distance)} cm"
-    worst_angle, worst_distance = row["rotation_deg_worst"], row["com_cm_worst"]
-    return f"{_number(angle)}° ({_number(worst_angle)}), {_number(distance)} cm ({_number(worst_distance)})"
+    counts = ("flights", "completed", "descended", "descending", "off_course", "crashed")
+    found: dict[str, Quantity] = {name.replace("_", " "): count(name) for name in counts}
+    found["fell"] = lambda row: str(row["lost"] - row.get("crashed", 0) or "")
+    if "errors" in kept.shows:
+        found |= {"rotation error [°]": number("rotation_deg_median"), "at most [°]": number("rotation_deg_worst")}
+        found |= {"position error [cm]": number("com_cm_median"), "at most [cm]": number("com_cm_worst")}
+    if "found" in kept.shows:
+        found["found after [s]"] = lambda row: _number(row["found_s"]) if 2 * row["degraded"] >= row["flights"] else ""
+    if "announced" in kept.shows:
+        found["announced before [s]"] = number("announced_s")
+    if "modes" in kept.shows:
+        found["modes"] = lambda row: " ".join(f"`{name}`" for name, bit in MODES.items() if row["modes"] & bit)
+    return found
 
 
 def _number(value: float | None) -> str:
     """Return a number with two or three digits."""
     if value is None:
-        return "–"
+        return ""
     return f"{value:.2f}" if value < 1.0 else f"{value:.1f}" if value < 100.0 else f"{value:.0f}"
 
 
-def _found(row: Mapping[str, Any]) -> str:
-    is_usual = 2 * row["degraded"] >= row["flights"] and row["found_s"] is not None
-    return f"found after {row['found_s']:.2f} s" if is_usual else ""
-
-
-def _announced(row: Mapping[str, Any]) -> str:
-    return "" if row["announced_s"] is None else f"announced {row['announced_s']:.2f} s before"
-
-
-def _modes(row: Mapping[str, Any]) -> str:
-    return " ".join(f"`{name}`" for name, bit in MODES.items() if row["modes"] & bit)
-
-
-def _legend(kept: Kept) -> str:
-    said = ["Flights that complete" + (" + land" if kept.outcomes.get("descended") else "")]
-    if "errors" in kept.shows:
-        said.append("median (greatest) of their greatest rotation and position errors")
-    if "found" in kept.shows:
-        said.append("median time after which a failure is found, where half of the flights find one")
-    if "announced" in kept.shows:
-        said.append("median time from the announcement of a loss to the loss")
-    if "modes" in kept.shows:
-        said.append("modes of at least half of the flights")
-    pooled = f" Pooled over {', '.join(kept.pooled)}." if kept.pooled else ""
-    return "; ".join(said) + "." + pooled
+def _legend(kept: Kept, headings: Sequence[str]) -> str:
+    said = ["Counts that are empty are 0.", *(text for heading, text in EXPLAINED.items() if heading in headings)]
+    if kept.outcomes.get("diverged"):
+        said.append(f"Of those that fell {kept.outcomes['diverged']} diverged.")
+    if kept.pooled:
+        said.append(f"Pooled over {', '.join(kept.pooled)}.")
+    return " ".join(said)
 
 
 def _summary(summary: Any) -> Iterator[Text | Table]:

@@ -253,7 +253,7 @@ LINK = re.compile(r"\]\((?!https?:)([^)#\s]+)(?:#[^)]*)?\)")
 generated = functools.cache(hooks.generated)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name)
+@pytest.mark.parametrize("page", [*PAGES, *OTHERS], ids=name)
 def test_links_of_a_page_lead_to_files_in_a_clone_and_to_pages_of_the_site(page):
     text = FENCE.sub("", page.read_text(encoding="utf-8"))
     assert [link for link in LINK.findall(text) if not (page.parent / link).exists()] == []
@@ -263,6 +263,13 @@ def test_links_of_a_page_lead_to_files_in_a_clone_and_to_pages_of_the_site(page)
             # Of an address that is no page's, the page is a folder.
             target = ((page.with_suffix("") if link.endswith(".html") else page.parent) / link).resolve()
             assert target in made or (target.is_file() and DOCS in target.parents), link
+
+
+def test_pages_that_any_file_names_are_in_a_clone():
+    command = ["git", "grep", "--only-matching", "-IhE", r"\bdocs/[a-z0-9_/]+\.(md|ipynb)\b"]
+    named = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout.split()
+    assert "docs/failures.md" in named
+    assert [path for path in set(named) if not (ROOT / path).is_file()] == []
 
 
 def test_links_of_generated_pages_lead_to_pages_and_pictures():
@@ -377,15 +384,23 @@ def test_formulas_are_typeset_wherever_they_stand():
         assert "$" not in left, f"{page.name}: a formula is not closed within its paragraph"
 
 
+def test_every_cell_of_a_wide_table_names_its_column():
+    head, row = "".join(f"<th>{name}</th>" for name in 'ab"c'), "<td>1</td><td></td><td>3</td><td>4</td>"
+    told = hooks.on_page_content(f"<p><table><tr>{head}</tr><tr>{row}</tr></table>")
+    assert re.findall('<td data-of="(.*?)">(.*?)</td>', told) == [("a", "1"), ("b", ""), ("&quot;", "3"), ("c", "4")]
+    narrow = f"<table><tr>{head[:-10]}</tr><tr><td>1</td></tr></table>"
+    assert hooks.on_page_content(narrow) == narrow
+
+
 def test_the_flight_lab_is_in_the_site_where_it_is_built(tmp_path, monkeypatch):
     monkeypatch.setattr(hooks, "LAB", tmp_path)
-    assert "iframe" not in hooks.embedded_lab("lab/")
+    assert "iframe" not in hooks.embedded_lab("look/")
     (tmp_path / "index.html").write_text("the lab")
     config = load_config(str(ROOT / "mkdocs.yml"))
     monkeypatch.setattr(config.plugins, "_current_plugin", None, raising=False)  # set while a site is built
     held = {file.src_uri: file for file in hooks.on_files(Files([]), config=config)}
-    assert held["lab/fly/index.html"].content_string == "the lab"
-    for page, address in (("", "lab/fly/index.html"), ("lab/", "fly/index.html")):
+    assert held["look/fly/index.html"].content_string == "the lab"
+    for page, address in (("", "look/fly/index.html"), ("look/", "fly/index.html")):
         assert hooks.embedded_lab(page).count(f'="{address}"') == 2
 
 

@@ -114,11 +114,13 @@ def made_up(**more):
     return Kept(**(parts | more))
 
 
-def test_the_page_has_a_table_with_the_panels_side_by_side():
+def test_the_page_has_one_quantity_a_column_and_the_panels_below_each_other():
     text = kept.page(made_up()).markdown()
-    assert "| wind speed | a | b |" in text
-    assert "| 0 m/s | 2 of 2, 1.5° (2.0), 2.0 cm (2.0) | 2 of 2, 12.5° (20.0), 2.0 cm (2.0) |" in text
-    assert "| 10 m/s | 2 of 2, 3.5° (4.0), 2.0 cm (2.0) | 0 of 2 |" in text
+    errors = "rotation error [°] | at most [°] | position error [cm] | at most [cm]"
+    assert f"| wind speed | controller | flights | completed | fell | {errors} |" in text
+    assert "| 0 m/s | a | 2 | 2 |  | 1.5 | 2.0 | 2.0 | 2.0 |" in text
+    assert "|  | b | 2 | 2 |  | 12.5 | 20.0 | 2.0 | 2.0 |" in text
+    assert "|  | b | 2 | 0 | 2 |  |  |  |  |" in text
     assert "8 flights (2 in each cell, perturbed): 6 completed, 2 fell." in text
     assert "2026-01-02, commit 0123456789, seed 1" in text
 
@@ -128,19 +130,11 @@ def test_a_page_says_where_crashes_were_not_told_from_landings():
         assert ("before crashes were told" in kept.page(made_up(outcomes=ends)).markdown()) == is_said
 
 
-def test_a_cell_says_how_many_land_and_crash():
-    row = {"flights": 9, "completed": 3, "descended": 2, "descending": 1, "crashed": 3}
-    assert kept._count(row) == "3 + 2 of 9, 1 still descend, 3 crash"
-    assert kept._count({"flights": 9, "completed": 9, "descended": 0}) == "9 of 9"
-
-
-def test_levels_that_repeat_the_row_before_are_left_out():
-    table = kept.table(made_up(panels="", axes=[AXES[0], AXES[1]]))
-    assert table.headings == ["wind speed", "a", "b"]
-    third = Axis("c", "c", "", ["p", "q"])
-    assert [list(kept._labels([AXES[1], third], levels, before)) for before, levels in (
-        ({}, {"speed": 0.0, "c": "p"}), ({"speed": 0.0, "c": "p"}, {"speed": 0.0, "c": "q"}),
-    )] == [["0 m/s", "p"], ["", "q"]]  # fmt: skip
+def test_a_row_counts_every_outcome():
+    ends = ["completed", "descended", "descending", "off_course", "crashed", "crashed", "fell", "diverged"]
+    row = dict(zip(keep.FIGURES, keep.figures(flown(outcome=ends)).values(), strict=True))
+    shown = [of(row) for of in kept._quantities(made_up(shows=[])).values()]
+    assert shown == ["8", "1", "1", "1", "1", "2", "2"]
 
 
 def test_what_is_kept_is_read_again(tmp_path, monkeypatch):
