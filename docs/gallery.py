@@ -38,6 +38,11 @@ DESCRIPTION = 0x010E
 """EXIF's tag of the same text in a film."""
 FILM = ROOT / "docs/img/flight.webp"
 FILMED = ("test1_published", "test1_published_observer", "engine_out_mpc")
+TITLES = (
+    "Published controller without a model of the air",
+    "Our controller without a model of the air",
+    "Our predictive controller, an engine stops at 18 s",
+)
 CUT = "--size 960x480 --fps 10 --speed 3 --start 10 --end 27"
 FIGURES_OF_A_FLIGHT = ("max_rotation_error", "max_com_error", "thrust_max", "end_com_z")
 
@@ -87,10 +92,11 @@ def film(folder: Path) -> None:
     """Fly what the film shows, and film it."""
     fly.main([*FILMED, "--out", str(folder)])
     first, *others = (str(folder / name) for name in FILMED)
-    words = ["view", "video", first, "--beside", *others, "--out", str(folder / FILM.name), *CUT.split()]
+    shown = ["--beside", *others, "--titles", *TITLES, *CUT.split()]
+    words = ["view", "video", first, *shown, "--out", str(folder / FILM.name)]
     subprocess.run([sys.executable, "-m", "jax_aero", *words], check=True)
-    shown = {run: of_flight(read_json(folder / run / places.MANIFEST_FILE, dict)) for run in FILMED}
-    FILM.write_bytes(described((folder / FILM.name).read_bytes(), json.dumps(shown)))
+    made = {run: of_flight(read_json(folder / run / places.MANIFEST_FILE, dict)) for run in FILMED}
+    FILM.write_bytes(described((folder / FILM.name).read_bytes(), json.dumps(made)))
 
 
 def described(film: bytes, text: str) -> bytes:

@@ -24,7 +24,7 @@ from jax_aero.base.result import match_branch
 from jax_aero.base.terminal import exit_status
 from jax_aero.view import check_out, logs
 from jax_aero.view.columns import Series
-from jax_aero.view.export import column_name
+from jax_aero.view.export import column_name, write_table
 from jax_aero.view.recording import entries_of
 
 Array = NDArray[np.float64]
@@ -64,16 +64,18 @@ def main(words: Sequence[str]) -> int:
     study.add_set(parser)
     parser.add_argument("--map", type=Path, metavar="FILE", help="TOML file that names the columns of a log of others")
     parser.add_argument("--plot", type=Path, metavar="FILE", help=f"draw what differs most ({', '.join(FORMATS)})")
-    parser.add_argument("--overwrite", action="store_true", help="replace an existing figure")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="keep what is computed (.csv)")
+    parser.add_argument("--overwrite", action="store_true", help="replace existing files")
     given = parser.parse_args(words)
     return exit_status(lambda: _replay(given))
 
 
 def _replay(given: argparse.Namespace) -> int:
-    if given.plot is not None:
-        check_out(given.plot, *FORMATS)
-        if given.plot.exists() and not given.overwrite:
-            raise Refused(f"`{given.plot}` is there already; choose another --plot, or --overwrite it")
+    for option, path, formats in (("--plot", given.plot, FORMATS), ("--out", given.out, (".csv",))):
+        if path is not None:
+            check_out(path, *formats)
+            if path.exists() and not given.overwrite:
+                raise Refused(f"`{path}` is there already; choose another {option}, or --overwrite it")
     changes = overrides.parse(given.set)
     named = None if given.experiment is None else rust.load_config(given.experiment)
     log = logs.read(given.log, named, given.map, given.robot)
@@ -89,6 +91,9 @@ def _replay(given: argparse.Namespace) -> int:
     differences = compare(recorded, computed)
     print(f"{computed['time'].size} ticks of {given.log}")
     print(describe(differences))
+    if given.out is not None:
+        write_table(computed, rust.Robot(config["robot"]), given.out)
+        print(given.out)
     if given.plot is not None:
         _draw(recorded, computed, differences, rust.Robot(config["robot"]), given.plot)
         print(given.plot)

@@ -11,15 +11,12 @@ import functools
 import hashlib
 import importlib.machinery
 import importlib.metadata
-import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import jax_aero
-from jax_aero.base import tables
-from jax_aero.base.files import parse_json
+from jax_aero.base.named import named_files
 from jax_aero.base.terminal import Refused
 
 FOLDERS = {"jax_aero": Path(jax_aero.__file__).parent, "experiments": Path(__file__).parent}
@@ -92,40 +89,8 @@ def _imports(path: Path) -> Iterator[str]:
 
 
 def file_hash(path: Path) -> str:
-    """Return a hash of a file and, recursively, of every file that it names.
-
-    In a TOML or JSON file, a text that is the path of a file relative to its folder counts as a name: the URDF of a
-    robot, the `base` of a flight, the weights of a card. The location of the files has no influence.
-    """
+    """Return a hash of a file and, recursively, of every file that it names, wherever they are."""
     total = hashlib.sha256()
-    for file in _find_named(path.resolve(), set()):
+    for file in named_files(path):
         total.update(hashlib.sha256(file.read_bytes()).digest())
     return total.hexdigest()
-
-
-def _find_named(path: Path, seen: set[Path]) -> Iterator[Path]:
-    if path in seen:
-        return
-    seen.add(path)
-    yield path
-    for text in _texts(_table(path)):
-        if os.path.isfile(path.parent / text):  # noqa: PTH113 - `Path` raises for texts too long for a name
-            yield from _find_named((path.parent / text).resolve(), seen)
-
-
-def _table(path: Path) -> Any:
-    """Return the content of a TOML or JSON file; empty if it is damaged, which its user will report."""
-    try:
-        if path.suffix == ".toml":
-            return tables.read(path)
-        return parse_json(path.read_bytes()) if path.suffix == ".json" else None
-    except ValueError:
-        return None
-
-
-def _texts(value: Any) -> Iterator[str]:
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, Mapping | list):
-        for part in value.values() if isinstance(value, Mapping) else value:
-            yield from _texts(part)

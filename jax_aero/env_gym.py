@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Literal
 
 import gymnasium  # type: ignore[import-not-found,unused-ignore]
 import numpy as np
@@ -45,15 +45,22 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     drawn
         Configurations of one robot of which every episode draws one, in place of the task's experiment: with other
         masses, latencies, sensors or faults, by hand or by the perturbations of a sweep.
+    render_mode
+        "rgb_array" for pictures by `render`, which need the extra `view`.
     """
 
     _robot: rust.Robot
     _flight: rust.Flight
     _first: Aim
-    metadata = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 100}  # noqa: RUF012 - as Gymnasium declares it
 
-    def __init__(self, task: Task | str | None = None, drawn: Sequence[Mapping[str, Any]] = ()) -> None:
-        self.task = task_of(task)
+    def __init__(
+        self,
+        task: Task | str | None = None,
+        drawn: Sequence[Mapping[str, Any]] = (),
+        render_mode: Literal["rgb_array"] | None = None,
+    ) -> None:
+        self.task, self.render_mode = task_of(task), render_mode
         configs = list(drawn) or [rust.load_config(self.task.experiment)]
         self._drawn = [self.task.episode(config) for config in configs]
         self._config = self._drawn[0]
@@ -94,6 +101,22 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         parts = {name: float(value) for name, value in rewards(np, task_state, clipped).items()}
         lost = not goes_on or bool(is_lost(np, task_state, self._fall)) or not np.isfinite(clipped).all()
         return obs, 0.0 if lost else sum(parts.values()), lost, len(self._flown) >= self._last_tick, parts
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override,unused-ignore]
+        """Return the picture of the latest tick, before any of the first one: (480, 640, 3)."""
+        if self.render_mode is None:
+            return None
+        from jax_aero.view.drawing import camera_at
+        from jax_aero.view.painter import Painter
+        from jax_aero.view.recording import from_flight
+
+        flight = self._flight
+        if not self._flown:
+            flight = rust.Flight(self._config)
+            flight.step()
+        seen = from_flight(flight.result(), self._config, self.task.experiment)
+        with Painter(seen, 640, 480) as scene:
+            return np.asarray(scene.picture(seen.duration, camera_at(seen, seen.duration, "chase", 3.3)), np.uint8)
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if name not in OF_THE_CRATE}

@@ -8,16 +8,20 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
+from matplotlib.ticker import MaxNLocator
 
 from paper_figs import style
 from paper_figs.sweeps import Sweep, axis_label
 
 ROWS = (
-    ("upright", "flights that complete or come down [%]", "cividis", 100.0),
+    ("upright", "flights that complete or come down", "cividis", np.inf),
     ("rotation_error_deg_worst", "worst rotation error [deg]", "cividis_r", 90.0),
     ("com_error_cm_worst", "worst CoM error [cm]", "cividis_r", 100.0),
 )
-"""Column of the cells, its title, colour map, and greatest value of the colours."""
+"""Column of the cells, its title, colour map, and greatest value of the colours; infinite: the number of flights."""
+
+CROWDED = 24
+"""Number of cells beside each other above which the numbers at the axis stand upright."""
 
 
 def draw(sweep: Sweep) -> Figure:
@@ -28,8 +32,10 @@ def draw(sweep: Sweep) -> Figure:
     panel = sweep.panel_axis
     levels = [None] if panel is None else list(dict.fromkeys(sweep.cells[panel["name"]]))
     figure = style.figure(2.35 * len(ROWS) + 0.4)
+    flights = float(sweep.cells["flights"].max())
     grid = figure.subplots(len(ROWS), len(levels), sharex=True, sharey=True, squeeze=False)
-    for row, (quantity, title, colours, most) in enumerate(ROWS):
+    for row, (quantity, title, colours, greatest) in enumerate(ROWS):
+        most = flights if np.isinf(greatest) else greatest
         for column, level in enumerate(levels):
             cells = sweep.cells if panel is None or level is None else sweep.cells[sweep.cells[panel["name"]] == level]
             axes = grid[row, column]
@@ -38,7 +44,10 @@ def draw(sweep: Sweep) -> Figure:
                 axes.set_title(level)
             if column == 0:
                 axes.set_ylabel(axis_label(down))
-        figure.colorbar(image, ax=grid[row, :].tolist(), label=title, pad=0.01)
+        figure.colorbar(image, ax=grid[row, :].tolist(), label=title, pad=0.01, ticks=MaxNLocator(integer=True))
+    if len(levels) * sweep.cells[across["name"]].nunique() > CROWDED:
+        for axes in grid[-1]:
+            axes.tick_params(axis="x", rotation=90)
     grid[-1, 0].set_xlabel(axis_label(across), loc="left")  # once: beside each other labels overlap
     columns = "" if panel is None else f"; columns: {panel['label']}"
     style.title(figure, sweep.title + columns)
@@ -56,10 +65,7 @@ def _least_share(cells: pd.DataFrame) -> float:
 def _map(
     axes: Axes, cells: pd.DataFrame, names: tuple[str, str], quantity: str, colours: str, most: float
 ) -> AxesImage:
-    table = cells.assign(
-        upright=100.0 * cells["upright"] / cells["flights"].clip(lower=1),
-        com_error_cm_worst=100.0 * cells["com_error_worst"],
-    )
+    table = cells.assign(com_error_cm_worst=100.0 * cells["com_error_worst"])
     # Not `pivot_table`, which drops a level without numbers and thereby shifts the others.
     values = table.pivot(index=names[0], columns=names[1], values=quantity)
     norm = Normalize(0.0, most)
@@ -67,6 +73,9 @@ def _map(
     axes.set_xticks(range(values.shape[1]), [f"{value:g}" for value in values.columns])
     axes.set_yticks(range(values.shape[0]), [f"{value:g}" for value in values.index])
     axes.grid(visible=False)
+    for line, count in ((axes.axvline, values.shape[1]), (axes.axhline, values.shape[0])):
+        for edge in np.arange(1, count) - 0.5:
+            line(edge, color="white", linewidth=0.6)
     for y, x in np.ndindex(values.shape):
         value = float(values.iloc[y, x])
         shade = norm(min(value, most)) if colours == "cividis" else 1.0 - norm(min(value, most))

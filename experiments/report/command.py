@@ -7,7 +7,6 @@ import sys
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Literal
 
 import jax_aero
 from experiments import Refused, manifest
@@ -32,12 +31,6 @@ PARTS = {
     "Controllers, faults and robots of our own": ("",),
 }
 """Parts of the page and the beginnings of the names of their sweeps; each sweep belongs to the first that fits."""
-
-TONES: dict[Kind, Literal["good", "bad", "open"]] = {
-    Kind.AGREES: "good", Kind.IN_PART: "bad", Kind.DIFFERS: "bad",
-    Kind.OUT_OF_REACH: "open", Kind.NOT_COMPARED: "open", Kind.NOT_FLOWN: "open", Kind.OUTDATED: "open",
-    Kind.ERROR: "bad",
-}  # fmt: skip
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -209,7 +202,7 @@ def _claim(key: str, finding: Finding) -> tuple[str, str, str, Mark]:
 
 
 def _mark(verdict: Verdict) -> Mark:
-    return Mark(str(verdict), TONES[verdict.kind])
+    return Mark(str(verdict), verdict.tone)
 
 
 def _commands(key: str) -> str:

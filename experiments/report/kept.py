@@ -11,14 +11,13 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import msgspec
 
 from experiments import Refused
 from experiments.report.findings import Finding
 from experiments.report.page import Heading, Mark, Page, Picture, Table, Text
-from experiments.report.verdicts import Kind
 from jax_aero.base import places
 from jax_aero.base.files import read_json
 from jax_aero.base.modes import MODES
@@ -150,7 +149,7 @@ def page(kept: Kept) -> Page:
         shown.add(*_summary(kept.summary))
     if kept.claims:
         rows = [
-            (kept.states[key], finding.measured, Mark(str(finding.verdict), _tone(finding)))
+            (kept.states[key], finding.measured, Mark(str(finding.verdict), finding.verdict.tone))
             for key, finding in kept.claims.items()
         ]
         shown.add(Heading(2, "Claims"), Table(("claim", "measured", "verdict"), rows))
@@ -159,10 +158,6 @@ def page(kept: Kept) -> Page:
     again = f" The first flight of each cell: {kept.firsts_flown}." if kept.firsts_flown else ""
     shown.add(Heading(2, "How it was made"), Text(f"`{kept.command}`; {_made(kept)}.{again}"))
     return shown
-
-
-def _tone(finding: Finding) -> Literal["good", "bad"]:
-    return "good" if finding.verdict.kind is Kind.AGREES else "bad"
 
 
 def _made(kept: Kept) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 
 class Kind(Enum):
@@ -29,6 +29,13 @@ class Verdict:
 
     def __str__(self) -> str:
         return self.text
+
+    @property
+    def tone(self) -> Literal["good", "bad", "open"]:
+        """Return how it is coloured: what agrees in part is neither good nor bad."""
+        if self.kind is Kind.AGREES:
+            return "good"
+        return "bad" if self.kind in (Kind.DIFFERS, Kind.ERROR) else "open"
 
     def but(self, limit: str) -> Verdict:
         """Return the verdict with an addition that limits it: what agrees then agrees in part."""

@@ -8,11 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from jax_aero import rust
+from jax_aero.base.named import copy_named
+from jax_aero.base.places import find, name_of
 from jax_aero.base.terminal import Progress, exit_status, progress_bar
 from jax_aero.cli import Parser
 from jax_aero.view import Refused, recording
+from jax_aero.view.ros2 import BAG
 
-RESULT = "a folder or run.nc that `jax-aero fly NAME` wrote, the NAME of one in results/flight, or a .mat log"
+RESULT = "a folder or run.nc that `jax-aero fly NAME` wrote, the NAME of one in results/flight, or a log"
 
 
 def view(words: Sequence[str]) -> int:
@@ -23,7 +26,7 @@ def view(words: Sequence[str]) -> int:
         "with other wind, controller, aerodynamics. Without RESULT the baseline is flown.",
     )
     parser.add_argument("results", nargs="*", metavar="RESULT", help=f"{RESULT}; at most two")
-    parser.add_argument("--robot", metavar="FILE", help="TOML file of the robot, if a result does not name it")
+    _add_reading(parser)
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: this machine only)")
     parser.add_argument("--port", type=int, default=8080, help="port; the next free one if it is taken (default 8080)")
     given = parser.parse_args(words)
@@ -36,7 +39,7 @@ def _serve(given: Any) -> int:
     from jax_aero.view.web import fill_page, serve
 
     with serve(given.host, given.port) as server:
-        recordings = [_read(result, given.robot) for result in given.results]
+        recordings = [_read(result, given) for result in given.results]
         for flight in recordings[:1]:
             for reason in flight.look.missing:
                 print(f"not drawn, or as the aerodynamic models have it: {reason}")
@@ -57,6 +60,7 @@ def video(words: Sequence[str]) -> int:
     second = parser.add_mutually_exclusive_group()
     second.add_argument("--ghost", metavar="RESULT", help="another flight in the same scene, drawn translucent")
     second.add_argument("--beside", nargs="+", default=[], metavar="RESULT", help="other flights, to the right of it")
+    parser.add_argument("--titles", nargs="+", default=[], metavar="TEXT", help="titles of flights side by side")
     parser.add_argument("--fps", type=float, default=30.0, help="pictures per second (default 30)")
     parser.add_argument("--speed", type=float, default=1.0, help="flight seconds per second of video (default 1)")
     parser.add_argument("--start", type=float, default=0.0, metavar="S", help="start time [s]")
@@ -67,10 +71,11 @@ def video(words: Sequence[str]) -> int:
         from jax_aero.view.video import write_video
 
         write_video(
-            _read(given.result, given.robot),
+            _read(given.result, given),
             given.out,
-            ghost=None if given.ghost is None else _read(given.ghost, given.robot),
-            beside=[_read(result, given.robot) for result in given.beside],
+            ghost=None if given.ghost is None else _read(given.ghost, given),
+            beside=[_read(result, given) for result in given.beside],
+            titles=given.titles,
             renderer=given.renderer,
             fps=given.fps,
             speed=given.speed,
@@ -96,7 +101,7 @@ def snapshot(words: Sequence[str]) -> int:
     def work(progress: Progress) -> None:
         from jax_aero.view.video import write_snapshot
 
-        flight = _read(given.result, given.robot)
+        flight = _read(given.result, given)
         drawn = {"renderer": given.renderer, "size": given.size, "viewpoint": given.camera}
         write_snapshot(flight, given.out, given.at, **drawn, progress=progress)
 
@@ -114,7 +119,7 @@ def export(words: Sequence[str]) -> int:
     parser.add_argument("--profile", choices=("json", "ros2"), metavar="PROFILE", help=f"{about}; json or ros2")
     _files(parser, None)
     given = parser.parse_args(words)
-    given.out = given.out or Path(f"flight.{given.format}")
+    given.out = given.out or Path(name_of(given.result) if given.format == "config" else f"flight.{given.format}")
 
     def work(progress: Progress) -> None:
         from jax_aero.view.export import write_csv, write_mcap
@@ -125,8 +130,11 @@ def export(words: Sequence[str]) -> int:
             raise Refused(f"--ghost is given with --{given.format}; expected --html, which alone shows two flights")
         if given.profile is not None and given.format != "mcap":
             raise Refused(f"--profile is given with --{given.format}; expected --mcap, which alone has profiles")
+        if given.format == "config":
+            rust.load_config(copy_named(find("experiments", given.result), given.out, replace=given.overwrite))
+            return
         results = [given.result] if given.ghost is None else [given.result, given.ghost]
-        flight, *ghost = [_read(result, given.robot) for result in results]
+        flight, *ghost = [_read(result, given) for result in results]
         if given.format == "html":
             write_page([flight, *ghost], given.out)
         elif given.format == "mcap":
@@ -141,9 +149,10 @@ FORMATS = {
     "html": "a page that any browser plays, of two flights with --ghost",
     "mcap": "every signal, poses and the robot's URDF, for Foxglove, PlotJuggler and Rerun",
     "csv": "every signal as a table, for PlotJuggler and spreadsheets",
+    "config": "folder of an experiment, RESULT, with every file that it needs, which any machine flies",
     "mat": "every signal as iRonCub's own logger writes it (MATLAB 7.3), for robot-log-visualizer",
 }
-"""Formats of `jax-aero export`, which are the suffixes of their files."""
+"""Formats of `jax-aero export`; those of files are their suffixes."""
 
 
 def _files(parser: Parser, out: Path | None) -> None:
@@ -151,7 +160,7 @@ def _files(parser: Parser, out: Path | None) -> None:
     default = out or "flight, with the suffix of the format"
     parser.add_argument("--out", type=Path, default=out, metavar="FILE", help=f"file to write (default {default})")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
-    parser.add_argument("--robot", metavar="FILE", help="TOML file of the robot, if the result does not name it")
+    _add_reading(parser)
 
 
 def _add_common_options(parser: Parser, out: Path, size: str) -> None:
@@ -166,21 +175,33 @@ def _add_common_options(parser: Parser, out: Path, size: str) -> None:
     )
 
 
-def _read(result: str | Path, robot: str | None) -> recording.Recording:
-    """Read a flight's result, or a `.mat` log of the robot."""
-    if Path(result).suffix == ".mat":
-        from jax_aero.view import matlab
+def _read(result: str | Path, given: Any) -> recording.Recording:
+    """Read a flight's result, or a log of a robot."""
+    from jax_aero.view import logs, matlab
 
-        return matlab.read_recording(Path(result), robot)
-    return recording.read(result, robot)
+    path = Path(result)
+    if path.suffix == ".mat" and given.map is None:
+        return matlab.read_recording(path, given.robot)
+    if path.suffix in logs.FORMATS:
+        config = None if given.experiment is None else rust.load_config(given.experiment)
+        return logs.read_flight(path, config, given.map, given.robot)
+    return recording.read(result, given.robot)
+
+
+def _add_reading(parser: Parser) -> None:
+    parser.add_argument("--robot", metavar="FILE", help="TOML file of the robot, if a result does not name it")
+    parser.add_argument("--experiment", metavar="NAME", help="experiment whose robot a CSV log is of")
+    parser.add_argument("--map", type=Path, metavar="FILE", help="TOML file that names the columns of a log of others")
 
 
 def _write(given: Any, unit: str, work: Callable[[Progress], None]) -> int:
     """Write the file `given.out`, whose progress has this unit; return the exit status."""
 
     def write() -> None:
-        if given.out.exists() and not given.overwrite:
-            raise Refused(f"`{given.out}` is there already; choose another --out, or --overwrite it")
+        beside = [given.out.with_name(BAG)] if vars(given).get("profile") == "ros2" else []
+        for path in (given.out, *beside):
+            if path.exists() and not given.overwrite:
+                raise Refused(f"`{path}` is there already; choose another --out, or --overwrite it")
         with progress_bar(unit) as show:
             work(show)
         print(given.out)

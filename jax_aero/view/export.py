@@ -17,7 +17,8 @@ The metadata `flight` hold title, outcome, engine and configuration.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +26,7 @@ import msgspec
 import numpy as np
 
 from jax_aero import rust
-from jax_aero.base.files import complete_file
+from jax_aero.base.files import complete_file, write_text
 from jax_aero.base.terminal import Progress
 from jax_aero.base.typed import make_portable
 from jax_aero.view import check_out, foxglove, require, ros2
@@ -74,13 +75,15 @@ def write_csv(recording: Recording, out: Path) -> None:
     Refused
         If `out` is not a `.csv` file in an existing folder.
     """
+    write_table(recording.signals, recording.robot, out)
+
+
+def write_table(signals: Mapping[str, Any], robot: rust.Robot, out: Path) -> None:
+    """Write signals of a robot as `write_csv` does."""
     check_out(out, ".csv")
-    columns, names = [], []
-    for signal in recording.signals:
-        rows = recording.rows(signal)
-        names += [column_name(signal, entry) for entry in entries_of(signal, recording.robot)]
-        columns.append(rows)
-    table = np.concatenate(columns, axis=1)
+    ordered = ["time", *(signal for signal in signals if signal != "time")]
+    names = [column_name(signal, entry) for signal in ordered for entry in entries_of(signal, robot)]
+    table = np.concatenate([np.reshape(signals[signal], (len(signals["time"]), -1)) for signal in ordered], axis=1)
     with complete_file(out) as draft, draft.open("w", encoding="utf-8", newline="\n") as file:
         file.write(",".join(names) + "\n")
         for row in table.tolist():
@@ -88,7 +91,7 @@ def write_csv(recording: Recording, out: Path) -> None:
 
 
 def write_mcap(recording: Recording, out: Path, progress: Progress | None = None, profile: str = "json") -> None:
-    """Write an MCAP file of a profile, as the head of this module describes it.
+    """Write an MCAP file of a profile, as the head of this module describes it; for ROS 2 its bag's metadata beside it.
 
     Raises
     ------
@@ -105,19 +108,23 @@ def write_mcap(recording: Recording, out: Path, progress: Progress | None = None
         writer: Any = Writer(file)
         writer.start(form.name, f"jax-aero {rust.__version__}")
         channels = []
+        counts: Counter[tuple[str, str]] = Counter()
         for topic in form.topics(recording):
             schema = writer.register_schema(topic.schema, form.schemas, topic.definition)
             channel = writer.register_channel(topic.name, form.messages, schema, dict(topic.metadata))
-            channels.append((channel, topic.message))
+            channels.append((channel, topic))
         writer.add_metadata(METADATA, facts_of(recording))
         for tick, stamp in enumerate(stamps):
-            for channel, message in channels:
-                found = message(tick, stamp)
+            for channel, topic in channels:
+                found = topic.message(tick, stamp)
                 if found is not None:
                     writer.add_message(channel, stamp, found, stamp)
+                    counts[topic.name, topic.schema] += 1
             if progress is not None:
                 progress(tick + 1, len(stamps))
         writer.finish()
+    if profile == "ros2":
+        write_text(out.with_name(ros2.BAG), ros2.describe_bag(out.name, counts, stamps[-1]))
 
 
 def facts_of(recording: Recording) -> dict[str, str]:

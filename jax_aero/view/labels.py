@@ -70,36 +70,54 @@ def letter_video(
     return np.asarray(picture)
 
 
-def letter_row(pictures: Sequence[Any], below: int, flights: Sequence[Recording], time: float, end: float) -> Any:
-    """Join pictures (h, w, 3), with `below` rows of a clock that runs until `end` [s].
+def letter_row(
+    pictures: Sequence[Any],
+    bands: Sequence[int],
+    flights: Sequence[Recording],
+    time: float,
+    end: float,
+    pixels_per_metre: float,
+) -> Any:
+    """Join pictures (h, w, 3), with rows of text above and below, `bands`, and a clock that runs until `end` [s].
 
-    Each has its flight's title, rotation error and, at its end, outcome. Letters are twice as large as those of a whole
-    video.
+    Above each is its flight's title, below it the rotation error and, at its end, the outcome. Letters are twice as
+    large as those of a whole video.
     """
     height, panel = pictures[0].shape[:2]
     row = np.hstack(pictures)
-    joined = Image.fromarray(np.vstack([row, np.full((below, *row.shape[1:]), PAPER, np.uint8)]))
+    paper = [np.full((band, *row.shape[1:]), PAPER, np.uint8) for band in bands]
+    joined = Image.fromarray(np.vstack([paper[0], row, paper[1]]))
     draw = ImageDraw.Draw(joined, "RGBA")
-    size = max(height // 19, 9)
     titles = [_lines(flight.title) for flight in flights]
+    size = max(int(0.38 * bands[0]), 9)
     longest = max(font(size).getlength(words) for lines in titles for words in lines)
     letters = int(size * min(1.0, (panel - size) / longest))
+    upper, lower = bands[0] + height + bands[1] // 4 + 1, bands[0] + height + 3 * bands[1] // 4 - 1
     for number, (flight, lines) in enumerate(zip(flights, titles, strict=True)):
-        left, bottom = number * panel, height - int(1.3 * letters)
+        middle = number * panel + panel // 2
         for line, words in enumerate(lines):
-            text(draw, (left + size // 2, 0.4 * size + 1.25 * line * letters), words, letters, INK)
+            text(draw, (middle, bands[0] * (1 + 2 * line) / 4), words, letters, INK, "mm")
         if time >= flight.duration:
-            badge(draw, (left + panel // 2, bottom), flight, letters, "mm", flight.verdict.partition(" (")[0])
+            badge(draw, (middle, upper), flight, int(0.9 * letters), "mm", _outcome(flight))
         else:
             error = np.rad2deg(flight.at(time).rotation_error)
-            text(draw, (left + panel // 2, bottom), f"rotation error {error:.0f}°", letters, INK, "mm")
+            text(draw, (middle, upper), f"rotation error {error:.0f}°", letters, INK, "mm")
         if number:
-            draw.rectangle((left - 1, 0, left, height), fill=PAPER)
+            draw.rectangle((number * panel - 1, 0, number * panel, bands[0] + height), fill=PAPER)
     wind = max(np.linalg.norm(flight.at(time).wind) for flight in flights)
-    middle = joined.width // 2, (height + joined.height) // 2
-    text(draw, middle, f"{time:.1f} s, wind {wind:.0f} m/s", letters, INK, "mm")
+    text(draw, (joined.width // 2, lower), f"{time:.1f} s, wind {wind:.0f} m/s", letters, INK, "mm")
+    left, right = letters // 2, letters // 2 + pixels_per_metre
+    draw.rectangle((left, lower - 1, right, lower + 1), fill=INK)
+    text(draw, (right + letters // 2, lower), "1 m", letters, INK, "lm")
     _bar(draw, joined.size, time / end)
     return np.asarray(joined)
+
+
+def _outcome(flight: Recording) -> str:
+    """Return how a flight ended, in few words: with the speed of the touch-down if it came down."""
+    speed = np.linalg.norm(flight.at(flight.duration).com_velocity)
+    words = {"descended": f"landed at {speed:.1f} m/s", "crashed": f"crashed at {speed:.1f} m/s"}
+    return words.get(flight.outcome, flight.verdict.partition(" (")[0])
 
 
 def _bar(draw: ImageDraw.ImageDraw, size: tuple[int, int], share: float) -> None:

@@ -25,17 +25,24 @@ from jax_aero import rust
 from jax_aero.base import tables
 from jax_aero.base.places import did_you_mean
 from jax_aero.base.terminal import ConfigError
+from jax_aero.body.spatial import wxyz_from_rotation
 from jax_aero.view import Refused, recording
 from jax_aero.view.columns import TABLES, Array, Series, read_mcap
 from jax_aero.view.export import column_name
 from jax_aero.view.matlab import read_mat
-from jax_aero.view.recording import entries_of
+from jax_aero.view.recording import Recording, entries_of
 
 QUATERNION = "raw_base_quaternion"
 """Signal of a mapping, in the place of `raw_base_rotation`: (w, x, y, z)."""
 
+FORMATS = (".mcap", ".mat", *TABLES)
+"""Suffixes of logs other than results."""
+
 NEEDED = ("raw_base_position", "raw_base_rotation", "raw_base_velocity", "raw_joint_position", "raw_thrust")
 """Signals without which no flight can begin."""
+
+MEASURED = ("base_position", "base_velocity", "joint_position", "joint_velocity", "thrust", "wind")
+"""Signals that are viewed as they were measured, with `raw_` before the name, where a log has nothing better."""
 
 PERIOD_TOLERANCE = 0.01
 """Greatest relative difference between the period of a log and that of its ticks."""
@@ -116,9 +123,9 @@ def read(path: Path, config: rust.Config | None, mapping: Path | None = None, ro
     Refused
         For a file that cannot be read, or columns that are not there.
     """
-    if path.suffix not in (formats := (".mcap", ".mat", *TABLES)):
+    if path.suffix not in FORMATS:
         if mapping is not None:
-            raise Refused(f"--map is given for `{path}`; expected it with a file of {', '.join(formats)}")
+            raise Refused(f"--map is given for `{path}`; expected it with a file of {', '.join(FORMATS)}")
         flight = recording.read(path, robot_file or (None if config is None else config["robot"]))
         series = {name: [Series(flight.signals["time"], flight.rows(name))] for name in flight.signals}
         return Log(series, flight.config)
@@ -147,6 +154,42 @@ def read(path: Path, config: rust.Config | None, mapping: Path | None = None, ro
         if not absent:
             signals[signal] = [_in_our_units(columns[name], sources.get(signal), name, path) for name in names]
     return Log(signals, own)
+
+
+def read_flight(path: Path, config: rust.Config | None, mapping: Path | None, robot_file: str | None) -> Recording:
+    """Return a log, given as in `read`, as a flight to view: with what was measured where it lacks the true state."""
+    log = read(path, config, mapping, robot_file)
+    config = config or log.config
+    assert config is not None  # which `read` refuses
+    place = Path(robot_file or config["robot"])
+    robot = rust.Robot(place)
+    found, is_recorded = at_ticks(log, robot, float(config["simulator"]["time_step"]), path)
+    signals = {name: rows[is_recorded] for name, rows in found.items()}
+    signals = {name: _filled(signals[f"raw_{name}"]) for name in MEASURED if f"raw_{name}" in signals} | signals
+    signals.setdefault("base_quaternion", np.asarray(wxyz_from_rotation(_filled(signals["raw_base_rotation"]))))
+    if "com_position" not in signals:
+        rotations, still = rust.rotation_from_wxyz(signals["base_quaternion"]), np.zeros(6 + len(robot.joint_names))
+        poses = zip(signals["base_position"], rotations, signals["joint_position"], strict=True)
+        signals["com_position"] = np.array(
+            [rust.dynamics(robot, rust.State(*pose, still)).com_position for pose in poses]
+        )
+    signals.setdefault("com_setpoint", signals["com_position"])
+    return Recording(
+        title=path.stem,
+        signals=recording.with_zeros(signals, robot),
+        robot=robot,
+        robot_path=place,
+        outcome="logged",
+        lost_time=None,
+        lost_reason=None,
+        config=config,
+    )
+
+
+def _filled(rows: Array) -> Array:
+    """Return rows in which what is not a number is that of the last row with one, or zero."""
+    is_known = np.isfinite(rows.reshape(len(rows), -1)).all(axis=1)
+    return np.nan_to_num(rows[np.maximum.accumulate(np.where(is_known, np.arange(len(rows)), 0))])
 
 
 def _in_our_units(column: Series, source: Source | None, name: str, path: Path) -> Series:

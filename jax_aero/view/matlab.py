@@ -22,7 +22,7 @@ from jax_aero.base.files import complete_file, parse_json
 from jax_aero.base.places import did_you_mean
 from jax_aero.view import Refused, check_out, require
 from jax_aero.view.export import METADATA, facts_of
-from jax_aero.view.recording import SIGNALS, Recording, axes_of, entries_of
+from jax_aero.view.recording import Recording, axes_of, entries_of, with_zeros
 
 ROOT = "robot_logger_device"
 """Group of the logger."""
@@ -185,12 +185,9 @@ def read_recording(path: Path, robot_path: str | Path | None) -> Recording:
     if (found := rows("joint_position", POSITIONS)) is None:
         raise Refused(f"`{path}` lacks the position of a joint of `{robot.name}` at some of its times")
     signals.setdefault("joint_position", found)
-    for name in SIGNALS:
-        shape = (times.size, *(len(names) for names in axes_of(name, robot)))
-        signals.setdefault(name, np.zeros(shape) + ([1.0, 0.0, 0.0, 0.0] if name == "base_quaternion" else 0.0))
     return Recording(
         title=str(facts.get("title", path.stem)),
-        signals=signals,
+        signals=with_zeros(signals, robot),
         robot=robot,
         robot_path=place,
         outcome=str(facts.get("outcome", "logged")),

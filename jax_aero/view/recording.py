@@ -177,6 +177,14 @@ def entries_of(signal: str, robot: rust.Robot) -> list[tuple[str, ...]]:
     return list(itertools.product(*axes_of(signal, robot)))
 
 
+def with_zeros(signals: Mapping[str, Vector], robot: rust.Robot) -> dict[str, Vector]:
+    """Return signals with zeros for those of `SIGNALS` that are not there, and a base that stays upright."""
+    shapes = {name: [len(names) for names in axes_of(name, robot)] for name in SIGNALS}
+    zeros = {name: np.zeros((len(signals["time"]), *shape)) for name, shape in shapes.items()}
+    zeros["base_quaternion"][:, 0] = 1.0
+    return {**zeros, **signals}
+
+
 def from_flight(flight: rust.FlightResult, config: rust.Config, title: str) -> Recording:
     """Return the recording of a flight just flown."""
     return Recording(

@@ -6,6 +6,7 @@ are seconds since the flight began.
 
 from __future__ import annotations
 
+import json
 import struct
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
@@ -62,6 +63,9 @@ NUMBERS = {"int32": "i", "uint32": "I", "float64": "d"}
 LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 """First bytes of a message in CDR."""
 
+BAG = "metadata.yaml"
+"""Name of the file that makes a bag of a folder with an MCAP file."""
+
 Message = Callable[[int, dict[str, int]], Any]
 """Function from the number of a tick and its time stamp to the message; `None` for no message."""
 
@@ -75,6 +79,21 @@ def define(kind: str) -> str:
     texts = ["".join(f"{field} {name}\n" for name, field in FIELDS[each].items()) for each in kinds]
     others = (f"{'=' * 80}\nMSG: {name}\n{text}" for name, text in zip(kinds[1:], texts[1:], strict=True))
     return "".join([texts[0], *others])
+
+
+def describe_bag(file: str, counts: Mapping[tuple[str, str], int], end: int) -> str:
+    """Return the metadata of a bag of one file, with the messages of each topic and type, until `end` [ns]."""
+    about = {"serialization_format": "cdr", "offered_qos_profiles": ""}
+    topics = [
+        {"topic_metadata": {"name": topic, "type": kind, **about}, "message_count": count}
+        for (topic, kind), count in counts.items()
+    ]
+    information = {
+        "version": 5, "storage_identifier": "mcap", "relative_file_paths": [file], "duration": {"nanoseconds": end},
+        "starting_time": {"nanoseconds_since_epoch": 0}, "message_count": sum(counts.values()),
+        "topics_with_message_count": topics, "compression_format": "", "compression_mode": "",
+    }  # fmt: skip
+    return json.dumps({"rosbag2_bagfile_information": information}, indent=1) + "\n"  # JSON is YAML too
 
 
 def encode(kind: str, message: Mapping[str, Any]) -> bytes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack
+from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
@@ -21,7 +22,7 @@ HOLD = 1.5  # s for which the last picture stays, to read the outcome
 PANELS = 6  # number of times in a snapshot by default
 WEBP_QUALITY = 55  # of 100
 MIN_PANEL = 64  # pixels, least width of one of several pictures side by side
-CLOCK = 0.08  # share of the height of pictures side by side
+BANDS = 0.13, 0.14  # shares of the height, above and below pictures side by side, for what is written
 NARROW = 0.7  # height by width of a picture above which the camera keeps a larger distance, so that the robot fits in
 DISTANCE = {"video": 3.3, "snapshot": 2.9}  # m, of the camera
 
@@ -81,6 +82,7 @@ def write_video(
     *,
     ghost: Recording | None = None,
     beside: Sequence[Recording] = (),
+    titles: Sequence[str] = (),
     renderer: Renderer = "mujoco",
     fps: float = 30.0,
     speed: float = 1.0,
@@ -92,7 +94,8 @@ def write_video(
 ) -> int:
     """Draw and encode a video: of one flight, of two in one scene if there is a ghost, of several side by side.
 
-    A camera follows each flight, but not a ghost. A flight that has ended stays as it ended.
+    A camera follows each flight, but not a ghost. A flight that has ended stays as it ended. Those side by side may
+    have `titles` other than their own.
     `out` is written completely or not at all. Returns the number of frames.
 
     Raises
@@ -106,14 +109,17 @@ def write_video(
     _check(fps, speed, size, start, end, out)
     if ghost is not None and beside:
         raise Refused("a ghost and a flight beside are given; expected at most one of them")
+    if titles and len(titles) != len(flights):
+        raise Refused(f"{len(titles)} titles are given; expected {len(flights)}, one of each flight side by side")
+    flights = [replace(flight, title=title) for flight, title in zip(flights, titles, strict=True)] or flights
     panel = size[0] // len(flights)
     if panel < MIN_PANEL:
         raise Refused(f"{len(flights)} flights are given; expected at most {size[0] // MIN_PANEL} in {size[0]} pixels")
     require(["av", "PIL"] if out.suffix == ".mp4" else ["PIL"], "writing a video")
     times = frame_times(duration, fps, speed, start, end)
     with complete_file(out) as draft, ExitStack() as opened:
-        below = round(CLOCK * size[1]) if beside else 0
-        height = size[1] - below
+        bands = tuple(round(share * size[1]) for share in BANDS) if beside else (0, 0)
+        height = size[1] - sum(bands)
         # The last one is as wide as what the others leave of the picture.
         widths = [*[panel] * len(beside), size[0] - panel * len(beside)]
         scenes = [
@@ -124,7 +130,7 @@ def write_video(
 
         def frame(time: float) -> Any:
             cameras = [camera_at(scene.recording, time, viewpoint, distance) for scene in scenes]
-            return _row(scenes, below, cameras, time, end) if beside else _single(scenes[0], cameras[0], time, end)
+            return _row(scenes, bands, cameras, time, end) if beside else _single(scenes[0], cameras[0], time, end)
 
         _ENCODERS[out.suffix](draft, _frames(frame, times, progress), fps, size)
     return len(times)
@@ -156,12 +162,13 @@ def _single(scene: Scene, camera: Camera, time: float, end: float) -> Any:
     return letter_video(pixels, recording, time, scene.scales, scale, scene.ghost, ended=ended, end=end)
 
 
-def _row(scenes: Sequence[Scene], below: int, cameras: Sequence[Camera], time: float, end: float) -> Any:
+def _row(scenes: Sequence[Scene], bands: tuple[int, ...], cameras: Sequence[Camera], time: float, end: float) -> Any:
     """Return scenes side by side, with few words that remain legible when the picture is small."""
     from jax_aero.view.labels import letter_row
 
     pictures = [scene.picture(time, camera) for scene, camera in zip(scenes, cameras, strict=True)]
-    return letter_row(pictures, below, [scene.recording for scene in scenes], time, end)
+    scale = scenes[0].pixels_per_metre(cameras[0])
+    return letter_row(pictures, bands, [scene.recording for scene in scenes], time, end, scale)
 
 
 def _encode_mp4(draft: Path, frames: Iterator[Any], fps: float, size: tuple[int, int]) -> None:

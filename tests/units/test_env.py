@@ -34,6 +34,16 @@ def test_gymnasium_finds_no_fault():
     check_env(HoverEnv(Task(duration=0.2)), skip_render_check=True)
 
 
+def test_pictures_show_the_robot_where_it_is():
+    hover = HoverEnv(Task(duration=1.0), render_mode="rgb_array")
+    hover.reset(options={"wind": [0.0, 0.0, 0.0]})
+    first = hover.render()
+    assert (first.shape, len(np.unique(first.reshape(-1, 3), axis=0)) > 100) == ((480, 640, 3), True)
+    _ = [hover.step(np.ones(27, np.float32)) for _ in range(20)]
+    assert (hover.render() != first).any()
+    assert HoverEnv().render() is None
+
+
 def test_the_environment_of_gymnasium_needs_no_jax():
     """Nor anything else that the extra `rl` does not install."""
     program = (

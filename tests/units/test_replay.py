@@ -7,13 +7,14 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+import pandas as pd
 import pytest
 
 from experiments import manifest, record
 from experiments.replay import compare
 from jax_aero import __main__ as commands
 from jax_aero import rust
-from jax_aero.base import sizes
+from jax_aero.base import places, sizes
 from jax_aero.base.result import labels_of
 from jax_aero.body.spatial import rpy_from_rotation, wxyz_from_rotation
 from jax_aero.view import export, logs, matlab, recording
@@ -79,14 +80,49 @@ def test_a_log_of_ours_replays_from_every_format(form, result, tmp_path, capsys)
     assert (status, out.splitlines()[-1]) == (0, "equal to the last bit: 23 of 23 signals")
 
 
+def test_what_a_robot_measured_is_viewed_and_written_for_viewers(result, flight, tmp_path, capsys):
+    """Of a log with nothing but what a tick was given."""
+    whole, own = tmp_path / "whole.csv", tmp_path / "own.csv"
+    assert run(capsys, "export", result, "--csv", "--out", whole)[0] == 0
+    rows = pd.read_csv(whole)
+    rows[[name for name in rows if name == "time" or name.startswith("raw_")]].to_csv(own, index=False)
+    seen = logs.read_flight(own, rust.load_config("test2_sensors"), None, None)
+    known = np.isfinite(flight.log["raw_joint_position"]).all(axis=1)
+    assert 0 < known.sum() < known.size
+    np.testing.assert_array_equal(seen.signals["joint_position"][known], flight.log["raw_joint_position"][known])
+    assert all(np.isfinite(seen.signals[name]).all() for name in recording.SIGNALS)
+    np.testing.assert_allclose(seen.signals["com_position"], flight.log["com_position"], atol=0.05)
+    words = ("export", own, "--mcap", "--out", tmp_path / "own.mcap")
+    assert [run(capsys, *words, *more)[0] for more in ((), ("--experiment", "test2_sensors"))] == [2, 0]
+    assert "/signals/base_position/x" in read_mcap(tmp_path / "own.mcap", is_ours=True)[0]
+
+
 def test_another_controller_differs_and_is_drawn(result, tmp_path, capsys):
     plot = tmp_path / "apart.png"
-    status, out, _ = run(capsys, "replay", result, "--control", "baseline", "--plot", plot)
+    kept = tmp_path / "kept.csv"
+    status, out, _ = run(capsys, "replay", result, "--control", "baseline", "--plot", plot, "--out", kept)
     assert status == 1
     assert "joint_torque" in out
     assert plot.stat().st_size > 1000
+    header, *rows = kept.read_text().splitlines()
+    assert header.startswith("time,")
+    assert {"joint_torque/l_elbow", "thrust_rate/l_arm_jet"} <= {*header.split(",")}
+    assert out.startswith(f"{len(rows)} ticks")
     status, _, err = run(capsys, "replay", result, "--plot", plot)
     assert (status, "is there already" in err) == (2, True)
+
+
+def test_a_folder_of_an_experiment_flies_alone(tmp_path, capsys):
+    out, changes = tmp_path / "own", {"simulator.duration": 0.1}
+    assert run(capsys, "export", "test4", "--config", "--out", out)[0] == 0
+    configs = [rust.load_config(name, changes) for name in ("test4", out / "experiments/test4.toml")]
+    assert Path(configs[1]["robot"]).is_relative_to(out)
+    first, second = (bits(rust.fly(config)["joint_torque"]) for config in configs)
+    assert first == second
+    far = tmp_path / "far.toml"
+    far.write_text(f'base = "{places.CONFIGS}/experiments/test2.toml"\n')
+    status, _, err = run(capsys, "export", far, "--config", "--out", tmp_path / "no")
+    assert (status, "by an absolute path" in err, (tmp_path / "no").exists()) == (2, True, False)
 
 
 def test_differences_are_those_of_the_signals():

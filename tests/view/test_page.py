@@ -92,7 +92,7 @@ def test_a_result_is_played_and_measured_beside_a_second_one(visit, fallen):
     seen = recording.read(fallen)
     page = visit([seen, replace(seen, title="another")])
     page.seek(18.0)
-    assert re.search(r"rotation error [67]\d\.\d°, lean [56]\d\.\d°", page.status())
+    assert re.search(r"rotation error\s+[67]\d\.\d°\s+lean\s+[56]\d\.\d°", page.status())
     assert page.tab.evaluate("page.ghost.title") == "another"
     flight = rust.fly(rust.load_config("test1_published"))
     error = f"{np.rad2deg(flight.summary['max_rotation_error']):.1f}°"

@@ -261,11 +261,8 @@ class Page extends Player {
       return make("div", { className: `outcome ${mood}` }, name + words);
     };
     const lines = [outcome(this.solid, ""), ...(this.ghost && hasEnded(this.ghost) ? [outcome(this.ghost, "Ghost: ")] : [])];
-    const about = (words) => make("div", { className: "about" }, words);
-    $("status").replaceChildren(...lines, about(this.words), about(this.solid.title));
-    const { simulation, drawing } = this.frameTimes;
-    const say = ({ median, p95 }) => (median === null ? "–" : `${median.toFixed(1)} ms (95 % under ${p95.toFixed(1)} ms)`);
-    $("timing").textContent = `A picture takes ${say(simulation)} to simulate and ${say(drawing)} to draw; 60 a second leave 16.7 ms. Version ${data.version}.`;
+    const readings = this.readings.map(([name, value]) => make("div", {}, make("dt", {}, name), make("dd", {}, value)));
+    $("status").replaceChildren(...lines, make("div", { className: "about" }, this.solid.title), make("dl", {}, ...readings));
   }
 
   #showWind() {

@@ -230,8 +230,8 @@ export class Player {
     );
   }
 
-  /** The moment in numbers. */
-  get words() {
+  /** The moment in numbers: pairs of name and value. */
+  get readings() {
     const { solid } = this;
     const row = this.rowAt(solid, this.now);
     const com = solid.row("com_position", row);
@@ -243,7 +243,16 @@ export class Player {
     const course = off < 0.995 ? `${(100 * off).toFixed(1)}\u00a0cm` : `${off.toFixed(2)}\u00a0m`;
     // The third entry of the base's z axis; rotations are kept by columns, the base is the first body.
     const lean = degrees(Math.acos(Math.min(Math.max(solid.pose(row)[8], -1), 1)));
-    return `rotation error ${error.toFixed(1)}°, lean ${lean.toFixed(1)}°, ${course} off course, height ${com[2].toFixed(1)}\u00a0m, ${Math.abs(com[0]).toFixed(0)}\u00a0m flown, ${speed.toFixed(1)}\u00a0m/s, air ${air.toFixed(1)}\u00a0N, wind ${Math.hypot(...solid.row("wind", row)).toFixed(1)}\u00a0m/s`;
+    return [
+      ["rotation error", `${error.toFixed(1)}°`],
+      ["lean", `${lean.toFixed(1)}°`],
+      ["off course", course],
+      ["height", `${com[2].toFixed(1)}\u00a0m`],
+      ["flown", `${Math.abs(com[0]).toFixed(0)}\u00a0m`],
+      ["speed", `${speed.toFixed(1)}\u00a0m/s`],
+      ["force of the air", `${air.toFixed(1)}\u00a0N`],
+      ["wind", `${Math.hypot(...solid.row("wind", row)).toFixed(1)}\u00a0m/s`],
+    ];
   }
 
   play(isPlaying) {

@@ -75,6 +75,10 @@ class Robot extends THREE.Group {
         transparent: isGhost,
         opacity: isGhost ? 0.3 : 1,
         depthWrite: !isGhost,
+        // Where both have the same surface, always the robot's is seen.
+        polygonOffset: isGhost,
+        polygonOffsetFactor: 1,
+        polygonOffsetUnits: 4,
       });
     const materials = Object.fromEntries(["shell", "engine", "sole", "strut"].map((role) => [role, material(role)]));
     this.parts = look.shapes.map((shape) => {
