@@ -111,7 +111,7 @@ def write_video(
         raise Refused("a ghost and a flight beside are given; expected at most one of them")
     if titles and len(titles) != len(flights):
         raise Refused(f"{len(titles)} titles are given; expected {len(flights)}, one of each flight side by side")
-    flights = [replace(flight, title=title) for flight, title in zip(flights, titles, strict=True)] or flights
+    flights = [replace(flight, title=title) for flight, title in zip(flights, titles, strict=False)] or flights
     panel = size[0] // len(flights)
     if panel < MIN_PANEL:
         raise Refused(f"{len(flights)} flights are given; expected at most {size[0] // MIN_PANEL} in {size[0]} pixels")

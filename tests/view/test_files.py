@@ -98,6 +98,8 @@ def test_two_flights_side_by_side_are_each_drawn_alone_and_with_their_outcomes(f
         video.write_video(seen, out, ghost=later, beside=[later])
     with pytest.raises(Refused, match="3 flights are given; expected at most 2 in 128 pixels"):
         video.write_video(seen, out, beside=[later, later], size=(128, 96))
+    with pytest.raises(Refused, match="1 titles are given; expected 2"):
+        video.write_video(seen, out, beside=[later], titles=["one"])
 
 
 @pytest.mark.parametrize("fps", [25.0, 30.0, 48.0])
