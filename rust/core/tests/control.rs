@@ -16,13 +16,14 @@ use flight_core::control::law::bounds::LimitedValues;
 use flight_core::control::law::momentum::RateFeedback;
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::law::torque::limit_rate;
+use flight_core::control::limits::JointCondition;
 use flight_core::control::{BadCommand, CommandStatus, Modes};
 use flight_core::jets::JetDynamics;
 use flight_core::qp::QpStatus;
 use flight_core::{Command, Controller, Measurement, RobotState};
 use flight_io::{AeroConfig, load_robot};
 use flight_sim::{Plant, ScenarioConfig};
-use nalgebra::{DVector, Matrix3, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use rand::RngExt;
 use serde_json::json;
 
@@ -1037,6 +1038,44 @@ fn torques_move_by_at_most_three_newton_metres() {
         last = torque;
     }
     assert!(limited > 100, "{limited} limited");
+}
+
+/// The error of the acceleration of a joint at which a share κ acts counts κ² in the Hessian, and its torque has κ of its limit.
+#[test]
+fn a_weak_joint_does_not_move_the_others() {
+    let config = experiment("test2");
+    let mut controller = controller(&config);
+    Sample::start(&config).tick(&mut controller);
+    let (state, terms) = (controller.state(), controller.terms());
+    let none = DVector::zeros(23);
+    let update = |conditions: &[JointCondition]| {
+        let mut qp = terms.torque_qp.clone();
+        qp.limit(conditions);
+        qp.update(
+            &terms.contact,
+            state.contact(),
+            &terms.inverse_mass,
+            &terms.free_acceleration,
+            &none,
+            &none,
+        );
+        qp
+    };
+    let healthy = update(&[JointCondition::Healthy; 23]);
+    let weight = config.controller.law.torque.weight_acceleration;
+    for (condition, share) in [(JointCondition::Weak(0.4), 0.4), (JointCondition::Free, 0.0)] {
+        let mut conditions = [JointCondition::Healthy; 23];
+        conditions[6] = condition;
+        let qp = update(&conditions);
+        let gain = terms.inverse_mass.joint_gain.column(6);
+        let n = qp.joint_torque.start;
+        let joints = |of: &DMatrix<f64>| of.view((n, n), (23, 23)).into_owned();
+        let (from, to) = (joints(&healthy.problem.h), joints(&qp.problem.h));
+        let expected = &from - (1.0 - share * share) * weight * gain * gain.transpose();
+        assert_within!((to - expected).amax() / from.amax(), 1e-14);
+        assert_within!((qp.problem.upper[n + 6] - share * healthy.problem.upper[n + 6]).abs(), 1e-14);
+        assert_eq!(qp.problem.upper[n + 5], healthy.problem.upper[n + 5]);
+    }
 }
 
 /// The torque law: `s̈* = −K_D (ṡ − ṡ*) − K_P ∫(ṡ − ṡ*)`, the integral used first and advanced after.

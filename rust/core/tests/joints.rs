@@ -65,7 +65,7 @@ impl Robot {
 
 #[test]
 fn a_weak_or_free_joint_is_found_with_its_share() {
-    for (joint, share) in [(0, 0.5), (1, 0.3), (2, 0.5), (0, 0.0), (2, 0.05)] {
+    for (joint, share) in [(0, 0.5), (1, 0.4), (2, 0.5), (0, 0.0), (2, 0.05)] {
         let mut robot = Robot::settled();
         let (mut unexplained, mut moved) = ([0.0; 3], [0.0; 3]);
         unexplained[joint] = robot.lost(joint, share);
@@ -212,6 +212,26 @@ fn a_joint_that_leaves_its_stop_is_not_stuck() {
             robot.tick(&[0.0, 0.0, 4.0 - 0.08 * f64::from(tick)], &[0.0; 3], &[0.0, 0.0, 0.2]);
         }
         assert_eq!(robot.found(), [Healthy, Healthy, expected], "{distance} rad");
+    }
+}
+
+/// What its torque does not carry, a stop does: a free joint that rests at one keeps its position, until it leaves it.
+#[test]
+fn a_free_joint_is_held_by_a_stop() {
+    for (distance, expected) in [(0.05, Stuck), (0.12, Free)] {
+        let mut robot = Robot::settled();
+        for _ in 0..20 {
+            let lost = robot.lost(2, 0.0);
+            robot.tick(&[0.0, 0.0, lost], &[0.0, 0.0, 0.01], &[0.0; 3]);
+        }
+        robot.stops[2] = (-2.0, robot.position[2] + distance);
+        assert_eq!(robot.found(), [Healthy, Healthy, Free]);
+        for _ in 0..150 {
+            robot.tick(&[0.0; 3], &[0.0; 3], &[0.0; 3]);
+        }
+        assert_eq!(robot.found(), [Healthy, Healthy, expected], "{distance} rad");
+        robot.tick(&[0.0; 3], &[0.0, 0.0, -0.03], &[0.0; 3]);
+        assert_ne!(robot.found()[2], Stuck);
     }
 }
 

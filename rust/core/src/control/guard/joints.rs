@@ -47,9 +47,11 @@ const RELEASED: f64 = 0.02;
 const TRIED_VELOCITY: f64 = 0.02;
 /// Time after which a residual that is not judged is an error of the model \[s\].
 const SUSPICION_MAX: f64 = 1.0;
-/// A joint with less of its torque is free, and one with more is as it should be.
-const FREE_SHARE: f64 = 0.15;
-const HEALTHY_SHARE: f64 = 0.85;
+/// Error of a share that a short time shows. With less than twice this a joint is free; with the whole torque but this it is as
+/// it should be.
+const SHARE_ERROR: f64 = 0.15;
+const FREE_SHARE: f64 = 2.0 * SHARE_ERROR;
+const HEALTHY_SHARE: f64 = 1.0 - SHARE_ERROR;
 
 /// When a joint counts as stuck, weak or free.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -203,6 +205,7 @@ impl JointsState {
             self.suspect(config, sample);
             self.release();
         }
+        self.rest(sample.stops);
         if self.suspicions.iter().all(|now| now.lasting.time() == 0.0 || now.lasting.time() > SUSPICION_MAX) {
             for (to, now) in self.mean.iter_mut().zip(residual) {
                 *to += slow * (now - *to);
@@ -236,10 +239,10 @@ impl JointsState {
             }
             let has_moved = (self.position[joint] - now.position).abs() > MOVED;
             let acting = last.share() + now.product / now.square;
-            let greatest = if last == JointCondition::Healthy { config.share_max } else { 1.0 + FREE_SHARE };
+            let greatest = if last == JointCondition::Healthy { config.share_max } else { 1.0 + SHARE_ERROR };
             let found = if self.is_still(config, sample, joint) {
                 JointCondition::Stuck
-            } else if has_moved && acting > -2.0 * FREE_SHARE && acting < greatest {
+            } else if has_moved && acting > -FREE_SHARE && acting < greatest {
                 JointCondition::of_share(acting)
             } else {
                 continue;
@@ -272,6 +275,19 @@ impl JointsState {
             && opposes
             && ahead > STOP_MARGIN
             && self.way[joint] < STILL_WAY.min(STILL * commanded.abs())
+    }
+
+    /// Takes weak and free joints that rest at a stop for stuck: the stop carries what their torques do not.
+    fn rest(&mut self, stops: &[(f64, f64)]) {
+        for (joint, (lower, upper)) in stops.iter().enumerate() {
+            let position = self.position[joint];
+            let is_at_stop = (position - lower).min(upper - position) < STOP_MARGIN;
+            let lacks_torque = matches!(self.found[joint], JointCondition::Weak(_) | JointCondition::Free);
+            if lacks_torque && is_at_stop && self.way[joint] < STILL_WAY {
+                self.found[joint] = JointCondition::Stuck;
+                self.stuck_at[joint] = position;
+            }
+        }
     }
 
     /// Takes up stuck joints that move.

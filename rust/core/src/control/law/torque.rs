@@ -127,15 +127,14 @@ impl TorqueQp {
         }
     }
 
-    /// Limits the torques to those that act in these conditions of the joints. The acceleration of a free joint is not
-    /// controlled.
+    /// Limits the torques to those that act in these conditions of the joints. The error of a joint's acceleration counts by
+    /// this share: a weak joint would else move the others for what it cannot do itself, and a free one has no control.
     pub fn limit(&mut self, joints: &[JointCondition]) {
         let forces = self.foot_force.len();
         for (joint, (found, torque_max)) in joints.iter().zip(&self.torque_max).enumerate() {
             let most = found.share() * torque_max;
             (self.problem.lower[forces + joint], self.problem.upper[forces + joint]) = (-most, most);
-            let weight = if *found == JointCondition::Free { 0.0 } else { self.weight_acceleration };
-            self.roots[forces + joint] = weight.sqrt();
+            self.roots[forces + joint] = found.share() * self.weight_acceleration.sqrt();
         }
     }
 
