@@ -16,6 +16,7 @@ from mkdocs.utils import get_relative_url
 
 from experiments import schema, studies
 from experiments.report import index, kept
+from experiments.sweep import columns
 from jax_aero import rust
 
 EQUATION = re.compile(r"^```math\n(?P<latex>.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -43,6 +44,7 @@ SITE = {
     "experiments/studies": "studies/index.md",
     "experiments/report/paper.py": "paper.md",
     "configs/schema": schema.PAGE,
+    "experiments/sweep/columns.py": columns.PAGE,
 } | {f"docs/notebooks/{path.name}": f"notebooks/{path.stem}.md" for path in NOTEBOOKS}
 SITE |= {f"rust/{crate}/src/lib.rs": f"rust/flight_{crate}/index.html" for crate in ("core", "io", "sim")}
 """Pages of the site, by the file or folder of a clone that they are made from, which pages link."""
@@ -101,7 +103,7 @@ def pictures() -> list[Path]:
 
 def generated() -> dict[str, str]:
     """Return the pages that are not stored, by path."""
-    pages = {"paper.md": index.page(), schema.PAGE: schema.reference(rust.schemas())}
+    pages = {"paper.md": index.page(), schema.PAGE: schema.reference(rust.schemas()), columns.PAGE: columns.page()}
     rows = [f"| [{name}]({name}.md) | {studies.about(name)} |" for name in studies.names()]
     pages["studies/index.md"] = "\n".join(
         ["# Studies", "", INDEX, "", "| `jax-aero study` | answers |", "|---|---|", *rows, ""]

@@ -33,7 +33,7 @@ def main(words: Sequence[str]) -> int:
     def work() -> None:
         changes = overrides.parse([*given.set, *([f"engine={given.engine}"] if given.engine else [])])
         if given.controller:
-            changes["own_controller"] = _own_controller(given.controller)
+            changes["own_controller"] = study.own_controller(given.controller)
         study.check_name(given)
         paths = [study.find("experiments", name) for name in names]
         command = ["jax-aero", "fly", *words]
@@ -60,14 +60,6 @@ def _fly_row(sweep: str, number: str, changes: Mapping[str, Any], **options: Any
     options["named"] = options["named"] or f"{design.spec.name}--row_{number}{overrides.folder_suffix(changes)}"
     options["out"] = options["out"] or places.RESULTS / "flight"
     return flight.run(study.find("sweeps", sweep), changes, config=config, **options)
-
-
-def _own_controller(text: str) -> dict[str, str]:
-    """Return the table of a controller that is given as FILE:NAME."""
-    file, _, name = text.rpartition(":")
-    if not Path(file).is_file() or not name.isidentifier():
-        raise Refused(f"--controller is {text}; expected FILE.py:NAME, a function or class in a file that is there")
-    return {"file": str(Path(file).resolve()), "name": name}
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -272,6 +272,14 @@ def add_overwrite(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--overwrite", action="store_true", help="replace the result of another configuration")
 
 
+def own_controller(text: str) -> dict[str, str]:
+    """Return the table of a controller that is given as FILE.py:NAME."""
+    file, _, name = text.rpartition(":")
+    if not Path(file).is_file() or not name.isidentifier():
+        raise Refused(f"a controller is {text}; expected FILE.py:NAME, a function or class in a file that is there")
+    return {"file": str(Path(file).resolve()), "name": name}
+
+
 def find(kind: str, name: str) -> Path:
     """Return the configuration of a kind, given by name or path."""
     path = places.find(kind, name)

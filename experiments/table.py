@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from jax_aero.base.result import ending
@@ -30,6 +34,38 @@ def text_table(rows: Sequence[Sequence[str]]) -> str:
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     lines.insert(1, "  ".join("-" * width for width in widths))
     return "\n".join(lines)
+
+
+def csv_table(rows: Sequence[Sequence[str]]) -> str:
+    """Return rows as comma-separated values."""
+    written = io.StringIO()
+    csv.writer(written, lineterminator="\n").writerows(rows)
+    return written.getvalue().rstrip("\n")
+
+
+def latex_table(rows: Sequence[Sequence[str]]) -> str:
+    """Return rows as a `tabular` with the rules of booktabs; `$...$` is mathematics."""
+    head, *body = [" & ".join(map(_latex, row)) + r" \\" for row in rows]
+    columns = "l" * len(rows[0])
+    return "\n".join(
+        [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", head, r"\midrule", *body, r"\bottomrule", r"\end{tabular}"]
+    )
+
+
+def _latex(text: str) -> str:
+    parts = re.split(r"(\$[^$]*\$)", text)
+    plain = (re.sub(r"[\\&%#_{}~^$]", lambda found: LATEX.get(found[0], rf"\{found[0]}"), part) for part in parts[::2])
+    words = [part.replace("°", r"\textdegree{}").replace("−", r"\textminus{}") for part in plain]
+    return "".join(one for pair in itertools.zip_longest(words, parts[1::2], fillvalue="") for one in pair)
+
+
+LATEX = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+FORMATS: Mapping[str, Callable[[Sequence[Sequence[str]]], str]] = {
+    "text": text_table,
+    "csv": csv_table,
+    "latex": latex_table,
+}
+"""Formats of a printed table, as `--table` names them."""
 
 
 def _row(manifest: Mapping[str, Any]) -> Sequence[str]:

@@ -40,6 +40,7 @@ class Command(NamedTuple):
 COMMANDS = {
     "fly": Command("experiments.fly:main", "figs", "fly experiments by name: jax-aero fly test2"),
     "sweep": Command("experiments.sweep.command:main", "sweeps", "fly many perturbed flights, and count"),
+    "challenge": Command("experiments.challenge:main", "sweeps", "fly a controller of yours through wind-humanoid-1"),
     "figures": Command("paper_figs.command:main", "figs", "draw figures from results"),
     "report": Command(
         "experiments.report.command:main",

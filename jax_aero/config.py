@@ -435,6 +435,7 @@ class ModelError(Struct, frozen=True, kw_only=True):
     com_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     inertia_scale: float = 1.0
     mass_scale: float = 1.0
+    of_plant: bool | None = None
     thrust_axes: tuple[tuple[float, float, float], ...] = ()
 
 

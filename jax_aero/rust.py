@@ -26,8 +26,10 @@ from __future__ import annotations
 import functools
 import json
 import math
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from os import PathLike
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
@@ -700,7 +702,10 @@ class Flight:
         if config.get("own_controller"):
             text = _to_json({key: value for key, value in config.items() if key != "own_controller"})
         self._core = _core.Flight(text, None if world is None else _World(world))
-        self._controller = own.load(config) if controller is None else controller
+        has_own = controller is None and config.get("own_controller")
+        self._controller: Callable[[Measurement], Any] | None = (
+            own.Own(config, Robot(config["robot"])) if has_own else controller
+        )
 
     @property
     def tick(self) -> int:
@@ -1009,7 +1014,7 @@ def fly_batch(
 ) -> list[FlightResult]:
     """Fly many configurations in parallel threads; the results do not depend on their number.
 
-    Without `full_log` only outcome and summary are guaranteed. Those with an `own_controller` are flown one by one.
+    Without `full_log` only outcome and summary are guaranteed.
 
     Raises
     ------
@@ -1022,10 +1027,11 @@ def fly_batch(
     texts = [_to_json(config) for config in configs]
     if any(config.get("own_controller") for config in configs):
         flown = []
-        for index, config in enumerate(configs):
-            flown.append(fly(config))
-            if progress is not None:
-                progress(index + 1, len(configs))
+        with ThreadPoolExecutor(threads or os.cpu_count()) as pool:  # of processes that compute the commands
+            for flight in pool.map(fly, configs):
+                flown.append(flight if full_log else replace(flight, log={}))
+                if progress is not None:
+                    progress(len(flown), len(configs))
         return flown
     return [FlightResult(**raw) for raw in _core.fly_batch(texts, threads, progress, full_log)]
 

@@ -1,4 +1,4 @@
-"""Effect of one variable on the share of flights that complete, the rotation error and the position error.
+"""Effect of one variable on the share of flights that complete or land, the rotation error and the position error.
 
 Named levels are drawn as dots in rows, numbers as lines. A panel's level (world, controller) has the same colour and
 marker everywhere.
@@ -24,9 +24,10 @@ SERIES = (
     (style.ORANGE, "D", ":"),
     (style.PURPLE, "v", "-"),
     (style.BLACK, "P", "--"),
+    (style.SKY, "X", "-."),
 )
 COLUMNS: Sequence[tuple[str, str]] = (
-    ("completed", "flights completed [%]"),
+    ("upright", "completed or landed [%], Wilson 95 %"),
     ("rotation_error_deg", "max rotation error [deg]"),
     ("com_error", "max CoM error [m]"),
 )
@@ -40,8 +41,7 @@ def draw(sweep: Sweep) -> Figure:
     groups = _groups(sweep.cells, [part for part in split if part is not None])
     sweep.require(len(groups) <= len(SERIES), f"at most {len(SERIES)} combinations of all axes but the last")
     figure = _curves(sweep, axis, groups) if sweep.is_numeric(axis) else _levels(sweep, axis, groups)
-    said = f"completed: share and its Wilson 95 % interval; errors: {sweep.spread}"
-    style.footnote(figure, f"{sweep.footnote()}; {said}")
+    style.footnote(figure, f"{sweep.footnote()}; errors: {sweep.spread}")
     return figure
 
 
@@ -59,9 +59,9 @@ def _groups(cells: pd.DataFrame, axes: Sequence[dict[str, Any]]) -> list[tuple[s
 
 def spread(cells: pd.DataFrame, quantity: str) -> tuple[Any, Any, Any]:
     """Return centre, lower and upper end of a quantity for each cell."""
-    if quantity == "completed":
-        share = 100.0 * cells["completed"] / cells["flights"].clip(lower=1)
-        return share, 100.0 * cells["completed_low"], 100.0 * cells["completed_high"]
+    if quantity == "upright":
+        share = 100.0 * cells["upright"] / cells["flights"].clip(lower=1)
+        return share, 100.0 * cells["upright_low"], 100.0 * cells["upright_high"]
     return cells[f"{quantity}_median"], cells[f"{quantity}_low"], cells[f"{quantity}_high"]
 
 
@@ -78,7 +78,7 @@ def _levels(sweep: Sweep, axis: dict[str, Any], groups: list[tuple[str, pd.DataF
             axes.hlines(place, low, high, color=colour, linewidth=1.4)
             axes.plot(centre, place, marker, color=colour, markersize=3.8, label=label)
         axes.set_xlabel(title)
-        axes.set_xlim(left=-2.0 if quantity == "completed" else 0.0)
+        axes.set_xlim(left=-2.0 if quantity == "upright" else 0.0)
         axes.grid(visible=False, axis="y")
         for line in range(1, len(labels)):
             axes.axhline(line - 0.5, color=style.LIGHT, linewidth=0.5)
@@ -100,7 +100,7 @@ def _curves(sweep: Sweep, axis: dict[str, Any], groups: list[tuple[str, pd.DataF
             axes.fill_between(cells[axis["name"]], low, high, color=colour, alpha=0.16, linewidth=0)
             axes.plot(cells[axis["name"]], centre, dash, marker=marker, color=colour, markersize=3.5, label=label)
         axes.set_ylabel(title)
-        axes.set_ylim(bottom=-2.0 if quantity == "completed" else 0.0)
+        axes.set_ylim(bottom=-2.0 if quantity == "upright" else 0.0)
         if steps:
             least, most = float(values[values > 0.0].min()), float(values.max())
             axes.set_xscale("symlog", linthresh=least, linscale=0.6)

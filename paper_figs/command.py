@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from experiments import outdated
 from jax_aero import cli
 from jax_aero.base import places
+from jax_aero.base.terminal import Refused
 from paper_figs import ablation, maps, model_pairs, pairs, runs, scatter, style, sweeps
 from paper_figs.figures import FIGURES, SWEEPS
 
@@ -38,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     style.use()
     missing = 0
     for name in names:
-        if wrong := _wrong_number(name, given.runs or ()):
+        if wrong := _wrong_number(name, given.runs or (), given.labels or ()):
             print(f"error: {wrong}", file=sys.stderr)
             return cli.REFUSED
         try:
@@ -53,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             figure.text(
                 0.01, 0.01, f"made otherwise than today: {stale}", va="bottom", size="small", color=style.VERMILION
             )
-        for path in style.save(figure, _file_name(name, given.runs), given.out, hashes, dark=given.dark):
+        for path in style.save(figure, _file_name(name, given), given.out, hashes, dark=given.dark):
             print(path)
     hidden = [name for name in names if name in FIGURES and sweeps.is_finished(given.sweeps / name)]
     for name in hidden:
@@ -68,8 +69,11 @@ def _is_of_any(name: str) -> bool:
     return name in FIGURES and FIGURES[name].is_of_any
 
 
-def _wrong_number(name: str, chosen: Sequence[str]) -> str:
-    """Return what is wrong with the number of the runs that are asked for; empty if nothing is."""
+def _wrong_number(name: str, chosen: Sequence[str], labels: Sequence[str]) -> str:
+    """Return what is wrong with the number of the runs that are asked for, or of labels; empty if nothing is."""
+    shown = chosen or (FIGURES[name].runs if name in FIGURES else ())
+    if labels and len(labels) != len(shown):
+        return f"{name} has {len(shown)} runs, not {len(labels)} as --labels"
     if _is_of_any(name):
         return "" if chosen else f"{name} shows the flights of --runs, and none is named"
     expected = len(FIGURES[name].runs) if name in FIGURES else 0
@@ -91,25 +95,36 @@ def _check(name: str, given: argparse.Namespace) -> str:
 
 def _draw(name: str, given: argparse.Namespace) -> tuple[Figure, dict[str, str]]:
     if name in FIGURES:
-        return FIGURES[name].draw_from_results(given.results, given.runs or ())
+        return FIGURES[name].draw_from_results(given.results, given.runs or (), given.labels or ())
     sweep = sweeps.load(given.sweeps, name)
-    return draw_sweep(sweep), sweep.hashes
+    return draw_sweep(sweep, given.paired), sweep.hashes
 
 
-def draw_sweep(sweep: sweeps.Sweep) -> Figure:
-    """Return the figure of a sweep, drawn as its file says."""
+def draw_sweep(sweep: sweeps.Sweep, axis: str | None = None) -> Figure:
+    """Return the figure of a sweep, drawn as its file says, or the paired differences between levels of an axis."""
+    texts = [sweep.title, *(axis["label"] for axis in sweep.document["axes"])]
+    texts += [level for axis in sweep.document["axes"] for level in axis["levels"] if isinstance(level, str)]
     try:
-        with mpl.rc_context({"text.parse_math": False}):  # texts come from files, in which $ is an ordinary character
+        # Texts come from files: if one has dollars but no mathematics, they are ordinary characters.
+        with mpl.rc_context({"text.parse_math": all(map(style.can_be_typeset, texts))}):
+            if axis:
+                from paper_figs import paired  # needs pyarrow, which the extra of figures does not bring
+
+                return paired.draw(sweep, axis)
             return DRAWINGS[sweep.document["drawing"]](sweep)
+    except Refused as reason:
+        raise runs.NotDrawn(str(reason)) from None
     except KeyError as missing:
         raise runs.NotDrawn(f"its tables have no {missing}; --overwrite flies it again") from None
 
 
-def _file_name(name: str, chosen: Sequence[str] | None) -> str:
-    """Return the file name of a figure, with a suffix if it shows other results than its own."""
-    if not chosen or tuple(chosen) == FIGURES[name].runs:
+def _file_name(name: str, given: argparse.Namespace) -> str:
+    """Return the file name of a figure, with a suffix if it shows other results than its own, or differences."""
+    if name not in FIGURES:
+        return f"{name}--paired_{given.paired}" if given.paired else name
+    if not given.runs or tuple(given.runs) == FIGURES[name].runs:
         return name
-    return name + places.addition("--" + "_".join(run.replace("/", "-") for run in chosen))
+    return name + places.addition("--" + "_".join(Path(run).name for run in given.runs))
 
 
 def _sweep_names(folder: Path) -> Iterator[str]:
@@ -131,9 +146,15 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="draw results of another configuration or code too, and say so there",
     )
+    parser.add_argument(
+        "--paired", metavar="AXIS", help="of sweeps: differences of an axis' levels to the first one, on the same draws"
+    )
     parser.add_argument("--dark", action="store_true", help="also write NAME_dark.png, for a dark page")
     parser.add_argument(
         "--runs", nargs="+", metavar="RUN", help="runs that the figure shows, in its order: names, or folders"
+    )
+    parser.add_argument(
+        "--labels", nargs="+", metavar="TEXT", help="names of the runs in legends and titles; $...$ is mathematics"
     )
     parser.add_argument(
         "--results", type=Path, default=places.RESULTS / "flight", metavar="DIR", help="folder of flights"

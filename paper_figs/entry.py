@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -41,21 +42,25 @@ class Entry:
         """Return the folders of the results that it shows."""
         return [runs.folder_of(results, self.kind, name) for name in names or self.runs]
 
-    def draw_from_results(self, results: Path, names: Sequence[str] = ()) -> tuple[Figure, dict[str, str]]:
-        """Return the figure, and the hash of every result or table that it shows."""
+    def draw_from_results(
+        self, results: Path, names: Sequence[str] = (), labels: Sequence[str] = ()
+    ) -> tuple[Figure, dict[str, str]]:
+        """Return the figure, and the hash of every result or table that it shows; flights have labels, or names."""
         try:
-            return self._load_and_draw(results, names or self.runs)
+            return self._load_and_draw(results, names or self.runs, labels)
         except KeyError as missing:
             what = str(missing.args[0]).partition(". ")[0]
             raise runs.NotDrawn(
                 f"{what}: other code made the result; make it again: {'; '.join(self.commands)}"
             ) from None
 
-    def _load_and_draw(self, results: Path, names: Sequence[str]) -> tuple[Figure, dict[str, str]]:
+    def _load_and_draw(
+        self, results: Path, names: Sequence[str], labels: Sequence[str]
+    ) -> tuple[Figure, dict[str, str]]:
         if self.tables:
             return self.draw(*map(tunnel.read, self.tables)), tunnel.hashes(*self.tables)
         if self.kind == "flight":
-            flights = [runs.load(results, name) for name in names]
+            flights = [runs.load(results, *named) for named in zip_longest(names, labels)]
             return self.draw(*flights), {run.name: run.config_hash for run in flights}
         loaded = [runs.load_study(results, self.kind, name) for name in names]
         return self.draw(*loaded), {study.attrs["name"]: str(study.attrs["config_hash"]) for study in loaded}

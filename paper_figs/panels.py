@@ -36,11 +36,11 @@ def wind(axes: Axes, run: Run) -> None:
 
 def joint_errors(axes: Axes, run: Run) -> None:
     """Draw the sum of absolute joint errors of each group."""
-    errors = run.joint_error_deg()
+    errors = run.joint_error_sum_deg()
     for group, colour in zip(errors["group"].values.tolist(), cycle(style.GROUP_COLOURS), strict=False):
         dash = "--" if "right" in readable_name(group) else "-"
         axes.plot(errors["time"], errors.sel(group=group), dash, color=colour, label=readable_name(group))
-    axes.set_ylabel("joint error Δs [deg]")
+    axes.set_ylabel("sum of joint errors |Δs| [deg]")
     axes.set_ylim(bottom=0.0)
 
 

@@ -11,6 +11,7 @@ import xarray as xr
 
 from jax_aero.base import netcdf
 from jax_aero.base.places import RESULTS, RUN_FILE, is_path
+from paper_figs import style
 
 Series = xr.DataArray
 
@@ -57,7 +58,7 @@ class Run:
         """Return the log up to its loss, after which values are not meaningful and may be unbounded."""
         return self.data if self.lost_time is None else self.data.sel(time=slice(None, self.lost_time))
 
-    def joint_error_deg(self) -> Series:
+    def joint_error_sum_deg(self) -> Series:
         """Return the sum of absolute joint errors of each group [deg], dims time and group."""
         error = abs(self.log_to_loss["joint_position"] - self.log_to_loss["joint_setpoint"]) * (180.0 / np.pi)
         group_of = self.log_to_loss["joint_group"].values
@@ -78,8 +79,8 @@ class Run:
 
 
 def escape_text(text: object) -> str:
-    """Escape `$` in a text, so that Matplotlib does not interpret it as mathematics."""
-    return str(text).replace("$", r"\$")
+    """Return a text, in which `$` is an ordinary character if what stands between them cannot be typeset."""
+    return str(text) if style.can_be_typeset(str(text)) else str(text).replace("$", r"\$")
 
 
 def folder_of(results: Path, kind: str, name: str) -> Path:
@@ -89,15 +90,16 @@ def folder_of(results: Path, kind: str, name: str) -> Path:
     return Path(name) if is_path(name) else results / name
 
 
-def load(results: Path, name: str) -> Run:
-    """Read the run of this name, or in a folder given by its path."""
+def load(results: Path, name: str, label: str | None = None) -> Run:
+    """Read the run of this name, or in a folder given by its path, with a label in place of its name and title."""
     path = folder_of(results, "flight", name) / RUN_FILE
     if is_path(name) and not path.is_file():
         raise MissingRun(f"no flight in `{name}`; expected the folder of one")
     if not path.is_file():
         elsewhere = "" if results.resolve() == (RESULTS / "flight").resolve() else f" --out {results}"
         raise MissingRun(f"no flight `{name}` in {results}; fly it with: jax-aero fly {result_words(name, elsewhere)}")
-    return Run(name, read(path))
+    data = read(path)
+    return Run(path.parent.name, data) if label is None else Run(escape_text(label), data.assign_attrs(title=label))
 
 
 def load_study(results: Path, kind: str, name: str) -> xr.Dataset:

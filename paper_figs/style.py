@@ -20,6 +20,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, FigureBase
+from matplotlib.mathtext import MathTextParser
 from numpy.typing import NDArray
 
 BLACK = "#000000"
@@ -76,6 +77,15 @@ def figure(height: float, width: float = FULL_WIDTH) -> Figure:
     empty = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(empty)
     return empty
+
+
+def can_be_typeset(text: str) -> bool:
+    """Return whether the mathematics of a text, between dollars, can be drawn; a text without any can."""
+    try:
+        MathTextParser("path").parse(text)
+    except ValueError:
+        return False
+    return True
 
 
 def letter(axes: Axes, text: str) -> None:

@@ -10,7 +10,7 @@ from experiments.sweep.claims import Claim
 from experiments.sweep.table import wilson
 from jax_aero.base import places, tables
 
-UNITS = {"rotation_error_deg": "°", "com_error": " m", "joint_error_deg": "°"}
+UNITS = {"rotation_error_deg": "°", "com_error": " m", "joint_error_sum_deg": "°"}
 """Units of quantities, as they follow a number."""
 
 

@@ -143,7 +143,8 @@ def of_sweep(folder: Path, named: str | None = None) -> Kept:
     axes = [axis for axis in whole if not is_sampled and axis.name not in (*tabled.pooled, *second)]
     flights = read_table(folder / "table.parquet").to_pandas(use_threads=False)
     flights["onset"] = flights["cell"].map(_onsets(asked, document["config_digest"]))
-    firsts = [first_of(flight) for flight in flights[flights["repeat"] == 0].to_dict("records")]
+    # Those of a sweep that is not shipped cannot be flown again.
+    firsts = [first_of(flight) for flight in flights[flights["repeat"] == 0].to_dict("records")] if asked else []
     flights = flights[flights["outcome"] != "error"]
     rows = list(_rows(flights, axes, (whole[0].name, whole[1].name) if is_paired else None))
     found = _findings(folder, asked.claim) if asked else {}

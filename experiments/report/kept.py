@@ -18,6 +18,7 @@ import msgspec
 from experiments import Refused
 from experiments.report.findings import Finding
 from experiments.report.page import Heading, Mark, Page, Picture, Table, Text
+from experiments.sweep.table import wilson
 from jax_aero.base import places
 from jax_aero.base.files import read_json
 from jax_aero.base.modes import MODES
@@ -197,7 +198,9 @@ def _labels(axes: Sequence[Axis], levels: Sequence[Any], before: Sequence[Any]) 
 
 
 Quantity = Callable[[Mapping[str, Any]], str]
+SHARE = "share [%]"
 EXPLAINED = {
+    SHARE: "Share: of flights that completed or descended, with its Wilson 95 % interval.",
     "rotation error [°]": "Errors: the greatest of a flight that completed or descended; median, and at most.",
     "found after [s]": "Found after: median time since the failure, where half of the flights find one.",
     "announced before [s]": "Announced before: median time from the first mode to the loss.",
@@ -217,6 +220,8 @@ def _quantities(kept: Kept) -> dict[str, Quantity]:
     counts = ("flights", "completed", "descended", "descending", "off_course", "crashed")
     found: dict[str, Quantity] = {name.replace("_", " "): count(name) for name in counts}
     found["fell"] = lambda row: str(row["lost"] - row.get("crashed", 0) or "")
+    if "share" in kept.shows:
+        found[SHARE] = _share
     if "errors" in kept.shows:
         found |= {"rotation error [°]": number("rotation_deg_median"), "at most [°]": number("rotation_deg_worst")}
         found |= {"position error [cm]": number("com_cm_median"), "at most [cm]": number("com_cm_worst")}
@@ -227,6 +232,12 @@ def _quantities(kept: Kept) -> dict[str, Quantity]:
     if "modes" in kept.shows:
         found["modes"] = lambda row: " ".join(f"`{name}`" for name, bit in MODES.items() if row["modes"] & bit)
     return found
+
+
+def _share(row: Mapping[str, Any]) -> str:
+    done, flights = row["completed"] + row["descended"], row["flights"]
+    share, low, high = (f"{100.0 * x:.0f}" for x in (done / flights, *wilson(done, flights)))
+    return f"{share} ({low} to {high})"
 
 
 def _number(value: float | None) -> str:

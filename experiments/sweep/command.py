@@ -8,12 +8,15 @@ one is only replaced with --overwrite.
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Sequence
+from contextlib import redirect_stdout
 from pathlib import Path
 
 from experiments import cluster, study
-from experiments.sweep import run, spec, table
+from experiments.sweep import paired, run, spec, table
 from experiments.sweep.design import Design
+from experiments.table import FORMATS
 from jax_aero.base import places
 from jax_aero.base.parquet import read_table
 from jax_aero.base.terminal import exit_status
@@ -34,13 +37,24 @@ def main(arguments: Sequence[str]) -> int:
     def work() -> None:
         ray = cluster.Ray.from_options(given)
         for design in [Design(spec.load(name)) for name in names]:
-            folder = run.run(design, workers=given.workers, cluster=ray, out=given.out, overwrite=given.overwrite)
-            if len(design.cells) <= MOST_CELLS:
-                print(table.listing(read_table(folder / "cells.parquet"), [axis.name for axis in design.spec.axes]))
+            notes = sys.stderr if given.table else sys.stdout
+            with redirect_stdout(notes):
+                folder = run.run(design, workers=given.workers, cluster=ray, out=given.out, overwrite=given.overwrite)
+            if given.paired or given.table or len(design.cells) <= MOST_CELLS:
+                print(FORMATS[given.table or "text"](_rows(folder, design, given.paired)))
             flown = f"{design.n_rows} flights in {len(design.cells)} cells"
-            print(f"{design.spec.name}: {flown}, {os.path.relpath(folder)}")
+            print(f"{design.spec.name}: {flown}, {os.path.relpath(folder)}", file=notes)
 
     return exit_status(work, interrupted="the same command goes on with the next chunk")
+
+
+def _rows(folder: Path, design: Design, axis: str | None) -> list[list[str]]:
+    """Return the rows of the printed table: a cell each, or the differences between levels of an axis."""
+    labels = {one.name: f"{one.label or one.name}{one.unit and f' [{one.unit}]'}" for one in design.spec.axes}
+    if axis is None:
+        return table.listing(read_table(folder / "cells.parquet"), labels)
+    flights = read_table(folder / "table.parquet").to_pandas(use_threads=False)
+    return paired.listing(paired.differences(flights, list(labels), axis), labels)
 
 
 def _parser() -> Parser:
@@ -49,6 +63,12 @@ def _parser() -> Parser:
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/sweeps)")
     parser.add_argument(
         "--overwrite", action="store_true", help="start from the beginning, and replace an existing result"
+    )
+    parser.add_argument(
+        "--table", choices=sorted(FORMATS), help="print the table alone, in this format (default: text)"
+    )
+    parser.add_argument(
+        "--paired", metavar="AXIS", help="print the differences of an axis' levels to the first one, on the same draws"
     )
     cluster.add_options(parser, "chunks", "threads, or processes of a local cluster")
     return parser

@@ -24,7 +24,7 @@ import pyarrow as pa
 from experiments import Refused, engines, manifest
 from experiments.cluster import Ray
 from experiments.identity import ANOTHER, Identity
-from experiments.sweep import table
+from experiments.sweep import columns, table
 from experiments.sweep.chunks import Chunks, parquet
 from experiments.sweep.design import Design
 from experiments.sweep.spec import Spec
@@ -138,8 +138,9 @@ def _run(design: Design, workers: int | None, cluster: Ray | None, folder: Path,
 def _finish(folder: Path, design: Design, document: dict[str, Any], chunks: Chunks, flown: int, seconds: float) -> None:
     """Join the chunks; the description is written last and marks the sweep as complete."""
     whole = pa.concat_tables(chunks.read(chunk) for chunk in range(design.n_chunks))
-    for name, content in (("table.parquet", whole), ("cells.parquet", table.cells(design.spec, design.cells, whole))):
-        write_bytes(folder / name, parquet(content))
+    of_cells = table.cells(design.spec, design.cells, whole)
+    for name, content, known in zip(TABLES, (whole, of_cells), (columns.FLIGHTS, columns.CELLS), strict=True):
+        write_bytes(folder / name, parquet(columns.describe(content, known)))
     outcomes = whole["outcome"].to_pylist()
     if errors := whole["error"].drop_null().to_pylist():
         print(f"{design.spec.name}: {len(errors)} flights could not be flown, first: {errors[0]}", file=sys.stderr)

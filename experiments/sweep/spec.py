@@ -125,9 +125,9 @@ class Tabled(tables.Table, frozen=True):
 
     pooled: tuple[str, ...] = ()
     """Axes over whose levels the flights are pooled."""
-    shows: tuple[Literal["errors", "found", "announced", "modes"], ...] = ("errors",)
-    """Figures beside the number of flights that complete: errors of rotation and position, when the first failure is
-    found, how long before a loss it is announced, and the modes of the controller."""
+    shows: tuple[Literal["share", "errors", "found", "announced", "modes"], ...] = ("errors",)
+    """Figures beside the number of flights that complete: share with its interval, errors of rotation and position,
+    when the first failure is found, how long before a loss it is announced, and the modes of the controller."""
 
 
 class Spec(tables.Table, frozen=True):

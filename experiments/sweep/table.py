@@ -20,7 +20,6 @@ import pyarrow as pa
 from experiments.engines import Failure
 from experiments.sources import file_hash
 from experiments.sweep.spec import Level, Spec
-from experiments.table import text_table
 from jax_aero import rust
 from jax_aero.base.keys import get, set_key
 from jax_aero.base.result import LOST, UPRIGHT, FlightResult, Outcome
@@ -60,7 +59,7 @@ FLIGHT = [
 QUANTITIES = {
     "rotation_error_deg": ("max_rotation_error", math.degrees(1.0)),
     "com_error": ("max_com_error", 1.0),
-    "joint_error_deg": ("max_joint_error", math.degrees(1.0)),
+    "joint_error_sum_deg": ("max_joint_error_sum", math.degrees(1.0)),
     "thrust_max": ("thrust_max", 1.0),
     "thrust_min": ("thrust_min", 1.0),
     "lost_time": ("lost_time", 1.0),
@@ -159,12 +158,12 @@ def _cell(flights: Mapping[str, Any]) -> dict[str, Any]:
     return record
 
 
-def listing(cells: pa.Table, axes: Sequence[str]) -> str:
-    """Return levels, outcomes and median errors of the cells as text."""
-    columns = {axis: axis for axis in axes} | {name: name.replace("_", " ") for name in ("flights", *OUTCOMES)}
+def listing(cells: pa.Table, labels: Mapping[str, str]) -> list[list[str]]:
+    """Return levels of axes with these labels, outcomes and median errors of the cells, headings first."""
+    columns = {**labels} | {name: name.replace("_", " ") for name in ("flights", *OUTCOMES)}
     columns |= {"rotation_error_deg_median": "median rotation error [deg]", "com_error_median": "median CoM error [m]"}
-    rows = [[_text(row[name]) for name in columns] for row in cells.select(columns).to_pylist()]
-    return text_table([list(columns.values()), *rows])
+    rows = [[_text(row[name]) for name in columns] for row in cells.select(list(columns)).to_pylist()]
+    return [list(columns.values()), *rows]
 
 
 def _text(value: object) -> str:

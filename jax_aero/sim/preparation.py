@@ -138,8 +138,8 @@ def _unflown(config: ScenarioConfig) -> Iterator[tuple[str, Any, str]]:
         found = repr(config.controller.jet_dynamics)
         yield "controller.jet_dynamics", found, f'"ideal": JAX has no engines in the law; {by_crate}'
     error = disturbances.model_error
-    if error.inertia_scale != 1.0 or error.thrust_axes:
-        yield "disturbances.model_error", error, f"no inertia_scale and no thrust_axes; {by_crate}"
+    if error.inertia_scale != 1.0 or error.thrust_axes or error.of_plant:
+        yield "disturbances.model_error", error, f"no inertia_scale, thrust_axes and of_plant; {by_crate}"
     for key, given in _failures(disturbances, has_monitor=config.controller.engines is not None).items():
         if given:
             yield f"disturbances.{key}", "given", f"none: JAX has no guard that answers it; {by_crate}"

@@ -7,7 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from experiments.studies.published_mpc import flight, model, plan, study
-from jax_aero import rust
+from experiments.studies.published_mpc import own as published_own
+from jax_aero import own, rust
 from jax_aero.base import places
 
 THRUST, RATE = np.array([150.0, 171.0, 120.0, 165.0]), np.array([20.0, -30.0, 5.0, 40.0])
@@ -320,15 +321,15 @@ def test_throttles_change_every_tenth_of_a_second_and_models_when_they_are_linea
 
 def test_it_hovers_and_is_judged():
     config = study.configure("published", study.CASES["still air"], 0, 0.3)
-    flown = flight.fly(config, study.maker("published"))
+    flown = flight.fly(config, flight.Settings())
     assert (flown.result.outcome, flown.pilot.missing) == ("completed", 0)
     assert flown.result.summary["max_rotation_error"] < np.radians(1.0)
     limits = {"rotation_error_deg": 0.1, "com_error": 1.0}
-    lost = flight.fly({**config, "simulator": config["simulator"] | {"fall": limits}}, study.maker("published")).result
+    lost = flight.fly({**config, "simulator": config["simulator"] | {"fall": limits}}, flight.Settings()).result
     assert (lost.outcome, lost.lost_time) == ("fell", 0.0)
-    ours = study.configure("recommended", study.CASES["still air"], 0, 0.3)
-    flown, whole = flight.fly(ours, study.maker("recommended")).result, rust.fly(ours)
-    assert flown.summary == pytest.approx(whole.summary, nan_ok=True, rel=1e-9)
+    view = own.view(config, rust.Robot(config["robot"]))
+    alone = rust.Flight(config, controller=published_own.MultiRate(view)).run()
+    assert alone.summary == pytest.approx(flown.result.summary, nan_ok=True, rel=1e-12)
 
 
 def test_references_of_joints_stay_within_limits_only_if_asked(robot):
@@ -349,7 +350,6 @@ def test_the_table_is_made_of_what_was_flown_and_goes_on(monkeypatch, tmp_path):
         return [(1, "completed", 2.0, 0.5), (0, "fell", 90.0, np.nan)]
 
     monkeypatch.setattr(study, "fly_cell", fly_cell)
-    monkeypatch.setattr(study, "compare_times", lambda _: {"time": 1.0})
     asked = study.Compared(controllers=("published", "published, any torque"), cases=("still air", "5 m/s"))
     path = tmp_path / "progress.json"
     found = study.compute("mk3", asked, path)

@@ -47,9 +47,15 @@ def test_the_runs_of_a_figure_can_be_chosen(made_up_results, tmp_path):
 
 def test_flights_of_any_folder_are_drawn_beside_each_other(made_up_results, tmp_path, capsys):
     words = ["compare", "--results", str(made_up_results), "--out", str(tmp_path), "--runs", "test1_published"]
-    assert main([*words, str(made_up_results / "test2")]) == 0
-    assert len(list(tmp_path.glob("compare--*.png"))) == 1
-    assert main([*words, f"{tmp_path}/none"]) == 1
+    words.append(str(made_up_results / "test2"))
+    assert main(words) == 0
+    assert [path.stem for path in tmp_path.glob("*.png")] == ["compare--test1_published_test2"]
+    assert [runs.load(made_up_results, name).name for name in words[-2:]] == ["test1_published", "test2"]
+    assert runs.load(made_up_results, words[-1], "gain $k_o$").title == "gain $k_o$"
+    assert main([*words, "--labels", "gain $k_o$", r"5 $ or $\x"]) == 0
+    assert main([*words, "--labels", "one"]) == 2
+    assert "compare has 2 runs, not 1 as --labels" in capsys.readouterr().err
+    assert main([*words[:-1], f"{tmp_path}/none"]) == 1
     assert f"no flight in `{tmp_path}/none`" in capsys.readouterr().err
 
 
@@ -89,11 +95,12 @@ def test_a_dollar_in_a_title_is_one(made_up_results):
     figure = style.figure(3.0)
     panels.title(figure, dear)
     figure.canvas.draw()
+    assert [runs.escape_text(text) for text in ("$k_o$", r"$\x$", "5 $")] == ["$k_o$", r"\$\x\$", r"5 \$"]
 
 
 def test_joint_errors_are_summed_by_group_in_degrees(made_up_results):
     run = runs.load(made_up_results, "test2")
-    errors = run.joint_error_deg()
+    errors = run.joint_error_sum_deg()
     assert errors["group"].values.tolist() == ["torso", "left_arm", "right_arm", "left_leg", "right_leg"]
     joints = run.data["joint_position"] - run.data["joint_setpoint"]
     torso = np.degrees(np.abs(joints.values[:, :3]).sum(axis=1))
@@ -103,7 +110,7 @@ def test_joint_errors_are_summed_by_group_in_degrees(made_up_results):
 def test_a_robot_without_joints_has_no_joint_errors(made_up_results):
     run = runs.load(made_up_results, "test1")
     without = runs.Run("without", run.data.isel(joint=[]))
-    assert without.joint_error_deg().shape == (len(without.log_to_loss["time"]), 0)
+    assert without.joint_error_sum_deg().shape == (len(without.log_to_loss["time"]), 0)
 
 
 @pytest.mark.parametrize("count", [0, 1, 3, 8])

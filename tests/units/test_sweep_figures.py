@@ -110,7 +110,7 @@ def test_every_drawing_gives_pdf_and_png_with_the_hash_of_its_sweep(drawing, axe
         ("pairs", ["world", "terms"], "", "expected the axes of pairs beside at most two panels"),
         ("pairs", ["fault", "fault_2", "scale"], "scale", "expected the axes of pairs beside at most two panels"),
         ("curve", ["world"], "world", "expected an axis beside the panels"),
-        ("curve", ["world", "terms", "speed", "scale"], "", "expected at most 6 combinations"),
+        ("curve", ["world", "terms", "speed", "scale"], "", "expected at most 7 combinations"),
     ],
 )
 def test_a_drawing_that_does_not_suit_the_axes_is_one_line(drawing, axes, panels, expected, tmp_path, capsys):
@@ -120,6 +120,18 @@ def test_a_drawing_that_does_not_suit_the_axes_is_one_line(drawing, axes, panels
         said := capsys.readouterr().err
     )
     assert expected in said
+
+
+def test_paired_differences_are_drawn_for_an_axis_of_levels(tmp_path, capsys):
+    write(tmp_path / "sweeps", "made_up", "levels", ["world"], "")
+    path = tmp_path / "sweeps/made_up/table.parquet"
+    flights = pd.read_parquet(path)
+    flights.assign(world=np.tile(["side", "ahead"], 20), repeat=np.repeat(np.arange(20), 2)).to_parquet(path)
+    words = ["made_up", "--sweeps", str(tmp_path / "sweeps"), "--out", str(tmp_path), "--paired"]
+    assert main([*words, "world"]) == 0
+    assert (tmp_path / "made_up--paired_world.png").is_file()
+    assert main([*words, "wind"]) == 1
+    assert "--paired is wind; expected an axis with two levels or more, of world" in capsys.readouterr().err
 
 
 def test_a_damaged_sweep_is_one_line(tmp_path, capsys):

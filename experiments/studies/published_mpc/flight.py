@@ -1,4 +1,4 @@
-"""Flights of the published controller, and of ours beside it, over the crate's plant.
+"""Flights of the published controller over the crate's plant.
 
 Throttles move engines of the published polynomials, in steps of 1 ms; the plant's thrusts follow them by their rates.
 The plant's joints have torques: those that give them the accelerations ω² (s_d − s) − 2 ω ṡ in still air, within the
@@ -7,9 +7,7 @@ drives' greatest.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,13 +36,6 @@ class Settings(NamedTuple):
     """Whether the drives' greatest torques act."""
     joint_limits: bool = False
     """Whether the joints' references stay within the joints' limits."""
-
-
-class Pilot(Protocol):
-    """A controller of a flight."""
-
-    def command(self, measured: rust.Measurement) -> rust.Command:
-        """Compute one tick."""
 
 
 class Published:
@@ -83,8 +74,6 @@ class Published:
         self.attitude = body.attitude
         self.first_model: model.Model | None = None
         self.ticks = self.missing = 0
-        self.solver_times: list[float] = []
-        self.times: list[float] = []
 
     def targets(self, now: float, body: Body) -> Array:
         """Return the states to follow at the present and at the ends of the knots, (18, 26)."""
@@ -107,7 +96,6 @@ class Published:
 
     def command(self, measured: rust.Measurement) -> rust.Command:
         """Compute one tick: plan, move the engines by one period, and drive the joints to their references."""
-        started = time.process_time()
         self.thrust = np.array(measured.thrust)
         body, dynamics, forces = self.reader.read(measured.state)
         targets = self.targets(measured.time, body)
@@ -120,9 +108,7 @@ class Published:
         off = (self.joint_reference - self.first_joints)[self.reader.joints]
         is_held = self.ticks % round(plan.LARGE / plan.PERIOD) != 0
         problem = self.planner.problem(now, state, v, off, targets, is_held=is_held)
-        built = time.process_time()
         answer = self.planner.solve(problem)
-        self.solver_times.append(time.process_time() - built)
         if answer is None:
             self.missing += 1
         else:
@@ -132,7 +118,6 @@ class Published:
             first = answer[plan.DRIVES_AT : plan.DRIVES_AT + model.JETS]
             self.throttle = np.clip(model.throttle_of(first), 0.0, 100.0)
         self.ticks += 1
-        self.times.append(time.process_time() - started)
         rate = self._move_engines()
         return rust.Command(rate, self._torque(measured.state, dynamics, forces))
 
@@ -159,32 +144,17 @@ def torques(dynamics: rust.Dynamics, force: Array, acceleration: Array) -> Array
     return torque
 
 
-class Ours:
-    """The controller of a configuration."""
-
-    def __init__(self, config: rust.Config) -> None:
-        self.controller = rust.Controller(config)
-        self.times: list[float] = []
-
-    def command(self, measured: rust.Measurement) -> rust.Command:
-        """Compute one tick."""
-        started = time.process_time()
-        tick = self.controller.tick(measured.state, measured.thrust, measured.wind, measured.time)
-        self.times.append(time.process_time() - started)
-        return rust.Command(tick.thrust_rate, tick.joint_torque)
-
-
 class Flown(NamedTuple):
     """A flight and what flew it."""
 
     result: rust.FlightResult
-    pilot: Any
+    pilot: Published
 
 
-def fly(config: rust.Config, make: Callable[[rust.Config, rust.Measurement], Pilot]) -> Flown:
-    """Fly a configuration by a pilot until its end or until it is lost."""
+def fly(config: rust.Config, settings: Settings) -> Flown:
+    """Fly a configuration by the published controller until its end or until it is lost."""
     flight = rust.Flight(config)
-    pilot = make(config, flight.measurement)
+    pilot = Published(config, flight.measurement, settings)
     while not flight.has_ended:
         flight.step(command=pilot.command(flight.measurement))
     return Flown(flight.result(), pilot)

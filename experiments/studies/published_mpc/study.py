@@ -7,7 +7,7 @@ Flight r has wind or push from 45 r degrees. An interrupted study is resumed by 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +18,7 @@ from experiments import Refused
 from experiments.identity import Identity
 from experiments.progress import Progress
 from experiments.studies.published_mpc import flight, plan
-from experiments.studies.published_mpc.flight import Ours, Published, Settings
+from experiments.studies.published_mpc.flight import Settings
 from experiments.study import Findings, Study
 from experiments.sweep.perturbation import Perturbation
 from experiments.sweep.table import wilson
@@ -120,7 +120,6 @@ def compute(_: str, asked: Compared, path: Path) -> Findings:
             progress.add(name, fly_cell(controller, CASES[case], asked))
             print(f"  {row(name, progress.done[name])}", flush=True)
         flown[name] = progress.done[name]
-    times = compare_times(asked)
     rows = {name: figures(flights) for name, flights in flown.items()}
     most = max(map(len, flown.values()))
     data = xr.Dataset(
@@ -131,14 +130,10 @@ def compute(_: str, asked: Compared, path: Path) -> Findings:
         },
         {"cell": list(flown)},
     )
-    report = "\n".join(
-        [HEADER, *(row(*one) for one in flown.items()), "", *(f"{k}: {v:.3g}" for k, v in times.items())]
-    )
+    report = "\n".join([HEADER, *(row(*one) for one in flown.items())])
     inputs = {"cases": {name: case._asdict() for name, case in CASES.items()}}
     files = [PERTURBATION]
-    return Findings(
-        "Published MPC and ours", data, rows, flights=bases, inputs=inputs, files=files, timings=times, report=report
-    )
+    return Findings("Published MPC and ours", data, rows, flights=bases, inputs=inputs, files=files, report=report)
 
 
 STUDY = Study("published_mpc", __doc__, Compared, compute, ("mk3",), engine="rust", progress=".jobs")
@@ -185,7 +180,7 @@ def fly_cell(controller: str, case: Case, asked: Compared) -> list[tuple[int, st
     if controller in OURS:
         flown = rust.fly_batch(asked_for, 1)
     else:
-        flown = [flight.fly(config, maker(controller)).result for config in asked_for]
+        flown = [flight.fly(config, PUBLISHED[controller]).result for config in asked_for]
     return [
         (
             int(one.outcome == "completed"),
@@ -195,13 +190,6 @@ def fly_cell(controller: str, case: Case, asked: Compared) -> list[tuple[int, st
         )
         for one in flown
     ]
-
-
-def maker(controller: str) -> Callable[[rust.Config, rust.Measurement], flight.Pilot]:
-    """Return what makes the pilot of a flight."""
-    if controller in OURS:
-        return lambda config, _: Ours(config)
-    return lambda config, start: Published(config, start, PUBLISHED[controller])
 
 
 HEADER = "controller | case | completed | 95 % | rotation error, median (greatest) | CoM error, median (greatest)"
@@ -228,29 +216,6 @@ def row(name: str, flights: list[Any]) -> str:
         text += f" | {found['rotation_error_deg']:.1f}° ({found['rotation_error_deg_max']:.1f})"
         text += f" | {100 * found['com_error_m']:.1f} cm ({100 * found['com_error_m_max']:.1f})"
     return text
-
-
-def compare_times(asked: Compared) -> dict[str, float]:
-    """Return processor times of the controllers, hovering in turns in still air."""
-    loops = []
-    for controller in ("published", "predictive"):
-        config = configure(controller, CASES["still air"], 0, asked.duration)
-        hover = rust.Flight(config)
-        loops.append((hover, maker(controller)(config, hover.measurement)))
-    for _ in range(200):
-        for hover, pilot in loops:
-            hover.step(command=pilot.command(hover.measurement))
-    (_, published), (_, predictive) = loops
-    assert isinstance(published, Published)
-    assert isinstance(predictive, Ours)
-    found = {
-        "published, tick": published.times,
-        "published, QP": published.solver_times,
-        "predictive, tick with a plan": predictive.times[::2],
-    }
-    times = {f"{name} [ms]": 1e3 * float(np.median(values)) for name, values in found.items()}
-    first, qp, ours = times.values()
-    return times | {"published QP, times of our tick": qp / ours, "published tick, times of our tick": first / ours}
 
 
 def _padded(flown: Mapping[str, list[Any]], at: int, most: int) -> Any:

@@ -56,6 +56,15 @@ impl Disturbances {
         self.model_error.check(robot.jets.len())?;
         self.jets.check(&robot.jets)?;
         self.jets.apply_known_limits(&mut robot.jets);
-        Ok(self.model_error.apply(robot))
+        Ok(if self.model_error.of_plant == Some(true) { robot } else { self.model_error.apply(robot) })
+    }
+
+    /// Returns the simulated robot: the one of the file, or with the errors that the plant has.
+    ///
+    /// # Errors
+    /// As [`ModelError::check`].
+    pub fn simulated_robot(&self, robot: RobotModel) -> Result<RobotModel, BuildError> {
+        self.model_error.check(robot.jets.len())?;
+        Ok(if self.model_error.of_plant == Some(true) { self.model_error.apply(robot) } else { robot })
     }
 }

@@ -73,7 +73,7 @@ figures! {
     rms_com_error ["m"] "root mean square of the distance from the set-point after settling";
     rms_rotation_error ["rad"] "root mean square of the rotation error after settling";
     time_above_45_deg ["s"] "time with a rotation error above 45 degrees";
-    max_joint_error ["rad"] "greatest sum of absolute joint errors";
+    max_joint_error_sum ["rad"] "greatest sum of absolute joint errors";
     max_aero_force ["N"] "greatest total aerodynamic force in the simulator";
     max_aero_force_difference ["N"] "greatest difference of the total aerodynamic force to the controller's";
     max_kkt ["1"] "greatest finite KKT residual of an answer";
@@ -158,7 +158,7 @@ impl Summary {
             rms_com_error: root_mean_square(distances()),
             rms_rotation_error: root_mean_square(rotation.iter().skip(settling).copied()),
             time_above_45_deg: tick * ticks_above(rotation.iter().copied(), LEANING),
-            max_joint_error: greatest(joint_errors),
+            max_joint_error_sum: greatest(joint_errors),
             max_aero_force: greatest(simulated.iter().map(Vector3::norm)),
             max_aero_force_difference: greatest(
                 simulated.iter().zip(&estimated).map(|(simulated, estimated)| (simulated - estimated).norm()),

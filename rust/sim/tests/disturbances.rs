@@ -4,11 +4,12 @@
 #![allow(clippy::float_cmp, reason = "the same computation gives the same bits")]
 
 use crate::common::{assert_within, experiment, fly, outage, robot};
+use flight_core::robot::RobotModel;
 use flight_core::spatial::exp_so3;
 use flight_io::from_value;
 use flight_sim::disturbances::{
-    FailureKind, JetFailure, JetFaults, JetFaultsConfig, MeasurementNoise, ModelError, Outage, OutageChannel,
-    OutageKind, WindEstimateConfig, WindEstimator,
+    Disturbances, FailureKind, JetFailure, JetFaults, JetFaultsConfig, MeasurementNoise, ModelError, Outage,
+    OutageChannel, OutageKind, WindEstimateConfig, WindEstimator,
 };
 use flight_sim::jets::{Jets, JetsConfig, SecondOrderConfig};
 use flight_sim::noise::Noise;
@@ -327,8 +328,13 @@ fn a_model_error_scales_masses_and_inertias() {
     let right = robot("ironcub_mk1");
     let offset = Vector3::new(0.01, -0.02, 0.03);
     let turns = vec![[0.0, 0.02, 0.0]; right.jets.len()];
-    let error =
-        ModelError { mass_scale: 1.25, inertia_scale: 0.9, com_offset: offset.into(), thrust_axes: turns };
+    let mut error = ModelError {
+        mass_scale: 1.25,
+        inertia_scale: 0.9,
+        com_offset: offset.into(),
+        thrust_axes: turns,
+        of_plant: None,
+    };
     let wrong = error.apply(right.clone());
     for (right, wrong) in right.jets.iter().zip(&wrong.jets) {
         let expected = exp_so3(&Vector3::new(0.0, 0.02, 0.0)) * right.axis_f.into_inner();
@@ -338,6 +344,14 @@ fn a_model_error_scales_masses_and_inertias() {
         assert_eq!(wrong.mass, 1.25 * right.mass);
         assert_eq!(wrong.inertia_b, 1.25 * 0.9 * right.inertia_b);
         assert_eq!(wrong.com_b, if index == 0 { right.com_b + offset } else { right.com_b });
+    }
+    for of_plant in [false, true] {
+        error.of_plant = Some(of_plant);
+        let disturbances = Disturbances { model_error: error.clone(), ..Disturbances::default() };
+        let simulated = disturbances.simulated_robot(right.clone()).unwrap();
+        let controlled = disturbances.controller_robot(right.clone()).unwrap();
+        let is_wrong = |robot: &RobotModel| robot.bodies[0].mass == wrong.bodies[0].mass;
+        assert_eq!((is_wrong(&simulated), is_wrong(&controlled)), (of_plant, !of_plant));
     }
 }
 

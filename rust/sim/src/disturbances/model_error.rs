@@ -22,11 +22,20 @@ pub struct ModelError {
     /// Offset of the base body's centre of mass in the controller's robot \[m, base axes\].
     #[schemars(inner(range(min = -10, max = 10)))]
     pub com_offset: [f64; 3],
+    /// Whether the simulated robot has these errors, and the controller's is that of the file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub of_plant: Option<bool>,
 }
 
 impl Default for ModelError {
     fn default() -> Self {
-        Self { mass_scale: 1.0, inertia_scale: 1.0, thrust_axes: Vec::new(), com_offset: [0.0; 3] }
+        Self {
+            mass_scale: 1.0,
+            inertia_scale: 1.0,
+            thrust_axes: Vec::new(),
+            com_offset: [0.0; 3],
+            of_plant: None,
+        }
     }
 }
 

@@ -159,7 +159,7 @@ fn figures_of_a_made_up_log() {
     assert_eq!(of.time_above_45_deg, 0.5);
     assert_eq!((of.thrust_min, of.thrust_max), (-0.5, 0.25));
     assert_eq!((of.min_com_height, of.min_com_x_settling), (0.0, -2.0));
-    assert_eq!((of.max_joint_error, of.max_torque), (0.75, 9.0));
+    assert_eq!((of.max_joint_error_sum, of.max_torque), (0.75, 9.0));
     assert_eq!((of.max_aero_force, of.max_aero_force_difference), (5.0, 4.0));
     assert_eq!((of.ticks_without_solution, of.max_kkt, of.max_qp_iterations), (1.0, 1e-9, 6.0));
     let before = Summary::new(&log, 13);

@@ -1,0 +1,155 @@
+"""The challenge: a controller sees what is measured alone, and one that does nothing or fails has no score."""
+
+import gc
+import json
+
+import pytest
+from msgspec import structs
+
+from experiments import Refused, challenge
+from experiments.report import kept
+from experiments.sweep.design import Design
+from jax_aero import own, rust
+
+OWN = """
+import gc, sys
+import numpy as np
+
+def nothing(seen):
+    return [0.0] * 4, [0.0] * len(seen.state.joint_position)
+
+def raises(seen):
+    return nothing(seen) if seen.time < 0.05 else None
+
+def shows(seen):
+    return [*seen.state.base_position, 0.0], nothing(seen)[1]
+
+def peeks(seen):
+    frame, found = sys._getframe(), [one for one in gc.get_objects() if type(one).__name__ == "Flight"]
+    while frame:
+        found += [one for one in frame.f_locals.values() if hasattr(one, "truth")]
+        frame = frame.f_back
+    if found:
+        raise RuntimeError(f"the true height is {found[0].truth.state.base_position[2]}")
+    return nothing(seen)
+"""
+
+
+@pytest.fixture
+def tasks(tmp_path):
+    """The tasks of a sweep that a controller of the file above flies once, but for those without some words."""
+    file = tmp_path / "own.py"
+    file.write_text(OWN, encoding="utf-8")
+
+    def make(name, *words, robot="mk1"):
+        (found,) = challenge.specs(robot, challenge.level_of(f"{file}:{name}", name))
+        axis = found.axis[1]
+        chosen = tuple(level for level in axis.levels if not words or any(word in level.label for word in words))
+        axis = structs.replace(axis, level=chosen)
+        return structs.replace(found, axis=(found.axis[0], axis), repeats=1)
+
+    return make
+
+
+@pytest.mark.parametrize("robot", challenge.TASKS)
+def test_what_is_drawn_and_what_acts_is_not_given(tasks, robot):
+    """All flights of a task are given the same, and tasks differ by engines and the length of the flight alone."""
+    whole = structs.replace(tasks("nothing", robot=robot), repeats=3)
+    design, of_engines = Design(whole), {}
+    flying = rust.Robot(design.row_config(0)["robot"])
+    for cell in range(len(design.cells)):
+        given = [own.view(design.row_config(cell * 3 + repeat), flying) for repeat in range(3)]
+        assert given[1:] == given[:-1]
+        given[0]["simulator"].pop("duration")
+        assert of_engines.setdefault(given[0]["simulator"]["jets"]["dynamics"], given[0]) == given[0]
+    assert len({rust.config_digest(design.row_config(row)) for row in range(design.n_rows)}) == design.n_rows
+
+
+def test_what_is_given_suffices_for_a_controller_of_ours(tasks):
+    config = Design(tasks("nothing")).row_config(0)
+    rust.Controller(own.view(config, rust.Robot(config["robot"])))
+
+
+def test_a_controller_sees_what_is_measured(tasks):
+    config = Design(tasks("shows", "turbulence")).row_config(0)
+    flown = rust.fly(config)
+    assert (flown["thrust_rate"][:, :3] == flown["raw_base_position"]).all()
+    assert (flown["raw_base_position"] != flown["base_position"]).any(axis=1).all()
+
+
+def test_a_controller_cannot_reach_the_simulator(tasks):
+    """In the simulator's own process the same controller does."""
+    config = Design(tasks("peeks", "turbulence")).row_config(0)
+    rust.fly(config)
+    scope: dict = {}
+    exec(OWN, scope)
+    with pytest.raises(RuntimeError, match="the true height is"):
+        rust.Flight(config, controller=scope["peeks"]).run()
+    gc.collect()
+
+
+def test_a_controller_that_does_nothing_completes_nothing(tasks, tmp_path):
+    document = challenge.fly(tasks("nothing"), 1, tmp_path)
+    assert len(document.outcomes) > 1
+    assert sum(document.outcomes[end] for end in ("completed", "descended")) == 0
+
+
+def test_a_controller_that_fails_has_no_score(tasks, tmp_path):
+    with pytest.raises(Refused, match=r"1 flights could not be flown, so there is no score: own controller at 0.05 s"):
+        challenge.fly(tasks("raises", "turbulence"), 1, tmp_path)
+
+
+def test_other_seeds_are_other_flights(tasks):
+    published = tasks("nothing", "turbulence")
+    first, other = challenge.specs("mk1", published.axis[0].levels[0], seed=7)
+    assert (first.seed, other.seed, other.axis[0].levels[0].label) == (published.seed, 7, "nothing, seed 7")
+    assert Design(first).row_config(0) != Design(other).row_config(0)
+
+
+def test_a_configuration_flies_the_robot_that_it_is_for():
+    (mk1, mk3), own_mk3 = (
+        [challenge.level_of(name, name, robot) for robot in challenge.TASKS] for name in ("robot", "baseline")
+    )
+    assert mk1.set["controller"] == rust.load_controller("robot")
+    assert mk3.set["controller"] == rust.load_controller("mk3_robot")
+    assert own_mk3[1] is None
+    assert challenge.level_of("mk3_robot", "mine") is None
+
+
+def test_results_are_shown_beside_the_shipped_ones(tasks, tmp_path, monkeypatch):
+    mine = challenge.fly(tasks("nothing", "touch"), 1, tmp_path)
+    axes = [structs.replace(mine.axes[0], levels=["shipped"]), mine.axes[1]]
+    shipped = structs.replace(mine, axes=axes, rows=[["shipped", *row[1:]] for row in mine.rows])
+    monkeypatch.setattr(challenge, "_shipped", lambda _: [shipped])
+    both = challenge.beside("mine", {"wind_humanoid_1": [mine]}, {})
+    shown = kept.table(both)
+    assert [row[:4] for row in shown.rows] == [
+        ["robot's world, touch of 50 N", "shipped", "1", "0"],
+        ["", "nothing", "1", "0"],
+    ]
+    assert [row[shown.headings.index(kept.SHARE)] for row in shown.rows] == ["0 (0 to 79)"] * 2
+
+
+SMALL = """
+title = "small"
+base = "robot"
+drawing = "levels"
+panels = "controller"
+set = { "simulator.duration" = 0.1 }
+axis = [{ name = "controller", level = [{ label = "ours" }] }, { name = "task", level = [{ label = "hover" }] }]
+"""
+
+
+def test_the_command_prints_a_table_and_writes_picture_and_figures(tasks, tmp_path, monkeypatch, capsys):
+    (tmp_path / "small.toml").write_text(SMALL, encoding="utf-8")
+    monkeypatch.setattr(challenge, "TASKS", {"mk1": str(tmp_path / "small.toml")})
+    monkeypatch.setattr(challenge, "TIMED", 0.1)
+    for controller, name in ((f"{tmp_path / 'own.py'}:nothing", "nothing"), ("observer", "mine")):
+        words = [controller, "--seed", "7", "--out", str(tmp_path), "--workers", "1", "--name", name]
+        assert challenge.main(words) == 0
+        said = capsys.readouterr().out
+        assert [f"{name}, seed 7" in said, "100 (21 to 100)" in said] == [True, True]
+        found = json.loads((tmp_path / name / f"{name}.json").read_text(encoding="utf-8"))
+        assert list(found["summary"]) == ["ours", name]
+        assert 0.0 < found["summary"][name]["time of a tick, median [ms]"] < 1e3
+        assert (tmp_path / name / f"{name}.webp").read_bytes().startswith(b"RIFF")
