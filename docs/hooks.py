@@ -88,7 +88,7 @@ def lab_files() -> list[Path]:
 def embedded_lab(page: str) -> str:
     """Return what shows the flight lab in the page with this address, loaded when it is opened."""
     if not lab_files():
-        return "(`make lab` adds the flight lab to this site.)"
+        return ""
     address = get_relative_url(LAB_PAGE, page)
     return (
         f'<details class="lab"><summary>Fly here</summary><iframe src="{address}" title="Flight lab" loading="lazy">'
