@@ -24,8 +24,8 @@ from jax_aero.base.result import match_branch
 from jax_aero.base.terminal import exit_status
 from jax_aero.view import check_out, logs
 from jax_aero.view.columns import Series
-from jax_aero.view.export import column_name, write_table
-from jax_aero.view.recording import entries_of
+from jax_aero.view.export import column_name, write_csv
+from jax_aero.view.recording import Recording, entries_of
 
 Array = NDArray[np.float64]
 
@@ -92,7 +92,8 @@ def _replay(given: argparse.Namespace) -> int:
     print(f"{computed['time'].size} ticks of {given.log}")
     print(describe(differences))
     if given.out is not None:
-        write_table(computed, rust.Robot(config["robot"]), given.out)
+        robot = rust.Robot(config["robot"])
+        write_csv(Recording("replay", computed, robot, Path(config["robot"]), "replayed", None, None), given.out)
         print(given.out)
     if given.plot is not None:
         _draw(recorded, computed, differences, rust.Robot(config["robot"]), given.plot)

@@ -20,9 +20,6 @@ ROWS = (
 )
 """Column of the cells, its title, colour map, and greatest value of the colours; infinite: the number of flights."""
 
-CROWDED = 24
-"""Number of cells beside each other above which the numbers at the axis stand upright."""
-
 
 def draw(sweep: Sweep) -> Figure:
     """Draw a sweep with two axes beside its panels."""
@@ -45,7 +42,7 @@ def draw(sweep: Sweep) -> Figure:
             if column == 0:
                 axes.set_ylabel(axis_label(down))
         figure.colorbar(image, ax=grid[row, :].tolist(), label=title, pad=0.01, ticks=MaxNLocator(integer=True))
-    if len(levels) * sweep.cells[across["name"]].nunique() > CROWDED:
+    if len(levels) * sweep.cells[across["name"]].nunique() > 24:  # the numbers would touch
         for axes in grid[-1]:
             axes.tick_params(axis="x", rotation=90)
     grid[-1, 0].set_xlabel(axis_label(across), loc="left")  # once: beside each other labels overlap

@@ -170,11 +170,7 @@ def _made(kept: Kept) -> str:
 
 def _outcomes(kept: Kept) -> str:
     counted = ", ".join(f"{number} {outcome.replace('_', ' ')}" for outcome, number in kept.outcomes.items() if number)
-    is_old = kept.outcomes.get("descended") and "crashed" not in kept.outcomes
-    known = (
-        " Flown before crashes were told from landings: *descended* is every flight that was given up and did not fall."
-    )
-    return f"{sum(kept.outcomes.values())} flights ({kept.each}): {counted}.{known if is_old else ''}"
+    return f"{sum(kept.outcomes.values())} flights ({kept.each}): {counted}."
 
 
 def table(kept: Kept) -> Table:

@@ -18,7 +18,7 @@ The metadata `flight` hold title, outcome, engine and configuration.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -75,15 +75,13 @@ def write_csv(recording: Recording, out: Path) -> None:
     Refused
         If `out` is not a `.csv` file in an existing folder.
     """
-    write_table(recording.signals, recording.robot, out)
-
-
-def write_table(signals: Mapping[str, Any], robot: rust.Robot, out: Path) -> None:
-    """Write signals of a robot as `write_csv` does."""
     check_out(out, ".csv")
-    ordered = ["time", *(signal for signal in signals if signal != "time")]
-    names = [column_name(signal, entry) for signal in ordered for entry in entries_of(signal, robot)]
-    table = np.concatenate([np.reshape(signals[signal], (len(signals["time"]), -1)) for signal in ordered], axis=1)
+    columns, names = [], []
+    for signal in recording.signals:
+        rows = recording.rows(signal)
+        names += [column_name(signal, entry) for entry in entries_of(signal, recording.robot)]
+        columns.append(rows)
+    table = np.concatenate(columns, axis=1)
     with complete_file(out) as draft, draft.open("w", encoding="utf-8", newline="\n") as file:
         file.write(",".join(names) + "\n")
         for row in table.tolist():

@@ -67,14 +67,6 @@ def test_errors_are_those_of_flights_that_complete():
     assert found["a", 0.0]["com_cm_worst"] == pytest.approx(2.0)
 
 
-def test_a_crash_is_a_loss():
-    ends = np.repeat(["completed", "descended", "descending", "crashed"], 2)
-    found = rows(flown(outcome=ends))["all", "all"]
-    counted = {"completed": 2, "descended": 2, "descending": 2, "crashed": 2, "lost": 2}
-    assert found | counted == found
-    assert found["rotation_deg_worst"] == pytest.approx(4.0)
-
-
 def test_a_failure_is_found_after_its_onset_and_a_loss_announced_before_it():
     found = rows(flown())
     assert found["b", 10.0]["found_s"] == pytest.approx(0.5)
@@ -125,14 +117,10 @@ def test_the_page_has_one_quantity_a_column_and_the_panels_below_each_other():
     assert "2026-01-02, commit 0123456789, seed 1" in text
 
 
-def test_a_page_says_where_crashes_were_not_told_from_landings():
-    for ends, is_said in (({"descended": 2}, True), ({"descended": 2, "crashed": 0}, False), ({"completed": 2}, False)):
-        assert ("before crashes were told" in kept.page(made_up(outcomes=ends)).markdown()) == is_said
-
-
 def test_a_row_counts_every_outcome():
     ends = ["completed", "descended", "descending", "off_course", "crashed", "crashed", "fell", "diverged"]
     row = dict(zip(keep.FIGURES, keep.figures(flown(outcome=ends)).values(), strict=True))
+    assert (row["lost"], row["rotation_deg_worst"]) == (4, pytest.approx(2.0))
     shown = [of(row) for of in kept._quantities(made_up(shows=[])).values()]
     assert shown == ["8", "1", "1", "1", "1", "2", "2"]
 
