@@ -296,6 +296,7 @@ class SupervisorConfig(Struct, frozen=True, kw_only=True):
 
 
 class TorqueConfig(Struct, frozen=True, kw_only=True):
+    friction: dict[str, float] | None = None
     kd: float
     kp: float
     regularisation: float

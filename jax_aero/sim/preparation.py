@@ -132,6 +132,8 @@ def _unflown(config: ScenarioConfig) -> Iterator[tuple[str, Any, str]]:
             repr(config.own_controller.name),
             f"none: JAX compiles its own (`sim.Controller`); {by_crate}",
         )
+    if config.controller.torque.friction:
+        yield "controller.torque.friction", "given", f"none: JAX has no drives; {by_crate}"
     if steps > 1:
         yield "controller.torque.steps", steps, f"1: JAX has no second rate of torques; {by_crate}"
     if config.controller.jet_dynamics != "ideal":

@@ -1098,6 +1098,23 @@ fn the_torque_law_integrates_after_use() {
     }
 }
 
+/// Torques overcome the friction of drives that move as commanded, and of no other: `F = f tanh(ṡ* / 0.02 rad/s)`.
+#[test]
+fn torques_overcome_the_friction_of_the_drives() {
+    let mut config = experiment("test2");
+    let sample = Sample { state: random_state(&mut rng(5), &robot()), ..Sample::start(&config) };
+    let plain = sample.tick(&mut controller(&config)).clone();
+    config.controller.law.torque.friction = Some([("left_arm".into(), 2.0)].into());
+    let mut controller = controller(&config);
+    let more = &sample.tick(&mut controller).joint_torque - &plain.joint_torque;
+    let arm = &controller.model().groups.iter().find(|group| group.name == "left_arm").unwrap().joints;
+    for (joint, more) in more.iter().enumerate() {
+        let friction =
+            if arm.contains(&joint) { 2.0 * (plain.joint_velocity[joint] / 0.02).tanh() } else { 0.0 };
+        assert_within!((more - friction).abs(), 1e-3, "{joint}: {more} for {friction}");
+    }
+}
+
 /// `Λ ν` is how `A_T T + A_a f_a` changes when the robot moves and forces keep their size and, for the
 /// air's, their direction.
 #[test]
@@ -1191,7 +1208,7 @@ type Refusal = (&'static str, fn(&mut ScenarioConfig), &'static str);
 #[rustfmt::skip]
 fn bad_numbers_are_refused_by_key() {
     const NAN: f64 = f64::NAN;
-    let refusals: [Refusal; 62] = [
+    let refusals: [Refusal; 64] = [
         ("controller.weights.symmetric_jets", |c| c.controller.law.weights.symmetric_jets[0][1] = c.controller.law.weights.symmetric_jets[0][0].clone(), "two jets"),
         ("controller.engines", |c| c.controller.law.engines = experiment("test2_observer").controller.law.engines, "controller.observer"),
         ("disturbances.aero_estimate.scale", |c| c.disturbances.aero_estimate.scale = NAN, "NaN"),
@@ -1228,6 +1245,8 @@ fn bad_numbers_are_refused_by_key() {
         ("controller.torque.weight_acceleration", |c| c.controller.law.torque.weight_acceleration = -1.0, "-1"),
         ("controller.torque.weight_torque", |c| c.controller.law.torque.weight_torque = -1.0, "-1"),
         ("controller.torque.rotor_inertia", |c| c.controller.law.torque.rotor_inertia = -0.1, "-0.1"),
+        ("controller.torque.friction.torso", |c| c.controller.law.torque.friction = Some([("torso".into(), -1.0)].into()), "-1"),
+        ("controller.torque.friction", |c| c.controller.law.torque.friction = Some([("tail".into(), 1.0)].into()), "known: torso"),
         ("controller.torque.regularisation", |c| c.controller.law.torque.regularisation = 0.0, "0"),
         ("controller.torque.torque_max", |c| c.controller.law.torque.torque_max = Some(0.0), "0"),
         ("controller.torque.torque_max", |c| c.controller.law.torque.torque_max = Some(f64::INFINITY), "inf"),

@@ -283,6 +283,12 @@ impl ControllerConfig {
             &self.posture_gain,
             robot.groups.iter().map(|group| group.name.as_str()),
         )?;
+        for (group, friction) in self.torque.friction.iter().flatten() {
+            let key = format!("torque.friction.{group}");
+            CONTROLLER.check_non_negative(&key, *friction)?;
+            let groups = robot.groups.iter().map(|of| &of.name);
+            place_of("controller.torque.friction", group, groups)?;
+        }
         check_values_by_name("weights.thrust_rate", &self.weights.thrust_rate, robot.jet_names())?;
         check_values_by_name("bounds.thrust_rate_max", &self.bounds.thrust_rate_max, robot.jet_names())?;
         self.weights.symmetric_pairs(robot)?;
@@ -333,6 +339,19 @@ impl ControllerConfig {
             joint.rotor_inertia = self.torque.rotor_inertia;
         }
         robot
+    }
+
+    /// Dry friction of the drive of every joint that the torques compensate \[N m\].
+    #[must_use]
+    pub fn frictions(&self, robot: &RobotModel) -> Vec<f64> {
+        let mut frictions = vec![0.0; robot.joints.len()];
+        for (group, friction) in self.torque.friction.iter().flatten() {
+            for &joint in robot.groups.iter().filter(|of| of.name == *group).flat_map(|of| &of.joints) {
+                frictions[joint] =
+                    if robot.joints[joint].kind == JointKind::Revolute { *friction } else { 0.0 };
+            }
+        }
+        frictions
     }
 
     /// Posture gain `K_s` of every joint \[1/s\]; zero for joints in no group.

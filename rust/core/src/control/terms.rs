@@ -72,7 +72,9 @@ pub struct Terms {
     pub torque_qp: TorqueQp,
     /// Torques before the rate limiter \[N m\].
     pub unlimited_torque: DVector<f64>,
-    /// Torques of the command that act, as far as the guard finds \[N m\].
+    /// Friction with which the drives oppose the commanded velocities \[N m\].
+    pub drive_friction: DVector<f64>,
+    /// Torques of the command that act, as far as the guard finds, less that friction \[N m\].
     pub acting_torque: DVector<f64>,
     /// Measured latency of torques and thrust rates, as far as it is known \[s\].
     pub measured_latency: [Option<f64>; 2],
@@ -109,6 +111,7 @@ impl Terms {
             residual: DVector::zeros(jets + joints),
             torque_qp,
             unlimited_torque: DVector::zeros(joints),
+            drive_friction: DVector::zeros(joints),
             acting_torque: DVector::zeros(joints),
             measured_latency: [None; 2],
         }
@@ -129,6 +132,7 @@ impl Terms {
         let thrust = &measurement.thrust[..robot.jets.len()];
         momentum.update(robot, kinematics, dynamics, thrust, link_forces, &feedback);
 
+        self.drive_friction.fill(0.0);
         let force = &mut self.free_acceleration;
         force.copy_from(&dynamics.bias);
         force.neg_mut();
@@ -145,8 +149,8 @@ impl Terms {
     /// Takes the torques that act where these are commanded \[N m, N\].
     pub(super) fn reduce_torque(&mut self, joint_torque: &[f64]) {
         let each = self.acting_torque.iter_mut().zip(joint_torque).zip(&self.limits.joints);
-        for ((acting, commanded), found) in each {
-            *acting = found.share() * commanded;
+        for (((acting, commanded), found), friction) in each.zip(&self.drive_friction) {
+            *acting = found.share() * commanded - friction;
         }
     }
 }

@@ -4,7 +4,7 @@
 //! ```text
 //! s̈* = −K_D (ṡ − ṡ*) − K_P ∫(ṡ − ṡ*)
 //! u = (f_c, τ),   B = (J_cᵀ, S),   P = Bᵀ M⁻¹ B
-//! (J_c ν̇ + J̇_c ν ; s̈)(u) = P u + c_free,      ν̇ = M⁻¹ (B u + Σ Jᵀ T a + J_aᵀ f_a − h)
+//! (J_c ν̇ + J̇_c ν ; s̈)(u) = P u + c_free,      ν̇ = M⁻¹ (B u + Σ Jᵀ T a + J_aᵀ f_a − h − S F)
 //! min ½ |W^½ (P u + c_free − c*)|² + ½ w_f |f_c − f_c*|² + ½ w_τ |τ|² + ½ ε |u|²,  c* = (0 ; s̈*)
 //! subject to |τ| ≤ τ_max and, foot by foot, the rows of `WrenchLimits`
 //! ```
@@ -24,6 +24,7 @@ use crate::robot::RobotModel;
 use crate::spatial::Pose;
 use nalgebra::{DMatrix, DVector, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 /// The joint torque controller.
@@ -59,6 +60,10 @@ pub struct TorqueConfig {
     #[serde(default)]
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub rotor_inertia: f64,
+    /// Dry friction of the drives of revolute joints, by joint group, with which they oppose the commanded velocities
+    /// \[N m\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub friction: Option<BTreeMap<String, f64>>,
     /// Ticks of the torques in a tick of the law.
     #[serde(default = "one")]
     #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 100)))]
@@ -158,13 +163,14 @@ impl TorqueQp {
         (missing / gain[joint]).clamp(-self.torque_max[joint], self.torque_max[joint])
     }
 
-    /// Builds the QP. `free` are the accelerations of base and joints without `u`, `M⁻¹ (Σ Jᵀ T a + J_aᵀ f_a − h)`.
+    /// Builds the QP. `free` are the accelerations of base and joints without `u`, `M⁻¹ (Σ Jᵀ T a + J_aᵀ f_a − h)`, and `friction` is `F`.
     pub fn update(
         &mut self,
         contact: &Contact,
         contact_state: &ContactState,
         inverse_mass: &InverseMass,
         free: &DVector<f64>,
+        friction: &DVector<f64>,
         velocity_error: &DVector<f64>,
         velocity_error_integral: &DVector<f64>,
     ) {
@@ -174,6 +180,7 @@ impl TorqueQp {
         free_feet.copy_from(&contact.velocity_product);
         free_feet.gemv_tr(1.0, &contact.jacobian_transposed, free, 1.0);
         free_joints.copy_from(&free.rows(6, joints));
+        free_joints.gemv(-1.0, &inverse_mass.joint_gain, friction, 1.0);
 
         self.update_gain(contact, contact_state.is_active, inverse_mass);
         self.update_hessian();

@@ -1,6 +1,8 @@
 //! From commanded joint velocities to torques, by the torque QP and a rate limiter.
 //!
-//! This file has the integral of M68 of `docs/model`.
+//! Compensated friction is `F = f tanh(ṡ* / v)`: of the commanded velocity, since that of a joint that sticks has no sign.
+//!
+//! This file has the integral of M68 and the friction of M69 of `docs/model`.
 
 use super::torque::limit_rate;
 use crate::control::command::{Command, CommandStatus};
@@ -13,11 +15,16 @@ use nalgebra::DVector;
 /// Limit of the published integrator of the joint velocity error \[rad\]; no flight comes near it.
 const INTEGRAL_LIMIT: f64 = 20.0;
 
+/// Commanded velocity at which three quarters of the friction are compensated \[rad/s\].
+const SLIP: f64 = 0.02;
+
 /// The torque law of one controller, with its workspace.
 #[derive(Debug)]
 pub struct Torques {
     solver: QpChain,
     velocity_error: DVector<f64>,
+    /// Dry friction of the drives \[N m\].
+    friction: Vec<f64>,
     /// Time between two ticks of the torques \[s\].
     period: f64,
 }
@@ -25,14 +32,18 @@ pub struct Torques {
 impl Torques {
     /// Torques of `joints` joints, every `period` \[s\].
     #[must_use]
-    pub fn new(solver: QpChain, joints: usize, period: f64) -> Self {
-        Self { solver, velocity_error: DVector::zeros(joints), period }
+    pub fn new(solver: QpChain, friction: Vec<f64>, period: f64) -> Self {
+        Self { solver, velocity_error: DVector::zeros(friction.len()), friction, period }
     }
 
     /// Computes torques that let the joints follow the commanded velocities.
     pub fn solve(&mut self, state: &mut ControllerState, terms: &mut Terms, command: &mut Command) {
         let Terms { measurement, inverse_mass, free_acceleration, contact, limits, torque_qp, .. } = terms;
+        let friction = &mut terms.drive_friction;
         self.compare(measurement.state.joint_velocity(), command);
+        for (joint, (to, friction)) in friction.iter_mut().zip(&self.friction).enumerate() {
+            *to = friction * libm::tanh(command.joint_velocity[joint] / SLIP);
+        }
         for (integral, found) in state.velocity_error_integral.iter_mut().zip(&limits.joints) {
             if matches!(found, JointCondition::Stuck | JointCondition::Free) {
                 *integral = 0.0; // it follows no velocity
@@ -45,6 +56,7 @@ impl Torques {
                 &state.contact,
                 inverse_mass,
                 free_acceleration,
+                friction,
                 &self.velocity_error,
                 &state.velocity_error_integral,
             );

@@ -72,7 +72,7 @@ impl Controller {
             guard,
             law,
             policy: None,
-            torques: Torques::new(torques, joints, period),
+            torques: Torques::new(torques, config.frictions(&model), period),
             joints: JointTracker::new(config.estimator.as_ref(), &config.channels, period),
             torque_steps,
             last_tick: 0,
