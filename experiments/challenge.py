@@ -46,6 +46,8 @@ def main(arguments: Sequence[str]) -> int:
     def work() -> None:
         stem = given.controller.rpartition(":")[2] if ":" in given.controller else Path(given.controller).stem
         name = given.named or places.file_name(stem)
+        if any(name in one.axes[0].levels for sweep in TASKS.values() for one in _shipped(sweep)):
+            raise Refused(f"--name is {name}, that of a shipped controller; expected another")
         levels = {robot: level_of(given.controller, name, robot, given.tick) for robot in given.robot or TASKS}
         if not any(levels.values()):
             raise Refused(f"{given.controller} is no controller of {', '.join(levels)}; that of Mk3 is mk3_NAME")

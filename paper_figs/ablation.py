@@ -29,7 +29,7 @@ SERIES = (
 COLUMNS: Sequence[tuple[str, str]] = (
     ("upright", "completed or landed [%], Wilson 95 %"),
     ("rotation_error_deg", "max rotation error [deg]"),
-    ("com_error", "max CoM error [m]"),
+    ("com_error", "max CoM error [cm]"),
 )
 
 
@@ -62,7 +62,9 @@ def spread(cells: pd.DataFrame, quantity: str) -> tuple[Any, Any, Any]:
     if quantity == "upright":
         share = 100.0 * cells["upright"] / cells["flights"].clip(lower=1)
         return share, 100.0 * cells["upright_low"], 100.0 * cells["upright_high"]
-    return cells[f"{quantity}_median"], cells[f"{quantity}_low"], cells[f"{quantity}_high"]
+    factor = 100.0 if quantity == "com_error" else 1.0
+    centre, low, high = (factor * cells[f"{quantity}_{end}"] for end in ("median", "low", "high"))
+    return centre, low, high
 
 
 def _levels(sweep: Sweep, axis: dict[str, Any], groups: list[tuple[str, pd.DataFrame]]) -> Figure:
