@@ -7,7 +7,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from experiments.studies.published_mpc import flight, model, plan, study
-from experiments.studies.published_mpc import own as published_own
 from jax_aero import own, rust
 from jax_aero.base import places
 
@@ -263,7 +262,9 @@ def test_knots_are_as_published():
 def published(settings, **changes):
     config = rust.load_config("mk3_hover", {"simulator.time_step": plan.PERIOD, "simulator.duration": 0.2, **changes})
     flown = rust.Flight(config)
-    return flown, flight.Published(config, flown.measurement, settings)
+    pilot = flight.Published(config, settings)
+    pilot.begin(flown.measurement)
+    return flown, pilot
 
 
 def test_torques_give_the_joints_their_acceleration(robot, agree):
@@ -279,7 +280,7 @@ def test_torques_give_the_joints_their_acceleration(robot, agree):
 def test_the_thrusts_of_the_plant_follow_the_engines(agree):
     flown, pilot = published(flight.Settings())
     for _ in range(3):
-        flown.step(command=pilot.command(flown.measurement))
+        flown.step(command=pilot(flown.measurement))
     before, rate, v = pilot.thrust, pilot.rate.copy(), model.drive(np.array([90.0, 50.0, 80.0, 30.0]))
     pilot.throttle = model.throttle_of(v)
     found = pilot._move_engines()
@@ -313,7 +314,7 @@ def test_throttles_change_every_tenth_of_a_second_and_models_when_they_are_linea
 
     monkeypatch.setattr(pilot.planner, "problem", seen)
     for _ in range(22):
-        flown.step(command=pilot.command(flown.measurement))
+        flown.step(command=pilot(flown.measurement))
     assert held == [tick not in (0, 20) for tick in range(22)]
     assert all(one is models[0] for one in models)
     assert pilot.missing == 0
@@ -321,22 +322,24 @@ def test_throttles_change_every_tenth_of_a_second_and_models_when_they_are_linea
 
 def test_it_hovers_and_is_judged():
     config = study.configure("published", study.CASES["still air"], 0, 0.3)
-    flown = flight.fly(config, flight.Settings())
-    assert (flown.result.outcome, flown.pilot.missing) == ("completed", 0)
-    assert flown.result.summary["max_rotation_error"] < np.radians(1.0)
+    pilot = flight.Published(config)
+    flown = rust.Flight(config, controller=pilot).run()
+    assert (flown.outcome, pilot.missing) == ("completed", 0)
+    assert flown.summary["max_rotation_error"] < np.radians(1.0)
     limits = {"rotation_error_deg": 0.1, "com_error": 1.0}
-    lost = flight.fly({**config, "simulator": config["simulator"] | {"fall": limits}}, flight.Settings()).result
+    strict = {**config, "simulator": config["simulator"] | {"fall": limits}}
+    lost = rust.Flight(strict, controller=flight.Published(strict)).run()
     assert (lost.outcome, lost.lost_time) == ("fell", 0.0)
     view = own.view(config, rust.Robot(config["robot"]))
-    alone = rust.Flight(config, controller=published_own.MultiRate(view)).run()
-    assert alone.summary == pytest.approx(flown.result.summary, nan_ok=True, rel=1e-12)
+    alone = rust.Flight(config, controller=flight.Published(view)).run()
+    assert alone.summary == pytest.approx(flown.summary, nan_ok=True, rel=1e-12)
 
 
 def test_references_of_joints_stay_within_limits_only_if_asked(robot):
     for limited in (False, True):
         flown, pilot = published(flight.Settings(joint_limits=limited))
         pilot.joint_reference = pilot.first_joints + 5.0
-        pilot.command(flown.measurement)
+        pilot(flown.measurement)
         arms = pilot.joint_reference[pilot.reader.joints]
         upper = np.array(robot.joint_limits)[pilot.reader.joints, 1]
         assert np.all(arms <= upper) == limited

@@ -39,18 +39,13 @@ class Settings(NamedTuple):
 
 
 class Published:
-    """The published controller of a configuration, with its engines and joints.
+    """The published controller of a configuration, whose own is not used, with its engines and joints.
 
-    Parameters
-    ----------
-    config
-        Of the flight; its controller is not used.
-    start
-        The first measurement.
+    `jax-aero challenge` flies it too: `experiments/studies/published_mpc/flight.py:Published`, with --tick 0.005.
     """
 
-    def __init__(self, config: rust.Config, start: rust.Measurement, settings: Settings | None = None) -> None:
-        self.settings = settings or Settings()
+    def __init__(self, config: rust.Config, settings: Settings | None = None) -> None:
+        self.config, self.settings, self.has_begun = config, settings or Settings(), False
         self.robot = rust.Robot(config["robot"])
         arrays = self.robot.arrays()
         self.torque_max = arrays["joint_torque_max"] if self.settings.torque_limits else np.inf
@@ -59,9 +54,16 @@ class Published:
         self.reader = model.Reader(self.robot)
         self.planner = plan.Planner(plan.knots(warped=self.settings.warped))
         self.ahead = np.concatenate([[0.0], np.cumsum(self.planner.lengths)])
+        self.first_model: model.Model | None = None
+        self.ticks = self.missing = 0
+
+    def begin(self, start: rust.Measurement) -> None:
+        """Begin with the first measurement."""
+        self.has_begun = True
         body, _, _ = self.reader.read(start.state)
-        longer = config["simulator"] | {"time_step": plan.PERIOD, "duration": config["simulator"]["duration"] + 2.0}
-        reference = rust.setpoint_trajectory({**config, "simulator": longer}, body.com, body.rotation)
+        simulator = self.config["simulator"]
+        longer = simulator | {"time_step": plan.PERIOD, "duration": simulator["duration"] + 2.0}
+        reference = rust.setpoint_trajectory({**self.config, "simulator": longer}, body.com, body.rotation)
         self.positions, self.velocities = reference["com_position"], reference["com_velocity"]
         self.upright = model.rpy(reference["rotation"][0])
         self.first_joints = np.array(start.state.joint_position)
@@ -72,8 +74,6 @@ class Published:
         )
         self.integrals = np.zeros(6)
         self.attitude = body.attitude
-        self.first_model: model.Model | None = None
-        self.ticks = self.missing = 0
 
     def targets(self, now: float, body: Body) -> Array:
         """Return the states to follow at the present and at the ends of the knots, (18, 26)."""
@@ -94,8 +94,10 @@ class Published:
         self.integrals = self.integrals + plan.PERIOD * errors
         return state
 
-    def command(self, measured: rust.Measurement) -> rust.Command:
+    def __call__(self, measured: rust.Measurement) -> rust.Command:
         """Compute one tick: plan, move the engines by one period, and drive the joints to their references."""
+        if not self.has_begun:
+            self.begin(measured)
         self.thrust = np.array(measured.thrust)
         body, dynamics, forces = self.reader.read(measured.state)
         targets = self.targets(measured.time, body)
@@ -142,19 +144,3 @@ def torques(dynamics: rust.Dynamics, force: Array, acceleration: Array) -> Array
     base = np.linalg.solve(mass[:6, :6], -load[:6] - mass[:6, 6:] @ acceleration)
     torque: Array = mass[6:, :6] @ base + mass[6:, 6:] @ acceleration + load[6:]
     return torque
-
-
-class Flown(NamedTuple):
-    """A flight and what flew it."""
-
-    result: rust.FlightResult
-    pilot: Published
-
-
-def fly(config: rust.Config, settings: Settings) -> Flown:
-    """Fly a configuration by the published controller until its end or until it is lost."""
-    flight = rust.Flight(config)
-    pilot = Published(config, flight.measurement, settings)
-    while not flight.has_ended:
-        flight.step(command=pilot.command(flight.measurement))
-    return Flown(flight.result(), pilot)

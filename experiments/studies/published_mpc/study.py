@@ -17,8 +17,8 @@ import xarray as xr
 from experiments import Refused
 from experiments.identity import Identity
 from experiments.progress import Progress
-from experiments.studies.published_mpc import flight, plan
-from experiments.studies.published_mpc.flight import Settings
+from experiments.studies.published_mpc import plan
+from experiments.studies.published_mpc.flight import Published, Settings
 from experiments.study import Findings, Study
 from experiments.sweep.perturbation import Perturbation
 from experiments.sweep.table import wilson
@@ -180,7 +180,7 @@ def fly_cell(controller: str, case: Case, asked: Compared) -> list[tuple[int, st
     if controller in OURS:
         flown = rust.fly_batch(asked_for, 1)
     else:
-        flown = [flight.fly(config, PUBLISHED[controller]).result for config in asked_for]
+        flown = [rust.Flight(config, controller=Published(config, PUBLISHED[controller])).run() for config in asked_for]
     return [
         (
             int(one.outcome == "completed"),
