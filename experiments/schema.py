@@ -65,8 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def files() -> dict[Path, str]:
     """Return the text of every generated file."""
     crate = rust.schemas()
-    found = {name: schema if name == "robot" else allow_parts(schema) for name, schema in crate.items()}
-    found = refer_to_files(found)
+    found = refer_to_files({name: allow_parts(schema) for name, schema in crate.items()})
     found |= {name: {"$schema": DIALECT, **tables.schema(kind)} for name, kind in TYPES.items()}
     found["sweeps"] = _with_files(found["sweeps"])
     folder = places.CONFIGS / "schema"

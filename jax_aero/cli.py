@@ -56,6 +56,7 @@ COMMANDS = {
     ),
     "export": Command("jax_aero.view.cli:export", "view,logs", "write a flight as HTML, MCAP or CSV for other viewers"),
     "replay": Command("experiments.replay:main", "logs", "replay a log through the tick of a controller, and compare"),
+    "identify": Command("experiments.identify.command:main", "twin,logs", "find a robot's numbers in its own logs"),
     "study": Command("experiments.studies:main", "view,symbolic", "answer a question: jax-aero study lists them"),
     "air": Command("experiments.air:main", "twin", "force and moment of robot and links by angle and posture"),
     "verify": Command("jax_aero.verify.cli:main", "twin", "compare the Rust crate with JAX"),

@@ -44,6 +44,11 @@ STREAMS = (
     "inertia",
     "thrust_axis_deg",
     "direction",
+    "thrust_gain",
+    "imu_deg",
+    "encoders_deg",
+    "latency",
+    "friction",
 )
 """Kinds of draws; the index is the number of the random stream, so new kinds are appended at the end."""
 
@@ -77,6 +82,16 @@ class Perturbation(tables.Table, frozen=True):
     """Half width for its inertias, beside that of the masses, relative."""
     thrust_axis_deg: tables.NonNegative = 0.0
     """Half width for the rotation of each of its jets about each axis [deg]."""
+    thrust_gain: tables.NonNegative = 0.0
+    """Half width for the force of each jet over its thrust, relative."""
+    imu_deg: tables.NonNegative = 0.0
+    """Half width for the rotation of the measured base about each axis [deg]."""
+    encoders_deg: tables.NonNegative = 0.0
+    """Half width for the offset of every measured joint position [deg]."""
+    latency: tables.NonNegative = 0.0
+    """Half width for the delays of torques and thrusts, rounded to steps of the physics [s]."""
+    friction: tables.NonNegative = 0.0
+    """Greatest dry friction of a drive [N m]."""
     any_direction: bool = False
     """Whether pushes and the wind's gust get random directions, equally likely: on the sphere, about the vertical."""
     ensemble: Path | None = None
@@ -103,6 +118,7 @@ class Perturbation(tables.Table, frozen=True):
             initial["thrust"] = [min(max(least, thrust), greatest) for thrust, least, greatest in ranges]
         self._blow(config["wind"], draw_around)
         self._mislead(config, draw_around, robot)
+        self._wear(config, draw_around, robot)
         if self.any_direction:
             _turn(config, draws["direction"])
         self._reshape(config, draw_around, robot.aero_link_names)
@@ -139,6 +155,26 @@ class Perturbation(tables.Table, frozen=True):
                 if key in error and of_flight.get(key):
                     error[key] = np.add(error[key], of_flight[key]).tolist()
             of_flight.update(error)
+
+    def _wear(self, config: dict[str, Any], around: Any, robot: Robot) -> None:
+        """Change what the robot's file does not state: engines, sensors, delays and drives."""
+        simulator = config["simulator"]
+        if self.thrust_gain:
+            scale = config.setdefault("disturbances", {}).setdefault("jets", {}).setdefault("force_scale", {})
+            factors = around("thrust_gain", [1.0] * len(robot.jet_names))
+            scale |= {jet: scale.get(jet, 1.0) * x for jet, x in zip(robot.jet_names, factors, strict=True)}
+        for key, name, count in (("imu_deg", "base_rotation", 3), ("encoders_deg", "joints", len(robot.joint_names))):
+            if getattr(self, key):
+                sensor = simulator.setdefault("sensors", {}).setdefault(name, {})
+                bias = sensor.get("bias") or [0.0] * count
+                sensor["bias"] = np.add(bias, np.radians(around(key, [0.0] * count))).tolist()
+        if self.latency:
+            actuation, step = simulator.setdefault("actuation", {}), simulator["time_step"] / simulator["substeps"]
+            for name, late in zip(("torque_delay", "thrust_delay"), around("latency", [0.0] * 2), strict=True):
+                actuation[name] = step * round(max(actuation.get(name, 0.0) + late, 0.0) / step)
+        if self.friction:
+            drawn = np.abs(around("friction", [0.0] * len(robot.joint_names))).tolist()
+            simulator["motors"]["friction_of"] = dict(zip(robot.joint_names, drawn, strict=True))
 
     def _reshape(self, config: dict[str, Any], around: Any, links: Sequence[str]) -> None:
         if not (self.drag or self.normal or self.link):

@@ -144,7 +144,6 @@ def test_every_resolved_experiment_fits_the_schema_of_the_crate(path):
         ("wind", {"profile": "storm"}),
         ("wind", {"profile": "constant", "velocity": [1.0, 2.0]}),
         ("control", {"momentum": {"c0": -1.0}}),
-        ("robot", {"base": "sparrow.toml"}),
         ("waypoints", {"base": "box.toml"}),
     ],
 )

@@ -12,7 +12,8 @@ mod tree;
 mod urdf;
 
 use crate::files::absolute_path;
-use crate::toml::{from_value, parse};
+use crate::schema::Schema;
+use crate::toml::{from_value, parse, resolve};
 use crate::{read_bytes, read_text};
 use flight_core::error::{BuildError, check as check_number, place_of};
 use flight_core::jets::{EngineCoefficients, SecondOrder};
@@ -180,13 +181,13 @@ pub struct LoadedRobot {
 }
 
 impl RobotFiles {
-    /// Reads a robot's TOML file and the URDF file it names (a path relative to the TOML file).
+    /// Reads a robot's TOML file, with its base files, and the URDF file it names (a path relative to the TOML file).
     ///
     /// # Errors
     /// [`BuildError`] for a file that cannot be read or parsed.
     pub fn read(path: &Path) -> Result<Self, BuildError> {
         let origin = path.display().to_string();
-        let toml = read_text(path)?;
+        let toml = with_base(read_text(path)?, path, &origin)?;
         let urdf = read_urdf_text(&path.with_file_name(parse_toml(&toml, &origin)?.urdf))?;
         Ok(Self { toml, urdf, origin })
     }
@@ -237,6 +238,15 @@ impl RobotFiles {
 /// As [`RobotFiles::read`] and [`RobotFiles::load`].
 pub fn load_robot(path: &Path) -> Result<RobotModel, BuildError> {
     RobotFiles::read(path)?.load().map(|loaded| loaded.model)
+}
+
+/// The text of a robot's file; of one with a base file, that of the merged table with whole paths.
+fn with_base(text: String, path: &Path, origin: &str) -> Result<String, BuildError> {
+    if !parse(&text, origin)?.contains_key("base") {
+        return Ok(text);
+    }
+    let merged = resolve(path, &Schema::of_type::<RobotFile>())?;
+    ::toml::to_string(&merged).map_err(|error| BuildError::malformed(origin, error))
 }
 
 fn parse_toml(text: &str, origin: &str) -> Result<RobotFile, BuildError> {

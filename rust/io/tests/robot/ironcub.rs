@@ -6,7 +6,7 @@ use crate::common::engines::engines;
 use flight_core::jets::EngineModel;
 use flight_core::robot::{AxisymmetricCoefficients, Frame, RobotModel};
 use flight_core::spatial::{Pose, axis_angle};
-use flight_io::{RobotFiles, load_robot};
+use flight_io::{RobotFiles, hold, load_robot};
 use nalgebra::{Matrix3, Vector3};
 use serde_json::Value;
 use std::path::PathBuf;
@@ -27,6 +27,19 @@ fn has_its_bodies_and_mass() {
     assert_eq!(robot.bodies[0].parent, None);
     let files = RobotFiles::read(&robot_file("ironcub_mk1.toml")).unwrap();
     assert!(files.toml.contains("iRonCub-Mk1") && files.urdf.contains("<robot"));
+}
+
+/// What it states is laid over the other file, whose URDF stays that beside it.
+#[test]
+fn a_robot_may_build_on_the_file_of_another() {
+    let based = PathBuf::from("based/robot.toml");
+    hold(&based, format!("base = {:?}\ngravity = 9.8\n", robot_file("ironcub_mk1.toml")).into());
+    let found = load_robot(&based).unwrap();
+    let mut expected = ironcub();
+    expected.gravity = 9.8;
+    assert_eq!(format!("{found:?}"), format!("{expected:?}"));
+    hold(&based, "base = \"none.toml\"\n".into());
+    assert!(load_robot(&based).unwrap_err().to_string().contains("none.toml"));
 }
 
 #[test]

@@ -1,0 +1,1 @@
+"""A robot's numbers from its own logs."""

@@ -1,0 +1,1 @@
+"""Numbers of drawn robots, found in their own logs."""

@@ -1,1 +1,0 @@
-"""The study `identify_aero`."""

@@ -1,0 +1,205 @@
+"""A robot's numbers from made-up logs, whose motion obeys its equations with other numbers than those of its file."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from experiments import Refused, fly
+from experiments.identify import command, excite, result, samples
+from experiments.sweep.perturbation import Perturbation
+from jax_aero import rust
+from jax_aero.aero import Axisymmetric
+from jax_aero.base import places, tables
+from jax_aero.base.places import CONFIGS
+from jax_aero.body.robot import load_robot
+from jax_aero.body.spatial import exp_so3
+from jax_aero.train import identify
+
+SPARROW = CONFIGS / "robot" / "sparrow.toml"
+WIDTHS = Perturbation(
+    drag=0.2, mass=0.1, com=0.02, inertia=0.2, thrust_axis_deg=2.0, thrust_gain=0.1, imu_deg=2.0, encoders_deg=2.0,
+    friction=2.0,
+)  # fmt: skip
+COUNT, PERIOD = 120, 0.05
+
+
+@pytest.fixture(scope="module")
+def sparrow():
+    robot = load_robot(SPARROW)
+    return robot, Axisymmetric(0.6, next(iter(robot.aero_links.coefficients.values())))
+
+
+def made_log(robot, aero, numbers):
+    """Return samples of any motion, with the base's accelerations and the torques that these numbers ask for."""
+    rng, time = np.random.default_rng(3), PERIOD * np.arange(COUNT)
+    jets, joints = robot.jets.count, robot.n_joints
+
+    def waves(size, *shape):
+        entries = int(np.prod(shape))
+        phase, rate = rng.uniform(0, 6, (4, entries)), rng.uniform(0.5, 6, (4, entries))
+        return jnp.asarray(size * np.sin(rate * time[:, None, None] + phase).mean(1).reshape(COUNT, *shape))
+
+    first = identify.Samples(
+        rotation=jax.vmap(exp_so3)(waves(0.6, 3)), linear_velocity=waves(1.0, 3), linear_acceleration=waves(0.0, 3),
+        gyro=waves(0.8, 3), gyro_rate=waves(0.0, 3), joint_position=waves(0.8, joints),
+        joint_velocity=waves(1.0, joints), joint_acceleration=waves(2.0, joints),
+        thrust=0.3 * robot.jets.thrust_max + waves(0.3, jets) * robot.jets.thrust_max, torque=waves(0.0, joints),
+        wind=waves(8.0, 3),
+    )  # fmt: skip
+    error = identify.base_error(robot, aero, numbers, first)
+    turned = jnp.einsum("kba,kb->ka", first.rotation @ exp_so3(-numbers.imu), error[:, 3:])
+    moved = first._replace(linear_acceleration=-error[:, :3], gyro_rate=-turned)
+    left = jax.vmap(lambda now: identify.unexplained(robot, aero, numbers, now))(moved)
+    np.testing.assert_allclose(left[:, :6], 0.0, atol=1e-9)
+    return moved._replace(torque=left[:, 6:])
+
+
+def drawn(robot, *names):
+    """Return prior deviations, and numbers of which those of these names differ from the file by about as much."""
+    prior, rng = command.prior_of(robot, WIDTHS), np.random.default_rng(5)
+    parts = {name: np.asarray(part) * rng.uniform(0.5, 1.5, np.shape(part)) for name, part in prior._asdict().items()}
+    return prior, identify.Numbers(**{key: jnp.asarray(part * float(key in names)) for key, part in parts.items()})
+
+
+@pytest.mark.usefixtures("x64")
+def test_every_number_is_recovered_from_a_made_log(sparrow):
+    """Without noise the truth is found, of all numbers at once, to a twentieth of what was known before."""
+    robot, aero = sparrow
+    prior, truth = drawn(robot, *identify.Numbers._fields)
+    log = made_log(robot, aero, truth)
+    mass = float(np.sum(robot.masses)) * float(1.0 + truth.mass)
+    found = identify.estimate(robot, aero, [log], PERIOD, prior, (mass, 1e-3), (1e-2, 1e-2, 1e-2))
+    wanted = np.concatenate([np.ravel(part) for part in truth])
+    error = np.abs(found.value - wanted) / found.prior
+    names = [label for label, *_ in command.labels(robot)]
+    assert {name: (e, s) for name, e, s in zip(names, error, found.share, strict=True) if e > 0.05 or s < 0.99} == {}
+    before, after = found.residuals[0]
+    assert np.mean(after[:, :6] ** 2) < 1e-4 * np.mean(before[:, :6] ** 2)
+
+
+@pytest.mark.usefixtures("x64")
+@pytest.mark.parametrize("name", ["com", "thrust_gain", "thrust_axes", "imu", "encoders", "friction"])
+def test_a_wrong_sign_leaves_more_unexplained_than_none(name, sparrow):
+    robot, aero = sparrow
+    _, truth = drawn(robot, name)
+    log = made_log(robot, aero, truth)
+
+    def left(factor):
+        guess = truth._replace(**{name: factor * getattr(truth, name)})
+        return float(jnp.mean(identify._unexplained(robot, aero, guess, log) ** 2))
+
+    assert left(1.0) < 1e-12 < left(0.0) < left(-1.0)
+
+
+@pytest.mark.usefixtures("x64")
+def test_a_robot_that_hovers_still_teaches_no_more_than_its_prior(sparrow):
+    """One posture and one attitude: six equations in the mean, so that most directions keep their prior."""
+    robot, aero = sparrow
+    _, truth = drawn(robot, "mass")
+    log = made_log(robot, aero, truth)
+    still = identify.Samples(*(jnp.tile(rows[:1], (COUNT, *(1,) * (rows.ndim - 1))) for rows in log))
+    prior = command.prior_of(robot, WIDTHS)
+    found = identify.estimate(robot, aero, [still], PERIOD, prior)
+    assert [share for share, _ in found.unlearned() if share < 0.99] == []
+    assert found.deviation.max() <= max(np.max(part) for part in prior)
+
+
+def test_numbers_that_are_not_asked_for_stay(sparrow):
+    robot, _ = sparrow
+    prior = command.prior_of(robot, WIDTHS, ["axes"])
+    assert np.all(prior.thrust_axes > 0.0)
+    assert not any(np.any(part) for name, part in prior._asdict().items() if name != "thrust_axes")
+
+
+def test_the_file_flies_with_what_was_found(sparrow, tmp_path):
+    """Masses, the base's centre of mass and thrust axes of the file are those of the numbers."""
+    robot, _ = sparrow
+    _, axes = drawn(robot, "thrust_axes")
+    numbers = axes._replace(mass=jnp.array(0.05), com=jnp.array([0.01, -0.02, 0.005]))
+    path = result.write_robot(tmp_path, SPARROW, robot, numbers, ["a note"])
+    assert tomllib.loads(path.read_text())["base"] == str(SPARROW)
+    written, expected = load_robot(path), identify.robot_with(robot, numbers)
+    np.testing.assert_allclose(written.masses, expected.masses, rtol=1e-9)
+    np.testing.assert_allclose(written.coms, expected.coms, atol=1e-7)
+    np.testing.assert_allclose(written.jets.axes, expected.jets.axes, atol=1e-6)
+    np.testing.assert_allclose(written.inertias[1:], expected.inertias[1:], rtol=1e-6, atol=1e-9)
+    plate = load_robot(SPARROW.with_name("platform.toml"))
+    numbers = drawn(plate, "inertia")[1]
+    path = result.write_robot(tmp_path, Path(plate.source), plate, numbers, [])
+    np.testing.assert_allclose(load_robot(path).inertias, (1.0 + numbers.inertia) * plate.inertias, rtol=1e-6)
+
+
+def test_smoothing_is_exact_for_a_parabola(agree):
+    """Value, slope and curvature of 3 + 2 t + t², the first raised by the square of the Gaussian's width."""
+    time = 0.01 * np.arange(400)
+    rows, at = (3.0 + 2.0 * time + time**2)[:, None], np.array([1.513, 2.0])
+    agree("value", samples._smooth(time, rows, at, 0)[:, 0], 3.0 + 2.0 * at + at**2 + samples.WIDTH**2, 1e-4)
+    agree("slope", samples._smooth(time, rows, at, 1)[:, 0], 2.0 + 2.0 * at, 1e-3)
+    agree("curvature", samples._smooth(time, rows, at, 2)[:, 0], [2.0, 2.0], 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda log: {name: rows for name, rows in log.items() if name != "joint_torque"}, "has no `joint_torque`"),
+        (lambda log: log | {"raw_wind": np.full((400, 3), np.nan)}, "lacks numbers of `raw_wind`"),
+        (lambda log: log | {"time": 0.001 * np.arange(400)}, "expected at least 3 s"),
+    ],
+)
+def test_a_log_that_does_not_suffice_is_refused(change, expected):
+    log = {name: np.zeros((400, 3)) for name in samples.MEASURED} | {"time": 0.01 * np.arange(400)}
+    assert samples.check(log, "log")
+    with pytest.raises(Refused, match=expected):
+        samples.check(change(log), "log")
+
+
+def test_a_manoeuvre_moves_its_axes_alone():
+    rows = excite.reference(np.array([1.0, 2.0, 3.0]), np.zeros(3), ["z", "yaw"], 4.0, 30.0)
+    moved = np.ptp(rows[:, 1:], axis=0)
+    assert moved[[0, 1, 3, 4]].tolist() == [0.0] * 4
+    assert 0.3 < moved[2] <= 2.0 * excite.AXES["z"]
+    assert np.radians(20.0) < moved[5] <= np.radians(2.0 * excite.AXES["yaw"])
+    np.testing.assert_array_equal(rows[[0, -1], 1:], np.tile([1.0, 2.0, 3.0, 0.0, 0.0, 0.0], (2, 1)))
+
+
+def test_a_drawn_robot_differs_in_what_its_file_does_not_state():
+    config = rust.load_config("robot")
+    robot = rust.Robot(config["robot"])
+    widths = Perturbation(thrust_gain=0.1, imu_deg=2.0, encoders_deg=2.0, latency=0.003, friction=2.0)
+    widths.apply(config, 1, 0, robot)
+    simulator = config["simulator"]
+    gains = np.array(list(config["disturbances"]["jets"]["force_scale"].values()))
+    assert 0.0 < np.abs(gains - 1.0).min() < np.abs(gains - 1.0).max() < 0.1
+    friction = np.array(list(simulator["motors"]["friction_of"].values()))
+    assert len(friction) == len(robot.joint_names)
+    assert np.all((friction >= 0.0) & (friction <= 2.0))
+    assert np.all(np.abs(simulator["sensors"]["joints"]["bias"]) < np.radians(2.0))
+    assert simulator["actuation"]["torque_delay"] in np.round(np.arange(2, 9) * 0.001, 6)
+    rust.resolve_config(config)
+
+
+def test_from_a_log_to_a_flight(tmp_path, monkeypatch):
+    """A flight of the platform is identified, and the robot that this makes flies by its name."""
+    monkeypatch.setattr(places, "RESULTS", tmp_path)
+    assert fly.main(["platform_hover", "--set", "simulator.duration=6", "--out", str(tmp_path), "--name", "log"]) == 0
+    words = [str(tmp_path / "log"), "--mass", "18.0"]
+    assert command.main(words) == 0
+    folder = tmp_path / "identify" / "log"
+    assert {path.name for path in folder.iterdir()} == {
+        "robot.toml", "robot.urdf", "experiment.toml", "perturbation.toml", "numbers.json", "held_out.png"
+    }  # fmt: skip
+    left = tables.load(folder / "perturbation.toml", Perturbation)
+    assert 0.0 < left.mass < 0.1
+    again = rust.load_config(folder / "experiment.toml", {"simulator.duration": 1.0})
+    assert Path(again["robot"]) == folder / "robot.toml"
+    assert rust.fly(again).outcome == "completed"
+    assert command.main(["--excite", "z", "--experiment", "platform_hover"]) == 0
+    mission = rust.load_config(tmp_path / "identify" / "excite_z" / "excite.toml", {"simulator.duration": 1.0})
+    assert rust.fly(mission).outcome == "completed"
+    assert command.main([*words, "--overwrite", "--only", "mases"]) == 2
