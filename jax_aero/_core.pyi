@@ -94,7 +94,13 @@ class Controller:
     def __new__(cls, config_json: str) -> Controller: ...
     state: ControllerState | None
     def start(
-        self, time: float, state: _State, thrust: _Array, wind: _Array, foot_wrenches: _Array | None = None
+        self,
+        time: float,
+        state: _State,
+        thrust: _Array,
+        wind: _Array,
+        foot_wrenches: _Array | None = None,
+        shaft_speed: _Array | None = None,
     ) -> None: ...
     def tick(
         self,
@@ -107,6 +113,7 @@ class Controller:
         setpoints_ahead: list[tuple[float, dict[str, _Array]]] = ...,
         wind_ahead: _Array | None = None,
         residual: tuple[_Array, _Array, bool] | None = None,
+        shaft_speed: _Array | None = None,
     ) -> dict[str, Any]: ...
     def tick_torques(self, joint_position: _Array, joint_velocity: _Array) -> tuple[_Array, str]: ...
     def replace_command(self, thrust_rate: _Array, joint_torque: _Array) -> None: ...
@@ -118,6 +125,7 @@ class _Measurement(TypedDict):
     thrust: _Array
     wind: _Array
     foot_wrenches: _Array
+    shaft_speed: _Array
 
 class _World(Protocol):
     def observe(self) -> tuple[Any, ...]: ...
@@ -142,7 +150,7 @@ class Flight:
         setpoint: Mapping[str, _Array] | None = None,
         residual: tuple[_Array, _Array, bool] | None = None,
         command: tuple[_Array, _Array] | None = None,
-        measurement: tuple[_State, _Array, _Array, _Array] | None = None,
+        measurement: tuple[_State, _Array, _Array, _Array, _Array] | None = None,
         link_forces: _Array | None = None,
     ) -> bool: ...
     def last_tick(self) -> dict[str, Any]: ...

@@ -549,7 +549,7 @@ class InitialConfig(Struct, frozen=True, kw_only=True):
 Integrator: TypeAlias = Literal["semi_implicit_euler", "explicit_euler"]
 
 
-ThrustFeedback: TypeAlias = Literal["measured", "estimated"]
+ThrustFeedback: TypeAlias = Literal["measured", "estimated", "speed"]
 
 
 class IdealJetsConfig(Struct, frozen=True, kw_only=True, tag_field="dynamics", tag="ideal"):

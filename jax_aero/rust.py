@@ -203,6 +203,8 @@ class Measurement(NamedTuple):
     foot_wrenches
         Wrench on each of the controller's feet about the origin of its sole, force first [N, N m, inertial axes],
         (feet, 6).
+    shaft_speed
+        Speed of the shaft of every jet, a share of the full speed; NaN where it is not measured.
     setpoint
         What a controller of one's own is to follow; `None` elsewhere.
     """
@@ -212,6 +214,7 @@ class Measurement(NamedTuple):
     thrust: Array
     wind: Array
     foot_wrenches: Array
+    shaft_speed: Array
     setpoint: Setpoint | None = None
 
 
@@ -488,6 +491,7 @@ class Controller:
         wind: ArrayLike,
         time: float = 0.0,
         foot_wrenches: ArrayLike | None = None,
+        shaft_speed: ArrayLike | None = None,
     ) -> ControllerState:
         """Begin a flight with a measurement, without computing a tick. Parameters are those of `tick`.
 
@@ -496,8 +500,8 @@ class Controller:
         ValueError
             If the measurement is not finite or of the wrong size, or if its base rotation is not a rotation.
         """
-        feet = None if foot_wrenches is None else _array(foot_wrenches)
-        self._core.start(time, _arrays(state), _array(thrust), _array(wind), feet)
+        feet, speed = (None if given is None else _array(given) for given in (foot_wrenches, shaft_speed))
+        self._core.start(time, _arrays(state), _array(thrust), _array(wind), feet, speed)
         started = self._core.state
         if started is None:
             raise AssertionError("a started flight has a state")
@@ -513,6 +517,7 @@ class Controller:
         foot_wrenches: ArrayLike | None = None,
         preview: Preview | None = None,
         residual: Residual | None = None,
+        shaft_speed: ArrayLike | None = None,
     ) -> Tick:
         """Compute one tick.
 
@@ -537,9 +542,12 @@ class Controller:
         residual
             What is added to the answer of the law, in place of a policy's residual. The mission is then followed,
             without a preview.
+        shaft_speed
+            Speed of the shaft of every jet, a share of the full speed, from which a controller with `shaft` has its
+            thrust; NaN where it is not measured, and `thrust` is used.
         """
         now = None if setpoint is None else _numbers(setpoint)
-        feet = None if foot_wrenches is None else _array(foot_wrenches)
+        feet, speed = (None if given is None else _array(given) for given in (foot_wrenches, shaft_speed))
         known = Preview() if preview is None else preview
         later = [(after, _numbers(given)) for after, given in known.setpoints]
         winds = None if known.wind is None else _array(known.wind)
@@ -547,7 +555,7 @@ class Controller:
         if residual is not None:
             added = _array(residual.thrust_rate), _array(residual.joint_velocity), residual.replaces
         return _tick(
-            self._core.tick(time, _arrays(state), _array(thrust), _array(wind), now, feet, later, winds, added)
+            self._core.tick(time, _arrays(state), _array(thrust), _array(wind), now, feet, later, winds, added, speed)
         )
 
     def tick_torques(self, joint_position: ArrayLike, joint_velocity: ArrayLike) -> tuple[NDArray[np.float64], str]:
@@ -789,8 +797,8 @@ class Flight:
         added = None if residual is None else (_array(residual.thrust_rate), _array(residual.joint_velocity))
         given = None
         if measurement is not None:
-            _, state, thrust, wind, foot_wrenches, _ = measurement
-            given = _arrays(state), _array(thrust), _array(wind), _array(foot_wrenches)
+            _, state, thrust, wind, feet, speed, _ = measurement
+            given = _arrays(state), _array(thrust), _array(wind), _array(feet), _array(speed)
         return self._core.step(
             setpoint=None if setpoint is None else _numbers(setpoint),
             residual=None if residual is None or added is None else (*added, residual.replaces),
@@ -1112,7 +1120,8 @@ def config_keys(config: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
 
 
 def _measurement(raw: _core._Measurement) -> Measurement:
-    return Measurement(raw["time"], State(*raw["state"]), raw["thrust"], raw["wind"], raw["foot_wrenches"])
+    numbers = raw["thrust"], raw["wind"], raw["foot_wrenches"], raw["shaft_speed"]
+    return Measurement(raw["time"], State(*raw["state"]), *numbers)
 
 
 def _tick(raw: dict[str, Any]) -> Tick:

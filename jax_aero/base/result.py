@@ -74,7 +74,9 @@ REPEATED = {f"raw_{name}": name for name in ("base_position", "base_velocity", "
 
 
 def is_repeated(signal: str, log: Mapping[str, NDArray[np.float64]]) -> bool:
-    """Return whether a file leaves out this signal of a log."""
+    """Return whether a file leaves out this signal of a log, also speeds of shafts that nothing measures."""
+    if signal == "raw_shaft_speed":
+        return bool(np.isnan(log[signal]).all())
     return signal in REPEATED and log[signal].tobytes() == log[REPEATED[signal]].tobytes()
 
 
@@ -82,6 +84,8 @@ def add_repeated(log: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np
     """Return the log of a file with the signals that it left out; a file of an older version has no raw measurement."""
     has_raw = any(name.startswith("raw_") for name in log)
     left_out = {raw: log[name] for raw, name in REPEATED.items() if has_raw and raw not in log and name in log}
+    if has_raw and "thrust" in log and "raw_shaft_speed" not in log:
+        left_out["raw_shaft_speed"] = np.full_like(log["thrust"], np.nan)
     return {**log, **left_out}
 
 

@@ -55,6 +55,7 @@ class FlightRow(NamedTuple):
     raw_joint_position: Float[Array, " n"]
     raw_joint_velocity: Float[Array, " n"]
     raw_thrust: Float[Array, " j"]
+    raw_shaft_speed: Float[Array, " j"]
     raw_wind: Float[Array, "3"]
     qp_status: Float[Array, "2"]
     qp_kkt: Float[Array, "2"]
@@ -137,6 +138,7 @@ def record(tick: Tick) -> FlightRow:
         raw_joint_position=raw.state.joint_position,
         raw_joint_velocity=raw.state.velocity[6:],
         raw_thrust=raw.thrust,
+        raw_shaft_speed=unknown(raw.thrust),
         raw_wind=raw.wind,
         qp_status=stack_answers("status", time.dtype),
         qp_kkt=stack_answers("kkt", time.dtype),

@@ -10,7 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from jax_aero import rust
-from jax_aero.base.places import HOME, ROBOT
+from jax_aero.base import tables
+from jax_aero.base.places import CONFIGS, HOME, ROBOT
 from jax_aero.base.terminal import ConfigError
 
 TEST2 = HOME / "configs" / "experiments" / "test2.toml"
@@ -425,3 +426,21 @@ def test_a_rotation_that_is_none_is_predicted_not_refused(factor):
     assert tick.degraded_modes == ["rotation_predicted"]
     with pytest.raises(ValueError, match="deviates from a rotation"):
         rust.dynamics(rust.Robot(config["robot"]), stretched)
+
+
+def test_a_measurement_may_have_speeds_of_shafts_in_place_of_thrusts():
+    """A flight by speeds: what its controller is given is logged, may be handed back, and begins another flight."""
+    shaft = tables.read(CONFIGS / "engines" / "jetcat_p300.toml")
+    jets = {"dynamics": "second_order", "feedback": "speed", "shaft": shaft}
+    changes = {"simulator.duration": 0.05, "simulator.jets": jets, "controller.shaft": shaft}
+    config = rust.load_config("robot", changes)
+    whole, flight, controller = rust.fly(config), rust.Flight(config), rust.Controller(config)
+    for tick in range(5):
+        seen = flight.measurement
+        assert np.isnan(seen.thrust).all()
+        assert np.array_equal(seen.shaft_speed, whole["raw_shaft_speed"][tick])
+        state, thrust, wind, speed = seen.state, seen.thrust, seen.wind, seen.shaft_speed
+        asked = controller.tick(state, thrust, wind, seen.time, shaft_speed=speed)
+        assert flight.step(measurement=seen)
+        assert np.array_equal(asked.thrust_rate, whole["thrust_rate"][tick]) or tick > 0
+        assert np.array_equal(flight.last.joint_torque, whole["joint_torque"][tick])

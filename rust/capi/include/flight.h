@@ -146,6 +146,9 @@ typedef struct FlightMeasurement {
   // order of `controller.contact.feet`. NaN where it is not measured; null means that no load is measured on any
   // foot.
   const double *foot_wrenches;
+  // Speeds of the shafts, shares of the full speed, one per jet; NaN where they are not measured, null for none. Only a
+  // controller with `controller.shaft` reads them: the thrust follows from the speed.
+  const double *shaft_speed;
 } FlightMeasurement;
 
 // Set-point of a tick, for programs with their own planner.

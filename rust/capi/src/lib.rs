@@ -156,6 +156,9 @@ pub struct FlightMeasurement {
     /// order of `controller.contact.feet`. NaN where it is not measured; null means that no load is measured on any
     /// foot.
     pub foot_wrenches: *const f64,
+    /// Speeds of the shafts, shares of the full speed, one per jet; NaN where they are not measured, null for none. Only a
+    /// controller with `controller.shaft` reads them: the thrust follows from the speed.
+    pub shaft_speed: *const f64,
 }
 
 /// Set-point of a tick, for programs with their own planner.
@@ -262,7 +265,7 @@ impl FlightController {
     /// # Safety
     /// The arrays of `given` have the documented lengths.
     unsafe fn read(&mut self, given: &FlightMeasurement) -> Result<(), &'static str> {
-        let OwnedMeasurement { state, thrust, wind, foot_wrenches } = &mut self.measured;
+        let OwnedMeasurement { state, thrust, shaft_speed, wind, foot_wrenches } = &mut self.measured;
         let joints = state.n_joints();
         let arrays = [
             ("joint_position", given.joint_position, joints),
@@ -287,6 +290,12 @@ impl FlightController {
             copy_in(given.thrust, thrust);
         }
         *wind = Vector3::from(given.wind);
+        if given.shaft_speed.is_null() {
+            shaft_speed.fill(f64::NAN);
+        } else {
+            // SAFETY: one per jet by this function's contract.
+            unsafe { copy_in(given.shaft_speed, shaft_speed) };
+        }
         if given.foot_wrenches.is_null() {
             foot_wrenches.fill(Vector6::zeros());
         } else {
@@ -918,6 +927,7 @@ pub unsafe extern "C" fn flight_robot_measure(
             thrust: robot.plant.jets().thrust_feedback().as_ptr(),
             wind: robot.wind.velocity(time).into(),
             foot_wrenches: null(),
+            shaft_speed: null(),
         };
         // SAFETY: space for a measurement, by this function's contract.
         unsafe { measurement.write(measured) };

@@ -119,6 +119,7 @@ impl Arrays {
             thrust: self.thrust.as_ptr(),
             wind: [0.0; 3],
             foot_wrenches: null(),
+            shaft_speed: null(),
         }
     }
 
@@ -155,7 +156,7 @@ fn fly_both(name: &str) {
         let time = f64::from(tick) * scenario.simulator.time_step;
         plant.observe(&wind);
         let (state, thrust) = (plant.state(), plant.jets().thrust_feedback());
-        let measurement = Measurement { time, state, thrust, wind, foot_wrenches: &[] };
+        let measurement = Measurement { time, state, thrust, wind, foot_wrenches: &[], shaft_speed: &[] };
         arrays.joint_position.copy_from_slice(state.joint_position.as_slice());
         arrays.joint_velocity.copy_from_slice(state.joint_velocity());
         arrays.thrust.copy_from_slice(thrust);
@@ -767,6 +768,7 @@ fn the_example_in_cpp_gives_the_command_of_the_crate() {
         time: 0.0,
         state: &state,
         thrust: &thrust,
+        shaft_speed: &[],
         wind: Vector3::zeros(),
         foot_wrenches: &feet,
     };

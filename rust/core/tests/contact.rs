@@ -56,7 +56,7 @@ fn measurement<'a>(
     wind: Vector3<f64>,
     foot_wrenches: &'a [Vector6<f64>],
 ) -> Measurement<'a> {
-    Measurement { time: 0.0, state, thrust: &THRUST, wind, foot_wrenches }
+    Measurement { time: 0.0, state, thrust: &THRUST, wind, shaft_speed: &[], foot_wrenches }
 }
 
 /// Inside the rows is inside the polygon of twelve corners on the friction circle, within the torsion, above

@@ -806,7 +806,14 @@ fn compare(
         let time = flight.tick as f64 * 0.01;
         let thrust = flight.plant.jets().thrust().to_vec();
         let state = flight.plant.state();
-        beside.tick(&Measurement { time, state, thrust: &thrust, wind, foot_wrenches: &[] });
+        beside.tick(&Measurement {
+            time,
+            state,
+            thrust: &thrust,
+            wind,
+            foot_wrenches: &[],
+            shaft_speed: &[],
+        });
         let (a, b) = (flight.controller.command(), beside.command());
         assert_eq!((a.status, b.status), (CommandStatus::Nominal, CommandStatus::Nominal));
         assert_equal(&format!("at {time} s"), &numbers(a), &numbers(b), tolerance);

@@ -72,7 +72,7 @@ impl Monitors {
 
 /// A jet that is commanded to keep its thrust.
 fn held(thrust: f64, innovation: f64) -> EngineSample {
-    EngineSample { thrust, innovation, is_measured: true, command: 0.0 }
+    EngineSample { thrust, innovation, is_measured: true, is_of_speed: false, command: 0.0 }
 }
 
 /// A tick of one monitor with a momentum that is measured and says that the sensor is wrong by so much \[N\].
@@ -216,7 +216,8 @@ fn an_engine_that_follows_as_fast_as_it_can_is_not_limited() {
             }
             let innovation = engine.thrust - (before + STEP * command);
             before = engine.thrust;
-            let sample = EngineSample { thrust: before, innovation, is_measured: true, command };
+            let sample =
+                EngineSample { thrust: before, innovation, is_measured: true, is_of_speed: false, command };
             assert_eq!(monitor.tick(&[sample], Some(&[0.0])), [NOTHING], "tick {tick}, lags: {lags}");
             farthest = farthest.max(monitor.states[0].deviation.abs());
         }

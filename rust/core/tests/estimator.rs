@@ -548,7 +548,14 @@ fn the_estimate_loses_what_a_wrong_sensor_put_into_it() {
             thrust[2] += 40.0;
         }
         let (time, state) = (f64::from(tick) * STEP, world.plant.state());
-        world.controller.tick(&Measurement { time, state, thrust: &thrust, wind: WIND, foot_wrenches: &[] });
+        world.controller.tick(&Measurement {
+            time,
+            state,
+            thrust: &thrust,
+            wind: WIND,
+            foot_wrenches: &[],
+            shaft_speed: &[],
+        });
         let is_found = world.controller.command().modes.contains(Modes::THRUST_MODELLED);
         let errors = if is_found { &mut after } else { &mut before };
         errors.push(world.controller.terms().measurement.thrust[2] - truth[2]);

@@ -728,7 +728,8 @@ fn a_given_future_is_followed_as_that_of_the_mission() {
     for tick in 0..20 {
         world.plant.observe(&wind);
         let (seen, thrust) = (world.plant.state(), world.plant.jets().thrust_feedback());
-        let measurement = Measurement { time: time(tick), state: seen, thrust, wind, foot_wrenches: &[] };
+        let measurement =
+            Measurement { time: time(tick), state: seen, thrust, wind, foot_wrenches: &[], shaft_speed: &[] };
         let rates = |command: &Command| command.thrust_rate.clone();
         let expected = rates(world.controller.tick(&measurement));
         let next: Vec<(f64, Setpoint)> =

@@ -221,6 +221,7 @@ impl Prescribed {
             state: &self.state,
             thrust: &self.thrust,
             wind: Vector3::new(3.0, -9.0, 1.0),
+            shaft_speed: &[],
             foot_wrenches: &[],
         }
     }
@@ -379,8 +380,14 @@ fn the_ground_is_part_of_the_model() {
         for tick in 0..50 {
             let time = f64::from(tick) * TIME_STEP;
             let wind = Vector3::new(-6.0, 2.0, 0.0);
-            let measurement =
-                Measurement { time, state: &state, thrust: &[0.0; 4], wind, foot_wrenches: &foot_wrenches };
+            let measurement = Measurement {
+                time,
+                state: &state,
+                thrust: &[0.0; 4],
+                wind,
+                shaft_speed: &[],
+                foot_wrenches: &foot_wrenches,
+            };
             standing.tick(&measurement);
             let terms = standing.terms();
             assert_eq!(standing.state().contact().is_active, carries);
@@ -434,7 +441,7 @@ fn the_integrator_is_observed_as_stated() {
             plant.observe(&wind);
             let (state, thrust) = (plant.state(), plant.jets().thrust_feedback());
             states.push(state.clone());
-            flying.tick(&Measurement { time, state, thrust, wind, foot_wrenches: &[] });
+            flying.tick(&Measurement { time, state, thrust, wind, foot_wrenches: &[], shaft_speed: &[] });
             plant.advance(&[], &[0.0; 6], &wind, time_step);
         }
         let share = |gain: f64| -(-gain * time_step).exp_m1();

@@ -3,8 +3,18 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-use crate::common::assert_within;
-use flight_core::jets::{EngineDynamics, EngineModel, JetModel, Shaft, ShaftConfig, ThrustRateController};
+use crate::common::{Sample, assert_within, experiment, random_state, rng};
+use flight_core::Measurement;
+use flight_core::control::UsedMeasurement;
+use flight_core::control::guard::channels::{Channels, ChannelsConfig};
+use flight_core::control::guard::engines::{EngineSample, Engines, EnginesConfig};
+use flight_core::control::limits::Limits;
+use flight_core::jets::{
+    EngineDynamics, EngineModel, JetDynamics, JetModel, Shaft, ShaftConfig, ThrustRateController,
+};
+use flight_core::robot::RobotModel;
+use flight_io::load_robot;
+use nalgebra::Vector3;
 
 const NUMBERS: ShaftConfig = ShaftConfig {
     idle: 0.3,
@@ -26,6 +36,82 @@ fn shaft_of(change: impl FnOnce(&mut ShaftConfig)) -> Shaft {
 
 fn shaft() -> Shaft {
     shaft_of(|_| ())
+}
+
+/// The robot, whose first engine is this one.
+fn robot() -> RobotModel {
+    let mut robot = load_robot(&experiment("test2_observer").robot).unwrap();
+    robot.feet.clear();
+    robot.jets[0].engine = EngineModel::Shaft(shaft());
+    robot
+}
+
+/// Tick in which the monitor finds, from the speed alone, an engine whose ramps are `scale` times those known, and which
+/// stops in a tick.
+fn found(scale: f64, stop: usize) -> Option<usize> {
+    let robot = robot();
+    let limits = Limits::new(experiment("test2_observer").controller.law.momentum, &robot);
+    let config = EnginesConfig { time_constant: 0.5, deviation_max: 12.0, confirmation: 0.03, descent: None };
+    let monitor = Engines::new(&config, &limits, &robot, [1.0; 2], JetDynamics::SecondOrder);
+    let known = JetModel { thrust_min: 0.0, engine: Some(EngineModel::Shaft(shaft())) };
+    let model = EngineModel::Shaft(shaft_of(|k| k.ramps = k.ramps.map(|ramp| scale * ramp)));
+    let mut engine = EngineDynamics::new(model, 110.0, 0.0);
+    let mut throttle = ThrustRateController::new(model.steady_throttle(110.0));
+    let (mut states, mut rate) = (monitor.start(), 0.0);
+    (0..1200).find(|tick| {
+        let command = if tick / 150 % 2 == 0 { 80.0 } else { -80.0 };
+        let (predicted, next) = known.advance(engine.thrust, rate, command, DT);
+        rate = next;
+        engine.step(throttle.update(&model, engine.thrust, engine.thrust_rate, command), DT);
+        if *tick >= stop {
+            engine.thrust = 0.0;
+        }
+        let (thrust, innovation) = (engine.thrust, engine.thrust - predicted);
+        let healthy = EngineSample { thrust, innovation: 0.0, is_measured: true, is_of_speed: true, command };
+        let sample = |jet| if jet == 0 { EngineSample { innovation, ..healthy } } else { healthy };
+        monitor.update(&mut states, DT, sample, None, false, &mut [None; 4]);
+        states[0].is_limited()
+    })
+}
+
+#[test]
+fn an_engine_that_stops_is_found_by_its_speed_after_the_confirmation() {
+    for stop in [200, 333] {
+        assert_eq!(found(1.0, stop), Some(stop + 3));
+    }
+}
+
+#[test]
+fn ramps_that_differ_by_a_third_are_those_of_healthy_engines_and_no_others() {
+    for healthy in [0.7, 1.0, 1.3] {
+        assert_eq!(found(healthy, usize::MAX), None, "{healthy}");
+    }
+    for ill in [0.1, 2.5] {
+        assert!(found(ill, usize::MAX).is_some(), "{ill}");
+    }
+}
+
+#[test]
+fn a_measured_speed_gives_the_thrust_and_a_sensor_that_of_the_others() {
+    let robot = robot();
+    let sample = Sample {
+        time: 0.0,
+        state: random_state(&mut rng(3), &robot),
+        thrust: vec![f64::NAN, 90.0, 5.0, 110.0],
+        wind: Vector3::zeros(),
+    };
+    let jets = robot.jet_models(JetDynamics::SecondOrder);
+    let mut channels = Channels::new(&ChannelsConfig::default(), &robot, jets, DT, true);
+    let nothing = f64::NAN;
+    let (first, second, third) =
+        ([0.8, nothing, nothing, nothing], [0.7, nothing, nothing, nothing], [0.8; 4]);
+    let with = |shaft_speed| Measurement { shaft_speed, ..sample.measurement() };
+    let mut state = channels.start(&with(&first)).unwrap();
+    let mut used = UsedMeasurement::new(&robot, DT);
+    channels.update(&mut state, &with(&second), &mut used);
+    assert_eq!(used.thrust, [shaft().thrust(0.7), 90.0, 5.0, 110.0]);
+    let refusal = channels.start(&with(&third)).unwrap_err().to_string();
+    assert!(refusal.contains("`shaft_speed` holds 0.8"), "{refusal}");
 }
 
 #[test]

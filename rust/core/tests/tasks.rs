@@ -54,7 +54,7 @@ fn run_tick(name: &str, seed: u64) -> (Running, RobotState, Vec<f64>) {
     start.joint_position.add_scalar_mut(0.1);
     let measure = |time, state| {
         let wind = Vector3::zeros();
-        Measurement { time, state, thrust: &thrust, wind, foot_wrenches: feet }
+        Measurement { time, state, thrust: &thrust, wind, shaft_speed: &[], foot_wrenches: feet }
     };
     controller.tick(&measure(0.0, &start));
     let setpoint = moving_setpoint(&mut rng);
@@ -373,8 +373,14 @@ fn a_task_of_ones_own_does_what_it_asks() {
             controller.add_task(Arc::new(task)).unwrap();
         }
         let mut controller = Running::new(controller);
-        let measurement =
-            Measurement { time: 0.0, state: &start, thrust, wind: Vector3::zeros(), foot_wrenches: &[] };
+        let measurement = Measurement {
+            time: 0.0,
+            state: &start,
+            thrust,
+            wind: Vector3::zeros(),
+            foot_wrenches: &[],
+            shaft_speed: &[],
+        };
         assert_eq!(controller.tick(&measurement).rates_qp.status, QpStatus::Solved);
         let command = controller.command();
         let u: Vec<f64> = command.thrust_rate.iter().chain(&command.joint_velocity).copied().collect();
@@ -442,6 +448,7 @@ fn a_task_that_is_refused_leaves_nothing() {
             state: &start,
             thrust,
             wind: Vector3::zeros(),
+            shaft_speed: &[],
             foot_wrenches: &[],
         });
         controller.terms().momentum_qp.problem.h.clone()

@@ -147,7 +147,14 @@ fn over_a_refused_measurement_nothing_is_compared() {
         let time = time + tick * STEP;
         state.velocity[0] += 0.5;
         let (wind, foot_wrenches) = (Vector3::zeros(), &[] as &[_]);
-        world.controller.tick(&Measurement { time, state: &state, thrust, wind, foot_wrenches });
+        world.controller.tick(&Measurement {
+            time,
+            state: &state,
+            thrust,
+            wind,
+            shaft_speed: &[],
+            foot_wrenches,
+        });
     }
     let change = (world.controller.state().wind().unwrap().wind() - before).norm();
     assert!(change < 0.5, "{change} m/s");

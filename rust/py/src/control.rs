@@ -99,7 +99,7 @@ impl Controller {
     }
 
     /// Start a flight: position, attitude and posture of this measurement become the reference.
-    #[pyo3(signature = (time, state, thrust, wind, foot_wrenches = None))]
+    #[pyo3(signature = (time, state, thrust, wind, foot_wrenches = None, shaft_speed = None))]
     fn start(
         &mut self,
         time: f64,
@@ -107,8 +107,9 @@ impl Controller {
         thrust: Input<'_>,
         wind: Input<'_>,
         foot_wrenches: Option<Input<'_>>,
+        shaft_speed: Option<Input<'_>>,
     ) -> PyResult<()> {
-        let measured = self.read_measurement(&state, &thrust, &wind, foot_wrenches)?;
+        let measured = self.read_measurement(&state, (&thrust, shaft_speed), &wind, foot_wrenches)?;
         self.state = Some(self.controller.start(&measured.at(time)).map_err(plain_error)?);
         Ok(())
     }
@@ -120,7 +121,7 @@ impl Controller {
     /// rates, joint velocities, and whether they replace the answer of the law; then the mission is followed.
     #[pyo3(signature = (
         time, state, thrust, wind, setpoint = None, foot_wrenches = None, setpoints_ahead = vec![], wind_ahead = None,
-        residual = None
+        residual = None, shaft_speed = None
     ))]
     #[allow(clippy::too_many_arguments)]
     fn tick<'py>(
@@ -135,6 +136,7 @@ impl Controller {
         setpoints_ahead: Vec<(f64, Bound<'py, PyDict>)>,
         wind_ahead: Option<Input<'py>>,
         residual: Option<(Input<'py>, Input<'py>, bool)>,
+        shaft_speed: Option<Input<'py>>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let setpoint = setpoint.map(setpoint_from_dict).transpose()?;
         let later = |(time, given): &(f64, Bound<'py, PyDict>)| Ok((*time, setpoint_from_dict(given)?));
@@ -146,7 +148,7 @@ impl Controller {
         let winds: Vec<_> =
             winds.chunks_exact(4).map(|row| (row[0], Vector3::from_column_slice(&row[1..]))).collect();
         let preview = Preview { setpoints: &setpoints, wind: &winds };
-        let measured = self.read_measurement(&state, &thrust, &wind, foot_wrenches)?;
+        let measured = self.read_measurement(&state, (&thrust, shaft_speed), &wind, foot_wrenches)?;
         let measurement = measured.at(time);
         let state = match &mut self.state {
             Some(state) => state,
@@ -264,13 +266,16 @@ impl Controller {
     fn read_measurement(
         &self,
         state: &StateInput<'_>,
-        thrust: &Input<'_>,
+        (thrust, shaft_speed): (&Input<'_>, Option<Input<'_>>),
         wind: &Input<'_>,
         foot_wrenches: Option<Input<'_>>,
     ) -> PyResult<OwnedMeasurement> {
+        let jets = [self.controller.n_jets()];
+        let shaft_speed = shaft_speed.map(|speed| entries("shaft_speed", &speed, &jets)).transpose()?;
         Ok(OwnedMeasurement {
             state: measured_state(self.controller.model().joints.len(), state)?,
-            thrust: entries("thrust", thrust, &[self.controller.n_jets()])?,
+            thrust: entries("thrust", thrust, &jets)?,
+            shaft_speed: shaft_speed.unwrap_or_default(),
             wind: vector3("wind", wind)?,
             foot_wrenches: self.foot_wrenches(foot_wrenches)?,
         })

@@ -122,7 +122,15 @@ impl Flight {
         let wrenches = self.flight.measurement().foot_wrenches.to_vec();
         let (plant, wind) = self.flight.truth();
         let (state, thrust) = (plant.state(), plant.jets().thrust_feedback());
-        let truth = Measurement { time, state, thrust, wind: *wind, foot_wrenches: &wrenches };
+        let unmeasured = vec![f64::NAN; thrust.len()];
+        let truth = Measurement {
+            time,
+            state,
+            thrust,
+            shaft_speed: &unmeasured,
+            wind: *wind,
+            foot_wrenches: &wrenches,
+        };
         let out = measurement_dict(py, &truth)?;
         self.check_world()?;
         Ok(out)
@@ -151,15 +159,15 @@ impl Flight {
 
     /// Fly one tick; return whether the flight goes on. `setpoint` (a dict) replaces that of the mission; `residual` are
     /// thrust rates, joint velocities, and whether they replace the answer of the law; `command` thrust rates and torques in
-    /// place of the controller's; `measurement` state, thrusts, wind and wrenches of the controller's feet in place of the
-    /// measured ones; `link_forces` (links, 3) those in place of the air's.
+    /// place of the controller's; `measurement` state, thrusts, wind, wrenches of the controller's feet and speeds of shafts in
+    /// place of the measured ones; `link_forces` (links, 3) those in place of the air's.
     #[pyo3(signature = (setpoint = None, residual = None, command = None, measurement = None, link_forces = None))]
     fn step(
         &mut self,
         setpoint: Option<&Bound<'_, PyDict>>,
         residual: Option<(Input<'_>, Input<'_>, bool)>,
         command: Option<(Input<'_>, Input<'_>)>,
-        measurement: Option<(StateInput<'_>, Input<'_>, Input<'_>, Input<'_>)>,
+        measurement: Option<(StateInput<'_>, Input<'_>, Input<'_>, Input<'_>, Input<'_>)>,
         link_forces: Option<Input<'_>>,
     ) -> PyResult<bool> {
         let RobotModel { joints, jets, aero_links, .. } = self.flight.robot();
@@ -180,11 +188,12 @@ impl Flight {
             PyResult::Ok((rate, finite_entries("joint_torque", &torque, &[joints])?))
         });
         let command = command.transpose()?;
-        if let Some((state, thrust, wind, feet)) = measurement {
+        if let Some((state, thrust, wind, feet, speed)) = measurement {
             let (state, thrust) = (measured_state(joints, &state)?, entries("thrust", &thrust, &[jets])?);
             let (wind, sample) = (vector3("wind", &wind)?, self.flight.sample_mut());
             let feet = entries("foot_wrenches", &feet, &[sample.foot_wrenches.len(), 6])?;
             (sample.state, sample.thrust, sample.wind) = (state, thrust, wind);
+            sample.shaft_speed = entries("shaft_speed", &speed, &[jets])?;
             sample.foot_wrenches = feet.chunks_exact(6).map(Vector6::from_column_slice).collect();
         }
         if let Some(forces) = link_forces {
@@ -239,11 +248,12 @@ impl Flight {
 }
 
 fn measurement_dict<'py>(py: Python<'py>, measurement: &Measurement<'_>) -> PyResult<Bound<'py, PyDict>> {
-    let Measurement { time, state, thrust, wind, foot_wrenches } = measurement;
+    let Measurement { time, state, thrust, shaft_speed, wind, foot_wrenches } = measurement;
     let out = PyDict::new(py);
     out.set_item("time", *time)?;
     out.set_item("state", state_arrays(py, state)?)?;
     out.set_item("thrust", vector(py, thrust)?)?;
+    out.set_item("shaft_speed", vector(py, shaft_speed)?)?;
     out.set_item("wind", vector(py, wind.as_slice())?)?;
     let wrenches = foot_wrenches.iter().flatten().copied().collect();
     out.set_item("foot_wrenches", crate::arrays::array(py, &[foot_wrenches.len(), 6], wrenches)?)?;

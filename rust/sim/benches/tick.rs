@@ -132,6 +132,7 @@ fn standing_tick_times() -> Result<Replays, BuildError> {
                 time,
                 state: &measured,
                 thrust: &thrust,
+                shaft_speed: &[],
                 wind: tick.wind,
                 foot_wrenches: &tick.feet,
             };

@@ -60,7 +60,14 @@ fn own_loop(config: &ScenarioConfig) -> Result<(), Box<dyn Error>> {
     let measure =
         |plant: &Plant, time| (time, plant.state().clone(), plant.jets().thrust_feedback().to_vec());
     let (time, robot_state, thrust) = measure(&plant, 0.0);
-    let first = Measurement { time, state: &robot_state, thrust: &thrust, wind, foot_wrenches: &[] };
+    let first = Measurement {
+        time,
+        state: &robot_state,
+        thrust: &thrust,
+        wind,
+        foot_wrenches: &[],
+        shaft_speed: &[],
+    };
     let mut state = controller.start(&first)?; // position, attitude and posture become the reference
 
     for tick in 0..200 {
@@ -114,8 +121,14 @@ fn own_task(config: &ScenarioConfig) -> Result<(), Box<dyn Error>> {
 
     let thrust = plant.jets().thrust_feedback().to_vec();
     let wind = Vector3::zeros();
-    let measurement =
-        Measurement { time: 0.0, state: plant.state(), thrust: &thrust, wind, foot_wrenches: &[] };
+    let measurement = Measurement {
+        time: 0.0,
+        state: plant.state(),
+        thrust: &thrust,
+        wind,
+        foot_wrenches: &[],
+        shaft_speed: &[],
+    };
     let mut state = controller.start(&measurement)?;
     let command = controller.tick(&mut state, &measurement);
     println!("first joint asked to turn at {:.3} rad/s", command.joint_velocity[0]);

@@ -73,6 +73,9 @@ pub enum ThrustFeedback {
     Measured,
     /// The estimate of the [`ThrustEkf`].
     Estimated,
+    /// None but the speed of the shaft; errors of thrust sensors and their outages are then those of the thrust at this
+    /// speed.
+    Speed,
 }
 
 /// One second-order jet: the engine, its throttle loop and its estimator.
@@ -151,6 +154,10 @@ impl Jets {
                 let expected = "none beside simulator.jets.shaft";
                 return Err(BuildError::bad_value("simulator.jets.engines", format!("{names:?}"), expected));
             }
+        }
+        if config.feedback == ThrustFeedback::Speed && config.shaft.is_none() {
+            let expected = "measured or estimated without simulator.jets.shaft";
+            return Err(BuildError::bad_value("simulator.jets.feedback", "speed", expected));
         }
         let jets: Vec<ThrottledEngine> = jets
             .iter()
@@ -272,6 +279,19 @@ impl Jets {
             Dynamics::SecondOrder { feedback: ThrustFeedback::Estimated, .. } => &self.estimate,
             _ => &self.thrust,
         }
+    }
+
+    /// Engines whose speed the flight controller receives in place of the thrust, by jet; empty if it does not.
+    #[must_use]
+    pub fn measured_shafts(&self) -> Vec<Shaft> {
+        let Dynamics::SecondOrder { jets, feedback: ThrustFeedback::Speed } = &self.dynamics else {
+            return Vec::new();
+        };
+        let shaft = |jet: &ThrottledEngine| match jet.engine.model() {
+            EngineModel::Shaft(shaft) => Some(*shaft),
+            EngineModel::SecondOrder(_) => None,
+        };
+        jets.iter().filter_map(shaft).collect()
     }
 
     /// True thrust rate \[N/s\] of each jet; for ideal dynamics the last command, or zero at zero thrust.

@@ -12,6 +12,7 @@ use crate::wind::Wind;
 use flight_core::control::between::JointMeasurement;
 use flight_core::control::{Measurement, OwnedMeasurement, Preview};
 use flight_core::error::BuildError;
+use flight_core::jets::Shaft;
 use flight_core::kinematics::RobotState;
 use flight_core::robot::RobotModel;
 use nalgebra::{Vector3, Vector6};
@@ -26,18 +27,22 @@ pub struct Measuring {
     /// Errors of the measured wind; `None` without errors.
     wind_estimator: Option<WindEstimator>,
     outages: Outages,
+    /// Engines whose speed is measured in place of the thrust; empty for none.
+    shafts: Vec<Shaft>,
     /// Measurement of the tick.
     sample: OwnedMeasurement,
 }
 
 impl Measuring {
-    /// Measures `robot` as configured; `wind` is the simulated one, `feet` the number of feet of the controller.
+    /// Measures `robot` as configured, and the speeds of these `shafts`; `wind` is the simulated one, `feet` the number of
+    /// feet of the controller.
     ///
     /// # Errors
     /// [`BuildError`] naming the invalid part of the configuration.
     pub fn new(
         config: &ScenarioConfig,
         robot: &RobotModel,
+        shafts: Vec<Shaft>,
         wind: &Wind,
         feet: usize,
     ) -> Result<Self, BuildError> {
@@ -59,6 +64,7 @@ impl Measuring {
             wind_estimator: disturbances.wind_estimate.as_ref().map(estimator).transpose()?,
             controller_wind,
             outages: Outages::new(&disturbances.outages, &robot.jets)?,
+            shafts,
             sample: OwnedMeasurement::zero(joints, jets, feet),
         })
     }
@@ -84,6 +90,11 @@ impl Measuring {
         self.sample.state.copy_from(seen);
         self.sample.thrust.copy_from_slice(thrust);
         self.outages.spoil(time, &mut self.sample);
+        let OwnedMeasurement { thrust, shaft_speed, .. } = &mut self.sample;
+        for ((thrust, speed), shaft) in thrust.iter_mut().zip(shaft_speed).zip(&self.shafts) {
+            *speed = if thrust.is_finite() { shaft.speed(*thrust) } else { f64::NAN };
+            *thrust = f64::NAN;
+        }
     }
 
     /// Measures the joints of a robot `after` the tick at `time` \[s\].

@@ -68,11 +68,12 @@ pub fn replay(config: &ScenarioConfig, log: &FlightLog) -> Result<FlightLog, Bui
                 foot_wrenches[*foot] = Vector6::from_column_slice(wrench);
             }
         }
-        let thrust = read("raw_thrust", jets);
+        let (thrust, shaft_speed) = (read("raw_thrust", jets), read("raw_shaft_speed", jets));
         let measurement = Measurement {
             time: read("time", 1)[0],
             state: &robot,
             thrust: &thrust,
+            shaft_speed: &shaft_speed,
             wind: Vector3::from_column_slice(&read("raw_wind", 3)),
             foot_wrenches: &foot_wrenches,
         };

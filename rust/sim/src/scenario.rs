@@ -70,7 +70,8 @@ impl Scenario {
         let wind = Wind::new(&config.wind)?;
         let judge = Judge::new(&config.simulator);
         let controller = config.controller(robot)?;
-        let measuring = Measuring::new(config, plant.robot(), &wind, controller.model().feet.len())?;
+        let (shafts, feet) = (plant.jets().measured_shafts(), controller.model().feet.len());
+        let measuring = Measuring::new(config, plant.robot(), shafts, &wind, feet)?;
         let n_ticks = config.simulator.n_ticks();
         Ok(Self { plant, world: None, controller, wind, measuring, judge, time_step, n_ticks })
     }

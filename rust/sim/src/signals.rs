@@ -229,7 +229,7 @@ const WRENCH: &str = "N (force), N m (moment)";
 
 /// All signals. Joint quantities are in the units of revolute joints; for prismatic ones replace rad by m
 /// and N m by N.
-pub static SIGNALS: [Signal; 51] = [
+pub static SIGNALS: [Signal; 52] = [
     tick("time", TIME, "s", "time", |row, out| out.push(row.measurement.time)),
     world("base_position", XYZ, "m", "position of the base origin, inertial frame", |row, out| {
         out.extend(&row.plant.state().base.position);
@@ -380,6 +380,16 @@ pub static SIGNALS: [Signal; 51] = [
     tick("raw_thrust", JET, "N", "thrust of each jet in that measurement", |row, out| {
         out.extend(row.measurement.thrust);
     }),
+    tick(
+        "raw_shaft_speed",
+        JET,
+        "1",
+        "speed of the shaft of each jet in that measurement, a share of the full speed",
+        |row, out| {
+            let Measurement { thrust, shaft_speed, .. } = row.measurement;
+            out.extend((0..thrust.len()).map(|jet| shaft_speed.get(jet).unwrap_or(&f64::NAN)));
+        },
+    ),
     tick("raw_wind", XYZ, "m s-1", "wind velocity in that measurement, inertial frame", |row, out| {
         out.extend(&row.measurement.wind);
     }),

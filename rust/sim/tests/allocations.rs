@@ -61,7 +61,8 @@ fn assert_no_allocations(
         in_plant += allocations(|| flight.plant.observe(&blow));
         let thrust = flight.plant.jets().thrust_feedback();
         let (time, state) = (tick as f64 * 0.01, flight.plant.state());
-        let measurement = Measurement { time, state, thrust, wind: blow, foot_wrenches: &[] };
+        let measurement =
+            Measurement { time, state, thrust, wind: blow, foot_wrenches: &[], shaft_speed: &[] };
         let of_this_tick = allocations(|| {
             flight.controller.tick(&measurement);
         });
@@ -258,7 +259,8 @@ fn a_tick_on_the_ground_does_not_allocate() {
             state.velocity[6 + 15] = 0.1 * phase.cos();
             let foot = Vector6::new(0.0, 0.0, carried, 3.0 * phase.sin(), -1.2, 0.0);
             let (wind, foot_wrenches) = (2.0 * SIDE, &[foot, foot]);
-            let measurement = Measurement { time, state: &state, thrust: &thrust, wind, foot_wrenches };
+            let measurement =
+                Measurement { time, state: &state, thrust: &thrust, shaft_speed: &[], wind, foot_wrenches };
             let of_this_tick = allocations(|| {
                 controller.tick(&measurement);
             });

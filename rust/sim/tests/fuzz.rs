@@ -155,6 +155,7 @@ fn assert_ticks(scenario: &ScenarioConfig, robot: RobotModel) {
         time: f64::from(tick) * scenario.simulator.time_step,
         state: &state,
         thrust: &thrust,
+        shaft_speed: &[],
         wind,
         foot_wrenches: &feet,
     };

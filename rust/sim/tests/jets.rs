@@ -4,9 +4,11 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::engines::{engines, model};
-use crate::common::{assert_says, assert_within, relative};
+use crate::common::{assert_says, assert_within, experiment, relative};
+use flight_core::jets::ShaftConfig;
 use flight_core::robot::{Frame, Jet};
 use flight_core::spatial::Pose;
+use flight_sim::Scenario;
 use flight_sim::disturbances::JetFaultsConfig;
 use flight_sim::jets::{Jets, JetsConfig, SecondOrderConfig, ThrustFeedback};
 use flight_sim::turbine::TurbineConfig;
@@ -266,4 +268,31 @@ fn unknown_keys_are_refused() {
     }
     let config: JetsConfig = toml::from_str("dynamics = 'second_order'").unwrap();
     assert_eq!(config, second_order(|_| {}));
+}
+
+/// A controller is given the speed in place of the thrust, and has the thrust from it; engines without a shaft have none.
+#[test]
+fn feedback_may_be_the_speed_of_the_shaft() {
+    let mut config = experiment("robot");
+    let shaft: ShaftConfig = toml::from_str(
+        "idle = 0.3\nramps = [0.1, 0.1]\nlags = [1.2, 1.6]\naccelerations = [0.1, 0.4]\nexponent = 2.0\nsquare_share = 0.1",
+    )
+    .unwrap();
+    let speeds = |shaft| second_order(|c| (c.feedback, c.shaft) = (ThrustFeedback::Speed, shaft));
+    config.simulator.sensors = None;
+    config.simulator.jets = speeds(None);
+    assert_says(
+        &Scenario::new(&config).unwrap_err(),
+        &["simulator.jets.feedback", "without simulator.jets.shaft"],
+    );
+    config.simulator.jets = speeds(Some(shaft));
+    config.controller.law.shaft = Some(shaft);
+    let mut flight = Scenario::new(&config).unwrap().begin();
+    let seen = flight.measurement();
+    assert!(seen.thrust.iter().all(|thrust| thrust.is_nan()));
+    assert!(seen.shaft_speed.iter().all(|speed| (0.5..0.9).contains(speed)));
+    let _ = flight.try_tick();
+    for (used, thrust) in flight.controller().terms().measurement.thrust.iter().zip(HOVER) {
+        assert_within!(relative(*used, thrust), 1e-12);
+    }
 }

@@ -84,7 +84,8 @@ fn a_log_at_the_rate_of_the_torques_has_a_tick_of_the_law_in_every_tenth_row() {
         state.velocity.copy_from_slice(&[rows("raw_base_velocity", row), velocity].concat());
         let (thrust, wind) = (rows("raw_thrust", row), Vector3::from_vec(rows("raw_wind", row)));
         let time = rows("time", row)[0];
-        let measurement = Measurement { time, state: &state, thrust: &thrust, wind, foot_wrenches: &[] };
+        let measurement =
+            Measurement { time, state: &state, thrust: &thrust, wind, foot_wrenches: &[], shaft_speed: &[] };
         let memory = memory.get_or_insert_with(|| controller.start(&measurement).unwrap());
         let torque = controller.tick(memory, &measurement).joint_torque.as_slice();
         assert_eq!(torque, replayed.series("joint_torque").unwrap().row(row / 10), "row {row}");

@@ -299,6 +299,7 @@ impl Guard {
             thrust: thrust[jet],
             innovation: thrust_innovation[jet],
             is_measured,
+            is_of_speed: self.channels.is_of_speed[jet],
             command: channels.thrust_rate[jet],
         };
         let residual = observer.as_ref().filter(|_| *has_momentum).map(|of| (&momentum.a_t, &of.residual));

@@ -12,8 +12,11 @@ pub struct Measurement<'a> {
     pub time: f64,
     /// Pose and velocity of the robot.
     pub state: &'a RobotState,
-    /// Thrust of every jet \[N\].
+    /// Thrust of every jet \[N\], which is used where the speed of its shaft is not measured.
     pub thrust: &'a [f64],
+    /// Speed of the shaft of every jet, a share of the full speed; NaN where it is not measured, or empty. Only a
+    /// controller with `shaft` reads it: the thrust follows from it.
+    pub shaft_speed: &'a [f64],
     /// Velocity of the air \[m/s, inertial axes\].
     pub wind: Vector3<f64>,
     /// Wrench on each foot about the origin of its sole, force first \[N, N m, inertial axes\], in the order of the
@@ -28,6 +31,8 @@ pub struct OwnedMeasurement {
     pub state: RobotState,
     /// Thrust of every jet \[N\].
     pub thrust: Vec<f64>,
+    /// Speed of the shaft of every jet, a share of the full speed; NaN where it is not measured.
+    pub shaft_speed: Vec<f64>,
     /// Velocity of the air \[m/s, inertial axes\].
     pub wind: Vector3<f64>,
     /// Wrench on each of the controller's feet \[N, N m\].
@@ -35,12 +40,13 @@ pub struct OwnedMeasurement {
 }
 
 impl OwnedMeasurement {
-    /// Zeros.
+    /// Zeros, without speeds of shafts.
     #[must_use]
     pub fn zero(joints: usize, jets: usize, feet: usize) -> Self {
         Self {
             state: RobotState::zero(joints),
             thrust: vec![0.0; jets],
+            shaft_speed: vec![f64::NAN; jets],
             wind: Vector3::zeros(),
             foot_wrenches: vec![Vector6::zeros(); feet],
         }
@@ -49,8 +55,8 @@ impl OwnedMeasurement {
     /// That of a tick at `time` \[s\].
     #[must_use]
     pub fn at(&self, time: f64) -> Measurement<'_> {
-        let Self { state, thrust, wind, foot_wrenches } = self;
-        Measurement { time, state, thrust, wind: *wind, foot_wrenches }
+        let Self { state, thrust, shaft_speed, wind, foot_wrenches } = self;
+        Measurement { time, state, thrust, shaft_speed, wind: *wind, foot_wrenches }
     }
 }
 

@@ -84,6 +84,13 @@ impl Shaft {
         Ok(Self { k, root_theta: theta.sqrt(), delta: k.density / STANDARD.0 * theta, thrust_max })
     }
 
+    /// The same engine with ramps that are `scale` times as fast.
+    #[must_use]
+    pub(crate) fn with_ramps(mut self, scale: f64) -> Self {
+        self.k.ramps = self.k.ramps.map(|ramp| scale * ramp);
+        self
+    }
+
     /// Thrust \[N\] at a speed (M176).
     #[must_use]
     pub fn thrust(&self, speed: f64) -> f64 {

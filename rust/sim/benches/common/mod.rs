@@ -35,6 +35,7 @@ impl Tick {
             time: self.time,
             state: &self.state,
             thrust: &self.thrust,
+            shaft_speed: &[],
             wind: self.wind,
             foot_wrenches: &self.feet,
         }
@@ -75,7 +76,8 @@ fn fly(
         let wind = wind_profile.velocity(time);
         plant.observe(&wind);
         let thrust = plant.jets().thrust_feedback();
-        let measurement = Measurement { time, state: plant.state(), thrust, wind, foot_wrenches: &feet };
+        let (robot, foot_wrenches) = (plant.state(), &feet[..]);
+        let measurement = Measurement { time, state: robot, thrust, shaft_speed: &[], wind, foot_wrenches };
         let Some(state) = begin_flight(&mut controller, &mut state, &measurement) else { break };
         controller.tick(state, &measurement);
         visit(&controller, &measurement);
@@ -232,7 +234,8 @@ pub fn standing_ticks() -> Result<Vec<StandingTick>, BuildError> {
         let shift = 60.0 * time.sin();
         let feet = [shift, -shift].map(|shift| Vector6::new(0.0, 0.0, 212.5 + shift, 0.5, -1.2, 0.0));
         let wind = Vector3::new(0.0, -1.5 * time, 0.0);
-        let measurement = Measurement { time, state: &state, thrust: &thrust, wind, foot_wrenches: &feet };
+        let (thrust, foot_wrenches) = (&thrust, &feet);
+        let measurement = Measurement { time, state: &state, thrust, shaft_speed: &[], wind, foot_wrenches };
         let Some(memory) = begin_flight(&mut controller, &mut memory, &measurement) else { break };
         controller.tick(memory, &measurement);
         let torque_qp = controller.terms().torque_qp.problem.clone();

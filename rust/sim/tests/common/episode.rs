@@ -249,6 +249,7 @@ impl Episode {
         let sample = OwnedMeasurement {
             state: plant.state().clone(),
             thrust: plant.jets().thrust_feedback().to_vec(),
+            shaft_speed: Vec::new(),
             wind: random_vector(&mut rng, speed),
             foot_wrenches: vec![Vector6::new(0.0, 0.0, 200.0, 0.0, 0.0, 0.0); controller.model().feet.len()],
         };
@@ -322,7 +323,8 @@ impl Episode {
         let mut duration = Duration::ZERO;
         let allocated = allocations(|| {
             let OwnedMeasurement { state: seen, wind, .. } = sample;
-            let measurement = Measurement { time, state: seen, thrust, wind: *wind, foot_wrenches };
+            let measurement =
+                Measurement { time, state: seen, thrust, shaft_speed: &[], wind: *wind, foot_wrenches };
             let begin = Instant::now();
             let setpoint = given.as_ref();
             controller.tick_with(state, &measurement, &Given { setpoint, preview, ..Given::default() });

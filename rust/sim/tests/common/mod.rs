@@ -115,7 +115,7 @@ pub fn move_state(state: &RobotState, time: f64) -> RobotState {
 
 /// A measurement in still air, without feet.
 pub fn at<'a>(time: f64, state: &'a RobotState, thrust: &'a [f64]) -> Measurement<'a> {
-    Measurement { time, state, thrust, wind: Vector3::zeros(), foot_wrenches: &[] }
+    Measurement { time, state, thrust, wind: Vector3::zeros(), foot_wrenches: &[], shaft_speed: &[] }
 }
 
 /// A measurement that owns its parts.
@@ -130,7 +130,7 @@ pub struct Sample {
 impl Sample {
     pub fn measurement(&self) -> Measurement<'_> {
         let Self { time, state, thrust, wind } = self;
-        Measurement { time: *time, state, thrust, wind: *wind, foot_wrenches: &[] }
+        Measurement { time: *time, state, thrust, wind: *wind, foot_wrenches: &[], shaft_speed: &[] }
     }
 }
 
@@ -211,7 +211,14 @@ impl Loop {
         let time = self.tick as f64 * TIME_STEP;
         let thrust = self.plant.jets().thrust_feedback();
         let state = self.plant.state();
-        self.controller.tick(&Measurement { time, state, thrust, wind: *wind, foot_wrenches: &[] });
+        self.controller.tick(&Measurement {
+            time,
+            state,
+            thrust,
+            wind: *wind,
+            foot_wrenches: &[],
+            shaft_speed: &[],
+        });
     }
 
     /// An exact measurement of the plant.

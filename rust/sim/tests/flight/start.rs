@@ -37,7 +37,8 @@ fn fly(
             (state, thrust) = (reading.state, reading.thrust);
         }
         spoil(tick, &mut state);
-        let measurement = Measurement { time, state: &state, thrust: &thrust, wind, foot_wrenches: &[] };
+        let measurement =
+            Measurement { time, state: &state, thrust: &thrust, wind, foot_wrenches: &[], shaft_speed: &[] };
         let command = flight.controller.tick(&measurement).clone();
         modes.push(command.modes);
         let errors = TrackingErrors::new(&flight.plant, &flight.controller.terms().setpoint);

@@ -29,7 +29,7 @@ pub use state::ChannelsState;
 use crate::control::greatest;
 use crate::control::measurement::{BadStart, Measurement, Reading, UsedMeasurement};
 use crate::control::modes::Modes;
-use crate::jets::JetModel;
+use crate::jets::{EngineModel, JetModel};
 use crate::robot::RobotModel;
 use crate::spatial::{exp_so3, is_rotation, vee_of_skew_part};
 use crate::timing::share;
@@ -66,6 +66,9 @@ pub struct Channels {
     /// Places of the linear and the angular velocity of the base among them.
     velocities: [usize; 2],
     jets: Vec<JetModel>,
+    engines: Vec<EngineModel>,
+    /// Whether each thrust in `now` is that of a measured speed.
+    pub(super) is_of_speed: Vec<bool>,
     greatest: Vec<f64>,
     jump: Vec<f64>,
     /// Whether joint velocities must be measured; a joint observer estimates them from positions.
@@ -129,6 +132,8 @@ impl Channels {
             entries: entries.map(|(kind, range)| Entry { kind, range }).collect(),
             velocities: [jets + 2, jets + 3],
             jets: models,
+            engines: robot.jets.iter().map(|jet| jet.engine).collect(),
+            is_of_speed: vec![false; jets],
             greatest,
             jump,
             needs_joint_velocity,
@@ -143,6 +148,7 @@ impl Channels {
         measurement.state.n_joints() == joints
             && measurement.state.velocity.len() == 6 + joints
             && measurement.thrust.len() == self.layout.thrust.len()
+            && [0, measurement.thrust.len()].contains(&measurement.shaft_speed.len())
             && (feet == 0 || measurement.foot_wrenches.len() == feet)
     }
 
@@ -171,8 +177,13 @@ impl Channels {
         if !time_is_plausible(measurement.time) {
             return bad("time", measurement.time, "0 to 1e9 s");
         }
-        self.layout.read(measurement, &mut self.now);
-        self.fill_joint_velocity();
+        let mut speeds = measurement.shaft_speed.iter().zip(&self.engines);
+        if let Some((speed, _)) =
+            speeds.find(|(speed, engine)| !speed.is_nan() && !matches!(engine, EngineModel::Shaft(_)))
+        {
+            return bad("shaft_speed", *speed, "NaN, or none, without controller.shaft");
+        }
+        self.read(measurement);
         let wind = &mut self.now[self.layout.wind.clone()];
         if !wind.iter().all(|x| x.is_finite()) {
             wind.fill(0.0); // not measured: still air until it is
@@ -240,14 +251,14 @@ impl Channels {
         measurement: &Measurement,
         used: &mut UsedMeasurement,
     ) {
-        self.layout.read(measurement, &mut self.now);
-        self.fill_joint_velocity();
+        self.read(measurement);
         self.take_in(state, measurement.time, used);
     }
 
     /// As [`Self::update`], for a measurement at `time` \[s\] that does not fit: nothing is measured.
     pub fn update_unmeasured(&mut self, state: &mut ChannelsState, time: f64, used: &mut UsedMeasurement) {
         self.now.fill(f64::NAN);
+        self.is_of_speed.fill(false);
         self.take_in(state, time, used);
     }
 
@@ -478,13 +489,29 @@ impl Channels {
     pub fn replace(&mut self, estimate: &mut Reading, used: &mut UsedMeasurement) {
         let Reading { state, thrust } = &*estimate;
         let (time, wind, foot_wrenches) = (used.time, used.wind, &used.foot_wrenches);
-        self.layout.read(&Measurement { time, state, thrust, wind, foot_wrenches }, &mut self.now);
+        let measurement = Measurement { time, state, thrust, shaft_speed: &[], wind, foot_wrenches };
+        self.layout.read(&measurement, &mut self.now);
         if is_within(&self.now, &self.greatest) {
             used.state.copy_from(state);
             used.thrust.copy_from_slice(thrust);
         } else {
             estimate.copy(&used.state, &used.thrust);
         }
+    }
+
+    /// Reads the numbers of a measurement; where the speed of a shaft is measured, the thrust is that of it (M176).
+    fn read(&mut self, measurement: &Measurement) {
+        self.layout.read(measurement, &mut self.now);
+        self.is_of_speed.fill(false);
+        let thrusts = self.now[self.layout.thrust.clone()].iter_mut().zip(&mut self.is_of_speed);
+        for (((thrust, is_of_speed), engine), speed) in
+            thrusts.zip(&self.engines).zip(measurement.shaft_speed)
+        {
+            if let (EngineModel::Shaft(shaft), true) = (engine, *speed >= 0.0) {
+                (*thrust, *is_of_speed) = (shaft.thrust(*speed), true);
+            }
+        }
+        self.fill_joint_velocity();
     }
 
     /// Sets joint velocities that are neither needed nor measured to zero.

@@ -11,7 +11,10 @@
 //! its sensor is wrong. Wrong sensors add `−d` times their jets' columns of `A_T` to the residual of the momentum,
 //! engines add nothing; several that deviate at once are one or the other together. The thrust at which an engine
 //! stops becomes a bound on its commanded thrust, and an engine whose bounds are close together is lost. Equations
-//! M105, M106 and M144 of `docs/model`.
+//! M105, M106, M144 and M177 of `docs/model`.
+//!
+//! Where the speed of a shaft is measured, it alone judges the engine: a deviation beyond that of engines whose ramps are
+//! slower and faster than known is the engine's, whatever the momentum shows.
 
 use super::observer::residual_share;
 use crate::control::law::attitude::MomentumGains;
@@ -27,6 +30,9 @@ use serde::{Deserialize, Serialize};
 /// Lever arm that makes a force comparable with a moment \[m\]: that of the air that no model contains. Gyroscopes are
 /// less noisy than velocities, and aerodynamic forces change more than their moments.
 const FORCE_ARM: f64 = 0.04;
+
+/// Ramps of a healthy engine, relative to those known.
+const RAMPS: [f64; 2] = [0.7, 1.3];
 
 /// When an engine counts as not reaching its thrust, and when as lost.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -113,11 +119,16 @@ pub struct EngineState {
     rate: f64,
     /// `l` \[N\].
     pub lag: f64,
+    /// Thrust rates of engines of the shaft's speed with the ramps that are known, slower and faster ones \[N/s\], and what
+    /// the last two deviate from the first \[N\].
+    ramping: ([f64; 3], [f64; 2]),
     /// `Σ d l` and `Σ l²`, which give `λ` \[N²\].
     fit: [f64; 2],
     /// The part of `d` outside `[0, λ l]` after the first lag and after both, `d̄`, as late as the momentum's force
     /// and as its moment \[N\].
     late: [[f64; 2]; 2],
+    /// Whether the speed of its shaft is measured, which judges it.
+    is_of_speed: bool,
     /// Whether the part of `d` outside exceeds half of its limit: the thrust may not be the one that is used.
     pub is_doubted: bool,
     /// For how long `|d̄|` has exceeded its limit.
@@ -135,6 +146,8 @@ pub struct EngineSample {
     pub innovation: f64,
     /// Whether all thrusts are measured: otherwise how engines follow their commands is not learnt.
     pub is_measured: bool,
+    /// Whether the thrust is that of a measured speed: then the momentum is not asked.
+    pub is_of_speed: bool,
     /// The thrust rate that was commanded since the last tick \[N/s\].
     pub command: f64,
 }
@@ -145,8 +158,10 @@ impl Default for EngineState {
             deviation: 0.0,
             rate: 0.0,
             lag: 0.0,
+            ramping: Default::default(),
             fit: [0.0; 2],
             late: [[0.0; 2]; 2],
+            is_of_speed: false,
             is_doubted: false,
             suspected: Exceeded::default(),
             range: (0.0, f64::INFINITY),
@@ -174,15 +189,25 @@ impl EngineState {
     pub fn update(
         &mut self,
         config: &EnginesConfig,
-        model: Option<&EngineModel>,
+        models: &Models,
         dt: f64,
         sample: EngineSample,
         momentum_shares: Option<[f64; 2]>,
     ) {
-        let EngineSample { thrust, innovation, is_measured, command } = sample;
+        let EngineSample { thrust, innovation, is_measured, is_of_speed, command } = sample;
         let kept = libm::exp(-dt / config.time_constant);
         self.deviation = kept * self.deviation + innovation;
-        if let Some(model) = model {
+        self.is_of_speed = is_of_speed;
+        if let Some(shafts) = &models.ramping {
+            let (rates, band) = &mut self.ramping;
+            let before = *rates;
+            for (rate, shaft) in rates.iter_mut().zip(shafts) {
+                *rate = shaft.nearest_rate(thrust, *rate, command, dt);
+            }
+            let mean: [f64; 3] = std::array::from_fn(|of| 0.5 * (before[of] + rates[of]));
+            *band = std::array::from_fn(|of| kept * band[of] + dt * (mean[1 + of] - mean[0]));
+        }
+        if let Some(model) = &models.lagging {
             let rate = model.nearest_rate(thrust, self.rate, command, dt);
             self.lag = kept * self.lag + dt * (0.5 * (self.rate + rate) - command);
             self.rate = rate;
@@ -195,17 +220,26 @@ impl EngineState {
         }
         let [d_l, l_l] = self.fit.map(|sum| half * half + sum);
         let lag = self.lag * (d_l / l_l).clamp(0.0, 1.0);
-        let outside = self.deviation - self.deviation.max(lag.min(0.0)).min(lag.max(0.0));
+        let (_, [slower, faster]) = self.ramping;
+        let (least, greatest) = (lag.min(slower).min(faster).min(0.0), lag.max(slower).max(faster).max(0.0));
+        let outside = self.deviation - self.deviation.max(least).min(greatest);
         self.is_doubted = outside.abs() > half;
-        let Some(shares) = momentum_shares else {
-            (self.late, self.suspected) = ([[0.0; 2]; 2], Exceeded::default());
-            return;
-        };
-        for ([estimated, late], share) in self.late.iter_mut().zip(shares) {
-            *estimated += share * (outside - *estimated);
-            *late += residual_share(dt) * (*estimated - *late);
+        match momentum_shares {
+            _ if is_of_speed => self.late = [[outside; 2]; 2],
+            None => {
+                (self.late, self.suspected) = ([[0.0; 2]; 2], Exceeded::default());
+                return;
+            }
+            Some(shares) => {
+                for ([estimated, late], share) in self.late.iter_mut().zip(shares) {
+                    *estimated += share * (outside - *estimated);
+                    *late += residual_share(dt) * (*estimated - *late);
+                }
+            }
         }
-        self.suspected.update(self.late()[1].abs() > config.deviation_max, dt);
+        // Nothing else can have moved a measured speed.
+        let greatest = if is_of_speed { half } else { config.deviation_max };
+        self.suspected.update(self.late()[1].abs() > greatest, dt);
     }
 
     /// `d̄` \[N\], as late as the momentum's force and as its moment.
@@ -215,7 +249,7 @@ impl EngineState {
 
     /// Whether the sensor may be wrong: half of the limit is enough beside another one.
     fn is_suspect(&self, config: &EnginesConfig) -> bool {
-        !self.is_limited() && 2.0 * self.late()[1].abs() > config.deviation_max
+        !self.is_limited() && !self.is_of_speed && 2.0 * self.late()[1].abs() > config.deviation_max
     }
 
     /// Narrows the range by the thrust \[N\] at which the engine stopped.
@@ -226,14 +260,35 @@ impl EngineState {
     }
 }
 
+/// What a healthy engine may do beside the prediction.
+#[derive(Debug, Clone)]
+pub struct Models {
+    /// An engine that the predictions do not contain.
+    lagging: Option<EngineModel>,
+    /// An engine of the shaft's speed: as known, and with slower and faster ramps.
+    ramping: Option<[EngineModel; 3]>,
+}
+
+impl Models {
+    fn new(engine: EngineModel, dynamics: JetDynamics) -> Self {
+        let ramping = match engine {
+            EngineModel::Shaft(shaft) => {
+                let [slower, faster] = RAMPS.map(|scale| EngineModel::Shaft(shaft.with_ramps(scale)));
+                Some([engine, slower, faster])
+            }
+            EngineModel::SecondOrder(_) => None,
+        };
+        Self { lagging: (dynamics == JetDynamics::Ideal).then_some(engine), ramping }
+    }
+}
+
 /// Monitors of all engines of a robot, and the limits of the law that follow from them.
 #[derive(Debug, Clone)]
 pub struct Engines {
     config: EnginesConfig,
     /// Fractions of a change of force and moment that appear in the estimated momentum per tick, 1 where measured.
     momentum_shares: [f64; 2],
-    /// Engines that the predictions do not contain, by jet.
-    models: Vec<Option<EngineModel>>,
+    models: Vec<Models>,
     usual: Limits,
     /// Limits after the loss of an engine.
     descending: Option<(DescentConfig, Limits)>,
@@ -249,8 +304,7 @@ impl Engines {
         momentum_shares: [f64; 2],
         dynamics: JetDynamics,
     ) -> Self {
-        let is_ideal = dynamics == JetDynamics::Ideal;
-        let models = robot.jets.iter().map(|jet| is_ideal.then_some(jet.engine)).collect();
+        let models = robot.jets.iter().map(|jet| Models::new(jet.engine, dynamics)).collect();
         let joints = robot.joints.iter();
         let descending = |descent: DescentConfig| Limits {
             gains: descent.momentum,
@@ -286,11 +340,14 @@ impl Engines {
     ) {
         let Self { config, models, .. } = self;
         let shares = (momentum.is_some() || is_between).then_some(self.momentum_shares);
-        for (jet, (engine, model)) in engines.iter_mut().zip(models).enumerate() {
-            engine.update(config, model.as_ref(), dt, samples(jet), shares);
+        let is_confirmed = |engine: &EngineState| engine.suspected.has_lasted(config.confirmation, dt);
+        for (jet, (engine, models)) in engines.iter_mut().zip(models).enumerate() {
+            engine.update(config, models, dt, samples(jet), shares);
+            if engine.is_of_speed && is_confirmed(engine) {
+                engine.narrow(samples(jet).thrust);
+            }
         }
         let Some((a_t, residual)) = momentum else { return };
-        let is_confirmed = |engine: &EngineState| engine.suspected.has_lasted(config.confirmation, dt);
         if !engines.iter().any(is_confirmed) {
             return;
         }
