@@ -1109,7 +1109,8 @@ fn the_torque_law_integrates_after_use() {
 #[test]
 fn torques_overcome_the_friction_of_the_drives() {
     let mut config = experiment("test2");
-    let sample = Sample { state: random_state(&mut rng(5), &robot()), ..Sample::start(&config) };
+    let (mut sample, mut rng) = (Sample::start(&config), rng(5));
+    sample.state.velocity.iter_mut().for_each(|v| *v = rng.random_range(-0.1..0.1));
     let plain = sample.tick(&mut controller(&config)).clone();
     config.controller.law.torque.friction = Some([("left_arm".into(), 2.0)].into());
     let mut controller = controller(&config);

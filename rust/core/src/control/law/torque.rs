@@ -163,14 +163,13 @@ impl TorqueQp {
         (missing / gain[joint]).clamp(-self.torque_max[joint], self.torque_max[joint])
     }
 
-    /// Builds the QP. `free` are the accelerations of base and joints without `u`, `M⁻¹ (Σ Jᵀ T a + J_aᵀ f_a − h)`, and `friction` is `F`.
+    /// Builds the QP. `free` are the accelerations of base and joints without `u`, `M⁻¹ (Σ Jᵀ T a + J_aᵀ f_a − h − S F)`.
     pub fn update(
         &mut self,
         contact: &Contact,
         contact_state: &ContactState,
         inverse_mass: &InverseMass,
         free: &DVector<f64>,
-        friction: &DVector<f64>,
         velocity_error: &DVector<f64>,
         velocity_error_integral: &DVector<f64>,
     ) {
@@ -180,7 +179,6 @@ impl TorqueQp {
         free_feet.copy_from(&contact.velocity_product);
         free_feet.gemv_tr(1.0, &contact.jacobian_transposed, free, 1.0);
         free_joints.copy_from(&free.rows(6, joints));
-        free_joints.gemv(-1.0, &inverse_mass.joint_gain, friction, 1.0);
 
         self.update_gain(contact, contact_state.is_active, inverse_mass);
         self.update_hessian();

@@ -25,6 +25,8 @@ pub struct Torques {
     velocity_error: DVector<f64>,
     /// Dry friction of the drives \[N m\].
     friction: Vec<f64>,
+    /// Accelerations of base and joints without torques, under it.
+    free: DVector<f64>,
     /// Time between two ticks of the torques \[s\].
     period: f64,
 }
@@ -33,7 +35,13 @@ impl Torques {
     /// Torques of `joints` joints, every `period` \[s\].
     #[must_use]
     pub fn new(solver: QpChain, friction: Vec<f64>, period: f64) -> Self {
-        Self { solver, velocity_error: DVector::zeros(friction.len()), friction, period }
+        Self {
+            solver,
+            velocity_error: DVector::zeros(friction.len()),
+            free: DVector::zeros(6 + friction.len()),
+            friction,
+            period,
+        }
     }
 
     /// Computes torques that let the joints follow the commanded velocities.
@@ -51,12 +59,15 @@ impl Torques {
         }
         if inverse_mass.is_known {
             torque_qp.limit(&limits.joints);
+            self.free.fill(0.0);
+            self.free.rows_range_mut(6..).axpy(-1.0, friction, 0.0);
+            inverse_mass.multiply_in_place(&mut self.free);
+            self.free += &*free_acceleration;
             torque_qp.update(
                 contact,
                 &state.contact,
                 inverse_mass,
-                free_acceleration,
-                friction,
+                &self.free,
                 &self.velocity_error,
                 &state.velocity_error_integral,
             );
