@@ -11,7 +11,7 @@
 //! its sensor is wrong. Wrong sensors add `−d` times their jets' columns of `A_T` to the residual of the momentum,
 //! engines add nothing; several that deviate at once are one or the other together. The thrust at which an engine
 //! stops becomes a bound on its commanded thrust, and an engine whose bounds are close together is lost. Equations
-//! M105, M106, M144 and M177 of `docs/model`.
+//! M105, M106, M144 and M176 of `docs/model`.
 //!
 //! Where the speed of a shaft is measured, it alone judges the engine: a deviation beyond that of engines whose ramps are
 //! slower and faster than known is the engine's, whatever the momentum shows.
