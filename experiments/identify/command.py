@@ -116,7 +116,7 @@ def _identify(given: argparse.Namespace) -> None:
         numbers = numbers_of(robot, found.value)
         report = describe(robot, found)
         digest = hashlib.sha256(
-            b"".join(np.ascontiguousarray(log["raw_thrust"]).tobytes() for log in signals)
+            b"".join(np.ascontiguousarray(log[name]).tobytes() for log in signals for name in samples.MEASURED)
         ).hexdigest()
         folder = places.RESULTS / "identify" / (given.named or given.logs[0].stem)
         with complete_folder(folder, replace=given.overwrite) as draft:

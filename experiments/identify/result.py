@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 from numpy.typing import NDArray
 
 from jax_aero import rust
@@ -44,6 +45,12 @@ def write_robot(folder: Path, source: Path, robot: RobotModel, numbers: Numbers,
     return folder / "robot.toml"
 
 
+def frictions(robot: RobotModel, friction: Float[np.ndarray, " n"]) -> dict[str, float]:
+    """Return `controller.torque.friction`: the mean of each group's joints [N m]."""
+    known = np.maximum(np.asarray(friction), 0.0)
+    return {name: float(np.mean(known[list(joints)])) for name, joints in robot.joint_groups}
+
+
 def write_perturbation(folder: Path, deviation: Numbers) -> Path:
     """Write `perturbation.toml`: uniform distributions as wide as what is left unknown, for a sweep or the next log."""
     radians = {"thrust_axis_deg": deviation.thrust_axes, "imu_deg": deviation.imu, "encoders_deg": deviation.encoders}
@@ -61,19 +68,23 @@ def _text(numbers: NDArray[np.float64] | float) -> str:
 
 
 def write_experiment(folder: Path, config: rust.Config, robot: RobotModel, numbers: Numbers) -> Path:
-    """Write `experiment.toml`: the world of a flight with the robot, its drives, sensors and engines as found."""
+    """Write `experiment.toml`: a world with drives, sensors and engines as found; the controller knows the drives."""
     simulator, disturbances = dict(config["simulator"]), dict(config.get("disturbances", {}))
     sensors = dict(simulator.get("sensors") or {})
     sensors["base_rotation"] = sensors.get("base_rotation", {}) | {"bias": np.asarray(numbers.imu).tolist()}
     sensors["joints"] = sensors.get("joints", {}) | {"bias": np.asarray(numbers.encoders).tolist()}
     simulator["sensors"] = sensors
+    controller = config["controller"]
     if simulator.get("motors"):
         friction = np.maximum(np.asarray(numbers.friction), 0.0).tolist()
         of_joints = dict(zip(robot.joint_names, friction, strict=True))
         simulator["motors"] = simulator["motors"] | {"friction_of": of_joints}
+        torque = controller["torque"] | {"friction": frictions(robot, numbers.friction)}
+        controller = controller | {"torque": torque}
     gains = dict(zip(robot.jets.names, (1.0 + np.asarray(numbers.thrust_gain)).tolist(), strict=True))
     disturbances["jets"] = disturbances.get("jets", {}) | {"force_scale": gains}
     disturbances.pop("model_error", None)
-    flown = {**config, "simulator": simulator, "disturbances": disturbances, "robot": "robot.toml"}
+    changed = {"simulator": simulator, "disturbances": disturbances, "controller": controller, "robot": "robot.toml"}
+    flown = {**config, **changed}
     (folder / "experiment.toml").write_text(plain.toml(flown) + "\n", encoding="utf-8")
     return folder / "experiment.toml"

@@ -42,7 +42,7 @@ TAPER = 0.1
 """Share of a log at its ends over which the residual rises and falls."""
 LINEARISED, WEIGHED = 2, 5
 """How often the residual is linearised, and its noise estimated for each: the residual is nearly linear."""
-UNMODELLED = (2.0, 0.4, 1.0)
+UNMODELLED = (1.4, 0.3, 0.7)
 """Deviation, in every sample, of forces and moments on the base and of torques that no number explains [N, N m, N m].
 
 Ours: with smaller ones the intervals of drawn robots do not hold the truth, since friction that sticks, air that no

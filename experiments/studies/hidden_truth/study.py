@@ -5,7 +5,7 @@ robot differs. Each flies a manoeuvre of 60 s in turbulence, with the sensors of
 given the log, the file and the robot's mass, as if weighed. Errors are medians over robots and entries, before and
 after; `covered` is the share of the 90 % intervals that hold the truth, of all numbers and of those that were found.
 Then every robot flies TEST2 for 16 s, with the file and with what was found: masses and axes in the controller, sensors
-and thrusts calibrated, latencies known.
+and thrusts calibrated, latencies and the friction of the drives known.
 
 The result goes to `results/hidden_truth/NAME/`.
 """
@@ -25,7 +25,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from experiments.identify import command, excite, samples
+from experiments.identify import command, excite, result, samples
 from experiments.study import Findings, Study, find
 from experiments.sweep.perturbation import Perturbation
 from jax_aero import rust
@@ -227,6 +227,7 @@ def calibrated(
     latency = after["controller"]["estimator"]["latency"]
     for key in DELAYS:
         latency[key] = max(latency[key] + late[key], 0.0)
+    after["controller"]["torque"]["friction"] = result.frictions(robot, value.friction)
     return after
 
 
