@@ -27,7 +27,7 @@ SERIES = (
     (style.SKY, "X", "-."),
 )
 COLUMNS: Sequence[tuple[str, str]] = (
-    ("upright", "completed or landed [%], Wilson 95 %"),
+    ("upright", "completed or landed [%],\nWilson 95 %"),
     ("rotation_error_deg", "max rotation error [deg]"),
     ("com_error", "max CoM error [cm]"),
 )
