@@ -230,14 +230,6 @@ impl Table<'_> {
         check(&format!("{}.{key}", self.0), value, accept, expected).map(|_| ())
     }
 
-    /// Checks that a number is positive and finite.
-    ///
-    /// # Errors
-    /// [`BuildError::BadValue`] naming the key.
-    pub fn check_positive(self, key: &str, value: f64) -> Result<(), BuildError> {
-        self.check(key, value, |x| x > 0.0, "a positive number")
-    }
-
     /// Refuses a gain \[1/s\] that is negative, or so high that a single tick of `time_step` \[s\] decides.
     ///
     /// # Errors
@@ -246,13 +238,5 @@ impl Table<'_> {
         let greatest = 1.0 / time_step;
         let expected = format!("a number from 0 to {greatest}, 1 / time step of {time_step} s");
         self.check(key, gain, |gain| (0.0..=greatest * (1.0 + 1e-9)).contains(&gain), &expected)
-    }
-
-    /// Refuses a number that is negative or not finite.
-    ///
-    /// # Errors
-    /// [`BuildError::BadValue`] naming the key.
-    pub fn check_non_negative(self, key: &str, value: f64) -> Result<(), BuildError> {
-        self.check(key, value, |x| x >= 0.0, "a number ≥ 0")
     }
 }

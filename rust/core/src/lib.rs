@@ -6,7 +6,7 @@
 //! ```
 //!
 //! Each arrow is one plain struct, computed once per tick and passed on. Modules, each using only those
-//! before it: [`error`] · [`spatial`] · [`linalg`] · [`robot`] · [`kinematics`] · [`subtree`] · [`dynamics`]
+//! before it: [`error`] · [`schema`] · [`spatial`] · [`linalg`] · [`robot`] · [`kinematics`] · [`subtree`] · [`dynamics`]
 //! · [`aero`] · [`jets`] · [`qp`] · [`timing`] · [`control`].
 //!
 //! SI units and radians; vectors and Jacobians are in inertial axes unless a suffix states otherwise.
@@ -25,6 +25,7 @@ pub mod kinematics;
 pub mod linalg;
 pub mod qp;
 pub mod robot;
+pub mod schema;
 pub mod spatial;
 pub mod subtree;
 pub mod timing;

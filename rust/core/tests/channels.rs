@@ -10,6 +10,7 @@ use flight_core::control::guard::channels::{Channels, ChannelsConfig, ChannelsSt
 use flight_core::control::{Modes, UsedMeasurement};
 use flight_core::jets::JetDynamics;
 use flight_core::robot::RobotModel;
+use flight_core::schema;
 use flight_core::spatial::exp_so3;
 use flight_io::load_robot;
 use nalgebra::{DVector, Matrix3, Vector3};
@@ -143,8 +144,8 @@ fn numbers_that_mean_nothing_are_refused_by_key() {
             let mut table = shipped.clone();
             *table.pointer_mut(&key).unwrap() = number.into();
             let config: ChannelsConfig = serde_json::from_value(table).unwrap();
-            let name = format!("controller.channels{} is", key.replace('/', "."));
-            match config.check() {
+            let name = format!("`controller.channels{}` is", key.replace('/', "."));
+            match schema::check(&config, "controller.channels") {
                 Ok(()) => assert!(!is_refused, "{key}"),
                 Err(reason) => assert!(is_refused && reason.to_string().contains(&name), "{reason}"),
             }

@@ -776,16 +776,16 @@ fn bad_numbers_are_refused_by_name() {
         config.controller.law.contact.as_mut().unwrap()
     }
     Scenario::check(&standing()).unwrap();
-    refused(&["contact.vertical_force_min is 0", "positive"], |c| contact(c).vertical_force_min = 0.0);
-    refused(&["contact.weight_force is -1"], |c| contact(c).weight_force = -1.0);
-    refused(&["wrench.friction is NaN"], |c| contact(c).wrench.friction = f64::NAN);
+    refused(&["contact.vertical_force_min` is 0", "> 0"], |c| contact(c).vertical_force_min = 0.0);
+    refused(&["contact.weight_force` is -1"], |c| contact(c).weight_force = -1.0);
+    refused(&["wrench.friction` is not finite"], |c| contact(c).wrench.friction = f64::NAN);
     refused(&["centre_of_pressure_margin is 0.05", "at most half", "`l_sole`"], |c| {
         contact(c).wrench.centre_of_pressure_margin = 0.05;
     });
-    refused(&["centre_of_pressure_margin is NaN"], |c| {
+    refused(&["centre_of_pressure_margin` is not finite"], |c| {
         contact(c).wrench.centre_of_pressure_margin = f64::NAN;
     });
-    refused(&["load_transfer.unmodelled_force_max is 0", "positive"], |c| {
+    refused(&["load_transfer.unmodelled_force_max` is 0", "> 0"], |c| {
         let transfer = experiment("take_off").controller.law.contact.unwrap().load_transfer.unwrap();
         contact(c).load_transfer = Some(LoadTransfer { unmodelled_force_max: Some(0.0), ..transfer });
     });
@@ -799,8 +799,8 @@ fn bad_numbers_are_refused_by_name() {
     refused(&["controller.contact.feet", "`r_sole`", "more than once"], |c| {
         contact(c).feet[0] = "r_sole".into();
     });
-    refused(&["simulator.ground.friction is 0"], |c| c.simulator.ground.as_mut().unwrap().friction = 0.0);
-    refused(&["simulator.motors.damping is -1"], |c| c.simulator.motors.as_mut().unwrap().damping = -1.0);
+    refused(&["simulator.ground.friction` is 0"], |c| c.simulator.ground.as_mut().unwrap().friction = 0.0);
+    refused(&["simulator.motors.damping` is -1"], |c| c.simulator.motors.as_mut().unwrap().damping = -1.0);
     refused(&["friction_of", "`tail`", "l_ankle_pitch"], |c| {
         c.simulator.motors.as_mut().unwrap().friction_of.insert("tail".into(), 1.0);
     });

@@ -571,12 +571,15 @@ fn the_estimate_loses_what_a_wrong_sensor_put_into_it() {
 fn bad_estimators_are_refused_by_name() {
     let wrong: [(&str, EstimatorConfig); 3] = [
         (
-            "base_position.delay is 0.3; expected seconds from 0 to 0.2",
+            "base_position.delay` is 0.3; expected a number ≥ 0 and ≤ 0.2",
             EstimatorConfig { base_position: late(0.3), ..EstimatorConfig::default() },
         ),
-        ("thrust.delay is NaN", EstimatorConfig { thrust: late(f64::NAN), ..EstimatorConfig::default() }),
         (
-            "joint_velocity.time_constant is -1",
+            "thrust.delay` is not finite",
+            EstimatorConfig { thrust: late(f64::NAN), ..EstimatorConfig::default() },
+        ),
+        (
+            "joint_velocity.time_constant` is -1",
             EstimatorConfig {
                 joint_velocity: ChannelConfig { delay: 0.0, time_constant: -1.0 },
                 ..EstimatorConfig::default()

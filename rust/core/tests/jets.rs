@@ -225,7 +225,7 @@ fn engine_coefficients_must_be_invertible() {
         let message = SecondOrder::new("P100", k).unwrap_err().to_string();
         assert!(parts.iter().all(|part| message.contains(part)), "{message}");
     };
-    assert_says(|k| k.k_td = f64::NAN, &["k_td of engine `P100`", "NaN"]);
+    assert_says(|k| k.k_td = f64::NAN, &["`engines.P100.k_td` is not finite"]);
     assert_says(|k| k.throttle_max = 0.0, &["throttle_max of engine `P100` is 0"]);
     assert_says(|k| k.b_uu = -0.005, &["b_uu of engine `P100` is -0.005", "increases"]);
 }

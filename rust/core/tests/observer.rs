@@ -180,7 +180,7 @@ fn numbers_that_make_no_observer_are_refused() {
     for key in ["gain_force", "gain_moment", "force_max", "moment_max"] {
         for value in [-1.0, f64::NAN, f64::INFINITY] {
             let message = build(key, value).unwrap_err();
-            assert!(message.contains(&format!("controller.observer.{key} is {value}")), "{message}");
+            assert!(message.contains(&format!("`controller.observer.{key}` is ")), "{message}");
         }
         assert!(build(key, 0.0).is_ok());
     }

@@ -89,22 +89,3 @@ fn errors_count_with_their_rates() {
         assert_eq!(status == CommandStatus::Degraded, expected, "{what}: {status}, {modes}");
     }
 }
-
-/// Each number of `controller.supervisor` that means nothing is refused by its key.
-#[test]
-fn numbers_that_mean_nothing_are_refused_by_key() {
-    type Change = fn(&mut SupervisorConfig);
-    let cases: [(&str, Change); 5] = [
-        ("horizon", |supervisor| supervisor.horizon = -0.1),
-        ("rotation", |supervisor| supervisor.rotation = 0.0),
-        ("position", |supervisor| supervisor.position = f64::NAN),
-        ("joint_velocity", |supervisor| supervisor.joint_velocity = f64::INFINITY),
-        ("confirmation", |supervisor| supervisor.confirmation = -1.0),
-    ];
-    for (key, change) in cases {
-        let mut config = experiment("test2_observer");
-        change(config.controller.law.supervisor.as_mut().unwrap());
-        let message = config.controller(load_robot(&config.robot).unwrap()).unwrap_err().to_string();
-        assert!(message.starts_with(&format!("controller.supervisor.{key} is ")), "{message}");
-    }
-}

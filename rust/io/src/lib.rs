@@ -20,18 +20,17 @@ pub mod mission;
 pub mod network;
 pub mod policy;
 pub mod robot;
-pub mod schema;
 mod tensors;
 pub mod toml;
 
 pub use aero::{AeroConfig, load_aero};
 pub use controller::{ControllerSection, load_controller};
 pub use files::{hold, read_bytes, read_text};
+pub use flight_core::schema::Schema;
 pub use mission::{MissionConfig, load_mission, read_recording};
 pub use network::{NetworkConfig, read_network};
 pub use policy::{PolicyConfig, load_policy, read_policy};
 pub use robot::{LoadedRobot, RobotFile, RobotFiles, load_robot, read_urdf, robot_from_text};
-pub use schema::Schema;
 pub use toml::{
     from_json, from_value, load, load_by, load_changed, path_keys, resolve, resolve_table, set_keys, typed,
 };

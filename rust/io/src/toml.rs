@@ -17,8 +17,8 @@
 mod order;
 
 use crate::files::{absolute_path, exists, read_text};
-use crate::schema::{Node, Schema, join, refusal, shorten};
 use flight_core::BuildError;
+use flight_core::schema::{Node, Schema, join, refusal, shorten};
 use schemars::JsonSchema;
 use serde::Serialize;
 use serde::de::DeserializeOwned;

@@ -14,9 +14,6 @@ use serde::{Deserialize, Serialize};
 /// Stream of the jitter and the losses.
 const STREAM: u64 = 3;
 
-/// Greatest delay and greatest jitter \[s\], because commands on their way are kept in memory.
-const MAX_DELAY: f64 = 1.0;
-
 /// Delay and loss of commands; all of them are whole physics steps, `time_step / substeps`.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -43,20 +40,20 @@ impl ActuationConfig {
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
     pub fn check(&self, step: f64) -> Result<(), BuildError> {
+        flight_core::schema::check(self, "simulator.actuation")?;
         let table = Table("simulator.actuation");
         for (key, time) in [
             ("thrust_delay", self.thrust_delay),
             ("torque_delay", self.torque_delay),
             ("jitter", self.jitter),
         ] {
-            table.check(key, time, |x| (0.0..=MAX_DELAY).contains(&x), "seconds from 0 to 1")?;
             let expected =
                 format!("a multiple of {step} s, the physics step simulator.time_step / simulator.substeps");
             // Decimal fractions are not exact.
             let is_whole = |time: f64| (time / step - (time / step).round()).abs() <= 1e-6;
             table.check(key, time, is_whole, &expected)?;
         }
-        table.check("drop", self.drop, |x| (0.0..=1.0).contains(&x), "a share from 0 to 1")
+        Ok(())
     }
 }
 

@@ -10,7 +10,6 @@ use crate::sensors::SensorsConfig;
 use crate::wind::WindConfig;
 use flight_core::Controller;
 use flight_core::aero::LeverArm;
-use flight_core::control::check_time_step;
 use flight_core::control::law::mpc::config::MpcConfig;
 use flight_core::error::{BuildError, Table};
 use flight_core::jets::{RATE_GAIN, ShaftConfig};
@@ -224,7 +223,8 @@ pub enum AeroKinematics {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct InitialConfig {
-    /// Position of the base origin \[m\].
+    /// Position of the base origin \[m\]; far away, rounding would lose micrometres.
+    #[schemars(inner(range(min = -1e6, max = 1e6)))]
     pub base_position: [f64; 3],
     /// Roll, pitch, yaw of the base \[deg\].
     pub base_rpy_deg: [f64; 3],
@@ -265,11 +265,7 @@ impl SimulatorConfig {
     /// [`BuildError::BadValue`] naming key, value and expectation.
     pub fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
         let table = Table("simulator");
-        table.check_positive("duration", self.duration)?;
-        check_time_step("simulator.time_step", self.time_step)?;
-        table.check_positive("fall.com_error", self.fall.com_error)?;
-        let angle = self.fall.rotation_error_deg;
-        table.check("fall.rotation_error_deg", angle, |x| 0.0 < x && x <= 180.0, "degrees in (0, 180]")?;
+        flight_core::schema::check(self, "simulator")?;
         if let JetsConfig::SecondOrder(_) = &self.jets {
             let expected = format!("below 2 / ({RATE_GAIN}/s), for the throttle loops of second-order jets");
             table.check("time_step", self.time_step, |step| step * RATE_GAIN < 2.0, &expected)?;
@@ -277,21 +273,8 @@ impl SimulatorConfig {
         if let JetsConfig::Measured(map) = &self.jets {
             map.check()?;
         }
-        if !(1..=1000).contains(&self.substeps) {
-            return Err(BuildError::bad_value(
-                "simulator.substeps",
-                self.substeps,
-                "an integer from 1 to 1000",
-            ));
-        }
-        if let Some(sensors) = &self.sensors {
-            sensors.check()?;
-        }
         if let Some(actuation) = &self.actuation {
             actuation.check(self.physics_step())?;
-        }
-        if let Some(ground) = &self.ground {
-            ground.check()?;
         }
         if let Some(motors) = &self.motors {
             motors.check(robot)?;
@@ -307,15 +290,6 @@ impl SimulatorConfig {
             ));
         }
         let initial = &self.initial;
-        let each = |key: &str, values: &[f64], accept: fn(f64) -> bool, expected: &str| {
-            let item = format!("initial.{key}");
-            values.iter().try_for_each(|value| table.check(&item, *value, accept, expected))
-        };
-        let near = "finite numbers up to 1e6 m, beyond which a micrometre is lost to rounding";
-        each("base_position", &initial.base_position, |x| x.abs() <= 1e6, near)?;
-        each("base_rpy_deg", &initial.base_rpy_deg, |_| true, "finite numbers")?;
-        each("base_velocity", &initial.base_velocity, |_| true, "finite numbers")?;
-        each("joint_position", &initial.joint_position, |_| true, "finite numbers")?;
         let length = |name: &str, found: usize, expected: usize, of: &str| {
             if found == expected {
                 Ok(())

@@ -6,7 +6,7 @@
 //!
 //! Equation M154 of `docs/model`.
 
-use flight_core::error::{BuildError, Table, place_of};
+use flight_core::error::{BuildError, check, place_of};
 use flight_core::robot::{Body, RobotModel};
 use nalgebra::{Matrix3, Vector3};
 use schemars::JsonSchema;
@@ -22,6 +22,7 @@ pub struct FuelConfig {
     /// Name of the body that has the tank.
     pub body: String,
     /// Position of the tank in its axes \[m\].
+    #[schemars(inner(range(min = -10, max = 10)))]
     pub position: [f64; 3],
     /// Consumption of a jet without thrust, `c_0` \[kg/s\].
     #[schemars(range(min = 0))]
@@ -37,12 +38,7 @@ impl FuelConfig {
     /// # Errors
     /// [`BuildError`] naming the key.
     pub fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
-        let table = Table("simulator.fuel");
-        for x in self.position {
-            table.check("position", x, |x| x.abs() <= 10.0, "three numbers up to 10 m")?;
-        }
-        table.check_non_negative("idle", self.idle)?;
-        table.check_non_negative("by_thrust", self.by_thrust)?;
+        flight_core::schema::check(self, "simulator.fuel")?;
         let full = &robot.bodies[self.place(robot)?];
         let expected =
             format!("0 kg to less than the {:.3} kg of the body, with an inertia without it", full.mass);
@@ -53,7 +49,7 @@ impl FuelConfig {
                 least > 0.0 && inertia.trace() > 2.0 * inertia.symmetric_eigenvalues().max()
             }
         };
-        table.check("mass", self.mass, is_held, &expected)
+        check("simulator.fuel.mass", self.mass, is_held, &expected).map(|_| ())
     }
 
     fn place(&self, robot: &RobotModel) -> Result<usize, BuildError> {

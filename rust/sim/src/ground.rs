@@ -1,6 +1,5 @@
 //! The ground of simulations with a standing robot.
 
-use flight_core::error::{BuildError, Table};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -30,21 +29,4 @@ pub struct LegOdometryConfig {
     /// Time constant of the first-order low pass of the joint velocities for the controller \[s\].
     #[schemars(range(min = 0))]
     pub velocity_time_constant: f64,
-}
-
-impl GroundConfig {
-    /// Checks that every value is in its range.
-    ///
-    /// # Errors
-    /// [`BuildError::BadValue`] naming the key.
-    pub fn check(&self) -> Result<(), BuildError> {
-        let table = Table("simulator.ground");
-        table.check_positive("friction", self.friction)?;
-        table.check("contact_time", self.contact_time, |x| x > 0.0, "a positive time in s")?;
-        table.check("settling", self.settling, |x| x >= 0.0, "a time ≥ 0 in s")?;
-        self.leg_odometry.as_ref().map_or(Ok(()), |LegOdometryConfig { velocity_time_constant }| {
-            let key = "leg_odometry.velocity_time_constant";
-            table.check(key, *velocity_time_constant, |x| x >= 0.0, "a time ≥ 0 in s")
-        })
-    }
 }

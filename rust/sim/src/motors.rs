@@ -9,8 +9,9 @@
 //! Everything is implicit in the velocities after the step, so that drives are stable at every step. Equation M153 of
 //! `docs/model`.
 
-use flight_core::error::{BuildError, Table, place_of};
+use flight_core::error::{BuildError, check, place_of};
 use flight_core::robot::RobotModel;
+use flight_core::schema::{self, NonNegative};
 use flight_core::timing::share;
 use nalgebra::{DMatrix, DVector};
 use schemars::JsonSchema;
@@ -32,6 +33,7 @@ pub struct MotorsConfig {
     pub friction: f64,
     /// Dry friction of joints that differ from `friction`, by name \[N m\].
     #[serde(default)]
+    #[schemars(with = "BTreeMap<String, NonNegative>")]
     pub friction_of: BTreeMap<String, f64>,
     /// Dry friction in addition, as a share of the torque that reaches the joint, by joint: that of a gear under load.
     #[serde(default)]
@@ -69,25 +71,18 @@ impl MotorsConfig {
     /// # Errors
     /// [`BuildError`] naming the key.
     pub fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
-        let table = Table("simulator.motors");
-        table.check_non_negative("friction", self.friction)?;
-        table.check_non_negative("damping", self.damping)?;
-        table.check_non_negative("inertia", self.inertia)?;
-        table.check_non_negative("time_constant", self.time_constant)?;
-        for (joint, friction) in &self.friction_of {
+        schema::check(self, "simulator.motors")?;
+        for joint in self.friction_of.keys() {
             place_of("simulator.motors.friction_of", joint, robot.joints.iter().map(|joint| &joint.name))?;
-            table.check_non_negative(&format!("friction_of.{joint}"), *friction)?;
         }
         for (joint, share) in &self.load_friction {
             place_of("simulator.motors.load_friction", joint, robot.joints.iter().map(|joint| &joint.name))?;
-            let is_share = |share| (0.0..=1.0).contains(&share);
-            table.check(&format!("load_friction.{joint}"), *share, is_share, "a share from 0 to 1")?;
+            let key = format!("simulator.motors.load_friction.{joint}");
+            check(&key, *share, |share| (0.0..=1.0).contains(&share), "a share from 0 to 1")?;
         }
-        if let Some(spring) = &self.elasticity {
-            table.check_positive("elasticity.stiffness", spring.stiffness)?;
-            table.check_non_negative("elasticity.damping", spring.damping)?;
+        if self.elasticity.is_some() {
             let expected = "more than 0 kg m²: a motor on a spring";
-            table.check("inertia", self.inertia, |inertia| inertia > 0.0, expected)?;
+            check("simulator.motors.inertia", self.inertia, |inertia| inertia > 0.0, expected)?;
         }
         Ok(())
     }

@@ -10,7 +10,7 @@
 use crate::noise::Noise;
 use crate::wind::Wind;
 use flight_core::Reading;
-use flight_core::error::{BuildError, Table};
+use flight_core::error::BuildError;
 use flight_core::kinematics::RobotState;
 use flight_core::spatial::exp_so3;
 use flight_core::timing::share;
@@ -26,12 +26,6 @@ const STREAM_OF_GAPS: u64 = 4;
 
 /// What is not measured.
 const NONE: Vector3<f64> = Vector3::new(f64::NAN, f64::NAN, f64::NAN);
-
-/// Greatest delay \[s\], because the delay line is kept in memory.
-const MAX_DELAY: f64 = 1.0;
-
-/// Greatest time of the wind ahead \[s\]: the longest horizon has a thousand ticks.
-const MAX_PREVIEW: f64 = 10.0;
 
 /// Sensors of the robot's own state; those without settings are exact. And the wind ahead.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
@@ -143,62 +137,6 @@ pub struct ThrustSensorConfig {
     pub delay: f64,
 }
 
-impl SensorsConfig {
-    /// Checks that every value is in its range.
-    ///
-    /// # Errors
-    /// [`BuildError::BadValue`] naming the key.
-    pub fn check(&self) -> Result<(), BuildError> {
-        let table = Table("simulator.sensors");
-        let size = |key: &str, value: f64, unit: &str| {
-            table.check(key, value, |x| x >= 0.0, &format!("a number ≥ 0 in {unit}"))
-        };
-        let age = |key: &str, value: f64| {
-            table.check(key, value, |x| (0.0..=MAX_DELAY).contains(&x), "seconds from 0 to 1")
-        };
-        for (key, sensor, unit) in [
-            ("base_position", &self.base_position, "m"),
-            ("base_rotation", &self.base_rotation, "rad"),
-            ("base_linear_velocity", &self.base_linear_velocity, "m/s"),
-            ("base_angular_velocity", &self.base_angular_velocity, "rad/s"),
-        ] {
-            for bias in sensor.bias {
-                let expected = format!("three finite numbers in {unit}");
-                table.check(&format!("{key}.bias"), bias, |_| true, &expected)?;
-            }
-            for drift in sensor.drift {
-                let expected = format!("three finite numbers in {unit}/s");
-                table.check(&format!("{key}.drift"), drift, |_| true, &expected)?;
-            }
-            size(&format!("{key}.noise_std"), sensor.noise_std, unit)?;
-            age(&format!("{key}.delay"), sensor.delay)?;
-            age(&format!("{key}.period"), sensor.period)?;
-            table.check(
-                &format!("{key}.gaps"),
-                sensor.gaps,
-                |x| (0.0..=1.0).contains(&x),
-                "a share from 0 to 1",
-            )?;
-        }
-        for bias in &self.joints.bias {
-            table.check("joints.bias", *bias, |_| true, "finite numbers in rad or m")?;
-        }
-        if let Some(tremble) = &self.joints.tremble {
-            size("joints.tremble.amplitude", tremble.amplitude, "rad or m")?;
-            size("joints.tremble.frequency", tremble.frequency, "Hz")?;
-        }
-        size("joints.resolution", self.joints.resolution, "rad or m")?;
-        let time_constant = self.joints.velocity_time_constant.unwrap_or(0.0);
-        table.check("joints.velocity_time_constant", time_constant, |x| x >= 0.0, "seconds ≥ 0")?;
-        age("joints.delay", self.joints.delay)?;
-        table.check("thrust.bias", self.thrust.bias, |_| true, "a finite force in N")?;
-        size("thrust.noise_std", self.thrust.noise_std, "N")?;
-        age("thrust.delay", self.thrust.delay)?;
-        let is_preview = |x| (0.0..=MAX_PREVIEW).contains(&x);
-        table.check("wind_preview", self.wind_preview, is_preview, "seconds from 0 to 10")
-    }
-}
-
 /// Converts a delay or a time ahead \[s\] to ticks.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked: 0 to 10 s
 fn age(delay: f64, time_step: f64) -> usize {
@@ -236,14 +174,14 @@ impl Sensors {
     /// Sensors of a robot with the given numbers of joints and jets, read every `time_step` \[s\].
     ///
     /// # Errors
-    /// As [`SensorsConfig::check`]; also where the biases of joints are not one for each.
+    /// [`BuildError`] naming the key with a value beyond its range; also where the biases of joints are not one for each.
     pub fn new(
         config: &SensorsConfig,
         time_step: f64,
         joints: usize,
         jets: usize,
     ) -> Result<Self, BuildError> {
-        config.check()?;
+        flight_core::schema::check(config, "simulator.sensors")?;
         let biases = config.joints.bias.len();
         if biases != 0 && biases != joints {
             let expected = format!("{joints}, one for each joint, or none");

@@ -22,17 +22,17 @@ impl TurbineConfig {
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
     pub fn check(&self) -> Result<(), BuildError> {
+        flight_core::schema::check(self, "simulator.jets")?;
         let refuse = |key: &str, value: String, expected: String| {
             Err(BuildError::bad_value(format!("simulator.jets.{key}"), value, expected))
         };
         for (key, values) in [("thrust", &self.thrust), ("throttle", &self.throttle)] {
             let ascends = values.windows(2).all(|pair| pair[0] < pair[1]);
-            if values.len() < 2 || !ascends || values.iter().any(|value| !value.is_finite()) {
+            if values.len() < 2 || !ascends {
                 return refuse(key, format!("{values:?}"), "two ascending numbers or more".to_owned());
             }
         }
-        let is_of_thrusts =
-            |row: &Vec<f64>| row.len() == self.thrust.len() && row.iter().all(|x| x.is_finite());
+        let is_of_thrusts = |row: &Vec<f64>| row.len() == self.thrust.len();
         if self.rate.len() != self.throttle.len() || !self.rate.iter().all(is_of_thrusts) {
             let expected =
                 format!("{} rows, one per throttle, of {} numbers", self.throttle.len(), self.thrust.len());

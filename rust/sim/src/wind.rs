@@ -125,43 +125,30 @@ impl Wind {
     /// # Errors
     /// As [`Wind::new`].
     pub fn from_table(config: &WindConfig, table: &str) -> Result<Self, BuildError> {
-        let number = |name: &str, value, accept: fn(f64) -> bool, expected: &str| {
-            check(&format!("{table}.{name}"), value, accept, expected)
-        };
-        let vector = |name: &str, v: &[f64; 3]| -> Result<Vector3<f64>, BuildError> {
-            for component in v {
-                number(name, *component, |_| true, "three finite numbers in m/s")?;
-            }
-            Ok(Vector3::from(*v))
-        };
+        flight_core::schema::check(config, table)?;
         let ramp = |start, end| {
-            let start = number("ramp_start", start, |_| true, "a finite time in s")?;
             let expected = format!("a time ≥ ramp_start ({start})");
             Ok((start, check(&format!("{table}.ramp_end"), end, |end| end >= start, &expected)?))
         };
         Ok(match config {
             WindConfig::Constant { velocity } => {
-                Self::Ramp { velocity: vector("velocity", velocity)?, ramp: (f64::MIN, f64::MIN) }
+                Self::Ramp { velocity: Vector3::from(*velocity), ramp: (f64::MIN, f64::MIN) }
             }
             WindConfig::Ramp { velocity, ramp_start, ramp_end } => {
-                Self::Ramp { velocity: vector("velocity", velocity)?, ramp: ramp(*ramp_start, *ramp_end)? }
+                Self::Ramp { velocity: Vector3::from(*velocity), ramp: ramp(*ramp_start, *ramp_end)? }
             }
             WindConfig::Turbulent { velocity, ramp_start, ramp_end, std, time_scale, seed } => {
-                for std in std {
-                    number("std", *std, |std| std >= 0.0, "three numbers ≥ 0 in m/s")?;
-                }
-                let scale = number("time_scale", *time_scale, |t| t > 0.0, "a positive time in s")?;
                 Self::Turbulent {
-                    velocity: vector("velocity", velocity)?,
+                    velocity: Vector3::from(*velocity),
                     ramp: ramp(*ramp_start, *ramp_end)?,
-                    turbulence: Box::new(Turbulence::new(&Vector3::from(*std), scale, *seed)),
+                    turbulence: Box::new(Turbulence::new(&Vector3::from(*std), *time_scale, *seed)),
                 }
             }
             WindConfig::Gust { velocity, gust, start, duration } => Self::Gust {
-                velocity: vector("velocity", velocity)?,
-                gust: vector("gust", gust)?,
-                start: number("start", *start, |_| true, "a finite time in s")?,
-                duration: number("duration", *duration, |d| d > 0.0, "a positive time in s")?,
+                velocity: Vector3::from(*velocity),
+                gust: Vector3::from(*gust),
+                start: *start,
+                duration: *duration,
             },
             WindConfig::File { path } => Self::Recorded(read_samples(path)?),
             WindConfig::Samples { samples } => {

@@ -252,7 +252,7 @@ fn a_jet_exerts_another_force_than_its_thrust() {
         faults.check(&robot("ironcub_mk1").jets).unwrap_err().to_string()
     };
     assert!(refusal("arm", 0.9).contains("disturbances.jets.force_scale"));
-    assert!(refusal("r_arm_jet", -0.1).contains("disturbances.jets.force_scale.r_arm_jet is -0.1"));
+    assert!(refusal("r_arm_jet", -0.1).contains("disturbances.jets.force_scale.r_arm_jet` is -0.1"));
 }
 
 #[test]
@@ -387,21 +387,27 @@ fn what_makes_no_sense_is_refused_by_name() {
     };
     let default = WindEstimateConfig::default;
     for (key, text) in [
-        ("noise_std is -1", estimate(WindEstimateConfig { noise_std: -1.0, ..default() })),
-        ("delay is 1e9", estimate(WindEstimateConfig { delay: 1e9, ..default() })),
-        ("time_constant is NaN", estimate(WindEstimateConfig { time_constant: f64::NAN, ..default() })),
-        ("bias is inf", estimate(WindEstimateConfig { bias: [f64::INFINITY, 0.0, 0.0], ..default() })),
+        ("noise_std` is -1", estimate(WindEstimateConfig { noise_std: -1.0, ..default() })),
+        ("delay` is 1e9", estimate(WindEstimateConfig { delay: 1e9, ..default() })),
+        (
+            "time_constant` is not finite",
+            estimate(WindEstimateConfig { time_constant: f64::NAN, ..default() }),
+        ),
+        (
+            "bias[0]` is not finite",
+            estimate(WindEstimateConfig { bias: [f64::INFINITY, 0.0, 0.0], ..default() }),
+        ),
     ] {
         let key = key.replace("1e9", "1000000000");
         assert!(text.contains(&format!("disturbances.wind_estimate.{key}")), "{text}");
         assert!(text.contains("expected"), "{text}");
     }
     let mass = message(&|config| config.disturbances.model_error.mass_scale = 0.0);
-    assert!(mass.contains("disturbances.model_error.mass_scale is 0"), "{mass}");
+    assert!(mass.contains("disturbances.model_error.mass_scale` is 0"), "{mass}");
     let lag = message(&|config| config.disturbances.jets.lag = -0.1);
-    assert!(lag.contains("disturbances.jets.lag is -0.1"), "{lag}");
+    assert!(lag.contains("disturbances.jets.lag` is -0.1"), "{lag}");
     let limit = message(&|config| config.disturbances.jets.thrust_limit_scale = Some(0.0));
-    assert!(limit.contains("disturbances.jets.thrust_limit_scale is 0"), "{limit}");
+    assert!(limit.contains("disturbances.jets.thrust_limit_scale` is 0"), "{limit}");
     let below = message(&|config| {
         *config = experiment("mk3_hover");
         config.disturbances.jets.thrust_limit_scale = Some(0.04);
@@ -439,7 +445,7 @@ fn what_makes_no_sense_is_refused_by_name() {
             seed: 0,
         };
     });
-    assert!(std.contains("wind.std is -1"), "{std}");
+    assert!(std.contains("wind.std[1]` is -1"), "{std}");
 }
 
 /// A controller has no disturbances of its own that a loop other than ours could overlook.

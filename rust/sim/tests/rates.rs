@@ -149,7 +149,7 @@ fn rates_that_do_not_fit_are_refused_by_name() {
     config.simulator.sensors = None;
     config.controller.law.torque.steps = 200;
     config.simulator.substeps = 200;
-    assert_says(&refused(&config), &["controller.torque.steps is 200"]);
+    assert_says(&refused(&config), &["controller.torque.steps` is 200"]);
 }
 
 /// Prediction and set-point are of one time: a robot that follows its set-point at 7 m/s with a latency of 0.03 s, 0.2 m

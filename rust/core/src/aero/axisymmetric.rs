@@ -10,14 +10,13 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 /// Parameters of the axisymmetric model.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct AxisymmetricConfig {
     /// Name of the coefficient set; every link of the robot needs a set of this name.
     pub coefficients: String,
     /// Density of the air \[kg/m³\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub air_density: f64,
 }
 

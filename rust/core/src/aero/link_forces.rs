@@ -12,8 +12,7 @@ use nalgebra::{DVector, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Point at which a link's force acts when its moment is formed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LeverArm {
     /// At the aerodynamic centre, `p + R c`.
@@ -24,8 +23,7 @@ pub enum LeverArm {
 }
 
 /// Point whose Jacobian maps a link's force in the controller's `Λ_a` and torque law.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum JacobianOffset {
     /// The aerodynamic centre, `p + R c`.
@@ -36,8 +34,7 @@ pub enum JacobianOffset {
 }
 
 /// Point whose velocity the controller subtracts from the wind to get a link's relative wind.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LinkVelocity {
     /// The aerodynamic centre.

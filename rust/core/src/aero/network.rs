@@ -40,8 +40,7 @@ const SHADOW_LENGTH: f64 = 0.05;
 const SHADOW_RADIUS: f64 = 0.10;
 
 /// Precision of the weighted sums; all other computations are in double precision.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Precision {
     /// Single precision, as networks are trained.

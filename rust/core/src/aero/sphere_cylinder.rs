@@ -13,15 +13,14 @@ use serde::{Deserialize, Serialize};
 use std::f64::consts::FRAC_PI_4;
 
 /// Parameters of the sphere and cylinder model.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SphereCylinderConfig {
     /// Density of the air \[kg/m³\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub air_density: f64,
     /// Dynamic viscosity of the air \[Pa s\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub dynamic_viscosity: f64,
     /// Drag of circular cylinders.
     pub cylinder: CylinderTables,
@@ -30,12 +29,11 @@ pub struct SphereCylinderConfig {
 }
 
 /// Measured drag coefficients of circular cylinders.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CylinderTables {
     /// Reynolds number, on the diameter, at which the axial coefficients apply without scaling.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub reference_reynolds: f64,
     /// Reynolds numbers of `crosswind_drag`.
     pub reynolds: Vec<f64>,
@@ -52,12 +50,11 @@ pub struct CylinderTables {
 }
 
 /// Measured drag coefficients of spheres, on the area `π d²/4`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SphereTables {
     /// Drag coefficient below Reynolds number 10.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub drag_below_reynolds_10: f64,
     /// Reynolds numbers of `drag`; a correlation is used between 10 and the first of them.
     pub reynolds: Vec<f64>,

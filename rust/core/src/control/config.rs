@@ -23,6 +23,7 @@ use crate::jets::{JetDynamics, ShaftConfig};
 use crate::qp::ClarabelSolver;
 use crate::qp::{DualActiveSet, PrimalActiveSet, QpChain, QpSolver};
 use crate::robot::{JointKind, RobotModel};
+use crate::schema::{self, NonNegative};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -41,8 +42,7 @@ pub fn check_time_step(item: &str, time_step: f64) -> Result<(), BuildError> {
 }
 
 /// Configuration of the control law: the complete controller except robot, aerodynamic model and mission.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ControllerConfig {
     /// Terms of the controller that contain the estimated aerodynamic forces.
@@ -64,6 +64,7 @@ pub struct ControllerConfig {
     /// Gains of the momentum and attitude tasks.
     pub momentum: MomentumGains,
     /// Posture gain `K_s` by joint group \[1/s\].
+    #[schemars(with = "BTreeMap<String, NonNegative>")]
     pub posture_gain: BTreeMap<String, f64>,
     /// Weights of the momentum QP.
     pub weights: MomentumWeights,
@@ -123,8 +124,7 @@ fn default_true() -> bool {
 }
 
 /// Solver that is tried first.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Solver {
     /// Active-set methods: no allocation, a few microseconds.
@@ -135,8 +135,7 @@ pub enum Solver {
 }
 
 /// Action when the first solver returns no certified answer.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Fallback {
     /// Thrust rates and joint velocities are zero, torques keep their values. No allocation.
@@ -147,8 +146,7 @@ pub enum Fallback {
 }
 
 /// Solution of the QPs.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct QpConfig {
     /// Solver of every tick.
@@ -204,43 +202,7 @@ impl ControllerConfig {
     /// # Errors
     /// [`BuildError`] naming the key, its value and what was expected.
     pub fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
-        self.momentum.check(Table("controller.momentum"))?;
-        for (key, value) in [
-            ("weights.momentum", self.weights.momentum),
-            ("weights.angular_momentum", self.weights.angular_momentum),
-            ("weights.posture", self.weights.posture),
-            ("weights.joint_velocity", self.weights.joint_velocity),
-            ("weights.symmetry", self.weights.symmetry),
-            ("torque.kd", self.torque.kd),
-            ("torque.kp", self.torque.kp),
-            ("torque.weight_acceleration", self.torque.weight_acceleration),
-            ("torque.weight_torque", self.torque.weight_torque),
-            ("torque.rotor_inertia", self.torque.rotor_inertia),
-        ] {
-            CONTROLLER.check_non_negative(key, value)?;
-        }
-        for (key, value) in [
-            ("weights.regularisation", self.weights.regularisation),
-            ("bounds.thrust_steepness", self.bounds.thrust_steepness),
-            ("bounds.joint_steepness", self.bounds.joint_steepness),
-            ("torque.regularisation", self.torque.regularisation),
-        ] {
-            CONTROLLER.check_positive(key, value)?;
-        }
-        for (name, limit) in [
-            ("bounds.joint_velocity_max_deg", self.bounds.joint_velocity_max_deg),
-            ("torque.torque_max", self.torque.torque_max),
-            ("torque.torque_rate_max", self.torque.torque_rate_max),
-        ] {
-            limit.map_or(Ok(()), |limit| CONTROLLER.check_positive(name, limit))?;
-        }
-        let is_count = |steps| (1.0..=100.0).contains(&steps);
-        CONTROLLER.check(
-            "torque.steps",
-            f64::from(self.torque.steps),
-            is_count,
-            "an integer from 1 to 100",
-        )?;
+        schema::check(self, "controller")?;
         if let Some(estimator) = self.estimator.as_ref().filter(|_| self.torque.steps > 1) {
             let delays = [estimator.joint_position.delay, estimator.joint_velocity.delay];
             if delays.iter().any(|delay| *delay > 0.0) {
@@ -250,18 +212,11 @@ impl ControllerConfig {
             }
         }
         self.qp.check()?;
-        self.channels.check()?;
-        self.joints.map_or(Ok(()), |joints| joints.check())?;
-        if let Some(engines) = &self.engines {
-            engines.check()?;
-            if self.observer.is_none() {
-                let expected =
-                    "none without controller.observer: the momentum distinguishes an engine from its sensor";
-                return Err(BuildError::bad_value("controller.engines", "given", expected));
-            }
+        if self.engines.is_some() && self.observer.is_none() {
+            let expected =
+                "none without controller.observer: the momentum distinguishes an engine from its sensor";
+            return Err(BuildError::bad_value("controller.engines", "given", expected));
         }
-        self.latency_monitor.map_or(Ok(()), |monitor| monitor.check())?;
-        self.supervisor.map_or(Ok(()), |supervisor| supervisor.check())?;
         if let Some(contact) = &self.contact {
             contact.check(robot)?;
             let force_max = contact.load_transfer.as_ref().and_then(|transfer| transfer.unmodelled_force_max);
@@ -382,15 +337,14 @@ impl ControllerConfig {
     }
 }
 
-/// Checks that a table has exactly one number ≥ 0 for each of the robot's names.
-fn check_values_by_name<'a>(
+/// Checks that a table has exactly one number for each of some names.
+pub(super) fn check_values_by_name<'a>(
     table: &str,
     values: &BTreeMap<String, f64>,
     names: impl Iterator<Item = &'a str> + Clone,
 ) -> Result<(), BuildError> {
-    for (name, value) in values {
+    for name in values.keys() {
         place_of(format!("controller.{table}"), name, names.clone())?;
-        CONTROLLER.check_non_negative(&format!("{table}.{name}"), *value)?;
     }
     for name in names {
         if !values.contains_key(name) {

@@ -11,8 +11,7 @@ use serde::{Deserialize, Serialize};
 const INITIAL: Matrix2<f64> = Matrix2::new(1.0, 0.1, 0.1, 1.0);
 
 /// Parameters of the filter, with the symbols of its equations; the defaults are the published values.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct EkfConfig {
     /// `Q`: intensity of the process noise.
@@ -20,7 +19,7 @@ pub struct EkfConfig {
     pub q: [[f64; 2]; 2],
     /// `R`: intensity of the measurement noise.
     #[serde(rename = "R")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub r: f64,
 }
 

@@ -11,8 +11,7 @@ use super::EngineModel;
 use serde::{Deserialize, Serialize};
 
 /// How thrusts follow their commanded rates in the controller's model.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum JetDynamics {
     /// At once, as published.

@@ -3,6 +3,7 @@
 //! Equations M32 and M34 of `docs/model`.
 
 use crate::error::{BuildError, check};
+use crate::schema;
 use serde::{Deserialize, Serialize};
 
 /// Input gain below which the throttle does not control the thrust and the loop holds it \[N/s² per %\].
@@ -13,8 +14,7 @@ const MIN_INPUT_GAIN: f64 = 1e-9;
 /// ```text
 /// T̈ = k_t T + k_tt T² + k_d Ṫ + k_dd Ṫ² + k_td T Ṫ + c + (b_u + b_t T + b_d Ṫ)(u + b_uu u²)
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EngineCoefficients {
     /// Stiffness \[1/s²\].
@@ -65,21 +65,7 @@ impl SecondOrder {
     /// [`BuildError`] naming `engine` and the coefficient.
     pub fn new(engine: &str, coefficients: EngineCoefficients) -> Result<Self, BuildError> {
         let k = &coefficients;
-        for (name, value) in [
-            ("k_t", k.k_t),
-            ("k_tt", k.k_tt),
-            ("k_d", k.k_d),
-            ("k_dd", k.k_dd),
-            ("k_td", k.k_td),
-            ("b_u", k.b_u),
-            ("b_t", k.b_t),
-            ("b_d", k.b_d),
-            ("b_uu", k.b_uu),
-            ("c", k.c),
-            ("throttle_min", k.throttle_min),
-        ] {
-            check(&format!("{name} of engine `{engine}`"), value, |_| true, "a finite number")?;
-        }
+        schema::check(k, &format!("engines.{engine}"))?;
         let above = format!("a throttle above throttle_min = {} %", k.throttle_min);
         let item = format!("throttle_max of engine `{engine}`");
         check(&item, k.throttle_max, |max| max > k.throttle_min, &above)?;

@@ -2,7 +2,8 @@
 //!
 //! Equations M176 of `docs/model`. Speeds are shares of the full speed.
 
-use crate::error::{BuildError, Table};
+use crate::error::BuildError;
+use crate::schema::{self, Positive};
 use serde::{Deserialize, Serialize};
 
 /// Standard atmosphere at sea level (ISO 2533): density \[kg/m³\] and temperature \[K\].
@@ -12,35 +13,34 @@ const STANDARD: (f64, f64) = (1.225, 288.15);
 const STEPS: u32 = 8;
 
 /// Numbers of an engine, for every thrust that it has at full speed.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ShaftConfig {
     /// Speed at idle, a share of the full speed.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0, "exclusiveMaximum" = 1)))]
+    #[schemars(extend("exclusiveMinimum" = 0, "exclusiveMaximum" = 1))]
     pub idle: f64,
     /// Greatest rates of the wanted speed upwards and downwards \[1/s\].
-    #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
+    #[schemars(with = "[Positive; 2]")]
     pub ramps: [f64; 2],
     /// Time constants of the speed below and above the wanted one \[s\].
-    #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
+    #[schemars(with = "[Positive; 2]")]
     pub lags: [f64; 2],
     /// Greatest acceleration and deceleration at full speed \[1/s\].
-    #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
+    #[schemars(with = "[Positive; 2]")]
     pub accelerations: [f64; 2],
     /// Exponent of the speed in both of them.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub exponent: f64,
     /// Share of the thrust that is proportional to the square of the speed; the rest is to its cube.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = 1)))]
+    #[schemars(range(min = 0, max = 1))]
     pub square_share: f64,
     /// Density of the air \[kg/m³\].
     #[serde(default = "standard_density")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub density: f64,
     /// Temperature of the air \[K\].
     #[serde(default = "standard_temperature")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub temperature: f64,
 }
 
@@ -67,19 +67,9 @@ impl Shaft {
     /// Checks every number; `thrust_max` is the thrust at full speed in standard air \[N\].
     ///
     /// # Errors
-    /// [`BuildError::BadValue`] naming the key of `table`.
-    pub fn new(table: &'static str, k: ShaftConfig, thrust_max: f64) -> Result<Self, BuildError> {
-        let table = Table(table);
-        table.check("idle", k.idle, |x| x > 0.0 && x < 1.0, "a share of the full speed between 0 and 1")?;
-        for (key, values) in [("ramps", k.ramps), ("lags", k.lags), ("accelerations", k.accelerations)] {
-            for value in values {
-                table.check_positive(key, value)?;
-            }
-        }
-        table.check_non_negative("exponent", k.exponent)?;
-        table.check("square_share", k.square_share, |x| (0.0..=1.0).contains(&x), "a share from 0 to 1")?;
-        table.check_positive("density", k.density)?;
-        table.check_positive("temperature", k.temperature)?;
+    /// [`BuildError`] naming the key of `table`.
+    pub fn new(table: &str, k: ShaftConfig, thrust_max: f64) -> Result<Self, BuildError> {
+        schema::check(&k, table)?;
         let theta = k.temperature / STANDARD.1;
         Ok(Self { k, root_theta: theta.sqrt(), delta: k.density / STANDARD.0 * theta, thrust_max })
     }

@@ -7,6 +7,7 @@
 use crate::noise::Noise;
 use flight_core::error::{BuildError, Table, place_of};
 use flight_core::robot::Jet;
+use flight_core::schema::{self, NonNegative};
 use flight_core::timing::share;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -36,6 +37,7 @@ pub struct JetFaultsConfig {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub measurement_noise: Option<MeasurementNoise>,
     /// Ratio of the force that a jet exerts to its thrust, by name; it is 1 for jets that are not named.
+    #[schemars(with = "BTreeMap<String, NonNegative>")]
     pub force_scale: BTreeMap<String, f64>,
 }
 
@@ -84,18 +86,16 @@ impl JetFaultsConfig {
     /// # Errors
     /// [`BuildError`] naming the key, its value and what was expected.
     pub fn check(&self, jets: &[Jet]) -> Result<(), BuildError> {
+        schema::check(self, "disturbances.jets")?;
         let table = Table("disturbances.jets");
         if let Some(failure) = &self.failure {
             index_of("failure.jet", &failure.jet, jets)?;
-            table.check("failure.time", failure.time, |t| t >= 0.0, "seconds ≥ 0")?;
-            table.check("failure.decay", failure.decay, |t| t >= 0.0, "seconds ≥ 0")?;
             if failure.kind == FailureKind::Stuck {
                 let expected = "0: a jet that is stuck keeps its thrust";
                 table.check("failure.decay", failure.decay, |t| t == 0.0, expected)?;
             }
         }
         if let Some(scale) = self.thrust_limit_scale {
-            table.check("thrust_limit_scale", scale, |x| x > 0.0, "a positive factor")?;
             for jet in jets {
                 let expected =
                     format!("a factor that leaves jet `{}` more than {} N", jet.name, jet.thrust_min);
@@ -106,14 +106,7 @@ impl JetFaultsConfig {
             let expected = "false without disturbances.jets.thrust_limit_scale";
             return Err(BuildError::bad_value("disturbances.jets.limit_is_known", true, expected));
         }
-        if let Some(noise) = &self.measurement_noise {
-            table.check("measurement_noise.std", noise.std, |x| x >= 0.0, "newtons ≥ 0")?;
-        }
-        for (jet, scale) in &self.force_scale {
-            index_of("force_scale", jet, jets)?;
-            table.check(&format!("force_scale.{jet}"), *scale, |x| x >= 0.0, "a factor ≥ 0")?;
-        }
-        table.check("lag", self.lag, |t| t >= 0.0, "seconds ≥ 0")
+        self.force_scale.keys().try_for_each(|jet| index_of("force_scale", jet, jets).map(|_| ()))
     }
 
     /// Scales the limits of the controller's model, if it knows them.

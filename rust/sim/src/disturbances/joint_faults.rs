@@ -2,7 +2,7 @@
 //!
 //! Equation M142 of `docs/model`.
 
-use flight_core::error::{BuildError, check, place_of};
+use flight_core::error::{BuildError, place_of};
 use flight_core::robot::Joint;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -42,9 +42,9 @@ impl JointFault {
     /// # Errors
     /// [`BuildError`] naming the key, its value and what was expected.
     fn check(&self, index: usize, joints: &[Joint]) -> Result<usize, BuildError> {
-        let key = |name: &str| format!("disturbances.joints[{index}].{name}");
-        check(&key("start"), self.start, |t| t >= 0.0, "seconds ≥ 0")?;
-        place_of(key("joint"), &self.joint, joints.iter().map(|joint| &joint.name))
+        let table = format!("disturbances.joints[{index}]");
+        flight_core::schema::check(self, &table)?;
+        place_of(format!("{table}.joint"), &self.joint, joints.iter().map(|joint| &joint.name))
     }
 }
 

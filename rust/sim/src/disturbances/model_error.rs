@@ -1,6 +1,6 @@
 //! Errors of the controller's model of the robot.
 
-use flight_core::error::{BuildError, check};
+use flight_core::BuildError;
 use flight_core::robot::RobotModel;
 use flight_core::spatial::exp_so3;
 use nalgebra::{Rotation3, Vector3};
@@ -18,6 +18,7 @@ pub struct ModelError {
     pub inertia_scale: f64,
     /// Rotation of each jet's axis in the controller's robot, in the robot's order \[rad, axes of the jet's frame\]; none if
     /// empty.
+    #[schemars(inner(inner(range(min = -1, max = 1))))]
     pub thrust_axes: Vec<[f64; 3]>,
     /// Offset of the base body's centre of mass in the controller's robot \[m, base axes\].
     #[schemars(inner(range(min = -10, max = 10)))]
@@ -45,29 +46,13 @@ impl ModelError {
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
     pub fn check(&self, jets: usize) -> Result<(), BuildError> {
-        let expected = "a factor from 0.01 to 100";
-        for (key, scale) in [("mass_scale", self.mass_scale), ("inertia_scale", self.inertia_scale)] {
-            let key = format!("disturbances.model_error.{key}");
-            check(&key, scale, |x| (0.01..=100.0).contains(&x), expected)?;
-        }
-        for turn in self.thrust_axes.as_flattened() {
-            let key = "disturbances.model_error.thrust_axes";
-            check(key, *turn, |x| x.abs() <= 1.0, "rotations of at most 1 rad about each axis")?;
-        }
+        flight_core::schema::check(self, "disturbances.model_error")?;
         if !self.thrust_axes.is_empty() && self.thrust_axes.len() != jets {
             return Err(BuildError::bad_value(
                 "length of disturbances.model_error.thrust_axes",
                 self.thrust_axes.len(),
                 format!("{jets}, one rotation for each jet, or none"),
             ));
-        }
-        for offset in self.com_offset {
-            check(
-                "disturbances.model_error.com_offset",
-                offset,
-                |x| x.abs() <= 10.0,
-                "three numbers up to 10 m",
-            )?;
         }
         Ok(())
     }

@@ -78,15 +78,10 @@ impl Outage {
     /// [`BuildError`] naming the key, its value and what was expected.
     pub fn check(&self, index: usize, jets: &[Jet]) -> Result<(), BuildError> {
         let key = |name: &str| format!("disturbances.outages[{index}].{name}");
-        let is_wrong = self.kind == OutageKind::Wrong;
-        let expected =
-            if is_wrong { "seconds ≥ 0" } else { "seconds > 0: a flight begins with everything measured" };
-        check(&key("start"), self.start, |t| t > 0.0 || is_wrong && t == 0.0, expected)?;
-        if let Some(duration) = self.duration {
-            check(&key("duration"), duration, |t| t > 0.0, "seconds > 0")?;
-        }
-        check(&key("error"), self.error, |_| true, "a finite number")?;
-        if !is_wrong {
+        flight_core::schema::check(self, &format!("disturbances.outages[{index}]"))?;
+        if self.kind != OutageKind::Wrong {
+            let expected = "seconds > 0: a flight begins with everything measured";
+            check(&key("start"), self.start, |t| t > 0.0, expected)?;
             let expected = "none, but for the kind wrong";
             check(&key("error"), self.error, |error| error.total_cmp(&default_one()).is_eq(), expected)?;
         }

@@ -6,7 +6,7 @@
 //!
 //! Equation M155 of `docs/model`.
 
-use flight_core::error::{BuildError, check, place_of};
+use flight_core::error::{BuildError, place_of};
 use flight_core::kinematics::Kinematics;
 use flight_core::robot::RobotModel;
 use flight_core::spatial::stack;
@@ -40,15 +40,9 @@ impl Push {
     /// # Errors
     /// [`BuildError`] naming the key, its value and what was expected.
     fn check(&self, index: usize, robot: &RobotModel) -> Result<usize, BuildError> {
-        let key = |name: &str| format!("disturbances.pushes[{index}].{name}");
-        for (name, components) in [("force", self.force), ("moment", self.moment)] {
-            for component in components {
-                check(&key(name), component, |_| true, "three finite numbers")?;
-            }
-        }
-        check(&key("start"), self.start, |t| t >= 0.0, "seconds ≥ 0")?;
-        check(&key("duration"), self.duration, |t| t > 0.0, "seconds > 0")?;
-        place_of(key("body"), &self.body, robot.bodies.iter().map(|body| &body.name))
+        let table = format!("disturbances.pushes[{index}]");
+        flight_core::schema::check(self, &table)?;
+        place_of(format!("{table}.body"), &self.body, robot.bodies.iter().map(|body| &body.name))
     }
 }
 

@@ -7,13 +7,10 @@
 //! Equation M39 of `docs/model`.
 
 use crate::noise::Noise;
-use flight_core::error::{BuildError, Table};
+use flight_core::BuildError;
 use flight_core::timing::share;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
-
-/// Greatest delay \[s\], because the delay line is kept in memory.
-const MAX_DELAY: f64 = 1000.0;
 
 /// Errors of the measured wind; none by default.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
@@ -34,22 +31,6 @@ pub struct WindEstimateConfig {
     pub mean_only: bool,
     /// Seed of the noise.
     pub seed: u64,
-}
-
-impl WindEstimateConfig {
-    /// Checks that every value is in its range.
-    ///
-    /// # Errors
-    /// [`BuildError::BadValue`] naming the key.
-    pub fn check(&self) -> Result<(), BuildError> {
-        let table = Table("disturbances.wind_estimate");
-        for bias in self.bias {
-            table.check("bias", bias, |_| true, "three finite numbers in m/s")?;
-        }
-        table.check("noise_std", self.noise_std, |x| x >= 0.0, "a number ≥ 0 in m/s")?;
-        table.check("delay", self.delay, |x| (0.0..=MAX_DELAY).contains(&x), "seconds from 0 to 1000")?;
-        table.check("time_constant", self.time_constant, |x| x >= 0.0, "seconds ≥ 0")
-    }
 }
 
 /// State of the measured wind; update once per tick.
@@ -78,7 +59,7 @@ impl WindEstimator {
     /// # Errors
     /// As [`WindEstimateConfig::check`].
     pub fn new(config: &WindEstimateConfig, time_step: f64, mean: Vector3<f64>) -> Result<Self, BuildError> {
-        config.check()?;
+        flight_core::schema::check(config, "disturbances.wind_estimate")?;
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked: 0 to 1000 s
         let age = (config.delay / time_step).round() as usize;
         Ok(Self {

@@ -102,7 +102,7 @@ fn samples_blow_as_a_file_does() {
     }
     for (bad, word) in [
         (&[][..], "at least one sample"),
-        (&[[0.0, f64::NAN, 0.0, 0.0]], "four finite numbers"),
+        (&[[0.0, f64::NAN, 0.0, 0.0]], "[0][1]` is not finite; expected a finite number"),
         (&[[1.0, 0.0, 0.0, 0.0], [1.0, 2.0, 0.0, 0.0]], "[1.0, 2.0, 0.0, 0.0]; expected a time later"),
     ] {
         let message = samples(bad).unwrap_err().to_string();
@@ -149,17 +149,17 @@ fn bad_winds_are_refused_by_name() {
     let ramp = |velocity, ramp_start, ramp_end| WindConfig::Ramp { velocity, ramp_start, ramp_end };
     let gust = |velocity, gust, start, duration| WindConfig::Gust { velocity, gust, start, duration };
     for (config, words) in [
-        (WindConfig::Constant { velocity: [0.0, nan, 0.0] }, "wind.velocity is NaN"),
-        (ramp([inf, 0.0, 0.0], 0.0, 1.0), "wind.velocity is inf"),
-        (ramp(v, nan, 1.0), "wind.ramp_start is NaN"),
+        (WindConfig::Constant { velocity: [0.0, nan, 0.0] }, "wind.velocity[1]` is not finite"),
+        (ramp([inf, 0.0, 0.0], 0.0, 1.0), "wind.velocity[0]` is not finite"),
+        (ramp(v, nan, 1.0), "wind.ramp_start` is not finite"),
         (ramp(v, 5.0, 4.0), "wind.ramp_end is 4; expected a time ≥ ramp_start (5)"),
-        (ramp(v, 5.0, inf), "wind.ramp_end is inf"),
-        (gust([nan; 3], v, 0.0, 1.0), "wind.velocity is NaN"),
-        (gust(v, [0.0, 0.0, inf], 0.0, 1.0), "wind.gust is inf"),
-        (gust(v, v, nan, 1.0), "wind.start is NaN"),
-        (gust(v, v, 0.0, 0.0), "wind.duration is 0"),
-        (gust(v, v, 0.0, -1.0), "wind.duration is -1"),
-        (gust(v, v, 0.0, nan), "wind.duration is NaN"),
+        (ramp(v, 5.0, inf), "wind.ramp_end` is not finite"),
+        (gust([nan; 3], v, 0.0, 1.0), "wind.velocity[0]` is not finite"),
+        (gust(v, [0.0, 0.0, inf], 0.0, 1.0), "wind.gust[2]` is not finite"),
+        (gust(v, v, nan, 1.0), "wind.start` is not finite"),
+        (gust(v, v, 0.0, 0.0), "wind.duration` is 0"),
+        (gust(v, v, 0.0, -1.0), "wind.duration` is -1"),
+        (gust(v, v, 0.0, nan), "wind.duration` is not finite"),
     ] {
         let message = Wind::new(&config).unwrap_err().to_string();
         assert!(message.contains(words), "`{message}` does not say `{words}`");

@@ -19,7 +19,6 @@
 use super::observer::residual_share;
 use crate::control::law::attitude::MomentumGains;
 use crate::control::limits::Limits;
-use crate::error::{BuildError, Table};
 use crate::jets::{EngineModel, JetDynamics};
 use crate::robot::{Joint, JointKind, RobotModel};
 use crate::spatial::parts;
@@ -35,18 +34,17 @@ const FORCE_ARM: f64 = 0.04;
 const RAMPS: [f64; 2] = [0.7, 1.3];
 
 /// When an engine counts as not reaching its thrust, and when as lost.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EnginesConfig {
     /// Time constant with which deviations of the thrust decay \[s\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub time_constant: f64,
     /// Greatest deviation of a thrust from the commanded one \[N\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub deviation_max: f64,
     /// Time for which `deviation_max` has to be exceeded \[s\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub confirmation: f64,
     /// Levelling and descent after the loss of an engine; without it the mission continues.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -54,21 +52,20 @@ pub struct EnginesConfig {
 }
 
 /// Descent without an engine: attitude has priority, the position is not held, and joints are fast.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DescentConfig {
     /// An engine is lost if its least and greatest thrust differ by less than this fraction of the jet's greatest
     /// thrust.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub range_share_min: f64,
     /// Gains in place of `controller.momentum`.
     pub momentum: MomentumGains,
     /// Greatest joint velocity during the descent \[deg/s\], for revolute joints whose own limit is lower.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub joint_velocity_max_deg: f64,
     /// Greatest rate of a joint torque during the descent \[N m/s\], for revolute joints whose own limit is lower.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub torque_rate_max: f64,
 }
 
@@ -89,24 +86,6 @@ impl DescentConfig {
             JointKind::Revolute => joint.torque_rate_max.max(self.torque_rate_max),
             JointKind::Prismatic => joint.torque_rate_max,
         }
-    }
-}
-
-impl EnginesConfig {
-    /// Checks that every value is in its range.
-    ///
-    /// # Errors
-    /// [`BuildError::BadValue`] naming the key.
-    pub fn check(&self) -> Result<(), BuildError> {
-        let table = Table("controller.engines");
-        table.check_positive("time_constant", self.time_constant)?;
-        table.check_positive("deviation_max", self.deviation_max)?;
-        table.check_non_negative("confirmation", self.confirmation)?;
-        let Some(descent) = &self.descent else { return Ok(()) };
-        table.check_positive("descent.range_share_min", descent.range_share_min)?;
-        descent.momentum.check(Table("controller.engines.descent.momentum"))?;
-        table.check_positive("descent.joint_velocity_max_deg", descent.joint_velocity_max_deg)?;
-        table.check_positive("descent.torque_rate_max", descent.torque_rate_max)
     }
 }
 

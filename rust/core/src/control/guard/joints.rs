@@ -16,7 +16,6 @@
 pub mod residual;
 
 use crate::control::limits::JointCondition;
-use crate::error::{BuildError, Table};
 use crate::timing::{Exceeded, share};
 use nalgebra::{DVector, Vector3};
 use serde::{Deserialize, Serialize};
@@ -54,36 +53,21 @@ const FREE_SHARE: f64 = 2.0 * SHARE_ERROR;
 const HEALTHY_SHARE: f64 = 1.0 - SHARE_ERROR;
 
 /// When a joint counts as stuck, weak or free.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct JointsConfig {
     /// `τ_0`: unexplained torque that friction and noise cause \[N m, N\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub torque_min: f64,
     /// Time for which a joint has to be suspected \[s\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub confirmation: f64,
     /// Greatest share of the torque that acts at a weak joint; with more it is not judged.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = 1)))]
+    #[schemars(range(min = 0, max = 1))]
     pub share_max: f64,
     /// Least commanded displacement within 0.3 s that shows whether a joint is stuck \[rad, m\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub displacement_min: f64,
-}
-
-impl JointsConfig {
-    /// Checks that every value is in its range.
-    ///
-    /// # Errors
-    /// [`BuildError::BadValue`] naming the key.
-    pub fn check(&self) -> Result<(), BuildError> {
-        let table = Table("controller.joints");
-        table.check_positive("torque_min", self.torque_min)?;
-        table.check_non_negative("confirmation", self.confirmation)?;
-        table.check("share_max", self.share_max, |x| (0.0..=1.0).contains(&x), "a share from 0 to 1")?;
-        table.check_positive("displacement_min", self.displacement_min)
-    }
 }
 
 /// That the torque of a joint may not act.

@@ -13,7 +13,6 @@
 //! Equations M164 and M165 of `docs/model`.
 
 use super::estimator::EstimatorConfig;
-use crate::error::{BuildError, Table};
 use crate::linalg::add_mat_vec;
 use crate::timing::{Exceeded, share};
 use nalgebra::{DMatrix, DVector};
@@ -46,32 +45,18 @@ const TORQUE: Filter = Filter { lags: 3, lag: 0.025, floor: 1e-4, deviation_max:
 const THRUST: Filter = Filter { lags: 1, lag: 0.3, floor: 0.1, deviation_max: 4e-3 };
 
 /// When commands count as late.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LatencyMonitorConfig {
     /// Greatest difference of the measured latency of torques from `controller.estimator.latency` \[s\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub torque_max: f64,
     /// Greatest difference of that of thrust rates \[s\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub thrust_max: f64,
     /// Time for which one of them has to be exceeded \[s\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub confirmation: f64,
-}
-
-impl LatencyMonitorConfig {
-    /// Checks that every value is in its range.
-    ///
-    /// # Errors
-    /// [`BuildError::BadValue`] naming the key.
-    pub fn check(&self) -> Result<(), BuildError> {
-        let table = Table("controller.latency_monitor");
-        table.check_positive("torque_max", self.torque_max)?;
-        table.check_positive("thrust_max", self.thrust_max)?;
-        table.check_non_negative("confirmation", self.confirmation)
-    }
 }
 
 /// Compares a response with commands of different ages.

@@ -10,31 +10,29 @@
 
 use crate::control::law::setpoint::Setpoint;
 use crate::dynamics::Dynamics;
-use crate::error::{BuildError, Table};
 use crate::kinematics::{Kinematics, RobotState};
 use crate::spatial::{log_so3, parts};
 use crate::timing::Exceeded;
 use serde::{Deserialize, Serialize};
 
 /// When a flight strays from its set-point.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SupervisorConfig {
     /// Time by which errors are extrapolated with their rates \[s\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub horizon: f64,
     /// Greatest extrapolated angle between the base and its set-point \[rad\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub rotation: f64,
     /// Greatest extrapolated distance of the centre of mass from its set-point \[m\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub position: f64,
     /// Greatest velocity of a joint \[rad/s, m/s\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub joint_velocity: f64,
     /// Time for which a limit has to be exceeded \[s\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub confirmation: f64,
 }
 
@@ -73,19 +71,6 @@ impl Errors {
 }
 
 impl SupervisorConfig {
-    /// Checks that every value is in its range.
-    ///
-    /// # Errors
-    /// [`BuildError::BadValue`] naming the key.
-    pub fn check(&self) -> Result<(), BuildError> {
-        let table = Table("controller.supervisor");
-        table.check_non_negative("horizon", self.horizon)?;
-        table.check_positive("rotation", self.rotation)?;
-        table.check_positive("position", self.position)?;
-        table.check_positive("joint_velocity", self.joint_velocity)?;
-        table.check_non_negative("confirmation", self.confirmation)
-    }
-
     /// Takes in the errors of a tick, `elapsed` \[s\] after the last one; returns whether the flight strays.
     pub fn update(&self, exceeded: &mut Exceeded, elapsed: f64, errors: &Errors) -> bool {
         let is_beyond = errors.rotation > self.rotation

@@ -62,8 +62,7 @@ pub const RELATIVE_STD: f64 = 0.045;
 pub const MOMENT_ARM: f64 = 0.25;
 
 /// The wind is estimated; the numbers of the estimation are the constants of this file.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct WindObserverConfig {}
 

@@ -15,47 +15,29 @@
 //! Equations M59 to M61 and, for the last sentence, M67 of `docs/model`.
 
 use super::setpoint::Setpoint;
-use crate::error::{BuildError, Table};
 use crate::spatial::{skew, vee_of_skew_part};
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Gains of the momentum task (M57 of `docs/model`) and the attitude task (M60).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MomentumGains {
     /// `K_P` on the integral of the linear momentum error, per axis \[1/s²\].
-    #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
+    #[schemars(inner(range(min = 0)))]
     pub kp_linear: [f64; 3],
     /// `K_D` on the linear momentum error, per axis \[1/s\].
-    #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
+    #[schemars(inner(range(min = 0)))]
     pub kd_linear: [f64; 3],
     /// `K_O`; its inverse is added to `K_P + K_D` \[s\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub ko: f64,
     /// `c₀` of the attitude task \[N m\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub c0: f64,
     /// `c₁` of the attitude task \[N m s\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub c1: f64,
-}
-
-impl MomentumGains {
-    /// Checks that every gain is in its range; `table` is the TOML table named in errors.
-    ///
-    /// # Errors
-    /// [`BuildError::BadValue`] naming the key.
-    pub fn check(&self, table: Table) -> Result<(), BuildError> {
-        for axis in 0..3 {
-            table.check_non_negative("kp_linear", self.kp_linear[axis])?;
-            table.check_non_negative("kd_linear", self.kd_linear[axis])?;
-        }
-        table.check_positive("ko", self.ko)?;
-        table.check_non_negative("c0", self.c0)?;
-        table.check_non_negative("c1", self.c1)
-    }
 }
 
 /// Demand of the attitude task.

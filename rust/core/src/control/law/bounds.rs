@@ -2,25 +2,26 @@
 
 use crate::exponential::tanh_f64;
 use crate::linalg::dispatch_plain;
+use crate::schema::NonNegative;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// Bounds of the momentum QP: the bound on a rate decreases as a tanh where the value approaches its limit.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BoundsConfig {
     /// Greatest thrust rate, by jet \[N/s\].
+    #[schemars(with = "BTreeMap<String, NonNegative>")]
     pub thrust_rate_max: BTreeMap<String, f64>,
     /// Steepness at the thrust limits \[1/N\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub thrust_steepness: f64,
     /// Greatest velocity of revolute joints \[deg/s\], in place of the robot's own limits.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub joint_velocity_max_deg: Option<f64>,
     /// Steepness at the joint limits \[1/rad, 1/m\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub joint_steepness: f64,
 }
 

@@ -33,34 +33,33 @@ const IMPACT_TIME: f64 = 0.1;
 pub const WRENCH_ROWS: usize = FRICTION_SIDES + 2 + 1 + 4;
 
 /// Configuration of standing on the ground; without it the controller only flies.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ContactConfig {
     /// Names of the feet to stand on; other feet of the robot are ignored.
     pub feet: Vec<String>,
     /// Vertical force above which a foot carries load \[N\]; all of `feet` have to exceed it.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub vertical_force_min: f64,
     /// Whether `f_c*` starts with the measured moment about y in addition to the vertical force.
     pub start_with_moment: bool,
     /// Greatest rate of every component of `f_c*` \[N/s, N m/s\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub force_rate_max: f64,
     /// Rates below this are not integrated \[N/s, N m/s\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub force_rate_dead_zone: f64,
     /// Weight of `ḟ_c → 0` in the momentum QP.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub weight_force_rate: f64,
     /// Weight of `J_c ν = 0` in the momentum QP.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub weight_foot_velocity: f64,
     /// Weight of `J_c ν̇ + J̇_c ν = 0` in the torque QP.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub weight_foot_acceleration: f64,
     /// Weight of `f_c → f_c*` in the torque QP.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub weight_force: f64,
     /// Limits of the wrench of a foot.
     pub wrench: WrenchLimits,
@@ -71,45 +70,43 @@ pub struct ContactConfig {
 
 /// Transfer of the load between feet and jets. A robot whose feet carry load takes off if its set-point is above its
 /// centre of mass: the feet are unloaded. Otherwise, and during a descent, it stands: the jets are unloaded.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LoadTransfer {
     /// Gain with which the load of the unloaded side (feet or jets) decreases \[1/s\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub gain: f64,
     /// Gain with which `f_c*` of a standing robot follows the measured wrenches \[1/s\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub measured_gain: f64,
     /// Height of the set-point over the centre of mass beyond which the robot takes off \[m\]; the set-point of a
     /// standing robot is limited to the same distance below the centre of mass.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub height: f64,
     /// Time for which the feet of a standing robot may lose contact and still count as carrying load \[s\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub hold_time: f64,
     /// Greatest vertical force on the robot that the controller's model may leave unexplained \[N\]. Above it, measured
     /// foot wrenches are judged wrong, and feet in the air count as carrying load if the set-point is below the centre
     /// of mass by `height`. Needs `controller.observer`; without it foot sensors are trusted, and feet that are not
     /// measured do not start to carry load.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub unmodelled_force_max: Option<f64>,
 }
 
 /// Limits of the wrench of every foot, in sole axes about the sole's origin.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct WrenchLimits {
     /// Friction coefficient of `|f_xy| ≤ μ f_z`, approximated by the regular twelve-sided polygon inside the circle.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub friction: f64,
     /// Torsional friction coefficient of `|m_z| ≤ κ f_z` \[m\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub torsional_friction: f64,
     /// Least vertical force \[N\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub vertical_force_min: f64,
     /// Least distance of the centre of pressure from the edges of the rectangle around the sole's corners \[m\],
     /// positive inside. A negative value allows it outside, as published.
@@ -131,26 +128,7 @@ impl ContactConfig {
         for name in &self.feet {
             place_of("controller.contact.feet", name, robot.feet.iter().map(|foot| &foot.name))?;
         }
-        table.check_positive("vertical_force_min", self.vertical_force_min)?;
-        table.check_positive("force_rate_max", self.force_rate_max)?;
-        table.check_non_negative("force_rate_dead_zone", self.force_rate_dead_zone)?;
-        table.check_non_negative("weight_force_rate", self.weight_force_rate)?;
-        table.check_non_negative("weight_foot_velocity", self.weight_foot_velocity)?;
-        table.check_non_negative("weight_foot_acceleration", self.weight_foot_acceleration)?;
-        table.check_non_negative("weight_force", self.weight_force)?;
-        if let Some(transfer) = &self.load_transfer {
-            table.check_positive("load_transfer.gain", transfer.gain)?;
-            table.check_non_negative("load_transfer.measured_gain", transfer.measured_gain)?;
-            table.check_positive("load_transfer.height", transfer.height)?;
-            table.check_non_negative("load_transfer.hold_time", transfer.hold_time)?;
-            if let Some(force) = transfer.unmodelled_force_max {
-                table.check_positive("load_transfer.unmodelled_force_max", force)?;
-            }
-        }
         let limits = &self.wrench;
-        table.check_positive("wrench.friction", limits.friction)?;
-        table.check_non_negative("wrench.torsional_friction", limits.torsional_friction)?;
-        table.check_non_negative("wrench.vertical_force_min", limits.vertical_force_min)?;
         for foot in robot.feet.iter().filter(|foot| self.feet.contains(&foot.name)) {
             let [length, width] = foot.extent().map(|[least, greatest]| greatest - least);
             let half = 0.5 * length.min(width);

@@ -19,8 +19,7 @@ pub type Interval = (f64, f64);
 /// Times of the autopilot's commands: lists of open intervals; a list may be empty or absent.
 ///
 /// Source: the published autopilot; `configs/mission/*.toml` hold its three missions.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Commands {
     /// Climb \[s\].

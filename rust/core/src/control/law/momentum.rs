@@ -21,8 +21,7 @@ use nalgebra::{DVector, Matrix6xX, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 
 /// Where the estimated aerodynamic forces enter the controller; each place can be switched off for an ablation.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct AeroFeedback {
     /// Part of `A_a f_a` in the estimated momentum rate.
@@ -40,8 +39,7 @@ impl Default for AeroFeedback {
 }
 
 /// Part of the total aerodynamic wrench about the centre of mass in the estimated momentum rate.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RateFeedback {
     /// Force and moment.

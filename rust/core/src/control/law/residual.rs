@@ -44,8 +44,7 @@ pub struct Residual<'a> {
 }
 
 /// Three numbers that a policy observes, in base axes (M170).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Feature {
     /// Direction of gravity.
@@ -78,8 +77,7 @@ pub struct PolicyCard {
 }
 
 /// What a policy observes.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, PartialEq, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PolicyInputs {
     /// Features, in the order of the input vector.
@@ -89,8 +87,7 @@ pub struct PolicyInputs {
 }
 
 /// What a policy acts on: every jet and joint of the robot.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, PartialEq, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PolicyOutput {
     /// Jets, in the robot's order.
@@ -104,8 +101,7 @@ pub struct PolicyOutput {
 }
 
 /// Layers of a policy.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, PartialEq, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PolicyArchitecture {
     /// Number of hidden units.

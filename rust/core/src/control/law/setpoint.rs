@@ -13,6 +13,7 @@ use super::mission::{AutopilotCommand, Mission};
 use super::recorded::RecordedMotion;
 use crate::control::greatest::{ANGULAR_VELOCITY, POSITION, VELOCITY};
 use crate::error::{BuildError, Table};
+use crate::schema;
 use crate::spatial::{
     GREATEST, axis_angle, exp_so3, is_rotation, log_so3, project_to_so3, rotation_from_rpy,
     rpy_from_rotation, skew, vee_of_skew_part,
@@ -21,43 +22,42 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Speeds, limits and smoothing times of the set-point generator.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SetpointConfig {
     /// Forward and vertical speed of the raw position \[m/s\].
-    #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
+    #[schemars(inner(range(min = 0)))]
     pub speed: [f64; 2],
     /// Rates of raw pitch and yaw \[deg/s\].
-    #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
+    #[schemars(inner(range(min = 0)))]
     pub attitude_rate_deg: [f64; 2],
     /// Least and greatest raw pitch, positive nose down \[deg\].
     pub nose_down_limits_deg: [f64; 2],
     /// Relative increase of the forward speed by the turbo command: it grows to `1 + turbo_boost` times the speed.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub turbo_boost: f64,
     /// Growth of the boost \[1/s\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub turbo_rate: f64,
     /// Smoothing time of the position \[s\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub position_smoothing: f64,
     /// Smoothing time of the filter whose rate output is the jerk \[s\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub acceleration_smoothing: f64,
     /// Smoothing time of the angular velocity \[s\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub angular_velocity_smoothing: f64,
     /// Speed of the descent after the mission has been abandoned \[m/s\].
     #[serde(default = "half_a_metre_per_second")]
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub descent_speed: f64,
     /// Deceleration to the velocity of the descent, or to rest without a valid set-point \[m/s²\].
     #[serde(default = "deceleration_of_the_boost")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub deceleration: f64,
     /// Gain with which the smoothed attitude follows the raw one \[1/s\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub attitude_gain: f64,
 }
 
@@ -76,24 +76,11 @@ impl SetpointConfig {
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
     pub fn check(&self, time_step: f64) -> Result<(), BuildError> {
+        schema::check(self, "controller.setpoint")?;
         let table = Table("controller.setpoint");
-        table.check_positive("position_smoothing", self.position_smoothing)?;
-        table.check_positive("acceleration_smoothing", self.acceleration_smoothing)?;
-        table.check_positive("angular_velocity_smoothing", self.angular_velocity_smoothing)?;
-        table.check_positive("turbo_rate", self.turbo_rate)?;
-        table.check_non_negative("turbo_boost", self.turbo_boost)?;
         table.gain("attitude_gain", self.attitude_gain, time_step)?;
-        table.check_non_negative("descent_speed", self.descent_speed)?;
-        table.check_positive("deceleration", self.deceleration)?;
-        for speed in self.speed {
-            table.check_non_negative("speed", speed)?;
-        }
-        for rate in self.attitude_rate_deg {
-            table.check_non_negative("attitude_rate_deg", rate)?;
-        }
         let [low, high] = self.nose_down_limits_deg;
-        table.check("nose_down_limits_deg[0]", low, |x| x <= high, "at most the upper limit")?;
-        table.check("nose_down_limits_deg[1]", high, |_| true, "finite degrees")
+        table.check("nose_down_limits_deg[0]", low, |x| x <= high, "at most the upper limit")
     }
 }
 

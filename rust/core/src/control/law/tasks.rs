@@ -19,6 +19,7 @@ use super::contact::ContactConfig;
 use super::momentum_qp::{Equations, Layout, Task, TaskInputs, Unknowns};
 use crate::error::{BuildError, place_of};
 use crate::robot::RobotModel;
+use crate::schema::NonNegative;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -29,31 +30,31 @@ use std::sync::Arc;
 pub const MOMENTUM_ROWS: usize = 9;
 
 /// Weights of the tasks in the momentum QP.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MomentumWeights {
     /// Momentum and attitude tasks.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub momentum: f64,
     /// Angular-momentum constraint task.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub angular_momentum: f64,
     /// Posture task.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub posture: f64,
     /// Minimisation of joint velocities.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub joint_velocity: f64,
     /// Minimisation of thrust rates, by jet.
+    #[schemars(with = "BTreeMap<String, NonNegative>")]
     pub thrust_rate: BTreeMap<String, f64>,
     /// Equal thrust rates within each pair of [`Self::symmetric_jets`].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub symmetry: f64,
     /// Pairs of jets with equal thrust rates.
     pub symmetric_jets: Vec<[String; 2]>,
     /// Added to the diagonal of the Hessian.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub regularisation: f64,
 }
 

@@ -28,37 +28,36 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 
 /// The joint torque controller.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TorqueConfig {
     /// `K_Ds` on the joint velocity error \[1/s\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub kd: f64,
     /// `K_Ps` on the integral of the joint velocity error \[1/s²\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub kp: f64,
     /// Weight of the joint acceleration task.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub weight_acceleration: f64,
     /// Weight of the torques.
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub weight_torque: f64,
     /// Added to the diagonal of the Hessian.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub regularisation: f64,
     /// Greatest torque of revolute joints \[N m\], in place of the robot's own limits.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub torque_max: Option<f64>,
     /// Greatest torque rate of revolute joints \[N m/s\], in place of the robot's own limits.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub torque_rate_max: Option<f64>,
     /// Rotor inertia of the drives of revolute joints, reflected to the joints, that the controller's mass matrix contains
     /// \[kg m²\].
     #[serde(default)]
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub rotor_inertia: f64,
     /// Dry friction of the drives of revolute joints, by joint group, with which they oppose the commanded velocities
     /// \[N m\].
@@ -66,7 +65,7 @@ pub struct TorqueConfig {
     pub friction: Option<BTreeMap<String, f64>>,
     /// Ticks of the torques in a tick of the law.
     #[serde(default = "one")]
-    #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 100)))]
+    #[schemars(range(min = 1, max = 100))]
     pub steps: u32,
 }
 

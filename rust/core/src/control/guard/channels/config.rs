@@ -1,18 +1,16 @@
 //! Which measurements are accepted.
 
-use crate::error::{BuildError, Table};
 use serde::{Deserialize, Serialize};
 
 /// Which measurements are accepted, and what replaces the others.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct ChannelsConfig {
     /// Time for which the last wind is held \[s\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub wind_hold: f64,
     /// Age of a channel of joints or base above which the robot levels and descends, to the end of the flight \[s\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub descend_after: f64,
     /// Greatest accepted difference of each component from the prediction. Without it all differences are accepted, no
     /// value counts as frozen and no time step as wrong.
@@ -21,30 +19,29 @@ pub struct ChannelsConfig {
 }
 
 /// Greatest accepted differences from the prediction. Thrusts and feet have no limit.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Jumps {
     /// Wind \[m/s\]: more than a gust changes in a tick. A wind that is beyond for `wind_hold` is not used any more.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub wind: f64,
     /// Joint position \[rad, m\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub joint_position: f64,
     /// Joint velocity \[rad/s, m/s\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub joint_velocity: f64,
     /// Position of the base \[m\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub position: f64,
     /// Entry of the rotation matrix of the base.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub rotation: f64,
     /// Velocity of the base \[m/s\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub velocity: f64,
     /// Angular velocity of the base \[rad/s\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub angular_velocity: f64,
 }
 
@@ -78,30 +75,5 @@ impl Default for Jumps {
             velocity: 1.0,
             angular_velocity: 2.0,
         }
-    }
-}
-
-impl ChannelsConfig {
-    /// Checks that every value is in its range.
-    ///
-    /// # Errors
-    /// [`BuildError::BadValue`] naming the key.
-    pub fn check(&self) -> Result<(), BuildError> {
-        let table = Table("controller.channels");
-        table.check_non_negative("wind_hold", self.wind_hold)?;
-        table.check_non_negative("descend_after", self.descend_after)?;
-        let jump = self.jump.clone().unwrap_or_default();
-        for (key, value) in [
-            ("jump.wind", jump.wind),
-            ("jump.joint_position", jump.joint_position),
-            ("jump.joint_velocity", jump.joint_velocity),
-            ("jump.position", jump.position),
-            ("jump.rotation", jump.rotation),
-            ("jump.velocity", jump.velocity),
-            ("jump.angular_velocity", jump.angular_velocity),
-        ] {
-            table.check_positive(key, value)?;
-        }
-        Ok(())
     }
 }

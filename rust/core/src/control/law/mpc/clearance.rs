@@ -2,7 +2,7 @@
 //!
 //! Equation M126 of `docs/model`. The trims compute the same distances, in `jax_aero/symbolic/clearance.py`.
 
-use crate::error::{BuildError, Table, place_of};
+use crate::error::{BuildError, place_of};
 use crate::kinematics::Kinematics;
 use crate::robot::{AeroLink, Foot, Frame, Jet, RobotModel};
 use crate::spatial::Pose;
@@ -13,36 +13,22 @@ use serde::{Deserialize, Serialize};
 const TINY: f64 = 1e-12;
 
 /// What the plan keeps apart: every exhaust and `links` from each of `apart_from`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ClearanceConfig {
     /// Length of an exhaust's axis from the nozzle \[m\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub exhaust: f64,
     /// Aerodynamic links that move beside the exhausts, such as turbines.
     pub links: Vec<String>,
     /// Aerodynamic links, and frames of soles, of which they keep clear.
     pub apart_from: Vec<String>,
     /// Least distance of the surfaces; an exhaust is its axis \[m\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub least: f64,
     /// Weight of a lesser distance \[1/m²\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub weight: f64,
-}
-
-impl ClearanceConfig {
-    /// Checks its numbers.
-    ///
-    /// # Errors
-    /// [`BuildError::BadValue`] naming the key.
-    pub fn check(&self) -> Result<(), BuildError> {
-        let table = Table("controller.mpc.clearance");
-        table.check_positive("exhaust", self.exhaust)?;
-        table.check_non_negative("least", self.least)?;
-        table.check_non_negative("weight", self.weight)
-    }
 }
 
 /// All points within a radius of a segment that moves with a body.

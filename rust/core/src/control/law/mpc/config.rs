@@ -2,8 +2,10 @@
 
 use super::clearance::{Clearance, ClearanceConfig};
 use crate::aero::{AeroModel, LinkConventions};
+use crate::control::config::check_values_by_name;
 use crate::error::{BuildError, Table, place_of};
 use crate::robot::RobotModel;
+use crate::schema::NonNegative;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -14,8 +16,7 @@ const KNOTS_MAX: usize = 16;
 const TICKS_MAX: f64 = 1000.0;
 
 /// How the prediction contains the air.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Air {
     /// The wrench of the air changes with velocity, attitude and posture.
@@ -26,91 +27,58 @@ pub enum Air {
 }
 
 /// Weights of the errors along the horizon, per second; those of rates and inputs too.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MpcWeights {
     /// Position of the centre of mass, along x, y and z \[1/m²\].
-    #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
+    #[schemars(inner(range(min = 0)))]
     pub position: [f64; 3],
     /// Its velocity \[s²/m²\].
-    #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
+    #[schemars(inner(range(min = 0)))]
     pub velocity: [f64; 3],
     /// Its acceleration \[s⁴/m²\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub acceleration: f64,
     /// Attitude, about x, y and z \[1/rad²\].
-    #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
+    #[schemars(inner(range(min = 0)))]
     pub attitude: [f64; 3],
     /// Angular velocity \[s²/rad²\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub angular_velocity: f64,
     /// Angular acceleration \[s⁴/rad²\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub angular_acceleration: f64,
     /// Joint positions about the posture of the first tick, by group of the moved joints \[1/rad²\].
+    #[schemars(with = "BTreeMap<String, NonNegative>")]
     pub posture: BTreeMap<String, f64>,
     /// Joint velocities \[s²/rad²\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub joint_velocity: f64,
     /// Commanded joint velocities \[s²/rad²\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub joint_command: f64,
     /// Thrust rates \[s²/N²\].
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub thrust_rate: f64,
     /// What is left at the end of the horizon, `a + 2 λ v + λ² p` of the centre of mass and its like of the attitude, not
     /// per second; `a + λ v` along an axis whose position has no weight \[s⁴/m², s⁴/rad²\].
-    #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
+    #[schemars(inner(range(min = 0)))]
     pub tail: [f64; 2],
     /// Distances below the least one, in place of the weight of `clearance` \[1/m²\].
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub clearance: Option<f64>,
 }
 
-impl MpcWeights {
-    fn check(&self, table: &str, groups: &[String]) -> Result<(), BuildError> {
-        for (group, weight) in &self.posture {
-            place_of(format!("controller.mpc.{table}.posture"), group, groups.iter().map(String::as_str))?;
-            MPC.check_non_negative(&format!("{table}.posture.{group}"), *weight)?;
-        }
-        if let Some(group) = groups.iter().find(|group| !self.posture.contains_key(*group)) {
-            let item = format!("controller.mpc.{table}.posture.{group}");
-            return Err(BuildError::bad_value(item, "absent", "a number ≥ 0"));
-        }
-        let key = |name: &str| format!("{table}.{name}");
-        for (name, value) in [
-            ("acceleration", self.acceleration),
-            ("angular_velocity", self.angular_velocity),
-            ("angular_acceleration", self.angular_acceleration),
-            ("joint_velocity", self.joint_velocity),
-            ("clearance", self.clearance.unwrap_or_default()),
-        ] {
-            MPC.check_non_negative(&key(name), value)?;
-        }
-        for axis in 0..3 {
-            MPC.check_non_negative(&key("position"), self.position[axis])?;
-            MPC.check_non_negative(&key("velocity"), self.velocity[axis])?;
-            MPC.check_non_negative(&key("attitude"), self.attitude[axis])?;
-        }
-        MPC.check_non_negative(&key("tail"), self.tail[0])?;
-        MPC.check_non_negative(&key("tail"), self.tail[1])?;
-        MPC.check_positive(&key("joint_command"), self.joint_command)?;
-        MPC.check_positive(&key("thrust_rate"), self.thrust_rate)
-    }
-}
-
 /// The predictive law, which decides thrust rates and joint velocities in place of the momentum QP.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MpcConfig {
     /// How the prediction contains the air.
     #[serde(default)]
     pub air: Air,
     /// Time between two plans \[s\], in whole ticks.
-    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub period: f64,
     /// Durations of the knots \[s\]: the first is a whole number of ticks, each the last one times a power of two.
     pub knots: Vec<f64>,
@@ -119,16 +87,16 @@ pub struct MpcConfig {
     /// Groups of joints that the law moves; the others return to the posture.
     pub joint_groups: Vec<String>,
     /// Gain with which the other joints return to the posture \[1/s\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub posture_gain: f64,
     /// `λ`: rate at which errors decay after the horizon \[1/s\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub decay: f64,
     /// Weight of a thrust beyond its range \[1/N²\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub thrust_excess: f64,
     /// Weight of a joint position beyond its limits \[1/rad²\].
-    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    #[schemars(range(min = 0))]
     pub joint_excess: f64,
     /// What the plan keeps apart; without it nothing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -146,16 +114,10 @@ impl MpcConfig {
     /// # Errors
     /// [`BuildError`] naming the key.
     pub fn check(&self, robot: &RobotModel, time_step: f64) -> Result<(), BuildError> {
-        let groups = &self.joint_groups;
-        self.weights.check("weights", groups)?;
-        self.descent.as_ref().map_or(Ok(()), |weights| weights.check("descent", groups))?;
-        for (key, value) in [
-            ("posture_gain", self.posture_gain),
-            ("decay", self.decay),
-            ("thrust_excess", self.thrust_excess),
-            ("joint_excess", self.joint_excess),
-        ] {
-            MPC.check_non_negative(key, value)?;
+        for (table, weights) in [("weights", Some(&self.weights)), ("descent", self.descent.as_ref())] {
+            let posture = weights.map(|weights| &weights.posture);
+            let groups = self.joint_groups.iter().map(String::as_str);
+            posture.map_or(Ok(()), |of| check_values_by_name(&format!("mpc.{table}.posture"), of, groups))?;
         }
         MPC.gain("posture_gain", self.posture_gain, time_step)?;
         let is_whole = |value: f64| (value / time_step - (value / time_step).round()).abs() < 1e-6;
@@ -184,7 +146,6 @@ impl MpcConfig {
                 expected,
             ));
         }
-        self.clearance.as_ref().map_or(Ok(()), ClearanceConfig::check)?;
         let joints = self.joints(robot)?.len();
         Clearance::new(self.clearance.as_ref(), robot, joints).map(|_| ())
     }

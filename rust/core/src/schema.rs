@@ -5,11 +5,12 @@
 //! match. `format = "path"` marks files. The property that is constant in each alternative determines the
 //! alternative of a table.
 
-use flight_core::BuildError;
+use crate::error::BuildError;
 use schemars::JsonSchema;
+use serde::Serialize;
 use serde_json::{Map, Value};
 
-/// Greatest magnitude of any number: all SI values of a flight are smaller, and its fourth power, which occurs in
+/// Greatest magnitude of any number of a file: all SI values of a flight are smaller, and its fourth power, which occurs in
 /// the certificate of a QP, does not overflow.
 const LARGEST: f64 = 1e9;
 
@@ -25,9 +26,11 @@ pub struct Schema {
 
 /// A node of a schema, with references resolved.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Node<'a> {
+pub struct Node<'a> {
     root: &'a Value,
-    node: &'a Value,
+    here: &'a Value,
+    /// Greatest magnitude of any number.
+    largest: f64,
 }
 
 impl Schema {
@@ -49,8 +52,10 @@ impl Schema {
         &self.root
     }
 
-    pub(crate) fn root(&self) -> Node<'_> {
-        Node { root: &self.root, node: &self.root }.follow()
+    /// Its first node.
+    #[must_use]
+    pub fn root(&self) -> Node<'_> {
+        Node { root: &self.root, here: &self.root, largest: LARGEST }.follow()
     }
 
     /// Checks that a value matches the schema.
@@ -65,8 +70,8 @@ impl Schema {
 impl<'a> Node<'a> {
     /// Resolves references, and removes `null` beside one alternative.
     fn follow(self) -> Self {
-        let at = |node| Self { root: self.root, node }.follow();
-        if let Some(target) = self.node.get("$ref").and_then(Value::as_str) {
+        let at = |node| Self { here: node, ..self }.follow();
+        if let Some(target) = self.here.get("$ref").and_then(Value::as_str) {
             return self.root.pointer(target.trim_start_matches('#')).map_or(self, at);
         }
         let mut options = self.options();
@@ -78,35 +83,38 @@ impl<'a> Node<'a> {
 
     /// Alternatives of `anyOf`, except `null`.
     fn options(self) -> impl Iterator<Item = &'a Value> {
-        let options = self.node.get("anyOf").and_then(Value::as_array).into_iter().flatten();
+        let options = self.here.get("anyOf").and_then(Value::as_array).into_iter().flatten();
         options.filter(|option| option.get("type").is_none_or(|kind| kind != "null"))
     }
 
     fn alternatives(self) -> impl Iterator<Item = Self> + Clone {
-        let options = self.node.get("oneOf").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
-        let alone = if options.is_empty() { std::slice::from_ref(self.node) } else { options };
-        alone.iter().map(move |node| Self { root: self.root, node }.follow())
+        let options = self.here.get("oneOf").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
+        let alone = if options.is_empty() { std::slice::from_ref(self.here) } else { options };
+        alone.iter().map(move |node| Self { here: node, ..self }.follow())
     }
 
     fn properties(self) -> Option<&'a Map<String, Value>> {
-        self.node.get("properties").and_then(Value::as_object)
+        self.here.get("properties").and_then(Value::as_object)
     }
 
     /// Whether a table here has this key.
-    pub(crate) fn has(self, key: &str) -> bool {
+    #[must_use]
+    pub fn has(self, key: &str) -> bool {
         self.alternatives().filter_map(Self::properties).any(|properties| properties.contains_key(key))
     }
 
     /// Node of a key of this table, in whichever alternative has it.
-    pub(crate) fn key(self, key: &str) -> Option<Self> {
+    #[must_use]
+    pub fn key(self, key: &str) -> Option<Self> {
         self.alternatives().find_map(|option| {
             let named = option.properties().and_then(|properties| properties.get(key));
-            named.or_else(|| option.others()).map(|node| Self { root: self.root, node }.follow())
+            named.or_else(|| option.others()).map(|node| Self { here: node, ..self }.follow())
         })
     }
 
     /// Whether a key of this table may be absent and has no default.
-    pub(crate) fn may_lack(self, key: &str) -> bool {
+    #[must_use]
+    pub fn may_lack(self, key: &str) -> bool {
         let is_null = |node: &Value| node == "null" || node["type"] == "null";
         self.alternatives().filter_map(|option| option.properties()?.get(key)).any(|node| {
             let lists = ["type", "anyOf"].into_iter().filter_map(|list| node.get(list)?.as_array());
@@ -115,7 +123,8 @@ impl<'a> Node<'a> {
     }
 
     /// Whether the keys of the table here are names that the schema does not know.
-    pub(crate) fn is_of_names(self) -> bool {
+    #[must_use]
+    pub fn is_of_names(self) -> bool {
         self.others().is_some()
     }
 
@@ -123,32 +132,36 @@ impl<'a> Node<'a> {
     fn others(self) -> Option<&'a Value> {
         static ANY: Value = Value::Bool(true);
         let silent =
-            self.properties().is_none() && self.node.get("type").is_some_and(|kind| kind == "object");
-        let others = self.node.get("additionalProperties").or(silent.then_some(&ANY));
+            self.properties().is_none() && self.here.get("type").is_some_and(|kind| kind == "object");
+        let others = self.here.get("additionalProperties").or(silent.then_some(&ANY));
         others.filter(|others| **others != false)
     }
 
     /// Node of the items of this list, which have one type.
-    pub(crate) fn item(self) -> Option<Self> {
-        let of_tuple = || self.node.get("prefixItems").and_then(|items| items.get(0));
-        let items = self.node.get("items").filter(|items| **items != false);
-        items.or_else(of_tuple).map(|node| Self { root: self.root, node }.follow())
+    #[must_use]
+    pub fn item(self) -> Option<Self> {
+        let of_tuple = || self.here.get("prefixItems").and_then(|items| items.get(0));
+        let items = self.here.get("items").filter(|items| **items != false);
+        items.or_else(of_tuple).map(|node| Self { here: node, ..self }.follow())
     }
 
     /// Whether a text here is a path.
-    pub(crate) fn is_path(self) -> bool {
-        self.node.get("format").is_some_and(|format| format == "path")
+    #[must_use]
+    pub fn is_path(self) -> bool {
+        self.here.get("format").is_some_and(|format| format == "path")
     }
 
     /// Key that determines the alternative of a table, if there are several.
-    pub(crate) fn discriminant(self) -> Option<&'a str> {
+    #[must_use]
+    pub fn discriminant(self) -> Option<&'a str> {
         let first = self.alternatives().next()?.properties()?;
-        self.node.get("oneOf")?;
+        self.here.get("oneOf")?;
         first.iter().find(|(_, schema)| schema.get("const").is_some()).map(|(key, _)| key.as_str())
     }
 
     /// Keys of the alternative with this discriminant, those first that have no default.
-    pub(crate) fn keys_of_kind(self, discriminant: &str, kind: &Value) -> Option<Vec<&'a str>> {
+    #[must_use]
+    pub fn keys_of_kind(self, discriminant: &str, kind: &Value) -> Option<Vec<&'a str>> {
         let is_it = |option: &Self| {
             option.properties().is_some_and(|keys| {
                 keys.get(discriminant).is_some_and(|node| node.get("const") == Some(kind))
@@ -156,7 +169,7 @@ impl<'a> Node<'a> {
         };
         let option =
             (self.discriminant() == Some(discriminant)).then(|| self.alternatives().find(is_it))??;
-        let required = option.node.get("required").and_then(Value::as_array);
+        let required = option.here.get("required").and_then(Value::as_array);
         let is_required = |key: &&str| required.is_some_and(|names| names.iter().any(|name| name == *key));
         let keys = option.properties()?.keys().map(String::as_str).filter(|key| *key != discriminant);
         let (first, rest): (Vec<_>, Vec<_>) = keys.partition(is_required);
@@ -164,7 +177,7 @@ impl<'a> Node<'a> {
     }
 
     fn check(self, value: &Value, key: &str) -> Result<(), BuildError> {
-        let tried = self.options().map(|node| Self { root: self.root, node }.follow().check(value, key));
+        let tried = self.options().map(|node| Self { here: node, ..self }.follow().check(value, key));
         if let Some(found) = tried.reduce(Result::or) {
             return found;
         }
@@ -196,7 +209,7 @@ impl<'a> Node<'a> {
             let known: Vec<_> = names.into_iter().map(show).collect();
             return Err(refusal(key, value, &format!("one of {}", known.join(", "))));
         }
-        let kinds: Vec<&str> = match self.node.get("type") {
+        let kinds: Vec<&str> = match self.here.get("type") {
             Some(Value::String(kind)) => vec![kind],
             Some(Value::Array(kinds)) => kinds.iter().filter_map(Value::as_str).collect(),
             _ => return Ok(()),
@@ -217,7 +230,7 @@ impl<'a> Node<'a> {
             Value::Object(table) => self.check_table(table, key),
             Value::Array(list) => self.check_list(list, value, key),
             Value::Number(number) => {
-                let limit = |name: &str| self.node.get(name).and_then(Value::as_f64);
+                let limit = |name: &str| self.here.get(name).and_then(Value::as_f64);
                 let x = number.as_f64().unwrap_or(f64::NAN);
                 let accepted = limit("minimum").is_none_or(|limit| x >= limit)
                     && limit("exclusiveMinimum").is_none_or(|limit| x > limit)
@@ -225,7 +238,7 @@ impl<'a> Node<'a> {
                     && limit("exclusiveMaximum").is_none_or(|limit| x < limit);
                 if !accepted {
                     Err(refusal(key, value, &self.expectation(kinds[0])))
-                } else if kinds[0] == "number" && x.abs() > LARGEST {
+                } else if kinds[0] == "number" && x.abs() > self.largest {
                     Err(refusal(key, value, "a number from -1e9 to 1e9"))
                 } else {
                     Ok(())
@@ -237,9 +250,9 @@ impl<'a> Node<'a> {
 
     /// The allowed texts, if only these are allowed.
     fn names(self) -> Vec<&'a Value> {
-        match self.node.get("enum").and_then(Value::as_array) {
+        match self.here.get("enum").and_then(Value::as_array) {
             Some(names) => names.iter().collect(),
-            None => self.alternatives().filter_map(|option| option.node.get("const")).collect(),
+            None => self.alternatives().filter_map(|option| option.here.get("const")).collect(),
         }
     }
 
@@ -254,7 +267,7 @@ impl<'a> Node<'a> {
                 None => return Err(unknown_key(&place, name, properties.keys())),
             }
         }
-        let required = self.node.get("required").and_then(Value::as_array).into_iter().flatten();
+        let required = self.here.get("required").and_then(Value::as_array).into_iter().flatten();
         match required.filter_map(Value::as_str).find(|name| !table.contains_key(*name)) {
             Some(name) => Err(missing(&join(key, name))),
             None => Ok(()),
@@ -262,7 +275,7 @@ impl<'a> Node<'a> {
     }
 
     fn check_list(self, list: &[Value], value: &Value, key: &str) -> Result<(), BuildError> {
-        let limit = |name: &str| self.node.get(name).and_then(Value::as_u64);
+        let limit = |name: &str| self.here.get(name).and_then(Value::as_u64);
         let length = list.len() as u64;
         if limit("minItems").is_some_and(|limit| length < limit)
             || limit("maxItems").is_some_and(|limit| length > limit)
@@ -275,7 +288,7 @@ impl<'a> Node<'a> {
 
     /// Description of what the schema accepts.
     fn expectation(self, kind: &str) -> String {
-        let limit = |name: &str| self.node.get(name).filter(|limit| !limit.is_null());
+        let limit = |name: &str| self.here.get(name).filter(|limit| !limit.is_null());
         let words = match kind {
             "object" => "a table".to_owned(),
             "array" => match (limit("minItems"), limit("maxItems")) {
@@ -300,8 +313,44 @@ impl<'a> Node<'a> {
     }
 }
 
+/// A number ≥ 0.
+#[derive(JsonSchema)]
+#[schemars(inline)]
+pub struct NonNegative(#[schemars(range(min = 0))] pub f64);
+
+/// A number > 0.
+#[derive(JsonSchema)]
+#[schemars(inline)]
+pub struct Positive(#[schemars(extend("exclusiveMinimum" = 0))] pub f64);
+
+/// Checks the values of a configuration, which a program may have assigned, as those of a file are checked; errors name
+/// its `table`.
+///
+/// # Errors
+/// [`BuildError`] naming the key, its value and what was expected.
+pub fn check<T: Serialize + JsonSchema>(config: &T, table: &str) -> Result<(), BuildError> {
+    let value = serde_json::to_value(config).map_err(|error| BuildError::malformed(table, error))?;
+    check_finite(&value, table)?;
+    Node { largest: f64::INFINITY, ..Schema::of_type::<T>().root() }.check(&value, table)
+}
+
+/// Refuses what JSON does not have: a number that is not finite is `null`, and an absent key is not written.
+fn check_finite(value: &Value, key: &str) -> Result<(), BuildError> {
+    match value {
+        Value::Null => Err(BuildError::bad_entry(key, "not finite", "a finite number")),
+        Value::Object(table) => {
+            table.iter().try_for_each(|(name, value)| check_finite(value, &join(key, name)))
+        }
+        Value::Array(list) => {
+            list.iter().enumerate().try_for_each(|(i, value)| check_finite(value, &format!("{key}[{i}]")))
+        }
+        _ => Ok(()),
+    }
+}
+
 /// Full name of a key in a table.
-pub(crate) fn join(key: &str, name: &str) -> String {
+#[must_use]
+pub fn join(key: &str, name: &str) -> String {
     if key.is_empty() { name.to_owned() } else { format!("{key}.{name}") }
 }
 
@@ -309,7 +358,9 @@ fn missing(key: &str) -> BuildError {
     BuildError::MissingKey { key: key.to_owned() }
 }
 
-pub(crate) fn refusal(key: &str, value: &Value, expected: &str) -> BuildError {
+/// That a key, or the whole if it is empty, has a value which is not accepted.
+#[must_use]
+pub fn refusal(key: &str, value: &Value, expected: &str) -> BuildError {
     let (value, expected) = (shorten(value), expected.to_owned());
     if key.is_empty() {
         return BuildError::bad_value("the whole", value, expected);
@@ -339,7 +390,8 @@ fn show(value: &Value) -> String {
 }
 
 /// A value as displayed in errors.
-pub(crate) fn shorten(value: &Value) -> String {
+#[must_use]
+pub fn shorten(value: &Value) -> String {
     let text = value.to_string();
     if text.chars().count() > 80 { text.chars().take(79).chain(['…']).collect() } else { text }
 }
