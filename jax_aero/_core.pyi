@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 __version__: str
+MODES: dict[str, int]
 SETTLING_TIME: float
 
 class PanicException(RuntimeError): ...

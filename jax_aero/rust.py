@@ -39,6 +39,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from jax_aero import _core, own
 from jax_aero._core import (
+    MODES,
     SETTLING_TIME,
     BoxQpSolver,
     ControllerState,
@@ -59,6 +60,7 @@ from jax_aero.base.terminal import ConfigError, Progress
 from jax_aero.body import spatial
 
 __all__ = [
+    "MODES",
     "SETTLING_TIME",
     "BoxQpSolver",
     "Command",

@@ -38,7 +38,7 @@ class Command(NamedTuple):
     status: Int[Array, ""] | None = None
     """One of the codes above."""
     degraded_modes: Int[Array, ""] | None = None
-    """A sum of the bits in `modes.MODES`."""
+    """A sum of the bits in `rust.MODES`."""
     terms: Terms | None = None
 
     def check(self, robot: RobotModel) -> None:

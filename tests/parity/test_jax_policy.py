@@ -11,13 +11,13 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.base.cards import copy_card
-from jax_aero.base.modes import MODES
 from jax_aero.body.robot import load_robot
 from jax_aero.body.spatial import rotation_from_wxyz
 from jax_aero.control import Measurement
 from jax_aero.control.law.policy_card import load_policy, save_policy
 from jax_aero.env import FlightEnv
 from jax_aero.env_task import Task
+from jax_aero.rust import MODES
 from jax_aero.sim import prepare, step
 from jax_aero.train.policy import act, init_policy, residual_of
 from jax_aero.types import State

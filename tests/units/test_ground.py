@@ -9,8 +9,8 @@ import xarray as xr
 from experiments import engines, record
 from experiments.report import ground
 from jax_aero import rust
-from jax_aero.base.modes import MODES
 from jax_aero.mujoco.ground import GroundPlant, begin, fly
+from jax_aero.rust import MODES
 from paper_figs.command import main as draw
 
 STILL = {"profile": "constant", "velocity": [0.0, 0.0, 0.0]}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
-from jax_aero.base.modes import MODES
+from jax_aero.rust import MODES
 from jax_aero.sim.batch import condense
 
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from jax_aero import rust
-from jax_aero.base.modes import MODES
 from jax_aero.base.result import UPRIGHT
+from jax_aero.rust import MODES
 
 Row = dict[str, Any]
 EXACT, SENSORS = "test2_observer", "test2_sensors"

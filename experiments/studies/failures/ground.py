@@ -9,9 +9,9 @@ import numpy as np
 
 from experiments.studies.failures.flights import ARMS, CHEST, Row
 from jax_aero import rust
-from jax_aero.base.modes import MODES
 from jax_aero.base.result import UPRIGHT
 from jax_aero.mujoco import ground
+from jax_aero.rust import MODES
 
 DURATION = 24.0
 """Duration of a flight [s]."""

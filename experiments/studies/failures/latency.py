@@ -10,7 +10,7 @@ import numpy as np
 
 from experiments.studies.failures.flights import Row
 from jax_aero import rust
-from jax_aero.base.modes import MODES
+from jax_aero.rust import MODES
 
 CONTROLLERS = ("test2_observer", "test2_sensors", "test2_mpc", "test2_sensors_mpc")
 TORQUES, THRUSTS = (0.0, 0.003, 0.005, 0.01, 0.02), (0.0, 0.02, 0.05, 0.1)

@@ -17,7 +17,6 @@ import jax.numpy as jnp
 from jaxtyping import Float, Int
 
 from jax_aero.base.features import aim_of, features
-from jax_aero.base.modes import MODES
 from jax_aero.body.robot import RobotModel
 from jax_aero.control.command import DEGRADED, MOMENTUM_HELD, NOMINAL
 from jax_aero.control.guard import observer
@@ -25,6 +24,7 @@ from jax_aero.control.guard.observer import ObserverGains
 from jax_aero.control.law.rates import Rates
 from jax_aero.control.state import ControllerState
 from jax_aero.control.terms import Model
+from jax_aero.rust import MODES
 from jax_aero.types import Array, Setpoint, State, Static, pytree, where
 
 OBSERVER_GAIN = 3.0

@@ -45,10 +45,12 @@ mod _core {
     use super::stepwise::Flight;
     #[pymodule_export]
     use super::tables::{check_table, read_table, read_toml};
+    use flight_core::control::Modes;
     use pyo3::prelude::*;
 
     use pyo3::exceptions::PyRuntimeError;
     use pyo3::panic::PanicException;
+    use pyo3::types::IntoPyDict;
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -57,6 +59,8 @@ mod _core {
         let panic = module.py().get_type::<PanicException>();
         panic.setattr("__bases__", (module.py().get_type::<PyRuntimeError>(),))?;
         module.add("PanicException", panic)?;
+        let modes = Modes::NAMES.map(|(mode, name, _)| (name, mode.bits()));
+        module.add("MODES", modes.into_py_dict(module.py())?)?;
         module.add("SETTLING_TIME", flight_sim::summary::SETTLING_TIME)?;
         module.add("__version__", env!("CARGO_PKG_VERSION"))
     }
