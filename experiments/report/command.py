@@ -11,7 +11,7 @@ from pathlib import Path
 import jax_aero
 from experiments import Refused, manifest
 from experiments.flight import PAPER_RUNS
-from experiments.report import engines, findings, index, judges
+from experiments.report import engines, facts, findings, index, judges
 from experiments.report.findings import Finding
 from experiments.report.page import Contents, Heading, Mark, Page, Picture, Table, Text, literal
 from experiments.report.paper import all_claims, all_items, whole
@@ -367,35 +367,26 @@ def _spans(values: Sequence[object], known: Sequence[object]) -> str:
 
 def _engines(page: Page) -> None:
     choice = engines.Choice()
-    found = engines.results(choice)
     battery, fuel = str(engines.PAPER_BATTERY), str(engines.PAPER_FUEL)
     page.add(
         Heading(2, "Why jets: battery against fuel"),
         Text(
             f"A hovering {choice.robot_mass:g} kg robot for {choice.minutes:g} min, from the paper's own numbers. "
             "A battery carries "
-            "itself to the end, fuel is burnt on the way. `jax-aero study engine_choice` takes other numbers."
+            "itself to the end, fuel is burnt on the way."
         ),
         Table(
             ("what", "ours [kg]", "paper [kg]"),
             [
-                (
-                    "battery, 13 kW for 15 kg of thrust as printed",
-                    f"{found['battery_kg']:.2f}",
-                    battery,
-                ),
-                (
-                    "battery, 1 kW per kg of thrust",
-                    f"{found['battery_at_1_kW_per_kg_kg']:.2f}",
-                    battery,
-                ),
-                ("fuel, burnt on the way", f"{found['fuel_kg']:.2f}", fuel),
-                ("fuel, if none of its mass were lost", f"{found['fuel_without_burn_off_kg']:.2f}", "—"),
+                ("battery, 13 kW for 15 kg of thrust as printed", f"{choice.battery():.2f}", battery),
+                ("battery, 1 kW per kg of thrust", f"{choice.battery(1.0):.2f}", battery),
+                ("fuel, burnt on the way", f"{choice.fuel():.2f}", fuel),
+                ("fuel, if none of its mass were lost", f"{choice.fuel_carried():.2f}", "—"),
             ],
         ),
         Table(
             ("jet", "engine", "greatest thrust [N]"),
-            [(jet["jet"], jet["engine"], f"{jet['thrust_max_N']:.0f}") for jet in engines.engines()],
+            [(jet["name"], jet["engine"], f"{jet['thrust_max']:.0f}") for jet in facts.robot()["jets"]],
         ),
     )
 

@@ -15,10 +15,8 @@ Source: paper, Methods, "Actuators Selection".
 from __future__ import annotations
 
 import math
-from typing import Any
 
-from jax_aero.base import plain, tables
-from jax_aero.base.places import ROBOT
+from jax_aero.base import tables
 from jax_aero.base.tables import Positive
 
 PAPER_BATTERY, PAPER_FUEL = 26.31, 4.61
@@ -50,11 +48,6 @@ class Choice(tables.Table, frozen=True):
         share = 1e3 * power * (self.minutes / 60.0) / self.specific_energy
         return self.robot_mass * share / (1.0 - share) if share < 1.0 else math.inf
 
-    def power_per_thrust_for(self, battery: float) -> float:
-        """Return the power per thrust [kW/kg] for which a battery of this mass [kg] is just sufficient."""
-        share = battery / (self.robot_mass + battery)
-        return share * self.specific_energy / (self.minutes / 60.0) / 1e3
-
     def fuel(self) -> float:
         """Return the mass of fuel that is completely burnt in flight [kg]."""
         per_minute = self.jet_consumption * self.fuel_density / self.jet_thrust
@@ -64,30 +57,3 @@ class Choice(tables.Table, frozen=True):
         """Return the mass of fuel if burning did not reduce the robot's mass [kg]."""
         share = self.jet_consumption * self.fuel_density / self.jet_thrust * self.minutes
         return self.robot_mass * share / (1.0 - share) if share < 1.0 else math.inf
-
-
-def results(choice: Choice) -> dict[str, Any]:
-    """Return every figure of the comparison."""
-    return {
-        "inputs": plain.to_builtins(choice),
-        "battery_kg": choice.battery(),
-        "battery_at_1_kW_per_kg_kg": choice.battery(1.0),
-        "power_per_thrust_behind_the_printed_battery_kW_per_kg": choice.power_per_thrust_for(PAPER_BATTERY),
-        "fuel_kg": choice.fuel(),
-        "fuel_without_burn_off_kg": choice.fuel_carried(),
-        "paper": {"battery_kg": PAPER_BATTERY, "fuel_kg": PAPER_FUEL},
-    }
-
-
-def engines() -> list[dict[str, Any]]:
-    """Return the robot's jets: thrust limit, engine and steady throttle range."""
-    robot = tables.read(ROBOT)
-    return [
-        {
-            "jet": jet["name"],
-            "engine": jet["engine"],
-            "thrust_max_N": jet["thrust_max"],
-            **{name: robot["engines"][jet["engine"]][name] for name in ("k_t", "k_tt", "b_u", "b_t", "b_uu", "c")},
-        }
-        for jet in robot["jets"]
-    ]

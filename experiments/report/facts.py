@@ -112,8 +112,7 @@ def arm_engine() -> Judged:
 
 def battery() -> Judged:
     """Judge the battery of the engine choice, in two interpretations."""
-    found = engines.results(engines.Choice())
-    printed, other = found["battery_kg"], found["battery_at_1_kW_per_kg_kg"]
+    printed, other = engines.Choice().battery(), engines.Choice().battery(1.0)
     text = f"{printed:.2f} kg from the printed 13 kW for 15 kg; {other:.2f} kg from 1 kW per kg of thrust"
     off = printed - engines.PAPER_BATTERY
     return text, judge(abs(off) < 0.005, f"{off:+.2f} kg; the printed figure belongs to 1 kW per kg")
@@ -121,7 +120,7 @@ def battery() -> Judged:
 
 def fuel() -> Judged:
     """Judge the fuel of the engine choice."""
-    found = engines.results(engines.Choice())["fuel_kg"]
+    found = engines.Choice().fuel()
     return f"{found:.2f} kg, burnt on the way", judge_range(found, 4.605, 4.615, "kg")
 
 

@@ -56,7 +56,7 @@ def test_what_is_of_other_code_is_made_again(made_up_results, monkeypatch, tmp_p
     path.write_text(json.dumps(json.loads(path.read_text()) | {"code_hash": "0"}))
     monkeypatch.setattr(places, "RESULTS", tmp_path)
     assert reproduce.renewal("jax-aero fly test2") == " --overwrite"
-    assert [reproduce.renewal(f"jax-aero {line}") for line in ("fly test1", "fly no_wind", "study engine_choice")] == [
+    assert [reproduce.renewal(f"jax-aero {line}") for line in ("fly test1", "fly no_wind", "study trim hover")] == [
         ""
     ] * 3
 

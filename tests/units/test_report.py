@@ -660,7 +660,6 @@ def test_the_papers_fuel_and_battery_come_out(measured):
     choice = engines.Choice()
     assert round(choice.fuel(), 2) == engines.PAPER_FUEL
     measured("battery", abs(choice.battery(1.0) - engines.PAPER_BATTERY), 0.01)
-    measured("power per thrust", abs(choice.power_per_thrust_for(engines.PAPER_BATTERY) - 1.0), 1e-3)
     assert round(choice.battery(), 2) == 20.97
 
 

@@ -1,1 +1,0 @@
-"""The study `engine_choice`."""
