@@ -94,10 +94,10 @@ def write_mcap(recording: Recording, out: Path, progress: Progress | None = None
     Raises
     ------
     Refused
-        If `out` is not an `.mcap` file in an existing folder, or if the package `mcap` is not installed.
+        If `out` is not an `.mcap` file in an existing folder, or if `mcap` or `rosbags` is not installed.
     """
     check_out(out, ".mcap")
-    require(["mcap"], "writing an MCAP file", "logs")
+    require(["mcap", "rosbags"], "writing an MCAP file", "logs")
     from mcap.writer import Writer
 
     stamps = np.rint(recording.signals["time"] * 1e9).astype(np.int64).tolist()

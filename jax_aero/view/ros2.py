@@ -1,4 +1,4 @@
-"""Topics of an MCAP file as messages of ROS 2, in CDR: standard types, and every signal as a `Float64MultiArray`.
+"""Topics of an MCAP file as messages of ROS 2, by `rosbags`: standard types, and every signal as a `Float64MultiArray`.
 
 The dimensions of an array are labelled; the topic's metadata hold unit, meaning and the names of the entries. Stamps
 are seconds since the flight began.
@@ -7,8 +7,8 @@ are seconds since the flight began.
 from __future__ import annotations
 
 import json
-import struct
 from collections.abc import Callable, Iterator, Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -17,68 +17,11 @@ from jax_aero import rust
 from jax_aero.view.recording import Recording, axes_of, entries_of
 from jax_aero.view.topics import WORLD, Topic, body_poses, named, setpoints, wrenches, xyzw
 
-FIELDS: dict[str, dict[str, str]] = {
-    "builtin_interfaces/Time": {"sec": "int32", "nanosec": "uint32"},
-    "geometry_msgs/Point": dict.fromkeys("xyz", "float64"),
-    "geometry_msgs/Pose": {"position": "geometry_msgs/Point", "orientation": "geometry_msgs/Quaternion"},
-    "geometry_msgs/PoseStamped": {"header": "std_msgs/Header", "pose": "geometry_msgs/Pose"},
-    "geometry_msgs/PoseWithCovariance": {"pose": "geometry_msgs/Pose", "covariance": "float64[36]"},
-    "geometry_msgs/Quaternion": dict.fromkeys("xyzw", "float64"),
-    "geometry_msgs/Transform": {"translation": "geometry_msgs/Vector3", "rotation": "geometry_msgs/Quaternion"},
-    "geometry_msgs/TransformStamped": {
-        "header": "std_msgs/Header",
-        "child_frame_id": "string",
-        "transform": "geometry_msgs/Transform",
-    },
-    "geometry_msgs/Twist": {"linear": "geometry_msgs/Vector3", "angular": "geometry_msgs/Vector3"},
-    "geometry_msgs/TwistWithCovariance": {"twist": "geometry_msgs/Twist", "covariance": "float64[36]"},
-    "geometry_msgs/Vector3": dict.fromkeys("xyz", "float64"),
-    "geometry_msgs/Wrench": {"force": "geometry_msgs/Vector3", "torque": "geometry_msgs/Vector3"},
-    "geometry_msgs/WrenchStamped": {"header": "std_msgs/Header", "wrench": "geometry_msgs/Wrench"},
-    "nav_msgs/Odometry": {
-        "header": "std_msgs/Header",
-        "child_frame_id": "string",
-        "pose": "geometry_msgs/PoseWithCovariance",
-        "twist": "geometry_msgs/TwistWithCovariance",
-    },
-    "sensor_msgs/JointState": {
-        "header": "std_msgs/Header",
-        "name": "string[]",
-        "position": "float64[]",
-        "velocity": "float64[]",
-        "effort": "float64[]",
-    },
-    "std_msgs/Float64MultiArray": {"layout": "std_msgs/MultiArrayLayout", "data": "float64[]"},
-    "std_msgs/Header": {"stamp": "builtin_interfaces/Time", "frame_id": "string"},
-    "std_msgs/MultiArrayDimension": {"label": "string", "size": "uint32", "stride": "uint32"},
-    "std_msgs/MultiArrayLayout": {"dim": "std_msgs/MultiArrayDimension[]", "data_offset": "uint32"},
-    "std_msgs/String": {"data": "string"},
-    "tf2_msgs/TFMessage": {"transforms": "geometry_msgs/TransformStamped[]"},
-}
-"""Fields of the messages, in order, with their types."""
-
-NUMBERS = {"int32": "i", "uint32": "I", "float64": "d"}
-"""Formats of numbers in `struct`."""
-
-LITTLE_ENDIAN = b"\x00\x01\x00\x00"
-"""First bytes of a message in CDR."""
-
 BAG = "metadata.yaml"
 """Name of the file that makes a bag of a folder with an MCAP file."""
 
 Message = Callable[[int, dict[str, int]], Any]
 """Function from the number of a tick and its time stamp to the message; `None` for no message."""
-
-
-def define(kind: str) -> str:
-    """Return the definition of a message and of those within it, in the form `ros2msg`."""
-    kinds = [kind]
-    for each in kinds:
-        inner = (field.partition("[")[0] for field in FIELDS[each].values())
-        kinds += [name for name in dict.fromkeys(inner) if name in FIELDS and name not in kinds]
-    texts = ["".join(f"{field} {name}\n" for name, field in FIELDS[each].items()) for each in kinds]
-    others = (f"{'=' * 80}\nMSG: {name}\n{text}" for name, text in zip(kinds[1:], texts[1:], strict=True))
-    return "".join([texts[0], *others])
 
 
 def describe_bag(file: str, counts: Mapping[tuple[str, str], int], end: int) -> str:
@@ -97,42 +40,38 @@ def describe_bag(file: str, counts: Mapping[tuple[str, str], int], end: int) -> 
 
 
 def encode(kind: str, message: Mapping[str, Any]) -> bytes:
-    """Return a message in CDR, XCDR1 with little-endian numbers.
+    """Return a message in CDR.
 
-    >>> encode("std_msgs/String", {"data": "up"}).hex(" ")
+    >>> encode("std_msgs/msg/String", {"data": "up"}).hex(" ")
     '00 01 00 00 03 00 00 00 75 70 00'
     """
-    written = bytearray(LITTLE_ENDIAN)
-    _write(written, kind, message)
-    return bytes(written)
+    return bytes(_store().serialize_cdr(_typed(kind, message), kind))
 
 
-def _write(to: bytearray, kind: str, value: Any) -> None:
-    item, is_array, length = kind.rstrip("]").partition("[")
-    if kind == "string":
-        text = value.encode() + b"\0"
-        _write_numbers(to, "I", [len(text)])
-        to += text
-    elif is_array:
-        if not length:
-            _write_numbers(to, "I", [len(value)])
-        if item in NUMBERS:
-            _write_numbers(to, NUMBERS[item], value)
-        else:
-            for each in value:
-                _write(to, item, each)
-    elif kind in NUMBERS:
-        _write_numbers(to, NUMBERS[kind], [value])
-    else:
-        for name, field in FIELDS[kind].items():
-            _write(to, field, value[name])
+@cache
+def _store() -> Any:
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_HUMBLE)
 
 
-def _write_numbers(to: bytearray, form: str, values: Any) -> None:
-    """Write numbers, which begin at a multiple of their size, counted from the end of `LITTLE_ENDIAN`."""
-    if len(values):
-        to += bytes((len(LITTLE_ENDIAN) - len(to)) % struct.calcsize(form))
-        to += struct.pack(f"<{len(values)}{form}", *values)
+def _typed(kind: str, message: Mapping[str, Any]) -> Any:
+    """Return a message as an object of its type."""
+    parts = {name: _part(form, message[name]) for name, form in _store().fielddefs[kind][1]}
+    return _store().types[kind](**parts)
+
+
+def _part(form: Any, value: Any) -> Any:
+    """Return a field: of a type by its name, a list of one or of numbers, or plain."""
+    node, inner = form
+    if node.name == "NAME":
+        return _typed(inner, value)
+    if node.name == "BASE":
+        return value
+    (item, kind), _ = inner
+    if item.name == "NAME":
+        return [_typed(kind, each) for each in value]
+    return value if kind[0] == "string" else np.asarray(value, kind[0])
 
 
 def topics(recording: Recording) -> Iterator[Topic]:
@@ -143,13 +82,14 @@ def topics(recording: Recording) -> Iterator[Topic]:
             found = message(tick, {"sec": stamp // 10**9, "nanosec": stamp % 10**9})
             return None if found is None else encode(kind, found)
 
-        yield Topic(name, kind.replace("/", "/msg/"), define(kind).encode(), encoded, metadata)
+        definition, _ = _store().generate_msgdef(kind, ros_version=2)
+        yield Topic(name, kind, definition.encode(), encoded, metadata)
 
 
 def _topics(recording: Recording) -> Iterator[tuple[str, str, Message, dict[str, str]]]:
     robot, log = recording.robot, recording.signals
     urdf = {"data": robot.urdf_text}
-    yield "/robot_description", "std_msgs/String", lambda tick, _: urdf if tick == 0 else None, {}
+    yield "/robot_description", "std_msgs/msg/String", lambda tick, _: urdf if tick == 0 else None, {}
 
     positions, rotations = (part.tolist() for part in body_poses(recording))
 
@@ -166,7 +106,7 @@ def _topics(recording: Recording) -> Iterator[tuple[str, str, Message, dict[str,
             ]
         }
 
-    yield "/tf", "tf2_msgs/TFMessage", transforms, {}
+    yield "/tf", "tf2_msgs/msg/TFMessage", transforms, {}
 
     if "base_velocity" in log:
         unknown = [0.0] * 36
@@ -186,14 +126,14 @@ def _topics(recording: Recording) -> Iterator[tuple[str, str, Message, dict[str,
                 "twist": {"twist": twist, "covariance": unknown},
             }
 
-        yield "/odom", "nav_msgs/Odometry", odometry, {}
+        yield "/odom", "nav_msgs/msg/Odometry", odometry, {}
 
     desired = setpoints(recording)
 
     def setpoint(tick: int, stamp: dict[str, int]) -> Any:
         return {"header": _header(stamp), "pose": _pose(*(part[tick] for part in desired))}
 
-    yield "/setpoint", "geometry_msgs/PoseStamped", setpoint, {}
+    yield "/setpoint", "geometry_msgs/msg/PoseStamped", setpoint, {}
 
     if {"joint_velocity", "joint_torque"} <= log.keys():
         signals = {"position": "joint_position", "velocity": "joint_velocity", "effort": "joint_torque"}
@@ -202,7 +142,7 @@ def _topics(recording: Recording) -> Iterator[tuple[str, str, Message, dict[str,
             numbers = {field: log[name][tick] for field, name in signals.items()}
             return {"header": _header(stamp), "name": robot.joint_names, **numbers}
 
-        yield "/joint_states", "sensor_msgs/JointState", joints, {}
+        yield "/joint_states", "sensor_msgs/msg/JointState", joints, {}
 
     def wrench(rows: Any) -> Message:
         return lambda tick, stamp: {
@@ -211,13 +151,13 @@ def _topics(recording: Recording) -> Iterator[tuple[str, str, Message, dict[str,
         }
 
     for name, rows in wrenches(recording).items():
-        yield f"/wrench/{name}", "geometry_msgs/WrenchStamped", wrench(rows), {}
+        yield f"/wrench/{name}", "geometry_msgs/msg/WrenchStamped", wrench(rows), {}
 
     for name, signal in rust.signals().items():
         if name in log:
             yield (
                 f"/signals/{name}",
-                "std_msgs/Float64MultiArray",
+                "std_msgs/msg/Float64MultiArray",
                 _array(name, recording),
                 {
                     "unit": signal.unit,
