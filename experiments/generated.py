@@ -1,6 +1,6 @@
 """Write every committed file that follows from others: `python -m experiments.generated`, or `make generated`.
 
-Schemas and Python types follow from the types of the configuration, pages and pictures of kept results from their
+Schemas follow from the types of the configuration, pages and pictures of kept results from their
 figures.
 """
 

@@ -1,18 +1,16 @@
-"""Generate the files that follow from the configuration's types: `python -m experiments.schema`.
+"""The files that follow from the configuration's types; `python -m experiments.generated` writes them.
 
 The crate's types define flights and robots. Their JSON Schemas yield the schemas of `configs/schema/`, with which
-editors complete keys, and the Python types of `jax_aero/config.py`. The schemas of studies, sweeps and trainings come
-from the Python types that read them. `reference` is the documentation's page of all keys.
+editors complete keys. The schemas of studies, sweeps and trainings come from the Python types that read them.
+`reference` is the documentation's page of all keys.
 """
 
 from __future__ import annotations
 
-import argparse
 import copy
 import importlib
 import json
 import re
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,7 +25,6 @@ from experiments.training.config import Training
 from experiments.training.search import SearchConfig
 from jax_aero import rust
 from jax_aero.base import places, tables
-from jax_aero.cli import REFUSED
 
 Node = dict[str, Any]
 
@@ -44,22 +41,8 @@ TYPES: dict[str, Any] = {
 """Types that only Python reads, by the name of their schema."""
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
-MADE = "by `python -m experiments.schema` from the crate's types"
 PAGE = "reference/configuration.md"
 """Path of the page of all keys in the documentation."""
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; return its exit status."""
-    argparse.ArgumentParser("python -m experiments.schema", description=__doc__).parse_args(arguments)
-    if not places.IS_CHECKOUT:
-        print("error: `schema` writes into a checkout of the repository, and this is none", file=sys.stderr)
-        return REFUSED
-    for path, text in files().items():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-        print(path.relative_to(places.HOME))
-    return 0
 
 
 def files() -> dict[Path, str]:
@@ -71,7 +54,6 @@ def files() -> dict[Path, str]:
     folder = places.CONFIGS / "schema"
     return {
         **{folder / f"{name}.schema.json": _json(schema) for name, schema in sorted(found.items())},
-        places.HOME / "jax_aero" / "config.py": python_types(crate),
         **{path: _json({"$schema": DIALECT, **tables.schema(kind)}) for path, kind in _of_studies()},
     }
 
@@ -212,11 +194,6 @@ def _choices(node: Node) -> dict[str, str] | None:
     return found or None
 
 
-def _length(node: Node) -> int | None:
-    """Return the number of items of a list of fixed length."""
-    return node.get("minItems") if node.get("minItems") == node.get("maxItems") else None
-
-
 def _items(node: Node) -> Node:
     found: Node = node.get("items") or node["prefixItems"][0]
     return found
@@ -236,118 +213,6 @@ def _type_name(node: Node) -> str | None:
     """Return the name of the type that a node refers to, if any."""
     reference = _remove_null(node)[0].get("$ref")
     return None if reference is None else str(reference).removeprefix("#/$defs/")
-
-
-def _references(node: Any) -> Iterator[str]:
-    for inner in _nodes(node):
-        if isinstance(inner.get("$ref"), str):
-            yield inner["$ref"].removeprefix("#/$defs/")
-
-
-# --- Python types ------------------------------------------------------------------------------------------------
-
-HEADER = f'''"""Types of a flight's configuration; `configs/schema` describes every key.
-
-Made {MADE}: not to be edited.
-They are filled from what the crate has checked (`jax_aero.base.typed`).
-"""
-
-# ruff: noqa: D101
-
-from __future__ import annotations
-
-from typing import Literal, TypeAlias
-
-from msgspec import Struct, field
-'''
-
-KEYWORDS = ("lambda",)
-
-
-def python_types(schemas: Mapping[str, Node]) -> str:
-    """Return the module of the Python types, without those of a robot, which only the crate reads."""
-    definitions = _definitions(schemas, ["experiments"])
-    done: set[str] = set()
-    parts: list[str] = []
-
-    def write(name: str) -> None:
-        if name in done:
-            return
-        done.add(name)
-        for needed in _references({key: value for key, value in definitions[name].items() if key != "$defs"}):
-            write(needed)
-        parts.append(_python_type(name, definitions[name]))
-
-    for name in definitions:
-        write(name)
-    return HEADER + "".join(parts)
-
-
-def _python_type(name: str, node: Node) -> str:
-    if choices := _choices(node):
-        return f"\n\n{name}: TypeAlias = Literal[{', '.join(map(json.dumps, choices))}]\n"
-    if tagged := _find_tags(node):
-        names = {kind: f"{''.join(map(str.title, kind.split('_')))}{name}" for kind in tagged.kinds}
-        classes = [
-            _class(names[kind], option, f', tag_field="{tagged.tag}", tag="{kind}"')
-            for kind, option in tagged.kinds.items()
-        ]
-        union = " | ".join(names.values())
-        is_long = len(f"{name}: TypeAlias = {union}") > 120
-        return "".join(classes) + f"\n\n{name}: TypeAlias = " + (f"(\n    {union}\n)" if is_long else union) + "\n"
-    return _class(name, node, "")
-
-
-def _class(name: str, node: Node, options: str) -> str:
-    lines = [f"\n\nclass {name}(Struct, frozen=True, kw_only=True{options}):\n"]
-    required, properties = node.get("required", ()), node.get("properties", {})
-    for key, value in properties.items():
-        lines.append(f"    {_field(key, value, key in required)}\n")
-    return "".join(lines if properties else [*lines, "    pass\n"])
-
-
-def _field(key: str, node: Node, required: bool) -> str:
-    kind, nullable = _annotation(node)
-    name = f"{key}_" if key in KEYWORDS else key
-    renamed = f'name="{key}"' if name != key else ""
-    default = node.get("default")
-    if required:
-        return f"{name}: {kind}" + (f" = field({renamed})" if renamed else "")
-    if default is None:
-        assert nullable, key
-        return f"{name}: {kind} = None"
-    if isinstance(default, dict):
-        reference = _type_name(node)
-        value = f"{reference}()" if reference else "field(default_factory=dict)"
-        return f"{name}: {kind} = {value}"
-    value = _python_value(default)
-    return f"{name}: {kind} = " + (f"field(default={value}, {renamed})" if renamed else value)
-
-
-def _python_value(value: Any) -> str:
-    if isinstance(value, list):
-        inner = [_python_value(entry) for entry in value]
-        return f"({', '.join(inner)}{',' if len(inner) == 1 else ''})"
-    return json.dumps(value) if isinstance(value, str) else repr(value)
-
-
-def _annotation(node: Node) -> tuple[str, bool]:
-    """Return the Python type of a node, and whether it may be null."""
-    node, nullable = _remove_null(node)
-    if reference := _type_name(node):
-        kind = reference
-    elif node["type"] == "array":
-        inner, length = _annotation(_items(node))[0], _length(node)
-        kind = f"tuple[{', '.join([inner] * length if length else [inner, '...'])}]"
-    elif node["type"] == "object":
-        kind = f"dict[str, {_annotation(node['additionalProperties'])[0]}]"
-    elif node["type"] == "string":
-        kind = "str"
-    elif node["type"] == "boolean":
-        kind = "bool"
-    else:
-        kind = {"number": "float", "integer": "int"}[node["type"]]
-    return f"{kind} | None" if nullable else kind, nullable
 
 
 def _prose(text: str) -> str:
@@ -462,8 +327,9 @@ def _kind(node: Node, definitions: Mapping[str, Node]) -> tuple[str, str, dict[s
         return f"[table](#{name})", "", {}
     if node["type"] == "array":
         inner, limits, choices = _kind(_items(node), definitions)
-        length = _length(node)
-        return f"list of {inner}" if length is None else f"list of {length}: {inner}", limits, choices
+        length = node.get("minItems")
+        is_fixed = length is not None and length == node.get("maxItems")
+        return f"list of {length}: {inner}" if is_fixed else f"list of {inner}", limits, choices
     if node["type"] == "object":
         inner, limits, choices = _kind(node["additionalProperties"], definitions)
         return f"by name: {inner}", limits, choices
@@ -477,7 +343,3 @@ def _markdown(text: str) -> tuple[str, str]:
     """Return a description without its first unit, and that unit."""
     unit = re.search(r" \\\[([^]\\]*)\\\]", text)
     return (_prose(text.replace(unit[0], "", 1)), unit[1]) if unit else (_prose(text), "")
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
 from experiments.report import facts, findings, kept
 from experiments.report.findings import Finding
+from experiments.report.page import Heading, Page, Table, Text
 from experiments.report.paper import Item, all_claims, sections
 from experiments.report.results import Results
 from jax_aero.base import places
@@ -44,13 +45,13 @@ def found() -> dict[str, Finding]:
 
 def page() -> str:
     """Return the page as Markdown."""
-    known = found()
-    parts = ["# The paper, item by item", ABOUT]
+    known, shown = found(), Page("The paper, item by item", [Text(ABOUT)])
     for title, items in sections().items():
-        parts += [f"## {title}", _table([HEADINGS, *(row for item in items for row in _rows(item, known))])]
+        shown.add(Heading(2, title), Table(HEADINGS, [row for item in items for row in _rows(item, known)]))
     for title, (rows, caption) in TABLES.items():
-        parts += [f"## {title}", caption, _table(rows())]
-    return "\n\n".join(parts) + "\n"
+        headings, *rest = rows()
+        shown.add(Heading(2, title), Text(caption), Table(headings, rest))
+    return shown.markdown()
 
 
 def _rows(item: Item, known: Mapping[str, Finding]) -> Iterator[tuple[str, ...]]:
@@ -79,8 +80,3 @@ def _link(link: str) -> str:
         return f"`{link}`"
     name = link.removeprefix("#").replace("-", " ") if link.startswith("#") else link.rsplit("#", 1)[-1]
     return f"[{name}]({link})"
-
-
-def _table(rows: Sequence[Sequence[str]]) -> str:
-    lines = [rows[0], ["---"] * len(rows[0]), *rows[1:]]
-    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in lines)

@@ -30,11 +30,11 @@ from experiments.sweep.design import Design
 from experiments.sweep.spec import Spec
 from jax_aero.base import documents, places
 from jax_aero.base.files import find_damaged, read_json, write_text
-from jax_aero.base.modes import MODES
 from jax_aero.base.parquet import read_table
 from jax_aero.base.result import LOST, UPRIGHT
 from jax_aero.base.terminal import exit_status
 from jax_aero.cli import Parser, complete_with
+from jax_aero.rust import MODES
 
 FIRST = ("max_rotation_error", "thrust_max", "end_com_x", "end_com_z")
 """Figures that are kept of the first flight of each cell."""
@@ -167,7 +167,7 @@ def of_sweep(folder: Path, named: str | None = None) -> Kept:
         shows=list(tabled.shows),
         outcomes=document["finished"]["outcomes"],
         columns=[*(axis.name for axis in axes), *FIGURES],
-        rows=[[*levels, *_shorten(list(figures.values()))] for levels, figures in rows],
+        rows=[[*levels, *_shorten([figures[name] for name in FIGURES])] for levels, figures in rows],
         firsts=firsts,
         claims=found,
         states={claim.key: claim.states for claim in asked.claim} if asked else {},
@@ -240,18 +240,10 @@ def figures(flights: pd.DataFrame) -> dict[str, Any]:
     rotation, com = np.degrees(upright["max_rotation_error"]), 100.0 * upright["max_com_error"]
     near = (rotation <= math.degrees(table.ON_COURSE_ROTATION)) & (com <= 100.0 * table.ON_COURSE_COM)
     on_course = near & (upright["outcome"] == "completed")
-    found: dict[str, Any] = {
-        "flights": len(flights),
-        "completed": int((outcome == "completed").sum()),
-        "descended": int((outcome == "descended").sum()),
-        "descending": int((outcome == "descending").sum()),
-        "on_course": int(on_course.sum()),
-        "off_course": int((outcome == "off_course").sum()),
-        "lost": len(lost),
-        "crashed": int((outcome == "crashed").sum()),
-        "unwarned": int((lost["warning_time"] < table.LEAST_WARNING).sum()),
-        "degraded": len(degraded),
-    }
+    ends = ("completed", "descended", "descending", "off_course", "crashed")
+    found: dict[str, Any] = {"flights": len(flights), **{end: int((outcome == end).sum()) for end in ends}}
+    found |= {"on_course": int(on_course.sum()), "lost": len(lost), "degraded": len(degraded)}
+    found["unwarned"] = int((lost["warning_time"] < table.LEAST_WARNING).sum())
     for name, values in (("rotation_deg", rotation), ("com_cm", com)):
         found |= {f"{name}_{quantile}": _quantile(values, share) for quantile, share in QUANTILES.items()}
     bits = flights["all_modes"].fillna(0).to_numpy().astype(int)

@@ -21,7 +21,7 @@ from experiments.report.page import Heading, Mark, Page, Picture, Table, Text
 from experiments.sweep.table import wilson
 from jax_aero.base import places
 from jax_aero.base.files import read_json
-from jax_aero.base.modes import MODES
+from jax_aero.rust import MODES
 
 FOLDER = places.HOME / "docs" / "results"
 INDEX = "index"
