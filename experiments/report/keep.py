@@ -167,7 +167,7 @@ def of_sweep(folder: Path, named: str | None = None) -> Kept:
         shows=list(tabled.shows),
         outcomes=document["finished"]["outcomes"],
         columns=[*(axis.name for axis in axes), *FIGURES],
-        rows=[[*levels, *_shorten([figures[name] for name in FIGURES])] for levels, figures in rows],
+        rows=[[*levels, *_shorten(list(figures.values()))] for levels, figures in rows],
         firsts=firsts,
         claims=found,
         states={claim.key: claim.states for claim in asked.claim} if asked else {},
@@ -247,12 +247,13 @@ def figures(flights: pd.DataFrame) -> dict[str, Any]:
     for name, values in (("rotation_deg", rotation), ("com_cm", com)):
         found |= {f"{name}_{quantile}": _quantile(values, share) for quantile, share in QUANTILES.items()}
     bits = flights["all_modes"].fillna(0).to_numpy().astype(int)
-    return found | {
+    found |= {
         "found_s": _quantile(degraded["nominal_until"] - degraded["onset"], 0.5),
         "announced_s": _quantile(lost["warning_time"], 0.5),
         "lost_s": _quantile(lost["lost_time"], 0.5),
         "modes": sum(bit for bit in MODES.values() if np.mean((bits & bit) > 0) >= 0.5),
     }
+    return {name: found[name] for name in FIGURES}
 
 
 def _quantile(values: pd.Series, share: float) -> float | None:
