@@ -70,8 +70,8 @@ def _type(node: Mapping[str, Any]) -> Any:
         return reduce(or_, (_type({**node, "type": each}) for each in kind))
     if kind == "array":
         item, length = _type(node.get("items") or node["prefixItems"][0]), node.get("minItems")
-        is_fixed = length is not None and length == node.get("maxItems")
-        return GenericAlias(tuple, (item,) * length if is_fixed else (item, ...))
+        is_fixed = length == node.get("maxItems")
+        return GenericAlias(tuple, (item,) * length if length is not None and is_fixed else (item, ...))
     return GenericAlias(dict, (str, _type(node["additionalProperties"]))) if kind == "object" else SCALARS[kind]
 
 
