@@ -3,6 +3,7 @@
 //! Every module refuses bad input when it is *built*, with an error that names the item, its value and what was
 //! expected. A tick does not return these errors; it has a status.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use thiserror::Error;
 
@@ -209,6 +210,26 @@ pub fn place_of<S: AsRef<str>>(
 ) -> Result<usize, BuildError> {
     let place = known.clone().into_iter().position(|known| known.as_ref() == name);
     place.ok_or_else(|| BuildError::unknown_name(item, name, known))
+}
+
+/// Checks that a table has exactly one number for each of some names.
+///
+/// # Errors
+/// [`BuildError`] naming the key.
+pub fn check_values_by_name<'a>(
+    table: &str,
+    values: &BTreeMap<String, f64>,
+    names: impl Iterator<Item = &'a str> + Clone,
+) -> Result<(), BuildError> {
+    for name in values.keys() {
+        place_of(table, name, names.clone())?;
+    }
+    for name in names {
+        if !values.contains_key(name) {
+            return Err(BuildError::bad_value(format!("{table}.{name}"), "absent", "a number ≥ 0"));
+        }
+    }
+    Ok(())
 }
 
 /// Checks of the numbers in one table of a configuration; errors name table and key.

@@ -17,7 +17,7 @@ use super::law::setpoint::SetpointConfig;
 use super::law::tasks::MomentumWeights;
 use super::law::torque::TorqueConfig;
 use crate::aero::{JacobianOffset, LeverArm, LinkConventions, LinkVelocity};
-use crate::error::{BuildError, Table, check, place_of};
+use crate::error::{BuildError, Table, check, check_values_by_name, place_of};
 use crate::jets::{JetDynamics, ShaftConfig};
 #[cfg(feature = "clarabel")]
 use crate::qp::ClarabelSolver;
@@ -234,18 +234,20 @@ impl ControllerConfig {
         }
 
         check_values_by_name(
-            "posture_gain",
+            "controller.posture_gain",
             &self.posture_gain,
             robot.groups.iter().map(|group| group.name.as_str()),
         )?;
-        for (group, friction) in self.torque.friction.iter().flatten() {
-            let key = format!("torque.friction.{group}");
-            CONTROLLER.check_non_negative(&key, *friction)?;
+        for (group, _) in self.torque.friction.iter().flatten() {
             let groups = robot.groups.iter().map(|of| &of.name);
             place_of("controller.torque.friction", group, groups)?;
         }
-        check_values_by_name("weights.thrust_rate", &self.weights.thrust_rate, robot.jet_names())?;
-        check_values_by_name("bounds.thrust_rate_max", &self.bounds.thrust_rate_max, robot.jet_names())?;
+        check_values_by_name("controller.weights.thrust_rate", &self.weights.thrust_rate, robot.jet_names())?;
+        check_values_by_name(
+            "controller.bounds.thrust_rate_max",
+            &self.bounds.thrust_rate_max,
+            robot.jet_names(),
+        )?;
         self.weights.symmetric_pairs(robot)?;
         if let Some([jet, _]) = self.weights.symmetric_jets.iter().find(|[one, other]| one == other) {
             let key = "controller.weights.symmetric_jets";
@@ -335,25 +337,4 @@ impl ControllerConfig {
             axes_of: axes_of.transpose()?,
         })
     }
-}
-
-/// Checks that a table has exactly one number for each of some names.
-pub(super) fn check_values_by_name<'a>(
-    table: &str,
-    values: &BTreeMap<String, f64>,
-    names: impl Iterator<Item = &'a str> + Clone,
-) -> Result<(), BuildError> {
-    for name in values.keys() {
-        place_of(format!("controller.{table}"), name, names.clone())?;
-    }
-    for name in names {
-        if !values.contains_key(name) {
-            return Err(BuildError::bad_value(
-                format!("controller.{table}.{name}"),
-                "absent",
-                "a number ≥ 0",
-            ));
-        }
-    }
-    Ok(())
 }

@@ -21,6 +21,7 @@ use crate::dynamics::InverseMass;
 use crate::linalg;
 use crate::qp::QpProblem;
 use crate::robot::RobotModel;
+use crate::schema::NonNegative;
 use crate::spatial::Pose;
 use nalgebra::{DMatrix, DVector, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
@@ -62,6 +63,7 @@ pub struct TorqueConfig {
     /// Dry friction of the drives of revolute joints, by joint group, with which they oppose the commanded velocities
     /// \[N m\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "Option<BTreeMap<String, NonNegative>>")]
     pub friction: Option<BTreeMap<String, f64>>,
     /// Ticks of the torques in a tick of the law.
     #[serde(default = "one")]

@@ -2,8 +2,7 @@
 
 use super::clearance::{Clearance, ClearanceConfig};
 use crate::aero::{AeroModel, LinkConventions};
-use crate::control::config::check_values_by_name;
-use crate::error::{BuildError, Table, place_of};
+use crate::error::{BuildError, Table, check_values_by_name, place_of};
 use crate::robot::RobotModel;
 use crate::schema::NonNegative;
 use serde::{Deserialize, Serialize};
@@ -117,7 +116,9 @@ impl MpcConfig {
         for (table, weights) in [("weights", Some(&self.weights)), ("descent", self.descent.as_ref())] {
             let posture = weights.map(|weights| &weights.posture);
             let groups = self.joint_groups.iter().map(String::as_str);
-            posture.map_or(Ok(()), |of| check_values_by_name(&format!("mpc.{table}.posture"), of, groups))?;
+            posture.map_or(Ok(()), |of| {
+                check_values_by_name(&format!("controller.mpc.{table}.posture"), of, groups)
+            })?;
         }
         MPC.gain("posture_gain", self.posture_gain, time_step)?;
         let is_whole = |value: f64| (value / time_step - (value / time_step).round()).abs() < 1e-6;
