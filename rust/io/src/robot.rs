@@ -12,12 +12,12 @@ mod tree;
 mod urdf;
 
 use crate::files::absolute_path;
-use crate::schema::Schema;
 use crate::toml::{from_value, parse, resolve};
 use crate::{read_bytes, read_text};
 use flight_core::error::{BuildError, check as check_number, place_of};
 use flight_core::jets::{EngineCoefficients, SecondOrder};
 use flight_core::robot::{AeroLink, AxisymmetricCoefficients, Foot, Jet, JointGroup, RobotModel, check};
+use flight_core::schema::Schema;
 use flight_core::spatial::{Pose, unit_vector};
 use joints::JointEntry;
 use nalgebra::{Unit, Vector3};
