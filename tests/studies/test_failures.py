@@ -65,7 +65,8 @@ def test_a_flight_whose_thrusts_are_measured_too_high_falls(monkeypatch):
 def test_foot_sensors_are_lost_frozen_or_zero_from_a_time_on():
     feet = np.ones((2, 6))
     state = rust.State(np.zeros(3), np.eye(3), np.zeros(23), np.ones(29))
-    before, after = (rust.Measurement(time, state, np.ones(4), np.zeros(3), time * feet) for time in (1.0, 2.0))
+    unknown = np.full(4, np.nan)
+    before, after = (rust.Measurement(t, state, np.ones(4), np.zeros(3), t * feet, unknown) for t in (1.0, 2.0))
     seen = {}
     for what in ("foot_wrenches", "frozen", "zero", "right", "velocity"):
         change = ground.mislead(what, 1.5)
