@@ -60,8 +60,10 @@ impl Torques {
         if inverse_mass.is_known {
             torque_qp.limit(&limits.joints);
             self.free.fill(0.0);
-            self.free.rows_range_mut(6..).axpy(-1.0, friction, 0.0);
-            inverse_mass.multiply_in_place(&mut self.free);
+            if friction.iter().any(|x| *x != 0.0) {
+                self.free.rows_range_mut(6..).axpy(-1.0, friction, 0.0);
+                inverse_mass.multiply_in_place(&mut self.free);
+            }
             self.free += &*free_acceleration;
             torque_qp.update(
                 contact,
