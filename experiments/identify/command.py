@@ -5,8 +5,7 @@ held out. Every number is shown with its 90 % interval and the share of the data
 
 `results/identify/NAME/` holds `robot.toml`, which builds on the old file, `experiment.toml`, which flies it in a world
 with what was found of sensors, drives and engines, `perturbation.toml` of what is left unknown, `numbers.json` and
-`held_out.png`. With --excite AXES, in place of
-LOG, it holds a mission that moves these axes, `excite.toml`.
+`held_out.png`. With --excite AXES, in place of LOG, it holds a mission that moves these axes, `excite.toml`.
 """
 
 from __future__ import annotations
