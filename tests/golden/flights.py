@@ -77,6 +77,7 @@ def load_stored(name: str) -> Stored:
 def difference(found: NDArray[np.float64], expected: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the largest difference of each row, relative to the range of the signal over the rows."""
     scale = max(float(np.abs(expected[np.isfinite(expected)]).max(initial=0.0)), SMALL)
-    # Some bounds are infinite.
-    apart = np.subtract(found, expected, out=np.zeros(expected.shape), where=found != expected)
+    # Some bounds are infinite, some measurements unknown.
+    other = (found != expected) & ~(np.isnan(found) & np.isnan(expected))
+    apart = np.subtract(found, expected, out=np.zeros(expected.shape), where=other)
     return np.abs(apart).reshape(len(expected), -1).max(axis=1, initial=0.0) / scale
