@@ -166,9 +166,10 @@ class Fall:
         return -float(answer["f"]) if self.best.stats()["success"] else np.nan
 
     def _bounds(self, thrust: float) -> list[tuple[Array, Array]]:
-        """Return the bounds of the states on the way and at the end."""
+        """Return the bounds of the states on the way and at the end: a fall does not climb again."""
         high, low = self.upper.copy(), self.lower.copy()
         high[self.thrust] *= thrust
+        high[DOWNWARDS] = 0.0
         low[DOWNWARDS] = -DOWNWARDS_MAX
         return [(self.lower, high), (low, high)]
 
