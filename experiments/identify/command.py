@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -74,8 +75,6 @@ OFFSET = 2.0
 """Of a thrust sensor's offset [N]: half of the 2 % of Momin et al., ICRA 2022."""
 DAMPING = 0.5
 """Of the drives' viscous friction [N m s]: that of `simulator/robot.toml`."""
-MANOEUVRE = (4.0, 58.0)
-"""Beginning and end of a manoeuvre [s]."""
 
 
 def main(words: Sequence[str]) -> int:
@@ -90,6 +89,7 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--only", default=",".join(GROUPS), metavar="WORDS", help=f"some of {', '.join(GROUPS)}")
     about = "perturbation whose half widths are the errors of the robot's file (default unknown_robot)"
     parser.add_argument("--prior", default="unknown_robot", metavar="NAME", help=about)
+    parser.add_argument("--propose", action="store_true", help="say what a log of each axis in motion would teach")
     parser.add_argument("--excite", metavar="AXES", help=f"write a mission that moves some of {','.join(excite.AXES)}")
     cli.add_name(parser, "that of the first log")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing result")
@@ -138,7 +138,26 @@ def _identify(given: argparse.Namespace) -> None:
         names = labels(robot)
         mix = " ".join(f"{direction[place]:+.2f} {names[place][0]}" for place in largest if abs(direction[place]) > 0.1)
         print(f"{100.0 * share:.0f} % of the prior's variance is left along {mix}")
+    if given.propose:
+        with jax.enable_x64(True):
+            print(text_table(proposals({**config, "robot": str(source), "disturbances": {}}, robot, found)))
     print(f"fly it: jax-aero fly {folder / 'experiment.toml'}")
+
+
+def proposals(config: rust.Config, robot: RobotModel, found: Found) -> list[tuple[str, str, str]]:
+    """Return what a log of each manoeuvre of one axis would teach, the best first; each is flown in the experiment."""
+    rows, names = [], [name for name, *_ in labels(robot)]
+    aero, numbers = aero_model(scenario_config(config).controller.aero, robot), numbers_of(robot, found.value)
+    with tempfile.TemporaryDirectory() as folder:
+        for axis in excite.AXES:
+            log = rust.fly(excite.flight(config, [axis], Path(folder))).log
+            left = identify.expected(robot, aero, numbers, found, samples.sample(log, config), samples.PERIOD)
+            asked = found.prior > 0.0
+            remains = float(np.exp(np.mean(np.log(left[asked] / found.deviation[asked]))))
+            newly = asked & (found.share < 0.5) & (left < np.sqrt(0.5) * found.prior)
+            rows.append((remains, axis, ", ".join(names[place] for place in np.flatnonzero(newly)) or "none"))
+    table = [(f"--excite {axis}", f"{100.0 * remains:.0f} %", newly) for remains, axis, newly in sorted(rows)]
+    return [("a log of", "intervals left, geometric mean", "found besides"), *table]
 
 
 def prior_of(robot: RobotModel, widths: Perturbation, words: Sequence[str] = tuple(GROUPS)) -> Numbers:
@@ -270,8 +289,8 @@ def _excite(given: argparse.Namespace) -> None:
     config = rust.load_config(experiment, changes)
     folder = places.RESULTS / "identify" / (given.named or f"excite_{'_'.join(axes)}")
     with complete_folder(folder, replace=given.overwrite) as draft:
-        excite.write(draft / "excite.csv", excite.reference_of(config, axes, *MANOEUVRE))
+        excite.write(draft / "excite.csv", excite.reference_of(config, axes, *excite.SPAN))
         mission = {"base": str(experiment.resolve()), **changes, "mission": {"file": "excite.csv"}}
-        text = plain.toml(mission | {"simulator": {"duration": MANOEUVRE[1] + 2.0}})
+        text = plain.toml(mission | {"simulator": {"duration": excite.SPAN[1] + 2.0}})
         (draft / "excite.toml").write_text(text + "\n", encoding="utf-8")
     print(f"fly it: jax-aero fly {folder / 'excite.toml'}")

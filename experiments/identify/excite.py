@@ -15,6 +15,8 @@ AXES = {"x": 0.5, "y": 0.5, "z": 0.3, "roll": 8.0, "pitch": 8.0, "yaw": 20.0}
 """Axes of a manoeuvre, with their greatest motion [m, deg], which the robot's world survives."""
 PERIODS = (7.0, 4.3, 2.9)
 """Periods of the motion [s]; none is a multiple of another, so that axes are told apart."""
+SPAN = (4.0, 58.0)
+"""Beginning and end of a manoeuvre [s]."""
 RISE = 3.0
 """Time in which the motion begins and ends [s]."""
 
@@ -52,3 +54,11 @@ def reference_of(config: rust.Config, axes: Sequence[str], start: float, end: fl
     state = rust.State(np.asarray(initial["base_position"]), rotation, joints, np.zeros(6 + joints.size))
     com = rust.dynamics(rust.Robot(config["robot"]), state).com_position
     return reference(com, rpy, axes, start, end)
+
+
+def flight(config: rust.Config, axes: Sequence[str], folder: Path) -> rust.Config:
+    """Return the flight of a manoeuvre, whose reference is written to a folder."""
+    write(folder / "excite.csv", reference_of(config, axes, *SPAN))
+    mission = {"file": str(folder / "excite.csv")}
+    simulator = config["simulator"] | {"duration": SPAN[1] + 2.0}
+    return rust.resolve_config({**config, "mission": mission, "simulator": simulator})

@@ -257,6 +257,27 @@ def estimate(
     return Found(theta, np.sqrt(np.diag(whole)), width, whole, list(zip(before, after, strict=True)))
 
 
+def expected(
+    robot: RobotModel, aero: AeroModel, numbers: Numbers, found: Found, log: Samples, period: float
+) -> Float[np.ndarray, " p"]:
+    """Return the standard deviations after one more log, of which the motion alone counts (p,).
+
+    `numbers` are about the values of `found`. The noise is white and as large as what these leave of their last log.
+    """
+    free = np.flatnonzero(found.prior > 0.0)
+    sigma = found.prior[free]
+    slopes = np.asarray(_slopes(robot, aero, numbers, log, tuple(free.tolist())))
+    moving = _moving(log)
+    _, by = _transformed(moving[:, :, None] * slopes, moving, period)
+    noise = np.broadcast_to(np.std(found.residuals[-1][1], axis=0), by.shape[:2])
+    floor = np.repeat(UNMODELLED, [3, 3, robot.n_joints])
+    added, _ = _information(noise, sigma * by, floor, np.zeros((free.size, free.size)))
+    known = np.linalg.inv(found.covariance[np.ix_(free, free)] / np.outer(sigma, sigma))
+    left = np.zeros(found.prior.size)
+    left[free] = sigma * np.sqrt(np.diag(np.linalg.inv(known + added)))
+    return left
+
+
 @jax.jit
 def _unexplained(robot: RobotModel, aero: AeroModel, numbers: Numbers, samples: Samples) -> Float[Array, "k N"]:
     found: Array = jax.lax.map(lambda now: unexplained(robot, aero, numbers, now), samples, batch_size=CHUNK)

@@ -110,6 +110,28 @@ def test_a_robot_that_hovers_still_teaches_no_more_than_its_prior(sparrow):
     assert found.deviation.max() <= max(np.max(part) for part in prior)
 
 
+@pytest.mark.usefixtures("x64")
+def test_a_log_that_is_expected_teaches_what_it_then_does(sparrow):
+    """With the noise that the first log left, the second one's deviations are those of an estimate from both."""
+    robot, aero = sparrow
+    prior, truth = drawn(robot)
+    rng = np.random.default_rng(7)
+    noise = np.repeat(identify.UNMODELLED, [3, 3, robot.n_joints])
+    logs = []
+    for _ in range(2):
+        log = made_log(robot, aero, truth)
+        logs.append(log._replace(torque=log.torque + noise[6:] * rng.normal(size=log.torque.shape)))
+    still = logs[1]._replace(joint_velocity=jnp.zeros_like(logs[1].joint_velocity))
+    first, both = (identify.estimate(robot, aero, some, PERIOD, prior) for some in (logs[:1], logs))
+    numbers = command.numbers_of(robot, first.value)
+    left, nothing = (identify.expected(robot, aero, numbers, first, log, PERIOD) for log in (logs[1], still))
+    assert np.all(left < first.deviation)
+    assert np.exp(np.mean(np.abs(np.log(left / both.deviation)))) < 1.2
+    of_friction = [name.startswith("friction") for name, *_ in command.labels(robot)]
+    assert np.all((nothing / first.deviation)[of_friction] > 0.95)
+    assert np.all((left / first.deviation)[of_friction] < 0.9)
+
+
 def test_numbers_that_are_not_asked_for_stay(sparrow):
     robot, _ = sparrow
     prior = command.prior_of(robot, WIDTHS, ["axes"])
@@ -189,7 +211,8 @@ def test_from_a_log_to_a_flight(tmp_path, monkeypatch):
     monkeypatch.setattr(places, "RESULTS", tmp_path)
     assert fly.main(["platform_hover", "--set", "simulator.duration=6", "--out", str(tmp_path), "--name", "log"]) == 0
     words = [str(tmp_path / "log"), "--mass", "18.0"]
-    assert command.main(words) == 0
+    monkeypatch.setattr(excite, "AXES", {"z": 0.3})
+    assert command.main([*words, "--propose"]) == 0
     folder = tmp_path / "identify" / "log"
     assert {path.name for path in folder.iterdir()} == {
         "robot.toml", "robot.urdf", "experiment.toml", "perturbation.toml", "numbers.json", "held_out.png"

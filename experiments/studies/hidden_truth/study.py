@@ -62,7 +62,7 @@ def compute(_: str, settings: Truths) -> Findings:
     config = rust.load_config("robot")
     rows = []
     with jax.enable_x64(True), tempfile.TemporaryDirectory() as folder:
-        flown = manoeuvre(config, Path(folder))
+        flown = excite.flight({**config, "wind": WIND}, tuple(excite.AXES), Path(folder))
         nominal = samples.latencies(rust.fly(flown).log)
         for repeat in range(settings.robots):
             rows.append(row_of(config, flown, widths, settings.seed, repeat, nominal))
@@ -75,16 +75,6 @@ def compute(_: str, settings: Truths) -> Findings:
 
 STUDY = Study("hidden_truth", __doc__, Truths, compute, ("ten",), engine="rust and jax")
 main = STUDY.main
-
-
-def manoeuvre(config: rust.Config, folder: Path) -> rust.Config:
-    """Return the flight that is logged."""
-    end = command.MANOEUVRE[1]
-    excite.write(folder / "excite.csv", excite.reference_of(config, tuple(excite.AXES), *command.MANOEUVRE))
-    mission = {"file": str(folder / "excite.csv")}
-    return rust.resolve_config(
-        {**config, "mission": mission, "wind": WIND, "simulator": config["simulator"] | {"duration": end + 2.0}}
-    )
 
 
 def row_of(
