@@ -185,7 +185,8 @@ def _onsets(asked: Spec | None, digest: str) -> dict[int, float]:
 def _onset(config: Mapping[str, Any]) -> float:
     disturbances = config.get("disturbances", {})
     failure = disturbances.get("jets", {}).get("failure")
-    begins = [fault["start"] for kind in ("outages", "joints", "pushes") for fault in disturbances.get(kind, ())]
+    lists = [faults for faults in disturbances.values() if isinstance(faults, list | tuple)]
+    begins = [fault["start"] for faults in lists for fault in faults]
     return float(min([*begins, *([failure["time"]] if failure else [])], default=0.0))
 
 

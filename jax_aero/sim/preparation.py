@@ -15,7 +15,7 @@ from jax_aero.aero.network_card import load_network
 from jax_aero.base.typed import scenario_config
 from jax_aero.body.jets import JetDynamics
 from jax_aero.body.robot import RobotModel, load_robot
-from jax_aero.config import Disturbances, ScenarioConfig
+from jax_aero.config import ScenarioConfig
 from jax_aero.control import Controller
 from jax_aero.control.tick import momentum_controller
 from jax_aero.sim import plant as world
@@ -110,6 +110,10 @@ def refuse(config: ScenarioConfig) -> None:
         raise ValueError("\n".join(f"`{key}` is {value}; expected {expected}" for key, value, expected in found))
 
 
+FLOWN = ("aero", "aero_estimate", "controller_wind", "jets", "model_error", "pushes", "wind_estimate")
+"""Keys of `disturbances` that JAX flies; it refuses every other one that is given."""
+
+
 def _unflown(config: ScenarioConfig) -> Iterator[tuple[str, Any, str]]:
     """Yield key, value and expectation of all that JAX does not fly."""
     simulator, disturbances, steps = config.simulator, config.disturbances, config.controller.torque.steps
@@ -142,20 +146,16 @@ def _unflown(config: ScenarioConfig) -> Iterator[tuple[str, Any, str]]:
     error = disturbances.model_error
     if error.inertia_scale != 1.0 or error.thrust_axes or error.of_plant:
         yield "disturbances.model_error", error, f"no inertia_scale, thrust_axes and of_plant; {by_crate}"
-    for key, given in _failures(disturbances, has_monitor=config.controller.engines is not None).items():
+    jets, has_monitor = disturbances.jets, config.controller.engines is not None
+    limited = jets.thrust_limit_scale is not None and not jets.limit_is_known
+    unanswered = {
+        **{key: getattr(disturbances, key) for key in disturbances.__struct_fields__ if key not in FLOWN},
+        "jets.failure": has_monitor and jets.failure is not None,
+        "jets.thrust_limit_scale": has_monitor and limited,
+    }
+    for key, given in unanswered.items():
         if given:
             yield f"disturbances.{key}", "given", f"none: JAX has no guard that answers it; {by_crate}"
-
-
-def _failures(disturbances: Disturbances, *, has_monitor: bool) -> dict[str, bool]:
-    """Return which failures that the crate's guard answers are given; those of engines need a monitor."""
-    jets = disturbances.jets
-    return {
-        "outages": bool(disturbances.outages),
-        "joints": bool(disturbances.joints),
-        "jets.failure": has_monitor and jets.failure is not None,
-        "jets.thrust_limit_scale": has_monitor and jets.thrust_limit_scale is not None and not jets.limit_is_known,
-    }
 
 
 def read_config(config: ScenarioConfig | Mapping[str, Any]) -> ScenarioConfig:
