@@ -99,6 +99,7 @@ COMMANDS = {
             "flow": ("experiments.cfd.flow:main", "flow"),
             "compare": ("experiments.cfd.compare:main", "twin,sweeps"),
             "tunnel": ("experiments.cfd.tunnel:main", "twin,sweeps"),
+            "taps": ("experiments.cfd.taps:main", "twin,sweeps"),
         },
     ),
 }

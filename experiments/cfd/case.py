@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.cfd.foam import TAPS
 from experiments.cfd.geometry import Surface, write_stl
 from experiments.cfd.settings import Air, Mesh, Settings, Solver
 from jax_aero.aero.dataset import Floats
@@ -23,6 +24,12 @@ FAR = "far"
 """Name of the patch on the sides of the cube."""
 BODY = "body"
 """Name of the geometry; its patches have the names of the links and belong to the group `wall`."""
+
+BEFORE = 0.03
+"""Distance of a point before a tap, to which the nearest face of its link is sought [m].
+
+Taps lie up to 45 mm inside primitives, where the nearest face may be another side.
+"""
 
 Entry = Any
 """A value of a dictionary: a number, a word, verbatim text, a sequence, or a mapping."""
@@ -99,11 +106,19 @@ def write_schemes(folder: Path, *, is_upwind: bool) -> None:
     _write(folder, "system/fvSchemes", schemes)
 
 
-def forces_of(surfaces: Mapping[str, Surface], air: Air, solver: Solver, end: int) -> dict[str, Entry]:
-    """Return reports of force and couple of every link in the window before iteration `end`, and of y+ at the end.
+def reports_of(surfaces: Mapping[str, Surface], air: Air, solver: Solver, end: int) -> dict[str, Entry]:
+    """Return reports of force, couple and pressures of every link in the window before `end`, and of y+ at the end.
 
     Every report computes the stress in all cells, so none is made outside the window.
     """
+    in_window = {
+        "timeStart": end - solver.window + 1,
+        "executeControl": "timeStep",
+        "executeInterval": solver.sampling,
+        "writeControl": "timeStep",
+        "writeInterval": solver.sampling,
+        "log": "false",
+    }
     found: dict[str, Entry] = {
         name: {
             "type": "forces",
@@ -112,14 +127,22 @@ def forces_of(surfaces: Mapping[str, Surface], air: Air, solver: Solver, end: in
             "rho": "rhoInf",
             "rhoInf": air.density,
             "CofR": tuple(surface.centre),
-            "timeStart": end - solver.window + 1,
-            "executeControl": "timeStep",
-            "executeInterval": solver.sampling,
-            "writeControl": "timeStep",
-            "writeInterval": solver.sampling,
-            "log": "false",
+            **in_window,
         }
         for name, surface in surfaces.items()
+    }
+    # Each is read at the face of its link that is nearest to a point before it.
+    found |= {
+        f"{name}{TAPS}": {
+            "type": "patchProbes",
+            "libs": ["sampling"],
+            "patches": [name],
+            "fields": ["p"],
+            "probeLocations": [tuple(tap.position + BEFORE * tap.normal) for tap in surface.taps.values()],
+            **in_window,
+        }
+        for name, surface in surfaces.items()
+        if surface.taps
     }
     at_end = {"executeControl": "onEnd", "writeControl": "onEnd"}
     return found | {"yPlus": {"type": "yPlus", "libs": ["fieldFunctionObjects"], **at_end}}

@@ -148,12 +148,7 @@ def _identity(design: Design) -> Identity:
 
 def collect(design: Design, folder: Path) -> str:
     """Write the dataset of the accepted cases and the manifest; return a message."""
-    found = {case: _read(_path(folder, case)) for case in design if _path(folder, case).is_file()}
-    if found:
-        _check(design, folder)
-    accepted = {case: result for case, result in found.items() if not result.reason}
-    if not accepted:
-        raise Refused(f"{os.path.relpath(folder)} has no accepted case of {sum(1 for _ in design)}")
+    found, accepted = read_cases(design, folder)
     dataset = to_dataset(design, accepted)
     save(dataset, folder / "dataset.nc")
     refused = {case.file.removesuffix(".json"): result.reason for case, result in found.items() if result.reason}
@@ -181,6 +176,17 @@ def collect(design: Design, folder: Path) -> str:
     lines += [f"  {name}: {reason}" for name, reason in refused.items()]
     lines += [f"  {name:<34} {median:.4g}" for name, median in quality.items()]
     return "\n".join([*lines, os.path.relpath(folder / "dataset.nc")])
+
+
+def read_cases(design: Design, folder: Path) -> tuple[dict[Case, Result], dict[Case, Result]]:
+    """Return the computed cases of a design, and the accepted ones, of which there is at least one."""
+    found = {case: _read(_path(folder, case)) for case in design if _path(folder, case).is_file()}
+    if found:
+        _check(design, folder)
+    accepted = {case: result for case, result in found.items() if not result.reason}
+    if not accepted:
+        raise Refused(f"{os.path.relpath(folder)} has no accepted case of {sum(1 for _ in design)}")
+    return found, accepted
 
 
 def to_dataset(design: Design, accepted: Mapping[Case, Result]) -> Dataset:

@@ -18,6 +18,7 @@ from experiments import Refused, study
 from experiments.cfd.geometry import Surface, robot_surfaces
 from experiments.cfd.settings import Settings
 from experiments.data.import_cfd import POSTURES, known_postures
+from experiments.data.import_pressures import TAPS
 from experiments.sweep.design import unit_points
 from jax_aero import rust
 from jax_aero.aero.dataset import Floats, read_postures, wind_direction
@@ -96,10 +97,14 @@ class Spec(tables.Table, frozen=True):
     """Names in `configs/tables/postures.toml` or in `joints`."""
     winds: Winds
     robot: Path
+    winds_of: dict[str, Winds] = msgspec.field(default_factory=dict)
+    """Other winds of some postures, by name."""
     geometry: Literal["primitives", "meshes"] = "primitives"
     """Geometry of the robot: primitives of its URDF, or also its meshes, found relative to the URDF."""
     joints: Path | None = None
     """Joint angles by posture: a TOML of the form of `configs/tables/postures.toml`, or a CSV as of `import-cfd`."""
+    taps: str = ""
+    """Robot in `configs/tables/pressure_taps.toml` at whose taps the pressure is read; empty for none."""
     settings: Settings = Settings()
 
 
@@ -160,8 +165,14 @@ class Design:
     @cached_property
     def cases(self) -> dict[str, list[Case]]:
         """Return the cases of every posture."""
-        winds, places = self.spec.winds, list(self.known_postures)
-        return {name: [Case(name, *pair) for pair in winds.directions(places.index(name))] for name in self.joints}
+        places = list(self.known_postures)
+        return {
+            name: [
+                Case(name, *pair)
+                for pair in self.spec.winds_of.get(name, self.spec.winds).directions(places.index(name))
+            ]
+            for name in self.joints
+        }
 
     @property
     def meshes_of(self) -> Path | None:
@@ -171,7 +182,17 @@ class Design:
     @cached_property
     def surfaces(self) -> dict[str, dict[str, Surface]]:
         """Return the surfaces of the links by posture."""
-        return {name: robot_surfaces(self.robot, joints, self.meshes_of) for name, joints in self.joints.items()}
+        return {
+            name: robot_surfaces(self.robot, joints, self.meshes_of, self.taps) for name, joints in self.joints.items()
+        }
+
+    @cached_property
+    def taps(self) -> dict[str, dict[str, Any]]:
+        """Return link, position and normal of the taps that have them, by name."""
+        facts = tables.read(TAPS)
+        if self.spec.taps and self.spec.taps not in facts["held_out"]:
+            raise ConfigError.of("taps", self.spec.taps, f"one of {', '.join(facts['held_out'])}, or none")
+        return {tap: about for tap, about in facts.get(self.spec.taps, {}).items() if "link" in about}
 
     def __iter__(self) -> Iterator[Case]:
         return itertools.chain.from_iterable(self.cases.values())
@@ -182,6 +203,7 @@ class Design:
         settings = plain.to_builtins(self.spec.settings)
         settings["solver"].pop("ranks")
         text = json.dumps(settings, sort_keys=True) + self.robot.urdf_text + self.robot.toml_text
+        text += json.dumps(self.taps) if self.taps else ""
         found = hashlib.sha256(text.encode() + (self.spec.joints or POSTURES).read_bytes())
         if self.meshes_of:
             for shape in look_of(self.robot, self.meshes_of).shapes:

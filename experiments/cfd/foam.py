@@ -26,6 +26,10 @@ STOPPED = (signal.SIGINT, signal.SIGKILL, signal.SIGTERM)
 """Signals by which a program is stopped from outside, which is not a result of the flow."""
 
 
+TAPS = "_taps"
+"""Ending of the report of a link's pressures."""
+
+
 class Failed(Exception):
     """A program ended with an error; the message contains its last output."""
 
@@ -143,11 +147,21 @@ def _numbers(path: Path) -> Floats:
 
 def read_y_plus(folder: Path) -> tuple[float, float]:
     """Return the mean over the links and the maximum of y+ in the wall's cells."""
-    reports = (folder / "postProcessing" / "yPlus").iterdir()
-    path = max(reports, key=lambda path: float(path.name)) / "yPlus.dat"
+    path = _last(folder / "postProcessing" / "yPlus") / "yPlus.dat"
     rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
     values = np.array([row[2:] for row in rows if len(row) >= 5], dtype=np.float64)
     return float(values[:, 2].mean()), float(values[:, 1].max())
+
+
+def read_taps(folder: Path, link: str) -> Floats:
+    """Return the mean kinematic pressures (T,) [m²/s²] of a link's taps over the last window of the solver."""
+    found: Floats = _numbers(_last(folder / "postProcessing" / f"{link}{TAPS}") / "p")[:, 1:].mean(axis=0)
+    return found
+
+
+def _last(report: Path) -> Path:
+    """Return the folder of the last restart of a report."""
+    return max(report.iterdir(), key=lambda path: float(path.name))
 
 
 def last_residual(solver: str, field: str) -> float:

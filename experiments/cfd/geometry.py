@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from jax_aero.aero.dataset import JOINTS, Floats, reorder_joints
 from jax_aero.base.files import write_text
 from jax_aero.body.mesh import Mesh, box, revolve
 from jax_aero.body.urdf import Pose
-from jax_aero.view.shapes import Kind, Look, Mount, Shape, look_of
+from jax_aero.view.shapes import Kind, Look, Mount, look_of
 
 SEGMENTS = 48
 """Segments per circle; the polygon's area would be 0.3 % too small, so its radius is increased to equal area."""
@@ -62,6 +63,15 @@ def transform_triangles(triangles: Floats, pose: Pose) -> Floats:
     return moved
 
 
+class Tap(NamedTuple):
+    """A pressure tap."""
+
+    position: Floats
+    """(3,) [m]"""
+    normal: Floats
+    """(3,) unit vector, outwards."""
+
+
 class Surface(NamedTuple):
     """Surface of one link."""
 
@@ -69,9 +79,16 @@ class Surface(NamedTuple):
     """(T, 3, 3) corners [m], outward normals by the right-hand rule; bodies may overlap, each is closed."""
     centre: Floats
     """(3,) reference point of the couple [m]."""
+    taps: Mapping[str, Tap] = MappingProxyType({})
+    """Pressure taps by name."""
 
 
-def robot_surfaces(robot: rust.Robot, joint_position_deg: Floats, meshes_of: Path | None = None) -> dict[str, Surface]:
+def robot_surfaces(
+    robot: rust.Robot,
+    joint_position_deg: Floats,
+    meshes_of: Path | None = None,
+    taps: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
+) -> dict[str, Surface]:
     """Return the surface of every aerodynamic link in base axes, at joint angles (19,) [deg], order of `JOINTS`.
 
     Parts of other links are assigned to one of these. The centre of a link is its aerodynamic centre.
@@ -81,11 +98,14 @@ def robot_surfaces(robot: rust.Robot, joint_position_deg: Floats, meshes_of: Pat
     meshes_of
         The robot's TOML file, relative to which the meshes of its URDF are found. Without it, links that only have
         meshes are the spheres and cylinders of their aerodynamic model.
+    taps
+        Link, position and normal in its axes of every tap, by name.
 
     Raises
     ------
     Refused
-        If a joint is beyond its stops, a mesh is missing, a body is not closed, or a link has no surface.
+        If a joint is beyond its stops, a mesh is missing, a body is not closed, a link has no surface, or a tap no
+        link.
     """
     poses = body_poses(robot, joint_position_deg)
     look = look_of(robot, meshes_of)
@@ -96,14 +116,25 @@ def robot_surfaces(robot: rust.Robot, joint_position_deg: Floats, meshes_of: Pat
     for shape in look.shapes:
         triangles = _triangles_of_mesh(shape.mesh, shape.size) if shape.mesh else triangles_of(shape.kind, shape.size)
         check_closed(shape.name, triangles)
-        parts[_link_of(shape, links, look, robot)].append(
+        parts[_link_of(shape.name, shape.body, links, look, robot)].append(
             transform_triangles(triangles, poses[shape.body] @ shape.body_from_shape)
         )
     if missing := [name for name, found in parts.items() if not found]:
         raise Refused(f"no shape of the robot belongs to its aerodynamic link {', '.join(missing)}")
+    tapped: dict[str, dict[str, Tap]] = {name: {} for name in links}
+    known = robot.links()
+    for tap, about in taps.items():
+        if about["link"] not in known:
+            raise Refused(f"tap {tap} is on `{about['link']}`, which is no link of {robot.name}")
+        body, pose = known[about["link"]]
+        at = poses[body] @ Pose(*pose)
+        place = at.rotation @ about["position"] + at.position
+        tapped[_link_of(about["link"], body, links, look, robot)][tap] = Tap(place, at.rotation @ about["normal"])
     return {
         name: Surface(
-            np.concatenate(parts[name]), poses[link.body].rotation @ link.position + poses[link.body].position
+            np.concatenate(parts[name]),
+            poses[link.body].rotation @ link.position + poses[link.body].position,
+            tapped[name],
         )
         for name, link in links.items()
     }
@@ -135,19 +166,19 @@ def body_poses(robot: rust.Robot, joint_position_deg: Floats) -> list[Pose]:
     return [Pose(turn, place) for turn, place in zip(at.body_rotations, at.body_positions, strict=True)]
 
 
-def _link_of(shape: Shape, links: dict[str, Mount], look: Look, robot: rust.Robot) -> str:
-    """Return the aerodynamic link that a shape is assigned to.
+def _link_of(name: str, body: int, links: dict[str, Mount], look: Look, robot: rust.Robot) -> str:
+    """Return the aerodynamic link that a shape or a tap of the URDF's link `name` on `body` is assigned to.
 
-    It is the link of the shape's own name, or otherwise that of its body. A body without a link is assigned to the next
+    It is the link of that name, or otherwise that of its body. A body without a link is assigned to the next
     one outwards along the tree (torso to chest, shoulder to upper arm), or at its ends inwards (foot to lower leg).
     """
-    if shape.name in links:
-        return shape.name
+    if name in links:
+        return name
     carried = {link.body: name for name, link in reversed(links.items())}
     carried |= {robot.body_names.index(name): name for name in links if name in robot.body_names}
-    inward = _path_to_base(shape.body, look.parents)
-    outward = [body for body in range(len(look.parents)) if shape.body in _path_to_base(body, look.parents)]
-    return next(carried[body] for body in (*outward, *inward) if body in carried)
+    inward = _path_to_base(body, look.parents)
+    outward = [other for other in range(len(look.parents)) if body in _path_to_base(other, look.parents)]
+    return next(carried[near] for near in (*outward, *inward) if near in carried)
 
 
 def _path_to_base(body: int, parents: tuple[int, ...]) -> list[int]:

@@ -20,7 +20,7 @@ import numpy as np
 
 from experiments.cfd import case, foam
 from experiments.cfd.geometry import Surface
-from experiments.cfd.settings import Accept, Mesh, Settings
+from experiments.cfd.settings import Accept, Air, Mesh, Settings
 from jax_aero.aero.dataset import Floats
 
 
@@ -35,6 +35,8 @@ class Result(msgspec.Struct, frozen=True):
     """Couples by link about its centre, divided by dynamic pressure [m³], base axes."""
     quality: dict[str, float] = msgspec.field(default_factory=dict)
     """Reports of the mesher and the solver, by name with unit."""
+    cp: dict[str, float] = msgspec.field(default_factory=dict)
+    """Pressure coefficients by tap, mean over the window."""
 
 
 class Unfit(Exception):
@@ -106,7 +108,7 @@ def solve(
         case.write_schemes(folder, is_upwind=False)
         for number in range(1 + solver.extensions):
             end = solver.iterations + number * solver.window
-            functions = case.forces_of(surfaces, settings.air, solver, end)
+            functions = case.reports_of(surfaces, settings.air, solver, end)
             case.write_control(folder, end=end, functions=functions)
             said = foam.run(["simpleFoam"], folder, solver.ranks)
             y_plus_mean, y_plus_max = foam.read_y_plus(folder)
@@ -129,7 +131,14 @@ def solve(
                 break
     except foam.Failed as reason:
         return Result(reason=f"the solver diverged: {reason}")
-    return result
+    return msgspec.structs.replace(result, cp=dict(read_cp(surfaces, settings.air, folder)))
+
+
+def read_cp(surfaces: Mapping[str, Surface], air: Air, folder: Path) -> Iterator[tuple[str, float]]:
+    """Yield every tap with its pressure coefficient `p / (½ V²)`, p kinematic."""
+    for link, surface in surfaces.items():
+        if surface.taps:
+            yield from zip(surface.taps, (foam.read_taps(folder, link) / (0.5 * air.speed**2)).tolist(), strict=True)
 
 
 def reduce(histories: Mapping[str, foam.History], quality: Mapping[str, float], settings: Settings) -> Result:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -97,24 +97,31 @@ main = STUDY.main
 
 def pair_cases(ours: Dataset, points: xr.Dataset, axes: Floats) -> Iterator[Row]:
     """Yield every case that was measured, with its points."""
-    marks = points["marks"].values.astype(str)
-    alone = marks == ""
-    winds = wind_direction(points["pitch"].values, points["yaw"].values) @ axes.T
+    alone = points["marks"].values.astype(str) == ""
     forces, moments = (points[key].values @ axes.T for key in ("force_area", "moment_com"))
     deviations = points["u_total"].values @ np.abs(axes).T  # for axes that differ by rotations of 90°
+    for case, (near, twin) in enumerate(points_beside(ours, points, axes)):
+        # A mirrored axial vector changes the sign of the other components.
+        found = [
+            (forces[near], moments[near], deviations[near]),
+            (forces[twin] * MIRROR_AXES, -moments[twin] * MIRROR_AXES, deviations[twin]),
+        ]
+        if (near | twin).any():
+            is_alone = bool(alone[near | twin].all())
+            yield Row(case, is_alone, *(np.concatenate(values) for values in zip(*found, strict=True)))
+
+
+def points_beside(ours: Dataset, points: xr.Dataset, axes: Floats) -> Iterator[tuple[Any, Any]]:
+    """Yield for every case the points (P,) of its posture, speed and wind, and those of its mirror image."""
+    marks = points["marks"].values.astype(str)
+    winds = wind_direction(points["pitch"].values, points["yaw"].values) @ axes.T
     images = mirrored_joints(ours.joint_position_deg)
     for case in range(len(ours)):
-        same = (points["posture"].values == ours.posture[case]) & (alone | (marks == SUPPORT))
+        same = (points["posture"].values == ours.posture[case]) & ((marks == "") | (marks == SUPPORT))
         same &= np.abs(points["speed"].values - ours.speed[case]) < SPEED
         near = same & _is_near(winds, ours.wind_b[case])
-        found = [(forces[near], moments[near], deviations[near])]
-        if np.allclose(images[case], ours.joint_position_deg[case]):
-            twin = same & ~near & _is_near(winds, ours.wind_b[case] * MIRROR_AXES)
-            # A mirrored axial vector changes the sign of the other components.
-            found.append((forces[twin] * MIRROR_AXES, -moments[twin] * MIRROR_AXES, deviations[twin]))
-            near = near | twin
-        if near.any():
-            yield Row(case, bool(alone[near].all()), *(np.concatenate(values) for values in zip(*found, strict=True)))
+        is_symmetric = np.allclose(images[case], ours.joint_position_deg[case])
+        yield near, is_symmetric & same & ~near & _is_near(winds, ours.wind_b[case] * MIRROR_AXES)
 
 
 def _is_near(winds: Floats, wind: Floats) -> Floats:

@@ -434,8 +434,9 @@ def test_a_folder_of_other_settings_is_refused(small, tmp_path):
 
 def test_the_designs_have_one_recipe():
     """What the tunnel says of the anchors holds for the shipped dataset."""
-    anchors, *others = (design.Design.read(name, {}).spec.settings for name in ("anchors", "open", "mk3", "mk3_tunnel"))
-    assert others == [anchors] * 3
+    names = ("anchors", "open", "mk3", "mk3_tunnel", "mk1_taps", "mk3_taps")
+    anchors, *others = (design.Design.read(name, {}).spec.settings for name in names)
+    assert others == [anchors] * 5
 
 
 def test_a_design_with_other_keys_has_a_folder_and_a_command_of_its_own(tmp_path):
@@ -705,14 +706,15 @@ def test_without_openfoam_the_command_names_what_installs_it(monkeypatch, capsys
 @pytest.mark.skipif(shutil.which("simpleFoam") is None, reason=foam.MISSING.format("simpleFoam"))
 def test_a_sphere_is_dragged_along_the_wind(tmp_path):
     """A coarse sphere, 0.6 m wide: 40 iterations are enough for direction and size of its drag."""
-    sphere = geometry.Surface(geometry.triangles_of("sphere", (0.3, 0.3, 0.3)), np.zeros(3))
+    wind = np.array([0.6, 0.0, 0.8])
+    ahead = {"ahead": geometry.Tap(-0.28 * wind, -wind)}
+    sphere = geometry.Surface(geometry.triangles_of("sphere", (0.3, 0.3, 0.3)), np.zeros(3), ahead)
     shells = tuple(settings.Shell(distance=d, level=n) for d, n in ((0.11, 3), (0.25, 2), (0.8, 1)))
     chosen = settings.Settings(
         mesh=settings.Mesh(half_width=3.0, base=0.5, surface_level=3, shells=shells),
         solver=settings.Solver(upwind_iterations=8, iterations=40, window=16, sampling=2),
         accept=settings.Accept(drift=0.2, oscillation=0.2),
     )
-    wind = np.array([0.6, 0.0, 0.8])
     facts = simulate.make_mesh({"head": sphere}, chosen, tmp_path)
     result = simulate.solve({"head": sphere}, wind, chosen, tmp_path, facts)
     assert result.reason == ""
@@ -723,6 +725,7 @@ def test_a_sphere_is_dragged_along_the_wind(tmp_path):
     cells, wall = flow.read_case(tmp_path, chosen.solver.ranks, chosen.air)
     assert cells.n_cells == facts.cells
     assert 0.8 < wall["pressure"].max() < 1.2
+    assert 0.8 < result.cp["ahead"] < 1.2
     assert np.abs(np.linalg.norm(wall.points, axis=1) - 0.3).max() < chosen.mesh.finest
     # The air moves along the lines, none of which goes through the sphere. Time is negative along those against it.
     lines = flow.streamlines(cells, wall)
