@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from jax_aero.base import places
 from paper_figs import (
     cfd_flow,
+    cfd_taps,
     compare,
     demo,
     fig4_fit,
@@ -43,6 +44,9 @@ OURS: Mapping[str, Entry] = {
         "Suppl. Fig. 5: speed around the robot on three meshes of ours",
         "cfd_flow",
         ("flight30_coarse", "flight30", "flight30_fine"),
+    ),
+    "cfd_taps": Entry(
+        cfd_taps.draw, "Suppl. Fig. 2: pressures at the taps, wind tunnel and our flow", "cfd_taps", ("mk1_taps",)
     ),
     "supp_mesh": Entry(tunnel.mesh, "Suppl. Fig. 5: mesh study; needs no run", tables=(tunnel.TUNNEL, tunnel.CFD)),
     "fig4_fit": Entry(fig4_fit.draw, "Fig. 4 d, e: the axisymmetric model over the CFD", "fit_aero", ("freestream",)),

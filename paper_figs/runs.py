@@ -112,7 +112,9 @@ def load_study(results: Path, kind: str, name: str) -> xr.Dataset:
 
 def study_command(kind: str, name: str) -> str:
     """Return the command that makes a study."""
-    word = {"training": "train", "cfd_flow": "cfd flow", "fit_aero": "data fit-aero"}.get(kind, f"study {kind}")
+    word = {"training": "train", "cfd_flow": "cfd flow", "cfd_taps": "cfd taps", "fit_aero": "data fit-aero"}.get(
+        kind, f"study {kind}"
+    )
     options = {"training": " --dataset FILE", "trim": " --map"}.get(kind, "")
     return f"jax-aero {word} {result_words(name, options)}"
 

@@ -97,14 +97,14 @@ class Spec(tables.Table, frozen=True):
     """Names in `configs/tables/postures.toml` or in `joints`."""
     winds: Winds
     robot: Path
-    winds_of: dict[str, Winds] = msgspec.field(default_factory=dict)
-    """Other winds of some postures, by name."""
     geometry: Literal["primitives", "meshes"] = "primitives"
     """Geometry of the robot: primitives of its URDF, or also its meshes, found relative to the URDF."""
     joints: Path | None = None
     """Joint angles by posture: a TOML of the form of `configs/tables/postures.toml`, or a CSV as of `import-cfd`."""
     taps: str = ""
     """Robot in `configs/tables/pressure_taps.toml` at whose taps the pressure is read; empty for none."""
+    winds_of: dict[str, Winds] = msgspec.field(default_factory=dict)
+    """Other winds of some postures, by name."""
     settings: Settings = Settings()
 
 

@@ -124,7 +124,10 @@ def summary(data: xr.Dataset) -> dict[str, float | str]:
     held = data["is_held_out"].values == 1
     found: dict[str, float | str] = {}
     for group, rows in (("", ~held), ("held-out postures, ", held)):
+        if not rows.any():
+            continue
         part = data.isel(case=rows)
+        found[f"{group}cases"] = int(rows.sum())
         known, cos = np.isfinite(part["cp_tunnel"].values), part["cos"].values
         places = {"all": known, "front": cos > SIDE, "sides": np.abs(cos) <= SIDE, "back": cos < -SIDE}
         links = data["link"].values

@@ -230,6 +230,14 @@ def postures() -> Judged:
     )
 
 
+def taps() -> Judged:
+    """Judge the number of pressure taps by that of the public map of the scanners' ports."""
+    known = table("tables/pressure_taps.toml")["mk1"]
+    placed = sum("position" in tap for tap in known.values())
+    text = f"{len(known)} taps in the public map of ports, {placed} of them with a position"
+    return text, judge(len(known) == 124, f"by {124 - len(known)}")
+
+
 def cells() -> Judged:
     """Judge the mesh reduction."""
     reduction = 1.0 - 0.33 / 9.53

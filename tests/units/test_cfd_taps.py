@@ -10,6 +10,7 @@ from experiments.cfd import case, command, design, foam, geometry, settings, sim
 from experiments.data.import_cfd import known_postures
 from jax_aero import rust
 from jax_aero.base.terminal import Refused
+from paper_figs import cfd_taps
 
 ROBOT = Path("configs/robot/ironcub_mk1.toml").resolve()
 AHEAD = np.array([1.0, 0.0, 0.0])
@@ -119,6 +120,16 @@ def test_a_case_is_compared_with_the_mean_of_its_points_without_doubtful_taps(co
     agree("sides", found.summary["sides: flow less tunnel, mean"], np.mean(off[2:]), 1e-12)
     assert found.summary["back: Newton, rms"] < found.summary["back: flow, rms"]
     assert "back" in found.summary["flow no better than Newton's formula, by rms"]
+
+
+def test_the_picture_shows_only_taps_that_face_the_viewer(computed):
+    """From ahead the forehead is seen, and the thigh's side from the left; no coefficient is drawn where none is."""
+    found = compare(computed, points_of([("hovering", 17.0, "", 0.2)], flags=("I6",)))
+    axes = cfd_taps.draw(found.dataset).axes
+    drawn = [axes[place].collections[1].get_offsets().tolist() for place in (0, 3)]
+    place = found.dataset["position"].values[0]
+    assert drawn == [[[-place[0, 1], place[0, 2]]], [[place[2, 0], place[2, 2]]]]
+    assert -place[2, 1] > 0.05  # the left thigh is to the right of the picture from ahead
 
 
 def test_pressures_of_another_robot_or_posture_are_refused(computed):
