@@ -65,6 +65,8 @@ class GroundPlant:
         motors = simulator.get("motors", {})
         shares = [motors.get("load_friction", {}).get(joint, 0.0) for joint in self.robot.joint_names]
         self._load_friction = np.array(shares) if any(shares) else None
+        lag = motors.get("time_constant", 0.0)
+        self._kept = np.exp(-self.model.opt.timestep / lag) if lag > 0.0 else 0.0
         self._friction = self.model.dof_frictionloss[self._order.dofs[6:]].copy()
         self._odometry: LegOdometry | None = None
         if settings := simulator["ground"].get("leg_odometry"):
@@ -128,9 +130,9 @@ class GroundPlant:
             self.model.dof_frictionloss[order.dofs[6:]] = self._friction + self._load_friction * np.abs(self._load())
         rotation = data.xmat[order.bodies[0]].reshape(3, 3)
         data.qfrc_applied[order.dofs] = np.concatenate([force[:3], rotation.T @ force[3:6], force[6:]])
-        is_held = (torque == torque[0]).all()
+        is_held = self._kept == 0.0 and (torque == torque[0]).all()
         for row in torque[:1] if is_held else torque:
-            data.ctrl[:] = row
+            data.ctrl[:] = row + self._kept * (data.ctrl - row)  # the lag of M153
             mujoco.mj_step(self.model, data, len(torque) if is_held else 1)
 
     def _foot_wrenches(self) -> Array:

@@ -175,7 +175,6 @@ fn of_world(config: &ScenarioConfig, robot: &RobotModel) -> Result<ScenarioConfi
     check_only("simulator.initial.base_velocity", &initial.base_velocity, &[0.0; 6])?;
     check_only("simulator.initial.free_fall_tick", &initial.free_fall_tick, &false)?;
     if let Some(motors) = &simulator.motors {
-        check_only("simulator.motors.time_constant", &motors.time_constant, &0.0)?;
         check_only("simulator.motors.elasticity", &motors.elasticity, &None)?;
     }
     check_only("simulator.fuel", &simulator.fuel, &None)?;
