@@ -1,7 +1,8 @@
 """Measure the crate, Pinocchio, DAQP, PIQP, OSQP and Clarabel in one run: `python -m experiments.bench`.
 
 All use the same states and problems, which the crate's benchmark `side_by_side` writes to `target/side_by_side`.
-Natively each is a separate compiled program, and these run in turns; then each is called from Python.
+Ours, Pinocchio, DAQP and Clarabel are separate compiled programs, which run in turns; the others are called from
+Python.
 Prints the Markdown tables of `docs/benchmarks.md`.
 """
 
@@ -28,17 +29,15 @@ from experiments.bench_native import (
     PLANS,
     QPS,
     QPS_OF_TICK,
-    URDF,
     Times,
     build,
     run,
     take_turns,
     tick_times,
 )
-from jax_aero import rust
-from jax_aero.base import files, places
+from jax_aero.base import files
 from jax_aero.cli import count
-from jax_aero.rust import QpProblem, State
+from jax_aero.rust import QpProblem
 
 Array = NDArray[np.float64]
 Rows = Iterator[tuple[str, str, float]]
@@ -73,93 +72,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _from_python() -> Rows:
-    robot = rust.Robot(URDF.with_suffix(".toml"))
-    states = _read_states()
-    yield DYNAMICS[0], "ours, `Robot.dynamics`", _per_item(robot.dynamics, states)
-    yield from _pinocchio_rows(robot, states)
-    for name in QPS:
-        problems = [recorded.box for recorded in _read_problems(name)]
-        for rows in (_our_rows, _daqp_rows, _clarabel_rows):
-            yield from ((name, by, ns) for by, ns in rows(len(problems[0].g), problems))
     for name in (*(name for name in QPS if name not in QPS_OF_TICK), *PLANS):
         recorded = _read_problems(name)
         for others in (_piqp_rows, _osqp_rows):
             yield from ((name, by, ns) for by, ns in others(recorded))
-    config = rust.load_config(places.CONFIGS / "experiments" / "test2.toml")
-    yield "flight of 50 s", "ours, `rust.fly`, full log", _per_item(rust.fly, [config])
-
-
-def _our_rows(n: int, problems: Sequence[QpProblem]) -> Iterator[tuple[str, float]]:
-    solver = rust.BoxQpSolver(n)
-    yield "ours, `BoxQpSolver.solve`, warm", _per_item(lambda qp: solver.solve(*qp), problems)
-
-
-def _pinocchio_rows(robot: rust.Robot, states: Sequence[State]) -> Rows:
-    try:
-        pin: Any = importlib.import_module("pinocchio")
-    except ImportError:
-        return
-    model = pin.buildModelFromUrdf(str(URDF), pin.JointModelFreeFlyer())
-    data = model.createData()
-    place = np.array([model.joints[model.getJointId(name)].idx_v - 6 for name in robot.joint_names])
-
-    def convert_state(state: State) -> tuple[Array, Array]:
-        rotation, velocity = np.asarray(state.base_rotation), np.asarray(state.velocity)
-        q, v = np.zeros(model.nq), np.zeros(model.nv)
-        q[:3], q[3:7] = state.base_position, pin.Quaternion(rotation).coeffs()
-        q[7 + place], v[6 + place] = state.joint_position, velocity[6:]
-        v[:3], v[3:6] = rotation.T @ velocity[:3], rotation.T @ velocity[3:6]
-        return q, v
-
-    def terms(state: tuple[Array, Array]) -> None:
-        q, v = state
-        pin.crba(model, data, q)
-        pin.nonLinearEffects(model, data, q, v)
-        pin.ccrba(model, data, q, v)
-
-    converted_states = [convert_state(state) for state in states]
-    trivial = _per_item(lambda _: pin.checkVersionAtLeast(1, 0, 0), states)
-    yield "a call that does nothing", "Pinocchio, `checkVersionAtLeast`", trivial
-    yield DYNAMICS[0], "Pinocchio, three calls", _per_item(terms, converted_states)
-
-
-def _daqp_rows(n: int, problems: Sequence[QpProblem]) -> Iterator[tuple[str, float]]:
-    try:
-        daqp: Any = importlib.import_module("daqp")
-    except ImportError:
-        return
-    none, sense = np.zeros((0, n)), np.zeros(n, np.int32)
-    yield (
-        "DAQP, `solve`",
-        _per_item(lambda qp: daqp.solve(qp.h, qp.g, none, qp.upper, qp.lower, sense), problems),
-    )
-    model = daqp.Model()
-    first = problems[0]
-    model.setup(first.h, first.g, none, first.upper, first.lower, sense)
-
-    def solve_again(qp: QpProblem) -> None:
-        model.update(H=qp.h, f=qp.g, bupper=qp.upper, blower=qp.lower)
-        model.solve()
-
-    yield "DAQP, `Model.update` and `solve`, warm", _per_item(solve_again, problems)
-
-
-def _clarabel_rows(n: int, problems: Sequence[QpProblem]) -> Iterator[tuple[str, float]]:
-    try:
-        clarabel: Any = importlib.import_module("clarabel")
-        sparse: Any = importlib.import_module("scipy.sparse")
-    except ImportError:
-        return
-    rows = sparse.csc_matrix(np.vstack([np.eye(n), -np.eye(n)]))
-    cones, settings = [clarabel.NonnegativeConeT(2 * n)], clarabel.DefaultSettings()
-    settings.verbose = False
-    prepared = [
-        (sparse.csc_matrix(np.triu(qp.h)), qp.g, rows, np.concatenate([qp.upper, -qp.lower])) for qp in problems
-    ]
-    yield (
-        "Clarabel, `DefaultSolver` and `solve`",
-        _per_item(lambda data: clarabel.DefaultSolver(*data, cones, settings).solve(), prepared),
-    )
 
 
 def _piqp_rows(problems: Sequence[Recorded]) -> Iterator[tuple[str, float]]:
@@ -247,13 +163,6 @@ def _per_item(work: Callable[[Any], Any], items: Sequence[Any], seconds: float =
             work(item)
         times.append((time.process_time_ns() - begin) / len(items))
     return statistics.median(times)
-
-
-def _read_states() -> list[State]:
-    data = np.fromfile(FOLDER / "states.f64", "<f8")
-    count, n = int(data[0]), int(data[1])
-    rows = data[2:].reshape(count, 18 + 2 * n)
-    return [State(r[:3].copy(), r[3:12].reshape(3, 3).copy(), r[12 : 12 + n].copy(), r[12 + n :].copy()) for r in rows]
 
 
 @dataclass(frozen=True)

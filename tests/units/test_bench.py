@@ -78,21 +78,15 @@ def test_the_tables_name_every_contender_and_what_is_missing(capsys):
     assert "Compilers: rustc" in machine
 
 
-def test_every_call_from_python_works(tmp_path, monkeypatch):
-    n, rng = 23, np.random.default_rng(0)
-    state = [*rng.normal(size=3), *np.eye(3).ravel(), *rng.normal(size=n), *rng.normal(size=6 + n)]
-    np.array([2, n, *state, *state]).tofile(tmp_path / "states.f64")
-    problem = [*np.eye(4).ravel(), *rng.normal(size=4), *np.full(4, -1.0), *np.ones(4), *np.zeros(4)]
-    for name in bench.QPS:
-        np.array([1, 4, 0, *problem]).tofile(tmp_path / f"{name}.f64")
-    for name in bench.PLANS:
-        np.array([1, 4, 1, *problem, *np.ones(4), -1.0, 1.0, 2.0]).tofile(tmp_path / f"{name}.f64")
+def test_problems_are_read_as_they_are_written(tmp_path, monkeypatch):
+    g = np.random.default_rng(0).normal(size=4)
+    problem = [*np.eye(4).ravel(), *g, *np.full(4, -1.0), *np.ones(4), *np.zeros(4)]
+    np.array([1, 4, 1, *problem, *np.ones(4), -1.0, 1.0, 2.0]).tofile(tmp_path / "plan.f64")
     monkeypatch.setattr(bench, "FOLDER", tmp_path)
-    monkeypatch.setattr(bench, "_per_item", lambda work, items: float(len([work(item) for item in items])))
-    rows = list(bench._from_python())
-    assert (bench.DYNAMICS[0], "ours, `Robot.dynamics`", 2.0) in rows
-    assert {what for what, by, _ in rows if by.startswith("ours, `BoxQpSolver")} == set(bench.QPS)
-    assert rows[-1] == ("flight of 50 s", "ours, `rust.fly`, full log", 1.0)
+    (found,) = bench._read_problems("plan")
+    np.testing.assert_array_equal(found.box.g, g)
+    assert found.rows.shape == (1, 4)
+    assert (*found.least, *found.greatest, *found.weight) == (-1.0, 1.0, 2.0)
 
 
 def test_a_soft_row_is_a_row_with_a_slack():

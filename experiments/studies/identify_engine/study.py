@@ -1,19 +1,15 @@
 """An engine identified from a log of a test bench.
 
-`jax-aero study identify_engine P220` generates two logs of an engine of the robot's file, identifies the second-order
-engine (M32, `second_order`) from one, validates it on the other, and tunes its estimator (M35).
+`jax-aero study identify_engine NAME --set bench=FILE` reads a dataset of `jax-aero data import-bench` with speeds of
+the shaft, thrusts, or both, and identifies an engine of the shaft's speed (M176, `shaft`), and M32 (`second_order`)
+beside it from the thrusts. `span` is the time of the run. Every 5 s of it are also predicted by the fit to the rest,
+and with `test` another run, from its first sample.
 
-`--set bench=FILE` reads a dataset of `jax-aero data import-bench` with speeds of the shaft, thrusts, or both, and
-identifies an engine of the shaft's speed (M176, `shaft`), and M32 beside it from the thrusts. `span` is the
-time of the run. Every 5 s of it are also predicted by the fit to the rest, and with `test` another run, from its first
-sample.
-
-The result goes to `results/identify_engine/NAME/`; `jax-aero figures engine` draws that of the generated logs.
+The result goes to `results/identify_engine/NAME/`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,28 +17,12 @@ import jax
 import numpy as np
 import xarray as xr
 
-from experiments import Refused
 from experiments.data.import_bench import load_bench
 from experiments.studies.identify_engine import shaft
-from experiments.studies.identify_engine.second_order import (
-    PUBLISHED_Q,
-    PUBLISHED_R,
-    STEP,
-    Array,
-    Log,
-    bench_log,
-    estimate,
-    identify,
-    simulate,
-    smooth,
-    tune,
-)
+from experiments.studies.identify_engine.second_order import Array, Log, identify, simulate, smooth
 from experiments.study import Findings, Study
 from jax_aero.base import tables
-from jax_aero.base.places import ROBOT
 from jax_aero.base.tables import Interval, Positive
-from jax_aero.base.terminal import ConfigError
-from jax_aero.body.robot import ENGINE_KEYS
 from jax_aero.body.shaft import DENSITY, TEMPERATURE, Ambient
 
 THROTTLE = np.array([0.0, 100.0])
@@ -50,9 +30,9 @@ THROTTLE = np.array([0.0, 100.0])
 
 
 class EngineLogs(tables.Table, frozen=True):
-    """Logs of a bench; without them they are generated from an engine of the robot's file."""
+    """Logs of a bench."""
 
-    bench: Path | None = None
+    bench: Path
     """Dataset of `jax-aero data import-bench`."""
     span: Interval | None = None
     """Times between which the engine runs [s]; by default the whole log."""
@@ -64,38 +44,8 @@ class EngineLogs(tables.Table, frozen=True):
     temperature: Positive = TEMPERATURE
     """Its temperature [K]."""
 
-    def __post_init__(self) -> None:
-        if self.bench is None and self.test is not None:
-            raise ConfigError.of("test", str(self.test), "none without `bench`")
-
 
 def compute(name: str, logs: EngineLogs) -> Findings:
-    """Identify the engine of a log, or that of generated ones."""
-    return of_bench(name, logs) if logs.bench else of_made_logs(name)
-
-
-def of_made_logs(name: str) -> Findings:
-    """Generate logs, identify, validate and tune."""
-    table = tables.read(ROBOT)["engines"]
-    if name not in table:
-        raise Refused(f"no engine `{name}`; there are {', '.join(table)}")
-    truth = np.array([table[name][key] for key in ENGINE_KEYS], dtype=float)
-    train, test = (bench_log(truth, seed) for seed in (1, 2))
-    with jax.enable_x64(True):
-        found = identify(train, truth[10:])
-        whole = simulate(found, test.throttle, smooth(test.thrust))
-        of_file = simulate(truth, test.throttle, smooth(test.thrust))
-        q, r = tune(found, train)
-        estimates = {
-            label: estimate(found, test, *numbers)[0]
-            for label, numbers in (("tuned", (q, r)), ("published", (PUBLISHED_Q, PUBLISHED_R)))
-        }
-    data = to_dataset(test, found, truth, whole, of_file, estimates)
-    data.attrs |= {"q_thrust": q[0, 0], "q_rate": q[1, 1], "r": r}
-    return Findings(f"{name} identified from a log", data, figures(data), files=[ROBOT])
-
-
-def of_bench(name: str, logs: EngineLogs) -> Findings:
     """Identify an engine of the shaft's speed, and M32 beside it."""
     ambient = Ambient.of(logs.density, logs.temperature)
     benches = [(load_bench(path), span) for path, span in _logs(logs)]
@@ -148,50 +98,5 @@ def _span(bench: Any, span: Interval | None) -> tuple[float, float]:
     return (float(bench.time[0]), float(bench.time[-1])) if span is None else (span.lower, span.upper)
 
 
-STUDY = Study("identify_engine", __doc__, EngineLogs, compute, ("P220",), engine="jax")
+STUDY = Study("identify_engine", __doc__, EngineLogs, compute, ("engine",), engine="jax")
 main = STUDY.main
-
-
-def to_dataset(
-    log: Log, found: Array, truth: Array, whole: Array, of_file: Array, estimates: Mapping[str, Array]
-) -> xr.Dataset:
-    """Return the validation log, the models' thrusts and the estimates as a labelled dataset."""
-    smoothed = smooth(log.thrust)
-    variables: dict[str, Any] = {
-        "throttle": (("time",), log.throttle, {"units": "%"}),
-        "thrust": (("time",), log.thrust, {"units": "N", "long_name": "measured"}),
-        "thrust_smoothed": (("time",), smoothed.thrust, {"units": "N"}),
-        "rate_smoothed": (("time",), smoothed.rate, {"units": "N/s"}),
-        "thrust_identified": (("time",), whole, {"units": "N", "long_name": "simulated from the first sample"}),
-        "thrust_file": (("time",), of_file, {"units": "N", "long_name": "the same, coefficients of the file"}),
-        "found": (("coefficient",), found),
-        "file": (("coefficient",), truth),
-    }
-    for label, states in estimates.items():
-        variables[f"estimate_{label}"] = (("time", "state"), states, {"units": "N, N/s"})
-    coordinates = {"time": ("time", log.time, {"units": "s"}), "coefficient": list(ENGINE_KEYS), "state": ["T", "Tdot"]}
-    return xr.Dataset(variables, coordinates)
-
-
-def figures(dataset: xr.Dataset) -> dict[str, float]:
-    """Return rms errors on the validation log [N]."""
-    span = float(dataset["thrust_smoothed"].max() - dataset["thrust_smoothed"].min())
-    inner = slice(50, -50)
-
-    def rms(values: Any) -> float:
-        return float(np.sqrt(np.mean(np.asarray(values)[inner] ** 2)))
-
-    found = {"noise: measured less smoothed [N]": rms(dataset["thrust"] - dataset["thrust_smoothed"])}
-    for label, name in (("identified", "thrust_identified"), ("of the file", "thrust_file")):
-        error = rms(dataset[name] - dataset["thrust_smoothed"])
-        found[f"thrust simulated, {label}: rms error [N]"] = error
-        found[f"thrust simulated, {label}: rms error [% of range]"] = 100.0 * error / span
-    true_thrust = np.asarray(dataset["thrust_file"])
-    for label in ("tuned", "published"):
-        state = np.asarray(dataset[f"estimate_{label}"])
-        found[f"estimator, {label}: rms thrust error [N]"] = rms(state[:, 0] - true_thrust)
-        found[f"estimator, {label}: rms rate error [N/s]"] = rms(state[:, 1] - np.gradient(true_thrust, STEP))
-    for key in ("q_thrust", "q_rate", "r"):
-        if key in dataset.attrs:
-            found[f"tuned {key}"] = float(dataset.attrs[key])
-    return found
