@@ -18,6 +18,7 @@ from experiments.cfd.foam import TAPS
 from experiments.cfd.geometry import Surface, write_stl
 from experiments.cfd.settings import Air, Mesh, Settings, Solver
 from jax_aero.aero.dataset import Floats
+from jax_aero.base import tables
 from jax_aero.base.files import write_text
 
 FAR = "far"
@@ -34,13 +35,17 @@ Taps lie up to 45 mm inside primitives, where the nearest face may be another si
 Entry = Any
 """A value of a dictionary: a number, a word, verbatim text, a sequence, or a mapping."""
 
+DICTIONARIES = Path(__file__).with_name("openfoam.toml")
+FIXED: Mapping[str, Any] = tables.read(DICTIONARIES)
+"""What no setting changes."""
+
 
 def write_mesh_case(folder: Path, surfaces: Mapping[str, Surface], mesh: Mesh) -> None:
     """Write the input of `blockMesh` and `snappyHexMesh`."""
     write_stl(surfaces, folder / "constant" / "triSurface" / f"{BODY}.stl")
     write_control(folder, end=1, functions={})
     write_schemes(folder, is_upwind=True)
-    _write(folder, "system/fvSolution", SOLUTION)
+    _write(folder, "system/fvSolution", FIXED["solution"])
     _write(folder, "system/blockMeshDict", _block(mesh))
     inside = np.concatenate([surface.triangles.reshape(-1, 3) for surface in surfaces.values()])
     if np.abs(inside).max() > 0.5 * mesh.half_width:
@@ -68,41 +73,14 @@ def write_wind_case(folder: Path, wind_b: Floats, settings: Settings) -> None:
 
 def write_control(folder: Path, *, end: int, functions: Mapping[str, Entry]) -> None:
     """Write the last iteration of the solver, and its reports."""
-    control = {
-        "application": "simpleFoam",
-        "startFrom": "latestTime",
-        "startTime": 0,
-        "stopAt": "endTime",
-        "endTime": end,
-        "deltaT": 1,
-        "writeControl": "timeStep",
-        "writeInterval": end,
-        "purgeWrite": 1,
-        "writeFormat": "binary",
-        "runTimeModifiable": "false",
-        "functions": functions,
-    }
+    control = {**FIXED["control"], "endTime": end, "writeInterval": end, "functions": functions}
     _write(folder, "system/controlDict", control)
 
 
 def write_schemes(folder: Path, *, is_upwind: bool) -> None:
     """Write the discretisation, with first- or second-order convection of the velocity."""
     convection = "bounded Gauss upwind" if is_upwind else "bounded Gauss linearUpwindV grad(U)"
-    schemes = {
-        "ddtSchemes": {"default": "steadyState"},
-        "gradSchemes": {"default": "cellLimited Gauss linear 1"},
-        "divSchemes": {
-            "default": "none",
-            "div(phi,U)": convection,
-            "div(phi,k)": "bounded Gauss upwind",
-            "div(phi,omega)": "bounded Gauss upwind",
-            "div((nuEff*dev2(T(grad(U)))))": "Gauss linear",
-        },
-        "laplacianSchemes": {"default": "Gauss linear limited 0.5"},
-        "interpolationSchemes": {"default": "linear"},
-        "snGradSchemes": {"default": "limited 0.5"},
-        "wallDist": {"method": "meshWave"},
-    }
+    schemes = FIXED["schemes"] | {"divSchemes": FIXED["schemes"]["divSchemes"] | {"div(phi,U)": convection}}
     _write(folder, "system/fvSchemes", schemes)
 
 
@@ -203,88 +181,14 @@ def _snappy(surfaces: Mapping[str, Surface], mesh: Mesh) -> Entry:
     # Outside every body and on no face of a cell.
     beside = tuple(0.9 * mesh.half_width * np.array([0.9871, 0.9773, 0.9637]))
     geometry = {"type": "triSurfaceMesh", "name": BODY, "regions": {name: {"name": name} for name in surfaces}}
-    return {
-        "castellatedMesh": "true",
-        "snap": "true",
-        "addLayers": "false",
-        "geometry": {f"{BODY}.stl": geometry},
-        "castellatedMeshControls": {
-            "maxLocalCells": 20_000_000,
-            "maxGlobalCells": 20_000_000,
-            "minRefinementCells": 0,
-            "nCellsBetweenLevels": 2,
-            "features": "()",
-            "refinementSurfaces": {BODY: {"level": (level, level), "patchInfo": {"type": "wall"}}},
-            "resolveFeatureAngle": 30,
-            "refinementRegions": {BODY: {"mode": "distance", "levels": shells}},
-            "locationInMesh": beside,
-            "allowFreeStandingZoneFaces": "false",
-        },
-        "snapControls": {
-            "nSmoothPatch": 3,
-            "tolerance": 2.0,
-            "nSolveIter": 30,
-            "nRelaxIter": 5,
-            "nFeatureSnapIter": 10,
-            "implicitFeatureSnap": "true",
-            "explicitFeatureSnap": "false",
-            "multiRegionFeatureSnap": "false",
-        },
-        "addLayersControls": LAYERS,
-        "meshQualityControls": QUALITY,
-        "mergeTolerance": 1e-6,
+    chosen = {
+        "refinementSurfaces": {BODY: {"level": (level, level), "patchInfo": {"type": "wall"}}},
+        "refinementRegions": {BODY: {"mode": "distance", "levels": shells}},
+        "locationInMesh": beside,
     }
-
-
-LAYERS: Entry = {
-    "relativeSizes": "true",
-    "layers": {},
-    "expansionRatio": 1.2,
-    "finalLayerThickness": 0.5,
-    "minThickness": 0.1,
-    "nGrow": 0,
-    "featureAngle": 60,
-    "nRelaxIter": 3,
-    "nSmoothSurfaceNormals": 1,
-    "nSmoothNormals": 3,
-    "nSmoothThickness": 10,
-    "maxFaceThicknessRatio": 0.5,
-    "maxThicknessToMedialRatio": 0.3,
-    "minMedianAxisAngle": 90,
-    "nBufferCellsNoExtrude": 0,
-    "nLayerIter": 50,
-}
-"""Parameters of layers, which the mesher requires even without layers."""
-
-QUALITY: Entry = {
-    "maxNonOrtho": 65,
-    "maxBoundarySkewness": 20,
-    "maxInternalSkewness": 4,
-    "maxConcave": 80,
-    "minVol": 1e-13,
-    "minTetQuality": 1e-15,
-    "minArea": -1,
-    "minTwist": 0.02,
-    "minDeterminant": 0.001,
-    "minFaceWeight": 0.05,
-    "minVolRatio": 0.01,
-    "minTriangleTwist": -1,
-    "nSmoothScale": 4,
-    "errorReduction": 0.75,
-}
-"""Mesh quality limits from OpenFOAM's example cases."""
-
-_SMOOTH: Entry = {"solver": "smoothSolver", "smoother": "symGaussSeidel", "tolerance": 1e-9, "relTol": 0.1}
-SOLUTION: Entry = {
-    "solvers": {
-        "p": {"solver": "GAMG", "smoother": "GaussSeidel", "tolerance": 1e-8, "relTol": 0.05},
-        '"(U|k|omega)"': _SMOOTH,
-    },
-    "SIMPLE": {"consistent": "yes", "nNonOrthogonalCorrectors": 0},
-    "relaxationFactors": {"fields": {"p": 1}, "equations": {"U": 0.85, '"(k|omega)"': 0.7}},
-    "cache": dict.fromkeys(("grad(U)", "grad(p)", "grad(k)", "grad(omega)"), ""),
-}
-"""SIMPLEC; caching gradients until their field changes saves 40 % of the time without changing a bit."""
+    fixed = FIXED["mesher"]
+    castellated = fixed["castellatedMeshControls"] | chosen
+    return {**fixed, "geometry": {f"{BODY}.stl": geometry}, "castellatedMeshControls": castellated}
 
 
 def _write(folder: Path, path: str, entries: Mapping[str, Entry], kind: str = "dictionary") -> None:

@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 
 from experiments import Refused, study
+from experiments.cfd.case import DICTIONARIES
 from experiments.cfd.geometry import Surface, robot_surfaces
 from experiments.cfd.settings import Settings
 from experiments.data.import_cfd import POSTURES, known_postures
@@ -204,7 +205,7 @@ class Design:
         settings["solver"].pop("ranks")
         text = json.dumps(settings, sort_keys=True) + self.robot.urdf_text + self.robot.toml_text
         text += json.dumps(self.taps) if self.taps else ""
-        found = hashlib.sha256(text.encode() + (self.spec.joints or POSTURES).read_bytes())
+        found = hashlib.sha256(text.encode() + (self.spec.joints or POSTURES).read_bytes() + DICTIONARIES.read_bytes())
         if self.meshes_of:
             for shape in look_of(self.robot, self.meshes_of).shapes:
                 for part in shape.mesh or ():
