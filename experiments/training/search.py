@@ -3,8 +3,8 @@
 A file of `configs/training_search/` names a training file and ranges for some of its keys. A trial trains one network
 per inner fold of whole postures, without members or students, and is judged by the mean error of the rows held out:
 of the weights that are kept, with patience the best ones.
-Trials are stored in a SQLite file, so a search can be resumed and shared by several processes. A trial whose process
-was killed counts as failed.
+Trials are stored in a SQLite file, so a search can be resumed. A trial that was interrupted counts as failed, and is
+drawn again.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ import json
 import os
 import sys
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -38,9 +37,6 @@ from jax_aero.cli import Parser, count
 from jax_aero.train import fit, samples_of
 
 RESULTS = places.RESULTS / "training_search"
-
-SEED = "seed"
-"""Attribute of a trial: seed of the sampler that drew it."""
 
 
 class Range(tables.Table, frozen=True):
@@ -118,7 +114,6 @@ def run(given: argparse.Namespace) -> None:
     wanted = given.trials or settings.trials
 
     def objective(trial: optuna.Trial) -> float:
-        trial.set_user_attr(SEED, seed)
         return error_of(replace_keys(path, base, suggestions(trial, settings.space)), dataset, settings)
 
     def say(_: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
@@ -129,11 +124,12 @@ def run(given: argparse.Namespace) -> None:
             flush=True,
         )
 
-    _fail_killed(search, out)
-    while _count_complete(search) < wanted:
-        with ExitStack() as held:
-            seed = _take_seed(search, settings.seed, out, held)
-            search.sampler = optuna.samplers.TPESampler(seed=seed)
+    with lock(out):
+        for trial in search.get_trials(states=(optuna.trial.TrialState.RUNNING,)):  # of a process that was killed
+            search.tell(trial.number, state=optuna.trial.TrialState.FAIL)
+        while (done := _count_complete(search)) < wanted:
+            # What was interrupted is drawn again, as in a search that is not.
+            search.sampler = optuna.samplers.TPESampler(seed=settings.seed + done)
             search.optimize(objective, n_trials=1, callbacks=[say])
     _write(out, search, {**plain.to_builtins(settings), "base": base}, identity, dataset.sha256)
     print(f"best of {_count_complete(search)}: {search.best_value:.3e} m4 with {search.best_params}")
@@ -148,33 +144,6 @@ def _digest_in(folder: Path) -> str | None:
         return str(read_json(path, documents.Manifest).get("config_digest", ""))
     except Refused:
         return ""
-
-
-def _fail_killed(search: optuna.Study, out: Path) -> None:
-    """Mark trials of killed processes as failed; a process with a running trial holds the lock of its seed."""
-    for trial in search.get_trials(states=(optuna.trial.TrialState.RUNNING,)):
-        if SEED in trial.user_attrs:
-            with suppress(Refused), _lock_of(trial.user_attrs[SEED], out):
-                search.tell(trial.number, state=optuna.trial.TrialState.FAIL)
-
-
-def _take_seed(search: optuna.Study, first: int, out: Path, held: ExitStack) -> int:
-    """Lock and return the first seed that only failed trials have, so that interrupted ones are drawn again.
-
-    Processes that share a search use different seeds.
-    """
-    taken = {trial.user_attrs.get(SEED) for trial in search.trials if trial.state != optuna.trial.TrialState.FAIL}
-    seed = first
-    while True:
-        if seed not in taken:
-            with suppress(Refused):
-                held.enter_context(_lock_of(seed, out))
-                return seed
-        seed += 1
-
-
-def _lock_of(seed: int, out: Path) -> AbstractContextManager[None]:
-    return lock(out / f"seed_{seed}")
 
 
 def _count_complete(search: optuna.Study) -> int:
