@@ -203,10 +203,15 @@ def file_hashes(files: Iterable[Path]) -> dict[str, str]:
 
 
 def listing(summary: Mapping[str, Any]) -> str:
-    """Return the figures of a summary, one per line."""
+    """Return the figures of a summary, one per line, or those of a case."""
     width = max((len(key) for key in summary), default=0)
-    shown = {key: format(value, ".5g") if isinstance(value, int | float) else value for key, value in summary.items()}
-    return "\n".join(f"  {key:<{width}}  {value}" for key, value in shown.items())
+    return "\n".join(f"  {key:<{width}}  {_shown(value)}" for key, value in summary.items())
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {_shown(figure)}" for key, figure in value.items())
+    return format(value, ".5g") if isinstance(value, int | float) else str(value)
 
 
 def add_names(parser: Any, kind: str, name: str = "names", **options: Any) -> None:

@@ -34,7 +34,6 @@ def test_engines_of_the_arms_are_flown_on_every_mission(monkeypatch, make_flight
     thrust = [made.log["thrust"][:, jets].max() for jets in (slice(0, 2), slice(2, 4))]
     agree("thrusts", [cell["arm_thrust_max"], cell["chest_thrust_max"]], thrust, 1e-12)
     assert found.dataset["com_error"].dims == ("experiment", "engine")
-    assert found.report.startswith("  test1 P160 ")
 
 
 def test_only_the_arms_change():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from experiments import study
 from experiments.studies.wind_observer import study as wind_observer
 from jax_aero import rust
 from jax_aero.base import places
@@ -40,7 +41,7 @@ def test_estimated_winds_are_judged_over_all_flights_of_a_speed(monkeypatch, mak
     assert found.dataset["rms"].shape == (worlds, 2)
     agree("rms", found.dataset["rms"].values, np.ones((worlds, 2)), 1e-12)
     agree("inside", found.dataset["inside"].values, np.full((worlds, 2), 0.5), 1e-12)
-    assert found.report.splitlines()[0].endswith("rms 1.00 m/s, 50 % inside, 2 of 2 completed")
+    assert study.listing(found.summary).splitlines()[0].endswith("rms 1, inside 0.5, completed 2")
     for configs, speed in zip(flown[:2], asked.speeds, strict=True):
         winds = [config["wind"] for config in configs]
         # Two flights: from ahead and from behind of the y axis, with turbulence in proportion to the wind.

@@ -77,10 +77,7 @@ def compute(part: str, asked: Ahead) -> Findings:
         {"controller": list(flights), "time": ("time", time, {"units": "s"})},
     )
     rows = {name: _summary(log, part) for name, log in zip(flights, flown, strict=True)}
-    report = "\n".join(
-        f"  {name}: " + ", ".join(f"{key} {value:.3g}" for key, value in row.items()) for name, row in rows.items()
-    )
-    return Findings(f"Looking ahead: {part}", data, rows, flights=flights, report=report)
+    return Findings(f"Looking ahead: {part}", data, rows, flights=flights)
 
 
 STUDY = Study("ahead", __doc__, Ahead, compute, tuple(PARTS), engine="rust")

@@ -18,7 +18,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from experiments import Refused, flight, record
-from experiments.report.engines import Choice
+from experiments.report.battery import Choice
 from experiments.study import Findings, Study
 from jax_aero.base import places, tables
 from jax_aero.base.places import ROBOT
@@ -54,13 +54,9 @@ def compute(_: str, asked: Along) -> Findings:
     runs = {name: _read(name) for name in asked.flights}
     data = fuel_and_clearance(runs, load_fuel(asked.fuel), asked.plume_length)
     summary = figures(data)
-    report = "\n".join(
-        f"  {name:<26} " + ", ".join(f"{key} {value:.4g}" for key, value in found.items())
-        for name, found in summary.items()
-    )
     read = {name: run.attrs["config_hash"] for name, run in runs.items()}
     files = [ROBOT, *(flight.folder_of(name) / places.RUN_FILE for name in runs)]
-    return Findings("Fuel and clearance along flights", data, summary, results=read, files=files, report=report)
+    return Findings("Fuel and clearance along flights", data, summary, results=read, files=files)
 
 
 STUDY = Study("along", __doc__, Along, compute, ("flights",))

@@ -51,13 +51,8 @@ def compute(_: str, asked: ArmEngines) -> Findings:
         {key: (("experiment", "engine"), [[cell[key] for cell in row] for row in rows], units[key]) for key in units},
         {"experiment": list(flights), "engine": list(ENGINES)},
     )
-    report = "\n".join(
-        f"  {name:<26} {cell['outcome']:<10} "
-        + ", ".join(f"{key} {cell[key]:.4g} {unit}" for key, unit in QUANTITIES.items())
-        for name, cell in found.items()
-    )
     inputs = {"engines": ENGINES}
-    return Findings("Engines of the arms", data, found, flights=flights, inputs=inputs, files=[ROBOT], report=report)
+    return Findings("Engines of the arms", data, found, flights=flights, inputs=inputs, files=[ROBOT])
 
 
 STUDY = Study("arm_engines", __doc__, ArmEngines, compute, ("paper",), engine="rust")

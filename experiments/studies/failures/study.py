@@ -56,9 +56,8 @@ def compute(part: str, asked: Failures) -> Findings:
         unit, text = MEANING[str(name)]
         data[name].attrs.update({"units": unit, "long_name": text})
     rows = {str(case): _summary(cell.drop(columns="case")) for case, cell in table.groupby("case", sort=False)}
-    report = "\n".join(f"  {case}: {text}" for case, text in rows.items())
     bases = {name: rust.load_config(name) for name in ("test2_observer", "test2_sensors", "take_off")}
-    return Findings(f"Failures: {part}", data, rows, flights=bases, report=report)
+    return Findings(f"Failures: {part}", data, rows, flights=bases)
 
 
 STUDY = Study("failures", __doc__, Failures, compute, tuple(PARTS), engine="rust")

@@ -83,14 +83,9 @@ def compute(_: str, asked: WindEstimate) -> Findings:
             "speed": ("speed", list(asked.speeds), {"units": "m s-1", "long_name": "wind speed"}),
         },
     )
-    report = "\n".join(
-        f"  {name:<45} rms {figures['rms']:.2f} m/s, {100 * figures['inside']:.0f} % inside, "
-        f"{figures['completed']} of {asked.flights} completed"
-        for name, figures in found.items()
-    )
     bases = sorted({WORLDS[world][0] for world in asked.worlds})
     flights = {base: rust.load_config(base) for base in bases}
-    return Findings("Wind from the wrench", data, found, flights=flights, files=[PERTURBATION], report=report)
+    return Findings("Wind from the wrench", data, found, flights=flights, files=[PERTURBATION])
 
 
 STUDY = Study("wind_observer", __doc__, WindEstimate, compute, ("turbulence",), engine="rust")
