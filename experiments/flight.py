@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from experiments import Refused, engines, manifest, record, study
+from experiments import Refused, backends, manifest, record, study
 from experiments.identity import Identity
 from jax_aero import rust
 from jax_aero.base import documents, places
@@ -39,7 +39,7 @@ def obtain(name: str) -> Path:
 
 def identity_of(config: rust.Config) -> Identity:
     """Return the identity of the flight of a configuration."""
-    return Identity(rust.config_digest(config), (__name__, engines.MODULES[engines.engine_of(config)]))
+    return Identity(rust.config_digest(config), (__name__, backends.MODULES[backends.backend_of(config)]))
 
 
 def run(
@@ -74,7 +74,7 @@ def run(
     for text in warned:
         warnings.warn(text, stacklevel=2)
     folder = out / name if out else folder_of(name)
-    identity, engine = identity_of(config), engines.engine_of(config)
+    identity, engine = identity_of(config), backends.backend_of(config)
     with lock_work(folder):
         if renew:
             overwrite = bool(identity.difference(record.read_manifest(folder) or {}))
@@ -118,4 +118,4 @@ def _portable_warning(text: str) -> str:
 
 def _fly(config: rust.Config, name: str) -> rust.FlightResult:
     with progress_bar("tick", name) as show:
-        return engines.engine(engines.engine_of(config)).fly(config, show)
+        return backends.backend(backends.backend_of(config)).fly(config, show)

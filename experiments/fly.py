@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments import Refused, flight, overrides, study
-from experiments.engines import MODULES
+from experiments.backends import MODULES
 from experiments.table import outcome_table
 from jax_aero import cli, rust
 from jax_aero.base import places

@@ -11,12 +11,13 @@ from pathlib import Path
 import jax_aero
 from experiments import Refused, manifest
 from experiments.flight import PAPER_RUNS
-from experiments.report import engines, facts, findings, index, judges
-from experiments.report.findings import Finding
+from experiments.report import battery, findings, paper_page
+from experiments.report.findings import ANOTHER, Finding, Kind, Verdict
+from experiments.report.judges import files
+from experiments.report.judges.results import answer
 from experiments.report.page import Contents, Heading, Mark, Page, Picture, Table, Text, literal
 from experiments.report.paper import all_claims, all_items, whole
 from experiments.report.results import NotFlownError, Results, Sweep, count
-from experiments.report.verdicts import ANOTHER, Kind, Verdict
 from jax_aero.base import places
 from jax_aero.base.files import write_text
 from jax_aero.base.terminal import exit_status
@@ -61,7 +62,7 @@ def main(arguments: Sequence[str]) -> int:
             option = "--index" if given.index else "--check"
             raise Refused(f"{option} reads docs/ of a checkout of the repository, and this is none")
         if given.index:
-            print(index.page(), end="")
+            print(paper_page.page(), end="")
             return 0
         if not given.results.is_dir():
             raise Refused(f"`{given.results}` is no folder; expected one with results, as `jax-aero fly` makes it")
@@ -90,7 +91,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def _check(found: Mapping[str, Finding]) -> int:
     """Print the verdicts from results that are not the kept ones; return the exit status."""
-    kept, claims = index.found(), all_claims()
+    kept, claims = paper_page.found(), all_claims()
     judged = [key for key, one in found.items() if claims[key].commands and one.verdict.kind is not Kind.NOT_FLOWN]
     unlike = [key for key in judged if found[key].verdict != kept[key].verdict]
     for key in unlike:
@@ -139,8 +140,7 @@ def build(results: Results, found: Mapping[str, Finding]) -> Page:
             page.add(Heading(2, title))
         for name, sweep in chosen.items():
             _sweep(page, results, name, sweep)
-    _engines(page)
-    _add_speed(page, results)
+    _battery(page)
     page.add(
         Heading(2, "How to read and repeat this"),
         Text(
@@ -172,8 +172,8 @@ def _compare(results: Results) -> str:
 
 def _claims(page: Page, results: Results, found: Mapping[str, Finding]) -> None:
     """Add all claims that were judged, then those for which results are missing, with the commands that make them."""
-    figures = {claim.key: claim.figure or item.figure for item in reversed(all_items()) for claim in item.claims}
     claims = all_claims()
+    figures = {key: claims[key].figure or item.figure for item in reversed(all_items()) for key in item.claims}
     missing = [key for key, finding in found.items() if finding.verdict.kind is Kind.NOT_FLOWN]
     page.add(
         Heading(2, "Claims"),
@@ -225,7 +225,7 @@ def _link_figure(results: Results, figure: str) -> str:
 
 def _minimum(page: Page, results: Results) -> None:
     try:
-        sweep, least = results.sweep("ablation_terms"), judges.answer(results)
+        sweep, least = results.sweep("ablation_terms"), answer(results)
     except (NotFlownError, KeyError):
         return
     worlds = sweep.levels("world")
@@ -320,54 +320,16 @@ def _sweep(page: Page, results: Results, name: str, sweep: Sweep) -> None:
     page.add(
         Heading(3, title),
         Text(
-            f"{literal(document['description'])} {document['rows']} flights: {counted}{failed}. {_edge(sweep)}".strip()
+            f"{literal(document['description'])} {document['rows']} flights: {counted}{failed}.".strip()
             + _mark_outdated(sweep.differs)
         ),
     )
     page.add(*_pictures(results, [(name, f"{title} (`{name}`)")]))
 
 
-def _edge(sweep: Sweep) -> str:
-    """Return at which values of a curve's number all flights complete, for each combination of the other axes."""
-    document = sweep.document
-    inner = [part for part in document["axes"] if part["name"] != document["panels"]]
-    if document["drawing"] != "curve" or not document["panels"] or not inner:
-        return ""
-    axis = inner[-1]
-    if any(isinstance(label, str) for label in sweep.levels(axis["name"])):
-        return ""
-    between = [part["name"] for part in document["axes"] if part is not axis]
-    groups: dict[tuple[str, ...], list[dict[str, object]]] = {}
-    for cell in sweep.cells:
-        groups.setdefault(tuple(str(cell[part]) for part in between), []).append(cell)
-    said = []
-    for labels, cells in groups.items():
-        sound = [cell[axis["name"]] for cell in cells if cell["completed"] == cell["flights"]]
-        where = ", ".join(labels)
-        unit = f" {axis['unit']}" if axis["unit"] else ""
-        said.append(
-            f"{where}: {_spans(sound, [cell[axis['name']] for cell in cells])}{unit}" if sound else f"{where}: nowhere"
-        )
-    return f"All flights of a point complete at — {'; '.join(said)}."
-
-
-def _spans(values: Sequence[object], known: Sequence[object]) -> str:
-    """Return "0.8 to 1.2, 2" for values among the known ones."""
-    spans: list[list[object]] = []
-    for value in known:
-        if value not in values:
-            continue
-        before = known[known.index(value) - 1] if known.index(value) else None
-        if spans and spans[-1][-1] == before:
-            spans[-1] = [spans[-1][0], value]
-        else:
-            spans.append([value, value])
-    return ", ".join(f"{a:g}" if a == b else f"{a:g} to {b:g}" for a, b in spans)
-
-
-def _engines(page: Page) -> None:
-    choice = engines.Choice()
-    battery, fuel = str(engines.PAPER_BATTERY), str(engines.PAPER_FUEL)
+def _battery(page: Page) -> None:
+    choice = battery.Choice()
+    printed, fuel = str(battery.PAPER_BATTERY), str(battery.PAPER_FUEL)
     page.add(
         Heading(2, "Why jets: battery against fuel"),
         Text(
@@ -378,41 +340,14 @@ def _engines(page: Page) -> None:
         Table(
             ("what", "ours [kg]", "paper [kg]"),
             [
-                ("battery, 13 kW for 15 kg of thrust as printed", f"{choice.battery():.2f}", battery),
-                ("battery, 1 kW per kg of thrust", f"{choice.battery(1.0):.2f}", battery),
+                ("battery, 13 kW for 15 kg of thrust as printed", f"{choice.battery():.2f}", printed),
+                ("battery, 1 kW per kg of thrust", f"{choice.battery(1.0):.2f}", printed),
                 ("fuel, burnt on the way", f"{choice.fuel():.2f}", fuel),
                 ("fuel, if none of its mass were lost", f"{choice.fuel_carried():.2f}", "—"),
             ],
         ),
         Table(
             ("jet", "engine", "greatest thrust [N]"),
-            [(jet["name"], jet["engine"], f"{jet['thrust_max']:.0f}") for jet in facts.robot()["jets"]],
+            [(jet["name"], jet["engine"], f"{jet['thrust_max']:.0f}") for jet in files.robot()["jets"]],
         ),
-    )
-
-
-def _add_speed(page: Page, results: Results) -> None:
-    rows, flights, seconds = [], 0, 0.0
-    for name, sweep in results.sweeps.items():
-        finished = sweep.document["finished"]
-        if finished["flights"] < sweep.document["rows"]:
-            rows.append((f"`{name}`", str(sweep.document["rows"]), sweep.document["engine"], "resumed, not timed", "—"))
-            continue
-        flights, seconds = flights + finished["flights"], seconds + finished["seconds"]
-        rate = f"{finished['flights_per_minute'] or 0.0:.0f}"
-        rows.append(
-            (f"`{name}`", str(finished["flights"]), sweep.document["engine"], f"{finished['seconds']:.0f}", rate)
-        )
-    if not seconds:
-        return
-    cores = {str(sweep.document["device"]["cores"]) for sweep in results.sweeps.values()}
-    rows.append(("all", str(flights), "", f"{seconds:.0f}", f"{60.0 * flights / seconds:.0f}"))
-    page.add(
-        Heading(2, "Speed"),
-        Text(
-            f"Flights of 50 s of simulated time (shorter where they fall) on {' or '.join(sorted(cores))} cores; "
-            "a thousand "
-            f"flights take {1000.0 * seconds / flights / 60.0:.1f} min at the mean rate."
-        ),
-        Table(("sweep", "flights", "engine", "time [s]", "flights per minute"), rows),
     )

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -18,14 +17,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments import Refused, engines, outdated
-from experiments.report import claims, kept, pictures
-from experiments.report.findings import Finding
+from experiments import Refused, backends, outdated
+from experiments.report import kept, pictures
+from experiments.report.findings import ANOTHER, Finding
+from experiments.report.judges import sweeps
 from experiments.report.kept import ALL, Axis, Kept
 from experiments.report.results import Results
-from experiments.report.verdicts import ANOTHER
 from experiments.sweep import run, spec, table
-from experiments.sweep.claims import Claim
+from experiments.sweep.criteria import Criterion
 from experiments.sweep.design import Design
 from experiments.sweep.spec import Spec
 from jax_aero.base import documents, places
@@ -197,9 +196,9 @@ def _each(document: Mapping[str, Any]) -> str:
     return f"{'one' if repeats == 1 else repeats} in each cell, {perturbed}"
 
 
-def _findings(folder: Path, asked: Sequence[Claim]) -> dict[str, Finding]:
+def _findings(folder: Path, asked: Sequence[Criterion]) -> dict[str, Finding]:
     results = Results(folder.parents[1])
-    return {claim.key: Finding(*claims.judge_claim(folder.name, claim, results)) for claim in asked}
+    return {claim.key: Finding(*sweeps.decide(results, name=folder.name, claim=claim)) for claim in asked}
 
 
 def _rows(
@@ -235,31 +234,20 @@ QUANTILES = {"median": 0.5, "high": 0.9, "worst": 1.0}
 
 def figures(flights: pd.DataFrame) -> dict[str, Any]:
     """Return counts of flights, and quantiles of the errors of those that complete or come down."""
-    outcome = flights["outcome"]
-    upright, lost = (flights[outcome.isin(ends)] for ends in (UPRIGHT, LOST))
+    upright, lost = (flights[flights["outcome"].isin(ends)] for ends in (UPRIGHT, LOST))
     degraded = flights[flights["degraded_time"] > 0.0]
-    rotation, com = np.degrees(upright["max_rotation_error"]), 100.0 * upright["max_com_error"]
-    near = (rotation <= math.degrees(table.ON_COURSE_ROTATION)) & (com <= 100.0 * table.ON_COURSE_COM)
-    on_course = near & (upright["outcome"] == "completed")
-    ends = ("completed", "descended", "descending", "off_course", "crashed")
-    found: dict[str, Any] = {"flights": len(flights), **{end: int((outcome == end).sum()) for end in ends}}
-    found |= {"on_course": int(on_course.sum()), "lost": len(lost), "degraded": len(degraded)}
-    found["unwarned"] = int((lost["warning_time"] < table.LEAST_WARNING).sum())
-    for name, values in (("rotation_deg", rotation), ("com_cm", com)):
-        found |= {f"{name}_{quantile}": _quantile(values, share) for quantile, share in QUANTILES.items()}
+    found: dict[str, Any] = {"flights": len(flights), **table.counts(flights)}
+    errors = {"rotation_deg": np.degrees(upright["max_rotation_error"]), "com_cm": 100.0 * upright["max_com_error"]}
+    for name, values in errors.items():
+        found |= {f"{name}_{end}": table.quantile(values, share) for end, share in QUANTILES.items()}
     bits = flights["all_modes"].fillna(0).to_numpy().astype(int)
     found |= {
-        "found_s": _quantile(degraded["nominal_until"] - degraded["onset"], 0.5),
-        "announced_s": _quantile(lost["warning_time"], 0.5),
-        "lost_s": _quantile(lost["lost_time"], 0.5),
+        "found_s": table.quantile(degraded["nominal_until"] - degraded["onset"], 0.5),
+        "announced_s": table.quantile(lost["warning_time"], 0.5),
+        "lost_s": table.quantile(lost["lost_time"], 0.5),
         "modes": sum(bit for bit in MODES.values() if np.mean((bits & bit) > 0) >= 0.5),
     }
     return {name: found[name] for name in FIGURES}
-
-
-def _quantile(values: pd.Series, share: float) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(known.quantile(share)) if len(known) else None
 
 
 def first_of(flight: Mapping[str, Any]) -> list[Any]:
@@ -272,7 +260,7 @@ def fly_again(document: Kept, cell: int) -> list[Any]:
     sweep = Design(spec.load(document.result.removeprefix("sweeps/")))
     if len(sweep.cells) != len(document.firsts):
         raise Refused(f"{document.name} keeps {len(document.firsts)} cells; its sweep has {len(sweep.cells)}")
-    flight = engines.engine(sweep.spec.engine).fly(sweep.row_config(cell * sweep.spec.repeats))
+    flight = backends.backend(sweep.spec.engine).fly(sweep.row_config(cell * sweep.spec.repeats))
     return first_of({"outcome": flight.outcome, **flight.summary})
 
 

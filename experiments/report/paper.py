@@ -9,61 +9,72 @@ from __future__ import annotations
 
 import shutil
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cache, partial
+from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import msgspec
+from msgspec.structs import replace
 
 from experiments import Refused, studies
-from experiments.report import claims, facts, judges, tunnel
-from experiments.report.findings import Finding
-from experiments.report.judges import Judge
+from experiments.report.findings import ANOTHER, NOT_FLOWN, OUTDATED, Finding, Judged, Kind, error, mark_outdated
+from experiments.report.judges import files, results, sweeps, tunnel
 from experiments.report.results import NotFlownError, Results, StaleError
-from experiments.report.verdicts import ANOTHER, NOT_FLOWN, OUTDATED, Kind, Verdict, error, mark_outdated, of_text
 from jax_aero.base import places, tables
 from paper_figs.figures import FIGURES, SWEEPS
 
+JUDGES = {"files": files, "tunnel": tunnel, "results": results, "sweeps": sweeps}
+"""Modules of judges: the first two need committed files alone."""
+OURS = "Beyond the paper"
 
-@dataclass(frozen=True)
-class Claim:
+
+class Claim(tables.Table, frozen=True):
     """A statement of the paper or of this project, and how it is measured."""
 
-    key: str
-    """Name in `docs/claims.json`."""
     where: str
     """Place in the paper, or "ours"."""
     states: str
-    judge: Judge
+    judge: str
+    """Module of `JUDGES` and function."""
+    arguments: dict[str, Any] = msgspec.field(default_factory=dict)
     commands: tuple[str, ...] = ()
     """Commands that make the results, without `jax-aero`; none if committed files suffice."""
     figure: str = ""
     """Figure or sweep that shows it, if not that of its item."""
-    is_of_sweep: bool = False
-    """Whether it stands in the file of a sweep, with which its finding is kept."""
 
-    def find(self, results: Results) -> Finding:
+    @property
+    def is_of_sweep(self) -> bool:
+        """Return whether it stands in the file of a sweep, with which its finding is kept."""
+        return self.judge.startswith("sweeps.")
+
+    def decide(self, known: Results) -> Judged:
+        """Return measurement and verdict of its judge."""
+        module, _, name = self.judge.partition(".")
+        judged: Judged = getattr(JUDGES[module], name)(
+            *([known] if module in ("results", "sweeps") else []), **self.arguments
+        )
+        return judged
+
+    def find(self, known: Results) -> Finding:
         """Return measurement and verdict from the results that exist."""
-        results.made.clear()
+        known.made.clear()
         try:
-            measured, verdict = self.judge(results)
+            measured, verdict = self.decide(known)
         except NotFlownError as reason:
             verdict = OUTDATED if isinstance(reason, StaleError) else NOT_FLOWN
-            return Finding("; ".join(results.failures(each(self.commands))) or str(reason), verdict)
+            return Finding("; ".join(known.failures(each(self.commands))) or str(reason), verdict)
         except Refused:
             raise
         except Exception as reason:  # of a result that does not fit, or of the judge
             return Finding("no measurement", error(reason))
-        if changed := [f"{name} ({made.differs})" for name, made in results.made.items() if made.differs]:
+        if changed := [f"{name} ({made.differs})" for name, made in known.made.items() if made.differs]:
             measured, verdict = f"{measured}; {ANOTHER}: {', '.join(changed)}", mark_outdated(verdict)
-        commits = {made.created: made.commit for made in results.made.values() if made.created and made.commit}
+        commits = {made.created: made.commit for made in known.made.values() if made.created and made.commit}
         return Finding(measured, verdict, commits[max(commits)] if commits else None)
 
 
-@dataclass(frozen=True)
-class Item:
+class Item(tables.Table, frozen=True):
     """One item of the paper, or one of this project beyond it."""
 
     name: str
@@ -73,19 +84,19 @@ class Item:
     """Name of a figure or sweep of `paper_figs`."""
     links: tuple[str, ...] = ()
     """Pages of `docs`, and files of the repository."""
-    verdict: Verdict | None = None
-    """Our verdict, if nothing is measured."""
+    verdict: str = ""
+    """Our verdict, if nothing is measured: the word of its `Kind`, and what limits it."""
     held_by: tuple[str, ...] = ()
     """Tests that hold a verdict of agreement, or why it holds by construction."""
     made_by: tuple[str, ...] = ()
     """Commands that make it, without `jax-aero`, if not those of its claims or of its figure; without the drawing."""
-    claims: Sequence[Claim] = ()
-    """Claims of the rows below it."""
+    claims: tuple[str, ...] = ()
+    """Keys of the claims of the rows below it."""
 
     @property
     def commands(self) -> list[str]:
         """Return the commands that make the item: its results first, then the figure."""
-        made = whole(self.made_by or [command for claim in self.claims for command in claim.commands])
+        made = whole(self.made_by or [command for key in self.claims for command in all_claims()[key].commands])
         if self.figure in FIGURES:
             made = made or FIGURES[self.figure].commands
         elif self.figure:
@@ -108,72 +119,43 @@ def whole(commands: Sequence[str]) -> list[str]:
     return [command if command.startswith("jax-aero ") else f"jax-aero {command}" for command in commands]
 
 
-class _Claim(tables.Table, frozen=True):
-    where: str
-    states: str
-    judge: str
-    """Function of `facts` or `tunnel`, which committed files decide, or of `judges`, by results."""
-    arguments: dict[str, Any] = msgspec.field(default_factory=dict)
-    commands: tuple[str, ...] = ()
-    figure: str = ""
-
-    def of(self, key: str) -> Claim:
-        module, _, name = self.judge.partition(".")
-        judge = partial(getattr(MODULES[module], name), **self.arguments)
-        decide = judge if module == "judges" else lambda _: judge()
-        return Claim(key, self.where, self.states, decide, self.commands, self.figure)
-
-
-class _Item(tables.Table, frozen=True):
-    name: str
-    shows: str = ""
-    figure: str = ""
-    links: tuple[str, ...] = ()
-    verdict: str = ""
-    held_by: tuple[str, ...] = ()
-    made_by: tuple[str, ...] = ()
-    claims: tuple[str, ...] = ()
-
-
 class _Section(tables.Table, frozen=True):
     title: str
-    item: tuple[_Item, ...]
+    item: tuple[Item, ...]
 
 
 class _Paper(tables.Table, frozen=True):
     section: tuple[_Section, ...]
-    claim: dict[str, _Claim]
-
-
-MODULES = {"facts": facts, "judges": judges, "tunnel": tunnel}
-OURS = "Beyond the paper"
+    claim: dict[str, Claim]
 
 
 @cache
-def whole_table() -> Mapping[str, Sequence[Item]]:
-    """Return the table of `paper.toml`: the items of every section, with their claims."""
-    read = tables.load(Path(__file__).with_name("paper.toml"), _Paper)
-    known = {key: claim.of(key) for key, claim in read.claim.items()}
+def _table() -> _Paper:
+    return tables.load(Path(__file__).with_name("paper.toml"), _Paper)
 
-    def item(row: _Item) -> Item:
-        verdict = of_text(row.verdict) if row.verdict else None
-        stated = [known[key] for key in row.claims]
-        return Item(row.name, row.shows, row.figure, row.links, verdict, row.held_by, row.made_by, stated)
 
-    return {section.title: [item(row) for row in section.item] for section in read.section}
+@cache
+def all_claims() -> dict[str, Claim]:
+    """Return all claims by key: those of the table whose studies are there, then those in the files of sweeps."""
+    found = {key: claim for key, claim in _table().claim.items() if all(map(_is_here, claim.commands))}
+    for name in SWEEPS:
+        for one in sweeps.of_sweep(name):
+            given = {"name": name, "claim": one}
+            found[one.key] = Claim("ours", one.states, "sweeps.decide", given, (f"sweep {name}",))
+    return found
 
 
 @cache
 def sections() -> Mapping[str, Sequence[Item]]:
     """Return the table without studies that are absent, with all other figures and sweeps as items beyond the paper."""
-    found: dict[str, list[Item]] = {title: [] for title in whole_table()}
-    for title, items in whole_table().items():
-        for item in items:
-            claims = [claim for claim in item.claims if all(map(_is_here, claim.commands))]
+    found: dict[str, list[Item]] = {section.title: [] for section in _table().section}
+    for section in _table().section:
+        for item in section.item:
+            claims = tuple(key for key in item.claims if key in all_claims())
             if item.figure in ("", *FIGURES, *SWEEPS) and (claims or not item.claims):
                 made_by = tuple(filter(_is_here, item.made_by))
                 shows = item.shows or _title(item.figure)
-                found[title].append(replace(item, shows=shows, claims=claims, made_by=made_by))
+                found[section.title].append(replace(item, shows=shows, claims=claims, made_by=made_by))
     shown = {item.figure for items in found.values() for item in items}
     others = [
         name for name in (*(name for name in FIGURES if not FIGURES[name].is_of_any), *SWEEPS) if name not in shown
@@ -184,25 +166,14 @@ def sections() -> Mapping[str, Sequence[Item]]:
         for place, item in enumerate(items):
             if item.figure in waiting:
                 waiting.remove(item.figure)
-                items[place] = replace(item, claims=[*item.claims, *_of_sweep(item.figure)])
+                stated = (one.key for one in sweeps.of_sweep(item.figure))
+                items[place] = replace(item, claims=(*item.claims, *stated))
     return found
-
-
-def _of_sweep(name: str) -> Iterator[Claim]:
-    """Yield the claims in the file of a sweep."""
-    for claim in claims.of_sweep(name):
-        judge = partial(claims.judge_claim, name, claim)
-        yield Claim(claim.key, "ours", claim.states, judge, (f"sweep {name}",), is_of_sweep=True)
 
 
 def all_items() -> list[Item]:
     """Return the items of all sections, in order."""
     return [item for items in sections().values() for item in items]
-
-
-def all_claims() -> dict[str, Claim]:
-    """Return all claims by key, in order."""
-    return {claim.key: claim for item in all_items() for claim in item.claims}
 
 
 def commands(*, ours: bool) -> list[str]:
@@ -217,7 +188,7 @@ def commands(*, ours: bool) -> list[str]:
 
 
 def _is_out_of_reach(item: Item) -> bool:
-    return not item.claims and item.verdict is not None and item.verdict.kind is Kind.OUT_OF_REACH
+    return not item.claims and item.verdict.startswith(Kind.OUT_OF_REACH.value)
 
 
 def _without_drawing(commands: Sequence[str]) -> list[str]:

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from experiments import Refused, outdated
-from experiments.report import ground, metrics
-from experiments.report.verdicts import ANOTHER
+from experiments.report.findings import ANOTHER
+from experiments.report.measures import flight, standing
 from jax_aero import rust
 from jax_aero.base import documents, places
 from jax_aero.base.files import find_damaged, read_json
@@ -110,9 +110,9 @@ class Results:
         return {name: outdated.flight(name, document) for name, document in self.manifests.items()}
 
     @cached_property
-    def flights(self) -> dict[str, metrics.Metrics]:
+    def flights(self) -> dict[str, flight.Metrics]:
         """Return the metrics of every flight without --set, by name, unless it is refused."""
-        return {name: metrics.read(self.folder / "flight" / name) for name in self._used(self.differences)}
+        return {name: flight.read(self.folder / "flight" / name) for name in self._used(self.differences)}
 
     def _used(self, differences: Mapping[str, str]) -> list[str]:
         return [name for name, difference in differences.items() if self.stale or not difference]
@@ -126,11 +126,11 @@ class Results:
         }
 
     @cached_property
-    def ground_experiments(self) -> dict[str, ground.Ground]:
+    def ground_experiments(self) -> dict[str, standing.Ground]:
         """Return the metrics of every ground experiment without --set, by name."""
         mass = rust.Robot(str(places.ROBOT)).mass
         read = (
-            ground.read(self.folder / "flight" / name, self.manifests[name].get("config", {}), mass)
+            standing.read(self.folder / "flight" / name, self.manifests[name].get("config", {}), mass)
             for name in self._used(self.differences)
         )
         return {found.name: found for found in read if found is not None}
@@ -156,11 +156,11 @@ class Results:
                 found[name] = Sweep(document, cells, outdated.sweep(name, document))
         return found
 
-    def flight(self, name: str) -> metrics.Metrics:
+    def flight(self, name: str) -> flight.Metrics:
         """Return the metrics of a flight without --set."""
         return self._find(self.flights, name)
 
-    def ground_experiment(self, name: str) -> ground.Ground:
+    def ground_experiment(self, name: str) -> standing.Ground:
         """Return the metrics of a ground experiment without --set."""
         return self._find(self.ground_experiments, name)
 

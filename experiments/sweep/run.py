@@ -21,7 +21,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from experiments import Refused, engines, manifest
+from experiments import Refused, backends, manifest
 from experiments.cluster import Ray
 from experiments.identity import ANOTHER, Identity
 from experiments.sweep import columns, table
@@ -54,7 +54,7 @@ def _fly_chunks(
             _fly_remotely, (design.spec, design.bases), {n: n for n in chunks}, modules_of(design)
         )
         return
-    engine = engines.engine(design.spec.engine)
+    engine = backends.backend(design.spec.engine)
     for chunk in chunks:
         yield chunk, fly_chunk(design, chunk, engine, workers, progress)
 
@@ -63,13 +63,13 @@ def _fly_remotely(shared: tuple[Spec, Any], chunk: int) -> Any:
     spec, bases = shared
     design = Design(spec)
     vars(design)["bases"] = bases
-    return fly_chunk(design, chunk, engines.engine(spec.engine), threads=1)
+    return fly_chunk(design, chunk, backends.backend(spec.engine), threads=1)
 
 
 def fly_chunk(
     design: Design,
     chunk: int,
-    engine: engines.Engine,
+    engine: backends.Backend,
     threads: int | None = None,
     progress: rust.Progress | None = None,
 ) -> Any:
@@ -107,7 +107,7 @@ def _run(design: Design, workers: int | None, cluster: Ray | None, folder: Path,
         print(f"{shown} is finished already; --overwrite flies it again")
         return
     design.check()
-    engines.engine(design.spec.engine)
+    backends.backend(design.spec.engine)
     if overwrite and folder.exists():  # only after all checks of the new one
         _clear(folder)
     chunks.folder.mkdir(parents=True, exist_ok=True)
@@ -202,7 +202,7 @@ def identity_of(design: Design) -> Identity:
 
 def modules_of(design: Design) -> tuple[str, ...]:
     """Return the modules that determine the rows of a sweep."""
-    return __name__, engines.MODULES[design.spec.engine]
+    return __name__, backends.MODULES[design.spec.engine]
 
 
 def _read_document(folder: Path, identity: Identity) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import msgspec
 
 from experiments import study
 from experiments.sweep import keys
-from experiments.sweep.claims import Claim
+from experiments.sweep.criteria import Criterion
 from experiments.sweep.perturbation import Perturbation
 from jax_aero.base import places, tables
 from jax_aero.base.documents import Drawing
@@ -158,7 +158,7 @@ class Spec(tables.Table, frozen=True):
     panels: str = ""
     """Axis whose levels are panels of a figure and columns of a table, if any."""
     tabled: Tabled = Tabled()
-    claim: tuple[Claim, ...] = ()
+    claim: tuple[Criterion, ...] = ()
     """Statements that the sweep decides."""
 
     def __post_init__(self) -> None:

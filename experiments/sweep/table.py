@@ -17,7 +17,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import pyarrow as pa
 
-from experiments.engines import Failure
+from experiments.backends import Failure
 from experiments.sources import file_hash
 from experiments.sweep.spec import Level, Spec
 from jax_aero import rust
@@ -131,31 +131,42 @@ def cells(spec: Spec, levels: Cells, table: pa.Table) -> pa.Table:
 
 def _cell(flights: Mapping[str, Any]) -> dict[str, Any]:
     """Return counts and quantiles of the flights of one cell; of the warnings, those of lost flights."""
-    is_lost = np.isin(flights["outcome"], LOST)
-    warning_time = np.where(is_lost, flights["warning_time"], np.nan)
-    flights = {**flights, "warning_time": warning_time}
-    completed = flights["outcome"] == "completed"
-    upright = np.isin(flights["outcome"], UPRIGHT)
+    flights = {**flights, "warning_time": np.where(np.isin(flights["outcome"], LOST), flights["warning_time"], np.nan)}
     errors = int((flights["outcome"] == "error").sum())
-    near = (flights["max_rotation_error"] <= ON_COURSE_ROTATION) & (flights["max_com_error"] <= ON_COURSE_COM)
-    trials = len(completed) - errors
+    trials, found = len(flights["outcome"]) - errors, counts(flights)
     record: dict[str, Any] = {"flights": trials, "errors": errors}
-    degraded = flights["degraded_time"] > 0.0
-    shares = {"completed": completed, "upright": upright, "on_course": completed & near, "degraded": degraded}
-    for name, which in shares.items():
-        low, high = wilson(int(which.sum()), trials)
-        record |= {name: int(which.sum()), f"{name}_low": low, f"{name}_high": high}
-    for outcome in OUTCOMES:
-        record[outcome] = int((flights["outcome"] == outcome).sum())
-    record["unwarned"] = int((warning_time < LEAST_WARNING).sum())
+    for name in ("completed", "upright", "on_course", "degraded"):
+        low, high = wilson(found[name], trials)
+        record |= {name: found[name], f"{name}_low": low, f"{name}_high": high}
+    record |= {name: found[name] for name in (*OUTCOMES, "unwarned")}
     if trials and np.isnan(flights["degraded_time"]).all():
         record |= dict.fromkeys(("degraded", "degraded_low", "degraded_high", "unwarned"))
     for name, (column, factor) in QUANTITIES.items():
-        values = flights[column].astype(float) * factor
-        values = values[np.isfinite(values)]
-        for quantile, share in QUANTILES.items():
-            record[f"{name}_{quantile}"] = float(np.quantile(values, share)) if values.size else None
+        for end, share in QUANTILES.items():
+            record[f"{name}_{end}"] = quantile(flights[column].astype(float) * factor, share)
     return record
+
+
+def counts(flights: Mapping[str, Any]) -> dict[str, int]:
+    """Return how many flights ended how, upright, on course, lost, lost unwarned, and were degraded for a time."""
+    outcome = flights["outcome"]
+    near = (flights["max_rotation_error"] <= ON_COURSE_ROTATION) & (flights["max_com_error"] <= ON_COURSE_COM)
+    lost = np.isin(outcome, LOST)
+    which = {
+        **{name: outcome == name for name in OUTCOMES},
+        "upright": np.isin(outcome, UPRIGHT),
+        "on_course": (outcome == "completed") & near,
+        "lost": lost,
+        "unwarned": lost & (flights["warning_time"] < LEAST_WARNING),
+        "degraded": flights["degraded_time"] > 0.0,
+    }
+    return {name: int(rows.sum()) for name, rows in which.items()}
+
+
+def quantile(values: Any, share: float) -> float | None:
+    """Return a quantile of the values that are finite; `None` without any."""
+    known = values[np.isfinite(values)]
+    return float(np.quantile(known, share)) if len(known) else None
 
 
 def listing(cells: pa.Table, labels: Mapping[str, str]) -> list[list[str]]:

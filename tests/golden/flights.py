@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments import engines
+from experiments import backends
 from jax_aero import rust
 from jax_aero.base import places
 
@@ -46,13 +46,13 @@ class Stored(NamedTuple):
 
 def fly(config: rust.Config) -> rust.FlightResult:
     """Fly a configuration with its own engine."""
-    return engines.engine(engines.engine_of(config)).fly(config)
+    return backends.backend(backends.backend_of(config)).fly(config)
 
 
 def rounds_coarsely(config: rust.Config) -> bool:
     """Whether a network (single precision) or an iterative contact solver takes part."""
     models = (config["simulator"]["aero"]["model"], config["controller"]["aero"]["model"])
-    return "network" in models or engines.engine_of(config) == "mujoco"
+    return "network" in models or backends.backend_of(config) == "mujoco"
 
 
 def signals(flight: rust.FlightResult) -> dict[str, NDArray[np.float64]]:

@@ -7,14 +7,14 @@ import pytest
 
 from experiments import studies
 from experiments.fly import main as fly
-from experiments.report import findings, index, kept, paper
+from experiments.report import findings, kept, paper, paper_page
+from experiments.report.findings import Kind
 from experiments.report.results import Results
-from experiments.report.verdicts import Kind
 from jax_aero.cli import COMMANDS, main
 from paper_figs.figures import FIGURES, OURS, SWEEPS
 
 ROOT = Path(__file__).resolve().parents[2]
-KEPT = findings.read(index.CLAIMS) | kept.findings()
+KEPT = findings.read(paper_page.CLAIMS) | kept.findings()
 CLAIMS = paper.all_claims()
 ITEMS = paper.all_items()
 
@@ -27,7 +27,7 @@ def anchors(page: str) -> set[str]:
 
 def test_the_index_is_the_page(capsys):
     assert main(["report", "--index"]) == 0
-    assert capsys.readouterr().out == index.page()
+    assert capsys.readouterr().out == paper_page.page()
 
 
 def test_every_figure_and_sweep_has_an_item():
@@ -35,19 +35,19 @@ def test_every_figure_and_sweep_has_an_item():
     assert {item.figure for item in ITEMS} - {""} == {*drawn, *SWEEPS}
 
 
-def test_a_key_is_that_of_one_claim():
-    assert all(CLAIMS[claim.key] is claim for item in ITEMS for claim in item.claims)
+def test_every_claim_is_that_of_an_item():
+    assert {key for item in ITEMS for key in item.claims} == set(CLAIMS)
 
 
 def test_what_needs_results_is_kept_with_a_verdict_and_nothing_else_is():
     assert set(KEPT) == {key for key, claim in CLAIMS.items() if claim.commands}
-    assert {finding.verdict.kind for finding in index.found().values()} <= {
+    assert {finding.verdict.kind for finding in paper_page.found().values()} <= {
         Kind.AGREES, Kind.IN_PART, Kind.DIFFERS, Kind.OUT_OF_REACH,
     }  # fmt: skip
 
 
 def test_a_finding_is_kept_once():
-    assert not findings.read(index.CLAIMS).keys() & kept.findings().keys()
+    assert not findings.read(paper_page.CLAIMS).keys() & kept.findings().keys()
 
 
 def test_every_item_of_the_paper_has_a_verdict():
@@ -55,13 +55,13 @@ def test_every_item_of_the_paper_has_a_verdict():
         for item in items:
             judged = bool(item.claims) + bool(item.verdict)
             assert judged == 1 or (title == "Beyond the paper" and not item.verdict), item.name
-            out_of_reach = item.verdict and item.verdict.kind in (Kind.OUT_OF_REACH, Kind.NOT_COMPARED)
+            out_of_reach = item.verdict.startswith((Kind.OUT_OF_REACH.value, Kind.NOT_COMPARED.value))
             assert item.figure or item.links or item.claims or out_of_reach, item.name
 
 
 def test_what_agrees_without_a_measurement_names_the_test_that_holds_it():
     for item in ITEMS:
-        agrees = bool(item.verdict) and item.verdict.kind in (Kind.AGREES, Kind.IN_PART)
+        agrees = item.verdict.startswith(Kind.AGREES.value)
         assert agrees == bool(item.held_by), item.name
         for named in item.held_by:
             if named.startswith("tests/"):
@@ -75,13 +75,14 @@ def test_without_studies_nothing_of_the_table_names_one(monkeypatch):
     """As if the folders of all studies were deleted: figures of studies are not there either."""
     monkeypatch.setattr(studies, "names", list)
     monkeypatch.setattr(paper, "FIGURES", {name: FIGURES[name] for name in OURS})
+    monkeypatch.setattr(paper, "all_claims", paper.all_claims.__wrapped__)
     sections = paper.sections.__wrapped__()
     commands = [command for items in sections.values() for item in items for command in item.commands]
     assert not [command for command in commands if command.startswith("jax-aero study")]
     shown = {item.figure for items in sections.values() for item in items} - {""}
     assert shown == {*(name for name, entry in OURS.items() if not entry.is_of_any), *SWEEPS}
     (battery,) = [item for item in sections["Numbers of the text"] if item.shows == "battery against fuel"]
-    assert [claim.key for claim in battery.claims] == ["battery", "fuel"]
+    assert battery.claims == ("battery", "fuel")
 
 
 @pytest.mark.parametrize("link", sorted({link for item in ITEMS for link in item.links}))
@@ -94,7 +95,7 @@ def test_links_lead_somewhere(link):
     else:
         page = ROOT / "docs" / path
         assert not path or page.is_file()
-        assert not anchor or anchor in anchors(page.read_text(encoding="utf-8") if path else index.page())
+        assert not anchor or anchor in anchors(page.read_text(encoding="utf-8") if path else paper_page.page())
 
 
 def test_what_reproduces_the_paper_makes_what_every_claim_needs(monkeypatch):
@@ -136,12 +137,13 @@ def test_commands_name_what_exists():
 
 def test_claims_of_single_flights_are_those_of_the_code(tmp_path, capsys):
     """The crate computes the same bits everywhere, so what it flew once it flies again."""
-    alone = [claim for claim in CLAIMS.values() if [command.split()[0] for command in claim.commands] == ["fly"]]
-    flown = [claim for claim in alone if "balancing" not in claim.commands[0]]  # MuJoCo's ground is slower
-    names = sorted({name for claim in flown for name in claim.commands[0].split()[1:]})
+    alone = {key: one for key, one in CLAIMS.items() if [command.split()[0] for command in one.commands] == ["fly"]}
+    # MuJoCo's ground is slower.
+    flown = {key: claim for key, claim in alone.items() if "balancing" not in claim.commands[0]}
+    names = sorted({name for claim in flown.values() for name in claim.commands[0].split()[1:]})
     assert fly([*names, "--out", str(tmp_path / "flight")]) == 0
     capsys.readouterr()
     results = Results(tmp_path)
-    for claim in flown:
-        kept = KEPT[claim.key]
-        assert claim.judge(results) == (kept.measured, kept.verdict), claim.key
+    for key, claim in flown.items():
+        kept = KEPT[key]
+        assert claim.decide(results) == (kept.measured, kept.verdict), key

@@ -7,10 +7,10 @@ import shutil
 import pytest
 
 from experiments import reproduce
-from experiments.report import index, paper
+from experiments.report import paper, paper_page
 from experiments.report.command import _check
+from experiments.report.findings import AGREES, NOT_FLOWN, differs
 from experiments.report.results import Results
-from experiments.report.verdicts import AGREES, NOT_FLOWN, differs
 from jax_aero.base import places
 
 
@@ -62,7 +62,7 @@ def test_what_is_of_other_code_is_made_again(made_up_results, monkeypatch, tmp_p
 
 
 def test_a_verdict_that_is_not_the_kept_one_fails(capsys):
-    kept = index.found()
+    kept = paper_page.found()
     key, finding = next((key, one) for key, one in kept.items() if paper.all_claims()[key].commands)
     assert _check(kept) == 0
     assert _check(kept | {key: dataclasses.replace(finding, verdict=NOT_FLOWN)}) == 0

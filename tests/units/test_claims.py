@@ -6,19 +6,20 @@ import numpy as np
 import pytest
 
 from experiments.flight import PAPER_RUNS
-from experiments.report import claims, judges, paper
-from experiments.report.ground import Ground
-from experiments.report.metrics import Metrics
+from experiments.report import paper
+from experiments.report.findings import Kind
+from experiments.report.judges import results as judges
+from experiments.report.judges import sweeps
+from experiments.report.measures.flight import Metrics
+from experiments.report.measures.standing import Ground
 from experiments.report.results import Sweep
-from experiments.report.verdicts import Kind
 from experiments.sweep import spec
-from experiments.sweep.claims import Claim, Share
+from experiments.sweep.criteria import Criterion, Share
 from experiments.sweep.table import wilson
 from jax_aero.base import places
 from jax_aero.base.terminal import ConfigError
 
-ITEMS = [item for items in paper.whole_table().values() for item in items]
-JUDGES = {claim.key: claim.judge for item in ITEMS for claim in item.claims}
+JUDGES = {key: claim.decide for key, claim in paper._table().claim.items()}
 
 
 def flight(**figures):
@@ -301,8 +302,8 @@ CELLS = [cell(controller=name, speed=speed) for name in ("observer", "observer, 
 
 
 def judged(found, **asked):
-    claim = Claim(key="k", states="", **asked)
-    measured, verdict = claims.judge_cells([one for one in found if claim.covers(one)], AXES, claim)
+    claim = Criterion(key="k", states="", **asked)
+    measured, verdict = sweeps.judge_cells([one for one in found if claim.covers(one)], AXES, claim)
     return measured, verdict.text
 
 
@@ -317,12 +318,12 @@ def judged(found, **asked):
     ],
 )
 def test_a_claim_covers_the_cells_of_its_levels(chosen, count):
-    assert sum(Claim(key="k", states="", cells=chosen).covers(one) for one in CELLS) == count
+    assert sum(Criterion(key="k", states="", cells=chosen).covers(one) for one in CELLS) == count
 
 
 @pytest.mark.parametrize("name", places.names("sweeps"))
 def test_a_claim_says_its_bounds(name):
-    for claim in claims.of_sweep(name):
+    for claim in sweeps.of_sweep(name):
         said = [f"{limit:g}°" for limit in claim.at_most.values()]
         if claim.share is not None:
             said.append(f"at most {100.0 * claim.share.at_most:g} %" if claim.share.at_most else "no flight")
@@ -366,7 +367,7 @@ def test_a_claim_of_a_sweep_is_judged_by_its_result():
     claim = paper.all_claims()["observer_40"]
     document = {"axes": [{"name": name} for name in AXES]}
     results = SimpleNamespace(sweep=lambda name: {"observer_wind": Sweep(document, CELLS)}[name])
-    assert claim.judge(results)[1].text == "agrees"
+    assert claim.decide(results)[1].text == "agrees"
     assert (claim.commands, claim.is_of_sweep) == (("sweep observer_wind",), True)
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments import engines, studies
+from experiments import backends, studies
 from experiments.sources import closure
 from jax_aero import cli, rust
 from jax_aero.base import extras, places
@@ -95,7 +95,7 @@ def test_the_extras_of_a_command_bring_what_it_imports(function, extras):
 
 def test_a_flight_of_the_crate_depends_on_no_package_that_its_extra_does_not_bring():
     """The hash of its code counts imports of functions too."""
-    assert closure("experiments.flight", engines.MODULES["rust"])[1] <= packages_in("figs")
+    assert closure("experiments.flight", backends.MODULES["rust"])[1] <= packages_in("figs")
 
 
 def test_the_extra_that_a_module_names_brings_what_it_imports():

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from experiments import engines, record
-from experiments.report import ground
+from experiments import backends, record
+from experiments.report.measures.standing import measure
 from jax_aero import rust
 from jax_aero.mujoco.ground import GroundPlant, begin, fly
 from jax_aero.rust import MODES
@@ -376,7 +376,7 @@ def test_a_run_is_recorded_and_measured(frontal, tmp_path):
     assert dataset["foot"].values.tolist() == ["l_sole", "r_sole"]
     path = tmp_path / "run.nc"
     record.write_dataset(dataset, path)
-    found = ground.measure("x", xr.load_dataset(path, engine="h5netcdf"), 1.0, robot.mass)
+    found = measure("x", xr.load_dataset(path, engine="h5netcdf"), 1.0, robot.mass)
     assert found.identity < 1e-9
     assert found.shift[0] > 0.01
     assert max(found.left_leg, key=lambda joint: abs(found.left_leg[joint])) == "ankle_pitch"
@@ -430,7 +430,7 @@ def test_a_pose_far_below_the_ground_is_refused(tmp_path, monkeypatch):
 def test_engines_refuse_what_they_do_not_know():
     flying = rust.load_config("test2")
     with pytest.raises(ValueError, match=r"simulator.ground.* is absent"):
-        engines.engine("mujoco").fly(flying)
+        backends.backend("mujoco").fly(flying)
     with pytest.raises(ValueError, match=r"simulator\.ground"):
         rust.fly(standing())
     with pytest.raises(ValueError, match=r"disturbances\.joints"):

@@ -9,9 +9,8 @@ import pytest
 from docs import ties
 from experiments import Refused, manifest
 from experiments.report import keep, kept, pictures
-from experiments.report.findings import Finding
+from experiments.report.findings import AGREES, Finding
 from experiments.report.kept import Axis, Kept
-from experiments.report.verdicts import AGREES
 
 AXES = [Axis("controller", "controller", "", ["a", "b"]), Axis("speed", "wind speed", "m/s", [0.0, 10.0])]
 

@@ -21,16 +21,14 @@ from experiments import manifest, outdated, record
 from experiments.cfd.settings import FlowConfig
 from experiments.flight import identity_of
 from experiments.identity import Identity
-from experiments.report import engines, facts, findings, ground, judges, metrics, paper
-from experiments.report.command import _count_verdicts, _edge, _pictures, _spans, build
-from experiments.report.findings import Finding
-from experiments.report.page import Contents, Heading, Mark, Page, Picture, Table, Text, literal
-from experiments.report.results import Results, Sweep
-from experiments.report.verdicts import (
+from experiments.report import battery, findings, paper
+from experiments.report.command import _count_verdicts, _pictures, build
+from experiments.report.findings import (
     AGREES,
     ANOTHER,
     NOT_FLOWN,
     OUTDATED,
+    Finding,
     Kind,
     Verdict,
     differs,
@@ -39,6 +37,12 @@ from experiments.report.verdicts import (
     mark_outdated,
     out_of_reach,
 )
+from experiments.report.judges import files
+from experiments.report.judges import results as judges
+from experiments.report.measures import flight as metrics
+from experiments.report.measures import standing as ground
+from experiments.report.page import Contents, Heading, Mark, Page, Picture, Table, Text, literal
+from experiments.report.results import Results, Sweep
 from experiments.sources import file_hash
 from experiments.sweep import run, spec
 from experiments.sweep.design import Design
@@ -298,25 +302,6 @@ def test_a_judge_that_fails_is_an_error_and_keeps_no_older_verdict(results, tmp_
     assert findings.read(kept)["test2"].verdict == claim.verdict
 
 
-@pytest.mark.parametrize(
-    ("axes", "expected"),
-    [
-        (["world", "scale"], "All flights of a point complete at — ahead: 1; side: 1 to 2."),
-        (["scale", "world"], "All flights of a point complete at — ahead: 1; side: 1 to 2."),
-        (["scale", "terms"], ""),
-        (["world"], ""),
-    ],
-)
-def test_the_edge_of_a_curve_is_one_of_numbers(axes, expected):
-    labels = [("ahead", 1.0), ("ahead", 2.0), ("side", 1.0), ("side", 2.0)]
-    cells = [
-        cell(i, 8, 8 if (world, scale) != ("ahead", 2.0) else 7, 8, world=world, scale=scale, terms=str(scale))
-        for i, (world, scale) in enumerate(labels)
-    ]
-    document = {"drawing": "curve", "panels": "world", "axes": [{"name": axis, "unit": ""} for axis in axes]}
-    assert _edge(Sweep(document, cells)) == expected
-
-
 def test_a_cell_is_the_only_one_with_its_levels():
     sweep = Sweep({}, [cell(i, 8, 8, 8, world="ahead", scale=scale) for i, scale in enumerate((1.0, 2.0))])
     assert sweep.cell(scale=2.0) is sweep.cells[1]
@@ -513,14 +498,6 @@ def test_the_report_is_written_from_what_there_is(results, capsys):
     assert build(Results(results.folder / "nowhere"), {}).markdown().startswith("# What flies, and why")
 
 
-@pytest.mark.parametrize(
-    ("values", "known", "text"),
-    [([1.0, 2.0, 4.0], [0.0, 1.0, 2.0, 3.0, 4.0], "1 to 2, 4"), ([0.0], [0.0, 1.0], "0"), ([], [0.0], "")],
-)
-def test_spans_of_sound_values(values, known, text):
-    assert _spans(values, known) == text
-
-
 # --- facts from committed files
 
 
@@ -611,32 +588,32 @@ def test_a_verdict_says_by_how_much():
 
 
 def test_the_verdict_on_the_network_follows_from_its_errors(monkeypatch):
-    monkeypatch.setattr(facts, "_errors", lambda: (4.5e-6, 2.9e-6, 1e-5, 2.9e-5))
+    monkeypatch.setattr(files, "_errors", lambda: (4.5e-6, 2.9e-6, 1e-5, 2.9e-5))
     text = "differs: 1.5 times on random rows; on whole postures agrees"
-    assert facts.network_error()[1] == Verdict(Kind.IN_PART, text)
-    assert facts.order_of_magnitude()[1] == AGREES
+    assert files.network_error()[1] == Verdict(Kind.IN_PART, text)
+    assert files.order_of_magnitude()[1] == AGREES
 
 
 def test_facts_of_the_tunnel_come_from_what_is_printed():
     # 8.17 1/s over 0.0236 / 2.89 1/s; the silhouette over 4 m times 3.84 m.
-    assert "1000 times less than the printed ω" in facts.boundary()[0]
-    assert "over 15.4 m²" in facts.blockage()[0]
+    assert "1000 times less than the printed ω" in files.boundary()[0]
+    assert "over 15.4 m²" in files.blockage()[0]
 
 
 def test_an_engine_rests_where_its_thrust_does_not_accelerate(measured):
-    engine = facts.robot()["engines"]["P220"]
-    thrust, v = facts.steady_thrust(engine, 70.0), 70.0 * (1.0 + engine["b_uu"] * 70.0)
+    engine = files.robot()["engines"]["P220"]
+    thrust, v = files.steady_thrust(engine, 70.0), 70.0 * (1.0 + engine["b_uu"] * 70.0)
     drift = engine["k_t"] * thrust + engine["k_tt"] * thrust**2 + engine["c"]
     pull = (engine["b_u"] + engine["b_t"] * thrust) * v
     # Terms of some 3e2 N/s² cancel: a few last bits of them.
     measured("acceleration", abs(drift + pull), 1e-11)
-    assert np.isnan(facts.steady_thrust(engine | {"c": -1e6}, 70.0))
+    assert np.isnan(files.steady_thrust(engine | {"c": -1e6}, 70.0))
 
 
 def test_the_silhouette_is_at_least_that_of_one_attitude():
-    links = facts.robot()["aero_links"]
+    links = files.robot()["aero_links"]
     across = sum(link["diameter"] * link["length"] for link in links if not link.get("is_sphere"))
-    assert across < facts.silhouette() < 1.3 * across
+    assert across < files.silhouette() < 1.3 * across
 
 
 def test_the_arm_jet_sits_beside_its_elbow(agree):
@@ -649,7 +626,7 @@ def test_the_arm_jet_sits_beside_its_elbow(agree):
     place, (roll, pitch, yaw) = (np.array(origin.get(key).split(), dtype=float) for key in ("xyz", "rpy"))
     (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
     axis = np.array([cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr])
-    agree("offset", facts.forearm_offset(), np.linalg.norm(np.cross(place, axis)), 1e-9)
+    agree("offset", files.forearm_offset(), np.linalg.norm(np.cross(place, axis)), 1e-9)
 
 
 # --- battery against fuel
@@ -657,23 +634,23 @@ def test_the_arm_jet_sits_beside_its_elbow(agree):
 
 @pytest.mark.close_to_tolerance("the expected figure is typed to the digits that the tolerance allows")
 def test_the_papers_fuel_and_battery_come_out(measured):
-    choice = engines.Choice()
-    assert round(choice.fuel(), 2) == engines.PAPER_FUEL
-    measured("battery", abs(choice.battery(1.0) - engines.PAPER_BATTERY), 0.01)
+    choice = battery.Choice()
+    assert round(choice.fuel(), 2) == battery.PAPER_FUEL
+    measured("battery", abs(choice.battery(1.0) - battery.PAPER_BATTERY), 0.01)
     assert round(choice.battery(), 2) == 20.97
 
 
 def test_a_battery_hovers_itself_as_well(agree):
-    choice = engines.Choice()
-    battery = choice.battery()
-    energy = 1e3 * choice.fan_power / choice.fan_thrust * (choice.robot_mass + battery) * choice.minutes / 60.0
-    agree("energy", energy, battery * choice.specific_energy, 1e-12)
-    # A battery for 14 minutes and a half would weigh as much as it can lift, alone.
-    assert engines.Choice(minutes=14.6).battery() == float("inf")
+    choice = battery.Choice()
+    mass = choice.battery()
+    energy = 1e3 * choice.fan_power / choice.fan_thrust * (choice.robot_mass + mass) * choice.minutes / 60.0
+    agree("energy", energy, mass * choice.specific_energy, 1e-12)
+    # A mass for 14 minutes and a half would weigh as much as it can lift, alone.
+    assert battery.Choice(minutes=14.6).battery() == float("inf")
 
 
 def test_fuel_is_burnt_by_what_is_left_of_it(agree):
-    choice = engines.Choice()
+    choice = battery.Choice()
     mass, steps = choice.robot_mass + choice.fuel(), 100_000
     rate = choice.jet_consumption * choice.fuel_density / choice.jet_thrust
     for _ in range(steps):

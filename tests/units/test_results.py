@@ -14,7 +14,7 @@ import pyarrow as pa
 import pytest
 
 from experiments import Refused, flight, manifest, record, sources
-from experiments.engines import MODULES
+from experiments.backends import MODULES
 from experiments.identity import Identity
 from experiments.sweep import run, spec
 from experiments.sweep.chunks import Chunks

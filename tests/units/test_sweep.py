@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from experiments import Refused, cluster, engines
+from experiments import Refused, backends, cluster
 from experiments.sweep import command, keys, run, spec, table
 from experiments.sweep.design import Design
 from experiments.sweep.perturbation import Perturbation, members
@@ -467,7 +467,7 @@ def test_files_of_one_name_that_change_places_make_another_sweep_of_other_rows(t
             (tmp_path / folder / "wind.csv").write_text(text)
         made = design(axis=[{"name": "wind", "level": level}])
         configs = [made.row_config(row) for row in range(2)]
-        rows = table.rows(made.spec, made.cells, range(2), configs, [engines.Failure("")] * 2)
+        rows = table.rows(made.spec, made.cells, range(2), configs, [backends.Failure("")] * 2)
         found.append((made.digest, rows["config_hash"].to_pylist()))
     (before, (one, other)), (after, swapped) = found
     assert before != after
@@ -522,7 +522,7 @@ def test_every_network_of_an_ensemble_flies_equally_often_in_an_order_of_the_see
 
 def test_a_drawn_flight_is_that_of_its_network_to_the_bit():
     made = drawing(chunk=2, set={"simulator.duration": 0.02})
-    rows = run.fly_chunk(made, 0, engines.engine("rust"), threads=1).to_pylist()
+    rows = run.fly_chunk(made, 0, backends.backend("rust"), threads=1).to_pylist()
     for row in rows:
         named = made.cell_config(0)
         named["simulator"]["aero"]["card"] = str(ENSEMBLE.with_name(f"{row['member']}.json"))
@@ -829,7 +829,7 @@ def test_a_sweep_that_cannot_fly_overwrites_nothing(tmp_path, monkeypatch, chang
     short = {"repeats": 1, "set": {"simulator.duration": 0.02}}
     folder = run.run(design(**short), workers=1, out=tmp_path)
     before = read(folder)
-    monkeypatch.setitem(engines.MODULES, "jax", "nowhere.jax")
+    monkeypatch.setitem(backends.MODULES, "jax", "nowhere.jax")
     monkeypatch.setattr("experiments.identity.code_hash", lambda *_: "")
     with pytest.raises(Refused, match=re.escape(words)):
         run.run(design(**short | change), workers=1, out=tmp_path, overwrite=True)

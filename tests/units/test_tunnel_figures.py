@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from experiments.report import tunnel as claims
-from experiments.report.verdicts import AGREES, differs
+from experiments.report.findings import AGREES, differs
+from experiments.report.judges import tunnel as claims
 from paper_figs import tunnel
 from paper_figs.command import main
 

@@ -4,13 +4,13 @@ import sys
 
 import pytest
 
-from experiments import Refused, engines
+from experiments import Refused, backends
 from jax_aero import rust
 
 
 def test_an_unknown_engine_is_refused():
     with pytest.raises(Refused, match="engine = 'matlab'; expected one of rust, jax"):
-        engines.engine("matlab")
+        backends.backend("matlab")
 
 
 def test_the_jax_engine_plugs_in_with_two_functions(monkeypatch, make_flight):
@@ -29,19 +29,19 @@ def test_the_jax_engine_plugs_in_with_two_functions(monkeypatch, make_flight):
             return [make_flight(step=0.5) for _ in configs]
 
     monkeypatch.setitem(sys.modules, "jax_aero.sim", Module)
-    jax = engines.engine("jax")
+    jax = backends.backend("jax")
     flights = jax.fly_batch([{"engine": "jax", "title": "a"}, {"title": "b"}])
     assert [flight.outcome for flight in flights] == ["completed", "completed"]
     assert asked == [[{"engine": "jax", "title": "a"}, {"title": "b"}]]
     refused, flown = jax.fly_batch([{"title": "refused"}, {"title": "b"}])
-    assert refused == engines.Failure("no such jet")
+    assert refused == backends.Failure("no such jet")
     assert flown.outcome == "completed"
 
 
 def test_a_configuration_may_name_its_engine():
     config = rust.load_config("test1", {"engine": "jax"})
-    assert engines.engine_of(config) == "jax"
+    assert backends.backend_of(config) == "jax"
     plain = rust.load_config("test1")
-    assert engines.engine_of(plain) == "rust"
+    assert backends.backend_of(plain) == "rust"
     with pytest.raises(ValueError, match="matlab"):
         rust.load_config("test1", {"engine": "matlab"})

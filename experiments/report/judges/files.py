@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from experiments.report import engines
-from experiments.report.verdicts import Judged, in_parts, judge, judge_range, out_of_reach
+from experiments.report import battery as choice
+from experiments.report.findings import Judged, in_parts, judge, judge_range, out_of_reach
 from jax_aero import rust
 from jax_aero.base import tables
 from jax_aero.base.places import CONFIGS, ROBOT
@@ -112,15 +112,15 @@ def arm_engine() -> Judged:
 
 def battery() -> Judged:
     """Judge the battery of the engine choice, in two interpretations."""
-    printed, other = engines.Choice().battery(), engines.Choice().battery(1.0)
+    printed, other = choice.Choice().battery(), choice.Choice().battery(1.0)
     text = f"{printed:.2f} kg from the printed 13 kW for 15 kg; {other:.2f} kg from 1 kW per kg of thrust"
-    off = printed - engines.PAPER_BATTERY
+    off = printed - choice.PAPER_BATTERY
     return text, judge(abs(off) < 0.005, f"{off:+.2f} kg; the printed figure belongs to 1 kW per kg")
 
 
 def fuel() -> Judged:
     """Judge the fuel of the engine choice."""
-    found = engines.Choice().fuel()
+    found = choice.Choice().fuel()
     return f"{found:.2f} kg, burnt on the way", judge_range(found, 4.605, 4.615, "kg")
 
 

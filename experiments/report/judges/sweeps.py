@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
+from experiments.report.findings import Judged, judge
 from experiments.report.results import Cell, Results, Sweep
-from experiments.report.verdicts import Judged, judge
-from experiments.sweep.claims import Claim
+from experiments.sweep.criteria import Criterion
 from experiments.sweep.table import wilson
 from jax_aero.base import places, tables
 
@@ -14,7 +14,7 @@ UNITS = {"rotation_error_deg": "°", "com_error": " m", "joint_error_sum_deg": "
 """Units of quantities, as they follow a number."""
 
 
-def of_sweep(name: str) -> tuple[Claim, ...]:
+def of_sweep(name: str) -> tuple[Criterion, ...]:
     """Return the claims in the file of a shipped sweep, without reading what its levels name."""
     path = places.find("sweeps", name)
     found = tables.read(path).get("claim", [])
@@ -22,10 +22,10 @@ def of_sweep(name: str) -> tuple[Claim, ...]:
 
 
 class _Claims(tables.Table, frozen=True):
-    claim: tuple[Claim, ...] = ()
+    claim: tuple[Criterion, ...] = ()
 
 
-def judge_claim(name: str, claim: Claim, results: Results) -> Judged:
+def decide(results: Results, *, name: str, claim: Criterion) -> Judged:
     """Return what a sweep has for its claim, and whether that holds."""
     sweep = results.sweep(name)
     return judge_cells([cell for cell in sweep.cells if claim.covers(cell)], _axes(sweep), claim)
@@ -35,7 +35,7 @@ def _axes(sweep: Sweep) -> list[str]:
     return [axis["name"] for axis in sweep.document["axes"]]
 
 
-def judge_cells(cells: Sequence[Cell], axes: Sequence[str], claim: Claim) -> Judged:
+def judge_cells(cells: Sequence[Cell], axes: Sequence[str], claim: Criterion) -> Judged:
     """Return the figures of the cells that decide a claim, and the verdict, which names those in which it fails."""
     if not cells:
         raise LookupError(f"no cell of the claim `{claim.key}`")
@@ -61,7 +61,7 @@ def _count(part: int, whole: int) -> str:
     return f"{part} of {whole} ({low:.1f} to {high:.1f} %)"
 
 
-def _failures(cell: Cell, claim: Claim) -> Iterator[str]:
+def _failures(cell: Cell, claim: Criterion) -> Iterator[str]:
     """Yield how a cell misses what is asked: flights that end otherwise, or else quantities beyond their limits."""
     others = cell["flights"] - _sum([cell], claim.outcomes)
     if others:

@@ -1,6 +1,6 @@
-"""Engines that fly a configuration: `engine = "rust"`, `"jax"` or `"mujoco"` in a file, or --engine.
+"""Back ends that fly a configuration: `engine = "rust"`, `"jax"` or `"mujoco"` in a file, or --engine.
 
-An engine computes a `rust.FlightResult` from a resolved configuration. A flight of a batch that cannot be computed is
+A back end computes a `rust.FlightResult` from a resolved configuration. A flight of a batch that cannot be computed is
 replaced by a `Failure`, so that it is recorded and the other flights continue.
 """
 
@@ -25,11 +25,11 @@ class Failure:
 
 
 MODULES = {"rust": "jax_aero.rust", "jax": "jax_aero.sim", "mujoco": "jax_aero.mujoco.ground"}
-"""Module of each engine."""
+"""Module of each back end."""
 
 
 @dataclass(frozen=True)
-class Engine:
+class Backend:
     """A module with the function `fly` and, optionally, `fly_batch`."""
 
     name: str
@@ -65,12 +65,12 @@ class Engine:
         return flights
 
 
-def engine(name: str) -> Engine:
-    """Return the engine with this name."""
+def backend(name: str) -> Backend:
+    """Return the back end with this name."""
     if name not in MODULES:
         raise Refused(f"engine = {name!r}; expected one of {', '.join(MODULES)}")
     try:
-        return Engine(name, importlib.import_module(MODULES[name]))
+        return Backend(name, importlib.import_module(MODULES[name]))
     except ImportError as reason:
         raise Refused(
             f'engine = "{name}" needs `{MODULES[name]}` and the packages of the extra `twin`, which are not here '
@@ -78,6 +78,6 @@ def engine(name: str) -> Engine:
         ) from None
 
 
-def engine_of(config: Config) -> str:
-    """Return the name of the engine of a configuration."""
+def backend_of(config: Config) -> str:
+    """Return the name of the back end of a configuration."""
     return str(config.get("engine", "rust"))

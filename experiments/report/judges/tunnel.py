@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from experiments.report.verdicts import Judged, judge
+from experiments.report.findings import Judged, judge
 from paper_figs import tunnel
 from paper_figs.tunnel import CFD, EPSILON, OMEGA, TUNNEL
 

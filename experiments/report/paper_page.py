@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from experiments.report import facts, findings, kept
+from experiments.report import findings, kept
 from experiments.report.findings import Finding
+from experiments.report.judges import files
 from experiments.report.page import Heading, Page, Table, Text
 from experiments.report.paper import Item, all_claims, sections
 from experiments.report.results import Results
@@ -24,13 +25,13 @@ ABOUT = (
 )
 TABLES = {
     "The robot": (
-        facts.robot_table,
+        files.robot_table,
         "Aerodynamic links, for Fig. 1 and Suppl. Fig. 6: `configs/robot/ironcub_mk1.toml`.",
     ),
-    "Suppl. Table 1": (facts.engine_table, "Identified engines, with their steady-state thrusts."),
-    "Suppl. Table 2": (facts.coefficient_table, "Force areas [m²] as published, and refitted to the public table."),
+    "Suppl. Table 1": (files.engine_table, "Identified engines, with their steady-state thrusts."),
+    "Suppl. Table 2": (files.coefficient_table, "Force areas [m²] as published, and refitted to the public table."),
     "Suppl. Table 3": (
-        facts.mesh_table,
+        files.mesh_table,
         "Meshes of flight30 in the public records; sizing parameters are not public.",
     ),
 }
@@ -57,8 +58,8 @@ def page() -> str:
 def _rows(item: Item, known: Mapping[str, Finding]) -> Iterator[tuple[str, ...]]:
     ours = ", ".join([*([_figure(item.figure)] if item.figure else []), *map(_link, item.links)])
     command = "; ".join(f"`{word}`" for word in item.commands)
-    stated = [(claim.states, known[claim.key].measured, str(known[claim.key].verdict)) for claim in item.claims]
-    for number, row in enumerate(stated or [("", _held_by(item), str(item.verdict or ""))]):
+    stated = [(all_claims()[key].states, known[key].measured, str(known[key].verdict)) for key in item.claims]
+    for number, row in enumerate(stated or [("", _held_by(item), item.verdict)]):
         first = (f"{item.name}: {item.shows}", ours, command) if number == 0 else ("", "", "")
         yield (*first, *row)
 

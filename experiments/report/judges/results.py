@@ -6,11 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TypeAlias
 
 from experiments.flight import PAPER_RUNS
-from experiments.report.engines import PAPER_FUEL
-from experiments.report.ground import Ground
-from experiments.report.metrics import FINAL
-from experiments.report.results import Results, count
-from experiments.report.verdicts import (
+from experiments.report.battery import PAPER_FUEL
+from experiments.report.findings import (
     AGREES,
     Judged,
     Kind,
@@ -20,6 +17,9 @@ from experiments.report.verdicts import (
     judge_range,
     out_of_reach,
 )
+from experiments.report.measures.flight import FINAL
+from experiments.report.measures.standing import Ground
+from experiments.report.results import Results, count
 
 RIGHT, HEAD, PUBLISHED = (
     "corrected arms, 10 m/s from the side",

@@ -1,4 +1,4 @@
-"""Claims in the file of a sweep: which cells decide one, and what must hold in them."""
+"""Criteria of the claims in the file of a sweep: which cells decide one, and what must hold in them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Share(tables.Table, frozen=True):
     """Columns whose sum they are a share of."""
 
 
-class Claim(tables.Table, frozen=True):
+class Criterion(tables.Table, frozen=True):
     """A statement that a sweep decides: in each of the chosen cells all flights end as stated, within limits."""
 
     key: Annotated[str, msgspec.Meta(pattern=r"^\w+$")]

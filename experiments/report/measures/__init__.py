@@ -1,0 +1,1 @@
+"""Figures of single flights and ground experiments that claims are judged by."""
