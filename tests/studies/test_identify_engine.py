@@ -217,6 +217,8 @@ def test_a_bench_gives_errors_of_both_engines(tmp_path, monkeypatch):
     assert found["M32, rise: rms error of thrust [N]"] == pytest.approx(2.0)
     assert found["M32, each 5 s predicted by the rest, fall: rms error of thrust [N]"] == pytest.approx(3.0)
     assert found["test, predicted, rise: rms error of thrust [N]"] < 2.0
+    with pytest.raises(Refused, match="expected --set bench=FILE"):
+        study.compute("made", study.EngineLogs())
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ import jax
 import numpy as np
 import xarray as xr
 
+from experiments import Refused
 from experiments.data.import_bench import load_bench
 from experiments.studies.identify_engine import shaft
 from experiments.studies.identify_engine.second_order import Array, Log, identify, simulate, smooth
@@ -32,8 +33,8 @@ THROTTLE = np.array([0.0, 100.0])
 class EngineLogs(tables.Table, frozen=True):
     """Logs of a bench."""
 
-    bench: Path
-    """Dataset of `jax-aero data import-bench`."""
+    bench: Path | None = None
+    """Dataset of `jax-aero data import-bench`, without which nothing is identified."""
     span: Interval | None = None
     """Times between which the engine runs [s]; by default the whole log."""
     test: Path | None = None
@@ -47,6 +48,8 @@ class EngineLogs(tables.Table, frozen=True):
 
 def compute(name: str, logs: EngineLogs) -> Findings:
     """Identify an engine of the shaft's speed, and M32 beside it."""
+    if logs.bench is None:
+        raise Refused("there is no log; expected --set bench=FILE, a dataset of `jax-aero data import-bench`")
     ambient = Ambient.of(logs.density, logs.temperature)
     benches = [(load_bench(path), span) for path, span in _logs(logs)]
     runs = [shaft.sample(bench, _span(bench, span), ambient) for bench, span in benches]
