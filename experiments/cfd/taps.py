@@ -82,7 +82,7 @@ def compare_taps(design: Design, accepted: Mapping[Case, Result], points: xr.Dat
     """
     axes = axes_of(load_robot(design.spec.robot))
     taps = [tap for tap in points["tap"].values.tolist() if tap in design.taps]
-    measured = points["cp"].where(points["flag"].astype(str) == "").sel(tap=taps)
+    measured = points["cp"].where(points["flag"] == 0).sel(tap=taps)
     beside = zip(accepted, points_beside(to_dataset(design, accepted), points, axes), strict=True)
     rows = {case: measured[near].mean("point").values for case, (near, _) in beside if near.any()}
     if not rows:

@@ -124,7 +124,8 @@ def to_dataset(
     variables = {
         "cp": (pair, pressures[:, order] / points.dynamic_pressure[:, None], {"long_name": "pressure coefficient"}),
         "zero": (pair, np.tile(zero[order], (n, 1)), {"units": "Pa", "long_name": "last reading without wind"}),
-        "flag": (pair, np.array([[flags.get(tap, "") for tap in taps]] * n), {"long_name": "why a tap is doubtful"}),
+        # Why stands in the table of taps: as many texts as pairs are refused by the reader of results.
+        "flag": (pair, np.array([[tap in flags for tap in taps]] * n).astype("i1"), {"long_name": "a doubtful tap"}),
         "dynamic_pressure": ("point", points.dynamic_pressure, {"units": "Pa"}),
         "speed": ("point", points.speed, {"units": "m s-1"}),
         "pitch": ("point", points.pitch_deg, {"units": "degree"}),

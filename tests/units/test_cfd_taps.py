@@ -78,8 +78,8 @@ TAPS = ("A7", "A19", "I4", "I6", "S1")
 def points_of(rows, flags=(), robot="mk1"):
     """Made-up points: posture, speed, mark and the coefficient of all taps; `flags` are doubtful in the first."""
     posture, speed, marks, cp = zip(*rows, strict=True)
-    flag = np.full((len(rows), len(TAPS)), "", dtype="<U8")
-    flag[0] = ["leaks" if tap in flags else "" for tap in TAPS]
+    flag = np.zeros((len(rows), len(TAPS)), dtype="i1")
+    flag[0] = [tap in flags for tap in TAPS]
     return xr.Dataset(
         {
             "cp": (("point", "tap"), np.repeat(np.array(cp)[:, None], len(TAPS), axis=1) + 0.1 * np.arange(len(TAPS))),
