@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, TypeAlias
 
 import msgspec
 
@@ -12,14 +12,17 @@ from jax_aero.base import tables
 from jax_aero.base.result import Outcome
 from jax_aero.base.terminal import ConfigError
 
+Counted: TypeAlias = Literal[Outcome, "upright", "on_course", "degraded", "unwarned", "flights"]
+"""Columns of the table of cells that are numbers of flights."""
+
 
 class Share(tables.Table, frozen=True):
     """A greatest share of some flights among others, in all cells together."""
 
-    of: str
-    """Column of the table of cells: the flights that are counted."""
+    of: Counted
+    """The flights that are counted."""
     at_most: tables.Fraction
-    among: tuple[str, ...] = ("flights",)
+    among: tuple[Counted, ...] = ("flights",)
     """Columns whose sum they are a share of."""
 
 

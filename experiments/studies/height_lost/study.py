@@ -3,8 +3,8 @@
 `jax-aero study height_lost` begins with the state of a robot's flight when an engine stops. For a while nothing reacts.
 Then the throttles of the others (M32) and joints of limited velocity are free, in the centroidal dynamics. The fall
 ends in a state in which the robot may touch down and go on: slow and level, without turning, moments balanced, and no
-longer falling faster. Each is a local optimum, and a flight may touch down before it is at rest. Engines that are faster
-or stronger show what either is worth. The result goes to `results/height_lost/hover/`.
+longer falling faster. Each is a local optimum, and a flight may touch down before it is at rest. Engines that are
+faster or stronger show what either is worth. The result goes to `results/height_lost/hover/`.
 """
 
 from __future__ import annotations
