@@ -480,7 +480,7 @@ def test_the_report_is_written_from_what_there_is(results, capsys):
     assert main(["report", "--results", str(results.folder)]) == 0
     text = (results.folder / "report.md").read_text()
     tables = [line for line in text.splitlines() if line.startswith("| --- |")]
-    assert (results.folder / "report.html").read_text().count("<table>") == len(tables) == 9
+    assert (results.folder / "report.html").read_text().count("<table>") == len(tables) == 8
     for word in (
         "## Claims",
         "## The paper's runs",
