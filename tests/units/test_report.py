@@ -487,11 +487,8 @@ def test_the_report_is_written_from_what_there_is(results, capsys):
         "## Runs of our own",
         "### ablation_terms: made up",
         "10 flights: 9 completed, 0 fell, 1 off course.",
-        "| `ablation_terms` | 10 | rust | 2 | 300 |",
         "TEST3",
         "26.31",
-        "| all | 20 |  | 4 | 300 |",
-        "a thousand flights take 3.3 min",
     ):
         assert word in text
     assert str(results.folder) not in text
