@@ -386,8 +386,8 @@ def test_formulas_are_typeset_wherever_they_stand():
 
 def test_every_cell_of_a_wide_table_names_its_column():
     head, row = "".join(f"<th>{name}</th>" for name in 'ab"c'), "<td>1</td><td></td><td>3</td><td>4</td>"
-    told = hooks.on_page_content(f"<p><table><tr>{head}</tr><tr>{row}</tr></table>")
-    assert re.findall('<td data-of="(.*?)">(.*?)</td>', told) == [("a", "1"), ("b", ""), ("&quot;", "3"), ("c", "4")]
+    html = hooks.on_page_content(f"<p><table><tr>{head}</tr><tr>{row}</tr></table>")
+    assert re.findall('<td data-of="(.*?)">(.*?)</td>', html) == [("a", "1"), ("b", ""), ("&quot;", "3"), ("c", "4")]
     narrow = f"<table><tr>{head[:-10]}</tr><tr><td>1</td></tr></table>"
     assert hooks.on_page_content(narrow) == narrow
 

@@ -221,8 +221,8 @@ def find_trim(path: Path, joints: Array) -> Trim:
     options = {"maxiter": 60, "ftol": 1e-7}
     x = np.clip(minimize(cost, x, method="SLSQP", bounds=bounds, constraints=limits, options=options).x, *bounds.T)
     balance, torque, exhaust = np.split(rows(x), [6, 6 + n])
-    room = {"balance": -np.abs(balance), "torque": torque, "exhaust": exhaust}
-    missed = [name for name, row in room.items() if not row.min() > -1e-4]
+    slack = {"balance": -np.abs(balance), "torque": torque, "exhaust": exhaust}
+    missed = [name for name, row in slack.items() if not row.min() > -1e-4]
     return Trim(", ".join(missed), np.array([*x[:2], 0.0]), x[2 : 2 + n], 100.0 * x[2 + n :])
 
 

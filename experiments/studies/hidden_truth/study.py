@@ -92,16 +92,16 @@ def row_of(
         widths.apply(one, seed, repeat, robot)
     flight = rust.fly(drawn)
     log, true = dict(flight.log), load_robot(config["robot"])
-    believed = robot_of(true, drawn["disturbances"]["model_error"])
+    model = robot_of(true, drawn["disturbances"]["model_error"])
     prior = command.prior_of(true, widths)
     _, found, _ = command.identify_robot(
-        config, Path(config["robot"]), [log], prior, float(np.sum(true.masses)), believed
+        config, Path(config["robot"]), [log], prior, float(np.sum(true.masses)), model
     )
     value, deviation = (command.numbers_of(true, part) for part in (found.value, found.deviation))
     share = command.numbers_of(true, found.share)
-    truth = truth_of(true, believed, drawn)
+    truth = truth_of(true, model, drawn)
     late = {key: samples.latencies(log)[key][0] - nominal[key][0] for key in DELAYS}
-    row = errors_of(true, believed, value, truth, np.mean(log["raw_thrust"], axis=0))
+    row = errors_of(true, model, value, truth, np.mean(log["raw_thrust"], axis=0))
     for key, name in DELAYS.items():
         delay = drawn["simulator"]["actuation"][name] - flown["simulator"]["actuation"][name]
         row |= {
@@ -117,7 +117,7 @@ def row_of(
                 f"covered {name}": is_in.astype(float).tolist(),
                 f"share {name}": np.ravel(getattr(share, name)).tolist(),
             }
-    after = calibrated(test, true, believed, value, late)
+    after = calibrated(test, true, model, value, late)
     for label, one in (("before", test), ("after", after)):
         end = rust.fly(one)
         row[f"lost {label}"] = [float(end.outcome != "completed")]
@@ -130,7 +130,7 @@ COVERED = ("mass", "com", "inertia", "thrust_gain", "thrust_axes", "imu", "encod
 
 
 def robot_of(robot: RobotModel, error: Mapping[str, Any]) -> RobotModel:
-    """Return the robot that the controller believes in."""
+    """Return the robot that the controller models."""
     turns, axes = jnp.asarray(error["thrust_axes"]), jnp.asarray(robot.jets.axes)
     return replace(
         robot,
@@ -141,12 +141,12 @@ def robot_of(robot: RobotModel, error: Mapping[str, Any]) -> RobotModel:
     )
 
 
-def truth_of(robot: RobotModel, believed: RobotModel, drawn: rust.Config) -> Numbers:
-    """Return the numbers that make of the believed robot the one that flew."""
+def truth_of(robot: RobotModel, model: RobotModel, drawn: rust.Config) -> Numbers:
+    """Return the numbers that make of the modelled robot the one that flew."""
     error, simulator = drawn["disturbances"]["model_error"], drawn["simulator"]
     sensors, scales = simulator["sensors"], drawn["disturbances"]["jets"]["force_scale"]
-    sides = jax.vmap(identify.across)(jnp.asarray(believed.jets.axes))
-    tilts = jnp.einsum("jab,ja->jb", sides, jnp.cross(believed.jets.axes, jnp.asarray(robot.jets.axes)))
+    sides = jax.vmap(identify.across)(jnp.asarray(model.jets.axes))
+    tilts = jnp.einsum("jab,ja->jb", sides, jnp.cross(model.jets.axes, jnp.asarray(robot.jets.axes)))
     prior = command.prior_of(robot, Perturbation())
     nothing = Numbers(*(np.zeros(np.shape(part)) for part in prior))
     return nothing._replace(
@@ -163,7 +163,7 @@ def truth_of(robot: RobotModel, believed: RobotModel, drawn: rust.Config) -> Num
 
 
 def errors_of(
-    robot: RobotModel, believed: RobotModel, value: Numbers, truth: Numbers, thrust: Array
+    robot: RobotModel, model: RobotModel, value: Numbers, truth: Numbers, thrust: Array
 ) -> dict[str, list[float]]:
     """Return errors before and after; of a jet's force at the mean thrust of the log, of the axis as an angle."""
 
@@ -179,7 +179,7 @@ def errors_of(
     share = 1e3 * float(robot.masses[0] / np.sum(robot.masses))
     found = {}
     for label, guess in (("before", zero), ("after", value)):
-        axes = identify.robot_with(believed, guess).jets.axes
+        axes = identify.robot_with(model, guess).jets.axes
         degrees = {
             name: np.degrees(np.asarray(getattr(guess, name) - getattr(truth, name))) for name in ("imu", "encoders")
         }
@@ -198,12 +198,12 @@ def errors_of(
 
 
 def calibrated(
-    test: rust.Config, robot: RobotModel, believed: RobotModel, value: Numbers, late: Mapping[str, float]
+    test: rust.Config, robot: RobotModel, model: RobotModel, value: Numbers, late: Mapping[str, float]
 ) -> rust.Config:
     """Return a flight whose controller knows what was found: its robot, its sensors and thrusts, its latencies."""
     after = copy.deepcopy(test)
     error, sensors = after["disturbances"]["model_error"], after["simulator"]["sensors"]
-    axes = np.asarray(identify.robot_with(believed, value).jets.axes)
+    axes = np.asarray(identify.robot_with(model, value).jets.axes)
     error["mass_scale"] *= float(1.0 + value.mass)
     error["inertia_scale"] *= float(1.0 + value.inertia)
     error["com_offset"] = np.add(error["com_offset"], value.com).tolist()
