@@ -46,3 +46,10 @@ def test_a_fall_ends_within_the_limits_of_a_landing(fall):
     assert 0.5 < landing.height < 4.0
     assert path[-1, height_lost.DOWNWARDS] >= -height_lost.DOWNWARDS_MAX - 1e-6
     assert float(fall.upright(path[-1])) >= np.cos(height_lost.LEAN_MAX) - 1e-6
+
+
+def test_strong_and_fast_engines_lose_no_height_and_gain_none(fall):
+    """Where climbing first is allowed the end is 168 m above the start."""
+    _, found = fall.solve(1.0, 1.0)
+    landing, _ = fall.solve(0.1, 2.0, found)
+    assert 0.0 <= landing.height < 0.1
