@@ -94,9 +94,7 @@ def row_of(
     log, true = dict(flight.log), load_robot(config["robot"])
     model = robot_of(true, drawn["disturbances"]["model_error"])
     prior = command.prior_of(true, widths)
-    _, found, _ = command.identify_robot(
-        config, Path(config["robot"]), [log], prior, float(np.sum(true.masses)), model
-    )
+    _, found, _ = command.identify_robot(config, Path(config["robot"]), [log], prior, float(np.sum(true.masses)), model)
     value, deviation = (command.numbers_of(true, part) for part in (found.value, found.deviation))
     share = command.numbers_of(true, found.share)
     truth = truth_of(true, model, drawn)
