@@ -47,7 +47,7 @@ def matrices(flights: pd.DataFrame, models: list[str], worlds: list[str]) -> tup
     for row, model in enumerate(models):
         for column, world in enumerate(worlds):
             own = flights[(flights["model"] == model) & (flights["world"] == world)]
-            error = np.degrees(own["max_rotation_error"].to_numpy())
+            error = own["max_rotation_error_deg"].to_numpy()
             share[row, column] = np.mean((own["outcome"] == "completed") & (error <= BALANCED))
             lean[row, column] = np.median(error)
     return share, lean

@@ -15,7 +15,7 @@ def draw(sweep: Sweep) -> Figure:
     """Draw a sampled sweep: rank correlations, then one scatter plot per axis."""
     sweep.require(bool(sweep.axes) and all(map(sweep.is_numeric, sweep.axes)), "axes of numbers beside the panels")
     flights = sweep.flights[sweep.flights["outcome"] != "error"]
-    error = np.degrees(flights["max_rotation_error"])
+    error = flights["max_rotation_error_deg"]
     axes_of = sweep.axes
     columns = 3
     rows = -(-len(axes_of) // columns)
@@ -60,7 +60,7 @@ def _correlations(figure: FigureBase, sweep: Sweep, flights: pd.DataFrame) -> No
     labels = [axis["label"] for axis in sweep.axes]
     place = np.arange(len(labels))
     pairs = (
-        ("max_rotation_error", "rotation error", style.BLUE, -0.18),
+        ("max_rotation_error_deg", "rotation error", style.BLUE, -0.18),
         ("max_com_error", "CoM error", style.ORANGE, 0.18),
     )
     for quantity, name, colour, offset in pairs:

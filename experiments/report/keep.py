@@ -143,7 +143,8 @@ def of_sweep(folder: Path, named: str | None = None) -> Kept:
     flights = read_table(folder / "table.parquet").to_pandas(use_threads=False)
     flights["onset"] = flights["cell"].map(_onsets(asked, document["config_digest"]))
     # Those of a sweep that is not shipped cannot be flown again.
-    firsts = [first_of(flight) for flight in flights[flights["repeat"] == 0].to_dict("records")] if asked else []
+    first = flights[flights["repeat"] == 0].assign(max_rotation_error=np.radians(flights["max_rotation_error_deg"]))
+    firsts = [first_of(flight) for flight in first.to_dict("records")] if asked else []
     flights = flights[flights["outcome"] != "error"]
     rows = list(_rows(flights, axes, (whole[0].name, whole[1].name) if is_paired else None))
     found = _findings(folder, asked.claim) if asked else {}
@@ -237,7 +238,7 @@ def figures(flights: pd.DataFrame) -> dict[str, Any]:
     upright, lost = (flights[flights["outcome"].isin(ends)] for ends in (UPRIGHT, LOST))
     degraded = flights[flights["degraded_time"] > 0.0]
     found: dict[str, Any] = {"flights": len(flights), **table.counts(flights)}
-    errors = {"rotation_deg": np.degrees(upright["max_rotation_error"]), "com_cm": 100.0 * upright["max_com_error"]}
+    errors = {"rotation_deg": upright["max_rotation_error_deg"], "com_cm": 100.0 * upright["max_com_error"]}
     for name, values in errors.items():
         found |= {f"{name}_{end}": table.quantile(values, share) for end, share in QUANTILES.items()}
     bits = flights["all_modes"].fillna(0).to_numpy().astype(int)

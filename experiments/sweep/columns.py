@@ -23,7 +23,10 @@ FLIGHTS: Columns = {
     "lost_time": ("s", "when it was lost"),
     "lost_reason": ("", "criterion of the loss"),
     "error": ("", "why it could not be flown"),
-} | {name: (figure.unit, figure.meaning) for name, figure in rust.figures().items() if name in table.SUMMARY}
+} | {
+    column: (rust.figures()[name].unit if column == name else "deg", rust.figures()[name].meaning)
+    for column, name in table.SUMMARY.items()
+}
 
 SHARES = {
     "completed": "completed",
@@ -46,10 +49,10 @@ def _of_cells() -> Iterator[tuple[str, tuple[str, str]]]:
             (f"{name}_{end}", ("1", f"{end} end of the Wilson 95 % interval of their share")) for end in ("low", "high")
         )
     yield "unwarned", ("1", f"lost flights that were degraded for less than {table.LEAST_WARNING:g} s before")
-    for name, (figure, factor) in table.QUANTITIES.items():
-        unit, meaning = FLIGHTS[figure]
+    for name, column in table.QUANTITIES.items():
+        unit, meaning = FLIGHTS[column]
         for end, text in ENDS.items():
-            yield f"{name}_{end}", ("deg" if unit == "rad" and factor != 1.0 else unit, f"{text} of: {meaning}")
+            yield f"{name}_{end}", (unit, f"{text} of: {meaning}")
 
 
 CELLS: Columns = dict(_of_cells())

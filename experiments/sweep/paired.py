@@ -20,7 +20,6 @@ from jax_aero.base.result import UPRIGHT
 
 RESAMPLES = 2000
 """Resamples of the bootstrap, which are the same in every call."""
-FIGURES = ("max_rotation_error", "max_com_error")
 COLUMNS = {
     "share": "completed or landed [percentage points], Newcombe 95 %",
     "rotation": "max rotation error, median [deg], bootstrap 95 %",
@@ -54,7 +53,7 @@ def _difference(pairs: pd.DataFrame) -> Iterator[tuple[str, Any]]:
     before, after = (pairs[name].isin(UPRIGHT).to_numpy() for name in ("outcome", "outcome_2"))
     yield "pairs", len(pairs)
     yield from _named("share", tuple(100.0 * x for x in newcombe(after, before)))
-    for name, figure, factor in (("rotation", FIGURES[0], math.degrees(1.0)), ("com", FIGURES[1], 100.0)):
+    for name, figure, factor in (("rotation", "max_rotation_error_deg", 1.0), ("com", "max_com_error", 100.0)):
         change = factor * (pairs[f"{figure}_2"] - pairs[figure]).to_numpy()[before & after]
         yield from _named(name, bootstrap(change[np.isfinite(change)]))
 

@@ -27,17 +27,21 @@ from jax_aero.base.result import LOST, UPRIGHT, FlightResult, Outcome
 Cells: TypeAlias = Sequence[tuple[Level, ...]]
 """The levels of all axes, for each cell of a sweep."""
 
-SUMMARY = tuple(name for name, figure in rust.figures().items() if not figure.is_of_ground)
-"""Figures of merit of a flight that are stored in the tables."""
+SUMMARY = {
+    f"{name}_deg" if figure.unit == "rad" else name: name
+    for name, figure in rust.figures().items()
+    if not figure.is_of_ground
+}
+"""Figures of merit of a flight that are stored in the tables, by column; angles are in degrees there."""
 
 OF_GUARD = ("degraded_time", "nominal_until", "all_modes", "warning_time")
 """Those of what the guard finds, which flights of JAX do not have: its guard finds nothing."""
 
 OUTCOMES: tuple[str, ...] = typing.get_args(Outcome)
 
-ON_COURSE_ROTATION = math.radians(15.0)
+ON_COURSE_ROTATION = 15.0
 ON_COURSE_COM = 0.25
-"""Greatest errors [rad, m] of a completed flight that counts as on course, which is stricter than completed.
+"""Greatest errors [deg, m] of a completed flight that counts as on course, which is stricter than completed.
 
 A flight that ends within its start-up has no position error and does not count.
 """
@@ -57,17 +61,13 @@ FLIGHT = [
 """Columns of the table of flights, before and after those of the axes."""
 
 QUANTITIES = {
-    "rotation_error_deg": ("max_rotation_error", math.degrees(1.0)),
-    "com_error": ("max_com_error", 1.0),
-    "joint_error_sum_deg": ("max_joint_error_sum", math.degrees(1.0)),
-    "thrust_max": ("thrust_max", 1.0),
-    "thrust_min": ("thrust_min", 1.0),
-    "lost_time": ("lost_time", 1.0),
-    "nominal_until": ("nominal_until", 1.0),
-    "warning_time": ("warning_time", 1.0),
-    "time_above_45_deg": ("time_above_45_deg", 1.0),
+    "rotation_error_deg": "max_rotation_error_deg",
+    "com_error": "max_com_error",
+    "joint_error_sum_deg": "max_joint_error_sum_deg",
+    **{name: name for name in ("thrust_max", "thrust_min", "lost_time", "nominal_until", "warning_time")},
+    "time_above_45_deg": "time_above_45_deg",
 }
-"""Columns of the table of cells: figure of the summary, and factor."""
+"""Columns of the table of cells, and of that of flights."""
 
 LEAST_WARNING = 0.3
 """Time before the loss from which on a flight has to be degraded, so that it is not lost unwarned [s]."""
@@ -109,9 +109,15 @@ def rows(
         else:
             record |= {"outcome": flown.outcome, "lost_time": flown.lost_time, "lost_reason": flown.lost_reason}
             unknown = OF_GUARD if spec.engine == "jax" else ()
-            record |= {name: flown.summary.get(name) for name in SUMMARY if name not in unknown}
+            record |= {name: value for name, value in in_columns(flown.summary).items() if name not in unknown}
         records.append(record)
     return pa.Table.from_pylist(records, schema(spec, levels))
+
+
+def in_columns(summary: Mapping[str, float]) -> dict[str, float]:
+    """Return the figures of merit of a flight as the columns have them."""
+    known = {column: summary[name] for column, name in SUMMARY.items() if name in summary}
+    return {column: value if column in rust.figures() else math.degrees(value) for column, value in known.items()}
 
 
 def cells(spec: Spec, levels: Cells, table: pa.Table) -> pa.Table:
@@ -141,16 +147,16 @@ def _cell(flights: Mapping[str, Any]) -> dict[str, Any]:
     record |= {name: found[name] for name in (*OUTCOMES, "unwarned")}
     if trials and np.isnan(flights["degraded_time"]).all():
         record |= dict.fromkeys(("degraded", "degraded_low", "degraded_high", "unwarned"))
-    for name, (column, factor) in QUANTITIES.items():
+    for name, column in QUANTITIES.items():
         for end, share in QUANTILES.items():
-            record[f"{name}_{end}"] = quantile(flights[column].astype(float) * factor, share)
+            record[f"{name}_{end}"] = quantile(flights[column].astype(float), share)
     return record
 
 
 def counts(flights: Mapping[str, Any]) -> dict[str, int]:
     """Return how many flights ended how, upright, on course, lost, lost unwarned, and were degraded for a time."""
     outcome = flights["outcome"]
-    near = (flights["max_rotation_error"] <= ON_COURSE_ROTATION) & (flights["max_com_error"] <= ON_COURSE_COM)
+    near = (flights["max_rotation_error_deg"] <= ON_COURSE_ROTATION) & (flights["max_com_error"] <= ON_COURSE_COM)
     lost = np.isin(outcome, LOST)
     which = {
         **{name: outcome == name for name in OUTCOMES},

@@ -263,7 +263,7 @@ def test_pairs_of_flights_are_those_that_both_complete():
             "controller": controller,
             "repeat": repeat,
             "outcome": "fell" if (controller, repeat) == ("published", 2) else "completed",
-            "max_rotation_error": np.radians(factor * (99.0 if repeat == 2 else 4.0 + repeat)),
+            "max_rotation_error_deg": factor * (99.0 if repeat == 2 else 4.0 + repeat),
             "max_com_error": factor * 0.02,
         }
         for controller, factor in (("published", 1.0), ("tuned", 0.5))

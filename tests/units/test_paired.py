@@ -38,7 +38,7 @@ def test_flights_on_the_same_draws_are_pairs():
     """Errors follow the draws; `b` has half a degree and a centimetre more, in any order, and loses one flight."""
     draws = np.random.default_rng(1).uniform(5.0, 20.0, 8)
     both = pd.DataFrame({"law": np.repeat(["a", "b"], 8), "repeat": np.tile(np.arange(8), 2), "outcome": "completed"})
-    both["max_rotation_error"] = np.radians(np.concatenate([draws, draws + 0.5]))
+    both["max_rotation_error_deg"] = np.concatenate([draws, draws + 0.5])
     both["max_com_error"] = np.concatenate([draws, draws + 0.01])
     both.loc[11, "outcome"] = "fell"
     shuffled = both.iloc[[*range(8), *np.random.default_rng(2).permutation(np.arange(8, 16))]]
@@ -67,3 +67,4 @@ def test_every_column_has_unit_and_meaning():
     assert {name for name, _ in (*table.PLACE, table.DRAWN, *table.FLIGHT)} == set(columns.FLIGHTS)
     assert columns.CELLS["joint_error_sum_deg_median"] == ("deg", "median of: greatest sum of absolute joint errors")
     assert columns.CELLS["com_error_worst"][0] == "m"
+    assert not [name for name, (unit, _) in (columns.FLIGHTS | columns.CELLS).items() if unit == "rad"]

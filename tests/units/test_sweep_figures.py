@@ -44,8 +44,8 @@ def write(folder, name, drawing, axes, panels="world"):
         cells.append(record)
     rng = np.random.default_rng(1)
     flights = {axis: rng.uniform(0, 1, 40) for axis in axes}
-    flights |= {"outcome": ["completed", "fell"] * 20, "max_rotation_error": rng.uniform(0, 1.5, 40)}
-    flights["max_com_error"] = flights["max_rotation_error"]
+    flights |= {"outcome": ["completed", "fell"] * 20, "max_rotation_error_deg": rng.uniform(0, 90, 40)}
+    flights["max_com_error"] = 0.02 * flights["max_rotation_error_deg"]
     document = {
         "title": f"{name}?",
         "drawing": drawing,

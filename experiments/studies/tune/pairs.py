@@ -12,7 +12,7 @@ from jax_aero.base import places
 from jax_aero.base.parquet import read_table
 
 TABLE = places.RESULTS / "sweeps" / "tuned" / "table.parquet"
-ERRORS = {"rotation": "max_rotation_error", "position": "max_com_error"}
+ERRORS = {"rotation": "max_rotation_error_deg", "position": "max_com_error"}
 
 
 def ratio(published: pd.Series, tuned: pd.Series, draws: int = 10000) -> tuple[float, float, float]:
@@ -25,9 +25,7 @@ def ratio(published: pd.Series, tuned: pd.Series, draws: int = 10000) -> tuple[f
 
 def report(table: pd.DataFrame) -> str:
     """Return, for each wind and kind of thrusts, completed flights, median errors [deg, cm] and ratios."""
-    table = table.assign(
-        max_rotation_error=np.degrees(table["max_rotation_error"]), max_com_error=100.0 * table["max_com_error"]
-    )
+    table = table.assign(max_com_error=100.0 * table["max_com_error"])
     lines = []
     for (world, speed), cell in table.groupby(["world", "speed"], sort=False):
         flights = {name: part.set_index("repeat") for name, part in cell.groupby("controller", sort=False)}
