@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+import subprocess
 from pathlib import Path
 
 import h5py
@@ -123,6 +125,32 @@ def test_a_folder_of_an_experiment_flies_alone(tmp_path, capsys):
     far.write_text(f'base = "{places.CONFIGS}/experiments/test2.toml"\n')
     status, _, err = run(capsys, "export", far, "--config", "--out", tmp_path / "no")
     assert (status, "by an absolute path" in err, (tmp_path / "no").exists()) == (2, True, False)
+
+
+LIBRARY = next((places.HOME / "target").glob("*/deps/libflight.so"), None)
+
+
+@pytest.mark.skipif(
+    LIBRARY is None or shutil.which("cc") is None, reason="libflight is not built: cargo build --package flight-capi"
+)
+def test_a_program_in_c_flies_the_same_from_a_folder(tmp_path, capsys):
+    """Its robot, its network and its controller: all that `loop` prints but times."""
+    out, program, source = tmp_path / "own", tmp_path / "loop", places.HOME / "rust" / "capi"
+    assert run(capsys, "export", "robot", "--config", "--out", out)[0] == 0
+    library = ["-L", LIBRARY.parent, "-lflight", f"-Wl,-rpath,{LIBRARY.parent}"]
+    words = ["cc", "-I", source / "include", source / "examples" / "loop.c", *library, "-o", program]
+    subprocess.run(words, check=True)
+    flown = [
+        subprocess.run(
+            [program, folder / "experiments" / "robot.toml", "20"], capture_output=True, text=True, check=True
+        )
+        for folder in (places.CONFIGS, out)
+    ]
+    first, second = (
+        [line for line in one.stdout.splitlines() if line[:4] not in ("loop", "tick", "late")] for one in flown
+    )
+    assert first == second
+    assert first[1] == "not nominal      0 of 20"
 
 
 def test_differences_are_those_of_the_signals():
