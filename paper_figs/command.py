@@ -14,7 +14,7 @@ from experiments import outdated
 from jax_aero import cli
 from jax_aero.base import places
 from jax_aero.base.terminal import Refused
-from paper_figs import ablation, maps, model_pairs, pairs, runs, scatter, style, sweeps
+from paper_figs import ablation, front, maps, model_pairs, pairs, runs, scatter, style, sweeps
 from paper_figs.figures import FIGURES, SWEEPS
 
 DRAWINGS: Mapping[str, Callable[[sweeps.Sweep], Figure]] = {
@@ -24,6 +24,7 @@ DRAWINGS: Mapping[str, Callable[[sweeps.Sweep], Figure]] = {
     "scatter": scatter.draw,
     "matrix": model_pairs.draw,
     "pairs": pairs.draw,
+    "front": front.draw,
 }
 
 

@@ -74,7 +74,7 @@ def _cell(row: dict[str, Any], names: list[str]) -> dict[str, Any]:
 
 def is_drawn(document: Kept) -> bool:
     """Return whether a picture adds to the table, and needs no more than its rows."""
-    if document.drawing == "levels":
+    if document.drawing in ("levels", "front"):
         return all(len(axis.levels) <= MOST_LEVELS for axis in document.axes)
     return document.drawing in ("curve", "map") and not document.pooled
 

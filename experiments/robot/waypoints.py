@@ -92,6 +92,8 @@ class Waypoints(Table, frozen=True, kw_only=True):
     """Greatest rate of a turn [deg/s]."""
     settling: Annotated[float, msgspec.Meta(ge=0.0)] = 5.0
     """Time flown after the last motion [s]."""
+    lean: bool = False
+    """Whether the robot leans along its acceleration, so that thrusts stay those of a hover; if not, it is upright."""
     steps: Annotated[tuple[Step, ...], msgspec.Meta(min_length=1)]
 
 
@@ -130,15 +132,11 @@ def write(path: Path, points: Waypoints, folder: Path, *, overwrite: bool = Fals
     # Checked before samples of this duration use memory.
     rust.check_config({**config, "simulator": {**config["simulator"], "duration": duration}})
     found = reference(points, com, forward)
-    rows = np.column_stack(
-        [
-            found.times,
-            found.com[0],
-            np.tile(rpy[:2], (len(found.times), 1)),
-            rpy[2] + found.heading,
-            *found.com[1:],
-        ]
-    )
+    attitude = np.tile(rpy, (len(found.times), 1))
+    attitude[:, 2] += found.heading
+    if points.lean:
+        attitude[:, :2] += lean(found.com[2], attitude[:, 2], rust.Robot(config["robot"]).gravity)
+    rows = np.column_stack([found.times, found.com[0], attitude, *found.com[1:]])
     mission, flight = folder / "mission.csv", folder / f"{path.stem}.toml"
     text = reference_text(rows, f"jax-aero robot waypoints {path.stem}", 10)
     with TemporaryDirectory() as draft:
@@ -224,6 +222,13 @@ def reference(points: Waypoints, com: Array, forward: Array) -> Reference:
         headings.append(heading + blend[0] * turn)
         now += duration
     return Reference(np.concatenate(times), np.concatenate(com_rows, axis=1), np.concatenate(headings))
+
+
+def lean(acceleration: Array, yaw: Array, gravity: float) -> Array:
+    """Return roll and pitch (k, 2) [rad] with which base z points along an acceleration (k, 3) [m/s²] less gravity."""
+    x, y, z = acceleration.T
+    ahead, left, up = np.cos(yaw) * x + np.sin(yaw) * y, np.cos(yaw) * y - np.sin(yaw) * x, z + gravity
+    return np.column_stack([-np.arctan2(left, np.hypot(ahead, up)), np.arctan2(ahead, up)])
 
 
 def _motion(points: Waypoints, step: Step, place: Array, heading: float, com: Array, forward: Array) -> Motion:

@@ -8,7 +8,7 @@ import msgspec
 
 from jax_aero.base.result import Outcome
 
-Drawing: TypeAlias = Literal["levels", "curve", "map", "scatter", "matrix", "pairs"]
+Drawing: TypeAlias = Literal["levels", "curve", "map", "scatter", "matrix", "pairs", "front"]
 """How the figure of a sweep is drawn."""
 
 

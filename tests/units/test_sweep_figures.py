@@ -12,7 +12,7 @@ from PIL import Image
 from experiments.identity import Identity
 from jax_aero.base import places
 from jax_aero.base.result import LOST
-from paper_figs import ablation, maps, pairs
+from paper_figs import ablation, front, maps, pairs
 from paper_figs.ablation import _is_geometric
 from paper_figs.command import DRAWINGS, main
 from paper_figs.figures import SWEEPS
@@ -25,6 +25,7 @@ AXES = {
     "speed": {"name": "speed", "label": "wind speed", "unit": "m/s", "levels": [5.0, 10.0]},
     "fault": {"name": "fault", "label": "fault", "unit": "", "levels": ["none", "wind", "joints"]},
     "fault_2": {"name": "fault_2", "label": "fault", "unit": "", "levels": ["none", "wind", "joints"]},
+    "mission": {"name": "mission", "label": "mission", "unit": "", "levels": ["upright, 14 s", "upright, 11 s"]},
     "terms": {"name": "terms", "label": "feedback", "unit": "", "levels": ["everything", "nothing"]},
 }
 
@@ -88,6 +89,7 @@ def test_a_sweep_of_other_code_is_refused_or_drawn_and_marked(tmp_path, capsys):
         ("scatter", ["scale", "speed"], ""),
         ("pairs", ["fault", "fault_2", "world"], "world"),
         ("pairs", ["fault", "fault_2"], ""),
+        ("front", ["mission", "world", "speed"], "world"),
     ],
 )
 def test_every_drawing_gives_pdf_and_png_with_the_hash_of_its_sweep(drawing, axes, panels, tmp_path):
@@ -109,6 +111,7 @@ def test_every_drawing_gives_pdf_and_png_with_the_hash_of_its_sweep(drawing, axe
         ("matrix", ["world", "scale"], "", "expected axes `arms`, of two levels, `model` and `world`"),
         ("pairs", ["world", "terms"], "", "expected the axes of pairs beside at most two panels"),
         ("pairs", ["fault", "fault_2", "scale"], "scale", "expected the axes of pairs beside at most two panels"),
+        ("front", ["terms", "world"], "world", "expected missions such as `upright, 14 s`, and panels"),
         ("curve", ["world"], "world", "expected an axis beside the panels"),
         ("curve", ["world", "terms", "speed", "scale"], "", "expected at most 7 combinations"),
     ],
@@ -256,3 +259,11 @@ def test_an_input_counts_by_its_distance_from_the_middle(tmp_path, agree):
     # A flight that was lost before the error counts has none, wherever it stands among the inputs.
     flights.loc[[3, 20], "error"] = np.nan
     agree("bias of the others", correlations(sweep, flights, "error")["bias"], 1.0, 1e-12)
+
+
+def test_a_front_pools_all_axes_but_missions_and_panels(tmp_path):
+    write(tmp_path, "made_up", "front", ["mission", "world", "speed"], "world")
+    side, _ = front.draw(load(tmp_path, "made_up")).axes
+    # Cell i has i of 8 flights upright; the side has cells 0 and 1 of the first mission, 4 and 5 of the second.
+    (line,) = side.get_lines()
+    assert dict(zip(line.get_xdata(), line.get_ydata(), strict=True)) == {14.0: 100 / 16, 11.0: 900 / 16}

@@ -12,6 +12,7 @@ from jax_aero.base import places, tables
 from tests.measurements import measured
 
 EAST = np.array([1.0, 0.0, 0.0])
+WAYS = {"leaning_14": 14.0, "leaning_11": 11.0, "leaning_8": 8.0, "upright_11": 11.0}  # s
 
 
 def points(*steps, **more):
@@ -68,15 +69,19 @@ def test_points_whose_times_do_not_grow_are_refused(times):
         tables.convert(table, Waypoints, "a.toml")
 
 
-def test_the_shipped_mission_of_mk3_is_the_one_of_its_waypoints(tmp_path):
-    assert cli.main(["robot", "waypoints", "mk3_min_jerk", "--out", str(tmp_path)]) == 0
+@pytest.mark.parametrize(
+    ("name", "fastest"),
+    [("mk3_min_jerk", 0.9375), *((name, 1.875 * 78.0 / time) for name, time in WAYS.items())],
+)
+def test_a_shipped_mission_is_the_one_of_its_waypoints(name, fastest, tmp_path):
+    assert cli.main(["robot", "waypoints", name, "--out", str(tmp_path)]) == 0
     written, shipped = (
         np.loadtxt(path, delimiter=",", skiprows=2)
-        for path in (tmp_path / "mk3_min_jerk" / "mission.csv", places.CONFIGS / "mission" / "mk3_min_jerk.csv")
+        for path in (tmp_path / name / "mission.csv", places.CONFIGS / "mission" / f"{name}.csv")
     )
     measured("difference", np.abs(written - shipped).max(), 1e-8)
     speed = np.linalg.norm(shipped[:, 7:10], axis=1)
-    assert speed.max() == pytest.approx(0.9375, abs=1e-3)
+    assert speed.max() == pytest.approx(fastest, rel=1e-3)
 
 
 def test_derivatives_are_those_of_the_positions():
@@ -93,6 +98,14 @@ def test_an_unclear_step_is_refused(step):
     table = {"experiment": places.find("experiments", "test2"), "title": "", "steps": [{"hold": 1.0}, step]}
     with pytest.raises(ValueError, match=r"a.toml: `steps\[1\]` is .*; expected one motion"):
         tables.convert(table, Waypoints, "a.toml")
+
+
+def test_a_robot_that_leans_points_base_z_along_its_acceleration_less_gravity():
+    acceleration, yaw = np.random.default_rng(1).normal(size=(2, 9, 3)) * 5.0
+    roll, pitch = waypoints.lean(acceleration, yaw[:, 0], 9.81).T
+    for wanted, *rpy in zip(acceleration + np.array([0.0, 0.0, 9.81]), roll, pitch, yaw[:, 0], strict=True):
+        up = rust.spatial.rotation_from_rpy(np.array(rpy))[:, 2]
+        measured("angle [rad]", np.abs(up - wanted / np.linalg.norm(wanted)).max(), 1e-12)
 
 
 def test_a_motion_by_nothing_takes_no_time():

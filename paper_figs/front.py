@@ -1,0 +1,48 @@
+"""Time of missions against the share of their flights that complete or land: one panel for each fault."""
+
+from __future__ import annotations
+
+import re
+
+from matplotlib.figure import Figure
+
+from experiments.sweep.table import wilson
+from paper_figs import style
+from paper_figs.ablation import SERIES
+from paper_figs.sweeps import Sweep
+
+TIMED = re.compile(r"(?P<kind>.+), (?P<time>[\d.]+) s")
+"""Label of a mission: those of one kind are joined by a line."""
+
+
+def draw(sweep: Sweep) -> Figure:
+    """Draw a sweep whose first axis has missions, over all levels of the axes that are no panels."""
+    missions = sweep.axes[0] if sweep.axes else {"name": "", "levels": []}
+    timed = {level: found for level in missions["levels"] if (found := TIMED.fullmatch(str(level)))}
+    panel = sweep.panel_axis
+    suits = panel is not None and missions["name"] and len(timed) == len(missions["levels"])
+    sweep.require(bool(suits), "missions such as `upright, 14 s`, and panels")
+    assert panel is not None
+    counts = sweep.cells.groupby([panel["name"], missions["name"]])[["flights", "upright"]].sum()
+    kinds = dict.fromkeys(found["kind"] for found in timed.values())
+    figure = style.figure(2.9)
+    row = figure.subplots(1, len(panel["levels"]), sharex=True, sharey=True, squeeze=False)[0]
+    for axes, fault in zip(row, panel["levels"], strict=True):
+        for kind, (colour, marker, dash) in zip(kinds, SERIES, strict=False):
+            points = [
+                (float(found["time"]), *counts.loc[(fault, level)])
+                for level, found in timed.items()
+                if found["kind"] == kind
+            ]
+            for time, flights, upright in points:
+                axes.vlines(time, *(100.0 * end for end in wilson(int(upright), int(flights))), color=colour)
+            times, shares = zip(*((time, 100.0 * upright / flights) for time, flights, upright in points), strict=True)
+            axes.plot(times, shares, dash, marker=marker, color=colour, markersize=4, label=kind)
+        axes.set_title(fault, fontsize=7.5)
+        axes.set_xlabel("time [s]")
+    row[0].set_ylabel("completed or landed [%],\nWilson 95 %")
+    row[0].set_ylim(-2.0, 102.0)
+    figure.legend(*row[0].get_legend_handles_labels(), loc="outside upper left", ncols=len(kinds), fontsize=7)
+    style.title(figure, sweep.title)
+    style.footnote(figure, sweep.footnote())
+    return figure
