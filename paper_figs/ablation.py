@@ -87,7 +87,7 @@ def _levels(sweep: Sweep, axis: dict[str, Any], groups: list[tuple[str, pd.DataF
     row[0].set_xlim(-2.0, 102.0)
     row[0].set_yticks(range(len(labels)), labels)
     row[0].set_ylim(len(labels) - 0.5, -0.5)
-    _legend(figure, row[0], sweep.title, groups)
+    legend(figure, row[0], sweep.title, len(groups))
     return figure
 
 
@@ -111,7 +111,7 @@ def _curves(sweep: Sweep, axis: dict[str, Any], groups: list[tuple[str, pd.DataF
             axes.minorticks_off()
     row[0].set_ylim(-2.0, 102.0)
     row[1].set_xlabel(axis_label(axis))
-    _legend(figure, row[0], sweep.title, groups)
+    legend(figure, row[0], sweep.title, len(groups))
     return figure
 
 
@@ -123,10 +123,10 @@ def _is_geometric(values: pd.Series) -> bool:
     return not even and bool((places >= 0.0).all() and positive.max() >= 10.0 * positive.min())
 
 
-def _legend(figure: Figure, axes: Axes, title: str, groups: list[tuple[str, pd.DataFrame]]) -> None:
+def legend(figure: Figure, axes: Axes, title: str, count: int) -> None:
     """Draw the title above the panels and, below it, the meaning of the colours."""
-    handles, labels = axes.get_legend_handles_labels() if len(groups) > 1 else ([], [])
-    columns = 2 if len(groups) > 3 else len(groups)
-    legend = figure.legend(handles, labels, loc="outside upper left", ncols=columns, fontsize=7, title=title)
-    legend.set_alignment("left")
-    legend.get_title().set(fontsize=9.5, fontweight="bold")
+    handles, labels = axes.get_legend_handles_labels() if count > 1 else ([], [])
+    columns = 2 if count > 3 else count
+    drawn = figure.legend(handles, labels, loc="outside upper left", ncols=columns, fontsize=7, title=title)
+    drawn.set_alignment("left")
+    drawn.get_title().set(fontsize=9.5, fontweight="bold")

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from experiments.sweep.table import wilson
 from paper_figs import style
-from paper_figs.ablation import SERIES
+from paper_figs.ablation import SERIES, legend
 from paper_figs.sweeps import Sweep
 
 TIMED = re.compile(r"(?P<kind>.+), (?P<time>[\d.]+) s")
@@ -42,7 +42,6 @@ def draw(sweep: Sweep) -> Figure:
         axes.set_xlabel("time [s]")
     row[0].set_ylabel("completed or landed [%],\nWilson 95 %")
     row[0].set_ylim(-2.0, 102.0)
-    figure.legend(*row[0].get_legend_handles_labels(), loc="outside upper left", ncols=len(kinds), fontsize=7)
-    style.title(figure, sweep.title)
-    style.footnote(figure, sweep.footnote())
+    legend(figure, row[0], sweep.title, len(kinds))
+    style.footnote(figure, f"{counts['flights'].max()} flights a point; {sweep.footnote()}")
     return figure
