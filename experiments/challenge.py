@@ -46,7 +46,7 @@ def main(arguments: Sequence[str]) -> int:
     def work() -> None:
         stem = given.controller.rpartition(":")[2] if ":" in given.controller else Path(given.controller).stem
         name = given.named or places.file_name(stem)
-        if any(name in one.axes[0].levels for sweep in TASKS.values() for one in _shipped(sweep)):
+        if any(name in kept.read(sweep).axes[0].levels for sweep in TASKS.values()):
             raise Refused(f"--name is {name}, that of a shipped controller; expected another")
         levels = {robot: level_of(given.controller, name, robot, given.tick) for robot in given.robot or TASKS}
         if not any(levels.values()):
@@ -107,7 +107,7 @@ def fly(tasks: Spec, workers: int | None = None, out: Path | None = None) -> Kep
 
 def beside(name: str, flown: Mapping[str, Sequence[Kept]], timed: Mapping[str, Any]) -> Kept:
     """Return the results of a controller beside the shipped ones, of all robots in one table."""
-    all_of = [one for sweep, mine in flown.items() for one in (*_shipped(sweep), *mine)]
+    all_of = [one for sweep, mine in flown.items() for one in (kept.read(sweep), *mine)]
     last = all_of[-1]
     levels = [list(dict.fromkeys(level for one in all_of for level in one.axes[place].levels)) for place in (0, 1)]
     return structs.replace(
@@ -128,17 +128,13 @@ def beside(name: str, flown: Mapping[str, Sequence[Kept]], timed: Mapping[str, A
     )
 
 
-def _shipped(sweep: str) -> list[Kept]:
-    return [kept.read(name) for name in kept.names() if name == sweep or name.startswith(f"{sweep}--")]
-
-
 def times(levels: Mapping[str, Level | None]) -> dict[str, dict[str, float]]:
-    """Return the times of a tick of a controller and of the shipped ones, in the world of its first robot, here."""
+    """Return the times of a tick of a controller and of the crate's, in the world of its first robot, here."""
     robot, mine = next((robot, level) for robot, level in levels.items() if level is not None)
     shipped = spec.load(TASKS[robot])
     world = next(cell for cell, task in enumerate(shipped.axis[1].levels) if not task.set)
     found = {}
-    for level in (*shipped.axis[0].levels, mine):
+    for level in (*(level for level in shipped.axis[0].levels if "own_controller" not in level.set), mine):
         (alone,) = specs(robot, level)
         config = rust.set_keys(Design(alone).cell_config(world), {"simulator.duration": TIMED})
         seconds = 1e3 * np.array(_time(config))

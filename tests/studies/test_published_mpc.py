@@ -276,6 +276,29 @@ def test_torques_give_the_joints_their_acceleration(robot, agree):
     agree("acceleration", rust.forward_dynamics(robot, state, generalised)[6:], wanted, 1e-9)
 
 
+def test_joints_have_the_gains_of_the_configuration(robot, agree):
+    _, pilot = published(flight.Settings(torque_limits=False), **{"controller.torque.kp": 7.0})
+    state, kd = moving(robot), pilot.gains["kd"]
+    state.velocity[6:] = 0.1
+    _, dynamics, forces = pilot.reader.read(state)
+    pilot.joint_reference = state.joint_position + 0.2
+    torque = pilot._torque(state, dynamics, forces)
+    generalised = np.concatenate([np.zeros(6), torque]) + pilot.thrust @ forces
+    agree("acceleration", rust.forward_dynamics(robot, state, generalised)[6:], np.full(23, 1.4 - 0.1 * kd), 1e-9)
+
+
+def test_it_follows_the_set_point_in_position_and_attitude(agree):
+    """While it climbs and pitches forward, now and at the end of the last knot."""
+    mission = {"simulator.duration": 2.2, "mission.up": [[0.0, 2.0]], "mission.forward_turbo": [[0.5, 2.0]]}
+    flown, pilot = published(flight.Settings(), **mission)
+    targets = pilot.targets(1.0, pilot.reader.read(flown.truth.state)[0])
+    found = flown.run()
+    at = np.round((1.0 + pilot.ahead[[0, -1]]) / plan.PERIOD).astype(int)
+    agree("position", targets[[0, -1], model.POSITION], found["com_setpoint"][at], 1e-9)
+    agree("attitude", targets[[0, -1], model.ATTITUDE], found["base_rpy_setpoint"][at], 1e-9)
+    assert np.ptp(found["base_rpy_setpoint"][at, 1]) > 0.01
+
+
 @pytest.mark.close_to_tolerance("the acceleration changes during the period")
 def test_the_thrusts_of_the_plant_follow_the_engines(agree):
     flown, pilot = published(flight.Settings())

@@ -1,6 +1,7 @@
 """The challenge: a controller sees what is measured alone, and one that does nothing or fails has no score."""
 
 import gc
+import hashlib
 import json
 
 import pytest
@@ -8,7 +9,9 @@ from msgspec import structs
 
 from experiments import Refused, challenge
 from experiments.report import kept
+from experiments.sweep import table
 from experiments.sweep.design import Design
+from experiments.sweep.spec import Level
 from jax_aero import own, rust
 
 OWN = """
@@ -49,6 +52,33 @@ def tasks(tmp_path):
         return structs.replace(found, axis=(found.axis[0], axis), repeats=1)
 
     return make
+
+
+def digest(tasks):
+    """Of all that flies and acts in the flights of tasks, in nine digits, since sines differ between machines."""
+
+    def rounded(value):
+        if isinstance(value, dict):
+            return {key: rounded(inner) for key, inner in value.items()}
+        return (
+            [*map(rounded, value)] if isinstance(value, list) else (f"{value:.9g}" if type(value) is float else value)
+        )
+
+    design = Design(tasks)
+    flown = [rounded(design.row_config(row)) for row in range(design.n_rows)]
+    hashes = [table.config_hash({key: config[key] for key in config.keys() - OF_CONTROLLER}) for config in flown]
+    return hashlib.sha256(" ".join(hashes).encode()).hexdigest()[:16]
+
+
+OF_CONTROLLER = {"controller", "own_controller", "title", "description"}
+
+
+@pytest.mark.parametrize(("robot", "frozen"), [("mk1", "6dd4c0c34ae5b44e"), ("mk3", "b906fd22dede2326")])
+def test_the_tasks_of_this_version_are_frozen(robot, frozen):
+    """What changes a flight makes it wind-humanoid-2; a new key that changes none, another digest here."""
+    published, other = challenge.specs(robot, Level(label="any"), seed=7)
+    assert digest(published) == frozen
+    assert digest(other) != frozen
 
 
 @pytest.mark.parametrize("robot", challenge.TASKS)
@@ -120,7 +150,7 @@ def test_results_are_shown_beside_the_shipped_ones(tasks, tmp_path, monkeypatch)
     mine = challenge.fly(tasks("nothing", "touch"), 1, tmp_path)
     axes = [structs.replace(mine.axes[0], levels=["shipped"]), mine.axes[1]]
     shipped = structs.replace(mine, axes=axes, rows=[["shipped", *row[1:]] for row in mine.rows])
-    monkeypatch.setattr(challenge, "_shipped", lambda _: [shipped])
+    monkeypatch.setattr(kept, "read", lambda _: shipped)
     both = challenge.beside("mine", {"wind_humanoid_1": [mine]}, {})
     shown = kept.table(both)
     assert [row[:4] for row in shown.rows] == [
@@ -144,6 +174,8 @@ def test_the_command_prints_a_table_and_writes_picture_and_figures(tasks, tmp_pa
     (tmp_path / "small.toml").write_text(SMALL, encoding="utf-8")
     monkeypatch.setattr(challenge, "TASKS", {"mk1": str(tmp_path / "small.toml")})
     monkeypatch.setattr(challenge, "TIMED", 0.1)
+    none = structs.replace(kept.read("wind_humanoid_1"), rows=[])
+    monkeypatch.setattr(kept, "read", lambda _: none)
     for controller, name in ((f"{tmp_path / 'own.py'}:nothing", "nothing"), ("observer", "mine")):
         words = [controller, "--seed", "7", "--out", str(tmp_path), "--workers", "1", "--name", name]
         assert challenge.main(words) == 0

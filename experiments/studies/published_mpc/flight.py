@@ -1,8 +1,8 @@
 """Flights of the published controller over the crate's plant.
 
 Throttles move engines of the published polynomials, in steps of 1 ms; the plant's thrusts follow them by their rates.
-The plant's joints have torques: those that give them the accelerations ω² (s_d − s) − 2 ω ṡ in still air, within the
-drives' greatest.
+The plant's joints have torques: those that give them the accelerations k_p (s_d − s) − k_d ṡ in still air, within the
+drives' greatest, with the gains of the configuration's `controller.torque`.
 """
 
 from __future__ import annotations
@@ -15,8 +15,6 @@ from experiments.studies.published_mpc import model, plan
 from experiments.studies.published_mpc.model import Array, Body
 from jax_aero import rust
 
-JOINT_FREQUENCY = 50.0
-"""Natural frequency of the joints' positions about their references, critically damped [rad/s]."""
 ENGINE_STEP = 1e-3
 """Step of the engines, explicit Euler [s]."""
 
@@ -41,12 +39,12 @@ class Settings(NamedTuple):
 class Published:
     """The published controller of a configuration, whose own is not used, with its engines and joints.
 
-    `jax-aero challenge` flies it too: `experiments/studies/published_mpc/flight.py:Published`, with --tick 0.005.
+    It flies wind-humanoid-1 too (configs/sweeps/wind_humanoid_1_mk3.toml). Its period is `plan.PERIOD`.
     """
 
     def __init__(self, config: rust.Config, settings: Settings | None = None) -> None:
         self.config, self.settings, self.has_begun = config, settings or Settings(), False
-        self.robot = rust.Robot(config["robot"])
+        self.robot, self.gains = rust.Robot(config["robot"]), config["controller"]["torque"]
         arrays = self.robot.arrays()
         self.torque_max = arrays["joint_torque_max"] if self.settings.torque_limits else np.inf
         self.joint_limits = np.array(self.robot.joint_limits).T
@@ -65,7 +63,7 @@ class Published:
         longer = simulator | {"time_step": plan.PERIOD, "duration": simulator["duration"] + 2.0}
         reference = rust.setpoint_trajectory({**self.config, "simulator": longer}, body.com, body.rotation)
         self.positions, self.velocities = reference["com_position"], reference["com_velocity"]
-        self.upright = model.rpy(reference["rotation"][0])
+        self.attitudes = np.array([model.rpy(one) for one in reference["rotation"]])
         self.first_joints = np.array(start.state.joint_position)
         self.joint_reference = self.first_joints.copy()
         self.thrust, self.rate = np.array(start.thrust), np.zeros(model.JETS)
@@ -81,7 +79,7 @@ class Published:
         targets = np.zeros((len(at), model.STATES))
         targets[:, model.POSITION] = self.positions[at]
         targets[:, model.LINEAR] = body.mass * self.velocities[at] @ body.rotation
-        targets[:, model.ATTITUDE] = self.upright
+        targets[:, model.ATTITUDE] = self.attitudes[at]
         return targets
 
     def state(self, body: Body, targets: Array) -> Array:
@@ -134,7 +132,7 @@ class Published:
 
     def _torque(self, state: rust.State, dynamics: rust.Dynamics, forces: Array) -> Array:
         position, velocity = np.asarray(state.joint_position), np.asarray(state.velocity)[6:]
-        wanted = JOINT_FREQUENCY**2 * (self.joint_reference - position) - 2.0 * JOINT_FREQUENCY * velocity
+        wanted = self.gains["kp"] * (self.joint_reference - position) - self.gains["kd"] * velocity
         return np.clip(torques(dynamics, self.thrust @ forces, wanted), -self.torque_max, self.torque_max)
 
 

@@ -68,6 +68,8 @@ PUBLISHED = {
     "published, no engine dynamics": Settings(engine_dynamics=False),
     "published, linearised once": Settings(relinearise=False),
 }
+STIFF = {"controller.torque.kp": 2500.0, "controller.torque.kd": 100.0}
+"""Joints of the published controller: 50 rad/s, critically damped [1/s², 1/s]."""
 WITHOUT = {"controller.aero": {"model": "off"}, "controller.observer": False, "controller.engines": False}
 OURS: dict[str, tuple[str, dict[str, Any]]] = {
     "recommended": ("mk3_min_jerk", {}),
@@ -164,7 +166,7 @@ def configure(controller: str, case: Case, repeat: int, duration: float) -> rust
         settings["wind"]["time_scale"] = 2.0
     if controller in PUBLISHED:
         settings["simulator.time_step"] = plan.PERIOD  # with engines of its own
-        settings |= WITHOUT  # of the configuration's controller only the set-point counts
+        settings |= WITHOUT | STIFF  # of the configuration's controller only set-point and these gains count
     else:
         settings["simulator.jets.dynamics"] = "second_order"
     config = rust.load_config(base, settings)
