@@ -142,9 +142,7 @@ def of_sweep(folder: Path, named: str | None = None) -> Kept:
     axes = [axis for axis in whole if not is_sampled and axis.name not in (*tabled.pooled, *second)]
     flights = read_table(folder / "table.parquet").to_pandas(use_threads=False)
     flights["onset"] = flights["cell"].map(_onsets(asked, document["config_digest"]))
-    # Those of a sweep that is not shipped cannot be flown again.
-    first = flights[flights["repeat"] == 0].assign(max_rotation_error=np.radians(flights["max_rotation_error_deg"]))
-    firsts = [first_of(flight) for flight in first.to_dict("records")] if asked else []
+    firsts = list(_firsts(Design(asked), flights)) if asked else []  # others cannot be flown again
     flights = flights[flights["outcome"] != "error"]
     rows = list(_rows(flights, axes, (whole[0].name, whole[1].name) if is_paired else None))
     found = _findings(folder, asked.claim) if asked else {}
@@ -254,6 +252,13 @@ def figures(flights: pd.DataFrame) -> dict[str, Any]:
 def first_of(flight: Mapping[str, Any]) -> list[Any]:
     """Return what is kept of the first flight of a cell, from its outcome and its figures."""
     return [flight["outcome"], *_shorten([flight[name] for name in FIRST])]
+
+
+def _firsts(design: Design, flights: pd.DataFrame) -> Iterator[list[Any]]:
+    """Yield what is kept of first flights; nothing if Python controls, which rounds as its processor does."""
+    first = flights[flights["repeat"] == 0].assign(max_rotation_error=np.radians(flights["max_rotation_error_deg"]))
+    for levels, flight in zip(design.cells, first.to_dict("records"), strict=True):
+        yield [] if any("own_controller" in level.set for level in levels) else first_of(flight)
 
 
 def fly_again(document: Kept, cell: int) -> list[Any]:

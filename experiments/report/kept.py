@@ -76,7 +76,10 @@ class Kept(msgspec.Struct, kw_only=True, omit_defaults=True):
     rows: list[list[Any]] = []
     """Figures of flights; an axis over which they are pooled is "all"."""
     firsts: list[list[Any]] = []
-    """Outcome and figures (`keep.FIRST`) of the first flight of each cell, in the order of the sweep's cells."""
+    """Outcome and figures (`keep.FIRST`) of the first flight of each cell, in the order of the sweep's cells.
+
+    Empty where the cell's controller is in Python.
+    """
     firsts_flown: str = ""
     """When and with which commit these were flown, if not with the other flights."""
     claims: dict[str, Finding] = {}

@@ -28,7 +28,7 @@ p, nav, figcaption { max-width: 48rem; }
 h1, h2, h3 { line-height: 1.25; }
 h2 { margin-top: 2.5rem; padding-top: 0.5rem; border-top: 1px solid var(--line); }
 a { color: var(--link); }
-nav a { margin-right: 1rem; white-space: nowrap; display: inline-block; }
+nav a { margin-right: 1rem; display: inline-block; }
 div.table { overflow-x: auto; margin: 1rem 0; }
 table { border-collapse: collapse; font-size: 14px; width: 100%; font-variant-numeric: tabular-nums; }
 th, td { border-bottom: 1px solid var(--line); padding: 0.35rem 0.6rem; text-align: left; vertical-align: top; }
