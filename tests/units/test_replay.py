@@ -138,19 +138,13 @@ def test_a_program_in_c_flies_the_same_from_a_folder(tmp_path, capsys):
     out, program, source = tmp_path / "own", tmp_path / "loop", places.HOME / "rust" / "capi"
     assert run(capsys, "export", "robot", "--config", "--out", out)[0] == 0
     library = ["-L", LIBRARY.parent, "-lflight", f"-Wl,-rpath,{LIBRARY.parent}"]
-    words = ["cc", "-I", source / "include", source / "examples" / "loop.c", *library, "-o", program]
-    subprocess.run(words, check=True)
-    flown = [
-        subprocess.run(
-            [program, folder / "experiments" / "robot.toml", "20"], capture_output=True, text=True, check=True
-        )
-        for folder in (places.CONFIGS, out)
-    ]
-    first, second = (
-        [line for line in one.stdout.splitlines() if line[:4] not in ("loop", "tick", "late")] for one in flown
-    )
-    assert first == second
-    assert first[1] == "not nominal      0 of 20"
+    subprocess.run(["cc", "-I", source / "include", source / "examples/loop.c", *library, "-o", program], check=True)
+    flown = []
+    for folder in (places.CONFIGS, out):
+        said = subprocess.check_output([program, folder / "experiments/robot.toml", "20"], text=True).splitlines()
+        flown.append([line for line in said if line[:4] not in ("loop", "tick", "late")])
+    assert flown[0] == flown[1]
+    assert flown[0][1] == "not nominal      0 of 20"
 
 
 def test_differences_are_those_of_the_signals():
