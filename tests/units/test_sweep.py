@@ -243,9 +243,6 @@ def test_axes_may_set_parts_of_one_table():
         ),
         ({"samples": 8}, "`samples` is 8; expected none for a grid"),
         ({"name": "../up"}, '`name` is "../up"; expected a text'),
-        ({"name": "two\nlines"}, r'`name` is "two\\nlines"; expected a text'),
-        ({"name": "line\n"}, r'`name` is "line\\n"; expected a text'),
-        ({"axis": [{"name": "x\n", "key": "wind.speed", "values": [1]}]}, r"`axis\[0\]\.name` is .*; expected a text"),
         ({"axis": [{"name": "x", "key": "wind.speed", "low": 1, "high": 2}]}, r"`axis\[0\]` is \"x\"; expected values"),
         (
             {"axis": [{"name": "thrust_max_low", "key": "wind.speed", "values": [1]}]},
@@ -280,14 +277,11 @@ def level_axis(name, count):
             {"axis": [range_axis(number, 1000) for number in range(6)]},
             r"`axis` is \[1000,1000.*; expected numbers of levels that make at most 100000 cells",
         ),
-        ({"axis": [range_axis(number, 2) for number in range(101)]}, "`axis` is .*; expected a list of 1 to 100"),
         ({"axis": [level_axis("x", 1001)]}, r"`axis\[0\]\.level` is .*; expected a list of at most 1000"),
         (
             {"axis": [level_axis(name, 1000) for name in "xy"]},
             r"`axis` is \[1000,1000.*; expected numbers of levels that make at most 100000 cells",
         ),
-        ({"design": "sobol", "samples": 10**9}, "`samples` is 1000000000; expected an integer ≥ 0 and ≤ 100000"),
-        ({"repeats": 10**9}, "`repeats` is 1000000000; expected an integer ≥ 1 and ≤ 1000000"),
         ({"repeats": 10**6}, "`repeats` is 1000000; expected at most 500000 for 2 cells"),
     ],
 )

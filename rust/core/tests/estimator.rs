@@ -566,29 +566,3 @@ fn the_estimate_loses_what_a_wrong_sensor_put_into_it() {
     // Jets are ideal here, and nothing corrects the estimate any more.
     assert_within!(after.iter().map(|error| (error - after[0]).abs()).fold(0.0, f64::max), 1e-9);
 }
-
-#[test]
-fn bad_estimators_are_refused_by_name() {
-    let wrong: [(&str, EstimatorConfig); 3] = [
-        (
-            "base_position.delay` is 0.3; expected a number ≥ 0 and ≤ 0.2",
-            EstimatorConfig { base_position: late(0.3), ..EstimatorConfig::default() },
-        ),
-        (
-            "thrust.delay` is not finite",
-            EstimatorConfig { thrust: late(f64::NAN), ..EstimatorConfig::default() },
-        ),
-        (
-            "joint_velocity.time_constant` is -1",
-            EstimatorConfig {
-                joint_velocity: ChannelConfig { delay: 0.0, time_constant: -1.0 },
-                ..EstimatorConfig::default()
-            },
-        ),
-    ];
-    for (expected, settings) in wrong {
-        let config = flight(settings);
-        let text = config.controller(load_robot(&config.robot).unwrap()).unwrap_err().to_string();
-        assert!(text.contains(&format!("controller.estimator.{expected}")), "{text}");
-    }
-}

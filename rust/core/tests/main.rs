@@ -29,4 +29,5 @@ mod shaft;
 mod spatial;
 mod supervisor;
 mod tasks;
+mod timing;
 mod wind_observer;

@@ -247,30 +247,6 @@ fn a_boost_of_zero_still_moves() {
     assert_within!((state.raw().position.x - 199.0 * 0.0075).abs(), 1e-12);
 }
 
-/// Ticks of 2 and 5 ms fly the missions of 10 ms: the same places at every time, the same greatest speeds,
-/// to 1 % of the way and of the speed.
-#[test]
-fn the_mission_does_not_depend_on_the_tick() {
-    for (name, duration) in [("in_line", 50.0), ("closed_circuit", 140.0)] {
-        let published = fly(commands(name), &BACKWARDS, 0.01, duration);
-        let speed = |flight: &[(RawSetpoint, Setpoint)]| {
-            flight.iter().map(|(_, setpoint)| setpoint.com_velocity.norm()).fold(0.0, f64::max)
-        };
-        let start = published[0].1.com_position;
-        let away = published.iter().map(|(_, setpoint)| (setpoint.com_position - start).norm());
-        let length = away.fold(0.0, f64::max);
-        for (time_step, ratio) in [(0.002, 5), (0.005, 2)] {
-            let flight = fly(commands(name), &BACKWARDS, time_step, duration);
-            for ((_, coarse), (_, fine)) in published.iter().zip(flight.iter().step_by(ratio)) {
-                let apart = (fine.com_position - coarse.com_position).norm();
-                assert_within!(apart, 0.01 * length, because "missions in ticks of another length differ by what happens in one tick", "{name}, {time_step} s");
-            }
-            let slower = (speed(&flight) - speed(&published)).abs();
-            assert_within!(slower, 0.01 * speed(&published), "{name}, {time_step} s");
-        }
-    }
-}
-
 /// A robot whose forward axis is another flies the same way through space and lowers its own nose.
 #[test]
 fn any_forward_axis_flies_the_same_way() {

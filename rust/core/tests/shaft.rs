@@ -240,21 +240,3 @@ fn a_steady_throttle_holds_its_thrust() {
     }
     assert_within!((engine.thrust - 130.0).abs(), 1e-10);
 }
-
-#[test]
-fn numbers_out_of_range_are_refused_by_their_key() {
-    let refused = |change: fn(&mut ShaftConfig), words: &str| {
-        let mut k = NUMBERS;
-        change(&mut k);
-        let message = Shaft::new("simulator.jets.shaft", k, 200.0).unwrap_err().to_string();
-        assert!(message.contains("simulator.jets.shaft.") && message.contains(words), "{message}");
-    };
-    refused(|k| k.idle = 1.0, "idle");
-    refused(|k| k.ramps[1] = 0.0, "ramps");
-    refused(|k| k.lags[0] = -1.0, "lags");
-    refused(|k| k.accelerations[0] = f64::NAN, "accelerations");
-    refused(|k| k.exponent = -0.1, "exponent");
-    refused(|k| k.square_share = 1.1, "square_share");
-    refused(|k| k.density = 0.0, "density");
-    refused(|k| k.temperature = 0.0, "temperature");
-}

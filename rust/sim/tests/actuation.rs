@@ -185,12 +185,9 @@ fn a_measured_latency_is_used() {
 #[test]
 fn bad_actuation_is_refused_by_name() {
     type Change = fn(&mut ActuationConfig);
-    let refusals: [(&str, Change); 6] = [
-        ("thrust_delay` is -0.01; expected a number ≥ 0 and ≤ 1", |c| c.thrust_delay = -0.01),
-        ("torque_delay` is 1.5; expected a number ≥ 0 and ≤ 1", |c| c.torque_delay = 1.5),
+    let refusals: [(&str, Change); 3] = [
         ("torque_delay is 0.0005; expected a multiple of 0.001 s", |c| c.torque_delay = 0.0005),
         ("jitter is 0.0015; expected a multiple of 0.001 s", |c| c.jitter = 0.0015),
-        ("drop` is 1.1; expected a number ≥ 0 and ≤ 1", |c| c.drop = 1.1),
         ("drop` is not finite", |c| c.drop = f64::NAN),
     ];
     for (expected, change) in refusals {

@@ -327,14 +327,6 @@ fn missing_and_ill_typed_keys_are_named() {
     }
 }
 
-/// A device is not read. How many files may build on one another: `rust/io/tests/files.rs`.
-#[test]
-fn a_device_is_not_read() {
-    let mut device = experiment("test2");
-    device.robot = PathBuf::from("/dev/zero");
-    assert_says(&Scenario::new(&device).unwrap_err(), &["/dev/zero", "a regular file"]);
-}
-
 /// Every aerodynamic model parses and builds for the robot.
 #[test]
 fn every_aero_file_is_an_aerodynamic_model() {
@@ -577,6 +569,14 @@ fn what_the_schema_refuses_cannot_be_built() {
     // Tables that no shipped flight has.
     let mut own = json!(experiment("test2_observer"));
     own["controller"]["wind_observer"] = json!(WindObserverConfig {});
+    own["controller"]["torque"]["friction"] = json!({ "torso": 1.0 });
+    own["simulator"]["fuel"] =
+        json!({ "body": "chest", "mass": 1.0, "position": [0.0, 0.0, 0.0], "idle": 0.0, "by_thrust": 1e-5 });
+    own["simulator"]["sensors"] =
+        json!({ "joints": { "tremble": { "amplitude": 0.001, "frequency": 3.0 } } });
+    own["simulator"]["jets"] = json!({ "dynamics": "second_order", "shaft": { "idle": 0.3, "ramps": [0.1, 0.1],
+        "lags": [1.2, 1.6], "accelerations": [0.1, 0.4], "exponent": 2.0, "square_share": 0.1 } });
+    own["disturbances"]["pushes"] = json!([{ "body": "chest", "start": 1.0, "duration": 0.1 }]);
     own["disturbances"]["wind_estimate"] = json!(WindEstimateConfig::default());
     own["disturbances"]["outages"] =
         json!([{ "channel": "wind", "kind": "missing", "start": 1.0, "duration": 1.0 }]);

@@ -82,5 +82,4 @@ fn bad_fuel_is_refused_by_name() {
     refused(|tank| tank.mass = 100.0, &["simulator.fuel.mass", "100", "of the body"]);
     refused(|tank| tank.position = [3.0, 0.0, 0.0], &["simulator.fuel.mass", "inertia"]);
     refused(|tank| tank.body = "chst".into(), &["simulator.fuel.body", "chst"]);
-    refused(|tank| tank.by_thrust = -1.0, &["simulator.fuel.by_thrust", "-1"]);
 }

@@ -255,21 +255,6 @@ fn noise_must_be_meaningful() {
     assert_refused(&second_order(|c| c.ekf.q[0][1] = f64::NAN), &["ekf.Q[0][1] is NaN"]);
 }
 
-#[test]
-fn unknown_keys_are_refused() {
-    for (text, mentions) in [
-        ("dynamics = 'ideal'\nfeedback = 'measured'", "feedback"),
-        ("dynamics = 'second_order'\ngain = 1.0", "gain"),
-        ("dynamics = 'second_order'\n[ekf]\nP = 1.0", "P"),
-        ("dynamics = 'second_order'\nfeedback = 'guessed'", "guessed"),
-        ("dynamics = 'third_order'", "third_order"),
-    ] {
-        assert_says(&toml::from_str::<JetsConfig>(text).unwrap_err().to_string(), &[mentions]);
-    }
-    let config: JetsConfig = toml::from_str("dynamics = 'second_order'").unwrap();
-    assert_eq!(config, second_order(|_| {}));
-}
-
 /// A controller is given the speed in place of the thrust, and has the thrust from it; engines without a shaft have none.
 #[test]
 fn feedback_may_be_the_speed_of_the_shaft() {

@@ -252,10 +252,6 @@ fn bad_drives_are_refused_by_name() {
     };
     refused(|simulator| simulator.integrator = Integrator::ExplicitEuler, &["integrator", "semi_implicit"]);
     refused(
-        |simulator| simulator.motors.as_mut().unwrap().time_constant = -1.0,
-        &["simulator.motors.time_constant", "-1"],
-    );
-    refused(
         |simulator| {
             let motors = simulator.motors.as_mut().unwrap();
             motors.inertia = 0.0;

@@ -4,7 +4,7 @@ use super::{assert_close, robot_file};
 use crate::common::assert_within;
 use crate::common::engines::engines;
 use flight_core::jets::EngineModel;
-use flight_core::robot::{AxisymmetricCoefficients, Frame, RobotModel};
+use flight_core::robot::{Frame, RobotModel};
 use flight_core::spatial::{Pose, axis_angle};
 use flight_io::{RobotFiles, hold, load_robot};
 use nalgebra::{Matrix3, Vector3};
@@ -84,136 +84,6 @@ fn controller_limits() {
         assert_close(&joint.name, joint.limits.0.to_degrees(), lower, 1e-12);
         assert_close(&joint.name, joint.limits.1.to_degrees(), upper, 1e-12);
     }
-}
-
-#[test]
-fn aero_links_are_the_thirteen_in_their_order() {
-    let robot = ironcub();
-    // Name, body that carries it, axis (0 x, 1 y, 2 z), diameter and length [m].
-    let expected = [
-        ("head", "chest", 1, 0.1929, 0.1929),
-        ("chest", "chest", 1, 0.2467, 0.1734),
-        ("chest_l_jet_turbine", "chest", 2, 0.102, 0.2955),
-        ("chest_r_jet_turbine", "chest", 2, 0.102, 0.2955),
-        ("l_upper_arm", "l_shoulder_3", 2, 0.0864, 0.135),
-        ("l_arm_jet_turbine", "l_elbow_1", 2, 0.0845, 0.223),
-        ("r_upper_arm", "r_shoulder_3", 2, 0.0864, 0.135),
-        ("r_arm_jet_turbine", "r_elbow_1", 2, 0.0845, 0.223),
-        ("root_link", "root_link", 1, 0.1476, 0.2282),
-        ("l_upper_leg", "l_upper_leg", 2, 0.1256, 0.1573),
-        ("l_lower_leg", "l_lower_leg", 2, 0.1197, 0.2351),
-        ("r_upper_leg", "r_upper_leg", 2, 0.1256, 0.1573),
-        ("r_lower_leg", "r_lower_leg", 2, 0.1197, 0.2351),
-    ];
-    assert_eq!(robot.aero_links.len(), expected.len());
-    for (link, (name, body, axis, diameter, length)) in robot.aero_links.iter().zip(expected) {
-        assert_eq!(link.name, name);
-        assert_eq!(robot.bodies[link.frame.body].name, body, "{name}");
-        assert_close(name, link.axis_l[axis], 1.0, 0.0);
-        assert_close(name, link.diameter, diameter, 0.0);
-        assert_close(name, link.length, length, 0.0);
-        assert_eq!(link.is_sphere, name == "head");
-    }
-}
-
-/// One row for each family: `[w₀, w₁, w₂, w₃, w₄]` and `w₅` as published, `w₅` fitted with sign, then
-/// `[w₀, w₁, w₂, w₃, w₄]` and `w₅` of the balancing experiments \[m²\].
-#[test]
-fn axisymmetric_coefficients() {
-    type Row = (&'static [&'static str], [f64; 5], f64, f64, [f64; 5], f64);
-    let rows: [Row; 8] = [
-        (
-            &["head"],
-            [0.00373, 0.0189, 0.0123, 0.00163, -0.175],
-            0.0402,
-            0.0125,
-            [0.0, 0.0188, 0.0310, -0.0136, -0.0172],
-            0.0578,
-        ),
-        (
-            &["chest"],
-            [0.0396, 0.0, -0.00818, 0.0, 0.0],
-            0.05,
-            -0.0147,
-            [0.0399, 0.0, -0.00817, 0.0, 0.0],
-            0.0511,
-        ),
-        (
-            &["chest_l_jet_turbine", "chest_r_jet_turbine"],
-            [0.00941, -0.00308, 0.0032, 0.0, 0.00433],
-            0.0323,
-            0.0076,
-            [0.00956, -0.00319, 0.00302, 0.0, 0.00461],
-            0.0325,
-        ),
-        (
-            &["l_upper_arm", "r_upper_arm"],
-            [0.00113, 0.00225, 0.00684, 0.0, 0.0],
-            0.0114,
-            0.0073,
-            [0.00172, 0.00167, 0.00575, 0.0, 0.0],
-            0.0108,
-        ),
-        (
-            &["l_arm_jet_turbine", "r_arm_jet_turbine"],
-            [0.0052, 0.00128, 0.0086, 0.0, 0.00163],
-            0.0152,
-            0.0102,
-            [0.00559, 0.0015, 0.00769, 0.0, 0.00136],
-            0.0146,
-        ),
-        (
-            &["root_link"],
-            [0.0154, 0.0, 0.0346, -0.0331, 0.0],
-            0.0289,
-            0.0022,
-            [0.0156, 0.0, 0.0362, -0.0353, 0.0],
-            0.0289,
-        ),
-        (
-            &["l_upper_leg", "r_upper_leg"],
-            [0.0, -0.00261, 0.0152, 0.0, 0.0],
-            0.0219,
-            0.0157,
-            [0.0, -0.00219, 0.0152, 0.0, 0.0],
-            0.0224,
-        ),
-        (
-            &["l_lower_leg", "r_lower_leg"],
-            [0.00853, -0.00881, 0.0424, -0.0258, 0.00434],
-            0.0321,
-            0.0178,
-            [0.0092, -0.00712, 0.0428, -0.0276, 0.00242],
-            0.0324,
-        ),
-    ];
-    let robot = ironcub();
-    let mut seen = 0;
-    for (names, published, cna, cna_signed, alternative, cna_alternative) in rows {
-        let mut corrected = published;
-        if names == ["head"] {
-            corrected[4] = -0.0175;
-        }
-        for name in names {
-            let link = robot.aero_links.iter().find(|link| link.name == *name).unwrap();
-            let expected = [
-                ("alternative", alternative, cna_alternative),
-                ("corrected", corrected, cna),
-                ("published", published, cna),
-                ("signed", corrected, cna_signed),
-            ];
-            let expected: Vec<_> = expected
-                .map(|(set, cda, cna)| (set.to_owned(), AxisymmetricCoefficients { cda, cna }))
-                .into();
-            // `refit` is our own fit; `tests/units/test_fit_aero.py` holds it to the data it was made from.
-            let found: Vec<_> =
-                link.coefficients.clone().into_iter().filter(|(set, _)| set != "refit").collect();
-            assert!(link.coefficients.contains_key("refit"), "{name}");
-            assert_eq!(found, expected, "{name}");
-            seen += 1;
-        }
-    }
-    assert_eq!(seen, 13);
 }
 
 #[test]
@@ -327,32 +197,6 @@ fn agrees_with_pinocchio() {
         let link = robot.aero_links.iter().find(|link| link.name == jet.frame.name).unwrap();
         assert_eq!(jet.frame.body, link.frame.body);
         assert_eq!(jet.frame.body_from_frame, link.frame.body_from_frame);
-    }
-}
-
-/// Where link forces act, in link axes \[m\]: typed from the published controller (`aeroFrameTransforms.mat`).
-#[test]
-#[rustfmt::skip]
-#[allow(clippy::unreadable_literal, reason = "written as they are published")]
-fn link_centres() {
-    let expected = [
-        ("head", [-0.000574157809265, 0.11351035267861488, -0.007539143563195377]),
-        ("chest", [0.0013399737348989166, 0.07524191281626345, -0.07047369108091692]),
-        ("chest_l_jet_turbine", [-8.222821810605074e-05, 1.3286115671029552e-05, -0.16112279999999773]),
-        ("chest_r_jet_turbine", [-8.301234271771568e-05, 1.3339860153005478e-05, -0.16112279999999715]),
-        ("l_upper_arm", [-0.003140100525231736, -0.0005800001394788146, 0.030014099942354502]),
-        ("l_arm_jet_turbine", [0.00010960403737868621, -2.0526052205815937e-05, -0.11384200000174004]),
-        ("r_upper_arm", [-0.0031285999999999974, 0.0005970000000000003, 0.03000619999999999]),
-        ("r_arm_jet_turbine", [0.00010984155626070359, -1.999377273191605e-05, -0.11384199999987514]),
-        ("root_link", [0.024882099999999994, 0.00010394699999999019, -0.04408060000000001]),
-        ("l_upper_leg", [0.0033868999999999913, 0.00010179999999998524, -0.07891600000000001]),
-        ("l_lower_leg", [0.0009997999999999951, 0.0034968999999999695, -0.088567]),
-        ("r_upper_leg", [0.0033999999999999933, -2.9100000000018e-05, -0.078954]),
-        ("r_lower_leg", [0.0012363999999999917, -0.003513100000000033, -0.08879400000000004]),
-    ];
-    for (link, (name, centre)) in ironcub().aero_links.iter().zip(expected) {
-        assert_eq!(link.name, name);
-        assert_within!((link.centre_l - Vector3::from(centre)).amax(), 1e-15, because "a few units in the last place of numbers of order one", "centre of {name}");
     }
 }
 

@@ -57,7 +57,6 @@ fn impossible_toml_is_refused_by_name_and_value() {
             &["`torso`", "estimated"],
         ),
         // Locked joints.
-        spoil("{ neck = 0.2 }", "{ neck = nan }", &["`locked.neck`", "NaN"]),
         spoil("{ neck = 0.2 }", "{ nack = 0.2 }", &["locked", "`nack`", "neck"]),
         spoil("{ neck = 0.2 }", "{ neck = 0.2, l_hip = 0.0 }", &["joint `l_hip`", "more than once"]),
         spoil("{ neck = 0.2 }", "{ neck = 0.2, l_ankle = 0.0 }", &["joint `l_ankle`", "fixed"]),
@@ -65,7 +64,6 @@ fn impossible_toml_is_refused_by_name_and_value() {
         spoil("{ neck = 0.2 }", "{ neck = -0.6 }", &["locked joint `neck` is -0.6; ", "from -0.5 to 0.5"]),
         // Values.
         spoil("base_link =", "gravity = -9.81\nbase_link =", &["gravity", "-9.81"]),
-        spoil("base_link =", "gravity = inf\nbase_link =", &["gravity", "inf"]),
         spoil("[-40.0, 40.0]", "[40.0, -40.0]", &["limits_deg of joint `l_hip`", "[40.0, -40.0]"]),
         spoil("[-40.0, 40.0]", "[-inf, 40.0]", &["limits_deg[0]`", "-inf"]),
         spoil(
@@ -73,9 +71,6 @@ fn impossible_toml_is_refused_by_name_and_value() {
             "\"waist\"",
             &["joint `waist`", "missing", "continuous"],
         ),
-        spoil("thrust_max = 100.0", "thrust_max = 0.0", &["].thrust_max`", "0"]),
-        spoil("thrust_max = 100.0", "thrust_max = nan", &["].thrust_max`", "NaN"]),
-        spoil("thrust_max = 100.0", "thrust_min = -1.0\nthrust_max = 100.0", &["].thrust_min`", "-1"]),
         spoil(
             "thrust_max = 100.0",
             "thrust_min = 100.0\nthrust_max = 100.0",
@@ -87,12 +82,7 @@ fn impossible_toml_is_refused_by_name_and_value() {
             "axis = [0.0, 0.0, 0.0]",
             &["axis of aerodynamic link `head`", "0.0, 0.0, 0.0"],
         ),
-        spoil("diameter = 0.14", "diameter = -0.14", &["].diameter`", "-0.14"]),
-        spoil("length = 0.3", "length = 0", &["].length`", "0"]),
-        spoil("[0.01, 0.0, 0.08]", "[0.01, nan, 0.08]", &["].centre[1]`", "NaN"]),
         spoil("[0.0161, 0.0", "[0.0161, inf", &["`coefficients.estimated.torso.cda[1]`", "inf"]),
-        spoil("cna = 0.016 ", "cna = nan ", &["`coefficients.estimated.torso.cna`", "NaN"]),
-        spoil("k_d = -4.0", "k_d = nan", &["`engines.E100.k_d`", "NaN"]),
         spoil(
             "throttle_min = 0.0",
             "throttle_min = 100.0",
@@ -103,7 +93,6 @@ fn impossible_toml_is_refused_by_name_and_value() {
             "[]",
             &["vertices of foot `left`", "[]"],
         ),
-        spoil("[[0.08, 0.0, 0.0]", "[[0.08, nan, 0.0]", &["vertices[0][1]`", "NaN"]),
     ];
     for case in &cases {
         assert!(toml.contains(case.from), "nothing to spoil: {}", case.from);

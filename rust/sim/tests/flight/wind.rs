@@ -142,30 +142,6 @@ fn bad_wind_files_are_refused_with_their_line() {
     assert!(absent.contains("cannot read nowhere/absent.csv"), "{absent}");
 }
 
-/// Numbers that make no wind are refused by name.
-#[test]
-fn bad_winds_are_refused_by_name() {
-    let (v, nan, inf) = ([1.0; 3], f64::NAN, f64::INFINITY);
-    let ramp = |velocity, ramp_start, ramp_end| WindConfig::Ramp { velocity, ramp_start, ramp_end };
-    let gust = |velocity, gust, start, duration| WindConfig::Gust { velocity, gust, start, duration };
-    for (config, words) in [
-        (WindConfig::Constant { velocity: [0.0, nan, 0.0] }, "wind.velocity[1]` is not finite"),
-        (ramp([inf, 0.0, 0.0], 0.0, 1.0), "wind.velocity[0]` is not finite"),
-        (ramp(v, nan, 1.0), "wind.ramp_start` is not finite"),
-        (ramp(v, 5.0, 4.0), "wind.ramp_end is 4; expected a time ≥ ramp_start (5)"),
-        (ramp(v, 5.0, inf), "wind.ramp_end` is not finite"),
-        (gust([nan; 3], v, 0.0, 1.0), "wind.velocity[0]` is not finite"),
-        (gust(v, [0.0, 0.0, inf], 0.0, 1.0), "wind.gust[2]` is not finite"),
-        (gust(v, v, nan, 1.0), "wind.start` is not finite"),
-        (gust(v, v, 0.0, 0.0), "wind.duration` is 0"),
-        (gust(v, v, 0.0, -1.0), "wind.duration` is -1"),
-        (gust(v, v, 0.0, nan), "wind.duration` is not finite"),
-    ] {
-        let message = Wind::new(&config).unwrap_err().to_string();
-        assert!(message.contains(words), "`{message}` does not say `{words}`");
-    }
-}
-
 /// The wind that the controller is given is named where it stands.
 #[test]
 fn the_wind_of_the_controller_has_its_own_name() {
