@@ -40,6 +40,11 @@ def made_up_dataset(postures: Mapping[str, Array], pitch: Array, yaw: Array, are
     )
 
 
+def in_tunnel_axes(data: Dataset) -> Array:
+    """Return drag, side and lift area (N, L, 3) [m²]."""
+    return np.einsum("nij,nlj->nli", tunnel_from_base(data.pitch_deg, data.yaw_deg), data.force_area_b)
+
+
 def solver_table(rows: Iterable[Row], changes: Mapping[tuple[int, str], str] | None = None) -> str:
     """Write the table, with a cell changed by line and column; line 1 is the header."""
     lines = [list(CFD_COLUMNS)]

@@ -1,8 +1,8 @@
 """Convert free-stream simulations into a dataset of this project: `jax-aero data import-cfd --table FILE`.
 
 The public table is in the history of https://github.com/ami-iit/element_cfd-simulation, in a commit without a licence,
-so it is not shipped here: get it there, as a file (`--table`) or as a clone (`--clone`). The authors' training file
-can be read too (`--mat`). The results of the checks are printed and stored in the dataset.
+so it is not shipped here: get it there, as a file (`--table`) or as a clone (`--clone`). The results of the checks are
+printed and stored in the dataset.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments import Refused
-from experiments.data.cfd import read_mat, read_solver_table
+from experiments.data.cfd import read_solver_table
 from jax_aero.aero.dataset import JOINTS, Dataset, Floats, read_postures, save
 from jax_aero.base import places, tables
 from jax_aero.base.files import read_bytes
@@ -36,19 +36,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--table", type=Path, metavar="FILE", help="the solver's table")
     source.add_argument("--clone", type=Path, metavar="DIR", help="a local clone of element_cfd-simulation")
-    source.add_argument("--mat", type=Path, metavar="FILE", help="the authors' training file")
     parser.add_argument("--commit", default=COMMIT, help=f"commit of the clone that has the table (default {COMMIT})")
     parser.add_argument("--joints", type=Path, metavar="FILE", help="joint angles by posture (CSV: name, JOINT_deg, …)")
-    parser.add_argument(
-        "--frame", choices=("base", "wind"), default="base", help="axes of the areas in a .mat file (default base)"
-    )
-    parser.add_argument("--out", type=Path, metavar="FILE", help="the dataset (default results/datasets/NAME.nc)")
+    out = OUT / "freestream.nc"
+    about = "the dataset (default results/datasets/freestream.nc)"
+    parser.add_argument("--out", type=Path, default=out, metavar="FILE", help=about)
     given = parser.parse_args(arguments)
 
-    def work() -> None:
-        keep(_read(given), given.out or OUT / f"{'training_file' if given.mat else 'freestream'}.nc")
-
-    return exit_status(work)
+    return exit_status(lambda: keep(_read(given), given.out))
 
 
 def keep(dataset: Dataset, out: Path) -> None:
@@ -59,8 +54,6 @@ def keep(dataset: Dataset, out: Path) -> None:
 
 
 def _read(given: argparse.Namespace) -> Dataset:
-    if given.mat:
-        return read_mat(given.mat, frame=given.frame)
     postures = read_postures(given.joints) if given.joints else known_postures()
     if given.clone:
         text, source = from_clone(given.clone, given.commit), f"{TABLE_PATH} at {given.commit}"

@@ -87,7 +87,7 @@ def run(
     started = time.perf_counter()
     rows, held_out = dataset.take(part.train), dataset.take(part.held_out)
     model = training.start(robot, training.seed)
-    samples = samples_of(model, robot, rows, with_totals=training.training.has_totals)
+    samples = samples_of(model, robot, rows)
     unseen = samples_of(model, robot, held_out) if len(held_out) else None
     curves: dict[str, list[list[float | None]]] = {}
     first = training.seed + 1000 * part.seed
@@ -113,13 +113,7 @@ def run(
     network = mean_of(members)
     if (how := training.distillation) is not None:
         taught = distil_samples(
-            members,
-            robot,
-            rows,
-            count=how.samples,
-            spread_deg=how.spread_deg,
-            seed=first + len(members),
-            with_totals=how.training.has_totals,
+            members, robot, rows, count=how.samples, spread_deg=how.spread_deg, seed=first + len(members)
         )
         network = fit_part("student", taught, how.training, first + len(members)).network
     errors: dict[str, Any] = {

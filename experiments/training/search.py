@@ -179,7 +179,7 @@ def error_of(training: config.Training, dataset: Dataset, settings: SearchConfig
     errors = []
     for train, held_out in rows.grouped_folds(settings.fold_seed, settings.folds)[: settings.folds_run]:
         start = training.start(robot, training.seed)
-        samples = samples_of(start, robot, rows.take(train), with_totals=training.training.has_totals)
+        samples = samples_of(start, robot, rows.take(train))
         unseen = samples_of(start, robot, rows.take(held_out))
         try:
             error = fit(start, samples, unseen, training.training, training.seed).error

@@ -177,12 +177,6 @@ class Dataset:
         """Names of the postures, in order of first appearance."""
         return tuple(dict.fromkeys(self.posture.tolist()))
 
-    @property
-    def force_area_w(self) -> Float[np.ndarray, "B L 3"]:
-        """Drag, side and lift area [m²]: x, y and z of the tunnel frame, with x along the wind."""
-        areas: Floats = np.einsum("nij,nlj->nli", tunnel_from_base(self.pitch_deg, self.yaw_deg), self.force_area_b)
-        return areas
-
     @cached_property
     def sha256(self) -> str:
         """SHA-256 of the numbers that a model is trained on: postures, mirroring, joints, wind and areas, in order."""
@@ -200,12 +194,6 @@ class Dataset:
         if self.couple_volume_b is not None:
             arrays["couple_volume_b"] = self.couple_volume_b[rows]
         return replace(self, **arrays, quality={name: values[rows] for name, values in self.quality.items()})
-
-    def select(self, postures: Sequence[str]) -> Dataset:
-        """Return the rows of the named postures."""
-        if missing := sorted(set(postures) - set(self.postures)):
-            raise ValueError(f"no posture {', '.join(missing)}; there are {', '.join(self.postures)}")
-        return self.take(np.isin(self.posture, list(postures)))
 
     def add_mirror_images(self) -> Dataset:
         """Return the rows followed by their mirror images; unchanged if the dataset already holds mirror images."""
@@ -230,34 +218,17 @@ class Dataset:
             couple_volume_b=None if couples is None else append_images(couples, -mirrored_areas(couples, self.links)),
         )
 
-    def random_split(self, seed: int, fraction: float = 0.2) -> tuple[Int[np.ndarray, " _"], Int[np.ndarray, " _"]]:
+    def random_split(self, seed: int, fraction: float) -> tuple[Int[np.ndarray, " _"], Int[np.ndarray, " _"]]:
         """Return rows for training and for validation, drawn at random: the paper's split.
 
-        Mirror images and nearly equal rows are in both parts, which leaks information. Report `grouped_split` as well.
+        Mirror images and nearly equal rows are in both parts, which leaks information. Report `grouped_folds` as well.
         """
         order = np.random.default_rng(seed).permutation(len(self)).astype(np.int64)
-        count = round(_fraction(fraction) * len(self))
+        count = round(fraction * len(self))
         return np.sort(order[count:]), np.sort(order[:count])
 
-    def grouped_split(
-        self, seed: int, fraction: float = 0.2, hold_out: Sequence[str] | None = None
-    ) -> tuple[Int[np.ndarray, " _"], Int[np.ndarray, " _"]]:
-        """Return rows for training and for validation, split by whole postures including their mirror images.
-
-        The postures `hold_out`, or otherwise a random share of at least one, are used for validation.
-        """
-        if hold_out is not None:
-            self.select(hold_out)  # refuses unknown names
-            held = np.unique(self.family[np.isin(self.posture, list(hold_out))])
-        else:
-            families = np.unique(self.family)
-            count = max(1, round(_fraction(fraction) * len(families)))
-            held = np.random.default_rng(seed).permutation(families)[:count]
-        is_held = np.isin(self.family, held)
-        return np.flatnonzero(~is_held), np.flatnonzero(is_held)
-
     def grouped_folds(self, seed: int, folds: int = 5) -> list[tuple[Int[np.ndarray, " _"], Int[np.ndarray, " _"]]]:
-        """Return splits like those of `grouped_split`, in which every posture is held out exactly once."""
+        """Return splits by whole postures with their mirror images, in which each posture is held out exactly once."""
         families = np.random.default_rng(seed).permutation(np.unique(self.family))
         if not 2 <= folds <= len(families):
             raise ValueError(f"folds is {folds}; expected 2 to {len(families)}, the number of postures")
@@ -387,10 +358,4 @@ def number(text: str | None, place: str, column: str) -> float:
     if not np.isfinite(value):
         found = "the line ends before it" if text is None else f"{text!r}"
         raise ValueError(f"{place}, column `{column}`: {found}; expected a finite number")
-    return value
-
-
-def _fraction(value: float) -> float:
-    if not 0.0 < value < 1.0:
-        raise ValueError(f"fraction is {value}; expected a number between 0 and 1")
     return value

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
-
 from jax_aero.base.terminal import Refused
 
 MAX_NUMBERS = 2 << 30
@@ -23,13 +21,3 @@ def expect(what: str, count: int, greatest: int) -> None:
     """Refuse a count of bytes, letters or values above the greatest one."""
     if count > greatest:
         raise Refused(f"it holds {count} {what} or more; expected at most {greatest}")
-
-
-def expect_inflated(compressed: bytes, greatest: int) -> int:
-    """Refuse what zlib would make larger; return its size [bytes]. No more than a part of it is in memory at once."""
-    stream, size = zlib.decompressobj(), 0
-    while compressed and not stream.eof:
-        size += len(stream.decompress(compressed, 1 << 20))
-        expect("bytes", size, greatest)
-        compressed = stream.unconsumed_tail
-    return size

@@ -10,8 +10,8 @@ from jax_aero.train.baselines import baseline_errors
 from jax_aero.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from jax_aero.train.distil import distil_samples
 from jax_aero.train.loop import FitResult, Interrupted, Settings, fit
-from jax_aero.train.loss import batch_output, mean_squared_error, total_error
-from jax_aero.train.samples import Samples, predict_areas, samples_of, totals_of
+from jax_aero.train.loss import batch_output, mean_squared_error
+from jax_aero.train.samples import Samples, predict_areas, samples_of
 
 __all__ = [
     "Checkpoint",
@@ -28,6 +28,4 @@ __all__ = [
     "predict_areas",
     "samples_of",
     "save_checkpoint",
-    "total_error",
-    "totals_of",
 ]

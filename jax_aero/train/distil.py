@@ -12,7 +12,7 @@ from jaxtyping import Float
 from jax_aero.aero.dataset import Dataset
 from jax_aero.aero.network import Network, raw_output
 from jax_aero.body.robot import RobotModel
-from jax_aero.train.samples import Samples, chunks, make_samples, totals_of
+from jax_aero.train.samples import Samples, chunks, make_samples
 from jax_aero.types import Array
 
 
@@ -24,7 +24,6 @@ def distil_samples(
     count: int,
     spread_deg: float,
     seed: int,
-    with_totals: bool = False,
 ) -> Samples:
     """Return samples whose targets are the teachers' mean, for the dataset's rows and `count` synthetic ones.
 
@@ -37,8 +36,10 @@ def distil_samples(
     joints = np.concatenate([dataset.joint_position_deg, joints])
     wind = np.concatenate([dataset.wind_b, wind])
     x = make_samples(teachers[0], robot, joints, wind, None).x
-    totals = totals_of(teachers[0], robot, joints, wind) if with_totals else None
-    return Samples(x, mean_output(teachers, x).astype(np.float32), totals)
+    total = np.zeros((len(x), teachers[0].scale.shape[0]))
+    for network in teachers:
+        total += np.concatenate([np.asarray(_raw_rows(network, rows))[:count] for count, (rows,) in chunks(x)])
+    return Samples(x, (total / len(teachers)).astype(np.float32))
 
 
 def made_up(
@@ -51,14 +52,6 @@ def made_up(
     joints = joints + rng.normal(scale=spread_deg, size=joints.shape)
     wind = rng.normal(size=(count, 3))
     return joints, wind / np.linalg.norm(wind, axis=1, keepdims=True)
-
-
-def mean_output(networks: Sequence[Network], x: Float[np.ndarray, "B x"]) -> Float[np.ndarray, "B y"]:
-    """Return the mean of the raw outputs of networks with equal frame and layout [m²]."""
-    total = np.zeros((len(x), networks[0].scale.shape[0]))
-    for network in networks:
-        total += np.concatenate([np.asarray(_raw_rows(network, rows))[:count] for count, (rows,) in chunks(x)])
-    return total / len(networks)
 
 
 @jax.jit

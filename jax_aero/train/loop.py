@@ -21,7 +21,7 @@ from jax_aero.base import plain, tables
 from jax_aero.base.terminal import ConfigError
 from jax_aero.train.adam import AdamState, adam_start, adam_step
 from jax_aero.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from jax_aero.train.loss import batch_output, mean_squared_error, total_error
+from jax_aero.train.loss import batch_output, mean_squared_error
 from jax_aero.train.samples import Samples, chunks
 from jax_aero.types import Array, pytree
 
@@ -49,10 +49,6 @@ class Settings(tables.Table, frozen=True):
     """Precision of matrix products; a processor without the lower ones uses float32."""
     scale_output: bool = True
     """Whether outputs are scaled by the spread of the targets, about their mean."""
-    total_force: tables.NonNegative = 0.0
-    """Weight of the mean squared error of the total force, relative to that of the links."""
-    total_moment: tables.NonNegative = 0.0
-    """Weight of the mean squared error of the total moment about the centre of mass [1/m²]."""
     validate_every: tables.Count = 1
     """Epochs between validations."""
     patience: tables.Natural = 0
@@ -61,11 +57,6 @@ class Settings(tables.Table, frozen=True):
     def __post_init__(self) -> None:
         if unknown := set(self.noise) - set(BLOCKS):
             raise ConfigError.of("noise", sorted(unknown), f"blocks of features, {', '.join(BLOCKS)}")
-
-    @property
-    def has_totals(self) -> bool:
-        """Return whether the loss contains total force or moment."""
-        return self.total_force > 0.0 or self.total_moment > 0.0
 
     def __hash__(self) -> int:
         # Settings are a static, therefore hashed, argument of compiled functions.
@@ -148,17 +139,17 @@ def fit(
     batch = settings.batch or count
     if batch > count:
         raise ValueError(f"`batch` is {batch}; there are {count} rows")
-    if settings.has_totals and training.totals is None:
-        raise ValueError("the loss contains total force or moment; expected samples with totals")
-    network = _scale_network(network, training) if settings.scale_output else network
+    if settings.scale_output:  # by the spread of all targets, about the mean of each
+        offset = training.y.mean(axis=0)
+        scale = np.full_like(offset, training.y.std())
+        network = replace(network, scale=jnp.asarray(scale), offset=jnp.asarray(offset))
     digest = _digest(network, training, validation, settings, seed)
     now = _Now(_State(network.layers, adam_start(network.layers), network.layers), 0, np.inf, 0, ())
     if checkpoint is not None and (found := load_checkpoint(checkpoint, now.state, digest)):
         best_error, best_epoch = found.facts["best"] or (np.inf, 0)
         curves = tuple((row[0], row[1], row[2]) for row in found.facts["curves"])
         now = _Now(found.state, found.epoch, best_error, best_epoch, curves)
-    totals = jnp.asarray(training.totals) if settings.has_totals else None
-    data = (jnp.asarray(training.x), jnp.asarray((training.y - network.offset) / network.scale), totals)
+    data = (jnp.asarray(training.x), jnp.asarray((training.y - network.offset) / network.scale))
     noise = _noise(network, settings)
     run = functools.partial(_epoch, settings, network.activation, batch)
     unit = float(network.scale[0]) ** 2
@@ -242,14 +233,13 @@ def _epoch(
     batch: int,
     layers: tuple[Layer, ...],
     adam: AdamState,
-    data: tuple[Array, Array, Array | None],
+    data: tuple[Array, Array],
     noise: Array,
     seed: Array,
     epoch: Array,
 ) -> tuple[tuple[Layer, ...], AdamState, Array]:
     """Train on all data once; random numbers depend only on seed and epoch."""
-    x, y, totals = data
-    weights = jnp.repeat(jnp.array([settings.total_force, settings.total_moment], jnp.float32), 3) / 3.0
+    x, y = data
     steps = x.shape[0] // batch
     key = jax.random.fold_in(jax.random.key(seed), epoch)
     order_key, noise_key = jax.random.split(key)
@@ -261,8 +251,7 @@ def _epoch(
         if settings.noise:
             seen = seen + noise * jax.random.normal(for_noise, seen.shape, seen.dtype)
         output = batch_output(layers, activation, seen, for_dropout, settings.dropout)
-        error = mean_squared_error(output, y[rows])
-        return error if totals is None else error + total_error(output, y[rows], totals[rows], weights)
+        return mean_squared_error(output, y[rows])
 
     def step(carry: Any, entry: Any) -> tuple[Any, Array]:
         layers, adam = carry
@@ -287,13 +276,6 @@ def _rate(settings: Settings, count: Array, steps_per_epoch: int) -> Array:
     return risen
 
 
-def _scale_network(network: Network, training: Samples) -> Network:
-    """Return the network with its output scaled by the spread of all targets, about the mean of each."""
-    offset = training.y.mean(axis=0)
-    scale = np.full_like(offset, training.y.std())
-    return replace(network, scale=jnp.asarray(scale), offset=jnp.asarray(offset))
-
-
 def _noise(network: Network, settings: Settings) -> Array:
     sizes = block_sizes(len(network.joints), network.scale.shape[0] // 3)
     parts = [np.full(sizes[block], settings.noise.get(block, 0.0), np.float32) for block in network.blocks]
@@ -304,7 +286,6 @@ def _digest(network: Network, training: Samples, validation: Samples | None, set
     total = hashlib.sha256(json.dumps([plain.to_builtins(settings), seed], sort_keys=True).encode())
     shape = (network.blocks, network.frame, network.layout, network.activation, network.mirror is None)
     total.update(repr(shape).encode())
-    arrays = (*training, *(validation or ()), *jax.tree.leaves(network.layers))
-    for array in (one for one in arrays if one is not None):
+    for array in (*training, *(validation or ()), *jax.tree.leaves(network.layers)):
         total.update(np.ascontiguousarray(array).tobytes())
     return total.hexdigest()

@@ -38,14 +38,6 @@ def batch_output(
     return h
 
 
-def total_error(
-    output: Float[Array, "m B y"], y: Float[Array, "B y"], totals: Float[Array, "B 6 y"], weights: Float[Array, "6"]
-) -> Float[Array, ""]:
-    """Return the mean over members and rows of `Σ_i w_i (T (output − y))_i²`, T to total force and moment; M96."""
-    wrench = jnp.einsum("bij,mbj->mbi", totals, output - y)
-    return jnp.mean(jnp.sum(weights * wrench**2, axis=-1))
-
-
 def mean_squared_error(output: Float[Array, "m B y"], y: Float[Array, "B y"]) -> Float[Array, ""]:
     """Return the mean over members, rows and components of `(output − y)²`."""
     return jnp.mean((output - y) ** 2)

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -20,9 +19,7 @@ from jax_aero.aero.network import (
     from_base_axes,
     link_geometry,
     network_areas,
-    to_base_axes,
 )
-from jax_aero.aero.posture import link_arms
 from jax_aero.body.robot import RobotModel
 from jax_aero.types import Array
 
@@ -38,23 +35,18 @@ class Samples(NamedTuple):
     x: Float[np.ndarray, "B x"]
     y: Float[np.ndarray, "B y"]
     """Force areas in the network's frame and layout, minus the baseline [m²]."""
-    totals: Float[np.ndarray, "B 6 y"] | None = None
-    """Matrices from these areas to total force [m²] and total moment about the centre of mass [m³], base axes; M96.
-    `None` unless the loss uses them."""
 
     def take(self, rows: Any) -> Samples:
         """Return the selected rows."""
-        return Samples(self.x[rows], self.y[rows], None if self.totals is None else self.totals[rows])
+        return Samples(self.x[rows], self.y[rows])
 
 
-def samples_of(network: Network, robot: RobotModel, dataset: Dataset, *, with_totals: bool = False) -> Samples:
-    """Return features and targets of all rows, with the matrices of the totals if `with_totals`.
+def samples_of(network: Network, robot: RobotModel, dataset: Dataset) -> Samples:
+    """Return features and targets of all rows.
 
     Rotating targets into link axes preserves sums of squares, so the error of a sample is that of the force areas.
     """
-    posed = (dataset.joint_position_deg, dataset.wind_b)
-    samples = make_samples(network, robot, *posed, dataset.force_area_b)
-    return samples._replace(totals=totals_of(network, robot, *posed)) if with_totals else samples
+    return make_samples(network, robot, dataset.joint_position_deg, dataset.wind_b, dataset.force_area_b)
 
 
 def make_samples(
@@ -69,16 +61,6 @@ def make_samples(
     with jax.enable_x64(True):
         x, y = _evaluate_in_chunks(_sample_rows, network, robot, joint_position_deg, wind_b, areas)
     return Samples(x.astype(np.float32), y.astype(np.float32))
-
-
-def totals_of(
-    network: Network, robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"], wind_b: Float[np.ndarray, "B 3"]
-) -> Float[np.ndarray, "B 6 y"]:
-    """Return the matrices from a network's outputs to total force and moment about the centre of mass; M96."""
-    arms = link_arms(robot, joint_position_deg)
-    with jax.enable_x64(True):
-        (totals,) = _evaluate_in_chunks(_total_rows, network, robot, joint_position_deg, wind_b, arms)
-    return np.asarray(totals, dtype=np.float32)
 
 
 def predict_areas(network: Network, robot: RobotModel, dataset: Dataset) -> Float[np.ndarray, "B L 3"]:
@@ -100,19 +82,6 @@ def _sample_rows(network: Network, wind: Array, joints: Array, geometry: LinkGeo
         return x, from_base_axes(network.frame, network.layout, areas, wind, geometry.rotations)
 
     return jax.vmap(features_and_targets)(wind, joints, geometry, areas)
-
-
-@jax.jit
-def _total_rows(network: Network, wind: Array, _joints: Array, geometry: LinkGeometry, arms: Array) -> Any:
-    def total_matrix(wind: Array, geometry: LinkGeometry, arms: Array) -> Array:
-        def wrench(y: Array) -> Array:
-            areas = to_base_axes(network.frame, network.layout, y, wind, geometry.rotations)
-            return jnp.concatenate([areas.sum(0), jnp.cross(arms, areas).sum(0)])
-
-        matrix: Array = jax.jacfwd(wrench)(jnp.zeros(3 * len(arms), wind.dtype))
-        return matrix
-
-    return (jax.vmap(total_matrix)(wind, geometry, arms),)
 
 
 @jax.jit

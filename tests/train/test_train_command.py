@@ -6,7 +6,6 @@ import json
 import sys
 from collections import namedtuple
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -396,15 +395,6 @@ def test_a_range_that_holds_nothing_is_refused_before_the_search(small_search, t
     assert "small.toml: `space.training.learning_rate" in said
     assert expected in said
     assert not (tmp_path / "out").exists()
-
-
-def test_a_search_trains_on_totals_where_the_loss_contains_them(search, made_up_dataset, monkeypatch):
-    seen = []
-    monkeypatch.setattr(search, "fit", lambda _, samples, *__: seen.append(samples) or Found(error=1.0))
-    table = {"base": Path(), "trials": 1, "seed": 1, "fold_seed": 0, "folds": 3, "folds_run": 1, "space": {}}
-    training = config.read(places.CONFIGS / "training" / "compact.toml", {"training.total_moment": 2.0})[0]
-    assert search.error_of(training, made_up_dataset, search.SearchConfig(**table)) == 1.0
-    assert seen[0].totals is not None
 
 
 def test_a_search_starts_from_a_file_that_leaves_noise_at_its_default(search):

@@ -4,14 +4,13 @@ import subprocess
 
 import numpy as np
 import pytest
-from scipy.io import savemat
 
 from experiments.data import cfd, fit_aero, import_cfd
 from jax_aero.aero import dataset
 from jax_aero.aero.dataset import JOINTS, LINKS
 from jax_aero.aero.posture import link_axes
 from jax_aero.body.robot import load_robot
-from tests.cfd_table import CFD_COLUMNS, modelled_rows, solver_table
+from tests.cfd_table import CFD_COLUMNS, in_tunnel_axes, modelled_rows, solver_table
 from tests.measurements import measured
 
 
@@ -32,7 +31,7 @@ def test_a_row_comes_out_as_it_went_in_turned_into_base_axes():
     cells = dict(zip(CFD_COLUMNS, text.splitlines()[2].split(","), strict=True))
     for surface, link in cfd.SURFACES.items():
         drag, side, lift = (float(cells[f"{surface}-{kind}"]) for kind in ("cd", "cs", "cl"))
-        np.testing.assert_allclose(data.force_area_w[1, LINKS.index(link)], (drag, side, lift), atol=1e-14)
+        np.testing.assert_allclose(in_tunnel_axes(data)[1, LINKS.index(link)], (drag, side, lift), atol=1e-14)
     # Prone, yaw 40 deg: p = -90 deg.
     np.testing.assert_allclose(data.wind_b[1], (0.0, -np.sin(np.radians(40)), -np.cos(np.radians(40))), atol=1e-12)
     upright = data.force_area_b[0, 0] - [
@@ -126,52 +125,6 @@ def test_a_clone_is_read_through_git(tmp_path, capsys, monkeypatch):
     assert dataset.load(out).sha256 == read(table()).sha256
     assert import_cfd.main(["--clone", str(clone), "--out", str(out)]) == 2
     assert "at commit 0d43057" in capsys.readouterr().err
-
-
-def mat(path, **changes):
-    rng = np.random.default_rng(2)
-    pitch, yaw = np.array([[90.0], [0.0], [30.0]]), np.array([[0.0], [40.0], [-20.0]])
-    variables = {
-        "pitchAngles_full": pitch,
-        "yawAngles_full": yaw,
-        "windDirection_full": dataset.wind_direction(pitch[:, 0], yaw[:, 0]),
-        "jointPosDeg_full": np.stack([np.arange(19.0), np.arange(19.0), -np.arange(19.0)]),
-        **{f"link{kind}As_matrix": rng.normal(scale=0.01, size=(3, 13)) for kind in ("Cd", "Cl", "Cs")},
-    }
-    savemat(path, {name: value for name, value in (variables | changes).items() if value is not None})
-    return variables
-
-
-@pytest.mark.parametrize("frame", ["base", "wind"])
-def test_the_training_file_is_read_in_either_frame(tmp_path, frame):
-    written = mat(tmp_path / "data.mat")
-    data = cfd.read_mat(tmp_path / "data.mat", frame=frame)
-    areas = data.force_area_b if frame == "base" else data.force_area_w
-    expected = np.stack([written[f"link{kind}As_matrix"] for kind in ("Cd", "Cs", "Cl")], axis=2)
-    np.testing.assert_allclose(areas, expected, atol=1e-15)
-    assert data.posture[0] == data.posture[1] != data.posture[2]
-    np.testing.assert_array_equal(data.joint_position_deg, written["jointPosDeg_full"])
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"linkClAs_matrix": None}, "variable `linkClAs_matrix` is missing"),
-        ({"linkCsAs_matrix": np.zeros((3, 12))}, r"`linkCsAs_matrix` has shape \(3, 12\); expected \(3, 13\)"),
-        ({"linkCdAs_matrix": np.where(np.arange(39).reshape(3, 13) == 14, np.nan, 0.0)}, "row 2, column 2 is no"),
-        ({"windDirection_full": -np.eye(3)}, "`windDirection_full` row 1 is .* expected .*pitch 90 and yaw 0"),
-    ],
-)  # fmt: skip
-def test_a_bad_training_file_is_refused(tmp_path, changes, message):
-    mat(tmp_path / "data.mat", **changes)
-    with pytest.raises(ValueError, match=message):
-        cfd.read_mat(tmp_path / "data.mat")
-
-
-def test_what_is_no_training_file_is_refused(tmp_path):
-    (tmp_path / "data.mat").write_text("text")
-    with pytest.raises(ValueError, match="not a MATLAB file"):
-        cfd.read_mat(tmp_path / "data.mat")
 
 
 def test_a_symmetric_robots_table_is_symmetric_and_written_twice_at_the_poles(tmp_path):

@@ -14,10 +14,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import xarray as xr
-from scipy.io import savemat
 
 from experiments import Refused, record
-from experiments.data.cfd import read_mat
 from experiments.identity import Identity
 from experiments.report import keep
 from experiments.report.findings import Record
@@ -269,14 +267,6 @@ def test_a_table_whose_rows_become_objects_is_small(tmp_path, monkeypatch):
         read_rows(tmp_path / "cells.parquet")
     with pytest.raises(ValueError, match="it holds 20001 values"):
         parse_json(b"[" + b"0," * 20_000 + b"0]")
-
-
-def test_a_matrix_that_grows_is_not_decompressed(tmp_path, monkeypatch):
-    monkeypatch.setattr(sizes, "MAX_PART", 1 << 20)
-    savemat(tmp_path / "data.mat", {"x": np.zeros(10**6)}, do_compression=True)
-    assert (tmp_path / "data.mat").stat().st_size < 2e4
-    with pytest.raises(ValueError, match=r"it holds \d+ bytes or more; expected at most 1048576"):
-        read_mat(tmp_path / "data.mat")
 
 
 @pytest.mark.parametrize("key", ["title", "design", "finished", "levels", "error"])
