@@ -74,35 +74,6 @@ class ForceRate(NamedTuple):
     """Change of link forces due to change of the wind: ∂f/∂w ẇ."""
 
 
-class Linearised(NamedTuple):
-    """Derivatives of the momentum rate L̇ and of the base's angular velocity ω_B, inertial axes.
-
-    Variables are the velocity v of the centre of mass, a rotation θ of the whole robot [rad], the angular momentum k,
-    the thrusts T, and the positions s and velocities ṡ of the joints.
-    """
-
-    rate_v: Array
-    """(6, 3)."""
-    rate_theta: Array
-    """(6, 3)."""
-    rate_k: Array
-    """(6, 3)."""
-    rate_t: Array
-    """(6, jets)."""
-    rate_s: Array
-    """(6, joints)."""
-    rate_sigma: Array
-    """(6, joints)."""
-    omega_theta: Array
-    """(3, 3)."""
-    omega_k: Array
-    """(3, 3)."""
-    omega_s: Array
-    """(3, joints)."""
-    omega_sigma: Array
-    """(3, joints)."""
-
-
 class MomentumModel:
     """Expressions of one robot with one aerodynamic model, compiled to functions on first use."""
 
@@ -244,51 +215,6 @@ class MomentumModel:
             ca.jtimes(self.momentum_rate, self.wind, wind_rate),
         ]
         return self.function("force_rate", parts, [acceleration, thrust_rate, wind_rate])
-
-    def linearised(
-        self,
-        base_position: ArrayLike,
-        base_rotation: ArrayLike,
-        joint_position: ArrayLike,
-        velocity: ArrayLike,
-        thrust: ArrayLike,
-        wind: ArrayLike,
-    ) -> Linearised:
-        """Return the derivatives of L̇ and ω_B at one state, by all joints; M116 to M119 of `docs/model`."""
-        parts = self._linearised(base_position, base_rotation, joint_position, velocity, thrust, wind)
-        return Linearised(*(np.array(part.full()) for part in parts))
-
-    @cached_property
-    def _linearised(self) -> Any:
-        """Momentum and coordinates determine the velocity of the base: A dν_B = dL − ∂L/∂q dq − ∂L/∂ṡ dṡ."""
-        tree, momentum = self.tree, self.dynamics.momentum
-        base, joints = range(6), range(6, tree.velocity.numel())
-        scale = ca.diag(ca.vertcat(*[self.robot.mass] * 3, 1, 1, 1))
-        by_velocity = ca.jacobian(momentum, tree.velocity)
-        inverse = ca.inv(by_velocity[:, base])
-        by_momentum = ca.mtimes(inverse, scale)
-        by_position = -ca.mtimes(inverse, ca.jacobian(momentum, tree.q))
-        by_rate = -ca.mtimes(inverse, by_velocity[:, joints])
-
-        of_velocity = ca.jacobian(self.momentum_rate, tree.velocity)
-        of_base = of_velocity[:, base]
-        rate_momentum = ca.mtimes(of_base, by_momentum)
-        rate_position = ca.jacobian(self.momentum_rate, tree.q) + ca.mtimes(of_base, by_position)
-        turn = range(3, 6)
-        parts = [
-            rate_momentum[:, :3],
-            rate_position[:, turn],
-            rate_momentum[:, 3:],
-            ca.jacobian(self.momentum_rate, self.thrust),
-            rate_position[:, joints],
-            of_velocity[:, joints] + ca.mtimes(of_base, by_rate),
-            # φ̇ is the angular velocity at φ = 0 only: ω = φ̇ + φ × φ̇ / 2 + …
-            by_position[turn, turn] - 0.5 * ca.skew(tree.velocity[3:6]),
-            by_momentum[turn, 3:],
-            by_position[turn, joints],
-            by_rate[turn, :],
-        ]
-        return self.function("linearised", parts)
 
 
 def _wrench(force: SX, arm: SX, couple: SX | float = 0.0) -> SX:

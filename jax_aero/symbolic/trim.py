@@ -249,7 +249,9 @@ class Trim:
         weights = (1.0, 0.0) if objective == "min_thrust" else (0.0, 1.0)
         parameters = np.array([*np.asarray(wind), *np.asarray(velocity), *weights])
         low, high = self.bounds()
-        x = self.guess() if start is None else _unknowns(start)
+        x = self.guess()
+        if start is not None:
+            x = np.concatenate([start.base_rpy, start.joint_position, start.thrust, [start.margin]])
         started = time.perf_counter()
         x, cost, stats = self._run(self._solver, np.clip(x, low, high), parameters, low, high)
         iterations = int(stats["iter_count"])
@@ -359,7 +361,3 @@ class Trim:
             for name, value, a, wide in zip(names, x, low, span, strict=True)
             if name != "margin" and wide > 0 and min(value - a, a + wide - value) <= TOLERANCE * wide
         )
-
-
-def _unknowns(result: TrimResult) -> Array:
-    return np.concatenate([result.base_rpy, result.joint_position, result.thrust, [result.margin]])
