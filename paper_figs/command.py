@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import matplotlib as mpl
@@ -31,7 +31,8 @@ DRAWINGS: Mapping[str, Callable[[sweeps.Sweep], Figure]] = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     given = _parser().parse_args(arguments)
-    known = [*FIGURES, *_sweep_names(given.sweeps)]
+    finished = {path.parent.name for path in given.sweeps.glob("*/cells.parquet")}
+    known = [*FIGURES, *SWEEPS, *sorted(finished - {*SWEEPS, *FIGURES})]
     is_all = given.names in ([], ["all"])
     names = [name for name in known if not _is_of_any(name)] if is_all else given.names
     if unknown := [name for name in names if name not in known]:
@@ -126,12 +127,6 @@ def _file_name(name: str, given: argparse.Namespace) -> str:
     if not given.runs or tuple(given.runs) == FIGURES[name].runs:
         return name
     return name + places.addition("--" + "_".join(Path(run).name for run in given.runs))
-
-
-def _sweep_names(folder: Path) -> Iterator[str]:
-    yield from SWEEPS
-    finished = {path.parent.name for path in folder.glob("*/cells.parquet")}
-    yield from sorted(finished - {*SWEEPS, *FIGURES})
 
 
 def _parser() -> argparse.ArgumentParser:

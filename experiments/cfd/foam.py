@@ -128,15 +128,14 @@ class History(NamedTuple):
 
 def read_histories(folder: Path, links: Mapping[str, object]) -> dict[str, History]:
     """Read the forces on every link, over all restarts of the solver."""
-    return {name: _history(folder / "postProcessing" / name) for name in links}
-
-
-def _history(folder: Path) -> History:
-    starts = sorted(folder.iterdir(), key=lambda path: float(path.name))
-    force = np.concatenate([_numbers(start / "force.dat") for start in starts])
-    moment = np.concatenate([_numbers(start / "moment.dat") for start in starts])
-    # Columns: time, then total, pressure part and viscous part.
-    return History(force[:, 0], force[:, 4:7], force[:, 7:10], moment[:, 1:4])
+    found = {}
+    for name in links:
+        starts = sorted((folder / "postProcessing" / name).iterdir(), key=lambda path: float(path.name))
+        force = np.concatenate([_numbers(start / "force.dat") for start in starts])
+        moment = np.concatenate([_numbers(start / "moment.dat") for start in starts])
+        # Columns: time, then total, pressure part and viscous part.
+        found[name] = History(force[:, 0], force[:, 4:7], force[:, 7:10], moment[:, 1:4])
+    return found
 
 
 def _numbers(path: Path) -> Floats:

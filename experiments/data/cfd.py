@@ -1,7 +1,6 @@
-"""Import of the authors' tables of free-stream simulations into a `Dataset`, with a record of the checks.
+"""Import of the authors' table of free-stream simulations into a `Dataset`, with a record of the checks.
 
-Two formats: the solver's table (CSV: posture, angles, and drag, lift and side area of the whole robot and of 13
-surfaces) and the authors' training file (`.mat`).
+The solver's table is a CSV: posture, angles, and drag, lift and side area of the whole robot and of 13 surfaces.
 """
 
 from __future__ import annotations
@@ -9,19 +8,14 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
-import struct
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from os import PathLike
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from jax_aero.aero.dataset import (
-    JOINTS,
-    LINKS,
     MIRROR_AXES,
     Dataset,
     Floats,
@@ -31,8 +25,6 @@ from jax_aero.aero.dataset import (
     tunnel_from_base,
     wind_direction,
 )
-from jax_aero.base import sizes
-from jax_aero.base.files import read_bytes
 
 SURFACES: Mapping[str, str] = {
     "head": "head",
@@ -63,17 +55,6 @@ LARGEST_SUM_ERROR = 1e-5
 """Largest accepted difference between the sum of the links and the whole robot [m²]; at most 1e-8 in the public
 table."""
 
-MAT_FIELDS = {
-    "pitchAngles_full": 1,
-    "yawAngles_full": 1,
-    "windDirection_full": 3,
-    "jointPosDeg_full": len(JOINTS),
-    "linkCdAs_matrix": len(LINKS),
-    "linkClAs_matrix": len(LINKS),
-    "linkCsAs_matrix": len(LINKS),
-}
-"""Variables of the authors' training file, with their numbers of columns."""
-
 
 def read_solver_table(text: str, postures: Mapping[str, Floats], *, source: str) -> Dataset:
     """Parse the solver's table.
@@ -95,7 +76,12 @@ def read_solver_table(text: str, postures: Mapping[str, Floats], *, source: str)
     if text.startswith("version https://git-lfs"):
         raise ValueError(f"{source} is a Git LFS pointer, not the table; fetch it with: git lfs pull")
     reader = csv.DictReader(io.StringIO(text.removeprefix("\ufeff")))
-    expected = ["config", "pitchAngle", "yawAngle", *(_columns([TOTAL, *SURFACES]))]
+    expected = [
+        "config",
+        "pitchAngle",
+        "yawAngle",
+        *(f"{part}-{name}" for part in (TOTAL, *SURFACES) for name in COMPONENTS),
+    ]
     found = reader.fieldnames or []
     if missing := [column for column in expected if column not in found]:
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
@@ -147,93 +133,8 @@ def read_solver_table(text: str, postures: Mapping[str, Floats], *, source: str)
             "speed_and_density": f"{SPEED:g} m/s and {AIR_DENSITY:g} kg/m3, stated by the paper, not by the table",
         },
     )
-    return _with_checks(dataset, {"links minus whole robot, largest [m2]": float(sum_error.max())})
-
-
-def read_mat(path: str | PathLike[str], *, frame: Literal["base", "wind"] = "base") -> Dataset:
-    """Read the authors' training file.
-
-    Parameters
-    ----------
-    path
-        The `.mat` file.
-    frame
-        Axes of (CdA, CsA, ClA): `base` takes them as (x, y, z) of the base, as the published simulator does, `wind` as
-        drag, side and lift in the tunnel frame, as the solver writes them. The file itself does not say.
-
-    Raises
-    ------
-    ValueError
-        If the content is invalid; the message names variable, row and column, and what was expected.
-    """
-    from scipy.io import loadmat
-
-    data = read_bytes(Path(path))
-    try:
-        _expect_inflated(data)
-        variables = loadmat(io.BytesIO(data), variable_names=tuple(MAT_FIELDS))
-    except Exception as reason:  # the reader raises many types for other formats
-        raise ValueError(f"{path} is not a MATLAB file of version 4 to 7.2: {reason}") from reason
-    table: dict[str, Floats] = {}
-    rows: int | None = None
-    for name, width in MAT_FIELDS.items():
-        if name not in variables:
-            raise ValueError(f"{path}: variable `{name}` is missing; expected {', '.join(MAT_FIELDS)}")
-        if not (isinstance(variables[name], np.ndarray) and variables[name].dtype.kind in "iuf"):
-            raise ValueError(f"{path}: `{name}` is no matrix of numbers")
-        table[name] = np.asarray(variables[name], dtype=np.float64)
-        rows = table[name].shape[0] if rows is None else rows
-        if table[name].shape != (rows, width):
-            raise ValueError(f"{path}: `{name}` has shape {table[name].shape}; expected {(rows, width)}")
-        if not np.isfinite(table[name]).all():
-            row, column = np.argwhere(~np.isfinite(table[name]))[0] + 1
-            raise ValueError(f"{path}: `{name}` row {row}, column {column} is no finite number")
-    pitch, yaw = table["pitchAngles_full"][:, 0], table["yawAngles_full"][:, 0]
-    wind = table["windDirection_full"]
-    off = np.abs(wind - wind_direction(pitch, yaw)).max(axis=1)
-    if off.max() > 1e-3:
-        row = int(off.argmax())
-        wanted = wind_direction(pitch[row], yaw[row]).round(4).tolist()
-        raise ValueError(
-            f"{path}: `windDirection_full` row {row + 1} is {wind[row].round(4).tolist()}; expected {wanted} for "
-            f"pitch {pitch[row]:g} and yaw {yaw[row]:g} degrees"
-        )
-    areas = np.stack([table[f"link{name}As_matrix"] for name in ("Cd", "Cs", "Cl")], axis=2)
-    if frame == "wind":
-        areas = np.einsum("nji,nlj->nli", tunnel_from_base(pitch, yaw), areas)
-    joints = table["jointPosDeg_full"]
-    shapes, number_of = np.unique(np.round(joints, 6), axis=0, return_inverse=True)
-    digits = len(str(len(shapes)))
-    dataset = Dataset(
-        posture=np.array([f"posture_{index + 1:0{digits}}" for index in number_of.reshape(-1)]),
-        is_mirrored=np.zeros(len(pitch), dtype=bool),
-        joint_position_deg=joints,
-        wind_b=wind_direction(pitch, yaw),
-        pitch_deg=pitch,
-        yaw_deg=yaw,
-        force_area_b=areas,
-        speed=np.full(len(pitch), SPEED),
-        air_density=np.full(len(pitch), AIR_DENSITY),
-        provenance={
-            "source": Path(path).name,
-            "file_sha256": hashlib.sha256(data).hexdigest(),
-            "layout": f"training file (.mat), (CdA, CsA, ClA) read in {frame} axes",
-        },
-    )
-    return _with_checks(dataset, {})
-
-
-def _expect_inflated(data: bytes) -> None:
-    """Refuse a MATLAB file whose compressed variables (version 7) are too large in memory."""
-    begin, compressed = 128, 15  # of the first variable, after the header; kind of such a variable
-    order = "<" if data[begin - 2 : begin] == b"IM" else ">"
-    left = sizes.MAX_PART
-    while begin + 8 <= len(data):
-        kind, length = struct.unpack_from(f"{order}2I", data, begin)
-        begin += 8
-        if kind == compressed:
-            left -= sizes.expect_inflated(data[begin : begin + length], left)
-        begin += length
+    more = {"links minus whole robot, largest [m2]": float(sum_error.max())}
+    return replace(dataset, checks={**checks(dataset), **more})
 
 
 def checks(dataset: Dataset) -> dict[str, float]:
@@ -262,14 +163,6 @@ def checks(dataset: Dataset) -> dict[str, float]:
         found["their distance from it, mean square [m4]"] = float(np.mean(tilt**2))
         found["their distance from it, largest [m2]"] = float(np.abs(tilt).max())
     return found
-
-
-def _with_checks(dataset: Dataset, more: Mapping[str, float]) -> Dataset:
-    return replace(dataset, checks={**checks(dataset), **more})
-
-
-def _columns(parts: Sequence[str]) -> list[str]:
-    return [f"{part}-{component}" for part in parts for component in COMPONENTS]
 
 
 def _check_angles(row: Sequence[Any], place: str) -> None:

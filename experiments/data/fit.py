@@ -193,18 +193,13 @@ def fit(
     return fits
 
 
-def drag_areas(coefficients: Float[np.ndarray, "L 6"], geometry: Angles) -> Float[np.ndarray, "B L"]:
-    """Return the drag areas [m²] of the axisymmetric model from its coefficients [m²]."""
-    terms = zip(coefficients.T, MODEL_TERMS, strict=False)
-    return np.asarray(sum(w * geometry.cos**i * geometry.sin**j for w, (i, j) in terms))
-
-
 def predicted_areas(
     coefficients: Float[np.ndarray, "L 6"], axes: Float[np.ndarray, "B L 3"], wind_b: Float[np.ndarray, "B 3"]
 ) -> Float[np.ndarray, "B L 3"]:
     """Return the force areas [m²] of the axisymmetric model, base axes, from coefficients [m²], axes and winds."""
     geometry = angles(axes, wind_b)
-    drag = drag_areas(coefficients, geometry)
+    terms = zip(coefficients.T, MODEL_TERMS, strict=False)
+    drag = np.asarray(sum(w * geometry.cos**i * geometry.sin**j for w, (i, j) in terms))
     normal = coefficients[:, 5] * geometry.sin * geometry.cos
     areas: Floats = drag[..., None] * geometry.wind + normal[..., None] * geometry.normal
     return areas

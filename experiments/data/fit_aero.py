@@ -52,7 +52,9 @@ def compute(name: str, config: FitConfig) -> Findings:
     families = fit.families_of(robot)
     fits = fit.fit(dataset, axes, families)
     rows = np.flatnonzero(~dataset.is_mirrored)
-    variants = variants_of(robot, fit.coefficients_of(fits, families, dataset.links))
+    # The robot's sets, and the new fit in place of an older one.
+    variants = {name: np.asarray(areas) for name, areas in robot.aero_links.coefficients.items()}
+    variants["refit"] = fit.coefficients_of(fits, families, dataset.links)
     predicted = {
         variant: fit.predicted_areas(areas, axes[rows], computed.wind_b) for variant, areas in variants.items()
     }
@@ -91,12 +93,6 @@ def dataset_of(name: str) -> Path:
     """Return the dataset of a name: one in `results/datasets`, or else a shipped one."""
     own, shipped = (folder / f"{name}.nc" for folder in (places.RESULTS / "datasets", places.CONFIGS / "aero/datasets"))
     return shipped if shipped.is_file() and not own.is_file() else own
-
-
-def variants_of(robot: RobotModel, refit: Floats) -> dict[str, Floats]:
-    """Return the coefficients (L, 6) of every variant: the robot's sets, and the new fit in place of an older one."""
-    sets = {name: np.asarray(areas) for name, areas in robot.aero_links.coefficients.items()}
-    return {**sets, "refit": refit}
 
 
 class Errors(NamedTuple):

@@ -52,8 +52,3 @@ class Choice(tables.Table, frozen=True):
         """Return the mass of fuel that is completely burnt in flight [kg]."""
         per_minute = self.jet_consumption * self.fuel_density / self.jet_thrust
         return self.robot_mass * (math.exp(per_minute * self.minutes) - 1.0)
-
-    def fuel_carried(self) -> float:
-        """Return the mass of fuel if burning did not reduce the robot's mass [kg]."""
-        share = self.jet_consumption * self.fuel_density / self.jet_thrust * self.minutes
-        return self.robot_mass * share / (1.0 - share) if share < 1.0 else math.inf

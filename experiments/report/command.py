@@ -11,9 +11,8 @@ from pathlib import Path
 import jax_aero
 from experiments import Refused, manifest
 from experiments.flight import PAPER_RUNS
-from experiments.report import battery, findings, paper_page
-from experiments.report.findings import ANOTHER, Finding, Kind, Verdict
-from experiments.report.judges import files
+from experiments.report import findings, paper_page
+from experiments.report.findings import ANOTHER, Finding, Kind
 from experiments.report.judges.results import answer
 from experiments.report.page import Contents, Heading, Mark, Page, Picture, Table, Text, literal
 from experiments.report.paper import all_claims, all_items, whole
@@ -140,7 +139,6 @@ def build(results: Results, found: Mapping[str, Finding]) -> Page:
             page.add(Heading(2, title))
         for name, sweep in chosen.items():
             _sweep(page, results, name, sweep)
-    _battery(page)
     page.add(
         Heading(2, "How to read and repeat this"),
         Text(
@@ -198,11 +196,7 @@ def _claims(page: Page, results: Results, found: Mapping[str, Finding]) -> None:
 
 def _claim(key: str, finding: Finding) -> tuple[str, str, str, Mark]:
     claim = all_claims()[key]
-    return claim.where, claim.states, finding.measured, _mark(finding.verdict)
-
-
-def _mark(verdict: Verdict) -> Mark:
-    return Mark(str(verdict), verdict.tone)
+    return claim.where, claim.states, finding.measured, Mark(str(finding.verdict), finding.verdict.tone)
 
 
 def _commands(key: str) -> str:
@@ -325,29 +319,3 @@ def _sweep(page: Page, results: Results, name: str, sweep: Sweep) -> None:
         ),
     )
     page.add(*_pictures(results, [(name, f"{title} (`{name}`)")]))
-
-
-def _battery(page: Page) -> None:
-    choice = battery.Choice()
-    printed, fuel = str(battery.PAPER_BATTERY), str(battery.PAPER_FUEL)
-    page.add(
-        Heading(2, "Why jets: battery against fuel"),
-        Text(
-            f"A hovering {choice.robot_mass:g} kg robot for {choice.minutes:g} min, from the paper's own numbers. "
-            "A battery carries "
-            "itself to the end, fuel is burnt on the way."
-        ),
-        Table(
-            ("what", "ours [kg]", "paper [kg]"),
-            [
-                ("battery, 13 kW for 15 kg of thrust as printed", f"{choice.battery():.2f}", printed),
-                ("battery, 1 kW per kg of thrust", f"{choice.battery(1.0):.2f}", printed),
-                ("fuel, burnt on the way", f"{choice.fuel():.2f}", fuel),
-                ("fuel, if none of its mass were lost", f"{choice.fuel_carried():.2f}", "—"),
-            ],
-        ),
-        Table(
-            ("jet", "engine", "greatest thrust [N]"),
-            [(jet["name"], jet["engine"], f"{jet['thrust_max']:.0f}") for jet in files.robot()["jets"]],
-        ),
-    )

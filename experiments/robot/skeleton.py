@@ -209,15 +209,10 @@ def _quote_name(name: str, *keys: str) -> list[str]:
     return [f"{key} = {toml_value(name)}" for key in keys]
 
 
-def group_name(chain: Sequence[Joint]) -> str:
-    """Return a name for a chain, derived from its first joint."""
-    return f"{chain[0].name}_chain"
-
-
 def _groups(chains: Sequence[Sequence[Joint]]) -> list[str]:
     lines = []
     for chain in chains:
-        lines += ["", "[[joint_groups]]", f"name = {toml_value(group_name(chain))}", "joints = ["]
+        lines += ["", "[[joint_groups]]", f"name = {toml_value(chain[0].name + '_chain')}", "joints = ["]
         lines += [_joint_entry(joint) for joint in chain]
         lines += ["]"]
     return lines

@@ -45,15 +45,11 @@ def _parse_assignment(assignment: str) -> tuple[str, Any]:
         return key, text
     if len(table) > 1:
         raise Refused(f"--set {assignment}: `{text}` is more than a value; expected one")
-    refuse_dates(table["value"], f"--set {assignment}", key)
-    return key, table["value"]
-
-
-def refuse_dates(value: Any, where: str, key: str = "") -> None:
-    """Refuse TOML dates and times, which no key accepts, with the crate's message; `where` names their place."""
-    for name, part in parts(value, key):
+    for name, part in parts(table["value"], key):
         if isinstance(part, datetime.date | datetime.time):
-            raise ConfigError.of(name, str(part), "a number, text, list or table, as no key is a date").in_file(where)
+            wrong = ConfigError.of(name, str(part), "a number, text, list or table, as no key is a date")
+            raise wrong.in_file(f"--set {assignment}")
+    return key, table["value"]
 
 
 def get(config: Mapping[str, Any], key: str) -> Any:

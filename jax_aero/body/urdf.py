@@ -100,13 +100,9 @@ def read_urdf(path: str | PathLike[str]) -> Urdf:
     read = rust.read_urdf(path)
     joints = [Joint(**{**joint, "origin": Pose(*joint["origin"])}) for joint in read["joints"]]
     inertials = {link: Inertial(*numbers) for link, numbers in read["inertials"].items()}
-    return Urdf(read["name"], read["links"], inertials, joints, _shapes(read["shapes"]), read["unused"])
+    return Urdf(read["name"], read["links"], inertials, joints, typed_shapes(read["shapes"]), read["unused"])
 
 
-def shapes_of(robot: rust.Robot) -> list[Shape]:
-    """Return the shapes of a robot's URDF, as `read_urdf`."""
-    return _shapes(robot.shapes())
-
-
-def _shapes(read: Sequence[dict[str, Any]]) -> list[Shape]:
+def typed_shapes(read: Sequence[dict[str, Any]]) -> list[Shape]:
+    """Return shapes of a URDF as the crate reads them, of `rust.Robot.shapes` too, as their type."""
     return [Shape(**{**shape, "origin": Pose(*shape["origin"]), "size": tuple(shape["size"])}) for shape in read]

@@ -100,13 +100,10 @@ def wind_model(settings: config.WindConfig) -> Wind:
             mean = leaves(RampWind, settings)
             return TurbulentWind(mean, leaf(settings.std), leaf(settings.time_scale), places, phases)
         case config.FileWindConfig() | config.SamplesWindConfig():
-            return _recorded_wind(rust.recorded_wind(msgspec.to_builtins(settings)))
+            samples = rust.recorded_wind(msgspec.to_builtins(settings))
+            return RecordedWind(times=leaf(samples[:, 0]), velocities=leaf(samples[:, 1:]))
         case _:
             assert_never(settings)
-
-
-def _recorded_wind(samples: Float[np.ndarray, "k 4"]) -> RecordedWind:
-    return RecordedWind(times=leaf(samples[:, 0]), velocities=leaf(samples[:, 1:]))
 
 
 def _waves(seed: int) -> tuple[Array, Array]:

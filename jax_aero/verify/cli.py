@@ -143,14 +143,11 @@ def table(rows: Sequence[Row]) -> str:
     rule = f"|{'-' * 10}|{'-' * 28}|---------:|---------:|---------:|---------------|-----------|"
     lines = [
         f"| {row.group:8} | {row.quantity:26} | {row.absolute:8.1e} | {row.relative:8.1e} | {row.rounding:8.1e} "
-        f"| {row.tolerance:5.0e} {'rel' if row.is_relative else 'abs'}     | {_verdict(row)} |"
+        f"| {row.tolerance:5.0e} {'rel' if row.is_relative else 'abs'}     "
+        f"| {'agrees   ' if row.agrees else 'DISAGREES'} |"
         for row in rows
     ]
     return "\n".join([head, rule, *lines])
-
-
-def _verdict(row: Row) -> str:
-    return "agrees   " if row.agrees else "DISAGREES"
 
 
 def draw(rows: Sequence[Row], path: Path) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 from jax_aero import rust
 from jax_aero.base.terminal import Refused
 from jax_aero.body.mesh import Mesh, mesh_file, read_mesh
-from jax_aero.body.urdf import IDENTITY, Pose, Vector, shapes_of
+from jax_aero.body.urdf import IDENTITY, Pose, Vector, typed_shapes
 from jax_aero.body.urdf import Shape as UrdfShape
 
 STRUT_RADIUS = 0.022  # m
@@ -94,7 +94,7 @@ def look_of(robot: rust.Robot, path: Path | None = None) -> Look:
     folder = None if path is None else (path.parent / table["urdf"]).parent
     shapes: list[Shape] = []
     missing: list[str] = []
-    for name, solids in itertools.groupby(shapes_of(robot), key=lambda shape: shape.link):
+    for name, solids in itertools.groupby(typed_shapes(robot.shapes()), key=lambda shape: shape.link):
         role: Role = "engine" if name in engines else "sole" if name in soles else "shell"
         body, body_from_link = places[name]
         drawn: list[tuple[Solid, Pose]] = []

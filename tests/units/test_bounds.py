@@ -1,10 +1,8 @@
 """What is too large, too deep or too many is refused before time and memory are spent on it, in both languages."""
 
 import json
-import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from experiments.sweep import spec
@@ -54,23 +52,6 @@ def test_weights_that_are_a_device_or_huge_are_not_read(tmp_path):
         file.truncate(1 << 40)
     with pytest.raises(ValueError, match=expected):
         rust.check_config(config)
-
-
-@pytest.mark.parametrize("key", ["wind.velocity", "simulator.initial.base_velocity", "controller.momentum.c0"])
-def test_a_number_that_nothing_has_is_refused(key):
-    config = rust.load_config("test2")
-    *parents, last = key.split(".")
-    table = config
-    for parent in parents:
-        table = table[parent]
-    good = table[last]
-    for size, is_refused in ((1e9, False), (np.nextafter(1e9, 2e9), True), (1e308, True)):
-        table[last] = [size, *good[1:]] if isinstance(good, list) else size
-        if is_refused:
-            with pytest.raises(ConfigError, match=rf"`{re.escape(key)}.*`? is .*; expected a number from -1e9 to 1e9"):
-                rust.check_config(config)
-        else:
-            rust.check_config(config)
 
 
 def test_a_solver_of_too_many_variables_is_refused():

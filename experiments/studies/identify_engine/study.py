@@ -51,8 +51,12 @@ def compute(name: str, logs: EngineLogs) -> Findings:
     if logs.bench is None:
         raise Refused("there is no log; expected --set bench=FILE, a dataset of `jax-aero data import-bench`")
     ambient = Ambient.of(logs.density, logs.temperature)
-    benches = [(load_bench(path), span) for path, span in _logs(logs)]
-    runs = [shaft.sample(bench, _span(bench, span), ambient) for bench, span in benches]
+    given = ((logs.bench, logs.span), (logs.test, logs.test_span))
+    benches = [(load_bench(path), span) for path, span in given if path]
+    runs = [
+        shaft.sample(bench, (span.lower, span.upper) if span else (bench.time[0], bench.time[-1]), ambient)
+        for bench, span in benches
+    ]
     run = runs[0]
     fitted = shaft.identify(run)
     full = fitted.numbers["thrust_max"]
@@ -91,14 +95,6 @@ def of_second_order(run: shaft.Run) -> tuple[Array, Array]:
     for left in range(block[-1] + 1):
         held_out[block == left] = fitted_to(block != left)[block == left]
     return fitted_to(block >= 0), held_out
-
-
-def _logs(logs: EngineLogs) -> list[tuple[Path, Interval | None]]:
-    return [(path, span) for path, span in ((logs.bench, logs.span), (logs.test, logs.test_span)) if path]
-
-
-def _span(bench: Any, span: Interval | None) -> tuple[float, float]:
-    return (float(bench.time[0]), float(bench.time[-1])) if span is None else (span.lower, span.upper)
 
 
 STUDY = Study("identify_engine", __doc__, EngineLogs, compute, ("engine",), engine="jax")

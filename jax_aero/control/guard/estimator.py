@@ -110,7 +110,7 @@ def estimator(config: EstimatorConfig, time_step: Float[Array, ""]) -> Estimator
         return -np.expm1(-step / time_constant) if time_constant > 0.0 else 1.0
 
     latency, lags = latency_in_ticks(config.latency, step)
-    age = [latency + ticks_of(channel.delay, step) for channel in channels]
+    age = [latency + int(np.floor(channel.delay / step + 0.5)) for channel in channels]
     share = [share_of(channel.time_constant) for channel in channels]
     by_position = [0.0, 0.0]
     if config.joint_observer is not None:
@@ -137,11 +137,6 @@ def latency_in_ticks(latency: LatencyConfig, time_step: float) -> tuple[int, tup
     torque, thrust = (np.floor(time / time_step * 1e6 + 0.5) / 1e6 for time in (latency.torque, latency.thrust))
     whole = np.floor(torque)
     return int(whole), (float(torque - whole), float(thrust - whole))
-
-
-def ticks_of(time: float, time_step: float) -> int:
-    """Return a time in ticks; half a tick rounds up. Both [s]."""
-    return int(np.floor(time / time_step + 0.5))
 
 
 def start(settings: Estimator, state: State, jets: int) -> EstimatorState:
