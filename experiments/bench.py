@@ -1,26 +1,17 @@
-"""Measure the crate, Pinocchio, DAQP, PIQP, OSQP and Clarabel in one run: `python -m experiments.bench`.
+"""Measure the crate, Pinocchio, DAQP and Clarabel in one run: `python -m experiments.bench`.
 
 All use the same states and problems, which the crate's benchmark `side_by_side` writes to `target/side_by_side`.
-Ours, Pinocchio, DAQP and Clarabel are separate compiled programs, which run in turns; the others are called from
-Python.
+They are separate compiled programs, which run in turns.
 Prints the Markdown tables of `docs/benchmarks.md`.
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib
 import os
 import platform
-import statistics
 import sys
-import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Iterable, Sequence
 
 from experiments import Refused, manifest
 from experiments.bench_native import (
@@ -37,11 +28,6 @@ from experiments.bench_native import (
 )
 from jax_aero.base import files
 from jax_aero.cli import count
-from jax_aero.rust import QpProblem
-
-Array = NDArray[np.float64]
-Rows = Iterator[tuple[str, str, float]]
-"""Operation, library, time [ns]."""
 
 DYNAMICS = ("dynamics, without Jacobians", "dynamics, with 17 frame Jacobians")
 
@@ -58,7 +44,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             programs = build(native=given.native)
             ours, others, tick = take_turns(programs, given.turns)
             _print_native(ours, others, programs.missing)
-            _print_python(_from_python())
             print("\n## Whole tick\n")
             print(tick.strip())
             _print_targets(ours, others, tick)
@@ -68,143 +53,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-# --- from Python ---------------------------------------------------------------------------------------------------
-
-
-def _from_python() -> Rows:
-    for name in (*(name for name in QPS if name not in QPS_OF_TICK), *PLANS):
-        recorded = _read_problems(name)
-        for others in (_piqp_rows, _osqp_rows):
-            yield from ((name, by, ns) for by, ns in others(recorded))
-
-
-def _piqp_rows(problems: Sequence[Recorded]) -> Iterator[tuple[str, float]]:
-    """Time PIQP as it comes; every soft row has a slack, with which its sparse solver is the faster one."""
-    try:
-        piqp: Any = importlib.import_module("piqp")
-    except ImportError:
-        return
-    extended = [problem.with_slacks() for problem in problems]
-    prepared: list[dict[str, Any]] = [{"c": g, "x_l": lower, "x_u": upper} for _, g, _, lower, upper in extended]
-    h = [h for h, *_ in extended]
-    if len(problems[0].rows):
-        solver = piqp.SparseSolver()
-        matrices = zip(_to_sparse(h), _to_sparse([rows for _, _, rows, *_ in extended]), strict=True)
-        for data, problem, (p, rows) in zip(prepared, problems, matrices, strict=True):
-            data |= {"P": p, "G": rows, "h_l": problem.least, "h_u": problem.greatest}
-    else:
-        solver = piqp.DenseSolver()
-        for data, p in zip(prepared, h, strict=True):
-            data["P"] = np.asfortranarray(p)
-    solver.setup(**prepared[0])
-
-    def solve(data: dict[str, Any]) -> Array:
-        solver.update(**data)
-        solver.solve()
-        x: Array = np.array(solver.result.x)  # not a view, which the next answer changes
-        return x
-
-    time_taken = _per_item(solve, prepared)
-    yield f"PIQP, {_error(problems, [solve(data) for data in prepared])}", time_taken
-
-
-def _osqp_rows(problems: Sequence[Recorded]) -> Iterator[tuple[str, float]]:
-    """Time OSQP, warm, in which every soft row has a slack: as it comes, and with tolerances of 1e-8."""
-    try:
-        osqp: Any = importlib.import_module("osqp")
-    except ImportError:
-        return
-    extended = [problem.with_slacks() for problem in problems]
-    h = _to_sparse([np.triu(h) for h, *_ in extended])
-    a = _to_sparse([np.vstack([np.eye(len(g)), rows]) for _, g, rows, *_ in extended])
-    limits = [
-        {"q": g, "l": np.r_[lower, problem.least], "u": np.r_[upper, problem.greatest]}
-        for problem, (_, g, _, lower, upper) in zip(problems, extended, strict=True)
-    ]
-    prepared = [{"Px": h.data, "Ax": a.data, **limit} for h, a, limit in zip(h, a, limits, strict=True)]
-    for how, settings in (("as it comes", {}), ("at 1e-8", {"eps_abs": 1e-8, "eps_rel": 1e-8})):
-        solver = osqp.OSQP()
-        solver.setup(P=h[0], A=a[0], **limits[0], verbose=False, **settings)
-
-        def solve(data: dict[str, Array], solver: Any = solver) -> Array:
-            solver.update(**data)
-            x: Array = solver.solve().x
-            return x
-
-        time_taken = _per_item(solve, prepared)
-        yield f"OSQP, {how}, {_error(problems, [solve(data) for data in prepared])}", time_taken
-
-
-def _to_sparse(matrices: Sequence[Array]) -> list[Any]:
-    """Return matrices by columns with one pattern, which an update requires."""
-    sparse: Any = importlib.import_module("scipy.sparse")
-    pattern = np.logical_or.reduce([matrix != 0.0 for matrix in matrices])
-    found = [sparse.csc_matrix(pattern.astype(float)) for _ in matrices]
-    for of_pattern, matrix in zip(found, matrices, strict=True):
-        of_pattern.data[:] = matrix.T[pattern.T]
-    return found
-
-
-def _error(problems: Sequence[Recorded], answers: Sequence[Array]) -> str:
-    """Describe the greatest difference of answers from ours, in ranges of the bounds."""
-    pairs = zip(problems, answers, strict=True)
-    return f"error {max(problem.error(answer) for problem, answer in pairs):.0e}"
-
-
-def _per_item(work: Callable[[Any], Any], items: Sequence[Any], seconds: float = 0.4) -> float:
-    """Return the median over rounds of the mean processor time per item [ns], after one warm-up round."""
-    for item in items:
-        work(item)
-    times: list[float] = []
-    end = time.perf_counter() + seconds
-    while len(times) < 3 or time.perf_counter() < end:
-        begin = time.process_time_ns()
-        for item in items:
-            work(item)
-        times.append((time.process_time_ns() - begin) / len(items))
-    return statistics.median(times)
-
-
-@dataclass(frozen=True)
-class Recorded:
-    """A problem with our answer (n), and its soft rows (m, n): the cost of an excess e is `weight e² / 2`."""
-
-    box: QpProblem
-    x: Array
-    rows: Array
-    least: Array
-    greatest: Array
-    weight: Array
-
-    def with_slacks(self) -> tuple[Array, Array, Array, Array, Array]:
-        """Return H, g, rows and bounds in the unknowns and a slack for every row."""
-        m = len(self.weight)
-        h = np.zeros((len(self.x) + m,) * 2)
-        h[: len(self.x), : len(self.x)] = self.box.h
-        h[len(self.x) :, len(self.x) :] = np.diag(self.weight)
-        unbounded = np.full(m, np.inf)
-        lower, upper = np.r_[self.box.lower, -unbounded], np.r_[self.box.upper, unbounded]
-        return h, np.r_[self.box.g, np.zeros(m)], np.hstack([self.rows, -np.eye(m)]), lower, upper
-
-    def error(self, x: Array) -> float:
-        """Return the greatest difference from our answer, in ranges of the bounds; a slack has none."""
-        span = self.box.upper - self.box.lower
-        return float(np.max(np.abs(x[: len(span)] - self.x)[span > 0.0] / span[span > 0.0]))
-
-
-def _read_problems(name: str) -> list[Recorded]:
-    data = np.fromfile(FOLDER / f"{name}.f64", "<f8")
-    count, n, m = (int(size) for size in data[:3])
-    found = []
-    for row in data[3:].reshape(count, n * (n + 4) + m * (n + 3)):
-        ends = np.cumsum([n * n, n, n, n, n, m * n, m, m])
-        h, g, lower, upper, x, rows, least, greatest, weight = (part.copy() for part in np.split(row, ends))
-        found.append(
-            Recorded(QpProblem(h.reshape(n, n), g, lower, upper), x, rows.reshape(m, n), least, greatest, weight)
-        )
-    return found
-
-
 # --- tables --------------------------------------------------------------------------------------------------------
 
 
@@ -212,8 +60,7 @@ def _print_machine(*, native: bool) -> None:
     machine = manifest.device()
     load = os.getloadavg()[0]
     packages = ", ".join(
-        f"{name} {manifest.version_of(name).get(name, 'absent')}"
-        for name in ("pin", "daqp", "piqp", "osqp", "clarabel", "numpy")
+        f"{name} {manifest.version_of(name).get(name, 'absent')}" for name in ("pin", "daqp", "clarabel", "numpy")
     )
     target = "this processor" if native else "any x86-64 (the default)"
     print(f"Machine: {machine['cpu']}, {machine['cores']} cores, {machine['system']}. Built for {target}.")
@@ -250,12 +97,6 @@ def _print_native(ours: Times, others: Times, missing: Iterable[str]) -> None:
 
 def _print_row(what: str, ours: float, theirs: float, other: str) -> None:
     print(f"| {what} | {_microseconds(ours)} | {_microseconds(theirs)} | {ours / theirs:.2f} | {other} |")
-
-
-def _print_python(rows: Rows) -> None:
-    print("\n## From Python\n\n| | by | time |\n|---|---|---|")
-    for what, by, ns in rows:
-        print(f"| {what} | {by} | {_microseconds(ns)} |")
 
 
 def _microseconds(ns: float) -> str:

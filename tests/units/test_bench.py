@@ -6,12 +6,10 @@ import importlib
 import os
 import sys
 
-import numpy as np
 import pytest
 
 from experiments import Refused, bench, bench_native
 from jax_aero.base import files
-from jax_aero.rust import QpProblem
 
 CALM = {f"{name} QP, calm, warm": time for name, time in (("momentum", 2e3), ("torque", 3e3))}
 SATURATED = {f"{name} QP, saturated, warm": time for name, time in (("momentum", 4e3), ("torque", 5e3))}
@@ -76,36 +74,6 @@ def test_the_tables_name_every_contender_and_what_is_missing(capsys):
     machine = capsys.readouterr().out
     assert "Built for any x86-64" in machine
     assert "Compilers: rustc" in machine
-
-
-def test_problems_are_read_as_they_are_written(tmp_path, monkeypatch):
-    g = np.random.default_rng(0).normal(size=4)
-    problem = [*np.eye(4).ravel(), *g, *np.full(4, -1.0), *np.ones(4), *np.zeros(4)]
-    np.array([1, 4, 1, *problem, *np.ones(4), -1.0, 1.0, 2.0]).tofile(tmp_path / "plan.f64")
-    monkeypatch.setattr(bench, "FOLDER", tmp_path)
-    (found,) = bench._read_problems("plan")
-    np.testing.assert_array_equal(found.box.g, g)
-    assert found.rows.shape == (1, 4)
-    assert (*found.least, *found.greatest, *found.weight) == (-1.0, 1.0, 2.0)
-
-
-def test_a_soft_row_is_a_row_with_a_slack():
-    # x² / 2 - 2 x with the row x ≤ 1 of weight 3: x - 2 + 3 (x - 1) = 0.
-    one = np.ones(1)
-    box = QpProblem(np.eye(1), -2.0 * one, -9.0 * one, 9.0 * one)
-    problem = bench.Recorded(box, np.array([1.25]), np.eye(1), np.array([-np.inf]), one, 3.0 * one)
-    h, g, rows, lower, upper = problem.with_slacks()
-    answer, multiplier = np.array([1.25, 0.25]), 0.75
-    assert rows @ answer == problem.greatest
-    assert not np.any(h @ answer + g + multiplier * rows[0])
-    assert (*lower, *upper) == (-9.0, -np.inf, 9.0, np.inf)
-    assert problem.error(answer + 0.9) == pytest.approx(0.05)
-
-
-def test_a_time_is_a_median_over_rounds_after_one_to_warm_up():
-    done = []
-    assert bench._per_item(done.append, [1, 2], seconds=0.0) > 0.0
-    assert done == 4 * [1, 2]
 
 
 def test_native_programs_take_turns(tmp_path):
