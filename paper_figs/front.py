@@ -6,7 +6,6 @@ import re
 
 from matplotlib.figure import Figure
 
-from experiments.sweep.table import wilson
 from paper_figs import style
 from paper_figs.ablation import SERIES, legend
 from paper_figs.sweeps import Sweep
@@ -17,6 +16,8 @@ TIMED = re.compile(r"(?P<kind>.+), (?P<time>[\d.]+) s")
 
 def draw(sweep: Sweep) -> Figure:
     """Draw a sweep whose first axis has missions, over all levels of the axes that are no panels."""
+    from experiments.sweep.table import wilson  # needs pyarrow, which `make demo` lacks
+
     missions = sweep.axes[0] if sweep.axes else {"name": "", "levels": []}
     timed = {level: found for level in missions["levels"] if (found := TIMED.fullmatch(str(level)))}
     panel = sweep.panel_axis

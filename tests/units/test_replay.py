@@ -130,9 +130,7 @@ def test_a_folder_of_an_experiment_flies_alone(tmp_path, capsys):
 LIBRARY = next((places.HOME / "target").glob("*/deps/libflight.so"), None)
 
 
-@pytest.mark.skipif(
-    LIBRARY is None or shutil.which("cc") is None, reason="libflight is not built: cargo build --package flight-capi"
-)
+@pytest.mark.skipif(LIBRARY is None or shutil.which("cc") is None, reason="libflight is not built: make test")
 def test_a_program_in_c_flies_the_same_from_a_folder(tmp_path, capsys):
     """Its robot, its network and its controller: all that `loop` prints but times."""
     out, program, source = tmp_path / "own", tmp_path / "loop", places.HOME / "rust" / "capi"
