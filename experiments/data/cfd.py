@@ -133,8 +133,8 @@ def read_solver_table(text: str, postures: Mapping[str, Floats], *, source: str)
             "speed_and_density": f"{SPEED:g} m/s and {AIR_DENSITY:g} kg/m3, stated by the paper, not by the table",
         },
     )
-    more = {"links minus whole robot, largest [m2]": float(sum_error.max())}
-    return replace(dataset, checks={**checks(dataset), **more})
+    difference = {"links minus whole robot, largest [m2]": float(sum_error.max())}
+    return replace(dataset, checks={**checks(dataset), **difference})
 
 
 def checks(dataset: Dataset) -> dict[str, float]:
