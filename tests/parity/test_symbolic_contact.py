@@ -138,7 +138,8 @@ def torque_cost(law, tick, terms, contact):
     select = np.vstack([np.zeros((6, 23)), np.eye(23)])
     b = np.hstack([contact.jacobian.T, select])
     force = terms.jet_generalised + terms.aero_generalised - terms.bias
-    acceleration = b.T @ np.linalg.solve(terms.mass_matrix, np.hstack([b, force[:, None]]))
+    rotors = np.diag(np.append(np.zeros(6), np.full(23, law["torque"]["rotor_inertia"])))
+    acceleration = b.T @ np.linalg.solve(terms.mass_matrix + rotors, np.hstack([b, force[:, None]]))
     gain, free = acceleration[:, :-1], acceleration[:, -1] + np.append(contact.velocity_product, np.zeros(23))
     torque, feet = law["torque"], law["contact"]
     weight = np.append(np.full(12, feet["weight_foot_acceleration"]), np.full(23, torque["weight_acceleration"]))
