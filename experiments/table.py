@@ -1,17 +1,18 @@
-"""Text tables: of any cells, and of the outcomes of flights, from their manifests."""
+"""Tables as text, Markdown, CSV and LaTeX, by pandas; and that of the outcomes of flights, from their manifests."""
 
 from __future__ import annotations
 
-import csv
-import io
-import itertools
 import math
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeAlias
+
+import pandas as pd
 
 from jax_aero.base.result import ending
 from jax_aero.rust import SETTLING_TIME
+
+Rows: TypeAlias = Sequence[Sequence[str]]
+"""Cells; the first row is the heading."""
 
 HEADINGS = (
     "flight",
@@ -27,44 +28,47 @@ def outcome_table(manifests: Iterable[Mapping[str, Any]]) -> str:
     return text_table([HEADINGS, *(_row(manifest) for manifest in manifests)])
 
 
-def text_table(rows: Sequence[Sequence[str]]) -> str:
-    """Return rows in columns of equal width; the first row is the heading. A text of several lines is one line."""
-    rows = [[cell.replace("\n", "\\n") for cell in row] for row in rows]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-    lines.insert(1, "  ".join("-" * width for width in widths))
-    return "\n".join(lines)
+def text_table(rows: Rows) -> str:
+    """Return rows in columns of equal width. A text of several lines is one line."""
+    return _tabulate([[cell.replace("\n", "\\n") for cell in row] for row in rows], "simple")
 
 
-def csv_table(rows: Sequence[Sequence[str]]) -> str:
+def markdown_table(rows: Rows) -> str:
+    """Return rows as a table of Markdown."""
+    return _tabulate([[cell.replace("|", "\\|") for cell in row] for row in rows], "github")
+
+
+def csv_table(rows: Rows) -> str:
     """Return rows as comma-separated values."""
-    written = io.StringIO()
-    csv.writer(written, lineterminator="\n").writerows(rows)
-    return written.getvalue().rstrip("\n")
+    text: str = _frame(rows).to_csv(index=False, lineterminator="\n")
+    return text.rstrip("\n")
 
 
-def latex_table(rows: Sequence[Sequence[str]]) -> str:
+def latex_table(rows: Rows) -> str:
     """Return rows as a `tabular` with the rules of booktabs; `$...$` is mathematics."""
-    head, *body = [" & ".join(map(_latex, row)) + r" \\" for row in rows]
-    columns = "l" * len(rows[0])
-    return "\n".join(
-        [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", head, r"\midrule", *body, r"\bottomrule", r"\end{tabular}"]
-    )
+    styled = _frame(rows).style.hide(axis="index").format(escape="latex-math")
+    text: str = styled.format_index(escape="latex-math", axis="columns").to_latex(hrules=True)
+    return text.rstrip("\n").translate(SIGNS)
 
 
-def _latex(text: str) -> str:
-    parts = re.split(r"(\$[^$]*\$)", text)
-    plain = (re.sub(r"[\\&%#_{}~^$]", lambda found: LATEX.get(found[0], rf"\{found[0]}"), part) for part in parts[::2])
-    words = [part.replace("°", r"\textdegree{}").replace("−", r"\textminus{}") for part in plain]
-    return "".join(one for pair in itertools.zip_longest(words, parts[1::2], fillvalue="") for one in pair)
+def _frame(rows: Rows) -> pd.DataFrame:
+    head, *body = rows
+    return pd.DataFrame(body, columns=head, dtype=str)
 
 
-LATEX = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
-FORMATS: Mapping[str, Callable[[Sequence[Sequence[str]]], str]] = {
-    "text": text_table,
-    "csv": csv_table,
-    "latex": latex_table,
-}
+def _tabulate(rows: Rows, form: str) -> str:
+    text = _frame(rows).to_markdown(index=False, tablefmt=form, disable_numparse=True)
+    return "\n".join(line.rstrip() for line in text.splitlines())
+
+
+SIGNS = str.maketrans(
+    {sign: rf"\ensuremath{{{sign}}}" for sign in "<>|"}
+    | {"±": r"\ensuremath{\pm}", "≤": r"\ensuremath{\leq}", "≥": r"\ensuremath{\geq}"}
+    | {"−": r"\ensuremath{-}", "°": r"\ensuremath{^\circ}"}
+)
+"""Signs that fonts of LaTeX lack, in text or in mathematics."""
+
+FORMATS: Mapping[str, Callable[[Rows], str]] = {"text": text_table, "csv": csv_table, "latex": latex_table}
 """Formats of a printed table, as `--table` names them."""
 
 

@@ -58,7 +58,7 @@ def test_a_table_is_csv_and_latex():
     head, _, top, _, body, *_ = latex_table(rows).splitlines()
     assert head == r"\begin{tabular}{ll}"
     assert top == r"gain $k_o$ & share [\%] \\"
-    assert body == r'50\_a, "b" & \textminus{}1\textdegree{} \\'
+    assert body == r'50\_a, "b" & \ensuremath{-}1\ensuremath{^\circ} \\'
 
 
 def test_every_column_has_unit_and_meaning():
