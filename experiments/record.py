@@ -7,8 +7,7 @@ code, the machine, and the checksum of every other file). It is written complete
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ import xarray as xr
 from experiments import Refused
 from experiments.identity import ANOTHER, Identity
 from jax_aero import rust
-from jax_aero.base import documents, netcdf
+from jax_aero.base import documents
 from jax_aero.base.files import (
     checksums,
     complete_folder,
@@ -116,31 +115,6 @@ def read_manifest(folder: Path, form: Any = documents.Manifest) -> dict[str, Any
     except Refused:
         return None
     return manifest if (folder / RUN_FILE).is_file() else None
-
-
-@contextmanager
-def open_result(path: Path) -> Iterator[xr.Dataset]:
-    """Open the NetCDF file of a result; a damaged one, and one that lacks what is read from it, is refused by name."""
-    try:
-        found: xr.Dataset = netcdf.open_dataset(path)
-    except Exception as reason:  # HDF5 fails in many ways on a damaged file
-        raise Refused(f"{path} is damaged ({reason}); remove its folder and make it again") from None
-    with found:
-        try:
-            yield found
-        except Refused:
-            raise
-        except KeyError as missing:
-            what = str(missing.args[0]).partition(". ")[0]
-            raise Refused(f"{path}: {what}; other code made it, --overwrite makes it again") from None
-        except (AttributeError, IndexError, OSError, TypeError, ValueError) as reason:  # of other shapes and types
-            raise Refused(f"{path} is damaged ({reason}); remove its folder and make it again") from reason
-
-
-def load_result(path: Path) -> xr.Dataset:
-    """Read the whole NetCDF file of a result; a damaged one is refused by its name."""
-    with open_result(path) as found:
-        return found.load()
 
 
 def find_existing(folder: Path, identity: Identity, form: Any, *, overwrite: bool) -> dict[str, Any] | None:

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from jax_aero.base import netcdf
+from jax_aero.base import run_file
 from jax_aero.base.places import RESULTS, RUN_FILE, is_path
+from jax_aero.base.terminal import Refused
 from paper_figs import style
 
 Series = xr.DataArray
@@ -128,8 +129,6 @@ def result_words(name: str, options: str = "") -> str:
 def read(path: Path) -> xr.Dataset:
     """Read a result file; a damaged one counts as missing."""
     try:
-        with netcdf.open_dataset(path) as opened:
-            data: xr.Dataset = opened.load()
-            return data
-    except Exception as reason:  # HDF5 raises many types for damaged files
-        raise MissingRun(f"{path} is damaged ({reason}); remove its folder and make it again") from reason
+        return run_file.read(path)
+    except Refused as reason:
+        raise MissingRun(str(reason)) from reason

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from experiments import Refused, record
+from experiments import Refused
 from experiments.cfd.command import dataset_of, folder_of, read_cases, to_dataset
 from experiments.cfd.design import Case, Design
 from experiments.cfd.simulate import Result
@@ -27,7 +27,7 @@ from experiments.data.import_pressures import TAPS
 from experiments.study import Findings, Study
 from jax_aero.aero.dataset import Floats
 from jax_aero.aero.posture import axes_of
-from jax_aero.base import tables
+from jax_aero.base import run_file, tables
 from jax_aero.body.robot import load_robot
 
 SIDE = 0.5
@@ -48,7 +48,7 @@ def compute(name: str, config: TapsConfig) -> Findings:
     path = config.pressures or OUT / f"pressures_{design.spec.taps}.nc"
     if not path.is_file():
         raise Refused(f"no {path}; make it with: jax-aero data import-pressures --clone DIR")
-    points = record.load_result(path)
+    points = run_file.read(path)
     if points.attrs["robot"] != design.spec.taps:
         raise Refused(f"{path} has taps of {points.attrs['robot']}; expected {design.spec.taps or 'none'}, as {name}")
     _, accepted = read_cases(design, folder_of(design))

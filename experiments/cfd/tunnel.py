@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 import xarray as xr
 
-from experiments import Refused, record
+from experiments import Refused
 from experiments.cfd.command import dataset_of
 from experiments.cfd.goals import verdicts
 from experiments.cfd.models import NEWTON_METRES
@@ -31,7 +31,7 @@ from jax_aero.aero.dataset import (
     wind_direction,
 )
 from jax_aero.aero.posture import axes_of, total_wrench
-from jax_aero.base import tables
+from jax_aero.base import run_file, tables
 from jax_aero.base.places import ROBOT
 from jax_aero.body.robot import RobotModel, load_robot
 
@@ -75,7 +75,7 @@ def compute(name: str, config: TunnelConfig) -> Findings:
     path = config.dataset or dataset_of(name)
     robot = load_robot(config.robot)
     ours = load(path, robot.aero_links.names)
-    rows = list(pair_cases(ours, record.load_result(config.tunnel), axes_of(robot)))
+    rows = list(pair_cases(ours, run_file.read(config.tunnel), axes_of(robot)))
     if not rows:
         raise Refused(f"{config.tunnel} has no point of posture, wind and speed of a case of {path}")
     result = compare_cases(robot, ours, rows)

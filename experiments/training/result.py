@@ -18,7 +18,7 @@ from experiments.training.parts import FinishedPart
 from jax_aero.aero.dataset import JOINTS, Dataset, Floats
 from jax_aero.aero.network import Network, with_precision
 from jax_aero.aero.posture import link_axes
-from jax_aero.base import places
+from jax_aero.base import places, run_file
 from jax_aero.body.robot import RobotModel
 from jax_aero.train.samples import predict_areas
 
@@ -48,7 +48,7 @@ def held_out_network(name: str, data: Dataset) -> Floats | None:
         return None
     if found.get("dataset") not in (data.sha256, data.add_mirror_images().sha256):
         raise Refused(f"{path} is of another dataset; train again on this one, or move it away")
-    run = record.load_result(path)
+    run = run_file.read(path)
     return np.asarray(run["area_grouped"].values[run["is_mirrored"].values == 0], dtype=np.float64)
 
 

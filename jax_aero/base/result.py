@@ -80,15 +80,6 @@ def is_repeated(signal: str, log: Mapping[str, NDArray[np.float64]]) -> bool:
     return signal in REPEATED and log[signal].tobytes() == log[REPEATED[signal]].tobytes()
 
 
-def add_repeated(log: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
-    """Return the log of a file with the signals that it left out; a file of an older version has no raw measurement."""
-    has_raw = any(name.startswith("raw_") for name in log)
-    left_out = {raw: log[name] for raw, name in REPEATED.items() if has_raw and raw not in log and name in log}
-    if has_raw and "thrust" in log and "raw_shaft_speed" not in log:
-        left_out["raw_shaft_speed"] = np.full_like(log["thrust"], np.nan)
-    return {**log, **left_out}
-
-
 class RobotNames(Protocol):
     """The names of a robot that label a log; `jax_aero.rust.Robot` has them."""
 

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jax_aero import rust
-from jax_aero.base import documents, netcdf, typed
+from jax_aero.base import documents, typed
 from jax_aero.base.files import find_damaged, read_json
 from jax_aero.base.places import MANIFEST_FILE, RESULTS, RUN_FILE
-from jax_aero.base.result import add_repeated, ending, labels_of
+from jax_aero.base.result import ending, labels_of
 from jax_aero.base.terminal import ConfigError
 from jax_aero.body.urdf import Vector
 from jax_aero.view import Refused, require
@@ -274,30 +274,22 @@ def _run_file(path: Path) -> Path:
 
 
 def _read_signals(path: Path) -> tuple[dict[str, Vector], dict[str, Any]]:
-    require(["h5py"], f"reading `{path}`")
-    import h5py
+    require(["h5py", "h5netcdf", "xarray"], f"reading `{path}`")
+    from jax_aero.base import run_file
 
     try:
-        netcdf.check(path)
-        with h5py.File(path, "r") as file:
-            if missing := [name for name in SIGNALS if name not in file]:
-                raise Refused(f"`{path}` has no {', '.join(f'`{name}`' for name in missing)}; {EXPECTED}")
-            declared = [name for name, signal in rust.signals().items() if signal.dims[0] == "time" and name in file]
-            signals = add_repeated({name: np.asarray(file[name], dtype=np.float64) for name in declared})
-            facts = {key: _to_python(value) for key, value in file.attrs.items() if not key.startswith("_")}
-    except OSError:
-        raise Refused(f"`{path}` is not a NetCDF-4 file; {EXPECTED}") from None
+        run = run_file.read(path)
+    except Refused as reason:
+        raise Refused(f"{reason}; {EXPECTED}") from None
+    if missing := [name for name in SIGNALS if name not in run]:
+        raise Refused(f"`{path}` has no {', '.join(f'`{name}`' for name in missing)}; {EXPECTED}")
+    declared = [name for name, signal in rust.signals().items() if signal.dims[0] == "time" and name in run]
+    signals = {name: np.asarray(run[name].values, dtype=np.float64) for name in declared}
     if signals["time"].size == 0:
         raise Refused(f"`{path}` holds no sample; {EXPECTED}")
     if not np.all(np.diff(signals["time"], prepend=-np.inf) > 0.0) or signals["time"][-1] == np.inf:
         raise Refused(f"`time` in `{path}` does not increase from sample to sample; {EXPECTED}")
-    return signals, facts
-
-
-def _to_python(value: Any) -> Any:
-    if isinstance(value, np.ndarray) and value.size == 1:
-        value = value.reshape(-1)[0]
-    return value.decode() if isinstance(value, bytes) else value
+    return signals, run.attrs
 
 
 def _robot_path(path: Path, config: rust.Config | None, given: str | Path | None) -> Path:

@@ -22,7 +22,7 @@ from experiments.report.findings import Record
 from experiments.report.results import Results
 from experiments.sweep import run as sweep_run
 from jax_aero.aero import dataset
-from jax_aero.base import documents, files, netcdf, sizes, tables
+from jax_aero.base import documents, files, netcdf, run_file, sizes, tables
 from jax_aero.base.files import MAX_DEPTH, complete_folder, lock, parse_json, read_json
 from jax_aero.base.parquet import read_rows, read_table
 from jax_aero.view import recording
@@ -105,7 +105,7 @@ def test_a_file_is_small_and_whole_or_it_is_not_read(make, tmp_path):
 @pytest.mark.parametrize(
     "read",
     [
-        record.load_result,
+        run_file.read,
         runs.read,
         recording.read,
         dataset.load,

@@ -181,7 +181,7 @@ def test_a_wrong_file_is_refused_by_name(tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     for path, expected in (
         (tmp_path / "nowhere", "there is no `"),
-        (text, "is not a NetCDF-4 file"),
+        (text, "is damaged"),
         (tmp_path / "empty", "holds no run.nc"),
     ):
         for part in ([], ["video"], ["snapshot"]):

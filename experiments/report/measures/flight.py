@@ -9,8 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from experiments import record
-from jax_aero.base import places
+from jax_aero.base import places, run_file
 from jax_aero.base.result import ending
 from jax_aero.rust import SETTLING_TIME
 
@@ -51,7 +50,7 @@ class Metrics:
 
 def read(folder: Path) -> Metrics:
     """Return the metrics of a flight's result."""
-    with record.open_result(folder / places.RUN_FILE) as opened:
+    with run_file.opened(folder / places.RUN_FILE) as opened:
         return measure(folder.name, opened)  # which loads the signals it needs
 
 

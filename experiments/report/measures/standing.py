@@ -11,8 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from experiments import record
-from jax_aero.base import keys, places
+from jax_aero.base import keys, places, run_file
 from jax_aero.base.result import ending
 
 GRAVITY = 9.81
@@ -57,7 +56,7 @@ def read(folder: Path, config: Mapping[str, Any], mass: float) -> Ground | None:
     wind = keys.get(config, "disturbances.controller_wind")
     if not isinstance(wind, Mapping):
         return None
-    with record.open_result(folder / places.RUN_FILE) as opened:
+    with run_file.opened(folder / places.RUN_FILE) as opened:
         if "contact_force" not in opened:
             return None
         start = float(wind.get("ramp_start", 0.0))

@@ -17,10 +17,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from experiments import Refused, flight, record
+from experiments import Refused, flight
 from experiments.report.battery import Choice
 from experiments.study import Findings, Study
-from jax_aero.base import places, tables
+from jax_aero.base import places, run_file, tables
 from jax_aero.base.places import ROBOT
 from jax_aero.symbolic import load_robot
 from jax_aero.symbolic.clearance import around, pairs
@@ -64,7 +64,7 @@ main = STUDY.main
 
 
 def _read(name: str) -> xr.Dataset:
-    with record.open_result(flight.obtain(name)) as opened:
+    with run_file.opened(flight.obtain(name)) as opened:
         return opened[["joint_position", "thrust"]].load().assign_attrs(opened.attrs)
 
 

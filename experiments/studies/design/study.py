@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 from scipy.stats import spearmanr
 
-from experiments import Refused, record
+from experiments import Refused
 from experiments.identity import Identity
 from experiments.progress import Progress
 from experiments.studies.design import campaign, robots, sensitivity
@@ -25,7 +25,7 @@ from experiments.studies.design.robots import RANGES, Array
 from experiments.study import Findings, Study
 from experiments.sweep.table import wilson
 from jax_aero import rust
-from jax_aero.base import places, plain, tables
+from jax_aero.base import places, plain, run_file, tables
 
 HOVERS = {"iRonCub-Mk1": "test2_observer", "iRonCub-Mk3": "mk3_test2"}
 IN_WIND = {
@@ -177,7 +177,7 @@ def confirmed(asked: DesignConfig, path: Path) -> Findings:
     source = places.RESULTS / "design" / "designs" / places.RUN_FILE
     if not source.is_file():
         raise Refused("there are no designs; fly them with: jax-aero study design designs")
-    with record.open_result(source) as opened:
+    with run_file.opened(source) as opened:
         first = opened.load()
     drawn, score = first["number"].values, scores(first)
     best, three = {name: np.argsort(score[name])[:FEW] for name in score}, decisive(drawn, score["wind"])

@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 import xarray as xr
 
-from experiments import Refused, record
+from experiments import Refused
 from experiments.cfd.models import NEWTON_METRES, evaluate_areas
 from experiments.cfd.tunnel import SUPPORT
 from experiments.data import fit, tunnel
@@ -26,7 +26,7 @@ from experiments.data.import_tunnel import MK3
 from experiments.study import Findings, Study
 from jax_aero.aero.dataset import Floats, wind_direction
 from jax_aero.aero.posture import axes_of, interval_by_posture, link_axes, total_wrench, vector_rms
-from jax_aero.base import tables
+from jax_aero.base import run_file, tables
 from jax_aero.body.robot import RobotModel, load_robot
 
 SPEED = 17.0
@@ -87,7 +87,7 @@ def compute(_: str, config: TunnelConfig) -> Findings:
     if not config.tunnel.is_file():
         raise Refused(f"no {config.tunnel.name}; make it with: jax-aero data import-tunnel --clone DIR")
     robot = load_robot(config.robot)
-    points = read_points(record.load_result(config.tunnel), axes_of(robot))
+    points = read_points(run_file.read(config.tunnel), axes_of(robot))
     groups = groups_of(points)
     summary: dict[str, Any] = signs_of_yaw(points)
     modelled = {}

@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 import xarray as xr
 
-from experiments import Refused, record
+from experiments import Refused
 from experiments.cfd.models import MODEL_FILES, NEWTON_METRES, model_areas
 from experiments.data import tunnel
 from experiments.data.import_cfd import OUT
@@ -27,7 +27,7 @@ from experiments.studies.tunnel_moments.correction import Points, columns, held_
 from experiments.study import Findings, Study
 from jax_aero.aero.dataset import Floats, tunnel_from_base, wind_direction
 from jax_aero.aero.posture import link_frames, rms_by_posture, total_wrench, vector_rms
-from jax_aero.base import tables
+from jax_aero.base import run_file, tables
 from jax_aero.base.places import ROBOT
 from jax_aero.body.robot import RobotModel, load_robot
 
@@ -66,7 +66,7 @@ def read(path: Path) -> xr.Dataset:
     """Return the points of the tunnel."""
     if not path.is_file():
         raise Refused(f"no {path.name}; make it with: jax-aero data import-tunnel --clone DIR")
-    return record.load_result(path)
+    return run_file.read(path)
 
 
 def compare_moments(robot: RobotModel, data: xr.Dataset, areas: Mapping[str, Floats]) -> xr.Dataset:
