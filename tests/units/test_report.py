@@ -17,11 +17,11 @@ import xarray as xr
 from matplotlib import image
 from PIL import Image
 
-from experiments import manifest, outdated, record
+from experiments import battery, manifest, outdated, record
 from experiments.cfd.settings import FlowConfig
 from experiments.flight import identity_of
 from experiments.identity import Identity
-from experiments.report import battery, findings, paper
+from experiments.report import findings, paper
 from experiments.report.command import _count_verdicts, _pictures, build
 from experiments.report.findings import (
     AGREES,

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.report import battery as choice
+from experiments import battery as choice
 from experiments.report.findings import Judged, in_parts, judge, judge_range, out_of_reach
 from jax_aero import rust
 from jax_aero.base import tables

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TypeAlias
 
+from experiments.battery import PAPER_FUEL
 from experiments.flight import PAPER_RUNS
-from experiments.report.battery import PAPER_FUEL
 from experiments.report.findings import (
     AGREES,
     Judged,

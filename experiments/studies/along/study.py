@@ -18,7 +18,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from experiments import Refused, flight
-from experiments.report.battery import Choice
+from experiments.battery import Choice
 from experiments.study import Findings, Study
 from jax_aero.base import places, run_file, tables
 from jax_aero.base.places import ROBOT
