@@ -6,6 +6,7 @@
 use crate::common::{Running, TIME_STEP, assert_within, experiment};
 use flight_core::control::CommandStatus;
 use flight_core::control::guard::observer::{MomentumSample, ObserverConfig, ObserverState};
+use flight_core::control::measurement::Sampling;
 use flight_core::dynamics::Dynamics;
 use flight_core::kinematics::Kinematics;
 use flight_core::spatial::exp_so3;
@@ -27,8 +28,26 @@ fn at(time: f64) -> MomentumSample {
     MomentumSample { momentum: MOMENTUM + (RATE + WRENCH) * time, rate: RATE }
 }
 
+/// The wrench after a measured tick.
+fn observe(
+    state: &mut ObserverState,
+    config: &ObserverConfig,
+    elapsed: f64,
+    sample: MomentumSample,
+) -> Vector6<f64> {
+    state.observe(config, Sampling::Measured, elapsed, sample);
+    *state.wrench()
+}
+
 fn update(state: &mut ObserverState, sample: MomentumSample) -> Vector6<f64> {
-    state.update(&WIDE, TIME_STEP, sample)
+    observe(state, &WIDE, TIME_STEP, sample)
+}
+
+/// The wrench after a tick that measures no momentum.
+fn miss(state: &mut ObserverState, sampling: Sampling, rate: Vector6<f64>) -> Vector6<f64> {
+    let sample = MomentumSample { momentum: Vector6::repeat(f64::NAN), rate };
+    assert_eq!(state.observe(&WIDE, sampling, TIME_STEP, sample), None);
+    *state.wrench()
 }
 
 /// `w (1 − exp(−K_o t))`, force and moment with their own gains.
@@ -45,7 +64,7 @@ fn a_constant_wrench_is_approached_at_the_stated_rate() {
         let mut state = ObserverState::default();
         for tick in 0..400 {
             let time = f64::from(tick) * step;
-            let error = state.update(&WIDE, step, at(time)) - law(&WRENCH, time);
+            let error = observe(&mut state, &WIDE, step, at(time)) - law(&WRENCH, time);
             // A difference of momenta near 100 N s rounds by 1e-14 N s, a thousandth of a step by 4e-12 N.
             assert_within!(error.amax(), 1e-11, "{step} s, tick {tick}");
         }
@@ -62,7 +81,7 @@ fn the_rate_that_acted_is_subtracted() {
         update(&mut state, MomentumSample { momentum, rate });
         momentum += rate * TIME_STEP;
     }
-    assert_within!(state.interrupt().amax(), 1e-12);
+    assert_within!(state.wrench().amax(), 1e-12);
 }
 
 /// Each axis stops at its own limit, on both sides, and comes back at once.
@@ -74,13 +93,13 @@ fn the_estimate_stays_within_its_limits() {
         let (mut state, mut momentum, mut found) = (ObserverState::default(), MOMENTUM, Vector6::zeros());
         for _ in 0..1000 {
             let sample = MomentumSample { momentum, rate: RATE };
-            found = state.update(&config, TIME_STEP, sample);
+            found = observe(&mut state, &config, TIME_STEP, sample);
             momentum += (RATE + WRENCH * sign) * TIME_STEP;
         }
         let expected = (WRENCH * sign).zip_map(&limits, |x, limit| x.clamp(-limit, limit));
         assert_within!((found - expected).amax(), 1e-6, "10 s are 20 time constants");
         momentum -= WRENCH * sign * TIME_STEP;
-        let back = state.update(&config, TIME_STEP, MomentumSample { momentum, rate: RATE });
+        let back = observe(&mut state, &config, TIME_STEP, MomentumSample { momentum, rate: RATE });
         assert!(back.iter().zip(&found).all(|(back, found)| back.abs() < found.abs()), "{back}");
     }
 }
@@ -92,7 +111,7 @@ fn missing_measurements_are_bridged_or_held() {
         let mut state = ObserverState::default();
         for tick in (0..200).filter(|tick| tick % (missed + 1) == 0) {
             let time = f64::from(tick) * TIME_STEP;
-            let found = state.update(&WIDE, f64::from(missed + 1) * TIME_STEP, at(time));
+            let found = observe(&mut state, &WIDE, f64::from(missed + 1) * TIME_STEP, at(time));
             assert_within!((found - law(&WRENCH, time)).amax(), 1e-11, "{missed} missed");
         }
     }
@@ -100,7 +119,7 @@ fn missing_measurements_are_bridged_or_held() {
     update(&mut state, at(1.0));
     let before = update(&mut state, at(1.01));
     assert!(before.amax() > 1.0);
-    assert_eq!(state.interrupt(), before);
+    assert_eq!(miss(&mut state, Sampling::Unknown, RATE), before);
     // What happened meanwhile would be a wrench of any size.
     let sample = MomentumSample { momentum: MOMENTUM * 1e3, ..at(1.02) };
     assert_eq!(update(&mut state, sample), before);
@@ -123,7 +142,7 @@ fn rates_between_two_measurements_act_together() {
                 assert_within!(error.amax(), 1e-11, because "momenta near 100 N s over a step", "{missed} missed");
             } else {
                 let before = *state.wrench();
-                assert_eq!(state.wait(TIME_STEP, rate), before);
+                assert_eq!(miss(&mut state, Sampling::Between, rate), before);
             }
             momentum += (rate + WRENCH) * TIME_STEP;
         }
@@ -137,12 +156,12 @@ fn the_residual_follows_what_is_found_beside_the_estimate() {
     let mut state = ObserverState::default();
     for tick in 0..20 {
         let time = f64::from(tick) * TIME_STEP;
-        state.update(&config, TIME_STEP, at(time));
+        observe(&mut state, &config, TIME_STEP, at(time));
         let error = state.residual + WRENCH * (-time / 0.02).exp_m1();
         // As for the estimate: momenta of 100 N s over a step.
         assert_within!(error.amax(), 1e-11, "tick {tick}");
     }
-    state.interrupt();
+    miss(&mut state, Sampling::Unknown, RATE);
     assert_eq!(state.residual, Vector6::zeros());
 }
 

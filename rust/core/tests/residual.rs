@@ -6,7 +6,8 @@
 
 use crate::common::network::{Tensor, digest, file_of};
 use crate::common::{
-    Running, TIME_STEP, assert_says, assert_within, at, experiment, random_state, random_vector, rng, robot,
+    Loop, Running, TIME_STEP, assert_says, assert_within, at, experiment, random_state, random_vector, rng,
+    robot,
 };
 use flight_core::control::law::residual::{Policy, Residual};
 use flight_core::control::{CommandStatus, Given, Modes};
@@ -287,4 +288,33 @@ fn cards_and_weights_of_others_are_refused() {
     let mut more = sound;
     more.push(("more".into(), vec![1], vec![0.0]));
     assert_says(&load(&robot, &more, &[]).unwrap_err(), &["tensor `more` belongs to no layer"]);
+}
+
+/// A residual that is given in every tenth tick only, or a base that is measured in every second one, shows the wrench that
+/// is observed in every tick.
+#[test]
+fn the_wrench_does_not_depend_on_when_residuals_are_given_or_the_base_is_measured() {
+    let wind = Vector3::new(0.0, -6.0, 0.0);
+    let wrench = |is_given: fn(usize) -> bool, is_measured: fn(usize) -> bool| {
+        let mut world = Loop::new(&experiment("test1"));
+        let sizes = (world.controller.n_jets(), world.plant.robot().joints.len());
+        let (thrust_rate, joint_velocity) = (&vec![0.0; sizes.0][..], &vec![0.0; sizes.1][..]);
+        let zero = Residual { thrust_rate, joint_velocity, replaces: false };
+        for tick in 0..=200 {
+            world.plant.observe(&wind);
+            let mut sample = world.sample(wind);
+            if !is_measured(tick) {
+                sample.state.velocity.rows_mut(0, 6).fill(f64::NAN);
+            }
+            let given = Given { residual: is_given(tick).then_some(&zero), ..Given::default() };
+            world.controller.tick_with(&sample.measurement(), &given);
+            world.advance(&wind);
+        }
+        world.controller.state().residual_wrench()
+    };
+    let always = wrench(|_| true, |_| true);
+    assert!(always.norm() > 4.0, "{always}");
+    assert_eq!(wrench(|tick| tick % 10 == 0, |_| true), always);
+    let slowly = wrench(|_| true, |tick| tick % 2 == 0);
+    assert!((slowly - always).norm() < 0.05 * always.norm(), "{slowly} {always}");
 }

@@ -256,16 +256,8 @@ impl Guard {
         if let Some((config, observer)) = self.observer.as_ref().zip(state.observer.as_mut()) {
             let Terms { measurement: used, dynamics, momentum, .. } = terms;
             let sample = MomentumSample { momentum: dynamics.momentum, rate: momentum.measured_rate };
-            if used.modes.contains(Modes::BEGUN_AGAIN) {
-                observer.interrupt();
-            }
-            momentum.add_unmodelled(if used.has_momentum {
-                observer.update(config, used.elapsed, sample)
-            } else if used.is_between() {
-                observer.wait(used.elapsed, sample.rate)
-            } else {
-                observer.interrupt()
-            });
+            observer.observe(config, used.sampling(), used.elapsed, sample);
+            momentum.add_unmodelled(observer.wrench);
         }
         self.limit_thrusts(state, contact, terms);
         self.limit_joints(state, contact, terms);

@@ -136,7 +136,31 @@ pub struct UsedMeasurement {
 /// Longest time between two measurements of a channel that has a rate of its own, 10 Hz and jitter \[s\].
 pub const BETWEEN_MAX: f64 = 0.15;
 
+/// What a tick has of the momentum.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Sampling {
+    /// It is measured.
+    Measured,
+    /// It is measured, but not comparable with what was measured before.
+    First,
+    /// It is between two measurements.
+    Between,
+    /// It is not measured, and has not been for longer than between two measurements, or the time is unknown.
+    Unknown,
+}
+
 impl UsedMeasurement {
+    /// What this tick has of the momentum.
+    #[must_use]
+    pub fn sampling(&self) -> Sampling {
+        match (self.has_momentum, self.modes.contains(Modes::BEGUN_AGAIN)) {
+            (true, false) => Sampling::Measured,
+            (true, true) => Sampling::First,
+            (false, _) if self.is_between() => Sampling::Between,
+            (false, _) => Sampling::Unknown,
+        }
+    }
+
     /// Whether this tick is between two measurements of the momentum.
     #[must_use]
     pub fn is_between(&self) -> bool {

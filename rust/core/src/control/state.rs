@@ -34,8 +34,8 @@ pub struct ControllerState {
     pub(super) between: JointsBetween,
     /// Whether the feet carry load, and their desired wrenches.
     pub(super) contact: ContactState,
-    /// Observer of the wrench that a residual sees, without that of the guard's observer; unused without a residual.
-    pub(super) residual_observer: ObserverState,
+    /// Observer of the wrench that a residual sees, without that of the guard's observer; from the first residual on.
+    pub(super) residual_observer: Option<ObserverState>,
     /// Plan of the predictive law; empty without one.
     pub(super) plan: Plan,
     /// Warm start of the momentum QP.
@@ -89,8 +89,8 @@ impl ControllerState {
 
     /// Wrench that a residual sees \[N, N m\]; zero without a residual.
     #[must_use]
-    pub fn residual_wrench(&self) -> &Vector6<f64> {
-        self.residual_observer.wrench()
+    pub fn residual_wrench(&self) -> Vector6<f64> {
+        self.residual_observer.map_or_else(Vector6::zeros, |observer| observer.wrench)
     }
 
     /// Whether the rate limiter has a previous torque.

@@ -5,7 +5,6 @@ mod build;
 use super::between::{JointMeasurement, JointTracker, JointsBetween};
 use super::command::{BadCommand, Command, CommandStatus};
 use super::guard::Guard;
-use super::guard::observer::ObserverState;
 use super::law::contact::ContactState;
 use super::law::momentum::AeroFeedback;
 use super::law::momentum_qp::Task;
@@ -95,7 +94,7 @@ impl Controller {
             torque_is_known: false,
             between: JointsBetween::new(joints),
             contact: ContactState::new(terms.contact.soles.len()),
-            residual_observer: ObserverState::default(),
+            residual_observer: None,
             plan: Plan::none(law.predictive().map_or(0, PredictiveLaw::unknowns), terms.limits.thrust.len()),
             momentum_start: WarmStart::cold(terms.momentum_qp.problem.len()),
             torque_start: WarmStart::cold(terms.torque_qp.problem.len()),

@@ -10,6 +10,7 @@
 //! the law is the same in flight and standing. `Δt` is the time between the two measurements. Inertial axes, about the
 //! centre of mass, force first. Equations M82 to M84 and M106 of `docs/model`.
 
+use crate::control::measurement::Sampling;
 use crate::error::{BuildError, Table};
 use crate::timing::share;
 use nalgebra::Vector6;
@@ -61,12 +62,12 @@ pub struct MomentumSample {
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct ObserverState {
     /// `ŵ` \[N, N m\].
-    pub(super) wrench: Vector6<f64>,
+    pub(in crate::control) wrench: Vector6<f64>,
     /// Residual: unmodelled wrench of the last hundredths of a second that `ŵ` does not yet contain, `n` of M106 \[N, N
     /// m\].
     pub residual: Vector6<f64>,
     /// The last measured momentum, and the modelled rate of the last tick.
-    pub(super) last: Option<MomentumSample>,
+    last: Option<MomentumSample>,
     /// Time \[s\] and modelled impulse \[N s, N m s\] from that momentum to the last tick.
     between: (f64, Vector6<f64>),
 }
@@ -78,45 +79,58 @@ impl ObserverState {
         &self.wrench
     }
 
-    /// Updates the observer with a sample `elapsed` \[s\] after the last one, and returns `ŵ`.
+    /// Takes in a tick, `elapsed` \[s\] after the last one. `ŵ` changes where the momentum is measured and numbers do not
+    /// overflow; between two measurements the modelled rate is summed, and after a gap the observer starts anew.
     ///
-    /// `ŵ` does not change without a last sample, or if numbers overflow.
-    pub fn update(&mut self, config: &ObserverConfig, elapsed: f64, sample: MomentumSample) -> Vector6<f64> {
-        let (waited, impulse) = std::mem::take(&mut self.between);
-        if let Some(last) = self.last.replace(sample) {
-            let rate =
-                if waited > 0.0 { (impulse + elapsed * last.rate) / (waited + elapsed) } else { last.rate };
-            let elapsed = waited + elapsed;
-            let (force, moment) = (share(config.gain_force * elapsed), share(config.gain_moment * elapsed));
-            let shares = Vector6::new(force, force, force, moment, moment, moment);
-            let innovation = (sample.momentum - last.momentum) / elapsed - rate - self.wrench;
-            let moved = self.wrench + shares.component_mul(&innovation);
-            if moved.iter().all(|x| x.is_finite()) {
-                let (force, moment) = (config.force_max, config.moment_max);
-                let limits = Vector6::new(force, force, force, moment, moment, moment);
-                self.residual += (innovation - self.residual) * residual_share(elapsed);
-                self.wrench = moved.zip_map(&limits, |x, limit| x.clamp(-limit, limit));
-            }
+    /// Returns the time that a measured tick covers \[s\]: that since the last sample, or since the last tick.
+    pub fn observe(
+        &mut self,
+        config: &ObserverConfig,
+        sampling: Sampling,
+        elapsed: f64,
+        sample: MomentumSample,
+    ) -> Option<f64> {
+        if matches!(sampling, Sampling::First | Sampling::Unknown) {
+            (self.last, self.between) = (None, <_>::default());
+            self.residual.fill(0.0);
         }
-        self.wrench
+        match sampling {
+            Sampling::Measured | Sampling::First => Some(self.update(config, elapsed, sample)),
+            Sampling::Between => {
+                self.wait(elapsed, sample.rate);
+                None
+            }
+            Sampling::Unknown => None,
+        }
     }
 
-    /// Keeps `ŵ` in a tick between two measurements, `elapsed` \[s\] after the last one, with its modelled momentum rate.
-    pub fn wait(&mut self, elapsed: f64, rate: Vector6<f64>) -> Vector6<f64> {
+    /// Moves `ŵ` by a sample, and returns the time that it covers \[s\].
+    fn update(&mut self, config: &ObserverConfig, elapsed: f64, sample: MomentumSample) -> f64 {
+        let (waited, impulse) = std::mem::take(&mut self.between);
+        let Some(last) = self.last.replace(sample) else { return elapsed };
+        let rate =
+            if waited > 0.0 { (impulse + elapsed * last.rate) / (waited + elapsed) } else { last.rate };
+        let elapsed = waited + elapsed;
+        let (force, moment) = (share(config.gain_force * elapsed), share(config.gain_moment * elapsed));
+        let shares = Vector6::new(force, force, force, moment, moment, moment);
+        let innovation = (sample.momentum - last.momentum) / elapsed - rate - self.wrench;
+        let moved = self.wrench + shares.component_mul(&innovation);
+        if moved.iter().all(|x| x.is_finite()) {
+            let (force, moment) = (config.force_max, config.moment_max);
+            let limits = Vector6::new(force, force, force, moment, moment, moment);
+            self.residual += (innovation - self.residual) * residual_share(elapsed);
+            self.wrench = moved.zip_map(&limits, |x, limit| x.clamp(-limit, limit));
+        }
+        elapsed
+    }
+
+    /// Sums the modelled momentum rate of a tick between two measurements.
+    fn wait(&mut self, elapsed: f64, rate: Vector6<f64>) {
         if let Some(last) = &mut self.last {
             self.between.0 += elapsed;
             self.between.1 += elapsed * last.rate;
             last.rate = rate;
         }
-        self.wrench
-    }
-
-    /// Keeps `ŵ` and discards the last sample: for a tick whose momentum has not been measured for long, or that is too
-    /// long after the last one.
-    pub fn interrupt(&mut self) -> Vector6<f64> {
-        (self.last, self.between) = (None, <_>::default());
-        self.residual.fill(0.0);
-        self.wrench
     }
 }
 

@@ -118,7 +118,7 @@ impl WindObserver {
     }
 
     /// Updates the estimate with the results of a tick: the measurement, its kinematics, the centroidal `momentum`
-    /// \[kg m/s, kg m²/s\], `A_T` and the soles. There is no correction if the momentum is not measured.
+    /// \[kg m/s, kg m²/s\], `A_T` and the soles. There is no correction in a tick whose momentum is not measured.
     pub fn update(
         &mut self,
         state: &mut WindState,
@@ -128,12 +128,7 @@ impl WindObserver {
         a_t: &Matrix6xX<f64>,
         soles: &[Pose],
     ) {
-        let step = measurement.elapsed;
-        state.drift(step);
-        if !measurement.has_momentum {
-            state.interrupt();
-            return;
-        }
+        state.drift(measurement.elapsed);
         let mut rate = Vector6::zeros();
         for (column, thrust) in a_t.column_iter().zip(&measurement.thrust) {
             rate += column * *thrust;
@@ -143,18 +138,15 @@ impl WindObserver {
         let gains =
             ObserverConfig { gain_force: GAIN, gain_moment: GAIN, force_max: GREATEST, moment_max: GREATEST };
         let sample = MomentumSample { momentum: *momentum, rate };
-        let observed = state.wrench.update(&gains, step, sample);
-        self.correct(state, kinematics, &observed, step);
+        let sampling = measurement.sampling();
+        if let Some(step) = state.wrench.observe(&gains, sampling, measurement.elapsed, sample) {
+            self.correct(state, kinematics, step);
+        }
     }
 
-    fn correct(
-        &mut self,
-        state: &mut WindState,
-        kinematics: &Kinematics,
-        observed: &Vector6<f64>,
-        step: f64,
-    ) {
-        let observed = parts(observed);
+    /// Corrects the estimate by the observed wrench, `step` \[s\] after the last correction.
+    fn correct(&mut self, state: &mut WindState, kinematics: &Kinematics, step: f64) {
+        let observed = parts(state.wrench.wrench());
         let modelled = self.wrench_in(kinematics, &state.wind);
         let mut jacobian = Matrix3::zeros();
         for axis in 0..3 {
@@ -206,11 +198,6 @@ impl WindState {
         let noise = Vector3::new(walk, walk, VERTICAL_STD * VERTICAL_STD * (1.0 - kept * kept));
         self.covariance = keep * self.covariance * keep + Matrix3::from_diagonal(&noise);
         self.sensitivity = keep * self.sensitivity;
-    }
-
-    /// Discards the last sample: for a tick whose momentum is not measured.
-    fn interrupt(&mut self) {
-        self.wrench.interrupt();
     }
 
     /// Estimated wind \[m/s, inertial axes\].

@@ -300,8 +300,8 @@ fn skew_part(m: &Matrix3<f64>) -> Vector3<f64> {
     0.5 * Vector3::new(m[(2, 1)] - m[(1, 2)], m[(0, 2)] - m[(2, 0)], m[(1, 0)] - m[(0, 1)])
 }
 
-/// Adds the residual of a tick to the answer of the law (M172), and observes the wrench for the next tick. A given
-/// residual takes the place of the policy's.
+/// Adds the residual of a tick to the answer of the law (M172), and, from the first one on, observes the wrench for the
+/// next tick. A given residual takes the place of the policy's.
 pub fn steer(
     policy: Option<&mut Policy>,
     given: Option<&Residual>,
@@ -309,19 +309,22 @@ pub fn steer(
     terms: &mut Terms,
     command: &mut Command,
 ) {
+    let wrench = state.residual_wrench();
+    let has_residual = given.is_some() || policy.is_some();
     match (given, policy) {
         (Some(given), _) => given.write(command, &mut terms.residual),
-        (None, Some(policy)) => policy.act(state.residual_observer.wrench(), terms),
-        (None, None) => return,
+        (None, Some(policy)) => policy.act(&wrench, terms),
+        (None, None) => {}
     }
-    add(given.is_some_and(|given| given.replaces), terms, command);
+    if has_residual {
+        add(given.is_some_and(|given| given.replaces), terms, command);
+    } else if state.residual_observer.is_none() {
+        return;
+    }
     let Terms { measurement, dynamics, momentum, .. } = terms;
-    if measurement.has_momentum {
-        let sample = MomentumSample { momentum: dynamics.momentum, rate: momentum.rate_estimate };
-        state.residual_observer.update(&OBSERVER, measurement.elapsed, sample);
-    } else {
-        state.residual_observer.interrupt();
-    }
+    let sample = MomentumSample { momentum: dynamics.momentum, rate: momentum.rate_estimate };
+    let observer = state.residual_observer.get_or_insert_default();
+    observer.observe(&OBSERVER, measurement.sampling(), measurement.elapsed, sample);
 }
 
 impl Residual<'_> {
