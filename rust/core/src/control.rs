@@ -1,13 +1,15 @@
 //! The flight controller: one tick, from a measurement to thrust rates and joint torques.
 //!
 //! ```text
-//! measure     the measurement, and what replaces its missing and implausible parts     guard
+//! measure     the measurement, and what replaces its missing and implausible parts     measure, estimate
 //! model       kinematics, dynamics, aerodynamic forces, momentum                       terms
-//! guard       what measurement and model together tell of sensors, engines and ground  guard
-//! law         momentum QP: thrust rates and joint velocities                           law
-//! torques     torque QP: joint torques, limited in their rates                         law
-//! predict     what the command lets expect, for the next tick                          guard
+//! detect      feet on the ground, the unmodelled wrench, faults                        estimate, detect
+//! decide      thrust rates and joint velocities, by the momentum QP or a plan          law, mpc
+//! act         joint torques, by the torque QP, limited in their rates                  law
+//! predict     what the command lets expect, for the next tick                          acting, estimate
 //! ```
+//!
+//! The stages are the files of [`tick`]; what they call stands in the folders on the right, and knows nothing of the tick.
 //!
 //! [`Controller::tick`] follows this order. Each step fills one plain struct that the next reads; after a tick
 //! [`Controller::terms`] gives access to all of them.
@@ -22,15 +24,16 @@
 //! configuration the same controller also stands on its feet: `u = (Ṫ, ḟ_c, ṡ)`, and torques and foot wrenches are
 //! determined together.
 
-pub mod between;
+pub mod acting;
 pub mod command;
 pub mod config;
-pub mod greatest;
-pub mod guard;
+pub mod detect;
+pub mod estimate;
 pub mod law;
 pub mod limits;
-pub mod measurement;
+pub mod measure;
 pub mod modes;
+pub mod mpc;
 pub mod preview;
 pub mod state;
 pub mod terms;
@@ -38,9 +41,10 @@ pub mod tick;
 
 pub use command::{BadCommand, Command, CommandStatus};
 pub use config::check_time_step;
-pub use measurement::{BadStart, Measurement, OwnedMeasurement, Reading, UsedMeasurement};
+pub use estimate::joint_tracker::JointMeasurement;
+pub use measure::measurement::{BadStart, Estimate, Measurement};
 pub use modes::Modes;
 pub use preview::Preview;
 pub use state::ControllerState;
-pub use terms::{Estimates, Terms};
+pub use terms::Terms;
 pub use tick::{Controller, Given};

@@ -32,9 +32,9 @@ pub mod timing;
 
 pub use nalgebra;
 
-pub use control::guard::estimator::Estimator;
-pub use control::guard::wind_observer::WindObserver;
-pub use control::{Command, Controller, Measurement, Reading};
+pub use control::estimate::estimator::Estimator;
+pub use control::estimate::wind_observer::WindObserver;
+pub use control::{Command, Controller, Measurement};
 pub use error::BuildError;
 pub use kinematics::RobotState;
 pub use robot::RobotModel;

@@ -1,6 +1,6 @@
 //! Output of a tick.
 
-use super::measurement::UsedMeasurement;
+use super::measure::measurement::Estimate;
 use super::modes::Modes;
 use crate::jets::JetModel;
 use crate::qp::{QpAnswer, QpStatus};
@@ -124,8 +124,8 @@ impl Command {
     }
 
     /// Sets the throttles that follow the thrust rates, from the thrusts of a tick.
-    pub(super) fn set_throttle(&mut self, jets: &[JetModel], used: &UsedMeasurement, time_step: f64) {
-        let thrusts = used.thrust.iter().zip(&used.thrust_rate).zip(&self.thrust_rate);
+    pub(super) fn set_throttle(&mut self, jets: &[JetModel], used: &Estimate, time_step: f64) {
+        let thrusts = used.robot.thrust.iter().zip(&used.thrust_rate).zip(&self.thrust_rate);
         for ((throttle, jet), ((thrust, rate), command)) in self.throttle.iter_mut().zip(jets).zip(thrusts) {
             *throttle = jet.throttle(*thrust, *rate, *command, time_step);
         }

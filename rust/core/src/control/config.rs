@@ -1,18 +1,18 @@
 //! Configuration of the controller, checked against the robot when the controller is built.
 
-use super::guard::channels::ChannelsConfig;
-use super::guard::engines::EnginesConfig;
-use super::guard::estimator::EstimatorConfig;
-use super::guard::joints::JointsConfig;
-use super::guard::latency::LatencyMonitorConfig;
-use super::guard::observer::ObserverConfig;
-use super::guard::supervisor::SupervisorConfig;
-use super::guard::wind_observer::WindObserverConfig;
+use super::measure::channels::ChannelsConfig;
+use super::detect::engines::EnginesConfig;
+use super::estimate::estimator::EstimatorConfig;
+use super::detect::joints::JointsConfig;
+use super::detect::latency::LatencyMonitorConfig;
+use super::estimate::disturbance_observer::ObserverConfig;
+use super::detect::supervisor::SupervisorConfig;
+use super::estimate::wind_observer::WindObserverConfig;
 use super::law::attitude::MomentumGains;
 use super::law::bounds::BoundsConfig;
 use super::law::contact::ContactConfig;
 use super::law::momentum::AeroFeedback;
-use super::law::mpc::config::MpcConfig;
+use super::mpc::config::MpcConfig;
 use super::law::setpoint::SetpointConfig;
 use super::law::tasks::MomentumWeights;
 use super::law::torque::TorqueConfig;

@@ -1,5 +1,4 @@
-//! The control law: from the set-point to thrust rates and joint velocities ([`rates`]), and from these to torques
-//! ([`torques`]).
+//! The equations of the control law: each file is a kernel that knows nothing of the tick.
 
 pub mod attitude;
 pub mod bounds;
@@ -8,11 +7,9 @@ pub mod minimum_jerk;
 pub mod mission;
 pub mod momentum;
 pub mod momentum_qp;
-pub mod mpc;
-pub mod rates;
+pub mod plan;
 pub mod recorded;
 pub mod residual;
 pub mod setpoint;
 pub mod tasks;
 pub mod torque;
-pub mod torques;

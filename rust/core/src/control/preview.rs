@@ -1,6 +1,6 @@
 //! What is known of the future at a tick: set-points and wind.
 
-use super::greatest;
+use super::measure::greatest::MAGNITUDES;
 use super::law::setpoint::Setpoint;
 use nalgebra::Vector3;
 
@@ -24,7 +24,7 @@ impl Preview<'_> {
         let are_setpoints = |(_, setpoint): &(f64, Setpoint)| setpoint.is_valid();
         let has_setpoints = first && are_ordered(self.setpoints) && self.setpoints.iter().all(are_setpoints);
         let first = self.wind.first().is_none_or(|(time, _)| *time >= 0.0);
-        let are_winds = |(_, wind): &(f64, Vector3<f64>)| wind.iter().all(|x| x.abs() <= greatest::WIND);
+        let are_winds = |(_, wind): &(f64, Vector3<f64>)| wind.iter().all(|x| x.abs() <= MAGNITUDES.wind);
         let has_wind = first && are_ordered(self.wind) && self.wind.iter().all(are_winds);
         let valid = Self {
             setpoints: if has_setpoints { self.setpoints } else { &[] },

@@ -1,12 +1,16 @@
 //! State of a controller that is kept from tick to tick.
 
-use super::between::JointsBetween;
-use super::guard::GuardState;
-use super::guard::observer::ObserverState;
-use super::guard::wind_observer::WindState;
+use super::acting::Acting;
+use super::detect::DetectorStates;
+use super::estimate::disturbance_observer::ObserverState;
+use super::estimate::estimator::EstimatorState;
+use super::estimate::joint_tracker::JointsBetween;
+use super::estimate::wind_observer::WindState;
 use super::law::contact::ContactState;
-use super::law::mpc::plan::Plan;
+use super::law::plan::Plan;
 use super::law::setpoint::SetpointState;
+use super::measure::channels::ChannelsState;
+use super::measure::measurement::Estimate;
 use crate::error::{BuildError, check};
 use crate::qp::WarmStart;
 use nalgebra::{DVector, Matrix3, Vector6};
@@ -16,8 +20,22 @@ use nalgebra::{DVector, Matrix3, Vector6};
 /// A tick reads nothing else that changes: a clone that is restored later continues with the same bits.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ControllerState {
-    /// What the guard keeps.
-    pub(super) guard: GuardState,
+    /// The robot as the last tick knew it.
+    pub(super) estimate: Estimate,
+    /// Predictions and acceptance of the measurement's channels.
+    pub(super) channels: ChannelsState,
+    /// The command that acts, and what it lets expect.
+    pub(super) acting: Acting,
+    /// State estimator, where there is one.
+    pub(super) estimator: Option<EstimatorState>,
+    /// The observed wrench, its residual and the last sample, where it is observed.
+    pub(super) disturbance: Option<ObserverState>,
+    /// Wind estimate, where the wind is estimated.
+    pub(super) wind: Option<WindState>,
+    /// What detectors keep.
+    pub(super) detectors: DetectorStates,
+    /// Whether the robot descends instead of following its mission.
+    pub(super) is_descending: bool,
     /// State of the set-point generator.
     pub(super) setpoint: SetpointState,
     /// Reference posture `s_d`: the joint positions of the first tick \[rad\].
@@ -34,7 +52,7 @@ pub struct ControllerState {
     pub(super) between: JointsBetween,
     /// Whether the feet carry load, and their desired wrenches.
     pub(super) contact: ContactState,
-    /// Observer of the wrench that a residual sees, without that of the guard's observer; from the first residual on.
+    /// Observer of the wrench that a residual sees, without that of the disturbance observer; from the first residual on.
     pub(super) residual_observer: Option<ObserverState>,
     /// Plan of the predictive law; empty without one.
     pub(super) plan: Plan,
@@ -48,13 +66,19 @@ impl ControllerState {
     /// Time of the last tick \[s\].
     #[must_use]
     pub fn time(&self) -> f64 {
-        self.guard.channels.time
+        self.estimate.robot.time
+    }
+
+    /// The robot as the last tick knew it: what the law read.
+    #[must_use]
+    pub fn estimate(&self) -> &Estimate {
+        &self.estimate
     }
 
     /// Wind estimate; `None` if the control law uses the measured wind.
     #[must_use]
     pub fn wind(&self) -> Option<&WindState> {
-        self.guard.wind.as_ref()
+        self.wind.as_ref()
     }
 
     /// State of the set-point generator.

@@ -1,23 +1,33 @@
 //! The controller of one robot, and its tick.
 
+mod act;
 mod build;
+mod decide;
+mod detect;
+mod measure;
+mod predict;
+mod steer;
 
-use super::between::{JointMeasurement, JointTracker, JointsBetween};
+use super::acting::Acting;
 use super::command::{BadCommand, Command, CommandStatus};
-use super::guard::Guard;
+use super::detect::Detectors;
+use super::estimate::disturbance_observer::{ObserverConfig, ObserverState};
+use super::estimate::estimator::Estimator;
+use super::estimate::joint_tracker::{JointMeasurement, JointTracker, JointsBetween};
+use super::estimate::wind_observer::WindObserver;
 use super::law::contact::ContactState;
 use super::law::momentum::AeroFeedback;
 use super::law::momentum_qp::Task;
-use super::law::mpc::PredictiveLaw;
-use super::law::mpc::horizon::Horizon;
-use super::law::mpc::model::Linearised;
-use super::law::mpc::plan::Plan;
-use super::law::rates::Law;
-use super::law::residual::{Policy, Residual, steer};
+use super::law::plan::Plan;
+use super::law::residual::{Policy, Residual};
 use super::law::setpoint::{Setpoint, SetpointGenerator};
-use super::law::torques::Torques;
-use super::measurement::{BadStart, Measurement, UsedMeasurement};
+use super::limits::Limits;
+use super::measure::channels::Channels;
+use super::measure::measurement::{BadStart, Estimate, Measurement};
 use super::modes::Modes;
+use super::mpc::PredictiveLaw;
+use super::mpc::horizon::Horizon;
+use super::mpc::model::Linearised;
 use super::preview::Preview;
 use super::state::ControllerState;
 use super::terms::Terms;
@@ -29,6 +39,8 @@ use crate::jets::JetModel;
 use crate::kinematics::{Kinematics, RobotState};
 use crate::qp::WarmStart;
 use crate::robot::RobotModel;
+use act::Torques;
+use decide::Law;
 use nalgebra::{DVector, Matrix3, Vector3};
 use std::sync::Arc;
 
@@ -42,7 +54,14 @@ pub struct Controller {
     aero: AeroModel,
     conventions: LinkConventions,
     feedback: AeroFeedback,
-    guard: Guard,
+    channels: Channels,
+    estimator: Option<Estimator>,
+    wind: Option<WindObserver>,
+    observer: Option<ObserverConfig>,
+    has_feet: bool,
+    detectors: Detectors,
+    /// Limits of the law while nothing is found.
+    usual: Limits,
     law: Law,
     policy: Option<Policy>,
     torques: Torques,
@@ -53,6 +72,8 @@ pub struct Controller {
     last_tick: u64,
     terms: Terms,
     command: Command,
+    /// Workspace: a change of the predicted acceleration.
+    change: DVector<f64>,
 }
 
 /// What a tick is given beside its measurement; by default nothing: it follows the mission.
@@ -79,13 +100,23 @@ impl Controller {
         if let Some(mode) = unusual_mode() {
             return Err(BadStart::FloatingPoint { mode });
         }
-        let guard = self.guard.start(measurement)?;
-        let (Self { model, law, terms, .. }, robot) = (&mut *self, measurement.state);
+        let Self { model, law, terms, channels, .. } = self;
+        let (jets, feet) = (self.command.thrust_rate.len(), terms.contact.soles.len());
+        let estimate = Estimate::new(model, jets, self.time_step);
+        let (channels, estimate) = channels.start(measurement, estimate)?;
+        let robot = &measurement.state;
         let reference = reference(model, robot, &mut terms.kinematics, &mut terms.dynamics);
         let (com, inertia_0_b) = reference.ok_or(BadStart::SingularInertia)?;
         let joints = model.joints.len();
         Ok(ControllerState {
-            guard,
+            estimator: self.estimator.as_ref().map(|of| of.start(&estimate.robot)),
+            detectors: self.detectors.start(&estimate),
+            estimate,
+            channels,
+            acting: Acting::new(joints, jets, feet),
+            disturbance: self.observer.map(|_| ObserverState::default()),
+            wind: self.wind.as_ref().map(WindObserver::start),
+            is_descending: false,
             setpoint: law.generator().start(com, &robot.base.rotation),
             posture: robot.joint_position.clone(),
             inertia_0_b,
@@ -104,7 +135,7 @@ impl Controller {
     /// One tick, which follows the mission.
     ///
     /// What of the measurement is missing or cannot be right is predicted from what is known
-    /// ([`channels`](super::guard::channels)); the command says what. Of a measurement that is not of this robot
+    /// ([`channels`](super::measure::channels)); the command says what. Of a measurement that is not of this robot
     /// everything is missing, and the command holds: thrust rates and joint velocities are zero, torques stay.
     pub fn tick(&mut self, state: &mut ControllerState, measurement: &Measurement) -> &Command {
         self.tick_with(state, measurement, &Given::default())
@@ -120,21 +151,22 @@ impl Controller {
         if !self.fits(state) {
             return self.refuse_state();
         }
-        let Self { model, jets, aero, conventions, feedback, guard, law, policy, .. } = self;
-        let Self { torques, terms, command, time_step, .. } = self;
-        let is_usable = guard.measure(measurement, &mut state.guard, terms);
-        if terms.measurement.modes.contains(Modes::BEGUN_AGAIN) {
-            begin_again(model, law.generator(), state, terms);
+        let is_usable = self.measure(measurement, state);
+        if state.estimate.modes.contains(Modes::BEGUN_AGAIN) {
+            begin_again(&self.model, self.law.generator(), state, &mut self.terms);
         }
-        let is_valid = law.choose_setpoint(state, given.setpoint, terms);
+        let is_valid = self.law.choose_setpoint(state, given.setpoint, &mut self.terms);
         let (preview, has_valid_preview) = given.preview.checked();
-        terms.update_model(model, aero, *conventions, *feedback);
-        guard.detect(model, &mut state.guard, &mut state.contact, &mut state.setpoint, terms);
-        command.modes = terms.measurement.modes;
+        let Self { model, aero, conventions, feedback, .. } = self;
+        self.terms.update_model(model, aero, *conventions, *feedback, &state.estimate.robot);
+        self.detect(state);
+        let Self { model, aero, law, policy, torques, terms, command, .. } = self;
+        command.modes = state.estimate.modes;
         command.joint_torque.copy_from(&state.joint_torque);
+        state.acting.friction.fill(0.0);
         if is_usable {
             law.solve(model, aero, state, &preview, terms, command);
-            steer(policy.as_mut(), given.residual, state, terms, command);
+            steer::steer(policy.as_mut(), given.residual, state, terms, command);
             if command.status.is_of_law() {
                 command.status = match (is_valid, has_valid_preview) {
                     (false, _) => CommandStatus::BadSetpoint,
@@ -148,13 +180,12 @@ impl Controller {
             command.set_hold(CommandStatus::BadMeasurement, command.modes);
             state.between.status = command.status;
         }
-        command.set_throttle(jets, &terms.measurement, *time_step);
-        guard.predict(model, &mut state.guard, terms, command);
-        let acceleration = &state.guard.channels.acceleration;
-        let (used, torque) = (&terms.measurement.state, command.joint_torque.as_slice());
-        state.between.begin(used, torque, acceleration.rows_range(6..));
+        command.set_throttle(&self.jets, &state.estimate, self.time_step);
+        self.predict(state);
+        let (acceleration, torque) = (&state.acting.acceleration, self.command.joint_torque.as_slice());
+        state.between.begin(&state.estimate.robot.state, torque, acceleration.rows_range(6..));
         self.last_tick = state.between.tick_of_law;
-        command
+        &self.command
     }
 
     /// One tick of the torques between two ticks of the law: joint torques for new measurements of the joints, with
@@ -170,7 +201,7 @@ impl Controller {
         if !self.fits(state) || !is_last {
             return self.refuse_state();
         }
-        let Self { guard, torques, joints, terms, command, torque_steps, .. } = self;
+        let Self { torques, joints, terms, command, torque_steps, .. } = self;
         let is_sized =
             [measured.position, measured.velocity].iter().all(|of| of.len() == state.posture.len());
         let nothing = JointMeasurement { position: &[], velocity: &[] };
@@ -178,22 +209,21 @@ impl Controller {
         state.between.ticks += 1;
         command.status = if is_sized { state.between.status } else { CommandStatus::BadMeasurement };
         if command.status == CommandStatus::BadMeasurement {
-            return command;
+            return &self.command;
         }
         let velocity = std::mem::take(&mut state.between.velocity);
         torques.solve_again(velocity.as_slice(), state, terms, command);
         state.between.velocity = velocity;
         let left = torque_steps.saturating_sub(state.between.ticks);
-        guard.change_torques(state, terms, command, f64::from(left) / f64::from(*torque_steps));
-        command
+        let share = f64::from(left) / f64::from(*torque_steps);
+        self.change_torques(state, share);
+        &self.command
     }
 
     /// Holds: this state is not the one with which the controller ticks.
     fn refuse_state(&mut self) -> &Command {
-        let Self { command, jets, terms, time_step, .. } = self;
-        command.set_hold(CommandStatus::BadState, Modes::default());
-        command.set_throttle(jets, &terms.measurement, *time_step);
-        command
+        self.command.set_hold(CommandStatus::BadState, Modes::default());
+        &self.command
     }
 
     /// Checks that a command can act in place of the last one.
@@ -223,10 +253,10 @@ impl Controller {
         if !self.fits(state) {
             return Err(BadCommand);
         }
-        self.guard.replace_command(&self.model, state, &mut self.terms, thrust_rate, joint_torque);
+        self.replace_acting(state, thrust_rate, joint_torque);
         self.command.thrust_rate.copy_from_slice(thrust_rate);
         self.command.joint_torque.copy_from_slice(joint_torque);
-        self.command.set_throttle(&self.jets, &self.terms.measurement, self.time_step);
+        self.command.set_throttle(&self.jets, &state.estimate, self.time_step);
         Ok(())
     }
 
@@ -249,7 +279,12 @@ impl Controller {
             && state.plan.len() == self.law.predictive().map_or(0, PredictiveLaw::unknowns)
             && state.momentum_start.len() == self.terms.momentum_qp.problem.len()
             && state.contact.force.len() == self.terms.contact.force_of_torques.len()
-            && self.guard.fits(&state.guard)
+            && self.channels.fit_state(&state.channels)
+            && self.wind.is_some() == state.wind.is_some()
+            && self.observer.is_some() == state.disturbance.is_some()
+            && self.estimator.is_some() == state.estimator.is_some()
+            && self.estimator.as_ref().zip(state.estimator.as_ref()).is_none_or(|(of, state)| of.fits(state))
+            && self.detectors.fit(&state.detectors)
     }
 
     /// The generator of its set-points.
@@ -313,7 +348,8 @@ fn begin_again(
     state: &mut ControllerState,
     terms: &mut Terms,
 ) {
-    let Terms { measurement: UsedMeasurement { state: robot, .. }, kinematics, dynamics, .. } = terms;
+    let Terms { kinematics, dynamics, .. } = terms;
+    let robot = &state.estimate.robot.state;
     if let Some((com, inertia_0_b)) = reference(model, robot, kinematics, dynamics) {
         state.setpoint = generator.start(com, &robot.base.rotation);
         state.posture.copy_from(&robot.joint_position);

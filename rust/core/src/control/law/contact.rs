@@ -243,7 +243,7 @@ impl Contact {
         robot: &RobotModel,
         kinematics: &Kinematics,
         dynamics: &Dynamics,
-        measured: &[Vector6<f64>],
+        measured: &DVector<f64>,
         climb: f64,
         left: f64,
         is_found: bool,
@@ -253,7 +253,8 @@ impl Contact {
         state.force.axpy(time_step, &state.force_rate, 1.0);
         state.force_rate.fill(0.0);
         let threshold = self.config.vertical_force_min;
-        let is_loaded = !measured.is_empty() && measured.iter().all(|wrench| wrench[2] > threshold);
+        let mut vertical = measured.as_slice().chunks_exact(WRENCH).map(|wrench| wrench[2]);
+        let is_loaded = !measured.is_empty() && vertical.all(|force| force > threshold);
         let mut carries = is_loaded || is_found;
         if let Some(transfer) = &self.config.load_transfer {
             self.takes_off = climb > transfer.height;
@@ -327,13 +328,10 @@ impl Contact {
 
     /// Sets `f_c*` to the measured wrenches during take-off; while the robot stands, `f_c*` follows them with a gain
     /// (M112).
-    fn follow_measured(&self, state: &mut ContactState, measured: &[Vector6<f64>], time_step: f64) {
+    fn follow_measured(&self, state: &mut ContactState, measured: &DVector<f64>, time_step: f64) {
         let Some(transfer) = self.config.load_transfer.as_ref().filter(|_| state.is_active) else { return };
         let part = if self.takes_off { 1.0 } else { (transfer.measured_gain * time_step).min(1.0) };
-        let wrenches = state.force.as_mut_slice().chunks_exact_mut(WRENCH);
-        for (force, measured) in
-            wrenches.zip(measured).flat_map(|(force, measured)| force.iter_mut().zip(measured))
-        {
+        for (force, measured) in state.force.iter_mut().zip(measured) {
             *force += part * (measured - *force);
         }
     }
@@ -341,21 +339,23 @@ impl Contact {
     /// Restarts `f_c*`. Without load transfer: measured vertical force and, where configured, moment about y of each
     /// foot. With load transfer: equal parts of the vertical force that jets and aerodynamic forces leave (M112),
     /// because a measured wrench would be that of the impact.
-    fn restart(&self, state: &mut ContactState, measured: &[Vector6<f64>], left: f64) {
+    fn restart(&self, state: &mut ContactState, measured: &DVector<f64>, left: f64) {
         state.force.fill(0.0);
         if !state.is_active {
             return;
         }
         if self.config.load_transfer.is_some() {
+            let feet = (measured.len() / WRENCH) as f64;
             for wrench in state.force.as_mut_slice().chunks_exact_mut(WRENCH) {
-                wrench[2] = left.max(0.0) / measured.len() as f64;
+                wrench[2] = left.max(0.0) / feet;
             }
             return;
         }
-        for (foot, wrench) in measured.iter().enumerate() {
-            state.force[WRENCH * foot + 2] = wrench[2];
+        let wrenches = state.force.as_mut_slice().chunks_exact_mut(WRENCH);
+        for (force, measured) in wrenches.zip(measured.as_slice().chunks_exact(WRENCH)) {
+            force[2] = measured[2];
             if self.config.start_with_moment {
-                state.force[WRENCH * foot + 4] = wrench[4];
+                force[4] = measured[4];
             }
         }
     }
@@ -371,8 +371,9 @@ impl Contact {
 }
 
 /// Adds `A_c f_c` of the `measured` wrenches on soles to a momentum rate, about the centre of mass `com`.
-pub fn add_wrenches(soles: &[Pose], measured: &[Vector6<f64>], com: &Vector3<f64>, rate: &mut Vector6<f64>) {
-    for (sole, wrench) in soles.iter().zip(measured) {
+pub fn add_wrenches(soles: &[Pose], measured: &DVector<f64>, com: &Vector3<f64>, rate: &mut Vector6<f64>) {
+    for (sole, wrench) in soles.iter().zip(measured.as_slice().chunks_exact(WRENCH)) {
+        let wrench = Vector6::from_column_slice(wrench);
         *rate += wrench;
         let mut moment = rate.fixed_rows_mut::<3>(3);
         moment += (sole.position - com).cross(&wrench.fixed_rows::<3>(0));

@@ -9,22 +9,15 @@
 //! The torques follow the joint velocities that result. A residual that is not finite is not used
 //! ([`Modes::RESIDUAL_IGNORED`]), nor is one without an answer of the law. Equations M170 to M172 of `docs/model`.
 
+use super::setpoint::Setpoint;
 use crate::aero::network::{Layer, Tensors};
-use crate::control::command::{Command, CommandStatus};
-use crate::control::guard::observer::{MomentumSample, ObserverConfig};
-use crate::control::modes::Modes;
-use crate::control::state::ControllerState;
-use crate::control::terms::Terms;
 use crate::error::{BuildError, check};
 use crate::exponential::tanh_f64;
+use crate::kinematics::{Kinematics, RobotState};
 use crate::robot::RobotModel;
 use crate::spatial::parts;
 use nalgebra::{DVector, Matrix3, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
-
-/// Observer of the wrench that a policy sees.
-const OBSERVER: ObserverConfig =
-    ObserverConfig { gain_force: 3.0, gain_moment: 3.0, force_max: f64::INFINITY, moment_max: f64::INFINITY };
 
 /// Greatest number of units.
 const MAX_HIDDEN: usize = 4096;
@@ -252,9 +245,17 @@ impl Policy {
         })
     }
 
-    /// Writes its residual to `terms.residual`, thrust rates first \[N/s, rad/s\]. `wrench` is the observed one \[N, N m\].
-    pub fn act(&mut self, wrench: &Vector6<f64>, terms: &mut Terms) {
-        self.observe(wrench, terms);
+    /// Writes its residual to `residual`, thrust rates first \[N/s, rad/s\]: that of a robot with respect to its
+    /// set-point, and of the observed `wrench` \[N, N m\].
+    pub fn act(
+        &mut self,
+        robot: &RobotState,
+        kinematics: &Kinematics,
+        due: &Setpoint,
+        wrench: &Vector6<f64>,
+        residual: &mut DVector<f64>,
+    ) {
+        self.observe(robot, kinematics, due, wrench);
         let Self { first, second, inputs, units, joined, action, output, .. } = self;
         first.apply::<PANEL, 1>(inputs, units, tanh_f64);
         let hidden = joined[0].len() - inputs[0].len();
@@ -262,15 +263,13 @@ impl Policy {
         joined[0][hidden..].copy_from_slice(&inputs[0]);
         second.apply::<PANEL, 1>(joined, action, tanh_f64);
         let jets = output.jets.len();
-        for (index, (to, action)) in terms.residual.iter_mut().zip(&action[0]).enumerate() {
+        for (index, (to, action)) in residual.iter_mut().zip(&action[0]).enumerate() {
             *to = action * if index < jets { output.thrust_rate } else { output.joint_velocity };
         }
     }
 
     /// `s ∘ o` (M170).
-    fn observe(&mut self, wrench: &Vector6<f64>, terms: &Terms) {
-        let Terms { measurement, due, kinematics, .. } = terms;
-        let state = &measurement.state;
+    fn observe(&mut self, state: &RobotState, kinematics: &Kinematics, due: &Setpoint, wrench: &Vector6<f64>) {
         let rotation = &state.base.rotation;
         let turned = due.rotation.tr_mul(rotation);
         let velocity: Vector3<f64> = state.velocity.fixed_rows::<3>(0).into();
@@ -300,68 +299,14 @@ fn skew_part(m: &Matrix3<f64>) -> Vector3<f64> {
     0.5 * Vector3::new(m[(2, 1)] - m[(1, 2)], m[(0, 2)] - m[(2, 0)], m[(1, 0)] - m[(0, 1)])
 }
 
-/// Adds the residual of a tick to the answer of the law (M172), and, from the first one on, observes the wrench for the
-/// next tick. A given residual takes the place of the policy's.
-pub fn steer(
-    policy: Option<&mut Policy>,
-    given: Option<&Residual>,
-    state: &mut ControllerState,
-    terms: &mut Terms,
-    command: &mut Command,
-) {
-    let wrench = state.residual_wrench();
-    let has_residual = given.is_some() || policy.is_some();
-    match (given, policy) {
-        (Some(given), _) => given.write(command, &mut terms.residual),
-        (None, Some(policy)) => policy.act(&wrench, terms),
-        (None, None) => {}
-    }
-    if has_residual {
-        add(given.is_some_and(|given| given.replaces), terms, command);
-    } else if state.residual_observer.is_none() {
-        return;
-    }
-    let Terms { measurement, dynamics, momentum, .. } = terms;
-    let sample = MomentumSample { momentum: dynamics.momentum, rate: momentum.rate_estimate };
-    let observer = state.residual_observer.get_or_insert_default();
-    observer.observe(&OBSERVER, measurement.sampling(), measurement.elapsed, sample);
-}
-
 impl Residual<'_> {
     /// Writes it as one vector; NaN if its sizes are those of another robot.
-    fn write(&self, command: &Command, to: &mut DVector<f64>) {
-        let sizes = (self.thrust_rate.len(), self.joint_velocity.len());
-        if sizes != (command.thrust_rate.len(), command.joint_velocity.len()) {
+    pub(in crate::control) fn write(&self, jets: usize, joints: usize, to: &mut DVector<f64>) {
+        if (self.thrust_rate.len(), self.joint_velocity.len()) != (jets, joints) {
             return to.fill(f64::NAN);
         }
         for (to, from) in to.iter_mut().zip(self.thrust_rate.iter().chain(self.joint_velocity)) {
             *to = *from;
-        }
-    }
-}
-
-/// `u = clip( u* + r, l, u )`.
-fn add(replaces: bool, terms: &Terms, command: &mut Command) {
-    let Terms { residual, momentum_qp, .. } = terms;
-    if !residual.iter().all(|number| number.is_finite()) {
-        command.modes.insert(Modes::RESIDUAL_IGNORED);
-        if command.status == CommandStatus::Nominal {
-            command.status = CommandStatus::Degraded;
-        }
-        return;
-    }
-    if command.status.is_held() {
-        return;
-    }
-    let (unknowns, problem) = (&momentum_qp.unknowns, &momentum_qp.problem);
-    let (rates, velocities) = residual.as_slice().split_at(command.thrust_rate.len());
-    for (to, added, range) in [
-        (&mut command.thrust_rate, rates, unknowns.thrust_rate.clone()),
-        (&mut command.joint_velocity, velocities, unknowns.joint_velocity.clone()),
-    ] {
-        for ((to, added), unknown) in to.iter_mut().zip(added).zip(range) {
-            let own = if replaces { 0.0 } else { *to };
-            *to = (own + added).max(problem.lower[unknown]).min(problem.upper[unknown]);
         }
     }
 }

@@ -11,7 +11,8 @@
 use super::minimum_jerk::{FilterState, MinimumJerkFilter};
 use super::mission::{AutopilotCommand, Mission};
 use super::recorded::RecordedMotion;
-use crate::control::greatest::{ANGULAR_VELOCITY, POSITION, VELOCITY};
+use crate::control::measure::channels::Jumps;
+use crate::control::measure::greatest::MAGNITUDES;
 use crate::error::{BuildError, Table};
 use crate::schema;
 use crate::spatial::{
@@ -141,7 +142,8 @@ impl Setpoint {
     /// derivatives are at most 10⁶ (m, rad, s), and the matrix is a rotation.
     #[must_use]
     pub fn is_valid(&self) -> bool {
-        let limits = [POSITION, VELOCITY, VELOCITY, GREATEST, ANGULAR_VELOCITY, GREATEST, GREATEST];
+        let Jumps { position, velocity, angular_velocity, .. } = MAGNITUDES;
+        let limits = [position, velocity, velocity, GREATEST, angular_velocity, GREATEST, GREATEST];
         let mut vectors = self.vectors().into_iter().zip(limits);
         vectors.all(|(vector, most)| vector.iter().all(|x| x.abs() <= most)) && is_rotation(&self.rotation)
     }

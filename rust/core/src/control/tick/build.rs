@@ -1,25 +1,28 @@
 //! Construction of a controller: everything that can be refused is refused here.
 
 use super::Controller;
+use super::act::Torques;
+use super::decide::Law;
 use crate::aero::AeroModel;
-use crate::control::between::JointTracker;
 use crate::control::command::Command;
 use crate::control::config::{ControllerConfig, check_time_step};
-use crate::control::guard::Guard;
+use crate::control::detect::{Detectors, Setup};
+use crate::control::estimate::estimator::Estimator;
+use crate::control::estimate::joint_tracker::JointTracker;
+use crate::control::estimate::wind_observer::WindObserver;
 use crate::control::law::contact::Contact;
 use crate::control::law::mission::Mission;
 use crate::control::law::momentum_qp::MomentumQp;
-use crate::control::law::mpc::PredictiveLaw;
-use crate::control::law::rates::Law;
 use crate::control::law::setpoint::SetpointGenerator;
 use crate::control::law::tasks::standard_tasks;
 use crate::control::law::torque::TorqueQp;
-use crate::control::law::torques::Torques;
 use crate::control::limits::Limits;
-use crate::control::measurement::UsedMeasurement;
+use crate::control::measure::channels::Channels;
+use crate::control::mpc::PredictiveLaw;
 use crate::control::terms::Terms;
 use crate::error::BuildError;
 use crate::robot::RobotModel;
+use nalgebra::DVector;
 
 impl Controller {
     /// Builds a controller for `robot` with the tick `time_step` \[s\]. `aero` builds its aerodynamic model after
@@ -47,8 +50,19 @@ impl Controller {
         }
         let limits = Limits::new(config.momentum, &model);
         config.check_rate_bounds(&robot, time_step)?;
-        let guard = Guard::new(config, &robot, &aero, &limits, time_step)?;
-        let measurement = UsedMeasurement::new(&robot, time_step);
+        let (of_estimator, dynamics) = (config.estimator.as_ref(), config.jet_dynamics);
+        let estimator =
+            |config| Estimator::new(config, robot.clone(), dynamics, aero.clone(), time_step);
+        let estimator = of_estimator.map(estimator).transpose()?;
+        let wind = config.wind_observer.map(|_| WindObserver::new(robot.clone(), aero.clone())).transpose()?;
+        config.observer.map_or(Ok(()), |observer| observer.check(time_step))?;
+        let momentum_shares = estimator.as_ref().map_or([1.0; 2], |estimator| estimator.momentum_shares);
+        let detectors =
+            Detectors::new(&Setup { config, robot: &robot, usual: &limits, momentum_shares, time_step });
+        let measures_joint_velocity = of_estimator.is_none_or(|config| config.joint_observer.is_none());
+        let jets = robot.jet_models(dynamics);
+        let channels =
+            Channels::new(&config.channels, &robot, jets.clone(), time_step, measures_joint_velocity);
         let contact = config.contact.clone().unwrap_or_default();
         let torque_qp = TorqueQp::new(&config.torque, &contact, &model);
         let mut momentum_qp = MomentumQp::new(&config.bounds, contact.force_rate_max, &model);
@@ -64,21 +78,28 @@ impl Controller {
         let torques = solver(torque_qp.problem.len(), torque_qp.problem.rows());
         let torque_steps = config.torque.steps;
         let period = time_step / f64::from(torque_steps);
-        let command = Command::zero(measurement.thrust.len(), joints);
+        let command = Command::zero(jets.len(), joints);
         let contact = Contact::new(&contact, &model);
         Ok(Self {
             conventions: config.conventions(&robot)?,
             feedback: config.aero_feedback,
-            guard,
+            channels,
+            estimator,
+            wind,
+            observer: config.observer,
+            has_feet: config.contact.is_some(),
+            detectors,
+            usual: limits.clone(),
             law,
             policy: None,
             torques: Torques::new(torques, config.frictions(&model), period),
             joints: JointTracker::new(config.estimator.as_ref(), &config.channels, period),
             torque_steps,
             last_tick: 0,
-            terms: Terms::new(&model, measurement, limits, contact, momentum_qp, torque_qp),
+            terms: Terms::new(&model, jets.len(), limits, contact, momentum_qp, torque_qp),
             command,
-            jets: robot.jet_models(config.jet_dynamics),
+            change: DVector::zeros(6 + joints),
+            jets,
             time_step,
             model,
             aero,

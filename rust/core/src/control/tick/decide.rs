@@ -1,9 +1,9 @@
 //! The law that the tick calls: from the set-point to thrust rates and joint velocities, by the momentum QP or a plan.
 
-use super::attitude::attitude_demand;
-use super::momentum_qp::TaskInputs;
-use super::mpc::{PredictiveLaw, Upcoming};
-use super::setpoint::{Ahead, Setpoint, SetpointGenerator};
+use crate::control::law::attitude::attitude_demand;
+use crate::control::law::momentum_qp::TaskInputs;
+use crate::control::law::setpoint::{Ahead, Setpoint, SetpointGenerator};
+use crate::control::mpc::{PredictiveLaw, Upcoming};
 use crate::aero::AeroModel;
 use crate::control::command::{Command, CommandStatus};
 use crate::control::limits::JointCondition;
@@ -64,13 +64,13 @@ impl Law {
         given: Option<&Setpoint>,
         terms: &mut Terms,
     ) -> bool {
-        let ControllerState { setpoint: state, guard, contact, .. } = state;
+        let ControllerState { setpoint: state, estimate, is_descending, contact, .. } = state;
         let is_valid = given.is_none_or(Setpoint::is_valid);
         (self.ahead, terms.setpoint) = match given {
-            _ if guard.channels.is_descending => {
+            _ if *is_descending => {
                 (Ahead::Descent, self.generator.descend(state, terms.contact.stays(contact)))
             }
-            None => (Ahead::Mission, self.generator.update(state, terms.measurement.time)),
+            None => (Ahead::Mission, self.generator.update(state, estimate.robot.time)),
             Some(given) if is_valid => {
                 self.generator.take_motion(state, &given.motion());
                 (Ahead::Motion, *given)
@@ -111,7 +111,8 @@ impl Law {
     /// Builds the momentum QP of this tick, with its bounds; without an engine the heading is the present one unless the
     /// law holds it.
     fn prepare(holds_heading: bool, state: &mut ControllerState, terms: &mut Terms) {
-        let Terms { measurement, kinematics, dynamics, momentum, setpoint, due, .. } = terms;
+        let Terms { kinematics, dynamics, momentum, setpoint, due, .. } = terms;
+        let robot = &state.estimate.robot;
         let Terms { limits, attitude, momentum_qp, contact, .. } = terms;
         let (_, moment_estimate) = parts(&momentum.rate_estimate);
         let inertia_0_b = &state.inertia_0_b;
@@ -119,7 +120,7 @@ impl Law {
             *setpoint = setpoint.without_place(&kinematics.com);
             *due = due.without_place(&kinematics.com);
             if !holds_heading {
-                let base = &measurement.state.base.rotation;
+                let base = &robot.state.base.rotation;
                 state.setpoint.take_heading(base);
                 *setpoint = setpoint.with_heading_of(base);
                 *due = due.with_heading_of(base);
@@ -128,15 +129,15 @@ impl Law {
         *attitude = attitude_demand(
             &limits.gains,
             due,
-            &measurement.state.base.rotation,
-            &measurement.state.base_angular_velocity(),
+            &robot.state.base.rotation,
+            &robot.state.base_angular_velocity(),
             &moment_estimate,
             inertia_0_b,
             &inertia_0_b.try_inverse().unwrap_or_else(Matrix3::zeros),
         );
         let inputs = TaskInputs {
-            state: &measurement.state,
-            thrust: &measurement.thrust[..limits.thrust.len()],
+            state: &robot.state,
+            thrust: &robot.thrust[..limits.thrust.len()],
             kinematics,
             dynamics,
             momentum,
@@ -151,7 +152,7 @@ impl Law {
         momentum_qp.update(&inputs);
         let velocity_max = limits.joint_velocity.iter().copied();
         momentum_qp.update_bounds(&inputs, limits.thrust.iter().copied(), velocity_max);
-        let moving = measurement.state.joint_velocity().iter().zip(&limits.joints).enumerate();
+        let moving = robot.state.joint_velocity().iter().zip(&limits.joints).enumerate();
         for (joint, (velocity, _)) in moving.filter(|(_, (_, found))| **found == JointCondition::Free) {
             momentum_qp.fix_velocity(joint, *velocity);
         }

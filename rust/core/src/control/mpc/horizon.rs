@@ -7,7 +7,7 @@ use super::clearance::Clearance;
 use super::config::{MpcConfig, MpcWeights};
 use super::model::Linearised;
 use super::prediction::{OUTPUTS, Outputs, Prediction};
-use crate::control::terms::Terms;
+use super::Present;
 use crate::error::BuildError;
 use crate::jets::JetModel;
 use crate::linalg;
@@ -261,21 +261,21 @@ impl Horizon {
         self.prediction.unknown(chain, self.prediction.answers(chain).block[knot])
     }
 
-    /// Builds H and g at the state of `terms`, from the wanted positions of the joints and, for the end of each knot, a
+    /// Builds H and g at the present state, from the wanted positions of the joints and, for the end of each knot, a
     /// target and the change of the air's wrench with the wind \[N, N m\]; `is_descending` chooses the weights.
     pub fn update(
         &mut self,
         model: &Linearised,
-        terms: &Terms,
+        now: Present,
         posture: &DVector<f64>,
         ahead: (&[Target], &[Vector6<f64>]),
         is_descending: bool,
     ) {
         let weights = usize::from(is_descending);
-        self.prediction.update(model, terms);
-        self.write_motion_cost(terms, ahead, weights);
-        self.add_cost_of_chains(model, terms, posture, weights);
-        self.clearance.update(&terms.kinematics, &model.joints);
+        self.prediction.update(model, now);
+        self.write_motion_cost(now, ahead, weights);
+        self.add_cost_of_chains(model, now, posture, weights);
+        self.clearance.update(&now.terms.kinematics, &model.joints);
         self.limited.iter_mut().for_each(|limited| limited.beyond = Beyond::No);
         let distances = self.clearance.len() * self.knots();
         for distance in self.limited.iter_mut().rev().take(distances) {
@@ -288,14 +288,14 @@ impl Horizon {
     /// The cost of the outputs along the horizon: rows of `weighted` and `residual`, and from them H and g.
     fn write_motion_cost(
         &mut self,
-        terms: &Terms,
+        now: Present,
         (targets, wrenches): (&[Target], &[Vector6<f64>]),
         weights: usize,
     ) {
         self.weighted.fill(0.0);
         for (knot, (target, wrench)) in targets.iter().zip(wrenches).enumerate() {
             self.prediction.advance(knot, wrench);
-            let mut errors = self.prediction.free_outputs(knot, &terms.kinematics.com);
+            let mut errors = self.prediction.free_outputs(knot, &now.terms.kinematics.com);
             for (error, target) in errors.iter_mut().zip(target.outputs()) {
                 *error -= target;
             }
@@ -339,7 +339,7 @@ impl Horizon {
     fn add_cost_of_chains(
         &mut self,
         model: &Linearised,
-        terms: &Terms,
+        now: Present,
         posture: &DVector<f64>,
         weights: usize,
     ) {
@@ -353,7 +353,7 @@ impl Horizon {
                 }
                 Some(place) => {
                     let joint = model.joints[place];
-                    terms.measurement.state.joint_position[joint] - posture[joint]
+                    now.estimate.robot.state.joint_position[joint] - posture[joint]
                 }
             };
             let [of_first, of_second, _] = squares;
@@ -373,11 +373,11 @@ impl Horizon {
     pub fn update_excess(
         &mut self,
         model: &Linearised,
-        terms: &Terms,
+        now: Present,
         joint_limits: &[(f64, f64)],
         u: &[f64],
     ) -> bool {
-        self.read_limited(model, terms, joint_limits, u);
+        self.read_limited(model, now, joint_limits, u);
         let mut is_changed = false;
         for limited in &mut self.limited {
             let now = limited.side(limited.value);
@@ -390,15 +390,15 @@ impl Horizon {
     }
 
     /// Values and limits at the end of the knots, for the inputs `u`.
-    fn read_limited(&mut self, model: &Linearised, terms: &Terms, joint_limits: &[(f64, f64)], u: &[f64]) {
+    fn read_limited(&mut self, model: &Linearised, now: Present, joint_limits: &[(f64, f64)], u: &[f64]) {
         let Self { prediction, limited, clearance, .. } = self;
         let (jets, chains) = (prediction.jets, prediction.jets + prediction.joints);
         let (of_chains, distances) = limited.split_at_mut(chains * prediction.knots());
-        let position = &terms.measurement.state.joint_position;
+        let position = &now.estimate.robot.state.joint_position;
         for (index, limited) in of_chains.iter_mut().enumerate() {
             let (knot, chain) = (index / chains, index % chains);
             let (now, range) = match chain.checked_sub(jets).map(|place| model.joints[place]) {
-                None => (terms.measurement.thrust[chain], terms.limits.thrust[chain]),
+                None => (now.estimate.robot.thrust[chain], now.terms.limits.thrust[chain]),
                 Some(joint) => (position[joint], joint_limits[joint]),
             };
             let answers = prediction.answers(chain);
@@ -428,12 +428,12 @@ impl Horizon {
     pub fn soft_problem(
         &mut self,
         model: &Linearised,
-        terms: &Terms,
+        now: Present,
         joint_limits: &[(f64, f64)],
     ) -> (&DMatrix<f64>, &DVector<f64>, Vec<SoftRow>) {
         let n = self.problem.len();
         let mut input = vec![0.0; n];
-        self.read_limited(model, terms, joint_limits, &input);
+        self.read_limited(model, now, joint_limits, &input);
         let row = |Limited { free, range, weight, .. }: &Limited| SoftRow {
             by_input: vec![0.0; n],
             range: (range.0 - free, range.1 - free),
@@ -442,7 +442,7 @@ impl Horizon {
         let mut rows: Vec<SoftRow> = self.limited.iter().map(row).collect();
         for unknown in 0..n {
             input[unknown] = 1.0;
-            self.read_limited(model, terms, joint_limits, &input);
+            self.read_limited(model, now, joint_limits, &input);
             input[unknown] = 0.0;
             for (row, limited) in rows.iter_mut().zip(&self.limited) {
                 row.by_input[unknown] = limited.value - limited.free;
@@ -456,7 +456,7 @@ impl Horizon {
     pub fn least_on_way(
         &mut self,
         model: &Linearised,
-        terms: &Terms,
+        now: Present,
         joint_limits: &[(f64, f64)],
         (from, to): (&[f64], &[f64]),
     ) -> f64 {
@@ -464,11 +464,11 @@ impl Horizon {
         for (way, (from, to)) in self.way.iter_mut().zip(from.iter().zip(to)) {
             *way = to - from;
         }
-        self.read_limited(model, terms, joint_limits, to);
+        self.read_limited(model, now, joint_limits, to);
         for (end, limited) in self.ends.iter_mut().zip(&self.limited) {
             *end = limited.value;
         }
-        self.read_limited(model, terms, joint_limits, from);
+        self.read_limited(model, now, joint_limits, from);
         let mut gradient = |x: &[f64]| {
             self.work.fill(0.0);
             linalg::add_mat_vec(self.work.as_mut_slice(), self.base_h.as_slice(), n, x);

@@ -14,10 +14,10 @@
 //!
 //! Equations M94 and M110 of `docs/model`.
 
-use super::observer::{MomentumSample, ObserverConfig, ObserverState};
+use super::disturbance_observer::{MomentumSample, ObserverConfig, ObserverState};
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::control::law::contact::add_wrenches;
-use crate::control::measurement::UsedMeasurement;
+use crate::control::measure::measurement::Estimate;
 use crate::error::BuildError;
 use crate::kinematics::Kinematics;
 use crate::robot::RobotModel;
@@ -117,29 +117,28 @@ impl WindObserver {
         }
     }
 
-    /// Updates the estimate with the results of a tick: the measurement, its kinematics, the centroidal `momentum`
+    /// Updates the wind with the results of a tick: the estimate of the robot, its kinematics, the centroidal `momentum`
     /// \[kg m/s, kg m²/s\], `A_T` and the soles. There is no correction in a tick whose momentum is not measured.
     pub fn update(
         &mut self,
         state: &mut WindState,
-        measurement: &UsedMeasurement,
+        estimate: &Estimate,
         kinematics: &Kinematics,
         momentum: &Vector6<f64>,
         a_t: &Matrix6xX<f64>,
         soles: &[Pose],
     ) {
-        state.drift(measurement.elapsed);
+        state.drift(estimate.elapsed);
         let mut rate = Vector6::zeros();
-        for (column, thrust) in a_t.column_iter().zip(&measurement.thrust) {
+        for (column, thrust) in a_t.column_iter().zip(&estimate.robot.thrust) {
             rate += column * *thrust;
         }
         rate[2] -= kinematics.mass() * self.robot.gravity;
-        add_wrenches(soles, &measurement.foot_wrenches, &kinematics.com, &mut rate);
+        add_wrenches(soles, &estimate.robot.foot_wrenches, &kinematics.com, &mut rate);
         let gains =
             ObserverConfig { gain_force: GAIN, gain_moment: GAIN, force_max: GREATEST, moment_max: GREATEST };
         let sample = MomentumSample { momentum: *momentum, rate };
-        let sampling = measurement.sampling();
-        if let Some(step) = state.wrench.observe(&gains, sampling, measurement.elapsed, sample) {
+        if let Some(step) = state.wrench.observe(&gains, estimate.momentum, estimate.elapsed, sample) {
             self.correct(state, kinematics, step);
         }
     }

@@ -14,7 +14,7 @@
 use super::chain::{Answers, Chain, along};
 use super::config::MpcConfig;
 use super::model::Linearised;
-use crate::control::terms::Terms;
+use super::Present;
 use crate::jets::JetModel;
 use crate::linalg;
 use crate::robot::RobotModel;
@@ -196,11 +196,11 @@ impl Prediction {
         chains.map(move |(chain, block)| (chain, block, self.unknown(chain, block)))
     }
 
-    /// Rebuilds it at the state of `terms`, before the first knot.
-    pub(super) fn update(&mut self, model: &Linearised, terms: &Terms) {
-        self.write_chains(model, terms);
-        self.write_dynamics(model, terms);
-        self.write_rates(model, terms);
+    /// Rebuilds it at the present state, before the first knot.
+    pub(super) fn update(&mut self, model: &Linearised, now: Present) {
+        self.write_chains(model, now);
+        self.write_dynamics(model, now);
+        self.write_rates(model, now);
         self.write_steps();
         self.y.fill(0.0);
         self.wrench.fill(0.0);
@@ -209,19 +209,19 @@ impl Prediction {
 
     /// What each jet does by its inputs, and all chains without them. An engine that does not reach its thrusts keeps the
     /// present one; the rate of an ideal jet is its input.
-    fn write_chains(&mut self, model: &Linearised, terms: &Terms) {
-        let measured = &terms.measurement;
+    fn write_chains(&mut self, model: &Linearised, now: Present) {
+        let estimate = now.estimate;
         self.now.fill(Vector3::zeros());
         for jet in 0..self.jets {
             let Some(engine) = &self.models[jet].engine else { continue };
-            self.chains[jet] = Chain::of_engine(engine, measured.thrust[jet], measured.thrust_rate[jet]);
+            self.chains[jet] = Chain::of_engine(engine, estimate.robot.thrust[jet], estimate.thrust_rate[jet]);
             self.answers[jet].update(&self.chains[jet], self.series, &self.power);
-            if self.works(jet, terms) {
-                self.now[jet][1] = measured.thrust_rate[jet];
+            if self.works(jet, now) {
+                self.now[jet][1] = estimate.thrust_rate[jet];
             }
         }
         for (state, joint) in self.now[self.jets..].iter_mut().zip(&model.joints) {
-            state[1] = measured.state.joint_velocity()[*joint];
+            state[1] = estimate.robot.state.joint_velocity()[*joint];
         }
         for knot in 0..self.knots() {
             for chain in 0..self.now.len() {
@@ -232,8 +232,8 @@ impl Prediction {
     }
 
     /// Whether an engine reaches all its thrusts.
-    fn works(&self, jet: usize, terms: &Terms) -> bool {
-        terms.limits.thrust[jet] == self.usual[jet]
+    fn works(&self, jet: usize, now: Present) -> bool {
+        now.terms.limits.thrust[jet] == self.usual[jet]
     }
 
     /// States of the chains at the beginning of a knot, without inputs.
@@ -244,13 +244,13 @@ impl Prediction {
     /// Least and greatest input of a jet's engine in a knot, from the limits of its throttle along the motion without
     /// inputs (M174); `None` for ideal jets. An engine that does not reach its thrusts has none.
     #[must_use]
-    pub fn input_range(&self, knot: usize, jet: usize, terms: &Terms) -> Option<(f64, f64)> {
+    pub fn input_range(&self, knot: usize, jet: usize, now: Present) -> Option<(f64, f64)> {
         let engine = self.models[jet].engine?;
-        if !self.works(jet, terms) {
+        if !self.works(jet, now) {
             return Some((0.0, 0.0));
         }
         let state = self.before(knot)[jet];
-        let thrust = terms.measurement.thrust[jet] + state[0];
+        let thrust = now.estimate.robot.thrust[jet] + state[0];
         let (least, greatest) = engine.lasting_range(thrust, state[1]);
         let free = (self.chains[jet].a.row(1) * state)[0];
         Some((least - free, greatest - free))
@@ -262,15 +262,15 @@ impl Prediction {
     }
 
     /// `A_c`, `A_d`, B and c.
-    fn write_dynamics(&mut self, model: &Linearised, terms: &Terms) {
+    fn write_dynamics(&mut self, model: &Linearised, now: Present) {
         let jets = self.jets;
-        let mass = terms.kinematics.mass();
-        let state = &terms.measurement.state;
+        let mass = now.terms.kinematics.mass();
+        let state = &now.estimate.robot.state;
         let omega = state.base_angular_velocity();
         let Step { by_y, by_d, by_w, drift, .. } = &mut self.dynamics;
         by_y.fill(0.0);
         by_y.fixed_view_mut::<3, 3>(0, 3).fill_with_identity();
-        drift.fixed_rows_mut::<3>(0).copy_from(&(terms.dynamics.momentum.fixed_rows::<3>(0) / mass));
+        drift.fixed_rows_mut::<3>(0).copy_from(&(now.terms.dynamics.momentum.fixed_rows::<3>(0) / mass));
         for (row, first, scale) in [(3, 0, mass.recip()), (9, 3, 1.0)] {
             for (column, by) in [(3, &model.rate_v), (6, &model.rate_theta), (9, &model.rate_k)] {
                 by_y.fixed_view_mut::<3, 3>(row, column).copy_from(&(by.fixed_rows::<3>(first) * scale));
@@ -285,7 +285,7 @@ impl Prediction {
             for axis in 0..3 {
                 by_w[first + axis][row + axis] = scale;
             }
-            let rate = terms.momentum.rate_estimate.fixed_rows::<3>(first) * scale;
+            let rate = now.terms.momentum.rate_estimate.fixed_rows::<3>(first) * scale;
             drift.fixed_rows_mut::<3>(row).copy_from(&rate);
         }
         // θ̇ = J_l⁻¹(θ) ω, with J_l⁻¹ = 1 − S(θ)/2 + …
@@ -304,10 +304,10 @@ impl Prediction {
     }
 
     /// ω, a and α: `α = ω_θ θ̇ + ω_k k̇ + ω_s ṡ + ω_ṡ s̈`.
-    fn write_rates(&mut self, model: &Linearised, terms: &Terms) {
+    fn write_rates(&mut self, model: &Linearised, now: Present) {
         let (kd, kp) = self.gains;
         let (theta, k) = (model.omega_theta, model.omega_k);
-        let half = skew(&terms.measurement.state.base_angular_velocity()) * 0.5;
+        let half = skew(&now.estimate.robot.state.base_angular_velocity()) * 0.5;
         let of = |column: &Column| {
             let mut rates = Rates::zeros();
             let turn: Vector3<f64> = column.fixed_rows::<3>(6).into();

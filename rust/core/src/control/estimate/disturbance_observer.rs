@@ -10,7 +10,7 @@
 //! the law is the same in flight and standing. `Δt` is the time between the two measurements. Inertial axes, about the
 //! centre of mass, force first. Equations M82 to M84 and M106 of `docs/model`.
 
-use crate::control::measurement::Sampling;
+use crate::control::measure::measurement::Sampling;
 use crate::error::{BuildError, Table};
 use crate::timing::share;
 use nalgebra::Vector6;
@@ -135,6 +135,6 @@ impl ObserverState {
 }
 
 /// Fraction of an innovation that the residual receives after `elapsed` \[s\].
-pub(super) fn residual_share(elapsed: f64) -> f64 {
+pub(in crate::control) fn residual_share(elapsed: f64) -> f64 {
     share(elapsed / RESIDUAL_TIME)
 }

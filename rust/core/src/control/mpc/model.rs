@@ -10,6 +10,7 @@
 
 use super::config::Air;
 use crate::aero::{AeroModel, ForceDerivatives};
+use super::Present;
 use crate::control::terms::Terms;
 use crate::robot::{JointKind, RobotModel};
 use crate::spatial::{skew, stack};
@@ -68,15 +69,15 @@ impl Linearised {
         }
     }
 
-    /// Linearises at the state of `terms`; `false` if the inertia cannot be inverted.
+    /// Linearises at the present state; `false` if the inertia cannot be inverted.
     #[must_use]
-    pub fn update(&mut self, robot: &RobotModel, aero: &AeroModel, air: Air, terms: &Terms) -> bool {
-        let Terms { dynamics, kinematics, momentum, .. } = terms;
+    pub fn update(&mut self, robot: &RobotModel, aero: &AeroModel, air: Air, now: Present) -> bool {
+        let Terms { dynamics, kinematics, momentum, .. } = now.terms;
         let Some(inverse) = dynamics.centroidal_inertia.try_inverse() else { return false };
         let total = dynamics.momentum;
         let (l, k): (Vector3<f64>, Vector3<f64>) =
             (total.fixed_rows::<3>(0).into(), total.fixed_rows::<3>(3).into());
-        let omega = terms.measurement.state.base_angular_velocity();
+        let omega = now.estimate.robot.state.base_angular_velocity();
         self.omega_k = inverse;
         self.omega_theta = inverse * skew(&k) - skew(&omega);
         dynamics.subtree_momenta(robot, kinematics, &mut self.momenta);
@@ -84,12 +85,12 @@ impl Linearised {
         self.rate_t.copy_from(&momentum.a_t);
         self.rate_v.fill(0.0);
         let mut turned = Vector6::zeros(); // wrench that turns with the robot
-        for (column, thrust) in momentum.a_t.column_iter().zip(&terms.measurement.thrust) {
+        for (column, thrust) in momentum.a_t.column_iter().zip(&now.estimate.robot.thrust) {
             turned += column * *thrust;
         }
         let mut by_omega = Matrix6x3::zeros();
         if air == Air::Linear {
-            self.add_links_of_base(aero, terms, &mut by_omega, &mut turned);
+            self.add_links_of_base(aero, now, &mut by_omega, &mut turned);
         }
         for (place, &joint) in self.joints.iter().enumerate() {
             let (by_l, by_k) = dynamics.momentum_by_joint(robot, kinematics, &self.momenta, joint);
@@ -101,7 +102,7 @@ impl Linearised {
             let (mut by_s, mut by_sigma) = (lambda + by_omega * omega_s, by_omega * omega_sigma);
             if air == Air::Linear {
                 let (links_s, links_sigma) =
-                    of_joint(robot, &self.links, terms, joint, &(by_l / kinematics.mass()));
+                    of_joint(robot, &self.links, now, joint, &(by_l / kinematics.mass()));
                 by_s += links_s;
                 by_sigma += links_sigma;
             }
@@ -110,7 +111,7 @@ impl Linearised {
         }
         self.rate_k = by_omega * inverse;
         // f(θ; v, k, wind) = R f(0; Rᵀ v, Rᵀ k, Rᵀ wind), and f depends on v − wind.
-        let through_air = l / kinematics.mass() - terms.measurement.wind;
+        let through_air = l / kinematics.mass() - now.estimate.robot.wind;
         self.rate_theta = self.rate_v * skew(&through_air) + self.rate_k * skew(&k);
         for (rows, vector) in [(0, turned.fixed_rows::<3>(0)), (3, turned.fixed_rows::<3>(3))] {
             let mut block = self.rate_theta.fixed_rows_mut::<3>(rows);
@@ -123,11 +124,11 @@ impl Linearised {
     fn add_links_of_base(
         &mut self,
         aero: &AeroModel,
-        terms: &Terms,
+        now: Present,
         by_omega: &mut Matrix6x3<f64>,
         turned: &mut Vector6<f64>,
     ) {
-        let Terms { link_forces, kinematics, .. } = terms;
+        let Terms { link_forces, kinematics, .. } = now.terms;
         for (index, derivatives) in self.links.iter_mut().enumerate() {
             *derivatives = aero.derivatives(index, &link_forces.axes_i[index], &link_forces.v_air_i[index]);
             let by_air = derivatives.by_velocity;
@@ -148,11 +149,11 @@ impl Linearised {
 fn of_joint(
     robot: &RobotModel,
     links: &[ForceDerivatives],
-    terms: &Terms,
+    now: Present,
     joint: usize,
     moves: &Vector3<f64>,
 ) -> (Vector6<f64>, Vector6<f64>) {
-    let Terms { link_forces, kinematics, dynamics, .. } = terms;
+    let Terms { link_forces, kinematics, dynamics, .. } = now.terms;
     let j_g: Vector3<f64> = dynamics.momentum_matrix.fixed_view::<3, 1>(0, 6 + joint) / kinematics.mass();
     let motion = &kinematics.bodies[joint + 1];
     let parent = &kinematics.bodies[robot.bodies[joint + 1].parent.unwrap_or(0)];

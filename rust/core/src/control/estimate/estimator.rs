@@ -18,12 +18,13 @@ mod config;
 pub use config::{ChannelConfig, EstimatorConfig, LatencyConfig};
 
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
+use crate::control::acting::Acting;
 use crate::control::law::contact::WRENCH;
-use crate::control::measurement::{BETWEEN_MAX, Reading};
+use crate::control::measure::measurement::{BETWEEN_MAX, Channel, Measurement};
 use crate::dynamics::{Dynamics, MassFactor};
 use crate::error::BuildError;
 use crate::jets::{JetDynamics, JetModel};
-use crate::kinematics::{Kinematics, RobotState};
+use crate::kinematics::Kinematics;
 use crate::robot::RobotModel;
 use crate::spatial::{GREATEST, exp_so3, log_so3, parts, project_to_so3};
 use crate::timing::share;
@@ -31,6 +32,10 @@ use nalgebra::{DVector, Vector3, Vector6};
 
 /// Greatest latency of torques beyond the configured one that is used when it is measured \[s\].
 pub const LATENCY_UNKNOWN: f64 = 0.05;
+
+/// Channels whose gaps are counted, in the order of the configuration.
+const BASE: [Channel; 4] =
+    [Channel::Position, Channel::Rotation, Channel::LinearVelocity, Channel::AngularVelocity];
 
 /// Inputs of the model from one tick to the next.
 #[derive(Debug, Clone, PartialEq)]
@@ -47,8 +52,8 @@ struct Order {
 
 /// State of the robot with what its model and its measurements do not contain.
 #[derive(Debug, Clone, PartialEq)]
-struct Estimate {
-    reading: Reading,
+struct Predicted {
+    robot: Measurement,
     /// Accelerations of the joints that the model does not explain \[rad/s²\].
     disturbance: DVector<f64>,
     /// Bias of the gyroscopes \[rad/s, base axes\].
@@ -57,9 +62,9 @@ struct Estimate {
     thrust_rate: Vec<f64>,
 }
 
-impl Estimate {
+impl Predicted {
     fn copy_from(&mut self, other: &Self) {
-        self.reading.copy_from(&other.reading);
+        self.robot.copy_from(&other.robot);
         self.disturbance.copy_from(&other.disturbance);
         self.gyro_bias = other.gyro_bias;
         self.thrust_rate.copy_from_slice(&other.thrust_rate);
@@ -103,13 +108,12 @@ impl Model {
     /// and thrust rates that act.
     fn advance(
         &mut self,
-        estimate: &mut Estimate,
+        estimate: &mut Predicted,
         (order, duration): (&Order, f64),
         (torque, thrust_rate): (Mixed, Mixed),
     ) {
-        let Estimate { reading, disturbance, thrust_rate: rates, .. } = estimate;
+        let Predicted { robot: Measurement { state, thrust, .. }, disturbance, thrust_rate: rates, .. } = estimate;
         let Self { robot, jets, aero, kinematics, dynamics, link_forces, mass_factor, acceleration } = self;
-        let Reading { state, thrust } = reading;
         kinematics.update(robot, state);
         dynamics.update(robot, state, kinematics);
         link_forces.update(robot, kinematics, LinkConventions::default(), aero, &order.wind_i);
@@ -173,13 +177,13 @@ impl Gains {
     /// duration of the tick before it \[s\] (M91, M93, M145).
     fn correct(
         &self,
-        estimate: &mut Estimate,
-        (line, gaps): (&[Reading], &[[u8; 4]]),
+        estimate: &mut Predicted,
+        (line, gaps): (&[Measurement], &[[u8; 4]]),
         last: usize,
         since: Option<usize>,
         step: f64,
     ) {
-        let Estimate { reading, disturbance, gyro_bias, .. } = estimate;
+        let Predicted { robot, disturbance, gyro_bias, .. } = estimate;
         let arrived = self.delays.map(|delay| since.and_then(|since| since.checked_sub(delay)));
         let place = |since: Option<usize>| (last + line.len() - since.unwrap_or(0)) % line.len();
         let measured = arrived.map(|since| &line[place(since)]);
@@ -194,13 +198,13 @@ impl Gains {
         if arrived[4].is_some() {
             let [of_velocity, of_acceleration] = self.by_position;
             for joint in 0..disturbance.len() {
-                let found = reading.state.joint_position[joint];
+                let found = robot.state.joint_position[joint];
                 let innovation = prefer_measured(measured[4].state.joint_position[joint], found) - found;
-                reading.state.velocity[6 + joint] += of_velocity / step * innovation;
+                robot.state.velocity[6 + joint] += of_velocity / step * innovation;
                 disturbance[joint] += of_acceleration / (step * step) * innovation;
             }
         }
-        let turned = correct(reading, measured, &shares, gyro_bias);
+        let turned = correct(robot, measured, &shares, gyro_bias);
         *gyro_bias -= self.of_bias / step * turned;
     }
 }
@@ -222,14 +226,14 @@ pub struct Estimator {
     /// age and time constant of the linear and of the angular velocity.
     pub momentum_shares: [f64; 2],
     /// The estimate on its way to the present.
-    ahead: Estimate,
+    ahead: Predicted,
 }
 
 /// State of the estimator, kept from tick to tick.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EstimatorState {
     /// The last measurements: a ring buffer of the greatest age plus one.
-    line: Vec<Reading>,
+    line: Vec<Measurement>,
     /// For how many ticks before each measurement its position, rotation and velocities of the base were missing.
     gaps: Vec<[u8; 4]>,
     /// The same of the next measurement.
@@ -239,7 +243,7 @@ pub struct EstimatorState {
     /// Number of measurements processed.
     ticks: usize,
     /// Estimate at the greatest age.
-    then: Estimate,
+    then: Predicted,
     /// Latency of the torques, where it is not as configured \[s\].
     torque_latency: Option<f64>,
 }
@@ -287,8 +291,8 @@ impl Estimator {
         let momentum_shares = [2, 3]
             .map(|of| share(((whole + delays[of]) as f64 + left) * time_step + channels[of].time_constant));
         let of_bias = config.gyro_bias.map_or(0.0, share);
-        let ahead = Estimate {
-            reading: Reading::zero(joints, model.robot.jets.len()),
+        let ahead = Predicted {
+            robot: Measurement::zero(joints, model.robot.jets.len(), model.robot.feet.len()),
             disturbance: DVector::zeros(joints),
             gyro_bias: Vector3::zeros(),
             thrust_rate: vec![0.0; model.robot.jets.len()],
@@ -300,11 +304,10 @@ impl Estimator {
         Ok(Self { model, time_step, waiting, gap_max, latency, latency_max, gains, momentum_shares, ahead })
     }
 
-    /// State before the first measurement, for a flight that starts from `state` and `thrust` \[N\].
+    /// State before the first measurement, for a flight that starts from `first`.
     #[must_use]
-    pub fn start(&self, state: &RobotState, thrust: &[f64]) -> EstimatorState {
+    pub fn start(&self, first: &Measurement) -> EstimatorState {
         let (joints, jets) = (self.model.robot.joints.len(), self.model.robot.jets.len());
-        let first = Reading { state: state.clone(), thrust: thrust.to_vec() };
         let order = Order {
             torque: vec![0.0; joints],
             thrust_rate: vec![0.0; jets],
@@ -319,8 +322,8 @@ impl Estimator {
             gap: [0; 4],
             orders: vec![order; self.orders()],
             ticks: 0,
-            then: Estimate {
-                reading: first,
+            then: Predicted {
+                robot: first.clone(),
                 disturbance: DVector::zeros(joints),
                 gyro_bias: Vector3::zeros(),
                 thrust_rate: vec![0.0; jets],
@@ -342,10 +345,10 @@ impl Estimator {
             && state.gaps.len() == state.line.len()
             && state.orders.len() == self.orders()
             && state.then.disturbance.len() == robot.joints.len()
-            && state.then.reading.thrust.len() == robot.jets.len()
+            && state.then.robot.thrust.len() == robot.jets.len()
     }
 
-    /// Replaces the measurement `now` by the estimate at the present time. Does not allocate.
+    /// Returns the estimate at the present time from the measurement in [`EstimatorState::next`]. Does not allocate.
     ///
     /// The first measurement starts the flight: its plausible numbers also stand for the time before it. Implausible
     /// numbers correct nothing; the model's prediction replaces them. An estimate that is not finite restarts from the
@@ -357,11 +360,10 @@ impl Estimator {
     pub fn update(
         &mut self,
         memory: &mut EstimatorState,
-        now: &mut Reading,
         elapsed: f64,
         thrust_innovation: &mut [f64],
         thrust_rate: &mut [f64],
-    ) {
+    ) -> &Measurement {
         memory.last_order().duration = self.time_step * (elapsed / self.time_step).round().max(1.0);
         let Self { model, time_step, waiting, gap_max, latency, latency_max, gains, ahead, .. } = self;
         let EstimatorState { line, gaps, gap, orders, ticks, then, torque_latency } = memory;
@@ -385,31 +387,29 @@ impl Estimator {
         let begun = *ticks > waiting;
         // Duration of the step that leads to `then`.
         let step = if begun { given(oldest + 1).duration } else { *time_step };
-        if *ticks == 0 {
-            for reading in line.iter_mut() {
-                reading.copy_from(now);
-            }
-            take_over(&mut then.reading, now);
+        if let (0, Some((now, others))) = (*ticks, line.split_first_mut()) {
+            others.iter_mut().for_each(|measured| measured.copy_from(now));
+            take_over(&mut then.robot, now);
             gaps.fill([0; 4]);
             *gap = [0; 4];
         }
-        line[*ticks % length].copy_from(now);
+        let now = &line[*ticks % length];
         gaps[*ticks % length] = *gap;
-        for (gap, is_measured) in gap.iter_mut().zip(now.has_base()) {
-            *gap = if is_measured { 0 } else { (*gap + 1).min(*gap_max) };
+        for (gap, channel) in gap.iter_mut().zip(BASE) {
+            *gap = if now.is_measured(channel) { 0 } else { (*gap + 1).min(*gap_max) };
         }
         if begun {
             model.advance(then, (given(oldest + 1), step), acting(oldest + 1, late));
         }
-        if !then.reading.is_finite() {
-            then.reading.copy_from(now);
+        if !then.robot.state.is_finite() || then.robot.thrust.iter().any(|thrust| !thrust.is_finite()) {
+            then.robot.copy_from(now);
             then.disturbance.fill(0.0);
             then.gyro_bias.fill(0.0);
             then.thrust_rate.fill(0.0);
         }
-        thrust_innovation.copy_from_slice(&then.reading.thrust);
+        thrust_innovation.copy_from_slice(&then.robot.thrust);
         gains.correct(then, (line, gaps), *ticks, Some(waiting), step);
-        for (innovation, corrected) in thrust_innovation.iter_mut().zip(&then.reading.thrust) {
+        for (innovation, corrected) in thrust_innovation.iter_mut().zip(&then.robot.thrust) {
             *innovation = corrected - *innovation;
         }
         ahead.copy_from(then);
@@ -426,22 +426,28 @@ impl Estimator {
                 model.advance(ahead, (given(1), part), acting(0, [1.0; 2]));
             }
         }
-        now.copy_from(&ahead.reading);
         // When this tick's thrust rates begin to act, those on their way have acted.
         for (jet, (to, model)) in thrust_rate.iter_mut().zip(&model.jets).enumerate() {
-            let mut reached = (ahead.reading.thrust[jet], ahead.thrust_rate[jet]);
+            let mut reached = (ahead.robot.thrust[jet], ahead.thrust_rate[jet]);
             for age in (1..=whole(thrust)).rev() {
                 reached = model.advance(reached.0, reached.1, given(age).thrust_rate[jet], *time_step);
             }
             *to = reached.1;
         }
         *ticks += 1;
+        &ahead.robot
     }
 }
 
 impl EstimatorState {
+    /// Where the measurement of the next update is written; numbers that are not finite are not measured.
+    pub fn next(&mut self) -> &mut Measurement {
+        let length = self.line.len();
+        &mut self.line[self.ticks % length]
+    }
+
     /// Restarts from the next measurement, because the estimates before it are worth nothing.
-    pub(super) fn restart(&mut self) {
+    pub fn restart(&mut self) {
         self.ticks = 0;
     }
 
@@ -452,36 +458,28 @@ impl EstimatorState {
     }
 
     /// Subtracts the error `deviation` \[N\] of a jet's sensor from its thrust; its stored measurements are discarded.
-    pub(super) fn correct_thrust(&mut self, jet: usize, deviation: f64) {
-        self.then.reading.thrust[jet] -= deviation;
-        for reading in &mut self.line {
-            reading.thrust[jet] = f64::NAN;
+    pub fn correct_thrust(&mut self, jet: usize, deviation: f64) {
+        self.then.robot.thrust[jet] -= deviation;
+        for measured in &mut self.line {
+            measured.thrust[jet] = f64::NAN;
         }
     }
 
-    /// Stores the inputs from this tick to the next: thrust rates \[N/s\], torques \[N m\], the observed wrench, the
-    /// wind that the controller uses \[m/s\] (finite whatever is measured), and the wrenches that keep the feet at rest,
-    /// foot after foot about their soles \[N, N m, inertial axes\].
-    pub fn command(
-        &mut self,
-        thrust_rate: &[f64],
-        joint_torque: &[f64],
-        unmodelled: &Vector6<f64>,
-        wind_i: &Vector3<f64>,
-        foot_wrenches: &[f64],
-    ) {
-        self.replace_command(thrust_rate, joint_torque);
+    /// Stores the inputs from this tick to the next: the command, the observed wrench, and the wind that the controller
+    /// uses \[m/s\], which is finite whatever is measured.
+    pub fn command(&mut self, acting: &Acting, unmodelled: &Vector6<f64>, wind_i: &Vector3<f64>) {
+        self.replace_command(acting);
         let order = self.last_order();
         order.unmodelled = *unmodelled;
         order.wind_i = *wind_i;
-        order.foot_wrenches.copy_from_slice(foot_wrenches);
+        order.foot_wrenches.copy_from_slice(acting.foot_wrenches.as_slice());
     }
 
-    /// Replaces the command that acts from this tick to the next.
-    pub fn replace_command(&mut self, thrust_rate: &[f64], joint_torque: &[f64]) {
+    /// Replaces thrust rates and torques that act from this tick to the next.
+    pub fn replace_command(&mut self, acting: &Acting) {
         let order = self.last_order();
-        order.torque.copy_from_slice(joint_torque);
-        order.thrust_rate.copy_from_slice(thrust_rate);
+        order.torque.copy_from_slice(acting.torque.as_slice());
+        order.thrust_rate.copy_from_slice(acting.thrust_rate.as_slice());
     }
 
     fn last_order(&mut self) -> &mut Order {
@@ -503,8 +501,9 @@ fn reach(lag: f64) -> usize {
 }
 
 /// Copies the numbers of `measured` that are plausible and keeps the others.
-fn take_over(to: &mut Reading, measured: &Reading) {
-    let (Reading { state: to, thrust: to_thrust }, Reading { state, thrust }) = (to, measured);
+fn take_over(to: &mut Measurement, measured: &Measurement) {
+    let Measurement { state: to, thrust: to_thrust, .. } = to;
+    let Measurement { state, thrust, .. } = measured;
     let take = |to: &mut f64, measured| *to = prefer_measured(measured, *to);
     to.base.position.zip_apply(&state.base.position, take);
     to.base.rotation.zip_apply(&state.base.rotation, take);
@@ -523,13 +522,13 @@ fn prefer_measured(measured: f64, estimate: f64) -> f64 {
 /// Corrects an estimate by measurements of its time, each with its fraction (M91), those of the gyroscopes less their
 /// bias. Returns by how much the rotation was corrected \[rad, base axes\].
 fn correct(
-    estimate: &mut Reading,
-    measured: [&Reading; 7],
+    estimate: &mut Measurement,
+    measured: [&Measurement; 7],
     shares: &[f64; 7],
     gyro_bias: &Vector3<f64>,
 ) -> Vector3<f64> {
     let [position, rotation, linear, angular, joints, joint_velocities, thrusts] = measured;
-    let Reading { state, thrust } = estimate;
+    let Measurement { state, thrust, .. } = estimate;
     let (rotation_now, turning) = (state.base.rotation, state.base_angular_velocity());
     let gyro_now = rotation_now.transpose() * turning;
     let rotation_measured = angular.state.base.rotation.zip_map(&rotation_now, prefer_measured);

@@ -13,9 +13,12 @@
 //! Equation M143 of `docs/model/guard.md`; Haddadin, De Luca and Albu-Schäffer, "Robot collisions", IEEE T-RO 2017, have the
 //! residual of the momentum.
 
-pub mod residual;
-
-use crate::control::limits::JointCondition;
+use super::{Detector, Evidence, Findings, Setup};
+use crate::control::command::Command;
+use crate::control::limits::{JointCondition, Limits};
+use crate::control::measure::measurement::Estimate;
+use crate::control::modes::Modes;
+use crate::spatial::parts;
 use crate::timing::{Exceeded, share};
 use nalgebra::{DVector, Vector3};
 use serde::{Deserialize, Serialize};
@@ -103,6 +106,97 @@ pub struct JointsState {
     stuck_at: DVector<f64>,
 }
 
+/// The detection of one controller, with the workspace of `r`.
+#[derive(Debug, Clone)]
+pub struct Joints {
+    config: JointsConfig,
+    time_step: f64,
+    /// Stops of the joints, lower and upper \[rad, m\].
+    stops: Vec<(f64, f64)>,
+    unexplained: DVector<f64>,
+    residual: DVector<f64>,
+}
+
+impl Joints {
+    /// What a tick shows of the joints.
+    fn sample<'a>(&'a mut self, tick: &Evidence<'a>) -> JointSample<'a> {
+        let Evidence { estimate, acting, dynamics, kinematics, momentum, .. } = *tick;
+        let velocities = estimate.robot.state.velocity.iter().zip(&acting.velocity);
+        for ((to, (now, before)), predicted) in
+            self.unexplained.iter_mut().zip(velocities).zip(&acting.acceleration)
+        {
+            *to = (now - before) / estimate.elapsed - predicted;
+        }
+        self.residual.gemv(1.0, &dynamics.mass_matrix, &self.unexplained, 0.0);
+        let (force, moment) = parts(&momentum.unmodelled_wrench);
+        let arm = kinematics.com - kinematics.bodies[0].i_from_b.position;
+        let mut rows = self.residual.fixed_rows_mut::<3>(0);
+        rows += force;
+        let mut rows = self.residual.fixed_rows_mut::<3>(3);
+        rows += moment + arm.cross(&force);
+        JointSample {
+            dt: estimate.elapsed,
+            residual: &self.residual,
+            torque: &acting.joint_torque,
+            stops: &self.stops,
+        }
+    }
+}
+
+impl Detector for Joints {
+    type State = JointsState;
+
+    fn build(setup: &Setup) -> Option<Self> {
+        let stops: Vec<_> = setup.robot.joints.iter().map(|joint| joint.stops).collect();
+        let rows = DVector::zeros(6 + stops.len());
+        let (unexplained, residual) = (rows.clone(), rows);
+        let time_step = setup.time_step;
+        setup.config.joints.map(|config| Self { config, time_step, stops, unexplained, residual })
+    }
+
+    fn start(&self, estimate: &Estimate) -> JointsState {
+        JointsState::new(&estimate.robot.state.joint_position)
+    }
+
+    fn fits(&self, state: &JointsState) -> bool {
+        [state.found.len(), state.position.len()] == [self.stops.len(); 2]
+    }
+
+    fn measure(&self, state: &mut JointsState, measured: &Estimate) {
+        let position = &measured.robot.state.joint_position;
+        if measured.modes.contains(Modes::BEGUN_AGAIN) {
+            state.begin_again(position);
+        }
+        state.measure(position, !measured.modes.contains(Modes::JOINTS_PREDICTED), measured.elapsed);
+    }
+
+    fn detect(
+        &mut self,
+        state: &mut JointsState,
+        tick: &Evidence,
+        limits: &mut Limits,
+        findings: &mut Findings,
+    ) {
+        if tick.estimate.has_momentum() && tick.inverse_mass.is_known && !tick.is_standing {
+            let config = self.config;
+            state.update(&config, &self.sample(tick));
+        } else {
+            state.interrupt();
+        }
+        limits.joints.copy_from_slice(&state.found);
+        for (found, velocity_max) in state.found.iter().zip(&mut limits.joint_velocity) {
+            *velocity_max = found.velocity_max(*velocity_max);
+        }
+        if state.found.iter().any(|found| *found != JointCondition::Healthy) {
+            findings.modes.insert(Modes::JOINT_LIMITED);
+        }
+    }
+
+    fn command(&self, state: &mut JointsState, command: &Command) {
+        state.command(&command.joint_velocity, self.time_step);
+    }
+}
+
 /// Values of a tick.
 #[derive(Debug)]
 pub struct JointSample<'a> {
@@ -132,12 +226,6 @@ impl JointsState {
             found: vec![JointCondition::Healthy; position.len()],
             stuck_at: none,
         }
-    }
-
-    /// Whether it has the sizes of a robot with `joints` joints.
-    #[must_use]
-    pub fn fits(&self, joints: usize) -> bool {
-        self.found.len() == joints && self.position.len() == joints
     }
 
     /// Begins again in these positions \[rad, m\]; what is found stays.

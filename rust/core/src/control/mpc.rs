@@ -17,14 +17,14 @@ pub mod clearance;
 pub mod config;
 pub mod horizon;
 pub mod model;
-pub mod plan;
 pub mod prediction;
 
-use super::setpoint::{Ahead, SetpointGenerator};
+use super::law::setpoint::{Ahead, SetpointGenerator};
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::control::command::{Command, CommandStatus};
 use crate::control::preview::Preview;
 use crate::control::state::ControllerState;
+use crate::control::measure::measurement::Estimate;
 use crate::control::terms::Terms;
 use crate::error::BuildError;
 use crate::jets::JetModel;
@@ -35,7 +35,7 @@ use config::{Air, MpcConfig};
 use horizon::{Horizon, Target};
 use model::Linearised;
 use nalgebra::Vector6;
-use plan::Plan;
+use crate::control::law::plan::Plan;
 
 /// Limit of QPs of one plan: each has the values beyond their limits that the last answer brought there.
 const EXCESS_PASSES: u32 = 30;
@@ -70,6 +70,15 @@ pub struct PredictiveLaw {
     /// Inputs of the plan that is being made.
     inputs: Vec<f64>,
     solver: PrimalActiveSet,
+}
+
+/// What a plan begins with.
+#[derive(Debug, Clone, Copy)]
+pub struct Present<'a> {
+    /// The robot as it is known.
+    pub estimate: &'a Estimate,
+    /// What follows from it in this tick.
+    pub terms: &'a Terms,
 }
 
 /// What is known of the motion after this tick.
@@ -157,7 +166,7 @@ impl PredictiveLaw {
         terms: &Terms,
         command: &mut Command,
     ) -> bool {
-        let time = terms.measurement.time;
+        let time = state.estimate.robot.time;
         let is_due = time < state.plan.tried || time - state.plan.tried > self.period - 0.5 * self.time_step;
         let is_planned = !is_due || self.plan(robot, aero, state, motion, terms);
         let longest = PLAN_SHARE * self.horizon.durations().iter().sum::<f64>();
@@ -182,21 +191,22 @@ impl PredictiveLaw {
         motion: &Upcoming,
         terms: &Terms,
     ) -> bool {
-        state.plan.tried = terms.measurement.time;
-        if !self.model.update(robot, aero, self.air, terms) {
+        state.plan.tried = state.estimate.robot.time;
+        let now = Present { terms, estimate: &state.estimate };
+        if !self.model.update(robot, aero, self.air, now) {
             state.plan.answer = None;
             return false;
         }
         self.set_targets(state, motion, terms);
-        self.set_wrenches(robot, aero, motion.preview, terms);
+        self.set_wrenches(robot, aero, motion.preview, now);
         let ahead = (self.targets.as_slice(), self.wrenches.as_slice());
-        self.horizon.update(&self.model, terms, &state.posture, ahead, !terms.limits.holds_position);
-        self.set_bounds(terms);
+        self.horizon.update(&self.model, now, &state.posture, ahead, !terms.limits.holds_position);
+        self.set_bounds(now);
         for (to, damping) in state.plan.damping.iter_mut().zip(self.horizon.prediction.damping()) {
             *to = damping;
         }
         let Self { horizon, solver, model, joint_limits, inputs, .. } = self;
-        Self::search(horizon, solver, model, terms, joint_limits, inputs, &mut state.plan)
+        Self::search(horizon, solver, model, now, joint_limits, inputs, &mut state.plan)
     }
 
     /// Searches the inputs of least cost, with what they bring beyond its limits, from the last plan; `false` without a
@@ -206,14 +216,14 @@ impl PredictiveLaw {
         horizon: &mut Horizon,
         solver: &mut PrimalActiveSet,
         model: &Linearised,
-        terms: &Terms,
+        now: Present,
         joint_limits: &[(f64, f64)],
         inputs: &mut [f64],
         plan: &mut Plan,
     ) -> bool {
         let Plan { inputs: last, warm, answer, since, tried, .. } = plan;
         if since.is_some() {
-            horizon.update_excess(model, terms, joint_limits, last);
+            horizon.update_excess(model, now, joint_limits, last);
         }
         for pass in 0..EXCESS_PASSES {
             let found = solver.solve_from(warm, &horizon.problem);
@@ -222,7 +232,7 @@ impl PredictiveLaw {
                 return false;
             }
             let to = solver.x();
-            if !horizon.update_excess(model, terms, joint_limits, to) {
+            if !horizon.update_excess(model, now, joint_limits, to) {
                 last.copy_from_slice(to);
                 *since = Some(*tried);
                 return true;
@@ -232,11 +242,11 @@ impl PredictiveLaw {
                 continue; // H and g have what these inputs bring beyond its limits
             }
             // The cost falls along the way; its least point has other values beyond their limits.
-            let share = horizon.least_on_way(model, terms, joint_limits, (&*inputs, to));
+            let share = horizon.least_on_way(model, now, joint_limits, (&*inputs, to));
             for (input, to) in inputs.iter_mut().zip(to) {
                 *input += share * (to - *input);
             }
-            horizon.update_excess(model, terms, joint_limits, inputs);
+            horizon.update_excess(model, now, joint_limits, inputs);
         }
         *answer = answer.map(|found| QpAnswer { status: QpStatus::IterationLimit, ..found });
         false
@@ -246,8 +256,8 @@ impl PredictiveLaw {
     fn set_targets(&mut self, state: &ControllerState, motion: &Upcoming, terms: &Terms) {
         let (Upcoming { generator, preview, .. }, time_step) = (motion, self.time_step);
         let mut ahead = state.setpoint;
-        let (mut ticks, mut time) = (0_u32, terms.measurement.time);
-        let present = terms.measurement.state.base.rotation.transpose();
+        let (mut ticks, mut time) = (0_u32, state.estimate.robot.time);
+        let present = state.estimate.robot.state.base.rotation.transpose();
         let mut setpoint = terms.setpoint;
         // The first knot begins when the command acts.
         let mut lead = (self.latency / time_step + 1e-6).floor() * time_step;
@@ -284,12 +294,12 @@ impl PredictiveLaw {
     }
 
     /// Changes of the air's wrench on the robot in its present motion, by the wind at the end of every knot (M125).
-    fn set_wrenches(&mut self, robot: &RobotModel, aero: &mut AeroModel, preview: &Preview, terms: &Terms) {
+    fn set_wrenches(&mut self, robot: &RobotModel, aero: &mut AeroModel, preview: &Preview, now: Present) {
         self.wrenches.fill(Vector6::zeros());
         if preview.wind.is_empty() {
             return;
         }
-        let Terms { kinematics, measurement, link_forces, .. } = terms;
+        let (Terms { kinematics, link_forces, .. }, wind_now) = (now.terms, now.estimate.robot.wind);
         let stacked = |links: &LinkForces| {
             let (force, moment) = links.wrench_about(&kinematics.com);
             stack(&force, &moment)
@@ -297,21 +307,22 @@ impl PredictiveLaw {
         let (now, mut time) = (stacked(link_forces), self.latency);
         for (wrench, duration) in self.wrenches.iter_mut().zip(self.horizon.durations()) {
             time += duration;
-            let wind = measurement.wind + preview.wind_change(time);
+            let wind = wind_now + preview.wind_change(time);
             self.links.update(robot, kinematics, self.conventions, aero, &wind);
             *wrench = stacked(&self.links) - now;
         }
     }
 
     /// Bounds of the inputs: in the first knot and block those of this tick, then the greatest rates.
-    fn set_bounds(&mut self, terms: &Terms) {
+    fn set_bounds(&mut self, now: Present) {
+        let terms = now.terms;
         let (horizon, of_tick) = (&mut self.horizon, &terms.momentum_qp);
         let unknowns = &of_tick.unknowns;
         for knot in 0..horizon.knots() {
             for (jet, rate_max) in self.thrust_rate_max.iter().enumerate() {
                 let unknown = horizon.thrust_input(knot, jet);
                 let of_tick = unknowns.thrust_rate.start + jet;
-                let (lower, upper) = match horizon.prediction.input_range(knot, jet, terms) {
+                let (lower, upper) = match horizon.prediction.input_range(knot, jet, now) {
                     Some(of_engine) => of_engine,
                     None if knot == 0 => bounds_of(terms, of_tick),
                     None => (-rate_max, *rate_max),
@@ -346,7 +357,7 @@ impl PredictiveLaw {
         command.thrust_rate.fill(0.0); // also of unused jets, whose rates may have been replaced
         for jet in 0..unknowns.thrust_rate.len() {
             let input = inputs[self.horizon.thrust_input(knot, jet)];
-            let present = terms.measurement.thrust_rate[jet];
+            let present = state.estimate.thrust_rate[jet];
             let rate = if self.horizon.prediction.has_engine(jet) {
                 present + self.time_step * (input + state.plan.damping[jet] * present)
             } else {
@@ -355,7 +366,7 @@ impl PredictiveLaw {
             command.thrust_rate[jet] = clamp(unknowns.thrust_rate.start + jet, rate);
         }
         for (joint, place) in self.place.iter().enumerate() {
-            let away = terms.measurement.state.joint_position[joint] - state.posture[joint];
+            let away = state.estimate.robot.state.joint_position[joint] - state.posture[joint];
             let velocity = match place {
                 Some(place) => inputs[self.horizon.joint_velocity(knot, *place)],
                 None => -self.posture_gain * away,

@@ -1,10 +1,9 @@
 //! State of the channels from tick to tick: its prediction and its clock.
 
-use super::layout::Numbers;
-use crate::control::measurement::{BETWEEN_MAX, UsedMeasurement};
+use crate::control::acting::Acting;
+use crate::control::measure::measurement::{BETWEEN_MAX, Estimate, Measurement};
 use crate::control::modes::Modes;
 use crate::jets::JetModel;
-use crate::kinematics::RobotState;
 use nalgebra::DVector;
 
 /// Longest time between two ticks, in ticks. Half a tick absorbs rounding.
@@ -18,7 +17,7 @@ const TIME_MAX: f64 = 1e9;
 
 /// State of one channel.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub(super) struct Channel {
+pub(super) struct Record {
     /// Time since its last accepted measurement \[s\].
     pub(super) age: f64,
     /// Number of successive ticks in which its bits have not changed.
@@ -35,7 +34,7 @@ pub(super) struct Channel {
     pub(super) is_distrusted: bool,
 }
 
-impl Channel {
+impl Record {
     /// Whether a velocity of the base is to follow the pose: it is wrong, or has been missing for longer than between two
     /// measurements.
     pub(super) fn follows_pose(&self) -> bool {
@@ -46,33 +45,17 @@ impl Channel {
 /// State of the channels, kept from tick to tick.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChannelsState {
-    pub(super) channels: Vec<Channel>,
+    pub(super) records: Vec<Record>,
     /// The measurement of the last tick.
-    pub(super) last: Vec<f64>,
+    pub(super) last: Measurement,
     /// Prediction from the last accepted values.
-    pub(super) predicted: Vec<f64>,
-    /// Acceleration `ν̇` that the last command causes in the state `commanded_in`.
-    pub acceleration: DVector<f64>,
-    /// State of the robot in the last tick that computed a command.
-    pub commanded_in: RobotState,
-    /// Torques of the last command, or those that replaced them \[N m, N\].
-    pub joint_torque: DVector<f64>,
-    /// Thrust rates of the last command, or those that replaced them \[N/s\].
-    pub thrust_rate: DVector<f64>,
+    pub(super) predicted: Measurement,
     /// Predicted rates of the thrusts \[N/s\].
-    pub jet_rate: DVector<f64>,
-    /// Wrenches that keep the feet at rest, foot after foot \[N, N m\].
-    pub foot_wrenches: DVector<f64>,
-    /// Time of the last tick (M108) \[s\].
-    pub time: f64,
-    /// Offset of the measurement's clock from this time \[s\].
+    pub(super) jet_rate: DVector<f64>,
+    /// Offset of the measurement's clock from that of the controller \[s\].
     pub(super) clock_offset: f64,
-    /// Time for which the momentum has not been measured \[s\].
-    pub(super) gap: f64,
     /// Whether there has been a tick.
     pub(super) is_begun: bool,
-    /// Whether the robot descends.
-    pub is_descending: bool,
 }
 
 impl ChannelsState {
@@ -83,50 +66,44 @@ impl ChannelsState {
         measured: f64,
         time_step: f64,
         can_jump: bool,
-        used: &mut UsedMeasurement,
+        used: &mut Estimate,
     ) -> bool {
-        let next = self.time + time_step;
+        let last = used.robot.time;
+        let next = last + time_step;
         let is_known = time_is_plausible(measured);
         let time = if is_known { measured - self.clock_offset } else { next };
-        let elapsed = time - self.time;
+        let elapsed = time - last;
         let is_step = elapsed > 0.0 && elapsed < GAP_MAX * time_step;
         let has_jumped = self.is_begun && !is_step && can_jump;
         if has_jumped {
             self.clock_offset = measured - next;
         }
-        self.time = if has_jumped { next } else { time };
-        used.time = self.time;
+        used.robot.time = if has_jumped { next } else { time };
         used.elapsed = if is_step { elapsed } else { time_step };
         let may_have_paused = self.is_begun && !is_step && elapsed > 0.0 && elapsed <= PAUSE_MAX;
         used.pause = if may_have_paused { elapsed } else { 0.0 };
         used.modes = Modes::default();
-        used.sensor_error.fill(None);
         if !is_known || has_jumped {
             used.modes.insert(Modes::CLOCK_PREDICTED);
         }
         is_step
     }
 
-    /// Advances all values except the pose by `dt` \[s\] (M101): joints and base by M78, thrusts by M31 or M173. Values stay within
-    /// the accepted range, because otherwise the predicted velocity could grow without limit while a measurement is
-    /// missing.
-    pub(super) fn predict(&mut self, layout: &Numbers, jets: &[JetModel], greatest: &[f64], dt: f64) {
-        let Self { predicted, acceleration, thrust_rate, jet_rate, foot_wrenches, .. } = self;
-        predicted[layout.feet.clone()].copy_from_slice(foot_wrenches.as_slice());
-        let thrusts = predicted[layout.thrust.clone()].iter_mut().zip(jet_rate.iter_mut());
-        for ((thrust, rate), (jet, command)) in thrusts.zip(jets.iter().zip(thrust_rate.iter())) {
+    /// Advances all values except the pose by `dt` \[s\] (M101): joints and base by M78, thrusts by M31 or M173.
+    pub(super) fn predict(&mut self, acting: &Acting, jets: &[JetModel], dt: f64) {
+        let Self { predicted, jet_rate, .. } = self;
+        predicted.foot_wrenches.copy_from(&acting.foot_wrenches);
+        let thrusts = predicted.thrust.iter_mut().zip(jet_rate.iter_mut());
+        for ((thrust, rate), (jet, command)) in thrusts.zip(jets.iter().zip(&acting.thrust_rate)) {
             (*thrust, *rate) = jet.advance(*thrust, *rate, *command, dt);
         }
-        let (base, joints) = acceleration.as_slice().split_at(6);
-        let places = layout.joint_position.clone().zip(layout.joint_velocity.clone());
-        for ((position, velocity), acceleration) in places.zip(joints) {
-            predicted[velocity] += dt * acceleration;
-            predicted[position] += dt * predicted[velocity];
-        }
-        for (velocity, acceleration) in predicted[layout.velocity()].iter_mut().zip(base) {
+        let state = &mut predicted.state;
+        for (velocity, acceleration) in state.velocity.iter_mut().zip(&acting.acceleration) {
             *velocity += dt * acceleration;
         }
-        bound(predicted, greatest);
+        for (position, velocity) in state.joint_position.iter_mut().zip(&state.velocity.as_slice()[6..]) {
+            *position += dt * velocity;
+        }
     }
 }
 

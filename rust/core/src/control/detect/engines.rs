@@ -16,9 +16,12 @@
 //! Where the speed of a shaft is measured, it alone judges the engine: a deviation beyond that of engines whose ramps are
 //! slower and faster than known is the engine's, whatever the momentum shows.
 
-use super::observer::residual_share;
+use super::{Detector, Evidence, Findings, Setup};
+use crate::control::estimate::disturbance_observer::residual_share;
 use crate::control::law::attitude::MomentumGains;
 use crate::control::limits::Limits;
+use crate::control::measure::measurement::{Estimate, Sampling};
+use crate::control::modes::Modes;
 use crate::jets::{EngineModel, JetDynamics};
 use crate::robot::{Joint, JointKind, RobotModel};
 use crate::spatial::parts;
@@ -273,6 +276,44 @@ pub struct Engines {
     descending: Option<(DescentConfig, Limits)>,
 }
 
+impl Detector for Engines {
+    type State = Vec<EngineState>;
+
+    fn build(setup: &Setup) -> Option<Self> {
+        let Setup { config, usual, robot, momentum_shares, .. } = *setup;
+        config.engines.map(|engines| Self::new(&engines, usual, robot, momentum_shares, config.jet_dynamics))
+    }
+
+    fn start(&self, _: &Estimate) -> Self::State {
+        vec![EngineState::default(); self.usual.thrust.len()]
+    }
+
+    fn detect(
+        &mut self,
+        engines: &mut Self::State,
+        tick: &Evidence,
+        limits: &mut Limits,
+        findings: &mut Findings,
+    ) {
+        let Evidence { estimate, acting, momentum, disturbance, is_standing, .. } = *tick;
+        let is_measured = !estimate.modes.contains(Modes::THRUST_MODELLED);
+        let samples = |jet: usize| EngineSample {
+            thrust: estimate.robot.thrust[jet],
+            innovation: estimate.thrust_innovation[jet],
+            is_measured,
+            is_of_speed: estimate.is_of_speed[jet],
+            command: acting.thrust_rate[jet],
+        };
+        let residual = disturbance.filter(|_| estimate.has_momentum()).map(|of| (&momentum.a_t, &of.residual));
+        let is_between = estimate.momentum == Sampling::Between && disturbance.is_some();
+        self.update(engines, estimate.elapsed, samples, residual, is_between, &mut findings.sensor_error);
+        if engines.iter().any(EngineState::is_limited) {
+            findings.modes.insert(Modes::ENGINE_LIMITED);
+        }
+        findings.descends |= self.limit(engines, is_standing, limits);
+    }
+}
+
 impl Engines {
     /// Monitors of the engines of `robot`, for a law with these limits while all engines work.
     #[must_use]
@@ -294,12 +335,6 @@ impl Engines {
         };
         let descending = config.descent.map(|descent| (descent, descending(descent)));
         Self { config: *config, momentum_shares, models, usual: usual.clone(), descending }
-    }
-
-    /// State before the first tick.
-    #[must_use]
-    pub fn start(&self) -> Vec<EngineState> {
-        vec![EngineState::default(); self.usual.thrust.len()]
     }
 
     /// Processes a sample of each engine, `dt` \[s\] after the last; `sensor_error` \[N\] is written for the sensors that

@@ -8,7 +8,11 @@
 //! A flight strays if one of their lengths, or the speed of a joint, exceeds its limit for a confirmation time, whatever
 //! the cause is. Equations M148 and M149 of `docs/model`.
 
+use super::{Detector, Evidence, Findings, Setup};
 use crate::control::law::setpoint::Setpoint;
+use crate::control::limits::Limits;
+use crate::control::measure::measurement::Estimate;
+use crate::control::modes::Modes;
 use crate::dynamics::Dynamics;
 use crate::kinematics::{Kinematics, RobotState};
 use crate::spatial::{log_so3, parts};
@@ -78,5 +82,25 @@ impl SupervisorConfig {
             || errors.joint_velocity > self.joint_velocity;
         exceeded.update(is_beyond, elapsed);
         exceeded.has_lasted(self.confirmation, elapsed)
+    }
+}
+
+impl Detector for SupervisorConfig {
+    type State = Exceeded;
+
+    fn build(setup: &Setup) -> Option<Self> {
+        setup.config.supervisor
+    }
+
+    fn start(&self, _: &Estimate) -> Exceeded {
+        Exceeded::default()
+    }
+
+    fn detect(&mut self, exceeded: &mut Exceeded, tick: &Evidence, _: &mut Limits, findings: &mut Findings) {
+        let Evidence { estimate, kinematics, dynamics, setpoint, .. } = *tick;
+        let errors = Errors::ahead(self.horizon, &estimate.robot.state, kinematics, dynamics, setpoint);
+        if self.update(exceeded, estimate.elapsed, &errors) {
+            findings.modes.insert(Modes::STRAYING);
+        }
     }
 }

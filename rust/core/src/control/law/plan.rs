@@ -6,15 +6,15 @@ use crate::qp::{QpAnswer, WarmStart};
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
     /// Inputs by knot and block, in the order of the horizon's unknowns; empty without a predictive law.
-    pub(super) inputs: Vec<f64>,
+    pub(in crate::control) inputs: Vec<f64>,
     /// Time at which it began \[s\]; `None` without a plan.
-    pub(super) since: Option<f64>,
+    pub(in crate::control) since: Option<f64>,
     /// Time of the last attempt \[s\], and its answer; `None` without one.
-    pub(super) tried: f64,
-    pub(super) answer: Option<QpAnswer>,
-    pub(super) warm: WarmStart,
+    pub(in crate::control) tried: f64,
+    pub(in crate::control) answer: Option<QpAnswer>,
+    pub(in crate::control) warm: WarmStart,
     /// `β` of each engine at the last attempt \[1/s\] (M174); zero for ideal jets.
-    pub(super) damping: Vec<f64>,
+    pub(in crate::control) damping: Vec<f64>,
 }
 
 impl Plan {
@@ -44,12 +44,12 @@ impl Plan {
     }
 
     /// It is not followed any further.
-    pub(in crate::control::law) fn discard(&mut self) {
+    pub(in crate::control) fn discard(&mut self) {
         self.since = None;
     }
 
     /// Time since it began \[s\].
-    pub(super) fn age(&self, time: f64) -> Option<f64> {
+    pub(in crate::control) fn age(&self, time: f64) -> Option<f64> {
         self.since.map(|since| time - since).filter(|age| *age >= 0.0)
     }
 }

@@ -5,10 +5,10 @@
 //!
 //! Equation M152 of `docs/model`.
 
-use super::command::CommandStatus;
-use super::greatest;
-use super::guard::channels::{ChannelsConfig, Jumps};
-use super::guard::estimator::EstimatorConfig;
+use super::estimator::EstimatorConfig;
+use crate::control::command::CommandStatus;
+use crate::control::measure::channels::{ChannelsConfig, Jumps};
+use crate::control::measure::greatest::MAGNITUDES;
 use crate::kinematics::RobotState;
 use crate::timing::share;
 use nalgebra::{DVector, DVectorView};
@@ -110,7 +110,7 @@ impl JointTracker {
             period,
             position,
             velocity,
-            greatest: [greatest::JOINT_POSITION, greatest::JOINT_VELOCITY],
+            greatest: of_jumps(&MAGNITUDES),
             jump: channels.jump.as_ref().map(of_jumps),
         }
     }

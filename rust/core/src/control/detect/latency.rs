@@ -12,7 +12,11 @@
 //! for which a torque is held. It is known while its standard deviation, were the residuals white, is small enough.
 //! Equations M164 and M165 of `docs/model`.
 
-use super::estimator::EstimatorConfig;
+use super::{Detector, Evidence, Findings, Setup};
+use crate::control::estimate::estimator::EstimatorConfig;
+use crate::control::limits::{JointCondition, Limits};
+use crate::control::measure::measurement::{Estimate, Sampling};
+use crate::control::modes::Modes;
 use crate::linalg::add_mat_vec;
 use crate::timing::{Exceeded, share};
 use nalgebra::{DMatrix, DVector};
@@ -252,6 +256,76 @@ pub struct LatencyState {
     exceeded: [Exceeded; 2],
 }
 
+impl Detector for LatencyMonitor {
+    type State = LatencyState;
+
+    fn build(setup: &Setup) -> Option<Self> {
+        let Setup { config, robot, time_step, .. } = *setup;
+        let (steps, joints, jets) = (config.torque.steps, robot.joints.len(), robot.jets.len());
+        let estimator = config.estimator.as_ref();
+        config.latency_monitor.map(|monitor| Self::new(monitor, estimator, steps, joints, jets, time_step))
+    }
+
+    fn start(&self, estimate: &Estimate) -> LatencyState {
+        let joints = self.by_torque.len();
+        let jets = estimate.robot.thrust.len();
+        let (none, no_jets) = (DVector::zeros(joints), DVector::zeros(jets));
+        LatencyState {
+            banks: [self.banks[0].start(joints), self.banks[1].start(jets)],
+            positions: std::array::from_fn(|_| none.clone()),
+            measured: 0,
+            thrusts: [no_jets.clone(), no_jets],
+            measured_thrusts: 0,
+            free: vec![none.clone(); self.lead.0 + 2],
+            last: [none.clone(), none],
+            exceeded: [Exceeded::default(); 2],
+        }
+    }
+
+    fn fits(&self, state: &LatencyState) -> bool {
+        state.free.len() == self.lead.0 + 2
+            && state.positions[0].len().max(state.thrusts[0].len()) == self.response.len()
+            && state.banks[0].line.ncols() == self.banks[0].delays
+    }
+
+    fn measure(&self, state: &mut LatencyState, measured: &Estimate) {
+        let Estimate { robot, modes, elapsed, .. } = measured;
+        let lacks = |mode| modes.contains(mode) || modes.contains(Modes::BEGUN_AGAIN);
+        let position = robot.state.joint_position.as_slice();
+        let position = (!lacks(Modes::JOINTS_PREDICTED)).then_some(position);
+        let thrust = (!lacks(Modes::THRUST_MODELLED)).then_some(&robot.thrust[..]);
+        self.take_in(state, position, thrust, *elapsed);
+    }
+
+    fn detect(
+        &mut self,
+        state: &mut LatencyState,
+        tick: &Evidence,
+        limits: &mut Limits,
+        findings: &mut Findings,
+    ) {
+        let Evidence { estimate, acting, inverse_mass, is_standing, .. } = *tick;
+        let is_comparable = estimate.momentum != Sampling::Unknown
+            && inverse_mass.is_known
+            && !is_standing
+            && !estimate.modes.contains(Modes::FEET_PREDICTED)
+            && !limits.joints.contains(&JointCondition::Stuck);
+        let sample = LatencySample {
+            acceleration: &acting.acceleration.as_slice()[6..],
+            gain: &inverse_mass.joint_gain,
+            torque: &acting.torque,
+            thrust_rate: acting.thrust_rate.as_slice(),
+        };
+        self.compare(state, &sample, is_comparable);
+        findings.latency = self.measured(state);
+        let late = self.are_late(state, findings.latency, estimate.elapsed);
+        if late.contains(&true) {
+            findings.modes.insert(Modes::LATE);
+        }
+        findings.torque_latency = findings.latency[0].filter(|_| late[0]);
+    }
+}
+
 impl LatencyMonitor {
     /// A monitor for ticks every `time_step` \[s\], in each of which torques are computed `torque_steps` times, beside this
     /// estimator.
@@ -286,33 +360,9 @@ impl LatencyMonitor {
         }
     }
 
-    /// State of a flight that begins in these positions \[rad, m\] with so many jets.
-    #[must_use]
-    pub fn start(&self, position: &DVector<f64>, jets: usize) -> LatencyState {
-        let (none, no_jets) = (DVector::zeros(position.len()), DVector::zeros(jets));
-        LatencyState {
-            banks: [self.banks[0].start(position.len()), self.banks[1].start(jets)],
-            positions: std::array::from_fn(|_| none.clone()),
-            measured: 0,
-            thrusts: [no_jets.clone(), no_jets],
-            measured_thrusts: 0,
-            free: vec![none.clone(); self.lead.0 + 2],
-            last: [none.clone(), none],
-            exceeded: [Exceeded::default(); 2],
-        }
-    }
-
-    /// Whether a state has the sizes of this monitor.
-    #[must_use]
-    pub fn fits(&self, state: &LatencyState) -> bool {
-        state.free.len() == self.lead.0 + 2
-            && state.positions[0].len().max(state.thrusts[0].len()) == self.response.len()
-            && state.banks[0].line.ncols() == self.banks[0].delays
-    }
-
     /// Takes in what a tick measures, `elapsed` \[s\] after the last one: positions \[rad, m\] and thrusts \[N\], where they
     /// are measured.
-    pub fn measure(
+    pub fn take_in(
         &self,
         state: &mut LatencyState,
         position: Option<&[f64]>,

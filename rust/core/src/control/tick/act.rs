@@ -4,7 +4,7 @@
 //!
 //! This file has the integral of M68 and the friction of M69 of `docs/model`.
 
-use super::torque::limit_rate;
+use crate::control::law::torque::limit_rate;
 use crate::control::command::{Command, CommandStatus};
 use crate::control::limits::JointCondition;
 use crate::control::state::ControllerState;
@@ -46,9 +46,9 @@ impl Torques {
 
     /// Computes torques that let the joints follow the commanded velocities.
     pub fn solve(&mut self, state: &mut ControllerState, terms: &mut Terms, command: &mut Command) {
-        let Terms { measurement, inverse_mass, free_acceleration, contact, limits, torque_qp, .. } = terms;
-        let friction = &mut terms.drive_friction;
-        self.compare(measurement.state.joint_velocity(), command);
+        let Terms { inverse_mass, free_acceleration, contact, limits, torque_qp, .. } = terms;
+        let friction = &mut state.acting.friction;
+        self.compare(state.estimate.robot.state.joint_velocity(), command);
         for (joint, (to, friction)) in friction.iter_mut().zip(&self.friction).enumerate() {
             *to = friction * libm::tanh(command.joint_velocity[joint] / SLIP);
         }
