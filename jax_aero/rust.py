@@ -318,34 +318,23 @@ class ContactTick:
 
 @dataclass(frozen=True)
 class Estimates:
-    """Outputs of the controller's estimators; without estimators, the measurement.
+    """The robot as the law knows it: measured, predicted where it is not measured, or estimated.
 
     Attributes
     ----------
     state
         Pose and velocity of the robot.
-    thrust
-        Thrust of every jet [N], (jets,).
+    thrust, thrust_rate
+        Thrust of every jet [N] and its predicted rate [N/s], (jets,).
     wind, wind_std
         Velocity of the air and its standard deviation, zero without a wind observer [m/s, inertial axes], (3,).
     """
 
     state: State
     thrust: Array
+    thrust_rate: Array
     wind: Array
     wind_std: Array
-
-
-class Handed(NamedTuple):
-    """What the guard hands to the law."""
-
-    state: State
-    thrust: Array
-    """[N], (jets,)."""
-    thrust_rate: Array
-    """Predicted rate of every thrust [N/s], (jets,)."""
-    wind: Array
-    """[m/s, inertial axes], (3,)."""
 
 
 class Residual(NamedTuple):
@@ -408,10 +397,7 @@ class Tick:
     setpoint
         The set-point that was followed.
     estimates
-        Outputs of the controller's estimators, or without estimators the measurement; missing values are not yet
-        predicted.
-    handed
-        What the guard hands to the law: the estimates, predicted where nothing is measured.
+        The robot as the law knows it: measured, predicted where it is not measured, or estimated.
     contact
         The feet; `None` for a controller that cannot stand. The rates of their forces are also unknowns of
         `momentum_qp`, between thrust rates and joint velocities.
@@ -462,7 +448,6 @@ class Tick:
     velocity_error_integral: Array
     setpoint: Setpoint
     estimates: Estimates
-    handed: Handed
     contact: ContactTick | None = None
 
 
@@ -1127,7 +1112,7 @@ def _measurement(raw: _core._Measurement) -> Measurement:
 
 
 def _tick(raw: dict[str, Any]) -> Tick:
-    contact, estimates, handed = raw.pop("contact", None), raw.pop("estimates"), raw.pop("handed")
+    contact, estimates = raw.pop("contact", None), raw.pop("estimates")
     momentum = QpProblem(raw.pop("h"), raw.pop("g"), raw.pop("lower"), raw.pop("upper"))
     kind = QpProblem if contact is None else RowProblem
     torque = kind(*(raw.pop(f"torque_{part}") for part in kind._fields))
@@ -1138,7 +1123,6 @@ def _tick(raw: dict[str, Any]) -> Tick:
         torque_qp=torque,
         setpoint=Setpoint(**raw.pop("setpoint")),
         estimates=Estimates(State(*estimates.pop("state")), **estimates),
-        handed=Handed(State(*handed.pop("state")), **handed),
         contact=None if contact is None else ContactTick(**contact),
         **raw,
     )

@@ -32,7 +32,7 @@ from jax_aero.verify.flight import compare_signals, replay_rounded, states_of, t
 
 
 class Recorded(NamedTuple):
-    """A flight of the crate with what the guard handed to the law in every tick."""
+    """A flight of the crate with what the law knew of the robot in every tick."""
 
     crate: FlightResult
     handed: Measurement
@@ -54,7 +54,8 @@ def fly_and_record(config: Mapping[str, Any]) -> Recorded:
     while not flight.has_ended:
         flight.step()
         tick = flight.last
-        rows.append((*tick.handed, tick.unmodelled_wrench))
+        known = tick.estimates
+        rows.append((known.state, known.thrust, known.thrust_rate, known.wind, tick.unmodelled_wrench))
     state, thrust, thrust_rate, wind, wrench = jax.tree.map(lambda *leaves: np.stack(leaves), *rows)
     crate = flight.result()
     handed = Measurement(leaf(crate["time"]), State(*state), thrust, wind, Preview(), thrust_rate)

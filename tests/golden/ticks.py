@@ -39,7 +39,7 @@ FEET = "foot_wrenches"
 
 Values = dict[str, NDArray[np.float64]]
 
-LEFT_OUT = {"estimates", "handed", "joint_condition", "measured_latency", "residual", "residual_wrench", "throttle"}
+LEFT_OUT = {"estimates", "joint_condition", "measured_latency", "residual", "residual_wrench", "throttle"}
 """What a stored tick does not hold: without estimators the measurement, and what these flights have none of."""
 
 

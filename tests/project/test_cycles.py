@@ -53,7 +53,7 @@ def expand(tree: str) -> list[str]:
 
 
 class Crate:
-    """Modules of a crate, named by their paths: `control::guard::channels`; the root is the empty name."""
+    """Modules of a crate, named by their paths: `control::measure::channels`; the root is the empty name."""
 
     def __init__(self, source: Path) -> None:
         files = {path.relative_to(source).with_suffix("").as_posix(): path for path in source.rglob("*.rs")}

@@ -8,17 +8,15 @@
 // Exporting symbols and using C pointers is unsafe; each block states its assumptions.
 #![allow(unsafe_code, reason = "C has pointers")]
 
-use flight_core::control::between::JointMeasurement;
+use flight_core::control::estimate::joint_tracker::JointMeasurement;
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::modes::Modes;
-use flight_core::control::{
-    BadCommand, Command, CommandStatus, ControllerState, Given, OwnedMeasurement, Preview,
-};
+use flight_core::control::{BadCommand, Command, CommandStatus, ControllerState, Given, Preview};
 use flight_core::spatial::Pose;
 use flight_core::{BuildError, Controller, Measurement};
 use flight_io::load_robot;
 use flight_sim::{Plant, Wind, load_scenario};
-use nalgebra::{Matrix3, Vector3, Vector6};
+use nalgebra::{Matrix3, Vector3};
 use std::ffi::{CStr, CString, c_char, c_int, c_void};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
@@ -226,7 +224,7 @@ pub struct FlightController {
     joint_names: Vec<CString>,
     jet_names: Vec<CString>,
     /// The measurement in the types of the crate.
-    measured: OwnedMeasurement,
+    measured: Measurement,
     /// The preview in the types of the crate.
     setpoints: Vec<(f64, Setpoint)>,
     winds: Vec<(f64, Vector3<f64>)>,
@@ -252,7 +250,7 @@ impl FlightController {
             torque_steps: scenario.controller.law.torque.steps,
             joint_names,
             jet_names,
-            measured: OwnedMeasurement::zero(joints, controller.n_jets(), feet),
+            measured: Measurement::zero(joints, controller.n_jets(), feet),
             setpoints: Vec::with_capacity(FLIGHT_PREVIEW_MAX),
             winds: Vec::with_capacity(FLIGHT_PREVIEW_MAX),
             has_panicked: false,
@@ -265,7 +263,7 @@ impl FlightController {
     /// # Safety
     /// The arrays of `given` have the documented lengths.
     unsafe fn read(&mut self, given: &FlightMeasurement) -> Result<(), &'static str> {
-        let OwnedMeasurement { state, thrust, shaft_speed, wind, foot_wrenches } = &mut self.measured;
+        let Measurement { time, state, thrust, shaft_speed, wind, foot_wrenches } = &mut self.measured;
         let joints = state.n_joints();
         let arrays = [
             ("joint_position", given.joint_position, joints),
@@ -289,7 +287,7 @@ impl FlightController {
             copy_in(given.joint_velocity, &mut velocity[6..]);
             copy_in(given.thrust, thrust);
         }
-        *wind = Vector3::from(given.wind);
+        (*time, *wind) = (given.time, Vector3::from(given.wind));
         if given.shaft_speed.is_null() {
             shaft_speed.fill(f64::NAN);
         } else {
@@ -297,12 +295,10 @@ impl FlightController {
             unsafe { copy_in(given.shaft_speed, shaft_speed) };
         }
         if given.foot_wrenches.is_null() {
-            foot_wrenches.fill(Vector6::zeros());
+            foot_wrenches.fill(0.0);
         } else {
-            for (foot, wrench) in foot_wrenches.iter_mut().enumerate() {
-                // SAFETY: six numbers per foot by this function's contract.
-                unsafe { copy_in(given.foot_wrenches.add(6 * foot), wrench.as_mut_slice()) };
-            }
+            // SAFETY: six numbers per foot by this function's contract.
+            unsafe { copy_in(given.foot_wrenches, foot_wrenches.as_mut_slice()) };
         }
         Ok(())
     }
@@ -338,13 +334,9 @@ impl FlightController {
     }
 
     /// The controller, its flight, and the last measurement.
-    fn parts(
-        &mut self,
-        given: &FlightMeasurement,
-    ) -> (&mut Controller, &mut Option<ControllerState>, Measurement<'_>, Preview<'_>) {
-        let measurement = self.measured.at(given.time);
+    fn parts(&mut self) -> (&mut Controller, &mut Option<ControllerState>, &Measurement, Preview<'_>) {
         let preview = Preview { setpoints: &self.setpoints, wind: &self.winds };
-        (&mut self.controller, &mut self.flight, measurement, preview)
+        (&mut self.controller, &mut self.flight, &self.measured, preview)
     }
 }
 
@@ -616,7 +608,7 @@ pub unsafe extern "C" fn flight_jet_count(controller: *const FlightController) -
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn flight_foot_count(controller: *const FlightController) -> usize {
     // SAFETY: by this function's contract.
-    unsafe { controller.as_ref() }.map_or(0, |controller| controller.measured.foot_wrenches.len())
+    unsafe { controller.as_ref() }.map_or(0, |controller| controller.measured.foot_wrenches.len() / 6)
 }
 
 /// Name of a joint, valid as long as the controller exists; null beyond the last joint.
@@ -714,8 +706,8 @@ pub unsafe extern "C" fn flight_start(
             reason = format!("`{name}` of the measurement is null; expected an array");
             return FlightStatus::FlightNullPointer;
         }
-        let (controller, flight, measurement, _) = controller.parts(given);
-        match controller.start(&measurement) {
+        let (controller, flight, measurement, _) = controller.parts();
+        match controller.start(measurement) {
             Ok(started) => {
                 *flight = Some(started);
                 FlightStatus::FlightNominal
@@ -781,12 +773,12 @@ pub unsafe extern "C" fn flight_tick_ahead(
         if unsafe { controller.read(given).is_err() || !controller.read_preview(preview) } {
             return FlightStatus::FlightNullPointer;
         }
-        let (controller, flight, measurement, preview) = controller.parts(given);
+        let (controller, flight, measurement, preview) = controller.parts();
         let Some(flight) = flight else { return FlightStatus::FlightNotStarted };
         let setpoint = setpoint.map(setpoint_of);
         let answer = controller.tick_with(
             flight,
-            &measurement,
+            measurement,
             &Given { setpoint: setpoint.as_ref(), preview, ..Given::default() },
         );
         // SAFETY: not null, and of these lengths by this function's contract.

@@ -17,13 +17,13 @@ use flight::{
     flight_time_step, flight_torque_steps, flight_version,
 };
 use flight_core::Measurement;
-use flight_core::control::between::JointMeasurement;
+use flight_core::control::estimate::joint_tracker::JointMeasurement;
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::modes::Modes;
 use flight_core::control::{CommandStatus, Given, Preview};
 use flight_io::load_robot;
 use flight_sim::{Plant, load_scenario};
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{DVector, Matrix3, Vector3};
 use std::ffi::{CStr, CString, c_char, c_void};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -156,7 +156,13 @@ fn fly_both(name: &str) {
         let time = f64::from(tick) * scenario.simulator.time_step;
         plant.observe(&wind);
         let (state, thrust) = (plant.state(), plant.jets().thrust_feedback());
-        let measurement = Measurement { time, state, thrust, wind, foot_wrenches: &[], shaft_speed: &[] };
+        let measurement = Measurement {
+            time,
+            state: state.clone(),
+            thrust: thrust.to_vec(),
+            wind,
+            ..Measurement::zero(0, 0, 0)
+        };
         arrays.joint_position.copy_from_slice(state.joint_position.as_slice());
         arrays.joint_velocity.copy_from_slice(state.joint_velocity());
         arrays.thrust.copy_from_slice(thrust);
@@ -766,11 +772,10 @@ fn the_example_in_cpp_gives_the_command_of_the_crate() {
     let mut controller = scenario.controller(robot).unwrap();
     let measurement = Measurement {
         time: 0.0,
-        state: &state,
-        thrust: &thrust,
-        shaft_speed: &[],
-        wind: Vector3::zeros(),
-        foot_wrenches: &feet,
+        state: state.clone(),
+        thrust: thrust.clone(),
+        foot_wrenches: DVector::from_iterator(6 * feet.len(), feet.iter().flatten().copied()),
+        ..Measurement::zero(0, 0, 0)
     };
     let mut flight = controller.start(&measurement).unwrap();
     let setpoint = Setpoint::at_rest(Vector3::new(0.0, 0.0, 1.0), Matrix3::identity());

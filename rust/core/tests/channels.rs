@@ -3,11 +3,13 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-use crate::common::{Sample, assert_within, experiment, random_state, rng};
-use flight_core::Reading;
-use flight_core::control::greatest;
-use flight_core::control::guard::channels::{Channels, ChannelsConfig, ChannelsState, Jumps};
-use flight_core::control::{Modes, UsedMeasurement};
+use crate::common::{assert_within, at, experiment, random_state, rng};
+use flight_core::Measurement;
+use flight_core::control::acting::Acting;
+use flight_core::control::measure::channels::{Channels, ChannelsConfig, ChannelsState, Jumps};
+use flight_core::control::measure::greatest::MAGNITUDES;
+use flight_core::control::measure::measurement::Sampling;
+use flight_core::control::{BadStart, Estimate, Modes};
 use flight_core::jets::JetDynamics;
 use flight_core::robot::RobotModel;
 use flight_core::spatial::exp_so3;
@@ -17,18 +19,16 @@ use rand::RngExt;
 
 const STEP: f64 = 0.01;
 
-impl Sample {
-    /// A tick later.
-    fn next(&self) -> Self {
-        Self { time: self.time + STEP, ..self.clone() }
-    }
+/// A tick later.
+fn next(sample: &Measurement) -> Measurement {
+    Measurement { time: sample.time + STEP, ..sample.clone() }
 }
 
 /// After ticks that were left out the difference of two poses is not the velocity times one tick.
 #[test]
 fn a_lost_velocity_does_not_follow_a_pose_over_a_gap() {
     let mut rig = Rig::new(&ChannelsConfig::default());
-    rig.state.acceleration.fill(0.0);
+    rig.acting.acceleration.fill(0.0);
     let before = rig.sample.state.velocity.clone();
     let place = rig.sample.state.base.position;
     let used = rig.tick(|sample| {
@@ -36,18 +36,20 @@ fn a_lost_velocity_does_not_follow_a_pose_over_a_gap() {
         sample.state.base.position = place + Vector3::repeat(13.0 * STEP);
         sample.state.velocity.rows_mut(0, 6).fill(f64::NAN);
     });
-    assert_eq!(used.state.velocity.rows(0, 6), before.rows(0, 6));
+    assert_eq!(used.robot.state.velocity.rows(0, 6), before.rows(0, 6));
 }
 
 /// What makes a measurement unusable.
-type Spoil = fn(&mut Sample);
+type Spoil = fn(&mut Measurement);
 
 /// Channels after their first tick.
 struct Rig {
     channels: Channels,
     state: ChannelsState,
-    sample: Sample,
-    used: UsedMeasurement,
+    acting: Acting,
+    is_descending: bool,
+    sample: Measurement,
+    used: Estimate,
 }
 
 impl Rig {
@@ -58,28 +60,34 @@ impl Rig {
         robot.joints.iter_mut().for_each(|joint| joint.stops = (-1.5, 1.5));
         let mut rng = rng(3);
         let state = random_state(&mut rng, &robot);
-        let sample = Sample {
-            time: 0.0,
-            state,
-            thrust: vec![80.0, 90.0, 5.0, 110.0],
-            wind: Vector3::new(6.0, -8.0, 1.0),
-        };
+        let wind = Vector3::new(6.0, -8.0, 1.0);
+        let sample = Measurement { wind, ..at(0.0, &state, &[80.0, 90.0, 5.0, 110.0]) };
         let jets = robot.jet_models(JetDynamics::Ideal);
-        let mut channels = Channels::new(config, &robot, jets, STEP, true);
-        let mut state = channels.start(&sample.measurement()).unwrap();
-        state.acceleration = DVector::from_fn(29, |_, _| rng.random_range(-2.0..2.0));
-        state.thrust_rate = DVector::from_vec(vec![30.0, -40.0, -600.0, 10.0]);
-        let mut used = UsedMeasurement::new(&robot, STEP);
-        channels.update(&mut state, &sample.measurement(), &mut used);
-        Self { channels, state, sample, used }
+        let channels = Channels::new(config, &robot, jets, STEP, true);
+        let (state, used) = channels.start(&sample, Estimate::new(&robot, 4, STEP)).unwrap();
+        let mut acting = Acting::new(23, 4, 0);
+        acting.acceleration = DVector::from_fn(29, |_, _| rng.random_range(-2.0..2.0));
+        acting.thrust_rate = DVector::from_vec(vec![30.0, -40.0, -600.0, 10.0]);
+        let mut rig = Self { channels, state, acting, is_descending: false, sample, used };
+        rig.update(&rig.sample.clone());
+        rig
+    }
+
+    fn start(&self) -> Result<(ChannelsState, Estimate), BadStart> {
+        self.channels.start(&self.sample, self.used.clone())
+    }
+
+    fn update(&mut self, sample: &Measurement) {
+        let Self { channels, state, acting, is_descending, used, .. } = self;
+        channels.update(state, sample, sample.wind, acting, is_descending, used);
     }
 
     /// A tick later, with something changed.
-    fn tick(&mut self, change: impl Fn(&mut Sample)) -> &UsedMeasurement {
-        self.sample = self.sample.next();
+    fn tick(&mut self, change: impl Fn(&mut Measurement)) -> &Estimate {
+        self.sample = next(&self.sample);
         let mut sample = self.sample.clone();
         change(&mut sample);
-        self.channels.update(&mut self.state, &sample.measurement(), &mut self.used);
+        self.update(&sample);
         &self.used
     }
 }
@@ -89,7 +97,7 @@ fn with_jumps() -> ChannelsConfig {
     ChannelsConfig { jump: Some(jump), ..ChannelsConfig::default() }
 }
 
-fn lose_everything(sample: &mut Sample) {
+fn lose_everything(sample: &mut Measurement) {
     sample.state.base.position.fill(f64::NAN);
     sample.state.base.rotation.fill(f64::NAN);
     sample.state.joint_position.fill(f64::NAN);
@@ -108,9 +116,9 @@ fn an_estimator_follows_what_is_accepted() {
         sample.state.velocity.rows_mut(0, 6).fill(f64::NAN);
         sample.thrust[2] = f64::NAN;
     });
-    let mut reading = Reading { state: rig.sample.state.clone(), thrust: vec![0.0; 4] };
-    rig.channels.select_accepted(&rig.state, &mut reading);
-    let Sample { state, thrust, .. } = &rig.sample;
+    let mut reading = rig.sample.clone();
+    rig.channels.select_accepted(&rig.state, &rig.used, &mut reading);
+    let Measurement { state, thrust, .. } = &rig.sample;
     assert!(reading.state.base.position.iter().all(|number| number.is_nan()));
     assert_eq!(reading.state.base.rotation, state.base.rotation);
     assert_eq!(reading.state.joint_position, state.joint_position);
@@ -126,19 +134,22 @@ fn an_estimator_follows_what_is_accepted() {
 #[test]
 fn what_is_measured_is_used() {
     let mut rig = Rig::new(&with_jumps());
-    let expected = rig.sample.next();
+    let expected = next(&rig.sample);
     let used = rig.tick(|_| ()).clone();
-    assert_eq!((&used.state, &used.thrust, used.wind), (&expected.state, &expected.thrust, expected.wind));
+    assert_eq!(
+        (&used.robot.state, &used.robot.thrust, used.robot.wind),
+        (&expected.state, &expected.thrust, expected.wind)
+    );
     assert!(used.modes.is_empty());
-    assert_eq!(used.time, expected.time);
+    assert_eq!(used.robot.time, expected.time);
 }
 
 /// Without any measurement joints and base move by the step of M78, thrusts by M31, each by hand.
 #[test]
 fn what_is_missing_is_predicted() {
     let mut rig = Rig::new(&ChannelsConfig::default());
-    let Sample { state: mut expected, mut thrust, wind, .. } = rig.sample.clone();
-    let (acceleration, rate) = (rig.state.acceleration.clone(), rig.state.thrust_rate.clone());
+    let Measurement { state: mut expected, mut thrust, wind, .. } = rig.sample.clone();
+    let (acceleration, rate) = (rig.acting.acceleration.clone(), rig.acting.thrust_rate.clone());
     for tick in 1..=3 {
         expected.velocity += STEP * &acceleration;
         let (v, w) = (expected.base_linear_velocity(), expected.base_angular_velocity());
@@ -151,16 +162,16 @@ fn what_is_missing_is_predicted() {
         }
         let used = rig.tick(lose_everything);
         for (found, expected) in [
-            (used.state.velocity.as_slice(), expected.velocity.as_slice()),
-            (used.state.joint_position.as_slice(), expected.joint_position.as_slice()),
-            (used.state.base.position.as_slice(), expected.base.position.as_slice()),
-            (used.state.base.rotation.as_slice(), expected.base.rotation.as_slice()),
-            (&used.thrust, &thrust),
+            (used.robot.state.velocity.as_slice(), expected.velocity.as_slice()),
+            (used.robot.state.joint_position.as_slice(), expected.joint_position.as_slice()),
+            (used.robot.state.base.position.as_slice(), expected.base.position.as_slice()),
+            (used.robot.state.base.rotation.as_slice(), expected.base.rotation.as_slice()),
+            (&used.robot.thrust, &thrust),
         ] {
             let worst = found.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
             assert_within!(worst, 1e-12, because "the same sums in the same order, of numbers below 1e3", "tick {tick}");
         }
-        assert_eq!(used.wind, wind);
+        assert_eq!(used.robot.wind, wind);
         let names: Vec<_> = used.modes.names().collect();
         assert_eq!(
             names,
@@ -196,7 +207,7 @@ fn each_channel_is_lost_alone() {
         let used = rig.tick(spoil);
         assert_eq!(used.modes, mode);
         let moves = [Modes::JOINTS_PREDICTED, Modes::ROTATION_PREDICTED, Modes::VELOCITY_PREDICTED];
-        assert_eq!(used.has_momentum, !moves.contains(&mode), "{:?}", mode.names().next());
+        assert_eq!(used.has_momentum(), !moves.contains(&mode), "{:?}", mode.names().next());
         assert!(rig.tick(|_| ()).modes.is_empty(), "and comes back");
     }
 }
@@ -210,7 +221,7 @@ fn a_lost_wind_is_held_and_fades() {
         let used = rig.tick(|sample| sample.wind.fill(f64::NAN));
         let age = f64::from(tick) * STEP;
         let share = (1.0 - (age - 1.0) / 2.0).clamp(0.0, 1.0);
-        assert_within!((used.wind - last * share).amax(), 1e-12, "at {age} s");
+        assert_within!((used.robot.wind - last * share).amax(), 1e-12, "at {age} s");
         assert_eq!(used.modes.contains(Modes::WIND_LOST), tick > 300, "at {age} s");
     }
 }
@@ -220,11 +231,11 @@ fn a_lost_wind_is_held_and_fades() {
 fn a_jump_is_accepted_when_the_channel_is_old_enough() {
     // Not the same bits, which would count as frozen.
     let off_by = |jump: f64, tick: u32| {
-        move |sample: &mut Sample| sample.state.velocity[1] += jump + 1e-6 * f64::from(tick)
+        move |sample: &mut Measurement| sample.state.velocity[1] += jump + 1e-6 * f64::from(tick)
     };
     let confirmed = || {
         let mut rig = Rig::new(&with_jumps());
-        rig.state.acceleration.fill(0.0);
+        rig.acting.acceleration.fill(0.0);
         for tick in 1..=100 {
             assert!(!rig.tick(off_by(0.0, tick)).modes.contains(Modes::VELOCITY_PREDICTED));
         }
@@ -249,7 +260,7 @@ fn judged(errors: &[f64]) -> (Vec<bool>, Vec<usize>) {
     let mut rig = Rig::new(&with_jumps());
     rig.sample.state.velocity.fill(0.0);
     rig.sample.state.base.position.x += errors[0];
-    rig.state = rig.channels.start(&rig.sample.measurement()).unwrap();
+    (rig.state, rig.used) = rig.start().unwrap();
     let before = rig.sample.state.base.position.x - errors[0];
     let (mut used, mut again) = (Vec::new(), Vec::new());
     for (tick, error) in errors.iter().enumerate() {
@@ -306,20 +317,20 @@ fn a_flight_cannot_begin_with_what_cannot_be() {
     for (spoil, expected) in cases {
         let mut rig = Rig::new(&with_jumps());
         spoil(&mut rig.sample);
-        let refusal = rig.channels.start(&rig.sample.measurement()).unwrap_err().to_string();
+        let refusal = rig.start().unwrap_err().to_string();
         assert!(refusal.contains(expected), "{refusal}");
     }
     let mut rig = Rig::new(&with_jumps());
     rig.sample.state.joint_position[4] = 1.59;
-    assert!(rig.channels.start(&rig.sample.measurement()).is_ok());
+    assert!(rig.start().is_ok());
 }
 
 /// The same bits for five ticks while the model moves away by a fiftieth of a jump; until the bits change.
 #[test]
 fn a_frozen_velocity_is_recognised() {
     let mut rig = Rig::new(&with_jumps());
-    rig.state.acceleration.fill(0.0);
-    rig.state.acceleration[0] = 0.5; // 5 mm/s a tick: 40 mm/s after the eighth
+    rig.acting.acceleration.fill(0.0);
+    rig.acting.acceleration[0] = 0.5; // 5 mm/s a tick: 40 mm/s after the eighth
     for tick in 1..=20 {
         let used = rig.tick(|sample| {
             // All but the velocity moves on.
@@ -363,8 +374,8 @@ fn a_wind_that_jumps_is_not_used() {
 fn standing_still_is_not_frozen() {
     let mut rig = Rig::new(&with_jumps());
     rig.sample.state.velocity.fill(0.0);
-    rig.state.acceleration.fill(0.0);
-    rig.state.thrust_rate.fill(0.0);
+    rig.acting.acceleration.fill(0.0);
+    rig.acting.thrust_rate.fill(0.0);
     rig.tick(|sample| sample.state.base.position.x += 1e-9);
     for _ in 0..50 {
         assert!(!rig.tick(|_| ()).modes.contains(Modes::WIND_HELD));
@@ -375,7 +386,7 @@ fn standing_still_is_not_frozen() {
 #[test]
 fn velocities_have_rates_of_their_own() {
     let mut rig = Rig::new(&ChannelsConfig::default());
-    rig.state.acceleration.fill(0.0);
+    rig.acting.acceleration.fill(0.0);
     let (before, gyro) = (rig.sample.state.velocity.clone(), Vector3::new(0.3, -0.2, 0.1));
     let start = rig.sample.state.base.position;
     for tick in 1..=15 {
@@ -384,15 +395,15 @@ fn velocities_have_rates_of_their_own() {
             sample.state.velocity.rows_mut(0, 3).fill(f64::NAN);
             sample.state.velocity.rows_mut(3, 3).copy_from(&gyro);
         });
-        assert_eq!(used.state.velocity.rows(0, 3), before.rows(0, 3), "tick {tick}");
-        assert_eq!(used.state.base_angular_velocity(), gyro, "tick {tick}");
-        assert!(!used.has_momentum && used.is_between(), "tick {tick}");
+        assert_eq!(used.robot.state.velocity.rows(0, 3), before.rows(0, 3), "tick {tick}");
+        assert_eq!(used.robot.state.base_angular_velocity(), gyro, "tick {tick}");
+        assert!(!used.has_momentum() && (used.momentum == Sampling::Between), "tick {tick}");
         assert_within!((used.gap - f64::from(tick) * STEP).abs(), 1e-12);
     }
     let used = rig.tick(|sample| sample.state.velocity.rows_mut(0, 3).fill(f64::NAN));
-    assert!(!used.is_between());
+    assert!(used.momentum != Sampling::Between);
     let used = rig.tick(|_| ());
-    assert!(used.has_momentum && !used.is_between());
+    assert!(used.has_momentum() && used.momentum != Sampling::Between);
 }
 
 /// A linear velocity that jumps takes the angular one with it, which is within its own range.
@@ -400,7 +411,8 @@ fn velocities_have_rates_of_their_own() {
 fn what_contradicts_one_velocity_contradicts_both() {
     let mut rig = Rig::new(&with_jumps());
     rig.tick(|_| ());
-    let predicted = rig.tick(|sample| sample.state.velocity.rows_mut(0, 6).fill(f64::NAN)).state.clone();
+    let predicted =
+        rig.tick(|sample| sample.state.velocity.rows_mut(0, 6).fill(f64::NAN)).robot.state.clone();
     assert!((predicted.base_angular_velocity() - rig.sample.state.base_angular_velocity()).amax() < 0.5);
     for jumping in [0, 3] {
         let mut rig = Rig::new(&with_jumps());
@@ -409,8 +421,8 @@ fn what_contradicts_one_velocity_contradicts_both() {
             sample.state.velocity[jumping] += 9.0;
             sample.state.velocity[3 - jumping] += 0.1;
         });
-        assert_eq!(used.state.velocity.rows(0, 6), predicted.velocity.rows(0, 6), "number {jumping}");
-        assert!(!used.is_between(), "what is wrong is not between two measurements");
+        assert_eq!(used.robot.state.velocity.rows(0, 6), predicted.velocity.rows(0, 6), "number {jumping}");
+        assert!(used.momentum != Sampling::Between, "what is wrong is not between two measurements");
     }
 }
 
@@ -418,7 +430,7 @@ fn what_contradicts_one_velocity_contradicts_both() {
 #[test]
 fn a_lost_velocity_follows_the_pose() {
     let mut rig = Rig::new(&ChannelsConfig::default());
-    rig.state.acceleration.fill(0.0);
+    rig.acting.acceleration.fill(0.0);
     let before = rig.sample.state.velocity.clone();
     let (v, w) = (Vector3::new(0.7, -0.4, 0.2), Vector3::new(0.05, 0.02, -0.03));
     let (start, rotation) = (rig.sample.state.base.position, rig.sample.state.base.rotation);
@@ -432,9 +444,9 @@ fn a_lost_velocity_follows_the_pose() {
         let left = (-100.0 * (time - 0.15).max(0.0)).exp();
         for axis in 0..3 {
             let expected = v[axis] + (before[axis] - v[axis]) * left;
-            assert_within!((used.state.velocity[axis] - expected).abs(), 1e-11, "tick {tick}");
+            assert_within!((used.robot.state.velocity[axis] - expected).abs(), 1e-11, "tick {tick}");
             let expected = w[axis] + (before[3 + axis] - w[axis]) * left;
-            let error = (used.state.velocity[3 + axis] - expected).abs();
+            let error = (used.robot.state.velocity[3 + axis] - expected).abs();
             assert_within!(error, 1e-8, because "the sine of a turn of 6e-4 rad is taken for the turn: 6e-8 of it");
         }
     }
@@ -444,7 +456,7 @@ fn a_lost_velocity_follows_the_pose() {
 #[test]
 fn a_lost_velocity_does_not_follow_a_pose_that_was_held() {
     let mut rig = Rig::new(&ChannelsConfig::default());
-    rig.state.acceleration.fill(0.0);
+    rig.acting.acceleration.fill(0.0);
     let (v, start) = (rig.sample.state.base_linear_velocity(), rig.sample.state.base.position);
     let (w, rotation) = (rig.sample.state.base_angular_velocity(), rig.sample.state.base.rotation);
     for tick in 1..=50 {
@@ -454,8 +466,8 @@ fn a_lost_velocity_does_not_follow_a_pose_that_was_held() {
             sample.state.base.rotation = exp_so3(&(w * time)) * rotation;
             sample.state.velocity.rows_mut(0, 6).fill(f64::NAN);
         });
-        assert_eq!(used.state.base_linear_velocity(), v, "tick {tick}");
-        assert_eq!(used.state.base_angular_velocity(), w, "tick {tick}");
+        assert_eq!(used.robot.state.base_linear_velocity(), v, "tick {tick}");
+        assert_eq!(used.robot.state.base_angular_velocity(), w, "tick {tick}");
     }
 }
 
@@ -474,18 +486,18 @@ fn a_time_that_is_none_is_predicted() {
         let mut rig = Rig::new(&with_jumps());
         // At rest, so that no value moves away from the first one.
         rig.sample.state.velocity.fill(0.0);
-        rig.state = rig.channels.start(&rig.sample.measurement()).unwrap();
-        rig.channels.update(&mut rig.state, &rig.sample.measurement(), &mut rig.used);
-        assert!(rig.used.has_momentum, "the first tick");
+        (rig.state, rig.used) = rig.start().unwrap();
+        rig.update(&rig.sample.clone());
+        assert!(rig.used.has_momentum(), "the first tick");
         let used = rig.tick(|sample| sample.time = measured);
-        assert_eq!((used.time, used.has_momentum), (time, has_momentum), "{measured}");
+        assert_eq!((used.robot.time, used.has_momentum()), (time, has_momentum), "{measured}");
         assert_eq!(used.modes.contains(Modes::CLOCK_PREDICTED), measured != 0.02, "{measured}");
         // Half a tick later by the same clock, or by the one of before where it was none.
         let (later, elapsed) = if has_momentum { (0.025, 0.025 - time) } else { (measured + 0.005, 0.005) };
         let used = rig.tick(|sample| sample.time = later);
         assert_within!((used.elapsed - elapsed).abs(), 1e-15, "{measured}");
-        assert_within!((used.time - time - elapsed).abs(), 1e-15, "{measured}");
-        assert!(used.has_momentum && used.modes.is_empty(), "{measured}");
+        assert_within!((used.robot.time - time - elapsed).abs(), 1e-15, "{measured}");
+        assert!(used.has_momentum() && used.modes.is_empty(), "{measured}");
     }
 }
 
@@ -497,7 +509,7 @@ fn what_happened_in_a_pause_is_no_jump() {
     for (gap, most) in [(0.09, 2.0), (0.3, 62.0), (0.99, 200.0), (1.01, 2.0), (-0.3, 2.0)] {
         for (off, is_accepted) in [(0.99 * most, true), (1.01 * most, false)] {
             let mut rig = Rig::new(&with_jumps());
-            rig.state.acceleration.fill(0.0);
+            rig.acting.acceleration.fill(0.0);
             rig.sample.time = 5.0;
             rig.tick(|sample| sample.state.velocity[1] += 1e-9); // other bits confirm the first
             let used = rig.tick(|sample| {
@@ -517,7 +529,7 @@ fn what_happened_in_a_pause_is_no_jump() {
 #[test]
 fn the_first_measurement_is_accepted() {
     let mut rig = Rig::new(&with_jumps());
-    rig.state = rig.channels.start(&rig.sample.measurement()).unwrap();
+    (rig.state, rig.used) = rig.start().unwrap();
     let used = rig.tick(|sample| {
         sample.state.base.position.x += 5.0;
         sample.thrust[0] += 50.0;
@@ -532,7 +544,7 @@ fn without_jumps_every_time_is_followed() {
     for time in [0.5, 0.0] {
         let mut rig = Rig::new(&ChannelsConfig::default());
         let used = rig.tick(|sample| sample.time = time);
-        assert_eq!((used.time, used.elapsed, used.has_momentum), (time, STEP, false));
+        assert_eq!((used.robot.time, used.elapsed, used.has_momentum()), (time, STEP, false));
         assert!(used.modes.is_empty());
     }
 }
@@ -563,17 +575,17 @@ fn a_robot_that_is_blind_for_long_descends_for_good() {
 #[test]
 fn predictions_stay_within_what_is_accepted() {
     let mut rig = Rig::new(&ChannelsConfig::default());
-    rig.state.acceleration.fill(1e6);
-    rig.state.thrust_rate.fill(1e6);
+    rig.acting.acceleration.fill(1e6);
+    rig.acting.thrust_rate.fill(1e6);
     for _ in 0..20_000 {
         rig.tick(lose_everything);
     }
-    let UsedMeasurement { state, thrust, .. } = rig.tick(lose_everything).clone();
-    let bounds = [greatest::VELOCITY; 3].into_iter().chain([greatest::ANGULAR_VELOCITY; 3]);
+    let Measurement { state, thrust, .. } = rig.tick(lose_everything).robot.clone();
+    let bounds = [MAGNITUDES.velocity; 3].into_iter().chain([MAGNITUDES.angular_velocity; 3]);
     assert!(state.velocity.iter().zip(bounds).all(|(velocity, most)| *velocity == most));
-    assert!(state.velocity.rows(6, 23).iter().all(|velocity| *velocity == greatest::JOINT_VELOCITY));
-    assert!(state.joint_position.iter().all(|position| *position == greatest::JOINT_POSITION));
-    assert!(state.base.position.iter().all(|position| *position > 1e4 && *position <= greatest::POSITION));
+    assert!(state.velocity.rows(6, 23).iter().all(|velocity| *velocity == MAGNITUDES.joint_velocity));
+    assert!(state.joint_position.iter().all(|position| *position == MAGNITUDES.joint_position));
+    assert!(state.base.position.iter().all(|position| *position > 1e4 && *position <= MAGNITUDES.position));
     assert!(thrust.iter().all(|thrust| thrust.is_finite() && *thrust > 1000.0));
     assert!(rig.tick(|_| ()).modes.contains(Modes::DESCENDING));
 }

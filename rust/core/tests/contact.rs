@@ -3,12 +3,12 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-use crate::common::{Running, TIME_STEP, assert_within, experiment, move_state, random_state, rng};
+use crate::common::{Running, TIME_STEP, assert_within, at, experiment, move_state, random_state, rng};
 use flight_core::control::Modes;
 use flight_core::control::config::{ControllerConfig, Solver};
-use flight_core::control::guard::engines::EnginesConfig;
-use flight_core::control::guard::estimator::{ChannelConfig, EstimatorConfig};
-use flight_core::control::guard::wind_observer::WindObserverConfig;
+use flight_core::control::detect::engines::EnginesConfig;
+use flight_core::control::estimate::estimator::{ChannelConfig, EstimatorConfig};
+use flight_core::control::estimate::wind_observer::WindObserverConfig;
 use flight_core::control::law::contact::{Contact, ContactConfig, ContactState, LoadTransfer, WRENCH_ROWS};
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::{CommandStatus, Terms};
@@ -51,12 +51,12 @@ fn weight_on_both() -> [Vector6<f64>; 2] {
 
 const THRUST: [f64; 4] = [0.0; 4];
 
-fn measurement<'a>(
-    state: &'a RobotState,
-    wind: Vector3<f64>,
-    foot_wrenches: &'a [Vector6<f64>],
-) -> Measurement<'a> {
-    Measurement { time: 0.0, state, thrust: &THRUST, wind, shaft_speed: &[], foot_wrenches }
+fn measurement(state: &RobotState, wind: Vector3<f64>, feet: &[Vector6<f64>]) -> Measurement {
+    Measurement { wind, foot_wrenches: foot_after_foot(feet), ..at(0.0, state, &THRUST) }
+}
+
+fn foot_after_foot(feet: &[Vector6<f64>]) -> DVector<f64> {
+    DVector::from_iterator(6 * feet.len(), feet.iter().flatten().copied())
 }
 
 /// Inside the rows is inside the polygon of twelve corners on the friction circle, within the torsion, above
@@ -125,7 +125,8 @@ fn tick_with_load(
     kinematics.update(running.model(), state);
     let com = kinematics.com + Vector3::new(0.0, 0.0, climb);
     let setpoint = Setpoint::at_rest(com, state.base.rotation);
-    let measured = Measurement { time, thrust: &QUARTER, ..measurement(state, Vector3::zeros(), feet) };
+    let measured =
+        Measurement { time, thrust: QUARTER.to_vec(), ..measurement(state, Vector3::zeros(), feet) };
     running.tick_towards(&measured, &setpoint);
 }
 
@@ -353,6 +354,7 @@ fn rates_of_the_feet_are_their_differences() {
             dynamics.update(&robot, &state, &kinematics);
             let measured = [Vector6::new(0.0, 0.0, 200.0, 0.0, 0.0, 0.0); 2];
             let feet = &mut ContactState::new(2);
+            let measured = foot_after_foot(&measured);
             contact.update(feet, &robot, &kinematics, &dynamics, &measured, 0.0, 0.0, false, 0.0);
             let velocity = contact.jacobian_transposed.tr_mul(&state.velocity);
             let mut momentum = flight_core::control::law::momentum::MomentumModel::new(&robot);
@@ -595,7 +597,7 @@ fn a_robot_that_stands_is_not_estimated_to_fall() {
     for tick in 0..20 {
         let time = f64::from(tick) * TIME_STEP;
         standing.tick(&Measurement { time, ..measurement(&state, Vector3::zeros(), &weight_on_both()) });
-        let speed = standing.terms().measurement.state.base_linear_velocity().norm();
+        let speed = standing.state().estimate().robot.state.base_linear_velocity().norm();
         assert_within!(speed, 0.05, because "f_c* of a foot is off by 5 N of 212, which is g / 40 over 0.1 s", "tick {tick}");
     }
 }
@@ -617,9 +619,9 @@ fn a_replaced_command_leaves_the_predicted_motion_of_a_robot_that_stands() {
         let thrust = [f64::NAN; 4];
         let feet = weight_on_both();
         let measured = measurement(&state, Vector3::zeros(), &feet);
-        running.tick(&Measurement { time: TIME_STEP, thrust: &thrust, ..measured });
-        let used = &running.terms().measurement;
-        (used.state.velocity.clone(), used.thrust[0])
+        running.tick(&Measurement { time: TIME_STEP, thrust: thrust.to_vec(), ..measured });
+        let used = &running.state().estimate();
+        (used.robot.state.velocity.clone(), used.robot.thrust[0])
     };
     let (commanded, _) = seen_after(None);
     let (replaced, thrust) = seen_after(Some((0.5, 30.0)));
@@ -638,7 +640,8 @@ fn a_robot_on_its_way_down_does_not_take_off() {
     for tick in 1..700 {
         tremble(&mut state);
         let (time, feet) = (f64::from(tick) * TIME_STEP, weight_on_both());
-        let measured = Measurement { time, thrust: &QUARTER, ..measurement(&state, Vector3::zeros(), &feet) };
+        let measured =
+            Measurement { time, thrust: QUARTER.to_vec(), ..measurement(&state, Vector3::zeros(), &feet) };
         let setpoint = Setpoint::at_rest(Vector3::new(0.0, 0.0, 1.1), state.base.rotation);
         let command = running.tick_towards(&measured, &setpoint);
         let is_descending = command.modes.contains(Modes::DESCENDING);
@@ -736,7 +739,8 @@ fn unsound_feet_are_predicted_and_a_missing_one_is_a_bad_measurement() {
         let measured = Measurement { time, ..measurement(&state, Vector3::zeros(), feet) };
         time += TIME_STEP;
         let status = controller.tick(&measured).status;
-        let Terms { momentum, contact, measurement: used, .. } = controller.terms();
+        let Terms { momentum, contact, .. } = controller.terms();
+        let used = &controller.state().estimate().robot;
         let kept = contact.force_of_torques.as_slice().chunks_exact(6).map(Vector6::from_column_slice);
         let kept: Vec<_> = kept.collect();
         (status, controller.command().modes, used.foot_wrenches.clone(), kept, momentum.unmodelled_wrench)
@@ -755,7 +759,7 @@ fn unsound_feet_are_predicted_and_a_missing_one_is_a_bad_measurement() {
     for _ in 0..3 {
         let (status, modes, used, kept, held) = tick(&bad);
         assert_eq!((status, modes), (CommandStatus::Degraded, Modes::FEET_PREDICTED));
-        assert_eq!((used, held), (before, observed));
+        assert_eq!((used, held), (foot_after_foot(&before), observed));
         before = kept;
     }
     assert_eq!(tick(&[Vector6::zeros()]).0, CommandStatus::BadMeasurement);

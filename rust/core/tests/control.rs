@@ -4,19 +4,19 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::{
-    Loop, Running, Sample, TIME_STEP, assert_within, experiment, move_state, random_state, random_vector,
-    rng, robot, tick_at, uniform_estimator,
+    Loop, Running, TIME_STEP, assert_within, at, experiment, move_state, random_state, random_vector, rng,
+    robot, tick_at, uniform_estimator,
 };
 use crate::setpoint::distance_to_rest;
 use flight_core::control::config::{Fallback, Solver};
-use flight_core::control::guard::channels::Jumps;
-use flight_core::control::guard::estimator::{ChannelConfig, EstimatorConfig};
-use flight_core::control::guard::wind_observer::WindObserverConfig;
+use flight_core::control::estimate::estimator::{ChannelConfig, EstimatorConfig};
+use flight_core::control::estimate::wind_observer::WindObserverConfig;
 use flight_core::control::law::bounds::LimitedValues;
 use flight_core::control::law::momentum::RateFeedback;
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::law::torque::limit_rate;
 use flight_core::control::limits::JointCondition;
+use flight_core::control::measure::channels::Jumps;
 use flight_core::control::{BadCommand, CommandStatus, Modes};
 use flight_core::jets::JetDynamics;
 use flight_core::qp::QpStatus;
@@ -38,17 +38,23 @@ fn controller(config: &ScenarioConfig) -> Running {
     Running::new(config.controller(robot).unwrap())
 }
 
-impl Sample {
+/// What tests do with a measurement.
+pub trait Sample: Sized {
+    fn start(config: &ScenarioConfig) -> Self;
+    fn tick<'a>(&self, controller: &'a mut Running) -> &'a Command;
+    fn after(&self, time: f64) -> Self;
+}
+
+impl Sample for Measurement {
     /// The robot as its flight starts.
-    pub fn start(config: &ScenarioConfig) -> Self {
+    fn start(config: &ScenarioConfig) -> Self {
         let robot = load_robot(&config.robot).unwrap();
         let plant = Plant::new(robot, &config.simulator, &config.disturbances).unwrap();
-        let thrust = plant.jets().thrust().to_vec();
-        Self { time: 0.0, state: plant.state().clone(), thrust, wind: wind() }
+        Self { wind: wind(), ..at(0.0, plant.state(), plant.jets().thrust()) }
     }
 
     fn tick<'a>(&self, controller: &'a mut Running) -> &'a Command {
-        controller.tick(&self.measurement())
+        controller.tick(self)
     }
 
     /// The robot after it has moved on at its present velocity.
@@ -70,7 +76,7 @@ fn assert_equal(what: &str, a: &[f64], b: &[f64], tolerance: f64) {
     assert_within!(worst, tolerance, "{what}: {worst:e} apart");
 }
 
-type Spoil = (&'static str, fn(&mut Sample));
+type Spoil = (&'static str, fn(&mut Measurement));
 
 /// Every part of a measurement, spoilt.
 const SPOILT: [Spoil; 15] = [
@@ -103,8 +109,8 @@ const OF_ANOTHER_ROBOT: usize = 3;
 #[test]
 fn bad_measurements_hold_the_last_torques() {
     let config = experiment("test2");
-    let good = Sample::start(&config);
-    let [second, third] = [0.01, 0.02].map(|time| Sample { time, ..good.clone() });
+    let good = Measurement::start(&config);
+    let [second, third] = [0.01, 0.02].map(|time| Measurement { time, ..good.clone() });
     let mut undisturbed = controller(&config);
     good.tick(&mut undisturbed);
     // The integral of a tick that held is that of the tick before.
@@ -144,11 +150,11 @@ fn bad_measurements_hold_the_last_torques() {
 #[test]
 fn the_setpoint_moves_on_while_measurements_are_bad() {
     let config = experiment("test2");
-    let good = Sample::start(&config);
+    let good = Measurement::start(&config);
     let fly = |outage: std::ops::Range<u32>| {
         let mut controller = controller(&config);
         for tick in 0..1800 {
-            let mut sample = Sample { time: f64::from(tick) * 0.01, ..good.clone() };
+            let mut sample = Measurement { time: f64::from(tick) * 0.01, ..good.clone() };
             if outage.contains(&tick) {
                 sample.wind.x = f64::NAN;
                 sample.time = if tick % 2 == 0 { f64::NAN } else { sample.time };
@@ -167,11 +173,11 @@ fn the_setpoint_moves_on_while_measurements_are_bad() {
 #[test]
 fn a_bad_first_measurement_starts_nothing() {
     let config = experiment("test2");
-    let good = Sample::start(&config);
-    let refused = |spoil: &dyn Fn(&mut Sample)| {
+    let good = Measurement::start(&config);
+    let refused = |spoil: &dyn Fn(&mut Measurement)| {
         let mut bad = good.clone();
         spoil(&mut bad);
-        controller(&config).controller.start(&bad.measurement()).unwrap_err().to_string()
+        controller(&config).controller.start(&bad).unwrap_err().to_string()
     };
     for (what, spoil) in &SPOILT[..OF_ANOTHER_ROBOT] {
         assert!(refused(spoil).contains("expected 23 joints, 4 thrusts, 0 feet"), "{what}");
@@ -196,17 +202,17 @@ fn a_bad_first_measurement_starts_nothing() {
 #[test]
 fn a_flight_begins_without_a_wind() {
     let config = experiment("test2");
-    let good = Sample::start(&config);
+    let good = Measurement::start(&config);
     let tick = |wind: Vector3<f64>| {
         let mut controller = controller(&config);
-        let command = Sample { wind, ..good.clone() }.tick(&mut controller).clone();
+        let command = Measurement { wind, ..good.clone() }.tick(&mut controller).clone();
         (controller, command)
     };
     let (mut controller, unknown) = tick(Vector3::repeat(f64::NAN));
     let (_, still) = tick(Vector3::zeros());
     assert_eq!((unknown.status, unknown.modes), (CommandStatus::Degraded, Modes::WIND_HELD));
     assert_eq!(numbers(&unknown), numbers(&still));
-    let second = Sample { time: 0.01, ..good.clone() };
+    let second = Measurement { time: 0.01, ..good.clone() };
     assert_eq!(second.tick(&mut controller).status, CommandStatus::Nominal);
 }
 
@@ -217,15 +223,15 @@ fn a_flight_begins_without_what_is_not_accepted() {
     for estimator in [None, Some(late)] {
         let mut config = experiment("test2");
         config.controller.law.estimator = estimator;
-        let good = Sample::start(&config);
+        let good = Measurement::start(&config);
         // Before the late one is the latest, what it says is used for nothing else.
         let commands = |thrust: f64, wind: f64| {
             let mut controller = controller(&config);
-            let first = Sample { thrust: vec![thrust; 4], wind: Vector3::y() * wind, ..good.clone() };
+            let first = Measurement { thrust: vec![thrust; 4], wind: Vector3::y() * wind, ..good.clone() };
             let first = first.tick(&mut controller).clone();
             let mut all = vec![first.clone()];
             for tick in 1..=3 {
-                let next = Sample { time: f64::from(tick) * TIME_STEP, ..good.clone() };
+                let next = Measurement { time: f64::from(tick) * TIME_STEP, ..good.clone() };
                 all.push(next.tick(&mut controller).clone());
             }
             (first.modes, all.iter().map(numbers).collect::<Vec<_>>())
@@ -241,7 +247,7 @@ fn a_flight_begins_without_what_is_not_accepted() {
 #[test]
 fn what_is_no_rotation_or_time_is_predicted() {
     let config = experiment("test2");
-    let good = Sample::start(&config);
+    let good = Measurement::start(&config);
     let spoilt: [Spoil; 5] = [
         ("stretched", |sample| sample.state.base.rotation *= 1.5),
         ("mirrored", |sample| sample.state.base.rotation.column_mut(0).neg_mut()),
@@ -268,13 +274,13 @@ fn what_is_no_rotation_or_time_is_predicted() {
     good.tick(&mut controller);
     let mut setpoint = controller.terms().setpoint;
     setpoint.rotation *= 5.0;
-    let command = controller.tick_towards(&good.measurement(), &setpoint);
+    let command = controller.tick_towards(&good, &setpoint);
     assert_eq!(command.status, CommandStatus::BadSetpoint);
     // Finite, but its filter would overflow, and for good.
     let mut setpoint = Setpoint::at_rest(setpoint.com_position, good.state.base.rotation);
     for (speed, status) in [(1e308, CommandStatus::BadSetpoint), (0.1, CommandStatus::Nominal)] {
         setpoint.angular_velocity_b.z = speed;
-        assert_eq!(controller.tick_towards(&good.measurement(), &setpoint).status, status, "{speed} rad/s");
+        assert_eq!(controller.tick_towards(&good, &setpoint).status, status, "{speed} rad/s");
     }
 }
 
@@ -282,7 +288,7 @@ fn what_is_no_rotation_or_time_is_predicted() {
 #[test]
 fn without_a_set_point_the_last_one_comes_to_rest() {
     let config = experiment("test2");
-    let good = Sample::start(&config);
+    let good = Measurement::start(&config);
     let mut controller = controller(&config);
     good.tick(&mut controller);
     let mut given = controller.terms().setpoint;
@@ -291,8 +297,8 @@ fn without_a_set_point_the_last_one_comes_to_rest() {
     let mut time = 0.0;
     let mut towards = |setpoint: &Setpoint| {
         time += TIME_STEP;
-        let sample = Sample { time, ..good.clone() };
-        let status = controller.tick_towards(&sample.measurement(), setpoint).status;
+        let sample = Measurement { time, ..good.clone() };
+        let status = controller.tick_towards(&sample, setpoint).status;
         assert_within!((controller.state().time() - time).abs(), 1e-15);
         (status, controller.terms().setpoint)
     };
@@ -315,7 +321,7 @@ fn without_a_set_point_the_last_one_comes_to_rest() {
 #[test]
 fn on_the_way_down_no_set_point_is_followed() {
     let config = experiment("test2");
-    let good = Sample::start(&config);
+    let good = Measurement::start(&config);
     let mut controller = controller(&config);
     good.tick(&mut controller);
     let given = Setpoint::at_rest(controller.terms().setpoint.com_position, good.state.base.rotation);
@@ -325,7 +331,7 @@ fn on_the_way_down_no_set_point_is_followed() {
     let mut heights = vec![];
     for _ in 0..1000 {
         lost.time += TIME_STEP;
-        controller.tick_towards(&lost.measurement(), &given);
+        controller.tick_towards(&lost, &given);
         let is_descending = controller.command().modes.contains(Modes::DESCENDING);
         assert_eq!(is_descending, lost.time > after + 0.5 * TIME_STEP, "{}", lost.time);
         if is_descending {
@@ -342,11 +348,11 @@ fn on_the_way_down_no_set_point_is_followed() {
 #[test]
 fn time_goes_on_without_a_measurement() {
     let config = experiment("test2");
-    let good = Sample::start(&config);
+    let good = Measurement::start(&config);
     let mut controller = controller(&config);
     good.tick(&mut controller);
     for (time, expected) in [(0.5, 0.5), (f64::NAN, 0.5 + TIME_STEP)] {
-        let bad = Measurement { time, thrust: &[], ..good.measurement() };
+        let bad = Measurement { time, thrust: vec![], ..good.clone() };
         assert_eq!(controller.tick(&bad).status, CommandStatus::BadMeasurement);
         assert_eq!(controller.state().time(), expected);
     }
@@ -373,20 +379,20 @@ fn predictions_go_on_while_measurements_are_bad() {
         let begin = world.plant.state().base.position;
         for _ in 0..10 {
             let sample = next(&mut world);
-            let bad = Measurement { thrust: &[], ..sample.measurement() };
+            let bad = Measurement { thrust: vec![], ..sample.clone() };
             assert_eq!(world.controller.tick(&bad).status, CommandStatus::BadMeasurement);
         }
         let mut sample = next(&mut world);
         let moved = (sample.state.base.position - begin).norm();
         assert!(moved > 2.0 * Jumps::default().position, "{moved} m");
         sample.thrust.fill(f64::NAN);
-        assert_eq!(world.controller.tick(&sample.measurement()).modes, Modes::THRUST_MODELLED);
-        let (used, truth) = (&world.controller.terms().measurement, world.plant.state());
-        for (used, truth) in used.thrust.iter().zip(world.plant.jets().thrust()) {
+        assert_eq!(world.controller.tick(&sample).modes, Modes::THRUST_MODELLED);
+        let (used, truth) = (&world.controller.state().estimate(), world.plant.state());
+        for (used, truth) in used.robot.thrust.iter().zip(world.plant.jets().thrust()) {
             assert_within!((used - truth).abs(), 1e-9);
         }
         // Velocities near 10 rad/s, by a mass matrix with a condition of 1e4.
-        assert_within!((&used.state.velocity - &truth.velocity).amax(), 1e-9);
+        assert_within!((&used.robot.state.velocity - &truth.velocity).amax(), 1e-9);
     }
 }
 
@@ -423,11 +429,11 @@ fn predictions_follow_a_replaced_command() {
             sample.state.base.position.fill(f64::NAN); // or the velocity follows it
             sample.thrust.fill(f64::NAN);
         }
-        world.controller.tick(&sample.measurement());
-        let used = &world.controller.terms().measurement;
+        world.controller.tick(&sample);
+        let used = &world.controller.state().estimate();
         // Velocities near 10 rad/s, by a mass matrix with a condition of 1e4.
-        assert_within!((&used.state.velocity - &truth.velocity).amax(), 1e-9);
-        for (used, truth) in used.thrust.iter().zip(world.plant.jets().thrust()) {
+        assert_within!((&used.robot.state.velocity - &truth.velocity).amax(), 1e-9);
+        for (used, truth) in used.robot.thrust.iter().zip(world.plant.jets().thrust()) {
             assert_within!((used - truth).abs(), 1e-9);
         }
     }
@@ -444,7 +450,7 @@ fn a_replaced_command_belongs_to_its_state() {
     let torque: Vec<f64> = command.joint_torque.iter().map(|torque| torque + 5.0).collect();
     let (rate, before) = (command.thrust_rate.as_slice(), command.joint_torque.as_slice());
     let after_tick = world.controller.state().clone();
-    let mut unmeasured = Sample { time: (world.tick + 1) as f64 * TIME_STEP, ..world.sample(wind()) };
+    let mut unmeasured = Measurement { time: (world.tick + 1) as f64 * TIME_STEP, ..world.sample(wind()) };
     unmeasured.state.velocity.fill(f64::NAN);
     unmeasured.state.base.position.fill(f64::NAN); // or the velocity follows it
     let predicted = |running: &mut Running, replacements: &[&[f64]]| {
@@ -454,7 +460,7 @@ fn a_replaced_command_belongs_to_its_state() {
             controller.replace_command(state.as_mut().unwrap(), rate, torque).unwrap();
         }
         unmeasured.tick(running);
-        running.terms().measurement.state.velocity.clone()
+        running.state().estimate().robot.state.velocity.clone()
     };
     let as_commanded = predicted(&mut world.controller, &[]);
     let expected = predicted(&mut world.controller, &[&torque]);
@@ -499,7 +505,7 @@ fn a_controller_that_pauses_flies_on() {
             height[2] += TIME_STEP * jerk;
             if !(51..72).contains(&tick) {
                 let sample = world.sample(Vector3::zeros());
-                let command = world.controller.tick_towards(&sample.measurement(), &setpoint);
+                let command = world.controller.tick_towards(&sample, &setpoint);
                 modes.extend(command.modes.names());
             }
             world.plant.observe(&Vector3::zeros());
@@ -530,7 +536,7 @@ fn an_observer_of_joints_needs_no_velocities() {
         assert!(expected.modes.is_empty());
         world.advance(&wind());
     }
-    assert!(unmeasured.terms().estimates.reading.state.velocity.rows_range(6..).amax() > 1e-3);
+    assert!(unmeasured.state().estimate().robot.state.velocity.rows_range(6..).amax() > 1e-3);
 }
 
 /// With estimators the law is given what they make of the measurement, and the state holds them.
@@ -541,19 +547,18 @@ fn the_law_is_given_what_the_estimators_make() {
     let estimator = EstimatorConfig { base_position: slow, ..EstimatorConfig::default() };
     config.controller.law.estimator = Some(estimator);
     config.controller.law.wind_observer = Some(WindObserverConfig {});
-    let good = Sample::start(&config);
+    let good = Measurement::start(&config);
     let mut controller = controller(&config);
     good.tick(&mut controller);
-    assert_eq!(controller.terms().measurement.state.base.position, good.state.base.position);
-    assert_eq!(controller.terms().measurement.wind, Vector3::zeros(), "the measured wind is not used");
+    assert_eq!(controller.state().estimate().robot.state.base.position, good.state.base.position);
+    assert_eq!(controller.state().estimate().robot.wind, Vector3::zeros(), "the measured wind is not used");
     let wind = controller.state().wind().unwrap().wind();
-    let mut moved = Sample { time: TIME_STEP, ..good.clone() };
+    let mut moved = Measurement { time: TIME_STEP, ..good.clone() };
     moved.state.base.position.x += 0.1;
     moved.tick(&mut controller);
-    let used = &controller.terms().measurement;
-    assert_within!((used.state.base.position - good.state.base.position).amax(), 1e-2, because "a tick of the model");
-    assert_eq!(used.wind, wind, "that of the tick before");
-    assert_eq!(controller.terms().estimates.reading.state, used.state);
+    let used = &controller.state().estimate();
+    assert_within!((used.robot.state.base.position - good.state.base.position).amax(), 1e-2, because "a tick of the model");
+    assert_eq!(used.robot.wind, wind, "that of the tick before");
 }
 
 /// A state that was recorded, restored after other ticks and in another controller: every number of the ticks that follow
@@ -609,7 +614,7 @@ fn a_state_of_other_stages_is_refused() {
         let mut without = config.clone();
         forget(&mut without);
         let (mut with, mut without) = (controller(&config), controller(&without));
-        let sample = Sample::start(&config);
+        let sample = Measurement::start(&config);
         for controller in [&mut with, &mut without] {
             assert_eq!(sample.tick(controller).status, CommandStatus::Nominal, "{number}");
         }
@@ -630,7 +635,7 @@ fn a_state_of_other_stages_is_refused() {
 fn throttles_follow_the_rates_that_act() {
     let mut config = experiment("test2_observer");
     config.controller.law.jet_dynamics = JetDynamics::SecondOrder;
-    let (mut ticked, sample) = (controller(&config), Sample::start(&config));
+    let (mut ticked, sample) = (controller(&config), Measurement::start(&config));
     let command = sample.tick(&mut ticked).clone();
     let Running { controller: law, state } = &mut ticked;
     let mut throttle = |rate: &[f64]| {
@@ -655,7 +660,7 @@ fn without_jets_no_thrust_rate_is_commanded() {
     let mut config = experiment("test2");
     config.controller.law.use_jets = false;
     let mut controller = controller(&config);
-    let mut sample = Sample::start(&config);
+    let mut sample = Measurement::start(&config);
     for thrust in [0.0, 100.0, 300.0] {
         sample.thrust.fill(thrust);
         let command = sample.tick(&mut controller);
@@ -683,7 +688,7 @@ fn without_a_momentum_answer_nothing_moves() {
         config.controller.law.qp.solver = solver;
         config.controller.law.qp.fallback = fallback;
         let mut controller = controller(&config);
-        let mut sample = Sample::start(&config);
+        let mut sample = Measurement::start(&config);
         sample.state.velocity[6 + 3] = 0.4;
         let knee = controller.model().joint_index("l_knee").unwrap();
         assert!(sample.state.joint_position[knee] > 0.0, "beyond its limit");
@@ -714,7 +719,7 @@ fn a_singular_momentum_qp_is_said_to_be_one() {
     weights.regularisation = 1e-18;
     let mut tick = |fallback| {
         config.controller.law.qp.fallback = fallback;
-        Sample::start(&config).tick(&mut controller(&config)).clone()
+        Measurement::start(&config).tick(&mut controller(&config)).clone()
     };
     let (held, asked) = (tick(Fallback::Hold), tick(Fallback::Clarabel));
     for command in [&held, &asked] {
@@ -735,7 +740,7 @@ fn a_singular_momentum_qp_is_said_to_be_one() {
 fn without_a_torque_answer_torques_stay() {
     let config = experiment("test2");
     let mut sound = controller(&config);
-    let start = Sample::start(&config);
+    let start = Measurement::start(&config);
     start.tick(&mut sound);
     let mut spoilt_config = config.clone();
     spoilt_config.controller.law.torque.weight_acceleration = 1e306;
@@ -760,7 +765,7 @@ fn without_any_answer_both_hold() {
     config.controller.law.weights.momentum = 1e305;
     config.controller.law.torque.weight_acceleration = 1e306;
     let mut controller = controller(&config);
-    let command = Sample::start(&config).tick(&mut controller);
+    let command = Measurement::start(&config).tick(&mut controller);
     assert_eq!(command.status, CommandStatus::BothHeld);
     assert_eq!(command.thrust_rate.amax() + command.joint_torque.amax(), 0.0);
 }
@@ -769,7 +774,7 @@ fn without_any_answer_both_hold() {
 #[test]
 fn absurd_states_are_held() {
     let config = experiment("test2");
-    let start = Sample::start(&config);
+    let start = Measurement::start(&config);
     for size in [1e80, 1e160, 1e300] {
         for part in 0..4 {
             let mut controller = controller(&config);
@@ -806,14 +811,7 @@ fn compare(
         let time = flight.tick as f64 * 0.01;
         let thrust = flight.plant.jets().thrust().to_vec();
         let state = flight.plant.state();
-        beside.tick(&Measurement {
-            time,
-            state,
-            thrust: &thrust,
-            wind,
-            foot_wrenches: &[],
-            shaft_speed: &[],
-        });
+        beside.tick(&Measurement { wind, ..at(time, state, &thrust) });
         let (a, b) = (flight.controller.command(), beside.command());
         assert_eq!((a.status, b.status), (CommandStatus::Nominal, CommandStatus::Nominal));
         assert_equal(&format!("at {time} s"), &numbers(a), &numbers(b), tolerance);
@@ -853,7 +851,7 @@ fn the_baseline_is_the_aware_controller_without_forces() {
     scaled.disturbances.aero_estimate.scale = 0.0;
     compare(&baseline, &scaled, 2.0, wind(), 0.0);
 
-    let mut resting = Sample::start(&baseline);
+    let mut resting = Measurement::start(&baseline);
     resting.state.velocity.fill(0.0);
     resting.wind = Vector3::zeros();
     let mut aware = controller(&experiment("test2"));
@@ -873,7 +871,7 @@ fn each_part_of_the_feedback_can_be_left_out() {
         let mut config = experiment("test2");
         change(&mut config);
         let mut controller = controller(&config);
-        Sample::start(&config).tick(&mut controller);
+        Measurement::start(&config).tick(&mut controller);
         controller
     };
     let full = tick(&|_| ());
@@ -955,14 +953,14 @@ fn rate_bounds_fade_out_at_the_limits() {
 #[test]
 fn commands_obey_their_bounds_at_the_limits() {
     let config = experiment("test2");
-    let start = Sample::start(&config);
+    let start = Measurement::start(&config);
     let mut rng = rng(2);
     for thrusts in
         [[0.0; 4], [160.0, 160.0, 220.0, 220.0], [0.0, 160.0, 0.0, 220.0], [-0.3, 160.3, -0.3, 220.3]]
     {
         let mut controller = controller(&config);
         start.tick(&mut controller);
-        let mut sample = Sample { thrust: thrusts.to_vec(), ..start.clone() };
+        let mut sample = Measurement { thrust: thrusts.to_vec(), ..start.clone() };
         // Right hip: pitch below its -17.5 deg, roll above its 45 deg; and everything moves.
         (sample.state.joint_position[17], sample.state.joint_position[18]) = (-0.4, 0.9);
         sample.state.velocity = DVector::from_fn(29, |_, _| rng.random_range(-1.0..1.0));
@@ -996,10 +994,10 @@ fn thrust_rates_fade_out_at_the_least_thrust() {
     let mut robot = load_robot(&config.robot).unwrap();
     robot.jets.iter_mut().for_each(|jet| jet.thrust_min = 11.0);
     let mut controller = Running::new(config.controller(robot).unwrap());
-    let start = Sample::start(&config);
+    let start = Measurement::start(&config);
     start.tick(&mut controller);
     let thrust = vec![11.0, 11.4, 10.8, 90.0];
-    Sample { thrust: thrust.clone(), ..start }.tick(&mut controller);
+    Measurement { thrust: thrust.clone(), ..start }.tick(&mut controller);
     let problem = &controller.terms().momentum_qp.problem;
     for (jet, thrust) in thrust.into_iter().enumerate() {
         let full = if jet < 2 { 160.0 } else { 220.0 };
@@ -1020,7 +1018,7 @@ fn torques_move_by_at_most_three_newton_metres() {
 
     let config = experiment("test2");
     let mut controller = controller(&config);
-    let mut sample = Sample::start(&config);
+    let mut sample = Measurement::start(&config);
     sample.state.velocity[6 + 4] = 2.0;
     let mut last = sample.tick(&mut controller).joint_torque.clone();
     assert_eq!(last, controller.terms().unlimited_torque, "the first answer is taken as it is");
@@ -1052,7 +1050,7 @@ fn torques_move_by_at_most_three_newton_metres() {
 fn a_weak_joint_does_not_move_the_others() {
     let config = experiment("test2");
     let mut controller = controller(&config);
-    Sample::start(&config).tick(&mut controller);
+    Measurement::start(&config).tick(&mut controller);
     let (state, terms) = (controller.state(), controller.terms());
     let none = DVector::zeros(23);
     let update = |conditions: &[JointCondition]| {
@@ -1090,7 +1088,7 @@ fn a_weak_joint_does_not_move_the_others() {
 fn the_torque_law_integrates_after_use() {
     let config = experiment("test2");
     let mut controller = controller(&config);
-    let mut sample = Sample::start(&config);
+    let mut sample = Measurement::start(&config);
     let mut integral = DVector::zeros(23);
     let mut rng = rng(4);
     for tick in 0..20 {
@@ -1109,7 +1107,7 @@ fn the_torque_law_integrates_after_use() {
 #[test]
 fn torques_overcome_the_friction_of_the_drives() {
     let mut config = experiment("test2");
-    let (mut sample, mut rng) = (Sample::start(&config), rng(5));
+    let (mut sample, mut rng) = (Measurement::start(&config), rng(5));
     sample.state.velocity.iter_mut().for_each(|v| *v = rng.random_range(-0.1..0.1));
     let plain = sample.tick(&mut controller(&config)).clone();
     config.controller.law.torque.friction = Some([("left_arm".into(), 2.0)].into());
@@ -1135,7 +1133,7 @@ fn lambda_is_the_derivative_of_the_momentum_rate() {
         config.controller.law.aero_feedback.momentum_rate = RateFeedback::None;
         config.controller.law.aero_feedback.lambda = false;
         let mut controller = controller(&config);
-        let mut sample = Sample::start(&config);
+        let mut sample = Measurement::start(&config);
         sample.state = random_state(&mut rng, controller.model());
         sample.thrust.iter_mut().for_each(|thrust| *thrust = rng.random_range(10.0..150.0));
         let mut estimate = |time: f64| {
@@ -1159,7 +1157,7 @@ fn lambda_a_is_the_derivative_of_the_aerodynamic_moment() {
     let mut rng = rng(6);
     for _ in 0..30 {
         let mut controller = controller(&config);
-        let mut sample = Sample::start(&config);
+        let mut sample = Measurement::start(&config);
         sample.state = random_state(&mut rng, controller.model());
         sample.wind = random_vector(&mut rng, 10.0);
         sample.tick(&mut controller);
@@ -1183,7 +1181,7 @@ fn lambda_a_is_the_derivative_of_the_aerodynamic_moment() {
 fn parts_of_a_state_that_do_not_fit_are_refused() {
     let config = experiment("test2");
     let mut controller = controller(&config);
-    Sample::start(&config).tick(&mut controller);
+    Measurement::start(&config).tick(&mut controller);
     let state = controller.state().clone();
     let one = Matrix3::identity();
     let zeros = DVector::zeros;

@@ -4,7 +4,7 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::{assert_within, experiment};
-use flight_core::control::guard::engines::{
+use flight_core::control::detect::engines::{
     DescentConfig, EngineSample, EngineState, Engines, EnginesConfig, explains,
 };
 use flight_core::control::limits::Limits;
@@ -44,7 +44,7 @@ impl Monitors {
         let engines = Engines::new(&CONFIG, &limits, &robot, [momentum_share; 2], JetDynamics::Ideal);
         let column = |jet: usize| Vector6::new(0.0, 0.0, 1.0, 0.0, 0.3 - 0.6 * (jet % 2) as f64, 0.0);
         let a_t = Matrix6xX::from_columns(&(0..jets).map(column).collect::<Vec<_>>());
-        Self { states: engines.start(), engines, a_t }
+        Self { states: vec![EngineState::default(); jets], engines, a_t }
     }
 
     /// A tick with these samples; the momentum is measured and has the residual of sensors that are wrong by so much \[N\].
@@ -292,7 +292,7 @@ fn the_least_thrust_is_that_of_a_running_engine() {
     robot.jets.iter_mut().for_each(|jet| jet.thrust_min = 11.0);
     let mut limits = Limits::new(config.controller.law.momentum, &robot);
     let engines = Engines::new(&CONFIG, &limits, &robot, [1.0; 2], JetDynamics::Ideal);
-    let mut states = engines.start();
+    let mut states = vec![EngineState::default(); 4];
     states[1].range = (0.0, 80.0);
     states[2].range = (0.0, 2.0);
     states[3].range = (60.0, 90.0);

@@ -2,11 +2,14 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 
-use crate::common::{Loop, assert_within, experiment, robot, uniform_estimator};
-use flight_core::control::guard::estimator::{ChannelConfig, EstimatorConfig, EstimatorState, LatencyConfig};
+use crate::common::{Loop, assert_within, at, experiment, read, robot, uniform_estimator};
+use flight_core::control::acting::Acting;
+use flight_core::control::estimate::estimator::{
+    ChannelConfig, EstimatorConfig, EstimatorState, LatencyConfig,
+};
 use flight_core::control::{Command, Modes};
 use flight_core::jets::JetDynamics;
-use flight_core::{Estimator, Measurement, Reading, RobotModel, RobotState};
+use flight_core::{Estimator, Measurement, RobotModel, RobotState};
 use flight_io::{AeroConfig, load_aero, load_robot};
 use flight_sim::sensors::{EncoderConfig, SensorConfig, ThrustSensorConfig};
 use flight_sim::{ScenarioConfig, Sensors, SensorsConfig};
@@ -67,17 +70,19 @@ struct Estimating {
 }
 
 impl Estimating {
-    fn update(&mut self, state: &RobotState, thrust: &[f64]) -> Reading {
-        let mut reading = Reading { state: state.clone(), thrust: thrust.to_vec() };
+    fn update(&mut self, state: &RobotState, thrust: &[f64]) -> Measurement {
         let mut innovation = vec![0.0; thrust.len()];
         let mut rates = innovation.clone();
-        self.estimator.update(&mut self.state, &mut reading, self.elapsed, &mut innovation, &mut rates);
-        reading
+        let next = self.state.next();
+        (next.state, next.thrust) = (state.clone(), thrust.to_vec());
+        self.estimator.update(&mut self.state, self.elapsed, &mut innovation, &mut rates).clone()
     }
 
     fn command(&mut self, command: &Command, unmodelled: &Vector6<f64>) {
-        let Command { thrust_rate, joint_torque, .. } = command;
-        self.state.command(thrust_rate.as_slice(), joint_torque.as_slice(), unmodelled, &WIND, &[0.0; 12]);
+        let mut acting = Acting::new(command.joint_torque.len(), command.thrust_rate.len(), 2);
+        acting.thrust_rate.copy_from(&command.thrust_rate);
+        acting.torque.copy_from(&command.joint_torque);
+        self.state.command(&acting, unmodelled, &WIND);
     }
 }
 
@@ -87,11 +92,24 @@ fn estimator(config: &ScenarioConfig) -> Estimating {
     let settings = config.controller.law.estimator.as_ref().unwrap();
     let estimator = Estimator::new(settings, robot, JetDynamics::Ideal, aero, STEP).unwrap();
     let initial = &config.simulator.initial;
-    Estimating { state: estimator.start(&initial.state(), &initial.thrust), estimator, elapsed: STEP }
+    Estimating {
+        state: estimator.start(&reading(&initial.state(), &initial.thrust)),
+        estimator,
+        elapsed: STEP,
+    }
+}
+
+/// State and thrusts of a robot with two feet.
+fn reading(state: &RobotState, thrust: &[f64]) -> Measurement {
+    Measurement {
+        state: state.clone(),
+        thrust: thrust.to_vec(),
+        ..Measurement::zero(state.n_joints(), thrust.len(), 2)
+    }
 }
 
 /// Largest difference of everything in two readings.
-fn distance(a: &Reading, b: &Reading) -> f64 {
+fn distance(a: &Measurement, b: &Measurement) -> f64 {
     let thrusts = a.thrust.iter().zip(&b.thrust).map(|(a, b)| (a - b).abs());
     [
         (a.state.base.position - b.state.base.position).amax(),
@@ -116,8 +134,9 @@ fn with_the_worlds_own_model_it_is_ahead_of_every_delay() {
     for tick in 0..60 {
         world.observe(&WIND);
         let (state, thrust) = (world.plant.state(), world.plant.jets().thrust());
-        let truth = Reading { state: state.clone(), thrust: thrust.to_vec() };
-        let said = sensors.read(state, thrust);
+        let truth = reading(state, thrust);
+        let mut said = truth.clone();
+        sensors.read(&mut said);
         let found = estimator.update(&said.state, &said.thrust);
         assert_within!(distance(&found, &truth), 1e-9, because "measured exactly, predicted over five ticks by the same equations in another order", "tick {tick}");
         estimator.command(world.controller.command(), &Vector6::zeros());
@@ -137,7 +156,7 @@ fn a_predicted_thrust_ends_at_its_least() {
     let state = config.simulator.initial.state();
     let after = |robot: RobotModel| {
         let estimator = Estimator::new(settings, robot, JetDynamics::Ideal, aero.clone(), STEP).unwrap();
-        let start = estimator.start(&state, &[90.0, 18.0, 13.0, 2.0]);
+        let start = estimator.start(&reading(&state, &[90.0, 18.0, 13.0, 2.0]));
         let mut estimating = Estimating { state: start, estimator, elapsed: STEP };
         let command = Command {
             thrust_rate: DVector::from_element(4, -1000.0),
@@ -172,18 +191,19 @@ fn with_late_commands_it_is_the_state_in_which_they_act() {
         let mut estimator = estimator(&config);
         let mut world = world(&config);
         let mut sensors = Sensors::new(&sensors, STEP, 23, 4).unwrap();
-        let (mut sent, mut found): (Vec<Command>, Vec<Reading>) = (Vec::new(), Vec::new());
+        let (mut sent, mut found): (Vec<Command>, Vec<Measurement>) = (Vec::new(), Vec::new());
         for tick in 0..40 {
             world.observe(&WIND);
             let (state, thrust) = (world.plant.state(), world.plant.jets().thrust());
-            let truth = Reading { state: state.clone(), thrust: thrust.to_vec() };
+            let truth = reading(state, thrust);
             if tick == FOUND {
                 estimator.state.use_torque_latency(0.02);
             }
             if tick > TORQUE + start {
                 assert_within!(distance(&found[tick - TORQUE], &truth), 1e-9, because "two steps of the same equations in another order", "tick {tick}");
             }
-            let said = sensors.read(state, thrust);
+            let mut said = truth.clone();
+            sensors.read(&mut said);
             found.push(estimator.update(&said.state, &said.thrust));
             sent.push(world.controller.command().clone());
             estimator.command(&sent[tick], &Vector6::zeros());
@@ -207,7 +227,7 @@ fn a_longer_tick_is_predicted_as_long_as_it_is() {
         for tick in 0..12_i32 {
             world.observe(&WIND);
             let (state, thrust) = (world.plant.state(), world.plant.jets().thrust());
-            let truth = Reading { state: state.clone(), thrust: thrust.to_vec() };
+            let truth = reading(state, thrust);
             let found = estimator.update(state, thrust);
             assert_within!(distance(&found, &truth), 1e-9, because "one step of the same equations in another order", "tick {tick}");
             let command = world.controller.command();
@@ -223,9 +243,9 @@ fn a_longer_tick_is_predicted_as_long_as_it_is() {
 /// Two estimators with the same measurements but for one channel at one tick differ there, by its share.
 #[test]
 fn every_channel_is_corrected_by_its_share() {
-    type Change = fn(&mut Reading);
-    type Read = fn(&Reading) -> f64;
-    let gyro = |r: &Reading| (r.state.base.rotation.transpose() * r.state.base_angular_velocity()).y;
+    type Change = fn(&mut Measurement);
+    type Read = fn(&Measurement) -> f64;
+    let gyro = |r: &Measurement| (r.state.base.rotation.transpose() * r.state.base_angular_velocity()).y;
     let cases: [(usize, Change, Read); 7] = [
         (0, |r| r.state.base.position.z += 0.1, |r| r.state.base.position.z),
         (
@@ -248,8 +268,7 @@ fn every_channel_is_corrected_by_its_share() {
     let time_constants = [0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07];
     let config = flight(settings);
     let world = world(&config);
-    let mut still =
-        Reading { state: world.plant.state().clone(), thrust: world.plant.jets().thrust().to_vec() };
+    let mut still = reading(world.plant.state(), world.plant.jets().thrust());
     still.state.base.rotation = nalgebra::Matrix3::identity();
     still.state.velocity.fill(0.0);
     for (channel, change, read) in cases {
@@ -358,7 +377,7 @@ fn the_bias_of_the_gyroscopes_is_estimated_from_the_rotation() {
         for tick in 0..240 {
             world.observe(&WIND);
             let (state, thrust) = (world.plant.state(), world.plant.jets().thrust());
-            let mut said = sensors.read(state, thrust).clone();
+            let mut said = read(&mut sensors, state, thrust);
             if tick > 200 {
                 said.state.base.rotation.fill(f64::NAN);
             }
@@ -453,7 +472,7 @@ fn a_measurement_that_is_no_number_corrects_nothing() {
     (found[7], given[7]) = (0.0, 0.0);
     assert_within!((found - given).amax(), 1e-15, because "taken as it comes");
     let back = estimator.update(state, thrust);
-    assert!(distance(&back, &Reading { state: state.clone(), thrust: thrust.to_vec() }) < 1e-14);
+    assert!(distance(&back, &reading(state, thrust)) < 1e-14);
 }
 
 /// One thrust sensor that is lost for good is modelled; every other channel is corrected as if nothing had happened. So
@@ -504,10 +523,7 @@ fn absurd_numbers_pass() {
             estimator.update(said, thrust);
         }
         let back = estimator.update(state, thrust);
-        assert!(
-            distance(&back, &Reading { state: state.clone(), thrust: thrust.to_vec() }) < 1e-14,
-            "{absurd}"
-        );
+        assert!(distance(&back, &reading(state, thrust)) < 1e-14, "{absurd}");
     }
 }
 
@@ -521,7 +537,7 @@ fn a_state_of_another_estimator_does_not_fit() {
         let aero = load_aero(&AeroConfig::Off {}, &robot).unwrap();
         let settings = EstimatorConfig { thrust: late(delay), ..EstimatorConfig::default() };
         let estimator = Estimator::new(&settings, robot, JetDynamics::Ideal, aero, STEP).unwrap();
-        let state = estimator.start(&state, &thrust);
+        let state = estimator.start(&reading(&state, &thrust));
         (estimator, state)
     };
     let (sparrow, state) = make("sparrow", 0.02, 3);
@@ -548,17 +564,10 @@ fn the_estimate_loses_what_a_wrong_sensor_put_into_it() {
             thrust[2] += 40.0;
         }
         let (time, state) = (f64::from(tick) * STEP, world.plant.state());
-        world.controller.tick(&Measurement {
-            time,
-            state,
-            thrust: &thrust,
-            wind: WIND,
-            foot_wrenches: &[],
-            shaft_speed: &[],
-        });
+        world.controller.tick(&Measurement { wind: WIND, ..at(time, state, &thrust) });
         let is_found = world.controller.command().modes.contains(Modes::THRUST_MODELLED);
         let errors = if is_found { &mut after } else { &mut before };
-        errors.push(world.controller.terms().measurement.thrust[2] - truth[2]);
+        errors.push(world.controller.state().estimate().robot.thrust[2] - truth[2]);
         world.advance(&WIND);
     }
     assert!((5..20).contains(&(before.len() - 100)), "found after {} ticks", before.len() - 100);

@@ -4,7 +4,7 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::assert_within;
-use flight_core::control::guard::joints::{JointSample, JointsConfig, JointsState};
+use flight_core::control::detect::joints::{JointSample, JointsConfig, JointsState};
 use flight_core::control::limits::JointCondition::{self, Free, Healthy, Stuck, Weak};
 use nalgebra::DVector;
 

@@ -4,10 +4,10 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::assert_within;
-use flight_core::control::guard::estimator::EstimatorConfig;
-use flight_core::control::guard::latency::{
+use flight_core::control::detect::latency::{
     LatencyMonitor, LatencyMonitorConfig, LatencySample, LatencyState,
 };
+use flight_core::control::estimate::estimator::EstimatorConfig;
 use nalgebra::{DMatrix, DVector};
 
 const STEP: f64 = 0.01;
@@ -54,7 +54,7 @@ impl Robot {
         let monitor = LatencyMonitor::new(CONFIG, estimator, 1, 2, 2, STEP);
         let position = DVector::from_vec(vec![0.1, 0.2]);
         Self {
-            state: monitor.start(&position, 2),
+            state: monitor.start_of(2, 2),
             monitor,
             gain: DMatrix::from_row_slice(2, 2, &[40.0, -8.0, -8.0, 60.0]),
             velocity: DVector::zeros(2),
@@ -72,7 +72,7 @@ impl Robot {
     fn fly(&mut self, is_measured: bool) -> bool {
         let position = is_measured.then(|| self.position.as_slice());
         let thrust = is_measured.then(|| self.thrust.as_slice());
-        self.monitor.measure(&mut self.state, position, thrust, STEP);
+        self.monitor.take_in(&mut self.state, position, thrust, STEP);
         let last = self.tick - 1;
         let acceleration = self.free * free(f64::from(last) + self.lead) + &self.gain * torque(last);
         let (torques, rates) = (torque(last), rate(last));

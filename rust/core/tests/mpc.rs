@@ -3,18 +3,16 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-use crate::common::{
-    Loop, Running, Sample, assert_within, at, experiment, random_state, random_vector, rng, robot,
-};
+use crate::common::{Loop, Running, assert_within, at, experiment, random_state, random_vector, rng, robot};
 use flight_core::aero::{AeroModel, ForceFactorsConfig, LinkConventions, LinkForces};
-use flight_core::control::law::mpc::PredictiveLaw;
-use flight_core::control::law::mpc::clearance::{Clearance, ClearanceConfig};
-use flight_core::control::law::mpc::config::Air;
-use flight_core::control::law::mpc::horizon::{Horizon, Target};
-use flight_core::control::law::mpc::model::Linearised;
-use flight_core::control::law::mpc::plan::Plan;
+use flight_core::control::law::plan::Plan;
 use flight_core::control::law::setpoint::Setpoint;
-use flight_core::control::{Command, CommandStatus, Given, Preview, Terms};
+use flight_core::control::mpc::clearance::{Clearance, ClearanceConfig};
+use flight_core::control::mpc::config::Air;
+use flight_core::control::mpc::horizon::{Horizon, Target};
+use flight_core::control::mpc::model::Linearised;
+use flight_core::control::mpc::{PredictiveLaw, Present};
+use flight_core::control::{Command, CommandStatus, Given, Preview};
 use flight_core::dynamics::Dynamics;
 use flight_core::jets::JetDynamics;
 use flight_core::kinematics::Kinematics;
@@ -67,9 +65,7 @@ impl Case {
     fn controller(&self, config: &ScenarioConfig) -> Running {
         let robot = load_robot(&config.robot).unwrap();
         let mut controller = Running::new(config.controller(robot).unwrap());
-        let sample =
-            Sample { time: 0.0, state: self.state.clone(), thrust: self.thrust.clone(), wind: self.wind };
-        controller.tick(&sample.measurement());
+        controller.tick(&Measurement { wind: self.wind, ..at(0.0, &self.state, &self.thrust) });
         controller
     }
 
@@ -184,12 +180,12 @@ fn the_model_is_the_derivative_of_momentum_rate_and_angular_velocity() {
     for seed in 0..4 {
         let case = Case::draw(seed);
         let controller = case.controller(&config);
-        let terms = controller.terms();
+        let now = present(&controller);
         let aero = axisymmetric(&case.robot);
         let joints = moved_joints(&config, &case.robot);
         let (jets, free) = (case.thrust.len(), joints.len());
         let mut model = Linearised::new(&case.robot, joints.clone());
-        assert!(model.update(&case.robot, &aero, Air::Linear, terms));
+        assert!(model.update(&case.robot, &aero, Air::Linear, now));
         let none = Away::none(jets, free);
         let compare = |what: &str,
                        change: &dyn Fn(&mut Away, f64),
@@ -239,9 +235,9 @@ fn a_constant_wrench_of_the_air_does_not_turn_with_the_robot() {
     let controller = case.controller(&config);
     let joints = moved_joints(&config, &case.robot);
     let mut model = Linearised::new(&case.robot, joints.clone());
-    assert!(model.update(&case.robot, &axisymmetric(&case.robot), Air::Constant, controller.terms()));
+    assert!(model.update(&case.robot, &axisymmetric(&case.robot), Air::Constant, present(&controller)));
     let mut without = Linearised::new(&case.robot, joints);
-    assert!(without.update(&case.robot, &AeroModel::Off, Air::Linear, controller.terms()));
+    assert!(without.update(&case.robot, &AeroModel::Off, Air::Linear, present(&controller)));
     assert!(model.rate_v.amax() == 0.0 && model.rate_sigma.amax() == 0.0);
     // Without a model the wrench of the air in the terms turns; it is the difference.
     let (force, moment) = controller.terms().link_forces.wrench_about(&controller.terms().kinematics.com);
@@ -347,19 +343,25 @@ fn links_on_one_body_are_not_kept_apart() {
     assert!(refused.contains("controller.mpc.clearance.apart_from"), "{refused}");
 }
 
+/// What a plan of a controller begins with.
+fn present(controller: &Running) -> Present<'_> {
+    Present { estimate: controller.state().estimate(), terms: controller.terms() }
+}
+
 /// Continuous dynamics of `(δp, δv, θ, δk, δT, δs, ṡ, e, Ṫ)`, from the model's matrices and the engines' slopes alone, with a
 /// change of the wrench.
 fn slope(
     model: &Linearised,
-    terms: &Terms,
+    now: Present,
     (kd, kp): (f64, f64),
     engines: &[Option<(f64, f64)>],
     x: &DVector<f64>,
     (u, wrench): (&[f64], &Vector6<f64>),
 ) -> DVector<f64> {
     let (jets, free) = (model.rate_t.ncols(), model.joints.len());
+    let terms = now.terms;
     let mass = terms.kinematics.mass();
-    let state = &terms.measurement.state;
+    let state = &now.estimate.robot.state;
     let omega = state.base_angular_velocity();
     let (v, theta, k): (Vector3<f64>, Vector3<f64>, Vector3<f64>) =
         (x.fixed_rows::<3>(3).into(), x.fixed_rows::<3>(6).into(), x.fixed_rows::<3>(9).into());
@@ -408,18 +410,19 @@ fn slope(
 }
 
 /// Outputs (p, v, θ, ω, a, α) from the same matrices.
-fn outputs(model: &Linearised, terms: &Terms, x: &DVector<f64>, dx: &DVector<f64>) -> [Vector3<f64>; 6] {
+fn outputs(model: &Linearised, now: Present, x: &DVector<f64>, dx: &DVector<f64>) -> [Vector3<f64>; 6] {
+    let terms = now.terms;
     let rows = |x: &DVector<f64>, first: usize| -> Vector3<f64> { x.fixed_rows::<3>(first).into() };
     let (jets, free) = (model.rate_t.ncols(), model.joints.len());
-    let state = &terms.measurement.state;
-    let now = DVector::from_fn(free, |place, _| state.joint_velocity()[model.joints[place]]);
+    let state = &now.estimate.robot.state;
+    let speed = DVector::from_fn(free, |place, _| state.joint_velocity()[model.joints[place]]);
     let s = x.rows(12 + jets, free).into_owned();
     let sigma = x.rows(12 + jets + free, free).into_owned();
     let omega = state.base_angular_velocity()
         + model.omega_theta * rows(x, 6)
         + model.omega_k * rows(x, 9)
         + &model.omega_s * &s
-        + &model.omega_sigma * (&sigma - now);
+        + &model.omega_sigma * (&sigma - speed);
     let alpha = model.omega_theta * rows(dx, 6)
         + model.omega_k * rows(dx, 9)
         + &model.omega_s * &sigma
@@ -442,9 +445,9 @@ fn fine_steps(dynamics: JetDynamics, knots: Option<&[f64]>) {
     mpc.knots = knots.map_or(mpc.knots, <[f64]>::to_vec);
     let case = Case::draw(3);
     let controller = case.controller(&config);
-    let mut terms = controller.terms().clone();
-    terms.measurement.thrust_rate.copy_from_slice(&[20.0, -30.0, 4.0, 0.0]);
-    let terms = &terms;
+    let mut estimate = controller.state().estimate().clone();
+    estimate.thrust_rate.copy_from_slice(&[20.0, -30.0, 4.0, 0.0]);
+    let now = Present { estimate: &estimate, terms: controller.terms() };
     let joints = moved_joints(&config, &case.robot);
     let (jets, free) = (case.thrust.len(), joints.len());
     let jets_of = |dynamics| case.robot.jet_models(dynamics);
@@ -452,7 +455,7 @@ fn fine_steps(dynamics: JetDynamics, knots: Option<&[f64]>) {
         .map(|(jet, thrust)| jet.engine.map(|engine| engine.steady_slopes(*thrust, 0.0)))
         .collect();
     let mut model = Linearised::new(&case.robot, joints.clone());
-    assert!(model.update(&case.robot, &axisymmetric(&case.robot), Air::Linear, terms));
+    assert!(model.update(&case.robot, &axisymmetric(&case.robot), Air::Linear, now));
     let gains = (20.0, 100.0);
     let mut horizon = Horizon::new(&mpc, gains, &case.robot, jets_of(dynamics), &joints).unwrap();
     let mut rng = rng(5);
@@ -467,14 +470,14 @@ fn fine_steps(dynamics: JetDynamics, knots: Option<&[f64]>) {
     let wrenches: Vec<Vector6<f64>> = targets.iter().map(wrench).collect();
     let n = case.robot.joints.len();
     let posture = DVector::from_fn(n, |_, _| rng.random_range(-0.5..0.5));
-    horizon.update(&model, terms, &posture, (&targets, &wrenches), false);
+    horizon.update(&model, now, &posture, (&targets, &wrenches), false);
 
     let [posture_weights, _] = mpc.posture_weights(&case.robot, &joints);
     let cost = |inputs: &[f64]| {
         let weights = &mpc.weights;
         let mut x = DVector::zeros(12 + 2 * jets + 3 * free);
         for (jet, engine) in engines.iter().enumerate() {
-            x[12 + jets + 3 * free + jet] = engine.map_or(0.0, |_| terms.measurement.thrust_rate[jet]);
+            x[12 + jets + 3 * free + jet] = engine.map_or(0.0, |_| estimate.thrust_rate[jet]);
         }
         for (place, joint) in joints.iter().enumerate() {
             x[12 + jets + free + place] = case.state.joint_velocity()[*joint];
@@ -490,15 +493,15 @@ fn fine_steps(dynamics: JetDynamics, knots: Option<&[f64]>) {
             let steps = 40;
             let h = duration / f64::from(steps);
             for _ in 0..steps {
-                let f = |x: &DVector<f64>| slope(&model, terms, gains, &engines, x, (&u, &mean));
+                let f = |x: &DVector<f64>| slope(&model, now, gains, &engines, x, (&u, &mean));
                 let k1 = f(&x);
                 let k2 = f(&(&x + &k1 * (h / 2.0)));
                 let k3 = f(&(&x + &k2 * (h / 2.0)));
                 let k4 = f(&(&x + &k3 * h));
                 x += (k1 + k2 * 2.0 + k3 * 2.0 + k4) * (h / 6.0);
             }
-            let dx = slope(&model, terms, gains, &engines, &x, (&u, &wrenches[knot]));
-            let [p, v, theta, omega, a, alpha] = outputs(&model, terms, &x, &dx);
+            let dx = slope(&model, now, gains, &engines, &x, (&u, &wrenches[knot]));
+            let [p, v, theta, omega, a, alpha] = outputs(&model, now, &x, &dx);
             let target = &targets[knot];
             let (p, v, a) = (p - target.com[0], v - target.com[1], a - target.com[2]);
             let (theta, omega, alpha) =
@@ -573,12 +576,13 @@ fn check_excesses(is_descending: bool) {
     // One engine is below its least thrust.
     (case.thrust[1], case.robot.jets[1].thrust_min) = (20.0, 40.0);
     let controller = case.controller(&config);
-    let terms = controller.terms();
+    let now = present(&controller);
+    let terms = now.terms;
     let joints = moved_joints(&config, &case.robot);
     let (jets, free) = (case.thrust.len(), joints.len());
     let limits: Vec<(f64, f64)> = case.robot.joints.iter().map(|joint| joint.limits).collect();
     let mut model = Linearised::new(&case.robot, joints.clone());
-    assert!(model.update(&case.robot, &axisymmetric(&case.robot), Air::Linear, terms));
+    assert!(model.update(&case.robot, &axisymmetric(&case.robot), Air::Linear, now));
     let ideal = case.robot.jet_models(JetDynamics::Ideal);
     let mut horizon = Horizon::new(&mpc, (20.0, 100.0), &case.robot, ideal, &joints).unwrap();
     let zeros = DVector::zeros(case.robot.joints.len());
@@ -590,7 +594,7 @@ fn check_excesses(is_descending: bool) {
         horizon.knots()
     ];
     let calm = vec![Vector6::zeros(); horizon.knots()];
-    horizon.update(&model, terms, &zeros, (&targets, &calm), is_descending);
+    horizon.update(&model, now, &zeros, (&targets, &calm), is_descending);
     let base = horizon.problem.clone();
     for knot in 0..horizon.knots() {
         for jet in 0..jets {
@@ -609,7 +613,7 @@ fn check_excesses(is_descending: bool) {
         assert_eq!(solver.solve(problem).status, QpStatus::Solved);
         let first = solver.x().to_vec();
         let (solver, inputs) = (&mut solver, inputs.as_mut_slice());
-        assert!(PredictiveLaw::search(&mut horizon, solver, &model, terms, &limits, inputs, &mut plan));
+        assert!(PredictiveLaw::search(&mut horizon, solver, &model, now, &limits, inputs, &mut plan));
         (plan, first, solver.x().to_vec())
     };
     let (plan, first, inputs) = search(0.0);
@@ -693,13 +697,9 @@ fn the_law_plans_every_period() {
     let thrust = Loop::new(&config).plant.jets().thrust().to_vec();
     let mut answers = Vec::new();
     for tick in 0..7 {
-        let sample = Sample {
-            time: 0.01 * f64::from(tick),
-            state: case.state.clone(),
-            thrust: thrust.clone(),
-            wind: Vector3::new(0.0, -5.0, 0.1 * f64::from(tick)),
-        };
-        let command = controller.tick(&sample.measurement());
+        let wind = Vector3::new(0.0, -5.0, 0.1 * f64::from(tick));
+        let sample = Measurement { wind, ..at(0.01 * f64::from(tick), &case.state, &thrust) };
+        let command = controller.tick(&sample);
         assert!(matches!(command.status, CommandStatus::Nominal | CommandStatus::Degraded));
         answers.push(command.rates_qp.kkt);
     }
@@ -728,8 +728,7 @@ fn a_given_future_is_followed_as_that_of_the_mission() {
     for tick in 0..20 {
         world.plant.observe(&wind);
         let (seen, thrust) = (world.plant.state(), world.plant.jets().thrust_feedback());
-        let measurement =
-            Measurement { time: time(tick), state: seen, thrust, wind, foot_wrenches: &[], shaft_speed: &[] };
+        let measurement = Measurement { wind, ..at(time(tick), seen, thrust) };
         let rates = |command: &Command| command.thrust_rate.clone();
         let expected = rates(world.controller.tick(&measurement));
         let next: Vec<(f64, Setpoint)> =

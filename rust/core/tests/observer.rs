@@ -3,10 +3,10 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-use crate::common::{Running, TIME_STEP, assert_within, experiment};
+use crate::common::{self, Running, TIME_STEP, assert_within, experiment};
 use flight_core::control::CommandStatus;
-use flight_core::control::guard::observer::{MomentumSample, ObserverConfig, ObserverState};
-use flight_core::control::measurement::Sampling;
+use flight_core::control::estimate::disturbance_observer::{MomentumSample, ObserverConfig, ObserverState};
+use flight_core::control::measure::measurement::Sampling;
 use flight_core::dynamics::Dynamics;
 use flight_core::kinematics::Kinematics;
 use flight_core::spatial::exp_so3;
@@ -216,15 +216,9 @@ impl Prescribed {
         Self { momentum: MOMENTUM, thrust: config.simulator.initial.thrust.clone(), tick: 0, state }
     }
 
-    fn measurement(&self) -> Measurement<'_> {
-        Measurement {
-            time: f64::from(self.tick) * TIME_STEP,
-            state: &self.state,
-            thrust: &self.thrust,
-            wind: Vector3::new(3.0, -9.0, 1.0),
-            shaft_speed: &[],
-            foot_wrenches: &[],
-        }
+    fn measurement(&self) -> Measurement {
+        let wind = Vector3::new(3.0, -9.0, 1.0);
+        Measurement { wind, ..common::at(f64::from(self.tick) * TIME_STEP, &self.state, &self.thrust) }
     }
 
     /// Solves `A_G ν = L` for the velocity of the base, with the momentum matrix of a controller's last tick.
@@ -308,7 +302,7 @@ fn a_refused_tick_is_held_and_a_state_is_restored() {
     let known = flying.terms().momentum.rate_estimate - flying.terms().momentum.unmodelled_wrench;
     let before = flying.terms().momentum.unmodelled_wrench;
     for _ in 0..16 {
-        let bad = Measurement { thrust: &[], ..sample.measurement() };
+        let bad = Measurement { thrust: vec![], ..sample.measurement() };
         assert_eq!(flying.tick(&bad).status, CommandStatus::BadMeasurement);
         sample.tick += 1;
     }
@@ -381,14 +375,9 @@ fn the_ground_is_part_of_the_model() {
         for tick in 0..50 {
             let time = f64::from(tick) * TIME_STEP;
             let wind = Vector3::new(-6.0, 2.0, 0.0);
-            let measurement = Measurement {
-                time,
-                state: &state,
-                thrust: &[0.0; 4],
-                wind,
-                shaft_speed: &[],
-                foot_wrenches: &foot_wrenches,
-            };
+            let feet = DVector::from_iterator(12, foot_wrenches.iter().flatten().copied());
+            let measurement =
+                Measurement { wind, foot_wrenches: feet, ..common::at(time, &state, &[0.0; 4]) };
             standing.tick(&measurement);
             let terms = standing.terms();
             assert_eq!(standing.state().contact().is_active, carries);
@@ -442,7 +431,7 @@ fn the_integrator_is_observed_as_stated() {
             plant.observe(&wind);
             let (state, thrust) = (plant.state(), plant.jets().thrust_feedback());
             states.push(state.clone());
-            flying.tick(&Measurement { time, state, thrust, wind, foot_wrenches: &[], shaft_speed: &[] });
+            flying.tick(&Measurement { wind, ..common::at(time, state, thrust) });
             plant.advance(&[], &[0.0; 6], &wind, time_step);
         }
         let share = |gain: f64| -(-gain * time_step).exp_m1();

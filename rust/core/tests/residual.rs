@@ -307,7 +307,7 @@ fn the_wrench_does_not_depend_on_when_residuals_are_given_or_the_base_is_measure
                 sample.state.velocity.rows_mut(0, 6).fill(f64::NAN);
             }
             let given = Given { residual: is_given(tick).then_some(&zero), ..Given::default() };
-            world.controller.tick_with(&sample.measurement(), &given);
+            world.controller.tick_with(&sample, &given);
             world.advance(&wind);
         }
         world.controller.state().residual_wrench()

@@ -3,12 +3,13 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-use crate::common::{Sample, assert_within, experiment, random_state, rng};
+use crate::common::{assert_within, at, experiment, random_state, rng};
 use flight_core::Measurement;
-use flight_core::control::UsedMeasurement;
-use flight_core::control::guard::channels::{Channels, ChannelsConfig};
-use flight_core::control::guard::engines::{EngineSample, Engines, EnginesConfig};
+use flight_core::control::Estimate;
+use flight_core::control::acting::Acting;
+use flight_core::control::detect::engines::{EngineSample, EngineState, Engines, EnginesConfig};
 use flight_core::control::limits::Limits;
+use flight_core::control::measure::channels::{Channels, ChannelsConfig};
 use flight_core::jets::{
     EngineDynamics, EngineModel, JetDynamics, JetModel, Shaft, ShaftConfig, ThrustRateController,
 };
@@ -57,7 +58,7 @@ fn found(scale: f64, stop: usize) -> Option<usize> {
     let model = EngineModel::Shaft(shaft_of(|k| k.ramps = k.ramps.map(|ramp| scale * ramp)));
     let mut engine = EngineDynamics::new(model, 110.0, 0.0);
     let mut throttle = ThrustRateController::new(model.steady_throttle(110.0));
-    let (mut states, mut rate) = (monitor.start(), 0.0);
+    let (mut states, mut rate) = (vec![EngineState::default(); 4], 0.0);
     (0..1200).find(|tick| {
         let command = if tick / 150 % 2 == 0 { 80.0 } else { -80.0 };
         let (predicted, next) = known.advance(engine.thrust, rate, command, DT);
@@ -94,23 +95,19 @@ fn ramps_that_differ_by_a_third_are_those_of_healthy_engines_and_no_others() {
 #[test]
 fn a_measured_speed_gives_the_thrust_and_a_sensor_that_of_the_others() {
     let robot = robot();
-    let sample = Sample {
-        time: 0.0,
-        state: random_state(&mut rng(3), &robot),
-        thrust: vec![f64::NAN, 90.0, 5.0, 110.0],
-        wind: Vector3::zeros(),
-    };
+    let sample = at(0.0, &random_state(&mut rng(3), &robot), &[f64::NAN, 90.0, 5.0, 110.0]);
     let jets = robot.jet_models(JetDynamics::SecondOrder);
-    let mut channels = Channels::new(&ChannelsConfig::default(), &robot, jets, DT, true);
+    let channels = Channels::new(&ChannelsConfig::default(), &robot, jets, DT, true);
     let nothing = f64::NAN;
     let (first, second, third) =
         ([0.8, nothing, nothing, nothing], [0.7, nothing, nothing, nothing], [0.8; 4]);
-    let with = |shaft_speed| Measurement { shaft_speed, ..sample.measurement() };
-    let mut state = channels.start(&with(&first)).unwrap();
-    let mut used = UsedMeasurement::new(&robot, DT);
-    channels.update(&mut state, &with(&second), &mut used);
-    assert_eq!(used.thrust, [shaft().thrust(0.7), 90.0, 5.0, 110.0]);
-    let refusal = channels.start(&with(&third)).unwrap_err().to_string();
+    let with = |speed: [f64; 4]| Measurement { shaft_speed: speed.to_vec(), ..sample.clone() };
+    let start = |speed| channels.start(&with(speed), Estimate::new(&robot, 4, DT));
+    let (mut state, mut used) = start(first).unwrap();
+    let acting = Acting::new(robot.joints.len(), 4, robot.feet.len());
+    channels.update(&mut state, &with(second), Vector3::zeros(), &acting, &mut false, &mut used);
+    assert_eq!(used.robot.thrust, [shaft().thrust(0.7), 90.0, 5.0, 110.0]);
+    let refusal = start(third).unwrap_err().to_string();
     assert!(refusal.contains("`shaft_speed` holds 0.8"), "{refusal}");
 }
 

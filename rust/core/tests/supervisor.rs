@@ -2,8 +2,10 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-use crate::common::{Running, Sample, TIME_STEP, experiment};
-use flight_core::control::guard::supervisor::{Errors, SupervisorConfig};
+use crate::common::{Running, TIME_STEP, experiment};
+use crate::control::Sample as _;
+use flight_core::Measurement;
+use flight_core::control::detect::supervisor::{Errors, SupervisorConfig};
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::{CommandStatus, Modes};
 use flight_core::spatial::axis_angle;
@@ -31,19 +33,19 @@ fn a_limit_has_to_be_exceeded_for_a_while() {
 }
 
 /// What a controller says in its fifth tick towards a set-point, from a robot in this state.
-fn says(change: impl Fn(&mut Sample, &mut Setpoint)) -> (CommandStatus, Modes) {
+fn says(change: impl Fn(&mut Measurement, &mut Setpoint)) -> (CommandStatus, Modes) {
     let mut config = experiment("test2_observer");
     let law = &mut config.controller.law;
     (law.supervisor, law.channels.jump, law.engines) = (Some(LIMITS), None, None);
     let mut controller = Running::new(config.controller(load_robot(&config.robot).unwrap()).unwrap());
-    let mut sample = Sample::start(&config);
-    controller.tick(&sample.measurement());
+    let mut sample = Measurement::start(&config);
+    controller.tick(&sample);
     let mut setpoint =
         Setpoint::at_rest(controller.terms().setpoint.com_position, sample.state.base.rotation);
     change(&mut sample, &mut setpoint);
     for _ in 0..4 {
         sample.time += TIME_STEP;
-        controller.tick_towards(&sample.measurement(), &setpoint);
+        controller.tick_towards(&sample, &setpoint);
     }
     (controller.command().status, controller.command().modes)
 }
@@ -52,7 +54,7 @@ fn says(change: impl Fn(&mut Sample, &mut Setpoint)) -> (CommandStatus, Modes) {
 /// included; joints count with their speed. Errors along the body's and the inertial axes are the same.
 #[test]
 fn errors_count_with_their_rates() {
-    type Change = fn(&mut Sample, &mut Setpoint);
+    type Change = fn(&mut Measurement, &mut Setpoint);
     let cases: [(&str, bool, Change); 12] = [
         ("nothing", false, |_, _| {}),
         ("0.38 m beside it", false, |_, setpoint| setpoint.com_position.y += 0.38),

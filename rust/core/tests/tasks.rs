@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 #![allow(clippy::float_cmp, reason = "entries that are written as they are have their bits")]
 
-use crate::common::{Running, assert_within, experiment, random_state, random_vector, rng};
+use crate::common::{Running, assert_within, at, experiment, random_state, random_vector, rng};
 use flight_core::aero::LinkForces;
 use flight_core::control::law::attitude::{MomentumGains, attitude_demand};
 use flight_core::control::law::momentum::{AeroFeedback, MomentumModel};
@@ -52,10 +52,9 @@ fn run_tick(name: &str, seed: u64) -> (Running, RobotState, Vec<f64>) {
     // The first tick keeps its posture and inertia; the second one has left them.
     let mut start = state.clone();
     start.joint_position.add_scalar_mut(0.1);
-    let measure = |time, state| {
-        let wind = Vector3::zeros();
-        Measurement { time, state, thrust: &thrust, wind, shaft_speed: &[], foot_wrenches: feet }
-    };
+    let foot_wrenches = DVector::from_iterator(6 * feet.len(), feet.iter().flatten().copied());
+    let measure =
+        |time, state| Measurement { foot_wrenches: foot_wrenches.clone(), ..at(time, state, &thrust) };
     controller.tick(&measure(0.0, &start));
     let setpoint = moving_setpoint(&mut rng);
     controller.tick_towards(&measure(0.01, &state), &setpoint);
@@ -373,15 +372,7 @@ fn a_task_of_ones_own_does_what_it_asks() {
             controller.add_task(Arc::new(task)).unwrap();
         }
         let mut controller = Running::new(controller);
-        let measurement = Measurement {
-            time: 0.0,
-            state: &start,
-            thrust,
-            wind: Vector3::zeros(),
-            foot_wrenches: &[],
-            shaft_speed: &[],
-        };
-        assert_eq!(controller.tick(&measurement).rates_qp.status, QpStatus::Solved);
+        assert_eq!(controller.tick(&at(0.0, &start, thrust)).rates_qp.status, QpStatus::Solved);
         let command = controller.command();
         let u: Vec<f64> = command.thrust_rate.iter().chain(&command.joint_velocity).copied().collect();
         (DVector::from_vec(u), controller.terms().momentum_qp.problem.clone())
@@ -443,14 +434,7 @@ fn a_task_that_is_refused_leaves_nothing() {
             controller.add_task(Arc::new(task)).unwrap_err();
         }
         let mut controller = Running::new(controller);
-        controller.tick(&Measurement {
-            time: 0.0,
-            state: &start,
-            thrust,
-            wind: Vector3::zeros(),
-            shaft_speed: &[],
-            foot_wrenches: &[],
-        });
+        controller.tick(&at(0.0, &start, thrust));
         controller.terms().momentum_qp.problem.h.clone()
     };
     assert_eq!(tick(true), tick(false));

@@ -2,17 +2,17 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 
-use crate::common::{Loop, assert_within, difference, experiment};
+use crate::common::{Loop, Running, assert_within, at, difference, experiment};
+use flight_core::WindObserver;
 use flight_core::aero::{LinkConventions, LinkForces};
-use flight_core::control::guard::observer::{MomentumSample, ObserverConfig, ObserverState};
-use flight_core::control::guard::wind_observer::{
+use flight_core::control::estimate::disturbance_observer::{MomentumSample, ObserverConfig, ObserverState};
+use flight_core::control::estimate::wind_observer::{
     FORCE_NOISE, FORCE_STD, GAIN, MOMENT_ARM, RELATIVE_STD, VERTICAL_STD, VERTICAL_TIME, WALK,
     WindObserverConfig, WindState,
 };
-use flight_core::control::measurement::Sampling;
-use flight_core::control::{Terms, UsedMeasurement};
+use flight_core::control::measure::measurement::Sampling;
+use flight_core::control::{Estimate, Terms};
 use flight_core::kinematics::Kinematics;
-use flight_core::{Measurement, WindObserver};
 use flight_io::{load_aero, load_robot};
 use flight_sim::ScenarioConfig;
 use nalgebra::{DVector, Matrix3, Vector3};
@@ -38,9 +38,10 @@ fn observer(config: &ScenarioConfig) -> (WindObserver, WindState) {
     (observer, state)
 }
 
-fn update(observer: &mut WindObserver, state: &mut WindState, terms: &Terms) {
-    let Terms { measurement, kinematics, dynamics, momentum, contact, .. } = terms;
-    observer.update(state, measurement, kinematics, &dynamics.momentum, &momentum.a_t, &contact.soles);
+fn update(observer: &mut WindObserver, state: &mut WindState, controller: &Running) {
+    let (terms, estimate) = (controller.terms(), controller.state().estimate());
+    let Terms { kinematics, dynamics, momentum, contact, .. } = terms;
+    observer.update(state, estimate, kinematics, &dynamics.momentum, &momentum.a_t, &contact.soles);
 }
 
 /// Hovers in a wind that blows from the first tick on, given to the controller; what the observer makes of it.
@@ -48,7 +49,7 @@ fn estimate(wind: Vector3<f64>, seconds: f64) -> WindState {
     let (mut world, (mut observer, mut state)) = (world(), observer(&flight()));
     for _ in 0..flight_ticks(seconds) {
         world.observe(&wind);
-        update(&mut observer, &mut state, world.controller.terms());
+        update(&mut observer, &mut state, &world.controller);
         world.advance(&wind);
     }
     state
@@ -75,16 +76,13 @@ fn a_slowly_measured_base_shows_the_same_wind() {
     let wind = Vector3::new(6.0, -8.0, 0.0);
     for every in [2, 5] {
         let (mut world, (mut observer, mut state)) = (world(), observer(&flight()));
-        let mut gap = 0.0;
         for tick in 0..flight_ticks(10.0) {
             world.observe(&wind);
-            let Terms { measurement, kinematics, dynamics, momentum, contact, .. } =
-                world.controller.terms().clone();
-            let has_momentum = tick % every == 0;
-            gap = if has_momentum { 0.0 } else { gap + STEP };
-            let used = UsedMeasurement { has_momentum, gap, ..measurement };
+            let Terms { kinematics, dynamics, momentum, contact, .. } = world.controller.terms();
+            let sampling = if tick % every == 0 { Sampling::Measured } else { Sampling::Between };
+            let used = Estimate { momentum: sampling, ..world.controller.state().estimate().clone() };
             let (l, a_t) = (&dynamics.momentum, &momentum.a_t);
-            observer.update(&mut state, &used, &kinematics, l, a_t, &contact.soles);
+            observer.update(&mut state, &used, kinematics, l, a_t, &contact.soles);
             world.advance(&wind);
         }
         let error = (state.wind() - wind).norm();
@@ -130,7 +128,7 @@ fn each_tick_is_the_equations_of_the_filter() {
     for tick in 0..5 {
         world.observe(&blowing);
         let (terms, thrust) = (world.controller.terms(), world.plant.jets().thrust());
-        update(&mut observer, &mut state, terms);
+        update(&mut observer, &mut state, &world.controller);
 
         let mut rate = &terms.momentum.a_t * DVector::from_column_slice(thrust);
         rate[2] -= terms.kinematics.mass() * robot.gravity;
@@ -174,15 +172,7 @@ fn over_refused_measurements_nothing_is_compared() {
     for tick in 1..=17 {
         let time = time + f64::from(tick) * STEP;
         let thrust = if tick < 17 { &[][..] } else { &thrust };
-        let (wind, foot_wrenches) = (Vector3::zeros(), &[] as &[_]);
-        world.controller.tick(&Measurement {
-            time,
-            state: &state,
-            thrust,
-            wind,
-            shaft_speed: &[],
-            foot_wrenches,
-        });
+        world.controller.tick(&at(time, &state, thrust));
     }
     let change = (world.controller.state().wind().unwrap().wind() - before).norm();
     assert!(change < 0.5, "{change} m/s");

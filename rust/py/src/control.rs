@@ -7,16 +7,15 @@ use crate::arrays::{
 use crate::flight::parse;
 use crate::qp::answer;
 use crate::robot::{StateInput, measured_state, rotation as checked_rotation, state_arrays};
-use flight_core::control::between::JointMeasurement;
+use flight_core::control::estimate::joint_tracker::JointMeasurement;
 use flight_core::control::law::contact::ContactState;
-use flight_core::control::law::mpc::horizon::{Horizon, Target};
-use flight_core::control::law::mpc::model::Linearised;
 use flight_core::control::law::residual::Residual;
 use flight_core::control::law::setpoint::{Setpoint, SetpointGenerator};
 use flight_core::control::law::tasks::MOMENTUM_ROWS;
-use flight_core::control::{
-    ControllerState as State, Estimates, Given, OwnedMeasurement, Preview, Terms, UsedMeasurement,
-};
+use flight_core::control::mpc::Present;
+use flight_core::control::mpc::horizon::{Horizon, Target};
+use flight_core::control::mpc::model::Linearised;
+use flight_core::control::{ControllerState as State, Estimate, Given, Measurement, Preview, Terms};
 use flight_io::{load_aero, load_mission, load_robot};
 use nalgebra::{DVector, Vector3, Vector6};
 use pyo3::exceptions::{PyKeyError, PyValueError};
@@ -109,8 +108,8 @@ impl Controller {
         foot_wrenches: Option<Input<'_>>,
         shaft_speed: Option<Input<'_>>,
     ) -> PyResult<()> {
-        let measured = self.read_measurement(&state, (&thrust, shaft_speed), &wind, foot_wrenches)?;
-        self.state = Some(self.controller.start(&measured.at(time)).map_err(plain_error)?);
+        let measured = self.read_measurement(time, &state, (&thrust, shaft_speed), &wind, foot_wrenches)?;
+        self.state = Some(self.controller.start(&measured).map_err(plain_error)?);
         Ok(())
     }
 
@@ -148,11 +147,10 @@ impl Controller {
         let winds: Vec<_> =
             winds.chunks_exact(4).map(|row| (row[0], Vector3::from_column_slice(&row[1..]))).collect();
         let preview = Preview { setpoints: &setpoints, wind: &winds };
-        let measured = self.read_measurement(&state, (&thrust, shaft_speed), &wind, foot_wrenches)?;
-        let measurement = measured.at(time);
+        let measured = self.read_measurement(time, &state, (&thrust, shaft_speed), &wind, foot_wrenches)?;
         let state = match &mut self.state {
             Some(state) => state,
-            none => none.insert(self.controller.start(&measurement).map_err(plain_error)?),
+            none => none.insert(self.controller.start(&measured).map_err(plain_error)?),
         };
         let (jets, joints) = (self.controller.n_jets(), self.controller.model().joints.len());
         let residual = residual.map(|(thrust_rate, joint_velocity, replaces)| -> PyResult<_> {
@@ -166,7 +164,7 @@ impl Controller {
             replaces: *replaces,
         });
         let given = Given { setpoint: setpoint.as_ref(), preview, residual: residual.as_ref() };
-        self.controller.tick_with(state, &measurement, &given);
+        self.controller.tick_with(state, &measured, &given);
         tick_dict(py, &self.controller, self.state.as_ref())
     }
 
@@ -226,7 +224,8 @@ impl Controller {
             .and_then(|aero| aero.weight_forces(factors, robot, "disturbances.aero_estimate"))
             .map_err(value_error)?;
         let mut model = Linearised::new(robot, mpc.joints(robot).map_err(value_error)?);
-        if !model.update(robot, &aero, mpc.air, terms) {
+        let now = Present { terms, estimate: state.estimate() };
+        if !model.update(robot, &aero, mpc.air, now) {
             return Err(PyValueError::new_err("the centroidal inertia cannot be inverted"));
         }
         let gains = (section.law.torque.kd, section.law.torque.kp);
@@ -241,7 +240,7 @@ impl Controller {
         let targets: Vec<Target> = targets.chunks_exact(18).map(target).collect();
         let wrenches = entries("wrenches", &wrenches, &[horizon.knots(), 6])?;
         let wrenches: Vec<_> = wrenches.chunks_exact(6).map(Vector6::from_column_slice).collect();
-        horizon.update(&model, terms, state.posture(), (&targets, &wrenches), !terms.limits.holds_position);
+        horizon.update(&model, now, state.posture(), (&targets, &wrenches), !terms.limits.holds_position);
         let out = PyDict::new(py);
         out.set_item("rate_v", matrix(py, &model.rate_v)?)?;
         out.set_item("rate_theta", matrix(py, &model.rate_theta)?)?;
@@ -265,14 +264,16 @@ impl Controller {
     /// Builds a measurement from arrays.
     fn read_measurement(
         &self,
+        time: f64,
         state: &StateInput<'_>,
         (thrust, shaft_speed): (&Input<'_>, Option<Input<'_>>),
         wind: &Input<'_>,
         foot_wrenches: Option<Input<'_>>,
-    ) -> PyResult<OwnedMeasurement> {
+    ) -> PyResult<Measurement> {
         let jets = [self.controller.n_jets()];
         let shaft_speed = shaft_speed.map(|speed| entries("shaft_speed", &speed, &jets)).transpose()?;
-        Ok(OwnedMeasurement {
+        Ok(Measurement {
+            time,
             state: measured_state(self.controller.model().joints.len(), state)?,
             thrust: entries("thrust", thrust, &jets)?,
             shaft_speed: shaft_speed.unwrap_or_default(),
@@ -282,11 +283,10 @@ impl Controller {
     }
 
     /// Wrenches of the feet; zero by default.
-    fn foot_wrenches(&self, given: Option<Input<'_>>) -> PyResult<Vec<Vector6<f64>>> {
+    fn foot_wrenches(&self, given: Option<Input<'_>>) -> PyResult<DVector<f64>> {
         let feet = self.controller.model().feet.len();
-        let Some(wrenches) = given else { return Ok(vec![Vector6::zeros(); feet]) };
-        let wrenches = entries("foot_wrenches", &wrenches, &[feet, 6])?;
-        Ok(wrenches.chunks_exact(6).map(Vector6::from_column_slice).collect())
+        let Some(wrenches) = given else { return Ok(DVector::zeros(6 * feet)) };
+        entries("foot_wrenches", &wrenches, &[feet, 6]).map(DVector::from_vec)
     }
 }
 
@@ -355,9 +355,10 @@ pub fn tick_dict<'py>(
     out.set_item("degraded_modes", command.modes.names().collect::<Vec<_>>())?;
     let conditions: Vec<f64> = terms.limits.joints.iter().map(|found| f64::from(found.code())).collect();
     out.set_item("joint_condition", vector(py, &conditions)?)?;
-    let latency = terms.measured_latency.map(|delay| delay.unwrap_or(f64::NAN));
+    let latency = terms.findings.latency.map(|delay| delay.unwrap_or(f64::NAN));
     out.set_item("measured_latency", vector(py, &latency)?)?;
     if let Some(state) = state {
+        out.set_item("estimates", estimate_to_dict(py, state.estimate())?)?;
         out.set_item("residual_wrench", vector(py, state.residual_wrench().as_slice())?)?;
         out.set_item("posture", vector(py, state.posture().as_slice())?)?;
         out.set_item("inertia_0_b", matrix(py, state.inertia_0_b())?)?;
@@ -368,8 +369,6 @@ pub fn tick_dict<'py>(
         }
     }
     out.set_item("setpoint", setpoint_to_dict(py, &terms.setpoint)?)?;
-    out.set_item("estimates", estimates_to_dict(py, &terms.estimates)?)?;
-    out.set_item("handed", handed_to_dict(py, &terms.measurement)?)?;
     Ok(out)
 }
 
@@ -396,23 +395,14 @@ pub fn setpoint_to_dict<'py>(py: Python<'py>, setpoint: &Setpoint) -> PyResult<B
     Ok(out)
 }
 
-/// Measurement as used by the control law, after the estimators.
-fn estimates_to_dict<'py>(py: Python<'py>, estimates: &Estimates) -> PyResult<Bound<'py, PyDict>> {
+/// The robot as the law knows it.
+fn estimate_to_dict<'py>(py: Python<'py>, estimate: &Estimate) -> PyResult<Bound<'py, PyDict>> {
     let out = PyDict::new(py);
-    out.set_item("state", state_arrays(py, &estimates.reading.state)?)?;
-    out.set_item("thrust", vector(py, &estimates.reading.thrust)?)?;
-    out.set_item("wind", vector(py, estimates.wind.as_slice())?)?;
-    out.set_item("wind_std", vector(py, estimates.wind_std.as_slice())?)?;
-    Ok(out)
-}
-
-/// What the guard hands to the law.
-fn handed_to_dict<'py>(py: Python<'py>, used: &UsedMeasurement) -> PyResult<Bound<'py, PyDict>> {
-    let out = PyDict::new(py);
-    out.set_item("state", state_arrays(py, &used.state)?)?;
-    out.set_item("thrust", vector(py, &used.thrust)?)?;
-    out.set_item("thrust_rate", vector(py, &used.thrust_rate)?)?;
-    out.set_item("wind", vector(py, used.wind.as_slice())?)?;
+    out.set_item("state", state_arrays(py, &estimate.robot.state)?)?;
+    out.set_item("thrust", vector(py, &estimate.robot.thrust)?)?;
+    out.set_item("thrust_rate", vector(py, &estimate.thrust_rate)?)?;
+    out.set_item("wind", vector(py, estimate.robot.wind.as_slice())?)?;
+    out.set_item("wind_std", vector(py, estimate.wind_std.as_slice())?)?;
     Ok(out)
 }
 

@@ -4,7 +4,7 @@ use crate::arrays::{Input, Output, entries, matrix, matrix3, value_error, vector
 use crate::flight::warn;
 use crate::robot_files::{PoseOutput, pose_arrays, robot_arrays, shape_dicts};
 use flight_core::aero::{LinkConventions, LinkForces, LinksInAir};
-use flight_core::control::law::mpc::clearance::Clearance;
+use flight_core::control::mpc::clearance::Clearance;
 use flight_core::dynamics::{Dynamics, MassFactor};
 use flight_core::kinematics::{Kinematics, RobotState};
 use flight_core::robot::{Foot, Frame};

@@ -8,7 +8,7 @@ use flight_core::control::Measurement;
 use flight_core::control::law::residual::Residual;
 use flight_core::robot::RobotModel;
 use flight_sim::{FlightResult, Handed, Scenario, Seen, World};
-use nalgebra::{Vector3, Vector6};
+use nalgebra::{DVector, Vector3, Vector6};
 use numpy::IntoPyArray;
 use numpy::ndarray::Array2;
 use pyo3::prelude::*;
@@ -118,19 +118,11 @@ impl Flight {
 
     /// The simulated robot at the next tick, by name.
     fn truth<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let time = self.flight.time();
-        let wrenches = self.flight.measurement().foot_wrenches.to_vec();
+        let mut truth = self.flight.measurement().clone();
         let (plant, wind) = self.flight.truth();
-        let (state, thrust) = (plant.state(), plant.jets().thrust_feedback());
-        let unmeasured = vec![f64::NAN; thrust.len()];
-        let truth = Measurement {
-            time,
-            state,
-            thrust,
-            shaft_speed: &unmeasured,
-            wind: *wind,
-            foot_wrenches: &wrenches,
-        };
+        (truth.state, truth.wind) = (plant.state().clone(), *wind);
+        truth.thrust.copy_from_slice(plant.jets().thrust_feedback());
+        truth.shaft_speed.fill(f64::NAN);
         let out = measurement_dict(py, &truth)?;
         self.check_world()?;
         Ok(out)
@@ -138,7 +130,7 @@ impl Flight {
 
     /// What the controller is given in the next tick, by name.
     fn measurement<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let out = measurement_dict(py, &self.flight.measurement())?;
+        let out = measurement_dict(py, self.flight.measurement())?;
         self.check_world()?;
         Ok(out)
     }
@@ -191,10 +183,10 @@ impl Flight {
         if let Some((state, thrust, wind, feet, speed)) = measurement {
             let (state, thrust) = (measured_state(joints, &state)?, entries("thrust", &thrust, &[jets])?);
             let (wind, sample) = (vector3("wind", &wind)?, self.flight.sample_mut());
-            let feet = entries("foot_wrenches", &feet, &[sample.foot_wrenches.len(), 6])?;
+            let feet = entries("foot_wrenches", &feet, &[sample.foot_wrenches.len() / 6, 6])?;
             (sample.state, sample.thrust, sample.wind) = (state, thrust, wind);
             sample.shaft_speed = entries("shaft_speed", &speed, &[jets])?;
-            sample.foot_wrenches = feet.chunks_exact(6).map(Vector6::from_column_slice).collect();
+            sample.foot_wrenches = DVector::from_vec(feet);
         }
         if let Some(forces) = link_forces {
             let forces = finite_entries("link_forces", &forces, &[links, 3])?;
@@ -228,7 +220,8 @@ impl Flight {
     /// Wrench that a residual's policy observes (6) [N, N m].
     fn residual_wrench<'py>(&self, py: Python<'py>) -> PyResult<Output<'py>> {
         let state = self.flight.controller_state();
-        let wrench = state.map_or_else(Vector6::zeros, ControllerState::residual_wrench);
+        let wrench =
+            state.map_or_else(Vector6::zeros, flight_core::control::ControllerState::residual_wrench);
         vector(py, wrench.as_slice())
     }
 
@@ -247,7 +240,7 @@ impl Flight {
     }
 }
 
-fn measurement_dict<'py>(py: Python<'py>, measurement: &Measurement<'_>) -> PyResult<Bound<'py, PyDict>> {
+fn measurement_dict<'py>(py: Python<'py>, measurement: &Measurement) -> PyResult<Bound<'py, PyDict>> {
     let Measurement { time, state, thrust, shaft_speed, wind, foot_wrenches } = measurement;
     let out = PyDict::new(py);
     out.set_item("time", *time)?;
@@ -255,7 +248,7 @@ fn measurement_dict<'py>(py: Python<'py>, measurement: &Measurement<'_>) -> PyRe
     out.set_item("thrust", vector(py, thrust)?)?;
     out.set_item("shaft_speed", vector(py, shaft_speed)?)?;
     out.set_item("wind", vector(py, wind.as_slice())?)?;
-    let wrenches = foot_wrenches.iter().flatten().copied().collect();
-    out.set_item("foot_wrenches", crate::arrays::array(py, &[foot_wrenches.len(), 6], wrenches)?)?;
+    let wrenches = foot_wrenches.as_slice().to_vec();
+    out.set_item("foot_wrenches", crate::arrays::array(py, &[wrenches.len() / 6, 6], wrenches)?)?;
     Ok(out)
 }

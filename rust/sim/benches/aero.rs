@@ -16,7 +16,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let controller = common::controller(&config)?;
     let robot = controller.model();
     let mut kinematics = Kinematics::new(robot);
-    kinematics.update(robot, &ticks[0].state);
+    kinematics.update(robot, &ticks[0].measurement.state);
     let mut links = LinkForces::new(robot);
     let conventions = LinkConventions::default();
 
@@ -25,11 +25,17 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for (name, config) in models {
         let mut model = load_aero(config, robot)?;
         report(&format!("{name}, links placed"), 300, &ticks, |tick| {
-            links.update(robot, &kinematics, conventions, &mut model, &tick.wind);
+            links.update(robot, &kinematics, conventions, &mut model, &tick.measurement.wind);
         });
         let (axes_i, v_air_i) = (&links.axes_i.clone(), &links.v_air_i.clone());
         report(name, 300, &ticks, |tick| {
-            let placed = LinksInAir { robot, kinematics: &kinematics, axes_i, v_air_i, wind_i: &tick.wind };
+            let placed = LinksInAir {
+                robot,
+                kinematics: &kinematics,
+                axes_i,
+                v_air_i,
+                wind_i: &tick.measurement.wind,
+            };
             model.link_forces(&placed, &mut links.forces_i);
         });
     }
@@ -53,7 +59,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         for (name, rounds, config) in networks {
             let mut model = load_aero(&config, robot)?;
             report(&format!("network {name}, {precision:?}, links placed"), rounds, &ticks, |tick| {
-                links.update(robot, &kinematics, conventions, &mut model, &tick.wind);
+                links.update(robot, &kinematics, conventions, &mut model, &tick.measurement.wind);
             });
         }
     }

@@ -20,10 +20,10 @@ fn main() -> Result<(), BuildError> {
     let robot = controller.model();
     let mut kinematics = Kinematics::new(robot);
     let mut dynamics = Dynamics::new(robot);
-    report("kinematics", ROUNDS, &ticks, |tick| kinematics.update(robot, &tick.state));
+    report("kinematics", ROUNDS, &ticks, |tick| kinematics.update(robot, &tick.measurement.state));
     // The others at the last of these states.
     report("mass matrix, bias, momentum", ROUNDS, &ticks, |_| {
-        dynamics.update(robot, &ticks[ticks.len() - 1].state, &kinematics);
+        dynamics.update(robot, &ticks[ticks.len() - 1].measurement.state, &kinematics);
     });
     let mut factor = MassFactor::new(kinematics.n_velocities());
     report("factor of the mass matrix", ROUNDS, &ticks, |_| {
@@ -49,7 +49,7 @@ fn main() -> Result<(), BuildError> {
     let (mut momentum, forces) = (MomentumModel::new(robot), LinkForces::new(robot));
     let feedback = AeroFeedback::default();
     report("A_T, Λ_T, Λ_a, momentum rate", ROUNDS, &ticks, |tick| {
-        momentum.update(robot, &kinematics, &dynamics, &tick.thrust, &forces, &feedback);
+        momentum.update(robot, &kinematics, &dynamics, &tick.measurement.thrust, &forces, &feedback);
     });
     Ok(())
 }

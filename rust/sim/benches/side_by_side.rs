@@ -22,6 +22,7 @@ use clarabel::solver::{DefaultSettings, DefaultSolver, IPSolver};
 use common::{PlannedTick, Search, Tick, report};
 use flight_core::RobotModel;
 use flight_core::aero::{LinkConventions, LinkForces};
+use flight_core::control::mpc::Present;
 use flight_core::dynamics::Dynamics;
 use flight_core::kinematics::Kinematics;
 use flight_core::qp::{ClarabelSolver, PrimalActiveSet, QpProblem, QpSolver};
@@ -84,7 +85,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut links = LinkForces::new(robot);
     let conventions = LinkConventions::default();
     report("shipped network, links placed", 200, &calm, |tick| {
-        links.update(robot, &bundle.kinematics, conventions, &mut network, &tick.wind);
+        links.update(robot, &bundle.kinematics, conventions, &mut network, &tick.measurement.wind);
     });
     report("flight of 50 s", 5, &[common::configuration("test2")?], |config| {
         Scenario::new(config).map(|flight| flight.run(|_, _| ControlFlow::Continue(()))).is_ok()
@@ -108,8 +109,8 @@ impl Bundle {
     }
 
     fn update_dynamics(&mut self, robot: &RobotModel, tick: &Tick) {
-        self.kinematics.update(robot, &tick.state);
-        self.dynamics.update(robot, &tick.state, &self.kinematics);
+        self.kinematics.update(robot, &tick.measurement.state);
+        self.dynamics.update(robot, &tick.measurement.state, &self.kinematics);
     }
 
     fn update_jacobians(&mut self, robot: &RobotModel) {
@@ -176,11 +177,11 @@ fn write_states(folder: &Path, robot: &RobotModel, ticks: &[Tick]) -> std::io::R
     let mut check = Vec::new();
     let mut bundle = Bundle::new(robot);
     for tick in ticks {
-        let base = &tick.state.base;
+        let base = &tick.measurement.state.base;
         data.extend(base.position.iter());
         data.extend(base.rotation.transpose().iter());
-        data.extend(tick.state.joint_position.iter());
-        data.extend(tick.state.velocity.iter());
+        data.extend(tick.measurement.state.joint_position.iter());
+        data.extend(tick.measurement.state.velocity.iter());
         bundle.update_dynamics(robot, tick);
         bundle.update_jacobians(robot);
         check.extend(bundle.check());
@@ -210,9 +211,10 @@ fn write_plans(path: &Path, plans: &mut [PlannedTick]) -> Result<(), Box<dyn Err
     let mut data = vec![plans.len() as f64, n as f64];
     for tick in plans {
         let x = search.solve(tick).ok_or("a plan without an answer")?.to_vec();
-        let PlannedTick { model, horizon, terms, joint_limits } = tick;
+        let PlannedTick { model, horizon, terms, estimate, joint_limits } = tick;
+        let now = Present { terms, estimate };
         let (lower, upper) = (horizon.problem.lower.clone(), horizon.problem.upper.clone());
-        let (h, g, rows) = horizon.soft_problem(model, terms, joint_limits);
+        let (h, g, rows) = horizon.soft_problem(model, now, joint_limits);
         if data.len() == 2 {
             data.push(rows.len() as f64);
         }

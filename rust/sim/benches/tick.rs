@@ -4,9 +4,10 @@
 
 mod common;
 
-use flight_core::kinematics::RobotState;
+use common::{StandingTick, Tick};
+use flight_core::BuildError;
+use flight_core::control::Terms;
 use flight_core::qp::{ClarabelSolver, DualActiveSet, QpSolver};
-use flight_core::{BuildError, Measurement};
 use flight_io::{load_policy, load_robot};
 use flight_sim::{Plant, Scenario, ScenarioConfig, Wind};
 use std::hint::black_box;
@@ -62,12 +63,12 @@ fn plan_times(config: &ScenarioConfig, from: f64) -> Result<Replays, BuildError>
         let mut controller = common::controller(config)?;
         let mut state = None;
         for tick in &ticks {
-            let measurement = tick.measurement();
+            let measurement = tick.measurement.clone();
             let Some(state) = common::begin_flight(&mut controller, &mut state, &measurement) else { break };
             let begin = common::processor_time();
             black_box(controller.tick(state, black_box(&measurement)).status);
             let taken = common::processor_time() - begin;
-            if tick.time >= from && common::makes_plan(config, tick.time) {
+            if tick.measurement.time >= from && common::makes_plan(config, tick.measurement.time) {
                 times.push(1e6 * taken);
             }
         }
@@ -84,12 +85,9 @@ fn tick_times(config: &ScenarioConfig) -> Result<Replays, BuildError> {
     replay(ticks.len(), |times| {
         let mut controller = common::controller(config)?;
         let mut state = None;
-        let mut measured = RobotState::zero(controller.model().joints.len());
-        for tick in &ticks {
-            measured.copy_from(&tick.state);
-            let measurement = Measurement { state: &measured, ..tick.measurement() };
-            let Some(state) = common::begin_flight(&mut controller, &mut state, &measurement) else { break };
-            times.push(microseconds(|| controller.tick(state, black_box(&measurement)).status));
+        for Tick { measurement, .. } in &ticks {
+            let Some(state) = common::begin_flight(&mut controller, &mut state, measurement) else { break };
+            times.push(microseconds(|| controller.tick(state, black_box(measurement)).status));
         }
         Ok(())
     })
@@ -106,11 +104,13 @@ fn policy_times() -> Result<Replays, BuildError> {
         let mut policy = load_policy(selected, &robot)?;
         let mut state = None;
         for tick in &ticks {
-            let measurement = tick.measurement();
-            let Some(state) = common::begin_flight(&mut controller, &mut state, &measurement) else { break };
-            controller.tick(state, &measurement);
-            let (mut terms, wrench) = (controller.terms().clone(), *state.residual_wrench());
-            times.push(microseconds(|| policy.act(black_box(&wrench), &mut terms)));
+            let measurement = &tick.measurement;
+            let Some(state) = common::begin_flight(&mut controller, &mut state, measurement) else { break };
+            controller.tick(state, measurement);
+            let (Terms { kinematics, due, residual, .. }, wrench) =
+                (&mut controller.terms().clone(), state.residual_wrench());
+            let robot = &state.estimate().robot.state;
+            times.push(microseconds(|| policy.act(robot, kinematics, due, black_box(&wrench), residual)));
         }
         Ok(())
     })
@@ -120,24 +120,12 @@ fn policy_times() -> Result<Replays, BuildError> {
 fn standing_tick_times() -> Result<Replays, BuildError> {
     let config = common::configuration("balancing_lateral")?;
     let ticks = common::standing_ticks()?;
-    let thrust = vec![0.0; load_robot(&config.robot)?.jets.len()];
     replay(ticks.len(), |times| {
         let mut controller = common::controller(&config)?;
         let mut state = None;
-        let mut measured = RobotState::zero(controller.model().joints.len());
-        for (index, tick) in ticks.iter().enumerate() {
-            let time = index as f64 * config.simulator.time_step;
-            measured.copy_from(&tick.state);
-            let measurement = Measurement {
-                time,
-                state: &measured,
-                thrust: &thrust,
-                shaft_speed: &[],
-                wind: tick.wind,
-                foot_wrenches: &tick.feet,
-            };
-            let Some(state) = common::begin_flight(&mut controller, &mut state, &measurement) else { break };
-            times.push(microseconds(|| controller.tick(state, black_box(&measurement)).status));
+        for StandingTick { measurement, .. } in &ticks {
+            let Some(state) = common::begin_flight(&mut controller, &mut state, measurement) else { break };
+            times.push(microseconds(|| controller.tick(state, black_box(measurement)).status));
         }
         Ok(())
     })

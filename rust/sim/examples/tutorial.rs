@@ -51,35 +51,33 @@ fn wind(mut aware: ScenarioConfig) -> Result<(), Box<dyn Error>> {
 // --8<-- [end:wind]
 
 // --8<-- [start:own_loop]
+fn measure(plant: &Plant, measurement: &mut Measurement) {
+    measurement.state.copy_from(plant.state());
+    measurement.thrust.copy_from_slice(plant.jets().thrust_feedback());
+}
+
 fn own_loop(config: &ScenarioConfig) -> Result<(), Box<dyn Error>> {
     let robot = load_robot(&config.robot)?;
     let time_step = config.simulator.time_step;
+    let robot_joints = robot.joints.len();
     let mut plant = Plant::new(robot.clone(), &config.simulator, &config.disturbances)?; // replace by your robot
     let mut controller = load_controller(robot, &config.controller, &config.mission, time_step)?;
     let wind = Vector3::new(0.0, -5.0, 0.0);
-    let measure =
-        |plant: &Plant, time| (time, plant.state().clone(), plant.jets().thrust_feedback().to_vec());
-    let (time, robot_state, thrust) = measure(&plant, 0.0);
-    let first = Measurement {
-        time,
-        state: &robot_state,
-        thrust: &thrust,
-        wind,
-        foot_wrenches: &[],
-        shaft_speed: &[],
-    };
-    let mut state = controller.start(&first)?; // position, attitude and posture become the reference
+    let mut measurement = Measurement::zero(robot_joints, controller.n_jets(), 0);
+    measurement.wind = wind;
+    measure(&plant, &mut measurement);
+    let mut state = controller.start(&measurement)?; // position, attitude and posture become the reference
 
     for tick in 0..200 {
         plant.observe(&wind);
-        let (time, mut robot_state, thrust) = measure(&plant, f64::from(tick) * time_step);
+        measurement.time = f64::from(tick) * time_step;
+        measure(&plant, &mut measurement);
         if tick == 100 {
-            robot_state.base.position.fill(f64::NAN); // not measured
+            measurement.state.base.position.fill(f64::NAN); // not measured
         }
-        let measurement = Measurement { time, state: &robot_state, thrust: &thrust, ..first };
         let command = controller.tick(&mut state, &measurement);
         if command.status != CommandStatus::Nominal {
-            println!("{time:.2} s: {} ({})", command.status, command.modes);
+            println!("{:.2} s: {} ({})", measurement.time, command.status, command.modes);
         }
         plant.advance(command.joint_torque.as_slice(), command.thrust_rate.as_slice(), &wind, time_step);
     }
@@ -119,16 +117,8 @@ fn own_task(config: &ScenarioConfig) -> Result<(), Box<dyn Error>> {
     let joints = controller.terms().momentum_qp.unknowns.joint_velocity.clone();
     controller.add_task(Arc::new(KeepVelocity { unknown: joints.start, velocity: 0.1, weight: 1e6 }))?;
 
-    let thrust = plant.jets().thrust_feedback().to_vec();
-    let wind = Vector3::zeros();
-    let measurement = Measurement {
-        time: 0.0,
-        state: plant.state(),
-        thrust: &thrust,
-        wind,
-        foot_wrenches: &[],
-        shaft_speed: &[],
-    };
+    let mut measurement = Measurement::zero(plant.robot().joints.len(), controller.n_jets(), 0);
+    measure(&plant, &mut measurement);
     let mut state = controller.start(&measurement)?;
     let command = controller.tick(&mut state, &measurement);
     println!("first joint asked to turn at {:.3} rad/s", command.joint_velocity[0]);

@@ -10,7 +10,7 @@ use crate::sensors::SensorsConfig;
 use crate::wind::WindConfig;
 use flight_core::Controller;
 use flight_core::aero::LeverArm;
-use flight_core::control::law::mpc::config::MpcConfig;
+use flight_core::control::mpc::config::MpcConfig;
 use flight_core::error::{BuildError, Table};
 use flight_core::jets::{RATE_GAIN, ShaftConfig};
 use flight_core::kinematics::RobotState;

@@ -23,9 +23,7 @@ use crate::wind::Wind;
 use crate::world::Seen;
 use flight_core::control::law::residual::Residual;
 use flight_core::control::law::setpoint::Setpoint;
-use flight_core::control::{
-    BadCommand, BadStart, Controller, ControllerState, Given, Measurement, Modes, OwnedMeasurement,
-};
+use flight_core::control::{BadCommand, BadStart, Controller, ControllerState, Given, Measurement, Modes};
 use flight_core::error::BuildError;
 use flight_core::robot::RobotModel;
 use nalgebra::Vector3;
@@ -202,20 +200,19 @@ impl Flight {
     /// Starts the controller with its first measurement.
     fn start(&mut self) -> Result<(), BadStart> {
         if self.state.is_none() {
-            let measurement = self.scenario.measuring.sample().at(self.time());
-            self.state = Some(self.scenario.controller.start(&measurement)?);
+            let Scenario { controller, measuring, .. } = &mut self.scenario;
+            self.state = Some(controller.start(measuring.sample())?);
         }
         Ok(())
     }
 
     /// Ticks the controller.
     fn control(&mut self, handed: &Handed) -> Result<(), BadCommand> {
-        let time = self.time();
         let Scenario { controller, measuring, wind, .. } = &mut self.scenario;
-        let (measurement, preview) = measuring.look_ahead(time, wind);
+        let (measurement, preview) = measuring.look_ahead(wind);
         let Some(state) = &mut self.state else { return Ok(()) };
         let given = Given { setpoint: handed.setpoint, preview, residual: handed.residual };
-        let command = controller.tick_with(state, &measurement, &given);
+        let command = controller.tick_with(state, measurement, &given);
         if self.tick == 0 || command.modes.contains(Modes::BEGUN_AGAIN) {
             self.log.joint_setpoint = state.posture().as_slice().to_vec();
         }
@@ -231,8 +228,7 @@ impl Flight {
         let Scenario { plant, controller, measuring, judge, .. } = &self.scenario;
         let (terms, command) = (controller.terms(), controller.command());
         let errors = TrackingErrors::new(plant, &terms.setpoint);
-        let measurement = measuring.sample().at(self.time());
-        let tick = TickRow { measurement, terms, command, contact: state.contact(), feet: &self.feet };
+        let tick = TickRow { measurement: measuring.sample(), state, terms, command, feet: &self.feet };
         self.log.push(&tick, Some(&WorldRow { wind: self.air, plant, errors, seen: self.seen.as_ref() }));
         judge.loss(plant, &self.air, &errors)
     }
@@ -291,13 +287,13 @@ impl Flight {
     }
 
     /// What the controller is given in the next tick.
-    pub fn measurement(&mut self) -> Measurement<'_> {
+    pub fn measurement(&mut self) -> &Measurement {
         self.measure();
-        self.scenario.measuring.sample().at(self.time())
+        self.scenario.measuring.sample()
     }
 
     /// The same, to be changed.
-    pub fn sample_mut(&mut self) -> &mut OwnedMeasurement {
+    pub fn sample_mut(&mut self) -> &mut Measurement {
         self.measure();
         self.scenario.measuring.sample_mut()
     }
@@ -315,14 +311,13 @@ impl Flight {
     /// [`BadStart`] if the flight cannot begin.
     pub fn try_tick(&mut self) -> Result<ControllerState, BadStart> {
         self.measure();
-        let (time, Self { scenario, state, .. }) = (self.time(), self);
-        let Scenario { controller, measuring, wind, .. } = scenario;
-        let (measurement, preview) = measuring.look_ahead(time, wind);
+        let Self { scenario: Scenario { controller, measuring, wind, .. }, state, .. } = self;
+        let (measurement, preview) = measuring.look_ahead(wind);
         let mut copy = match state {
             Some(state) => state.clone(),
-            None => controller.start(&measurement)?,
+            None => controller.start(measurement)?,
         };
-        controller.tick_with(&mut copy, &measurement, &Given { preview, ..Given::default() });
+        controller.tick_with(&mut copy, measurement, &Given { preview, ..Given::default() });
         Ok(copy)
     }
 

@@ -9,8 +9,7 @@ use crate::config::ScenarioConfig;
 use crate::disturbances::{Outages, WindEstimator};
 use crate::sensors::Sensors;
 use crate::wind::Wind;
-use flight_core::control::between::JointMeasurement;
-use flight_core::control::{Measurement, OwnedMeasurement, Preview};
+use flight_core::control::{JointMeasurement, Measurement, Preview};
 use flight_core::error::BuildError;
 use flight_core::jets::Shaft;
 use flight_core::kinematics::RobotState;
@@ -30,7 +29,7 @@ pub struct Measuring {
     /// Engines whose speed is measured in place of the thrust; empty for none.
     shafts: Vec<Shaft>,
     /// Measurement of the tick.
-    sample: OwnedMeasurement,
+    sample: Measurement,
 }
 
 impl Measuring {
@@ -65,7 +64,7 @@ impl Measuring {
             controller_wind,
             outages: Outages::new(&disturbances.outages, &robot.jets)?,
             shafts,
-            sample: OwnedMeasurement::zero(joints, jets, feet),
+            sample: Measurement::zero(joints, jets, feet),
         })
     }
 
@@ -78,19 +77,19 @@ impl Measuring {
         foot_wrenches: impl IntoIterator<Item = (usize, Vector6<f64>)>,
         wind: &Vector3<f64>,
     ) {
+        self.sample.time = time;
         for (foot, wrench) in foot_wrenches {
-            self.sample.foot_wrenches[foot] = wrench;
+            self.sample.foot_wrenches.fixed_rows_mut::<6>(6 * foot).copy_from(&wrench);
         }
         let given = self.controller_wind.as_ref().map_or(*wind, |wind| wind.velocity(time));
         self.sample.wind = self.wind_estimator.as_mut().map_or(given, |estimator| estimator.update(&given));
-        let (seen, thrust) = self.sensors.as_mut().map_or((state, thrust), |sensors| {
-            let reading = sensors.read(state, thrust);
-            (&reading.state, &reading.thrust)
-        });
-        self.sample.state.copy_from(seen);
+        self.sample.state.copy_from(state);
         self.sample.thrust.copy_from_slice(thrust);
+        if let Some(sensors) = &mut self.sensors {
+            sensors.read(&mut self.sample);
+        }
         self.outages.spoil(time, &mut self.sample);
-        let OwnedMeasurement { thrust, shaft_speed, .. } = &mut self.sample;
+        let Measurement { thrust, shaft_speed, .. } = &mut self.sample;
         for ((thrust, speed), shaft) in thrust.iter_mut().zip(shaft_speed).zip(&self.shafts) {
             *speed = if thrust.is_finite() { shaft.speed(*thrust) } else { f64::NAN };
             *thrust = f64::NAN;
@@ -110,20 +109,21 @@ impl Measuring {
         JointMeasurement { position: state.joint_position.as_slice(), velocity: state.joint_velocity() }
     }
 
-    /// The measurement of the tick at `time` \[s\], with what is known of the wind ahead.
-    pub fn look_ahead(&mut self, time: f64, wind: &Wind) -> (Measurement<'_>, Preview<'_>) {
+    /// The measurement of the tick, with what is known of the wind ahead.
+    pub fn look_ahead(&mut self, wind: &Wind) -> (&Measurement, Preview<'_>) {
+        let time = self.sample.time;
         let ahead = self.sensors.as_mut().map_or(&[][..], |sensors| sensors.look_ahead(wind, time));
-        (self.sample.at(time), Preview { wind: ahead, ..Preview::default() })
+        (&self.sample, Preview { wind: ahead, ..Preview::default() })
     }
 
     /// The measurement of the tick.
     #[must_use]
-    pub fn sample(&self) -> &OwnedMeasurement {
+    pub fn sample(&self) -> &Measurement {
         &self.sample
     }
 
     /// The same, to be changed.
-    pub fn sample_mut(&mut self) -> &mut OwnedMeasurement {
+    pub fn sample_mut(&mut self) -> &mut Measurement {
         &mut self.sample
     }
 }

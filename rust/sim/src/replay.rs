@@ -5,13 +5,12 @@ use crate::log::FlightLog;
 use crate::sensors::Sensors;
 use crate::signals::{TickRow, feet_of};
 use crate::wind::Wind;
-use flight_core::control::between::JointMeasurement;
-use flight_core::control::{Given, Measurement, Preview};
+use flight_core::control::{Given, JointMeasurement, Measurement, Preview};
 use flight_core::error::BuildError;
 use flight_core::kinematics::RobotState;
 use flight_core::spatial::Pose;
 use flight_io::load_robot;
-use nalgebra::{DVector, Matrix3, Vector3, Vector6};
+use nalgebra::{DVector, Matrix3, Vector3};
 
 /// Greatest relative difference between the median period of a log and that of its ticks.
 const PERIOD_TOLERANCE: f64 = 0.01;
@@ -41,7 +40,7 @@ pub fn replay(config: &ScenarioConfig, log: &FlightLog) -> Result<FlightLog, Bui
     let mut controller = config.controller(robot.clone())?;
     let mut replayed = FlightLog::of_ticks(&robot, !controller.model().feet.is_empty(), log.len());
     let feet = feet_of(&robot, &controller.model().feet);
-    let mut foot_wrenches = vec![Vector6::zeros(); controller.model().feet.len()];
+    let mut measurement = Measurement::zero(joints, jets, controller.model().feet.len());
     let mut state = None;
     for row in 0..log.len() {
         let numbers = |name: &str| log.series(name).map_or(&[][..], |series| series.row(row));
@@ -55,7 +54,7 @@ pub fn replay(config: &ScenarioConfig, log: &FlightLog) -> Result<FlightLog, Bui
             controller.tick_torques(state, &measured);
             continue;
         }
-        let robot = RobotState {
+        measurement.state = RobotState {
             base: Pose {
                 rotation: Matrix3::from_row_slice(&read("raw_base_rotation", 9)),
                 position: Vector3::from_column_slice(&read("raw_base_position", 3)),
@@ -65,18 +64,13 @@ pub fn replay(config: &ScenarioConfig, log: &FlightLog) -> Result<FlightLog, Bui
         };
         for (foot, wrench) in feet.iter().zip(numbers("foot_wrench").chunks_exact(6)) {
             if let Some(foot) = foot {
-                foot_wrenches[*foot] = Vector6::from_column_slice(wrench);
+                measurement.foot_wrenches.as_mut_slice()[6 * foot..6 * foot + 6].copy_from_slice(wrench);
             }
         }
-        let (thrust, shaft_speed) = (read("raw_thrust", jets), read("raw_shaft_speed", jets));
-        let measurement = Measurement {
-            time: read("time", 1)[0],
-            state: &robot,
-            thrust: &thrust,
-            shaft_speed: &shaft_speed,
-            wind: Vector3::from_column_slice(&read("raw_wind", 3)),
-            foot_wrenches: &foot_wrenches,
-        };
+        measurement.time = read("time", 1)[0];
+        (measurement.thrust, measurement.shaft_speed) =
+            (read("raw_thrust", jets), read("raw_shaft_speed", jets));
+        measurement.wind = Vector3::from_column_slice(&read("raw_wind", 3));
         let state = match &mut state {
             Some(state) => state,
             none => {
@@ -88,7 +82,7 @@ pub fn replay(config: &ScenarioConfig, log: &FlightLog) -> Result<FlightLog, Bui
         let preview = Preview { wind: ahead, ..Preview::default() };
         controller.tick_with(state, &measurement, &Given { preview, ..Given::default() });
         let (terms, command) = (controller.terms(), controller.command());
-        let row = TickRow { measurement, terms, command, contact: state.contact(), feet: &feet };
+        let row = TickRow { measurement: &measurement, state, terms, command, feet: &feet };
         replayed.push(&row, None);
     }
     Ok(replayed)

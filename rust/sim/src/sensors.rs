@@ -1,7 +1,7 @@
 //! Simulated sensors: pose and velocity of the base, joints, thrusts; and the wind ahead.
 //!
 //! ```text
-//! truth ──► delay ──► + bias + drift + noise ──► Measurement::{state, thrust}
+//! truth ──► delay ──► + bias + drift + noise ──► Measurement: state, thrust
 //! joints ──► delay ──► + bias + tremble ──► quantisation of the encoder ──► differences ──► low pass
 //! ```
 //!
@@ -9,7 +9,7 @@
 
 use crate::noise::Noise;
 use crate::wind::Wind;
-use flight_core::Reading;
+use flight_core::Measurement;
 use flight_core::error::BuildError;
 use flight_core::kinematics::RobotState;
 use flight_core::spatial::exp_so3;
@@ -159,11 +159,11 @@ pub struct Sensors {
     noise: Noise,
     gaps: Noise,
     /// The last ticks, a ring buffer; `now` is the latest.
-    line: Vec<Reading>,
+    line: Vec<Measurement>,
     now: usize,
     /// Number of readings so far.
     readings: u32,
-    reading: Reading,
+    reading: Measurement,
     /// Positions and velocities of the joints between two ticks.
     joints: (Vec<f64>, Vec<f64>),
     /// Wind ahead: times after the tick, from zero on; empty without a preview \[s, m/s\].
@@ -198,7 +198,7 @@ impl Sensors {
         let delays =
             of_base.map(|sensor| sensor.delay).into_iter().chain([config.joints.delay, config.thrust.delay]);
         let oldest = age(delays.fold(0.0, f64::max), time_step);
-        let nothing = Reading::zero(joints, jets);
+        let nothing = Measurement::zero(joints, jets, 0);
         let time_constant = config.joints.velocity_time_constant.unwrap_or(0.0);
         Ok(Self {
             config: config.clone(),
@@ -239,16 +239,17 @@ impl Sensors {
         (positions, velocities)
     }
 
-    /// Reads all sensors in this state of the robot. Does not allocate.
+    /// Replaces the true state and thrusts in `sample` by what the sensors read. Does not allocate.
     ///
     /// Until a delay has passed, the first state is measured; the low pass of the joints starts in its steady state.
-    pub fn read(&mut self, state: &RobotState, thrust: &[f64]) -> &Reading {
+    pub fn read(&mut self, sample: &mut Measurement) {
         let Self { config, time_step, line, reading, noise, gaps, .. } = self;
         let (is_started, time) = (self.readings > 0, f64::from(self.readings) * *time_step);
         self.now = (self.now + 1) % line.len();
         for (place, tick) in line.iter_mut().enumerate() {
             if place == self.now || !is_started {
-                tick.copy(state, thrust);
+                tick.state.copy_from(&sample.state);
+                tick.thrust.copy_from_slice(&sample.thrust);
             }
         }
         let (now, length) = (self.now, line.len());
@@ -304,7 +305,8 @@ impl Sensors {
         for (measured, thrust) in reading.thrust.iter_mut().zip(thrusts) {
             *measured = thrust + config.thrust.bias + config.thrust.noise_std * noise.normal();
         }
+        sample.state.copy_from(&reading.state);
+        sample.thrust.copy_from_slice(&reading.thrust);
         self.readings = self.readings.saturating_add(1);
-        &self.reading
     }
 }

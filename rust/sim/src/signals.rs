@@ -4,9 +4,8 @@
 
 use crate::plant::Plant;
 use crate::world::Seen;
-use flight_core::control::law::contact::ContactState;
 use flight_core::control::law::setpoint::Setpoint;
-use flight_core::control::{Command, Measurement, Terms};
+use flight_core::control::{Command, ControllerState, Measurement, Terms};
 use flight_core::qp::QpAnswer;
 use flight_core::robot::{Foot, RobotModel};
 use flight_core::spatial::{rotation_angle, rpy_from_rotation, wxyz_from_rotation};
@@ -62,13 +61,13 @@ impl Dimension {
 /// A tick of the controller.
 pub struct TickRow<'a> {
     /// Measurement that it is given.
-    pub measurement: Measurement<'a>,
+    pub measurement: &'a Measurement,
+    /// State of the controller after the tick.
+    pub state: &'a ControllerState,
     /// The controller's intermediate values.
     pub terms: &'a Terms,
     /// The controller's command.
     pub command: &'a Command,
-    /// Its feet after the tick.
-    pub contact: &'a ContactState,
     /// Number of each foot of the robot among the controller's; `None` for one that it does not use.
     pub feet: &'a [Option<usize>],
 }
@@ -314,41 +313,41 @@ pub static SIGNALS: [Signal; 52] = [
         |row, out| out.extend(&row.terms.momentum.unmodelled_wrench),
     ),
     tick("measured_base_position", XYZ, "m", "base position that the controller is given", |row, out| {
-        out.extend(&row.terms.estimates.reading.state.base.position);
+        out.extend(&row.state.estimate().robot.state.base.position);
     }),
     tick("measured_base_quaternion", WXYZ, "1", "base rotation that the controller is given", |row, out| {
-        out.extend(wxyz_from_rotation(&row.terms.estimates.reading.state.base.rotation));
+        out.extend(wxyz_from_rotation(&row.state.estimate().robot.state.base.rotation));
     }),
     tick(
         "measured_base_velocity",
         SIX,
         "m s-1 (linear), rad s-1 (angular)",
         "base velocity that the controller is given, mixed",
-        |row, out| out.extend(&row.terms.estimates.reading.state.velocity.as_slice()[..6]),
+        |row, out| out.extend(&row.state.estimate().robot.state.velocity.as_slice()[..6]),
     ),
     tick(
         "measured_joint_velocity",
         JOINT,
         "rad s-1",
         "joint velocity that the controller is given",
-        |row, out| out.extend(row.terms.estimates.reading.state.joint_velocity()),
+        |row, out| out.extend(row.state.estimate().robot.state.joint_velocity()),
     ),
     tick("measured_thrust", JET, "N", "thrust of each jet that the controller is given", |row, out| {
-        out.extend(&row.terms.estimates.reading.thrust);
+        out.extend(&row.state.estimate().robot.thrust);
     }),
     tick(
         "measured_wind",
         XYZ,
         "m s-1",
         "wind velocity that the controller is given, inertial frame",
-        |row, out| out.extend(&row.terms.estimates.wind),
+        |row, out| out.extend(&row.state.estimate().robot.wind),
     ),
     tick(
         "measured_wind_std",
         XYZ,
         "m s-1",
         "standard deviation of that wind where it is estimated from the robot's motion, else zero",
-        |row, out| out.extend(&row.terms.estimates.wind_std),
+        |row, out| out.extend(&row.state.estimate().wind_std),
     ),
     tick(
         "raw_base_position",
@@ -378,7 +377,7 @@ pub static SIGNALS: [Signal; 52] = [
         out.extend(row.measurement.state.joint_velocity());
     }),
     tick("raw_thrust", JET, "N", "thrust of each jet in that measurement", |row, out| {
-        out.extend(row.measurement.thrust);
+        out.extend(&row.measurement.thrust);
     }),
     tick(
         "raw_shaft_speed",
@@ -423,14 +422,14 @@ pub static SIGNALS: [Signal; 52] = [
         TIME,
         "s",
         "time from a tick until its torques act, as measured; NaN while it is not known",
-        |row, out| out.push(row.terms.measured_latency[0].unwrap_or(f64::NAN)),
+        |row, out| out.push(row.terms.findings.latency[0].unwrap_or(f64::NAN)),
     ),
     tick(
         "measured_thrust_latency",
         TIME,
         "s",
         "time from a tick until its thrust rates act, as measured, with the lag of the engines",
-        |row, out| out.push(row.terms.measured_latency[1].unwrap_or(f64::NAN)),
+        |row, out| out.push(row.terms.findings.latency[1].unwrap_or(f64::NAN)),
     ),
     Signal {
         name: "joint_setpoint",
@@ -463,21 +462,21 @@ pub static SIGNALS: [Signal; 52] = [
         TIME,
         "1",
         "whether the controller takes the feet to carry",
-        |row, out| out.push(f64::from(u8::from(row.contact.is_active))),
+        |row, out| out.push(f64::from(u8::from(row.state.contact().is_active))),
     ))),
     of_ground(tick(
         "contact_force",
         FOOT_SIX,
         WRENCH,
         "foot wrenches f_c* that the controller integrates",
-        |row, out| row.every_foot(&row.contact.force, out),
+        |row, out| row.every_foot(&row.state.contact().force, out),
     )),
     of_ground(tick(
         "contact_force_rate",
         FOOT_SIX,
         "N s-1 (force), N m s-1 (moment)",
         "rate of f_c* commanded by the momentum QP",
-        |row, out| row.every_foot(&row.contact.force_rate, out),
+        |row, out| row.every_foot(&row.state.contact().force_rate, out),
     )),
     of_ground(tick(
         "contact_force_torque",

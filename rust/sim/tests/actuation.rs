@@ -4,7 +4,7 @@
 #![allow(clippy::float_cmp, reason = "commands arrive with the same bits")]
 
 use crate::common::{assert_says, assert_within, experiment};
-use flight_core::control::guard::estimator::{EstimatorConfig, LatencyConfig};
+use flight_core::control::estimate::estimator::{EstimatorConfig, LatencyConfig};
 use flight_sim::{Actuation, ActuationConfig, FlightResult, Outcome, Scenario, ScenarioConfig};
 use std::ops::ControlFlow;
 

@@ -14,20 +14,20 @@ mod episode;
 use cases::cases;
 use common::counting::{Counting, allocations};
 use common::network::{SMALL, random_network};
-use common::{Loop, Running, experiment, outage, tick_at};
+use common::{Loop, Running, at, experiment, outage, tick_at};
 use episode::Episodes;
 use flight_core::Measurement;
 use flight_core::aero::Precision;
 use flight_core::control::CommandStatus;
 use flight_core::control::config::{Fallback, Solver};
-use flight_core::control::guard::wind_observer::WindObserverConfig;
+use flight_core::control::estimate::wind_observer::WindObserverConfig;
 use flight_io::{AeroConfig, load_robot};
 use flight_sim::config::AeroKinematics;
 use flight_sim::disturbances::{FailureKind, JetFailure, OutageChannel, OutageKind};
 use flight_sim::fuel::FuelConfig;
 use flight_sim::motors::{ElasticityConfig, MotorsConfig};
 use flight_sim::{Scenario, ScenarioConfig};
-use nalgebra::{Vector3, Vector6};
+use nalgebra::{DVector, Vector3};
 use proptest::prelude::*;
 use std::hint::black_box;
 use std::path::Path;
@@ -60,9 +60,7 @@ fn assert_no_allocations(
         let blow = if tick == 0 { Vector3::zeros() } else { wind * (tick as f64 * 0.01).min(1.0) };
         in_plant += allocations(|| flight.plant.observe(&blow));
         let thrust = flight.plant.jets().thrust_feedback();
-        let (time, state) = (tick as f64 * 0.01, flight.plant.state());
-        let measurement =
-            Measurement { time, state, thrust, wind: blow, foot_wrenches: &[], shaft_speed: &[] };
+        let measurement = Measurement { wind: blow, ..at(tick as f64 * 0.01, flight.plant.state(), thrust) };
         let of_this_tick = allocations(|| {
             flight.controller.tick(&measurement);
         });
@@ -257,10 +255,9 @@ fn a_tick_on_the_ground_does_not_allocate() {
             let carried = if tick % 100 < 90 { 212.5 } else { 0.0 };
             state.joint_position[15] = 0.02 * phase.sin();
             state.velocity[6 + 15] = 0.1 * phase.cos();
-            let foot = Vector6::new(0.0, 0.0, carried, 3.0 * phase.sin(), -1.2, 0.0);
-            let (wind, foot_wrenches) = (2.0 * SIDE, &[foot, foot]);
-            let measurement =
-                Measurement { time, state: &state, thrust: &thrust, shaft_speed: &[], wind, foot_wrenches };
+            let foot = [0.0, 0.0, carried, 3.0 * phase.sin(), -1.2, 0.0];
+            let foot_wrenches = DVector::from_vec([foot, foot].concat());
+            let measurement = Measurement { wind: 2.0 * SIDE, foot_wrenches, ..at(time, &state, &thrust) };
             let of_this_tick = allocations(|| {
                 controller.tick(&measurement);
             });

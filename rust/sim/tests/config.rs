@@ -5,7 +5,7 @@
 
 use crate::common::{assert_says, configs, experiment, robot};
 use flight_core::BuildError;
-use flight_core::control::guard::wind_observer::WindObserverConfig;
+use flight_core::control::estimate::wind_observer::WindObserverConfig;
 use flight_io::{AeroConfig, ControllerSection, MissionConfig, Schema, from_value, load, load_aero};
 use flight_sim::disturbances::WindEstimateConfig;
 use flight_sim::jets::JetsConfig;

@@ -11,14 +11,14 @@ use crate::common::{configs, experiment, hover_of};
 use cases::cases;
 use flight_core::aero::Precision;
 use flight_core::robot::RobotModel;
-use flight_core::{BuildError, Measurement, RobotState};
+use flight_core::{BuildError, Measurement};
 use flight_io::mission::parse_recording;
 use flight_io::{
     AeroConfig, ControllerSection, NetworkConfig, Schema, from_value, hold, load_aero, resolve_table,
     robot_from_text, toml,
 };
 use flight_sim::{ScenarioConfig, Wind, WindConfig};
-use nalgebra::{Vector3, Vector6};
+use nalgebra::Vector3;
 use proptest::collection::vec;
 use proptest::prelude::*;
 use std::ops::Range;
@@ -148,16 +148,12 @@ fn refusal<T>(result: Result<T, BuildError>) -> Option<T> {
 fn assert_ticks(scenario: &ScenarioConfig, robot: RobotModel) {
     let (joints, jets) = (robot.joints.len(), robot.jets.len());
     let Some(mut controller) = refusal(scenario.controller(robot)) else { return };
-    let state = RobotState::zero(joints);
-    let (thrust, feet) = (vec![50.0; jets], vec![Vector6::zeros(); controller.model().feet.len()]);
-    let wind = Vector3::new(1.0, -5.0, 0.2);
+    let feet = controller.model().feet.len();
     let measure = |tick: u32| Measurement {
         time: f64::from(tick) * scenario.simulator.time_step,
-        state: &state,
-        thrust: &thrust,
-        shaft_speed: &[],
-        wind,
-        foot_wrenches: &feet,
+        thrust: vec![50.0; jets],
+        wind: Vector3::new(1.0, -5.0, 0.2),
+        ..Measurement::zero(joints, jets, feet)
     };
     let Ok(mut flight) = controller.start(&measure(0)) else { return };
     for tick in 0..4 {

@@ -277,7 +277,7 @@ fn feedback_may_be_the_speed_of_the_shaft() {
     assert!(seen.thrust.iter().all(|thrust| thrust.is_nan()));
     assert!(seen.shaft_speed.iter().all(|speed| (0.5..0.9).contains(speed)));
     let _ = flight.try_tick();
-    for (used, thrust) in flight.controller().terms().measurement.thrust.iter().zip(HOVER) {
+    for (used, thrust) in flight.controller_state().unwrap().estimate().robot.thrust.iter().zip(HOVER) {
         assert_within!(relative(*used, thrust), 1e-12);
     }
 }

@@ -5,9 +5,9 @@
 
 use crate::common::{assert_says, assert_within, at, experiment, robot};
 use flight_core::Controller;
-use flight_core::control::between::{JointMeasurement, JointTracker, JointsBetween};
-use flight_core::control::guard::channels::ChannelsConfig;
-use flight_core::control::guard::estimator::{EstimatorConfig, LatencyConfig};
+use flight_core::control::estimate::estimator::{EstimatorConfig, LatencyConfig};
+use flight_core::control::estimate::joint_tracker::{JointMeasurement, JointTracker, JointsBetween};
+use flight_core::control::measure::channels::ChannelsConfig;
 use flight_core::control::{CommandStatus, ControllerState};
 use flight_sim::sensors::EncoderConfig;
 use flight_sim::{ActuationConfig, Outcome, Scenario, ScenarioConfig, SensorsConfig};

@@ -2,8 +2,8 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 
-use crate::common::{assert_says, experiment, outage};
-use flight_core::control::between::JointMeasurement;
+use crate::common::{assert_says, at, experiment, outage};
+use flight_core::control::estimate::joint_tracker::JointMeasurement;
 use flight_core::{Measurement, RobotState};
 use flight_io::load_robot;
 use flight_sim::disturbances::{OutageChannel, OutageKind};
@@ -84,8 +84,7 @@ fn a_log_at_the_rate_of_the_torques_has_a_tick_of_the_law_in_every_tenth_row() {
         state.velocity.copy_from_slice(&[rows("raw_base_velocity", row), velocity].concat());
         let (thrust, wind) = (rows("raw_thrust", row), Vector3::from_vec(rows("raw_wind", row)));
         let time = rows("time", row)[0];
-        let measurement =
-            Measurement { time, state: &state, thrust: &thrust, wind, foot_wrenches: &[], shaft_speed: &[] };
+        let measurement = Measurement { wind, ..at(time, &state, &thrust) };
         let memory = memory.get_or_insert_with(|| controller.start(&measurement).unwrap());
         let torque = controller.tick(memory, &measurement).joint_torque.as_slice();
         assert_eq!(torque, replayed.series("joint_torque").unwrap().row(row / 10), "row {row}");

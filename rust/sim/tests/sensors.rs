@@ -3,8 +3,8 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 #![allow(clippy::float_cmp, reason = "what is not disturbed is the same to the last bit")]
 
-use crate::common::{assert_within, random_state, rng, robot};
-use flight_core::Reading;
+use crate::common::{assert_within, random_state, read, rng, robot};
+use flight_core::Measurement;
 use flight_core::kinematics::RobotState;
 use flight_core::spatial::exp_so3;
 use flight_sim::sensors::{EncoderConfig, SensorConfig, ThrustSensorConfig, TrembleConfig};
@@ -25,9 +25,9 @@ fn motion(ticks: usize) -> Vec<(RobotState, Vec<f64>)> {
     (0..ticks).map(moving).collect()
 }
 
-fn read_all(config: &SensorsConfig, motion: &[(RobotState, Vec<f64>)]) -> Vec<Reading> {
+fn read_all(config: &SensorsConfig, motion: &[(RobotState, Vec<f64>)]) -> Vec<Measurement> {
     let mut sensors = sensors(config);
-    motion.iter().map(|(state, thrust)| sensors.read(state, thrust).clone()).collect()
+    motion.iter().map(|(state, thrust)| read(&mut sensors, state, thrust)).collect()
 }
 
 fn gyro(state: &RobotState) -> Vector3<f64> {
@@ -47,7 +47,7 @@ fn without_errors_the_state_is_measured() {
 }
 
 /// Errors of every channel in its own axes: position, rotation, linear and angular velocity, thrust.
-fn errors(state: &RobotState, thrust: &[f64], said: &Reading) -> [Vector3<f64>; 5] {
+fn errors(state: &RobotState, thrust: &[f64], said: &Measurement) -> [Vector3<f64>; 5] {
     let turned = state.base.rotation.transpose() * said.state.base.rotation;
     let vee = Vector3::new(turned[(2, 1)], turned[(0, 2)], turned[(1, 0)]);
     [
@@ -166,7 +166,7 @@ fn the_measured_rotation_turns_the_gyroscopes() {
         ..SensorsConfig::default()
     };
     let (state, thrust) = motion(1).remove(0);
-    let said = sensors(&config).read(&state, &thrust).clone();
+    let said = read(&mut sensors(&config), &state, &thrust);
     let rotation = state.base.rotation * exp_so3(&Vector3::from(tilt));
     let expected = rotation * (gyro(&state) + Vector3::from(drift));
     assert_within!((said.state.base_angular_velocity() - expected).amax(), 1e-14, because "a few products of order one");
@@ -180,7 +180,7 @@ fn encoders_have_steps() {
     };
     let (mut state, thrust) = motion(1).remove(0);
     state.joint_position.copy_from_slice(&[0.37, 0.38, -0.125, 0.125, 1.0]);
-    let said = sensors(&config).read(&state, &thrust).clone();
+    let said = read(&mut sensors(&config), &state, &thrust);
     assert_eq!(said.state.joint_position.as_slice(), [0.25, 0.5, -0.25, 0.25, 1.0]);
     assert_eq!(said.state.joint_velocity(), state.joint_velocity());
 }
@@ -205,7 +205,7 @@ fn errors_grow_and_tremble() {
     let (state, thrust) = motion(1).remove(0);
     let mut sensors = sensors(&config);
     for tick in 0..30_u32 {
-        let (time, said) = (f64::from(tick) * STEP, sensors.read(&state, &thrust).clone());
+        let (time, said) = (f64::from(tick) * STEP, read(&mut sensors, &state, &thrust));
         let turned = gyro(&said.state) - gyro(&state) - Vector3::new(0.1, 0.2 * time, -0.3 * time);
         assert_within!(turned.amax(), 1e-13, because "a few products of order one", "tick {tick}");
         let after = 0.3 * STEP;
@@ -234,7 +234,7 @@ fn encoder_velocities_are_filtered_differences() {
     state.velocity.fill(0.0);
     let mut sensors = sensors(&config);
     for tick in 0..20_u32 {
-        let said = sensors.read(&state, &thrust).state.velocity[6];
+        let said = read(&mut sensors, &state, &thrust).state.velocity[6];
         let expected = 2.0 * (1.0 - (-f64::from(tick) * STEP / time_constant).exp());
         assert_within!((said - expected).abs(), 1e-12, because "twenty differences of positions of order one over 10 ms");
         state.joint_position.add_scalar_mut(2.0 * STEP);

@@ -26,7 +26,8 @@ pub struct Acting {
 
 impl Acting {
     /// Nothing acts.
-    pub(super) fn new(joints: usize, jets: usize, feet: usize) -> Self {
+    #[must_use]
+    pub fn new(joints: usize, jets: usize, feet: usize) -> Self {
         let (of_joints, rows) = (DVector::zeros(joints), DVector::zeros(6 + joints));
         Self {
             thrust_rate: DVector::zeros(jets),

@@ -1,21 +1,21 @@
 //! Configuration of the controller, checked against the robot when the controller is built.
 
-use super::measure::channels::ChannelsConfig;
 use super::detect::engines::EnginesConfig;
-use super::estimate::estimator::EstimatorConfig;
 use super::detect::joints::JointsConfig;
 use super::detect::latency::LatencyMonitorConfig;
-use super::estimate::disturbance_observer::ObserverConfig;
 use super::detect::supervisor::SupervisorConfig;
+use super::estimate::disturbance_observer::ObserverConfig;
+use super::estimate::estimator::EstimatorConfig;
 use super::estimate::wind_observer::WindObserverConfig;
 use super::law::attitude::MomentumGains;
 use super::law::bounds::BoundsConfig;
 use super::law::contact::ContactConfig;
 use super::law::momentum::AeroFeedback;
-use super::mpc::config::MpcConfig;
 use super::law::setpoint::SetpointConfig;
 use super::law::tasks::MomentumWeights;
 use super::law::torque::TorqueConfig;
+use super::measure::channels::ChannelsConfig;
+use super::mpc::config::MpcConfig;
 use crate::aero::{JacobianOffset, LeverArm, LinkConventions, LinkVelocity};
 use crate::error::{BuildError, Table, check, check_values_by_name, place_of};
 use crate::jets::{JetDynamics, ShaftConfig};

@@ -22,9 +22,10 @@ pub mod prediction;
 use super::law::setpoint::{Ahead, SetpointGenerator};
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::control::command::{Command, CommandStatus};
+use crate::control::law::plan::Plan;
+use crate::control::measure::measurement::Estimate;
 use crate::control::preview::Preview;
 use crate::control::state::ControllerState;
-use crate::control::measure::measurement::Estimate;
 use crate::control::terms::Terms;
 use crate::error::BuildError;
 use crate::jets::JetModel;
@@ -35,7 +36,6 @@ use config::{Air, MpcConfig};
 use horizon::{Horizon, Target};
 use model::Linearised;
 use nalgebra::Vector6;
-use crate::control::law::plan::Plan;
 
 /// Limit of QPs of one plan: each has the values beyond their limits that the last answer brought there.
 const EXCESS_PASSES: u32 = 30;

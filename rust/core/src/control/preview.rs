@@ -1,7 +1,7 @@
 //! What is known of the future at a tick: set-points and wind.
 
-use super::measure::greatest::MAGNITUDES;
 use super::law::setpoint::Setpoint;
+use super::measure::greatest::MAGNITUDES;
 use nalgebra::Vector3;
 
 /// What is known of the future at a tick, which only the predictive law reads; by default nothing. Times are those after

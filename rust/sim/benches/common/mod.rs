@@ -1,45 +1,26 @@
 //! Ticks of recorded flights as input of the benchmarks.
 #![allow(dead_code)] // each benchmark uses a part of it
 
-use flight_core::control::law::mpc::PredictiveLaw;
-use flight_core::control::law::mpc::horizon::Horizon;
-use flight_core::control::law::mpc::model::Linearised;
-use flight_core::control::law::mpc::plan::Plan;
-use flight_core::control::{ControllerState, Terms};
-use flight_core::kinematics::RobotState;
+use flight_core::control::law::plan::Plan;
+use flight_core::control::mpc::horizon::Horizon;
+use flight_core::control::mpc::model::Linearised;
+use flight_core::control::mpc::{PredictiveLaw, Present};
+use flight_core::control::{ControllerState, Estimate, Terms};
 use flight_core::qp::{PrimalActiveSet, QpProblem, QpSolver};
 use flight_core::{BuildError, Controller, Measurement};
 use flight_io::load_robot;
 use flight_sim::disturbances::{FailureKind, JetFailure};
 use flight_sim::{Plant, ScenarioConfig, Wind, WindConfig, load_scenario};
-use nalgebra::{Vector3, Vector6};
+use nalgebra::{DVector, Vector3};
 use std::hint::black_box;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 /// Measurement of a tick, and the QPs that the controller built from it.
 pub struct Tick {
-    pub time: f64,
-    pub state: RobotState,
-    pub thrust: Vec<f64>,
-    pub wind: Vector3<f64>,
-    /// Wrenches of the feet on which the controller can stand; empty.
-    pub feet: Vec<Vector6<f64>>,
+    pub measurement: Measurement,
     pub momentum_qp: QpProblem,
     pub torque_qp: QpProblem,
-}
-
-impl Tick {
-    pub fn measurement(&self) -> Measurement<'_> {
-        Measurement {
-            time: self.time,
-            state: &self.state,
-            thrust: &self.thrust,
-            shaft_speed: &[],
-            wind: self.wind,
-            foot_wrenches: &self.feet,
-        }
-    }
 }
 
 pub fn repository() -> PathBuf {
@@ -60,14 +41,15 @@ pub fn controller(config: &ScenarioConfig) -> Result<Controller, BuildError> {
 fn fly(
     config: &ScenarioConfig,
     end: f64,
-    mut visit: impl FnMut(&Controller, &Measurement),
+    mut visit: impl FnMut(&Controller, &ControllerState, &Measurement),
 ) -> Result<(), BuildError> {
     let mut controller = controller(config)?;
     let mut plant = Plant::new(load_robot(&config.robot)?, &config.simulator, &config.disturbances)?;
     let mut state = None;
     let wind_profile = Wind::new(&config.wind)?;
     let time_step = config.simulator.time_step;
-    let feet = vec![Vector6::zeros(); controller.model().feet.len()];
+    let feet = controller.model().feet.len();
+    let mut measurement = Measurement::zero(controller.model().joints.len(), controller.n_jets(), feet);
     for tick in 0..=config.simulator.n_ticks() {
         let time = tick as f64 * time_step;
         if time > end {
@@ -75,12 +57,12 @@ fn fly(
         }
         let wind = wind_profile.velocity(time);
         plant.observe(&wind);
-        let thrust = plant.jets().thrust_feedback();
-        let (robot, foot_wrenches) = (plant.state(), &feet[..]);
-        let measurement = Measurement { time, state: robot, thrust, shaft_speed: &[], wind, foot_wrenches };
+        (measurement.time, measurement.wind) = (time, wind);
+        measurement.state.copy_from(plant.state());
+        measurement.thrust.copy_from_slice(plant.jets().thrust_feedback());
         let Some(state) = begin_flight(&mut controller, &mut state, &measurement) else { break };
         controller.tick(state, &measurement);
-        visit(&controller, &measurement);
+        visit(&controller, state, &measurement);
         let command = controller.command();
         let (torque, thrust_rate) = (command.joint_torque.as_slice(), command.thrust_rate.as_slice());
         plant.advance(torque, thrust_rate, &wind, time_step);
@@ -91,14 +73,10 @@ fn fly(
 /// Flies a configuration and records the ticks in a span of time \[s\].
 pub fn record(config: &ScenarioConfig, span: &RangeInclusive<f64>) -> Result<Vec<Tick>, BuildError> {
     let mut ticks = Vec::new();
-    fly(config, *span.end(), |controller, measurement| {
+    fly(config, *span.end(), |controller, _, measurement| {
         if span.contains(&measurement.time) {
             ticks.push(Tick {
-                time: measurement.time,
-                state: measurement.state.clone(),
-                thrust: measurement.thrust.to_vec(),
-                wind: measurement.wind,
-                feet: measurement.foot_wrenches.to_vec(),
+                measurement: measurement.clone(),
                 momentum_qp: controller.terms().momentum_qp.problem.clone(),
                 torque_qp: controller.terms().torque_qp.problem.clone(),
             });
@@ -136,6 +114,7 @@ pub struct PlannedTick {
     pub model: Linearised,
     pub horizon: Horizon,
     pub terms: Terms,
+    pub estimate: Estimate,
     pub joint_limits: Vec<(f64, f64)>,
 }
 
@@ -145,7 +124,7 @@ pub fn record_plans(
     span: &RangeInclusive<f64>,
 ) -> Result<Vec<PlannedTick>, BuildError> {
     let mut plans = Vec::new();
-    fly(config, *span.end(), |controller, measurement| {
+    fly(config, *span.end(), |controller, state, measurement| {
         if !span.contains(&measurement.time) || !makes_plan(config, measurement.time) {
             return;
         }
@@ -154,6 +133,7 @@ pub fn record_plans(
             model: model.clone(),
             horizon: horizon.clone(),
             terms: controller.terms().clone(),
+            estimate: state.estimate().clone(),
             joint_limits: controller.model().joints.iter().map(|joint| joint.limits).collect(),
         });
     })?;
@@ -179,8 +159,9 @@ impl Search {
     /// The inputs of the plan; `None` if they are not certified.
     pub fn solve(&mut self, tick: &mut PlannedTick) -> Option<&[f64]> {
         let Self { solver, inputs, plan } = self;
-        let PlannedTick { model, horizon, terms, joint_limits } = tick;
-        PredictiveLaw::search(horizon, solver, model, terms, joint_limits, inputs, plan).then(|| solver.x())
+        let PlannedTick { model, horizon, terms, estimate, joint_limits } = tick;
+        let now = Present { terms, estimate };
+        PredictiveLaw::search(horizon, solver, model, now, joint_limits, inputs, plan).then(|| solver.x())
     }
 }
 
@@ -209,9 +190,7 @@ pub fn saturated_ticks() -> Result<Vec<Tick>, BuildError> {
 
 /// A tick of a standing robot, with its torque QP.
 pub struct StandingTick {
-    pub state: RobotState,
-    pub wind: Vector3<f64>,
-    pub feet: [Vector6<f64>; 2],
+    pub measurement: Measurement,
     pub torque_qp: QpProblem,
 }
 
@@ -221,7 +200,6 @@ pub fn standing_ticks() -> Result<Vec<StandingTick>, BuildError> {
     let config = configuration("balancing_lateral")?;
     let mut controller = controller(&config)?;
     let start = config.simulator.initial.state();
-    let thrust = vec![0.0; controller.n_jets()];
     let mut memory = None;
     let mut ticks = Vec::new();
     for tick in 0..1000 {
@@ -232,14 +210,19 @@ pub fn standing_ticks() -> Result<Vec<StandingTick>, BuildError> {
             state.velocity[6 + joint] = 0.02 * (time + joint as f64).cos();
         }
         let shift = 60.0 * time.sin();
-        let feet = [shift, -shift].map(|shift| Vector6::new(0.0, 0.0, 212.5 + shift, 0.5, -1.2, 0.0));
-        let wind = Vector3::new(0.0, -1.5 * time, 0.0);
-        let (thrust, foot_wrenches) = (&thrust, &feet);
-        let measurement = Measurement { time, state: &state, thrust, shaft_speed: &[], wind, foot_wrenches };
+        let feet = [shift, -shift].map(|shift| [0.0, 0.0, 212.5 + shift, 0.5, -1.2, 0.0]);
+        let measurement = Measurement {
+            time,
+            state,
+            thrust: vec![0.0; controller.n_jets()],
+            wind: Vector3::new(0.0, -1.5 * time, 0.0),
+            foot_wrenches: DVector::from_vec(feet.concat()),
+            ..Measurement::zero(0, 0, 0)
+        };
         let Some(memory) = begin_flight(&mut controller, &mut memory, &measurement) else { break };
         controller.tick(memory, &measurement);
         let torque_qp = controller.terms().torque_qp.problem.clone();
-        ticks.push(StandingTick { state, wind, feet, torque_qp });
+        ticks.push(StandingTick { measurement, torque_qp });
     }
     Ok(ticks)
 }

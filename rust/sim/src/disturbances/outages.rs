@@ -2,7 +2,7 @@
 //!
 //! Equation M104 of `docs/model`.
 
-use flight_core::control::OwnedMeasurement;
+use flight_core::control::Measurement;
 use flight_core::error::{BuildError, check, place_of};
 use flight_core::kinematics::RobotState;
 use flight_core::robot::Jet;
@@ -105,7 +105,7 @@ impl Outage {
 #[derive(Debug, Clone)]
 pub struct Outages {
     /// Each with its jets, and the measurement at its start.
-    outages: Vec<(Outage, Vec<usize>, Option<OwnedMeasurement>)>,
+    outages: Vec<(Outage, Vec<usize>, Option<Measurement>)>,
 }
 
 impl Outages {
@@ -124,7 +124,7 @@ impl Outages {
     }
 
     /// Applies the outages to the measurement at `time` \[s\].
-    pub fn spoil(&mut self, time: f64, sample: &mut OwnedMeasurement) {
+    pub fn spoil(&mut self, time: f64, sample: &mut Measurement) {
         for (outage, jets, held) in &mut self.outages {
             if !outage.is_on(time) {
                 continue;

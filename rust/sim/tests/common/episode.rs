@@ -4,17 +4,17 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 
 use crate::common::counting::allocations;
-use crate::common::{configs, experiment, hover_of, random_state, random_vector, robot};
+use crate::common::{at, configs, experiment, hover_of, random_state, random_vector, robot};
 use flight_core::control::config::Solver;
 use flight_core::control::law::setpoint::Setpoint;
-use flight_core::control::{CommandStatus, ControllerState, Given, OwnedMeasurement, Preview};
+use flight_core::control::{CommandStatus, ControllerState, Given, Measurement, Preview};
 use flight_core::qp::{KKT_TOLERANCE, QpProblem, QpStatus, kkt_residual};
 use flight_core::robot::RobotModel;
-use flight_core::{BuildError, Controller, Measurement};
+use flight_core::{BuildError, Controller};
 use flight_io::{from_value, load_robot};
 use flight_sim::disturbances::{FailureKind, JetFailure, Outage, OutageChannel, OutageKind, Outages};
 use flight_sim::{Plant, ScenarioConfig};
-use nalgebra::{Unit, Vector3, Vector6};
+use nalgebra::{DVector, Unit, Vector3};
 use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
 use serde_json::Value;
@@ -224,7 +224,7 @@ pub struct Episode {
     controller: Controller,
     state: ControllerState,
     outages: Outages,
-    sample: OwnedMeasurement,
+    sample: Measurement,
     mean_wind: Vector3<f64>,
     begin: f64,
     time_step: f64,
@@ -246,16 +246,17 @@ impl Episode {
         let mut controller = scenario.controller(robot.clone())?;
         let time_step = scenario.simulator.time_step;
         let speed = [1.0, 12.0, 60.0][rng.random_range(0..3)];
-        let sample = OwnedMeasurement {
-            state: plant.state().clone(),
-            thrust: plant.jets().thrust_feedback().to_vec(),
-            shaft_speed: Vec::new(),
+        let sample = Measurement {
             wind: random_vector(&mut rng, speed),
-            foot_wrenches: vec![Vector6::new(0.0, 0.0, 200.0, 0.0, 0.0, 0.0); controller.model().feet.len()],
+            foot_wrenches: DVector::from_fn(6 * controller.model().feet.len(), |row, _| {
+                if row % 6 == 2 { 200.0 } else { 0.0 }
+            }),
+            ..at(0.0, plant.state(), plant.jets().thrust_feedback())
         };
         let begin = rng.random_range(0.0..40.0);
+        let sample = Measurement { time: begin, ..sample };
         let state = controller
-            .start(&sample.at(begin))
+            .start(&sample)
             .map_err(|refusal| BuildError::bad_value("first measurement", refusal, "one of a flight"))?;
         let absurd = [0.0, 0.001, 0.1][rng.random_range(0..3)];
         Ok(Self {
@@ -281,15 +282,14 @@ impl Episode {
 
     /// Measures something and ticks.
     pub fn tick(&mut self) -> Ticked {
-        let mut time = self.measure();
-        let mut foot_wrenches = self.sample.foot_wrenches.as_slice();
-        let (mut thrust, rng) = (self.sample.thrust.as_slice(), &mut self.rng);
+        self.sample.time = self.measure();
+        let (mut sample, rng) = (self.sample.clone(), &mut self.rng);
         if self.absurd > 0.0 && rng.random_bool(0.1 * self.absurd) {
             match rng.random_range(0..4) {
-                0 => time = ABSURD[rng.random_range(0..ABSURD.len())],
-                1 => time += rng.random_range(-2.0..2.0),
-                2 => foot_wrenches = &[],
-                _ => thrust = &thrust[..thrust.len().saturating_sub(1)],
+                0 => sample.time = ABSURD[rng.random_range(0..ABSURD.len())],
+                1 => sample.time += rng.random_range(-2.0..2.0),
+                2 => sample.foot_wrenches = DVector::zeros(0),
+                _ => sample.thrust.truncate(sample.thrust.len().saturating_sub(1)),
             }
         }
         let random_setpoint = |rng: &mut ChaCha8Rng| {
@@ -319,15 +319,12 @@ impl Episode {
         let preview = Preview { setpoints: &setpoints, wind: &winds };
         self.torque.copy_from_slice(self.controller.command().joint_torque.as_slice());
 
-        let (controller, state, sample) = (&mut self.controller, &mut self.state, &self.sample);
+        let (controller, state) = (&mut self.controller, &mut self.state);
         let mut duration = Duration::ZERO;
         let allocated = allocations(|| {
-            let OwnedMeasurement { state: seen, wind, .. } = sample;
-            let measurement =
-                Measurement { time, state: seen, thrust, shaft_speed: &[], wind: *wind, foot_wrenches };
             let begin = Instant::now();
             let setpoint = given.as_ref();
-            controller.tick_with(state, &measurement, &Given { setpoint, preview, ..Given::default() });
+            controller.tick_with(state, &sample, &Given { setpoint, preview, ..Given::default() });
             duration = begin.elapsed();
         });
         let command = self.controller.command();
@@ -363,8 +360,8 @@ impl Episode {
                 *thrust = rng.random_range(-0.2..1.5) * jet.thrust_max;
             }
         }
-        for foot in &mut sample.foot_wrenches {
-            *foot = Vector6::from_fn(|_, _| rng.random_range(-20.0..20.0));
+        for foot in sample.foot_wrenches.as_mut_slice().chunks_exact_mut(6) {
+            foot.fill_with(|| rng.random_range(-20.0..20.0));
             foot[2] = if rng.random_bool(0.1) { 0.0 } else { rng.random_range(0.0..400.0) };
         }
         self.outages.spoil(elapsed, sample);
@@ -382,7 +379,7 @@ impl Episode {
                 3 => one(rng, sample.state.velocity.as_mut_slice()),
                 4 => one(rng, sample.state.base.position.as_mut_slice()),
                 5 => one(rng, sample.state.base.rotation.as_mut_slice()),
-                _ => sample.foot_wrenches.iter_mut().for_each(|foot| one(rng, foot.as_mut_slice())),
+                _ => sample.foot_wrenches.as_mut_slice().chunks_exact_mut(6).for_each(|foot| one(rng, foot)),
             }
         }
         self.begin + elapsed

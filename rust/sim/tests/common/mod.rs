@@ -11,14 +11,14 @@ pub mod network;
 #[allow(unused_imports, reason = "no test binary needs everything")]
 pub(crate) use measured::{assert_within, difference, relative};
 
-use flight_core::control::guard::estimator::{ChannelConfig, EstimatorConfig};
+use flight_core::control::estimate::estimator::{ChannelConfig, EstimatorConfig};
 use flight_core::control::law::setpoint::Setpoint;
 use flight_core::control::{ControllerState, Given};
 use flight_core::spatial::{Pose, rotation_from_wxyz};
 use flight_core::{Command, Controller, Measurement, RobotModel, RobotState};
 use flight_io::load_robot;
 use flight_sim::disturbances::{Outage, OutageChannel, OutageKind};
-use flight_sim::{FlightResult, Plant, ScenarioConfig, fly_batch, load_scenario};
+use flight_sim::{FlightResult, Plant, ScenarioConfig, Sensors, fly_batch, load_scenario};
 use nalgebra::Vector3;
 use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
@@ -114,24 +114,15 @@ pub fn move_state(state: &RobotState, time: f64) -> RobotState {
 }
 
 /// A measurement in still air, without feet.
-pub fn at<'a>(time: f64, state: &'a RobotState, thrust: &'a [f64]) -> Measurement<'a> {
-    Measurement { time, state, thrust, wind: Vector3::zeros(), foot_wrenches: &[], shaft_speed: &[] }
+pub fn at(time: f64, state: &RobotState, thrust: &[f64]) -> Measurement {
+    Measurement { time, state: state.clone(), thrust: thrust.to_vec(), ..Measurement::zero(0, 0, 0) }
 }
 
-/// A measurement that owns its parts.
-#[derive(Clone)]
-pub struct Sample {
-    pub time: f64,
-    pub state: RobotState,
-    pub thrust: Vec<f64>,
-    pub wind: Vector3<f64>,
-}
-
-impl Sample {
-    pub fn measurement(&self) -> Measurement<'_> {
-        let Self { time, state, thrust, wind } = self;
-        Measurement { time: *time, state, thrust, wind: *wind, foot_wrenches: &[], shaft_speed: &[] }
-    }
+/// What sensors read of a robot.
+pub fn read(sensors: &mut Sensors, state: &RobotState, thrust: &[f64]) -> Measurement {
+    let mut said = at(0.0, state, thrust);
+    sensors.read(&mut said);
+    said
 }
 
 /// The refusal has all of these words.
@@ -210,25 +201,13 @@ impl Loop {
         self.plant.observe(wind);
         let time = self.tick as f64 * TIME_STEP;
         let thrust = self.plant.jets().thrust_feedback();
-        let state = self.plant.state();
-        self.controller.tick(&Measurement {
-            time,
-            state,
-            thrust,
-            wind: *wind,
-            foot_wrenches: &[],
-            shaft_speed: &[],
-        });
+        self.controller.tick(&Measurement { wind: *wind, ..at(time, self.plant.state(), thrust) });
     }
 
     /// An exact measurement of the plant.
-    pub fn sample(&self, wind: Vector3<f64>) -> Sample {
-        Sample {
-            time: self.tick as f64 * TIME_STEP,
-            state: self.plant.state().clone(),
-            thrust: self.plant.jets().thrust().to_vec(),
-            wind,
-        }
+    pub fn sample(&self, wind: Vector3<f64>) -> Measurement {
+        let time = self.tick as f64 * TIME_STEP;
+        Measurement { wind, ..at(time, self.plant.state(), self.plant.jets().thrust()) }
     }
 
     /// The plant follows the last command.

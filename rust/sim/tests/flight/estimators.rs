@@ -2,8 +2,8 @@
 
 use crate::common::{assert_within, experiment, fly, outage, uniform_estimator};
 use flight_core::control::Modes;
-use flight_core::control::guard::estimator::{ChannelConfig, EstimatorConfig};
-use flight_core::control::guard::wind_observer::WindObserverConfig;
+use flight_core::control::estimate::estimator::{ChannelConfig, EstimatorConfig};
+use flight_core::control::estimate::wind_observer::WindObserverConfig;
 use flight_sim::disturbances::{Outage, OutageChannel, OutageKind};
 use flight_sim::sensors::{EncoderConfig, SensorConfig, ThrustSensorConfig};
 use flight_sim::{Outcome, SensorsConfig};

@@ -4,7 +4,7 @@ use super::{as_published, data, ramp_to, with};
 use crate::common::{Loop, assert_within, experiment, fly};
 use flight_core::RobotState;
 use flight_core::aero::LeverArm;
-use flight_core::control::law::mpc::clearance::Clearance;
+use flight_core::control::mpc::clearance::Clearance;
 use flight_core::kinematics::Kinematics;
 use flight_core::spatial::vee_of_skew_part;
 use flight_io::load_robot;

@@ -1,7 +1,7 @@
 //! A first measurement that is wrong: the following ones outvote it, and the flight begins again from them (M141).
 
 use super::with;
-use crate::common::{Loop, TIME_STEP, assert_says, assert_within, experiment, outage, tick_at};
+use crate::common::{Loop, TIME_STEP, assert_says, assert_within, at, experiment, outage, read, tick_at};
 use crate::fuzz::cases::cases;
 use flight_core::control::{Measurement, Modes};
 use flight_core::kinematics::RobotState;
@@ -33,12 +33,11 @@ fn fly(
         let (mut state, mut thrust) =
             (flight.plant.state().clone(), flight.plant.jets().thrust_feedback().to_vec());
         if let Some(sensors) = &mut sensors {
-            let reading = sensors.read(&state, &thrust).clone();
+            let reading = read(sensors, &state, &thrust);
             (state, thrust) = (reading.state, reading.thrust);
         }
         spoil(tick, &mut state);
-        let measurement =
-            Measurement { time, state: &state, thrust: &thrust, wind, foot_wrenches: &[], shaft_speed: &[] };
+        let measurement = Measurement { wind, ..at(time, &state, &thrust) };
         let command = flight.controller.tick(&measurement).clone();
         modes.push(command.modes);
         let errors = TrackingErrors::new(&flight.plant, &flight.controller.terms().setpoint);

@@ -304,7 +304,8 @@ impl Detector for Engines {
             is_of_speed: estimate.is_of_speed[jet],
             command: acting.thrust_rate[jet],
         };
-        let residual = disturbance.filter(|_| estimate.has_momentum()).map(|of| (&momentum.a_t, &of.residual));
+        let residual =
+            disturbance.filter(|_| estimate.has_momentum()).map(|of| (&momentum.a_t, &of.residual));
         let is_between = estimate.momentum == Sampling::Between && disturbance.is_some();
         self.update(engines, estimate.elapsed, samples, residual, is_between, &mut findings.sensor_error);
         if engines.iter().any(EngineState::is_limited) {

@@ -267,19 +267,7 @@ impl Detector for LatencyMonitor {
     }
 
     fn start(&self, estimate: &Estimate) -> LatencyState {
-        let joints = self.by_torque.len();
-        let jets = estimate.robot.thrust.len();
-        let (none, no_jets) = (DVector::zeros(joints), DVector::zeros(jets));
-        LatencyState {
-            banks: [self.banks[0].start(joints), self.banks[1].start(jets)],
-            positions: std::array::from_fn(|_| none.clone()),
-            measured: 0,
-            thrusts: [no_jets.clone(), no_jets],
-            measured_thrusts: 0,
-            free: vec![none.clone(); self.lead.0 + 2],
-            last: [none.clone(), none],
-            exceeded: [Exceeded::default(); 2],
-        }
+        self.start_of(self.by_torque.len(), estimate.robot.thrust.len())
     }
 
     fn fits(&self, state: &LatencyState) -> bool {
@@ -357,6 +345,22 @@ impl LatencyMonitor {
             by_torque: DVector::zeros(joints),
             response: vec![0.0; size],
             command: vec![0.0; size],
+        }
+    }
+
+    /// State of a flight with so many joints and jets.
+    #[must_use]
+    pub fn start_of(&self, joints: usize, jets: usize) -> LatencyState {
+        let (none, no_jets) = (DVector::zeros(joints), DVector::zeros(jets));
+        LatencyState {
+            banks: [self.banks[0].start(joints), self.banks[1].start(jets)],
+            positions: std::array::from_fn(|_| none.clone()),
+            measured: 0,
+            thrusts: [no_jets.clone(), no_jets],
+            measured_thrusts: 0,
+            free: vec![none.clone(); self.lead.0 + 2],
+            last: [none.clone(), none],
+            exceeded: [Exceeded::default(); 2],
         }
     }
 

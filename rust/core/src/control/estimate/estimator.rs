@@ -112,7 +112,8 @@ impl Model {
         (order, duration): (&Order, f64),
         (torque, thrust_rate): (Mixed, Mixed),
     ) {
-        let Predicted { robot: Measurement { state, thrust, .. }, disturbance, thrust_rate: rates, .. } = estimate;
+        let Predicted { robot: Measurement { state, thrust, .. }, disturbance, thrust_rate: rates, .. } =
+            estimate;
         let Self { robot, jets, aero, kinematics, dynamics, link_forces, mass_factor, acceleration } = self;
         kinematics.update(robot, state);
         dynamics.update(robot, state, kinematics);

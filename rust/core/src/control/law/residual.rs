@@ -269,7 +269,13 @@ impl Policy {
     }
 
     /// `s ∘ o` (M170).
-    fn observe(&mut self, state: &RobotState, kinematics: &Kinematics, due: &Setpoint, wrench: &Vector6<f64>) {
+    fn observe(
+        &mut self,
+        state: &RobotState,
+        kinematics: &Kinematics,
+        due: &Setpoint,
+        wrench: &Vector6<f64>,
+    ) {
         let rotation = &state.base.rotation;
         let turned = due.rotation.tr_mul(rotation);
         let velocity: Vector3<f64> = state.velocity.fixed_rows::<3>(0).into();

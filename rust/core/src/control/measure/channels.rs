@@ -169,7 +169,8 @@ impl Channels {
         measurement: &Measurement,
         mut estimate: Estimate,
     ) -> Result<(ChannelsState, Estimate), BadStart> {
-        let (joints, jets, feet) = (self.ranges.len(), self.jets.len(), self.greatest.foot_wrenches.len() / 6);
+        let (joints, jets, feet) =
+            (self.ranges.len(), self.jets.len(), self.greatest.foot_wrenches.len() / 6);
         if !self.fit(measurement) {
             return Err(BadStart::OtherRobot { joints, jets, feet });
         }
@@ -426,7 +427,8 @@ impl Channels {
         let (base, last) = (&now.state.base, &state.last.state.base);
         let moved = base.position - last.position;
         let turned: Matrix3<f64> = base.rotation * last.rotation.transpose();
-        for (row, (place, found)) in self.velocities().into_iter().zip([moved, vee_of_skew_part(&turned)]).enumerate()
+        for (row, (place, found)) in
+            self.velocities().into_iter().zip([moved, vee_of_skew_part(&turned)]).enumerate()
         {
             if state.records[place].follows_pose() {
                 let velocity = &mut state.predicted.state.velocity.as_mut_slice()[3 * row..3 * row + 3];

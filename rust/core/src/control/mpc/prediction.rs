@@ -11,10 +11,10 @@
 //! `u` and `w` are constant between knots, so every knot is exact: a Taylor series for a short time, and squares of it.
 //! Equations M120, M122, M125 and M174 of `docs/model`.
 
+use super::Present;
 use super::chain::{Answers, Chain, along};
 use super::config::MpcConfig;
 use super::model::Linearised;
-use super::Present;
 use crate::jets::JetModel;
 use crate::linalg;
 use crate::robot::RobotModel;
@@ -214,7 +214,8 @@ impl Prediction {
         self.now.fill(Vector3::zeros());
         for jet in 0..self.jets {
             let Some(engine) = &self.models[jet].engine else { continue };
-            self.chains[jet] = Chain::of_engine(engine, estimate.robot.thrust[jet], estimate.thrust_rate[jet]);
+            self.chains[jet] =
+                Chain::of_engine(engine, estimate.robot.thrust[jet], estimate.thrust_rate[jet]);
             self.answers[jet].update(&self.chains[jet], self.series, &self.power);
             if self.works(jet, now) {
                 self.now[jet][1] = estimate.thrust_rate[jet];

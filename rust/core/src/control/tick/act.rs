@@ -4,8 +4,8 @@
 //!
 //! This file has the integral of M68 and the friction of M69 of `docs/model`.
 
-use crate::control::law::torque::limit_rate;
 use crate::control::command::{Command, CommandStatus};
+use crate::control::law::torque::limit_rate;
 use crate::control::limits::JointCondition;
 use crate::control::state::ControllerState;
 use crate::control::terms::Terms;

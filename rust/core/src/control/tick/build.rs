@@ -51,10 +51,10 @@ impl Controller {
         let limits = Limits::new(config.momentum, &model);
         config.check_rate_bounds(&robot, time_step)?;
         let (of_estimator, dynamics) = (config.estimator.as_ref(), config.jet_dynamics);
-        let estimator =
-            |config| Estimator::new(config, robot.clone(), dynamics, aero.clone(), time_step);
+        let estimator = |config| Estimator::new(config, robot.clone(), dynamics, aero.clone(), time_step);
         let estimator = of_estimator.map(estimator).transpose()?;
-        let wind = config.wind_observer.map(|_| WindObserver::new(robot.clone(), aero.clone())).transpose()?;
+        let wind =
+            config.wind_observer.map(|_| WindObserver::new(robot.clone(), aero.clone())).transpose()?;
         config.observer.map_or(Ok(()), |observer| observer.check(time_step))?;
         let momentum_shares = estimator.as_ref().map_or([1.0; 2], |estimator| estimator.momentum_shares);
         let detectors =

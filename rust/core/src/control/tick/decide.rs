@@ -1,12 +1,12 @@
 //! The law that the tick calls: from the set-point to thrust rates and joint velocities, by the momentum QP or a plan.
 
+use crate::aero::AeroModel;
+use crate::control::command::{Command, CommandStatus};
 use crate::control::law::attitude::attitude_demand;
 use crate::control::law::momentum_qp::TaskInputs;
 use crate::control::law::setpoint::{Ahead, Setpoint, SetpointGenerator};
-use crate::control::mpc::{PredictiveLaw, Upcoming};
-use crate::aero::AeroModel;
-use crate::control::command::{Command, CommandStatus};
 use crate::control::limits::JointCondition;
+use crate::control::mpc::{PredictiveLaw, Upcoming};
 use crate::control::preview::Preview;
 use crate::control::state::ControllerState;
 use crate::control::terms::Terms;

@@ -17,7 +17,8 @@ impl Controller {
         if self.has_feet {
             self.place_feet(state);
         }
-        let Terms { due, kinematics, dynamics, inverse_mass, momentum, limits, findings, .. } = &mut self.terms;
+        let Terms { due, kinematics, dynamics, inverse_mass, momentum, limits, findings, .. } =
+            &mut self.terms;
         let ControllerState { estimate, disturbance, .. } = state;
         if let Some((config, observer)) = self.observer.as_ref().zip(disturbance.as_mut()) {
             let sample = MomentumSample { momentum: dynamics.momentum, rate: momentum.measured_rate };
