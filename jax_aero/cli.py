@@ -19,12 +19,12 @@ from typing import Any, NamedTuple
 
 import argcomplete
 
-from jax_aero.base import extras, places
+from jax_aero.base import places
 from jax_aero.base.places import did_you_mean
 from jax_aero.base.terminal import CLOSED as CLOSED
 from jax_aero.base.terminal import INTERRUPTED as INTERRUPTED
 from jax_aero.base.terminal import REFUSED as REFUSED
-from jax_aero.base.terminal import refuse, run_with_output
+from jax_aero.base.terminal import missing_package, package_of, refuse, run_with_output
 
 
 class Command(NamedTuple):
@@ -202,9 +202,9 @@ def _run(words: Sequence[str]) -> int:
         work: Callable[[Sequence[str]], int | None] = getattr(importlib.import_module(module), attribute)
         return work(rest) or 0
     except ModuleNotFoundError as missing:
-        if extras.is_ours(missing):
-            raise
-        return refuse(extras.missing_package(f"`{name}`", missing, needed))
+        if package_of(missing) in ("", "jax_aero", "experiments", "paper_figs"):
+            raise  # no extra brings a module of ours
+        return refuse(missing_package(f"`{name}`", missing, needed))
 
 
 def _choose(name: str, command: Command, words: Sequence[str]) -> int:

@@ -19,7 +19,7 @@ import pytest
 from experiments import backends, studies
 from experiments.sources import closure
 from jax_aero import cli, rust
-from jax_aero.base import extras, places
+from jax_aero.base import places
 from jax_aero.base.terminal import exit_status, progress_bar
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -96,13 +96,6 @@ def test_the_extras_of_a_command_bring_what_it_imports(function, extras):
 def test_a_flight_of_the_crate_depends_on_no_package_that_its_extra_does_not_bring():
     """The hash of its code counts imports of functions too."""
     assert closure("experiments.flight", backends.MODULES["rust"])[1] <= packages_in("figs")
-
-
-def test_the_extra_that_a_module_names_brings_what_it_imports():
-    for path in (ROOT / "jax_aero").rglob("*.py"):
-        module = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
-        brought = packages_in(extras.extra_of(module))
-        assert packages_of(module) <= brought, module
 
 
 def test_the_package_installs_the_command():
