@@ -121,7 +121,7 @@ def test_help_names_every_command(capsys):
         (["sweep", "baseline_edges"], "baseline_edge"),
         (["view", "--prot", "1"], "did you mean --port"),
         (["train", "compact", "--datset", "x"], "did you mean --dataset"),
-        (["study", "inner_loop", "--hepl"], "did you mean --help"),
+        (["study", "standing", "--hepl"], "did you mean --help"),
         (["sweep", "tuned", "--workers", "0"], "--workers: `0`; expected an integer ≥ 1"),
         (["sweep", "tuned", "--address", "somewhere"], "--address is somewhere; expected --cluster ray beside it"),
         (["robot", "import", "none.urdf", "--jet", "a:1", "--forward", "-x"], "none.urdf: No such file"),
