@@ -1,8 +1,8 @@
 """The files that follow from the configuration's types; `python -m experiments.generated` writes them.
 
-The crate's types define flights and robots. Their JSON Schemas yield the schemas of `configs/schema/`, with which
-editors complete keys. The schemas of studies, sweeps and trainings come from the Python types that read them.
-`reference` is the documentation's page of all keys.
+The crate's types define flights and robots. Their JSON Schemas yield the types of the JAX implementation
+(`config_types`) and the schemas of `configs/schema/`, with which editors complete keys. The schemas of studies, sweeps
+and trainings come from the Python types that read them. `reference` is the documentation's page of all keys.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from experiments import studies
+from experiments import config_types, studies
 from experiments.cfd import design as cfd
 from experiments.cfd.settings import FlowConfig
 from experiments.robot import waypoints
@@ -53,6 +53,7 @@ def files() -> dict[Path, str]:
     found["sweeps"] = _with_files(found["sweeps"])
     folder = places.CONFIGS / "schema"
     return {
+        places.HOME / "jax_aero" / "config.py": config_types.module(crate["experiments"]),
         **{folder / f"{name}.schema.json": _json(schema) for name, schema in sorted(found.items())},
         **{path: _json({"$schema": DIALECT, **tables.schema(kind)}) for path, kind in _of_studies()},
     }
