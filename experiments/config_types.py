@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
-Node = Mapping[str, Any]
+from experiments.schema import Node, choices_of, items, kinds, name_of
+from jax_aero import rust
+from jax_aero.base import places
 
 HEAD = '''"""Types of a flight's configuration, as `make generated` writes them; `configs/schema` describes every key.
 
@@ -26,8 +29,9 @@ from msgspec import Struct, field
 SCALARS = {"number": "float", "integer": "int", "string": "str", "boolean": "bool", "null": "None"}
 
 
-def module(schema: Node) -> str:
-    """Return the text of the module of a schema."""
+def files() -> dict[Path, str]:
+    """Return the text of the module."""
+    schema = rust.schemas()["experiments"]
     tables = {**schema["$defs"], schema["title"]: schema}
     written: dict[str, str] = {}
 
@@ -39,14 +43,14 @@ def module(schema: Node) -> str:
         written[name] = "".join(_definition(name, tables[name], tables))
 
     write(schema["title"])
-    return HEAD + "".join(written.values())
+    return {places.HOME / "jax_aero" / "config.py": HEAD + "".join(written.values())}
 
 
 def _names(node: Any) -> Iterator[str]:
     """Yield the names of the definitions in a part of a schema."""
-    if isinstance(node, Mapping):
+    if isinstance(node, dict):
         if "$ref" in node:
-            yield node["$ref"].rpartition("/")[2]
+            yield name_of(node)
         node = [part for key, part in node.items() if key != "$defs"]
     if isinstance(node, list):
         for part in node:
@@ -54,23 +58,14 @@ def _names(node: Any) -> Iterator[str]:
 
 
 def _definition(name: str, node: Node, tables: Mapping[str, Node]) -> Iterator[str]:
-    options = node.get("oneOf", ())
-    if kinds := [option for option in options if "properties" in option]:
-        for kind in kinds:
-            tag, value = _tag(kind)
-            yield _table(_kind_name(name, value), kind, tables, f', tag_field="{tag}", tag="{value}"')
-        union = " | ".join(_kind_name(name, _tag(kind)[1]) for kind in kinds)
+    if choices := choices_of(node):
+        yield f"\n{name}: TypeAlias = Literal[{', '.join(map(json.dumps, choices))}]\n"
+        return
+    for tag, value, kind in kinds(node):
+        yield _table(_kind_name(name, value), kind, tables, tag and f', tag_field="{tag}", tag="{value}"')
+    if tag:
+        union = " | ".join(_kind_name(name, value) for _, value, _ in kinds(node))
         yield f"\n\n{name}: TypeAlias = {union}\n"
-    elif names := node.get("enum") or [option["const"] for option in options]:
-        yield f"\n{name}: TypeAlias = Literal[{', '.join(map(json.dumps, names))}]\n"
-    else:
-        yield _table(name, node, tables)
-
-
-def _tag(kind: Node) -> tuple[str, str]:
-    """Return the key that is constant in one kind of a table, and its value."""
-    ((key, part),) = ((key, part) for key, part in kind["properties"].items() if "const" in part)
-    return key, part["const"]
 
 
 def _kind_name(name: str, value: str) -> str:
@@ -92,41 +87,26 @@ def _field(key: str, node: Node, is_required: bool, tables: Mapping[str, Node]) 
 
 def _type(node: Node) -> str:
     if "$ref" in node:
-        return str(node["$ref"].rpartition("/")[2])
+        return name_of(node)
     if "anyOf" in node:
         return " | ".join(map(_type, node["anyOf"]))
     kind = node["type"]
     if isinstance(kind, list):
         return " | ".join(_type({**node, "type": each}) for each in kind)
     if kind == "array":
-        item, bounds = _type(_item(node)), [node.get("minItems"), node.get("maxItems")]
+        item, bounds = _type(items(node)), [node.get("minItems"), node.get("maxItems")]
         return f"tuple[{', '.join([item] * bounds[0] if bounds[0] and bounds[0] == bounds[1] else [item, '...'])}]"
     return f"dict[str, {_type(node['additionalProperties'])}]" if kind == "object" else SCALARS[kind]
 
 
-def _item(node: Node) -> Node:
-    """Return the schema of the items of a list."""
-    found: Node = node.get("items") or node["prefixItems"][0]
-    return found
-
-
 def _value(node: Node, value: Any, tables: Mapping[str, Node]) -> str:
     """Return a default as Python."""
-    if isinstance(value, Mapping) and value:
-        name = _type(node)
-        table = tables[name]
-        for kind in table.get("oneOf", ()):
-            key, tag = _tag(kind)
-            if value[key] == tag:
-                name, table = _kind_name(name, tag), kind
-        parts = {
-            key: part for key, part in table["properties"].items() if value.get(key, "") != part.get("default", "")
-        }
-        given = [f"{key}={_value(part, value[key], tables)}" for key, part in parts.items() if "const" not in part]
-        return f"{name}({', '.join(given)})"
-    if isinstance(value, Mapping):
-        return f"{_type(node)}()" if "$ref" in node else "{}"
+    if isinstance(value, Mapping) and "$ref" in node:
+        keys = tables[_type(node)]["properties"].items()
+        other = {key: part for key, part in keys if key in value and value[key] != part.get("default")}
+        given = [f"{key}={_value(part, value[key], tables)}" for key, part in other.items()]
+        return f"{_type(node)}({', '.join(given)})"
     if isinstance(value, list):
-        items = [_value(_item(node), item, tables) for item in value]
-        return f"({', '.join(items)}{',' * (len(items) == 1)})"
+        entries = [_value(items(node), entry, tables) for entry in value]
+        return f"({', '.join(entries)}{',' * (len(entries) == 1)})"
     return json.dumps(value) if isinstance(value, str) else repr(value)
