@@ -126,7 +126,7 @@ def _typed(plain: Mapping[str, Any], kind: type[T], origin: str) -> T:
         return msgspec.convert(plain, kind, dec_hook=_existing_file)
     except msgspec.ValidationError as refusal:
         expected, _, place = str(refusal).partition(" - at `$")
-        key, value = place.strip(".`"), cast(Any, plain)
+        key, value = place.partition("[...]")[0].strip(".`"), cast(Any, plain)  # of an entry by name: its table
         for part in re.findall(r"[^.\[\]]+", key):
             value = value[int(part)] if isinstance(value, list) else value[part]
         cause = refusal.__cause__

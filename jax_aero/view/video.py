@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import ExitStack
 from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, Protocol, get_args
+from typing import Any, Literal
 
 import numpy as np
 
 from jax_aero.base.files import complete_file
 from jax_aero.base.terminal import Progress
 from jax_aero.view import Refused, check_out, require
-from jax_aero.view.drawing import Camera, Scales, Viewpoint, camera_at
+from jax_aero.view.drawing import Camera, Scales, Scene, Viewpoint, camera_at
 from jax_aero.view.recording import Recording
 
 HOLD = 1.5  # s for which the last picture stays, to read the outcome
@@ -27,27 +27,12 @@ NARROW = 0.7  # height by width of a picture above which the camera keeps a larg
 DISTANCE = {"video": 3.3, "snapshot": 2.9}  # m, of the camera
 
 Renderer = Literal["mujoco", "pillow"]
-RENDERERS = get_args(Renderer)
 """What draws: MuJoCo with OpenGL, or Pillow alone."""
-
-
-class Scene(Protocol):
-    """What draws the pictures of a flight: `offscreen.Studio`, `painter.Painter`."""
-
-    recording: Recording
-    ghost: Recording | None
-    scales: Scales
-
-    def picture(self, time: float, camera: Camera) -> Any:
-        """Return the picture at a time [s], (height, width, 3), without text."""
-
-    def pixels_per_metre(self, camera: Camera) -> float:
-        """Return the scale of the picture at the distance of the point looked at [pixels/m]."""
 
 
 def open_scene(
     renderer: Renderer, recording: Recording, width: int, height: int, ghost: Recording | None = None
-) -> AbstractContextManager[Scene]:
+) -> Scene:
     """Return a scene of a size [pixels], which is to be closed.
 
     Raises

@@ -41,8 +41,7 @@ def test_a_point_is_seen_where_the_camera_has_it(canvas, agree):
 
 
 def cube(centre, edge, colour):
-    mesh = box()
-    return painter.Solid(mesh._replace(vertices=centre + edge * mesh.vertices), colour)
+    return painter.Solid(box(), centre, edge * np.eye(3), colour)
 
 
 @pytest.mark.parametrize("order", [1, -1])
